@@ -1,0 +1,1 @@
+//! Movement primitives and control laws: numbers in, numbers out.

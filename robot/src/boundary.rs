@@ -1,0 +1,132 @@
+//! The boundary between skills and a robot: what is sensed, who may command, and why a command is refused.
+
+use std::sync::Arc;
+
+use nalgebra::{Point3, Vector3};
+use tokio::sync::watch;
+
+/// Everything that the robot sensed at one instant. Joint arrays are in the order of the model's joints.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sensed {
+    /// Time of the sample since the robot's start, ns.
+    pub stamp_ns: u64,
+    /// Joint positions, rad (m for prismatic joints).
+    pub position: Vec<f64>,
+    /// Joint velocities, rad/s (m/s for prismatic joints).
+    pub velocity: Vec<f64>,
+    /// Force that the hand exerts on the wrist sensor, raw, in the sensor's frame, N.
+    pub force_raw: Vector3<f64>,
+    /// Torque about the sensor's origin, raw, in the sensor's frame, N m.
+    pub torque_raw: Vector3<f64>,
+    /// The same, compensated.
+    pub wrist: Wrist,
+}
+
+/// The wrist's force and torque, compensated for bias, weight and inertia of hand and load.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Wrist {
+    /// Force of the environment on the hand, in the root frame, N.
+    pub force: Vector3<f64>,
+    /// Torque of the environment on the hand about the TCP, in the root frame, N m.
+    pub torque: Vector3<f64>,
+}
+
+/// Bounds that a lease asks for; the robot's own limits bound them in turn.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LeaseLimits {
+    /// Largest compensated wrist force, N. Over it, the arm gives way and the lease is faulted.
+    pub force_n: Option<f64>,
+    /// Largest TCP speed, m/s; faster commands are scaled down, direction kept.
+    pub speed_m_s: Option<f64>,
+}
+
+/// Why the guard took the limb from its commander.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Fault {
+    /// The wrist force exceeded the limit; the arm gave way along the force.
+    #[error("the wrist force reached {force_n:.0} N, over its limit of {limit_n:.0} N; the arm gave way")]
+    Force {
+        /// Largest force seen, N.
+        force_n: f64,
+        /// The limit in force, N.
+        limit_n: f64,
+    },
+    /// No fresh command within the watchdog's time.
+    #[error("no command for {silent_ms} ms; the arm was braked")]
+    Watchdog {
+        /// How long nothing came, ms.
+        silent_ms: u64,
+    },
+    /// The wrist sensor repeats the same sample: it is broken or its connection is.
+    #[error("the wrist sensor has not changed for {frozen_ms} ms; check the sensor and its cable")]
+    FrozenWrench {
+        /// How long it has been the same, ms.
+        frozen_ms: u64,
+    },
+    /// A command was NaN or infinite.
+    #[error("a command for joint `{joint}` was not a finite number")]
+    NotFinite {
+        /// The first such joint.
+        joint: String,
+    },
+}
+
+/// Why a lease was not given.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum LeaseError {
+    /// Somebody else commands the limb.
+    #[error("the limb `{limb}` is commanded by `{holder}`")]
+    Taken {
+        /// The limb asked for.
+        limb: String,
+        /// Who holds it.
+        holder: String,
+    },
+    /// The robot has no such limb.
+    #[error("the robot has no limb `{limb}`; it has {known}")]
+    Unknown {
+        /// The limb asked for.
+        limb: String,
+        /// Comma-separated names.
+        known: String,
+    },
+    /// The robot has been stopped for good (emergency stop).
+    #[error("the robot is stopped: {reason}")]
+    Stopped {
+        /// Why.
+        reason: String,
+    },
+}
+
+/// Errors of reading a robot's description.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RobotError {
+    /// The description cannot be used.
+    #[error("robot description: {what}")]
+    Description {
+        /// What is wrong and where.
+        what: String,
+    },
+}
+
+/// A robot as skills see it. Implemented by the guarded robot in this process and by the proxy over Zenoh.
+pub trait Robot: Send + Sync {
+    /// Its description.
+    fn model(&self) -> &Arc<crate::Model>;
+    /// The newest sample, and a wake-up at each new one (1 kHz in the simulator).
+    fn sensed(&self) -> watch::Receiver<Arc<Sensed>>;
+    /// Takes the exclusive right to command a limb, until the lease is dropped.
+    ///
+    /// # Errors
+    /// [`LeaseError`] when the limb is taken or unknown, or the robot is stopped.
+    fn lease(&self, limb: &str, holder: &str, limits: LeaseLimits) -> Result<crate::Lease, LeaseError>;
+    /// Takes the present compensated wrist force as zero: call it when nothing touches the hand.
+    fn tare(&self);
+    /// Says what the hand holds, so that its weight is compensated: mass, kg, and centre in the TCP frame, m.
+    fn set_load(&self, mass_kg: f64, center_in_tcp: Point3<f64>);
+    /// Stops every limb for good; later leases are refused.
+    fn stop(&self, reason: &str);
+}

@@ -1,0 +1,91 @@
+//! Named channels: the newest value that an observer has published, with its time, and whether anyone reads it.
+//!
+//! Observers publish, watches and skills read. A channel keeps only the newest sample: a slow reader misses
+//! samples and never holds up the publisher. Observers whose work costs something look at [`Channels::wanted`].
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex};
+
+use armarium_values::Value;
+use tokio::sync::watch;
+use tokio::time::Instant;
+
+/// One published value and when it was published, in the executor's (virtual) time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sample {
+    /// The value; usually a map of named fields.
+    pub value: Value,
+    /// When it was published.
+    pub at: Instant,
+}
+
+#[derive(Debug)]
+struct Channel {
+    newest: watch::Sender<Option<Sample>>,
+    wanted: watch::Sender<usize>,
+}
+
+/// The hub; clones share the same channels.
+#[derive(Clone, Debug, Default)]
+pub struct Channels {
+    by_name: Arc<Mutex<BTreeMap<String, Arc<Channel>>>>,
+}
+
+/// Says that somebody reads a channel, until it is dropped.
+#[derive(Debug)]
+pub struct Demand {
+    channel: Arc<Channel>,
+}
+
+impl Drop for Demand {
+    fn drop(&mut self) {
+        self.channel.wanted.send_modify(|n| *n -= 1);
+    }
+}
+
+impl Channels {
+    /// A hub without channels.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    fn channel(&self, name: &str) -> Arc<Channel> {
+        let mut by_name = self.by_name.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        Arc::clone(by_name.entry(name.to_owned()).or_insert_with(|| {
+            Arc::new(Channel { newest: watch::channel(None).0, wanted: watch::channel(0).0 })
+        }))
+    }
+
+    /// Publishes a value now; it replaces the one before.
+    pub fn publish(&self, name: &str, value: Value) {
+        let sample = Sample { value, at: Instant::now() };
+        self.channel(name).newest.send_replace(Some(sample));
+    }
+
+    /// The newest sample, if there is one.
+    #[must_use]
+    pub fn newest(&self, name: &str) -> Option<Sample> {
+        self.channel(name).newest.borrow().clone()
+    }
+
+    /// A receiver that wakes at each new sample.
+    #[must_use]
+    pub fn subscribe(&self, name: &str) -> watch::Receiver<Option<Sample>> {
+        self.channel(name).newest.subscribe()
+    }
+
+    /// Says that the caller reads this channel for as long as it keeps the returned token.
+    #[must_use = "the demand ends when the token is dropped"]
+    pub fn demand(&self, name: &str) -> Demand {
+        let channel = self.channel(name);
+        channel.wanted.send_modify(|n| *n += 1);
+        Demand { channel }
+    }
+
+    /// How many readers a channel has; an observer sleeps on it while there are none.
+    #[must_use]
+    pub fn wanted(&self, name: &str) -> watch::Receiver<usize> {
+        self.channel(name).wanted.subscribe()
+    }
+}

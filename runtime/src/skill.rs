@@ -1,0 +1,125 @@
+//! What a skill is: a manifest that says what it takes, gives and commands, and a future that acts.
+//!
+//! A skill is started with checked inputs, reports one outcome, and returns soon after it has been cancelled.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use armarium_values::Value;
+use futures::future::BoxFuture;
+use tokio_util::sync::CancellationToken;
+
+use crate::channels::Channels;
+
+/// What a skill declares about itself; the checker, the editor's schema and `armarium skills` use it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SkillManifest {
+    /// The name that charts use.
+    pub name: String,
+    /// One or two sentences for people.
+    pub description: String,
+    /// What it takes.
+    pub inputs: Vec<Parameter>,
+    /// What it gives with its outcome.
+    pub outputs: Vec<Parameter>,
+    /// Outcomes beyond `success` and `failure`.
+    pub outcomes: Vec<String>,
+    /// Events that it raises while it runs.
+    pub events: Vec<String>,
+    /// Limbs that it commands; two regions that can command one limb at the same time are an error at load.
+    pub limbs: Vec<String>,
+    /// How long it may take to return after a cancel.
+    pub grace: Duration,
+}
+
+/// A typed, documented input or output.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameter {
+    /// Its name.
+    pub name: String,
+    /// Its type as charts write it: `float`, `string`, `duration`, `list<float>`, `Motion`, `Pose` ...
+    pub type_name: String,
+    /// SI symbol of its unit, for numbers.
+    pub unit: Option<String>,
+    /// Value when the chart gives none; an input without one is required.
+    pub default: Option<Value>,
+    /// One sentence for people.
+    pub description: String,
+}
+
+/// How a skill ended well.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outcome {
+    /// `success`, or an outcome that the manifest declares.
+    pub name: String,
+    /// Outputs by name.
+    pub outputs: BTreeMap<String, Value>,
+}
+
+impl Outcome {
+    /// The outcome `success` without outputs.
+    #[must_use]
+    pub fn success() -> Self {
+        Self { name: "success".into(), outputs: BTreeMap::new() }
+    }
+
+    /// The same outcome with one more output.
+    #[must_use]
+    pub fn with(mut self, name: &str, value: impl Into<Value>) -> Self {
+        self.outputs.insert(name.into(), value.into());
+        self
+    }
+}
+
+/// Why a skill failed, in words for the person at the robot.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{reason}")]
+pub struct Failure {
+    /// One sentence: what happened, and what to do about it where that is known.
+    pub reason: String,
+}
+
+impl Failure {
+    /// A failure with its reason.
+    pub fn new(reason: impl Into<String>) -> Self {
+        Self { reason: reason.into() }
+    }
+}
+
+/// How a skill ended.
+pub type SkillResult = Result<Outcome, Failure>;
+
+/// Bounds that the chart puts on every skill inside a state; inner states only tighten them.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Limits {
+    /// Largest wrist force, N.
+    pub force_n: Option<f64>,
+    /// Largest TCP speed, m/s.
+    pub speed_m_s: Option<f64>,
+}
+
+/// What a running skill is given.
+#[derive(Clone, Debug)]
+pub struct SkillContext {
+    /// Path of the state that runs it, for messages and the trace.
+    pub state: String,
+    /// Inputs, each present and of its declared type.
+    pub inputs: BTreeMap<String, Value>,
+    /// Bounds from the chart.
+    pub limits: Limits,
+    /// Cancelled when the state is left; the skill then stops what it does and returns.
+    pub cancel: CancellationToken,
+    /// What observers publish; skills may publish there as well.
+    pub channels: Channels,
+    /// Raises one of the manifest's events, with data, into the chart. Bounded: an event over the bound is
+    /// counted and dropped.
+    pub events: tokio::sync::mpsc::Sender<(String, Value)>,
+}
+
+/// An action that a leaf state performs.
+pub trait Skill: Send + Sync + 'static {
+    /// What it declares about itself.
+    fn manifest(&self) -> SkillManifest;
+    /// Acts until it has an outcome or is cancelled. A cancelled skill's result is ignored.
+    fn run(&self, context: SkillContext) -> BoxFuture<'static, SkillResult>;
+}

@@ -1,0 +1,130 @@
+//! Frames as providers give them, and the trait of a provider.
+
+use std::sync::Arc;
+
+use async_trait::async_trait;
+use nalgebra::Isometry3;
+
+use crate::camera::StereoCalibration;
+
+/// An RGB image, 8 bit a channel, rows from the top, three bytes a pixel.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Image {
+    width: u32,
+    height: u32,
+    data: Vec<u8>,
+}
+
+/// A depth image: distance along the optical axis, m; 0 where nothing was seen.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DepthImage {
+    /// Width, px.
+    pub width: u32,
+    /// Height, px.
+    pub height: u32,
+    /// Depth, m, rows from the top; `width * height` values.
+    pub data: Vec<f32>,
+}
+
+/// One moment seen by both eyes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StereoFrame {
+    /// When the shutter was open, since the provider's start, ns; the same clock as the robot's samples.
+    pub stamp_ns: u64,
+    /// Left eye.
+    pub left: Image,
+    /// Right eye.
+    pub right: Image,
+    /// Depth registered to the left eye, where the provider has it.
+    pub depth: Option<DepthImage>,
+    /// The left camera's pose in the robot's root frame as the robot believes it: from joint angles and
+    /// calibration. A wrong mounting is not in it.
+    pub root_from_left: Isometry3<f64>,
+}
+
+/// Why there is no frame.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ImageError {
+    /// The data do not fill the image.
+    #[error("an image of {width} x {height} needs {expected} bytes, not {actual}")]
+    Size {
+        /// Width, px.
+        width: u32,
+        /// Height, px.
+        height: u32,
+        /// Bytes needed.
+        expected: usize,
+        /// Bytes given.
+        actual: usize,
+    },
+    /// The provider has gone.
+    #[error("the image provider `{provider}` has gone")]
+    Gone {
+        /// Its name.
+        provider: String,
+    },
+}
+
+/// A provider of stereo frames. Frames that nobody asks for are not made.
+#[async_trait]
+pub trait ImageSource: Send + Sync {
+    /// Its name.
+    fn name(&self) -> &str;
+    /// Intrinsics and extrinsics.
+    fn calibration(&self) -> StereoCalibration;
+    /// Waits for the next frame.
+    ///
+    /// # Errors
+    /// [`ImageError::Gone`] when no further frame will come.
+    async fn next(&self) -> Result<Arc<StereoFrame>, ImageError>;
+}
+
+impl Image {
+    /// An image of raw RGB bytes.
+    ///
+    /// # Errors
+    /// [`ImageError::Size`] unless there are `width * height * 3` bytes.
+    pub fn from_rgb(width: u32, height: u32, data: Vec<u8>) -> Result<Self, ImageError> {
+        let expected = width as usize * height as usize * 3;
+        if data.len() == expected {
+            Ok(Self { width, height, data })
+        } else {
+            Err(ImageError::Size { width, height, expected, actual: data.len() })
+        }
+    }
+
+    /// Width, px.
+    #[must_use]
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Height, px.
+    #[must_use]
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// All bytes, RGB, rows from the top.
+    #[must_use]
+    pub fn data(&self) -> &[u8] {
+        &self.data
+    }
+
+    /// All bytes, to draw into.
+    #[must_use]
+    pub fn data_mut(&mut self) -> &mut [u8] {
+        &mut self.data
+    }
+
+    /// The colour at a pixel; black outside of the image.
+    #[must_use]
+    pub fn pixel(&self, x: u32, y: u32) -> [u8; 3] {
+        if x >= self.width || y >= self.height {
+            return [0; 3];
+        }
+        let i = (y as usize * self.width as usize + x as usize) * 3;
+        [self.data[i], self.data[i + 1], self.data[i + 2]]
+    }
+}
