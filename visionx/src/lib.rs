@@ -2,11 +2,36 @@
 //!
 //! - [`Image`], [`DepthImage`], [`StereoFrame`]: what cameras give. [`ImageSource`]: who gives it.
 //! - [`PinholeCamera`], [`StereoCalibration`]: from pixels to points.
+//! - [`ColorModel`], [`Mask`], [`components`]: which pixels have a colour, and what connected things they form.
+//! - [`ColorMarkerObjectTracking`]: follows a thing of known colour. [`ObjectLocalizer`]: finds the pose of a box of
+//!   known colour and size. [`HandObserver`]: finds a person's hand, its gesture and where it points.
+//! - [`ImageProcessor`], [`ResultSink`], [`FanOut`], [`run_processor`]: from a stream of frames to a stream of results.
+//! - [`annotate`]: pictures of what was seen.
 //!
-//! This room knows no robot and no memory: results are plain values in the camera's frame.
+//! This room knows no robot and no memory: results are plain values in the camera's frame, or in the root frame
+//! through the pose that comes with the frame.
 
+pub mod annotate;
 mod camera;
+mod color;
+mod components;
 mod frame;
+pub mod hand;
+mod localizer;
+mod marker;
+mod mask;
+mod outline;
+mod particles;
+mod processor;
 
 pub use camera::{PinholeCamera, StereoCalibration};
+pub use color::ColorModel;
+pub use components::{Component, Run, components};
 pub use frame::{DepthImage, Image, ImageError, ImageSource, StereoFrame};
+pub use hand::{Fingertip, Gesture, HandObservation, HandObserver};
+pub use localizer::{BoxModel, ObjectEstimate, ObjectLocalizer};
+pub use marker::{ColorMarkerObjectTracking, MarkerEstimate, MarkerSettings};
+pub use mask::{Mask, Region};
+pub use processor::{
+    FanOut, Finding, FindingSource, ImageProcessor, ProcessorStatistics, ResultSink, Subscription, run_processor,
+};

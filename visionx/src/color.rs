@@ -1,0 +1,165 @@
+//! Which pixels have an object's colour, whatever the shading.
+//!
+//! Shading by a white light scales a pixel's RGB vector and keeps its direction. A pixel has the colour when it lies
+//! in a cone about the reference's direction that is widened at its tip by the camera's noise, and its brightness is
+//! within the range that shading can explain. Colours without hue (white, grey, black) share one direction, so they
+//! are told apart by brightness instead. Gamma, coloured light and highlights are not modelled.
+
+use crate::frame::Image;
+use crate::mask::{Mask, Region};
+
+/// The colour of an object.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ColorModel {
+    reference: [u8; 3],
+    /// Unit vector of the reference colour.
+    direction: [f32; 3],
+    /// Tangent of the half angle of the cone.
+    tangent: f32,
+    /// Added to the cone's radius, grey levels.
+    radius: f32,
+    /// Accepted lengths along the direction, grey levels.
+    range: (f32, f32),
+}
+
+/// Half angle of the cone for a colour of full hue, rad.
+const HALF_ANGLE: f32 = 0.105;
+/// Widening by noise: about three times the noise of the cameras (sigma 2), grey levels.
+const NOISE_RADIUS: f32 = 5.0;
+/// Length under which a pixel has no usable direction, grey levels.
+const DARK: f32 = 30.0;
+
+impl ColorModel {
+    /// The model of things whose colour in full light is `reference` (RGB).
+    #[must_use]
+    pub fn from_rgb(reference: [u8; 3]) -> Self {
+        let v = reference.map(f32::from);
+        let length = norm(v);
+        let grey = [1.0f32 / 3.0f32.sqrt(); 3];
+        let direction = if length > 0.0 { v.map(|c| c / length) } else { grey };
+        let from_grey = dot(direction, grey).clamp(-1.0, 1.0).acos();
+        let hued = from_grey > 0.12;
+        // A pale colour's cone must not reach the greys.
+        let half_angle = if hued { HALF_ANGLE.min(from_grey * 0.45) } else { 0.06 };
+        let range = if hued {
+            ((0.25 * length).max(DARK), (1.35 * length).max(DARK))
+        } else {
+            (0.6 * length - 12.0, 1.3 * length + 12.0)
+        };
+        Self { reference, direction, tangent: half_angle.tan(), radius: NOISE_RADIUS, range }
+    }
+
+    /// The colour in full light that the model was made from.
+    #[must_use]
+    pub fn reference(&self) -> [u8; 3] {
+        self.reference
+    }
+
+    /// Whether a pixel has the colour.
+    #[must_use]
+    pub fn matches(&self, rgb: [u8; 3]) -> bool {
+        self.accepts(f32::from(rgb[0]), f32::from(rgb[1]), f32::from(rgb[2]))
+    }
+
+    /// All pixels of the image that have the colour.
+    #[must_use]
+    pub fn segment(&self, image: &Image) -> Mask {
+        self.segment_region(image, Region::whole(image.width(), image.height()))
+    }
+
+    /// The pixels of a part of the image that have the colour; the part is clipped to the image.
+    #[must_use]
+    pub fn segment_region(&self, image: &Image, region: Region) -> Mask {
+        let region = region.clipped(image.width(), image.height());
+        let mut mask = Mask::empty(region);
+        if region.area() == 0 {
+            return mask;
+        }
+        let stride = image.width() as usize * 3;
+        let width = region.width as usize;
+        let rows = image.data().chunks_exact(stride).skip(region.y as usize);
+        for (row, out) in rows.zip(mask.data_mut().chunks_exact_mut(width)) {
+            let start = region.x as usize * 3;
+            let pixels = row[start..start + width * 3].chunks_exact(3);
+            for (p, o) in pixels.zip(out) {
+                *o = u8::from(self.accepts(f32::from(p[0]), f32::from(p[1]), f32::from(p[2])));
+            }
+        }
+        mask
+    }
+
+    #[inline]
+    fn accepts(&self, r: f32, g: f32, b: f32) -> bool {
+        let [u, v, w] = self.direction;
+        let along = r * u + g * v + b * w;
+        let across = r * r + g * g + b * b - along * along;
+        let limit = along * self.tangent + self.radius;
+        // Non-short-circuit `&`: the loop over pixels stays free of branches.
+        (across <= limit * limit) & (along >= self.range.0) & (along <= self.range.1)
+    }
+}
+
+fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn norm(a: [f32; 3]) -> f32 {
+    dot(a, a).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shaded(rgb: [u8; 3], factor: f64) -> [u8; 3] {
+        rgb.map(|c| (f64::from(c) * factor).round() as u8)
+    }
+
+    #[test]
+    fn shading_keeps_the_colour() {
+        for reference in [[240, 210, 40], [40, 170, 60], [220, 30, 200], [230, 120, 20], [20, 60, 220]] {
+            let model = ColorModel::from_rgb(reference);
+            for percent in 35..=105 {
+                let p = shaded(reference, f64::from(percent) / 100.0);
+                assert!(model.matches(p), "{reference:?} at {percent} %");
+            }
+        }
+    }
+
+    #[test]
+    fn other_things_have_other_colours() {
+        let scene = [[150, 115, 80], [224, 172, 138], [128, 128, 128], [40, 40, 45], [235, 235, 235], [205, 190, 165]];
+        for reference in [[240, 210, 40], [40, 170, 60], [220, 30, 200], [20, 60, 220]] {
+            let model = ColorModel::from_rgb(reference);
+            for other in scene {
+                for percent in 30..=100 {
+                    let p = shaded(other, f64::from(percent) / 100.0);
+                    assert!(!model.matches(p), "{p:?} is not {reference:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn greys_are_told_apart_by_brightness() {
+        let white = ColorModel::from_rgb([240, 240, 240]);
+        assert!(white.matches([200, 200, 200]) && !white.matches([100, 100, 100]));
+        let black = ColorModel::from_rgb([0, 0, 0]);
+        assert!(black.matches([5, 3, 4]) && !black.matches([60, 60, 60]));
+    }
+
+    #[test]
+    fn a_region_is_a_part_of_the_whole() {
+        let mut image = Image::from_rgb(8, 6, vec![0; 8 * 6 * 3]).unwrap();
+        for (x, y) in [(2, 1), (3, 1), (7, 5)] {
+            let i = (y * 8 + x) * 3;
+            image.data_mut()[i..i + 3].copy_from_slice(&[220, 30, 200]);
+        }
+        let model = ColorModel::from_rgb([220, 30, 200]);
+        assert_eq!(model.segment(&image).count(), 3);
+        let part = model.segment_region(&image, Region { x: 3, y: 0, width: 100, height: 3 });
+        assert_eq!(part.count(), 1);
+        assert!(part.contains(3, 1) && !part.contains(2, 1));
+        assert_eq!(model.segment_region(&image, Region { x: 50, y: 50, width: 5, height: 5 }).count(), 0);
+    }
+}

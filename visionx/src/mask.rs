@@ -1,0 +1,146 @@
+//! Binary images, and rectangles in an image. What a mask means is its maker's business.
+
+use serde::{Deserialize, Serialize};
+
+/// A rectangle of pixels: columns `x .. x + width`, rows `y .. y + height`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Region {
+    /// First column, px.
+    pub x: u32,
+    /// First row, px.
+    pub y: u32,
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+}
+
+/// A binary image with its place in a larger image: pixel `(x, y)` of the mask is pixel
+/// `(region.x + x, region.y + y)` of the image that it was made from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Mask {
+    region: Region,
+    data: Vec<u8>,
+}
+
+impl Region {
+    /// The whole of an image.
+    #[must_use]
+    pub fn whole(width: u32, height: u32) -> Self {
+        Self { x: 0, y: 0, width, height }
+    }
+
+    /// The smallest region in an image of `width` x `height` that holds all pixels from `(x0, y0)` to `(x1, y1)`,
+    /// inclusive; empty when there are none. Coordinates may be anything, even not finite.
+    #[must_use]
+    pub fn spanning(x0: f64, y0: f64, x1: f64, y1: f64, width: u32, height: u32) -> Self {
+        // A cast from f64 to u32 saturates and takes NaN to 0.
+        let clip = |v: f64, end: u32| (v.max(0.0) as u32).min(end);
+        let (left, top) = (clip(x0.floor(), width), clip(y0.floor(), height));
+        let (right, bottom) = (clip(x1.floor() + 1.0, width), clip(y1.floor() + 1.0, height));
+        Self { x: left, y: top, width: right.saturating_sub(left), height: bottom.saturating_sub(top) }
+    }
+
+    /// This region with `border` more pixels on each side, clipped to an image of `width` x `height`.
+    #[must_use]
+    pub fn grown(&self, border: u32, width: u32, height: u32) -> Self {
+        let x = self.x.saturating_sub(border);
+        let y = self.y.saturating_sub(border);
+        let right = (self.x + self.width).saturating_add(border).min(width);
+        let bottom = (self.y + self.height).saturating_add(border).min(height);
+        Self { x, y, width: right.saturating_sub(x), height: bottom.saturating_sub(y) }
+    }
+
+    /// The part of this region inside an image of `width` x `height`.
+    #[must_use]
+    pub fn clipped(&self, width: u32, height: u32) -> Self {
+        self.grown(0, width, height)
+    }
+
+    /// Number of pixels.
+    #[must_use]
+    pub fn area(&self) -> usize {
+        self.width as usize * self.height as usize
+    }
+
+    /// Whether the region touches the border of an image of `width` x `height`.
+    #[must_use]
+    pub fn touches_border(&self, width: u32, height: u32) -> bool {
+        self.x == 0 || self.y == 0 || self.x + self.width >= width || self.y + self.height >= height
+    }
+}
+
+impl Mask {
+    /// A mask with nothing set.
+    #[must_use]
+    pub fn empty(region: Region) -> Self {
+        Self { region, data: vec![0; region.area()] }
+    }
+
+    /// Where the mask lies in its image.
+    #[must_use]
+    pub fn region(&self) -> Region {
+        self.region
+    }
+
+    /// Width of the mask, px.
+    #[must_use]
+    pub fn width(&self) -> usize {
+        self.region.width as usize
+    }
+
+    /// Height of the mask, px.
+    #[must_use]
+    pub fn height(&self) -> usize {
+        self.region.height as usize
+    }
+
+    /// The pixels, 0 or 1, rows from the top.
+    #[must_use]
+    pub fn data(&self) -> &[u8] {
+        &self.data
+    }
+
+    /// The pixels, to write 0 or 1 into.
+    #[must_use]
+    pub fn data_mut(&mut self) -> &mut [u8] {
+        &mut self.data
+    }
+
+    /// One row of the mask, counted from the mask's own top.
+    #[must_use]
+    pub fn row(&self, y: usize) -> &[u8] {
+        let w = self.width();
+        &self.data[y * w..(y + 1) * w]
+    }
+
+    /// Whether the pixel `(x, y)` of the *image* is set; false outside of the mask's region.
+    #[must_use]
+    pub fn contains(&self, x: i64, y: i64) -> bool {
+        let (x, y) = (x - i64::from(self.region.x), y - i64::from(self.region.y));
+        if x < 0 || y < 0 || x >= i64::from(self.region.width) || y >= i64::from(self.region.height) {
+            return false;
+        }
+        self.data[y as usize * self.width() + x as usize] != 0
+    }
+
+    /// How many pixels are set.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.data.iter().map(|&v| usize::from(v)).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn regions_clip() {
+        assert_eq!(Region::spanning(-3.0, 2.2, 4.9, 99.0, 10, 8), Region { x: 0, y: 2, width: 5, height: 6 });
+        assert_eq!(Region::spanning(f64::NAN, f64::NAN, f64::NAN, f64::NAN, 10, 8).area(), 1);
+        assert_eq!(Region::spanning(20.0, 0.0, 30.0, 5.0, 10, 8).area(), 0);
+        let grown = Region { x: 1, y: 1, width: 3, height: 3 }.grown(2, 10, 5);
+        assert_eq!(grown, Region { x: 0, y: 0, width: 6, height: 5 });
+    }
+}
