@@ -1,0 +1,376 @@
+//! Coaching of a running wiping motion in task space: attract (fist), repel (2-finger pointing), shift (1-finger
+//! pointing) and push (force). It changes the weights or the centre of the [`PeriodicDmp`] that is executed.
+//!
+//! It is the paper's rule (eqs. 10, 13-16) with three additions for a path of some centimetres. It works in metres
+//! of the path: the effect of the weights on the steady path is known exactly ([`PathResponse`]), so each event has
+//! a target and ends there instead of drifting. It is local: only phases near the one that is nearest to the hand
+//! are moved, the far side is held. And P of (9) is replaced by its fixed point, so that coaching does not depend
+//! on how long the motion was learned.
+//!
+//! What it does not do: recognise gestures, or decide whether a force is a push (see [`crate::FrictionModel`]).
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use crate::error::{MotionError, positive, size, vector, within};
+use crate::field::PotentialField;
+use crate::path::PathResponse;
+use crate::pdmp::PeriodicDmp;
+
+/// What the coach does at this moment; positions in the frame of the motion, m.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum CoachInput {
+    /// Nothing: the motion stays as it is.
+    #[default]
+    None,
+    /// Pushes the end effector with this force, N.
+    Push {
+        /// The force beyond what wiping explains, N.
+        force: Vector3<f64>,
+    },
+    /// Holds a fist beside the path: the near part comes towards it.
+    Attract {
+        /// The hand.
+        hand: Vector3<f64>,
+    },
+    /// Points with two fingers: the near part goes away from the hand.
+    Repel {
+        /// The hand.
+        hand: Vector3<f64>,
+    },
+    /// Points with one finger: the whole motion goes along `direction` (any length).
+    Shift {
+        /// Where to.
+        direction: Vector3<f64>,
+    },
+}
+
+/// The constants of a [`Coach`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CoachConfig {
+    /// The field of a hand; its `gamma` scales how far a gesture moves the path.
+    pub field: PotentialField,
+    /// Direction in which nothing may be coached (the surface normal), any length; all zero for none.
+    pub normal: [f64; 3],
+    /// How far a push moves the path in each pass, m/N.
+    pub push_gain: f64,
+    /// Force that does nothing, N.
+    pub push_dead_band: f64,
+    /// The most that pushes of one event move the path, m.
+    pub push_limit: f64,
+    /// How near to the hand a fist draws the path at most, m.
+    pub standoff: f64,
+    /// The most that one fist or 2-finger gesture moves the path, m.
+    pub reach: f64,
+    /// Time constant of a gesture, s.
+    pub time_constant: f64,
+    /// Which part of the path a hand holds: up to this share of the way from its nearest to its farthest distance.
+    pub locality: f64,
+    /// Speed of a shift, m/s.
+    pub shift_speed: f64,
+    /// The most that one shift moves the motion, m.
+    pub shift_limit: f64,
+    /// An event is over when the coach has done nothing for this long, s; then limits count anew.
+    pub pause: f64,
+}
+
+impl Default for CoachConfig {
+    fn default() -> Self {
+        Self {
+            field: PotentialField::wiping(),
+            normal: [0.0, 0.0, 1.0],
+            push_gain: 0.001,
+            push_dead_band: 2.0,
+            push_limit: 0.06,
+            standoff: 0.05,
+            reach: 0.035,
+            time_constant: 2.5,
+            locality: 0.4,
+            shift_speed: 0.006,
+            shift_limit: 0.04,
+            pause: 8.0,
+        }
+    }
+}
+
+impl CoachConfig {
+    fn validate(&self) -> Result<(), MotionError> {
+        positive("time_constant", self.time_constant)?;
+        positive("push_limit", self.push_limit)?;
+        positive("locality", self.locality)?;
+        for (what, value) in [
+            ("push_gain", self.push_gain),
+            ("push_dead_band", self.push_dead_band),
+            ("standoff", self.standoff),
+            ("reach", self.reach),
+            ("shift_speed", self.shift_speed),
+            ("shift_limit", self.shift_limit),
+            ("pause", self.pause),
+        ] {
+            within(what, value, 0.0, 1e6)?;
+        }
+        let field = [self.field.gamma, self.field.eta, self.field.r_m, self.field.beta];
+        vector("field", 4, &field)?;
+        vector("normal", 3, &self.normal)
+    }
+}
+
+/// What the coach has done to the motion so far in this event.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct CoachReport {
+    /// Whether something is being coached now.
+    pub active: bool,
+    /// The phase that is coached, rad: the one nearest to the hand, or the present one of a push.
+    pub phase: f64,
+    /// By how much the path at that phase has moved along the coached direction since the event began, m.
+    pub displacement: f64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Push,
+    Attract,
+    Repel,
+    Shift,
+}
+
+/// Changes a running motion as its coach wants it. One coach belongs to one primitive.
+#[derive(Debug, Clone)]
+pub struct Coach {
+    config: CoachConfig,
+    normal: Option<Vector3<f64>>,
+    response: PathResponse,
+    event: Option<Kind>,
+    idle: f64,
+    /// Weights, centre and path when the event began.
+    weights: Vec<f64>,
+    centre: Vector3<f64>,
+    path: Vec<Vector3<f64>>,
+    hand: Option<Vector3<f64>>,
+}
+
+impl Coach {
+    /// A coach for `dmp`, whose first three degrees of freedom are x, y, z in metres.
+    ///
+    /// # Errors
+    /// When the primitive has less than three degrees of freedom or a constant cannot be.
+    pub fn new(config: CoachConfig, dmp: &PeriodicDmp) -> Result<Self, MotionError> {
+        config.validate()?;
+        if dmp.dofs() < 3 {
+            return Err(MotionError::TooFew { what: "dofs", needed: 3, got: dmp.dofs() });
+        }
+        let response = PathResponse::new(dmp)?;
+        let path = vec![Vector3::zeros(); response.samples()];
+        Ok(Self {
+            normal: Vector3::from(config.normal).try_normalize(1e-9),
+            config,
+            response,
+            event: None,
+            idle: 0.0,
+            weights: dmp.weights().to_vec(),
+            centre: Vector3::zeros(),
+            path,
+            hand: None,
+        })
+    }
+
+    /// Applies what the coach does now to `dmp`, `dt` s after the last call; to be called before each
+    /// [`PeriodicDmp::step`] of the same `dt` and `omega` (rad/s). Does not allocate.
+    ///
+    /// # Errors
+    /// When the primitive is not of the size the coach was made for, a value is not finite, `dt` is not positive or
+    /// `omega` negative; nothing is changed.
+    pub fn step(
+        &mut self,
+        dmp: &mut PeriodicDmp,
+        dt: f64,
+        omega: f64,
+        input: CoachInput,
+    ) -> Result<CoachReport, MotionError> {
+        positive("dt", dt)?;
+        within("omega", omega, 0.0, 1e6)?;
+        size("weights", self.weights.len(), dmp.weights().len())?;
+        let (kind, given) = match input {
+            CoachInput::None => {
+                self.rest(dt);
+                return Ok(CoachReport::default());
+            }
+            CoachInput::Push { force } => (Kind::Push, force),
+            CoachInput::Attract { hand } => (Kind::Attract, hand),
+            CoachInput::Repel { hand } => (Kind::Repel, hand),
+            CoachInput::Shift { direction } => (Kind::Shift, direction),
+        };
+        vector("coach", 3, given.as_slice())?;
+        if self.event != Some(kind) {
+            self.begin(kind, dmp);
+        }
+        self.idle = 0.0;
+        match kind {
+            Kind::Push => self.push(dmp, omega * dt, given),
+            Kind::Attract => self.gesture(dmp, dt, omega, given, 1.0),
+            Kind::Repel => self.gesture(dmp, dt, omega, given, -1.0),
+            Kind::Shift => self.shift(dmp, dt, given),
+        }
+    }
+
+    fn rest(&mut self, dt: f64) {
+        self.idle += dt;
+        if self.idle > self.config.pause {
+            self.event = None;
+        }
+    }
+
+    /// Remembers how the motion was, so that the event's effect can be measured and bounded.
+    fn begin(&mut self, kind: Kind, dmp: &PeriodicDmp) {
+        self.event = Some(kind);
+        self.hand = None;
+        self.weights.copy_from_slice(dmp.weights());
+        self.centre = centre_of(dmp);
+        let k = dmp.kernels().len();
+        for (s, point) in self.path.iter_mut().enumerate() {
+            let at = |d: usize| self.response.at_row(s, &self.weights[d * k..(d + 1) * k]);
+            *point = self.centre + dmp.amplitude() * Vector3::new(at(0), at(1), at(2));
+        }
+    }
+
+    /// By how much the steady path at table row `row` has moved since the event began.
+    fn moved(&self, dmp: &PeriodicDmp, row: usize) -> Vector3<f64> {
+        let k = dmp.kernels().len();
+        let at = |d: usize| {
+            let weights = &dmp.weights()[d * k..(d + 1) * k];
+            self.response.at_row(row, weights) * dmp.amplitude() + dmp.centre()[d]
+        };
+        Vector3::new(at(0), at(1), at(2)) - self.path[row]
+    }
+
+    fn in_surface(&self, v: Vector3<f64>) -> Vector3<f64> {
+        self.normal.map_or(v, |n| v - n * n.dot(&v))
+    }
+
+    fn push(
+        &mut self,
+        dmp: &mut PeriodicDmp,
+        advance: f64,
+        force: Vector3<f64>,
+    ) -> Result<CoachReport, MotionError> {
+        let force = self.in_surface(force);
+        let size = force.norm();
+        let phase = dmp.phase();
+        if size <= self.config.push_dead_band {
+            return Ok(CoachReport { phase, ..CoachReport::default() });
+        }
+        let direction = force / size;
+        let displacement = self.moved(dmp, self.response.row(phase)).dot(&direction);
+        let room = (1.0 - displacement / self.config.push_limit).clamp(0.0, 1.0);
+        let shift = direction * (self.config.push_gain * (size - self.config.push_dead_band) * room);
+        displace(dmp, phase, advance, &shift)?;
+        Ok(CoachReport { active: true, phase, displacement })
+    }
+
+    fn gesture(
+        &mut self,
+        dmp: &mut PeriodicDmp,
+        dt: f64,
+        omega: f64,
+        hand: Vector3<f64>,
+        sign: f64,
+    ) -> Result<CoachReport, MotionError> {
+        let hand = self.smooth_hand(hand, dt);
+        let span = self.distances(&hand);
+        let row = span.nearest_row;
+        let phase = self.response.phase(row);
+        let offset = hand - self.path[row];
+        let Some(towards) = self.in_surface(offset).try_normalize(1e-6) else {
+            return Ok(CoachReport { phase, ..CoachReport::default() });
+        };
+        let direction = sign * towards;
+        let goal = self.goal(span.nearest, offset.norm(), sign);
+        let here = self.response.row(dmp.phase());
+        let wanted = goal * self.window(&span, &hand, here);
+        let missing = wanted - self.moved(dmp, here).dot(&direction);
+        // One pass makes up for what the time of a period allows, at most for all that is missing.
+        let share = (std::f64::consts::TAU / (omega * self.config.time_constant)).min(1.0);
+        displace(dmp, dmp.phase(), omega * dt, &(direction * (missing * share)))?;
+        let displacement = self.moved(dmp, row).dot(&direction);
+        Ok(CoachReport { active: true, phase, displacement })
+    }
+
+    /// How far the nearest part of the path shall move, m.
+    fn goal(&self, in_surface: f64, distance: f64, sign: f64) -> f64 {
+        let strength = self.config.field.gamma * self.config.field.reach(distance);
+        let room = if sign > 0.0 { (in_surface - self.config.standoff).max(0.0) } else { f64::INFINITY };
+        (self.config.reach * strength).min(room)
+    }
+
+    fn smooth_hand(&mut self, hand: Vector3<f64>, dt: f64) -> Vector3<f64> {
+        // Three camera frames: enough against the jitter of a tracked hand.
+        let share = 1.0 - (-dt / 0.2).exp();
+        let smooth = self.hand.map_or(hand, |old| old + (hand - old) * share);
+        self.hand = Some(smooth);
+        smooth
+    }
+
+    fn distances(&self, hand: &Vector3<f64>) -> Span {
+        let mut span = Span { nearest: f64::INFINITY, farthest: 0.0, nearest_row: 0 };
+        for (row, point) in self.path.iter().enumerate() {
+            let distance = self.in_surface(hand - point).norm();
+            span.farthest = span.farthest.max(distance);
+            if distance < span.nearest {
+                span.nearest = distance;
+                span.nearest_row = row;
+            }
+        }
+        span
+    }
+
+    /// 1 at the phase nearest to the hand, smoothly 0 where the path is far from it.
+    fn window(&self, span: &Span, hand: &Vector3<f64>, row: usize) -> f64 {
+        let range = (span.farthest - span.nearest).max(1e-6);
+        let distance = self.in_surface(hand - self.path[row]).norm();
+        let u = (distance - span.nearest) / range / self.config.locality;
+        if u < 1.0 { (1.0 - u * u) * (1.0 - u * u) } else { 0.0 }
+    }
+
+    fn shift(
+        &mut self,
+        dmp: &mut PeriodicDmp,
+        dt: f64,
+        direction: Vector3<f64>,
+    ) -> Result<CoachReport, MotionError> {
+        let phase = dmp.phase();
+        let Some(direction) = self.in_surface(direction).try_normalize(1e-9) else {
+            return Ok(CoachReport { phase, ..CoachReport::default() });
+        };
+        let shifted = centre_of(dmp) + direction * (self.config.shift_speed * dt) - self.centre;
+        let distance = shifted.norm();
+        let bounded = shifted * (self.config.shift_limit / distance.max(self.config.shift_limit).max(1e-12));
+        let centre = self.centre + bounded;
+        for d in 0..3 {
+            dmp.centre[d] = centre[d];
+        }
+        Ok(CoachReport { active: true, phase, displacement: bounded.dot(&direction) })
+    }
+}
+
+/// The distances between a hand and the path, in the surface, m.
+#[derive(Debug, Clone, Copy)]
+struct Span {
+    nearest: f64,
+    farthest: f64,
+    nearest_row: usize,
+}
+
+fn centre_of(dmp: &PeriodicDmp) -> Vector3<f64> {
+    Vector3::new(dmp.centre()[0], dmp.centre()[1], dmp.centre()[2])
+}
+
+/// [`PeriodicDmp::displace`] of the first three degrees of freedom.
+fn displace(
+    dmp: &mut PeriodicDmp,
+    phase: f64,
+    advance: f64,
+    shift: &Vector3<f64>,
+) -> Result<(), MotionError> {
+    dmp.displace_some(phase, advance, shift.as_slice())
+}

@@ -1,0 +1,500 @@
+//! The periodic dynamic movement primitive of n degrees of freedom on one phase (eqs. 4-11), with the two
+//! kinds of coupling: one that only perturbs (eq. 12) and one that the weights learn (eq. 13).
+//!
+//! What it is not: it does not find the frequency (see [`crate::AdaptiveOscillator`]) and knows no space: the
+//! degrees of freedom may be joints or coordinates. Learning from data is in `pdmp_learning`, the path that
+//! the weights stand for in `path`. In the phase the system is linear and independent of the frequency:
+//! `y'' + alpha_z y' + alpha_z beta_z (y - g) = f`; the integration below is exact in that.
+
+use std::f64::consts::TAU;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{LARGEST, MotionError, finite, positive, vector, within};
+use crate::kernels::PhaseKernels;
+
+/// How the primitive is integrated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Integrator {
+    /// Exact for the linear part, the forcing term averaged over the step: stable for every step width.
+    #[default]
+    Exact,
+    /// Explicit Euler as in the papers' experiments; refuses steps that are too wide to be stable.
+    Euler,
+}
+
+/// The constants of a [`PeriodicDmp`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PeriodicDmpConfig {
+    /// Degrees of freedom n, at least 1.
+    pub dofs: usize,
+    /// Kernels N a degree of freedom, at least 2; 25 in the papers.
+    pub kernels: usize,
+    /// Kernel width h of (7), dimensionless; `2.5 N` if absent.
+    pub width: Option<f64>,
+    /// Stiffness constant of (4), 1 per rad of phase.
+    pub alpha_z: f64,
+    /// Damping constant of (4); `alpha_z / 4` makes it critically damped.
+    pub beta_z: f64,
+    /// Forgetting factor lambda of (9) for each 10 ms of learning, in (0, 1].
+    pub forgetting: f64,
+    /// P(0) of (9), which is also the most that P may grow to where a kernel is not visited.
+    pub initial_gain: f64,
+    /// How (4), (5) are integrated.
+    pub integrator: Integrator,
+}
+
+impl Default for PeriodicDmpConfig {
+    fn default() -> Self {
+        Self {
+            dofs: 1,
+            kernels: 25,
+            width: None,
+            alpha_z: 8.0,
+            beta_z: 2.0,
+            forgetting: 0.9995,
+            initial_gain: 1.0,
+            integrator: Integrator::Exact,
+        }
+    }
+}
+
+impl PeriodicDmpConfig {
+    /// The default constants for `dofs` degrees of freedom.
+    #[must_use]
+    pub fn with_dofs(dofs: usize) -> Self {
+        Self { dofs, ..Self::default() }
+    }
+
+    fn validate(&self) -> Result<(), MotionError> {
+        within("dofs", self.dofs as f64, 1.0, 4096.0)?;
+        within("kernels", self.kernels as f64, 2.0, 4096.0)?;
+        if let Some(width) = self.width {
+            positive("width", width)?;
+        }
+        positive("alpha_z", self.alpha_z)?;
+        positive("beta_z", self.beta_z)?;
+        within("forgetting", self.forgetting, 1e-6, 1.0)?;
+        positive("initial_gain", self.initial_gain)
+    }
+}
+
+/// What a step yields; the slices have one value a degree of freedom.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DmpState<'a> {
+    /// Phase, rad, in `0..2 pi`.
+    pub phase: f64,
+    /// Position, in the unit of the degree of freedom.
+    pub y: &'a [f64],
+    /// Velocity, unit / s.
+    pub yd: &'a [f64],
+    /// Acceleration at constant frequency, unit / s^2.
+    pub ydd: &'a [f64],
+}
+
+/// A periodic movement of n degrees of freedom on one phase.
+///
+/// # Source
+/// Petrič et al. 2014, eqs. (4)-(13); the weights are per degree of freedom, P is common to all of them because
+/// (9) does not depend on the data.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Saved", into = "Saved")]
+pub struct PeriodicDmp {
+    pub(crate) config: PeriodicDmpConfig,
+    pub(crate) kernels: PhaseKernels,
+    pub(crate) centre: Vec<f64>,
+    pub(crate) amplitude: f64,
+    /// Degree of freedom by degree of freedom: `weights[d * kernels + i]`.
+    pub(crate) weights: Vec<f64>,
+    /// P of (9), one a kernel.
+    pub(crate) gain: Vec<f64>,
+    phase: f64,
+    y: Vec<f64>,
+    z: Vec<f64>,
+    yd: Vec<f64>,
+    ydd: Vec<f64>,
+    perturbation: Vec<f64>,
+    coupling: Vec<f64>,
+    coupled: bool,
+    /// Kernel values and forcing term at `phase`, valid while `fresh`.
+    pub(crate) psi: Vec<f64>,
+    psi_sum: f64,
+    forcing: Vec<f64>,
+    pub(crate) fresh: bool,
+    /// Scratch of a step, so that a refused step changes nothing.
+    next_y: Vec<f64>,
+    next_z: Vec<f64>,
+    next_forcing: Vec<f64>,
+}
+
+impl PeriodicDmp {
+    /// A primitive at rest in 0 that stands still: all weights 0, amplitude 1.
+    ///
+    /// # Errors
+    /// [`MotionError::OutOfRange`] or [`MotionError::NotFinite`] names the constant that cannot be.
+    pub fn new(config: PeriodicDmpConfig) -> Result<Self, MotionError> {
+        config.validate()?;
+        let (n, k) = (config.dofs, config.kernels);
+        let kernels = PhaseKernels::new(k, config.width.unwrap_or(2.5 * k as f64));
+        let gain = vec![config.initial_gain; k];
+        let zeros = || vec![0.0; n];
+        Ok(Self {
+            kernels,
+            gain,
+            config,
+            centre: zeros(),
+            amplitude: 1.0,
+            weights: vec![0.0; n * k],
+            phase: 0.0,
+            y: zeros(),
+            z: zeros(),
+            yd: zeros(),
+            ydd: zeros(),
+            perturbation: zeros(),
+            coupling: zeros(),
+            coupled: false,
+            psi: vec![0.0; k],
+            psi_sum: 1.0,
+            forcing: zeros(),
+            fresh: false,
+            next_y: zeros(),
+            next_z: zeros(),
+            next_forcing: zeros(),
+        })
+    }
+
+    /// The constants.
+    #[must_use]
+    pub fn config(&self) -> &PeriodicDmpConfig {
+        &self.config
+    }
+
+    /// Degrees of freedom n.
+    #[must_use]
+    pub fn dofs(&self) -> usize {
+        self.config.dofs
+    }
+
+    /// The kernels.
+    #[must_use]
+    pub fn kernels(&self) -> &PhaseKernels {
+        &self.kernels
+    }
+
+    /// The weights of degree of freedom `dof` (one a kernel), or nothing if there is no such degree.
+    #[must_use]
+    pub fn weights_of(&self, dof: usize) -> Option<&[f64]> {
+        self.weights.chunks_exact(self.kernels.len()).nth(dof)
+    }
+
+    /// All weights, degree of freedom by degree of freedom.
+    #[must_use]
+    pub fn weights(&self) -> &[f64] {
+        &self.weights
+    }
+
+    /// Replaces all weights; the state stays, so that the position does not jump.
+    ///
+    /// # Errors
+    /// When the number of weights is not `dofs * kernels` or one of them is not finite.
+    pub fn set_weights(&mut self, weights: &[f64]) -> Result<(), MotionError> {
+        vector("weights", self.weights.len(), weights)?;
+        self.weights.copy_from_slice(weights);
+        self.fresh = false;
+        Ok(())
+    }
+
+    /// Centre of oscillation g, one a degree of freedom.
+    #[must_use]
+    pub fn centre(&self) -> &[f64] {
+        &self.centre
+    }
+
+    /// Moves the whole motion: the position follows smoothly.
+    ///
+    /// # Errors
+    /// When sizes differ or a value is not finite.
+    pub fn set_centre(&mut self, centre: &[f64]) -> Result<(), MotionError> {
+        vector("centre", self.centre.len(), centre)?;
+        self.centre.copy_from_slice(centre);
+        Ok(())
+    }
+
+    /// Amplitude factor r of (6), dimensionless; 1 is the motion as learned.
+    #[must_use]
+    pub fn amplitude(&self) -> f64 {
+        self.amplitude
+    }
+
+    /// Scales the motion about its centre; the position follows smoothly.
+    ///
+    /// # Errors
+    /// When the factor is not finite.
+    pub fn set_amplitude(&mut self, amplitude: f64) -> Result<(), MotionError> {
+        vector("amplitude", 1, &[amplitude])?;
+        self.amplitude = amplitude;
+        self.fresh = false;
+        Ok(())
+    }
+
+    /// The phase, rad, in `0..2 pi`.
+    #[must_use]
+    pub fn phase(&self) -> f64 {
+        self.phase
+    }
+
+    /// Sets the phase, as an oscillator that leads this primitive does; the position does not jump.
+    ///
+    /// # Errors
+    /// When the phase is not finite.
+    pub fn set_phase(&mut self, phase: f64) -> Result<(), MotionError> {
+        finite("phase", &[phase])?;
+        self.phase = phase.rem_euclid(TAU);
+        self.fresh = false;
+        Ok(())
+    }
+
+    /// The state after the last step.
+    #[must_use]
+    pub fn state(&self) -> DmpState<'_> {
+        DmpState { phase: self.phase, y: &self.y, yd: &self.yd, ydd: &self.ydd }
+    }
+
+    /// Starts from a given position and velocity (unit / s) at `phase`, for a motion of `omega` rad/s.
+    ///
+    /// # Errors
+    /// When sizes differ, a value is not finite, or `omega` is not positive.
+    pub fn reset(&mut self, phase: f64, y: &[f64], yd: &[f64], omega: f64) -> Result<(), MotionError> {
+        vector("y", self.y.len(), y)?;
+        vector("yd", self.y.len(), yd)?;
+        positive("omega", omega)?;
+        self.set_phase(phase)?;
+        self.y.copy_from_slice(y);
+        self.yd.copy_from_slice(yd);
+        for (z, v) in self.z.iter_mut().zip(yd) {
+            *z = v / omega;
+        }
+        Ok(())
+    }
+
+    /// Adds `c` (one a degree of freedom) to (4) for the next step only: the motion gives way and comes back.
+    ///
+    /// # Errors
+    /// When sizes differ or a value is not finite.
+    ///
+    /// # Source
+    /// Eq. (12).
+    pub fn perturb(&mut self, c: &[f64]) -> Result<(), MotionError> {
+        vector("perturbation", self.perturbation.len(), c)?;
+        self.perturbation.copy_from_slice(c);
+        Ok(())
+    }
+
+    /// Hands the coupling term `c` to the weights in the next step, at the phase of now: the motion keeps it.
+    /// P of (9) moves on in such a step too, so a coach that stays calls this in each step, with zeros where
+    /// his field ends.
+    ///
+    /// # Errors
+    /// When sizes differ or a value is not finite.
+    ///
+    /// # Source
+    /// Eqs. (9), (10), (13).
+    pub fn couple(&mut self, c: &[f64]) -> Result<(), MotionError> {
+        vector("coupling", self.coupling.len(), c)?;
+        self.coupling.copy_from_slice(c);
+        self.coupled = true;
+        Ok(())
+    }
+
+    /// Advances phase and state by `dt` seconds at `omega` rad/s (0 stands still) and returns the new state.
+    /// Does not allocate.
+    ///
+    /// # Errors
+    /// When `dt` is not positive, `omega` is negative, the Euler step is too wide to be stable, or the result
+    /// would not be finite. The state is unchanged.
+    ///
+    /// # Source
+    /// Eqs. (4)-(7).
+    pub fn step(&mut self, dt: f64, omega: f64) -> Result<DmpState<'_>, MotionError> {
+        positive("dt", dt)?;
+        let advance = omega * dt;
+        within("omega * dt", advance, 0.0, LARGEST)?;
+        within("omega", omega, 0.0, LARGEST)?;
+        if self.config.integrator == Integrator::Euler {
+            within("alpha_z * omega * dt", self.config.alpha_z * advance, 0.0, 1.0)?;
+        }
+        self.refresh();
+        if self.coupled {
+            let coupling = std::mem::take(&mut self.coupling);
+            self.update_weights(dt, &coupling);
+            self.coupling = coupling;
+        }
+        let phase = (self.phase + advance).rem_euclid(TAU);
+        match self.config.integrator {
+            Integrator::Exact => self.advance_exact(advance, phase),
+            Integrator::Euler => self.advance_euler(advance, phase),
+        }
+        self.commit(phase, omega)
+    }
+
+    fn commit(&mut self, phase: f64, omega: f64) -> Result<DmpState<'_>, MotionError> {
+        let (alpha, beta) = (self.config.alpha_z, self.config.beta_z);
+        finite("position", &self.next_y)?;
+        finite("velocity", &self.next_z)?;
+        std::mem::swap(&mut self.y, &mut self.next_y);
+        std::mem::swap(&mut self.z, &mut self.next_z);
+        std::mem::swap(&mut self.forcing, &mut self.next_forcing);
+        self.phase = phase;
+        self.fresh = true;
+        self.coupled = false;
+        for d in 0..self.y.len() {
+            let pull = alpha * (beta * (self.centre[d] - self.y[d]) - self.z[d]);
+            self.yd[d] = omega * self.z[d];
+            self.ydd[d] = omega * omega * (pull + self.forcing[d] + self.perturbation[d]);
+            self.perturbation[d] = 0.0;
+        }
+        Ok(self.state())
+    }
+
+    fn advance_exact(&mut self, advance: f64, phase: f64) {
+        let (alpha, beta) = (self.config.alpha_z, self.config.beta_z);
+        let transition = Transition::new(alpha, beta, advance);
+        self.evaluate_forcing(phase);
+        for d in 0..self.y.len() {
+            let forcing = 0.5 * (self.forcing[d] + self.next_forcing[d]) + self.perturbation[d];
+            let rest = self.centre[d] + forcing / (alpha * beta);
+            let (offset, z) = transition.apply(self.y[d] - rest, self.z[d]);
+            self.next_y[d] = rest + offset;
+            self.next_z[d] = z;
+        }
+    }
+
+    fn advance_euler(&mut self, advance: f64, phase: f64) {
+        let (alpha, beta) = (self.config.alpha_z, self.config.beta_z);
+        for d in 0..self.y.len() {
+            let pull = alpha * (beta * (self.centre[d] - self.y[d]) - self.z[d]);
+            self.next_y[d] = self.y[d] + advance * self.z[d];
+            self.next_z[d] = self.z[d] + advance * (pull + self.forcing[d] + self.perturbation[d]);
+        }
+        self.evaluate_forcing(phase);
+    }
+
+    /// Brings kernel values and forcing term up to date with phase, weights and amplitude.
+    fn refresh(&mut self) {
+        if !self.fresh {
+            self.evaluate_forcing(self.phase);
+            std::mem::swap(&mut self.forcing, &mut self.next_forcing);
+            self.fresh = true;
+        }
+    }
+
+    /// Kernel values at `phase` into `psi`, the forcing term (6) into `next_forcing`.
+    fn evaluate_forcing(&mut self, phase: f64) {
+        self.psi_sum = self.kernels.evaluate(phase, &mut self.psi);
+        let scale = self.amplitude / self.psi_sum;
+        for (f, w) in self.next_forcing.iter_mut().zip(self.weights.chunks_exact(self.psi.len())) {
+            *f = scale * w.iter().zip(&self.psi).map(|(w, p)| w * p).sum::<f64>();
+        }
+    }
+
+    /// Writes the forcing term (6) at any phase (rad) to `out`, one value a degree of freedom. Allocates.
+    pub(crate) fn forcing_at(&self, phase: f64, out: &mut [f64]) {
+        let mut psi = vec![0.0; self.kernels.len()];
+        let sum = self.kernels.evaluate(phase, &mut psi);
+        for (o, w) in out.iter_mut().zip(self.weights.chunks_exact(psi.len())) {
+            *o = self.amplitude / sum * w.iter().zip(&psi).map(|(w, p)| w * p).sum::<f64>();
+        }
+    }
+}
+
+/// The exact transition of `(y - rest, z)` over a piece of phase.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Transition {
+    yy: f64,
+    yz: f64,
+    zy: f64,
+    zz: f64,
+}
+
+impl Transition {
+    /// `exp(M advance)` of `M = [[0, 1], [-alpha beta, -alpha]]`, in its three cases.
+    pub(crate) fn new(alpha: f64, beta: f64, advance: f64) -> Self {
+        let half = 0.5 * alpha;
+        let stiffness = alpha * beta;
+        let squared = stiffness - half * half;
+        // exp(-half a) times cos and sin / rate, written so that nothing overflows for wide steps.
+        let (cosine, sine) = if squared > 1e-12 * stiffness {
+            let rate = squared.sqrt();
+            let decay = (-half * advance).exp();
+            (decay * (rate * advance).cos(), decay * (rate * advance).sin() / rate)
+        } else if squared < -1e-12 * stiffness {
+            let rate = (-squared).sqrt();
+            let slow = ((rate - half) * advance).exp();
+            let fast = ((-rate - half) * advance).exp();
+            (0.5 * (slow + fast), 0.5 * (slow - fast) / rate)
+        } else {
+            let decay = (-half * advance).exp();
+            (decay, decay * advance)
+        };
+        Self { yy: cosine + half * sine, yz: sine, zy: -stiffness * sine, zz: cosine - half * sine }
+    }
+
+    pub(crate) fn apply(&self, y: f64, z: f64) -> (f64, f64) {
+        (self.yy * y + self.yz * z, self.zy * y + self.zz * z)
+    }
+}
+
+/// The saved form: everything that makes the motion, not the instant that it was saved in.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Saved {
+    config: PeriodicDmpConfig,
+    centre: Vec<f64>,
+    amplitude: f64,
+    weights: Vec<f64>,
+    gain: Vec<f64>,
+}
+
+impl From<PeriodicDmp> for Saved {
+    fn from(dmp: PeriodicDmp) -> Self {
+        Self {
+            config: dmp.config,
+            centre: dmp.centre,
+            amplitude: dmp.amplitude,
+            weights: dmp.weights,
+            gain: dmp.gain,
+        }
+    }
+}
+
+impl TryFrom<Saved> for PeriodicDmp {
+    type Error = MotionError;
+
+    fn try_from(saved: Saved) -> Result<Self, MotionError> {
+        let mut dmp = Self::new(saved.config)?;
+        dmp.set_centre(&saved.centre)?;
+        dmp.set_amplitude(saved.amplitude)?;
+        dmp.set_weights(&saved.weights)?;
+        vector("gain", dmp.gain.len(), &saved.gain)?;
+        for p in &saved.gain {
+            within("gain", *p, 0.0, f64::MAX)?;
+        }
+        dmp.gain = saved.gain;
+        dmp.start_on_path(0.0, 1.0)?;
+        Ok(dmp)
+    }
+}
+
+impl PeriodicDmp {
+    pub(crate) fn put_state(&mut self, phase: f64, y: &[f64], z: &[f64], omega: f64) {
+        self.phase = phase.rem_euclid(TAU);
+        self.fresh = false;
+        self.y.copy_from_slice(y);
+        self.z.copy_from_slice(z);
+        for (yd, z) in self.yd.iter_mut().zip(z) {
+            *yd = omega * z;
+        }
+    }
+}

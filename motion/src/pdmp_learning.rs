@@ -1,0 +1,216 @@
+//! How the weights of a [`PeriodicDmp`] come from data: online by recursive least squares with forgetting
+//! (eqs. 8-11), or all at once by regression. The displacement rule of coaching in metres is here too.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::error::{MotionError, finite, positive, vector};
+use crate::pdmp::PeriodicDmp;
+
+/// One sample of a demonstrated period, for batch learning; the slices have one value a degree of freedom.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PhaseSample {
+    /// Phase, rad.
+    pub phase: f64,
+    /// Position.
+    pub y: Vec<f64>,
+    /// Derivative after the phase: velocity / omega, unit / rad.
+    pub dy: Vec<f64>,
+    /// Second derivative after the phase: acceleration / omega^2, unit / rad^2.
+    pub ddy: Vec<f64>,
+}
+
+impl PeriodicDmp {
+    /// Learns from one sample: `y`, `yd` (unit/s), `ydd` (unit/s^2) at `phase` rad of a demonstration of `omega`
+    /// rad/s, `dt` s after the one before. The state that [`step`](Self::step) integrates is not touched. Does
+    /// not allocate.
+    ///
+    /// # Errors
+    /// When sizes differ, a value is not finite, or `dt` or `omega` is not positive; nothing is learned.
+    ///
+    /// # Source
+    /// Eqs. (8)-(11); differs in: lambda holds for 10 ms and is scaled with `dt`, and P stays at most at its
+    /// initial value, so that a kernel that was not visited for long does not learn from noise.
+    pub fn learn(
+        &mut self,
+        phase: f64,
+        omega: f64,
+        dt: f64,
+        y: &[f64],
+        yd: &[f64],
+        ydd: &[f64],
+    ) -> Result<(), MotionError> {
+        let n = self.dofs();
+        finite("phase", &[phase])?;
+        positive("omega", omega)?;
+        positive("dt", dt)?;
+        vector("y", n, y)?;
+        vector("yd", n, yd)?;
+        vector("ydd", n, ydd)?;
+        self.fresh = false;
+        self.kernels.evaluate(phase, &mut self.psi);
+        self.update_gain(dt);
+        let (alpha, beta, r) = (self.config.alpha_z, self.config.beta_z, self.amplitude);
+        let k = self.kernels.len();
+        for (d, w) in self.weights.chunks_exact_mut(k).enumerate() {
+            let target = ydd[d] / (omega * omega) - alpha * (beta * (self.centre[d] - y[d]) - yd[d] / omega);
+            for ((w, psi), p) in w.iter_mut().zip(&self.psi).zip(&self.gain) {
+                *w += psi * p * r * (target - *w * r);
+            }
+        }
+        Ok(())
+    }
+
+    /// (9) at the kernel values in `psi`, in the form that needs no division by them.
+    fn update_gain(&mut self, dt: f64) {
+        let lambda = self.config.forgetting.powf(dt / 0.01);
+        let r2 = self.amplitude * self.amplitude;
+        for (p, psi) in self.gain.iter_mut().zip(&self.psi) {
+            *p = (*p / (lambda + *p * r2 * psi)).min(self.config.initial_gain);
+        }
+    }
+
+    /// (9), (10), (13) at the kernel values in `psi`.
+    pub(crate) fn update_weights(&mut self, dt: f64, coupling: &[f64]) {
+        self.update_gain(dt);
+        let k = self.kernels.len();
+        for (w, c) in self.weights.chunks_exact_mut(k).zip(coupling) {
+            for ((w, psi), p) in w.iter_mut().zip(&self.psi).zip(&self.gain) {
+                *w += psi * p * self.amplitude * c;
+            }
+        }
+    }
+
+    /// Moves the path near `phase` by `shift` (one a degree of freedom, in its unit) for each whole pass over it,
+    /// of which `advance` rad pass now. This is (10) and (13) with P at the fixed point of (9), in units of the
+    /// path: `C = alpha_z beta_z shift`. The kernels are credited [`lag`](Self::lag) earlier, so that the path
+    /// moves where the coach is and not behind.
+    ///
+    /// # Errors
+    /// When sizes differ or a value is not finite; an amplitude of 0 cannot be coached.
+    pub fn displace(&mut self, phase: f64, advance: f64, shift: &[f64]) -> Result<(), MotionError> {
+        vector("shift", self.dofs(), shift)?;
+        self.displace_some(phase, advance, shift)
+    }
+
+    /// [`displace`](Self::displace) of the first degrees of freedom only.
+    pub(crate) fn displace_some(
+        &mut self,
+        phase: f64,
+        advance: f64,
+        shift: &[f64],
+    ) -> Result<(), MotionError> {
+        finite("phase", &[phase])?;
+        finite("advance", &[advance])?;
+        vector("shift", shift.len(), shift)?;
+        if self.amplitude == 0.0 {
+            return Err(MotionError::Degenerate { what: "amplitude", why: "0 hides every weight" });
+        }
+        self.fresh = false;
+        self.kernels.evaluate(phase - self.lag(), &mut self.psi);
+        let scale = self.config.alpha_z * self.config.beta_z * advance
+            / (std::f64::consts::TAU * self.kernels.mean() * self.amplitude);
+        for (w, s) in self.weights.chunks_exact_mut(self.kernels.len()).zip(shift) {
+            for (w, psi) in w.iter_mut().zip(&self.psi) {
+                *w += scale * psi * s;
+            }
+        }
+        Ok(())
+    }
+
+    /// By how much phase (rad) the path follows the forcing term: the group delay `1 / beta_z` of (4), (5).
+    #[must_use]
+    pub fn lag(&self) -> f64 {
+        1.0 / self.config.beta_z
+    }
+
+    /// Puts P to the fixed point that (9) reaches in a long uniform sweep with steps of `dt` s, as if the motion
+    /// had been learned for long: how strongly a coupling is learned then no longer depends on the past.
+    ///
+    /// # Errors
+    /// When `dt` is not positive, or the amplitude is 0.
+    pub fn settle_gain(&mut self, dt: f64) -> Result<(), MotionError> {
+        positive("dt", dt)?;
+        if self.amplitude == 0.0 {
+            return Err(MotionError::Degenerate { what: "amplitude", why: "0 hides every weight" });
+        }
+        let forgotten = 1.0 - self.config.forgetting.powf(dt / 0.01);
+        let p = forgotten / (self.kernels.mean() * self.amplitude * self.amplitude);
+        self.gain.fill(p.min(self.config.initial_gain));
+        Ok(())
+    }
+
+    /// Learns all weights at once from samples of one or more periods; the centre becomes their mean.
+    ///
+    /// # Errors
+    /// [`MotionError::TooFew`] for less than two samples; sizes and values as in [`learn`](Self::learn). An
+    /// amplitude of 0 cannot be learned.
+    ///
+    /// # Source
+    /// Least squares on (6) with all kernels at once and a ridge of 1e-9 of the mean diagonal, instead of the
+    /// kernel-wise regression of the papers: the path is then met to what the kernels can express.
+    pub fn learn_batch(&mut self, samples: &[PhaseSample]) -> Result<(), MotionError> {
+        let (n, k) = (self.dofs(), self.kernels.len());
+        check_samples(samples, n)?;
+        if self.amplitude == 0.0 {
+            return Err(MotionError::Degenerate { what: "amplitude", why: "0 hides every weight" });
+        }
+        let centre: Vec<f64> =
+            (0..n).map(|d| samples.iter().map(|s| s.y[d]).sum::<f64>() / samples.len() as f64).collect();
+        let (normal, moment) = self.normal_equations(samples, &centre);
+        let factor = normal
+            .cholesky()
+            .ok_or(MotionError::Degenerate { what: "samples", why: "their phases leave kernels open" })?;
+        let solution = factor.solve(&moment);
+        finite("weights", solution.as_slice())?;
+        self.weights.copy_from_slice(&solution.as_slice()[..n * k]);
+        self.centre = centre;
+        self.fresh = false;
+        Ok(())
+    }
+
+    /// The normal matrix of the normalised kernels (ridge included) and the right-hand sides, one column a
+    /// degree of freedom.
+    fn normal_equations(&self, samples: &[PhaseSample], centre: &[f64]) -> (DMatrix<f64>, DMatrix<f64>) {
+        let (n, k) = (self.dofs(), self.kernels.len());
+        let (alpha, beta) = (self.config.alpha_z, self.config.beta_z);
+        let mut normal: DMatrix<f64> = DMatrix::zeros(k, k);
+        let mut moment = DMatrix::zeros(k, n);
+        let mut psi = DVector::zeros(k);
+        for s in samples {
+            let sum = self.kernels.evaluate(s.phase, psi.as_mut_slice());
+            psi *= self.amplitude / sum;
+            // Most kernels are far away: their part of the sum is below rounding.
+            let near: Vec<usize> = (0..k).filter(|i| psi[*i].abs() > 1e-9).collect();
+            for &i in &near {
+                for &j in near.iter().take_while(|j| **j <= i) {
+                    normal[(i, j)] += psi[i] * psi[j];
+                }
+                for d in 0..n {
+                    let target = s.ddy[d] - alpha * (beta * (centre[d] - s.y[d]) - s.dy[d]);
+                    moment[(i, d)] += psi[i] * target;
+                }
+            }
+        }
+        let ridge = 1e-9 * (normal.trace() / k as f64).max(f64::MIN_POSITIVE);
+        for i in 0..k {
+            normal[(i, i)] += ridge;
+            for j in 0..i {
+                normal[(j, i)] = normal[(i, j)];
+            }
+        }
+        (normal, moment)
+    }
+}
+
+fn check_samples(samples: &[PhaseSample], n: usize) -> Result<(), MotionError> {
+    if samples.len() < 2 {
+        return Err(MotionError::TooFew { what: "samples", needed: 2, got: samples.len() });
+    }
+    for s in samples {
+        finite("phase", &[s.phase])?;
+        vector("y", n, &s.y)?;
+        vector("dy", n, &s.dy)?;
+        vector("ddy", n, &s.ddy)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,141 @@
+//! The rigid transform that maps one set of points onto another in the least-squares sense: the calibration of a
+//! camera to a robot from pairs of points.
+
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use crate::error::{MotionError, finite, size};
+
+/// A fitted transform and how far it can be trusted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RigidFit {
+    /// `target = target_from_source * source`.
+    pub target_from_source: Isometry3<f64>,
+    /// Root mean square distance of the mapped points, m.
+    pub rms: f64,
+    /// The largest distance of a mapped point, m.
+    pub worst: f64,
+    /// Spread of the points along their principal axes, m, largest first (root mean square).
+    pub spread: [f64; 3],
+    /// Standard deviation that the residuals imply for a turn about the worst-determined axis, rad.
+    pub angle_sigma: f64,
+}
+
+/// Fits `target ~ R source + t` to pairs of points, m.
+///
+/// # Errors
+/// [`MotionError::TooFew`] for less than three pairs, [`MotionError::Degenerate`] when the points lie (nearly) on one
+/// line, so that a turn about it is free; sizes and values that do not fit.
+///
+/// # Source
+/// Arun, Huang and Blostein 1987, by the singular value decomposition; a reflection is turned into the nearest
+/// rotation.
+pub fn rigid_fit(source: &[Point3<f64>], target: &[Point3<f64>]) -> Result<RigidFit, MotionError> {
+    size("target points", source.len(), target.len())?;
+    if source.len() < 3 {
+        return Err(MotionError::TooFew { what: "point pairs", needed: 3, got: source.len() });
+    }
+    for p in source.iter().chain(target) {
+        finite("point", p.coords.as_slice())?;
+    }
+    let n = source.len() as f64;
+    let mean = |points: &[Point3<f64>]| points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / n;
+    let (source_mean, target_mean) = (mean(source), mean(target));
+    let mut cross = Matrix3::zeros();
+    let mut covariance = Matrix3::zeros();
+    for (s, t) in source.iter().zip(target) {
+        let (s, t) = (s.coords - source_mean, t.coords - target_mean);
+        cross += t * s.transpose();
+        covariance += s * s.transpose() / n;
+    }
+    let spread = principal_spread(&covariance);
+    if spread[1] <= 1e-3 * spread[0] || spread[0] <= 0.0 {
+        return Err(MotionError::Degenerate { what: "points", why: "they lie on one line" });
+    }
+    let rotation = nearest_rotation(&cross)?;
+    let translation = target_mean - rotation * source_mean;
+    let residual =
+        |(s, t): (&Point3<f64>, &Point3<f64>)| (rotation * s.coords + translation - t.coords).norm();
+    let squares: f64 = source.iter().zip(target).map(|p| residual(p).powi(2)).sum();
+    let worst = source.iter().zip(target).map(residual).fold(0.0, f64::max);
+    // A turn about the longest axis moves the points only by their spread across it.
+    let freedom = (3.0 * n - 6.0).max(1.0);
+    let across = (spread[1].powi(2) + spread[2].powi(2)).sqrt();
+    Ok(RigidFit {
+        target_from_source: Isometry3::from_parts(
+            Translation3::from(translation),
+            UnitQuaternion::from_rotation_matrix(&rotation),
+        ),
+        rms: (squares / n).sqrt(),
+        worst,
+        spread,
+        angle_sigma: (squares / freedom / n).sqrt() / across,
+    })
+}
+
+fn principal_spread(covariance: &Matrix3<f64>) -> [f64; 3] {
+    let mut values: Vec<f64> = covariance.symmetric_eigenvalues().iter().map(|v| v.max(0.0).sqrt()).collect();
+    values.sort_by(|a, b| b.total_cmp(a));
+    [values[0], values[1], values[2]]
+}
+
+fn nearest_rotation(cross: &Matrix3<f64>) -> Result<Rotation3<f64>, MotionError> {
+    let svd = cross.svd(true, true);
+    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
+        return Err(MotionError::Degenerate { what: "points", why: "their decomposition fails" });
+    };
+    // The sign goes to the smallest singular value, wherever the decomposition has put it.
+    let smallest = svd.singular_values.imin();
+    let mut signs = Vector3::repeat(1.0);
+    signs[smallest] = (u.determinant() * v_t.determinant()).signum();
+    Ok(Rotation3::from_matrix_unchecked(u * Matrix3::from_diagonal(&signs) * v_t))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn any_transform_is_found_from_four_points(
+            t in prop::array::uniform3(-2.0..2.0_f64), r in prop::array::uniform3(-3.0..3.0_f64)
+        ) {
+            let truth = Isometry3::new(Vector3::from(t), Vector3::from(r));
+            let source = [
+                Point3::new(0.1, 0.2, 0.3), Point3::new(0.5, 0.1, 0.2), Point3::new(0.2, 0.6, 0.1), Point3::new(0.3, 0.3, 0.3),
+            ];
+            let target: Vec<_> = source.iter().map(|p| truth * p).collect();
+            let fit = rigid_fit(&source, &target).unwrap();
+            prop_assert!(fit.rms < 1e-12);
+            prop_assert!(fit.target_from_source.rotation.angle_to(&truth.rotation) < 1e-7);
+        }
+    }
+
+    #[test]
+    fn a_plane_of_points_gives_a_rotation_and_a_line_is_refused() {
+        let truth = Isometry3::new(Vector3::new(1.0, 2.0, 3.0), Vector3::new(0.3, -0.4, 2.0));
+        let plane: Vec<_> =
+            [(0.0, 0.0), (0.4, 0.0), (0.0, 0.3), (0.4, 0.3)].map(|(x, y)| Point3::new(x, y, 0.5)).to_vec();
+        let mapped: Vec<_> = plane.iter().map(|p| truth * p).collect();
+        let fit = rigid_fit(&plane, &mapped).unwrap();
+        assert!(fit.rms < 1e-12 && fit.target_from_source.rotation.angle_to(&truth.rotation) < 1e-7);
+        let line: Vec<_> = (0..5).map(|i| Point3::new(f64::from(i), 2.0 * f64::from(i), 1.0)).collect();
+        assert!(matches!(rigid_fit(&line, &line), Err(MotionError::Degenerate { .. })));
+        assert!(matches!(rigid_fit(&plane[..2], &mapped[..2]), Err(MotionError::TooFew { .. })));
+        assert!(matches!(rigid_fit(&plane, &mapped[..3]), Err(MotionError::Size { .. })));
+    }
+
+    #[test]
+    fn residuals_are_reported() {
+        let source = [
+            Point3::new(0.0, 0.0, 0.0),
+            Point3::new(0.4, 0.0, 0.0),
+            Point3::new(0.0, 0.4, 0.0),
+            Point3::new(0.0, 0.0, 0.4),
+        ];
+        let mut target = source;
+        target[1].x += 0.01;
+        let fit = rigid_fit(&source, &target).unwrap();
+        assert!(fit.rms > 0.001 && fit.worst < 0.01 && fit.angle_sigma > 0.0);
+    }
+}

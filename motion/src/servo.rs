@@ -1,0 +1,331 @@
+//! Position-based visual servoing: from the pose of the hand and of its target, both as seen, to a twist.
+//!
+//! Knows no camera: who measures hand and target with the same camera gets rid of its mounting error.
+
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::error::{MotionError, finite, positive, within};
+
+/// The constants of a [`PositionServo`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ServoConfig {
+    /// Gain lambda far from the target, 1/s.
+    pub gain_far: f64,
+    /// Gain lambda at the target, 1/s; more than far, so that the end does not creep.
+    pub gain_near: f64,
+    /// Error at which the gain is about halfway between, m (rotations count `radius` m a rad).
+    pub gain_scale: f64,
+    /// Lever that makes metres of rotations, m.
+    pub radius: f64,
+    /// Speed limit, m/s.
+    pub max_linear: f64,
+    /// Turning limit, rad/s.
+    pub max_angular: f64,
+    /// Converged when nearer than this, m, ...
+    pub position_tolerance: f64,
+    /// ... and turned by less than this, rad, ...
+    pub rotation_tolerance: f64,
+    /// ... for so many observations in a row.
+    pub hold_frames: u32,
+    /// Give up after so long, s.
+    pub timeout: f64,
+    /// The target is lost when it was not observed for so long, s.
+    pub lost_after: f64,
+    /// The servo diverges when the error has grown over its smallest by this factor (and 10 mm), in `hold_frames`
+    /// observations in a row.
+    pub divergence: f64,
+}
+
+impl Default for ServoConfig {
+    fn default() -> Self {
+        Self {
+            gain_far: 1.0,
+            gain_near: 2.5,
+            gain_scale: 0.05,
+            radius: 0.1,
+            max_linear: 0.15,
+            max_angular: 0.6,
+            position_tolerance: 0.005,
+            rotation_tolerance: 0.05,
+            hold_frames: 5,
+            timeout: 20.0,
+            lost_after: 1.0,
+            divergence: 2.0,
+        }
+    }
+}
+
+/// Hand and target as seen together, in one frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ServoObservation {
+    /// The pose of the hand's TCP.
+    pub hand: Isometry3<f64>,
+    /// The pose that the TCP shall reach.
+    pub target: Isometry3<f64>,
+}
+
+/// How the servo stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ServoStatus {
+    /// On its way.
+    Running,
+    /// There, and held for the wanted number of observations.
+    Converged,
+    /// It took too long.
+    TimedOut,
+    /// Hand or target were not seen for too long.
+    Lost,
+    /// The error grows: a wrong frame, or something holds the hand.
+    Diverged,
+}
+
+/// The command of a step, in the frame of the observation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ServoCommand {
+    /// Velocity of the TCP, m/s.
+    pub linear: Vector3<f64>,
+    /// Angular velocity, rad/s.
+    pub angular: Vector3<f64>,
+    /// Distance to the target, m.
+    pub distance: f64,
+    /// Angle to the target, rad.
+    pub angle: f64,
+    /// How the servo stands; the velocities are zero unless it runs.
+    pub status: ServoStatus,
+}
+
+/// `v = -lambda t`, `omega = -lambda theta u`, with t and theta u of the hand relative to the target: the TCP moves
+/// on a straight line, also when its speed is limited, since both parts are scaled together.
+#[derive(Debug, Clone)]
+pub struct PositionServo {
+    config: ServoConfig,
+    elapsed: f64,
+    unseen: f64,
+    held: u32,
+    growing: u32,
+    smallest: f64,
+    axis: Option<Vector3<f64>>,
+    last: ServoCommand,
+}
+
+impl PositionServo {
+    /// A servo that has not seen anything yet.
+    ///
+    /// # Errors
+    /// When a constant is not positive.
+    pub fn new(config: ServoConfig) -> Result<Self, MotionError> {
+        for (what, value) in [
+            ("gain_far", config.gain_far),
+            ("gain_near", config.gain_near),
+            ("gain_scale", config.gain_scale),
+            ("radius", config.radius),
+            ("max_linear", config.max_linear),
+            ("max_angular", config.max_angular),
+            ("position_tolerance", config.position_tolerance),
+            ("rotation_tolerance", config.rotation_tolerance),
+            ("timeout", config.timeout),
+            ("lost_after", config.lost_after),
+        ] {
+            positive(what, value)?;
+        }
+        within("divergence", config.divergence, 1.0, 1e9)?;
+        Ok(Self {
+            config,
+            elapsed: 0.0,
+            unseen: 0.0,
+            held: 0,
+            growing: 0,
+            smallest: f64::INFINITY,
+            axis: None,
+            last: still(f64::INFINITY, f64::INFINITY, ServoStatus::Running),
+        })
+    }
+
+    /// `dt` s later: what was observed (nothing if hand or target were not seen), and the twist to command. Without
+    /// an observation the last command fades out, as it was steering by an older sight.
+    ///
+    /// # Errors
+    /// When `dt` is not positive or a pose is not finite; nothing is changed.
+    pub fn step(
+        &mut self,
+        dt: f64,
+        observation: Option<&ServoObservation>,
+    ) -> Result<ServoCommand, MotionError> {
+        positive("dt", dt)?;
+        if let Some(o) = observation {
+            for pose in [&o.hand, &o.target] {
+                finite("pose", pose.translation.vector.as_slice())?;
+                finite("pose", pose.rotation.coords.as_slice())?;
+            }
+        }
+        if self.last.status != ServoStatus::Running {
+            return Ok(self.last);
+        }
+        self.elapsed += dt;
+        let command = match observation {
+            Some(o) => self.seen(o),
+            None => self.blind(dt),
+        };
+        self.last = command;
+        if self.elapsed >= self.config.timeout && self.last.status == ServoStatus::Running {
+            self.last = still(self.last.distance, self.last.angle, ServoStatus::TimedOut);
+        }
+        Ok(self.last)
+    }
+
+    fn blind(&mut self, dt: f64) -> ServoCommand {
+        self.unseen += dt;
+        self.held = 0;
+        let mut command = self.last;
+        if self.unseen > self.config.lost_after {
+            return still(command.distance, command.angle, ServoStatus::Lost);
+        }
+        let fade = (-dt / (0.2 * self.config.lost_after)).exp();
+        command.linear *= fade;
+        command.angular *= fade;
+        command
+    }
+
+    fn seen(&mut self, o: &ServoObservation) -> ServoCommand {
+        self.unseen = 0.0;
+        let t = o.hand.translation.vector - o.target.translation.vector;
+        let turn = self.steady_turn(&(o.hand.rotation * o.target.rotation.inverse()));
+        let (distance, angle) = (t.norm(), turn.norm().min(std::f64::consts::TAU - turn.norm()));
+        let error = distance + self.config.radius * angle;
+        if let Some(status) = self.judge(distance, angle, error) {
+            return still(distance, angle, status);
+        }
+        let c = &self.config;
+        let gain = c.gain_far + (c.gain_near - c.gain_far) * (-error / c.gain_scale).exp();
+        let (linear, angular) = (-gain * t, -gain * turn);
+        let scale = (c.max_linear / linear.norm()).min(c.max_angular / angular.norm()).min(1.0);
+        let scale = if scale.is_finite() { scale } else { 1.0 };
+        ServoCommand {
+            linear: linear * scale,
+            angular: angular * scale,
+            distance,
+            angle,
+            status: ServoStatus::Running,
+        }
+    }
+
+    /// The rotation vector; near a half turn, where noise flips its sign, it keeps to the side it began with.
+    fn steady_turn(&mut self, rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
+        let mut turn = rotation.scaled_axis();
+        let angle = turn.norm();
+        if angle > 0.75 * std::f64::consts::PI {
+            if self.axis.is_some_and(|axis| axis.dot(&turn) < 0.0) {
+                turn *= (angle - std::f64::consts::TAU) / angle;
+            }
+            self.axis = turn.try_normalize(1e-12);
+        } else {
+            self.axis = None;
+        }
+        turn
+    }
+
+    fn judge(&mut self, distance: f64, angle: f64, error: f64) -> Option<ServoStatus> {
+        let c = &self.config;
+        let near = distance <= c.position_tolerance && angle <= c.rotation_tolerance;
+        self.held = if near { self.held + 1 } else { 0 };
+        if near && self.held >= c.hold_frames.max(1) {
+            return Some(ServoStatus::Converged);
+        }
+        self.smallest = self.smallest.min(error);
+        let grown = error > self.smallest * c.divergence + 0.01;
+        self.growing = if grown { self.growing + 1 } else { 0 };
+        (self.growing >= c.hold_frames.max(1)).then_some(ServoStatus::Diverged)
+    }
+}
+
+fn still(distance: f64, angle: f64, status: ServoStatus) -> ServoCommand {
+    ServoCommand { linear: Vector3::zeros(), angular: Vector3::zeros(), distance, angle, status }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Translation3, UnitQuaternion};
+
+    fn pose(t: [f64; 3], r: [f64; 3]) -> Isometry3<f64> {
+        Isometry3::from_parts(Translation3::from(t), UnitQuaternion::from_scaled_axis(Vector3::from(r)))
+    }
+
+    fn follow(hand: Isometry3<f64>, c: &ServoCommand, dt: f64) -> Isometry3<f64> {
+        Isometry3::from_parts(
+            Translation3::from(hand.translation.vector + c.linear * dt),
+            UnitQuaternion::from_scaled_axis(c.angular * dt) * hand.rotation,
+        )
+    }
+
+    #[test]
+    fn it_goes_straight_and_stops() {
+        let config = ServoConfig {
+            position_tolerance: 5e-4,
+            rotation_tolerance: 0.5_f64.to_radians(),
+            ..ServoConfig::default()
+        };
+        let mut servo = PositionServo::new(config).unwrap();
+        let target = pose([0.3, 0.5, 1.0], [0.1, 0.0, 0.2]);
+        let deg = |a: f64| a.to_radians();
+        let mut hand = target * pose([0.15, -0.1, 0.25], [deg(20.0), deg(-30.0), deg(60.0)]);
+        let start = hand;
+        let (mut length, mut steps) = (0.0, 0);
+        let last = loop {
+            let c = servo.step(0.04, Some(&ServoObservation { hand, target })).unwrap();
+            steps += 1;
+            if c.status != ServoStatus::Running {
+                break c;
+            }
+            length += c.linear.norm() * 0.04;
+            assert!(c.linear.norm() < 0.15 + 1e-12 && c.angular.norm() < 0.6 + 1e-12);
+            hand = follow(hand, &c, 0.04);
+        };
+        assert_eq!(last.status, ServoStatus::Converged);
+        let straight = (start.translation.vector - target.translation.vector).norm();
+        assert!(length / straight < 1.001, "{}", length / straight);
+        assert!(f64::from(steps) * 0.04 < 8.0);
+    }
+
+    #[test]
+    fn near_a_half_turn_it_keeps_its_side() {
+        let mut servo = PositionServo::new(ServoConfig::default()).unwrap();
+        let target = Isometry3::identity();
+        let mut first = None;
+        for k in 0..20 {
+            let angle = std::f64::consts::PI + if k % 2 == 0 { 0.02 } else { -0.02 };
+            let hand = pose([0.0; 3], [0.0, 0.0, angle]);
+            let c = servo.step(0.04, Some(&ServoObservation { hand, target })).unwrap();
+            let sign = *first.get_or_insert(c.angular.z.signum());
+            assert_eq!(c.angular.z.signum(), sign);
+        }
+    }
+
+    #[test]
+    fn it_says_why_it_ends() {
+        let target = Isometry3::identity();
+        let away = |x: f64| ServoObservation { hand: pose([x, 0.0, 0.0], [0.0; 3]), target };
+        let run = |observe: &dyn Fn(u32) -> Option<ServoObservation>| {
+            let mut servo = PositionServo::new(ServoConfig::default()).unwrap();
+            (0..1000)
+                .map(|k| servo.step(0.04, observe(k).as_ref()).unwrap())
+                .find(|c| c.status != ServoStatus::Running)
+                .map(|c| (c.status, c.linear.norm()))
+        };
+        assert_eq!(run(&|_| Some(away(0.2))), Some((ServoStatus::TimedOut, 0.0)));
+        assert_eq!(run(&|k| (k < 10).then(|| away(0.2))), Some((ServoStatus::Lost, 0.0)));
+        assert_eq!(run(&|k| Some(away(0.1 + 0.01 * f64::from(k)))), Some((ServoStatus::Diverged, 0.0)));
+        assert_eq!(run(&|_| Some(away(0.001))), Some((ServoStatus::Converged, 0.0)));
+    }
+
+    #[test]
+    fn what_is_not_finite_is_refused() {
+        let mut servo = PositionServo::new(ServoConfig::default()).unwrap();
+        let bad =
+            ServoObservation { hand: pose([f64::NAN, 0.0, 0.0], [0.0; 3]), target: Isometry3::identity() };
+        assert_eq!(servo.step(0.04, Some(&bad)), Err(MotionError::NotFinite { what: "pose" }));
+        assert!(servo.step(0.0, None).is_err());
+    }
+}
