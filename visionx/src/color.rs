@@ -61,6 +61,18 @@ impl ColorModel {
         self.accepts(f32::from(rgb[0]), f32::from(rgb[1]), f32::from(rgb[2]))
     }
 
+    /// The angle between a colour (RGB, any length) and the reference, rad; a right angle for black.
+    #[must_use]
+    pub fn angle(&self, rgb: [f64; 3]) -> f64 {
+        let v = rgb.map(|c| c as f32);
+        let length = norm(v);
+        if length > 0.0 {
+            f64::from((dot(v, self.direction) / length).clamp(-1.0, 1.0).acos())
+        } else {
+            std::f64::consts::FRAC_PI_2
+        }
+    }
+
     /// All pixels of the image that have the colour.
     #[must_use]
     pub fn segment(&self, image: &Image) -> Mask {
@@ -128,7 +140,14 @@ mod tests {
 
     #[test]
     fn other_things_have_other_colours() {
-        let scene = [[150, 115, 80], [224, 172, 138], [128, 128, 128], [40, 40, 45], [235, 235, 235], [205, 190, 165]];
+        let scene = [
+            [150, 115, 80],
+            [224, 172, 138],
+            [128, 128, 128],
+            [40, 40, 45],
+            [235, 235, 235],
+            [205, 190, 165],
+        ];
         for reference in [[240, 210, 40], [40, 170, 60], [220, 30, 200], [20, 60, 220]] {
             let model = ColorModel::from_rgb(reference);
             for other in scene {

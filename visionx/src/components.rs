@@ -118,7 +118,9 @@ fn link(runs: &[Run]) -> Vec<usize> {
     let mut above = 0;
     for i in 0..runs.len() {
         let run = runs[i];
-        while above < i && (runs[above].y + 1 < run.y || (runs[above].y + 1 == run.y && runs[above].x1 < run.x0)) {
+        while above < i
+            && (runs[above].y + 1 < run.y || (runs[above].y + 1 == run.y && runs[above].x1 < run.x0))
+        {
             above += 1;
         }
         let mut j = above;
@@ -153,7 +155,8 @@ mod tests {
     use proptest::prelude::*;
 
     fn mask_of(rows: &[&str]) -> Mask {
-        let mut mask = Mask::empty(Region { x: 3, y: 5, width: rows[0].len() as u32, height: rows.len() as u32 });
+        let mut mask =
+            Mask::empty(Region { x: 3, y: 5, width: rows[0].len() as u32, height: rows.len() as u32 });
         for (o, c) in mask.data_mut().iter_mut().zip(rows.iter().flat_map(|r| r.bytes())) {
             *o = u8::from(c == b'#');
         }
@@ -162,7 +165,9 @@ mod tests {
 
     #[test]
     fn a_spiral_is_one_and_specks_are_others() {
-        let mask = mask_of(&["#######", "......#", "####..#", "#..#..#", "#.....#", "#######", ".......", "#.....#"]);
+        let mask = mask_of(&[
+            "#######", "......#", "####..#", "#..#..#", "#.....#", "#######", ".......", "#.....#",
+        ]);
         let found = components(&mask, 1);
         assert_eq!(found.iter().map(|c| c.area).collect::<Vec<_>>(), [24, 1, 1]);
         assert_eq!(found[0].bounds, Region { x: 3, y: 5, width: 7, height: 6 });

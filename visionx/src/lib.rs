@@ -33,5 +33,6 @@ pub use localizer::{BoxModel, ObjectEstimate, ObjectLocalizer};
 pub use marker::{ColorMarkerObjectTracking, MarkerEstimate, MarkerSettings};
 pub use mask::{Mask, Region};
 pub use processor::{
-    FanOut, Finding, FindingSource, ImageProcessor, ProcessorStatistics, ResultSink, Subscription, run_processor,
+    FanOut, Finding, FindingSource, ImageProcessor, ProcessorStatistics, ResultSink, Subscription,
+    run_processor,
 };
