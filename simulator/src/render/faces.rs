@@ -1,0 +1,190 @@
+//! Plane faces: cuboids from outside, and the room from inside.
+
+use nalgebra::{Isometry3, Point3, Vector3};
+
+use super::raster::{Bounds, Canvas, Form, Line, Row, Span};
+use super::scene::Background;
+use super::shading::{Light, MOTTLING, Shades};
+
+/// Faces seen more edge-on than this (distance of the camera from their plane, m) are not drawn.
+const EDGE_ON: f64 = 1e-9;
+/// How much mottling changes the brightness of floor and walls.
+const ROOM_MOTTLING: f32 = 0.12;
+/// Edge of a floor tile, m.
+const TILE: f32 = 0.5;
+/// Half the width of the joint between tiles, over a tile's edge.
+const JOINT: f32 = 0.012;
+
+/// A convex four-sided face in the camera frame.
+pub(super) struct Face {
+    corners: [Point3<f64>; 4],
+    /// Form vector of 1/depth: its dot product with a ray.
+    nearness: Vector3<f64>,
+    /// Unit normal towards the viewer's side.
+    normal: Vector3<f64>,
+}
+
+/// The camera as seen from a shape: turns depths into the shape's coordinates.
+pub(super) struct Local {
+    eye: Vector3<f64>,
+    axes: [Vector3<f64>; 3],
+}
+
+/// [`Local`] along one run of pixels.
+#[derive(Clone, Copy)]
+pub(super) struct LocalRun {
+    eye: [f32; 3],
+    along: [Line; 3],
+}
+
+impl Local {
+    /// The camera in a shape's frame.
+    pub(super) fn new(camera_from_shape: &Isometry3<f64>) -> Self {
+        let eye = -(camera_from_shape.rotation.inverse() * camera_from_shape.translation.vector);
+        let axes = [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| camera_from_shape.rotation * axis);
+        Self { eye, axes }
+    }
+
+    /// Counted from the first pixel of a run.
+    pub(super) fn run(&self, row: &Row, first: usize) -> LocalRun {
+        let along = self.axes.map(|axis| row.form(&axis).line(first));
+        LocalRun { eye: [self.eye.x as f32, self.eye.y as f32, self.eye.z as f32], along }
+    }
+}
+
+impl LocalRun {
+    /// Coordinate `axis` (0 to 2) of the point at depth `t`, `k` pixels after the first.
+    #[inline(always)]
+    pub(super) fn at(&self, axis: usize, k: f32, t: f32) -> f32 {
+        self.eye[axis] + t * self.along[axis].at(k)
+    }
+
+    /// At which depth the ray has coordinate 2 equal to `z`.
+    #[inline(always)]
+    pub(super) fn depth_of_height(&self, k: f32, z: f32) -> f32 {
+        (z - self.eye[2]) / self.along[2].at(k)
+    }
+}
+
+impl Face {
+    /// The face of a cuboid on the side `sign` of `axis` (0 to 2). `seen_from` is 1 from outside, -1 from inside;
+    /// `None` when the camera is on the other side.
+    pub(super) fn of_box(
+        camera_from_box: &Isometry3<f64>,
+        half: &Vector3<f64>,
+        (axis, sign): (usize, f64),
+        seen_from: f64,
+    ) -> Option<Self> {
+        let (second, third) = ((axis + 1) % 3, (axis + 2) % 3);
+        let corners = [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]].map(|[a, b]| {
+            let mut corner = Point3::origin();
+            (corner[axis], corner[second], corner[third]) = (sign * half[axis], a * half[second], b * half[third]);
+            camera_from_box * corner
+        });
+        let mut normal = Vector3::zeros();
+        normal[axis] = sign * seen_from;
+        let normal = camera_from_box.rotation * normal;
+        let distance = normal.dot(&corners[0].coords);
+        (distance < -EDGE_ON).then(|| Self { corners, nearness: normal / distance, normal })
+    }
+
+    /// Brightness of the face.
+    pub(super) fn brightness(&self, light: Light) -> f32 {
+        light.on(&self.normal)
+    }
+
+    /// Form of 1/depth.
+    pub(super) fn nearness(&self, row: &Row) -> Form {
+        row.form(&self.nearness)
+    }
+
+    /// Where it can appear.
+    pub(super) fn bounds(&self, canvas: &Canvas) -> Option<Bounds> {
+        canvas.hull(&self.corners)
+    }
+
+    /// The half-spaces through the camera and each edge whose intersection holds the face.
+    pub(super) fn edges(&self) -> [Vector3<f64>; 4] {
+        let middle = self.corners.iter().fold(Vector3::zeros(), |sum, c| sum + c.coords);
+        std::array::from_fn(|i| {
+            let edge = self.corners[i].coords.cross(&self.corners[(i + 1) % 4].coords);
+            if edge.dot(&middle) < 0.0 { -edge } else { edge }
+        })
+    }
+
+    /// Draws the face; `paint` makes what colours a row's run of pixels from its row and first column.
+    pub(super) fn draw<P: Fn(f32, f32) -> [u8; 3]>(&self, canvas: &mut Canvas, paint: impl Fn(&Row, usize) -> P) {
+        let Some(bounds) = self.bounds(canvas) else { return };
+        let edges = self.edges();
+        for row in canvas.rows(bounds) {
+            let span = edges.iter().fold(bounds.columns(), |span: Span, edge| span.keep(row.form(edge)));
+            let Some(run) = span.pixels() else { continue };
+            let near = self.nearness(&row).line(run.0);
+            let paint = paint(&row, run.0);
+            canvas.fill(row.v, run, |k| (near.at(k), 0.0), |k, near, _| paint(k, near));
+        }
+    }
+}
+
+/// The six sides of a cuboid.
+pub(super) const SIDES: [(usize, f64); 6] = [(0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0), (2, -1.0), (2, 1.0)];
+
+/// Draws a cuboid.
+pub(super) fn cuboid(
+    canvas: &mut Canvas,
+    camera_from_box: &Isometry3<f64>,
+    half: &Vector3<f64>,
+    light: Light,
+    shades: &Shades,
+) {
+    for side in SIDES {
+        if let Some(face) = Face::of_box(camera_from_box, half, side, 1.0) {
+            let color = shades.at(face.brightness(light));
+            face.draw(canvas, |_, _| move |_, _| color);
+        }
+    }
+}
+
+/// Draws the room from inside.
+pub(super) fn room(canvas: &mut Canvas, camera_from_scene: &Isometry3<f64>, background: &Background) {
+    let half = (background.upper - background.lower) / 2.0;
+    let middle = (background.upper + background.lower) / 2.0;
+    let camera_from_room = camera_from_scene * nalgebra::Translation3::from(middle);
+    let (floor, wall) = (Shades::new(background.floor), Shades::new(background.wall));
+    let local = Local::new(&camera_from_room);
+    for side in SIDES {
+        let Some(face) = Face::of_box(&camera_from_room, &half, side, -1.0) else { continue };
+        let across = [(side.0 + 1) % 3, (side.0 + 2) % 3];
+        if side == (2, -1.0) {
+            face.draw(canvas, |row, first| {
+                let local = local.run(row, first);
+                let floor = &floor;
+                move |k, near| floor_tile(floor, local.at(0, k, 1.0 / near), local.at(1, k, 1.0 / near))
+            });
+        } else {
+            // Walls differ a little in brightness, so that the room's edges can be seen.
+            let base = 0.9 + 0.04 * side.0 as f32 + 0.02 * side.1 as f32;
+            face.draw(canvas, |row, first| {
+                let local = local.run(row, first);
+                let wall = &wall;
+                move |k, near| {
+                    let t = 1.0 / near;
+                    let (x, y) = (local.at(across[0], k, t), local.at(across[1], k, t));
+                    wall.at(base + 0.5 * ROOM_MOTTLING * MOTTLING.at(x * 60.0, y * 60.0))
+                }
+            });
+        }
+    }
+}
+
+/// The floor's colour at a point, m.
+#[inline(always)]
+fn floor_tile(floor: &Shades, x: f32, y: f32) -> [u8; 3] {
+    let mottle = 0.92 + ROOM_MOTTLING * MOTTLING.at(x * 100.0, y * 100.0);
+    let beside = |v: f32| {
+        let tiles = v * (1.0 / TILE) + 1024.0;
+        let part = tiles - (tiles as i32) as f32;
+        !(JOINT..=1.0 - JOINT).contains(&part)
+    };
+    floor.at(if beside(x) || beside(y) { mottle - 0.15 } else { mottle })
+}

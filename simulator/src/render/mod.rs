@@ -1,0 +1,138 @@
+//! The simulated cameras: a software renderer of a few solids, in colour and depth.
+//!
+//! [`render`] draws a [`Scene`] from a [`Viewpoint`]; [`render_pair`] draws both eyes side by side.
+//!
+//! It knows no physics, no time and no randomness of its own: the same scene gives the same bytes. It does not draw
+//! glass, mirrors or light from other objects, and it does not smooth edges: a pixel is what its centre's ray meets
+//! first, so that both eyes agree to a fraction of a pixel. Start reading at [`render`], then `raster`.
+
+mod faces;
+mod raster;
+mod scene;
+mod shading;
+mod shadow;
+mod solids;
+mod tabletop;
+
+use nalgebra::{Isometry3, Vector3};
+
+use raster::Canvas;
+pub use scene::{Background, Bump, DirtTexture, Geometry, Rendering, Scene, Shape, Viewpoint};
+use shading::{Light, Shades};
+use shadow::Shadow;
+
+/// Draws a scene as a camera sees it.
+///
+/// Depth is along the optical axis, m. A camera of no pixels, or whose pose or intrinsics are not finite, sees an
+/// empty picture; so does one outside of the room that looks away from everything. Shapes whose size or pose is not
+/// finite are left out, as is whatever is nearer than 1 cm or behind the camera.
+#[must_use]
+pub fn render(scene: &Scene, viewpoint: &Viewpoint) -> Rendering {
+    draw(scene, &shadows(scene), viewpoint)
+}
+
+/// Draws a scene from two viewpoints, each on a thread of its own; the results are those of [`render`].
+#[must_use]
+pub fn render_pair(scene: &Scene, [left, right]: &[Viewpoint; 2]) -> [Rendering; 2] {
+    let shadows = shadows(scene);
+    std::thread::scope(|scope| {
+        let right = scope.spawn(|| draw(scene, &shadows, right));
+        let left = draw(scene, &shadows, left);
+        let right = right.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        [left, right]
+    })
+}
+
+/// The shadows on each tabletop, by the index of its shape.
+fn shadows(scene: &Scene) -> Vec<Option<Shadow>> {
+    let is_table = |shape: &Shape| matches!(shape.geometry, Geometry::Tabletop { .. }) && is_drawable(shape);
+    let indexed = scene.shapes.iter().enumerate();
+    indexed.map(|(i, shape)| is_table(shape).then(|| Shadow::on(scene, i))).collect()
+}
+
+fn draw(scene: &Scene, shadows: &[Option<Shadow>], viewpoint: &Viewpoint) -> Rendering {
+    let camera = viewpoint.camera;
+    let mut canvas = Canvas::new(camera, scene.background.wall);
+    let sound = camera.focal > 0.0 && camera.focal.is_finite() && camera.center.iter().all(|c| c.is_finite());
+    if sound && is_finite(&viewpoint.scene_from_camera) && canvas.bounds().is_some() {
+        let camera_from_scene = viewpoint.scene_from_camera.inverse();
+        let light = Light::new(&scene.light, &camera_from_scene);
+        for index in nearest_first(scene, &camera_from_scene) {
+            let shape = &scene.shapes[index];
+            draw_shape(&mut canvas, shape, shadows[index].as_ref(), &camera_from_scene, light);
+        }
+        faces::room(&mut canvas, &camera_from_scene, &scene.background);
+    }
+    canvas.finish()
+}
+
+/// The shapes that can be drawn, the nearest first so that little is painted over; tabletops, being large, last.
+fn nearest_first(scene: &Scene, camera_from_scene: &Isometry3<f64>) -> Vec<usize> {
+    let key = |index: &usize| {
+        let shape = &scene.shapes[*index];
+        let center = camera_from_scene * shape.scene_from_shape.translation.vector;
+        let distance = (camera_from_scene.translation.vector + center).norm() - reach(&shape.geometry);
+        (matches!(shape.geometry, Geometry::Tabletop { .. }), distance)
+    };
+    let mut order: Vec<_> = (0..scene.shapes.len()).filter(|&i| is_drawable(&scene.shapes[i])).collect();
+    order.sort_by(|a, b| {
+        let (a, b) = (key(a), key(b));
+        a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
+    });
+    order
+}
+
+fn draw_shape(
+    canvas: &mut Canvas,
+    shape: &Shape,
+    shadow: Option<&Shadow>,
+    camera_from_scene: &Isometry3<f64>,
+    light: Light,
+) {
+    let camera_from_shape = camera_from_scene * shape.scene_from_shape;
+    let shades = Shades::new(shape.color);
+    let axial = |radius: f64, half_length: f64| solids::Axial { radius, half_length, camera_from_shape };
+    match &shape.geometry {
+        Geometry::Box { half } => faces::cuboid(canvas, &camera_from_shape, half, light, &shades),
+        Geometry::Sphere { radius } => {
+            solids::ball(canvas, &camera_from_shape.translation.vector, *radius, light, &shades);
+        }
+        Geometry::Cylinder { radius, half_length } => {
+            solids::cylinder(canvas, &axial(*radius, *half_length), light, &shades);
+        }
+        Geometry::Capsule { radius, half_length } => {
+            solids::capsule(canvas, &axial(*radius, *half_length), light, &shades);
+        }
+        Geometry::Tabletop { half, bumps, dirt } => {
+            let Some(shadow) = shadow else { return };
+            let table =
+                tabletop::Tabletop { camera_from_shape, half: *half, bumps, dirt: dirt.as_deref(), shadow };
+            tabletop::tabletop(canvas, &table, light, &shades);
+        }
+    }
+}
+
+/// How far a form reaches from its middle, m.
+fn reach(geometry: &Geometry) -> f64 {
+    match geometry {
+        Geometry::Box { half } | Geometry::Tabletop { half, .. } => half.norm(),
+        Geometry::Sphere { radius } => *radius,
+        Geometry::Cylinder { radius, half_length } | Geometry::Capsule { radius, half_length } => radius + half_length,
+    }
+}
+
+fn is_drawable(shape: &Shape) -> bool {
+    let positive = |half: &Vector3<f64>| half.iter().all(|v| *v > 0.0);
+    let sound = match &shape.geometry {
+        Geometry::Box { half } | Geometry::Tabletop { half, .. } => positive(half),
+        Geometry::Sphere { radius } => *radius > 0.0,
+        Geometry::Cylinder { radius, half_length } => *radius > 0.0 && *half_length > 0.0,
+        Geometry::Capsule { radius, half_length } => *radius > 0.0 && *half_length >= 0.0,
+    };
+    sound && reach(&shape.geometry).is_finite() && is_finite(&shape.scene_from_shape)
+}
+
+fn is_finite(pose: &Isometry3<f64>) -> bool {
+    let (t, q) = (pose.translation.vector, pose.rotation.coords);
+    t.iter().chain(q.iter()).all(|v| v.is_finite())
+}

@@ -1,0 +1,268 @@
+//! The canvas and its scan lines: which pixels of a row a form covers, and who is nearest in each.
+//!
+//! A pixel (u, v) looks along d = ((u - cx)/f, (v - cy)/f, 1) in the camera frame, so that the distance along a ray is
+//! the depth. Every dot product with d is linear in u along a row: a [`Form`]. The z-buffer keeps 1/depth, which is
+//! linear in u on a plane; 0 is "nothing seen".
+
+use armarium_visionx::{DepthImage, Image, PinholeCamera};
+use nalgebra::{Point3, Vector3};
+
+use super::scene::Rendering;
+
+/// Nothing nearer than this to the camera is drawn, m.
+pub(super) const NEAR: f64 = 0.01;
+const NEARNESS_LIMIT: f32 = (1.0 / NEAR) as f32;
+/// Pixels evaluated together, so that the compiler can use vector instructions.
+const CHUNK: usize = 16;
+
+/// Colours and inverse depths of one picture.
+pub(super) struct Canvas {
+    camera: PinholeCamera,
+    width: usize,
+    height: usize,
+    color: Vec<[u8; 3]>,
+    nearness: Vec<f32>,
+}
+
+/// One scan line of the camera.
+#[derive(Clone, Copy)]
+pub(super) struct Row {
+    /// Its index, px.
+    pub(super) v: usize,
+    /// Its direction: y component of every ray through it.
+    pub(super) y: f64,
+    inverse_focal: f64,
+    center_u: f64,
+}
+
+/// A function `slope * u + at_zero` of the column along one row.
+#[derive(Clone, Copy)]
+pub(super) struct Form {
+    slope: f64,
+    at_zero: f64,
+}
+
+/// A [`Form`] counted from the first pixel of a run.
+#[derive(Clone, Copy)]
+pub(super) struct Line {
+    start: f32,
+    slope: f32,
+}
+
+/// Columns from `low` to `high`, both included; empty where `low > high`.
+#[derive(Clone, Copy)]
+pub(super) struct Span {
+    low: f64,
+    high: f64,
+}
+
+/// A rectangle of pixels, borders included.
+#[derive(Clone, Copy)]
+pub(super) struct Bounds {
+    u: [usize; 2],
+    v: [usize; 2],
+}
+
+/// Directions over the optical axis (x/z or y/z) from the first to the second.
+type Extent = [f64; 2];
+
+impl Form {
+    /// The same form counted from column `u`.
+    pub(super) fn line(self, u: usize) -> Line {
+        Line { start: (self.slope * u as f64 + self.at_zero) as f32, slope: self.slope as f32 }
+    }
+}
+
+impl Line {
+    /// The value `k` pixels after the start.
+    #[inline(always)]
+    pub(super) fn at(self, k: f32) -> f32 {
+        self.slope * k + self.start
+    }
+}
+
+impl Row {
+    /// The dot product of `n` (camera frame) with the row's rays.
+    pub(super) fn form(&self, n: &Vector3<f64>) -> Form {
+        let slope = n.x * self.inverse_focal;
+        Form { slope, at_zero: n.y * self.y + n.z - slope * self.center_u }
+    }
+
+    /// The column that looks along `x` (over the optical axis).
+    pub(super) fn column(&self, x: f64) -> f64 {
+        x / self.inverse_focal + self.center_u
+    }
+
+    /// The x component of the rays.
+    pub(super) fn x(&self) -> Form {
+        self.form(&Vector3::x())
+    }
+}
+
+impl Span {
+    /// Columns between two values.
+    pub(super) fn new(low: f64, high: f64) -> Self {
+        Self { low, high }
+    }
+
+    /// The part in which `form >= 0`.
+    pub(super) fn keep(self, form: Form) -> Self {
+        let root = -form.at_zero / form.slope;
+        if form.slope > 0.0 {
+            Self { low: self.low.max(root), ..self }
+        } else if form.slope < 0.0 {
+            Self { high: self.high.min(root), ..self }
+        } else if form.at_zero >= 0.0 {
+            self
+        } else {
+            Self { low: 1.0, high: 0.0 }
+        }
+    }
+
+    /// The part in another span too.
+    pub(super) fn and(self, other: Self) -> Self {
+        Self { low: self.low.max(other.low), high: self.high.min(other.high) }
+    }
+
+    /// First and last pixel whose centre lies in it.
+    pub(super) fn pixels(self) -> Option<(usize, usize)> {
+        let (low, high) = (self.low.max(0.0).ceil(), self.high.floor());
+        (low <= high).then_some((low as usize, high as usize))
+    }
+}
+
+impl Bounds {
+    /// The smallest rectangle that holds both.
+    pub(super) fn union(self, other: Self) -> Self {
+        let join = |a: [usize; 2], b: [usize; 2]| [a[0].min(b[0]), a[1].max(b[1])];
+        Self { u: join(self.u, other.u), v: join(self.v, other.v) }
+    }
+
+    /// Its columns.
+    pub(super) fn columns(self) -> Span {
+        Span::new(self.u[0] as f64, self.u[1] as f64)
+    }
+}
+
+impl Canvas {
+    /// An empty canvas of one colour.
+    pub(super) fn new(camera: PinholeCamera, color: [u8; 3]) -> Self {
+        let (width, height) = (camera.width as usize, camera.height as usize);
+        let pixels = width * height;
+        Self { camera, width, height, color: vec![color; pixels], nearness: vec![0.0; pixels] }
+    }
+
+    /// The pictures.
+    pub(super) fn finish(self) -> Rendering {
+        let (width, height) = (self.camera.width, self.camera.height);
+        let mut data = self.nearness;
+        for value in &mut data {
+            *value = if *value > 0.0 { 1.0 / *value } else { 0.0 };
+        }
+        let image = Image::from_rgb(width, height, self.color.into_flattened())
+            .expect("a canvas has three bytes for each of its pixels");
+        Rendering { image, depth: DepthImage { width, height, data } }
+    }
+
+    /// A scan line.
+    pub(super) fn row(&self, v: usize) -> Row {
+        Row {
+            v,
+            y: (v as f64 - self.camera.center[1]) / self.camera.focal,
+            inverse_focal: 1.0 / self.camera.focal,
+            center_u: self.camera.center[0],
+        }
+    }
+
+    /// The scan lines of a rectangle.
+    pub(super) fn rows(&self, bounds: Bounds) -> impl Iterator<Item = Row> + use<> {
+        let (first, last) = (self.row(0), bounds.v);
+        let step = first.inverse_focal;
+        (last[0]..=last[1]).map(move |v| Row { v, y: first.y + v as f64 * step, ..first })
+    }
+
+    /// All of it.
+    pub(super) fn bounds(&self) -> Option<Bounds> {
+        let (right, bottom) = (self.width.checked_sub(1)?, self.height.checked_sub(1)?);
+        Some(Bounds { u: [0, right], v: [0, bottom] })
+    }
+
+    /// Where a ball (centre in the camera frame) can appear.
+    pub(super) fn ball(&self, center: &Vector3<f64>, radius: f64) -> Option<Bounds> {
+        if center.z + radius < NEAR {
+            return None;
+        }
+        self.window(extent(center.x, center.z, radius), extent(center.y, center.z, radius))
+    }
+
+    /// Where the convex hull of some points (camera frame) can appear.
+    pub(super) fn hull(&self, points: &[Point3<f64>]) -> Option<Bounds> {
+        if points.iter().all(|p| p.z < NEAR) {
+            return None;
+        }
+        if points.iter().any(|p| p.z < NEAR) {
+            return self.bounds();
+        }
+        let span = |ratio: fn(&Point3<f64>) -> f64| {
+            points.iter().map(ratio).fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], r| [low.min(r), high.max(r)])
+        };
+        self.window(span(|p| p.x / p.z), span(|p| p.y / p.z))
+    }
+
+    /// The pixels between two directions a side, one pixel wider so that rounding loses none.
+    fn window(&self, x: Extent, y: Extent) -> Option<Bounds> {
+        let pixels = |extent: Extent, center: f64, size: usize| {
+            let low = (extent[0] * self.camera.focal + center - 1.0).max(0.0);
+            let high = (extent[1] * self.camera.focal + center + 1.0).min(size as f64 - 1.0);
+            (low <= high).then_some([low as usize, high as usize])
+        };
+        let u = pixels(x, self.camera.center[0], self.width)?;
+        let v = pixels(y, self.camera.center[1], self.height)?;
+        Some(Bounds { u, v })
+    }
+
+    /// Draws a run of pixels of row `v`, where it is nearer than what is there.
+    ///
+    /// `sample(k)` says, `k` pixels after the first, 1/depth (anything not positive draws nothing) and one more
+    /// number for `paint(k, nearness, number)`, which gives the colour and is asked for visible pixels only.
+    #[inline(always)]
+    pub(super) fn fill(
+        &mut self,
+        v: usize,
+        (first, last): (usize, usize),
+        sample: impl Fn(f32) -> (f32, f32),
+        paint: impl Fn(f32, f32, f32) -> [u8; 3],
+    ) {
+        let last = last.min(self.width - 1);
+        if first > last {
+            return;
+        }
+        let run = v * self.width + first..=v * self.width + last;
+        let depths = self.nearness[run.clone()].chunks_mut(CHUNK);
+        let colors = self.color[run].chunks_mut(CHUNK);
+        for (chunk, (depths, colors)) in depths.zip(colors).enumerate() {
+            let base = (chunk * CHUNK) as f32;
+            let mut near = [0.0; CHUNK];
+            let mut extra = [0.0; CHUNK];
+            for i in 0..CHUNK {
+                (near[i], extra[i]) = sample(base + i as f32);
+            }
+            for (i, (depth, color)) in depths.iter_mut().zip(colors).enumerate() {
+                if near[i] > *depth && near[i] < NEARNESS_LIMIT {
+                    *depth = near[i];
+                    *color = paint(base + i as f32, near[i], extra[i]);
+                }
+            }
+        }
+    }
+}
+
+/// Between which directions a circle in the plane of one image axis and the optical axis lies.
+fn extent(across: f64, along: f64, radius: f64) -> Extent {
+    let squared = along * along - radius * radius;
+    if along <= radius || squared <= 0.0 {
+        return [f64::NEG_INFINITY, f64::INFINITY];
+    }
+    let tangent = (squared + across * across).sqrt();
+    [(across * along - radius * tangent) / squared, (across * along + radius * tangent) / squared]
+}

@@ -1,0 +1,200 @@
+//! What can be drawn: shapes, the room around them, and where the camera stands.
+//!
+//! Plain data without behaviour, so that the physics can write a scene a frame and forget it. Scene frame: z up,
+//! floor at z = 0. All lengths m.
+
+use std::sync::Arc;
+
+use armarium_visionx::{DepthImage, Image, PinholeCamera};
+use nalgebra::{Isometry3, Vector3};
+
+/// One solid of one colour.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shape {
+    /// Its form, centred on the shape's own frame.
+    pub geometry: Geometry,
+    /// Where it is.
+    pub scene_from_shape: Isometry3<f64>,
+    /// Its colour in full light, RGB.
+    pub color: [u8; 3],
+}
+
+/// The forms. Sizes that are not positive and finite draw nothing.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Geometry {
+    /// A cuboid.
+    Box {
+        /// Half its edges, m.
+        half: Vector3<f64>,
+    },
+    /// A ball.
+    Sphere {
+        /// Its radius, m.
+        radius: f64,
+    },
+    /// A flat-ended cylinder along z.
+    Cylinder {
+        /// Its radius, m.
+        radius: f64,
+        /// Half its length, m.
+        half_length: f64,
+    },
+    /// A round-ended cylinder along z.
+    Capsule {
+        /// Its radius, m.
+        radius: f64,
+        /// Half the distance of the centres of its ends, m.
+        half_length: f64,
+    },
+    /// A cuboid whose upper face (z = `half.z`) is grained, uneven and dirty, and takes shadows.
+    Tabletop {
+        /// Half its edges, m.
+        half: Vector3<f64>,
+        /// Rises of the upper face.
+        bumps: Arc<[Bump]>,
+        /// What lies on it, if anything.
+        dirt: Option<Arc<DirtTexture>>,
+    },
+}
+
+/// A smooth round rise of a tabletop: `height (1 - r^2/radius^2)^2` within `radius`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bump {
+    /// Its middle in the tabletop's frame, m.
+    pub at: [f64; 2],
+    /// Its height, m.
+    pub height: f64,
+    /// Where it ends, m.
+    pub radius: f64,
+}
+
+/// Dirt on a tabletop: a grid over the whole upper face.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DirtTexture {
+    /// Cells along x.
+    pub columns: usize,
+    /// Cells along y.
+    pub rows: usize,
+    /// How dirty each cell is, 0 clean to 255; x fastest, from the corner (-half.x, -half.y). Missing ones are clean.
+    pub cells: Vec<u8>,
+    /// The colour of dirt, RGB.
+    pub color: [u8; 3],
+}
+
+/// The room around everything, seen from inside; its floor is tiled and its walls are mildly mottled.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Background {
+    /// The room's lower corner in the scene, m; its z is the floor.
+    pub lower: Vector3<f64>,
+    /// The room's upper corner in the scene, m.
+    pub upper: Vector3<f64>,
+    /// Colour of the floor, RGB.
+    pub floor: [u8; 3],
+    /// Colour of walls and ceiling, RGB; also of everything outside of the room.
+    pub wall: [u8; 3],
+}
+
+/// Everything that can be seen at one instant.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// The solids, in any order.
+    pub shapes: Vec<Shape>,
+    /// The room.
+    pub background: Background,
+    /// The direction towards the light, of any length; zero means light from everywhere.
+    pub light: Vector3<f64>,
+}
+
+/// A camera and where it stands. Camera frame: z along the optical axis, x right, y down.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Viewpoint {
+    /// The camera's pose.
+    pub scene_from_camera: Isometry3<f64>,
+    /// Its intrinsics; pixel centres are at whole coordinates.
+    pub camera: PinholeCamera,
+}
+
+/// What a camera saw.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rendering {
+    /// The colours, without sensor noise.
+    pub image: Image,
+    /// Distance along the optical axis, m; 0 where nothing is.
+    pub depth: DepthImage,
+}
+
+impl Bump {
+    /// The rise at a point of the tabletop's frame, m.
+    #[must_use]
+    pub fn height_at(&self, x: f64, y: f64) -> f64 {
+        self.height * self.falloff(x, y).powi(2)
+    }
+
+    /// The slope of the rise along x and y at a point of the tabletop's frame.
+    #[must_use]
+    pub fn slope_at(&self, x: f64, y: f64) -> [f64; 2] {
+        let k = -4.0 * self.height * self.falloff(x, y) / (self.radius * self.radius);
+        if k.is_finite() { [k * (x - self.at[0]), k * (y - self.at[1])] } else { [0.0; 2] }
+    }
+
+    fn falloff(&self, x: f64, y: f64) -> f64 {
+        let squared = (x - self.at[0]).powi(2) + (y - self.at[1]).powi(2);
+        (1.0 - squared / (self.radius * self.radius)).max(0.0)
+    }
+}
+
+impl DirtTexture {
+    /// A grid without dirt.
+    #[must_use]
+    pub fn clean(columns: usize, rows: usize, color: [u8; 3]) -> Self {
+        Self { columns, rows, cells: vec![0; columns.saturating_mul(rows)], color }
+    }
+
+    /// The amount of dirt in a cell; outside of the grid there is none.
+    #[must_use]
+    pub fn cell(&self, column: usize, row: usize) -> u8 {
+        if column >= self.columns || row >= self.rows {
+            return 0;
+        }
+        self.cells.get(row * self.columns + column).copied().unwrap_or(0)
+    }
+}
+
+impl Default for Background {
+    /// A room of 6 by 6 by 3 m around the origin, grey-green floor, pale walls.
+    fn default() -> Self {
+        Self {
+            lower: Vector3::new(-3.0, -3.0, 0.0),
+            upper: Vector3::new(3.0, 3.0, 3.0),
+            floor: [128, 134, 128],
+            wall: [208, 210, 204],
+        }
+    }
+}
+
+impl Scene {
+    /// Shapes in the default room, lit from above, behind and to the left.
+    #[must_use]
+    pub fn new(shapes: Vec<Shape>) -> Self {
+        Self { shapes, background: Background::default(), light: Vector3::new(-0.35, -0.3, 0.9) }
+    }
+}
+
+impl Viewpoint {
+    /// A camera at `eye` whose axis goes through `target` and whose x is level in the scene; looking straight up or
+    /// down, its x is the scene's x.
+    #[must_use]
+    pub fn look_at(camera: PinholeCamera, eye: Vector3<f64>, target: Vector3<f64>) -> Self {
+        let z = (target - eye).try_normalize(1e-9).unwrap_or_else(Vector3::y);
+        let x = z.cross(&Vector3::z()).try_normalize(1e-6).unwrap_or_else(Vector3::x);
+        let axes = nalgebra::Rotation3::from_basis_unchecked(&[x, z.cross(&x), z]);
+        Self { scene_from_camera: Isometry3::from_parts(eye.into(), axes.into()), camera }
+    }
+
+    /// The same camera `baseline` m to the right, parallel: the other eye of a stereo pair.
+    #[must_use]
+    pub fn shifted_right(&self, baseline: f64) -> Self {
+        let shift = nalgebra::Translation3::new(baseline, 0.0, 0.0);
+        Self { scene_from_camera: self.scene_from_camera * shift, camera: self.camera }
+    }
+}

@@ -1,0 +1,122 @@
+//! Light and colour: Lambert's law with soft, directional light, and the mottling of large faces.
+//!
+//! Light scales a colour and never changes its hue. Brightness indexes a table of 256 shades a shape, so that a pixel
+//! costs one look-up.
+
+use std::sync::LazyLock;
+
+use nalgebra::{Isometry3, Vector3};
+
+/// Brightness of a face that gets no direct light.
+const AMBIENT: f32 = 0.45;
+/// How far the light reaches round a body: 0 is a point of light, larger is softer.
+const SOFTNESS: f32 = 0.25;
+/// The shade index of full light; the shades above it serve mottling.
+const FULL: f32 = 240.0;
+
+/// The direction towards the light in the camera frame.
+#[derive(Clone, Copy)]
+pub(super) struct Light {
+    /// Unit vector, or zero for light from everywhere.
+    pub(super) toward: Vector3<f64>,
+}
+
+impl Light {
+    /// The scene's light as the camera sees it.
+    pub(super) fn new(toward_in_scene: &Vector3<f64>, camera_from_scene: &Isometry3<f64>) -> Self {
+        let toward = camera_from_scene.rotation * toward_in_scene;
+        Self { toward: toward.try_normalize(1e-9).unwrap_or_else(Vector3::zeros) }
+    }
+
+    /// Brightness of a face with unit normal `n` in the camera frame.
+    pub(super) fn on(&self, n: &Vector3<f64>) -> f32 {
+        brightness(n.dot(&self.toward) as f32)
+    }
+}
+
+/// Brightness by the cosine between normal and light.
+#[inline(always)]
+pub(super) fn brightness(cosine: f32) -> f32 {
+    let lit = ((cosine + SOFTNESS) * (1.0 / (1.0 + SOFTNESS))).max(0.0);
+    AMBIENT + (1.0 - AMBIENT) * lit
+}
+
+/// One colour at every brightness.
+pub(super) struct Shades([[u8; 3]; 256]);
+
+impl Shades {
+    /// The shades of a colour.
+    pub(super) fn new(color: [u8; 3]) -> Self {
+        let shade = |index: usize| {
+            let scale = index as f32 / FULL;
+            color.map(|channel| (f32::from(channel) * scale + 0.5) as u8)
+        };
+        Self(std::array::from_fn(shade))
+    }
+
+    /// The colour at a brightness: 1 is full light.
+    #[inline(always)]
+    pub(super) fn at(&self, brightness: f32) -> [u8; 3] {
+        self.0[usize::from((brightness * FULL + 0.5) as u8)]
+    }
+}
+
+/// A mixture of two colours; `amount` of 255 is all `b`.
+#[inline(always)]
+pub(super) fn mix(a: [u8; 3], b: [u8; 3], amount: u8) -> [u8; 3] {
+    let (t, s) = (u32::from(amount), 255 - u32::from(amount));
+    std::array::from_fn(|i| ((u32::from(a[i]) * s + u32::from(b[i]) * t + 127) / 255) as u8)
+}
+
+/// A square of smooth random values that tiles the plane.
+pub(super) struct Mottling {
+    values: Box<[i8]>,
+}
+
+/// Texels along each side of [`Mottling`]; a power of two.
+const TEXELS: usize = 256;
+
+/// The one mottling that all faces share, made of fixed numbers.
+pub(super) static MOTTLING: LazyLock<Mottling> = LazyLock::new(Mottling::new);
+
+impl Mottling {
+    /// Value noise of three octaves.
+    fn new() -> Self {
+        let value = |index: usize| {
+            let (x, y) = (index % TEXELS, index / TEXELS);
+            let octaves = [(32, 0.5), (16, 0.3), (8, 0.2)];
+            let sum: f32 = octaves.iter().map(|&(cell, weight)| weight * lattice_noise(x, y, cell)).sum();
+            (sum * 127.0) as i8
+        };
+        Self { values: (0..TEXELS * TEXELS).map(value).collect() }
+    }
+
+    /// The value at a point, in texels; about -1 to 1, mostly within a half.
+    #[inline(always)]
+    pub(super) fn at(&self, x: f32, y: f32) -> f32 {
+        let (column, row) = (x as i32 as usize % TEXELS, y as i32 as usize % TEXELS);
+        f32::from(self.values[row * TEXELS + column]) * (1.0 / 127.0)
+    }
+}
+
+/// Random values at the corners of cells, smoothly interpolated; -1 to 1.
+fn lattice_noise(x: usize, y: usize, cell: usize) -> f32 {
+    let cells = TEXELS / cell;
+    let corner = |i: usize, j: usize| scatter((i % cells) + (j % cells) * cells + cells * cells * 7);
+    let smooth = |part: usize| {
+        let t = part as f32 / cell as f32;
+        t * t * (3.0 - 2.0 * t)
+    };
+    let (i, j, s, t) = (x / cell, y / cell, smooth(x % cell), smooth(y % cell));
+    let lower = corner(i, j) * (1.0 - s) + corner(i + 1, j) * s;
+    let upper = corner(i, j + 1) * (1.0 - s) + corner(i + 1, j + 1) * s;
+    lower * (1.0 - t) + upper * t
+}
+
+/// A fixed scattering of whole numbers over -1..1 (the finalizer of SplitMix64).
+fn scatter(index: usize) -> f32 {
+    let mut z = (index as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    ((z ^ (z >> 31)) >> 40) as f32 / (1u64 << 23) as f32 - 1.0
+}

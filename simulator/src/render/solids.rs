@@ -1,0 +1,210 @@
+//! Balls, cylinders and capsules: each pixel's ray is intersected with the surface exactly.
+
+use nalgebra::{Isometry3, Vector3};
+
+use super::raster::{Bounds, Canvas, Row, Span};
+use super::shading::{Light, Shades, brightness};
+
+/// Rays whose direction across the axis is shorter than this (squared) do not meet a cylinder's side.
+const PARALLEL: f32 = 1e-12;
+
+/// Draws a ball with its centre in the camera frame.
+pub(super) fn ball(canvas: &mut Canvas, center: &Vector3<f64>, radius: f64, light: Light, shades: &Shades) {
+    let Some(bounds) = canvas.ball(center, radius) else { return };
+    let power = center.norm_squared() - radius * radius;
+    if power <= 0.0 {
+        return;
+    }
+    for row in canvas.rows(bounds) {
+        ball_row(canvas, row, bounds, &Ball { center, radius, power, light, shades });
+    }
+}
+
+struct Ball<'a> {
+    center: &'a Vector3<f64>,
+    radius: f64,
+    /// Squared distance of the centre less the squared radius.
+    power: f64,
+    light: Light,
+    shades: &'a Shades,
+}
+
+/// One row of a ball.
+///
+/// With d the ray and c the centre, the discriminant (d.c)^2 - |d|^2 power is `a x^2 + 2 b x + c` in the ray's x; it is
+/// written about its vertex, where single precision suffices.
+fn ball_row(canvas: &mut Canvas, row: Row, bounds: Bounds, ball: &Ball<'_>) {
+    let Ball { center, radius, power, light, shades } = *ball;
+    let along = row.y * center.y + center.z;
+    let rest = row.y * row.y + 1.0;
+    let (a, b, c) = (center.x * center.x - power, center.x * along, along * along - rest * power);
+    let mut span = bounds.columns();
+    let (origin, linear, constant) = if a < 0.0 { (-b / a, 0.0, c - b * b / a) } else { (0.0, 2.0 * b, c) };
+    if a < 0.0 {
+        if constant < 0.0 {
+            return;
+        }
+        let half = (constant / -a).sqrt();
+        span = span.and(Span::new(row.column(origin - half), row.column(origin + half)));
+    }
+    let Some(run) = span.pixels() else { return };
+    let (x, toward, lit) =
+        (row.x().line(run.0), row.form(center).line(run.0), row.form(&light.toward).line(run.0));
+    let (a, linear, constant, origin) = (a as f32, linear as f32, constant as f32, origin as f32);
+    let (rest, center_lit) = (rest as f32, center.dot(&light.toward) as f32);
+    let inverse_radius = (1.0 / radius) as f32;
+    canvas.fill(
+        row.v,
+        run,
+        |k| {
+            let x = x.at(k);
+            let offset = x - origin;
+            let discriminant = ((a * offset + linear) * offset + constant).max(0.0);
+            let squared = rest + x * x;
+            let reach = toward.at(k) - discriminant.sqrt();
+            let cosine = (reach / squared * lit.at(k) - center_lit) * inverse_radius;
+            (squared / reach, cosine)
+        },
+        |_, _, cosine| shades.at(brightness(cosine)),
+    );
+}
+
+/// A body with an axis, and the camera in its frame.
+pub(super) struct Axial {
+    /// Radius, m.
+    pub(super) radius: f64,
+    /// Half the length along z, m.
+    pub(super) half_length: f64,
+    /// Where it is.
+    pub(super) camera_from_shape: Isometry3<f64>,
+}
+
+/// Draws a flat-ended cylinder.
+pub(super) fn cylinder(canvas: &mut Canvas, body: &Axial, light: Light, shades: &Shades) {
+    side(canvas, body, light, shades);
+    cap(canvas, body, 1.0, light, shades);
+    cap(canvas, body, -1.0, light, shades);
+}
+
+/// Draws a round-ended cylinder.
+pub(super) fn capsule(canvas: &mut Canvas, body: &Axial, light: Light, shades: &Shades) {
+    side(canvas, body, light, shades);
+    for end in [-1.0, 1.0] {
+        ball(canvas, &body.end(end), body.radius, light, shades);
+    }
+}
+
+impl Axial {
+    /// The middle of an end (sign -1 or 1) in the camera frame.
+    fn end(&self, sign: f64) -> Vector3<f64> {
+        let axis = self.camera_from_shape.rotation * Vector3::z();
+        self.camera_from_shape.translation.vector + axis * (sign * self.half_length)
+    }
+
+    /// The camera in the shape's frame.
+    fn eye(&self) -> Vector3<f64> {
+        -(self.camera_from_shape.rotation.inverse() * self.camera_from_shape.translation.vector)
+    }
+
+    /// The shape's axes in the camera frame.
+    fn axes(&self) -> [Vector3<f64>; 3] {
+        [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| self.camera_from_shape.rotation * axis)
+    }
+
+    /// Where the balls about both ends can appear.
+    fn bounds(&self, canvas: &Canvas) -> Option<Bounds> {
+        let ends = [-1.0, 1.0].map(|sign| self.end(sign));
+        if ends.iter().any(|end| end.z < self.radius) && ends.iter().any(|end| end.z > -self.radius) {
+            return canvas.bounds();
+        }
+        match ends.map(|end| canvas.ball(&end, self.radius)) {
+            [Some(a), Some(b)] => Some(a.union(b)),
+            _ => self.partial(canvas),
+        }
+    }
+
+    /// When one end is outside of the picture: the box about the body.
+    fn partial(&self, canvas: &Canvas) -> Option<Bounds> {
+        let (r, h) = (self.radius, self.half_length + self.radius);
+        let corners: [_; 8] = std::array::from_fn(|i| {
+            let sign = |bit: usize| if i >> bit & 1 == 0 { -1.0 } else { 1.0 };
+            self.camera_from_shape * nalgebra::Point3::new(r * sign(0), r * sign(1), h * sign(2))
+        });
+        canvas.hull(&corners)
+    }
+}
+
+/// Draws the side of a cylinder: where the ray enters the endless cylinder, between its ends.
+fn side(canvas: &mut Canvas, body: &Axial, light: Light, shades: &Shades) {
+    let eye = body.eye();
+    let distance = eye.xy().norm();
+    if distance <= body.radius {
+        return;
+    }
+    let Some(bounds) = body.bounds(canvas) else { return };
+    let [ax, ay, az] = body.axes();
+    // The rays that meet the endless cylinder in front of the eye lie between its two tangent planes.
+    let inward = -(ax * eye.x + ay * eye.y) / distance;
+    let across = (ax * eye.y - ay * eye.x) / distance;
+    let (sine, cosine) = (body.radius / distance, (1.0 - (body.radius / distance).powi(2)).sqrt());
+    let tangents = [across * cosine + inward * sine, inward * sine - across * cosine];
+    let toward_eye = ax * eye.x + ay * eye.y;
+    let cross = ay * eye.x - ax * eye.y;
+    let lit = [light.toward.dot(&ax), light.toward.dot(&ay)];
+    let lit_axis = ax * lit[0] + ay * lit[1];
+    let eye_lit = (eye.x * lit[0] + eye.y * lit[1]) as f32;
+    let (eye_z, half_length) = (eye.z as f32, body.half_length as f32);
+    let (squared_radius, inverse_radius) = ((body.radius * body.radius) as f32, (1.0 / body.radius) as f32);
+    for row in canvas.rows(bounds) {
+        let span = tangents.iter().fold(bounds.columns(), |span, n| span.keep(row.form(n)));
+        let Some(run) = span.pixels() else { continue };
+        let [dx, dy, dz] = [ax, ay, az].map(|axis| row.form(&axis).line(run.0));
+        let [b, w, lit] = [toward_eye, cross, lit_axis].map(|n| row.form(&n).line(run.0));
+        canvas.fill(
+            row.v,
+            run,
+            |k| {
+                let (x, y) = (dx.at(k), dy.at(k));
+                let a = x * x + y * y;
+                let w = w.at(k);
+                let root = (squared_radius * a - w * w).max(0.0).sqrt();
+                let reach = -b.at(k) - root;
+                let t = reach / a;
+                let z = eye_z + t * dz.at(k);
+                let hit = (z.abs() <= half_length) & (a > PARALLEL);
+                (if hit { a / reach } else { 0.0 }, (eye_lit + t * lit.at(k)) * inverse_radius)
+            },
+            |_, _, cosine| shades.at(brightness(cosine)),
+        );
+    }
+}
+
+/// Draws the flat end of a cylinder on the side of `sign`, if it faces the camera.
+fn cap(canvas: &mut Canvas, body: &Axial, sign: f64, light: Light, shades: &Shades) {
+    let eye = body.eye();
+    let height = eye.z * sign - body.half_length;
+    if height <= 0.0 {
+        return;
+    }
+    let Some(bounds) = canvas.ball(&body.end(sign), body.radius) else { return };
+    let [ax, ay, az] = body.axes();
+    let color = shades.at(light.on(&(az * sign)));
+    let nearness = az * (-sign / height);
+    let squared_radius = (body.radius * body.radius) as f32;
+    let (eye_x, eye_y) = (eye.x as f32, eye.y as f32);
+    for row in canvas.rows(bounds) {
+        let Some(run) = bounds.columns().pixels() else { continue };
+        let [near, dx, dy] = [nearness, ax, ay].map(|n| row.form(&n).line(run.0));
+        canvas.fill(
+            row.v,
+            run,
+            |k| {
+                let near = near.at(k);
+                let t = 1.0 / near;
+                let (x, y) = (eye_x + t * dx.at(k), eye_y + t * dy.at(k));
+                (if x * x + y * y <= squared_radius { near } else { 0.0 }, 0.0)
+            },
+            |_, _, _| color,
+        );
+    }
+}
