@@ -1,21 +1,31 @@
 //! The memory model after MemoryX and its successor ArMem: memory / core segment / provider segment / entity /
-//! snapshot / instance, and the trait through which all memories are used.
+//! snapshot / instance. What is kept, and how it gets in; not where it is kept.
+//!
+//! A snapshot without instances says that the entity is gone: it is found in histories and by subscribers, but not
+//! by `latest` or `segment`. A later commit brings the entity back under the next version.
 
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::fmt;
+use std::str::FromStr;
 use std::sync::Arc;
 
-use async_trait::async_trait;
+use armarium_values::{Reference, Value};
 use serde::{Deserialize, Serialize};
-use armarium_values::Value;
-use tokio::sync::broadcast;
+
+use crate::error::MemoryError;
+
+/// Longest name in an address, bytes.
+const LONGEST_NAME: usize = 200;
 
 /// The address of an entity: `core segment / provider / entity`, each a name without `/`, `*`, `#`, `?`, `$`.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+/// Ordered by core segment, then provider, then entity. Cheap to clone.
+#[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 pub struct EntityId {
-    segment: String,
-    provider: String,
-    entity: String,
+    path: Arc<str>,
+    provider_at: u16,
+    entity_at: u16,
 }
 
 /// What is known of an entity at one time, by one hypothesis.
@@ -40,7 +50,7 @@ pub struct Snapshot {
     pub sent_ns: u64,
     /// When it arrived in this memory, ns.
     pub arrived_ns: u64,
-    /// One or more hypotheses, most trusted first.
+    /// One or more hypotheses, most trusted first; none when the entity is gone.
     pub instances: Vec<Instance>,
 }
 
@@ -51,66 +61,10 @@ pub struct Commit {
     pub id: EntityId,
     /// The time that the data speak of, ns.
     pub referenced_ns: u64,
-    /// The new state.
+    /// The new state; none removes the entity.
     pub instances: Vec<Instance>,
     /// When given, the commit is refused unless this is the entity's newest version (0: it must not exist).
     pub expected_version: Option<u64>,
-}
-
-/// Why a memory refused.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum MemoryError {
-    /// A name that cannot be part of an address.
-    #[error("`{name}` cannot be part of a memory address: names are not empty and hold none of / * # ? $")]
-    Name {
-        /// The name.
-        name: String,
-    },
-    /// There is no such entity.
-    #[error("there is no entity `{id}` in memory")]
-    NotFound {
-        /// The address.
-        id: String,
-    },
-    /// Somebody else changed the entity first.
-    #[error("`{id}` is at version {actual}, not {expected}: somebody else has changed it")]
-    Conflict {
-        /// The address.
-        id: String,
-        /// What the writer expected.
-        expected: u64,
-        /// What it is.
-        actual: u64,
-    },
-    /// The store under the memory failed.
-    #[error("the memory's store failed: {what}")]
-    Store {
-        /// What happened.
-        what: String,
-    },
-}
-
-/// A memory as skills and processes see it: in this process, on disk, or another agent's.
-#[async_trait]
-pub trait Memory: Send + Sync {
-    /// Applies all updates or none; returns the new versions in order.
-    ///
-    /// # Errors
-    /// [`MemoryError::Conflict`] when an expected version is not the newest.
-    async fn commit(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError>;
-    /// The newest snapshot of an entity.
-    ///
-    /// # Errors
-    /// [`MemoryError::NotFound`] when there is none.
-    async fn latest(&self, id: &EntityId) -> Result<Arc<Snapshot>, MemoryError>;
-    /// The newest snapshots of all entities of a core segment, ordered by address.
-    ///
-    /// # Errors
-    /// [`MemoryError::Store`] when the memory cannot be read.
-    async fn segment(&self, segment: &str) -> Result<Vec<Arc<Snapshot>>, MemoryError>;
-    /// All later changes, in order. A reader that falls behind is told how many it missed.
-    fn subscribe(&self) -> broadcast::Receiver<Arc<Snapshot>>;
 }
 
 impl EntityId {
@@ -120,34 +74,209 @@ impl EntityId {
     /// [`MemoryError::Name`] when a part cannot be part of an address.
     pub fn new(segment: &str, provider: &str, entity: &str) -> Result<Self, MemoryError> {
         for name in [segment, provider, entity] {
-            if name.is_empty() || name.contains(['/', '*', '#', '?', '$']) {
-                return Err(MemoryError::Name { name: name.into() });
-            }
+            check_name(name)?;
         }
-        Ok(Self { segment: segment.into(), provider: provider.into(), entity: entity.into() })
+        let position = |n: usize| u16::try_from(n).expect("three names of at most 200 bytes");
+        Ok(Self {
+            path: format!("{segment}/{provider}/{entity}").into(),
+            provider_at: position(segment.len() + 1),
+            entity_at: position(segment.len() + provider.len() + 2),
+        })
     }
 
     /// The core segment.
     #[must_use]
     pub fn segment(&self) -> &str {
-        &self.segment
+        &self.path[..usize::from(self.provider_at) - 1]
     }
 
     /// The provider segment.
     #[must_use]
     pub fn provider(&self) -> &str {
-        &self.provider
+        &self.path[usize::from(self.provider_at)..usize::from(self.entity_at) - 1]
     }
 
     /// The entity's own name.
     #[must_use]
     pub fn entity(&self) -> &str {
-        &self.entity
+        &self.path[usize::from(self.entity_at)..]
+    }
+
+    /// The whole address, `segment/provider/entity`.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        &self.path
+    }
+
+    /// A reference to the entity as charts pass it around; `kind` is for instance `Motion` or `Object`.
+    #[must_use]
+    pub fn reference(&self, kind: &str) -> Reference {
+        Reference { kind: kind.into(), id: self.as_str().into() }
+    }
+}
+
+/// Whether `name` can be one part of an address.
+///
+/// # Errors
+/// [`MemoryError::Name`] when it cannot.
+pub fn check_name(name: &str) -> Result<(), MemoryError> {
+    let bad = name.is_empty()
+        || name.len() > LONGEST_NAME
+        || name.starts_with('@')
+        || name.contains(['/', '*', '#', '?', '$'])
+        || name.chars().any(char::is_control);
+    if bad { Err(MemoryError::Name { name: name.chars().take(LONGEST_NAME).collect() }) } else { Ok(()) }
+}
+
+impl Ord for EntityId {
+    fn cmp(&self, other: &Self) -> Ordering {
+        (self.segment(), self.provider(), self.entity()).cmp(&(
+            other.segment(),
+            other.provider(),
+            other.entity(),
+        ))
+    }
+}
+
+impl PartialOrd for EntityId {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl FromStr for EntityId {
+    type Err = MemoryError;
+
+    fn from_str(path: &str) -> Result<Self, MemoryError> {
+        match path.split('/').collect::<Vec<_>>().as_slice() {
+            [segment, provider, entity] => Self::new(segment, provider, entity),
+            _ => Err(MemoryError::Name { name: path.chars().take(LONGEST_NAME).collect() }),
+        }
+    }
+}
+
+impl TryFrom<String> for EntityId {
+    type Error = MemoryError;
+
+    fn try_from(path: String) -> Result<Self, MemoryError> {
+        path.parse()
+    }
+}
+
+impl TryFrom<&Reference> for EntityId {
+    type Error = MemoryError;
+
+    fn try_from(reference: &Reference) -> Result<Self, MemoryError> {
+        reference.id.parse()
+    }
+}
+
+impl From<EntityId> for String {
+    fn from(id: EntityId) -> Self {
+        id.as_str().into()
     }
 }
 
 impl fmt::Display for EntityId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}/{}/{}", self.segment, self.provider, self.entity)
+        f.write_str(&self.path)
+    }
+}
+
+impl fmt::Debug for EntityId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.path)
+    }
+}
+
+impl Instance {
+    /// A fully trusted instance.
+    #[must_use]
+    pub fn new(attributes: BTreeMap<String, Value>) -> Self {
+        Self { attributes, confidence: 1.0 }
+    }
+
+    /// The same instance with another confidence, 0 to 1.
+    #[must_use]
+    pub fn with_confidence(mut self, confidence: f64) -> Self {
+        self.confidence = confidence;
+        self
+    }
+}
+
+impl Commit {
+    /// One fully trusted hypothesis, whatever the entity's version is.
+    #[must_use]
+    pub fn new(id: EntityId, referenced_ns: u64, attributes: BTreeMap<String, Value>) -> Self {
+        Self { id, referenced_ns, instances: vec![Instance::new(attributes)], expected_version: None }
+    }
+
+    /// The entity is gone since `referenced_ns`.
+    #[must_use]
+    pub fn removal(id: EntityId, referenced_ns: u64) -> Self {
+        Self { id, referenced_ns, instances: Vec::new(), expected_version: None }
+    }
+
+    /// The same commit, refused unless `version` is the entity's newest (0: it must not exist).
+    #[must_use]
+    pub fn expecting(mut self, version: u64) -> Self {
+        self.expected_version = Some(version);
+        self
+    }
+
+    /// The same commit with another confidence, 0 to 1, of its most trusted hypothesis.
+    #[must_use]
+    pub fn with_confidence(mut self, confidence: f64) -> Self {
+        if let Some(instance) = self.instances.first_mut() {
+            instance.confidence = confidence;
+        }
+        self
+    }
+}
+
+impl Snapshot {
+    /// The most trusted hypothesis, unless the entity is gone.
+    #[must_use]
+    pub fn instance(&self) -> Option<&Instance> {
+        self.instances.first()
+    }
+
+    /// An attribute of the most trusted hypothesis.
+    #[must_use]
+    pub fn attribute(&self, name: &str) -> Option<&Value> {
+        self.instance()?.attributes.get(name)
+    }
+
+    /// Whether the snapshot says that the entity is gone.
+    #[must_use]
+    pub fn is_removed(&self) -> bool {
+        self.instances.is_empty()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_is_made_of_three_checked_names() {
+        let id = EntityId::new("Motions", "alice", "wipe-1").unwrap();
+        assert_eq!((id.segment(), id.provider(), id.entity()), ("Motions", "alice", "wipe-1"));
+        assert_eq!("Motions/alice/wipe-1".parse::<EntityId>().unwrap(), id);
+        for bad in ["", "a/b", "a*", "#", "a?b", "$x", "@x", "line\nbreak", &"x".repeat(201)] {
+            assert!(EntityId::new("Motions", bad, "e").is_err(), "{bad:?} is refused");
+        }
+        for bad in ["", "a/b", "a/b/c/d", "a//c"] {
+            assert!(bad.parse::<EntityId>().is_err(), "{bad:?} is refused");
+        }
+    }
+
+    #[test]
+    fn addresses_are_ordered_by_their_parts() {
+        let ids = ["a/z/z", "a-b/a/a", "a/b/c", "a/b!/c"].map(|p| p.parse::<EntityId>().unwrap());
+        let mut sorted = ids.to_vec();
+        sorted.sort();
+        let sorted: Vec<&str> = sorted.iter().map(EntityId::as_str).collect();
+        assert_eq!(sorted, ["a/b/c", "a/b!/c", "a/z/z", "a-b/a/a"]);
     }
 }

@@ -1,10 +1,24 @@
 //! MemoryX: working memory, long-term memory, prior knowledge and the observer.
 //!
-//! - [`Memory`]: the one interface, in process and over Zenoh.
-//! - [`EntityId`], [`Snapshot`], [`Commit`]: what is kept and how it gets in.
+//! - [`Memory`]: the one interface, in process and over Zenoh; [`modify`] changes an entity by what it is.
+//! - [`EntityId`], [`Snapshot`], [`Commit`]: what is kept and how it gets in; [`Query`]: what can be asked.
+//! - [`WorkingMemory`]: what an agent knows now.
+//! - [`Follower`]: a subscription that says what it missed.
 //!
 //! This room knows no robot and no image.
 
 mod entity;
+mod error;
+mod follow;
+mod memory;
+mod query;
+mod schema;
+mod working;
 
-pub use entity::{Commit, EntityId, Instance, Memory, MemoryError, Snapshot};
+pub use entity::{Commit, EntityId, Instance, Snapshot, check_name};
+pub use error::MemoryError;
+pub use follow::{Change, Follower};
+pub use memory::{Memory, modify};
+pub use query::{Pattern, Query, Times};
+pub use schema::{Attribute, SegmentSchema, core_segments};
+pub use working::{Backing, Clock, Limits, WorkingMemory, tokio_clock};

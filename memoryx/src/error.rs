@@ -1,0 +1,81 @@
+//! Why a memory refuses: one enum for every memory, in process, on disk and over Zenoh.
+//!
+//! The enum is itself a payload: a refusal travels back to a remote writer as what it is.
+
+use serde::{Deserialize, Serialize};
+
+/// Why a memory refused.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum MemoryError {
+    /// A name that cannot be part of an address.
+    #[error(
+        "`{name}` cannot be part of a memory address: names have 1 to 200 bytes, no control characters, \
+         none of / * # ? $ and no @ in front"
+    )]
+    Name {
+        /// The name.
+        name: String,
+    },
+    /// There is no such entity.
+    #[error("there is no entity `{id}` in memory")]
+    NotFound {
+        /// The address.
+        id: String,
+    },
+    /// Somebody else changed the entity first.
+    #[error("`{id}` is at version {actual}, not {expected}: somebody else has changed it")]
+    Conflict {
+        /// The address.
+        id: String,
+        /// What the writer expected.
+        expected: u64,
+        /// What it is.
+        actual: u64,
+    },
+    /// The data do not fit the core segment's schema.
+    #[error("`{id}` does not fit the core segment: attribute `{attribute}` {what}")]
+    Schema {
+        /// The address.
+        id: String,
+        /// The attribute, with a path where it is nested.
+        attribute: String,
+        /// What is wrong with it.
+        what: String,
+    },
+    /// A confidence that is not a number from 0 to 1.
+    #[error("`{id}` has a confidence that is not a number from 0 to 1")]
+    Confidence {
+        /// The address.
+        id: String,
+    },
+    /// The provider segment is prior knowledge.
+    #[error("`{id}` cannot be written: the provider segment is read-only")]
+    ReadOnly {
+        /// The address.
+        id: String,
+    },
+    /// The memory has as many entities as it may have.
+    #[error("`{id}` does not fit: the memory holds its maximum of {entities} entities")]
+    Full {
+        /// The address.
+        id: String,
+        /// The maximum.
+        entities: u64,
+    },
+    /// The store under the memory failed.
+    #[error("the memory's store failed: {what}")]
+    Store {
+        /// What happened.
+        what: String,
+    },
+    /// The memory of another agent could not be reached, or said something that is not understood.
+    #[error("the memory of `{agent}` cannot be used: {what}")]
+    Remote {
+        /// The agent.
+        agent: String,
+        /// What happened.
+        what: String,
+    },
+}

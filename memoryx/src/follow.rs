@@ -1,0 +1,154 @@
+//! Following a memory without silent gaps: a subscription that reads again what it missed, and says what it could
+//! not.
+//!
+//! Every version of every entity is told in order and once. Where a version is missing, because the reader lagged
+//! or the network lost it, the memory's history is asked; what that no longer has becomes [`Change::Missed`].
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+use tokio::sync::broadcast::{self, error::RecvError, error::TryRecvError};
+
+use crate::entity::{EntityId, Snapshot};
+use crate::error::MemoryError;
+use crate::memory::Memory;
+use crate::query::{Pattern, Query};
+
+/// What a follower tells.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Change {
+    /// An entity has a new snapshot.
+    New(Arc<Snapshot>),
+    /// Versions of an entity that the memory no longer has.
+    Missed {
+        /// Whose.
+        id: EntityId,
+        /// The first of them.
+        from: u64,
+        /// The last of them.
+        to: u64,
+    },
+}
+
+/// A subscription to what a pattern fits, without silent gaps.
+pub struct Follower {
+    memory: Arc<dyn Memory>,
+    pattern: Pattern,
+    changes: broadcast::Receiver<Arc<Snapshot>>,
+    /// Newest version told of each entity.
+    told: BTreeMap<EntityId, u64>,
+    ready: VecDeque<Change>,
+}
+
+impl Follower {
+    /// Follows from now on. What the memory holds already counts as told, and is returned: the newest snapshot
+    /// of each entity that has one.
+    ///
+    /// # Errors
+    /// As [`Memory::query`].
+    pub async fn from_now(
+        memory: Arc<dyn Memory>,
+        pattern: Pattern,
+    ) -> Result<(Self, Vec<Arc<Snapshot>>), MemoryError> {
+        let mut follower = Self::from_start(memory, pattern);
+        let query = Query::history(follower.pattern.clone()).limit(1);
+        let held = follower.memory.query(&query).await?;
+        follower.told = held.iter().map(|s| (s.id.clone(), s.version)).collect();
+        Ok((follower, held.into_iter().filter(|s| !s.is_removed()).collect()))
+    }
+
+    /// Follows changes only; the first one of an entity that is not version 1 brings the history that is still held.
+    #[must_use]
+    pub fn from_start(memory: Arc<dyn Memory>, pattern: Pattern) -> Self {
+        let changes = memory.subscribe();
+        Self { memory, pattern, changes, told: BTreeMap::new(), ready: VecDeque::new() }
+    }
+
+    /// Follows on from what was told before, by entity: what has changed since comes first, from the history.
+    ///
+    /// # Errors
+    /// As [`Memory::query`].
+    pub async fn resume(
+        memory: Arc<dyn Memory>,
+        pattern: Pattern,
+        told: BTreeMap<EntityId, u64>,
+    ) -> Result<Self, MemoryError> {
+        let mut follower = Self::from_start(memory, pattern);
+        follower.told = told;
+        follower.read_again().await?;
+        Ok(follower)
+    }
+
+    /// The next change; `None` when the memory has gone. Dropping the future loses nothing.
+    ///
+    /// # Errors
+    /// As [`Memory::query`]; the same versions are asked for again by the next call that finds them missing.
+    pub async fn next(&mut self) -> Result<Option<Change>, MemoryError> {
+        loop {
+            if let Some(change) = self.ready.pop_front() {
+                return Ok(Some(change));
+            }
+            match self.changes.recv().await {
+                Ok(snapshot) => self.receive(snapshot).await?,
+                Err(RecvError::Lagged(_)) => self.read_again().await?,
+                Err(RecvError::Closed) => return Ok(None),
+            }
+        }
+    }
+
+    /// Everything that can be told without waiting for a change.
+    ///
+    /// # Errors
+    /// As [`Self::next`].
+    pub async fn drain(&mut self) -> Result<Vec<Change>, MemoryError> {
+        loop {
+            match self.changes.try_recv() {
+                Ok(snapshot) => self.receive(snapshot).await?,
+                Err(TryRecvError::Lagged(_)) => self.read_again().await?,
+                Err(TryRecvError::Empty | TryRecvError::Closed) => return Ok(self.ready.drain(..).collect()),
+            }
+        }
+    }
+
+    async fn receive(&mut self, snapshot: Arc<Snapshot>) -> Result<(), MemoryError> {
+        if !self.pattern.matches(&snapshot.id) {
+            return Ok(());
+        }
+        let told = self.told.get(&snapshot.id).copied().unwrap_or(0);
+        if snapshot.version > told + 1 {
+            let query = Query::history(Pattern::entity(&snapshot.id));
+            let mut held = self.memory.query(&query).await?;
+            held.retain(|s| s.version < snapshot.version);
+            held.into_iter().for_each(|s| self.tell(s));
+        }
+        self.tell(snapshot);
+        Ok(())
+    }
+
+    /// After a gap of unknown content: whatever the memory has that was not told.
+    async fn read_again(&mut self) -> Result<(), MemoryError> {
+        let held = self.memory.query(&Query::history(self.pattern.clone())).await?;
+        held.into_iter().for_each(|s| self.tell(s));
+        Ok(())
+    }
+
+    /// Tells a snapshot unless it was told, and first what is missing before it.
+    fn tell(&mut self, snapshot: Arc<Snapshot>) {
+        let told = self.told.entry(snapshot.id.clone()).or_insert(0);
+        if snapshot.version <= *told {
+            return;
+        }
+        if snapshot.version > *told + 1 {
+            let (from, to) = (*told + 1, snapshot.version - 1);
+            self.ready.push_back(Change::Missed { id: snapshot.id.clone(), from, to });
+        }
+        *told = snapshot.version;
+        self.ready.push_back(Change::New(snapshot));
+    }
+
+    /// The newest version told of each entity; [`Self::resume`] goes on from it.
+    #[must_use]
+    pub fn told(&self) -> &BTreeMap<EntityId, u64> {
+        &self.told
+    }
+}

@@ -1,0 +1,91 @@
+//! The trait through which all memories are used, and read-modify-write on top of it.
+//!
+//! Knows of no particular memory: [`crate::WorkingMemory`] and [`crate::RemoteMemory`] implement it, skills take
+//! an `Arc<dyn Memory>`.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use armarium_values::Value;
+use async_trait::async_trait;
+use tokio::sync::broadcast;
+
+use crate::entity::{Commit, EntityId, Instance, Snapshot};
+use crate::error::MemoryError;
+use crate::query::Query;
+
+/// How often [`modify`] begins again before it reports the conflict.
+const MODIFY_TRIES: u32 = 64;
+
+/// A memory as skills and processes see it: in this process, on disk, or another agent's.
+#[async_trait]
+pub trait Memory: Send + Sync {
+    /// Applies all updates or none; returns the new versions in order.
+    ///
+    /// # Errors
+    /// [`MemoryError::Conflict`] when an expected version is not the newest; [`MemoryError::Schema`],
+    /// [`MemoryError::Confidence`], [`MemoryError::ReadOnly`] and [`MemoryError::Full`] when an update cannot
+    /// be taken; [`MemoryError::Store`] and [`MemoryError::Remote`] when the memory cannot be reached.
+    async fn commit(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError>;
+    /// The newest snapshot of an entity.
+    ///
+    /// # Errors
+    /// [`MemoryError::NotFound`] when there is none.
+    async fn latest(&self, id: &EntityId) -> Result<Arc<Snapshot>, MemoryError>;
+    /// The newest snapshots of all entities of a core segment, ordered by address.
+    ///
+    /// # Errors
+    /// [`MemoryError::Store`] when the memory cannot be read.
+    async fn segment(&self, segment: &str) -> Result<Vec<Arc<Snapshot>>, MemoryError>;
+    /// What a query asks for, ordered by address, then version.
+    ///
+    /// # Errors
+    /// [`MemoryError::Store`] when the memory cannot be read.
+    async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError>;
+    /// All later changes, in order. A reader that falls behind is told how many it missed; [`crate::Follower`]
+    /// says which, and reads them again where the memory still has them.
+    fn subscribe(&self) -> broadcast::Receiver<Arc<Snapshot>>;
+}
+
+/// Changes an entity by what it is now: reads it, lets `change` make the new attributes, and commits them unless
+/// somebody else was faster, in which case it begins again. `change` sees `None` when there is no such entity, and
+/// may give `None` to leave everything as it is. Returns the version that holds now (0: there is none).
+///
+/// The first hypothesis keeps its confidence; other hypotheses are dropped. `referenced_ns`: the time that the new
+/// data speak of.
+///
+/// # Errors
+/// [`MemoryError::Conflict`] after many tries in a row; otherwise as [`Memory::commit`].
+pub async fn modify<F>(
+    memory: &dyn Memory,
+    id: &EntityId,
+    referenced_ns: u64,
+    mut change: F,
+) -> Result<u64, MemoryError>
+where
+    F: FnMut(Option<&Snapshot>) -> Option<BTreeMap<String, Value>> + Send,
+{
+    let mut tries = 0;
+    loop {
+        let now = match memory.latest(id).await {
+            Ok(snapshot) => Some(snapshot),
+            Err(MemoryError::NotFound { .. }) => None,
+            Err(error) => return Err(error),
+        };
+        let version = now.as_ref().map_or(0, |s| s.version);
+        let Some(attributes) = change(now.as_deref()) else { return Ok(version) };
+        let confidence = now.as_ref().and_then(|s| s.instance()).map_or(1.0, |i| i.confidence);
+        let update = Commit {
+            id: id.clone(),
+            referenced_ns,
+            instances: vec![Instance { attributes, confidence }],
+            expected_version: Some(version),
+        };
+        tries += 1;
+        match memory.commit(vec![update]).await {
+            Ok(versions) => return Ok(versions.first().copied().unwrap_or(version + 1)),
+            Err(MemoryError::Conflict { .. }) if tries < MODIFY_TRIES => tokio::task::yield_now().await,
+            Err(error) => return Err(error),
+        }
+    }
+}

@@ -1,0 +1,259 @@
+//! Typed core segments: which attributes their entities have, of which type. Segments that nobody declared are
+//! free, and so are attributes that a schema does not name.
+
+use std::collections::BTreeMap;
+
+use armarium_values::{Type, Unit, Value};
+
+use crate::entity::{EntityId, Instance};
+use crate::error::MemoryError;
+
+/// Deepest nesting of an attribute's value; the codec reads back what is not deeper.
+const DEEPEST: usize = 16;
+
+/// One attribute of a typed core segment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Attribute {
+    /// Its name.
+    pub name: String,
+    /// Its type; a whole number may stand where a `Float` is declared.
+    pub ty: Type,
+    /// Whether every instance has it.
+    pub required: bool,
+    /// One sentence for people, with frame and unit.
+    pub description: String,
+}
+
+/// What the entities of a core segment look like.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SegmentSchema {
+    /// The core segment's name.
+    pub segment: String,
+    /// What it holds, in one sentence.
+    pub description: String,
+    /// The attributes that are checked.
+    pub attributes: Vec<Attribute>,
+}
+
+impl SegmentSchema {
+    /// A core segment without checked attributes.
+    #[must_use]
+    pub fn new(segment: &str, description: &str) -> Self {
+        Self { segment: segment.into(), description: description.into(), attributes: Vec::new() }
+    }
+
+    /// The same schema with one more attribute that every instance has.
+    #[must_use]
+    pub fn required(self, name: &str, ty: Type, description: &str) -> Self {
+        self.attribute(name, ty, true, description)
+    }
+
+    /// The same schema with one more attribute that an instance may have.
+    #[must_use]
+    pub fn optional(self, name: &str, ty: Type, description: &str) -> Self {
+        self.attribute(name, ty, false, description)
+    }
+
+    fn attribute(mut self, name: &str, ty: Type, required: bool, description: &str) -> Self {
+        self.attributes.push(Attribute { name: name.into(), ty, required, description: description.into() });
+        self
+    }
+
+    /// Checks one instance.
+    ///
+    /// # Errors
+    /// [`MemoryError::Schema`] names the first attribute that does not fit.
+    pub fn check(&self, id: &EntityId, instance: &Instance) -> Result<(), MemoryError> {
+        for attribute in &self.attributes {
+            let wrong = match instance.attributes.get(&attribute.name) {
+                None if attribute.required => {
+                    Some(Misfit::here(format!("is missing: {}", attribute.description)))
+                }
+                None => None,
+                Some(value) => misfit(&attribute.ty, value),
+            };
+            if let Some(Misfit { path, what }) = wrong {
+                let attribute = format!("{}{path}", attribute.name);
+                return Err(MemoryError::Schema { id: id.to_string(), attribute, what });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Where inside an attribute, and what is wrong there.
+struct Misfit {
+    path: String,
+    what: String,
+}
+
+impl Misfit {
+    fn here(what: String) -> Self {
+        Self { path: String::new(), what }
+    }
+
+    fn inside(self, step: &str) -> Self {
+        Self { path: format!("{step}{}", self.path), what: self.what }
+    }
+}
+
+fn misfit(ty: &Type, value: &Value) -> Option<Misfit> {
+    let finite = |numbers: &[f64]| {
+        (!numbers.iter().all(|n| n.is_finite())).then(|| Misfit::here("is not finite".into()))
+    };
+    match (ty, value) {
+        (Type::Any, _)
+        | (Type::Bool, Value::Bool(_))
+        | (Type::Int | Type::Float(_) | Type::Duration, Value::Int(_))
+        | (Type::String, Value::String(_))
+        | (Type::Bytes, Value::Bytes(_)) => None,
+        (Type::Float(_), Value::Float(x)) | (Type::Duration, Value::Float(x) | Value::Duration(x)) => {
+            finite(&[*x])
+        }
+        (Type::List(ty), Value::List(items)) => {
+            items.iter().enumerate().find_map(|(i, item)| Some(misfit(ty, item)?.inside(&format!("[{i}]"))))
+        }
+        (Type::Map(ty), Value::Map(fields)) => {
+            fields.iter().find_map(|(name, item)| Some(misfit(ty, item)?.inside(&format!(".{name}"))))
+        }
+        (Type::Record(types), Value::Map(fields)) => {
+            types.iter().find_map(|(name, ty)| match fields.get(name) {
+                None => Some(Misfit::here(format!("has no field `{name}`"))),
+                Some(item) => Some(misfit(ty, item)?.inside(&format!(".{name}"))),
+            })
+        }
+        (Type::Enum(words), Value::String(word)) => (!words.contains(word))
+            .then(|| Misfit::here(format!("is `{word}`, not one of {}", words.join(", ")))),
+        (Type::Vector, Value::Vector(v)) => finite(&v.components),
+        (Type::Pose, Value::Pose(p)) => {
+            let length = p.orientation.iter().map(|q| q * q).sum::<f64>().sqrt();
+            finite(&p.position).or_else(|| finite(&p.orientation)).or_else(|| {
+                ((length - 1.0).abs() > 1e-3)
+                    .then(|| Misfit::here("has an orientation that is not a unit quaternion".into()))
+            })
+        }
+        (Type::Wrench, Value::Wrench(w)) => finite(&w.force).or_else(|| finite(&w.torque)),
+        (Type::Reference(kind), Value::Reference(r)) => (r.kind != *kind)
+            .then(|| Misfit::here(format!("refers to the {} `{}`, not to a {kind}", r.kind, r.id))),
+        (ty, value) => Some(Misfit::here(format!("is {}, where {ty} is wanted", value.describe()))),
+    }
+}
+
+/// Whether a value is nested so deep that it could not be stored or sent.
+pub(crate) fn too_deep(value: &Value) -> bool {
+    fn deeper(value: &Value, left: usize) -> bool {
+        left == 0
+            || match value {
+                Value::List(items) => items.iter().any(|v| deeper(v, left - 1)),
+                Value::Map(fields) => fields.values().any(|v| deeper(v, left - 1)),
+                _ => false,
+            }
+    }
+    deeper(value, DEEPEST)
+}
+
+/// The typed core segments that every working memory has, by name.
+#[must_use]
+pub fn core_segments() -> BTreeMap<String, SegmentSchema> {
+    let numbers = || Type::list(Type::FLOAT);
+    let metres = || Type::quantity(Unit::M);
+    let segments = [
+        SegmentSchema::new("ObjectInstances", "Things that were seen, and where they are.")
+            .required("class", Type::String, "name of its class in ObjectClasses")
+            .optional("pose", Type::Pose, "pose of the object, m, in its frame")
+            .optional("position", Type::Vector, "centre of the object, m, in its frame")
+            .optional("velocity", Type::Vector, "velocity of the centre, m/s, in its frame")
+            .optional("position_covariance", numbers(), "covariance of the position, m^2, 3x3 by rows")
+            .optional("attached_to", Type::String, "what it moves with: a hand or another object"),
+        SegmentSchema::new("ObjectClasses", "What is known of a kind of thing before it is seen.")
+            .required("color", numbers(), "red, green and blue, 0 to 255")
+            .required("size", Type::list(metres()), "extent along the object's x, y and z, m")
+            .required("recognition", Type::String, "the method that finds it in images")
+            .optional("mass", Type::quantity(Unit::KG), "mass, kg")
+            .optional("description", Type::String, "a sentence for people")
+            .optional("grasps", Type::list(grasp()), "hand poses in the object's frame"),
+        SegmentSchema::new("ObjectRelations", "How things stand to each other.")
+            .required("subject", Type::String, "address of the one")
+            .required("relation", Type::String, "on, in, near, left_of ...")
+            .required("object", Type::String, "address of the other"),
+        SegmentSchema::new("AgentInstances", "The agents, and where they stand.")
+            .optional("pose", Type::Pose, "pose of the agent's root frame, m")
+            .optional("joints", Type::map(Type::FLOAT), "joint positions by name, rad"),
+        SegmentSchema::new("EnvironmentModels", "Tables, walls and other places.")
+            .optional("pose", Type::Pose, "pose of the model, m")
+            .optional("size", Type::list(metres()), "extent along its x, y and z, m"),
+        SegmentSchema::new("Grasps", "Grasps that were tried.")
+            .required("object", Type::String, "address or class of the object")
+            .optional("pose", Type::Pose, "pose of the hand in the object's frame, m")
+            .optional("success", Type::Bool, "whether the object was held"),
+        SegmentSchema::new("Motions", "Movement primitives that were learned.")
+            .optional("kind", Type::String, "which primitive")
+            .optional("frequency", Type::quantity(Unit::HZ), "of a periodic motion, Hz"),
+        SegmentSchema::new("HumanHands", "Hands of people, and what they show.")
+            .optional("gesture", Type::String, "none, fist, open_hand, point_one or point_two")
+            .optional("position", Type::Vector, "centre of the palm, m, in its frame")
+            .optional("direction", Type::Vector, "unit vector along the pointing finger, in its frame")
+            .optional("fingertips", Type::list(Type::Vector), "fingertips from thumb on, m, in their frame"),
+        SegmentSchema::new("HumanPoses", "Bodies of people.").optional(
+            "keypoints",
+            Type::map(Type::Vector),
+            "joints of the body by name, m, in their frame",
+        ),
+    ];
+    segments.into_iter().map(|schema| (schema.segment.clone(), schema)).collect()
+}
+
+fn grasp() -> Type {
+    Type::record([("name", Type::String), ("pose", Type::Pose)])
+}
+
+#[cfg(test)]
+mod tests {
+    use armarium_values::{Frame, Pose, Vector};
+
+    use super::*;
+
+    fn complaint(segment: &str, attributes: &[(&str, Value)]) -> String {
+        let id = EntityId::new(segment, "p", "e").unwrap();
+        let attributes = attributes.iter().map(|(k, v)| ((*k).to_owned(), v.clone())).collect();
+        match core_segments()[segment].check(&id, &Instance::new(attributes)) {
+            Ok(()) => "fits".into(),
+            Err(error) => error.to_string(),
+        }
+    }
+
+    #[test]
+    fn typed_segments_check_what_they_name_and_leave_the_rest_free() {
+        let at = |x: f64| Value::Vector(Vector { frame: Frame::root(), components: [x, 0.0, 0.0] });
+        let class = ("class", Value::from("sponge"));
+        let turned = |w: f64| {
+            let pose = Pose { frame: Frame::root(), position: [0.0; 3], orientation: [0.0, 0.0, 0.0, w] };
+            Value::Pose(pose)
+        };
+        let refused =
+            |what: &str| format!("`ObjectInstances/p/e` does not fit the core segment: attribute {what}");
+        for (attributes, expected) in [
+            (vec![class.clone(), ("position", at(1.0)), ("smell", Value::Null)], "fits".to_owned()),
+            (vec![], refused("`class` is missing: name of its class in ObjectClasses")),
+            (vec![("class", Value::Int(3))], refused("`class` is the int 3, where string is wanted")),
+            (vec![class.clone(), ("position", at(f64::NAN))], refused("`position` is not finite")),
+            (
+                vec![class.clone(), ("pose", turned(0.5))],
+                refused("`pose` has an orientation that is not a unit quaternion"),
+            ),
+            (
+                vec![class, ("position_covariance", Value::List(vec![1.0.into(), "x".into()]))],
+                refused("`position_covariance[1]` is the string \"x\", where float is wanted"),
+            ),
+        ] {
+            assert_eq!(complaint("ObjectInstances", &attributes), expected);
+        }
+    }
+
+    #[test]
+    fn depth_is_bounded() {
+        let nested = |n| (0..n).fold(Value::Null, |v, _| Value::List(vec![v]));
+        assert!(!too_deep(&nested(DEEPEST - 1)));
+        assert!(too_deep(&nested(DEEPEST)));
+    }
+}
