@@ -1,0 +1,112 @@
+//! What the recording's messages hold: Foxglove's where they exist, and JSON of our own with their schemas.
+
+use armarium_visionx::Image;
+use foxglove::messages as fg;
+use nalgebra::Isometry3;
+use serde::{Deserialize, Serialize};
+
+/// The frame that poses are recorded in: x right, y forward, z up, origin on the floor.
+pub(super) const ROOT: &str = "root";
+
+/// The true contact between sponge and table at one instant.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Contact {
+    /// Force along the table's normal, N; positive presses.
+    pub normal_n: f64,
+    /// Size of the force in the table's plane, N.
+    pub tangential_n: f64,
+}
+
+/// The wrist's force and torque at one instant.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct WrenchSample {
+    /// Force as the sensor gives it, in the sensor's frame, N.
+    pub force_raw: [f64; 3],
+    /// Torque about the sensor's origin as the sensor gives it, in the sensor's frame, N m.
+    pub torque_raw: [f64; 3],
+    /// Force of the environment on the hand, compensated, in the root frame, N.
+    pub force: [f64; 3],
+    /// Torque of the environment on the hand about the TCP, compensated, in the root frame, N m.
+    pub torque: [f64; 3],
+}
+
+/// How much a log line matters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum LogLevel {
+    /// For whoever looks for a fault.
+    Debug,
+    /// What happens.
+    Info,
+    /// What may go wrong.
+    Warning,
+    /// What went wrong.
+    Error,
+}
+
+pub(super) const CONTACT_SCHEMA: &str = r#"{"title":"armarium.Contact","description":"True contact between sponge and table.","type":"object","properties":{"normal_n":{"type":"number","description":"Force along the table's normal, N; positive presses."},"tangential_n":{"type":"number","description":"Size of the force in the table's plane, N."}},"required":["normal_n","tangential_n"]}"#;
+
+pub(super) const WRENCH_SCHEMA: &str = r#"{"title":"armarium.WrenchSample","description":"Force and torque at the wrist.","type":"object","properties":{"force_raw":{"type":"array","items":{"type":"number"},"description":"As the sensor gives it, sensor frame, N."},"torque_raw":{"type":"array","items":{"type":"number"},"description":"As the sensor gives it, about the sensor's origin, sensor frame, N m."},"force":{"type":"array","items":{"type":"number"},"description":"Of the environment on the hand, compensated, root frame, N."},"torque":{"type":"array","items":{"type":"number"},"description":"Of the environment on the hand about the TCP, compensated, root frame, N m."}},"required":["force_raw","torque_raw","force","torque"]}"#;
+
+pub(super) const EVENT_SCHEMA: &str = r#"{"title":"armarium.ChartEvent","description":"Something that happened in the chart.","type":"object"}"#;
+
+pub(super) const OBJECT_SCHEMA: &str = r#"{"title":"armarium.Object","type":"object"}"#;
+
+pub(super) fn stamp(t_ns: u64) -> Option<fg::Timestamp> {
+    let seconds = u32::try_from(t_ns / 1_000_000_000).unwrap_or(u32::MAX);
+    fg::Timestamp::new_checked(seconds, (t_ns % 1_000_000_000) as u32)
+}
+
+pub(super) fn pose(root_from_thing: &Isometry3<f64>) -> fg::Pose {
+    let t = root_from_thing.translation.vector;
+    let q = root_from_thing.rotation.coords;
+    fg::Pose {
+        position: Some(fg::Vector3 { x: t.x, y: t.y, z: t.z }),
+        orientation: Some(fg::Quaternion { x: q.x, y: q.y, z: q.z, w: q.w }),
+    }
+}
+
+/// The part of a topic after its last slash: the frame of what the topic is about.
+pub(super) fn frame_of(topic: &str) -> String {
+    topic.rsplit('/').next().unwrap_or(topic).to_owned()
+}
+
+pub(super) fn transform(topic: &str) -> fg::FrameTransform {
+    fg::FrameTransform { parent_frame_id: ROOT.into(), child_frame_id: frame_of(topic), ..Default::default() }
+}
+
+pub(super) fn compressed_image(topic: &str, t_ns: u64, data: Vec<u8>) -> fg::CompressedImage {
+    fg::CompressedImage {
+        timestamp: stamp(t_ns),
+        frame_id: frame_of(topic),
+        data: data.into(),
+        format: "jpeg".into(),
+    }
+}
+
+pub(super) fn raw_image(topic: &str, t_ns: u64, image: &Image) -> fg::RawImage {
+    fg::RawImage {
+        timestamp: stamp(t_ns),
+        frame_id: frame_of(topic),
+        width: image.width(),
+        height: image.height(),
+        encoding: "rgb8".into(),
+        step: image.width().saturating_mul(3),
+        data: image.data().to_vec().into(),
+    }
+}
+
+pub(super) fn log(t_ns: u64, level: LogLevel, source: &str, message: &str) -> fg::Log {
+    let level = match level {
+        LogLevel::Debug => fg::log::Level::Debug,
+        LogLevel::Info => fg::log::Level::Info,
+        LogLevel::Warning => fg::log::Level::Warning,
+        LogLevel::Error => fg::log::Level::Error,
+    };
+    fg::Log {
+        timestamp: stamp(t_ns),
+        level: level.into(),
+        message: message.to_owned(),
+        name: source.to_owned(),
+        ..Default::default()
+    }
+}

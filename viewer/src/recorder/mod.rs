@@ -1,0 +1,381 @@
+//! `run.mcap`: a recording of a run that opens in Foxglove and Rerun and that any MCAP library reads.
+//!
+//! Poses, joints, images and log lines use Foxglove's protobuf schemas; contact, wrench and chart events are JSON
+//! with a schema in the file. Messages are gathered in compressed chunks that are written whole, at the latest
+//! every [`RecorderOptions::flush_period_ns`]: after a crash the file lacks its index, and readers that go through
+//! it from the front find all but the last moments.
+//!
+//! The recorder keeps one chunk in memory and its index, whatever the run's length. It never reads a clock: the
+//! caller gives each message's time.
+
+mod messages;
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
+use std::sync::Arc;
+
+use armarium_visionx::Image;
+use foxglove::messages as fg;
+use foxglove::{Channel, Context, McapCompression, McapWriteOptions, McapWriterHandle, RawChannel, Schema};
+use image::codecs::jpeg::JpegEncoder;
+use nalgebra::Isometry3;
+use serde::Serialize;
+
+pub use messages::{Contact, LogLevel, WrenchSample};
+
+/// How a recording is made.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecorderOptions {
+    /// Messages are written to the file at the latest after this much of the run's time, ns.
+    pub flush_period_ns: u64,
+    /// Size of an uncompressed chunk, bytes: the recorder's memory, and what a reader has to unpack at once.
+    pub chunk_bytes: u64,
+    /// Poses are repeated on `/tf` for three-dimensional views with at least this much time between them, ns;
+    /// 0 repeats none.
+    pub transform_period_ns: u64,
+    /// Images of one topic are at least this far apart, ns; those between are not recorded.
+    pub image_period_ns: u64,
+    /// Quality of JPEG images, 1 to 100.
+    pub jpeg_quality: u8,
+}
+
+impl Default for RecorderOptions {
+    fn default() -> Self {
+        Self {
+            flush_period_ns: 2_000_000_000,
+            chunk_bytes: 1 << 20,
+            transform_period_ns: 20_000_000,
+            image_period_ns: 500_000_000,
+            jpeg_quality: 80,
+        }
+    }
+}
+
+/// How an image is stored.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ImageCoding {
+    /// JPEG: small, costs a few milliseconds a frame of 640 by 480.
+    #[default]
+    Jpeg,
+    /// All bytes as they are: 921 600 a frame of 640 by 480.
+    Raw,
+}
+
+/// Why a recording cannot be made or finished.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RecorderError {
+    /// The file cannot be created.
+    #[error("cannot create the recording `{path}`")]
+    Create {
+        /// Its path.
+        path: String,
+        /// What the system says.
+        #[source]
+        source: std::io::Error,
+    },
+    /// The file cannot be written.
+    #[error("cannot write the recording")]
+    Write {
+        /// What the writer says.
+        #[source]
+        source: foxglove::FoxgloveError,
+    },
+    /// A message cannot be encoded.
+    #[error("cannot encode a message for `{topic}`: {what}")]
+    Encode {
+        /// The topic.
+        topic: String,
+        /// What is wrong.
+        what: String,
+    },
+}
+
+impl From<foxglove::FoxgloveError> for RecorderError {
+    fn from(source: foxglove::FoxgloveError) -> Self {
+        Self::Write { source }
+    }
+}
+
+struct PoseTopic {
+    channel: Channel<fg::PoseInFrame>,
+    transform: fg::FrameTransform,
+    next_transform_ns: u64,
+}
+
+enum ImageChannel {
+    Jpeg(Channel<fg::CompressedImage>),
+    Raw(Channel<fg::RawImage>),
+}
+
+struct ImageTopic {
+    channel: ImageChannel,
+    next_ns: u64,
+}
+
+/// A recording that is being written. Dropping it finishes the file; [`Recorder::finish`] also says whether that
+/// went well.
+pub struct Recorder {
+    options: RecorderOptions,
+    context: Arc<Context>,
+    writer: McapWriterHandle<BufWriter<File>>,
+    poses: BTreeMap<String, PoseTopic>,
+    images: BTreeMap<String, ImageTopic>,
+    json: BTreeMap<String, Arc<RawChannel>>,
+    transforms: Channel<fg::FrameTransform>,
+    joints: Channel<fg::JointStates>,
+    joint_states: fg::JointStates,
+    log: Channel<fg::Log>,
+    buffer: Vec<u8>,
+    next_flush_ns: u64,
+}
+
+impl std::fmt::Debug for Recorder {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Recorder").field("options", &self.options).finish_non_exhaustive()
+    }
+}
+
+/// Topics whose JSON messages have a schema of their own, in the order name, schema's name, schema.
+const JSON_SCHEMAS: [(&str, &str, &str); 3] = [
+    ("/truth/contact", "armarium.Contact", messages::CONTACT_SCHEMA),
+    ("/robot/wrench", "armarium.WrenchSample", messages::WRENCH_SCHEMA),
+    ("/chart/events", "armarium.ChartEvent", messages::EVENT_SCHEMA),
+];
+
+impl Recorder {
+    /// Creates the file, replacing one that is there. `metadata` (seed, world, chart ...) is stored with it.
+    ///
+    /// # Errors
+    /// [`RecorderError::Create`] when the file cannot be created, [`RecorderError::Write`] when it cannot be
+    /// written.
+    pub fn create(path: &Path, metadata: BTreeMap<String, String>) -> Result<Self, RecorderError> {
+        Self::create_with(path, metadata, RecorderOptions::default())
+    }
+
+    /// Like [`Recorder::create`], with options.
+    ///
+    /// # Errors
+    /// As [`Recorder::create`].
+    pub fn create_with(
+        path: &Path,
+        metadata: BTreeMap<String, String>,
+        options: RecorderOptions,
+    ) -> Result<Self, RecorderError> {
+        let file = File::create(path)
+            .map_err(|source| RecorderError::Create { path: path.display().to_string(), source })?;
+        let context = Context::new();
+        // Without seeking, a chunk is written whole: a crash never leaves one whose length is not known.
+        let write = McapWriteOptions::new()
+            .compression(Some(McapCompression::Lz4))
+            .chunk_size(Some(options.chunk_bytes))
+            .disable_seeking(true);
+        let writer = context.mcap_writer_with_options(write).create(BufWriter::with_capacity(1 << 16, file))?;
+        writer.write_metadata("run", metadata)?;
+        Ok(Self {
+            transforms: context.channel_builder("/tf").build(),
+            joints: context.channel_builder("/robot/joints").build(),
+            log: context.channel_builder("/log").build(),
+            next_flush_ns: options.flush_period_ns,
+            options,
+            context,
+            writer,
+            poses: BTreeMap::new(),
+            images: BTreeMap::new(),
+            json: BTreeMap::new(),
+            joint_states: fg::JointStates::default(),
+            buffer: Vec::with_capacity(1024),
+        })
+    }
+
+    /// Records where something is: `root_from_thing`, m. The thing is named by the topic's last part.
+    pub fn pose(&mut self, topic: &str, t_ns: u64, root_from_thing: &Isometry3<f64>) {
+        self.tick(t_ns);
+        let pose = messages::pose(root_from_thing);
+        let message =
+            fg::PoseInFrame { timestamp: messages::stamp(t_ns), frame_id: messages::ROOT.into(), pose: Some(pose) };
+        let period = self.options.transform_period_ns;
+        if !self.poses.contains_key(topic) {
+            let entry = PoseTopic {
+                channel: self.context.channel_builder(topic).build(),
+                transform: messages::transform(topic),
+                next_transform_ns: t_ns,
+            };
+            self.poses.insert(topic.to_owned(), entry);
+        }
+        let Some(entry) = self.poses.get_mut(topic) else { return };
+        entry.channel.log_with_time(&message, t_ns);
+        if period > 0 && t_ns >= entry.next_transform_ns {
+            entry.next_transform_ns = t_ns.saturating_add(period);
+            entry.transform.timestamp = messages::stamp(t_ns);
+            entry.transform.translation = pose.position;
+            entry.transform.rotation = pose.orientation;
+            self.transforms.log_with_time(&entry.transform, t_ns);
+        }
+    }
+
+    /// Records the true contact between sponge and table on `/truth/contact`.
+    ///
+    /// # Errors
+    /// [`RecorderError::Encode`] when the message cannot be encoded.
+    pub fn contact(&mut self, t_ns: u64, contact: &Contact) -> Result<(), RecorderError> {
+        self.json("/truth/contact", t_ns, contact)
+    }
+
+    /// Records positions (rad or m) and velocities (rad/s or m/s) of all joints on `/robot/joints`. The slices
+    /// are in one order; a value that is missing is not recorded.
+    pub fn joints(&mut self, t_ns: u64, names: &[String], position: &[f64], velocity: &[f64]) {
+        self.tick(t_ns);
+        let joints = &mut self.joint_states.joints;
+        if joints.len() != names.len() || joints.iter().zip(names).any(|(joint, name)| joint.name != *name) {
+            *joints =
+                names.iter().map(|name| fg::JointState { name: name.clone(), ..Default::default() }).collect();
+        }
+        for (i, joint) in joints.iter_mut().enumerate() {
+            joint.position = position.get(i).copied();
+            joint.velocity = velocity.get(i).copied();
+        }
+        self.joint_states.timestamp = messages::stamp(t_ns);
+        self.joints.log_with_time(&self.joint_states, t_ns);
+    }
+
+    /// Records the wrist's force and torque on `/robot/wrench`.
+    ///
+    /// # Errors
+    /// [`RecorderError::Encode`] when the message cannot be encoded.
+    pub fn wrench(&mut self, t_ns: u64, sample: &WrenchSample) -> Result<(), RecorderError> {
+        self.json("/robot/wrench", t_ns, sample)
+    }
+
+    /// Records something that happened in the chart on `/chart/events`: an object.
+    ///
+    /// # Errors
+    /// [`RecorderError::Encode`] when the message cannot be encoded.
+    pub fn event(&mut self, t_ns: u64, event: &serde_json::Value) -> Result<(), RecorderError> {
+        self.json("/chart/events", t_ns, event)
+    }
+
+    /// Records a JSON message of any topic.
+    ///
+    /// # Errors
+    /// [`RecorderError::Encode`] when the message cannot be encoded.
+    pub fn json(&mut self, topic: &str, t_ns: u64, message: &impl Serialize) -> Result<(), RecorderError> {
+        self.tick(t_ns);
+        let encode = |what: String| RecorderError::Encode { topic: topic.to_owned(), what };
+        self.buffer.clear();
+        serde_json::to_writer(&mut self.buffer, message).map_err(|e| encode(e.to_string()))?;
+        if let Some(channel) = self.json.get(topic) {
+            channel.log_with_meta(&self.buffer, foxglove::PartialMetadata::with_log_time(t_ns));
+            return Ok(());
+        }
+        let (_, name, schema) = JSON_SCHEMAS
+            .into_iter()
+            .find(|(known, ..)| *known == topic)
+            .unwrap_or((topic, "armarium.Object", messages::OBJECT_SCHEMA));
+        let channel = self
+            .context
+            .channel_builder(topic)
+            .message_encoding("json")
+            .schema(Schema::new(name, "jsonschema", schema.as_bytes()))
+            .build_raw()?;
+        channel.log_with_meta(&self.buffer, foxglove::PartialMetadata::with_log_time(t_ns));
+        self.json.insert(topic.to_owned(), channel);
+        Ok(())
+    }
+
+    /// Whether an image of this topic and time would be recorded: ask before making one only for the recording.
+    #[must_use]
+    pub fn wants_image(&self, topic: &str, t_ns: u64) -> bool {
+        self.images.get(topic).is_none_or(|image| t_ns >= image.next_ns)
+    }
+
+    /// Records an image, unless the last one of this topic is nearer than
+    /// [`RecorderOptions::image_period_ns`]. The first image of a topic settles its coding.
+    ///
+    /// # Errors
+    /// [`RecorderError::Encode`] when JPEG cannot hold the image.
+    pub fn image(
+        &mut self,
+        topic: &str,
+        t_ns: u64,
+        image: &Image,
+        coding: ImageCoding,
+    ) -> Result<(), RecorderError> {
+        self.tick(t_ns);
+        if !self.wants_image(topic, t_ns) {
+            return Ok(());
+        }
+        if !self.images.contains_key(topic) {
+            let builder = self.context.channel_builder(topic);
+            let channel = match coding {
+                ImageCoding::Jpeg => ImageChannel::Jpeg(builder.build()),
+                ImageCoding::Raw => ImageChannel::Raw(builder.build()),
+            };
+            self.images.insert(topic.to_owned(), ImageTopic { channel, next_ns: t_ns });
+        }
+        let Some(entry) = self.images.get_mut(topic) else { return Ok(()) };
+        entry.next_ns = t_ns.saturating_add(self.options.image_period_ns);
+        match &entry.channel {
+            ImageChannel::Jpeg(channel) => {
+                let data = jpeg(image, self.options.jpeg_quality)
+                    .map_err(|e| RecorderError::Encode { topic: topic.to_owned(), what: e.to_string() })?;
+                channel.log_with_time(&messages::compressed_image(topic, t_ns, data), t_ns);
+            }
+            ImageChannel::Raw(channel) => channel.log_with_time(&messages::raw_image(topic, t_ns, image), t_ns),
+        }
+        Ok(())
+    }
+
+    /// Records a line for people on `/log`; `source` is who says it, for instance a state's path.
+    pub fn log(&mut self, t_ns: u64, level: LogLevel, source: &str, message: &str) {
+        self.tick(t_ns);
+        self.log.log_with_time(&messages::log(t_ns, level, source, message), t_ns);
+    }
+
+    /// Stores a file inside the recording, for instance the chart or the world.
+    ///
+    /// # Errors
+    /// [`RecorderError::Write`] when it cannot be written.
+    pub fn attach(&mut self, name: &str, media_type: &str, data: &[u8]) -> Result<(), RecorderError> {
+        let attachment = foxglove::McapAttachment {
+            log_time: 0,
+            create_time: 0,
+            name: name.to_owned(),
+            media_type: media_type.to_owned(),
+            data: data.into(),
+        };
+        Ok(self.writer.attach(&attachment)?)
+    }
+
+    /// Writes the index and closes the file.
+    ///
+    /// # Errors
+    /// [`RecorderError::Write`] when the file, now or earlier, could not be written.
+    pub fn finish(self) -> Result<(), RecorderError> {
+        let file = self.writer.close()?;
+        file.into_inner()
+            .map(drop)
+            .map_err(|e| RecorderError::Write { source: foxglove::FoxgloveError::from(e.into_error()) })
+    }
+
+    /// Writes what has gathered when it is time. Errors stay with the writer: [`Recorder::finish`] reports them.
+    fn tick(&mut self, t_ns: u64) {
+        if t_ns >= self.next_flush_ns {
+            self.next_flush_ns = t_ns.saturating_add(self.options.flush_period_ns);
+            drop(self.writer.flush());
+        }
+    }
+}
+
+fn jpeg(image: &Image, quality: u8) -> Result<Vec<u8>, image::ImageError> {
+    let mut data = Vec::with_capacity(image.data().len() / 8);
+    JpegEncoder::new_with_quality(&mut data, quality.clamp(1, 100)).encode(
+        image.data(),
+        image.width(),
+        image.height(),
+        image::ExtendedColorType::Rgb8,
+    )?;
+    Ok(data)
+}
