@@ -14,11 +14,14 @@
 mod coach;
 mod error;
 mod field;
+mod fourier;
 mod kernels;
 mod motion;
+mod oscillator;
 mod path;
 mod pdmp;
 mod pdmp_learning;
+mod period;
 mod rigid_fit;
 mod servo;
 mod surface_correction;
@@ -30,9 +33,11 @@ pub use field::{
 };
 pub use kernels::PhaseKernels;
 pub use motion::{Motion, MotionDof, MotionSwitch};
+pub use oscillator::{AdaptiveOscillator, OscillatorConfig, OscillatorRule};
 pub use path::{PathResponse, PeriodicPath};
 pub use pdmp::{DmpState, Integrator, PeriodicDmp, PeriodicDmpConfig};
 pub use pdmp_learning::PhaseSample;
+pub use period::{PeriodEstimate, PeriodEstimator};
 pub use rigid_fit::{RigidFit, rigid_fit};
 pub use servo::{PositionServo, ServoCommand, ServoConfig, ServoObservation, ServoStatus};
 pub use surface_correction::SurfaceCorrection;

@@ -340,8 +340,11 @@ mod tests {
             .with_surface(Some(surface));
         let text = serde_json::to_string(&motion).unwrap();
         let loaded: Motion = serde_json::from_str(&text).unwrap();
-        assert_eq!(serde_json::to_string(&loaded).unwrap(), text);
-        assert_eq!(loaded.primitive().steady_path(50).unwrap(), motion.primitive().steady_path(50).unwrap());
+        // JSON's numbers may be off by the last bit.
+        let (a, b) =
+            (loaded.primitive().steady_path(50).unwrap(), motion.primitive().steady_path(50).unwrap());
+        assert!((0..50).all(|s| (0..3).all(|d| (a.y[s][d] - b.y[s][d]).abs() < 1e-12)));
+        assert_eq!(loaded.surface(), motion.surface());
         let next = loaded.next_version(primitive(25, 2), "a push").unwrap();
         assert_eq!((next.version(), next.name(), next.learned_from()), (2, "wipe", "a push"));
     }

@@ -1,0 +1,195 @@
+//! The adaptive Fourier series of several coordinates on one phase (eq. 3), in signal units.
+
+use nalgebra::{DMatrix, DVector};
+
+/// `v_d(phase) = sum_c alpha_dc cos(c phase) + beta_dc sin(c phase)`, c from 0 to the number of harmonics.
+#[derive(Debug, Clone)]
+pub(crate) struct FourierSeries {
+    dims: usize,
+    harmonics: usize,
+    /// `alpha[d * (harmonics + 1) + c]`.
+    alpha: Vec<f64>,
+    beta: Vec<f64>,
+    /// Cosines and sines of the last evaluated phase.
+    cosine: Vec<f64>,
+    sine: Vec<f64>,
+}
+
+impl FourierSeries {
+    pub(crate) fn new(dims: usize, harmonics: usize) -> Self {
+        let n = dims * (harmonics + 1);
+        Self {
+            dims,
+            harmonics,
+            alpha: vec![0.0; n],
+            beta: vec![0.0; n],
+            cosine: vec![1.0; harmonics + 1],
+            sine: vec![0.0; harmonics + 1],
+        }
+    }
+
+    pub(crate) fn harmonics(&self) -> usize {
+        self.harmonics
+    }
+
+    /// The weights alpha and beta of coordinate `d` and harmonic `c`.
+    pub(crate) fn weight(&self, d: usize, c: usize) -> (f64, f64) {
+        let i = d * (self.harmonics + 1) + c;
+        (self.alpha[i], self.beta[i])
+    }
+
+    fn tabulate(&mut self, phase: f64) {
+        let (sin, cos) = phase.sin_cos();
+        let (mut s, mut c) = (0.0, 1.0);
+        for k in 0..=self.harmonics {
+            self.cosine[k] = c;
+            self.sine[k] = s;
+            (c, s) = (c * cos - s * sin, s * cos + c * sin);
+        }
+    }
+
+    /// The value of every coordinate at `phase`, which later calls of [`learn`](Self::learn) refer to, and the
+    /// derivative after the phase with each harmonic divided by its number: a phase detector that steep edges do
+    /// not make narrow.
+    pub(crate) fn evaluate(&mut self, phase: f64, value: &mut [f64], slope: &mut [f64]) {
+        self.tabulate(phase);
+        for d in 0..self.dims {
+            let (mut v, mut s) = (0.0, 0.0);
+            for c in 0..=self.harmonics {
+                let (a, b) = self.weight(d, c);
+                v += a * self.cosine[c] + b * self.sine[c];
+                s += b * self.cosine[c] - a * self.sine[c];
+            }
+            value[d] = v;
+            slope[d] = s;
+        }
+    }
+
+    /// Value, first and second derivative after the phase, for learning from.
+    pub(crate) fn triplet(&self, phase: f64, y: &mut [f64], dy: &mut [f64], ddy: &mut [f64]) {
+        for d in 0..self.dims {
+            (y[d], dy[d], ddy[d]) = (0.0, 0.0, 0.0);
+        }
+        for c in 0..=self.harmonics {
+            let k = c as f64;
+            let (sin, cos) = (k * phase).sin_cos();
+            for d in 0..self.dims {
+                let (a, b) = self.weight(d, c);
+                let v = a * cos + b * sin;
+                y[d] += v;
+                dy[d] += k * (b * cos - a * sin);
+                ddy[d] -= k * k * v;
+            }
+        }
+    }
+
+    /// Gradient step by `rate` on the errors at the phase of the last evaluation, for harmonics up to `highest`.
+    /// `pinned` is the coordinate whose first sine weight stays 0, so that the phase is defined.
+    pub(crate) fn learn(&mut self, rate: f64, error: &[f64], highest: usize, pinned: usize) {
+        for d in 0..self.dims {
+            let base = d * (self.harmonics + 1);
+            self.alpha[base] += rate * error[d];
+            for c in 1..=self.harmonics.min(highest) {
+                self.alpha[base + c] += 2.0 * rate * self.cosine[c] * error[d];
+                if c > 1 || d != pinned {
+                    self.beta[base + c] += 2.0 * rate * self.sine[c] * error[d];
+                }
+            }
+        }
+    }
+
+    /// Mean product of the derivative after the phase and the detector of [`evaluate`](Self::evaluate): what a phase
+    /// error of 1 rad yields.
+    pub(crate) fn slope_power(&self) -> f64 {
+        let mut power = 0.0;
+        for d in 0..self.dims {
+            for c in 1..=self.harmonics {
+                let (a, b) = self.weight(d, c);
+                power += 0.5 * c as f64 * (a * a + b * b);
+            }
+        }
+        power
+    }
+
+    /// Mean square about the mean, summed over the coordinates.
+    pub(crate) fn power(&self) -> f64 {
+        let mut power = 0.0;
+        for d in 0..self.dims {
+            for c in 1..=self.harmonics {
+                let (a, b) = self.weight(d, c);
+                power += 0.5 * (a * a + b * b);
+            }
+        }
+        power
+    }
+
+    /// The coordinate with the strongest fundamental.
+    pub(crate) fn strongest(&self) -> usize {
+        let strength = |d: &usize| {
+            let (a, b) = self.weight(*d, 1);
+            a * a + b * b
+        };
+        (0..self.dims).max_by(|x, y| strength(x).total_cmp(&strength(y))).unwrap_or(0)
+    }
+
+    /// Moves the origin of the phase to where the fundamental of coordinate `d` is largest, and returns the shift:
+    /// new phase = old phase - shift.
+    pub(crate) fn anchor(&mut self, d: usize) -> f64 {
+        let (a, b) = self.weight(d, 1);
+        let shift = b.atan2(a);
+        for c in 1..=self.harmonics {
+            let (sin, cos) = (c as f64 * shift).sin_cos();
+            for e in 0..self.dims {
+                let i = e * (self.harmonics + 1) + c;
+                let (a, b) = (self.alpha[i], self.beta[i]);
+                self.alpha[i] = a * cos + b * sin;
+                self.beta[i] = b * cos - a * sin;
+            }
+        }
+        self.beta[d * (self.harmonics + 1) + 1] = 0.0;
+        shift
+    }
+
+    /// Fits the weights up to `highest` to samples `(phase, values)` by least squares with a small ridge, and
+    /// returns the sum of squares that is left (infinite if there is no fit).
+    pub(crate) fn fit<'a>(&mut self, highest: usize, samples: impl Iterator<Item = (f64, &'a [f64])>) -> f64 {
+        let highest = highest.min(self.harmonics);
+        let n = 2 * highest + 1;
+        let mut normal: DMatrix<f64> = DMatrix::zeros(n, n);
+        let mut moment: DMatrix<f64> = DMatrix::zeros(n, self.dims);
+        let mut row: DVector<f64> = DVector::zeros(n);
+        let mut left = 0.0;
+        for (phase, values) in samples {
+            self.tabulate(phase);
+            for c in 0..=highest {
+                row[c] = self.cosine[c];
+                if c > 0 {
+                    row[highest + c] = self.sine[c];
+                }
+            }
+            normal.ger(1.0, &row, &row, 1.0);
+            for (d, v) in values.iter().enumerate().take(self.dims) {
+                moment.column_mut(d).axpy(*v, &row, 1.0);
+                left += v * v;
+            }
+        }
+        let ridge = 1e-3 * normal[(0, 0)].max(1.0);
+        for i in 1..n {
+            normal[(i, i)] += ridge;
+        }
+        let Some(factor) = normal.cholesky() else { return f64::INFINITY };
+        let solution = factor.solve(&moment);
+        self.alpha.fill(0.0);
+        self.beta.fill(0.0);
+        for d in 0..self.dims {
+            let base = d * (self.harmonics + 1);
+            for c in 0..=highest {
+                self.alpha[base + c] = solution[(c, d)];
+                if c > 0 {
+                    self.beta[base + c] = solution[(highest + c, d)];
+                }
+            }
+        }
+        left - moment.dot(&solution)
+    }
+}

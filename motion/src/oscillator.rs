@@ -1,0 +1,553 @@
+//! The adaptive frequency oscillator with an adaptive Fourier series (eqs. 1-3): phase and frequency of a periodic
+//! signal of one or several coordinates, whatever its wave form.
+//!
+//! Three things go beyond the paper. The phase error is taken from the whole estimated signal (its derivative after
+//! the phase) instead of the fundamental of one coordinate, so that figures of eight and other weak fundamentals
+//! lock too. All gains scale with the running frequency and the signal's power, so that they settle in the same
+//! number of periods at any frequency and amplitude. And the start is estimated from the signal so far
+//! ([`PeriodEstimator`]). [`OscillatorRule::Paper`] is the bare rule, to compare.
+
+use std::f64::consts::TAU;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{MotionError, positive, vector, within};
+use crate::fourier::FourierSeries;
+use crate::period::{PeriodEstimate, PeriodEstimator};
+
+/// How phase and frequency follow the error.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OscillatorRule {
+    /// Along the derivative of the estimated signal, all gains scaled.
+    #[default]
+    Scaled,
+    /// (1), (2) as printed, on the coordinate with the strongest fundamental: `-K e sin(phase)`.
+    Paper {
+        /// Coupling constant K, in 1 / (unit s) for the phase.
+        coupling: f64,
+        /// Learning rate of the weights in (3), 1/s.
+        learning: f64,
+    },
+}
+
+/// The constants of an [`AdaptiveOscillator`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OscillatorConfig {
+    /// Coordinates of the signal.
+    pub dims: usize,
+    /// Harmonics m of (3); those that the sample rate cannot show are left alone.
+    pub harmonics: usize,
+    /// How phase and frequency follow the error.
+    pub rule: OscillatorRule,
+    /// Whether the start is estimated from the signal so far.
+    pub estimate: bool,
+    /// Frequency to start from without an estimate, Hz.
+    pub initial_hz: f64,
+    /// Lowest frequency that is looked for, Hz.
+    pub lowest_hz: f64,
+    /// Highest frequency that is looked for, Hz.
+    pub highest_hz: f64,
+    /// Natural frequency of the loop that corrects phase and frequency, as a share of the running frequency.
+    pub bandwidth: f64,
+    /// Over how many periods the weights average once settled.
+    pub memory: f64,
+}
+
+impl Default for OscillatorConfig {
+    fn default() -> Self {
+        Self {
+            dims: 1,
+            harmonics: 10,
+            rule: OscillatorRule::Scaled,
+            estimate: true,
+            initial_hz: 1.0,
+            lowest_hz: 0.22,
+            highest_hz: 4.0,
+            bandwidth: 0.08,
+            memory: 5.0,
+        }
+    }
+}
+
+impl OscillatorConfig {
+    /// The defaults for a signal of `dims` coordinates.
+    #[must_use]
+    pub fn with_dims(dims: usize) -> Self {
+        Self { dims, ..Self::default() }
+    }
+}
+
+/// Finds and follows phase, frequency and wave form of a periodic signal.
+#[derive(Debug, Clone)]
+pub struct AdaptiveOscillator {
+    config: OscillatorConfig,
+    estimator: PeriodEstimator,
+    series: FourierSeries,
+    anchor: usize,
+    running: bool,
+    phase: f64,
+    omega: f64,
+    /// Phase passed since the oscillator runs, rad.
+    passed: f64,
+    elapsed: f64,
+    /// Seconds until the past is looked at again.
+    until_look: f64,
+    disagreements: u32,
+    just_started: bool,
+    periods: PeriodMeans,
+    trend: Trend,
+    value: Vec<f64>,
+    slope: Vec<f64>,
+    error: Vec<f64>,
+}
+
+impl AdaptiveOscillator {
+    /// An oscillator that has heard nothing.
+    ///
+    /// # Errors
+    /// When a constant cannot be.
+    pub fn new(config: OscillatorConfig) -> Result<Self, MotionError> {
+        within("harmonics", config.harmonics as f64, 1.0, 64.0)?;
+        positive("initial_hz", config.initial_hz)?;
+        positive("lowest_hz", config.lowest_hz)?;
+        within("highest_hz", config.highest_hz, config.lowest_hz, 1000.0 * config.lowest_hz)?;
+        within("bandwidth", config.bandwidth, 1e-4, 0.5)?;
+        within("memory", config.memory, 0.5, 1000.0)?;
+        if let OscillatorRule::Paper { coupling, learning } = config.rule {
+            positive("coupling", coupling)?;
+            positive("learning", learning)?;
+        }
+        let estimator = PeriodEstimator::new(config.dims, 1.0 / config.highest_hz, 1.0 / config.lowest_hz)?;
+        let zeros = vec![0.0; config.dims];
+        Ok(Self {
+            series: FourierSeries::new(config.dims, config.harmonics),
+            estimator,
+            anchor: 0,
+            running: !config.estimate,
+            phase: 0.0,
+            omega: TAU * config.initial_hz,
+            passed: 0.0,
+            elapsed: 0.0,
+            until_look: 0.0,
+            disagreements: 0,
+            just_started: false,
+            periods: PeriodMeans::default(),
+            trend: Trend::default(),
+            value: zeros.clone(),
+            slope: zeros.clone(),
+            error: zeros,
+            config,
+        })
+    }
+
+    /// The constants.
+    #[must_use]
+    pub fn config(&self) -> &OscillatorConfig {
+        &self.config
+    }
+
+    /// Hears the sample `v` (one value a coordinate), `dt` s after the one before. Between samples the phase runs
+    /// on by itself, so that slow and irregular sampling does no harm.
+    ///
+    /// # Errors
+    /// When `dt` is not positive or the sample does not fit; nothing is changed.
+    ///
+    /// # Source
+    /// Eqs. (1)-(3); how it differs is said at the top of the module.
+    pub fn update(&mut self, dt: f64, v: &[f64]) -> Result<(), MotionError> {
+        positive("dt", dt)?;
+        vector("signal", self.config.dims, v)?;
+        self.estimator.push(dt, v)?;
+        if self.config.estimate {
+            self.look_back(dt);
+        }
+        if self.running {
+            match self.config.rule {
+                OscillatorRule::Scaled => self.follow(dt, v),
+                OscillatorRule::Paper { coupling, learning } => self.follow_paper(dt, v, coupling, learning),
+            }
+            self.note(dt);
+        }
+        Ok(())
+    }
+
+    /// The phase now, rad, in `0..2 pi`; 0 where the fundamental of the leading coordinate is largest.
+    #[must_use]
+    pub fn phase(&self) -> f64 {
+        self.phase
+    }
+
+    /// The running frequency Omega, rad/s.
+    #[must_use]
+    pub fn omega(&self) -> f64 {
+        self.omega
+    }
+
+    /// The running frequency, Hz: of the repeat of the whole signal.
+    #[must_use]
+    pub fn frequency_hz(&self) -> f64 {
+        self.omega / TAU
+    }
+
+    /// The mean frequency, Hz, since the oscillator locked: the slope of the phase over time. Steadier than the
+    /// running one; nothing before three periods.
+    #[must_use]
+    pub fn mean_frequency_hz(&self) -> Option<f64> {
+        (self.passed > 3.0 * TAU).then(|| self.trend.slope() / TAU)
+    }
+
+    /// Whether the signal is being followed: with `estimate` only after it has repeated once.
+    #[must_use]
+    pub fn running(&self) -> bool {
+        self.running
+    }
+
+    /// Whether the frequency has become steady: the means of the last two periods agree within 2 %, and the series
+    /// explains most of the signal.
+    #[must_use]
+    pub fn settled(&self) -> bool {
+        self.running && self.periods.steady(0.02) && self.periods.explained
+    }
+
+    /// Periods passed since the oscillator locked.
+    #[must_use]
+    pub fn periods(&self) -> f64 {
+        self.passed / TAU
+    }
+
+    /// The coordinate whose fundamental leads the phase.
+    #[must_use]
+    pub fn leading(&self) -> usize {
+        self.anchor
+    }
+
+    /// Writes the estimated signal and its first and second derivative after the phase (unit/rad, unit/rad^2) at
+    /// `phase` rad. Does not allocate.
+    ///
+    /// # Errors
+    /// When a slice has not one value a coordinate or the phase is not finite.
+    pub fn signal(
+        &self,
+        phase: f64,
+        y: &mut [f64],
+        dy: &mut [f64],
+        ddy: &mut [f64],
+    ) -> Result<(), MotionError> {
+        crate::error::finite("phase", &[phase])?;
+        for slice in [&*y, &*dy, &*ddy] {
+            crate::error::size("signal", self.config.dims, slice.len())?;
+        }
+        self.series.triplet(phase, y, dy, ddy);
+        Ok(())
+    }
+
+    /// The mean of coordinate `d` over the period, or nothing if there is no such coordinate.
+    #[must_use]
+    pub fn mean(&self, d: usize) -> Option<f64> {
+        (d < self.config.dims).then(|| self.series.weight(d, 0).0)
+    }
+
+    /// (Re)starts from the past where that says something else than the running frequency.
+    fn look_back(&mut self, dt: f64) {
+        self.until_look -= dt;
+        if self.until_look > 0.0 {
+            return;
+        }
+        let period = TAU / self.omega;
+        let estimate = if self.running {
+            self.until_look = 0.25 * period;
+            let young = self.passed < 4.0 * TAU;
+            self.estimator
+                .estimate_recent(3.5 * period)
+                .filter(|_| !young)
+                .or_else(|| self.estimator.estimate())
+        } else {
+            self.until_look = 0.2;
+            self.estimator.estimate()
+        };
+        let Some(found) = estimate else { return };
+        if !self.running {
+            self.start(found);
+            return;
+        }
+        let ratio = found.period * self.omega / TAU;
+        self.disagreements = if (ratio - 1.0).abs() > 0.07 { self.disagreements + 1 } else { 0 };
+        if self.disagreements >= 3 {
+            self.start(found);
+        }
+    }
+
+    /// Fits the series to the last periods at the estimated frequency, so that the loop starts in lock.
+    fn start(&mut self, found: PeriodEstimate) {
+        self.running = true;
+        self.omega = TAU / found.period;
+        // The dip of the difference is flat: the fit itself says more exactly where the period is.
+        for reach in [0.03, 0.01] {
+            let omega = self.omega;
+            let [slower, same, faster] = [1.0 - reach, 1.0, 1.0 + reach].map(|r| self.fit_past(omega * r));
+            let curvature = slower - 2.0 * same + faster;
+            let shift = if curvature > 0.0 { 0.5 * (slower - faster) / curvature } else { 0.0 };
+            self.omega = omega * (1.0 + reach * shift.clamp(-1.0, 1.0));
+        }
+        self.fit_past(self.omega);
+        self.anchor = self.series.strongest();
+        self.phase = (-self.series.anchor(self.anchor)).rem_euclid(TAU);
+        self.just_started = true;
+        self.passed = 0.0;
+        self.elapsed = 0.0;
+        self.disagreements = 0;
+        self.periods = PeriodMeans::default();
+        self.trend = Trend::default();
+        self.until_look = found.period;
+    }
+
+    /// Fits the series to the past two periods of `omega` rad/s, at phase 0 now; returns what is left of them.
+    fn fit_past(&mut self, omega: f64) -> f64 {
+        let history = self.estimator.history();
+        let (grid, overhang) = (history.grid(), history.overhang());
+        let count = history.len().min((2.0 * TAU / self.omega / grid) as usize);
+        let highest = self.config.harmonics.min((count / 6).max(1)).min(5);
+        let past = (0..count).map(|age| (-omega * (age as f64 * grid + overhang), history.at(age)));
+        self.series.fit(highest, past)
+    }
+
+    fn advance(&mut self, dt: f64) {
+        self.phase = (self.phase + self.omega * dt).rem_euclid(TAU);
+        self.passed += self.omega * dt;
+    }
+
+    fn follow(&mut self, dt: f64, v: &[f64]) {
+        // A start has already put the phase to that of this sample.
+        if !std::mem::take(&mut self.just_started) {
+            self.advance(dt);
+        }
+        self.series.evaluate(self.phase, &mut self.value, &mut self.slope);
+        let (mut along, mut missed) = (0.0, 0.0);
+        for (d, v) in v.iter().enumerate() {
+            self.error[d] = v - self.value[d];
+            along += self.error[d] * self.slope[d];
+            missed += self.error[d] * self.error[d];
+        }
+        let power = self.series.slope_power();
+        let ahead = if power > 1e-300 { (along / power).clamp(-1.0, 1.0) } else { 0.0 };
+        // A critically damped loop; wide in the first periods, then narrow.
+        let age = (self.passed / TAU).max(0.0);
+        let width = self.config.bandwidth * (1.0 + 0.5 * (-age / 2.0).exp());
+        let turned = self.omega * dt;
+        let share = 1.0 - (-2.0 * width * turned).exp();
+        self.phase = (self.phase + share * ahead).rem_euclid(TAU);
+        self.passed += share * ahead;
+        let faster = (width * width * turned * ahead).clamp(-0.2, 0.2);
+        let (low, high) = (0.7 * TAU * self.config.lowest_hz, 1.4 * TAU * self.config.highest_hz);
+        self.omega = (self.omega * (1.0 + faster)).clamp(low, high);
+        let highest = (0.8 * std::f64::consts::PI / turned.max(1e-9)).floor().max(1.0);
+        let highest =
+            if highest < self.config.harmonics as f64 { highest as usize } else { self.config.harmonics };
+        let memory = (2.0 + 0.7 * age).min(self.config.memory);
+        let rate = (1.0 - (-turned / (TAU * memory)).exp()).min(1.0 / (2 * highest + 1) as f64);
+        self.series.learn(rate, &self.error, highest, self.anchor);
+        self.periods.residual(turned, missed, self.series.power());
+    }
+
+    fn follow_paper(&mut self, dt: f64, v: &[f64], coupling: f64, learning: f64) {
+        self.series.evaluate(self.phase, &mut self.value, &mut self.slope);
+        let mut missed = 0.0;
+        for (d, v) in v.iter().enumerate() {
+            self.error[d] = v - self.value[d];
+            missed += self.error[d] * self.error[d];
+        }
+        let drive = -coupling * self.error[self.anchor] * self.phase.sin();
+        self.advance(dt);
+        self.phase = (self.phase + drive * dt).rem_euclid(TAU);
+        self.omega = (self.omega + drive * dt).clamp(1e-3, 1e3);
+        self.series.learn(learning * dt, &self.error, self.series.harmonics(), self.anchor);
+        self.periods.residual(self.omega * dt, missed, self.series.power());
+    }
+
+    /// Keeps the statistics of what was heard.
+    fn note(&mut self, dt: f64) {
+        self.elapsed += dt;
+        self.trend.add(self.elapsed, self.passed);
+        self.periods.add(self.omega, self.omega * dt);
+    }
+}
+
+/// Means over whole periods.
+#[derive(Debug, Clone, Default)]
+struct PeriodMeans {
+    turned: f64,
+    sum: f64,
+    missed: f64,
+    weight: f64,
+    power: f64,
+    means: [f64; 3],
+    count: usize,
+    explained: bool,
+}
+
+impl PeriodMeans {
+    fn residual(&mut self, turned: f64, missed: f64, power: f64) {
+        self.missed += turned * missed;
+        self.weight += turned;
+        self.power = power;
+    }
+
+    fn add(&mut self, omega: f64, turned: f64) {
+        self.turned += turned;
+        self.sum += omega * turned;
+        if self.turned >= TAU {
+            self.means.rotate_right(1);
+            self.means[0] = self.sum / self.turned;
+            self.count += 1;
+            self.explained = self.missed <= 0.5 * self.weight * self.power;
+            (self.turned, self.sum, self.missed, self.weight) = (0.0, 0.0, 0.0, 0.0);
+        }
+    }
+
+    fn steady(&self, tolerance: f64) -> bool {
+        self.count >= 2 && (self.means[0] / self.means[1] - 1.0).abs() <= tolerance
+    }
+}
+
+/// The least-squares slope of the phase over time, by running sums.
+#[derive(Debug, Clone, Default)]
+struct Trend {
+    n: f64,
+    t: f64,
+    y: f64,
+    tt: f64,
+    ty: f64,
+}
+
+impl Trend {
+    fn add(&mut self, t: f64, y: f64) {
+        self.n += 1.0;
+        let (dt, dy) = (t - self.t, y - self.y);
+        self.t += dt / self.n;
+        self.y += dy / self.n;
+        self.tt += dt * (t - self.t);
+        self.ty += dt * (y - self.y);
+    }
+
+    fn slope(&self) -> f64 {
+        if self.tt > 0.0 { self.ty / self.tt } else { 0.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, Normal};
+
+    /// From when on the one-period mean of Omega stays within 1 %, in periods.
+    fn settles_after(
+        config: OscillatorConfig,
+        f: f64,
+        dt: f64,
+        signal: impl Fn(f64, f64) -> Vec<f64>,
+    ) -> f64 {
+        let mut osc = AdaptiveOscillator::new(config).unwrap();
+        let mut noise = ChaCha8Rng::seed_from_u64(3);
+        let normal = Normal::new(0.0, 1.0).unwrap();
+        let steps = (16.0 / f / dt) as usize;
+        let window = (1.0 / f / dt).round() as usize;
+        let mut omegas = Vec::new();
+        for k in 0..steps {
+            let t = k as f64 * dt;
+            osc.update(dt, &signal(TAU * f * t, normal.sample(&mut noise))).unwrap();
+            omegas.push(if osc.running() { osc.omega() } else { 0.0 });
+        }
+        let good = |k: usize| {
+            let mean = omegas[k + 1 - window..=k].iter().sum::<f64>() / window as f64;
+            (mean / (TAU * f) - 1.0).abs() < 0.01
+        };
+        let last_bad = (window - 1..steps).rev().find(|k| !good(*k)).unwrap_or(0);
+        last_bad as f64 * dt * f
+    }
+
+    fn shape(kind: &str, p: f64, n: f64) -> Vec<f64> {
+        match kind {
+            "sine" => vec![p.sin()],
+            "small" => vec![0.1 * p.sin()],
+            "large" => vec![5.0 * p.sin() + 3.0],
+            "harmonics3" => vec![0.6 * p.sin() + 0.3 * (2.0 * p + 0.4).cos() + 0.2 * (3.0 * p + 1.1).sin()],
+            "square" => vec![p.sin().signum()],
+            "offset" => vec![0.5 + 0.5 * p.sin()],
+            "noise" => vec![p.sin() + 0.2 * n],
+            "eight" => vec![0.5 * p.sin() + 0.87 * (2.0 * p).sin()],
+            "weak" => vec![0.2 * p.sin() + 0.8 * (2.0 * p + 0.3).sin()],
+            "plane" => vec![0.5 * p.sin(), 0.3 * (2.0 * p).sin(), 1.0],
+            _ => vec![0.4 * p.sin() + 0.3 * (2.0 * p).sin(), 0.3 * p.sin() - 0.3 * (2.0 * p).sin(), 0.0],
+        }
+    }
+
+    #[test]
+    fn it_settles_within_eight_periods() {
+        for kind in [
+            "sine",
+            "small",
+            "large",
+            "harmonics3",
+            "square",
+            "offset",
+            "noise",
+            "eight",
+            "weak",
+            "plane",
+            "turned",
+        ] {
+            for f in [0.3, 0.5, 0.8, 1.3, 2.0, 3.0] {
+                for dt in [0.001, 1.0 / 60.0] {
+                    let config = OscillatorConfig::with_dims(shape(kind, 0.0, 0.0).len());
+                    let periods = settles_after(config, f, dt, |p, n| shape(kind, p, n));
+                    println!("{kind} {f} {dt:.4}: {periods:.1}");
+                    assert!(periods < 8.0, "{kind} {f} Hz {dt} s: {periods}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn it_follows_a_step_of_frequency() {
+        let mut osc = AdaptiveOscillator::new(OscillatorConfig::default()).unwrap();
+        let mut phase = 0.0_f64;
+        for k in 0..40_000 {
+            let f = if k < 20_000 { 1.0 } else { 1.6 };
+            phase += TAU * f * 0.001;
+            osc.update(0.001, &[0.7 * phase.sin() + 0.3 * (2.0 * phase + 0.5).sin()]).unwrap();
+            if k == 20_000 + 5000 {
+                assert!((osc.frequency_hz() / 1.6 - 1.0).abs() < 0.01, "{}", osc.frequency_hz());
+            }
+        }
+        assert!((osc.frequency_hz() - 1.6).abs() < 0.002);
+        assert!(osc.settled());
+    }
+
+    #[test]
+    fn the_bare_rule_has_its_basin() {
+        let config = |coupling| OscillatorConfig {
+            estimate: false,
+            rule: OscillatorRule::Paper { coupling, learning: 2.0 },
+            ..OscillatorConfig::default()
+        };
+        assert!(settles_after(config(15.0), 1.3, 0.001, |p, _| vec![p.sin()]) < 8.0);
+        assert!(settles_after(config(15.0), 0.3, 0.001, |p, _| vec![p.sin()]) > 15.0);
+    }
+
+    #[test]
+    fn a_refused_sample_changes_nothing() {
+        let mut osc = AdaptiveOscillator::new(OscillatorConfig::with_dims(2)).unwrap();
+        for k in 0..400 {
+            osc.update(0.01, &[(f64::from(k) * 0.06).sin(), 0.0]).unwrap();
+        }
+        let before = (osc.phase(), osc.omega());
+        assert!(osc.update(0.0, &[0.0, 0.0]).is_err());
+        assert!(osc.update(0.01, &[f64::NAN, 0.0]).is_err());
+        assert!(osc.update(0.01, &[0.0]).is_err());
+        assert_eq!((osc.phase(), osc.omega()), before);
+    }
+}
