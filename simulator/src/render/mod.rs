@@ -1,12 +1,15 @@
 //! The simulated cameras: a software renderer of a few solids, in colour and depth.
 //!
 //! [`render`] draws a [`Scene`] from a [`Viewpoint`]; [`render_pair`] draws both eyes side by side.
+//! [`SensorNoise`] is what the chip adds. [`hand`] is the coach's hand.
 //!
 //! It knows no physics, no time and no randomness of its own: the same scene gives the same bytes. It does not draw
 //! glass, mirrors or light from other objects, and it does not smooth edges: a pixel is what its centre's ray meets
 //! first, so that both eyes agree to a fraction of a pixel. Start reading at [`render`], then `raster`.
 
 mod faces;
+pub mod hand;
+mod noise;
 mod raster;
 mod scene;
 mod shading;
@@ -16,6 +19,7 @@ mod tabletop;
 
 use nalgebra::{Isometry3, Vector3};
 
+pub use noise::SensorNoise;
 use raster::Canvas;
 pub use scene::{Background, Bump, DirtTexture, Geometry, Rendering, Scene, Shape, Viewpoint};
 use shading::{Light, Shades};

@@ -1,0 +1,261 @@
+//! The coach's hand: five jointed fingers that show gestures, and a sleeved forearm.
+//!
+//! It is a right hand. Hand frame: origin at the middle of the palm, z along the straight fingers, x out of the palm
+//! (the side to which fingers bend), y to the side of the thumb. Measures are those of a grown hand: palm 85 x 90 x 28
+//! mm, middle finger 94 mm over its knuckle and with its tip 102.
+
+use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use super::scene::{Geometry, Shape};
+
+/// Mean colour of the skin, RGB; the parts differ from it by a few percent in brightness.
+pub const SKIN: [u8; 3] = [224, 172, 138];
+/// Colour of the sleeve, RGB.
+pub const SLEEVE: [u8; 3] = [84, 102, 134];
+
+/// What the coach's hand says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum HandGesture {
+    /// All fingers closed.
+    Fist,
+    /// All fingers straight and spread.
+    OpenHand,
+    /// The index finger straight.
+    PointOne,
+    /// Index and middle finger straight, a little apart.
+    PointTwo,
+}
+
+/// The joints of the hand, so that a change of gesture is a movement.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HandPose {
+    /// How far each finger is bent, from thumb to little finger: 0 straight, 1 closed.
+    pub flexion: [f64; 5],
+    /// How far straight fingers are spread, rad: the angle between the index and the hand's z.
+    pub spread: f64,
+}
+
+/// A finger other than the thumb. Lengths are between joints; the last one ends at the middle of the tip's rounding.
+struct Finger {
+    /// Its knuckle in the hand frame, m.
+    knuckle: [f64; 3],
+    /// Lengths of its phalanges, m.
+    lengths: [f64; 3],
+    /// Radii of its phalanges, m.
+    radii: [f64; 3],
+    /// Its part in the spread.
+    spread: f64,
+}
+
+/// A capsule of the hand.
+struct Segment {
+    from: Point3<f64>,
+    to: Point3<f64>,
+    radius: f64,
+}
+
+/// Index to little finger.
+const FINGERS: [Finger; 4] = [
+    Finger {
+        knuckle: [0.0, 0.030, 0.043],
+        lengths: [0.042, 0.025, 0.018],
+        radii: [0.0098, 0.0090, 0.0082],
+        spread: 1.0,
+    },
+    Finger {
+        knuckle: [-0.001, 0.010, 0.046],
+        lengths: [0.046, 0.029, 0.019],
+        radii: [0.0100, 0.0092, 0.0083],
+        spread: 0.1,
+    },
+    Finger {
+        knuckle: [0.0, -0.010, 0.043],
+        lengths: [0.042, 0.027, 0.019],
+        radii: [0.0096, 0.0088, 0.0080],
+        spread: -0.7,
+    },
+    Finger {
+        knuckle: [0.002, -0.0285, 0.037],
+        lengths: [0.033, 0.020, 0.017],
+        radii: [0.0088, 0.0080, 0.0074],
+        spread: -1.5,
+    },
+];
+/// Angles of a closed finger's joints from the knuckle on, rad.
+const CLOSED: [f64; 3] = [1.48, 1.83, 1.10];
+/// Where the metacarpal bones of the four fingers begin at the wrist, m.
+const CARPALS: [[f64; 3]; 4] = [[0.0, 0.021, -0.042], [0.0, 0.007, -0.043], [0.0, -0.007, -0.043], [0.0, -0.020, -0.041]];
+/// Radius of the palm about those bones, m.
+const PALM_RADIUS: f64 = 0.0135;
+/// Where the thumb begins, its lengths and radii, m.
+const THUMB: Finger = Finger {
+    knuckle: [0.005, 0.022, -0.032],
+    lengths: [0.045, 0.032, 0.025],
+    radii: [0.0150, 0.0105, 0.0090],
+    spread: 0.0,
+};
+/// Directions of the thumb's parts when it is straight, and when it lies over closed fingers.
+const THUMB_STRAIGHT: [[f64; 3]; 3] = [[0.28, 0.70, 0.66], [0.16, 0.74, 0.65], [0.08, 0.74, 0.67]];
+const THUMB_CLOSED: [[f64; 3]; 3] = [[0.68, 0.34, 0.65], [0.56, -0.22, 0.80], [0.08, -0.96, 0.26]];
+
+impl HandPose {
+    /// The pose in which the hand shows a gesture.
+    #[must_use]
+    pub fn of(gesture: HandGesture) -> Self {
+        let (flexion, spread) = match gesture {
+            HandGesture::Fist => ([1.0, 1.0, 1.0, 1.0, 1.0], 0.0),
+            HandGesture::OpenHand => ([0.0, 0.03, 0.02, 0.03, 0.05], 0.20),
+            HandGesture::PointOne => ([1.0, 0.02, 1.0, 1.0, 1.0], 0.0),
+            HandGesture::PointTwo => ([1.0, 0.02, 0.02, 1.0, 1.0], 0.22),
+        };
+        Self { flexion, spread }
+    }
+
+    /// The pose on the way from one to another: `a` at `t` = 0, `b` at 1; `t` is kept within.
+    #[must_use]
+    pub fn blend(a: &Self, b: &Self, t: f64) -> Self {
+        let t = t.clamp(0.0, 1.0);
+        let between = |a: f64, b: f64| a + (b - a) * t;
+        let flexion = std::array::from_fn(|i| between(a.flexion[i], b.flexion[i]));
+        Self { flexion, spread: between(a.spread, b.spread) }
+    }
+}
+
+/// The shapes of the hand that shows a gesture, with its forearm.
+#[must_use]
+pub fn coach_hand(gesture: HandGesture, scene_from_hand: &Isometry3<f64>) -> Vec<Shape> {
+    hand_shapes(&HandPose::of(gesture), scene_from_hand)
+}
+
+/// The shapes of the hand in a pose, with its forearm.
+#[must_use]
+pub fn hand_shapes(pose: &HandPose, scene_from_hand: &Isometry3<f64>) -> Vec<Shape> {
+    let mut shapes = vec![palm_core(scene_from_hand)];
+    let parts = [(thumb(pose), 0.98), (palm(), 1.0)].into_iter();
+    let fingers = FINGERS.iter().enumerate().map(|(i, finger)| (finger_segments(finger, i, pose), 1.0 - 0.02 * (i % 2) as f64));
+    for (segments, brightness) in parts.chain(fingers) {
+        for (i, segment) in segments.iter().enumerate() {
+            // Fingers redden towards their tips.
+            shapes.push(segment.shape(tinted(SKIN, brightness, 0.012 * i as f64), scene_from_hand));
+        }
+    }
+    shapes.extend(forearm(scene_from_hand));
+    shapes
+}
+
+/// The middles of the roundings of the fingertips in the hand frame, m, from thumb to little finger; the very tips are
+/// one [`tip_radius`] farther.
+#[must_use]
+pub fn fingertips(pose: &HandPose) -> [Point3<f64>; 5] {
+    let last = |segments: Vec<Segment>| segments.last().map_or_else(Point3::origin, |segment| segment.to);
+    std::array::from_fn(|i| match i {
+        0 => last(thumb(pose)),
+        _ => last(finger_segments(&FINGERS[i - 1], i - 1, pose)),
+    })
+}
+
+/// The radius of a fingertip, m; 0 is the thumb, 4 and more the little finger.
+#[must_use]
+pub fn tip_radius(finger: usize) -> f64 {
+    match finger {
+        0 => THUMB.radii[2],
+        _ => FINGERS[finger.min(4) - 1].radii[2],
+    }
+}
+
+/// Balls (middle in the hand frame and radius, m) whose hull holds the hand without its forearm: what has to be inside
+/// a picture for the whole hand to be.
+#[must_use]
+pub fn landmarks(pose: &HandPose) -> Vec<(Point3<f64>, f64)> {
+    let fingers = FINGERS.iter().enumerate().flat_map(|(i, finger)| finger_segments(finger, i, pose));
+    let segments = palm().into_iter().chain(thumb(pose)).chain(fingers);
+    segments.flat_map(|s| [(s.from, s.radius), (s.to, s.radius)]).collect()
+}
+
+fn finger_segments(finger: &Finger, index: usize, pose: &HandPose) -> Vec<Segment> {
+    let flexion = pose.flexion[index + 1];
+    // Bent fingers come together.
+    let spread = pose.spread * finger.spread * (1.0 - flexion).max(0.0);
+    let straight = Vector3::new(0.0, spread.sin(), spread.cos());
+    let mut angle = 0.0;
+    chain(finger, |joint| {
+        angle += CLOSED[joint] * flexion;
+        Vector3::x() * angle.sin() + straight * angle.cos()
+    })
+}
+
+fn thumb(pose: &HandPose) -> Vec<Segment> {
+    chain(&THUMB, |joint| {
+        let (straight, closed) = (Vector3::from(THUMB_STRAIGHT[joint]), Vector3::from(THUMB_CLOSED[joint]));
+        straight.lerp(&closed, pose.flexion[0]).try_normalize(1e-9).unwrap_or(straight)
+    })
+}
+
+/// Three phalanges, each in its direction from the end of the last.
+fn chain(finger: &Finger, mut direction: impl FnMut(usize) -> Vector3<f64>) -> Vec<Segment> {
+    let mut from = Point3::from(finger.knuckle);
+    let phalanx = |joint: usize| {
+        let to = from + direction(joint) * finger.lengths[joint];
+        let segment = Segment { from, to, radius: finger.radii[joint] };
+        from = to;
+        segment
+    };
+    (0..3).map(phalanx).collect()
+}
+
+/// The four metacarpals.
+fn palm() -> Vec<Segment> {
+    let bone = |(from, finger): (&[f64; 3], &Finger)| Segment {
+        from: Point3::from(*from),
+        to: Point3::from(finger.knuckle) - Vector3::z() * 0.004,
+        radius: PALM_RADIUS,
+    };
+    CARPALS.iter().zip(&FINGERS).map(bone).collect()
+}
+
+/// What fills the furrows between the metacarpals.
+fn palm_core(scene_from_hand: &Isometry3<f64>) -> Shape {
+    let half = Vector3::new(0.0128, 0.0235, 0.042);
+    Shape { geometry: Geometry::Box { half }, scene_from_shape: *scene_from_hand, color: SKIN }
+}
+
+/// Wrist and sleeve.
+fn forearm(scene_from_hand: &Isometry3<f64>) -> Vec<Shape> {
+    let wrist = |y: f64| Segment {
+        from: Point3::new(0.0, y, -0.04),
+        to: Point3::new(0.0, y, -0.12),
+        radius: 0.021,
+    };
+    let mut shapes: Vec<_> =
+        [-0.0095, 0.0095].iter().map(|&y| wrist(y).shape(tinted(SKIN, 0.97, 0.0), scene_from_hand)).collect();
+    let middle = Isometry3::translation(0.0, 0.0, -0.26);
+    shapes.push(Shape {
+        geometry: Geometry::Cylinder { radius: 0.043, half_length: 0.16 },
+        scene_from_shape: scene_from_hand * middle,
+        color: SLEEVE,
+    });
+    shapes
+}
+
+impl Segment {
+    fn shape(&self, color: [u8; 3], scene_from_hand: &Isometry3<f64>) -> Shape {
+        let along = self.to - self.from;
+        // The opposite of z needs an axis to turn about; any across will do.
+        let turn = Rotation3::rotation_between(&Vector3::z(), &along)
+            .unwrap_or_else(|| Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+        let middle = Translation3::from(self.from.coords + along / 2.0);
+        let hand_from_shape = Isometry3::from_parts(middle, UnitQuaternion::from_rotation_matrix(&turn));
+        Shape {
+            geometry: Geometry::Capsule { radius: self.radius, half_length: along.norm() / 2.0 },
+            scene_from_shape: scene_from_hand * hand_from_shape,
+            color,
+        }
+    }
+}
+
+/// A colour scaled by `brightness` with a share `redness` taken from green and blue.
+fn tinted(color: [u8; 3], brightness: f64, redness: f64) -> [u8; 3] {
+    let [r, g, b] = color.map(f64::from);
+    let cold = brightness * (1.0 - redness);
+    [(r * brightness).round() as u8, (g * cold).round() as u8, (b * cold).round() as u8]
+}
