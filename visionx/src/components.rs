@@ -85,14 +85,8 @@ impl Component {
     /// The component alone, as a mask of its bounds grown by `border` and clipped to `width` x `height`.
     #[must_use]
     pub fn mask(&self, border: u32, width: u32, height: u32) -> Mask {
-        let region = self.bounds.grown(border, width, height);
-        let mut mask = Mask::empty(region);
-        let w = region.width as usize;
-        for r in &self.runs {
-            let start = (r.y - region.y) as usize * w;
-            let (x0, x1) = ((r.x0 - region.x) as usize, (r.x1 - region.x) as usize);
-            mask.data_mut()[start + x0..start + x1].fill(1);
-        }
+        let mut mask = Mask::empty(self.bounds.grown(border, width, height));
+        mask.add(&self.runs);
         mask
     }
 }

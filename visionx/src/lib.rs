@@ -20,6 +20,7 @@ pub mod hand;
 mod localizer;
 mod marker;
 mod mask;
+mod minimize;
 mod outline;
 mod particles;
 mod processor;

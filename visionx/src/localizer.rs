@@ -1,10 +1,22 @@
 //! The pose of a box of known colour and size that lies on a roughly level surface, by analysis by synthesis.
+//!
+//! Pairs of coloured components of both eyes give starting places. For each, the box's silhouette is projected into
+//! both eyes and its x, y, z and yaw are searched (all yaws coarsely, the best ones by a simplex, then Gauss and
+//! Newton on the distances of the coloured region's border from the silhouette). Pixels inside the silhouette that show
+//! the surroundings' colour speak against a pose; pixels that show anything else may belong to something in front of
+//! the box, and only lower the visible fraction. Roll and pitch are taken as zero in the root frame.
 
-use nalgebra::{Isometry3, Matrix4, Point2, Vector3};
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use nalgebra::{Isometry3, Matrix4, Point2, Point3, Translation3, UnitQuaternion, Vector3, Vector4};
 
 use crate::camera::StereoCalibration;
 use crate::color::ColorModel;
-use crate::frame::StereoFrame;
+use crate::components::{Component, components};
+use crate::frame::{Image, StereoFrame};
+use crate::mask::{Mask, Region};
+use crate::minimize::simplex;
+use crate::outline::{Outline, RowSums, border_points, box_outline};
 
 /// What is known of an object beforehand.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,6 +56,44 @@ pub struct ObjectLocalizer {
     model: BoxModel,
 }
 
+/// x, y, z (root frame, m) and yaw (rad).
+type Pose4 = Vector4<f64>;
+
+/// What one eye shows of a candidate.
+struct Eye {
+    object: RowSums,
+    surroundings: RowSums,
+    /// Pixels of the object's colour.
+    area: f64,
+    /// Where the coloured region ends, px.
+    border: Vec<Point2<f64>>,
+    center: Point2<f64>,
+}
+
+/// A pose with what speaks for it.
+struct Fit {
+    pose: Pose4,
+    outlines: [Outline; 2],
+    covariance: Matrix4<f64>,
+    visible: f64,
+    /// Fraction of the silhouette that shows the surroundings.
+    contradicted: f64,
+    /// Fraction of the coloured pixels outside of the silhouette.
+    spilled: f64,
+    /// Fraction of the coloured region's border that lies on the outline.
+    supported: f64,
+    residual_px: f64,
+}
+
+/// Components smaller than this are noise, px.
+const LEAST_AREA: u32 = 40;
+/// Coarse yaws over half a turn.
+const YAWS: usize = 24;
+/// Border points farther than this from the outline belong to something else, px.
+const BORDER_REACH_PX: f64 = 2.5;
+/// Standard deviation of a border point, px: pixels are 0.29 by themselves.
+const BORDER_SIGMA_PX: f64 = 0.35;
+
 impl ObjectLocalizer {
     /// A localizer for one kind of object.
     #[must_use]
@@ -57,10 +107,268 @@ impl ObjectLocalizer {
         self.localize_all(frame).into_iter().next()
     }
 
-    /// All things in the frame that fit, best first.
+    /// All things in the frame that fit, best seen first. Frames whose images do not have the calibration's size show
+    /// nothing.
     #[must_use]
     pub fn localize_all(&self, frame: &StereoFrame) -> Vec<ObjectEstimate> {
-        let _ = (frame, &self.calibration, &self.model);
-        Vec::new()
+        let size = self.model.size;
+        if !self.calibration.fits(frame) || !(size.min() > 1e-3 && size.max() < 2.0) {
+            return Vec::new();
+        }
+        let masks = [&frame.left, &frame.right].map(|image| self.model.color.segment(image));
+        let [left, right] = masks.each_ref().map(|m| components(m, LEAST_AREA));
+        let mut fits: Vec<Fit> = Vec::new();
+        for l in left.iter().take(4) {
+            for r in right.iter().take(4) {
+                let Some(start) = self.start(l, r, frame) else { continue };
+                let eyes =
+                    [Self::eye(l, &left, &frame.left, start.1), Self::eye(r, &right, &frame.right, start.1)];
+                fits.extend(self.fit(&eyes, &start.0, &frame.root_from_left).filter(Fit::convinces));
+            }
+        }
+        fits.sort_by(|a, b| b.quality().total_cmp(&a.quality()));
+        let mut distinct: Vec<Fit> = Vec::new();
+        for fit in fits {
+            let near = |f: &Fit| (f.pose.xyz() - fit.pose.xyz()).norm() < 0.5 * size.max();
+            if !distinct.iter().any(near) {
+                distinct.push(fit);
+            }
+        }
+        distinct.into_iter().map(|fit| fit.estimate(frame.stamp_ns)).collect()
+    }
+
+    /// Where a pair of components would be (root frame, m), and the box's largest radius there, px.
+    fn start(&self, l: &Component, r: &Component, frame: &StereoFrame) -> Option<(Point3<f64>, f64)> {
+        let camera = &self.calibration.camera;
+        let radius_m = 0.5 * self.model.size.norm();
+        let point = self.calibration.triangulate(&l.centroid, &r.centroid)?;
+        let radius_px = radius_m * camera.focal / point.z;
+        let rows = (l.centroid.y - r.centroid.y).abs();
+        let fits = |c: &Component| f64::from(c.area) < 1.3 * PI * radius_px * radius_px;
+        let plausible = (0.1..5.0).contains(&point.z) && rows < 2.0 + 0.5 * radius_px && fits(l) && fits(r);
+        plausible.then(|| (frame.root_from_left * point, radius_px))
+    }
+
+    /// What an eye shows around a component: the component with the pieces near it, and the surroundings.
+    fn eye(seed: &Component, all: &[Component], image: &Image, radius_px: f64) -> Eye {
+        let (w, h) = (image.width(), image.height());
+        let border = (radius_px * 1.2).min(400.0) as u32 + 4;
+        let mut object = seed.mask(border, w, h);
+        for piece in all.iter().filter(|c| (c.centroid - seed.centroid).norm() < 1.2 * radius_px) {
+            object.add(&piece.runs);
+        }
+        let surroundings = surroundings(image, &object);
+        Eye {
+            area: object.count() as f64,
+            border: border_points(&object, w, h),
+            center: seed.centroid,
+            surroundings: RowSums::of(&surroundings),
+            object: RowSums::of(&object),
+        }
+    }
+
+    fn fit(&self, eyes: &[Eye; 2], start: &Point3<f64>, root_from_left: &Isometry3<f64>) -> Option<Fit> {
+        let left_from_root = root_from_left.inverse();
+        let outlines = |pose: &Pose4| self.outlines(pose, &left_from_root);
+        let cost = |pose: &Pose4| outlines(pose).map_or(f64::INFINITY, |o| silhouette_cost(&o, eyes));
+        let mut coarse: Vec<(f64, f64)> = (0..YAWS)
+            .map(|i| PI * i as f64 / YAWS as f64)
+            .map(|yaw| (cost(&Pose4::new(start.x, start.y, start.z, yaw)), yaw))
+            .collect();
+        coarse.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut tried: Vec<f64> = Vec::new();
+        let mut best: Option<(Pose4, f64)> = None;
+        for (_, yaw) in coarse {
+            if tried.len() == 3 || tried.iter().any(|t| half_turn(t - yaw).abs() < 0.35) {
+                continue;
+            }
+            tried.push(yaw);
+            let steps = Pose4::new(0.01, 0.01, 0.01, 0.1);
+            let found = simplex(cost, &Pose4::new(start.x, start.y, start.z, yaw), &steps, 150);
+            if best.as_ref().is_none_or(|b| found.1 < b.1) {
+                best = Some(found);
+            }
+        }
+        let (pose, covariance) = self.refine(best?.0, eyes, &left_from_root);
+        Fit::judge(pose, outlines(&pose)?, covariance, eyes)
+    }
+
+    /// The silhouettes in both eyes.
+    fn outlines(&self, pose: &Pose4, left_from_root: &Isometry3<f64>) -> Option<[Outline; 2]> {
+        let left_from_box = left_from_root * isometry(pose);
+        let (camera, size) = (&self.calibration.camera, &self.model.size);
+        let left = box_outline(camera, 0.0, &left_from_box, size)?;
+        Some([left, box_outline(camera, self.calibration.baseline, &left_from_box, size)?])
+    }
+
+    /// Gauss and Newton on the border's distances from the outlines, with the points that lie on the outlines.
+    /// Returns the pose and its covariance.
+    fn refine(
+        &self,
+        start: Pose4,
+        eyes: &[Eye; 2],
+        left_from_root: &Isometry3<f64>,
+    ) -> (Pose4, Matrix4<f64>) {
+        const STEPS: [f64; 4] = [2e-4, 2e-4, 2e-4, 2e-3];
+        let mut pose = start;
+        let mut information = Matrix4::zeros();
+        for _ in 0..8 {
+            let Some(here) = self.outlines(&pose, left_from_root) else { break };
+            let moved: Option<Vec<[Outline; 2]>> =
+                (0..4).map(|i| self.outlines(&(pose + Pose4::ith(i, STEPS[i])), left_from_root)).collect();
+            let Some(moved) = moved else { break };
+            let (mut jtj, mut jtr) = (Matrix4::zeros(), Pose4::zeros());
+            for (eye, e) in eyes.iter().enumerate() {
+                for p in &e.border {
+                    let d = here[eye].signed_distance(p);
+                    let weight = (1.0 - (d / BORDER_REACH_PX).powi(2)).max(0.0).powi(2);
+                    if weight > 0.0 {
+                        let j = Pose4::from_fn(|i, _| (moved[i][eye].signed_distance(p) - d) / STEPS[i]);
+                        jtj += j * j.transpose() * weight;
+                        jtr += j * (d * weight);
+                    }
+                }
+            }
+            // A weak prior on the start (3 cm, 20 degrees) keeps what the images leave open where it is.
+            let prior = Matrix4::from_diagonal(&Pose4::new(1e3, 1e3, 1e3, 8.0)) * BORDER_SIGMA_PX.powi(2);
+            information = jtj + prior;
+            let Some(step) = information.cholesky().map(|c| c.solve(&jtr)) else { break };
+            pose -= step.map(|s| s.clamp(-0.02, 0.02));
+            if step.amax() < 1e-5 {
+                break;
+            }
+        }
+        // Neighbouring border points err together, and a border of pixels errs by steps: sixfold variance.
+        let scale = 6.0 * BORDER_SIGMA_PX.powi(2);
+        let covariance = information.try_inverse().map_or(Matrix4::identity(), |i| i * scale);
+        (pose, covariance)
+    }
+}
+
+impl Fit {
+    fn judge(pose: Pose4, outlines: [Outline; 2], covariance: Matrix4<f64>, eyes: &[Eye; 2]) -> Option<Self> {
+        let (mut visible, mut contradicted, mut spilled) = (0.0, 0.0, 0.0);
+        let (mut on, mut all, mut squares) = (0.0, 0.0, 0.0);
+        for (outline, eye) in outlines.iter().zip(eyes) {
+            let area = outline.area();
+            let [object, surroundings] = outline.integrate([&eye.object, &eye.surroundings]);
+            visible += 0.5 * object / area;
+            contradicted += 0.5 * surroundings / area;
+            spilled += 0.5 * (eye.area - object) / eye.area.max(1.0);
+            all += eye.border.len() as f64;
+            for d in eye.border.iter().map(|p| outline.signed_distance(p)) {
+                if d.abs() < BORDER_REACH_PX {
+                    on += 1.0;
+                    squares += d * d;
+                }
+            }
+        }
+        // What is hidden may hide a mistake.
+        let hidden = (1.0 - visible).max(0.0) / visible.max(0.05);
+        let inflate = 1.0 + 6.0 * (hidden - 0.1).max(0.0);
+        (on > 0.0 && visible > 0.0).then(|| Self {
+            pose,
+            outlines,
+            covariance: covariance * (inflate * inflate),
+            visible: visible.min(1.0),
+            contradicted,
+            spilled,
+            supported: on / f64::max(all, 1.0),
+            residual_px: f64::sqrt(squares / on),
+        })
+    }
+
+    /// Whether the pixels look like the object at all.
+    fn convinces(&self) -> bool {
+        self.visible > 0.3
+            && self.contradicted < 0.12
+            && self.spilled < 0.12
+            && self.supported > 0.4
+            && self.residual_px < 1.3
+    }
+
+    fn quality(&self) -> f64 {
+        self.visible + self.supported - self.contradicted - self.spilled
+    }
+
+    fn estimate(self, stamp_ns: u64) -> ObjectEstimate {
+        let yaw = half_turn(self.pose.w);
+        ObjectEstimate {
+            root_from_object: isometry(&Pose4::new(self.pose.x, self.pose.y, self.pose.z, yaw)),
+            yaw,
+            covariance: self.covariance,
+            visible: self.visible,
+            residual_px: self.residual_px,
+            outline_left: self.outlines[0].corners().to_vec(),
+            outline_right: self.outlines[1].corners().to_vec(),
+            stamp_ns,
+        }
+    }
+}
+
+fn isometry(pose: &Pose4) -> Isometry3<f64> {
+    let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), pose.w);
+    Isometry3::from_parts(Translation3::new(pose.x, pose.y, pose.z), rotation)
+}
+
+/// The angle within (-pi/2, pi/2] that differs by half turns.
+fn half_turn(angle: f64) -> f64 {
+    let a = angle.rem_euclid(PI);
+    if a > FRAC_PI_2 { a - PI } else { a }
+}
+
+/// How badly silhouettes explain both eyes: coloured pixels outside, surroundings inside, a little for what is hidden,
+/// and border points off the outline.
+fn silhouette_cost(outlines: &[Outline; 2], eyes: &[Eye; 2]) -> f64 {
+    let mut cost = 0.0;
+    for (outline, eye) in outlines.iter().zip(eyes) {
+        let area = outline.area();
+        let [object, surroundings] = outline.integrate([&eye.object, &eye.surroundings]);
+        let hidden = (area - object - surroundings).max(0.0);
+        cost += (eye.area - object + surroundings + 0.1 * hidden) / eye.area.max(area);
+        let reach = (0.1 * area.sqrt()).max(2.0);
+        // Every third border point says as much as all of them.
+        let off = |p: &Point2<f64>| (outline.signed_distance(p) / reach).powi(2).min(1.0);
+        let points = eye.border.iter().step_by(3);
+        cost += points.clone().map(off).sum::<f64>() / points.len().max(1) as f64;
+        // Far off, where nothing overlaps, the way back is still downhill.
+        let center = outline.signed_distance(&eye.center).max(0.0);
+        cost += center / area.sqrt();
+    }
+    cost
+}
+
+/// The pixels that look like what surrounds the object: like the median colour of the mask's region without it.
+fn surroundings(image: &Image, object: &Mask) -> Mask {
+    let region = object.region();
+    let mut histograms = vec![[0u32; 256]; 3];
+    let mut total = 0u32;
+    for_pixels(region, |x, y| {
+        if !object.contains(i64::from(x), i64::from(y)) {
+            let p = image.pixel(x, y);
+            (0..3).for_each(|i| histograms[i][usize::from(p[i])] += 1);
+            total += 1;
+        }
+    });
+    let median = |h: &[u32; 256]| {
+        let mut sum = 0;
+        h.iter().position(|n| {
+            sum += n;
+            2 * sum >= total
+        })
+    };
+    let color = [0, 1, 2].map(|i| median(&histograms[i]).unwrap_or(0) as u8);
+    let mut mask = ColorModel::from_rgb(color).segment_region(image, region);
+    for (m, o) in mask.data_mut().iter_mut().zip(object.data()) {
+        *m &= 1 - o;
+    }
+    mask
+}
+
+fn for_pixels(region: Region, mut each: impl FnMut(u32, u32)) {
+    for y in region.y..region.y + region.height {
+        for x in region.x..region.x + region.width {
+            each(x, y);
+        }
     }
 }

@@ -313,8 +313,7 @@ fn one_eye(
 ) -> Option<(Point3<f64>, Matrix3<f64>, bool)> {
     let camera = &calibration.camera;
     let z = predicted.z;
-    let ray =
-        Vector3::new((px.x - camera.center[0]) / camera.focal, (px.y - camera.center[1]) / camera.focal, 1.0);
+    let ray = camera.ray(px);
     let point = Point3::new(ray.x * z + shift, ray.y * z, z);
     let across = (sigma_px * z / camera.focal).powi(2);
     let along = ray.normalize();

@@ -1,5 +1,6 @@
 //! Binary images, and rectangles in an image. What a mask means is its maker's business.
 
+use crate::components::Run;
 use serde::{Deserialize, Serialize};
 
 /// A rectangle of pixels: columns `x .. x + width`, rows `y .. y + height`.
@@ -122,6 +123,17 @@ impl Mask {
             return false;
         }
         self.data[y as usize * self.width() + x as usize] != 0
+    }
+
+    /// Sets the pixels of some runs, given in the coordinates of the image; those outside of the region are left out.
+    pub fn add(&mut self, runs: &[Run]) {
+        let (region, w) = (self.region, self.width());
+        for run in runs.iter().filter(|r| r.y >= region.y && r.y < region.y + region.height) {
+            let clip = |x: u32| x.clamp(region.x, region.x + region.width) - region.x;
+            let start = (run.y - region.y) as usize * w;
+            let (x0, x1) = (clip(run.x0) as usize, clip(run.x1) as usize);
+            self.data[start + x0..start + x1].fill(1);
+        }
     }
 
     /// How many pixels are set.
