@@ -1,1 +1,23 @@
-//! The Zenoh session and its security, key expressions, the CBOR codec, timestamps, liveliness.
+//! What agents speak over: the CBOR codec, the keys, and the Zenoh session with its security.
+//!
+//! - [`codec`]: bytes from values and back, deterministic one way and hardened the other; [`Schema`] names what a
+//!   payload holds.
+//! - [`keys`]: every key, as a checked type.
+//! - [`session`]: on loopback unless more is asked for; bounded queues that count what they drop.
+//!
+//! This room knows no memory, robot, image or chart: it carries bytes for those that do.
+
+pub mod codec;
+mod config;
+pub mod keys;
+pub mod session;
+
+pub use codec::{Bounds, CodecError, Payload, Schema, decode, decode_within, encode};
+pub use keys::{Key, KeyError, KeyPattern};
+pub use session::{
+    AliveToken, Answer, Liveliness, Message, Mode, Question, Questions, Roll, Session, SessionConfig,
+    SessionError, Subscription, Tls,
+};
+
+#[cfg(test)]
+mod loopback_tests;

@@ -1,0 +1,258 @@
+//! The keys of everything on Zenoh, as checked types: a [`Key`] names one resource, a [`KeyPattern`] many.
+//!
+//! ```text
+//! {agent}/memory                                   queryable: commit
+//! {agent}/memory/{segment}/{provider}/{entity}     put = update, subscribe = observe, get = query
+//! {agent}/image/{provider}                         frames
+//! {agent}/robot/state, {agent}/robot/command
+//! {agent}/chart/{Chart}                            queryable: start, cancel, outcome
+//! {agent}/trace/{run}                              the droppable stream for viewers
+//! {agent}/alive/{service}                          liveliness token
+//! ```
+
+use std::fmt;
+
+/// Longest name in a key, bytes.
+const LONGEST_NAME: usize = 200;
+
+/// A name that cannot be part of a key.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "`{name}` cannot be part of a key: names have 1 to 200 bytes, no control characters, none of / * # ? $ and no \
+     @ in front"
+)]
+pub struct KeyError {
+    /// The name, cut to its first characters.
+    pub name: String,
+}
+
+/// The key of one resource.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Key(String);
+
+/// A key expression that stands for many keys.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct KeyPattern(String);
+
+/// Part of a pattern: a name, or any where none is given.
+pub type Part<'a> = Option<&'a str>;
+
+/// The parts of an entity's key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MemoryParts<'a> {
+    /// Whose memory.
+    pub agent: &'a str,
+    /// The core segment.
+    pub segment: &'a str,
+    /// The provider segment.
+    pub provider: &'a str,
+    /// The entity.
+    pub entity: &'a str,
+}
+
+/// Whether `name` can be one part of a key.
+///
+/// # Errors
+/// [`KeyError`] when it cannot.
+pub fn check_name(name: &str) -> Result<(), KeyError> {
+    let bad = name.is_empty()
+        || name.len() > LONGEST_NAME
+        || name.starts_with('@')
+        || name.contains(['/', '*', '#', '?', '$'])
+        || name.chars().any(char::is_control);
+    if bad { Err(KeyError { name: name.chars().take(40).collect() }) } else { Ok(()) }
+}
+
+fn key(parts: &[&str]) -> Result<Key, KeyError> {
+    parts.iter().try_for_each(|name| check_name(name))?;
+    Ok(Key(parts.join("/")))
+}
+
+fn pattern(parts: &[Part<'_>]) -> Result<KeyPattern, KeyError> {
+    parts.iter().flatten().try_for_each(|name| check_name(name))?;
+    Ok(KeyPattern(parts.iter().map(|part| part.unwrap_or("*")).collect::<Vec<_>>().join("/")))
+}
+
+/// Where commits go to that want an answer.
+///
+/// # Errors
+/// [`KeyError`] when a name cannot be part of a key; so for all of these.
+pub fn memory_commit(agent: &str) -> Result<Key, KeyError> {
+    key(&[agent, "memory"])
+}
+
+/// One entity in an agent's memory.
+///
+/// # Errors
+/// [`KeyError`].
+pub fn memory(agent: &str, segment: &str, provider: &str, entity: &str) -> Result<Key, KeyError> {
+    key(&[agent, "memory", segment, provider, entity])
+}
+
+/// Entities in the memory of one agent or of all.
+///
+/// # Errors
+/// [`KeyError`].
+pub fn memory_pattern(
+    agent: Part<'_>,
+    segment: Part<'_>,
+    provider: Part<'_>,
+    entity: Part<'_>,
+) -> Result<KeyPattern, KeyError> {
+    pattern(&[agent, Some("memory"), segment, provider, entity])
+}
+
+/// The frames of an image provider.
+///
+/// # Errors
+/// [`KeyError`].
+pub fn image(agent: &str, provider: &str) -> Result<Key, KeyError> {
+    key(&[agent, "image", provider])
+}
+
+/// What an agent's robot senses.
+///
+/// # Errors
+/// [`KeyError`].
+pub fn robot_state(agent: &str) -> Result<Key, KeyError> {
+    key(&[agent, "robot", "state"])
+}
+
+/// What an agent's robot is commanded.
+///
+/// # Errors
+/// [`KeyError`].
+pub fn robot_command(agent: &str) -> Result<Key, KeyError> {
+    key(&[agent, "robot", "command"])
+}
+
+/// A chart or skill of an agent that others may start.
+///
+/// # Errors
+/// [`KeyError`].
+pub fn chart(agent: &str, chart: &str) -> Result<Key, KeyError> {
+    key(&[agent, "chart", chart])
+}
+
+/// What happens in a run, for viewers.
+///
+/// # Errors
+/// [`KeyError`].
+pub fn trace(agent: &str, run: &str) -> Result<Key, KeyError> {
+    key(&[agent, "trace", run])
+}
+
+/// The liveliness token of a service of an agent.
+///
+/// # Errors
+/// [`KeyError`].
+pub fn alive(agent: &str, service: &str) -> Result<Key, KeyError> {
+    key(&[agent, "alive", service])
+}
+
+/// The liveliness tokens of the services that fit.
+///
+/// # Errors
+/// [`KeyError`].
+pub fn alive_pattern(agent: Part<'_>, service: Part<'_>) -> Result<KeyPattern, KeyError> {
+    pattern(&[agent, Some("alive"), service])
+}
+
+impl Key {
+    /// A key that came from outside.
+    ///
+    /// # Errors
+    /// [`KeyError`] names the first part that is no name.
+    pub fn parse(text: &str) -> Result<Self, KeyError> {
+        key(&text.split('/').collect::<Vec<_>>())
+    }
+
+    /// The key as Zenoh writes it.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+
+    /// The agent whose resource it is.
+    #[must_use]
+    pub fn agent(&self) -> &str {
+        self.0.split('/').next().unwrap_or_default()
+    }
+
+    /// The last part: entity, provider, chart, run or service.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        self.0.rsplit('/').next().unwrap_or_default()
+    }
+
+    /// The parts of an entity's key; `None` for other keys.
+    #[must_use]
+    pub fn memory_parts(&self) -> Option<MemoryParts<'_>> {
+        match self.0.split('/').collect::<Vec<_>>()[..] {
+            [agent, "memory", segment, provider, entity] => {
+                Some(MemoryParts { agent, segment, provider, entity })
+            }
+            _ => None,
+        }
+    }
+}
+
+impl KeyPattern {
+    /// The key expression as Zenoh writes it.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl From<Key> for KeyPattern {
+    fn from(key: Key) -> Self {
+        Self(key.0)
+    }
+}
+
+impl fmt::Display for Key {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl fmt::Display for KeyPattern {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_are_made_of_checked_names() {
+        assert_eq!(
+            memory("alice", "Motions", "learned", "wipe 1").unwrap().as_str(),
+            "alice/memory/Motions/learned/wipe 1"
+        );
+        assert_eq!(robot_state("alice").unwrap().as_str(), "alice/robot/state");
+        assert_eq!(alive_pattern(None, Some("memory")).unwrap().as_str(), "*/alive/memory");
+        assert_eq!(
+            memory_pattern(Some("a"), Some("Motions"), None, None).unwrap().as_str(),
+            "a/memory/Motions/*/*"
+        );
+        for bad in ["", "a/b", "**", "$*", "a#", "a?", "@alice", "tab\t"] {
+            assert!(robot_state(bad).is_err(), "{bad:?} is refused");
+            assert!(alive_pattern(Some(bad), None).is_err(), "{bad:?} is refused in patterns");
+        }
+    }
+
+    #[test]
+    fn keys_that_are_accepted_are_key_expressions() {
+        for name in ["a", "-", "ä ö", "a.b", "a@b", "x_1", &"n".repeat(200)] {
+            let key = memory(name, name, name, name).unwrap();
+            assert!(zenoh::key_expr::KeyExpr::new(key.as_str()).is_ok(), "{name:?}");
+            assert_eq!(Key::parse(key.as_str()).unwrap().memory_parts().unwrap().entity, name);
+        }
+        assert!(Key::parse("a//b").is_err());
+        assert_eq!(Key::parse("a/robot/state").unwrap().memory_parts(), None);
+    }
+}

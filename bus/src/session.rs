@@ -1,0 +1,454 @@
+//! The Zenoh session, thinly: put, get and subscribe with bounded queues, queryables, liveliness.
+//!
+//! Zenoh's callbacks run on its link threads, so ours only ever try to put something into a queue: what does not fit
+//! is dropped and counted, and the reader can see it. Nothing here interprets payloads.
+//!
+//! A session needs a multi-threaded tokio runtime, and waits in real time.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use tokio::runtime::{Handle, RuntimeFlavor};
+use tokio::sync::mpsc;
+use zenoh::bytes::Encoding;
+use zenoh::qos::CongestionControl;
+use zenoh::query::{ConsolidationMode, QueryTarget};
+use zenoh::sample::SampleKind;
+
+pub use crate::config::{Mode, SessionConfig, Tls};
+use crate::keys::{Key, KeyPattern};
+
+/// How long a question waits for its answers unless it says otherwise.
+pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Why a session cannot do something.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SessionError {
+    /// A session needs threads of its own.
+    #[error("a session needs a multi-threaded tokio runtime")]
+    Runtime,
+    /// An address beyond this machine.
+    #[error("`{endpoint}` reaches beyond this machine, which has to be asked for")]
+    OffLoopback {
+        /// The address.
+        endpoint: String,
+    },
+    /// A setting that Zenoh does not accept.
+    #[error("the session's configuration is not accepted: {what}")]
+    Config {
+        /// The setting and what is said of it.
+        what: String,
+    },
+    /// Zenoh failed.
+    #[error("Zenoh failed: {what}")]
+    Zenoh {
+        /// What it says.
+        what: String,
+    },
+    /// Nobody answered in time.
+    #[error("nobody answered `{key}` within {seconds} s")]
+    NoAnswer {
+        /// What was asked.
+        key: String,
+        /// How long was waited, s.
+        seconds: u64,
+    },
+    /// More answers than were asked for.
+    #[error("`{key}` has more answers than the {most} that are accepted")]
+    TooManyAnswers {
+        /// What was asked.
+        key: String,
+        /// How many were accepted.
+        most: usize,
+    },
+}
+
+/// Takes any of Zenoh's errors.
+fn failed(error: impl std::fmt::Display) -> SessionError {
+    SessionError::Zenoh { what: error.to_string() }
+}
+
+/// A session; clones are the same session. It closes when the last clone and all that was declared on it are gone.
+#[derive(Clone, Debug)]
+pub struct Session {
+    zenoh: zenoh::Session,
+}
+
+/// A payload with what names it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Message {
+    /// The key it was put on, as Zenoh writes it.
+    pub key: String,
+    /// Whether the key was deleted; the payload is empty then.
+    pub deleted: bool,
+    /// What the payload is, `application/cbor;NAME;vN`.
+    pub encoding: String,
+    /// The payload.
+    pub payload: Vec<u8>,
+    /// When it was sent, ns since 1970 by the sender's clock, where the sender said so.
+    pub sent_ns: Option<u64>,
+    /// The session that sent it, where known.
+    pub sender: Option<String>,
+}
+
+/// An answer to a question.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Answer {
+    /// What was asked for.
+    Message(Message),
+    /// The other side refuses; its payload says why.
+    Refusal {
+        /// What the payload is.
+        encoding: String,
+        /// Why.
+        payload: Vec<u8>,
+    },
+}
+
+/// What a subscription's queue holds: all that came, unless it was full.
+#[derive(Debug)]
+pub struct Subscription {
+    queue: mpsc::Receiver<Message>,
+    dropped: Arc<AtomicU64>,
+    _declared: zenoh::pubsub::Subscriber<()>,
+}
+
+/// The questions that others ask on a key.
+#[derive(Debug)]
+pub struct Questions {
+    queue: mpsc::Receiver<Question>,
+    dropped: Arc<AtomicU64>,
+    _declared: zenoh::query::Queryable<()>,
+}
+
+/// A question of another session. It ends, for the asker too, when it is dropped.
+#[derive(Debug)]
+pub struct Question {
+    /// The key or key expression that was asked for.
+    pub key: String,
+    /// What follows the `?`.
+    pub parameters: String,
+    /// The payload's encoding; empty without one.
+    pub encoding: String,
+    /// The payload that came with the question; empty without one.
+    pub payload: Vec<u8>,
+    query: zenoh::query::Query,
+}
+
+/// Says that a service is there, until it is dropped.
+#[derive(Debug)]
+#[must_use = "the service is gone when the token is dropped"]
+pub struct AliveToken {
+    _declared: zenoh::liveliness::LivelinessToken,
+}
+
+/// A service has appeared or gone.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Liveliness {
+    /// Its key.
+    pub key: String,
+    /// Whether it is there.
+    pub alive: bool,
+}
+
+/// The services that appear and go.
+#[derive(Debug)]
+pub struct Roll {
+    queue: mpsc::Receiver<Liveliness>,
+    _declared: zenoh::pubsub::Subscriber<()>,
+}
+
+impl Session {
+    /// Opens a session.
+    ///
+    /// # Errors
+    /// [`SessionError::Runtime`] outside a multi-threaded tokio runtime; [`SessionError::OffLoopback`] and
+    /// [`SessionError::Config`] for a configuration that is not accepted; [`SessionError::Zenoh`] when Zenoh
+    /// cannot listen or connect.
+    pub async fn open(config: &SessionConfig) -> Result<Self, SessionError> {
+        let flavor = Handle::try_current().map(|h| h.runtime_flavor());
+        if !matches!(flavor, Ok(RuntimeFlavor::MultiThread)) {
+            return Err(SessionError::Runtime);
+        }
+        let zenoh = zenoh::open(config.to_zenoh()?).await.map_err(failed)?;
+        Ok(Self { zenoh })
+    }
+
+    /// Where it listens, with the ports that were free: what others connect to.
+    pub async fn endpoints(&self) -> Vec<String> {
+        self.zenoh.info().locators().await.iter().map(ToString::to_string).collect()
+    }
+
+    /// Zenoh's own session, for payloads that stay in its buffers.
+    #[must_use]
+    pub fn zenoh(&self) -> &zenoh::Session {
+        &self.zenoh
+    }
+
+    /// The session's own name among all sessions.
+    #[must_use]
+    pub fn id(&self) -> String {
+        self.zenoh.zid().to_string()
+    }
+
+    /// The wall clock that messages are stamped with, ns since 1970; never the same twice.
+    #[must_use]
+    pub fn now_ns(&self) -> u64 {
+        nanoseconds(&self.zenoh.new_timestamp())
+    }
+
+    /// Puts a payload on a key, stamped with the time. It goes to whoever subscribes; nobody confirms it, and what
+    /// the network cannot take now is dropped.
+    ///
+    /// # Errors
+    /// [`SessionError::Zenoh`].
+    pub async fn put(&self, key: &Key, encoding: &str, payload: Vec<u8>) -> Result<(), SessionError> {
+        self.put_with(key, encoding, payload, CongestionControl::Drop).await
+    }
+
+    /// [`Self::put`] that waits while the network cannot take more; not for control loops.
+    ///
+    /// # Errors
+    /// [`SessionError::Zenoh`].
+    pub async fn put_waiting(&self, key: &Key, encoding: &str, payload: Vec<u8>) -> Result<(), SessionError> {
+        self.put_with(key, encoding, payload, CongestionControl::Block).await
+    }
+
+    async fn put_with(
+        &self,
+        key: &Key,
+        encoding: &str,
+        payload: Vec<u8>,
+        congestion: CongestionControl,
+    ) -> Result<(), SessionError> {
+        let put = self.zenoh.put(key.as_str(), payload).encoding(Encoding::from(encoding));
+        put.timestamp(self.zenoh.new_timestamp()).congestion_control(congestion).await.map_err(failed)
+    }
+
+    /// Subscribes to keys with a queue for `capacity` messages. What this session puts comes back too.
+    ///
+    /// # Errors
+    /// [`SessionError::Zenoh`].
+    pub async fn subscribe(
+        &self,
+        keys: impl Into<KeyPattern>,
+        capacity: usize,
+    ) -> Result<Subscription, SessionError> {
+        let (sender, queue) = mpsc::channel(capacity.max(1));
+        let dropped = Arc::new(AtomicU64::new(0));
+        let counter = Arc::clone(&dropped);
+        let declared = self.zenoh.declare_subscriber(keys.into().as_str().to_owned());
+        let declared = declared.callback(move |sample| offer(&sender, message(&sample), &counter));
+        Ok(Subscription { queue, dropped, _declared: declared.await.map_err(failed)? })
+    }
+
+    /// Asks all who answer on a key or pattern, `parameters` after the `?`, at most `most` answers, within `timeout`.
+    /// No answer at all is an empty list.
+    ///
+    /// # Errors
+    /// [`SessionError::Zenoh`]; [`SessionError::TooManyAnswers`].
+    pub async fn ask(
+        &self,
+        keys: impl Into<KeyPattern>,
+        parameters: &str,
+        payload: Option<(&str, Vec<u8>)>,
+        most: usize,
+        timeout: Duration,
+    ) -> Result<Vec<Answer>, SessionError> {
+        let keys = keys.into();
+        let selector = if parameters.is_empty() { keys.to_string() } else { format!("{keys}?{parameters}") };
+        let (sender, mut queue) = mpsc::channel(most.max(1));
+        let dropped = Arc::new(AtomicU64::new(0));
+        let counter = Arc::clone(&dropped);
+        let mut get = self
+            .zenoh
+            .get(selector)
+            .target(QueryTarget::All)
+            .consolidation(ConsolidationMode::None)
+            .timeout(timeout);
+        if let Some((encoding, payload)) = payload {
+            get = get.payload(payload).encoding(Encoding::from(encoding));
+        }
+        get.callback(move |reply| offer(&sender, answer(&reply), &counter)).await.map_err(failed)?;
+        let mut answers = Vec::new();
+        while let Some(answer) = queue.recv().await {
+            answers.push(answer);
+            if answers.len() > most {
+                break;
+            }
+        }
+        if dropped.load(Ordering::Relaxed) > 0 || answers.len() > most {
+            return Err(SessionError::TooManyAnswers { key: keys.to_string(), most });
+        }
+        Ok(answers)
+    }
+
+    /// Asks for one answer within [`ANSWER_TIMEOUT`].
+    ///
+    /// # Errors
+    /// [`SessionError::NoAnswer`] when none came; otherwise as [`Self::ask`].
+    pub async fn ask_one(
+        &self,
+        key: &Key,
+        parameters: &str,
+        payload: Option<(&str, Vec<u8>)>,
+    ) -> Result<Answer, SessionError> {
+        let answers = self.ask(key.clone(), parameters, payload, 64, ANSWER_TIMEOUT).await?;
+        // A refusal by whoever else answers does not count against an answer; a timeout is a refusal as well.
+        let is_message = |a: &&Answer| matches!(a, Answer::Message(_));
+        let best = answers.iter().find(is_message).or(answers.first()).cloned();
+        best.ok_or_else(|| SessionError::NoAnswer { key: key.to_string(), seconds: ANSWER_TIMEOUT.as_secs() })
+    }
+
+    /// Answers questions on keys, with a queue for `capacity` of them; what does not fit ends at once without an
+    /// answer.
+    ///
+    /// # Errors
+    /// [`SessionError::Zenoh`].
+    pub async fn answer(
+        &self,
+        keys: impl Into<KeyPattern>,
+        capacity: usize,
+    ) -> Result<Questions, SessionError> {
+        let (sender, queue) = mpsc::channel(capacity.max(1));
+        let dropped = Arc::new(AtomicU64::new(0));
+        let counter = Arc::clone(&dropped);
+        let declared = self.zenoh.declare_queryable(keys.into().as_str().to_owned());
+        let declared = declared.callback(move |query| offer(&sender, question(query), &counter));
+        Ok(Questions { queue, dropped, _declared: declared.await.map_err(failed)? })
+    }
+
+    /// Says that a service is there, under its key.
+    ///
+    /// # Errors
+    /// [`SessionError::Zenoh`].
+    pub async fn alive(&self, key: &Key) -> Result<AliveToken, SessionError> {
+        let declared = self.zenoh.liveliness().declare_token(key.as_str().to_owned());
+        Ok(AliveToken { _declared: declared.await.map_err(failed)? })
+    }
+
+    /// The services that are there and that appear or go from now on.
+    ///
+    /// # Errors
+    /// [`SessionError::Zenoh`].
+    pub async fn watch_alive(&self, keys: &KeyPattern, capacity: usize) -> Result<Roll, SessionError> {
+        let (sender, queue) = mpsc::channel(capacity.max(1));
+        let dropped = Arc::new(AtomicU64::new(0));
+        let seen = move |sample: zenoh::sample::Sample| {
+            let alive = sample.kind() == SampleKind::Put;
+            offer(&sender, Liveliness { key: sample.key_expr().to_string(), alive }, &dropped);
+        };
+        let liveliness = self.zenoh.liveliness();
+        let declared = liveliness.declare_subscriber(keys.as_str().to_owned()).history(true).callback(seen);
+        Ok(Roll { queue, _declared: declared.await.map_err(failed)? })
+    }
+
+    /// Closes the session for all clones.
+    ///
+    /// # Errors
+    /// [`SessionError::Zenoh`].
+    pub async fn close(&self) -> Result<(), SessionError> {
+        self.zenoh.close().await.map_err(failed)
+    }
+}
+
+/// Never waits: this runs on the threads of Zenoh's links.
+fn offer<T>(queue: &mpsc::Sender<T>, item: T, dropped: &AtomicU64) {
+    if queue.try_send(item).is_err() {
+        dropped.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+fn message(sample: &zenoh::sample::Sample) -> Message {
+    Message {
+        key: sample.key_expr().to_string(),
+        deleted: sample.kind() == SampleKind::Delete,
+        encoding: sample.encoding().to_string(),
+        payload: sample.payload().to_bytes().into_owned(),
+        sent_ns: sample.timestamp().map(nanoseconds),
+        sender: sample.timestamp().map(|stamp| stamp.get_id().to_string()),
+    }
+}
+
+fn answer(reply: &zenoh::query::Reply) -> Answer {
+    match reply.result() {
+        Ok(sample) => Answer::Message(message(sample)),
+        Err(error) => Answer::Refusal {
+            encoding: error.encoding().to_string(),
+            payload: error.payload().to_bytes().into_owned(),
+        },
+    }
+}
+
+fn question(query: zenoh::query::Query) -> Question {
+    Question {
+        key: query.key_expr().to_string(),
+        parameters: query.parameters().to_string(),
+        encoding: query.encoding().map(ToString::to_string).unwrap_or_default(),
+        payload: query.payload().map(|p| p.to_bytes().into_owned()).unwrap_or_default(),
+        query,
+    }
+}
+
+fn nanoseconds(stamp: &zenoh::time::Timestamp) -> u64 {
+    stamp.get_time().as_nanos()
+}
+
+impl Subscription {
+    /// The next message; `None` when the session has closed.
+    pub async fn next(&mut self) -> Option<Message> {
+        self.queue.recv().await
+    }
+
+    /// The next message if there is one already.
+    pub fn try_next(&mut self) -> Option<Message> {
+        self.queue.try_recv().ok()
+    }
+
+    /// How many messages have not fitted into the queue so far.
+    #[must_use]
+    pub fn dropped(&self) -> u64 {
+        self.dropped.load(Ordering::Relaxed)
+    }
+}
+
+impl Roll {
+    /// The next service that has appeared or gone; `None` when the session has closed.
+    pub async fn next(&mut self) -> Option<Liveliness> {
+        self.queue.recv().await
+    }
+}
+
+impl Questions {
+    /// The next question; `None` when the session has closed.
+    pub async fn next(&mut self) -> Option<Question> {
+        self.queue.recv().await
+    }
+
+    /// How many questions have not fitted into the queue so far; they got no answer.
+    #[must_use]
+    pub fn dropped(&self) -> u64 {
+        self.dropped.load(Ordering::Relaxed)
+    }
+}
+
+impl Question {
+    /// One answer, of perhaps many, on a key that the question fits.
+    ///
+    /// # Errors
+    /// [`SessionError::Zenoh`].
+    pub async fn reply(&self, key: &Key, encoding: &str, payload: Vec<u8>) -> Result<(), SessionError> {
+        let reply = self.query.reply(key.as_str(), payload).encoding(Encoding::from(encoding));
+        reply.await.map_err(failed)
+    }
+
+    /// Refuses, with a payload that says why.
+    ///
+    /// # Errors
+    /// [`SessionError::Zenoh`].
+    pub async fn refuse(&self, encoding: &str, payload: Vec<u8>) -> Result<(), SessionError> {
+        self.query.reply_err(payload).encoding(Encoding::from(encoding)).await.map_err(failed)
+    }
+}
