@@ -15,6 +15,7 @@ mod coach;
 mod error;
 mod field;
 mod fourier;
+mod imitation;
 mod kernels;
 mod motion;
 mod oscillator;
@@ -23,6 +24,7 @@ mod pdmp;
 mod pdmp_learning;
 mod period;
 mod rigid_fit;
+mod segment;
 mod servo;
 mod surface_correction;
 
@@ -31,6 +33,7 @@ pub use error::MotionError;
 pub use field::{
     CoachArm, CoachingCommand, PotentialField, SlowDown, nearer_hand, pulling_hand, pushing_hand,
 };
+pub use imitation::Imitation;
 pub use kernels::PhaseKernels;
 pub use motion::{Motion, MotionDof, MotionSwitch};
 pub use oscillator::{AdaptiveOscillator, OscillatorConfig, OscillatorRule};
@@ -39,5 +42,6 @@ pub use pdmp::{DmpState, Integrator, PeriodicDmp, PeriodicDmpConfig};
 pub use pdmp_learning::PhaseSample;
 pub use period::{PeriodEstimate, PeriodEstimator};
 pub use rigid_fit::{RigidFit, rigid_fit};
+pub use segment::{Demonstration, DemonstrationSegmenter, DemonstrationStage, SegmenterConfig, Swipe};
 pub use servo::{PositionServo, ServoCommand, ServoConfig, ServoObservation, ServoStatus};
 pub use surface_correction::SurfaceCorrection;

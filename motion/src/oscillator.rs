@@ -96,8 +96,8 @@ pub struct AdaptiveOscillator {
     until_look: f64,
     disagreements: u32,
     just_started: bool,
+    starts: u32,
     periods: PeriodMeans,
-    trend: Trend,
     value: Vec<f64>,
     slope: Vec<f64>,
     error: Vec<f64>,
@@ -133,8 +133,8 @@ impl AdaptiveOscillator {
             until_look: 0.0,
             disagreements: 0,
             just_started: false,
+            starts: 0,
             periods: PeriodMeans::default(),
-            trend: Trend::default(),
             value: zeros.clone(),
             slope: zeros.clone(),
             error: zeros,
@@ -191,11 +191,11 @@ impl AdaptiveOscillator {
         self.omega / TAU
     }
 
-    /// The mean frequency, Hz, since the oscillator locked: the slope of the phase over time. Steadier than the
-    /// running one; nothing before three periods.
+    /// The mean frequency, Hz, since the oscillator locked: the phase passed over the time it took. Steadier than
+    /// the running one, since neither noise nor a coach's uneven pace adds up in it; nothing before three periods.
     #[must_use]
     pub fn mean_frequency_hz(&self) -> Option<f64> {
-        (self.passed > 3.0 * TAU).then(|| self.trend.slope() / TAU)
+        (self.passed > 3.0 * TAU).then(|| self.passed / self.elapsed / TAU)
     }
 
     /// Whether the signal is being followed: with `estimate` only after it has repeated once.
@@ -208,13 +208,25 @@ impl AdaptiveOscillator {
     /// explains most of the signal.
     #[must_use]
     pub fn settled(&self) -> bool {
-        self.running && self.periods.steady(0.02) && self.periods.explained
+        self.running && self.periods.steady(0.02) && self.periods.unexplained < 0.5
     }
 
     /// Periods passed since the oscillator locked.
     #[must_use]
     pub fn periods(&self) -> f64 {
         self.passed / TAU
+    }
+
+    /// How often the oscillator has (re)started; each start defines phase 0 anew.
+    #[must_use]
+    pub fn starts(&self) -> u32 {
+        self.starts
+    }
+
+    /// Which share of the signal's power the series did not explain in the last whole period; 1 before there was one.
+    #[must_use]
+    pub fn unexplained(&self) -> f64 {
+        self.periods.unexplained
     }
 
     /// The coordinate whose fundamental leads the phase.
@@ -295,11 +307,11 @@ impl AdaptiveOscillator {
         self.anchor = self.series.strongest();
         self.phase = (-self.series.anchor(self.anchor)).rem_euclid(TAU);
         self.just_started = true;
+        self.starts = self.starts.saturating_add(1);
         self.passed = 0.0;
         self.elapsed = 0.0;
         self.disagreements = 0;
         self.periods = PeriodMeans::default();
-        self.trend = Trend::default();
         self.until_look = found.period;
     }
 
@@ -369,13 +381,12 @@ impl AdaptiveOscillator {
     /// Keeps the statistics of what was heard.
     fn note(&mut self, dt: f64) {
         self.elapsed += dt;
-        self.trend.add(self.elapsed, self.passed);
         self.periods.add(self.omega, self.omega * dt);
     }
 }
 
 /// Means over whole periods.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 struct PeriodMeans {
     turned: f64,
     sum: f64,
@@ -384,7 +395,22 @@ struct PeriodMeans {
     power: f64,
     means: [f64; 3],
     count: usize,
-    explained: bool,
+    unexplained: f64,
+}
+
+impl Default for PeriodMeans {
+    fn default() -> Self {
+        Self {
+            turned: 0.0,
+            sum: 0.0,
+            missed: 0.0,
+            weight: 0.0,
+            power: 0.0,
+            means: [0.0; 3],
+            count: 0,
+            unexplained: 1.0,
+        }
+    }
 }
 
 impl PeriodMeans {
@@ -401,38 +427,14 @@ impl PeriodMeans {
             self.means.rotate_right(1);
             self.means[0] = self.sum / self.turned;
             self.count += 1;
-            self.explained = self.missed <= 0.5 * self.weight * self.power;
+            let share = self.missed / (self.weight * self.power);
+            self.unexplained = if share.is_finite() { share } else { 1.0 };
             (self.turned, self.sum, self.missed, self.weight) = (0.0, 0.0, 0.0, 0.0);
         }
     }
 
     fn steady(&self, tolerance: f64) -> bool {
         self.count >= 2 && (self.means[0] / self.means[1] - 1.0).abs() <= tolerance
-    }
-}
-
-/// The least-squares slope of the phase over time, by running sums.
-#[derive(Debug, Clone, Default)]
-struct Trend {
-    n: f64,
-    t: f64,
-    y: f64,
-    tt: f64,
-    ty: f64,
-}
-
-impl Trend {
-    fn add(&mut self, t: f64, y: f64) {
-        self.n += 1.0;
-        let (dt, dy) = (t - self.t, y - self.y);
-        self.t += dt / self.n;
-        self.y += dy / self.n;
-        self.tt += dt * (t - self.t);
-        self.ty += dt * (y - self.y);
-    }
-
-    fn slope(&self) -> f64 {
-        if self.tt > 0.0 { self.ty / self.tt } else { 0.0 }
     }
 }
 

@@ -1,0 +1,313 @@
+//! The parts of a demonstration: rest, the first swipe that gives the workspace, and the periodic part after it.
+//!
+//! Works on the positions of the tool as they are tracked: noisy, at the camera's rate, with samples missing. It does
+//! not look for the rhythm; that is [`crate::AdaptiveOscillator`]'s.
+
+use std::collections::VecDeque;
+
+use nalgebra::Point3;
+use serde::{Deserialize, Serialize};
+
+use crate::error::{MotionError, finite, positive, within};
+
+/// The constants of a [`DemonstrationSegmenter`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SegmenterConfig {
+    /// The tool rests when it stays within `rest_radius` of a place for so long, s.
+    pub rest_time: f64,
+    /// Root mean square distance from its mean that still is rest, m; must cover the noise.
+    pub rest_radius: f64,
+    /// How far from rest a motion begins, m.
+    pub departure: f64,
+    /// The shortest swipe, m.
+    pub shortest_swipe: f64,
+    /// The largest deviation from a straight line, as a share of the swipe's length.
+    pub crookedness: f64,
+    /// How far the tool must come back for the swipe to be over, m.
+    pub return_distance: f64,
+    /// The demonstration has ended when the tool rests for so long, s; longer than a slow motion takes to turn round.
+    pub end_time: f64,
+    /// A longer time without a sample starts anew, s.
+    pub longest_gap: f64,
+}
+
+impl Default for SegmenterConfig {
+    fn default() -> Self {
+        Self {
+            rest_time: 0.35,
+            rest_radius: 0.012,
+            departure: 0.03,
+            shortest_swipe: 0.06,
+            crookedness: 0.35,
+            return_distance: 0.025,
+            end_time: 2.2,
+            longest_gap: 1.5,
+        }
+    }
+}
+
+/// The first swipe of a demonstration.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Swipe {
+    /// Where it began, m.
+    pub start: Point3<f64>,
+    /// Where it ended, m.
+    pub end: Point3<f64>,
+    /// When it began, s.
+    pub start_time: f64,
+    /// When it ended, s.
+    pub end_time: f64,
+}
+
+impl Swipe {
+    /// The centre of the workspace, m.
+    #[must_use]
+    pub fn centre(&self) -> Point3<f64> {
+        nalgebra::center(&self.start, &self.end)
+    }
+
+    /// Width (x), depth (y) and height (z) of the workspace, m: start and end are opposite corners.
+    #[must_use]
+    pub fn size(&self) -> nalgebra::Vector3<f64> {
+        (self.end - self.start).abs()
+    }
+}
+
+/// Where a demonstration stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DemonstrationStage {
+    /// No rest was seen yet.
+    Waiting,
+    /// The tool rests; the swipe may begin.
+    Rest,
+    /// The tool has left its rest.
+    Swiping,
+    /// The swipe is over; the periodic part may begin.
+    Swiped,
+    /// The periodic part goes on.
+    Periodic,
+    /// The tool rests again: the demonstration is over.
+    Ended,
+}
+
+/// What is known of a demonstration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Demonstration {
+    /// Where it stands.
+    pub stage: DemonstrationStage,
+    /// The swipe, once it is over.
+    pub swipe: Option<Swipe>,
+    /// From when on the tool moves periodically (with the way there), s.
+    pub periodic_since: Option<f64>,
+}
+
+/// Tells the parts of a demonstration from one another, sample by sample.
+#[derive(Debug, Clone)]
+pub struct DemonstrationSegmenter {
+    config: SegmenterConfig,
+    recent: VecDeque<(f64, Point3<f64>)>,
+    known: Demonstration,
+    rest: Option<Rest>,
+    track: Vec<(f64, Point3<f64>)>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Rest {
+    place: Point3<f64>,
+    until: f64,
+}
+
+/// The longest swipe that is remembered, in samples; longer ones are not swipes.
+const LONGEST_TRACK: usize = 4000;
+
+impl DemonstrationSegmenter {
+    /// A segmenter that has seen nothing.
+    ///
+    /// # Errors
+    /// When a constant is not positive.
+    pub fn new(config: SegmenterConfig) -> Result<Self, MotionError> {
+        for (what, value) in [
+            ("rest_time", config.rest_time),
+            ("rest_radius", config.rest_radius),
+            ("departure", config.departure),
+            ("shortest_swipe", config.shortest_swipe),
+            ("crookedness", config.crookedness),
+            ("return_distance", config.return_distance),
+            ("end_time", config.end_time),
+            ("longest_gap", config.longest_gap),
+        ] {
+            positive(what, value)?;
+        }
+        let known = Demonstration { stage: DemonstrationStage::Waiting, swipe: None, periodic_since: None };
+        Ok(Self { config, recent: VecDeque::new(), known, rest: None, track: Vec::new() })
+    }
+
+    /// Sees the tool at `point` (m) at `time` (s, increasing), and says what is known now.
+    ///
+    /// # Errors
+    /// When a value is not finite or time does not go on; the sample is left out.
+    pub fn observe(&mut self, time: f64, point: Point3<f64>) -> Result<Demonstration, MotionError> {
+        finite("time", &[time])?;
+        finite("point", point.coords.as_slice())?;
+        let last = self.recent.back().map_or(f64::NEG_INFINITY, |(t, _)| *t);
+        if time <= last {
+            return Err(MotionError::OutOfRange {
+                what: "time",
+                value: time,
+                low: last,
+                high: f64::INFINITY,
+            });
+        }
+        within("time", time, -1e12, 1e12)?;
+        if time - last > self.config.longest_gap && self.known.swipe.is_none() {
+            self.start_anew();
+        }
+        self.recent.push_back((time, point));
+        let span = self.config.end_time.max(self.config.rest_time);
+        while self.recent.front().is_some_and(|(t, _)| time - t > span) {
+            self.recent.pop_front();
+        }
+        self.advance(time, point);
+        Ok(self.known)
+    }
+
+    /// What is known now.
+    #[must_use]
+    pub fn known(&self) -> Demonstration {
+        self.known
+    }
+
+    fn start_anew(&mut self) {
+        self.known.stage = DemonstrationStage::Waiting;
+        self.recent.clear();
+        self.track.clear();
+        self.rest = None;
+    }
+
+    fn advance(&mut self, time: f64, point: Point3<f64>) {
+        let resting = self.resting(self.config.rest_time);
+        match self.known.stage {
+            DemonstrationStage::Waiting => {
+                if let Some(place) = resting {
+                    self.rest = Some(Rest { place, until: time });
+                    self.known.stage = DemonstrationStage::Rest;
+                }
+            }
+            DemonstrationStage::Rest => self.at_rest(time, point, resting),
+            DemonstrationStage::Swiping => self.swiping(time, point, resting),
+            DemonstrationStage::Swiped => self.swiped(time, resting),
+            DemonstrationStage::Periodic => {
+                if self.resting(self.config.end_time).is_some() {
+                    self.known.stage = DemonstrationStage::Ended;
+                }
+            }
+            DemonstrationStage::Ended => {}
+        }
+    }
+
+    fn at_rest(&mut self, time: f64, point: Point3<f64>, resting: Option<Point3<f64>>) {
+        let Some(rest) = &mut self.rest else { return };
+        if let Some(place) = resting {
+            // The place follows slowly, so that the beginning of the motion does not pull it along.
+            let near = (place - rest.place).norm() < self.config.departure;
+            rest.place = if near { rest.place + (place - rest.place) * 0.2 } else { place };
+            rest.until = time;
+        }
+        self.track.push((time, point));
+        if self.track.len() > 60 {
+            self.track.remove(0);
+        }
+        let place = rest.place;
+        if self.smooth().is_some_and(|p| (p - place).norm() > self.config.departure) {
+            self.known.stage = DemonstrationStage::Swiping;
+        }
+    }
+
+    fn swiping(&mut self, time: f64, point: Point3<f64>, resting: Option<Point3<f64>>) {
+        self.track.push((time, point));
+        let (Some(rest), Some(now)) = (self.rest, self.smooth()) else { return };
+        let farthest = self.track.iter().map(|(_, p)| (p - rest.place).norm()).fold(0.0, f64::max);
+        let back = farthest - (now - rest.place).norm() > self.config.return_distance;
+        if resting.is_none() && !back && self.track.len() < LONGEST_TRACK {
+            return;
+        }
+        match self.swipe(rest) {
+            Some(swipe) => {
+                self.known.swipe = Some(swipe);
+                self.known.stage = DemonstrationStage::Swiped;
+                self.rest = resting.map(|place| Rest { place, until: time });
+                self.known.periodic_since = back.then_some(swipe.end_time);
+                if back {
+                    self.known.stage = DemonstrationStage::Periodic;
+                }
+            }
+            None => self.start_anew(),
+        }
+        self.track.clear();
+    }
+
+    /// The swipe on the track, if it is long and straight enough.
+    fn swipe(&self, rest: Rest) -> Option<Swipe> {
+        let distance = |p: &Point3<f64>| (p - rest.place).norm();
+        // The farthest samples together: one alone would carry its noise.
+        let farthest = self.track.iter().map(|(_, p)| distance(p)).fold(0.0, f64::max);
+        let late: Vec<_> = self.track.iter().filter(|(_, p)| farthest - distance(p) < 0.012).collect();
+        let sum = late.iter().map(|(_, p)| p.coords).sum::<nalgebra::Vector3<f64>>();
+        let end = Point3::from(sum / late.len().max(1) as f64);
+        let chord = end - rest.place;
+        let length = chord.norm();
+        if length < self.config.shortest_swipe {
+            return None;
+        }
+        let end_time = late.first()?.0;
+        let off = |p: &Point3<f64>| (p - rest.place).cross(&chord).norm() / length;
+        let crooked =
+            self.track.iter().filter(|(t, _)| *t <= end_time).map(|(_, p)| off(p)).fold(0.0, f64::max);
+        let noise = 2.0 * self.config.rest_radius;
+        if crooked > self.config.crookedness * length + noise {
+            return None;
+        }
+        let start_time =
+            self.track.iter().rev().find(|(_, p)| distance(p) < self.config.departure).map(|s| s.0);
+        Some(Swipe { start: rest.place, end, start_time: start_time.unwrap_or(rest.until), end_time })
+    }
+
+    fn swiped(&mut self, time: f64, resting: Option<Point3<f64>>) {
+        if let Some(place) = resting {
+            self.rest = Some(Rest { place, until: time });
+            return;
+        }
+        let place = self.rest.map(|rest| rest.place);
+        let away = |place: Point3<f64>| {
+            self.smooth().is_some_and(|p| (p - place).norm() > 0.5 * self.config.departure)
+        };
+        if place.is_none_or(away) {
+            self.known.periodic_since = Some(self.rest.map_or(time, |rest| rest.until));
+            self.known.stage = DemonstrationStage::Periodic;
+        }
+    }
+
+    /// The mean of the last three samples.
+    fn smooth(&self) -> Option<Point3<f64>> {
+        let n = self.recent.len().min(3);
+        let sum = self.recent.iter().rev().take(n).map(|(_, p)| p.coords).sum::<nalgebra::Vector3<f64>>();
+        (n > 0).then(|| Point3::from(sum / n as f64))
+    }
+
+    /// The mean place of the last `span` s if the tool has rested there.
+    fn resting(&self, span: f64) -> Option<Point3<f64>> {
+        let now = self.recent.back()?.0;
+        let within = || self.recent.iter().filter(move |(t, _)| now - t <= span);
+        let n = within().count() as f64;
+        let covered = now - within().next()?.0;
+        // A sample may be missing at the beginning.
+        if n < 4.0 || covered < span - 0.15 {
+            return None;
+        }
+        let mean = Point3::from(within().map(|(_, p)| p.coords).sum::<nalgebra::Vector3<f64>>() / n);
+        let square = within().map(|(_, p)| (p - mean).norm_squared()).sum::<f64>() / n;
+        (square.sqrt() <= self.config.rest_radius).then_some(mean)
+    }
+}
