@@ -70,6 +70,22 @@ pub enum Fault {
         /// The first such joint.
         joint: String,
     },
+    /// A command held another number of velocities than the limb has joints.
+    #[error("a command for the limb `{limb}` held {got} velocities, it has {expected} joints")]
+    WrongLength {
+        /// The limb commanded.
+        limb: String,
+        /// How many joints it has.
+        expected: usize,
+        /// How many velocities came.
+        got: usize,
+    },
+    /// The robot was stopped for good.
+    #[error("the robot is stopped: {reason}")]
+    Stopped {
+        /// Why.
+        reason: String,
+    },
 }
 
 /// Why a lease was not given.
@@ -110,6 +126,16 @@ pub enum RobotError {
         /// What is wrong and where.
         what: String,
     },
+    /// A name that the description does not hold.
+    #[error("the robot has no {kind} `{name}`; it has {known}")]
+    Unknown {
+        /// Link, joint or limb.
+        kind: &'static str,
+        /// The name asked for.
+        name: String,
+        /// Comma-separated names.
+        known: String,
+    },
 }
 
 /// A robot as skills see it. Implemented by the guarded robot in this process and by the proxy over Zenoh.
@@ -129,4 +155,6 @@ pub trait Robot: Send + Sync {
     fn set_load(&self, mass_kg: f64, center_in_tcp: Point3<f64>);
     /// Stops every limb for good; later leases are refused.
     fn stop(&self, reason: &str);
+    /// Says something through the robot's loudspeaker; whoever stands there (the coach) hears it.
+    fn say(&self, utterance: &str);
 }

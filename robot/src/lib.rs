@@ -1,12 +1,32 @@
 //! What a robot is: its description, kinematics and dynamics, and the boundary across which it is sensed and
 //! commanded.
 //!
-//! - [`Model`]: joints, links, limbs, forward kinematics, Jacobian, dynamics; read from URDF.
+//! - [`Model`]: joints, links, limbs, read from URDF. [`Kinematics`], [`Dynamics`]: poses, Jacobians, torques.
+//! - [`DifferentialIk`], [`solve_pose`]: from a twist or a pose of a link to joint velocities or positions.
+//! - [`postures`]: named arm and torso postures of ARMAR-III, with the numbers that chose them.
 //! - [`Robot`]: what skills hold. [`Lease`]: the exclusive right to command one limb.
 //! - [`Guard`]: stands between leases and the joints; limits, watchdog, force limit. Pure and stepped.
+//! - [`DummyRobot`], [`conformance`]: ideal joints for tests, and what every driver's test calls.
 //!
 //! This room knows no skill, no chart and no physics engine.
 
 mod boundary;
+mod description;
+mod dynamics;
+mod guard;
+mod ik;
+mod kinematics;
+mod lease;
+mod model;
+mod wrist;
 
 pub use boundary::{Fault, LeaseError, LeaseLimits, Robot, RobotError, Sensed, Wrist};
+pub use dynamics::Dynamics;
+pub use guard::{Guard, GuardConfig, JointTargets, Sample};
+pub use ik::{DifferentialIk, IkConfig, IkStep};
+pub use kinematics::{Jacobian, Kinematics, Twist};
+pub use lease::{Commander, GuardedRobot, Lease};
+pub use model::{
+    Collision, GRAVITY, Inertial, Joint, JointKind, Limb, LimbSpec, Link, LinkId, Model, Shape, Visual,
+};
+pub use wrist::load_mass;

@@ -1,0 +1,451 @@
+//! The guard: stands between leases and the joints' drives. Pure and stepped; it has no clock, no task, no physics.
+//!
+//! Whoever drives the joints calls [`Guard::step`] with each sample (1 kHz) and applies the [`JointTargets`]. One step:
+//! compensate the wrist and publish the sample; find faults; take the newest command of each limb, or 0; scale it to the
+//! TCP and joint speed limits, keeping its direction; bound its change by the acceleration limits; stop softly before the
+//! joint limits; integrate it to a setpoint that stays near the measured position. Over the force limit the arm gives way.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use nalgebra::{Matrix6, Point3, Vector3, Vector6};
+
+use crate::lease::{Desk, Shared};
+use crate::model::Limb;
+use crate::wrist::WristEstimator;
+use crate::{Fault, GuardedRobot, Jacobian, JointKind, Kinematics, Model, Sensed, Wrist};
+
+/// The guard's own limits; leases can only tighten them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GuardConfig {
+    /// Longest time without a fresh command of a limb that moves.
+    pub watchdog: Duration,
+    /// Largest compensated wrist force, N.
+    pub force_n: f64,
+    /// Largest speed of any TCP, m/s.
+    pub speed_m_s: f64,
+    /// How long the raw wrist sample may stay bit-identical.
+    pub frozen: Duration,
+    /// How far a turning joint's setpoint may be from its measured position, rad: bounds the torque in contact.
+    pub window_rad: f64,
+    /// The same for a sliding joint, m: with the drive's stiffness, this is the grip's force.
+    pub window_m: f64,
+    /// Distance from its limits at which a turning joint stops, rad.
+    pub margin_rad: f64,
+    /// How fast the arm gives way for each newton over what it yields to, m/s/N.
+    pub yield_gain: f64,
+    /// How fast it gives way at most, m/s.
+    pub yield_speed_m_s: f64,
+}
+
+impl Default for GuardConfig {
+    fn default() -> Self {
+        Self {
+            watchdog: Duration::from_millis(30),
+            force_n: 40.0,
+            speed_m_s: 1.0,
+            frozen: Duration::from_millis(100),
+            window_rad: 0.05,
+            window_m: 0.02,
+            margin_rad: 0.005,
+            yield_gain: 0.004,
+            yield_speed_m_s: 0.3,
+        }
+    }
+}
+
+/// Once over its limit, the arm gives way until the force is under this share of it.
+const YIELD_UNTIL: f64 = 0.8;
+/// Damping of the motion with which the arm gives way.
+const YIELD_DAMPING: f64 = 0.05;
+/// Longest step that is integrated, s: a driver that paused does not leap.
+const LONGEST_STEP_S: f64 = 0.02;
+
+/// What the joints and the wrist sensor report at one instant, raw.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sample {
+    /// Joint positions in the model's order, rad (m).
+    pub position: Vec<f64>,
+    /// Joint velocities, rad/s (m/s).
+    pub velocity: Vec<f64>,
+    /// Force that the hand exerts on the wrist sensor, in the sensor's frame, N.
+    pub force_raw: Vector3<f64>,
+    /// Torque about the sensor's origin, in the sensor's frame, N m.
+    pub torque_raw: Vector3<f64>,
+}
+
+impl Sample {
+    /// At rest at `position`, with nothing on the sensor.
+    #[must_use]
+    pub fn resting(position: Vec<f64>) -> Self {
+        let velocity = vec![0.0; position.len()];
+        Self { position, velocity, force_raw: Vector3::zeros(), torque_raw: Vector3::zeros() }
+    }
+
+    fn is_finite(&self, joints: usize) -> bool {
+        let all = |values: &[f64]| values.len() == joints && values.iter().all(|v| v.is_finite());
+        all(&self.position) && all(&self.velocity)
+    }
+}
+
+/// What the joints' drives have to follow, in the model's order.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct JointTargets {
+    /// Positions, rad (m).
+    pub position: Vec<f64>,
+    /// Velocities, rad/s (m/s).
+    pub velocity: Vec<f64>,
+}
+
+/// The wrist sensor of one limb and what the guard knows of it.
+#[derive(Debug)]
+struct Sensor {
+    limb: Limb,
+    /// Which limbs move the hand, by their place on the desk.
+    carriers: Vec<usize>,
+    estimator: WristEstimator,
+    raw: Option<(Vector3<f64>, Vector3<f64>)>,
+    changed_ns: u64,
+    frozen: bool,
+    wrist: Wrist,
+    /// While giving way: the limit that was exceeded and the largest force, N.
+    yielding: Option<(f64, f64)>,
+    jacobian: Jacobian,
+}
+
+/// Stands between leases and the joints.
+#[derive(Debug)]
+pub struct Guard {
+    shared: Arc<Shared>,
+    config: GuardConfig,
+    kinematics: Kinematics,
+    sensor: Option<Sensor>,
+    measured: Sample,
+    desired: Vec<f64>,
+    targets: JointTargets,
+    stamp_ns: Option<u64>,
+}
+
+impl Guard {
+    /// A guard and the robot behind it. The joints hold where the first sample finds them.
+    ///
+    /// The first limb (by name) that has both a sensor and a TCP is the one whose wrist is sensed.
+    #[must_use]
+    pub fn new(model: Arc<Model>, config: GuardConfig) -> (Self, Arc<GuardedRobot>) {
+        let shared = Arc::new(Shared::new(&model));
+        let robot = Arc::new(GuardedRobot { shared: Arc::clone(&shared) });
+        let n = model.joints().len();
+        let guard = Self {
+            shared,
+            config,
+            kinematics: Kinematics::new(&model),
+            sensor: Sensor::of(&model),
+            measured: Sample::resting(model.zero()),
+            desired: vec![0.0; n],
+            targets: JointTargets { position: model.zero(), velocity: vec![0.0; n] },
+            stamp_ns: None,
+        };
+        (guard, robot)
+    }
+
+    /// The targets of the last step.
+    #[must_use]
+    pub fn targets(&self) -> &JointTargets {
+        &self.targets
+    }
+
+    /// What was said through the robot's loudspeaker since the last call, oldest first.
+    pub fn take_utterances(&mut self) -> Vec<String> {
+        self.shared.take_utterances()
+    }
+
+    /// Takes a sample at `stamp_ns` since the robot's start, publishes it, and says what the drives have to follow.
+    ///
+    /// A sample that is not finite or of the wrong length is not believed: the one before stands in for it, and a wrist
+    /// that goes on so counts as frozen. Allocates the published sample only.
+    pub fn step(&mut self, stamp_ns: u64, sample: &Sample) -> &JointTargets {
+        let dt = self.accept(stamp_ns, sample);
+        let shared = Arc::clone(&self.shared);
+        let mut desk = shared.desk();
+        self.sense(&mut desk, stamp_ns, dt);
+        self.find_faults(&mut desk, stamp_ns);
+        self.take_commands(&desk);
+        drop(desk);
+        self.give_way();
+        self.bound_tcp_speed();
+        for joint in 0..self.desired.len() {
+            debug_assert!(self.desired[joint].is_finite(), "leases take finite commands only");
+        }
+        self.accelerate(dt);
+        self.integrate(dt);
+        self.publish(stamp_ns);
+        &self.targets
+    }
+
+    /// Returns the time since the last sample, s.
+    fn accept(&mut self, stamp_ns: u64, sample: &Sample) -> f64 {
+        let first = self.stamp_ns.is_none();
+        #[expect(clippy::cast_precision_loss, reason = "a step is far below 2^52 ns")]
+        let since = stamp_ns.saturating_sub(self.stamp_ns.unwrap_or(stamp_ns)) as f64 * 1e-9;
+        self.stamp_ns = Some(stamp_ns);
+        if sample.is_finite(self.desired.len()) {
+            self.measured.position.copy_from_slice(&sample.position);
+            self.measured.velocity.copy_from_slice(&sample.velocity);
+            if first {
+                self.targets.position.copy_from_slice(&sample.position);
+            }
+        }
+        self.measured.force_raw = sample.force_raw;
+        self.measured.torque_raw = sample.torque_raw;
+        self.kinematics.update(&self.measured.position);
+        since.min(LONGEST_STEP_S)
+    }
+
+    fn sense(&mut self, desk: &mut Desk, stamp_ns: u64, dt: f64) {
+        let Some(sensor) = &mut self.sensor else { return };
+        if let Some((mass, center)) = desk.load.take() {
+            sensor.estimator.set_load(mass, center);
+        }
+        sensor.sense(&self.kinematics, &self.measured, stamp_ns, dt);
+        sensor.frozen = stamp_ns.saturating_sub(sensor.changed_ns) >= nanoseconds(self.config.frozen);
+        if std::mem::take(&mut desk.tare) {
+            sensor.estimator.tare(&self.kinematics);
+        }
+    }
+
+    fn find_faults(&mut self, desk: &mut Desk, stamp_ns: u64) {
+        let watchdog_ns = nanoseconds(self.config.watchdog);
+        for slot in &mut desk.slots {
+            let Some(held) = &mut slot.held else { continue };
+            if held.seen.0 != held.sequence {
+                held.seen = (held.sequence, stamp_ns);
+            }
+            let silent_ns = stamp_ns.saturating_sub(held.seen.1);
+            let moving = held.velocities.iter().any(|v| *v != 0.0);
+            if moving && silent_ns > watchdog_ns {
+                slot.fail(&Fault::Watchdog { silent_ms: silent_ns / 1_000_000 });
+            }
+        }
+        if let Some(sensor) = &mut self.sensor {
+            sensor.find_faults(desk, &self.config, stamp_ns);
+        }
+    }
+
+    /// The desired velocities: each limb's newest command, scaled to its limits; 0 for limbs without a sound lease.
+    fn take_commands(&mut self, desk: &Desk) {
+        self.desired.fill(0.0);
+        for slot in &desk.slots {
+            let Some(held) = slot.held.as_ref().filter(|held| held.fault.is_none()) else { continue };
+            for (&joint, &velocity) in slot.limb.joints.iter().zip(&held.velocities) {
+                self.desired[joint] = velocity;
+            }
+            if let (Some(tcp), Some(limit)) = (slot.limb.tcp, held.limits.speed_m_s) {
+                let mut velocity = Vector3::zeros();
+                let point = Point3::from(self.kinematics.pose(tcp).translation.vector);
+                for &joint in &slot.limb.joints {
+                    velocity += self.kinematics.column(joint, tcp, &point).linear * self.desired[joint];
+                }
+                let scale = scale_to(limit.max(0.0), velocity.norm());
+                slot.limb.joints.iter().for_each(|&j| self.desired[j] *= scale);
+            }
+            self.bound_joint_speed(&slot.limb.joints);
+        }
+    }
+
+    /// Scales the joints' velocities together until each is within its limit.
+    fn bound_joint_speed(&mut self, joints: &[usize]) {
+        let limits = self.shared.model.joints();
+        let scale =
+            joints.iter().map(|&j| scale_to(limits[j].velocity, self.desired[j].abs())).fold(1.0, f64::min);
+        joints.iter().for_each(|&j| self.desired[j] *= scale);
+    }
+
+    /// Moves the arm along the force while it is over the limit.
+    fn give_way(&mut self) {
+        let Some(sensor) = &mut self.sensor else { return };
+        let Some((limit, _)) = sensor.yielding else { return };
+        sensor.yield_into(&self.kinematics, &self.config, limit, &mut self.desired);
+        let joints = sensor.limb.joints.clone();
+        self.bound_joint_speed(&joints);
+    }
+
+    fn bound_tcp_speed(&mut self) {
+        let model = Arc::clone(&self.shared.model);
+        for tcp in model.limbs().values().filter_map(|limb| limb.tcp) {
+            let speed = self.kinematics.twist(tcp, &Point3::origin(), &self.desired).linear.norm();
+            let scale = scale_to(self.config.speed_m_s, speed);
+            if scale < 1.0 {
+                for (joint, velocity) in self.desired.iter_mut().enumerate() {
+                    if model.moves(joint, tcp) {
+                        *velocity *= scale;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Moves the targets' velocities towards the desired ones: each limb along a straight line in its joint space.
+    fn accelerate(&mut self, dt: f64) {
+        let model = Arc::clone(&self.shared.model);
+        for limb in model.limbs().values() {
+            let mut share = 1.0_f64;
+            for &j in &limb.joints {
+                let change = (self.desired[j] - self.targets.velocity[j]).abs();
+                share = share.min(scale_to(model.joints()[j].acceleration * dt, change));
+            }
+            for &j in &limb.joints {
+                self.targets.velocity[j] += share * (self.desired[j] - self.targets.velocity[j]);
+            }
+        }
+    }
+
+    /// Integrates the velocities, each joint stopping before its limits and staying near where it is measured.
+    fn integrate(&mut self, dt: f64) {
+        let Self { config, measured, targets, shared, .. } = self;
+        for (j, joint) in shared.model.joints().iter().enumerate() {
+            let (window, margin) = match joint.kind {
+                JointKind::Revolute => (config.window_rad, config.margin_rad),
+                JointKind::Prismatic => (config.window_m, 0.0),
+            };
+            let (position, velocity) = (&mut targets.position[j], &mut targets.velocity[j]);
+            let up = stopping_speed(joint.upper - margin - *position, joint.acceleration, dt);
+            let down = stopping_speed(*position - joint.lower - margin, joint.acceleration, dt);
+            *velocity = velocity.clamp(-down, up);
+            let wanted = *position + *velocity * dt;
+            *position = wanted.clamp(measured.position[j] - window, measured.position[j] + window);
+            if (wanted - *position) * *velocity > 0.0 {
+                // The joint does not follow: slow down as if braking, so that it starts gently when it is free.
+                let loss = (2.0 * joint.acceleration * dt).min(velocity.abs());
+                *velocity -= loss.copysign(*velocity);
+            }
+        }
+    }
+
+    fn publish(&self, stamp_ns: u64) {
+        let wrist = self.sensor.as_ref().map_or_else(Wrist::default, |s| s.wrist);
+        self.shared.sensed.send_replace(Arc::new(Sensed {
+            stamp_ns,
+            position: self.measured.position.clone(),
+            velocity: self.measured.velocity.clone(),
+            force_raw: self.measured.force_raw,
+            torque_raw: self.measured.torque_raw,
+            wrist,
+        }));
+    }
+}
+
+impl Sensor {
+    fn of(model: &Model) -> Option<Self> {
+        let (limb, sensor, tcp) =
+            model.limbs().values().find_map(|limb| Some((limb, limb.sensor?, limb.tcp?)))?;
+        let moves = |limb: &Limb| limb.joints.iter().any(|&j| model.moves(j, sensor));
+        let carriers = model.limbs().values().enumerate().filter(|(_, l)| moves(l)).map(|(i, _)| i).collect();
+        Some(Self {
+            limb: limb.clone(),
+            carriers,
+            estimator: WristEstimator::new(model, sensor, tcp),
+            raw: None,
+            changed_ns: 0,
+            frozen: false,
+            wrist: Wrist::default(),
+            yielding: None,
+            jacobian: Jacobian::zeros(limb.joints.len()),
+        })
+    }
+
+    /// Takes a raw sample; one that is not finite is none.
+    fn sense(&mut self, kinematics: &Kinematics, sample: &Sample, stamp_ns: u64, dt: f64) {
+        let raw = (sample.force_raw, sample.torque_raw);
+        if !raw.0.iter().chain(&raw.1).all(|v| v.is_finite()) {
+            return;
+        }
+        if self.raw.replace(raw) != Some(raw) {
+            self.changed_ns = stamp_ns;
+        }
+        self.wrist = self.estimator.update(kinematics, &sample.velocity, raw, dt.max(1e-6));
+    }
+
+    fn find_faults(&mut self, desk: &mut Desk, config: &GuardConfig, stamp_ns: u64) {
+        if self.frozen {
+            self.yielding = None;
+            let frozen_ms = stamp_ns.saturating_sub(self.changed_ns) / 1_000_000;
+            self.fail(desk, &Fault::FrozenWrench { frozen_ms });
+            return;
+        }
+        let force = self.wrist.force.norm();
+        let limit = self.limit(desk, config);
+        self.yielding = match self.yielding {
+            _ if desk.stopped.is_some() => None,
+            Some((limit, worst)) if force > YIELD_UNTIL * limit => Some((limit, worst.max(force))),
+            Some(_) => None,
+            None => (force > limit).then_some((limit, force)),
+        };
+        if let Some((limit_n, force_n)) = self.yielding {
+            self.fail(desk, &Fault::Force { force_n, limit_n });
+        }
+    }
+
+    /// The tightest limit of those who move the hand, N.
+    fn limit(&self, desk: &Desk, config: &GuardConfig) -> f64 {
+        let of = |&i: &usize| desk.slots[i].held.as_ref().and_then(|held| held.limits.force_n);
+        self.carriers.iter().filter_map(of).fold(config.force_n, f64::min).max(0.0)
+    }
+
+    /// Faults every lease that moves the hand; a force fault keeps the largest force.
+    fn fail(&self, desk: &mut Desk, fault: &Fault) {
+        for &i in &self.carriers {
+            desk.slots[i].fail(fault);
+            let held = desk.slots[i].held.as_mut();
+            if let (Some(Some(Fault::Force { force_n: old, .. })), Fault::Force { force_n, .. }) =
+                (held.map(|h| &mut h.fault), fault)
+            {
+                *old = old.max(*force_n);
+            }
+        }
+    }
+
+    /// Joint velocities that move the TCP along the force without turning it, by damped least squares.
+    fn yield_into(&mut self, kinematics: &Kinematics, config: &GuardConfig, limit: f64, desired: &mut [f64]) {
+        let Some(tcp) = self.limb.tcp else { return };
+        let force = self.wrist.force;
+        let over = force.norm() - 0.5 * YIELD_UNTIL * limit;
+        let Some(direction) = force.try_normalize(1e-6) else { return };
+        let linear = direction * (config.yield_gain * over.max(0.0)).min(config.yield_speed_m_s);
+        let twist = Vector6::new(linear.x, linear.y, linear.z, 0.0, 0.0, 0.0);
+        kinematics.jacobian_into(tcp, &Point3::origin(), &self.limb.joints, &mut self.jacobian);
+        let mut normal = Matrix6::identity() * (YIELD_DAMPING * YIELD_DAMPING);
+        normal.gemm_tr_like(&self.jacobian);
+        let Some(solved) = normal.cholesky().map(|c| c.solve(&twist)) else { return };
+        for (column, &joint) in self.jacobian.column_iter().zip(&self.limb.joints) {
+            desired[joint] = column.dot(&solved);
+        }
+    }
+}
+
+/// Adds `J J^T` without allocating.
+trait AddGram {
+    fn gemm_tr_like(&mut self, jacobian: &Jacobian);
+}
+
+impl AddGram for Matrix6<f64> {
+    fn gemm_tr_like(&mut self, jacobian: &Jacobian) {
+        for column in jacobian.column_iter() {
+            let column: Vector6<f64> = column.into_owned();
+            *self += column * column.transpose();
+        }
+    }
+}
+
+/// The share of `value` that is within `limit`.
+fn scale_to(limit: f64, value: f64) -> f64 {
+    if value > limit { limit / value } else { 1.0 }
+}
+
+/// The largest speed from which a joint, one step of it later, can still brake within `distance`.
+fn stopping_speed(distance: f64, acceleration: f64, dt: f64) -> f64 {
+    acceleration * ((dt * dt + 2.0 * distance.max(0.0) / acceleration).sqrt() - dt)
+}
+
+fn nanoseconds(duration: Duration) -> u64 {
+    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
+}

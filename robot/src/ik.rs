@@ -1,0 +1,256 @@
+//! Differential inverse kinematics: from a twist of a link to joint velocities, by damped least squares.
+//!
+//! The task is `S (J dq - v) = 0` with row weights `S`. Each singular direction of `S J` is damped by its own singular
+//! value only (so that a good direction is followed exactly beside a bad one); what the task leaves free draws the joints
+//! towards a posture; a joint at its limit is taken out and the others solve the task again; at last the whole velocity
+//! is scaled to the joint speed limits, so that the direction stays.
+
+use std::sync::Arc;
+
+use nalgebra::{Matrix6, Point3, Vector3, Vector6};
+
+use crate::{Jacobian, Kinematics, LinkId, Model, Twist};
+
+/// How [`DifferentialIk`] weighs and bounds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct IkConfig {
+    /// Weights of linear x, y, z: which errors count when not all can vanish. In the link's frame; 0 frees an axis.
+    pub linear_weight: Vector3<f64>,
+    /// Weights of angular x, y, z (m/rad), likewise: `(1, 1, 0) * 0.3` leaves the turn about the link's z free.
+    pub angular_weight: Vector3<f64>,
+    /// Singular values of the weighted Jacobian under this are damped.
+    pub singular: f64,
+    /// Damping at a singular value of 0.
+    pub damping: f64,
+    /// Pull towards the posture, 1/s.
+    pub posture_gain: f64,
+    /// Share of a joint's largest speed that the pull may use.
+    pub posture_share: f64,
+    /// Distance to keep from joint limits, rad (m).
+    pub margin: f64,
+    /// Time in which a joint may use up its distance to the margin, s.
+    pub limit_time_s: f64,
+    /// Share of the joint speed limits to use.
+    pub speed_share: f64,
+}
+
+impl Default for IkConfig {
+    fn default() -> Self {
+        Self {
+            linear_weight: Vector3::repeat(1.0),
+            angular_weight: Vector3::repeat(0.3),
+            singular: 0.06,
+            damping: 0.06,
+            posture_gain: 1.0,
+            posture_share: 0.3,
+            margin: 0.02,
+            limit_time_s: 0.1,
+            speed_share: 1.0,
+        }
+    }
+}
+
+/// The joint velocities of one step.
+#[derive(Clone, Copy, Debug)]
+pub struct IkStep<'a> {
+    /// Velocities of the chosen joints, rad/s (m/s), in their order.
+    pub velocities: &'a [f64],
+    /// Share of the twist that the joint speed limits leave, in `0..=1`; under 1 the motion is slower than asked.
+    pub scale: f64,
+    /// What part of the (scaled) twist stays undone, weighted, m/s: 0 away from singularities and joint limits.
+    pub residual: f64,
+    /// Smallest singular value of the weighted Jacobian, of the axes that are not free.
+    pub singular: f64,
+}
+
+/// Solves one link's velocity with some of the joints. Allocates only in [`new`](Self::new).
+#[derive(Clone, Debug)]
+pub struct DifferentialIk {
+    kinematics: Kinematics,
+    joints: Vec<usize>,
+    link: LinkId,
+    config: IkConfig,
+    jacobian: Jacobian,
+    weighted: Jacobian,
+    velocity: Vec<f64>,
+    pull: Vec<f64>,
+    blocked: Vec<bool>,
+}
+
+impl DifferentialIk {
+    /// Moves `link` with `joints` (indices into the model's joints: a limb's, or a limb's and the torso's).
+    #[must_use]
+    pub fn new(model: &Arc<Model>, link: LinkId, joints: &[usize], config: IkConfig) -> Self {
+        let n = joints.len();
+        Self {
+            kinematics: Kinematics::new(model),
+            joints: joints.to_vec(),
+            link,
+            config,
+            jacobian: Jacobian::zeros(n),
+            weighted: Jacobian::zeros(n),
+            velocity: vec![0.0; n],
+            pull: vec![0.0; n],
+            blocked: vec![false; n],
+        }
+    }
+
+    /// The kinematics at the configuration of the last step.
+    #[must_use]
+    pub fn kinematics(&self) -> &Kinematics {
+        &self.kinematics
+    }
+
+    /// The joints that it moves.
+    #[must_use]
+    pub fn joints(&self) -> &[usize] {
+        &self.joints
+    }
+
+    /// Replaces the weights and bounds.
+    pub fn set_config(&mut self, config: IkConfig) {
+        self.config = config;
+    }
+
+    /// The joint velocities that move the link's origin with `twist` (root frame) at the configuration `q` (all joints
+    /// of the model). `posture`, if given, holds positions of the chosen joints to which the free motion is drawn.
+    ///
+    /// A twist that is not finite yields velocities of 0 and a scale of 0.
+    ///
+    /// # Source
+    /// Chiaverini 1997 (damping), Flacco et al. 2012 (joints at their limits; differs in: the rest is the least-squares
+    /// best when the task cannot be met, so that the arm slides along its limits instead of standing).
+    pub fn step(&mut self, q: &[f64], twist: &Twist, posture: Option<&[f64]>) -> IkStep<'_> {
+        self.velocity.fill(0.0);
+        if !twist.linear.iter().chain(&twist.angular).all(|v| v.is_finite()) {
+            return IkStep { velocities: &self.velocity, scale: 0.0, residual: 0.0, singular: 0.0 };
+        }
+        self.kinematics.update(q);
+        let task = self.weigh(twist);
+        self.draw(q, posture);
+        self.blocked.fill(false);
+        let mut singular = self.solve(&task);
+        for _ in 0..self.joints.len() {
+            if !self.block(q) {
+                break;
+            }
+            singular = self.solve(&task);
+        }
+        let residual = (self.product(&self.velocity) - task).norm();
+        let scale = self.bound_speed();
+        IkStep { velocities: &self.velocity, scale, residual: residual * scale, singular }
+    }
+
+    /// Fills the weighted Jacobian, in the link's frame, and returns the weighted twist.
+    fn weigh(&mut self, twist: &Twist) -> Vector6<f64> {
+        self.kinematics.jacobian_into(self.link, &Point3::origin(), &self.joints, &mut self.jacobian);
+        let link_from_root = self.kinematics.pose(self.link).rotation.inverse();
+        let (wl, wa) = (self.config.linear_weight, self.config.angular_weight);
+        let weigh = |linear: Vector3<f64>, angular: Vector3<f64>| {
+            let l = (link_from_root * linear).component_mul(&wl);
+            let a = (link_from_root * angular).component_mul(&wa);
+            Vector6::new(l.x, l.y, l.z, a.x, a.y, a.z)
+        };
+        for (from, mut to) in self.jacobian.column_iter().zip(self.weighted.column_iter_mut()) {
+            to.copy_from(&weigh(from.fixed_rows::<3>(0).into_owned(), from.fixed_rows::<3>(3).into_owned()));
+        }
+        weigh(twist.linear, twist.angular)
+    }
+
+    /// The velocity towards the posture, bounded.
+    fn draw(&mut self, q: &[f64], posture: Option<&[f64]>) {
+        let joints = self.kinematics.model().joints();
+        for (i, &j) in self.joints.iter().enumerate() {
+            let now = q.get(j).copied().unwrap_or(0.0);
+            let goal = posture.and_then(|p| p.get(i)).copied().filter(|g| g.is_finite()).unwrap_or(now);
+            let bound = self.config.posture_share * joints[j].velocity;
+            self.pull[i] = (self.config.posture_gain * (goal - now)).clamp(-bound, bound);
+        }
+    }
+
+    /// Solves the task with the joints that are not blocked; blocked ones keep their velocity. Returns the smallest
+    /// singular value over the axes that count.
+    fn solve(&mut self, task: &Vector6<f64>) -> f64 {
+        for i in 0..self.joints.len() {
+            if !self.blocked[i] {
+                self.velocity[i] = self.pull[i];
+            }
+        }
+        let missing = task - self.product(&self.velocity);
+        let mut gram = Matrix6::zeros();
+        for (column, _) in self.weighted.column_iter().zip(&self.blocked).filter(|(_, blocked)| !**blocked) {
+            let column: Vector6<f64> = column.into_owned();
+            gram += column * column.transpose();
+        }
+        let eigen = gram.symmetric_eigen();
+        let counts = |v: &Vector6<f64>| {
+            let (wl, wa) = (&self.config.linear_weight, &self.config.angular_weight);
+            (0..6).any(|r| v[r].abs() > 1e-6 && if r < 3 { wl[r] > 0.0 } else { wa[r - 3] > 0.0 })
+        };
+        let mut solved = Vector6::zeros();
+        let mut smallest = f64::INFINITY;
+        for i in 0..6 {
+            let direction: Vector6<f64> = eigen.eigenvectors.column(i).into_owned();
+            let squared = eigen.eigenvalues[i].max(0.0);
+            let singular = squared.sqrt();
+            if !counts(&direction) {
+                continue;
+            }
+            smallest = smallest.min(singular);
+            let lack = (1.0 - (singular / self.config.singular).powi(2)).max(0.0);
+            let damped = squared + self.config.damping.powi(2) * lack;
+            if damped > 0.0 {
+                solved += direction * (direction.dot(&missing) / damped);
+            }
+        }
+        for (i, column) in self.weighted.column_iter().enumerate() {
+            if !self.blocked[i] {
+                self.velocity[i] += column.dot(&solved);
+            }
+        }
+        smallest
+    }
+
+    /// Blocks the joint that runs over its position limit the most, at the speed that it may have. Whether there was one.
+    fn block(&mut self, q: &[f64]) -> bool {
+        let joints = self.kinematics.model().joints();
+        let mut worst: Option<(usize, f64, f64)> = None;
+        for (i, &j) in self.joints.iter().enumerate().filter(|(i, _)| !self.blocked[*i]) {
+            let now = q.get(j).copied().unwrap_or(0.0);
+            let speed = |distance: f64| distance / self.config.limit_time_s;
+            // A joint beyond its margin is not driven back by force, only not further out.
+            let up = speed((joints[j].upper - self.config.margin - now).max(0.0));
+            let down = speed((now - joints[j].lower - self.config.margin).max(0.0));
+            let allowed = self.velocity[i].clamp(-down, up);
+            let excess = (self.velocity[i] - allowed).abs();
+            if excess > 1e-9 && worst.is_none_or(|(_, _, most)| excess > most) {
+                worst = Some((i, allowed, excess));
+            }
+        }
+        let Some((i, allowed, _)) = worst else { return false };
+        self.blocked[i] = true;
+        self.velocity[i] = allowed;
+        true
+    }
+
+    fn product(&self, velocity: &[f64]) -> Vector6<f64> {
+        let mut sum = Vector6::zeros();
+        for (column, speed) in self.weighted.column_iter().zip(velocity) {
+            sum += column * *speed;
+        }
+        sum
+    }
+
+    fn bound_speed(&mut self) -> f64 {
+        let joints = self.kinematics.model().joints();
+        let mut scale = 1.0_f64;
+        for (speed, &j) in self.velocity.iter().zip(&self.joints) {
+            let limit = self.config.speed_share * joints[j].velocity;
+            if speed.abs() > limit {
+                scale = scale.min(limit / speed.abs());
+            }
+        }
+        self.velocity.iter_mut().for_each(|v| *v *= scale);
+        scale
+    }
+}

@@ -1,0 +1,182 @@
+//! Forward kinematics and Jacobians of all links at one joint configuration. Allocates only in [`Kinematics::new`].
+//!
+//! A point `p` on a link moves with `v = sum_j a_j x (p - o_j) qd_j` over the turning joints that carry the link, and
+//! `a_j qd_j` over the sliding ones, where `o_j` is the joint's origin and `a_j` its axis, both in the root frame.
+
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Matrix6xX, Point3, Translation3, UnitQuaternion, Vector3};
+
+use crate::{JointKind, LinkId, Model};
+
+/// A `6 x n` Jacobian: rows linear x, y, z (m/s), then angular x, y, z (rad/s), in the root frame.
+pub type Jacobian = Matrix6xX<f64>;
+
+/// The velocity of a point on a link, in the root frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Twist {
+    /// Velocity of the point, m/s.
+    pub linear: Vector3<f64>,
+    /// Angular velocity of the link, rad/s.
+    pub angular: Vector3<f64>,
+}
+
+/// The poses of all links at the configuration of the last [`update`](Self::update).
+#[derive(Clone, Debug)]
+pub struct Kinematics {
+    model: Arc<Model>,
+    root_from_link: Vec<Isometry3<f64>>,
+    axis: Vec<Vector3<f64>>,
+    origin: Vec<Point3<f64>>,
+}
+
+impl Kinematics {
+    /// At the configuration [`Model::zero`].
+    #[must_use]
+    pub fn new(model: &Arc<Model>) -> Self {
+        let n = model.joints().len();
+        let mut kinematics = Self {
+            model: Arc::clone(model),
+            root_from_link: vec![Isometry3::identity(); model.links().len()],
+            axis: vec![Vector3::zeros(); n],
+            origin: vec![Point3::origin(); n],
+        };
+        kinematics.update(&model.zero());
+        kinematics
+    }
+
+    /// The robot that it belongs to.
+    #[must_use]
+    pub fn model(&self) -> &Arc<Model> {
+        &self.model
+    }
+
+    /// Computes all poses at `q`, rad (m), in the order of the model's joints; missing values are read as 0.
+    pub fn update(&mut self, q: &[f64]) {
+        for (i, link) in self.model.links().iter().enumerate() {
+            let root_from_parent = link.parent.map_or_else(Isometry3::identity, |p| self.root_from_link[p.0]);
+            let mut pose = root_from_parent * link.parent_from_link;
+            if let Some(j) = link.joint {
+                let joint = &self.model.joints()[j];
+                let position = q.get(j).copied().unwrap_or(0.0);
+                self.axis[j] = pose.rotation * joint.axis.into_inner();
+                self.origin[j] = Point3::from(pose.translation.vector);
+                match joint.kind {
+                    JointKind::Revolute => {
+                        pose.rotation *= UnitQuaternion::from_axis_angle(&joint.axis, position);
+                    }
+                    JointKind::Prismatic => {
+                        pose.translation.vector += self.axis[j] * position;
+                    }
+                }
+            }
+            self.root_from_link[i] = pose;
+        }
+    }
+
+    /// The pose of a link: maps its coordinates into the root frame.
+    #[must_use]
+    pub fn pose(&self, link: LinkId) -> &Isometry3<f64> {
+        &self.root_from_link[link.0]
+    }
+
+    /// The axis of a joint in the root frame.
+    #[must_use]
+    pub fn axis(&self, joint: usize) -> &Vector3<f64> {
+        &self.axis[joint]
+    }
+
+    /// The origin of a joint's frame in the root frame, m (of a sliding joint, where it is at 0).
+    #[must_use]
+    pub fn origin(&self, joint: usize) -> &Point3<f64> {
+        &self.origin[joint]
+    }
+
+    /// What one joint at 1 rad/s (m/s) does to the point `p`, given in the root frame, of `link`.
+    #[must_use]
+    pub fn column(&self, joint: usize, link: LinkId, p: &Point3<f64>) -> Twist {
+        if !self.model.moves(joint, link) {
+            return Twist::default();
+        }
+        let axis = self.axis[joint];
+        match self.model.joints()[joint].kind {
+            JointKind::Revolute => Twist { linear: axis.cross(&(p - self.origin[joint])), angular: axis },
+            JointKind::Prismatic => Twist { linear: axis, angular: Vector3::zeros() },
+        }
+    }
+
+    /// Writes the Jacobian of the point `point_in_link` (m) for `joints` into `out`, which has as many columns.
+    pub fn jacobian_into(
+        &self,
+        link: LinkId,
+        point_in_link: &Point3<f64>,
+        joints: &[usize],
+        out: &mut Jacobian,
+    ) {
+        let p = self.pose(link) * point_in_link;
+        for (mut column, &joint) in out.column_iter_mut().zip(joints) {
+            let twist = self.column(joint, link, &p);
+            column.fixed_rows_mut::<3>(0).copy_from(&twist.linear);
+            column.fixed_rows_mut::<3>(3).copy_from(&twist.angular);
+        }
+    }
+
+    /// The Jacobian of a link's origin for `joints`; allocates.
+    #[must_use]
+    pub fn jacobian(&self, link: LinkId, joints: &[usize]) -> Jacobian {
+        let mut out = Jacobian::zeros(joints.len());
+        self.jacobian_into(link, &Point3::origin(), joints, &mut out);
+        out
+    }
+
+    /// The velocity of the point `point_in_link` (m) of `link` when the joints move with `velocity`, rad/s (m/s);
+    /// missing values are read as 0.
+    #[must_use]
+    pub fn twist(&self, link: LinkId, point_in_link: &Point3<f64>, velocity: &[f64]) -> Twist {
+        let p = self.pose(link) * point_in_link;
+        let mut sum = Twist::default();
+        for &joint in &self.model.supporting[link.0] {
+            let speed = velocity.get(joint).copied().unwrap_or(0.0);
+            let column = self.column(joint, link, &p);
+            sum.linear += column.linear * speed;
+            sum.angular += column.angular * speed;
+        }
+        sum
+    }
+}
+
+impl Model {
+    /// The pose of a link at `q` in the root frame; for many links or many calls use [`Kinematics`].
+    #[must_use]
+    pub fn link_pose(&self, q: &[f64], link: LinkId) -> Isometry3<f64> {
+        let mut root_from_link = Isometry3::identity();
+        let mut next = Some(link);
+        while let Some(id) = next {
+            let link = &self.links[id.0];
+            let motion = link.joint.map_or_else(Isometry3::identity, |j| {
+                let (joint, position) = (&self.joints[j], q.get(j).copied().unwrap_or(0.0));
+                match joint.kind {
+                    JointKind::Revolute => Isometry3::from_parts(
+                        Translation3::identity(),
+                        UnitQuaternion::from_axis_angle(&joint.axis, position),
+                    ),
+                    JointKind::Prismatic => Isometry3::from_parts(
+                        Translation3::from(joint.axis.into_inner() * position),
+                        UnitQuaternion::identity(),
+                    ),
+                }
+            });
+            root_from_link = link.parent_from_link * motion * root_from_link;
+            next = link.parent;
+        }
+        root_from_link
+    }
+
+    /// The Jacobian of a link's origin at `q` for `joints`; for many calls use [`Kinematics`].
+    #[must_use]
+    pub fn jacobian(self: &Arc<Self>, q: &[f64], link: LinkId, joints: &[usize]) -> Jacobian {
+        let mut kinematics = Kinematics::new(self);
+        kinematics.update(q);
+        kinematics.jacobian(link, joints)
+    }
+}

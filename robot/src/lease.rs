@@ -1,0 +1,263 @@
+//! Leases: who commands which limb, the newest command of each, and why a commander lost its limb.
+//!
+//! This file holds what skills and the guard share; it moves nothing. The guard reads it once a control step.
+
+use std::collections::VecDeque;
+use std::fmt;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use nalgebra::{Point3, Vector3};
+use tokio::sync::watch;
+
+use crate::model::Limb;
+use crate::{Fault, LeaseError, LeaseLimits, Model, Robot, Sensed, Wrist};
+
+/// Utterances kept until the driver takes them; older ones are dropped.
+const UTTERANCES: usize = 64;
+
+/// How a lease reaches its robot: in this process or over a network. Dropping it releases the limb.
+pub trait Commander: Send + Sync + fmt::Debug {
+    /// Sets the joint velocities, rad/s (m/s), in the limb's order.
+    ///
+    /// # Errors
+    /// The [`Fault`] for which the limb was taken away.
+    fn command(&self, velocities: &[f64]) -> Result<(), Fault>;
+    /// Why the limb was taken away, if it was.
+    fn fault(&self) -> Option<Fault>;
+}
+
+/// The exclusive right to command one limb. Dropping it brakes the limb and releases it.
+///
+/// The first command starts the watchdog: from then on the limb wants a command at least every 30 ms, unless the last
+/// one was zero everywhere (a limb that was told to stand stands).
+#[derive(Debug)]
+#[must_use = "dropping a lease brakes the limb and releases it"]
+pub struct Lease(Box<dyn Commander>);
+
+impl Lease {
+    /// A lease that commands through `commander`; for implementations of [`Robot`].
+    pub fn new(commander: impl Commander + 'static) -> Self {
+        Self(Box::new(commander))
+    }
+
+    /// Sets the limb's joint velocities, rad/s (m/s), in limb order; they hold until the next command.
+    ///
+    /// # Errors
+    /// The [`Fault`] for which the limb was taken away; a command that is not finite or has the wrong length is such
+    /// a fault. After it, every further command fails with the same fault and the limb stands.
+    pub fn command(&self, velocities: &[f64]) -> Result<(), Fault> {
+        self.0.command(velocities)
+    }
+
+    /// Why the limb was taken away, if it was.
+    #[must_use]
+    pub fn fault(&self) -> Option<Fault> {
+        self.0.fault()
+    }
+}
+
+/// Who holds a limb, and the newest command.
+#[derive(Debug)]
+pub(crate) struct Held {
+    id: u64,
+    holder: String,
+    pub(crate) limits: LeaseLimits,
+    pub(crate) velocities: Vec<f64>,
+    /// Counts commands; 0 before the first.
+    pub(crate) sequence: u64,
+    /// The guard's: the sequence that it saw last, and when, ns.
+    pub(crate) seen: (u64, u64),
+    pub(crate) fault: Option<Fault>,
+}
+
+#[derive(Debug)]
+pub(crate) struct Slot {
+    pub(crate) limb: Limb,
+    pub(crate) held: Option<Held>,
+}
+
+impl Slot {
+    /// Takes the limb from its commander; the first reason stays.
+    pub(crate) fn fail(&mut self, fault: &Fault) {
+        if let Some(held) = &mut self.held {
+            held.fault.get_or_insert_with(|| fault.clone());
+        }
+    }
+}
+
+#[derive(Debug, Default)]
+pub(crate) struct Desk {
+    pub(crate) slots: Vec<Slot>,
+    pub(crate) stopped: Option<String>,
+    pub(crate) tare: bool,
+    pub(crate) load: Option<(f64, Point3<f64>)>,
+    utterances: VecDeque<String>,
+    next_id: u64,
+}
+
+/// What the guard and its robot share.
+#[derive(Debug)]
+pub(crate) struct Shared {
+    pub(crate) model: Arc<Model>,
+    pub(crate) sensed: watch::Sender<Arc<Sensed>>,
+    desk: Mutex<Desk>,
+}
+
+impl Shared {
+    pub(crate) fn new(model: &Arc<Model>) -> Self {
+        let slots = model.limbs().values().map(|limb| Slot { limb: limb.clone(), held: None }).collect();
+        let first = Sensed {
+            stamp_ns: 0,
+            position: model.zero(),
+            velocity: vec![0.0; model.joints().len()],
+            force_raw: Vector3::zeros(),
+            torque_raw: Vector3::zeros(),
+            wrist: Wrist::default(),
+        };
+        let sensed = watch::channel(Arc::new(first)).0;
+        Self { model: Arc::clone(model), sensed, desk: Mutex::new(Desk { slots, ..Desk::default() }) }
+    }
+
+    /// A holder that panics leaves the desk consistent: no lock is held across foreign code.
+    pub(crate) fn desk(&self) -> MutexGuard<'_, Desk> {
+        self.desk.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn take_utterances(&self) -> Vec<String> {
+        self.desk().utterances.drain(..).collect()
+    }
+}
+
+/// The robot behind a [`Guard`](crate::Guard), in this process.
+#[derive(Debug)]
+pub struct GuardedRobot {
+    pub(crate) shared: Arc<Shared>,
+}
+
+impl Robot for GuardedRobot {
+    fn model(&self) -> &Arc<Model> {
+        &self.shared.model
+    }
+
+    fn sensed(&self) -> watch::Receiver<Arc<Sensed>> {
+        self.shared.sensed.subscribe()
+    }
+
+    fn lease(&self, limb: &str, holder: &str, limits: LeaseLimits) -> Result<Lease, LeaseError> {
+        let mut desk = self.shared.desk();
+        if let Some(reason) = &desk.stopped {
+            return Err(LeaseError::Stopped { reason: reason.clone() });
+        }
+        let Some(index) = desk.slots.iter().position(|s| s.limb.name == limb) else {
+            let known = desk.slots.iter().map(|s| s.limb.name.as_str()).collect::<Vec<_>>().join(", ");
+            return Err(LeaseError::Unknown { limb: limb.to_owned(), known });
+        };
+        if let Some(holder) = taken_by(&desk.slots, index) {
+            return Err(LeaseError::Taken { limb: limb.to_owned(), holder });
+        }
+        desk.next_id += 1;
+        let id = desk.next_id;
+        let velocities = vec![0.0; desk.slots[index].limb.joints.len()];
+        let holder = holder.to_owned();
+        desk.slots[index].held =
+            Some(Held { id, holder, limits, velocities, sequence: 0, seen: (0, 0), fault: None });
+        Ok(Lease::new(Local { shared: Arc::clone(&self.shared), index, id }))
+    }
+
+    fn tare(&self) {
+        self.shared.desk().tare = true;
+    }
+
+    fn set_load(&self, mass_kg: f64, center_in_tcp: Point3<f64>) {
+        if mass_kg.is_finite() && mass_kg >= 0.0 && center_in_tcp.iter().all(|c| c.is_finite()) {
+            self.shared.desk().load = Some((mass_kg, center_in_tcp));
+        } else {
+            tracing::warn!(mass_kg, "a load that is not physical was ignored");
+        }
+    }
+
+    fn stop(&self, reason: &str) {
+        let mut desk = self.shared.desk();
+        let reason = desk.stopped.get_or_insert_with(|| reason.to_owned()).clone();
+        for slot in &mut desk.slots {
+            slot.fail(&Fault::Stopped { reason: reason.clone() });
+        }
+    }
+
+    fn say(&self, utterance: &str) {
+        let mut desk = self.shared.desk();
+        if desk.utterances.len() == UTTERANCES {
+            desk.utterances.pop_front();
+        }
+        desk.utterances.push_back(utterance.to_owned());
+    }
+}
+
+/// The holder of this limb or of one that shares a joint with it.
+fn taken_by(slots: &[Slot], index: usize) -> Option<String> {
+    let wanted = &slots[index].limb.joints;
+    slots.iter().find_map(|slot| {
+        let held = slot.held.as_ref()?;
+        slot.limb.joints.iter().any(|j| wanted.contains(j)).then(|| held.holder.clone())
+    })
+}
+
+/// The commander of a lease in this process.
+#[derive(Debug)]
+struct Local {
+    shared: Arc<Shared>,
+    index: usize,
+    id: u64,
+}
+
+impl Local {
+    /// Runs `f` on what the desk keeps for this lease, which lives as long as the lease.
+    fn with<T>(&self, f: impl FnOnce(&Limb, &mut Held) -> T) -> Option<T> {
+        let mut desk = self.shared.desk();
+        let slot = &mut desk.slots[self.index];
+        let held = slot.held.as_mut().filter(|held| held.id == self.id)?;
+        Some(f(&slot.limb, held))
+    }
+}
+
+impl Commander for Local {
+    fn command(&self, velocities: &[f64]) -> Result<(), Fault> {
+        let joints = self.shared.model.joints();
+        self.with(|limb, held| {
+            if let Some(fault) = &held.fault {
+                return Err(fault.clone());
+            }
+            if let Some(fault) = bad_command(velocities, limb, joints) {
+                held.fault = Some(fault.clone());
+                return Err(fault);
+            }
+            held.velocities.copy_from_slice(velocities);
+            held.sequence += 1;
+            Ok(())
+        })
+        .unwrap_or(Ok(()))
+    }
+
+    fn fault(&self) -> Option<Fault> {
+        self.with(|_, held| held.fault.clone()).flatten()
+    }
+}
+
+fn bad_command(velocities: &[f64], limb: &Limb, joints: &[crate::Joint]) -> Option<Fault> {
+    let (expected, got) = (limb.joints.len(), velocities.len());
+    if expected != got {
+        return Some(Fault::WrongLength { limb: limb.name.clone(), expected, got });
+    }
+    let bad = velocities.iter().position(|v| !v.is_finite())?;
+    Some(Fault::NotFinite { joint: joints[limb.joints[bad]].name.clone() })
+}
+
+impl Drop for Local {
+    fn drop(&mut self) {
+        let mut desk = self.shared.desk();
+        let slot = &mut desk.slots[self.index];
+        if slot.held.as_ref().is_some_and(|held| held.id == self.id) {
+            slot.held = None;
+        }
+    }
+}

@@ -1,0 +1,224 @@
+//! The wrist's force/torque sensor, compensated: what the environment does to the hand.
+//!
+//! The hand (every link that hangs on the sensor, and the load in it) obeys Newton and Euler. With `f` and `t` the force
+//! and torque that the hand exerts on the sensor, `m`, `c`, `I` its mass, centre (from the sensor's origin) and inertia,
+//! and `a_c`, `w`, `al` its motion, the environment's share, in the root frame and about the sensor's origin, is
+//!
+//! ```text
+//! f_env = f + m (a_c - g)
+//! t_env = t + c x m (a_c - g) + I al + w x I w
+//! ```
+//!
+//! The acceleration is the difference of the velocities that the joint sensors report; it and the force pass through the
+//! same low-pass (two equal poles, together -3 dB at 39 Hz, delay 5 ms), so that they stay in step. Fingers are taken
+//! as standing still in the hand. It knows nothing of friction or contact: what remains is the environment's.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+
+use crate::model::GRAVITY;
+use crate::{Kinematics, LinkId, Model, Twist, Wrist};
+
+/// Each of the two poles of the low-pass, Hz.
+const POLE_HZ: f64 = 60.0;
+/// Samples that a tare averages: the last 0.1 s at 1 kHz.
+const TARE_SAMPLES: usize = 100;
+
+/// The mass of what was taken into the hand, kg, from the compensated wrist force before and after, at the same posture
+/// and at rest, while the load is not yet set (see [`Robot::set_load`](crate::Robot::set_load)).
+#[must_use]
+pub fn load_mass(before: &Wrist, after: &Wrist) -> f64 {
+    (after.force - before.force).dot(&GRAVITY) / GRAVITY.norm_squared()
+}
+
+/// A force and a torque in one frame.
+#[derive(Clone, Copy, Debug, Default)]
+struct Pair {
+    force: Vector3<f64>,
+    torque: Vector3<f64>,
+}
+
+impl Pair {
+    fn map(self, f: impl Fn(Vector3<f64>) -> Vector3<f64>) -> Self {
+        Self { force: f(self.force), torque: f(self.torque) }
+    }
+
+    fn minus(self, other: Self) -> Self {
+        Self { force: self.force - other.force, torque: self.torque - other.torque }
+    }
+
+    fn toward(&mut self, goal: Self, share: f64) {
+        self.force += share * (goal.force - self.force);
+        self.torque += share * (goal.torque - self.torque);
+    }
+}
+
+/// The rigid body beyond the sensor, in the root frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Body {
+    pub(crate) mass: f64,
+    /// From the sensor's origin to the centre of mass, m.
+    pub(crate) center: Vector3<f64>,
+    /// About the centre of mass, kg m².
+    inertia: Matrix3<f64>,
+}
+
+/// Which links make up the hand, and what it holds.
+#[derive(Clone, Debug)]
+pub(crate) struct Hand {
+    sensor: LinkId,
+    tcp: LinkId,
+    links: Vec<LinkId>,
+    load: Option<(f64, Point3<f64>)>,
+}
+
+impl Hand {
+    pub(crate) fn new(model: &Model, sensor: LinkId, tcp: LinkId) -> Self {
+        let links = model.subtree(sensor).filter(|l| model.links()[l.0].inertial.is_some()).collect();
+        Self { sensor, tcp, links, load: None }
+    }
+
+    pub(crate) fn body(&self, kinematics: &Kinematics) -> Body {
+        let origin = Point3::from(kinematics.pose(self.sensor).translation.vector);
+        let mut body = Body { mass: 0.0, center: Vector3::zeros(), inertia: Matrix3::zeros() };
+        let mut about_origin = Matrix3::zeros();
+        let mut add = |mass: f64, center: Vector3<f64>, inertia: Matrix3<f64>| {
+            body.mass += mass;
+            body.center += mass * center;
+            about_origin += inertia + steiner(mass, &center);
+        };
+        for &link in &self.links {
+            let Some(inertial) = kinematics.model().links()[link.0].inertial else { continue };
+            let pose = kinematics.pose(link);
+            let rotation = pose.rotation.to_rotation_matrix();
+            let inertia = rotation.matrix() * inertial.inertia * rotation.matrix().transpose();
+            add(inertial.mass, pose * inertial.center - origin, inertia);
+        }
+        if let Some((mass, center)) = self.load {
+            add(mass, kinematics.pose(self.tcp) * center - origin, Matrix3::zeros());
+        }
+        if body.mass > 0.0 {
+            body.center /= body.mass;
+        }
+        body.inertia = about_origin - steiner(body.mass, &body.center);
+        body
+    }
+
+    /// The force and torque that the hand exerts on the sensor, in the sensor's frame, about its origin, when the
+    /// environment pushes it at the TCP with `force` (root frame) and it moves so. For drivers that have no physics.
+    pub(crate) fn reaction(
+        &self,
+        kinematics: &Kinematics,
+        force: &Vector3<f64>,
+        angular: &Vector3<f64>,
+        acceleration: &Twist,
+    ) -> (Vector3<f64>, Vector3<f64>) {
+        let sensor = kinematics.pose(self.sensor);
+        let arm = kinematics.pose(self.tcp).translation.vector - sensor.translation.vector;
+        let load = inertial_load(&self.body(kinematics), angular, acceleration);
+        let (f, t) = (force - load.force, arm.cross(force) - load.torque);
+        (sensor.rotation.inverse() * f, sensor.rotation.inverse() * t)
+    }
+}
+
+/// The inertia of a point mass at `c`, kg m².
+fn steiner(mass: f64, c: &Vector3<f64>) -> Matrix3<f64> {
+    mass * (Matrix3::identity() * c.norm_squared() - c * c.transpose())
+}
+
+/// `m (a_c - g)` and the torque about the sensor's origin that goes with it.
+fn inertial_load(body: &Body, angular: &Vector3<f64>, acceleration: &Twist) -> Pair {
+    let (w, al, c) = (angular, &acceleration.angular, &body.center);
+    let at_center = acceleration.linear + al.cross(c) + w.cross(&w.cross(c));
+    let force = body.mass * (at_center - GRAVITY);
+    Pair { force, torque: c.cross(&force) + body.inertia * al + w.cross(&(body.inertia * w)) }
+}
+
+/// Compensates one sensor; stepped with each sample. Allocates only in [`new`](Self::new).
+#[derive(Clone, Debug)]
+pub(crate) struct WristEstimator {
+    hand: Hand,
+    previous: Option<Twist>,
+    /// In the sensor's frame.
+    bias: Pair,
+    recent: Vec<Pair>,
+    next: usize,
+    /// The low-pass' two poles, root frame; none before the first sample.
+    poles: Option<[Pair; 2]>,
+}
+
+impl WristEstimator {
+    pub(crate) fn new(model: &Model, sensor: LinkId, tcp: LinkId) -> Self {
+        Self {
+            hand: Hand::new(model, sensor, tcp),
+            previous: None,
+            bias: Pair::default(),
+            recent: Vec::with_capacity(TARE_SAMPLES),
+            next: 0,
+            poles: None,
+        }
+    }
+
+    /// Takes the next raw sample at the configuration of `kinematics`; `velocity` of all joints, `dt` s since the last.
+    pub(crate) fn update(
+        &mut self,
+        kinematics: &Kinematics,
+        velocity: &[f64],
+        raw: (Vector3<f64>, Vector3<f64>),
+        dt: f64,
+    ) -> Wrist {
+        let pose = kinematics.pose(self.hand.sensor);
+        let now = kinematics.twist(self.hand.sensor, &Point3::origin(), velocity);
+        let before = self.previous.replace(now).unwrap_or(now);
+        let acceleration =
+            Twist { linear: (now.linear - before.linear) / dt, angular: (now.angular - before.angular) / dt };
+        let load = inertial_load(&self.hand.body(kinematics), &now.angular, &acceleration);
+        let in_sensor =
+            Pair { force: raw.0, torque: raw.1 }.minus(load.map(|v| pose.rotation.inverse() * -v));
+        self.remember(in_sensor);
+        let in_root = in_sensor.minus(self.bias).map(|v| pose.rotation * v);
+        let poles = self.poles.get_or_insert([in_root; 2]);
+        let share = 1.0 - (-std::f64::consts::TAU * POLE_HZ * dt).exp();
+        poles[0].toward(in_root, share);
+        let first = poles[0];
+        poles[1].toward(first, share);
+        let Pair { force, torque } = poles[1];
+        let arm = kinematics.pose(self.hand.tcp).translation.vector - pose.translation.vector;
+        Wrist { force, torque: torque - arm.cross(&force) }
+    }
+
+    fn remember(&mut self, sample: Pair) {
+        if self.recent.len() < TARE_SAMPLES {
+            self.recent.push(sample);
+        } else {
+            self.recent[self.next] = sample;
+        }
+        self.next = (self.next + 1) % TARE_SAMPLES;
+    }
+
+    /// Takes the mean of the last 0.1 s as the sensor's bias.
+    pub(crate) fn tare(&mut self, kinematics: &Kinematics) {
+        if self.recent.is_empty() {
+            return;
+        }
+        #[expect(clippy::cast_precision_loss, reason = "at most 100")]
+        let n = self.recent.len() as f64;
+        let mut mean = Pair::default();
+        for sample in &self.recent {
+            mean.force += sample.force / n;
+            mean.torque += sample.torque / n;
+        }
+        let rotation = kinematics.pose(self.hand.sensor).rotation;
+        let change = mean.minus(self.bias).map(|v| rotation * v);
+        self.bias = mean;
+        for pole in self.poles.iter_mut().flatten() {
+            *pole = pole.minus(change);
+        }
+    }
+
+    /// What the hand holds; a mass of 0 is nothing. Samples from before do not count for a tare.
+    pub(crate) fn set_load(&mut self, mass: f64, center_in_tcp: Point3<f64>) {
+        self.hand.load = (mass > 0.0).then_some((mass, center_in_tcp));
+        self.recent.clear();
+        self.next = 0;
+    }
+}
