@@ -1,0 +1,111 @@
+//! Signals over time, with the band that they should stay in, limits, and marked instants.
+
+use super::axes::{Axes, Key, legend, legend_height, range_of};
+use super::data::TimePlot;
+use super::series::pieces;
+use super::svg::{Anchor, Svg, fit, text_width};
+
+/// How large a plot is drawn.
+#[derive(Clone, Copy)]
+pub(super) struct Size {
+    pub(super) width: f64,
+    pub(super) height: f64,
+    /// Whether it is one of many: title in the picture, no labels that repeat.
+    pub(super) small: bool,
+}
+
+/// Over the page's whole width.
+pub(super) const WIDE: Size = Size { width: 1000.0, height: 320.0, small: false };
+/// Two beside each other.
+pub(super) const SMALL: Size = Size { width: 490.0, height: 190.0, small: true };
+
+/// The plot as SVG.
+pub(super) fn draw(plot: &TimePlot, time: [f64; 2], size: Size) -> String {
+    let entries = entries(plot, size);
+    let left = 58.0;
+    let width = size.width - left - 16.0;
+    let keys = legend_height(&entries, width);
+    let top = 26.0 + keys;
+    let bottom = if size.small { 24.0 } else { 42.0 };
+    let axes =
+        Axes { left, top, width, height: size.height - 26.0 - bottom, x: time, y: value_range(plot) };
+    let mut svg = Svg::new(size.width, size.height + keys, &plot.title);
+    legend(&mut svg, [left, 2.0], width, &entries);
+    let y_label = if size.small { format!("{} · {}", plot.title, plot.y_label) } else { plot.y_label.clone() };
+    axes.draw(&mut svg, if size.small { "" } else { "time, s" }, &y_label);
+    svg.clipped([axes.left, axes.top], [axes.width, axes.height], |svg| content(svg, plot, &axes));
+    marks(&mut svg, plot, &axes);
+    svg.finish(if size.small { "small" } else { "wide" })
+}
+
+fn value_range(plot: &TimePlot) -> [f64; 2] {
+    if let Some([low, high]) = plot.y_range.filter(|[low, high]| low < high && (high - low).is_finite()) {
+        return [low, high];
+    }
+    let data = plot.series.iter().flat_map(|s| s.y.iter().copied());
+    let limits = plot.limits.iter().map(|(value, _)| *value);
+    let band = plot.band.iter().flat_map(|b| [b.value - b.tolerance, b.value + b.tolerance]);
+    range_of(data.chain(limits).chain(band), 0.06)
+}
+
+fn class_of(index: usize) -> String {
+    format!("line c{}", index % 6 + 1)
+}
+
+fn entries(plot: &TimePlot, size: Size) -> Vec<(String, String, Key)> {
+    if size.small && plot.series.len() < 2 {
+        return Vec::new();
+    }
+    let mut entries: Vec<_> = plot
+        .series
+        .iter()
+        .enumerate()
+        .map(|(i, series)| (series.label.clone(), class_of(i), Key::Line))
+        .collect();
+    entries.extend(plot.band.iter().map(|band| (band.label.clone(), "band".to_owned(), Key::Area)));
+    let mut limits: Vec<&String> = plot.limits.iter().map(|(_, name)| name).collect();
+    limits.dedup();
+    entries.extend(limits.into_iter().map(|name| (name.clone(), "limit".to_owned(), Key::Line)));
+    entries
+}
+
+fn content(svg: &mut Svg, plot: &TimePlot, axes: &Axes) {
+    if let Some(band) = &plot.band {
+        let from = band.from_s.unwrap_or(axes.x[0]).max(axes.x[0]);
+        let to = band.to_s.unwrap_or(axes.x[1]).min(axes.x[1]);
+        let [x0, y0] = axes.point(from, band.value + band.tolerance);
+        let [x1, y1] = axes.point(to, band.value - band.tolerance);
+        svg.rect([x0, y0], [x1 - x0, y1 - y0], "band", &band.label);
+        let middle = axes.point(from, band.value)[1];
+        svg.line([x0, middle], [x1, middle], "target");
+    }
+    for (value, _) in &plot.limits {
+        let y = axes.point(axes.x[0], *value)[1];
+        svg.line([axes.left, y], [axes.right(), y], "limit");
+    }
+    for (i, series) in plot.series.iter().enumerate() {
+        for piece in pieces(&series.t_s, &series.y, axes.x, (axes.width * 0.9) as usize) {
+            svg.polyline(piece.into_iter().map(|[t, y]| axes.point(t, y)), &class_of(i));
+        }
+    }
+}
+
+/// Marks, their names on up to three lines so that none covers another.
+fn marks(svg: &mut Svg, plot: &TimePlot, axes: &Axes) {
+    let mut ends = [f64::NEG_INFINITY; 3];
+    for (t, name) in &plot.marks {
+        if !(axes.x[0]..=axes.x[1]).contains(t) {
+            continue;
+        }
+        let x = axes.point(*t, axes.y[0])[0];
+        svg.line([x, axes.top], [x, axes.bottom()], "mark");
+        let name = fit(name, 150.0);
+        let width = text_width(&name);
+        let (anchor, start) =
+            if x + width + 8.0 > axes.right() { (Anchor::End, x - width - 4.0) } else { (Anchor::Start, x + 4.0) };
+        let Some(level) = ends.iter().position(|end| *end + 6.0 < start) else { continue };
+        ends[level] = start + width;
+        let at = if matches!(anchor, Anchor::End) { x - 4.0 } else { x + 4.0 };
+        svg.text([at, axes.top + 14.0 + 16.0 * level as f64], anchor, "marked", &name);
+    }
+}
