@@ -78,7 +78,8 @@ impl Face {
         let (second, third) = ((axis + 1) % 3, (axis + 2) % 3);
         let corners = [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]].map(|[a, b]| {
             let mut corner = Point3::origin();
-            (corner[axis], corner[second], corner[third]) = (sign * half[axis], a * half[second], b * half[third]);
+            (corner[axis], corner[second], corner[third]) =
+                (sign * half[axis], a * half[second], b * half[third]);
             camera_from_box * corner
         });
         let mut normal = Vector3::zeros();
@@ -113,7 +114,11 @@ impl Face {
     }
 
     /// Draws the face; `paint` makes what colours a row's run of pixels from its row and first column.
-    pub(super) fn draw<P: Fn(f32, f32) -> [u8; 3]>(&self, canvas: &mut Canvas, paint: impl Fn(&Row, usize) -> P) {
+    pub(super) fn draw<P: Fn(f32, f32) -> [u8; 3]>(
+        &self,
+        canvas: &mut Canvas,
+        paint: impl Fn(&Row, usize) -> P,
+    ) {
         let Some(bounds) = self.bounds(canvas) else { return };
         let edges = self.edges();
         for row in canvas.rows(bounds) {

@@ -84,7 +84,8 @@ const FINGERS: [Finger; 4] = [
 /// Angles of a closed finger's joints from the knuckle on, rad.
 const CLOSED: [f64; 3] = [1.48, 1.83, 1.10];
 /// Where the metacarpal bones of the four fingers begin at the wrist, m.
-const CARPALS: [[f64; 3]; 4] = [[0.0, 0.021, -0.042], [0.0, 0.007, -0.043], [0.0, -0.007, -0.043], [0.0, -0.020, -0.041]];
+const CARPALS: [[f64; 3]; 4] =
+    [[0.0, 0.021, -0.042], [0.0, 0.007, -0.043], [0.0, -0.007, -0.043], [0.0, -0.020, -0.041]];
 /// Radius of the palm about those bones, m.
 const PALM_RADIUS: f64 = 0.0135;
 /// Where the thumb begins, its lengths and radii, m.
@@ -132,7 +133,10 @@ pub fn coach_hand(gesture: HandGesture, scene_from_hand: &Isometry3<f64>) -> Vec
 pub fn hand_shapes(pose: &HandPose, scene_from_hand: &Isometry3<f64>) -> Vec<Shape> {
     let mut shapes = vec![palm_core(scene_from_hand)];
     let parts = [(thumb(pose), 0.98), (palm(), 1.0)].into_iter();
-    let fingers = FINGERS.iter().enumerate().map(|(i, finger)| (finger_segments(finger, i, pose), 1.0 - 0.02 * (i % 2) as f64));
+    let fingers = FINGERS
+        .iter()
+        .enumerate()
+        .map(|(i, finger)| (finger_segments(finger, i, pose), 1.0 - 0.02 * (i % 2) as f64));
     for (segments, brightness) in parts.chain(fingers) {
         for (i, segment) in segments.iter().enumerate() {
             // Fingers redden towards their tips.
@@ -221,11 +225,8 @@ fn palm_core(scene_from_hand: &Isometry3<f64>) -> Shape {
 
 /// Wrist and sleeve.
 fn forearm(scene_from_hand: &Isometry3<f64>) -> Vec<Shape> {
-    let wrist = |y: f64| Segment {
-        from: Point3::new(0.0, y, -0.04),
-        to: Point3::new(0.0, y, -0.12),
-        radius: 0.021,
-    };
+    let wrist =
+        |y: f64| Segment { from: Point3::new(0.0, y, -0.04), to: Point3::new(0.0, y, -0.12), radius: 0.021 };
     let mut shapes: Vec<_> =
         [-0.0095, 0.0095].iter().map(|&y| wrist(y).shape(tinted(SKIN, 0.97, 0.0), scene_from_hand)).collect();
     let middle = Isometry3::translation(0.0, 0.0, -0.26);

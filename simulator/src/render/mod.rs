@@ -16,6 +16,8 @@ mod shading;
 mod shadow;
 mod solids;
 mod tabletop;
+#[cfg(test)]
+mod tests;
 
 use nalgebra::{Isometry3, Vector3};
 
@@ -121,7 +123,9 @@ fn reach(geometry: &Geometry) -> f64 {
     match geometry {
         Geometry::Box { half } | Geometry::Tabletop { half, .. } => half.norm(),
         Geometry::Sphere { radius } => *radius,
-        Geometry::Cylinder { radius, half_length } | Geometry::Capsule { radius, half_length } => radius + half_length,
+        Geometry::Cylinder { radius, half_length } | Geometry::Capsule { radius, half_length } => {
+            radius + half_length
+        }
     }
 }
 

@@ -13,7 +13,7 @@ const STRETCH: usize = 640;
 /// Places to begin at.
 const PLACES: usize = 1 << 16;
 /// Below this deviation, rounding to whole grey levels would lose the noise; it becomes single rare steps.
-const COARSE: f64 = 0.4;
+const COARSE: f64 = 0.7;
 
 /// Additive Gaussian noise, rounded to whole grey levels.
 #[derive(Clone, Debug)]
@@ -28,7 +28,8 @@ impl SensorNoise {
     pub fn new(sigma: f64, seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let wanted = sigma > 0.0 && sigma.is_finite();
-        let tile = (0..if wanted { PLACES + STRETCH } else { 0 }).map(|_| level(sigma, &mut random)).collect();
+        let tile =
+            (0..if wanted { PLACES + STRETCH } else { 0 }).map(|_| level(sigma, &mut random)).collect();
         Self { seed, tile }
     }
 

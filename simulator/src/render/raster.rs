@@ -204,7 +204,10 @@ impl Canvas {
             return self.bounds();
         }
         let span = |ratio: fn(&Point3<f64>) -> f64| {
-            points.iter().map(ratio).fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], r| [low.min(r), high.max(r)])
+            points
+                .iter()
+                .map(ratio)
+                .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], r| [low.min(r), high.max(r)])
         };
         self.window(span(|p| p.x / p.z), span(|p| p.y / p.z))
     }

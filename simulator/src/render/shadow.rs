@@ -146,9 +146,11 @@ fn outline(
                 table_from_shape * Point3::new(half.x * sign(0), half.y * sign(1), half.z * sign(2))
             });
             let heights = corners.iter().map(|c| c.z - top);
-            let (low, high) = heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), z| (l.min(z), h.max(z)));
+            let (low, high) =
+                heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), z| (l.min(z), h.max(z)));
             let raised = |c: &Point3<f64>| cast(&Point3::new(c.x, c.y, c.z.max(top)));
-            (high > 0.0).then(|| (Outline::Polygon(convex_hull(corners.iter().map(raised).collect())), low.max(0.0)))
+            (high > 0.0)
+                .then(|| (Outline::Polygon(convex_hull(corners.iter().map(raised).collect())), low.max(0.0)))
         }
         Geometry::Tabletop { .. } => None,
     }
@@ -178,7 +180,8 @@ impl Outline {
             Self::Stroke { from, to, radius } => (&[*from, *to], *radius),
             Self::Polygon(corners) => (corners, 0.0),
         };
-        let start = [Point2::new(f64::INFINITY, f64::INFINITY), Point2::new(f64::NEG_INFINITY, f64::NEG_INFINITY)];
+        let start =
+            [Point2::new(f64::INFINITY, f64::INFINITY), Point2::new(f64::NEG_INFINITY, f64::NEG_INFINITY)];
         let [low, high] = points.iter().fold(start, |[low, high], p| [low.inf(p), high.sup(p)]);
         let margin = nalgebra::Vector2::repeat(margin);
         [low - margin, high + margin]

@@ -8,20 +8,35 @@ use super::shading::{Light, Shades, brightness};
 /// Rays whose direction across the axis is shorter than this (squared) do not meet a cylinder's side.
 const PARALLEL: f32 = 1e-12;
 
+/// How far a capsule's ends reach under its side, in radii, so that no gap shows between them.
+const OVERLAP: f32 = 0.01;
+
 /// Draws a ball with its centre in the camera frame.
 pub(super) fn ball(canvas: &mut Canvas, center: &Vector3<f64>, radius: f64, light: Light, shades: &Shades) {
+    half_ball(canvas, (center, &Vector3::zeros()), radius, light, shades);
+}
+
+/// Draws the half of a ball on the side of `outward` (unit vector, camera frame); all of it for zero.
+fn half_ball(
+    canvas: &mut Canvas,
+    (center, outward): (&Vector3<f64>, &Vector3<f64>),
+    radius: f64,
+    light: Light,
+    shades: &Shades,
+) {
     let Some(bounds) = canvas.ball(center, radius) else { return };
     let power = center.norm_squared() - radius * radius;
     if power <= 0.0 {
         return;
     }
     for row in canvas.rows(bounds) {
-        ball_row(canvas, row, bounds, &Ball { center, radius, power, light, shades });
+        ball_row(canvas, row, bounds, &Ball { center, outward, radius, power, light, shades });
     }
 }
 
 struct Ball<'a> {
     center: &'a Vector3<f64>,
+    outward: &'a Vector3<f64>,
     radius: f64,
     /// Squared distance of the centre less the squared radius.
     power: f64,
@@ -34,7 +49,7 @@ struct Ball<'a> {
 /// With d the ray and c the centre, the discriminant (d.c)^2 - |d|^2 power is `a x^2 + 2 b x + c` in the ray's x; it is
 /// written about its vertex, where single precision suffices.
 fn ball_row(canvas: &mut Canvas, row: Row, bounds: Bounds, ball: &Ball<'_>) {
-    let Ball { center, radius, power, light, shades } = *ball;
+    let Ball { center, outward, radius, power, light, shades } = *ball;
     let along = row.y * center.y + center.z;
     let rest = row.y * row.y + 1.0;
     let (a, b, c) = (center.x * center.x - power, center.x * along, along * along - rest * power);
@@ -48,22 +63,25 @@ fn ball_row(canvas: &mut Canvas, row: Row, bounds: Bounds, ball: &Ball<'_>) {
         span = span.and(Span::new(row.column(origin - half), row.column(origin + half)));
     }
     let Some(run) = span.pixels() else { return };
-    let (x, toward, lit) =
-        (row.x().line(run.0), row.form(center).line(run.0), row.form(&light.toward).line(run.0));
+    let x = row.x().line(run.0);
+    let [toward, lit, out] = [center, &light.toward, outward].map(|n| row.form(n).line(run.0));
     let (a, linear, constant, origin) = (a as f32, linear as f32, constant as f32, origin as f32);
     let (rest, center_lit) = (rest as f32, center.dot(&light.toward) as f32);
     let inverse_radius = (1.0 / radius) as f32;
+    let border = center.dot(outward) as f32 - OVERLAP * radius as f32;
     canvas.fill(
         row.v,
         run,
         |k| {
             let x = x.at(k);
             let offset = x - origin;
-            let discriminant = ((a * offset + linear) * offset + constant).max(0.0);
+            // Negative where the ray misses; the root is then not a number, and nothing is drawn.
+            let discriminant = (a * offset + linear) * offset + constant;
             let squared = rest + x * x;
             let reach = toward.at(k) - discriminant.sqrt();
-            let cosine = (reach / squared * lit.at(k) - center_lit) * inverse_radius;
-            (squared / reach, cosine)
+            let t = reach / squared;
+            let near = if t * out.at(k) >= border { squared / reach } else { 0.0 };
+            (near, (t * lit.at(k) - center_lit) * inverse_radius)
         },
         |_, _, cosine| shades.at(brightness(cosine)),
     );
@@ -89,8 +107,9 @@ pub(super) fn cylinder(canvas: &mut Canvas, body: &Axial, light: Light, shades: 
 /// Draws a round-ended cylinder.
 pub(super) fn capsule(canvas: &mut Canvas, body: &Axial, light: Light, shades: &Shades) {
     side(canvas, body, light, shades);
-    for end in [-1.0, 1.0] {
-        ball(canvas, &body.end(end), body.radius, light, shades);
+    let axis = body.camera_from_shape.rotation * Vector3::z();
+    for sign in [-1.0, 1.0] {
+        half_ball(canvas, (&body.end(sign), &(axis * sign)), body.radius, light, shades);
     }
 }
 

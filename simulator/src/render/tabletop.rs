@@ -72,7 +72,10 @@ impl<'a> Surface<'a> {
         let dirt = table.dirt.filter(|dirt| dirt.columns > 0 && dirt.rows > 0).map(|texture| Dirt {
             texture,
             shades: Shades::new(texture.color),
-            cells_per_metre: [texture.columns as f32 / (2.0 * half[0]), texture.rows as f32 / (2.0 * half[1])],
+            cells_per_metre: [
+                texture.columns as f32 / (2.0 * half[0]),
+                texture.rows as f32 / (2.0 * half[1]),
+            ],
         });
         Self { half, shades, dirt, shadow: table.shadow }
     }
@@ -95,7 +98,9 @@ impl<'a> Surface<'a> {
 
 impl Bump {
     fn is_drawable(&self) -> bool {
-        self.height > 0.0 && self.radius > 0.0 && [self.at[0], self.at[1], self.height, self.radius].iter().all(|v| v.is_finite())
+        self.height > 0.0
+            && self.radius > 0.0
+            && [self.at[0], self.at[1], self.height, self.radius].iter().all(|v| v.is_finite())
     }
 }
 
@@ -152,7 +157,8 @@ impl<'a> Relief<'a> {
 
     fn height(&self, x: f32, y: f32) -> f32 {
         let (x, y) = (f64::from(x), f64::from(y));
-        self.bumps.iter().filter(|bump| bump.is_drawable()).map(|bump| bump.height_at(x, y)).sum::<f64>() as f32
+        self.bumps.iter().filter(|bump| bump.is_drawable()).map(|bump| bump.height_at(x, y)).sum::<f64>()
+            as f32
     }
 
     /// Depth and height (0 outside of the face) where a ray meets the face, by fixed-point iteration.
@@ -173,6 +179,8 @@ impl<'a> Relief<'a> {
             [sum[0] + slope[0] as f32, sum[1] + slope[1] as f32]
         });
         let [x, y, z] = self.light;
-        brightness((z - slope[0] * x - slope[1] * y) / (1.0 + slope[0] * slope[0] + slope[1] * slope[1]).sqrt())
+        brightness(
+            (z - slope[0] * x - slope[1] * y) / (1.0 + slope[0] * slope[0] + slope[1] * slope[1]).sqrt(),
+        )
     }
 }

@@ -1,0 +1,400 @@
+//! What the coach does while the robot wipes: one action after the other, from the world file.
+//!
+//! A push follows the robot's hand: its force rises and falls smoothly with the phase. A gesture stands beside the
+//! path as the robot executed it last: it comes from its side and goes there again, showing the same gesture all
+//! the while, turned towards the robot's cameras.
+
+use std::f64::consts::FRAC_PI_2;
+
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use super::CoachState;
+use super::demonstration::minimum_jerk;
+use super::path::{CoachPath, PhaseTracker};
+use crate::world::{CoachSpec, CoachingAction, CoachingStep, Gesture, Push, Show};
+
+/// How long the hand takes to come and to go, s.
+const COME: f64 = 1.0;
+/// How far it comes from, m.
+const DISTANCE: f64 = 0.35;
+/// Places on the path that the coach remembers.
+const BINS: usize = 64;
+/// A push is given up after this many times its cycles.
+const PATIENCE: f64 = 4.0;
+/// The tracker's step, s.
+const TRACK_DT: f64 = 0.005;
+/// Where the forearm had rather be, so that it hides neither the path nor the robot's arm: far and left.
+const FOREARM: Vector3<f64> = Vector3::new(-0.6, 0.8, 0.0);
+
+/// The coach's bare hand.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HandShown {
+    /// Pose of the hand: origin in the palm's middle, z along the fingers, x out of the palm, y to the thumb.
+    pub root_from_hand: Isometry3<f64>,
+    /// What it shows.
+    pub gesture: Gesture,
+    /// How long it has shown it, s.
+    pub shown_s: f64,
+    /// Whether it stands beside the path (and is not coming or going).
+    pub in_place: bool,
+}
+
+/// Kind of an action.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ActionKind {
+    /// A push.
+    Push,
+    /// A gesture.
+    Gesture(Gesture),
+}
+
+/// What happened to an action.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EventKind {
+    /// The coach's hand appears, or pushes for the first time.
+    Began,
+    /// The hand stands where it wanted to.
+    Arrived {
+        /// Where the palm is, root frame, m.
+        palm: [f64; 3],
+    },
+    /// The hand begins to go.
+    Leaves,
+    /// The coach has gone.
+    Ended,
+}
+
+/// Something began or ended.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct ActionEvent {
+    /// Which step of the world's coaching, from 0.
+    pub step: usize,
+    /// Its kind.
+    pub kind: ActionKind,
+    /// What happened.
+    pub event: EventKind,
+    /// When, s of the robot's time.
+    pub t: f64,
+}
+
+#[derive(Clone, Debug)]
+enum Activity {
+    Idle,
+    Pushing { began: Option<f64>, from: f64, inside: bool, done: u32 },
+    Showing { since: f64, place: Isometry3<f64>, away: Vector3<f64>, leaves: Option<f64>, arrived: bool },
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct Coaching {
+    steps: Vec<CoachingStep>,
+    ends: f64,
+    camera: Point3<f64>,
+    path: CoachPath,
+    tracker: PhaseTracker,
+    since_tracked: f64,
+    seen: Vec<Option<Vector3<f64>>>,
+    since: Option<f64>,
+    next: usize,
+    activity: Activity,
+    events: Vec<ActionEvent>,
+}
+
+impl Coaching {
+    pub(super) fn new(spec: &CoachSpec, path: CoachPath, camera: Point3<f64>) -> Self {
+        Self {
+            steps: spec.coaching.clone(),
+            ends: spec.ends,
+            camera,
+            tracker: PhaseTracker::new(path.clone()),
+            path,
+            since_tracked: 0.0,
+            seen: vec![None; BINS],
+            since: None,
+            next: 0,
+            activity: Activity::Idle,
+            events: Vec::new(),
+        }
+    }
+
+    pub(super) fn begin(&mut self, t: f64) {
+        self.since.get_or_insert(t);
+    }
+
+    pub(super) fn since(&self) -> Option<f64> {
+        self.since
+    }
+
+    pub(super) fn take_events(&mut self) -> Vec<ActionEvent> {
+        std::mem::take(&mut self.events)
+    }
+
+    pub(super) fn is_done(&self, t: f64) -> bool {
+        let idle = matches!(self.activity, Activity::Idle);
+        idle && (self.next >= self.steps.len() || self.since.is_some_and(|s| t > s + self.ends))
+    }
+
+    pub(super) fn step(
+        &mut self,
+        t: f64,
+        tcp: &Point3<f64>,
+        velocity: &Vector3<f64>,
+        dt: f64,
+        state: &mut CoachState,
+    ) {
+        *state = CoachState::default();
+        let Some(since) = self.since else { return };
+        self.track(tcp, velocity, dt);
+        state.phase = self.tracker.phase();
+        let gone = t - since > self.ends;
+        let Some(step) = self.steps.get(self.next).cloned() else { return };
+        if matches!(self.activity, Activity::Idle) {
+            if gone || t - since < step.at {
+                return;
+            }
+            self.start(&step, t);
+        }
+        match &step.action {
+            CoachingAction::Push { push } => self.push(push, t, gone, state),
+            CoachingAction::Show(show) => self.show(show, t, gone, state),
+        }
+    }
+
+    fn track(&mut self, tcp: &Point3<f64>, velocity: &Vector3<f64>, dt: f64) {
+        self.since_tracked += dt;
+        if self.since_tracked + 1e-9 < TRACK_DT {
+            return;
+        }
+        self.tracker.update([tcp.x, tcp.y], [velocity.x, velocity.y], self.since_tracked);
+        self.since_tracked = 0.0;
+        if let Some(phase) = self.tracker.phase() {
+            let bin = ((phase * BINS as f64) as usize).min(BINS - 1);
+            self.seen[bin] = Some(tcp.coords);
+        }
+    }
+
+    fn start(&mut self, step: &CoachingStep, t: f64) {
+        match &step.action {
+            CoachingAction::Push { .. } => {
+                self.activity = Activity::Pushing { began: None, from: t, inside: false, done: 0 };
+            }
+            CoachingAction::Show(show) => {
+                let place = self.place(show);
+                let away = -(place.rotation * Vector3::z()) * DISTANCE + Vector3::z() * 0.05;
+                self.activity = Activity::Showing { since: t, place, away, leaves: None, arrived: false };
+                self.note(ActionKind::Gesture(show.gesture), EventKind::Began, t);
+            }
+        }
+    }
+
+    fn note(&mut self, kind: ActionKind, event: EventKind, t: f64) {
+        self.events.push(ActionEvent { step: self.next, kind, event, t });
+    }
+
+    fn finish(&mut self, kind: ActionKind, t: f64) {
+        self.note(kind, EventKind::Ended, t);
+        self.activity = Activity::Idle;
+        self.next += 1;
+    }
+
+    fn push(&mut self, push: &Push, t: f64, gone: bool, state: &mut CoachState) {
+        let Activity::Pushing { began, from, inside, done } = &mut self.activity else { return };
+        let Some(phase) = state.phase else { return };
+        let off = phase - push.phase;
+        let near = (off - off.round()).abs() / push.arc;
+        // A push starts where the arc begins, so that each cycle's is whole.
+        let now_inside = near < 1.0 && (*inside || near > 0.6);
+        let patience = PATIENCE * f64::from(push.cycles) / self.path.frequency();
+        let over = t - *from > patience || (gone && !now_inside);
+        if now_inside {
+            state.push = Vector3::from(push.force) * (FRAC_PI_2 * near).cos().powi(2);
+        }
+        let left = *inside && !now_inside;
+        *inside = now_inside;
+        *done += u32::from(left);
+        let finished = *done >= push.cycles || over;
+        let first = now_inside && began.is_none();
+        if first {
+            *began = Some(t);
+        }
+        if first {
+            self.note(ActionKind::Push, EventKind::Began, t);
+        }
+        if finished {
+            self.finish(ActionKind::Push, t);
+        }
+    }
+
+    fn show(&mut self, show: &Show, t: f64, gone: bool, state: &mut CoachState) {
+        let kind = ActionKind::Gesture(show.gesture);
+        let Activity::Showing { since, place, away, leaves, arrived } = &mut self.activity else { return };
+        let age = t - *since;
+        let mut happened = None;
+        if !*arrived && age >= COME {
+            *arrived = true;
+            happened = Some(EventKind::Arrived { palm: place.translation.vector.into() });
+        } else if leaves.is_none() && *arrived && (age >= COME + show.duration || gone) {
+            *leaves = Some(t);
+            happened = Some(EventKind::Leaves);
+        }
+        let apart = match *leaves {
+            Some(left) => minimum_jerk((t - left) / COME),
+            None => 1.0 - minimum_jerk(age / COME),
+        };
+        let shift = Translation3::from(*away * apart);
+        let over = leaves.is_some_and(|left| t - left >= COME);
+        let in_place = *arrived && leaves.is_none();
+        let root_from_hand = shift * *place;
+        if let Some(event) = happened {
+            self.note(kind, event, t);
+        }
+        if over {
+            self.finish(kind, t);
+        } else {
+            state.hand =
+                Some(HandShown { root_from_hand, gesture: show.gesture, shown_s: age, in_place });
+        }
+    }
+
+    /// Where the hand waits: beside the path as it was executed last, the palm turned to the cameras.
+    fn place(&self, show: &Show) -> Isometry3<f64> {
+        let palm = self.path_point(show.phase) + Vector3::from(show.offset);
+        let view = (self.camera.coords - palm).try_normalize(1e-6).unwrap_or_else(Vector3::z);
+        let fingers = match show.direction.map(Vector3::from).and_then(|d| d.try_normalize(1e-9)) {
+            Some(direction) => direction,
+            None => across(&Vector3::from(show.offset), &view),
+        };
+        Isometry3::from_parts(Translation3::from(palm), facing(&fingers, &view))
+    }
+
+    /// The executed path at a phase, or the coach's own with the height of what was executed.
+    fn path_point(&self, phase: f64) -> Vector3<f64> {
+        let bin = (phase.rem_euclid(1.0) * BINS as f64) as usize % BINS;
+        let seen = (0..4).find_map(|d| {
+            self.seen[(bin + d) % BINS].or(self.seen[(bin + BINS - d) % BINS])
+        });
+        let own = self.path.point(phase * std::f64::consts::TAU);
+        match seen {
+            Some(p) if (p.x - own[0]).hypot(p.y - own[1]) < 0.12 => p,
+            other => Vector3::new(own[0], own[1], other.map_or(1.05, |p| p.z)),
+        }
+    }
+}
+
+/// The direction across both the offset and the view, so that neither fingers nor forearm reach over the path.
+fn across(offset: &Vector3<f64>, view: &Vector3<f64>) -> Vector3<f64> {
+    let along = view.cross(offset).try_normalize(1e-6).unwrap_or_else(|| {
+        view.cross(&Vector3::x()).try_normalize(1e-6).unwrap_or_else(Vector3::y)
+    });
+    if along.dot(&FOREARM) > 0.0 { -along } else { along }
+}
+
+/// A hand whose fingers point along `fingers` and whose palm is turned to `view` as far as that allows.
+fn facing(fingers: &Vector3<f64>, view: &Vector3<f64>) -> UnitQuaternion<f64> {
+    let sideways = view - fingers * view.dot(fingers);
+    let palm = sideways.try_normalize(1e-6).unwrap_or_else(|| {
+        let other = if fingers.z.abs() < 0.9 { Vector3::z() } else { Vector3::x() };
+        (other - fingers * other.dot(fingers)).normalize()
+    });
+    let thumb = fingers.cross(&palm);
+    let axes = Matrix3::from_columns(&[palm, thumb, *fingers]);
+    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use super::*;
+    use crate::world::Demonstration;
+
+    const DT: f64 = 1e-3;
+
+    /// Lets an ideal hand wipe the coach's own path and returns what the coach did, ms by ms.
+    fn wipe(spec: &CoachSpec, seconds: f64) -> (Vec<CoachState>, Vec<ActionEvent>) {
+        let path = CoachPath::new(&Demonstration::default());
+        let mut coaching = Coaching::new(spec, path.clone(), Point3::new(0.0, 0.24, 1.65));
+        coaching.begin(0.0);
+        let omega = TAU * path.frequency();
+        let mut states = Vec::new();
+        let mut state = CoachState::default();
+        for i in 0..(seconds / DT) as u32 {
+            let t = f64::from(i) * DT;
+            let (p, d) = (path.point(omega * t), path.tangent(omega * t));
+            let velocity = Vector3::new(d[0], d[1], 0.0) * omega;
+            coaching.step(t, &Point3::new(p[0], p[1], 1.05), &velocity, DT, &mut state);
+            states.push(state);
+        }
+        (states, coaching.take_events())
+    }
+
+    fn only(action: CoachingAction) -> CoachSpec {
+        CoachSpec { coaching: vec![CoachingStep { at: 6.0, action }], ..CoachSpec::default() }
+    }
+
+    #[test]
+    fn a_push_comes_once_a_cycle_about_its_phase() {
+        let (states, events) = wipe(&only(CoachingAction::Push { push: Push::default() }), 25.0);
+        assert_eq!(events.len(), 2, "{events:?}");
+        let pushes = states.windows(2).filter(|w| w[0].push.y == 0.0 && w[1].push.y > 0.0).count();
+        assert_eq!(pushes, 6);
+        let strongest = states.iter().max_by(|a, b| a.push.y.total_cmp(&b.push.y)).unwrap();
+        assert!((strongest.push.y - 12.0).abs() < 0.1);
+        assert!((strongest.phase.unwrap() - 0.25).abs() < 0.02);
+        let jump = states.windows(2).map(|w| (w[1].push - w[0].push).norm()).fold(0.0, f64::max);
+        assert!(jump < 5.0, "{jump}");
+    }
+
+    #[test]
+    fn a_gesture_comes_waits_beside_the_path_and_goes() {
+        let show = Show {
+            gesture: Gesture::Fist,
+            phase: 0.75,
+            offset: [0.0, -0.12, 0.0],
+            duration: 5.0,
+            direction: None,
+        };
+        let (states, events) = wipe(&only(CoachingAction::Show(show)), 15.0);
+        let kinds: Vec<_> = events.iter().map(|e| e.event).collect();
+        assert_eq!(kinds.len(), 4);
+        let EventKind::Arrived { palm } = kinds[1] else { panic!("{kinds:?}") };
+        let expected = Vector3::new(0.28, 0.50 - 0.12, 1.05);
+        assert!((Vector3::from(palm) - expected).norm() < 0.01, "{palm:?}");
+        let waits = states.iter().filter(|s| s.hand.is_some_and(|h| h.in_place)).count();
+        assert!((4999..=5001).contains(&waits), "{waits}");
+        assert!((events[3].t - events[0].t - 7.0).abs() < 0.01);
+        for w in states.windows(2) {
+            if let [Some(a), Some(b)] = [w[0].hand, w[1].hand] {
+                let step = b.root_from_hand.translation.vector - a.root_from_hand.translation.vector;
+                assert!(step.norm() < 1e-3);
+            }
+        }
+    }
+
+    #[test]
+    fn one_finger_points_and_the_palm_faces_the_camera() {
+        let view = Vector3::new(-0.3, -0.4, 0.8).normalize();
+        let q = facing(&Vector3::y(), &view);
+        assert!((q * Vector3::z() - Vector3::y()).norm() < 1e-12);
+        assert!((q * Vector3::x()).dot(&view) > 0.85);
+        assert!((q * Vector3::y() - Vector3::y().cross(&(q * Vector3::x()))).norm() < 1e-12);
+        let q = facing(&view, &view);
+        assert!((q * Vector3::z() - view).norm() < 1e-12);
+    }
+
+    #[test]
+    fn the_coach_leaves_at_the_end() {
+        let show = Show {
+            gesture: Gesture::OpenHand,
+            phase: 0.0,
+            offset: [0.1, 0.0, 0.0],
+            duration: 500.0,
+            direction: None,
+        };
+        let spec = CoachSpec { ends: 10.0, ..only(CoachingAction::Show(show)) };
+        let (states, events) = wipe(&spec, 13.0);
+        assert_eq!(events.last().unwrap().event, EventKind::Ended);
+        assert_eq!(states.last().unwrap().hand, None);
+    }
+}

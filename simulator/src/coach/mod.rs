@@ -1,0 +1,97 @@
+//! The coach: a person who shows the motion when asked, then changes it by pushing the robot's hand and by gestures.
+//!
+//! The coach hears what the robot says, sees the robot's hand (its true pose) and acts on it by force; the hand and
+//! the tool are seen by the cameras and have no physics. Stepped every millisecond, seeded.
+
+mod coaching;
+mod demonstration;
+mod path;
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use rand_chacha::ChaCha8Rng;
+
+pub use coaching::{ActionEvent, ActionKind, EventKind, HandShown};
+pub use demonstration::{Performance, Shown};
+pub use path::{CoachPath, PhaseTracker, Wobble, wrap};
+
+use crate::world::{CoachSpec, Demonstration};
+use coaching::Coaching;
+
+/// What the coach does at an instant.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct CoachState {
+    /// Pose of the tool's middle, while it is shown.
+    pub tool: Option<Isometry3<f64>>,
+    /// The bare hand, while it is shown.
+    pub hand: Option<HandShown>,
+    /// Force on the robot's hand at the TCP, root frame, N.
+    pub push: Vector3<f64>,
+    /// Where on the coach's path the robot's hand is while it wipes, 0 to 1.
+    pub phase: Option<f64>,
+}
+
+/// The coach of a world.
+#[derive(Clone, Debug)]
+pub struct Coach {
+    demonstration: Option<Demonstration>,
+    table_height: f64,
+    performance: Option<(f64, Performance)>,
+    coaching: Coaching,
+    rng: ChaCha8Rng,
+    state: CoachState,
+}
+
+impl Coach {
+    /// The coach of a world; `camera` is where the robot looks from, m: gestures are shown to it.
+    #[must_use]
+    pub fn new(spec: &CoachSpec, table_height: f64, camera: Point3<f64>, rng: ChaCha8Rng) -> Self {
+        let path = CoachPath::new(&spec.demonstration.clone().unwrap_or_default());
+        Self {
+            demonstration: spec.demonstration.clone().filter(|d| d.periods > 0),
+            table_height,
+            performance: None,
+            coaching: Coaching::new(spec, path, camera),
+            rng,
+            state: CoachState::default(),
+        }
+    }
+
+    /// Hears the robot: "show me" starts a demonstration (unless one is under way), "wiping" starts the coaching.
+    pub fn hear(&mut self, utterance: &str, t: f64) {
+        let words = utterance.to_lowercase();
+        if words.contains("show me") {
+            let over = self.performance.as_ref().is_none_or(|(from, p)| t > from + p.duration());
+            if let Some(demonstration) = self.demonstration.as_ref().filter(|_| over) {
+                self.performance =
+                    Some((t, Performance::new(demonstration, self.table_height, &mut self.rng)));
+            }
+        } else if words.contains("wiping") {
+            self.coaching.begin(t);
+        }
+    }
+
+    /// When the robot first said that it wipes, s.
+    #[must_use]
+    pub fn wiping_since(&self) -> Option<f64> {
+        self.coaching.since()
+    }
+
+    /// Acts for one step that ends at `t` s: sees the TCP's position, m, and velocity, m/s.
+    pub fn step(&mut self, t: f64, tcp: &Point3<f64>, velocity: &Vector3<f64>, dt: f64) -> &CoachState {
+        let shown = self.performance.as_ref().and_then(|(from, p)| p.at(t - from));
+        self.coaching.step(t, tcp, velocity, dt, &mut self.state);
+        self.state.tool = shown.map(|s| s.root_from_tool);
+        &self.state
+    }
+
+    /// What began or ended since the last call.
+    pub fn take_events(&mut self) -> Vec<ActionEvent> {
+        self.coaching.take_events()
+    }
+
+    /// Whether everything that the coach had planned is done.
+    #[must_use]
+    pub fn is_done(&self, t: f64) -> bool {
+        self.coaching.is_done(t)
+    }
+}

@@ -1,0 +1,182 @@
+//! Which links of the robot move together: a model's tree, reduced to the bodies that the physics moves.
+//!
+//! The torso, the right arm and the right hand have dynamics. Links that hang on them by fixed joints, and those
+//! of head and left arm (which follow their set points ideally), are lumped into the body that carries them, in
+//! the robot's starting posture. Pure bookkeeping; nothing here steps.
+
+use armarium_robot::{JointKind, Kinematics, LinkId, Model, Shape};
+use nalgebra::{Isometry3, Matrix3, Point3, Unit, Vector3};
+
+/// Limbs whose joints have dynamics.
+const DYNAMIC_LIMBS: [&str; 3] = ["torso", "right_arm", "right_hand"];
+/// Limbs whose bodies touch the world.
+const TOUCHING_LIMBS: [&str; 2] = ["right_arm", "right_hand"];
+
+/// Mass, centre and inertia about the centre, in one frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Mass {
+    pub(super) mass: f64,
+    /// First moment: mass times centre, kg m.
+    moment: Vector3<f64>,
+    /// Inertia about the frame's origin, kg m^2.
+    about_origin: Matrix3<f64>,
+}
+
+impl Mass {
+    /// Adds a body whose inertia about its own centre is given along the frame's axes.
+    fn add(&mut self, mass: f64, center: &Point3<f64>, inertia: &Matrix3<f64>) {
+        self.mass += mass;
+        self.moment += center.coords * mass;
+        self.about_origin += inertia + steiner(mass, &center.coords);
+    }
+
+    pub(super) fn center(&self) -> Point3<f64> {
+        if self.mass > 0.0 { Point3::from(self.moment / self.mass) } else { Point3::origin() }
+    }
+
+    /// Inertia about the centre, kg m^2.
+    pub(super) fn inertia(&self) -> Matrix3<f64> {
+        self.about_origin - steiner(self.mass, &self.center().coords)
+    }
+}
+
+fn steiner(mass: f64, c: &Vector3<f64>) -> Matrix3<f64> {
+    (Matrix3::identity() * c.norm_squared() - c * c.transpose()) * mass
+}
+
+/// One body that the physics moves, with the joint that moves it.
+#[derive(Clone, Debug)]
+pub(super) struct Lump {
+    /// Its frame is that of this link.
+    pub(super) link: LinkId,
+    /// The body it hangs on; none hangs on the room.
+    pub(super) parent: Option<usize>,
+    /// The joint, an index into the model's.
+    pub(super) joint: usize,
+    pub(super) kind: JointKind,
+    pub(super) axis: Unit<Vector3<f64>>,
+    /// Pose in the parent body's frame (the room's, for the first) with the joint at 0.
+    pub(super) parent_from_body: Isometry3<f64>,
+    pub(super) mass: Mass,
+    /// What touches: shape, pose in the body's frame.
+    pub(super) collisions: Vec<(Shape, Isometry3<f64>)>,
+}
+
+/// The part of the robot beyond the wrist sensor that is not one of the lumps by itself.
+#[derive(Clone, Debug)]
+pub(super) struct Wrist {
+    /// The lump that carries sensor and palm.
+    pub(super) lump: usize,
+    /// The sensor in that lump's frame.
+    pub(super) body_from_sensor: Isometry3<f64>,
+    /// The TCP in that lump's frame.
+    pub(super) body_from_tcp: Isometry3<f64>,
+    /// Mass beyond the sensor that moves with the lump, in the lump's frame.
+    pub(super) palm: Mass,
+    /// Lumps that hang on the palm: the fingers.
+    pub(super) fingers: Vec<usize>,
+}
+
+/// The robot as bodies.
+#[derive(Clone, Debug)]
+pub(super) struct Assembly {
+    pub(super) lumps: Vec<Lump>,
+    /// Joints that have no dynamics, indices into the model's.
+    pub(super) ideal: Vec<usize>,
+    pub(super) wrist: Wrist,
+}
+
+impl Assembly {
+    /// Takes a model apart; `start` is the posture in which ideal limbs are weighed.
+    ///
+    /// # Errors
+    /// The name of a link or limb that the simulator needs and the model lacks.
+    pub(super) fn new(kinematics: &Kinematics, start: &[f64]) -> Result<Self, &'static str> {
+        let model = kinematics.model();
+        let dynamic: Vec<usize> =
+            DYNAMIC_LIMBS.iter().flat_map(|limb| model.limb(limb)).copied().collect();
+        let touching: Vec<usize> =
+            TOUCHING_LIMBS.iter().flat_map(|limb| model.limb(limb)).copied().collect();
+        let sensor = model.link("wrist_sensor_right").ok_or("link `wrist_sensor_right`")?;
+        let tcp = model.link("tcp_right").ok_or("link `tcp_right`")?;
+
+        let mut lumps: Vec<Lump> = Vec::new();
+        let mut carrier: Vec<Option<usize>> = Vec::new();
+        let mut carrier_from_link: Vec<Isometry3<f64>> = Vec::new();
+        let mut palm = Mass::default();
+        let beyond = beyond_sensor(model, sensor);
+        for (i, link) in model.links().iter().enumerate() {
+            let parent = link.parent.map(LinkId::index);
+            let at_zero = parent.map_or_else(Isometry3::identity, |p| carrier_from_link[p]) * link.parent_from_link;
+            let inherited = parent.and_then(|p| carrier[p]);
+            if let Some(joint) = link.joint.filter(|j| dynamic.contains(j)) {
+                let id = model.joints()[joint].link;
+                carrier.push(Some(lumps.len()));
+                carrier_from_link.push(Isometry3::identity());
+                lumps.push(Lump {
+                    link: id,
+                    parent: inherited,
+                    joint,
+                    kind: model.joints()[joint].kind,
+                    axis: model.joints()[joint].axis,
+                    parent_from_body: at_zero,
+                    mass: Mass::default(),
+                    collisions: Vec::new(),
+                });
+            } else {
+                let moved = link.joint.map_or_else(Isometry3::identity, |j| moved(model, j, start[j]));
+                carrier.push(inherited);
+                carrier_from_link.push(at_zero * moved);
+            }
+            let Some(carried_by) = carrier[i] else { continue };
+            let body_from_link = carrier_from_link[i];
+            let lump = &mut lumps[carried_by];
+            if let Some(inertial) = &link.inertial {
+                let r = body_from_link.rotation.to_rotation_matrix();
+                let inertia = r.matrix() * inertial.inertia * r.matrix().transpose();
+                let center = body_from_link * inertial.center;
+                lump.mass.add(inertial.mass, &center, &inertia);
+                if beyond[i] && !link.joint.is_some_and(|j| dynamic.contains(&j)) {
+                    palm.add(inertial.mass, &center, &inertia);
+                }
+            }
+            if touching.contains(&lump.joint) {
+                let collisions = link.collisions.iter().map(|c| (c.shape, body_from_link * c.link_from_shape));
+                lump.collisions.extend(collisions);
+            }
+        }
+        let lump = carrier[sensor.index()].ok_or("a joint under `wrist_sensor_right`")?;
+        let fingers = (0..lumps.len()).filter(|i| lumps[*i].parent == Some(lump)).collect();
+        let wrist = Wrist {
+            lump,
+            body_from_sensor: carrier_from_link[sensor.index()],
+            body_from_tcp: carrier_from_link[tcp.index()],
+            palm,
+            fingers,
+        };
+        let ideal = (0..model.joints().len()).filter(|j| !dynamic.contains(j)).collect();
+        Ok(Self { lumps, ideal, wrist })
+    }
+}
+
+/// For every link, whether it hangs on the sensor.
+fn beyond_sensor(model: &Model, sensor: LinkId) -> Vec<bool> {
+    let mut beyond = vec![false; model.links().len()];
+    for link in model.subtree(sensor) {
+        beyond[link.index()] = true;
+    }
+    beyond
+}
+
+/// What a joint adds between its link's place at 0 and at `q`.
+fn moved(model: &Model, joint: usize, q: f64) -> Isometry3<f64> {
+    joint_motion(model.joints()[joint].kind, &model.joints()[joint].axis, q)
+}
+
+/// The motion of a joint about or along an axis.
+pub(super) fn joint_motion(kind: JointKind, axis: &Unit<Vector3<f64>>, q: f64) -> Isometry3<f64> {
+    match kind {
+        JointKind::Revolute => Isometry3::rotation(axis.into_inner() * q),
+        JointKind::Prismatic => Isometry3::from_parts((axis.into_inner() * q).into(), nalgebra::UnitQuaternion::identity()),
+    }
+}

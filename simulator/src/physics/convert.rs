@@ -1,0 +1,31 @@
+//! The one place where nalgebra's types (everywhere else) and glam's (Rapier) meet.
+
+use nalgebra::{Isometry3, Matrix3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use rapier3d_f64::math::{Matrix, Pose, Rotation, Vector};
+
+pub(super) fn vector(v: &Vector3<f64>) -> Vector {
+    Vector::new(v.x, v.y, v.z)
+}
+
+pub(super) fn to_vector(v: Vector) -> Vector3<f64> {
+    Vector3::new(v.x, v.y, v.z)
+}
+
+pub(super) fn rotation(q: &UnitQuaternion<f64>) -> Rotation {
+    Rotation::from_xyzw(q.i, q.j, q.k, q.w)
+}
+
+pub(super) fn pose(p: &Isometry3<f64>) -> Pose {
+    Pose::from_parts(vector(&p.translation.vector), rotation(&p.rotation))
+}
+
+pub(super) fn to_pose(p: &Pose) -> Isometry3<f64> {
+    let q = p.rotation;
+    let rotation = UnitQuaternion::new_normalize(Quaternion::new(q.w, q.x, q.y, q.z));
+    Isometry3::from_parts(Translation3::from(to_vector(p.translation)), rotation)
+}
+
+pub(super) fn matrix(m: &Matrix3<f64>) -> Matrix {
+    let column = |k: usize| Vector::new(m[(0, k)], m[(1, k)], m[(2, k)]);
+    Matrix::from_cols(column(0), column(1), column(2))
+}

@@ -1,0 +1,137 @@
+//! When the hand holds an object.
+//!
+//! The object is held while **both** finger pads press on it: then it is joined to the palm. The joint ends when a
+//! pad has pressed less than [`HOLDING_FORCE`] for [`PATIENCE`], or when the load that the hand carries exceeds
+//! what the pads' friction can: force `F` and torque `T` (about the object's middle) with
+//! `(F / Fc)^2 + (T / (Fc r))^2 > 1`, `Fc = ` [`PAD_FRICTION`](super::plant::PAD_FRICTION) times the sum of both
+//! pads' normal forces, `r = ` [`CONTACT_RADIUS`]. With 40 N a pad that is 72 N and 2.2 N m. So an object can be missed,
+//! dropped and knocked out of the hand. This file decides; [`Plant`](super::plant::Plant) makes and breaks the joint.
+
+use nalgebra::Vector3;
+
+use super::plant::PAD_FRICTION;
+
+/// Normal force of a pad that counts as pressing, N.
+pub const HOLDING_FORCE: f64 = 1.0;
+/// How long a pad may press less before the object is dropped, s.
+pub const PATIENCE: f64 = 0.02;
+/// Radius of the friction patch of a pad, m.
+pub const CONTACT_RADIUS: f64 = 0.03;
+/// Time constant of the load that is judged, s: shorter peaks are carried by the pads' elasticity.
+pub const LOAD_TIME: f64 = 0.005;
+/// How long nothing is taken after something slipped, s.
+pub const SLIP_PAUSE: f64 = 0.3;
+
+/// How a pad presses on an object.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct PadPress {
+    pub(super) touches: bool,
+    /// Normal force, N.
+    pub(super) force: f64,
+}
+
+/// Force, N, and torque about the object's middle, N m, that the hand exerts on the object.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Load {
+    pub(super) force: Vector3<f64>,
+    pub(super) torque: Vector3<f64>,
+}
+
+/// Whether something is held, and since when it is not held well.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Grip {
+    held: Option<usize>,
+    loose_s: f64,
+    pause_s: f64,
+    load: Load,
+}
+
+impl Grip {
+    pub(super) fn held(&self) -> Option<usize> {
+        self.held
+    }
+
+    /// Judges one step: `presses` are those of all pads on each object, `load` that of the held one.
+    pub(super) fn step(&mut self, presses: &[Vec<PadPress>], load: Option<Load>, dt: f64) {
+        self.pause_s = (self.pause_s - dt).max(0.0);
+        let Some(held) = self.held else {
+            let both = |p: &Vec<PadPress>| p.len() >= 2 && p.iter().all(|p| p.touches && p.force > HOLDING_FORCE);
+            if self.pause_s == 0.0 {
+                self.held = presses.iter().position(both);
+                self.loose_s = 0.0;
+                self.load = Load::default();
+            }
+            return;
+        };
+        let pads = presses.get(held).map_or(&[][..], Vec::as_slice);
+        let loose = pads.len() < 2 || pads.iter().any(|p| p.force < HOLDING_FORCE);
+        self.loose_s = if loose { self.loose_s + dt } else { 0.0 };
+        let load = load.unwrap_or_default();
+        let rate = dt / (LOAD_TIME + dt);
+        self.load.force += (load.force - self.load.force) * rate;
+        self.load.torque += (load.torque - self.load.torque) * rate;
+        let capacity = PAD_FRICTION * pads.iter().map(|p| p.force).sum::<f64>();
+        if self.loose_s > PATIENCE {
+            self.held = None;
+        } else if capacity > 0.0 && !loose && self.slips(capacity) {
+            self.held = None;
+            self.pause_s = SLIP_PAUSE;
+        }
+    }
+
+    fn slips(&self, capacity: f64) -> bool {
+        let force = self.load.force.norm() / capacity;
+        let torque = self.load.torque.norm() / (capacity * CONTACT_RADIUS);
+        force * force + torque * torque > 1.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pads(a: f64, b: f64) -> Vec<Vec<PadPress>> {
+        vec![[a, b].map(|force| PadPress { touches: force > 0.0, force }).to_vec()]
+    }
+
+    fn pulled(force: f64) -> Option<Load> {
+        Some(Load { force: Vector3::x() * force, torque: Vector3::zeros() })
+    }
+
+    #[test]
+    fn both_pads_take_and_one_that_opens_drops() {
+        let mut grip = Grip::default();
+        grip.step(&pads(10.0, 0.0), None, 1e-3);
+        assert_eq!(grip.held(), None);
+        grip.step(&pads(10.0, 9.0), None, 1e-3);
+        assert_eq!(grip.held(), Some(0));
+        for _ in 0..19 {
+            grip.step(&pads(10.0, 0.0), None, 1e-3);
+        }
+        assert_eq!(grip.held(), Some(0));
+        for _ in 0..3 {
+            grip.step(&pads(10.0, 0.0), None, 1e-3);
+        }
+        assert_eq!(grip.held(), None);
+    }
+
+    #[test]
+    fn friction_bounds_the_load() {
+        for (force, holds) in [(70.0, true), (74.0, false)] {
+            let mut grip = Grip::default();
+            for _ in 0..50 {
+                grip.step(&pads(40.0, 40.0), pulled(force), 1e-3);
+            }
+            assert_eq!(grip.held().is_some(), holds, "{force}");
+        }
+    }
+
+    #[test]
+    fn a_short_peak_is_carried() {
+        let mut grip = Grip::default();
+        for i in 0..50 {
+            grip.step(&pads(40.0, 40.0), pulled(if i == 20 { 200.0 } else { 5.0 }), 1e-3);
+        }
+        assert_eq!(grip.held(), Some(0));
+    }
+}

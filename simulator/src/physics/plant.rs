@@ -1,0 +1,560 @@
+//! Robot, table and objects as Rapier bodies, stepped at 1 kHz.
+//!
+//! - The torso, right arm and right hand are one multibody in reduced coordinates. Every joint has a servo: a stiff
+//!   spring and damper about the set point that feeds the set velocity forward, integrated implicitly, its force bounded
+//!   by the joint's effort. The servo carries the robot's own weight by its nominal model; as that model is exact, the
+//!   two cancel and gravity is left off these bodies (loads and contacts are felt in full).
+//! - Head and left arm follow their set points ideally.
+//! - Objects are free boxes on a [`Bed`] of springs; Rapier keeps them off the fingers, and a thin core keeps
+//!   them from falling through the table when they lie on their side.
+//! - An object is held by a fixed joint that exists only while both finger pads press on it (see [`grip`](super::grip)).
+//! - The wrist sensor is exact here (see [`wrench`](super::wrench)); noise is added where it is sensed.
+
+use std::sync::Arc;
+
+use armarium_robot::{JointKind, Kinematics, Model, Shape};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use rapier3d_f64::prelude as rapier;
+use rapier3d_f64::prelude::{ColliderHandle, MultibodyJointHandle, RigidBodyHandle};
+
+use super::assembly::{Assembly, Lump, joint_motion};
+use super::convert;
+use super::grip::{Grip, PadPress};
+use super::wrench::{Momentum, WristWrench};
+use crate::bed::{Bed, BedReaction, Motion};
+use crate::table::{THICKNESS, TableTop};
+use crate::world::{ObjectSpec, World};
+
+/// One step, s.
+pub const DT: f64 = 1e-3;
+/// Gravity, m/s^2.
+pub const GRAVITY: f64 = 9.81;
+/// Friction of finger pads on objects.
+pub const PAD_FRICTION: f64 = 0.9;
+
+const ROBOT: rapier::Group = rapier::Group::GROUP_1;
+const OBJECT: rapier::Group = rapier::Group::GROUP_2;
+const CORE: rapier::Group = rapier::Group::GROUP_3;
+const ROOM: rapier::Group = rapier::Group::GROUP_4;
+
+/// Why a plant cannot be built.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PlantError {
+    /// The robot lacks something that the simulator needs.
+    #[error("the robot's description lacks the {what}")]
+    Missing {
+        /// What.
+        what: &'static str,
+    },
+    /// The physics refused a joint.
+    #[error("the joint `{joint}` does not fit into the robot's tree")]
+    Joint {
+        /// Which.
+        joint: String,
+    },
+}
+
+/// Forces from outside in one step, root frame, N.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct External {
+    /// On the robot's right hand at the TCP.
+    pub hand: Vector3<f64>,
+    /// On each object's middle.
+    pub objects: Vec<Vector3<f64>>,
+}
+
+/// A servo's gains.
+#[derive(Clone, Copy, Debug)]
+struct Servo {
+    stiffness: f64,
+    damping: f64,
+    effort: f64,
+}
+
+/// A lump's body.
+#[derive(Clone, Debug)]
+struct Body {
+    handle: RigidBodyHandle,
+    joint: MultibodyJointHandle,
+    /// Index of the joint in the model.
+    index: usize,
+    kind: JointKind,
+    /// Position of the joint at which its coordinate in the multibody is 0.
+    start: f64,
+    servo: Servo,
+}
+
+/// An object's body.
+#[derive(Clone, Debug)]
+struct Object {
+    handle: RigidBodyHandle,
+    collider: ColliderHandle,
+    bed: Bed,
+    reaction: BedReaction,
+}
+
+/// The physics of a world.
+pub struct Plant {
+    physics: rapier::PhysicsWorld,
+    table: TableTop,
+    bodies: Vec<Body>,
+    ideal: Vec<usize>,
+    objects: Vec<Object>,
+    pads: Vec<ColliderHandle>,
+    grip: Grip,
+    palm: RigidBodyHandle,
+    fingers: Vec<RigidBodyHandle>,
+    body_from_tcp: Isometry3<f64>,
+    wrench: WristWrench,
+    position: Vec<f64>,
+    velocity: Vec<f64>,
+}
+
+impl Plant {
+    /// Builds the world with the robot in the posture `start`: positions of all the model's joints, rad or m.
+    ///
+    /// # Errors
+    /// [`PlantError`] when the robot lacks a limb or link that the simulator needs.
+    pub fn new(model: &Arc<Model>, world: &World, start: &[f64]) -> Result<Self, PlantError> {
+        let kinematics = Kinematics::new(model);
+        let assembly = Assembly::new(&kinematics, start).map_err(|what| PlantError::Missing { what })?;
+        let mut physics = rapier::PhysicsWorld::new();
+        physics.gravity = rapier::Vector::new(0.0, 0.0, -GRAVITY);
+        let parameters = &mut physics.integration_parameters;
+        parameters.dt = DT;
+        parameters.num_solver_iterations = 1;
+        parameters.friction_model = rapier::FrictionModel::Coulomb;
+        parameters.length_unit = 0.1;
+        let table = TableTop::new(&world.table);
+        add_room(&mut physics, &table);
+        let (bodies, pads) = add_robot(&mut physics, model, &assembly, start)?;
+        let objects: Vec<_> = world.objects.iter().map(|o| add_object(&mut physics, &table, o)).collect();
+        let wrist = &assembly.wrist;
+        let palm = bodies[wrist.lump].handle;
+        let mut plant = Self {
+            physics,
+            table,
+            ideal: assembly.ideal.clone(),
+            palm,
+            fingers: wrist.fingers.iter().map(|f| bodies[*f].handle).collect(),
+            body_from_tcp: wrist.body_from_tcp,
+            wrench: WristWrench::new(wrist, world.objects.len()),
+            grip: Grip::default(),
+            bodies,
+            objects,
+            pads,
+            position: start.to_vec(),
+            velocity: vec![0.0; start.len()],
+        };
+        plant.read_joints();
+        plant.weigh();
+        Ok(plant)
+    }
+
+    /// True joint positions, rad or m, in the model's order.
+    #[must_use]
+    pub fn position(&self) -> &[f64] {
+        &self.position
+    }
+
+    /// True joint velocities, rad/s or m/s.
+    #[must_use]
+    pub fn velocity(&self) -> &[f64] {
+        &self.velocity
+    }
+
+    /// The table.
+    #[must_use]
+    pub fn table(&self) -> &TableTop {
+        &self.table
+    }
+
+    /// Pose of the right TCP.
+    #[must_use]
+    pub fn tcp(&self) -> Isometry3<f64> {
+        convert::to_pose(self.physics.bodies[self.palm].position()) * self.body_from_tcp
+    }
+
+    /// Velocity of the right TCP, m/s, root frame.
+    #[must_use]
+    pub fn tcp_velocity(&self) -> Vector3<f64> {
+        let body = &self.physics.bodies[self.palm];
+        let tcp = self.tcp().translation.vector;
+        let arm = tcp - convert::to_vector(body.center_of_mass());
+        convert::to_vector(body.linvel()) + convert::to_vector(body.angvel()).cross(&arm)
+    }
+
+    /// Pose of an object's middle.
+    #[must_use]
+    pub fn object(&self, index: usize) -> Option<Isometry3<f64>> {
+        self.objects.get(index).map(|o| convert::to_pose(self.physics.bodies[o.handle].position()))
+    }
+
+    /// An object's underside.
+    #[must_use]
+    pub fn bed(&self, index: usize) -> Option<&Bed> {
+        self.objects.get(index).map(|o| &o.bed)
+    }
+
+    /// What the table did to an object in the last step.
+    #[must_use]
+    pub fn reaction(&self, index: usize) -> Option<&BedReaction> {
+        self.objects.get(index).map(|o| &o.reaction)
+    }
+
+    /// The object that the hand holds.
+    #[must_use]
+    pub fn held(&self) -> Option<usize> {
+        self.grip.held()
+    }
+
+    /// Force and torque of the hand on the wrist sensor in its frame, without noise, N and N m, of the last step.
+    #[must_use]
+    pub fn wrist(&self) -> (Vector3<f64>, Vector3<f64>) {
+        self.wrench.reading()
+    }
+
+    /// Advances everything by [`DT`]: servo targets are positions and velocities of all joints.
+    pub fn step(&mut self, position: &[f64], velocity: &[f64], external: &External) {
+        self.drive(position, velocity);
+        self.apply(external);
+        self.physics.step();
+        self.read_joints();
+        for &j in &self.ideal {
+            self.position[j] = position[j];
+            self.velocity[j] = velocity[j];
+        }
+        self.update_grip(external);
+        self.sense_wrist(external);
+    }
+
+    /// Sets every servo's spring so that, with its damper, it pulls to the set point and feeds the velocity forward.
+    fn drive(&mut self, position: &[f64], velocity: &[f64]) {
+        for body in &self.bodies {
+            let Servo { stiffness, damping, effort } = body.servo;
+            let (q, v) = (self.position[body.index], self.velocity[body.index]);
+            let wanted = stiffness * (position[body.index] - q) + damping * (velocity[body.index] - v);
+            let rest = q + (wanted.clamp(-effort, effort) + damping * v) / stiffness;
+            if let Some((multibody, link)) = self.physics.multibody_joints.get_mut(body.joint)
+                && let Some(link) = multibody.link_mut(link)
+            {
+                link.joint.set_spring(axis_of(body.kind), stiffness, rest - body.start);
+            }
+        }
+    }
+
+    fn apply(&mut self, external: &External) {
+        let tcp = self.tcp().translation.vector;
+        let palm = &mut self.physics.bodies[self.palm];
+        palm.reset_forces(false);
+        palm.reset_torques(false);
+        if external.hand != Vector3::zeros() {
+            palm.add_force_at_point(convert::vector(&external.hand), convert::vector(&tcp), true);
+        }
+        for (i, object) in self.objects.iter_mut().enumerate() {
+            let body = &mut self.physics.bodies[object.handle];
+            let motion = Motion {
+                root_from_object: convert::to_pose(body.position()),
+                linear: convert::to_vector(body.linvel()),
+                angular: convert::to_vector(body.angvel()),
+            };
+            object.reaction = object.bed.step(&self.table, &motion, DT);
+            let force = object.reaction.force + external.objects.get(i).copied().unwrap_or_default();
+            body.reset_forces(false);
+            body.reset_torques(false);
+            body.add_force(convert::vector(&force), true);
+            body.add_torque(convert::vector(&object.reaction.torque), true);
+        }
+    }
+
+    fn read_joints(&mut self) {
+        for body in &self.bodies {
+            let Some((multibody, id)) = self.physics.multibody_joints.get(body.joint) else { continue };
+            let Some(link) = multibody.link(id) else { continue };
+            self.position[body.index] = body.start + link.joint.coords()[axis_of(body.kind)];
+            self.velocity[body.index] = multibody.joint_velocity(link)[0];
+        }
+    }
+
+    /// Makes or breaks the joint between palm and object.
+    fn update_grip(&mut self, external: &External) {
+        let presses: Vec<Vec<PadPress>> = (0..self.objects.len())
+            .map(|o| self.pads.iter().map(|pad| self.press(*pad, self.objects[o].collider)).collect())
+            .collect();
+        let load = self.grip.held().map(|held| {
+            let body = &self.physics.bodies[self.objects[held].handle];
+            let reaction = &self.objects[held].reaction;
+            let knock = external.objects.get(held).copied().unwrap_or_default();
+            let momentum = Momentum::of_body(body);
+            self.wrench.load(held, &momentum, &(reaction.force + knock), &reaction.torque)
+        });
+        let before = self.grip.held();
+        self.grip.step(&presses, load, DT);
+        let after = self.grip.held();
+        if before == after {
+            return;
+        }
+        if let Some(lost) = before {
+            let joint = MultibodyJointHandle(self.objects[lost].handle.0);
+            self.physics.multibody_joints.remove(joint, true);
+        }
+        if let Some(taken) = after {
+            self.join(taken);
+        }
+    }
+
+    fn join(&mut self, index: usize) {
+        let handle = self.objects[index].handle;
+        let palm_from_object =
+            self.physics.bodies[self.palm].position().inverse() * *self.physics.bodies[handle].position();
+        let joint = rapier::FixedJointBuilder::new().local_frame1(palm_from_object).build();
+        self.physics.multibody_joints.insert(self.palm, handle, joint, true);
+    }
+
+    /// How a pad presses on an object.
+    fn press(&self, pad: ColliderHandle, object: ColliderHandle) -> PadPress {
+        let Some(pair) = self.physics.narrow_phase.contact_pair(pad, object) else { return PadPress::default() };
+        let impulse: f64 = pair.solver_manifolds().iter().flat_map(|m| &m.points).map(|p| p.data.impulse).sum();
+        PadPress { touches: pair.has_any_active_contact(), force: impulse / DT }
+    }
+
+    /// Puts an object somewhere else, at rest.
+    pub fn place(&mut self, index: usize, root_from_object: &Isometry3<f64>) {
+        if let Some(object) = self.objects.get(index) {
+            let body = &mut self.physics.bodies[object.handle];
+            body.set_position(convert::pose(root_from_object), true);
+            body.set_linvel(rapier::Vector::ZERO, true);
+            body.set_angvel(rapier::Vector::ZERO, true);
+        }
+        self.weigh();
+    }
+
+    fn weigh(&mut self) {
+        let objects: Vec<_> =
+            self.objects.iter().map(|o| Momentum::of_body(&self.physics.bodies[o.handle])).collect();
+        let fingers: Vec<_> = self.fingers.iter().map(|f| Momentum::of_body(&self.physics.bodies[*f])).collect();
+        let palm = &self.physics.bodies[self.palm];
+        self.wrench.remember(palm, &fingers, &objects);
+    }
+
+    fn sense_wrist(&mut self, external: &External) {
+        let held = self.grip.held();
+        let tcp = self.tcp().translation.vector;
+        let mut force = external.hand;
+        let mut torque = tcp.cross(&external.hand);
+        if let Some(h) = held {
+            let middle = convert::to_vector(self.physics.bodies[self.objects[h].handle].center_of_mass());
+            let reaction = &self.objects[h].reaction;
+            let on_object = reaction.force + external.objects.get(h).copied().unwrap_or_default();
+            force += on_object;
+            torque += middle.cross(&on_object) + reaction.torque;
+        }
+        let (contact_force, contact_torque) = self.contacts_from_outside(held);
+        let objects: Vec<_> =
+            self.objects.iter().map(|o| Momentum::of_body(&self.physics.bodies[o.handle])).collect();
+        let fingers: Vec<_> = self.fingers.iter().map(|f| Momentum::of_body(&self.physics.bodies[*f])).collect();
+        let palm = &self.physics.bodies[self.palm];
+        self.wrench.update(
+            palm,
+            &fingers,
+            &objects,
+            held,
+            &(force + contact_force),
+            &(torque + contact_torque),
+        );
+    }
+
+    /// Force and torque about the room's origin of Rapier's contacts between what hangs on the wrist sensor and
+    /// everything else.
+    fn contacts_from_outside(&self, held: Option<usize>) -> (Vector3<f64>, Vector3<f64>) {
+        let inside = |handle: Option<RigidBodyHandle>| {
+            handle.is_some_and(|h| {
+                h == self.palm || self.fingers.contains(&h) || held.is_some_and(|o| self.objects[o].handle == h)
+            })
+        };
+        let (mut force, mut torque) = (Vector3::zeros(), Vector3::zeros());
+        for pair in self.physics.narrow_phase.contact_pairs() {
+            for manifold in pair.solver_manifolds() {
+                let data = &manifold.data;
+                let sign = match (inside(data.rigid_body1), inside(data.rigid_body2)) {
+                    (true, false) => -1.0,
+                    (false, true) => 1.0,
+                    _ => continue,
+                };
+                for contact in &data.solver_contacts {
+                    let (a, b) = data.solver_contact_world_points(contact, &self.physics.bodies);
+                    let point = convert::to_vector((a + b) * 0.5);
+                    let Some(solved) = manifold.points.get(contact.contact_id[0] as usize) else { continue };
+                    let impulse = data.normal * solved.data.impulse + solved.data.warmstart_tangent_world;
+                    let f = convert::to_vector(impulse) * (sign / DT);
+                    force += f;
+                    torque += point.cross(&f);
+                }
+            }
+        }
+        (force, torque)
+    }
+}
+
+/// The coordinate of a joint among the six of a multibody's joint: both frames' x is the joint's axis.
+fn axis_of(kind: JointKind) -> usize {
+    match kind {
+        JointKind::Revolute => 3,
+        JointKind::Prismatic => 0,
+    }
+}
+
+fn groups(of: rapier::Group, with: rapier::Group) -> rapier::InteractionGroups {
+    rapier::InteractionGroups::new(of, with, rapier::InteractionTestMode::And)
+}
+
+fn add_room(physics: &mut rapier::PhysicsWorld, table: &TableTop) {
+    let [hx, hy] = table.half();
+    let below = Isometry3::translation(0.0, 0.0, -THICKNESS / 2.0);
+    let top = rapier::ColliderBuilder::cuboid(hx, hy, THICKNESS / 2.0)
+        .position(convert::pose(&(table.root_from_top() * below)))
+        .friction(table.friction())
+        .collision_groups(groups(ROOM, ROBOT | CORE));
+    let floor = rapier::ColliderBuilder::cuboid(10.0, 10.0, 0.5)
+        .translation(rapier::Vector::new(0.0, 0.0, -0.5))
+        .collision_groups(groups(ROOM, ROBOT | CORE | OBJECT));
+    physics.insert_collider(top, None);
+    physics.insert_collider(floor, None);
+}
+
+fn add_object(physics: &mut rapier::PhysicsWorld, table: &TableTop, spec: &ObjectSpec) -> Object {
+    let bed = Bed::new(spec);
+    let half = *bed.half();
+    let [x, y] = spec.at;
+    let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), spec.yaw_deg.to_radians());
+    // It lies where its weight has pressed it in.
+    let sink = spec.mass * GRAVITY / spec.stiffness;
+    let surface = Point3::new(x, y, table.plane_height(x, y));
+    let middle = surface + table.plane_normal().into_inner() * (half.z - sink);
+    let pose = Isometry3::from_parts(middle.coords.into(), table.root_from_top().rotation * yaw);
+    let [sx, sy, sz] = spec.size.map(|s| s * s);
+    let inertia = Vector3::new(sy + sz, sx + sz, sx + sy) * (spec.mass / 12.0);
+    let mass = rapier::MassProperties::new(rapier::Vector::ZERO, spec.mass, convert::vector(&inertia));
+    let body = rapier::RigidBodyBuilder::dynamic()
+        .position(convert::pose(&pose))
+        .additional_mass_properties(mass)
+        .can_sleep(false);
+    let handle = physics.insert_body(body);
+    let full = rapier::ColliderBuilder::cuboid(half.x, half.y, half.z)
+        .density(0.0)
+        .friction(PAD_FRICTION)
+        .collision_groups(groups(OBJECT, ROBOT | OBJECT | ROOM));
+    let core = rapier::ColliderBuilder::cuboid(half.x * 0.8, half.y * 0.8, half.z * 0.15)
+        .density(0.0)
+        .friction(table.friction())
+        .collision_groups(groups(CORE, ROOM));
+    let collider = physics.insert_collider(full, Some(handle));
+    physics.insert_collider(core, Some(handle));
+    Object { handle, collider, bed, reaction: BedReaction::default() }
+}
+
+fn add_robot(
+    physics: &mut rapier::PhysicsWorld,
+    model: &Model,
+    assembly: &Assembly,
+    start: &[f64],
+) -> Result<(Vec<Body>, Vec<ColliderHandle>), PlantError> {
+    let base = physics.insert_body(rapier::RigidBodyBuilder::fixed());
+    let mut bodies: Vec<Body> = Vec::new();
+    let mut poses: Vec<Isometry3<f64>> = Vec::new();
+    let mut pads = Vec::new();
+    for (i, lump) in assembly.lumps.iter().enumerate() {
+        let q = start[lump.joint];
+        let parent_pose = lump.parent.map_or_else(Isometry3::identity, |p| poses[p]);
+        let at_start = lump.parent_from_body * joint_motion(lump.kind, &lump.axis, q);
+        let pose = parent_pose * at_start;
+        let handle = physics.insert_body(lump_body(lump, &pose));
+        let is_pad = assembly.wrist.fingers.contains(&i);
+        for (shape, body_from_shape) in &lump.collisions {
+            let collider = physics.insert_collider(collider(shape, body_from_shape), Some(handle));
+            if is_pad {
+                pads.push(collider);
+            }
+        }
+        let parent = lump.parent.map_or(base, |p| bodies[p].handle);
+        let joint = physics
+            .multibody_joints
+            .insert(parent, handle, joint_of(lump, &at_start), true)
+            .ok_or_else(|| PlantError::Joint { joint: model.joints()[lump.joint].name.clone() })?;
+        let servo = servo(lump, model.joints()[lump.joint].effort);
+        bodies.push(Body { handle, joint, index: lump.joint, kind: lump.kind, start: q, servo });
+        poses.push(pose);
+    }
+    set_rotors(physics, &bodies);
+    Ok((bodies, pads))
+}
+
+fn lump_body(lump: &Lump, pose: &Isometry3<f64>) -> rapier::RigidBodyBuilder {
+    let mass = rapier::MassProperties::with_inertia_matrix(
+        convert::vector(&lump.mass.center().coords),
+        lump.mass.mass.max(0.01),
+        convert::matrix(&lump.mass.inertia()),
+    );
+    rapier::RigidBodyBuilder::dynamic()
+        .position(convert::pose(pose))
+        .additional_mass_properties(mass)
+        .gravity_scale(0.0)
+        .can_sleep(false)
+}
+
+/// Both frames' x along the joint's axis; the coordinate is 0 in the starting posture.
+fn joint_of(lump: &Lump, parent_from_start: &Isometry3<f64>) -> rapier::GenericJoint {
+    let to_axis = UnitQuaternion::rotation_between(&Vector3::x(), &lump.axis)
+        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI));
+    let frame = Isometry3::from_parts(Vector3::zeros().into(), to_axis);
+    let locked = match lump.kind {
+        JointKind::Revolute => rapier::JointAxesMask::LOCKED_REVOLUTE_AXES,
+        JointKind::Prismatic => rapier::JointAxesMask::LOCKED_PRISMATIC_AXES,
+    };
+    rapier::GenericJointBuilder::new(locked)
+        .local_frame1(convert::pose(&(parent_from_start * frame)))
+        .local_frame2(convert::pose(&frame))
+        .build()
+}
+
+/// Gains by what the joint carries: the torso's are stiffest, the wrist's softest; all settle in about 10 ms.
+fn servo(lump: &Lump, effort: f64) -> Servo {
+    let stiffness = match lump.kind {
+        JointKind::Prismatic => 8e3,
+        JointKind::Revolute if effort >= 150.0 => 1e5,
+        JointKind::Revolute if effort >= 50.0 => 3e4,
+        JointKind::Revolute => 1e4,
+    };
+    let effort = if effort > 0.0 { effort } else { f64::MAX };
+    Servo { stiffness, damping: 0.01 * stiffness, effort }
+}
+
+/// Motors' reflected inertia, kg m^2 (kg); Rapier's own damping is taken away, the servo has its own.
+fn set_rotors(physics: &mut rapier::PhysicsWorld, bodies: &[Body]) {
+    for body in bodies {
+        let Some((multibody, id)) = physics.multibody_joints.get_mut(body.joint) else { continue };
+        let Some(dof) = multibody.links().take(id).map(|l| l.joint.ndofs()).reduce(|a, b| a + b) else { continue };
+        multibody.armature_mut()[dof] = if body.kind == JointKind::Revolute { 0.05 } else { 0.1 };
+        multibody.damping_mut()[dof] = body.servo.damping;
+    }
+}
+
+fn collider(shape: &Shape, body_from_shape: &Isometry3<f64>) -> rapier::ColliderBuilder {
+    let (builder, turn) = match shape {
+        Shape::Box { size } => {
+            (rapier::ColliderBuilder::cuboid(size.x / 2.0, size.y / 2.0, size.z / 2.0), UnitQuaternion::identity())
+        }
+        // Rapier's cylinders stand along y, the description's along z.
+        Shape::Cylinder { radius, length } => (
+            rapier::ColliderBuilder::cylinder(length / 2.0, *radius),
+            UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::FRAC_PI_2),
+        ),
+        Shape::Sphere { radius } => (rapier::ColliderBuilder::ball(*radius), UnitQuaternion::identity()),
+    };
+    builder
+        .position(convert::pose(&(body_from_shape * turn)))
+        .density(0.0)
+        .friction(PAD_FRICTION)
+        .collision_groups(groups(ROBOT, OBJECT | ROOM))
+}

@@ -1,0 +1,149 @@
+//! What an ideal six-axis sensor in the wrist reads: the reaction that the motion of hand and load demands.
+//!
+//! Momentum balance of everything that hangs on the sensor (palm, fingers, the held object), in finite differences of the
+//! simulated motion: the sensor carries `dP/dt - weight - forces from outside`, and the hand exerts the
+//! opposite on it. Exact for the motion that was simulated, whatever the solver did inside. Noise is not added here.
+
+use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+use rapier3d_f64::prelude::RigidBody;
+
+use super::assembly::{Mass, Wrist};
+use super::convert;
+use super::grip::Load;
+use super::plant::{DT, GRAVITY};
+
+/// Momentum of a body about the room's origin, and where its weight acts.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Momentum {
+    linear: Vector3<f64>,
+    angular: Vector3<f64>,
+    mass: f64,
+    center: Vector3<f64>,
+}
+
+impl Momentum {
+    pub(super) fn of_body(body: &RigidBody) -> Self {
+        let properties = body.mass_properties();
+        let local = &properties.local_mprops;
+        let frame = convert::to_pose(body.position()).rotation.to_rotation_matrix();
+        let principal = {
+            let q = local.principal_inertia_local_frame;
+            nalgebra::UnitQuaternion::new_normalize(nalgebra::Quaternion::new(q.w, q.x, q.y, q.z))
+                .to_rotation_matrix()
+        };
+        let axes = frame * principal;
+        let moments = convert::to_vector(local.principal_inertia());
+        let inertia = axes.matrix() * Matrix3::from_diagonal(&moments) * axes.matrix().transpose();
+        let center = convert::to_vector(body.center_of_mass());
+        Self::new(
+            body.mass(),
+            center,
+            convert::to_vector(body.linvel()),
+            inertia * convert::to_vector(body.angvel()),
+        )
+    }
+
+    /// The momentum of a part that moves with a body.
+    fn of_part(part: &Mass, body: &RigidBody) -> Self {
+        let pose = convert::to_pose(body.position());
+        let center = (pose * part.center()).coords;
+        let angular = convert::to_vector(body.angvel());
+        let arm = center - convert::to_vector(body.center_of_mass());
+        let linear = convert::to_vector(body.linvel()) + angular.cross(&arm);
+        let r = pose.rotation.to_rotation_matrix();
+        let inertia = r.matrix() * part.inertia() * r.matrix().transpose();
+        Self::new(part.mass, center, linear, inertia * angular)
+    }
+
+    fn new(mass: f64, center: Vector3<f64>, velocity: Vector3<f64>, spin: Vector3<f64>) -> Self {
+        let linear = velocity * mass;
+        Self { linear, angular: center.cross(&linear) + spin, mass, center }
+    }
+
+    /// Rate of change since `before`, less the weight: the force and the torque about the room's origin of all else.
+    fn demand(&self, before: &Self) -> (Vector3<f64>, Vector3<f64>) {
+        let weight = Vector3::new(0.0, 0.0, -GRAVITY * self.mass);
+        let force = (self.linear - before.linear) / DT - weight;
+        let torque = (self.angular - before.angular) / DT - self.center.cross(&weight);
+        (force, torque)
+    }
+}
+
+/// The sensor.
+#[derive(Clone, Debug)]
+pub(super) struct WristWrench {
+    palm: Mass,
+    body_from_sensor: Isometry3<f64>,
+    palm_before: Momentum,
+    fingers_before: Vec<Momentum>,
+    objects_before: Vec<Momentum>,
+    force: Vector3<f64>,
+    torque: Vector3<f64>,
+}
+
+impl WristWrench {
+    pub(super) fn new(wrist: &Wrist, objects: usize) -> Self {
+        Self {
+            palm: wrist.palm,
+            body_from_sensor: wrist.body_from_sensor,
+            palm_before: Momentum::default(),
+            fingers_before: vec![Momentum::default(); wrist.fingers.len()],
+            objects_before: vec![Momentum::default(); objects],
+            force: Vector3::zeros(),
+            torque: Vector3::zeros(),
+        }
+    }
+
+    pub(super) fn reading(&self) -> (Vector3<f64>, Vector3<f64>) {
+        (self.force, self.torque)
+    }
+
+    pub(super) fn remember(&mut self, palm: &RigidBody, fingers: &[Momentum], objects: &[Momentum]) {
+        self.palm_before = Momentum::of_part(&self.palm, palm);
+        self.fingers_before.copy_from_slice(fingers);
+        self.objects_before.copy_from_slice(objects);
+    }
+
+    /// What the hand exerts on an object that it holds: `outside` are all other forces but the weight, with their
+    /// torque about the object's middle.
+    pub(super) fn load(
+        &self,
+        object: usize,
+        now: &Momentum,
+        outside: &Vector3<f64>,
+        outside_torque: &Vector3<f64>,
+    ) -> Load {
+        let (force, torque) = now.demand(&self.objects_before[object]);
+        let force = force - outside;
+        let torque = torque - now.center.cross(outside) - outside_torque;
+        Load { force, torque: torque - now.center.cross(&force) }
+    }
+
+    /// Takes the motion of a step and the forces from outside in it (torque about the room's origin).
+    pub(super) fn update(
+        &mut self,
+        palm: &RigidBody,
+        fingers: &[Momentum],
+        objects: &[Momentum],
+        held: Option<usize>,
+        outside: &Vector3<f64>,
+        outside_torque: &Vector3<f64>,
+    ) {
+        let (mut force, mut torque) = Momentum::of_part(&self.palm, palm).demand(&self.palm_before);
+        let bodies = fingers.iter().zip(&self.fingers_before);
+        let load = held.map(|h| (&objects[h], &self.objects_before[h]));
+        for (now, before) in bodies.chain(load) {
+            let (f, t) = now.demand(before);
+            force += f;
+            torque += t;
+        }
+        let on_sensor = outside - force;
+        let torque_on_sensor = outside_torque - torque;
+        let root_from_sensor = convert::to_pose(palm.position()) * self.body_from_sensor;
+        let origin: Point3<f64> = root_from_sensor.translation.vector.into();
+        let about_sensor = torque_on_sensor - origin.coords.cross(&on_sensor);
+        self.force = root_from_sensor.inverse_transform_vector(&on_sensor);
+        self.torque = root_from_sensor.inverse_transform_vector(&about_sensor);
+        self.remember(palm, fingers, objects);
+    }
+}

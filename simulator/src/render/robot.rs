@@ -1,0 +1,62 @@
+//! What cameras see of a robot: the visuals of its description at a configuration.
+
+use armarium_robot::{Kinematics, Shape as Primitive, Visual};
+use nalgebra::Isometry3;
+
+use super::scene::{Geometry, Shape};
+
+/// All links of a robot at the configuration of `kinematics`, with its root at `scene_from_root`.
+#[must_use]
+pub fn robot_shapes(kinematics: &Kinematics, scene_from_root: &Isometry3<f64>) -> Vec<Shape> {
+    let model = kinematics.model();
+    let links = model.links().iter().filter_map(|link| Some((link, model.link(&link.name)?)));
+    links
+        .flat_map(|(link, id)| link_shapes(&link.visuals, &(scene_from_root * kinematics.pose(id))))
+        .collect()
+}
+
+/// The visuals of one link that stands at `scene_from_link`.
+#[must_use]
+pub fn link_shapes(visuals: &[Visual], scene_from_link: &Isometry3<f64>) -> Vec<Shape> {
+    let shape = |visual: &Visual| Shape {
+        geometry: geometry(&visual.shape),
+        scene_from_shape: scene_from_link * visual.link_from_shape,
+        color: visual.color,
+    };
+    visuals.iter().map(shape).collect()
+}
+
+fn geometry(primitive: &Primitive) -> Geometry {
+    match *primitive {
+        Primitive::Box { size } => Geometry::Box { half: size / 2.0 },
+        Primitive::Cylinder { radius, length } => Geometry::Cylinder { radius, half_length: length / 2.0 },
+        Primitive::Sphere { radius } => Geometry::Sphere { radius },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use armarium_robot::Model;
+    use std::sync::Arc;
+
+    #[test]
+    fn every_visual_of_every_link_is_there_where_the_link_is() {
+        let model = Arc::new(Model::armar3());
+        let kinematics = Kinematics::new(&model);
+        let scene_from_root = Isometry3::translation(1.0, 2.0, 0.0);
+        let shapes = robot_shapes(&kinematics, &scene_from_root);
+        let visuals: Vec<_> = model
+            .links()
+            .iter()
+            .flat_map(|link| link.visuals.iter().map(move |visual| (link, visual)))
+            .collect();
+        assert_eq!(shapes.len(), visuals.len());
+        for (shape, (link, visual)) in shapes.iter().zip(visuals) {
+            let id = model.link(&link.name).unwrap();
+            let expected = scene_from_root * kinematics.pose(id) * visual.link_from_shape;
+            assert!((shape.scene_from_shape.translation.vector - expected.translation.vector).norm() < 1e-12);
+            assert_eq!(shape.color, visual.color);
+        }
+    }
+}
