@@ -4,6 +4,7 @@
 //! - [`EntityId`], [`Snapshot`], [`Commit`]: what is kept and how it gets in; [`Query`]: what can be asked.
 //! - [`WorkingMemory`]: what an agent knows now.
 //! - [`Follower`]: a subscription that says what it missed.
+//! - [`PriorKnowledge`]: object classes, known before one is seen.
 //!
 //! This room knows no robot and no image.
 
@@ -11,6 +12,7 @@ mod entity;
 mod error;
 mod follow;
 mod memory;
+pub mod prior;
 mod query;
 mod schema;
 mod working;
@@ -19,6 +21,7 @@ pub use entity::{Commit, EntityId, Instance, Snapshot, check_name};
 pub use error::MemoryError;
 pub use follow::{Change, Follower};
 pub use memory::{Memory, modify};
+pub use prior::{GraspPose, ObjectClass, PriorKnowledge, Recognition};
 pub use query::{Pattern, Query, Times};
 pub use schema::{Attribute, SegmentSchema, core_segments};
 pub use working::{Backing, Clock, Limits, WorkingMemory, tokio_clock};

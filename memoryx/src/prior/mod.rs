@@ -1,0 +1,344 @@
+//! Prior knowledge: what is known of kinds of objects before one is seen. It enriches what perception finds with
+//! colour, size, mass, the recognition method and grasps.
+//!
+//! The classes come from a folder of YAML files ([`PriorKnowledge::load`], one class a file, see [`file`] for its
+//! form) or from the program ([`PriorKnowledge::add`]). [`PriorKnowledge::put_into`] makes them the read-only
+//! provider segment `ObjectClasses/prior` of a working memory; skills read them back with
+//! [`ObjectClass::from_snapshot`].
+
+use std::collections::BTreeMap;
+
+use armarium_values::{Frame, Pose, Value};
+
+use crate::entity::{Commit, EntityId, Snapshot, check_name};
+use crate::error::MemoryError;
+use crate::working::WorkingMemory;
+
+pub mod file;
+
+/// The core segment of object classes.
+pub const OBJECT_CLASSES: &str = "ObjectClasses";
+/// The provider segment of prior knowledge.
+pub const PRIOR: &str = "prior";
+/// The frame of a class's own geometry: its origin is the centre of the box of its size, its axes are the box's.
+pub const OBJECT_FRAME: &str = "object";
+
+/// How an object of a class is found in images.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Recognition {
+    /// By the colour of its surface, segmented in both eyes.
+    #[default]
+    Color,
+}
+
+/// A way to hold an object.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GraspPose {
+    /// Its name among the grasps of the class.
+    pub name: String,
+    /// The hand's grasp frame in the object's frame: `object_from_hand`, m.
+    pub pose: Pose,
+    /// How far before the object the hand begins its straight approach, m.
+    pub approach: Option<f64>,
+    /// How wide the hand is open on its approach, m between the fingers.
+    pub aperture: Option<f64>,
+}
+
+/// What is known of a kind of object.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ObjectClass {
+    /// Its name.
+    pub name: String,
+    /// A sentence for people.
+    pub description: String,
+    /// The colour of its surface: red, green, blue.
+    pub color: [u8; 3],
+    /// Extent along the object's x, y and z, m.
+    pub size: [f64; 3],
+    /// Mass, kg.
+    pub mass: Option<f64>,
+    /// How it is found in images.
+    pub recognition: Recognition,
+    /// Ways to hold it, best first.
+    pub grasps: Vec<GraspPose>,
+}
+
+/// Object classes by name.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PriorKnowledge {
+    classes: BTreeMap<String, ObjectClass>,
+}
+
+impl Recognition {
+    /// Every method with the name that files and memory use.
+    pub const NAMES: [(&'static str, Self); 1] = [("color", Self::Color)];
+
+    /// The method of that name.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::NAMES.iter().find(|(n, _)| *n == name).map(|(_, method)| *method)
+    }
+
+    /// The name that files and memory use.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        Self::NAMES.iter().find(|(_, method)| *method == self).map_or("color", |(n, _)| n)
+    }
+}
+
+impl ObjectClass {
+    /// A class that is found by its colour, with nothing else known. `size`: extent along x, y and z, m.
+    #[must_use]
+    pub fn new(name: &str, color: [u8; 3], size: [f64; 3]) -> Self {
+        Self {
+            name: name.into(),
+            description: String::new(),
+            color,
+            size,
+            mass: None,
+            recognition: Recognition::Color,
+            grasps: Vec::new(),
+        }
+    }
+
+    /// The same class with its mass, kg.
+    #[must_use]
+    pub fn with_mass(mut self, mass: f64) -> Self {
+        self.mass = Some(mass);
+        self
+    }
+
+    /// Says what is impossible about the class, if anything is.
+    ///
+    /// # Errors
+    /// The field and what is wrong with it.
+    pub fn check(&self) -> Result<(), (&'static str, String)> {
+        let possible = |x: f64, most: f64| x.is_finite() && x > 0.0 && x <= most;
+        if let Err(error) = check_name(&self.name) {
+            return Err(("object", error.to_string()));
+        }
+        if !self.size.iter().all(|x| possible(*x, 10.0)) {
+            return Err(("size", format!("{:?} m are not three lengths over 0 and up to 10 m", self.size)));
+        }
+        if let Some(mass) = self.mass.filter(|m| !possible(*m, 1000.0)) {
+            return Err(("mass", format!("{mass} kg is not over 0 and up to 1000 kg")));
+        }
+        for (i, grasp) in self.grasps.iter().enumerate() {
+            let numbers = grasp.pose.position.iter().chain(&grasp.pose.orientation);
+            let lengths = grasp.approach.iter().chain(&grasp.aperture);
+            if !numbers.chain(lengths).all(|x| x.is_finite()) {
+                return Err(("grasps", format!("grasp `{}` has a number that is not finite", grasp.name)));
+            }
+            if self.grasps[..i].iter().any(|other| other.name == grasp.name) {
+                return Err(("grasps", format!("two grasps are named `{}`", grasp.name)));
+            }
+        }
+        Ok(())
+    }
+
+    /// The class that a snapshot of `ObjectClasses` describes.
+    ///
+    /// # Errors
+    /// [`MemoryError::NotFound`] when the snapshot says that the entity is gone; [`MemoryError::Schema`] when an
+    /// attribute is missing or impossible.
+    pub fn from_snapshot(snapshot: &Snapshot) -> Result<Self, MemoryError> {
+        let wrong = |attribute: &str, what: String| MemoryError::Schema {
+            id: snapshot.id.to_string(),
+            attribute: attribute.into(),
+            what,
+        };
+        let missing = |attribute: &str, wanted: &str| wrong(attribute, format!("is not {wanted}"));
+        if snapshot.is_removed() {
+            return Err(MemoryError::NotFound { id: snapshot.id.to_string() });
+        }
+        let text = |name: &str| snapshot.attribute(name).and_then(Value::as_str);
+        let color = snapshot.attribute("color").and_then(rgb);
+        let method = text("recognition").and_then(Recognition::from_name);
+        let grasps = match snapshot.attribute("grasps") {
+            None => Some(Vec::new()),
+            Some(value) => value.as_list().and_then(|list| list.iter().map(grasp_from).collect()),
+        };
+        let class = Self {
+            name: snapshot.id.entity().into(),
+            description: text("description").unwrap_or_default().into(),
+            color: color.ok_or_else(|| missing("color", "three numbers from 0 to 255"))?,
+            size: snapshot
+                .attribute("size")
+                .and_then(Value::as_vector3)
+                .ok_or_else(|| missing("size", "three lengths in m"))?,
+            mass: snapshot.attribute("mass").and_then(Value::as_f64),
+            recognition: method.ok_or_else(|| missing("recognition", "the name of a method"))?,
+            grasps: grasps.ok_or_else(|| missing("grasps", "a list of grasps with name and pose"))?,
+        };
+        class.check().map_err(|(attribute, what)| wrong(attribute, what))?;
+        Ok(class)
+    }
+
+    /// The class as attributes of its entity.
+    #[must_use]
+    pub fn attributes(&self) -> BTreeMap<String, Value> {
+        let color = self.color.iter().map(|c| Value::Int(i64::from(*c))).collect::<Vec<_>>();
+        let mut attributes = BTreeMap::from([
+            ("color".to_owned(), Value::List(color)),
+            ("size".to_owned(), Value::from(self.size)),
+            ("recognition".to_owned(), Value::from(self.recognition.name())),
+            ("grasps".to_owned(), Value::List(self.grasps.iter().map(grasp_value).collect())),
+        ]);
+        if !self.description.is_empty() {
+            attributes.insert("description".into(), Value::from(self.description.as_str()));
+        }
+        if let Some(mass) = self.mass {
+            attributes.insert("mass".into(), Value::Float(mass));
+        }
+        attributes
+    }
+}
+
+fn rgb(value: &Value) -> Option<[u8; 3]> {
+    let channel = |x: f64| (x.fract() == 0.0 && (0.0..=255.0).contains(&x)).then_some(x as u8);
+    let [r, g, b] = value.as_vector3()?;
+    Some([channel(r)?, channel(g)?, channel(b)?])
+}
+
+fn grasp_value(grasp: &GraspPose) -> Value {
+    let mut fields = BTreeMap::from([
+        ("name".to_owned(), Value::from(grasp.name.as_str())),
+        ("pose".to_owned(), Value::Pose(grasp.pose.clone())),
+    ]);
+    for (name, length) in [("approach", grasp.approach), ("aperture", grasp.aperture)] {
+        if let Some(length) = length {
+            fields.insert(name.into(), Value::Float(length));
+        }
+    }
+    Value::Map(fields)
+}
+
+fn grasp_from(value: &Value) -> Option<GraspPose> {
+    let Value::Pose(pose) = value.get("pose")? else { return None };
+    let length = |name: &str| value.get(name).and_then(Value::as_f64);
+    Some(GraspPose {
+        name: value.get("name")?.as_str()?.into(),
+        pose: pose.clone(),
+        approach: length("approach"),
+        aperture: length("aperture"),
+    })
+}
+
+impl GraspPose {
+    /// A grasp from the hand's position, m, and its roll, pitch and yaw, rad, about the object's fixed x, y and z.
+    #[must_use]
+    pub fn new(name: &str, position: [f64; 3], [roll, pitch, yaw]: [f64; 3]) -> Self {
+        let rotation = nalgebra::UnitQuaternion::from_euler_angles(roll, pitch, yaw);
+        let pose = nalgebra::Isometry3::from_parts(nalgebra::Translation3::from(position), rotation);
+        let pose = Pose::new(Frame::from(OBJECT_FRAME), &pose);
+        Self { name: name.into(), pose, approach: None, aperture: None }
+    }
+}
+
+impl PriorKnowledge {
+    /// Nothing known.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds a class; it replaces one of the same name.
+    ///
+    /// # Errors
+    /// [`MemoryError::Schema`] when it is impossible.
+    pub fn add(&mut self, class: ObjectClass) -> Result<(), MemoryError> {
+        class.check().map_err(|(attribute, what)| MemoryError::Schema {
+            id: format!("{OBJECT_CLASSES}/{PRIOR}/{}", class.name),
+            attribute: attribute.into(),
+            what,
+        })?;
+        self.classes.insert(class.name.clone(), class);
+        Ok(())
+    }
+
+    /// The class of that name.
+    #[must_use]
+    pub fn class(&self, name: &str) -> Option<&ObjectClass> {
+        self.classes.get(name)
+    }
+
+    /// All classes, ordered by name.
+    pub fn classes(&self) -> impl Iterator<Item = &ObjectClass> {
+        self.classes.values()
+    }
+
+    /// Makes the classes the provider segment `ObjectClasses/prior` of a memory, read-only for everybody else.
+    /// Classes that are there already and have not changed keep their version; ones that are no longer known go.
+    ///
+    /// # Errors
+    /// As [`crate::Memory::commit`].
+    pub fn put_into(&self, memory: &WorkingMemory) -> Result<(), MemoryError> {
+        let now = memory.now_ns();
+        let query =
+            crate::query::Query::latest(crate::query::Pattern::segment(OBJECT_CLASSES).of_provider(PRIOR));
+        let held = memory.query_now(&query);
+        let gone = held.iter().filter(|s| !self.classes.contains_key(s.id.entity()));
+        let mut updates: Vec<Commit> = gone.map(|s| Commit::removal(s.id.clone(), now)).collect();
+        for class in self.classes.values() {
+            let id = EntityId::new(OBJECT_CLASSES, PRIOR, &class.name)?;
+            let attributes = class.attributes();
+            let known = held.iter().find(|s| s.id == id).and_then(|s| s.instance());
+            if known.is_none_or(|instance| instance.attributes != attributes) {
+                updates.push(Commit::new(id, now, attributes));
+            }
+        }
+        memory.commit_prior(updates)?;
+        memory.protect(OBJECT_CLASSES, PRIOR);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+
+    fn sponge() -> ObjectClass {
+        let mut grasp = GraspPose::new("top", [0.0, 0.0, 0.02], [std::f64::consts::PI, 0.0, 0.5]);
+        grasp.approach = Some(0.1);
+        let class = ObjectClass::new("sponge", [240, 210, 40], [0.10, 0.07, 0.04]).with_mass(0.15);
+        ObjectClass { description: "A kitchen sponge.".into(), grasps: vec![grasp], ..class }
+    }
+
+    #[test]
+    fn classes_are_read_only_entities_and_come_back_whole() {
+        let memory = WorkingMemory::new(Arc::new(|| 7));
+        let mut prior = PriorKnowledge::new();
+        prior.add(sponge()).unwrap();
+        prior.add(ObjectClass::new("tool", [40, 170, 60], [0.04, 0.04, 0.1])).unwrap();
+        prior.put_into(&memory).unwrap();
+        prior.put_into(&memory).unwrap();
+
+        let id: EntityId = "ObjectClasses/prior/sponge".parse().unwrap();
+        let snapshot = memory.latest_now(&id).unwrap();
+        assert_eq!(snapshot.version, 1, "what has not changed keeps its version");
+        assert_eq!(ObjectClass::from_snapshot(&snapshot).unwrap(), sponge());
+        let refused = memory.commit_now(vec![Commit::removal(id.clone(), 7)]);
+        assert_eq!(refused, Err(MemoryError::ReadOnly { id: id.to_string() }));
+
+        PriorKnowledge::new().put_into(&memory).unwrap();
+        assert!(memory.latest_now(&id).is_err(), "what is no longer known is gone");
+    }
+
+    #[test]
+    fn impossible_classes_are_refused() {
+        let base = sponge;
+        for (class, field) in [
+            (ObjectClass { size: [0.1, -0.1, 0.1], ..base() }, "size"),
+            (ObjectClass { size: [0.1, f64::NAN, 0.1], ..base() }, "size"),
+            (ObjectClass { mass: Some(0.0), ..base() }, "mass"),
+            (ObjectClass { name: "a/b".into(), ..base() }, "object"),
+            (ObjectClass { grasps: [base().grasps, base().grasps].concat(), ..base() }, "grasps"),
+        ] {
+            assert_eq!(class.check().unwrap_err().0, field);
+            assert!(PriorKnowledge::new().add(class).is_err());
+        }
+    }
+}
