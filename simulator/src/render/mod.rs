@@ -1,7 +1,7 @@
 //! The simulated cameras: a software renderer of a few solids, in colour and depth.
 //!
 //! [`render`] draws a [`Scene`] from a [`Viewpoint`]; [`render_pair`] draws both eyes side by side.
-//! [`SensorNoise`] is what the chip adds. [`hand`] is the coach's hand.
+//! [`SensorNoise`] is what the chip adds. [`hand`] is the coach's hand, [`robot`] the robot.
 //!
 //! It knows no physics, no time and no randomness of its own: the same scene gives the same bytes. It does not draw
 //! glass, mirrors or light from other objects, and it does not smooth edges: a pixel is what its centre's ray meets
@@ -11,6 +11,7 @@ mod faces;
 pub mod hand;
 mod noise;
 mod raster;
+pub mod robot;
 mod scene;
 mod shading;
 mod shadow;
