@@ -172,7 +172,8 @@ impl Recorder {
             .compression(Some(McapCompression::Lz4))
             .chunk_size(Some(options.chunk_bytes))
             .disable_seeking(true);
-        let writer = context.mcap_writer_with_options(write).create(BufWriter::with_capacity(1 << 16, file))?;
+        let writer =
+            context.mcap_writer_with_options(write).create(BufWriter::with_capacity(1 << 16, file))?;
         writer.write_metadata("run", metadata)?;
         Ok(Self {
             transforms: context.channel_builder("/tf").build(),
@@ -194,8 +195,11 @@ impl Recorder {
     pub fn pose(&mut self, topic: &str, t_ns: u64, root_from_thing: &Isometry3<f64>) {
         self.tick(t_ns);
         let pose = messages::pose(root_from_thing);
-        let message =
-            fg::PoseInFrame { timestamp: messages::stamp(t_ns), frame_id: messages::ROOT.into(), pose: Some(pose) };
+        let message = fg::PoseInFrame {
+            timestamp: messages::stamp(t_ns),
+            frame_id: messages::ROOT.into(),
+            pose: Some(pose),
+        };
         let period = self.options.transform_period_ns;
         if !self.poses.contains_key(topic) {
             let entry = PoseTopic {
@@ -230,8 +234,10 @@ impl Recorder {
         self.tick(t_ns);
         let joints = &mut self.joint_states.joints;
         if joints.len() != names.len() || joints.iter().zip(names).any(|(joint, name)| joint.name != *name) {
-            *joints =
-                names.iter().map(|name| fg::JointState { name: name.clone(), ..Default::default() }).collect();
+            *joints = names
+                .iter()
+                .map(|name| fg::JointState { name: name.clone(), ..Default::default() })
+                .collect();
         }
         for (i, joint) in joints.iter_mut().enumerate() {
             joint.position = position.get(i).copied();
@@ -270,10 +276,11 @@ impl Recorder {
             channel.log_with_meta(&self.buffer, foxglove::PartialMetadata::with_log_time(t_ns));
             return Ok(());
         }
-        let (_, name, schema) = JSON_SCHEMAS
-            .into_iter()
-            .find(|(known, ..)| *known == topic)
-            .unwrap_or((topic, "armarium.Object", messages::OBJECT_SCHEMA));
+        let (_, name, schema) = JSON_SCHEMAS.into_iter().find(|(known, ..)| *known == topic).unwrap_or((
+            topic,
+            "armarium.Object",
+            messages::OBJECT_SCHEMA,
+        ));
         let channel = self
             .context
             .channel_builder(topic)
@@ -323,7 +330,9 @@ impl Recorder {
                     .map_err(|e| RecorderError::Encode { topic: topic.to_owned(), what: e.to_string() })?;
                 channel.log_with_time(&messages::compressed_image(topic, t_ns, data), t_ns);
             }
-            ImageChannel::Raw(channel) => channel.log_with_time(&messages::raw_image(topic, t_ns, image), t_ns),
+            ImageChannel::Raw(channel) => {
+                channel.log_with_time(&messages::raw_image(topic, t_ns, image), t_ns)
+            }
         }
         Ok(())
     }

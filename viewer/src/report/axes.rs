@@ -43,8 +43,8 @@ impl Axes {
         self
     }
 
-    /// Grid, ticks with their numbers, the frame, and the two labels: y above the axis, x below it.
-    pub(super) fn draw(&self, svg: &mut Svg, x_label: &str, y_label: &str) {
+    /// Grid, ticks with their numbers, the frame, and the label of x below it.
+    pub(super) fn draw(&self, svg: &mut Svg, x_label: &str) {
         for (tick, text) in ticks(self.x, (self.width / 90.0).clamp(3.0, 12.0) as usize) {
             let [px, _] = self.point(tick, self.y[0]);
             svg.line([px, self.top], [px, self.bottom()], "grid");
@@ -60,7 +60,6 @@ impl Axes {
         if !x_label.is_empty() {
             svg.text([self.right(), self.bottom() + 34.0], Anchor::End, "label", x_label);
         }
-        svg.text([self.left, self.top - 10.0], Anchor::Start, "label", y_label);
     }
 }
 
@@ -72,7 +71,8 @@ pub(super) fn ticks(range: [f64; 2], count: usize) -> Vec<(f64, String)> {
     }
     let raw = span / count.max(1) as f64;
     let power = 10_f64.powf(raw.log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * power).find(|s| *s >= raw * 0.999).unwrap_or(raw);
+    let step =
+        [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * power).find(|s| *s >= raw * 0.999).unwrap_or(raw);
     let digits = (-(step * 1.001).log10().floor()).clamp(0.0, 9.0) as usize;
     let first = (range[0] / step - 1e-9).ceil() as i64;
     let last = (range[1] / step + 1e-9).floor() as i64;
@@ -149,7 +149,7 @@ mod tests {
     #[test]
     fn ticks_are_round_and_within_the_range() {
         assert_eq!(texts([0.0, 10.0], 5), ["0", "2", "4", "6", "8", "10"]);
-        assert_eq!(texts([-0.11, 0.12], 4), ["−0.10", "0.00", "0.10"]);
+        assert_eq!(texts([-0.11, 0.12], 4), ["−0.1", "0.0", "0.1"]);
         assert_eq!(texts([0.0, 97.0], 10), ["0", "10", "20", "30", "40", "50", "60", "70", "80", "90"]);
         assert!(texts([f64::NAN, 1.0], 4).is_empty() && texts([1.0, 1.0], 4).is_empty());
     }

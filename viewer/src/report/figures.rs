@@ -166,7 +166,8 @@ mod tests {
 
     #[test]
     fn a_bound_counts_as_kept() {
-        let report = json!({"grasp": {"position_error_m": 0.015}, "force": {"rms_error_n": 1.01, "mean_n": 8.0}});
+        let report =
+            json!({"grasp": {"position_error_m": 0.015}, "force": {"rms_error_n": 1.01, "mean_n": 8.0}});
         let figures = figures(&report);
         assert_eq!(by_name(&figures, "position error").passed(), Some(true));
         assert_eq!(by_name(&figures, "error, RMS").passed(), Some(false));

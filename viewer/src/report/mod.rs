@@ -14,7 +14,8 @@ mod svg;
 mod timeplot;
 
 pub use data::{
-    Band, Cell, ChainLink, CoachingRow, Path, PathRole, Picture, ReportData, Series, StateSpan, TimePlot, WipedArea,
+    Band, Cell, ChainLink, CoachingRow, Path, PathRole, Picture, ReportData, Series, StateSpan, TimePlot,
+    WipedArea,
 };
 pub use figures::{Figure, Requirement, figures};
 pub use page::render;

@@ -50,7 +50,8 @@ fn time(data: &ReportData) -> [f64; 2] {
 }
 
 fn section(title: &str, note: &str, body: &str) -> String {
-    let note = if note.is_empty() { String::new() } else { format!("<p class=\"note\">{}</p>\n", escape(note)) };
+    let note =
+        if note.is_empty() { String::new() } else { format!("<p class=\"note\">{}</p>\n", escape(note)) };
     format!("<section>\n<h2>{}</h2>\n{note}{body}\n</section>\n", escape(title))
 }
 
@@ -84,7 +85,8 @@ fn failure(data: &ReportData) -> String {
         let _ = write!(chain, "<li><code>{}</code>{why}</li>", escape(&link.state));
     }
     if !chain.is_empty() {
-        chain = format!("<p class=\"note\">It came through these states, innermost first:</p><ol>{chain}</ol>");
+        chain =
+            format!("<p class=\"note\">It came through these states, innermost first:</p><ol>{chain}</ol>");
     }
     format!(
         "<section class=\"failure\">\n<h2>The run did not succeed</h2>\n<p class=\"reason\">{}</p>\n{chain}\n</section>\n",
@@ -93,7 +95,11 @@ fn failure(data: &ReportData) -> String {
 }
 
 fn number(value: f64, digits: usize) -> String {
-    if value.is_finite() { format!("{value:.digits$}").replace('-', "−") } else { "not a number".to_owned() }
+    if value.is_finite() {
+        format!("{value:.digits$}").replace('-', "−")
+    } else {
+        "not a number".to_owned()
+    }
 }
 
 fn with_unit(text: String, unit: &str) -> String {
@@ -122,9 +128,9 @@ fn figures(figures: &[Figure]) -> String {
     for figure in figures {
         let shown = if figure.group == group { "" } else { figure.group.as_str() };
         group = &figure.group;
-        let value = figure.value.map_or("not reached".to_owned(), |v| {
-            with_unit(number(v, figure.digits), &figure.unit)
-        });
+        let value = figure
+            .value
+            .map_or("not reached".to_owned(), |v| with_unit(number(v, figure.digits), &figure.unit));
         let (class, verdict) = match figure.passed() {
             Some(true) => ("good", "✓ met"),
             Some(false) => ("bad", "✗ missed"),
@@ -142,7 +148,11 @@ fn figures(figures: &[Figure]) -> String {
     body.push_str("</tbody></table>");
     let judged: Vec<bool> = figures.iter().filter_map(Figure::passed).collect();
     let met = judged.iter().filter(|met| **met).count();
-    section("Figures", &format!("Measured against the simulator's truth. {met} of {} met.", judged.len()), &body)
+    section(
+        "Figures",
+        &format!("Measured against the simulator's truth. {met} of {} met.", judged.len()),
+        &body,
+    )
 }
 
 fn states(data: &ReportData) -> String {
@@ -157,7 +167,11 @@ fn paths(data: &ReportData) -> String {
     if data.paths.iter().all(|path| path.points.is_empty()) {
         return String::new();
     }
-    section("Paths", "The table seen from above; a dot marks where each period begins.", &plan::paths(&data.paths))
+    section(
+        "Paths",
+        "The table seen from above; a dot marks where each period begins.",
+        &plan::paths(&data.paths),
+    )
 }
 
 fn signals(data: &ReportData) -> String {
@@ -196,14 +210,19 @@ fn coaching(rows: &[CoachingRow]) -> String {
         );
     }
     body.push_str("</tbody></table>");
-    section("Coaching", "How far each coaching moved the motion, and what stayed when the coach had gone.", &body)
+    section(
+        "Coaching",
+        "How far each coaching moved the motion, and what stayed when the coach had gone.",
+        &body,
+    )
 }
 
 fn gestures(data: &ReportData) -> String {
     if data.confusion.is_empty() {
         return String::new();
     }
-    let names: BTreeSet<&String> = data.confusion.keys().chain(data.confusion.values().flat_map(|r| r.keys())).collect();
+    let names: BTreeSet<&String> =
+        data.confusion.keys().chain(data.confusion.values().flat_map(|r| r.keys())).collect();
     let mut body = String::from("<table class=\"matrix\"><thead><tr><th>shown \\ seen</th>");
     for name in &names {
         let _ = write!(body, "<th>{}</th>", escape(&name.replace('_', " ")));
@@ -232,7 +251,11 @@ fn joints(data: &ReportData) -> String {
     }
     let time = time(data);
     let plots: String = data.joints.iter().map(|plot| timeplot::draw(plot, time, timeplot::SMALL)).collect();
-    section("Joints", "Trajectories over time in seconds; dashed lines are limits.", &format!("<div class=\"grid2\">{plots}</div>"))
+    section(
+        "Joints",
+        "Trajectories over time in seconds; dashed lines are limits.",
+        &format!("<div class=\"grid2\">{plots}</div>"),
+    )
 }
 
 fn pictures(data: &ReportData) -> String {
@@ -243,7 +266,10 @@ fn pictures(data: &ReportData) -> String {
     for picture in &data.pictures {
         let caption = escape(&picture.caption);
         let uri = data_uri(&picture.media_type, &picture.data);
-        let _ = write!(body, "<figure><img alt=\"{caption}\" src=\"{uri}\"><figcaption>{caption}</figcaption></figure>");
+        let _ = write!(
+            body,
+            "<figure><img alt=\"{caption}\" src=\"{uri}\"><figcaption>{caption}</figcaption></figure>"
+        );
     }
     body.push_str("</div>");
     section("What the cameras saw", "", &body)

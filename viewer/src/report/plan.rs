@@ -4,7 +4,7 @@ use image::ImageEncoder as _;
 
 use super::axes::{Axes, Key, legend, legend_height, range_of};
 use super::data::{Cell, Path, PathRole, WipedArea};
-use super::svg::{Svg, data_uri};
+use super::svg::{Anchor, Svg, data_uri};
 
 const WIDTH: f64 = 760.0;
 
@@ -15,6 +15,11 @@ fn frame(x: [f64; 2], y: [f64; 2], entries: &[(String, String, Key)]) -> Axes {
     let keys = legend_height(entries, width);
     let height = (width * (y[1] - y[0]) / (x[1] - x[0])).clamp(200.0, 560.0);
     Axes { left, top: 26.0 + keys, width, height, x, y }.with_equal_units()
+}
+
+fn draw_axes(svg: &mut Svg, axes: &Axes) {
+    axes.draw(svg, "x, m (to the robot's right)");
+    svg.text([axes.left, axes.top - 10.0], Anchor::Start, "label", "y, m (forward)");
 }
 
 fn classes(paths: &[Path]) -> Vec<String> {
@@ -45,9 +50,12 @@ pub(super) fn paths(paths: &[Path]) -> String {
     let axes = frame(shown(0), shown(1), &entries);
     let mut svg = Svg::new(WIDTH, axes.bottom() + 42.0, "Paths over the table");
     legend(&mut svg, [axes.left, 2.0], axes.width, &entries);
-    axes.draw(&mut svg, "x, m (to the robot's right)", "y, m (forward)");
+    draw_axes(&mut svg, &axes);
     svg.clipped([axes.left, axes.top], [axes.width, axes.height], |svg| {
-        for (path, class) in paths.iter().zip(&classes) {
+        // What was demonstrated lies on top: its dashes let the others through.
+        let mut order: Vec<_> = paths.iter().zip(&classes).collect();
+        order.sort_by_key(|(path, _)| path.role == PathRole::Demonstrated);
+        for (path, class) in order {
             let finite = path.points.iter().filter(|p| p[0].is_finite() && p[1].is_finite());
             let points: Vec<[f64; 2]> = thinned(finite.map(|p| axes.point(p[0], p[1])));
             if path.role != PathRole::Outline
@@ -100,7 +108,7 @@ pub(super) fn wiped(area: &WipedArea) -> Option<String> {
     let axes = frame(range_of(x, 0.1), range_of(y, 0.1), &entries);
     let mut svg = Svg::new(WIDTH, axes.bottom() + 42.0, "Wiped area");
     legend(&mut svg, [axes.left, 2.0], axes.width, &entries);
-    axes.draw(&mut svg, "x, m (to the robot's right)", "y, m (forward)");
+    draw_axes(&mut svg, &axes);
     let [left, top] = axes.point(x[0], y[1]);
     let [right, bottom] = axes.point(x[1], y[0]);
     let png = cells_as_png(area, columns, rows)?;

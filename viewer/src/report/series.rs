@@ -38,8 +38,8 @@ fn extremes(group: &[[f64; 2]]) -> Vec<[f64; 2]> {
     }
     let order = |&i: &usize, &j: &usize| group[i][1].total_cmp(&group[j][1]);
     let last = group.len() - 1;
-    let mut kept =
-        [Some(0), (0..group.len()).min_by(order), (0..group.len()).max_by(order), Some(last)].map(|i| i.unwrap_or(0));
+    let mut kept = [Some(0), (0..group.len()).min_by(order), (0..group.len()).max_by(order), Some(last)]
+        .map(|i| i.unwrap_or(0));
     kept.sort_unstable();
     let mut out: Vec<[f64; 2]> = kept.into_iter().map(|i| group[i]).collect();
     out.dedup();

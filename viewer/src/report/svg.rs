@@ -2,7 +2,8 @@
 
 use std::fmt::Write as _;
 
-/// A picture that grows by shapes; lengths are in its own pixels, y downwards.
+/// A picture that grows by shapes; lengths are in its own pixels, y downwards. A shape with a coordinate that is not
+/// a finite number is left out.
 pub(super) struct Svg {
     width: f64,
     height: f64,
@@ -33,6 +34,10 @@ pub(super) fn escape(text: &str) -> String {
         }
     }
     out
+}
+
+fn drawable<const N: usize>(coordinates: [f64; N]) -> bool {
+    coordinates.iter().all(|c| c.abs() < 1e7)
 }
 
 /// About how wide a text of the page's plots is, px: enough to keep texts apart.
@@ -67,6 +72,9 @@ impl Svg {
 
     pub(super) fn line(&mut self, from: [f64; 2], to: [f64; 2], class: &str) {
         let ([x1, y1], [x2, y2]) = (from, to);
+        if !drawable([x1, y1, x2, y2]) {
+            return;
+        }
         self.push(format_args!(
             r#"<line x1="{x1:.1}" y1="{y1:.1}" x2="{x2:.1}" y2="{y2:.1}" class="{class}"/>"#
         ));
@@ -74,6 +82,9 @@ impl Svg {
 
     pub(super) fn rect(&mut self, at: [f64; 2], size: [f64; 2], class: &str, tip: &str) {
         let ([x, y], [w, h]) = (at, size);
+        if !drawable([x, y, w, h]) {
+            return;
+        }
         self.push(format_args!(
             r#"<rect x="{x:.1}" y="{y:.1}" width="{:.1}" height="{:.1}" class="{class}">"#,
             w.max(0.0),
@@ -86,10 +97,19 @@ impl Svg {
     }
 
     pub(super) fn circle(&mut self, at: [f64; 2], radius: f64, class: &str) {
-        self.push(format_args!(r#"<circle cx="{:.1}" cy="{:.1}" r="{radius:.1}" class="{class}"/>"#, at[0], at[1]));
+        if !drawable(at) {
+            return;
+        }
+        self.push(format_args!(
+            r#"<circle cx="{:.1}" cy="{:.1}" r="{radius:.1}" class="{class}"/>"#,
+            at[0], at[1]
+        ));
     }
 
     pub(super) fn text(&mut self, at: [f64; 2], anchor: Anchor, class: &str, text: &str) {
+        if !drawable(at) {
+            return;
+        }
         let anchor = match anchor {
             Anchor::Start => "start",
             Anchor::Middle => "middle",
@@ -105,7 +125,7 @@ impl Svg {
 
     pub(super) fn polyline(&mut self, points: impl IntoIterator<Item = [f64; 2]>, class: &str) {
         self.push(format_args!(r#"<polyline class="{class}" points=""#));
-        for [x, y] in points {
+        for [x, y] in points.into_iter().filter(|point| drawable(*point)) {
             self.push(format_args!("{x:.1},{y:.1} "));
         }
         self.body.push_str(r#""/>"#);
@@ -143,7 +163,8 @@ pub(super) fn data_uri(media_type: &str, data: &[u8]) -> String {
     let mut out = format!("data:{};base64,", escape(media_type));
     out.reserve(data.len() / 3 * 4 + 4);
     for chunk in data.chunks(3) {
-        let word = chunk.iter().enumerate().fold(0_u32, |word, (i, byte)| word | u32::from(*byte) << (16 - 8 * i));
+        let word =
+            chunk.iter().enumerate().fold(0_u32, |word, (i, byte)| word | u32::from(*byte) << (16 - 8 * i));
         for i in 0..4 {
             let digit = DIGITS[(word >> (18 - 6 * i)) as usize & 63];
             out.push(if i <= chunk.len() { char::from(digit) } else { '=' });
@@ -158,7 +179,8 @@ mod tests {
 
     #[test]
     fn base64_agrees_with_the_examples_of_rfc_4648() {
-        for (text, code) in [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")] {
+        for (text, code) in [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")]
+        {
             assert_eq!(data_uri("a/b", text.as_bytes()), format!("data:a/b;base64,{code}"));
         }
     }

@@ -25,16 +25,21 @@ pub(super) fn draw(plot: &TimePlot, time: [f64; 2], size: Size) -> String {
     let left = 58.0;
     let width = size.width - left - 16.0;
     let keys = legend_height(&entries, width);
-    let top = 26.0 + keys;
     let bottom = if size.small { 24.0 } else { 42.0 };
-    let axes =
-        Axes { left, top, width, height: size.height - 26.0 - bottom, x: time, y: value_range(plot) };
-    let mut svg = Svg::new(size.width, size.height + keys, &plot.title);
+    let height = size.height - 26.0 - bottom;
+    let mut axes = Axes { left, top: 26.0 + keys, width, height, x: time, y: value_range(plot) };
+    let marks = place_marks(plot, &axes);
+    let names = marks.iter().map(|mark| MARK_LINE * (mark.level + 1) as f64).fold(0.0, f64::max);
+    let y_label_at = [axes.left, axes.top - 10.0];
+    axes.top += names;
+    let mut svg = Svg::new(size.width, size.height + keys + names, &plot.title);
     legend(&mut svg, [left, 2.0], width, &entries);
-    let y_label = if size.small { format!("{} · {}", plot.title, plot.y_label) } else { plot.y_label.clone() };
-    axes.draw(&mut svg, if size.small { "" } else { "time, s" }, &y_label);
+    let y_label =
+        if size.small { format!("{} · {}", plot.title, plot.y_label) } else { plot.y_label.clone() };
+    axes.draw(&mut svg, if size.small { "" } else { "time, s" });
+    svg.text(y_label_at, Anchor::Start, "label", &y_label);
     svg.clipped([axes.left, axes.top], [axes.width, axes.height], |svg| content(svg, plot, &axes));
-    marks(&mut svg, plot, &axes);
+    draw_marks(&mut svg, &marks, &axes);
     svg.finish(if size.small { "small" } else { "wide" })
 }
 
@@ -90,22 +95,43 @@ fn content(svg: &mut Svg, plot: &TimePlot, axes: &Axes) {
     }
 }
 
-/// Marks, their names on up to three lines so that none covers another.
-fn marks(svg: &mut Svg, plot: &TimePlot, axes: &Axes) {
-    let mut ends = [f64::NEG_INFINITY; 3];
-    for (t, name) in &plot.marks {
-        if !(axes.x[0]..=axes.x[1]).contains(t) {
-            continue;
-        }
+/// A marked instant: where its line is, and its name with its place.
+struct Mark {
+    x: f64,
+    name: String,
+    anchor: Anchor,
+    level: usize,
+}
+
+const MARK_LEVELS: usize = 3;
+const MARK_LINE: f64 = 16.0;
+
+/// Places the marks' names on up to three lines so that none covers another; one without a place keeps its line.
+fn place_marks(plot: &TimePlot, axes: &Axes) -> Vec<Mark> {
+    let mut ends = [f64::NEG_INFINITY; MARK_LEVELS];
+    let mut marks: Vec<Mark> = Vec::new();
+    for (t, name) in plot.marks.iter().filter(|(t, _)| (axes.x[0]..=axes.x[1]).contains(t)) {
         let x = axes.point(*t, axes.y[0])[0];
-        svg.line([x, axes.top], [x, axes.bottom()], "mark");
-        let name = fit(name, 150.0);
+        let mut name = fit(name, 150.0);
         let width = text_width(&name);
         let (anchor, start) =
-            if x + width + 8.0 > axes.right() { (Anchor::End, x - width - 4.0) } else { (Anchor::Start, x + 4.0) };
-        let Some(level) = ends.iter().position(|end| *end + 6.0 < start) else { continue };
-        ends[level] = start + width;
-        let at = if matches!(anchor, Anchor::End) { x - 4.0 } else { x + 4.0 };
-        svg.text([at, axes.top + 14.0 + 16.0 * level as f64], anchor, "marked", &name);
+            if x + width > axes.right() { (Anchor::End, x - width) } else { (Anchor::Start, x) };
+        let level = ends.iter().position(|end| *end + 10.0 < start).unwrap_or_else(|| {
+            name.clear();
+            0
+        });
+        if !name.is_empty() {
+            ends[level] = start + width;
+        }
+        marks.push(Mark { x, name, anchor, level });
+    }
+    marks
+}
+
+fn draw_marks(svg: &mut Svg, marks: &[Mark], axes: &Axes) {
+    for mark in marks {
+        let top = axes.top - MARK_LINE * mark.level as f64;
+        svg.line([mark.x, top], [mark.x, axes.bottom()], "mark");
+        svg.text([mark.x, top - 4.0], mark.anchor, "marked", &mark.name);
     }
 }

@@ -1,0 +1,343 @@
+//! The page of a made-up run: what is in it, what is left out, how large it is.
+//!
+//! The pages are left in the build's folder for temporary files, to be looked at.
+
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
+
+use armarium_viewer::report::{
+    Band, Cell, ChainLink, CoachingRow, Path, PathRole, Picture, ReportData, Series, StateSpan, TimePlot,
+    WipedArea, figures, render,
+};
+use armarium_visionx::Image;
+use serde_json::json;
+
+fn span(path: &str, from_s: f64, to_s: f64, outcome: Option<&str>) -> StateSpan {
+    StateSpan { path: path.into(), from_s, to_s: Some(to_s), outcome: outcome.map(Into::into) }
+}
+
+fn states() -> Vec<StateSpan> {
+    let ok = Some("success");
+    vec![
+        span("Grasp", 0.0, 14.2, ok),
+        span("Grasp.Find", 0.0, 1.4, ok),
+        span("Grasp.Approach", 1.4, 6.0, ok),
+        span("Grasp.Servo", 6.0, 9.5, ok),
+        span("Grasp.Close", 9.5, 11.0, Some("failure")),
+        span("Grasp.Close", 11.0, 12.4, ok),
+        span("Grasp.Lift", 12.4, 14.2, ok),
+        span("Learn", 14.2, 46.0, ok),
+        span("Adapt", 46.0, 62.0, ok),
+        span("Wipe", 62.0, 168.0, None),
+        span("Wipe.Execution.Wiping", 62.0, 168.0, None),
+        span("Wipe.Coaching.Watching", 62.0, 73.0, None),
+        span("Wipe.Coaching.ByForce", 73.0, 84.0, ok),
+        span("Wipe.Coaching.Watching", 84.0, 93.0, None),
+        span("Wipe.Coaching.ByVision", 93.0, 106.0, ok),
+        span("Wipe.Coaching.Watching", 106.0, 168.0, None),
+        span("Done", 168.0, 168.0, ok),
+    ]
+}
+
+fn loop_path(label: &str, role: PathRole, shift: impl Fn(f64) -> [f64; 2]) -> Path {
+    let points = (0..=2000)
+        .map(|i| {
+            let phase = TAU * f64::from(i) / 2000.0;
+            let [dx, dy] = shift(phase);
+            [0.28 + 0.05 * phase.cos() + dx, 0.53 + 0.03 * phase.sin() + dy]
+        })
+        .collect();
+    Path { label: label.into(), role, points }
+}
+
+fn signal(label: &str, end: f64, f: impl Fn(f64) -> f64) -> Series {
+    let t_s: Vec<f64> = (0..(end * 1000.0) as u64).map(|i| i as f64 * 1e-3).collect();
+    let y = t_s.iter().map(|t| f(*t)).collect();
+    Series { label: label.into(), t_s, y }
+}
+
+/// Something irregular that needs no random numbers.
+fn ripple(t: f64) -> f64 {
+    (t * 91.7).sin() * (t * 37.1).cos() + 0.5 * (t * 211.3).sin()
+}
+
+fn force() -> TimePlot {
+    let normal = |t: f64| match t {
+        t if t < 47.5 => 0.02 * ripple(t).abs(),
+        t if t < 48.0 => 14.0 * ((t - 47.5) * TAU).sin().abs(),
+        t => 8.0 + (-(t - 48.0) / 4.0).exp() * 4.0 * (t * 3.0).sin() + 0.3 * ripple(t),
+    };
+    TimePlot {
+        title: "Contact force".into(),
+        y_label: "normal force, N".into(),
+        series: vec![signal("sponge on table (truth)", 168.0, normal)],
+        band: Some(Band {
+            value: 8.0,
+            tolerance: 1.0,
+            label: "desired 8 ± 1 N".into(),
+            from_s: Some(62.0),
+            to_s: None,
+        }),
+        limits: vec![(25.0, "limit at touchdown".into())],
+        marks: [
+            (47.5, "touchdown"),
+            (62.0, "adapted"),
+            (73.0, "push"),
+            (74.0, "forced"),
+            (93.0, "fist"),
+            (166.0, "coach gone"),
+        ]
+        .map(|(t, name)| (t, name.to_owned()))
+        .to_vec(),
+        y_range: None,
+    }
+}
+
+fn joints() -> Vec<TimePlot> {
+    let joint = |i: i32| {
+        let i = f64::from(i);
+        TimePlot {
+            title: format!("Shoulder {i} R"),
+            y_label: "rad".into(),
+            series: vec![signal("position", 168.0, move |t| 0.2 * i - 0.6 + 0.3 * (TAU * 0.5 * t + i).sin())],
+            limits: vec![(-1.2, "limit".into()), (1.4, "limit".into())],
+            ..Default::default()
+        }
+    };
+    (1..=7).map(joint).collect()
+}
+
+fn wiped() -> WipedArea {
+    let (columns, rows, cell_m) = (160, 120, 0.0025);
+    let cells = (0..columns * rows)
+        .map(|i| {
+            let x = 0.1 + (i % columns) as f64 * cell_m - 0.28;
+            let y = 0.4 + (i / columns) as f64 * cell_m - 0.53;
+            let off = ((x / 0.05).hypot(y / 0.03) - 1.0).abs();
+            match off {
+                _ if off < 0.5 && x > 0.055 && y > 0.0 => Cell::Missed,
+                _ if off < 0.5 => Cell::Cleaned,
+                _ if off < 0.6 => Cell::Beside,
+                _ => Cell::Untouched,
+            }
+        })
+        .collect();
+    WipedArea { origin: [0.1, 0.4], cell_m, columns, cells }
+}
+
+fn picture(caption: &str) -> Picture {
+    let (width, height) = (320_u32, 240_u32);
+    let data = (0..width * height)
+        .flat_map(|i| {
+            let (x, y) = (i % width, i / width);
+            if x.abs_diff(160) + y.abs_diff(120) < 40 {
+                [240, 210, 40]
+            } else {
+                [150, 115 + (y / 8) as u8, 80]
+            }
+        })
+        .collect();
+    let image = Image::from_rgb(width, height, data).expect("the size fits");
+    Picture::jpeg(&image, caption).expect("a small image encodes")
+}
+
+fn report() -> serde_json::Value {
+    json!({
+        "grasp": {"position_error_m": 0.0063},
+        "imitation": {"frequency_hz": 0.5007, "demonstrated_frequency_hz": 0.5, "path_rms_m": 0.0041},
+        "force": {"mean_n": 7.97, "desired_n": 8.0, "rms_error_n": 0.44, "max_n": 9.9, "contact_lost_s": 0.0, "touchdown_max_n": 14.0, "cycles": 9},
+        "wiped_fraction": 0.943,
+        "coaching": [
+            {"kind": "push", "displacement_m": 0.031, "retained_m": 0.029, "far_side_rms_m": 0.0012, "direction_error_rad": 0.1},
+            {"kind": "fist", "displacement_m": 0.021, "retained_m": 0.020, "far_side_rms_m": 0.001, "slowed_to": 0.42},
+            {"kind": "open_hand"},
+        ],
+        "gestures": {"frames": 412, "accuracy": 0.978},
+    })
+}
+
+fn coaching() -> Vec<CoachingRow> {
+    let row = |kind: &str, at_s, moved, slowed_to| CoachingRow {
+        kind: kind.into(),
+        at_s,
+        displacement_m: moved,
+        retained_m: moved.map(|m| m * 0.95),
+        far_side_rms_m: moved.map(|_| 0.0012),
+        slowed_to,
+    };
+    vec![
+        row("push", 73.0, Some(0.031), None),
+        row("fist", 93.0, Some(0.021), Some(0.42)),
+        row("open_hand", 150.0, None, None),
+    ]
+}
+
+fn success() -> ReportData {
+    let shift = |at: f64, by: [f64; 2]| {
+        move |phase: f64| {
+            let near = ((phase - at).cos() - 1.0) * 6.0;
+            by.map(|b| b * near.exp())
+        }
+    };
+    let facts = [
+        ("World", "kitchen"),
+        ("Seed", "1"),
+        ("Simulated", "168.0 s"),
+        ("On the wall", "61.3 s"),
+        ("Real-time factor", "2.74"),
+        ("Trace", "9f2c41d07be1"),
+    ];
+    ReportData {
+        title: "Wiping".into(),
+        subtitle: "Learn a wiping motion from a coach, fit it to the table, then let the coach change it."
+            .into(),
+        outcome: "success".into(),
+        facts: facts.map(|(a, b)| (a.to_owned(), b.to_owned())).to_vec(),
+        figures: figures(&report()),
+        states: states(),
+        paths: vec![
+            Path {
+                label: "table".into(),
+                role: PathRole::Outline,
+                points: vec![[-0.25, 0.25], [0.75, 0.25], [0.75, 0.95], [-0.25, 0.95], [-0.25, 0.25]],
+            },
+            loop_path("demonstrated", PathRole::Demonstrated, |_| [0.0; 2]),
+            loop_path("learned", PathRole::Learned, |p| [0.0015 * (3.0 * p).sin(), 0.001]),
+            loop_path("after push", PathRole::Coached, shift(TAU / 4.0, [0.0, 0.031])),
+            loop_path("after fist", PathRole::Coached, shift(TAU * 0.75, [0.0, -0.021])),
+        ],
+        force: Some(force()),
+        signals: vec![TimePlot {
+            title: "Speed of the motion".into(),
+            y_label: "frequency, Hz".into(),
+            series: vec![
+                signal("executed", 168.0, |t| {
+                    if t < 62.0 { f64::NAN } else { 0.5 - 0.25 * (-(t - 98.0).powi(2) / 20.0).exp() }
+                }),
+                signal("learned", 168.0, |t| if t < 14.2 { f64::NAN } else { 0.5 }),
+            ],
+            ..Default::default()
+        }],
+        joints: joints(),
+        wiped: Some(wiped()),
+        coaching: coaching(),
+        confusion: BTreeMap::from([
+            ("fist".to_owned(), BTreeMap::from([("fist".to_owned(), 98), ("none".to_owned(), 3)])),
+            ("open_hand".to_owned(), BTreeMap::from([("open_hand".to_owned(), 101)])),
+            ("none".to_owned(), BTreeMap::from([("none".to_owned(), 204), ("point_one".to_owned(), 2)])),
+        ]),
+        pictures: [
+            "the sponge, found at 0.4 s",
+            "the coach's tool, followed at 22 s",
+            "a fist, seen at 94 s",
+        ]
+        .map(picture)
+        .to_vec(),
+        log: vec!["00:00.0 Grasp: looking for <sponge>".into(), "00:14.2 Learn: the coach begins".into()],
+        ..Default::default()
+    }
+}
+
+fn leave(name: &str, page: &str) {
+    let folder = std::path::Path::new(env!("CARGO_TARGET_TMPDIR"));
+    std::fs::create_dir_all(folder)
+        .and_then(|()| std::fs::write(folder.join(name), page))
+        .expect("the build's folder can be written");
+}
+
+/// Every `<svg ...>` of the page is closed and every attribute quoted: an XML reader would take it.
+fn balanced(page: &str) {
+    for tag in ["svg", "section", "table", "tr", "div", "figure", "main", "text", "rect"] {
+        let opened = page.matches(&format!("<{tag} ")).count() + page.matches(&format!("<{tag}>")).count();
+        assert_eq!(opened, page.matches(&format!("</{tag}>")).count(), "<{tag}> opened and closed");
+    }
+}
+
+#[test]
+fn a_full_page_has_every_section_nothing_from_elsewhere_and_a_bounded_size() {
+    let page = render(&success());
+    leave("report_success.html", &page);
+    for title in [
+        "Figures",
+        "States",
+        "Paths",
+        "Contact force",
+        "Speed of the motion",
+        "Wiped area",
+        "Coaching",
+        "Gestures",
+        "Joints",
+        "What the cameras saw",
+        "Log",
+    ] {
+        assert!(page.contains(&format!("<h2>{title}</h2>")), "{title}");
+    }
+    assert!(page.len() < 1_500_000, "{} bytes", page.len());
+    assert_eq!(page.matches("http").count(), page.matches("http://www.w3.org/2000/svg").count());
+    assert!(!page.contains("<script") && !page.contains("NaN") && page.contains("&lt;sponge&gt;"));
+    assert!(page.contains("✗ missed") && page.contains("15 of 16 met"), "the wiped fraction is missed");
+    balanced(&page);
+}
+
+#[test]
+fn a_failed_run_says_why_and_through_which_states() {
+    let data = ReportData {
+        outcome: "failure".into(),
+        reason: Some(
+            "No object of the sponge's colour was seen from 4 directions; is it on the table?".into(),
+        ),
+        failure_chain: vec![
+            ChainLink { state: "Grasp.Find".into(), reason: Some("after 3 tries".into()) },
+            ChainLink { state: "Grasp".into(), reason: None },
+            ChainLink { state: "Wiping".into(), reason: None },
+        ],
+        states: vec![
+            span("Grasp", 0.0, 12.0, Some("failure")),
+            span("Grasp.Find", 0.0, 12.0, Some("failure")),
+        ],
+        figures: Vec::new(),
+        force: None,
+        signals: Vec::new(),
+        joints: Vec::new(),
+        wiped: None,
+        paths: Vec::new(),
+        coaching: Vec::new(),
+        confusion: BTreeMap::new(),
+        ..success()
+    };
+    let page = render(&data);
+    leave("report_failure.html", &page);
+    let reason = page.find("No object of the sponge&#39;s colour").expect("the reason is shown");
+    assert!(reason < page.find("<h2>States</h2>").expect("the states are shown"));
+    assert!(page.contains("<li><code>Grasp.Find</code> <span>after 3 tries</span></li>"));
+    for absent in ["<h2>Figures", "<h2>Paths", "<h2>Wiped", "<h2>Joints"] {
+        assert!(!page.contains(absent), "{absent}");
+    }
+    balanced(&page);
+}
+
+#[test]
+fn nothing_at_all_is_still_a_page() {
+    let page = render(&ReportData::default());
+    assert!(page.contains("The run did not succeed") && page.ends_with("</html>\n"));
+    balanced(&page);
+}
+
+#[test]
+fn hostile_numbers_and_texts_do_no_harm() {
+    let mut data = success();
+    data.title = "<script>alert(1)</script>".into();
+    data.paths[2].points = vec![[f64::NAN, 0.0], [f64::INFINITY, 1.0]];
+    data.states[0].to_s = Some(f64::NAN);
+    data.states[1].path = "..".into();
+    data.force = Some(TimePlot {
+        series: vec![Series { label: "x".into(), t_s: vec![0.0, f64::NAN, 2.0], y: vec![f64::INFINITY] }],
+        band: Some(Band { value: f64::NAN, tolerance: 1.0, label: String::new(), from_s: None, to_s: None }),
+        marks: vec![(f64::NAN, "never".into())],
+        y_range: Some([1.0, 1.0]),
+        ..Default::default()
+    });
+    data.wiped = Some(WipedArea { cell_m: f64::NAN, ..wiped() });
+    let page = render(&data);
+    assert!(!page.contains("<script") && !page.contains("=\"NaN") && !page.contains("=\"inf"));
+}
