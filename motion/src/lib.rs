@@ -15,6 +15,7 @@ mod coach;
 mod error;
 mod field;
 mod fourier;
+mod friction;
 mod imitation;
 mod kernels;
 mod motion;
@@ -26,13 +27,16 @@ mod period;
 mod rigid_fit;
 mod segment;
 mod servo;
+mod surface;
 mod surface_correction;
+mod touchdown;
 
 pub use coach::{Coach, CoachConfig, CoachInput, CoachReport};
 pub use error::MotionError;
 pub use field::{
     CoachArm, CoachingCommand, PotentialField, SlowDown, nearer_hand, pulling_hand, pushing_hand,
 };
+pub use friction::{FrictionConfig, FrictionModel};
 pub use imitation::Imitation;
 pub use kernels::PhaseKernels;
 pub use motion::{Motion, MotionDof, MotionSwitch};
@@ -44,4 +48,6 @@ pub use period::{PeriodEstimate, PeriodEstimator};
 pub use rigid_fit::{RigidFit, rigid_fit};
 pub use segment::{Demonstration, DemonstrationSegmenter, DemonstrationStage, SegmenterConfig, Swipe};
 pub use servo::{PositionServo, ServoCommand, ServoConfig, ServoObservation, ServoStatus};
+pub use surface::{SurfaceAdaptation, SurfaceCommand, SurfaceConfig};
 pub use surface_correction::SurfaceCorrection;
+pub use touchdown::{Touchdown, TouchdownConfig, TouchdownStatus};

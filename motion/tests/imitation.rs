@@ -106,6 +106,9 @@ fn learn(coach: &Coach, noise: f64, seed: u64) -> Outcome {
     };
     let path_rms = (0..200).map(rms).fold(f64::INFINITY, f64::min);
     let true_hz = 15.0 / total;
+    if std::env::var("PROBE").is_ok() {
+        println!("nominal {:.4} true {:.4}", coach.frequency, true_hz);
+    }
     Outcome { frequency_error: hz / true_hz - 1.0, path_rms, swipe_error }
 }
 

@@ -1,0 +1,329 @@
+//! What of the tangential force at the wrist wiping itself explains, learned while wiping; the rest is a push.
+//!
+//! Friction is Coulomb's with Dahl's presliding: a bristle that bends with the motion up to its full deflection, so
+//! that a reversal does not look like a blow. The friction coefficient and a slow bias are found by recursive least
+//! squares, the presliding length by following several lengths at once. While something else pushes, next to nothing
+//! is learned.
+
+use nalgebra::{Matrix3, RowVector3, Vector2, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::error::{MotionError, finite, positive, within};
+
+/// The constants of a [`FrictionModel`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FrictionConfig {
+    /// First guess of the friction coefficient.
+    pub mu: f64,
+    /// Memory of coefficient and bias, s.
+    pub memory: f64,
+    /// The model counts as learned after so much sliding, m.
+    pub learning_distance: f64,
+    /// Once learned, a larger residual is taken for a push and next to not learned from, N.
+    pub gate: f64,
+    /// Time constant that smooths the residual, s.
+    pub smoothing: f64,
+}
+
+impl Default for FrictionConfig {
+    fn default() -> Self {
+        Self { mu: 0.4, memory: 15.0, learning_distance: 0.4, gate: 3.0, smoothing: 0.02 }
+    }
+}
+
+/// Presliding lengths that are followed, m.
+const LENGTHS: [f64; 7] = [5e-5, 2e-4, 6e-4, 1.5e-3, 3e-3, 6e-3, 1.2e-2];
+
+/// One presliding length with its own estimate.
+#[derive(Debug, Clone, Copy)]
+struct Candidate {
+    length: f64,
+    /// Deflection of the bristle, at most 1 long, along the motion.
+    bristle: Vector2<f64>,
+    /// mu and the bias, N.
+    estimate: Vector3<f64>,
+    covariance: Matrix3<f64>,
+    /// Mean square of the residual, N^2.
+    square: f64,
+    residual: Vector2<f64>,
+}
+
+/// Explains tangential force by wiping.
+#[derive(Debug, Clone)]
+pub struct FrictionModel {
+    config: FrictionConfig,
+    candidates: [Candidate; 7],
+    best: usize,
+    slid: f64,
+    smooth: Vector2<f64>,
+}
+
+impl FrictionModel {
+    /// A model that has learned nothing.
+    ///
+    /// # Errors
+    /// When a constant cannot be.
+    pub fn new(config: FrictionConfig) -> Result<Self, MotionError> {
+        within("mu", config.mu, 0.0, 10.0)?;
+        for (what, value) in [
+            ("memory", config.memory),
+            ("learning_distance", config.learning_distance),
+            ("gate", config.gate),
+            ("smoothing", config.smoothing),
+        ] {
+            positive(what, value)?;
+        }
+        let candidate = |length: f64| Candidate {
+            length,
+            bristle: Vector2::zeros(),
+            estimate: Vector3::new(config.mu, 0.0, 0.0),
+            covariance: initial_covariance(),
+            square: 1.0,
+            residual: Vector2::zeros(),
+        };
+        Ok(Self { candidates: LENGTHS.map(candidate), best: 3, slid: 0.0, smooth: Vector2::zeros(), config })
+    }
+
+    /// `dt` s later: normal force `normal` (N, pressing is positive), velocity of the hand along the surface (m/s) and
+    /// the force on the hand along the surface (N), in the same two axes. Returns the push: what friction and bias do
+    /// not explain, smoothed, N. Does not allocate.
+    ///
+    /// # Errors
+    /// When `dt` is not positive or a value is not finite; nothing is changed.
+    pub fn step(
+        &mut self,
+        dt: f64,
+        normal: f64,
+        velocity: [f64; 2],
+        force: [f64; 2],
+    ) -> Result<[f64; 2], MotionError> {
+        positive("dt", dt)?;
+        within("normal force", normal, -1e6, 1e6)?;
+        finite("velocity", &velocity)?;
+        for f in force {
+            within("tangential force", f, -1e6, 1e6)?;
+        }
+        let (velocity, force) = (Vector2::from(velocity), Vector2::from(force));
+        let way = velocity.norm() * dt;
+        let normal = normal.max(0.0);
+        if normal > 1.0 {
+            self.slid += way.min(0.01);
+        }
+        let learned = self.learned();
+        for candidate in &mut self.candidates {
+            candidate.bend(velocity, way);
+            candidate.explain(normal, force);
+            // All follow the same gate, so that none wins by calling more of the friction a push.
+            candidate.learn(&self.config, dt, normal, force, learned);
+        }
+        self.choose();
+        let share = 1.0 - (-dt / self.config.smoothing).exp();
+        self.smooth += (self.candidates[self.best].residual - self.smooth) * share;
+        Ok(self.smooth.into())
+    }
+
+    fn choose(&mut self) {
+        for i in 0..self.candidates.len() {
+            if self.candidates[i].square < 0.9 * self.candidates[self.best].square {
+                self.best = i;
+            }
+        }
+    }
+
+    /// The push as of the last step, N.
+    #[must_use]
+    pub fn push(&self) -> [f64; 2] {
+        self.smooth.into()
+    }
+
+    /// The friction coefficient.
+    #[must_use]
+    pub fn mu(&self) -> f64 {
+        self.candidates[self.best].estimate.x
+    }
+
+    /// The presliding length, m: over which way a reversal turns the friction.
+    #[must_use]
+    pub fn presliding(&self) -> f64 {
+        self.candidates[self.best].length
+    }
+
+    /// The bias, N.
+    #[must_use]
+    pub fn bias(&self) -> [f64; 2] {
+        [self.candidates[self.best].estimate.y, self.candidates[self.best].estimate.z]
+    }
+
+    /// Whether the hand has slid far enough for the model to be trusted.
+    #[must_use]
+    pub fn learned(&self) -> bool {
+        self.slid >= self.config.learning_distance
+    }
+
+    /// How much of the force stays unexplained while nothing pushes, N (root mean square, noise included).
+    #[must_use]
+    pub fn uncertainty(&self) -> f64 {
+        self.candidates[self.best].square.sqrt()
+    }
+}
+
+fn initial_covariance() -> Matrix3<f64> {
+    Matrix3::from_diagonal(&Vector3::new(0.25, 4.0, 4.0))
+}
+
+impl Candidate {
+    /// Dahl's bristle, exactly for constant velocity over the step.
+    fn bend(&mut self, velocity: Vector2<f64>, way: f64) {
+        if let Some(direction) = velocity.try_normalize(1e-12) {
+            self.bristle = direction + (self.bristle - direction) * (-way / self.length).exp();
+        }
+    }
+
+    fn explain(&mut self, normal: f64, force: Vector2<f64>) {
+        let bias = Vector2::new(self.estimate.y, self.estimate.z);
+        self.residual = force + self.bristle * (self.estimate.x * normal) - bias;
+    }
+
+    fn learn(&mut self, config: &FrictionConfig, dt: f64, normal: f64, force: Vector2<f64>, learned: bool) {
+        let pushed = learned && self.residual.norm() > config.gate;
+        let trust = if pushed { 0.01 } else { 1.0 };
+        let share = 1.0 - (-trust * dt / (0.3 * config.memory)).exp();
+        let square = self.residual.norm_squared().min(4.0 * config.gate * config.gate);
+        self.square += (square - self.square) * share;
+        if normal < 1.0 {
+            return;
+        }
+        let forgetting = (-trust * dt / config.memory).exp();
+        let rows = [
+            RowVector3::new(-normal * self.bristle.x, 1.0, 0.0),
+            RowVector3::new(-normal * self.bristle.y, 0.0, 1.0),
+        ];
+        for (row, value) in rows.into_iter().zip([force.x, force.y]) {
+            self.least_squares(&row, value, trust * dt / 0.001);
+        }
+        self.covariance /= forgetting;
+        // Directions that are not excited keep what is known of them.
+        for i in 0..3 {
+            let most = initial_covariance()[(i, i)];
+            if self.covariance[(i, i)] > most {
+                let scale = (most / self.covariance[(i, i)]).sqrt();
+                let mut squeeze = Vector3::repeat(1.0);
+                squeeze[i] = scale;
+                let squeeze = Matrix3::from_diagonal(&squeeze);
+                self.covariance = squeeze * self.covariance * squeeze;
+            }
+        }
+        self.estimate.x = self.estimate.x.clamp(0.0, 3.0);
+    }
+
+    /// One row of recursive least squares with weight `weight`; the noise of a sample is taken as 1 N.
+    fn least_squares(&mut self, row: &RowVector3<f64>, value: f64, weight: f64) {
+        let spread = self.covariance * row.transpose();
+        let gain = spread / (1.0 / weight + (row * spread).x);
+        self.estimate += gain * (value - (row * self.estimate).x);
+        self.covariance -= gain * spread.transpose();
+        self.covariance = 0.5 * (self.covariance + self.covariance.transpose());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, Normal};
+    use std::f64::consts::TAU;
+
+    /// A spring of `stiffness` N/m between hand and table that slides at Coulomb's limit: another law than Dahl's.
+    struct Bristle {
+        stiffness: f64,
+        mu: f64,
+        stretch: Vector2<f64>,
+    }
+
+    impl Bristle {
+        fn force(&mut self, velocity: Vector2<f64>, normal: f64, dt: f64) -> Vector2<f64> {
+            self.stretch += velocity * dt;
+            let limit = self.mu * normal / self.stiffness;
+            let length = self.stretch.norm();
+            if length > limit {
+                self.stretch *= limit / length;
+            }
+            -self.stretch * self.stiffness
+        }
+    }
+
+    struct Outcome {
+        worst_held: f64,
+        mu: f64,
+        pushed: Vector2<f64>,
+    }
+
+    /// 30 s of wiping; from 20 s on a push of 12 N along y in a fifth of each cycle if `push`.
+    fn wipe(mu: f64, normal: f64, stiffness: f64, line: bool, hz: f64, push: bool) -> Outcome {
+        let mut model = FrictionModel::new(FrictionConfig::default()).unwrap();
+        let mut bristle = Bristle { stiffness, mu, stretch: Vector2::zeros() };
+        let mut random = ChaCha8Rng::seed_from_u64(11);
+        let noise = Normal::new(0.0, 0.3).unwrap();
+        let dt = 0.001;
+        let (mut held, mut worst_held) = (0.0_f64, 0.0_f64);
+        let (mut pushed, mut count) = (Vector2::zeros(), 0.0);
+        for k in 0..30_000 {
+            let t = f64::from(k) * dt;
+            let phase = TAU * hz * t;
+            let omega = TAU * hz;
+            let side = if line { 0.0 } else { 0.03 };
+            let velocity = Vector2::new(-0.05 * omega * phase.sin(), side * omega * phase.cos());
+            let pressed = normal + 0.5 * (3.0 * phase).sin();
+            let mut force = bristle.force(velocity, pressed, dt);
+            force += Vector2::new(0.6 + 0.01 * t, -0.4);
+            force += Vector2::from_fn(|_, _| noise.sample(&mut random));
+            let on = push && t > 20.0 && (phase / TAU).fract() < 0.2;
+            if on {
+                force.y += 12.0;
+            }
+            let measured = pressed + noise.sample(&mut random);
+            let rest = model.step(dt, measured, velocity.into(), force.into()).unwrap();
+            let rest = Vector2::from(rest);
+            if on && (phase / TAU).fract() > 0.1 {
+                pushed += rest;
+                count += 1.0;
+            }
+            if t > 6.0 && !on {
+                held = if rest.norm() > 4.0 { held + dt } else { 0.0 };
+                worst_held = worst_held.max(held);
+            }
+        }
+        Outcome { worst_held, mu: model.mu(), pushed: if count > 0.0 { pushed / count } else { pushed } }
+    }
+
+    #[test]
+    fn wiping_alone_is_no_push_and_a_push_is_seen() {
+        for mu in [0.2, 0.5, 0.8] {
+            for normal in [5.0, 8.0, 15.0] {
+                for stiffness in [1000.0, 5000.0, 50_000.0] {
+                    for line in [true, false] {
+                        for hz in [0.3, 0.8] {
+                            let alone = wipe(mu, normal, stiffness, line, hz, false);
+                            let pushed = wipe(mu, normal, stiffness, line, hz, true);
+                            let what = format!("mu {mu} N {normal} k {stiffness} line {line} {hz} Hz");
+                            println!(
+                                "{what}: held {:.3} mu {:.3} | held {:.3} mu {:.3} push {:.2} {:.2}",
+                                alone.worst_held,
+                                alone.mu,
+                                pushed.worst_held,
+                                pushed.mu,
+                                pushed.pushed.x,
+                                pushed.pushed.y
+                            );
+                            assert!(alone.worst_held < 0.1, "{what}: held {}", alone.worst_held);
+                            assert!((pushed.pushed.y - 12.0).abs() < 2.5, "{what}: push {}", pushed.pushed);
+                            assert!(pushed.pushed.x.abs() < 2.5, "{what}: push {}", pushed.pushed);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}

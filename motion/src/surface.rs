@@ -1,0 +1,520 @@
+//! Force adaptation: learns, as a function of the phase, the motion along a surface normal that keeps a desired
+//! force, on a surface that nobody described (after Gams et al., "Coupling movement primitives", T-RO 2014).
+//!
+//! Feedback and learning work side by side. The feedback integrates the force error. What is learned is what the
+//! feedback would have to do without delay: error and feedback together are exactly what the learned motion lacks, so
+//! each cycle takes away the same share of it at every frequency. The force that is measured now belongs to the
+//! phase of some milliseconds ago and is credited there. How stiff the contact is, is found from one cycle to the next
+//! at equal phases, where the surface is the same and only the motion has changed.
+//!
+//! It moves nothing and knows no pose: force in, offset out. Getting into contact is [`crate::Touchdown`]'s.
+
+use std::f64::consts::TAU;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{MotionError, finite, positive, within};
+use crate::kernels::PhaseKernels;
+use crate::surface_correction::SurfaceCorrection;
+
+/// The constants of a [`SurfaceAdaptation`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SurfaceConfig {
+    /// Desired normal force, N, positive.
+    pub force: f64,
+    /// Kernels over the phase.
+    pub kernels: usize,
+    /// First guess of the contact stiffness, N/m; too high is slow, too low by more than 3 may oscillate.
+    pub stiffness: f64,
+    /// Bandwidth of the feedback, rad/s.
+    pub bandwidth: f64,
+    /// Time from a command to its effect in the measured force, s.
+    pub delay: f64,
+    /// Share of what is missing that each cycle adds to the learned motion, 0 to 1.
+    pub learning: f64,
+    /// The fastest that the offset moves, m/s.
+    pub max_speed: f64,
+    /// The farthest that feedback and learned motion may lead, m.
+    pub max_offset: f64,
+    /// Outward surface normal in the motion's frame, any length.
+    pub normal: [f64; 3],
+}
+
+impl Default for SurfaceConfig {
+    fn default() -> Self {
+        Self {
+            force: 8.0,
+            kernels: 36,
+            stiffness: 4000.0,
+            bandwidth: 7.0,
+            delay: 0.03,
+            learning: 0.4,
+            max_speed: 0.12,
+            max_offset: 0.08,
+            normal: [0.0, 0.0, 1.0],
+        }
+    }
+}
+
+impl SurfaceConfig {
+    fn validate(&self) -> Result<(), MotionError> {
+        for (what, value) in [
+            ("force", self.force),
+            ("stiffness", self.stiffness),
+            ("bandwidth", self.bandwidth),
+            ("max_speed", self.max_speed),
+            ("max_offset", self.max_offset),
+        ] {
+            positive(what, value)?;
+        }
+        within("kernels", self.kernels as f64, 4.0, 1000.0)?;
+        within("delay", self.delay, 0.0, 0.5)?;
+        within("learning", self.learning, 0.0, 1.0)
+    }
+}
+
+/// What to add to the motion now.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct SurfaceCommand {
+    /// Offset along the outward normal, m: negative presses harder.
+    pub offset: f64,
+    /// Velocity of the offset, m/s.
+    pub velocity: f64,
+}
+
+/// Learns the motion along the surface normal that keeps the force.
+#[derive(Debug, Clone)]
+pub struct SurfaceAdaptation {
+    config: SurfaceConfig,
+    correction: SurfaceCorrection,
+    psi: Vec<f64>,
+    feedback: f64,
+    feedback_on: bool,
+    learning_on: bool,
+    stiffness: f64,
+    offset: f64,
+    smooth_error: f64,
+    past: Past,
+    cycle: Cycle,
+    stiffness_by_cycle: StiffnessEstimate,
+    rms: Vec<f64>,
+    cycles: u32,
+}
+
+/// Cycles whose error is remembered.
+const REMEMBERED: usize = 256;
+
+impl SurfaceAdaptation {
+    /// Starts with nothing learned, at offset 0: where the hand touches the surface.
+    ///
+    /// # Errors
+    /// When a constant cannot be.
+    pub fn new(config: SurfaceConfig) -> Result<Self, MotionError> {
+        config.validate()?;
+        let width = 2.5 * config.kernels as f64;
+        let correction = SurfaceCorrection::new(vec![0.0; config.kernels], width, config.normal)?;
+        Self::resume(config, correction)
+    }
+
+    /// Starts from a correction that was learned before; its kernels and normal replace those of `config`.
+    ///
+    /// # Errors
+    /// When a constant cannot be.
+    pub fn resume(config: SurfaceConfig, correction: SurfaceCorrection) -> Result<Self, MotionError> {
+        config.validate()?;
+        Ok(Self {
+            psi: vec![0.0; correction.weights().len()],
+            correction,
+            feedback: 0.0,
+            feedback_on: true,
+            learning_on: true,
+            stiffness: config.stiffness,
+            offset: 0.0,
+            smooth_error: 0.0,
+            past: Past::default(),
+            cycle: Cycle::default(),
+            stiffness_by_cycle: StiffnessEstimate::default(),
+            rms: Vec::with_capacity(REMEMBERED),
+            cycles: 0,
+            config,
+        })
+    }
+
+    /// `dt` s later, at `phase` rad of a motion of `omega` rad/s, with the measured normal force `force` (N, pressing
+    /// is positive): the offset to command. Does not allocate.
+    ///
+    /// # Errors
+    /// When `dt` is not positive, `omega` negative or a value not finite; nothing is changed.
+    pub fn step(
+        &mut self,
+        dt: f64,
+        phase: f64,
+        omega: f64,
+        force: f64,
+    ) -> Result<SurfaceCommand, MotionError> {
+        positive("dt", dt)?;
+        finite("phase", &[phase])?;
+        within("omega", omega, 0.0, 1e4)?;
+        within("force", force, -1e6, 1e6)?;
+        let error = force - self.config.force;
+        self.smooth_error += (error - self.smooth_error) * (1.0 - (-dt / 0.05).exp());
+        self.past.push(dt, self.feedback);
+        let credited = phase - omega * self.config.delay;
+        if self.learning_on {
+            self.learn(credited, omega * dt, error);
+        }
+        if self.feedback_on {
+            // Bounded, so that a lost contact is not searched for faster than it may be hit.
+            let limit = 0.3 * self.config.max_speed;
+            let rate = (self.config.bandwidth * error / self.stiffness).clamp(-limit, limit);
+            let bound = self.config.max_offset;
+            self.feedback = (self.feedback + rate * dt).clamp(-bound, bound);
+        }
+        let command = self.command(dt, phase);
+        self.note(credited, phase, omega * dt, error, force);
+        Ok(command)
+    }
+
+    /// Credits the kernels of the phase that the force belongs to with what the learned motion lacks there.
+    fn learn(&mut self, credited: f64, advance: f64, error: f64) {
+        let kernels = self.correction.kernels();
+        kernels.evaluate(credited, &mut self.psi);
+        let missing = error / self.stiffness + self.past.at(self.config.delay);
+        let scale = self.config.learning * advance / (TAU * kernels.mean());
+        let bound = self.config.max_offset;
+        // A single blow must not teach more than the speed limit could follow.
+        let missing = missing.clamp(-0.25 * bound, 0.25 * bound);
+        for (w, psi) in self.correction.weights.iter_mut().zip(&self.psi) {
+            *w = (*w + (scale * psi).min(1.0) * missing).clamp(-bound, bound);
+        }
+    }
+
+    fn command(&mut self, dt: f64, phase: f64) -> SurfaceCommand {
+        let wanted = self.correction.offset(phase) + self.feedback;
+        let most = self.config.max_speed * dt;
+        let moved = (wanted - self.offset).clamp(-most, most);
+        self.offset += moved;
+        SurfaceCommand { offset: self.offset, velocity: moved / dt }
+    }
+
+    fn note(&mut self, credited: f64, phase: f64, advance: f64, error: f64, force: f64) {
+        self.cycle.add(advance, error);
+        self.stiffness_by_cycle.add(credited, phase, force, self.offset);
+        if self.cycle.turned < TAU {
+            return;
+        }
+        let rms = (self.cycle.square / self.cycle.weight.max(f64::MIN_POSITIVE)).sqrt();
+        if self.rms.len() == REMEMBERED {
+            self.rms.remove(0);
+        }
+        self.rms.push(rms);
+        self.cycles = self.cycles.saturating_add(1);
+        self.cycle = Cycle::default();
+        self.stiffness = self.stiffness_by_cycle.close(self.stiffness);
+    }
+
+    /// Root mean square force error of each whole cycle so far, N, the newest last (256 at most).
+    #[must_use]
+    pub fn rms(&self) -> &[f64] {
+        &self.rms
+    }
+
+    /// Whole cycles so far.
+    #[must_use]
+    pub fn cycles(&self) -> u32 {
+        self.cycles
+    }
+
+    /// Whether the force error of the last two cycles was within `tolerance` N (root mean square, noise included).
+    #[must_use]
+    pub fn settled(&self, tolerance: f64) -> bool {
+        self.rms.len() >= 2 && self.rms.iter().rev().take(2).all(|rms| *rms <= tolerance)
+    }
+
+    /// The stiffness that the contact has by what was seen, N/m.
+    #[must_use]
+    pub fn stiffness(&self) -> f64 {
+        self.stiffness
+    }
+
+    /// By which factor the motion should go slower while the force is far off, 0.4 to 1.
+    #[must_use]
+    pub fn pace(&self) -> f64 {
+        (1.3 - self.smooth_error.abs() / self.config.force).clamp(0.4, 1.0)
+    }
+
+    /// Turns the feedback on or off; what it has added so far goes into the learned motion, so that nothing jumps.
+    pub fn set_feedback(&mut self, on: bool) {
+        if !on {
+            for w in &mut self.correction.weights {
+                *w += self.feedback;
+            }
+            self.feedback = 0.0;
+            self.past = Past::default();
+        }
+        self.feedback_on = on;
+    }
+
+    /// Turns the learning on or off.
+    pub fn set_learning(&mut self, on: bool) {
+        self.learning_on = on;
+    }
+
+    /// What was learned so far.
+    #[must_use]
+    pub fn correction(&self) -> &SurfaceCorrection {
+        &self.correction
+    }
+}
+
+/// The feedback of the last moments, so that it can be read as of the delay ago.
+#[derive(Debug, Clone)]
+struct Past {
+    values: [f64; 128],
+    spacing: f64,
+    since: f64,
+    head: usize,
+}
+
+impl Default for Past {
+    fn default() -> Self {
+        Self { values: [0.0; 128], spacing: 0.004, since: f64::INFINITY, head: 0 }
+    }
+}
+
+impl Past {
+    fn push(&mut self, dt: f64, value: f64) {
+        self.since += dt;
+        if self.since >= self.spacing {
+            self.since = 0.0;
+            self.head = (self.head + 1) % self.values.len();
+            self.values[self.head] = value;
+        }
+    }
+
+    fn at(&self, delay: f64) -> f64 {
+        let back = ((delay - self.since) / self.spacing).round().clamp(0.0, 127.0) as usize;
+        self.values[(self.head + self.values.len() - back) % self.values.len()]
+    }
+}
+
+/// Sums over the running cycle.
+#[derive(Debug, Clone, Copy, Default)]
+struct Cycle {
+    turned: f64,
+    square: f64,
+    weight: f64,
+}
+
+impl Cycle {
+    fn add(&mut self, advance: f64, error: f64) {
+        self.turned += advance;
+        self.square += advance * error * error;
+        self.weight += advance;
+    }
+}
+
+/// Places over the phase at which two cycles are compared.
+const BINS: usize = 48;
+
+/// Force and offset over the phase, of this cycle and the last one.
+#[derive(Debug, Clone)]
+struct StiffnessEstimate {
+    force: [[f64; BINS]; 2],
+    force_count: [[f64; BINS]; 2],
+    offset: [[f64; BINS]; 2],
+    offset_count: [[f64; BINS]; 2],
+    products: f64,
+    squares: f64,
+}
+
+impl Default for StiffnessEstimate {
+    fn default() -> Self {
+        let zero = [[0.0; BINS]; 2];
+        Self { force: zero, force_count: zero, offset: zero, offset_count: zero, products: 0.0, squares: 0.0 }
+    }
+}
+
+impl StiffnessEstimate {
+    fn bin(phase: f64) -> usize {
+        ((phase / TAU).rem_euclid(1.0) * BINS as f64) as usize % BINS
+    }
+
+    fn add(&mut self, credited: f64, phase: f64, force: f64, offset: f64) {
+        let (f, o) = (Self::bin(credited), Self::bin(phase));
+        self.force[0][f] += force;
+        self.force_count[0][f] += 1.0;
+        self.offset[0][o] += offset;
+        self.offset_count[0][o] += 1.0;
+    }
+
+    /// Ends a cycle and returns the new estimate from the old one.
+    fn close(&mut self, old: f64) -> f64 {
+        let mean = |sum: &[[f64; BINS]; 2], count: &[[f64; BINS]; 2], cycle: usize, bin: usize| {
+            (count[cycle][bin] > 0.0).then(|| sum[cycle][bin] / count[cycle][bin])
+        };
+        // The old estimate counts like 48 differences of 0.1 mm, against noise when nothing changes any more.
+        let prior = BINS as f64 * 1e-8;
+        self.products *= 0.5;
+        self.squares *= 0.5;
+        for bin in 0..BINS {
+            let f = [0, 1].map(|cycle| mean(&self.force, &self.force_count, cycle, bin));
+            let o = [0, 1].map(|cycle| mean(&self.offset, &self.offset_count, cycle, bin));
+            if let ([Some(f), Some(g)], [Some(o), Some(p)]) = (f, o)
+                && f > 0.5
+                && g > 0.5
+            {
+                self.products -= (f - g) * (o - p);
+                self.squares += (o - p) * (o - p);
+            }
+        }
+        for sums in [&mut self.force, &mut self.force_count, &mut self.offset, &mut self.offset_count] {
+            sums[1] = sums[0];
+            sums[0] = [0.0; BINS];
+        }
+        let new = (self.products + prior * old) / (self.squares + prior);
+        new.clamp(0.5 * old, 2.0 * old).clamp(200.0, 20_000.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, Normal};
+
+    struct Bench {
+        stiffness: f64,
+        dt: f64,
+        hz: f64,
+        force: f64,
+        height: fn(f64) -> f64,
+        lag: f64,
+        dead: f64,
+        start: f64,
+    }
+
+    /// A wiping path over a table tilted by 4 degrees about both axes with a bump of 5 mm.
+    fn tilted(phase: f64) -> f64 {
+        let (x, y) = (0.06 * phase.cos(), 0.04 * phase.sin());
+        let bump = 0.005 * (-((x - 0.05).powi(2) + y.powi(2)) / (2.0 * 0.025_f64.powi(2))).exp();
+        0.07 * x - 0.04 * y + bump
+    }
+
+    fn of_the_design_page(phase: f64) -> f64 {
+        let (x, y) = (0.15 * phase.sin(), 0.1 * (2.0 * phase + 0.3).sin());
+        0.02 * x - 0.03 * y + 0.01 * (-((x - 0.1).powi(2) + (y - 0.05).powi(2)) / 0.005).exp()
+    }
+
+    struct Result {
+        rms: Vec<f64>,
+        off: f64,
+        worst_late: f64,
+        stiffness: f64,
+        fastest: f64,
+    }
+
+    /// `cycles` of adaptation, then 4 with the feedback off, on a simulated contact: arm lag, dead time, noise.
+    fn run(bench: &Bench, config: SurfaceConfig, cycles: u32) -> Result {
+        let mut adaptation = SurfaceAdaptation::new(config.clone()).unwrap();
+        let mut random = ChaCha8Rng::seed_from_u64(7);
+        let noise = Normal::new(0.0, 0.3).unwrap();
+        let omega = TAU * bench.hz;
+        let dead = (bench.dead / bench.dt).round() as usize;
+        let mut commands = vec![(0.0, 0.0); dead + 1];
+        let (mut z, mut along, mut phase) = (0.0_f64, 0.0_f64, 0.0_f64);
+        let (mut off, mut off_count, mut worst_late, mut fastest) = (0.0, 0.0, 0.0_f64, 0.0_f64);
+        let mut k = 0;
+        while adaptation.cycles() < cycles + 4 {
+            // The hand follows what was commanded some time ago, with a lag, along the surface as well.
+            let (old_offset, old_phase) = commands[k % (dead + 1)];
+            let share = 1.0 - (-bench.dt / bench.lag).exp();
+            z += share * (bench.start + old_offset - z);
+            along += share * (old_phase - along);
+            let truth = (bench.stiffness * ((bench.height)(along) - z)).max(0.0);
+            let pace = if adaptation.cycles() < 3 { adaptation.pace() } else { 1.0 };
+            let speed = omega * pace;
+            let c = adaptation
+                .step(bench.dt, phase.rem_euclid(TAU), speed, truth + noise.sample(&mut random))
+                .unwrap();
+            fastest = fastest.max(c.velocity.abs());
+            commands[k % (dead + 1)] = (c.offset, phase);
+            if adaptation.cycles() >= cycles {
+                if off_count == 0.0 {
+                    adaptation.set_feedback(false);
+                    adaptation.set_learning(false);
+                }
+                off += (truth - bench.force).powi(2);
+                off_count += 1.0;
+            } else if adaptation.cycles() + 3 >= cycles {
+                worst_late = worst_late.max((truth - bench.force).abs());
+            }
+            phase += speed * bench.dt;
+            k += 1;
+        }
+        Result {
+            rms: adaptation.rms().to_vec(),
+            off: (off / off_count).sqrt(),
+            worst_late,
+            stiffness: adaptation.stiffness(),
+            fastest,
+        }
+    }
+
+    #[test]
+    fn the_force_is_learned_and_holds_with_the_feedback_off() {
+        for stiffness in [500.0, 2000.0, 8000.0] {
+            for hz in [0.3, 0.5, 0.8] {
+                for (dt, force) in [(0.001, 8.0), (0.005, 5.0), (0.001, 15.0)] {
+                    for (lag, dead) in [(0.02, 0.01), (0.05, 0.01), (0.008, 0.004)] {
+                        let start = -force / stiffness + tilted(0.0);
+                        let bench = Bench { stiffness, dt, hz, force, height: tilted, lag, dead, start };
+                        let r = run(&bench, SurfaceConfig { force, ..SurfaceConfig::default() }, 12);
+                        println!(
+                            "k {stiffness} f {hz} dt {dt} F {force} lag {lag}: first {:.2} 4th {:.2} last {:.2} off {:.2} late {:.2} k^ {:.0} v {:.3}",
+                            r.rms[0], r.rms[3], r.rms[11], r.off, r.worst_late, r.stiffness, r.fastest
+                        );
+                        let allowed = 0.25_f64.max(stiffness * 1e-4);
+                        assert!(r.off < allowed, "off {}", r.off);
+                        assert!(r.rms[11] < 0.85, "last cycle {}", r.rms[11]);
+                        assert!(r.worst_late < 3.5, "late {}", r.worst_late);
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_table_of_the_design_page() {
+        for stiffness in [500.0, 2000.0, 8000.0] {
+            let bench = Bench {
+                stiffness,
+                dt: 0.005,
+                hz: 0.5,
+                force: 10.0,
+                height: of_the_design_page,
+                lag: 1e-6,
+                dead: 0.005,
+                start: 0.020,
+            };
+            let config = SurfaceConfig { force: 10.0, delay: 0.005, ..SurfaceConfig::default() };
+            let r = run(&bench, config, 16);
+            println!("page k {stiffness}: {:?} off {:.3}", r.rms, r.off);
+            assert!(r.off < 0.2_f64.max(stiffness * 1e-4), "{stiffness} {}", r.off);
+        }
+    }
+
+    #[test]
+    fn a_refused_step_changes_nothing() {
+        let mut a = SurfaceAdaptation::new(SurfaceConfig::default()).unwrap();
+        a.step(0.001, 0.0, 3.0, 2.0).unwrap();
+        let before = format!("{a:?}");
+        assert!(a.step(0.0, 0.0, 3.0, 2.0).is_err());
+        assert!(a.step(0.001, f64::NAN, 3.0, 2.0).is_err());
+        assert!(a.step(0.001, 0.0, -3.0, 2.0).is_err());
+        assert!(a.step(0.001, 0.0, 3.0, f64::INFINITY).is_err());
+        assert_eq!(format!("{a:?}"), before);
+    }
+}

@@ -1,0 +1,239 @@
+//! Getting into contact: lower until the surface is felt, then press up to the desired force, with little overshoot
+//! on a surface of unknown stiffness.
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{MotionError, positive, within};
+
+/// The constants of a [`Touchdown`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TouchdownConfig {
+    /// Desired normal force, N.
+    pub force: f64,
+    /// Speed of the approach, m/s. The force rises by stiffness times speed times delay before anything can be done.
+    pub speed: f64,
+    /// Force that is contact, N; over noise and bias.
+    pub contact_force: f64,
+    /// For so long the force must be over it, s.
+    pub contact_time: f64,
+    /// The stiffest contact that is expected, N/m.
+    pub stiffness: f64,
+    /// Time constant of pressing, s, at that stiffness.
+    pub press_time: f64,
+    /// The force is reached when it stays within this share of the desired one ...
+    pub tolerance: f64,
+    /// ... for so long, s.
+    pub hold_time: f64,
+    /// The farthest way down, m.
+    pub farthest: f64,
+    /// The longest that pressing may take, s.
+    pub longest_press: f64,
+}
+
+impl Default for TouchdownConfig {
+    fn default() -> Self {
+        Self {
+            force: 8.0,
+            speed: 0.03,
+            contact_force: 1.5,
+            contact_time: 0.004,
+            stiffness: 8000.0,
+            press_time: 0.12,
+            tolerance: 0.15,
+            hold_time: 0.15,
+            farthest: 0.3,
+            longest_press: 6.0,
+        }
+    }
+}
+
+/// How a touchdown stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TouchdownStatus {
+    /// On the way down.
+    Approaching,
+    /// In contact, on the way to the force.
+    Pressing,
+    /// The force is reached and held.
+    Done,
+    /// There was no surface on the allowed way.
+    NoSurface,
+    /// The contact was made, but the force was not reached in time.
+    NotReached,
+}
+
+/// Lowers the hand onto a surface.
+#[derive(Debug, Clone)]
+pub struct Touchdown {
+    config: TouchdownConfig,
+    status: TouchdownStatus,
+    smooth: f64,
+    over: f64,
+    held: f64,
+    pressing: f64,
+    depth: f64,
+    contact_depth: f64,
+    velocity: f64,
+}
+
+impl Touchdown {
+    /// Above the surface, before the first step.
+    ///
+    /// # Errors
+    /// When a constant is not positive.
+    pub fn new(config: TouchdownConfig) -> Result<Self, MotionError> {
+        for (what, value) in [
+            ("force", config.force),
+            ("speed", config.speed),
+            ("contact_force", config.contact_force),
+            ("stiffness", config.stiffness),
+            ("press_time", config.press_time),
+            ("tolerance", config.tolerance),
+            ("farthest", config.farthest),
+            ("longest_press", config.longest_press),
+        ] {
+            positive(what, value)?;
+        }
+        within("contact_time", config.contact_time, 0.0, 1.0)?;
+        within("hold_time", config.hold_time, 0.0, 60.0)?;
+        Ok(Self {
+            config,
+            status: TouchdownStatus::Approaching,
+            smooth: 0.0,
+            over: 0.0,
+            held: 0.0,
+            pressing: 0.0,
+            depth: 0.0,
+            contact_depth: 0.0,
+            velocity: 0.0,
+        })
+    }
+
+    /// `dt` s later, with the measured normal force `force` (N, pressing is positive): the velocity along the outward
+    /// normal to command, m/s (negative is down), 0 once it has ended.
+    ///
+    /// # Errors
+    /// When `dt` is not positive or the force not finite; nothing is changed.
+    pub fn step(&mut self, dt: f64, force: f64) -> Result<f64, MotionError> {
+        positive("dt", dt)?;
+        within("force", force, -1e6, 1e6)?;
+        self.smooth += (force - self.smooth) * (1.0 - (-dt / 0.006).exp());
+        self.velocity = match self.status {
+            TouchdownStatus::Approaching => self.approach(dt, force),
+            TouchdownStatus::Pressing => self.press(dt),
+            _ => 0.0,
+        };
+        self.depth -= self.velocity * dt;
+        Ok(self.velocity)
+    }
+
+    fn approach(&mut self, dt: f64, force: f64) -> f64 {
+        self.over = if force > self.config.contact_force { self.over + dt } else { 0.0 };
+        // A hard blow needs no second sample.
+        if self.over > self.config.contact_time || force > 0.6 * self.config.force + self.config.contact_force
+        {
+            self.status = TouchdownStatus::Pressing;
+            self.contact_depth = self.depth;
+            self.smooth = force;
+            return 0.0;
+        }
+        if self.depth >= self.config.farthest {
+            self.status = TouchdownStatus::NoSurface;
+            return 0.0;
+        }
+        -self.config.speed
+    }
+
+    fn press(&mut self, dt: f64) -> f64 {
+        let error = self.smooth - self.config.force;
+        let near = error.abs() <= self.config.tolerance * self.config.force;
+        self.held = if near { self.held + dt } else { 0.0 };
+        self.pressing += dt;
+        if self.held > self.config.hold_time {
+            self.status = TouchdownStatus::Done;
+            return 0.0;
+        }
+        if self.pressing > self.config.longest_press {
+            self.status = TouchdownStatus::NotReached;
+            return 0.0;
+        }
+        // A soft surface is pressed faster the longer it takes: stiffness is what the way so far has shown.
+        let softer = (self.pressing / 0.5).clamp(1.0, 8.0);
+        let rate = softer / (self.config.stiffness * self.config.press_time);
+        (rate * error).clamp(-self.config.speed, self.config.speed)
+    }
+
+    /// How the touchdown stands.
+    #[must_use]
+    pub fn status(&self) -> TouchdownStatus {
+        self.status
+    }
+
+    /// How far down it has gone since the first step, m.
+    #[must_use]
+    pub fn depth(&self) -> f64 {
+        self.depth
+    }
+
+    /// The stiffness that the way from contact to now shows, N/m, once it was pressed by a measurable way.
+    #[must_use]
+    pub fn stiffness(&self) -> Option<f64> {
+        let way = self.depth - self.contact_depth;
+        (self.status == TouchdownStatus::Done && way > 2e-4).then(|| {
+            ((self.config.force - self.config.contact_force) / way).clamp(200.0, 2.0 * self.config.stiffness)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, Normal};
+
+    fn land(stiffness: f64, delay: f64, force: f64, dt: f64) -> (f64, f64, TouchdownStatus) {
+        let mut law = Touchdown::new(TouchdownConfig { force, ..TouchdownConfig::default() }).unwrap();
+        let mut random = ChaCha8Rng::seed_from_u64(5);
+        let noise = Normal::new(0.0, 0.3).unwrap();
+        let steps = (delay / dt).round() as usize;
+        let mut queue = vec![0.0; steps + 1];
+        let (mut z, mut worst, mut t) = (0.05_f64, 0.0_f64, 0.0);
+        for k in 0.. {
+            z += queue[k % (steps + 1)] * dt;
+            let truth = (-stiffness * z).max(0.0);
+            worst = worst.max(truth);
+            queue[k % (steps + 1)] = law.step(dt, truth + noise.sample(&mut random)).unwrap();
+            t += dt;
+            if !matches!(law.status(), TouchdownStatus::Approaching | TouchdownStatus::Pressing) {
+                break;
+            }
+        }
+        (worst, t, law.status())
+    }
+
+    #[test]
+    fn it_lands_softly_on_everything() {
+        for stiffness in [500.0, 2000.0, 8000.0] {
+            for delay in [0.005, 0.02] {
+                for (force, dt) in [(5.0, 0.001), (8.0, 0.001), (15.0, 0.005)] {
+                    let (worst, t, status) = land(stiffness, delay, force, dt);
+                    println!("{stiffness} {delay} {force}: {worst:.1} N {t:.2} s");
+                    assert_eq!(status, TouchdownStatus::Done);
+                    assert!(worst < 18.0 && t < 6.0, "{stiffness} {delay} {force}: {worst} N {t} s");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn without_a_surface_it_says_so() {
+        let mut law = Touchdown::new(TouchdownConfig::default()).unwrap();
+        for _ in 0..20_000 {
+            law.step(0.001, 0.0).unwrap();
+        }
+        assert_eq!(law.status(), TouchdownStatus::NoSurface);
+        assert!((law.depth() - 0.3).abs() < 1e-3);
+    }
+}
