@@ -116,7 +116,7 @@ impl HandPose {
     #[must_use]
     pub fn blend(a: &Self, b: &Self, t: f64) -> Self {
         let t = t.clamp(0.0, 1.0);
-        let between = |a: f64, b: f64| a + (b - a) * t;
+        let between = |a: f64, b: f64| a * (1.0 - t) + b * t;
         let flexion = std::array::from_fn(|i| between(a.flexion[i], b.flexion[i]));
         Self { flexion, spread: between(a.spread, b.spread) }
     }
@@ -259,4 +259,84 @@ fn tinted(color: [u8; 3], brightness: f64, redness: f64) -> [u8; 3] {
     let [r, g, b] = color.map(f64::from);
     let cold = brightness * (1.0 - redness);
     [(r * brightness).round() as u8, (g * cold).round() as u8, (b * cold).round() as u8]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Scene, Viewpoint, render};
+    use super::*;
+    use armarium_visionx::PinholeCamera;
+
+    const GESTURES: [HandGesture; 4] =
+        [HandGesture::Fist, HandGesture::OpenHand, HandGesture::PointOne, HandGesture::PointTwo];
+
+    #[test]
+    fn only_straight_fingers_reach_out() {
+        for (gesture, straight) in GESTURES.into_iter().zip([&[][..], &[1, 2, 3, 4], &[1], &[1, 2]]) {
+            for (finger, tip) in fingertips(&HandPose::of(gesture)).iter().enumerate().skip(1) {
+                assert_eq!(tip.z > 0.09, straight.contains(&finger), "{gesture:?} {finger} {tip}");
+                assert!(tip.z > 0.0 && tip.x > -0.01, "{gesture:?} {finger} {tip}");
+            }
+        }
+    }
+
+    #[test]
+    fn straight_fingertips_stand_apart() {
+        for gesture in [HandGesture::OpenHand, HandGesture::PointTwo] {
+            let tips = fingertips(&HandPose::of(gesture));
+            let straight = if gesture == HandGesture::OpenHand { 0..5 } else { 1..3 };
+            for pair in tips[straight].windows(2) {
+                let gap = (pair[0] - pair[1]).norm();
+                assert!((0.028..0.11).contains(&gap), "{gesture:?}: {gap} m");
+            }
+        }
+    }
+
+    #[test]
+    fn a_change_of_gesture_is_a_movement() {
+        let (a, b) = (HandPose::of(HandGesture::Fist), HandPose::of(HandGesture::OpenHand));
+        assert_eq!(HandPose::blend(&a, &b, 0.0), a);
+        assert_eq!(HandPose::blend(&a, &b, 1.5), b);
+        for step in 0..100 {
+            let at = |i: i32| fingertips(&HandPose::blend(&a, &b, f64::from(i) / 100.0));
+            for (before, after) in at(step).iter().zip(at(step + 1)) {
+                assert!((before - after).norm() < 0.006, "a hundredth of the way moves a tip {before} to {after}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_camera_sees_the_tips_where_they_are_and_in_the_colour_of_skin() {
+        let camera = PinholeCamera { width: 320, height: 240, focal: 257.5, center: [159.5, 119.5] };
+        // The back of the hand, its fingers up in the picture.
+        let viewpoint = Viewpoint::look_at(camera, Vector3::new(0.0, -0.6, 1.03), Vector3::new(0.0, 0.0, 1.03));
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
+        let scene_from_hand = Isometry3::from_parts(Translation3::new(0.0, 0.0, 1.0), turn);
+        for (gesture, straight) in [(HandGesture::OpenHand, 1..5), (HandGesture::PointTwo, 1..3)] {
+            let scene = Scene::new(coach_hand(gesture, &scene_from_hand));
+            let seen = render(&scene, &viewpoint);
+            let tips = fingertips(&HandPose::of(gesture));
+            for finger in straight {
+                let tip = viewpoint.scene_from_camera.inverse() * scene_from_hand * tips[finger];
+                let at = camera.project(&tip).unwrap();
+                let (u, v) = (at.x.round() as u32, at.y.round() as u32);
+                let depth = f64::from(seen.depth.data[(v * 320 + u) as usize]);
+                assert!((depth - (tip.z - tip_radius(finger))).abs() < 0.002, "{gesture:?} {finger}: {depth} {tip}");
+                let [r, g, b] = seen.image.pixel(u, v).map(f64::from);
+                assert!((g / r - 0.757).abs() < 0.03 && (b / r - 0.605).abs() < 0.03, "{r} {g} {b}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_landmarks_hold_the_hand() {
+        for gesture in GESTURES {
+            let pose = HandPose::of(gesture);
+            let landmarks = landmarks(&pose);
+            assert_eq!(landmarks.len(), 2 * (4 + 5 * 3));
+            for tip in fingertips(&pose) {
+                assert!(landmarks.iter().any(|(ball, _)| (ball - tip).norm() < 1e-12));
+            }
+        }
+    }
 }

@@ -1,0 +1,151 @@
+//! Draws a table with a sponge, the robot and the coach's hand in every gesture as the robot's left eye sees them, and
+//! says how fast: `cargo run --release -p armarium-simulator --example scene_png -- DIRECTORY`.
+//!
+//! The PNG files are written without compression, so that nothing but the renderer is needed.
+
+use std::io::Write;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+use armarium_robot::{Kinematics, Model};
+use armarium_simulator::render::hand::{HandGesture, coach_hand};
+use armarium_simulator::render::robot::robot_shapes;
+use armarium_simulator::render::{
+    Bump, DirtTexture, Geometry, Scene, SensorNoise, Shape, Viewpoint, render, render_pair,
+};
+use armarium_visionx::{Image, PinholeCamera};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+const CAMERA: PinholeCamera = PinholeCamera { width: 640, height: 480, focal: 515.0, center: [319.5, 239.5] };
+/// Pictures drawn to measure the speed.
+const ROUNDS: u32 = 200;
+
+fn main() -> std::io::Result<()> {
+    let directory = std::env::args().nth(1).unwrap_or_else(|| ".".into());
+    let directory = Path::new(&directory);
+    let left = Viewpoint::look_at(CAMERA, Vector3::new(-0.0465, 0.245, 1.65), Vector3::new(0.28, 0.53, 0.95));
+    let right = left.shifted_right(0.093);
+    let noise = SensorNoise::new(2.0, 1);
+
+    let gestures = [HandGesture::Fist, HandGesture::OpenHand, HandGesture::PointOne, HandGesture::PointTwo];
+    for (number, gesture) in gestures.into_iter().enumerate() {
+        let scene = Scene::new(table().into_iter().chain(robot()).chain(hand(gesture)).collect());
+        let [mut seen, mut other] = render_pair(&scene, &[left, right]);
+        noise.apply(&mut seen.image, number as u64, 0);
+        noise.apply(&mut other.image, number as u64, 1);
+        write_png(&directory.join(format!("scene_{gesture:?}_left.png")), &seen.image)?;
+        write_png(&directory.join(format!("scene_{gesture:?}_right.png")), &other.image)?;
+    }
+
+    let scene = Scene::new(table().into_iter().chain(robot()).chain(hand(HandGesture::OpenHand)).collect());
+    let began = Instant::now();
+    for frame in 0..ROUNDS {
+        let mut seen = render(&scene, &left);
+        noise.apply(&mut seen.image, u64::from(frame), 0);
+    }
+    let one = f64::from(ROUNDS) / began.elapsed().as_secs_f64();
+    let began = Instant::now();
+    for _ in 0..ROUNDS {
+        let _ = render_pair(&scene, &[left, right]);
+    }
+    let pairs = f64::from(ROUNDS) / began.elapsed().as_secs_f64();
+    writeln!(
+        std::io::stdout(),
+        "{} shapes: {one:.0} pictures/s on one thread with noise, {pairs:.0} pairs/s on two",
+        scene.shapes.len()
+    )
+}
+
+fn table() -> Vec<Shape> {
+    let half = Vector3::new(0.5, 0.35, 0.015);
+    let mut dirt = DirtTexture::clean(200, 140, [92, 80, 60]);
+    for (i, cell) in dirt.cells.iter_mut().enumerate() {
+        let [x, y] = [(i % 200) as f64 * 0.005 - 0.5, (i / 200) as f64 * 0.005 - 0.35];
+        let (across, along) = ((x - 0.05) / 0.2, (y + 0.03) / 0.14);
+        if across * across + along * along < 1.0 {
+            *cell = 110 + (i * 37 % 60) as u8;
+        }
+    }
+    let bumps = Arc::from([Bump { at: [0.03, -0.05], height: 0.004, radius: 0.05 }]);
+    let pose = |x: f64, y: f64, z: f64, turn: UnitQuaternion<f64>| {
+        Isometry3::from_parts(Translation3::new(x, y, z), turn)
+    };
+    let tilt = UnitQuaternion::from_euler_angles(0.017, -0.026, 0.0);
+    let yaw = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.35);
+    let mut shapes = vec![
+        Shape {
+            geometry: Geometry::Tabletop { half, bumps, dirt: Some(Arc::new(dirt)) },
+            scene_from_shape: pose(0.25, 0.60, 0.935, tilt),
+            color: [150, 115, 80],
+        },
+        Shape {
+            geometry: Geometry::Box { half: Vector3::new(0.05, 0.035, 0.02) },
+            scene_from_shape: pose(0.38, 0.47, 0.973, tilt * yaw),
+            color: [240, 210, 40],
+        },
+    ];
+    for [x, y] in [[-0.2, 0.3], [0.7, 0.3], [-0.2, 0.9], [0.7, 0.9]] {
+        shapes.push(Shape {
+            geometry: Geometry::Cylinder { radius: 0.025, half_length: 0.46 },
+            scene_from_shape: pose(x, y, 0.46, UnitQuaternion::identity()),
+            color: [96, 98, 104],
+        });
+    }
+    shapes
+}
+
+fn robot() -> Vec<Shape> {
+    let model = Arc::new(Model::armar3());
+    robot_shapes(&Kinematics::new(&model), &Isometry3::identity())
+}
+
+/// The hand over the far side of the table, its back up, pointing at the robot.
+fn hand(gesture: HandGesture) -> Vec<Shape> {
+    let axes = Matrix3::from_columns(&[-Vector3::z(), Vector3::x(), -Vector3::y()]);
+    let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
+    coach_hand(gesture, &Isometry3::from_parts(Translation3::new(0.12, 0.66, 1.06), turn))
+}
+
+/// Writes an image as an uncompressed PNG file (RFC 2083, stored blocks of RFC 1951).
+fn write_png(path: &Path, image: &Image) -> std::io::Result<()> {
+    let mut rows = Vec::new();
+    for row in image.data().chunks(image.width() as usize * 3) {
+        rows.push(0);
+        rows.extend_from_slice(row);
+    }
+    let mut stream = vec![0x78, 0x01];
+    let blocks = rows.chunks(0xFFFF).count();
+    for (i, block) in rows.chunks(0xFFFF).enumerate() {
+        stream.push(u8::from(i + 1 == blocks));
+        stream.extend_from_slice(&(block.len() as u16).to_le_bytes());
+        stream.extend_from_slice(&(!(block.len() as u16)).to_le_bytes());
+        stream.extend_from_slice(block);
+    }
+    let (a, b) = rows.iter().fold((1_u32, 0_u32), |(a, b), &byte| {
+        let a = (a + u32::from(byte)) % 65521;
+        (a, (b + a) % 65521)
+    });
+    stream.extend_from_slice(&(b << 16 | a).to_be_bytes());
+
+    let mut file = std::fs::File::create(path)?;
+    file.write_all(b"\x89PNG\r\n\x1a\n")?;
+    let mut header = Vec::new();
+    header.extend_from_slice(&image.width().to_be_bytes());
+    header.extend_from_slice(&image.height().to_be_bytes());
+    header.extend_from_slice(&[8, 2, 0, 0, 0]);
+    for (name, data) in [(b"IHDR", header), (b"IDAT", stream), (b"IEND", Vec::new())] {
+        let body = [&name[..], &data[..]].concat();
+        file.write_all(&(data.len() as u32).to_be_bytes())?;
+        file.write_all(&body)?;
+        file.write_all(&checksum(&body).to_be_bytes())?;
+    }
+    Ok(())
+}
+
+/// CRC-32 of a PNG chunk.
+fn checksum(data: &[u8]) -> u32 {
+    !data.iter().fold(!0_u32, |crc, &byte| {
+        (0..8).fold(crc ^ u32::from(byte), |c, _| if c & 1 == 1 { 0xEDB8_8320 ^ (c >> 1) } else { c >> 1 })
+    })
+}
