@@ -18,6 +18,7 @@ mod ik;
 mod kinematics;
 mod lease;
 mod model;
+mod pose_ik;
 mod wrist;
 
 pub use boundary::{Fault, LeaseError, LeaseLimits, Robot, RobotError, Sensed, Wrist};
@@ -29,4 +30,10 @@ pub use lease::{Commander, GuardedRobot, Lease};
 pub use model::{
     Collision, GRAVITY, Inertial, Joint, JointKind, Limb, LimbSpec, Link, LinkId, Model, Shape, Visual,
 };
+pub use pose_ik::{IkError, PoseOptions, pose_error, solve_pose};
 pub use wrist::load_mass;
+
+#[cfg(test)]
+mod ik_tests;
+#[cfg(test)]
+mod kinematics_tests;

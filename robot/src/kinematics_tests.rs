@@ -1,0 +1,250 @@
+//! The description against the published test vectors, and Jacobians and torques against finite differences.
+
+use std::sync::Arc;
+
+use nalgebra::{Point3, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::{Dynamics, GRAVITY, JointKind, Kinematics, Model, Shape, Twist, pose_error};
+
+fn armar3() -> Arc<Model> {
+    Arc::new(Model::armar3())
+}
+
+fn random_q(model: &Model, rng: &mut ChaCha8Rng) -> Vec<f64> {
+    model.joints().iter().map(|j| rng.random_range(j.lower..=j.upper)).collect()
+}
+
+fn origin_mm(model: &Model, q: &[f64], link: &str) -> Vector3<f64> {
+    model.link_pose(q, model.require_link(link).unwrap()).translation.vector * 1e3
+}
+
+#[track_caller]
+fn near(got: Vector3<f64>, expected: [f64; 3], tolerance: f64) {
+    let error = (got - Vector3::from(expected)).norm();
+    assert!(error <= tolerance, "{got:?} is {error} from {expected:?}");
+}
+
+/// Node, origin mm (right arm; the left mirrors x), axis right, axis left, all joints at 0.
+type Node = (&'static str, [f64; 3], [f64; 3], [f64; 3]);
+const NODES: [Node; 7] = [
+    ("shoulder_1", [232.0, 123.0, 1375.0], [-1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]),
+    ("shoulder_2", [232.0, 123.0, 1375.0], [0.0, -1.0, 0.0], [0.0, -1.0, 0.0]),
+    ("upperarm", [232.0, 123.0, 1375.0], [-0.259, 0.0, 0.966], [0.259, 0.0, 0.966]),
+    ("elbow", [312.234, 143.0, 1075.56], [0.966, 0.0, 0.259], [0.966, 0.0, -0.259]),
+    ("underarm", [319.478, 143.0, 1077.5], [0.0, -1.0, 0.0], [0.0, -1.0, 0.0]),
+    ("wrist_1", [319.478, 383.0, 1077.5], [0.259, 0.0, -0.966], [-0.259, 0.0, -0.966]),
+    ("wrist_2", [319.478, 383.0, 1077.5], [-0.966, 0.0, -0.259], [-0.966, 0.0, 0.259]),
+];
+
+#[test]
+fn the_arms_stand_where_the_published_model_says() {
+    let model = armar3();
+    let kinematics = Kinematics::new(&model);
+    let q = model.zero();
+    for (name, origin, right, left) in NODES {
+        let mirrored = [-origin[0], origin[1], origin[2]];
+        for (side, origin, axis) in [("r", origin, right), ("l", mirrored, left)] {
+            let name = format!("{name}_{side}");
+            near(origin_mm(&model, &q, &name), origin, 0.006);
+            near(*kinematics.axis(model.require_joint(&name).unwrap()), axis, 1e-3);
+        }
+    }
+    near(origin_mm(&model, &q, "tcp_right"), [319.478, 513.0, 1077.504], 0.006);
+    near(origin_mm(&model, &q, "tcp_left"), [-319.478, 513.0, 1077.504], 0.006);
+    let rotation = model.link_pose(&q, model.link("tcp_right").unwrap()).rotation.to_rotation_matrix();
+    let rows = [[0.259, -0.966, 0.0], [0.0, 0.0, 1.0], [-0.966, -0.259, 0.0]];
+    for (row, expected) in rows.iter().enumerate() {
+        near(rotation.matrix().row(row).transpose(), *expected, 1e-3);
+    }
+}
+
+#[test]
+fn single_joints_move_the_tcp_as_published() {
+    let model = armar3();
+    for (joint, degrees, expected) in [
+        ("elbow_r", -90.0_f64, [415.241, 143.0, 720.112]),
+        ("shoulder_1_r", -45.0, [319.478, 609.133, 1440.41]),
+        ("shoulder_2_r", 30.0, [456.506, 513.0, 1161.1]),
+    ] {
+        let mut q = model.zero();
+        q[model.require_joint(joint).unwrap()] = degrees.to_radians();
+        near(origin_mm(&model, &q, "tcp_right"), expected, 0.1);
+    }
+}
+
+#[test]
+fn the_left_arm_mirrors_the_right() {
+    // Mirrored axes turn the other way for shoulder 2, upperarm and underarm, whose limits are mirrored too.
+    let model = armar3();
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let signs = [1.0, -1.0, -1.0, 1.0, -1.0, -1.0, 1.0];
+    for _ in 0..20 {
+        let mut q = model.zero();
+        for ((&r, &l), sign) in model.limb("right_arm").iter().zip(model.limb("left_arm")).zip(signs) {
+            q[r] = rng.random_range(-0.4..0.4);
+            q[l] = sign * q[r];
+        }
+        let right = origin_mm(&model, &q, "tcp_right");
+        near(origin_mm(&model, &q, "tcp_left"), [-right.x, right.y, right.z], 1e-6);
+    }
+}
+
+#[test]
+fn the_description_has_the_frames_and_masses_it_promises() {
+    let model = armar3();
+    let q = model.zero();
+    let mass = |links: &mut dyn Iterator<Item = crate::LinkId>| -> f64 {
+        links.filter_map(|l| model.links()[l.index()].inertial).map(|i| i.mass).sum()
+    };
+    let hand = mass(&mut model.subtree(model.link("wrist_sensor_right").unwrap()));
+    assert!((hand - 1.0).abs() < 1e-9, "the hand weighs {hand} kg");
+    let baseline = origin_mm(&model, &q, "camera_right") - origin_mm(&model, &q, "camera_left");
+    near(baseline, [93.0, 0.0, 0.0], 1e-6);
+    let camera = model.link_pose(&q, model.link("camera_left").unwrap());
+    near(camera * Vector3::z(), [0.0, 1.0, 0.0], 1e-9);
+    near(camera * Vector3::y(), [0.0, 0.0, -1.0], 1e-9);
+    let tcp = model.link_pose(&q, model.link("tcp_right").unwrap());
+    let grasp = model.link_pose(&q, model.link("grasp_right").unwrap());
+    near(pose_error(&tcp, &grasp).linear, (0.08 * (tcp * Vector3::x())).into(), 1e-9);
+    let marker = &model.links()[model.link("hand_marker_right").unwrap().index()].visuals[0];
+    assert_eq!((marker.shape, marker.color), (Shape::Sphere { radius: 0.02 }, [200, 30, 160]));
+    let fingers = model.limb("right_hand");
+    assert!(fingers.iter().all(|&j| model.joints()[j].kind == JointKind::Prismatic));
+    for limb in ["torso", "head", "right_arm", "left_arm"] {
+        assert!(!model.limb(limb).is_empty(), "{limb}");
+    }
+}
+
+#[test]
+fn jacobians_agree_with_finite_differences() {
+    let model = armar3();
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let mut kinematics = Kinematics::new(&model);
+    let joints: Vec<usize> = (0..model.joints().len()).collect();
+    for link in ["tcp_right", "tcp_left", "camera_left", "finger_left_r"] {
+        let link = model.require_link(link).unwrap();
+        for _ in 0..10 {
+            let q = random_q(&model, &mut rng);
+            kinematics.update(&q);
+            let here = *kinematics.pose(link);
+            assert!((here.to_homogeneous() - model.link_pose(&q, link).to_homogeneous()).norm() < 1e-12);
+            let jacobian = kinematics.jacobian(link, &joints);
+            let direction: Vec<f64> = joints.iter().map(|_| rng.random_range(-1.0..1.0)).collect();
+            let step = 1e-6;
+            let at = |sign: f64| -> Vec<f64> {
+                q.iter().zip(&direction).map(|(q, d)| q + sign * step * d).collect()
+            };
+            let moved = pose_error(&model.link_pose(&at(-1.0), link), &model.link_pose(&at(1.0), link));
+            let product = jacobian * nalgebra::DVector::from_vec(direction.clone());
+            // Central differences: error of the order of step², rounding 1e-16 / step.
+            near(moved.linear / (2.0 * step), product.fixed_rows::<3>(0).into_owned().into(), 1e-7);
+            near(moved.angular / (2.0 * step), product.fixed_rows::<3>(3).into_owned().into(), 1e-7);
+            let twist = kinematics.twist(link, &Point3::origin(), &direction);
+            near(twist.linear, product.fixed_rows::<3>(0).into_owned().into(), 1e-12);
+        }
+    }
+}
+
+/// Potential and kinetic energy, J.
+fn energy(model: &Arc<Model>, q: &[f64], velocity: &[f64]) -> (f64, f64) {
+    let mut kinematics = Kinematics::new(model);
+    kinematics.update(q);
+    let (mut potential, mut kinetic) = (0.0, 0.0);
+    for (i, link) in model.links().iter().enumerate() {
+        let Some(body) = link.inertial else { continue };
+        let id = crate::LinkId(i);
+        let pose = kinematics.pose(id);
+        let Twist { linear, angular } = kinematics.twist(id, &body.center, velocity);
+        let local = pose.rotation.inverse() * angular;
+        potential -= body.mass * GRAVITY.dot(&(pose * body.center).coords);
+        kinetic += 0.5 * body.mass * linear.norm_squared() + 0.5 * local.dot(&(body.inertia * local));
+    }
+    (potential, kinetic)
+}
+
+#[test]
+fn gravity_torques_are_the_gradient_of_the_potential() {
+    let model = armar3();
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let mut dynamics = Dynamics::new(&model);
+    let still = vec![0.0; model.joints().len()];
+    for _ in 0..5 {
+        let q = random_q(&model, &mut rng);
+        let torque = dynamics.gravity(&q).to_vec();
+        for (j, torque) in torque.iter().enumerate() {
+            let at = |d: f64| {
+                let mut moved = q.clone();
+                moved[j] += d;
+                energy(&model, &moved, &still).0
+            };
+            let slope = (at(1e-5) - at(-1e-5)) / 2e-5;
+            assert!((slope - torque).abs() < 1e-5, "joint {j}: {slope} and {torque}");
+        }
+    }
+}
+
+#[test]
+fn inverse_dynamics_conserves_energy_and_has_a_symmetric_mass_matrix() {
+    let model = armar3();
+    let mut rng = ChaCha8Rng::seed_from_u64(13);
+    let mut dynamics = Dynamics::new(&model);
+    let n = model.joints().len();
+    let q = random_q(&model, &mut rng);
+    let mut any = |_: usize| rng.random_range(-1.0..1.0);
+    let velocity: Vec<f64> = (0..n).map(&mut any).collect();
+    let acceleration: Vec<f64> = (0..n).map(&mut any).collect();
+    let torque = dynamics.inverse(&q, &velocity, &acceleration).to_vec();
+    let power: f64 = torque.iter().zip(&velocity).map(|(t, v)| t * v).sum();
+    let total = |t: f64| {
+        let q: Vec<f64> = (0..n).map(|j| q[j] + velocity[j] * t + 0.5 * acceleration[j] * t * t).collect();
+        let v: Vec<f64> = (0..n).map(|j| velocity[j] + acceleration[j] * t).collect();
+        let (potential, kinetic) = energy(&model, &q, &v);
+        potential + kinetic
+    };
+    let rate = (total(1e-5) - total(-1e-5)) / 2e-5;
+    assert!((rate - power).abs() < 1e-5 * (1.0 + power.abs()), "{rate} W and {power} W");
+    let gravity = dynamics.gravity(&q).to_vec();
+    let still = vec![0.0; n];
+    let mut mass = nalgebra::DMatrix::zeros(n, n);
+    for j in 0..n {
+        let mut unit = still.clone();
+        unit[j] = 1.0;
+        let column = dynamics.inverse(&q, &still, &unit);
+        for i in 0..n {
+            mass[(i, j)] = column[i] - gravity[i];
+        }
+    }
+    assert!((&mass - mass.transpose()).norm() < 1e-9);
+    assert!(mass.cholesky().is_some(), "a mass matrix is positive definite");
+}
+
+#[test]
+fn broken_descriptions_are_refused_with_the_place() {
+    let link = |n: &str| format!("<link name=\"{n}\"/>");
+    let joint = |kind: &str, p: &str, c: &str, more: &str| {
+        format!("<joint name=\"j\" type=\"{kind}\"><parent link=\"{p}\"/><child link=\"{c}\"/>{more}</joint>")
+    };
+    let limit = "<axis xyz=\"0 0 1\"/><limit lower=\"-1\" upper=\"1\" velocity=\"1\" effort=\"1\"/>";
+    let (a, b) = (link("a"), link("b"));
+    for (inside, says) in [
+        (format!("{a}{b}"), "two roots"),
+        (format!("{a}{}", joint("revolute", "a", "c", limit)), "`c`, which is missing"),
+        (format!("{a}{b}{}", joint("floating", "a", "b", limit)), "Floating"),
+        (
+            format!("{a}{b}{}", joint("revolute", "a", "b", "<axis xyz=\"0 0 0\"/><limit velocity=\"1\"/>")),
+            "no axis",
+        ),
+        (format!("{a}{b}{}", joint("revolute", "a", "b", "<axis xyz=\"0 0 1\"/>")), "`j` needs"),
+        (format!("{a}{}", joint("fixed", "a", "a", "")), "no root"),
+        (format!("{a}{a}"), "two links"),
+        ("<link".to_owned(), "cannot read"),
+    ] {
+        let text = format!("<robot name=\"r\">{inside}</robot>");
+        let error = Model::from_urdf(&text).expect_err(&text).to_string();
+        assert!(error.contains(says), "{error} should say {says}");
+    }
+    let good = format!("<robot name=\"r\">{a}{b}{}</robot>", joint("revolute", "a", "b", limit));
+    assert_eq!(Model::from_urdf(&good).unwrap().joints().len(), 1);
+}

@@ -1,0 +1,267 @@
+//! Inverse kinematics of a whole pose: is it within reach, and with which joints.
+//!
+//! Levenberg-Marquardt from a seed, with restarts from random configurations. It knows no obstacles and plans no path.
+
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Matrix6, Point3, Unit, UnitQuaternion, Vector3, Vector6};
+use rand::{Rng, RngExt};
+
+use crate::{Jacobian, Kinematics, LinkId, Model, Twist};
+
+/// When a pose counts as reached, and how hard to try.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseOptions {
+    /// Largest position error, m.
+    pub position_tolerance: f64,
+    /// Largest orientation error, rad.
+    pub orientation_tolerance: f64,
+    /// Which turns count, about the link's x, y, z; the others are free.
+    pub orient: [bool; 3],
+    /// Distance to keep from joint limits, rad (m).
+    pub margin: f64,
+    /// Iterations from each start.
+    pub iterations: usize,
+    /// Random starts after the seed.
+    pub restarts: usize,
+}
+
+impl Default for PoseOptions {
+    fn default() -> Self {
+        Self {
+            position_tolerance: 1e-4,
+            orientation_tolerance: 1e-3,
+            orient: [true; 3],
+            margin: 0.02,
+            iterations: 100,
+            restarts: 20,
+        }
+    }
+}
+
+/// The pose is out of reach (or was not found): how far the nearest configuration is.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "`{link}` cannot reach the pose: {:.0} mm and {:.1} degrees remain",
+    position_error_m * 1e3,
+    orientation_error_rad.to_degrees()
+)]
+pub struct IkError {
+    /// The link that was to reach it.
+    pub link: String,
+    /// Distance that remains, m.
+    pub position_error_m: f64,
+    /// Angle that remains, of the turns that count, rad.
+    pub orientation_error_rad: f64,
+    /// The nearest configuration of all joints, rad (m).
+    pub nearest: Vec<f64>,
+}
+
+/// Weight of orientation against position while iterating, m/rad.
+const ORIENTATION_WEIGHT: f64 = 0.3;
+/// Largest change of a joint in one iteration, rad (m).
+const LARGEST_CHANGE: f64 = 0.4;
+/// Range of starts for joints without limits, rad.
+const UNBOUNDED: f64 = std::f64::consts::PI;
+
+/// The difference `to - from` of two poses in the root frame: m, and the rotation vector that leads from one to the other,
+/// rad. Times a gain, it is the twist that leads there.
+#[must_use]
+pub fn pose_error(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Twist {
+    Twist {
+        linear: to.translation.vector - from.translation.vector,
+        angular: (to.rotation * from.rotation.inverse()).scaled_axis(),
+    }
+}
+
+/// Finds positions of `joints` for which `link` is at `root_from_target`; the other joints stay as in `seed` (all joints of
+/// the model). Returns all joints; the solution from the seed is preferred.
+///
+/// # Errors
+/// [`IkError`] with the smallest error that was found.
+///
+/// # Source
+/// Sugihara 2011 (damping by the error's square).
+pub fn solve_pose(
+    model: &Arc<Model>,
+    link: LinkId,
+    joints: &[usize],
+    root_from_target: &Isometry3<f64>,
+    seed: &[f64],
+    options: &PoseOptions,
+    rng: &mut impl Rng,
+) -> Result<Vec<f64>, IkError> {
+    let mut solver = Solver::new(model, link, joints, options);
+    let mut q = model.zero();
+    for (to, from) in q.iter_mut().zip(seed) {
+        *to = *from;
+    }
+    let mut best: Option<(f64, IkError)> = None;
+    for start in 0..=options.restarts {
+        if start > 0 {
+            solver.scatter(&mut q, rng);
+        }
+        solver.clamp(&mut q);
+        let (position, orientation) = solver.descend(&mut q, root_from_target);
+        if position <= options.position_tolerance && orientation <= options.orientation_tolerance {
+            return Ok(q);
+        }
+        let cost = position + ORIENTATION_WEIGHT * orientation;
+        if best.as_ref().is_none_or(|(least, _)| !(cost >= *least)) {
+            let error = IkError {
+                link: model.links()[link.index()].name.clone(),
+                position_error_m: position,
+                orientation_error_rad: orientation,
+                nearest: q.clone(),
+            };
+            best = Some((cost, error));
+        }
+    }
+    Err(best.expect("the seed was tried").1)
+}
+
+struct Solver<'a> {
+    kinematics: Kinematics,
+    link: LinkId,
+    joints: &'a [usize],
+    options: &'a PoseOptions,
+    jacobian: Jacobian,
+    change: Vec<f64>,
+    blocked: Vec<bool>,
+}
+
+impl<'a> Solver<'a> {
+    fn new(model: &Arc<Model>, link: LinkId, joints: &'a [usize], options: &'a PoseOptions) -> Self {
+        let n = joints.len();
+        Self {
+            kinematics: Kinematics::new(model),
+            link,
+            joints,
+            options,
+            jacobian: Jacobian::zeros(n),
+            change: vec![0.0; n],
+            blocked: vec![false; n],
+        }
+    }
+
+    fn range(&self, joint: usize) -> (f64, f64) {
+        let joint = &self.kinematics.model().joints()[joint];
+        let margin = self.options.margin.clamp(0.0, (0.5 * (joint.upper - joint.lower)).max(0.0));
+        (joint.lower + margin, joint.upper - margin)
+    }
+
+    fn clamp(&self, q: &mut [f64]) {
+        for &j in self.joints {
+            let (lower, upper) = self.range(j);
+            q[j] = q[j].max(lower).min(upper);
+        }
+    }
+
+    fn scatter(&self, q: &mut [f64], rng: &mut impl Rng) {
+        for &j in self.joints {
+            let (lower, upper) = self.range(j);
+            q[j] = rng.random_range(lower.max(-UNBOUNDED)..=upper.min(UNBOUNDED).max(lower.max(-UNBOUNDED)));
+        }
+    }
+
+    /// Iterates until the error no longer shrinks; returns the position and orientation errors, m and rad.
+    fn descend(&mut self, q: &mut [f64], target: &Isometry3<f64>) -> (f64, f64) {
+        let mut errors = (f64::INFINITY, f64::INFINITY);
+        for _ in 0..self.options.iterations {
+            self.kinematics.update(q);
+            let error = self.error(target);
+            errors = (error.fixed_rows::<3>(0).norm(), error.fixed_rows::<3>(3).norm());
+            let reached = errors.0 <= self.options.position_tolerance * 0.1
+                && errors.1 <= self.options.orientation_tolerance * 0.1;
+            if reached || !error.iter().all(|e| e.is_finite()) || self.improve(q, &error) < 1e-9 {
+                break;
+            }
+        }
+        errors
+    }
+
+    /// The pose error in the link's frame, m and rad, without the turns that are free.
+    fn error(&self, target: &Isometry3<f64>) -> Vector6<f64> {
+        let link_from_target = self.kinematics.pose(self.link).inverse() * target;
+        let linear = link_from_target.translation.vector;
+        let mut angular = turn(&link_from_target.rotation, self.options.orient);
+        for axis in 0..3 {
+            if !self.options.orient[axis] {
+                angular[axis] = 0.0;
+            }
+        }
+        Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+    }
+
+    /// One damped step; returns the largest change of a joint.
+    fn improve(&mut self, q: &mut [f64], error: &Vector6<f64>) -> f64 {
+        self.kinematics.jacobian_into(self.link, &Point3::origin(), self.joints, &mut self.jacobian);
+        let link_from_root = self.kinematics.pose(self.link).rotation.inverse();
+        let weight = self.options.orient.map(|on| if on { ORIENTATION_WEIGHT } else { 0.0 });
+        let weight = Vector3::from(weight);
+        for mut column in self.jacobian.column_iter_mut() {
+            let linear = link_from_root * column.fixed_rows::<3>(0).into_owned();
+            let angular = (link_from_root * column.fixed_rows::<3>(3).into_owned()).component_mul(&weight);
+            column.fixed_rows_mut::<3>(0).copy_from(&linear);
+            column.fixed_rows_mut::<3>(3).copy_from(&angular);
+        }
+        let mut task = *error;
+        for axis in 0..3 {
+            task[3 + axis] *= weight[axis];
+        }
+        self.blocked.fill(false);
+        while self.solve(&task) && self.block(q) {}
+        let most = self.change.iter().fold(0.0_f64, |most, c| most.max(c.abs()));
+        let scale = if most > LARGEST_CHANGE { LARGEST_CHANGE / most } else { 1.0 };
+        for (&j, change) in self.joints.iter().zip(&self.change) {
+            q[j] += scale * change;
+        }
+        self.clamp(q);
+        most
+    }
+
+    fn solve(&mut self, task: &Vector6<f64>) -> bool {
+        let mut gram = Matrix6::identity() * (0.1 * task.norm_squared() + 1e-8);
+        for (column, _) in self.jacobian.column_iter().zip(&self.blocked).filter(|(_, b)| !**b) {
+            let column: Vector6<f64> = column.into_owned();
+            gram += column * column.transpose();
+        }
+        let Some(solved) = gram.cholesky().map(|c| c.solve(task)) else { return false };
+        for (i, column) in self.jacobian.column_iter().enumerate() {
+            self.change[i] = if self.blocked[i] { 0.0 } else { column.dot(&solved) };
+        }
+        true
+    }
+
+    /// Takes out a joint that stands at its limit and would leave it.
+    fn block(&mut self, q: &[f64]) -> bool {
+        for (i, &j) in self.joints.iter().enumerate() {
+            let (lower, upper) = self.range(j);
+            let out = (q[j] <= lower && self.change[i] < -1e-12) || (q[j] >= upper && self.change[i] > 1e-12);
+            if !self.blocked[i] && out {
+                self.blocked[i] = true;
+                self.change[i] = 0.0;
+                return true;
+            }
+        }
+        false
+    }
+}
+
+/// The rotation vector of `rotation`, or, when the turn about one axis alone is free, the shortest turn that brings that
+/// axis where it belongs.
+fn turn(rotation: &UnitQuaternion<f64>, orient: [bool; 3]) -> Vector3<f64> {
+    let mut free = (0..3).filter(|&axis| !orient[axis]);
+    match (free.next(), free.next()) {
+        (Some(axis), None) => {
+            let here = Vector3::ith_axis(axis);
+            let there = rotation * here;
+            // Opposite axes: any turn by pi about an axis across.
+            let across = Unit::new_normalize(Vector3::ith((axis + 1) % 3, 1.0));
+            UnitQuaternion::rotation_between_axis(&here, &Unit::new_unchecked(there.into_inner()))
+                .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&across, std::f64::consts::PI))
+                .scaled_axis()
+        }
+        _ => rotation.scaled_axis(),
+    }
+}
