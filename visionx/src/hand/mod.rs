@@ -1,13 +1,23 @@
 //! A person's hand in stereo frames: where it is, what gesture it shows, where it points.
+//!
+//! [`HandObserver`] goes from colour (`skin`) to a silhouette of a hand's size at its distance, from there to a palm
+//! and stretched fingers (`shape`), to a gesture (`patterns`), and with both eyes to points and directions (`depth`).
+//! One hand at a time; whose hand it is, it does not know.
 
 use std::fmt;
+
+mod depth;
+mod observer;
+mod patterns;
+mod shape;
+mod skin;
 
 use nalgebra::{Point2, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::camera::StereoCalibration;
-use crate::frame::StereoFrame;
 use crate::mask::Region;
+
+pub use observer::HandObserver;
 
 /// The gestures of coaching.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -57,12 +67,6 @@ pub struct HandObservation {
     pub stamp_ns: u64,
 }
 
-/// Finds a hand and its gesture in a stream of frames.
-#[derive(Clone, Debug)]
-pub struct HandObserver {
-    calibration: StereoCalibration,
-}
-
 impl Gesture {
     /// All gestures, in order.
     pub const ALL: [Self; 4] = [Self::Fist, Self::OpenHand, Self::PointOne, Self::PointTwo];
@@ -88,19 +92,5 @@ impl Gesture {
 impl fmt::Display for Gesture {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
-    }
-}
-
-impl HandObserver {
-    /// An observer that has seen nothing yet.
-    #[must_use]
-    pub fn new(calibration: StereoCalibration) -> Self {
-        Self { calibration }
-    }
-
-    /// Takes a frame; returns the hand in it, `None` when there is none.
-    pub fn update(&mut self, frame: &StereoFrame) -> Option<HandObservation> {
-        let _ = (frame, self.calibration);
-        None
     }
 }

@@ -1,0 +1,297 @@
+//! The shape of a hand's silhouette: its palm and its stretched fingers.
+//!
+//! The silhouette is resampled to cells of fixed metric size, so that every length below is in cells of a real hand.
+//! Opening it by a disc that is a little wider than a finger leaves the palm; what the opening has taken away, if it is
+//! as long and as wide as a finger, is a finger. It knows nothing of colour, depth or gestures.
+
+use nalgebra::{Point2, Vector2};
+
+use crate::components::components;
+use crate::mask::{Mask, Region};
+
+/// Edge of a cell, m.
+pub(super) const CELL: f64 = 0.0015;
+/// Radius of the opening disc, m: wider than a finger (about 10 mm), narrower than a hand seen from its edge (14 mm).
+const OPENING: f64 = 0.0125;
+/// What the opening may miss at the palm's corners, m.
+const MARGIN: f64 = 0.002;
+/// Holes up to this size are filled, m^2.
+const HOLE: f64 = 8e-5;
+/// Most cells along an edge; a silhouette that needs more is no hand.
+const MOST_CELLS: u32 = 330;
+
+/// A stretched finger in the image.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Finger {
+    /// Its end, px.
+    pub(super) tip: Point2<f64>,
+    /// Where it leaves the palm, px.
+    pub(super) base: Point2<f64>,
+    /// How far it stands out of the palm, m across the line of sight.
+    pub(super) length: f64,
+    /// Mean width, m.
+    pub(super) width: f64,
+    /// Probability that it is a stretched finger, by length and width.
+    pub(super) score: f64,
+}
+
+/// What a silhouette looks like.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct HandShape {
+    /// Centre of the palm, px.
+    pub(super) palm: Point2<f64>,
+    /// Radius of the largest disc in the palm, m.
+    pub(super) palm_radius: f64,
+    /// Area of the silhouette, m^2.
+    pub(super) area: f64,
+    /// What may be fingers, in order of their angle about the palm.
+    pub(super) fingers: Vec<Finger>,
+}
+
+/// The shape of a mask's largest component, when a pixel is `pixel_m` m wide at its distance. `None` when there is
+/// nothing or when it is far too large for a hand.
+pub(super) fn hand_shape(mask: &Mask, pixel_m: f64) -> Option<HandShape> {
+    let grid = Grid::of(mask, CELL / pixel_m)?;
+    let inside = distances(&grid.mask, |v| v == 0);
+    let (palm, palm_radius) = largest_disc(&grid.mask, &inside)?;
+    let opening = (OPENING / CELL) as f32;
+    let mut core = Mask::empty(grid.mask.region());
+    for (c, d) in core.data_mut().iter_mut().zip(&inside) {
+        *c = u8::from(*d > opening);
+    }
+    let from_core = distances(&core, |v| v != 0);
+    let fingers = fingers(&grid, &from_core, &palm);
+    Some(HandShape {
+        palm: grid.pixel(&palm),
+        palm_radius: palm_radius * CELL,
+        area: grid.mask.count() as f64 * CELL * CELL,
+        fingers,
+    })
+}
+
+/// A mask in metric cells.
+struct Grid {
+    mask: Mask,
+    origin: Vector2<f64>,
+    /// Pixels a cell.
+    step: f64,
+}
+
+impl Grid {
+    fn of(mask: &Mask, step: f64) -> Option<Self> {
+        let region = mask.region();
+        let cells = |pixels: u32| (f64::from(pixels) / step).ceil() as u32 + 4;
+        let (w, h) = (cells(region.width), cells(region.height));
+        if !(step.is_finite() && step > 0.05) || mask.count() == 0 || w.max(h) > MOST_CELLS {
+            return None;
+        }
+        let origin = Vector2::new(f64::from(region.x), f64::from(region.y)) - Vector2::repeat(1.5 * step);
+        let mut grid = Self { mask: Mask::empty(Region::whole(w, h)), origin, step };
+        for y in 0..h {
+            for x in 0..w {
+                let p = grid.pixel(&Point2::new(f64::from(x), f64::from(y)));
+                let set = mask.contains(p.x.round() as i64, p.y.round() as i64);
+                grid.mask.data_mut()[(y * w + x) as usize] = u8::from(set);
+            }
+        }
+        let largest = components(&grid.mask, 1).into_iter().next()?;
+        grid.mask = Mask::empty(grid.mask.region());
+        grid.mask.add(&largest.runs);
+        grid.fill_holes();
+        Some(grid)
+    }
+
+    fn pixel(&self, cell: &Point2<f64>) -> Point2<f64> {
+        Point2::from(cell.coords * self.step + self.origin)
+    }
+
+    fn fill_holes(&mut self) {
+        let mut outside = self.mask.clone();
+        outside.data_mut().iter_mut().for_each(|v| *v = 1 - *v);
+        // The largest is the surroundings.
+        for hole in components(&outside, 1).iter().skip(1) {
+            if f64::from(hole.area) * CELL * CELL < HOLE {
+                self.mask.add(&hole.runs);
+            }
+        }
+    }
+}
+
+/// The middle of the widest part, cells, and the radius of the disc that fits there. The middle is the mean of all
+/// places where nearly as large a disc fits.
+fn largest_disc(mask: &Mask, inside: &[f32]) -> Option<(Point2<f64>, f64)> {
+    let radius = inside.iter().copied().fold(0.0f32, f32::max);
+    let (mut n, mut sum) = (0.0, Vector2::zeros());
+    for (i, d) in inside.iter().enumerate() {
+        if *d > 0.92 * radius {
+            n += 1.0;
+            sum += Vector2::new((i % mask.width()) as f64, (i / mask.width()) as f64);
+        }
+    }
+    (radius > 0.0).then(|| (Point2::from(sum / n), f64::from(radius)))
+}
+
+fn fingers(grid: &Grid, from_core: &[f32], palm: &Point2<f64>) -> Vec<Finger> {
+    let reach = ((OPENING + MARGIN) / CELL) as f32;
+    let mut rest = grid.mask.clone();
+    for (r, d) in rest.data_mut().iter_mut().zip(from_core) {
+        *r &= u8::from(*d > reach && d.is_finite());
+    }
+    let w = grid.mask.width();
+    let mut found: Vec<(f64, Finger)> = Vec::new();
+    for piece in components(&rest, 12) {
+        let cells = || piece.runs.iter().flat_map(|r| (r.x0..r.x1).map(move |x| (x as usize, r.y as usize)));
+        let far = cells().map(|(x, y)| from_core[y * w + x]).fold(0.0f32, f32::max);
+        // The ends are means over a few millimetres.
+        let end = |keep: &dyn Fn(f32) -> bool| {
+            let chosen = cells().filter(|&(x, y)| keep(from_core[y * w + x]));
+            let (n, sum) = chosen.fold((0.0, Vector2::zeros()), |(n, s), (x, y)| {
+                (n + 1.0, s + Vector2::new(x as f64, y as f64))
+            });
+            Point2::from(sum / f64::max(n, 1.0))
+        };
+        let tip = end(&|d| d > far - 2.0);
+        let base = end(&|d| d < reach + 3.0);
+        let length = f64::from(far - reach) * CELL + MARGIN;
+        let width = f64::from(piece.area) * CELL * CELL / (length - MARGIN).max(CELL);
+        let score = finger_score(length, width);
+        let angle = (tip.y - palm.y).atan2(tip.x - palm.x);
+        found.push((angle, Finger { tip: grid.pixel(&tip), base: grid.pixel(&base), length, width, score }));
+    }
+    found.sort_by(|a, b| a.0.total_cmp(&b.0));
+    found.into_iter().map(|(_, finger)| finger).filter(|f| f.score > 0.02).collect()
+}
+
+/// Probability that a protrusion of this length and width (m) is a stretched finger.
+fn finger_score(length: f64, width: f64) -> f64 {
+    let logistic = |x: f64| 1.0 / (1.0 + (-x).exp());
+    logistic((length - 0.026) / 0.0035)
+        * logistic((width - 0.007) / 0.001)
+        * logistic((0.030 - width) / 0.002)
+}
+
+/// The Euclidean distance of every cell from the nearest that is `source`, cells; infinite where there is none.
+///
+/// # Source
+/// Felzenszwalb, Huttenlocher 2012: lower envelope of parabolas, along rows and then columns. Differs in: the first
+/// pass is two sweeps, because its input is binary.
+fn distances(mask: &Mask, source: impl Fn(u8) -> bool) -> Vec<f32> {
+    let (w, h) = (mask.width(), mask.height());
+    let mut squared: Vec<f32> =
+        mask.data().iter().map(|&v| if source(v) { 0.0 } else { f32::INFINITY }).collect();
+    for row in squared.chunks_exact_mut(w.max(1)) {
+        let mut sweep = |order: &mut dyn Iterator<Item = usize>| {
+            let mut run = f32::INFINITY;
+            for x in order {
+                run = if row[x] == 0.0 { 0.0 } else { run + 1.0 };
+                row[x] = row[x].min(run);
+            }
+        };
+        sweep(&mut (0..w));
+        sweep(&mut (0..w).rev());
+        row.iter_mut().for_each(|d| *d *= *d);
+    }
+    let mut column = vec![0.0; h];
+    let (mut sites, mut starts) = (vec![0usize; h], vec![0.0f32; h + 1]);
+    for x in 0..w {
+        (0..h).for_each(|y| column[y] = squared[y * w + x]);
+        envelope(&column, &mut sites, &mut starts, |y, d| squared[y * w + x] = d.sqrt());
+    }
+    squared
+}
+
+/// The lower envelope of the parabolas `f[i] + (y - i)^2` at every `y`.
+fn envelope(f: &[f32], sites: &mut [usize], starts: &mut [f32], mut put: impl FnMut(usize, f32)) {
+    let mut n = 0;
+    for (q, fq) in f.iter().enumerate().filter(|(_, v)| v.is_finite()) {
+        let meet = |p: usize| (fq - f[p] + (q * q) as f32 - (p * p) as f32) / (2.0 * (q as f32 - p as f32));
+        while n > 0 && meet(sites[n - 1]) <= starts[n - 1] {
+            n -= 1;
+        }
+        starts[n] = if n == 0 { f32::NEG_INFINITY } else { meet(sites[n - 1]) };
+        sites[n] = q;
+        n += 1;
+    }
+    let mut k = 0;
+    for y in 0..f.len() {
+        while k + 1 < n && starts[k + 1] < y as f32 {
+            k += 1;
+        }
+        let d = y as f32 - sites[k] as f32;
+        put(y, if n == 0 { f32::INFINITY } else { f[sites[k]] + d * d });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn distances_agree_with_brute_force(bits in proptest::collection::vec(0u8..8, 11 * 7)) {
+            let mut mask = Mask::empty(Region::whole(11, 7));
+            mask.data_mut().iter_mut().zip(&bits).for_each(|(m, b)| *m = u8::from(*b == 0));
+            let found = distances(&mask, |v| v != 0);
+            for (i, d) in found.iter().enumerate() {
+                let (x, y) = ((i % 11) as f32, (i / 11) as f32);
+                let expected = (0..77)
+                    .filter(|&j| mask.data()[j] != 0)
+                    .map(|j| ((j % 11) as f32 - x).hypot((j / 11) as f32 - y))
+                    .fold(f32::INFINITY, f32::min);
+                prop_assert!((d - expected).abs() < 1e-4 || *d == expected);
+            }
+        }
+    }
+
+    /// Draws a thick line, m, into a mask of 1 mm pixels.
+    fn stroke(mask: &mut Mask, from: [f64; 2], to: [f64; 2], radius: f64) {
+        let (a, b) = (Vector2::from(from), Vector2::from(to));
+        let w = mask.width();
+        for i in 0..mask.data().len() {
+            let p = Vector2::new((i % w) as f64, (i / w) as f64);
+            let t = ((p - a).dot(&(b - a)) / (b - a).norm_squared().max(1e-9)).clamp(0.0, 1.0);
+            if (p - a - (b - a) * t).norm() <= radius {
+                mask.data_mut()[i] = 1;
+            }
+        }
+    }
+
+    #[test]
+    fn counts_and_measures_fingers() {
+        for n in 0..=4usize {
+            let mut mask = Mask::empty(Region::whole(260, 260));
+            stroke(&mut mask, [130.0, 150.0], [130.0, 150.0], 40.0);
+            let ends: Vec<[f64; 2]> = (0..n)
+                .map(|i| -0.6 + 0.4 * i as f64)
+                .map(|a| [130.0 + 115.0 * a.sin(), 150.0 - 115.0 * a.cos()])
+                .collect();
+            ends.iter().for_each(|e| stroke(&mut mask, [130.0, 150.0], *e, 9.0));
+            let shape = hand_shape(&mask, 0.001).unwrap();
+            assert!((shape.palm - Point2::new(130.0, 150.0)).norm() < 3.0, "{shape:?}");
+            assert!((shape.palm_radius - 0.04).abs() < 0.003);
+            assert_eq!(shape.fingers.iter().filter(|f| f.score > 0.5).count(), n, "{shape:?}");
+            for (finger, end) in shape.fingers.iter().zip(&ends) {
+                let axis = (Vector2::from(*end) - Vector2::new(130.0, 150.0)).normalize();
+                let tip = Point2::from(Vector2::from(*end) + axis * 9.0);
+                assert!((finger.tip - tip).norm() < 3.0, "{finger:?} {tip}");
+                assert!(
+                    (finger.length - 0.084).abs() < 0.006 && (finger.width - 0.018).abs() < 0.003,
+                    "{finger:?}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_and_everything_are_no_hands() {
+        assert!(hand_shape(&Mask::empty(Region::whole(0, 0)), 0.001).is_none());
+        assert!(hand_shape(&Mask::empty(Region::whole(30, 30)), 0.001).is_none());
+        let mut full = Mask::empty(Region::whole(640, 480));
+        full.data_mut().fill(1);
+        assert!(hand_shape(&full, 0.002).is_none());
+        let mut dot = Mask::empty(Region::whole(1, 1));
+        dot.data_mut().fill(1);
+        assert!(hand_shape(&dot, f64::NAN).is_none());
+    }
+}

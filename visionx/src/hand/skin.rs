@@ -1,0 +1,274 @@
+//! Which pixels are skin, adapted to each scene.
+//!
+//! Colours that skin can have are many, and wooden tables, cardboard and warm walls have them too. So colour alone
+//! does not decide: the skin-like colours of a frame are split into the clusters that this scene shows, by the valleys
+//! of a histogram of log-chromaticities, which shading by a white light does not move. A cluster that fills more than
+//! a hand can is scenery; that decision needs the depth and is made by [`super::HandObserver`].
+
+use crate::frame::Image;
+use crate::mask::{Mask, Region};
+
+/// Bins of the histogram along ln(R/G) and ln(G/B).
+const BINS: usize = 40;
+/// Width of a bin.
+const BIN: f32 = 0.02;
+/// Range of ln(R/G) and of ln(G/B) that skin of any tone can have in white light; measured ranges of skin in
+/// photographs, widened. The second begins below zero for reddened skin.
+const RED_OVER_GREEN: (f32, f32) = (0.07, 0.87);
+const GREEN_OVER_BLUE: (f32, f32) = (-0.06, 0.74);
+/// Darkest usable red.
+const DARK: u16 = 45;
+/// Fewest pixels (at half resolution) that make a cluster.
+const LEAST_PIXELS: f32 = 60.0;
+
+/// The skin-like colours of one frame, by cluster.
+#[derive(Clone, Debug)]
+pub(super) struct SkinClusters {
+    /// The cluster of each bin, 0 for none.
+    labels: Vec<u8>,
+    /// The peaks: ln(R/G), ln(G/B).
+    peaks: Vec<[f32; 2]>,
+    logs: Logs,
+}
+
+/// An image at half the resolution: sums of two by two pixels.
+#[derive(Clone, Debug)]
+pub(super) struct HalfImage {
+    width: u32,
+    height: u32,
+    data: Vec<[u16; 3]>,
+}
+
+/// Logarithms of 0..=1020 (the sums of four pixels), in 1/16 of a bin.
+#[derive(Clone, Debug)]
+struct Logs(Vec<i16>);
+
+impl HalfImage {
+    pub(super) fn of(image: &Image) -> Self {
+        let (w, h) = (image.width() / 2, image.height() / 2);
+        let stride = image.width() as usize * 3;
+        let mut data = Vec::with_capacity((w * h) as usize);
+        for rows in image.data().chunks_exact((2 * stride).max(1)).take(h as usize) {
+            let (top, bottom) = rows.split_at(stride);
+            for (a, b) in top.chunks_exact(6).zip(bottom.chunks_exact(6)) {
+                let sum =
+                    |i: usize| u16::from(a[i]) + u16::from(a[i + 3]) + u16::from(b[i]) + u16::from(b[i + 3]);
+                data.push([sum(0), sum(1), sum(2)]);
+            }
+        }
+        Self { width: w, height: h, data }
+    }
+}
+
+impl Logs {
+    fn new() -> Self {
+        let log = |v: u16| (f32::from(v.max(1)).ln() / BIN * 16.0).round() as i16;
+        Self((0..=1020).map(log).collect())
+    }
+
+    /// The bin of a colour given by sums of four pixels; `None` where no skin is.
+    #[inline]
+    fn bin(&self, [r, g, b]: [u16; 3]) -> Option<usize> {
+        let log = |v: u16| self.0[usize::from(v.min(1020))];
+        let (lr, lg, lb) = (log(r), log(g), log(b));
+        let index = |d: i16, start: f32| (d - (start / BIN * 16.0) as i16) >> 4;
+        let (u, v) = (index(lr - lg, RED_OVER_GREEN.0), index(lg - lb, GREEN_OVER_BLUE.0));
+        let inside = |i: i16| (0..BINS as i16).contains(&i);
+        (r >= 4 * DARK && inside(u) && inside(v)).then(|| v as usize * BINS + u as usize)
+    }
+}
+
+impl SkinClusters {
+    /// The clusters of the skin-like colours in an image.
+    pub(super) fn find(image: &HalfImage) -> Self {
+        debug_assert!(((RED_OVER_GREEN.1 - RED_OVER_GREEN.0) / BIN).round() as usize == BINS);
+        debug_assert!(((GREEN_OVER_BLUE.1 - GREEN_OVER_BLUE.0) / BIN).round() as usize == BINS);
+        let logs = Logs::new();
+        let mut histogram = vec![0.0f32; BINS * BINS];
+        for bin in image.data.iter().filter_map(|p| logs.bin(*p)) {
+            histogram[bin] += 1.0;
+        }
+        let smooth = smoothed(&smoothed(&histogram));
+        let (labels, peaks) = split(&smooth);
+        let peaks = peaks
+            .iter()
+            .map(|&bin| {
+                let at = |i: usize, start: f32| start + (i as f32 + 0.5) * BIN;
+                [at(bin % BINS, RED_OVER_GREEN.0), at(bin / BINS, GREEN_OVER_BLUE.0)]
+            })
+            .collect();
+        Self { labels, peaks, logs }
+    }
+
+    /// The clusters' labels.
+    pub(super) fn labels(&self) -> impl Iterator<Item = u8> + use<> {
+        1..=self.peaks.len() as u8
+    }
+
+    /// A cluster's middle: ln(R/G), ln(G/B).
+    pub(super) fn peak(&self, label: u8) -> [f32; 2] {
+        self.peaks[usize::from(label) - 1]
+    }
+
+    /// The pixels of a half image that have a cluster's colour.
+    pub(super) fn half_mask(&self, image: &HalfImage, label: u8) -> Mask {
+        let mut mask = Mask::empty(Region::whole(image.width, image.height));
+        for (m, p) in mask.data_mut().iter_mut().zip(&image.data) {
+            *m = u8::from(self.logs.bin(*p).is_some_and(|bin| self.labels[bin] == label));
+        }
+        mask
+    }
+
+    /// The pixels of a part of an image that have a cluster's colour, each by the majority of its neighbourhood.
+    pub(super) fn mask(&self, image: &Image, region: Region, label: u8) -> Mask {
+        let region = region.clipped(image.width(), image.height());
+        let mut mask = Mask::empty(region);
+        let (w, h) = (region.width as usize, region.height as usize);
+        for y in 0..h {
+            for x in 0..w {
+                let p = image.pixel(region.x + x as u32, region.y + y as u32).map(|c| u16::from(c) * 4);
+                mask.data_mut()[y * w + x] =
+                    u8::from(self.logs.bin(p).is_some_and(|b| self.labels[b] == label));
+            }
+        }
+        majority(&mask)
+    }
+}
+
+/// Each pixel as five or more of the nine around it; the mask's border pixels stay.
+fn majority(mask: &Mask) -> Mask {
+    let (w, h) = (mask.width(), mask.height());
+    let mut result = mask.clone();
+    for y in 1..h.saturating_sub(1) {
+        let rows = [mask.row(y - 1), mask.row(y), mask.row(y + 1)];
+        for x in 1..w.saturating_sub(1) {
+            let sum: u8 = rows.iter().map(|r| r[x - 1] + r[x] + r[x + 1]).sum();
+            result.data_mut()[y * w + x] = u8::from(sum >= 5);
+        }
+    }
+    result
+}
+
+/// Binomial smoothing (1 2 1) along both axes.
+fn smoothed(histogram: &[f32]) -> Vec<f32> {
+    let mut across = vec![0.0; histogram.len()];
+    let mut result = across.clone();
+    let blend = |from: &[f32], to: &mut [f32], step: usize, along: &dyn Fn(usize) -> usize| {
+        for i in 0..from.len() {
+            let before = if along(i) > 0 { from[i - step] } else { 0.0 };
+            let after = if along(i) + 1 < BINS { from[i + step] } else { 0.0 };
+            to[i] = (before + 2.0 * from[i] + after) / 4.0;
+        }
+    };
+    blend(histogram, &mut across, 1, &|i| i % BINS);
+    blend(&across, &mut result, BINS, &|i| i / BINS);
+    result
+}
+
+/// Splits a smooth histogram at its valleys: bins in order of their counts join the hill that they touch; two hills
+/// that meet are one unless the valley is clearly lower than both tops. Returns labels and the bins of the tops.
+fn split(smooth: &[f32]) -> (Vec<u8>, Vec<usize>) {
+    const VALLEY: f32 = 0.6;
+    let mut order: Vec<usize> = (0..smooth.len()).filter(|&i| smooth[i] > 0.2).collect();
+    order.sort_by(|&a, &b| smooth[b].total_cmp(&smooth[a]).then(a.cmp(&b)));
+    // For each hill its top, its pixels, and the hill that it has become part of.
+    let mut hills: Vec<(usize, f32, usize)> = Vec::new();
+    let mut of = vec![usize::MAX; smooth.len()];
+    let owner = |hills: &[(usize, f32, usize)], mut i: usize| {
+        while hills[i].2 != i {
+            i = hills[i].2;
+        }
+        i
+    };
+    for bin in order {
+        let mut touched: Vec<usize> =
+            neighbours(bin).filter(|&n| of[n] != usize::MAX).map(|n| owner(&hills, of[n])).collect();
+        touched.sort_unstable();
+        touched.dedup();
+        // The highest hill gets the bin, because hills are numbered from the highest down.
+        let Some(&first) = touched.first() else {
+            of[bin] = hills.len();
+            hills.push((bin, smooth[bin], hills.len()));
+            continue;
+        };
+        of[bin] = first;
+        hills[first].1 += smooth[bin];
+        for &other in &touched[1..] {
+            if smooth[bin] > VALLEY * smooth[hills[other].0] || hills[other].1 < LEAST_PIXELS {
+                hills[first].1 += hills[other].1;
+                hills[other].2 = first;
+            }
+        }
+    }
+    let mut label_of = vec![0u8; hills.len()];
+    let mut tops = Vec::new();
+    for (i, hill) in hills.iter().enumerate() {
+        if hill.2 == i && hill.1 >= LEAST_PIXELS && tops.len() < 250 {
+            tops.push(hill.0);
+            label_of[i] = tops.len() as u8;
+        }
+    }
+    let labels = of.iter().map(|&o| if o == usize::MAX { 0 } else { label_of[owner(&hills, o)] }).collect();
+    (labels, tops)
+}
+
+fn neighbours(bin: usize) -> impl Iterator<Item = usize> {
+    let (x, y) = ((bin % BINS) as i32, (bin / BINS) as i32);
+    let inside = |v: i32| (0..BINS as i32).contains(&v);
+    (-1..=1)
+        .flat_map(move |dy| (-1..=1).map(move |dx| (x + dx, y + dy)))
+        .filter(move |&(nx, ny)| inside(nx) && inside(ny) && (nx, ny) != (x, y))
+        .map(|(nx, ny)| ny as usize * BINS + nx as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::StandardNormal;
+
+    /// A shaded picture: left half one colour, right half another, noise of two grey levels.
+    fn picture(left: [u8; 3], right: [u8; 3]) -> Image {
+        let (w, h) = (120u32, 80u32);
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let mut data = Vec::new();
+        for y in 0..h {
+            for x in 0..w {
+                let shade = 0.6 + 0.4 * f64::from(y) / f64::from(h);
+                for c in if x < w / 2 { left } else { right } {
+                    let noise: f64 = rng.sample(StandardNormal);
+                    data.push((f64::from(c) * shade + 2.0 * noise).round() as u8);
+                }
+            }
+        }
+        Image::from_rgb(w, h, data).unwrap()
+    }
+
+    #[test]
+    fn skin_and_a_brown_table_are_two_clusters() {
+        let image = picture([224, 172, 138], [150, 115, 80]);
+        let half = HalfImage::of(&image);
+        let clusters = SkinClusters::find(&half);
+        assert_eq!(clusters.labels().count(), 2, "{:?}", clusters.peaks);
+        for label in clusters.labels() {
+            let mask = clusters.mask(&image, Region::whole(120, 80), label);
+            let [left, right] = [0..60, 60..120].map(|xs| {
+                xs.flat_map(|x| (0..80).map(move |y| (x, y))).filter(|&(x, y)| mask.contains(x, y)).count()
+            });
+            let (own, other) = (left.max(right), left.min(right));
+            assert!(own > 4600 && other < 100, "{own} {other}");
+            assert!(clusters.half_mask(&half, label).count() > 1100);
+        }
+    }
+
+    #[test]
+    fn greys_and_bright_colours_are_not_skin() {
+        for other in
+            [[128, 128, 130], [235, 235, 235], [240, 210, 40], [40, 170, 60], [230, 120, 20], [30, 60, 200]]
+        {
+            let clusters = SkinClusters::find(&HalfImage::of(&picture(other, other)));
+            assert_eq!(clusters.labels().count(), 0, "{other:?}");
+        }
+    }
+}
