@@ -24,13 +24,22 @@ const ROUNDS: u32 = 200;
 fn main() -> std::io::Result<()> {
     let directory = std::env::args().nth(1).unwrap_or_else(|| ".".into());
     let directory = Path::new(&directory);
-    let left = Viewpoint::look_at(CAMERA, Vector3::new(-0.0465, 0.245, 1.65), Vector3::new(0.28, 0.53, 0.95));
-    let right = left.shifted_right(0.093);
+    let robot = looking_down();
+    let [left, right] = ["camera_left", "camera_right"].map(|eye| Viewpoint {
+        scene_from_camera: robot.model().link(eye).map_or_else(Isometry3::identity, |link| *robot.pose(link)),
+        camera: CAMERA,
+    });
     let noise = SensorNoise::new(2.0, 1);
 
     let gestures = [HandGesture::Fist, HandGesture::OpenHand, HandGesture::PointOne, HandGesture::PointTwo];
     for (number, gesture) in gestures.into_iter().enumerate() {
-        let scene = Scene::new(table().into_iter().chain(robot()).chain(hand(gesture)).collect());
+        let scene = Scene::new(
+            table()
+                .into_iter()
+                .chain(robot_shapes(&robot, &Isometry3::identity()))
+                .chain(hand(gesture))
+                .collect(),
+        );
         let [mut seen, mut other] = render_pair(&scene, &[left, right]);
         noise.apply(&mut seen.image, number as u64, 0);
         noise.apply(&mut other.image, number as u64, 1);
@@ -38,7 +47,13 @@ fn main() -> std::io::Result<()> {
         write_png(&directory.join(format!("scene_{gesture:?}_right.png")), &other.image)?;
     }
 
-    let scene = Scene::new(table().into_iter().chain(robot()).chain(hand(HandGesture::OpenHand)).collect());
+    let scene = Scene::new(
+        table()
+            .into_iter()
+            .chain(robot_shapes(&robot, &Isometry3::identity()))
+            .chain(hand(HandGesture::OpenHand))
+            .collect(),
+    );
     let began = Instant::now();
     for frame in 0..ROUNDS {
         let mut seen = render(&scene, &left);
@@ -95,9 +110,20 @@ fn table() -> Vec<Shape> {
     shapes
 }
 
-fn robot() -> Vec<Shape> {
+/// The robot with both arms at 0 and its eyes on the table.
+fn looking_down() -> Kinematics {
     let model = Arc::new(Model::armar3());
-    robot_shapes(&Kinematics::new(&model), &Isometry3::identity())
+    let mut q = model.zero();
+    for (joint, position) in
+        [("neck_pitch", -0.4), ("neck_yaw", -0.45), ("head_tilt", -0.35), ("camera_tilt", 0.3)]
+    {
+        if let Some(index) = model.joint(joint) {
+            q[index] = position;
+        }
+    }
+    let mut kinematics = Kinematics::new(&model);
+    kinematics.update(&q);
+    kinematics
 }
 
 /// The hand over the far side of the table, its back up, pointing at the robot.

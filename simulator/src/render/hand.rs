@@ -300,7 +300,10 @@ mod tests {
         for step in 0..100 {
             let at = |i: i32| fingertips(&HandPose::blend(&a, &b, f64::from(i) / 100.0));
             for (before, after) in at(step).iter().zip(at(step + 1)) {
-                assert!((before - after).norm() < 0.006, "a hundredth of the way moves a tip {before} to {after}");
+                assert!(
+                    (before - after).norm() < 0.006,
+                    "a hundredth of the way moves a tip {before} to {after}"
+                );
             }
         }
     }
@@ -309,7 +312,8 @@ mod tests {
     fn the_camera_sees_the_tips_where_they_are_and_in_the_colour_of_skin() {
         let camera = PinholeCamera { width: 320, height: 240, focal: 257.5, center: [159.5, 119.5] };
         // The back of the hand, its fingers up in the picture.
-        let viewpoint = Viewpoint::look_at(camera, Vector3::new(0.0, -0.6, 1.03), Vector3::new(0.0, 0.0, 1.03));
+        let viewpoint =
+            Viewpoint::look_at(camera, Vector3::new(0.0, -0.6, 1.03), Vector3::new(0.0, 0.0, 1.03));
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
         let scene_from_hand = Isometry3::from_parts(Translation3::new(0.0, 0.0, 1.0), turn);
         for (gesture, straight) in [(HandGesture::OpenHand, 1..5), (HandGesture::PointTwo, 1..3)] {
@@ -321,7 +325,10 @@ mod tests {
                 let at = camera.project(&tip).unwrap();
                 let (u, v) = (at.x.round() as u32, at.y.round() as u32);
                 let depth = f64::from(seen.depth.data[(v * 320 + u) as usize]);
-                assert!((depth - (tip.z - tip_radius(finger))).abs() < 0.002, "{gesture:?} {finger}: {depth} {tip}");
+                assert!(
+                    (depth - (tip.z - tip_radius(finger))).abs() < 0.002,
+                    "{gesture:?} {finger}: {depth} {tip}"
+                );
                 let [r, g, b] = seen.image.pixel(u, v).map(f64::from);
                 assert!((g / r - 0.757).abs() < 0.03 && (b / r - 0.605).abs() < 0.03, "{r} {g} {b}");
             }

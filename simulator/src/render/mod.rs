@@ -28,10 +28,14 @@ pub use scene::{Background, Bump, DirtTexture, Geometry, Rendering, Scene, Shape
 use shading::{Light, Shades};
 use shadow::Shadow;
 
+/// Pixels of the largest picture.
+const MOST_PIXELS: u64 = 1 << 27;
+
 /// Draws a scene as a camera sees it.
 ///
 /// Depth is along the optical axis, m. A camera of no pixels, or whose pose or intrinsics are not finite, sees an
-/// empty picture; so does one outside of the room that looks away from everything. Shapes whose size or pose is not
+/// empty picture; so does one outside of the room that looks away from everything. A camera of more than 2^27 pixels
+/// sees nothing: its picture has no pixels. Shapes whose size or pose is not
 /// finite are left out, as is whatever is nearer than 1 cm or behind the camera.
 #[must_use]
 pub fn render(scene: &Scene, viewpoint: &Viewpoint) -> Rendering {
@@ -58,7 +62,10 @@ fn shadows(scene: &Scene) -> Vec<Option<Shadow>> {
 }
 
 fn draw(scene: &Scene, shadows: &[Option<Shadow>], viewpoint: &Viewpoint) -> Rendering {
-    let camera = viewpoint.camera;
+    let mut camera = viewpoint.camera;
+    if u64::from(camera.width) * u64::from(camera.height) > MOST_PIXELS {
+        (camera.width, camera.height) = (0, 0);
+    }
     let mut canvas = Canvas::new(camera, scene.background.wall);
     let sound = camera.focal > 0.0 && camera.focal.is_finite() && camera.center.iter().all(|c| c.is_finite());
     if sound && is_finite(&viewpoint.scene_from_camera) && canvas.bounds().is_some() {

@@ -204,8 +204,10 @@ fn degenerate_input_draws_something_or_nothing_but_never_panics() {
         scene.background.upper = Vector3::new(1.0, n, 1.0);
         let _ = render(&scene, &Viewpoint { camera: small, ..ahead() });
     }
-    let none = PinholeCamera { width: 0, height: 9, ..small };
-    assert!(render(&scene(vec![]), &Viewpoint { camera: none, ..ahead() }).image.data().is_empty());
+    for (width, height) in [(0, 9), (u32::MAX, u32::MAX)] {
+        let camera = PinholeCamera { width, height, ..small };
+        assert!(render(&scene(vec![]), &Viewpoint { camera, ..ahead() }).image.data().is_empty());
+    }
 }
 
 #[test]
