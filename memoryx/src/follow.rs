@@ -96,18 +96,33 @@ impl Follower {
         }
     }
 
-    /// Everything that can be told without waiting for a change.
+    /// What can be told without waiting for a change, about `most` of it.
     ///
     /// # Errors
     /// As [`Self::next`].
-    pub async fn drain(&mut self) -> Result<Vec<Change>, MemoryError> {
-        loop {
+    pub async fn drain(&mut self, most: usize) -> Result<Vec<Change>, MemoryError> {
+        while self.ready.len() < most {
             match self.changes.try_recv() {
                 Ok(snapshot) => self.receive(snapshot).await?,
                 Err(TryRecvError::Lagged(_)) => self.read_again().await?,
-                Err(TryRecvError::Empty | TryRecvError::Closed) => return Ok(self.ready.drain(..).collect()),
+                Err(TryRecvError::Empty | TryRecvError::Closed) => break,
             }
         }
+        let count = most.min(self.ready.len());
+        Ok(self.ready.drain(..count).collect())
+    }
+
+    /// Takes back what was told last, to tell it again first.
+    pub fn give_back(&mut self, changes: Vec<Change>) {
+        for change in changes.into_iter().rev() {
+            self.ready.push_front(change);
+        }
+    }
+
+    /// Whether everything that has happened was told.
+    #[must_use]
+    pub fn told_all(&self) -> bool {
+        self.ready.is_empty() && self.changes.is_empty()
     }
 
     async fn receive(&mut self, snapshot: Arc<Snapshot>) -> Result<(), MemoryError> {

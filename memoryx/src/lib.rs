@@ -5,23 +5,32 @@
 //! - [`WorkingMemory`]: what an agent knows now.
 //! - [`Follower`]: a subscription that says what it missed.
 //! - [`PriorKnowledge`]: object classes, known before one is seen.
+//! - [`Observer`]: conditions on memory that become events.
+//! - [`LongTermMemory`]: what is kept on disk; [`Consolidator`] decides what.
 //!
 //! This room knows no robot and no image.
 
+pub mod conformance;
 mod entity;
 mod error;
 mod follow;
 mod memory;
+mod observer;
 pub mod prior;
 mod query;
 mod schema;
+mod store;
 mod working;
 
 pub use entity::{Commit, EntityId, Instance, Snapshot, check_name};
 pub use error::MemoryError;
 pub use follow::{Change, Follower};
 pub use memory::{Memory, modify};
+pub use observer::{Condition, MemoryEvent, Observer};
 pub use prior::{GraspPose, ObjectClass, PriorKnowledge, Recognition};
 pub use query::{Pattern, Query, Times};
 pub use schema::{Attribute, SegmentSchema, core_segments};
+pub use store::{
+    Consolidator, LongTermMemory, Numbering, Policies, Policy, Step, StoreError, StoreStats, Verification,
+};
 pub use working::{Backing, Clock, Limits, WorkingMemory, tokio_clock};

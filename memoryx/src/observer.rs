@@ -1,0 +1,245 @@
+//! The working memory observer: conditions on what a memory holds become events, which the program forwards to
+//! charts, or to whoever asks.
+//!
+//! An observer follows a memory through a [`Follower`], so that it tells every change once, in order, also after it
+//! has lagged. Only versions that the memory no longer has are passed over; [`Observer::missed`] counts them.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+use armarium_values::{Frame, Value};
+
+use crate::entity::{EntityId, Snapshot};
+use crate::error::MemoryError;
+use crate::follow::{Change, Follower};
+use crate::memory::Memory;
+use crate::query::Pattern;
+
+/// When an observed entity makes an event.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Condition {
+    /// It is new, or has come back.
+    Created,
+    /// It has a new snapshot, the first one included.
+    Updated,
+    /// It is gone.
+    Removed,
+    /// It is at another place than at the last such event, or than where it was first seen.
+    Moved {
+        /// How far, m.
+        by: f64,
+    },
+}
+
+/// An event of an observer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MemoryEvent {
+    /// The name that the condition was given.
+    pub name: String,
+    /// The snapshot that made it true.
+    pub snapshot: Arc<Snapshot>,
+}
+
+/// Turns changes of a memory into events.
+pub struct Observer {
+    follower: Follower,
+    conditions: Vec<Watched>,
+    /// Whether each entity is there now.
+    there: BTreeMap<EntityId, bool>,
+    ready: VecDeque<MemoryEvent>,
+    missed: u64,
+}
+
+struct Watched {
+    name: String,
+    pattern: Pattern,
+    condition: Condition,
+    /// Where each entity was at its last event.
+    places: BTreeMap<EntityId, Place>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+struct Place {
+    frame: Frame,
+    position: [f64; 3],
+}
+
+impl Observer {
+    /// Observes a memory from now on; what it holds already makes no events.
+    ///
+    /// # Errors
+    /// As [`Memory::query`].
+    pub async fn new(memory: Arc<dyn Memory>) -> Result<Self, MemoryError> {
+        let (follower, held) = Follower::from_now(memory, Pattern::any()).await?;
+        let there = held.iter().map(|s| (s.id.clone(), true)).collect();
+        Ok(Self { follower, conditions: Vec::new(), there, ready: VecDeque::new(), missed: 0 })
+    }
+
+    /// Adds a condition on what `pattern` fits; its events have this name.
+    #[must_use]
+    pub fn when(mut self, name: &str, pattern: Pattern, condition: Condition) -> Self {
+        self.conditions.push(Watched { name: name.into(), pattern, condition, places: BTreeMap::new() });
+        self
+    }
+
+    /// The next event; `None` when the memory has gone. Dropping the future loses nothing.
+    ///
+    /// # Errors
+    /// As [`Memory::query`].
+    pub async fn next(&mut self) -> Result<Option<MemoryEvent>, MemoryError> {
+        loop {
+            if let Some(event) = self.ready.pop_front() {
+                return Ok(Some(event));
+            }
+            match self.follower.next().await? {
+                Some(Change::New(snapshot)) => self.see(&snapshot),
+                Some(Change::Missed { from, to, .. }) => self.missed += to - from + 1,
+                None => return Ok(None),
+            }
+        }
+    }
+
+    /// Gives each event to `act`, until the memory has gone.
+    ///
+    /// # Errors
+    /// As [`Memory::query`].
+    pub async fn run(mut self, mut act: impl FnMut(MemoryEvent) + Send) -> Result<(), MemoryError> {
+        while let Some(event) = self.next().await? {
+            act(event);
+        }
+        Ok(())
+    }
+
+    /// How many snapshots the memory no longer had when the observer came to them.
+    #[must_use]
+    pub fn missed(&self) -> u64 {
+        self.missed
+    }
+
+    fn see(&mut self, snapshot: &Arc<Snapshot>) {
+        let is_there = !snapshot.is_removed();
+        let was_there = self.there.insert(snapshot.id.clone(), is_there).unwrap_or(false);
+        for watched in &mut self.conditions {
+            if watched.pattern.matches(&snapshot.id) && watched.fires(snapshot, was_there) {
+                let event = MemoryEvent { name: watched.name.clone(), snapshot: Arc::clone(snapshot) };
+                self.ready.push_back(event);
+            }
+        }
+    }
+}
+
+impl Watched {
+    fn fires(&mut self, snapshot: &Snapshot, was_there: bool) -> bool {
+        let is_there = !snapshot.is_removed();
+        match self.condition {
+            Condition::Created => is_there && !was_there,
+            Condition::Updated => is_there,
+            Condition::Removed => !is_there && was_there,
+            Condition::Moved { by } => {
+                let Some(now) = place(snapshot) else {
+                    // Gone, or without a place: it begins anew when it has one.
+                    self.places.remove(&snapshot.id);
+                    return false;
+                };
+                match self.places.get(&snapshot.id) {
+                    Some(before) if before.frame == now.frame => {
+                        let moved = distance(&before.position, &now.position) > by;
+                        if moved {
+                            self.places.insert(snapshot.id.clone(), now);
+                        }
+                        moved
+                    }
+                    // Places in two frames cannot be compared here.
+                    _ => {
+                        self.places.insert(snapshot.id.clone(), now);
+                        false
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Where an entity is: its `pose`, or else its `position`.
+fn place(snapshot: &Snapshot) -> Option<Place> {
+    let place = match snapshot.attribute("pose").or_else(|| snapshot.attribute("position"))? {
+        Value::Pose(pose) => Place { frame: pose.frame.clone(), position: pose.position },
+        Value::Vector(vector) => Place { frame: vector.frame.clone(), position: vector.components },
+        _ => return None,
+    };
+    place.position.iter().all(|x| x.is_finite()).then_some(place)
+}
+
+fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use armarium_values::Vector;
+
+    use super::*;
+    use crate::entity::Commit;
+    use crate::working::{Limits, WorkingMemory};
+
+    fn at(name: &str, frame: &str, x: f64) -> Commit {
+        let vector = Value::Vector(Vector { frame: Frame::from(frame), components: [x, 0.0, 0.0] });
+        let id = EntityId::new("Things", "p", name).unwrap();
+        Commit::new(id, 0, BTreeMap::from([("position".to_owned(), vector)]))
+    }
+
+    async fn events(observer: &mut Observer) -> Vec<String> {
+        let mut events = Vec::new();
+        while let Ok(event) = tokio::time::timeout(std::time::Duration::ZERO, observer.next()).await {
+            let event = event.unwrap().unwrap();
+            events.push(format!("{} {} {}", event.name, event.snapshot.id.entity(), event.snapshot.version));
+        }
+        events
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn conditions_become_events_in_order() {
+        let memory = Arc::new(WorkingMemory::new(Arc::new(|| 0)));
+        memory.commit_now(vec![at("old", "root", 0.0)]).unwrap();
+        let things = || Pattern::segment("Things");
+        let mut observer = Observer::new(Arc::<WorkingMemory>::clone(&memory))
+            .await
+            .unwrap()
+            .when("new", things(), Condition::Created)
+            .when("gone", things(), Condition::Removed)
+            .when("changed", things().named("old"), Condition::Updated)
+            .when("moved", things(), Condition::Moved { by: 0.1 });
+        let gone = |name: &str| Commit::removal(EntityId::new("Things", "p", name).unwrap(), 0);
+        memory
+            .commit_now(vec![
+                at("cup", "root", 0.0),
+                at("cup", "root", 0.06),
+                at("cup", "root", 0.09),
+                at("cup", "root", 0.11),
+                at("cup", "root", 0.15),
+                at("cup", "camera", 9.0),
+                at("old", "root", 0.0),
+                gone("cup"),
+                at("cup", "camera", 0.0),
+            ])
+            .unwrap();
+        let expected = ["new cup 1", "moved cup 4", "changed old 2", "gone cup 7", "new cup 8"];
+        assert_eq!(events(&mut observer).await, expected);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_lagging_observer_reads_again_and_counts_what_is_lost() {
+        let limits = Limits { history: 3, backlog: 2, ..Limits::default() };
+        let memory = Arc::new(WorkingMemory::new(Arc::new(|| 0)).with_limits(limits));
+        let mut observer = Observer::new(Arc::<WorkingMemory>::clone(&memory)).await.unwrap().when(
+            "changed",
+            Pattern::any(),
+            Condition::Updated,
+        );
+        for i in 0..10 {
+            memory.commit_now(vec![at("cup", "root", f64::from(i))]).unwrap();
+        }
+        assert_eq!(events(&mut observer).await, ["changed cup 8", "changed cup 9", "changed cup 10"]);
+        assert_eq!(observer.missed(), 7);
+    }
+}

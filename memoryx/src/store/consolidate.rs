@@ -1,0 +1,292 @@
+//! Consolidation: which changes of working memory become long-term memory, by a policy for each core segment.
+//!
+//! Two ways to run it. As the [`Backing`] of a working memory, what the policies choose is on the disk before a commit
+//! is acknowledged. Or beside it, from a [`Follower`]: commits do not wait for the disk, and what was acknowledged
+//! reaches it a little later; nothing is left out without being counted.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::future::Future;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use crate::entity::{EntityId, Snapshot};
+use crate::error::MemoryError;
+use crate::follow::{Change, Follower};
+use crate::store::{LongTermMemory, StoreError};
+use crate::working::Backing;
+
+/// Changes that are kept in one transaction.
+const BATCH: usize = 4096;
+/// How long to wait before a disk that has failed is tried again.
+const RETRY: Duration = Duration::from_secs(1);
+
+/// What of a core segment is kept.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Policy {
+    /// Nothing.
+    Nothing,
+    /// Every snapshot.
+    Everything,
+    /// Snapshots whose instances differ from the last one kept.
+    OnChange,
+    /// At most this many snapshots a second of each entity, by the time that they speak of; and the last one.
+    AtMost {
+        /// How many, Hz.
+        hz: f64,
+    },
+    /// Every snapshot of the entities with these names.
+    Named(BTreeSet<String>),
+}
+
+/// The policies of all core segments.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Policies {
+    /// Of core segments that have none of their own.
+    pub default: Policy,
+    /// By core segment.
+    pub by_segment: BTreeMap<String, Policy>,
+}
+
+impl Default for Policies {
+    /// Motions whole, what is known of object classes when it changes, and one snapshot a second of the rest.
+    fn default() -> Self {
+        let own = [("Motions", Policy::Everything), ("ObjectClasses", Policy::OnChange)];
+        Self {
+            default: Policy::AtMost { hz: 1.0 },
+            by_segment: own.into_iter().map(|(name, policy)| (name.to_owned(), policy)).collect(),
+        }
+    }
+}
+
+impl Policies {
+    /// One policy for everything.
+    #[must_use]
+    pub fn all(policy: Policy) -> Self {
+        Self { default: policy, by_segment: BTreeMap::new() }
+    }
+
+    /// The same policies with one for a core segment.
+    #[must_use]
+    pub fn with(mut self, segment: &str, policy: Policy) -> Self {
+        self.by_segment.insert(segment.into(), policy);
+        self
+    }
+
+    fn of(&self, segment: &str) -> &Policy {
+        self.by_segment.get(segment).unwrap_or(&self.default)
+    }
+}
+
+/// What a step of consolidation has done.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Step {
+    /// Snapshots that were kept.
+    pub kept: u64,
+    /// Snapshots that working memory no longer had when it was asked for them.
+    pub missed: u64,
+}
+
+/// The snapshot of an entity that was kept last, and a newer one that may still have to be.
+#[derive(Clone, Debug, Default)]
+struct Last {
+    kept: Option<Arc<Snapshot>>,
+    pending: Option<Arc<Snapshot>>,
+}
+
+/// Carries working memory over into long-term memory.
+#[derive(Debug)]
+pub struct Consolidator {
+    store: Arc<LongTermMemory>,
+    policies: Policies,
+    last: Mutex<BTreeMap<EntityId, Last>>,
+}
+
+impl Consolidator {
+    /// Into `store`, as the policies say.
+    #[must_use]
+    pub fn new(store: Arc<LongTermMemory>, policies: Policies) -> Self {
+        Self { store, policies, last: Mutex::default() }
+    }
+
+    /// Where it keeps things.
+    #[must_use]
+    pub fn store(&self) -> &Arc<LongTermMemory> {
+        &self.store
+    }
+
+    /// Keeps those of these snapshots that the policies choose; on the disk when it returns. Returns how many.
+    ///
+    /// # Errors
+    /// As [`LongTermMemory::persist`]; none is kept then, and the same snapshots can be given again.
+    pub fn consolidate(&self, snapshots: &[Arc<Snapshot>]) -> Result<u64, StoreError> {
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut changed: BTreeMap<EntityId, Last> = BTreeMap::new();
+        let mut chosen = Vec::new();
+        for snapshot in snapshots {
+            let policy = self.policies.of(snapshot.id.segment());
+            if policy.ignores(&snapshot.id) {
+                continue;
+            }
+            let known = changed.get(&snapshot.id).or_else(|| last.get(&snapshot.id)).cloned();
+            let mut known = match known {
+                Some(known) => known,
+                None => Last { kept: self.store.newest(&snapshot.id)?, pending: None },
+            };
+            if policy.keeps(snapshot, known.kept.as_deref()) {
+                chosen.push(Arc::clone(snapshot));
+                known = Last { kept: Some(Arc::clone(snapshot)), pending: None };
+            } else {
+                known.pending = Some(Arc::clone(snapshot));
+            }
+            changed.insert(snapshot.id.clone(), known);
+        }
+        self.store.persist(&chosen)?;
+        last.append(&mut changed);
+        Ok(chosen.len() as u64)
+    }
+
+    /// Keeps the last snapshots that a rate has held back: to be called at the end. Returns how many.
+    ///
+    /// # Errors
+    /// As [`LongTermMemory::persist`]; they are still held back then.
+    pub fn flush(&self) -> Result<u64, StoreError> {
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let rated = |id: &EntityId| matches!(self.policies.of(id.segment()), Policy::AtMost { .. });
+        let held: Vec<_> =
+            last.iter().filter(|(id, _)| rated(id)).filter_map(|(_, l)| l.pending.clone()).collect();
+        self.store.persist(&held)?;
+        for snapshot in &held {
+            last.insert(snapshot.id.clone(), Last { kept: Some(Arc::clone(snapshot)), pending: None });
+        }
+        Ok(held.len() as u64)
+    }
+
+    /// Keeps what a follower can tell without waiting. To be called again until nothing was told.
+    ///
+    /// # Errors
+    /// [`MemoryError::Store`] when the disk fails: the follower tells the same again. As [`Follower::next`].
+    pub async fn step(&self, follower: &mut Follower) -> Result<Step, MemoryError> {
+        let changes = follower.drain(BATCH).await?;
+        let mut step = Step::default();
+        let mut snapshots = Vec::with_capacity(changes.len());
+        for change in &changes {
+            match change {
+                Change::New(snapshot) => snapshots.push(Arc::clone(snapshot)),
+                Change::Missed { from, to, .. } => step.missed += to - from + 1,
+            }
+        }
+        match self.consolidate(&snapshots) {
+            Ok(kept) => step.kept = kept,
+            Err(error) => {
+                follower.give_back(changes);
+                return Err(error.into());
+            }
+        }
+        Ok(step)
+    }
+
+    /// Keeps what a follower tells until `stop` is ready, then what is left, and [flushes](Self::flush). A disk that
+    /// fails is tried again; meanwhile the follower lags within its bounds, and what it misses is counted.
+    ///
+    /// # Errors
+    /// When what is left cannot be kept at the end.
+    pub async fn follow(
+        &self,
+        mut follower: Follower,
+        stop: impl Future<Output = ()> + Send,
+    ) -> Result<Step, MemoryError> {
+        let mut total = Step::default();
+        let mut stop = std::pin::pin!(stop);
+        loop {
+            let change = tokio::select! {
+                biased;
+                () = &mut stop => break,
+                change = follower.next() => change,
+            };
+            let stepped = match change {
+                Ok(Some(change)) => {
+                    follower.give_back(vec![change]);
+                    self.step(&mut follower).await
+                }
+                Ok(None) => break,
+                Err(error) => Err(error),
+            };
+            match stepped {
+                Ok(step) => total.add(step),
+                Err(error) => {
+                    tracing::warn!(%error, "consolidation is tried again");
+                    tokio::select! {
+                        biased;
+                        () = &mut stop => break,
+                        () = tokio::time::sleep(RETRY) => {}
+                    }
+                }
+            }
+        }
+        loop {
+            let step = self.step(&mut follower).await?;
+            total.add(step);
+            if follower.told_all() {
+                break;
+            }
+        }
+        total.kept += self.flush()?;
+        Ok(total)
+    }
+}
+
+impl Step {
+    fn add(&mut self, other: Self) {
+        self.kept += other.kept;
+        self.missed += other.missed;
+    }
+}
+
+impl Policy {
+    fn ignores(&self, id: &EntityId) -> bool {
+        match self {
+            Self::Nothing => true,
+            Self::Named(names) => !names.contains(id.entity()),
+            Self::Everything | Self::OnChange | Self::AtMost { .. } => false,
+        }
+    }
+
+    fn keeps(&self, snapshot: &Snapshot, kept: Option<&Snapshot>) -> bool {
+        let Some(kept) = kept else { return !matches!(self, Self::Nothing) };
+        match self {
+            Self::Nothing => false,
+            Self::Everything | Self::Named(_) => true,
+            Self::OnChange => kept.instances != snapshot.instances,
+            // A removal is never held back, and a clock that has begun anew begins a new count.
+            Self::AtMost { hz } => {
+                let passed = snapshot.referenced_ns.checked_sub(kept.referenced_ns);
+                snapshot.is_removed() || passed.is_none_or(|ns| ns as f64 * 1e-9 * hz >= 1.0)
+            }
+        }
+    }
+}
+
+impl Backing for Consolidator {
+    fn last_version(&self, id: &EntityId) -> Result<u64, MemoryError> {
+        self.store.last_version(id)
+    }
+
+    fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError> {
+        self.consolidate(snapshots)?;
+        Ok(())
+    }
+}
+
+/// A backing that only numbers: for a working memory whose changes are kept beside it, by [`Consolidator::follow`].
+#[derive(Debug)]
+pub struct Numbering(pub Arc<LongTermMemory>);
+
+impl Backing for Numbering {
+    fn last_version(&self, id: &EntityId) -> Result<u64, MemoryError> {
+        self.0.last_version(id)
+    }
+
+    fn take(&self, _: &[Arc<Snapshot>]) -> Result<(), MemoryError> {
+        Ok(())
+    }
+}

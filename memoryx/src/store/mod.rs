@@ -1,0 +1,635 @@
+//! Long-term memory: what an agent keeps on disk, in one redb file that survives a crash at any moment.
+//!
+//! What [`LongTermMemory::persist`] has returned for is on the disk, synced; what it has not returned for is there
+//! whole or not at all. It does not decide what is worth keeping (see [`crate::Consolidator`]) and keeps no copy in
+//! working memory. All functions block for the disk.
+//!
+//! # The file, format 1
+//!
+//! A redb file of file format 3 with four tables. Numbers in keys are big-endian, so that the order of bytes is the
+//! order of numbers; names hold no control characters, so that a zero byte ends them without doubt.
+//!
+//! | table | key | value |
+//! |---|---|---|
+//! | `meta` | `format` (text) | 1 (`u64`) |
+//! | `snapshots` | segment `00` provider `00` entity `00` version (8 bytes) | CRC-32 (IEEE, 4 bytes little-endian) of key and record, then the record |
+//! | `times` | segment `00` provider `00` entity `00` referenced_ns (8 bytes) version (8 bytes) | nothing |
+//! | `latest` | segment `00` provider `00` entity `00` | newest version (`u64`) |
+//!
+//! A record is the CBOR map `{referenced_ns, sent_ns, arrived_ns, instances}`, `instances` as on the wire. `times` and
+//! `latest` follow from `snapshots`; one transaction changes all three, so they never disagree.
+//!
+//! # What is relied on
+//! A sync that returns has written; a write that is not synced may be there in part, or not; nobody else writes
+//! into the file (it is locked). redb makes the newest complete transaction the valid one by its own checksums.
+
+use std::fmt;
+use std::ops::Bound;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, PoisonError, RwLock};
+
+use redb::{
+    Database, ReadTransaction, ReadableDatabase, ReadableTable, ReadableTableMetadata, TableDefinition,
+};
+
+use crate::entity::{EntityId, Snapshot};
+use crate::error::MemoryError;
+use crate::query::{Pattern, Query, Times};
+use crate::working::{Backing, WorkingMemory};
+
+mod consolidate;
+mod record;
+
+#[cfg(test)]
+mod fault_tests;
+#[cfg(test)]
+mod tests;
+
+pub use consolidate::{Consolidator, Numbering, Policies, Policy, Step};
+
+/// The format that this program writes and reads.
+const FORMAT: u64 = 1;
+/// redb's cache, bytes.
+const CACHE: usize = 32 << 20;
+/// Damages that a verification lists one by one.
+const LISTED: usize = 100;
+
+const META: TableDefinition<'_, &str, u64> = TableDefinition::new("meta");
+const SNAPSHOTS: TableDefinition<'_, &[u8], &[u8]> = TableDefinition::new("snapshots");
+const TIMES: TableDefinition<'_, &[u8], ()> = TableDefinition::new("times");
+const LATEST: TableDefinition<'_, &[u8], u64> = TableDefinition::new("latest");
+
+/// Why long-term memory refuses.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum StoreError {
+    /// Another process, or this one, has the file open.
+    #[error("long-term memory `{path}` is in use by another process")]
+    Locked {
+        /// The file.
+        path: String,
+    },
+    /// The file is not a long-term memory, or its beginning is destroyed.
+    #[error("`{path}` is no long-term memory: {what}")]
+    NotAStore {
+        /// The file.
+        path: String,
+        /// What is said of it.
+        what: String,
+    },
+    /// The file is of another format.
+    #[error("`{path}` is of format {found}; this program reads and writes format {supported}")]
+    Format {
+        /// The file.
+        path: String,
+        /// Its format.
+        found: u64,
+        /// The format of this program.
+        supported: u64,
+    },
+    /// The disk is full.
+    #[error("the disk under long-term memory `{path}` is full; nothing of the last commit was kept")]
+    Full {
+        /// The file.
+        path: String,
+    },
+    /// Something on the disk is not what was written.
+    #[error("long-term memory `{path}` is damaged: {what}")]
+    Damaged {
+        /// The file.
+        path: String,
+        /// What is damaged.
+        what: String,
+    },
+    /// The operating system refuses.
+    #[error("long-term memory `{path}` cannot be used: {what}")]
+    Failed {
+        /// The file.
+        path: String,
+        /// What it says.
+        what: String,
+    },
+    /// Another snapshot has the version already.
+    #[error("long-term memory has another version {version} of `{id}` already")]
+    Version {
+        /// The entity.
+        id: String,
+        /// The version.
+        version: u64,
+    },
+    /// A snapshot that cannot be encoded.
+    #[error("`{id}` cannot be kept: {what}")]
+    Encode {
+        /// The entity.
+        id: String,
+        /// Why.
+        what: String,
+    },
+}
+
+impl From<StoreError> for MemoryError {
+    fn from(error: StoreError) -> Self {
+        Self::Store { what: error.to_string() }
+    }
+}
+
+/// How much a long-term memory holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StoreStats {
+    /// Entities.
+    pub entities: u64,
+    /// Snapshots.
+    pub snapshots: u64,
+    /// Length of the file, bytes; 0 where there is no file.
+    pub file_bytes: u64,
+}
+
+/// What a verification has found.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Verification {
+    /// Snapshots that were read and are as they were written.
+    pub intact: u64,
+    /// Snapshots and index entries that are not.
+    pub damaged: u64,
+    /// The first of them in words.
+    pub damages: Vec<String>,
+}
+
+impl Verification {
+    /// Whether everything is as it was written.
+    #[must_use]
+    pub fn is_intact(&self) -> bool {
+        self.damaged == 0
+    }
+
+    fn damage(&mut self, what: String) {
+        self.damaged += 1;
+        if self.damages.len() < LISTED {
+            self.damages.push(what);
+        }
+    }
+}
+
+type Opener = Box<dyn Fn() -> Result<Database, redb::DatabaseError> + Send + Sync>;
+
+/// The long-term memory of an agent.
+pub struct LongTermMemory {
+    path: Option<PathBuf>,
+    name: String,
+    opener: Opener,
+    /// None after a failure: the next use opens the file again, which brings it back to its last commit.
+    database: RwLock<Option<Database>>,
+}
+
+impl LongTermMemory {
+    /// Opens the file, or makes it.
+    ///
+    /// # Errors
+    /// [`StoreError::Locked`] when it is open elsewhere; [`StoreError::NotAStore`], [`StoreError::Format`] and
+    /// [`StoreError::Damaged`] for a file that cannot be used, which is left as it is; [`StoreError::Failed`].
+    pub fn open(path: &Path) -> Result<Self, StoreError> {
+        let file = path.to_path_buf();
+        let is_new = !file.exists();
+        let opener: Opener = {
+            let file = file.clone();
+            Box::new(move || redb::Builder::new().set_cache_size(CACHE).create(&file))
+        };
+        let store = Self::open_with(path.display().to_string(), Some(file), opener)?;
+        if is_new {
+            store.sync_folder(path)?;
+        }
+        Ok(store)
+    }
+
+    fn open_with(name: String, path: Option<PathBuf>, opener: Opener) -> Result<Self, StoreError> {
+        let store = Self { path, name, opener, database: RwLock::new(None) };
+        store.reopen()?;
+        Ok(store)
+    }
+
+    /// A new file is there after a power cut only when its folder has been written too.
+    fn sync_folder(&self, path: &Path) -> Result<(), StoreError> {
+        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let synced = std::fs::File::open(folder).and_then(|folder| folder.sync_all());
+        synced.map_err(|e| StoreError::Failed { path: self.name.clone(), what: e.to_string() })
+    }
+
+    /// Keeps snapshots, all or none; on the disk when this returns. Snapshots that are there already stay as they
+    /// are. Returns how many are new.
+    ///
+    /// # Errors
+    /// [`StoreError::Version`] when another snapshot has that version; [`StoreError::Full`] and others when the disk
+    /// fails.
+    pub fn persist(&self, snapshots: &[Arc<Snapshot>]) -> Result<usize, StoreError> {
+        let records = snapshots.iter().map(|s| record::encode(s)).collect::<Result<Vec<_>, _>>()?;
+        if records.is_empty() {
+            return Ok(0);
+        }
+        self.with(|database| {
+            let transaction = database.begin_write().map_err(|e| self.fault(e))?;
+            let mut new = 0;
+            {
+                let mut table = transaction.open_table(SNAPSHOTS).map_err(|e| self.fault(e))?;
+                let mut times = transaction.open_table(TIMES).map_err(|e| self.fault(e))?;
+                let mut latest = transaction.open_table(LATEST).map_err(|e| self.fault(e))?;
+                for (snapshot, record) in snapshots.iter().zip(&records) {
+                    let key = record::key(&snapshot.id, snapshot.version);
+                    let held =
+                        table.get(key.as_slice()).map_err(|e| self.fault(e))?.map(|v| v.value() == record);
+                    match held {
+                        Some(true) => continue,
+                        Some(false) => {
+                            let (id, version) = (snapshot.id.to_string(), snapshot.version);
+                            return Err(StoreError::Version { id, version });
+                        }
+                        None => {}
+                    }
+                    table.insert(key.as_slice(), record.as_slice()).map_err(|e| self.fault(e))?;
+                    let time = record::time_key(&snapshot.id, snapshot.referenced_ns, snapshot.version);
+                    times.insert(time.as_slice(), ()).map_err(|e| self.fault(e))?;
+                    let entity = record::entity_key(&snapshot.id);
+                    let newest = latest.get(entity.as_slice()).map_err(|e| self.fault(e))?.map(|v| v.value());
+                    if newest.is_none_or(|n| n < snapshot.version) {
+                        latest.insert(entity.as_slice(), snapshot.version).map_err(|e| self.fault(e))?;
+                    }
+                    new += 1;
+                }
+            }
+            if new > 0 {
+                transaction.commit().map_err(|e| self.fault(e))?;
+            }
+            Ok(new)
+        })
+    }
+
+    /// The newest version of an entity, also when it says that the entity is gone; `None` when nothing was kept.
+    ///
+    /// # Errors
+    /// [`StoreError::Damaged`] and others when it cannot be read.
+    pub fn newest(&self, id: &EntityId) -> Result<Option<Arc<Snapshot>>, StoreError> {
+        let query = Query::history(Pattern::entity(id)).limit(1);
+        Ok(self.query(&query)?.pop())
+    }
+
+    /// What a query asks for, ordered by address, then version: the same as [`crate::Memory::query`], of everything
+    /// that was ever kept.
+    ///
+    /// # Errors
+    /// [`StoreError::Damaged`] and others when it cannot be read.
+    pub fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, StoreError> {
+        self.with(|database| {
+            let transaction = database.begin_read().map_err(|e| self.fault(e))?;
+            let mut found = Vec::new();
+            for (id, newest) in self.entities(&transaction, &query.pattern)? {
+                self.query_entity(&transaction, query, &id, newest, &mut found)?;
+            }
+            Ok(found)
+        })
+    }
+
+    /// Puts the newest snapshots of what a pattern fits back into working memory, with their versions. Returns how
+    /// many that memory did not have.
+    ///
+    /// # Errors
+    /// [`MemoryError::Store`] when they cannot be read; otherwise as [`WorkingMemory::restore`].
+    pub fn load_into(&self, memory: &WorkingMemory, pattern: Pattern) -> Result<usize, MemoryError> {
+        memory.restore(self.query(&Query::latest(pattern))?)
+    }
+
+    /// How much it holds.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn stats(&self) -> Result<StoreStats, StoreError> {
+        let file_bytes = self.path.as_ref().and_then(|p| std::fs::metadata(p).ok()).map_or(0, |m| m.len());
+        self.with(|database| {
+            let transaction = database.begin_read().map_err(|e| self.fault(e))?;
+            let snapshots = transaction.open_table(SNAPSHOTS).map_err(|e| self.fault(e))?;
+            let latest = transaction.open_table(LATEST).map_err(|e| self.fault(e))?;
+            Ok(StoreStats {
+                entities: latest.len().map_err(|e| self.fault(e))?,
+                snapshots: snapshots.len().map_err(|e| self.fault(e))?,
+                file_bytes,
+            })
+        })
+    }
+
+    /// Gives free space back to the file system. Returns whether there was any. Waits until nobody else uses it.
+    ///
+    /// # Errors
+    /// When the disk fails; nothing is lost then.
+    pub fn compact(&self) -> Result<bool, StoreError> {
+        self.with_alone(|database| database.compact().map_err(|e| self.fault(e)))
+    }
+
+    /// Reads everything and checks it: redb's own checksums, each record's checksum and content, and that the
+    /// indices agree. Waits until nobody else uses the memory. Changes nothing that is intact.
+    ///
+    /// # Errors
+    /// When the file cannot be read at all.
+    pub fn verify(&self) -> Result<Verification, StoreError> {
+        let mut found = Verification::default();
+        let pages = self.with_alone(|database| database.check_integrity().map_err(|e| self.fault(e)));
+        match pages {
+            Ok(true) => {}
+            Ok(false) => found.damage("pages of the file were not as they were written".into()),
+            Err(StoreError::Damaged { what, .. }) => found.damage(what),
+            Err(error) => return Err(error),
+        }
+        self.with(|database| {
+            let transaction = database.begin_read().map_err(|e| self.fault(e))?;
+            self.verify_tables(&transaction, &mut found)
+        })?;
+        Ok(found)
+    }
+
+    fn verify_tables(
+        &self,
+        transaction: &ReadTransaction,
+        found: &mut Verification,
+    ) -> Result<(), StoreError> {
+        let snapshots = transaction.open_table(SNAPSHOTS).map_err(|e| self.fault(e))?;
+        let times = transaction.open_table(TIMES).map_err(|e| self.fault(e))?;
+        let latest = transaction.open_table(LATEST).map_err(|e| self.fault(e))?;
+        for row in snapshots.iter().map_err(|e| self.fault(e))? {
+            let (key, value) = row.map_err(|e| self.fault(e))?;
+            match record::decode(key.value(), value.value()) {
+                Err(what) => found.damage(what),
+                Ok(snapshot) => {
+                    let time = record::time_key(&snapshot.id, snapshot.referenced_ns, snapshot.version);
+                    let timed = times.get(time.as_slice()).map_err(|e| self.fault(e))?.is_some();
+                    let entity = record::entity_key(&snapshot.id);
+                    let newest = latest.get(entity.as_slice()).map_err(|e| self.fault(e))?;
+                    let newest = newest.is_some_and(|v| v.value() >= snapshot.version);
+                    if timed && newest {
+                        found.intact += 1;
+                    } else {
+                        found.damage(format!(
+                            "version {} of `{}` is not in the index",
+                            snapshot.version, snapshot.id
+                        ));
+                    }
+                }
+            }
+        }
+        let (rows, timed) =
+            (snapshots.len().map_err(|e| self.fault(e))?, times.len().map_err(|e| self.fault(e))?);
+        if rows != timed {
+            found.damage(format!("{rows} snapshots have {timed} entries in the index of times"));
+        }
+        Ok(())
+    }
+
+    /// The entities that a pattern fits, with their newest versions.
+    fn entities(
+        &self,
+        transaction: &ReadTransaction,
+        pattern: &Pattern,
+    ) -> Result<Vec<(EntityId, u64)>, StoreError> {
+        let latest = transaction.open_table(LATEST).map_err(|e| self.fault(e))?;
+        let (from, to) = record::entity_range(pattern);
+        let to = to.as_ref().map_or(Bound::Unbounded, |to| Bound::Excluded(to.as_slice()));
+        let rows =
+            latest.range::<&[u8]>((Bound::Included(from.as_slice()), to)).map_err(|e| self.fault(e))?;
+        let mut found = Vec::new();
+        for row in rows {
+            let (key, version) = row.map_err(|e| self.fault(e))?;
+            let id = record::entity_of(key.value()).map_err(|what| self.damaged(what))?;
+            if pattern.matches(&id) {
+                found.push((id, version.value()));
+            }
+        }
+        Ok(found)
+    }
+
+    /// Adds what a query takes of one entity, without reading more of its history than that.
+    fn query_entity(
+        &self,
+        transaction: &ReadTransaction,
+        query: &Query,
+        id: &EntityId,
+        newest: u64,
+        found: &mut Vec<Arc<Snapshot>>,
+    ) -> Result<(), StoreError> {
+        let limit = query.limit.unwrap_or(usize::MAX);
+        let snapshots = transaction.open_table(SNAPSHOTS).map_err(|e| self.fault(e))?;
+        let get = |version: u64| -> Result<Arc<Snapshot>, StoreError> {
+            let key = record::key(id, version);
+            let row = snapshots.get(key.as_slice()).map_err(|e| self.fault(e))?;
+            let row = row.ok_or_else(|| self.damaged(format!("version {version} of `{id}` is missing")))?;
+            record::decode(&key, row.value()).map(Arc::new).map_err(|what| self.damaged(what))
+        };
+        let times = || transaction.open_table(TIMES).map_err(|e| self.fault(e));
+        let held = |before: u64| -> Result<Option<u64>, StoreError> {
+            let (from, to) = (record::time_key(id, 0, 0), record::time_key(id, before, u64::MAX));
+            let times = times()?;
+            let mut rows =
+                times.range::<&[u8]>(from.as_slice()..=to.as_slice()).map_err(|e| self.fault(e))?;
+            let row = rows.next_back().transpose().map_err(|e| self.fault(e))?;
+            Ok(row.map(|(key, _)| record::last_number(key.value())))
+        };
+        if limit == 0 {
+            return Ok(());
+        }
+        let taken = match query.times {
+            Times::Latest => vec![get(newest)?],
+            Times::At(time) => held(time)?.map(get).transpose()?.into_iter().collect(),
+            Times::Before(0) => Vec::new(),
+            Times::Before(time) => held(time - 1)?.map(get).transpose()?.into_iter().collect(),
+            Times::All => {
+                let (from, to) = (record::key(id, 0), record::key(id, u64::MAX));
+                let rows =
+                    snapshots.range::<&[u8]>(from.as_slice()..=to.as_slice()).map_err(|e| self.fault(e))?;
+                let mut taken = Vec::new();
+                for row in rows.rev().take(limit) {
+                    let (key, value) = row.map_err(|e| self.fault(e))?;
+                    let snapshot = record::decode(key.value(), value.value());
+                    taken.push(Arc::new(snapshot.map_err(|what| self.damaged(what))?));
+                }
+                taken.reverse();
+                found.extend(taken);
+                return Ok(());
+            }
+            Times::Between(from, to) if from <= to => {
+                let (from, to) = (record::time_key(id, from, 0), record::time_key(id, to, u64::MAX));
+                let times = times()?;
+                let rows =
+                    times.range::<&[u8]>(from.as_slice()..=to.as_slice()).map_err(|e| self.fault(e))?;
+                let mut versions = Vec::new();
+                for row in rows {
+                    versions.push(record::last_number(row.map_err(|e| self.fault(e))?.0.value()));
+                }
+                versions.sort_unstable();
+                let first = versions.len().saturating_sub(limit);
+                found.extend(versions[first..].iter().map(|v| get(*v)).collect::<Result<Vec<_>, _>>()?);
+                return Ok(());
+            }
+            Times::Between(..) => Vec::new(),
+        };
+        found.extend(taken.into_iter().filter(|s| !s.is_removed()));
+        Ok(())
+    }
+
+    /// Uses the database together with others; opens it again first if it has failed.
+    fn with<T>(&self, act: impl FnOnce(&Database) -> Result<T, StoreError>) -> Result<T, StoreError> {
+        let open = self.database.read().unwrap_or_else(PoisonError::into_inner);
+        let open = if open.is_some() {
+            open
+        } else {
+            drop(open);
+            self.reopen()?;
+            self.database.read().unwrap_or_else(PoisonError::into_inner)
+        };
+        let Some(database) = open.as_ref() else {
+            return Err(self.failed("it has just failed in another place"));
+        };
+        let result = self.contained(|| act(database));
+        drop(open);
+        self.close_after(&result);
+        result
+    }
+
+    /// Uses the database while nobody else does.
+    fn with_alone<T>(
+        &self,
+        act: impl FnOnce(&mut Database) -> Result<T, StoreError>,
+    ) -> Result<T, StoreError> {
+        self.reopen()?;
+        let mut open = self.database.write().unwrap_or_else(PoisonError::into_inner);
+        let Some(database) = open.as_mut() else {
+            return Err(self.failed("it has just failed in another place"));
+        };
+        let result = self.contained(|| act(database));
+        drop(open);
+        self.close_after(&result);
+        result
+    }
+
+    /// After a failure only opening the file again brings a database back that can be used.
+    fn close_after<T>(&self, result: &Result<T, StoreError>) {
+        if let Err(StoreError::Full { .. } | StoreError::Failed { .. } | StoreError::Damaged { .. }) = result
+        {
+            let mut open = self.database.write().unwrap_or_else(PoisonError::into_inner);
+            let failed = open.take();
+            let _ = self.contained(|| {
+                drop(failed);
+                Ok(())
+            });
+        }
+    }
+
+    fn reopen(&self) -> Result<(), StoreError> {
+        let mut open = self.database.write().unwrap_or_else(PoisonError::into_inner);
+        if open.is_none() {
+            *open = Some(self.contained(|| {
+                let database = (self.opener)().map_err(|e| self.opening(e))?;
+                self.check_format(&database)?;
+                Ok(database)
+            })?);
+        }
+        Ok(())
+    }
+
+    fn check_format(&self, database: &Database) -> Result<(), StoreError> {
+        let fault = |e: redb::Error| self.fault(e);
+        {
+            let read = database.begin_read().map_err(|e| fault(e.into()))?;
+            match read.open_table(META) {
+                Ok(meta) => {
+                    let found = meta.get("format").map_err(|e| fault(e.into()))?.map_or(0, |v| v.value());
+                    let path = self.name.clone();
+                    return match found {
+                        FORMAT => Ok(()),
+                        found => Err(StoreError::Format { path, found, supported: FORMAT }),
+                    };
+                }
+                Err(redb::TableError::TableDoesNotExist(_)) => {}
+                Err(error) => return Err(fault(error.into())),
+            }
+            if read.list_tables().map_err(|e| fault(e.into()))?.next().is_some() {
+                let what = "it is a database of something else".into();
+                return Err(StoreError::NotAStore { path: self.name.clone(), what });
+            }
+        }
+        let write = database.begin_write().map_err(|e| fault(e.into()))?;
+        write
+            .open_table(META)
+            .map_err(|e| fault(e.into()))?
+            .insert("format", FORMAT)
+            .map_err(|e| fault(e.into()))?;
+        write.open_table(SNAPSHOTS).map_err(|e| fault(e.into()))?;
+        write.open_table(TIMES).map_err(|e| fault(e.into()))?;
+        write.open_table(LATEST).map_err(|e| fault(e.into()))?;
+        write.commit().map_err(|e| fault(e.into()))
+    }
+
+    /// redb answers some damages of a file with a panic: here it is an error like others.
+    fn contained<T>(&self, act: impl FnOnce() -> Result<T, StoreError>) -> Result<T, StoreError> {
+        catch_unwind(AssertUnwindSafe(act)).unwrap_or_else(|panic| {
+            let what = panic.downcast_ref::<String>().map(String::as_str);
+            let what =
+                what.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("its content is impossible");
+            Err(self.damaged(what.into()))
+        })
+    }
+
+    fn damaged(&self, what: String) -> StoreError {
+        StoreError::Damaged { path: self.name.clone(), what }
+    }
+
+    fn failed(&self, what: &str) -> StoreError {
+        StoreError::Failed { path: self.name.clone(), what: what.into() }
+    }
+
+    /// What an error at opening means to the user.
+    fn opening(&self, error: redb::DatabaseError) -> StoreError {
+        let path = self.name.clone();
+        match error {
+            redb::DatabaseError::DatabaseAlreadyOpen => StoreError::Locked { path },
+            redb::DatabaseError::UpgradeRequired(format) => {
+                StoreError::NotAStore { path, what: format!("it is of redb's old file format {format}") }
+            }
+            redb::DatabaseError::Storage(redb::StorageError::Io(e))
+                if e.kind() == std::io::ErrorKind::InvalidData =>
+            {
+                StoreError::NotAStore { path, what: e.to_string() }
+            }
+            error => self.fault(error),
+        }
+    }
+
+    /// What an error in use means to the user.
+    fn fault(&self, error: impl Into<redb::Error>) -> StoreError {
+        let path = self.name.clone();
+        match error.into() {
+            redb::Error::Io(e) if e.kind() == std::io::ErrorKind::StorageFull => StoreError::Full { path },
+            redb::Error::Corrupted(what) => StoreError::Damaged { path, what },
+            redb::Error::DatabaseAlreadyOpen => StoreError::Locked { path },
+            error => StoreError::Failed { path, what: error.to_string() },
+        }
+    }
+}
+
+impl Backing for LongTermMemory {
+    fn last_version(&self, id: &EntityId) -> Result<u64, MemoryError> {
+        let key = record::entity_key(id);
+        let version = self.with(|database| {
+            let transaction = database.begin_read().map_err(|e| self.fault(e))?;
+            let latest = transaction.open_table(LATEST).map_err(|e| self.fault(e))?;
+            Ok(latest.get(key.as_slice()).map_err(|e| self.fault(e))?.map_or(0, |v| v.value()))
+        })?;
+        Ok(version)
+    }
+
+    fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError> {
+        self.persist(snapshots)?;
+        Ok(())
+    }
+}
+
+impl fmt::Debug for LongTermMemory {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("LongTermMemory").field("name", &self.name).finish_non_exhaustive()
+    }
+}
