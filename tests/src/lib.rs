@@ -1,1 +1,6 @@
-//! What no single room can show: scenarios, two processes, conformance, golden charts.
+//! What no single room can show: scenarios, two processes, conformance, golden charts, rules of the repository.
+//!
+//! The tests are in `tests/tests`; here is what several of them share. The program `figures` judges the report of a
+//! run for the repository's check.
+
+pub mod repository;

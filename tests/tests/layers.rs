@@ -1,0 +1,162 @@
+//! The real dependencies between the rooms, and on crates from outside, against the tables of what is allowed.
+//!
+//! A new arrow is a decision: it changes a table here, and the page that explains it (`ARCHITECTURE.md`).
+
+use std::collections::BTreeSet;
+
+use armarium_tests::repository::{self, Room};
+
+/// Each room, and what it may use. The rooms stand in order: an arrow goes only to a room further up.
+const ALLOWED: [(&str, &[&str]); 12] = [
+    ("values", &[]),
+    ("bus", &["values"]),
+    ("motion", &[]),
+    ("runtime", &["values", "bus"]),
+    ("robot", &["values", "bus"]),
+    ("memoryx", &["values", "bus"]),
+    ("visionx", &["values", "bus"]),
+    ("states", &["values", "runtime", "robot", "motion", "memoryx", "visionx"]),
+    ("simulator", &["values", "robot", "visionx"]),
+    ("viewer", &["values", "runtime", "robot", "memoryx", "visionx"]),
+    (
+        "cli",
+        &[
+            "values",
+            "bus",
+            "runtime",
+            "robot",
+            "motion",
+            "memoryx",
+            "visionx",
+            "states",
+            "simulator",
+            "viewer",
+        ],
+    ),
+    (
+        "tests",
+        &[
+            "values",
+            "bus",
+            "runtime",
+            "robot",
+            "motion",
+            "memoryx",
+            "visionx",
+            "states",
+            "simulator",
+            "viewer",
+        ],
+    ),
+];
+
+/// What a room's own tests may use beyond that.
+const ALLOWED_IN_TESTS: [(&str, &[&str]); 2] = [
+    // A skill is tried on the simulated robot: the tests see the truth, the skill does not.
+    ("states", &["simulator"]),
+    ("viewer", &["simulator"]),
+];
+
+/// Crates from outside that only some rooms may use, each with the reason.
+const CONFINED: [(&str, &[&str], &str); 12] = [
+    ("zenoh", &["bus"], "the network is known to one room; the others see traits"),
+    ("zenoh-ext", &["bus"], "the network is known to one room; the others see traits"),
+    ("rapier3d-f64", &["simulator"], "its vectors differ from ours: they are converted in one place"),
+    ("redb", &["memoryx"], "the long-term store is the memory's own affair"),
+    ("cel", &["values"], "a young interface: it stays behind one module"),
+    ("foxglove", &["viewer"], "recordings are written in one place"),
+    ("clap", &["cli"], "only the program has a command line"),
+    ("miette", &["cli"], "findings are data; only the program renders them"),
+    ("indicatif", &["cli"], "only the program prints"),
+    ("tracing-subscriber", &["cli"], "rooms emit log events; the program decides where they go"),
+    ("urdf-rs", &["robot"], "descriptions become a model in one place"),
+    ("axum", &["viewer", "cli"], "the live page"),
+];
+
+/// Rooms that know no task and no clock: tokio is not theirs.
+const PURE: [&str; 2] = ["values", "motion"];
+
+fn allowed(room: &str) -> &'static [&'static str] {
+    ALLOWED.iter().find(|(name, _)| *name == room).map_or(&[], |(_, uses)| uses)
+}
+
+fn allowed_in_tests(room: &str) -> BTreeSet<&'static str> {
+    let more = ALLOWED_IN_TESTS.iter().find(|(name, _)| *name == room).map_or(&[][..], |(_, uses)| uses);
+    allowed(room).iter().chain(more).copied().collect()
+}
+
+fn wrong_arrows(rooms: &[Room]) -> Vec<String> {
+    let mut wrong = Vec::new();
+    for room in rooms {
+        for used in room.uses.iter().filter_map(|name| name.strip_prefix("armarium-")) {
+            if !allowed(&room.name).contains(&used) {
+                wrong.push(format!("{} may not use {used}", room.name));
+            }
+        }
+        for used in room.tests_use.iter().filter_map(|name| name.strip_prefix("armarium-")) {
+            if used != room.name && !allowed_in_tests(&room.name).contains(used) {
+                wrong.push(format!("the tests of {} may not use {used}", room.name));
+            }
+        }
+    }
+    wrong
+}
+
+fn wrong_crates(rooms: &[Room]) -> Vec<String> {
+    let confined = rooms.iter().flat_map(|room| {
+        CONFINED
+            .iter()
+            .filter(|(name, may, _)| room.uses.contains(*name) && !may.contains(&room.name.as_str()))
+            .map(|(name, _, why)| format!("{} may not use {name}: {why}", room.name))
+    });
+    let pure = rooms
+        .iter()
+        .filter(|room| PURE.contains(&room.name.as_str()) && room.uses.contains("tokio"))
+        .map(|room| format!("{} may not use tokio: it knows no task and no clock", room.name));
+    confined.chain(pure).collect()
+}
+
+#[test]
+fn every_room_stands_in_the_table_and_arrows_go_only_upwards() {
+    let rooms: BTreeSet<String> = repository::rooms().into_iter().map(|room| room.name).collect();
+    let table: BTreeSet<String> = ALLOWED.iter().map(|(name, _)| (*name).to_owned()).collect();
+    assert_eq!(rooms, table);
+    for (i, (room, uses)) in ALLOWED.iter().enumerate() {
+        let above: Vec<&str> = ALLOWED[..i].iter().map(|(name, _)| *name).collect();
+        assert!(uses.iter().all(|used| above.contains(used)), "an arrow of {room} goes back");
+    }
+}
+
+#[test]
+fn rooms_use_only_what_they_may() {
+    assert_eq!(wrong_arrows(&repository::rooms()), Vec::<String>::new());
+}
+
+#[test]
+fn crates_from_outside_stay_where_they_belong() {
+    assert_eq!(wrong_crates(&repository::rooms()), Vec::<String>::new());
+}
+
+#[test]
+fn a_wrong_arrow_is_found() {
+    let room = |name: &str, uses: &[&str], tests_use: &[&str]| Room {
+        name: name.to_owned(),
+        uses: uses.iter().map(|u| (*u).to_owned()).collect(),
+        tests_use: tests_use.iter().map(|u| (*u).to_owned()).collect(),
+        ..Room::default()
+    };
+    let rooms = [
+        room("motion", &["armarium-robot", "tokio"], &[]),
+        room("states", &["armarium-simulator", "zenoh"], &["armarium-simulator"]),
+        room("robot", &[], &["armarium-simulator"]),
+    ];
+    assert_eq!(
+        wrong_arrows(&rooms),
+        [
+            "motion may not use robot",
+            "states may not use simulator",
+            "the tests of robot may not use simulator"
+        ]
+    );
+    assert_eq!(wrong_crates(&rooms).len(), 2);
+}

@@ -1,0 +1,76 @@
+//! Rules of the repository that no compiler holds: manifests, links, files that must be there.
+
+use std::path::{Path, PathBuf};
+
+use armarium_tests::repository;
+
+fn read(path: &Path) -> String {
+    std::fs::read_to_string(path).expect("the file can be read")
+}
+
+fn manuals() -> Vec<PathBuf> {
+    let root = repository::root();
+    let in_docs =
+        std::fs::read_dir(root.join("docs")).into_iter().flatten().flatten().map(|entry| entry.path());
+    let top = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md"].map(|name| root.join(name));
+    top.into_iter().chain(in_docs).filter(|path| path.extension().is_some_and(|e| e == "md")).collect()
+}
+
+/// Targets of Markdown links that lead to files, without their anchors.
+fn links(text: &str) -> Vec<&str> {
+    text.split("](")
+        .skip(1)
+        .filter_map(|rest| rest.split(')').next())
+        .filter(|link| !link.contains("://") && !link.starts_with('#') && !link.contains(char::is_whitespace))
+        .filter_map(|link| link.split('#').next())
+        .collect()
+}
+
+#[test]
+fn links_are_found_in_text() {
+    let text = "see [a](docs/a.md#b), [c](https://x.y), [d](#here) and ![e](e.png)";
+    assert_eq!(links(text), ["docs/a.md", "e.png"]);
+}
+
+#[test]
+fn every_room_says_what_it_is_and_takes_the_common_lints() {
+    for room in repository::rooms() {
+        assert!(room.description.len() > 20, "{} has no description", room.name);
+        let manifest = read(&room.manifest);
+        assert!(
+            manifest.contains("[lints]\nworkspace = true"),
+            "{} does not take the common lints",
+            room.name
+        );
+    }
+}
+
+#[test]
+fn every_link_of_the_manuals_leads_somewhere() {
+    let mut broken = Vec::new();
+    for manual in manuals() {
+        let folder = manual.parent().expect("a file has a folder").to_path_buf();
+        let text = read(&manual);
+        let lost = links(&text).into_iter().filter(|link| !folder.join(link).exists());
+        broken.extend(lost.map(|link| format!("{}: {link}", manual.display())));
+    }
+    assert_eq!(broken, Vec::<String>::new());
+}
+
+#[test]
+fn the_licences_lie_beside_the_readme() {
+    for name in ["LICENSE-MIT", "LICENSE-APACHE"] {
+        assert!(read(&repository::root().join(name)).len() > 1000, "{name}");
+    }
+}
+
+/// What the check of every change runs is what the README tells people to run.
+#[test]
+fn the_check_runs_the_commands_of_the_readme() {
+    let root = repository::root();
+    let (readme, check) = (read(&root.join("README.md")), read(&root.join(".ci/run")));
+    for command in ["cargo test --workspace", "cargo run --release -- run statecharts/wiping.yaml"] {
+        assert!(readme.contains(command), "README.md: {command}");
+        assert!(check.contains(command), ".ci/run: {command}");
+    }
+}
