@@ -1,14 +1,25 @@
 //! The robot, table, sponge, coach and cameras, in physics; and a referee that alone knows the truth.
 //!
-//! - [`world`]: the world file.
-//! - [`table`], [`bed`]: the table, its dirt, and the soft underside of objects.
-//! - [`coach`]: the person who demonstrates and coaches.
-//! - [`physics`]: Rapier, grip and wrist sensor.
-//! - [`render`]: what the cameras see.
+//! - [`world`]: the world file. [`Simulation`]: everything together, stepped by tokio's clock.
+//! - [`physics`]: Rapier, grip and wrist sensor; on [`table`] and [`bed`], the soft underside of objects.
+//! - [`coach`]: the person who demonstrates and coaches. [`cameras`], [`render`]: what the robot sees.
+//! - [`truth`]: what is true, for recorder and [`referee`]; skills never see it.
+//!
+//! This room knows no skill, no chart and no memory.
 
 pub mod bed;
+pub mod cameras;
 pub mod coach;
 pub mod physics;
+pub mod referee;
 pub mod render;
+mod sensing;
+pub mod simulation;
 pub mod table;
+pub mod truth;
 pub mod world;
+
+pub use referee::{Mark, Referee, RefereeReport};
+pub use simulation::{Handle, Options, Simulation, SimulationError};
+pub use truth::{TruthDigest, TruthEvent, TruthSample, TruthSink};
+pub use world::{World, WorldError};

@@ -44,11 +44,9 @@ fn steiner(mass: f64, c: &Vector3<f64>) -> Matrix3<f64> {
     (Matrix3::identity() * c.norm_squared() - c * c.transpose()) * mass
 }
 
-/// One body that the physics moves, with the joint that moves it.
+/// One body that the physics moves, with the joint that moves it; its frame is that of the link that the joint moves.
 #[derive(Clone, Debug)]
 pub(super) struct Lump {
-    /// Its frame is that of this link.
-    pub(super) link: LinkId,
     /// The body it hangs on; none hangs on the room.
     pub(super) parent: Option<usize>,
     /// The joint, an index into the model's.
@@ -110,11 +108,9 @@ impl Assembly {
             let at_zero = parent.map_or_else(Isometry3::identity, |p| carrier_from_link[p]) * link.parent_from_link;
             let inherited = parent.and_then(|p| carrier[p]);
             if let Some(joint) = link.joint.filter(|j| dynamic.contains(j)) {
-                let id = model.joints()[joint].link;
                 carrier.push(Some(lumps.len()));
                 carrier_from_link.push(Isometry3::identity());
                 lumps.push(Lump {
-                    link: id,
                     parent: inherited,
                     joint,
                     kind: model.joints()[joint].kind,

@@ -437,7 +437,7 @@ fn add_object(physics: &mut rapier::PhysicsWorld, table: &TableTop, spec: &Objec
     let inertia = Vector3::new(sy + sz, sx + sz, sx + sy) * (spec.mass / 12.0);
     let mass = rapier::MassProperties::new(rapier::Vector::ZERO, spec.mass, convert::vector(&inertia));
     let body = rapier::RigidBodyBuilder::dynamic()
-        .position(convert::pose(&pose))
+        .pose(convert::pose(&pose))
         .additional_mass_properties(mass)
         .can_sleep(false);
     let handle = physics.insert_body(body);
@@ -497,7 +497,7 @@ fn lump_body(lump: &Lump, pose: &Isometry3<f64>) -> rapier::RigidBodyBuilder {
         convert::matrix(&lump.mass.inertia()),
     );
     rapier::RigidBodyBuilder::dynamic()
-        .position(convert::pose(pose))
+        .pose(convert::pose(pose))
         .additional_mass_properties(mass)
         .gravity_scale(0.0)
         .can_sleep(false)

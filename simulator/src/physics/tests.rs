@@ -139,6 +139,7 @@ fn an_object_rests_on_its_springs() {
     let mut world = World::default();
     world.table.tilt_deg = [0.0; 2];
     world.table.bumps.clear();
+    world.objects[0].at = [-0.1, 0.8];
     let mut plant = Plant::new(&model, &world, &start(&model)).unwrap();
     hold(&mut plant, 500, &External::default());
     let weight = 0.15 * GRAVITY;

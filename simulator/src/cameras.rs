@@ -1,0 +1,380 @@
+//! The stereo pair on the robot's head: builds the scene, draws both eyes, adds noise, and hands frames out.
+//!
+//! A frame is drawn only when it is due and somebody waits for it. The robot believes its cameras to be where its
+//! joint angles say; the true camera stands off by the world's mounting error.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use armarium_robot::{Kinematics, LinkId, Model};
+use armarium_visionx::{
+    DepthImage, Image, ImageError, ImageSource, PinholeCamera, StereoCalibration, StereoFrame,
+};
+use async_trait::async_trait;
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use tokio::sync::watch;
+
+use crate::coach::{CoachState, HandShown};
+use crate::render::hand::{HandGesture, HandPose, hand_shapes, landmarks};
+use crate::render::{
+    DirtTexture, Geometry, Rendering, Scene, SensorNoise, Shape, Viewpoint, render_pair, robot,
+};
+use crate::table::{DirtGrid, THICKNESS, TableTop};
+use crate::truth::FrameTruth;
+use crate::world::{Gesture, ImageFault, World};
+
+/// Half the edges of the coach's tool, m.
+pub const TOOL_HALF: Vector3<f64> = Vector3::new(0.045, 0.03, 0.02);
+/// Colour of dirt.
+const DIRT: [u8; 3] = [104, 92, 84];
+/// How far around the workspace's middle the table is dirty to the eye, m.
+const DIRTY_RADIUS: f64 = 0.22;
+/// Something that is nearer to the camera than a part of the hand by more than this hides it, m.
+const HIDES: f64 = 0.04;
+
+/// The provider of the simulated frames.
+#[derive(Debug)]
+pub struct SimulatedCameras {
+    calibration: StereoCalibration,
+    newest: watch::Sender<Feed>,
+    waiting: AtomicUsize,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Feed {
+    frame: Option<Arc<StereoFrame>>,
+    gone: bool,
+}
+
+/// Counts one waiting reader while it lives.
+struct Waiting<'a>(&'a AtomicUsize);
+
+impl Drop for Waiting<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+impl SimulatedCameras {
+    const NAME: &'static str = "head_stereo";
+
+    fn new(calibration: StereoCalibration) -> Self {
+        Self { calibration, newest: watch::channel(Feed::default()).0, waiting: AtomicUsize::new(0) }
+    }
+
+    fn wanted(&self) -> bool {
+        self.waiting.load(Ordering::Relaxed) > 0
+    }
+
+    fn publish(&self, frame: StereoFrame) {
+        self.newest.send_modify(|feed| feed.frame = Some(Arc::new(frame)));
+    }
+
+    /// No frame will come any more; those who wait are told.
+    pub(crate) fn close(&self) {
+        self.newest.send_modify(|feed| feed.gone = true);
+    }
+
+    fn gone() -> ImageError {
+        ImageError::Gone { provider: Self::NAME.into() }
+    }
+}
+
+#[async_trait]
+impl ImageSource for SimulatedCameras {
+    fn name(&self) -> &str {
+        Self::NAME
+    }
+
+    fn calibration(&self) -> StereoCalibration {
+        self.calibration
+    }
+
+    async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
+        let mut newest = self.newest.subscribe();
+        if newest.borrow_and_update().gone {
+            return Err(Self::gone());
+        }
+        self.waiting.fetch_add(1, Ordering::Relaxed);
+        let _waiting = Waiting(&self.waiting);
+        newest.changed().await.map_err(|_| Self::gone())?;
+        let feed = newest.borrow();
+        match &feed.frame {
+            Some(frame) if !feed.gone => Ok(Arc::clone(frame)),
+            _ => Err(Self::gone()),
+        }
+    }
+}
+
+/// What there is to see at a frame.
+pub(crate) struct View<'a> {
+    pub(crate) stamp_ns: u64,
+    pub(crate) true_position: &'a [f64],
+    pub(crate) sensed_position: &'a [f64],
+    pub(crate) objects: &'a [Isometry3<f64>],
+    pub(crate) coach: &'a CoachState,
+    /// How long there has been no hand, s.
+    pub(crate) without_hand_s: f64,
+    pub(crate) wiped: &'a DirtGrid,
+}
+
+/// The cameras' side of the simulator.
+pub(crate) struct Eyes {
+    source: Arc<SimulatedCameras>,
+    period_s: f64,
+    next_frame: u64,
+    truth: Kinematics,
+    belief: Kinematics,
+    left: LinkId,
+    believed_from_true: Isometry3<f64>,
+    noise: SensorNoise,
+    fault: (ImageFault, f64),
+    last: Option<(Image, Image, DepthImage)>,
+    fixed: Vec<Shape>,
+    table_half: Vector3<f64>,
+    table_pose: Isometry3<f64>,
+    table_color: [u8; 3],
+    bumps: Arc<[crate::render::Bump]>,
+    dirt: Arc<DirtTexture>,
+    objects: Vec<(Vector3<f64>, [u8; 3])>,
+    tool_color: [u8; 3],
+}
+
+impl Eyes {
+    /// The cameras of a world; `None` when the model has no link `camera_left`.
+    pub(crate) fn new(model: &Arc<Model>, world: &World, table: &TableTop, seed: u64) -> Option<Self> {
+        let left = model.link("camera_left")?;
+        let spec = &world.camera;
+        let camera = PinholeCamera {
+            width: spec.width,
+            height: spec.height,
+            focal: spec.focal,
+            center: [f64::from(spec.width) / 2.0, f64::from(spec.height) / 2.0],
+        };
+        let calibration = StereoCalibration { camera, baseline: spec.baseline };
+        let error = &spec.mounting_error;
+        let believed_from_true = Isometry3::from_parts(
+            Translation3::from(Vector3::from(error.position)),
+            UnitQuaternion::from_scaled_axis(Vector3::from(error.rotation_deg.map(f64::to_radians))),
+        );
+        let [hx, hy] = table.half();
+        let table_half = Vector3::new(hx, hy, THICKNESS / 2.0);
+        Some(Self {
+            source: Arc::new(SimulatedCameras::new(calibration)),
+            period_s: 1.0 / spec.rate,
+            next_frame: 0,
+            truth: Kinematics::new(model),
+            belief: Kinematics::new(model),
+            left,
+            believed_from_true,
+            noise: SensorNoise::new(spec.noise, seed),
+            fault: (world.faults.images, world.faults.from),
+            last: None,
+            fixed: legs(table),
+            table_half,
+            table_pose: table.root_from_top() * Translation3::new(0.0, 0.0, -THICKNESS / 2.0),
+            table_color: world.table.color,
+            bumps: table.bumps().to_vec().into(),
+            dirt: Arc::new(blotches(world, table, seed)),
+            objects: world.objects.iter().map(|o| (Vector3::from(o.size) / 2.0, o.color)).collect(),
+            tool_color: world.coach.tool.color,
+        })
+    }
+
+    pub(crate) fn source(&self) -> &Arc<SimulatedCameras> {
+        &self.source
+    }
+
+    /// Where the robot looks from in a posture, m, root frame.
+    pub(crate) fn viewpoint(&mut self, position: &[f64]) -> Point3<f64> {
+        self.truth.update(position);
+        self.truth.pose(self.left).translation.vector.into()
+    }
+
+    /// Whether a frame is due at `t` s and somebody waits for it.
+    pub(crate) fn due(&mut self, t: f64) -> bool {
+        if t + 1e-9 < self.next_frame as f64 * self.period_s {
+            return false;
+        }
+        self.next_frame = ((t + 1e-9) / self.period_s).floor() as u64 + 1;
+        self.source.wanted()
+    }
+
+    /// Draws a frame, hands it out and says what is true of it.
+    pub(crate) fn draw(&mut self, view: &View<'_>) -> FrameTruth {
+        self.truth.update(view.true_position);
+        self.belief.update(view.sensed_position);
+        let scene = self.scene(view);
+        let camera = self.source.calibration.camera;
+        let scene_from_camera = self.truth.pose(self.left) * self.believed_from_true;
+        let left = Viewpoint { scene_from_camera, camera };
+        let right = left.shifted_right(self.source.calibration.baseline);
+        let drawn = render_pair(&scene, &[left, right]);
+        let visible = view.coach.hand.is_some_and(|hand| {
+            whole(&hand, &left, &drawn[0]) && whole(&hand, &right, &drawn[1])
+        });
+        self.hand_out(view.stamp_ns, drawn);
+        FrameTruth {
+            stamp_ns: view.stamp_ns,
+            gesture: view.coach.hand.map(|h| h.gesture),
+            since_s: view.coach.hand.map_or(view.without_hand_s, |h| h.shown_s),
+            visible,
+        }
+    }
+
+    fn hand_out(&mut self, stamp_ns: u64, drawn: [Rendering; 2]) {
+        let [Rendering { image: mut left, depth }, Rendering { image: mut right, .. }] = drawn;
+        let frame = self.next_frame;
+        self.noise.apply(&mut left, frame, 0);
+        self.noise.apply(&mut right, frame, 1);
+        let mut pictures = (left, right, depth);
+        let (fault, from) = self.fault;
+        if stamp_ns as f64 * 1e-9 >= from {
+            match fault {
+                ImageFault::None => {}
+                ImageFault::Black => {
+                    pictures.0.data_mut().fill(0);
+                    pictures.1.data_mut().fill(0);
+                    pictures.2.data.fill(0.0);
+                }
+                ImageFault::Swapped => std::mem::swap(&mut pictures.0, &mut pictures.1),
+                ImageFault::Frozen => pictures = self.last.get_or_insert(pictures).clone(),
+            }
+        }
+        let root_from_left = *self.belief.pose(self.left);
+        let (left, right, depth) = pictures;
+        self.source.publish(StereoFrame { stamp_ns, left, right, depth: Some(depth), root_from_left });
+    }
+
+    fn scene(&mut self, view: &View<'_>) -> Scene {
+        let mut shapes = robot::robot_shapes(&self.truth, &Isometry3::identity());
+        shapes.extend(self.fixed.iter().cloned());
+        self.clean(view.wiped);
+        shapes.push(Shape {
+            geometry: Geometry::Tabletop {
+                half: self.table_half,
+                bumps: Arc::clone(&self.bumps),
+                dirt: Some(Arc::clone(&self.dirt)),
+            },
+            scene_from_shape: self.table_pose,
+            color: self.table_color,
+        });
+        for ((half, color), pose) in self.objects.iter().zip(view.objects) {
+            let geometry = Geometry::Box { half: *half };
+            shapes.push(Shape { geometry, scene_from_shape: *pose, color: *color });
+        }
+        if let Some(pose) = &view.coach.tool {
+            shapes.extend(tool(pose, self.tool_color));
+        }
+        if let Some(hand) = &view.coach.hand {
+            shapes.extend(hand_shapes(&HandPose::of(shown(hand.gesture)), &hand.root_from_hand));
+        }
+        Scene::new(shapes)
+    }
+
+    /// Takes the dirt off where the table has been wiped.
+    fn clean(&mut self, wiped: &DirtGrid) {
+        let stale = wiped.cells().iter().zip(&self.dirt.cells).any(|(w, d)| *w && *d > 0);
+        if stale {
+            let dirt = Arc::make_mut(&mut self.dirt);
+            for (cell, wiped) in dirt.cells.iter_mut().zip(wiped.cells()) {
+                if *wiped {
+                    *cell = 0;
+                }
+            }
+        }
+    }
+}
+
+fn shown(gesture: Gesture) -> HandGesture {
+    match gesture {
+        Gesture::Fist => HandGesture::Fist,
+        Gesture::OpenHand => HandGesture::OpenHand,
+        Gesture::PointOne => HandGesture::PointOne,
+        Gesture::PointTwo => HandGesture::PointTwo,
+    }
+}
+
+/// Whether the whole hand is in a picture and nothing hides a part of it.
+fn whole(hand: &HandShown, viewpoint: &Viewpoint, picture: &Rendering) -> bool {
+    let camera_from_hand = viewpoint.scene_from_camera.inverse() * hand.root_from_hand;
+    let camera = &viewpoint.camera;
+    landmarks(&HandPose::of(shown(hand.gesture))).iter().all(|(point, radius)| {
+        let p = camera_from_hand * point;
+        let Some(pixel) = camera.project(&p) else { return false };
+        let margin = camera.focal * radius / p.z;
+        let inside = |v: f64, size: u32| v >= margin && v <= f64::from(size) - 1.0 - margin;
+        if !inside(pixel.x, camera.width) || !inside(pixel.y, camera.height) {
+            return false;
+        }
+        let index = pixel.y.round() as usize * camera.width as usize + pixel.x.round() as usize;
+        let depth = picture.depth.data.get(index).copied().map_or(0.0, f64::from);
+        // The hand hides its own far side, by no more than its thickness.
+        depth > p.z - radius - HIDES
+    })
+}
+
+fn legs(table: &TableTop) -> Vec<Shape> {
+    let [hx, hy] = table.half();
+    let mut legs = Vec::new();
+    for (sx, sy) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)] {
+        let corner = Point3::new(sx * (hx - 0.05), sy * (hy - 0.05), -THICKNESS);
+        let top = table.root_from_top() * corner;
+        let half_length = (top.z / 2.0).max(0.01);
+        legs.push(Shape {
+            geometry: Geometry::Cylinder { radius: 0.02, half_length },
+            scene_from_shape: Isometry3::translation(top.x, top.y, half_length),
+            color: [90, 90, 94],
+        });
+    }
+    legs
+}
+
+/// The coach's block on a grey stick.
+fn tool(pose: &Isometry3<f64>, color: [u8; 3]) -> [Shape; 2] {
+    let along = Vector3::new(0.0, 0.6, 0.8);
+    let turn = UnitQuaternion::rotation_between(&Vector3::z(), &along).unwrap_or_default();
+    let stick = Isometry3::from_parts((along * 0.13).into(), turn);
+    [
+        Shape { geometry: Geometry::Box { half: TOOL_HALF }, scene_from_shape: *pose, color },
+        Shape {
+            geometry: Geometry::Cylinder { radius: 0.008, half_length: 0.12 },
+            scene_from_shape: pose * stick,
+            color: [72, 72, 78],
+        },
+    ]
+}
+
+/// Dirt about the workspace: spots of changing strength, seeded.
+fn blotches(world: &World, table: &TableTop, seed: u64) -> DirtTexture {
+    use rand::{RngExt, SeedableRng};
+    let grid = DirtGrid::new(table);
+    let mut texture = DirtTexture::clean(grid.columns(), grid.rows(), DIRT);
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed ^ 0x5eed_d127);
+    let path = crate::coach::CoachPath::new(&world.coach.demonstration.clone().unwrap_or_default());
+    let [cx, cy] = path.center();
+    let middle = table.root_from_top().inverse() * Point3::new(cx, cy, world.table.height);
+    let [hx, hy] = table.half();
+    for _ in 0..90 {
+        let (angle, distance) = (rng.random::<f64>() * std::f64::consts::TAU, rng.random::<f64>().sqrt());
+        let x = middle.x + DIRTY_RADIUS * distance * angle.cos();
+        let y = middle.y + DIRTY_RADIUS * distance * angle.sin();
+        let radius = 0.012 + 0.03 * rng.random::<f64>();
+        let strength = 60.0 + 120.0 * rng.random::<f64>();
+        for row in 0..texture.rows {
+            let dy = (row as f64 + 0.5) * crate::table::DIRT_CELL - hy - y;
+            if dy.abs() > radius {
+                continue;
+            }
+            for column in 0..texture.columns {
+                let dx = (column as f64 + 0.5) * crate::table::DIRT_CELL - hx - x;
+                let falloff = 1.0 - (dx * dx + dy * dy) / (radius * radius);
+                if falloff > 0.0 {
+                    let cell = &mut texture.cells[row * texture.columns + column];
+                    *cell = (*cell).max((strength * falloff.sqrt()) as u8);
+                }
+            }
+        }
+    }
+    texture
+}

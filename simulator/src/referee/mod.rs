@@ -1,0 +1,117 @@
+//! The referee: sees the truth, hears from the program when its phases begin and end, and judges.
+//!
+//! It keeps a bounded log ([`TruthLog`]) and computes every figure from it by a pure function ([`figures::compute`]), so
+//! that whoever has a recording can compute them again. It never tells the robot anything.
+
+pub mod figures;
+mod log;
+mod paths;
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+pub use figures::{
+    CoachingFigures, ForceFigures, GestureFigures, GraspFigures, ImitationFigures, RefereeReport,
+};
+pub use log::{Record, TruthLog};
+
+use crate::truth::{FrameTruth, TruthEvent, TruthSample};
+use crate::world::World;
+
+/// What the program tells the referee about its progress. Of a kind that comes several times, the last counts.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Mark {
+    /// The hand has ended closing and the program believes that it holds the object.
+    GraspClosed,
+    /// Learning from the demonstration has ended; the robot performs the motion in free space from here on.
+    LearningEnded,
+    /// The motion in free space has settled: a steady period or more follows.
+    FreeSpaceSteady,
+    /// The robot leaves free space: it begins to lower the sponge.
+    AdaptationStarted,
+    /// Force adaptation has ended.
+    AdaptationEnded {
+        /// The force that was asked for, N.
+        desired_n: f64,
+        /// Cycles that it took.
+        cycles: u32,
+    },
+    /// The background motion runs and the coach may act.
+    WipingStarted,
+}
+
+/// A handle on the referee; clones are the same referee.
+#[derive(Clone, Debug)]
+pub struct Referee {
+    shared: Arc<Mutex<Notes>>,
+}
+
+#[derive(Debug)]
+struct Notes {
+    world: World,
+    log: TruthLog,
+    marks: Vec<(u64, Mark)>,
+    seen: Vec<(u64, Option<String>)>,
+}
+
+impl Referee {
+    /// A referee of a world.
+    #[must_use]
+    pub fn new(world: &World) -> Self {
+        let notes =
+            Notes { world: world.clone(), log: TruthLog::default(), marks: Vec::new(), seen: Vec::new() };
+        Self { shared: Arc::new(Mutex::new(notes)) }
+    }
+
+    fn notes(&self) -> MutexGuard<'_, Notes> {
+        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The program reached something at `stamp_ns` of the robot's time.
+    pub fn mark(&self, mark: Mark, stamp_ns: u64) {
+        let mut notes = self.notes();
+        if notes.marks.len() < 10_000 {
+            notes.marks.push((stamp_ns, mark));
+        }
+    }
+
+    /// What the program's vision took the coach's hand in the frame of `stamp_ns` for: `fist`, `point_one`,
+    /// `point_two`, `open_hand`, or none. Call it for every frame that was looked at.
+    pub fn gesture_seen(&self, stamp_ns: u64, label: Option<&str>) {
+        let mut notes = self.notes();
+        if notes.seen.len() < log::MOST_FRAMES {
+            notes.seen.push((stamp_ns, label.map(str::to_owned)));
+        }
+    }
+
+    /// All figures as far as the run has come; sections without data are absent.
+    #[must_use]
+    pub fn report(&self) -> RefereeReport {
+        let notes = self.notes();
+        figures::compute(&notes.world, &notes.log, &notes.marks, &notes.seen)
+    }
+
+    /// A copy of everything that was logged, for plots.
+    #[must_use]
+    pub fn log(&self) -> TruthLog {
+        self.notes().log.clone()
+    }
+
+    /// The marks so far, with their times, ns.
+    #[must_use]
+    pub fn marks(&self) -> Vec<(u64, Mark)> {
+        self.notes().marks.clone()
+    }
+
+    pub(crate) fn sample(&self, sample: &TruthSample) {
+        self.notes().log.sample(sample);
+    }
+
+    pub(crate) fn frame(&self, frame: &FrameTruth) {
+        self.notes().log.frame(frame);
+    }
+
+    pub(crate) fn event(&self, stamp_ns: u64, event: &TruthEvent) {
+        self.notes().log.event(stamp_ns, event);
+    }
+}

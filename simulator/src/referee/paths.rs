@@ -1,0 +1,206 @@
+//! Periodic paths: their period, one mean period of them, and how one is aligned with another.
+//!
+//! Pure geometry on positions sampled once a millisecond. No filtering.
+
+use std::f64::consts::TAU;
+
+use nalgebra::Vector3;
+
+use super::log::Record;
+use crate::coach::CoachPath;
+
+/// Points that a period is resampled to.
+pub(super) const POINTS: usize = 256;
+/// Seconds between records.
+const DT: f64 = 1e-3;
+
+/// One period, uniformly in time.
+pub(super) type Period = [Vector3<f64>; POINTS];
+
+pub(super) fn positions(records: &[Record]) -> Vec<Vector3<f64>> {
+    records.iter().map(|r| r.tcp.translation.vector).collect()
+}
+
+/// The repeat period of a path, s: the shortest time after which the whole path returns to itself. `None` when it
+/// does not repeat at least once within the samples (one a millisecond).
+pub(super) fn repeat_period(path: &[Vector3<f64>]) -> Option<f64> {
+    const STRIDE: usize = 10;
+    if path.len() < 200 {
+        return None;
+    }
+    let mean = path.iter().sum::<Vector3<f64>>() / path.len() as f64;
+    let variance = path.iter().map(|p| (p - mean).norm_squared()).sum::<f64>() / path.len() as f64;
+    if variance < 1e-8 {
+        return None;
+    }
+    // Mean squared distance to itself `lag` samples later; 2 x variance for unrelated points.
+    let distance = |lag: usize, stride: usize| {
+        let pairs = path.len() - lag;
+        let sum: f64 =
+            (0..pairs).step_by(stride).map(|i| (path[i] - path[i + lag]).norm_squared()).sum();
+        sum / pairs.div_ceil(stride) as f64 / (2.0 * variance)
+    };
+    let most = path.len() * 2 / 3;
+    let mut away = false;
+    let mut candidate: Option<(f64, usize)> = None;
+    for lag in (100..most).step_by(STRIDE) {
+        let d = distance(lag, 5);
+        away |= d > 0.3;
+        if !away {
+            continue;
+        }
+        match candidate {
+            Some((best, _)) if d > best + 0.05 => break,
+            Some((best, _)) if d >= best => {}
+            _ if d < 0.1 => candidate = Some((d, lag)),
+            _ => {}
+        }
+    }
+    let (_, coarse) = candidate?;
+    let lags = coarse.saturating_sub(2 * STRIDE)..(coarse + 2 * STRIDE).min(path.len() - 100);
+    let (best, at) = lags
+        .map(|lag| (distance(lag, 1), lag))
+        .min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let (before, after) = (distance(at - 1, 1), distance(at + 1, 1));
+    let bend = before - 2.0 * best + after;
+    let shift = if bend > 0.0 { 0.5 * (before - after) / bend } else { 0.0 };
+    Some((at as f64 + shift.clamp(-0.5, 0.5)) * DT)
+}
+
+/// The mean of the first `count` periods of `period_s`, uniformly in time; `None` when the path is shorter.
+pub(super) fn mean_period(path: &[Vector3<f64>], period_s: f64, count: usize) -> Option<Period> {
+    let samples = period_s / DT;
+    if count == 0 || samples < 2.0 || (path.len() as f64) < samples * count as f64 + 1.0 {
+        return None;
+    }
+    let mut mean = [Vector3::zeros(); POINTS];
+    for (i, point) in mean.iter_mut().enumerate() {
+        for k in 0..count {
+            let at = samples * (k as f64 + i as f64 / POINTS as f64);
+            let (low, part) = (at.floor() as usize, at.fract());
+            let next = path[(low + 1).min(path.len() - 1)];
+            *point += path[low] * (1.0 - part) + next * part;
+        }
+        *point /= count as f64;
+    }
+    Some(mean)
+}
+
+/// Root mean square distance of two periods, the second `shift` points ahead.
+fn rms_at(a: &Period, b: &Period, shift: usize) -> f64 {
+    let sum: f64 = (0..POINTS).map(|i| (a[i] - b[(i + shift) % POINTS]).norm_squared()).sum();
+    (sum / POINTS as f64).sqrt()
+}
+
+/// `b`, turned so that it is in phase with `a`: the shift of least distance.
+pub(super) fn aligned(a: &Period, b: &Period) -> Period {
+    let shift = (0..POINTS).min_by(|x, y| rms_at(a, b, *x).total_cmp(&rms_at(a, b, *y))).unwrap_or(0);
+    std::array::from_fn(|i| b[(i + shift) % POINTS])
+}
+
+/// Root mean square distance of one period to the coach's path, minimised over the phase alone. Horizontal place
+/// against the coach's; height against the period's own mean height, as the coach's path is level.
+pub(super) fn distance_to_coach(period: &Period, path: &CoachPath) -> f64 {
+    let height = period.iter().map(|p| p.z).sum::<f64>() / POINTS as f64;
+    let rms = |phase: f64| {
+        let sum: f64 = period
+            .iter()
+            .enumerate()
+            .map(|(i, p)| {
+                let [x, y] = path.point(phase + TAU * i as f64 / POINTS as f64);
+                (p - Vector3::new(x, y, height)).norm_squared()
+            })
+            .sum();
+        (sum / POINTS as f64).sqrt()
+    };
+    let step = TAU / 720.0;
+    let best = (0..720).map(|i| f64::from(i) * step).min_by(|a, b| rms(*a).total_cmp(&rms(*b)));
+    let best = best.unwrap_or(0.0);
+    (-10..=10).map(|i| rms(best + f64::from(i) * step / 10.0)).fold(f64::INFINITY, f64::min)
+}
+
+/// The point of a period that is at the coach's `phase` (0 to 1): nearest in place and direction.
+pub(super) fn index_of_phase(period: &Period, path: &CoachPath, phase: f64) -> usize {
+    let theta = TAU * phase;
+    let (p, d) = (path.point(theta), path.tangent(theta));
+    let half = path.half();
+    let scale = (half[0] * half[0] + half[1] * half[1]).max(1e-6);
+    let (tx, ty) = unit(d[0], d[1]);
+    let cost = |i: &usize| {
+        let here = period[*i];
+        let ahead = period[(i + 2) % POINTS] - period[(i + POINTS - 2) % POINTS];
+        let (ux, uy) = unit(ahead.x, ahead.y);
+        let place = (here.x - p[0]).powi(2) + (here.y - p[1]).powi(2);
+        place + 0.1 * scale * ((ux - tx).powi(2) + (uy - ty).powi(2))
+    };
+    (0..POINTS).min_by(|a, b| cost(a).total_cmp(&cost(b))).unwrap_or(0)
+}
+
+fn unit(x: f64, y: f64) -> (f64, f64) {
+    let n = x.hypot(y);
+    if n > 1e-12 { (x / n, y / n) } else { (0.0, 0.0) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::world::{Demonstration, Shape};
+
+    fn path(shape: Shape) -> CoachPath {
+        CoachPath::new(&Demonstration { shape, ..Demonstration::default() })
+    }
+
+    fn performed(shape: Shape, frequency: f64, seconds: f64) -> Vec<Vector3<f64>> {
+        let p = path(shape);
+        (0..(seconds / DT) as usize)
+            .map(|i| {
+                let [x, y] = p.point(TAU * frequency * i as f64 * DT + 1.0);
+                Vector3::new(x, y, 1.05)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_repeat_period_is_that_of_the_whole_path() {
+        for shape in [Shape::Ellipse, Shape::Eight, Shape::Line] {
+            for f in [0.3, 0.5, 0.8] {
+                let period = repeat_period(&performed(shape, f, 12.0)).unwrap();
+                assert!((period * f - 1.0).abs() < 1e-4, "{shape:?} {f} {period}");
+            }
+        }
+        assert_eq!(repeat_period(&vec![Vector3::x(); 5000]), None);
+        assert_eq!(repeat_period(&performed(Shape::Ellipse, 0.1, 5.0)), None);
+    }
+
+    #[test]
+    fn a_perfect_imitation_is_at_no_distance_whatever_its_phase() {
+        for shape in [Shape::Ellipse, Shape::Eight, Shape::Line] {
+            let period = mean_period(&performed(shape, 0.5, 5.0), 2.0, 2).unwrap();
+            assert!(distance_to_coach(&period, &path(shape)) < 2e-4, "{shape:?}");
+        }
+        let shifted = performed(Shape::Ellipse, 0.5, 5.0).iter().map(|p| p + Vector3::x() * 0.01).collect::<Vec<_>>();
+        let period = mean_period(&shifted, 2.0, 2).unwrap();
+        assert!((distance_to_coach(&period, &path(Shape::Ellipse)) - 0.01).abs() < 2e-4);
+    }
+
+    #[test]
+    fn alignment_undoes_a_shift_in_time() {
+        let path = performed(Shape::Eight, 0.5, 6.0);
+        let a = mean_period(&path, 2.0, 1).unwrap();
+        let b = mean_period(&path[700..], 2.0, 1).unwrap();
+        assert!(rms_at(&a, &aligned(&a, &b), 0) < 5e-4);
+    }
+
+    #[test]
+    fn phases_are_found_on_crossings_and_doubled_strokes() {
+        for shape in [Shape::Ellipse, Shape::Eight, Shape::Line] {
+            let period = mean_period(&performed(shape, 0.5, 5.0), 2.0, 2).unwrap();
+            for phase in [0.1, 0.25, 0.6, 0.75] {
+                let i = index_of_phase(&period, &path(shape), phase);
+                let expected = (phase - 1.0 / TAU).rem_euclid(1.0) * POINTS as f64;
+                let off = (i as f64 - expected + POINTS as f64 / 2.0).rem_euclid(POINTS as f64) - POINTS as f64 / 2.0;
+                assert!(off.abs() < 4.0, "{shape:?} {phase} {i} {expected}");
+            }
+        }
+    }
+}

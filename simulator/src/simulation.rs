@@ -1,0 +1,370 @@
+//! The whole simulator: one step a millisecond of sensing, guarding, physics, coach and cameras.
+//!
+//! [`Simulation::new`] builds a world; [`Simulation::run`] steps it by tokio's clock until its [`Handle`] stops
+//! it: under a paused clock as fast as the machine, else in real time. Spawn it on a current-thread runtime beside the
+//! program. [`Simulation::step`] is for tests and benches that need no clock.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Duration;
+
+use armarium_robot::{Guard, GuardConfig, JointKind, JointTargets, Model, Robot, Sample};
+use armarium_visionx::ImageSource;
+use nalgebra::{Isometry3, Point3, Vector3};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use crate::cameras::{Eyes, SimulatedCameras, View};
+use crate::coach::Coach;
+use crate::physics::{External, Plant, PlantError};
+use crate::referee::Referee;
+use crate::sensing::Sensors;
+use crate::table::DirtGrid;
+use crate::truth::{Contact, TruthEvent, TruthSample, TruthSink};
+use crate::world::{Disturbance, Milestone, World};
+
+/// One step, ns.
+const STEP_NS: u64 = 1_000_000;
+/// The table's wiped cells are marked every so many steps; the referee does the same.
+pub(crate) const WIPE_EVERY: u64 = 5;
+
+/// Why a simulation cannot be built.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SimulationError {
+    /// The physics refused.
+    #[error(transparent)]
+    Plant(#[from] PlantError),
+    /// The robot has no camera.
+    #[error("the robot's description has no link `camera_left`")]
+    Camera,
+    /// The starting posture has not one position a joint.
+    #[error("a starting posture needs {expected} finite joint positions")]
+    Start {
+        /// Joints of the model.
+        expected: usize,
+    },
+}
+
+/// What may be chosen beside world and seed.
+#[derive(Default)]
+pub struct Options {
+    /// Who else looks at the truth.
+    pub truth_sinks: Vec<Box<dyn TruthSink>>,
+    /// Joint positions at the start, rad (m), in the model's order; the home posture if not given.
+    pub start: Option<Vec<f64>>,
+    /// The guard's limits.
+    pub guard: GuardConfig,
+}
+
+/// Ends a simulation and tells its time; clones are the same handle.
+#[derive(Clone, Debug, Default)]
+pub struct Handle {
+    shared: Arc<Shared>,
+}
+
+#[derive(Debug, Default)]
+struct Shared {
+    stop: AtomicBool,
+    now_ns: AtomicU64,
+}
+
+impl Handle {
+    /// Asks the simulation to end with its next step.
+    pub fn stop(&self) {
+        self.shared.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// Simulated time since the robot's start, ns.
+    #[must_use]
+    pub fn now_ns(&self) -> u64 {
+        self.shared.now_ns.load(Ordering::Relaxed)
+    }
+}
+
+/// A simulated world.
+pub struct Simulation {
+    robot: Arc<dyn Robot>,
+    guard: Guard,
+    plant: Plant,
+    sensors: Sensors,
+    coach: Coach,
+    eyes: Eyes,
+    referee: Referee,
+    sinks: Vec<Box<dyn TruthSink>>,
+    handle: Handle,
+    disturbances: Vec<Disturbance>,
+    object_names: Vec<String>,
+    sponge: Option<usize>,
+    grasped_at: Option<f64>,
+    wiping_at: Option<f64>,
+    hand_gone_at: f64,
+    steps: u64,
+    sample: Sample,
+    targets: JointTargets,
+    external: External,
+    dirt: DirtGrid,
+    truth: TruthSample,
+}
+
+impl Simulation {
+    /// Builds a world; everything that varies is drawn from `seed`.
+    ///
+    /// # Errors
+    /// [`SimulationError`] when robot and world do not fit together.
+    pub fn new(world: &World, seed: u64, options: Options) -> Result<Self, SimulationError> {
+        let model = Arc::new(Model::armar3());
+        let start = options.start.unwrap_or_else(|| home(&model));
+        let joints = model.joints().len();
+        if start.len() != joints || !start.iter().all(|q| q.is_finite()) {
+            return Err(SimulationError::Start { expected: joints });
+        }
+        let stream = |n: u64| {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            rng.set_stream(n);
+            rng
+        };
+        let plant = Plant::new(&model, world, &start)?;
+        let mut eyes = Eyes::new(&model, world, plant.table(), seed).ok_or(SimulationError::Camera)?;
+        let camera = eyes.viewpoint(&start);
+        let sliding = model.joints().iter().map(|j| j.kind == JointKind::Prismatic).collect();
+        let (guard, robot) = Guard::new(Arc::clone(&model), options.guard);
+        let sponge = world.sponge().and_then(|s| world.objects.iter().position(|o| o.name == s.name));
+        let external = External { hand: Vector3::zeros(), objects: vec![Vector3::zeros(); world.objects.len()] };
+        Ok(Self {
+            robot,
+            guard,
+            sensors: Sensors::new(&world.robot.noise, &world.faults, sliding, stream(1)),
+            coach: Coach::new(&world.coach, world.table.height, camera, stream(2)),
+            eyes,
+            referee: Referee::new(world),
+            sinks: options.truth_sinks,
+            handle: Handle::default(),
+            disturbances: world.disturbances.clone(),
+            object_names: world.objects.iter().map(|o| o.name.clone()).collect(),
+            sponge,
+            grasped_at: None,
+            wiping_at: None,
+            hand_gone_at: 0.0,
+            steps: 0,
+            sample: Sample::resting(start.clone()),
+            targets: JointTargets { position: start, velocity: vec![0.0; joints] },
+            external,
+            dirt: DirtGrid::new(plant.table()),
+            truth: TruthSample::default(),
+            plant,
+        })
+    }
+
+    /// The robot, behind its guard.
+    #[must_use]
+    pub fn robot(&self) -> Arc<dyn Robot> {
+        Arc::clone(&self.robot)
+    }
+
+    /// The cameras on its head.
+    #[must_use]
+    pub fn images(&self) -> Arc<dyn ImageSource> {
+        let source: Arc<SimulatedCameras> = Arc::clone(self.eyes.source());
+        source
+    }
+
+    /// Who judges.
+    #[must_use]
+    pub fn referee(&self) -> Referee {
+        self.referee.clone()
+    }
+
+    /// Ends the simulation and tells its time.
+    #[must_use]
+    pub fn handle(&self) -> Handle {
+        self.handle.clone()
+    }
+
+    /// What was true in the last step; for tests.
+    #[must_use]
+    pub fn truth(&self) -> &TruthSample {
+        &self.truth
+    }
+
+    /// Which cells of the table have been wiped.
+    #[must_use]
+    pub fn wiped(&self) -> &DirtGrid {
+        &self.dirt
+    }
+
+    /// Steps once a millisecond of tokio's clock until the handle stops it; then no more frames come.
+    pub async fn run(mut self) {
+        let mut tick = tokio::time::interval(Duration::from_millis(1));
+        while !self.handle.shared.stop.load(Ordering::Relaxed) {
+            tick.tick().await;
+            self.step();
+        }
+    }
+
+    /// Simulated time, s.
+    fn t(&self) -> f64 {
+        self.steps as f64 * 1e-3
+    }
+
+    /// One millisecond.
+    pub fn step(&mut self) {
+        let stamp_ns = self.steps * STEP_NS;
+        let t = self.t();
+        self.listen(stamp_ns, t);
+        self.sensors.sense(
+            t,
+            self.plant.position(),
+            self.plant.velocity(),
+            self.plant.wrist(),
+            &mut self.sample,
+        );
+        let targets = self.guard.step(stamp_ns, &self.sample);
+        self.targets.position.copy_from_slice(&targets.position);
+        self.targets.velocity.copy_from_slice(&targets.velocity);
+        self.act(t);
+        self.tell(stamp_ns);
+        self.show(stamp_ns, t);
+        if self.steps.is_multiple_of(WIPE_EVERY) {
+            self.wipe();
+        }
+        self.plant.step(&self.targets.position, &self.targets.velocity, &self.external);
+        self.steps += 1;
+        self.handle.shared.now_ns.store(self.steps * STEP_NS, Ordering::Relaxed);
+    }
+
+    fn event(&mut self, stamp_ns: u64, event: &TruthEvent) {
+        self.referee.event(stamp_ns, event);
+        for sink in &mut self.sinks {
+            sink.event(stamp_ns, event);
+        }
+    }
+
+    /// The coach hears what the robot says.
+    fn listen(&mut self, stamp_ns: u64, t: f64) {
+        for utterance in self.guard.take_utterances() {
+            tracing::info!(utterance, "the robot says");
+            self.coach.hear(&utterance, t);
+            self.event(stamp_ns, &TruthEvent::Said { utterance });
+        }
+        if self.wiping_at.is_none() && self.coach.wiping_since().is_some() {
+            self.wiping_at = Some(t);
+            self.event(stamp_ns, &TruthEvent::Reached(Milestone::Wiping));
+        }
+    }
+
+    /// Forces from outside: the coach's and those of accidents.
+    fn act(&mut self, t: f64) {
+        let tcp = Point3::from(self.plant.tcp().translation.vector);
+        let state = *self.coach.step(t, &tcp, &self.plant.tcp_velocity(), 1e-3);
+        if state.hand.is_some() {
+            self.hand_gone_at = t;
+        }
+        self.truth.coach = state;
+        self.external.hand = state.push;
+        self.external.objects.fill(Vector3::zeros());
+        for d in &self.disturbances {
+            let since = match d.after {
+                Milestone::Grasp => self.grasped_at,
+                Milestone::Wiping => self.wiping_at,
+            };
+            let Some(age) = since.map(|s| t - s - d.at) else { continue };
+            if !(0.0..d.duration).contains(&age) {
+                continue;
+            }
+            let force = Vector3::from(d.force) * (std::f64::consts::PI * age / d.duration).sin();
+            if d.knock == "hand" {
+                self.external.hand += force;
+            } else if let Some(i) = self.object_names.iter().position(|n| *n == d.knock) {
+                self.external.objects[i] += force;
+            }
+        }
+    }
+
+    /// Gathers what is true and tells those who may know.
+    fn tell(&mut self, stamp_ns: u64) {
+        let held = self.sponge.is_some() && self.plant.held() == self.sponge;
+        let before = self.truth.held;
+        let truth = &mut self.truth;
+        truth.stamp_ns = stamp_ns;
+        copy(&mut truth.position, self.plant.position());
+        copy(&mut truth.velocity, self.plant.velocity());
+        copy(&mut truth.command_position, &self.targets.position);
+        copy(&mut truth.command_velocity, &self.targets.velocity);
+        truth.tcp = self.plant.tcp();
+        truth.tcp_velocity = self.plant.tcp_velocity();
+        truth.held = held;
+        truth.sponge = self.sponge.and_then(|s| self.plant.object(s));
+        let reaction = self.sponge.and_then(|s| self.plant.reaction(s)).copied().unwrap_or_default();
+        truth.contact = Contact { normal: reaction.normal, tangential: reaction.friction };
+        (truth.wrist_force, truth.wrist_torque) = self.plant.wrist();
+        self.referee.sample(&self.truth);
+        for sink in &mut self.sinks {
+            sink.sample(&self.truth);
+        }
+        for event in self.coach.take_events() {
+            self.event(stamp_ns, &TruthEvent::Coach(event));
+        }
+        if held != before {
+            self.event(stamp_ns, &TruthEvent::Held(held));
+        }
+        if self.grasped_at.is_none() && self.plant.held().is_some() {
+            self.grasped_at = Some(stamp_ns as f64 * 1e-9);
+            self.event(stamp_ns, &TruthEvent::Reached(Milestone::Grasp));
+        }
+    }
+
+    /// Draws a frame when one is due and wanted.
+    fn show(&mut self, stamp_ns: u64, t: f64) {
+        if !self.eyes.due(t) {
+            return;
+        }
+        let objects: Vec<Isometry3<f64>> =
+            (0..self.object_names.len()).filter_map(|i| self.plant.object(i)).collect();
+        let truth = self.eyes.draw(&View {
+            stamp_ns,
+            true_position: self.plant.position(),
+            sensed_position: &self.sample.position,
+            objects: &objects,
+            coach: &self.truth.coach,
+            without_hand_s: t - self.hand_gone_at,
+            wiped: &self.dirt,
+        });
+        self.referee.frame(&truth);
+        for sink in &mut self.sinks {
+            sink.frame(&truth);
+        }
+    }
+
+    fn wipe(&mut self) {
+        let Some(index) = self.sponge else { return };
+        if self.truth.contact.normal <= 0.0 {
+            return;
+        }
+        if let (Some(pose), Some(bed)) = (self.truth.sponge, self.plant.bed(index)) {
+            bed.wipe(self.plant.table(), &pose, &mut self.dirt);
+        }
+    }
+}
+
+impl Drop for Simulation {
+    fn drop(&mut self) {
+        self.eyes.source().close();
+    }
+}
+
+fn copy(into: &mut Vec<f64>, from: &[f64]) {
+    into.clear();
+    into.extend_from_slice(from);
+}
+
+/// The posture in which the robot waits: the right arm out to its side, clear of table and cameras, the hand half open.
+fn home(model: &Model) -> Vec<f64> {
+    let mut q = model.zero();
+    for (joint, at) in [("shoulder_2_r", 1.0), ("finger_left_r", 0.03), ("finger_right_r", 0.03)] {
+        if let Some(j) = model.joint(joint) {
+            q[j] = at;
+        }
+    }
+    q
+}

@@ -1,0 +1,135 @@
+//! What is true at an instant, and who may look: the recorder, the referee and a digest. Skills never do.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use nalgebra::{Isometry3, Vector3};
+
+use crate::coach::{ActionEvent, CoachState};
+use crate::world::{Gesture, Milestone};
+
+/// Everything that is true at one control step.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TruthSample {
+    /// Time since the robot's start, ns; the same as that of the sensed sample and of frames.
+    pub stamp_ns: u64,
+    /// Joint positions in the model's order, rad (m).
+    pub position: Vec<f64>,
+    /// Joint velocities, rad/s (m/s).
+    pub velocity: Vec<f64>,
+    /// Positions that the joints are commanded to take, rad (m).
+    pub command_position: Vec<f64>,
+    /// Velocities that the joints are commanded to take, rad/s (m/s).
+    pub command_velocity: Vec<f64>,
+    /// Pose of the right TCP in the root frame.
+    pub tcp: Isometry3<f64>,
+    /// Velocity of the right TCP, root frame, m/s.
+    pub tcp_velocity: Vector3<f64>,
+    /// The table's force on the sponge.
+    pub contact: Contact,
+    /// Pose of the sponge's middle in the root frame; `None` in a world without one.
+    pub sponge: Option<Isometry3<f64>>,
+    /// Whether the hand holds the sponge.
+    pub held: bool,
+    /// What the coach does.
+    pub coach: CoachState,
+    /// Force of the hand on the wrist sensor, sensor's frame, without noise and bias, N.
+    pub wrist_force: Vector3<f64>,
+    /// Torque of the hand on the wrist sensor, sensor's frame, without noise and bias, N m.
+    pub wrist_torque: Vector3<f64>,
+}
+
+/// The table's force on the sponge.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Contact {
+    /// Normal force, N.
+    pub normal: f64,
+    /// Friction, root frame, N.
+    pub tangential: Vector3<f64>,
+}
+
+/// What is true of a rendered pair of images.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameTruth {
+    /// When the shutter was open, ns.
+    pub stamp_ns: u64,
+    /// What the coach's hand shows, if there is one.
+    pub gesture: Option<Gesture>,
+    /// How long it has shown it, s; without a hand, how long there has been none.
+    pub since_s: f64,
+    /// Whether the whole hand is in both images and nothing hides it.
+    pub visible: bool,
+}
+
+/// Something that happened.
+#[derive(Clone, Debug, PartialEq)]
+pub enum TruthEvent {
+    /// The robot said something.
+    Said {
+        /// What.
+        utterance: String,
+    },
+    /// The coach began or ended something.
+    Coach(ActionEvent),
+    /// A milestone was reached for the first time.
+    Reached(Milestone),
+    /// The hand took or lost the sponge.
+    Held(bool),
+}
+
+/// Who looks at the truth, in the simulator's own thread: it must return at once.
+pub trait TruthSink: Send {
+    /// Every control step.
+    fn sample(&mut self, sample: &TruthSample);
+    /// Every rendered frame.
+    fn frame(&mut self, frame: &FrameTruth) {
+        let _ = frame;
+    }
+    /// Everything that happens, with its time, ns.
+    fn event(&mut self, stamp_ns: u64, event: &TruthEvent) {
+        let _ = (stamp_ns, event);
+    }
+}
+
+/// A digest of all samples: two runs are the same run if and (almost surely) only if their digests are equal.
+///
+/// FNV-1a over the bits of every number; not cryptographic.
+#[derive(Clone, Debug)]
+pub struct TruthDigest {
+    state: Arc<Mutex<u64>>,
+}
+
+impl Default for TruthDigest {
+    fn default() -> Self {
+        Self { state: Arc::new(Mutex::new(0xcbf2_9ce4_8422_2325)) }
+    }
+}
+
+impl TruthDigest {
+    /// The digest of what has been seen so far.
+    #[must_use]
+    pub fn value(&self) -> u64 {
+        *self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl TruthSink for TruthDigest {
+    fn sample(&mut self, s: &TruthSample) {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut eat = |v: f64| {
+            for byte in v.to_bits().to_le_bytes() {
+                *state = (*state ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+            }
+        };
+        eat(s.stamp_ns as f64);
+        for list in [&s.position, &s.velocity, &s.command_position, &s.command_velocity] {
+            list.iter().copied().for_each(&mut eat);
+        }
+        eat(s.contact.normal);
+        for v in [s.contact.tangential, s.wrist_force, s.wrist_torque, s.coach.push] {
+            v.iter().copied().for_each(&mut eat);
+        }
+        for pose in [s.sponge, s.coach.tool, s.coach.hand.map(|h| h.root_from_hand)].into_iter().flatten() {
+            pose.translation.vector.iter().copied().for_each(&mut eat);
+        }
+    }
+}
