@@ -86,13 +86,13 @@ impl FourierSeries {
     /// Gradient step by `rate` on the errors at the phase of the last evaluation, for harmonics up to `highest`.
     /// `pinned` is the coordinate whose first sine weight stays 0, so that the phase is defined.
     pub(crate) fn learn(&mut self, rate: f64, error: &[f64], highest: usize, pinned: usize) {
-        for d in 0..self.dims {
+        for (d, error) in error.iter().enumerate().take(self.dims) {
             let base = d * (self.harmonics + 1);
-            self.alpha[base] += rate * error[d];
+            self.alpha[base] += rate * error;
             for c in 1..=self.harmonics.min(highest) {
-                self.alpha[base + c] += 2.0 * rate * self.cosine[c] * error[d];
+                self.alpha[base + c] += 2.0 * rate * self.cosine[c] * error;
                 if c > 1 || d != pinned {
-                    self.beta[base + c] += 2.0 * rate * self.sine[c] * error[d];
+                    self.beta[base + c] += 2.0 * rate * self.sine[c] * error;
                 }
             }
         }

@@ -1,9 +1,9 @@
 //! What of the tangential force at the wrist wiping itself explains, learned while wiping; the rest is a push.
 //!
-//! Friction is Coulomb's with Dahl's presliding: a bristle that bends with the motion up to its full deflection, so
-//! that a reversal does not look like a blow. The friction coefficient and a slow bias are found by recursive least
-//! squares, the presliding length by following several lengths at once. While something else pushes, next to nothing
-//! is learned.
+//! Friction is Coulomb's with presliding: a bristle that bends with the motion up to its full deflection, so that a
+//! reversal does not look like a blow. The friction coefficient and a slow bias are found by recursive least squares;
+//! how the bristle bends (evenly up to its limit, as a sponge shears, or ever less, as Dahl has it) and over which
+//! length, by following several at once. While something else pushes, next to nothing is learned.
 
 use nalgebra::{Matrix3, RowVector3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
@@ -33,12 +33,22 @@ impl Default for FrictionConfig {
 }
 
 /// Presliding lengths that are followed, m.
-const LENGTHS: [f64; 7] = [5e-5, 2e-4, 6e-4, 1.5e-3, 3e-3, 6e-3, 1.2e-2];
+const LENGTHS: [f64; 9] = [1e-4, 3e-4, 6e-4, 1e-3, 1.7e-3, 3e-3, 5e-3, 8e-3, 1.3e-2];
+
+/// How a bristle bends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Bend {
+    /// In proportion to the way, up to its limit.
+    Elastic,
+    /// Towards its limit exponentially (Dahl).
+    Dahl,
+}
 
 /// One presliding length with its own estimate.
 #[derive(Debug, Clone, Copy)]
 struct Candidate {
     length: f64,
+    bend: Bend,
     /// Deflection of the bristle, at most 1 long, along the motion.
     bristle: Vector2<f64>,
     /// mu and the bias, N.
@@ -53,7 +63,7 @@ struct Candidate {
 #[derive(Debug, Clone)]
 pub struct FrictionModel {
     config: FrictionConfig,
-    candidates: [Candidate; 7],
+    candidates: [Candidate; 18],
     best: usize,
     slid: f64,
     smooth: Vector2<f64>,
@@ -74,15 +84,22 @@ impl FrictionModel {
         ] {
             positive(what, value)?;
         }
-        let candidate = |length: f64| Candidate {
-            length,
+        let candidate = |i: usize| Candidate {
+            length: LENGTHS[i / 2],
+            bend: if i.is_multiple_of(2) { Bend::Elastic } else { Bend::Dahl },
             bristle: Vector2::zeros(),
             estimate: Vector3::new(config.mu, 0.0, 0.0),
             covariance: initial_covariance(),
             square: 1.0,
             residual: Vector2::zeros(),
         };
-        Ok(Self { candidates: LENGTHS.map(candidate), best: 3, slid: 0.0, smooth: Vector2::zeros(), config })
+        Ok(Self {
+            candidates: std::array::from_fn(candidate),
+            best: 8,
+            slid: 0.0,
+            smooth: Vector2::zeros(),
+            config,
+        })
     }
 
     /// `dt` s later: normal force `normal` (N, pressing is positive), velocity of the hand along the surface (m/s) and
@@ -119,7 +136,7 @@ impl FrictionModel {
         }
         self.choose();
         let share = 1.0 - (-dt / self.config.smoothing).exp();
-        self.smooth += (self.candidates[self.best].residual - self.smooth) * share;
+        self.smooth += (self.unexplained() - self.smooth) * share;
         Ok(self.smooth.into())
     }
 
@@ -129,6 +146,16 @@ impl FrictionModel {
                 self.best = i;
             }
         }
+    }
+
+    /// The smallest residual of all candidates that explain wiping about as well as the best one: between two of the
+    /// lengths that are followed, a reversal is explained by one of its neighbours.
+    fn unexplained(&self) -> Vector2<f64> {
+        let best = &self.candidates[self.best];
+        let plausible = |c: &&Candidate| c.square <= 1.7 * best.square + 0.02;
+        let smaller =
+            |a: &&Candidate, b: &&Candidate| a.residual.norm_squared().total_cmp(&b.residual.norm_squared());
+        self.candidates.iter().filter(plausible).min_by(smaller).unwrap_or(best).residual
     }
 
     /// The push as of the last step, N.
@@ -173,10 +200,17 @@ fn initial_covariance() -> Matrix3<f64> {
 }
 
 impl Candidate {
-    /// Dahl's bristle, exactly for constant velocity over the step.
+    /// Bends the bristle by a step of `way` m, exactly for constant velocity.
     fn bend(&mut self, velocity: Vector2<f64>, way: f64) {
-        if let Some(direction) = velocity.try_normalize(1e-12) {
-            self.bristle = direction + (self.bristle - direction) * (-way / self.length).exp();
+        let Some(direction) = velocity.try_normalize(1e-12) else { return };
+        match self.bend {
+            Bend::Elastic => {
+                self.bristle += direction * (way / self.length);
+                self.bristle /= self.bristle.norm().max(1.0);
+            }
+            Bend::Dahl => {
+                self.bristle = direction + (self.bristle - direction) * (-way / self.length).exp();
+            }
         }
     }
 

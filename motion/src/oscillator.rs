@@ -98,7 +98,8 @@ pub struct AdaptiveOscillator {
     just_started: bool,
     starts: u32,
     periods: PeriodMeans,
-    trend: Trend,
+    /// Phase passed and time from which on the mean frequency counts.
+    counted_from: Option<(f64, f64)>,
     value: Vec<f64>,
     slope: Vec<f64>,
     error: Vec<f64>,
@@ -136,7 +137,7 @@ impl AdaptiveOscillator {
             just_started: false,
             starts: 0,
             periods: PeriodMeans::default(),
-            trend: Trend::default(),
+            counted_from: None,
             value: zeros.clone(),
             slope: zeros.clone(),
             error: zeros,
@@ -193,12 +194,13 @@ impl AdaptiveOscillator {
         self.omega / TAU
     }
 
-    /// The mean frequency, Hz, of all periods but the first two after the oscillator locked, in which the phase may
-    /// still find its place in the wave form: the slope of the phase over time. Steadier than the running one;
-    /// nothing before four periods.
+    /// The mean frequency, Hz, of all periods but the first one and a half after the oscillator locked, in which the
+    /// phase may still find its place in the wave form. Steadier than the running one, since neither noise nor a
+    /// coach's uneven pace adds up in it; nothing before four periods.
     #[must_use]
     pub fn mean_frequency_hz(&self) -> Option<f64> {
-        (self.passed > 4.0 * TAU).then(|| self.trend.slope() / TAU)
+        let (phase, time) = self.counted_from?;
+        (self.passed > 4.0 * TAU).then(|| (self.passed - phase) / (self.elapsed - time) / TAU)
     }
 
     /// Whether the signal is being followed: with `estimate` only after it has repeated once.
@@ -315,7 +317,7 @@ impl AdaptiveOscillator {
         self.elapsed = 0.0;
         self.disagreements = 0;
         self.periods = PeriodMeans::default();
-        self.trend = Trend::default();
+        self.counted_from = None;
         self.until_look = found.period;
     }
 
@@ -385,8 +387,8 @@ impl AdaptiveOscillator {
     /// Keeps the statistics of what was heard.
     fn note(&mut self, dt: f64) {
         self.elapsed += dt;
-        if self.passed > 2.0 * TAU {
-            self.trend.add(self.elapsed, self.passed);
+        if self.counted_from.is_none() && self.passed > 1.5 * TAU {
+            self.counted_from = Some((self.passed, self.elapsed));
         }
         self.periods.add(self.omega, self.omega * dt);
     }
@@ -442,31 +444,6 @@ impl PeriodMeans {
 
     fn steady(&self, tolerance: f64) -> bool {
         self.count >= 2 && (self.means[0] / self.means[1] - 1.0).abs() <= tolerance
-    }
-}
-
-/// The least-squares slope of the phase over time, by running sums.
-#[derive(Debug, Clone, Default)]
-struct Trend {
-    n: f64,
-    t: f64,
-    y: f64,
-    tt: f64,
-    ty: f64,
-}
-
-impl Trend {
-    fn add(&mut self, t: f64, y: f64) {
-        self.n += 1.0;
-        let (dt, dy) = (t - self.t, y - self.y);
-        self.t += dt / self.n;
-        self.y += dy / self.n;
-        self.tt += dt * (t - self.t);
-        self.ty += dt * (y - self.y);
-    }
-
-    fn slope(&self) -> f64 {
-        if self.tt > 0.0 { self.ty / self.tt } else { 0.0 }
     }
 }
 

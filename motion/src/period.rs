@@ -76,8 +76,9 @@ impl History {
     }
 
     fn store(&mut self, share: f64, v: &[f64]) {
-        for d in 0..self.dims {
-            self.ring[self.head * self.dims + d] = self.last[d] + share * (v[d] - self.last[d]);
+        let slot = &mut self.ring[self.head * self.dims..(self.head + 1) * self.dims];
+        for ((s, last), v) in slot.iter_mut().zip(&self.last).zip(v) {
+            *s = last + share * (v - last);
         }
         self.head = (self.head + 1) % self.capacity;
         self.len = (self.len + 1).min(self.capacity);
