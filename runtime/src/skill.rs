@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use armarium_values::Value;
+use armarium_values::{Type, Value};
 use futures::future::BoxFuture;
 use tokio_util::sync::CancellationToken;
 
@@ -37,14 +37,84 @@ pub struct SkillManifest {
 pub struct Parameter {
     /// Its name.
     pub name: String,
-    /// Its type as charts write it: `float`, `string`, `duration`, `list<float>`, `Motion`, `Pose` ...
-    pub type_name: String,
-    /// SI symbol of its unit, for numbers.
-    pub unit: Option<String>,
+    /// Its type, with the unit for numbers.
+    pub ty: Type,
     /// Value when the chart gives none; an input without one is required.
     pub default: Option<Value>,
     /// One sentence for people.
     pub description: String,
+}
+
+impl SkillManifest {
+    /// A skill without inputs, outputs, further outcomes, events or limbs, and with a grace of 1 s.
+    #[must_use]
+    pub fn new(name: &str, description: &str) -> Self {
+        Self {
+            name: name.into(),
+            description: description.into(),
+            inputs: Vec::new(),
+            outputs: Vec::new(),
+            outcomes: Vec::new(),
+            events: Vec::new(),
+            limbs: Vec::new(),
+            grace: Duration::from_secs(1),
+        }
+    }
+
+    /// Adds an input that the chart must give.
+    #[must_use]
+    pub fn input(mut self, name: &str, ty: Type, description: &str) -> Self {
+        self.inputs.push(Parameter { name: name.into(), ty, default: None, description: description.into() });
+        self
+    }
+
+    /// Adds an input with a default.
+    #[must_use]
+    pub fn optional(mut self, name: &str, ty: Type, default: impl Into<Value>, description: &str) -> Self {
+        let default = Some(default.into());
+        self.inputs.push(Parameter { name: name.into(), ty, default, description: description.into() });
+        self
+    }
+
+    /// Adds an output.
+    #[must_use]
+    pub fn output(mut self, name: &str, ty: Type, description: &str) -> Self {
+        self.outputs.push(Parameter {
+            name: name.into(),
+            ty,
+            default: None,
+            description: description.into(),
+        });
+        self
+    }
+
+    /// Adds an outcome beyond `success` and `failure`.
+    #[must_use]
+    pub fn outcome(mut self, name: &str) -> Self {
+        self.outcomes.push(name.into());
+        self
+    }
+
+    /// Adds an event that the skill raises while it runs.
+    #[must_use]
+    pub fn event(mut self, name: &str) -> Self {
+        self.events.push(name.into());
+        self
+    }
+
+    /// Adds a limb that the skill commands.
+    #[must_use]
+    pub fn limb(mut self, name: &str) -> Self {
+        self.limbs.push(name.into());
+        self
+    }
+
+    /// Sets how long the skill may take to return after a cancel.
+    #[must_use]
+    pub fn grace(mut self, grace: Duration) -> Self {
+        self.grace = grace;
+        self
+    }
 }
 
 /// How a skill ended well.
@@ -61,6 +131,12 @@ impl Outcome {
     #[must_use]
     pub fn success() -> Self {
         Self { name: "success".into(), outputs: BTreeMap::new() }
+    }
+
+    /// An outcome that the manifest declares, without outputs.
+    #[must_use]
+    pub fn named(name: &str) -> Self {
+        Self { name: name.into(), outputs: BTreeMap::new() }
     }
 
     /// The same outcome with one more output.

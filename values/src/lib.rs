@@ -3,8 +3,13 @@
 //!
 //! This room knows no robot, no clock and no network. Start with [`Value`] and [`Type`].
 
+pub mod expr;
 mod geometry;
+mod types;
+mod unit;
 mod value;
 
 pub use geometry::{Frame, Pose, Vector, Wrench};
+pub use types::{ConvertError, Fit, Type};
+pub use unit::{Unit, UnknownUnit, parse_quantity};
 pub use value::{Reference, Value};

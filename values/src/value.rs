@@ -78,6 +78,124 @@ impl Value {
     }
 }
 
+impl Value {
+    /// The items of a `List`.
+    #[must_use]
+    pub fn as_list(&self) -> Option<&[Self]> {
+        match self {
+            Self::List(items) => Some(items),
+            _ => None,
+        }
+    }
+
+    /// The whole number in an `Int`.
+    #[must_use]
+    pub fn as_int(&self) -> Option<i64> {
+        match self {
+            Self::Int(i) => Some(*i),
+            _ => None,
+        }
+    }
+
+    /// The reference in a `Reference`.
+    #[must_use]
+    pub fn as_reference(&self) -> Option<&Reference> {
+        match self {
+            Self::Reference(r) => Some(r),
+            _ => None,
+        }
+    }
+
+    /// The field `name` of a `Map`.
+    #[must_use]
+    pub fn get(&self, name: &str) -> Option<&Self> {
+        match self {
+            Self::Map(fields) => fields.get(name),
+            _ => None,
+        }
+    }
+
+    /// Three numbers, from a `Vector` or a `List` of three.
+    #[must_use]
+    pub fn as_vector3(&self) -> Option<[f64; 3]> {
+        match self {
+            Self::Vector(v) => Some(v.components),
+            Self::List(items) => match items.as_slice() {
+                [x, y, z] => Some([x.as_f64()?, y.as_f64()?, z.as_f64()?]),
+                _ => None,
+            },
+            _ => None,
+        }
+    }
+
+    /// A map from named fields.
+    #[must_use]
+    pub fn record<const N: usize>(fields: [(&str, Self); N]) -> Self {
+        Self::Map(fields.into_iter().map(|(name, value)| (name.to_owned(), value)).collect())
+    }
+
+    /// A few words about the value for messages: its type, and itself where it is short.
+    #[must_use]
+    pub fn describe(&self) -> String {
+        match self {
+            Self::Null => "nothing".into(),
+            Self::Bool(b) => format!("the bool {b}"),
+            Self::Int(i) => format!("the int {i}"),
+            Self::Float(f) => format!("the float {f}"),
+            Self::String(s) if s.len() <= 60 => format!("the string \"{s}\""),
+            Self::String(_) => "a long string".into(),
+            Self::Duration(d) => format!("the duration {d} s"),
+            Self::Bytes(b) => format!("{} bytes", b.len()),
+            Self::List(items) => format!("a list of {}", items.len()),
+            Self::Map(_) => "a map".into(),
+            Self::Vector(_) => "a Vector".into(),
+            Self::Pose(_) => "a Pose".into(),
+            Self::Wrench(_) => "a Wrench".into(),
+            Self::Reference(r) => format!("a reference to the {} `{}`", r.kind, r.id),
+        }
+    }
+
+    /// The value as plain JSON for people and reports; what is not finite becomes `null`, and types are not kept.
+    #[must_use]
+    pub fn to_json(&self) -> serde_json::Value {
+        use serde_json::{Value as Json, json};
+        match self {
+            Self::Null => Json::Null,
+            Self::Bool(b) => json!(b),
+            Self::Int(i) => json!(i),
+            Self::Float(f) | Self::Duration(f) => json!(f),
+            Self::String(s) => json!(s),
+            Self::Bytes(b) => json!(b),
+            Self::List(items) => Json::Array(items.iter().map(Self::to_json).collect()),
+            Self::Map(fields) => Json::Object(fields.iter().map(|(k, v)| (k.clone(), v.to_json())).collect()),
+            Self::Vector(v) => json!({"frame": v.frame.0, "components": v.components}),
+            Self::Pose(p) => {
+                json!({"frame": p.frame.0, "position": p.position, "orientation": p.orientation})
+            }
+            Self::Wrench(w) => json!({"frame": w.frame.0, "force": w.force, "torque": w.torque}),
+            Self::Reference(r) => json!({"kind": r.kind, "id": r.id}),
+        }
+    }
+
+    /// A value from JSON: whole numbers become `Int`, other numbers `Float`.
+    #[must_use]
+    pub fn from_json(json: &serde_json::Value) -> Self {
+        use serde_json::Value as Json;
+        match json {
+            Json::Null => Self::Null,
+            Json::Bool(b) => Self::Bool(*b),
+            Json::Number(n) => {
+                n.as_i64().map_or_else(|| Self::Float(n.as_f64().unwrap_or(f64::NAN)), Self::Int)
+            }
+            Json::String(s) => Self::String(s.clone()),
+            Json::Array(items) => Self::List(items.iter().map(Self::from_json).collect()),
+            Json::Object(fields) => {
+                Self::Map(fields.iter().map(|(k, v)| (k.clone(), Self::from_json(v))).collect())
+            }
+        }
+    }
+}
+
 impl From<bool> for Value {
     fn from(v: bool) -> Self {
         Self::Bool(v)
@@ -101,5 +219,40 @@ impl From<&str> for Value {
 impl From<String> for Value {
     fn from(v: String) -> Self {
         Self::String(v)
+    }
+}
+impl From<Vec<f64>> for Value {
+    fn from(v: Vec<f64>) -> Self {
+        Self::List(v.into_iter().map(Self::Float).collect())
+    }
+}
+impl From<[f64; 3]> for Value {
+    fn from(v: [f64; 3]) -> Self {
+        Self::List(v.into_iter().map(Self::Float).collect())
+    }
+}
+impl From<Vec<Value>> for Value {
+    fn from(v: Vec<Value>) -> Self {
+        Self::List(v)
+    }
+}
+impl From<Vector> for Value {
+    fn from(v: Vector) -> Self {
+        Self::Vector(v)
+    }
+}
+impl From<Pose> for Value {
+    fn from(v: Pose) -> Self {
+        Self::Pose(v)
+    }
+}
+impl From<Wrench> for Value {
+    fn from(v: Wrench) -> Self {
+        Self::Wrench(v)
+    }
+}
+impl From<Reference> for Value {
+    fn from(v: Reference) -> Self {
+        Self::Reference(v)
     }
 }

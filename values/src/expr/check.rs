@@ -1,0 +1,673 @@
+//! From CEL's syntax tree to ours: names resolved, types and units checked, mistakes placed.
+
+use cel::IdedExpr;
+use cel::common::ast::{CallExpr, EntryExpr, Expr as Cel, LiteralValue, SelectExpr, SourceInfo};
+
+use super::eval::{Arithmetic, Comparison, Macro, Node, Pos};
+use super::functions::{Function, TABLE, Takes};
+use super::{
+    Environment, Expr, ExprError, ExprErrorKind as Kind, MAX_SOURCE, Reads, Slot, Unresolved, nearest,
+};
+use crate::types::{Fit, Type};
+use crate::unit::Unit;
+
+/// Deepest nesting of an expression; deeper ones would need much of the stack to evaluate and to drop.
+const MAX_DEPTH: usize = 200;
+/// Most comprehensions inside one another.
+const MAX_COMPREHENSIONS: usize = 3;
+
+pub(super) fn compile(source: &str, environment: &dyn Environment) -> Result<Expr, ExprError> {
+    if source.len() > MAX_SOURCE {
+        return Err(whole(source, Kind::TooLarge, format!("an expression may have {MAX_SOURCE} bytes")));
+    }
+    if source.trim().is_empty() {
+        return Err(whole(source, Kind::Syntax, "there is no expression here".into()));
+    }
+    // An environment without macros leaves `list.all(x, p)` as the call that was written.
+    let parser = cel::Env::default().parser().enable_optional_syntax(false);
+    let (tree, places) = parser.parse_with_source_info(source).map_err(|e| syntax(source, &e))?;
+    let mut checker = Checker {
+        source,
+        places: &places,
+        environment,
+        bound: Vec::new(),
+        reads: Reads::default(),
+        depth: 0,
+    };
+    let (root, ty) = checker.check(&tree)?;
+    checker.reads.channels.sort_unstable();
+    checker.reads.channels.dedup();
+    Ok(Expr { source: source.to_owned(), ty, reads: checker.reads, root })
+}
+
+fn whole(source: &str, kind: Kind, message: String) -> ExprError {
+    ExprError { kind, message, help: None, start: 0, end: source.len() }
+}
+
+fn syntax(source: &str, errors: &cel::ParseErrors) -> ExprError {
+    let Some(first) = errors.errors.first() else {
+        return whole(source, Kind::Syntax, "this is not an expression".into());
+    };
+    let (line, column) = first.pos;
+    let line_start: usize =
+        source.split_inclusive('\n').take(usize::try_from(line - 1).unwrap_or(0)).map(str::len).sum();
+    let column = usize::try_from(column).unwrap_or(0).saturating_sub(1);
+    let start = boundary(source, (line_start + column).min(source.len()));
+    let end = source[start..].chars().next().map_or(source.len(), |c| start + c.len_utf8());
+    let message = first.msg.trim_start_matches("Syntax error: ").to_owned();
+    let kind = if message.contains("recursion") { Kind::TooLarge } else { Kind::Syntax };
+    let help = "reserved words (`in`, `if`, `for`, `package` ...) cannot be names; text is quoted".to_owned();
+    ExprError {
+        kind,
+        message: format!("this is not an expression: {message}"),
+        help: Some(help),
+        start: start.min(end),
+        end,
+    }
+}
+
+fn boundary(source: &str, mut at: usize) -> usize {
+    while !source.is_char_boundary(at) {
+        at -= 1;
+    }
+    at
+}
+
+struct Checker<'a> {
+    source: &'a str,
+    places: &'a SourceInfo,
+    environment: &'a dyn Environment,
+    /// Variables of the comprehensions around, outermost first.
+    bound: Vec<(String, Type)>,
+    reads: Reads,
+    depth: usize,
+}
+
+type Checked = Result<(Node, Type), ExprError>;
+
+impl Checker<'_> {
+    fn span(&self, id: u64) -> (usize, usize) {
+        let (start, stop) = self.places.offset_for(id).unwrap_or((0, 0));
+        let start = boundary(self.source, (start as usize).min(self.source.len()));
+        let mut end = (stop as usize + 1).clamp(start, self.source.len());
+        while !self.source.is_char_boundary(end) {
+            end += 1;
+        }
+        (start, end)
+    }
+
+    fn pos(&self, id: u64) -> Pos {
+        let (start, end) = self.span(id);
+        Pos { start: u16::try_from(start).unwrap_or(0), end: u16::try_from(end).unwrap_or(0) }
+    }
+
+    /// From the first byte of `of` to the end of the token `id`: a dotted name as it was written.
+    fn range(&self, of: &IdedExpr, id: u64) -> (usize, usize) {
+        let mut first = of;
+        while let Cel::Select(select) = &first.expr {
+            first = &select.operand;
+        }
+        let (start, _) = self.span(first.id);
+        let (_, end) = self.span(id);
+        (start.min(end), end)
+    }
+
+    fn error(&self, id: u64, kind: Kind, message: impl Into<String>) -> ExprError {
+        let (start, end) = self.span(id);
+        ExprError { kind, message: message.into(), help: None, start, end }
+    }
+
+    fn unresolved(&self, span: (usize, usize), unresolved: Unresolved) -> ExprError {
+        let Unresolved { message, help } = unresolved;
+        ExprError { kind: Kind::UnknownName, message, help, start: span.0, end: span.1 }
+    }
+
+    fn check(&mut self, expr: &IdedExpr) -> Checked {
+        self.depth += 1;
+        if self.depth > MAX_DEPTH {
+            return Err(self.error(expr.id, Kind::TooLarge, "this is nested too deeply"));
+        }
+        let checked = self.check_inner(expr);
+        self.depth -= 1;
+        checked
+    }
+
+    fn check_inner(&mut self, expr: &IdedExpr) -> Checked {
+        match &expr.expr {
+            Cel::Literal(literal) => self.literal(expr.id, literal),
+            Cel::Ident(_) | Cel::Select(_) => self.path(expr),
+            Cel::Call(call) => self.call(expr.id, call),
+            Cel::List(list) => {
+                let items = list.elements.iter().map(|e| self.check(e)).collect::<Result<Vec<_>, _>>()?;
+                let element = items.iter().map(|(_, ty)| ty.clone()).reduce(|a, b| join(&a, &b));
+                let ty = Type::list(element.unwrap_or(Type::Any));
+                Ok((Node::List(items.into_iter().map(|(node, _)| node).collect()), ty))
+            }
+            Cel::Map(map) => {
+                let mut entries = Vec::new();
+                let mut element: Option<Type> = None;
+                for entry in &map.entries {
+                    let EntryExpr::MapEntry(entry) = &entry.expr else { continue };
+                    let (key, key_type) = self.check(&entry.key)?;
+                    self.want(entry.key.id, &Type::String, &key_type)?;
+                    let (value, ty) = self.check(&entry.value)?;
+                    element = Some(element.map_or(ty.clone(), |e| join(&e, &ty)));
+                    entries.push((key, value));
+                }
+                Ok((Node::Record(entries, self.pos(expr.id)), Type::map(element.unwrap_or(Type::Any))))
+            }
+            Cel::Struct(_) | Cel::Comprehension(_) | Cel::Unspecified => {
+                Err(self.error(expr.id, Kind::Syntax, "this form of CEL is not supported here"))
+            }
+        }
+    }
+
+    fn literal(&self, id: u64, literal: &LiteralValue) -> Checked {
+        Ok(match literal {
+            LiteralValue::Boolean(b) => (Node::Bool(*b.inner()), Type::Bool),
+            LiteralValue::Int(i) => (Node::Int(*i.inner()), Type::Int),
+            LiteralValue::UInt(u) => {
+                let i = i64::try_from(*u.inner())
+                    .map_err(|_| self.error(id, Kind::Type, "the number is out of range"))?;
+                (Node::Int(i), Type::Int)
+            }
+            LiteralValue::Double(f) => (Node::Float(*f.inner()), Type::FLOAT),
+            LiteralValue::String(s) => {
+                (Node::Text(s.inner().to_owned()), Type::Enum(vec![s.inner().to_owned()]))
+            }
+            LiteralValue::Null => (Node::Null, Type::Any),
+            LiteralValue::Bytes(_) => {
+                return Err(self.error(id, Kind::Syntax, "byte strings are not supported here"));
+            }
+        })
+    }
+
+    /// A dotted name: a comprehension's variable, or a variable of the environment, and fields of it.
+    fn path(&mut self, expr: &IdedExpr) -> Checked {
+        let Some((names, ids)) = dotted(expr) else {
+            let Cel::Select(select) = &expr.expr else {
+                return Err(self.error(expr.id, Kind::Syntax, "this is not a name"));
+            };
+            return self.select(expr.id, select);
+        };
+        let bound = self.bound.iter().rev().position(|(name, _)| name == names[0]);
+        let (mut node, mut ty, used) = if let Some(depth) = bound {
+            (Node::Bound(depth), self.bound[self.bound.len() - 1 - depth].1.clone(), 1)
+        } else {
+            let found = self.environment.variable(&names);
+            let variable = found.map_err(|e| self.unresolved(self.range(expr, expr.id), e))?;
+            let pos = self.range_pos(expr, ids[variable.used.clamp(1, ids.len()) - 1]);
+            (self.read(variable.slot, pos), variable.ty, variable.used.max(1))
+        };
+        for (name, id) in names.iter().zip(&ids).skip(used) {
+            ty = self.field_type(*id, &ty, name)?;
+            node = match node {
+                Node::Channel(channel, mut path, pos) => {
+                    path.push((*name).to_owned());
+                    Node::Channel(channel, path, Pos { end: self.pos(*id).end, ..pos })
+                }
+                node => Node::Field(Box::new(node), (*name).to_owned(), self.range_pos(expr, *id)),
+            };
+        }
+        Ok((node, ty))
+    }
+
+    fn range_pos(&self, expr: &IdedExpr, id: u64) -> Pos {
+        let (start, end) = self.range(expr, id);
+        Pos { start: u16::try_from(start).unwrap_or(0), end: u16::try_from(end).unwrap_or(0) }
+    }
+
+    fn read(&mut self, slot: Slot, pos: Pos) -> Node {
+        match slot {
+            Slot::Data(n) => {
+                self.reads.data = true;
+                Node::Data(n, pos)
+            }
+            Slot::Channel(n) => {
+                self.reads.channels.push(n);
+                Node::Channel(n, Vec::new(), pos)
+            }
+            Slot::EventName => {
+                self.reads.event = true;
+                Node::EventName
+            }
+            Slot::EventData => {
+                self.reads.event = true;
+                Node::EventData
+            }
+        }
+    }
+
+    fn select(&mut self, id: u64, select: &SelectExpr) -> Checked {
+        let (node, ty) = self.check(&select.operand)?;
+        let ty = self.field_type(id, &ty, &select.field)?;
+        Ok((Node::Field(Box::new(node), select.field.clone(), self.pos(id)), ty))
+    }
+
+    fn field_type(&self, id: u64, of: &Type, name: &str) -> Result<Type, ExprError> {
+        let metres = || Type::quantity(Unit::M);
+        let (found, known): (Option<Type>, Vec<&str>) = match of {
+            Type::Any => return Ok(Type::Any),
+            Type::Map(element) => return Ok((**element).clone()),
+            Type::Record(fields) => (fields.get(name).cloned(), fields.keys().map(String::as_str).collect()),
+            Type::Vector => match name {
+                "x" | "y" | "z" => (Some(Type::FLOAT), vec![]),
+                "frame" => (Some(Type::String), vec![]),
+                _ => (None, vec!["x", "y", "z", "frame"]),
+            },
+            Type::Pose => match name {
+                "x" | "y" | "z" => (Some(metres()), vec![]),
+                "position" => (Some(Type::list(metres())), vec![]),
+                "orientation" => (Some(Type::list(Type::FLOAT)), vec![]),
+                "frame" => (Some(Type::String), vec![]),
+                _ => (None, vec!["position", "orientation", "frame", "x", "y", "z"]),
+            },
+            Type::Wrench => match name {
+                "force" => (Some(Type::list(Type::quantity(Unit::N))), vec![]),
+                "torque" => (Some(Type::list(Type::quantity(Unit::NM))), vec![]),
+                "frame" => (Some(Type::String), vec![]),
+                _ => (None, vec!["force", "torque", "frame"]),
+            },
+            Type::Reference(_) if matches!(name, "kind" | "id") => (Some(Type::String), vec![]),
+            Type::Reference(_) => (None, vec!["kind", "id"]),
+            other => {
+                return Err(self.error(id, Kind::Type, format!("{} has no fields", article(other))));
+            }
+        };
+        found.ok_or_else(|| {
+            let mut error = self.error(id, Kind::UnknownName, format!("there is no field `{name}` here"));
+            error.help = Some(match nearest(name, known.iter().copied()) {
+                Some(near) => format!("did you mean `{near}`?"),
+                None => format!("there are: {}", known.join(", ")),
+            });
+            error
+        })
+    }
+
+    fn want(&self, id: u64, expected: &Type, found: &Type) -> Result<(), ExprError> {
+        match expected.fit(found) {
+            Fit::Yes | Fit::Perhaps => Ok(()),
+            Fit::OtherUnit => Err(self.error(id, Kind::Unit, mismatch(expected, found))),
+            Fit::No => Err(self.error(id, Kind::Type, mismatch(expected, found))),
+        }
+    }
+
+    fn call(&mut self, id: u64, call: &CallExpr) -> Checked {
+        let name = call.func_name.as_str();
+        if let Some(target) = &call.target {
+            if let Some(kind) = comprehension(name, call.args.len()) {
+                return self.comprehend(id, kind, target, &call.args);
+            }
+            let arguments: Vec<&IdedExpr> = std::iter::once(&**target).chain(&call.args).collect();
+            return self.function(id, name, &arguments);
+        }
+        let args: Vec<&IdedExpr> = call.args.iter().collect();
+        match (name, args.as_slice()) {
+            ("_&&_", [_, ..]) => self.logic(id, &args, Node::And),
+            ("_||_", [_, ..]) => self.logic(id, &args, Node::Or),
+            ("!_", [of]) => {
+                let (node, ty) = self.check(of)?;
+                self.want(of.id, &Type::Bool, &ty)?;
+                Ok((Node::Not(Box::new(node), self.pos(id)), Type::Bool))
+            }
+            ("-_", [of]) => {
+                let (node, ty) = self.check(of)?;
+                let ty = self.number(of.id, &ty)?;
+                Ok((Node::Negate(Box::new(node), self.pos(id)), ty))
+            }
+            ("_?_:_", [condition, then, otherwise]) => {
+                let (condition_node, ty) = self.check(condition)?;
+                self.want(condition.id, &Type::Bool, &ty)?;
+                let ((a, ta), (b, tb)) = (self.check(then)?, self.check(otherwise)?);
+                let parts = Box::new((condition_node, a, b));
+                Ok((Node::Choose(parts, self.pos(id)), join(&ta, &tb)))
+            }
+            ("_[_]", [of, key]) => self.index(id, of, key),
+            ("@in", [item, of]) => {
+                let ((a, ta), (b, tb)) = (self.check(item)?, self.check(of)?);
+                match &tb {
+                    Type::List(element) => self.comparable(id, &ta, element)?,
+                    Type::Map(_) | Type::Record(_) => self.want(item.id, &Type::String, &ta)?,
+                    Type::Any => {}
+                    other => {
+                        return Err(self.error(id, Kind::Type, format!("{} has no items", article(other))));
+                    }
+                }
+                Ok((Node::In(Box::new((a, b)), self.pos(id)), Type::Bool))
+            }
+            (_, [a, b]) if arithmetic(name).is_some() || comparison(name).is_some() => {
+                self.binary(id, name, a, b)
+            }
+            ("age", [channel]) => {
+                let text = self.text(channel)?;
+                let found = self.environment.channel(text);
+                let channel = found.map_err(|e| self.unresolved(self.span(channel.id), e))?;
+                self.reads.channels.push(channel);
+                self.reads.age = true;
+                Ok((Node::Age(channel), Type::quantity(Unit::S)))
+            }
+            ("active", [state]) => {
+                let text = self.text(state)?;
+                let found = self.environment.state(text);
+                let number = found.map_err(|e| self.unresolved(self.span(state.id), e))?;
+                self.reads.data = true;
+                Ok((Node::Active(number), Type::Bool))
+            }
+            ("has", [of]) => {
+                let Cel::Select(select) = &of.expr else {
+                    return Err(self.error(of.id, Kind::Type, "`has` takes a field, as in `has(a.b)`"));
+                };
+                let (node, _) = self.check(&select.operand)?;
+                Ok((Node::Has(Box::new(node), select.field.clone()), Type::Bool))
+            }
+            _ => self.function(id, name, &args),
+        }
+    }
+
+    fn text<'e>(&self, expr: &'e IdedExpr) -> Result<&'e str, ExprError> {
+        match &expr.expr {
+            Cel::Literal(LiteralValue::String(s)) => Ok(s.inner()),
+            _ => Err(self.error(expr.id, Kind::Type, "a name in quotes is needed here")),
+        }
+    }
+
+    fn logic(&mut self, id: u64, args: &[&IdedExpr], make: fn(Box<(Node, Node)>, Pos) -> Node) -> Checked {
+        let mut joined: Option<Node> = None;
+        for arg in args {
+            let (node, ty) = self.check(arg)?;
+            self.want(arg.id, &Type::Bool, &ty)?;
+            joined = Some(match joined {
+                None => node,
+                Some(before) => make(Box::new((before, node)), self.pos(id)),
+            });
+        }
+        Ok((joined.unwrap_or(Node::Bool(true)), Type::Bool))
+    }
+
+    fn number(&self, id: u64, ty: &Type) -> Result<Type, ExprError> {
+        match ty {
+            Type::Any | Type::Int | Type::Float(_) => Ok(ty.clone()),
+            Type::Duration => Ok(Type::quantity(Unit::S)),
+            other => Err(self.error(id, Kind::Type, format!("expected a number, found {}", article(other)))),
+        }
+    }
+
+    fn binary(&mut self, id: u64, name: &str, a: &IdedExpr, b: &IdedExpr) -> Checked {
+        let ((x, tx), (y, ty)) = (self.check(a)?, self.check(b)?);
+        let pos = self.pos(id);
+        if let Some(op) = comparison(name) {
+            if matches!(op, Comparison::Equal | Comparison::NotEqual) {
+                self.comparable(id, &tx, &ty)?;
+            } else if !(is_text(&tx) && is_text(&ty)) {
+                let (tx, ty) = (self.number(a.id, &tx)?, self.number(b.id, &ty)?);
+                self.same_unit(id, &tx, &ty)?;
+            }
+            return Ok((Node::Compare(op, Box::new((x, y)), pos), Type::Bool));
+        }
+        let op = arithmetic(name).unwrap_or(Arithmetic::Add);
+        let result = self.arithmetic_type(id, op, (a.id, &tx), (b.id, &ty))?;
+        Ok((Node::Arithmetic(op, Box::new((x, y)), pos), result))
+    }
+
+    fn arithmetic_type(
+        &self,
+        id: u64,
+        op: Arithmetic,
+        (a, ta): (u64, &Type),
+        (b, tb): (u64, &Type),
+    ) -> Result<Type, ExprError> {
+        if op == Arithmetic::Add {
+            match (ta, tb) {
+                (x, y) if is_text(x) && is_text(y) => return Ok(Type::String),
+                (Type::List(x), Type::List(y)) => return Ok(Type::list(join(x, y))),
+                (Type::Any, _) | (_, Type::Any) => return Ok(Type::Any),
+                _ => {}
+            }
+        }
+        let (ta, tb) = (self.number(a, ta)?, self.number(b, tb)?);
+        Ok(match (op, &ta, &tb) {
+            (_, Type::Any, _) | (_, _, Type::Any) => Type::Any,
+            (_, Type::Int, Type::Int) => Type::Int,
+            (Arithmetic::Multiply, Type::Float(Some(u)), Type::Float(Some(v))) => Type::Float(u.times(*v)),
+            (Arithmetic::Divide, Type::Float(Some(u)), Type::Float(Some(v))) => Type::Float(u.per(*v)),
+            (Arithmetic::Divide, _, Type::Float(Some(v))) => Type::Float(Unit::ONE.per(*v)),
+            _ => {
+                if !matches!(op, Arithmetic::Multiply | Arithmetic::Divide) {
+                    self.same_unit(id, &ta, &tb)?;
+                }
+                match (&ta, &tb) {
+                    (Type::Float(Some(u)), _) | (_, Type::Float(Some(u))) => Type::Float(Some(*u)),
+                    _ => Type::FLOAT,
+                }
+            }
+        })
+    }
+
+    fn same_unit(&self, id: u64, a: &Type, b: &Type) -> Result<(), ExprError> {
+        match (a, b) {
+            (Type::Float(Some(u)), Type::Float(Some(v))) if u != v => {
+                Err(self.error(id, Kind::Unit, format!("a number in {u} against one in {v}")))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn comparable(&self, id: u64, a: &Type, b: &Type) -> Result<(), ExprError> {
+        if let (Type::Enum(words), Type::Enum(others)) = (a, b) {
+            let (literal, words) = if words.len() == 1 { (&words[0], others) } else { (&others[0], words) };
+            if words.len() > 1 && !words.contains(literal) {
+                let message = format!("`{literal}` is not one of {}", words.join(", "));
+                let mut error = self.error(id, Kind::Type, message);
+                error.help = nearest(literal, words.iter().map(String::as_str))
+                    .map(|near| format!("did you mean `{near}`?"));
+                return Err(error);
+            }
+            return Ok(());
+        }
+        let numeric = |t: &Type| matches!(t, Type::Int | Type::Float(_) | Type::Duration);
+        if numeric(a) && numeric(b) {
+            return self.same_unit(id, &self.number(id, a)?, &self.number(id, b)?);
+        }
+        if a.fit(b) == Fit::No && b.fit(a) == Fit::No {
+            let message = format!("{} is never equal to {}", article(a), article(b));
+            return Err(self.error(id, Kind::Type, message));
+        }
+        Ok(())
+    }
+
+    fn index(&mut self, id: u64, of: &IdedExpr, key: &IdedExpr) -> Checked {
+        let ((x, tx), (k, tk)) = (self.check(of)?, self.check(key)?);
+        let result = match &tx {
+            Type::List(element) => {
+                self.want(key.id, &Type::Int, &tk)?;
+                (**element).clone()
+            }
+            Type::Vector => {
+                self.want(key.id, &Type::Int, &tk)?;
+                Type::FLOAT
+            }
+            Type::Map(element) => {
+                self.want(key.id, &Type::String, &tk)?;
+                (**element).clone()
+            }
+            Type::Any | Type::Record(_) => Type::Any,
+            other => return Err(self.error(id, Kind::Type, format!("{} has no items", article(other)))),
+        };
+        Ok((Node::Index(Box::new((x, k)), self.pos(id)), result))
+    }
+
+    fn comprehend(&mut self, id: u64, kind: Macro, range: &IdedExpr, args: &[IdedExpr]) -> Checked {
+        let Cel::Ident(name) = &args[0].expr else {
+            return Err(self.error(args[0].id, Kind::Syntax, "the name of a variable is needed here"));
+        };
+        if self.bound.len() >= MAX_COMPREHENSIONS {
+            let message = format!("more than {MAX_COMPREHENSIONS} comprehensions inside one another");
+            return Err(self.error(id, Kind::TooLarge, message));
+        }
+        let (range_node, range_type) = self.check(range)?;
+        let element = match &range_type {
+            Type::List(element) => (**element).clone(),
+            Type::Any => Type::Any,
+            Type::Map(_) | Type::Record(_) => Type::String,
+            other => return Err(self.error(id, Kind::Type, format!("{} has no items", article(other)))),
+        };
+        self.bound.push((name.clone(), element.clone()));
+        let body = self.check(&args[1]);
+        self.bound.pop();
+        let (body_node, body_type) = body?;
+        let result = match kind {
+            Macro::Map => Type::list(body_type),
+            Macro::Filter => {
+                self.want(args[1].id, &Type::Bool, &body_type)?;
+                Type::list(element)
+            }
+            _ => {
+                self.want(args[1].id, &Type::Bool, &body_type)?;
+                Type::Bool
+            }
+        };
+        Ok((Node::Macro(kind, Box::new((range_node, body_node)), self.pos(id)), result))
+    }
+
+    fn function(&mut self, id: u64, name: &str, args: &[&IdedExpr]) -> Checked {
+        let Some((_, function, least, most)) = TABLE.iter().find(|(known, ..)| *known == name) else {
+            let message = format!("there is no function `{name}`");
+            let mut error = self.error(id, Kind::UnknownFunction, message);
+            let known = TABLE.iter().map(|(known, ..)| *known).chain(["age", "active", "has"]);
+            error.help = nearest(name, known).map(|near| format!("did you mean `{near}`?"));
+            return Err(error);
+        };
+        if args.len() < *least || args.len() > *most {
+            let message = format!("`{name}` takes {least} argument(s), not {}", args.len());
+            return Err(self.error(id, Kind::UnknownFunction, message));
+        }
+        let mut nodes = Vec::with_capacity(args.len());
+        let mut types = Vec::with_capacity(args.len());
+        for arg in args {
+            let (node, ty) = self.check(arg)?;
+            self.argument(arg.id, *function, &ty)?;
+            nodes.push(node);
+            types.push(ty);
+        }
+        if matches!(function, Function::Min | Function::Max | Function::Clamp) {
+            for ty in &types[1..] {
+                self.same_unit(id, &types[0], ty)?;
+            }
+        }
+        Ok((Node::Call(*function, nodes, self.pos(id)), function.result(&types)))
+    }
+
+    fn argument(&self, id: u64, function: Function, ty: &Type) -> Result<(), ExprError> {
+        let numbers = |t: &Type| matches!(t, Type::Any | Type::Int | Type::Float(_) | Type::Duration);
+        let list = |t: &Type| matches!(t, Type::List(element) if numbers(element));
+        let (fits, expected) = match function.takes() {
+            Takes::Numbers => (numbers(ty), "a number"),
+            Takes::NumbersOrList => (numbers(ty) || list(ty), "a number or a list of numbers"),
+            Takes::Vectors => {
+                (list(ty) || matches!(ty, Type::Vector | Type::Any), "a vector or a list of numbers")
+            }
+            Takes::Strings => (is_text(ty) || *ty == Type::Any, "a string"),
+            Takes::Sized => {
+                let sized = matches!(
+                    ty,
+                    Type::Any | Type::List(_) | Type::Map(_) | Type::Record(_) | Type::Bytes | Type::Vector
+                );
+                (sized || is_text(ty), "a list, a map or a string")
+            }
+            Takes::Anything => (true, ""),
+        };
+        if fits {
+            return Ok(());
+        }
+        Err(self.error(id, Kind::Type, format!("expected {expected}, found {}", article(ty))))
+    }
+}
+
+fn dotted(expr: &IdedExpr) -> Option<(Vec<&str>, Vec<u64>)> {
+    let (mut names, mut ids, mut at) = (Vec::new(), Vec::new(), expr);
+    loop {
+        match &at.expr {
+            Cel::Ident(name) => {
+                names.push(name.as_str());
+                ids.push(at.id);
+                names.reverse();
+                ids.reverse();
+                return Some((names, ids));
+            }
+            Cel::Select(select) if !select.test => {
+                names.push(select.field.as_str());
+                ids.push(at.id);
+                at = &select.operand;
+            }
+            _ => return None,
+        }
+    }
+}
+
+fn comprehension(name: &str, arguments: usize) -> Option<Macro> {
+    match (name, arguments) {
+        ("all", 2) => Some(Macro::All),
+        ("exists", 2) => Some(Macro::Exists),
+        ("exists_one" | "existsOne", 2) => Some(Macro::ExistsOne),
+        ("filter", 2) => Some(Macro::Filter),
+        ("map", 2) => Some(Macro::Map),
+        _ => None,
+    }
+}
+
+fn comparison(name: &str) -> Option<Comparison> {
+    Some(match name {
+        "_<_" => Comparison::Less,
+        "_<=_" => Comparison::LessEqual,
+        "_>_" => Comparison::Greater,
+        "_>=_" => Comparison::GreaterEqual,
+        "_==_" => Comparison::Equal,
+        "_!=_" => Comparison::NotEqual,
+        _ => return None,
+    })
+}
+
+fn arithmetic(name: &str) -> Option<Arithmetic> {
+    Some(match name {
+        "_+_" => Arithmetic::Add,
+        "_-_" => Arithmetic::Subtract,
+        "_*_" => Arithmetic::Multiply,
+        "_/_" => Arithmetic::Divide,
+        "_%_" => Arithmetic::Remainder,
+        _ => return None,
+    })
+}
+
+fn is_text(ty: &Type) -> bool {
+    matches!(ty, Type::String | Type::Enum(_))
+}
+
+/// The type of a value that is of one type or the other.
+fn join(a: &Type, b: &Type) -> Type {
+    match (a, b) {
+        (a, b) if a == b => a.clone(),
+        (Type::Enum(x), Type::Enum(y)) => Type::Enum(x.iter().chain(y).cloned().collect()),
+        (x, y) if is_text(x) && is_text(y) => Type::String,
+        (Type::Int, other @ (Type::Float(_) | Type::Duration))
+        | (other @ (Type::Float(_) | Type::Duration), Type::Int) => other.clone(),
+        (Type::Float(Some(u)), Type::Float(None)) | (Type::Float(None), Type::Float(Some(u))) => {
+            Type::Float(Some(*u))
+        }
+        (Type::List(x), Type::List(y)) => Type::list(join(x, y)),
+        (Type::Map(x), Type::Map(y)) => Type::map(join(x, y)),
+        _ => Type::Any,
+    }
+}
+
+fn article(ty: &Type) -> String {
+    match ty {
+        Type::Enum(words) if words.len() == 1 => format!("the string \"{}\"", words[0]),
+        Type::Int => "an int".into(),
+        Type::Enum(_) => ty.to_string(),
+        _ => format!("a {ty}"),
+    }
+}
+
+fn mismatch(expected: &Type, found: &Type) -> String {
+    format!("expected {}, found {}", article(expected), article(found))
+}

@@ -1,0 +1,534 @@
+//! The tree that a checked expression becomes, and its evaluation. Scalars are computed without allocation.
+
+use std::cell::Cell;
+use std::cmp::Ordering;
+use std::collections::BTreeMap;
+
+use super::MAX_ITEMS;
+use super::functions::Function;
+use crate::Value;
+
+/// What names hold while an expression is evaluated.
+pub trait World {
+    /// The value at a numbered place; `None` when it has none yet.
+    fn data(&self, slot: u32) -> Option<&Value>;
+    /// The newest value of a channel, or of the field of it that `path` names; `None` when it was never
+    /// published or lacks the field.
+    fn channel(&self, channel: u32, path: &[String]) -> Option<Value>;
+    /// Seconds since a channel was published; `None` when it never was.
+    fn age(&self, channel: u32) -> Option<f64>;
+    /// The name of the event that is being processed.
+    fn event_name(&self) -> Option<&str>;
+    /// The data of the event that is being processed.
+    fn event_data(&self) -> Option<&Value>;
+    /// Whether a state is active.
+    fn active(&self, state: u32) -> bool;
+}
+
+/// Why an expression has no value.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{message}")]
+pub struct EvalError {
+    /// What happened, one sentence.
+    pub message: String,
+    /// Bytes of the source that it happened at.
+    pub start: usize,
+    /// End of the bytes, exclusive.
+    pub end: usize,
+    /// Whether the cause is a channel without a value or a number that is NaN.
+    pub absent: bool,
+}
+
+/// A place in the source, bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Pos {
+    pub(super) start: u16,
+    pub(super) end: u16,
+}
+
+impl Pos {
+    fn error(self, message: impl Into<String>) -> EvalError {
+        let (start, end) = (usize::from(self.start), usize::from(self.end));
+        EvalError { message: message.into(), start, end, absent: false }
+    }
+
+    fn absent(self, message: impl Into<String>) -> EvalError {
+        EvalError { absent: true, ..self.error(message) }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Arithmetic {
+    Add,
+    Subtract,
+    Multiply,
+    Divide,
+    Remainder,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Comparison {
+    Less,
+    LessEqual,
+    Greater,
+    GreaterEqual,
+    Equal,
+    NotEqual,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Macro {
+    All,
+    Exists,
+    ExistsOne,
+    Filter,
+    Map,
+}
+
+/// A node of the tree.
+#[derive(Clone, Debug)]
+pub(super) enum Node {
+    Null,
+    Bool(bool),
+    Int(i64),
+    Float(f64),
+    Text(String),
+    Data(u32, Pos),
+    Channel(u32, Vec<String>, Pos),
+    EventName,
+    EventData,
+    /// A comprehension's variable, counted from the innermost.
+    Bound(usize),
+    Age(u32),
+    Active(u32),
+    Field(Box<Node>, String, Pos),
+    Has(Box<Node>, String),
+    Index(Box<(Node, Node)>, Pos),
+    Not(Box<Node>, Pos),
+    Negate(Box<Node>, Pos),
+    And(Box<(Node, Node)>, Pos),
+    Or(Box<(Node, Node)>, Pos),
+    Choose(Box<(Node, Node, Node)>, Pos),
+    Compare(Comparison, Box<(Node, Node)>, Pos),
+    Arithmetic(Arithmetic, Box<(Node, Node)>, Pos),
+    In(Box<(Node, Node)>, Pos),
+    Call(Function, Vec<Node>, Pos),
+    List(Vec<Node>),
+    Record(Vec<(Node, Node)>, Pos),
+    Macro(Macro, Box<(Node, Node)>, Pos),
+}
+
+/// A value on its way: scalars by copy, the rest borrowed where possible.
+#[derive(Clone, Debug)]
+pub(super) enum Val<'v> {
+    Null,
+    Bool(bool),
+    Int(i64),
+    Float(f64),
+    Str(&'v str),
+    Ref(&'v Value),
+    Owned(Box<Value>),
+}
+
+impl<'v> Val<'v> {
+    pub(super) fn of(value: &'v Value) -> Self {
+        match value {
+            Value::Null => Self::Null,
+            Value::Bool(b) => Self::Bool(*b),
+            Value::Int(i) => Self::Int(*i),
+            Value::Float(f) | Value::Duration(f) => Self::Float(*f),
+            Value::String(s) => Self::Str(s),
+            other => Self::Ref(other),
+        }
+    }
+
+    fn own(value: Value) -> Self {
+        match value {
+            Value::Null => Self::Null,
+            Value::Bool(b) => Self::Bool(b),
+            Value::Int(i) => Self::Int(i),
+            Value::Float(f) | Value::Duration(f) => Self::Float(f),
+            other => Self::Owned(Box::new(other)),
+        }
+    }
+
+    fn into_value(self) -> Value {
+        match self {
+            Self::Null => Value::Null,
+            Self::Bool(b) => Value::Bool(b),
+            Self::Int(i) => Value::Int(i),
+            Self::Float(f) => Value::Float(f),
+            Self::Str(s) => Value::String(s.to_owned()),
+            Self::Ref(v) => v.clone(),
+            Self::Owned(v) => *v,
+        }
+    }
+
+    pub(super) fn number(&self) -> Option<f64> {
+        match self {
+            Self::Int(i) => Some(*i as f64),
+            Self::Float(f) => Some(*f),
+            _ => None,
+        }
+    }
+
+    pub(super) fn text(&self) -> Option<&str> {
+        match self {
+            Self::Str(s) => Some(s),
+            _ => self.as_value().and_then(Value::as_str),
+        }
+    }
+
+    /// The value where it is not a scalar.
+    pub(super) fn as_value(&self) -> Option<&Value> {
+        match self {
+            Self::Ref(v) => Some(v),
+            Self::Owned(v) => Some(v),
+            _ => None,
+        }
+    }
+
+    pub(super) fn describe(&self) -> String {
+        self.clone().into_value().describe()
+    }
+}
+
+/// Comprehension variables, innermost first.
+struct Frame<'v> {
+    value: &'v Value,
+    outer: Option<&'v Frame<'v>>,
+}
+
+struct Evaluation<'v, W: ?Sized> {
+    world: &'v W,
+    /// A NaN from a channel counts as absent.
+    observing: bool,
+    items: Cell<u32>,
+}
+
+type Result<T> = std::result::Result<T, EvalError>;
+
+pub(super) fn evaluate<W: World + ?Sized>(node: &Node, world: &W) -> Result<Value> {
+    let evaluation = Evaluation { world, observing: false, items: Cell::new(0) };
+    evaluation.value(node, None).map(Val::into_value)
+}
+
+pub(super) fn test<W: World + ?Sized>(node: &Node, world: &W, observing: bool) -> Result<bool> {
+    Evaluation { world, observing, items: Cell::new(0) }.truth(node, None, Pos::default())
+}
+
+impl<W: World + ?Sized> Evaluation<'_, W> {
+    fn truth(&self, node: &Node, frame: Option<&Frame<'_>>, pos: Pos) -> Result<bool> {
+        match self.value(node, frame)? {
+            Val::Bool(b) => Ok(b),
+            other => Err(pos.error(format!("expected a bool, found {}", other.describe()))),
+        }
+    }
+
+    fn value<'v>(&'v self, node: &'v Node, frame: Option<&'v Frame<'v>>) -> Result<Val<'v>> {
+        match node {
+            Node::Null => Ok(Val::Null),
+            Node::Bool(b) => Ok(Val::Bool(*b)),
+            Node::Int(i) => Ok(Val::Int(*i)),
+            Node::Float(f) => Ok(Val::Float(*f)),
+            Node::Text(s) => Ok(Val::Str(s)),
+            Node::Data(slot, pos) => {
+                self.world.data(*slot).map(Val::of).ok_or_else(|| pos.error("this has no value yet"))
+            }
+            Node::Channel(channel, path, pos) => self.channel(*channel, path, *pos),
+            Node::EventName => Ok(self.world.event_name().map_or(Val::Str(""), Val::Str)),
+            Node::EventData => Ok(self.world.event_data().map_or(Val::Null, Val::of)),
+            Node::Bound(depth) => Ok(bound(frame, *depth)),
+            Node::Age(channel) => Ok(Val::Float(self.world.age(*channel).unwrap_or(f64::INFINITY))),
+            Node::Active(state) => Ok(Val::Bool(self.world.active(*state))),
+            Node::Field(of, name, pos) => field(self.value(of, frame)?, name, *pos),
+            Node::Has(of, name) => Ok(Val::Bool(match self.value(of, frame) {
+                Ok(value) => field(value, name, Pos::default()).is_ok(),
+                Err(_) => false,
+            })),
+            Node::Index(pair, pos) => index(self.value(&pair.0, frame)?, &self.value(&pair.1, frame)?, *pos),
+            Node::Not(of, pos) => Ok(Val::Bool(!self.truth(of, frame, *pos)?)),
+            Node::Negate(of, pos) => negate(&self.value(of, frame)?, *pos),
+            Node::And(pair, pos) => {
+                Ok(Val::Bool(self.truth(&pair.0, frame, *pos)? && self.truth(&pair.1, frame, *pos)?))
+            }
+            Node::Or(pair, pos) => {
+                Ok(Val::Bool(self.truth(&pair.0, frame, *pos)? || self.truth(&pair.1, frame, *pos)?))
+            }
+            Node::Choose(of, pos) => {
+                let chosen = if self.truth(&of.0, frame, *pos)? { &of.1 } else { &of.2 };
+                self.value(chosen, frame)
+            }
+            Node::Compare(op, pair, pos) => {
+                let (a, b) = (self.value(&pair.0, frame)?, self.value(&pair.1, frame)?);
+                compare(*op, &a, &b, *pos).map(Val::Bool)
+            }
+            Node::Arithmetic(op, pair, pos) => {
+                let (a, b) = (self.value(&pair.0, frame)?, self.value(&pair.1, frame)?);
+                arithmetic(*op, a, b, *pos)
+            }
+            Node::In(pair, pos) => {
+                let (a, b) = (self.value(&pair.0, frame)?, self.value(&pair.1, frame)?);
+                contains(&a, &b, *pos).map(Val::Bool)
+            }
+            Node::Call(function, arguments, pos) => {
+                let values = arguments.iter().map(|a| self.value(a, frame)).collect::<Result<Vec<_>>>()?;
+                function.call(&values).map_err(|message| pos.error(message))
+            }
+            Node::List(items) => {
+                let values = items.iter().map(|n| self.value(n, frame).map(Val::into_value));
+                Ok(Val::own(Value::List(values.collect::<Result<_>>()?)))
+            }
+            Node::Record(entries, pos) => self.record(entries, frame, *pos),
+            Node::Macro(kind, parts, pos) => self.comprehend(*kind, &parts.0, &parts.1, frame, *pos),
+        }
+    }
+
+    fn channel<'v>(&'v self, channel: u32, path: &[String], pos: Pos) -> Result<Val<'v>> {
+        let Some(value) = self.world.channel(channel, path) else {
+            return Err(pos.absent("nothing has been published here yet"));
+        };
+        if self.observing && has_nan(&value) {
+            return Err(pos.absent("the published number is NaN"));
+        }
+        Ok(Val::own(value))
+    }
+
+    fn record<'v>(
+        &'v self,
+        entries: &'v [(Node, Node)],
+        frame: Option<&'v Frame<'v>>,
+        pos: Pos,
+    ) -> Result<Val<'v>> {
+        let mut fields = BTreeMap::new();
+        for (key, value) in entries {
+            let key = self.value(key, frame)?;
+            let Some(name) = key.text() else {
+                return Err(pos.error(format!("the keys of a map are strings, found {}", key.describe())));
+            };
+            let value = self.value(value, frame)?.into_value();
+            if fields.insert(name.to_owned(), value).is_some() {
+                return Err(pos.error(format!("the key `{name}` is there twice")));
+            }
+        }
+        Ok(Val::own(Value::Map(fields)))
+    }
+
+    fn comprehend<'v>(
+        &'v self,
+        kind: Macro,
+        range: &'v Node,
+        body: &'v Node,
+        frame: Option<&'v Frame<'v>>,
+        pos: Pos,
+    ) -> Result<Val<'v>> {
+        let range = self.value(range, frame)?;
+        let keys: Vec<Value>;
+        let items: &[Value] = match range.as_value() {
+            Some(Value::List(items)) => items,
+            Some(Value::Map(fields)) => {
+                keys = fields.keys().map(|k| Value::String(k.clone())).collect();
+                &keys
+            }
+            _ => return Err(pos.error(format!("expected a list, found {}", range.describe()))),
+        };
+        let (mut found, mut kept) = (0_usize, Vec::new());
+        for item in items {
+            self.items.set(self.items.get() + 1);
+            if self.items.get() > MAX_ITEMS {
+                return Err(pos.error(format!("more than {MAX_ITEMS} items were visited")));
+            }
+            let inner = Frame { value: item, outer: frame };
+            if kind == Macro::Map {
+                kept.push(self.value(body, Some(&inner))?.into_value());
+                continue;
+            }
+            let holds = self.truth(body, Some(&inner), pos)?;
+            found += usize::from(holds);
+            match kind {
+                Macro::All if !holds => return Ok(Val::Bool(false)),
+                Macro::Exists if holds => return Ok(Val::Bool(true)),
+                Macro::Filter if holds => kept.push(item.clone()),
+                _ => {}
+            }
+        }
+        Ok(match kind {
+            Macro::All => Val::Bool(true),
+            Macro::Exists => Val::Bool(false),
+            Macro::ExistsOne => Val::Bool(found == 1),
+            Macro::Filter | Macro::Map => Val::own(Value::List(kept)),
+        })
+    }
+}
+
+fn has_nan(value: &Value) -> bool {
+    match value {
+        Value::Float(f) | Value::Duration(f) => f.is_nan(),
+        Value::Vector(v) => v.components.iter().any(|c| c.is_nan()),
+        Value::List(items) => items.iter().any(has_nan),
+        _ => false,
+    }
+}
+
+fn bound<'v>(mut frame: Option<&'v Frame<'v>>, depth: usize) -> Val<'v> {
+    for _ in 0..depth {
+        frame = frame.and_then(|f| f.outer);
+    }
+    frame.map_or(Val::Null, |f| Val::of(f.value))
+}
+
+fn field<'v>(of: Val<'v>, name: &str, pos: Pos) -> Result<Val<'v>> {
+    let missing = || pos.error(format!("there is no `{name}` in {}", of.describe()));
+    match &of {
+        Val::Ref(Value::Map(fields)) => fields.get(name).map(Val::of).ok_or_else(missing),
+        Val::Ref(value) => part(value, name).map(Val::own).ok_or_else(missing),
+        Val::Owned(value) => match &**value {
+            Value::Map(fields) => fields.get(name).cloned().map(Val::own).ok_or_else(missing),
+            value => part(value, name).map(Val::own).ok_or_else(missing),
+        },
+        _ => Err(missing()),
+    }
+}
+
+/// The named part of a geometric value or a reference.
+fn part(value: &Value, name: &str) -> Option<Value> {
+    let axis = |v: [f64; 3]| match name {
+        "x" => Some(Value::Float(v[0])),
+        "y" => Some(Value::Float(v[1])),
+        "z" => Some(Value::Float(v[2])),
+        _ => None,
+    };
+    match (value, name) {
+        (Value::Vector(v), "frame") => Some(v.frame.0.as_str().into()),
+        (Value::Vector(v), _) => axis(v.components),
+        (Value::Pose(p), "frame") => Some(p.frame.0.as_str().into()),
+        (Value::Pose(p), "position") => Some(p.position.into()),
+        (Value::Pose(p), "orientation") => Some(p.orientation.to_vec().into()),
+        (Value::Pose(p), _) => axis(p.position),
+        (Value::Wrench(w), "frame") => Some(w.frame.0.as_str().into()),
+        (Value::Wrench(w), "force") => Some(w.force.into()),
+        (Value::Wrench(w), "torque") => Some(w.torque.into()),
+        (Value::Reference(r), "kind") => Some(r.kind.as_str().into()),
+        (Value::Reference(r), "id") => Some(r.id.as_str().into()),
+        _ => None,
+    }
+}
+
+fn index<'v>(of: Val<'v>, key: &Val<'v>, pos: Pos) -> Result<Val<'v>> {
+    if let Some(name) = key.text() {
+        return field(of, name, pos);
+    }
+    let Val::Int(i) = key else {
+        return Err(pos.error(format!("expected a whole number, found {}", key.describe())));
+    };
+    let at = usize::try_from(*i).ok();
+    let outside = |n: usize| pos.error(format!("there is no item {i} in a list of {n}"));
+    match &of {
+        Val::Ref(Value::List(items)) => {
+            at.and_then(|i| items.get(i)).map(Val::of).ok_or_else(|| outside(items.len()))
+        }
+        _ => match of.as_value() {
+            Some(Value::List(items)) => {
+                at.and_then(|i| items.get(i)).cloned().map(Val::own).ok_or_else(|| outside(items.len()))
+            }
+            Some(Value::Vector(v)) => {
+                at.and_then(|i| v.components.get(i)).map(|c| Val::Float(*c)).ok_or_else(|| outside(3))
+            }
+            _ => Err(pos.error(format!("{} has no items", of.describe()))),
+        },
+    }
+}
+
+fn negate<'v>(of: &Val<'v>, pos: Pos) -> Result<Val<'v>> {
+    match of {
+        Val::Int(i) => i.checked_neg().map(Val::Int).ok_or_else(|| pos.error("the number is out of range")),
+        Val::Float(f) => Ok(Val::Float(-f)),
+        other => Err(pos.error(format!("expected a number, found {}", other.describe()))),
+    }
+}
+
+fn compare(op: Comparison, a: &Val<'_>, b: &Val<'_>, pos: Pos) -> Result<bool> {
+    use Comparison as C;
+    let order = match (a, b) {
+        (Val::Int(a), Val::Int(b)) => Some(a.cmp(b)),
+        (Val::Bool(a), Val::Bool(b)) => Some(a.cmp(b)),
+        _ => match (a.number(), b.number()) {
+            (Some(a), Some(b)) => a.partial_cmp(&b),
+            _ => match (a.text(), b.text()) {
+                (Some(a), Some(b)) => Some(a.cmp(b)),
+                _ if matches!(op, C::Equal | C::NotEqual) => {
+                    return Ok(equal(a, b) == (op == C::Equal));
+                }
+                _ => {
+                    let (a, b) = (a.describe(), b.describe());
+                    return Err(pos.error(format!("{a} and {b} have no order")));
+                }
+            },
+        },
+    };
+    Ok(match op {
+        C::Less => order == Some(Ordering::Less),
+        C::LessEqual => matches!(order, Some(Ordering::Less | Ordering::Equal)),
+        C::Greater => order == Some(Ordering::Greater),
+        C::GreaterEqual => matches!(order, Some(Ordering::Greater | Ordering::Equal)),
+        C::Equal => order == Some(Ordering::Equal),
+        C::NotEqual => order != Some(Ordering::Equal),
+    })
+}
+
+fn equal(a: &Val<'_>, b: &Val<'_>) -> bool {
+    match (a, b) {
+        (Val::Null, Val::Null) => true,
+        _ => match (a.as_value(), b.as_value()) {
+            (Some(a), Some(b)) => a == b,
+            _ => false,
+        },
+    }
+}
+
+fn arithmetic<'v>(op: Arithmetic, a: Val<'v>, b: Val<'v>, pos: Pos) -> Result<Val<'v>> {
+    use Arithmetic as A;
+    if let (Val::Int(a), Val::Int(b)) = (&a, &b) {
+        let result = match op {
+            A::Add => a.checked_add(*b),
+            A::Subtract => a.checked_sub(*b),
+            A::Multiply => a.checked_mul(*b),
+            A::Divide | A::Remainder if *b == 0 => return Err(pos.error("division by zero")),
+            A::Divide => a.checked_div(*b),
+            A::Remainder => a.checked_rem(*b),
+        };
+        return result.map(Val::Int).ok_or_else(|| pos.error("the whole number is out of range"));
+    }
+    if let (Some(a), Some(b)) = (a.number(), b.number()) {
+        return Ok(Val::Float(match op {
+            A::Add => a + b,
+            A::Subtract => a - b,
+            A::Multiply => a * b,
+            A::Divide => a / b,
+            A::Remainder => a % b,
+        }));
+    }
+    if op == A::Add {
+        if let (Some(a), Some(b)) = (a.text(), b.text()) {
+            return Ok(Val::own(Value::String([a, b].concat())));
+        }
+        if let (Some(Value::List(x)), Some(Value::List(y))) = (a.as_value(), b.as_value()) {
+            if x.len() + y.len() > MAX_ITEMS as usize {
+                return Err(pos.error(format!("the list has more than {MAX_ITEMS} items")));
+            }
+            return Ok(Val::own(Value::List(x.iter().chain(y).cloned().collect())));
+        }
+    }
+    Err(pos.error(format!("{} and {} do not go together here", a.describe(), b.describe())))
+}
+
+fn contains(item: &Val<'_>, of: &Val<'_>, pos: Pos) -> Result<bool> {
+    match of.as_value() {
+        Some(Value::List(items)) => {
+            let same = |v: &Value| compare(Comparison::Equal, item, &Val::of(v), pos);
+            items.iter().try_fold(false, |found, v| Ok(found || same(v)?))
+        }
+        Some(Value::Map(fields)) => Ok(item.text().is_some_and(|name| fields.contains_key(name))),
+        _ => Err(pos.error(format!("expected a list or a map, found {}", of.describe()))),
+    }
+}

@@ -1,0 +1,185 @@
+use std::collections::BTreeMap;
+
+use super::*;
+use crate::{Unit, Value};
+
+/// Names are looked up in one table; slot numbers are its order.
+struct Fixture(Vec<(&'static str, Type, Option<Value>)>);
+
+impl Environment for Fixture {
+    fn variable(&self, path: &[&str]) -> Result<Variable, Unresolved> {
+        if path[0] == "channels" {
+            let wrist = Type::record([("push", Type::list(Type::quantity(Unit::N)))]);
+            return Ok(Variable { slot: Slot::Channel(0), ty: wrist, used: 2 });
+        }
+        if path == ["event", "data"] {
+            return Ok(Variable { slot: Slot::EventData, ty: Type::Any, used: 2 });
+        }
+        let at = self.0.iter().position(|(name, ..)| *name == path[0]);
+        at.map(|i| Variable { slot: Slot::Data(i as u32), ty: self.0[i].1.clone(), used: 1 }).ok_or_else(
+            || {
+                let message = format!("there is no `{}`", path.join("."));
+                let help =
+                    nearest(path[0], self.0.iter().map(|(n, ..)| *n)).map(|n| format!("did you mean `{n}`?"));
+                Unresolved { message, help }
+            },
+        )
+    }
+    fn channel(&self, name: &str) -> Result<u32, Unresolved> {
+        if name == "wrist" { Ok(0) } else { Err(Unresolved { message: "no channel".into(), help: None }) }
+    }
+    fn state(&self, _: &str) -> Result<u32, Unresolved> {
+        Ok(3)
+    }
+}
+
+impl World for Fixture {
+    fn data(&self, slot: u32) -> Option<&Value> {
+        self.0[slot as usize].2.as_ref()
+    }
+    fn channel(&self, _: u32, path: &[String]) -> Option<Value> {
+        let value = self.0.iter().find(|(name, ..)| *name == "wrist")?.2.clone()?;
+        path.iter().try_fold(value, |v, name| v.get(name).cloned())
+    }
+    fn age(&self, _: u32) -> Option<f64> {
+        Some(0.25)
+    }
+    fn event_name(&self) -> Option<&str> {
+        Some("said")
+    }
+    fn event_data(&self) -> Option<&Value> {
+        None
+    }
+    fn active(&self, state: u32) -> bool {
+        state == 3
+    }
+}
+
+fn fixture() -> Fixture {
+    let push: Value = vec![3.0, 4.0, 0.0].into();
+    Fixture(vec![
+        ("n", Type::Int, Some(Value::Int(7))),
+        ("x", Type::FLOAT, Some(Value::Float(2.5))),
+        ("force", Type::quantity(Unit::N), Some(Value::Float(8.0))),
+        ("length", Type::quantity(Unit::M), Some(Value::Float(0.5))),
+        ("patience", Type::Duration, Some(Value::Duration(60.0))),
+        ("gesture", Type::one_of(["fist", "open_hand"]), Some("fist".into())),
+        ("later", Type::FLOAT, None),
+        ("items", Type::list(Type::Int), Some(Value::List((1..=4).map(Value::Int).collect()))),
+        ("wrist", Type::Any, Some(Value::Map(BTreeMap::from([("push".to_owned(), push)])))),
+    ])
+}
+
+fn eval(source: &str) -> Value {
+    let fixture = fixture();
+    let expr = Expr::compile(source, &fixture).unwrap_or_else(|e| panic!("{source}: {e}"));
+    expr.evaluate(&fixture).unwrap_or_else(|e| panic!("{source}: {e}"))
+}
+
+#[test]
+fn expressions_have_their_values() {
+    for (source, expected) in [
+        ("n + 1", Value::Int(8)),
+        ("n / 2", Value::Int(3)),
+        ("n * x", Value::Float(17.5)),
+        ("1 + 2 * 3 - 4 % 3", Value::Int(6)),
+        ("patience > 59", Value::Bool(true)),
+        ("force > 6.0 && !(x < 1)", Value::Bool(true)),
+        ("gesture == 'fist' || later > 1.0", Value::Bool(true)),
+        ("norm(channels.wrist.push)", Value::Float(5.0)),
+        ("age('wrist') < 0.3", Value::Bool(true)),
+        ("active('A.B')", Value::Bool(true)),
+        ("items[2] in items", Value::Bool(true)),
+        ("items.exists(i, i > 3) && items.all(i, items.exists(j, j == i))", Value::Bool(true)),
+        ("size(items.filter(i, i % 2 == 0)) + items.map(i, i * i)[3]", Value::Int(18)),
+        ("{'a': 1, 'b': 2}.b", Value::Int(2)),
+        ("has(channels.wrist.push)", Value::Bool(true)),
+        ("string(n) + 'th'", "7th".into()),
+        ("x > 2 ? 'big' : 'small'", "big".into()),
+        ("min(n, 3) + max([1, 9])", Value::Int(12)),
+        ("clamp(x, 0, 1)", Value::Float(1.0)),
+        ("'abc'.contains('b')", Value::Bool(true)),
+        ("-n", Value::Int(-7)),
+        ("Motion('wipe').id", "wipe".into()),
+    ] {
+        assert_eq!(eval(source), expected, "{source}");
+    }
+}
+
+#[test]
+fn mistakes_are_found_at_load_with_their_place() {
+    use ExprErrorKind as K;
+    for (source, kind, at) in [
+        ("force > length", K::Unit, ">"),
+        ("force + length", K::Unit, "+"),
+        ("forse > 1.0", K::UnknownName, "forse"),
+        ("x && true", K::Type, "x"),
+        ("gesture == 'fits'", K::Type, "=="),
+        ("norm(channels.wrist.pusk)", K::UnknownName, "."),
+        ("nrm(items)", K::UnknownFunction, "("),
+        ("age('wirst') < 1", K::UnknownName, "'wirst'"),
+        ("1 +", K::Syntax, ""),
+        ("x.y", K::Type, "."),
+        ("gesture + 1", K::Type, "gesture"),
+    ] {
+        let error = Expr::compile(source, &fixture()).expect_err(source);
+        assert_eq!(error.kind, kind, "{source}: {error}");
+        assert!(
+            source[error.start..error.end].starts_with(at),
+            "{source}: {:?}",
+            &source[error.start..error.end]
+        );
+    }
+    let help = Expr::compile("forse", &fixture()).unwrap_err().help;
+    assert_eq!(help.as_deref(), Some("did you mean `force`?"));
+}
+
+#[test]
+fn failures_while_it_runs_are_errors() {
+    let fixture = fixture();
+    for source in ["later + 1.0", "n / 0", "items[9]", "9223372036854775807 + n", "int('x')"] {
+        let expr = Expr::compile(source, &fixture).unwrap();
+        assert!(expr.evaluate(&fixture).is_err(), "{source}");
+    }
+}
+
+#[test]
+fn absent_and_nan_channels_are_false() {
+    let mut fixture = fixture();
+    let expr = Expr::compile("!(norm(channels.wrist.push) > 6.0)", &fixture).unwrap();
+    assert_eq!(expr.observe(&fixture), Ok(true));
+    fixture.0[8].2 = Some(Value::record([("push", vec![f64::NAN, 0.0, 0.0].into())]));
+    assert_eq!(expr.observe(&fixture), Ok(false));
+    fixture.0[8].2 = None;
+    assert_eq!(expr.observe(&fixture), Ok(false));
+    assert!(expr.test(&fixture).is_err());
+}
+
+#[test]
+fn hostile_expressions_are_refused_in_bounded_time() {
+    for source in [
+        "(".repeat(4000),
+        "1+".repeat(2000) + "1",
+        "[".repeat(2000),
+        "a.".repeat(2000) + "b",
+        "x ? ".repeat(1000),
+        "\u{1F600}".repeat(1000),
+        "a".repeat(5000),
+        "`".to_owned(),
+        "'\\u{110000}'".to_owned(),
+        "99999999999999999999".to_owned(),
+        String::new(),
+    ] {
+        assert!(Expr::compile(&source, &fixture()).is_err(), "{}", &source[..source.len().min(20)]);
+    }
+    let nested = "items.all(a, items.all(b, items.all(c, items.all(d, true))))";
+    assert_eq!(Expr::compile(nested, &fixture()).unwrap_err().kind, ExprErrorKind::TooLarge);
+}
+
+#[test]
+fn comprehensions_are_bounded() {
+    let mut fixture = fixture();
+    fixture.0[7].2 = Some(Value::List(vec![Value::Int(1); 200]));
+    let expr = Expr::compile("items.all(a, items.all(b, a == b))", &fixture).unwrap();
+    assert!(expr.test(&fixture).unwrap_err().message.contains("10000"));
+}
