@@ -1,0 +1,209 @@
+//! What is wrong with a file, for people and for programs: the text under a caret with code and help, or JSON.
+//!
+//! Rooms give findings as data of their own; [`Shown`] is what the program makes of any of them. Nothing is printed
+//! here.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use armarium_simulator::WorldError;
+use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, NamedSource, SourceCode};
+use serde::Serialize;
+
+/// How much a finding matters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Severity {
+    /// The file cannot be used.
+    Error,
+    /// The file can be used, but probably does not say what is meant.
+    Warning,
+}
+
+/// One finding with its place.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub(crate) struct Shown {
+    /// How much it matters.
+    pub(crate) severity: Severity,
+    /// A stable code, for instance `world::unknown_key`.
+    pub(crate) code: String,
+    /// The file.
+    pub(crate) file: PathBuf,
+    /// Line from 1; 0 when the file as a whole is meant.
+    pub(crate) line: usize,
+    /// Column from 1, in characters.
+    pub(crate) column: usize,
+    /// Byte offset and length in the file's text.
+    pub(crate) span: (usize, usize),
+    /// What is wrong.
+    pub(crate) message: String,
+    /// What to do about it; may be empty.
+    pub(crate) help: String,
+}
+
+impl From<&WorldError> for Shown {
+    fn from(error: &WorldError) -> Self {
+        Self {
+            severity: Severity::Error,
+            code: error.code.to_owned(),
+            file: error.file.clone(),
+            line: error.line,
+            column: error.column,
+            span: error.span,
+            message: error.message.clone(),
+            help: error.help.clone(),
+        }
+    }
+}
+
+/// How many findings are rendered; the others are counted.
+const MOST: usize = 50;
+
+/// Findings as text for a terminal, `width` columns wide, each with its line of the file; files are read once.
+pub(crate) fn render(findings: &[Shown], colour: bool, width: usize) -> String {
+    let theme = if colour { GraphicalTheme::unicode() } else { GraphicalTheme::unicode_nocolor() };
+    let handler = GraphicalReportHandler::new_themed(theme).with_links(false).with_width(width.max(40));
+    let mut sources: BTreeMap<&Path, Option<Arc<str>>> = BTreeMap::new();
+    let mut out = String::new();
+    for finding in findings.iter().take(MOST) {
+        let read = || std::fs::read_to_string(&finding.file).ok().map(Into::into);
+        let text = sources.entry(&finding.file).or_insert_with(read).clone();
+        let diagnostic = Rendered::new(finding, text);
+        if handler.render_report(&mut out, &diagnostic).is_err() {
+            out.push_str(&plain(finding));
+        }
+        out.push('\n');
+    }
+    if findings.len() > MOST {
+        out.push_str(&format!("... and {} more\n", findings.len() - MOST));
+    }
+    out
+}
+
+/// A finding on one line.
+fn plain(finding: &Shown) -> String {
+    let Shown { file, line, column, message, .. } = finding;
+    format!("{}:{line}:{column}: {message}\n", file.display())
+}
+
+/// `3 errors, 1 warning`.
+pub(crate) fn summary(findings: &[Shown]) -> String {
+    let count = |severity| findings.iter().filter(|finding| finding.severity == severity).count();
+    let plural = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
+    format!("{}, {}", plural(count(Severity::Error), "error"), plural(count(Severity::Warning), "warning"))
+}
+
+/// Whether a run is out of the question.
+pub(crate) fn any_error(findings: &[Shown]) -> bool {
+    findings.iter().any(|finding| finding.severity == Severity::Error)
+}
+
+/// A finding with the text that it points into.
+#[derive(Debug)]
+struct Rendered<'a> {
+    finding: &'a Shown,
+    source: Option<NamedSource<Arc<str>>>,
+}
+
+impl<'a> Rendered<'a> {
+    fn new(finding: &'a Shown, text: Option<Arc<str>>) -> Self {
+        let source = text
+            .filter(|text| finding.line > 0 && finding.span.0 <= text.len())
+            .map(|text| NamedSource::new(finding.file.display().to_string(), text));
+        Self { finding, source }
+    }
+}
+
+impl std::fmt::Display for Rendered<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.source {
+            Some(_) => f.write_str(&self.finding.message),
+            None => write!(f, "{}: {}", self.finding.file.display(), self.finding.message),
+        }
+    }
+}
+
+impl std::error::Error for Rendered<'_> {}
+
+impl Diagnostic for Rendered<'_> {
+    fn code<'a>(&'a self) -> Option<Box<dyn std::fmt::Display + 'a>> {
+        Some(Box::new(&self.finding.code))
+    }
+
+    fn severity(&self) -> Option<miette::Severity> {
+        Some(match self.finding.severity {
+            Severity::Error => miette::Severity::Error,
+            Severity::Warning => miette::Severity::Warning,
+        })
+    }
+
+    fn help<'a>(&'a self) -> Option<Box<dyn std::fmt::Display + 'a>> {
+        (!self.finding.help.is_empty()).then(|| Box::new(&self.finding.help) as Box<dyn std::fmt::Display>)
+    }
+
+    fn source_code(&self) -> Option<&dyn SourceCode> {
+        self.source.as_ref().map(|source| source as &dyn SourceCode)
+    }
+
+    fn labels(&self) -> Option<Box<dyn Iterator<Item = LabeledSpan> + '_>> {
+        let source = self.source.as_ref()?;
+        let (start, length) = self.finding.span;
+        let length = length.clamp(1, source.inner().len().saturating_sub(start).max(1));
+        Some(Box::new(std::iter::once(LabeledSpan::underline((start, length)))))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn finding(file: &Path, line: usize, span: (usize, usize)) -> Shown {
+        Shown {
+            severity: Severity::Error,
+            code: "chart::unknown_skill".into(),
+            file: file.to_owned(),
+            line,
+            column: 10,
+            span,
+            message: "there is no skill `MoveJonts`".into(),
+            help: "did you mean `MoveJoints`?".into(),
+        }
+    }
+
+    #[test]
+    fn a_finding_has_file_line_column_caret_code_and_help() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let file = folder.path().join("a.yaml");
+        std::fs::write(&file, "states:\n  A: {skill: MoveJonts}\n").expect("the folder can be written");
+        let text = render(&[finding(&file, 2, (21, 9))], false, 200);
+        for part in
+            ["a.yaml:2:14", "chart::unknown_skill", "no skill `MoveJonts`", "did you mean `MoveJoints`?"]
+        {
+            assert!(text.contains(part), "{part} in\n{text}");
+        }
+        let marked = text.lines().skip_while(|line| !line.contains("{skill: MoveJonts}")).nth(1);
+        assert!(marked.is_some_and(|line| line.contains('─')), "{text}");
+    }
+
+    #[test]
+    fn a_place_outside_of_the_file_and_a_missing_file_are_still_said() {
+        let missing = Path::new("nowhere.yaml");
+        let text = render(&[finding(missing, 2, (3, 4)), finding(missing, 0, (0, 0))], false, 80);
+        assert_eq!(text.matches("nowhere.yaml").count(), 2, "{text}");
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let file = folder.path().join("a.yaml");
+        std::fs::write(&file, "é\n").expect("the folder can be written");
+        for span in [(0, 1), (1, 1), (3, 0), (3, 900), (900, 1)] {
+            assert!(render(&[finding(&file, 1, span)], true, 80).contains("MoveJonts"), "{span:?}");
+        }
+    }
+
+    #[test]
+    fn many_findings_are_counted() {
+        let many = vec![finding(Path::new("x"), 0, (0, 0)); 60];
+        assert!(render(&many, false, 80).ends_with("... and 10 more\n"));
+        assert_eq!(summary(&many), "60 errors, 0 warnings");
+        assert_eq!(summary(&many[..1]), "1 error, 0 warnings");
+    }
+}
