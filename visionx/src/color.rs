@@ -49,6 +49,28 @@ impl ColorModel {
         Self { reference, direction, tangent: half_angle.tan(), radius: NOISE_RADIUS, range }
     }
 
+    /// The same colour as it was seen: a narrower cone about the mean of `pixels` (RGB), as wide as they scatter. The
+    /// accepted brightness stays. Unchanged without usable pixels.
+    #[must_use]
+    pub fn learned(&self, pixels: impl Iterator<Item = [u8; 3]> + Clone) -> Self {
+        let bright = pixels.map(|p| p.map(f32::from)).filter(|p| norm(*p) > DARK);
+        let mut sum = [0.0f32; 3];
+        bright.clone().for_each(|p| (0..3).for_each(|i| sum[i] += p[i]));
+        let length = norm(sum);
+        if length <= 0.0 {
+            return *self;
+        }
+        let direction = sum.map(|c| c / length);
+        let (mut n, mut squares) = (0.0f32, 0.0f32);
+        for p in bright {
+            let along = dot(p, direction);
+            n += 1.0;
+            squares += (dot(p, p) - along * along).max(0.0) / (along * along).max(1.0);
+        }
+        let tangent = (2.5 * (squares / n).sqrt()).clamp(0.03, self.tangent.max(0.03));
+        Self { direction, tangent, ..*self }
+    }
+
     /// The colour in full light that the model was made from.
     #[must_use]
     pub fn reference(&self) -> [u8; 3] {
@@ -165,6 +187,16 @@ mod tests {
         assert!(white.matches([200, 200, 200]) && !white.matches([100, 100, 100]));
         let black = ColorModel::from_rgb([0, 0, 0]);
         assert!(black.matches([5, 3, 4]) && !black.matches([60, 60, 60]));
+    }
+
+    #[test]
+    fn a_learned_colour_is_narrower() {
+        let (tool, similar) = ([40, 170, 60], [60, 175, 50]);
+        let model = ColorModel::from_rgb(tool);
+        let learned = model.learned((60..=100).map(|percent| shaded(tool, f64::from(percent) / 100.0)));
+        assert!(model.matches(similar) && !learned.matches(similar));
+        assert!((50..=100).all(|percent| learned.matches(shaded(tool, f64::from(percent) / 100.0))));
+        assert_eq!(model.learned(std::iter::empty()), model);
     }
 
     #[test]

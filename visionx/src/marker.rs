@@ -60,6 +60,8 @@ pub struct ColorMarkerObjectTracking {
     track: Option<Track>,
     /// Diameter of the disc of the same area as the marker's silhouette, m, as learned so far.
     diameter: Option<f64>,
+    /// The marker's colour as seen when the track began; other things of similar colour do not have it.
+    seen_color: Option<ColorModel>,
 }
 
 #[derive(Clone, Debug)]
@@ -121,7 +123,14 @@ impl ColorMarkerObjectTracking {
     #[must_use]
     pub fn new(calibration: StereoCalibration, settings: MarkerSettings, seed: u64) -> Self {
         let diameter = settings.diameter_m.filter(|d| *d > 0.0 && d.is_finite());
-        Self { calibration, settings, rng: ChaCha8Rng::seed_from_u64(seed), track: None, diameter }
+        Self {
+            calibration,
+            settings,
+            rng: ChaCha8Rng::seed_from_u64(seed),
+            track: None,
+            diameter,
+            seen_color: None,
+        }
     }
 
     /// The marker's diameter, m: as told, or as learned so far.
@@ -138,20 +147,27 @@ impl ColorMarkerObjectTracking {
         if !self.calibration.fits(frame) {
             return None;
         }
-        let masks = [&frame.left, &frame.right].map(|image| self.settings.color.segment(image));
         self.predict(frame);
-        if self.track.is_some()
-            && let Some(estimate) = self.follow(&masks, frame)
-        {
-            return Some(estimate);
+        if self.track.is_some() {
+            let masks = self.masks(frame);
+            if let Some(estimate) = self.follow(&masks, frame) {
+                return Some(estimate);
+            }
         }
-        let lost = self.track.as_ref().is_none_or(|t| frame.stamp_ns - t.measured_ns > LOST_AFTER_NS);
-        if lost {
-            self.track = None;
-            self.acquire(&masks, frame)?;
+        let lost = |t: &Track| frame.stamp_ns - t.measured_ns > LOST_AFTER_NS;
+        if self.track.as_ref().is_none_or(lost) {
+            (self.track, self.seen_color) = (None, None);
+            self.acquire(&self.masks(frame), frame)?;
+            let masks = self.masks(frame);
             return self.follow(&masks, frame);
         }
         None
+    }
+
+    /// The pixels of both eyes that have the marker's colour.
+    fn masks(&self, frame: &StereoFrame) -> [Mask; 2] {
+        let color = self.seen_color.as_ref().unwrap_or(&self.settings.color);
+        [&frame.left, &frame.right].map(|image| color.segment(image))
     }
 
     /// Moves the track to the frame's time and camera pose, or drops it where that makes no sense.
@@ -171,16 +187,17 @@ impl ColorMarkerObjectTracking {
     /// Starts a track at the pair of coloured things that looks most like the marker.
     fn acquire(&mut self, masks: &[Mask; 2], frame: &StereoFrame) -> Option<()> {
         let [left, right] = masks.each_ref().map(|m| components(m, LEAST_AREA));
-        let mut best: Option<(f64, Point3<f64>, f64)> = None;
+        let mut best: Option<(f64, Point3<f64>, f64, &Component)> = None;
         for l in left.iter().take(12) {
             for r in right.iter().take(12) {
                 let Some((point, score, diameter)) = self.candidate(l, r, &frame.left) else { continue };
                 if best.as_ref().is_none_or(|b| score > b.0) {
-                    best = Some((score, point, diameter));
+                    best = Some((score, point, diameter, l));
                 }
             }
         }
-        let (_, point, diameter) = best?;
+        let (_, point, diameter, component) = best?;
+        self.seen_color = Some(self.settings.color.learned(pixels(component, &frame.left)));
         if self.settings.diameter_m.is_none() {
             self.diameter = Some(diameter);
         }
@@ -273,7 +290,10 @@ impl ColorMarkerObjectTracking {
             track.measured_ns = stamp_ns;
         }
         let (point, velocity) = track.cloud.mean();
-        let covariance = track.cloud.covariance();
+        // What is not a ball has its centroid beside its centre's projection, always to the same side.
+        let shape =
+            if self.settings.diameter_m.is_some() { 0.01 } else { 0.03 } * self.diameter.unwrap_or(0.0);
+        let covariance = track.cloud.covariance() + Matrix3::identity() * (shape * shape);
         if whole && self.settings.diameter_m.is_none() {
             self.learn_diameter(seen, point.z);
         }
@@ -289,12 +309,14 @@ impl ColorMarkerObjectTracking {
         })
     }
 
-    /// Grows quickly to what is seen and shrinks slowly: what hides a part of the marker goes away again.
+    /// Grows quickly to what is seen and shrinks slowly, because what hides a part of the marker goes away again. Only
+    /// slowly does it become much larger, because that may be another thing beside it.
     fn learn_diameter(&mut self, seen: &[Option<Sight>; 2], depth: f64) {
         let area = seen.iter().flatten().map(|s| s.area).fold(0.0, f64::max);
         let now = disc_diameter(area) * depth / self.calibration.camera.focal;
         if let Some(d) = &mut self.diameter {
-            *d += (now - *d) * if now > *d { 0.2 } else { 0.01 };
+            let rate = if (*d..1.15 * *d).contains(&now) { 0.2 } else { 0.02 };
+            *d += (now - *d) * rate;
         }
     }
 }
@@ -378,14 +400,13 @@ fn disc_mean(mask: &Mask, at: &Point2<f64>, reach: f64) -> Option<Sight> {
     (n > 0.0).then(|| Sight { center: Point2::new(sx / n, sy / n), area: n })
 }
 
+fn pixels<'a>(component: &'a Component, image: &'a Image) -> impl Iterator<Item = [u8; 3]> + Clone + 'a {
+    component.runs.iter().flat_map(move |run| (run.x0..run.x1).map(move |x| image.pixel(x, run.y)))
+}
+
 fn mean_color(component: &Component, image: &Image) -> [f64; 3] {
     let mut sum = [0.0; 3];
-    for run in &component.runs {
-        for x in run.x0..run.x1 {
-            let p = image.pixel(x, run.y);
-            (0..3).for_each(|i| sum[i] += f64::from(p[i]));
-        }
-    }
+    pixels(component, image).for_each(|p| (0..3).for_each(|i| sum[i] += f64::from(p[i])));
     sum.map(|s| s / f64::from(component.area.max(1)))
 }
 

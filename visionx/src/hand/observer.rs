@@ -56,6 +56,8 @@ const AREAS: (f64, f64) = (18e-4, 400e-4);
 const SCENERY: f64 = 600e-4;
 /// Radii of the palm's largest disc, from the edge and with a large hand, m.
 const PALM_RADII: (f64, f64) = (0.0145, 0.062);
+/// From a palm's surface to its middle, m.
+const HALF_PALM: f64 = 0.014;
 /// Probability that a gesture goes on to the next frame. With [`FLOOR`], a change takes two clear frames.
 const STAY: f64 = 0.94;
 /// Least likelihood of a gesture in one frame.
@@ -161,7 +163,8 @@ impl HandObserver {
         let (shape, z) = (&hand.shape, hand.candidate.z);
         let coarse = camera.focal * self.calibration.baseline / z;
         let at_palm = self.part_disparity(frame, &hand, &shape.palm, 0.75 * shape.palm_radius, coarse);
-        let palm_in_left = self.point(&shape.palm, at_palm.unwrap_or(coarse))?;
+        let surface = self.point(&shape.palm, at_palm.unwrap_or(coarse))?;
+        let palm_in_left = surface + surface.coords.try_normalize(1e-6)? * HALF_PALM;
 
         let belief = self.believe(&likelihoods(&shape.fingers));
         let best = (0..4).max_by(|&a, &b| belief[a].total_cmp(&belief[b]))?;

@@ -15,6 +15,8 @@ pub(super) const CELL: f64 = 0.0015;
 const OPENING: f64 = 0.0125;
 /// What the opening may miss at the palm's corners, m.
 const MARGIN: f64 = 0.002;
+/// How far the gap between two fingers must reach in from the nearer tip, m.
+const LEAST_GAP: f64 = 0.007;
 /// Holes up to this size are filled, m^2.
 const HOLE: f64 = 8e-5;
 /// Most cells along an edge; a silhouette that needs more is no hand.
@@ -60,7 +62,7 @@ pub(super) fn hand_shape(mask: &Mask, pixel_m: f64) -> Option<HandShape> {
         *c = u8::from(*d > opening);
     }
     let from_core = distances(&core, |v| v != 0);
-    let fingers = fingers(&grid, &from_core, &palm);
+    let fingers = fingers(&grid, &inside, &from_core, &palm);
     Some(HandShape {
         palm: grid.pixel(&palm),
         palm_radius: palm_radius * CELL,
@@ -131,35 +133,108 @@ fn largest_disc(mask: &Mask, inside: &[f32]) -> Option<(Point2<f64>, f64)> {
     (radius > 0.0).then(|| (Point2::from(sum / n), f64::from(radius)))
 }
 
-fn fingers(grid: &Grid, from_core: &[f32], palm: &Point2<f64>) -> Vec<Finger> {
+/// A part of the hand outside of the palm while it is flooded from its tips towards the palm.
+#[derive(Default)]
+struct Branch {
+    /// Cells in the order of flooding, the tip first, until the branch met another finger.
+    cells: Vec<usize>,
+    /// Distance of its tip from the core, cells.
+    top: f32,
+    /// Whether it has met another finger, so that cells that follow belong to both.
+    met: bool,
+    /// The branch that this one has become a part of, without being a finger.
+    part_of: Option<usize>,
+}
+
+/// Floods what lies outside of the palm from far to near. A tip is a finger of its own if the flood has to come
+/// [`LEAST_GAP`] nearer to the palm until it meets a farther tip's.
+fn fingers(grid: &Grid, inside: &[f32], from_core: &[f32], palm: &Point2<f64>) -> Vec<Finger> {
     let reach = ((OPENING + MARGIN) / CELL) as f32;
-    let mut rest = grid.mask.clone();
-    for (r, d) in rest.data_mut().iter_mut().zip(from_core) {
-        *r &= u8::from(*d > reach && d.is_finite());
-    }
-    let w = grid.mask.width();
-    let mut found: Vec<(f64, Finger)> = Vec::new();
-    for piece in components(&rest, 12) {
-        let cells = || piece.runs.iter().flat_map(|r| (r.x0..r.x1).map(move |x| (x as usize, r.y as usize)));
-        let far = cells().map(|(x, y)| from_core[y * w + x]).fold(0.0f32, f32::max);
-        // The ends are means over a few millimetres.
-        let end = |keep: &dyn Fn(f32) -> bool| {
-            let chosen = cells().filter(|&(x, y)| keep(from_core[y * w + x]));
-            let (n, sum) = chosen.fold((0.0, Vector2::zeros()), |(n, s), (x, y)| {
-                (n + 1.0, s + Vector2::new(x as f64, y as f64))
-            });
-            Point2::from(sum / f64::max(n, 1.0))
-        };
-        let tip = end(&|d| d > far - 2.0);
-        let base = end(&|d| d < reach + 3.0);
-        let length = f64::from(far - reach) * CELL + MARGIN;
-        let width = f64::from(piece.area) * CELL * CELL / (length - MARGIN).max(CELL);
-        let score = finger_score(length, width);
-        let angle = (tip.y - palm.y).atan2(tip.x - palm.x);
-        found.push((angle, Finger { tip: grid.pixel(&tip), base: grid.pixel(&base), length, width, score }));
-    }
+    let outside = |i: &usize| grid.mask.data()[*i] != 0 && from_core[*i] > reach && from_core[*i].is_finite();
+    let mut order: Vec<usize> = (0..from_core.len()).filter(outside).collect();
+    order.sort_by(|&a, &b| from_core[b].total_cmp(&from_core[a]).then(a.cmp(&b)));
+    let branches = flood(&order, from_core, grid.mask.width());
+    let measure = |branch: &Branch| measure(branch, grid, inside, from_core, reach);
+    let mut found: Vec<(f64, Finger)> = branches
+        .iter()
+        .filter(|b| b.part_of.is_none())
+        .map(measure)
+        .filter(|f| f.score > 0.02)
+        .map(|f| ((f.tip.y - palm.y).atan2(f.tip.x - palm.x), f))
+        .collect();
     found.sort_by(|a, b| a.0.total_cmp(&b.0));
-    found.into_iter().map(|(_, finger)| finger).filter(|f| f.score > 0.02).collect()
+    found.into_iter().map(|(_, finger)| finger).collect()
+}
+
+/// The branches of the flood. `order`: the cells, farthest from the core first.
+fn flood(order: &[usize], from_core: &[f32], width: usize) -> Vec<Branch> {
+    let mut branches: Vec<Branch> = Vec::new();
+    let mut of = vec![usize::MAX; from_core.len()];
+    // For each branch the one that floods on in its place.
+    let mut heirs: Vec<usize> = Vec::new();
+    for &cell in order {
+        let mut touched: Vec<usize> =
+            [cell.wrapping_sub(width + 1), cell.wrapping_sub(width), cell.wrapping_sub(width - 1)]
+                .into_iter()
+                .chain([cell.wrapping_sub(1), cell + 1, cell + width - 1, cell + width, cell + width + 1])
+                .filter_map(|n| of.get(n).copied().filter(|&b| b != usize::MAX))
+                .map(|b| heir(&heirs, b))
+                .collect();
+        touched.sort_unstable();
+        touched.dedup();
+        let level = from_core[cell];
+        // Branches are numbered from the farthest tip on.
+        let Some(&first) = touched.first() else {
+            of[cell] = branches.len();
+            heirs.push(branches.len());
+            branches.push(Branch { cells: vec![cell], top: level, ..Branch::default() });
+            continue;
+        };
+        of[cell] = first;
+        for &other in &touched[1..] {
+            heirs[other] = first;
+            if branches[other].met || branches[other].top - level >= (LEAST_GAP / CELL) as f32 {
+                branches[first].met = true;
+                branches[other].met = true;
+            } else {
+                let cells = std::mem::take(&mut branches[other].cells);
+                branches[other].part_of = Some(first);
+                if !branches[first].met {
+                    branches[first].cells.extend(cells);
+                }
+            }
+        }
+        if !branches[first].met {
+            branches[first].cells.push(cell);
+        }
+    }
+    branches
+}
+
+fn heir(heirs: &[usize], mut branch: usize) -> usize {
+    while heirs[branch] != branch {
+        branch = heirs[branch];
+    }
+    branch
+}
+
+fn measure(branch: &Branch, grid: &Grid, inside: &[f32], from_core: &[f32], reach: f32) -> Finger {
+    let w = grid.mask.width();
+    let bottom = branch.cells.iter().map(|&i| from_core[i]).fold(f32::MAX, f32::min);
+    // The ends are means over a few millimetres.
+    let end = |keep: &dyn Fn(f32) -> bool| {
+        let chosen = branch.cells.iter().filter(|&&i| keep(from_core[i]));
+        let (n, sum) = chosen.fold((0.0, Vector2::zeros()), |(n, s), i| {
+            (n + 1.0, s + Vector2::new((i % w) as f64, (i / w) as f64))
+        });
+        grid.pixel(&Point2::from(sum / f64::max(n, 1.0)))
+    };
+    // The widest disc in the finger's last four centimetres, without its rounding.
+    let widest = branch.cells.iter().filter(|&&i| from_core[i] > branch.top - (0.04 / CELL) as f32);
+    let width = 2.0 * CELL * f64::from(widest.map(|&i| inside[i]).fold(0.0, f32::max));
+    let length = f64::from(branch.top - reach) * CELL + MARGIN;
+    let (tip, base) = (end(&|d| d > branch.top - 2.0), end(&|d| d < bottom + 3.0));
+    Finger { tip, base, length, width, score: finger_score(length, width) }
 }
 
 /// Probability that a protrusion of this length and width (m) is a stretched finger.
@@ -167,7 +242,7 @@ fn finger_score(length: f64, width: f64) -> f64 {
     let logistic = |x: f64| 1.0 / (1.0 + (-x).exp());
     logistic((length - 0.026) / 0.0035)
         * logistic((width - 0.007) / 0.001)
-        * logistic((0.030 - width) / 0.002)
+        * logistic((0.030 - width) / 0.001)
 }
 
 /// The Euclidean distance of every cell from the nearest that is `source`, cells; infinite where there is none.
@@ -276,7 +351,7 @@ mod tests {
                 let tip = Point2::from(Vector2::from(*end) + axis * 9.0);
                 assert!((finger.tip - tip).norm() < 3.0, "{finger:?} {tip}");
                 assert!(
-                    (finger.length - 0.084).abs() < 0.006 && (finger.width - 0.018).abs() < 0.003,
+                    (finger.length - 0.084).abs() < 0.006 && (finger.width - 0.018).abs() < 0.004,
                     "{finger:?}"
                 );
             }

@@ -20,6 +20,8 @@ const GREEN_OVER_BLUE: (f32, f32) = (-0.06, 0.74);
 const DARK: u16 = 45;
 /// Fewest pixels (at half resolution) that make a cluster.
 const LEAST_PIXELS: f32 = 60.0;
+/// How many bins a cluster reaches beyond the colours that were seen.
+const SPREAD: usize = 2;
 
 /// The skin-like colours of one frame, by cluster.
 #[derive(Clone, Debug)]
@@ -88,8 +90,8 @@ impl SkinClusters {
         for bin in image.data.iter().filter_map(|p| logs.bin(*p)) {
             histogram[bin] += 1.0;
         }
-        let smooth = smoothed(&smoothed(&histogram));
-        let (labels, peaks) = split(&smooth);
+        let (mut labels, peaks) = split(&histogram);
+        (0..SPREAD).for_each(|_| spread(&mut labels));
         let peaks = peaks
             .iter()
             .map(|&bin| {
@@ -126,13 +128,20 @@ impl SkinClusters {
         let (w, h) = (region.width as usize, region.height as usize);
         for y in 0..h {
             for x in 0..w {
-                let p = image.pixel(region.x + x as u32, region.y + y as u32).map(|c| u16::from(c) * 4);
+                let p = row_sum(image, region.x + x as u32, region.y + y as u32);
                 mask.data_mut()[y * w + x] =
                     u8::from(self.logs.bin(p).is_some_and(|b| self.labels[b] == label));
             }
         }
         majority(&mask)
     }
+}
+
+/// A pixel twice and its neighbours in the row once: less noise, no shift.
+fn row_sum(image: &Image, x: u32, y: u32) -> [u16; 3] {
+    let [left, middle, right] =
+        [x.saturating_sub(1), x, (x + 1).min(image.width() - 1)].map(|x| image.pixel(x, y));
+    std::array::from_fn(|i| u16::from(left[i]) + 2 * u16::from(middle[i]) + u16::from(right[i]))
 }
 
 /// Each pixel as five or more of the nine around it; the mask's border pixels stay.
@@ -149,31 +158,25 @@ fn majority(mask: &Mask) -> Mask {
     result
 }
 
-/// Binomial smoothing (1 2 1) along both axes.
-fn smoothed(histogram: &[f32]) -> Vec<f32> {
-    let mut across = vec![0.0; histogram.len()];
-    let mut result = across.clone();
-    let blend = |from: &[f32], to: &mut [f32], step: usize, along: &dyn Fn(usize) -> usize| {
-        for i in 0..from.len() {
-            let before = if along(i) > 0 { from[i - step] } else { 0.0 };
-            let after = if along(i) + 1 < BINS { from[i + step] } else { 0.0 };
-            to[i] = (before + 2.0 * from[i] + after) / 4.0;
-        }
-    };
-    blend(histogram, &mut across, 1, &|i| i % BINS);
-    blend(&across, &mut result, BINS, &|i| i / BINS);
-    result
+/// Gives each bin without a label the lowest label of its neighbours, for colours that only noise makes.
+fn spread(labels: &mut [u8]) {
+    let before = labels.to_vec();
+    for (bin, label) in labels.iter_mut().enumerate().filter(|(_, l)| **l == 0) {
+        *label = neighbours(bin).map(|n| before[n]).filter(|&l| l != 0).min().unwrap_or(0);
+    }
 }
 
-/// Splits a smooth histogram at its valleys: bins in order of their counts join the hill that they touch; two hills
-/// that meet are one unless the valley is clearly lower than both tops. Returns labels and the bins of the tops.
-fn split(smooth: &[f32]) -> (Vec<u8>, Vec<usize>) {
-    const VALLEY: f32 = 0.6;
-    let mut order: Vec<usize> = (0..smooth.len()).filter(|&i| smooth[i] > 0.2).collect();
-    order.sort_by(|&a, &b| smooth[b].total_cmp(&smooth[a]).then(a.cmp(&b)));
+/// Splits a histogram at its valleys: bins in order of their counts join the hill that they touch; two hills that meet
+/// are one unless the valley is clearly lower than both tops, beyond chance. Returns labels and the bins of the tops.
+///
+/// The histogram is not smoothed: the camera's noise has done that, and a table's peak would drown a hand's beside it.
+fn split(counts: &[f32]) -> (Vec<u8>, Vec<usize>) {
+    let is_valley = |valley: f32, top: f32| valley < 0.6 * top && top - valley > 3.0 * top.sqrt();
+    let mut order: Vec<usize> = (0..counts.len()).filter(|&i| counts[i] > 0.0).collect();
+    order.sort_by(|&a, &b| counts[b].total_cmp(&counts[a]).then(a.cmp(&b)));
     // For each hill its top, its pixels, and the hill that it has become part of.
     let mut hills: Vec<(usize, f32, usize)> = Vec::new();
-    let mut of = vec![usize::MAX; smooth.len()];
+    let mut of = vec![usize::MAX; counts.len()];
     let owner = |hills: &[(usize, f32, usize)], mut i: usize| {
         while hills[i].2 != i {
             i = hills[i].2;
@@ -188,13 +191,13 @@ fn split(smooth: &[f32]) -> (Vec<u8>, Vec<usize>) {
         // The highest hill gets the bin, because hills are numbered from the highest down.
         let Some(&first) = touched.first() else {
             of[bin] = hills.len();
-            hills.push((bin, smooth[bin], hills.len()));
+            hills.push((bin, counts[bin], hills.len()));
             continue;
         };
         of[bin] = first;
-        hills[first].1 += smooth[bin];
+        hills[first].1 += counts[bin];
         for &other in &touched[1..] {
-            if smooth[bin] > VALLEY * smooth[hills[other].0] || hills[other].1 < LEAST_PIXELS {
+            if !is_valley(counts[bin], counts[hills[other].0]) || hills[other].1 < LEAST_PIXELS {
                 hills[first].1 += hills[other].1;
                 hills[other].2 = first;
             }
