@@ -1,9 +1,9 @@
 //! How many control steps a second the simulator makes without and with its cameras, in a busy world.
-#![expect(clippy::print_stdout, clippy::disallowed_methods, reason = "a bench measures time and prints it")]
+#![expect(clippy::print_stdout, reason = "a bench measures time and prints it")]
 
 use std::time::Instant;
 
-use armarium_robot::{LeaseLimits, Robot};
+use armarium_robot::LeaseLimits;
 use armarium_simulator::{Options, Simulation, World};
 
 fn main() {

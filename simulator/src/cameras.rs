@@ -210,9 +210,10 @@ impl Eyes {
         let left = Viewpoint { scene_from_camera, camera };
         let right = left.shifted_right(self.source.calibration.baseline);
         let drawn = render_pair(&scene, &[left, right]);
-        let visible = view.coach.hand.is_some_and(|hand| {
-            whole(&hand, &left, &drawn[0]) && whole(&hand, &right, &drawn[1])
-        });
+        let visible = view
+            .coach
+            .hand
+            .is_some_and(|hand| whole(&hand, &left, &drawn[0]) && whole(&hand, &right, &drawn[1]));
         self.hand_out(view.stamp_ns, drawn);
         FrameTruth {
             stamp_ns: view.stamp_ns,

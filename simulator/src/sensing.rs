@@ -12,7 +12,7 @@ use crate::world::{Faults, NoiseSpec, WrenchFault};
 /// Torque noise over force noise, m.
 const TORQUE_SHARE: f64 = 0.05;
 /// Noise of a joint's velocity over that of its angle, 1/s.
-const VELOCITY_SHARE: f64 = 5.0;
+const VELOCITY_SHARE: f64 = 1.0;
 /// Noise of a sliding joint's position over that of a turning joint's, m/rad.
 const SLIDING_SHARE: f64 = 0.05;
 
@@ -35,9 +35,8 @@ impl Sensors {
         let bias = std::array::from_fn(|axis| {
             noise.wrench_bias * share(axis) * rng.sample::<f64, _>(StandardNormal)
         });
-        let drift = std::array::from_fn(|axis| {
-            noise.wrench_drift * share(axis) * (2.0 * rng.random::<f64>() - 1.0)
-        });
+        let drift =
+            std::array::from_fn(|axis| noise.wrench_drift * share(axis) * (2.0 * rng.random::<f64>() - 1.0));
         Self { noise: noise.clone(), faults: faults.clone(), sliding, bias, drift, rng, frozen: None }
     }
 
@@ -67,7 +66,9 @@ impl Sensors {
     fn wrench(&mut self, t: f64, truth: (Vector3<f64>, Vector3<f64>)) -> (Vector3<f64>, Vector3<f64>) {
         let offset: [f64; 6] = std::array::from_fn(|axis| {
             let share = if axis < 3 { 1.0 } else { TORQUE_SHARE };
-            self.bias[axis] + self.drift[axis] * t + self.noise.wrench * share * self.rng.sample::<f64, _>(StandardNormal)
+            self.bias[axis]
+                + self.drift[axis] * t
+                + self.noise.wrench * share * self.rng.sample::<f64, _>(StandardNormal)
         });
         let force = truth.0 + Vector3::new(offset[0], offset[1], offset[2]);
         let torque = truth.1 + Vector3::new(offset[3], offset[4], offset[5]);

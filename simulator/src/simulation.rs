@@ -130,7 +130,8 @@ impl Simulation {
         let sliding = model.joints().iter().map(|j| j.kind == JointKind::Prismatic).collect();
         let (guard, robot) = Guard::new(Arc::clone(&model), options.guard);
         let sponge = world.sponge().and_then(|s| world.objects.iter().position(|o| o.name == s.name));
-        let external = External { hand: Vector3::zeros(), objects: vec![Vector3::zeros(); world.objects.len()] };
+        let external =
+            External { hand: Vector3::zeros(), objects: vec![Vector3::zeros(); world.objects.len()] };
         Ok(Self {
             robot,
             guard,

@@ -40,8 +40,12 @@ impl TableTop {
             * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), tilt_x);
         let center = Translation3::new(spec.center[0], spec.center[1], spec.height);
         let root_from_top = Isometry3::from_parts(center, rotation);
-        let mut table =
-            Self { root_from_top, half: spec.size.map(|s| s / 2.0), bumps: Vec::new(), friction: spec.friction };
+        let mut table = Self {
+            root_from_top,
+            half: spec.size.map(|s| s / 2.0),
+            bumps: Vec::new(),
+            friction: spec.friction,
+        };
         let bumps = spec.bumps.iter().map(|b| {
             let at = root_from_top.inverse_transform_point(&Point3::new(
                 b.at[0],

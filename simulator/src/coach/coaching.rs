@@ -252,8 +252,7 @@ impl Coaching {
         if over {
             self.finish(kind, t);
         } else {
-            state.hand =
-                Some(HandShown { root_from_hand, gesture: show.gesture, shown_s: age, in_place });
+            state.hand = Some(HandShown { root_from_hand, gesture: show.gesture, shown_s: age, in_place });
         }
     }
 
@@ -271,9 +270,7 @@ impl Coaching {
     /// The executed path at a phase, or the coach's own with the height of what was executed.
     fn path_point(&self, phase: f64) -> Vector3<f64> {
         let bin = (phase.rem_euclid(1.0) * BINS as f64) as usize % BINS;
-        let seen = (0..4).find_map(|d| {
-            self.seen[(bin + d) % BINS].or(self.seen[(bin + BINS - d) % BINS])
-        });
+        let seen = (0..4).find_map(|d| self.seen[(bin + d) % BINS].or(self.seen[(bin + BINS - d) % BINS]));
         let own = self.path.point(phase * std::f64::consts::TAU);
         match seen {
             Some(p) if (p.x - own[0]).hypot(p.y - own[1]) < 0.12 => p,
@@ -284,9 +281,10 @@ impl Coaching {
 
 /// The direction across both the offset and the view, so that neither fingers nor forearm reach over the path.
 fn across(offset: &Vector3<f64>, view: &Vector3<f64>) -> Vector3<f64> {
-    let along = view.cross(offset).try_normalize(1e-6).unwrap_or_else(|| {
-        view.cross(&Vector3::x()).try_normalize(1e-6).unwrap_or_else(Vector3::y)
-    });
+    let along = view
+        .cross(offset)
+        .try_normalize(1e-6)
+        .unwrap_or_else(|| view.cross(&Vector3::x()).try_normalize(1e-6).unwrap_or_else(Vector3::y));
     if along.dot(&FOREARM) > 0.0 { -along } else { along }
 }
 

@@ -132,11 +132,8 @@ impl Performance {
     fn theta(&self, t: f64) -> f64 {
         let ramped = |t: f64| if t < RAMP { t * t / (2.0 * RAMP) } else { t - RAMP / 2.0 };
         let rest = self.periodic_s - t;
-        let steady = if rest < RAMP {
-            self.periodic_s - RAMP - rest * rest / (2.0 * RAMP)
-        } else {
-            ramped(t)
-        };
+        let steady =
+            if rest < RAMP { self.periodic_s - RAMP - rest * rest / (2.0 * RAMP) } else { ramped(t) };
         TAU * self.path.frequency() * (steady + self.jitter * self.speed_wobble.integral(steady))
     }
 }

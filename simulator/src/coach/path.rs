@@ -163,9 +163,9 @@ impl PhaseTracker {
     /// The middle of the motion lies within its extremes: a slow mean over about two periods.
     fn follow_middle(&mut self, position: [f64; 2], dt: f64) {
         let rate = (dt * self.path.frequency / 2.0).min(1.0);
-        for k in 0..2 {
-            let off = position[k] - self.path.center[k] - self.shift[k];
-            self.shift[k] = (self.shift[k] + rate * off).clamp(-0.2, 0.2);
+        let middle = self.path.center;
+        for ((shift, at), middle) in self.shift.iter_mut().zip(position).zip(middle) {
+            *shift = (*shift + rate * (at - middle - *shift)).clamp(-0.2, 0.2);
         }
     }
 
@@ -228,8 +228,7 @@ mod tests {
     fn wobble_has_unit_variance_and_the_right_integral() {
         let w = Wobble::new(&mut ChaCha8Rng::seed_from_u64(1));
         let n = 200_000;
-        let mean_square: f64 =
-            (0..n).map(|i| w.at(f64::from(i) * 0.01).powi(2)).sum::<f64>() / f64::from(n);
+        let mean_square: f64 = (0..n).map(|i| w.at(f64::from(i) * 0.01).powi(2)).sum::<f64>() / f64::from(n);
         assert!((mean_square - 1.0).abs() < 0.02, "{mean_square}");
         let h = 1e-6;
         assert!(((w.integral(3.0 + h) - w.integral(3.0 - h)) / (2.0 * h) - w.at(3.0)).abs() < 1e-6);

@@ -91,10 +91,8 @@ impl Assembly {
     /// The name of a link or limb that the simulator needs and the model lacks.
     pub(super) fn new(kinematics: &Kinematics, start: &[f64]) -> Result<Self, &'static str> {
         let model = kinematics.model();
-        let dynamic: Vec<usize> =
-            DYNAMIC_LIMBS.iter().flat_map(|limb| model.limb(limb)).copied().collect();
-        let touching: Vec<usize> =
-            TOUCHING_LIMBS.iter().flat_map(|limb| model.limb(limb)).copied().collect();
+        let dynamic: Vec<usize> = DYNAMIC_LIMBS.iter().flat_map(|limb| model.limb(limb)).copied().collect();
+        let touching: Vec<usize> = TOUCHING_LIMBS.iter().flat_map(|limb| model.limb(limb)).copied().collect();
         let sensor = model.link("wrist_sensor_right").ok_or("link `wrist_sensor_right`")?;
         let tcp = model.link("tcp_right").ok_or("link `tcp_right`")?;
 
@@ -105,7 +103,8 @@ impl Assembly {
         let beyond = beyond_sensor(model, sensor);
         for (i, link) in model.links().iter().enumerate() {
             let parent = link.parent.map(LinkId::index);
-            let at_zero = parent.map_or_else(Isometry3::identity, |p| carrier_from_link[p]) * link.parent_from_link;
+            let at_zero =
+                parent.map_or_else(Isometry3::identity, |p| carrier_from_link[p]) * link.parent_from_link;
             let inherited = parent.and_then(|p| carrier[p]);
             if let Some(joint) = link.joint.filter(|j| dynamic.contains(j)) {
                 carrier.push(Some(lumps.len()));
@@ -137,7 +136,8 @@ impl Assembly {
                 }
             }
             if touching.contains(&lump.joint) {
-                let collisions = link.collisions.iter().map(|c| (c.shape, body_from_link * c.link_from_shape));
+                let collisions =
+                    link.collisions.iter().map(|c| (c.shape, body_from_link * c.link_from_shape));
                 lump.collisions.extend(collisions);
             }
         }
@@ -173,6 +173,8 @@ fn moved(model: &Model, joint: usize, q: f64) -> Isometry3<f64> {
 pub(super) fn joint_motion(kind: JointKind, axis: &Unit<Vector3<f64>>, q: f64) -> Isometry3<f64> {
     match kind {
         JointKind::Revolute => Isometry3::rotation(axis.into_inner() * q),
-        JointKind::Prismatic => Isometry3::from_parts((axis.into_inner() * q).into(), nalgebra::UnitQuaternion::identity()),
+        JointKind::Prismatic => {
+            Isometry3::from_parts((axis.into_inner() * q).into(), nalgebra::UnitQuaternion::identity())
+        }
     }
 }

@@ -55,7 +55,8 @@ impl Grip {
     pub(super) fn step(&mut self, presses: &[Vec<PadPress>], load: Option<Load>, dt: f64) {
         self.pause_s = (self.pause_s - dt).max(0.0);
         let Some(held) = self.held else {
-            let both = |p: &Vec<PadPress>| p.len() >= 2 && p.iter().all(|p| p.touches && p.force > HOLDING_FORCE);
+            let both =
+                |p: &Vec<PadPress>| p.len() >= 2 && p.iter().all(|p| p.touches && p.force > HOLDING_FORCE);
             if self.pause_s == 0.0 {
                 self.held = presses.iter().position(both);
                 self.loose_s = 0.0;

@@ -149,6 +149,7 @@ impl Plant {
         };
         plant.read_joints();
         plant.weigh();
+        plant.sense_wrist(&External::default());
         Ok(plant)
     }
 
@@ -314,8 +315,11 @@ impl Plant {
 
     /// How a pad presses on an object.
     fn press(&self, pad: ColliderHandle, object: ColliderHandle) -> PadPress {
-        let Some(pair) = self.physics.narrow_phase.contact_pair(pad, object) else { return PadPress::default() };
-        let impulse: f64 = pair.solver_manifolds().iter().flat_map(|m| &m.points).map(|p| p.data.impulse).sum();
+        let Some(pair) = self.physics.narrow_phase.contact_pair(pad, object) else {
+            return PadPress::default();
+        };
+        let impulse: f64 =
+            pair.solver_manifolds().iter().flat_map(|m| &m.points).map(|p| p.data.impulse).sum();
         PadPress { touches: pair.has_any_active_contact(), force: impulse / DT }
     }
 
@@ -333,7 +337,8 @@ impl Plant {
     fn weigh(&mut self) {
         let objects: Vec<_> =
             self.objects.iter().map(|o| Momentum::of_body(&self.physics.bodies[o.handle])).collect();
-        let fingers: Vec<_> = self.fingers.iter().map(|f| Momentum::of_body(&self.physics.bodies[*f])).collect();
+        let fingers: Vec<_> =
+            self.fingers.iter().map(|f| Momentum::of_body(&self.physics.bodies[*f])).collect();
         let palm = &self.physics.bodies[self.palm];
         self.wrench.remember(palm, &fingers, &objects);
     }
@@ -353,7 +358,8 @@ impl Plant {
         let (contact_force, contact_torque) = self.contacts_from_outside(held);
         let objects: Vec<_> =
             self.objects.iter().map(|o| Momentum::of_body(&self.physics.bodies[o.handle])).collect();
-        let fingers: Vec<_> = self.fingers.iter().map(|f| Momentum::of_body(&self.physics.bodies[*f])).collect();
+        let fingers: Vec<_> =
+            self.fingers.iter().map(|f| Momentum::of_body(&self.physics.bodies[*f])).collect();
         let palm = &self.physics.bodies[self.palm];
         self.wrench.update(
             palm,
@@ -370,7 +376,9 @@ impl Plant {
     fn contacts_from_outside(&self, held: Option<usize>) -> (Vector3<f64>, Vector3<f64>) {
         let inside = |handle: Option<RigidBodyHandle>| {
             handle.is_some_and(|h| {
-                h == self.palm || self.fingers.contains(&h) || held.is_some_and(|o| self.objects[o].handle == h)
+                h == self.palm
+                    || self.fingers.contains(&h)
+                    || held.is_some_and(|o| self.objects[o].handle == h)
             })
         };
         let (mut force, mut torque) = (Vector3::zeros(), Vector3::zeros());
@@ -534,7 +542,9 @@ fn servo(lump: &Lump, effort: f64) -> Servo {
 fn set_rotors(physics: &mut rapier::PhysicsWorld, bodies: &[Body]) {
     for body in bodies {
         let Some((multibody, id)) = physics.multibody_joints.get_mut(body.joint) else { continue };
-        let Some(dof) = multibody.links().take(id).map(|l| l.joint.ndofs()).reduce(|a, b| a + b) else { continue };
+        let Some(dof) = multibody.links().take(id).map(|l| l.joint.ndofs()).reduce(|a, b| a + b) else {
+            continue;
+        };
         multibody.armature_mut()[dof] = if body.kind == JointKind::Revolute { 0.05 } else { 0.1 };
         multibody.damping_mut()[dof] = body.servo.damping;
     }
@@ -542,9 +552,10 @@ fn set_rotors(physics: &mut rapier::PhysicsWorld, bodies: &[Body]) {
 
 fn collider(shape: &Shape, body_from_shape: &Isometry3<f64>) -> rapier::ColliderBuilder {
     let (builder, turn) = match shape {
-        Shape::Box { size } => {
-            (rapier::ColliderBuilder::cuboid(size.x / 2.0, size.y / 2.0, size.z / 2.0), UnitQuaternion::identity())
-        }
+        Shape::Box { size } => (
+            rapier::ColliderBuilder::cuboid(size.x / 2.0, size.y / 2.0, size.z / 2.0),
+            UnitQuaternion::identity(),
+        ),
         // Rapier's cylinders stand along y, the description's along z.
         Shape::Cylinder { radius, length } => (
             rapier::ColliderBuilder::cylinder(length / 2.0, *radius),

@@ -50,7 +50,8 @@ fn the_bodies_stand_where_the_model_says() {
     let model = model();
     let mut q = start(&model);
     for (i, joint) in model.joints().iter().enumerate() {
-        q[i] = (joint.lower + (joint.upper - joint.lower) * (0.3 + 0.01 * i as f64)).clamp(joint.lower, joint.upper);
+        q[i] = (joint.lower + (joint.upper - joint.lower) * (0.3 + 0.01 * i as f64))
+            .clamp(joint.lower, joint.upper);
     }
     let mut plant = Plant::new(&model, &free(), &q).unwrap();
     let mut kinematics = Kinematics::new(&model);

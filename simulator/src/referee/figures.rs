@@ -290,10 +290,12 @@ impl Run<'_> {
             slowed_to: None,
         };
         let Some((before, period_s)) = before else { return Some(figures) };
-        figures.slowed_to = arrived.map(|(t, _)| t).and_then(|from| {
-            self.slowest(from, leaves.unwrap_or(self.end_ns()), period_s)
-        });
-        let (Some(ended), Some(direction), Some(index)) = (ended, direction, index) else { return Some(figures) };
+        figures.slowed_to = arrived
+            .map(|(t, _)| t)
+            .and_then(|from| self.slowest(from, leaves.unwrap_or(self.end_ns()), period_s));
+        let (Some(ended), Some(direction), Some(index)) = (ended, direction, index) else {
+            return Some(figures);
+        };
         if let Some(after) = self.after(ended, period_s, &before) {
             let shift = shift_at(&before, &after, index);
             figures.displacement_m = Some(shift.dot(&direction));

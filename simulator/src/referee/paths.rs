@@ -36,8 +36,7 @@ pub(super) fn repeat_period(path: &[Vector3<f64>]) -> Option<f64> {
     // Mean squared distance to itself `lag` samples later; 2 x variance for unrelated points.
     let distance = |lag: usize, stride: usize| {
         let pairs = path.len() - lag;
-        let sum: f64 =
-            (0..pairs).step_by(stride).map(|i| (path[i] - path[i + lag]).norm_squared()).sum();
+        let sum: f64 = (0..pairs).step_by(stride).map(|i| (path[i] - path[i + lag]).norm_squared()).sum();
         sum / pairs.div_ceil(stride) as f64 / (2.0 * variance)
     };
     let most = path.len() * 2 / 3;
@@ -58,9 +57,7 @@ pub(super) fn repeat_period(path: &[Vector3<f64>]) -> Option<f64> {
     }
     let (_, coarse) = candidate?;
     let lags = coarse.saturating_sub(2 * STRIDE)..(coarse + 2 * STRIDE).min(path.len() - 100);
-    let (best, at) = lags
-        .map(|lag| (distance(lag, 1), lag))
-        .min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let (best, at) = lags.map(|lag| (distance(lag, 1), lag)).min_by(|a, b| a.0.total_cmp(&b.0))?;
     let (before, after) = (distance(at - 1, 1), distance(at + 1, 1));
     let bend = before - 2.0 * best + after;
     let shift = if bend > 0.0 { 0.5 * (before - after) / bend } else { 0.0 };
@@ -92,10 +89,15 @@ fn rms_at(a: &Period, b: &Period, shift: usize) -> f64 {
     (sum / POINTS as f64).sqrt()
 }
 
-/// `b`, turned so that it is in phase with `a`: the shift of least distance.
+/// `b`, turned so that it is in phase with `a`: the shift of least distance, between points by a parabola.
 pub(super) fn aligned(a: &Period, b: &Period) -> Period {
-    let shift = (0..POINTS).min_by(|x, y| rms_at(a, b, *x).total_cmp(&rms_at(a, b, *y))).unwrap_or(0);
-    std::array::from_fn(|i| b[(i + shift) % POINTS])
+    let squared = |shift: usize| rms_at(a, b, shift % POINTS).powi(2);
+    let shift = (0..POINTS).min_by(|x, y| squared(*x).total_cmp(&squared(*y))).unwrap_or(0);
+    let (before, here, after) = (squared(shift + POINTS - 1), squared(shift), squared(shift + 1));
+    let bend = before - 2.0 * here + after;
+    let part = if bend > 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 };
+    let (low, part) = if part < 0.0 { (shift + POINTS - 1, part + 1.0) } else { (shift, part) };
+    std::array::from_fn(|i| b[(i + low) % POINTS] * (1.0 - part) + b[(i + low + 1) % POINTS] * part)
 }
 
 /// Root mean square distance of one period to the coach's path, minimised over the phase alone. Horizontal place
@@ -178,7 +180,8 @@ mod tests {
             let period = mean_period(&performed(shape, 0.5, 5.0), 2.0, 2).unwrap();
             assert!(distance_to_coach(&period, &path(shape)) < 2e-4, "{shape:?}");
         }
-        let shifted = performed(Shape::Ellipse, 0.5, 5.0).iter().map(|p| p + Vector3::x() * 0.01).collect::<Vec<_>>();
+        let shifted =
+            performed(Shape::Ellipse, 0.5, 5.0).iter().map(|p| p + Vector3::x() * 0.01).collect::<Vec<_>>();
         let period = mean_period(&shifted, 2.0, 2).unwrap();
         assert!((distance_to_coach(&period, &path(Shape::Ellipse)) - 0.01).abs() < 2e-4);
     }
@@ -188,7 +191,7 @@ mod tests {
         let path = performed(Shape::Eight, 0.5, 6.0);
         let a = mean_period(&path, 2.0, 1).unwrap();
         let b = mean_period(&path[700..], 2.0, 1).unwrap();
-        assert!(rms_at(&a, &aligned(&a, &b), 0) < 5e-4);
+        assert!(rms_at(&a, &aligned(&a, &b), 0) < 5e-5);
     }
 
     #[test]
@@ -198,7 +201,8 @@ mod tests {
             for phase in [0.1, 0.25, 0.6, 0.75] {
                 let i = index_of_phase(&period, &path(shape), phase);
                 let expected = (phase - 1.0 / TAU).rem_euclid(1.0) * POINTS as f64;
-                let off = (i as f64 - expected + POINTS as f64 / 2.0).rem_euclid(POINTS as f64) - POINTS as f64 / 2.0;
+                let off = (i as f64 - expected + POINTS as f64 / 2.0).rem_euclid(POINTS as f64)
+                    - POINTS as f64 / 2.0;
                 assert!(off.abs() < 4.0, "{shape:?} {phase} {i} {expected}");
             }
         }

@@ -11,8 +11,9 @@ use serde_saphyr::{Location, Spanned};
 
 use super::tree::{Node, Raw};
 use super::{
-    Bump, CoachSpec, CoachingAction, CoachingStep, Demonstration, Disturbance, Gesture, ImageFault, Milestone,
-    MountingError, NoiseSpec, ObjectSpec, Push, RobotModel, Shape, Show, Swipe, World, WorldError, WrenchFault,
+    Bump, CoachSpec, CoachingAction, CoachingStep, Demonstration, Disturbance, Gesture, ImageFault,
+    Milestone, MountingError, NoiseSpec, ObjectSpec, Push, RobotModel, Shape, Show, Swipe, World, WorldError,
+    WrenchFault,
 };
 
 /// Largest world file, bytes.
@@ -242,7 +243,12 @@ impl Reader<'_> {
             if v.fract() == 0.0 {
                 *into = v as u32;
             } else {
-                self.find(node.referenced, "world::value", format!("{v} is not a whole number"), String::new());
+                self.find(
+                    node.referenced,
+                    "world::value",
+                    format!("{v} is not a whole number"),
+                    String::new(),
+                );
             }
         }
     }
@@ -496,7 +502,12 @@ impl Reader<'_> {
         let [dx, dy] = [swipe.to[0] - swipe.from[0], swipe.to[1] - swipe.from[1]];
         if dx.hypot(dy) < 0.02 {
             let message = "the swipe goes nowhere".into();
-            self.find(node.referenced, "world::value", message, "`from` and `to` differ by 2 cm or more".into());
+            self.find(
+                node.referenced,
+                "world::value",
+                message,
+                "`from` and `to` differ by 2 cm or more".into(),
+            );
         }
     }
 
@@ -616,8 +627,8 @@ impl Reader<'_> {
     fn together(&mut self, root: &Node, world: &World, places: &[Location]) {
         for (i, object) in world.objects.iter().enumerate() {
             let at = places.get(i).copied().unwrap_or(root.referenced);
-            let on_table = (0..2)
-                .all(|k| (object.at[k] - world.table.center[k]).abs() <= world.table.size[k] / 2.0);
+            let on_table =
+                (0..2).all(|k| (object.at[k] - world.table.center[k]).abs() <= world.table.size[k] / 2.0);
             if !on_table {
                 let [x, y] = object.at;
                 let message = format!("object `{}` at ({x}, {y}) is not on the table", object.name);
@@ -722,7 +733,10 @@ coach:
     #[test]
     fn impossible_worlds_are_refused() {
         assert_eq!(findings("objects: [{at: [2, 2]}]"), vec![(1, 11, "world::value")]);
-        assert_eq!(findings("coach: {coaching: [{at: 1, gesture: point_one, offset: [0, 0, 0.1]}]}").len(), 1);
+        assert_eq!(
+            findings("coach: {coaching: [{at: 1, gesture: point_one, offset: [0, 0, 0.1]}]}").len(),
+            1
+        );
         assert_eq!(findings("disturbances: [{knock: spunge}]").len(), 1);
         assert_eq!(findings("table: {height: .nan}").len(), 1);
         assert_eq!(findings("a: [").len(), 1);

@@ -1,0 +1,173 @@
+//! The physics of the task, end to end: a hand that knows the truth takes the sponge, presses, wipes and is pushed.
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
+
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+use armarium_robot::{DifferentialIk, IkConfig, Lease, LeaseLimits, LinkId, Robot, Twist};
+use armarium_simulator::world::Disturbance;
+use armarium_simulator::{Mark, Options, Simulation, World};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+
+/// Moves the right hand of a simulation with knowledge of the truth.
+struct Hand {
+    simulation: Simulation,
+    robot: Arc<dyn Robot>,
+    arm: Lease,
+    torso: Lease,
+    fingers: Lease,
+    ik: DifferentialIk,
+    tcp: LinkId,
+}
+
+impl Hand {
+    fn new(world: &World, seed: u64) -> Self {
+        let simulation = Simulation::new(world, seed, Options::default()).unwrap();
+        let robot = simulation.robot();
+        let lease = |limb| robot.lease(limb, "test", LeaseLimits::default()).unwrap();
+        let (arm, torso, fingers) = (lease("right_arm"), lease("torso"), lease("right_hand"));
+        let model = Arc::clone(robot.model());
+        let tcp = model.link("tcp_right").unwrap();
+        let joints: Vec<usize> = model.limb("torso").iter().chain(model.limb("right_arm")).copied().collect();
+        let ik = DifferentialIk::new(&model, tcp, &joints, IkConfig::default());
+        Self { simulation, robot, arm, torso, fingers, ik, tcp }
+    }
+
+    fn now(&self) -> u64 {
+        self.simulation.truth().stamp_ns
+    }
+
+    fn force(&self) -> f64 {
+        self.simulation.truth().contact.normal
+    }
+
+    /// One step with a TCP twist and a velocity of the fingers, m/s.
+    fn step(&mut self, twist: &Twist, fingers: f64) {
+        let q = self.simulation.truth().position.clone();
+        if q.is_empty() {
+            self.simulation.step();
+            return;
+        }
+        let step = self.ik.step(&q, twist, None);
+        let (torso, arm) = step.velocities.split_at(3);
+        self.torso.command(torso).unwrap();
+        self.arm.command(arm).unwrap();
+        self.fingers.command(&[fingers, fingers]).unwrap();
+        self.simulation.step();
+    }
+
+    /// Goes to a pose at up to 0.2 m/s; returns how far it has stayed away, m.
+    fn go(&mut self, goal: &Isometry3<f64>, seconds: f64, fingers: f64) -> f64 {
+        for _ in 0..(seconds * 1e3) as u32 {
+            let tcp = self.simulation.truth().tcp;
+            let twist = towards(&tcp, goal, 0.2);
+            self.step(&twist, fingers);
+        }
+        (self.simulation.truth().tcp.translation.vector - goal.translation.vector).norm()
+    }
+}
+
+fn towards(from: &Isometry3<f64>, to: &Isometry3<f64>, fastest: f64) -> Twist {
+    let linear = (to.translation.vector - from.translation.vector) * 4.0;
+    let angular = (to.rotation * from.rotation.inverse()).scaled_axis() * 4.0;
+    let cap = |v: Vector3<f64>, most: f64| v * (most / v.norm().max(most));
+    Twist { linear: cap(linear, fastest), angular: cap(angular, 0.6) }
+}
+
+/// The palm down, the pads along the sponge's long sides.
+fn above(sponge: &Isometry3<f64>, lift: f64, yaw: f64) -> Isometry3<f64> {
+    let x = Vector3::new(0.0, 0.0, -1.0);
+    let z = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw) * Vector3::y();
+    let axes = nalgebra::Rotation3::from_basis_unchecked(&[x, z.cross(&x), z]);
+    let at = sponge.translation.vector + Vector3::z() * (0.08 + lift);
+    Isometry3::from_parts(at.into(), UnitQuaternion::from_rotation_matrix(&axes))
+}
+
+fn world() -> World {
+    let mut world = World::default();
+    world.objects[0].at = [0.30, 0.52];
+    world.objects[0].yaw_deg = 90.0;
+    world
+}
+
+fn grasped(world: &World) -> (Hand, Isometry3<f64>) {
+    let mut hand = Hand::new(world, 3);
+    hand.step(&Twist::default(), 0.0);
+    let sponge = hand.simulation.truth().sponge.unwrap();
+    assert!(hand.go(&above(&sponge, 0.12, 0.0), 6.0, 0.05) < 0.01);
+    let grasp = above(&sponge, 0.0, 0.0);
+    assert!(hand.go(&grasp, 3.0, 0.0) < 0.005);
+    hand.go(&grasp, 1.5, -0.05);
+    assert!(hand.simulation.truth().held);
+    hand.simulation.referee().mark(Mark::GraspClosed, hand.now());
+    (hand, grasp)
+}
+
+#[test]
+fn the_sponge_is_taken_pressed_and_wiped_with() {
+    let (mut hand, grasp) = grasped(&world());
+    let error = hand.simulation.referee().report().grasp.unwrap().position_error_m;
+    assert!(error < 0.01, "{error}");
+    hand.go(&above(&grasp, 0.0, 0.0), 2.0, -0.05);
+    assert!(hand.simulation.truth().held && hand.force() == 0.0);
+
+    // Down, then a circle at 8 N by a plain integrating force control on the true force.
+    let referee = hand.simulation.referee();
+    referee.mark(Mark::AdaptationStarted, hand.now());
+    let center = grasp.translation.vector;
+    let (mut z, radius, omega) = (hand.simulation.truth().tcp.translation.z, 0.04, TAU * 0.4);
+    let (mut t, mut marked) = (0.0f64, false);
+    while t < 24.0 {
+        let ramp = (t / 4.0).min(1.0);
+        let theta = omega * t;
+        let mut goal = grasp;
+        goal.translation.x = center.x + ramp * radius * (theta.cos() - 1.0);
+        goal.translation.y = center.y + ramp * radius * theta.sin();
+        let error = 8.0 - hand.force();
+        z -= (error * 3e-3).clamp(-0.02, 0.02) * 1e-3;
+        goal.translation.z = z;
+        let tcp = hand.simulation.truth().tcp;
+        let mut twist = towards(&tcp, &goal, 0.3);
+        twist.linear.x += ramp * radius * omega * -theta.sin();
+        twist.linear.y += ramp * radius * omega * theta.cos();
+        hand.step(&twist, -0.05);
+        t += 1e-3;
+        if t > 11.0 && !marked {
+            marked = true;
+            referee.mark(Mark::AdaptationEnded { desired_n: 8.0, cycles: 2 }, hand.now());
+        }
+    }
+    assert!(hand.simulation.truth().held);
+    let force = referee.report().force.unwrap();
+    println!("{force:?} wiped {:?}", referee.report().wiped_fraction);
+    assert!((force.mean_n - 8.0).abs() < 1.0, "{force:?}");
+    assert!(force.rms_error_n < 2.0 && force.contact_lost_s == 0.0, "{force:?}");
+    let friction = hand.simulation.truth().contact.tangential.norm();
+    assert!((friction / hand.force() - 0.5).abs() < 0.05, "{friction}");
+    // The compensated wrist feels the table through sponge and grip (no tare: bias and drift remain).
+    let sensed = hand.robot.sensed().borrow().wrist.force;
+    let contact = hand.simulation.truth().contact;
+    let true_force = contact.tangential + Vector3::z() * contact.normal;
+    assert!((sensed - true_force).norm() < 6.0, "{sensed} {true_force}");
+    let wiped = hand.simulation.wiped().cells().iter().filter(|c| **c).count();
+    assert!(wiped > 1500, "{wiped}");
+    let point = Point3::from(hand.simulation.truth().tcp.translation.vector);
+    assert!(point.z.is_finite() && hand.tcp.index() > 0);
+}
+
+#[test]
+fn a_knock_takes_the_sponge_out_of_the_hand() {
+    let mut world = world();
+    world.disturbances = vec![Disturbance { at: 0.5, force: [150.0, 0.0, 0.0], ..Disturbance::default() }];
+    let (mut hand, grasp) = grasped(&world);
+    let lifted = above(&grasp, 0.0, 0.0);
+    hand.go(&lifted, 2.0, -0.05);
+    hand.robot.say("I am wiping.");
+    let mut lost = false;
+    for _ in 0..1500 {
+        let q = hand.simulation.truth().held;
+        lost |= !q;
+        hand.simulation.step();
+    }
+    assert!(lost);
+}
