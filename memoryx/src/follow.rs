@@ -141,7 +141,10 @@ impl Follower {
     }
 
     /// After a gap of unknown content: whatever the memory has that was not told.
-    async fn read_again(&mut self) -> Result<(), MemoryError> {
+    ///
+    /// # Errors
+    /// As [`Memory::query`].
+    pub async fn read_again(&mut self) -> Result<(), MemoryError> {
         let held = self.memory.query(&Query::history(self.pattern.clone())).await?;
         held.into_iter().for_each(|s| self.tell(s));
         Ok(())

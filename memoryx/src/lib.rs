@@ -5,6 +5,7 @@
 //! - [`WorkingMemory`]: what an agent knows now.
 //! - [`Follower`]: a subscription that says what it missed.
 //! - [`PriorKnowledge`]: object classes, known before one is seen.
+//! - [`MemoryServer`], [`RemoteMemory`]: a memory shared over Zenoh ([`wire`] says how).
 //! - [`Observer`]: conditions on memory that become events.
 //! - [`LongTermMemory`]: what is kept on disk; [`Consolidator`] decides what.
 //!
@@ -18,8 +19,11 @@ mod memory;
 mod observer;
 pub mod prior;
 mod query;
+mod remote;
 mod schema;
+mod server;
 mod store;
+pub mod wire;
 mod working;
 
 pub use entity::{Commit, EntityId, Instance, Snapshot, check_name};
@@ -29,8 +33,13 @@ pub use memory::{Memory, modify};
 pub use observer::{Condition, MemoryEvent, Observer};
 pub use prior::{GraspPose, ObjectClass, PriorKnowledge, Recognition};
 pub use query::{Pattern, Query, Times};
+pub use remote::RemoteMemory;
 pub use schema::{Attribute, SegmentSchema, core_segments};
+pub use server::MemoryServer;
 pub use store::{
     Consolidator, LongTermMemory, Numbering, Policies, Policy, Step, StoreError, StoreStats, Verification,
 };
 pub use working::{Backing, Clock, Limits, WorkingMemory, tokio_clock};
+
+#[cfg(test)]
+mod working_tests;

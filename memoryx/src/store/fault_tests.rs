@@ -1,1 +1,341 @@
+//! Long-term memory on media that fail: a crash at every write, a full disk, cut and flipped files, kill -9.
 
+use std::io;
+use std::io::BufRead;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::sync::{Arc, Mutex};
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use redb::StorageBackend;
+
+use super::tests::snapshot;
+use super::*;
+
+/// A medium that loses power: what was not synced may be there or not, piece by piece.
+#[derive(Clone, Debug, Default)]
+struct Medium(Arc<Mutex<Disk>>);
+
+#[derive(Debug, Default)]
+struct Disk {
+    /// What a reader sees.
+    seen: Vec<u8>,
+    /// What survives for certain.
+    synced: Vec<u8>,
+    /// Writes since the last sync.
+    loose: Vec<(u64, Vec<u8>)>,
+    /// Syncs so far.
+    syncs: u64,
+    /// Changes that still work.
+    left: Option<u64>,
+    /// What the changes after that report.
+    full: bool,
+}
+
+impl Disk {
+    fn change(&mut self) -> io::Result<()> {
+        match &mut self.left {
+            Some(0) if self.full => Err(io::ErrorKind::StorageFull.into()),
+            Some(0) => Err(io::Error::other("the power is off")),
+            Some(left) => {
+                *left -= 1;
+                Ok(())
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+impl Medium {
+    fn store(&self) -> Result<LongTermMemory, StoreError> {
+        let medium = self.clone();
+        let opener: Opener = Box::new(move || redb::Builder::new().create_with_backend(medium.clone()));
+        LongTermMemory::open_with("medium".into(), None, opener)
+    }
+
+    fn fail_after(&self, changes: Option<u64>, full: bool) {
+        let mut disk = self.0.lock().unwrap();
+        (disk.left, disk.full) = (changes, full);
+    }
+
+    /// The power comes back: each loose write is there, in part, or not.
+    fn recover(&self, random: &mut ChaCha8Rng) {
+        let mut disk = self.0.lock().unwrap();
+        let mut bytes = std::mem::take(&mut disk.synced);
+        for (offset, data) in std::mem::take(&mut disk.loose) {
+            let written = match random.random_range(0..3) {
+                0 => 0,
+                1 => random.random_range(0..=data.len()),
+                _ => data.len(),
+            };
+            let (start, end) = (offset as usize, offset as usize + written);
+            if bytes.len() < end {
+                bytes.resize(end, 0);
+            }
+            bytes[start..end].copy_from_slice(&data[..written]);
+        }
+        *disk = Disk { seen: bytes.clone(), synced: bytes, ..Disk::default() };
+    }
+}
+
+impl StorageBackend for Medium {
+    fn len(&self) -> io::Result<u64> {
+        Ok(self.0.lock().unwrap().seen.len() as u64)
+    }
+
+    fn read(&self, offset: u64, out: &mut [u8]) -> io::Result<()> {
+        let disk = self.0.lock().unwrap();
+        let from = offset as usize;
+        let bytes = disk.seen.get(from..from + out.len()).ok_or(io::ErrorKind::UnexpectedEof)?;
+        out.copy_from_slice(bytes);
+        Ok(())
+    }
+
+    fn set_len(&self, len: u64) -> io::Result<()> {
+        let mut disk = self.0.lock().unwrap();
+        disk.change()?;
+        disk.seen.resize(len as usize, 0);
+        Ok(())
+    }
+
+    fn sync_data(&self) -> io::Result<()> {
+        let mut disk = self.0.lock().unwrap();
+        disk.change()?;
+        disk.syncs += 1;
+        disk.synced = disk.seen.clone();
+        disk.loose.clear();
+        Ok(())
+    }
+
+    fn write(&self, offset: u64, data: &[u8]) -> io::Result<()> {
+        let mut disk = self.0.lock().unwrap();
+        disk.change()?;
+        let from = offset as usize;
+        disk.seen.get_mut(from..from + data.len()).ok_or(io::ErrorKind::UnexpectedEof)?.copy_from_slice(data);
+        disk.loose.push((offset, data.to_vec()));
+        Ok(())
+    }
+}
+
+/// Keeps versions one after the other until the medium fails; the last version that was acknowledged.
+fn keep_until_failure(medium: &Medium, from: u64, to: u64) -> u64 {
+    let Ok(store) = medium.store() else { return from - 1 };
+    for version in from..=to {
+        if store.persist(&[snapshot("S/p/e", version, version, version as i64)]).is_err() {
+            return version - 1;
+        }
+    }
+    to
+}
+
+fn check_kept(medium: &Medium, acknowledged: u64) {
+    let store = medium.store().unwrap();
+    let kept = store.query(&Query::history(Pattern::any())).unwrap();
+    let versions: Vec<u64> = kept.iter().map(|s| s.version).collect();
+    // The one that was being kept may be there, whole.
+    assert!(versions.len() as u64 >= acknowledged && versions.len() as u64 <= acknowledged + 1);
+    assert_eq!(versions, (1..=versions.len() as u64).collect::<Vec<_>>());
+    let verified = store.verify().unwrap();
+    assert!(verified.is_intact(), "{verified:?}");
+}
+
+#[test]
+fn a_crash_at_any_write_loses_nothing_acknowledged() {
+    for changes in 0..180 {
+        let mut random = ChaCha8Rng::seed_from_u64(changes);
+        let medium = Medium::default();
+        let acknowledged = keep_until_failure(&medium, 1, 4);
+        assert_eq!(acknowledged, 4);
+        medium.fail_after(Some(changes), false);
+        let acknowledged = keep_until_failure(&medium, 5, 14);
+        medium.recover(&mut random);
+        check_kept(&medium, acknowledged);
+    }
+}
+
+#[test]
+fn each_group_is_synced_once() {
+    let medium = Medium::default();
+    let store = medium.store().unwrap();
+    for group in 0..5 {
+        let before = medium.0.lock().unwrap().syncs;
+        let snapshots: Vec<_> = (1..100).map(|v| snapshot("S/p/e", group * 100 + v, v, 0)).collect();
+        store.persist(&snapshots).unwrap();
+        assert_eq!(medium.0.lock().unwrap().syncs - before, 1);
+        assert!(medium.0.lock().unwrap().loose.is_empty(), "nothing is written after the sync");
+    }
+}
+
+#[test]
+fn a_crash_while_the_file_is_made_leaves_one_that_can_be_made() {
+    for changes in 0..60 {
+        let mut random = ChaCha8Rng::seed_from_u64(changes);
+        let medium = Medium::default();
+        medium.fail_after(Some(changes), false);
+        let acknowledged = keep_until_failure(&medium, 1, 3);
+        medium.recover(&mut random);
+        match medium.store() {
+            Ok(_) => check_kept(&medium, acknowledged),
+            // Such a file lies beside its place, and is made again.
+            Err(error) => {
+                assert_eq!(acknowledged, 0, "{error}");
+                assert!(
+                    matches!(error, StoreError::NotAStore { .. } | StoreError::Damaged { .. }),
+                    "{error}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn a_full_disk_is_an_error_and_no_damage() {
+    for changes in 0..20 {
+        let medium = Medium::default();
+        let store = medium.store().unwrap();
+        store.persist(&[snapshot("S/p/e", 1, 1, 1)]).unwrap();
+        medium.fail_after(Some(changes), true);
+        let mut acknowledged = 1;
+        let error = loop {
+            match store.persist(&[snapshot("S/p/e", acknowledged + 1, 1, 1)]) {
+                Ok(_) => acknowledged += 1,
+                Err(error) => break error,
+            }
+        };
+        assert_eq!(error, StoreError::Full { path: "medium".into() });
+        assert!(store.persist(&[snapshot("S/p/f", 1, 1, 1)]).is_err());
+        medium.fail_after(None, false);
+        store.persist(&[snapshot("S/p/f", 1, 1, 1)]).unwrap();
+        let kept = store.query(&Query::history(Pattern::segment("S").named("e"))).unwrap();
+        assert!(kept.len() as u64 == acknowledged || kept.len() as u64 == acknowledged + 1);
+        assert!(store.verify().unwrap().is_intact());
+    }
+}
+
+fn file_with(folder: &Path, name: &str, snapshots: u64) -> std::path::PathBuf {
+    let path = folder.join(name);
+    let store = LongTermMemory::open(&path).unwrap();
+    let all: Vec<_> = (1..=snapshots).map(|v| snapshot("S/p/e", v, v, v as i64)).collect();
+    store.persist(&all).unwrap();
+    path
+}
+
+#[test]
+fn a_cut_file_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file_with(folder.path(), "whole.redb", 500);
+    let bytes = std::fs::read(&path).unwrap();
+    for part in [1, 10, 100, 511, 512, 4095, 4096, 5000, bytes.len() / 2, bytes.len() - 4096, bytes.len() - 1]
+    {
+        let cut = folder.path().join("cut.redb");
+        std::fs::write(&cut, &bytes[..part]).unwrap();
+        let found = LongTermMemory::open(&cut).and_then(|store| store.verify());
+        match found {
+            Err(StoreError::NotAStore { .. } | StoreError::Damaged { .. } | StoreError::Failed { .. }) => {}
+            Ok(verification) if !verification.is_intact() => {}
+            other => panic!("a file cut to {part} of {} bytes gave {other:?}", bytes.len()),
+        }
+    }
+}
+
+#[test]
+fn a_flipped_bit_is_found_or_harmless() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file_with(folder.path(), "whole.redb", 200);
+    let bytes = std::fs::read(&path).unwrap();
+    let expected = LongTermMemory::open(&path).unwrap().query(&Query::history(Pattern::any())).unwrap();
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let mut found = 0;
+    for _ in 0..150 {
+        let mut flipped = bytes.clone();
+        let at = random.random_range(0..flipped.len());
+        flipped[at] ^= 1 << random.random_range(0..8);
+        let file = folder.path().join("flipped.redb");
+        std::fs::write(&file, &flipped).unwrap();
+        let verified = LongTermMemory::open(&file).and_then(|store| {
+            let verified = store.verify()?;
+            Ok((verified, store.query(&Query::history(Pattern::any()))))
+        });
+        match verified {
+            // Free space, or a part of which redb keeps two: then everything is there.
+            Ok((verified, kept)) if verified.is_intact() => {
+                assert_eq!(kept.unwrap(), expected, "bit at {at}")
+            }
+            _ => found += 1,
+        }
+    }
+    assert!(found > 0);
+}
+
+#[test]
+fn other_files_are_refused_and_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("text.redb");
+    std::fs::write(&path, "name: value\n".repeat(1000)).unwrap();
+    assert!(matches!(LongTermMemory::open(&path), Err(StoreError::NotAStore { .. })));
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), "name: value\n".repeat(1000));
+
+    let path = folder.path().join("other.redb");
+    let other = Database::create(&path).unwrap();
+    let write = other.begin_write().unwrap();
+    write.open_table(TableDefinition::<u64, u64>::new("something")).unwrap();
+    write.commit().unwrap();
+    drop(other);
+    assert!(matches!(LongTermMemory::open(&path), Err(StoreError::NotAStore { .. })));
+
+    let path = folder.path().join("newer.redb");
+    drop(LongTermMemory::open(&path).unwrap());
+    let newer = Database::create(&path).unwrap();
+    let write = newer.begin_write().unwrap();
+    write.open_table(META).unwrap().insert("format", 2).unwrap();
+    write.commit().unwrap();
+    drop(newer);
+    let path_text = path.display().to_string();
+    let error = StoreError::Format { path: path_text, found: 2, supported: FORMAT };
+    assert_eq!(LongTermMemory::open(&path).unwrap_err(), error);
+}
+
+/// The variable that makes [`the_process_that_is_killed`] one.
+const CHILD: &str = "ARMARIUM_TEST_STORE";
+
+/// Keeps versions and says which were acknowledged, when it is started by the next test.
+#[test]
+fn the_process_that_is_killed() {
+    let Ok(path) = std::env::var(CHILD) else { return };
+    let store = LongTermMemory::open(Path::new(&path)).unwrap();
+    let id: EntityId = "S/p/e".parse().unwrap();
+    let mut version = store.last_version(&id).unwrap();
+    loop {
+        version += 1;
+        store.persist(&[snapshot("S/p/e", version, version, version as i64)]).unwrap();
+        println!("acknowledged {version}");
+    }
+}
+
+#[test]
+fn a_killed_process_loses_nothing_acknowledged() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("killed.redb");
+    let mut random = ChaCha8Rng::seed_from_u64(9);
+    for _ in 0..5 {
+        let mut child = Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "store::fault_tests::the_process_that_is_killed", "--nocapture"])
+            .env(CHILD, &path)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let lines = io::BufReader::new(child.stdout.take().unwrap()).lines();
+        let count = random.random_range(1..60);
+        let mut last = 0;
+        let acknowledged = lines.map_while(Result::ok);
+        for line in acknowledged.filter_map(|l| l.rsplit_once("acknowledged ")?.1.parse().ok()).take(count) {
+            last = line;
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let store = LongTermMemory::open(&path).unwrap();
+        assert!(last > 0 && store.last_version(&"S/p/e".parse().unwrap()).unwrap() >= last);
+        assert!(store.verify().unwrap().is_intact());
+    }
+}

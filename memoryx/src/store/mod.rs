@@ -183,36 +183,41 @@ pub struct LongTermMemory {
 }
 
 impl LongTermMemory {
-    /// Opens the file, or makes it.
+    /// Opens the file, or makes it. A new file is made beside its place and moved there when it is whole, so that a
+    /// crash leaves none or all of it.
     ///
     /// # Errors
     /// [`StoreError::Locked`] when it is open elsewhere; [`StoreError::NotAStore`], [`StoreError::Format`] and
     /// [`StoreError::Damaged`] for a file that cannot be used, which is left as it is; [`StoreError::Failed`].
     pub fn open(path: &Path) -> Result<Self, StoreError> {
-        let file = path.to_path_buf();
-        let is_new = !file.exists();
-        let opener: Opener = {
-            let file = file.clone();
-            Box::new(move || redb::Builder::new().set_cache_size(CACHE).create(&file))
-        };
-        let store = Self::open_with(path.display().to_string(), Some(file), opener)?;
-        if is_new {
-            store.sync_folder(path)?;
+        let name = path.display().to_string();
+        let failed = |e: std::io::Error| StoreError::Failed { path: name.clone(), what: e.to_string() };
+        if std::fs::metadata(path).map_or(true, |m| m.len() == 0) {
+            let mut beside = path.as_os_str().to_owned();
+            beside.push(".new");
+            let beside = PathBuf::from(beside);
+            match std::fs::remove_file(&beside) {
+                Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(failed(e)),
+                _ => {}
+            }
+            drop(Self::open_file(name.clone(), beside.clone())?);
+            std::fs::rename(&beside, path).map_err(failed)?;
+            let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+            std::fs::File::open(folder).and_then(|folder| folder.sync_all()).map_err(failed)?;
         }
-        Ok(store)
+        Self::open_file(name, path.into())
+    }
+
+    fn open_file(name: String, file: PathBuf) -> Result<Self, StoreError> {
+        let opened = file.clone();
+        let opener = Box::new(move || redb::Builder::new().set_cache_size(CACHE).create(&opened));
+        Self::open_with(name, Some(file), opener)
     }
 
     fn open_with(name: String, path: Option<PathBuf>, opener: Opener) -> Result<Self, StoreError> {
         let store = Self { path, name, opener, database: RwLock::new(None) };
         store.reopen()?;
         Ok(store)
-    }
-
-    /// A new file is there after a power cut only when its folder has been written too.
-    fn sync_folder(&self, path: &Path) -> Result<(), StoreError> {
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let synced = std::fs::File::open(folder).and_then(|folder| folder.sync_all());
-        synced.map_err(|e| StoreError::Failed { path: self.name.clone(), what: e.to_string() })
     }
 
     /// Keeps snapshots, all or none; on the disk when this returns. Snapshots that are there already stay as they
@@ -510,12 +515,20 @@ impl LongTermMemory {
     fn close_after<T>(&self, result: &Result<T, StoreError>) {
         if let Err(StoreError::Full { .. } | StoreError::Failed { .. } | StoreError::Damaged { .. }) = result
         {
-            let mut open = self.database.write().unwrap_or_else(PoisonError::into_inner);
-            let failed = open.take();
-            let _ = self.contained(|| {
-                drop(failed);
-                Ok(())
-            });
+            self.close();
+        }
+    }
+
+    /// Closing writes too, and so it can fail; what was acknowledged does not depend on it.
+    fn close(&self) {
+        let mut open = self.database.write().unwrap_or_else(PoisonError::into_inner);
+        let closing = open.take();
+        let closed = self.contained(|| {
+            drop(closing);
+            Ok(())
+        });
+        if let Err(error) = closed {
+            tracing::warn!(%error, "long-term memory was not closed cleanly");
         }
     }
 
@@ -568,9 +581,8 @@ impl LongTermMemory {
     fn contained<T>(&self, act: impl FnOnce() -> Result<T, StoreError>) -> Result<T, StoreError> {
         catch_unwind(AssertUnwindSafe(act)).unwrap_or_else(|panic| {
             let what = panic.downcast_ref::<String>().map(String::as_str);
-            let what =
-                what.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("its content is impossible");
-            Err(self.damaged(what.into()))
+            let what = what.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("unknown");
+            Err(self.damaged(format!("its pages contradict each other ({what})")))
         })
     }
 
@@ -625,6 +637,12 @@ impl Backing for LongTermMemory {
     fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError> {
         self.persist(snapshots)?;
         Ok(())
+    }
+}
+
+impl Drop for LongTermMemory {
+    fn drop(&mut self) {
+        self.close();
     }
 }
 

@@ -1,1 +1,237 @@
+//! Long-term memory as it is used: kept, asked, loaded back, consolidated.
 
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use armarium_values::Value;
+use proptest::prelude::*;
+
+use super::*;
+use crate::entity::{Commit, Instance};
+use crate::follow::Follower;
+use crate::working::Limits;
+
+pub(super) fn snapshot(path: &str, version: u64, time: u64, value: i64) -> Arc<Snapshot> {
+    let attributes = BTreeMap::from([("value".to_owned(), Value::Int(value))]);
+    Arc::new(Snapshot {
+        id: path.parse().unwrap(),
+        version,
+        referenced_ns: time,
+        sent_ns: time + 1,
+        arrived_ns: time + 2,
+        instances: vec![Instance::new(attributes)],
+    })
+}
+
+fn removed(path: &str, version: u64, time: u64) -> Arc<Snapshot> {
+    Arc::new(Snapshot { instances: Vec::new(), ..(*snapshot(path, version, time, 0)).clone() })
+}
+
+fn store() -> (tempfile::TempDir, PathBuf, Arc<LongTermMemory>) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("memory.redb");
+    let store = Arc::new(LongTermMemory::open(&path).unwrap());
+    (folder, path, store)
+}
+
+fn versions(found: &[Arc<Snapshot>]) -> Vec<(String, u64)> {
+    found.iter().map(|s| (s.id.to_string(), s.version)).collect()
+}
+
+#[test]
+fn what_is_kept_is_there_after_opening_again() {
+    let (_folder, path, store) = store();
+    let kept = [snapshot("Motions/a/wipe", 1, 10, 7), snapshot("Motions/a/wipe", 2, 20, 8)];
+    assert_eq!(store.persist(&kept), Ok(2));
+    assert_eq!(store.persist(&kept), Ok(0), "what is there already stays");
+    drop(store);
+    let store = LongTermMemory::open(&path).unwrap();
+    assert_eq!(store.newest(&kept[0].id).unwrap().unwrap(), kept[1]);
+    assert_eq!(store.last_version(&kept[0].id), Ok(2));
+    let stats = store.stats().unwrap();
+    assert_eq!((stats.entities, stats.snapshots), (1, 2));
+    assert!(stats.file_bytes > 0);
+    assert_eq!(store.verify().unwrap(), Verification { intact: 2, ..Verification::default() });
+}
+
+#[test]
+fn a_version_is_not_overwritten() {
+    let (_folder, _, store) = store();
+    store.persist(&[snapshot("S/p/e", 1, 10, 7)]).unwrap();
+    let other = store.persist(&[snapshot("S/p/new", 1, 1, 1), snapshot("S/p/e", 1, 10, 8)]);
+    assert_eq!(other, Err(StoreError::Version { id: "S/p/e".into(), version: 1 }));
+    assert_eq!(store.newest(&"S/p/new".parse().unwrap()), Ok(None), "all or none");
+}
+
+#[test]
+fn a_second_opening_is_refused() {
+    let (_folder, path, store) = store();
+    let second = LongTermMemory::open(&path).unwrap_err();
+    assert_eq!(second, StoreError::Locked { path: path.display().to_string() });
+    drop(store);
+    LongTermMemory::open(&path).unwrap();
+}
+
+#[test]
+fn a_second_run_goes_on_where_the_first_ended() {
+    let (_folder, _, store) = store();
+    let id: EntityId = "Motions/learned/wipe".parse().unwrap();
+    let commit = |value: f64| {
+        Commit::new(id.clone(), 5, BTreeMap::from([("frequency".to_owned(), Value::Float(value))]))
+    };
+    let run = || {
+        let backing = Consolidator::new(Arc::clone(&store), Policies::default());
+        WorkingMemory::new(Arc::new(|| 5)).with_backing(Arc::new(backing))
+    };
+    let first = run();
+    first.commit_now(vec![commit(0.5), commit(0.6)]).unwrap();
+    drop(first);
+
+    let second = run();
+    assert_eq!(store.load_into(&second, Pattern::segment("Motions")), Ok(1));
+    let found = second.latest_now(&id).unwrap();
+    assert_eq!((found.version, found.attribute("frequency")), (2, Some(&Value::Float(0.6))));
+    assert_eq!(second.commit_now(vec![commit(0.7).expecting(2)]), Ok(vec![3]));
+    assert_eq!(store.load_into(&second, Pattern::segment("Motions")), Ok(0), "what is newer stays");
+
+    let third = run();
+    assert_eq!(third.commit_now(vec![commit(0.8)]), Ok(vec![4]), "numbered on without having been loaded");
+}
+
+#[test]
+fn policies_choose() {
+    let seconds = |s: f64| (s * 1e9) as u64;
+    let five: Vec<_> = [0.0, 0.4, 1.0, 1.5, 1.9]
+        .iter()
+        .enumerate()
+        .map(|(i, t)| snapshot("S/p/e", i as u64 + 1, seconds(*t), i as i64 / 2))
+        .collect();
+    let named = |name: &str| Policy::Named([name.to_owned()].into());
+    for (policy, at_once, at_the_end) in [
+        (Policy::Nothing, vec![], vec![]),
+        (Policy::Everything, vec![1, 2, 3, 4, 5], vec![1, 2, 3, 4, 5]),
+        (Policy::OnChange, vec![1, 3, 5], vec![1, 3, 5]),
+        (Policy::AtMost { hz: 1.0 }, vec![1, 3], vec![1, 3, 5]),
+        (named("e"), vec![1, 2, 3, 4, 5], vec![1, 2, 3, 4, 5]),
+        (named("f"), vec![], vec![]),
+    ] {
+        let (_folder, _, store) = store();
+        let consolidator = Consolidator::new(Arc::clone(&store), Policies::all(policy.clone()));
+        let kept = |expected: &[u64]| {
+            let found = store.query(&Query::history(Pattern::any())).unwrap();
+            assert_eq!(found.iter().map(|s| s.version).collect::<Vec<_>>(), expected, "{policy:?}");
+        };
+        for part in five.chunks(2) {
+            consolidator.consolidate(part).unwrap();
+        }
+        kept(&at_once);
+        consolidator.flush().unwrap();
+        consolidator.flush().unwrap();
+        kept(&at_the_end);
+    }
+}
+
+#[test]
+fn a_change_is_one_after_opening_again_too() {
+    let (_folder, _, store) = store();
+    let on_change = || Consolidator::new(Arc::clone(&store), Policies::all(Policy::OnChange));
+    assert_eq!(on_change().consolidate(&[snapshot("S/p/e", 1, 0, 7)]), Ok(1));
+    assert_eq!(on_change().consolidate(&[snapshot("S/p/e", 2, 0, 7)]), Ok(0));
+    assert_eq!(on_change().consolidate(&[snapshot("S/p/e", 3, 0, 8)]), Ok(1));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_task_keeps_what_it_follows_to_the_last() {
+    let (_folder, _, store) = store();
+    let memory = WorkingMemory::new(Arc::new(|| 0))
+        .with_limits(Limits { history: 100, backlog: 8, ..Limits::default() })
+        .with_backing(Arc::new(Numbering(Arc::clone(&store))));
+    let memory = Arc::new(memory);
+    let (follower, _) =
+        Follower::from_now(Arc::<WorkingMemory>::clone(&memory), Pattern::any()).await.unwrap();
+    let consolidator = Consolidator::new(Arc::clone(&store), Policies::all(Policy::Everything));
+    let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
+    let task =
+        tokio::spawn(async move { consolidator.follow(follower, async { drop(stopped.await) }).await });
+    for i in 0..50_i64 {
+        let attributes = BTreeMap::from([("value".to_owned(), Value::Int(i))]);
+        memory.commit_now(vec![Commit::new("S/p/e".parse().unwrap(), 0, attributes)]).unwrap();
+        if i % 20 == 0 {
+            tokio::task::yield_now().await;
+        }
+    }
+    stop.send(()).unwrap();
+    assert_eq!(task.await.unwrap(), Ok(Step { kept: 50, missed: 0 }));
+    assert_eq!(store.stats().unwrap().snapshots, 50);
+}
+
+#[test]
+fn compaction_keeps_everything() {
+    let (_folder, path, store) = store();
+    let many: Vec<_> = (1..2000).map(|v| snapshot("S/p/e", v, v, v as i64)).collect();
+    for part in many.chunks(50) {
+        store.persist(part).unwrap();
+    }
+    let before = std::fs::metadata(&path).unwrap().len();
+    assert_eq!(store.compact(), Ok(true));
+    assert!(std::fs::metadata(&path).unwrap().len() < before);
+    assert_eq!(store.query(&Query::history(Pattern::any())).unwrap(), many);
+    assert_eq!(store.verify().unwrap().intact, 1999);
+}
+
+/// A history with times out of order and removals, by entity.
+fn histories() -> impl Strategy<Value = Vec<(u8, u64, bool)>> {
+    proptest::collection::vec((0u8..3, 0u64..12, proptest::bool::weighted(0.8)), 0..30)
+}
+
+fn queries() -> impl Strategy<Value = Query> {
+    let times = prop_oneof![
+        Just(Times::Latest),
+        Just(Times::All),
+        (0u64..12, 0u64..12).prop_map(|(a, b)| Times::Between(a, b)),
+        (0u64..13).prop_map(Times::At),
+        (0u64..13).prop_map(Times::Before),
+    ];
+    let pattern = prop_oneof![
+        Just(Pattern::any()),
+        Just(Pattern::segment("S")),
+        Just(Pattern::segment("S").of_provider("p").named("e1")),
+        Just(Pattern { entity: Some("e2".into()), ..Pattern::any() }),
+        Just(Pattern::segment("T")),
+    ];
+    (pattern, times, proptest::option::of(0usize..4)).prop_map(|(pattern, times, limit)| Query {
+        pattern,
+        times,
+        limit,
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    /// Working memory that forgets nothing is the oracle of the queries on disk.
+    #[test]
+    fn queries_mean_the_same_on_disk(history in histories(), queries in proptest::collection::vec(queries(), 8)) {
+        let (_folder, _, store) = store();
+        let memory = WorkingMemory::new(Arc::new(|| 0)).with_backing(Arc::<LongTermMemory>::clone(&store));
+        for (name, time, there) in history {
+            let id: EntityId = format!("S/p/e{name}").parse().unwrap();
+            let update = if there { Commit::new(id, time, BTreeMap::new()) } else { Commit::removal(id, time) };
+            memory.commit_now(vec![update]).unwrap();
+        }
+        for query in queries {
+            let expected = memory.query_now(&query);
+            prop_assert_eq!(versions(&store.query(&query).unwrap()), versions(&expected), "{:?}", query);
+        }
+        prop_assert!(store.verify().unwrap().is_intact());
+    }
+}
+
+#[test]
+fn removals_come_back_as_removals() {
+    let (_folder, _, store) = store();
+    store.persist(&[snapshot("S/p/e", 1, 1, 1), removed("S/p/e", 2, 2)]).unwrap();
+    assert_eq!(store.query(&Query::latest(Pattern::any())), Ok(vec![]));
+    assert_eq!(store.newest(&"S/p/e".parse().unwrap()).unwrap().unwrap().version, 2);
+}

@@ -1,0 +1,150 @@
+//! What memories say to each other over Zenoh: payloads, their schemas, and the parameters of a get.
+//!
+//! | where | payload | answer |
+//! |---|---|---|
+//! | get `{agent}/memory` | `memoryx/commit;v1`: [`CommitRequest`] | `memoryx/versions;v1`: list of versions |
+//! | get `{agent}/memory` | `memoryx/query;v1`: [`Query`] | `memoryx/snapshots;v1`: list of snapshots |
+//! | get `{agent}/memory/{segment}/{provider}/{entity}`, `*` allowed | - | `memoryx/entity;v1` each, on its own key |
+//! | put `{agent}/memory/{segment}/{provider}/{entity}` by others | `memoryx/update;v1`: [`Commit`] | - |
+//! | put `{agent}/memory/{segment}/{provider}/{entity}` by the memory | `memoryx/entity;v1`: [`Snapshot`] | - |
+//!
+//! A refusal is an error reply with `memoryx/error;v1`: [`MemoryError`]. Parameters of a get on entities, times in ns:
+//! none (the newest), `history`, `at=T`, `before=T`, `from=T;to=T`, and with each `limit=N`.
+
+use armarium_bus::{CodecError, Key, KeyPattern, Payload, Schema, keys};
+use serde::{Deserialize, Serialize};
+
+use crate::entity::{Commit, Snapshot};
+use crate::error::MemoryError;
+use crate::query::{Pattern, Query, Times};
+
+/// Updates that are taken together or not at all.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CommitRequest {
+    /// The updates.
+    pub updates: Vec<Commit>,
+    /// When they were sent, ns since 1970 by the sender's clock.
+    pub sent_ns: u64,
+}
+
+/// The versions that a commit has made, in order.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Versions(pub Vec<u64>);
+
+/// The snapshots that answer a query.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Snapshots(pub Vec<Snapshot>);
+
+impl Payload for CommitRequest {
+    const SCHEMA: Schema = Schema::new("memoryx/commit", 1);
+}
+impl Payload for Versions {
+    const SCHEMA: Schema = Schema::new("memoryx/versions", 1);
+}
+impl Payload for Query {
+    const SCHEMA: Schema = Schema::new("memoryx/query", 1);
+}
+impl Payload for Snapshots {
+    const SCHEMA: Schema = Schema::new("memoryx/snapshots", 1);
+}
+impl Payload for Snapshot {
+    const SCHEMA: Schema = Schema::new("memoryx/entity", 1);
+}
+impl Payload for Commit {
+    const SCHEMA: Schema = Schema::new("memoryx/update", 1);
+}
+impl Payload for MemoryError {
+    const SCHEMA: Schema = Schema::new("memoryx/error", 1);
+}
+
+/// A payload of the type that its encoding names.
+pub(crate) fn open<T: Payload>(encoding: &str, payload: &[u8]) -> Result<T, CodecError> {
+    T::SCHEMA.check(encoding)?;
+    armarium_bus::decode(payload)
+}
+
+/// The encoding and the bytes of a payload.
+pub(crate) fn seal<T: Payload>(content: &T) -> Result<(String, Vec<u8>), CodecError> {
+    Ok((T::SCHEMA.encoding(), armarium_bus::encode(content)?))
+}
+
+/// The key of a snapshot's entity in an agent's memory.
+pub(crate) fn entity_key(agent: &str, snapshot: &Snapshot) -> Result<Key, armarium_bus::KeyError> {
+    keys::memory(agent, snapshot.id.segment(), snapshot.id.provider(), snapshot.id.entity())
+}
+
+/// All entities of an agent's memory.
+pub(crate) fn every_entity(agent: &str) -> Result<KeyPattern, armarium_bus::KeyError> {
+    keys::memory_pattern(Some(agent), None, None, None)
+}
+
+/// The query that a get on entities means.
+pub(crate) fn query_of_get(key: &str, parameters: &str) -> Result<Query, String> {
+    let parts: Vec<&str> = key.split('/').collect();
+    let [_, "memory", segment, provider, entity] = parts[..] else {
+        return Err(format!("`{key}` is no key of entities"));
+    };
+    let part = |name: &str| (name != "*" && name != "**").then(|| name.to_owned());
+    let pattern = Pattern { segment: part(segment), provider: part(provider), entity: part(entity) };
+    let mut query = Query::latest(pattern);
+    let (mut from, mut to) = (None, None);
+    for parameter in parameters.split(';').filter(|p| !p.is_empty()) {
+        let (name, value) = parameter.split_once('=').unwrap_or((parameter, ""));
+        let number = || value.parse::<u64>().map_err(|_| format!("`{parameter}` needs a whole number"));
+        match name {
+            "latest" => query.times = Times::Latest,
+            "history" => query.times = Times::All,
+            "at" => query.times = Times::At(number()?),
+            "before" => query.times = Times::Before(number()?),
+            "from" => from = Some(number()?),
+            "to" => to = Some(number()?),
+            "limit" => query.limit = Some(usize::try_from(number()?).unwrap_or(usize::MAX)),
+            _ => return Err(format!("`{name}` is no parameter of a get on memory")),
+        }
+    }
+    if from.is_some() || to.is_some() {
+        query.times = Times::Between(from.unwrap_or(0), to.unwrap_or(u64::MAX));
+    }
+    Ok(query)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_get_is_a_query() {
+        let all = Query::latest(Pattern::segment("Motions"));
+        for (key, parameters, expected) in [
+            ("a/memory/Motions/*/*", "", all.clone()),
+            ("a/memory/Motions/*/*", "history;limit=3", all.clone().times(Times::All).limit(3)),
+            ("a/memory/Motions/*/*", "from=5", all.clone().times(Times::Between(5, u64::MAX))),
+            ("a/memory/Motions/*/*", "from=5;to=6", all.clone().times(Times::Between(5, 6))),
+            ("a/memory/Motions/*/*", "at=7", all.times(Times::At(7))),
+            ("a/memory/S/p/e", "", Query::latest(Pattern::entity(&"S/p/e".parse().unwrap()))),
+        ] {
+            assert_eq!(query_of_get(key, parameters), Ok(expected), "{key}?{parameters}");
+        }
+        for (key, parameters) in [
+            ("a/memory/**", ""),
+            ("a/robot/x/y/z", ""),
+            ("a/memory/S/p/e", "at=x"),
+            ("a/memory/S/p/e", "page=1"),
+        ] {
+            assert!(query_of_get(key, parameters).is_err(), "{key}?{parameters}");
+        }
+    }
+
+    #[test]
+    fn payloads_are_opened_by_their_schema_only() {
+        let (encoding, bytes) = seal(&Versions(vec![1, 2])).unwrap();
+        assert_eq!(open::<Versions>(&encoding, &bytes), Ok(Versions(vec![1, 2])));
+        assert!(matches!(open::<Query>(&encoding, &bytes), Err(CodecError::OtherSchema { .. })));
+        assert!(matches!(open::<Versions>(&encoding, b"\xff"), Err(CodecError::Malformed { .. })));
+        let refusal = MemoryError::Conflict { id: "S/p/e".into(), expected: 1, actual: 2 };
+        let (encoding, bytes) = seal(&refusal).unwrap();
+        assert_eq!(open::<MemoryError>(&encoding, &bytes), Ok(refusal));
+    }
+}

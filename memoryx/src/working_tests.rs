@@ -1,0 +1,186 @@
+//! Working memory and its followers, beyond what the conformance suite asks of every memory.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use armarium_values::Value;
+use proptest::prelude::*;
+
+use crate::*;
+
+fn update(name: &str, time: u64, value: i64) -> Commit {
+    let id = EntityId::new("Things", "p", name).unwrap();
+    Commit::new(id, time, BTreeMap::from([("value".to_owned(), Value::Int(value))]))
+}
+
+fn memory(limits: Limits) -> Arc<WorkingMemory> {
+    Arc::new(WorkingMemory::new(Arc::new(|| 0)).with_limits(limits))
+}
+
+#[tokio::test(start_paused = true)]
+async fn it_conforms() {
+    let memory = WorkingMemory::new(tokio_clock());
+    conformance::check(&memory).await.unwrap();
+}
+
+#[test]
+fn three_times_are_kept_apart() {
+    let now = Arc::new(AtomicU64::new(100));
+    let clock = Arc::clone(&now);
+    let memory = WorkingMemory::new(Arc::new(move || clock.load(Ordering::Relaxed)));
+    memory.commit_sent(vec![update("a", 40, 1)], 90).unwrap();
+    now.store(200, Ordering::Relaxed);
+    memory.commit_now(vec![update("a", 41, 1)]).unwrap();
+    let times: Vec<_> = memory
+        .query_now(&Query::history(Pattern::any()))
+        .iter()
+        .map(|s| (s.referenced_ns, s.sent_ns, s.arrived_ns))
+        .collect();
+    assert_eq!(times, [(40, 90, 100), (41, 200, 200)]);
+}
+
+#[test]
+fn history_and_entities_are_bounded() {
+    let memory = memory(Limits { history: 2, entities: 2, ..Limits::default() });
+    for i in 0..5 {
+        memory.commit_now(vec![update("a", i, 0)]).unwrap();
+    }
+    let held: Vec<u64> =
+        memory.query_now(&Query::history(Pattern::any())).iter().map(|s| s.version).collect();
+    assert_eq!(held, [4, 5]);
+    let full = memory.commit_now(vec![update("b", 0, 0), update("a", 0, 0), update("c", 0, 0)]);
+    assert_eq!(full, Err(MemoryError::Full { id: "Things/p/c".into(), entities: 2 }));
+    assert_eq!(memory.len(), 1, "a commit that does not fit changes nothing");
+    memory.commit_now(vec![update("b", 0, 0)]).unwrap();
+}
+
+#[test]
+fn a_backing_that_fails_refuses_the_commit() {
+    struct Broken;
+    impl Backing for Broken {
+        fn last_version(&self, _: &EntityId) -> Result<u64, MemoryError> {
+            Ok(41)
+        }
+        fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError> {
+            match snapshots.len() {
+                1 => Ok(()),
+                _ => Err(MemoryError::Store { what: "only one at a time".into() }),
+            }
+        }
+    }
+    let memory = WorkingMemory::new(Arc::new(|| 0)).with_backing(Arc::new(Broken));
+    assert!(memory.commit_now(vec![update("a", 0, 0), update("b", 0, 0)]).is_err());
+    assert!(memory.is_empty());
+    assert_eq!(memory.commit_now(vec![update("a", 0, 0).expecting(0)]), Ok(vec![42]), "the backing numbers");
+}
+
+#[tokio::test(start_paused = true)]
+async fn concurrent_modifications_all_count() {
+    let memory = memory(Limits::default());
+    let add = |memory: Arc<WorkingMemory>| async move {
+        for _ in 0..50 {
+            let id = EntityId::new("Things", "p", "sum").unwrap();
+            modify(&*memory, &id, 0, |now| {
+                let sum = now.and_then(|s| s.attribute("value")?.as_int()).unwrap_or(0);
+                Some(BTreeMap::from([("value".to_owned(), Value::Int(sum + 1))]))
+            })
+            .await
+            .unwrap();
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::join!(add(Arc::clone(&memory)), add(Arc::clone(&memory)), add(Arc::clone(&memory)));
+    let sum = memory.latest_now(&EntityId::new("Things", "p", "sum").unwrap()).unwrap();
+    assert_eq!((sum.version, sum.attribute("value")), (150, Some(&Value::Int(150))));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_follower_resumes_where_it_was() {
+    let memory = memory(Limits { history: 3, ..Limits::default() });
+    let told = BTreeMap::from([("Things/p/a".parse().unwrap(), 2)]);
+    for i in 0..7 {
+        memory.commit_now(vec![update("a", i, 0)]).unwrap();
+    }
+    let mut follower =
+        Follower::resume(Arc::<WorkingMemory>::clone(&memory), Pattern::any(), told).await.unwrap();
+    let mut seen = Vec::new();
+    for change in follower.drain(100).await.unwrap() {
+        seen.push(match change {
+            Change::New(s) => (s.version, s.version),
+            Change::Missed { from, to, .. } => (from, to),
+        });
+    }
+    assert_eq!(seen, [(3, 4), (5, 5), (6, 6), (7, 7)]);
+    assert!(follower.told_all());
+}
+
+/// What a test does to both memories.
+#[derive(Clone, Debug)]
+enum Act {
+    Commit(Vec<(u8, bool, Option<u64>)>),
+    Drain,
+}
+
+fn acts() -> impl Strategy<Value = Vec<Act>> {
+    let commit = proptest::collection::vec((0u8..4, any::<bool>(), proptest::option::of(0u64..4)), 1..4);
+    let act = prop_oneof![4 => commit.prop_map(Act::Commit), 1 => Just(Act::Drain)];
+    proptest::collection::vec(act, 0..60)
+}
+
+proptest! {
+    /// Against a plain map from names to versions: the same commits are taken and refused, and a follower with a
+    /// short backlog tells or misses every version exactly once.
+    #[test]
+    fn commits_and_followers_agree_with_a_plain_map(acts in acts()) {
+        let limits = Limits { history: 2, backlog: 4, ..Limits::default() };
+        let memory = memory(limits);
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        let shared: Arc<dyn Memory> = Arc::<WorkingMemory>::clone(&memory);
+        let (mut follower, _) = runtime.block_on(Follower::from_now(shared, Pattern::any())).unwrap();
+        let mut model: BTreeMap<u8, (u64, bool)> = BTreeMap::new();
+        let mut told: BTreeMap<EntityId, u64> = BTreeMap::new();
+        let mut drain = |follower: &mut Follower| {
+            for change in runtime.block_on(follower.drain(usize::MAX)).unwrap() {
+                let (id, from, to) = match change {
+                    Change::New(s) => (s.id.clone(), s.version, s.version),
+                    Change::Missed { id, from, to } => (id, from, to),
+                };
+                let last = told.insert(id, to).unwrap_or(0);
+                assert_eq!(from, last + 1);
+            }
+            told.clone()
+        };
+        for act in acts {
+            let Act::Commit(updates) = act else {
+                drain(&mut follower);
+                continue;
+            };
+            let mut next = model.clone();
+            let mut fits = true;
+            let mut commits = Vec::new();
+            for (name, there, expected) in updates {
+                let (version, held) = next.get(&name).copied().unwrap_or((0, false));
+                fits &= expected.is_none_or(|e| e == if held { version } else { 0 });
+                next.insert(name, (version + 1, there));
+                let mut commit = update(&format!("e{name}"), version, 0);
+                commit.expected_version = expected;
+                if !there {
+                    commit.instances.clear();
+                }
+                commits.push(commit);
+            }
+            prop_assert_eq!(memory.commit_now(commits).is_ok(), fits);
+            if fits {
+                model = next;
+            }
+        }
+        let told = drain(&mut follower);
+        for (name, (version, held)) in model {
+            let id = EntityId::new("Things", "p", &format!("e{name}")).unwrap();
+            let latest = memory.latest_now(&id).ok().map(|s| s.version);
+            prop_assert_eq!(latest, held.then_some(version));
+            prop_assert_eq!(told.get(&id).copied(), Some(version));
+        }
+    }
+}
