@@ -555,6 +555,31 @@ mod tests {
     }
 
     #[test]
+    fn a_hand_beside_a_line_or_an_eight_moves_it_too() {
+        for (kind, phase, outward) in [
+            ("line", 0.25, [1.0, 1.0]),
+            ("line", 0.0, [-1.0, 1.6]),
+            ("eight", 0.25, [1.0, 0.0]),
+            ("eight", 0.125, [0.0, 1.0]),
+            ("eight", 0.375, [0.0, -1.0]),
+        ] {
+            for hz in [0.18, 0.5, 0.8] {
+                for sign in [1.0, -1.0] {
+                    let mut dmp = wiping(kind, [0.12, 0.08]);
+                    let outward = Vector3::new(outward[0], outward[1], 0.0).normalize();
+                    let [y, ..] = shape(kind, [0.12, 0.08], phase * TAU);
+                    let hand = y + 0.11 * outward;
+                    let (before, after, _) = coached(&mut dmp, hz, 12.0, 1.0, |_, _| {
+                        if sign > 0.0 { CoachInput::Attract { hand } } else { CoachInput::Repel { hand } }
+                    });
+                    let along = sign * change(&before, &after, phase * TAU).at_phase.dot(&outward);
+                    assert!(along > 0.012 && along < 0.05, "{kind} {phase} {hz} {sign}: {along}");
+                }
+            }
+        }
+    }
+
+    #[test]
     fn pointing_shifts_the_whole_motion() {
         let mut dmp = wiping("eight", [0.12, 0.08]);
         let direction = Vector3::new(0.0, 0.04, 0.3);

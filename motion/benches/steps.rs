@@ -1,0 +1,84 @@
+//! How long the steps take: `cargo bench -p armarium-motion`.
+
+#![allow(clippy::unwrap_used, missing_docs, reason = "a bench that cannot go on says where")]
+
+use armarium_motion::{
+    Coach, CoachConfig, CoachInput, FrictionConfig, FrictionModel, PeriodicDmp, PeriodicDmpConfig,
+    PhaseSample, SurfaceAdaptation, SurfaceConfig,
+};
+use divan::{Bencher, black_box};
+use nalgebra::Vector3;
+
+fn main() {
+    divan::main();
+}
+
+fn samples(dofs: usize) -> Vec<PhaseSample> {
+    (0..1000)
+        .map(|k| {
+            let phase = std::f64::consts::TAU * f64::from(k) / 1000.0;
+            let (s, c) = phase.sin_cos();
+            PhaseSample { phase, y: vec![s; dofs], dy: vec![c; dofs], ddy: vec![-s; dofs] }
+        })
+        .collect()
+}
+
+fn learned(dofs: usize) -> PeriodicDmp {
+    let mut dmp = PeriodicDmp::new(PeriodicDmpConfig::with_dofs(dofs)).unwrap();
+    dmp.learn_batch(&samples(dofs)).unwrap();
+    dmp.start_on_path(0.0, 3.0).unwrap();
+    dmp
+}
+
+#[divan::bench]
+fn step_7_dofs(bencher: Bencher) {
+    let mut dmp = learned(7);
+    bencher.bench_local(|| dmp.step(black_box(0.001), black_box(3.0)).map(|s| s.y[0]));
+}
+
+#[divan::bench]
+fn rollout_of_1000_steps_7_dofs(bencher: Bencher) {
+    let mut dmp = learned(7);
+    bencher.bench_local(|| (0..1000).try_fold(0.0, |sum, _| dmp.step(0.001, 3.0).map(|s| sum + s.y[0])));
+}
+
+#[divan::bench]
+fn learn_online_7_dofs(bencher: Bencher) {
+    let mut dmp = learned(7);
+    let mut phase = 0.0;
+    bencher.bench_local(|| {
+        phase += 0.003;
+        dmp.learn(phase, 3.0, 0.001, &[0.1; 7], &[0.2; 7], &[0.3; 7])
+    });
+}
+
+#[divan::bench]
+fn learn_batch_of_1000_7_dofs(bencher: Bencher) {
+    let samples = samples(7);
+    let mut dmp = learned(7);
+    bencher.bench_local(|| dmp.learn_batch(&samples));
+}
+
+#[divan::bench]
+fn coach_attracts(bencher: Bencher) {
+    let mut dmp = learned(3);
+    let mut coach = Coach::new(CoachConfig::default(), &dmp).unwrap();
+    let input = CoachInput::Attract { hand: Vector3::new(1.1, 1.0, 1.0) };
+    bencher.bench_local(|| coach.step(&mut dmp, 0.001, 3.0, input));
+}
+
+#[divan::bench]
+fn surface_adaptation(bencher: Bencher) {
+    let mut surface = SurfaceAdaptation::new(SurfaceConfig::default()).unwrap();
+    let mut phase = 0.0;
+    bencher.bench_local(|| {
+        phase += 0.003;
+        surface.step(0.001, phase, 3.0, 8.0)
+    });
+}
+
+#[divan::bench]
+fn friction(bencher: Bencher) {
+    let mut friction = FrictionModel::new(FrictionConfig::default()).unwrap();
+    bencher.bench_local(|| friction.step(0.001, 8.0, [0.1, 0.05], [3.0, 1.0]));
+}
