@@ -148,7 +148,7 @@ fn report() -> serde_json::Value {
         "force": {"mean_n": 7.97, "desired_n": 8.0, "rms_error_n": 0.44, "max_n": 9.9, "contact_lost_s": 0.0, "touchdown_max_n": 14.0, "cycles": 9},
         "wiped_fraction": 0.943,
         "coaching": [
-            {"kind": "push", "displacement_m": 0.031, "retained_m": 0.029, "far_side_rms_m": 0.0012, "direction_error_rad": 0.1},
+            {"kind": "push", "displacement_m": 0.031, "retained_m": 0.029, "far_side_rms_m": 0.0012, "direction_error_deg": 5.7},
             {"kind": "fist", "displacement_m": 0.021, "retained_m": 0.020, "far_side_rms_m": 0.001, "slowed_to": 0.42},
             {"kind": "open_hand"},
         ],

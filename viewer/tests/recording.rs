@@ -53,8 +53,10 @@ fn read(path: &std::path::Path, cut: Option<usize>) -> BTreeMap<String, Vec<(u64
             Ok(m) => {
                 topics.entry(m.channel.topic.clone()).or_default().push((m.log_time, m.data.into_owned()))
             }
-            Err(e) if cut.is_none() => panic!("a finished recording is whole: {e}"),
-            Err(_) => break,
+            Err(e) => {
+                assert!(cut.is_some(), "a finished recording is whole: {e}");
+                break;
+            }
         }
     }
     topics

@@ -142,10 +142,8 @@ fn coaching_of_one(index: usize, item: &Value) -> Vec<Figure> {
     let retained = get("retained_m").zip(get("displacement_m")).map(|(kept, all)| kept / all * 100.0);
     rows.push(figure(&group, "kept after two cycles", retained, "%", 0, AtLeast(80.0)));
     if push {
-        if item.get("direction_error_rad").is_some() {
-            let degrees = get("direction_error_rad").map(f64::to_degrees);
-            rows.push(figure(&group, "off the push's direction", degrees, "°", 1, AtMost(30.0)));
-        }
+        let degrees = get("direction_error_deg");
+        rows.push(figure(&group, "off the push's direction", degrees, "°", 1, AtMost(30.0)));
     } else {
         rows.push(figure(&group, "slowed to", get("slowed_to").map(|v| v * 100.0), "%", 0, AtMost(70.0)));
     }
@@ -185,13 +183,14 @@ mod tests {
     #[test]
     fn each_kind_of_coaching_is_asked_what_is_asked_of_it() {
         let report = json!({"wiped_fraction": 1.0, "coaching": [
-            {"kind": "push", "displacement_m": 0.025, "retained_m": 0.021, "far_side_rms_m": 0.001},
+            {"kind": "push", "displacement_m": 0.025, "retained_m": 0.021, "far_side_rms_m": 0.001,
+             "direction_error_deg": 12.0},
             {"kind": "point_one", "displacement_m": 0.012, "retained_m": 0.011, "slowed_to": 0.5},
             {"kind": "open_hand"},
         ]});
         let figures = figures(&report);
         assert!(figures.iter().all(|f| f.passed() == Some(true)), "{figures:?}");
-        assert_eq!(figures.iter().filter(|f| f.group.starts_with("Coaching 1")).count(), 3);
+        assert_eq!(figures.iter().filter(|f| f.group.starts_with("Coaching 1")).count(), 4);
         assert_eq!(figures.iter().filter(|f| f.group.starts_with("Coaching 2")).count(), 3);
         assert_eq!(figures.iter().filter(|f| f.group.starts_with("Coaching 3")).count(), 0);
     }

@@ -109,7 +109,7 @@ fn with_unit(text: String, unit: &str) -> String {
 fn requirement(figure: &Figure) -> String {
     let show = |v: f64| with_unit(format!("{v}").replace('-', "−"), &figure.unit);
     match figure.requirement {
-        Requirement::AtMost(bound) if bound == 0.0 => "none".to_owned(),
+        Requirement::AtMost(0.0) => "none".to_owned(),
         Requirement::AtMost(bound) => format!("at most {}", show(bound)),
         Requirement::AtLeast(bound) => format!("at least {}", show(bound)),
         Requirement::Between(low, high) => format!("{low} to {}", show(high)),

@@ -29,7 +29,7 @@ pub(super) fn pieces(t: &[f64], y: &[f64], range: [f64; 2], buckets: usize) -> V
 
 fn thin(piece: &[[f64; 2]], start: f64, width: f64) -> Vec<[f64; 2]> {
     let bucket = |p: &[f64; 2]| ((p[0] - start) / width).floor() as i64;
-    piece.chunk_by(|a, b| bucket(a) == bucket(b)).flat_map(|group| extremes(group)).collect()
+    piece.chunk_by(|a, b| bucket(a) == bucket(b)).flat_map(extremes).collect()
 }
 
 fn extremes(group: &[[f64; 2]]) -> Vec<[f64; 2]> {
