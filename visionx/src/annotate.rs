@@ -126,3 +126,36 @@ pub fn png(image: &Image) -> Result<Vec<u8>, EncodeError> {
     .map_err(EncodeError::Png)?;
     Ok(bytes.into_inner())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn black(width: u32, height: u32) -> Image {
+        Image::from_rgb(width, height, vec![0; (width * height * 3) as usize]).unwrap()
+    }
+
+    #[test]
+    fn png_keeps_the_pixels() {
+        let mut picture = black(20, 10);
+        line(&mut picture, &Point2::new(2.0, 3.0), &Point2::new(12.0, 3.0), [1, 2, 3]);
+        cross(&mut picture, &Point2::new(15.0, 5.0), 2.0, [9, 8, 7]);
+        let bytes = png(&picture).unwrap();
+        let read = image::load_from_memory(&bytes).unwrap().to_rgb8();
+        assert_eq!(read.as_raw().as_slice(), picture.data());
+        assert_eq!(picture.pixel(7, 3), [1, 2, 3]);
+        assert_eq!(picture.data().iter().filter(|&&v| v == 1).count(), 11);
+    }
+
+    #[test]
+    fn nothing_is_drawn_outside() {
+        let mut picture = black(8, 8);
+        let far = Point2::new(f64::MAX, f64::NAN);
+        line(&mut picture, &far, &Point2::origin(), [255; 3]);
+        circle(&mut picture, &Point2::new(-50.0, 400.0), 3.0, [255; 3]);
+        region(&mut picture, &Region { x: 100, y: 100, width: 3, height: 3 }, [255; 3]);
+        polygon(&mut picture, &[], [255; 3]);
+        assert_eq!(picture, black(8, 8));
+        assert!(png(&black(0, 0)).is_err());
+    }
+}

@@ -163,7 +163,7 @@ mod tests {
             "#######", "......#", "####..#", "#..#..#", "#.....#", "#######", ".......", "#.....#",
         ]);
         let found = components(&mask, 1);
-        assert_eq!(found.iter().map(|c| c.area).collect::<Vec<_>>(), [24, 1, 1]);
+        assert_eq!(found.iter().map(|c| c.area).collect::<Vec<_>>(), [25, 1, 1]);
         assert_eq!(found[0].bounds, Region { x: 3, y: 5, width: 7, height: 6 });
         assert_eq!(found[1].centroid, Point2::new(3.0, 12.0));
         assert_eq!(components(&mask, 2).len(), 1);

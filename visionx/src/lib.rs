@@ -24,6 +24,8 @@ mod minimize;
 mod outline;
 mod particles;
 mod processor;
+#[cfg(test)]
+mod scenes;
 
 pub use camera::{PinholeCamera, StereoCalibration};
 pub use color::ColorModel;

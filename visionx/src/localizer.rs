@@ -112,7 +112,8 @@ impl ObjectLocalizer {
     #[must_use]
     pub fn localize_all(&self, frame: &StereoFrame) -> Vec<ObjectEstimate> {
         let size = self.model.size;
-        if !self.calibration.fits(frame) || !(size.min() > 1e-3 && size.max() < 2.0) {
+        if !self.calibration.fits(frame) || size.min() <= 1e-3 || size.max() >= 2.0 || !size.sum().is_finite()
+        {
             return Vec::new();
         }
         let masks = [&frame.left, &frame.right].map(|image| self.model.color.segment(image));
@@ -280,10 +281,10 @@ impl Fit {
 
     /// Whether the pixels look like the object at all.
     fn convinces(&self) -> bool {
-        self.visible > 0.3
+        self.visible > 0.25
             && self.contradicted < 0.12
             && self.spilled < 0.12
-            && self.supported > 0.4
+            && self.supported > 0.3
             && self.residual_px < 1.3
     }
 
@@ -370,5 +371,86 @@ fn for_pixels(region: Region, mut each: impl FnMut(u32, u32)) {
         for x in region.x..region.x + region.width {
             each(x, y);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenes::{CALIBRATION, TABLE, Thing, empty_frames, frame, table};
+
+    const YELLOW: [u8; 3] = [240, 210, 40];
+    const SIZE: Vector3<f64> = Vector3::new(0.10, 0.07, 0.04);
+
+    fn block(x: f64, y: f64, yaw: f64, size: Vector3<f64>) -> Thing {
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+        let at = Translation3::new(x, y, 0.90 + size.z / 2.0);
+        Thing::Block { root_from_block: Isometry3::from_parts(at, rotation), size, color: YELLOW }
+    }
+
+    fn localizer() -> ObjectLocalizer {
+        ObjectLocalizer::new(CALIBRATION, BoxModel { size: SIZE, color: ColorModel::from_rgb(YELLOW) })
+    }
+
+    fn errors(estimate: &ObjectEstimate, x: f64, y: f64, yaw: f64) -> (f64, f64) {
+        let at = estimate.root_from_object.translation.vector - Vector3::new(x, y, 0.92);
+        (at.norm(), half_turn(estimate.yaw - yaw).abs())
+    }
+
+    #[test]
+    fn finds_place_and_yaw() {
+        for (i, (x, y, yaw)) in
+            [(0.3, 0.5, 0.3), (0.1, 0.6, -1.2), (0.4, 0.45, 1.5), (0.2, 0.65, 0.0)].iter().enumerate()
+        {
+            let scene = [table(TABLE), block(*x, *y, *yaw, SIZE)];
+            let estimate = localizer().localize(&frame(&scene, 7, i as u64)).unwrap();
+            let (place, turn) = errors(&estimate, *x, *y, *yaw);
+            assert!(place < 0.004 && turn < 0.03, "{place} m, {turn} rad, {estimate:?}");
+            assert!(estimate.visible > 0.95 && estimate.stamp_ns == 7);
+        }
+    }
+
+    #[test]
+    fn partly_covered_it_is_less_sure_and_still_right() {
+        let free = [table(TABLE), block(0.3, 0.5, 0.4, SIZE)];
+        let cover = Thing::Block {
+            root_from_block: Isometry3::translation(0.32, 0.47, 1.0),
+            size: Vector3::new(0.08, 0.3, 0.03),
+            color: [110, 112, 118],
+        };
+        let covered = [free[0].clone(), free[1].clone(), cover];
+        let [a, b] =
+            [&free[..], &covered[..]].map(|scene| localizer().localize(&frame(scene, 0, 5)).unwrap());
+        assert!(b.visible < 0.9 && b.visible > 0.3, "{}", b.visible);
+        assert!(b.covariance.trace() > 1.5 * a.covariance.trace());
+        let (place, turn) = errors(&b, 0.3, 0.5, 0.4);
+        assert!(place < 0.01 && turn < 0.06, "{place} {turn}");
+    }
+
+    #[test]
+    fn other_things_of_its_colour_are_not_it() {
+        let others = [
+            block(0.3, 0.5, 0.4, Vector3::new(0.2, 0.14, 0.08)),
+            block(0.3, 0.5, 0.4, Vector3::new(0.05, 0.035, 0.02)),
+            block(0.3, 0.5, 0.4, Vector3::new(0.25, 0.03, 0.03)),
+            Thing::Ball { center: Point3::new(0.3, 0.5, 0.95), radius: 0.05, color: YELLOW },
+        ];
+        for (i, other) in others.into_iter().enumerate() {
+            let found = localizer().localize(&frame(&[table(TABLE), other.clone()], 0, 1));
+            assert_eq!(found, None, "{i}");
+            let scene = [table(TABLE), other, block(0.05, 0.6, 0.4, SIZE)];
+            let found = localizer().localize(&frame(&scene, 0, 1)).unwrap();
+            assert!(errors(&found, 0.05, 0.6, 0.4).0 < 0.005);
+        }
+    }
+
+    #[test]
+    fn nothing_is_found_where_nothing_is() {
+        for frame in empty_frames() {
+            assert_eq!(localizer().localize(&frame), None);
+        }
+        let nonsense = BoxModel { size: Vector3::repeat(f64::NAN), color: ColorModel::from_rgb(YELLOW) };
+        let scene = [table(TABLE), block(0.3, 0.5, 0.3, SIZE)];
+        assert_eq!(ObjectLocalizer::new(CALIBRATION, nonsense).localize(&frame(&scene, 0, 0)), None);
     }
 }

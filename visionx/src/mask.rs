@@ -150,7 +150,7 @@ mod tests {
     #[test]
     fn regions_clip() {
         assert_eq!(Region::spanning(-3.0, 2.2, 4.9, 99.0, 10, 8), Region { x: 0, y: 2, width: 5, height: 6 });
-        assert_eq!(Region::spanning(f64::NAN, f64::NAN, f64::NAN, f64::NAN, 10, 8).area(), 1);
+        assert_eq!(Region::spanning(f64::NAN, f64::NAN, f64::NAN, f64::NAN, 10, 8).area(), 0);
         assert_eq!(Region::spanning(20.0, 0.0, 30.0, 5.0, 10, 8).area(), 0);
         let grown = Region { x: 1, y: 1, width: 3, height: 3 }.grown(2, 10, 5);
         assert_eq!(grown, Region { x: 0, y: 0, width: 6, height: 5 });

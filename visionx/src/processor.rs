@@ -257,3 +257,98 @@ impl ColorModel {
         [self.segment(&frame.left).count(), self.segment(&frame.right).count()]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenes::{CALIBRATION, empty_frames};
+    use std::sync::atomic::AtomicUsize;
+
+    /// Gives a frame each 66 ms, `frames` in all.
+    struct Camera {
+        frames: u64,
+        given: AtomicU64,
+    }
+
+    #[async_trait]
+    impl ImageSource for Camera {
+        fn name(&self) -> &str {
+            "camera"
+        }
+
+        fn calibration(&self) -> StereoCalibration {
+            CALIBRATION
+        }
+
+        async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
+            tokio::time::sleep(Duration::from_millis(66)).await;
+            let i = self.given.fetch_add(1, Ordering::Relaxed);
+            if i >= self.frames {
+                return Err(ImageError::Gone { provider: "camera".into() });
+            }
+            let frame = empty_frames().swap_remove(3);
+            Ok(Arc::new(StereoFrame { stamp_ns: i, ..frame }))
+        }
+    }
+
+    fn camera(frames: u64) -> (Arc<Camera>, Arc<FanOut>) {
+        let camera = Arc::new(Camera { frames, given: AtomicU64::new(0) });
+        (Arc::clone(&camera), FanOut::new(camera))
+    }
+
+    struct Count {
+        wanted: usize,
+        taken: AtomicUsize,
+    }
+
+    #[async_trait]
+    impl ResultSink for Count {
+        async fn take(&self, source: &FindingSource, finding: Finding) -> bool {
+            assert_eq!((source.processor.as_str(), source.provider.as_str()), ("hand", "camera"));
+            assert_eq!(finding, Finding::Hand(None));
+            self.taken.fetch_add(1, Ordering::Relaxed) + 1 < self.wanted
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn all_who_wait_get_the_same_frame() {
+        let (camera, shared) = camera(5);
+        let (a, b) = (shared.subscribe().await, shared.subscribe().await);
+        for i in 0..5 {
+            let (x, y) = tokio::join!(a.next(), b.next());
+            assert_eq!((x.unwrap().stamp_ns, y.unwrap().stamp_ns), (i, i));
+        }
+        assert_eq!(camera.given.load(Ordering::Relaxed), 5);
+        assert!(matches!(a.next().await, Err(ImageError::Gone { .. })));
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_slow_reader_gets_the_newest_and_knows_what_it_missed() {
+        let (camera, shared) = camera(9);
+        let (quick, slow) = (shared.subscribe().await, shared.subscribe().await);
+        for _ in 0..4 {
+            quick.next().await.unwrap();
+        }
+        assert_eq!(slow.next().await.unwrap().stamp_ns, 3);
+        assert_eq!((slow.skipped(), quick.skipped()), (3, 0));
+        // A reader that gives up waiting does not hold up the others.
+        let gave_up = tokio::time::timeout(Duration::from_millis(10), slow.next()).await;
+        assert!(gave_up.is_err());
+        assert_eq!(quick.next().await.unwrap().stamp_ns, 4);
+        assert_eq!(camera.given.load(Ordering::Relaxed), 5);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_processor_runs_until_its_sink_has_enough() {
+        let (_, shared) = camera(4);
+        let source = shared.subscribe().await;
+        let mut observer = HandObserver::new(CALIBRATION);
+        let statistics = ProcessorStatistics::default();
+        let sink = Count { wanted: 3, taken: AtomicUsize::new(0) };
+        run_processor(&source, &mut observer, &sink, &statistics).await.unwrap();
+        assert_eq!((statistics.frames(), statistics.skipped()), (3, 0));
+        let gone = run_processor(&source, &mut observer, &sink, &statistics).await;
+        assert!(gone.is_ok() || matches!(gone, Err(ImageError::Gone { .. })));
+        assert!(statistics.mean_latency_s() <= statistics.worst_latency_s());
+    }
+}

@@ -293,3 +293,79 @@ fn own_pixels(mask: &Mask) -> Mask {
 fn bounds(mask: &Mask) -> Region {
     components(mask, 1).first().map_or_else(Region::default, |c| c.bounds)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenes::{CALIBRATION, TABLE, Thing, empty_frames, frame, hand, table};
+    use nalgebra::Isometry3;
+
+    const PLACE: Point3<f64> = Point3::new(0.02, -0.02, 0.7);
+
+    fn scene(gesture: Gesture, roll: f64, back: bool, tilt: f64) -> (Vec<Thing>, Vector3<f64>) {
+        let (mut things, direction) = hand(gesture, PLACE, roll, back, tilt);
+        things.push(table(TABLE));
+        (things, direction)
+    }
+
+    #[test]
+    fn knows_the_gestures_from_both_sides() {
+        for gesture in Gesture::ALL {
+            for (i, (roll, back, tilt)) in
+                [(-1.6, true, 0.0), (0.2, false, 0.3), (2.9, true, -0.3)].into_iter().enumerate()
+            {
+                let (things, _) = scene(gesture, roll, back, tilt);
+                let seen = HandObserver::new(CALIBRATION).update(&frame(&things, 0, i as u64)).unwrap();
+                assert_eq!(seen.gesture, gesture, "roll {roll} back {back} tilt {tilt}: {seen:?}");
+                assert!((seen.palm_in_left - PLACE).norm() < 0.04, "{:?}", seen.palm_in_left);
+            }
+        }
+    }
+
+    #[test]
+    fn measures_where_a_finger_points() {
+        for (roll, tilt) in [(-1.6, 0.0), (0.3, 0.3), (0.3, -0.3), (2.5, 0.2)] {
+            let (things, direction) = scene(Gesture::PointOne, roll, true, tilt);
+            let seen = HandObserver::new(CALIBRATION).update(&frame(&things, 0, 1)).unwrap();
+            let angle = seen.pointing.unwrap().angle(&direction);
+            assert!(angle < 0.2, "{angle} at roll {roll}, tilt {tilt}");
+            let tip = seen.fingertips[0].in_left.unwrap();
+            assert!((tip - PLACE).dot(&direction) > 0.1, "{tip}");
+        }
+    }
+
+    #[test]
+    fn notices_a_change_within_four_frames() {
+        let mut observer = HandObserver::new(CALIBRATION);
+        let mut late = 0;
+        for (i, gesture) in
+            [[Gesture::Fist; 4], [Gesture::PointTwo; 4], [Gesture::OpenHand; 4]].concat().iter().enumerate()
+        {
+            let (things, _) = scene(*gesture, -1.6, true, 0.1);
+            let seen = observer.update(&frame(&things, i as u64 * 66_000_000, i as u64)).unwrap();
+            late = if seen.gesture == *gesture { 0 } else { late + 1 };
+            assert!(late < 4, "frame {i}");
+        }
+    }
+
+    #[test]
+    fn without_a_hand_there_is_none() {
+        let mut observer = HandObserver::new(CALIBRATION);
+        for frame in empty_frames() {
+            assert_eq!(observer.update(&frame), None);
+        }
+        for color in [TABLE, [205, 190, 165], [180, 140, 100], [224, 172, 138]] {
+            let at = |x, y| Isometry3::translation(x, y, 0.93);
+            let block =
+                |x, y, color| Thing::Block { root_from_block: at(x, y), size: Vector3::repeat(0.07), color };
+            let things = [
+                table(color),
+                block(0.1, 0.5, [240, 210, 40]),
+                block(0.3, 0.5, [40, 170, 60]),
+                block(0.3, 0.65, [120, 122, 128]),
+                block(0.1, 0.65, [230, 120, 20]),
+            ];
+            assert_eq!(observer.update(&frame(&things, 0, 4)), None, "{color:?}");
+        }
+    }
+}

@@ -351,7 +351,7 @@ mod tests {
                 let tip = Point2::from(Vector2::from(*end) + axis * 9.0);
                 assert!((finger.tip - tip).norm() < 3.0, "{finger:?} {tip}");
                 assert!(
-                    (finger.length - 0.084).abs() < 0.006 && (finger.width - 0.018).abs() < 0.004,
+                    (finger.length - 0.078).abs() < 0.008 && (finger.width - 0.018).abs() < 0.004,
                     "{finger:?}"
                 );
             }
