@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use armarium_runtime::chart::Finding;
 use armarium_simulator::WorldError;
 use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, NamedSource, SourceCode};
 use serde::Serialize;
@@ -53,6 +54,24 @@ impl From<&WorldError> for Shown {
             span: error.span,
             message: error.message.clone(),
             help: error.help.clone(),
+        }
+    }
+}
+
+impl From<&Finding> for Shown {
+    fn from(finding: &Finding) -> Self {
+        let (line, column) = finding.position();
+        // A finding about a file without text is about the file as a whole.
+        let whole = finding.source.text.is_empty();
+        Self {
+            severity: if finding.is_error() { Severity::Error } else { Severity::Warning },
+            code: finding.code.to_owned(),
+            file: finding.source.path.clone(),
+            line: if whole { 0 } else { line },
+            column: if whole { 0 } else { column },
+            span: (finding.span.start, finding.span.end.saturating_sub(finding.span.start)),
+            message: finding.message.clone(),
+            help: finding.help.clone().unwrap_or_default(),
         }
     }
 }
