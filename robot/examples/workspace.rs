@@ -1,15 +1,19 @@
 //! Where the right hand can wipe: searches torso postures and hand orientations for reach, margin and speed.
 //!
-//! `cargo run --release -p armarium-robot --example workspace` prints the table from which `posture.rs` was chosen. For each
-//! torso posture and hand orientation it solves the arm's pose over a grid of TCP points and takes, at each point, the
-//! arm posture with the largest TCP speed in its worst direction. The figure of a combination is its worst point.
+//! `cargo run --release -p armarium-robot --example workspace -- HEIGHT REACH [FIVE ANGLES]` prints the search from which `posture.rs` was
+//! chosen (HEIGHT of the TCP, m; REACH about the centre, m), or
+//! rates the given torso pitch, roll, yaw and hand pitch and yaw (rad). It climbs from random torso postures and hand orientations:
+//! the arm's pose is solved at the centre from several seeds, and from there at the corners of a box, as a controller that
+//! comes from the centre finds them. The figure is the TCP's speed in its worst direction at the worst of these points.
 #![allow(clippy::print_stdout, reason = "an example prints its result")]
 
 use std::sync::Arc;
 
-use armarium_robot::{Jacobian, Kinematics, LinkId, Model, PoseOptions, solve_pose};
+use armarium_robot::{
+    DifferentialIk, IkConfig, Jacobian, Kinematics, LinkId, Model, PoseOptions, Twist, pose_error, solve_pose,
+};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// The TCP's orientation: fingers `yaw` left of forward, palm down, fingers' tips lowered by `pitch`.
@@ -51,117 +55,232 @@ fn worst_speed(jacobian: &Jacobian) -> f64 {
     worst
 }
 
+/// Torso pitch, roll, yaw, then the hand's pitch and yaw, rad.
+type Choice = [f64; 5];
+const RANGE: [(f64, f64); 5] = [(-0.6, 0.1), (-0.5, 0.6), (-0.75, 0.75), (-0.4, 0.6), (-0.5, 1.6)];
+const CENTER: [f64; 2] = [0.28, 0.53];
+
 struct Search {
     model: Arc<Model>,
     kinematics: Kinematics,
     tcp: LinkId,
     arm: Vec<usize>,
+    height: f64,
+    reach: f64,
+    fixed: [Option<f64>; 5],
     rng: ChaCha8Rng,
 }
 
+/// A choice, its figure (m/s) and the whole configuration at the centre.
+#[derive(Clone, Debug)]
+struct Found {
+    choice: Choice,
+    speed: f64,
+    center: Vec<f64>,
+}
+
 impl Search {
-    /// The fastest arm posture for a TCP pose: its speed (m/s) and all joints; none out of reach.
-    fn best(
-        &mut self,
-        start: &[f64],
-        target: &Isometry3<f64>,
-        tries: usize,
-        near: Option<&[f64]>,
-    ) -> Option<(f64, Vec<f64>)> {
-        let options = PoseOptions { margin: 0.05, restarts: 0, iterations: 40, ..PoseOptions::default() };
-        let mut best: Option<(f64, Vec<f64>)> = None;
-        for k in 0..tries {
-            let mut seed = near.filter(|_| k == 0).map_or_else(|| start.to_vec(), <[f64]>::to_vec);
+    fn target(&self, choice: &Choice, offset: [f64; 3]) -> Isometry3<f64> {
+        let at = Vector3::new(CENTER[0] + offset[0], CENTER[1] + offset[1], self.height + offset[2]);
+        Isometry3::from_parts(Translation3::from(at), hand(choice[4], choice[3]))
+    }
+
+    fn solve(&mut self, choice: &Choice, offset: [f64; 3], seed: &[f64]) -> Option<(f64, Vec<f64>)> {
+        let options = PoseOptions { margin: 0.06, restarts: 0, iterations: 40, ..PoseOptions::default() };
+        let target = self.target(choice, offset);
+        let q = solve_pose(&self.model, self.tcp, &self.arm, &target, seed, &options, &mut self.rng).ok()?;
+        self.kinematics.update(&q);
+        Some((worst_speed(&self.kinematics.jacobian(self.tcp, &self.arm)), q))
+    }
+
+    fn rate(&mut self, choice: &Choice, seeds: usize, near: Option<&[f64]>) -> Option<Found> {
+        let mut best: Option<Found> = None;
+        for k in 0..seeds {
+            let mut seed = near.filter(|_| k == 0).map_or_else(|| self.model.zero(), <[f64]>::to_vec);
+            for (&j, v) in self.model.limb("torso").iter().zip(choice) {
+                seed[j] = *v;
+            }
             if k > 0 || near.is_none() {
-                use rand::RngExt;
                 for &j in &self.arm {
                     let joint = &self.model.joints()[j];
                     seed[j] = self.rng.random_range(joint.lower..joint.upper);
                 }
             }
-            let Ok(q) = solve_pose(&self.model, self.tcp, &self.arm, target, &seed, &options, &mut self.rng)
-            else {
-                continue;
-            };
-            self.kinematics.update(&q);
-            let speed = worst_speed(&self.kinematics.jacobian(self.tcp, &self.arm));
-            if best.as_ref().is_none_or(|(s, _)| speed > *s) {
-                best = Some((speed, q));
+            let Some((mut worst, center)) = self.solve(choice, [0.0; 3], &seed) else { continue };
+            for corner in 0..8_u8 {
+                let sign = |bit: u8| if corner >> bit & 1 == 1 { 1.0 } else { -1.0 };
+                let offset = [self.reach * sign(0), self.reach * sign(1), 0.03 * sign(2)];
+                worst = worst.min(self.solve(choice, offset, &center).map_or(0.0, |(speed, _)| speed));
+                if best.as_ref().is_some_and(|found| worst <= found.speed) {
+                    break;
+                }
+            }
+            if worst > best.as_ref().map_or(0.0, |found| found.speed) {
+                best = Some(Found { choice: *choice, speed: worst, center });
             }
         }
         best
+    }
+
+    fn random(&mut self) -> Choice {
+        let mut choice = [0.0; 5];
+        for (i, c) in choice.iter_mut().enumerate() {
+            *c = self.fixed[i].unwrap_or_else(|| self.rng.random_range(RANGE[i].0..RANGE[i].1));
+        }
+        choice
+    }
+
+    fn climb(&mut self, starts: usize, steps: usize) -> Option<Found> {
+        let mut best: Option<Found> = None;
+        for _ in 0..starts {
+            let choice = self.random();
+            if let Some(found) = self.rate(&choice, 8, None)
+                && found.speed > best.as_ref().map_or(0.0, |b| b.speed)
+            {
+                best = Some(found);
+            }
+        }
+        let mut best = best?;
+        for step in 0..steps {
+            #[expect(clippy::cast_precision_loss, reason = "small counts")]
+            let size = 0.3 * (1.0 - step as f64 / steps as f64) + 0.01;
+            let mut choice = best.choice;
+            for i in 0..5 {
+                if self.fixed[i].is_none() {
+                    choice[i] =
+                        (choice[i] + self.rng.random_range(-size..size)).clamp(RANGE[i].0, RANGE[i].1);
+                }
+            }
+            let near = best.center.clone();
+            if let Some(found) = self.rate(&choice, 3, Some(&near))
+                && found.speed > best.speed
+            {
+                best = found;
+            }
+        }
+        Some(best)
+    }
+
+    /// The highest frequency, Hz, at which a circle of `radius` (m) about the centre and `offset` is followed with every
+    /// joint within its limits, and the least distance of a joint to its limits, rad.
+    fn circle(
+        &self,
+        found: &Found,
+        joints: &[usize],
+        config: &IkConfig,
+        radius: f64,
+        offset: [f64; 2],
+    ) -> (f64, f64) {
+        let (mut good, mut bad, mut margin) = (0.0, 2.0, 0.0);
+        while bad - good > 0.01 {
+            let frequency = 0.5 * (good + bad);
+            match self.follows(found, joints, config, radius, offset, frequency) {
+                Some(m) => (good, margin) = (frequency, m),
+                None => bad = frequency,
+            }
+        }
+        (good, margin)
+    }
+
+    fn follows(
+        &self,
+        found: &Found,
+        joints: &[usize],
+        config: &IkConfig,
+        radius: f64,
+        offset: [f64; 2],
+        frequency: f64,
+    ) -> Option<f64> {
+        let mut ik = DifferentialIk::new(&self.model, self.tcp, joints, *config);
+        let mut q = found.center.clone();
+        let posture: Vec<f64> = joints.iter().map(|&j| q[j]).collect();
+        let mut margin = f64::INFINITY;
+        let omega = std::f64::consts::TAU * frequency;
+        let dt = 4e-3;
+        let start = 2.0;
+        for k in 0..((start + 2.0 / frequency) / dt) as u32 {
+            let t = f64::from(k) * dt;
+            let grow = (t / start).min(1.0);
+            let spin = omega * (t - start).max(0.0);
+            let (s, c) = spin.sin_cos();
+            let at = [grow * (offset[0] + radius * c), grow * (offset[1] + radius * s), 0.0];
+            let error = pose_error(&self.model.link_pose(&q, self.tcp), &self.target(&found.choice, at));
+            let feed = if t < start { Vector3::zeros() } else { Vector3::new(-s, c, 0.0) * radius * omega };
+            let twist = Twist { linear: feed + 5.0 * error.linear, angular: 5.0 * error.angular };
+            let step = ik.step(&q, &twist, Some(&posture));
+            if t > start + 0.5 && (step.scale < 1.0 || step.residual > 0.02 || error.linear.norm() > 0.01) {
+                return None;
+            }
+            let velocities = step.velocities.to_vec();
+            for (&j, v) in joints.iter().zip(&velocities) {
+                let joint = &self.model.joints()[j];
+                q[j] += v * dt;
+                margin = margin.min(joint.upper - q[j]).min(q[j] - joint.lower);
+            }
+        }
+        Some(margin)
+    }
+
+    fn report(&self, name: &str, found: Option<&Found>) {
+        let Some(found) = found else { return println!("{name}: none reaches every point") };
+        let degrees = found.choice.map(|c| c.to_degrees().round());
+        let choice = found.choice.map(|c| (c * 1e3).round() / 1e3);
+        let arm: Vec<String> = self.arm.iter().map(|&j| format!("{:.3}", found.center[j])).collect();
+        println!("{name}: {:.3} m/s {degrees:?} deg = {choice:?} arm [{}]", found.speed, arm.join(", "));
+        let fixed = IkConfig::default();
+        let free = IkConfig { angular_weight: Vector3::new(0.0, 0.3, 0.3), ..fixed };
+        let ten: Vec<usize> = self.model.limb("torso").iter().chain(&self.arm).copied().collect();
+        for (what, joints, config) in
+            [("arm", &self.arm, fixed), ("arm, yaw free", &self.arm, free), ("arm and torso", &ten, fixed)]
+        {
+            let mut line = String::new();
+            for radius in [0.05, 0.08] {
+                let (mut worst, mut margin) = self.circle(found, joints, &config, radius, [0.0; 2]);
+                line += &format!(" r {radius}: {worst:.2} Hz, margin {margin:.2};");
+                for offset in [[0.05, 0.0], [-0.05, 0.0], [0.0, 0.05], [0.0, -0.05]] {
+                    let (f, m) = self.circle(found, joints, &config, radius, offset);
+                    (worst, margin) = (worst.min(f), margin.min(m));
+                }
+                line += &format!(" 5 cm off: {worst:.2} Hz, margin {margin:.2};");
+            }
+            println!("   {what}:{line}");
+        }
     }
 }
 
 fn main() {
     let model = Arc::new(Model::armar3());
-    let tcp = model.link("tcp_right").expect("the model has it");
-    let arm = model.limb("right_arm").to_vec();
-    let torso = model.limb("torso").to_vec();
+    let args: Vec<f64> = std::env::args().skip(1).filter_map(|a| a.parse().ok()).collect();
     let mut search = Search {
         kinematics: Kinematics::new(&model),
-        tcp,
-        arm,
+        tcp: model.link("tcp_right").expect("the model has it"),
+        arm: model.limb("right_arm").to_vec(),
+        height: args.first().copied().unwrap_or(1.05),
+        reach: args.get(1).copied().unwrap_or(0.13),
+        fixed: [None; 5],
         rng: ChaCha8Rng::seed_from_u64(1),
         model: Arc::clone(&model),
     };
-    let deg = |values: &[f64]| values.iter().map(|v| v.to_radians()).collect::<Vec<_>>();
-    let args: Vec<f64> = std::env::args().skip(1).filter_map(|a| a.parse().ok()).collect();
-    let reach = args.first().copied().unwrap_or(0.13);
-    let mut rows = Vec::new();
-    for &pitch in &deg(&[0.0, -10.0, -20.0, -30.0, -40.0]) {
-        for &roll in &deg(&[-30.0, -15.0, 0.0, 15.0, 30.0]) {
-            for &yaw in &deg(&[-40.0, -20.0, 0.0, 20.0, 40.0]) {
-                let mut start = model.zero();
-                for (&j, v) in torso.iter().zip([pitch, roll, yaw]) {
-                    start[j] = v;
-                }
-                for &hand_pitch in &deg(&[-15.0, 0.0, 15.0, 30.0]) {
-                    for &hand_yaw in &deg(&[-30.0, 0.0, 30.0, 60.0, 90.0]) {
-                        let mut worst = f64::INFINITY;
-                        for p in [
-                            [0.0, 0.0, 0.0],
-                            [1.0, 1.0, 1.0],
-                            [-1.0, 1.0, 1.0],
-                            [1.0, -1.0, 1.0],
-                            [-1.0, -1.0, 1.0],
-                            [1.0, 1.0, -1.0],
-                            [-1.0, 1.0, -1.0],
-                            [1.0, -1.0, -1.0],
-                            [-1.0, -1.0, -1.0],
-                        ] {
-                            let at =
-                                Vector3::new(0.28 + reach * p[0], 0.53 + reach * p[1], 1.05 + 0.03 * p[2]);
-                            let target =
-                                Isometry3::from_parts(Translation3::from(at), hand(hand_yaw, hand_pitch));
-                            let found = search.best(&start, &target, 8, None).map_or(0.0, |(s, _)| s);
-                            worst = worst.min(found);
-                            if worst <= 0.0 {
-                                break;
-                            }
-                        }
-                        if worst > 0.0 {
-                            rows.push((
-                                worst,
-                                [pitch, roll, yaw, hand_pitch, hand_yaw].map(|v: f64| v.to_degrees().round()),
-                            ));
-                        }
-                    }
-                }
-            }
-        }
+    println!(
+        "TCP at {} m, corners at {} m; torso pitch, roll, yaw, hand pitch, yaw in degrees",
+        search.height, search.reach
+    );
+    if let Some(choice) = args.get(2..7).and_then(|c| Choice::try_from(c).ok()) {
+        let found = search.rate(&choice, 200, None);
+        return search.report("given", found.as_ref());
     }
-    rows.sort_by(|a, b| b.0.total_cmp(&a.0));
-    println!("{} combinations reach every point", rows.len());
-    println!("speed  torso pitch roll yaw, hand pitch yaw");
-    for (speed, row) in rows.iter().take(60) {
-        println!("{speed:.3} {row:?}");
-    }
-    for hp in [-15.0, 0.0, 15.0, 30.0] {
-        let top = rows.iter().filter(|r| (r.1[3] - hp).abs() < 0.1).take(3).collect::<Vec<_>>();
-        println!("hand pitch {hp}: {top:?}");
-    }
-    for upright in rows.iter().filter(|r| r.1[0] == 0.0 && r.1[1] == 0.0).take(5) {
-        println!("upright: {upright:?}");
-    }
+    let found = search.climb(600, 600);
+    search.report("free", found.as_ref());
+    search.fixed = [None, None, None, Some(0.0), None];
+    let found = search.climb(600, 600);
+    search.report("level palm", found.as_ref());
+    search.fixed = [None, Some(0.0), Some(0.0), Some(0.0), None];
+    let found = search.climb(600, 600);
+    search.report("level palm, lean only", found.as_ref());
+    search.fixed = [Some(0.0), Some(0.0), None, None, None];
+    let found = search.climb(600, 600);
+    search.report("upright torso, yaw only", found.as_ref());
+    search.fixed = [Some(0.0), Some(0.0), Some(0.0), Some(0.0), None];
+    let found = search.climb(600, 600);
+    search.report("upright torso, level palm", found.as_ref());
 }

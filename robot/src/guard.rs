@@ -173,9 +173,6 @@ impl Guard {
         drop(desk);
         self.give_way();
         self.bound_tcp_speed();
-        for joint in 0..self.desired.len() {
-            debug_assert!(self.desired[joint].is_finite(), "leases take finite commands only");
-        }
         self.accelerate(dt);
         self.integrate(dt);
         self.publish(stamp_ns);
@@ -414,24 +411,13 @@ impl Sensor {
         let twist = Vector6::new(linear.x, linear.y, linear.z, 0.0, 0.0, 0.0);
         kinematics.jacobian_into(tcp, &Point3::origin(), &self.limb.joints, &mut self.jacobian);
         let mut normal = Matrix6::identity() * (YIELD_DAMPING * YIELD_DAMPING);
-        normal.gemm_tr_like(&self.jacobian);
+        for column in self.jacobian.column_iter() {
+            let column: Vector6<f64> = column.into_owned();
+            normal += column * column.transpose();
+        }
         let Some(solved) = normal.cholesky().map(|c| c.solve(&twist)) else { return };
         for (column, &joint) in self.jacobian.column_iter().zip(&self.limb.joints) {
             desired[joint] = column.dot(&solved);
-        }
-    }
-}
-
-/// Adds `J J^T` without allocating.
-trait AddGram {
-    fn gemm_tr_like(&mut self, jacobian: &Jacobian);
-}
-
-impl AddGram for Matrix6<f64> {
-    fn gemm_tr_like(&mut self, jacobian: &Jacobian) {
-        for column in jacobian.column_iter() {
-            let column: Vector6<f64> = column.into_owned();
-            *self += column * column.transpose();
         }
     }
 }

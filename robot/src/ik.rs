@@ -50,6 +50,9 @@ impl Default for IkConfig {
     }
 }
 
+/// Bisections of the scale to which a twist that is too fast is brought.
+const SCALE_HALVINGS: usize = 5;
+
 /// The joint velocities of one step.
 #[derive(Clone, Copy, Debug)]
 pub struct IkStep<'a> {
@@ -75,6 +78,8 @@ pub struct DifferentialIk {
     velocity: Vec<f64>,
     pull: Vec<f64>,
     blocked: Vec<bool>,
+    saved: Vec<f64>,
+    saved_blocked: Vec<bool>,
 }
 
 impl DifferentialIk {
@@ -92,6 +97,8 @@ impl DifferentialIk {
             velocity: vec![0.0; n],
             pull: vec![0.0; n],
             blocked: vec![false; n],
+            saved: vec![0.0; n],
+            saved_blocked: vec![false; n],
         }
     }
 
@@ -136,9 +143,9 @@ impl DifferentialIk {
             }
             singular = self.solve(&task);
         }
-        let residual = (self.product(&self.velocity) - task).norm();
-        let scale = self.bound_speed();
-        IkStep { velocities: &self.velocity, scale, residual: residual * scale, singular }
+        let scale = self.bound_speed(&task);
+        let residual = (self.product(&self.velocity) - scale * task).norm();
+        IkStep { velocities: &self.velocity, scale, residual, singular }
     }
 
     /// Fills the weighted Jacobian, in the link's frame, and returns the weighted twist.
@@ -171,8 +178,13 @@ impl DifferentialIk {
     /// Solves the task with the joints that are not blocked; blocked ones keep their velocity. Returns the smallest
     /// singular value over the axes that count.
     fn solve(&mut self, task: &Vector6<f64>) -> f64 {
+        self.solve_from(task, true)
+    }
+
+    /// Solves with the least change from the pull towards the posture, or else from the present velocity.
+    fn solve_from(&mut self, task: &Vector6<f64>, pull: bool) -> f64 {
         for i in 0..self.joints.len() {
-            if !self.blocked[i] {
+            if pull && !self.blocked[i] {
                 self.velocity[i] = self.pull[i];
             }
         }
@@ -233,24 +245,70 @@ impl DifferentialIk {
         true
     }
 
+    /// Brings the joints within their speed limits: by what the task leaves free as far as that goes, and by scaling the
+    /// whole motion for the rest. Returns the scale.
+    fn bound_speed(&mut self, task: &Vector6<f64>) -> f64 {
+        let Some((_, excess)) = self.excess() else { return 1.0 };
+        self.saved.copy_from_slice(&self.velocity);
+        self.saved_blocked.copy_from_slice(&self.blocked);
+        let missed = (self.product(&self.velocity) - task).norm() + 1e-3 * task.norm();
+        // Scaled by 1 / excess it fits for certain; the largest scale that fits is between that and 1.
+        let (mut fits, mut fails) = (1.0 / excess, 1.0);
+        if self.relieve(task, 1.0, missed) {
+            return 1.0;
+        }
+        for _ in 0..SCALE_HALVINGS {
+            let scale = 0.5 * (fits + fails);
+            if self.relieve(task, scale, missed) { fits = scale } else { fails = scale }
+        }
+        if !self.relieve(task, fits, missed) {
+            self.restart(fits);
+        }
+        fits
+    }
+
+    /// Takes the saved solution, scaled.
+    fn restart(&mut self, scale: f64) {
+        for (velocity, saved) in self.velocity.iter_mut().zip(&self.saved) {
+            *velocity = scale * saved;
+        }
+        self.blocked.copy_from_slice(&self.saved_blocked);
+    }
+
+    /// Whether the saved solution, scaled, can be brought within the speed limits: joints that are too fast run at their
+    /// limit and the others make up for them, missing the scaled task by no more than `missed` of it.
+    fn relieve(&mut self, task: &Vector6<f64>, scale: f64, missed: f64) -> bool {
+        self.restart(scale);
+        let scaled = task * scale;
+        for _ in 0..=self.joints.len() {
+            let Some((worst, excess)) = self.excess() else { return true };
+            if self.blocked[worst] {
+                return false;
+            }
+            self.blocked[worst] = true;
+            self.velocity[worst] /= excess;
+            self.solve_from(&scaled, false);
+            if (self.product(&self.velocity) - scaled).norm() > missed * scale {
+                return false;
+            }
+        }
+        false
+    }
+
+    /// The joint that exceeds its speed limit the most, and by which factor; none when all are within.
+    fn excess(&self) -> Option<(usize, f64)> {
+        let joints = self.kinematics.model().joints();
+        let share =
+            |i: usize| self.velocity[i].abs() / (self.config.speed_share * joints[self.joints[i]].velocity);
+        let worst = (0..self.joints.len()).max_by(|a, b| share(*a).total_cmp(&share(*b)))?;
+        (share(worst) > 1.0 + 1e-9).then(|| (worst, share(worst)))
+    }
+
     fn product(&self, velocity: &[f64]) -> Vector6<f64> {
         let mut sum = Vector6::zeros();
         for (column, speed) in self.weighted.column_iter().zip(velocity) {
             sum += column * *speed;
         }
         sum
-    }
-
-    fn bound_speed(&mut self) -> f64 {
-        let joints = self.kinematics.model().joints();
-        let mut scale = 1.0_f64;
-        for (speed, &j) in self.velocity.iter().zip(&self.joints) {
-            let limit = self.config.speed_share * joints[j].velocity;
-            if speed.abs() > limit {
-                scale = scale.min(limit / speed.abs());
-            }
-        }
-        self.velocity.iter_mut().for_each(|v| *v *= scale);
-        scale
     }
 }

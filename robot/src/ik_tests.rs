@@ -95,8 +95,10 @@ fn a_step_makes_the_twist_and_the_posture_does_not_disturb_it() {
         }
         if singular > 0.06 {
             let made = ik.kinematics().twist(tcp, &nalgebra::Point3::origin(), &all);
-            assert!((made.linear - twist.linear * scale).norm() < 1e-9, "{residual}");
-            assert!((made.angular - twist.angular * scale).norm() < 1e-9);
+            // The angular rows weigh 0.3.
+            assert!(residual < 1e-9 || scale < 1.0 || residual < 2e-3 * twist.linear.norm(), "{residual}");
+            assert!((made.linear - twist.linear * scale).norm() <= residual + 1e-9);
+            assert!((made.angular - twist.angular * scale).norm() <= residual / 0.3 + 1e-9);
         }
     }
 }
@@ -150,4 +152,37 @@ fn free_axes_are_left_to_the_posture() {
     assert!((end.translation.vector - start.translation.vector).norm() < 1e-3);
     assert!((end * Vector3::x()).angle(&(start * Vector3::x())) < 5e-3);
     assert!(distance(&q) < before);
+}
+
+#[test]
+fn what_the_task_leaves_free_buys_speed() {
+    let (model, tcp, joints) = arm();
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let mut ik = DifferentialIk::new(&model, tcp, &joints, IkConfig::default());
+    let (mut faster, mut tried) = (0, 0);
+    for _ in 0..200 {
+        let q = inside(&model, &joints, 0.6, &mut rng);
+        let linear = Vector3::from_fn(|_, _| rng.random_range(-0.5..0.5));
+        let twist = Twist { linear, angular: Vector3::zeros() };
+        let slow = Twist { linear: 1e-3 * linear, angular: Vector3::zeros() };
+        // The least-norm solution, which is linear, scaled to the limits.
+        let step = ik.step(&q, &slow, None);
+        let least = 1.0 / step.velocities.iter().fold(1e-12_f64, |most, v| most.max(1e3 * v.abs()));
+        if step.singular < 0.06 || least >= 1.0 {
+            continue;
+        }
+        let step = ik.step(&q, &twist, None);
+        let (scale, velocities) = (step.scale, step.velocities.to_vec());
+        if step.residual > 2e-3 * linear.norm() {
+            continue; // A joint is near its limit.
+        }
+        assert!(scale >= least - 1e-9, "{scale} and {least}");
+        tried += 1;
+        faster += usize::from(scale > 1.05 * least);
+        let mut all = vec![0.0; model.joints().len()];
+        joints.iter().zip(&velocities).for_each(|(&j, v)| all[j] = *v);
+        let made = ik.kinematics().twist(tcp, &nalgebra::Point3::origin(), &all).linear;
+        assert!((made - scale * linear).norm() < 2e-3 * linear.norm(), "{made:?} and {:?}", scale * linear);
+    }
+    assert!(tried > 50 && faster > tried / 4, "{faster} of {tried}");
 }

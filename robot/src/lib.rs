@@ -11,18 +11,25 @@
 //! This room knows no skill, no chart and no physics engine.
 
 mod boundary;
+pub mod conformance;
 mod description;
+mod dummy;
 mod dynamics;
+mod gaze;
 mod guard;
 mod ik;
 mod kinematics;
 mod lease;
 mod model;
 mod pose_ik;
+#[path = "posture.rs"]
+pub mod postures;
 mod wrist;
 
 pub use boundary::{Fault, LeaseError, LeaseLimits, Robot, RobotError, Sensed, Wrist};
+pub use dummy::{DummyRobot, ServoJoints};
 pub use dynamics::Dynamics;
+pub use gaze::Gaze;
 pub use guard::{Guard, GuardConfig, JointTargets, Sample};
 pub use ik::{DifferentialIk, IkConfig, IkStep};
 pub use kinematics::{Jacobian, Kinematics, Twist};
@@ -33,6 +40,8 @@ pub use model::{
 pub use pose_ik::{IkError, PoseOptions, pose_error, solve_pose};
 pub use wrist::load_mass;
 
+#[cfg(test)]
+mod guard_tests;
 #[cfg(test)]
 mod ik_tests;
 #[cfg(test)]

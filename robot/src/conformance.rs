@@ -1,0 +1,282 @@
+//! What every driver of a robot must do, whatever moves its joints; a driver's test calls [`check`].
+//!
+//! It needs the robot running (a task that steps the guard, or a real robot) and tokio's clock; it moves the limb by some
+//! tenths of a radian and ends with the robot stopped for good. It looks at nothing but the [`Robot`] trait.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use nalgebra::Point3;
+use tokio::sync::watch;
+
+use crate::{Fault, Kinematics, Lease, LeaseError, LeaseLimits, Robot, Sensed};
+
+/// A joint under this stands, rad/s (m/s).
+pub const STANDING: f64 = 0.01;
+/// Time to stand in, ns, after which every joint of the limb must stand.
+pub const STANDING_WITHIN_NS: u64 = 200_000_000;
+/// Longest wait for one sample.
+const SAMPLE_WITHIN: Duration = Duration::from_secs(1);
+
+/// A rule that the robot broke.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{rule}: {what}")]
+pub struct Violation {
+    /// The rule.
+    pub rule: &'static str,
+    /// What happened instead.
+    pub what: String,
+}
+
+/// Checks one limb of a running robot that stands and that nobody commands.
+///
+/// # Errors
+/// The first [`Violation`].
+pub async fn check(robot: &Arc<dyn Robot>, limb: &str) -> Result<(), Violation> {
+    let mut probe = Probe::new(robot, limb)?;
+    probe.samples_come_in_order().await?;
+    probe.leases_are_exclusive()?;
+    probe.commands_move_the_joints().await?;
+    probe.lease_limits_bound_the_tcp_speed().await?;
+    probe.a_dropped_lease_brakes().await?;
+    probe.a_silent_commander_is_faulted().await?;
+    probe.nonsense_is_refused().await?;
+    probe.a_panic_brakes().await?;
+    probe.stop_is_final().await
+}
+
+struct Probe<'a> {
+    robot: &'a Arc<dyn Robot>,
+    limb: &'a str,
+    joints: Vec<usize>,
+    sensed: watch::Receiver<Arc<Sensed>>,
+    /// Which way the limb goes next: away from the nearer limits.
+    rule: &'static str,
+}
+
+impl<'a> Probe<'a> {
+    fn new(robot: &'a Arc<dyn Robot>, limb: &'a str) -> Result<Self, Violation> {
+        let joints = robot.model().limb(limb).to_vec();
+        if joints.is_empty() {
+            return Err(Violation { rule: "the limb exists", what: format!("`{limb}` does not") });
+        }
+        Ok(Self { robot, limb, joints, sensed: robot.sensed(), rule: "" })
+    }
+
+    fn broken<T>(&self, what: impl Into<String>) -> Result<T, Violation> {
+        Err(Violation { rule: self.rule, what: what.into() })
+    }
+
+    fn lease(&self, limits: LeaseLimits) -> Result<Lease, Violation> {
+        self.robot
+            .lease(self.limb, "conformance", limits)
+            .or_else(|error| self.broken(format!("no lease of the free limb: {error}")))
+    }
+
+    async fn sample(&mut self) -> Result<Arc<Sensed>, Violation> {
+        match tokio::time::timeout(SAMPLE_WITHIN, self.sensed.changed()).await {
+            Ok(Ok(())) => Ok(Arc::clone(&self.sensed.borrow_and_update())),
+            Ok(Err(_)) => self.broken("the robot is gone"),
+            Err(_) => self.broken("no sample within a second"),
+        }
+    }
+
+    /// Full speed, each joint away from its nearer limit.
+    fn full_speed(&self, sensed: &Sensed) -> Vec<f64> {
+        let model = self.robot.model();
+        let speed = |&j: &usize| {
+            let (joint, q) = (&model.joints()[j], sensed.position[j]);
+            if joint.upper - q >= q - joint.lower { joint.velocity } else { -joint.velocity }
+        };
+        self.joints.iter().map(speed).collect()
+    }
+
+    /// Commands `share` of full speed at each sample for `for_ns`; returns the last sample and the command.
+    async fn run(
+        &mut self,
+        lease: &Lease,
+        share: f64,
+        for_ns: u64,
+    ) -> Result<(Arc<Sensed>, Vec<f64>), Violation> {
+        let start = self.sample().await?;
+        let command: Vec<f64> = self.full_speed(&start).iter().map(|v| share * v).collect();
+        loop {
+            if let Err(fault) = lease.command(&command) {
+                return self.broken(format!("a sound command was refused: {fault}"));
+            }
+            let now = self.sample().await?;
+            if now.stamp_ns >= start.stamp_ns + for_ns {
+                return Ok((now, command));
+            }
+        }
+    }
+
+    /// After `STANDING_WITHIN_NS` the limb stands, and goes on standing as long again.
+    async fn stands(&mut self) -> Result<(), Violation> {
+        let start = self.sample().await?.stamp_ns;
+        loop {
+            let now = self.sample().await?;
+            if now.stamp_ns < start + STANDING_WITHIN_NS {
+                continue;
+            }
+            for &j in &self.joints {
+                let speed = now.velocity[j];
+                if speed.abs() > STANDING {
+                    let name = &self.robot.model().joints()[j].name;
+                    let after_ms = (now.stamp_ns - start) / 1_000_000;
+                    return self.broken(format!("joint `{name}` moves at {speed:.3} after {after_ms} ms"));
+                }
+            }
+            if now.stamp_ns >= start + 2 * STANDING_WITHIN_NS {
+                return Ok(());
+            }
+        }
+    }
+
+    async fn samples_come_in_order(&mut self) -> Result<(), Violation> {
+        self.rule = "samples come in order and describe every joint";
+        let joints = self.robot.model().joints().len();
+        let mut last = self.sample().await?.stamp_ns;
+        for _ in 0..20 {
+            let now = self.sample().await?;
+            if now.stamp_ns <= last {
+                return self.broken(format!("stamp {} came after {last}", now.stamp_ns));
+            }
+            if now.position.len() != joints || now.velocity.len() != joints {
+                return self.broken(format!("{} positions for {joints} joints", now.position.len()));
+            }
+            last = now.stamp_ns;
+        }
+        Ok(())
+    }
+
+    fn leases_are_exclusive(&mut self) -> Result<(), Violation> {
+        self.rule = "a limb has one commander";
+        let none = LeaseLimits::default();
+        let lease = self.lease(none)?;
+        match self.robot.lease(self.limb, "another", none) {
+            Err(LeaseError::Taken { holder, .. }) if holder == "conformance" => {}
+            other => return self.broken(format!("a second lease gave {other:?}")),
+        }
+        match self.robot.lease("no such limb", "another", none) {
+            Err(LeaseError::Unknown { .. }) => {}
+            other => return self.broken(format!("an unknown limb gave {other:?}")),
+        }
+        drop(lease);
+        drop(self.lease(none)?);
+        Ok(())
+    }
+
+    async fn commands_move_the_joints(&mut self) -> Result<(), Violation> {
+        self.rule = "commands are joint velocities in limb order";
+        let lease = self.lease(LeaseLimits::default())?;
+        let before = self.sample().await?;
+        let (after, command) = self.run(&lease, 0.3, 500_000_000).await?;
+        for (&j, v) in self.joints.iter().zip(&command) {
+            let (moved, joint) = (after.position[j] - before.position[j], &self.robot.model().joints()[j]);
+            let room =
+                if *v > 0.0 { joint.upper - after.position[j] } else { after.position[j] - joint.lower };
+            if moved * v.signum() < 0.3 * v.abs() * 0.5 && room > 0.05 * joint.velocity {
+                return self.broken(format!("`{}` went {moved:.4} in 0.5 s at {v}", joint.name));
+            }
+            if moved.abs() > 1.2 * v.abs() * 0.5 + 0.01 * joint.velocity {
+                return self.broken(format!("`{}` went {moved:.4} in 0.5 s at {v}", joint.name));
+            }
+        }
+        let zero = vec![0.0; self.joints.len()];
+        let _ = lease.command(&zero);
+        self.stands().await?;
+        match lease.fault() {
+            None => Ok(()),
+            Some(fault) => self.broken(format!("a limb that was told to stand was faulted: {fault}")),
+        }
+    }
+
+    async fn lease_limits_bound_the_tcp_speed(&mut self) -> Result<(), Violation> {
+        self.rule = "a lease's speed limit bounds the TCP's speed";
+        let model = Arc::clone(self.robot.model());
+        let Some(tcp) = model.find_limb(self.limb).and_then(|limb| limb.tcp) else { return Ok(()) };
+        let limit = 0.1;
+        let lease = self.lease(LeaseLimits { speed_m_s: Some(limit), ..LeaseLimits::default() })?;
+        let (now, _) = self.run(&lease, 1.0, 400_000_000).await?;
+        let mut kinematics = Kinematics::new(&model);
+        kinematics.update(&now.position);
+        let speed = kinematics.twist(tcp, &Point3::origin(), &now.velocity).linear.norm();
+        drop(lease);
+        self.stands().await?;
+        if speed > 1.2 * limit {
+            self.broken(format!("{speed:.3} m/s at a limit of {limit} m/s"))
+        } else {
+            Ok(())
+        }
+    }
+
+    async fn a_dropped_lease_brakes(&mut self) -> Result<(), Violation> {
+        self.rule = "from full speed, the limb stands within 200 ms after its lease is dropped";
+        let lease = self.lease(LeaseLimits::default())?;
+        self.run(&lease, 1.0, 250_000_000).await?;
+        drop(lease);
+        self.stands().await
+    }
+
+    async fn a_silent_commander_is_faulted(&mut self) -> Result<(), Violation> {
+        self.rule = "from full speed, the limb stands within 200 ms after the last command, and says so";
+        let lease = self.lease(LeaseLimits::default())?;
+        self.run(&lease, 1.0, 250_000_000).await?;
+        self.stands().await?;
+        match (lease.fault(), lease.command(&vec![0.0; self.joints.len()])) {
+            (Some(Fault::Watchdog { .. }), Err(Fault::Watchdog { .. })) => Ok(()),
+            other => self.broken(format!("the lease reports {other:?}")),
+        }
+    }
+
+    async fn nonsense_is_refused(&mut self) -> Result<(), Violation> {
+        self.rule = "a command that is not finite brakes the limb and faults the lease";
+        let lease = self.lease(LeaseLimits::default())?;
+        self.run(&lease, 1.0, 250_000_000).await?;
+        let Err(Fault::NotFinite { .. }) = lease.command(&vec![f64::NAN; self.joints.len()]) else {
+            return self.broken("NaN was taken");
+        };
+        self.stands().await?;
+        if !matches!(lease.fault(), Some(Fault::NotFinite { .. })) {
+            return self.broken(format!("the lease reports {:?}", lease.fault()));
+        }
+        drop(lease);
+        let lease = self.lease(LeaseLimits::default())?;
+        match lease.command(&vec![0.0; self.joints.len() + 1]) {
+            Err(Fault::WrongLength { .. }) => Ok(()),
+            other => self.broken(format!("a command of the wrong length gave {other:?}")),
+        }
+    }
+
+    async fn a_panic_brakes(&mut self) -> Result<(), Violation> {
+        self.rule = "from full speed, the limb stands within 200 ms after its commander panics";
+        let lease = self.lease(LeaseLimits::default())?;
+        self.run(&lease, 1.0, 250_000_000).await?;
+        let task = tokio::spawn(async move {
+            let _lease = lease;
+            std::panic::resume_unwind(Box::new("a commander that fails"));
+        });
+        if task.await.is_ok() {
+            return self.broken("the commander did not panic");
+        }
+        self.stands().await?;
+        drop(self.lease(LeaseLimits::default())?);
+        Ok(())
+    }
+
+    async fn stop_is_final(&mut self) -> Result<(), Violation> {
+        self.rule = "from full speed, the robot stands within 200 ms after stop, for good";
+        let lease = self.lease(LeaseLimits::default())?;
+        self.run(&lease, 1.0, 250_000_000).await?;
+        self.robot.stop("conformance");
+        self.stands().await?;
+        if !matches!(lease.fault(), Some(Fault::Stopped { .. })) {
+            return self.broken(format!("the lease reports {:?}", lease.fault()));
+        }
+        match self.robot.lease(self.limb, "another", LeaseLimits::default()) {
+            Err(LeaseError::Stopped { .. }) => Ok(()),
+            other => self.broken(format!("a stopped robot gave {other:?}")),
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! A robot without physics: joints that follow their targets, and a wrist that reads what the hand weighs and is pushed.
+//!
+//! For tests of skills and of the guard. [`ServoJoints`] is pure and stepped; [`DummyRobot`] steps it each millisecond of
+//! tokio's clock. There is no table and no object: forces come from whoever pushes.
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use nalgebra::{Point3, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use tokio::task::JoinHandle;
+use tokio::time::MissedTickBehavior;
+
+use crate::wrist::Hand;
+use crate::{Guard, GuardConfig, GuardedRobot, JointTargets, Kinematics, Model, Robot, Sample, Twist};
+
+/// Bandwidth of the joints' servos, rad/s; critically damped.
+const SERVO: f64 = 100.0;
+/// Amplitude of the wrench's noise, N and N m: enough that no two samples are the same.
+const NOISE: f64 = 1e-3;
+
+/// Joints that follow position and velocity targets as critically damped servos, whatever pushes them.
+#[derive(Clone, Debug)]
+pub struct ServoJoints {
+    sample: Sample,
+    kinematics: Kinematics,
+    hand: Option<(Hand, crate::LinkId)>,
+    before: Option<Twist>,
+    rng: ChaCha8Rng,
+}
+
+impl ServoJoints {
+    /// At rest at `q` (all joints, rad or m; missing values are 0). `seed` draws the wrench's noise.
+    #[must_use]
+    pub fn new(model: &Arc<Model>, q: &[f64], seed: u64) -> Self {
+        let mut position = model.zero();
+        position.iter_mut().zip(q).for_each(|(to, from)| *to = *from);
+        let hand = model
+            .limbs()
+            .values()
+            .find_map(|limb| Some((Hand::new(model, limb.sensor?, limb.tcp?), limb.sensor?)));
+        let mut joints = Self {
+            sample: Sample::resting(position),
+            kinematics: Kinematics::new(model),
+            hand,
+            before: None,
+            rng: ChaCha8Rng::seed_from_u64(seed),
+        };
+        joints.sense(&Vector3::zeros(), 1e-3);
+        joints
+    }
+
+    /// What the joints and the wrist report now.
+    #[must_use]
+    pub fn sample(&self) -> &Sample {
+        &self.sample
+    }
+
+    /// The kinematics at the present configuration.
+    #[must_use]
+    pub fn kinematics(&self) -> &Kinematics {
+        &self.kinematics
+    }
+
+    /// Moves the joints towards `targets` for `dt` s; `push` acts on the hand at the TCP (root frame, N).
+    pub fn step(&mut self, targets: &JointTargets, push: &Vector3<f64>, dt: f64) {
+        let Sample { position, velocity, .. } = &mut self.sample;
+        for (j, (q, v)) in position.iter_mut().zip(velocity.iter_mut()).enumerate() {
+            *v +=
+                dt * (SERVO * SERVO * (targets.position[j] - *q) + 2.0 * SERVO * (targets.velocity[j] - *v));
+            *q += dt * *v;
+        }
+        self.sense(push, dt);
+    }
+
+    /// Makes the wrist report what it reported at `earlier`: a broken sensor.
+    pub fn repeat_wrench(&mut self, earlier: &Self) {
+        self.sample.force_raw = earlier.sample.force_raw;
+        self.sample.torque_raw = earlier.sample.torque_raw;
+    }
+
+    fn sense(&mut self, push: &Vector3<f64>, dt: f64) {
+        self.kinematics.update(&self.sample.position);
+        let Some((hand, sensor)) = &self.hand else { return };
+        let now = self.kinematics.twist(*sensor, &Point3::origin(), &self.sample.velocity);
+        let before = self.before.replace(now).unwrap_or(now);
+        let acceleration =
+            Twist { linear: (now.linear - before.linear) / dt, angular: (now.angular - before.angular) / dt };
+        let (force, torque) = hand.reaction(&self.kinematics, push, &now.angular, &acceleration);
+        let rng = &mut self.rng;
+        let mut noise = || Vector3::from_fn(|_, _| rng.random_range(-NOISE..NOISE));
+        self.sample.force_raw = force + noise();
+        self.sample.torque_raw = torque + noise();
+    }
+}
+
+/// A guarded robot on tokio's clock, 1 kHz; it stops when this is dropped.
+#[derive(Debug)]
+pub struct DummyRobot {
+    robot: Arc<GuardedRobot>,
+    push: Arc<Mutex<Vector3<f64>>>,
+    task: JoinHandle<()>,
+}
+
+impl DummyRobot {
+    /// Starts a robot at rest at `q` (all joints; missing values are 0) in the current tokio runtime.
+    #[must_use]
+    pub fn start(model: Arc<Model>, q: &[f64]) -> Self {
+        let mut joints = ServoJoints::new(&model, q, 0);
+        let (mut guard, robot) = Guard::new(model, GuardConfig::default());
+        let push = Arc::new(Mutex::new(Vector3::zeros()));
+        let pushed = Arc::clone(&push);
+        let task = tokio::spawn(async move {
+            let mut tick = tokio::time::interval(Duration::from_millis(1));
+            tick.set_missed_tick_behavior(MissedTickBehavior::Burst);
+            let mut stamp_ns = 0;
+            loop {
+                tick.tick().await;
+                stamp_ns += 1_000_000;
+                let push = *pushed.lock().unwrap_or_else(PoisonError::into_inner);
+                joints.step(guard.step(stamp_ns, joints.sample()), &push, 1e-3);
+            }
+        });
+        Self { robot, push, task }
+    }
+
+    /// The robot as skills see it.
+    #[must_use]
+    pub fn robot(&self) -> Arc<dyn Robot> {
+        Arc::clone(&self.robot) as Arc<dyn Robot>
+    }
+
+    /// Pushes the hand at its TCP with a force, root frame, N, until told otherwise.
+    pub fn push(&self, force: Vector3<f64>) {
+        *self.push.lock().unwrap_or_else(PoisonError::into_inner) = force;
+    }
+
+    /// What was said since the last call, oldest first.
+    #[must_use]
+    pub fn take_utterances(&self) -> Vec<String> {
+        self.robot.shared.take_utterances()
+    }
+}
+
+impl Drop for DummyRobot {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}

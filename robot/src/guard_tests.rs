@@ -1,0 +1,304 @@
+//! The guard over servo joints, stepped without a clock: limits, faults, forces.
+
+use std::sync::Arc;
+
+use nalgebra::{Point3, Vector3};
+
+use crate::{
+    Fault, Guard, GuardConfig, GuardedRobot, Lease, LeaseLimits, Model, Robot, ServoJoints, Wrist, load_mass,
+    postures,
+};
+
+struct Rig {
+    model: Arc<Model>,
+    guard: Guard,
+    robot: Arc<GuardedRobot>,
+    joints: ServoJoints,
+    now_ms: u64,
+    frozen: bool,
+}
+
+impl Rig {
+    fn new() -> Self {
+        let model = Arc::new(Model::armar3());
+        let (guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::default());
+        let joints = ServoJoints::new(&model, &postures::wipe(&model), 1);
+        let mut rig = Self { model, guard, robot, joints, now_ms: 0, frozen: false };
+        rig.run(150, |_| Vector3::zeros());
+        rig.robot.tare();
+        rig.run(50, |_| Vector3::zeros());
+        rig
+    }
+
+    fn lease(&self, limb: &str) -> Lease {
+        self.robot.lease(limb, "test", LeaseLimits::default()).unwrap()
+    }
+
+    /// Steps `ms` times; `push` says the force at the TCP.
+    fn run(&mut self, ms: u64, mut push: impl FnMut(Point3<f64>) -> Vector3<f64>) {
+        let tcp = self.model.link("tcp_right").unwrap();
+        for _ in 0..ms {
+            self.now_ms += 1;
+            let targets = self.guard.step(self.now_ms * 1_000_000, self.joints.sample()).clone();
+            let at = Point3::from(self.joints.kinematics().pose(tcp).translation.vector);
+            let before = self.joints.clone();
+            self.joints.step(&targets, &push(at), 1e-3);
+            if self.frozen {
+                // The joints go on; the wrench repeats itself.
+                self.joints.repeat_wrench(&before);
+            }
+        }
+    }
+
+    fn command(&mut self, lease: &Lease, velocities: &[f64], ms: u64) {
+        for _ in 0..ms {
+            lease.command(velocities).unwrap();
+            self.run(1, |_| Vector3::zeros());
+        }
+    }
+
+    fn fastest(&self) -> f64 {
+        self.joints.sample().velocity.iter().fold(0.0, |most, v| most.max(v.abs()))
+    }
+
+    fn wrist(&self) -> Wrist {
+        self.robot.sensed().borrow().wrist
+    }
+
+    fn limit_and(&self, joint: &str) -> (usize, f64, f64) {
+        let j = self.model.joint(joint).unwrap();
+        (j, self.model.joints()[j].lower, self.model.joints()[j].upper)
+    }
+}
+
+#[test]
+fn every_joint_brakes_from_full_speed_within_200_ms() {
+    for limb in ["right_arm", "left_arm", "torso", "head", "right_hand"] {
+        let mut rig = Rig::new();
+        let lease = rig.lease(limb);
+        let speeds: Vec<f64> = rig
+            .model
+            .limb(limb)
+            .iter()
+            .map(|&j| rig.model.joints()[j].velocity.copysign(0.5 - rig.joints.sample().position[j]))
+            .collect();
+        rig.command(&lease, &speeds, 250);
+        assert!(rig.fastest() > 0.1 || limb == "right_hand", "{limb} moves at {}", rig.fastest());
+        drop(lease);
+        rig.run(200, |_| Vector3::zeros());
+        assert!(rig.fastest() < 0.01, "{limb} still moves at {}", rig.fastest());
+    }
+}
+
+#[test]
+fn accelerations_and_speeds_stay_within_the_limits() {
+    let mut rig = Rig::new();
+    let lease = rig.lease("right_arm");
+    let mut before = rig.guard.targets().velocity.clone();
+    for k in 0..400_u32 {
+        let sign = if (k / 60) % 2 == 0 { 1.0 } else { -1.0 };
+        lease.command(&[9.0 * sign, -5.0, 3.0, 9.0 * sign, 0.1, 9.0, -9.0]).unwrap();
+        rig.run(1, |_| Vector3::zeros());
+        let now = rig.guard.targets().velocity.clone();
+        for (j, joint) in rig.model.joints().iter().enumerate() {
+            assert!(now[j].abs() <= joint.velocity + 1e-9, "{} at {}", joint.name, now[j]);
+            assert!((now[j] - before[j]).abs() <= joint.acceleration * 1e-3 * 2.0 + 1e-9, "{}", joint.name);
+        }
+        before = now;
+    }
+}
+
+#[test]
+fn a_joint_stops_softly_before_its_limit() {
+    let mut rig = Rig::new();
+    let lease = rig.lease("right_arm");
+    let (joint, _, upper) = rig.limit_and("elbow_r");
+    let place = rig.model.limb("right_arm").iter().position(|&j| j == joint).unwrap();
+    let mut command = vec![0.0; 7];
+    command[place] = 1.0;
+    rig.command(&lease, &command, 4000);
+    let q = rig.joints.sample().position[joint];
+    assert!(q < upper && q > upper - 0.02, "{q} of {upper}");
+    assert!(rig.fastest() < 1e-3);
+}
+
+#[test]
+fn the_watchdog_acts_after_30_ms_and_only_on_what_moves() {
+    let mut rig = Rig::new();
+    let lease = rig.lease("right_arm");
+    rig.command(&lease, &[0.2; 7], 100);
+    rig.run(30, |_| Vector3::zeros());
+    assert_eq!(lease.fault(), None);
+    rig.run(2, |_| Vector3::zeros());
+    assert_eq!(lease.fault(), Some(Fault::Watchdog { silent_ms: 31 }));
+    rig.run(200, |_| Vector3::zeros());
+    assert!(rig.fastest() < 0.01);
+    drop(lease);
+    let lease = rig.lease("right_arm");
+    rig.command(&lease, &[0.0; 7], 1);
+    rig.run(500, |_| Vector3::zeros());
+    assert_eq!(lease.fault(), None);
+}
+
+#[test]
+fn the_wrist_reads_a_push_and_no_motion_of_its_own() {
+    let mut rig = Rig::new();
+    assert!(rig.wrist().force.norm() < 0.02, "{:?}", rig.wrist());
+    let push = Vector3::new(3.0, -4.0, 5.0);
+    rig.run(100, |_| push);
+    let wrist = rig.wrist();
+    assert!((wrist.force - push).norm() < 0.02 && wrist.torque.norm() < 0.02, "{wrist:?}");
+    rig.run(100, |_| Vector3::zeros());
+    let lease = rig.lease("right_arm");
+    let mut most = 0.0_f64;
+    for k in 0..600_u32 {
+        let speed = if (k / 100) % 2 == 0 { 1.0 } else { -1.0 };
+        lease.command(&[speed, 0.5 * speed, -speed, speed, 0.0, 0.0, 0.0]).unwrap();
+        rig.run(1, |_| Vector3::zeros());
+        most = most.max(rig.wrist().force.norm());
+    }
+    // The hand of 1 kg accelerates by up to 8 m/s².
+    assert!(most < 0.5, "its own motion reads as {most} N");
+}
+
+#[test]
+fn what_the_hand_lifts_is_weighed_and_compensated() {
+    let mut rig = Rig::new();
+    let before = rig.wrist();
+    let weight = Vector3::new(0.0, 0.0, -0.15 * 9.81);
+    rig.run(100, |_| weight);
+    assert!((load_mass(&before, &rig.wrist()) - 0.15).abs() < 0.002);
+    rig.robot.set_load(0.15, Point3::origin());
+    rig.run(100, |_| weight);
+    assert!(rig.wrist().force.norm() < 0.02, "{:?}", rig.wrist());
+}
+
+#[test]
+fn the_raw_wrist_of_a_hanging_hand_reads_its_weight_downwards() {
+    let rig = Rig::new();
+    let sensor = rig.model.link("wrist_sensor_right").unwrap();
+    let force = rig.joints.kinematics().pose(sensor) * rig.joints.sample().force_raw;
+    assert!((force - Vector3::new(0.0, 0.0, -9.81)).norm() < 0.01, "{force:?}");
+}
+
+#[test]
+fn a_strong_push_is_given_way_to_until_it_is_under_the_limit() {
+    let mut rig = Rig::new();
+    let arm = rig.lease("right_arm");
+    let hand = rig.lease("right_hand");
+    // A person of 500 N/m, whose hand is 0.16 m behind the robot's: 80 N.
+    let tcp = rig.model.link("tcp_right").unwrap();
+    let start = rig.joints.kinematics().pose(tcp).translation.vector;
+    let spring = move |at: Point3<f64>| Vector3::new(500.0 * (start.x - 0.16 - at.x).min(0.0), 0.0, 0.0);
+    rig.run(2000, spring);
+    let Some(Fault::Force { force_n, limit_n }) = arm.fault() else { panic!("{:?}", arm.fault()) };
+    assert!(limit_n == 40.0 && force_n > 60.0 && force_n < 90.0, "{force_n}");
+    assert_eq!(hand.fault(), None);
+    let force = rig.wrist().force.norm();
+    assert!(force < 40.0 && force > 10.0, "{force} N remain");
+    assert!(rig.fastest() < 0.01, "it stands, at {}", rig.fastest());
+    let end = rig.joints.kinematics().pose(tcp).translation.vector;
+    assert!((end - start).x < -0.08 && (end - start).yz().norm() < 0.02, "{:?}", end - start);
+}
+
+#[test]
+fn pressing_on_a_stiff_table_ends_under_the_limit_of_the_lease() {
+    for stiffness in [2000.0, 10_000.0] {
+        let mut rig = Rig::new();
+        let limits = LeaseLimits { force_n: Some(20.0), ..LeaseLimits::default() };
+        let lease = rig.robot.lease("right_arm", "test", limits).unwrap();
+        let tcp = rig.model.link("tcp_right").unwrap();
+        let table = rig.joints.kinematics().pose(tcp).translation.z - 0.03;
+        let spring = move |at: Point3<f64>| Vector3::new(0.0, 0.0, stiffness * (table - at.z).max(0.0));
+        let mut ik = crate::DifferentialIk::new(
+            &rig.model,
+            tcp,
+            rig.model.limb("right_arm"),
+            crate::IkConfig::default(),
+        );
+        let down = crate::Twist { linear: Vector3::new(0.0, 0.0, -0.1), angular: Vector3::zeros() };
+        for _ in 0..2000 {
+            let q = rig.joints.sample().position.clone();
+            let _ = lease.command(ik.step(&q, &down, None).velocities);
+            rig.run(1, spring);
+        }
+        assert!(matches!(lease.fault(), Some(Fault::Force { limit_n: 20.0, .. })), "{:?}", lease.fault());
+        let force = rig.wrist().force.norm();
+        assert!(force < 20.0, "{force} N remain at {stiffness} N/m");
+        assert!(rig.fastest() < 0.01, "it stands at {stiffness} N/m, at {}", rig.fastest());
+    }
+}
+
+#[test]
+fn a_frozen_wrench_faults_the_arm_but_not_the_head() {
+    let mut rig = Rig::new();
+    let (arm, head) = (rig.lease("right_arm"), rig.lease("head"));
+    rig.frozen = true;
+    rig.run(99, |_| Vector3::zeros());
+    assert_eq!(arm.fault(), None);
+    rig.run(5, |_| Vector3::zeros());
+    assert!(matches!(arm.fault(), Some(Fault::FrozenWrench { frozen_ms: 100 })), "{:?}", arm.fault());
+    assert_eq!(head.fault(), None);
+    drop(arm);
+    rig.frozen = false;
+    rig.run(2, |_| Vector3::zeros());
+    let arm = rig.lease("right_arm");
+    rig.run(10, |_| Vector3::zeros());
+    assert_eq!(arm.fault(), None);
+}
+
+#[test]
+fn samples_that_are_not_numbers_move_nothing() {
+    let mut rig = Rig::new();
+    let lease = rig.lease("right_arm");
+    rig.command(&lease, &[0.3; 7], 50);
+    let mut broken = rig.joints.sample().clone();
+    broken.position[8] = f64::NAN;
+    broken.force_raw.x = f64::INFINITY;
+    for _ in 0..150 {
+        rig.now_ms += 1;
+        let targets = rig.guard.step(rig.now_ms * 1_000_000, &broken);
+        assert!(targets.position.iter().chain(&targets.velocity).all(|v| v.is_finite()));
+    }
+    assert!(lease.fault().is_some());
+    assert!(rig.wrist().force.norm().is_finite());
+}
+
+#[test]
+fn the_setpoint_does_not_run_away_from_a_joint_that_is_held() {
+    let mut rig = Rig::new();
+    let lease = rig.lease("right_arm");
+    let held = rig.joints.sample().clone();
+    let (joint, ..) = rig.limit_and("elbow_r");
+    let mut sample = held.clone();
+    for k in 0..1000_u32 {
+        rig.now_ms += 1;
+        sample.force_raw.x = held.force_raw.x + 1e-4 * f64::from(k % 7);
+        lease.command(&[0.0, 0.0, 0.0, -0.5, 0.0, 0.0, 0.0]).unwrap();
+        let targets = rig.guard.step(rig.now_ms * 1_000_000, &sample);
+        assert!((targets.position[joint] - held.position[joint]).abs() <= 0.05 + 1e-12);
+    }
+    assert!(rig.guard.targets().velocity[joint].abs() < 0.03);
+}
+
+#[test]
+fn stop_is_final_and_utterances_are_heard() {
+    let mut rig = Rig::new();
+    let lease = rig.lease("right_arm");
+    rig.robot.say("ready");
+    rig.robot.say("show me");
+    assert_eq!(rig.guard.take_utterances(), ["ready", "show me"]);
+    assert!(rig.guard.take_utterances().is_empty());
+    rig.robot.stop("a test");
+    assert_eq!(lease.command(&[0.1; 7]), Err(Fault::Stopped { reason: "a test".into() }));
+    assert!(rig.robot.lease("head", "test", LeaseLimits::default()).is_err());
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_dummy_conforms() {
+    for limb in ["right_arm", "torso", "head", "right_hand"] {
+        let model = Arc::new(Model::armar3());
+        let dummy = crate::DummyRobot::start(Arc::clone(&model), &postures::wipe(&model));
+        crate::conformance::check(&dummy.robot(), limb).await.unwrap_or_else(|v| panic!("{limb}: {v}"));
+    }
+}
