@@ -15,7 +15,7 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use tokio::sync::watch;
 
 use crate::coach::{CoachState, HandShown};
-use crate::render::hand::{HandGesture, HandPose, hand_shapes, landmarks};
+use crate::render::hand::{HandGesture, HandPose, SLEEVE, hand_shapes, landmarks};
 use crate::render::{
     DirtTexture, Geometry, Rendering, Scene, SensorNoise, Shape, Viewpoint, render_pair, robot,
 };
@@ -29,8 +29,8 @@ pub const TOOL_HALF: Vector3<f64> = Vector3::new(0.045, 0.03, 0.02);
 const DIRT: [u8; 3] = [104, 92, 84];
 /// How far around the workspace's middle the table is dirty to the eye, m.
 const DIRTY_RADIUS: f64 = 0.22;
-/// Something that is nearer to the camera than a part of the hand by more than this hides it, m.
-const HIDES: f64 = 0.04;
+/// Something that is nearer to the camera than the hand by more than this hides it, m.
+const HIDES: f32 = 0.002;
 
 /// The provider of the simulated frames.
 #[derive(Debug)]
@@ -210,10 +210,10 @@ impl Eyes {
         let left = Viewpoint { scene_from_camera, camera };
         let right = left.shifted_right(self.source.calibration.baseline);
         let drawn = render_pair(&scene, &[left, right]);
-        let visible = view
-            .coach
-            .hand
-            .is_some_and(|hand| whole(&hand, &left, &drawn[0]) && whole(&hand, &right, &drawn[1]));
+        let visible = view.coach.hand.is_some_and(|hand| {
+            let alone = render_pair(&Scene::new(skin(&hand)), &[left, right]);
+            whole(&hand, &left, &drawn[0], &alone[0]) && whole(&hand, &right, &drawn[1], &alone[1])
+        });
         self.hand_out(view.stamp_ns, drawn);
         FrameTruth {
             stamp_ns: view.stamp_ns,
@@ -287,6 +287,13 @@ impl Eyes {
     }
 }
 
+/// The hand without its sleeve.
+fn skin(hand: &HandShown) -> Vec<Shape> {
+    let mut shapes = hand_shapes(&HandPose::of(shown(hand.gesture)), &hand.root_from_hand);
+    shapes.retain(|s| s.color != SLEEVE);
+    shapes
+}
+
 fn shown(gesture: Gesture) -> HandGesture {
     match gesture {
         Gesture::Fist => HandGesture::Fist,
@@ -296,23 +303,29 @@ fn shown(gesture: Gesture) -> HandGesture {
     }
 }
 
-/// Whether the whole hand is in a picture and nothing hides a part of it.
-fn whole(hand: &HandShown, viewpoint: &Viewpoint, picture: &Rendering) -> bool {
+/// Whether the whole hand is in a picture and nothing hides more than a hundredth of it: `alone` is the picture of the
+/// hand alone.
+fn whole(hand: &HandShown, viewpoint: &Viewpoint, picture: &Rendering, alone: &Rendering) -> bool {
     let camera_from_hand = viewpoint.scene_from_camera.inverse() * hand.root_from_hand;
     let camera = &viewpoint.camera;
-    landmarks(&HandPose::of(shown(hand.gesture))).iter().all(|(point, radius)| {
+    let mut farthest = 0.0f64;
+    let inside = landmarks(&HandPose::of(shown(hand.gesture))).iter().all(|(point, radius)| {
         let p = camera_from_hand * point;
-        let Some(pixel) = camera.project(&p) else { return false };
-        let margin = camera.focal * radius / p.z;
-        let inside = |v: f64, size: u32| v >= margin && v <= f64::from(size) - 1.0 - margin;
-        if !inside(pixel.x, camera.width) || !inside(pixel.y, camera.height) {
-            return false;
+        farthest = farthest.max(p.z + radius);
+        camera.project(&p).is_some_and(|pixel| {
+            let margin = camera.focal * radius / p.z;
+            let within = |v: f64, size: u32| v >= margin && v <= f64::from(size) - 1.0 - margin;
+            within(pixel.x, camera.width) && within(pixel.y, camera.height)
+        })
+    });
+    let (mut seen, mut hidden) = (0usize, 0usize);
+    for (a, b) in alone.depth.data.iter().zip(&picture.depth.data) {
+        if *a > 0.0 && f64::from(*a) <= farthest {
+            seen += 1;
+            hidden += usize::from(*b < *a - HIDES);
         }
-        let index = pixel.y.round() as usize * camera.width as usize + pixel.x.round() as usize;
-        let depth = picture.depth.data.get(index).copied().map_or(0.0, f64::from);
-        // The hand hides its own far side, by no more than its thickness.
-        depth > p.z - radius - HIDES
-    })
+    }
+    inside && seen > 0 && hidden * 100 <= seen
 }
 
 fn legs(table: &TableTop) -> Vec<Shape> {

@@ -1,5 +1,5 @@
 //! The simulator as a whole, from outside: repeatable, in virtual time, safe.
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -151,4 +151,17 @@ async fn frames_come_at_their_rate_to_those_who_wait() {
     handle.stop();
     task.await.unwrap();
     assert!(images.next().await.is_err());
+}
+
+/// What every driver of a robot must do, with real physics under it.
+#[tokio::test(start_paused = true)]
+async fn the_simulated_robot_conforms() {
+    for limb in ["right_arm", "left_arm", "torso", "head"] {
+        let (simulation, _) = simulation(&World::default(), 5);
+        let (robot, handle) = (simulation.robot(), simulation.handle());
+        let task = tokio::spawn(simulation.run());
+        armarium_robot::conformance::check(&robot, limb).await.unwrap_or_else(|e| panic!("{limb}: {e}"));
+        handle.stop();
+        task.await.unwrap();
+    }
 }

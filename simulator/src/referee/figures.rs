@@ -416,3 +416,120 @@ fn gestures(log: &TruthLog, seen: &[(u64, Option<String>)]) -> Option<GestureFig
         figures
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use nalgebra::Isometry3;
+
+    use super::*;
+    use crate::coach::{ActionEvent, wrap};
+
+    /// A run that performs the coach's path perfectly at `force(t)` N, shifted along y by `shift(t, phase)`, with the
+    /// sponge level and nominal in the hand.
+    fn run(seconds: f64, force: impl Fn(f64) -> f64, shift: impl Fn(f64, f64) -> f64) -> (World, TruthLog) {
+        let mut world = World::default();
+        world.table.tilt_deg = [0.0; 2];
+        world.table.bumps.clear();
+        let path = CoachPath::new(&world.coach.demonstration.clone().unwrap());
+        let down = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::FRAC_PI_2);
+        let mut log = TruthLog::default();
+        for i in 0..(seconds * 1e3) as u64 {
+            let t = i as f64 * 1e-3;
+            let phase = 0.5 * t;
+            let [x, y] = path.point(TAU * phase);
+            let normal = force(t);
+            let z = 0.95 + 0.02 + GRASP_OFFSET - normal / 2000.0;
+            let at = Vector3::new(x, y + shift(t, phase.fract()), z);
+            let tcp = Isometry3::from_parts(at.into(), down);
+            let sponge = Isometry3::translation(at.x, at.y, at.z - GRASP_OFFSET);
+            log.records.push(Record {
+                stamp_ns: i * 1_000_000,
+                tcp,
+                sponge: Some(sponge),
+                normal,
+                tangential: 0.0,
+                tool: None,
+            });
+        }
+        (world, log)
+    }
+
+    fn marks(free: u64, adapted: u64) -> Vec<(u64, Mark)> {
+        let s = 1_000_000_000;
+        vec![
+            (s, Mark::GraspClosed),
+            (s, Mark::LearningEnded),
+            (free * s, Mark::AdaptationStarted),
+            (adapted * s, Mark::AdaptationEnded { desired_n: 8.0, cycles: 4 }),
+        ]
+    }
+
+    #[test]
+    fn a_perfect_run_has_perfect_figures() {
+        let (world, log) = run(30.0, |t| if t < 10.0 { 0.0 } else { 8.0 }, |_, _| 0.0);
+        let report = compute(&world, &log, &marks(10, 12), &[]);
+        assert!(report.grasp.unwrap().position_error_m < 1e-9);
+        let imitation = report.imitation.unwrap();
+        assert!((imitation.frequency_hz - 0.5).abs() < 1e-4);
+        assert!(imitation.path_rms_m < 2e-4, "{imitation:?}");
+        let force = report.force.unwrap();
+        assert!((force.mean_n - 8.0).abs() < 1e-9 && force.rms_error_n < 1e-9 && force.contact_lost_s == 0.0);
+        assert!((force.touchdown_max_n - 8.0).abs() < 1e-9);
+        assert!(report.wiped_fraction.unwrap() > 0.99, "{:?}", report.wiped_fraction);
+        assert!(report.coaching.is_empty() && report.gestures.is_none());
+    }
+
+    #[test]
+    fn a_weak_force_wipes_nothing_and_errors_are_counted() {
+        let (world, log) = run(30.0, |_| 2.0, |_, _| 0.0);
+        assert_eq!(compute(&world, &log, &marks(10, 12), &[]).wiped_fraction, Some(0.0));
+        let wave = |t: f64| 8.0 + 2.0 * (TAU * 0.5 * t).sin();
+        let (world, log) = run(30.0, wave, |_, _| 0.0);
+        let force = compute(&world, &log, &marks(10, 12), &[]).force.unwrap();
+        assert!((force.rms_error_n - 2f64.sqrt()).abs() < 1e-3 && (force.max_n - 10.0).abs() < 1e-3);
+    }
+
+    /// The path is pushed out by 30 mm about phase 0.25 from 20 s on, of which 24 mm are left after 30 s.
+    #[test]
+    fn a_local_shift_is_measured_where_it_is() {
+        let bump = |t: f64, phase: f64| {
+            let off = wrap(TAU * (phase - 0.25)) / TAU;
+            let height = if t < 20.0 {
+                0.0
+            } else if t < 30.05 {
+                0.03
+            } else {
+                0.024
+            };
+            height * (-(off / 0.08).powi(2)).exp()
+        };
+        let (world, mut log) = run(45.0, |_| 8.0, bump);
+        for (t, event) in [(15.0, EventKind::Began), (28.0, EventKind::Ended)] {
+            log.coach.push(ActionEvent { step: 0, kind: ActionKind::Push, event, t });
+        }
+        let report = compute(&world, &log, &marks(2, 3), &[]);
+        let push = &report.coaching[0];
+        assert_eq!(push.kind, "push");
+        assert!((push.displacement_m.unwrap() - 0.03).abs() < 1.5e-3, "{push:?}");
+        assert!((push.retained_m.unwrap() - 0.024).abs() < 1.5e-3, "{push:?}");
+        assert!(push.far_side_rms_m.unwrap() < 2e-3, "{push:?}");
+        assert!(push.direction_error_deg.unwrap() < 5.0 && push.slowed_to.is_none());
+    }
+
+    #[test]
+    fn gestures_are_counted_with_as_many_frames_without() {
+        let mut log = TruthLog::default();
+        let mut seen = Vec::new();
+        for i in 0..100u64 {
+            let gesture = (i >= 80).then_some(Gesture::Fist);
+            log.frames.push(FrameTruth { stamp_ns: i, gesture, since_s: 1.0, visible: true });
+            seen.push((i, (i >= 85).then(|| "fist".to_owned())));
+        }
+        let figures = gestures(&log, &seen).unwrap();
+        assert_eq!(figures.frames, 40);
+        assert!((figures.accuracy - 35.0 / 40.0).abs() < 1e-12);
+        assert_eq!(figures.confusion["fist"]["none"], 5);
+    }
+}
