@@ -136,11 +136,10 @@ impl Shared {
         let mut dropped = 0;
         while let Some(message) = updates.next().await {
             // The memory's own voice is on the same keys.
-            if !message.encoding.starts_with("application/cbor;memoryx/entity;") {
-                if let Err(error) = self.take_update(&message) {
-                    let sender = message.sender.as_deref().unwrap_or("unknown");
-                    tracing::warn!(%error, key = message.key, sender, "an update was refused");
-                }
+            let is_own = message.encoding.starts_with("application/cbor;memoryx/entity;");
+            if let Some(error) = (!is_own).then(|| self.take_update(&message).err()).flatten() {
+                let sender = message.sender.as_deref().unwrap_or("unknown");
+                tracing::warn!(%error, key = message.key, sender, "an update was refused");
             }
             if updates.dropped() > dropped {
                 dropped = updates.dropped();

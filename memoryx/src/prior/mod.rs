@@ -1,7 +1,7 @@
 //! Prior knowledge: what is known of kinds of objects before one is seen. It enriches what perception finds with
 //! colour, size, mass, the recognition method and grasps.
 //!
-//! The classes come from a folder of YAML files ([`PriorKnowledge::load`], one class a file, see [`file`] for its
+//! The classes come from a folder of YAML files ([`PriorKnowledge::load`], one class a file, see [`mod@file`] for its
 //! form) or from the program ([`PriorKnowledge::add`]). [`PriorKnowledge::put_into`] makes them the read-only
 //! provider segment `ObjectClasses/prior` of a working memory; skills read them back with
 //! [`ObjectClass::from_snapshot`].

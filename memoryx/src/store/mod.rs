@@ -24,22 +24,21 @@
 //! into the file (it is locked). redb makes the newest complete transaction the valid one by its own checksums.
 
 use std::fmt;
-use std::ops::Bound;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
 
-use redb::{
-    Database, ReadTransaction, ReadableDatabase, ReadableTable, ReadableTableMetadata, TableDefinition,
-};
+use redb::{Database, ReadableDatabase, ReadableTable, ReadableTableMetadata, TableDefinition};
 
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
-use crate::query::{Pattern, Query, Times};
+use crate::query::{Pattern, Query};
 use crate::working::{Backing, WorkingMemory};
 
 mod consolidate;
+mod read;
 mod record;
+mod verify;
 
 #[cfg(test)]
 mod fault_tests;
@@ -47,14 +46,12 @@ mod fault_tests;
 mod tests;
 
 pub use consolidate::{Consolidator, Numbering, Policies, Policy, Step};
+pub use verify::Verification;
 
 /// The format that this program writes and reads.
 const FORMAT: u64 = 1;
 /// redb's cache, bytes.
 const CACHE: usize = 32 << 20;
-/// Damages that a verification lists one by one.
-const LISTED: usize = 100;
-
 const META: TableDefinition<'_, &str, u64> = TableDefinition::new("meta");
 const SNAPSHOTS: TableDefinition<'_, &[u8], &[u8]> = TableDefinition::new("snapshots");
 const TIMES: TableDefinition<'_, &[u8], ()> = TableDefinition::new("times");
@@ -143,32 +140,6 @@ pub struct StoreStats {
     pub snapshots: u64,
     /// Length of the file, bytes; 0 where there is no file.
     pub file_bytes: u64,
-}
-
-/// What a verification has found.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Verification {
-    /// Snapshots that were read and are as they were written.
-    pub intact: u64,
-    /// Snapshots and index entries that are not.
-    pub damaged: u64,
-    /// The first of them in words.
-    pub damages: Vec<String>,
-}
-
-impl Verification {
-    /// Whether everything is as it was written.
-    #[must_use]
-    pub fn is_intact(&self) -> bool {
-        self.damaged == 0
-    }
-
-    fn damage(&mut self, what: String) {
-        self.damaged += 1;
-        if self.damages.len() < LISTED {
-            self.damages.push(what);
-        }
-    }
 }
 
 type Opener = Box<dyn Fn() -> Result<Database, redb::DatabaseError> + Send + Sync>;
@@ -277,22 +248,6 @@ impl LongTermMemory {
         Ok(self.query(&query)?.pop())
     }
 
-    /// What a query asks for, ordered by address, then version: the same as [`crate::Memory::query`], of everything
-    /// that was ever kept.
-    ///
-    /// # Errors
-    /// [`StoreError::Damaged`] and others when it cannot be read.
-    pub fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, StoreError> {
-        self.with(|database| {
-            let transaction = database.begin_read().map_err(|e| self.fault(e))?;
-            let mut found = Vec::new();
-            for (id, newest) in self.entities(&transaction, &query.pattern)? {
-                self.query_entity(&transaction, query, &id, newest, &mut found)?;
-            }
-            Ok(found)
-        })
-    }
-
     /// Puts the newest snapshots of what a pattern fits back into working memory, with their versions. Returns how
     /// many that memory did not have.
     ///
@@ -326,154 +281,6 @@ impl LongTermMemory {
     /// When the disk fails; nothing is lost then.
     pub fn compact(&self) -> Result<bool, StoreError> {
         self.with_alone(|database| database.compact().map_err(|e| self.fault(e)))
-    }
-
-    /// Reads everything and checks it: redb's own checksums, each record's checksum and content, and that the
-    /// indices agree. Waits until nobody else uses the memory. Changes nothing that is intact.
-    ///
-    /// # Errors
-    /// When the file cannot be read at all.
-    pub fn verify(&self) -> Result<Verification, StoreError> {
-        let mut found = Verification::default();
-        let pages = self.with_alone(|database| database.check_integrity().map_err(|e| self.fault(e)));
-        match pages {
-            Ok(true) => {}
-            Ok(false) => found.damage("pages of the file were not as they were written".into()),
-            Err(StoreError::Damaged { what, .. }) => found.damage(what),
-            Err(error) => return Err(error),
-        }
-        self.with(|database| {
-            let transaction = database.begin_read().map_err(|e| self.fault(e))?;
-            self.verify_tables(&transaction, &mut found)
-        })?;
-        Ok(found)
-    }
-
-    fn verify_tables(
-        &self,
-        transaction: &ReadTransaction,
-        found: &mut Verification,
-    ) -> Result<(), StoreError> {
-        let snapshots = transaction.open_table(SNAPSHOTS).map_err(|e| self.fault(e))?;
-        let times = transaction.open_table(TIMES).map_err(|e| self.fault(e))?;
-        let latest = transaction.open_table(LATEST).map_err(|e| self.fault(e))?;
-        for row in snapshots.iter().map_err(|e| self.fault(e))? {
-            let (key, value) = row.map_err(|e| self.fault(e))?;
-            match record::decode(key.value(), value.value()) {
-                Err(what) => found.damage(what),
-                Ok(snapshot) => {
-                    let time = record::time_key(&snapshot.id, snapshot.referenced_ns, snapshot.version);
-                    let timed = times.get(time.as_slice()).map_err(|e| self.fault(e))?.is_some();
-                    let entity = record::entity_key(&snapshot.id);
-                    let newest = latest.get(entity.as_slice()).map_err(|e| self.fault(e))?;
-                    let newest = newest.is_some_and(|v| v.value() >= snapshot.version);
-                    if timed && newest {
-                        found.intact += 1;
-                    } else {
-                        found.damage(format!(
-                            "version {} of `{}` is not in the index",
-                            snapshot.version, snapshot.id
-                        ));
-                    }
-                }
-            }
-        }
-        let (rows, timed) =
-            (snapshots.len().map_err(|e| self.fault(e))?, times.len().map_err(|e| self.fault(e))?);
-        if rows != timed {
-            found.damage(format!("{rows} snapshots have {timed} entries in the index of times"));
-        }
-        Ok(())
-    }
-
-    /// The entities that a pattern fits, with their newest versions.
-    fn entities(
-        &self,
-        transaction: &ReadTransaction,
-        pattern: &Pattern,
-    ) -> Result<Vec<(EntityId, u64)>, StoreError> {
-        let latest = transaction.open_table(LATEST).map_err(|e| self.fault(e))?;
-        let (from, to) = record::entity_range(pattern);
-        let to = to.as_ref().map_or(Bound::Unbounded, |to| Bound::Excluded(to.as_slice()));
-        let rows =
-            latest.range::<&[u8]>((Bound::Included(from.as_slice()), to)).map_err(|e| self.fault(e))?;
-        let mut found = Vec::new();
-        for row in rows {
-            let (key, version) = row.map_err(|e| self.fault(e))?;
-            let id = record::entity_of(key.value()).map_err(|what| self.damaged(what))?;
-            if pattern.matches(&id) {
-                found.push((id, version.value()));
-            }
-        }
-        Ok(found)
-    }
-
-    /// Adds what a query takes of one entity, without reading more of its history than that.
-    fn query_entity(
-        &self,
-        transaction: &ReadTransaction,
-        query: &Query,
-        id: &EntityId,
-        newest: u64,
-        found: &mut Vec<Arc<Snapshot>>,
-    ) -> Result<(), StoreError> {
-        let limit = query.limit.unwrap_or(usize::MAX);
-        let snapshots = transaction.open_table(SNAPSHOTS).map_err(|e| self.fault(e))?;
-        let get = |version: u64| -> Result<Arc<Snapshot>, StoreError> {
-            let key = record::key(id, version);
-            let row = snapshots.get(key.as_slice()).map_err(|e| self.fault(e))?;
-            let row = row.ok_or_else(|| self.damaged(format!("version {version} of `{id}` is missing")))?;
-            record::decode(&key, row.value()).map(Arc::new).map_err(|what| self.damaged(what))
-        };
-        let times = || transaction.open_table(TIMES).map_err(|e| self.fault(e));
-        let held = |before: u64| -> Result<Option<u64>, StoreError> {
-            let (from, to) = (record::time_key(id, 0, 0), record::time_key(id, before, u64::MAX));
-            let times = times()?;
-            let mut rows =
-                times.range::<&[u8]>(from.as_slice()..=to.as_slice()).map_err(|e| self.fault(e))?;
-            let row = rows.next_back().transpose().map_err(|e| self.fault(e))?;
-            Ok(row.map(|(key, _)| record::last_number(key.value())))
-        };
-        if limit == 0 {
-            return Ok(());
-        }
-        let taken = match query.times {
-            Times::Latest => vec![get(newest)?],
-            Times::At(time) => held(time)?.map(get).transpose()?.into_iter().collect(),
-            Times::Before(0) => Vec::new(),
-            Times::Before(time) => held(time - 1)?.map(get).transpose()?.into_iter().collect(),
-            Times::All => {
-                let (from, to) = (record::key(id, 0), record::key(id, u64::MAX));
-                let rows =
-                    snapshots.range::<&[u8]>(from.as_slice()..=to.as_slice()).map_err(|e| self.fault(e))?;
-                let mut taken = Vec::new();
-                for row in rows.rev().take(limit) {
-                    let (key, value) = row.map_err(|e| self.fault(e))?;
-                    let snapshot = record::decode(key.value(), value.value());
-                    taken.push(Arc::new(snapshot.map_err(|what| self.damaged(what))?));
-                }
-                taken.reverse();
-                found.extend(taken);
-                return Ok(());
-            }
-            Times::Between(from, to) if from <= to => {
-                let (from, to) = (record::time_key(id, from, 0), record::time_key(id, to, u64::MAX));
-                let times = times()?;
-                let rows =
-                    times.range::<&[u8]>(from.as_slice()..=to.as_slice()).map_err(|e| self.fault(e))?;
-                let mut versions = Vec::new();
-                for row in rows {
-                    versions.push(record::last_number(row.map_err(|e| self.fault(e))?.0.value()));
-                }
-                versions.sort_unstable();
-                let first = versions.len().saturating_sub(limit);
-                found.extend(versions[first..].iter().map(|v| get(*v)).collect::<Result<Vec<_>, _>>()?);
-                return Ok(());
-            }
-            Times::Between(..) => Vec::new(),
-        };
-        found.extend(taken.into_iter().filter(|s| !s.is_removed()));
-        Ok(())
     }
 
     /// Uses the database together with others; opens it again first if it has failed.

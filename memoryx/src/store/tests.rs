@@ -10,6 +10,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::entity::{Commit, Instance};
 use crate::follow::Follower;
+use crate::query::Times;
 use crate::working::Limits;
 
 pub(super) fn snapshot(path: &str, version: u64, time: u64, value: i64) -> Arc<Snapshot> {
