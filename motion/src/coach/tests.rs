@@ -1,0 +1,218 @@
+//! Pushes, gestures and shifts on simulated wiping loops.
+
+use super::*;
+use crate::{PeriodicDmpConfig, PeriodicPath, PhaseSample};
+use std::f64::consts::TAU;
+
+const SAMPLES: usize = 200;
+const DT: f64 = 0.005;
+
+fn shape(kind: &str, size: [f64; 2], phase: f64) -> [Vector3<f64>; 3] {
+    let (a, b) = (0.5 * size[0], 0.5 * size[1]);
+    let (k, turn) = match kind {
+        "eight" => (2.0, 0.0),
+        "line" => (1.0, 0.0),
+        _ => (1.0, TAU / 4.0),
+    };
+    let (p, q) = (phase, k * phase + turn);
+    [
+        Vector3::new(a * p.sin() + 0.3, b * q.sin() + 0.5, 1.0),
+        Vector3::new(a * p.cos(), b * k * q.cos(), 0.0),
+        Vector3::new(-a * p.sin(), -b * k * k * q.sin(), 0.0),
+    ]
+}
+
+fn wiping(kind: &str, size: [f64; 2]) -> PeriodicDmp {
+    let mut dmp = PeriodicDmp::new(PeriodicDmpConfig::with_dofs(3)).unwrap();
+    let samples: Vec<PhaseSample> = (0..SAMPLES)
+        .map(|s| {
+            let phase = TAU * s as f64 / SAMPLES as f64;
+            let [y, dy, ddy] = shape(kind, size, phase).map(|v| v.as_slice().to_vec());
+            PhaseSample { phase, y, dy, ddy }
+        })
+        .collect();
+    dmp.learn_batch(&samples).unwrap();
+    dmp
+}
+
+fn point(path: &PeriodicPath, phase: f64) -> Vector3<f64> {
+    Vector3::from_column_slice(&path.y[((phase / TAU).rem_euclid(1.0) * SAMPLES as f64) as usize % SAMPLES])
+}
+
+struct Change {
+    at_phase: Vector3<f64>,
+    far_rms: f64,
+}
+
+fn change(before: &PeriodicPath, after: &PeriodicPath, phase: f64) -> Change {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for s in 0..SAMPLES {
+        let away = (before.phase(s) - phase + TAU / 2.0).rem_euclid(TAU) - TAU / 2.0;
+        if away.abs() > TAU / 4.0 {
+            sum += (point(after, before.phase(s)) - point(before, before.phase(s))).norm_squared();
+            count += 1.0;
+        }
+    }
+    Change { at_phase: point(after, phase) - point(before, phase), far_rms: f64::sqrt(sum / count) }
+}
+
+/// Runs `seconds` (or until the coach has gone) with `input(phase passed, dmp)`, then two idle cycles.
+fn coached(
+    dmp: &mut PeriodicDmp,
+    hz: f64,
+    seconds: f64,
+    start: f64,
+    input: impl Fn(f64, &PeriodicDmp) -> CoachInput,
+) -> (PeriodicPath, PeriodicPath, PeriodicPath) {
+    let mut coach = Coach::new(CoachConfig::default(), dmp).unwrap();
+    let before = dmp.steady_path(SAMPLES).unwrap();
+    let omega = TAU * hz;
+    dmp.start_on_path(start, omega).unwrap();
+    let mut passed = start;
+    for _ in 0..(seconds / DT) as usize {
+        let input = input(passed, dmp);
+        coach.step(dmp, DT, omega, input).unwrap();
+        dmp.step(DT, omega).unwrap();
+        passed += omega * DT;
+    }
+    let after = dmp.steady_path(SAMPLES).unwrap();
+    for _ in 0..(2.0 / hz / DT) as usize {
+        coach.step(dmp, DT, omega, CoachInput::None).unwrap();
+        dmp.step(DT, omega).unwrap();
+    }
+    let later = dmp.steady_path(SAMPLES).unwrap();
+    (before, after, later)
+}
+
+#[test]
+fn pushes_move_the_path_where_and_whither_they_push() {
+    for kind in ["ellipse", "eight", "line"] {
+        for size in [[0.10, 0.06], [0.16, 0.12]] {
+            for phase in [0.25, 0.5, 0.9] {
+                for turn in [0.0, 1.0, 2.5, 4.0] {
+                    for half_arc in [0.1, 0.2] {
+                        let mut moved = Vec::new();
+                        for hz in [0.3, 0.5, 0.8] {
+                            let direction = Vector3::new(f64::cos(turn), f64::sin(turn), 0.0);
+                            let push = |force: f64, cycles: f64| {
+                                let mut dmp = wiping(kind, size);
+                                let (before, after, later) =
+                                    coached(&mut dmp, hz, cycles / hz, 0.3, |passed, _| {
+                                        let away = (passed / TAU - phase + 0.5).rem_euclid(1.0) - 0.5;
+                                        let on = away.abs() < half_arc;
+                                        if on {
+                                            CoachInput::Push { force: force * direction }
+                                        } else {
+                                            CoachInput::None
+                                        }
+                                    });
+                                assert_eq!(after, later);
+                                change(&before, &after, phase * TAU)
+                            };
+                            let c = push(12.0, 6.0);
+                            let along = c.at_phase.dot(&direction);
+                            assert!(along > 0.02 && along < 0.06, "{kind} {phase} {turn} {hz}: {along}");
+                            assert!(c.at_phase.angle(&direction) < 0.2);
+                            assert!(c.far_rms < 0.005, "far {}", c.far_rms);
+                            let (stronger, longer, weaker) =
+                                (push(20.0, 6.0), push(12.0, 10.0), push(6.0, 6.0));
+                            assert!(stronger.at_phase.dot(&direction) > along + 0.002);
+                            assert!(longer.at_phase.dot(&direction) > along + 0.002);
+                            assert!(weaker.at_phase.dot(&direction) < along - 0.002);
+                            let most = push(40.0, 20.0);
+                            let far = most.at_phase.dot(&direction);
+                            assert!(far < 0.065 && most.far_rms < 0.008, "{far} {}", most.far_rms);
+                            moved.push(along);
+                        }
+                        assert!(moved[2] / moved[0] < 1.1 && moved[0] / moved[2] < 1.1, "{moved:?}");
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn gestures_move_the_near_side_and_end_there() {
+    let mut worst = [f64::INFINITY, 0.0, 0.0];
+    for size in [[0.10, 0.06], [0.16, 0.12]] {
+        for hz in [0.18, 0.3, 0.5, 0.8] {
+            for phase in [0.0, 0.25, 0.4, 0.75] {
+                for (sign, name) in [(1.0, "fist"), (-1.0, "point two")] {
+                    for start in [0.0, 2.0, 4.0] {
+                        let mut dmp = wiping("ellipse", size);
+                        let [y, ..] = shape("ellipse", size, phase * TAU);
+                        let outward = (y - Vector3::new(0.3, 0.5, 1.0)).normalize();
+                        let hand = y + outward * 0.12 + Vector3::new(0.0, 0.0, 0.05);
+                        let (before, after, later) = coached(&mut dmp, hz, 12.0, start, |_, _| {
+                            if sign > 0.0 { CoachInput::Attract { hand } } else { CoachInput::Repel { hand } }
+                        });
+                        assert_eq!(after, later);
+                        let c = change(&before, &after, phase * TAU);
+                        let along = sign * c.at_phase.dot(&outward);
+                        worst[0] = worst[0].min(along);
+                        worst[1] = worst[1].max(along);
+                        worst[2] = worst[2].max(c.far_rms);
+                        assert!(
+                            along > 0.012 && along < 0.05,
+                            "{name} {size:?} {hz} Hz at {phase} from {start}: {along}"
+                        );
+                        assert!(c.far_rms < 0.005, "{name} {hz} far {}", c.far_rms);
+                    }
+                }
+            }
+        }
+    }
+    println!("least {} most {} far {}", worst[0], worst[1], worst[2]);
+}
+
+#[test]
+fn a_hand_beside_a_line_or_an_eight_moves_it_too() {
+    for (kind, phase, outward) in [
+        ("line", 0.25, [1.0, 1.0]),
+        ("line", 0.0, [-1.0, 1.6]),
+        ("eight", 0.25, [1.0, 0.0]),
+        ("eight", 0.125, [0.0, 1.0]),
+        ("eight", 0.375, [0.0, -1.0]),
+    ] {
+        for hz in [0.18, 0.5, 0.8] {
+            for sign in [1.0, -1.0] {
+                let mut dmp = wiping(kind, [0.12, 0.08]);
+                let outward = Vector3::new(outward[0], outward[1], 0.0).normalize();
+                let [y, ..] = shape(kind, [0.12, 0.08], phase * TAU);
+                let hand = y + 0.11 * outward;
+                let (before, after, _) = coached(&mut dmp, hz, 12.0, 1.0, |_, _| {
+                    if sign > 0.0 { CoachInput::Attract { hand } } else { CoachInput::Repel { hand } }
+                });
+                let along = sign * change(&before, &after, phase * TAU).at_phase.dot(&outward);
+                assert!(along > 0.012 && along < 0.05, "{kind} {phase} {hz} {sign}: {along}");
+            }
+        }
+    }
+}
+
+#[test]
+fn pointing_shifts_the_whole_motion() {
+    let mut dmp = wiping("eight", [0.12, 0.08]);
+    let direction = Vector3::new(0.0, 0.04, 0.3);
+    let (before, after, _) = coached(&mut dmp, 0.5, 8.0, 0.0, |_, _| CoachInput::Shift { direction });
+    for s in 0..SAMPLES {
+        let moved = point(&after, before.phase(s)) - point(&before, before.phase(s));
+        assert!((moved - Vector3::new(0.0, 0.04, 0.0)).norm() < 1e-9, "{moved}");
+    }
+}
+
+#[test]
+fn a_refused_step_changes_nothing() {
+    let mut dmp = wiping("ellipse", [0.1, 0.1]);
+    let mut coach = Coach::new(CoachConfig::default(), &dmp).unwrap();
+    let weights = dmp.weights().to_vec();
+    let hand = Vector3::new(f64::NAN, 0.0, 0.0);
+    assert!(coach.step(&mut dmp, DT, 3.0, CoachInput::Attract { hand }).is_err());
+    assert!(coach.step(&mut dmp, -DT, 3.0, CoachInput::Push { force: Vector3::x() }).is_err());
+    assert!(coach.step(&mut dmp, DT, f64::NAN, CoachInput::Push { force: Vector3::x() }).is_err());
+    let mut other = PeriodicDmp::new(PeriodicDmpConfig::with_dofs(2)).unwrap();
+    assert!(coach.step(&mut other, DT, 3.0, CoachInput::Push { force: Vector3::x() }).is_err());
+    assert_eq!(dmp.weights(), weights);
+    assert!(Coach::new(CoachConfig::default(), &other).is_err());
+}

@@ -1,0 +1,139 @@
+//! Force adaptation on simulated contacts: lag, dead time, noise, tilt and bumps.
+
+use super::*;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
+
+struct Bench {
+    stiffness: f64,
+    dt: f64,
+    hz: f64,
+    force: f64,
+    height: fn(f64) -> f64,
+    lag: f64,
+    dead: f64,
+    start: f64,
+}
+
+/// A wiping path over a table tilted by 4 degrees about both axes with a bump of 5 mm.
+fn tilted(phase: f64) -> f64 {
+    let (x, y) = (0.06 * phase.cos(), 0.04 * phase.sin());
+    let bump = 0.005 * (-((x - 0.05).powi(2) + y.powi(2)) / (2.0 * 0.025_f64.powi(2))).exp();
+    0.07 * x - 0.04 * y + bump
+}
+
+fn of_the_design_page(phase: f64) -> f64 {
+    let (x, y) = (0.15 * phase.sin(), 0.1 * (2.0 * phase + 0.3).sin());
+    0.02 * x - 0.03 * y + 0.01 * (-((x - 0.1).powi(2) + (y - 0.05).powi(2)) / 0.005).exp()
+}
+
+struct Result {
+    rms: Vec<f64>,
+    off: f64,
+    worst_late: f64,
+    stiffness: f64,
+    fastest: f64,
+}
+
+/// `cycles` of adaptation, then 4 with the feedback off, on a simulated contact: arm lag, dead time, noise.
+fn run(bench: &Bench, config: SurfaceConfig, cycles: u32) -> Result {
+    let mut adaptation = SurfaceAdaptation::new(config.clone()).unwrap();
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    let noise = Normal::new(0.0, 0.3).unwrap();
+    let omega = TAU * bench.hz;
+    let dead = (bench.dead / bench.dt).round() as usize;
+    let mut commands = vec![(0.0, 0.0); dead + 1];
+    let (mut z, mut along, mut phase) = (0.0_f64, 0.0_f64, 0.0_f64);
+    let (mut off, mut off_count, mut worst_late, mut fastest) = (0.0, 0.0, 0.0_f64, 0.0_f64);
+    let mut k = 0;
+    while adaptation.cycles() < cycles + 4 {
+        // The hand follows what was commanded some time ago, with a lag, along the surface as well.
+        let (old_offset, old_phase) = commands[k % (dead + 1)];
+        let share = 1.0 - (-bench.dt / bench.lag).exp();
+        z += share * (bench.start + old_offset - z);
+        along += share * (old_phase - along);
+        let truth = (bench.stiffness * ((bench.height)(along) - z)).max(0.0);
+        let pace = if adaptation.cycles() < 3 { adaptation.pace() } else { 1.0 };
+        let speed = omega * pace;
+        let c = adaptation
+            .step(bench.dt, phase.rem_euclid(TAU), speed, truth + noise.sample(&mut random))
+            .unwrap();
+        fastest = fastest.max(c.velocity.abs());
+        commands[k % (dead + 1)] = (c.offset, phase);
+        if adaptation.cycles() >= cycles {
+            if off_count == 0.0 {
+                adaptation.set_feedback(false);
+                adaptation.set_learning(false);
+            }
+            off += (truth - bench.force).powi(2);
+            off_count += 1.0;
+        } else if adaptation.cycles() + 3 >= cycles {
+            worst_late = worst_late.max((truth - bench.force).abs());
+        }
+        phase += speed * bench.dt;
+        k += 1;
+    }
+    Result {
+        rms: adaptation.rms().to_vec(),
+        off: (off / off_count).sqrt(),
+        worst_late,
+        stiffness: adaptation.stiffness(),
+        fastest,
+    }
+}
+
+#[test]
+fn the_force_is_learned_and_holds_with_the_feedback_off() {
+    for stiffness in [500.0, 2000.0, 8000.0] {
+        for hz in [0.3, 0.5, 0.8] {
+            for (dt, force) in [(0.001, 8.0), (0.005, 5.0), (0.001, 15.0)] {
+                for (lag, dead) in [(0.02, 0.01), (0.05, 0.01), (0.008, 0.004)] {
+                    let start = -force / stiffness + tilted(0.0);
+                    let bench = Bench { stiffness, dt, hz, force, height: tilted, lag, dead, start };
+                    let r = run(&bench, SurfaceConfig { force, ..SurfaceConfig::default() }, 14);
+                    println!(
+                        "k {stiffness} f {hz} dt {dt} F {force} lag {lag}: first {:.2} 4th {:.2} last {:.2} off {:.2} late {:.2} k^ {:.0} v {:.3}",
+                        r.rms[0], r.rms[3], r.rms[13], r.off, r.worst_late, r.stiffness, r.fastest
+                    );
+                    let allowed = 0.25_f64.max(stiffness * 1e-4);
+                    assert!(r.off < allowed, "off {}", r.off);
+                    assert!(r.rms[13] < 0.85, "last cycle {}", r.rms[13]);
+                    assert!(r.worst_late < 3.5, "late {}", r.worst_late);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_table_of_the_design_page() {
+    for stiffness in [500.0, 2000.0, 8000.0] {
+        let bench = Bench {
+            stiffness,
+            dt: 0.005,
+            hz: 0.5,
+            force: 10.0,
+            height: of_the_design_page,
+            lag: 1e-6,
+            dead: 0.005,
+            start: 0.020,
+        };
+        let config = SurfaceConfig { force: 10.0, delay: 0.005, ..SurfaceConfig::default() };
+        let r = run(&bench, config, 16);
+        println!("page k {stiffness}: {:?} off {:.3}", r.rms, r.off);
+        assert!(r.off < 0.2_f64.max(stiffness * 1e-4), "{stiffness} {}", r.off);
+    }
+}
+
+#[test]
+fn a_refused_step_changes_nothing() {
+    let mut a = SurfaceAdaptation::new(SurfaceConfig::default()).unwrap();
+    a.step(0.001, 0.0, 3.0, 2.0).unwrap();
+    let before = format!("{a:?}");
+    assert!(a.step(0.0, 0.0, 3.0, 2.0).is_err());
+    assert!(a.step(0.001, f64::NAN, 3.0, 2.0).is_err());
+    assert!(a.step(0.001, 0.0, -3.0, 2.0).is_err());
+    assert!(a.step(0.001, 0.0, 3.0, f64::INFINITY).is_err());
+    assert_eq!(format!("{a:?}"), before);
+}
