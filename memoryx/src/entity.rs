@@ -120,12 +120,7 @@ impl EntityId {
 /// # Errors
 /// [`MemoryError::Name`] when it cannot.
 pub fn check_name(name: &str) -> Result<(), MemoryError> {
-    let bad = name.is_empty()
-        || name.len() > LONGEST_NAME
-        || name.starts_with('@')
-        || name.contains(['/', '*', '#', '?', '$'])
-        || name.chars().any(char::is_control);
-    if bad { Err(MemoryError::Name { name: name.chars().take(LONGEST_NAME).collect() }) } else { Ok(()) }
+    armarium_bus::keys::check_name(name).map_err(|error| MemoryError::Name { name: error.name })
 }
 
 impl Ord for EntityId {
