@@ -87,7 +87,7 @@ pub fn overlay(image: &mut Image, mask: &Mask, color: [u8; 3]) {
     }
 }
 
-/// Draws a tracked marker into the left image: a green cross, and its three-sigma circle in px where that is larger.
+/// Draws a tracked marker into the left image: a green cross in a circle.
 pub fn marker(image: &mut Image, marker: &MarkerEstimate) {
     cross(image, &marker.left_px, 9.0, [0, 255, 0]);
     circle(image, &marker.left_px, 12.0, [0, 255, 0]);

@@ -5,7 +5,7 @@
 //! within the range that shading can explain. Colours without hue (white, grey, black) share one direction, so they
 //! are told apart by brightness instead. Gamma, coloured light and highlights are not modelled.
 
-use crate::frame::Image;
+use crate::frame::{Image, StereoFrame};
 use crate::mask::{Mask, Region};
 
 /// The colour of an object.
@@ -99,6 +99,12 @@ impl ColorModel {
     #[must_use]
     pub fn segment(&self, image: &Image) -> Mask {
         self.segment_region(image, Region::whole(image.width(), image.height()))
+    }
+
+    /// How many pixels of each eye (left, right) have the colour.
+    #[must_use]
+    pub fn counts(&self, frame: &StereoFrame) -> [usize; 2] {
+        [self.segment(&frame.left).count(), self.segment(&frame.right).count()]
     }
 
     /// The pixels of a part of the image that have the colour; the part is clipped to the image.

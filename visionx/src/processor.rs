@@ -12,7 +12,6 @@ use tokio::sync::Mutex;
 use tokio::time::{Duration, Instant};
 
 use crate::camera::StereoCalibration;
-use crate::color::ColorModel;
 use crate::frame::{Image, ImageError, ImageSource, StereoFrame};
 use crate::hand::{HandObservation, HandObserver};
 use crate::localizer::{ObjectEstimate, ObjectLocalizer};
@@ -246,15 +245,6 @@ impl ImageProcessor for HandObserver {
             crate::annotate::hand(&mut image, hand);
         }
         image
-    }
-}
-
-/// A processor that only segments: how many pixels of each eye have a colour. Cheap presence test.
-impl ColorModel {
-    /// How many pixels of each eye have this colour.
-    #[must_use]
-    pub fn counts(&self, frame: &StereoFrame) -> [usize; 2] {
-        [self.segment(&frame.left).count(), self.segment(&frame.right).count()]
     }
 }
 

@@ -1,0 +1,100 @@
+//! How long the image processors take for a stereo frame of 640 x 480, on one thread:
+//! `cargo run --release -p armarium-visionx --example speed`.
+//!
+//! The pictures are flat: a brown table with a hand, a green ball and a yellow box painted at their disparities.
+
+#![allow(clippy::print_stdout, reason = "a program for people")]
+
+use std::time::Instant;
+
+use armarium_visionx::{
+    BoxModel, ColorMarkerObjectTracking, ColorModel, HandObserver, Image, ImageError, MarkerSettings,
+    ObjectLocalizer, PinholeCamera, StereoCalibration, StereoFrame,
+};
+use nalgebra::{Isometry3, Point2, Vector2, Vector3};
+
+const CALIBRATION: StereoCalibration = StereoCalibration {
+    camera: PinholeCamera { width: 640, height: 480, focal: 515.0, center: [320.0, 240.0] },
+    baseline: 0.093,
+};
+/// Depth of all painted things, m.
+const DEPTH: f64 = 0.7;
+const FRAMES: u32 = 100;
+
+/// The colour at a place of the painted plane, m from the left camera's axis.
+fn paint(at: Vector2<f64>) -> [f64; 3] {
+    let rod = |from: [f64; 2], to: [f64; 2], radius: f64| {
+        let (a, b) = (Vector2::from(from), Vector2::from(to));
+        let t = ((at - a).dot(&(b - a)) / (b - a).norm_squared()).clamp(0.0, 1.0);
+        (at - a - (b - a) * t).norm() < radius
+    };
+    let fingers = (0..5).map(|i| -0.5 + 0.35 * f64::from(i));
+    let mut hand =
+        fingers.map(|a: f64| rod([-0.1, 0.05], [-0.1 + 0.13 * a.sin(), 0.05 - 0.13 * a.cos()], 0.009));
+    if hand.any(|on| on) || rod([-0.1, 0.05], [-0.1, 0.06], 0.04) {
+        [224.0, 172.0, 138.0]
+    } else if (at - Vector2::new(0.1, -0.1)).norm() < 0.03 {
+        [40.0, 170.0, 60.0]
+    } else if (at.x - 0.1).abs() < 0.05 && (at.y - 0.08).abs() < 0.035 {
+        [240.0, 210.0, 40.0]
+    } else {
+        [150.0, 115.0, 80.0]
+    }
+}
+
+fn eye(shift: f64, seed: u64) -> Result<Image, ImageError> {
+    let camera = CALIBRATION.camera;
+    let mut state = seed;
+    let mut noise = || {
+        // A linear congruence is noise enough here.
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        (state >> 33) as f64 / f64::from(1u32 << 31) * 7.0 - 3.5
+    };
+    let mut data = Vec::new();
+    for y in 0..camera.height {
+        for x in 0..camera.width {
+            let ray = camera.ray(&Point2::new(f64::from(x), f64::from(y)));
+            let color = paint(ray.xy() * DEPTH + Vector2::new(shift, 0.0));
+            data.extend(color.map(|c| (c + noise()).round() as u8));
+        }
+    }
+    Image::from_rgb(camera.width, camera.height, data)
+}
+
+fn measure(name: &str, mut step: impl FnMut(u32) -> bool) {
+    let mut seen = 0;
+    let start = Instant::now();
+    for i in 0..FRAMES {
+        seen += u32::from(step(i));
+    }
+    let each = start.elapsed().as_secs_f64() * 1e3 / f64::from(FRAMES);
+    println!("{name:<28} {each:6.2} ms a stereo frame, seen in {seen} of {FRAMES}");
+}
+
+fn main() -> Result<(), ImageError> {
+    let root_from_left = Isometry3::rotation(Vector3::x() * std::f64::consts::PI);
+    let mut frame = StereoFrame {
+        stamp_ns: 0,
+        left: eye(0.0, 1)?,
+        right: eye(CALIBRATION.baseline, 2)?,
+        depth: None,
+        root_from_left,
+    };
+    let color = ColorModel::from_rgb([40, 170, 60]);
+    measure("colour segmentation", |_| color.counts(&frame)[0] > 0);
+    let mut tracking = ColorMarkerObjectTracking::new(CALIBRATION, MarkerSettings::new([40, 170, 60]), 1);
+    measure("marker tracking", |i| {
+        frame.stamp_ns = u64::from(i) * 66_000_000;
+        tracking.update(&frame).is_some()
+    });
+    let mut observer = HandObserver::new(CALIBRATION);
+    measure("hand, gesture, fingertips", |i| {
+        frame.stamp_ns = u64::from(i) * 66_000_000;
+        observer.update(&frame).is_some()
+    });
+    let model =
+        BoxModel { size: Vector3::new(0.10, 0.07, 0.04), color: ColorModel::from_rgb([240, 210, 40]) };
+    let localizer = ObjectLocalizer::new(CALIBRATION, model);
+    measure("object localisation", |_| localizer.localize(&frame).is_some());
+    Ok(())
+}
