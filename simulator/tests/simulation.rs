@@ -165,3 +165,33 @@ async fn the_simulated_robot_conforms() {
         task.await.unwrap();
     }
 }
+
+/// Against 80 N the arm gives way along the force, and then stands.
+#[test]
+fn the_arm_gives_way_to_a_strong_push() {
+    let mut world = World::default();
+    world.disturbances = vec![armarium_simulator::world::Disturbance {
+        knock: "hand".into(),
+        force: [0.0, 80.0, 0.0],
+        at: 0.2,
+        duration: 1.0,
+        ..Default::default()
+    }];
+    let (mut simulation, _) = simulation(&world, 2);
+    let robot = simulation.robot();
+    for _ in 0..300 {
+        simulation.step();
+    }
+    robot.tare();
+    robot.say("wiping");
+    let arm = robot.lease("right_arm", "test", LeaseLimits::default()).unwrap();
+    let start = simulation.truth().tcp.translation.vector;
+    for _ in 0..1800 {
+        let _ = arm.command(&[0.0; 7]);
+        simulation.step();
+    }
+    assert!(matches!(arm.fault(), Some(armarium_robot::Fault::Force { .. })), "{:?}", arm.fault());
+    let moved = simulation.truth().tcp.translation.vector - start;
+    assert!(moved.y > 0.02, "{moved}");
+    assert!(simulation.truth().velocity.iter().all(|v| v.abs() < 0.01));
+}

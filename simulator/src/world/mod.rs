@@ -174,7 +174,7 @@ pub struct ObjectSpec {
     #[schemars(range(min = 0.05, max = 2.0))]
     pub mass: f64,
     /// Stiffness of the whole underside, N/m.
-    #[schemars(range(min = 300.0, max = 10000.0))]
+    #[schemars(range(min = 800.0, max = 10000.0))]
     pub stiffness: f64,
     /// Colour, RGB.
     pub color: [u8; 3],

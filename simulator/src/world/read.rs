@@ -454,7 +454,7 @@ impl Reader<'_> {
         }
         self.vector(s.get("size"), &mut object.size, Unit::Metre, 0.02..=0.4);
         self.number(s.get("mass"), &mut object.mass, Unit::Kilogram, 0.05..=2.0);
-        self.number(s.get("stiffness"), &mut object.stiffness, Unit::NewtonPerMetre, 300.0..=10_000.0);
+        self.number(s.get("stiffness"), &mut object.stiffness, Unit::NewtonPerMetre, 800.0..=10_000.0);
         self.color(s.get("color"), &mut object.color);
         object
     }
@@ -634,6 +634,11 @@ impl Reader<'_> {
                 let message = format!("object `{}` at ({x}, {y}) is not on the table", object.name);
                 self.find(at, "world::value", message, "move it, or the table".into());
             }
+            if object.mass * crate::physics::GRAVITY > 0.25 * object.stiffness * object.size[2] {
+                let message =
+                    format!("object `{}` is too soft: its weight alone presses it flat", object.name);
+                self.find(at, "world::value", message, "make it lighter, thicker or stiffer".into());
+            }
             if world.objects[..i].iter().any(|o| o.name == object.name) {
                 let message = format!("two objects are named `{}`", object.name);
                 self.find(at, "world::value", message, String::new());
@@ -738,9 +743,24 @@ coach:
             1
         );
         assert_eq!(findings("disturbances: [{knock: spunge}]").len(), 1);
+        assert_eq!(findings("objects: [{mass: 2, stiffness: 800, size: [0.1, 0.1, 0.02]}]").len(), 1);
+        assert_eq!(findings("objects: [{name: a}, {name: a}]").len(), 1);
         assert_eq!(findings("table: {height: .nan}").len(), 1);
         assert_eq!(findings("a: [").len(), 1);
         assert_eq!(findings("table: {height: 1.0, height: 2.0}").len(), 1);
+    }
+
+    #[test]
+    fn the_schema_names_every_section_and_both_forms_of_angles() {
+        let schema = World::schema();
+        for key in ["world", "robot", "camera", "table", "objects", "coach", "faults", "disturbances"] {
+            assert!(schema["properties"].get(key).is_some(), "{key}");
+        }
+        for pointer in ["/$defs/TableSpec/properties/tilt", "/$defs/ObjectSpec/properties/yaw_deg"] {
+            assert!(schema.pointer(pointer).is_some(), "{pointer}");
+        }
+        assert_eq!(schema["additionalProperties"], false);
+        assert_eq!(schema["properties"]["world"]["default"], "kitchen");
     }
 
     proptest::proptest! {
