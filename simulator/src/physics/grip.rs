@@ -3,7 +3,7 @@
 //! The object is held while **both** finger pads press on it: then it is joined to the palm. The joint ends when a
 //! pad has pressed less than [`HOLDING_FORCE`] for [`PATIENCE`], or when the load that the hand carries exceeds
 //! what the pads' friction can: force `F` and torque `T` (about the object's middle) with
-//! `(F / Fc)^2 + (T / (Fc r))^2 > 1`, `Fc = ` [`PAD_FRICTION`](super::plant::PAD_FRICTION) times the sum of both
+//! `(F / Fc)^2 + (T / (Fc r))^2 > 1`, `Fc = ` [`PAD_FRICTION`] times the sum of both
 //! pads' normal forces, `r = ` [`CONTACT_RADIUS`]. With 40 N a pad that is 72 N and 2.2 N m. So an object can be missed,
 //! dropped and knocked out of the hand. This file decides; [`Plant`](super::plant::Plant) makes and breaks the joint.
 

@@ -3,6 +3,7 @@
 //! Start with [`Plant`]. This module knows no clock, no noise and no coach.
 
 mod assembly;
+mod build;
 mod convert;
 pub mod grip;
 mod plant;

@@ -12,18 +12,19 @@
 
 use std::sync::Arc;
 
-use armarium_robot::{JointKind, Kinematics, Model, Shape};
-use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use armarium_robot::{JointKind, Kinematics, Model};
+use nalgebra::{Isometry3, Vector3};
 use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::{ColliderHandle, MultibodyJointHandle, RigidBodyHandle};
 
-use super::assembly::{Assembly, Lump, joint_motion};
+use super::assembly::Assembly;
+use super::build::{add_object, add_robot, add_room};
 use super::convert;
 use super::grip::{Grip, PadPress};
 use super::wrench::{Momentum, WristWrench};
 use crate::bed::{Bed, BedReaction, Motion};
-use crate::table::{THICKNESS, TableTop};
-use crate::world::{ObjectSpec, World};
+use crate::table::TableTop;
+use crate::world::World;
 
 /// One step, s.
 pub const DT: f64 = 1e-3;
@@ -31,11 +32,6 @@ pub const DT: f64 = 1e-3;
 pub const GRAVITY: f64 = 9.81;
 /// Friction of finger pads on objects.
 pub const PAD_FRICTION: f64 = 0.9;
-
-const ROBOT: rapier::Group = rapier::Group::GROUP_1;
-const OBJECT: rapier::Group = rapier::Group::GROUP_2;
-const CORE: rapier::Group = rapier::Group::GROUP_3;
-const ROOM: rapier::Group = rapier::Group::GROUP_4;
 
 /// Why a plant cannot be built.
 #[derive(Debug, thiserror::Error)]
@@ -66,32 +62,32 @@ pub struct External {
 
 /// A servo's gains.
 #[derive(Clone, Copy, Debug)]
-struct Servo {
-    stiffness: f64,
-    damping: f64,
-    effort: f64,
+pub(super) struct Servo {
+    pub(super) stiffness: f64,
+    pub(super) damping: f64,
+    pub(super) effort: f64,
 }
 
 /// A lump's body.
 #[derive(Clone, Debug)]
-struct Body {
-    handle: RigidBodyHandle,
-    joint: MultibodyJointHandle,
+pub(super) struct Body {
+    pub(super) handle: RigidBodyHandle,
+    pub(super) joint: MultibodyJointHandle,
     /// Index of the joint in the model.
-    index: usize,
-    kind: JointKind,
+    pub(super) index: usize,
+    pub(super) kind: JointKind,
     /// Position of the joint at which its coordinate in the multibody is 0.
-    start: f64,
-    servo: Servo,
+    pub(super) start: f64,
+    pub(super) servo: Servo,
 }
 
 /// An object's body.
 #[derive(Clone, Debug)]
-struct Object {
-    handle: RigidBodyHandle,
-    collider: ColliderHandle,
-    bed: Bed,
-    reaction: BedReaction,
+pub(super) struct Object {
+    pub(super) handle: RigidBodyHandle,
+    pub(super) collider: ColliderHandle,
+    pub(super) bed: Bed,
+    pub(super) reaction: BedReaction,
 }
 
 /// The physics of a world.
@@ -411,161 +407,4 @@ fn axis_of(kind: JointKind) -> usize {
         JointKind::Revolute => 3,
         JointKind::Prismatic => 0,
     }
-}
-
-fn groups(of: rapier::Group, with: rapier::Group) -> rapier::InteractionGroups {
-    rapier::InteractionGroups::new(of, with, rapier::InteractionTestMode::And)
-}
-
-fn add_room(physics: &mut rapier::PhysicsWorld, table: &TableTop) {
-    let [hx, hy] = table.half();
-    let below = Isometry3::translation(0.0, 0.0, -THICKNESS / 2.0);
-    let top = rapier::ColliderBuilder::cuboid(hx, hy, THICKNESS / 2.0)
-        .position(convert::pose(&(table.root_from_top() * below)))
-        .friction(table.friction())
-        .collision_groups(groups(ROOM, ROBOT | CORE));
-    let floor = rapier::ColliderBuilder::cuboid(10.0, 10.0, 0.5)
-        .translation(rapier::Vector::new(0.0, 0.0, -0.5))
-        .collision_groups(groups(ROOM, ROBOT | CORE | OBJECT));
-    physics.insert_collider(top, None);
-    physics.insert_collider(floor, None);
-}
-
-fn add_object(physics: &mut rapier::PhysicsWorld, table: &TableTop, spec: &ObjectSpec) -> Object {
-    let bed = Bed::new(spec);
-    let half = *bed.half();
-    let [x, y] = spec.at;
-    let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), spec.yaw_deg.to_radians());
-    // It lies where its weight has pressed it in.
-    let sink = spec.mass * GRAVITY / spec.stiffness;
-    let surface = Point3::new(x, y, table.plane_height(x, y));
-    let middle = surface + table.plane_normal().into_inner() * (half.z - sink);
-    let pose = Isometry3::from_parts(middle.coords.into(), table.root_from_top().rotation * yaw);
-    let [sx, sy, sz] = spec.size.map(|s| s * s);
-    let inertia = Vector3::new(sy + sz, sx + sz, sx + sy) * (spec.mass / 12.0);
-    let mass = rapier::MassProperties::new(rapier::Vector::ZERO, spec.mass, convert::vector(&inertia));
-    let body = rapier::RigidBodyBuilder::dynamic()
-        .pose(convert::pose(&pose))
-        .additional_mass_properties(mass)
-        .can_sleep(false);
-    let handle = physics.insert_body(body);
-    let full = rapier::ColliderBuilder::cuboid(half.x, half.y, half.z)
-        .density(0.0)
-        .friction(PAD_FRICTION)
-        .collision_groups(groups(OBJECT, ROBOT | OBJECT | ROOM));
-    let core = rapier::ColliderBuilder::cuboid(half.x * 0.8, half.y * 0.8, half.z * 0.15)
-        .density(0.0)
-        .friction(table.friction())
-        .collision_groups(groups(CORE, ROOM));
-    let collider = physics.insert_collider(full, Some(handle));
-    physics.insert_collider(core, Some(handle));
-    Object { handle, collider, bed, reaction: BedReaction::default() }
-}
-
-fn add_robot(
-    physics: &mut rapier::PhysicsWorld,
-    model: &Model,
-    assembly: &Assembly,
-    start: &[f64],
-) -> Result<(Vec<Body>, Vec<ColliderHandle>), PlantError> {
-    let base = physics.insert_body(rapier::RigidBodyBuilder::fixed());
-    let mut bodies: Vec<Body> = Vec::new();
-    let mut poses: Vec<Isometry3<f64>> = Vec::new();
-    let mut pads = Vec::new();
-    for (i, lump) in assembly.lumps.iter().enumerate() {
-        let q = start[lump.joint];
-        let parent_pose = lump.parent.map_or_else(Isometry3::identity, |p| poses[p]);
-        let at_start = lump.parent_from_body * joint_motion(lump.kind, &lump.axis, q);
-        let pose = parent_pose * at_start;
-        let handle = physics.insert_body(lump_body(lump, &pose));
-        let is_pad = assembly.wrist.fingers.contains(&i);
-        for (shape, body_from_shape) in &lump.collisions {
-            let collider = physics.insert_collider(collider(shape, body_from_shape), Some(handle));
-            if is_pad {
-                pads.push(collider);
-            }
-        }
-        let parent = lump.parent.map_or(base, |p| bodies[p].handle);
-        let joint = physics
-            .multibody_joints
-            .insert(parent, handle, joint_of(lump, &at_start), true)
-            .ok_or_else(|| PlantError::Joint { joint: model.joints()[lump.joint].name.clone() })?;
-        let servo = servo(lump, model.joints()[lump.joint].effort);
-        bodies.push(Body { handle, joint, index: lump.joint, kind: lump.kind, start: q, servo });
-        poses.push(pose);
-    }
-    set_rotors(physics, &bodies);
-    Ok((bodies, pads))
-}
-
-fn lump_body(lump: &Lump, pose: &Isometry3<f64>) -> rapier::RigidBodyBuilder {
-    let mass = rapier::MassProperties::with_inertia_matrix(
-        convert::vector(&lump.mass.center().coords),
-        lump.mass.mass.max(0.01),
-        convert::matrix(&lump.mass.inertia()),
-    );
-    rapier::RigidBodyBuilder::dynamic()
-        .pose(convert::pose(pose))
-        .additional_mass_properties(mass)
-        .gravity_scale(0.0)
-        .can_sleep(false)
-}
-
-/// Both frames' x along the joint's axis; the coordinate is 0 in the starting posture.
-fn joint_of(lump: &Lump, parent_from_start: &Isometry3<f64>) -> rapier::GenericJoint {
-    let to_axis = UnitQuaternion::rotation_between(&Vector3::x(), &lump.axis)
-        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI));
-    let frame = Isometry3::from_parts(Vector3::zeros().into(), to_axis);
-    let locked = match lump.kind {
-        JointKind::Revolute => rapier::JointAxesMask::LOCKED_REVOLUTE_AXES,
-        JointKind::Prismatic => rapier::JointAxesMask::LOCKED_PRISMATIC_AXES,
-    };
-    rapier::GenericJointBuilder::new(locked)
-        .local_frame1(convert::pose(&(parent_from_start * frame)))
-        .local_frame2(convert::pose(&frame))
-        .build()
-}
-
-/// Gains by what the joint carries: the torso's are stiffest, the wrist's softest; all settle in about 10 ms.
-fn servo(lump: &Lump, effort: f64) -> Servo {
-    let stiffness = match lump.kind {
-        JointKind::Prismatic => 8e3,
-        JointKind::Revolute if effort >= 150.0 => 1e5,
-        JointKind::Revolute if effort >= 50.0 => 3e4,
-        JointKind::Revolute => 1e4,
-    };
-    let effort = if effort > 0.0 { effort } else { f64::MAX };
-    Servo { stiffness, damping: 0.01 * stiffness, effort }
-}
-
-/// Motors' reflected inertia, kg m^2 (kg); Rapier's own damping is taken away, the servo has its own.
-fn set_rotors(physics: &mut rapier::PhysicsWorld, bodies: &[Body]) {
-    for body in bodies {
-        let Some((multibody, id)) = physics.multibody_joints.get_mut(body.joint) else { continue };
-        let Some(dof) = multibody.links().take(id).map(|l| l.joint.ndofs()).reduce(|a, b| a + b) else {
-            continue;
-        };
-        multibody.armature_mut()[dof] = if body.kind == JointKind::Revolute { 0.05 } else { 0.1 };
-        multibody.damping_mut()[dof] = body.servo.damping;
-    }
-}
-
-fn collider(shape: &Shape, body_from_shape: &Isometry3<f64>) -> rapier::ColliderBuilder {
-    let (builder, turn) = match shape {
-        Shape::Box { size } => (
-            rapier::ColliderBuilder::cuboid(size.x / 2.0, size.y / 2.0, size.z / 2.0),
-            UnitQuaternion::identity(),
-        ),
-        // Rapier's cylinders stand along y, the description's along z.
-        Shape::Cylinder { radius, length } => (
-            rapier::ColliderBuilder::cylinder(length / 2.0, *radius),
-            UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::FRAC_PI_2),
-        ),
-        Shape::Sphere { radius } => (rapier::ColliderBuilder::ball(*radius), UnitQuaternion::identity()),
-    };
-    builder
-        .position(convert::pose(&(body_from_shape * turn)))
-        .density(0.0)
-        .friction(PAD_FRICTION)
-        .collision_groups(groups(ROBOT, OBJECT | ROOM))
 }

@@ -1,0 +1,101 @@
+//! What world files may say, and what is refused where.
+
+use std::path::Path;
+
+use super::read::parse;
+use super::{CoachingAction, World};
+
+fn findings(text: &str) -> Vec<(usize, usize, &'static str)> {
+    match parse(Path::new("world.yaml"), text) {
+        Ok(_) => Vec::new(),
+        Err(found) => found.iter().map(|f| (f.line, f.column, f.code)).collect(),
+    }
+}
+
+#[test]
+fn an_empty_file_is_the_default_world() {
+    assert_eq!(parse(Path::new("w"), "# nothing\n").unwrap(), World::default());
+    assert_eq!(parse(Path::new("w"), "").unwrap(), World::default());
+}
+
+#[test]
+fn the_default_world_reads_back_from_its_own_text() {
+    let text = serde_json::to_string(&World::default()).unwrap();
+    assert_eq!(parse(Path::new("w"), &text).unwrap(), World::default());
+}
+
+#[test]
+fn values_units_and_forms_are_read() {
+    let text = "
+world: lab
+table: {height: 900 mm, tilt: [1 deg, 0.0], bumps: []}
+objects: [{name: sponge, yaw: 30 deg, mass: 200 g}]
+coach:
+  demonstration: none
+  coaching: [{at: 3 s, push: {force: [0, 5 N, 0]}}]
+";
+    let world = parse(Path::new("w"), text).unwrap();
+    assert_eq!(world.name, "lab");
+    assert!((world.table.height - 0.9).abs() < 1e-12);
+    assert!((world.table.tilt_deg[0] - 1.0).abs() < 1e-12);
+    assert!((world.objects[0].yaw_deg - 30.0).abs() < 1e-12);
+    assert!((world.objects[0].mass - 0.2).abs() < 1e-12);
+    assert_eq!(world.coach.demonstration, None);
+    let CoachingAction::Push { push } = &world.coach.coaching[0].action else { panic!() };
+    assert_eq!(push.force, [0.0, 5.0, 0.0]);
+}
+
+#[test]
+fn all_findings_come_at_once_with_their_places() {
+    let text = "table:\n  hight: 1.0\n  friction: 9\n  size: [1 kg, 1]\ncamera: 3\n";
+    assert_eq!(
+        findings(text),
+        vec![
+            (2, 3, "world::unknown_key"),
+            (3, 13, "world::value"),
+            (4, 10, "world::unit"),
+            (5, 9, "world::type"),
+        ]
+    );
+    let error = &parse(Path::new("w.yaml"), text).unwrap_err()[0];
+    assert_eq!(error.help, "did you mean `height`?");
+    assert_eq!(error.text, "  hight: 1.0");
+    assert_eq!(&text[error.span.0..error.span.0 + error.span.1], "hight");
+}
+
+#[test]
+fn impossible_worlds_are_refused() {
+    assert_eq!(findings("objects: [{at: [2, 2]}]"), vec![(1, 11, "world::value")]);
+    assert_eq!(findings("coach: {coaching: [{at: 1, gesture: point_one, offset: [0, 0, 0.1]}]}").len(), 1);
+    assert_eq!(findings("disturbances: [{knock: spunge}]").len(), 1);
+    assert_eq!(findings("objects: [{mass: 2, stiffness: 800, size: [0.1, 0.1, 0.02]}]").len(), 1);
+    assert_eq!(findings("objects: [{name: a}, {name: a}]").len(), 1);
+    assert_eq!(findings("table: {height: .nan}").len(), 1);
+    assert_eq!(findings("a: [").len(), 1);
+    assert_eq!(findings("table: {height: 1.0, height: 2.0}").len(), 1);
+}
+
+#[test]
+fn the_schema_names_every_section_and_both_forms_of_angles() {
+    let schema = World::schema();
+    for key in ["world", "robot", "camera", "table", "objects", "coach", "faults", "disturbances"] {
+        assert!(schema["properties"].get(key).is_some(), "{key}");
+    }
+    for pointer in ["/$defs/TableSpec/properties/tilt", "/$defs/ObjectSpec/properties/yaw_deg"] {
+        assert!(schema.pointer(pointer).is_some(), "{pointer}");
+    }
+    assert_eq!(schema["additionalProperties"], false);
+    assert_eq!(schema["properties"]["world"]["default"], "kitchen");
+}
+
+proptest::proptest! {
+    #[test]
+    fn no_text_panics(text in "\\PC{0,80}") {
+        let _ = parse(Path::new("w"), &text);
+    }
+
+    #[test]
+    fn no_value_panics(key in "[a-z_]{1,12}", value in "[-a-z0-9.,\\[\\]{}: ]{0,24}") {
+        let _ = parse(Path::new("w"), &format!("table: {{{key}: {value}}}\nobjects: [{{{key}: {value}}}]"));
+    }
+}
