@@ -10,20 +10,12 @@
 use std::sync::Arc;
 
 use armarium_robot::{
-    DifferentialIk, IkConfig, Jacobian, Kinematics, LinkId, Model, PoseOptions, Twist, pose_error, solve_pose,
+    DifferentialIk, IkConfig, Jacobian, Kinematics, LinkId, Model, PoseOptions, Twist, pose_error, postures,
+    solve_pose,
 };
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Isometry3, Translation3, Vector3, Vector6};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-
-/// The TCP's orientation: fingers `yaw` left of forward, palm down, fingers' tips lowered by `pitch`.
-fn hand(yaw: f64, pitch: f64) -> UnitQuaternion<f64> {
-    let level = Matrix3::new(0.0, -1.0, 0.0, 0.0, 0.0, 1.0, -1.0, 0.0, 0.0);
-    let level = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(level));
-    UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw)
-        * level
-        * UnitQuaternion::from_axis_angle(&Vector3::y_axis(), pitch)
-}
 
 /// The largest TCP speed, m/s, in the worst of ten directions with the orientation held and every joint within 1 rad/s.
 fn worst_speed(jacobian: &Jacobian) -> f64 {
@@ -55,6 +47,22 @@ fn worst_speed(jacobian: &Jacobian) -> f64 {
     worst
 }
 
+/// The TCP's speed, m/s, in the worst of ten directions.
+fn ten_speed(ik: &mut DifferentialIk, q: &[f64]) -> f64 {
+    let mut worst = f64::INFINITY;
+    for k in 0..10 {
+        let angle = f64::from(k) * std::f64::consts::FRAC_PI_4;
+        let d = match k {
+            8 => Vector3::z(),
+            9 => -Vector3::z(),
+            _ => Vector3::new(angle.cos(), angle.sin(), 0.0),
+        };
+        let step = ik.step(q, &Twist { linear: d, angular: Vector3::zeros() }, None);
+        worst = worst.min(if step.residual > 0.05 * step.scale { 0.0 } else { step.scale });
+    }
+    worst
+}
+
 /// Torso pitch, roll, yaw, then the hand's pitch and yaw, rad.
 type Choice = [f64; 5];
 const RANGE: [(f64, f64); 5] = [(-0.6, 0.1), (-0.5, 0.6), (-0.75, 0.75), (-0.4, 0.6), (-0.5, 1.6)];
@@ -82,7 +90,7 @@ struct Found {
 impl Search {
     fn target(&self, choice: &Choice, offset: [f64; 3]) -> Isometry3<f64> {
         let at = Vector3::new(CENTER[0] + offset[0], CENTER[1] + offset[1], self.height + offset[2]);
-        Isometry3::from_parts(Translation3::from(at), hand(choice[4], choice[3]))
+        Isometry3::from_parts(Translation3::from(at), postures::palm_down(choice[4], choice[3]))
     }
 
     fn solve(&mut self, choice: &Choice, offset: [f64; 3], seed: &[f64]) -> Option<(f64, Vec<f64>)> {
@@ -120,6 +128,86 @@ impl Search {
             }
         }
         best
+    }
+
+    /// Whether the elbow (0.05 m thick) stays 0.03 m over a table 0.10 m below the TCP.
+    fn clears_the_table(&self, q: &[f64], target: &Isometry3<f64>) -> bool {
+        let elbow = self.model.link("elbow_r").map(|l| self.model.link_pose(q, l).translation.z);
+        elbow.is_some_and(|z| z >= target.translation.z - 0.02)
+    }
+
+    /// As [`rate`](Self::rate), for arm and torso together and table heights 0.05 m up and down: the speed that
+    /// [`DifferentialIk`] makes of a fast twist in its worst direction.
+    fn rate_ten(&mut self, choice: &Choice, seeds: usize, near: Option<&[f64]>, floor: f64) -> Option<Found> {
+        let ten: Vec<usize> = self.model.limb("torso").iter().chain(&self.arm).copied().collect();
+        let mut ik = DifferentialIk::new(&self.model, self.tcp, &ten, IkConfig::default());
+        let options = PoseOptions { margin: 0.06, restarts: 0, iterations: 40, ..PoseOptions::default() };
+        let mut best: Option<Found> = None;
+        for k in 0..seeds {
+            let mut seed = near.filter(|_| k == 0).map_or_else(|| self.model.zero(), <[f64]>::to_vec);
+            for (&j, v) in self.model.limb("torso").iter().zip(choice) {
+                seed[j] = *v;
+            }
+            if k > 0 || near.is_none() {
+                for &j in &self.arm {
+                    let joint = &self.model.joints()[j];
+                    seed[j] = self.rng.random_range(joint.lower..joint.upper);
+                }
+            }
+            let Some((_, center)) = self.solve(choice, [0.0; 3], &seed) else { continue };
+            let mut worst = f64::INFINITY;
+            for point in 0..15_u8 {
+                let sign = |bit: u8| if point % 5 >> bit & 1 == 1 { self.reach } else { -self.reach };
+                let z = 0.05 * (f64::from(point / 5) - 1.0);
+                let offset = if point % 5 == 4 { [0.0, 0.0, z] } else { [sign(0), sign(1), z] };
+                let target = self.target(choice, offset);
+                let speed = match solve_pose(
+                    &self.model,
+                    self.tcp,
+                    &ten,
+                    &target,
+                    &center,
+                    &options,
+                    &mut self.rng,
+                ) {
+                    Ok(q) if self.clears_the_table(&q, &target) => ten_speed(&mut ik, &q),
+                    _ => 0.0,
+                };
+                worst = worst.min(speed);
+                if worst <= best.as_ref().map_or(floor, |found| found.speed) {
+                    break;
+                }
+            }
+            if worst > best.as_ref().map_or(floor, |found| found.speed) {
+                best = Some(Found { choice: *choice, speed: worst, center });
+            }
+        }
+        best
+    }
+
+    fn climb_ten(&mut self, starts: usize, steps: usize) -> Option<Found> {
+        let mut best: Option<Found> = None;
+        for _ in 0..starts {
+            let choice = self.random();
+            let floor = best.as_ref().map_or(0.0, |b| b.speed);
+            best = self.rate_ten(&choice, 4, None, floor).or(best);
+        }
+        let mut best = best?;
+        for step in 0..steps {
+            #[expect(clippy::cast_precision_loss, reason = "small counts")]
+            let size = 0.3 * (1.0 - step as f64 / steps as f64) + 0.01;
+            let mut choice = best.choice;
+            for i in 0..5 {
+                if self.fixed[i].is_none() {
+                    choice[i] =
+                        (choice[i] + self.rng.random_range(-size..size)).clamp(RANGE[i].0, RANGE[i].1);
+                }
+            }
+            let near = best.center.clone();
+            let floor = best.speed;
+            best = self.rate_ten(&choice, 2, Some(&near), floor).unwrap_or(best);
+        }
+        Some(best)
     }
 
     fn random(&mut self) -> Choice {
@@ -248,6 +336,42 @@ impl Search {
     }
 }
 
+/// For each place of the TCP, the hand yaws (degrees, palm level) in reach of the arm alone with the torso of the wiping
+/// posture, and of arm and torso.
+fn map(search: &mut Search) {
+    let model = Arc::clone(&search.model);
+    let start = postures::wipe(&model);
+    let ten: Vec<usize> = model.limb("torso").iter().chain(&search.arm).copied().collect();
+    let options = PoseOptions { margin: 0.05, restarts: 6, iterations: 60, ..PoseOptions::default() };
+    for height in [1.00, 1.05, 1.10, 1.20] {
+        println!("TCP at {height} m; columns x 0.10 to 0.50; arm | arm and torso");
+        for row in 0..6 {
+            let y = 0.70 - 0.07 * f64::from(row);
+            let mut line = format!("y {y:.2}");
+            for joints in [&search.arm, &ten] {
+                for column in 0..5 {
+                    let at = Vector3::new(0.10 + 0.10 * f64::from(column), y, height);
+                    let reached = |yaw: &i32| {
+                        let target = Isometry3::from_parts(
+                            Translation3::from(at),
+                            postures::palm_down(f64::from(*yaw).to_radians(), 0.0),
+                        );
+                        solve_pose(&model, search.tcp, joints, &target, &start, &options, &mut search.rng)
+                            .is_ok()
+                    };
+                    let yaws: Vec<i32> = (-4..=11).map(|k| 10 * k).filter(reached).collect();
+                    match (yaws.first(), yaws.last()) {
+                        (Some(a), Some(b)) => line += &format!(" {a:>4}..{b:<4}"),
+                        _ => line += "     -     ",
+                    }
+                }
+                line += " |";
+            }
+            println!("{line}");
+        }
+    }
+}
+
 fn main() {
     let model = Arc::new(Model::armar3());
     let args: Vec<f64> = std::env::args().skip(1).filter_map(|a| a.parse().ok()).collect();
@@ -265,8 +389,20 @@ fn main() {
         "TCP at {} m, corners at {} m; torso pitch, roll, yaw, hand pitch, yaw in degrees",
         search.height, search.reach
     );
+    if std::env::args().nth(1).is_some_and(|a| a == "torso") {
+        for hand_pitch in [Some(0.0), None] {
+            search.fixed = [None, None, None, hand_pitch, None];
+            let found = search.climb_ten(400, 400);
+            search.report("arm and torso", found.as_ref());
+        }
+        return;
+    }
+    if std::env::args().nth(1).is_some_and(|a| a == "map") {
+        return map(&mut search);
+    }
     if let Some(choice) = args.get(2..7).and_then(|c| Choice::try_from(c).ok()) {
-        let found = search.rate(&choice, 200, None);
+        let near = postures::wipe(&search.model);
+        let found = search.rate_ten(&choice, 50, Some(&near), 0.0);
         return search.report("given", found.as_ref());
     }
     let found = search.climb(600, 600);

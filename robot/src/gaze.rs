@@ -1,42 +1,40 @@
-//! Turning the head so that the cameras look at a point. The eyes stay parallel; it moves nothing itself.
+//! Turning the head so that the cameras look at a point, with a level horizon as far as the neck allows. The eyes stay
+//! parallel. It moves nothing itself.
 
 use std::sync::Arc;
 
-use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::{IkError, Kinematics, LinkId, Model, RobotError};
 
-/// What the gaze is made of: the two cameras (optical axis z) and the joints that turn them.
+/// What the gaze is made of: the two cameras (optical axis z, image's right x) and the joints that turn them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gaze {
-    /// The left camera's link; with its right one it defines the point between the eyes.
-    pub left: LinkId,
-    /// The right camera's link.
-    pub right: LinkId,
-    /// The joints to use.
-    pub joints: Vec<usize>,
-    /// The joint held at 0, so that the image stays level (neck roll), and the eyes.
-    pub still: Vec<usize>,
+    left: LinkId,
+    right: LinkId,
+    joints: Vec<usize>,
+    eyes: Vec<usize>,
 }
 
-const ITERATIONS: usize = 60;
+const ITERATIONS: usize = 100;
 const DAMPING: f64 = 0.02;
+/// Weight of a level horizon against the direction.
+const LEVEL: f64 = 0.2;
 /// An axis this far from the point, rad, looks at it.
 const TOLERANCE: f64 = 2e-3;
+/// Largest change of a joint in one iteration, rad.
+const LARGEST_CHANGE: f64 = 0.2;
 
 impl Gaze {
-    /// ARMAR-III's gaze by the links `camera_left`, `camera_right` and the limb `head`.
+    /// The gaze by the links `camera_left`, `camera_right` and the limb `head`; joints that turn one camera alone are eyes.
     ///
     /// # Errors
     /// [`RobotError::Unknown`] when the robot has no such links.
     pub fn of(model: &Model) -> Result<Self, RobotError> {
         let (left, right) = (model.require_link("camera_left")?, model.require_link("camera_right")?);
-        let shared = |j: &usize| model.moves(*j, left) && model.moves(*j, right);
-        let rolls = |j: &usize| model.joints()[*j].name.contains("roll");
-        let head = model.limb("head");
-        let joints = head.iter().copied().filter(|j| shared(j) && !rolls(j)).collect();
-        let still = head.iter().copied().filter(|j| !shared(j) || rolls(j)).collect();
-        Ok(Self { left, right, joints, still })
+        let head = model.limb("head").iter().copied();
+        let (joints, eyes) = head.partition(|&j| model.moves(j, left) && model.moves(j, right));
+        Ok(Self { left, right, joints, eyes })
     }
 
     /// All joints `q` with the head turned so that the point between the cameras looks at `point` (root frame, m).
@@ -46,28 +44,19 @@ impl Gaze {
     pub fn look_at(&self, model: &Arc<Model>, q: &[f64], point: &Point3<f64>) -> Result<Vec<f64>, IkError> {
         let mut q = q.to_vec();
         q.resize(model.joints().len(), 0.0);
-        self.still.iter().for_each(|&j| q[j] = 0.0);
+        self.eyes.iter().for_each(|&j| q[j] = 0.0);
         let mut kinematics = Kinematics::new(model);
-        for _ in 0..ITERATIONS {
-            kinematics.update(&q);
-            let (axis, error) = self.error(&kinematics, point);
-            if error.norm() < 0.1 * TOLERANCE || !error.iter().all(|e| e.is_finite()) {
-                break;
-            }
-            let column = |j: usize| {
-                let turn = *kinematics.axis(j);
-                turn - axis * axis.dot(&turn)
-            };
-            let mut gram = Matrix3::identity() * (DAMPING * DAMPING);
-            self.joints.iter().for_each(|&j| gram += column(j) * column(j).transpose());
-            let Some(solved) = gram.cholesky().map(|c| c.solve(&error)) else { break };
-            for &j in &self.joints {
-                let joint = &model.joints()[j];
-                q[j] = (q[j] + column(j).dot(&solved).clamp(-0.2, 0.2)).max(joint.lower).min(joint.upper);
+        for level in [true, false] {
+            // Where the neck cannot have both, the direction comes before the horizon.
+            for _ in 0..ITERATIONS {
+                kinematics.update(&q);
+                if !self.improve(&kinematics, &mut q, point, level) {
+                    break;
+                }
             }
         }
         kinematics.update(&q);
-        let angle = self.error(&kinematics, point).1.norm();
+        let angle = self.off(&kinematics, point).norm();
         if angle < TOLERANCE {
             return Ok(q);
         }
@@ -75,15 +64,53 @@ impl Gaze {
         Err(IkError { link, position_error_m: 0.0, orientation_error_rad: angle, nearest: q })
     }
 
-    /// The optical axis, and the rotation vector that turns it towards the point.
-    fn error(&self, kinematics: &Kinematics, point: &Point3<f64>) -> (Vector3<f64>, Vector3<f64>) {
-        let (left, right): (&Isometry3<f64>, &Isometry3<f64>) =
-            (kinematics.pose(self.left), kinematics.pose(self.right));
+    /// The rotation vector that turns the optical axis towards the point, rad.
+    fn off(&self, kinematics: &Kinematics, point: &Point3<f64>) -> Vector3<f64> {
+        let (left, right) = (kinematics.pose(self.left), kinematics.pose(self.right));
         let between = 0.5 * (left.translation.vector + right.translation.vector);
         let axis = left.rotation * Vector3::z();
-        let there = (point.coords - between).normalize();
+        let there = point.coords - between;
         let across = axis.cross(&there);
         let angle = across.norm().atan2(axis.dot(&there));
-        (axis, across.try_normalize(1e-12).map_or_else(Vector3::zeros, |a| a * angle))
+        across.try_normalize(1e-12).map_or_else(Vector3::zeros, |turn| turn * angle)
+    }
+
+    /// One damped step; a joint at its limit leaves the turn to the others. Whether anything is left to do.
+    fn improve(&self, kinematics: &Kinematics, q: &mut [f64], point: &Point3<f64>, level: bool) -> bool {
+        let left = kinematics.pose(self.left).rotation;
+        let (axis, side) = (left * Vector3::z(), left * Vector3::x());
+        // Turning by r about the optical axis lifts the image's right side by r times the lift of its top.
+        let weight = if level { LEVEL } else { 0.0 };
+        let roll = -weight * side.z * axis.cross(&side).z.signum();
+        let error = self.off(kinematics, point) + axis * roll;
+        if error.norm() < 0.01 * TOLERANCE || !error.iter().all(|e| e.is_finite()) {
+            return false;
+        }
+        let column = |j: usize| {
+            let turn = *kinematics.axis(j);
+            let along = axis * axis.dot(&turn);
+            turn - along + weight * along
+        };
+        let joints = kinematics.model().joints();
+        let mut free = self.joints.clone();
+        while !free.is_empty() {
+            let mut gram = Matrix3::identity() * (DAMPING * DAMPING);
+            free.iter().for_each(|&j| gram += column(j) * column(j).transpose());
+            let Some(solved) = gram.cholesky().map(|c| c.solve(&error)) else { return false };
+            let out = free.iter().position(|&j| {
+                let change = column(j).dot(&solved);
+                (q[j] <= joints[j].lower && change < 0.0) || (q[j] >= joints[j].upper && change > 0.0)
+            });
+            if let Some(out) = out {
+                free.swap_remove(out);
+                continue;
+            }
+            for &j in &free {
+                let change = column(j).dot(&solved).clamp(-LARGEST_CHANGE, LARGEST_CHANGE);
+                q[j] = (q[j] + change).max(joints[j].lower).min(joints[j].upper);
+            }
+            return true;
+        }
+        false
     }
 }

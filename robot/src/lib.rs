@@ -46,3 +46,5 @@ mod guard_tests;
 mod ik_tests;
 #[cfg(test)]
 mod kinematics_tests;
+#[cfg(test)]
+mod posture_tests;
