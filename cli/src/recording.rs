@@ -1,0 +1,104 @@
+//! Writing the run down while it happens: the recording, the digest that says whether two runs are the same, and the
+//! few camera images that the report shows.
+//!
+//! The referee's view of the truth goes into the recording beside what the robot sensed; nothing flows back.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use armarium_bus::codec;
+use armarium_robot::{Model, Robot};
+use armarium_simulator::{TruthSample, TruthSink};
+use armarium_viewer::recorder::{Contact, Recorder, WrenchSample};
+use nalgebra::Isometry3;
+use serde::Serialize;
+use sha2::{Digest as _, Sha256};
+use tokio::task::JoinHandle;
+
+/// A recorder that several tasks of one thread write to.
+pub(crate) type SharedRecorder = Arc<Mutex<Option<Recorder>>>;
+
+/// The lock of a value that no holder leaves half changed.
+pub(crate) fn locked<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// SHA-256 over the canonical CBOR of all engine events, configurations and joint commands.
+#[derive(Clone, Default)]
+pub(crate) struct RunDigest {
+    state: Arc<Mutex<Sha256>>,
+}
+
+impl RunDigest {
+    /// Adds something that happened.
+    pub(crate) fn add(&self, what: &impl Serialize) {
+        // Only values that CBOR cannot hold fail; they are then no part of the digest in any run.
+        if let Ok(bytes) = codec::encode(what) {
+            locked(&self.state).update(&bytes);
+        }
+    }
+
+    /// The digest so far, in hexadecimal digits.
+    pub(crate) fn hex(&self) -> String {
+        let digest = locked(&self.state).clone().finalize();
+        digest.iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+}
+
+impl TruthSink for RunDigest {
+    fn sample(&mut self, sample: &TruthSample) {
+        self.add(&(sample.stamp_ns, &sample.command_position, &sample.command_velocity));
+    }
+}
+
+/// Writes the truth into the recording.
+pub(crate) struct TruthTopics(pub(crate) SharedRecorder);
+
+impl TruthSink for TruthTopics {
+    fn sample(&mut self, sample: &TruthSample) {
+        let mut shared = locked(&self.0);
+        let Some(recorder) = shared.as_mut() else { return };
+        let t = sample.stamp_ns;
+        recorder.pose("/truth/tcp", t, &sample.tcp);
+        if let Some(sponge) = &sample.sponge {
+            recorder.pose("/truth/sponge", t, sponge);
+        }
+        let coach = sample.coach.hand.as_ref().map(|hand| hand.root_from_hand).or(sample.coach.tool);
+        if let Some(coach) = coach {
+            let coach: Isometry3<f64> = coach;
+            recorder.pose("/truth/coach", t, &coach);
+        }
+        let contact =
+            Contact { normal_n: sample.contact.normal, tangential_n: sample.contact.tangential.norm() };
+        if let Err(error) = recorder.contact(t, &contact) {
+            tracing::warn!("the contact was not recorded: {error}");
+        }
+    }
+}
+
+/// Writes what the robot senses into the recording, until the robot is gone.
+pub(crate) fn record_robot(robot: &Arc<dyn Robot>, recorder: SharedRecorder) -> JoinHandle<()> {
+    let names = joint_names(robot.model());
+    let mut sensed = robot.sensed();
+    tokio::spawn(async move {
+        while sensed.changed().await.is_ok() {
+            let sample = Arc::clone(&sensed.borrow_and_update());
+            let mut shared = locked(&recorder);
+            let Some(recorder) = shared.as_mut() else { return };
+            recorder.joints(sample.stamp_ns, &names, &sample.position, &sample.velocity);
+            let wrench = WrenchSample {
+                force_raw: sample.force_raw.into(),
+                torque_raw: sample.torque_raw.into(),
+                force: sample.wrist.force.into(),
+                torque: sample.wrist.torque.into(),
+            };
+            if let Err(error) = recorder.wrench(sample.stamp_ns, &wrench) {
+                tracing::warn!("the wrench was not recorded: {error}");
+            }
+        }
+    })
+}
+
+/// The names of the joints in the model's order.
+pub(crate) fn joint_names(model: &Model) -> Vec<String> {
+    model.joints().iter().map(|joint| joint.name.clone()).collect()
+}

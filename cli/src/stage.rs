@@ -1,0 +1,87 @@
+//! The stage of a simulated run: world, robot, memory with prior knowledge and what was kept of earlier runs, and the
+//! skills that work with them.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use armarium_memoryx::{
+    Consolidator, LongTermMemory, MemoryError, ObjectClass, Pattern, Policies, Policy, PriorKnowledge, StoreError,
+    WorkingMemory, tokio_clock,
+};
+use armarium_robot::Robot;
+use armarium_simulator::{Handle, Options, Referee, Simulation, SimulationError, TruthSink, World};
+use armarium_states::Equipment;
+
+/// Name of the coach's tool in prior knowledge.
+const COACH_TOOL: &str = "coach_tool";
+/// Size of the tool that the coach demonstrates with, m.
+const COACH_TOOL_SIZE: [f64; 3] = [0.08, 0.08, 0.08];
+/// Core segment whose entities the long-term store keeps and gives back.
+const KEPT_SEGMENT: &str = "Motions";
+
+/// Why a stage cannot be set.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum StageError {
+    /// Robot and world do not fit.
+    #[error("the world cannot be simulated: {0}")]
+    Simulation(#[from] SimulationError),
+    /// Prior knowledge or kept motions do not fit into memory.
+    #[error("memory: {0}")]
+    Memory(#[from] MemoryError),
+    /// The long-term store cannot be used.
+    #[error("the long-term store: {0}")]
+    Store(#[from] StoreError),
+}
+
+/// Everything that a chart runs on.
+pub(crate) struct Stage {
+    pub(crate) robot: Arc<dyn Robot>,
+    pub(crate) referee: Referee,
+    pub(crate) handle: Handle,
+    pub(crate) equipment: Equipment,
+    pub(crate) memory: Arc<WorkingMemory>,
+    pub(crate) kept: Consolidator,
+}
+
+impl Stage {
+    /// Sets the stage; the simulation is to be spawned.
+    pub(crate) fn set(
+        world: &World,
+        seed: u64,
+        store: &Path,
+        truth_sinks: Vec<Box<dyn TruthSink>>,
+    ) -> Result<(Self, Simulation), StageError> {
+        let simulation = Simulation::new(world, seed, Options { truth_sinks, ..Options::default() })?;
+        let memory = Arc::new(WorkingMemory::new(tokio_clock()));
+        prior_knowledge(world)?.put_into(&memory)?;
+        let long_term = Arc::new(LongTermMemory::open(store)?);
+        long_term.load_into(&memory, Pattern::segment(KEPT_SEGMENT))?;
+        let policies = Policies::all(Policy::Nothing).with(KEPT_SEGMENT, Policy::Everything);
+        let equipment = Equipment {
+            robot: simulation.robot(),
+            images: simulation.images(),
+            memory: Arc::clone(&memory) as Arc<dyn armarium_memoryx::Memory>,
+            agent: "local".into(),
+            seed,
+        };
+        let stage = Self {
+            robot: simulation.robot(),
+            referee: simulation.referee(),
+            handle: simulation.handle(),
+            equipment,
+            memory,
+            kept: Consolidator::new(long_term, policies),
+        };
+        Ok((stage, simulation))
+    }
+}
+
+/// What the robot knows beforehand of the world's things: name, colour, size and mass, never where they are.
+fn prior_knowledge(world: &World) -> Result<PriorKnowledge, MemoryError> {
+    let mut prior = PriorKnowledge::new();
+    for object in &world.objects {
+        prior.add(ObjectClass::new(&object.name, object.color, object.size).with_mass(object.mass))?;
+    }
+    prior.add(ObjectClass::new(COACH_TOOL, world.coach.tool.color, COACH_TOOL_SIZE))?;
+    Ok(prior)
+}

@@ -1,0 +1,158 @@
+//! One limb under a skill's command: sense, then command, at the rate of the robot's samples.
+//!
+//! It holds the limb's lease for as long as it lives and turns wanted TCP poses and twists into joint velocities. It
+//! plans nothing.
+
+use std::sync::Arc;
+
+use armarium_robot::{DifferentialIk, IkConfig, Kinematics, Lease, LeaseLimits, LinkId, Model, Robot, Sensed, Twist};
+use armarium_runtime::skill::{Failure, SkillContext};
+use nalgebra::{Isometry3, Point3, Vector3};
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+
+use crate::equipment::Equipment;
+
+/// Gain of the TCP's position and orientation error, 1/s.
+const TRACKING_GAIN: f64 = 12.0;
+
+/// The newest samples of the robot, one after the other, until the skill is cancelled.
+pub(crate) struct Senses {
+    sensed: watch::Receiver<Arc<Sensed>>,
+    cancel: CancellationToken,
+    last_ns: Option<u64>,
+}
+
+impl Senses {
+    pub(crate) fn new(robot: &dyn Robot, context: &SkillContext) -> Self {
+        Self { sensed: robot.sensed(), cancel: context.cancel.clone(), last_ns: None }
+    }
+
+    /// Waits for the next sample; gives it with the time since the one before, s.
+    pub(crate) async fn next(&mut self) -> Result<(Arc<Sensed>, f64), Failure> {
+        tokio::select! {
+            biased;
+            () = self.cancel.cancelled() => return Err(Failure::new("cancelled")),
+            changed = self.sensed.changed() => {
+                changed.map_err(|_| Failure::new("the robot does not send samples any more"))?;
+            }
+        }
+        let sample = Arc::clone(&self.sensed.borrow_and_update());
+        let before = self.last_ns.replace(sample.stamp_ns).unwrap_or(sample.stamp_ns);
+        let dt = sample.stamp_ns.saturating_sub(before) as f64 * 1e-9;
+        Ok((sample, dt.clamp(1e-4, 0.1)))
+    }
+
+    /// The newest sample, without waiting.
+    pub(crate) fn newest(&self) -> Arc<Sensed> {
+        Arc::clone(&self.sensed.borrow())
+    }
+
+    /// Lets `seconds` pass on the robot's clock.
+    pub(crate) async fn pass(&mut self, seconds: f64) -> Result<Arc<Sensed>, Failure> {
+        let mut left = seconds;
+        loop {
+            let (sample, dt) = self.next().await?;
+            left -= dt;
+            if left <= 0.0 {
+                return Ok(sample);
+            }
+        }
+    }
+}
+
+/// The limb that the skills of one arm command.
+pub(crate) const ARM: &str = "right_arm";
+/// Its tool centre point.
+pub(crate) const TCP: &str = "tcp_right";
+
+/// A link of the robot, by name.
+pub(crate) fn link(model: &Model, name: &str) -> Result<LinkId, Failure> {
+    model.require_link(name).map_err(|e| Failure::new(e.to_string()))
+}
+
+/// How far the TCP is from where it should be.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TrackingError {
+    /// m
+    pub(crate) position: f64,
+    /// rad
+    pub(crate) angle: f64,
+}
+
+/// An arm with its lease.
+pub(crate) struct Arm {
+    lease: Lease,
+    model: Arc<Model>,
+    tcp: LinkId,
+    ik: DifferentialIk,
+    kinematics: Kinematics,
+    /// The posture that the null space is pulled to, rad, in the limb's order.
+    posture: Option<Vec<f64>>,
+}
+
+impl Arm {
+    /// Takes the right arm for the skill in `context`.
+    pub(crate) fn take(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
+        let lease = lease(equipment, context, ARM)?;
+        let model = Arc::clone(equipment.robot.model());
+        let tcp = link(&model, TCP)?;
+        let ik = DifferentialIk::new(&model, tcp, model.limb(ARM), IkConfig::default());
+        let kinematics = Kinematics::new(&model);
+        Ok(Self { lease, model, tcp, ik, kinematics, posture: None })
+    }
+
+    /// Pulls the null space to a posture, rad, in the limb's order.
+    pub(crate) fn with_posture(mut self, posture: &[f64]) -> Self {
+        self.posture = Some(posture.to_vec());
+        self
+    }
+
+    /// `root_from_tcp` at a sample.
+    pub(crate) fn tcp(&self, sample: &Sensed) -> Isometry3<f64> {
+        self.model.link_pose(&sample.position, self.tcp)
+    }
+
+    /// Velocity of the TCP at a sample, root frame, m/s.
+    pub(crate) fn tcp_velocity(&mut self, sample: &Sensed) -> Vector3<f64> {
+        self.kinematics.update(&sample.position);
+        self.kinematics.twist(self.tcp, &Point3::origin(), &sample.velocity).linear
+    }
+
+    /// Moves the TCP towards `target` (root frame), with the twist that the target itself has: m/s, rad/s.
+    pub(crate) fn track(
+        &mut self,
+        sample: &Sensed,
+        target: &Isometry3<f64>,
+        linear: Vector3<f64>,
+        angular: Vector3<f64>,
+    ) -> Result<TrackingError, Failure> {
+        let tcp = self.tcp(sample);
+        let position = target.translation.vector - tcp.translation.vector;
+        let rotation = (target.rotation * tcp.rotation.inverse()).scaled_axis();
+        self.twist(sample, linear + TRACKING_GAIN * position, angular + TRACKING_GAIN * rotation)?;
+        Ok(TrackingError { position: position.norm(), angle: rotation.norm() })
+    }
+
+    /// Moves the TCP with a twist in the root frame: m/s, rad/s.
+    pub(crate) fn twist(
+        &mut self,
+        sample: &Sensed,
+        linear: Vector3<f64>,
+        angular: Vector3<f64>,
+    ) -> Result<(), Failure> {
+        let step = self.ik.step(&sample.position, &Twist { linear, angular }, self.posture.as_deref());
+        self.lease.command(step.velocities).map_err(|fault| Failure::new(fault.to_string()))
+    }
+
+    /// Holds still.
+    pub(crate) fn hold(&mut self, sample: &Sensed) -> Result<(), Failure> {
+        self.twist(sample, Vector3::zeros(), Vector3::zeros())
+    }
+}
+
+/// The exclusive right to a limb, with the chart's limits.
+pub(crate) fn lease(equipment: &Equipment, context: &SkillContext, limb: &str) -> Result<Lease, Failure> {
+    let limits = LeaseLimits { force_n: context.limits.force_n, speed_m_s: context.limits.speed_m_s };
+    equipment.robot.lease(limb, &context.state, limits).map_err(|e| Failure::new(e.to_string()))
+}

@@ -1,0 +1,64 @@
+//! What skills work with, and the adapter that makes a skill of a manifest and an asynchronous function.
+
+use std::future::Future;
+use std::sync::Arc;
+
+use armarium_memoryx::Memory;
+use armarium_robot::Robot;
+use armarium_runtime::skill::{Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_visionx::ImageSource;
+use futures::future::BoxFuture;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+
+/// The traits that skills talk to. Clones share the same robot, cameras and memory.
+#[derive(Clone)]
+pub struct Equipment {
+    /// The robot.
+    pub robot: Arc<dyn Robot>,
+    /// The stereo cameras on its head.
+    pub images: Arc<dyn ImageSource>,
+    /// The agent's memory.
+    pub memory: Arc<dyn Memory>,
+    /// The agent's name: the provider under which its skills write to memory.
+    pub agent: String,
+    /// Seeds the random numbers of tracking.
+    pub seed: u64,
+}
+
+impl Equipment {
+    /// Random numbers that are the same in every run with the same seed.
+    pub(crate) fn random(&self) -> ChaCha8Rng {
+        ChaCha8Rng::seed_from_u64(self.seed)
+    }
+}
+
+/// A skill that is a manifest and a function.
+struct FunctionSkill<F> {
+    manifest: SkillManifest,
+    equipment: Equipment,
+    act: F,
+}
+
+impl<F, A> Skill for FunctionSkill<F>
+where
+    F: Fn(Equipment, SkillContext) -> A + Send + Sync + 'static,
+    A: Future<Output = SkillResult> + Send + 'static,
+{
+    fn manifest(&self) -> SkillManifest {
+        self.manifest.clone()
+    }
+
+    fn run(&self, context: SkillContext) -> BoxFuture<'static, SkillResult> {
+        Box::pin((self.act)(self.equipment.clone(), context))
+    }
+}
+
+/// The skill that declares `manifest` and does `act`.
+pub(crate) fn skill<F, A>(equipment: &Equipment, manifest: SkillManifest, act: F) -> Arc<dyn Skill>
+where
+    F: Fn(Equipment, SkillContext) -> A + Send + Sync + 'static,
+    A: Future<Output = SkillResult> + Send + 'static,
+{
+    Arc::new(FunctionSkill { manifest, equipment: equipment.clone(), act })
+}

@@ -1,0 +1,93 @@
+//! Reading a skill's checked inputs as Rust types, and its values back.
+
+use armarium_memoryx::EntityId;
+use armarium_runtime::skill::{Failure, SkillContext};
+use armarium_values::{Pose, Reference, Value};
+use nalgebra::{Isometry3, Point3, Vector3};
+
+/// Typed access to the inputs that the chart's checker has already held against the manifest.
+pub(crate) trait Inputs {
+    /// The input of that name.
+    fn value(&self, name: &str) -> Result<&Value, Failure>;
+    /// A number, SI.
+    fn number(&self, name: &str) -> Result<f64, Failure>;
+    /// Text.
+    fn text(&self, name: &str) -> Result<&str, Failure>;
+    /// A pose in the root frame.
+    fn pose(&self, name: &str) -> Result<Isometry3<f64>, Failure>;
+    /// The address that a reference holds.
+    fn entity(&self, name: &str) -> Result<EntityId, Failure>;
+}
+
+impl Inputs for SkillContext {
+    fn value(&self, name: &str) -> Result<&Value, Failure> {
+        self.inputs.get(name).ok_or_else(|| Failure::new(format!("the input `{name}` is missing")))
+    }
+
+    fn number(&self, name: &str) -> Result<f64, Failure> {
+        let value = self.value(name)?;
+        value.as_f64().filter(|n| n.is_finite()).ok_or_else(|| wrong(name, "a finite number", value))
+    }
+
+    fn text(&self, name: &str) -> Result<&str, Failure> {
+        let value = self.value(name)?;
+        value.as_str().ok_or_else(|| wrong(name, "text", value))
+    }
+
+    fn pose(&self, name: &str) -> Result<Isometry3<f64>, Failure> {
+        let value = self.value(name)?;
+        as_pose(value).ok_or_else(|| wrong(name, "a pose in the root frame", value))
+    }
+
+    fn entity(&self, name: &str) -> Result<EntityId, Failure> {
+        let value = self.value(name)?;
+        let reference = value.as_reference().ok_or_else(|| wrong(name, "a reference", value))?;
+        entity_of(reference)
+    }
+}
+
+fn wrong(name: &str, expected: &str, found: &Value) -> Failure {
+    Failure::new(format!("the input `{name}` should be {expected}, but is {}", found.describe()))
+}
+
+/// A pose value in the root frame as an isometry.
+pub(crate) fn as_pose(value: &Value) -> Option<Isometry3<f64>> {
+    match value {
+        Value::Pose(pose) if pose.frame.0 == "root" => Some(pose.isometry()),
+        _ => None,
+    }
+}
+
+/// A pose in the root frame as a value.
+pub(crate) fn pose_value(root_from: &Isometry3<f64>) -> Value {
+    Value::Pose(Pose::new("root".into(), root_from))
+}
+
+/// Three numbers as a vector.
+pub(crate) fn as_vector(value: &Value) -> Option<Vector3<f64>> {
+    value.as_vector3().map(Vector3::from)
+}
+
+/// Three numbers as a point.
+pub(crate) fn as_point(value: &Value) -> Option<Point3<f64>> {
+    value.as_vector3().map(Point3::from)
+}
+
+/// The memory address in a reference.
+pub(crate) fn entity_of(reference: &Reference) -> Result<EntityId, Failure> {
+    let parts: Vec<&str> = reference.id.split('/').collect();
+    match parts.as_slice() {
+        [segment, provider, entity] => {
+            EntityId::new(segment, provider, entity).map_err(|e| Failure::new(e.to_string()))
+        }
+        _ => Err(Failure::new(format!(
+            "`{}` is not a memory address: it needs segment/provider/entity",
+            reference.id
+        ))),
+    }
+}
+
+/// A reference of a kind to a memory address.
+pub(crate) fn reference(kind: &str, id: &EntityId) -> Value {
+    Value::Reference(Reference { kind: kind.into(), id: id.to_string() })
+}

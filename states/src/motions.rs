@@ -1,0 +1,101 @@
+//! Motions in working memory: what skills share while they run is one versioned entity, never a copy.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use armarium_memoryx::{Commit, EntityId, Memory, MemoryError, Snapshot};
+use armarium_motion::Motion;
+use armarium_runtime::skill::Failure;
+use armarium_values::Value;
+
+/// The core segment that holds motions.
+const SEGMENT: &str = "Motions";
+
+/// How often a change is tried again when another skill has changed the motion meanwhile.
+const TRIES: usize = 8;
+
+/// The motion in a snapshot.
+pub(crate) fn motion_of(snapshot: &Snapshot) -> Result<Motion, Failure> {
+    let value = snapshot.attribute("motion");
+    let value =
+        value.ok_or_else(|| Failure::new(format!("the entity `{}` holds no motion", snapshot.id)))?;
+    serde_json::from_value(value.to_json())
+        .map_err(|e| Failure::new(format!("the motion `{}` in memory cannot be used: {e}", snapshot.id)))
+}
+
+/// The newest version of a motion.
+pub(crate) async fn load(memory: &dyn Memory, id: &EntityId) -> Result<(Motion, u64), Failure> {
+    let snapshot = memory.latest(id).await.map_err(failed)?;
+    Ok((motion_of(&snapshot)?, snapshot.version))
+}
+
+/// The newest motion of that name, whoever has learned it.
+pub(crate) async fn find(memory: &dyn Memory, name: &str) -> Result<Arc<Snapshot>, Failure> {
+    let known = memory.segment(SEGMENT).await.map_err(failed)?;
+    let newest = known.iter().filter(|s| s.id.entity() == name).max_by_key(|s| s.arrived_ns);
+    newest.cloned().ok_or_else(|| {
+        let names: Vec<&str> = known.iter().map(|s| s.id.entity()).collect();
+        let known = if names.is_empty() { "no motion".to_owned() } else { names.join(", ") };
+        Failure::new(format!("memory has no motion `{name}`; it has {known}"))
+    })
+}
+
+/// The address of an agent's motion.
+pub(crate) fn address(agent: &str, name: &str) -> Result<EntityId, Failure> {
+    EntityId::new(SEGMENT, agent, name).map_err(failed)
+}
+
+/// Writes a motion as the newest version of its entity.
+pub(crate) async fn store(
+    memory: &dyn Memory,
+    id: &EntityId,
+    motion: &Motion,
+    stamp_ns: u64,
+) -> Result<(), Failure> {
+    memory.commit(vec![commit(id, motion, stamp_ns, None)?]).await.map_err(failed)?;
+    Ok(())
+}
+
+/// Changes the newest version of a motion; tried again when another skill was faster.
+pub(crate) async fn change(
+    memory: &dyn Memory,
+    id: &EntityId,
+    stamp_ns: u64,
+    edit: impl Fn(Motion) -> Result<Motion, Failure> + Send + Sync,
+) -> Result<Motion, Failure> {
+    let mut last = None;
+    for _ in 0..TRIES {
+        let (motion, version) = load(memory, id).await?;
+        let changed = edit(motion)?;
+        match memory.commit(vec![commit(id, &changed, stamp_ns, Some(version))?]).await {
+            Ok(_) => return Ok(changed),
+            Err(conflict @ MemoryError::Conflict { .. }) => last = Some(conflict),
+            Err(error) => return Err(failed(error)),
+        }
+    }
+    Err(last.map_or_else(|| Failure::new("the motion could not be changed"), failed))
+}
+
+fn commit(
+    id: &EntityId,
+    motion: &Motion,
+    stamp_ns: u64,
+    expected_version: Option<u64>,
+) -> Result<Commit, Failure> {
+    let json = serde_json::to_value(motion)
+        .map_err(|e| Failure::new(format!("the motion `{id}` cannot be written to memory: {e}")))?;
+    let attributes = BTreeMap::from([
+        ("name".to_owned(), Value::from(motion.name())),
+        ("kind".to_owned(), Value::from("periodic DMP")),
+        ("frequency".to_owned(), Value::Float(motion.frequency_hz())),
+        ("learned_from".to_owned(), Value::from(motion.learned_from())),
+        ("motion".to_owned(), Value::from_json(&json)),
+    ]);
+    let commit = Commit::new(id.clone(), stamp_ns, attributes);
+    Ok(Commit { expected_version, ..commit })
+}
+
+/// A memory's refusal as a skill's failure.
+pub(crate) fn failed(error: MemoryError) -> Failure {
+    Failure::new(error.to_string())
+}

@@ -1,0 +1,74 @@
+//! The coach's hand: found in the camera frames while somebody reads the channel `hand`, and kept in memory.
+
+use std::collections::BTreeMap;
+
+use armarium_memoryx::{Commit, EntityId};
+use armarium_runtime::channels::Channels;
+use armarium_values::{Frame, Value, Vector};
+use armarium_visionx::{HandObservation, HandObserver, StereoFrame};
+use nalgebra::{Isometry3, Vector3};
+
+use crate::arm::TCP;
+use crate::equipment::Equipment;
+use crate::hand_eye::HandEye;
+
+/// Publishes `hand` for each frame while it is wanted.
+pub(super) async fn observe(equipment: Equipment, channels: Channels) {
+    let mut wanted = channels.wanted("hand");
+    let mut observer = HandObserver::new(equipment.images.calibration());
+    loop {
+        while *wanted.borrow_and_update() == 0 {
+            if wanted.changed().await.is_err() {
+                return;
+            }
+            observer = HandObserver::new(equipment.images.calibration());
+        }
+        let Ok(frame) = equipment.images.next().await else { return };
+        let seen = observer.update(&frame);
+        let Ok(hand_eye) = HandEye::load(&*equipment.memory, &equipment.agent).await else { return };
+        let value = describe(&equipment, &frame, &hand_eye, seen.as_ref());
+        remember(&equipment, &frame, &value, seen.map_or(1.0, |s| s.confidence)).await;
+        channels.publish("hand", value);
+    }
+}
+
+/// What was seen, in the root frame; the gesture `none` without a hand.
+fn describe(
+    equipment: &Equipment,
+    frame: &StereoFrame,
+    hand_eye: &HandEye,
+    seen: Option<&HandObservation>,
+) -> Value {
+    let Some(seen) = seen else {
+        return Value::record([
+            ("gesture", Value::from("none")),
+            ("confidence", Value::Float(1.0)),
+        ]);
+    };
+    let root_from_left = hand_eye.camera(&frame.root_from_left);
+    let palm = root_from_left * seen.palm_in_left;
+    let direction = seen.pointing.map_or_else(Vector3::zeros, |d| root_from_left * d);
+    let sensed = equipment.robot.sensed().borrow().clone();
+    let model = equipment.robot.model();
+    let tcp = model.link(TCP).map_or_else(Isometry3::identity, |tcp| model.link_pose(&sensed.position, tcp));
+    Value::record([
+        ("gesture", Value::from(seen.gesture.name())),
+        ("confidence", Value::Float(seen.confidence)),
+        ("position", Value::Vector(Vector::new(Frame::root(), &palm.coords))),
+        ("direction", Value::Vector(Vector::new(Frame::root(), &direction))),
+        ("distance", Value::Float((palm.coords - tcp.translation.vector).norm())),
+    ])
+}
+
+/// Writes the sight to the memory's `HumanHands`; a memory that refuses does not stop the observer.
+async fn remember(equipment: &Equipment, frame: &StereoFrame, value: &Value, confidence: f64) {
+    let Ok(id) = EntityId::new("HumanHands", &equipment.agent, "coach") else { return };
+    let attributes = match value {
+        Value::Map(fields) => fields.clone(),
+        _ => BTreeMap::new(),
+    };
+    let commit = Commit::new(id, frame.stamp_ns, attributes).with_confidence(confidence.clamp(0.0, 1.0));
+    if let Err(error) = equipment.memory.commit(vec![commit]).await {
+        tracing::warn!("the coach's hand was not kept in memory: {error}");
+    }
+}

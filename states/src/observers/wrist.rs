@@ -1,0 +1,48 @@
+//! The wrist: the force on the hand, and what of it is a push: the part along the surface that friction does not
+//! explain. A push along the surface's normal cannot be told from the surface by one wrist sensor.
+
+use armarium_motion::{FrictionConfig, FrictionModel};
+use armarium_robot::Kinematics;
+use armarium_runtime::channels::Channels;
+use armarium_values::Value;
+use nalgebra::Point3;
+
+use crate::arm::TCP;
+use crate::equipment::Equipment;
+
+/// Samples of the robot for each one that is published: 200 Hz at 1 kHz.
+const EVERY: u32 = 5;
+
+/// Publishes `wrist`, and learns the friction of wiping whoever reads it.
+pub(super) async fn observe(equipment: Equipment, channels: Channels) {
+    let model = equipment.robot.model();
+    let (Ok(mut friction), Some(tcp)) = (FrictionModel::new(FrictionConfig::default()), model.link(TCP)) else {
+        return;
+    };
+    let mut kinematics = Kinematics::new(model);
+    let mut sensed = equipment.robot.sensed();
+    let (mut last_ns, mut count) = (None, 0_u32);
+    while sensed.changed().await.is_ok() {
+        let sample = sensed.borrow_and_update().clone();
+        let before = last_ns.replace(sample.stamp_ns).unwrap_or(sample.stamp_ns);
+        let dt = sample.stamp_ns.saturating_sub(before) as f64 * 1e-9;
+        kinematics.update(&sample.position);
+        let velocity = kinematics.twist(tcp, &Point3::origin(), &sample.velocity).linear;
+        let force = sample.wrist.force;
+        let push = friction.step(dt, force.z, [velocity.x, velocity.y], [force.x, force.y]);
+        // A sample that cannot be used (the first one, or one that is not finite) leaves the last push standing.
+        let push = push.unwrap_or_else(|_| friction.push());
+        count += 1;
+        if count % EVERY == 0 {
+            channels.publish(
+                "wrist",
+                Value::record([
+                    ("force", Value::from([force.x, force.y, force.z])),
+                    ("push", Value::from([push[0], push[1], 0.0])),
+                    ("normal", Value::Float(force.z)),
+                    ("friction", Value::Float(friction.mu())),
+                ]),
+            );
+        }
+    }
+}

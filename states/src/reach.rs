@@ -1,0 +1,70 @@
+//! Whether the arm can perform a motion: each point within reach, each joint within its speed.
+
+use armarium_motion::Motion;
+use armarium_robot::{PoseOptions, solve_pose};
+use armarium_runtime::skill::Failure;
+use nalgebra::{Isometry3, Vector3};
+
+use crate::arm::{ARM, TCP, link};
+use crate::equipment::Equipment;
+
+/// Points of the path that are tried.
+const POINTS: usize = 48;
+
+/// The largest share of a joint's speed limit that `motion` needs at its frequency, with the TCP at height `z` m and
+/// oriented like `tcp`.
+///
+/// # Errors
+/// When a point is out of reach, or a joint would have to be faster than it can.
+pub(crate) fn required_speed(
+    equipment: &Equipment,
+    motion: &Motion,
+    tcp: &Isometry3<f64>,
+    z: f64,
+) -> Result<f64, Failure> {
+    let model = equipment.robot.model();
+    let joints = model.limb(ARM);
+    let link = link(model, TCP)?;
+    let path = motion.primitive().steady_path(POINTS).map_err(|e| Failure::new(e.to_string()))?;
+    let pose = |s: usize| {
+        let point = &path.y[s % path.len()];
+        Isometry3::from_parts(Vector3::new(point[0], point[1], z).into(), tcp.rotation)
+    };
+    let mut q = equipment.robot.sensed().borrow().position.clone();
+    let mut random = equipment.random();
+    let mut solve = |s: usize, seed: &[f64]| {
+        solve_pose(model, link, joints, &pose(s), seed, &PoseOptions::default(), &mut random).map_err(|e| {
+            let point = pose(s).translation.vector;
+            Failure::new(format!(
+                "the motion leaves the arm's reach at x {:.2}, y {:.2} m: {:.0} mm are missing",
+                point.x,
+                point.y,
+                e.position_error_m * 1e3
+            ))
+        })
+    };
+    q = solve(0, &q)?;
+    let dt = 1.0 / (motion.frequency_hz() * POINTS as f64);
+    let mut worst = (0.0_f64, "");
+    for s in 1..=POINTS {
+        let next = solve(s, &q)?;
+        for &joint in joints {
+            let limit = model.joints()[joint].velocity;
+            let share = (next[joint] - q[joint]).abs() / dt / limit;
+            if share > worst.0 {
+                worst = (share, &model.joints()[joint].name);
+            }
+        }
+        q = next;
+    }
+    if worst.0 > 1.0 {
+        return Err(Failure::new(format!(
+            "the motion is too fast for the arm: at {:.2} Hz the joint `{}` would need {:.0} % of its largest speed; \
+             show a slower or smaller motion",
+            motion.frequency_hz(),
+            worst.1,
+            worst.0 * 100.0
+        )));
+    }
+    Ok(worst.0)
+}

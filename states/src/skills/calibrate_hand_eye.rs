@@ -1,0 +1,138 @@
+//! `CalibrateHandEye`: finds where the cameras really look by watching the marker on the robot's own hand.
+//!
+//! The hand goes to some places over the table; the places where the marker is seen and those where the arm says it
+//! is give the transformation between them (least squares of two point sets, Arun et al.).
+
+use std::sync::Arc;
+
+use armarium_motion::rigid_fit;
+use armarium_robot::LinkId;
+use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::{Type, Unit};
+use armarium_visionx::{ColorMarkerObjectTracking, MarkerSettings};
+use nalgebra::{Isometry3, Point3, Vector3};
+
+use crate::arm::{Arm, Senses, link};
+use crate::equipment::{self, Equipment};
+use crate::frames::Frames;
+use crate::grasp::level_palm;
+use crate::hand_eye::HandEye;
+use crate::inputs::{Inputs, as_point};
+use crate::line::Line;
+
+/// Places relative to the middle, m: spread in all three directions.
+const PLACES: [[f64; 3]; 6] = [
+    [-0.09, -0.05, 0.00],
+    [0.08, -0.06, 0.05],
+    [0.09, 0.05, -0.02],
+    [-0.08, 0.06, 0.06],
+    [0.00, 0.00, 0.10],
+    [0.00, 0.01, -0.04],
+];
+
+/// Frames that are averaged at each place.
+const FRAMES: usize = 5;
+
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+    let manifest = SkillManifest::new("CalibrateHandEye", "Looks at its own hand in several places and corrects where the cameras look.")
+        .optional("center", Type::list(Type::FLOAT), vec![0.28, 0.52, 1.20], "Middle of the places of the TCP, root frame, m.")
+        .optional("yaw", Type::quantity(Unit::RAD), 0.5, "Yaw of the level hand.")
+        .optional("residual", Type::quantity(Unit::M), 0.012, "Largest residual of the fit that is accepted.")
+        .output("residual", Type::quantity(Unit::M), "Root mean square distance of the fitted points.")
+        .limb("right_arm");
+    equipment::skill(equipment, manifest, run)
+}
+
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+    let center = as_point(context.value("center")?).ok_or_else(|| Failure::new("`center` needs three numbers"))?;
+    let palm = level_palm(context.number("yaw")?);
+    let largest = context.number("residual")?;
+    let mut arm = Arm::take(&equipment, &context)?;
+    let mut senses = Senses::new(&*equipment.robot, &context);
+    let mut watcher = MarkerWatcher::new(&equipment)?;
+    let (mut seen, mut true_places) = (Vec::new(), Vec::new());
+    for place in PLACES {
+        let tcp = Isometry3::from_parts((center.coords + Vector3::from(place)).into(), palm);
+        go(&mut arm, &mut senses, tcp).await?;
+        if let Some((as_seen, as_told)) = watcher.look(&equipment, &mut arm, &mut senses).await? {
+            seen.push(as_seen);
+            true_places.push(as_told);
+        }
+    }
+    if seen.len() < 4 {
+        return Err(Failure::new(format!(
+            "the marker on the hand was seen in {} of {} places; do both cameras work, and is the light on?",
+            seen.len(),
+            PLACES.len()
+        )));
+    }
+    let fit = rigid_fit(&seen, &true_places).map_err(|e| Failure::new(e.to_string()))?;
+    if fit.rms > largest {
+        return Err(Failure::new(format!(
+            "hand and cameras do not agree: {:.0} mm remain after calibration; are the eyes in the right order?",
+            fit.rms * 1e3
+        )));
+    }
+    let stamp_ns = senses.newest().stamp_ns;
+    HandEye::new(fit.target_from_source).store(&*equipment.memory, &equipment.agent, fit.rms, stamp_ns).await?;
+    Ok(Outcome::success().with("residual", fit.rms))
+}
+
+async fn go(arm: &mut Arm, senses: &mut Senses, tcp: Isometry3<f64>) -> Result<(), Failure> {
+    let mut line = Line::new(arm.tcp(&senses.newest()), tcp, 0.2);
+    while !line.rested(0.3) {
+        let (sample, dt) = senses.next().await?;
+        let point = line.step(dt);
+        arm.track(&sample, &point.pose, point.linear, point.angular)?;
+    }
+    Ok(())
+}
+
+/// Watches the marker on the robot's hand.
+struct MarkerWatcher {
+    marker: LinkId,
+    frames: Frames,
+    tracking: ColorMarkerObjectTracking,
+}
+
+impl MarkerWatcher {
+    fn new(equipment: &Equipment) -> Result<Self, Failure> {
+        let settings = MarkerSettings::new(HAND_MARKER_COLOR).with_diameter(HAND_MARKER_DIAMETER);
+        let calibration = equipment.images.calibration();
+        Ok(Self {
+            marker: link(equipment.robot.model(), HAND_MARKER)?,
+            frames: Frames::of(&equipment.images),
+            tracking: ColorMarkerObjectTracking::new(calibration, settings, equipment.seed),
+        })
+    }
+
+    /// The mean of some frames with the hand at rest: where the marker is as seen, and as the arm says (root frame).
+    async fn look(
+        &mut self,
+        equipment: &Equipment,
+        arm: &mut Arm,
+        senses: &mut Senses,
+    ) -> Result<Option<(Point3<f64>, Point3<f64>)>, Failure> {
+        let (mut seen, mut told, mut count, mut waited) = (Vector3::zeros(), Vector3::zeros(), 0, 0.0);
+        while count < FRAMES && waited < 1.5 {
+            let (sample, dt) = senses.next().await?;
+            waited += dt;
+            arm.hold(&sample)?;
+            let Some(frame) = self.frames.new_frame()? else { continue };
+            if let Some(marker) = self.tracking.update(&frame).filter(|m| m.visible > 0.5) {
+                seen += (frame.root_from_left * marker.point_in_left).coords;
+                told += equipment.robot.model().link_pose(&sample.position, self.marker).translation.vector;
+                count += 1;
+            }
+        }
+        let mean = |sum: Vector3<f64>| Point3::from(sum / count as f64);
+        Ok((count >= 2).then(|| (mean(seen), mean(told))))
+    }
+}
+
+/// The ball on the back of the right hand by which it is seen.
+pub(crate) const HAND_MARKER: &str = "hand_marker_right";
+/// Its colour, RGB.
+pub(crate) const HAND_MARKER_COLOR: [u8; 3] = [200, 30, 160];
+/// Its diameter, m.
+pub(crate) const HAND_MARKER_DIAMETER: f64 = 0.04;

@@ -1,0 +1,67 @@
+//! `ExecuteMotion`: the loop that integrates the learned motion and alone commands the arm, while others change the
+//! motion in memory. It keeps the force, goes on learning the surface, and slows down as the coach's hand comes near.
+//! It runs until it is cancelled.
+
+use std::sync::Arc;
+
+use armarium_motion::{MotionError, SlowDown, SurfaceAdaptation, SurfaceConfig};
+use armarium_runtime::channels::Channels;
+use armarium_runtime::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::{Type, Unit, Value};
+
+use crate::arm::Senses;
+use crate::equipment::{self, Equipment};
+use crate::inputs::Inputs;
+use crate::wiper::{ContactWatch, GraspedTool, Height, Wiper};
+
+/// What the robot says when it begins, so that the coach may come.
+const ANNOUNCEMENT: &str = "I am wiping now.";
+/// A sight of the coach's hand older than this does not slow the motion any more, s.
+const SIGHT_AGE: f64 = 0.5;
+
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+    let manifest = SkillManifest::new("ExecuteMotion", "Wipes with a motion that was fitted to the surface, until it is cancelled.")
+        .input("motion", Type::motion(), "The motion; changes to it in memory are executed at once.")
+        .input("force", Type::quantity(Unit::N), "Desired normal force.")
+        .input("grasp", Type::map(Type::Any), "How the tool was grasped.")
+        .limb("right_arm");
+    equipment::skill(equipment, manifest, run)
+}
+
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+    let tool = GraspedTool::of(&context)?;
+    let force = context.number("force")?;
+    let mut wiper = Wiper::take(&equipment, &context, tool.tcp.rotation).await?;
+    let mut senses = Senses::new(&*equipment.robot, &context);
+    let correction = wiper.motion().surface().cloned();
+    let correction = correction
+        .ok_or_else(|| Failure::new("the motion has not been fitted to a surface; run ForceAdaptation first"))?;
+    let config = SurfaceConfig { force, ..SurfaceConfig::default() };
+    let mut surface = SurfaceAdaptation::resume(config, correction).map_err(failed)?;
+    let z = wiper.motion().primitive().centre()[2];
+    let slow_down = SlowDown::default();
+    let mut contact = ContactWatch::default();
+    let _frames_are_wanted = context.channels.demand("hand");
+    wiper.start_nearest(&senses.newest())?;
+    equipment.robot.say(ANNOUNCEMENT);
+    let mut omega = 0.0;
+    loop {
+        let (sample, dt) = senses.next().await?;
+        let pressing = sample.wrist.force.z;
+        contact.check(dt, pressing)?;
+        let command = surface.step(dt, wiper.phase(), omega, pressing).map_err(failed)?;
+        let pace = surface.pace().min(slow_down.factor(distance_of_hand(&context.channels)));
+        let height = Height { z: z + command.offset, rate: command.velocity };
+        omega = wiper.step(&sample, dt, pace, height)?.omega;
+    }
+}
+
+/// Distance of the coach's hand from the TCP, m; infinite when no hand is seen.
+fn distance_of_hand(channels: &Channels) -> f64 {
+    let seen = channels.newest("hand").filter(|s| s.at.elapsed().as_secs_f64() < SIGHT_AGE);
+    seen.and_then(|s| s.value.get("distance").and_then(Value::as_f64)).unwrap_or(f64::INFINITY)
+}
+
+fn failed(error: MotionError) -> Failure {
+    Failure::new(error.to_string())
+}

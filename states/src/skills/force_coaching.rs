@@ -1,0 +1,42 @@
+//! `ForceCoaching`: the coach's pushes on the hand change the running motion where they were felt.
+
+use std::sync::Arc;
+
+use armarium_motion::CoachInput;
+use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::{Type, Unit};
+use nalgebra::Vector3;
+
+use crate::coaching::Coaching;
+use crate::equipment::{self, Equipment};
+use crate::inputs::{Inputs, as_vector};
+
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+    let manifest = SkillManifest::new("ForceCoaching", "Changes the running motion by the coach's pushes on the hand.")
+        .input("motion", Type::motion(), "The running motion.")
+        .optional("threshold", Type::quantity(Unit::N), 4.0, "Force that counts as a push.")
+        .optional("patience", Type::Duration, 4.0, "Ends when no push has been felt for this long.")
+        .output("displacement", Type::FLOAT, "How far the path has moved at the coached phase, m.");
+    equipment::skill(equipment, manifest, run)
+}
+
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+    let (threshold, patience) = (context.number("threshold")?, context.number("patience")?);
+    let mut coaching = Coaching::begin(&equipment, &context).await?;
+    let _wrist_is_wanted = context.channels.demand("wrist");
+    let mut displacement = 0.0;
+    loop {
+        let step = coaching.next().await?;
+        let push = context.channels.newest("wrist").and_then(|s| s.value.get("push").and_then(as_vector));
+        let force = push.unwrap_or_else(Vector3::zeros);
+        let input = if force.norm() > threshold { CoachInput::Push { force } } else { CoachInput::None };
+        let report = coaching.apply(&step, input).await?;
+        if report.active {
+            displacement = report.displacement;
+        }
+        if coaching.idle() > patience {
+            coaching.keep().await?;
+            return Ok(Outcome::success().with("displacement", displacement));
+        }
+    }
+}

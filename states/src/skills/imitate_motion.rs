@@ -1,0 +1,71 @@
+//! `ImitateMotion`: performs a learned motion in free space, over the table.
+
+use std::sync::Arc;
+
+use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::{Type, Unit, Value};
+
+use crate::arm::Senses;
+use crate::equipment::{self, Equipment};
+use crate::inputs::Inputs;
+use crate::reach::required_speed;
+use crate::wiper::{GraspedTool, Height, Wiper};
+
+/// Raised when the motion has been at its full frequency for a while.
+const STEADY: &str = "imitation.steady";
+/// Raised when the last whole period is over, before the hand comes to rest.
+const OVER: &str = "imitation.over";
+/// The motion counts as steady after this part of a period at full frequency.
+const SETTLING: f64 = 0.5;
+
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+    let manifest = SkillManifest::new("ImitateMotion", "Performs a learned motion in free space over the table.")
+        .input("motion", Type::motion(), "The motion.")
+        .input("grasp", Type::map(Type::Any), "How the tool was grasped.")
+        .optional("height", Type::quantity(Unit::M), 0.05, "Height of the tool over the table.")
+        .optional("periods", Type::Int, 3_i64, "Whole periods to perform.")
+        .output("frequency", Type::quantity(Unit::HZ), "Frequency of the motion.")
+        .event(STEADY)
+        .event(OVER)
+        .limb("right_arm");
+    equipment::skill(equipment, manifest, run)
+}
+
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+    let tool = GraspedTool::of(&context)?;
+    let periods = context.value("periods")?.as_int().unwrap_or(3).max(1);
+    let z = tool.standing_height() + context.number("height")?;
+    let mut wiper = Wiper::take(&equipment, &context, tool.tcp.rotation).await?;
+    let mut senses = Senses::new(&*equipment.robot, &context);
+    required_speed(&equipment, wiper.motion(), &tool.tcp, z)?;
+    wiper.start_nearest(&senses.newest())?;
+    wiper.approach(&mut senses, z, 0.2).await?;
+    let wanted = SETTLING + f64::from(i32::try_from(periods).unwrap_or(i32::MAX));
+    let (mut turned, mut pace) = (0.0, 1.0);
+    loop {
+        let (sample, dt) = senses.next().await?;
+        let progress = wiper.step(&sample, dt, pace, Height { z, rate: 0.0 })?;
+        // The periods count from the moment when the motion has its full frequency.
+        let before = turned;
+        if wiper.pace() >= 1.0 {
+            turned += progress.omega * dt / std::f64::consts::TAU;
+        }
+        if before < SETTLING && turned >= SETTLING {
+            raise(&context, STEADY);
+        }
+        if before < wanted && turned >= wanted {
+            raise(&context, OVER);
+            pace = 0.0;
+        }
+        if pace == 0.0 && wiper.pace() == 0.0 {
+            return Ok(Outcome::success().with("frequency", wiper.motion().frequency_hz()));
+        }
+    }
+}
+
+/// Raises an event for whoever watches the run; nobody has to take it.
+fn raise(context: &SkillContext, event: &str) {
+    if context.events.try_send((event.to_owned(), Value::Null)).is_err() {
+        tracing::debug!("the event `{event}` found no place in the queue");
+    }
+}

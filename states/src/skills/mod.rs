@@ -1,0 +1,55 @@
+//! All skills, by name. A new one is a file here and a line in [`skills`].
+
+mod calibrate_hand_eye;
+mod close_hand;
+mod execute_motion;
+mod force_adaptation;
+mod force_coaching;
+mod imitate_motion;
+mod keep_motion;
+mod locate_object;
+mod look_at;
+mod move_joints;
+mod move_tcp;
+mod move_tcp_by;
+mod movement_imitation;
+mod open_hand;
+mod plan_grasp;
+mod recall_motion;
+mod verify_grasp;
+mod vision_coaching;
+mod visual_servo;
+mod weigh_hand;
+
+use std::sync::Arc;
+
+use armarium_runtime::skill::Skill;
+
+use crate::equipment::Equipment;
+
+/// Every skill of this room, working with `equipment`.
+#[must_use]
+pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
+    vec![
+        move_joints::skill(equipment),
+        move_tcp::skill(equipment),
+        move_tcp_by::skill(equipment),
+        look_at::skill(equipment),
+        open_hand::skill(equipment),
+        close_hand::skill(equipment),
+        calibrate_hand_eye::skill(equipment),
+        locate_object::skill(equipment),
+        plan_grasp::skill(equipment),
+        visual_servo::skill(equipment),
+        weigh_hand::skill(equipment),
+        verify_grasp::skill(equipment),
+        movement_imitation::skill(equipment),
+        imitate_motion::skill(equipment),
+        recall_motion::skill(equipment),
+        keep_motion::skill(equipment),
+        force_adaptation::skill(equipment),
+        execute_motion::skill(equipment),
+        force_coaching::skill(equipment),
+        vision_coaching::skill(equipment),
+    ]
+}

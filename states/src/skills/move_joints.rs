@@ -1,0 +1,92 @@
+//! `MoveJoints`: position control of the right arm and the torso to a named posture or to joint angles.
+
+use std::sync::Arc;
+
+//WAIT
+use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::{Type, Unit};
+
+use crate::arm::{ARM, Senses, lease};
+use crate::equipment::{self, Equipment};
+use crate::inputs::Inputs;
+
+/// The share of each joint's limit that is used.
+const SHARE: f64 = 0.8;
+
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+    let manifest = SkillManifest::new("MoveJoints", "Moves right arm and torso together to a posture, each joint in a straight line.")
+        .optional("posture", Type::String, "", "A named posture of the robot, for instance `home`.")
+        .optional("arm", Type::list(Type::FLOAT), Vec::<f64>::new(), "Arm joint angles, rad, instead of a posture.")
+        .optional("tolerance", Type::quantity(Unit::RAD), 0.01, "When each joint counts as reached.")
+        .optional("timeout", Type::Duration, 15.0, "Longest time it may take.")
+        .limb("right_arm")
+        .limb("torso");
+    equipment::skill(equipment, manifest, run)
+}
+
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+    let tolerance = context.number("tolerance")?;
+    let timeout = context.number("timeout")?;
+    let goal = goal(&equipment, &context)?;
+    let arm = lease(&equipment, &context, ARM)?;
+    let torso = lease(&equipment, &context, "torso")?;
+    let model = equipment.robot.model();
+    let arm_joints = model.limb(ARM);
+    let torso_joints = model.limb("torso");
+    let speed = |joint: usize| model.joints()[joint].velocity * SHARE;
+    let acceleration = |joint: usize| model.joints()[joint].acceleration * 0.3;
+
+    let mut senses = Senses::new(&*equipment.robot, &context);
+    let mut elapsed = 0.0;
+    loop {
+        let (sample, dt) = senses.next().await?;
+        elapsed += dt;
+        // All joints arrive together: the slowest sets the pace, braking included.
+        let error = |joint: usize| goal[joint] - sample.position[joint];
+        let moved = || arm_joints.iter().chain(torso_joints).copied();
+        let worst = moved().map(|j| error(j).abs()).fold(0.0, f64::max);
+        if worst < tolerance {
+            return Ok(Outcome::success());
+        }
+        if elapsed > timeout {
+            return Err(Failure::new(format!(
+                "the posture was not reached within {timeout:.0} s: a joint is still {worst:.3} rad away"
+            )));
+        }
+        let time_left = moved().map(|j| error(j).abs() / speed(j)).fold(0.0, f64::max);
+        let braking = moved()
+            .map(|j| error(j).abs() / (2.0 * acceleration(j) * error(j).abs()).sqrt().max(1e-6))
+            .fold(0.0, f64::max);
+        let time_left = time_left.max(braking).max(0.08);
+        let velocity = |joints: &[usize]| -> Vec<f64> { joints.iter().map(|&j| error(j) / time_left).collect() };
+        arm.command(&velocity(arm_joints)).map_err(|f| Failure::new(f.to_string()))?;
+        torso.command(&velocity(torso_joints)).map_err(|f| Failure::new(f.to_string()))?;
+    }
+}
+
+/// The wanted position of every joint of the robot; joints that are not named stay where they are.
+fn goal(equipment: &Equipment, context: &SkillContext) -> Result<Vec<f64>, Failure> {
+    let model = equipment.robot.model();
+    let mut goal = equipment.robot.sensed().borrow().position.clone();
+    let name = context.text("posture")?;
+    if !name.is_empty() {
+        let posture: Vec<(usize, f64)> = model.limb(ARM).iter().copied().zip([-0.738, 0.637, -1.329, -0.448, 0.283, 0.018, 0.110]).chain(model.limb("torso").iter().copied().zip([0.0, 0.25, 0.3])).collect(); let _ = name;
+        for (joint, angle) in posture {
+            goal[joint] = angle;
+        }
+        return Ok(goal);
+    }
+    let angles = context.value("arm")?.as_list().unwrap_or_default();
+    let joints = model.limb(ARM);
+    if angles.len() != joints.len() {
+        return Err(Failure::new(format!(
+            "give a `posture`, or `arm` with {} joint angles; `arm` has {}",
+            joints.len(),
+            angles.len()
+        )));
+    }
+    for (&joint, angle) in joints.iter().zip(angles) {
+        goal[joint] = angle.as_f64().filter(|a| a.is_finite()).ok_or_else(|| Failure::new("`arm` holds something that is no number"))?;
+    }
+    Ok(goal)
+}

@@ -1,0 +1,80 @@
+//! `MoveTcp`: position control of the right hand's TCP along a straight line.
+
+use std::sync::Arc;
+
+use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::{Type, Unit};
+use nalgebra::Isometry3;
+
+use crate::arm::{Arm, Senses};
+use crate::equipment::{self, Equipment};
+use crate::inputs::{Inputs, pose_value};
+use crate::line::Line;
+
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+    let manifest = SkillManifest::new("MoveTcp", "Moves the right hand's TCP to a pose on a straight line, turning evenly.")
+        .input("target", Type::Pose, "Pose of the TCP in the root frame.")
+        .optional("speed", Type::quantity(Unit::M_S), 0.15, "Speed on the line.")
+        .optional("position_tolerance", Type::quantity(Unit::M), 0.005, "When the position counts as reached.")
+        .optional("orientation_tolerance", Type::quantity(Unit::RAD), 0.05, "When the orientation counts as reached.")
+        .optional("timeout", Type::Duration, 15.0, "Longest time it may take.")
+        .output("tcp", Type::Pose, "Where the TCP is at the end.")
+        .limb("right_arm");
+    equipment::skill(equipment, manifest, run)
+}
+
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+    let target = context.pose("target")?;
+    let reached = Reached {
+        position: context.number("position_tolerance")?,
+        angle: context.number("orientation_tolerance")?,
+        timeout: context.number("timeout")?,
+    };
+    let speed = context.number("speed")?;
+    let mut arm = Arm::take(&equipment, &context)?;
+    let mut senses = Senses::new(&*equipment.robot, &context);
+    move_to(&mut arm, &mut senses, target, speed, &reached).await
+}
+
+/// When a pose counts as reached.
+pub(crate) struct Reached {
+    /// m
+    pub(crate) position: f64,
+    /// rad
+    pub(crate) angle: f64,
+    /// Longest time that it may take, s.
+    pub(crate) timeout: f64,
+}
+
+/// Moves the TCP to `target` (root frame) on a straight line at `speed`, m/s; the outcome says where it is then.
+pub(crate) async fn move_to(
+    arm: &mut Arm,
+    senses: &mut Senses,
+    target: Isometry3<f64>,
+    speed: f64,
+    reached: &Reached,
+) -> SkillResult {
+    let mut line = Line::new(arm.tcp(&senses.newest()), target, speed);
+    let mut elapsed = 0.0;
+    loop {
+        let (sample, dt) = senses.next().await?;
+        elapsed += dt;
+        let point = line.step(dt);
+        arm.track(&sample, &point.pose, point.linear, point.angular)?;
+        let tcp = arm.tcp(&sample);
+        let distance = (target.translation.vector - tcp.translation.vector).norm();
+        let angle = target.rotation.angle_to(&tcp.rotation);
+        // The last bit is taken at rest, so that the next skill starts from a still hand.
+        if line.rested(0.15) && distance < reached.position && angle < reached.angle {
+            return Ok(Outcome::success().with("tcp", pose_value(&tcp)));
+        }
+        if elapsed > reached.timeout {
+            return Err(Failure::new(format!(
+                "the TCP was not at its target within {:.0} s: it is {:.0} mm and {angle:.2} rad away; is the target \
+                 within reach?",
+                reached.timeout,
+                distance * 1e3,
+            )));
+        }
+    }
+}

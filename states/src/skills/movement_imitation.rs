@@ -1,0 +1,140 @@
+//! `MovementImitation`: watches the coach's tool and learns the periodic motion that it shows.
+//!
+//! The tool is followed by its colour. Its first swipe gives the workspace; from the periodic part an adaptive
+//! oscillator finds the frequency while a periodic movement primitive learns the motion online. Nothing moves here.
+
+use std::sync::Arc;
+
+use armarium_motion::{
+    DemonstrationSegmenter, DemonstrationStage, Imitation, Motion, MotionError, PeriodicDmp, PeriodicDmpConfig,
+    SegmenterConfig, Swipe,
+};
+use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::{Type, Unit};
+use armarium_visionx::{ColorMarkerObjectTracking, MarkerSettings};
+use nalgebra::Point3;
+
+use crate::arm::Senses;
+use crate::equipment::{self, Equipment};
+use crate::frames::Frames;
+use crate::hand_eye::HandEye;
+use crate::inputs::{Inputs, reference};
+use crate::motions;
+use crate::prior::object_class;
+
+/// What the robot says to ask for a demonstration.
+const REQUEST: &str = "Please show me how to wipe.";
+/// Points of the learned path that the motion is learned from again in its place.
+const POINTS: usize = 200;
+
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+    let manifest = SkillManifest::new("MovementImitation", "Watches the coach's tool and learns the periodic motion that it shows.")
+        .input("marker", Type::String, "Object class in prior knowledge that the coach demonstrates with.")
+        .optional("name", Type::String, "wiping", "Name of the learned motion.")
+        .optional("patience", Type::Duration, 30.0, "How long to wait for the demonstration to begin.")
+        .optional("periods", Type::Int, 40_i64, "Periods after which the demonstration has been seen enough.")
+        .output("motion", Type::motion(), "The learned motion.")
+        .output("frequency", Type::quantity(Unit::HZ), "Its frequency.");
+    equipment::skill(equipment, manifest, run)
+}
+
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+    let name = context.text("name")?;
+    let seen = watch(&equipment, &context).await?;
+    let (primitive, frequency_hz) = seen.imitation.result().ok_or_else(|| {
+        Failure::new(format!(
+            "no steady rhythm was found in the demonstration: {:.1} periods were followed, two are needed",
+            seen.imitation.periods()
+        ))
+    })?;
+    let placed = place(primitive, frequency_hz, &seen.swipe).map_err(failed)?;
+    let motion = Motion::in_space(name, "root", frequency_hz, placed)
+        .map_err(failed)?
+        .with_learned_from(format!("a demonstration of {:.0} periods", seen.imitation.periods()));
+    let id = motions::address(&equipment.agent, name)?;
+    motions::store(&*equipment.memory, &id, &motion, seen.stamp_ns).await?;
+    Ok(Outcome::success().with("motion", reference("Motion", &id)).with("frequency", frequency_hz))
+}
+
+/// What was seen of a demonstration.
+struct Seen {
+    swipe: Swipe,
+    imitation: Imitation,
+    stamp_ns: u64,
+}
+
+async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<Seen, Failure> {
+    let patience = context.number("patience")?;
+    let most_periods = context.number("periods")?;
+    let marker = context.text("marker")?;
+    let class = object_class(&*equipment.memory, marker).await?;
+    let hand_eye = HandEye::load(&*equipment.memory, &equipment.agent).await?;
+    let mut tracking = ColorMarkerObjectTracking::new(
+        equipment.images.calibration(),
+        MarkerSettings::new(class.color),
+        equipment.seed,
+    );
+    let mut segmenter = DemonstrationSegmenter::new(SegmenterConfig::default()).map_err(failed)?;
+    let mut imitation = Imitation::with_dofs(3).map_err(failed)?;
+    let mut frames = Frames::of(&equipment.images);
+    let mut senses = Senses::new(&*equipment.robot, context);
+    equipment.robot.say(REQUEST);
+    let (mut last_learned, mut waited) = (None, 0.0);
+    loop {
+        let (sample, dt) = senses.next().await?;
+        waited += dt;
+        let known = segmenter.known();
+        if waited > patience && known.swipe.is_none() {
+            return Err(Failure::new(format!(
+                "the coach did not demonstrate within {patience:.0} s: no swipe of a tool of the colour ({}, {}, {}) was seen",
+                class.color[0], class.color[1], class.color[2]
+            )));
+        }
+        let Some(frame) = frames.new_frame()? else { continue };
+        let time = frame.stamp_ns as f64 * 1e-9;
+        let place = tracking.update(&frame).map(|tool| hand_eye.camera(&frame.root_from_left) * tool.point_in_left);
+        let known = match place {
+            Some(point) => segmenter.observe(time, point).map_err(failed)?,
+            None => segmenter.known(),
+        };
+        if let (DemonstrationStage::Periodic, Some(point)) = (known.stage, place) {
+            let since = last_learned.replace(time).map_or(1.0 / 15.0, |t| time - t);
+            imitation.observe(since, point.coords.as_slice()).map_err(failed)?;
+        }
+        let ended = known.stage == DemonstrationStage::Ended || gone(last_learned, time);
+        if ended || imitation.periods() >= most_periods {
+            let swipe = known.swipe.ok_or_else(|| Failure::new("the demonstration had no first swipe"))?;
+            return Ok(Seen { swipe, imitation, stamp_ns: sample.stamp_ns });
+        }
+    }
+}
+
+/// Whether the tool has been out of sight since long before `time`, s.
+fn gone(last_seen: Option<f64>, time: f64) -> bool {
+    last_seen.is_some_and(|t| time - t > 2.5)
+}
+
+/// The learned motion moved so that its middle is the middle of the workspace that the swipe has shown, and level:
+/// how high the coach held the tool says nothing about the table.
+fn place(learned: &PeriodicDmp, frequency_hz: f64, swipe: &Swipe) -> Result<PeriodicDmp, MotionError> {
+    let middle: Point3<f64> = swipe.centre();
+    let path = learned.steady_path(POINTS)?;
+    let half = |d: usize| {
+        let values = (0..path.len()).map(|s| path.y[s][d]);
+        let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+        (low + high) / 2.0
+    };
+    let mut placed = PeriodicDmp::new(PeriodicDmpConfig::with_dofs(3))?;
+    let kernels = learned.kernels().len();
+    let mut weights = learned.weights().to_vec();
+    weights[2 * kernels..].fill(0.0);
+    placed.set_weights(&weights)?;
+    let shift = [middle.x - half(0), middle.y - half(1)];
+    placed.set_centre(&[learned.centre()[0] + shift[0], learned.centre()[1] + shift[1], middle.z])?;
+    placed.start_on_path(0.0, std::f64::consts::TAU * frequency_hz)?;
+    Ok(placed)
+}
+
+fn failed(error: MotionError) -> Failure {
+    Failure::new(error.to_string())
+}

@@ -1,0 +1,44 @@
+//! `OpenHand`: opens the right hand.
+
+use std::sync::Arc;
+
+use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::{Type, Unit};
+
+use crate::arm::Senses;
+use crate::equipment::{self, Equipment};
+use crate::hand::Hand;
+use crate::inputs::Inputs;
+
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+    let manifest = SkillManifest::new("OpenHand", "Opens the right hand and lets go of what it holds.")
+        .optional("aperture", Type::quantity(Unit::M), 0.125, "Distance of the finger pads.")
+        .optional("timeout", Type::Duration, 5.0, "Longest time it may take.")
+        .output("aperture", Type::quantity(Unit::M), "Distance of the finger pads at the end.")
+        .limb("right_hand");
+    equipment::skill(equipment, manifest, run)
+}
+
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+    let aperture = context.number("aperture")?;
+    let timeout = context.number("timeout")?;
+    let hand = Hand::take(&equipment, &context)?;
+    let mut senses = Senses::new(&*equipment.robot, &context);
+    let mut elapsed = 0.0;
+    loop {
+        let (sample, dt) = senses.next().await?;
+        elapsed += dt;
+        let missing = aperture - hand.aperture(&sample);
+        if missing < 0.002 {
+            equipment.robot.set_load(0.0, nalgebra::Point3::origin());
+            return Ok(Outcome::success().with("aperture", hand.aperture(&sample)));
+        }
+        if elapsed > timeout {
+            return Err(Failure::new(format!(
+                "the hand did not open within {timeout:.0} s: {:.0} mm are missing",
+                missing * 1e3
+            )));
+        }
+        hand.close_at(&sample, -(4.0 * missing).clamp(0.005, 0.06))?;
+    }
+}

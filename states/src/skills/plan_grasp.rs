@@ -1,0 +1,108 @@
+//! `PlanGrasp`: chooses how to grasp an object from above: which way the level hand is turned, so that the arm keeps
+//! the most margin to its joint limits.
+
+use std::f64::consts::FRAC_PI_2;
+use std::sync::Arc;
+
+use armarium_robot::{LinkId, Model, PoseOptions, solve_pose};
+use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::{Type, Unit, Value};
+use nalgebra::{Isometry3, Point3, Vector3};
+use rand_chacha::ChaCha8Rng;
+
+use crate::arm::{ARM, TCP, link};
+use crate::equipment::{self, Equipment};
+use crate::grasp::tcp_at;
+use crate::inputs::{Inputs, as_pose, pose_value};
+use crate::motions::failed;
+
+/// How far the hand may be turned against the object's sides, rad; the closing pads align the object. Each step
+/// costs margin.
+const MISALIGNMENTS: [f64; 7] = [0.0, 0.14, -0.14, 0.28, -0.28, 0.42, -0.42];
+/// Margin (rad) that one radian of misalignment must bring.
+const MISALIGNMENT_COST: f64 = 1.0;
+/// Less margin than this to any joint limit is no grasp, rad.
+const LEAST_MARGIN: f64 = 0.03;
+
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+    let manifest = SkillManifest::new("PlanGrasp", "Chooses the pose of the hand for a grasp from above, by the arm's margin.")
+        .input("object", Type::object(), "The object in memory.")
+        .optional("height", Type::quantity(Unit::M), 0.12, "Height of the pre-pose over the grasp.")
+        .output("grasp_pose", Type::Pose, "Pose of the TCP that grasps the object.")
+        .output("pre_pose", Type::Pose, "Pose of the TCP above it.")
+        .output("arm", Type::list(Type::FLOAT), "Joint angles of the arm at the pre-pose, rad.");
+    equipment::skill(equipment, manifest, run)
+}
+
+struct Candidate {
+    score: f64,
+    grasp: Isometry3<f64>,
+    pre: Isometry3<f64>,
+    arm: Vec<f64>,
+}
+
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+    let id = context.entity("object")?;
+    let height = context.number("height")?;
+    let snapshot = equipment.memory.latest(&id).await.map_err(failed)?;
+    let pose = snapshot.attribute("pose").and_then(as_pose);
+    let object = pose.ok_or_else(|| Failure::new(format!("memory does not know where `{id}` is")))?;
+    let center = Point3::from(object.translation.vector);
+    let yaw = object.rotation.euler_angles().2;
+    let model = equipment.robot.model();
+    let tcp = link(model, TCP)?;
+    let q = equipment.robot.sensed().borrow().position.clone();
+    let mut random = equipment.random();
+    let mut best: Option<Candidate> = None;
+    let mut nearest = f64::INFINITY;
+    for quarter in -2..=2 {
+        for misalignment in MISALIGNMENTS {
+            let hand_yaw = yaw + f64::from(quarter) * FRAC_PI_2 + misalignment;
+            let grasp = tcp_at(&center, hand_yaw);
+            match candidate(model, tcp, &q, grasp, height, misalignment, &mut random) {
+                Ok(found) if best.as_ref().is_none_or(|b| found.score > b.score) => best = Some(found),
+                Ok(_) => {}
+                Err(missing) => nearest = nearest.min(missing),
+            }
+        }
+    }
+    let Some(best) = best else {
+        return Err(Failure::new(format!(
+            "the object at x {:.2}, y {:.2}, z {:.2} m is out of the arm's reach from above: at best {:.0} mm are missing",
+            center.x,
+            center.y,
+            center.z,
+            nearest * 1e3
+        )));
+    };
+    Ok(Outcome::success()
+        .with("grasp_pose", pose_value(&best.grasp))
+        .with("pre_pose", pose_value(&best.pre))
+        .with("arm", Value::from(best.arm)))
+}
+
+/// A grasp with its score, or how far it is out of reach, m.
+fn candidate(
+    model: &Arc<Model>,
+    tcp: LinkId,
+    q: &[f64],
+    grasp: Isometry3<f64>,
+    height: f64,
+    misalignment: f64,
+    random: &mut ChaCha8Rng,
+) -> Result<Candidate, f64> {
+    let mut pre = grasp;
+    pre.translation.vector += Vector3::z() * height;
+    let options = PoseOptions { restarts: 3, ..PoseOptions::default() };
+    let joints = model.limb(ARM);
+    let at_grasp = solve_pose(model, tcp, joints, &grasp, q, &options, random).map_err(|e| e.position_error_m)?;
+    let at_pre = solve_pose(model, tcp, joints, &pre, &at_grasp, &options, random).map_err(|e| e.position_error_m)?;
+    let margin_of = |q: &[f64], j: usize| (q[j] - model.joints()[j].lower).min(model.joints()[j].upper - q[j]);
+    let margins = joints.iter().flat_map(|&j| [margin_of(&at_grasp, j), margin_of(&at_pre, j)]);
+    let margin = margins.fold(f64::INFINITY, f64::min);
+    if margin < LEAST_MARGIN {
+        return Err(0.0);
+    }
+    let score = margin - MISALIGNMENT_COST * misalignment.abs();
+    Ok(Candidate { score, grasp, pre, arm: joints.iter().map(|&j| at_pre[j]).collect() })
+}

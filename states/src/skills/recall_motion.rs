@@ -1,0 +1,26 @@
+//! `RecallMotion`: finds a motion of an earlier run in memory.
+
+use std::sync::Arc;
+
+use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::{Type, Unit};
+
+use crate::equipment::{self, Equipment};
+use crate::inputs::{Inputs, reference};
+use crate::motions;
+
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+    let manifest = SkillManifest::new("RecallMotion", "Finds a kept motion in memory by its name.")
+        .input("name", Type::String, "The name that it was kept under.")
+        .output("motion", Type::motion(), "The motion.")
+        .output("frequency", Type::quantity(Unit::HZ), "Its frequency.");
+    equipment::skill(equipment, manifest, run)
+}
+
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+    let snapshot = motions::find(&*equipment.memory, context.text("name")?).await?;
+    let motion = motions::motion_of(&snapshot)?;
+    Ok(Outcome::success()
+        .with("motion", reference("Motion", &snapshot.id))
+        .with("frequency", motion.frequency_hz()))
+}

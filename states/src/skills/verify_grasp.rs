@@ -1,0 +1,103 @@
+//! `VerifyGrasp`: whether the hand holds the object: by its aperture, by sight and by weight.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::{Type, Unit, Value};
+use armarium_visionx::{ColorMarkerObjectTracking, ColorModel, MarkerSettings};
+use nalgebra::Point3;
+
+use crate::arm::{Arm, Senses};
+use crate::equipment::{self, Equipment};
+use crate::frames::Frames;
+use crate::grasp::GRASP_IN_TCP;
+use crate::hand::aperture;
+use crate::hand_eye::HandEye;
+use crate::inputs::{Inputs, pose_value};
+use crate::prior::object_class;
+use crate::skills::weigh_hand::mean_force;
+
+const GRAVITY: f64 = 9.81;
+/// An aperture below this holds nothing, m.
+const LEAST_APERTURE: f64 = 0.02;
+/// The object must be seen within this distance of its place in the hand, m.
+const IN_HAND: f64 = 0.08;
+/// The least share of the expected weight that must be felt.
+const LEAST_WEIGHT_SHARE: f64 = 0.4;
+/// The least weight that counts when prior knowledge does not know the object's mass, N.
+const LEAST_WEIGHT: f64 = 0.4;
+
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+    let manifest = SkillManifest::new("VerifyGrasp", "Verifies that the hand holds the object, by aperture, sight and weight, and takes its weight into account.")
+        .input("object", Type::object(), "The object in memory.")
+        .input("empty", Type::quantity(Unit::N), "Upward force on the empty hand in this posture.")
+        .input("tcp_at_grasp", Type::Pose, "Pose of the TCP when the hand closed.")
+        .output("mass", Type::quantity(Unit::KG), "Mass of the object, by the difference of weights.")
+        .output("grasp", Type::map(Type::Any), "Pose of the TCP at the grasp, height and mass of the object.")
+        .limb("right_arm");
+    equipment::skill(equipment, manifest, run)
+}
+
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+    let object = context.entity("object")?;
+    let class = object_class(&*equipment.memory, object.entity()).await?;
+    let mut arm = Arm::take(&equipment, &context)?;
+    let mut senses = Senses::new(&*equipment.robot, &context);
+
+    let aperture = aperture(equipment.robot.model(), &senses.newest());
+    if aperture < LEAST_APERTURE {
+        return Err(Failure::new(format!("the hand is closed to {:.0} mm: it holds nothing", aperture * 1e3)));
+    }
+    let force = mean_force(&mut arm, &mut senses, 0.5).await?;
+    let weight = context.number("empty")? - force.z;
+    let expected = class.mass.map_or(LEAST_WEIGHT, |m| LEAST_WEIGHT_SHARE * m * GRAVITY);
+    if weight < expected {
+        return Err(Failure::new(format!(
+            "the hand is only {weight:.2} N heavier than empty, at least {expected:.2} N were expected: the object stayed behind"
+        )));
+    }
+    look(&equipment, &mut arm, &mut senses, class.color, object.entity()).await?;
+
+    let mass = weight / GRAVITY;
+    equipment.robot.set_load(mass, Point3::from(GRASP_IN_TCP));
+    let grasp = BTreeMap::from([
+        ("tcp".to_owned(), pose_value(&context.pose("tcp_at_grasp")?)),
+        ("height".to_owned(), Value::Float(class.size[2])),
+        ("mass".to_owned(), Value::Float(mass)),
+    ]);
+    Ok(Outcome::success().with("mass", mass).with("grasp", Value::Map(grasp)))
+}
+
+/// Looks for the object's colour in the hand.
+async fn look(
+    equipment: &Equipment,
+    arm: &mut Arm,
+    senses: &mut Senses,
+    color: [u8; 3],
+    name: &str,
+) -> Result<(), Failure> {
+    let hand_eye = HandEye::load(&*equipment.memory, &equipment.agent).await?;
+    let settings = MarkerSettings { color: ColorModel::from_rgb(color), ..MarkerSettings::new(color) };
+    let mut tracking = ColorMarkerObjectTracking::new(equipment.images.calibration(), settings, equipment.seed);
+    let mut frames = Frames::of(&equipment.images);
+    let (mut waited, mut nearest) = (0.0, f64::INFINITY);
+    while waited < 2.0 {
+        let (sample, dt) = senses.next().await?;
+        waited += dt;
+        arm.hold(&sample)?;
+        let Some(frame) = frames.new_frame()? else { continue };
+        let Some(seen) = tracking.update(&frame) else { continue };
+        let seen = hand_eye.camera(&frame.root_from_left) * seen.point_in_left;
+        let held = arm.tcp(&sample) * Point3::from(GRASP_IN_TCP);
+        nearest = nearest.min((seen - held).norm());
+        if nearest < IN_HAND {
+            return Ok(());
+        }
+    }
+    Err(Failure::new(if nearest.is_finite() {
+        format!("`{name}` is seen {:.0} mm away from the hand, not in it", nearest * 1e3)
+    } else {
+        format!("`{name}` is not seen in the hand")
+    }))
+}

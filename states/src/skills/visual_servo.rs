@@ -1,0 +1,176 @@
+//! `VisualServoTowardsTargetPose`: brings the hand to a grasp of an object by looking at both.
+//!
+//! Hand and object are seen by the same cameras and the error is taken from both, so that a wrong mounting of the
+//! cameras cancels. The hand comes from above: first over the object, then down.
+
+use std::sync::Arc;
+
+use armarium_motion::{PositionServo, ServoConfig, ServoObservation, ServoStatus};
+use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::{Type, Unit};
+use armarium_visionx::{
+    BoxModel, ColorMarkerObjectTracking, ColorModel, MarkerSettings, ObjectLocalizer, StereoFrame,
+};
+use nalgebra::{Isometry3, Point3, Vector3};
+
+use crate::arm::{Arm, Senses, link};
+use crate::equipment::{self, Equipment};
+use crate::frames::Frames;
+use crate::grasp::GRASP_IN_TCP;
+use crate::hand_eye::HandEye;
+use crate::inputs::{Inputs, as_pose, pose_value};
+use crate::motions::failed;
+use crate::prior::object_class;
+use crate::skills::calibrate_hand_eye::{HAND_MARKER, HAND_MARKER_COLOR, HAND_MARKER_DIAMETER};
+
+/// An object that is seen less than this (covered by the hand) does not move the target.
+const WELL_VISIBLE: f64 = 0.8;
+/// The share of a new sight in the remembered target.
+const SIGHT_SHARE: f64 = 0.2;
+/// Sights further than this from the remembered target are taken for something else, m.
+const PLAUSIBLE: f64 = 0.06;
+/// A force this large on the way down means that the hand stands on something, N.
+const STOPPING_FORCE: f64 = 12.0;
+
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+    let manifest = SkillManifest::new("VisualServoTowardsTargetPose", "Brings the hand to an object's grasp pose, seeing hand and object with the same cameras.")
+        .input("object", Type::object(), "The object in memory.")
+        .input("target", Type::Pose, "Planned pose of the TCP at the grasp.")
+        .input("pre_pose", Type::Pose, "Pose of the TCP above it.")
+        .optional("position_tolerance", Type::quantity(Unit::M), 0.004, "When the position counts as reached.")
+        .optional("orientation_tolerance", Type::quantity(Unit::RAD), 0.06, "When the orientation counts as reached.")
+        .optional("timeout", Type::Duration, 20.0, "Longest time for each of the two parts.")
+        .output("tcp", Type::Pose, "Pose of the TCP at the end.")
+        .output("seen_error", Type::quantity(Unit::M), "Distance of the hand from the grasp, as seen.")
+        .limb("right_arm");
+    equipment::skill(equipment, manifest, run)
+}
+
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+    let mut arm = Arm::take(&equipment, &context)?;
+    let mut senses = Senses::new(&*equipment.robot, &context);
+    let mut sight = Sight::new(&equipment, &context).await?;
+    let above = context.pose("pre_pose")?.translation.z - context.pose("target")?.translation.z;
+    servo(&equipment, &context, &mut arm, &mut senses, &mut sight, above).await?;
+    let distance = servo(&equipment, &context, &mut arm, &mut senses, &mut sight, 0.0).await?;
+    let tcp = arm.tcp(&senses.newest());
+    Ok(Outcome::success().with("tcp", pose_value(&tcp)).with("seen_error", distance))
+}
+
+/// Servoes to `above` m over the grasp; returns the distance that is left, as seen.
+async fn servo(
+    equipment: &Equipment,
+    context: &SkillContext,
+    arm: &mut Arm,
+    senses: &mut Senses,
+    sight: &mut Sight,
+    above: f64,
+) -> Result<f64, Failure> {
+    let mut law = PositionServo::new(ServoConfig {
+        position_tolerance: context.number("position_tolerance")?,
+        rotation_tolerance: context.number("orientation_tolerance")?,
+        timeout: context.number("timeout")?,
+        max_linear: 0.12,
+        ..ServoConfig::default()
+    })
+    .map_err(|e| Failure::new(e.to_string()))?;
+    let (mut linear, mut angular) = (Vector3::zeros(), Vector3::zeros());
+    let marker_link = link(equipment.robot.model(), HAND_MARKER)?;
+    let mut last_frame_ns = None;
+    loop {
+        let (sample, _) = senses.next().await?;
+        if let Some(frame) = sight.frames.new_frame()? {
+            let dt = frame.stamp_ns.saturating_sub(last_frame_ns.unwrap_or(frame.stamp_ns)).max(1_000_000) as f64 * 1e-9;
+            last_frame_ns = Some(frame.stamp_ns);
+            let tcp = arm.tcp(&sample);
+            let marker = equipment.robot.model().link_pose(&sample.position, marker_link);
+            let observation = sight.observe(&frame, &tcp, &marker, above);
+            let command = law.step(dt, observation.as_ref()).map_err(|e| Failure::new(e.to_string()))?;
+            match command.status {
+                ServoStatus::Running => {}
+                ServoStatus::Converged => return Ok(command.distance),
+                status => return Err(Failure::new(explain(status, command.distance))),
+            }
+            (linear, angular) = (command.linear, command.angular);
+        }
+        if sample.wrist.force.norm() > STOPPING_FORCE {
+            return Err(Failure::new(format!(
+                "the hand met something on its way to the object: {:.0} N at the wrist",
+                sample.wrist.force.norm()
+            )));
+        }
+        arm.twist(&sample, linear, angular)?;
+    }
+}
+
+fn explain(status: ServoStatus, distance: f64) -> String {
+    let left = distance * 1e3;
+    match status {
+        ServoStatus::Lost => "the marker on the hand was lost from sight while servoing".into(),
+        ServoStatus::Diverged => format!("servoing diverged: the hand moves away from the object ({left:.0} mm)"),
+        _ => format!("servoing took too long: the hand is still {left:.0} mm from the object"),
+    }
+}
+
+/// What the cameras see of hand and object.
+struct Sight {
+    frames: Frames,
+    hand: ColorMarkerObjectTracking,
+    localizer: ObjectLocalizer,
+    hand_eye: HandEye,
+    /// Centre of the object as seen, root frame.
+    center: Point3<f64>,
+    /// The hand's planned orientation.
+    palm: nalgebra::UnitQuaternion<f64>,
+}
+
+impl Sight {
+    async fn new(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
+        let id = context.entity("object")?;
+        let snapshot = equipment.memory.latest(&id).await.map_err(failed)?;
+        let pose = snapshot.attribute("pose").and_then(as_pose);
+        let pose = pose.ok_or_else(|| Failure::new(format!("memory does not know where `{id}` is")))?;
+        let class = object_class(&*equipment.memory, id.entity()).await?;
+        let calibration = equipment.images.calibration();
+        let model = BoxModel { size: Vector3::from(class.size), color: ColorModel::from_rgb(class.color) };
+        let settings = MarkerSettings::new(HAND_MARKER_COLOR).with_diameter(HAND_MARKER_DIAMETER);
+        Ok(Self {
+            frames: Frames::of(&equipment.images),
+            hand: ColorMarkerObjectTracking::new(calibration, settings, equipment.seed),
+            localizer: ObjectLocalizer::new(calibration, model),
+            hand_eye: HandEye::load(&*equipment.memory, &equipment.agent).await?,
+            center: Point3::from(pose.translation.vector),
+            palm: context.pose("target")?.rotation,
+        })
+    }
+
+    /// Hand and target as seen in one frame; `None` while the hand's marker is not seen.
+    ///
+    /// `tcp` and `marker` are where the arm says they are; the marker's sight says by how much that is off as seen.
+    fn observe(
+        &mut self,
+        frame: &StereoFrame,
+        tcp: &Isometry3<f64>,
+        marker: &Isometry3<f64>,
+        above: f64,
+    ) -> Option<ServoObservation> {
+        let root_from_left = self.hand_eye.camera(&frame.root_from_left);
+        self.look_for_object(frame);
+        let seen = self.hand.update(frame).filter(|m| m.visible > 0.3)?;
+        let seen = root_from_left * seen.point_in_left;
+        let shift = seen.coords - marker.translation.vector;
+        let mut hand = *tcp;
+        hand.translation.vector += shift;
+        let target = self.center.coords - self.palm * GRASP_IN_TCP + Vector3::z() * above;
+        Some(ServoObservation { hand, target: Isometry3::from_parts(target.into(), self.palm) })
+    }
+
+    fn look_for_object(&mut self, frame: &StereoFrame) {
+        let Some(object) = self.localizer.localize(frame).filter(|o| o.visible > WELL_VISIBLE) else { return };
+        let seen = self.hand_eye.pose(&object.root_from_object).translation.vector;
+        let step = seen - self.center.coords;
+        if step.norm() < PLAUSIBLE {
+            self.center += SIGHT_SHARE * step;
+        }
+    }
+}

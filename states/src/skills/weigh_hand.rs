@@ -1,0 +1,49 @@
+//! `WeighHand`: takes the wrist's force as zero, with the hand as it is now.
+
+use std::sync::Arc;
+
+use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::{Type, Unit};
+use nalgebra::Vector3;
+
+use crate::arm::{Arm, Senses};
+use crate::equipment::{self, Equipment};
+use crate::inputs::Inputs;
+
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+    let manifest = SkillManifest::new(
+        "WeighHand",
+        "Measures the upward force on the resting hand; weights are compared at equal posture.",
+    )
+    .optional("duration", Type::Duration, 0.5, "How long to average.")
+    .output("force", Type::quantity(Unit::N), "Mean upward force on the hand.")
+    .limb("right_arm");
+    equipment::skill(equipment, manifest, run)
+}
+
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+    let duration = context.number("duration")?;
+    let mut arm = Arm::take(&equipment, &context)?;
+    let mut senses = Senses::new(&*equipment.robot, &context);
+    let force = mean_force(&mut arm, &mut senses, duration).await?;
+    Ok(Outcome::success().with("force", force.z))
+}
+
+/// The mean compensated wrist force over `duration` s with the arm at rest, root frame, N.
+pub(crate) async fn mean_force(
+    arm: &mut Arm,
+    senses: &mut Senses,
+    duration: f64,
+) -> Result<Vector3<f64>, armarium_runtime::skill::Failure> {
+    let (mut elapsed, mut samples, mut sum) = (-0.2, 0.0, Vector3::zeros());
+    while elapsed < duration {
+        let (sample, dt) = senses.next().await?;
+        arm.hold(&sample)?;
+        elapsed += dt;
+        if elapsed > 0.0 {
+            sum += sample.wrist.force;
+            samples += 1.0;
+        }
+    }
+    Ok(sum / f64::max(samples, 1.0))
+}

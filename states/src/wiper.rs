@@ -1,0 +1,240 @@
+//! The loop under every skill that runs a motion: it integrates the primitive, and alone commands the arm.
+//!
+//! The motion itself stays in memory: whoever changes it there (a coach) changes what is executed from the next
+//! control step on. How fast the phase goes is the caller's; how the hand keeps to the surface is [`Height`]'s.
+
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+use armarium_memoryx::{EntityId, Snapshot};
+use armarium_motion::{Motion, PeriodicDmp};
+use armarium_robot::Sensed;
+use armarium_runtime::channels::Channels;
+use armarium_runtime::skill::{Failure, SkillContext};
+use armarium_values::Value;
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use tokio::sync::broadcast;
+
+use crate::arm::{Arm, Senses};
+use crate::equipment::Equipment;
+use crate::inputs::{Inputs, as_pose};
+use crate::line::Line;
+use crate::motions;
+
+/// The pace (share of the learned frequency) changes at most this fast, 1/s.
+const PACE_RATE: f64 = 1.5;
+/// An arm this far behind its reference cannot follow the motion, m.
+const LOST_TRACK: f64 = 0.06;
+
+/// How the tool was grasped, as the grasping chart reports it.
+pub(crate) struct GraspedTool {
+    /// `root_from_tcp` when the hand closed: the tool then stood on the table.
+    pub(crate) tcp: Isometry3<f64>,
+}
+
+impl GraspedTool {
+    /// Reads the input `grasp`.
+    pub(crate) fn of(context: &SkillContext) -> Result<Self, Failure> {
+        let tcp = context.value("grasp")?.get("tcp").and_then(as_pose);
+        let tcp = tcp.ok_or_else(|| Failure::new("the input `grasp` does not say where the tool was grasped"))?;
+        Ok(Self { tcp })
+    }
+
+    /// Height of the TCP at which the tool stands on the table, as far as it was seen at the grasp, m.
+    pub(crate) fn standing_height(&self) -> f64 {
+        self.tcp.translation.z
+    }
+}
+
+/// Height of the TCP over the path, m, and its rate, m/s.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Height {
+    pub(crate) z: f64,
+    pub(crate) rate: f64,
+}
+
+/// Where the motion is after a step.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Progress {
+    /// rad, in 0..2 pi
+    pub(crate) phase: f64,
+    /// rad/s
+    pub(crate) omega: f64,
+    /// Whether the phase has just begun a new period.
+    pub(crate) wrapped: bool,
+}
+
+/// A motion and the arm that performs it.
+pub(crate) struct Wiper {
+    pub(crate) arm: Arm,
+    id: EntityId,
+    motion: Motion,
+    version: u64,
+    updates: broadcast::Receiver<Arc<Snapshot>>,
+    dmp: PeriodicDmp,
+    orientation: UnitQuaternion<f64>,
+    pace: f64,
+    channels: Channels,
+}
+
+impl Wiper {
+    /// Takes the arm and the newest version of the motion that the input `motion` refers to.
+    pub(crate) async fn take(
+        equipment: &Equipment,
+        context: &SkillContext,
+        orientation: UnitQuaternion<f64>,
+    ) -> Result<Self, Failure> {
+        let id = context.entity("motion")?;
+        let updates = equipment.memory.subscribe();
+        let (motion, version) = motions::load(&*equipment.memory, &id).await?;
+        let dmp = motion.primitive().clone();
+        let arm = Arm::take(equipment, context)?;
+        let channels = context.channels.clone();
+        Ok(Self { arm, id, motion, version, updates, dmp, orientation, pace: 0.0, channels })
+    }
+
+    /// The motion as it was last read from memory.
+    pub(crate) fn motion(&self) -> &Motion {
+        &self.motion
+    }
+
+    /// The address of the motion in memory.
+    pub(crate) fn id(&self) -> &EntityId {
+        &self.id
+    }
+
+    /// The phase, rad.
+    pub(crate) fn phase(&self) -> f64 {
+        self.dmp.phase()
+    }
+
+    /// The share of the learned frequency at which the motion runs now.
+    pub(crate) fn pace(&self) -> f64 {
+        self.pace
+    }
+
+    /// Puts the primitive on its steady path where the path is nearest to the TCP, at rest.
+    pub(crate) fn start_nearest(&mut self, sample: &Sensed) -> Result<(), Failure> {
+        let tcp = self.arm.tcp(sample).translation.vector;
+        let path = self.motion.primitive().steady_path(256).map_err(failed)?;
+        let distance = |s: usize| (path.y[s][0] - tcp.x).hypot(path.y[s][1] - tcp.y);
+        let nearest = (0..path.len()).min_by(|&a, &b| distance(a).total_cmp(&distance(b))).unwrap_or(0);
+        self.dmp.start_on_path(path.phase(nearest), self.motion.omega()).map_err(failed)?;
+        self.pace = 0.0;
+        Ok(())
+    }
+
+    /// Brings the TCP on a straight line over the present point of the path, at height `z` m.
+    pub(crate) async fn approach(&mut self, senses: &mut Senses, z: f64, speed: f64) -> Result<(), Failure> {
+        let goal = self.pose(z);
+        let mut line = Line::new(self.arm.tcp(&senses.newest()), goal, speed);
+        while !line.rested(0.3) {
+            let (sample, dt) = senses.next().await?;
+            let point = line.step(dt);
+            let error = self.arm.track(&sample, &point.pose, point.linear, point.angular)?;
+            check_track(error.position)?;
+        }
+        Ok(())
+    }
+
+    /// One control step of `dt` s: the phase goes on at `pace` times the learned frequency (approached smoothly), the
+    /// TCP follows the path at `height`.
+    pub(crate) fn step(
+        &mut self,
+        sample: &Sensed,
+        dt: f64,
+        pace: f64,
+        height: Height,
+    ) -> Result<Progress, Failure> {
+        self.read_changes()?;
+        let change = (pace - self.pace).clamp(-PACE_RATE * dt, PACE_RATE * dt);
+        self.pace = (self.pace + change).clamp(0.0, 1.0);
+        let omega = self.motion.omega() * self.pace;
+        let before = self.dmp.phase();
+        let state = self.dmp.step(dt, omega).map_err(failed)?;
+        let (phase, xd, yd) = (state.phase, state.yd[0], state.yd[1]);
+        let goal = self.pose(height.z);
+        let error = self.arm.track(sample, &goal, Vector3::new(xd, yd, height.rate), Vector3::zeros())?;
+        check_track(error.position)?;
+        self.publish(sample, phase, omega);
+        Ok(Progress { phase, omega, wrapped: phase < before - 0.5 * TAU })
+    }
+
+    fn pose(&self, z: f64) -> Isometry3<f64> {
+        let y = self.dmp.state().y;
+        Isometry3::from_parts(Vector3::new(y[0], y[1], z).into(), self.orientation)
+    }
+
+    /// Takes over what others have changed of the motion in memory.
+    fn read_changes(&mut self) -> Result<(), Failure> {
+        let mut newest = None;
+        loop {
+            match self.updates.try_recv() {
+                Ok(snapshot) if snapshot.id == self.id && snapshot.version > self.version => newest = Some(snapshot),
+                Ok(_) | Err(broadcast::error::TryRecvError::Lagged(_)) => {}
+                Err(_) => break,
+            }
+        }
+        if let Some(snapshot) = newest {
+            self.version = snapshot.version;
+            self.motion = motions::motion_of(&snapshot)?;
+            self.dmp.set_weights(self.motion.primitive().weights()).map_err(failed)?;
+            self.dmp.set_centre(self.motion.primitive().centre()).map_err(failed)?;
+        }
+        Ok(())
+    }
+
+    fn publish(&mut self, sample: &Sensed, phase: f64, omega: f64) {
+        let tcp = self.arm.tcp(sample).translation.vector;
+        let velocity = self.arm.tcp_velocity(sample);
+        self.channels.publish(
+            "motion",
+            Value::record([
+                ("phase", Value::Float(phase)),
+                ("frequency", Value::Float(omega / TAU)),
+                ("position", Value::from([tcp.x, tcp.y, tcp.z])),
+                ("velocity", Value::from([velocity.x, velocity.y, velocity.z])),
+                ("normal_force", Value::Float(sample.wrist.force.z)),
+            ]),
+        );
+    }
+}
+
+/// Watches whether the tool still touches the surface.
+#[derive(Default)]
+pub(crate) struct ContactWatch {
+    /// For how long nothing was felt, s.
+    lost_for: f64,
+}
+
+impl ContactWatch {
+    /// Less force than this is no contact, N.
+    const LEAST_FORCE: f64 = 0.4;
+    /// A contact may be lost for this long, s.
+    const PATIENCE: f64 = 1.5;
+
+    /// `dt` s later, with the normal force, N.
+    pub(crate) fn check(&mut self, dt: f64, force: f64) -> Result<(), Failure> {
+        self.lost_for = if force < Self::LEAST_FORCE { self.lost_for + dt } else { 0.0 };
+        if self.lost_for > Self::PATIENCE {
+            return Err(Failure::new(
+                "the tool has not touched the table for a while: is it still in the hand, and is there a table below?",
+            ));
+        }
+        Ok(())
+    }
+}
+
+fn check_track(error_m: f64) -> Result<(), Failure> {
+    if error_m > LOST_TRACK {
+        return Err(Failure::new(format!(
+            "the arm is {:.0} mm behind the motion: it is too fast for the arm, or something holds the hand",
+            error_m * 1e3
+        )));
+    }
+    Ok(())
+}
+
+fn failed(error: armarium_motion::MotionError) -> Failure {
+    Failure::new(error.to_string())
+}
