@@ -1,6 +1,6 @@
 //! Where the right hand can wipe: searches torso postures and hand orientations for reach, margin and speed.
 //!
-//! `cargo run --release -p armarium-robot --example workspace -- HEIGHT REACH [FIVE ANGLES]` prints the search from which `posture.rs` was
+//! `cargo run --release -p armarium-robot --example workspace -- HEIGHT REACH [FIVE ANGLES]` prints the search from which `postures.rs` was
 //! chosen (HEIGHT of the TCP, m; REACH about the centre, m), or
 //! rates the given torso pitch, roll, yaw and hand pitch and yaw (rad). It climbs from random torso postures and hand orientations:
 //! the arm's pose is solved at the centre from several seeds, and from there at the corners of a box, as a controller that
@@ -116,7 +116,7 @@ impl Search {
             }
             let Some((mut worst, center)) = self.solve(choice, [0.0; 3], &seed) else { continue };
             for corner in 0..8_u8 {
-                let sign = |bit: u8| if corner >> bit & 1 == 1 { 1.0 } else { -1.0 };
+                let sign = |bit: u8| if (corner >> bit) & 1 == 1 { 1.0 } else { -1.0 };
                 let offset = [self.reach * sign(0), self.reach * sign(1), 0.03 * sign(2)];
                 worst = worst.min(self.solve(choice, offset, &center).map_or(0.0, |(speed, _)| speed));
                 if best.as_ref().is_some_and(|found| worst <= found.speed) {
@@ -157,7 +157,7 @@ impl Search {
             let Some((_, center)) = self.solve(choice, [0.0; 3], &seed) else { continue };
             let mut worst = f64::INFINITY;
             for point in 0..15_u8 {
-                let sign = |bit: u8| if point % 5 >> bit & 1 == 1 { self.reach } else { -self.reach };
+                let sign = |bit: u8| if ((point % 5) >> bit) & 1 == 1 { self.reach } else { -self.reach };
                 let z = 0.05 * (f64::from(point / 5) - 1.0);
                 let offset = if point % 5 == 4 { [0.0, 0.0, z] } else { [sign(0), sign(1), z] };
                 let target = self.target(choice, offset);

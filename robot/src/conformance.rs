@@ -50,7 +50,7 @@ struct Probe<'a> {
     limb: &'a str,
     joints: Vec<usize>,
     sensed: watch::Receiver<Arc<Sensed>>,
-    /// Which way the limb goes next: away from the nearer limits.
+    /// The rule that is checked now.
     rule: &'static str,
 }
 

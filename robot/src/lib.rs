@@ -15,6 +15,7 @@ pub mod conformance;
 mod description;
 mod dummy;
 mod dynamics;
+mod force;
 mod gaze;
 mod guard;
 mod ik;
@@ -22,7 +23,6 @@ mod kinematics;
 mod lease;
 mod model;
 mod pose_ik;
-#[path = "posture.rs"]
 pub mod postures;
 mod wrist;
 
@@ -47,4 +47,4 @@ mod ik_tests;
 #[cfg(test)]
 mod kinematics_tests;
 #[cfg(test)]
-mod posture_tests;
+mod postures_tests;

@@ -107,7 +107,7 @@ pub fn solve_pose(
             return Ok(q);
         }
         let cost = position + ORIENTATION_WEIGHT * orientation;
-        if best.as_ref().is_none_or(|(least, _)| !(cost >= *least)) {
+        if best.as_ref().is_none_or(|(least, _)| cost.total_cmp(least).is_lt()) {
             let error = IkError {
                 link: model.links()[link.index()].name.clone(),
                 position_error_m: position,
