@@ -5,6 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use armarium_values::Value;
 use tokio::sync::watch;
@@ -67,6 +68,24 @@ impl Channels {
     #[must_use]
     pub fn newest(&self, name: &str) -> Option<Sample> {
         self.channel(name).newest.borrow().clone()
+    }
+
+    /// The newest value, or the field of it that `path` names; only that is copied.
+    #[must_use]
+    pub fn field(&self, name: &str, path: &[String]) -> Option<Value> {
+        let channel = self.channel(name);
+        let newest = channel.newest.borrow();
+        let mut value = &newest.as_ref()?.value;
+        for part in path {
+            value = value.get(part)?;
+        }
+        Some(value.clone())
+    }
+
+    /// How long ago a channel was published; `None` when it never was.
+    #[must_use]
+    pub fn age(&self, name: &str) -> Option<Duration> {
+        self.channel(name).newest.borrow().as_ref().map(|sample| sample.at.elapsed())
     }
 
     /// A receiver that wakes at each new sample.

@@ -1,9 +1,17 @@
 //! Statecharts: written in YAML, checked at load, run by a pure engine and an executor that starts skills.
 //!
+//! - [`chart`]: reading a chart, finding what is wrong with it, compiling it;
+//! - [`engine`]: the pure interpreter, event in, effects out;
+//! - [`exec`]: runs skills, timers and watches on tokio;
+//! - [`trace`]: what happened in a run;
 //! - [`skill`]: what a leaf of a chart is, and what it is given while it runs;
 //! - [`channels`]: what observers publish and watches read.
 //!
 //! This room knows no robot, no memory and no network (remote states: feature `remote`).
 
 pub mod channels;
+pub mod chart;
+pub mod engine;
+pub mod exec;
 pub mod skill;
+pub mod trace;

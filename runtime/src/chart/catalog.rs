@@ -1,0 +1,93 @@
+//! What a chart may name: the skills of this program, and the channels that its observers publish.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::Arc;
+
+use armarium_values::Type;
+
+use crate::skill::{Skill, SkillManifest};
+
+/// The skills of a program, by name.
+#[derive(Clone, Default)]
+pub struct Registry {
+    skills: BTreeMap<String, (Arc<dyn Skill>, Arc<SkillManifest>)>,
+}
+
+impl fmt::Debug for Registry {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_list().entries(self.skills.keys()).finish()
+    }
+}
+
+impl Registry {
+    /// A registry without skills.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds a skill under the name of its manifest; one of the same name is replaced.
+    pub fn add(&mut self, skill: Arc<dyn Skill>) {
+        let manifest = Arc::new(skill.manifest());
+        self.skills.insert(manifest.name.clone(), (skill, manifest));
+    }
+
+    /// The skill of that name.
+    #[must_use]
+    pub fn get(&self, name: &str) -> Option<&Arc<dyn Skill>> {
+        self.skills.get(name).map(|(skill, _)| skill)
+    }
+
+    /// What the skill of that name declares.
+    #[must_use]
+    pub fn manifest(&self, name: &str) -> Option<&Arc<SkillManifest>> {
+        self.skills.get(name).map(|(_, manifest)| manifest)
+    }
+
+    /// All manifests, ordered by name.
+    pub fn manifests(&self) -> impl Iterator<Item = &SkillManifest> {
+        self.skills.values().map(|(_, manifest)| &**manifest)
+    }
+}
+
+impl FromIterator<Arc<dyn Skill>> for Registry {
+    fn from_iter<I: IntoIterator<Item = Arc<dyn Skill>>>(skills: I) -> Self {
+        let mut registry = Self::new();
+        skills.into_iter().for_each(|skill| registry.add(skill));
+        registry
+    }
+}
+
+/// The channels that observers publish, with the type of their value (usually a record of named fields).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ChannelSchema {
+    channels: BTreeMap<String, Type>,
+}
+
+impl ChannelSchema {
+    /// A schema without channels.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// The same schema with one more channel, for instance
+    /// `.with("hand", Type::record([("gesture", Type::String)]))`.
+    #[must_use]
+    pub fn with(mut self, name: &str, ty: Type) -> Self {
+        self.channels.insert(name.to_owned(), ty);
+        self
+    }
+
+    /// The type of a channel's value.
+    #[must_use]
+    pub fn get(&self, name: &str) -> Option<&Type> {
+        self.channels.get(name)
+    }
+
+    /// The names of all channels.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.channels.keys().map(String::as_str)
+    }
+}

@@ -1,0 +1,699 @@
+//! From models to tables: charts put into charts, names resolved, expressions compiled, and everything that is
+//! wrong collected on the way. What concerns the whole is in `lint`.
+
+use std::cell::RefCell;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use armarium_values::{Type, Value};
+
+use super::catalog::{ChannelSchema, Registry};
+use super::expressions::{self, Names, Outline, Scope};
+use super::finding::{Finding, Findings, Source, code, suggest};
+use super::library::Library;
+use super::lint;
+use super::model::{self, ActionKind, Chart, Declaration};
+use super::read::{MAX_LEVELS, literal};
+use super::yaml::{Named, Node};
+use crate::engine::program::{
+    Action, Binding, Instance, Kind, Pattern, Place, Program, State, StateId, Term, Transition, Variable,
+    Watch,
+};
+use crate::skill::{Limits, SkillManifest};
+
+/// Most states, those of the charts inside counted at each use.
+const MAX_STATES: usize = 200_000;
+
+/// What checking a chart gave.
+#[derive(Clone, Debug)]
+pub struct Checked {
+    /// Everything that is wrong, ordered by file and place.
+    pub findings: Vec<Finding>,
+    /// The chart ready to run; none when a finding is an error.
+    pub program: Option<Arc<Program>>,
+}
+
+/// Finds everything that is wrong with a chart and compiles it.
+#[must_use]
+pub fn check(library: &Library, registry: &Registry, schema: &ChannelSchema) -> Checked {
+    let mut findings = library.findings.clone();
+    let mut program = None;
+    if let Some(root) = library.charts.get(&library.root) {
+        let mut compiler = Compiler::new(library, registry, schema);
+        compiler.flatten_root(root);
+        program = Some(compiler.compile(root));
+        findings.append(&mut compiler.findings);
+    }
+    findings.sort_by(|a, b| {
+        let key = |f: &Finding| (f.source.path.clone(), f.span.start, f.code);
+        key(a).cmp(&key(b))
+    });
+    // A chart that is used twice is compiled twice; what is wrong with it is said once.
+    findings.dedup();
+    let failed = findings.iter().any(Finding::is_error);
+    let program = program.filter(|_| !failed).map(Arc::new);
+    Checked { findings, program }
+}
+
+/// A state of a use of a chart, before its parts are compiled.
+pub(crate) struct Flat<'l> {
+    pub(crate) model: &'l model::State,
+    pub(crate) source: u32,
+    pub(crate) depth: u16,
+    pub(crate) path: String,
+    pub(crate) limits: Limits,
+    /// The chart inside, for a `statechart:` state.
+    pub(crate) chart: Option<(&'l Chart, u32)>,
+    pub(crate) skill: Option<Arc<SkillManifest>>,
+}
+
+struct Compiler<'l> {
+    library: &'l Library,
+    registry: &'l Registry,
+    names: Names<'l>,
+    flats: Vec<Flat<'l>>,
+    /// Last state inside each state.
+    last: Vec<StateId>,
+    sources: Vec<Arc<Source>>,
+    slots: u32,
+    findings: Vec<Finding>,
+    transitions: Vec<Transition>,
+    watches: Vec<Watch>,
+    /// States that transitions give inputs to, for inputs that the state itself does not give.
+    given: BTreeSet<(StateId, String)>,
+    bound: Vec<(String, u32)>,
+    too_many: bool,
+}
+
+fn number(n: usize) -> u32 {
+    u32::try_from(n).unwrap_or(u32::MAX)
+}
+
+impl<'l> Compiler<'l> {
+    fn new(library: &'l Library, registry: &'l Registry, schema: &'l ChannelSchema) -> Self {
+        Self {
+            library,
+            registry,
+            names: Names {
+                outlines: Vec::new(),
+                children: BTreeMap::new(),
+                instances: Vec::new(),
+                schema,
+                channels: RefCell::new(Vec::new()),
+            },
+            flats: Vec::new(),
+            last: Vec::new(),
+            sources: Vec::new(),
+            slots: 0,
+            findings: Vec::new(),
+            transitions: Vec::new(),
+            watches: Vec::new(),
+            given: BTreeSet::new(),
+            bound: Vec::new(),
+            too_many: false,
+        }
+    }
+
+    fn source(&mut self, source: &Arc<Source>) -> u32 {
+        let known = self.sources.iter().position(|s| Arc::ptr_eq(s, source));
+        number(known.unwrap_or_else(|| {
+            self.sources.push(Arc::clone(source));
+            self.sources.len() - 1
+        }))
+    }
+
+    /// Calls `work` with the findings of one file, and keeps what it added.
+    fn reporting<T>(&mut self, source: u32, work: impl FnOnce(&mut Self, &mut Findings) -> T) -> T {
+        let mut findings = Findings::new(Arc::clone(&self.sources[source as usize]));
+        let result = work(self, &mut findings);
+        self.findings.append(&mut findings.list);
+        result
+    }
+
+    fn error(&mut self, source: u32, code: &'static str, at: &Named, message: String, help: Option<String>) {
+        self.reporting(source, |_, findings| findings.error_help(code, at.span, message, help));
+    }
+
+    // Putting charts into charts.
+
+    fn flatten_root(&mut self, root: &'l Arc<Chart>) {
+        let source = self.source(&root.source);
+        // State 0 stands for the run; the chart is its only child.
+        self.push(&root.root, source, None, 0, String::new(), Limits::default(), false);
+        self.names.outlines[0].outputs = Vec::new();
+        self.flats[0].chart = Some((root, 0));
+        let mut stack = vec![root.name.clone()];
+        self.flatten_chart(root, 0, Limits::default(), &mut stack);
+        self.last[0] = number(self.flats.len() - 1);
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "one row of a table")]
+    fn push(
+        &mut self,
+        model: &'l model::State,
+        source: u32,
+        parent: Option<StateId>,
+        instance: u32,
+        path: String,
+        limits: Limits,
+        chart_root: bool,
+    ) -> StateId {
+        let id = number(self.flats.len());
+        let depth = parent.map_or(0, |p| self.flats[p as usize].depth + 1);
+        self.flats.push(Flat { model, source, depth, path, limits, chart: None, skill: None });
+        self.last.push(id);
+        let name = model.name.text.clone();
+        self.names.outlines.push(Outline { name, parent, instance, chart_root, outputs: Vec::new() });
+        id
+    }
+
+    fn variables(&mut self, declarations: &[Declaration]) -> Vec<Variable> {
+        let one = |declaration: &Declaration| {
+            self.slots += 1;
+            Variable { declaration: declaration.clone(), slot: self.slots - 1 }
+        };
+        declarations.iter().map(one).collect()
+    }
+
+    fn flatten_chart(&mut self, chart: &'l Chart, owner: StateId, limits: Limits, stack: &mut Vec<String>) {
+        let instance = number(self.names.instances.len());
+        let first_slot = self.slots;
+        let inputs = self.variables(&chart.inputs);
+        let locals = self.variables(&chart.locals);
+        let outputs = self.variables(&chart.outputs);
+        self.names.instances.push(Instance { owner, inputs, locals, outputs, first_slot, end_slot: 0 });
+        let source = self.source(&chart.source);
+        let path = self.flats[owner as usize].path.clone();
+        let path = if owner == 0 { String::new() } else { path };
+        let limits = tighten(limits, chart.root.limits);
+        let root = self.push(&chart.root, source, Some(owner), instance, path, limits, true);
+        self.flatten_children(root, &chart.root, instance, source, limits, stack);
+        self.finish(root);
+        self.names.instances[instance as usize].end_slot = self.slots;
+    }
+
+    fn finish(&mut self, state: StateId) {
+        self.last[state as usize] = number(self.flats.len() - 1);
+    }
+
+    fn flatten_children(
+        &mut self,
+        parent: StateId,
+        model: &'l model::State,
+        instance: u32,
+        source: u32,
+        limits: Limits,
+        stack: &mut Vec<String>,
+    ) {
+        for child in model.kind.children() {
+            if self.flats.len() >= MAX_STATES {
+                if !self.too_many {
+                    self.too_many = true;
+                    let message = format!("the chart has more than {MAX_STATES} states");
+                    self.error(source, code::LIMIT, &child.name, message, None);
+                }
+                return;
+            }
+            if usize::from(self.flats[parent as usize].depth) > MAX_LEVELS + 2 {
+                let message = format!("states are nested deeper than {MAX_LEVELS} levels");
+                self.error(source, code::LIMIT, &child.name, message, None);
+                return;
+            }
+            let prefix = &self.flats[parent as usize].path;
+            let name = &child.name.text;
+            let path = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
+            let limits = tighten(limits, child.limits);
+            let id = self.push(child, source, Some(parent), instance, path, limits, false);
+            if self.names.children.insert((parent, name.clone()), id).is_some() {
+                let message = format!("there are two states `{name}` here");
+                self.error(source, code::DUPLICATE, &child.name, message, None);
+            }
+            self.flatten_inside(id, child, source, limits, stack);
+            self.flatten_children(id, child, instance, source, limits, stack);
+            self.finish(id);
+        }
+    }
+
+    fn flatten_inside(
+        &mut self,
+        id: StateId,
+        model: &'l model::State,
+        source: u32,
+        limits: Limits,
+        stack: &mut Vec<String>,
+    ) {
+        match &model.kind {
+            model::Kind::Skill(name) => {
+                let Some(manifest) = self.registry.manifest(&name.text).cloned() else {
+                    let known = self.registry.manifests().map(|m| m.name.as_str());
+                    let help = suggest(&name.text, known)
+                        .unwrap_or_else(|| "`armarium skills` lists the skills".into());
+                    let message = format!("there is no skill `{}`", name.text);
+                    self.error(source, code::SKILL, name, message, Some(help));
+                    return;
+                };
+                for output in &manifest.outputs {
+                    let place = (output.name.clone(), self.slots, output.ty.clone());
+                    self.names.outlines[id as usize].outputs.push(place);
+                    self.slots += 1;
+                }
+                self.flats[id as usize].skill = Some(manifest);
+            }
+            model::Kind::Chart(name) => {
+                // A chart that could not be read has its finding already.
+                let Some(chart) = self.library.charts.get(&name.text) else { return };
+                if stack.contains(&name.text) {
+                    let message =
+                        format!("charts contain each other: {} -> {}", stack.join(" -> "), name.text);
+                    self.error(source, code::CYCLE, name, message, None);
+                    return;
+                }
+                for output in &chart.outputs {
+                    let place = (output.name.clone(), self.slots, output.ty.clone());
+                    self.names.outlines[id as usize].outputs.push(place);
+                    self.slots += 1;
+                }
+                self.flats[id as usize].chart = Some((chart, number(self.names.instances.len())));
+                stack.push(name.text.clone());
+                self.flatten_chart(chart, id, limits, stack);
+                stack.pop();
+            }
+            model::Kind::Remote(name) => {
+                let message = "states of other agents cannot be run by this program yet".into();
+                self.error(source, code::UNSUPPORTED, name, message, None);
+            }
+            _ => {}
+        }
+    }
+
+    // Compiling the parts of states.
+
+    fn compile(&mut self, root: &'l Chart) -> Program {
+        let mut states: Vec<State> = Vec::with_capacity(self.flats.len());
+        for id in 0..number(self.flats.len()) {
+            let state = self.compile_state(id);
+            if let Some(parent) = state.parent {
+                let parent = &mut states[parent as usize];
+                let history = matches!(state.kind, Kind::History { .. });
+                if history { parent.histories.push(id) } else { parent.children.push(id) }
+            }
+            states.push(state);
+        }
+        self.missing_inputs(&states);
+        let mut program = Program {
+            name: root.name.clone(),
+            sources: std::mem::take(&mut self.sources),
+            states,
+            transitions: std::mem::take(&mut self.transitions),
+            watches: std::mem::take(&mut self.watches),
+            instances: std::mem::take(&mut self.names.instances),
+            channels: Vec::new(),
+            slots: self.slots,
+            profiles: profiles(root),
+        };
+        set_domains(&mut program);
+        lint::lint(&program, &self.flats, self.library, &mut self.findings);
+        program.channels = self.names.channels.take();
+        program
+    }
+
+    fn compile_state(&mut self, id: StateId) -> State {
+        let flat = &self.flats[id as usize];
+        let (model, source, depth, limits) = (flat.model, flat.source, flat.depth, flat.limits);
+        let outline = &self.names.outlines[id as usize];
+        let (parent, chart_root, instance) = (outline.parent, outline.chart_root, outline.instance);
+        let region = parent.is_some_and(|p| {
+            matches!(self.flats[p as usize].model.kind, model::Kind::Parallel(_)) && p != 0 && !chart_root
+        });
+        let path = if flat.path.is_empty() { model.name.text.clone() } else { flat.path.clone() };
+        let mut state = State {
+            name: outline.name.clone(),
+            path,
+            kind: Kind::Atomic,
+            parent,
+            last: self.last[id as usize],
+            depth,
+            children: Vec::new(),
+            histories: Vec::new(),
+            region,
+            chart_root,
+            transitions: Vec::new(),
+            always: Vec::new(),
+            after: Vec::new(),
+            watches: Vec::new(),
+            enter: Vec::new(),
+            exit: Vec::new(),
+            with: Vec::new(),
+            retry: model.retry.map(|r| (r.times, r.wait_s)),
+            limits,
+            unbreakable: model.unbreakable,
+            outputs: outline.outputs.iter().map(|(name, slot, _)| (name.clone(), *slot)).collect(),
+            place: Place { source, byte: number(model.name.span.start) },
+        };
+        if id == 0 {
+            state.kind = Kind::Chart { instance };
+            (state.retry, state.unbreakable) = (None, false);
+            return state;
+        }
+        state.kind = self.kind(id, model, source);
+        state.with = self.bindings(id, id, &model.with, source);
+        state.enter = self.actions(id, &model.enter, source);
+        state.exit = self.actions(id, &model.exit, source);
+        self.compile_watches(id, model, source, &mut state);
+        for (list, to) in [(&model.transitions, 0), (&model.always, 1), (&model.after, 2)] {
+            for transition in list {
+                let number = self.transition(id, transition, source);
+                match to {
+                    0 => state.transitions.push(number),
+                    1 => state.always.push(number),
+                    _ => state.after.push(number),
+                }
+            }
+        }
+        state
+    }
+
+    fn kind(&mut self, id: StateId, model: &'l model::State, source: u32) -> Kind {
+        match &model.kind {
+            model::Kind::Atomic | model::Kind::Remote(_) => Kind::Atomic,
+            model::Kind::Skill(_) => self.flats[id as usize]
+                .skill
+                .clone()
+                .map_or(Kind::Atomic, |manifest| Kind::Skill { manifest }),
+            model::Kind::Chart(_) => {
+                let chart = self.flats[id as usize].chart;
+                chart.map_or(Kind::Atomic, |(_, instance)| Kind::Chart { instance })
+            }
+            model::Kind::Composite { initial, .. } => {
+                let parts: Vec<&str> = initial.text.split('.').collect();
+                match self
+                    .names
+                    .find(id, &parts)
+                    .filter(|found| *found > id && *found <= self.last[id as usize])
+                {
+                    Some(initial) => Kind::Composite { initial },
+                    None => {
+                        let known = model.kind.children().iter().map(|c| c.name.text.as_str());
+                        let help = suggest(&initial.text, known);
+                        let message = format!("there is no state `{}` inside", initial.text);
+                        self.error(source, code::STATE, initial, message, help);
+                        Kind::Atomic
+                    }
+                }
+            }
+            model::Kind::Parallel(_) => Kind::Parallel,
+            model::Kind::Final(outcome) => Kind::Final { outcome: outcome.text.clone() },
+            model::Kind::History { deep, default } => {
+                let parent = self.names.outlines[id as usize].parent.unwrap_or(0);
+                let named = default;
+                let default = default.as_ref().and_then(|target| self.target(id, target, source));
+                if let (Some(to), Some(named)) = (default, named) {
+                    let inside = to > parent && to <= self.last[parent as usize];
+                    let history = matches!(self.flats[to as usize].model.kind, model::Kind::History { .. });
+                    if !inside || history {
+                        let message = "the default of a history is a state beside it, not a history".into();
+                        self.error(source, code::STATE, named, message, None);
+                    }
+                }
+                Kind::History { deep: *deep, default }
+            }
+        }
+    }
+
+    fn target(&mut self, from: StateId, target: &Named, source: u32) -> Option<StateId> {
+        let parts: Vec<&str> = target.text.split('.').collect();
+        let found = self.names.find(from, &parts);
+        if found.is_none() {
+            let last = parts.last().copied().unwrap_or("");
+            let instance = self.names.outlines[from as usize].instance;
+            let elsewhere = self
+                .names
+                .outlines
+                .iter()
+                .enumerate()
+                .find(|(id, o)| o.name == last && o.instance == instance && !o.chart_root && *id != 0);
+            let help = suggest(&target.text, self.names.visible(from)).or_else(|| {
+                elsewhere.map(|(id, _)| {
+                    format!("`{last}` is inside another state: write `{}`", self.flats[id].path)
+                })
+            });
+            let message = format!("there is no state `{}`", target.text);
+            self.error(source, code::STATE, target, message, help);
+        }
+        found
+    }
+
+    fn scope(&self, state: StateId) -> Scope<'_, 'l> {
+        Scope { names: &self.names, state, bound: &self.bound }
+    }
+
+    fn value(&mut self, state: StateId, node: &Node, ty: &Type, source: u32) -> Option<Term> {
+        self.reporting(source, |this, findings| {
+            expressions::value(node, ty, &this.scope(state), source, findings)
+        })
+    }
+
+    fn condition(
+        &mut self,
+        state: StateId,
+        node: &Node,
+        source: u32,
+    ) -> Option<crate::engine::program::Code> {
+        self.reporting(source, |this, findings| {
+            expressions::condition(node, &this.scope(state), source, findings)
+        })
+    }
+
+    /// What may be given to a state: the inputs of its skill or chart, or anything for a final state.
+    fn accepted(&self, state: StateId) -> Option<Vec<(String, Type, bool)>> {
+        let flat = &self.flats[state as usize];
+        if let Some(manifest) = &flat.skill {
+            let one = |p: &crate::skill::Parameter| (p.name.clone(), p.ty.clone(), p.default.is_none());
+            return Some(manifest.inputs.iter().map(one).collect());
+        }
+        if let Some((chart, _)) = flat.chart {
+            let one = |d: &Declaration| (d.name.clone(), d.ty.clone(), d.default.is_none());
+            return Some(chart.inputs.iter().map(one).collect());
+        }
+        None
+    }
+
+    /// Compiles a `with` that is written at `scope` and given to `target`.
+    fn bindings(
+        &mut self,
+        scope: StateId,
+        target: StateId,
+        with: &[(Named, Node)],
+        source: u32,
+    ) -> Vec<Binding> {
+        let accepted = self.accepted(target);
+        let is_final = matches!(self.flats[target as usize].model.kind, model::Kind::Final(_));
+        let broken = matches!(
+            self.flats[target as usize].model.kind,
+            model::Kind::Skill(_) | model::Kind::Chart(_) | model::Kind::Remote(_)
+        ) && accepted.is_none();
+        let mut bindings = Vec::new();
+        for (name, node) in with {
+            let ty = match &accepted {
+                Some(inputs) => match inputs.iter().find(|(input, ..)| *input == name.text) {
+                    Some((_, ty, _)) => ty.clone(),
+                    None => {
+                        let help = suggest(&name.text, inputs.iter().map(|(input, ..)| input.as_str()));
+                        let message = format!("there is no input `{}`", name.text);
+                        self.error(source, code::INPUT, name, message, help);
+                        continue;
+                    }
+                },
+                None if is_final || broken => Type::Any,
+                None => {
+                    let message = "this state takes no inputs: only skills and charts do".into();
+                    self.error(source, code::INPUT, name, message, None);
+                    continue;
+                }
+            };
+            if let Some(term) = self.value(scope, node, &ty, source) {
+                let place = Place { source, byte: number(node.span.start) };
+                bindings.push(Binding { name: name.text.clone(), ty, term, place });
+            }
+        }
+        bindings
+    }
+
+    fn missing_inputs(&mut self, states: &[State]) {
+        for (id, state) in states.iter().enumerate().skip(1) {
+            let Some(accepted) = self.accepted(number(id)) else { continue };
+            let model = self.flats[id].model;
+            for (name, _, required) in accepted {
+                let written = model.with.iter().any(|(given, _)| given.text == name);
+                let given = written || self.given.contains(&(number(id), name.clone()));
+                if required && !given {
+                    let source = state.place.source;
+                    let message = format!("`{}` needs the input `{name}`", state.name);
+                    let help = Some(format!("add `with: {{{name}: ...}}`"));
+                    self.error(source, code::MISSING_INPUT, &model.name, message, help);
+                }
+            }
+        }
+    }
+
+    fn compile_watches(&mut self, id: StateId, model: &'l model::State, source: u32, state: &mut State) {
+        for watch in &model.watch {
+            let condition = self.condition(id, &watch.condition, source);
+            let until = watch.until.as_ref().and_then(|node| self.condition(id, node, source));
+            let Some(condition) = condition else { continue };
+            let name = watch.name.text.as_str().into();
+            state.watches.push(number(self.watches.len()));
+            self.watches.push(Watch { state: id, name, condition, until, hold_s: watch.hold_s });
+        }
+    }
+
+    fn transition(&mut self, id: StateId, model: &'l model::Transition, source: u32) -> u32 {
+        let target = model.target.as_ref().and_then(|target| self.target(id, target, source));
+        let guard = model.guard.as_ref().and_then(|node| self.condition(id, node, source));
+        let delay = model.delay.as_ref().and_then(|node| self.value(id, node, &Type::Duration, source));
+        let with = target.map_or_else(Vec::new, |to| self.bindings(id, to, &model.with, source));
+        if target.is_none() && model.target.is_none() {
+            for (name, _) in &model.with {
+                let message = "a transition without target gives nothing".into();
+                self.error(source, code::INPUT, name, message, None);
+            }
+        }
+        if let Some(target) = target {
+            self.given.extend(with.iter().map(|b| (target, b.name.clone())));
+        }
+        let pattern = model.event.as_ref().map_or(Pattern::None, |event| match event.text.as_str() {
+            "*" => Pattern::Any,
+            text => text
+                .strip_suffix(".*")
+                .map_or_else(|| Pattern::Exact(text.into()), |prefix| Pattern::Prefix(prefix.into())),
+        });
+        let actions = self.actions(id, &model.actions, source);
+        self.transitions.push(Transition {
+            source: id,
+            pattern,
+            delay,
+            guard,
+            target,
+            domain: None,
+            actions,
+            with,
+        });
+        number(self.transitions.len() - 1)
+    }
+
+    fn actions(&mut self, state: StateId, actions: &'l [model::Action], source: u32) -> Vec<Action> {
+        let mut compiled = Vec::new();
+        for action in actions {
+            let place = Place { source, byte: number(action.span.start) };
+            match &action.kind {
+                ActionKind::Assign(entries) => {
+                    for (name, node) in entries {
+                        compiled.extend(self.assign(state, name, node, source));
+                    }
+                }
+                ActionKind::Raise { event, data } => {
+                    let data = data.as_ref().and_then(|n| self.value(state, n, &Type::Any, source));
+                    compiled.push(Action::Raise { event: event.text.as_str().into(), data });
+                }
+                ActionKind::Send { event, to, data, delay, id } => {
+                    let mut optional = |node: &Option<Node>, ty: &Type| {
+                        node.as_ref().and_then(|n| self.value(state, n, ty, source))
+                    };
+                    compiled.push(Action::Send {
+                        event: event.text.as_str().into(),
+                        to: optional(to, &Type::String),
+                        data: optional(data, &Type::Any),
+                        delay: optional(delay, &Type::Duration),
+                        id: id.as_ref().map(|id| id.text.clone()),
+                        place,
+                    });
+                }
+                ActionKind::Cancel(id) => compiled.push(Action::Cancel { id: id.text.clone() }),
+                ActionKind::Log(node) => {
+                    let term = self.value(state, node, &Type::Any, source);
+                    compiled.extend(term.map(|term| Action::Log { term }));
+                }
+                ActionKind::If { condition, then, otherwise } => {
+                    let condition = self.condition(state, condition, source);
+                    let then = self.actions(state, then, source);
+                    let otherwise = self.actions(state, otherwise, source);
+                    compiled.extend(condition.map(|condition| Action::If { condition, then, otherwise }));
+                }
+                ActionKind::Foreach { items, variable, body } => {
+                    let items = self.value(state, items, &Type::list(Type::Any), source);
+                    let slot = self.slots;
+                    self.slots += 1;
+                    self.bound.push((variable.text.clone(), slot));
+                    let body = self.actions(state, body, source);
+                    self.bound.pop();
+                    compiled.extend(items.map(|items| Action::Foreach { items, slot, body, place }));
+                }
+            }
+        }
+        compiled
+    }
+
+    fn assign(&mut self, state: StateId, name: &Named, node: &Node, source: u32) -> Option<Action> {
+        let instance = &self.names.instances[self.names.outlines[state as usize].instance as usize];
+        let (kind, variable) = name.text.split_once('.').unwrap_or(("", name.text.as_str()));
+        let declared = match kind {
+            "locals" => &instance.locals,
+            "outputs" => &instance.outputs,
+            _ => {
+                let message = "only `locals.name` and `outputs.name` can be assigned".into();
+                self.error(source, code::VARIABLE, name, message, None);
+                return None;
+            }
+        };
+        let Some(found) = declared.iter().find(|v| v.declaration.name == variable).cloned() else {
+            let help = suggest(variable, declared.iter().map(|v| v.declaration.name.as_str()));
+            let message = format!("the chart has no `{}`", name.text);
+            self.error(source, code::VARIABLE, name, message, help);
+            return None;
+        };
+        let term = self.value(state, node, &found.declaration.ty, source)?;
+        if let Term::Literal(value) = &term
+            && let Err(message) = found.declaration.accept(value.clone())
+        {
+            self.reporting(source, |_, findings| findings.error(code::TYPE, node.span, message));
+        }
+        Some(Action::Assign {
+            slot: found.slot,
+            declaration: Arc::new(found.declaration),
+            variable: name.text.clone(),
+            term,
+            place: Place { source, byte: number(node.span.start) },
+        })
+    }
+}
+
+fn tighten(outer: Limits, inner: Limits) -> Limits {
+    let least = |a: Option<f64>, b: Option<f64>| match (a, b) {
+        (Some(a), Some(b)) => Some(a.min(b)),
+        (a, b) => a.or(b),
+    };
+    Limits {
+        force_n: least(outer.force_n, inner.force_n),
+        speed_m_s: least(outer.speed_m_s, inner.speed_m_s),
+    }
+}
+
+fn profiles(root: &Chart) -> BTreeMap<String, BTreeMap<String, Value>> {
+    let values = |entries: &Vec<(Named, Node)>| {
+        entries.iter().map(|(name, node)| (name.text.clone(), literal(node))).collect()
+    };
+    root.profiles.iter().map(|(name, entries)| (name.clone(), values(entries))).collect()
+}
+
+/// The least compound ancestor of source and target: what is inside it is left and entered (SCXML 3.13).
+fn set_domains(program: &mut Program) {
+    for at in 0..program.transitions.len() {
+        let (source, target) = (program.transitions[at].source, program.transitions[at].target);
+        let Some(target) = target else { continue };
+        let domain = program.outward(source).skip(1).find(|around| {
+            let compound = matches!(program.state(*around).kind, Kind::Composite { .. } | Kind::Chart { .. });
+            compound && target != *around && program.within(target, *around)
+        });
+        program.transitions[at].domain = domain.or(Some(0));
+    }
+}

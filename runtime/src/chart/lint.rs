@@ -1,0 +1,277 @@
+//! What is wrong with a chart as a whole: events that nobody raises, outcomes that nobody handles, states that
+//! cannot be reached, transitions that cannot fire, limbs with two commanders.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use super::compile::Flat;
+use super::finding::{Finding, Findings, Severity, Span, code, suggest};
+use super::library::Library;
+use super::model::{self, ActionKind};
+use crate::engine::program::{Kind, Pattern, Program, StateId};
+
+pub(crate) fn lint(program: &Program, flats: &[Flat<'_>], library: &Library, findings: &mut Vec<Finding>) {
+    let mut lint = Lint { program, flats, findings };
+    let scoped = lint.scoped();
+    lint.unknown_events(&scoped, library);
+    lint.unhandled(&scoped);
+    lint.unreachable();
+    lint.shadowed();
+    lint.limbs();
+}
+
+struct Lint<'a, 'l> {
+    program: &'a Program,
+    flats: &'a [Flat<'l>],
+    findings: &'a mut Vec<Finding>,
+}
+
+/// An outcome or a watch: the state it comes from, its name, and whether only that state's own transitions may
+/// take it.
+struct Scoped {
+    state: StateId,
+    name: String,
+    own_only: bool,
+    watch: bool,
+}
+
+impl Lint<'_, '_> {
+    fn add(
+        &mut self,
+        severity: Severity,
+        code: &'static str,
+        state: StateId,
+        span: Span,
+        text: String,
+        help: Option<String>,
+    ) {
+        let source = Arc::clone(&self.program.sources[self.program.state(state).place.source as usize]);
+        let mut findings = Findings::new(source);
+        findings.add(severity, code, span, text, help);
+        self.findings.append(&mut findings.list);
+    }
+
+    fn name_span(&self, state: StateId) -> Span {
+        self.flats[state as usize].model.name.span
+    }
+
+    fn ids(&self) -> std::ops::Range<StateId> {
+        1..u32::try_from(self.program.states.len()).unwrap_or(u32::MAX)
+    }
+
+    fn scoped(&self) -> Vec<Scoped> {
+        let mut all = Vec::new();
+        let mut add = |state: StateId, name: &str, own_only: bool, watch: bool| {
+            all.push(Scoped { state, name: name.to_owned(), own_only, watch });
+        };
+        for id in self.ids() {
+            let state = self.program.state(id);
+            for watch in &state.watches {
+                add(id, &self.program.watches[*watch as usize].name, false, true);
+            }
+            match &state.kind {
+                Kind::Skill { manifest } => {
+                    add(id, "success", state.region, false);
+                    manifest.outcomes.iter().for_each(|name| add(id, name, state.region, false));
+                }
+                Kind::Final { outcome } => {
+                    // The composite around ends; the inside of a chart ends the state that uses it.
+                    let Some(mut parent) = state.parent else { continue };
+                    if self.program.state(parent).chart_root {
+                        parent = self.program.state(parent).parent.unwrap_or(0);
+                    }
+                    let region = self.program.state(parent).region;
+                    add(parent, outcome, region, false);
+                    if region && let Some(parallel) = self.program.state(parent).parent {
+                        add(parallel, outcome, self.program.state(parallel).region, false);
+                    }
+                }
+                Kind::Parallel => add(id, "success", state.region, false),
+                _ => {}
+            }
+        }
+        all
+    }
+
+    fn unknown_events(&mut self, scoped: &[Scoped], library: &Library) {
+        let mut seen: BTreeSet<(StateId, &str)> = BTreeSet::new();
+        for s in scoped {
+            let around = if s.own_only { 1 } else { usize::MAX };
+            for state in self.program.outward(s.state).take(around) {
+                seen.insert((state, &s.name));
+            }
+        }
+        let mut broadcast: BTreeSet<String> = BTreeSet::new();
+        for name in ["error.execution", "error.queue", "error.communication"] {
+            broadcast.insert(name.to_owned());
+        }
+        for chart in library.charts.values() {
+            broadcast.extend(chart.events.iter().map(|e| e.text.clone()));
+            raised(&chart.root, &mut broadcast);
+        }
+        for id in self.ids() {
+            let state = self.program.state(id);
+            broadcast.insert(format!("done.state.{}", state.name));
+            if let Kind::Skill { manifest } = &state.kind {
+                broadcast.extend(manifest.events.iter().cloned());
+            }
+        }
+        for id in self.ids() {
+            let model = self.flats[id as usize].model;
+            for transition in &model.transitions {
+                let Some(event) = &transition.event else { continue };
+                let text = event.text.as_str();
+                let known = match text.strip_suffix(".*") {
+                    _ if text == "*" || text == "failure" => true,
+                    Some(prefix) => {
+                        let pattern = Pattern::Prefix(prefix.into());
+                        broadcast.iter().any(|name| pattern.matches(name))
+                    }
+                    None => broadcast.contains(text) || seen.contains(&(id, text)),
+                };
+                if known {
+                    continue;
+                }
+                let near = seen.range((id, "")..(id + 1, "")).map(|(_, name)| *name);
+                let help = suggest(text, near.chain(broadcast.iter().map(String::as_str)).chain(["failure"]))
+                    .unwrap_or_else(|| "events from outside are declared under `events:`".into());
+                let message = format!("nobody raises the event `{text}` here");
+                self.add(Severity::Error, code::EVENT, id, event.span, message, Some(help));
+            }
+        }
+    }
+
+    fn unhandled(&mut self, scoped: &[Scoped]) {
+        let mut said = BTreeSet::new();
+        for s in scoped {
+            if s.state == 0 || s.own_only || s.name == "failure" {
+                continue;
+            }
+            let taken = self.program.outward(s.state).any(|state| {
+                let transitions = &self.program.state(state).transitions;
+                transitions.iter().any(|t| self.program.transitions[*t as usize].pattern.is(&s.name))
+            });
+            if taken || !said.insert((s.state, s.name.as_str())) {
+                continue;
+            }
+            let name = &self.program.state(s.state).name;
+            let (code, message, help) = if s.watch {
+                (code::UNUSED, format!("nobody takes what the watch `{}` of `{name}` sees", s.name), None)
+            } else {
+                let help =
+                    format!("`{name}` stays active when it ends so; add `transitions: {{{}: ...}}`", s.name);
+                (code::UNHANDLED, format!("nobody handles the outcome `{}` of `{name}`", s.name), Some(help))
+            };
+            self.add(Severity::Warning, code, s.state, self.name_span(s.state), message, help);
+        }
+    }
+
+    fn unreachable(&mut self) {
+        let mut reached = vec![false; self.program.states.len()];
+        let mut waiting = vec![0];
+        while let Some(id) = waiting.pop() {
+            if std::mem::replace(&mut reached[id as usize], true) {
+                continue;
+            }
+            let state = self.program.state(id);
+            match &state.kind {
+                Kind::Composite { initial } => waiting.push(*initial),
+                Kind::Chart { .. } | Kind::Parallel => waiting.extend(&state.children),
+                Kind::History { default, .. } => waiting.extend(default),
+                _ => {}
+            }
+            waiting.extend(state.parent);
+            for t in state.transitions.iter().chain(&state.always).chain(&state.after) {
+                waiting.extend(self.program.transitions[*t as usize].target);
+            }
+        }
+        for id in self.ids() {
+            let parent = self.program.state(id).parent.unwrap_or(0);
+            if !reached[id as usize] && reached[parent as usize] {
+                let message = format!("the state `{}` cannot be reached", self.program.state(id).name);
+                self.add(Severity::Warning, code::UNREACHABLE, id, self.name_span(id), message, None);
+            }
+        }
+    }
+
+    fn shadowed(&mut self) {
+        for id in self.ids() {
+            let model = self.flats[id as usize].model;
+            let lists = [&model.transitions, &model.always];
+            for list in lists {
+                let mut certain: Vec<Pattern> = Vec::new();
+                for transition in list {
+                    let text = transition.event.as_ref().map_or("", |e| e.text.as_str());
+                    let hidden = certain.iter().any(|pattern| match pattern {
+                        Pattern::Exact(before) => **before == *text,
+                        Pattern::Any => text != "failure",
+                        other => !text.is_empty() && other.matches(text.trim_end_matches(".*")),
+                    });
+                    if hidden {
+                        let message = "this transition cannot fire: one before it always does".into();
+                        self.add(Severity::Warning, code::SHADOWED, id, transition.span, message, None);
+                    }
+                    if transition.guard.is_none() {
+                        certain.push(match text.strip_suffix(".*") {
+                            // Outcomes and watches are taken by their names only.
+                            _ if text == "*" => continue,
+                            Some(prefix) => Pattern::Prefix(prefix.into()),
+                            None => Pattern::Exact(text.into()),
+                        });
+                    }
+                }
+            }
+        }
+    }
+
+    fn limbs(&mut self) {
+        for id in self.ids() {
+            let state = self.program.state(id);
+            if !matches!(state.kind, Kind::Parallel) {
+                continue;
+            }
+            let mut commander: BTreeMap<&str, (StateId, StateId)> = BTreeMap::new();
+            for region in state.children.clone() {
+                for inner in region..=self.program.state(region).last {
+                    let Kind::Skill { manifest } = &self.program.state(inner).kind else { continue };
+                    for limb in &manifest.limbs {
+                        let (other_region, other) = *commander.entry(limb).or_insert((region, inner));
+                        if other_region == region {
+                            continue;
+                        }
+                        let (a, b) = (&self.program.state(inner).path, &self.program.state(other).path);
+                        let message = format!(
+                            "`{a}` and `{b}` can command `{limb}` at the same time, from two regions"
+                        );
+                        self.add(Severity::Error, code::LIMB, inner, self.name_span(inner), message, None);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The events that the actions of a state and of those inside raise or send.
+fn raised(state: &model::State, names: &mut BTreeSet<String>) {
+    let of_transitions = state.transitions.iter().chain(&state.always).chain(&state.after);
+    of_transitions.for_each(|t| raised_by(&t.actions, names));
+    raised_by(&state.enter, names);
+    raised_by(&state.exit, names);
+    state.kind.children().iter().for_each(|child| raised(child, names));
+}
+
+fn raised_by(actions: &[model::Action], names: &mut BTreeSet<String>) {
+    for action in actions {
+        match &action.kind {
+            ActionKind::Raise { event, .. } | ActionKind::Send { event, .. } => {
+                names.insert(event.text.clone());
+            }
+            ActionKind::If { then, otherwise, .. } => {
+                raised_by(then, names);
+                raised_by(otherwise, names);
+            }
+            ActionKind::Foreach { body, .. } => raised_by(body, names),
+            _ => {}
+        }
+    }
+}

@@ -1,0 +1,26 @@
+//! Charts as files: reading them, finding what is wrong with them, compiling them for the engine.
+//!
+//! [`load`] reads a file and the charts that it names, [`check`] finds everything that is wrong at once and,
+//! where nothing is, gives the [`Program`](crate::engine::Program) that the executor runs.
+
+mod catalog;
+mod compile;
+mod expressions;
+mod finding;
+mod library;
+mod lint;
+mod model;
+mod read;
+mod yaml;
+
+pub use catalog::{ChannelSchema, Registry};
+pub use compile::{Checked, check};
+pub(crate) use finding::suggest;
+pub use finding::{Finding, Severity, Source, Span, code};
+pub use library::{Library, load, load_text};
+pub use model::{Chart, Declaration};
+
+#[cfg(test)]
+pub(crate) mod testing;
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,161 @@
+//! YAML as a tree of places: the text is parsed once, and everything else reads this tree.
+//!
+//! Only the form is known here. Limits on size, nodes, depth and aliases hold against hostile files.
+
+use std::fmt;
+
+use serde::Deserialize;
+use serde::de::{Deserializer, Error, MapAccess, SeqAccess, Visitor};
+use serde_saphyr::{Location, Spanned};
+
+use super::finding::{Findings, Span, code};
+
+/// Largest file, bytes.
+pub(crate) const MAX_BYTES: usize = 10_000_000;
+/// Deepest nesting of YAML; 60 levels of states are within it.
+const MAX_DEPTH: usize = 190;
+/// Most nodes: 200 000 states of ten nodes.
+const MAX_NODES: usize = 4_000_000;
+
+/// A value with its place.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Node {
+    pub(crate) span: Span,
+    pub(crate) value: Yaml,
+}
+
+/// A name with its place.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Named {
+    pub(crate) span: Span,
+    pub(crate) text: String,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Yaml {
+    Null,
+    Bool(bool),
+    Int(i64),
+    Float(f64),
+    String(String),
+    List(Vec<Node>),
+    Map(Vec<(Named, Node)>),
+}
+
+impl Yaml {
+    pub(crate) fn describe(&self) -> &'static str {
+        match self {
+            Self::Null => "nothing",
+            Self::Bool(_) => "a bool",
+            Self::Int(_) | Self::Float(_) => "a number",
+            Self::String(_) => "text",
+            Self::List(_) => "a list",
+            Self::Map(_) => "a map",
+        }
+    }
+}
+
+fn span(location: Location) -> Span {
+    let start = location.span().byte_offset().unwrap_or(0) as usize;
+    let len = location.span().byte_len().unwrap_or(0) as usize;
+    Span { start, end: start + len.max(1) }
+}
+
+impl<'de> Deserialize<'de> for Node {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let spanned = Spanned::<Yaml>::deserialize(deserializer)?;
+        let mut span = span(spanned.referenced);
+        if let Yaml::Map(entries) = &spanned.value
+            && let Some((first, _)) = entries.first()
+            && first.span.start >= span.start
+        {
+            span.end = first.span.end;
+        }
+        Ok(Self { span, value: spanned.value })
+    }
+}
+
+impl<'de> Deserialize<'de> for Yaml {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(YamlVisitor)
+    }
+}
+
+struct YamlVisitor;
+
+impl<'de> Visitor<'de> for YamlVisitor {
+    type Value = Yaml;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a YAML value")
+    }
+    fn visit_unit<E: Error>(self) -> Result<Yaml, E> {
+        Ok(Yaml::Null)
+    }
+    fn visit_none<E: Error>(self) -> Result<Yaml, E> {
+        Ok(Yaml::Null)
+    }
+    fn visit_bool<E: Error>(self, v: bool) -> Result<Yaml, E> {
+        Ok(Yaml::Bool(v))
+    }
+    fn visit_i64<E: Error>(self, v: i64) -> Result<Yaml, E> {
+        Ok(Yaml::Int(v))
+    }
+    fn visit_u64<E: Error>(self, v: u64) -> Result<Yaml, E> {
+        Ok(i64::try_from(v).map_or(Yaml::Float(v as f64), Yaml::Int))
+    }
+    fn visit_f64<E: Error>(self, v: f64) -> Result<Yaml, E> {
+        Ok(Yaml::Float(v))
+    }
+    fn visit_str<E: Error>(self, v: &str) -> Result<Yaml, E> {
+        Ok(Yaml::String(v.to_owned()))
+    }
+    fn visit_string<E: Error>(self, v: String) -> Result<Yaml, E> {
+        Ok(Yaml::String(v))
+    }
+    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Yaml, A::Error> {
+        let mut items = Vec::new();
+        while let Some(item) = seq.next_element::<Node>()? {
+            items.push(item);
+        }
+        Ok(Yaml::List(items))
+    }
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Yaml, A::Error> {
+        let mut entries = Vec::new();
+        while let Some(key) = map.next_key::<Spanned<String>>()? {
+            let key = Named { span: span(key.referenced), text: key.value };
+            entries.push((key, map.next_value::<Node>()?));
+        }
+        Ok(Yaml::Map(entries))
+    }
+}
+
+/// Parses a file's text. What is wrong is added to `findings`.
+pub(crate) fn parse(findings: &mut Findings) -> Option<Node> {
+    let source = std::sync::Arc::clone(&findings.source);
+    let everything = Span { start: 0, end: 1 };
+    if source.text.len() > MAX_BYTES {
+        let message = format!("the file has more than {} MB", MAX_BYTES / 1_000_000);
+        findings.error(code::FILE, everything, message);
+        return None;
+    }
+    let mut budget = serde_saphyr::Budget::default();
+    budget.max_depth = MAX_DEPTH;
+    budget.max_nodes = MAX_NODES;
+    budget.max_events = 3 * MAX_NODES;
+    let options = serde_saphyr::options! {
+        strict_booleans: true,
+        with_snippet: false,
+        budget: Some(budget),
+    };
+    match serde_saphyr::from_str_with_options::<Node>(&source.text, options) {
+        Ok(node) => Some(node),
+        Err(error) => {
+            let at = error.location().map_or(everything, span);
+            let text = error.without_snippet().to_string();
+            let first = text.lines().next().unwrap_or("").trim_start_matches("error: ").to_owned();
+            findings.error(code::YAML, at, format!("this cannot be read as YAML: {first}"));
+            None
+        }
+    }
+}

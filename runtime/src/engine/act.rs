@@ -1,0 +1,190 @@
+//! Actions and values: what a chart's author wrote, run.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use armarium_values::Value;
+
+use super::program::{Action, Place, StateId, Term};
+use super::{Effect, Engine, Event, Origin, TimerUse, TraceItem, Turn, View};
+
+/// What failed and where it was written.
+type Failed = (String, String);
+
+/// Most items that a `foreach` visits.
+const MAX_ITEMS: usize = 10_000;
+
+impl Engine {
+    pub(super) fn evaluate(&self, term: &Term, turn: &Turn<'_>) -> Result<Value, Failed> {
+        match term {
+            Term::Literal(value) => Ok(value.clone()),
+            Term::Expr(code) => {
+                let view = View { store: &self.store, runs: &self.runs, sensors: turn.sensors };
+                code.expr.evaluate(&view).map_err(|e| (e.message, self.program.place(code.place)))
+            }
+            Term::Text(parts) => {
+                let mut text = String::new();
+                for part in parts {
+                    match self.evaluate(part, turn)? {
+                        Value::String(s) => text.push_str(&s),
+                        other => text.push_str(&other.to_json().to_string()),
+                    }
+                }
+                Ok(Value::String(text))
+            }
+            Term::List(items) => {
+                Ok(Value::List(items.iter().map(|t| self.evaluate(t, turn)).collect::<Result<_, _>>()?))
+            }
+            Term::Map(entries) => {
+                let mut fields = BTreeMap::new();
+                for (name, term) in entries {
+                    fields.insert(name.clone(), self.evaluate(term, turn)?);
+                }
+                Ok(Value::Map(fields))
+            }
+        }
+    }
+
+    /// Runs actions in order; one that fails raises `error.execution` and ends this list.
+    pub(super) fn act(&mut self, actions: &[Action], state: StateId, turn: &mut Turn<'_>) -> bool {
+        for action in actions {
+            match self.act_one(action, state, turn) {
+                Ok(true) => {}
+                Ok(false) => return false,
+                Err((message, place)) => {
+                    self.error_at(state, &message, place, turn);
+                    return false;
+                }
+            }
+        }
+        true
+    }
+
+    fn act_one(&mut self, action: &Action, state: StateId, turn: &mut Turn<'_>) -> Result<bool, Failed> {
+        match action {
+            Action::Assign { slot, declaration, variable, term, place } => {
+                let value = self.evaluate(term, turn)?;
+                let value = declaration
+                    .accept(value)
+                    .map_err(|message| (format!("`{variable}`: {message}"), self.program.place(*place)))?;
+                turn.trace(TraceItem::Assigned {
+                    variable: self.shown(state, variable),
+                    value: value.clone(),
+                });
+                self.store.data[*slot as usize] = Some(value);
+            }
+            Action::Raise { event, data } => {
+                let data = self.optional(data.as_ref(), turn)?;
+                let name = Arc::clone(event);
+                self.internal.push_back(Event { name, data, origin: Origin::Broadcast });
+            }
+            Action::Send { event, to, data, delay, id, place } => {
+                let data = self.optional(data.as_ref(), turn)?;
+                let event = Event { name: Arc::clone(event), data, origin: Origin::Broadcast };
+                self.send(event, to.as_ref(), delay.as_ref(), id.as_ref(), *place, turn)?;
+            }
+            Action::Cancel { id } => {
+                let matching = |of: &TimerUse| matches!(of, TimerUse::Send { id: Some(i), .. } if i == id);
+                let timers: Vec<u64> =
+                    self.timers.iter().filter(|(_, of)| matching(of)).map(|(timer, _)| *timer).collect();
+                for timer in timers {
+                    self.timers.remove(&timer);
+                    turn.out.push(Effect::CancelTimer { timer });
+                }
+            }
+            Action::Log { term } => {
+                let text = match self.evaluate(term, turn)? {
+                    Value::String(text) => text,
+                    other => other.to_json().to_string(),
+                };
+                turn.trace(TraceItem::Log { state: self.program.state(state).path.clone(), text });
+            }
+            Action::If { condition, then, otherwise } => {
+                let view = View { store: &self.store, runs: &self.runs, sensors: turn.sensors };
+                let holds = condition.expr.test(&view);
+                let holds = holds.map_err(|e| (e.message, self.program.place(condition.place)))?;
+                return Ok(self.act(if holds { then } else { otherwise }, state, turn));
+            }
+            Action::Foreach { items, slot, body, place } => {
+                let items = match self.evaluate(items, turn)? {
+                    Value::List(items) => items,
+                    Value::Map(fields) => fields.into_keys().map(Value::String).collect(),
+                    other => {
+                        let message = format!("expected a list, found {}", other.describe());
+                        return Err((message, self.program.place(*place)));
+                    }
+                };
+                if items.len() > MAX_ITEMS {
+                    let message = format!("a list of more than {MAX_ITEMS} items");
+                    return Err((message, self.program.place(*place)));
+                }
+                for item in items {
+                    self.store.data[*slot as usize] = Some(item);
+                    if !self.act(body, state, turn) {
+                        return Ok(false);
+                    }
+                }
+                self.store.data[*slot as usize] = None;
+            }
+        }
+        Ok(true)
+    }
+
+    fn optional(&self, term: Option<&Term>, turn: &Turn<'_>) -> Result<Value, Failed> {
+        term.map_or(Ok(Value::Null), |term| self.evaluate(term, turn))
+    }
+
+    fn send(
+        &mut self,
+        event: Event,
+        to: Option<&Term>,
+        delay: Option<&Term>,
+        id: Option<&String>,
+        place: Place,
+        turn: &mut Turn<'_>,
+    ) -> Result<(), Failed> {
+        if let Some(to) = to {
+            let to = self.evaluate(to, turn)?.as_str().unwrap_or_default().to_owned();
+            turn.out.push(Effect::Send { event: event.name.to_string(), to, data: event.data });
+            return Ok(());
+        }
+        let Some(delay) = delay else {
+            self.queue(event, turn);
+            return Ok(());
+        };
+        let seconds = self.evaluate(delay, turn)?.as_f64().unwrap_or(f64::NAN);
+        if !seconds.is_finite() || seconds < 0.0 {
+            return Err((format!("{seconds} s is not a time to wait"), self.program.place(place)));
+        }
+        if self.timers.len() >= super::MAX_QUEUE {
+            return Err(("too many delayed events are waiting".into(), self.program.place(place)));
+        }
+        self.start_timer(TimerUse::Send { id: id.cloned(), event }, seconds, u64::MAX - 2, turn);
+        Ok(())
+    }
+
+    /// A variable's name, with the state's chart where that is not the outermost.
+    fn shown(&self, state: StateId, variable: &str) -> String {
+        let owner = self.program.outward(state).find(|s| self.program.state(*s).chart_root);
+        match owner.and_then(|root| self.program.state(root).parent) {
+            Some(owner) if owner != 0 => format!("{}.{variable}", self.program.state(owner).path),
+            _ => variable.to_owned(),
+        }
+    }
+
+    /// An expression failed: `error.execution`, unless that is what is being handled.
+    pub(super) fn error(&mut self, state: StateId, message: &str, place: Place, turn: &mut Turn<'_>) {
+        let place = self.program.place(place);
+        self.error_at(state, message, place, turn);
+    }
+
+    pub(super) fn error_at(&mut self, state: StateId, message: &str, place: String, turn: &mut Turn<'_>) {
+        turn.trace(TraceItem::Error { message: message.to_owned(), place: place.clone() });
+        if self.store.event.as_ref().is_some_and(Event::is_error) {
+            return;
+        }
+        let reason = format!("{message} ({place})");
+        let data = Value::record([("reason", reason.into()), ("place", place.into())]);
+        self.internal.push_back(Event { name: "error.execution".into(), data, origin: Origin::Error(state) });
+    }
+}

@@ -1,0 +1,206 @@
+//! What happened in a run, as data: for recordings, progress lines, viewers and hashes.
+//!
+//! The engine emits [`TraceItem`]s, the executor adds the virtual time. A sink must not block.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use armarium_values::Value;
+use serde::{Deserialize, Serialize};
+
+/// One thing that happened, and when.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TraceEvent {
+    /// Virtual time since the run began, ns.
+    pub at_ns: u64,
+    /// What happened.
+    #[serde(flatten)]
+    pub item: TraceItem,
+}
+
+/// One thing that happened. States are given by their path in the chart.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "what", rename_all = "snake_case")]
+pub enum TraceItem {
+    /// The run began.
+    Started {
+        /// Name of the chart.
+        chart: String,
+        /// Its inputs.
+        inputs: BTreeMap<String, Value>,
+    },
+    /// An event was taken from the queue.
+    Event {
+        /// Its name.
+        name: String,
+        /// The state that it belongs to; none for events that all states see.
+        from: Option<String>,
+        /// What came with it.
+        data: Value,
+    },
+    /// An event belonged to a state that has been left meanwhile, or came over a bound.
+    Dropped {
+        /// Its name.
+        name: String,
+        /// Why it was dropped.
+        reason: String,
+    },
+    /// An event waits for an unbreakable state to end.
+    Held {
+        /// Its name.
+        name: String,
+        /// The unbreakable state.
+        state: String,
+    },
+    /// A transition was chosen.
+    Transition {
+        /// The state that it is written at.
+        source: String,
+        /// The event that took it; none for `always`.
+        event: Option<String>,
+        /// Where it goes; none for a transition that leaves no state.
+        target: Option<String>,
+    },
+    /// States wait for their skills to return before they are left.
+    Leaving {
+        /// The states.
+        states: Vec<String>,
+    },
+    /// A state was left.
+    Exited {
+        /// The state.
+        state: String,
+    },
+    /// A state was entered.
+    Entered {
+        /// The state.
+        state: String,
+    },
+    /// A state has ended and nobody handled its outcome; it stays active.
+    Done {
+        /// The state.
+        state: String,
+        /// Its outcome.
+        outcome: String,
+    },
+    /// A state is tried again.
+    Retry {
+        /// The state.
+        state: String,
+        /// Which try this is, counted from 1 for the first repetition.
+        attempt: u32,
+        /// Why the try before failed.
+        reason: String,
+    },
+    /// The active states changed.
+    Configuration {
+        /// The innermost active states, in the chart's order.
+        leaves: Vec<String>,
+    },
+    /// A skill was started.
+    SkillStarted {
+        /// Number of this start in the run.
+        activation: u64,
+        /// The state.
+        state: String,
+        /// The skill.
+        skill: String,
+        /// What it was given.
+        inputs: BTreeMap<String, Value>,
+    },
+    /// A skill was told to stop.
+    SkillCancelled {
+        /// Number of its start.
+        activation: u64,
+        /// The state.
+        state: String,
+    },
+    /// A skill returned.
+    SkillEnded {
+        /// Number of its start.
+        activation: u64,
+        /// The state.
+        state: String,
+        /// Its outcome; `cancelled` when it was told to stop before.
+        outcome: String,
+        /// The reason of a failure.
+        reason: Option<String>,
+        /// Its outputs.
+        outputs: BTreeMap<String, Value>,
+    },
+    /// A variable was assigned.
+    Assigned {
+        /// Its name, with the chart's path where it is not the outermost.
+        variable: String,
+        /// Its new value.
+        value: Value,
+    },
+    /// The action `log`.
+    Log {
+        /// The state.
+        state: String,
+        /// The text.
+        text: String,
+    },
+    /// An expression failed.
+    Error {
+        /// What happened.
+        message: String,
+        /// `file:line:column`.
+        place: String,
+    },
+    /// The run ended.
+    Finished {
+        /// Its outcome.
+        outcome: String,
+        /// The reason of an outcome other than success.
+        reason: Option<String>,
+        /// The states that a failure came through.
+        chain: Vec<String>,
+        /// What the chart gave.
+        outputs: BTreeMap<String, Value>,
+    },
+}
+
+/// Takes what happened, in order. Called in the middle of a run: it must return at once.
+pub trait TraceSink: Send {
+    /// One thing happened.
+    fn record(&mut self, event: &TraceEvent);
+}
+
+impl<F: FnMut(&TraceEvent) + Send> TraceSink for F {
+    fn record(&mut self, event: &TraceEvent) {
+        self(event);
+    }
+}
+
+/// Follows a trace and knows what is active now, for a progress line.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct RunStatus {
+    /// The innermost active states, in the chart's order.
+    pub leaves: Vec<String>,
+    /// The states that wait for their skills to return.
+    pub leaving: BTreeSet<String>,
+    /// The outcome, once the run has ended.
+    pub outcome: Option<String>,
+}
+
+impl RunStatus {
+    /// Takes one more event into account.
+    pub fn update(&mut self, event: &TraceEvent) {
+        match &event.item {
+            TraceItem::Configuration { leaves } => self.leaves.clone_from(leaves),
+            TraceItem::Leaving { states } => self.leaving = states.iter().cloned().collect(),
+            TraceItem::Exited { state } => {
+                self.leaving.remove(state);
+            }
+            TraceItem::Finished { outcome, .. } => self.outcome = Some(outcome.clone()),
+            _ => {}
+        }
+    }
+
+    /// The active states in one line.
+    #[must_use]
+    pub fn line(&self) -> String {
+        self.leaves.join(" | ")
+    }
+}
