@@ -555,7 +555,7 @@ impl Engine {
     fn reached_final(&mut self, state: StateId, outcome: &str, turn: &mut Turn<'_>) {
         let Some(parent) = self.program.state(state).parent else { return };
         let mut data = self.final_data(state, outcome, turn);
-        if outcome == "failure" {
+        if outcome == "failure" && !self.program.state(parent).chart_root {
             data = with_link(data, &self.program.state(parent).path);
         }
         self.report(parent, outcome.into(), data);
@@ -619,6 +619,9 @@ impl Engine {
             }
         }
         if owner != 0 {
+            if &*outcome == "failure" {
+                data = with_link(data, &of.path);
+            }
             return self.report(owner, outcome, data);
         }
         let entry = self.runs[0].entry;

@@ -400,7 +400,7 @@ initial: A
 states: {A: {always: [B]}, B: {always: [A]}}
 ",
     );
-    assert!(d.said().ends_with("finished failure \"1000 microsteps without rest\" "));
+    assert!(d.said().ends_with("finished failure \"1000 microsteps without rest\""));
 }
 
 #[test]
@@ -427,7 +427,7 @@ events: {t: {}, out: {}}
     stop.said();
     stop.input(Input::Stop { reason: "by hand".into() });
     assert_eq!(stop.said(), "cancel A", "a stop is not held back");
-    assert_eq!(stop.end("A", "success"), "log out; -A; finished stopped \"by hand\" ");
+    assert_eq!(stop.end("A", "success"), "log out; -A; finished stopped \"by hand\"");
 }
 
 #[test]
