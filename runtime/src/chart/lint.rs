@@ -15,7 +15,10 @@ pub(crate) fn lint(program: &Program, flats: &[Flat<'_>], library: &Library, fin
     let scoped = lint.scoped();
     lint.unknown_events(&scoped, library);
     lint.unhandled(&scoped);
-    lint.unreachable();
+    // Where a target is unknown, what cannot be reached is not known either.
+    if !lint.findings.iter().any(|f| f.code == code::STATE) {
+        lint.unreachable();
+    }
     lint.shadowed();
     lint.limbs();
 }
@@ -86,11 +89,24 @@ impl Lint<'_, '_> {
                         add(parallel, outcome, self.program.state(parallel).region, false);
                     }
                 }
-                Kind::Parallel => add(id, "success", state.region, false),
+                Kind::Parallel => add(id, "success", state.region || !self.can_end(id), false),
                 _ => {}
             }
         }
         all
+    }
+
+    /// Whether all regions of a parallel state can come to an end.
+    fn can_end(&self, parallel: StateId) -> bool {
+        let ends = |region: &StateId| {
+            let region = self.program.state(*region);
+            let is_final = |child: &StateId| matches!(self.program.state(*child).kind, Kind::Final { .. });
+            match region.kind {
+                Kind::Skill { .. } | Kind::Chart { .. } | Kind::Parallel => true,
+                _ => region.children.iter().any(is_final),
+            }
+        };
+        self.program.state(parallel).children.iter().all(ends)
     }
 
     fn unknown_events(&mut self, scoped: &[Scoped], library: &Library) {

@@ -23,10 +23,9 @@ impl Skill for Act {
             .optional("for", Type::Duration, Value::Duration(0.0), "How long it takes.")
             .optional("late", Type::Duration, Value::Duration(0.0), "How long it takes to return.")
             .output("value", Type::FLOAT, "The force again.")
-            .outcome("blocked")
             .event("ping")
             .grace(Duration::from_millis(500));
-        if self.0 == "Arm" { manifest.limb("arm_right") } else { manifest }
+        if self.0 == "Arm" { manifest.limb("arm_right") } else { manifest.outcome("blocked") }
     }
 
     fn run(&self, context: SkillContext) -> BoxFuture<'static, SkillResult> {

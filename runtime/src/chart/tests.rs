@@ -1,1 +1,184 @@
+use std::collections::BTreeMap;
 
+use super::testing::{findings, program};
+use super::*;
+
+/// The findings of one chart, as text.
+fn found(text: &str) -> String {
+    findings(text, &BTreeMap::new())
+}
+
+#[test]
+fn a_chart_that_is_in_order_has_no_findings() {
+    assert_eq!(
+        found(
+            "
+statechart: Wipe
+inputs: {force: {type: float, unit: N, default: 8 N, maximum: 15.0}, patience: {type: duration, default: 60s}}
+types: {Gesture: {enum: [fist, open_hand]}}
+locals: {seen: {type: Gesture, default: fist}}
+events: {said: {data: {word: string}}}
+limits: {force: 40 N, speed: 0.4 m/s}
+initial: A
+states:
+  A:
+    parallel:
+      X: {initial: Go, states: {Go: {skill: Arm, with: {force: \"${inputs.force}\"}, transitions: {success: Go}}}}
+      Y:
+        initial: Look
+        states:
+          Look:
+            watch:
+              pushed: {if: \"norm(channels.wrist.push) > 6.0\", for: 100ms}
+              gesture: {if: \"channels.hand.gesture != 'none' && age('hand') < 0.3\", for: 200ms}
+            transitions: {pushed: Look, gesture: Look}
+    after: {\"${inputs.patience}\": Done}
+    transitions: {failure: Failed, said: Done, \"done.state.A\": Done, \"error.*\": Failed}
+  Done: {final: success}
+  Failed: {final: failure}
+"
+        ),
+        ""
+    );
+}
+
+/// Each wrong chart, the code, the text at its place, and a part of the message or help.
+#[test]
+fn mistakes_are_found_with_code_place_and_help() {
+    let states = |state: &str| format!("statechart: T\ninitial: A\nstates:\n  A: {state}\n  B: {{}}\n");
+    let cases: Vec<(String, &str, &str, &str)> = vec![
+        (states("{after: {1s: C}}"), code::STATE, "C", "no state"),
+        (states("{transitons: {}}"), code::KEY, "transitons", "did you mean `transitions`"),
+        (states("{skill: Akt}"), code::SKILL, "Akt", "did you mean `Act`"),
+        (states("{skill: Act, with: {forse: 1}}"), code::INPUT, "forse", "did you mean `force`"),
+        (states("{skill: Act, with: {force: 1 m}}"), code::UNIT, "1 m", "number in N"),
+        (states("{skill: Act, with: {force: [1]}}"), code::TYPE, "[", "expected float in N"),
+        (states("{skill: Act, with: {for: \"${1 + x}\"}}"), code::VARIABLE, "x", "no `x`"),
+        (states("{skill: Act, with: {end: \"${A.valeu}\"}}"), code::VARIABLE, "A.valeu", "did you mean `A.value`"),
+        (states("{skill: Act, with: {for: \"${1 +}\"}}"), code::EXPRESSION, "", "not an expression"),
+        (states("{skill: Act, with: {force: \"${nrm([1.0])}\"}}"), code::FUNCTION, "(", "did you mean `norm`"),
+        (states("{skill: Act, transitions: {succes: B}}"), code::EVENT, "succes", "did you mean `success`"),
+        (states("{watch: {w: \"channels.wirst.push[0] > 1\"}}"), code::CHANNEL, "channels.wirst", "did you mean `wrist`"),
+        (states("{watch: {w: \"norm(channels.wrist.push)\"}}"), code::TYPE, "\"norm", "true or false"),
+        (states("{skill: Act, states: {}}"), code::KIND, "states", "both `skill` and `states`"),
+        (states("{statechart: Nowhere}"), code::CHART, "Nowhere", "no chart"),
+        (states("{statechart: T}"), code::CYCLE, "T", "contain each other"),
+        (states("{initial: X, states: {Y: {}}}"), code::STATE, "X", "did you mean `Y`"),
+        (states("{after: {1 N: B}}"), code::UNIT, "1 N", "number in s"),
+        (states("{enter: [{asign: {}}]}"), code::KEY, "asign", "did you mean `assign`"),
+        (states("{enter: [{assign: {locals.n: 1}}]}"), code::VARIABLE, "locals.n", "no `locals.n`"),
+        (states("{limits: {force: 3 m}}"), code::UNIT, "3 m", "number in N"),
+        (states("{remote: bob/T}"), code::UNSUPPORTED, "bob/T", "other agents"),
+        (states("3"), code::FORM, "3", "a map is needed"),
+        ("statechart: T\ninitial: A\nstates: {A: {}, A: {}}\n".into(), code::YAML, "", "duplicate"),
+        ("statechart: T\nstates: {A: {}}\n".into(), code::MISSING_KEY, "T", "initial"),
+        ("statechart: T\ninputs: {x: {type: flaot}}\ninitial: A\nstates: {A: {}}\n".into(), code::DECLARED_TYPE, "flaot", "did you mean `float`"),
+        ("statechart: T\ninputs: {x: {type: float, default: 9.0, maximum: 5.0}}\ninitial: A\nstates: {A: {}}\n".into(), code::TYPE, "9.0", "outside"),
+        ("statechart: T\ninitial: if\nstates: {if: {}}\n".into(), code::NAME, "if", "word of the language"),
+        ("statechart: T\nparallel: {A: {skill: Arm}, B: {skill: Arm}}\n".into(), code::LIMB, "B", "arm_right"),
+        ("statechart: T\n  x: [\n".into(), code::YAML, "", "YAML"),
+        ("initial: A\n".into(), code::MISSING_KEY, "initial", "statechart: Name"),
+    ];
+    for (text, expected, at, words) in &cases {
+        let library = load_text("test.yaml", text, &[]);
+        let checked = check(&library, &testing::registry(), &testing::schema());
+        let finding =
+            checked.findings.iter().find(|f| f.is_error()).unwrap_or_else(|| panic!("nothing in {text}"));
+        let shown = format!("{text}\n{finding}");
+        assert_eq!(finding.code, *expected, "{shown}");
+        assert!(text[finding.span.start..].starts_with(at), "{shown}\nat {:?}", &text[finding.span.start..]);
+        assert!(finding.to_string().contains(words), "{shown}");
+        assert!(checked.program.is_none());
+    }
+}
+
+#[test]
+fn warnings_do_not_keep_a_chart_from_running() {
+    let text = "
+statechart: T
+initial: A
+states:
+  A: {skill: Act, transitions: {blocked: [B, C]}}
+  B: {}
+  C: {}
+  D: {}
+";
+    let said = found(text);
+    for words in ["W101]: nobody handles the outcome `success` of `A`", "W102]: the state `D`", "W103]"] {
+        assert!(said.contains(words), "{said}");
+    }
+    program(text);
+}
+
+#[test]
+fn all_findings_come_at_once_in_order() {
+    let said = found("statechart: T\ninitial: X\nstates:\n  A: {skill: Akt}\n  B: {transitions: {t: C}}\n");
+    let codes: Vec<&str> = said.lines().map(|l| &l[l.find('[').unwrap() + 1..][..4]).collect();
+    assert_eq!(codes, ["E010", "E012", "E022", "E010"], "{said}");
+}
+
+#[test]
+fn charts_are_found_by_name_and_hand_values_over() {
+    let inner = "
+statechart: Inner
+inputs: {force: {type: float, unit: N}}
+outputs: {value: {type: float}}
+initial: Go
+states:
+  Go: {skill: Arm, with: {force: \"${inputs.force}\"}, transitions: {success: Done}}
+  Done: {final: success}
+";
+    let outer = |with: &str| {
+        format!(
+            "
+statechart: Outer
+initial: A
+states:
+  A: {{statechart: Inner{with}, transitions: {{success: B}}}}
+  B: {{skill: Arm, with: {{force: \"${{A.value}}\"}}, transitions: {{success: Done}}}}
+  Done: {{final: success}}
+"
+        )
+    };
+    let others = BTreeMap::from([("inner.yaml", inner)]);
+    assert_eq!(findings(&outer(", with: {force: 3 N}"), &others), "");
+    assert!(findings(&outer(""), &others).contains("E015]: `A` needs the input `force`"));
+    let others = BTreeMap::from([("inner.yaml", inner), ("second.yaml", inner)]);
+    assert!(findings(&outer(", with: {force: 3 N}"), &others).contains("two charts are called `Inner`"));
+    let broken =
+        BTreeMap::from([("broken.yaml", "statechart: Inner\ninitial: A\nstates: {A: {skill: Nope}}\n")]);
+    assert!(findings(&outer(""), &broken).contains("broken.yaml:3:21: error[E012]"));
+}
+
+#[test]
+fn hostile_files_are_refused() {
+    let deep = |n: usize| {
+        let mut text = String::from("statechart: T\n");
+        for level in 0..n {
+            let pad = "  ".repeat(2 * level);
+            text += &format!("{pad}initial: A\n{pad}states:\n{pad}  A:\n");
+        }
+        text + &"  ".repeat(2 * n) + "{}\n"
+    };
+    assert_eq!(found(&deep(55)), "");
+    for text in [
+        deep(70),
+        deep(400),
+        "[".repeat(100_000),
+        "a: &a [x]\n".to_owned() + &"b: [*a, *a, *a, *a]\n".repeat(10),
+        format!(
+            "a: &a {}\nb: &b [{}]\nc: &c [{}]\nd: [{}]\n",
+            "[x,x,x,x,x,x,x,x]",
+            "*a,".repeat(200),
+            "*b,".repeat(200),
+            "*c,".repeat(200)
+        ),
+        "statechart: \u{0}\n".into(),
+        String::new(),
+        "statechart: T\ninitial: A\nstates: {A: {watch: {w: \"".to_owned()
+            + &"1+".repeat(3000)
+            + "1 > 0\"}}}\n",
+    ] {
+        assert!(found(&text).contains("error["), "{}", &text[..text.len().min(60)]);
+    }
+}

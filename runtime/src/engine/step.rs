@@ -74,6 +74,7 @@ impl Engine {
         chain: Vec<String>,
         turn: &mut Turn<'_>,
     ) {
+        self.show_configuration(turn);
         // What was pending is given up; its cancelled skills are still waited for, as their states are active.
         self.pending = None;
         self.begin(Step::Finish { outcome, reason, chain }, None, turn);

@@ -1,1 +1,227 @@
+use std::fmt::Write;
+use std::time::Duration;
 
+use super::*;
+use crate::chart::testing::{program, registry};
+
+/// Runs a chart under virtual time; gives the result and the trace, one line a thing, with times in ms.
+async fn run_with(
+    text: &str,
+    channels: Channels,
+    control: impl FnOnce(Controller) -> futures::future::BoxFuture<'static, ()>,
+) -> (RunResult, String) {
+    let log = Arc::new(Mutex::new(String::new()));
+    let lines = Arc::clone(&log);
+    let sink = move |event: &TraceEvent| {
+        let ms = event.at_ns / 1_000_000;
+        let line = match &event.item {
+            TraceItem::Configuration { leaves } => leaves.join(" "),
+            TraceItem::SkillEnded { state, outcome, .. } => format!("{state}: {outcome}"),
+            TraceItem::Log { text, .. } => format!("log {text}"),
+            TraceItem::Error { message, .. } => format!("error {message}"),
+            _ => return,
+        };
+        writeln!(lines.lock().unwrap(), "{ms} {line}").unwrap();
+    };
+    let options = ExecOptions { sink: Some(Box::new(sink)), ..ExecOptions::default() };
+    let executor = Executor::new(program(text), registry(), channels, options).unwrap();
+    let controlling = tokio::spawn(control(executor.controller()));
+    let result = executor.run().await;
+    controlling.abort();
+    let log = log.lock().unwrap().clone();
+    (result, log)
+}
+
+async fn run(text: &str) -> (RunResult, String) {
+    run_with(text, Channels::new(), |_| Box::pin(std::future::pending())).await
+}
+
+fn after(ms: u64) -> tokio::time::Sleep {
+    tokio::time::sleep(Duration::from_millis(ms))
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_chart_runs_to_its_end_and_gives_its_outputs() {
+    let (result, log) = run("
+statechart: T
+inputs: {force: {type: float, unit: N, default: 3 N}}
+outputs: {got: {type: float}}
+initial: A
+states:
+  A:
+    skill: Act
+    with: {end: success, for: 100ms, force: \"${inputs.force * 2}\"}
+    transitions: {success: {target: Done, do: [{assign: {outputs.got: \"${A.value}\"}}]}}
+  Done: {final: success}
+")
+    .await;
+    assert_eq!(result.outcome, "success");
+    assert_eq!(result.outputs["got"], Value::Float(6.0));
+    assert_eq!(log, "0 A\n100 A: success\n100 Done\n100 \n");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_panic_is_a_failure_with_its_message() {
+    let (result, _) = run("
+statechart: T
+initial: A
+states: {A: {skill: Act, with: {end: panic}}}
+")
+    .await;
+    assert_eq!(result.outcome, "failure");
+    assert_eq!(result.reason.as_deref(), Some("the skill panicked: out of order"));
+    assert_eq!(result.chain, ["A", "T"]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_timer_cancels_and_waits_for_what_runs_inside() {
+    let (result, log) = run("
+statechart: T
+initial: P
+states:
+  P:
+    parallel:
+      L: {skill: Act, with: {late: 200ms}}
+      R: {skill: Act, with: {late: 50ms}}
+    after: {1s: Failed}
+  Failed: {final: failure}
+")
+    .await;
+    assert_eq!(result.outcome, "failure");
+    assert_eq!(result.reason.as_deref(), Some("`P` had not ended when its time was up"));
+    assert_eq!(log, "0 P.L P.R\n1050 P.R: cancelled\n1200 P.L: cancelled\n1200 Failed\n1200 \n");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_skill_that_does_not_return_is_stuck() {
+    let text = "
+statechart: T
+initial: A
+states:
+  A: {skill: Act, with: {end: stuck}, after: {1s: B}}
+  B: {}
+";
+    let stuck = Arc::new(Mutex::new(Vec::new()));
+    let seen = Arc::clone(&stuck);
+    let options = ExecOptions {
+        on_stuck: Some(Box::new(move |state| seen.lock().unwrap().push(state.to_owned()))),
+        ..ExecOptions::default()
+    };
+    let began = Instant::now();
+    let executor = Executor::new(program(text), registry(), Channels::new(), options).unwrap();
+    let result = executor.run().await;
+    assert_eq!(result.outcome, "failure");
+    assert_eq!(began.elapsed(), Duration::from_millis(1500), "1 s and the grace");
+    assert_eq!(*stuck.lock().unwrap(), ["A"]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn stopping_cancels_skills_and_waits_for_them() {
+    let text = "
+statechart: T
+initial: A
+states: {A: {skill: Act, with: {late: 100ms}, exit: [{log: bye}]}}
+";
+    let control = |controller: Controller| -> futures::future::BoxFuture<'static, ()> {
+        Box::pin(async move {
+            after(300).await;
+            controller.stop("Ctrl-C");
+        })
+    };
+    let (result, log) = run_with(text, Channels::new(), control).await;
+    assert_eq!((result.outcome.as_str(), result.reason.as_deref()), ("stopped", Some("Ctrl-C")));
+    assert_eq!(log, "0 A\n400 A: cancelled\n400 log bye\n400 \n");
+}
+
+#[tokio::test(start_paused = true)]
+async fn events_come_from_skills_and_from_outside() {
+    let text = "
+statechart: T
+initial: A
+states:
+  A: {skill: Act, with: {end: ping, force: 4}, transitions: {ping: {target: B, do: [{log: \"${event.data}\"}]}}}
+  B: {transitions: {said: {target: Done, if: \"event.data.word == 'go'\"}}}
+  Done: {final: success}
+events: {said: {}}
+";
+    let control = |controller: Controller| -> futures::future::BoxFuture<'static, ()> {
+        Box::pin(async move {
+            for word in ["stay", "go"] {
+                after(100).await;
+                assert!(controller.raise("said", Value::record([("word", word.into())])));
+            }
+        })
+    };
+    let (result, log) = run_with(text, Channels::new(), control).await;
+    assert_eq!(result.outcome, "success");
+    assert_eq!(log, "0 A\n0 A: cancelled\n0 log 4.0\n0 B\n200 Done\n200 \n");
+}
+
+const WATCHING: &str = "
+statechart: T
+initial: Watching
+states:
+  Watching:
+    watch:
+      pushed: {if: \"norm(channels.wrist.push) > 6.0\", for: 100ms, until: \"norm(channels.wrist.push) < 3.0\"}
+      gone: {if: \"channels.hand.gesture == 'fist' && age('hand') > 0.5\"}
+    transitions:
+      pushed: {do: [{log: pushed}]}
+      gone: Done
+  Done: {final: success}
+";
+
+#[tokio::test(start_paused = true)]
+async fn watches_hold_demand_and_fire() {
+    let channels = Channels::new();
+    let publisher = channels.clone();
+    let control = move |_: Controller| -> futures::future::BoxFuture<'static, ()> {
+        Box::pin(async move {
+            let push =
+                |x: f64| publisher.publish("wrist", Value::record([("push", vec![x, 0.0, 0.0].into())]));
+            after(10).await;
+            assert_eq!((*publisher.wanted("wrist").borrow(), *publisher.wanted("hand").borrow()), (1, 1));
+            for x in [f64::NAN, 7.0, 5.0, 7.0, 8.0, 9.0, 7.0, 9.0, 2.0, 9.0, 9.0, 9.0] {
+                push(x);
+                after(50).await;
+            }
+            publisher.publish("hand", Value::record([("gesture", "fist".into())]));
+        })
+    };
+    let (result, log) = run_with(WATCHING, channels.clone(), control).await;
+    assert_eq!(result.outcome, "success");
+    assert_eq!(*channels.wanted("wrist").borrow(), 0, "nobody reads any more");
+    // 7.0 at 160 ms holds until 260 ms; 9.0 at 460 ms, after 2.0, until 560 ms; the hand is 0.5 s old at 1110 ms.
+    let times: Vec<&str> = log.lines().filter(|l| l.contains("pushed")).collect();
+    assert_eq!(times, ["260 log pushed", "560 log pushed"], "{log}");
+    let done: u64 =
+        log.lines().find(|l| l.contains("Done")).unwrap().split(' ').next().unwrap().parse().unwrap();
+    assert!((1110..=1140).contains(&done), "{log}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_same_run_has_the_same_trace() {
+    let text = "
+statechart: T
+initial: P
+locals: {n: {type: int, default: 0}}
+states:
+  P:
+    parallel:
+      L:
+        initial: A
+        states:
+          A: {skill: Act, with: {end: success, for: 7ms}, transitions: {success: {target: A, do: [{assign: {locals.n: \"${locals.n + 1}\"}}]}}}
+      R:
+        initial: B
+        states:
+          B: {skill: Act, with: {end: blocked, for: 7ms}, transitions: {blocked: B}}
+    always: [{target: Done, if: \"locals.n == 20\"}]
+  Done: {final: success}
+";
+    let first = run(text).await;
+    assert_eq!(first.0.outcome, "success");
+    for _ in 0..3 {
+        assert_eq!(run(text).await, first);
+    }
+}
