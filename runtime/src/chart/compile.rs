@@ -16,8 +16,8 @@ use super::model::{self, ActionKind, Chart, Declaration};
 use super::read::{MAX_LEVELS, literal};
 use super::yaml::{Named, Node};
 use crate::engine::program::{
-    Action, Binding, Instance, Kind, Pattern, Place, Program, State, StateId, Term, Transition, Variable,
-    Watch,
+    Action, Binding, Instance, Kind, Pattern, Place, Program, Send, State, StateId, Term, Transition,
+    Variable, Watch,
 };
 use crate::skill::{Limits, SkillManifest};
 
@@ -599,14 +599,14 @@ impl<'l> Compiler<'l> {
                     let mut optional = |node: &Option<Node>, ty: &Type| {
                         node.as_ref().and_then(|n| self.value(state, n, ty, source))
                     };
-                    compiled.push(Action::Send {
+                    compiled.push(Action::Send(Box::new(Send {
                         event: event.text.as_str().into(),
                         to: optional(to, &Type::String),
                         data: optional(data, &Type::Any),
                         delay: optional(delay, &Type::Duration),
                         id: id.as_ref().map(|id| id.text.clone()),
                         place,
-                    });
+                    })));
                 }
                 ActionKind::Cancel(id) => compiled.push(Action::Cancel { id: id.text.clone() }),
                 ActionKind::Log(node) => {

@@ -299,7 +299,7 @@ impl Reader<'_> {
         };
         let Some(unit) = get(entries, "unit").and_then(|n| self.text(n)) else { return ty };
         match (Unit::parse(&unit.text), ty) {
-            (Ok((si, factor)), Type::Float(_)) if factor == 1.0 => Type::Float(Some(si)),
+            (Ok((si, 1.0)), Type::Float(_)) => Type::Float(Some(si)),
             (Ok((si, _)), ty @ Type::Float(_)) => {
                 let help = Some(format!("write `unit: {si}`; values may be given in `{}`", unit.text));
                 self.findings.error_help(code::UNIT, unit.span, "declared units are SI", help);

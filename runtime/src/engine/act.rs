@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use armarium_values::Value;
 
-use super::program::{Action, Place, StateId, Term};
+use super::program::{Action, Place, Send, StateId, Term};
 use super::{Effect, Engine, Event, Origin, TimerUse, TraceItem, Turn, View};
 
 /// What failed and where it was written.
@@ -78,11 +78,7 @@ impl Engine {
                 let name = Arc::clone(event);
                 self.internal.push_back(Event { name, data, origin: Origin::Broadcast });
             }
-            Action::Send { event, to, data, delay, id, place } => {
-                let data = self.optional(data.as_ref(), turn)?;
-                let event = Event { name: Arc::clone(event), data, origin: Origin::Broadcast };
-                self.send(event, to.as_ref(), delay.as_ref(), id.as_ref(), *place, turn)?;
-            }
+            Action::Send(send) => self.send(send, turn)?,
             Action::Cancel { id } => {
                 let matching = |of: &TimerUse| matches!(of, TimerUse::Send { id: Some(i), .. } if i == id);
                 let timers: Vec<u64> =
@@ -134,32 +130,26 @@ impl Engine {
         term.map_or(Ok(Value::Null), |term| self.evaluate(term, turn))
     }
 
-    fn send(
-        &mut self,
-        event: Event,
-        to: Option<&Term>,
-        delay: Option<&Term>,
-        id: Option<&String>,
-        place: Place,
-        turn: &mut Turn<'_>,
-    ) -> Result<(), Failed> {
-        if let Some(to) = to {
+    fn send(&mut self, send: &Send, turn: &mut Turn<'_>) -> Result<(), Failed> {
+        let data = self.optional(send.data.as_ref(), turn)?;
+        if let Some(to) = &send.to {
             let to = self.evaluate(to, turn)?.as_str().unwrap_or_default().to_owned();
-            turn.out.push(Effect::Send { event: event.name.to_string(), to, data: event.data });
+            turn.out.push(Effect::Send { event: send.event.to_string(), to, data });
             return Ok(());
         }
-        let Some(delay) = delay else {
+        let event = Event { name: Arc::clone(&send.event), data, origin: Origin::Broadcast };
+        let Some(delay) = &send.delay else {
             self.queue(event, turn);
             return Ok(());
         };
         let seconds = self.evaluate(delay, turn)?.as_f64().unwrap_or(f64::NAN);
         if !seconds.is_finite() || seconds < 0.0 {
-            return Err((format!("{seconds} s is not a time to wait"), self.program.place(place)));
+            return Err((format!("{seconds} s is not a time to wait"), self.program.place(send.place)));
         }
         if self.timers.len() >= super::MAX_QUEUE {
-            return Err(("too many delayed events are waiting".into(), self.program.place(place)));
+            return Err(("too many delayed events are waiting".into(), self.program.place(send.place)));
         }
-        self.start_timer(TimerUse::Send { id: id.cloned(), event }, seconds, u64::MAX - 2, turn);
+        self.start_timer(TimerUse::Send { id: send.id.clone(), event }, seconds, u64::MAX - 2, turn);
         Ok(())
     }
 

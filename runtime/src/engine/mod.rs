@@ -687,7 +687,7 @@ fn inputs(
         })?,
     };
     let names = || variables.iter().map(|v| v.declaration.name.as_str());
-    for name in given.keys().filter(|name| !names().any(|known| known == *name)) {
+    if let Some(name) = given.keys().find(|name| !names().any(|known| known == *name)) {
         let help = crate::chart::suggest(name, names());
         return Err(InputError::Unknown { name: name.clone(), help });
     }

@@ -194,42 +194,24 @@ pub(crate) struct Binding {
 
 #[derive(Debug)]
 pub(crate) enum Action {
-    Assign {
-        slot: u32,
-        declaration: Arc<Declaration>,
-        variable: String,
-        term: Term,
-        place: Place,
-    },
-    Raise {
-        event: Arc<str>,
-        data: Option<Term>,
-    },
-    Send {
-        event: Arc<str>,
-        to: Option<Term>,
-        data: Option<Term>,
-        delay: Option<Term>,
-        id: Option<String>,
-        place: Place,
-    },
-    Cancel {
-        id: String,
-    },
-    Log {
-        term: Term,
-    },
-    If {
-        condition: Code,
-        then: Vec<Action>,
-        otherwise: Vec<Action>,
-    },
-    Foreach {
-        items: Term,
-        slot: u32,
-        body: Vec<Action>,
-        place: Place,
-    },
+    Assign { slot: u32, declaration: Arc<Declaration>, variable: String, term: Term, place: Place },
+    Raise { event: Arc<str>, data: Option<Term> },
+    Send(Box<Send>),
+    Cancel { id: String },
+    Log { term: Term },
+    If { condition: Code, then: Vec<Action>, otherwise: Vec<Action> },
+    Foreach { items: Term, slot: u32, body: Vec<Action>, place: Place },
+}
+
+/// The action `send`.
+#[derive(Debug)]
+pub(crate) struct Send {
+    pub(crate) event: Arc<str>,
+    pub(crate) to: Option<Term>,
+    pub(crate) data: Option<Term>,
+    pub(crate) delay: Option<Term>,
+    pub(crate) id: Option<String>,
+    pub(crate) place: Place,
 }
 
 impl Program {

@@ -27,6 +27,9 @@ pub use crate::engine::RunResult;
 /// Messages that may wait for the engine; skills that send more wait.
 const QUEUE: usize = 256;
 
+/// Called with the path of a state whose skill is stuck.
+pub type OnStuck = Box<dyn FnMut(&str) + Send>;
+
 /// How a chart is run.
 #[derive(Default)]
 pub struct ExecOptions {
@@ -37,7 +40,7 @@ pub struct ExecOptions {
     /// Takes what happens.
     pub sink: Option<Box<dyn TraceSink>>,
     /// Called at once with a state's path when its skill does not return within its grace: stop the robot.
-    pub on_stuck: Option<Box<dyn FnMut(&str) + Send>>,
+    pub on_stuck: Option<OnStuck>,
 }
 
 impl fmt::Debug for ExecOptions {
@@ -79,7 +82,7 @@ pub struct Executor {
     registry: Registry,
     channels: Channels,
     sink: Option<Box<dyn TraceSink>>,
-    on_stuck: Option<Box<dyn FnMut(&str) + Send>>,
+    on_stuck: Option<OnStuck>,
     sender: mpsc::Sender<Message>,
     queue: mpsc::Receiver<Message>,
     stop: CancellationToken,
