@@ -5,8 +5,10 @@
 
 use std::sync::{Arc, Mutex};
 
-use armarium_visionx::{Gesture, HandObserver, Image, ImageError, ImageSource, StereoCalibration, StereoFrame, annotate};
 use armarium_viewer::report::Picture;
+use armarium_visionx::{
+    Gesture, HandObserver, Image, ImageError, ImageSource, StereoCalibration, StereoFrame, annotate,
+};
 use async_trait::async_trait;
 
 use crate::recording::locked;

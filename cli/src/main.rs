@@ -1,2 +1,77 @@
-//! The program `armarium`.
-fn main() {}
+//! The program `armarium`: it puts the rooms together and prints. Each subcommand is a file of its own; this one reads the
+//! command line and turns what they return into the exit status.
+
+mod catalog;
+mod check;
+mod chronicle;
+mod gallery;
+mod judge;
+mod new;
+mod recording;
+mod render_findings;
+mod run;
+mod schema;
+mod skills;
+mod stage;
+
+use std::io::{self, IsTerminal as _, Write};
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Robot behaviour as statecharts: check it, run it, look at what happened.
+#[derive(Debug, Parser)]
+#[command(name = "armarium", version, about, max_term_width = 100)]
+#[command(after_help = "Examples:\n  \
+    armarium run statecharts/wiping.yaml                      the wiping scenario in the simulator\n  \
+    armarium run statecharts/wiping.yaml --set contact_force=10 --seed 3 --report out\n  \
+    armarium run statecharts/wiping.yaml --set motion=wiping  start from the motion of the last run\n  \
+    armarium check statecharts/*.yaml                         what is wrong, before anything moves\n  \
+    armarium new my_robot                                     a chart, a world and a test of your own\n\n\
+    Exit status: 0 success, 1 a run that failed, 2 a file or argument that is wrong.")]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run a chart in the simulator and leave a report.
+    Run(run::RunArgs),
+    /// Find everything that is wrong with charts and worlds.
+    Check(check::CheckArgs),
+    /// Start a chart, a world and a test of one's own.
+    New(new::NewArgs),
+    /// Print the JSON schema of a kind of file.
+    Schema(schema::SchemaArgs),
+    /// List the skills that charts can use.
+    Skills(skills::SkillsArgs),
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let mut out = io::stdout();
+    let status = match &arguments.command {
+        Command::Run(args) => run::run(args, &mut io::stderr()),
+        Command::Check(args) => check::run(args, style(), &catalog::check_chart, &mut out),
+        Command::New(args) => new::run(args, &mut out),
+        Command::Schema(args) => schema::run(*args, &mut out),
+        Command::Skills(args) => skills::run(args, &mut out),
+    };
+    let status = match status {
+        Ok(status) => status,
+        // Whoever reads the output has gone, as with `armarium skills | head`.
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => 0,
+        Err(error) => {
+            let _ = writeln!(io::stderr(), "the output cannot be written: {error}");
+            1
+        }
+    };
+    ExitCode::from(status)
+}
+
+/// How findings are drawn here: in colour on a terminal.
+fn style() -> check::Style {
+    let colour = io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+    check::Style { colour, width: 100 }
+}

@@ -1,4 +1,4 @@
-//! `armarium schema world|chart`: the JSON schema that editors check and complete files with.
+//! `armarium schema world`: the JSON schema that editors check and complete files with.
 
 use std::io::{self, Write};
 
@@ -17,22 +17,15 @@ pub(crate) struct SchemaArgs {
 pub(crate) enum SchemaOf {
     /// A world file.
     World,
-    /// A statechart.
-    Chart,
 }
 
-/// Writes the schema. `chart_schema` makes the one of charts. Returns the exit status 0.
+/// Writes the schema. Returns the exit status 0.
 ///
 /// # Errors
 /// When `out` cannot be written.
-pub(crate) fn run(
-    args: SchemaArgs,
-    chart_schema: &dyn Fn() -> serde_json::Value,
-    out: &mut dyn Write,
-) -> io::Result<u8> {
+pub(crate) fn run(args: SchemaArgs, out: &mut dyn Write) -> io::Result<u8> {
     let schema = match args.of {
         SchemaOf::World => World::schema(),
-        SchemaOf::Chart => chart_schema(),
     };
     serde_json::to_writer_pretty(&mut *out, &schema)?;
     writeln!(out)?;

@@ -5,10 +5,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use armarium_memoryx::{
-    Consolidator, LongTermMemory, MemoryError, ObjectClass, Pattern, Policies, Policy, PriorKnowledge, StoreError,
-    WorkingMemory, tokio_clock,
+    Backing, Consolidator, LongTermMemory, MemoryError, ObjectClass, Pattern, Policies, Policy,
+    PriorKnowledge, StoreError, WorkingMemory, tokio_clock,
 };
-use armarium_robot::Robot;
+use armarium_robot::{Model, Robot, postures};
 use armarium_simulator::{Handle, Options, Referee, Simulation, SimulationError, TruthSink, World};
 use armarium_states::Equipment;
 
@@ -40,7 +40,7 @@ pub(crate) struct Stage {
     pub(crate) handle: Handle,
     pub(crate) equipment: Equipment,
     pub(crate) memory: Arc<WorkingMemory>,
-    pub(crate) kept: Consolidator,
+    pub(crate) kept: Arc<Consolidator>,
 }
 
 impl Stage {
@@ -51,12 +51,16 @@ impl Stage {
         store: &Path,
         truth_sinks: Vec<Box<dyn TruthSink>>,
     ) -> Result<(Self, Simulation), StageError> {
-        let simulation = Simulation::new(world, seed, Options { truth_sinks, ..Options::default() })?;
-        let memory = Arc::new(WorkingMemory::new(tokio_clock()));
-        prior_knowledge(world)?.put_into(&memory)?;
+        let start = postures::home(&Arc::new(Model::armar3()));
+        let options = Options { truth_sinks, start: Some(start), ..Options::default() };
+        let simulation = Simulation::new(world, seed, options)?;
         let long_term = Arc::new(LongTermMemory::open(store)?);
+        let policies = Policies::all(Policy::Nothing).with(KEPT_SEGMENT, Policy::AtMost { hz: 1.0 });
+        let kept = Arc::new(Consolidator::new(Arc::clone(&long_term), policies));
+        let memory = WorkingMemory::new(tokio_clock()).with_backing(Arc::clone(&kept) as Arc<dyn Backing>);
         long_term.load_into(&memory, Pattern::segment(KEPT_SEGMENT))?;
-        let policies = Policies::all(Policy::Nothing).with(KEPT_SEGMENT, Policy::Everything);
+        prior_knowledge(world)?.put_into(&memory)?;
+        let memory = Arc::new(memory);
         let equipment = Equipment {
             robot: simulation.robot(),
             images: simulation.images(),
@@ -70,7 +74,7 @@ impl Stage {
             handle: simulation.handle(),
             equipment,
             memory,
-            kept: Consolidator::new(long_term, policies),
+            kept,
         };
         Ok((stage, simulation))
     }

@@ -1,11 +1,13 @@
-//! One limb under a skill's command: sense, then command, at the rate of the robot's samples.
+//! The right arm with the torso under a skill's command: sense, then command, at the rate of the robot's samples.
 //!
-//! It holds the limb's lease for as long as it lives and turns wanted TCP poses and twists into joint velocities. It
-//! plans nothing.
+//! It holds both leases for as long as it lives and turns wanted TCP poses and twists into joint velocities; the torso
+//! helps because the arm alone is slow and narrow over a table (see [`postures`]). It plans nothing.
 
 use std::sync::Arc;
 
-use armarium_robot::{DifferentialIk, IkConfig, Kinematics, Lease, LeaseLimits, LinkId, Model, Robot, Sensed, Twist};
+use armarium_robot::{
+    DifferentialIk, IkConfig, Kinematics, Lease, LeaseLimits, LinkId, Model, Robot, Sensed, Twist, postures,
+};
 use armarium_runtime::skill::{Failure, SkillContext};
 use nalgebra::{Isometry3, Point3, Vector3};
 use tokio::sync::watch;
@@ -61,8 +63,10 @@ impl Senses {
     }
 }
 
-/// The limb that the skills of one arm command.
+/// The arm that skills command.
 pub(crate) const ARM: &str = "right_arm";
+/// The torso, which moves with it.
+pub(crate) const TORSO: &str = "torso";
 /// Its tool centre point.
 pub(crate) const TCP: &str = "tcp_right";
 
@@ -80,32 +84,34 @@ pub(crate) struct TrackingError {
     pub(crate) angle: f64,
 }
 
-/// An arm with its lease.
+/// Arm and torso with their leases.
 pub(crate) struct Arm {
-    lease: Lease,
+    torso: Lease,
+    arm: Lease,
+    /// How many of the joints are the torso's; they come first.
+    torso_joints: usize,
     model: Arc<Model>,
     tcp: LinkId,
     ik: DifferentialIk,
     kinematics: Kinematics,
-    /// The posture that the null space is pulled to, rad, in the limb's order.
-    posture: Option<Vec<f64>>,
+    /// The posture that the free motion is drawn to, rad.
+    posture: Vec<f64>,
 }
 
 impl Arm {
-    /// Takes the right arm for the skill in `context`.
+    /// Takes the right arm and the torso for the skill in `context`.
     pub(crate) fn take(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
-        let lease = lease(equipment, context, ARM)?;
+        let torso = lease(equipment, context, TORSO)?;
+        let arm = lease(equipment, context, ARM)?;
         let model = Arc::clone(equipment.robot.model());
         let tcp = link(&model, TCP)?;
-        let ik = DifferentialIk::new(&model, tcp, model.limb(ARM), IkConfig::default());
+        let joints = postures::reaching_joints(&model);
+        let wipe = postures::wipe(&model);
+        let posture = joints.iter().map(|&j| wipe[j]).collect();
+        let ik = DifferentialIk::new(&model, tcp, &joints, IkConfig::default());
         let kinematics = Kinematics::new(&model);
-        Ok(Self { lease, model, tcp, ik, kinematics, posture: None })
-    }
-
-    /// Pulls the null space to a posture, rad, in the limb's order.
-    pub(crate) fn with_posture(mut self, posture: &[f64]) -> Self {
-        self.posture = Some(posture.to_vec());
-        self
+        let torso_joints = model.limb(TORSO).len();
+        Ok(Self { torso, arm, torso_joints, model, tcp, ik, kinematics, posture })
     }
 
     /// `root_from_tcp` at a sample.
@@ -141,8 +147,10 @@ impl Arm {
         linear: Vector3<f64>,
         angular: Vector3<f64>,
     ) -> Result<(), Failure> {
-        let step = self.ik.step(&sample.position, &Twist { linear, angular }, self.posture.as_deref());
-        self.lease.command(step.velocities).map_err(|fault| Failure::new(fault.to_string()))
+        let step = self.ik.step(&sample.position, &Twist { linear, angular }, Some(&self.posture));
+        let (torso, arm) = step.velocities.split_at(self.torso_joints);
+        let commanded = self.torso.command(torso).and(self.arm.command(arm));
+        commanded.map_err(|fault| Failure::new(fault.to_string()))
     }
 
     /// Holds still.

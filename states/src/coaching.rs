@@ -62,7 +62,8 @@ impl Coaching {
         let (sample, dt) = self.senses.next().await?;
         let running = self.context.channels.newest("motion");
         let number = |name: &str| running.as_ref().and_then(|s| s.value.get(name).and_then(Value::as_f64));
-        let phase = number("phase").ok_or_else(|| Failure::new("no motion is running that could be coached"))?;
+        let phase =
+            number("phase").ok_or_else(|| Failure::new("no motion is running that could be coached"))?;
         let frequency = number("frequency").unwrap_or(0.0);
         Ok(RunningStep { dt, phase, omega: std::f64::consts::TAU * frequency, stamp_ns: sample.stamp_ns })
     }

@@ -34,7 +34,8 @@ impl HandEye {
             Ok(snapshot) => {
                 let value = snapshot.attribute("true_from_believed");
                 let pose = value.and_then(as_pose);
-                let pose = pose.ok_or_else(|| Failure::new("the hand-eye correction in memory is no pose"))?;
+                let pose =
+                    pose.ok_or_else(|| Failure::new("the hand-eye correction in memory is no pose"))?;
                 Ok(Self::new(pose))
             }
             Err(MemoryError::NotFound { .. }) => Ok(Self::new(Isometry3::identity())),

@@ -17,8 +17,7 @@ const TRIES: usize = 8;
 /// The motion in a snapshot.
 pub(crate) fn motion_of(snapshot: &Snapshot) -> Result<Motion, Failure> {
     let value = snapshot.attribute("motion");
-    let value =
-        value.ok_or_else(|| Failure::new(format!("the entity `{}` holds no motion", snapshot.id)))?;
+    let value = value.ok_or_else(|| Failure::new(format!("the entity `{}` holds no motion", snapshot.id)))?;
     serde_json::from_value(value.to_json())
         .map_err(|e| Failure::new(format!("the motion `{}` in memory cannot be used: {e}", snapshot.id)))
 }

@@ -36,7 +36,8 @@ impl GraspedTool {
     /// Reads the input `grasp`.
     pub(crate) fn of(context: &SkillContext) -> Result<Self, Failure> {
         let tcp = context.value("grasp")?.get("tcp").and_then(as_pose);
-        let tcp = tcp.ok_or_else(|| Failure::new("the input `grasp` does not say where the tool was grasped"))?;
+        let tcp =
+            tcp.ok_or_else(|| Failure::new("the input `grasp` does not say where the tool was grasped"))?;
         Ok(Self { tcp })
     }
 
@@ -170,7 +171,9 @@ impl Wiper {
         let mut newest = None;
         loop {
             match self.updates.try_recv() {
-                Ok(snapshot) if snapshot.id == self.id && snapshot.version > self.version => newest = Some(snapshot),
+                Ok(snapshot) if snapshot.id == self.id && snapshot.version > self.version => {
+                    newest = Some(snapshot)
+                }
                 Ok(_) | Err(broadcast::error::TryRecvError::Lagged(_)) => {}
                 Err(_) => break,
             }

@@ -40,10 +40,7 @@ fn describe(
     seen: Option<&HandObservation>,
 ) -> Value {
     let Some(seen) = seen else {
-        return Value::record([
-            ("gesture", Value::from("none")),
-            ("confidence", Value::Float(1.0)),
-        ]);
+        return Value::record([("gesture", Value::from("none")), ("confidence", Value::Float(1.0))]);
     };
     let root_from_left = hand_eye.camera(&frame.root_from_left);
     let palm = root_from_left * seen.palm_in_left;

@@ -16,7 +16,8 @@ const EVERY: u32 = 5;
 /// Publishes `wrist`, and learns the friction of wiping whoever reads it.
 pub(super) async fn observe(equipment: Equipment, channels: Channels) {
     let model = equipment.robot.model();
-    let (Ok(mut friction), Some(tcp)) = (FrictionModel::new(FrictionConfig::default()), model.link(TCP)) else {
+    let (Ok(mut friction), Some(tcp)) = (FrictionModel::new(FrictionConfig::default()), model.link(TCP))
+    else {
         return;
     };
     let mut kinematics = Kinematics::new(model);

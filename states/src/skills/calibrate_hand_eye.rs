@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use armarium_motion::rigid_fit;
 use armarium_robot::LinkId;
+use armarium_robot::postures::palm_down;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use armarium_visionx::{ColorMarkerObjectTracking, MarkerSettings};
@@ -15,7 +16,6 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use crate::arm::{Arm, Senses, link};
 use crate::equipment::{self, Equipment};
 use crate::frames::Frames;
-use crate::grasp::level_palm;
 use crate::hand_eye::HandEye;
 use crate::inputs::{Inputs, as_point};
 use crate::line::Line;
@@ -34,18 +34,28 @@ const PLACES: [[f64; 3]; 6] = [
 const FRAMES: usize = 5;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
-    let manifest = SkillManifest::new("CalibrateHandEye", "Looks at its own hand in several places and corrects where the cameras look.")
-        .optional("center", Type::list(Type::FLOAT), vec![0.28, 0.52, 1.20], "Middle of the places of the TCP, root frame, m.")
-        .optional("yaw", Type::quantity(Unit::RAD), 0.5, "Yaw of the level hand.")
-        .optional("residual", Type::quantity(Unit::M), 0.012, "Largest residual of the fit that is accepted.")
-        .output("residual", Type::quantity(Unit::M), "Root mean square distance of the fitted points.")
-        .limb("right_arm");
+    let manifest = SkillManifest::new(
+        "CalibrateHandEye",
+        "Looks at its own hand in several places and corrects where the cameras look.",
+    )
+    .optional(
+        "center",
+        Type::list(Type::FLOAT),
+        vec![0.28, 0.52, 1.20],
+        "Middle of the places of the TCP, root frame, m.",
+    )
+    .optional("yaw", Type::quantity(Unit::RAD), 0.5, "Yaw of the level hand.")
+    .optional("residual", Type::quantity(Unit::M), 0.012, "Largest residual of the fit that is accepted.")
+    .output("residual", Type::quantity(Unit::M), "Root mean square distance of the fitted points.")
+    .limb("torso")
+    .limb("right_arm");
     equipment::skill(equipment, manifest, run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
-    let center = as_point(context.value("center")?).ok_or_else(|| Failure::new("`center` needs three numbers"))?;
-    let palm = level_palm(context.number("yaw")?);
+    let center =
+        as_point(context.value("center")?).ok_or_else(|| Failure::new("`center` needs three numbers"))?;
+    let palm = palm_down(context.number("yaw")?, 0.0);
     let largest = context.number("residual")?;
     let mut arm = Arm::take(&equipment, &context)?;
     let mut senses = Senses::new(&*equipment.robot, &context);
@@ -74,7 +84,9 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         )));
     }
     let stamp_ns = senses.newest().stamp_ns;
-    HandEye::new(fit.target_from_source).store(&*equipment.memory, &equipment.agent, fit.rms, stamp_ns).await?;
+    HandEye::new(fit.target_from_source)
+        .store(&*equipment.memory, &equipment.agent, fit.rms, stamp_ns)
+        .await?;
     Ok(Outcome::success().with("residual", fit.rms))
 }
 

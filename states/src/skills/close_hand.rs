@@ -14,12 +14,20 @@ use crate::inputs::Inputs;
 const STOPPED: f64 = 0.002;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
-    let manifest = SkillManifest::new("CloseHand", "Closes the right hand until both pads are stopped by what is between them.")
-        .optional("speed", Type::quantity(Unit::M_S), 0.03, "Speed of each pad.")
-        .optional("empty_below", Type::quantity(Unit::M), 0.015, "Under this aperture there is nothing in the hand.")
-        .optional("timeout", Type::Duration, 6.0, "Longest time it may take.")
-        .output("aperture", Type::quantity(Unit::M), "Distance of the finger pads at the end.")
-        .limb("right_hand");
+    let manifest = SkillManifest::new(
+        "CloseHand",
+        "Closes the right hand until both pads are stopped by what is between them.",
+    )
+    .optional("speed", Type::quantity(Unit::M_S), 0.03, "Speed of each pad.")
+    .optional(
+        "empty_below",
+        Type::quantity(Unit::M),
+        0.015,
+        "Under this aperture there is nothing in the hand.",
+    )
+    .optional("timeout", Type::Duration, 6.0, "Longest time it may take.")
+    .output("aperture", Type::quantity(Unit::M), "Distance of the finger pads at the end.")
+    .limb("right_hand");
     equipment::skill(equipment, manifest, run)
 }
 

@@ -20,11 +20,15 @@ const ANNOUNCEMENT: &str = "I am wiping now.";
 const SIGHT_AGE: f64 = 0.5;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
-    let manifest = SkillManifest::new("ExecuteMotion", "Wipes with a motion that was fitted to the surface, until it is cancelled.")
-        .input("motion", Type::motion(), "The motion; changes to it in memory are executed at once.")
-        .input("force", Type::quantity(Unit::N), "Desired normal force.")
-        .input("grasp", Type::map(Type::Any), "How the tool was grasped.")
-        .limb("right_arm");
+    let manifest = SkillManifest::new(
+        "ExecuteMotion",
+        "Wipes with a motion that was fitted to the surface, until it is cancelled.",
+    )
+    .input("motion", Type::motion(), "The motion; changes to it in memory are executed at once.")
+    .input("force", Type::quantity(Unit::N), "Desired normal force.")
+    .input("grasp", Type::map(Type::Any), "How the tool was grasped.")
+    .limb("torso")
+    .limb("right_arm");
     equipment::skill(equipment, manifest, run)
 }
 
@@ -34,8 +38,9 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut wiper = Wiper::take(&equipment, &context, tool.tcp.rotation).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let correction = wiper.motion().surface().cloned();
-    let correction = correction
-        .ok_or_else(|| Failure::new("the motion has not been fitted to a surface; run ForceAdaptation first"))?;
+    let correction = correction.ok_or_else(|| {
+        Failure::new("the motion has not been fitted to a surface; run ForceAdaptation first")
+    })?;
     let config = SurfaceConfig { force, ..SurfaceConfig::default() };
     let mut surface = SurfaceAdaptation::resume(config, correction).map_err(failed)?;
     let z = wiper.motion().primitive().centre()[2];

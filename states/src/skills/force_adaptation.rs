@@ -22,18 +22,32 @@ const LEAST_CYCLES: u32 = 4;
 const DEEPEST: f64 = 0.05;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
-    let manifest = SkillManifest::new("ForceAdaptation", "Lowers the tool until it touches, then learns the motion towards the surface that keeps the force.")
-        .input("motion", Type::motion(), "The motion to fit to the surface.")
-        .input("force", Type::quantity(Unit::N), "Desired normal force.")
-        .input("grasp", Type::map(Type::Any), "How the tool was grasped.")
-        .optional("tolerance", Type::quantity(Unit::N), 0.7, "Root mean square force error of two cycles that is good enough.")
-        .optional("cycles", Type::Int, 30_i64, "Cycles after which it is given up.")
-        .optional("hover", Type::quantity(Unit::M), 0.03, "Height over the surface from which the tool is lowered.")
-        .output("motion", Type::motion(), "The motion, with what was learned of the surface.")
-        .output("cycles", Type::Int, "Cycles that were needed.")
-        .output("rms", Type::quantity(Unit::N), "Root mean square force error of the last cycle.")
-        .output("stiffness", Type::quantity(Unit::N_M), "Stiffness of the contact.")
-        .limb("right_arm");
+    let manifest = SkillManifest::new(
+        "ForceAdaptation",
+        "Lowers the tool until it touches, then learns the motion towards the surface that keeps the force.",
+    )
+    .input("motion", Type::motion(), "The motion to fit to the surface.")
+    .input("force", Type::quantity(Unit::N), "Desired normal force.")
+    .input("grasp", Type::map(Type::Any), "How the tool was grasped.")
+    .optional(
+        "tolerance",
+        Type::quantity(Unit::N),
+        0.7,
+        "Root mean square force error of two cycles that is good enough.",
+    )
+    .optional("cycles", Type::Int, 30_i64, "Cycles after which it is given up.")
+    .optional(
+        "hover",
+        Type::quantity(Unit::M),
+        0.03,
+        "Height over the surface from which the tool is lowered.",
+    )
+    .output("motion", Type::motion(), "The motion, with what was learned of the surface.")
+    .output("cycles", Type::Int, "Cycles that were needed.")
+    .output("rms", Type::quantity(Unit::N), "Root mean square force error of the last cycle.")
+    .output("stiffness", Type::quantity(Unit::N_M), "Stiffness of the contact.")
+    .limb("torso")
+    .limb("right_arm");
     equipment::skill(equipment, manifest, run)
 }
 
@@ -93,7 +107,9 @@ async fn touch_down(
                 )));
             }
             TouchdownStatus::NotReached => {
-                return Err(Failure::new(format!("the surface was touched, but {force:.0} N were not reached")));
+                return Err(Failure::new(format!(
+                    "the surface was touched, but {force:.0} N were not reached"
+                )));
             }
         }
     }

@@ -12,11 +12,12 @@ use crate::equipment::{self, Equipment};
 use crate::inputs::{Inputs, as_vector};
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
-    let manifest = SkillManifest::new("ForceCoaching", "Changes the running motion by the coach's pushes on the hand.")
-        .input("motion", Type::motion(), "The running motion.")
-        .optional("threshold", Type::quantity(Unit::N), 4.0, "Force that counts as a push.")
-        .optional("patience", Type::Duration, 4.0, "Ends when no push has been felt for this long.")
-        .output("displacement", Type::FLOAT, "How far the path has moved at the coached phase, m.");
+    let manifest =
+        SkillManifest::new("ForceCoaching", "Changes the running motion by the coach's pushes on the hand.")
+            .input("motion", Type::motion(), "The running motion.")
+            .optional("threshold", Type::quantity(Unit::N), 4.0, "Force that counts as a push.")
+            .optional("patience", Type::Duration, 4.0, "Ends when no push has been felt for this long.")
+            .output("displacement", Type::FLOAT, "How far the path has moved at the coached phase, m.");
     equipment::skill(equipment, manifest, run)
 }
 

@@ -19,15 +19,17 @@ const OVER: &str = "imitation.over";
 const SETTLING: f64 = 0.5;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
-    let manifest = SkillManifest::new("ImitateMotion", "Performs a learned motion in free space over the table.")
-        .input("motion", Type::motion(), "The motion.")
-        .input("grasp", Type::map(Type::Any), "How the tool was grasped.")
-        .optional("height", Type::quantity(Unit::M), 0.05, "Height of the tool over the table.")
-        .optional("periods", Type::Int, 3_i64, "Whole periods to perform.")
-        .output("frequency", Type::quantity(Unit::HZ), "Frequency of the motion.")
-        .event(STEADY)
-        .event(OVER)
-        .limb("right_arm");
+    let manifest =
+        SkillManifest::new("ImitateMotion", "Performs a learned motion in free space over the table.")
+            .input("motion", Type::motion(), "The motion.")
+            .input("grasp", Type::map(Type::Any), "How the tool was grasped.")
+            .optional("height", Type::quantity(Unit::M), 0.05, "Height of the tool over the table.")
+            .optional("periods", Type::Int, 3_i64, "Whole periods to perform.")
+            .output("frequency", Type::quantity(Unit::HZ), "Frequency of the motion.")
+            .event(STEADY)
+            .event(OVER)
+            .limb("torso")
+            .limb("right_arm");
     equipment::skill(equipment, manifest, run)
 }
 

@@ -12,10 +12,11 @@ use crate::inputs::{Inputs, reference};
 use crate::motions;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
-    let manifest = SkillManifest::new("KeepMotion", "Keeps the newest version of a motion in memory under a name.")
-        .input("motion", Type::motion(), "The motion.")
-        .input("name", Type::String, "The name to keep it under.")
-        .output("motion", Type::motion(), "The kept motion.");
+    let manifest =
+        SkillManifest::new("KeepMotion", "Keeps the newest version of a motion in memory under a name.")
+            .input("motion", Type::motion(), "The motion.")
+            .input("name", Type::String, "The name to keep it under.")
+            .output("motion", Type::motion(), "The kept motion.");
     equipment::skill(equipment, manifest, run)
 }
 

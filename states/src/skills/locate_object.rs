@@ -21,11 +21,14 @@ use crate::prior::object_class;
 const SIGHTS: usize = 5;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
-    let manifest = SkillManifest::new("LocateObject", "Finds an object of prior knowledge in the stereo images and puts it into memory.")
-        .input("object", Type::String, "Object class in prior knowledge.")
-        .optional("timeout", Type::Duration, 5.0, "How long to look for it.")
-        .output("object", Type::object(), "The object in memory.")
-        .output("pose", Type::Pose, "Its pose in the root frame.");
+    let manifest = SkillManifest::new(
+        "LocateObject",
+        "Finds an object of prior knowledge in the stereo images and puts it into memory.",
+    )
+    .input("object", Type::String, "Object class in prior knowledge.")
+    .optional("timeout", Type::Duration, 5.0, "How long to look for it.")
+    .output("object", Type::object(), "The object in memory.")
+    .output("pose", Type::Pose, "Its pose in the root frame.");
     equipment::skill(equipment, manifest, run)
 }
 
@@ -57,10 +60,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let pose = hand_eye.pose(&median(&sights));
     let stamp_ns = senses.newest().stamp_ns;
     let id = EntityId::new("ObjectInstances", &equipment.agent, name).map_err(failed)?;
-    let attributes = BTreeMap::from([
-        ("class".to_owned(), Value::from(name)),
-        ("pose".to_owned(), pose_value(&pose)),
-    ]);
+    let attributes =
+        BTreeMap::from([("class".to_owned(), Value::from(name)), ("pose".to_owned(), pose_value(&pose))]);
     let confidence = sights[0].visible.clamp(0.0, 1.0);
     let commit = Commit::new(id.clone(), stamp_ns, attributes).with_confidence(confidence);
     equipment.memory.commit(vec![commit]).await.map_err(failed)?;

@@ -24,7 +24,8 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
-    let point = as_point(context.value("point")?).ok_or_else(|| Failure::new("`point` needs three numbers"))?;
+    let point =
+        as_point(context.value("point")?).ok_or_else(|| Failure::new("`point` needs three numbers"))?;
     let (tolerance, timeout) = (context.number("tolerance")?, context.number("timeout")?);
     let head = lease(&equipment, &context, "head")?;
     let model = equipment.robot.model();

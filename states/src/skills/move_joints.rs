@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-//WAIT
+use armarium_robot::postures;
+
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
@@ -14,13 +15,21 @@ use crate::inputs::Inputs;
 const SHARE: f64 = 0.8;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
-    let manifest = SkillManifest::new("MoveJoints", "Moves right arm and torso together to a posture, each joint in a straight line.")
-        .optional("posture", Type::String, "", "A named posture of the robot, for instance `home`.")
-        .optional("arm", Type::list(Type::FLOAT), Vec::<f64>::new(), "Arm joint angles, rad, instead of a posture.")
-        .optional("tolerance", Type::quantity(Unit::RAD), 0.01, "When each joint counts as reached.")
-        .optional("timeout", Type::Duration, 15.0, "Longest time it may take.")
-        .limb("right_arm")
-        .limb("torso");
+    let manifest = SkillManifest::new(
+        "MoveJoints",
+        "Moves right arm and torso together to a posture, each joint in a straight line.",
+    )
+    .optional("posture", Type::String, "", "A named posture of the robot, for instance `home`.")
+    .optional(
+        "arm",
+        Type::list(Type::FLOAT),
+        Vec::<f64>::new(),
+        "Arm joint angles, rad, instead of a posture.",
+    )
+    .optional("tolerance", Type::quantity(Unit::RAD), 0.01, "When each joint counts as reached.")
+    .optional("timeout", Type::Duration, 15.0, "Longest time it may take.")
+    .limb("right_arm")
+    .limb("torso");
     equipment::skill(equipment, manifest, run)
 }
 
@@ -58,7 +67,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             .map(|j| error(j).abs() / (2.0 * acceleration(j) * error(j).abs()).sqrt().max(1e-6))
             .fold(0.0, f64::max);
         let time_left = time_left.max(braking).max(0.08);
-        let velocity = |joints: &[usize]| -> Vec<f64> { joints.iter().map(|&j| error(j) / time_left).collect() };
+        let velocity =
+            |joints: &[usize]| -> Vec<f64> { joints.iter().map(|&j| error(j) / time_left).collect() };
         arm.command(&velocity(arm_joints)).map_err(|f| Failure::new(f.to_string()))?;
         torso.command(&velocity(torso_joints)).map_err(|f| Failure::new(f.to_string()))?;
     }
@@ -70,9 +80,11 @@ fn goal(equipment: &Equipment, context: &SkillContext) -> Result<Vec<f64>, Failu
     let mut goal = equipment.robot.sensed().borrow().position.clone();
     let name = context.text("posture")?;
     if !name.is_empty() {
-        let posture: Vec<(usize, f64)> = model.limb(ARM).iter().copied().zip([-0.738, 0.637, -1.329, -0.448, 0.283, 0.018, 0.110]).chain(model.limb("torso").iter().copied().zip([0.0, 0.25, 0.3])).collect(); let _ = name;
-        for (joint, angle) in posture {
-            goal[joint] = angle;
+        let posture = postures::named(model, name).ok_or_else(|| {
+            Failure::new(format!("the robot has no posture `{name}`; it has `home` and `wipe`"))
+        })?;
+        for joint in postures::reaching_joints(model) {
+            goal[joint] = posture[joint];
         }
         return Ok(goal);
     }
@@ -86,7 +98,10 @@ fn goal(equipment: &Equipment, context: &SkillContext) -> Result<Vec<f64>, Failu
         )));
     }
     for (&joint, angle) in joints.iter().zip(angles) {
-        goal[joint] = angle.as_f64().filter(|a| a.is_finite()).ok_or_else(|| Failure::new("`arm` holds something that is no number"))?;
+        goal[joint] = angle
+            .as_f64()
+            .filter(|a| a.is_finite())
+            .ok_or_else(|| Failure::new("`arm` holds something that is no number"))?;
     }
     Ok(goal)
 }

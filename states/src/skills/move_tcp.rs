@@ -12,14 +12,23 @@ use crate::inputs::{Inputs, pose_value};
 use crate::line::Line;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
-    let manifest = SkillManifest::new("MoveTcp", "Moves the right hand's TCP to a pose on a straight line, turning evenly.")
-        .input("target", Type::Pose, "Pose of the TCP in the root frame.")
-        .optional("speed", Type::quantity(Unit::M_S), 0.15, "Speed on the line.")
-        .optional("position_tolerance", Type::quantity(Unit::M), 0.005, "When the position counts as reached.")
-        .optional("orientation_tolerance", Type::quantity(Unit::RAD), 0.05, "When the orientation counts as reached.")
-        .optional("timeout", Type::Duration, 15.0, "Longest time it may take.")
-        .output("tcp", Type::Pose, "Where the TCP is at the end.")
-        .limb("right_arm");
+    let manifest = SkillManifest::new(
+        "MoveTcp",
+        "Moves the right hand's TCP to a pose on a straight line, turning evenly.",
+    )
+    .input("target", Type::Pose, "Pose of the TCP in the root frame.")
+    .optional("speed", Type::quantity(Unit::M_S), 0.15, "Speed on the line.")
+    .optional("position_tolerance", Type::quantity(Unit::M), 0.005, "When the position counts as reached.")
+    .optional(
+        "orientation_tolerance",
+        Type::quantity(Unit::RAD),
+        0.05,
+        "When the orientation counts as reached.",
+    )
+    .optional("timeout", Type::Duration, 15.0, "Longest time it may take.")
+    .output("tcp", Type::Pose, "Where the TCP is at the end.")
+    .limb("torso")
+    .limb("right_arm");
     equipment::skill(equipment, manifest, run)
 }
 

@@ -11,18 +11,23 @@ use crate::inputs::{Inputs, as_vector};
 use crate::skills::move_tcp::{Reached, move_to};
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
-    let manifest = SkillManifest::new("MoveTcpBy", "Moves the right hand's TCP by an offset on a straight line, without turning it.")
-        .input("offset", Type::list(Type::FLOAT), "x, y, z in the root frame, m.")
-        .optional("speed", Type::quantity(Unit::M_S), 0.1, "Speed on the line.")
-        .optional("position_tolerance", Type::quantity(Unit::M), 0.01, "When the position counts as reached.")
-        .optional("timeout", Type::Duration, 10.0, "Longest time it may take.")
-        .output("tcp", Type::Pose, "Where the TCP is at the end.")
-        .limb("right_arm");
+    let manifest = SkillManifest::new(
+        "MoveTcpBy",
+        "Moves the right hand's TCP by an offset on a straight line, without turning it.",
+    )
+    .input("offset", Type::list(Type::FLOAT), "x, y, z in the root frame, m.")
+    .optional("speed", Type::quantity(Unit::M_S), 0.1, "Speed on the line.")
+    .optional("position_tolerance", Type::quantity(Unit::M), 0.01, "When the position counts as reached.")
+    .optional("timeout", Type::Duration, 10.0, "Longest time it may take.")
+    .output("tcp", Type::Pose, "Where the TCP is at the end.")
+    .limb("torso")
+    .limb("right_arm");
     equipment::skill(equipment, manifest, run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
-    let offset = as_vector(context.value("offset")?).ok_or_else(|| Failure::new("`offset` needs three numbers"))?;
+    let offset =
+        as_vector(context.value("offset")?).ok_or_else(|| Failure::new("`offset` needs three numbers"))?;
     let reached = Reached {
         position: context.number("position_tolerance")?,
         angle: 0.1,

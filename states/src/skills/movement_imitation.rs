@@ -6,8 +6,8 @@
 use std::sync::Arc;
 
 use armarium_motion::{
-    DemonstrationSegmenter, DemonstrationStage, Imitation, Motion, MotionError, PeriodicDmp, PeriodicDmpConfig,
-    SegmenterConfig, Swipe,
+    DemonstrationSegmenter, DemonstrationStage, Imitation, Motion, MotionError, PeriodicDmp,
+    PeriodicDmpConfig, SegmenterConfig, Swipe,
 };
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
@@ -28,13 +28,16 @@ const REQUEST: &str = "Please show me how to wipe.";
 const POINTS: usize = 200;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
-    let manifest = SkillManifest::new("MovementImitation", "Watches the coach's tool and learns the periodic motion that it shows.")
-        .input("marker", Type::String, "Object class in prior knowledge that the coach demonstrates with.")
-        .optional("name", Type::String, "wiping", "Name of the learned motion.")
-        .optional("patience", Type::Duration, 30.0, "How long to wait for the demonstration to begin.")
-        .optional("periods", Type::Int, 40_i64, "Periods after which the demonstration has been seen enough.")
-        .output("motion", Type::motion(), "The learned motion.")
-        .output("frequency", Type::quantity(Unit::HZ), "Its frequency.");
+    let manifest = SkillManifest::new(
+        "MovementImitation",
+        "Watches the coach's tool and learns the periodic motion that it shows.",
+    )
+    .input("marker", Type::String, "Object class in prior knowledge that the coach demonstrates with.")
+    .optional("name", Type::String, "wiping", "Name of the learned motion.")
+    .optional("patience", Type::Duration, 30.0, "How long to wait for the demonstration to begin.")
+    .optional("periods", Type::Int, 40_i64, "Periods after which the demonstration has been seen enough.")
+    .output("motion", Type::motion(), "The learned motion.")
+    .output("frequency", Type::quantity(Unit::HZ), "Its frequency.");
     equipment::skill(equipment, manifest, run)
 }
 
@@ -92,7 +95,8 @@ async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<Seen, Fa
         }
         let Some(frame) = frames.new_frame()? else { continue };
         let time = frame.stamp_ns as f64 * 1e-9;
-        let place = tracking.update(&frame).map(|tool| hand_eye.camera(&frame.root_from_left) * tool.point_in_left);
+        let place =
+            tracking.update(&frame).map(|tool| hand_eye.camera(&frame.root_from_left) * tool.point_in_left);
         let known = match place {
             Some(point) => segmenter.observe(time, point).map_err(failed)?,
             None => segmenter.known(),

@@ -4,13 +4,13 @@
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 
-use armarium_robot::{LinkId, Model, PoseOptions, solve_pose};
+use armarium_robot::{LinkId, Model, PoseOptions, postures, solve_pose};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
-use armarium_values::{Type, Unit, Value};
+use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Point3, Vector3};
 use rand_chacha::ChaCha8Rng;
 
-use crate::arm::{ARM, TCP, link};
+use crate::arm::{TCP, link};
 use crate::equipment::{self, Equipment};
 use crate::grasp::tcp_at;
 use crate::inputs::{Inputs, as_pose, pose_value};
@@ -25,12 +25,14 @@ const MISALIGNMENT_COST: f64 = 1.0;
 const LEAST_MARGIN: f64 = 0.03;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
-    let manifest = SkillManifest::new("PlanGrasp", "Chooses the pose of the hand for a grasp from above, by the arm's margin.")
-        .input("object", Type::object(), "The object in memory.")
-        .optional("height", Type::quantity(Unit::M), 0.12, "Height of the pre-pose over the grasp.")
-        .output("grasp_pose", Type::Pose, "Pose of the TCP that grasps the object.")
-        .output("pre_pose", Type::Pose, "Pose of the TCP above it.")
-        .output("arm", Type::list(Type::FLOAT), "Joint angles of the arm at the pre-pose, rad.");
+    let manifest = SkillManifest::new(
+        "PlanGrasp",
+        "Chooses the pose of the hand for a grasp from above, by the arm's margin.",
+    )
+    .input("object", Type::object(), "The object in memory.")
+    .optional("height", Type::quantity(Unit::M), 0.12, "Height of the pre-pose over the grasp.")
+    .output("grasp_pose", Type::Pose, "Pose of the TCP that grasps the object.")
+    .output("pre_pose", Type::Pose, "Pose of the TCP above it.");
     equipment::skill(equipment, manifest, run)
 }
 
@@ -38,7 +40,6 @@ struct Candidate {
     score: f64,
     grasp: Isometry3<f64>,
     pre: Isometry3<f64>,
-    arm: Vec<f64>,
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
@@ -51,7 +52,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let yaw = object.rotation.euler_angles().2;
     let model = equipment.robot.model();
     let tcp = link(model, TCP)?;
-    let q = equipment.robot.sensed().borrow().position.clone();
+    let q = postures::wipe(model);
     let mut random = equipment.random();
     let mut best: Option<Candidate> = None;
     let mut nearest = f64::INFINITY;
@@ -75,10 +76,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             nearest * 1e3
         )));
     };
-    Ok(Outcome::success()
-        .with("grasp_pose", pose_value(&best.grasp))
-        .with("pre_pose", pose_value(&best.pre))
-        .with("arm", Value::from(best.arm)))
+    Ok(Outcome::success().with("grasp_pose", pose_value(&best.grasp)).with("pre_pose", pose_value(&best.pre)))
 }
 
 /// A grasp with its score, or how far it is out of reach, m.
@@ -94,15 +92,18 @@ fn candidate(
     let mut pre = grasp;
     pre.translation.vector += Vector3::z() * height;
     let options = PoseOptions { restarts: 3, ..PoseOptions::default() };
-    let joints = model.limb(ARM);
-    let at_grasp = solve_pose(model, tcp, joints, &grasp, q, &options, random).map_err(|e| e.position_error_m)?;
-    let at_pre = solve_pose(model, tcp, joints, &pre, &at_grasp, &options, random).map_err(|e| e.position_error_m)?;
-    let margin_of = |q: &[f64], j: usize| (q[j] - model.joints()[j].lower).min(model.joints()[j].upper - q[j]);
+    let joints = &postures::reaching_joints(model);
+    let at_grasp =
+        solve_pose(model, tcp, joints, &grasp, q, &options, random).map_err(|e| e.position_error_m)?;
+    let at_pre =
+        solve_pose(model, tcp, joints, &pre, &at_grasp, &options, random).map_err(|e| e.position_error_m)?;
+    let margin_of =
+        |q: &[f64], j: usize| (q[j] - model.joints()[j].lower).min(model.joints()[j].upper - q[j]);
     let margins = joints.iter().flat_map(|&j| [margin_of(&at_grasp, j), margin_of(&at_pre, j)]);
     let margin = margins.fold(f64::INFINITY, f64::min);
     if margin < LEAST_MARGIN {
         return Err(0.0);
     }
     let score = margin - MISALIGNMENT_COST * misalignment.abs();
-    Ok(Candidate { score, grasp, pre, arm: joints.iter().map(|&j| at_pre[j]).collect() })
+    Ok(Candidate { score, grasp, pre })
 }

@@ -35,6 +35,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         .input("tcp_at_grasp", Type::Pose, "Pose of the TCP when the hand closed.")
         .output("mass", Type::quantity(Unit::KG), "Mass of the object, by the difference of weights.")
         .output("grasp", Type::map(Type::Any), "Pose of the TCP at the grasp, height and mass of the object.")
+        .limb("torso")
         .limb("right_arm");
     equipment::skill(equipment, manifest, run)
 }
@@ -47,7 +48,10 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 
     let aperture = aperture(equipment.robot.model(), &senses.newest());
     if aperture < LEAST_APERTURE {
-        return Err(Failure::new(format!("the hand is closed to {:.0} mm: it holds nothing", aperture * 1e3)));
+        return Err(Failure::new(format!(
+            "the hand is closed to {:.0} mm: it holds nothing",
+            aperture * 1e3
+        )));
     }
     let force = mean_force(&mut arm, &mut senses, 0.5).await?;
     let weight = context.number("empty")? - force.z;
@@ -79,7 +83,8 @@ async fn look(
 ) -> Result<(), Failure> {
     let hand_eye = HandEye::load(&*equipment.memory, &equipment.agent).await?;
     let settings = MarkerSettings { color: ColorModel::from_rgb(color), ..MarkerSettings::new(color) };
-    let mut tracking = ColorMarkerObjectTracking::new(equipment.images.calibration(), settings, equipment.seed);
+    let mut tracking =
+        ColorMarkerObjectTracking::new(equipment.images.calibration(), settings, equipment.seed);
     let mut frames = Frames::of(&equipment.images);
     let (mut waited, mut nearest) = (0.0, f64::INFINITY);
     while waited < 2.0 {

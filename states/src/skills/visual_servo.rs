@@ -33,16 +33,25 @@ const PLAUSIBLE: f64 = 0.06;
 const STOPPING_FORCE: f64 = 12.0;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
-    let manifest = SkillManifest::new("VisualServoTowardsTargetPose", "Brings the hand to an object's grasp pose, seeing hand and object with the same cameras.")
-        .input("object", Type::object(), "The object in memory.")
-        .input("target", Type::Pose, "Planned pose of the TCP at the grasp.")
-        .input("pre_pose", Type::Pose, "Pose of the TCP above it.")
-        .optional("position_tolerance", Type::quantity(Unit::M), 0.004, "When the position counts as reached.")
-        .optional("orientation_tolerance", Type::quantity(Unit::RAD), 0.06, "When the orientation counts as reached.")
-        .optional("timeout", Type::Duration, 20.0, "Longest time for each of the two parts.")
-        .output("tcp", Type::Pose, "Pose of the TCP at the end.")
-        .output("seen_error", Type::quantity(Unit::M), "Distance of the hand from the grasp, as seen.")
-        .limb("right_arm");
+    let manifest = SkillManifest::new(
+        "VisualServoTowardsTargetPose",
+        "Brings the hand to an object's grasp pose, seeing hand and object with the same cameras.",
+    )
+    .input("object", Type::object(), "The object in memory.")
+    .input("target", Type::Pose, "Planned pose of the TCP at the grasp.")
+    .input("pre_pose", Type::Pose, "Pose of the TCP above it.")
+    .optional("position_tolerance", Type::quantity(Unit::M), 0.004, "When the position counts as reached.")
+    .optional(
+        "orientation_tolerance",
+        Type::quantity(Unit::RAD),
+        0.06,
+        "When the orientation counts as reached.",
+    )
+    .optional("timeout", Type::Duration, 20.0, "Longest time for each of the two parts.")
+    .output("tcp", Type::Pose, "Pose of the TCP at the end.")
+    .output("seen_error", Type::quantity(Unit::M), "Distance of the hand from the grasp, as seen.")
+    .limb("torso")
+    .limb("right_arm");
     equipment::skill(equipment, manifest, run)
 }
 
@@ -80,7 +89,9 @@ async fn servo(
     loop {
         let (sample, _) = senses.next().await?;
         if let Some(frame) = sight.frames.new_frame()? {
-            let dt = frame.stamp_ns.saturating_sub(last_frame_ns.unwrap_or(frame.stamp_ns)).max(1_000_000) as f64 * 1e-9;
+            let dt = frame.stamp_ns.saturating_sub(last_frame_ns.unwrap_or(frame.stamp_ns)).max(1_000_000)
+                as f64
+                * 1e-9;
             last_frame_ns = Some(frame.stamp_ns);
             let tcp = arm.tcp(&sample);
             let marker = equipment.robot.model().link_pose(&sample.position, marker_link);
@@ -107,7 +118,9 @@ fn explain(status: ServoStatus, distance: f64) -> String {
     let left = distance * 1e3;
     match status {
         ServoStatus::Lost => "the marker on the hand was lost from sight while servoing".into(),
-        ServoStatus::Diverged => format!("servoing diverged: the hand moves away from the object ({left:.0} mm)"),
+        ServoStatus::Diverged => {
+            format!("servoing diverged: the hand moves away from the object ({left:.0} mm)")
+        }
         _ => format!("servoing took too long: the hand is still {left:.0} mm from the object"),
     }
 }
@@ -166,7 +179,9 @@ impl Sight {
     }
 
     fn look_for_object(&mut self, frame: &StereoFrame) {
-        let Some(object) = self.localizer.localize(frame).filter(|o| o.visible > WELL_VISIBLE) else { return };
+        let Some(object) = self.localizer.localize(frame).filter(|o| o.visible > WELL_VISIBLE) else {
+            return;
+        };
         let seen = self.hand_eye.pose(&object.root_from_object).translation.vector;
         let step = seen - self.center.coords;
         if step.norm() < PLAUSIBLE {

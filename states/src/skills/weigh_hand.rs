@@ -17,6 +17,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     )
     .optional("duration", Type::Duration, 0.5, "How long to average.")
     .output("force", Type::quantity(Unit::N), "Mean upward force on the hand.")
+    .limb("torso")
     .limb("right_arm");
     equipment::skill(equipment, manifest, run)
 }

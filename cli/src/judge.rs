@@ -1,0 +1,207 @@
+//! The report of a run: `report.json` for programs, `report.html` for people. What it says of the world was measured by
+//! the referee.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::path::Path;
+
+use armarium_runtime::exec::RunResult;
+use armarium_simulator::referee::{Record, TruthLog};
+use armarium_simulator::{Mark, Referee, World};
+use armarium_viewer::report::{
+    self, Band, ChainLink, CoachingRow, Path as PlanPath, PathRole, Picture, ReportData, Series, TimePlot,
+};
+use serde_json::{Value as Json, json};
+
+use crate::chronicle::Story;
+
+/// What a report is written from.
+pub(crate) struct Case<'r> {
+    pub(crate) chart: &'r str,
+    pub(crate) world: &'r World,
+    pub(crate) seed: u64,
+    pub(crate) result: &'r RunResult,
+    pub(crate) simulated_s: f64,
+    pub(crate) wall_s: f64,
+    pub(crate) trace_sha256: String,
+    pub(crate) referee: &'r Referee,
+    pub(crate) story: &'r Story,
+    pub(crate) pictures: Vec<Picture>,
+    pub(crate) joints: Vec<TimePlot>,
+}
+
+/// The figures of the run, by the names that reports share.
+pub(crate) fn figures(case: &Case<'_>) -> Json {
+    let measured = serde_json::to_value(case.referee.report()).unwrap_or_else(|_| json!({}));
+    let mut report = json!({
+        "chart": case.chart,
+        "world": case.world.name,
+        "seed": case.seed,
+        "outcome": case.result.outcome,
+        "reason": case.result.reason,
+        "chain": case.result.chain,
+        "simulated_s": case.simulated_s,
+        "wall_s": case.wall_s,
+        "real_time_factor": case.simulated_s / case.wall_s.max(1e-9),
+        "trace_sha256": case.trace_sha256,
+    });
+    if let (Json::Object(report), Json::Object(measured)) = (&mut report, measured) {
+        report.extend(measured);
+    }
+    if let (Some(imitation), Some(shown)) =
+        (report.get_mut("imitation").and_then(Json::as_object_mut), &case.world.coach.demonstration)
+    {
+        imitation.insert("demonstrated_frequency_hz".into(), json!(shown.frequency));
+    }
+    report
+}
+
+/// Writes both reports into `folder`.
+///
+/// # Errors
+/// When a file cannot be written.
+pub(crate) fn write(folder: &Path, case: Case<'_>) -> io::Result<Json> {
+    let figures = figures(&case);
+    std::fs::write(folder.join("report.json"), format!("{figures:#}\n"))?;
+    std::fs::write(folder.join("report.html"), report::render(&page(case, &figures)))?;
+    Ok(figures)
+}
+
+fn page(case: Case<'_>, figures: &Json) -> ReportData {
+    let log = case.referee.log();
+    let marks = case.referee.marks();
+    let minutes = |s: f64| format!("{:.0} min {:04.1} s", (s / 60.0).floor(), s % 60.0);
+    ReportData {
+        title: case.chart.to_owned(),
+        subtitle: format!("world `{}`, seed {}", case.world.name, case.seed),
+        outcome: case.result.outcome.clone(),
+        reason: case.result.reason.clone(),
+        failure_chain: case
+            .result
+            .chain
+            .iter()
+            .map(|s| ChainLink { state: s.clone(), reason: None })
+            .collect(),
+        facts: vec![
+            ("simulated".into(), minutes(case.simulated_s)),
+            ("on the wall".into(), minutes(case.wall_s)),
+            ("real time factor".into(), format!("{:.2}", case.simulated_s / case.wall_s.max(1e-9))),
+            ("trace".into(), case.trace_sha256.chars().take(16).collect()),
+        ],
+        figures: report::figures(figures),
+        states: case.story.states.clone(),
+        paths: paths(&log, &marks),
+        force: force(&log, &marks),
+        joints: case.joints,
+        coaching: coaching(figures),
+        confusion: serde_json::from_value(figures["gestures"]["confusion"].clone()).unwrap_or_default(),
+        pictures: case.pictures,
+        log: case.story.log.clone(),
+        ..ReportData::default()
+    }
+}
+
+fn time_of(marks: &[(u64, Mark)], test: impl Fn(&Mark) -> bool) -> Option<u64> {
+    marks.iter().rev().find(|(_, mark)| test(mark)).map(|(t, _)| *t)
+}
+
+/// The coach's path, the one performed in free space, and the one at the end.
+fn paths(log: &TruthLog, marks: &[(u64, Mark)]) -> Vec<PlanPath> {
+    let second = 1_000_000_000;
+    let end = log.records.last().map_or(0, |r| r.stamp_ns);
+    let tcp = |r: &Record| Some([r.tcp.translation.x, r.tcp.translation.y]);
+    let tool = |r: &Record| r.tool.map(|t| [t.x, t.y]);
+    let mut paths = Vec::new();
+    let mut add = |label: &str, role, from: u64, to: u64, point: &dyn Fn(&Record) -> Option<[f64; 2]>| {
+        let points: Vec<[f64; 2]> = log.between(from, to).iter().step_by(10).filter_map(point).collect();
+        if points.len() > 1 {
+            paths.push(PlanPath { label: label.into(), role, points });
+        }
+    };
+    let learned = time_of(marks, |m| *m == Mark::LearningEnded).unwrap_or(0);
+    add("demonstrated by the coach", PathRole::Demonstrated, 0, learned.max(1), &tool);
+    if let Some(steady) = time_of(marks, |m| *m == Mark::FreeSpaceSteady) {
+        add("performed in free space", PathRole::Learned, steady, steady + 4 * second, &tcp);
+    }
+    if let Some(wiping) = time_of(marks, |m| *m == Mark::WipingStarted) {
+        let last = end.saturating_sub(6 * second).max(wiping);
+        add("wiped at the end", PathRole::Coached, last, end.saturating_sub(2 * second), &tcp);
+    }
+    paths
+}
+
+/// The true contact force from touching down on.
+fn force(log: &TruthLog, marks: &[(u64, Mark)]) -> Option<TimePlot> {
+    let from = time_of(marks, |m| *m == Mark::AdaptationStarted)?;
+    let wanted = marks.iter().rev().find_map(|(t, mark)| match mark {
+        Mark::AdaptationEnded { desired_n, .. } => Some((*t, *desired_n)),
+        _ => None,
+    });
+    let records = log.between(from, u64::MAX);
+    let seconds = |ns: u64| ns as f64 * 1e-9;
+    Some(TimePlot {
+        title: "Force between tool and table".into(),
+        y_label: "Normal force, N".into(),
+        series: vec![Series {
+            label: "true normal force".into(),
+            t_s: records.iter().map(|r| seconds(r.stamp_ns)).collect(),
+            y: records.iter().map(|r| r.normal).collect(),
+        }],
+        band: wanted.map(|(t, value)| Band {
+            value,
+            tolerance: 1.0,
+            label: "desired, within 1 N".into(),
+            from_s: Some(seconds(t)),
+            to_s: None,
+        }),
+        ..TimePlot::default()
+    })
+}
+
+fn coaching(figures: &Json) -> Vec<CoachingRow> {
+    let steps = figures["coaching"].as_array().map(Vec::as_slice).unwrap_or_default();
+    let number = |step: &Json, name: &str| step[name].as_f64();
+    steps
+        .iter()
+        .map(|step| CoachingRow {
+            kind: step["kind"].as_str().unwrap_or_default().to_owned(),
+            at_s: number(step, "at_s").unwrap_or_default(),
+            displacement_m: number(step, "displacement_m"),
+            retained_m: number(step, "retained_m"),
+            far_side_rms_m: number(step, "far_side_rms_m"),
+            slowed_to: number(step, "slowed_to"),
+        })
+        .collect()
+}
+
+/// Joint angles of the moving limbs, gathered while the robot runs.
+#[derive(Debug, Default)]
+pub(crate) struct JointLog {
+    times: Vec<f64>,
+    positions: BTreeMap<usize, Vec<f64>>,
+}
+
+impl JointLog {
+    /// One sample of the joints `chosen`.
+    pub(crate) fn add(&mut self, t_s: f64, position: &[f64], chosen: &[usize]) {
+        self.times.push(t_s);
+        for &joint in chosen {
+            self.positions.entry(joint).or_default().push(position.get(joint).copied().unwrap_or(f64::NAN));
+        }
+    }
+
+    /// A plot a joint, with its limits.
+    pub(crate) fn plots(&self, model: &armarium_robot::Model) -> Vec<TimePlot> {
+        let plot = |(joint, y): (&usize, &Vec<f64>)| {
+            let described = &model.joints()[*joint];
+            TimePlot {
+                title: described.name.clone(),
+                y_label: "rad".into(),
+                series: vec![Series { label: described.name.clone(), t_s: self.times.clone(), y: y.clone() }],
+                limits: vec![(described.lower, "lower".into()), (described.upper, "upper".into())],
+                ..TimePlot::default()
+            }
+        };
+        self.positions.iter().map(plot).collect()
+    }
+}

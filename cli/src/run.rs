@@ -1,0 +1,318 @@
+//! `armarium run CHART`: checks the chart, sets the stage, runs it in the simulator, and leaves recording and report.
+
+use std::collections::BTreeMap;
+use std::io::{self, IsTerminal as _, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use armarium_memoryx::Memory;
+use armarium_runtime::channels::Channels;
+use armarium_runtime::exec::{Controller, ExecOptions, Executor, RunResult};
+use armarium_simulator::{TruthSink, World};
+use armarium_states::observers;
+use armarium_values::Value;
+use armarium_viewer::progress::{Progress, Status};
+use armarium_viewer::recorder::Recorder;
+
+use crate::catalog;
+use crate::chronicle::{Chronicle, Story};
+use crate::gallery::Gallery;
+use crate::judge::{self, Case, JointLog};
+use crate::recording::{RunDigest, SharedRecorder, TruthTopics, locked, record_robot};
+use crate::render_findings::{Shown, any_error, render, summary};
+use crate::stage::Stage;
+
+/// What `run` takes.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct RunArgs {
+    /// The chart to run.
+    #[arg(value_name = "CHART")]
+    pub(crate) chart: PathBuf,
+    /// The simulated world; the default kitchen if not given.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) world: Option<PathBuf>,
+    /// Seeds everything that varies.
+    #[arg(long, default_value_t = 1)]
+    pub(crate) seed: u64,
+    /// Folder for report.json, report.html and run.mcap.
+    #[arg(long, value_name = "DIR", default_value = "report")]
+    pub(crate) report: PathBuf,
+    /// The long-term store that motions are kept in.
+    #[arg(long, value_name = "FILE", default_value = "armarium.redb")]
+    pub(crate) store: PathBuf,
+    /// An input of the chart, for instance `contact_force=10` or `patience=30s`; may be repeated.
+    #[arg(long = "set", value_name = "INPUT=VALUE", value_parser = parse_input)]
+    pub(crate) inputs: Vec<(String, Value)>,
+    /// The chart's profile whose defaults are used.
+    #[arg(long)]
+    pub(crate) profile: Option<String>,
+    /// Folders where charts find other charts by name, besides their own.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) charts: Vec<PathBuf>,
+    /// As fast as the machine (`max`), or in real time (`1`).
+    #[arg(long, value_enum, default_value_t = Speed::Max)]
+    pub(crate) speed: Speed,
+    /// Show what happens as lines of text.
+    #[arg(short, long)]
+    pub(crate) verbose: bool,
+}
+
+/// How fast simulated time goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Speed {
+    /// Virtual time: as fast as the machine, repeatable bit for bit.
+    Max,
+    /// Real time.
+    #[value(name = "1")]
+    RealTime,
+}
+
+fn parse_input(text: &str) -> Result<(String, Value), String> {
+    let (name, value) = text.split_once('=').ok_or("write it as INPUT=VALUE")?;
+    let value = match value {
+        "true" => Value::Bool(true),
+        "false" => Value::Bool(false),
+        _ => value
+            .parse()
+            .map(Value::Int)
+            .or_else(|_| value.parse().map(Value::Float))
+            .unwrap_or_else(|_| Value::from(value)),
+    };
+    Ok((name.to_owned(), value))
+}
+
+/// Why a run did not begin; nothing has moved.
+enum NotBegun {
+    Findings(Vec<Shown>),
+    Message(String),
+}
+
+/// Runs the chart; what is to be said goes to `out`. Returns the exit status: 0 success, 1 a run that failed, 2 a file
+/// or argument that is wrong.
+///
+/// # Errors
+/// When `out` or a report cannot be written.
+pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
+    let began = Instant::now();
+    let mut builder = tokio::runtime::Builder::new_current_thread();
+    builder.enable_all().start_paused(args.speed == Speed::Max);
+    let runtime = builder.build()?;
+    match runtime.block_on(perform(args, began, out)) {
+        Ok(status) => Ok(status),
+        Err(NotBegun::Message(message)) => {
+            writeln!(out, "error: {message}")?;
+            Ok(2)
+        }
+        Err(NotBegun::Findings(findings)) => {
+            show(&findings, out)?;
+            Ok(2)
+        }
+    }
+}
+
+fn show(findings: &[Shown], out: &mut dyn Write) -> io::Result<()> {
+    let colour = io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+    write!(out, "{}", render(findings, colour, 100))?;
+    writeln!(out, "{}", summary(findings))
+}
+
+fn begin_error(error: impl std::fmt::Display) -> NotBegun {
+    NotBegun::Message(error.to_string())
+}
+
+async fn perform(args: &RunArgs, began: Instant, out: &mut dyn Write) -> Result<u8, NotBegun> {
+    let world = load_world(args.world.as_deref())?;
+    let recorder: SharedRecorder = Arc::new(Mutex::new(None));
+    let digest = RunDigest::default();
+    let sinks: Vec<Box<dyn TruthSink>> =
+        vec![Box::new(digest.clone()), Box::new(TruthTopics(Arc::clone(&recorder)))];
+    let (mut stage, simulation) = Stage::set(&world, args.seed, &args.store, sinks).map_err(begin_error)?;
+    let gallery = Arc::new(Gallery::of(Arc::clone(&stage.equipment.images)));
+    stage.equipment.images = Arc::clone(&gallery) as Arc<dyn armarium_visionx::ImageSource>;
+
+    let registry = catalog::registry(&stage.equipment);
+    let checked = catalog::load(&args.chart, &args.charts, &registry);
+    let findings: Vec<Shown> = checked.findings.iter().map(Shown::from).collect();
+    let program = match checked.program {
+        Some(program) if !any_error(&findings) => program,
+        _ => return Err(NotBegun::Findings(findings)),
+    };
+    if !findings.is_empty() {
+        show(&findings, out).map_err(begin_error)?;
+    }
+    let chart = program.name().to_owned();
+    std::fs::create_dir_all(&args.report).map_err(|e| {
+        NotBegun::Message(format!("the folder `{}` cannot be made: {e}", args.report.display()))
+    })?;
+
+    let progress = Progress::new(Box::new(io::stderr()), io::stderr().is_terminal());
+    let printer = progress.clone();
+    let chronicle = Chronicle {
+        story: Arc::new(Mutex::new(Story::default())),
+        digest: digest.clone(),
+        recorder: Arc::clone(&recorder),
+        referee: stage.referee.clone(),
+        clock: stage.handle.clone(),
+        print: Arc::new(move |line| printer.print(line)),
+        verbose: args.verbose,
+    };
+    let channels = Channels::new();
+    let robot = Arc::clone(&stage.robot);
+    let options = ExecOptions {
+        inputs: args.inputs.iter().cloned().collect(),
+        profile: args.profile.clone(),
+        sink: Some(Box::new(chronicle.clone())),
+        on_stuck: Some(Box::new(move |state| robot.stop(&format!("the skill of `{state}` does not return")))),
+    };
+    let executor = Executor::new(program, registry, channels.clone(), options).map_err(begin_error)?;
+    let metadata = BTreeMap::from([
+        ("chart".to_owned(), chart.clone()),
+        ("world".to_owned(), world.name.clone()),
+        ("seed".to_owned(), args.seed.to_string()),
+    ]);
+    *locked(&recorder) =
+        Some(Recorder::create(&args.report.join("run.mcap"), metadata).map_err(begin_error)?);
+
+    let joints = Arc::new(Mutex::new(JointLog::default()));
+    let mut helpers = vec![
+        record_robot(&stage.robot, Arc::clone(&recorder)),
+        tokio::spawn(watch_gestures(stage.memory.clone(), stage.referee.clone())),
+        tokio::spawn(log_joints(Arc::clone(&stage.robot), Arc::clone(&joints))),
+        tokio::spawn(stop_on_signal(executor.controller())),
+        tokio::spawn(show_progress(
+            progress.clone(),
+            Arc::clone(&stage.robot),
+            Arc::clone(&chronicle.story),
+            began,
+        )),
+    ];
+    helpers.extend(observers::start(&stage.equipment, &channels));
+    let world_task = tokio::spawn(simulation.run());
+    let result = executor.run().await;
+    stage.robot.stop("the run has ended");
+    stage.handle.stop();
+    for helper in helpers {
+        helper.abort();
+    }
+    let _ = world_task.await;
+    if let Err(error) = stage.kept.flush() {
+        writeln!(out, "warning: what was learned was not kept: {error}").map_err(begin_error)?;
+    }
+    if let Some(recorder) = locked(&recorder).take() {
+        recorder.finish().map_err(begin_error)?;
+    }
+
+    let simulated_s = stage.handle.now_ns() as f64 * 1e-9;
+    let story = locked(&chronicle.story);
+    progress.finish(&Status {
+        simulated_s,
+        wall_s: began.elapsed().as_secs_f64(),
+        states: vec![result.outcome.clone()],
+        force_n: None,
+    });
+    let case = Case {
+        chart: &chart,
+        world: &world,
+        seed: args.seed,
+        result: &result,
+        simulated_s,
+        wall_s: began.elapsed().as_secs_f64(),
+        trace_sha256: digest.hex(),
+        referee: &stage.referee,
+        story: &story,
+        pictures: gallery.pictures(&|t_ns| story.states_at(t_ns as f64 * 1e-9)),
+        joints: locked(&joints).plots(stage.robot.model()),
+    };
+    let figures = judge::write(&args.report, case).map_err(|e| {
+        NotBegun::Message(format!("the report cannot be written to `{}`: {e}", args.report.display()))
+    })?;
+    conclude(&result, &figures, &args.report, out).map_err(begin_error)
+}
+
+fn load_world(file: Option<&Path>) -> Result<World, NotBegun> {
+    let Some(file) = file else { return Ok(World::default()) };
+    World::load(file).map_err(|errors| NotBegun::Findings(errors.iter().map(Shown::from).collect()))
+}
+
+/// Says how the run ended and where its report is.
+fn conclude(
+    result: &RunResult,
+    figures: &serde_json::Value,
+    folder: &Path,
+    out: &mut dyn Write,
+) -> io::Result<u8> {
+    for figure in armarium_viewer::report::figures(figures) {
+        let Some(value) = figure.value else { continue };
+        let mark = match figure.passed() {
+            Some(true) => "ok ",
+            Some(false) => "NO ",
+            None => "   ",
+        };
+        let (group, name, unit, digits) = (&figure.group, &figure.name, &figure.unit, figure.digits);
+        writeln!(out, "  {mark} {group}: {name} {value:.digits$} {unit}")?;
+    }
+    if result.outcome == "success" {
+        writeln!(out, "success; the report is {}", folder.join("report.html").display())?;
+        return Ok(0);
+    }
+    let reason = result.reason.as_deref().unwrap_or("no reason was given");
+    writeln!(out, "{}: {reason}", result.outcome)?;
+    if !result.chain.is_empty() {
+        writeln!(out, "  through {}", result.chain.join(" < "))?;
+    }
+    writeln!(out, "the report is {}", folder.join("report.html").display())?;
+    Ok(1)
+}
+
+/// Passes on to the referee what vision took each frame's hand for.
+async fn watch_gestures(memory: Arc<armarium_memoryx::WorkingMemory>, referee: armarium_simulator::Referee) {
+    let mut changes = memory.subscribe();
+    loop {
+        match changes.recv().await {
+            Ok(snapshot) if snapshot.id.segment() == "HumanHands" => {
+                let gesture = snapshot.attribute("gesture").and_then(Value::as_str);
+                referee.gesture_seen(snapshot.referenced_ns, gesture.filter(|g| *g != "none"));
+            }
+            Ok(_) | Err(tokio::sync::broadcast::error::RecvError::Lagged(_)) => {}
+            Err(_) => return,
+        }
+    }
+}
+
+/// Keeps the joint angles of torso and arm for the report, 20 times a second.
+async fn log_joints(robot: Arc<dyn armarium_robot::Robot>, log: Arc<Mutex<JointLog>>) {
+    let chosen = armarium_robot::postures::reaching_joints(robot.model());
+    let mut tick = tokio::time::interval(Duration::from_millis(50));
+    loop {
+        tick.tick().await;
+        let sample = Arc::clone(&robot.sensed().borrow());
+        locked(&log).add(sample.stamp_ns as f64 * 1e-9, &sample.position, &chosen);
+    }
+}
+
+async fn show_progress(
+    progress: Progress,
+    robot: Arc<dyn armarium_robot::Robot>,
+    story: Arc<Mutex<Story>>,
+    began: Instant,
+) {
+    let mut tick = tokio::time::interval(Duration::from_millis(100));
+    loop {
+        tick.tick().await;
+        let sample = Arc::clone(&robot.sensed().borrow());
+        progress.update(&Status {
+            simulated_s: sample.stamp_ns as f64 * 1e-9,
+            wall_s: began.elapsed().as_secs_f64(),
+            states: locked(&story).status.leaves.clone(),
+            force_n: Some(sample.wrist.force.norm()),
+        });
+    }
+}
+
+/// Ctrl-C stops the robot first: every skill is cancelled and has returned before the report is written.
+async fn stop_on_signal(controller: Controller) {
+    if tokio::signal::ctrl_c().await.is_ok() {
+        controller.stop("stopped by Ctrl-C");
+    }
+}
