@@ -227,15 +227,16 @@ impl Engine {
 
     fn add_target(&self, target: StateId, domain: StateId, entries: &mut Entries) {
         let program = &self.program;
-        for effective in self.effective(target) {
-            self.add_state(effective, entries);
-            let mut around = program.state(effective).parent;
-            while let Some(state) = around.filter(|s| *s != domain) {
+        // All that is meant first, so that no region of it is taken for one to be entered by default.
+        let effective = self.effective(target);
+        effective.iter().for_each(|state| self.add_state(*state, entries));
+        for state in effective {
+            let around = program.outward(state).skip(1).take_while(|s| *s != domain);
+            for state in around {
                 entries.states.insert(state);
                 if matches!(program.state(state).kind, Kind::Parallel) {
                     self.add_missing_regions(state, entries);
                 }
-                around = program.state(state).parent;
             }
         }
         // A transition into one region of a parallel state enters the others by default, up to the domain.
