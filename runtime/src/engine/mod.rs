@@ -706,4 +706,6 @@ fn inputs(
 }
 
 #[cfg(test)]
+mod properties;
+#[cfg(test)]
 mod tests;

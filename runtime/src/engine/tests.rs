@@ -508,3 +508,29 @@ states:
     assert_eq!(d.said(), "+A; log six; timer 2; timer 3; no timer; send out to bob");
     assert_eq!(d.timer(), "-A; +B");
 }
+
+#[test]
+fn a_deep_history_restores_every_region() {
+    let mut d = Drive::new(
+        "
+statechart: T
+initial: C
+states:
+  C:
+    initial: P
+    states:
+      H: {history: deep, default: P}
+      P:
+        parallel:
+          L: {initial: L1, states: {L1: {transitions: {go: L2}}, L2: {}}}
+          R: {initial: R1, states: {R1: {transitions: {go: R2}}, R2: {}}}
+    transitions: {out: D}
+  D: {transitions: {back: C.H}}
+events: {go: {}, out: {}, back: {}}
+",
+    );
+    for event in ["go", "out", "back"] {
+        d.event(event);
+    }
+    assert_eq!(d.leaves(), "C.P.L.L2 C.P.R.R2");
+}

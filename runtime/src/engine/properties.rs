@@ -1,0 +1,202 @@
+//! Random charts under random events: the configuration is legal after every input, and entries and exits balance.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write;
+
+use armarium_values::Value;
+use proptest::prelude::*;
+
+use super::program::Kind;
+use super::{Effect, Engine, Input, NoSensors, TraceItem};
+use crate::chart::testing::program;
+use crate::skill::{Failure, Outcome};
+
+/// The shape of a random state.
+#[derive(Clone, Debug)]
+enum Shape {
+    Leaf,
+    Skill,
+    Final,
+    Composite(Vec<Shape>, bool),
+    Parallel(Vec<Shape>),
+}
+
+fn shape() -> impl Strategy<Value = Shape> {
+    let leaf = prop_oneof![3 => Just(Shape::Leaf), 3 => Just(Shape::Skill), 1 => Just(Shape::Final)];
+    leaf.prop_recursive(4, 24, 4, |inner| {
+        let inner = inner.boxed();
+        prop_oneof![
+            (prop::collection::vec(inner.clone(), 1..4), any::<bool>())
+                .prop_map(|(s, h)| Shape::Composite(s, h)),
+            prop::collection::vec(inner, 1..4).prop_map(Shape::Parallel),
+        ]
+    })
+}
+
+/// Writes a state as YAML in flow form; `picks` chooses targets.
+fn write(shape: &Shape, path: &str, paths: &[String], picks: &mut dyn FnMut() -> usize, out: &mut String) {
+    let children = |shapes: &[Shape], picks: &mut dyn FnMut() -> usize, out: &mut String| {
+        for (i, s) in shapes.iter().enumerate() {
+            let child = if path.is_empty() { format!("S{i}") } else { format!("{path}_{i}") };
+            write!(out, "{}{child}: ", if i == 0 { "" } else { ", " }).unwrap();
+            write(s, &child, paths, picks, out);
+        }
+    };
+    out.push('{');
+    match shape {
+        Shape::Leaf => {}
+        Shape::Skill => out.push_str("skill: Act, "),
+        Shape::Final => {
+            let outcome = ["success", "blocked", "failure"][picks() % 3];
+            write!(out, "final: {outcome}}}").unwrap();
+            return;
+        }
+        Shape::Composite(shapes, history) => {
+            write!(out, "initial: {path}_0, states: {{").unwrap();
+            children(shapes, picks, out);
+            if *history {
+                let deep = ["deep", "shallow"][picks() % 2];
+                write!(out, ", {path}_H: {{history: {deep}, default: {path}_0}}").unwrap();
+            }
+            out.push_str("}, ");
+        }
+        Shape::Parallel(shapes) => {
+            // Regions that are final states themselves are not written.
+            let regions: Vec<Shape> = shapes
+                .iter()
+                .map(|s| if matches!(s, Shape::Final) { Shape::Leaf } else { s.clone() })
+                .collect();
+            out.push_str("parallel: {");
+            children(&regions, picks, out);
+            out.push_str("}, ");
+        }
+    }
+    out.push_str("transitions: {");
+    for (i, event) in ["a", "b", "success", "failure"].iter().enumerate() {
+        if picks() % 3 == 0 && (i < 2 || matches!(shape, Shape::Skill | Shape::Composite(..))) {
+            let target = &paths[picks() % paths.len()];
+            write!(out, "{event}: {{target: {target}}}, ").unwrap();
+        }
+    }
+    out.push_str("}}");
+}
+
+/// The paths of all states that a shape will be written with.
+fn list(shape: &Shape, name: &str, prefix: &str, paths: &mut Vec<String>) {
+    let path = if prefix.is_empty() { name.to_owned() } else { format!("{prefix}.{name}") };
+    paths.push(path.clone());
+    match shape {
+        Shape::Composite(shapes, history) => {
+            shapes.iter().enumerate().for_each(|(i, s)| list(s, &format!("{name}_{i}"), &path, paths));
+            if *history {
+                paths.push(format!("{path}.{name}_H"));
+            }
+        }
+        Shape::Parallel(shapes) => {
+            shapes.iter().enumerate().for_each(|(i, s)| list(s, &format!("{name}_{i}"), &path, paths));
+        }
+        _ => {}
+    }
+}
+
+fn chart(shapes: &[Shape], numbers: &[usize]) -> String {
+    let mut paths = Vec::new();
+    shapes.iter().enumerate().for_each(|(i, s)| list(s, &format!("S{i}"), "", &mut paths));
+    let mut at = 0;
+    let mut picks = || {
+        at += 1;
+        numbers[at % numbers.len()]
+    };
+    let mut text = String::from("statechart: T\nevents: {a: {}, b: {}, success: {}}\ninitial: S0\nstates: {");
+    for (i, s) in shapes.iter().enumerate() {
+        write!(text, "{}S{i}: ", if i == 0 { "" } else { ", " }).unwrap();
+        write(s, &format!("S{i}"), &paths, &mut picks, &mut text);
+    }
+    text + "}\n"
+}
+
+/// One child of each active composite, all regions of each active parallel state, no state without its parent.
+fn legal(engine: &Engine) -> Result<(), String> {
+    let active: BTreeSet<u32> = engine.configuration().iter().copied().collect();
+    for id in &active {
+        let state = engine.program().state(*id);
+        if state.parent.is_some_and(|p| !active.contains(&p)) {
+            return Err(format!("`{}` without its parent", state.path));
+        }
+        let inside = state.children.iter().filter(|c| active.contains(c)).count();
+        let wanted = match state.kind {
+            Kind::Composite { .. } | Kind::Chart { .. } => 1,
+            Kind::Parallel => state.children.len(),
+            Kind::History { .. } => return Err(format!("the history `{}` is active", state.path)),
+            _ => 0,
+        };
+        if inside != wanted {
+            return Err(format!("`{}` has {inside} active states inside, not {wanted}", state.path));
+        }
+    }
+    Ok(())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn configurations_are_legal_and_entries_balance(
+        shapes in prop::collection::vec(shape(), 1..4),
+        numbers in prop::collection::vec(0_usize..1000, 8..64),
+        inputs in prop::collection::vec(0_usize..6, 1..40),
+    ) {
+        let shapes: Vec<Shape> =
+            shapes.into_iter().map(|s| if matches!(s, Shape::Final) { Shape::Leaf } else { s }).collect();
+        let text = chart(&shapes, &numbers);
+        let mut engine = Engine::new(program(&text), &BTreeMap::new(), None).unwrap();
+        let mut entered: BTreeMap<String, i32> = BTreeMap::new();
+        let mut running: BTreeSet<u64> = BTreeSet::new();
+        let mut out = Vec::new();
+        engine.start(&NoSensors, &mut out);
+        for input in inputs.iter().map(Some).chain([None]) {
+            for effect in out.drain(..) {
+                match effect {
+                    Effect::StartSkill { activation, .. } => prop_assert!(running.insert(activation)),
+                    Effect::Cancel { activation, .. } => prop_assert!(running.contains(&activation)),
+                    Effect::Trace(TraceItem::Entered { state }) => {
+                        let count = entered.entry(state).or_default();
+                        *count += 1;
+                        prop_assert_eq!(*count, 1);
+                    }
+                    Effect::Trace(TraceItem::Exited { state }) => {
+                        let count = entered.entry(state).or_default();
+                        *count -= 1;
+                        prop_assert_eq!(*count, 0);
+                    }
+                    Effect::Finished(_) => {
+                        prop_assert!(running.is_empty(), "skills run after the end");
+                        prop_assert!(entered.values().all(|n| *n == 0), "states are left behind");
+                        prop_assert!(engine.configuration().is_empty());
+                    }
+                    _ => {}
+                }
+            }
+            if engine.finished() {
+                break;
+            }
+            if let Err(wrong) = legal(&engine) {
+                return Err(TestCaseError::fail(format!("{wrong}\n{text}")));
+            }
+            let skill = |n: usize| running.iter().nth(n % running.len().max(1)).copied();
+            let input = match (input, skill(input.copied().unwrap_or(0))) {
+                (Some(0 | 1), _) => Input::Event { name: "a".into(), data: Value::Null },
+                (Some(2), _) => Input::Event { name: "b".into(), data: Value::Null },
+                (Some(n), Some(activation)) => {
+                    running.remove(&activation);
+                    let result =
+                        if *n == 3 { Err(Failure::new("no")) } else { Ok(Outcome::success()) };
+                    Input::SkillEnded { activation, result }
+                }
+                (Some(_), None) => continue,
+                (None, _) => break,
+            };
+            engine.handle(input, &NoSensors, &mut out);
+        }
+    }
+}
