@@ -49,18 +49,6 @@ impl Senses {
     pub(crate) fn newest(&self) -> Arc<Sensed> {
         Arc::clone(&self.sensed.borrow())
     }
-
-    /// Lets `seconds` pass on the robot's clock.
-    pub(crate) async fn pass(&mut self, seconds: f64) -> Result<Arc<Sensed>, Failure> {
-        let mut left = seconds;
-        loop {
-            let (sample, dt) = self.next().await?;
-            left -= dt;
-            if left <= 0.0 {
-                return Ok(sample);
-            }
-        }
-    }
 }
 
 /// The arm that skills command.
@@ -73,15 +61,6 @@ pub(crate) const TCP: &str = "tcp_right";
 /// A link of the robot, by name.
 pub(crate) fn link(model: &Model, name: &str) -> Result<LinkId, Failure> {
     model.require_link(name).map_err(|e| Failure::new(e.to_string()))
-}
-
-/// How far the TCP is from where it should be.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct TrackingError {
-    /// m
-    pub(crate) position: f64,
-    /// rad
-    pub(crate) angle: f64,
 }
 
 /// Arm and torso with their leases.
@@ -125,19 +104,20 @@ impl Arm {
         self.kinematics.twist(self.tcp, &Point3::origin(), &sample.velocity).linear
     }
 
-    /// Moves the TCP towards `target` (root frame), with the twist that the target itself has: m/s, rad/s.
+    /// Moves the TCP towards `target` (root frame), with the twist that the target itself has: m/s, rad/s. Returns how
+    /// far the TCP is from it, m.
     pub(crate) fn track(
         &mut self,
         sample: &Sensed,
         target: &Isometry3<f64>,
         linear: Vector3<f64>,
         angular: Vector3<f64>,
-    ) -> Result<TrackingError, Failure> {
+    ) -> Result<f64, Failure> {
         let tcp = self.tcp(sample);
         let position = target.translation.vector - tcp.translation.vector;
         let rotation = (target.rotation * tcp.rotation.inverse()).scaled_axis();
         self.twist(sample, linear + TRACKING_GAIN * position, angular + TRACKING_GAIN * rotation)?;
-        Ok(TrackingError { position: position.norm(), angle: rotation.norm() })
+        Ok(position.norm())
     }
 
     /// Moves the TCP with a twist in the root frame: m/s, rad/s.

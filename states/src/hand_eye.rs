@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 use armarium_memoryx::{Commit, EntityId, Memory, MemoryError};
 use armarium_runtime::skill::Failure;
-use nalgebra::{Isometry3, Point3};
+use nalgebra::Isometry3;
 
 use crate::inputs::{as_pose, pose_value};
 use crate::motions::failed;
@@ -67,11 +67,6 @@ impl HandEye {
 
     /// A pose that the cameras reported, in the arm's root frame.
     pub(crate) fn pose(&self, believed: &Isometry3<f64>) -> Isometry3<f64> {
-        self.true_from_believed * believed
-    }
-
-    /// A point that the cameras reported, in the arm's root frame.
-    pub(crate) fn point(&self, believed: &Point3<f64>) -> Point3<f64> {
         self.true_from_believed * believed
     }
 }

@@ -57,12 +57,8 @@ pub(crate) struct Height {
 /// Where the motion is after a step.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Progress {
-    /// rad, in 0..2 pi
-    pub(crate) phase: f64,
     /// rad/s
     pub(crate) omega: f64,
-    /// Whether the phase has just begun a new period.
-    pub(crate) wrapped: bool,
 }
 
 /// A motion and the arm that performs it.
@@ -133,7 +129,7 @@ impl Wiper {
             let (sample, dt) = senses.next().await?;
             let point = line.step(dt);
             let error = self.arm.track(&sample, &point.pose, point.linear, point.angular)?;
-            check_track(error.position)?;
+            check_track(error)?;
         }
         Ok(())
     }
@@ -151,14 +147,13 @@ impl Wiper {
         let change = (pace - self.pace).clamp(-PACE_RATE * dt, PACE_RATE * dt);
         self.pace = (self.pace + change).clamp(0.0, 1.0);
         let omega = self.motion.omega() * self.pace;
-        let before = self.dmp.phase();
         let state = self.dmp.step(dt, omega).map_err(failed)?;
         let (phase, xd, yd) = (state.phase, state.yd[0], state.yd[1]);
         let goal = self.pose(height.z);
         let error = self.arm.track(sample, &goal, Vector3::new(xd, yd, height.rate), Vector3::zeros())?;
-        check_track(error.position)?;
+        check_track(error)?;
         self.publish(sample, phase, omega);
-        Ok(Progress { phase, omega, wrapped: phase < before - 0.5 * TAU })
+        Ok(Progress { omega })
     }
 
     fn pose(&self, z: f64) -> Isometry3<f64> {
