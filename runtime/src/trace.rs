@@ -13,7 +13,6 @@ pub struct TraceEvent {
     /// Virtual time since the run began, ns.
     pub at_ns: u64,
     /// What happened.
-    #[serde(flatten)]
     pub item: TraceItem,
 }
 

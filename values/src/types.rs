@@ -256,6 +256,19 @@ impl Type {
         }
     }
 
+    /// The value that a text on a command line stands for: `true`, `8 N`, `[1, 2]`, a word.
+    ///
+    /// # Errors
+    /// [`ConvertError`] says what was expected and what was found.
+    pub fn read(&self, text: &str) -> Result<Value, ConvertError> {
+        let json = || serde_json::from_str(text).ok().map(|json| Value::from_json(&json));
+        let value = match self {
+            Self::String | Self::Enum(_) | Self::Reference(_) | Self::Float(_) | Self::Duration => None,
+            _ => json(),
+        };
+        self.convert(value.unwrap_or_else(|| Value::String(text.to_owned())))
+    }
+
     fn convert_record(
         &self,
         types: &BTreeMap<String, Self>,
@@ -345,6 +358,15 @@ mod tests {
             Ok(Value::Reference(Reference { kind: "Motion".into(), id: "wipe".into() }))
         );
         assert!(Type::one_of(["fist"]).convert("fits".into()).is_err());
+    }
+
+    #[test]
+    fn texts_are_read_as_what_is_declared() {
+        assert_eq!(Type::Bool.read("true"), Ok(Value::Bool(true)));
+        assert_eq!(Type::String.read("true"), Ok("true".into()));
+        assert_eq!(Type::quantity(Unit::M).read("15 mm"), Ok(Value::Float(0.015)));
+        assert_eq!(Type::list(Type::FLOAT).read("[1, 2.5]"), Ok(vec![1.0, 2.5].into()));
+        assert!(Type::Int.read("many").is_err());
     }
 
     #[test]

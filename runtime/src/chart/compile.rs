@@ -8,21 +8,17 @@ use std::sync::Arc;
 use armarium_values::{Type, Value};
 
 use super::catalog::{ChannelSchema, Registry};
-use super::expressions::{self, Names, Outline, Scope};
+use super::expressions::{self, Names, Scope};
 use super::finding::{Finding, Findings, Source, code, suggest};
 use super::library::Library;
 use super::lint;
 use super::model::{self, ActionKind, Chart, Declaration};
-use super::read::{MAX_LEVELS, literal};
+use super::read::literal;
 use super::yaml::{Named, Node};
 use crate::engine::program::{
-    Action, Binding, Instance, Kind, Pattern, Place, Program, Send, State, StateId, Term, Transition,
-    Variable, Watch,
+    Action, Binding, Kind, Pattern, Place, Program, Send, State, StateId, Term, Transition, Watch,
 };
 use crate::skill::{Limits, SkillManifest};
-
-/// Most states, those of the charts inside counted at each use.
-const MAX_STATES: usize = 200_000;
 
 /// What checking a chart gave.
 #[derive(Clone, Debug)]
@@ -67,25 +63,25 @@ pub(crate) struct Flat<'l> {
     pub(crate) skill: Option<Arc<SkillManifest>>,
 }
 
-struct Compiler<'l> {
-    library: &'l Library,
-    registry: &'l Registry,
-    names: Names<'l>,
-    flats: Vec<Flat<'l>>,
+pub(super) struct Compiler<'l> {
+    pub(super) library: &'l Library,
+    pub(super) registry: &'l Registry,
+    pub(super) names: Names<'l>,
+    pub(super) flats: Vec<Flat<'l>>,
     /// Last state inside each state.
-    last: Vec<StateId>,
-    sources: Vec<Arc<Source>>,
-    slots: u32,
-    findings: Vec<Finding>,
-    transitions: Vec<Transition>,
-    watches: Vec<Watch>,
+    pub(super) last: Vec<StateId>,
+    pub(super) sources: Vec<Arc<Source>>,
+    pub(super) slots: u32,
+    pub(super) findings: Vec<Finding>,
+    pub(super) transitions: Vec<Transition>,
+    pub(super) watches: Vec<Watch>,
     /// States that transitions give inputs to, for inputs that the state itself does not give.
-    given: BTreeSet<(StateId, String)>,
-    bound: Vec<(String, u32)>,
-    too_many: bool,
+    pub(super) given: BTreeSet<(StateId, String)>,
+    pub(super) bound: Vec<(String, u32)>,
+    pub(super) too_many: bool,
 }
 
-fn number(n: usize) -> u32 {
+pub(super) fn number(n: usize) -> u32 {
     u32::try_from(n).unwrap_or(u32::MAX)
 }
 
@@ -114,7 +110,7 @@ impl<'l> Compiler<'l> {
         }
     }
 
-    fn source(&mut self, source: &Arc<Source>) -> u32 {
+    pub(super) fn source(&mut self, source: &Arc<Source>) -> u32 {
         let known = self.sources.iter().position(|s| Arc::ptr_eq(s, source));
         number(known.unwrap_or_else(|| {
             self.sources.push(Arc::clone(source));
@@ -130,163 +126,16 @@ impl<'l> Compiler<'l> {
         result
     }
 
-    fn error(&mut self, source: u32, code: &'static str, at: &Named, message: String, help: Option<String>) {
+    pub(super) fn error(
+        &mut self,
+        source: u32,
+        code: &'static str,
+        at: &Named,
+        message: String,
+        help: Option<String>,
+    ) {
         self.reporting(source, |_, findings| findings.error_help(code, at.span, message, help));
     }
-
-    // Putting charts into charts.
-
-    fn flatten_root(&mut self, root: &'l Arc<Chart>) {
-        let source = self.source(&root.source);
-        // State 0 stands for the run; the chart is its only child.
-        self.push(&root.root, source, None, 0, String::new(), Limits::default(), false);
-        self.names.outlines[0].outputs = Vec::new();
-        self.flats[0].chart = Some((root, 0));
-        let mut stack = vec![root.name.clone()];
-        self.flatten_chart(root, 0, Limits::default(), &mut stack);
-        self.last[0] = number(self.flats.len() - 1);
-    }
-
-    #[expect(clippy::too_many_arguments, reason = "one row of a table")]
-    fn push(
-        &mut self,
-        model: &'l model::State,
-        source: u32,
-        parent: Option<StateId>,
-        instance: u32,
-        path: String,
-        limits: Limits,
-        chart_root: bool,
-    ) -> StateId {
-        let id = number(self.flats.len());
-        let depth = parent.map_or(0, |p| self.flats[p as usize].depth + 1);
-        self.flats.push(Flat { model, source, depth, path, limits, chart: None, skill: None });
-        self.last.push(id);
-        let name = model.name.text.clone();
-        self.names.outlines.push(Outline { name, parent, instance, chart_root, outputs: Vec::new() });
-        id
-    }
-
-    fn variables(&mut self, declarations: &[Declaration]) -> Vec<Variable> {
-        let one = |declaration: &Declaration| {
-            self.slots += 1;
-            Variable { declaration: declaration.clone(), slot: self.slots - 1 }
-        };
-        declarations.iter().map(one).collect()
-    }
-
-    fn flatten_chart(&mut self, chart: &'l Chart, owner: StateId, limits: Limits, stack: &mut Vec<String>) {
-        let instance = number(self.names.instances.len());
-        let first_slot = self.slots;
-        let inputs = self.variables(&chart.inputs);
-        let locals = self.variables(&chart.locals);
-        let outputs = self.variables(&chart.outputs);
-        self.names.instances.push(Instance { owner, inputs, locals, outputs, first_slot, end_slot: 0 });
-        let source = self.source(&chart.source);
-        let path = self.flats[owner as usize].path.clone();
-        let path = if owner == 0 { String::new() } else { path };
-        let limits = tighten(limits, chart.root.limits);
-        let root = self.push(&chart.root, source, Some(owner), instance, path, limits, true);
-        self.flatten_children(root, &chart.root, instance, source, limits, stack);
-        self.finish(root);
-        self.names.instances[instance as usize].end_slot = self.slots;
-    }
-
-    fn finish(&mut self, state: StateId) {
-        self.last[state as usize] = number(self.flats.len() - 1);
-    }
-
-    fn flatten_children(
-        &mut self,
-        parent: StateId,
-        model: &'l model::State,
-        instance: u32,
-        source: u32,
-        limits: Limits,
-        stack: &mut Vec<String>,
-    ) {
-        for child in model.kind.children() {
-            if self.flats.len() >= MAX_STATES {
-                if !self.too_many {
-                    self.too_many = true;
-                    let message = format!("the chart has more than {MAX_STATES} states");
-                    self.error(source, code::LIMIT, &child.name, message, None);
-                }
-                return;
-            }
-            if usize::from(self.flats[parent as usize].depth) > MAX_LEVELS + 2 {
-                let message = format!("states are nested deeper than {MAX_LEVELS} levels");
-                self.error(source, code::LIMIT, &child.name, message, None);
-                return;
-            }
-            let prefix = &self.flats[parent as usize].path;
-            let name = &child.name.text;
-            let path = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
-            let limits = tighten(limits, child.limits);
-            let id = self.push(child, source, Some(parent), instance, path, limits, false);
-            if self.names.children.insert((parent, name.clone()), id).is_some() {
-                let message = format!("there are two states `{name}` here");
-                self.error(source, code::DUPLICATE, &child.name, message, None);
-            }
-            self.flatten_inside(id, child, source, limits, stack);
-            self.flatten_children(id, child, instance, source, limits, stack);
-            self.finish(id);
-        }
-    }
-
-    fn flatten_inside(
-        &mut self,
-        id: StateId,
-        model: &'l model::State,
-        source: u32,
-        limits: Limits,
-        stack: &mut Vec<String>,
-    ) {
-        match &model.kind {
-            model::Kind::Skill(name) => {
-                let Some(manifest) = self.registry.manifest(&name.text).cloned() else {
-                    let known = self.registry.manifests().map(|m| m.name.as_str());
-                    let help = suggest(&name.text, known)
-                        .unwrap_or_else(|| "`armarium skills` lists the skills".into());
-                    let message = format!("there is no skill `{}`", name.text);
-                    self.error(source, code::SKILL, name, message, Some(help));
-                    return;
-                };
-                for output in &manifest.outputs {
-                    let place = (output.name.clone(), self.slots, output.ty.clone());
-                    self.names.outlines[id as usize].outputs.push(place);
-                    self.slots += 1;
-                }
-                self.flats[id as usize].skill = Some(manifest);
-            }
-            model::Kind::Chart(name) => {
-                // A chart that could not be read has its finding already.
-                let Some(chart) = self.library.charts.get(&name.text) else { return };
-                if stack.contains(&name.text) {
-                    let message =
-                        format!("charts contain each other: {} -> {}", stack.join(" -> "), name.text);
-                    self.error(source, code::CYCLE, name, message, None);
-                    return;
-                }
-                for output in &chart.outputs {
-                    let place = (output.name.clone(), self.slots, output.ty.clone());
-                    self.names.outlines[id as usize].outputs.push(place);
-                    self.slots += 1;
-                }
-                self.flats[id as usize].chart = Some((chart, number(self.names.instances.len())));
-                stack.push(name.text.clone());
-                self.flatten_chart(chart, id, limits, stack);
-                stack.pop();
-            }
-            model::Kind::Remote(name) => {
-                let message = "states of other agents cannot be run by this program yet".into();
-                self.error(source, code::UNSUPPORTED, name, message, None);
-            }
-            _ => {}
-        }
-    }
-
-    // Compiling the parts of states.
 
     fn compile(&mut self, root: &'l Chart) -> Program {
         let mut states: Vec<State> = Vec::with_capacity(self.flats.len());
@@ -664,17 +513,6 @@ impl<'l> Compiler<'l> {
             term,
             place: Place { source, byte: number(node.span.start) },
         })
-    }
-}
-
-fn tighten(outer: Limits, inner: Limits) -> Limits {
-    let least = |a: Option<f64>, b: Option<f64>| match (a, b) {
-        (Some(a), Some(b)) => Some(a.min(b)),
-        (a, b) => a.or(b),
-    };
-    Limits {
-        force_n: least(outer.force_n, inner.force_n),
-        speed_m_s: least(outer.speed_m_s, inner.speed_m_s),
     }
 }
 

@@ -7,10 +7,12 @@ mod catalog;
 mod compile;
 mod expressions;
 mod finding;
+mod flatten;
 mod library;
 mod lint;
 mod model;
 mod read;
+mod read_state;
 mod yaml;
 
 pub use catalog::{ChannelSchema, Registry};

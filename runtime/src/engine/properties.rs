@@ -73,7 +73,7 @@ fn write(shape: &Shape, path: &str, paths: &[String], picks: &mut dyn FnMut() ->
     }
     out.push_str("transitions: {");
     for (i, event) in ["a", "b", "success", "failure"].iter().enumerate() {
-        if picks() % 3 == 0 && (i < 2 || matches!(shape, Shape::Skill | Shape::Composite(..))) {
+        if picks().is_multiple_of(3) && (i < 2 || matches!(shape, Shape::Skill | Shape::Composite(..))) {
             let target = &paths[picks() % paths.len()];
             write!(out, "{event}: {{target: {target}}}, ").unwrap();
         }

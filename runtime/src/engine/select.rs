@@ -183,7 +183,7 @@ impl Engine {
     }
 
     fn fail_run(&mut self, event: &Event, state: StateId, turn: &mut Turn<'_>) {
-        let (reason, mut chain) = super::step::reason_and_chain(&event.data);
+        let (reason, mut chain) = super::end::reason_and_chain(&event.data);
         for around in self.program.outward(state) {
             let s = self.program.state(around);
             if !s.chart_root && around != 0 && !chain.contains(&s.path) {

@@ -3,8 +3,9 @@
 use cel::IdedExpr;
 use cel::common::ast::{CallExpr, EntryExpr, Expr as Cel, LiteralValue, SelectExpr, SourceInfo};
 
-use super::eval::{Arithmetic, Comparison, Macro, Node, Pos};
+use super::eval::{Macro, Node, Pos};
 use super::functions::{Function, TABLE, Takes};
+use super::typing::{arithmetic, article, comparison, comprehension, dotted, is_text, join, mismatch};
 use super::{
     Environment, Expr, ExprError, ExprErrorKind as Kind, MAX_SOURCE, Reads, Slot, Unresolved, nearest,
 };
@@ -73,7 +74,7 @@ fn boundary(source: &str, mut at: usize) -> usize {
     at
 }
 
-struct Checker<'a> {
+pub(super) struct Checker<'a> {
     source: &'a str,
     places: &'a SourceInfo,
     environment: &'a dyn Environment,
@@ -83,7 +84,7 @@ struct Checker<'a> {
     depth: usize,
 }
 
-type Checked = Result<(Node, Type), ExprError>;
+pub(super) type Checked = Result<(Node, Type), ExprError>;
 
 impl Checker<'_> {
     fn span(&self, id: u64) -> (usize, usize) {
@@ -96,7 +97,7 @@ impl Checker<'_> {
         (start, end)
     }
 
-    fn pos(&self, id: u64) -> Pos {
+    pub(super) fn pos(&self, id: u64) -> Pos {
         let (start, end) = self.span(id);
         Pos { start: u16::try_from(start).unwrap_or(0), end: u16::try_from(end).unwrap_or(0) }
     }
@@ -112,7 +113,7 @@ impl Checker<'_> {
         (start.min(end), end)
     }
 
-    fn error(&self, id: u64, kind: Kind, message: impl Into<String>) -> ExprError {
+    pub(super) fn error(&self, id: u64, kind: Kind, message: impl Into<String>) -> ExprError {
         let (start, end) = self.span(id);
         ExprError { kind, message: message.into(), help: None, start, end }
     }
@@ -122,7 +123,7 @@ impl Checker<'_> {
         ExprError { kind: Kind::UnknownName, message, help, start: span.0, end: span.1 }
     }
 
-    fn check(&mut self, expr: &IdedExpr) -> Checked {
+    pub(super) fn check(&mut self, expr: &IdedExpr) -> Checked {
         self.depth += 1;
         if self.depth > MAX_DEPTH {
             return Err(self.error(expr.id, Kind::TooLarge, "this is nested too deeply"));
@@ -384,97 +385,6 @@ impl Checker<'_> {
         Ok((joined.unwrap_or(Node::Bool(true)), Type::Bool))
     }
 
-    fn number(&self, id: u64, ty: &Type) -> Result<Type, ExprError> {
-        match ty {
-            Type::Any | Type::Int | Type::Float(_) => Ok(ty.clone()),
-            Type::Duration => Ok(Type::quantity(Unit::S)),
-            other => Err(self.error(id, Kind::Type, format!("expected a number, found {}", article(other)))),
-        }
-    }
-
-    fn binary(&mut self, id: u64, name: &str, a: &IdedExpr, b: &IdedExpr) -> Checked {
-        let ((x, tx), (y, ty)) = (self.check(a)?, self.check(b)?);
-        let pos = self.pos(id);
-        if let Some(op) = comparison(name) {
-            if matches!(op, Comparison::Equal | Comparison::NotEqual) {
-                self.comparable(id, &tx, &ty)?;
-            } else if !(is_text(&tx) && is_text(&ty)) {
-                let (tx, ty) = (self.number(a.id, &tx)?, self.number(b.id, &ty)?);
-                self.same_unit(id, &tx, &ty)?;
-            }
-            return Ok((Node::Compare(op, Box::new((x, y)), pos), Type::Bool));
-        }
-        let op = arithmetic(name).unwrap_or(Arithmetic::Add);
-        let result = self.arithmetic_type(id, op, (a.id, &tx), (b.id, &ty))?;
-        Ok((Node::Arithmetic(op, Box::new((x, y)), pos), result))
-    }
-
-    fn arithmetic_type(
-        &self,
-        id: u64,
-        op: Arithmetic,
-        (a, ta): (u64, &Type),
-        (b, tb): (u64, &Type),
-    ) -> Result<Type, ExprError> {
-        if op == Arithmetic::Add {
-            match (ta, tb) {
-                (x, y) if is_text(x) && is_text(y) => return Ok(Type::String),
-                (Type::List(x), Type::List(y)) => return Ok(Type::list(join(x, y))),
-                (Type::Any, _) | (_, Type::Any) => return Ok(Type::Any),
-                _ => {}
-            }
-        }
-        let (ta, tb) = (self.number(a, ta)?, self.number(b, tb)?);
-        Ok(match (op, &ta, &tb) {
-            (_, Type::Any, _) | (_, _, Type::Any) => Type::Any,
-            (_, Type::Int, Type::Int) => Type::Int,
-            (Arithmetic::Multiply, Type::Float(Some(u)), Type::Float(Some(v))) => Type::Float(u.times(*v)),
-            (Arithmetic::Divide, Type::Float(Some(u)), Type::Float(Some(v))) => Type::Float(u.per(*v)),
-            (Arithmetic::Divide, _, Type::Float(Some(v))) => Type::Float(Unit::ONE.per(*v)),
-            _ => {
-                if !matches!(op, Arithmetic::Multiply | Arithmetic::Divide) {
-                    self.same_unit(id, &ta, &tb)?;
-                }
-                match (&ta, &tb) {
-                    (Type::Float(Some(u)), _) | (_, Type::Float(Some(u))) => Type::Float(Some(*u)),
-                    _ => Type::FLOAT,
-                }
-            }
-        })
-    }
-
-    fn same_unit(&self, id: u64, a: &Type, b: &Type) -> Result<(), ExprError> {
-        match (a, b) {
-            (Type::Float(Some(u)), Type::Float(Some(v))) if u != v => {
-                Err(self.error(id, Kind::Unit, format!("a number in {u} against one in {v}")))
-            }
-            _ => Ok(()),
-        }
-    }
-
-    fn comparable(&self, id: u64, a: &Type, b: &Type) -> Result<(), ExprError> {
-        if let (Type::Enum(words), Type::Enum(others)) = (a, b) {
-            let (literal, words) = if words.len() == 1 { (&words[0], others) } else { (&others[0], words) };
-            if words.len() > 1 && !words.contains(literal) {
-                let message = format!("`{literal}` is not one of {}", words.join(", "));
-                let mut error = self.error(id, Kind::Type, message);
-                error.help = nearest(literal, words.iter().map(String::as_str))
-                    .map(|near| format!("did you mean `{near}`?"));
-                return Err(error);
-            }
-            return Ok(());
-        }
-        let numeric = |t: &Type| matches!(t, Type::Int | Type::Float(_) | Type::Duration);
-        if numeric(a) && numeric(b) {
-            return self.same_unit(id, &self.number(id, a)?, &self.number(id, b)?);
-        }
-        if a.fit(b) == Fit::No && b.fit(a) == Fit::No {
-            let message = format!("{} is never equal to {}", article(a), article(b));
-            return Err(self.error(id, Kind::Type, message));
-        }
-        Ok(())
-    }
-
     fn index(&mut self, id: u64, of: &IdedExpr, key: &IdedExpr) -> Checked {
         let ((x, tx), (k, tk)) = (self.check(of)?, self.check(key)?);
         let result = match &tx {
@@ -581,93 +491,4 @@ impl Checker<'_> {
         }
         Err(self.error(id, Kind::Type, format!("expected {expected}, found {}", article(ty))))
     }
-}
-
-fn dotted(expr: &IdedExpr) -> Option<(Vec<&str>, Vec<u64>)> {
-    let (mut names, mut ids, mut at) = (Vec::new(), Vec::new(), expr);
-    loop {
-        match &at.expr {
-            Cel::Ident(name) => {
-                names.push(name.as_str());
-                ids.push(at.id);
-                names.reverse();
-                ids.reverse();
-                return Some((names, ids));
-            }
-            Cel::Select(select) if !select.test => {
-                names.push(select.field.as_str());
-                ids.push(at.id);
-                at = &select.operand;
-            }
-            _ => return None,
-        }
-    }
-}
-
-fn comprehension(name: &str, arguments: usize) -> Option<Macro> {
-    match (name, arguments) {
-        ("all", 2) => Some(Macro::All),
-        ("exists", 2) => Some(Macro::Exists),
-        ("exists_one" | "existsOne", 2) => Some(Macro::ExistsOne),
-        ("filter", 2) => Some(Macro::Filter),
-        ("map", 2) => Some(Macro::Map),
-        _ => None,
-    }
-}
-
-fn comparison(name: &str) -> Option<Comparison> {
-    Some(match name {
-        "_<_" => Comparison::Less,
-        "_<=_" => Comparison::LessEqual,
-        "_>_" => Comparison::Greater,
-        "_>=_" => Comparison::GreaterEqual,
-        "_==_" => Comparison::Equal,
-        "_!=_" => Comparison::NotEqual,
-        _ => return None,
-    })
-}
-
-fn arithmetic(name: &str) -> Option<Arithmetic> {
-    Some(match name {
-        "_+_" => Arithmetic::Add,
-        "_-_" => Arithmetic::Subtract,
-        "_*_" => Arithmetic::Multiply,
-        "_/_" => Arithmetic::Divide,
-        "_%_" => Arithmetic::Remainder,
-        _ => return None,
-    })
-}
-
-fn is_text(ty: &Type) -> bool {
-    matches!(ty, Type::String | Type::Enum(_))
-}
-
-/// The type of a value that is of one type or the other.
-fn join(a: &Type, b: &Type) -> Type {
-    match (a, b) {
-        (a, b) if a == b => a.clone(),
-        (Type::Enum(x), Type::Enum(y)) => Type::Enum(x.iter().chain(y).cloned().collect()),
-        (x, y) if is_text(x) && is_text(y) => Type::String,
-        (Type::Int, other @ (Type::Float(_) | Type::Duration))
-        | (other @ (Type::Float(_) | Type::Duration), Type::Int) => other.clone(),
-        (Type::Float(Some(u)), Type::Float(None)) | (Type::Float(None), Type::Float(Some(u))) => {
-            Type::Float(Some(*u))
-        }
-        (Type::List(x), Type::List(y)) => Type::list(join(x, y)),
-        (Type::Map(x), Type::Map(y)) => Type::map(join(x, y)),
-        _ => Type::Any,
-    }
-}
-
-fn article(ty: &Type) -> String {
-    match ty {
-        Type::Enum(words) if words.len() == 1 => format!("the string \"{}\"", words[0]),
-        Type::Int => "an int".into(),
-        Type::Enum(_) => ty.to_string(),
-        _ => format!("a {ty}"),
-    }
-}
-
-fn mismatch(expected: &Type, found: &Type) -> String {
-    format!("expected {}, found {}", article(expected), article(found))
 }

@@ -5,9 +5,12 @@
 //! floats where a float is met. Nothing here knows states, channels or files beyond their numbers.
 
 mod check;
+mod check_operators;
 mod eval;
 mod functions;
+mod operate;
 mod template;
+mod typing;
 
 pub use eval::{EvalError, World};
 pub use template::{Piece, TemplateError, split};

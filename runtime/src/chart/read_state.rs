@@ -1,0 +1,340 @@
+//! From the YAML tree to the model: states with their transitions, watches and actions.
+
+use super::finding::{Span, code, suggest};
+use super::model::{Action, ActionKind, Kind, Retry, State, Transition, Watch};
+use super::read::{Entries, MAX_LEVELS, Reader, get};
+use super::yaml::{Named, Node, Yaml};
+
+const STATE_KEYS: &[&str] = &[
+    "description",
+    "skill",
+    "statechart",
+    "remote",
+    "states",
+    "initial",
+    "parallel",
+    "final",
+    "history",
+    "default",
+    "with",
+    "enter",
+    "exit",
+    "watch",
+    "after",
+    "always",
+    "transitions",
+    "retry",
+    "limits",
+    "unbreakable",
+];
+impl Reader<'_> {
+    pub(super) fn state(
+        &mut self,
+        name: Named,
+        span: Span,
+        entries: &Entries,
+        level: usize,
+        root: bool,
+    ) -> Option<State> {
+        if level > MAX_LEVELS {
+            self.error(code::LIMIT, name.span, format!("states are nested deeper than {MAX_LEVELS} levels"));
+            return None;
+        }
+        if !root {
+            self.name(&name);
+            self.known(entries, STATE_KEYS, "a state");
+        }
+        let kind = self.kind(&name, span, entries, level, root);
+        let unbreakable = match get(entries, "unbreakable").map(|n| (&n.value, n.span)) {
+            None | Some((Yaml::Bool(false), _)) => false,
+            Some((Yaml::Bool(true), _)) => true,
+            Some((_, at)) => {
+                self.error(code::FORM, at, "`true` or `false` is needed here");
+                false
+            }
+        };
+        Some(State {
+            kind,
+            with: get(entries, "with").map_or_else(Vec::new, |n| self.entries(n).to_vec()),
+            enter: self.actions(get(entries, "enter")),
+            exit: self.actions(get(entries, "exit")),
+            watch: self.watches(entries),
+            after: self.after(entries),
+            always: get(entries, "always").map_or_else(Vec::new, |n| self.transition_list(n, None)),
+            transitions: self.transitions(entries),
+            retry: self.retry(entries),
+            limits: self.limits(entries),
+            unbreakable,
+            name,
+        })
+    }
+
+    fn kind(&mut self, name: &Named, span: Span, entries: &Entries, level: usize, root: bool) -> Kind {
+        const KINDS: [&str; 7] = ["skill", "statechart", "remote", "states", "parallel", "final", "history"];
+        let given: Vec<&(Named, Node)> = entries
+            .iter()
+            .filter(|(k, _)| KINDS.contains(&k.text.as_str()) && !(root && k.text == "statechart"))
+            .collect();
+        if let [(first, _), (second, _), ..] = given.as_slice() {
+            let message = format!("a state is one thing: it has both `{}` and `{}`", first.text, second.text);
+            self.error(code::KIND, second.span, message);
+        }
+        let Some((key, node)) = given.first() else { return Kind::Atomic };
+        match key.text.as_str() {
+            "states" => {
+                let states = self.states(node, level);
+                let Some(initial) = get(entries, "initial") else {
+                    let span = if root { name.span } else { key.span };
+                    self.error(code::MISSING_KEY, span, "`states` needs `initial: Name`");
+                    return Kind::Atomic;
+                };
+                match self.text(initial) {
+                    Some(initial) => Kind::Composite { initial, states },
+                    None => Kind::Atomic,
+                }
+            }
+            "parallel" => Kind::Parallel(self.states(node, level)),
+            "history" => {
+                let default = get(entries, "default").and_then(|n| self.text(n));
+                let form = self.text(node);
+                match form.as_ref().map(|f| f.text.as_str()) {
+                    Some("shallow" | "deep") | None => {}
+                    Some(_) => self.error(code::FORM, node.span, "history is `shallow` or `deep`"),
+                }
+                if default.is_none() {
+                    self.error(code::MISSING_KEY, span, "history needs `default: Target`");
+                }
+                Kind::History { deep: form.is_some_and(|f| f.text == "deep"), default }
+            }
+            key => match (key, self.text(node)) {
+                ("skill", Some(name)) => Kind::Skill(name),
+                ("statechart", Some(name)) => Kind::Chart(name),
+                ("remote", Some(name)) => Kind::Remote(name),
+                ("final", Some(outcome)) => Kind::Final(outcome),
+                _ => Kind::Atomic,
+            },
+        }
+    }
+
+    fn states(&mut self, node: &Node, level: usize) -> Vec<State> {
+        let mut states = Vec::new();
+        for (name, node) in self.entries(node) {
+            let entries = self.entries(node);
+            states.extend(self.state(name.clone(), node.span, entries, level + 1, false));
+        }
+        states
+    }
+
+    fn retry(&mut self, entries: &Entries) -> Option<Retry> {
+        let node = get(entries, "retry")?;
+        let entries = self.entries(node);
+        self.known(entries, &["times", "wait"], "`retry`");
+        let times = match get(entries, "times").map(|n| (&n.value, n.span)) {
+            Some((Yaml::Int(n), _)) if (0..=1_000_000).contains(n) => u32::try_from(*n).unwrap_or(0),
+            Some((_, span)) => {
+                self.error(code::FORM, span, "a number of times is needed here");
+                0
+            }
+            None => 1,
+        };
+        let wait_s = get(entries, "wait").and_then(|n| self.duration(n)).unwrap_or(0.0);
+        Some(Retry { times, wait_s })
+    }
+
+    fn watches(&mut self, entries: &Entries) -> Vec<Watch> {
+        let Some(node) = get(entries, "watch") else { return Vec::new() };
+        let mut watches = Vec::new();
+        for (name, node) in self.entries(node) {
+            self.name(name);
+            let short;
+            let form = if let Yaml::String(_) = &node.value {
+                short = vec![(Named { span: node.span, text: "if".into() }, node.clone())];
+                &short[..]
+            } else {
+                self.entries(node)
+            };
+            self.known(form, &["if", "for", "until"], "a watch");
+            let Some(condition) = get(form, "if") else {
+                self.error(code::MISSING_KEY, name.span, "a watch needs `if: condition`");
+                continue;
+            };
+            let hold_s = get(form, "for").and_then(|n| self.duration(n)).unwrap_or(0.0);
+            let until = get(form, "until").cloned();
+            watches.push(Watch { name: name.clone(), condition: condition.clone(), hold_s, until });
+        }
+        watches
+    }
+
+    fn after(&mut self, entries: &Entries) -> Vec<Transition> {
+        let Some(node) = get(entries, "after") else { return Vec::new() };
+        let mut result = Vec::new();
+        match &node.value {
+            Yaml::List(items) => {
+                for item in items {
+                    let form = self.entries(item);
+                    self.known(form, &["for", "if", "target", "do", "with"], "a timed transition");
+                    let Some(delay) = get(form, "for") else {
+                        self.error(code::MISSING_KEY, item.span, "a timed transition needs `for: duration`");
+                        continue;
+                    };
+                    let mut transition = self.transition(item, None, true);
+                    transition.delay = Some(delay.clone());
+                    result.push(transition);
+                }
+            }
+            _ => {
+                for (key, node) in self.entries(node) {
+                    let delay = Node { span: key.span, value: Yaml::String(key.text.clone()) };
+                    for mut transition in self.transition_list(node, None) {
+                        transition.delay = Some(delay.clone());
+                        result.push(transition);
+                    }
+                }
+            }
+        }
+        result
+    }
+
+    fn transitions(&mut self, entries: &Entries) -> Vec<Transition> {
+        let Some(node) = get(entries, "transitions") else { return Vec::new() };
+        let mut result = Vec::new();
+        for (event, node) in self.entries(node) {
+            let pattern = event.text.strip_suffix(".*").unwrap_or(&event.text);
+            if event.text != "*"
+                && (pattern.is_empty() || pattern.split('.').any(|t| t.is_empty() || t == "*"))
+            {
+                self.error(code::NAME, event.span, format!("`{}` is not the name of an event", event.text));
+            }
+            result.extend(self.transition_list(node, Some(event)));
+        }
+        result
+    }
+
+    fn transition_list(&mut self, node: &Node, event: Option<&Named>) -> Vec<Transition> {
+        match &node.value {
+            Yaml::List(items) => items.iter().map(|n| self.transition(n, event, false)).collect(),
+            _ => vec![self.transition(node, event, false)],
+        }
+    }
+
+    fn transition(&mut self, node: &Node, event: Option<&Named>, timed: bool) -> Transition {
+        let mut result = Transition {
+            span: event.map_or(node.span, |e| e.span),
+            event: event.cloned(),
+            delay: None,
+            target: None,
+            guard: None,
+            actions: Vec::new(),
+            with: Vec::new(),
+        };
+        if let Yaml::String(target) = &node.value {
+            result.target = Some(Named { span: node.span, text: target.clone() });
+            return result;
+        }
+        let Yaml::Map(entries) = &node.value else {
+            self.form(node, "a target, or `{target, if, do, with}`, or a list of these");
+            return result;
+        };
+        if !timed {
+            self.known(entries, &["target", "if", "do", "with"], "a transition");
+        }
+        result.target = get(entries, "target").and_then(|n| self.text(n));
+        result.guard = get(entries, "if").cloned();
+        result.actions = self.actions(get(entries, "do"));
+        result.with = get(entries, "with").map_or_else(Vec::new, |n| self.entries(n).to_vec());
+        result
+    }
+
+    fn actions(&mut self, node: Option<&Node>) -> Vec<Action> {
+        let Some(node) = node else { return Vec::new() };
+        match &node.value {
+            Yaml::Null => Vec::new(),
+            Yaml::List(items) => items.iter().filter_map(|n| self.action(n)).collect(),
+            _ => self.action(node).into_iter().collect(),
+        }
+    }
+
+    fn action(&mut self, node: &Node) -> Option<Action> {
+        const ACTIONS: [&str; 7] = ["assign", "raise", "send", "cancel", "log", "if", "foreach"];
+        let Yaml::Map(entries) = &node.value else {
+            self.form(node, "an action");
+            return None;
+        };
+        let [(key, value)] = entries.as_slice() else {
+            let message = format!("an action has one key, of {}", ACTIONS.join(", "));
+            self.error(code::FORM, node.span, message);
+            return None;
+        };
+        let kind = match key.text.as_str() {
+            "assign" => ActionKind::Assign(self.entries(value).to_vec()),
+            "raise" => self.raise(value)?,
+            "send" => self.send(value)?,
+            "cancel" => ActionKind::Cancel(self.text(value)?),
+            "log" => ActionKind::Log(value.clone()),
+            "if" => {
+                let form = self.entries(value);
+                self.known(form, &["cond", "then", "else"], "`if`");
+                let Some(condition) = get(form, "cond").cloned() else {
+                    self.error(code::MISSING_KEY, value.span, "`if` needs `cond`");
+                    return None;
+                };
+                let then = self.actions(get(form, "then"));
+                ActionKind::If { condition, then, otherwise: self.actions(get(form, "else")) }
+            }
+            "foreach" => {
+                let form = self.entries(value);
+                self.known(form, &["in", "as", "do"], "`foreach`");
+                let (items, variable) = (get(form, "in"), get(form, "as").and_then(|n| self.text(n)));
+                let (Some(items), Some(variable)) = (items.cloned(), variable) else {
+                    self.error(code::MISSING_KEY, value.span, "`foreach` needs `in` and `as`");
+                    return None;
+                };
+                self.name(&variable);
+                ActionKind::Foreach { items, variable, body: self.actions(get(form, "do")) }
+            }
+            other => {
+                let help =
+                    suggest(other, ACTIONS).unwrap_or_else(|| format!("actions: {}", ACTIONS.join(", ")));
+                let message = format!("there is no action `{other}`");
+                self.findings.error_help(code::KEY, key.span, message, Some(help));
+                return None;
+            }
+        };
+        Some(Action { span: value.span, kind })
+    }
+
+    fn raise(&mut self, value: &Node) -> Option<ActionKind> {
+        if let Yaml::String(_) = &value.value {
+            return Some(ActionKind::Raise { event: self.text(value)?, data: None });
+        }
+        let form = self.entries(value);
+        self.known(form, &["event", "data"], "`raise`");
+        let event = get(form, "event").and_then(|n| self.text(n));
+        let Some(event) = event else {
+            self.error(code::MISSING_KEY, value.span, "`raise` needs `event`");
+            return None;
+        };
+        Some(ActionKind::Raise { event, data: get(form, "data").cloned() })
+    }
+
+    fn send(&mut self, value: &Node) -> Option<ActionKind> {
+        if let Yaml::String(_) = &value.value {
+            let event = self.text(value)?;
+            return Some(ActionKind::Send { event, to: None, data: None, delay: None, id: None });
+        }
+        let form = self.entries(value);
+        self.known(form, &["event", "to", "data", "delay", "id"], "`send`");
+        let event = get(form, "event").and_then(|n| self.text(n));
+        let Some(event) = event else {
+            self.error(code::MISSING_KEY, value.span, "`send` needs `event`");
+            return None;
+        };
+        Some(ActionKind::Send {
+            event,
+            to: get(form, "to").cloned(),
+            data: get(form, "data").cloned(),
+            delay: get(form, "delay").cloned(),
+            id: get(form, "id").and_then(|n| self.text(n)),
+        })
+    }
+}

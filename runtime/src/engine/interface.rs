@@ -1,0 +1,212 @@
+//! What the engine is told and what it wants done: data only.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use armarium_values::Value;
+
+use super::StateId;
+use crate::skill::{Limits, SkillResult};
+use crate::trace::TraceItem;
+
+/// What the engine is told.
+#[derive(Clone, Debug)]
+pub enum Input {
+    /// A skill returned, cancelled or not.
+    SkillEnded {
+        /// Number of its start.
+        activation: u64,
+        /// How it ended.
+        result: SkillResult,
+    },
+    /// A cancelled skill has not returned within its grace.
+    SkillStuck {
+        /// Number of its start.
+        activation: u64,
+    },
+    /// An event for all active states: from a skill that runs, or from outside.
+    Event {
+        /// Its name.
+        name: String,
+        /// What comes with it.
+        data: Value,
+    },
+    /// A timer ran out.
+    Timer {
+        /// Its number.
+        timer: u64,
+    },
+    /// A watch fired.
+    Watch {
+        /// Its number.
+        watch: u32,
+        /// The entry of the state that it was armed with.
+        entry: u64,
+    },
+    /// An expression of a watch failed.
+    WatchFailed {
+        /// Its number.
+        watch: u32,
+        /// The entry of the state that it was armed with.
+        entry: u64,
+        /// What happened.
+        message: String,
+        /// `file:line:column`.
+        place: String,
+    },
+    /// Stop everything: all skills are cancelled, the run ends as `stopped`.
+    Stop {
+        /// Why.
+        reason: String,
+    },
+    /// Something outside makes going on impossible: as `Stop`, but the run ends as `failure`.
+    Abort {
+        /// Why.
+        reason: String,
+    },
+}
+
+/// What the engine wants done.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Effect {
+    /// Start a skill.
+    StartSkill {
+        /// Number of this start in the run.
+        activation: u64,
+        /// The state that runs it.
+        state: StateId,
+        /// Its name in the registry.
+        skill: String,
+        /// Its inputs, checked, with defaults.
+        inputs: BTreeMap<String, Value>,
+        /// Bounds from the chart.
+        limits: Limits,
+    },
+    /// Tell a skill to stop; it is then reported as ended, or as stuck.
+    Cancel {
+        /// Number of its start.
+        activation: u64,
+        /// How long it may take.
+        grace: Duration,
+    },
+    /// Report `timer` after a time. Of timers that run out at one instant, those of lower `order` come first.
+    StartTimer {
+        /// Its number.
+        timer: u64,
+        /// After how long.
+        after: Duration,
+        /// Inner states first, then the order in the file.
+        order: u64,
+    },
+    /// Forget a timer.
+    CancelTimer {
+        /// Its number.
+        timer: u64,
+    },
+    /// Begin to observe a watch.
+    ArmWatch {
+        /// Its number.
+        watch: u32,
+        /// The entry of its state, to be reported with it.
+        entry: u64,
+    },
+    /// Stop observing a watch.
+    DisarmWatch {
+        /// Its number.
+        watch: u32,
+    },
+    /// Send an event to another agent or chart.
+    Send {
+        /// Its name.
+        event: String,
+        /// To whom.
+        to: String,
+        /// What comes with it.
+        data: Value,
+    },
+    /// Something worth seeing.
+    Trace(TraceItem),
+    /// The run has ended; nothing comes after this.
+    Finished(RunResult),
+}
+
+/// How a run ended.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunResult {
+    /// The chart's outcome: `success`, `failure`, one of its own, or `stopped`.
+    pub outcome: String,
+    /// Why, for an outcome other than success where it is known.
+    pub reason: Option<String>,
+    /// The states that a failure came through, from the inside out.
+    pub chain: Vec<String>,
+    /// What the chart gave.
+    pub outputs: BTreeMap<String, Value>,
+}
+
+/// What expressions read from outside of the engine.
+pub trait Sensors {
+    /// The newest value of a channel (its place in [`Program::channels`](super::Program::channels)), or the field that `path` names.
+    fn channel(&self, channel: u32, path: &[String]) -> Option<Value>;
+    /// Seconds since it was published.
+    fn age(&self, channel: u32) -> Option<f64>;
+}
+
+/// Sensors without any channel.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct NoSensors;
+
+impl Sensors for NoSensors {
+    fn channel(&self, _: u32, _: &[String]) -> Option<Value> {
+        None
+    }
+    fn age(&self, _: u32) -> Option<f64> {
+        None
+    }
+}
+
+/// An input that a chart cannot be started with.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum InputError {
+    /// No input of that name.
+    #[error("the chart has no input `{name}`{}", help.as_ref().map_or(String::new(), |h| format!("; {h}")))]
+    Unknown {
+        /// The name.
+        name: String,
+        /// What might be meant.
+        help: Option<String>,
+    },
+    /// The value does not fit.
+    #[error("input `{name}`: {message}")]
+    Value {
+        /// The name.
+        name: String,
+        /// What is wrong.
+        message: String,
+    },
+    /// An input without default was not given.
+    #[error("the chart needs the input `{name}`")]
+    Missing {
+        /// The name.
+        name: String,
+    },
+    /// No profile of that name.
+    #[error("the chart has no profile `{name}`; it has: {known}")]
+    Profile {
+        /// The name.
+        name: String,
+        /// The profiles that it has.
+        known: String,
+    },
+}
+
+/// What a watch sees now.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Observation {
+    /// The condition.
+    pub holds: bool,
+    /// Whether a watch that has fired may fire again.
+    pub until: bool,
+    /// An expression that failed, and where it was written.
+    pub error: Option<(String, String)>,
+}

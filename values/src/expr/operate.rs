@@ -1,0 +1,193 @@
+//! Operators on values while an expression is evaluated.
+
+use std::cmp::Ordering;
+
+use super::MAX_ITEMS;
+use super::eval::{EvalError, Pos, Val};
+use crate::Value;
+
+type Result<T> = std::result::Result<T, EvalError>;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Arithmetic {
+    Add,
+    Subtract,
+    Multiply,
+    Divide,
+    Remainder,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Comparison {
+    Less,
+    LessEqual,
+    Greater,
+    GreaterEqual,
+    Equal,
+    NotEqual,
+}
+
+pub(super) fn has_nan(value: &Value) -> bool {
+    match value {
+        Value::Float(f) | Value::Duration(f) => f.is_nan(),
+        Value::Vector(v) => v.components.iter().any(|c| c.is_nan()),
+        Value::List(items) => items.iter().any(has_nan),
+        _ => false,
+    }
+}
+
+pub(super) fn field<'v>(of: Val<'v>, name: &str, pos: Pos) -> Result<Val<'v>> {
+    let missing = || pos.error(format!("there is no `{name}` in {}", of.describe()));
+    match &of {
+        Val::Ref(Value::Map(fields)) => fields.get(name).map(Val::of).ok_or_else(missing),
+        Val::Ref(value) => part(value, name).map(Val::own).ok_or_else(missing),
+        Val::Owned(value) => match &**value {
+            Value::Map(fields) => fields.get(name).cloned().map(Val::own).ok_or_else(missing),
+            value => part(value, name).map(Val::own).ok_or_else(missing),
+        },
+        _ => Err(missing()),
+    }
+}
+
+/// The named part of a geometric value or a reference.
+pub(super) fn part(value: &Value, name: &str) -> Option<Value> {
+    let axis = |v: [f64; 3]| match name {
+        "x" => Some(Value::Float(v[0])),
+        "y" => Some(Value::Float(v[1])),
+        "z" => Some(Value::Float(v[2])),
+        _ => None,
+    };
+    match (value, name) {
+        (Value::Vector(v), "frame") => Some(v.frame.0.as_str().into()),
+        (Value::Vector(v), _) => axis(v.components),
+        (Value::Pose(p), "frame") => Some(p.frame.0.as_str().into()),
+        (Value::Pose(p), "position") => Some(p.position.into()),
+        (Value::Pose(p), "orientation") => Some(p.orientation.to_vec().into()),
+        (Value::Pose(p), _) => axis(p.position),
+        (Value::Wrench(w), "frame") => Some(w.frame.0.as_str().into()),
+        (Value::Wrench(w), "force") => Some(w.force.into()),
+        (Value::Wrench(w), "torque") => Some(w.torque.into()),
+        (Value::Reference(r), "kind") => Some(r.kind.as_str().into()),
+        (Value::Reference(r), "id") => Some(r.id.as_str().into()),
+        _ => None,
+    }
+}
+
+pub(super) fn index<'v>(of: Val<'v>, key: &Val<'v>, pos: Pos) -> Result<Val<'v>> {
+    if let Some(name) = key.text() {
+        return field(of, name, pos);
+    }
+    let Val::Int(i) = key else {
+        return Err(pos.error(format!("expected a whole number, found {}", key.describe())));
+    };
+    let at = usize::try_from(*i).ok();
+    let outside = |n: usize| pos.error(format!("there is no item {i} in a list of {n}"));
+    match &of {
+        Val::Ref(Value::List(items)) => {
+            at.and_then(|i| items.get(i)).map(Val::of).ok_or_else(|| outside(items.len()))
+        }
+        _ => match of.as_value() {
+            Some(Value::List(items)) => {
+                at.and_then(|i| items.get(i)).cloned().map(Val::own).ok_or_else(|| outside(items.len()))
+            }
+            Some(Value::Vector(v)) => {
+                at.and_then(|i| v.components.get(i)).map(|c| Val::Float(*c)).ok_or_else(|| outside(3))
+            }
+            _ => Err(pos.error(format!("{} has no items", of.describe()))),
+        },
+    }
+}
+
+pub(super) fn negate<'v>(of: &Val<'v>, pos: Pos) -> Result<Val<'v>> {
+    match of {
+        Val::Int(i) => i.checked_neg().map(Val::Int).ok_or_else(|| pos.error("the number is out of range")),
+        Val::Float(f) => Ok(Val::Float(-f)),
+        other => Err(pos.error(format!("expected a number, found {}", other.describe()))),
+    }
+}
+
+pub(super) fn compare(op: Comparison, a: &Val<'_>, b: &Val<'_>, pos: Pos) -> Result<bool> {
+    use Comparison as C;
+    let order = match (a, b) {
+        (Val::Int(a), Val::Int(b)) => Some(a.cmp(b)),
+        (Val::Bool(a), Val::Bool(b)) => Some(a.cmp(b)),
+        _ => match (a.number(), b.number()) {
+            (Some(a), Some(b)) => a.partial_cmp(&b),
+            _ => match (a.text(), b.text()) {
+                (Some(a), Some(b)) => Some(a.cmp(b)),
+                _ if matches!(op, C::Equal | C::NotEqual) => {
+                    return Ok(equal(a, b) == (op == C::Equal));
+                }
+                _ => {
+                    let (a, b) = (a.describe(), b.describe());
+                    return Err(pos.error(format!("{a} and {b} have no order")));
+                }
+            },
+        },
+    };
+    Ok(match op {
+        C::Less => order == Some(Ordering::Less),
+        C::LessEqual => matches!(order, Some(Ordering::Less | Ordering::Equal)),
+        C::Greater => order == Some(Ordering::Greater),
+        C::GreaterEqual => matches!(order, Some(Ordering::Greater | Ordering::Equal)),
+        C::Equal => order == Some(Ordering::Equal),
+        C::NotEqual => order != Some(Ordering::Equal),
+    })
+}
+
+pub(super) fn equal(a: &Val<'_>, b: &Val<'_>) -> bool {
+    match (a, b) {
+        (Val::Null, Val::Null) => true,
+        _ => match (a.as_value(), b.as_value()) {
+            (Some(a), Some(b)) => a == b,
+            _ => false,
+        },
+    }
+}
+
+pub(super) fn arithmetic<'v>(op: Arithmetic, a: Val<'v>, b: Val<'v>, pos: Pos) -> Result<Val<'v>> {
+    use Arithmetic as A;
+    if let (Val::Int(a), Val::Int(b)) = (&a, &b) {
+        let result = match op {
+            A::Add => a.checked_add(*b),
+            A::Subtract => a.checked_sub(*b),
+            A::Multiply => a.checked_mul(*b),
+            A::Divide | A::Remainder if *b == 0 => return Err(pos.error("division by zero")),
+            A::Divide => a.checked_div(*b),
+            A::Remainder => a.checked_rem(*b),
+        };
+        return result.map(Val::Int).ok_or_else(|| pos.error("the whole number is out of range"));
+    }
+    if let (Some(a), Some(b)) = (a.number(), b.number()) {
+        return Ok(Val::Float(match op {
+            A::Add => a + b,
+            A::Subtract => a - b,
+            A::Multiply => a * b,
+            A::Divide => a / b,
+            A::Remainder => a % b,
+        }));
+    }
+    if op == A::Add {
+        if let (Some(a), Some(b)) = (a.text(), b.text()) {
+            return Ok(Val::own(Value::String([a, b].concat())));
+        }
+        if let (Some(Value::List(x)), Some(Value::List(y))) = (a.as_value(), b.as_value()) {
+            if x.len() + y.len() > MAX_ITEMS as usize {
+                return Err(pos.error(format!("the list has more than {MAX_ITEMS} items")));
+            }
+            return Ok(Val::own(Value::List(x.iter().chain(y).cloned().collect())));
+        }
+    }
+    Err(pos.error(format!("{} and {} do not go together here", a.describe(), b.describe())))
+}
+
+pub(super) fn contains(item: &Val<'_>, of: &Val<'_>, pos: Pos) -> Result<bool> {
+    match of.as_value() {
+        Some(Value::List(items)) => {
+            let same = |v: &Value| compare(Comparison::Equal, item, &Val::of(v), pos);
+            items.iter().try_fold(false, |found, v| Ok(found || same(v)?))
+        }
+        Some(Value::Map(fields)) => Ok(item.text().is_some_and(|name| fields.contains_key(name))),
+        _ => Err(pos.error(format!("expected a list or a map, found {}", of.describe()))),
+    }
+}
