@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use armarium_memoryx::Memory;
 use armarium_runtime::channels::Channels;
+use armarium_runtime::engine::Program;
 use armarium_runtime::exec::{Controller, ExecOptions, Executor, RunResult};
 use armarium_simulator::{TruthSink, World};
 use armarium_states::observers;
@@ -43,7 +44,7 @@ pub(crate) struct RunArgs {
     pub(crate) store: PathBuf,
     /// An input of the chart, for instance `contact_force=10` or `patience=30s`; may be repeated.
     #[arg(long = "set", value_name = "INPUT=VALUE", value_parser = parse_input)]
-    pub(crate) inputs: Vec<(String, Value)>,
+    pub(crate) inputs: Vec<(String, String)>,
     /// The chart's profile whose defaults are used.
     #[arg(long)]
     pub(crate) profile: Option<String>,
@@ -68,18 +69,20 @@ pub(crate) enum Speed {
     RealTime,
 }
 
-fn parse_input(text: &str) -> Result<(String, Value), String> {
+fn parse_input(text: &str) -> Result<(String, String), String> {
     let (name, value) = text.split_once('=').ok_or("write it as INPUT=VALUE")?;
-    let value = match value {
-        "true" => Value::Bool(true),
-        "false" => Value::Bool(false),
-        _ => value
-            .parse()
-            .map(Value::Int)
-            .or_else(|_| value.parse().map(Value::Float))
-            .unwrap_or_else(|_| Value::from(value)),
+    Ok((name.to_owned(), value.to_owned()))
+}
+
+/// The given inputs as values of the types that the chart declares; what the chart does not have stays text and is
+/// refused by the executor, with a suggestion.
+fn read_inputs(given: &[(String, String)], program: &Program) -> Result<BTreeMap<String, Value>, NotBegun> {
+    let read = |(name, text): &(String, String)| {
+        let declared = program.inputs().find(|input| input.name == *name);
+        let value = declared.map_or_else(|| Ok(Value::from(text.as_str())), |input| input.ty.read(text));
+        value.map(|v| (name.clone(), v)).map_err(|e| NotBegun::Message(format!("--set {name}={text}: {e}")))
     };
-    Ok((name.to_owned(), value))
+    given.iter().map(read).collect()
 }
 
 /// Why a run did not begin; nothing has moved.
@@ -160,7 +163,7 @@ async fn perform(args: &RunArgs, began: Instant, out: &mut dyn Write) -> Result<
     let channels = Channels::new();
     let robot = Arc::clone(&stage.robot);
     let options = ExecOptions {
-        inputs: args.inputs.iter().cloned().collect(),
+        inputs: read_inputs(&args.inputs, &program)?,
         profile: args.profile.clone(),
         sink: Some(Box::new(chronicle.clone())),
         on_stuck: Some(Box::new(move |state| robot.stop(&format!("the skill of `{state}` does not return")))),

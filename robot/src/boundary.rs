@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use nalgebra::{Point3, Vector3};
-use tokio::sync::watch;
+
+use crate::newest;
 
 /// Everything that the robot sensed at one instant. Joint arrays are in the order of the model's joints.
 #[derive(Clone, Debug, PartialEq)]
@@ -143,7 +144,7 @@ pub trait Robot: Send + Sync {
     /// Its description.
     fn model(&self) -> &Arc<crate::Model>;
     /// The newest sample, and a wake-up at each new one (1 kHz in the simulator).
-    fn sensed(&self) -> watch::Receiver<Arc<Sensed>>;
+    fn sensed(&self) -> newest::Receiver<Arc<Sensed>>;
     /// Takes the exclusive right to command a limb, until the lease is dropped.
     ///
     /// # Errors

@@ -7,9 +7,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use nalgebra::Point3;
-use tokio::sync::watch;
 
-use crate::{Fault, Kinematics, Lease, LeaseError, LeaseLimits, Robot, Sensed};
+use crate::{Fault, Kinematics, Lease, LeaseError, LeaseLimits, Robot, Sensed, newest};
 
 /// A joint under this stands, rad/s (m/s).
 pub const STANDING: f64 = 0.01;
@@ -49,7 +48,7 @@ struct Probe<'a> {
     robot: &'a Arc<dyn Robot>,
     limb: &'a str,
     joints: Vec<usize>,
-    sensed: watch::Receiver<Arc<Sensed>>,
+    sensed: newest::Receiver<Arc<Sensed>>,
     /// The rule that is checked now.
     rule: &'static str,
 }
@@ -75,7 +74,7 @@ impl<'a> Probe<'a> {
 
     async fn sample(&mut self) -> Result<Arc<Sensed>, Violation> {
         match tokio::time::timeout(SAMPLE_WITHIN, self.sensed.changed()).await {
-            Ok(Ok(())) => Ok(Arc::clone(&self.sensed.borrow_and_update())),
+            Ok(Ok(())) => Ok(self.sensed.borrow_and_update()),
             Ok(Err(_)) => self.broken("the robot is gone"),
             Err(_) => self.broken("no sample within a second"),
         }

@@ -299,7 +299,7 @@ impl Guard {
 
     fn publish(&self, stamp_ns: u64) {
         let wrist = self.sensor.as_ref().map_or_else(Wrist::default, |s| s.wrist);
-        self.shared.sensed.send_replace(Arc::new(Sensed {
+        self.shared.sensed.send(Arc::new(Sensed {
             stamp_ns,
             position: self.measured.position.clone(),
             velocity: self.measured.velocity.clone(),

@@ -7,10 +7,9 @@ use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use nalgebra::{Point3, Vector3};
-use tokio::sync::watch;
 
 use crate::model::Limb;
-use crate::{Fault, LeaseError, LeaseLimits, Model, Robot, Sensed, Wrist};
+use crate::{Fault, LeaseError, LeaseLimits, Model, Robot, Sensed, Wrist, newest};
 
 /// Utterances kept until the driver takes them; older ones are dropped.
 const UTTERANCES: usize = 64;
@@ -99,7 +98,7 @@ pub(crate) struct Desk {
 #[derive(Debug)]
 pub(crate) struct Shared {
     pub(crate) model: Arc<Model>,
-    pub(crate) sensed: watch::Sender<Arc<Sensed>>,
+    pub(crate) sensed: newest::Sender<Arc<Sensed>>,
     desk: Mutex<Desk>,
 }
 
@@ -114,7 +113,7 @@ impl Shared {
             torque_raw: Vector3::zeros(),
             wrist: Wrist::default(),
         };
-        let sensed = watch::channel(Arc::new(first)).0;
+        let sensed = newest::Sender::new(Arc::new(first));
         Self { model: Arc::clone(model), sensed, desk: Mutex::new(Desk { slots, ..Desk::default() }) }
     }
 
@@ -139,7 +138,7 @@ impl Robot for GuardedRobot {
         &self.shared.model
     }
 
-    fn sensed(&self) -> watch::Receiver<Arc<Sensed>> {
+    fn sensed(&self) -> newest::Receiver<Arc<Sensed>> {
         self.shared.sensed.subscribe()
     }
 

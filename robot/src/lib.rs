@@ -22,6 +22,7 @@ mod ik;
 mod kinematics;
 mod lease;
 mod model;
+pub mod newest;
 mod pose_ik;
 pub mod postures;
 mod wrist;

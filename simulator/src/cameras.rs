@@ -6,13 +6,12 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use armarium_robot::{Kinematics, LinkId, Model};
+use armarium_robot::{Kinematics, LinkId, Model, newest};
 use armarium_visionx::{
     DepthImage, Image, ImageError, ImageSource, PinholeCamera, StereoCalibration, StereoFrame,
 };
 use async_trait::async_trait;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-use tokio::sync::watch;
 
 use crate::coach::{CoachState, HandShown};
 use crate::render::hand::{HandGesture, HandPose, SLEEVE, hand_shapes, landmarks};
@@ -36,7 +35,7 @@ const HIDES: f32 = 0.002;
 #[derive(Debug)]
 pub struct SimulatedCameras {
     calibration: StereoCalibration,
-    newest: watch::Sender<Feed>,
+    newest: newest::Sender<Feed>,
     waiting: AtomicUsize,
 }
 
@@ -59,7 +58,7 @@ impl SimulatedCameras {
     const NAME: &'static str = "head_stereo";
 
     fn new(calibration: StereoCalibration) -> Self {
-        Self { calibration, newest: watch::channel(Feed::default()).0, waiting: AtomicUsize::new(0) }
+        Self { calibration, newest: newest::Sender::new(Feed::default()), waiting: AtomicUsize::new(0) }
     }
 
     fn wanted(&self) -> bool {
@@ -67,12 +66,12 @@ impl SimulatedCameras {
     }
 
     fn publish(&self, frame: StereoFrame) {
-        self.newest.send_modify(|feed| feed.frame = Some(Arc::new(frame)));
+        self.newest.send(Feed { frame: Some(Arc::new(frame)), ..self.newest.borrow() });
     }
 
     /// No frame will come any more; those who wait are told.
     pub(crate) fn close(&self) {
-        self.newest.send_modify(|feed| feed.gone = true);
+        self.newest.send(Feed { gone: true, ..self.newest.borrow() });
     }
 
     fn gone() -> ImageError {

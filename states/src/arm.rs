@@ -6,11 +6,10 @@
 use std::sync::Arc;
 
 use armarium_robot::{
-    DifferentialIk, IkConfig, Kinematics, Lease, LeaseLimits, LinkId, Model, Robot, Sensed, Twist, postures,
+    DifferentialIk, IkConfig, Kinematics, Lease, LeaseLimits, LinkId, Model, Robot, Sensed, Twist, newest, postures,
 };
 use armarium_runtime::skill::{Failure, SkillContext};
 use nalgebra::{Isometry3, Point3, Vector3};
-use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use crate::equipment::Equipment;
@@ -20,7 +19,7 @@ const TRACKING_GAIN: f64 = 12.0;
 
 /// The newest samples of the robot, one after the other, until the skill is cancelled.
 pub(crate) struct Senses {
-    sensed: watch::Receiver<Arc<Sensed>>,
+    sensed: newest::Receiver<Arc<Sensed>>,
     cancel: CancellationToken,
     last_ns: Option<u64>,
 }
@@ -39,7 +38,7 @@ impl Senses {
                 changed.map_err(|_| Failure::new("the robot does not send samples any more"))?;
             }
         }
-        let sample = Arc::clone(&self.sensed.borrow_and_update());
+        let sample = self.sensed.borrow_and_update();
         let before = self.last_ns.replace(sample.stamp_ns).unwrap_or(sample.stamp_ns);
         let dt = sample.stamp_ns.saturating_sub(before) as f64 * 1e-9;
         Ok((sample, dt.clamp(1e-4, 0.1)))
@@ -47,7 +46,7 @@ impl Senses {
 
     /// The newest sample, without waiting.
     pub(crate) fn newest(&self) -> Arc<Sensed> {
-        Arc::clone(&self.sensed.borrow())
+        self.sensed.borrow()
     }
 }
 

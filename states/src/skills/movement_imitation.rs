@@ -51,6 +51,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         ))
     })?;
     let placed = place(primitive, frequency_hz, &seen.swipe).map_err(failed)?;
+    tracing::debug!(swipe = ?seen.swipe, learned_centre = ?primitive.centre(), centre = ?placed.centre(), "placed the motion");
     let motion = Motion::in_space(name, "root", frequency_hz, placed)
         .map_err(failed)?
         .with_learned_from(format!("a demonstration of {:.0} periods", seen.imitation.periods()));

@@ -1,0 +1,176 @@
+//! The newest value of something that changes, and a wake-up at each change.
+//!
+//! Those who wait are woken in the order in which they began to wait. `tokio::sync::watch` does the same but wakes its
+//! receivers in a random order; under virtual time that is the one thing that would make a run differ from the next.
+
+use std::pin::pin;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::Notify;
+
+#[derive(Debug)]
+struct Shared<T> {
+    state: Mutex<State<T>>,
+    changed: Notify,
+}
+
+#[derive(Debug)]
+struct State<T> {
+    value: T,
+    version: u64,
+    closed: bool,
+}
+
+impl<T> Shared<T> {
+    fn state(&self) -> MutexGuard<'_, State<T>> {
+        // No holder leaves the state half changed: a value is replaced whole.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Changes the value; there is one.
+#[derive(Debug)]
+pub struct Sender<T> {
+    shared: Arc<Shared<T>>,
+}
+
+/// Sees the newest value; clones see the same.
+#[derive(Debug)]
+pub struct Receiver<T> {
+    shared: Arc<Shared<T>>,
+    seen: u64,
+}
+
+/// The sender is gone: the value will not change any more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the sender is gone: the value will not change any more")]
+pub struct Closed;
+
+impl<T: Clone> Sender<T> {
+    /// A value before its first change.
+    #[must_use]
+    pub fn new(value: T) -> Self {
+        let state = Mutex::new(State { value, version: 0, closed: false });
+        Self { shared: Arc::new(Shared { state, changed: Notify::new() }) }
+    }
+
+    /// Replaces the value and wakes who waits.
+    pub fn send(&self, value: T) {
+        let mut state = self.shared.state();
+        state.value = value;
+        state.version += 1;
+        drop(state);
+        self.shared.changed.notify_waiters();
+    }
+
+    /// The value.
+    #[must_use]
+    pub fn borrow(&self) -> T {
+        self.shared.state().value.clone()
+    }
+
+    /// A receiver for which the present value is seen already.
+    #[must_use]
+    pub fn subscribe(&self) -> Receiver<T> {
+        let seen = self.shared.state().version;
+        Receiver { shared: Arc::clone(&self.shared), seen }
+    }
+}
+
+impl<T> Drop for Sender<T> {
+    fn drop(&mut self) {
+        self.shared.state().closed = true;
+        self.shared.changed.notify_waiters();
+    }
+}
+
+impl<T> Clone for Receiver<T> {
+    fn clone(&self) -> Self {
+        Self { shared: Arc::clone(&self.shared), seen: self.seen }
+    }
+}
+
+impl<T: Clone> Receiver<T> {
+    /// The value as it is now; whether it was seen stays as it is.
+    #[must_use]
+    pub fn borrow(&self) -> T {
+        self.shared.state().value.clone()
+    }
+
+    /// The value as it is now, which counts as seen from here on.
+    pub fn borrow_and_update(&mut self) -> T {
+        let state = self.shared.state();
+        self.seen = state.version;
+        state.value.clone()
+    }
+
+    /// Waits until there is a value that has not been seen.
+    ///
+    /// # Errors
+    /// [`Closed`] when there will be none any more.
+    pub async fn changed(&mut self) -> Result<(), Closed> {
+        loop {
+            let mut woken = pin!(self.shared.changed.notified());
+            // Registered before the look, so that no change falls between the two.
+            woken.as_mut().enable();
+            let (version, closed) = {
+                let state = self.shared.state();
+                (state.version, state.closed)
+            };
+            if version != self.seen {
+                self.seen = version;
+                return Ok(());
+            }
+            if closed {
+                return Err(Closed);
+            }
+            woken.await;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::{Arc, Mutex};
+
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn waiters_wake_in_the_order_in_which_they_began_to_wait() {
+        let sender = Sender::new(0);
+        let order = Arc::new(Mutex::new(Vec::new()));
+        let mut tasks = Vec::new();
+        for name in 0..20 {
+            let (mut receiver, order) = (sender.subscribe(), Arc::clone(&order));
+            tasks.push(tokio::spawn(async move {
+                while receiver.changed().await.is_ok() {
+                    order.lock().expect("no test panics with the lock").push(name);
+                }
+            }));
+        }
+        for value in 1..=50 {
+            tokio::task::yield_now().await;
+            sender.send(value);
+            tokio::task::yield_now().await;
+        }
+        drop(sender);
+        for task in tasks {
+            task.await.expect("no waiter panics");
+        }
+        let order = order.lock().expect("no test panics with the lock");
+        let expected: Vec<i32> = (0..50).flat_map(|_| 0..20).collect();
+        assert_eq!(*order, expected);
+    }
+
+    #[tokio::test]
+    async fn a_change_before_the_wait_is_not_missed_and_the_end_is_told() {
+        let sender = Sender::new("a");
+        let mut receiver = sender.subscribe();
+        sender.send("b");
+        assert_eq!(receiver.changed().await, Ok(()));
+        assert_eq!(receiver.borrow(), "b");
+        drop(sender);
+        assert_eq!(receiver.changed().await, Err(Closed));
+        assert_eq!(receiver.borrow_and_update(), "b");
+    }
+}
