@@ -26,6 +26,9 @@ pub struct SurfaceConfig {
     pub kernels: usize,
     /// First guess of the contact stiffness, N/m; too high is slow, too low by more than 3 may oscillate.
     pub stiffness: f64,
+    /// Whether the stiffness is found from one cycle to the next. It needs a motion along the surface that does not
+    /// change: where somebody changes it, other places of the surface look like a contact without stiffness.
+    pub identify: bool,
     /// Bandwidth of the feedback, rad/s.
     pub bandwidth: f64,
     /// Time from a command to its effect in the measured force, s.
@@ -46,6 +49,7 @@ impl Default for SurfaceConfig {
             force: 8.0,
             kernels: 36,
             stiffness: 4000.0,
+            identify: true,
             bandwidth: 7.0,
             delay: 0.03,
             learning: 0.5,
@@ -210,7 +214,10 @@ impl SurfaceAdaptation {
         self.rms.push(rms);
         self.cycles = self.cycles.saturating_add(1);
         self.cycle = Cycle::default();
-        self.stiffness = self.stiffness_by_cycle.close(self.stiffness);
+        let found = self.stiffness_by_cycle.close(self.stiffness);
+        if self.config.identify {
+            self.stiffness = found;
+        }
     }
 
     /// Root mean square force error of each whole cycle so far, N, the newest last (256 at most).

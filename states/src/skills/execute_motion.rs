@@ -27,6 +27,12 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     .input("motion", Type::motion(), "The motion; changes to it in memory are executed at once.")
     .input("force", Type::quantity(Unit::N), "Desired normal force.")
     .input("grasp", Type::map(Type::Any), "How the tool was grasped.")
+    .optional(
+        "stiffness",
+        Type::quantity(Unit::N_M),
+        4000.0,
+        "Stiffness of the contact, as force adaptation found it.",
+    )
     .limb("torso")
     .limb("right_arm");
     equipment::skill(equipment, manifest, run)
@@ -41,7 +47,9 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let correction = correction.ok_or_else(|| {
         Failure::new("the motion has not been fitted to a surface; run ForceAdaptation first")
     })?;
-    let config = SurfaceConfig { force, ..SurfaceConfig::default() };
+    // The coach changes the motion, so that the stiffness cannot be found from cycle to cycle any more.
+    let stiffness = context.number("stiffness")?;
+    let config = SurfaceConfig { force, stiffness, identify: false, ..SurfaceConfig::default() };
     let mut surface = SurfaceAdaptation::resume(config, correction).map_err(failed)?;
     let z = wiper.motion().primitive().centre()[2];
     let slow_down = SlowDown::default();
