@@ -152,7 +152,16 @@ pub struct Coach {
     centre: Vector3<f64>,
     path: Vec<Vector3<f64>>,
     hand: Option<Vector3<f64>>,
+    /// For how long the hand has stood still, s.
+    still: f64,
 }
+
+/// Time constant over which the jitter of a tracked hand is smoothed, s: three camera frames.
+const HAND_SMOOTHING: f64 = 0.2;
+/// A hand this far from where it was about [`HAND_SMOOTHING`] ago comes or goes: it does not coach yet or any more, m.
+const HAND_MOVES: f64 = 0.02;
+/// For so long a hand stands still before it coaches, s.
+const HAND_STANDS: f64 = 0.3;
 
 impl Coach {
     /// A coach for `dmp`, whose first three degrees of freedom are x, y, z in metres.
@@ -176,6 +185,7 @@ impl Coach {
             centre: Vector3::zeros(),
             path,
             hand: None,
+            still: 0.0,
         })
     }
 
@@ -229,6 +239,7 @@ impl Coach {
     fn begin(&mut self, kind: Kind, dmp: &PeriodicDmp) {
         self.event = Some(kind);
         self.hand = None;
+        self.still = 0.0;
         self.weights.copy_from_slice(dmp.weights());
         self.centre = centre_of(dmp);
         let k = dmp.kernels().len();
@@ -289,6 +300,9 @@ impl Coach {
         let Some(towards) = self.in_surface(offset).try_normalize(1e-6) else {
             return Ok(CoachReport { phase, ..CoachReport::default() });
         };
+        if self.still < HAND_STANDS {
+            return Ok(CoachReport { phase, ..CoachReport::default() });
+        }
         let direction = sign * towards;
         let goal = self.goal(span.nearest, offset.norm(), sign);
         let here = self.response.row(dmp.phase());
@@ -309,10 +323,10 @@ impl Coach {
     }
 
     fn smooth_hand(&mut self, hand: Vector3<f64>, dt: f64) -> Vector3<f64> {
-        // Three camera frames: enough against the jitter of a tracked hand.
-        let share = 1.0 - (-dt / 0.2).exp();
+        let share = 1.0 - (-dt / HAND_SMOOTHING).exp();
         let smooth = self.hand.map_or(hand, |old| old + (hand - old) * share);
         self.hand = Some(smooth);
+        self.still = if (hand - smooth).norm() < HAND_MOVES { self.still + dt } else { 0.0 };
         smooth
     }
 

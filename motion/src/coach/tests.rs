@@ -90,7 +90,7 @@ fn pushes_move_the_path_where_and_whither_they_push() {
         for size in [[0.10, 0.06], [0.16, 0.12]] {
             for phase in [0.25, 0.5, 0.9] {
                 for turn in [0.0, 1.0, 2.5, 4.0] {
-                    for half_arc in [0.1, 0.2] {
+                    for half_arc in [0.15, 0.2] {
                         let mut moved = Vec::new();
                         for hz in [0.3, 0.5, 0.8] {
                             let direction = Vector3::new(f64::cos(turn), f64::sin(turn), 0.0);
@@ -99,9 +99,11 @@ fn pushes_move_the_path_where_and_whither_they_push() {
                                 let (before, after, later) =
                                     coached(&mut dmp, hz, cycles / hz, 0.3, |passed, _| {
                                         let away = (passed / TAU - phase + 0.5).rem_euclid(1.0) - 0.5;
-                                        let on = away.abs() < half_arc;
-                                        if on {
-                                            CoachInput::Push { force: force * direction }
+                                        // Rises and falls like a hand's push; what is too little to be one is not felt.
+                                        let felt = force
+                                            * (TAU / 4.0 * (away.abs() / half_arc).min(1.0)).cos().powi(2);
+                                        if felt > 4.0 {
+                                            CoachInput::Push { force: felt * direction }
                                         } else {
                                             CoachInput::None
                                         }
@@ -164,6 +166,36 @@ fn gestures_move_the_near_side_and_end_there() {
         }
     }
     println!("least {} most {} far {}", worst[0], worst[1], worst[2]);
+}
+
+#[test]
+fn a_hand_that_goes_takes_nothing_back() {
+    let mut dmp = wiping("ellipse", [0.1, 0.06]);
+    let [y, ..] = shape("ellipse", [0.1, 0.06], 0.75 * TAU);
+    let hand = y - 0.12 * Vector3::y();
+    let mut coach = Coach::new(CoachConfig::default(), &dmp).unwrap();
+    let omega = TAU * 0.3;
+    dmp.start_on_path(0.0, omega).unwrap();
+    let mut stood = None;
+    for k in 0..2600 {
+        let t = f64::from(k) * DT;
+        let gone = (t - 12.0).clamp(0.0, 1.0);
+        let away = 0.35 * gone.powi(3) * (10.0 - 15.0 * gone + 6.0 * gone * gone);
+        if t > 12.0 && stood.is_none() {
+            stood = Some(dmp.steady_path(SAMPLES).unwrap());
+        }
+        let seen = hand + Vector3::new(away, -0.3 * away, 0.1 * away);
+        coach.step(&mut dmp, DT, omega, CoachInput::Attract { hand: seen }).unwrap();
+        dmp.step(DT, omega).unwrap();
+    }
+    let (stood, later) = (stood.unwrap(), dmp.steady_path(SAMPLES).unwrap());
+    let change = change(&stood, &later, 0.75 * TAU);
+    assert!(
+        change.at_phase.norm() < 0.002 && change.far_rms < 0.002,
+        "{:?} {}",
+        change.at_phase,
+        change.far_rms
+    );
 }
 
 #[test]

@@ -30,6 +30,8 @@ const TOUCHDOWN_S: f64 = 0.5;
 const FORCE_CYCLES: f64 = 5.0;
 /// Least time that a gesture (or no hand) lasts before a frame counts, s.
 const STEADY_S: f64 = 0.3;
+/// How long the motion takes to its own speed after its start and after the coach has gone, s.
+const RECOVERY_S: f64 = 1.0;
 
 /// What the referee found. Names are the report's.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -296,7 +298,8 @@ impl Run<'_> {
         let (Some(ended), Some(direction), Some(index)) = (ended, direction, index) else {
             return Some(figures);
         };
-        if let Some(after) = self.after(ended, period_s, &before) {
+        let next = self.next_action(ended);
+        if let Some(after) = self.after(ended + ns(RECOVERY_S), next, period_s, &before) {
             let shift = shift_at(&before, &after, index);
             figures.displacement_m = Some(shift.dot(&direction));
             figures.direction_error_deg = angle_deg(&shift, &direction);
@@ -306,22 +309,37 @@ impl Run<'_> {
         }
         let later = ended + ns(2.0 * period_s);
         figures.retained_m =
-            self.after(later, period_s, &before).map(|p| shift_at(&before, &p, index).dot(&direction));
+            self.after(later, next, period_s, &before).map(|p| shift_at(&before, &p, index).dot(&direction));
         Some(figures)
     }
 
-    /// The mean of the last two periods before `began`, and their length, s.
+    /// The mean of the last two periods before `began` (of one, when there is no time for two), and their length, s.
+    /// Looked for since the motion has its own speed again: after its start and after the coach was there last.
     fn before(&self, began: u64) -> Option<(Period, f64)> {
-        let path = positions(self.log.between(began.saturating_sub(ns(12.0)), began));
+        let started = self.marked(|m| *m == Mark::WipingStarted).map_or(0, |(at, _)| at);
+        let ends = self.log.coach.iter().filter(|e| e.event == EventKind::Ended).map(|e| ns(e.t));
+        let disturbed = ends.filter(|t| *t < began).max().unwrap_or(0).max(started);
+        let from = (disturbed + ns(RECOVERY_S)).max(began.saturating_sub(ns(12.0)));
+        let path = positions(self.log.between(from.min(began), began));
         let period_s = repeat_period(&path)?;
-        let samples = (2.0 * period_s * 1e3).ceil() as usize + 2;
-        let mean = mean_period(path.get(path.len().checked_sub(samples)?..)?, period_s, 2)?;
-        Some((mean, period_s))
+        let of = |count: usize| {
+            let samples = (count as f64 * period_s * 1e3).ceil() as usize + 2;
+            mean_period(path.get(path.len().checked_sub(samples)?..)?, period_s, count)
+        };
+        Some((of(2).or_else(|| of(1))?, period_s))
     }
 
-    /// The period from `from` on, in phase with `before`. Its own length is measured over what follows.
-    fn after(&self, from: u64, period_s: f64, before: &Period) -> Option<Period> {
-        let path = positions(self.log.between(from, from + ns(2.5 * period_s)));
+    /// When the coach acts next after `ended`, or the end of the run.
+    fn next_action(&self, ended: u64) -> u64 {
+        let begins = self.log.coach.iter().filter(|e| e.event == EventKind::Began).map(|e| ns(e.t));
+        begins.filter(|t| *t >= ended).min().unwrap_or(self.end_ns())
+    }
+
+    /// The period from `from` on (earlier when it would reach past `until`), in phase with `before`. Its own length
+    /// is measured over what follows.
+    fn after(&self, from: u64, until: u64, period_s: f64, before: &Period) -> Option<Period> {
+        let from = from.min(until.saturating_sub(ns(1.02 * period_s)));
+        let path = positions(self.log.between(from, (from + ns(2.5 * period_s)).min(until)));
         let own = repeat_period(&path).filter(|own| (own / period_s - 1.0).abs() < 0.2).unwrap_or(period_s);
         mean_period(&path, own, 1).map(|period| aligned(before, &period))
     }

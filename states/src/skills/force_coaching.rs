@@ -17,7 +17,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
             .input("motion", Type::motion(), "The running motion.")
             .optional("threshold", Type::quantity(Unit::N), 4.0, "Force that counts as a push.")
             .optional("patience", Type::Duration, 4.0, "Ends when no push has been felt for this long.")
-            .output("displacement", Type::FLOAT, "How far the path has moved at the coached phase, m.");
+            .output("displacement", Type::FLOAT, "How far the path has moved where it moved most, m.");
     equipment::skill(equipment, manifest, run)
 }
 
@@ -25,7 +25,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let (threshold, patience) = (context.number("threshold")?, context.number("patience")?);
     let mut coaching = Coaching::begin(&equipment, &context).await?;
     let _wrist_is_wanted = context.channels.demand("wrist");
-    let mut displacement = 0.0;
+    let mut displacement = 0.0_f64;
     loop {
         let step = coaching.next().await?;
         let push = context.channels.newest("wrist").and_then(|s| s.value.get("push").and_then(as_vector));
@@ -33,7 +33,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         let input = if force.norm() > threshold { CoachInput::Push { force } } else { CoachInput::None };
         let report = coaching.apply(&step, input).await?;
         if report.active {
-            displacement = report.displacement;
+            displacement = displacement.max(report.displacement);
         }
         if coaching.idle() > patience {
             coaching.keep().await?;

@@ -27,6 +27,9 @@ const REQUEST: &str = "Please show me how to wipe.";
 /// Points of the learned path that the motion is learned from again in its place.
 const POINTS: usize = 200;
 
+/// A motion whose middle is nearer than this to the workspace's was shown in the workspace, m.
+const SHOWN_IN_PLACE: f64 = 0.15;
+
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new(
         "MovementImitation",
@@ -119,8 +122,9 @@ fn gone(last_seen: Option<f64>, time: f64) -> bool {
     last_seen.is_some_and(|t| time - t > 2.5)
 }
 
-/// The learned motion moved so that its middle is the middle of the workspace that the swipe has shown, and level:
-/// how high the coach held the tool says nothing about the table.
+/// The learned motion in the workspace that the swipe has shown, and level: how high the coach held the tool says
+/// nothing about the table. What was shown in the workspace stays where it was shown, for many periods tell its place
+/// better than two ends of a swipe; what was shown beside it is moved to its middle.
 fn place(learned: &PeriodicDmp, frequency_hz: f64, swipe: &Swipe) -> Result<PeriodicDmp, MotionError> {
     let middle: Point3<f64> = swipe.centre();
     let path = learned.steady_path(POINTS)?;
@@ -134,7 +138,8 @@ fn place(learned: &PeriodicDmp, frequency_hz: f64, swipe: &Swipe) -> Result<Peri
     let mut weights = learned.weights().to_vec();
     weights[2 * kernels..].fill(0.0);
     placed.set_weights(&weights)?;
-    let shift = [middle.x - half(0), middle.y - half(1)];
+    let away = [middle.x - half(0), middle.y - half(1)];
+    let shift = if away[0].hypot(away[1]) < SHOWN_IN_PLACE { [0.0; 2] } else { away };
     placed.set_centre(&[learned.centre()[0] + shift[0], learned.centre()[1] + shift[1], middle.z])?;
     placed.start_on_path(0.0, std::f64::consts::TAU * frequency_hz)?;
     Ok(placed)

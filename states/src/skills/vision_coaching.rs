@@ -16,7 +16,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new("VisionCoaching", "Changes the running motion as the coach's gestures say: fist draws, two fingers push away, one finger moves all.")
         .input("motion", Type::motion(), "The running motion.")
         .optional("patience", Type::Duration, 0.8, "Ends when no such gesture has been seen for this long.")
-        .output("displacement", Type::FLOAT, "How far the path has moved at the coached phase, m.");
+        .output("displacement", Type::FLOAT, "How far the path has moved where it moved most, m.");
     equipment::skill(equipment, manifest, run)
 }
 
@@ -24,7 +24,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let patience = context.number("patience")?;
     let mut coaching = Coaching::begin(&equipment, &context).await?;
     let _frames_are_wanted = context.channels.demand("hand");
-    let mut displacement = 0.0;
+    let mut displacement = 0.0_f64;
     loop {
         let step = coaching.next().await?;
         let seen = context.channels.newest("hand");
@@ -32,7 +32,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         let input = seen.map_or(CoachInput::None, |s| gesture(&s.value));
         let report = coaching.apply(&step, input).await?;
         if report.active {
-            displacement = report.displacement;
+            displacement = displacement.max(report.displacement);
         }
         if coaching.idle() > patience {
             coaching.keep().await?;
