@@ -78,7 +78,7 @@ async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<Seen, Fa
     let hand_eye = HandEye::load(&*equipment.memory, &equipment.agent).await?;
     let mut tracking = ColorMarkerObjectTracking::new(
         equipment.images.calibration(),
-        MarkerSettings::new(class.color),
+        MarkerSettings::new(class.color).with_diameter(class.size.iter().sum::<f64>() / 3.0),
         equipment.seed,
     );
     let mut segmenter = DemonstrationSegmenter::new(SegmenterConfig::default()).map_err(failed)?;
