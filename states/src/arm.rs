@@ -6,7 +6,8 @@
 use std::sync::Arc;
 
 use armarium_robot::{
-    DifferentialIk, IkConfig, Kinematics, Lease, LeaseLimits, LinkId, Model, Robot, Sensed, Twist, newest, postures,
+    DifferentialIk, IkConfig, Kinematics, Lease, LeaseLimits, LinkId, Model, Robot, Sensed, Twist, newest,
+    postures,
 };
 use armarium_runtime::skill::{Failure, SkillContext};
 use nalgebra::{Isometry3, Point3, Vector3};

@@ -22,6 +22,13 @@ pub(crate) struct RunningStep {
     stamp_ns: u64,
 }
 
+impl RunningStep {
+    /// Time since the step before, s.
+    pub(crate) fn dt(&self) -> f64 {
+        self.dt
+    }
+}
+
 /// A coach at work on the motion that runs.
 pub(crate) struct Coaching {
     equipment: Equipment,
