@@ -180,7 +180,7 @@ async fn perform(args: &RunArgs, began: Instant, out: &mut dyn Write) -> Result<
     let joints = Arc::new(Mutex::new(JointLog::default()));
     let mut helpers = vec![
         record_robot(&stage.robot, Arc::clone(&recorder)),
-        tokio::spawn(watch_gestures(stage.memory.clone(), stage.referee.clone())),
+        tokio::spawn(watch_gestures(stage.memory.clone(), stage.referee.clone(), Arc::clone(&recorder))),
         tokio::spawn(log_joints(Arc::clone(&stage.robot), Arc::clone(&joints))),
         tokio::spawn(stop_on_signal(executor.controller())),
         tokio::spawn(show_progress(
@@ -268,14 +268,24 @@ fn conclude(
     Ok(1)
 }
 
-/// Passes on to the referee what vision took each frame's hand for.
-async fn watch_gestures(memory: Arc<armarium_memoryx::WorkingMemory>, referee: armarium_simulator::Referee) {
+/// Passes on to the referee what vision took each frame's hand for, and records it.
+async fn watch_gestures(
+    memory: Arc<armarium_memoryx::WorkingMemory>,
+    referee: armarium_simulator::Referee,
+    recorder: SharedRecorder,
+) {
     let mut changes = memory.subscribe();
     loop {
         match changes.recv().await {
             Ok(snapshot) if snapshot.id.segment() == "HumanHands" => {
                 let gesture = snapshot.attribute("gesture").and_then(Value::as_str);
                 referee.gesture_seen(snapshot.referenced_ns, gesture.filter(|g| *g != "none"));
+                let seen = snapshot.instance().map(|i| Value::Map(i.attributes.clone()).to_json());
+                if let (Some(recorder), Some(seen)) = (locked(&recorder).as_mut(), seen)
+                    && recorder.json("/vision/hand", snapshot.referenced_ns, &seen).is_err()
+                {
+                    tracing::warn!("what was seen of the hand was not recorded");
+                }
             }
             Ok(_) | Err(tokio::sync::broadcast::error::RecvError::Lagged(_)) => {}
             Err(_) => return,
