@@ -61,7 +61,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             "the hand is only {weight:.2} N heavier than empty, at least {expected:.2} N were expected: the object stayed behind"
         )));
     }
-    look(&equipment, &mut arm, &mut senses, class.color, object.entity()).await?;
+    let sight = look(&equipment, &mut arm, &mut senses, class.color).await?;
+    sight.judge(object.entity(), class.mass.is_some())?;
 
     let mass = weight / GRAVITY;
     equipment.robot.set_load(mass, Point3::from(GRASP_IN_TCP));
@@ -73,14 +74,38 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     Ok(Outcome::success().with("mass", mass).with("grasp", Value::Map(grasp)))
 }
 
+/// What was seen of the object.
+struct Sight {
+    /// Its least distance from its place in the hand, m; infinite when it was not seen.
+    nearest: f64,
+}
+
+impl Sight {
+    /// An object that is seen must be in the hand. One that is not seen may be hidden by the hand that holds it:
+    /// then its known weight must do.
+    fn judge(&self, name: &str, weight_is_known: bool) -> Result<(), Failure> {
+        if self.nearest < IN_HAND {
+            return Ok(());
+        }
+        if self.nearest.is_finite() {
+            let mm = self.nearest * 1e3;
+            return Err(Failure::new(format!("`{name}` is seen {mm:.0} mm away from the hand, not in it")));
+        }
+        if weight_is_known {
+            tracing::info!("the hand hides `{name}`; it has the right weight");
+            return Ok(());
+        }
+        Err(Failure::new(format!("`{name}` is not seen in the hand")))
+    }
+}
+
 /// Looks for the object's colour in the hand.
 async fn look(
     equipment: &Equipment,
     arm: &mut Arm,
     senses: &mut Senses,
     color: [u8; 3],
-    name: &str,
-) -> Result<(), Failure> {
+) -> Result<Sight, Failure> {
     let hand_eye = HandEye::load(&*equipment.memory, &equipment.agent).await?;
     let settings = MarkerSettings { color: ColorModel::from_rgb(color), ..MarkerSettings::new(color) };
     let mut tracking =
@@ -97,12 +122,8 @@ async fn look(
         let held = arm.tcp(&sample) * Point3::from(GRASP_IN_TCP);
         nearest = nearest.min((seen - held).norm());
         if nearest < IN_HAND {
-            return Ok(());
+            break;
         }
     }
-    Err(Failure::new(if nearest.is_finite() {
-        format!("`{name}` is seen {:.0} mm away from the hand, not in it", nearest * 1e3)
-    } else {
-        format!("`{name}` is not seen in the hand")
-    }))
+    Ok(Sight { nearest })
 }
