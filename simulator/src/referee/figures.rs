@@ -321,7 +321,14 @@ impl Run<'_> {
         let disturbed = ends.filter(|t| *t < began).max().unwrap_or(0).max(started);
         let from = (disturbed + ns(RECOVERY_S)).max(began.saturating_sub(ns(12.0)));
         let path = positions(self.log.between(from.min(began), began));
-        let period_s = repeat_period(&path)?;
+        // Too short to show its period: then the period is the coach's, and the last one counts although disturbed.
+        let period_s = repeat_period(&path).unwrap_or(1.0 / self.path.frequency());
+        let whole = began.saturating_sub(ns(1.02 * period_s)).max(started);
+        let path = if path.len() as f64 > 1.02e3 * period_s {
+            path
+        } else {
+            positions(self.log.between(whole, began))
+        };
         let of = |count: usize| {
             let samples = (count as f64 * period_s * 1e3).ceil() as usize + 2;
             mean_period(path.get(path.len().checked_sub(samples)?..)?, period_s, count)
@@ -516,7 +523,7 @@ mod tests {
             let off = wrap(TAU * (phase - 0.25)) / TAU;
             let height = if t < 20.0 {
                 0.0
-            } else if t < 30.05 {
+            } else if t < 31.05 {
                 0.03
             } else {
                 0.024
