@@ -302,24 +302,34 @@ fn shown(gesture: Gesture) -> HandGesture {
     }
 }
 
-/// Whether the whole hand is in a picture and nothing hides more than a hundredth of it: `alone` is the picture of the
-/// hand alone.
+/// Whether the whole hand, from its wrist to its fingertips, is in a picture and nothing hides more than a hundredth
+/// of it: `alone` is the picture of the hand and its wrist alone. What the sleeve covers is not the hand.
 fn whole(hand: &HandShown, viewpoint: &Viewpoint, picture: &Rendering, alone: &Rendering) -> bool {
     let camera_from_hand = viewpoint.scene_from_camera.inverse() * hand.root_from_hand;
     let camera = &viewpoint.camera;
-    let mut farthest = 0.0f64;
+    let (mut farthest, mut wrist) = (0.0f32, f64::MAX);
     let inside = landmarks(&HandPose::of(shown(hand.gesture))).iter().all(|(point, radius)| {
         let p = camera_from_hand * point;
-        farthest = farthest.max(p.z + radius);
+        // Behind the hand lies the floor; towards the arm from the wrist, the forearm.
+        farthest = farthest.max((p.z + radius) as f32);
+        wrist = wrist.min(point.z - radius);
         camera.project(&p).is_some_and(|pixel| {
             let margin = camera.focal * radius / p.z;
             let within = |v: f64, size: u32| v >= margin && v <= f64::from(size) - 1.0 - margin;
             within(pixel.x, camera.width) && within(pixel.y, camera.height)
         })
     });
+    // Where a seen point is along the hand: the third row of the hand's pose in the camera, for the ray at depth 1.
+    let hand_from_camera = camera_from_hand.inverse();
+    let along = hand_from_camera.rotation.to_rotation_matrix().matrix().row(2).transpose();
+    let ray = |i: usize| {
+        let (x, y) = ((i % camera.width as usize) as f64, (i / camera.width as usize) as f64);
+        Vector3::new((x - camera.center[0]) / camera.focal, (y - camera.center[1]) / camera.focal, 1.0)
+    };
     let (mut seen, mut hidden) = (0usize, 0usize);
-    for (a, b) in alone.depth.data.iter().zip(&picture.depth.data) {
-        if *a > 0.0 && f64::from(*a) <= farthest {
+    for (i, (a, b)) in alone.depth.data.iter().zip(&picture.depth.data).enumerate() {
+        let near_enough = *a > 0.0 && *a <= farthest;
+        if near_enough && along.dot(&ray(i)) * f64::from(*a) + hand_from_camera.translation.z >= wrist {
             seen += 1;
             hidden += usize::from(*b < *a - HIDES);
         }

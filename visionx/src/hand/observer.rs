@@ -9,7 +9,7 @@ use super::skin::{HalfImage, SkinClusters};
 use super::{Fingertip, Gesture, HandObservation};
 use crate::camera::StereoCalibration;
 use crate::components::{Component, components};
-use crate::frame::StereoFrame;
+use crate::frame::{DepthImage, StereoFrame};
 use crate::mask::{Mask, Region};
 
 /// Finds a hand and its gesture in a stream of frames.
@@ -58,6 +58,11 @@ const SCENERY: f64 = 600e-4;
 const PALM_RADII: (f64, f64) = (0.0145, 0.062);
 /// From a palm's surface to its middle, m.
 const HALF_PALM: f64 = 0.014;
+/// Share of a hand's outline behind which the scene lies deeper, at least. A patch of a surface has none, save where
+/// the surface ends.
+const LEAST_RELIEF: f64 = 0.3;
+/// Deeper by more than this, m.
+const STEP: f32 = 0.012;
 /// Probability that a gesture goes on to the next frame. With [`FLOOR`], a change takes two clear frames.
 const STAY: f64 = 0.94;
 /// Least likelihood of a gesture in one frame.
@@ -102,7 +107,8 @@ impl HandObserver {
             let shape = hand_shape(&masks[0], candidate.z / self.calibration.camera.focal)?;
             let fits = (PALM_RADII.0..PALM_RADII.1).contains(&shape.palm_radius)
                 && (AREAS.0..AREAS.1).contains(&shape.area);
-            fits.then_some(Hand { candidate, masks, shape })
+            let stands_out = frame.depth.as_ref().is_none_or(|d| relief(&masks[0], d) >= LEAST_RELIEF);
+            (fits && stands_out).then_some(Hand { candidate, masks, shape })
         })
     }
 
@@ -275,6 +281,37 @@ impl HandObserver {
     }
 }
 
+/// The share of a mask's outline behind which the scene lies deeper by [`STEP`] or more. Along rows and columns, from
+/// inside the outline to outside of it; outlines at the image's border do not count. 0 without an outline.
+fn relief(mask: &Mask, depth: &DepthImage) -> f64 {
+    let at = |x: i64, y: i64| {
+        let inside = x >= 0 && y >= 0 && x < i64::from(depth.width) && y < i64::from(depth.height);
+        inside.then(|| depth.data.get(y as usize * depth.width as usize + x as usize).copied()).flatten()
+    };
+    let (mut outline, mut deeper) = (0usize, 0usize);
+    let region = mask.region();
+    for y in i64::from(region.y)..i64::from(region.y + region.height) {
+        for x in i64::from(region.x)..i64::from(region.x + region.width) {
+            if !mask.contains(x, y) {
+                continue;
+            }
+            for (dx, dy) in [(1, 0), (-1, 0), (0, 1), (0, -1)] {
+                if mask.contains(x + dx, y + dy) {
+                    continue;
+                }
+                let (Some(here), Some(there)) = (at(x - 2 * dx, y - 2 * dy), at(x + 4 * dx, y + 4 * dy))
+                else {
+                    continue;
+                };
+                outline += 1;
+                // Nothing measured outside is nothing near.
+                deeper += usize::from(here > 0.0 && (there == 0.0 || there > here + STEP));
+            }
+        }
+    }
+    if outline == 0 { 0.0 } else { deeper as f64 / outline as f64 }
+}
+
 /// A region at half resolution in whole pixels, a little larger.
 fn full(half: &Region, size: (u32, u32)) -> Region {
     let whole = Region { x: 2 * half.x, y: 2 * half.y, width: 2 * half.width, height: 2 * half.height };
@@ -320,6 +357,33 @@ mod tests {
                 assert!((seen.palm_in_left - PLACE).norm() < 0.04, "{:?}", seen.palm_in_left);
             }
         }
+    }
+
+    #[test]
+    fn only_what_stands_out_has_relief() {
+        let mut mask = Mask::empty(Region { x: 20, y: 20, width: 30, height: 30 });
+        mask.data_mut().fill(1);
+        let depth = |inside: f32, outside: f32| {
+            let at = |i: u32| (20..50).contains(&(i % 80)) && (20..50).contains(&(i / 80));
+            let data = (0..80 * 80).map(|i| if at(i) { inside } else { outside }).collect();
+            DepthImage { width: 80, height: 80, data }
+        };
+        assert_eq!(relief(&mask, &depth(0.7, 0.8)), 1.0);
+        assert_eq!(relief(&mask, &depth(0.7, 0.0)), 1.0);
+        assert_eq!(relief(&mask, &depth(0.7, 0.705)), 0.0);
+        assert_eq!(relief(&mask, &depth(0.7, 0.6)), 0.0);
+        assert_eq!(relief(&mask, &DepthImage { width: 80, height: 80, data: Vec::new() }), 0.0);
+    }
+
+    #[test]
+    fn a_patch_of_the_surface_around_is_no_hand() {
+        let (things, _) = scene(Gesture::Fist, 0.2, false, 0.3);
+        let mut flat = frame(&things, 0, 1);
+        let (width, height) = (flat.left.width(), flat.left.height());
+        assert!(HandObserver::new(CALIBRATION).update(&flat).is_some());
+        let data = vec![0.7; (width * height) as usize];
+        flat.depth = Some(DepthImage { width, height, data });
+        assert_eq!(HandObserver::new(CALIBRATION).update(&flat), None);
     }
 
     #[test]
