@@ -94,7 +94,7 @@ fn commit(
     Ok(Commit { expected_version, ..commit })
 }
 
-/// A memory's refusal as a skill's failure.
-pub(crate) fn failed(error: MemoryError) -> Failure {
+/// What another room refused, as a skill's failure.
+pub(crate) fn failed(error: impl std::fmt::Display) -> Failure {
     Failure::new(error.to_string())
 }

@@ -19,7 +19,7 @@ use crate::arm::{Arm, Senses};
 use crate::equipment::Equipment;
 use crate::inputs::{Inputs, as_pose};
 use crate::line::Line;
-use crate::motions;
+use crate::motions::{self, failed};
 
 /// The pace (share of the learned frequency) changes at most this fast, 1/s.
 const PACE_RATE: f64 = 1.5;
@@ -231,8 +231,4 @@ fn check_track(error_m: f64) -> Result<(), Failure> {
         )));
     }
     Ok(())
-}
-
-fn failed(error: armarium_motion::MotionError) -> Failure {
-    Failure::new(error.to_string())
 }

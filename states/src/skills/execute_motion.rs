@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use armarium_motion::{MotionError, SlowDown, SurfaceAdaptation, SurfaceConfig};
+use armarium_motion::{SlowDown, SurfaceAdaptation, SurfaceConfig};
 use armarium_runtime::channels::Channels;
 use armarium_runtime::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
@@ -12,6 +12,7 @@ use armarium_values::{Type, Unit, Value};
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
 use crate::inputs::Inputs;
+use crate::motions::failed;
 use crate::wiper::{ContactWatch, GraspedTool, Height, Wiper};
 
 /// What the robot says when it begins, so that the coach may come.
@@ -73,8 +74,4 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 fn distance_of_hand(channels: &Channels) -> f64 {
     let seen = channels.newest("hand").filter(|s| s.at.elapsed().as_secs_f64() < SIGHT_AGE);
     seen.and_then(|s| s.value.get("distance").and_then(Value::as_f64)).unwrap_or(f64::INFINITY)
-}
-
-fn failed(error: MotionError) -> Failure {
-    Failure::new(error.to_string())
 }

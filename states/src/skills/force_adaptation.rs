@@ -3,16 +3,14 @@
 
 use std::sync::Arc;
 
-use armarium_motion::{
-    MotionError, SurfaceAdaptation, SurfaceConfig, Touchdown, TouchdownConfig, TouchdownStatus,
-};
+use armarium_motion::{SurfaceAdaptation, SurfaceConfig, Touchdown, TouchdownConfig, TouchdownStatus};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
 use crate::inputs::{Inputs, reference};
-use crate::motions;
+use crate::motions::{self, failed};
 use crate::reach::required_speed;
 use crate::wiper::{ContactWatch, GraspedTool, Height, Wiper};
 
@@ -149,8 +147,4 @@ async fn learn(
             )));
         }
     }
-}
-
-fn failed(error: MotionError) -> Failure {
-    Failure::new(error.to_string())
 }

@@ -19,7 +19,7 @@ use crate::equipment::{self, Equipment};
 use crate::frames::Frames;
 use crate::hand_eye::HandEye;
 use crate::inputs::{Inputs, reference};
-use crate::motions;
+use crate::motions::{self, failed};
 use crate::prior::object_class;
 
 /// What the robot says to ask for a demonstration.
@@ -143,8 +143,4 @@ fn place(learned: &PeriodicDmp, frequency_hz: f64, swipe: &Swipe) -> Result<Peri
     placed.set_centre(&[learned.centre()[0] + shift[0], learned.centre()[1] + shift[1], middle.z])?;
     placed.start_on_path(0.0, std::f64::consts::TAU * frequency_hz)?;
     Ok(placed)
-}
-
-fn failed(error: MotionError) -> Failure {
-    Failure::new(error.to_string())
 }
