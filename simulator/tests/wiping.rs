@@ -41,6 +41,10 @@ impl Hand {
         self.simulation.truth().contact.normal
     }
 
+    fn fastest_joint(&self) -> f64 {
+        self.simulation.truth().velocity.iter().fold(0.0, |m, v| v.abs().max(m))
+    }
+
     /// One step with a TCP twist and a velocity of the fingers, m/s.
     fn step(&mut self, twist: &Twist, fingers: f64) {
         let q = self.simulation.truth().position.clone();
@@ -198,5 +202,37 @@ fn extreme_objects_lie_still() {
         assert!(moved.norm() < 1e-4, "{mass} {stiffness} {size:?} {moved}");
         let weight = mass * 9.81;
         assert!((simulation.truth().contact.normal / weight - 1.0).abs() < 0.02);
+    }
+}
+
+/// Pressing on the table and sliding, a joint at full speed: when the commander becomes silent every joint stands
+/// 200 ms later, and the sponge is still held.
+#[test]
+fn from_full_speed_in_contact_the_arm_stands_too() {
+    for way in [1.0, -1.0] {
+        let (mut hand, mut goal) = grasped(&world());
+        while hand.force() < 8.0 {
+            goal.translation.z -= 2e-5;
+            let tcp = hand.simulation.truth().tcp;
+            hand.step(&towards(&tcp, &goal, 0.1), -0.05);
+        }
+        let mut speed = 0.0;
+        while hand.fastest_joint() < 0.95 {
+            speed += 2e-3;
+            let tcp = hand.simulation.truth().tcp;
+            goal.translation.x = tcp.translation.x;
+            let mut twist = towards(&tcp, &goal, 0.1);
+            twist.linear.x = way * speed;
+            hand.step(&twist, -0.05);
+            assert!(speed < 2.0, "the arm has become no faster than {} rad/s", hand.fastest_joint());
+        }
+        assert!(hand.force() > 2.0, "not in contact any more: {} N", hand.force());
+        // The last command holds for the 30 ms of the watchdog.
+        (0..230).for_each(|_| hand.simulation.step());
+        for _ in 0..200 {
+            hand.simulation.step();
+            assert!(hand.fastest_joint() < 0.01, "{} rad/s", hand.fastest_joint());
+        }
+        assert!(hand.simulation.truth().held && hand.force() > 2.0, "{} N", hand.force());
     }
 }
