@@ -85,7 +85,7 @@ impl FourierSeries {
 
     /// Gradient step by `rate` on the errors at the phase of the last evaluation, for harmonics up to `highest`.
     /// `pinned` is the coordinate whose first sine weight stays 0, so that the phase is defined.
-    pub(crate) fn learn(&mut self, rate: f64, error: &[f64], highest: usize, pinned: usize) {
+    pub(crate) fn learn_pinned(&mut self, rate: f64, error: &[f64], highest: usize, pinned: usize) {
         for (d, error) in error.iter().enumerate().take(self.dims) {
             let base = d * (self.harmonics + 1);
             self.alpha[base] += rate * error;
@@ -94,6 +94,31 @@ impl FourierSeries {
                 if c > 1 || d != pinned {
                     self.beta[base + c] += 2.0 * rate * self.sine[c] * error;
                 }
+            }
+        }
+    }
+
+    /// The same step without its part that would shift the whole signal in phase: an error of the phase is the
+    /// phase's to correct, and while it is, the coordinates keep their phases relative to each other.
+    pub(crate) fn learn(&mut self, rate: f64, error: &[f64], highest: usize) {
+        let highest = self.harmonics.min(highest);
+        let (mut along, mut norm) = (0.0, 0.0);
+        for (d, error) in error.iter().enumerate().take(self.dims) {
+            let base = d * (self.harmonics + 1);
+            self.alpha[base] += rate * error;
+            for c in 1..=highest {
+                let (a, b, k) = (self.alpha[base + c], self.beta[base + c], c as f64);
+                along += k * (b * self.cosine[c] - a * self.sine[c]) * error;
+                norm += k * k * (a * a + b * b);
+            }
+        }
+        let shift = if norm > 1e-300 { along / norm } else { 0.0 };
+        for (d, error) in error.iter().enumerate().take(self.dims) {
+            let base = d * (self.harmonics + 1);
+            for c in 1..=highest {
+                let (a, b, turn) = (self.alpha[base + c], self.beta[base + c], c as f64 * shift);
+                self.alpha[base + c] += 2.0 * rate * (self.cosine[c] * error - turn * b);
+                self.beta[base + c] += 2.0 * rate * (self.sine[c] * error + turn * a);
             }
         }
     }

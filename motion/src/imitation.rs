@@ -181,5 +181,6 @@ impl Kept {
         self.primitive.gain.copy_from_slice(&primitive.gain);
         self.primitive.centre.copy_from_slice(&primitive.centre);
         self.primitive.fresh = false;
+        self.primitive.sharpen();
     }
 }

@@ -176,7 +176,7 @@ impl AdaptiveOscillator {
         Ok(())
     }
 
-    /// The phase now, rad, in `0..2 pi`; 0 where the fundamental of the leading coordinate is largest.
+    /// The phase now, rad, in `0..2 pi`; 0 where the fundamental of the leading coordinate was largest at the start.
     #[must_use]
     pub fn phase(&self) -> f64 {
         self.phase
@@ -365,7 +365,7 @@ impl AdaptiveOscillator {
             if highest < self.config.harmonics as f64 { highest as usize } else { self.config.harmonics };
         let memory = (2.0 + 0.7 * age).min(self.config.memory);
         let rate = (1.0 - (-turned / (TAU * memory)).exp()).min(1.0 / (2 * highest + 1) as f64);
-        self.series.learn(rate, &self.error, highest, self.anchor);
+        self.series.learn(rate, &self.error, highest);
         self.periods.residual(turned, missed, self.series.power());
     }
 
@@ -380,7 +380,7 @@ impl AdaptiveOscillator {
         self.advance(dt);
         self.phase = (self.phase + drive * dt).rem_euclid(TAU);
         self.omega = (self.omega + drive * dt).clamp(1e-3, 1e3);
-        self.series.learn(learning * dt, &self.error, self.series.harmonics(), self.anchor);
+        self.series.learn_pinned(learning * dt, &self.error, self.series.harmonics(), self.anchor);
         self.periods.residual(self.omega * dt, missed, self.series.power());
     }
 

@@ -139,6 +139,33 @@ impl PeriodicDmp {
         Ok(())
     }
 
+    /// Takes the overlap of the kernels out of weights that [`learn`](Self::learn) has found, and only once.
+    ///
+    /// (8)-(10) regress each kernel by itself, so a weight is the mean of the forcing term about its kernel, and (6)
+    /// takes the mean of such means: of a first harmonic that 25 kernels have learned, 3 % are lost. Here the weights
+    /// become those whose forcing term has the learned means about the kernels.
+    pub fn sharpen(&mut self) {
+        let k = self.kernels.len();
+        let fine = 16 * k;
+        let mut psi = vec![0.0; k];
+        let (mut mean, mut total) = (vec![0.0; k], 0.0);
+        for s in 0..fine {
+            let sum = self.kernels.evaluate(std::f64::consts::TAU * s as f64 / fine as f64, &mut psi);
+            let own = psi[0];
+            total += own;
+            mean.iter_mut().zip(&psi).for_each(|(m, psi)| *m += own * psi / sum);
+        }
+        // All kernels are alike, so the means about kernel i are those about kernel 0, i places on.
+        let overlap = DMatrix::from_fn(k, k, |i, j| mean[(j + k - i) % k] / total);
+        let Some(factor) = overlap.cholesky() else { return };
+        for w in self.weights.chunks_exact_mut(k) {
+            let mut column = DVector::from_column_slice(w);
+            factor.solve_mut(&mut column);
+            w.copy_from_slice(column.as_slice());
+        }
+        self.fresh = false;
+    }
+
     /// Learns all weights at once from samples of one or more periods; the centre becomes their mean.
     ///
     /// # Errors

@@ -107,3 +107,21 @@ fn a_refused_sample_changes_nothing() {
     assert!(osc.update(0.01, &[0.0]).is_err());
     assert_eq!((osc.phase(), osc.omega()), before);
 }
+
+#[test]
+fn coordinates_keep_their_phases_while_the_frequency_is_found() {
+    // The first periods are slower, as a coach's are: the phase runs behind until the frequency is found.
+    let (mut osc, dt) = (AdaptiveOscillator::new(OscillatorConfig::with_dims(2)).unwrap(), 1.0 / 15.0);
+    let mut phase = 0.0_f64;
+    for k in 0..450 {
+        phase += TAU * dt * if k < 60 { 0.46 } else { 0.5 };
+        osc.update(dt, &[0.05 * phase.cos(), 0.03 * phase.sin()]).unwrap();
+        if k % 30 == 0 && k >= 120 {
+            let [x, y] = [0, 1].map(|d| {
+                let (a, b) = osc.series.weight(d, 1);
+                b.atan2(a)
+            });
+            assert!(((y - x).rem_euclid(TAU) - TAU / 4.0).abs() < 0.02, "sample {k}: {x} {y}");
+        }
+    }
+}

@@ -51,6 +51,10 @@ fn online_learning_meets_the_wave_at_any_sample_time() {
                 (0..100).map(|s| (path.y[s][0] - wave(path.phase(s))[0]).powi(2)).sum::<f64>().sqrt() / 10.0;
             // The local regression smooths: some percent of the second harmonic are lost.
             assert!(error < 0.04, "{dt} {omega}: {error}");
+            dmp.sharpen();
+            let path = dmp.steady_path(100).unwrap();
+            let error = (0..100).map(|s| (path.y[s][0] - wave(path.phase(s))[0]).abs()).fold(0.0, f64::max);
+            assert!(error < 0.003, "sharpened, {dt} {omega}: {error}");
         }
     }
 }

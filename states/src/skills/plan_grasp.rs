@@ -6,15 +6,16 @@ use std::sync::Arc;
 
 use armarium_robot::{LinkId, Model, PoseOptions, postures, solve_pose};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
-use armarium_values::{Type, Unit};
+use armarium_values::{Type, Unit, Value};
 use nalgebra::{Isometry3, Point3, Vector3};
 use rand_chacha::ChaCha8Rng;
 
 use crate::arm::{TCP, link};
 use crate::equipment::{self, Equipment};
-use crate::grasp::tcp_at;
+use crate::grasp::{PAD_WIDTH, tcp_at};
 use crate::inputs::{Inputs, as_pose, pose_value};
 use crate::motions::failed;
+use crate::prior::object_class;
 
 /// How far the hand may be turned against the object's sides, rad; the closing pads align the object. Each step
 /// costs margin.
@@ -23,6 +24,8 @@ const MISALIGNMENTS: [f64; 7] = [0.0, 0.14, -0.14, 0.28, -0.28, 0.42, -0.42];
 const MISALIGNMENT_COST: f64 = 1.0;
 /// Less margin than this to any joint limit is no grasp, rad.
 const LEAST_MARGIN: f64 = 0.03;
+/// Room that each open pad needs beside the object on its way down, m: more than servoing may be off.
+const CLEARANCE: f64 = 0.01;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new(
@@ -48,16 +51,24 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let snapshot = equipment.memory.latest(&id).await.map_err(failed)?;
     let pose = snapshot.attribute("pose").and_then(as_pose);
     let object = pose.ok_or_else(|| Failure::new(format!("memory does not know where `{id}` is")))?;
+    let class = snapshot.attribute("class").and_then(Value::as_str);
+    let class = class.ok_or_else(|| Failure::new(format!("memory does not know what `{id}` is")))?;
+    let [length, width, _] = object_class(&*equipment.memory, class).await?.size;
     let center = Point3::from(object.translation.vector);
     let yaw = object.rotation.euler_angles().2;
     let model = equipment.robot.model();
     let tcp = link(model, TCP)?;
     let q = postures::wipe(model);
     let mut random = equipment.random();
+    let opening = widest_opening(model);
     let mut best: Option<Candidate> = None;
     let mut nearest = f64::INFINITY;
     for quarter in -2..=2 {
+        let across = if quarter % 2 == 0 { length } else { width };
         for misalignment in MISALIGNMENTS {
+            if needed_opening(across, misalignment) + 2.0 * CLEARANCE > opening {
+                continue;
+            }
             let hand_yaw = yaw + f64::from(quarter) * FRAC_PI_2 + misalignment;
             let grasp = tcp_at(&center, hand_yaw);
             match candidate(model, tcp, &q, grasp, height, misalignment, &mut random) {
@@ -68,6 +79,13 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         }
     }
     let Some(best) = best else {
+        if nearest.is_infinite() {
+            return Err(Failure::new(format!(
+                "the object `{id}` is {:.0} mm wide; the hand opens to {:.0} mm",
+                length.min(width) * 1e3,
+                opening * 1e3
+            )));
+        }
         return Err(Failure::new(format!(
             "the object at x {:.2}, y {:.2}, z {:.2} m is out of the arm's reach from above: at best {:.0} mm are missing",
             center.x,
@@ -77,6 +95,18 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         )));
     };
     Ok(Outcome::success().with("grasp_pose", pose_value(&best.grasp)).with("pre_pose", pose_value(&best.pre)))
+}
+
+/// The largest distance of the finger pads, m.
+fn widest_opening(model: &Model) -> f64 {
+    model.limb("right_hand").iter().map(|&j| model.joints()[j].upper).sum()
+}
+
+/// Distance that the pads' inner faces need to pass an object that is `across` m wide between them and turned by
+/// `misalignment`: the side comes nearest to a pad at the pad's edge.
+fn needed_opening(across: f64, misalignment: f64) -> f64 {
+    let (sin, cos) = misalignment.abs().sin_cos();
+    (across + PAD_WIDTH * sin) / cos
 }
 
 /// A grasp with its score, or how far it is out of reach, m.
@@ -106,4 +136,23 @@ fn candidate(
     }
     let score = margin - MISALIGNMENT_COST * misalignment.abs();
     Ok(Candidate { score, grasp, pre })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_turned_object_needs_a_wider_hand() {
+        assert!((needed_opening(0.07, 0.0) - 0.07).abs() < 1e-12);
+        let turned = needed_opening(0.1, -0.42);
+        assert!((turned - needed_opening(0.1, 0.42)).abs() < 1e-12);
+        // The far edge of the pad meets the side 25 mm tan 0.42 further out than the pad's middle does.
+        assert!((turned / 2.0 - (0.05 / 0.42f64.cos() + 0.025 * 0.42f64.tan())).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_hand_opens_to_thirteen_centimetres() {
+        assert!((widest_opening(&Model::armar3()) - 0.13).abs() < 1e-12);
+    }
 }
