@@ -1,41 +1,50 @@
-//! The hand-eye correction: what the cameras see, moved to where the arm says it is.
+//! The hand-eye correction: where the cameras really are on the head.
 //!
 //! The head's kinematics give a believed camera pose; a wrong mounting of some degrees and millimetres moves
-//! everything that is seen by centimetres. The robot finds the difference by looking at the marker on its own hand,
-//! and keeps it in memory, where every skill that uses the cameras finds it.
+//! everything that is seen by centimetres. The robot finds the mounting by looking at the marker on its own hand,
+//! and keeps it in memory, where every skill that uses the cameras finds it. It is kept in the camera's own frame,
+//! for it turns with the head.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use armarium_memoryx::{Commit, EntityId, Memory, MemoryError};
 use armarium_runtime::skill::Failure;
+use armarium_values::{Pose, Value};
+use armarium_visionx::StereoFrame;
 use nalgebra::Isometry3;
 
-use crate::inputs::{as_pose, pose_value};
 use crate::motions::failed;
 
 const SEGMENT: &str = "AgentInstances";
 const ENTITY: &str = "hand_eye";
 
-/// `true_from_believed`: takes points in the root frame as the cameras report them to the root frame of the arm.
+/// The frame in which the mounting is given.
+const CAMERA: &str = "camera_left_believed";
+
+/// `believed_from_left`: the left camera's pose seen from where the robot believes it to be.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct HandEye {
-    true_from_believed: Isometry3<f64>,
+    believed_from_left: Isometry3<f64>,
 }
 
 impl HandEye {
-    /// The correction that maps one to the other.
-    pub(crate) fn new(true_from_believed: Isometry3<f64>) -> Self {
-        Self { true_from_believed }
+    /// The correction by that mounting.
+    pub(crate) fn new(believed_from_left: Isometry3<f64>) -> Self {
+        Self { believed_from_left }
     }
 
     /// The newest correction in memory; none has been found yet: the identity.
     pub(crate) async fn load(memory: &dyn Memory, agent: &str) -> Result<Self, Failure> {
         match memory.latest(&address(agent)?).await {
             Ok(snapshot) => {
-                let value = snapshot.attribute("true_from_believed");
-                let pose = value.and_then(as_pose);
-                let pose =
-                    pose.ok_or_else(|| Failure::new("the hand-eye correction in memory is no pose"))?;
+                let mounting = match snapshot.attribute("believed_from_left") {
+                    Some(Value::Pose(pose)) if pose.frame.0 == CAMERA => Some(pose.isometry()),
+                    _ => None,
+                };
+                let pose = mounting.ok_or_else(|| {
+                    Failure::new("the hand-eye correction in memory is no mounting of a camera")
+                })?;
                 Ok(Self::new(pose))
             }
             Err(MemoryError::NotFound { .. }) => Ok(Self::new(Isometry3::identity())),
@@ -52,7 +61,10 @@ impl HandEye {
         stamp_ns: u64,
     ) -> Result<(), Failure> {
         let attributes = BTreeMap::from([
-            ("true_from_believed".to_owned(), pose_value(&self.true_from_believed)),
+            (
+                "believed_from_left".to_owned(),
+                Value::Pose(Pose::new(CAMERA.into(), &self.believed_from_left)),
+            ),
             ("residual".to_owned(), residual_m.into()),
         ]);
         let commit = Commit::new(address(agent)?, stamp_ns, attributes);
@@ -60,14 +72,10 @@ impl HandEye {
         Ok(())
     }
 
-    /// `root_from_camera` of the arm's root frame, from the believed one.
-    pub(crate) fn camera(&self, believed: &Isometry3<f64>) -> Isometry3<f64> {
-        self.true_from_believed * believed
-    }
-
-    /// A pose that the cameras reported, in the arm's root frame.
-    pub(crate) fn pose(&self, believed: &Isometry3<f64>) -> Isometry3<f64> {
-        self.true_from_believed * believed
+    /// The frame with the camera where it really was, in the arm's root frame.
+    pub(crate) fn corrected(&self, frame: &StereoFrame) -> Arc<StereoFrame> {
+        let root_from_left = frame.root_from_left * self.believed_from_left;
+        Arc::new(StereoFrame { root_from_left, ..frame.clone() })
     }
 }
 

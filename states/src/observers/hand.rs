@@ -24,27 +24,22 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
             observer = HandObserver::new(equipment.images.calibration());
         }
         let Ok(frame) = equipment.images.next().await else { return };
-        let seen = observer.update(&frame);
         let Ok(hand_eye) = HandEye::load(&*equipment.memory, &equipment.agent).await else { return };
-        let value = describe(&equipment, &frame, &hand_eye, seen.as_ref());
+        let frame = hand_eye.corrected(&frame);
+        let seen = observer.update(&frame);
+        let value = describe(&equipment, &frame, seen.as_ref());
         remember(&equipment, &frame, &value, seen.map_or(1.0, |s| s.confidence)).await;
         channels.publish("hand", value);
     }
 }
 
 /// What was seen, in the root frame; the gesture `none` without a hand.
-fn describe(
-    equipment: &Equipment,
-    frame: &StereoFrame,
-    hand_eye: &HandEye,
-    seen: Option<&HandObservation>,
-) -> Value {
+fn describe(equipment: &Equipment, frame: &StereoFrame, seen: Option<&HandObservation>) -> Value {
     let Some(seen) = seen else {
         return Value::record([("gesture", Value::from("none")), ("confidence", Value::Float(1.0))]);
     };
-    let root_from_left = hand_eye.camera(&frame.root_from_left);
-    let palm = root_from_left * seen.palm_in_left;
-    let direction = seen.pointing.map_or_else(Vector3::zeros, |d| root_from_left * d);
+    let palm = frame.root_from_left * seen.palm_in_left;
+    let direction = seen.pointing.map_or_else(Vector3::zeros, |d| frame.root_from_left * d);
     let sensed = equipment.robot.sensed().borrow().clone();
     let model = equipment.robot.model();
     let tcp = model.link(TCP).map_or_else(Isometry3::identity, |tcp| model.link_pose(&sensed.position, tcp));

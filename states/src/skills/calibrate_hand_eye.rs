@@ -1,7 +1,8 @@
 //! `CalibrateHandEye`: finds where the cameras really look by watching the marker on the robot's own hand.
 //!
-//! The hand goes to some places over the table; the places where the marker is seen and those where the arm says it
-//! is give the transformation between them (least squares of two point sets, Arun et al.).
+//! The hand goes to some places over the table; the places where the marker is seen by the camera and those where it
+//! would be if the camera were where the robot believes it to be give the mounting (least squares of two point sets,
+//! Arun et al.).
 
 use std::sync::Arc;
 
@@ -60,13 +61,13 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut arm = Arm::take(&equipment, &context)?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut watcher = MarkerWatcher::new(&equipment)?;
-    let (mut seen, mut true_places) = (Vec::new(), Vec::new());
+    let (mut seen, mut expected) = (Vec::new(), Vec::new());
     for place in PLACES {
         let tcp = Isometry3::from_parts((center.coords + Vector3::from(place)).into(), palm);
         go(&mut arm, &mut senses, tcp).await?;
-        if let Some((as_seen, as_told)) = watcher.look(&equipment, &mut arm, &mut senses).await? {
-            seen.push(as_seen);
-            true_places.push(as_told);
+        if let Some((is, should)) = watcher.look(&equipment, &mut arm, &mut senses).await? {
+            seen.push(is);
+            expected.push(should);
         }
     }
     if seen.len() < 4 {
@@ -76,7 +77,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             PLACES.len()
         )));
     }
-    let fit = rigid_fit(&seen, &true_places).map_err(|e| Failure::new(e.to_string()))?;
+    let fit = rigid_fit(&seen, &expected).map_err(|e| Failure::new(e.to_string()))?;
     if fit.rms > largest {
         return Err(Failure::new(format!(
             "hand and cameras do not agree: {:.0} mm remain after calibration; are the eyes in the right order?",
@@ -118,27 +119,29 @@ impl MarkerWatcher {
         })
     }
 
-    /// The mean of some frames with the hand at rest: where the marker is as seen, and as the arm says (root frame).
+    /// The mean of some frames with the hand at rest: where the marker is in the left camera's frame, as seen and as
+    /// arm and head say.
     async fn look(
         &mut self,
         equipment: &Equipment,
         arm: &mut Arm,
         senses: &mut Senses,
     ) -> Result<Option<(Point3<f64>, Point3<f64>)>, Failure> {
-        let (mut seen, mut told, mut count, mut waited) = (Vector3::zeros(), Vector3::zeros(), 0, 0.0);
+        let (mut seen, mut expected, mut count, mut waited) = (Vector3::zeros(), Vector3::zeros(), 0, 0.0);
         while count < FRAMES && waited < 1.5 {
             let (sample, dt) = senses.next().await?;
             waited += dt;
             arm.hold(&sample)?;
             let Some(frame) = self.frames.new_frame()? else { continue };
             if let Some(marker) = self.tracking.update(&frame).filter(|m| m.visible > 0.5) {
-                seen += (frame.root_from_left * marker.point_in_left).coords;
-                told += equipment.robot.model().link_pose(&sample.position, self.marker).translation.vector;
+                let at = equipment.robot.model().link_pose(&sample.position, self.marker).translation.vector;
+                seen += marker.point_in_left.coords;
+                expected += (frame.root_from_left.inverse() * Point3::from(at)).coords;
                 count += 1;
             }
         }
         let mean = |sum: Vector3<f64>| Point3::from(sum / count as f64);
-        Ok((count >= 2).then(|| (mean(seen), mean(told))))
+        Ok((count >= 2).then(|| (mean(seen), mean(expected))))
     }
 }
 

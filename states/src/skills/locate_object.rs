@@ -39,7 +39,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let hand_eye = HandEye::load(&*equipment.memory, &equipment.agent).await?;
     let model = BoxModel { size: Vector3::from(class.size), color: ColorModel::from_rgb(class.color) };
     let localizer = ObjectLocalizer::new(equipment.images.calibration(), model);
-    let mut frames = Frames::of(&equipment.images);
+    let mut frames = Frames::corrected(&equipment.images, hand_eye);
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut sights: Vec<ObjectEstimate> = Vec::new();
     let (mut waited, mut looked) = (0.0, 0);
@@ -57,7 +57,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         looked += 1;
         sights.extend(localizer.localize(&frame));
     }
-    let pose = hand_eye.pose(&median(&sights));
+    let pose = median(&sights);
     let stamp_ns = senses.newest().stamp_ns;
     let id = EntityId::new("ObjectInstances", &equipment.agent, name).map_err(failed)?;
     let attributes =

@@ -83,7 +83,7 @@ async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<Seen, Fa
     );
     let mut segmenter = DemonstrationSegmenter::new(SegmenterConfig::default()).map_err(failed)?;
     let mut imitation = Imitation::with_dofs(3).map_err(failed)?;
-    let mut frames = Frames::of(&equipment.images);
+    let mut frames = Frames::corrected(&equipment.images, hand_eye);
     let mut senses = Senses::new(&*equipment.robot, context);
     equipment.robot.say(REQUEST);
     let (mut last_learned, mut waited) = (None, 0.0);
@@ -99,8 +99,7 @@ async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<Seen, Fa
         }
         let Some(frame) = frames.new_frame()? else { continue };
         let time = frame.stamp_ns as f64 * 1e-9;
-        let place =
-            tracking.update(&frame).map(|tool| hand_eye.camera(&frame.root_from_left) * tool.point_in_left);
+        let place = tracking.update(&frame).map(|tool| frame.root_from_left * tool.point_in_left);
         let known = match place {
             Some(point) => segmenter.observe(time, point).map_err(failed)?,
             None => segmenter.known(),

@@ -110,7 +110,7 @@ async fn look(
     let settings = MarkerSettings { color: ColorModel::from_rgb(color), ..MarkerSettings::new(color) };
     let mut tracking =
         ColorMarkerObjectTracking::new(equipment.images.calibration(), settings, equipment.seed);
-    let mut frames = Frames::of(&equipment.images);
+    let mut frames = Frames::corrected(&equipment.images, hand_eye);
     let (mut waited, mut nearest) = (0.0, f64::INFINITY);
     while waited < 2.0 {
         let (sample, dt) = senses.next().await?;
@@ -118,7 +118,7 @@ async fn look(
         arm.hold(&sample)?;
         let Some(frame) = frames.new_frame()? else { continue };
         let Some(seen) = tracking.update(&frame) else { continue };
-        let seen = hand_eye.camera(&frame.root_from_left) * seen.point_in_left;
+        let seen = frame.root_from_left * seen.point_in_left;
         let held = arm.tcp(&sample) * Point3::from(GRASP_IN_TCP);
         nearest = nearest.min((seen - held).norm());
         if nearest < IN_HAND {

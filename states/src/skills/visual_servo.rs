@@ -130,7 +130,6 @@ struct Sight {
     frames: Frames,
     hand: ColorMarkerObjectTracking,
     localizer: ObjectLocalizer,
-    hand_eye: HandEye,
     /// Centre of the object as seen, root frame.
     center: Point3<f64>,
     /// The hand's planned orientation.
@@ -147,11 +146,11 @@ impl Sight {
         let calibration = equipment.images.calibration();
         let model = BoxModel { size: Vector3::from(class.size), color: ColorModel::from_rgb(class.color) };
         let settings = MarkerSettings::new(HAND_MARKER_COLOR).with_diameter(HAND_MARKER_DIAMETER);
+        let hand_eye = HandEye::load(&*equipment.memory, &equipment.agent).await?;
         Ok(Self {
-            frames: Frames::of(&equipment.images),
+            frames: Frames::corrected(&equipment.images, hand_eye),
             hand: ColorMarkerObjectTracking::new(calibration, settings, equipment.seed),
             localizer: ObjectLocalizer::new(calibration, model),
-            hand_eye: HandEye::load(&*equipment.memory, &equipment.agent).await?,
             center: Point3::from(pose.translation.vector),
             palm: context.pose("target")?.rotation,
         })
@@ -167,10 +166,9 @@ impl Sight {
         marker: &Isometry3<f64>,
         above: f64,
     ) -> Option<ServoObservation> {
-        let root_from_left = self.hand_eye.camera(&frame.root_from_left);
         self.look_for_object(frame);
         let seen = self.hand.update(frame).filter(|m| m.visible > 0.3)?;
-        let seen = root_from_left * seen.point_in_left;
+        let seen = frame.root_from_left * seen.point_in_left;
         let shift = seen.coords - marker.translation.vector;
         let mut hand = *tcp;
         hand.translation.vector += shift;
@@ -182,7 +180,7 @@ impl Sight {
         let Some(object) = self.localizer.localize(frame).filter(|o| o.visible > WELL_VISIBLE) else {
             return;
         };
-        let seen = self.hand_eye.pose(&object.root_from_object).translation.vector;
+        let seen = object.root_from_object.translation.vector;
         let step = seen - self.center.coords;
         if step.norm() < PLAUSIBLE {
             self.center += SIGHT_SHARE * step;
