@@ -1,7 +1,7 @@
 //! The stage of a simulated run: world, robot, memory with prior knowledge and what was kept of earlier runs, and the
 //! skills that work with them.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use armarium_memoryx::{
@@ -31,6 +31,14 @@ pub(crate) enum StageError {
     /// The long-term store cannot be used.
     #[error("the long-term store: {0}")]
     Store(#[from] StoreError),
+    /// The folder of the long-term store cannot be made.
+    #[error("the long-term store's folder `{folder}` cannot be made: {source}")]
+    Folder {
+        /// The folder.
+        folder: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
 }
 
 /// Everything that a chart runs on.
@@ -54,6 +62,10 @@ impl Stage {
         let start = postures::home(&Arc::new(Model::armar3()));
         let options = Options { truth_sinks, start: Some(start), ..Options::default() };
         let simulation = Simulation::new(world, seed, options)?;
+        if let Some(folder) = store.parent().filter(|f| !f.as_os_str().is_empty()) {
+            std::fs::create_dir_all(folder)
+                .map_err(|source| StageError::Folder { folder: folder.into(), source })?;
+        }
         let long_term = Arc::new(LongTermMemory::open(store)?);
         let policies = Policies::all(Policy::Nothing).with(KEPT_SEGMENT, Policy::AtMost { hz: 1.0 });
         let kept = Arc::new(Consolidator::new(Arc::clone(&long_term), policies));
@@ -80,10 +92,13 @@ impl Stage {
     }
 }
 
-/// What the robot knows beforehand of the world's things: name, colour, size and mass, never where they are.
+/// What the robot knows beforehand of things: name, colour, size and mass, never where they are. Of those that this
+/// world describes, and of the usual ones, so that one that is not there can be looked for.
 fn prior_knowledge(world: &World) -> Result<PriorKnowledge, MemoryError> {
     let mut prior = PriorKnowledge::new();
-    for object in &world.objects {
+    let usual = World::default().objects;
+    let missing = usual.iter().filter(|u| world.objects.iter().all(|o| o.name != u.name));
+    for object in world.objects.iter().chain(missing) {
         prior.add(ObjectClass::new(&object.name, object.color, object.size).with_mass(object.mass))?;
     }
     prior.add(ObjectClass::new(COACH_TOOL, world.coach.tool.color, COACH_TOOL_SIZE))?;

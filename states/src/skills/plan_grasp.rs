@@ -86,12 +86,13 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
                 opening * 1e3
             )));
         }
+        let lack = match nearest {
+            n if n > 0.0 => format!("at best {:.0} mm are missing", n * 1e3),
+            _ => "a joint would stand at its limit".into(),
+        };
         return Err(Failure::new(format!(
-            "the object at x {:.2}, y {:.2}, z {:.2} m is out of the arm's reach from above: at best {:.0} mm are missing",
-            center.x,
-            center.y,
-            center.z,
-            nearest * 1e3
+            "the object at x {:.2}, y {:.2}, z {:.2} m is out of the arm's reach from above: {lack}",
+            center.x, center.y, center.z
         )));
     };
     Ok(Outcome::success().with("grasp_pose", pose_value(&best.grasp)).with("pre_pose", pose_value(&best.pre)))
@@ -109,7 +110,7 @@ fn needed_opening(across: f64, misalignment: f64) -> f64 {
     (across + PAD_WIDTH * sin) / cos
 }
 
-/// A grasp with its score, or how far it is out of reach, m.
+/// A grasp with its score, or how far it is out of reach, m; 0 where only a joint limit is too near.
 fn candidate(
     model: &Arc<Model>,
     tcp: LinkId,
