@@ -12,6 +12,7 @@
 //! behaviors based on human in the loop coaching gestures", ICRA 2014, unless another paper is named.
 
 mod coach;
+mod coupling;
 mod error;
 mod field;
 mod fourier;
@@ -32,6 +33,7 @@ mod surface_correction;
 mod touchdown;
 
 pub use coach::{Coach, CoachConfig, CoachInput, CoachReport};
+pub use coupling::{ObstacleAvoidance, joint_coupling};
 pub use error::MotionError;
 pub use field::{
     CoachArm, CoachingCommand, PotentialField, SlowDown, nearer_hand, pulling_hand, pushing_hand,

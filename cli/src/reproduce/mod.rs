@@ -4,7 +4,11 @@
 //! [`Experiment`](experiment::Experiment) that turns them into figures and plots. A new one needs a line in
 //! [`all`] besides. The algorithms are those of `armarium-motion`; what stands here is the papers' set-up around them.
 
+mod coaching;
 mod experiment;
+mod force;
+mod planar;
+mod servo;
 mod settings;
 
 use std::io::{self, Write};
@@ -17,7 +21,11 @@ use self::settings::Key;
 
 /// Every experiment that there is, in the order listed.
 fn all() -> Vec<Entry> {
-    vec![]
+    vec![
+        Entry::of::<coaching::Coaching>(),
+        Entry::of::<force::Force>(),
+        Entry::of::<servo::Servo>(),
+    ]
 }
 
 /// What `reproduce` takes.
