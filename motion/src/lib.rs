@@ -13,6 +13,8 @@
 
 mod coach;
 mod coupling;
+mod discrete;
+mod discrete_learning;
 mod error;
 mod field;
 mod fourier;
@@ -34,6 +36,8 @@ mod touchdown;
 
 pub use coach::{Coach, CoachConfig, CoachInput, CoachReport};
 pub use coupling::{ObstacleAvoidance, joint_coupling};
+pub use discrete::{DiscreteDmp, DiscreteDmpConfig, DiscreteState};
+pub use discrete_learning::TimeSample;
 pub use error::MotionError;
 pub use field::{
     CoachArm, CoachingCommand, PotentialField, SlowDown, nearer_hand, pulling_hand, pushing_hand,

@@ -223,32 +223,30 @@ impl Coaching {
         (Vector2::from(self.o), Vector2::from(self.d).normalize())
     }
 
-    /// Values at the phases of the period that begins `periods` whole periods after step 0, between steps by
+    /// Values at `period()` equal phases from 0 on, out of the one period before the step `end`; between steps by
     /// interpolation.
     fn over_period<const N: usize>(
         &self,
         log: &[nalgebra::SVector<f64, N>],
-        first: f64,
+        end: f64,
     ) -> Vec<nalgebra::SVector<f64, N>> {
         let count = self.period();
         let period = 1.0 / (self.frequency * self.dt);
-        (0..count)
-            .map(|k| {
-                let at = (first + period * k as f64 / count as f64).max(0.0);
-                let (i, part) = ((at + 1e-9).floor() as usize, (at + 1e-9).fract());
-                let (a, b) = (log[i.min(log.len() - 1)], log[(i + 1).min(log.len() - 1)]);
-                a + (b - a) * part
-            })
-            .collect()
+        let value = |k: usize| {
+            let (phase, begin) = (period * k as f64 / count as f64, end - period);
+            let at = begin + (phase - begin).rem_euclid(period) + 1e-9;
+            // Rounding may put the end of the window where its beginning belongs.
+            let at = if at >= end { at - period } else { at }.max(0.0);
+            let (i, part) = (at.floor() as usize, at.fract());
+            let (a, b) = (log[i.min(log.len() - 1)], log[(i + 1).min(log.len() - 1)]);
+            a + (b - a) * part
+        };
+        (0..count).map(value).collect()
     }
 
-    /// Steps, not whole ones, at which the compared periods begin: at equal phases, before the coaching and at the end.
+    /// Steps at which the compared periods end: the last one before the coaching, and the last of all.
     fn compared(&self) -> [f64; 2] {
-        let period = 1.0 / (self.frequency * self.dt);
-        let before = self.first_coached() as f64 - period;
-        let steps = (self.seconds / self.dt).round();
-        let between = ((steps - period - before) / period + 1e-9).floor();
-        [before, before + between * period]
+        [self.first_coached() as f64, (self.seconds / self.dt).round()]
     }
 
     fn figures(&self, log: &Log) -> Outcome {
@@ -280,15 +278,15 @@ impl Coaching {
     /// Like the paper's figures: the path at the right time, the coupling, and the joints over time.
     fn plot(&self, log: &Log) -> String {
         let [before, after] = self.compared();
-        let closed = |first: f64| -> Vec<[f64; 2]> {
-            let mut points: Vec<[f64; 2]> = self.over_period(&log.x, first).into_iter().map(Into::into).collect();
+        let closed = |end: f64| -> Vec<[f64; 2]> {
+            let mut points: Vec<[f64; 2]> = self.over_period(&log.x, end).into_iter().map(Into::into).collect();
             points.extend(points.first().copied());
             points
         };
         let period = 1.0 / (self.frequency * self.dt);
-        let between = (0..).map(|i| before + period * f64::from(i)).take_while(|first| *first < after);
+        let between = (1..).map(|i| before + period * f64::from(i)).take_while(|end| *end < after);
         let mut paths: Vec<Curve> =
-            between.step_by(2).map(|first| Curve::new("", closed(first)).looking(Look::Faint)).collect();
+            between.step_by(2).map(|end| Curve::new("", closed(end)).looking(Look::Faint)).collect();
         paths.push(Curve::new("before", closed(before)).looking(Look::Colour(5)));
         paths.push(Curve::new("after coaching", closed(after)).looking(Look::Colour(3)));
         if !self.follow {

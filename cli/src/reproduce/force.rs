@@ -23,6 +23,18 @@ settings! {
         cycles: u32 = 16;
         /// Cycles with the feedback off that follow.
         off_cycles: u32 = 4;
+        /// Amplitudes of the wiping in x and y (which runs twice as fast), m.
+        amplitude: [f64; 2] = [0.15, 0.1];
+        /// Phase by which y is ahead, rad.
+        phase: f64 = 0.3;
+        /// Slope of the table in x and y.
+        tilt: [f64; 2] = [0.02, -0.03];
+        /// Height of its bump, m.
+        bump: f64 = 0.01;
+        /// Place of the bump, m.
+        bump_at: [f64; 2] = [0.1, 0.05];
+        /// It falls as exp(-(squared distance) / this), m^2.
+        bump_width: f64 = 0.005;
         /// Frequency of the wiping, Hz.
         frequency: f64 = 0.5;
         /// Standard deviation of the measured force, N.
@@ -44,16 +56,6 @@ settings! {
         /// Seed of the noise.
         seed: u64 = 1;
     }
-}
-
-/// Height of the table, m.
-fn table(x: f64, y: f64) -> f64 {
-    0.02 * x - 0.03 * y + 0.01 * (-((x - 0.1).powi(2) + (y - 0.05).powi(2)) / 0.005).exp()
-}
-
-/// Height of the table under the wiping motion, m.
-fn under(phase: f64) -> f64 {
-    table(0.15 * phase.sin(), 0.1 * (2.0 * phase + 0.3).sin())
 }
 
 /// One entry a step.
@@ -90,7 +92,16 @@ impl Force {
         within("stiffness", self.stiffness, 10.0, 1e6)?;
         within("noise", self.noise, 0.0, 100.0)?;
         within("start_height", self.start_height, -0.05, 0.05)?;
+        within("bump_width", self.bump_width, 1e-9, 1e9)?;
         within("force", self.force, 0.01, 1000.0)
+    }
+
+    /// Height of the table under the wiping motion at a phase, m.
+    fn under(&self, phase: f64) -> f64 {
+        let x = self.amplitude[0] * phase.sin();
+        let y = self.amplitude[1] * (2.0 * phase + self.phase).sin();
+        let from_bump = (x - self.bump_at[0]).powi(2) + (y - self.bump_at[1]).powi(2);
+        self.tilt[0] * x + self.tilt[1] * y + self.bump * (-from_bump / self.bump_width).exp()
     }
 
     fn period(&self) -> usize {
@@ -113,7 +124,7 @@ impl Force {
         let mut adaptation = SurfaceAdaptation::new(self.config())?;
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         let (period, omega) = (self.period(), TAU * self.frequency);
-        let base = under(0.0) + self.start_height;
+        let base = self.under(0.0) + self.start_height;
         let mut log = Log::default();
         let mut height = base;
         for k in 0..(self.cycles + self.off_cycles) as usize * period {
@@ -122,7 +133,7 @@ impl Force {
                 adaptation.set_learning(false);
             }
             let phase = omega * self.dt * k as f64;
-            let force = (self.stiffness * (under(phase) - height)).max(0.0);
+            let force = (self.stiffness * (self.under(phase) - height)).max(0.0);
             log.force.push(force);
             log.height.push(height);
             let noise: f64 = StandardNormal.sample(&mut rng);
@@ -146,7 +157,7 @@ impl Force {
         let off = (self.dt * (self.cycles as usize * self.period()) as f64, "feedback off".to_owned());
         let over_time = |values: &[f64]| values.iter().enumerate().map(|(k, v)| [time(k), *v]).collect();
         let surface: Vec<f64> =
-            (0..log.height.len()).map(|k| under(TAU * self.frequency * time(k)) * 1e3).collect();
+            (0..log.height.len()).map(|k| self.under(TAU * self.frequency * time(k)) * 1e3).collect();
         let height: Vec<f64> = log.height.iter().map(|h| h * 1e3).collect();
         let force = Panel {
             x_label: "time, s".into(),

@@ -95,14 +95,16 @@ impl Servo {
         }
     }
 
-    /// Runs until the servo ends; its camera stands still and sees hand and target.
+    /// Runs until the hand is at its target, in truth and not only as measured, or the servo gives up; the camera stands
+    /// still and sees both.
     fn servo(&self) -> Result<(Vec<Frame>, ServoStatus), ReproduceError> {
         let mut servo = PositionServo::new(self.config())?;
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         let turned = Vector3::from(self.hand_eye_axis).normalize() * self.hand_eye_error_deg.to_radians();
         let camera_from_robot = Isometry3::rotation(turned);
         let mut hand = pose(&self.start);
-        let mut frames = Vec::new();
+        let mut frames: Vec<Frame> = Vec::new();
+        let mut held = 0;
         loop {
             let seen = camera_from_robot * hand * self.error(&mut rng);
             let observation = ServoObservation { hand: seen, target: camera_from_robot };
@@ -114,6 +116,11 @@ impl Servo {
                 linear: command.linear,
                 angular: command.angular,
             });
+            let near = self.reached(&hand);
+            held = if near { held + 1 } else { 0 };
+            if held >= self.frames.max(1) || near && command.status == ServoStatus::Converged {
+                return Ok((frames, ServoStatus::Converged));
+            }
             if command.status != ServoStatus::Running {
                 return Ok((frames, command.status));
             }
@@ -123,6 +130,11 @@ impl Servo {
                 UnitQuaternion::from_scaled_axis(command.angular * self.dt) * hand.rotation,
             );
         }
+    }
+
+    fn reached(&self, hand: &Isometry3<f64>) -> bool {
+        hand.translation.vector.norm() <= self.tolerance_m
+            && hand.rotation.angle() <= self.tolerance_deg.to_radians()
     }
 
     /// What a measurement adds to the pose.
@@ -146,8 +158,7 @@ fn figures(frames: &[Frame], status: ServoStatus) -> Outcome {
     let (Some(first), Some(last)) = (frames.first(), frames.last()) else { return outcome };
     let length: f64 = frames.windows(2).map(|w| (w[1].position - w[0].position).norm()).sum();
     let straight = (last.position - first.position).norm();
-    let converged = status == ServoStatus::Converged;
-    outcome.figure("converged_s", if converged { last.t } else { f64::NAN });
+    outcome.figure("converged_s", if status == ServoStatus::Converged { last.t } else { f64::NAN });
     outcome.figure("path_ratio", length / straight);
     outcome.figure("final_m", last.position.norm());
     outcome.figure("final_rad", last.angle);
