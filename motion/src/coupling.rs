@@ -136,7 +136,11 @@ mod tests {
         assert!((avoid.coupling(&right_ahead, &Vector3::zeros(), &v) + c).norm() < 1e-9);
         let behind = avoid.coupling(&Vector3::new(-1.0, 0.2, 0.0), &Vector3::zeros(), &v);
         assert!(behind.norm() < 1e-4 * c.norm());
-        assert_eq!(avoid.coupling(&v, &Vector3::zeros(), &v), Vector3::zeros(), "straight ahead there is no side");
+        assert_eq!(
+            avoid.coupling(&v, &Vector3::zeros(), &v),
+            Vector3::zeros(),
+            "straight ahead there is no side"
+        );
         assert_eq!(avoid.coupling(&v, &v, &v), Vector3::zeros());
     }
 }

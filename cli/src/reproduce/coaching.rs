@@ -9,6 +9,7 @@ use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::experiment::{Experiment, Outcome, ReproduceError, within};
+use super::phase::{mean, over_period};
 use super::planar::{PlanarArm, Redundancy};
 use super::settings::settings;
 
@@ -131,9 +132,8 @@ impl Coaching {
     fn demonstrated(&self, phase: f64) -> Result<Vector3<f64>, ReproduceError> {
         let sense = if self.direction == Direction::Ccw { 1.0 } else { -1.0 };
         let point = self.centre() + self.radius * Vector2::new(phase.cos(), sense * phase.sin());
-        let redundancy = self
-            .posture
-            .map_or(Redundancy::LastLink(self.psi), |p| Redundancy::NearestTo(Vector3::from(p)));
+        let redundancy =
+            self.posture.map_or(Redundancy::LastLink(self.psi), |p| Redundancy::NearestTo(Vector3::from(p)));
         self.arm().inverse(point, redundancy).ok_or_else(|| {
             ReproduceError::Failed(format!("the arm does not reach ({:.3}, {:.3}) m", point.x, point.y))
         })
@@ -223,25 +223,12 @@ impl Coaching {
         (Vector2::from(self.o), Vector2::from(self.d).normalize())
     }
 
-    /// Values at `period()` equal phases from 0 on, out of the one period before the step `end`; between steps by
-    /// interpolation.
     fn over_period<const N: usize>(
         &self,
         log: &[nalgebra::SVector<f64, N>],
         end: f64,
     ) -> Vec<nalgebra::SVector<f64, N>> {
-        let count = self.period();
-        let period = 1.0 / (self.frequency * self.dt);
-        let value = |k: usize| {
-            let (phase, begin) = (period * k as f64 / count as f64, end - period);
-            let at = begin + (phase - begin).rem_euclid(period) + 1e-9;
-            // Rounding may put the end of the window where its beginning belongs.
-            let at = if at >= end { at - period } else { at }.max(0.0);
-            let (i, part) = (at.floor() as usize, at.fract());
-            let (a, b) = (log[i.min(log.len() - 1)], log[(i + 1).min(log.len() - 1)]);
-            a + (b - a) * part
-        };
-        (0..count).map(value).collect()
+        over_period(log, end, 1.0 / (self.frequency * self.dt))
     }
 
     /// Steps at which the compared periods end: the last one before the coaching, and the last of all.
@@ -262,7 +249,7 @@ impl Coaching {
         let far: Vec<f64> = (0..count).filter(|k| distance[*k] > 0.8).map(|k| moved[k]).collect();
         outcome.figure("displacement_at_o_m", moved[nearest]);
         outcome.figure("far_side_rms_m", mean(far.iter().map(|m| m * m)).sqrt());
-        outcome.figure("opposite_phase_m", at_o(moved[(nearest + count / 2) % count]));
+        outcome.figure("opposite_phase_m", moved[(nearest + count / 2) % count]);
         let begin = self.first_coached();
         let last = log.coupling.len() - count;
         outcome.figure("coupling_mean_first", mean(log.coupling[begin..].iter().take(count).copied()));
@@ -279,7 +266,8 @@ impl Coaching {
     fn plot(&self, log: &Log) -> String {
         let [before, after] = self.compared();
         let closed = |end: f64| -> Vec<[f64; 2]> {
-            let mut points: Vec<[f64; 2]> = self.over_period(&log.x, end).into_iter().map(Into::into).collect();
+            let mut points: Vec<[f64; 2]> =
+                self.over_period(&log.x, end).into_iter().map(Into::into).collect();
             points.extend(points.first().copied());
             points
         };
@@ -321,11 +309,6 @@ impl Coaching {
 /// Each angle within half a turn of zero, rad.
 fn nearest_turn(difference: Vector3<f64>) -> Vector3<f64> {
     difference.map(|a| a - TAU * (a / TAU).round())
-}
-
-fn mean(values: impl Iterator<Item = f64>) -> f64 {
-    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), v| (sum + v, count + 1.0));
-    sum / count
 }
 
 fn half_ranges(path: &[Vector3<f64>]) -> Vec<f64> {

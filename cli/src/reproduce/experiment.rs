@@ -58,7 +58,10 @@ pub(crate) fn within(key: &str, value: f64, low: f64, high: f64) -> Result<(), R
     if (low..=high).contains(&value) {
         return Ok(());
     }
-    Err(ReproduceError::Setting { key: key.to_owned(), why: format!("{value} is outside of {low} to {high}") })
+    Err(ReproduceError::Setting {
+        key: key.to_owned(),
+        why: format!("{value} is outside of {low} to {high}"),
+    })
 }
 
 /// An experiment of the papers.

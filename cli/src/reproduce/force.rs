@@ -179,7 +179,10 @@ impl Force {
         let cycles = Panel {
             x_label: "cycle".into(),
             y_label: "log10 of the RMS force error, N".into(),
-            curves: vec![Curve::new("", rms.iter().zip(1..).map(|(r, n)| [f64::from(n), r.log10()]).collect())],
+            curves: vec![Curve::new(
+                "",
+                rms.iter().zip(1..).map(|(r, n)| [f64::from(n), r.log10()]).collect(),
+            )],
             marks: vec![(f64::from(self.cycles) + 0.5, "feedback off".into())],
             ..Panel::default()
         };

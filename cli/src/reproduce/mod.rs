@@ -7,6 +7,10 @@
 mod coaching;
 mod experiment;
 mod force;
+mod humanoid;
+mod humanoid_arm;
+mod humanoid_coach;
+mod phase;
 mod planar;
 mod servo;
 mod settings;
@@ -25,6 +29,7 @@ fn all() -> Vec<Entry> {
         Entry::of::<coaching::Coaching>(),
         Entry::of::<force::Force>(),
         Entry::of::<servo::Servo>(),
+        Entry::of::<humanoid::HumanoidCoaching>(),
     ]
 }
 
@@ -55,7 +60,8 @@ pub(crate) fn run(args: &ReproduceArgs, out: &mut dyn Write) -> io::Result<u8> {
     };
     let Some(entry) = entries.iter().find(|entry| entry.name == *name) else {
         let hint = nearest(name, entries.iter().map(|entry| entry.name));
-        let hint = hint.map_or("`armarium reproduce` lists them".to_owned(), |n| format!("did you mean `{n}`?"));
+        let hint =
+            hint.map_or("`armarium reproduce` lists them".to_owned(), |n| format!("did you mean `{n}`?"));
         writeln!(out, "error: there is no experiment `{name}`: {hint}")?;
         return Ok(2);
     };
@@ -105,7 +111,8 @@ fn summarise(name: &str, outcome: &Outcome, files: &[PathBuf], out: &mut dyn Wri
 }
 
 fn listing(entries: &[Entry]) -> String {
-    let mut text = "Experiments of the papers; `armarium reproduce --help` lists their settings.\n".to_owned();
+    let mut text =
+        "Experiments of the papers; `armarium reproduce --help` lists their settings.\n".to_owned();
     for entry in entries {
         text += &format!("    {:<18} {}\n", entry.name, entry.about);
     }

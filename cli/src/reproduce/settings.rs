@@ -52,7 +52,11 @@ pub(crate) fn keys<S: Settings>() -> Vec<Key> {
     let defaults = defaults::<S>();
     S::KEYS
         .iter()
-        .map(|(name, doc)| Key { name, default: defaults.get(*name).map_or_else(String::new, shown), doc: doc.trim() })
+        .map(|(name, doc)| Key {
+            name,
+            default: defaults.get(*name).map_or_else(String::new, shown),
+            doc: doc.trim(),
+        })
         .collect()
 }
 
@@ -169,7 +173,8 @@ mod tests {
 
     #[test]
     fn values_are_read_by_their_type() {
-        let read = of(&[("gain", "-8/pi"), ("point", "(1.8, -0.6)"), ("on", "true"), ("cycles", "7")]).unwrap();
+        let read =
+            of(&[("gain", "-8/pi"), ("point", "(1.8, -0.6)"), ("on", "true"), ("cycles", "7")]).unwrap();
         assert_eq!(read.gain, -8.0 / std::f64::consts::PI);
         assert_eq!((read.point, read.on, read.cycles, read.posture), ([1.8, -0.6], true, 7, None));
         assert_eq!(of(&[("posture", "-0.5,0.6,0.6")]).unwrap().posture, Some([-0.5, 0.6, 0.6]));
@@ -181,7 +186,9 @@ mod tests {
     fn what_is_wrong_is_said_with_its_key() {
         assert!(of(&[("gian", "1")]).unwrap_err().contains("did you mean `gain`?"));
         assert!(of(&[("zzz", "1")]).unwrap_err().contains("there are gain, point"));
-        for (key, text) in [("gain", "NaN"), ("gain", "much"), ("point", "1,2,3"), ("on", "2"), ("cycles", "-1")] {
+        for (key, text) in
+            [("gain", "NaN"), ("gain", "much"), ("point", "1,2,3"), ("on", "2"), ("cycles", "-1")]
+        {
             assert!(of(&[(key, text)]).unwrap_err().starts_with(key), "{key}={text}");
         }
     }

@@ -33,7 +33,8 @@ fn run(dmp: &mut DiscreteDmp, steps: usize, duration: f64) -> Vec<Vec<f64>> {
 }
 
 fn worst(a: &[Vec<f64>], b: impl Iterator<Item = Vec<f64>>) -> f64 {
-    let apart = |(a, b): (&Vec<f64>, Vec<f64>)| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    let apart =
+        |(a, b): (&Vec<f64>, Vec<f64>)| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     a.iter().zip(b).map(apart).fold(0.0, f64::max)
 }
 
