@@ -272,9 +272,12 @@ impl Coaching {
             points
         };
         let period = 1.0 / (self.frequency * self.dt);
-        let between = (1..).map(|i| before + period * f64::from(i)).take_while(|end| *end < after);
-        let mut paths: Vec<Curve> =
-            between.step_by(2).map(|end| Curve::new("", closed(end)).looking(Look::Faint)).collect();
+        let pass = |i: u32| {
+            let steps = [i, i + 1].map(|i| (before + period * f64::from(i)) as usize);
+            let path = log.x.get(steps[0]..=steps[1])?;
+            Some(Curve::new("", path.iter().map(|p| [p.x, p.y]).collect()).looking(Look::Faint))
+        };
+        let mut paths: Vec<Curve> = (0..).step_by(2).map_while(pass).collect();
         paths.push(Curve::new("before", closed(before)).looking(Look::Colour(5)));
         paths.push(Curve::new("after coaching", closed(after)).looking(Look::Colour(3)));
         if !self.follow {

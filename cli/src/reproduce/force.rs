@@ -50,7 +50,7 @@ settings! {
         /// Bandwidth of the feedback, rad/s.
         bandwidth: f64 = 7.0;
         /// Share of what is missing that each cycle adds to what is learned.
-        learning: f64 = 0.5;
+        learning: f64 = 0.7;
         /// Time from a command to its force, s; none for one step, which it is here.
         delay: Option<f64> = None;
         /// Seed of the noise.

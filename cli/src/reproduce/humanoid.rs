@@ -27,7 +27,7 @@ settings! {
         /// Its radius, m.
         radius: f64 = 0.1;
         /// Its frequency, Hz.
-        frequency: f64 = 0.25;
+        frequency: f64 = 0.2;
         /// Scale of the coupling (14).
         gamma: f64 = 10.0;
         /// Steepness of the field's edge (16), 1/m.
@@ -285,11 +285,13 @@ impl HumanoidCoaching {
                 let path = over_period(&log.x, end / LOGGED, self.period());
                 path.iter().chain(path.first()).map(project).collect::<Vec<_>>()
             };
-            let mut curves: Vec<Curve> = (1..)
-                .map(|i| self.start + f64::from(i) / self.frequency)
-                .take_while(|end| *end < self.stop)
-                .map(|end| Curve::new("", closed(end)).looking(Look::Faint))
-                .collect();
+            let between = |i: u32| {
+                let steps = [i, i + 1].map(|i| (self.start / LOGGED + self.period() * f64::from(i)) as usize);
+                let path = log.x.get(steps[0]..=steps[1])?;
+                Some(Curve::new("", path.iter().map(project).collect()).looking(Look::Faint))
+            };
+            let passes = ((self.stop - self.start) * self.frequency) as u32;
+            let mut curves: Vec<Curve> = (0..passes).filter_map(between).collect();
             curves.push(Curve::new("before", closed(self.start)).looking(Look::Colour(5)));
             curves.push(Curve::new(log.modification.name(), closed(self.back)).looking(Look::Colour(3)));
             curves.push(Curve::new("coaching point", vec![project(&log.o)]).looking(Look::Dots(2)));
@@ -309,16 +311,16 @@ impl HumanoidCoaching {
     /// Like Fig. 7: the joints over time.
     fn joints_plot(&self, log: &Log) -> String {
         let over_time = |i: usize| log.q.iter().enumerate().map(|(k, q)| [LOGGED * k as f64, q[i]]).collect();
-        let marks = vec![
-            (self.start, "coach comes".to_owned()),
-            (self.stop, "goes".to_owned()),
-            (self.back, "back".to_owned()),
-        ];
+        // Said once; the lines go through all of them.
+        let marks = |i: usize| {
+            let named = [(self.start, "coach comes"), (self.stop, "goes"), (self.back, "back")];
+            named.map(|(t, name)| (t, if i == 0 { name.to_owned() } else { String::new() })).to_vec()
+        };
         let panel = |i: usize| Panel {
             x_label: if i + 1 == JOINTS { "time, s".into() } else { String::new() },
             y_label: format!("q{}, rad", i + 1),
             curves: vec![Curve::new("", over_time(i)).looking(Look::Colour(1))],
-            marks: marks.clone(),
+            marks: marks(i),
             ..Panel::default()
         };
         let rows: Vec<_> = (0..JOINTS).map(|i| Row { height: 130.0, panels: vec![panel(i)] }).collect();
