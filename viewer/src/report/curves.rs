@@ -4,7 +4,6 @@
 //! it follows light and dark wherever it is shown.
 
 use super::axes::{Axes, Key, legend, legend_height, range_of};
-use super::plan::thinned;
 use super::svg::{Anchor, Svg};
 
 const STYLE: &str = include_str!("style.css");
@@ -157,9 +156,41 @@ fn line(svg: &mut Svg, curve: &Curve, class: &str, axes: &Axes) {
         if let Look::Dots(_) = curve.look {
             points.for_each(|p| svg.circle(p, 3.5, class));
         } else {
-            svg.polyline(thinned(points), class);
+            svg.polyline(simplified(&points.collect::<Vec<_>>()), class);
         }
     }
+}
+
+/// What a line may leave the curve by, in the picture's unit: less than a screen can show.
+const TOLERANCE: f64 = 0.12;
+
+/// The fewest of the points between which straight lines stay within [`TOLERANCE`] of all of them, peaks included
+/// (Douglas and Peucker 1973).
+fn simplified(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    let mut keep = vec![false; points.len()];
+    for end in [0, points.len().saturating_sub(1)] {
+        keep.get_mut(end).into_iter().for_each(|keep| *keep = true);
+    }
+    let mut open = vec![(0, points.len().saturating_sub(1))];
+    while let Some((from, to)) = open.pop() {
+        let off = |k: &usize| distance(points[*k], points[from], points[to]);
+        let Some(farthest) = (from + 1..to).max_by(|a, b| off(a).total_cmp(&off(b))) else { continue };
+        if off(&farthest) > TOLERANCE {
+            keep[farthest] = true;
+            open.extend([(from, farthest), (farthest, to)]);
+        }
+    }
+    points.iter().zip(keep).filter(|(_, keep)| *keep).map(|(p, _)| *p).collect()
+}
+
+/// From `p` to the straight line between `a` and `b`, its ends included.
+fn distance(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
+    let along = [b[0] - a[0], b[1] - a[1]];
+    let from = [p[0] - a[0], p[1] - a[1]];
+    let length = along[0] * along[0] + along[1] * along[1];
+    let share = if length > 0.0 { (from[0] * along[0] + from[1] * along[1]) / length } else { 0.0 };
+    let share = share.clamp(0.0, 1.0);
+    (from[0] - share * along[0]).hypot(from[1] - share * along[1])
 }
 
 #[cfg(test)]
@@ -182,6 +213,21 @@ mod tests {
         assert!(svg.starts_with("<svg") && svg.contains("<style>:root") && svg.contains("a &lt; b"));
         assert_eq!(svg.matches("<polyline").count(), 6, "a line that is interrupted is two");
         assert!(!svg.contains("NaN"));
+    }
+
+    #[test]
+    fn a_curve_is_drawn_with_few_points_and_no_peak_is_lost() {
+        let mut points: Vec<[f64; 2]> =
+            (0..5000).map(|i| [f64::from(i) * 0.2, 50.0 * (f64::from(i) * 0.01).sin()]).collect();
+        points[2500][1] = 400.0;
+        let few = simplified(&points);
+        assert!(few.len() < 700 && few.contains(&[500.0, 400.0]), "{}", few.len());
+        for p in &points {
+            let nearest = few.windows(2).map(|w| distance(*p, w[0], w[1])).fold(f64::INFINITY, f64::min);
+            assert!(nearest <= TOLERANCE);
+        }
+        assert_eq!(simplified(&[]), Vec::<[f64; 2]>::new());
+        assert_eq!(simplified(&[[1.0, 2.0]; 9]).len(), 2);
     }
 
     #[test]
