@@ -101,9 +101,10 @@ pub struct DiscreteDmp {
     perturbation: Vec<f64>,
     coupling: Vec<f64>,
     coupled: bool,
-    /// Kernel values at the phase of now.
+    /// Kernel values and forcing term at the phase of now, valid while `fresh`.
     pub(crate) psi: Vec<f64>,
     forcing: Vec<f64>,
+    pub(crate) fresh: bool,
     next_forcing: Vec<f64>,
     next_y: Vec<f64>,
     next_z: Vec<f64>,
@@ -136,6 +137,7 @@ impl DiscreteDmp {
             coupled: false,
             psi: vec![0.0; k],
             forcing: zeros(),
+            fresh: false,
             next_forcing: zeros(),
             next_y: zeros(),
             next_z: zeros(),
@@ -167,6 +169,7 @@ impl DiscreteDmp {
     pub fn set_weights(&mut self, weights: &[f64]) -> Result<(), MotionError> {
         vector("weights", self.weights.len(), weights)?;
         self.weights.copy_from_slice(weights);
+        self.fresh = false;
         Ok(())
     }
 
@@ -205,6 +208,7 @@ impl DiscreteDmp {
     pub fn set_amplitude(&mut self, amplitude: f64) -> Result<(), MotionError> {
         vector("amplitude", 1, &[amplitude])?;
         self.amplitude = amplitude;
+        self.fresh = false;
         Ok(())
     }
 
@@ -225,6 +229,7 @@ impl DiscreteDmp {
         }
         self.perturbation.fill(0.0);
         self.coupled = false;
+        self.fresh = false;
         Ok(())
     }
 
@@ -277,17 +282,16 @@ impl DiscreteDmp {
         positive("duration", duration)?;
         let advance = dt / duration;
         within("dt / duration", advance, 0.0, LARGEST)?;
+        self.refresh();
         if self.coupled {
-            self.kernels.evaluate(self.x, &mut self.psi);
             let coupling = std::mem::take(&mut self.coupling);
             self.update_weights(dt, self.x, &coupling);
             self.coupling = coupling;
         }
         // The floor keeps the kernels' arguments apart from 0, long after the end.
         let x = (self.x * (-self.config.alpha_x * advance).exp()).max(1e-12);
-        self.evaluate_forcing(self.x);
-        std::mem::swap(&mut self.forcing, &mut self.next_forcing);
         self.evaluate_forcing(x);
+        self.fresh = false;
         let (alpha, beta) = (self.config.alpha_z, self.config.beta_z);
         let transition = Transition::new(alpha, beta, advance);
         for d in 0..self.y.len() {
@@ -307,14 +311,25 @@ impl DiscreteDmp {
         finite("velocity", &self.next_z)?;
         std::mem::swap(&mut self.y, &mut self.next_y);
         std::mem::swap(&mut self.z, &mut self.next_z);
+        std::mem::swap(&mut self.forcing, &mut self.next_forcing);
         self.x = x;
+        self.fresh = true;
         for d in 0..self.y.len() {
             let pull = alpha * (beta * (self.goal[d] - self.y[d]) - self.z[d]);
             self.yd[d] = self.z[d] / duration;
-            self.ydd[d] = (pull + self.next_forcing[d] + self.perturbation[d]) / (duration * duration);
+            self.ydd[d] = (pull + self.forcing[d] + self.perturbation[d]) / (duration * duration);
             self.perturbation[d] = 0.0;
         }
         Ok(self.state())
+    }
+
+    /// Brings kernel values and forcing term up to date with phase, weights and amplitude.
+    fn refresh(&mut self) {
+        if !self.fresh {
+            self.evaluate_forcing(self.x);
+            std::mem::swap(&mut self.forcing, &mut self.next_forcing);
+            self.fresh = true;
+        }
     }
 
     fn evaluate_forcing(&mut self, x: f64) {
@@ -346,7 +361,8 @@ impl DecayKernels {
         let mut sum = 0.0;
         for (i, o) in out.iter_mut().enumerate() {
             let away = u - i as f64;
-            *o = (-away * away / 0.8).exp();
+            // Farther away it is under 1e-19 of the nearest one.
+            *o = if away.abs() < 6.0 { (-away * away / 0.8).exp() } else { 0.0 };
             sum += *o;
         }
         sum

@@ -47,6 +47,7 @@ impl DiscreteDmp {
         vector("yd", n, yd)?;
         vector("ydd", n, ydd)?;
         let x = self.phase_at(t, duration);
+        self.fresh = false;
         self.kernels.evaluate(x, &mut self.psi);
         self.update_gain(dt, x);
         let (alpha, beta, r) = (self.config.alpha_z, self.config.beta_z, self.amplitude * x);
@@ -112,6 +113,7 @@ impl DiscreteDmp {
         finite("weights", solution.as_slice())?;
         self.begin(&first.y, &first.yd, duration)?;
         self.weights.copy_from_slice(solution.as_slice());
+        self.fresh = false;
         self.start.copy_from_slice(&first.y);
         self.goal.copy_from_slice(&last.y);
         Ok(duration)

@@ -285,11 +285,11 @@ impl Coaching {
         }
         let time = |k: usize| self.dt * k as f64;
         let series = |value: &dyn Fn(usize) -> f64| (0..log.q.len()).map(|k| [time(k), value(k)]).collect();
-        let over_time = |y_label: &str, points: Vec<[f64; 2]>, colour: u8| Panel {
+        let over_time = |y_label: &str, points: Vec<[f64; 2]>, colour: u8, mark: &str| Panel {
             x_label: "time, s".into(),
             y_label: y_label.into(),
             curves: vec![Curve::new("", points).looking(Look::Colour(colour))],
-            marks: vec![(self.start, "coaching".into())],
+            marks: vec![(self.start, mark.to_owned())],
             ..Panel::default()
         };
         let path = Panel {
@@ -299,10 +299,10 @@ impl Coaching {
             equal_units: true,
             ..Panel::default()
         };
-        let coupling = over_time("|C_y|", series(&|k| log.coupling[k]), 2);
+        let coupling = over_time("|C_y|", series(&|k| log.coupling[k]), 2, "coaching");
         let joint = |i: usize| {
             let label = format!("q{}, rad", i + 1);
-            Row { height: 170.0, panels: vec![over_time(&label, series(&|k| log.q[k][i]), 1)] }
+            Row { height: 170.0, panels: vec![over_time(&label, series(&|k| log.q[k][i]), 1, "")] }
         };
         let top = Row { height: 470.0, panels: vec![path, coupling] };
         picture("A circle coached while it runs", &[top, joint(0), joint(1), joint(2)])

@@ -14,6 +14,8 @@ mod phase;
 mod planar;
 mod servo;
 mod settings;
+#[cfg(test)]
+mod tests;
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -128,38 +130,4 @@ fn long_listing() -> String {
         }
     }
     text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn reproduce(name: Option<&str>, settings: &[(&str, &str)]) -> (u8, String) {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let settings = settings.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();
-        let args = ReproduceArgs { name: name.map(str::to_owned), settings, out: folder.path().to_owned() };
-        let mut out = Vec::new();
-        let status = run(&args, &mut out).expect("memory can be written");
-        (status, String::from_utf8(out).expect("text is UTF-8"))
-    }
-
-    #[test]
-    fn experiments_are_listed_and_each_says_what_its_settings_are() {
-        let (status, text) = reproduce(None, &[]);
-        assert_eq!(status, 0);
-        for entry in all() {
-            assert!(text.contains(entry.name) && entry.about.len() > 20, "{}", entry.name);
-            assert!(entry.keys.iter().all(|key| key.doc.len() > 5), "{}", entry.name);
-        }
-    }
-
-    #[test]
-    fn a_wrong_name_is_refused_with_a_suggestion() {
-        for entry in all() {
-            let (status, text) = reproduce(Some(&format!("{}x", entry.name)), &[]);
-            assert_eq!(status, 2);
-            assert!(text.contains(&format!("did you mean `{}`?", entry.name)), "{text}");
-        }
-        assert_eq!(reproduce(Some("flying"), &[]).0, 2);
-    }
 }

@@ -4,6 +4,7 @@ use super::*;
 use crate::discrete_learning::TimeSample;
 use crate::{ObstacleAvoidance, PotentialField};
 use nalgebra::{Vector2, Vector3};
+use proptest::prelude::*;
 
 /// From rest at `a` to rest at `b` in `duration` s, the fifth-order polynomial.
 fn quintic(a: &[f64], b: &[f64], duration: f64, steps: usize) -> Vec<TimeSample> {
@@ -169,4 +170,26 @@ fn it_is_saved_and_loaded() {
     let mut dmp = dmp;
     assert_eq!(run(&mut loaded, 50, 1.5), run(&mut dmp, 50, 1.5));
     assert!(serde_json::from_str::<DiscreteDmp>(&text.replacen("0.3", "null", 1)).is_err());
+}
+
+proptest! {
+    #[test]
+    fn whatever_is_finite_leaves_it_finite_and_leads_to_the_goal(
+        inputs in prop::collection::vec((-1e6..1e6_f64, -1e6..1e6_f64, 1e-4..0.5_f64, 0.1..10.0_f64), 1..60),
+        goal in -1e3..1e3_f64,
+    ) {
+        let mut dmp = DiscreteDmp::new(DiscreteDmpConfig::default()).unwrap();
+        for (coupling, perturbation, dt, duration) in inputs {
+            dmp.couple(&[coupling]).unwrap();
+            dmp.perturb(&[perturbation]).unwrap();
+            let before = dmp.state().y[0];
+            let y = dmp.step(dt, duration).unwrap().y[0];
+            prop_assert!(y.is_finite() && (y - before).abs() < 1e9);
+        }
+        dmp.set_goal(&[goal]).unwrap();
+        for _ in 0..2000 {
+            dmp.step(0.02, 1.0).unwrap();
+        }
+        prop_assert!((dmp.state().y[0] - goal).abs() < 1e-3, "{}", dmp.state().y[0]);
+    }
 }
