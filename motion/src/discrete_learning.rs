@@ -136,8 +136,8 @@ impl DiscreteDmp {
             let sum = self.kernels.evaluate(x, psi.as_mut_slice());
             psi *= self.amplitude * x / sum;
             normal.ger(1.0, &psi, &psi, 1.0);
-            for d in 0..n {
-                let pull = alpha * (beta * (goal[d] - s.y[d]) - duration * s.yd[d]);
+            for (d, goal) in goal.iter().enumerate() {
+                let pull = alpha * (beta * (goal - s.y[d]) - duration * s.yd[d]);
                 moment.column_mut(d).axpy(duration * duration * s.ydd[d] - pull, &psi, 1.0);
             }
         }

@@ -76,6 +76,8 @@ settings! {
         seconds: f64 = 60.0;
         /// When the coaching begins, s.
         start: f64 = 5.0;
+        /// Farther from o than this is the far side, m.
+        far: f64 = 0.8;
     }
 }
 
@@ -155,29 +157,40 @@ impl Coaching {
             integrator: Integrator::Euler,
             ..PeriodicDmpConfig::with_dofs(3)
         })?;
-        let (period, omega) = (self.period(), self.omega());
+        let omega = self.omega();
+        let samples = self.demonstration()?;
+        let mean = samples.iter().map(|s| s[0]).sum::<Vector3<f64>>() / samples.len() as f64;
+        dmp.set_centre(mean.as_slice())?;
+        for k in 0..self.cycles as usize * self.period() {
+            let [y, yd, ydd] = &samples[k % samples.len()];
+            let phase = omega * self.dt * k as f64;
+            dmp.learn(phase, omega, self.dt, y.as_slice(), yd.as_slice(), ydd.as_slice())?;
+        }
+        dmp.reset(0.0, samples[0][0].as_slice(), samples[0][1].as_slice(), omega)?;
+        Ok(dmp)
+    }
+
+    /// Position, velocity and acceleration of the joints at each step: of one period, or of all of them where a period
+    /// is not a whole number of steps.
+    fn demonstration(&self) -> Result<Vec<[Vector3<f64>; 3]>, ReproduceError> {
+        let (omega, h) = (self.omega(), 1e-3);
         let sample = |k: usize| -> Result<[Vector3<f64>; 3], ReproduceError> {
-            let (phase, h) = (omega * self.dt * k as f64, 1e-3);
+            let phase = omega * self.dt * k as f64;
             let [before, here, after] =
                 [self.demonstrated(phase - h)?, self.demonstrated(phase)?, self.demonstrated(phase + h)?];
             let slope = nearest_turn(after - before) / (2.0 * h) * omega;
             let bend = (nearest_turn(after - here) - nearest_turn(here - before)) / (h * h) * omega * omega;
             Ok([here, slope, bend])
         };
-        let mut samples = (0..period).map(sample).collect::<Result<Vec<_>, _>>()?;
-        for k in 1..period {
+        let steps = 1.0 / (self.frequency * self.dt);
+        let whole = (steps - steps.round()).abs() < 1e-9 * steps;
+        let count = if whole { self.period() } else { self.cycles as usize * self.period() };
+        let mut samples = (0..count).map(sample).collect::<Result<Vec<_>, _>>()?;
+        for k in 1..count {
             let last = samples[k - 1][0];
             samples[k][0] = last + nearest_turn(samples[k][0] - last);
         }
-        let mean = samples.iter().map(|s| s[0]).sum::<Vector3<f64>>() / period as f64;
-        dmp.set_centre(mean.as_slice())?;
-        for k in 0..self.cycles as usize * period {
-            let [y, yd, ydd] = &samples[k % period];
-            let phase = omega * self.dt * k as f64;
-            dmp.learn(phase, omega, self.dt, y.as_slice(), yd.as_slice(), ydd.as_slice())?;
-        }
-        dmp.reset(0.0, samples[0][0].as_slice(), samples[0][1].as_slice(), omega)?;
-        Ok(dmp)
+        Ok(samples)
     }
 
     fn execute(&self, dmp: &mut PeriodicDmp) -> Result<Log, ReproduceError> {
@@ -246,7 +259,7 @@ impl Coaching {
         let distance: Vec<f64> = x.iter().map(|a| (a - o).norm()).collect();
         let count = moved.len();
         let nearest = (0..count).min_by(|a, b| distance[*a].total_cmp(&distance[*b])).unwrap_or(0);
-        let far: Vec<f64> = (0..count).filter(|k| distance[*k] > 0.8).map(|k| moved[k]).collect();
+        let far: Vec<f64> = (0..count).filter(|k| distance[*k] > self.far).map(|k| moved[k]).collect();
         outcome.figure("displacement_at_o_m", moved[nearest]);
         outcome.figure("far_side_rms_m", mean(far.iter().map(|m| m * m)).sqrt());
         outcome.figure("opposite_phase_m", moved[(nearest + count / 2) % count]);

@@ -79,6 +79,15 @@ fn coaching_agrees_with_an_independent_implementation() {
 }
 
 #[test]
+fn a_period_need_not_be_a_whole_number_of_steps() {
+    let [whole, odd] = ["0.5", "0.499"].map(|f| figures("coaching", &[("frequency", f)]));
+    for name in ["displacement_at_o_m", "radius_before_m", "coupling_mean_first"] {
+        let (a, b) = (number(&whole, name), number(&odd, name));
+        assert!((a / b - 1.0).abs() < 0.05, "{name}: {a} and {b}");
+    }
+}
+
+#[test]
 fn a_coaching_point_that_follows_makes_the_circle_and_all_amplitudes_smaller() {
     for trail in ["0.2", "-0.2"] {
         let found = figures(
