@@ -151,32 +151,102 @@ fn the_simulators_physics_follows_the_coached_motion() {
     assert!(lag.iter().all(|lag| *lag > 0.0 && *lag < 1e-3), "{lag:?}");
 }
 
-/// Pictures of the documentation: file, which plot of which experiment, and its settings.
-type Pictured<'a> = (&'a str, &'a str, &'a str, &'a [(&'a str, &'a str)]);
-const PICTURES: [Pictured<'static>; 5] = [
-    ("coaching", "coaching", "coaching", &[]),
-    ("coaching_out", "coaching", "coaching", &[("o", "1.8,0.8")]),
-    (
-        "coaching_follow",
-        "coaching",
-        "coaching",
-        &[("follow", "true"), ("gamma", "1000"), ("posture", "-0.5,0.6,0.6")],
-    ),
-    ("force", "force", "force", &[]),
-    ("servo", "servo", "servo", &[("hand_eye_error_deg", "20")]),
+/// An experiment with its settings, and which of its plots is which picture of the documentation.
+struct Pictured {
+    experiment: &'static str,
+    settings: &'static [(&'static str, &'static str)],
+    pictures: &'static [(&'static str, &'static str)],
+    /// What the page says of the figures.
+    said: fn(&Map<String, Value>) -> Vec<String>,
+}
+
+const FOLLOWING: &[(&str, &str)] = &[("follow", "true"), ("gamma", "1000"), ("posture", "-0.5,0.6,0.6")];
+
+const PICTURED: [Pictured; 6] = [
+    Pictured {
+        experiment: "coaching",
+        settings: &[],
+        pictures: &[("coaching", "coaching")],
+        said: |f| {
+            let [at_o, opposite, far] =
+                ["displacement_at_o_m", "opposite_phase_m", "far_side_rms_m"].map(|name| number(f, name));
+            let [first, last] = ["coupling_mean_first", "coupling_mean_last"].map(|name| number(f, name));
+            vec![
+                format!("{at_o:.3} m at o; {:.2} mm half a period away; {:.1} mm", 1e3 * opposite, 1e3 * far),
+                format!("{first:.2}, after 27 periods {last:.3}"),
+            ]
+        },
+    },
+    Pictured {
+        experiment: "coaching",
+        settings: &[("o", "1.8,0.8")],
+        pictures: &[("coaching", "coaching_out")],
+        said: |f| {
+            let [first, last] = ["coupling_mean_first", "coupling_mean_last"].map(|name| number(f, name));
+            vec![format!("{:.3} m at o; coupling {first:.2} to {last:.2}", number(f, "displacement_at_o_m"))]
+        },
+    },
+    Pictured {
+        experiment: "coaching",
+        settings: FOLLOWING,
+        pictures: &[("coaching", "coaching_follow")],
+        said: |f| vec![format!("with `gamma=1000` to {:.3} m", number(f, "radius_after_m"))],
+    },
+    Pictured {
+        experiment: "force",
+        settings: &[],
+        pictures: &[("force", "force")],
+        said: |f| {
+            let off = number(f, "rms_off_n");
+            let first = numbers(f, "rms_n")[0];
+            vec![
+                format!("{off:.2} N with the feedback off"),
+                format!("| 2000 N/m | {first:.1} N | {off:.2} N |"),
+            ]
+        },
+    },
+    Pictured {
+        experiment: "servo",
+        settings: &[("hand_eye_error_deg", "20")],
+        pictures: &[("servo", "servo")],
+        said: |f| vec![format!("| {:.2} | {:.3} |", number(f, "converged_s"), number(f, "path_ratio"))],
+    },
+    Pictured {
+        experiment: "humanoid_coaching",
+        settings: &[],
+        pictures: &[
+            ("humanoid_coaching", "humanoid_coaching"),
+            ("humanoid_coaching_joints", "humanoid_coaching_joints"),
+        ],
+        said: |f| {
+            let millimetres: Vec<_> =
+                numbers(f, "displacement_m").iter().map(|m| format!("{:.0}", 1e3 * m)).collect();
+            vec![format!("{} mm their way", millimetres.join(", "))]
+        },
+    },
 ];
 
 #[test]
-fn the_pictures_of_the_documentation_are_what_is_drawn_now() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/images");
-    for (file, experiment, plot, settings) in PICTURES {
-        let drawn = outcome(experiment, settings).plots.into_iter().find(|(stem, _)| stem == plot);
-        let drawn = drawn.expect("the experiment draws this plot").1;
-        let kept = std::fs::read_to_string(folder.join(format!("{file}.svg"))).unwrap_or_default();
-        assert!(
-            alike(&drawn, &kept),
-            "docs/images/{file}.svg is old: draw it with `armarium reproduce {experiment}` and {settings:?}"
-        );
+fn the_documentation_shows_and_says_what_is_found_now() {
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
+    let page = std::fs::read_to_string(docs.join("motion.md")).expect("the page is there");
+    for Pictured { experiment, settings, pictures, said } in PICTURED {
+        let outcome = outcome(experiment, settings);
+        for text in said(&outcome.figures) {
+            assert!(
+                page.contains(&text),
+                "docs/motion.md does not say `{text}` of {experiment}, {settings:?}"
+            );
+        }
+        for (plot, file) in pictures {
+            let drawn = outcome.plots.iter().find(|(stem, _)| stem == plot);
+            let drawn = &drawn.expect("the experiment draws this plot").1;
+            let kept = std::fs::read_to_string(docs.join(format!("images/{file}.svg"))).unwrap_or_default();
+            assert!(
+                alike(drawn, &kept),
+                "docs/images/{file}.svg is old: draw it with `armarium reproduce {experiment}`, {settings:?}"
+            );
+        }
     }
 }
 
