@@ -9,6 +9,7 @@ mod judge;
 mod new;
 mod recording;
 mod render_findings;
+mod reproduce;
 mod run;
 mod schema;
 mod skills;
@@ -44,6 +45,8 @@ enum Command {
     New(new::NewArgs),
     /// Print the JSON schema of a kind of file.
     Schema(schema::SchemaArgs),
+    /// Reproduce an experiment of the papers: figures as JSON, plots as SVG.
+    Reproduce(reproduce::ReproduceArgs),
     /// List the skills that charts can use.
     Skills(skills::SkillsArgs),
 }
@@ -56,6 +59,7 @@ fn main() -> ExitCode {
         Command::Check(args) => check::run(args, style(), &catalog::check_chart, &mut out),
         Command::New(args) => new::run(args, &mut out),
         Command::Schema(args) => schema::run(*args, &mut out),
+        Command::Reproduce(args) => reproduce::run(args, &mut out),
         Command::Skills(args) => skills::run(args, &mut out),
     };
     let status = match status {

@@ -3,11 +3,12 @@
 #![allow(clippy::unwrap_used, missing_docs, reason = "a bench that cannot go on says where")]
 
 use armarium_motion::{
-    Coach, CoachConfig, CoachInput, FrictionConfig, FrictionModel, PeriodicDmp, PeriodicDmpConfig,
-    PhaseSample, SurfaceAdaptation, SurfaceConfig,
+    Coach, CoachConfig, CoachInput, DiscreteDmp, DiscreteDmpConfig, FrictionConfig, FrictionModel,
+    PeriodicDmp, PeriodicDmpConfig, PhaseSample, PositionServo, PotentialField, ServoConfig,
+    ServoObservation, SurfaceAdaptation, SurfaceConfig, joint_coupling,
 };
 use divan::{Bencher, black_box};
-use nalgebra::Vector3;
+use nalgebra::{Isometry3, Vector3};
 
 fn main() {
     divan::main();
@@ -81,4 +82,35 @@ fn surface_adaptation(bencher: Bencher) {
 fn friction(bencher: Bencher) {
     let mut friction = FrictionModel::new(FrictionConfig::default()).unwrap();
     bencher.bench_local(|| friction.step(0.001, 8.0, [0.1, 0.05], [3.0, 1.0]));
+}
+
+#[divan::bench]
+fn discrete_step_7_dofs(bencher: Bencher) {
+    let mut dmp = DiscreteDmp::new(DiscreteDmpConfig::with_dofs(7)).unwrap();
+    dmp.set_weights(&[1.0; 175]).unwrap();
+    dmp.begin(&[0.0; 7], &[0.0; 7], 2.0).unwrap();
+    bencher.bench_local(|| dmp.step(black_box(0.001), black_box(2.0)).map(|s| s.y[0]));
+}
+
+#[divan::bench]
+fn coupled_step_7_dofs(bencher: Bencher) {
+    let mut dmp = learned(7);
+    let field = PotentialField::default();
+    let columns = [0, 1, 2, 3, 4, 5, 6].map(|i| Vector3::new(f64::from(i), 1.0, f64::from(i * i)));
+    let (o, x, v) = ([0.1, 0.2, 0.3], [0.1, 0.1, 0.2], [0.2, 0.3, 0.1]);
+    bencher.bench_local(|| {
+        let mut coupling = [0.0; 7];
+        let strength = field.strength(black_box(&o), black_box(&x), black_box(&v));
+        joint_coupling(&columns, &(1e-6 * strength * Vector3::x()), 0.0, &mut coupling)?;
+        dmp.couple(&coupling)?;
+        dmp.step(0.001, 3.0).map(|s| s.y[0])
+    });
+}
+
+#[divan::bench]
+fn servo(bencher: Bencher) {
+    let mut servo = PositionServo::new(ServoConfig { timeout: 1e9, ..ServoConfig::default() }).unwrap();
+    let seen =
+        ServoObservation { hand: Isometry3::translation(0.1, 0.0, 0.2), target: Isometry3::identity() };
+    bencher.bench_local(|| servo.step(0.001, Some(black_box(&seen))));
 }

@@ -12,6 +12,10 @@
 //! behaviors based on human in the loop coaching gestures", ICRA 2014, unless another paper is named.
 
 mod coach;
+mod coupling;
+mod decay_kernels;
+mod discrete;
+mod discrete_learning;
 mod error;
 mod field;
 mod fourier;
@@ -32,6 +36,9 @@ mod surface_correction;
 mod touchdown;
 
 pub use coach::{Coach, CoachConfig, CoachInput, CoachReport};
+pub use coupling::{ObstacleAvoidance, joint_coupling};
+pub use discrete::{DiscreteDmp, DiscreteDmpConfig, DiscreteState};
+pub use discrete_learning::TimeSample;
 pub use error::MotionError;
 pub use field::{
     CoachArm, CoachingCommand, PotentialField, SlowDown, nearer_hand, pulling_hand, pushing_hand,

@@ -323,7 +323,8 @@ impl PeriodicDmp {
         within("omega * dt", advance, 0.0, LARGEST)?;
         within("omega", omega, 0.0, LARGEST)?;
         if self.config.integrator == Integrator::Euler {
-            within("alpha_z * omega * dt", self.config.alpha_z * advance, 0.0, 1.0)?;
+            let widest = widest_euler_step(self.config.alpha_z, self.config.beta_z);
+            within("alpha_z * omega * dt", self.config.alpha_z * advance, 0.0, 0.99 * widest)?;
         }
         self.refresh();
         if self.coupled {
@@ -407,6 +408,13 @@ impl PeriodicDmp {
             *o = self.amplitude / sum * w.iter().zip(&psi).map(|(w, p)| w * p).sum::<f64>();
         }
     }
+}
+
+/// The `alpha_z * omega * dt` from which on Euler's rule on (4), (5) does not decay any more (Jury's criterion on
+/// `l^2 - (2 - u) l + 1 - u + u^2 beta / alpha`): 4 where it is critically damped.
+fn widest_euler_step(alpha: f64, beta: f64) -> f64 {
+    let ratio = beta / alpha;
+    if 4.0 * ratio < 1.0 { 4.0 / (1.0 + (1.0 - 4.0 * ratio).sqrt()) } else { 1.0 / ratio }
 }
 
 /// The exact transition of `(y - rest, z)` over a piece of phase.

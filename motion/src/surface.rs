@@ -214,7 +214,7 @@ impl SurfaceAdaptation {
         self.rms.push(rms);
         self.cycles = self.cycles.saturating_add(1);
         self.cycle = Cycle::default();
-        let found = self.stiffness_by_cycle.close(self.stiffness);
+        let found = self.stiffness_by_cycle.close(self.stiffness, self.config.force);
         if self.config.identify {
             self.stiffness = found;
         }
@@ -321,6 +321,9 @@ impl Cycle {
     }
 }
 
+/// Root mean square change of the offset from one cycle to the next under which nothing is read from it, m; or 3 % of
+/// how far the contact gives way, if that is more.
+const SMALLEST_CHANGE: f64 = 1e-4;
 /// Places over the phase at which two cycles are compared.
 const BINS: usize = 48;
 
@@ -355,15 +358,14 @@ impl StiffnessEstimate {
         self.offset_count[0][o] += 1.0;
     }
 
-    /// Ends a cycle and returns the new estimate from the old one.
-    fn close(&mut self, old: f64) -> f64 {
+    /// Ends a cycle and returns the new estimate from the old one, for a desired `force`, N.
+    fn close(&mut self, old: f64, force: f64) -> f64 {
         let mean = |sum: &[[f64; BINS]; 2], count: &[[f64; BINS]; 2], cycle: usize, bin: usize| {
             (count[cycle][bin] > 0.0).then(|| sum[cycle][bin] / count[cycle][bin])
         };
         // The old estimate counts like 48 differences of 0.1 mm, against noise when nothing changes any more.
         let prior = BINS as f64 * 1e-8;
-        self.products *= 0.5;
-        self.squares *= 0.5;
+        let (mut products, mut squares) = (0.0, 0.0);
         for bin in 0..BINS {
             let f = [0, 1].map(|cycle| mean(&self.force, &self.force_count, cycle, bin));
             let o = [0, 1].map(|cycle| mean(&self.offset, &self.offset_count, cycle, bin));
@@ -371,14 +373,21 @@ impl StiffnessEstimate {
                 && f > 0.5
                 && g > 0.5
             {
-                self.products -= (f - g) * (o - p);
-                self.squares += (o - p) * (o - p);
+                products -= (f - g) * (o - p);
+                squares += (o - p) * (o - p);
             }
         }
         for sums in [&mut self.force, &mut self.force_count, &mut self.offset, &mut self.offset_count] {
             sums[1] = sums[0];
             sums[0] = [0.0; BINS];
         }
+        // What has hardly moved has moved with the noise of the force itself, which looks like no stiffness at all.
+        let smallest = SMALLEST_CHANGE.max(0.03 * force / old);
+        if squares < BINS as f64 * smallest * smallest {
+            return old;
+        }
+        self.products = 0.5 * self.products + products;
+        self.squares = 0.5 * self.squares + squares;
         let new = (self.products + prior * old) / (self.squares + prior);
         new.clamp(0.5 * old, 2.0 * old).clamp(200.0, 20_000.0)
     }

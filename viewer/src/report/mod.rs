@@ -4,6 +4,7 @@
 //! signals are thinned to what a screen can show, so that the page stays small whatever the run's length.
 
 mod axes;
+mod curves;
 mod data;
 mod figures;
 mod gantt;
@@ -13,6 +14,7 @@ mod series;
 mod svg;
 mod timeplot;
 
+pub use curves::{Curve, Look, Panel, Row, picture};
 pub use data::{
     Band, Cell, ChainLink, CoachingRow, Path, PathRole, Picture, ReportData, Series, StateSpan, TimePlot,
     WipedArea,

@@ -70,7 +70,7 @@ pub(super) fn paths(paths: &[Path]) -> String {
 }
 
 /// Points at least half a pixel apart, the last one kept.
-fn thinned(points: impl Iterator<Item = [f64; 2]>) -> Vec<[f64; 2]> {
+pub(super) fn thinned(points: impl Iterator<Item = [f64; 2]>) -> Vec<[f64; 2]> {
     let mut kept: Vec<[f64; 2]> = Vec::new();
     let mut last = None;
     for point in points {

@@ -1,0 +1,166 @@
+//! The right arm of ARMAR-III as the coached robot: its inverse kinematics next to a posture, and its execution in the
+//! simulator's physics or, to compare, by ideal joints.
+
+use std::sync::Arc;
+
+use armarium_robot::{Kinematics, LinkId, Model, postures};
+use armarium_simulator::physics::{External, Plant};
+use armarium_simulator::world::World;
+use nalgebra::{Matrix3, Point3, SVector, Vector3};
+
+use super::experiment::ReproduceError;
+
+/// Joints of the arm.
+pub(crate) const JOINTS: usize = 7;
+/// Angles or speeds of the arm's joints, rad or rad/s.
+pub(crate) type Joints = SVector<f64, JOINTS>;
+
+/// The arm with the rest of the robot standing still.
+pub(crate) struct Arm {
+    kinematics: Kinematics,
+    tcp: LinkId,
+    joints: [usize; JOINTS],
+    /// All joints of the robot; those of the arm are where it works best.
+    rest: Vec<f64>,
+}
+
+impl Arm {
+    pub(crate) fn new() -> Result<Self, ReproduceError> {
+        let model = Arc::new(Model::armar3());
+        let missing = || ReproduceError::Failed("the robot lacks a right arm of seven joints".into());
+        let limb = model.find_limb("right_arm").ok_or_else(missing)?;
+        let joints = limb.joints.as_slice().try_into().map_err(|_| missing())?;
+        let tcp = limb.tcp.ok_or_else(missing)?;
+        Ok(Self { rest: postures::wipe(&model), kinematics: Kinematics::new(&model), tcp, joints })
+    }
+
+    /// All joints with the arm's at `q`.
+    fn all(&self, q: &Joints) -> Vec<f64> {
+        let mut all = self.rest.clone();
+        self.joints.iter().zip(q.iter()).for_each(|(j, q)| all[*j] = *q);
+        all
+    }
+
+    /// TCP (m) and the columns of its Jacobian (m/rad) for the arm's joints, root frame.
+    pub(crate) fn at(&mut self, q: &Joints) -> (Vector3<f64>, [Vector3<f64>; JOINTS]) {
+        let all = self.all(q);
+        self.kinematics.update(&all);
+        let x = self.kinematics.pose(self.tcp).translation.vector;
+        let columns = self.joints.map(|j| self.kinematics.column(j, self.tcp, &Point3::from(x)).linear);
+        (x, columns)
+    }
+
+    /// The arm's joints in the posture that everything stays next to.
+    pub(crate) fn posture(&self) -> Joints {
+        Joints::from_fn(|i, _| self.rest[self.joints[i]])
+    }
+
+    /// The joint angles nearest to `posture` that put the TCP to `x`, m; which way the hand points is left open.
+    pub(crate) fn inverse(&mut self, x: Vector3<f64>, posture: &Joints) -> Result<Joints, ReproduceError> {
+        let mut q = *posture;
+        for _ in 0..500 {
+            let (here, columns) = self.at(&q);
+            let square: Matrix3<f64> = columns.iter().map(|c| c * c.transpose()).sum();
+            let away = q - posture;
+            let moved: Vector3<f64> = columns.iter().zip(away.iter()).map(|(c, a)| c * *a).sum();
+            let wanted = moved + x - here;
+            let inverse = (square + Matrix3::identity() * 1e-10).try_inverse().unwrap_or_else(Matrix3::zeros);
+            let multiplier = inverse * wanted;
+            let step = Joints::from_fn(|i, _| columns[i].dot(&multiplier)) - away;
+            q += step * (0.3 / step.norm()).min(0.8);
+            if step.norm() < 1e-12 {
+                break;
+            }
+        }
+        let apart = (self.at(&q).0 - x).norm();
+        if apart < 1e-6 && self.margin(&q) > 0.0 {
+            return Ok(q);
+        }
+        Err(ReproduceError::Failed(format!(
+            "the arm does not reach ({:.3}, {:.3}, {:.3}) m within its limits",
+            x.x, x.y, x.z
+        )))
+    }
+
+    /// Distance of the joint that is nearest to its limit, rad; negative beyond it.
+    pub(crate) fn margin(&self, q: &Joints) -> f64 {
+        let model = self.kinematics.model();
+        let margin = |(j, q): (&usize, &f64)| {
+            let joint = &model.joints()[*j];
+            (q - joint.lower).min(joint.upper - q)
+        };
+        self.joints.iter().zip(q.iter()).map(margin).fold(f64::INFINITY, f64::min)
+    }
+
+    /// The arm with its joints at `q`, ready to be driven.
+    pub(crate) fn execution(&self, q: &Joints, physics: bool) -> Result<Execution, ReproduceError> {
+        if !physics {
+            return Ok(Execution::Ideal { position: *q, velocity: Joints::zeros() });
+        }
+        let world = World { objects: Vec::new(), ..World::default() };
+        let position = self.all(q);
+        let plant = Plant::new(self.kinematics.model(), &world, &position)
+            .map_err(|error| ReproduceError::Failed(error.to_string()))?;
+        let velocity = vec![0.0; position.len()];
+        Ok(Execution::Physics { plant: Box::new(plant), joints: self.joints, position, velocity })
+    }
+}
+
+/// Who moves the arm.
+pub(crate) enum Execution {
+    /// Joints that are where they shall be.
+    Ideal {
+        /// Angles, rad.
+        position: Joints,
+        /// Speeds, rad/s.
+        velocity: Joints,
+    },
+    /// The simulator's physics: servos, inertia, gravity.
+    Physics { plant: Box<Plant>, joints: [usize; JOINTS], position: Vec<f64>, velocity: Vec<f64> },
+}
+
+/// Step of the execution, s.
+pub(crate) const DT: f64 = 0.001;
+
+impl Execution {
+    /// Drives the joints to `q` (rad) with `qd` (rad/s) for one [`DT`].
+    pub(crate) fn drive(&mut self, q: &[f64], qd: &[f64]) {
+        match self {
+            Self::Ideal { position, velocity } => {
+                position.copy_from_slice(q);
+                velocity.copy_from_slice(qd);
+            }
+            Self::Physics { plant, joints, position, velocity } => {
+                for (i, j) in joints.iter().enumerate() {
+                    position[*j] = q[i];
+                    velocity[*j] = qd[i];
+                }
+                plant.step(position, velocity, &External::default());
+            }
+        }
+    }
+
+    /// Positions (rad) and speeds (rad/s) as the joints report them.
+    pub(crate) fn joints(&self) -> (Joints, Joints) {
+        match self {
+            Self::Ideal { position, velocity } => (*position, *velocity),
+            Self::Physics { plant, joints, .. } => {
+                let of = |all: &[f64]| Joints::from_fn(|i, _| all[joints[i]]);
+                (of(plant.position()), of(plant.velocity()))
+            }
+        }
+    }
+
+    /// Where the TCP truly is, m, root frame.
+    pub(crate) fn truth(&self, arm: &mut Arm) -> Vector3<f64> {
+        match self {
+            Self::Ideal { position, .. } => arm.at(position).0,
+            Self::Physics { plant, .. } => plant.tcp().translation.vector,
+        }
+    }
+}
+
+/// The largest of all values, whatever their sign.
+pub(crate) fn largest(values: &[Joints]) -> f64 {
+    values.iter().map(Joints::amax).fold(0.0, f64::max)
+}

@@ -1,0 +1,111 @@
+//! The planar arm of three revolute joints that the coaching paper simulates; its base is the origin.
+
+use nalgebra::{Matrix2x3, Vector2, Vector3};
+
+/// An arm by the lengths of its links, m.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PlanarArm {
+    pub(crate) links: [f64; 3],
+}
+
+/// How the third degree of freedom, which a point in the plane leaves open, is decided.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Redundancy {
+    /// The last link stands at this angle in the world, rad; of the two elbows the one with q2 < 0.
+    LastLink(f64),
+    /// The joint angles are those next to this posture, rad.
+    NearestTo(Vector3<f64>),
+}
+
+/// Angle of each link in the world, rad.
+fn angles(q: &Vector3<f64>) -> Vector3<f64> {
+    Vector3::new(q.x, q.x + q.y, q.x + q.y + q.z)
+}
+
+impl PlanarArm {
+    /// Where the end of the last link is, m, for joint angles `q`, rad.
+    pub(crate) fn end(&self, q: &Vector3<f64>) -> Vector2<f64> {
+        let link = |(a, l): (&f64, &f64)| Vector2::new(l * a.cos(), l * a.sin());
+        angles(q).iter().zip(&self.links).map(link).sum()
+    }
+
+    /// `v = J(q) dq/dt`, m/rad.
+    pub(crate) fn jacobian(&self, q: &Vector3<f64>) -> Matrix2x3<f64> {
+        let angles = angles(q);
+        let column = |from: usize| -> Vector2<f64> {
+            (from..3).map(|i| self.links[i] * Vector2::new(-angles[i].sin(), angles[i].cos())).sum()
+        };
+        Matrix2x3::from_columns(&[column(0), column(1), column(2)])
+    }
+
+    /// Joint angles that put the end to `x`, m; `None` where the arm does not reach.
+    pub(crate) fn inverse(&self, x: Vector2<f64>, redundancy: Redundancy) -> Option<Vector3<f64>> {
+        match redundancy {
+            Redundancy::LastLink(angle) => self.with_last_link(x, angle),
+            Redundancy::NearestTo(posture) => self.nearest(x, posture),
+        }
+    }
+
+    fn with_last_link(&self, x: Vector2<f64>, angle: f64) -> Option<Vector3<f64>> {
+        let [a, b, c] = self.links;
+        let wrist = x - c * Vector2::new(angle.cos(), angle.sin());
+        let cosine = (wrist.norm_squared() - a * a - b * b) / (2.0 * a * b);
+        if cosine.abs() > 1.0 {
+            return None;
+        }
+        let q2 = -cosine.acos();
+        let q1 = wrist.y.atan2(wrist.x) - (b * q2.sin()).atan2(a + b * q2.cos());
+        Some(Vector3::new(q1, q2, angle - q1 - q2))
+    }
+
+    /// Least `|q - posture|` with `end(q) = x`: each iteration solves the problem linearised at the last one.
+    fn nearest(&self, x: Vector2<f64>, posture: Vector3<f64>) -> Option<Vector3<f64>> {
+        let mut q = posture;
+        for _ in 0..2000 {
+            let j = self.jacobian(&q);
+            let inverse = (j * j.transpose() + nalgebra::Matrix2::identity() * 1e-12).try_inverse()?;
+            let away = q - posture;
+            let step = -away + j.transpose() * inverse * (j * away + x - self.end(&q));
+            // Far away the linear problem is no guide: the step is kept short.
+            q += step * (0.5 / step.norm()).min(0.7);
+            if step.norm() < 1e-13 {
+                break;
+            }
+        }
+        ((self.end(&q) - x).norm() < 1e-9).then_some(q)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ARM: PlanarArm = PlanarArm { links: [1.0, 0.9, 0.8] };
+
+    #[test]
+    fn the_jacobian_is_the_derivative() {
+        let q = Vector3::new(0.3, -0.7, 1.1);
+        for i in 0..3 {
+            let h = Vector3::ith(i, 1e-6);
+            let numeric = (ARM.end(&(q + h)) - ARM.end(&(q - h))) / 2e-6;
+            assert!((numeric - ARM.jacobian(&q).column(i)).norm() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn the_inverse_reaches_the_point_in_both_ways() {
+        let x = Vector2::new(1.4, 0.6);
+        let posture = Vector3::new(-0.5, 0.6, 0.6);
+        let by_link = ARM.inverse(x, Redundancy::LastLink(0.7)).unwrap();
+        assert!((ARM.end(&by_link) - x).norm() < 1e-12 && by_link.y < 0.0);
+        assert!((by_link.sum() - 0.7).abs() < 1e-12);
+        let nearest = ARM.inverse(x, Redundancy::NearestTo(posture)).unwrap();
+        assert!((ARM.end(&nearest) - x).norm() < 1e-9);
+        // What is left of the way to the posture would leave the point: it has no part in the null space.
+        let j = ARM.jacobian(&nearest);
+        let null = j.row(0).transpose().cross(&j.row(1).transpose()).normalize();
+        assert!(null.dot(&(nearest - posture)).abs() < 1e-9);
+        assert!(ARM.inverse(Vector2::new(3.0, 0.0), Redundancy::LastLink(0.0)).is_none());
+        assert!(ARM.inverse(Vector2::new(3.0, 0.0), Redundancy::NearestTo(posture)).is_none());
+    }
+}

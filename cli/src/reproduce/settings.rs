@@ -1,0 +1,203 @@
+//! The settings of an experiment: declared once with type, default and what they mean, read from `key=value`.
+
+use armarium_values::expr::nearest;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::{Map, Value};
+
+use super::experiment::ReproduceError;
+
+/// The settings of an experiment; made by [`settings!`].
+pub(crate) trait Settings: Default + Serialize + DeserializeOwned {
+    /// Each key and what it means, with its unit.
+    const KEYS: &'static [(&'static str, &'static str)];
+}
+
+/// Declares a struct of settings: `/// meaning, unit` and `key: type = default;` for each.
+macro_rules! settings {
+    ($(#[$about:meta])* $name:ident { $( $(#[doc = $doc:literal])+ $key:ident: $ty:ty = $default:expr; )* }) => {
+        $(#[$about])*
+        #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+        #[serde(deny_unknown_fields)]
+        pub(crate) struct $name { $( $(#[doc = $doc])+ pub(crate) $key: $ty, )* }
+        impl Default for $name {
+            fn default() -> Self {
+                Self { $( $key: $default, )* }
+            }
+        }
+        impl $crate::reproduce::settings::Settings for $name {
+            const KEYS: &'static [(&'static str, &'static str)] =
+                &[$( (stringify!($key), concat!($($doc),+)), )*];
+        }
+    };
+}
+pub(crate) use settings;
+
+/// A key as it is listed.
+#[derive(Clone, Debug)]
+pub(crate) struct Key {
+    pub(crate) name: &'static str,
+    pub(crate) default: String,
+    pub(crate) doc: &'static str,
+}
+
+/// `key=value` of a command line.
+pub(crate) fn split(text: &str) -> Result<(String, String), String> {
+    let (key, value) = text.split_once('=').ok_or("write it as KEY=VALUE")?;
+    Ok((key.trim().to_owned(), value.trim().to_owned()))
+}
+
+/// All keys of `S`, in the order declared.
+pub(crate) fn keys<S: Settings>() -> Vec<Key> {
+    let defaults = defaults::<S>();
+    S::KEYS
+        .iter()
+        .map(|(name, doc)| Key {
+            name,
+            default: defaults.get(*name).map_or_else(String::new, shown),
+            doc: doc.trim(),
+        })
+        .collect()
+}
+
+fn defaults<S: Settings>() -> Map<String, Value> {
+    match serde_json::to_value(S::default()) {
+        Ok(Value::Object(map)) => map,
+        _ => Map::new(),
+    }
+}
+
+fn shown(value: &Value) -> String {
+    match value {
+        Value::Null => "none".to_owned(),
+        Value::String(text) => text.clone(),
+        Value::Array(list) => list.iter().map(shown).collect::<Vec<_>>().join(","),
+        other => other.to_string(),
+    }
+}
+
+/// The defaults with what is given in their place.
+///
+/// # Errors
+/// [`ReproduceError::Setting`] for a key that is not there and for a value that is not of its type.
+pub(crate) fn read<S: Settings>(given: &[(String, String)]) -> Result<S, ReproduceError> {
+    let mut map = defaults::<S>();
+    for (key, text) in given {
+        let Some(default) = map.get(key) else {
+            let names = S::KEYS.iter().map(|(name, _)| *name);
+            let why = nearest(key, names.clone()).map_or_else(
+                || format!("no such setting; there are {}", names.collect::<Vec<_>>().join(", ")),
+                |name| format!("no such setting; did you mean `{name}`?"),
+            );
+            return Err(ReproduceError::Setting { key: key.clone(), why });
+        };
+        let value = value(text, default);
+        let mut alone = defaults::<S>();
+        alone.insert(key.clone(), value.clone());
+        if let Err(error) = serde_json::from_value::<S>(Value::Object(alone)) {
+            return Err(ReproduceError::Setting { key: key.clone(), why: format!("`{text}`: {error}") });
+        }
+        map.insert(key.clone(), value);
+    }
+    serde_json::from_value(Value::Object(map))
+        .map_err(|error| ReproduceError::Setting { key: "settings".into(), why: error.to_string() })
+}
+
+/// A value of the kind that the default has; what does not read so stays text, which no number takes.
+fn value(text: &str, default: &Value) -> Value {
+    match default {
+        Value::String(_) => text.into(),
+        Value::Bool(_) => match text {
+            "true" | "yes" | "1" => true.into(),
+            "false" | "no" | "0" => false.into(),
+            _ => text.into(),
+        },
+        Value::Null | Value::Array(_) if text == "none" => Value::Null,
+        Value::Array(_) => Value::Array(items(text).map(number).collect()),
+        Value::Null if text.contains(',') => Value::Array(items(text).map(number).collect()),
+        _ => number(text),
+    }
+}
+
+fn items(text: &str) -> impl Iterator<Item = &str> {
+    text.trim_matches(['[', ']', '(', ')']).split(',').map(str::trim)
+}
+
+/// A number, or a product such as `pi/4`, `-8/pi`, `2*pi`.
+fn number(text: &str) -> Value {
+    if let Ok(whole) = text.parse::<u64>() {
+        return whole.into();
+    }
+    product(text).filter(|v| v.is_finite()).map_or_else(|| text.into(), Value::from)
+}
+
+fn product(text: &str) -> Option<f64> {
+    let (sign, text) = text.strip_prefix('-').map_or((1.0, text), |rest| (-1.0, rest));
+    let mut factors = text.split_inclusive(['*', '/']);
+    let mut result = 1.0;
+    let mut divide = false;
+    factors.try_for_each(|factor| {
+        let bare = factor.trim_end_matches(['*', '/']).trim();
+        let value = if bare == "pi" { std::f64::consts::PI } else { bare.parse::<f64>().ok()? };
+        result = if divide { result / value } else { result * value };
+        divide = factor.ends_with('/');
+        Some(())
+    })?;
+    Some(sign * result)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    settings! {
+        /// Some settings.
+        Some3 {
+            /// A number, m.
+            gain: f64 = 2.0;
+            /// A point, m.
+            point: [f64; 2] = [1.0, 2.0];
+            /// Whether.
+            on: bool = false;
+            /// Perhaps a posture, rad.
+            posture: Option<[f64; 3]> = None;
+            /// How often.
+            cycles: u32 = 4;
+        }
+    }
+
+    fn of(given: &[(&str, &str)]) -> Result<Some3, String> {
+        let given: Vec<_> = given.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();
+        read(&given).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn values_are_read_by_their_type() {
+        let read =
+            of(&[("gain", "-8/pi"), ("point", "(1.8, -0.6)"), ("on", "true"), ("cycles", "7")]).unwrap();
+        assert_eq!(read.gain, -8.0 / std::f64::consts::PI);
+        assert_eq!((read.point, read.on, read.cycles, read.posture), ([1.8, -0.6], true, 7, None));
+        assert_eq!(of(&[("posture", "-0.5,0.6,0.6")]).unwrap().posture, Some([-0.5, 0.6, 0.6]));
+        assert_eq!(of(&[("posture", "none")]).unwrap(), Some3::default());
+        assert_eq!(of(&[("gain", "3")]).unwrap().gain, 3.0);
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_with_its_key() {
+        assert!(of(&[("gian", "1")]).unwrap_err().contains("did you mean `gain`?"));
+        assert!(of(&[("zzz", "1")]).unwrap_err().contains("there are gain, point"));
+        for (key, text) in
+            [("gain", "NaN"), ("gain", "much"), ("point", "1,2,3"), ("on", "2"), ("cycles", "-1")]
+        {
+            assert!(of(&[(key, text)]).unwrap_err().starts_with(key), "{key}={text}");
+        }
+    }
+
+    #[test]
+    fn keys_are_listed_with_their_defaults() {
+        let keys = keys::<Some3>();
+        let listed: Vec<_> = keys.iter().map(|k| format!("{}={} {}", k.name, k.default, k.doc)).collect();
+        assert_eq!(listed[1], "point=1.0,2.0 A point, m.");
+        assert_eq!(listed[3], "posture=none Perhaps a posture, rad.");
+    }
+}
