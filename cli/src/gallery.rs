@@ -92,7 +92,9 @@ impl Known {
         let mut image: Image = frame.left.clone();
         let mut seen = Vec::new();
         for (name, model) in &self.objects {
-            let Some(found) = ObjectLocalizer::new(calibration, model.clone()).localize(frame) else { continue };
+            let Some(found) = ObjectLocalizer::new(calibration, model.clone()).localize(frame) else {
+                continue;
+            };
             annotate::object(&mut image, &found);
             let at = found.root_from_object.translation.vector;
             seen.push(format!("{name} at ({:.2}, {:.2}, {:.2}) m", at.x, at.y, at.z));
