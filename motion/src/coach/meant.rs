@@ -9,7 +9,7 @@ use std::f64::consts::{PI, TAU};
 /// path's nearest point to its farthest.
 const CAME_WEIGHT: f64 = 2.0;
 /// A hand did not come for a phase at which the path is farther off than this share of that way.
-const PLAUSIBLE: f64 = 0.6;
+const PLAUSIBLE: f64 = 0.75;
 /// The meaning of a hand that stands still stays within this far of what it was, rad.
 const HELD: f64 = TAU / 8.0;
 
@@ -39,9 +39,8 @@ pub(super) fn row(
     let phase = |row: usize| TAU * row as f64 / rows as f64;
     let row_of = |phase: f64| ((phase / TAU).rem_euclid(1.0) * rows as f64) as usize % rows.max(1);
     let came = came.filter(|c| far(row_of(*c)) <= PLAUSIBLE);
-    let cost = |row: usize| {
-        far(row) + came.map_or(0.0, |c| 0.5 * CAME_WEIGHT * (1.0 - (phase(row) - c).cos()))
-    };
+    let cost =
+        |row: usize| far(row) + came.map_or(0.0, |c| 0.5 * CAME_WEIGHT * (1.0 - (phase(row) - c).cos()));
     let allowed = |row: &usize| held.is_none_or(|h| apart(phase(*row), h).abs() <= HELD);
     let best = (0..rows).filter(allowed).map(|row| (cost(row), row)).min_by(|a, b| a.0.total_cmp(&b.0));
     best.map_or(0, |(_, row)| row)
@@ -105,6 +104,8 @@ mod tests {
     fn the_window_is_one_at_its_middle_and_ends_at_its_width() {
         assert_eq!(window(0.0, 1.0), 1.0);
         assert_eq!(window(TAU + 1.0, 1.0), 0.0);
-        assert!((window(-0.5, 1.0) - 0.5625).abs() < 1e-12 && (window(TAU - 0.5, 1.0) - 0.5625).abs() < 1e-12);
+        assert!(
+            (window(-0.5, 1.0) - 0.5625).abs() < 1e-12 && (window(TAU - 0.5, 1.0) - 0.5625).abs() < 1e-12
+        );
     }
 }

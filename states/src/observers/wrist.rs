@@ -22,7 +22,6 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
     };
     let mut kinematics = Kinematics::new(model);
     let mut sensed = equipment.robot.sensed();
-    let mut dump = std::env::var("WRIST_DUMP").ok().map(|p| std::io::BufWriter::new(std::fs::File::create(p).unwrap()));
     let (mut last_ns, mut count) = (None, 0_u32);
     while sensed.changed().await.is_ok() {
         let sample = sensed.borrow_and_update().clone();
@@ -34,7 +33,6 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
         let push = friction.step(dt, force.z, [velocity.x, velocity.y], [force.x, force.y]);
         // A sample that cannot be used (the first one, or one that is not finite) leaves the last push standing.
         let push = push.unwrap_or_else(|_| friction.push());
-        if let Some(d) = &mut dump { use std::io::Write; writeln!(d, "{:.4} {:.3} {:.3} {:.3} {:.5} {:.5} {:.3} {:.3}", sample.stamp_ns as f64*1e-9, force.x, force.y, force.z, velocity.x, velocity.y, push[0], push[1]).unwrap(); }
         count += 1;
         if count % EVERY == 0 {
             channels.publish(
