@@ -82,7 +82,7 @@ impl Default for CoachConfig {
         Self {
             field: PotentialField::wiping(),
             normal: [0.0, 0.0, 1.0],
-            push_gain: 0.0012,
+            push_gain: 0.0015,
             push_dead_band: 1.5,
             push_pass_limit: 0.025,
             push_limit: 0.045,
@@ -158,6 +158,10 @@ pub struct Coach {
     meant: Option<f64>,
     /// For how long the hand has stood still, s.
     still: f64,
+    /// Where it stands.
+    place: Option<Vector3<f64>>,
+    /// For how long it has been seen elsewhere than at its place, s.
+    away: f64,
 }
 
 /// Time constant over which the jitter of a tracked hand is smoothed, s: three camera frames.
@@ -166,6 +170,8 @@ const HAND_SMOOTHING: f64 = 0.2;
 const HAND_MOVES: f64 = 0.02;
 /// For so long a hand stands still before it coaches, s.
 const HAND_STANDS: f64 = 0.3;
+/// A hand that is seen elsewhere for longer than this has left its place, s.
+const HAND_AWAY: f64 = 0.8;
 
 impl Coach {
     /// A coach for `dmp`, whose first three degrees of freedom are x, y, z in metres.
@@ -192,6 +198,8 @@ impl Coach {
             came: None,
             meant: None,
             still: 0.0,
+            place: None,
+            away: 0.0,
         })
     }
 
@@ -254,6 +262,8 @@ impl Coach {
         self.hand = None;
         self.meant = None;
         self.still = 0.0;
+        self.place = None;
+        self.away = 0.0;
         self.weights.copy_from_slice(dmp.weights());
         self.centre = centre_of(dmp);
         let k = dmp.kernels().len();
@@ -306,15 +316,14 @@ impl Coach {
         hand: Vector3<f64>,
         sign: f64,
     ) -> Result<CoachReport, MotionError> {
-        let hand = self.smooth_hand(hand, dt);
+        let Some(hand) = self.stands_at(hand, dt) else {
+            self.meant = None;
+            return Ok(CoachReport { phase: dmp.phase(), ..CoachReport::default() });
+        };
         let distance = |row: usize| self.in_surface(hand - self.path[row]).norm();
         let row = meant::row(self.path.len(), distance, self.came, self.meant);
         let (phase, nearest) = (self.response.phase(row), distance(row));
         let offset = hand - self.path[row];
-        if self.still < HAND_STANDS {
-            self.meant = None;
-            return Ok(CoachReport { phase, ..CoachReport::default() });
-        }
         self.meant = Some(phase);
         let Some(towards) = self.in_surface(offset).try_normalize(1e-6) else {
             return Ok(CoachReport { phase, ..CoachReport::default() });
@@ -338,12 +347,21 @@ impl Coach {
         (self.config.reach * strength).min(room)
     }
 
-    fn smooth_hand(&mut self, hand: Vector3<f64>, dt: f64) -> Vector3<f64> {
+    /// Where the hand stands, if it does; m. It stays there while it is seen elsewhere for a moment: each time the robot
+    /// passes it, the robot's own arm hides a part of it.
+    fn stands_at(&mut self, hand: Vector3<f64>, dt: f64) -> Option<Vector3<f64>> {
         let share = 1.0 - (-dt / HAND_SMOOTHING).exp();
         let smooth = self.hand.map_or(hand, |old| old + (hand - old) * share);
         self.hand = Some(smooth);
         self.still = if (hand - smooth).norm() < HAND_MOVES { self.still + dt } else { 0.0 };
-        smooth
+        let there = self.place.is_some_and(|place| (smooth - place).norm() < 2.0 * HAND_MOVES);
+        self.away = if there { 0.0 } else { self.away + dt };
+        if !there && (self.place.is_none() || self.away > HAND_AWAY) {
+            self.place = (self.still >= HAND_STANDS).then_some(smooth);
+            self.meant = None;
+            self.away = 0.0;
+        }
+        self.place
     }
 
     fn shift(

@@ -169,11 +169,13 @@ impl FrictionModel {
             |a: &&Candidate, b: &&Candidate| a.residual.norm_squared().total_cmp(&b.residual.norm_squared());
         let single = self.candidates.iter().filter(plausible).min_by(smaller).unwrap_or(best).residual;
         let limit = best.estimate.x * normal;
-        let late = &self.candidates[self.best.max(TURNS_WITHIN)];
+        let late = &self.candidates[TURNS_WITHIN];
         let turn = Turn { before: -late.bristle * limit, after: -self.candidates[0].bristle * limit };
         let force = force - Vector2::new(best.estimate.y, best.estimate.z);
         let turning = force - turn.nearest(force);
-        if turning.norm_squared() < single.norm_squared() { turning } else { single }
+        // A contact of a longer presliding turns as the candidates do.
+        let sharp = self.best < TURNS_WITHIN + 2;
+        if sharp && turning.norm_squared() < single.norm_squared() { turning } else { single }
     }
 
     /// The push as of the last step, N.
