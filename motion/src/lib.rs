@@ -16,10 +16,12 @@ mod coupling;
 mod decay_kernels;
 mod discrete;
 mod discrete_learning;
+mod discrete_periodic;
 mod error;
 mod field;
 mod fourier;
 mod friction;
+mod ilc;
 mod imitation;
 mod kernels;
 mod motion;
@@ -33,17 +35,23 @@ mod segment;
 mod servo;
 mod surface;
 mod surface_correction;
+mod synchronisation;
 mod touchdown;
 
 pub use coach::{Coach, CoachConfig, CoachInput, CoachReport};
 pub use coupling::{ObstacleAvoidance, joint_coupling};
 pub use discrete::{DiscreteDmp, DiscreteDmpConfig, DiscreteState};
 pub use discrete_learning::TimeSample;
+pub use discrete_periodic::{
+    CanonicalRule, CanonicalSystem, DiscretePeriodicConfig, DiscretePeriodicDmp, DiscretePeriodicState,
+    differentiate,
+};
 pub use error::MotionError;
 pub use field::{
     CoachArm, CoachingCommand, PotentialField, SlowDown, nearer_hand, pulling_hand, pushing_hand,
 };
 pub use friction::{FrictionConfig, FrictionModel};
+pub use ilc::{FeedbackError, LearningControl, LearningControlConfig};
 pub use imitation::Imitation;
 pub use kernels::PhaseKernels;
 pub use motion::{Motion, MotionDof, MotionSwitch};
@@ -57,4 +65,5 @@ pub use segment::{Demonstration, DemonstrationSegmenter, DemonstrationStage, Seg
 pub use servo::{PositionServo, ServoCommand, ServoConfig, ServoObservation, ServoStatus};
 pub use surface::{SurfaceAdaptation, SurfaceCommand, SurfaceConfig};
 pub use surface_correction::SurfaceCorrection;
+pub use synchronisation::{Synchronisation, SynchronisationConfig};
 pub use touchdown::{Touchdown, TouchdownConfig, TouchdownStatus};

@@ -29,6 +29,13 @@ pub enum OscillatorRule {
         /// Learning rate of the weights in (3), 1/s.
         learning: f64,
     },
+    /// (1)-(3) with gains in proportion to the running frequency and to one over the size of the signal.
+    Bare {
+        /// Coupling constant K at 1 Hz, for a signal between -1 and 1.
+        coupling: f64,
+        /// Learning rate of the weights in (3) at 1 Hz, 1/s.
+        learning: f64,
+    },
 }
 
 /// The constants of an [`AdaptiveOscillator`].
@@ -85,6 +92,7 @@ pub struct AdaptiveOscillator {
     config: OscillatorConfig,
     estimator: PeriodEstimator,
     series: FourierSeries,
+    pace: Pace,
     anchor: usize,
     running: bool,
     phase: f64,
@@ -92,6 +100,8 @@ pub struct AdaptiveOscillator {
     /// Phase passed since the oscillator runs, rad.
     passed: f64,
     elapsed: f64,
+    /// Phase error, rad, smoothed over a period.
+    drift: f64,
     /// Seconds until the past is looked at again.
     until_look: f64,
     disagreements: u32,
@@ -117,7 +127,7 @@ impl AdaptiveOscillator {
         within("highest_hz", config.highest_hz, config.lowest_hz, 1000.0 * config.lowest_hz)?;
         within("bandwidth", config.bandwidth, 1e-4, 0.5)?;
         within("memory", config.memory, 0.5, 1000.0)?;
-        if let OscillatorRule::Paper { coupling, learning } = config.rule {
+        if let OscillatorRule::Paper { coupling, learning } | OscillatorRule::Bare { coupling, learning } = config.rule {
             positive("coupling", coupling)?;
             positive("learning", learning)?;
         }
@@ -125,6 +135,7 @@ impl AdaptiveOscillator {
         let zeros = vec![0.0; config.dims];
         Ok(Self {
             series: FourierSeries::new(config.dims, config.harmonics),
+            pace: Pace { hz: config.initial_hz, peak: 0.0 },
             estimator,
             anchor: 0,
             running: !config.estimate,
@@ -132,6 +143,7 @@ impl AdaptiveOscillator {
             omega: TAU * config.initial_hz,
             passed: 0.0,
             elapsed: 0.0,
+            drift: 0.0,
             until_look: 0.0,
             disagreements: 0,
             just_started: false,
@@ -170,6 +182,11 @@ impl AdaptiveOscillator {
             match self.config.rule {
                 OscillatorRule::Scaled => self.follow(dt, v),
                 OscillatorRule::Paper { coupling, learning } => self.follow_paper(dt, v, coupling, learning),
+                OscillatorRule::Bare { coupling, learning } => {
+                    self.pace.add(dt, self.omega, v[self.anchor]);
+                    let gain = coupling * self.pace.hz / self.pace.peak.max(1e-12);
+                    self.follow_paper(dt, v, gain, learning * self.pace.hz);
+                }
             }
             self.note(dt);
         }
@@ -315,6 +332,7 @@ impl AdaptiveOscillator {
         self.starts = self.starts.saturating_add(1);
         self.passed = 0.0;
         self.elapsed = 0.0;
+        self.drift = 0.0;
         self.disagreements = 0;
         self.periods = PeriodMeans::default();
         self.counted_from = None;
@@ -352,8 +370,11 @@ impl AdaptiveOscillator {
         let ahead = if power > 1e-300 { (along / power).clamp(-1.0, 1.0) } else { 0.0 };
         // A critically damped loop; wide in the first periods, then narrow.
         let age = (self.passed / TAU).max(0.0);
-        let width = self.config.bandwidth * (1.0 + 0.5 * (-age / 2.0).exp());
         let turned = self.omega * dt;
+        self.drift += (ahead - self.drift) * (1.0 - (-turned / TAU).exp());
+        // A phase error that lasts a period is no noise: the frequency is changing, and the loop opens up for it.
+        let drifting = ((self.drift.abs() - 0.05) / 0.12).clamp(0.0, 1.0);
+        let width = self.config.bandwidth * (1.0 + 0.5 * (-age / 2.0).exp() + 3.0 * drifting);
         let share = 1.0 - (-2.0 * width * turned).exp();
         self.phase = (self.phase + share * ahead).rem_euclid(TAU);
         self.passed += share * ahead;
@@ -376,7 +397,7 @@ impl AdaptiveOscillator {
             self.error[d] = v - self.value[d];
             missed += self.error[d] * self.error[d];
         }
-        let drive = -coupling * self.error[self.anchor] * self.phase.sin();
+        let drive = -coupling * self.error[self.anchor] * self.phase.sin() * dt;
         self.advance(dt);
         self.phase = (self.phase + drive * dt).rem_euclid(TAU);
         self.omega = (self.omega + drive * dt).clamp(1e-3, 1e3);
@@ -391,6 +412,23 @@ impl AdaptiveOscillator {
             self.counted_from = Some((self.passed, self.elapsed));
         }
         self.periods.add(self.omega, self.omega * dt);
+    }
+}
+
+/// What the gains of [`OscillatorRule::Bare`] scale with.
+#[derive(Debug, Clone)]
+struct Pace {
+    /// Running frequency, Hz, smoothed over a period: what swings within one must not swing the gains.
+    hz: f64,
+    /// Largest magnitude of late.
+    peak: f64,
+}
+
+impl Pace {
+    fn add(&mut self, dt: f64, omega: f64, v: f64) {
+        let periods = self.hz * dt;
+        self.hz += (omega / TAU - self.hz) * (1.0 - (-periods).exp());
+        self.peak = v.abs().max(self.peak * (-periods / 8.0).exp());
     }
 }
 

@@ -4,12 +4,16 @@
 //! [`Experiment`](experiment::Experiment) that turns them into figures and plots. A new one needs a line in
 //! [`all`] besides. The algorithms are those of `armarium-motion`; what stands here is the papers' set-up around them.
 
+mod arm4;
 mod coaching;
+mod dpdmp;
 mod experiment;
 mod force;
 mod humanoid;
 mod humanoid_arm;
 mod humanoid_coach;
+mod ilc;
+mod oscillator;
 mod phase;
 mod planar;
 mod servo;
@@ -29,6 +33,9 @@ use self::settings::Key;
 fn all() -> Vec<Entry> {
     vec![
         Entry::of::<coaching::Coaching>(),
+        Entry::of::<oscillator::Oscillator>(),
+        Entry::of::<dpdmp::Dpdmp>(),
+        Entry::of::<ilc::Ilc>(),
         Entry::of::<force::Force>(),
         Entry::of::<servo::Servo>(),
         Entry::of::<humanoid::HumanoidCoaching>(),

@@ -1,0 +1,558 @@
+//! Two arms learn to carry a box together (Gams et al. 2015, III-V): the right one moves as it was shown, the left one
+//! learns from epoch to epoch to hold its distance, by current-iteration learning control with feedback-error learning.
+
+use std::f64::consts::TAU;
+
+use armarium_motion::{
+    DiscretePeriodicConfig, DiscretePeriodicDmp, FeedbackError, LearningControl, LearningControlConfig, MotionError,
+    differentiate,
+};
+use armarium_viewer::report::{Curve, Look, Panel, Row, picture};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3, Vector4, Vector6};
+use serde::{Deserialize, Serialize};
+
+use super::arm4::Arm4;
+use super::dpdmp::rise;
+use super::experiment::{Experiment, Outcome, ReproduceError, within};
+use super::settings::settings;
+
+/// Where the primitives and the learned control live.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Space {
+    /// Angles of the four joints, as in the paper's experiment.
+    Joint,
+    /// Coordinates of the hand.
+    Task,
+}
+
+settings! {
+    /// What the arms do and how the left one learns.
+    Ilc {
+        /// Of the box between the hands, N/m.
+        stiffness: f64 = 500.0;
+        /// K1 of (14), joint space.
+        k1: f64 = 0.3;
+        /// K1 in task space.
+        k1_task: f64 = 0.03;
+        /// K2 of (14); 0 leaves (10).
+        k2: f64 = 0.5;
+        /// Q of (11).
+        q: f64 = 1.0;
+        /// L of (11).
+        l: f64 = 0.3;
+        /// C of (11).
+        c: f64 = 0.3;
+        /// Epochs of learning.
+        epochs: usize = 10;
+        /// joint or task.
+        space: Space = Space::Joint;
+        /// Feeds back moments and turning as well (joint space).
+        orientation: bool = false;
+        /// Of the box against turning, N m/rad.
+        turn_stiffness: f64 = 2.0;
+        /// Duration T of the discrete part, s.
+        duration: f64 = 1.0;
+        /// Periods of the periodic part in an epoch.
+        periods: u32 = 3;
+        /// Length of a period, s.
+        period: f64 = 1.0;
+        /// Step, s.
+        dt: f64 = 0.002;
+        /// Constant of (1).
+        alpha_z: f64 = 8.0;
+        /// Constant of (1).
+        beta_z: f64 = 2.0;
+        /// Periodic kernels N.
+        n: usize = 25;
+        /// Discrete kernels M.
+        m: usize = 25;
+        /// Ridge of both regressions.
+        ridge: f64 = 1e-8;
+        /// Links of the arms, m.
+        links: [f64; 2] = [0.3, 0.3];
+        /// How far the shoulders are off the middle, m.
+        shoulder: f64 = 0.2;
+        /// How far the hands are in front and off the middle, m.
+        hand: [f64; 2] = [0.35, 0.15];
+        /// Height at which the hands start, m.
+        start: f64 = -0.25;
+        /// How far the right hand lifts, m.
+        lift: f64 = 0.15;
+        /// Amplitude of its oscillation, m.
+        amplitude: f64 = 0.04;
+        /// How far the left hand was shown to lift, m.
+        left_lift: f64 = 0.08;
+        /// Amplitude that it was shown, m.
+        left_amplitude: f64 = 0.02;
+        /// Phase that it was shown, rad.
+        left_phase: f64 = 0.6;
+        /// Posture of the left arm that the demonstration is pulled to, rad; the right arm's is its mirror image.
+        posture: [f64; 4] = [-0.6, -0.1, 0.3, -1.3];
+    }
+}
+
+/// One epoch, an entry a step.
+#[derive(Default)]
+struct Epoch {
+    left: Vec<Vector4<f64>>,
+    /// Hands, m, and their velocities, m/s: right, left.
+    x: Vec<[Vector3<f64>; 2]>,
+    v: Vec<[Vector3<f64>; 2]>,
+    /// Angle between the hands against that of the start, rad.
+    turned: Vec<f64>,
+}
+
+/// All epochs of one way of feeding back.
+struct Learning {
+    /// Without learning and feedback.
+    before: Epoch,
+    epochs: Vec<Epoch>,
+    right: Vec<Vector4<f64>>,
+    /// The epoch in which the motion ran away, counted from 1.
+    diverged: Option<usize>,
+}
+
+impl Experiment for Ilc {
+    const NAME: &'static str = "ilc";
+    const ABOUT: &'static str = "two arms learn to carry a box (Gams et al. 2015, Figs 1, 2, 3, 5, 6)";
+
+    fn run(&self) -> Result<Outcome, ReproduceError> {
+        self.check()?;
+        let learning = self.learn(self.k2)?;
+        let forces_only = self.learn(0.0)?;
+        let mut outcome = Outcome::default();
+        self.figures(&learning, &forces_only, &mut outcome);
+        outcome.plot("ilc", self.plot_epochs(&learning));
+        outcome.plot("ilc_joints", self.plot_joints(&learning));
+        outcome.plot("ilc_feedback", self.plot_feedback(&learning, &forces_only));
+        Ok(outcome)
+    }
+}
+
+impl Ilc {
+    fn check(&self) -> Result<(), ReproduceError> {
+        within("stiffness", self.stiffness, 1e-3, 1e6)?;
+        within("turn_stiffness", self.turn_stiffness, 0.0, 1e6)?;
+        within("k1", self.k1, -1e3, 1e3)?;
+        within("k1_task", self.k1_task, -1e3, 1e3)?;
+        within("k2", self.k2, -1e3, 1e3)?;
+        within("epochs", self.epochs as f64, 1.0, 200.0)?;
+        within("duration", self.duration, 0.05, 60.0)?;
+        within("period", self.period, 0.05, 60.0)?;
+        within("periods", f64::from(self.periods), 1.0, 100.0)?;
+        within("dt", self.dt, 1e-4, 0.05 * self.period.min(self.duration))?;
+        within("steps of an epoch", self.steps() as f64, 20.0, 200_000.0)?;
+        if self.orientation && self.space == Space::Task {
+            let why = "needs space=joint: the primitives of task space are of positions".to_owned();
+            return Err(ReproduceError::Setting { key: "orientation".into(), why });
+        }
+        Ok(())
+    }
+
+    fn omega(&self) -> f64 {
+        TAU / self.period
+    }
+
+    fn steps(&self) -> usize {
+        ((self.duration + f64::from(self.periods) * self.period) / self.dt).round() as usize
+    }
+
+    fn discrete_steps(&self) -> usize {
+        (self.duration / self.dt).round() as usize
+    }
+
+    fn arm(&self, side: f64) -> Arm4 {
+        Arm4 { shoulder: Vector3::new(0.0, side * self.shoulder, 0.0), links: self.links }
+    }
+
+    /// Height of a hand over time, m.
+    fn height(&self, t: f64, lift: f64, amplitude: f64, phase: f64) -> f64 {
+        let w = self.omega();
+        let periodic = |t: f64| {
+            let p = w * t + phase;
+            [lift + amplitude * p.sin(), w * amplitude * p.cos(), -w * w * amplitude * p.sin()]
+        };
+        let z = if t < self.duration { rise(periodic(0.0), self.duration, t) } else { periodic(t - self.duration) };
+        self.start + z[0]
+    }
+
+    /// Joint angles of the demonstration of one arm, one entry a step.
+    fn demonstrate(&self, side: f64) -> Result<Vec<Vector4<f64>>, ReproduceError> {
+        let arm = self.arm(side);
+        let [a, b, c, d] = self.posture;
+        let posture = Vector4::new(a, side * b, side * c, d);
+        let mut q = posture;
+        let mut path = Vec::new();
+        for k in 0..=self.steps() {
+            let t = self.dt * k as f64;
+            let z = if side > 0.0 {
+                self.height(t, self.left_lift, self.left_amplitude, self.left_phase)
+            } else {
+                self.height(t, self.lift, self.amplitude, 0.0)
+            };
+            let x = Vector3::new(self.hand[0], side * self.hand[1], z);
+            q = arm.inverse(x, posture, q).ok_or_else(|| {
+                ReproduceError::Failed(format!("an arm does not reach ({:.3}, {:.3}, {:.3}) m", x.x, x.y, x.z))
+            })?;
+            path.push(q);
+        }
+        Ok(path)
+    }
+
+    fn primitive(&self, positions: &[Vec<f64>]) -> Result<DiscretePeriodicDmp, ReproduceError> {
+        let dofs = positions.first().map_or(1, Vec::len);
+        let config = DiscretePeriodicConfig {
+            discrete_kernels: self.m,
+            periodic_kernels: self.n,
+            alpha_z: self.alpha_z,
+            beta_z: self.beta_z,
+            ridge: self.ridge,
+            ..DiscretePeriodicConfig::with_dofs(dofs)
+        };
+        let mut dmp = DiscretePeriodicDmp::new(config, self.omega(), self.duration)?;
+        dmp.learn(&differentiate(self.dt, positions)?)?;
+        Ok(dmp)
+    }
+
+    fn learn(&self, k2: f64) -> Result<Learning, ReproduceError> {
+        let joints = |q: &[Vector4<f64>]| q.iter().map(|q| q.as_slice().to_vec()).collect::<Vec<_>>();
+        let left_shown = self.demonstrate(1.0)?;
+        let mut right = self.primitive(&joints(&self.demonstrate(-1.0)?))?;
+        let mut left = match self.space {
+            Space::Joint => self.primitive(&joints(&left_shown))?,
+            Space::Task => {
+                let hand = |q: &Vector4<f64>| self.arm(1.0).hand(q).translation.vector.as_slice().to_vec();
+                self.primitive(&left_shown.iter().map(hand).collect::<Vec<_>>())?
+            }
+        };
+        let config = LearningControlConfig { q: self.q, l: self.l, c: self.c };
+        let mut control = LearningControl::new(config, left.dofs(), self.steps() + 1)?;
+        let k1 = if self.space == Space::Joint { self.k1 } else { self.k1_task };
+        let gains = FeedbackError { k1, k2, ..FeedbackError::default() };
+        let silent = FeedbackError { k1: 0.0, k2: 0.0, ..gains };
+        let before = self.epoch(&mut right, &mut left, &mut control, silent, left_shown[0])?;
+        control.abandon();
+        let mut learning = Learning { before, epochs: Vec::new(), right: Vec::new(), diverged: None };
+        learning.right = self.right_joints(&mut right)?;
+        for number in 1..=self.epochs {
+            let epoch = self
+                .epoch(&mut right, &mut left, &mut control, gains, left_shown[0])
+                .and_then(|epoch| control.finish(&mut left).map(|()| epoch));
+            match epoch {
+                Ok(epoch) => learning.epochs.push(epoch),
+                // The gains are the user's: that they do not hold the motion is a result.
+                Err(_) => {
+                    learning.diverged = Some(number);
+                    break;
+                }
+            }
+        }
+        Ok(learning)
+    }
+
+    fn right_joints(&self, right: &mut DiscretePeriodicDmp) -> Result<Vec<Vector4<f64>>, ReproduceError> {
+        right.restart();
+        let mut path = vec![Vector4::from_column_slice(right.state().y)];
+        for _ in 0..self.steps() {
+            path.push(Vector4::from_column_slice(right.step(self.dt, self.omega())?.y));
+        }
+        Ok(path)
+    }
+
+    /// One discrete part and its periods, both arms together, with the feedback that `gains` make of the box's force.
+    fn epoch(
+        &self,
+        right: &mut DiscretePeriodicDmp,
+        left: &mut DiscretePeriodicDmp,
+        control: &mut LearningControl,
+        gains: FeedbackError,
+        posture: Vector4<f64>,
+    ) -> Result<Epoch, MotionError> {
+        right.restart();
+        left.restart();
+        let mut epoch = Epoch::default();
+        let mut near = posture;
+        let mut grasp = None;
+        for _ in 0..=self.steps() {
+            let hands = [self.right_hand(right), self.left_hand(left, &mut near)];
+            let grasp = *grasp.get_or_insert_with(|| hands[0].pose.rotation.inverse() * hands[1].pose.rotation);
+            let (wrench, twist, turned) = self.box_between(&hands, grasp);
+            let mut error = [0.0; 4];
+            let error = &mut error[..left.dofs()];
+            match (self.space, self.orientation) {
+                (Space::Task, _) => gains.in_task_space(
+                    &wrench.as_slice()[..3],
+                    &twist.as_slice()[..3],
+                    error,
+                )?,
+                (Space::Joint, true) => gains.in_joint_space(&hands[1].columns, &wrench, &twist, error)?,
+                (Space::Joint, false) => {
+                    let linear = |v: &Vector6<f64>| Vector3::new(v[0], v[1], v[2]);
+                    let columns = hands[1].columns.each_ref().map(linear);
+                    gains.in_joint_space(&columns, &linear(&wrench), &linear(&twist), error)?;
+                }
+            }
+            epoch.left.push(near);
+            epoch.x.push(hands.each_ref().map(|h| h.pose.translation.vector));
+            epoch.v.push(hands.each_ref().map(|h| Vector3::new(h.twist[0], h.twist[1], h.twist[2])));
+            epoch.turned.push(turned);
+            control.step(left, self.omega(), error)?;
+            left.step(self.dt, self.omega())?;
+            right.step(self.dt, self.omega())?;
+        }
+        Ok(epoch)
+    }
+
+    fn right_hand(&self, right: &DiscretePeriodicDmp) -> Hand {
+        let state = right.state();
+        Hand::of(self.arm(-1.0), &Vector4::from_column_slice(state.y), &Vector4::from_column_slice(state.yd))
+    }
+
+    /// The left hand; `near` becomes the joint angles.
+    fn left_hand(&self, left: &DiscretePeriodicDmp, near: &mut Vector4<f64>) -> Hand {
+        let state = left.state();
+        if self.space == Space::Joint {
+            *near = Vector4::from_column_slice(state.y);
+            return Hand::of(self.arm(1.0), near, &Vector4::from_column_slice(state.yd));
+        }
+        let x = Vector3::from_column_slice(state.y);
+        // Where the arm does not reach, the angles stay; the motion of the hand is what is learned.
+        *near = self.arm(1.0).inverse(x, *near, *near).unwrap_or(*near);
+        let mut hand = Hand::of(self.arm(1.0), near, &Vector4::zeros());
+        hand.pose.translation.vector = x;
+        hand.twist = Vector6::new(state.yd[0], state.yd[1], state.yd[2], 0.0, 0.0, 0.0);
+        hand
+    }
+
+    /// `F_d - F_2` with moments (N, N m), how much faster the right hand moves and turns (m/s, rad/s), and by how much the
+    /// hands are turned against each other, rad. The box was grasped without force.
+    fn box_between(&self, hands: &[Hand; 2], grasp: UnitQuaternion<f64>) -> (Vector6<f64>, Vector6<f64>, f64) {
+        let [right, left] = hands;
+        let apart = Vector3::new(0.0, 2.0 * self.hand[1], 0.0);
+        let force = self.stiffness * (right.pose.translation.vector + apart - left.pose.translation.vector);
+        let turn = (right.pose.rotation * grasp * left.pose.rotation.inverse()).scaled_axis();
+        let moment = self.turn_stiffness * turn;
+        let wrench = Vector6::new(force.x, force.y, force.z, moment.x, moment.y, moment.z);
+        (wrench, right.twist - left.twist, turn.norm())
+    }
+}
+
+/// A hand that moves.
+struct Hand {
+    pose: Isometry3<f64>,
+    columns: [Vector6<f64>; 4],
+    /// m/s, rad/s.
+    twist: Vector6<f64>,
+}
+
+impl Hand {
+    fn of(arm: Arm4, q: &Vector4<f64>, speed: &Vector4<f64>) -> Self {
+        let columns = arm.jacobian(q);
+        let twist = columns.iter().zip(speed.iter()).map(|(c, s)| c * *s).sum();
+        Self { pose: arm.hand(q), columns, twist }
+    }
+}
+
+fn rms(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let n = values.len().max(1) as f64;
+    (values.map(|v| v * v).sum::<f64>() / n).sqrt()
+}
+
+impl Ilc {
+    fn z_rms(&self, epoch: &Epoch) -> f64 {
+        rms(epoch.x.iter().map(|[right, left]| left.z - right.z))
+    }
+
+    fn discrete_z_rms(&self, epoch: &Epoch) -> f64 {
+        rms(epoch.x[..self.discrete_steps().min(epoch.x.len())].iter().map(|[right, left]| left.z - right.z))
+    }
+
+    fn velocity_rms(&self, epoch: &Epoch) -> f64 {
+        rms(epoch.v.iter().map(|[right, left]| left.z - right.z))
+    }
+
+    fn discrete_velocity_rms(&self, epoch: &Epoch) -> f64 {
+        rms(epoch.v[..self.discrete_steps().min(epoch.v.len())].iter().map(|[right, left]| left.z - right.z))
+    }
+
+    fn distance_rms(&self, epoch: &Epoch) -> f64 {
+        let apart = Vector3::new(0.0, 2.0 * self.hand[1], 0.0);
+        rms(epoch.x.iter().map(|[right, left]| (right + apart - left).norm()))
+    }
+
+    fn figures(&self, learning: &Learning, forces_only: &Learning, outcome: &mut Outcome) {
+        let per_epoch = |learning: &Learning, of: &dyn Fn(&Epoch) -> f64| learning.epochs.iter().map(of).collect::<Vec<_>>();
+        type Figure<'a> = (&'a str, &'a dyn Fn(&Epoch) -> f64);
+        let figures: [Figure<'_>; 5] = [
+            ("z_rms_m", &|e| self.z_rms(e)),
+            ("discrete_z_rms_m", &|e| self.discrete_z_rms(e)),
+            ("velocity_rms_m_s", &|e| self.velocity_rms(e)),
+            ("discrete_velocity_rms_m_s", &|e| self.discrete_velocity_rms(e)),
+            ("distance_rms_m", &|e| self.distance_rms(e)),
+        ];
+        for (name, of) in figures {
+            outcome.figure(name, per_epoch(learning, of));
+        }
+        if self.orientation {
+            outcome.figure("turned_rms_rad", per_epoch(learning, &|e| rms(e.turned.iter().copied())));
+        }
+        for (name, of) in figures {
+            outcome.figure(&format!("{name}_before"), of(&learning.before));
+            outcome.figure(&format!("{name}_forces_only"), per_epoch(forces_only, of));
+        }
+        outcome.figure("diverged_in_epoch", learning.diverged.map_or(serde_json::Value::Null, Into::into));
+        let stride = ((0.01 / self.dt).round() as usize).max(1);
+        let thinned = |q: &[Vector4<f64>]| {
+            let row = |q: &Vector4<f64>| q.iter().map(|v| (v * 1e6).round() / 1e6).collect::<Vec<f64>>();
+            serde_json::Value::from(q.iter().step_by(stride).map(row).collect::<Vec<_>>())
+        };
+        let left: Vec<_> = learning.epochs.iter().map(|e| thinned(&e.left)).collect();
+        outcome.figure("joint_trajectory_dt_s", self.dt * stride as f64);
+        outcome.figure("joint_trajectories_rad", left);
+        outcome.figure("joint_trajectory_before_rad", thinned(&learning.before.left));
+        outcome.figure("joint_trajectory_right_rad", thinned(&learning.right));
+    }
+
+    fn curve(&self, values: impl ExactSizeIterator<Item = f64>) -> Vec<[f64; 2]> {
+        let stride = values.len().div_ceil(1500).max(1);
+        values.enumerate().step_by(stride).map(|(k, v)| [self.dt * k as f64, v]).collect()
+    }
+
+    fn left_z(&self, epoch: &Epoch) -> Vec<[f64; 2]> {
+        self.curve(epoch.x.iter().map(|[_, left]| left.z))
+    }
+
+    fn mark(&self) -> Vec<(f64, String)> {
+        vec![(self.duration, "periodic".to_owned())]
+    }
+
+    /// Heights in all epochs and the error over them (Fig. 1).
+    fn plot_epochs(&self, learning: &Learning) -> String {
+        let mut curves = vec![Curve::new("right", self.curve(learning.before.x.iter().map(|[right, _]| right.z)))
+            .looking(Look::Reference)];
+        curves.extend(learning.epochs.iter().map(|e| Curve::new("", self.left_z(e)).looking(Look::Faint)));
+        curves.push(Curve::new("left, before", self.left_z(&learning.before)).looking(Look::Colour(1)));
+        if let Some(last) = learning.epochs.last() {
+            curves.push(Curve::new("left, last epoch", self.left_z(last)).looking(Look::Colour(2)));
+        }
+        let heights = panel("time, s", "height, m", curves, self.mark());
+        let mut end_to_end = Vec::new();
+        let whole = self.dt * self.steps() as f64;
+        for (i, epoch) in learning.epochs.iter().enumerate() {
+            let error = self.curve(epoch.x.iter().map(|[right, left]| (left.z - right.z) * 1e3));
+            end_to_end.extend(error.iter().map(|[t, e]| [t + whole * i as f64, *e]));
+            end_to_end.push([f64::NAN; 2]);
+        }
+        let error = panel("time over all epochs, s", "height error, mm", vec![Curve::new("", end_to_end)], Vec::new());
+        let line = |label: &str, colour: u8, of: &dyn Fn(&Epoch) -> f64| {
+            let points = learning.epochs.iter().zip(1..).map(|(e, n)| [f64::from(n), of(e).log10()]).collect();
+            Curve::new(label, points).looking(Look::Colour(colour))
+        };
+        let falls = panel(
+            "epoch",
+            "log10 of the RMS error, m or m/s",
+            vec![
+                line("height", 1, &|e| self.z_rms(e)),
+                line("height, discrete part", 2, &|e| self.discrete_z_rms(e)),
+                line("velocity", 3, &|e| self.velocity_rms(e)),
+            ],
+            Vec::new(),
+        );
+        let row = |panel, height| Row { height, panels: vec![panel] };
+        picture("The left arm learns to follow the right one", &[row(heights, 300.0), row(error, 240.0), row(falls, 260.0)])
+    }
+
+    /// Joints of the left arm before and after, and of the right one (Figs 2, 3).
+    fn plot_joints(&self, learning: &Learning) -> String {
+        let joints = ["shoulder about y", "shoulder about x", "shoulder about z", "elbow"];
+        let joint = |i: usize| {
+            let of = |q: &[Vector4<f64>]| self.curve(q.iter().map(move |q| q[i]));
+            let mut curves = vec![
+                Curve::new("right", of(&learning.right)).looking(Look::Reference),
+                Curve::new("left, before", of(&learning.before.left)).looking(Look::Colour(1)),
+            ];
+            if let Some(last) = learning.epochs.last() {
+                curves.push(Curve::new("left, last epoch", of(&last.left)).looking(Look::Colour(2)));
+            }
+            panel("time, s", &format!("{}, rad", joints[i]), curves, self.mark())
+        };
+        let row = |a: usize, b: usize| Row { height: 280.0, panels: vec![joint(a), joint(b)] };
+        picture("Joints of both arms", &[row(0, 1), row(2, 3)])
+    }
+
+    /// What the velocities in the feedback do, in the first epochs (Figs 5, 6).
+    fn plot_feedback(&self, learning: &Learning, forces_only: &Learning) -> String {
+        let of = |name: &str, index: usize, value: &dyn Fn(&Epoch, usize) -> f64| {
+            let line = |epoch: &Epoch| self.curve((0..epoch.x.len()).map(|k| value(epoch, k)));
+            let right = learning.before.x.len();
+            let own = |k: usize| -> f64 {
+                if name.starts_with("height") { learning.before.x[k][0].z } else { learning.before.v[k][0].z }
+            };
+            let mut curves = vec![Curve::new("right", self.curve((0..right).map(own))).looking(Look::Reference)];
+            for (label, learning, colour) in [("forces (10)", forces_only, 1), ("and velocities (14)", learning, 2)] {
+                if let Some(epoch) = learning.epochs.get(index) {
+                    curves.push(Curve::new(label, line(epoch)).looking(Look::Colour(colour)));
+                }
+            }
+            panel("time, s", &format!("{name}, epoch {}", index + 1), curves, self.mark())
+        };
+        let row = |index: usize| Row {
+            height: 270.0,
+            panels: vec![
+                of("velocity, m/s", index, &|e, k| e.v[k][1].z),
+                of("height, m", index, &|e, k| e.x[k][1].z),
+            ],
+        };
+        picture("Forces and velocities in the feedback", &[row(0), row(1), row(2)])
+    }
+}
+
+fn panel(x: &str, y: &str, curves: Vec<Curve>, marks: Vec<(f64, String)>) -> Panel {
+    Panel { x_label: x.into(), y_label: y.into(), curves, marks, ..Panel::default() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn list(outcome: &Outcome, name: &str) -> Vec<f64> {
+        outcome.figures[name].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
+    }
+
+    #[test]
+    fn the_left_arm_learns_to_follow_within_some_epochs() {
+        let outcome = Ilc { epochs: 6, ..Ilc::default() }.run().unwrap();
+        let z = list(&outcome, "z_rms_m");
+        // The figures of an independent implementation.
+        for (ours, theirs) in z.iter().zip([3.757e-2, 7.28e-3, 1.76e-3, 5.4e-4]) {
+            assert!((ours / theirs - 1.0).abs() < 0.1, "{z:?}");
+        }
+        let discrete = list(&outcome, "discrete_z_rms_m");
+        let without = list(&outcome, "discrete_z_rms_m_forces_only");
+        assert!((1..6).all(|k| discrete[k] < without[k]), "{discrete:?} {without:?}");
+        assert!((outcome.figures["z_rms_m_before"].as_f64().unwrap() / 0.06393 - 1.0).abs() < 0.02);
+        assert_eq!(outcome.plots.len(), 3);
+    }
+
+    #[test]
+    fn it_learns_in_task_space_and_with_moments_too() {
+        let task = Ilc { epochs: 6, space: Space::Task, ..Ilc::default() }.run().unwrap();
+        let z = list(&task, "z_rms_m");
+        assert!(z[5] < 0.1 * z[0], "{z:?}");
+        let turning = Ilc { epochs: 6, orientation: true, ..Ilc::default() }.run().unwrap();
+        let z = list(&turning, "z_rms_m");
+        assert!(z[5] < 0.2 * z[0], "{z:?}");
+        assert_eq!(list(&turning, "turned_rms_rad").len(), 6);
+        let both = Ilc { space: Space::Task, orientation: true, ..Ilc::default() };
+        assert!(matches!(both.run(), Err(ReproduceError::Setting { .. })));
+    }
+
+    #[test]
+    fn gains_that_do_not_hold_the_motion_are_reported() {
+        let outcome = Ilc { epochs: 30, k1: 50.0, ..Ilc::default() }.run().unwrap();
+        let z = list(&outcome, "z_rms_m");
+        assert!(!outcome.figures["diverged_in_epoch"].is_null() || z[z.len() - 1] > z[0], "{z:?}");
+        assert!(Ilc { hand: [0.9, 0.15], ..Ilc::default() }.run().is_err());
+    }
+}

@@ -1,0 +1,91 @@
+//! The two kernel sets of (5): one round the limit cycle (6), one along the spiral that leads to it (7).
+
+use std::f64::consts::PI;
+use std::ops::Range;
+
+use super::DiscretePeriodicConfig;
+use super::phase::CanonicalSystem;
+use crate::error::{MotionError, finite};
+use crate::kernels::PhaseKernels;
+
+/// Both sets, blended by the radius.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct BlendedKernels {
+    canonical: CanonicalSystem,
+    periodic: PhaseKernels,
+    /// Centres q of (7) in the phase plane, and their widths h.
+    spiral: Vec<([f64; 2], f64)>,
+    start_radius: f64,
+}
+
+impl BlendedKernels {
+    /// For a discrete part of `turn` rad.
+    pub(super) fn new(config: &DiscretePeriodicConfig, turn: f64) -> Result<Self, MotionError> {
+        let n = config.periodic_kernels;
+        let width = config.periodic_width.unwrap_or(1.25 * n as f64);
+        let phases = config.canonical.spiral(turn, config.discrete_kernels)?;
+        let centres: Vec<[f64; 2]> = phases.iter().map(|(phi, r)| [r * phi.cos(), r * phi.sin()]).collect();
+        let mut widths: Vec<f64> = centres.windows(2).map(|q| 0.5 / distance_squared(q[0], q[1])).collect();
+        widths.extend(widths.last().copied());
+        finite("kernel widths", &widths)?;
+        Ok(Self {
+            canonical: config.canonical.clone(),
+            periodic: PhaseKernels::new(n, width),
+            start_radius: phases.first().map_or(config.canonical.mu1, |(_, r)| *r),
+            spiral: centres.into_iter().zip(widths).collect(),
+        })
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.periodic.len() + self.spiral.len()
+    }
+
+    pub(super) fn start_radius(&self) -> f64 {
+        self.start_radius
+    }
+
+    /// Writes the kernel values at a phase, divided by their sum, to `out`: first the periodic ones, then the discrete
+    /// ones. Returns which of them are not 0; the others are left as they were. Does not allocate.
+    pub(super) fn evaluate(&self, phase: f64, radius: f64, out: &mut [f64]) -> Range<usize> {
+        let n = self.periodic.len();
+        let (b, a) = self.canonical.blend(radius);
+        let (periodic, discrete) = out.split_at_mut(n);
+        let mut sum = 0.0;
+        if b > 0.0 {
+            // The first centre is at pi / N and not at 0.
+            sum += b * self.periodic.evaluate(phase - PI / n as f64, periodic);
+            periodic.iter_mut().for_each(|p| *p *= b);
+        }
+        if a > 0.0 {
+            sum += self.along_spiral(phase, radius, a, b <= 0.0, discrete);
+        }
+        let used = if b > 0.0 { 0 } else { n }..if a > 0.0 { out.len() } else { n };
+        out[used.clone()].iter_mut().for_each(|p| *p /= sum);
+        used
+    }
+
+    /// (7) times `a`; if the set is `alone` relative to its largest value, so that the sum is never 0 however far the
+    /// phase is from every centre.
+    fn along_spiral(&self, phase: f64, radius: f64, a: f64, alone: bool, out: &mut [f64]) -> f64 {
+        let (sin, cos) = phase.sin_cos();
+        let here = [radius * cos, radius * sin];
+        let mut nearest = f64::INFINITY;
+        for (o, (q, h)) in out.iter_mut().zip(&self.spiral) {
+            *o = h * distance_squared(here, *q);
+            nearest = nearest.min(*o);
+        }
+        let offset = if alone { nearest } else { 0.0 };
+        let mut sum = 0.0;
+        for o in out.iter_mut() {
+            let exponent = *o - offset;
+            // Beyond this a value is below rounding of the largest.
+            *o = if exponent > 60.0 { 0.0 } else { a * (-exponent).exp() };
+            sum += *o;
+        }
+        sum
+    }
+}
+
+fn distance_squared(a: [f64; 2], b: [f64; 2]) -> f64 {
+    (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)
+}

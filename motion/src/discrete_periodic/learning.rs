@@ -1,0 +1,152 @@
+//! How a [`DiscretePeriodicDmp`] learns: all weights of both kernel sets at once by regression, also those of the control
+//! signal.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::DiscretePeriodicDmp;
+use crate::discrete_learning::TimeSample;
+use crate::error::{MotionError, finite, positive, vector, within};
+
+impl DiscretePeriodicDmp {
+    /// Learns the forcing term from one demonstration: the discrete part of
+    /// [`demonstrated_duration`](Self::demonstrated_duration) s and then at least a part of a period, at the frequency that
+    /// the primitive was made for. The start becomes that of the demonstration, the goal g the mean of its periodic part,
+    /// and the state is put to the start; the control signal is kept.
+    ///
+    /// # Errors
+    /// [`MotionError::TooFew`] for less than two samples or none in the periodic part; when sizes differ, a value is not
+    /// finite or time does not go on. Nothing is changed then.
+    ///
+    /// # Source
+    /// (1) solved for f, least squares on (5) over both kernel sets with the ridge of the config.
+    pub fn learn(&mut self, samples: &[TimeSample]) -> Result<(), MotionError> {
+        let n = self.dofs();
+        check(samples, n)?;
+        let begin = samples[0].t;
+        let periodic: Vec<&TimeSample> =
+            samples.iter().filter(|s| s.t - begin >= self.duration - 1e-9).collect();
+        if periodic.is_empty() {
+            return Err(MotionError::TooFew { what: "samples of the periodic part", needed: 1, got: 0 });
+        }
+        let mean = |d: usize| periodic.iter().map(|s| s.y[d]).sum::<f64>() / periodic.len() as f64;
+        let centre: Vec<f64> = (0..n).map(mean).collect();
+        let omega = self.omega;
+        let (alpha, beta) = (self.config.alpha_z, self.config.beta_z);
+        let target = |s: &TimeSample, d: usize| {
+            s.ydd[d] / (omega * omega) - alpha * (beta * (centre[d] - s.y[d]) - s.yd[d] / omega)
+        };
+        let targets: Vec<f64> =
+            samples.iter().flat_map(|s| (0..n).map(|d| target(s, d)).collect::<Vec<_>>()).collect();
+        let weights = self.regress(&self.phases_of(samples), &targets)?;
+        let slope: Vec<f64> = samples[0].yd.iter().map(|v| v / omega).collect();
+        self.weights = weights;
+        self.take_start(&samples[0].y, &slope, centre);
+        self.restart();
+        Ok(())
+    }
+
+    /// The phase (phi, r) at each sample.
+    fn phases_of(&self, samples: &[TimeSample]) -> Vec<(f64, f64)> {
+        let mut phase = self.initial_phase();
+        let mut last = samples.first().map_or(0.0, |s| s.t);
+        let at = |s: &TimeSample| {
+            if s.t > last {
+                phase = self.phase_after(phase, s.t - last);
+                last = s.t;
+            }
+            phase
+        };
+        samples.iter().map(at).collect()
+    }
+
+    /// The phase (phi, r), `dt` s after the phase `from`, at the demonstrated frequency.
+    fn phase_after(&self, from: (f64, f64), dt: f64) -> (f64, f64) {
+        let turned = self.omega * dt;
+        (from.0 + turned, self.config.canonical.advance(from.1, turned))
+    }
+
+    /// The weights (degree of freedom by degree of freedom) with which the kernels meet `targets` (`dofs` values a phase)
+    /// best in the sense of least squares with a ridge.
+    pub(crate) fn regress(&self, phases: &[(f64, f64)], targets: &[f64]) -> Result<Vec<f64>, MotionError> {
+        let (n, k) = (self.dofs(), self.kernels.len());
+        let mut normal: DMatrix<f64> = DMatrix::zeros(k, k);
+        let mut moment: DMatrix<f64> = DMatrix::zeros(k, n);
+        let mut psi: DVector<f64> = DVector::zeros(k);
+        for ((phi, r), target) in phases.iter().zip(targets.chunks_exact(n)) {
+            let used = self.kernels.evaluate(*phi, *r, psi.as_mut_slice());
+            for j in used.clone().filter(|j| psi[*j] > 1e-12) {
+                for i in used.clone().take_while(|i| *i <= j) {
+                    normal[(i, j)] += psi[i] * psi[j];
+                }
+                for (d, t) in target.iter().enumerate() {
+                    moment[(j, d)] += psi[j] * t;
+                }
+            }
+        }
+        for j in 0..k {
+            normal[(j, j)] += self.config.ridge;
+            for i in 0..j {
+                normal[(j, i)] = normal[(i, j)];
+            }
+        }
+        let degenerate =
+            MotionError::Degenerate { what: "samples", why: "they leave kernels open and there is no ridge" };
+        let solution = normal.cholesky().ok_or(degenerate)?.solve(&moment);
+        vector("weights", n * k, solution.as_slice())?;
+        Ok(solution.as_slice().to_vec())
+    }
+}
+
+fn check(samples: &[TimeSample], n: usize) -> Result<(), MotionError> {
+    if samples.len() < 2 {
+        return Err(MotionError::TooFew { what: "samples", needed: 2, got: samples.len() });
+    }
+    for s in samples {
+        within("t", s.t, -1e12, 1e12)?;
+        vector("y", n, &s.y)?;
+        vector("yd", n, &s.yd)?;
+        vector("ydd", n, &s.ydd)?;
+    }
+    samples.windows(2).try_for_each(|pair| positive("time between samples", pair[1].t - pair[0].t))
+}
+
+/// Samples with velocity and acceleration from `positions`, one every `dt` s from time 0: central differences of second
+/// order, one-sided ones at the ends.
+///
+/// # Errors
+/// [`MotionError::TooFew`] for less than four positions; when sizes differ, a value is not finite or `dt` not positive.
+pub fn differentiate(dt: f64, positions: &[Vec<f64>]) -> Result<Vec<TimeSample>, MotionError> {
+    positive("dt", dt)?;
+    let Some(n) = positions.first().map(Vec::len).filter(|_| positions.len() >= 4) else {
+        return Err(MotionError::TooFew { what: "positions", needed: 4, got: positions.len() });
+    };
+    positions.iter().try_for_each(|p| vector("position", n, p))?;
+    let last = positions.len() - 1;
+    let sample = |k: usize| {
+        let y = |i: usize, d: usize| positions[i][d];
+        let velocity = |d: usize| match k {
+            0 => (4.0 * y(1, d) - 3.0 * y(0, d) - y(2, d)) / (2.0 * dt),
+            k if k == last => (3.0 * y(k, d) - 4.0 * y(k - 1, d) + y(k - 2, d)) / (2.0 * dt),
+            k => (y(k + 1, d) - y(k - 1, d)) / (2.0 * dt),
+        };
+        let bend =
+            |a: [usize; 4], d: usize| 2.0 * y(a[0], d) - 5.0 * y(a[1], d) + 4.0 * y(a[2], d) - y(a[3], d);
+        let acceleration = |d: usize| {
+            let difference = match k {
+                0 => bend([0, 1, 2, 3], d),
+                k if k == last => bend([k, k - 1, k - 2, k - 3], d),
+                k => y(k + 1, d) - 2.0 * y(k, d) + y(k - 1, d),
+            };
+            difference / (dt * dt)
+        };
+        TimeSample {
+            t: dt * k as f64,
+            y: positions[k].clone(),
+            yd: (0..n).map(velocity).collect(),
+            ydd: (0..n).map(acceleration).collect(),
+        }
+    };
+    let samples: Vec<TimeSample> = (0..=last).map(sample).collect();
+    samples.iter().try_for_each(|s| finite("acceleration", &s.ydd))?;
+    Ok(samples)
+}

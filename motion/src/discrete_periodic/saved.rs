@@ -1,0 +1,52 @@
+//! How a discrete-periodic primitive is kept.
+
+use serde::{Deserialize, Serialize};
+
+use super::{DiscretePeriodicConfig, DiscretePeriodicDmp};
+use crate::error::{MotionError, vector};
+
+/// The saved form: everything that makes the movement, not the instant that it was saved in.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Saved {
+    config: DiscretePeriodicConfig,
+    omega: f64,
+    duration: f64,
+    centre: Vec<f64>,
+    start: Vec<f64>,
+    start_slope: Vec<f64>,
+    weights: Vec<f64>,
+    control_weights: Vec<f64>,
+}
+
+impl From<DiscretePeriodicDmp> for Saved {
+    fn from(dmp: DiscretePeriodicDmp) -> Self {
+        Self {
+            config: dmp.config,
+            omega: dmp.omega,
+            duration: dmp.duration,
+            centre: dmp.centre,
+            start: dmp.start,
+            start_slope: dmp.start_slope,
+            weights: dmp.weights,
+            control_weights: dmp.control_weights,
+        }
+    }
+}
+
+impl TryFrom<Saved> for DiscretePeriodicDmp {
+    type Error = MotionError;
+
+    fn try_from(saved: Saved) -> Result<Self, MotionError> {
+        let mut dmp = Self::new(saved.config, saved.omega, saved.duration)?;
+        let n = dmp.dofs();
+        vector("centre", n, &saved.centre)?;
+        vector("start", n, &saved.start)?;
+        vector("start_slope", n, &saved.start_slope)?;
+        dmp.set_weights(&saved.weights)?;
+        dmp.set_control_weights(&saved.control_weights)?;
+        dmp.take_start(&saved.start, &saved.start_slope, saved.centre);
+        dmp.restart();
+        Ok(dmp)
+    }
+}

@@ -1,0 +1,169 @@
+//! A learned trajectory that follows the rhythm of any periodic signal: the two-layer system of both papers, with the
+//! adaptive oscillator as its first layer and a periodic primitive as its second.
+//!
+//! It learns no trajectory; that is [`crate::Imitation`]'s.
+
+use std::f64::consts::{PI, TAU};
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{MotionError, finite, positive, within};
+use crate::oscillator::{AdaptiveOscillator, OscillatorConfig};
+use crate::pdmp::{DmpState, PeriodicDmp};
+
+/// How a primitive follows the oscillator.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SynchronisationConfig {
+    /// By how much the primitive's phase is ahead of the signal's, rad.
+    pub lead: f64,
+    /// How fast a phase difference is made up, as a share of the frequency per rad.
+    pub gain: f64,
+    /// The primitive runs at most so many times as fast as the signal while it catches up, and never backwards.
+    pub fastest: f64,
+}
+
+impl Default for SynchronisationConfig {
+    fn default() -> Self {
+        Self { lead: 0.0, gain: 0.5, fastest: 2.0 }
+    }
+}
+
+/// A primitive whose phase and frequency are those of a signal.
+///
+/// # Source
+/// Petrič et al. 2014, section II, and Gams et al. 2009; differs in: the primitive does not take over the oscillator's
+/// phase but runs after it with a bounded speed, so that position and velocity stay smooth while the oscillator locks,
+/// relocks or follows a step.
+#[derive(Debug, Clone)]
+pub struct Synchronisation {
+    config: SynchronisationConfig,
+    oscillator: AdaptiveOscillator,
+    primitive: PeriodicDmp,
+}
+
+impl Synchronisation {
+    /// Lets `primitive` follow signals for an oscillator of this configuration; until that runs, the primitive stands.
+    ///
+    /// # Errors
+    /// Names the constant that cannot be.
+    pub fn new(
+        config: SynchronisationConfig,
+        oscillator: OscillatorConfig,
+        primitive: PeriodicDmp,
+    ) -> Result<Self, MotionError> {
+        finite("lead", &[config.lead])?;
+        within("gain", config.gain, 1e-6, 100.0)?;
+        within("fastest", config.fastest, 1.0, 100.0)?;
+        Ok(Self { config, oscillator: AdaptiveOscillator::new(oscillator)?, primitive })
+    }
+
+    /// Hears the sample `signal` (one value a coordinate), `dt` s after the one before, and moves the primitive on.
+    ///
+    /// # Errors
+    /// As [`AdaptiveOscillator::update`] and [`PeriodicDmp::step`]; a refused sample changes nothing.
+    pub fn step(&mut self, dt: f64, signal: &[f64]) -> Result<DmpState<'_>, MotionError> {
+        positive("dt", dt)?;
+        within("dt", dt, 0.0, 1e6)?;
+        self.oscillator.update(dt, signal)?;
+        if !self.oscillator.running() {
+            return self.primitive.step(dt, 0.0);
+        }
+        let omega = self.oscillator.omega();
+        // Where the oscillator will be after this step is where the primitive is to be then.
+        let behind =
+            wrapped(self.oscillator.phase() + self.config.lead - self.primitive.phase() - omega * dt);
+        let faster = (self.config.gain * omega * dt).min(1.0) * behind / dt;
+        let omega = (omega + faster).clamp(0.0, self.config.fastest * omega);
+        self.primitive.step(dt, omega)
+    }
+
+    /// By how much the primitive's phase is behind where it should be, rad, in -pi..pi.
+    #[must_use]
+    pub fn behind(&self) -> f64 {
+        wrapped(self.oscillator.phase() + self.config.lead - self.primitive.phase())
+    }
+
+    /// The oscillator.
+    #[must_use]
+    pub fn oscillator(&self) -> &AdaptiveOscillator {
+        &self.oscillator
+    }
+
+    /// The primitive.
+    #[must_use]
+    pub fn primitive(&self) -> &PeriodicDmp {
+        &self.primitive
+    }
+
+    /// The primitive, to be coached, modulated or perturbed while it runs.
+    pub fn primitive_mut(&mut self) -> &mut PeriodicDmp {
+        &mut self.primitive
+    }
+}
+
+/// The angle in -pi..pi.
+fn wrapped(angle: f64) -> f64 {
+    (angle + PI).rem_euclid(TAU) - PI
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{OscillatorConfig, PeriodicDmpConfig, PhaseSample};
+
+    fn primitive() -> PeriodicDmp {
+        let sample = |k: usize| {
+            let phase = TAU * k as f64 / 400.0;
+            let (s, c) = phase.sin_cos();
+            PhaseSample { phase, y: vec![s, 2.0 * c], dy: vec![c, -2.0 * s], ddy: vec![-s, -2.0 * c] }
+        };
+        let mut dmp = PeriodicDmp::new(PeriodicDmpConfig::with_dofs(2)).unwrap();
+        dmp.learn_batch(&(0..400).map(sample).collect::<Vec<_>>()).unwrap();
+        dmp
+    }
+
+    #[test]
+    fn the_trajectory_follows_the_rhythm_of_a_signal_that_it_does_not_resemble() {
+        let dt = 0.002;
+        let lead = 0.7;
+        let config = SynchronisationConfig { lead, ..SynchronisationConfig::default() };
+        let mut system = Synchronisation::new(config, OscillatorConfig::default(), primitive()).unwrap();
+        let mut phase = 0.0_f64;
+        let mut last = system.primitive().state().y[0];
+        for k in 0..30_000 {
+            let hz = if k < 15_000 { 0.7 } else { 1.1 };
+            phase += TAU * hz * dt;
+            // The fundamental is largest at phase 0.3, and that is phase 0 of the oscillator.
+            let signal = 3.0 + (phase - 0.3).cos() + 0.4 * (2.0 * phase).sin();
+            let state = system.step(dt, &[signal]).unwrap();
+            let (y, at) = (state.y[0], state.phase);
+            let fastest = 2.0 * 1.5 * TAU * 1.1 * dt;
+            assert!((y - last).abs() < fastest, "{k}: {}", y - last);
+            last = y;
+            if k % 15_000 > 12_000 {
+                let off = wrapped(at - (phase - 0.3 + lead));
+                assert!(off.abs() < 0.06, "{k}: {off}");
+                assert!((y - at.sin()).abs() < 0.02);
+            }
+        }
+    }
+
+    #[test]
+    fn without_a_rhythm_it_stands_and_a_refused_sample_changes_nothing() {
+        let config = SynchronisationConfig::default();
+        let mut system = Synchronisation::new(config, OscillatorConfig::default(), primitive()).unwrap();
+        for _ in 0..500 {
+            system.step(0.01, &[0.2]).unwrap();
+        }
+        assert_eq!(system.primitive().phase(), 0.0);
+        let before = system.primitive().clone();
+        assert!(system.step(0.0, &[0.2]).is_err());
+        assert!(system.step(f64::NAN, &[0.2]).is_err());
+        assert!(system.step(0.01, &[f64::NAN]).is_err());
+        assert!(system.step(0.01, &[0.2, 0.3]).is_err());
+        assert_eq!(*system.primitive(), before);
+        let backwards = SynchronisationConfig { fastest: 0.5, ..config };
+        assert!(Synchronisation::new(backwards, OscillatorConfig::default(), primitive()).is_err());
+    }
+}
