@@ -2,7 +2,9 @@
 //!
 //! The scenery is the grey-level closing of the depth image by a square that is wider than a hand: each pixel as near
 //! as the nearest placing of the square around it allows. A plane at any tilt is its own closing, so that a table,
-//! its tilt and its bumps stay scenery while a hand, an arm or a tool over it does not. It knows nothing of colour.
+//! its tilt and its bumps stay scenery while a hand, an arm or a tool over it does not. What the square is too wide
+//! for but goes on from the scenery without a step, as a table's corner does and things that stand on it, is scenery
+//! too (a reconstruction). It knows nothing of colour.
 
 use std::collections::VecDeque;
 
@@ -18,6 +20,8 @@ const SQUARE: f64 = 0.30;
 const LARGEST: f64 = 0.45;
 /// How much nearer than the scenery something is that stands out, m.
 const NEARER: f32 = 0.02;
+/// A step in depth between neighbours under which a surface goes on, m.
+const SMOOTH: f32 = 0.012;
 /// The scenery is sought on every so many pixels.
 const STRIDE: usize = 4;
 /// Where nothing was measured, nothing is near, m.
@@ -55,8 +59,27 @@ pub(super) fn standing_out(depth: &DepthImage, camera: &PinholeCamera, own: &[Ow
     for (y, (bits, row)) in mask.data_mut().chunks_exact_mut(w).zip(depth.data.chunks_exact(w)).enumerate() {
         scenery.along_row(y, bits, |x, behind| row[x] > 0.0 && behind - row[x] > NEARER);
     }
+    reconstruct(&mut mask, depth);
     own.iter().for_each(|thing| remove(&mut mask, depth, camera, thing));
     Some(mask)
+}
+
+/// Takes off a mask what goes on from outside of it without a step in depth, from pixel to pixel.
+fn reconstruct(mask: &mut Mask, depth: &DepthImage) {
+    let (w, n) = (depth.width as usize, depth.data.len());
+    let around = |i: usize| {
+        let left = (i % w > 0).then(|| i - 1);
+        let right = (i % w + 1 < w).then_some(i + 1);
+        [left, right, i.checked_sub(w), (i + w < n).then_some(i + w)].into_iter().flatten()
+    };
+    let goes_on = |a: usize, b: usize| (depth.data[a] - depth.data[b]).abs() < SMOOTH;
+    let bits = mask.data_mut();
+    let reached = |bits: &[u8], i: usize| around(i).any(|j| bits[j] == 0 && goes_on(i, j));
+    let mut open: Vec<usize> = (0..n).filter(|&i| bits[i] != 0 && reached(bits, i)).collect();
+    while let Some(i) = open.pop() {
+        bits[i] = 0;
+        open.extend(around(i).filter(|&j| bits[j] != 0 && goes_on(i, j)));
+    }
 }
 
 /// Takes what lies inside of a ball off a mask.
@@ -238,6 +261,20 @@ mod tests {
         for (x, y) in (0..120).flat_map(|y| (0..160).map(move |x| (x, y))) {
             assert_eq!(seen.contains(i64::from(x), i64::from(y)), bar(x, y), "{x} {y}");
         }
+    }
+
+    #[test]
+    fn what_goes_on_from_the_scenery_is_scenery() {
+        // A wall of 1 m that comes nearer in a ridge too narrow for the square, one side smooth, or both sharp.
+        let ridge = |smooth: bool| {
+            image(move |x, _| match x {
+                70..80 if smooth => 1.0 - 0.01 * (x - 70) as f32,
+                80..90 => 0.9,
+                _ => 1.0,
+            })
+        };
+        assert_eq!(standing_out(&ridge(true), &CAMERA, &[]).unwrap().count(), 0);
+        assert_eq!(standing_out(&ridge(false), &CAMERA, &[]).unwrap().count(), 1200);
     }
 
     #[test]
