@@ -31,7 +31,7 @@ pub use camera::{PinholeCamera, StereoCalibration};
 pub use color::ColorModel;
 pub use components::{Component, Run, components};
 pub use frame::{DepthImage, Image, ImageError, ImageSource, StereoFrame};
-pub use hand::{Fingertip, Gesture, HandObservation, HandObserver, OwnThing};
+pub use hand::{Fingertip, Gesture, HandObservation, HandObserver};
 pub use localizer::{BoxModel, ObjectEstimate, ObjectLocalizer};
 pub use marker::{ColorMarkerObjectTracking, MarkerEstimate, MarkerSettings};
 pub use mask::{Mask, Region};

@@ -4,7 +4,7 @@
 //! matter. Without, things that both eyes see are compared, and a colour that fills more than a hand can is scenery.
 //! It knows nothing of what was seen before but the colour that it is told to prefer.
 
-use super::relief::{LEAST_RELIEF, OwnThing, relief, standing_out};
+use super::relief::{LEAST_RELIEF, relief, standing_out};
 use super::shape::{HandShape, hand_shape};
 use super::skin::{HalfImage, SkinClusters};
 use crate::camera::StereoCalibration;
@@ -65,17 +65,15 @@ struct Search<'a> {
     preferred: ([f32; 2], f64),
 }
 
-/// The thing that looks most like a hand. `skin`: the log-chromaticities of the hand in the last frames. `own`: what is
-/// known to be the robot's; it counts where there is a depth image.
+/// The thing that looks most like a hand. `skin`: the log-chromaticities of the hand in the last frames.
 pub(super) fn find(
     frame: &StereoFrame,
     calibration: &StereoCalibration,
     skin: Option<[f32; 2]>,
-    own: &[OwnThing],
 ) -> Option<Hand> {
     let left = HalfImage::of(&frame.left);
     let depth = frame.depth.as_ref();
-    let out = depth.and_then(|d| standing_out(d, &calibration.camera, own));
+    let out = depth.and_then(|d| standing_out(d, &calibration.camera));
     let clusters = SkinClusters::find(&left, out.as_ref());
     let preferred = skin.map_or(USUAL_SKIN, |s| (s, SAME_SKIN));
     let search = Search { frame, calibration, clusters, out, preferred };

@@ -62,6 +62,11 @@ impl<'a> Ranging<'a> {
         Some(Point3::from(self.calibration.camera.ray(px) * z))
     }
 
+    /// The depth of the hand's part within `radius` m of a pixel, m, where a depth image measures it.
+    pub(super) fn measured(&self, px: &Point2<f64>, radius: f64) -> Option<f64> {
+        matches!(self.by, By::Depth(_)).then(|| self.depth(px, radius)).flatten()
+    }
+
     fn depth(&self, px: &Point2<f64>, radius: f64) -> Option<f64> {
         let (focal, baseline) = (self.calibration.camera.focal, self.calibration.baseline);
         let radius_px = radius * focal / self.z;

@@ -21,7 +21,6 @@ use serde::{Deserialize, Serialize};
 use crate::mask::Region;
 
 pub use observer::HandObserver;
-pub use relief::OwnThing;
 
 /// The gestures of coaching.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]

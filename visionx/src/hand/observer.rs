@@ -5,7 +5,6 @@ use nalgebra::{Point2, Vector3};
 use super::candidates::{Hand, find};
 use super::depth::Ranging;
 use super::patterns::likelihoods;
-use super::relief::OwnThing;
 use super::shape::Finger;
 use super::{Fingertip, Gesture, HandObservation};
 use crate::camera::StereoCalibration;
@@ -54,12 +53,6 @@ impl HandObserver {
     /// Takes a frame; returns the hand in it, `None` when there is none. Frames whose images do not have the
     /// calibration's size show nothing.
     pub fn update(&mut self, frame: &StereoFrame) -> Option<HandObservation> {
-        self.update_beside(frame, &[])
-    }
-
-    /// As [`Self::update`], in a frame where some places hold things that are known to be the `robot`'s and no
-    /// person's hand. They are told apart by depth: frames without a depth image do not profit.
-    pub fn update_beside(&mut self, frame: &StereoFrame, robot: &[OwnThing]) -> Option<HandObservation> {
         if !self.calibration.fits(frame) {
             return None;
         }
@@ -67,7 +60,7 @@ impl HandObserver {
         if self.memory.as_ref().is_some_and(forgotten) {
             self.memory = None;
         }
-        let hand = find(frame, &self.calibration, self.memory.as_ref().map(|m| m.skin), robot)?;
+        let hand = find(frame, &self.calibration, self.memory.as_ref().map(|m| m.skin))?;
         self.observe(frame, &hand)
     }
 
@@ -77,10 +70,11 @@ impl HandObserver {
         let surface = ranging.palm(&shape.palm);
         let palm_in_left = surface + surface.coords.try_normalize(1e-6)? * HALF_PALM;
 
-        let belief = self.believe(&likelihoods(&shape.fingers));
+        let fingers: Vec<Finger> = shape.fingers.iter().map(|f| in_depth(f, &ranging)).collect();
+        let belief = self.believe(&likelihoods(&fingers));
         let best = (0..4).max_by(|&a, &b| belief[a].total_cmp(&belief[b]))?;
         let gesture = Gesture::ALL[best];
-        let stretched: Vec<&Finger> = shape.fingers.iter().filter(|f| f.score > 0.5).collect();
+        let stretched: Vec<&Finger> = fingers.iter().filter(|f| f.score > 0.5).collect();
         let direction = match (gesture, stretched.len()) {
             (Gesture::PointOne, 1) | (Gesture::PointTwo, 2) => direction(&ranging, &stretched),
             _ => None,
@@ -150,6 +144,14 @@ fn direction(ranging: &Ranging<'_>, fingers: &[&Finger]) -> Option<Vector3<f64>>
     sum.try_normalize(1e-6)
 }
 
+/// A finger with its length in space rather than across the line of sight, where the depth image tells.
+fn in_depth(finger: &Finger, ranging: &Ranging<'_>) -> Finger {
+    let tip = ranging.measured(&inside_tip(finger), TIP_RADIUS);
+    let base = ranging.measured(&finger.base, BASE_RADIUS);
+    let rise = tip.zip(base).map_or(0.0, |(tip, base)| tip - base);
+    finger.reaching(rise)
+}
+
 /// A place a little inside of a finger's end, px.
 fn inside_tip(finger: &Finger) -> Point2<f64> {
     finger.tip + (finger.base - finger.tip) * (0.008 / finger.length.max(0.02))
@@ -163,7 +165,9 @@ fn bounds(mask: &Mask) -> Region {
 mod tests {
     use super::*;
     use crate::frame::DepthImage;
-    use crate::scenes::{CALIBRATION, TABLE, Thing, empty_frames, frame, hand, table};
+    use crate::scenes::{
+        CALIBRATION, SKIN, TABLE, Thing, empty_frames, frame, frame_with_depth, hand, table,
+    };
     use nalgebra::{Isometry3, Point3};
 
     const PLACE: Point3<f64> = Point3::new(0.02, -0.02, 0.7);
@@ -185,6 +189,20 @@ mod tests {
                 assert_eq!(seen.gesture, gesture, "roll {roll} back {back} tilt {tilt}: {seen:?}");
                 assert!((seen.palm_in_left - PLACE).norm() < 0.04, "{:?}", seen.palm_in_left);
             }
+        }
+    }
+
+    #[test]
+    fn the_tables_colour_does_not_matter_where_there_is_depth() {
+        for color in [SKIN, [120, 84, 60], [150, 112, 90], [225, 190, 150]] {
+            for (i, gesture) in Gesture::ALL.into_iter().enumerate() {
+                let (mut things, _) = hand(gesture, PLACE, 0.2, i % 2 == 0, 0.2);
+                things.push(table(color));
+                let seen = HandObserver::new(CALIBRATION).update(&frame_with_depth(&things, 0, 1)).unwrap();
+                assert_eq!(seen.gesture, gesture, "{color:?}: {seen:?}");
+                assert!((seen.palm_in_left - PLACE).norm() < 0.03, "{:?}", seen.palm_in_left);
+            }
+            assert_eq!(HandObserver::new(CALIBRATION).update(&frame_with_depth(&[table(color)], 0, 2)), None);
         }
     }
 

@@ -8,7 +8,7 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::{Matrix3, Point2, Point3, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
 use crate::camera::PinholeCamera;
 use crate::frame::DepthImage;
@@ -37,19 +37,8 @@ pub(super) const LEAST_RELIEF: f64 = 0.3;
 /// Deeper by more than this, m.
 const STEP: f32 = 0.012;
 
-/// A ball in the left camera's frame, m, about things that are known not to be a person's: the robot's own hand and
-/// what it holds.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OwnThing {
-    /// Its middle, left camera frame, m.
-    pub center: Point3<f64>,
-    /// Its radius, m.
-    pub radius: f64,
-}
-
-/// The pixels that stand out of the scenery and are not the robot's `own`; `None` unless the depth image is of the
-/// camera's size.
-pub(super) fn standing_out(depth: &DepthImage, camera: &PinholeCamera, own: &[OwnThing]) -> Option<Mask> {
+/// The pixels that stand out of the scenery; `None` unless the depth image is of the camera's size.
+pub(super) fn standing_out(depth: &DepthImage, camera: &PinholeCamera) -> Option<Mask> {
     let (w, h) = (depth.width as usize, depth.height as usize);
     if (depth.width, depth.height) != (camera.width, camera.height)
         || depth.data.len() != w * h
@@ -66,7 +55,6 @@ pub(super) fn standing_out(depth: &DepthImage, camera: &PinholeCamera, own: &[Ow
     }
     let planes = coarse.planes(&mask);
     planes.iter().for_each(|plane| reconstruct(&mut mask, depth, plane));
-    own.iter().for_each(|thing| remove(&mut mask, depth, camera, thing));
     Some(mask)
 }
 
@@ -118,26 +106,6 @@ impl Plane {
     /// Depth in a pixel, m.
     fn depth(&self, x: usize, y: usize) -> f32 {
         (1.0 / self.inverse(x as f64, y as f64)) as f32
-    }
-}
-
-/// Takes what lies inside of a ball off a mask.
-fn remove(mask: &mut Mask, depth: &DepthImage, camera: &PinholeCamera, ball: &OwnThing) {
-    let near = ball.center.z - ball.radius;
-    let reach = camera.focal * ball.radius / near;
-    let Some(px) = camera.project(&ball.center).filter(|_| near > 0.01 && reach.is_finite()) else { return };
-    let (w, h) = (depth.width, depth.height);
-    // What is off the axis looks a little larger than at its middle.
-    let reach = 1.5 * reach;
-    let around = Region::spanning(px.x - reach, px.y - reach, px.x + reach, px.y + reach, w, h);
-    for y in around.y..around.y + around.height {
-        for x in around.x..around.x + around.width {
-            let i = y as usize * w as usize + x as usize;
-            let point = camera.ray(&Point2::new(f64::from(x), f64::from(y))) * f64::from(depth.data[i]);
-            if (point - ball.center.coords).norm() <= ball.radius {
-                mask.data_mut()[i] = 0;
-            }
-        }
     }
 }
 
@@ -321,11 +289,10 @@ mod tests {
 
     #[test]
     fn a_tilted_plane_is_scenery_and_a_bar_over_it_stands_out() {
-        let none = standing_out(&image(plane), &CAMERA, &[]).unwrap();
+        let none = standing_out(&image(plane), &CAMERA).unwrap();
         assert_eq!(none.count(), 0);
         let bar = |x: u32, y: u32| (60..75).contains(&x) && (30..80).contains(&y);
-        let seen =
-            standing_out(&image(|x, y| plane(x, y) - if bar(x, y) { 0.05 } else { 0.0 }), &CAMERA, &[]);
+        let seen = standing_out(&image(|x, y| plane(x, y) - if bar(x, y) { 0.05 } else { 0.0 }), &CAMERA);
         let seen = seen.unwrap();
         for (x, y) in (0..120).flat_map(|y| (0..160).map(move |x| (x, y))) {
             assert_eq!(seen.contains(i64::from(x), i64::from(y)), bar(x, y), "{x} {y}");
@@ -346,8 +313,8 @@ mod tests {
 
     #[test]
     fn a_corner_of_a_plane_is_scenery_but_not_what_leans_on_it() {
-        assert_eq!(standing_out(&corner(false), &CAMERA, &[]).unwrap().count(), 0);
-        let seen = standing_out(&corner(true), &CAMERA, &[]).unwrap();
+        assert_eq!(standing_out(&corner(false), &CAMERA).unwrap().count(), 0);
+        let seen = standing_out(&corner(true), &CAMERA).unwrap();
         let expected = |x: i64, y: i64| (100..110).contains(&x) && (40..84).contains(&y);
         for (x, y) in (0..120).flat_map(|y| (0..160).map(move |x| (x, y))) {
             let near_the_plane = (84..90).contains(&y);
@@ -356,20 +323,10 @@ mod tests {
     }
 
     #[test]
-    fn what_is_the_robots_own_does_not_stand_out() {
-        let ball = |x: u32, y: u32| (x as f32 - 80.0).hypot(y as f32 - 60.0) < 8.0;
-        let depth = image(|x, y| if ball(x, y) { 0.6 } else { 0.8 });
-        let own = |x: f64| OwnThing { center: Point3::new(x, 0.0, 0.6), radius: 0.05 };
-        assert!(standing_out(&depth, &CAMERA, &[own(0.2)]).unwrap().count() > 150);
-        assert_eq!(standing_out(&depth, &CAMERA, &[own(0.0)]).unwrap().count(), 0);
-        assert!(standing_out(&depth, &CAMERA, &[own(f64::NAN)]).unwrap().count() > 150);
-    }
-
-    #[test]
     fn odd_depth_images_show_nothing() {
-        assert!(standing_out(&DepthImage { width: 160, height: 120, data: vec![] }, &CAMERA, &[]).is_none());
+        assert!(standing_out(&DepthImage { width: 160, height: 120, data: vec![] }, &CAMERA).is_none());
         for z in [0.0, -1.0, f32::NAN, f32::INFINITY, 1e-30] {
-            assert_eq!(standing_out(&image(|_, _| z), &CAMERA, &[]).unwrap().count(), 0, "{z}");
+            assert_eq!(standing_out(&image(|_, _| z), &CAMERA).unwrap().count(), 0, "{z}");
         }
     }
 
