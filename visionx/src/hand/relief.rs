@@ -62,7 +62,7 @@ pub(super) fn standing_out(depth: &DepthImage, camera: &PinholeCamera) -> Option
 fn reconstruct(mask: &mut Mask, depth: &DepthImage, plane: &Plane) {
     let (w, n) = (depth.width as usize, depth.data.len());
     let around = |i: usize| {
-        let left = (i % w > 0).then(|| i - 1);
+        let left = (!i.is_multiple_of(w)).then(|| i - 1);
         let right = (i % w + 1 < w).then_some(i + 1);
         [left, right, i.checked_sub(w), (i + w < n).then_some(i + w)].into_iter().flatten()
     };
@@ -206,7 +206,7 @@ impl Grid {
                 }
                 let [x, y] = pixel(i).map(|at| at as f64);
                 surface.push([x, y, 1.0 / f64::from(self.data[i])]);
-                let sides = [(i % w > 0, i.wrapping_sub(1)), (i % w + 1 < w, i + 1)];
+                let sides = [(!i.is_multiple_of(w), i.wrapping_sub(1)), (i % w + 1 < w, i + 1)];
                 let rows = [(i >= w, i.wrapping_sub(w)), (i + w < n, i + w)];
                 let next = sides.into_iter().chain(rows).filter(|(inside, _)| *inside).map(|(_, j)| j);
                 open.extend(next.filter(|&j| free[j] && (self.data[j] - self.data[i]).abs() < SMOOTH));
