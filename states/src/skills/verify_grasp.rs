@@ -117,10 +117,10 @@ async fn look(
         waited += dt;
         arm.hold(&sample)?;
         let Some(frame) = frames.new_frame()? else { continue };
-        let Some(seen) = tracking.update(&frame) else { continue };
-        let seen = frame.root_from_left * seen.point_in_left;
         let held = arm.tcp(&sample) * Point3::from(GRASP_IN_TCP);
-        nearest = nearest.min((seen - held).norm());
+        let held_in_left = frame.root_from_left.inverse() * held;
+        let Some(seen) = tracking.update_near(&frame, Some(&held_in_left)) else { continue };
+        nearest = nearest.min((seen.point_in_left - held_in_left).norm());
         if nearest < IN_HAND {
             break;
         }
