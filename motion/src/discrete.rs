@@ -6,6 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::decay_kernels::DecayKernels;
 use crate::error::{LARGEST, MotionError, finite, positive, vector, within};
 use crate::pdmp::Transition;
 
@@ -81,6 +82,26 @@ pub struct DiscreteState<'a> {
 /// form of Petrič et al. (4)-(13): `tau z' = alpha_z (beta_z (g - y) - z) + f + C`, `tau y' = z`, `tau x' = -alpha_x x`,
 /// `f = sum w psi / sum psi * x r`. Differs in: f is scaled by an amplitude r instead of the distance `g - y0`, which
 /// may be 0; with goal, start and r scaled together the movement scales exactly.
+///
+/// ```
+/// use armarium_motion::{DiscreteDmp, DiscreteDmpConfig, TimeSample};
+///
+/// // From 0 to 1 m in 2 s as half a cosine, seen at 50 Hz.
+/// let w = std::f64::consts::FRAC_PI_2;
+/// let sample = |k: i32| {
+///     let (t, (sin, cos)) = (f64::from(k) * 0.02, (w * f64::from(k) * 0.02).sin_cos());
+///     TimeSample { t, y: vec![0.5 - 0.5 * cos], yd: vec![0.5 * w * sin], ydd: vec![0.5 * w * w * cos] }
+/// };
+/// let mut dmp = DiscreteDmp::new(DiscreteDmpConfig::with_dofs(1))?;
+/// let duration = dmp.learn_batch(&(0..=100).map(sample).collect::<Vec<_>>())?;
+/// // The same to another goal, in half the time.
+/// dmp.set_goal(&[1.2])?;
+/// for _ in 0..1500 {
+///     dmp.step(0.001, 0.5 * duration)?;
+/// }
+/// assert!((dmp.state().y[0] - 1.2).abs() < 0.01);
+/// # Ok::<(), armarium_motion::MotionError>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Saved", into = "Saved")]
 pub struct DiscreteDmp {
@@ -338,34 +359,6 @@ impl DiscreteDmp {
         for (f, w) in self.next_forcing.iter_mut().zip(self.weights.chunks_exact(self.psi.len())) {
             *f = scale * w.iter().zip(&self.psi).map(|(w, p)| w * p).sum::<f64>();
         }
-    }
-}
-
-/// `exp(-(u - i)^2 / 0.8)` over `u = (N - 1) t / duration`, which is `-(N - 1) ln x / alpha_x`: equally wide and
-/// equally far from each other in time, the last one holding on after the end.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct DecayKernels {
-    count: usize,
-    per_log: f64,
-}
-
-impl DecayKernels {
-    fn new(count: usize, alpha_x: f64) -> Self {
-        Self { count, per_log: (count - 1) as f64 / alpha_x }
-    }
-
-    /// Writes the kernel values at phase `x` to `out` and returns their sum, which is never 0.
-    pub(crate) fn evaluate(&self, x: f64, out: &mut [f64]) -> f64 {
-        let last = (self.count - 1) as f64;
-        let u = (-x.ln() * self.per_log).clamp(0.0, last);
-        let mut sum = 0.0;
-        for (i, o) in out.iter_mut().enumerate() {
-            let away = u - i as f64;
-            // Farther away it is under 1e-19 of the nearest one.
-            *o = if away.abs() < 6.0 { (-away * away / 0.8).exp() } else { 0.0 };
-            sum += *o;
-        }
-        sum
     }
 }
 

@@ -13,6 +13,7 @@
 
 mod coach;
 mod coupling;
+mod decay_kernels;
 mod discrete;
 mod discrete_learning;
 mod discrete_periodic;

@@ -1,0 +1,49 @@
+//! The bell-shaped kernels over a phase that decays, on which the discrete primitive stands.
+
+/// `exp(-(u - i)^2 / 0.8)` over `u = (N - 1) t / duration`, which is `-(N - 1) ln x / alpha_x`: equally wide and
+/// equally far from each other in time, the last one holding on after the end.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct DecayKernels {
+    count: usize,
+    per_log: f64,
+}
+
+impl DecayKernels {
+    /// `count` of them, at least 2, for a phase that ends at `exp(-alpha_x)`.
+    pub(crate) fn new(count: usize, alpha_x: f64) -> Self {
+        Self { count, per_log: (count - 1) as f64 / alpha_x }
+    }
+
+    /// Writes the kernel values at phase `x` to `out` and returns their sum, which is never 0.
+    pub(crate) fn evaluate(&self, x: f64, out: &mut [f64]) -> f64 {
+        let last = (self.count - 1) as f64;
+        let u = (-x.ln() * self.per_log).clamp(0.0, last);
+        let mut sum = 0.0;
+        for (i, o) in out.iter_mut().enumerate() {
+            let away = u - i as f64;
+            // Farther away it is under 1e-19 of the nearest one.
+            *o = if away.abs() < 6.0 { (-away * away / 0.8).exp() } else { 0.0 };
+            sum += *o;
+        }
+        sum
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_is_one_in_its_turn_and_the_last_one_holds_on() {
+        let (count, alpha) = (7, 2.0);
+        let kernels = DecayKernels::new(count, alpha);
+        let mut psi = vec![0.0; count];
+        for i in 0..count {
+            let x = (-alpha * i as f64 / (count - 1) as f64).exp();
+            let sum = kernels.evaluate(x, &mut psi);
+            assert!((psi[i] - 1.0).abs() < 1e-12 && (psi.iter().sum::<f64>() - sum).abs() < 1e-12);
+        }
+        kernels.evaluate(1e-12, &mut psi);
+        assert_eq!(psi[count - 1], 1.0);
+    }
+}
