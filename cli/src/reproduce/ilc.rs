@@ -4,8 +4,8 @@
 use std::f64::consts::TAU;
 
 use armarium_motion::{
-    DiscretePeriodicConfig, DiscretePeriodicDmp, FeedbackError, LearningControl, LearningControlConfig, MotionError,
-    differentiate,
+    DiscretePeriodicConfig, DiscretePeriodicDmp, FeedbackError, LearningControl, LearningControlConfig,
+    MotionError, differentiate,
 };
 use armarium_viewer::report::{Curve, Look, Panel, Row, picture};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3, Vector4, Vector6};
@@ -173,7 +173,11 @@ impl Ilc {
             let p = w * t + phase;
             [lift + amplitude * p.sin(), w * amplitude * p.cos(), -w * w * amplitude * p.sin()]
         };
-        let z = if t < self.duration { rise(periodic(0.0), self.duration, t) } else { periodic(t - self.duration) };
+        let z = if t < self.duration {
+            rise(periodic(0.0), self.duration, t)
+        } else {
+            periodic(t - self.duration)
+        };
         self.start + z[0]
     }
 
@@ -193,7 +197,10 @@ impl Ilc {
             };
             let x = Vector3::new(self.hand[0], side * self.hand[1], z);
             q = arm.inverse(x, posture, q).ok_or_else(|| {
-                ReproduceError::Failed(format!("an arm does not reach ({:.3}, {:.3}, {:.3}) m", x.x, x.y, x.z))
+                ReproduceError::Failed(format!(
+                    "an arm does not reach ({:.3}, {:.3}, {:.3}) m",
+                    x.x, x.y, x.z
+                ))
             })?;
             path.push(q);
         }
@@ -276,16 +283,15 @@ impl Ilc {
         let mut grasp = None;
         for _ in 0..=self.steps() {
             let hands = [self.right_hand(right), self.left_hand(left, &mut near)];
-            let grasp = *grasp.get_or_insert_with(|| hands[0].pose.rotation.inverse() * hands[1].pose.rotation);
+            let grasp =
+                *grasp.get_or_insert_with(|| hands[0].pose.rotation.inverse() * hands[1].pose.rotation);
             let (wrench, twist, turned) = self.box_between(&hands, grasp);
             let mut error = [0.0; 4];
             let error = &mut error[..left.dofs()];
             match (self.space, self.orientation) {
-                (Space::Task, _) => gains.in_task_space(
-                    &wrench.as_slice()[..3],
-                    &twist.as_slice()[..3],
-                    error,
-                )?,
+                (Space::Task, _) => {
+                    gains.in_task_space(&wrench.as_slice()[..3], &twist.as_slice()[..3], error)?
+                }
                 (Space::Joint, true) => gains.in_joint_space(&hands[1].columns, &wrench, &twist, error)?,
                 (Space::Joint, false) => {
                     let linear = |v: &Vector6<f64>| Vector3::new(v[0], v[1], v[2]);
@@ -327,7 +333,11 @@ impl Ilc {
 
     /// `F_d - F_2` with moments (N, N m), how much faster the right hand moves and turns (m/s, rad/s), and by how much the
     /// hands are turned against each other, rad. The box was grasped without force.
-    fn box_between(&self, hands: &[Hand; 2], grasp: UnitQuaternion<f64>) -> (Vector6<f64>, Vector6<f64>, f64) {
+    fn box_between(
+        &self,
+        hands: &[Hand; 2],
+        grasp: UnitQuaternion<f64>,
+    ) -> (Vector6<f64>, Vector6<f64>, f64) {
         let [right, left] = hands;
         let apart = Vector3::new(0.0, 2.0 * self.hand[1], 0.0);
         let force = self.stiffness * (right.pose.translation.vector + apart - left.pose.translation.vector);
@@ -382,7 +392,9 @@ impl Ilc {
     }
 
     fn figures(&self, learning: &Learning, forces_only: &Learning, outcome: &mut Outcome) {
-        let per_epoch = |learning: &Learning, of: &dyn Fn(&Epoch) -> f64| learning.epochs.iter().map(of).collect::<Vec<_>>();
+        let per_epoch = |learning: &Learning, of: &dyn Fn(&Epoch) -> f64| {
+            learning.epochs.iter().map(of).collect::<Vec<_>>()
+        };
         type Figure<'a> = (&'a str, &'a dyn Fn(&Epoch) -> f64);
         let figures: [Figure<'_>; 5] = [
             ("z_rms_m", &|e| self.z_rms(e)),
@@ -429,8 +441,10 @@ impl Ilc {
 
     /// Heights in all epochs and the error over them (Fig. 1).
     fn plot_epochs(&self, learning: &Learning) -> String {
-        let mut curves = vec![Curve::new("right", self.curve(learning.before.x.iter().map(|[right, _]| right.z)))
-            .looking(Look::Reference)];
+        let mut curves = vec![
+            Curve::new("right", self.curve(learning.before.x.iter().map(|[right, _]| right.z)))
+                .looking(Look::Reference),
+        ];
         curves.extend(learning.epochs.iter().map(|e| Curve::new("", self.left_z(e)).looking(Look::Faint)));
         curves.push(Curve::new("left, before", self.left_z(&learning.before)).looking(Look::Colour(1)));
         if let Some(last) = learning.epochs.last() {
@@ -444,9 +458,15 @@ impl Ilc {
             end_to_end.extend(error.iter().map(|[t, e]| [t + whole * i as f64, *e]));
             end_to_end.push([f64::NAN; 2]);
         }
-        let error = panel("time over all epochs, s", "height error, mm", vec![Curve::new("", end_to_end)], Vec::new());
+        let error = panel(
+            "time over all epochs, s",
+            "height error, mm",
+            vec![Curve::new("", end_to_end)],
+            Vec::new(),
+        );
         let line = |label: &str, colour: u8, of: &dyn Fn(&Epoch) -> f64| {
-            let points = learning.epochs.iter().zip(1..).map(|(e, n)| [f64::from(n), of(e).log10()]).collect();
+            let points =
+                learning.epochs.iter().zip(1..).map(|(e, n)| [f64::from(n), of(e).log10()]).collect();
             Curve::new(label, points).looking(Look::Colour(colour))
         };
         let falls = panel(
@@ -460,7 +480,10 @@ impl Ilc {
             Vec::new(),
         );
         let row = |panel, height| Row { height, panels: vec![panel] };
-        picture("The left arm learns to follow the right one", &[row(heights, 300.0), row(error, 240.0), row(falls, 260.0)])
+        picture(
+            "The left arm learns to follow the right one",
+            &[row(heights, 300.0), row(error, 240.0), row(falls, 260.0)],
+        )
     }
 
     /// Joints of the left arm before and after, and of the right one (Figs 2, 3).
@@ -489,8 +512,11 @@ impl Ilc {
             let own = |k: usize| -> f64 {
                 if name.starts_with("height") { learning.before.x[k][0].z } else { learning.before.v[k][0].z }
             };
-            let mut curves = vec![Curve::new("right", self.curve((0..right).map(own))).looking(Look::Reference)];
-            for (label, learning, colour) in [("forces (10)", forces_only, 1), ("and velocities (14)", learning, 2)] {
+            let mut curves =
+                vec![Curve::new("right", self.curve((0..right).map(own))).looking(Look::Reference)];
+            for (label, learning, colour) in
+                [("forces (10)", forces_only, 1), ("and velocities (14)", learning, 2)]
+            {
                 if let Some(epoch) = learning.epochs.get(index) {
                     curves.push(Curve::new(label, line(epoch)).looking(Look::Colour(colour)));
                 }

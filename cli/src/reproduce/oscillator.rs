@@ -257,7 +257,8 @@ impl Oscillator {
     fn sweep(&self, outcome: &mut Outcome) -> Result<(), ReproduceError> {
         let hz: Vec<f64> = (0..16).map(|i| 0.2 * 20.0_f64.powf(f64::from(i) / 15.0)).collect();
         let periods = |estimate: bool, f: f64| -> Result<f64, ReproduceError> {
-            let one = Self { estimate, frequency: f, seconds: (16.0 / f).max(20.0), basin: false, ..self.clone() };
+            let one =
+                Self { estimate, frequency: f, seconds: (16.0 / f).max(20.0), basin: false, ..self.clone() };
             one.check()?;
             let log = one.listen()?;
             Ok(settle(&log, 0, log.hz.len()).map_or(f64::NAN, |k| log.phase[k] / TAU))
@@ -276,7 +277,10 @@ impl Oscillator {
             y_range: Some([0.0, 17.0]),
             ..Panel::default()
         };
-        outcome.plot("oscillator_basin", picture("Where the oscillator settles", &[Row { height: 320.0, panels: vec![panel] }]));
+        outcome.plot(
+            "oscillator_basin",
+            picture("Where the oscillator settles", &[Row { height: 320.0, panels: vec![panel] }]),
+        );
         let list = |values: Vec<f64>| serde_json::Value::from(values);
         outcome.figure("basin_hz", list(hz));
         outcome.figure("basin_periods_estimated", list(estimated));
@@ -379,6 +383,9 @@ mod tests {
         let plane = run(Oscillator { signal: Signal::Plane, seconds: 20.0, ..Oscillator::default() });
         assert!(figure(&plane, "settle_periods") < 8.0);
         assert!(figure(&plane, "settle_after_step_s").is_nan());
-        assert!(matches!(Oscillator { dt: 0.0, ..Oscillator::default() }.run(), Err(ReproduceError::Setting { .. })));
+        assert!(matches!(
+            Oscillator { dt: 0.0, ..Oscillator::default() }.run(),
+            Err(ReproduceError::Setting { .. })
+        ));
     }
 }
