@@ -7,84 +7,17 @@
 //! number of periods at any frequency and amplitude. And the start is estimated from the signal so far
 //! ([`PeriodEstimator`]). [`OscillatorRule::Paper`] is the bare rule, to compare.
 
+mod config;
+mod statistics;
+
 use std::f64::consts::TAU;
 
-use serde::{Deserialize, Serialize};
-
-use crate::error::{MotionError, positive, vector, within};
+use crate::error::{MotionError, positive, vector};
 use crate::fourier::FourierSeries;
 use crate::period::{PeriodEstimate, PeriodEstimator};
 
-/// How phase and frequency follow the error.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum OscillatorRule {
-    /// Along the derivative of the estimated signal, all gains scaled.
-    #[default]
-    Scaled,
-    /// (1), (2) as printed, on the coordinate with the strongest fundamental: `-K e sin(phase)`.
-    Paper {
-        /// Coupling constant K, in 1 / (unit s) for the phase.
-        coupling: f64,
-        /// Learning rate of the weights in (3), 1/s.
-        learning: f64,
-    },
-    /// (1)-(3) with gains in proportion to the running frequency and to one over the size of the signal.
-    Bare {
-        /// Coupling constant K at 1 Hz, for a signal between -1 and 1.
-        coupling: f64,
-        /// Learning rate of the weights in (3) at 1 Hz, 1/s.
-        learning: f64,
-    },
-}
-
-/// The constants of an [`AdaptiveOscillator`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct OscillatorConfig {
-    /// Coordinates of the signal.
-    pub dims: usize,
-    /// Harmonics m of (3); those that the sample rate cannot show are left alone.
-    pub harmonics: usize,
-    /// How phase and frequency follow the error.
-    pub rule: OscillatorRule,
-    /// Whether the start is estimated from the signal so far.
-    pub estimate: bool,
-    /// Frequency to start from without an estimate, Hz.
-    pub initial_hz: f64,
-    /// Lowest frequency that is looked for, Hz.
-    pub lowest_hz: f64,
-    /// Highest frequency that is looked for, Hz.
-    pub highest_hz: f64,
-    /// Natural frequency of the loop that corrects phase and frequency, as a share of the running frequency.
-    pub bandwidth: f64,
-    /// Over how many periods the weights average once settled.
-    pub memory: f64,
-}
-
-impl Default for OscillatorConfig {
-    fn default() -> Self {
-        Self {
-            dims: 1,
-            harmonics: 10,
-            rule: OscillatorRule::Scaled,
-            estimate: true,
-            initial_hz: 1.0,
-            lowest_hz: 0.22,
-            highest_hz: 4.0,
-            bandwidth: 0.08,
-            memory: 5.0,
-        }
-    }
-}
-
-impl OscillatorConfig {
-    /// The defaults for a signal of `dims` coordinates.
-    #[must_use]
-    pub fn with_dims(dims: usize) -> Self {
-        Self { dims, ..Self::default() }
-    }
-}
+pub use self::config::{OscillatorConfig, OscillatorRule};
+use self::statistics::{Drift, Pace, PeriodMeans};
 
 /// Finds and follows phase, frequency and wave form of a periodic signal.
 #[derive(Debug, Clone)]
@@ -100,8 +33,7 @@ pub struct AdaptiveOscillator {
     /// Phase passed since the oscillator runs, rad.
     passed: f64,
     elapsed: f64,
-    /// Phase error, rad, smoothed over a period.
-    drift: f64,
+    drift: Drift,
     /// Seconds until the past is looked at again.
     until_look: f64,
     disagreements: u32,
@@ -121,16 +53,7 @@ impl AdaptiveOscillator {
     /// # Errors
     /// When a constant cannot be.
     pub fn new(config: OscillatorConfig) -> Result<Self, MotionError> {
-        within("harmonics", config.harmonics as f64, 1.0, 64.0)?;
-        positive("initial_hz", config.initial_hz)?;
-        positive("lowest_hz", config.lowest_hz)?;
-        within("highest_hz", config.highest_hz, config.lowest_hz, 1000.0 * config.lowest_hz)?;
-        within("bandwidth", config.bandwidth, 1e-4, 0.5)?;
-        within("memory", config.memory, 0.5, 1000.0)?;
-        if let OscillatorRule::Paper { coupling, learning } | OscillatorRule::Bare { coupling, learning } = config.rule {
-            positive("coupling", coupling)?;
-            positive("learning", learning)?;
-        }
+        config.validate()?;
         let estimator = PeriodEstimator::new(config.dims, 1.0 / config.highest_hz, 1.0 / config.lowest_hz)?;
         let zeros = vec![0.0; config.dims];
         Ok(Self {
@@ -143,7 +66,7 @@ impl AdaptiveOscillator {
             omega: TAU * config.initial_hz,
             passed: 0.0,
             elapsed: 0.0,
-            drift: 0.0,
+            drift: Drift::default(),
             until_look: 0.0,
             disagreements: 0,
             just_started: false,
@@ -332,7 +255,7 @@ impl AdaptiveOscillator {
         self.starts = self.starts.saturating_add(1);
         self.passed = 0.0;
         self.elapsed = 0.0;
-        self.drift = 0.0;
+        self.drift = Drift::default();
         self.disagreements = 0;
         self.periods = PeriodMeans::default();
         self.counted_from = None;
@@ -368,12 +291,10 @@ impl AdaptiveOscillator {
         }
         let power = self.series.slope_power();
         let ahead = if power > 1e-300 { (along / power).clamp(-1.0, 1.0) } else { 0.0 };
-        // A critically damped loop; wide in the first periods, then narrow.
+        // A critically damped loop; wide in the first periods, then narrow, and wide again for what changes.
         let age = (self.passed / TAU).max(0.0);
         let turned = self.omega * dt;
-        self.drift += (ahead - self.drift) * (1.0 - (-turned / TAU).exp());
-        // A phase error that lasts a period is no noise: the frequency is changing, and the loop opens up for it.
-        let drifting = ((self.drift.abs() - 0.05) / 0.12).clamp(0.0, 1.0);
+        let drifting = self.drift.add(ahead, turned);
         let width = self.config.bandwidth * (1.0 + 0.5 * (-age / 2.0).exp() + 3.0 * drifting);
         let share = 1.0 - (-2.0 * width * turned).exp();
         self.phase = (self.phase + share * ahead).rem_euclid(TAU);
@@ -399,8 +320,8 @@ impl AdaptiveOscillator {
         }
         let drive = -coupling * self.error[self.anchor] * self.phase.sin() * dt;
         self.advance(dt);
-        self.phase = (self.phase + drive * dt).rem_euclid(TAU);
-        self.omega = (self.omega + drive * dt).clamp(1e-3, 1e3);
+        self.phase = (self.phase + drive).rem_euclid(TAU);
+        self.omega = (self.omega + drive).clamp(1e-3, 1e3);
         self.series.learn_pinned(learning * dt, &self.error, self.series.harmonics(), self.anchor);
         self.periods.residual(self.omega * dt, missed, self.series.power());
     }
@@ -412,76 +333,6 @@ impl AdaptiveOscillator {
             self.counted_from = Some((self.passed, self.elapsed));
         }
         self.periods.add(self.omega, self.omega * dt);
-    }
-}
-
-/// What the gains of [`OscillatorRule::Bare`] scale with.
-#[derive(Debug, Clone)]
-struct Pace {
-    /// Running frequency, Hz, smoothed over a period: what swings within one must not swing the gains.
-    hz: f64,
-    /// Largest magnitude of late.
-    peak: f64,
-}
-
-impl Pace {
-    fn add(&mut self, dt: f64, omega: f64, v: f64) {
-        let periods = self.hz * dt;
-        self.hz += (omega / TAU - self.hz) * (1.0 - (-periods).exp());
-        self.peak = v.abs().max(self.peak * (-periods / 8.0).exp());
-    }
-}
-
-/// Means over whole periods.
-#[derive(Debug, Clone)]
-struct PeriodMeans {
-    turned: f64,
-    sum: f64,
-    missed: f64,
-    weight: f64,
-    power: f64,
-    means: [f64; 3],
-    count: usize,
-    unexplained: f64,
-}
-
-impl Default for PeriodMeans {
-    fn default() -> Self {
-        Self {
-            turned: 0.0,
-            sum: 0.0,
-            missed: 0.0,
-            weight: 0.0,
-            power: 0.0,
-            means: [0.0; 3],
-            count: 0,
-            unexplained: 1.0,
-        }
-    }
-}
-
-impl PeriodMeans {
-    fn residual(&mut self, turned: f64, missed: f64, power: f64) {
-        self.missed += turned * missed;
-        self.weight += turned;
-        self.power = power;
-    }
-
-    fn add(&mut self, omega: f64, turned: f64) {
-        self.turned += turned;
-        self.sum += omega * turned;
-        if self.turned >= TAU {
-            self.means.rotate_right(1);
-            self.means[0] = self.sum / self.turned;
-            self.count += 1;
-            let share = self.missed / (self.weight * self.power);
-            self.unexplained = if share.is_finite() { share } else { 1.0 };
-            (self.turned, self.sum, self.missed, self.weight) = (0.0, 0.0, 0.0, 0.0);
-        }
-    }
-
-    fn steady(&self, tolerance: f64) -> bool {
-        self.count >= 2 && (self.means[0] / self.means[1] - 1.0).abs() <= tolerance
     }
 }
 

@@ -24,7 +24,13 @@ fn signal(kind: &str, p: f64, normal: f64) -> f64 {
 }
 
 /// Omega over time, Hz, for a signal whose frequency (Hz) is a function of time, at `seconds` of it.
-fn follow(config: &OscillatorConfig, kind: &str, amplitude: f64, seconds: f64, hz: impl Fn(f64) -> f64) -> Vec<f64> {
+fn follow(
+    config: &OscillatorConfig,
+    kind: &str,
+    amplitude: f64,
+    seconds: f64,
+    hz: impl Fn(f64) -> f64,
+) -> Vec<f64> {
     let mut oscillator = AdaptiveOscillator::new(config.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let mut phase = 0.0;

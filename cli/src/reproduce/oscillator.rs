@@ -136,7 +136,9 @@ impl Oscillator {
         within("initial", self.initial, 0.05, 0.2 / self.dt)?;
         within("noise", self.noise, 0.0, 10.0)?;
         within("chirp_end", self.chirp_end, self.chirp_begin + self.dt, 1e6)?;
-        within("step_at", self.step_at, 0.0, self.seconds)?;
+        if self.signal == Signal::Step {
+            within("step_at", self.step_at, 0.0, self.seconds)?;
+        }
         for (key, hz) in [
             ("frequency", self.frequency),
             ("step_from", self.step_from),
