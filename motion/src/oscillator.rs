@@ -30,6 +30,8 @@ pub struct AdaptiveOscillator {
     running: bool,
     phase: f64,
     omega: f64,
+    /// How fast the phase really goes, rad/s: omega and what the loop adds to the phase for long.
+    rate: f64,
     /// Phase passed since the oscillator runs, rad.
     passed: f64,
     elapsed: f64,
@@ -64,6 +66,7 @@ impl AdaptiveOscillator {
             running: !config.estimate,
             phase: 0.0,
             omega: TAU * config.initial_hz,
+            rate: TAU * config.initial_hz,
             passed: 0.0,
             elapsed: 0.0,
             drift: Drift::default(),
@@ -122,16 +125,17 @@ impl AdaptiveOscillator {
         self.phase
     }
 
-    /// The running frequency Omega, rad/s.
+    /// The running frequency Omega, rad/s: with [`OscillatorRule::Scaled`] that at which the phase really goes, which the
+    /// loop's own one only follows while the signal's frequency changes.
     #[must_use]
     pub fn omega(&self) -> f64 {
-        self.omega
+        self.rate
     }
 
     /// The running frequency, Hz: of the repeat of the whole signal.
     #[must_use]
     pub fn frequency_hz(&self) -> f64 {
-        self.omega / TAU
+        self.rate / TAU
     }
 
     /// The mean frequency, Hz, of all periods but the first one and a half after the oscillator locked, in which the
@@ -249,6 +253,7 @@ impl AdaptiveOscillator {
             self.omega = omega * (1.0 + reach * shift.clamp(-1.0, 1.0));
         }
         self.fit_past(self.omega);
+        self.rate = self.omega;
         self.anchor = self.series.strongest();
         self.phase = (-self.series.anchor(self.anchor)).rem_euclid(TAU);
         self.just_started = true;
@@ -267,7 +272,7 @@ impl AdaptiveOscillator {
         let history = self.estimator.history();
         let (grid, overhang) = (history.grid(), history.overhang());
         let count = history.len().min((2.0 * TAU / self.omega / grid) as usize);
-        let highest = self.config.harmonics.min((count / 6).max(1)).min(5);
+        let highest = self.config.harmonics.min((count / 6).max(1));
         let past = (0..count).map(|age| (-omega * (age as f64 * grid + overhang), history.at(age)));
         self.series.fit(highest, past)
     }
@@ -302,6 +307,7 @@ impl AdaptiveOscillator {
         let faster = (width * width * turned * ahead).clamp(-0.2, 0.2);
         let (low, high) = (0.7 * TAU * self.config.lowest_hz, 1.4 * TAU * self.config.highest_hz);
         self.omega = (self.omega * (1.0 + faster)).clamp(low, high);
+        self.rate = (self.omega * (1.0 + 2.0 * width * self.drift.lasting())).clamp(low, high);
         let highest = (0.8 * std::f64::consts::PI / turned.max(1e-9)).floor().max(1.0);
         let highest =
             if highest < self.config.harmonics as f64 { highest as usize } else { self.config.harmonics };
@@ -322,6 +328,7 @@ impl AdaptiveOscillator {
         self.advance(dt);
         self.phase = (self.phase + drive).rem_euclid(TAU);
         self.omega = (self.omega + drive).clamp(1e-3, 1e3);
+        self.rate = self.omega;
         self.series.learn_pinned(learning * dt, &self.error, self.series.harmonics(), self.anchor);
         self.periods.residual(self.omega * dt, missed, self.series.power());
     }

@@ -9,6 +9,8 @@ pub(super) struct Drift {
     /// Phase error, rad, and its square, smoothed over a period.
     mean: f64,
     square: f64,
+    /// What noise makes of the mean, rad, three standard deviations.
+    noise: f64,
 }
 
 impl Drift {
@@ -18,8 +20,13 @@ impl Drift {
         let share = 1.0 - (-turned / TAU).exp();
         self.mean += (ahead - self.mean) * share;
         self.square += (ahead * ahead - self.square) * share;
-        let noise = 3.0 * (0.5 * share * self.square).sqrt();
-        ((self.mean.abs() - 0.05 - noise) / 0.12).clamp(0.0, 1.0)
+        self.noise = 3.0 * (0.5 * share * self.square).sqrt();
+        ((self.lasting().abs() - 0.05) / 0.12).clamp(0.0, 1.0)
+    }
+
+    /// The phase error that lasts, rad.
+    pub(super) fn lasting(&self) -> f64 {
+        self.mean - self.mean.clamp(-self.noise, self.noise)
     }
 }
 
