@@ -1,33 +1,61 @@
 //! A few camera images of the run for the report, and what is seen in them.
 //!
 //! The gallery stands between the cameras and the skills and keeps a frame every few seconds of those that are made
-//! anyway; it never asks for one.
+//! anyway, and gives some to the recording; it never asks for one. Its pictures are marked with the same vision that the
+//! skills use, knowing what prior knowledge says of things: colour and size.
 
 use std::sync::{Arc, Mutex};
 
+use armarium_simulator::World;
+use armarium_viewer::recorder::ImageCoding;
 use armarium_viewer::report::Picture;
 use armarium_visionx::{
-    Gesture, HandObserver, Image, ImageError, ImageSource, StereoCalibration, StereoFrame, annotate,
+    BoxModel, ColorModel, HandObserver, Image, ImageError, ImageSource, ObjectLocalizer, StereoCalibration,
+    StereoFrame, annotate, components,
 };
 use async_trait::async_trait;
+use nalgebra::Vector3;
 
-use crate::recording::locked;
+use crate::recording::{SharedRecorder, locked};
 
 /// Frames are at least this far apart, ns.
 const APART_NS: u64 = 4_000_000_000;
 /// Frames that are kept; later ones replace every second one.
 const MOST: usize = 24;
+/// Topic of the left eye in the recording.
+const TOPIC: &str = "/camera/left";
+/// Patches of the tool's colour with fewer pixels than this are not taken for it.
+const LEAST_PATCH: u32 = 150;
 
 /// Keeps some of the frames that pass.
 pub(crate) struct Gallery {
     cameras: Arc<dyn ImageSource>,
     kept: Mutex<Vec<Arc<StereoFrame>>>,
+    known: Known,
+    recorder: SharedRecorder,
+}
+
+/// What the pictures are searched for.
+struct Known {
+    objects: Vec<(String, BoxModel)>,
+    tool: ColorModel,
 }
 
 impl Gallery {
     /// A gallery of what the cameras give.
-    pub(crate) fn of(cameras: Arc<dyn ImageSource>) -> Self {
-        Self { cameras, kept: Mutex::new(Vec::new()) }
+    pub(crate) fn of(cameras: Arc<dyn ImageSource>, world: &World, recorder: SharedRecorder) -> Self {
+        let model = |size, color| BoxModel { size: Vector3::from(size), color: ColorModel::from_rgb(color) };
+        let objects = world.objects.iter().map(|o| (o.name.clone(), model(o.size, o.color))).collect();
+        let known = Known { objects, tool: ColorModel::from_rgb(world.coach.tool.color) };
+        Self { cameras, kept: Mutex::new(Vec::new()), known, recorder }
+    }
+
+    fn record(&self, frame: &StereoFrame) {
+        if let Some(recorder) = locked(&self.recorder).as_mut()
+            && let Err(error) = recorder.image(TOPIC, frame.stamp_ns, &frame.left, ImageCoding::Jpeg)
+        {
+            tracing::warn!("a camera image was not recorded: {error}");
+        }
     }
 
     fn look(&self, frame: &Arc<StereoFrame>) {
@@ -46,28 +74,43 @@ impl Gallery {
         kept.push(Arc::clone(frame));
     }
 
-    /// The pictures, with the coach's hand marked where it is seen; `state_at` names what the robot did then.
+    /// The pictures, with everything marked that is seen in them; `state_at` names what the robot did then.
     pub(crate) fn pictures(&self, state_at: &dyn Fn(u64) -> String) -> Vec<Picture> {
         let calibration = self.cameras.calibration();
         let kept = locked(&self.kept);
-        kept.iter().filter_map(|frame| picture(calibration, frame, state_at)).collect()
+        kept.iter().filter_map(|frame| self.known.picture(calibration, frame, state_at)).collect()
     }
 }
 
-fn picture(
-    calibration: StereoCalibration,
-    frame: &StereoFrame,
-    state_at: &dyn Fn(u64) -> String,
-) -> Option<Picture> {
-    let mut image: Image = frame.left.clone();
-    let hand = HandObserver::new(calibration).update(frame);
-    let seen = hand.as_ref().map_or_else(String::new, |hand| {
-        annotate::hand(&mut image, hand);
-        let gesture: Gesture = hand.gesture;
-        format!(" · a hand: {gesture}")
-    });
-    let caption = format!("{:.1} s · {}{seen}", frame.stamp_ns as f64 * 1e-9, state_at(frame.stamp_ns));
-    Picture::jpeg(&image, caption).ok()
+impl Known {
+    fn picture(
+        &self,
+        calibration: StereoCalibration,
+        frame: &StereoFrame,
+        state_at: &dyn Fn(u64) -> String,
+    ) -> Option<Picture> {
+        let mut image: Image = frame.left.clone();
+        let mut seen = Vec::new();
+        for (name, model) in &self.objects {
+            let Some(found) = ObjectLocalizer::new(calibration, model.clone()).localize(frame) else {
+                continue;
+            };
+            annotate::object(&mut image, &found);
+            let at = found.root_from_object.translation.vector;
+            seen.push(format!("{name} at ({:.2}, {:.2}, {:.2}) m", at.x, at.y, at.z));
+        }
+        if let Some(patch) = components(&self.tool.segment(&frame.left), LEAST_PATCH).first() {
+            annotate::region(&mut image, &patch.bounds, [0, 255, 0]);
+            seen.push("the coach's tool".to_owned());
+        }
+        if let Some(hand) = HandObserver::new(calibration).update(frame) {
+            annotate::hand(&mut image, &hand);
+            seen.push(format!("a hand: {}", hand.gesture.to_string().replace('_', " ")));
+        }
+        let seen = if seen.is_empty() { String::new() } else { format!(" · seen: {}", seen.join(", ")) };
+        let caption = format!("{:.1} s · {}{seen}", frame.stamp_ns as f64 * 1e-9, state_at(frame.stamp_ns));
+        Picture::jpeg(&image, caption).ok()
+    }
 }
 
 #[async_trait]
@@ -83,6 +126,7 @@ impl ImageSource for Gallery {
     async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
         let frame = self.cameras.next().await?;
         self.look(&frame);
+        self.record(&frame);
         Ok(frame)
     }
 }

@@ -6,14 +6,12 @@ use std::io;
 use std::path::Path;
 
 use armarium_runtime::exec::RunResult;
-use armarium_simulator::referee::{Record, TruthLog};
-use armarium_simulator::{Mark, Referee, World};
-use armarium_viewer::report::{
-    self, Band, ChainLink, CoachingRow, Path as PlanPath, PathRole, Picture, ReportData, Series, TimePlot,
-};
+use armarium_simulator::{Referee, World};
+use armarium_viewer::report::{self, ChainLink, CoachingRow, Picture, ReportData, Series, TimePlot};
 use serde_json::{Value as Json, json};
 
 use crate::chronicle::Story;
+use crate::plots;
 
 /// What a report is written from.
 pub(crate) struct Case<'r> {
@@ -90,8 +88,9 @@ fn page(case: Case<'_>, figures: &Json) -> ReportData {
         ],
         figures: report::figures(figures),
         states: case.story.states.clone(),
-        paths: paths(&log, &marks),
-        force: force(&log, &marks),
+        paths: plots::paths(case.world, &log, &marks),
+        force: plots::force(&log, &marks),
+        wiped: case.referee.wiped().and_then(|cells| plots::wiped(case.world, &log, &marks, &cells)),
         joints: case.joints,
         coaching: coaching(figures),
         confusion: serde_json::from_value(figures["gestures"]["confusion"].clone()).unwrap_or_default(),
@@ -99,63 +98,6 @@ fn page(case: Case<'_>, figures: &Json) -> ReportData {
         log: case.story.log.clone(),
         ..ReportData::default()
     }
-}
-
-fn time_of(marks: &[(u64, Mark)], test: impl Fn(&Mark) -> bool) -> Option<u64> {
-    marks.iter().rev().find(|(_, mark)| test(mark)).map(|(t, _)| *t)
-}
-
-/// The coach's path, the one performed in free space, and the one at the end.
-fn paths(log: &TruthLog, marks: &[(u64, Mark)]) -> Vec<PlanPath> {
-    let second = 1_000_000_000;
-    let end = log.records.last().map_or(0, |r| r.stamp_ns);
-    let tcp = |r: &Record| Some([r.tcp.translation.x, r.tcp.translation.y]);
-    let tool = |r: &Record| r.tool.map(|t| [t.x, t.y]);
-    let mut paths = Vec::new();
-    let mut add = |label: &str, role, from: u64, to: u64, point: &dyn Fn(&Record) -> Option<[f64; 2]>| {
-        let points: Vec<[f64; 2]> = log.between(from, to).iter().step_by(10).filter_map(point).collect();
-        if points.len() > 1 {
-            paths.push(PlanPath { label: label.into(), role, points });
-        }
-    };
-    let learned = time_of(marks, |m| *m == Mark::LearningEnded).unwrap_or(0);
-    add("demonstrated by the coach", PathRole::Demonstrated, 0, learned.max(1), &tool);
-    if let Some(steady) = time_of(marks, |m| *m == Mark::FreeSpaceSteady) {
-        add("performed in free space", PathRole::Learned, steady, steady + 4 * second, &tcp);
-    }
-    if let Some(wiping) = time_of(marks, |m| *m == Mark::WipingStarted) {
-        let last = end.saturating_sub(6 * second).max(wiping);
-        add("wiped at the end", PathRole::Coached, last, end.saturating_sub(2 * second), &tcp);
-    }
-    paths
-}
-
-/// The true contact force from touching down on.
-fn force(log: &TruthLog, marks: &[(u64, Mark)]) -> Option<TimePlot> {
-    let from = time_of(marks, |m| *m == Mark::AdaptationStarted)?;
-    let wanted = marks.iter().rev().find_map(|(t, mark)| match mark {
-        Mark::AdaptationEnded { desired_n, .. } => Some((*t, *desired_n)),
-        _ => None,
-    });
-    let records = log.between(from, u64::MAX);
-    let seconds = |ns: u64| ns as f64 * 1e-9;
-    Some(TimePlot {
-        title: "Force between tool and table".into(),
-        y_label: "Normal force, N".into(),
-        series: vec![Series {
-            label: "true normal force".into(),
-            t_s: records.iter().map(|r| seconds(r.stamp_ns)).collect(),
-            y: records.iter().map(|r| r.normal).collect(),
-        }],
-        band: wanted.map(|(t, value)| Band {
-            value,
-            tolerance: 1.0,
-            label: "desired, within 1 N".into(),
-            from_s: Some(seconds(t)),
-            to_s: None,
-        }),
-        ..TimePlot::default()
-    })
 }
 
 fn coaching(figures: &Json) -> Vec<CoachingRow> {

@@ -3,12 +3,14 @@
 //!
 //! The referee's view of the truth goes into the recording beside what the robot sensed; nothing flows back.
 
+use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use armarium_bus::codec;
 use armarium_robot::{Model, Robot};
-use armarium_simulator::{TruthSample, TruthSink};
-use armarium_viewer::recorder::{Contact, Recorder, WrenchSample};
+use armarium_simulator::truth::FrameTruth;
+use armarium_simulator::{TruthEvent, TruthSample, TruthSink, World};
+use armarium_viewer::recorder::{Contact, Recorder, RecorderError, WrenchSample};
 use nalgebra::Isometry3;
 use serde::Serialize;
 use sha2::{Digest as _, Sha256};
@@ -73,6 +75,55 @@ impl TruthSink for TruthTopics {
             tracing::warn!("the contact was not recorded: {error}");
         }
     }
+
+    fn frame(&mut self, frame: &FrameTruth) {
+        self.json("/truth/hand", frame.stamp_ns, frame);
+    }
+
+    fn event(&mut self, stamp_ns: u64, event: &TruthEvent) {
+        self.json("/truth/events", stamp_ns, event);
+    }
+}
+
+impl TruthTopics {
+    fn json(&self, topic: &str, stamp_ns: u64, message: &impl Serialize) {
+        if let Some(Err(error)) =
+            locked(&self.0).as_mut().map(|recorder| recorder.json(topic, stamp_ns, message))
+        {
+            tracing::warn!("the truth was not recorded: {error}");
+        }
+    }
+}
+
+/// Stores with the recording what the run was made of: the chart's text, and the whole world, defaults included, as a
+/// file that `--world` reads.
+///
+/// # Errors
+/// When the recording cannot be written.
+pub(crate) fn attach_sources(
+    recorder: &mut Recorder,
+    chart: &Path,
+    world: &World,
+) -> Result<(), RecorderError> {
+    // The chart was read a moment ago; one that has gone since is run all the same.
+    if let Ok(text) = std::fs::read(chart) {
+        recorder.attach("chart.yaml", "application/yaml", &text)?;
+    }
+    let mut world = serde_json::to_value(world).unwrap_or_default();
+    omit_nulls(&mut world);
+    recorder.attach("world.json", "application/json", format!("{world:#}").as_bytes())
+}
+
+/// Takes away what is null: world files leave out what there is none of, but for a coach who never demonstrates.
+fn omit_nulls(value: &mut serde_json::Value) {
+    match value {
+        serde_json::Value::Object(map) => {
+            map.retain(|key, value| !value.is_null() || key == "demonstration");
+            map.values_mut().for_each(omit_nulls);
+        }
+        serde_json::Value::Array(items) => items.iter_mut().for_each(omit_nulls),
+        _ => {}
+    }
 }
 
 /// Writes what the robot senses into the recording, until the robot is gone.
@@ -101,4 +152,20 @@ pub(crate) fn record_robot(robot: &Arc<dyn Robot>, recorder: SharedRecorder) -> 
 /// The names of the joints in the model's order.
 pub(crate) fn joint_names(model: &Model) -> Vec<String> {
     model.joints().iter().map(|joint| joint.name.clone()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_attached_world_is_read_as_the_same_world() {
+        let mut silent = World::default();
+        silent.coach.demonstration = None;
+        for world in [World::default(), silent] {
+            let mut written = serde_json::to_value(&world).unwrap();
+            omit_nulls(&mut written);
+            assert_eq!(World::parse(Path::new("world.json"), &written.to_string()), Ok(world));
+        }
+    }
 }

@@ -20,7 +20,8 @@ use crate::catalog;
 use crate::chronicle::{Chronicle, Story};
 use crate::gallery::Gallery;
 use crate::judge::{self, Case, JointLog};
-use crate::recording::{RunDigest, SharedRecorder, TruthTopics, locked, record_robot};
+use crate::logging;
+use crate::recording::{RunDigest, SharedRecorder, TruthTopics, attach_sources, locked, record_robot};
 use crate::render_findings::{Shown, any_error, render, summary};
 use crate::stage::Stage;
 
@@ -131,7 +132,7 @@ async fn perform(args: &RunArgs, began: Instant, out: &mut dyn Write) -> Result<
     let sinks: Vec<Box<dyn TruthSink>> =
         vec![Box::new(digest.clone()), Box::new(TruthTopics(Arc::clone(&recorder)))];
     let (mut stage, simulation) = Stage::set(&world, args.seed, &args.store, sinks).map_err(begin_error)?;
-    let gallery = Arc::new(Gallery::of(Arc::clone(&stage.equipment.images)));
+    let gallery = Arc::new(Gallery::of(Arc::clone(&stage.equipment.images), &world, Arc::clone(&recorder)));
     stage.equipment.images = Arc::clone(&gallery) as Arc<dyn armarium_visionx::ImageSource>;
 
     let registry = catalog::registry(&stage.equipment);
@@ -149,7 +150,10 @@ async fn perform(args: &RunArgs, began: Instant, out: &mut dyn Write) -> Result<
         NotBegun::Message(format!("the folder `{}` cannot be made: {e}", args.report.display()))
     })?;
 
-    let progress = Progress::new(Box::new(io::stderr()), io::stderr().is_terminal());
+    let terminal = io::stderr().is_terminal();
+    let progress = Progress::new(Box::new(io::stderr()), terminal);
+    let colour = terminal && std::env::var_os("NO_COLOR").is_none();
+    logging::install(&progress, stage.handle.clone(), args.verbose, colour).map_err(begin_error)?;
     let printer = progress.clone();
     let chronicle = Chronicle {
         story: Arc::new(Mutex::new(Story::default())),
@@ -174,8 +178,9 @@ async fn perform(args: &RunArgs, began: Instant, out: &mut dyn Write) -> Result<
         ("world".to_owned(), world.name.clone()),
         ("seed".to_owned(), args.seed.to_string()),
     ]);
-    *locked(&recorder) =
-        Some(Recorder::create(&args.report.join("run.mcap"), metadata).map_err(begin_error)?);
+    let mut opened = Recorder::create(&args.report.join("run.mcap"), metadata).map_err(begin_error)?;
+    attach_sources(&mut opened, &args.chart, &world).map_err(begin_error)?;
+    *locked(&recorder) = Some(opened);
 
     let joints = Arc::new(Mutex::new(JointLog::default()));
     let mut helpers = vec![
@@ -296,10 +301,13 @@ async fn watch_gestures(
 /// Keeps the joint angles of torso and arm for the report, 20 times a second.
 async fn log_joints(robot: Arc<dyn armarium_robot::Robot>, log: Arc<Mutex<JointLog>>) {
     let chosen = armarium_robot::postures::reaching_joints(robot.model());
+    let mut sensed = robot.sensed();
+    // Before the first sample nothing is sensed.
+    let begun = sensed.changed().await;
     let mut tick = tokio::time::interval(Duration::from_millis(50));
-    loop {
+    while begun.is_ok() {
         tick.tick().await;
-        let sample = Arc::clone(&robot.sensed().borrow());
+        let sample = Arc::clone(&sensed.borrow());
         locked(&log).add(sample.stamp_ns as f64 * 1e-9, &sample.position, &chosen);
     }
 }

@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use nalgebra::{Isometry3, Vector3};
+use serde::Serialize;
 
 use crate::coach::{ActionEvent, CoachState};
 use crate::world::{Gesture, Milestone};
@@ -47,8 +48,8 @@ pub struct Contact {
     pub tangential: Vector3<f64>,
 }
 
-/// What is true of a rendered pair of images.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// What is true of a rendered pair of images. In the recording: `/truth/hand`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FrameTruth {
     /// When the shutter was open, ns.
     pub stamp_ns: u64,
@@ -60,8 +61,9 @@ pub struct FrameTruth {
     pub visible: bool,
 }
 
-/// Something that happened.
-#[derive(Clone, Debug, PartialEq)]
+/// Something that happened. In the recording: `/truth/events`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "what", content = "detail", rename_all = "snake_case")]
 pub enum TruthEvent {
     /// The robot said something.
     Said {

@@ -1,5 +1,6 @@
 //! Rules of the repository that no compiler holds: manifests, links, files that must be there.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use armarium_tests::repository;
@@ -73,4 +74,30 @@ fn the_check_runs_the_commands_of_the_readme() {
         assert!(readme.contains(command), "README.md: {command}");
         assert!(check.contains(command), ".ci/run: {command}");
     }
+}
+
+/// The names of the libraries from outside in the workspace's manifest.
+fn libraries(manifest: &str) -> BTreeSet<String> {
+    let table = manifest.split("[workspace.dependencies]").nth(1).unwrap_or_default();
+    let lines = table.lines().take_while(|line| !line.starts_with('['));
+    let names = lines.filter_map(|line| line.split_once(" = ").map(|(name, _)| name.trim().to_owned()));
+    names.filter(|name| !name.starts_with("armarium-")).collect()
+}
+
+#[test]
+fn every_library_is_used_and_its_choice_is_explained() {
+    let root = repository::root();
+    let libraries = libraries(&read(&root.join("Cargo.toml")));
+    let page = read(&root.join("docs/dependencies.md"));
+    let rows = page.lines().filter(|line| line.starts_with("| `"));
+    let first = rows.filter_map(|line| line.split('|').nth(1));
+    let explained: BTreeSet<String> =
+        first.flat_map(|cell| cell.split('`').skip(1).step_by(2)).map(str::to_owned).collect();
+    assert_eq!(libraries, explained);
+    let manifests: Vec<String> = repository::rooms().iter().map(|room| read(&room.manifest)).collect();
+    let used = |name: &&String| {
+        let starts = [format!("\n{name}."), format!("\n{name} =")];
+        manifests.iter().any(|m| starts.iter().any(|s| m.contains(s)))
+    };
+    assert_eq!(libraries.iter().filter(|name| !used(name)).collect::<Vec<_>>(), Vec::<&String>::new());
 }

@@ -122,7 +122,7 @@ fn wiped() -> WipedArea {
             }
         })
         .collect();
-    WipedArea { origin: [0.1, 0.4], cell_m, columns, cells }
+    WipedArea { origin: [0.1, 0.4], cell_m, columns, cells, path: vec![[0.2, 0.5], [0.25, 0.52]] }
 }
 
 fn picture(caption: &str) -> Picture {

@@ -3,16 +3,21 @@
 //! It keeps a bounded log ([`TruthLog`]) and computes every figure from it by a pure function ([`figures::compute`]), so
 //! that whoever has a recording can compute them again. It never tells the robot anything.
 
+mod coached;
 pub mod figures;
+mod gestures;
 mod log;
 mod paths;
+mod report;
+mod wiped;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-pub use figures::{
+pub use log::{Record, TruthLog};
+pub use report::{
     CoachingFigures, ForceFigures, GestureFigures, GraspFigures, ImitationFigures, RefereeReport,
 };
-pub use log::{Record, TruthLog};
+pub use wiped::WipedCells;
 
 use crate::truth::{FrameTruth, TruthEvent, TruthSample};
 use crate::world::World;
@@ -89,6 +94,13 @@ impl Referee {
     pub fn report(&self) -> RefereeReport {
         let notes = self.notes();
         figures::compute(&notes.world, &notes.log, &notes.marks, &notes.seen)
+    }
+
+    /// Which cells of the table were to be cleaned and which were; `None` before adaptation has ended.
+    #[must_use]
+    pub fn wiped(&self) -> Option<WipedCells> {
+        let notes = self.notes();
+        figures::wiped(&notes.world, &notes.log, &notes.marks)
     }
 
     /// A copy of everything that was logged, for plots.

@@ -1,10 +1,13 @@
-//! Judges the figures of a run's `report.json`: exit status 0 when the run succeeded and every figure is as it must be.
+//! Judges a run by the folder that it left: exit status 0 when the run succeeded, every figure of `report.json` is as it
+//! must be, and `run.mcap` gives the same figures when they are computed again from it alone.
 //!
 //! Speed is not judged: it says more about the machine than about the change.
 
 use std::io::{self, Write};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
+use armarium_tests::recorded;
 use armarium_viewer::report::{Figure, figures};
 use serde_json::Value;
 
@@ -69,14 +72,21 @@ fn show(out: &mut impl Write, figures: &[Figure]) -> io::Result<()> {
 
 fn main() -> io::Result<ExitCode> {
     let mut out = io::stdout().lock();
-    let Some(path) = std::env::args_os().nth(1) else {
-        writeln!(out, "usage: figures REPORT.JSON")?;
+    let Some(folder) = std::env::args_os().nth(1).map(PathBuf::from) else {
+        writeln!(out, "usage: figures FOLDER")?;
         return Ok(ExitCode::from(2));
     };
-    let report: Value = serde_json::from_str(&std::fs::read_to_string(path)?)?;
+    let report: Value = serde_json::from_str(&std::fs::read_to_string(folder.join("report.json"))?)?;
     let figures = figures(&report);
     show(&mut out, &figures)?;
-    let complaints = complaints(&report, &figures);
+    let mut complaints = complaints(&report, &figures);
+    match recorded::read(&folder.join("run.mcap")) {
+        Ok(run) => {
+            complaints.extend(recorded::disagreements(&report, &run.figures()));
+            writeln!(out, "computed again from {} recorded steps", run.log.records.len())?;
+        }
+        Err(why) => complaints.push(format!("the recording cannot be read: {why}")),
+    }
     for complaint in &complaints {
         writeln!(out, "wrong: {complaint}")?;
     }

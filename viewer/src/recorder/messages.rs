@@ -49,6 +49,12 @@ pub(super) const WRENCH_SCHEMA: &str = r#"{"title":"armarium.WrenchSample","desc
 
 pub(super) const EVENT_SCHEMA: &str = r#"{"title":"armarium.ChartEvent","description":"Something that happened in the chart.","type":"object"}"#;
 
+pub(super) const TRUTH_EVENT_SCHEMA: &str = r#"{"title":"armarium.TruthEvent","description":"Something that truly happened: what the robot said, what the coach began or ended, what was reached, what is held.","type":"object","properties":{"what":{"type":"string","enum":["said","coach","reached","held"]},"detail":{"description":"Of the coach: step of the world's coaching from 0, kind, event, t in s."}},"required":["what","detail"]}"#;
+
+pub(super) const SHOWN_HAND_SCHEMA: &str = r#"{"title":"armarium.ShownHand","description":"What the coach's hand truly showed in one camera frame.","type":"object","properties":{"stamp_ns":{"type":"integer","description":"When the frame was taken, ns."},"gesture":{"type":["string","null"],"enum":["fist","point_one","point_two","open_hand",null],"description":"The gesture; null without a hand."},"since_s":{"type":"number","description":"For how long it has been so, s."},"visible":{"type":"boolean","description":"Whether the whole hand is in both images and nothing hides it."}},"required":["stamp_ns","gesture","since_s","visible"]}"#;
+
+pub(super) const SEEN_HAND_SCHEMA: &str = r#"{"title":"armarium.SeenHand","description":"What vision took the coach's hand for in one camera frame; log time is the frame's.","type":"object","properties":{"gesture":{"type":"string","description":"fist, point_one, point_two, open_hand or none."}}}"#;
+
 pub(super) const OBJECT_SCHEMA: &str = r#"{"title":"armarium.Object","type":"object"}"#;
 
 pub(super) fn stamp(t_ns: u64) -> Option<fg::Timestamp> {

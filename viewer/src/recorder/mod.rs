@@ -1,13 +1,15 @@
 //! `run.mcap`: a recording of a run that opens in Foxglove and Rerun and that any MCAP library reads.
 //!
 //! Poses, joints, images and log lines use Foxglove's protobuf schemas; contact, wrench and chart events are JSON
-//! with a schema in the file. Messages are gathered in compressed chunks that are written whole, at the latest
+//! with a schema in the file. Poses, joints and forces lie on grids finer than what any figure or sensor tells (see
+//! `grid`): the digits below are noise that no compression shrinks. Messages are gathered in compressed chunks that are written whole, at the latest
 //! every [`RecorderOptions::flush_period_ns`]: after a crash the file lacks its index, and readers that go through
 //! it from the front find all but the last moments.
 //!
 //! The recorder keeps one chunk in memory and its index, whatever the run's length. It never reads a clock: the
 //! caller gives each message's time.
 
+mod grid;
 mod messages;
 
 use std::collections::BTreeMap;
@@ -47,8 +49,8 @@ impl Default for RecorderOptions {
             flush_period_ns: 2_000_000_000,
             chunk_bytes: 1 << 20,
             transform_period_ns: 20_000_000,
-            image_period_ns: 500_000_000,
-            jpeg_quality: 80,
+            image_period_ns: 2_000_000_000,
+            jpeg_quality: 70,
         }
     }
 }
@@ -139,10 +141,13 @@ impl std::fmt::Debug for Recorder {
 }
 
 /// Topics whose JSON messages have a schema of their own, in the order name, schema's name, schema.
-const JSON_SCHEMAS: [(&str, &str, &str); 3] = [
+const JSON_SCHEMAS: [(&str, &str, &str); 6] = [
     ("/truth/contact", "armarium.Contact", messages::CONTACT_SCHEMA),
     ("/robot/wrench", "armarium.WrenchSample", messages::WRENCH_SCHEMA),
     ("/chart/events", "armarium.ChartEvent", messages::EVENT_SCHEMA),
+    ("/truth/events", "armarium.TruthEvent", messages::TRUTH_EVENT_SCHEMA),
+    ("/truth/hand", "armarium.ShownHand", messages::SHOWN_HAND_SCHEMA),
+    ("/vision/hand", "armarium.SeenHand", messages::SEEN_HAND_SCHEMA),
 ];
 
 impl Recorder {
@@ -169,7 +174,9 @@ impl Recorder {
         let context = Context::new();
         // Without seeking, a chunk is written whole: a crash never leaves one whose length is not known.
         let write = McapWriteOptions::new()
-            .compression(Some(McapCompression::Lz4))
+            .compression(Some(McapCompression::Zstd))
+            .compression_level(1)
+            .compression_threads(0)
             .chunk_size(Some(options.chunk_bytes))
             .disable_seeking(true);
         let writer =
@@ -194,7 +201,7 @@ impl Recorder {
     /// Records where something is: `root_from_thing`, m. The thing is named by the topic's last part.
     pub fn pose(&mut self, topic: &str, t_ns: u64, root_from_thing: &Isometry3<f64>) {
         self.tick(t_ns);
-        let pose = messages::pose(root_from_thing);
+        let pose = messages::pose(&grid::pose(root_from_thing));
         let message = fg::PoseInFrame {
             timestamp: messages::stamp(t_ns),
             frame_id: messages::ROOT.into(),
@@ -225,7 +232,7 @@ impl Recorder {
     /// # Errors
     /// [`RecorderError::Encode`] when the message cannot be encoded.
     pub fn contact(&mut self, t_ns: u64, contact: &Contact) -> Result<(), RecorderError> {
-        self.json("/truth/contact", t_ns, contact)
+        self.json("/truth/contact", t_ns, &grid::contact(contact))
     }
 
     /// Records positions (rad or m) and velocities (rad/s or m/s) of all joints on `/robot/joints`. The slices
@@ -240,8 +247,8 @@ impl Recorder {
                 .collect();
         }
         for (i, joint) in joints.iter_mut().enumerate() {
-            joint.position = position.get(i).copied();
-            joint.velocity = velocity.get(i).copied();
+            joint.position = position.get(i).copied().map(grid::joint_position);
+            joint.velocity = velocity.get(i).copied().map(grid::joint_velocity);
         }
         self.joint_states.timestamp = messages::stamp(t_ns);
         self.joints.log_with_time(&self.joint_states, t_ns);
@@ -252,7 +259,7 @@ impl Recorder {
     /// # Errors
     /// [`RecorderError::Encode`] when the message cannot be encoded.
     pub fn wrench(&mut self, t_ns: u64, sample: &WrenchSample) -> Result<(), RecorderError> {
-        self.json("/robot/wrench", t_ns, sample)
+        self.json("/robot/wrench", t_ns, &grid::wrench(sample))
     }
 
     /// Records something that happened in the chart on `/chart/events`: an object.

@@ -45,12 +45,15 @@ impl Axes {
 
     /// Grid, ticks with their numbers, the frame, and the label of x below it.
     pub(super) fn draw(&self, svg: &mut Svg, x_label: &str) {
-        for (tick, text) in ticks(self.x, (self.width / 90.0).clamp(3.0, 12.0) as usize) {
+        for (tick, text) in ticks(self.x, (self.width / 80.0).clamp(3.0, 12.0) as usize) {
             let [px, _] = self.point(tick, self.y[0]);
             svg.line([px, self.top], [px, self.bottom()], "grid");
             svg.text([px, self.bottom() + 17.0], Anchor::Middle, "tick", &text);
         }
-        for (tick, text) in ticks(self.y, (self.height / 42.0).clamp(2.0, 10.0) as usize) {
+        for (tick, text) in ticks(
+            self.y,
+            (self.height / if self.height < 180.0 { 26.0 } else { 42.0 }).clamp(3.0, 10.0) as usize,
+        ) {
             let [_, py] = self.point(self.x[0], tick);
             svg.line([self.left, py], [self.right(), py], "grid");
             svg.text([self.left - 7.0, py + 4.0], Anchor::End, "tick", &text);

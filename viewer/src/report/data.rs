@@ -167,6 +167,9 @@ pub struct WipedArea {
     pub columns: usize,
     /// Rows along y, from the least y; each has `columns` cells.
     pub cells: Vec<Cell>,
+    /// The path that cleaned them, root frame, m; may be empty.
+    #[serde(default)]
+    pub path: Vec<[f64; 2]>,
 }
 
 /// One line of the coaching table.

@@ -1,6 +1,6 @@
 //! The page: sections in order, each left out when it has nothing to show.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 
 use super::data::{CoachingRow, ReportData, TimePlot};
@@ -167,11 +167,7 @@ fn paths(data: &ReportData) -> String {
     if data.paths.iter().all(|path| path.points.is_empty()) {
         return String::new();
     }
-    section(
-        "Paths",
-        "The table seen from above; a dot marks where each period begins.",
-        &plan::paths(&data.paths),
-    )
+    section("Paths", "The table seen from above; a dot marks where each begins.", &plan::paths(&data.paths))
 }
 
 fn signals(data: &ReportData) -> String {
@@ -182,7 +178,11 @@ fn signals(data: &ReportData) -> String {
 
 fn wiped(data: &ReportData) -> String {
     let Some(plan) = data.wiped.as_ref().and_then(plan::wiped) else { return String::new() };
-    section("Wiped area", "Cells of the table that the sponge cleaned by pressing on them.", &plan)
+    section(
+        "Wiped area",
+        "What the sponge cleaned by pressing on it, seen from above, and the path of the hand until the coach acted.",
+        &plan,
+    )
 }
 
 fn coaching(rows: &[CoachingRow]) -> String {
@@ -221,18 +221,23 @@ fn gestures(data: &ReportData) -> String {
     if data.confusion.is_empty() {
         return String::new();
     }
-    let names: BTreeSet<&String> =
-        data.confusion.keys().chain(data.confusion.values().flat_map(|r| r.keys())).collect();
+    // No hand at all comes last.
+    let order = |name: &'_ String| (name == "none", name.clone());
+    let names: BTreeSet<(bool, String)> =
+        data.confusion.keys().chain(data.confusion.values().flat_map(|r| r.keys())).map(order).collect();
+    let names: Vec<String> = names.into_iter().map(|(_, name)| name).collect();
+    let nothing = BTreeMap::new();
     let mut body = String::from("<table class=\"matrix\"><thead><tr><th>shown \\ seen</th>");
     for name in &names {
         let _ = write!(body, "<th>{}</th>", escape(&name.replace('_', " ")));
     }
     body.push_str("</tr></thead><tbody>");
-    for (shown, row) in &data.confusion {
+    for shown in names.iter().filter(|name| data.confusion.contains_key(*name)) {
+        let row = data.confusion.get(shown).unwrap_or(&nothing);
         let _ = write!(body, "<tr><th>{}</th>", escape(&shown.replace('_', " ")));
         for seen in &names {
-            let count = row.get(*seen).copied().unwrap_or(0);
-            let class = match (count, shown == *seen) {
+            let count = row.get(seen).copied().unwrap_or(0);
+            let class = match (count, shown == seen) {
                 (0, _) => "",
                 (_, true) => "on",
                 (_, false) => "off",

@@ -100,11 +100,14 @@ pub(super) fn wiped(area: &WipedArea) -> Option<String> {
     let at = |axis: usize, cell: usize| area.origin[axis] + cell as f64 * area.cell_m;
     let (x, y) = (columns.map(|c| at(0, c)), rows.map(|r| at(1, r)));
     let percent = area.fraction().map_or(String::new(), |f| format!(" ({:.1} %)", f * 100.0));
-    let entries = [
+    let mut entries = vec![
         (format!("cleaned{percent}"), "cleaned".to_owned(), Key::Area),
         ("missed".to_owned(), "missed".to_owned(), Key::Area),
-        ("cleaned beside the coach's way".to_owned(), "beside".to_owned(), Key::Area),
+        ("cleaned beside that or later".to_owned(), "beside".to_owned(), Key::Area),
     ];
+    if !area.path.is_empty() {
+        entries.push(("path of the hand".to_owned(), "line over".to_owned(), Key::Line));
+    }
     let axes = frame(range_of(x, 0.1), range_of(y, 0.1), &entries);
     let mut svg = Svg::new(WIDTH, axes.bottom() + 42.0, "Wiped area");
     legend(&mut svg, [axes.left, 2.0], axes.width, &entries);
@@ -113,6 +116,10 @@ pub(super) fn wiped(area: &WipedArea) -> Option<String> {
     let [right, bottom] = axes.point(x[1], y[0]);
     let png = cells_as_png(area, columns, rows)?;
     svg.image([left, top], [right - left, bottom - top], &data_uri("image/png", &png));
+    let path = area.path.iter().filter(|p| p[0].is_finite() && p[1].is_finite());
+    svg.clipped([axes.left, axes.top], [axes.width, axes.height], |svg| {
+        svg.polyline(thinned(path.map(|p| axes.point(p[0], p[1]))), "line over");
+    });
     Some(svg.finish("plan"))
 }
 
@@ -148,8 +155,13 @@ mod tests {
     #[test]
     fn an_area_without_a_touched_cell_or_a_size_is_not_drawn() {
         assert!(wiped(&WipedArea::default()).is_none());
-        let untouched =
-            WipedArea { origin: [0.0; 2], cell_m: 0.01, columns: 2, cells: vec![Cell::Untouched; 5] };
+        let untouched = WipedArea {
+            origin: [0.0; 2],
+            cell_m: 0.01,
+            columns: 2,
+            cells: vec![Cell::Untouched; 5],
+            path: vec![[0.0, 0.0], [f64::NAN, 0.0]],
+        };
         assert!(wiped(&untouched).is_none());
         let touched = WipedArea { cells: vec![Cell::Cleaned; 5], ..untouched };
         assert!(wiped(&touched).is_some());

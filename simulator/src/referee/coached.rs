@@ -1,0 +1,171 @@
+//! What each of the coach's actions changed: executed paths before and after it, in phase with each other.
+
+use nalgebra::Vector3;
+
+use super::Mark;
+use super::figures::{Run, gesture_label, ns};
+use super::log::Record;
+use super::paths::{POINTS, Period, aligned, index_of_phase, mean_period, positions, repeat_period};
+use super::report::CoachingFigures;
+use crate::coach::{ActionKind, EventKind, PhaseTracker};
+use crate::world::{CoachingAction, Gesture};
+
+/// How long the motion takes to its own speed after its start and after the coach has gone, s.
+const RECOVERY_S: f64 = 1.0;
+
+impl Run<'_> {
+    /// One entry for each action that began.
+    pub(super) fn coaching(&self) -> Vec<CoachingFigures> {
+        let began = self.log.coach.iter().filter(|e| e.event == EventKind::Began);
+        began.filter_map(|e| self.action(e.step, e.kind, ns(e.t))).collect()
+    }
+
+    fn action(&self, step: usize, kind: ActionKind, began: u64) -> Option<CoachingFigures> {
+        let event = |wanted: &dyn Fn(&EventKind) -> bool| {
+            self.log.coach.iter().find(|e| e.step == step && wanted(&e.event)).map(|e| (ns(e.t), e.event))
+        };
+        let arrived = event(&|e| matches!(e, EventKind::Arrived { .. }));
+        let leaves = event(&|e| *e == EventKind::Leaves).map(|(t, _)| t);
+        let ended = event(&|e| *e == EventKind::Ended).map(|(t, _)| t);
+        let (phase, given) = match &self.world.coach.coaching.get(step)?.action {
+            CoachingAction::Push { push } => (push.phase, Some(Vector3::from(push.force))),
+            CoachingAction::Show(show) => (show.phase, show.direction.map(Vector3::from)),
+        };
+        let before = self.before(began);
+        let index = before.as_ref().map(|(b, _)| index_of_phase(b, &self.path, phase));
+        let palm = arrived.and_then(|(_, e)| match e {
+            EventKind::Arrived { palm } => Some(Vector3::from(palm)),
+            _ => None,
+        });
+        let on_path = before.as_ref().zip(index).map(|((b, _), i)| b[i]);
+        let direction = match kind {
+            ActionKind::Push | ActionKind::Gesture(Gesture::PointOne) => given,
+            ActionKind::Gesture(Gesture::Fist) => palm.zip(on_path).map(|(hand, path)| hand - path),
+            ActionKind::Gesture(Gesture::PointTwo) => palm.zip(on_path).map(|(hand, path)| path - hand),
+            ActionKind::Gesture(Gesture::OpenHand) => None,
+        }
+        .and_then(|d| d.try_normalize(1e-9));
+
+        let mut figures = CoachingFigures {
+            step,
+            kind: name(kind),
+            at_s: began as f64 * 1e-9,
+            phase,
+            direction: direction.map(Into::into),
+            displacement_m: None,
+            direction_error_deg: None,
+            retained_m: None,
+            far_side_rms_m: None,
+            slowed_to: None,
+        };
+        let Some((before, period_s)) = before else { return Some(figures) };
+        figures.slowed_to = arrived
+            .map(|(t, _)| t)
+            .and_then(|from| self.slowest(from, leaves.unwrap_or(self.end_ns()), period_s));
+        let (Some(ended), Some(direction), Some(index)) = (ended, direction, index) else {
+            return Some(figures);
+        };
+        let next = self.next_action(ended);
+        if let Some(after) = self.after(ended + ns(RECOVERY_S), next, period_s, &before) {
+            let shift = shift_at(&before, &after, index);
+            figures.displacement_m = Some(shift.dot(&direction));
+            figures.direction_error_deg = angle_deg(&shift, &direction);
+            if kind != ActionKind::Gesture(Gesture::PointOne) {
+                figures.far_side_rms_m = Some(far_side(&before, &after, index));
+            }
+        }
+        let later = ended + ns(2.0 * period_s);
+        figures.retained_m =
+            self.after(later, next, period_s, &before).map(|p| shift_at(&before, &p, index).dot(&direction));
+        Some(figures)
+    }
+
+    /// The mean of the last two periods before `began` (of one, when there is no time for two), and their length, s.
+    /// Looked for since the motion has its own speed again: after its start and after the coach was there last.
+    fn before(&self, began: u64) -> Option<(Period, f64)> {
+        let started = self.marked(|m| *m == Mark::WipingStarted).map_or(0, |(at, _)| at);
+        let ends = self.log.coach.iter().filter(|e| e.event == EventKind::Ended).map(|e| ns(e.t));
+        let disturbed = ends.filter(|t| *t < began).max().unwrap_or(0).max(started);
+        let from = (disturbed + ns(RECOVERY_S)).max(began.saturating_sub(ns(12.0)));
+        let path = positions(self.log.between(from.min(began), began));
+        // Too short to show its period: then the period is the coach's, and the last one counts although disturbed.
+        let period_s = repeat_period(&path).unwrap_or(1.0 / self.path.frequency());
+        let whole = began.saturating_sub(ns(1.02 * period_s)).max(started);
+        let path = if path.len() as f64 > 1.02e3 * period_s {
+            path
+        } else {
+            positions(self.log.between(whole, began))
+        };
+        let of = |count: usize| {
+            let samples = (count as f64 * period_s * 1e3).ceil() as usize + 2;
+            mean_period(path.get(path.len().checked_sub(samples)?..)?, period_s, count)
+        };
+        Some((of(2).or_else(|| of(1))?, period_s))
+    }
+
+    /// When the coach acts next after `ended`, or the end of the run.
+    fn next_action(&self, ended: u64) -> u64 {
+        let begins = self.log.coach.iter().filter(|e| e.event == EventKind::Began).map(|e| ns(e.t));
+        begins.filter(|t| *t >= ended).min().unwrap_or(self.end_ns())
+    }
+
+    /// The period from `from` on (earlier when it would reach past `until`), in phase with `before`. Its own length
+    /// is measured over what follows.
+    fn after(&self, from: u64, until: u64, period_s: f64, before: &Period) -> Option<Period> {
+        let from = from.min(until.saturating_sub(ns(1.02 * period_s)));
+        let path = positions(self.log.between(from, (from + ns(2.5 * period_s)).min(until)));
+        let own = repeat_period(&path).filter(|own| (own / period_s - 1.0).abs() < 0.2).unwrap_or(period_s);
+        mean_period(&path, own, 1).map(|period| aligned(before, &period))
+    }
+
+    /// The least ratio of the learned time for an eighth of the path to the time it took, between two times.
+    fn slowest(&self, from: u64, to: u64, period_s: f64) -> Option<f64> {
+        let mut tracker = PhaseTracker::new(self.path.clone());
+        let stride = 5;
+        let records = self.log.between(from.saturating_sub(ns(2.0 * period_s)), to);
+        let mut track: Vec<(u64, f64)> = Vec::new();
+        for pair in records.windows(stride + 1).step_by(stride) {
+            let (a, b): (&Record, &Record) = (&pair[0], &pair[stride]);
+            let dt = (b.stamp_ns - a.stamp_ns) as f64 * 1e-9;
+            let p = b.tcp.translation.vector;
+            let v = (p - a.tcp.translation.vector) / dt;
+            track.push((b.stamp_ns, tracker.update([p.x, p.y], [v.x, v.y], dt)));
+        }
+        let eighth = std::f64::consts::TAU / 8.0;
+        let inside = track.partition_point(|(t, _)| *t < from);
+        let slowest = (inside..track.len())
+            .filter_map(|i| {
+                let (start, theta) = track[i];
+                let end = track[i..].iter().find(|(_, t)| *t >= theta + eighth).map(|(t, _)| *t)?;
+                Some((end - start) as f64 * 1e-9)
+            })
+            .fold(0.0, f64::max);
+        (slowest > 0.0).then(|| period_s / 8.0 / slowest)
+    }
+}
+
+fn name(kind: ActionKind) -> &'static str {
+    match kind {
+        ActionKind::Push => "push",
+        ActionKind::Gesture(gesture) => gesture_label(gesture),
+    }
+}
+
+/// The shift at a phase: the mean over a thirty-second of the period about it.
+fn shift_at(before: &Period, after: &Period, index: usize) -> Vector3<f64> {
+    let reach = POINTS / 64;
+    let around = (0..=2 * reach).map(|k| (index + POINTS + k - reach) % POINTS);
+    around.map(|i| after[i] - before[i]).sum::<Vector3<f64>>() / (2 * reach + 1) as f64
+}
+
+fn far_side(before: &Period, after: &Period, index: usize) -> f64 {
+    let far = (POINTS / 4 + 1..POINTS - POINTS / 4).map(|k| (index + k) % POINTS);
+    let (sum, count) = far.fold((0.0, 0), |(s, n), i| (s + (after[i] - before[i]).norm_squared(), n + 1));
+    (sum / f64::from(count)).sqrt()
+}
+
+fn angle_deg(shift: &Vector3<f64>, direction: &Vector3<f64>) -> Option<f64> {
+    let flat = |v: &Vector3<f64>| Vector3::new(v.x, v.y, 0.0);
+    let (a, b) = (flat(shift).try_normalize(1e-6)?, flat(direction).try_normalize(1e-6)?);
+    Some(a.dot(&b).clamp(-1.0, 1.0).acos().to_degrees())
+}

@@ -1,0 +1,56 @@
+//! What the sponge cleaned: cells of the table under its pressing underside.
+
+use std::f64::consts::TAU;
+
+use super::Mark;
+use super::figures::Run;
+use crate::bed::Bed;
+use crate::simulation::WIPE_EVERY;
+use crate::table::{DirtGrid, TableTop};
+
+/// Cells of the table, all in one grid.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WipedCells {
+    /// What the sponge's footprint sweeps with the TCP on the coach's path.
+    pub swept: DirtGrid,
+    /// What was cleaned before the coach first acted.
+    pub cleaned: DirtGrid,
+    /// What was cleaned in the whole run.
+    pub cleaned_in_the_end: DirtGrid,
+}
+
+impl Run<'_> {
+    /// The footprint is that of the sponge as the hand holds it (its place and yaw in the hand at the end of
+    /// adaptation), with the TCP on the coach's path. Cells count as cleaned by the elastic pressure of the sponge's true
+    /// poses, every 5 ms.
+    pub(super) fn wiped(&self) -> Option<WipedCells> {
+        let (ended, _) = self.marked(|m| matches!(m, Mark::AdaptationEnded { .. }))?;
+        let spec = self.world.sponge()?;
+        let record = self.log.at(ended)?;
+        let tcp_from_sponge = record.tcp.inverse() * record.sponge?;
+        let (table, bed) = (TableTop::new(&self.world.table), Bed::new(spec));
+        let mut swept = DirtGrid::new(&table);
+        for i in 0..360 {
+            let [x, y] = self.path.point(TAU * f64::from(i) / 360.0);
+            let mut tcp = record.tcp;
+            (tcp.translation.x, tcp.translation.y) = (x, y);
+            bed.cover(&table, &(tcp * tcp_from_sponge), &mut swept);
+        }
+        let wipe = |from: u64, to: u64, cells: &mut DirtGrid| {
+            let step = WIPE_EVERY * 1_000_000;
+            for r in self.log.between(from, to) {
+                if r.stamp_ns.is_multiple_of(step)
+                    && r.normal > 0.0
+                    && let Some(pose) = &r.sponge
+                {
+                    bed.wipe(&table, pose, cells);
+                }
+            }
+        };
+        let mut cleaned = DirtGrid::new(&table);
+        wipe(0, self.coaching_ns(), &mut cleaned);
+        let mut cleaned_in_the_end = cleaned.clone();
+        wipe(self.coaching_ns(), u64::MAX, &mut cleaned_in_the_end);
+        Some(WipedCells { swept, cleaned, cleaned_in_the_end })
+    }
+}

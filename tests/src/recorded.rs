@@ -1,0 +1,322 @@
+//! A run as `run.mcap` tells it, read by code of its own: what an outsider with any MCAP library can do.
+//!
+//! [`read`] gives the truth, the marks and what vision saw; the referee's pure functions compute the figures again from
+//! them, and [`disagreements`] holds those against a report. Nothing here reads `report.json` to find out anything.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use armarium_simulator::coach::{ActionEvent, ActionKind, EventKind};
+use armarium_simulator::referee::{Record, RefereeReport, TruthLog, figures};
+use armarium_simulator::truth::FrameTruth;
+use armarium_simulator::world::Gesture;
+use armarium_simulator::{Mark, World};
+use nalgebra::{Isometry3, Quaternion, Translation3, Unit};
+use serde_json::Value;
+
+/// What a recording tells.
+#[derive(Debug)]
+pub struct Recorded {
+    /// The world, from its attachment.
+    pub world: World,
+    /// The truth at every step.
+    pub log: TruthLog,
+    /// When the parts of the scenario began and ended, from the chart's events.
+    pub marks: Vec<(u64, Mark)>,
+    /// What vision took the hand for, by the frame's time, ns.
+    pub seen: Vec<(u64, Option<String>)>,
+}
+
+impl Recorded {
+    /// The figures, computed again.
+    #[must_use]
+    pub fn figures(&self) -> RefereeReport {
+        figures::compute(&self.world, &self.log, &self.marks, &self.seen)
+    }
+}
+
+/// Reads a recording.
+///
+/// # Errors
+/// What is wrong with the file, as a sentence.
+pub fn read(path: &Path) -> Result<Recorded, String> {
+    let data = std::fs::read(path).map_err(|e| format!("{}: {e}", path.display()))?;
+    let mut steps: BTreeMap<u64, Step> = BTreeMap::new();
+    let mut recorded =
+        Recorded { world: world(&data)?, log: TruthLog::default(), marks: Vec::new(), seen: Vec::new() };
+    let mut running = BTreeMap::new();
+    for message in mcap::MessageStream::new(&data).map_err(|e| e.to_string())? {
+        let message = message.map_err(|e| e.to_string())?;
+        let t = message.log_time;
+        let json = || serde_json::from_slice::<Value>(&message.data).map_err(|e| e.to_string());
+        match message.channel.topic.as_str() {
+            "/truth/tcp" => steps.entry(t).or_default().tcp = pose(&message.data),
+            "/truth/sponge" => steps.entry(t).or_default().sponge = pose(&message.data),
+            "/truth/contact" => {
+                let contact = json()?;
+                let step = steps.entry(t).or_default();
+                step.normal = contact["normal_n"].as_f64();
+                step.tangential = contact["tangential_n"].as_f64();
+            }
+            "/truth/hand" => recorded.log.frames.extend(frame(&json()?)),
+            "/truth/events" => recorded.log.coach.extend(action(&json()?)),
+            "/chart/events" => mark(&json()?["item"], t, &mut running, &mut recorded.marks),
+            "/vision/hand" => {
+                let seen = json()?["gesture"].as_str().filter(|g| *g != "none").map(str::to_owned);
+                recorded.seen.push((t, seen));
+            }
+            _ => {}
+        }
+    }
+    recorded.log.records = steps.into_iter().filter_map(|(t, step)| step.record(t)).collect();
+    Ok(recorded)
+}
+
+fn world(data: &[u8]) -> Result<World, String> {
+    let summary = mcap::Summary::read(data).map_err(|e| e.to_string())?.ok_or("there is no summary")?;
+    let index = summary.attachment_indexes.iter().find(|a| a.name == "world.json");
+    let attached = mcap::read::attachment(data, index.ok_or("no world is attached")?);
+    let attached = attached.map_err(|e| e.to_string())?;
+    let text = std::str::from_utf8(&attached.data).map_err(|e| e.to_string())?;
+    World::parse(Path::new("world.json"), text).map_err(|errors| format!("{errors:?}"))
+}
+
+#[derive(Default)]
+struct Step {
+    tcp: Option<Isometry3<f64>>,
+    sponge: Option<Isometry3<f64>>,
+    normal: Option<f64>,
+    tangential: Option<f64>,
+}
+
+impl Step {
+    fn record(self, stamp_ns: u64) -> Option<Record> {
+        let (normal, tangential) = (self.normal?, self.tangential?);
+        Some(Record { stamp_ns, tcp: self.tcp?, sponge: self.sponge, normal, tangential, tool: None })
+    }
+}
+
+/// A field of a protobuf message: its number and its content.
+enum Content<'a> {
+    Double(f64),
+    Bytes(&'a [u8]),
+    Other,
+}
+
+/// The fields of a protobuf message, as far as it is whole.
+fn fields(mut data: &[u8]) -> Vec<(u64, Content<'_>)> {
+    let mut found = Vec::new();
+    while let Some((key, rest)) = varint(data) {
+        let (content, rest) = match key & 7 {
+            0 => match varint(rest) {
+                Some((_, rest)) => (Content::Other, rest),
+                None => break,
+            },
+            1 => match rest.split_first_chunk::<8>() {
+                Some((bytes, rest)) => (Content::Double(f64::from_le_bytes(*bytes)), rest),
+                None => break,
+            },
+            2 => match varint(rest) {
+                Some((length, rest)) if length <= rest.len() as u64 => {
+                    let (bytes, rest) = rest.split_at(length as usize);
+                    (Content::Bytes(bytes), rest)
+                }
+                _ => break,
+            },
+            5 if rest.len() >= 4 => (Content::Other, &rest[4..]),
+            _ => break,
+        };
+        found.push((key >> 3, content));
+        data = rest;
+    }
+    found
+}
+
+fn varint(data: &[u8]) -> Option<(u64, &[u8])> {
+    let mut value = 0;
+    for (i, byte) in data.iter().enumerate().take(10) {
+        value |= u64::from(byte & 127) << (7 * i);
+        if byte & 128 == 0 {
+            return Some((value, &data[i + 1..]));
+        }
+    }
+    None
+}
+
+fn inner(data: &[u8], number: u64) -> Option<&[u8]> {
+    fields(data).into_iter().find_map(|(n, content)| match content {
+        Content::Bytes(bytes) if n == number => Some(bytes),
+        _ => None,
+    })
+}
+
+/// Fields 1 to `N` as numbers; a field that is not there is 0.
+fn numbers<const N: usize>(data: &[u8]) -> [f64; N] {
+    let mut numbers = [0.0; N];
+    for (n, content) in fields(data) {
+        if let (Content::Double(value), Some(i)) = (content, n.checked_sub(1))
+            && let Some(number) = numbers.get_mut(i as usize)
+        {
+            *number = value;
+        }
+    }
+    numbers
+}
+
+/// The pose of a `foxglove.PoseInFrame`.
+fn pose(data: &[u8]) -> Option<Isometry3<f64>> {
+    let pose = inner(data, 3)?;
+    let [x, y, z] = numbers(inner(pose, 1)?);
+    let [qx, qy, qz, qw] = numbers(inner(pose, 2)?);
+    let rotation = Unit::try_new(Quaternion::new(qw, qx, qy, qz), 1e-6)?;
+    Some(Isometry3::from_parts(Translation3::new(x, y, z), rotation))
+}
+
+fn gesture(name: &str) -> Option<Gesture> {
+    match name {
+        "fist" => Some(Gesture::Fist),
+        "point_one" => Some(Gesture::PointOne),
+        "point_two" => Some(Gesture::PointTwo),
+        "open_hand" => Some(Gesture::OpenHand),
+        _ => None,
+    }
+}
+
+fn frame(json: &Value) -> Option<FrameTruth> {
+    Some(FrameTruth {
+        stamp_ns: json["stamp_ns"].as_u64()?,
+        gesture: json["gesture"].as_str().and_then(gesture),
+        since_s: json["since_s"].as_f64()?,
+        visible: json["visible"].as_bool()?,
+    })
+}
+
+fn action(json: &Value) -> Option<ActionEvent> {
+    let detail = json.get("detail").filter(|_| json["what"] == "coach")?;
+    let kind = match detail["kind"]["gesture"].as_str() {
+        Some(name) => ActionKind::Gesture(gesture(name)?),
+        None => ActionKind::Push,
+    };
+    let event = match detail["event"].as_str() {
+        Some("began") => EventKind::Began,
+        Some("leaves") => EventKind::Leaves,
+        Some("ended") => EventKind::Ended,
+        _ => {
+            let palm = &detail["event"]["arrived"]["palm"];
+            EventKind::Arrived { palm: [palm[0].as_f64()?, palm[1].as_f64()?, palm[2].as_f64()?] }
+        }
+    };
+    Some(ActionEvent {
+        step: usize::try_from(detail["step"].as_u64()?).ok()?,
+        kind,
+        event,
+        t: detail["t"].as_f64()?,
+    })
+}
+
+/// What an event of the chart says about the scenario. `running` holds each started skill's name and inputs.
+fn mark(item: &Value, t: u64, running: &mut BTreeMap<u64, (String, Value)>, marks: &mut Vec<(u64, Mark)>) {
+    let activation = item["activation"].as_u64().unwrap_or(u64::MAX);
+    let skill = item["skill"].as_str().unwrap_or_default();
+    let found = match item["what"].as_str() {
+        Some("skill_started") => {
+            running.insert(activation, (skill.to_owned(), item["inputs"].clone()));
+            match skill {
+                "ForceAdaptation" => Some(Mark::AdaptationStarted),
+                "ExecuteMotion" => Some(Mark::WipingStarted),
+                _ => None,
+            }
+        }
+        Some("skill_ended") => {
+            let Some((skill, inputs)) = running.remove(&activation) else { return };
+            match skill.as_str() {
+                _ if item["outcome"] != "success" => None,
+                "CloseHand" => Some(Mark::GraspClosed),
+                "MovementImitation" => Some(Mark::LearningEnded),
+                "ForceAdaptation" => Some(Mark::AdaptationEnded {
+                    desired_n: inputs["force"]["float"].as_f64().unwrap_or_default(),
+                    cycles: item["outputs"]["cycles"]["int"].as_u64().unwrap_or_default() as u32,
+                }),
+                _ => None,
+            }
+        }
+        Some("event") => match item["name"].as_str() {
+            Some("imitation.steady") => Some(Mark::FreeSpaceSteady),
+            Some("imitation.over") => Some(Mark::AdaptationStarted),
+            _ => None,
+        },
+        _ => None,
+    };
+    marks.extend(found.map(|mark| (t, mark)));
+}
+
+/// Where a report and the figures computed again differ by more than the recording's grids explain.
+#[must_use]
+pub fn disagreements(report: &Value, again: &RefereeReport) -> Vec<String> {
+    let mut found = Vec::new();
+    let again = serde_json::to_value(again).unwrap_or_default();
+    for section in ["grasp", "imitation", "force", "wiped_fraction", "coaching", "gestures"] {
+        compare(section, &report[section], &again[section], &mut found);
+    }
+    found
+}
+
+/// How far two values of a figure may be apart: positions lie on a grid of a micrometre, forces of a millinewton, and a
+/// threshold may be passed a step earlier.
+fn tolerance(name: &str) -> f64 {
+    match name {
+        "wiped_fraction" | "slowed_to" | "contact_lost_s" => 2e-3,
+        "direction_error_deg" => 0.05,
+        _ if name.ends_with("_n") => 2e-3,
+        _ => 2e-5,
+    }
+}
+
+fn compare(name: &str, reported: &Value, again: &Value, found: &mut Vec<String>) {
+    let last = name.rsplit('.').find(|part| part.parse::<usize>().is_err()).unwrap_or(name);
+    match (reported, again) {
+        (_, Value::Object(fields)) => {
+            for (key, value) in fields {
+                compare(&format!("{name}.{key}"), &reported[key.as_str()], value, found);
+            }
+        }
+        (Value::Array(a), Value::Array(b)) if a.len() == b.len() => {
+            for (i, (a, b)) in a.iter().zip(b).enumerate() {
+                compare(&format!("{name}.{i}"), a, b, found);
+            }
+        }
+        (Value::Number(a), Value::Number(b)) => {
+            let apart = a.as_f64().zip(b.as_f64()).map_or(f64::INFINITY, |(a, b)| (a - b).abs());
+            if apart > tolerance(last) {
+                found.push(format!("`{name}` is {a} in the report and {b} in the recording"));
+            }
+        }
+        (a, b) if a == b => {}
+        (a, b) => found.push(format!("`{name}` is {a} in the report and {b} in the recording")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_figure_that_differs_is_named_and_rounding_is_not() {
+        let again = RefereeReport { wiped_fraction: Some(0.96), ..RefereeReport::default() };
+        let report = |wiped: Value| json!({"wiped_fraction": wiped, "coaching": []});
+        assert_eq!(disagreements(&report(json!(0.9611)), &again), Vec::<String>::new());
+        assert_eq!(disagreements(&report(json!(0.963)), &again).len(), 1);
+        assert_eq!(disagreements(&report(Value::Null), &again).len(), 1);
+        assert_eq!(disagreements(&json!({"wiped_fraction": 0.96, "coaching": [{}]}), &again).len(), 1);
+    }
+
+    #[test]
+    fn what_is_cut_off_in_a_message_is_left_out() {
+        let mut message = vec![9];
+        message.extend(1.5_f64.to_le_bytes());
+        assert_eq!(numbers::<2>(&message), [1.5, 0.0]);
+        assert_eq!(numbers::<2>(&message[..5]), [0.0, 0.0]);
+        assert!(inner(&[26, 200], 3).is_none() && pose(&[255; 12]).is_none());
+    }
+}
