@@ -29,9 +29,10 @@ pub struct AdaptiveOscillator {
     anchor: usize,
     running: bool,
     phase: f64,
+    /// The loop's own frequency, rad/s.
+    loop_omega: f64,
+    /// How fast the phase really goes, rad/s: the same and what the loop adds to the phase for long.
     omega: f64,
-    /// How fast the phase really goes, rad/s: omega and what the loop adds to the phase for long.
-    rate: f64,
     /// Phase passed since the oscillator runs, rad.
     passed: f64,
     elapsed: f64,
@@ -65,8 +66,8 @@ impl AdaptiveOscillator {
             anchor: 0,
             running: !config.estimate,
             phase: 0.0,
+            loop_omega: TAU * config.initial_hz,
             omega: TAU * config.initial_hz,
-            rate: TAU * config.initial_hz,
             passed: 0.0,
             elapsed: 0.0,
             drift: Drift::default(),
@@ -109,7 +110,7 @@ impl AdaptiveOscillator {
                 OscillatorRule::Scaled => self.follow(dt, v),
                 OscillatorRule::Paper { coupling, learning } => self.follow_paper(dt, v, coupling, learning),
                 OscillatorRule::Bare { coupling, learning } => {
-                    self.pace.add(dt, self.omega, v[self.anchor]);
+                    self.pace.add(dt, self.loop_omega, v[self.anchor]);
                     let gain = coupling * self.pace.hz / self.pace.peak.max(1e-12);
                     self.follow_paper(dt, v, gain, learning * self.pace.hz);
                 }
@@ -129,13 +130,13 @@ impl AdaptiveOscillator {
     /// loop's own one only follows while the signal's frequency changes.
     #[must_use]
     pub fn omega(&self) -> f64 {
-        self.rate
+        self.omega
     }
 
     /// The running frequency, Hz: of the repeat of the whole signal.
     #[must_use]
     pub fn frequency_hz(&self) -> f64 {
-        self.rate / TAU
+        self.omega / TAU
     }
 
     /// The mean frequency, Hz, of all periods but the first one and a half after the oscillator locked, in which the
@@ -216,7 +217,7 @@ impl AdaptiveOscillator {
         if self.until_look > 0.0 {
             return;
         }
-        let period = TAU / self.omega;
+        let period = TAU / self.loop_omega;
         let estimate = if self.running {
             self.until_look = 0.25 * period;
             let young = self.passed < 4.0 * TAU;
@@ -233,7 +234,7 @@ impl AdaptiveOscillator {
             self.start(found);
             return;
         }
-        let ratio = found.period * self.omega / TAU;
+        let ratio = found.period * self.loop_omega / TAU;
         self.disagreements = if (ratio - 1.0).abs() > 0.07 { self.disagreements + 1 } else { 0 };
         if self.disagreements >= 3 {
             self.start(found);
@@ -243,17 +244,17 @@ impl AdaptiveOscillator {
     /// Fits the series to the last periods at the estimated frequency, so that the loop starts in lock.
     fn start(&mut self, found: PeriodEstimate) {
         self.running = true;
-        self.omega = TAU / found.period;
+        self.loop_omega = TAU / found.period;
         // The dip of the difference is flat: the fit itself says more exactly where the period is.
         for reach in [0.03, 0.01] {
-            let omega = self.omega;
+            let omega = self.loop_omega;
             let [slower, same, faster] = [1.0 - reach, 1.0, 1.0 + reach].map(|r| self.fit_past(omega * r));
             let curvature = slower - 2.0 * same + faster;
             let shift = if curvature > 0.0 { 0.5 * (slower - faster) / curvature } else { 0.0 };
-            self.omega = omega * (1.0 + reach * shift.clamp(-1.0, 1.0));
+            self.loop_omega = omega * (1.0 + reach * shift.clamp(-1.0, 1.0));
         }
-        self.fit_past(self.omega);
-        self.rate = self.omega;
+        self.fit_past(self.loop_omega);
+        self.omega = self.loop_omega;
         self.anchor = self.series.strongest();
         self.phase = (-self.series.anchor(self.anchor)).rem_euclid(TAU);
         self.just_started = true;
@@ -271,15 +272,15 @@ impl AdaptiveOscillator {
     fn fit_past(&mut self, omega: f64) -> f64 {
         let history = self.estimator.history();
         let (grid, overhang) = (history.grid(), history.overhang());
-        let count = history.len().min((2.0 * TAU / self.omega / grid) as usize);
+        let count = history.len().min((2.0 * TAU / self.loop_omega / grid) as usize);
         let highest = self.config.harmonics.min((count / 6).max(1));
         let past = (0..count).map(|age| (-omega * (age as f64 * grid + overhang), history.at(age)));
         self.series.fit(highest, past)
     }
 
     fn advance(&mut self, dt: f64) {
-        self.phase = (self.phase + self.omega * dt).rem_euclid(TAU);
-        self.passed += self.omega * dt;
+        self.phase = (self.phase + self.loop_omega * dt).rem_euclid(TAU);
+        self.passed += self.loop_omega * dt;
     }
 
     fn follow(&mut self, dt: f64, v: &[f64]) {
@@ -298,7 +299,7 @@ impl AdaptiveOscillator {
         let ahead = if power > 1e-300 { (along / power).clamp(-1.0, 1.0) } else { 0.0 };
         // A critically damped loop; wide in the first periods, then narrow, and wide again for what changes.
         let age = (self.passed / TAU).max(0.0);
-        let turned = self.omega * dt;
+        let turned = self.loop_omega * dt;
         let drifting = self.drift.add(ahead, turned);
         let width = self.config.bandwidth * (1.0 + 0.5 * (-age / 2.0).exp() + 3.0 * drifting);
         let share = 1.0 - (-2.0 * width * turned).exp();
@@ -306,8 +307,8 @@ impl AdaptiveOscillator {
         self.passed += share * ahead;
         let faster = (width * width * turned * ahead).clamp(-0.2, 0.2);
         let (low, high) = (0.7 * TAU * self.config.lowest_hz, 1.4 * TAU * self.config.highest_hz);
-        self.omega = (self.omega * (1.0 + faster)).clamp(low, high);
-        self.rate = (self.omega * (1.0 + 2.0 * width * self.drift.lasting())).clamp(low, high);
+        self.loop_omega = (self.loop_omega * (1.0 + faster)).clamp(low, high);
+        self.omega = (self.loop_omega * (1.0 + 2.0 * width * self.drift.lasting())).clamp(low, high);
         let highest = (0.8 * std::f64::consts::PI / turned.max(1e-9)).floor().max(1.0);
         let highest =
             if highest < self.config.harmonics as f64 { highest as usize } else { self.config.harmonics };
@@ -327,10 +328,10 @@ impl AdaptiveOscillator {
         let drive = -coupling * self.error[self.anchor] * self.phase.sin() * dt;
         self.advance(dt);
         self.phase = (self.phase + drive).rem_euclid(TAU);
-        self.omega = (self.omega + drive).clamp(1e-3, 1e3);
-        self.rate = self.omega;
+        self.loop_omega = (self.loop_omega + drive).clamp(1e-3, 1e3);
+        self.omega = self.loop_omega;
         self.series.learn_pinned(learning * dt, &self.error, self.series.harmonics(), self.anchor);
-        self.periods.residual(self.omega * dt, missed, self.series.power());
+        self.periods.residual(self.loop_omega * dt, missed, self.series.power());
     }
 
     /// Keeps the statistics of what was heard.
@@ -339,7 +340,7 @@ impl AdaptiveOscillator {
         if self.counted_from.is_none() && self.passed > 1.5 * TAU {
             self.counted_from = Some((self.passed, self.elapsed));
         }
-        self.periods.add(self.omega, self.omega * dt);
+        self.periods.add(self.loop_omega, self.loop_omega * dt);
     }
 }
 

@@ -272,8 +272,7 @@ fn plot(replays: &[Replay]) -> String {
         if let Some((last, _, _)) = shown.last() {
             let replay = &replays[*last];
             curves.push(
-                Curve::new("stretched demonstration", replay.curve(&replay.wanted, d))
-                    .looking(Look::Reference),
+                Curve::new("wanted, stretched", replay.curve(&replay.wanted, d)).looking(Look::Reference),
             );
         }
         curves.extend(shown.iter().map(|(i, name, colour)| {
@@ -322,6 +321,20 @@ mod tests {
         assert!(worst("rmse_before_adaptation") > 0.04);
         assert!(worst("rmse_adapted_modified") < 0.01 && worst("rmse_adapted_original") > 0.15);
         assert_eq!(outcome.plots.len(), 1);
+    }
+
+    #[test]
+    fn other_settings_agree_with_the_independent_integration_too() {
+        let settings = Dpdmp { omega: 3.0 * PI, omega_new: 5.0, duration: 0.7, ..Dpdmp::default() };
+        let outcome = settings.run().unwrap();
+        let values = |name: &str| -> Vec<f64> {
+            outcome.figures[name].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
+        };
+        assert!((outcome.figures["r_init"].as_f64().unwrap() / 10.589_869 - 1.0).abs() < 1e-3);
+        for (ours, theirs) in values("rmse_original").iter().zip([0.135_806, 0.070_605]) {
+            assert!((ours / theirs - 1.0).abs() < 0.05, "{ours} {theirs}");
+        }
+        assert!(values("rmse_modified").iter().all(|e| *e < 1e-4));
     }
 
     #[test]

@@ -94,7 +94,7 @@ settings! {
         chirp_begin: f64 = 10.0;
         /// When it ends, s.
         chirp_end: f64 = 50.0;
-        /// Also settles the signal at 16 frequencies from 0.2 to 4 Hz, with and without an estimated start.
+        /// Also settles the signal at 16 frequencies from 0.25 to 4 Hz, with and without an estimated start.
         basin: bool = false;
     }
 }
@@ -257,10 +257,19 @@ impl Oscillator {
 
     /// Settling times in periods over the frequency, with the start estimated and without.
     fn sweep(&self, outcome: &mut Outcome) -> Result<(), ReproduceError> {
-        let hz: Vec<f64> = (0..16).map(|i| 0.2 * 20.0_f64.powf(f64::from(i) / 15.0)).collect();
+        let hz: Vec<f64> = (0..16).map(|i| 0.25 * 16.0_f64.powf(f64::from(i) / 15.0)).collect();
+        // These two have frequencies of their own.
+        let own = matches!(self.signal, Signal::Step | Signal::Chirp);
+        let signal = if own { Signal::Sine } else { self.signal };
         let periods = |estimate: bool, f: f64| -> Result<f64, ReproduceError> {
-            let one =
-                Self { estimate, frequency: f, seconds: (16.0 / f).max(20.0), basin: false, ..self.clone() };
+            let one = Self {
+                signal,
+                estimate,
+                frequency: f,
+                seconds: (16.0 / f).max(20.0),
+                basin: false,
+                ..self.clone()
+            };
             one.check()?;
             let log = one.listen()?;
             Ok(settle(&log, 0, log.hz.len()).map_or(f64::NAN, |k| log.phase[k] / TAU))
