@@ -3,9 +3,10 @@
 #![allow(clippy::unwrap_used, missing_docs, reason = "a bench that cannot go on says where")]
 
 use armarium_motion::{
-    Coach, CoachConfig, CoachInput, DiscreteDmp, DiscreteDmpConfig, FrictionConfig, FrictionModel,
-    PeriodicDmp, PeriodicDmpConfig, PhaseSample, PositionServo, PotentialField, ServoConfig,
-    ServoObservation, SurfaceAdaptation, SurfaceConfig, joint_coupling,
+    AdaptiveOscillator, Coach, CoachConfig, CoachInput, DiscreteDmp, DiscreteDmpConfig,
+    DiscretePeriodicConfig, DiscretePeriodicDmp, FrictionConfig, FrictionModel, LearningControl,
+    LearningControlConfig, OscillatorConfig, PeriodicDmp, PeriodicDmpConfig, PhaseSample, PositionServo,
+    PotentialField, ServoConfig, ServoObservation, SurfaceAdaptation, SurfaceConfig, joint_coupling,
 };
 use divan::{Bencher, black_box};
 use nalgebra::{Isometry3, Vector3};
@@ -113,4 +114,55 @@ fn servo(bencher: Bencher) {
     let seen =
         ServoObservation { hand: Isometry3::translation(0.1, 0.0, 0.2), target: Isometry3::identity() };
     bencher.bench_local(|| servo.step(0.001, Some(black_box(&seen))));
+}
+
+/// A discrete-periodic primitive at its start.
+fn discrete_periodic(dofs: usize) -> DiscretePeriodicDmp {
+    let mut dmp = DiscretePeriodicDmp::new(DiscretePeriodicConfig::with_dofs(dofs), 6.0, 1.0).unwrap();
+    dmp.set_weights(&vec![0.3; dmp.weights().len()]).unwrap();
+    dmp
+}
+
+#[divan::bench]
+fn discrete_periodic_step_7_dofs(bencher: Bencher) {
+    let mut dmp = discrete_periodic(7);
+    bencher.bench_local(|| {
+        if !dmp.in_discrete_part() {
+            dmp.restart();
+        }
+        dmp.step(black_box(0.001), black_box(6.0)).map(|s| s.y[0])
+    });
+}
+
+#[divan::bench]
+fn discrete_periodic_step_7_dofs_on_the_cycle(bencher: Bencher) {
+    let mut dmp = discrete_periodic(7);
+    for _ in 0..5000 {
+        dmp.step(0.001, 6.0).unwrap();
+    }
+    bencher.bench_local(|| dmp.step(black_box(0.001), black_box(6.0)).map(|s| s.y[0]));
+}
+
+#[divan::bench]
+fn learning_control_step_7_dofs(bencher: Bencher) {
+    let mut dmp = discrete_periodic(7);
+    let mut control = LearningControl::new(LearningControlConfig::default(), 7, 1000).unwrap();
+    bencher.bench_local(|| {
+        if control.samples() == 1000 {
+            control.abandon();
+            dmp.restart();
+        }
+        control.step(&mut dmp, 6.0, &[0.01; 7]).unwrap();
+        dmp.step(0.001, 6.0).map(|s| s.y[0])
+    });
+}
+
+#[divan::bench]
+fn oscillator_10_harmonics(bencher: Bencher) {
+    let mut oscillator = AdaptiveOscillator::new(OscillatorConfig::default()).unwrap();
+    let mut phase = 0.0_f64;
+    bencher.bench_local(|| {
+        phase += 0.006;
+        oscillator.update(0.001, &[phase.sin()])
+    });
 }

@@ -1,6 +1,6 @@
 //! The adaptive Fourier series of several coordinates on one phase (eq. 3), in signal units.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{SMatrix, SVector};
 
 /// `v_d(phase) = sum_c alpha_dc cos(c phase) + beta_dc sin(c phase)`, c from 0 to the number of harmonics.
 #[derive(Debug, Clone)]
@@ -175,46 +175,62 @@ impl FourierSeries {
         shift
     }
 
-    /// Fits the weights up to `highest` to samples `(phase, values)` by least squares with a small ridge, and
-    /// returns the sum of squares that is left (infinite if there is no fit).
-    pub(crate) fn fit<'a>(&mut self, highest: usize, samples: impl Iterator<Item = (f64, &'a [f64])>) -> f64 {
-        let highest = highest.min(self.harmonics);
-        let n = 2 * highest + 1;
-        let mut normal: DMatrix<f64> = DMatrix::zeros(n, n);
-        let mut moment: DMatrix<f64> = DMatrix::zeros(n, self.dims);
-        let mut row: DVector<f64> = DVector::zeros(n);
-        let mut left = 0.0;
-        for (phase, values) in samples {
-            self.tabulate(phase);
-            for c in 0..=highest {
-                row[c] = self.cosine[c];
-                if c > 0 {
-                    row[highest + c] = self.sine[c];
-                }
-            }
+    /// Fits the weights up to `highest` (at most [`FITTED`]) to samples `(phase, values)` by least squares with a small
+    /// ridge, and returns the sum of squares that is left (infinite if there is no fit). Does not allocate.
+    pub(crate) fn fit<'a>(
+        &mut self,
+        highest: usize,
+        samples: impl Iterator<Item = (f64, &'a [f64])> + Clone,
+    ) -> f64 {
+        let highest = highest.min(self.harmonics).min(FITTED);
+        let mut normal = Normal::zeros();
+        for (phase, _) in samples.clone() {
+            let row = self.row(phase, highest);
             normal.ger(1.0, &row, &row, 1.0);
-            for (d, v) in values.iter().enumerate().take(self.dims) {
-                moment.column_mut(d).axpy(*v, &row, 1.0);
-                left += v * v;
-            }
         }
         let ridge = 1e-3 * normal[(0, 0)].max(1.0);
-        for i in 1..n {
+        for i in 1..TERMS {
             normal[(i, i)] += ridge;
         }
         let Some(factor) = normal.cholesky() else { return f64::INFINITY };
-        let solution = factor.solve(&moment);
         self.alpha.fill(0.0);
         self.beta.fill(0.0);
+        let mut left = 0.0;
         for d in 0..self.dims {
-            let base = d * (self.harmonics + 1);
-            for c in 0..=highest {
-                self.alpha[base + c] = solution[(c, d)];
-                if c > 0 {
-                    self.beta[base + c] = solution[(highest + c, d)];
-                }
+            let mut moment = Terms::zeros();
+            for (phase, values) in samples.clone() {
+                moment.axpy(values[d], &self.row(phase, highest), 1.0);
+                left += values[d] * values[d];
             }
+            let solution = factor.solve(&moment);
+            left -= moment.dot(&solution);
+            self.take(d, highest, &solution);
         }
-        left - moment.dot(&solution)
+        left
+    }
+
+    /// The regressors at a phase: 1, then cosine and sine of each harmonic up to `highest`, then zeros.
+    fn row(&mut self, phase: f64, highest: usize) -> Terms {
+        self.tabulate(phase);
+        let mut row = Terms::zeros();
+        row[0] = 1.0;
+        for c in 1..=highest {
+            (row[2 * c - 1], row[2 * c]) = (self.cosine[c], self.sine[c]);
+        }
+        row
+    }
+
+    fn take(&mut self, d: usize, highest: usize, solution: &Terms) {
+        let base = d * (self.harmonics + 1);
+        self.alpha[base] = solution[0];
+        for c in 1..=highest {
+            (self.alpha[base + c], self.beta[base + c]) = (solution[2 * c - 1], solution[2 * c]);
+        }
     }
 }
+
+/// Harmonics that a fit takes at most: few periods say no more.
+pub(crate) const FITTED: usize = 5;
+const TERMS: usize = 2 * FITTED + 1;
+type Terms = SVector<f64, TERMS>;
+type Normal = SMatrix<f64, TERMS, TERMS>;

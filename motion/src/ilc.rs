@@ -176,7 +176,7 @@ pub struct FeedbackError {
 
 impl Default for FeedbackError {
     fn default() -> Self {
-        Self { k1: 0.3, k2: 0.5, damping: 1e-3 }
+        Self { k1: 0.3, k2: 1.0, damping: 1e-3 }
     }
 }
 

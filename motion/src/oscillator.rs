@@ -7,84 +7,17 @@
 //! number of periods at any frequency and amplitude. And the start is estimated from the signal so far
 //! ([`PeriodEstimator`]). [`OscillatorRule::Paper`] is the bare rule, to compare.
 
+mod config;
+mod statistics;
+
 use std::f64::consts::TAU;
 
-use serde::{Deserialize, Serialize};
-
-use crate::error::{MotionError, positive, vector, within};
+use crate::error::{MotionError, positive, vector};
 use crate::fourier::FourierSeries;
 use crate::period::{PeriodEstimate, PeriodEstimator};
 
-/// How phase and frequency follow the error.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum OscillatorRule {
-    /// Along the derivative of the estimated signal, all gains scaled.
-    #[default]
-    Scaled,
-    /// (1), (2) as printed, on the coordinate with the strongest fundamental: `-K e sin(phase)`.
-    Paper {
-        /// Coupling constant K, in 1 / (unit s) for the phase.
-        coupling: f64,
-        /// Learning rate of the weights in (3), 1/s.
-        learning: f64,
-    },
-    /// (1)-(3) with gains in proportion to the running frequency and to one over the size of the signal.
-    Bare {
-        /// Coupling constant K at 1 Hz, for a signal between -1 and 1.
-        coupling: f64,
-        /// Learning rate of the weights in (3) at 1 Hz, 1/s.
-        learning: f64,
-    },
-}
-
-/// The constants of an [`AdaptiveOscillator`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct OscillatorConfig {
-    /// Coordinates of the signal.
-    pub dims: usize,
-    /// Harmonics m of (3); those that the sample rate cannot show are left alone.
-    pub harmonics: usize,
-    /// How phase and frequency follow the error.
-    pub rule: OscillatorRule,
-    /// Whether the start is estimated from the signal so far.
-    pub estimate: bool,
-    /// Frequency to start from without an estimate, Hz.
-    pub initial_hz: f64,
-    /// Lowest frequency that is looked for, Hz.
-    pub lowest_hz: f64,
-    /// Highest frequency that is looked for, Hz.
-    pub highest_hz: f64,
-    /// Natural frequency of the loop that corrects phase and frequency, as a share of the running frequency.
-    pub bandwidth: f64,
-    /// Over how many periods the weights average once settled.
-    pub memory: f64,
-}
-
-impl Default for OscillatorConfig {
-    fn default() -> Self {
-        Self {
-            dims: 1,
-            harmonics: 10,
-            rule: OscillatorRule::Scaled,
-            estimate: true,
-            initial_hz: 1.0,
-            lowest_hz: 0.22,
-            highest_hz: 4.0,
-            bandwidth: 0.08,
-            memory: 5.0,
-        }
-    }
-}
-
-impl OscillatorConfig {
-    /// The defaults for a signal of `dims` coordinates.
-    #[must_use]
-    pub fn with_dims(dims: usize) -> Self {
-        Self { dims, ..Self::default() }
-    }
-}
+pub use self::config::{OscillatorConfig, OscillatorRule};
+use self::statistics::{Drift, Pace, PeriodMeans};
 
 /// Finds and follows phase, frequency and wave form of a periodic signal.
 #[derive(Debug, Clone)]
@@ -96,12 +29,14 @@ pub struct AdaptiveOscillator {
     anchor: usize,
     running: bool,
     phase: f64,
+    /// The loop's own frequency, rad/s.
+    loop_omega: f64,
+    /// How fast the phase really goes, rad/s: the same and what the loop adds to the phase for long.
     omega: f64,
     /// Phase passed since the oscillator runs, rad.
     passed: f64,
     elapsed: f64,
-    /// Phase error, rad, smoothed over a period.
-    drift: f64,
+    drift: Drift,
     /// Seconds until the past is looked at again.
     until_look: f64,
     disagreements: u32,
@@ -121,16 +56,7 @@ impl AdaptiveOscillator {
     /// # Errors
     /// When a constant cannot be.
     pub fn new(config: OscillatorConfig) -> Result<Self, MotionError> {
-        within("harmonics", config.harmonics as f64, 1.0, 64.0)?;
-        positive("initial_hz", config.initial_hz)?;
-        positive("lowest_hz", config.lowest_hz)?;
-        within("highest_hz", config.highest_hz, config.lowest_hz, 1000.0 * config.lowest_hz)?;
-        within("bandwidth", config.bandwidth, 1e-4, 0.5)?;
-        within("memory", config.memory, 0.5, 1000.0)?;
-        if let OscillatorRule::Paper { coupling, learning } | OscillatorRule::Bare { coupling, learning } = config.rule {
-            positive("coupling", coupling)?;
-            positive("learning", learning)?;
-        }
+        config.validate()?;
         let estimator = PeriodEstimator::new(config.dims, 1.0 / config.highest_hz, 1.0 / config.lowest_hz)?;
         let zeros = vec![0.0; config.dims];
         Ok(Self {
@@ -140,10 +66,11 @@ impl AdaptiveOscillator {
             anchor: 0,
             running: !config.estimate,
             phase: 0.0,
+            loop_omega: TAU * config.initial_hz,
             omega: TAU * config.initial_hz,
             passed: 0.0,
             elapsed: 0.0,
-            drift: 0.0,
+            drift: Drift::default(),
             until_look: 0.0,
             disagreements: 0,
             just_started: false,
@@ -183,7 +110,7 @@ impl AdaptiveOscillator {
                 OscillatorRule::Scaled => self.follow(dt, v),
                 OscillatorRule::Paper { coupling, learning } => self.follow_paper(dt, v, coupling, learning),
                 OscillatorRule::Bare { coupling, learning } => {
-                    self.pace.add(dt, self.omega, v[self.anchor]);
+                    self.pace.add(dt, self.loop_omega, v[self.anchor]);
                     let gain = coupling * self.pace.hz / self.pace.peak.max(1e-12);
                     self.follow_paper(dt, v, gain, learning * self.pace.hz);
                 }
@@ -199,7 +126,8 @@ impl AdaptiveOscillator {
         self.phase
     }
 
-    /// The running frequency Omega, rad/s.
+    /// The running frequency Omega, rad/s: with [`OscillatorRule::Scaled`] that at which the phase really goes, which the
+    /// loop's own one only follows while the signal's frequency changes.
     #[must_use]
     pub fn omega(&self) -> f64 {
         self.omega
@@ -289,7 +217,7 @@ impl AdaptiveOscillator {
         if self.until_look > 0.0 {
             return;
         }
-        let period = TAU / self.omega;
+        let period = TAU / self.loop_omega;
         let estimate = if self.running {
             self.until_look = 0.25 * period;
             let young = self.passed < 4.0 * TAU;
@@ -306,7 +234,7 @@ impl AdaptiveOscillator {
             self.start(found);
             return;
         }
-        let ratio = found.period * self.omega / TAU;
+        let ratio = found.period * self.loop_omega / TAU;
         self.disagreements = if (ratio - 1.0).abs() > 0.07 { self.disagreements + 1 } else { 0 };
         if self.disagreements >= 3 {
             self.start(found);
@@ -316,23 +244,24 @@ impl AdaptiveOscillator {
     /// Fits the series to the last periods at the estimated frequency, so that the loop starts in lock.
     fn start(&mut self, found: PeriodEstimate) {
         self.running = true;
-        self.omega = TAU / found.period;
+        self.loop_omega = TAU / found.period;
         // The dip of the difference is flat: the fit itself says more exactly where the period is.
         for reach in [0.03, 0.01] {
-            let omega = self.omega;
+            let omega = self.loop_omega;
             let [slower, same, faster] = [1.0 - reach, 1.0, 1.0 + reach].map(|r| self.fit_past(omega * r));
             let curvature = slower - 2.0 * same + faster;
             let shift = if curvature > 0.0 { 0.5 * (slower - faster) / curvature } else { 0.0 };
-            self.omega = omega * (1.0 + reach * shift.clamp(-1.0, 1.0));
+            self.loop_omega = omega * (1.0 + reach * shift.clamp(-1.0, 1.0));
         }
-        self.fit_past(self.omega);
+        self.fit_past(self.loop_omega);
+        self.omega = self.loop_omega;
         self.anchor = self.series.strongest();
         self.phase = (-self.series.anchor(self.anchor)).rem_euclid(TAU);
         self.just_started = true;
         self.starts = self.starts.saturating_add(1);
         self.passed = 0.0;
         self.elapsed = 0.0;
-        self.drift = 0.0;
+        self.drift = Drift::default();
         self.disagreements = 0;
         self.periods = PeriodMeans::default();
         self.counted_from = None;
@@ -343,15 +272,15 @@ impl AdaptiveOscillator {
     fn fit_past(&mut self, omega: f64) -> f64 {
         let history = self.estimator.history();
         let (grid, overhang) = (history.grid(), history.overhang());
-        let count = history.len().min((2.0 * TAU / self.omega / grid) as usize);
-        let highest = self.config.harmonics.min((count / 6).max(1)).min(5);
+        let count = history.len().min((2.0 * TAU / self.loop_omega / grid) as usize);
+        let highest = self.config.harmonics.min((count / 6).max(1));
         let past = (0..count).map(|age| (-omega * (age as f64 * grid + overhang), history.at(age)));
         self.series.fit(highest, past)
     }
 
     fn advance(&mut self, dt: f64) {
-        self.phase = (self.phase + self.omega * dt).rem_euclid(TAU);
-        self.passed += self.omega * dt;
+        self.phase = (self.phase + self.loop_omega * dt).rem_euclid(TAU);
+        self.passed += self.loop_omega * dt;
     }
 
     fn follow(&mut self, dt: f64, v: &[f64]) {
@@ -368,19 +297,18 @@ impl AdaptiveOscillator {
         }
         let power = self.series.slope_power();
         let ahead = if power > 1e-300 { (along / power).clamp(-1.0, 1.0) } else { 0.0 };
-        // A critically damped loop; wide in the first periods, then narrow.
+        // A critically damped loop; wide in the first periods, then narrow, and wide again for what changes.
         let age = (self.passed / TAU).max(0.0);
-        let turned = self.omega * dt;
-        self.drift += (ahead - self.drift) * (1.0 - (-turned / TAU).exp());
-        // A phase error that lasts a period is no noise: the frequency is changing, and the loop opens up for it.
-        let drifting = ((self.drift.abs() - 0.05) / 0.12).clamp(0.0, 1.0);
+        let turned = self.loop_omega * dt;
+        let drifting = self.drift.add(ahead, turned);
         let width = self.config.bandwidth * (1.0 + 0.5 * (-age / 2.0).exp() + 3.0 * drifting);
         let share = 1.0 - (-2.0 * width * turned).exp();
         self.phase = (self.phase + share * ahead).rem_euclid(TAU);
         self.passed += share * ahead;
         let faster = (width * width * turned * ahead).clamp(-0.2, 0.2);
         let (low, high) = (0.7 * TAU * self.config.lowest_hz, 1.4 * TAU * self.config.highest_hz);
-        self.omega = (self.omega * (1.0 + faster)).clamp(low, high);
+        self.loop_omega = (self.loop_omega * (1.0 + faster)).clamp(low, high);
+        self.omega = (self.loop_omega * (1.0 + 2.0 * width * self.drift.lasting())).clamp(low, high);
         let highest = (0.8 * std::f64::consts::PI / turned.max(1e-9)).floor().max(1.0);
         let highest =
             if highest < self.config.harmonics as f64 { highest as usize } else { self.config.harmonics };
@@ -399,10 +327,11 @@ impl AdaptiveOscillator {
         }
         let drive = -coupling * self.error[self.anchor] * self.phase.sin() * dt;
         self.advance(dt);
-        self.phase = (self.phase + drive * dt).rem_euclid(TAU);
-        self.omega = (self.omega + drive * dt).clamp(1e-3, 1e3);
+        self.phase = (self.phase + drive).rem_euclid(TAU);
+        self.loop_omega = (self.loop_omega + drive).clamp(1e-3, 1e3);
+        self.omega = self.loop_omega;
         self.series.learn_pinned(learning * dt, &self.error, self.series.harmonics(), self.anchor);
-        self.periods.residual(self.omega * dt, missed, self.series.power());
+        self.periods.residual(self.loop_omega * dt, missed, self.series.power());
     }
 
     /// Keeps the statistics of what was heard.
@@ -411,77 +340,7 @@ impl AdaptiveOscillator {
         if self.counted_from.is_none() && self.passed > 1.5 * TAU {
             self.counted_from = Some((self.passed, self.elapsed));
         }
-        self.periods.add(self.omega, self.omega * dt);
-    }
-}
-
-/// What the gains of [`OscillatorRule::Bare`] scale with.
-#[derive(Debug, Clone)]
-struct Pace {
-    /// Running frequency, Hz, smoothed over a period: what swings within one must not swing the gains.
-    hz: f64,
-    /// Largest magnitude of late.
-    peak: f64,
-}
-
-impl Pace {
-    fn add(&mut self, dt: f64, omega: f64, v: f64) {
-        let periods = self.hz * dt;
-        self.hz += (omega / TAU - self.hz) * (1.0 - (-periods).exp());
-        self.peak = v.abs().max(self.peak * (-periods / 8.0).exp());
-    }
-}
-
-/// Means over whole periods.
-#[derive(Debug, Clone)]
-struct PeriodMeans {
-    turned: f64,
-    sum: f64,
-    missed: f64,
-    weight: f64,
-    power: f64,
-    means: [f64; 3],
-    count: usize,
-    unexplained: f64,
-}
-
-impl Default for PeriodMeans {
-    fn default() -> Self {
-        Self {
-            turned: 0.0,
-            sum: 0.0,
-            missed: 0.0,
-            weight: 0.0,
-            power: 0.0,
-            means: [0.0; 3],
-            count: 0,
-            unexplained: 1.0,
-        }
-    }
-}
-
-impl PeriodMeans {
-    fn residual(&mut self, turned: f64, missed: f64, power: f64) {
-        self.missed += turned * missed;
-        self.weight += turned;
-        self.power = power;
-    }
-
-    fn add(&mut self, omega: f64, turned: f64) {
-        self.turned += turned;
-        self.sum += omega * turned;
-        if self.turned >= TAU {
-            self.means.rotate_right(1);
-            self.means[0] = self.sum / self.turned;
-            self.count += 1;
-            let share = self.missed / (self.weight * self.power);
-            self.unexplained = if share.is_finite() { share } else { 1.0 };
-            (self.turned, self.sum, self.missed, self.weight) = (0.0, 0.0, 0.0, 0.0);
-        }
-    }
-
-    fn steady(&self, tolerance: f64) -> bool {
-        self.count >= 2 && (self.means[0] / self.means[1] - 1.0).abs() <= tolerance
+        self.periods.add(self.loop_omega, self.loop_omega * dt);
     }
 }
 

@@ -137,7 +137,9 @@ impl PeriodEstimator {
         positive("shortest period", shortest)?;
         within("longest period", longest, shortest, 1000.0 * shortest)?;
         let history = History::new(dims, shortest / 20.0, 2.5 * longest);
-        Ok(Self { history, shortest, longest, unrolled: Vec::new(), difference: Vec::new() })
+        let unrolled = Vec::with_capacity(history.capacity * dims);
+        let difference = Vec::with_capacity(history.capacity);
+        Ok(Self { history, shortest, longest, unrolled, difference })
     }
 
     /// Adds a sample, `dt` s after the one before.

@@ -47,7 +47,12 @@ impl Arm4 {
 
     /// Joint angles that put the hand to `x`, m, from `near` on, and pull to `posture` in the null space; `None` where the
     /// arm does not reach.
-    pub(crate) fn inverse(&self, x: Vector3<f64>, posture: Vector4<f64>, near: Vector4<f64>) -> Option<Vector4<f64>> {
+    pub(crate) fn inverse(
+        &self,
+        x: Vector3<f64>,
+        posture: Vector4<f64>,
+        near: Vector4<f64>,
+    ) -> Option<Vector4<f64>> {
         let mut q = near;
         for _ in 0..2000 {
             let columns = self.jacobian(&q).map(|c| Vector3::new(c[0], c[1], c[2]));
@@ -82,7 +87,9 @@ mod tests {
             assert!((linear - column.fixed_rows::<3>(0)).norm() < 1e-8);
             assert!((angular - column.fixed_rows::<3>(3)).norm() < 1e-8);
         }
-        assert!((ARM.hand(&Vector4::zeros()).translation.vector - Vector3::new(0.0, 0.2, -0.55)).norm() < 1e-12);
+        assert!(
+            (ARM.hand(&Vector4::zeros()).translation.vector - Vector3::new(0.0, 0.2, -0.55)).norm() < 1e-12
+        );
     }
 
     #[test]

@@ -109,7 +109,7 @@ pub(super) fn rise(end: [f64; 3], duration: f64, t: f64) -> [f64; 3] {
     let s = t / duration;
     let [y, v, a] = [end[0], end[1] * duration, end[2] * duration * duration];
     let c = [10.0 * y - 4.0 * v + 0.5 * a, 7.0 * v - 15.0 * y - a, 6.0 * y - 3.0 * v + 0.5 * a];
-    let sum = |f: &dyn Fn(f64) -> f64| (3..6).zip(c).map(|(k, c)| c * f(f64::from(k)) ).sum::<f64>();
+    let sum = |f: &dyn Fn(f64) -> f64| (3..6).zip(c).map(|(k, c)| c * f(f64::from(k))).sum::<f64>();
     [
         sum(&|k| s.powf(k)),
         sum(&|k| k * s.powf(k - 1.0)) / duration,
@@ -127,7 +127,8 @@ struct Replay {
 impl Replay {
     /// Root mean square error of each degree of freedom as a share of `range`.
     fn error(&self, range: [f64; 2]) -> Vec<f64> {
-        let square = |d: usize| self.y.iter().zip(&self.wanted).map(|(y, w)| (y[d] - w[d]).powi(2)).sum::<f64>();
+        let square =
+            |d: usize| self.y.iter().zip(&self.wanted).map(|(y, w)| (y[d] - w[d]).powi(2)).sum::<f64>();
         (0..2).map(|d| (square(d) / self.y.len() as f64).sqrt() / range[d]).collect()
     }
 
@@ -139,7 +140,8 @@ impl Replay {
 
 impl Experiment for Dpdmp {
     const NAME: &'static str = "dpdmp";
-    const ABOUT: &'static str = "discrete-periodic primitive at another frequency (Gams et al. 2015, II, Fig. 7)";
+    const ABOUT: &'static str =
+        "discrete-periodic primitive at another frequency (Gams et al. 2015, II, Fig. 7)";
 
     fn run(&self) -> Result<Outcome, ReproduceError> {
         self.check()?;
@@ -226,7 +228,12 @@ impl Dpdmp {
     }
 
     /// One execution at `omega`, beside `shape` stretched in time.
-    fn replay(&self, dmp: &mut DiscretePeriodicDmp, omega: f64, shape: &Shape) -> Result<Replay, ReproduceError> {
+    fn replay(
+        &self,
+        dmp: &mut DiscretePeriodicDmp,
+        omega: f64,
+        shape: &Shape,
+    ) -> Result<Replay, ReproduceError> {
         dmp.restart();
         let steps = (dmp.length(self.periods, omega) / self.dt).round() as usize;
         let mut replay = Replay { dt: self.dt, y: Vec::new(), wanted: Vec::new() };
@@ -264,7 +271,9 @@ fn plot(replays: &[Replay]) -> String {
         let mut curves = Vec::new();
         if let Some((last, _, _)) = shown.last() {
             let replay = &replays[*last];
-            curves.push(Curve::new("stretched demonstration", replay.curve(&replay.wanted, d)).looking(Look::Reference));
+            curves.push(
+                Curve::new("wanted, stretched", replay.curve(&replay.wanted, d)).looking(Look::Reference),
+            );
         }
         curves.extend(shown.iter().map(|(i, name, colour)| {
             let replay = &replays[*i];
@@ -312,6 +321,20 @@ mod tests {
         assert!(worst("rmse_before_adaptation") > 0.04);
         assert!(worst("rmse_adapted_modified") < 0.01 && worst("rmse_adapted_original") > 0.15);
         assert_eq!(outcome.plots.len(), 1);
+    }
+
+    #[test]
+    fn other_settings_agree_with_the_independent_integration_too() {
+        let settings = Dpdmp { omega: 3.0 * PI, omega_new: 5.0, duration: 0.7, ..Dpdmp::default() };
+        let outcome = settings.run().unwrap();
+        let values = |name: &str| -> Vec<f64> {
+            outcome.figures[name].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
+        };
+        assert!((outcome.figures["r_init"].as_f64().unwrap() / 10.589_869 - 1.0).abs() < 1e-3);
+        for (ours, theirs) in values("rmse_original").iter().zip([0.135_806, 0.070_605]) {
+            assert!((ours / theirs - 1.0).abs() < 0.05, "{ours} {theirs}");
+        }
+        assert!(values("rmse_modified").iter().all(|e| *e < 1e-4));
     }
 
     #[test]

@@ -13,6 +13,7 @@ mod humanoid;
 mod humanoid_arm;
 mod humanoid_coach;
 mod ilc;
+mod ilc_plots;
 mod oscillator;
 mod phase;
 mod planar;

