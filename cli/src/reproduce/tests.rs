@@ -113,11 +113,11 @@ fn the_force_holds_with_the_feedback_off() {
 
 #[test]
 fn the_servo_converges_when_the_closed_form_says_so() {
-    for (lambda, dt) in [(1.0, 0.04), (2.0, 0.04), (0.5, 0.1)] {
+    for (lambda, dt) in [(1.0_f64, 0.04_f64), (2.0, 0.04), (0.5, 0.1)] {
         let (l, t) = (format!("{lambda}"), format!("{dt}"));
         let found = figures("servo", &[("lambda", &l), ("dt", &t)]);
         let start = (0.15_f64.powi(2) + 0.1_f64.powi(2) + 0.25_f64.powi(2)).sqrt();
-        let frames = ((5e-4 / start).ln() / (1.0 - lambda * dt as f64).ln()).ceil();
+        let frames = ((5e-4 / start).ln() / (1.0 - lambda * dt).ln()).ceil();
         assert!((number(&found, "converged_s") - dt * (frames + 4.0)).abs() < 1e-9);
         assert!((number(&found, "path_ratio") - 1.0).abs() < 1e-9);
         assert!(number(&found, "final_m") < 5e-4);
@@ -191,6 +191,12 @@ const PICTURED: [Pictured; 8] = [
         settings: FOLLOWING,
         pictures: &[("coaching", "coaching_follow")],
         said: |f| vec![format!("with `gamma=1000` to {:.3} m", number(f, "radius_after_m"))],
+    },
+    Pictured {
+        experiment: "oscillator",
+        settings: &[("signal", "step"), ("basin", "true")],
+        pictures: &[("oscillator", "oscillator"), ("oscillator_basin", "oscillator_basin")],
+        said: |f| vec![format!("again {:.2} s after the step", number(f, "settle_after_step_s"))],
     },
     Pictured {
         experiment: "dpdmp",
