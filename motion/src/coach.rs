@@ -3,9 +3,9 @@
 //!
 //! It is the paper's rule (eqs. 10, 13-16) with three additions for a path of some centimetres. It works in metres
 //! of the path: the effect of the weights on the steady path is known exactly ([`PathResponse`]), so each event has
-//! a target and ends there instead of drifting. It is local: only phases near the one that is nearest to the hand
-//! are moved, the far side is held. And P of (9) is replaced by its fixed point, so that coaching does not depend
-//! on how long the motion was learned.
+//! a target and ends there instead of drifting. It is local in the phase: only phases near the one that the hand
+//! means ([`meant`]) are moved, so that of a doubled stroke or a crossing one pass moves and the other stays. And P
+//! of (9) is replaced by its fixed point, so that coaching does not depend on how long the motion was learned.
 //!
 //! What it does not do: recognise gestures, or decide whether a force is a push (see [`crate::FrictionModel`]).
 
@@ -67,8 +67,8 @@ pub struct CoachConfig {
     pub reach: f64,
     /// Time constant of a gesture, s.
     pub time_constant: f64,
-    /// Which part of the path a hand holds: up to this share of the way from its nearest to its farthest distance.
-    pub locality: f64,
+    /// Which part of the path a hand holds: up to this far from the phase that it means, share of a period.
+    pub arc: f64,
     /// Speed of a shift, m/s.
     pub shift_speed: f64,
     /// The most that one shift moves the motion, m.
@@ -82,14 +82,14 @@ impl Default for CoachConfig {
         Self {
             field: PotentialField::wiping(),
             normal: [0.0, 0.0, 1.0],
-            push_gain: 0.001,
-            push_dead_band: 2.0,
-            push_pass_limit: 0.02,
-            push_limit: 0.055,
+            push_gain: 0.0015,
+            push_dead_band: 1.5,
+            push_pass_limit: 0.025,
+            push_limit: 0.045,
             standoff: 0.05,
-            reach: 0.035,
+            reach: 0.024,
             time_constant: 2.5,
-            locality: 0.4,
+            arc: 0.2,
             shift_speed: 0.006,
             shift_limit: 0.04,
             pause: 8.0,
@@ -101,7 +101,7 @@ impl CoachConfig {
     fn validate(&self) -> Result<(), MotionError> {
         positive("time_constant", self.time_constant)?;
         positive("push_limit", self.push_limit)?;
-        positive("locality", self.locality)?;
+        positive("arc", self.arc)?;
         for (what, value) in [
             ("push_gain", self.push_gain),
             ("push_dead_band", self.push_dead_band),
@@ -125,7 +125,7 @@ impl CoachConfig {
 pub struct CoachReport {
     /// Whether something is being coached now.
     pub active: bool,
-    /// The phase that is coached, rad: the one nearest to the hand, or the present one of a push.
+    /// The phase that is coached, rad: the one that the hand means, or the present one of a push.
     pub phase: f64,
     /// By how much the path at that phase has moved along the coached direction since the event began, m.
     pub displacement: f64,
@@ -152,8 +152,16 @@ pub struct Coach {
     centre: Vector3<f64>,
     path: Vec<Vector3<f64>>,
     hand: Option<Vector3<f64>>,
+    /// At which phase the hand came to its place, rad.
+    came: Option<f64>,
+    /// The phase that the hand means as long as it stands still, rad.
+    meant: Option<f64>,
     /// For how long the hand has stood still, s.
     still: f64,
+    /// Where it stands.
+    place: Option<Vector3<f64>>,
+    /// For how long it has been seen elsewhere than at its place, s.
+    away: f64,
 }
 
 /// Time constant over which the jitter of a tracked hand is smoothed, s: three camera frames.
@@ -162,6 +170,8 @@ const HAND_SMOOTHING: f64 = 0.2;
 const HAND_MOVES: f64 = 0.02;
 /// For so long a hand stands still before it coaches, s.
 const HAND_STANDS: f64 = 0.3;
+/// A hand that is seen elsewhere for longer than this has left its place, s.
+const HAND_AWAY: f64 = 0.8;
 
 impl Coach {
     /// A coach for `dmp`, whose first three degrees of freedom are x, y, z in metres.
@@ -185,8 +195,19 @@ impl Coach {
             centre: Vector3::zeros(),
             path,
             hand: None,
+            came: None,
+            meant: None,
             still: 0.0,
+            place: None,
+            away: 0.0,
         })
+    }
+
+    /// At which `phase` (rad) of the motion the hand of a gesture came to its place, if that was seen: a coach reaches
+    /// for the pass that he means, and of several that are about equally near to his hand this one is taken. Holds
+    /// until it is said anew; a phase that is not finite counts as not seen.
+    pub fn hand_came_at(&mut self, phase: Option<f64>) {
+        self.came = phase.filter(|p| p.is_finite());
     }
 
     /// Applies what the coach does now to `dmp`, `dt` s after the last call; to be called before each
@@ -239,7 +260,10 @@ impl Coach {
     fn begin(&mut self, kind: Kind, dmp: &PeriodicDmp) {
         self.event = Some(kind);
         self.hand = None;
+        self.meant = None;
         self.still = 0.0;
+        self.place = None;
+        self.away = 0.0;
         self.weights.copy_from_slice(dmp.weights());
         self.centre = centre_of(dmp);
         let k = dmp.kernels().len();
@@ -292,21 +316,22 @@ impl Coach {
         hand: Vector3<f64>,
         sign: f64,
     ) -> Result<CoachReport, MotionError> {
-        let hand = self.smooth_hand(hand, dt);
-        let span = self.distances(&hand);
-        let row = span.nearest_row;
-        let phase = self.response.phase(row);
+        let Some(hand) = self.stands_at(hand, dt) else {
+            self.meant = None;
+            return Ok(CoachReport { phase: dmp.phase(), ..CoachReport::default() });
+        };
+        let distance = |row: usize| self.in_surface(hand - self.path[row]).norm();
+        let row = meant::row(self.path.len(), distance, self.came, self.meant);
+        let (phase, nearest) = (self.response.phase(row), distance(row));
         let offset = hand - self.path[row];
+        self.meant = Some(phase);
         let Some(towards) = self.in_surface(offset).try_normalize(1e-6) else {
             return Ok(CoachReport { phase, ..CoachReport::default() });
         };
-        if self.still < HAND_STANDS {
-            return Ok(CoachReport { phase, ..CoachReport::default() });
-        }
         let direction = sign * towards;
-        let goal = self.goal(span.nearest, offset.norm(), sign);
+        let goal = self.goal(nearest, offset.norm(), sign);
         let here = self.response.row(dmp.phase());
-        let wanted = goal * self.window(&span, &hand, here);
+        let wanted = goal * meant::window(dmp.phase() - phase, self.config.arc * std::f64::consts::TAU);
         let missing = wanted - self.moved(dmp, here).dot(&direction);
         // One pass makes up for what the time of a period allows, at most for all that is missing.
         let share = (std::f64::consts::TAU / (omega * self.config.time_constant)).min(1.0);
@@ -315,40 +340,28 @@ impl Coach {
         Ok(CoachReport { active: true, phase, displacement })
     }
 
-    /// How far the nearest part of the path shall move, m.
+    /// How far the path shall move where the hand means it, m.
     fn goal(&self, in_surface: f64, distance: f64, sign: f64) -> f64 {
         let strength = self.config.field.gamma * self.config.field.reach(distance);
         let room = if sign > 0.0 { (in_surface - self.config.standoff).max(0.0) } else { f64::INFINITY };
         (self.config.reach * strength).min(room)
     }
 
-    fn smooth_hand(&mut self, hand: Vector3<f64>, dt: f64) -> Vector3<f64> {
+    /// Where the hand stands, if it does; m. It stays there while it is seen elsewhere for a moment: each time the robot
+    /// passes it, the robot's own arm hides a part of it.
+    fn stands_at(&mut self, hand: Vector3<f64>, dt: f64) -> Option<Vector3<f64>> {
         let share = 1.0 - (-dt / HAND_SMOOTHING).exp();
         let smooth = self.hand.map_or(hand, |old| old + (hand - old) * share);
         self.hand = Some(smooth);
         self.still = if (hand - smooth).norm() < HAND_MOVES { self.still + dt } else { 0.0 };
-        smooth
-    }
-
-    fn distances(&self, hand: &Vector3<f64>) -> Span {
-        let mut span = Span { nearest: f64::INFINITY, farthest: 0.0, nearest_row: 0 };
-        for (row, point) in self.path.iter().enumerate() {
-            let distance = self.in_surface(hand - point).norm();
-            span.farthest = span.farthest.max(distance);
-            if distance < span.nearest {
-                span.nearest = distance;
-                span.nearest_row = row;
-            }
+        let there = self.place.is_some_and(|place| (smooth - place).norm() < 2.0 * HAND_MOVES);
+        self.away = if there { 0.0 } else { self.away + dt };
+        if !there && (self.place.is_none() || self.away > HAND_AWAY) {
+            self.place = (self.still >= HAND_STANDS).then_some(smooth);
+            self.meant = None;
+            self.away = 0.0;
         }
-        span
-    }
-
-    /// 1 at the phase nearest to the hand, smoothly 0 where the path is far from it.
-    fn window(&self, span: &Span, hand: &Vector3<f64>, row: usize) -> f64 {
-        let range = (span.farthest - span.nearest).max(1e-6);
-        let distance = self.in_surface(hand - self.path[row]).norm();
-        let u = (distance - span.nearest) / range / self.config.locality;
-        if u < 1.0 { (1.0 - u * u) * (1.0 - u * u) } else { 0.0 }
+        self.place
     }
 
     fn shift(
@@ -372,14 +385,6 @@ impl Coach {
     }
 }
 
-/// The distances between a hand and the path, in the surface, m.
-#[derive(Debug, Clone, Copy)]
-struct Span {
-    nearest: f64,
-    farthest: f64,
-    nearest_row: usize,
-}
-
 fn centre_of(dmp: &PeriodicDmp) -> Vector3<f64> {
     Vector3::new(dmp.centre()[0], dmp.centre()[1], dmp.centre()[2])
 }
@@ -394,5 +399,6 @@ fn displace(
     dmp.displace_some(phase, advance, shift.as_slice())
 }
 
+mod meant;
 #[cfg(test)]
 mod tests;

@@ -5,6 +5,8 @@
 //! how the bristle bends (evenly up to its limit, as a sponge shears, or ever less, as Dahl has it) and over which
 //! length, by following several at once. While something else pushes, next to nothing is learned.
 
+use std::f64::consts::FRAC_PI_4;
+
 use nalgebra::{Matrix3, RowVector3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -34,6 +36,9 @@ impl Default for FrictionConfig {
 
 /// Presliding lengths that are followed, m.
 const LENGTHS: [f64; 9] = [1e-4, 3e-4, 6e-4, 1e-3, 1.7e-3, 3e-3, 5e-3, 8e-3, 1.3e-2];
+
+/// The candidate by which the friction has turned when the motion has, at the latest: 3 mm, elastic.
+const TURNS_WITHIN: usize = 10;
 
 /// How a bristle bends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -127,16 +132,22 @@ impl FrictionModel {
         if normal > 1.0 {
             self.slid += way.min(0.01);
         }
-        let learned = self.learned();
         for candidate in &mut self.candidates {
             candidate.bend(velocity, way);
             candidate.explain(normal, force);
-            // All follow the same gate, so that none wins by calling more of the friction a push.
+        }
+        // What one of them explains is no push: none wins by calling more of the friction a push than the others.
+        let least = self.candidates.iter().map(|c| c.residual.norm()).fold(f64::INFINITY, f64::min);
+        let pushed = self.learned() && least > self.config.gate;
+        let unexplained = self.unexplained(normal, force);
+        let learned = self.learned();
+        for candidate in &mut self.candidates {
+            candidate.score(&self.config, dt, pushed);
             candidate.learn(&self.config, dt, normal, force, learned);
         }
         self.choose();
         let share = 1.0 - (-dt / self.config.smoothing).exp();
-        self.smooth += (self.unexplained() - self.smooth) * share;
+        self.smooth += (unexplained - self.smooth) * share;
         Ok(self.smooth.into())
     }
 
@@ -148,14 +159,23 @@ impl FrictionModel {
         }
     }
 
-    /// The smallest residual of all candidates that explain wiping about as well as the best one: between two of the
-    /// lengths that are followed, a reversal is explained by one of its neighbours.
-    fn unexplained(&self) -> Vector2<f64> {
+    /// The force less the nearest that wiping may explain: the friction of each candidate that explains wiping about as
+    /// well as the best one, and, where the motion turns, whatever lies between the friction before and after the turn.
+    /// There the tool, which hangs from the hand, turns sooner or later than the hand.
+    fn unexplained(&self, normal: f64, force: Vector2<f64>) -> Vector2<f64> {
         let best = &self.candidates[self.best];
         let plausible = |c: &&Candidate| c.square <= 1.7 * best.square + 0.02;
         let smaller =
             |a: &&Candidate, b: &&Candidate| a.residual.norm_squared().total_cmp(&b.residual.norm_squared());
-        self.candidates.iter().filter(plausible).min_by(smaller).unwrap_or(best).residual
+        let single = self.candidates.iter().filter(plausible).min_by(smaller).unwrap_or(best).residual;
+        let limit = best.estimate.x * normal;
+        let late = &self.candidates[TURNS_WITHIN];
+        let turn = Turn { before: -late.bristle * limit, after: -self.candidates[0].bristle * limit };
+        let force = force - Vector2::new(best.estimate.y, best.estimate.z);
+        let turning = force - turn.nearest(force);
+        // A contact of a longer presliding turns as the candidates do.
+        let sharp = self.best < TURNS_WITHIN + 2;
+        if sharp && turning.norm_squared() < single.norm_squared() { turning } else { single }
     }
 
     /// The push as of the last step, N.
@@ -219,12 +239,17 @@ impl Candidate {
         self.residual = force + self.bristle * (self.estimate.x * normal) - bias;
     }
 
-    fn learn(&mut self, config: &FrictionConfig, dt: f64, normal: f64, force: Vector2<f64>, learned: bool) {
-        let pushed = learned && self.residual.norm() > config.gate;
+    /// How well it explains what is no push.
+    fn score(&mut self, config: &FrictionConfig, dt: f64, pushed: bool) {
         let trust = if pushed { 0.01 } else { 1.0 };
         let share = 1.0 - (-trust * dt / (0.3 * config.memory)).exp();
         let square = self.residual.norm_squared().min(4.0 * config.gate * config.gate);
         self.square += (square - self.square) * share;
+    }
+
+    fn learn(&mut self, config: &FrictionConfig, dt: f64, normal: f64, force: Vector2<f64>, learned: bool) {
+        let pushed = learned && self.residual.norm() > config.gate;
+        let trust = if pushed { 0.01 } else { 1.0 };
         if normal < 1.0 {
             return;
         }
@@ -258,6 +283,33 @@ impl Candidate {
         self.estimate += gain * (value - (row * self.estimate).x);
         self.covariance -= gain * spread.transpose();
         self.covariance = 0.5 * (self.covariance + self.covariance.transpose());
+    }
+}
+
+/// Friction that turns from one direction to another, N.
+struct Turn {
+    before: Vector2<f64>,
+    after: Vector2<f64>,
+}
+
+impl Turn {
+    /// The friction nearest to `force` that may occur on the way: its direction between the two, its size from that of
+    /// their mean (a straight reversal goes through zero) to the larger one's.
+    fn nearest(&self, force: Vector2<f64>) -> Vector2<f64> {
+        let least = 0.5 * (self.before + self.after).norm();
+        let most = self.before.norm().max(self.after.norm());
+        let size = force.norm().clamp(least.min(most), most);
+        let mean = self.before + self.after;
+        let (Some(middle), Some(wing)) = (mean.try_normalize(1e-6), self.before.try_normalize(1e-9)) else {
+            return force.try_normalize(1e-9).map_or_else(Vector2::zeros, |u| u * size);
+        };
+        let half = middle.dot(&wing).clamp(-1.0, 1.0).acos();
+        // The further it turns, the less is known on which side it does.
+        let half = half + 3.0 * (half - FRAC_PI_4).max(0.0);
+        let angle = middle.perp(&force).atan2(middle.dot(&force)).clamp(-half, half);
+        let (sin, cos) = angle.sin_cos();
+        let direction = Vector2::new(cos * middle.x - sin * middle.y, sin * middle.x + cos * middle.y);
+        direction * direction.dot(&force).clamp(least.min(most), most)
     }
 }
 

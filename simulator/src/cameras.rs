@@ -3,6 +3,9 @@
 //! A frame is drawn only when it is due and somebody waits for it. The robot believes its cameras to be where its
 //! joint angles say; the true camera stands off by the world's mounting error.
 
+#[cfg(test)]
+mod gestures;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 

@@ -75,6 +75,11 @@ impl Coaching {
         Ok(RunningStep { dt, phase, omega: std::f64::consts::TAU * frequency, stamp_ns: sample.stamp_ns })
     }
 
+    /// At which phase (rad) the hand that is seen came to its place, if it was seen to come.
+    pub(crate) fn hand_came_at(&mut self, phase: Option<f64>) {
+        self.coach.hand_came_at(phase);
+    }
+
     /// Lets the coach act on the motion for this step.
     pub(crate) async fn apply(
         &mut self,

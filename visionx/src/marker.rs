@@ -95,6 +95,8 @@ const LOST_AFTER_NS: u64 = 500_000_000;
 const LEAST_VISIBLE: f64 = 0.12;
 /// Standard deviation of a centroid of a wholly visible marker, px; measured on rendered spheres.
 const CENTROID_SIGMA_PX: f64 = 0.15;
+/// How near to its expected place a marker is taken for near, m.
+const NEAR: f64 = 0.08;
 /// Components smaller than this are noise, px.
 const LEAST_AREA: u32 = 12;
 
@@ -144,6 +146,16 @@ impl ColorMarkerObjectTracking {
     /// Frames whose images do not have the calibration's size are taken for black. After half a second without a
     /// measurement the marker is searched for anywhere again.
     pub fn update(&mut self, frame: &StereoFrame) -> Option<MarkerEstimate> {
+        self.update_near(frame, None)
+    }
+
+    /// As [`Self::update`], for a marker that should be at a `place` (left camera frame, m): where a track begins,
+    /// things of its colour are preferred the nearer they are to there, whatever else has that colour.
+    pub fn update_near(
+        &mut self,
+        frame: &StereoFrame,
+        place: Option<&Point3<f64>>,
+    ) -> Option<MarkerEstimate> {
         if !self.calibration.fits(frame) {
             return None;
         }
@@ -157,7 +169,7 @@ impl ColorMarkerObjectTracking {
         let lost = |t: &Track| frame.stamp_ns - t.measured_ns > LOST_AFTER_NS;
         if self.track.as_ref().is_none_or(lost) {
             (self.track, self.seen_color) = (None, None);
-            self.acquire(&self.masks(frame), frame)?;
+            self.acquire(&self.masks(frame), frame, place)?;
             let masks = self.masks(frame);
             return self.follow(&masks, frame);
         }
@@ -185,12 +197,16 @@ impl ColorMarkerObjectTracking {
     }
 
     /// Starts a track at the pair of coloured things that looks most like the marker.
-    fn acquire(&mut self, masks: &[Mask; 2], frame: &StereoFrame) -> Option<()> {
+    fn acquire(&mut self, masks: &[Mask; 2], frame: &StereoFrame, place: Option<&Point3<f64>>) -> Option<()> {
+        // Far things keep a little, so that the one thing of the colour is found wherever it is.
+        let nearness =
+            |p: &Point3<f64>| place.map_or(1.0, |at| 1.0 / (1.0 + ((p - at).norm() / NEAR).powi(4)));
         let [left, right] = masks.each_ref().map(|m| components(m, LEAST_AREA));
         let mut best: Option<(f64, Point3<f64>, f64, &Component)> = None;
         for l in left.iter().take(12) {
             for r in right.iter().take(12) {
                 let Some((point, score, diameter)) = self.candidate(l, r, &frame.left) else { continue };
+                let score = score * nearness(&point);
                 if best.as_ref().is_none_or(|b| score > b.0) {
                     best = Some((score, point, diameter, l));
                 }
@@ -540,6 +556,21 @@ mod tests {
                 assert!(error(&estimate, &at).norm() < 0.02, "frame {i}");
             }
         }
+    }
+
+    #[test]
+    fn what_is_where_it_should_be_is_preferred() {
+        let small = Point3::new(0.20, 0.50, 1.0);
+        let scene =
+            [table(TABLE), ball(small, 0.012, GREEN), ball(Point3::new(0.45, 0.60, 1.0), 0.05, GREEN)];
+        let frame = frame(&scene, 0, 1);
+        let anywhere = tracker().update(&frame).unwrap();
+        assert!(error(&anywhere, &small).norm() > 0.2);
+        let place = root_from_left().inverse() * (small + Vector3::new(0.02, -0.02, 0.02));
+        let there = tracker().update_near(&frame, Some(&place)).unwrap();
+        assert!(error(&there, &small).norm() < 0.01, "{there:?}");
+        let elsewhere = root_from_left().inverse() * Point3::new(-0.2, 0.5, 1.0);
+        assert!(tracker().update_near(&frame, Some(&elsewhere)).is_some());
     }
 
     #[test]

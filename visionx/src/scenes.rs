@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use crate::camera::{PinholeCamera, StereoCalibration};
-use crate::frame::{Image, StereoFrame};
+use crate::frame::{DepthImage, Image, StereoFrame};
 use crate::hand::Gesture;
 
 pub(crate) const CALIBRATION: StereoCalibration = StereoCalibration {
@@ -37,13 +37,18 @@ pub(crate) fn table(color: [u8; 3]) -> Thing {
     Thing::Block { root_from_block, size: Vector3::new(1.0, 0.7, 0.04), color }
 }
 
-/// A frame with sensor noise of two grey levels.
+/// A frame with sensor noise of two grey levels, without depth.
 pub(crate) fn frame(things: &[Thing], stamp_ns: u64, seed: u64) -> StereoFrame {
+    StereoFrame { depth: None, ..frame_with_depth(things, stamp_ns, seed) }
+}
+
+/// A frame with sensor noise of two grey levels and exact depth.
+pub(crate) fn frame_with_depth(things: &[Thing], stamp_ns: u64, seed: u64) -> StereoFrame {
     let root_from_left = root_from_left();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let [left, right] =
+    let [(left, depth), (right, _)] =
         [0.0, CALIBRATION.baseline].map(|shift| cast(things, &root_from_left, shift, &mut rng));
-    StereoFrame { stamp_ns, left, right, depth: None, root_from_left }
+    StereoFrame { stamp_ns, left, right, depth: Some(depth), root_from_left }
 }
 
 /// Frames in which there is nothing to see: black, white, noise, and images of the wrong size.
@@ -68,7 +73,12 @@ pub(crate) fn empty_frames() -> Vec<StereoFrame> {
         .collect()
 }
 
-fn cast(things: &[Thing], root_from_left: &Isometry3<f64>, shift: f64, rng: &mut ChaCha8Rng) -> Image {
+fn cast(
+    things: &[Thing],
+    root_from_left: &Isometry3<f64>,
+    shift: f64,
+    rng: &mut ChaCha8Rng,
+) -> (Image, DepthImage) {
     let camera = CALIBRATION.camera;
     let root_from_camera = root_from_left * Isometry3::translation(shift, 0.0, 0.0);
     let (w, h) = (camera.width as usize, camera.height as usize);
@@ -89,7 +99,13 @@ fn cast(things: &[Thing], root_from_left: &Isometry3<f64>, shift: f64, rng: &mut
     }
     let mut noisy = |c: f64| (c + 2.0 * rng.sample::<f64, _>(StandardNormal)).round().clamp(0.0, 255.0) as u8;
     let data = colors.into_iter().flatten().map(&mut noisy).collect();
-    Image::from_rgb(camera.width, camera.height, data).unwrap()
+    let measured = |z: f64| if z < f64::MAX { z as f32 } else { 0.0 };
+    let depth = DepthImage {
+        width: camera.width,
+        height: camera.height,
+        data: depths.into_iter().map(measured).collect(),
+    };
+    (Image::from_rgb(camera.width, camera.height, data).unwrap(), depth)
 }
 
 /// The columns of a row in which a thing can be seen.

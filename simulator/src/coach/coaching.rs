@@ -2,7 +2,8 @@
 //!
 //! A push follows the robot's hand: its force rises and falls smoothly with the phase. A gesture stands beside the
 //! path as the robot executed it last: it comes from its side and goes there again, showing the same gesture all
-//! the while, turned towards the robot's cameras.
+//! the while, turned towards the robot's cameras. It reaches for the pass that is meant: it comes to its place as the
+//! robot's hand comes to that phase.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -15,6 +16,12 @@ use crate::world::{CoachSpec, CoachingAction, CoachingStep, Gesture, Push, Show}
 
 /// How long the hand takes to come and to go, s.
 const COME: f64 = 1.0;
+/// It comes at most by this factor faster or slower than that, to be there in time.
+const HURRY: f64 = 1.7;
+/// The robot slows down as the hand comes: what it then does of the way that it would have done.
+const SLOWED: f64 = 0.75;
+/// The coach waits at most so many periods for the pass that he means.
+const WAIT: f64 = 2.0;
 /// How far it comes from, m.
 const DISTANCE: f64 = 0.35;
 /// Places on the path that the coach remembers.
@@ -83,7 +90,19 @@ pub struct ActionEvent {
 enum Activity {
     Idle,
     Pushing { began: Option<f64>, from: f64, inside: bool, done: u32 },
-    Showing { since: f64, place: Isometry3<f64>, away: Vector3<f64>, leaves: Option<f64>, arrived: bool },
+    Showing(Showing),
+}
+
+/// A hand that is shown.
+#[derive(Clone, Debug)]
+struct Showing {
+    since: f64,
+    place: Isometry3<f64>,
+    away: Vector3<f64>,
+    /// Share of its way here, 0 to 1.
+    come: f64,
+    arrived: Option<f64>,
+    leaves: Option<f64>,
 }
 
 #[derive(Clone, Debug)]
@@ -150,14 +169,14 @@ impl Coaching {
         let gone = t - since > self.ends;
         let Some(step) = self.steps.get(self.next).cloned() else { return };
         if matches!(self.activity, Activity::Idle) {
-            if gone || t - since < step.at {
+            if gone || t - since < step.at || !self.in_time(&step, t - since) {
                 return;
             }
             self.start(&step, t);
         }
         match &step.action {
             CoachingAction::Push { push } => self.push(push, t, gone, state),
-            CoachingAction::Show(show) => self.show(show, t, gone, state),
+            CoachingAction::Show(show) => self.show(show, t, dt, gone, state),
         }
     }
 
@@ -174,6 +193,21 @@ impl Coaching {
         }
     }
 
+    /// Whether a hand that sets out now, `elapsed` s after wiping began, is there when the robot comes to the phase that
+    /// is meant. A push waits for its phase by itself.
+    fn in_time(&self, step: &CoachingStep, elapsed: f64) -> bool {
+        let CoachingAction::Show(show) = &step.action else { return true };
+        let Some(cycles) = self.until(show.phase) else { return true };
+        let needed = SLOWED * COME * self.tracker.frequency();
+        let over = elapsed - step.at > WAIT / self.path.frequency();
+        over || (needed - cycles).rem_euclid(1.0) < 0.1
+    }
+
+    /// Cycles until the robot comes to `phase`, 0 to 1.
+    fn until(&self, phase: f64) -> Option<f64> {
+        Some((phase - self.tracker.phase()?).rem_euclid(1.0))
+    }
+
     fn start(&mut self, step: &CoachingStep, t: f64) {
         match &step.action {
             CoachingAction::Push { .. } => {
@@ -182,7 +216,8 @@ impl Coaching {
             CoachingAction::Show(show) => {
                 let place = self.place(show);
                 let away = -(place.rotation * Vector3::z()) * DISTANCE + Vector3::z() * 0.05;
-                self.activity = Activity::Showing { since: t, place, away, leaves: None, arrived: false };
+                let showing = Showing { since: t, place, away, come: 0.0, arrived: None, leaves: None };
+                self.activity = Activity::Showing(showing);
                 self.note(ActionKind::Gesture(show.gesture), EventKind::Began, t);
             }
         }
@@ -226,34 +261,47 @@ impl Coaching {
         }
     }
 
-    fn show(&mut self, show: &Show, t: f64, gone: bool, state: &mut CoachState) {
+    fn show(&mut self, show: &Show, t: f64, dt: f64, gone: bool, state: &mut CoachState) {
         let kind = ActionKind::Gesture(show.gesture);
-        let Activity::Showing { since, place, away, leaves, arrived } = &mut self.activity else { return };
-        let age = t - *since;
+        let rate = self.approach_rate(show.phase);
+        let Activity::Showing(hand) = &mut self.activity else { return };
+        hand.come = (hand.come + rate * dt).min(1.0);
         let mut happened = None;
-        if !*arrived && age >= COME {
-            *arrived = true;
-            happened = Some(EventKind::Arrived { palm: place.translation.vector.into() });
-        } else if leaves.is_none() && *arrived && (age >= COME + show.duration || gone) {
-            *leaves = Some(t);
+        if hand.arrived.is_none() && hand.come >= 1.0 {
+            hand.arrived = Some(t);
+            happened = Some(EventKind::Arrived { palm: hand.place.translation.vector.into() });
+        } else if let (None, Some(arrived)) = (hand.leaves, hand.arrived)
+            && (t >= arrived + show.duration || gone)
+        {
+            hand.leaves = Some(t);
             happened = Some(EventKind::Leaves);
         }
-        let apart = match *leaves {
+        let apart = match hand.leaves {
             Some(left) => minimum_jerk((t - left) / COME),
-            None => 1.0 - minimum_jerk(age / COME),
+            None => 1.0 - minimum_jerk(hand.come),
         };
-        let shift = Translation3::from(*away * apart);
-        let over = leaves.is_some_and(|left| t - left >= COME);
-        let in_place = *arrived && leaves.is_none();
-        let root_from_hand = shift * *place;
+        let root_from_hand = Translation3::from(hand.away * apart) * hand.place;
+        let over = hand.leaves.is_some_and(|left| t - left >= COME);
+        let in_place = hand.arrived.is_some() && hand.leaves.is_none();
+        let shown_s = t - hand.since;
         if let Some(event) = happened {
             self.note(kind, event, t);
         }
         if over {
             self.finish(kind, t);
         } else {
-            state.hand = Some(HandShown { root_from_hand, gesture: show.gesture, shown_s: age, in_place });
+            state.hand = Some(HandShown { root_from_hand, gesture: show.gesture, shown_s, in_place });
         }
+    }
+
+    /// How fast the hand comes, share of its way per s: what is left of it in the time that the robot needs to the
+    /// phase that is meant, within [`HURRY`].
+    fn approach_rate(&self, phase: f64) -> f64 {
+        let Activity::Showing(hand) = &self.activity else { return 0.0 };
+        let Some(cycles) = self.until(phase) else { return 1.0 / COME };
+        // Just missed is no reason to wait for the next pass.
+        let left = if cycles > 0.8 { 0.0 } else { cycles / self.tracker.frequency().max(1e-3) };
+        ((1.0 - hand.come) / left.max(1e-3)).clamp(1.0 / (HURRY * COME), HURRY / COME)
     }
 
     /// Where the hand waits: beside the path as it was executed last, the palm turned to the cameras.
@@ -361,7 +409,10 @@ mod tests {
         assert!((Vector3::from(palm) - expected).norm() < 0.01, "{palm:?}");
         let waits = states.iter().filter(|s| s.hand.is_some_and(|h| h.in_place)).count();
         assert!((4999..=5001).contains(&waits), "{waits}");
-        assert!((events[3].t - events[0].t - 7.0).abs() < 0.01);
+        assert!((events[3].t - events[0].t - 7.0).abs() < 0.5);
+        let reached = states.iter().position(|s| s.hand.is_some_and(|h| h.in_place));
+        let phase = states[reached.unwrap()].phase.unwrap();
+        assert!((phase - 0.75).abs() < 0.03, "{phase}");
         for w in states.windows(2) {
             if let [Some(a), Some(b)] = [w[0].hand, w[1].hand] {
                 let step = b.root_from_hand.translation.vector - a.root_from_hand.translation.vector;

@@ -142,6 +142,12 @@ impl PhaseTracker {
         self.theta.map(|t| (t / TAU).rem_euclid(1.0))
     }
 
+    /// How fast the phase goes, cycles/s, smoothed over 0.3 s.
+    #[must_use]
+    pub fn frequency(&self) -> f64 {
+        self.omega / TAU
+    }
+
     /// Takes the position, m, and velocity, m/s, `dt` s after the last; returns the unwrapped phase, rad.
     pub fn update(&mut self, position: [f64; 2], velocity: [f64; 2], dt: f64) -> f64 {
         self.follow_middle(position, dt);

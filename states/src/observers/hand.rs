@@ -1,4 +1,5 @@
-//! The coach's hand: found in the camera frames while somebody reads the channel `hand`, and kept in memory.
+//! The coach's hand: found in the camera frames while somebody reads the channel `hand`, and kept in memory. While a
+//! motion runs, `came_at` is the phase (rad) at which the hand came to its place.
 
 use std::collections::BTreeMap;
 
@@ -11,11 +12,14 @@ use nalgebra::{Isometry3, Vector3};
 use crate::arm::TCP;
 use crate::equipment::Equipment;
 use crate::hand_eye::HandEye;
+use crate::inputs::as_vector;
+use crate::observers::arrival::Arrival;
 
 /// Publishes `hand` for each frame while it is wanted.
 pub(super) async fn observe(equipment: Equipment, channels: Channels) {
     let mut wanted = channels.wanted("hand");
     let mut observer = HandObserver::new(equipment.images.calibration());
+    let mut arrival = Arrival::default();
     loop {
         while *wanted.borrow_and_update() == 0 {
             if wanted.changed().await.is_err() {
@@ -27,7 +31,13 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
         let Ok(hand_eye) = HandEye::load(&*equipment.memory, &equipment.agent).await else { return };
         let frame = hand_eye.corrected(&frame);
         let seen = observer.update(&frame);
-        let value = describe(&equipment, &frame, seen.as_ref());
+        let mut value = describe(&equipment, &frame, seen.as_ref());
+        let phase = channels.newest("motion").and_then(|s| s.value.get("phase").and_then(Value::as_f64));
+        let palm = value.get("position").and_then(as_vector);
+        let came = arrival.update(frame.stamp_ns, palm, phase);
+        if let (Value::Map(fields), Some(came)) = (&mut value, came) {
+            fields.insert("came_at".into(), Value::Float(came));
+        }
         remember(&equipment, &frame, &value, seen.map_or(1.0, |s| s.confidence)).await;
         channels.publish("hand", value);
     }

@@ -6,6 +6,7 @@
 //! | `hand` | `gesture`, `confidence`, `position` (m), `direction`, `distance` (m, to the TCP) | each frame, while somebody reads it |
 //! | `motion` | `phase` (rad), `frequency` (Hz), `position` (m), `velocity` (m/s), `normal_force` (N) | each control step of a running motion |
 
+mod arrival;
 mod hand;
 mod wrist;
 

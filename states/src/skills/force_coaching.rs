@@ -16,6 +16,12 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         SkillManifest::new("ForceCoaching", "Changes the running motion by the coach's pushes on the hand.")
             .input("motion", Type::motion(), "The running motion.")
             .optional("threshold", Type::quantity(Unit::N), 4.0, "Force that counts as a push.")
+            .optional(
+                "hold",
+                Type::Duration,
+                0.06,
+                "A push lasts at least this long; shorter ones are not followed.",
+            )
             .optional("patience", Type::Duration, 4.0, "Ends when no push has been felt for this long.")
             .output("displacement", Type::FLOAT, "How far the path has moved where it moved most, m.");
     equipment::skill(equipment, manifest, run)
@@ -23,14 +29,17 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let (threshold, patience) = (context.number("threshold")?, context.number("patience")?);
+    let hold = context.number("hold")?;
     let mut coaching = Coaching::begin(&equipment, &context).await?;
     let _wrist_is_wanted = context.channels.demand("wrist");
     let mut displacement = 0.0_f64;
+    let mut pushed_for = 0.0;
     loop {
         let step = coaching.next().await?;
         let push = context.channels.newest("wrist").and_then(|s| s.value.get("push").and_then(as_vector));
         let force = push.unwrap_or_else(Vector3::zeros);
-        let input = if force.norm() > threshold { CoachInput::Push { force } } else { CoachInput::None };
+        pushed_for = if force.norm() > threshold { pushed_for + step.dt() } else { 0.0 };
+        let input = if pushed_for > hold { CoachInput::Push { force } } else { CoachInput::None };
         let report = coaching.apply(&step, input).await?;
         if report.active {
             displacement = displacement.max(report.displacement);

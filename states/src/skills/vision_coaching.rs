@@ -30,6 +30,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         let seen = context.channels.newest("hand");
         let seen = seen.filter(|s| s.at.elapsed().as_secs_f64() < 0.3);
         let input = steady.update(step.dt(), seen.map(|s| s.value));
+        coaching.hand_came_at(steady.hand.get("came_at").and_then(Value::as_f64));
         let report = coaching.apply(&step, input).await?;
         if report.active {
             displacement = displacement.max(report.displacement);

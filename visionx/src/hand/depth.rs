@@ -1,15 +1,109 @@
-//! The disparity of a part of a hand, by comparing its brightness and its silhouette in both eyes.
+//! Where a part of a hand is in space: by the depth image, or by its disparity, comparing its brightness and its
+//! silhouette in both eyes.
 
-use nalgebra::Point2;
+use nalgebra::{Point2, Point3};
 
-use crate::frame::Image;
+use super::candidates::{Hand, median};
+use crate::camera::StereoCalibration;
+use crate::frame::{DepthImage, Image, StereoFrame};
 use crate::mask::Mask;
+
+/// Measures the parts of one hand in one frame.
+pub(super) struct Ranging<'a> {
+    calibration: &'a StereoCalibration,
+    left: View<'a>,
+    by: By<'a>,
+    /// Depth of the palm, m.
+    z: f64,
+}
+
+enum By<'a> {
+    Depth(&'a DepthImage),
+    Eyes(View<'a>),
+}
+
+impl<'a> Ranging<'a> {
+    /// For a hand; `None` when there is neither depth nor a second eye to measure with.
+    pub(super) fn of(
+        frame: &'a StereoFrame,
+        calibration: &'a StereoCalibration,
+        hand: &'a Hand,
+    ) -> Option<Self> {
+        let by = match (&hand.right, &frame.depth) {
+            (Some(right), _) => By::Eyes(View { image: &frame.right, hand: right }),
+            (None, Some(depth)) => By::Depth(depth),
+            (None, None) => return None,
+        };
+        let left = View { image: &frame.left, hand: &hand.left };
+        let mut ranging = Self { calibration, left, by, z: hand.z };
+        let palm = ranging.depth(&hand.shape.palm, 0.75 * hand.shape.palm_radius);
+        ranging.z = palm.unwrap_or(hand.z);
+        Some(ranging)
+    }
+
+    /// The middle of the visible surface of the palm at a pixel, left camera frame, m.
+    pub(super) fn palm(&self, px: &Point2<f64>) -> Point3<f64> {
+        Point3::from(self.calibration.camera.ray(px) * self.z)
+    }
+
+    /// The surface of the hand's part within `radius` m of a pixel, at that pixel, left camera frame, m.
+    pub(super) fn point(&self, px: &Point2<f64>, radius: f64) -> Option<Point3<f64>> {
+        self.point_by(px, px, radius)
+    }
+
+    /// As [`Self::point`], measured about a `neighbour` of the pixel.
+    pub(super) fn point_by(
+        &self,
+        px: &Point2<f64>,
+        neighbour: &Point2<f64>,
+        radius: f64,
+    ) -> Option<Point3<f64>> {
+        let z = self.depth(neighbour, radius)?;
+        Some(Point3::from(self.calibration.camera.ray(px) * z))
+    }
+
+    /// The depth of the hand's part within `radius` m of a pixel, m, where a depth image measures it.
+    pub(super) fn measured(&self, px: &Point2<f64>, radius: f64) -> Option<f64> {
+        matches!(self.by, By::Depth(_)).then(|| self.depth(px, radius)).flatten()
+    }
+
+    fn depth(&self, px: &Point2<f64>, radius: f64) -> Option<f64> {
+        let (focal, baseline) = (self.calibration.camera.focal, self.calibration.baseline);
+        let radius_px = radius * focal / self.z;
+        match self.by {
+            By::Depth(depth) => depth_about(depth, self.left.hand, px, radius_px),
+            By::Eyes(right) => {
+                let guess = focal * baseline / self.z;
+                // A hand's parts lie within a decimetre of its palm in depth.
+                let range = (0.1 * guess / self.z).ceil().clamp(3.0, 40.0) as i64 + 1;
+                let disparity = disparity(self.left, right, px, radius_px, guess, range)?;
+                (disparity > 0.1).then(|| focal * baseline / disparity)
+            }
+        }
+    }
+}
+
+/// The median depth of a hand's pixels within `radius` px, m.
+fn depth_about(depth: &DepthImage, hand: &Mask, center: &Point2<f64>, radius: f64) -> Option<f64> {
+    if !(radius.is_finite() && center.coords.amax().is_finite()) {
+        return None;
+    }
+    let (cx, cy, r) = (center.x.round() as i64, center.y.round() as i64, radius.clamp(2.0, 60.0) as i64);
+    let mut values = Vec::new();
+    for (y, x) in (cy - r..=cy + r).flat_map(|y| (cx - r..=cx + r).map(move |x| (y, x))) {
+        let inside = (x - cx) * (x - cx) + (y - cy) * (y - cy) <= r * r && hand.contains(x, y);
+        let value =
+            depth.data.get((y.max(0) as usize).saturating_mul(depth.width as usize) + x.max(0) as usize);
+        values.extend(value.filter(|z| inside && **z > 0.0));
+    }
+    median(values)
+}
 
 /// One eye: its image, and the hand's pixels in it.
 #[derive(Clone, Copy)]
-pub(super) struct View<'a> {
-    pub(super) image: &'a Image,
-    pub(super) hand: &'a Mask,
+struct View<'a> {
+    image: &'a Image,
+    hand: &'a Mask,
 }
 
 /// What one pixel costs at most, and what it costs to be hand in one eye and not in the other, grey levels.
@@ -18,7 +112,7 @@ const MOST: f64 = 30.0;
 /// The disparity (px, positive: farther left in the right image) of what lies within `radius` px of `center` in the
 /// left eye, searched within `range` px of `guess`; to a fraction of a pixel. `None` when the best is at the end of
 /// the range or the part has too few pixels of the hand.
-pub(super) fn disparity(
+fn disparity(
     left: View<'_>,
     right: View<'_>,
     center: &Point2<f64>,

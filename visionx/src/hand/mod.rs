@@ -1,14 +1,17 @@
 //! A person's hand in stereo frames: where it is, what gesture it shows, where it points.
 //!
-//! [`HandObserver`] goes from colour (`skin`) to a silhouette of a hand's size at its distance, from there to a palm
-//! and stretched fingers (`shape`), to a gesture (`patterns`), and with both eyes to points and directions (`depth`).
+//! [`HandObserver`] goes from what stands out of the scenery (`relief`) and from colour (`skin`) to a silhouette of a
+//! hand's size at its distance (`candidates`), from there to a palm and stretched fingers (`shape`), to a gesture
+//! (`patterns`), and to points and directions (`depth`). Without a depth image both eyes take its place.
 //! One hand at a time; whose hand it is, it does not know.
 
 use std::fmt;
 
+mod candidates;
 mod depth;
 mod observer;
 mod patterns;
+mod relief;
 mod shape;
 mod skin;
 

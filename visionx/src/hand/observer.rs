@@ -1,15 +1,15 @@
-//! From frames to a hand: chooses among the skin-coloured things the one that is a hand, and smooths over time.
+//! From frames to a hand: measures the thing that is a hand, and smooths over time.
 
-use nalgebra::{Point2, Point3, Vector3};
+use nalgebra::{Point2, Vector3};
 
-use super::depth::{View, disparity};
+use super::candidates::{Hand, find};
+use super::depth::Ranging;
 use super::patterns::likelihoods;
-use super::shape::{Finger, HandShape, hand_shape};
-use super::skin::{HalfImage, SkinClusters};
+use super::shape::Finger;
 use super::{Fingertip, Gesture, HandObservation};
 use crate::camera::StereoCalibration;
-use crate::components::{Component, components};
-use crate::frame::{DepthImage, StereoFrame};
+use crate::components::components;
+use crate::frame::StereoFrame;
 use crate::mask::{Mask, Region};
 
 /// Finds a hand and its gesture in a stream of frames.
@@ -31,38 +31,11 @@ struct Memory {
     pointing: Option<Vector3<f64>>,
 }
 
-/// A thing of skin colour seen by both eyes, with pixels at half resolution.
-struct Candidate {
-    label: u8,
-    left: Component,
-    right: Component,
-    /// Depth, m.
-    z: f64,
-    score: f64,
-}
-
-/// A candidate that has the shape of a hand.
-struct Hand {
-    candidate: Candidate,
-    masks: [Mask; 2],
-    shape: HandShape,
-}
-
-/// Distances at which hands are looked for, m.
-const DEPTHS: (f64, f64) = (0.2, 1.7);
-/// Areas that a hand can show, with a part of the arm, m^2.
-const AREAS: (f64, f64) = (18e-4, 400e-4);
-/// Area over which a thing of skin-like colour is scenery, m^2.
-const SCENERY: f64 = 600e-4;
-/// Radii of the palm's largest disc, from the edge and with a large hand, m.
-const PALM_RADII: (f64, f64) = (0.0145, 0.062);
 /// From a palm's surface to its middle, m.
 const HALF_PALM: f64 = 0.014;
-/// Share of a hand's outline behind which the scene lies deeper, at least. A patch of a surface has none, save where
-/// the surface ends.
-const LEAST_RELIEF: f64 = 0.3;
-/// Deeper by more than this, m.
-const STEP: f32 = 0.012;
+/// How far about a place in a finger's end, and at its base, depth is measured, m.
+const TIP_RADIUS: f64 = 0.012;
+const BASE_RADIUS: f64 = 0.018;
 /// Probability that a gesture goes on to the next frame. With [`FLOOR`], a change takes two clear frames.
 const STAY: f64 = 0.94;
 /// Least likelihood of a gesture in one frame.
@@ -87,114 +60,39 @@ impl HandObserver {
         if self.memory.as_ref().is_some_and(forgotten) {
             self.memory = None;
         }
-        let halves = [&frame.left, &frame.right].map(HalfImage::of);
-        let clusters = SkinClusters::find(&halves[0]);
-        let hand = self.find(frame, &halves, &clusters)?;
-        self.observe(frame, &clusters, hand)
+        let hand = find(frame, &self.calibration, self.memory.as_ref().map(|m| m.skin))?;
+        self.observe(frame, &hand)
     }
 
-    /// The thing that looks most like a hand.
-    fn find(&self, frame: &StereoFrame, halves: &[HalfImage; 2], clusters: &SkinClusters) -> Option<Hand> {
-        let mut candidates: Vec<Candidate> =
-            clusters.labels().flat_map(|label| self.candidates(halves, clusters, label)).collect();
-        candidates.sort_by(|a, b| b.score.total_cmp(&a.score));
-        candidates.into_iter().take(4).find_map(|candidate| {
-            let size = (frame.left.width(), frame.left.height());
-            let masks =
-                [(&frame.left, &candidate.left), (&frame.right, &candidate.right)].map(|(image, part)| {
-                    own_pixels(&clusters.mask(image, full(&part.bounds, size), candidate.label))
-                });
-            let shape = hand_shape(&masks[0], candidate.z / self.calibration.camera.focal)?;
-            let fits = (PALM_RADII.0..PALM_RADII.1).contains(&shape.palm_radius)
-                && (AREAS.0..AREAS.1).contains(&shape.area);
-            let stands_out = frame.depth.as_ref().is_none_or(|d| relief(&masks[0], d) >= LEAST_RELIEF);
-            (fits && stands_out).then_some(Hand { candidate, masks, shape })
-        })
-    }
-
-    /// The things of one cluster that have a hand's size; none if the cluster is scenery.
-    fn candidates(&self, halves: &[HalfImage; 2], clusters: &SkinClusters, label: u8) -> Vec<Candidate> {
-        let camera = &self.calibration.camera;
-        let [left, right] = halves.each_ref().map(|half| components(&clusters.half_mask(half, label), 30));
-        let area_at = |c: &Component, z: f64| 4.0 * f64::from(c.area) * (z / camera.focal).powi(2);
-        // Too large even at the nearest distance.
-        if left.first().is_some_and(|c| area_at(c, DEPTHS.0) > SCENERY) {
-            return Vec::new();
-        }
-        let mut found = Vec::new();
-        for l in left.iter().take(6) {
-            for r in right.iter().take(6) {
-                let Some(z) = self.pair_depth(l, r) else { continue };
-                let area = area_at(l, z);
-                if area > SCENERY {
-                    return Vec::new();
-                }
-                if (DEPTHS.0..DEPTHS.1).contains(&z) && (AREAS.0..AREAS.1).contains(&area) {
-                    let score = self.likeness(clusters.peak(label), area);
-                    found.push(Candidate { label, left: l.clone(), right: r.clone(), z, score });
-                }
-            }
-        }
-        found
-    }
-
-    /// The depth of a pair of components (half resolution), m, if they can be one thing.
-    fn pair_depth(&self, l: &Component, r: &Component) -> Option<f64> {
-        let (small, large) = (f64::from(l.area.min(r.area)), f64::from(l.area.max(r.area)));
-        let height = f64::from(l.bounds.height.max(r.bounds.height));
-        if small < 0.5 * large || (l.centroid.y - r.centroid.y).abs() > 2.0 + 0.12 * height {
-            return None;
-        }
-        let disparity = 2.0 * (l.centroid.x - r.centroid.x);
-        (disparity > 1.0).then(|| self.calibration.camera.focal * self.calibration.baseline / disparity)
-    }
-
-    /// How much a thing looks like skin of a hand's size: its colour near that of the last frames or else of usual
-    /// skin, its area (m^2) near that of a hand.
-    fn likeness(&self, peak: [f32; 2], area: f64) -> f64 {
-        // Log-chromaticities of light and dark skin in white light lie about here, with these deviations.
-        let (middle, deviation) = self.memory.as_ref().map_or(([0.30, 0.25], 0.12), |m| (m.skin, 0.06));
-        let apart = f64::from((peak[0] - middle[0]).hypot(peak[1] - middle[1])) / deviation;
-        let size = (area / 90e-4).ln() / 0.7;
-        (-0.5 * (apart * apart + size * size)).exp()
-    }
-
-    fn observe(
-        &mut self,
-        frame: &StereoFrame,
-        clusters: &SkinClusters,
-        hand: Hand,
-    ) -> Option<HandObservation> {
-        let camera = &self.calibration.camera;
-        let (shape, z) = (&hand.shape, hand.candidate.z);
-        let coarse = camera.focal * self.calibration.baseline / z;
-        let at_palm = self.part_disparity(frame, &hand, &shape.palm, 0.75 * shape.palm_radius, coarse);
-        let surface = self.point(&shape.palm, at_palm.unwrap_or(coarse))?;
+    fn observe(&mut self, frame: &StereoFrame, hand: &Hand) -> Option<HandObservation> {
+        let (shape, calibration) = (&hand.shape, self.calibration);
+        let ranging = Ranging::of(frame, &calibration, hand)?;
+        let surface = ranging.palm(&shape.palm);
         let palm_in_left = surface + surface.coords.try_normalize(1e-6)? * HALF_PALM;
 
-        let belief = self.believe(&likelihoods(&shape.fingers));
+        let fingers: Vec<Finger> = shape.fingers.iter().map(|f| in_depth(f, &ranging)).collect();
+        let belief = self.believe(&likelihoods(&fingers));
         let best = (0..4).max_by(|&a, &b| belief[a].total_cmp(&belief[b]))?;
         let gesture = Gesture::ALL[best];
-        let stretched: Vec<&Finger> = shape.fingers.iter().filter(|f| f.score > 0.5).collect();
-        let guess = at_palm.unwrap_or(coarse);
+        let stretched: Vec<&Finger> = fingers.iter().filter(|f| f.score > 0.5).collect();
         let direction = match (gesture, stretched.len()) {
-            (Gesture::PointOne, 1) | (Gesture::PointTwo, 2) => {
-                self.direction(frame, &hand, &stretched, guess)
-            }
+            (Gesture::PointOne, 1) | (Gesture::PointTwo, 2) => direction(&ranging, &stretched),
             _ => None,
         };
-        let tips = stretched.iter().map(|f| Fingertip {
-            px: f.tip,
-            in_left: self.tip_disparity(frame, &hand, f, guess).and_then(|d| self.point(&f.tip, d)),
-            score: f.score,
-        });
-        let fingertips = tips.collect();
+        let fingertips = stretched
+            .iter()
+            .map(|f| Fingertip {
+                px: f.tip,
+                in_left: ranging.point_by(&f.tip, &inside_tip(f), TIP_RADIUS),
+                score: f.score,
+            })
+            .collect();
         let points = matches!(gesture, Gesture::PointOne | Gesture::PointTwo);
         let pointing = self.smooth(direction, points, frame);
         self.memory = Some(Memory {
             stamp_ns: frame.stamp_ns,
             belief,
-            skin: clusters.peak(hand.candidate.label),
+            skin: hand.skin,
             pointing: pointing.map(|p| frame.root_from_left * p),
         });
         Some(HandObservation {
@@ -202,10 +100,10 @@ impl HandObserver {
             confidence: belief[best],
             palm_in_left,
             palm_px: shape.palm,
-            palm_radius_px: shape.palm_radius * camera.focal / z,
+            palm_radius_px: shape.palm_radius * calibration.camera.focal / hand.z,
             pointing,
             fingertips,
-            bounding_box: bounds(&hand.masks[0]),
+            bounding_box: bounds(&hand.left),
             stamp_ns: frame.stamp_ns,
         })
     }
@@ -233,98 +131,30 @@ impl HandObserver {
             (None, before) => before,
         }
     }
-
-    /// The mean direction of stretched fingers, unit vector in the left camera's frame.
-    fn direction(
-        &self,
-        frame: &StereoFrame,
-        hand: &Hand,
-        fingers: &[&Finger],
-        guess: f64,
-    ) -> Option<Vector3<f64>> {
-        let mut sum = Vector3::zeros();
-        for finger in fingers {
-            let tip = self.point(&finger.tip, self.tip_disparity(frame, hand, finger, guess)?)?;
-            let base =
-                self.point(&finger.base, self.part_disparity(frame, hand, &finger.base, 0.018, guess)?)?;
-            sum += (tip - base).try_normalize(1e-6)?;
-        }
-        sum.try_normalize(1e-6)
-    }
-
-    /// The disparity at a finger's end, px, compared a little inside of the tip.
-    fn tip_disparity(&self, frame: &StereoFrame, hand: &Hand, finger: &Finger, guess: f64) -> Option<f64> {
-        let inside = finger.tip + (finger.base - finger.tip) * (0.008 / finger.length.max(0.02));
-        self.part_disparity(frame, hand, &inside, 0.012, guess)
-    }
-
-    /// The disparity of the part of the hand within `radius` m of a pixel, px.
-    fn part_disparity(
-        &self,
-        frame: &StereoFrame,
-        hand: &Hand,
-        px: &Point2<f64>,
-        radius: f64,
-        guess: f64,
-    ) -> Option<f64> {
-        let focal = self.calibration.camera.focal;
-        let z = focal * self.calibration.baseline / guess;
-        // A hand's parts lie within a decimetre of its palm in depth.
-        let range = (0.1 * guess / z).ceil().clamp(3.0, 40.0) as i64 + 1;
-        let left = View { image: &frame.left, hand: &hand.masks[0] };
-        let right = View { image: &frame.right, hand: &hand.masks[1] };
-        disparity(left, right, px, radius * focal / z, guess, range)
-    }
-
-    fn point(&self, px: &Point2<f64>, disparity: f64) -> Option<Point3<f64>> {
-        self.calibration.triangulate(px, &Point2::new(px.x - disparity, px.y))
-    }
 }
 
-/// The share of a mask's outline behind which the scene lies deeper by [`STEP`] or more. Along rows and columns, from
-/// inside the outline to outside of it; outlines at the image's border do not count. 0 without an outline.
-fn relief(mask: &Mask, depth: &DepthImage) -> f64 {
-    let at = |x: i64, y: i64| {
-        let inside = x >= 0 && y >= 0 && x < i64::from(depth.width) && y < i64::from(depth.height);
-        inside.then(|| depth.data.get(y as usize * depth.width as usize + x as usize).copied()).flatten()
-    };
-    let (mut outline, mut deeper) = (0usize, 0usize);
-    let region = mask.region();
-    for y in i64::from(region.y)..i64::from(region.y + region.height) {
-        for x in i64::from(region.x)..i64::from(region.x + region.width) {
-            if !mask.contains(x, y) {
-                continue;
-            }
-            for (dx, dy) in [(1, 0), (-1, 0), (0, 1), (0, -1)] {
-                if mask.contains(x + dx, y + dy) {
-                    continue;
-                }
-                let (Some(here), Some(there)) = (at(x - 2 * dx, y - 2 * dy), at(x + 4 * dx, y + 4 * dy))
-                else {
-                    continue;
-                };
-                outline += 1;
-                // Nothing measured outside is nothing near.
-                deeper += usize::from(here > 0.0 && (there == 0.0 || there > here + STEP));
-            }
-        }
+/// The mean direction of stretched fingers, unit vector in the left camera's frame.
+fn direction(ranging: &Ranging<'_>, fingers: &[&Finger]) -> Option<Vector3<f64>> {
+    let mut sum = Vector3::zeros();
+    for finger in fingers {
+        let tip = ranging.point_by(&finger.tip, &inside_tip(finger), TIP_RADIUS)?;
+        let base = ranging.point(&finger.base, BASE_RADIUS)?;
+        sum += (tip - base).try_normalize(1e-6)?;
     }
-    if outline == 0 { 0.0 } else { deeper as f64 / outline as f64 }
+    sum.try_normalize(1e-6)
 }
 
-/// A region at half resolution in whole pixels, a little larger.
-fn full(half: &Region, size: (u32, u32)) -> Region {
-    let whole = Region { x: 2 * half.x, y: 2 * half.y, width: 2 * half.width, height: 2 * half.height };
-    whole.grown(6, size.0, size.1)
+/// A finger with its length in space rather than across the line of sight, where the depth image tells.
+fn in_depth(finger: &Finger, ranging: &Ranging<'_>) -> Finger {
+    let tip = ranging.measured(&inside_tip(finger), TIP_RADIUS);
+    let base = ranging.measured(&finger.base, BASE_RADIUS);
+    let rise = tip.zip(base).map_or(0.0, |(tip, base)| tip - base);
+    finger.reaching(rise)
 }
 
-/// The largest component alone.
-fn own_pixels(mask: &Mask) -> Mask {
-    let mut own = Mask::empty(mask.region());
-    if let Some(largest) = components(mask, 1).first() {
-        own.add(&largest.runs);
-    }
-    own
+/// A place a little inside of a finger's end, px.
+fn inside_tip(finger: &Finger) -> Point2<f64> {
+    finger.tip + (finger.base - finger.tip) * (0.008 / finger.length.max(0.02))
 }
 
 fn bounds(mask: &Mask) -> Region {
@@ -334,8 +164,11 @@ fn bounds(mask: &Mask) -> Region {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenes::{CALIBRATION, TABLE, Thing, empty_frames, frame, hand, table};
-    use nalgebra::Isometry3;
+    use crate::frame::DepthImage;
+    use crate::scenes::{
+        CALIBRATION, SKIN, TABLE, Thing, empty_frames, frame, frame_with_depth, hand, table,
+    };
+    use nalgebra::{Isometry3, Point3};
 
     const PLACE: Point3<f64> = Point3::new(0.02, -0.02, 0.7);
 
@@ -360,19 +193,17 @@ mod tests {
     }
 
     #[test]
-    fn only_what_stands_out_has_relief() {
-        let mut mask = Mask::empty(Region { x: 20, y: 20, width: 30, height: 30 });
-        mask.data_mut().fill(1);
-        let depth = |inside: f32, outside: f32| {
-            let at = |i: u32| (20..50).contains(&(i % 80)) && (20..50).contains(&(i / 80));
-            let data = (0..80 * 80).map(|i| if at(i) { inside } else { outside }).collect();
-            DepthImage { width: 80, height: 80, data }
-        };
-        assert_eq!(relief(&mask, &depth(0.7, 0.8)), 1.0);
-        assert_eq!(relief(&mask, &depth(0.7, 0.0)), 1.0);
-        assert_eq!(relief(&mask, &depth(0.7, 0.705)), 0.0);
-        assert_eq!(relief(&mask, &depth(0.7, 0.6)), 0.0);
-        assert_eq!(relief(&mask, &DepthImage { width: 80, height: 80, data: Vec::new() }), 0.0);
+    fn the_tables_colour_does_not_matter_where_there_is_depth() {
+        for color in [SKIN, [120, 84, 60], [150, 112, 90], [225, 190, 150]] {
+            for (i, gesture) in Gesture::ALL.into_iter().enumerate() {
+                let (mut things, _) = hand(gesture, PLACE, 0.2, i % 2 == 0, 0.2);
+                things.push(table(color));
+                let seen = HandObserver::new(CALIBRATION).update(&frame_with_depth(&things, 0, 1)).unwrap();
+                assert_eq!(seen.gesture, gesture, "{color:?}: {seen:?}");
+                assert!((seen.palm_in_left - PLACE).norm() < 0.03, "{:?}", seen.palm_in_left);
+            }
+            assert_eq!(HandObserver::new(CALIBRATION).update(&frame_with_depth(&[table(color)], 0, 2)), None);
+        }
     }
 
     #[test]

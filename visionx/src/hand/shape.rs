@@ -29,7 +29,7 @@ pub(super) struct Finger {
     pub(super) tip: Point2<f64>,
     /// Where it leaves the palm, px.
     pub(super) base: Point2<f64>,
-    /// How far it stands out of the palm, m across the line of sight.
+    /// How far it stands out of the palm, m; across the line of sight unless its rise is known.
     pub(super) length: f64,
     /// Mean width, m.
     pub(super) width: f64,
@@ -48,6 +48,14 @@ pub(super) struct HandShape {
     pub(super) area: f64,
     /// What may be fingers, in order of their angle about the palm.
     pub(super) fingers: Vec<Finger>,
+}
+
+impl Finger {
+    /// The same finger when its tip is farther than its base by `rise` m along the line of sight, or nearer.
+    pub(super) fn reaching(&self, rise: f64) -> Self {
+        let length = self.length.hypot(rise);
+        Self { length, score: finger_score(length, self.width), ..self.clone() }
+    }
 }
 
 /// The shape of a mask's largest component, when a pixel is `pixel_m` m wide at its distance. `None` when there is

@@ -60,6 +60,12 @@ impl HalfImage {
         }
         Self { width: w, height: h, data }
     }
+
+    /// Whether a pixel, by its place in the data, is one of these in the whole image.
+    fn is_among(&self, i: usize, among: Option<&Mask>) -> bool {
+        let (x, y) = ((i % self.width as usize) as i64, (i / self.width as usize) as i64);
+        among.is_none_or(|m| m.contains(2 * x, 2 * y))
+    }
 }
 
 impl Logs {
@@ -81,14 +87,16 @@ impl Logs {
 }
 
 impl SkinClusters {
-    /// The clusters of the skin-like colours in an image.
-    pub(super) fn find(image: &HalfImage) -> Self {
+    /// The clusters of the skin-like colours in an image, or in its pixels `among` these.
+    pub(super) fn find(image: &HalfImage, among: Option<&Mask>) -> Self {
         debug_assert!(((RED_OVER_GREEN.1 - RED_OVER_GREEN.0) / BIN).round() as usize == BINS);
         debug_assert!(((GREEN_OVER_BLUE.1 - GREEN_OVER_BLUE.0) / BIN).round() as usize == BINS);
         let logs = Logs::new();
         let mut histogram = vec![0.0f32; BINS * BINS];
-        for bin in image.data.iter().filter_map(|p| logs.bin(*p)) {
-            histogram[bin] += 1.0;
+        for (i, p) in image.data.iter().enumerate() {
+            if let Some(bin) = logs.bin(*p).filter(|_| image.is_among(i, among)) {
+                histogram[bin] += 1.0;
+            }
         }
         let (mut labels, peaks) = split(&histogram);
         (0..SPREAD).for_each(|_| spread(&mut labels));
@@ -112,25 +120,29 @@ impl SkinClusters {
         self.peaks[usize::from(label) - 1]
     }
 
-    /// The pixels of a half image that have a cluster's colour.
-    pub(super) fn half_mask(&self, image: &HalfImage, label: u8) -> Mask {
+    /// The pixels of a half image that have a cluster's colour, `among` these.
+    pub(super) fn half_mask(&self, image: &HalfImage, label: u8, among: Option<&Mask>) -> Mask {
         let mut mask = Mask::empty(Region::whole(image.width, image.height));
-        for (m, p) in mask.data_mut().iter_mut().zip(&image.data) {
-            *m = u8::from(self.logs.bin(*p).is_some_and(|bin| self.labels[bin] == label));
+        for (i, (m, p)) in mask.data_mut().iter_mut().zip(&image.data).enumerate() {
+            let alike = self.logs.bin(*p).is_some_and(|bin| self.labels[bin] == label);
+            *m = u8::from(alike && image.is_among(i, among));
         }
         mask
     }
 
-    /// The pixels of a part of an image that have a cluster's colour, each by the majority of its neighbourhood.
-    pub(super) fn mask(&self, image: &Image, region: Region, label: u8) -> Mask {
+    /// The pixels of a part of an image that have a cluster's colour, each by the majority of its neighbourhood;
+    /// `among` these.
+    pub(super) fn mask(&self, image: &Image, region: Region, label: u8, among: Option<&Mask>) -> Mask {
         let region = region.clipped(image.width(), image.height());
         let mut mask = Mask::empty(region);
         let (w, h) = (region.width as usize, region.height as usize);
         for y in 0..h {
             for x in 0..w {
-                let p = row_sum(image, region.x + x as u32, region.y + y as u32);
+                let (column, row) = (region.x + x as u32, region.y + y as u32);
+                let among = among.is_none_or(|m| m.contains(i64::from(column), i64::from(row)));
+                let p = row_sum(image, column, row);
                 mask.data_mut()[y * w + x] =
-                    u8::from(self.logs.bin(p).is_some_and(|b| self.labels[b] == label));
+                    u8::from(among && self.logs.bin(p).is_some_and(|b| self.labels[b] == label));
             }
         }
         majority(&mask)
@@ -252,16 +264,16 @@ mod tests {
     fn skin_and_a_brown_table_are_two_clusters() {
         let image = picture([224, 172, 138], [150, 115, 80]);
         let half = HalfImage::of(&image);
-        let clusters = SkinClusters::find(&half);
+        let clusters = SkinClusters::find(&half, None);
         assert_eq!(clusters.labels().count(), 2, "{:?}", clusters.peaks);
         for label in clusters.labels() {
-            let mask = clusters.mask(&image, Region::whole(120, 80), label);
+            let mask = clusters.mask(&image, Region::whole(120, 80), label, None);
             let [left, right] = [0..60, 60..120].map(|xs| {
                 xs.flat_map(|x| (0..80).map(move |y| (x, y))).filter(|&(x, y)| mask.contains(x, y)).count()
             });
             let (own, other) = (left.max(right), left.min(right));
             assert!(own > 4600 && other < 100, "{own} {other}");
-            assert!(clusters.half_mask(&half, label).count() > 1100);
+            assert!(clusters.half_mask(&half, label, None).count() > 1100);
         }
     }
 
@@ -270,7 +282,7 @@ mod tests {
         for other in
             [[128, 128, 130], [235, 235, 235], [240, 210, 40], [40, 170, 60], [230, 120, 20], [30, 60, 200]]
         {
-            let clusters = SkinClusters::find(&HalfImage::of(&picture(other, other)));
+            let clusters = SkinClusters::find(&HalfImage::of(&picture(other, other)), None);
             assert_eq!(clusters.labels().count(), 0, "{other:?}");
         }
     }

@@ -1,0 +1,172 @@
+//! Whether the coach's gestures are seen right over tables of other colours: the real cameras, coach and observer, over
+//! a robot whose hand is carried along the path by kinematics alone.
+
+use std::collections::BTreeMap;
+
+use armarium_robot::{DifferentialIk, IkConfig, Twist, postures};
+use armarium_visionx::{Gesture as Seen, HandObserver};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+use crate::coach::{Coach, CoachPath};
+use crate::render::hand::SKIN;
+use crate::world::{CoachingAction, CoachingStep, Show};
+
+/// Least time that a gesture (or no hand) lasts before a frame counts, s; the referee's.
+const STEADY_S: f64 = 0.3;
+/// Height of the TCP over the table's plane while it wipes, m.
+const TCP_HEIGHT: f64 = 0.10;
+/// How long each gesture stays, s.
+const STAYS_S: f64 = 1.0;
+/// The step of arm and coach, s.
+const STEP_S: f64 = 0.005;
+
+/// What was seen, by what was shown; `None` is no hand.
+#[derive(Debug, Default)]
+struct Score {
+    confusion: BTreeMap<(Option<Gesture>, Option<Seen>), usize>,
+}
+
+impl Score {
+    /// The share of frames of these that were seen right.
+    fn share(&self, keep: impl Fn(Option<Gesture>) -> bool) -> f64 {
+        let count = |right: bool| -> usize {
+            let chosen = self.confusion.iter().filter(|((shown, _), _)| keep(*shown));
+            chosen.filter(|((shown, seen), _)| !right || same(*shown, *seen)).map(|(_, n)| n).sum()
+        };
+        count(true) as f64 / count(false).max(1) as f64
+    }
+
+    /// Gestures seen right, with as many frames without a hand as with one.
+    fn accuracy(&self) -> f64 {
+        0.5 * (self.share(|g| g.is_some()) + self.share(|g| g.is_none()))
+    }
+}
+
+fn same(shown: Option<Gesture>, seen: Option<Seen>) -> bool {
+    shown.map(|g| match g {
+        Gesture::Fist => Seen::Fist,
+        Gesture::OpenHand => Seen::OpenHand,
+        Gesture::PointOne => Seen::PointOne,
+        Gesture::PointTwo => Seen::PointTwo,
+    }) == seen
+}
+
+/// The wiping hand, moved without physics.
+struct Wiper {
+    ik: DifferentialIk,
+    joints: Vec<usize>,
+    tcp: LinkId,
+    q: Vec<f64>,
+}
+
+impl Wiper {
+    fn new(model: &Arc<Model>) -> Self {
+        let tcp = model.link("tcp_right").unwrap();
+        let joints = postures::reaching_joints(model);
+        let ik = DifferentialIk::new(model, tcp, &joints, IkConfig::default());
+        Self { ik, joints, tcp, q: postures::wipe(model) }
+    }
+
+    fn tcp(&mut self) -> Isometry3<f64> {
+        let q = self.q.clone();
+        self.ik.step(&q, &Twist::default(), None);
+        *self.ik.kinematics().pose(self.tcp)
+    }
+
+    fn go(&mut self, goal: &Vector3<f64>) {
+        let linear = (goal - self.tcp().translation.vector) * 10.0;
+        let linear = linear * (0.4 / linear.norm().max(0.4));
+        let step = self.ik.step(&self.q, &Twist { linear, ..Twist::default() }, None);
+        self.joints.iter().zip(step.velocities).for_each(|(&j, v)| self.q[j] += v * STEP_S);
+    }
+}
+
+/// The coach shows all gestures, one after the other, from 2 s on.
+fn world(table: [u8; 3]) -> World {
+    let show = |at, gesture, phase, offset, direction| CoachingStep {
+        at,
+        action: CoachingAction::Show(Show { gesture, phase, offset, duration: STAYS_S, direction }),
+    };
+    let mut world = World::default();
+    world.table.color = table;
+    world.camera.noise = 3.0;
+    world.camera.mounting_error.rotation_deg = [2.0, -1.5, 1.0];
+    world.coach.coaching = vec![
+        show(2.0, Gesture::Fist, 0.6, [-0.10, -0.04, 0.05], None),
+        show(6.0, Gesture::PointTwo, 0.25, [0.0, 0.12, 0.04], None),
+        show(10.0, Gesture::PointOne, 0.5, [-0.05, 0.12, 0.05], Some([0.04, 0.0, 0.0])),
+        show(14.0, Gesture::OpenHand, 0.25, [0.0, 0.11, 0.06], None),
+    ];
+    world
+}
+
+/// Watches the coach while a hand comes and waits, and for a moment after each has gone.
+fn watch(world: &World, seed: u64) -> Score {
+    let model = Arc::new(Model::armar3());
+    let table = TableTop::new(&world.table);
+    let mut eyes = Eyes::new(&model, world, &table, seed).unwrap();
+    let mut wiper = Wiper::new(&model);
+    let camera = eyes.viewpoint(&wiper.q);
+    let rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut coach = Coach::new(&world.coach, world.table.height, camera, rng);
+    let path = CoachPath::new(&world.coach.demonstration.clone().unwrap_or_default());
+    let mut observer = HandObserver::new(eyes.source.calibration());
+    let dirt = DirtGrid::new(&table);
+    let (mut score, mut hand_gone_at, mut before) = (Score::default(), 0.0, wiper.tcp());
+    coach.hear("wiping", 0.0);
+    for step in 0..(18.0 / STEP_S) as u64 {
+        let t = step as f64 * STEP_S;
+        let [x, y] = path.point(std::f64::consts::TAU * path.frequency() * t);
+        wiper.go(&Vector3::new(x, y, table.plane_height(x, y) + TCP_HEIGHT));
+        let tcp = wiper.tcp();
+        let velocity = (tcp.translation.vector - before.translation.vector) / STEP_S;
+        before = tcp;
+        let state = *coach.step(t, &Point3::from(tcp.translation.vector), &velocity, STEP_S);
+        if state.hand.is_some() {
+            hand_gone_at = t;
+        }
+        let without_hand_s = t - hand_gone_at;
+        let looks = state.hand.is_some_and(|hand| hand.in_place) || (STEADY_S..0.8).contains(&without_hand_s);
+        if !(looks && eyes_open(t)) {
+            continue;
+        }
+        let truth = eyes.draw(&View {
+            stamp_ns: step * 5_000_000,
+            true_position: &wiper.q,
+            sensed_position: &wiper.q,
+            objects: &[tcp * Isometry3::translation(0.08, 0.0, 0.0)],
+            coach: &state,
+            without_hand_s,
+            wiped: &dirt,
+        });
+        let frame = eyes.source.newest.borrow().frame.unwrap();
+        let seen = observer.update(&frame).map(|s| s.gesture);
+        if truth.since_s >= STEADY_S && (truth.visible || truth.gesture.is_none()) {
+            *score.confusion.entry((truth.gesture, seen)).or_default() += 1;
+        }
+    }
+    score
+}
+
+/// Fifteen times a second.
+fn eyes_open(t: f64) -> bool {
+    (t * 15.0 + 1e-6).fract() < 15.0 * STEP_S
+}
+
+/// Dark and light woods, red, grey, and the colour of the hand itself.
+#[test]
+fn gestures_are_seen_over_tables_of_any_colour() {
+    for (color, seed) in
+        [SKIN, [120, 84, 60], [222, 190, 150], [150, 70, 60], [128, 128, 130]].into_iter().zip(1..)
+    {
+        let score = watch(&world(color), seed);
+        let frames: usize = score.confusion.values().sum();
+        assert!(frames > 40, "{color:?}: {score:?}");
+        assert!(score.accuracy() >= 0.95, "{color:?}: {} {score:?}", score.accuracy());
+        for gesture in [Gesture::Fist, Gesture::OpenHand, Gesture::PointOne] {
+            assert!(score.share(|shown| shown == Some(gesture)) >= 0.9, "{color:?}: {score:?}");
+        }
+    }
+}

@@ -1,0 +1,144 @@
+//! When the coach's hand came to its place, in terms of the phase of the motion that was running then: a coach reaches
+//! for the pass that he means, so that where two passes lie side by side the moment tells what the place does not.
+
+use nalgebra::Vector3;
+
+/// Time constant over which the jitter of the tracked hand is smoothed, s.
+const SMOOTHING: f64 = 0.2;
+/// A hand this far from its smoothed place moves, m.
+const MOVES: f64 = 0.02;
+/// For so long a hand stands before it has come, s.
+const STANDS: f64 = 0.3;
+/// A hand this far from where it stood, m, for [`ELSEWHERE_FOR`] s has gone to another place.
+const ELSEWHERE: f64 = 0.06;
+/// See [`ELSEWHERE`]; longer than the robot's arm hides a part of the hand in passing.
+const ELSEWHERE_FOR: f64 = 1.0;
+/// A hand that has not been seen for this long has gone, s.
+const GONE: f64 = 1.5;
+
+/// Follows one hand.
+#[derive(Debug, Default)]
+pub(super) struct Arrival {
+    smooth: Option<Vector3<f64>>,
+    seen_ns: u64,
+    /// Whether the hand has been seen on its way: one that was there from the first came nobody knows when.
+    moved: bool,
+    /// Since when it stands (ns), and the phase then.
+    stands: Option<(u64, Option<f64>)>,
+    /// Where it has come to, and the phase then.
+    place: Option<(Vector3<f64>, Option<f64>)>,
+    /// Since when it is elsewhere than at `place`, ns.
+    elsewhere: Option<u64>,
+}
+
+impl Arrival {
+    /// A frame of the time `stamp_ns` with the palm at `palm` (root frame, m) while the motion was at `phase`, rad.
+    /// Returns the phase at which the hand came to where it is, if it was seen to come.
+    pub(super) fn update(
+        &mut self,
+        stamp_ns: u64,
+        palm: Option<Vector3<f64>>,
+        phase: Option<f64>,
+    ) -> Option<f64> {
+        let unseen = seconds(self.seen_ns, stamp_ns);
+        let Some(palm) = palm else {
+            if unseen > GONE {
+                *self = Self { seen_ns: self.seen_ns, ..Self::default() };
+            }
+            return self.came();
+        };
+        if unseen > GONE {
+            *self = Self::default();
+        }
+        self.seen_ns = stamp_ns;
+        let share = 1.0 - (-unseen / SMOOTHING).exp();
+        let smooth = self.smooth.map_or(palm, |old| old + (palm - old) * share);
+        self.smooth = Some(smooth);
+        self.leave(stamp_ns, &smooth);
+        self.stand(stamp_ns, (palm - smooth).norm() > MOVES, phase);
+        self.came()
+    }
+
+    fn came(&self) -> Option<f64> {
+        self.place.and_then(|(_, phase)| phase)
+    }
+
+    /// Forgets the place when the hand has been elsewhere for a while.
+    fn leave(&mut self, now: u64, at: &Vector3<f64>) {
+        let Some((place, _)) = self.place else { return };
+        if (at - place).norm() < ELSEWHERE {
+            self.elsewhere = None;
+            return;
+        }
+        let since = *self.elsewhere.get_or_insert(now);
+        if seconds(since, now) > ELSEWHERE_FOR {
+            (self.place, self.elsewhere, self.moved) = (None, None, true);
+        }
+    }
+
+    fn stand(&mut self, now: u64, moves: bool, phase: Option<f64>) {
+        if moves {
+            (self.stands, self.moved) = (None, true);
+            return;
+        }
+        let (since, then) = *self.stands.get_or_insert((now, phase));
+        if let (None, Some(at)) = (self.place, self.smooth)
+            && seconds(since, now) >= STANDS
+        {
+            self.place = Some((at, then.filter(|_| self.moved)));
+        }
+    }
+}
+
+fn seconds(from_ns: u64, to_ns: u64) -> f64 {
+    to_ns.saturating_sub(from_ns) as f64 * 1e-9
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Frames at 15 Hz of a hand at `x(t)` m while the phase is `2 t`; the answer after each.
+    fn watch(seconds: f64, x: impl Fn(f64) -> Option<f64>) -> Vec<Option<f64>> {
+        let mut arrival = Arrival::default();
+        let frames = 0..(seconds * 15.0) as u64;
+        frames
+            .map(|k| {
+                let t = k as f64 / 15.0;
+                let palm = x(t).map(|x| Vector3::new(x, 0.0, 0.0));
+                arrival.update((t * 1e9) as u64, palm, Some(2.0 * t))
+            })
+            .collect()
+    }
+
+    /// 0.35 m away at first, in place 1 s later.
+    fn coming(t: f64) -> f64 {
+        let s = t.clamp(0.0, 1.0);
+        0.35 * (1.0 - s * s * s * (10.0 + s * (6.0 * s - 15.0)))
+    }
+
+    #[test]
+    fn a_hand_came_when_it_stopped() {
+        let came = watch(4.0, |t| Some(coming(t)));
+        assert_eq!(came[10], None, "still on its way");
+        let came = came[40].unwrap();
+        assert!((came - 2.0).abs() < 0.4, "{came}");
+    }
+
+    #[test]
+    fn what_hides_it_in_passing_changes_nothing_and_going_elsewhere_does() {
+        let hidden = |t: f64| {
+            (!(3.0..3.4).contains(&t)).then(|| coming(t) + if t > 3.4 && t < 3.9 { 0.1 } else { 0.0 })
+        };
+        let came = watch(8.0, hidden);
+        assert_eq!(came[40], came[110]);
+        let again = watch(8.0, |t| Some(coming(t) + 0.35 - coming(t - 4.0)));
+        assert!((again[115].unwrap() - 10.0).abs() < 2.5, "{again:?}");
+    }
+
+    #[test]
+    fn a_hand_that_was_there_from_the_first_came_nobody_knows_when() {
+        assert!(watch(3.0, |_| Some(0.1)).iter().all(Option::is_none));
+        assert!(watch(6.0, |t| (t < 3.0).then(|| coming(t))).last().unwrap().is_none(), "gone");
+    }
+}

@@ -1,0 +1,202 @@
+//! Which of the skin-coloured things in a frame is a hand.
+//!
+//! With a depth image, what stands out of the scenery is looked at alone, so that a table of a skin's colour does not
+//! matter. Without, things that both eyes see are compared, and a colour that fills more than a hand can is scenery.
+//! It knows nothing of what was seen before but the colour that it is told to prefer.
+
+use super::relief::{LEAST_RELIEF, relief, standing_out};
+use super::shape::{HandShape, hand_shape};
+use super::skin::{HalfImage, SkinClusters};
+use crate::camera::StereoCalibration;
+use crate::components::{Component, components};
+use crate::frame::{DepthImage, StereoFrame};
+use crate::mask::{Mask, Region};
+
+/// Distances at which hands are looked for, m.
+const DEPTHS: (f64, f64) = (0.2, 1.7);
+/// Areas that a hand can show, with a part of the arm, m^2.
+const AREAS: (f64, f64) = (18e-4, 400e-4);
+/// Area over which a thing of skin-like colour is scenery, m^2.
+const SCENERY: f64 = 600e-4;
+/// Radii of the palm's largest disc, from the edge and with a large hand, m.
+const PALM_RADII: (f64, f64) = (0.0145, 0.062);
+/// Fewest pixels at half resolution.
+const LEAST_PIXELS: u32 = 30;
+/// Candidates that are looked at closely.
+const LOOKED_AT: usize = 4;
+/// Log-chromaticities of light and dark skin in white light lie about here, and spread so far.
+const USUAL_SKIN: ([f32; 2], f64) = ([0.30, 0.25], 0.12);
+/// How far the skin of one hand strays from frame to frame.
+const SAME_SKIN: f64 = 0.06;
+
+/// A thing that has the colour, the size and the shape of a hand.
+pub(super) struct Hand {
+    /// Its pixels in the left eye.
+    pub(super) left: Mask,
+    /// Its pixels in the right eye, when it was found by both eyes.
+    pub(super) right: Option<Mask>,
+    /// Depth, m.
+    pub(super) z: f64,
+    /// Its shape in the left eye.
+    pub(super) shape: HandShape,
+    /// Its colour: ln(R/G), ln(G/B).
+    pub(super) skin: [f32; 2],
+}
+
+/// A thing of skin colour, with pixels at half resolution.
+struct Candidate {
+    label: u8,
+    left: Component,
+    /// The thing in the other eye, where that was asked.
+    right: Option<Component>,
+    /// Depth, m.
+    z: f64,
+    score: f64,
+}
+
+/// One frame, and what hands are to be like in it.
+struct Search<'a> {
+    frame: &'a StereoFrame,
+    calibration: &'a StereoCalibration,
+    clusters: SkinClusters,
+    /// What stands out by depth.
+    out: Option<Mask>,
+    /// The colour that is preferred, and how far from it is far.
+    preferred: ([f32; 2], f64),
+}
+
+/// The thing that looks most like a hand. `skin`: the log-chromaticities of the hand in the last frames.
+pub(super) fn find(
+    frame: &StereoFrame,
+    calibration: &StereoCalibration,
+    skin: Option<[f32; 2]>,
+) -> Option<Hand> {
+    let left = HalfImage::of(&frame.left);
+    let depth = frame.depth.as_ref();
+    let out = depth.and_then(|d| standing_out(d, &calibration.camera));
+    let clusters = SkinClusters::find(&left, out.as_ref());
+    let preferred = skin.map_or(USUAL_SKIN, |s| (s, SAME_SKIN));
+    let search = Search { frame, calibration, clusters, out, preferred };
+    let mut candidates: Vec<Candidate> = match (depth, &search.out) {
+        (Some(depth), Some(out)) => {
+            search.clusters.labels().flat_map(|l| search.by_depth(&left, depth, out, l)).collect()
+        }
+        (Some(_), None) => return None,
+        (None, _) => {
+            let halves = [left, HalfImage::of(&frame.right)];
+            search.clusters.labels().flat_map(|l| search.by_both_eyes(&halves, l)).collect()
+        }
+    };
+    candidates.sort_by(|a, b| b.score.total_cmp(&a.score));
+    candidates.into_iter().take(LOOKED_AT).find_map(|c| search.look_closely(&c))
+}
+
+impl Search<'_> {
+    /// The candidate in all its pixels, if its shape is a hand's.
+    fn look_closely(&self, candidate: &Candidate) -> Option<Hand> {
+        let size = (self.frame.left.width(), self.frame.left.height());
+        let whole = |image, part: &Component, among| {
+            own_pixels(&self.clusters.mask(image, full(&part.bounds, size), candidate.label, among))
+        };
+        let left = whole(&self.frame.left, &candidate.left, self.out.as_ref());
+        let shape = hand_shape(&left, candidate.z / self.calibration.camera.focal)?;
+        let fits = (PALM_RADII.0..PALM_RADII.1).contains(&shape.palm_radius)
+            && (AREAS.0..AREAS.1).contains(&shape.area);
+        let stands_out = self.frame.depth.as_ref().is_none_or(|d| relief(&left, d) >= LEAST_RELIEF);
+        let right = candidate.right.as_ref().map(|part| whole(&self.frame.right, part, None));
+        let skin = self.clusters.peak(candidate.label);
+        (fits && stands_out).then_some(Hand { left, right, z: candidate.z, shape, skin })
+    }
+
+    /// The area of a thing at a depth, m^2.
+    fn area(&self, thing: &Component, z: f64) -> f64 {
+        4.0 * f64::from(thing.area) * (z / self.calibration.camera.focal).powi(2)
+    }
+
+    /// The things of one colour that stand out and have a hand's size.
+    fn by_depth(&self, left: &HalfImage, depth: &DepthImage, out: &Mask, label: u8) -> Vec<Candidate> {
+        let things = components(&self.clusters.half_mask(left, label, Some(out)), LEAST_PIXELS);
+        let candidate = |thing: &Component| {
+            let z = median_depth(thing, depth)?;
+            let area = self.area(thing, z);
+            let fits = (DEPTHS.0..DEPTHS.1).contains(&z) && (AREAS.0..AREAS.1).contains(&area);
+            let score = self.likeness(label, area);
+            fits.then(|| Candidate { label, left: thing.clone(), right: None, z, score })
+        };
+        things.iter().take(6).filter_map(candidate).collect()
+    }
+
+    /// The things of one colour that both eyes see with a hand's size; none if the colour is scenery.
+    fn by_both_eyes(&self, halves: &[HalfImage; 2], label: u8) -> Vec<Candidate> {
+        let [left, right] = halves
+            .each_ref()
+            .map(|half| components(&self.clusters.half_mask(half, label, None), LEAST_PIXELS));
+        // Too large even at the nearest distance.
+        if left.first().is_some_and(|c| self.area(c, DEPTHS.0) > SCENERY) {
+            return Vec::new();
+        }
+        let mut found = Vec::new();
+        for l in left.iter().take(6) {
+            for r in right.iter().take(6) {
+                let Some(z) = self.pair_depth(l, r) else { continue };
+                let area = self.area(l, z);
+                if area > SCENERY {
+                    return Vec::new();
+                }
+                if (DEPTHS.0..DEPTHS.1).contains(&z) && (AREAS.0..AREAS.1).contains(&area) {
+                    let score = self.likeness(label, area);
+                    found.push(Candidate { label, left: l.clone(), right: Some(r.clone()), z, score });
+                }
+            }
+        }
+        found
+    }
+
+    /// The depth of a pair of components (half resolution), m, if they can be one thing.
+    fn pair_depth(&self, l: &Component, r: &Component) -> Option<f64> {
+        let (small, large) = (f64::from(l.area.min(r.area)), f64::from(l.area.max(r.area)));
+        let height = f64::from(l.bounds.height.max(r.bounds.height));
+        if small < 0.5 * large || (l.centroid.y - r.centroid.y).abs() > 2.0 + 0.12 * height {
+            return None;
+        }
+        let disparity = 2.0 * (l.centroid.x - r.centroid.x);
+        (disparity > 1.0).then(|| self.calibration.camera.focal * self.calibration.baseline / disparity)
+    }
+
+    /// How much a thing looks like skin of a hand's size: its colour near the preferred one, its area (m^2) near that
+    /// of a hand.
+    fn likeness(&self, label: u8, area: f64) -> f64 {
+        let (peak, (middle, deviation)) = (self.clusters.peak(label), self.preferred);
+        let apart = f64::from((peak[0] - middle[0]).hypot(peak[1] - middle[1])) / deviation;
+        let size = (area / 90e-4).ln() / 0.7;
+        (-0.5 * (apart * apart + size * size)).exp()
+    }
+}
+
+/// The median depth of a thing (half resolution), m; `None` where nothing was measured.
+fn median_depth(thing: &Component, depth: &DepthImage) -> Option<f64> {
+    let at = |x: u32, y: u32| depth.data.get(2 * y as usize * depth.width as usize + 2 * x as usize).copied();
+    let pixels = thing.runs.iter().flat_map(|run| (run.x0..run.x1).filter_map(|x| at(x, run.y)));
+    median(pixels.filter(|z| *z > 0.0).collect())
+}
+
+/// The middle one of some depths, m.
+pub(super) fn median(mut values: Vec<f32>) -> Option<f64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1))
+}
+
+/// A region at half resolution in whole pixels, a little larger.
+fn full(half: &Region, size: (u32, u32)) -> Region {
+    let whole = Region { x: 2 * half.x, y: 2 * half.y, width: 2 * half.width, height: 2 * half.height };
+    whole.grown(6, size.0, size.1)
+}
+
+/// The largest component alone.
+fn own_pixels(mask: &Mask) -> Mask {
+    let mut own = Mask::empty(mask.region());
+    if let Some(largest) = components(mask, 1).first() {
+        own.add(&largest.runs);
+    }
+    own
+}

@@ -1,0 +1,348 @@
+//! What stands out of the scenery, by depth: things that are narrower than what lies behind them.
+//!
+//! The scenery is the grey-level closing of the depth image by a square that is wider than a hand: each pixel as near
+//! as the nearest placing of the square around it allows. A plane at any tilt is its own closing, so that a table,
+//! its tilt and its bumps stay scenery while a hand, an arm or a tool over it does not. What the square is too wide
+//! for but goes on in a large plane of the scenery, as a table's corner does, is scenery too (a reconstruction). It
+//! knows nothing of colour.
+
+use std::collections::VecDeque;
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::camera::PinholeCamera;
+use crate::frame::DepthImage;
+use crate::mask::{Mask, Region};
+
+/// Edge of the square, m, at the distance of the middle of the scene.
+const SQUARE: f64 = 0.30;
+/// Edge of the square, share of the image's height, at most.
+const LARGEST: f64 = 0.45;
+/// How much nearer than the scenery something is that stands out, m.
+const NEARER: f32 = 0.02;
+/// How far from a plane of the scenery its surface may be, m.
+const FLAT: f32 = 0.010;
+/// A step in depth between neighbours of the coarse grid under which a surface goes on, m.
+const SMOOTH: f32 = 0.05;
+/// The share of the scene that a plane has at least, and how many planes there are at most.
+const LEAST_PLANE: f64 = 0.015;
+const MOST_PLANES: usize = 4;
+/// The scenery is sought on every so many pixels.
+const STRIDE: usize = 4;
+/// Where nothing was measured, nothing is near, m.
+const NOWHERE: f32 = 100.0;
+/// Share of a hand's outline behind which the scene lies deeper, at least. A patch of a surface has none, save where
+/// the surface ends.
+pub(super) const LEAST_RELIEF: f64 = 0.3;
+/// Deeper by more than this, m.
+const STEP: f32 = 0.012;
+
+/// The pixels that stand out of the scenery; `None` unless the depth image is of the camera's size.
+pub(super) fn standing_out(depth: &DepthImage, camera: &PinholeCamera) -> Option<Mask> {
+    let (w, h) = (depth.width as usize, depth.height as usize);
+    if (depth.width, depth.height) != (camera.width, camera.height)
+        || depth.data.len() != w * h
+        || w.min(h) < 2 * STRIDE
+    {
+        return None;
+    }
+    let coarse = Grid::sampled(depth);
+    let square = (SQUARE * camera.focal / f64::from(coarse.median())).min(LARGEST * h as f64);
+    let scenery = coarse.closed((square / STRIDE as f64).round().max(1.0) as usize | 1);
+    let mut mask = Mask::empty(Region::whole(depth.width, depth.height));
+    for (y, (bits, row)) in mask.data_mut().chunks_exact_mut(w).zip(depth.data.chunks_exact(w)).enumerate() {
+        scenery.along_row(y, bits, |x, behind| row[x] > 0.0 && behind - row[x] > NEARER);
+    }
+    let planes = coarse.planes(&mask);
+    planes.iter().for_each(|plane| reconstruct(&mut mask, depth, plane));
+    Some(mask)
+}
+
+/// Takes off a mask what goes on from outside of it in one plane.
+fn reconstruct(mask: &mut Mask, depth: &DepthImage, plane: &Plane) {
+    let (w, n) = (depth.width as usize, depth.data.len());
+    let around = |i: usize| {
+        let left = (!i.is_multiple_of(w)).then(|| i - 1);
+        let right = (i % w + 1 < w).then_some(i + 1);
+        [left, right, i.checked_sub(w), (i + w < n).then_some(i + w)].into_iter().flatten()
+    };
+    let flat = |i: usize| (plane.depth(i % w, i / w) - depth.data[i]).abs() < FLAT;
+    let bits = mask.data_mut();
+    let reached = |bits: &[u8], i: usize| flat(i) && around(i).any(|j| bits[j] == 0 && flat(j));
+    let mut open: Vec<usize> = (0..n).filter(|&i| bits[i] != 0 && reached(bits, i)).collect();
+    while let Some(i) = open.pop() {
+        if std::mem::take(&mut bits[i]) != 0 {
+            open.extend(around(i).filter(|&j| bits[j] != 0 && flat(j)));
+        }
+    }
+}
+
+/// A plane in pixels: its inverse depth, 1/m, is affine there.
+struct Plane(Vector3<f64>);
+
+impl Plane {
+    /// Through points `(x, y, inverse depth)`, by least squares, twice: the second time without those that are off.
+    fn through(points: &[[f64; 3]]) -> Option<Self> {
+        let first = Self::fit(points.iter())?;
+        let near =
+            |p: &&[f64; 3]| (1.0 / first.inverse(p[0], p[1]) - 1.0 / p[2]).abs() < 2.0 * f64::from(FLAT);
+        Self::fit(points.iter().filter(near)).or(Some(first))
+    }
+
+    fn fit<'a>(points: impl Iterator<Item = &'a [f64; 3]>) -> Option<Self> {
+        let (mut squares, mut sums) = (Matrix3::zeros(), Vector3::zeros());
+        for p in points {
+            let row = Vector3::new(p[0], p[1], 1.0);
+            squares += row * row.transpose();
+            sums += row * p[2];
+        }
+        squares.cholesky().map(|c| Self(c.solve(&sums)))
+    }
+
+    fn inverse(&self, x: f64, y: f64) -> f64 {
+        self.0.dot(&Vector3::new(x, y, 1.0))
+    }
+
+    /// Depth in a pixel, m.
+    fn depth(&self, x: usize, y: usize) -> f32 {
+        (1.0 / self.inverse(x as f64, y as f64)) as f32
+    }
+}
+
+/// The share of a mask's outline behind which the scene lies deeper by [`STEP`] or more. Along rows and columns, from
+/// inside the outline to outside of it; outlines at the image's border do not count. 0 without an outline.
+pub(super) fn relief(mask: &Mask, depth: &DepthImage) -> f64 {
+    let at = |x: i64, y: i64| {
+        let inside = x >= 0 && y >= 0 && x < i64::from(depth.width) && y < i64::from(depth.height);
+        inside.then(|| depth.data.get(y as usize * depth.width as usize + x as usize).copied()).flatten()
+    };
+    let (mut outline, mut deeper) = (0usize, 0usize);
+    let region = mask.region();
+    for y in i64::from(region.y)..i64::from(region.y + region.height) {
+        for x in i64::from(region.x)..i64::from(region.x + region.width) {
+            if !mask.contains(x, y) {
+                continue;
+            }
+            for (dx, dy) in [(1, 0), (-1, 0), (0, 1), (0, -1)] {
+                if mask.contains(x + dx, y + dy) {
+                    continue;
+                }
+                let (Some(here), Some(there)) = (at(x - 2 * dx, y - 2 * dy), at(x + 4 * dx, y + 4 * dy))
+                else {
+                    continue;
+                };
+                outline += 1;
+                // Nothing measured outside is nothing near.
+                deeper += usize::from(here > 0.0 && (there == 0.0 || there > here + STEP));
+            }
+        }
+    }
+    if outline == 0 { 0.0 } else { deeper as f64 / outline as f64 }
+}
+
+/// Depths on every [`STRIDE`]th row and column, m.
+struct Grid {
+    width: usize,
+    data: Vec<f32>,
+}
+
+impl Grid {
+    fn sampled(depth: &DepthImage) -> Self {
+        let w = depth.width as usize;
+        let rows = depth.data.chunks_exact(w).skip(STRIDE / 2).step_by(STRIDE);
+        let sound = |z: &f32| if *z > 0.0 && *z < NOWHERE { *z } else { NOWHERE };
+        let data = rows.flat_map(|row| row.iter().skip(STRIDE / 2).step_by(STRIDE).map(sound)).collect();
+        Self { width: (w - STRIDE / 2).div_ceil(STRIDE), data }
+    }
+
+    fn median(&self) -> f32 {
+        let mut sorted = self.data.clone();
+        let middle = sorted.len() / 2;
+        *sorted.select_nth_unstable_by(middle, f32::total_cmp).1
+    }
+
+    /// The closing by a square of `window` cells. Beyond the border the square may hang out: it sees nothing there.
+    fn closed(&self, window: usize) -> Self {
+        let widest = |grid: &Self| grid.rows(|row| sliding_max(row, window)).transposed();
+        let dilated = widest(&widest(self));
+        let within = |row: &[f32]| {
+            let all = sliding_max(row, window);
+            all[window - 1..row.len()].to_vec()
+        };
+        let narrowest = |grid: &Self| grid.rows(within).transposed();
+        narrowest(&narrowest(&dilated.negated())).negated()
+    }
+
+    fn rows(&self, of: impl Fn(&[f32]) -> Vec<f32>) -> Self {
+        let rows: Vec<Vec<f32>> = self.data.chunks_exact(self.width).map(of).collect();
+        Self { width: rows.first().map_or(0, Vec::len), data: rows.concat() }
+    }
+
+    fn transposed(&self) -> Self {
+        let height = self.data.len() / self.width;
+        let data = (0..self.data.len()).map(|i| self.data[(i % height) * self.width + i / height]).collect();
+        Self { width: height, data }
+    }
+
+    fn negated(mut self) -> Self {
+        self.data.iter_mut().for_each(|z| *z = -*z);
+        self
+    }
+
+    /// The planes through the largest smooth surfaces outside of a mask.
+    fn planes(&self, mask: &Mask) -> Vec<Plane> {
+        let (w, n) = (self.width, self.data.len());
+        let pixel = |i: usize| [i % w, i / w].map(|at| at * STRIDE + STRIDE / 2);
+        let known =
+            |i: usize| self.data[i] < NOWHERE && !mask.contains(pixel(i)[0] as i64, pixel(i)[1] as i64);
+        let mut free: Vec<bool> = (0..n).map(known).collect();
+        let mut surfaces = Vec::new();
+        for start in 0..n {
+            let mut surface = Vec::new();
+            let mut open = vec![start];
+            while let Some(i) = open.pop() {
+                if !std::mem::take(&mut free[i]) {
+                    continue;
+                }
+                let [x, y] = pixel(i).map(|at| at as f64);
+                surface.push([x, y, 1.0 / f64::from(self.data[i])]);
+                let sides = [(!i.is_multiple_of(w), i.wrapping_sub(1)), (i % w + 1 < w, i + 1)];
+                let rows = [(i >= w, i.wrapping_sub(w)), (i + w < n, i + w)];
+                let next = sides.into_iter().chain(rows).filter(|(inside, _)| *inside).map(|(_, j)| j);
+                open.extend(next.filter(|&j| free[j] && (self.data[j] - self.data[i]).abs() < SMOOTH));
+            }
+            if surface.len() as f64 > LEAST_PLANE * n as f64 {
+                surfaces.push(surface);
+            }
+        }
+        surfaces.sort_by_key(|s| std::cmp::Reverse(s.len()));
+        surfaces.iter().take(MOST_PLANES).filter_map(|s| Plane::through(s)).collect()
+    }
+
+    /// Sets each pixel of an image's row `y` by `test` of its column and of the depth here, interpolated.
+    fn along_row(&self, y: usize, bits: &mut [u8], test: impl Fn(usize, f32) -> bool) {
+        let height = self.data.len() / self.width;
+        let split = |at: usize, n: usize| {
+            let place = ((at as f32 - (STRIDE / 2) as f32) / STRIDE as f32).clamp(0.0, (n - 1) as f32);
+            (place as usize, (place as usize + 1).min(n - 1), place.fract())
+        };
+        let (above, below, part) = split(y, height);
+        let row = |r: usize| &self.data[r * self.width..(r + 1) * self.width];
+        let line: Vec<f32> = row(above).iter().zip(row(below)).map(|(a, b)| a + (b - a) * part).collect();
+        for (x, bit) in bits.iter_mut().enumerate() {
+            let (left, right, part) = split(x, self.width);
+            *bit = u8::from(test(x, line[left] + (line[right] - line[left]) * part));
+        }
+    }
+}
+
+/// The largest of each `window` consecutive values, windows that hang out over the ends among them:
+/// `values.len() + window - 1` results.
+fn sliding_max(values: &[f32], window: usize) -> Vec<f32> {
+    let mut result = Vec::with_capacity(values.len() + window - 1);
+    // Places of values that are larger than all after them.
+    let mut places: VecDeque<usize> = VecDeque::new();
+    for end in 0..values.len() + window - 1 {
+        if let Some(value) = values.get(end) {
+            while places.back().is_some_and(|&p| values[p] <= *value) {
+                places.pop_back();
+            }
+            places.push_back(end);
+        }
+        while places.front().is_some_and(|&p| p + window <= end) {
+            places.pop_front();
+        }
+        result.push(places.front().map_or(f32::NEG_INFINITY, |&p| values[p]));
+    }
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const CAMERA: PinholeCamera =
+        PinholeCamera { width: 160, height: 120, focal: 130.0, center: [80.0, 60.0] };
+
+    fn image(z: impl Fn(u32, u32) -> f32) -> DepthImage {
+        let data = (0..160 * 120).map(|i| z(i % 160, i / 160)).collect();
+        DepthImage { width: 160, height: 120, data }
+    }
+
+    proptest! {
+        #[test]
+        fn sliding_agrees_with_brute_force(values in proptest::collection::vec(-9.0f32..9.0, 1..20), window in 1usize..8) {
+            let found = sliding_max(&values, window);
+            prop_assert_eq!(found.len(), values.len() + window - 1);
+            for (end, max) in found.iter().enumerate() {
+                let seen = (0..values.len()).filter(|i| *i <= end && i + window > end);
+                prop_assert_eq!(*max, seen.map(|i| values[i]).fold(f32::NEG_INFINITY, f32::max));
+            }
+        }
+    }
+
+    /// The depth of a tilted plane in a pixel: 1/z is linear there.
+    fn plane(x: u32, y: u32) -> f32 {
+        1.0 / (1.0 + 0.002 * x as f32 + 0.006 * (120.0 - y as f32))
+    }
+
+    #[test]
+    fn a_tilted_plane_is_scenery_and_a_bar_over_it_stands_out() {
+        let none = standing_out(&image(plane), &CAMERA).unwrap();
+        assert_eq!(none.count(), 0);
+        let bar = |x: u32, y: u32| (60..75).contains(&x) && (30..80).contains(&y);
+        let seen = standing_out(&image(|x, y| plane(x, y) - if bar(x, y) { 0.05 } else { 0.0 }), &CAMERA);
+        let seen = seen.unwrap();
+        for (x, y) in (0..120).flat_map(|y| (0..160).map(move |x| (x, y))) {
+            assert_eq!(seen.contains(i64::from(x), i64::from(y)), bar(x, y), "{x} {y}");
+        }
+    }
+
+    /// A tilted plane that ends in a corner too narrow for the square, over a floor; and a bar that leans on it.
+    fn corner(bar: bool) -> DepthImage {
+        image(move |x, y| {
+            let on_bar = bar && (100..110).contains(&x) && (40..90).contains(&y);
+            match x < 2 * y {
+                _ if on_bar => plane(x, y) - 0.004 * (90 - y) as f32,
+                true => plane(x, y),
+                false => 2.0,
+            }
+        })
+    }
+
+    #[test]
+    fn a_corner_of_a_plane_is_scenery_but_not_what_leans_on_it() {
+        assert_eq!(standing_out(&corner(false), &CAMERA).unwrap().count(), 0);
+        let seen = standing_out(&corner(true), &CAMERA).unwrap();
+        let expected = |x: i64, y: i64| (100..110).contains(&x) && (40..84).contains(&y);
+        for (x, y) in (0..120).flat_map(|y| (0..160).map(move |x| (x, y))) {
+            let near_the_plane = (84..90).contains(&y);
+            assert!(near_the_plane || seen.contains(x, y) == expected(x, y), "{x} {y}");
+        }
+    }
+
+    #[test]
+    fn odd_depth_images_show_nothing() {
+        assert!(standing_out(&DepthImage { width: 160, height: 120, data: vec![] }, &CAMERA).is_none());
+        for z in [0.0, -1.0, f32::NAN, f32::INFINITY, 1e-30] {
+            assert_eq!(standing_out(&image(|_, _| z), &CAMERA).unwrap().count(), 0, "{z}");
+        }
+    }
+
+    #[test]
+    fn only_what_stands_out_has_relief() {
+        let mut mask = Mask::empty(Region { x: 20, y: 20, width: 30, height: 30 });
+        mask.data_mut().fill(1);
+        let depth = |inside: f32, outside: f32| {
+            let at = |i: u32| (20..50).contains(&(i % 80)) && (20..50).contains(&(i / 80));
+            let data = (0..80 * 80).map(|i| if at(i) { inside } else { outside }).collect();
+            DepthImage { width: 80, height: 80, data }
+        };
+        assert_eq!(relief(&mask, &depth(0.7, 0.8)), 1.0);
+        assert_eq!(relief(&mask, &depth(0.7, 0.0)), 1.0);
+        assert_eq!(relief(&mask, &depth(0.7, 0.705)), 0.0);
+        assert_eq!(relief(&mask, &depth(0.7, 0.6)), 0.0);
+        assert_eq!(relief(&mask, &DepthImage { width: 80, height: 80, data: Vec::new() }), 0.0);
+    }
+}
