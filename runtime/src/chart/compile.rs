@@ -16,8 +16,9 @@ use super::model::{self, ActionKind, Chart, Declaration};
 use super::read::literal;
 use super::yaml::{Named, Node};
 use crate::engine::program::{
-    Action, Binding, Kind, Pattern, Place, Program, Send, State, StateId, Term, Transition, Watch,
+    Action, Binding, Entry, Kind, Pattern, Place, Program, Send, State, StateId, Term, Transition, Watch,
 };
+use crate::engine::tables::{Symbols, Tables};
 use crate::skill::{Limits, SkillManifest};
 
 /// What checking a chart gave.
@@ -79,6 +80,7 @@ pub(super) struct Compiler<'l> {
     pub(super) given: BTreeSet<(StateId, String)>,
     pub(super) bound: Vec<(String, u32)>,
     pub(super) too_many: bool,
+    pub(super) symbols: Symbols,
 }
 
 pub(super) fn number(n: usize) -> u32 {
@@ -107,6 +109,7 @@ impl<'l> Compiler<'l> {
             given: BTreeSet::new(),
             bound: Vec::new(),
             too_many: false,
+            symbols: Symbols::default(),
         }
     }
 
@@ -149,15 +152,18 @@ impl<'l> Compiler<'l> {
             states.push(state);
         }
         self.missing_inputs(&states);
+        let transitions = std::mem::take(&mut self.transitions);
+        let tables = Tables::new(std::mem::take(&mut self.symbols), &states, &transitions);
         let mut program = Program {
             name: root.name.clone(),
             sources: std::mem::take(&mut self.sources),
             states,
-            transitions: std::mem::take(&mut self.transitions),
+            transitions,
             watches: std::mem::take(&mut self.watches),
             instances: std::mem::take(&mut self.names.instances),
             channels: Vec::new(),
             slots: self.slots,
+            tables,
             profiles: profiles(root),
         };
         set_domains(&mut program);
@@ -197,6 +203,7 @@ impl<'l> Compiler<'l> {
             limits,
             unbreakable: model.unbreakable,
             outputs: outline.outputs.iter().map(|(name, slot, _)| (name.clone(), *slot)).collect(),
+            done: self.symbols.intern(&format!("done.state.{}", outline.name)),
             place: Place { source, byte: number(model.name.span.start) },
         };
         if id == 0 {
@@ -234,37 +241,75 @@ impl<'l> Compiler<'l> {
                 chart.map_or(Kind::Atomic, |(_, instance)| Kind::Chart { instance })
             }
             model::Kind::Composite { initial, .. } => {
-                let parts: Vec<&str> = initial.text.split('.').collect();
-                match self
-                    .names
-                    .find(id, &parts)
-                    .filter(|found| *found > id && *found <= self.last[id as usize])
-                {
-                    Some(initial) => Kind::Composite { initial },
-                    None => {
-                        let known = model.kind.children().iter().map(|c| c.name.text.as_str());
-                        let help = suggest(&initial.text, known);
-                        let message = format!("there is no state `{}` inside", initial.text);
-                        self.error(source, code::STATE, initial, message, help);
-                        Kind::Atomic
-                    }
+                let targets = self.initial(id, initial, source);
+                Kind::Composite {
+                    initial: Entry { targets, actions: self.actions(id, &initial.actions, source) },
                 }
             }
             model::Kind::Parallel(_) => Kind::Parallel,
-            model::Kind::Final(outcome) => Kind::Final { outcome: outcome.text.clone() },
+            model::Kind::Final(outcome) => Kind::Final { outcome: self.symbols.intern(&outcome.text) },
             model::Kind::History { deep, default } => {
-                let parent = self.names.outlines[id as usize].parent.unwrap_or(0);
-                let named = default;
-                let default = default.as_ref().and_then(|target| self.target(id, target, source));
-                if let (Some(to), Some(named)) = (default, named) {
-                    let inside = to > parent && to <= self.last[parent as usize];
-                    let history = matches!(self.flats[to as usize].model.kind, model::Kind::History { .. });
-                    if !inside || history {
-                        let message = "the default of a history is a state beside it, not a history".into();
-                        self.error(source, code::STATE, named, message, None);
-                    }
-                }
+                let targets = self.history_default(id, default, source);
+                let default = Entry { targets, actions: self.actions(id, &default.actions, source) };
                 Kind::History { deep: *deep, default }
+            }
+        }
+    }
+
+    fn initial(&mut self, id: StateId, initial: &model::Entry, source: u32) -> Vec<StateId> {
+        let last = self.last[id as usize];
+        let mut targets = Vec::new();
+        for name in &initial.targets {
+            let parts: Vec<&str> = name.text.split('.').collect();
+            match self.names.find(id, &parts).filter(|found| *found > id && *found <= last) {
+                Some(found) => targets.push(found),
+                None => {
+                    let known = self.flats[id as usize].model.kind.children().iter();
+                    let help = suggest(&name.text, known.map(|c| c.name.text.as_str()));
+                    let message = format!("there is no state `{}` inside", name.text);
+                    self.error(source, code::STATE, name, message, help);
+                }
+            }
+        }
+        self.together(&targets, &initial.targets, source);
+        targets
+    }
+
+    fn history_default(&mut self, id: StateId, default: &model::Entry, source: u32) -> Vec<StateId> {
+        let parent = self.names.outlines[id as usize].parent.unwrap_or(0);
+        let mut targets = Vec::new();
+        for name in &default.targets {
+            let Some(to) = self.target(id, name, source) else { continue };
+            let inside = to > parent && to <= self.last[parent as usize];
+            let history = matches!(self.flats[to as usize].model.kind, model::Kind::History { .. });
+            if inside && !history {
+                targets.push(to);
+            } else {
+                let message = "the default of a history is a state beside it, not a history".into();
+                self.error(source, code::STATE, name, message, None);
+            }
+        }
+        self.together(&targets, &default.targets, source);
+        targets
+    }
+
+    /// Several targets can only be entered together when they are in different regions of parallel states.
+    fn together(&mut self, targets: &[StateId], names: &[Named], source: u32) {
+        for (i, a) in targets.iter().enumerate() {
+            for b in &targets[i + 1..] {
+                let around =
+                    |s: StateId| std::iter::successors(Some(s), |s| self.names.outlines[*s as usize].parent);
+                let meet = around(*a).find(|s| (*s..=self.last[*s as usize]).contains(b));
+                let apart = meet.is_some_and(|s| {
+                    s != *a
+                        && s != *b
+                        && matches!(self.flats[s as usize].model.kind, model::Kind::Parallel(_))
+                });
+                let Some(name) = names.first().filter(|_| !apart) else { continue };
+                let (a, b) = (&self.flats[*a as usize].path, &self.flats[*b as usize].path);
+                let message =
+                    format!("`{a}` and `{b}` cannot be entered together: they are not in two regions");
+                return self.error(source, code::TOGETHER, name, message, None);
             }
         }
     }
@@ -390,25 +435,30 @@ impl<'l> Compiler<'l> {
             let condition = self.condition(id, &watch.condition, source);
             let until = watch.until.as_ref().and_then(|node| self.condition(id, node, source));
             let Some(condition) = condition else { continue };
-            let name = watch.name.text.as_str().into();
+            let name = self.symbols.intern(&watch.name.text);
             state.watches.push(number(self.watches.len()));
             self.watches.push(Watch { state: id, name, condition, until, hold_s: watch.hold_s });
         }
     }
 
     fn transition(&mut self, id: StateId, model: &'l model::Transition, source: u32) -> u32 {
-        let target = model.target.as_ref().and_then(|target| self.target(id, target, source));
+        let targets: Vec<StateId> =
+            model.targets.iter().filter_map(|target| self.target(id, target, source)).collect();
+        self.together(&targets, &model.targets, source);
         let guard = model.guard.as_ref().and_then(|node| self.condition(id, node, source));
         let delay = model.delay.as_ref().and_then(|node| self.value(id, node, &Type::Duration, source));
-        let with = target.map_or_else(Vec::new, |to| self.bindings(id, to, &model.with, source));
-        if target.is_none() && model.target.is_none() {
+        let with = match targets.as_slice() {
+            [to] => self.bindings(id, *to, &model.with, source),
+            _ => Vec::new(),
+        };
+        if targets.len() != 1 && targets.len() == model.targets.len() {
             for (name, _) in &model.with {
-                let message = "a transition without target gives nothing".into();
+                let message = "only a transition with one target gives something to it".into();
                 self.error(source, code::INPUT, name, message, None);
             }
         }
-        if let Some(target) = target {
-            self.given.extend(with.iter().map(|b| (target, b.name.clone())));
+        if let [target] = targets.as_slice() {
+            self.given.extend(with.iter().map(|b| (*target, b.name.clone())));
         }
         let pattern = model.event.as_ref().map_or(Pattern::None, |event| match event.text.as_str() {
             "*" => Pattern::Any,
@@ -422,7 +472,11 @@ impl<'l> Compiler<'l> {
             pattern,
             delay,
             guard,
-            target,
+            historic: targets
+                .iter()
+                .any(|t| matches!(self.flats[*t as usize].model.kind, model::Kind::History { .. })),
+            targets,
+            internal: model.internal,
             domain: None,
             actions,
             with,
@@ -442,14 +496,15 @@ impl<'l> Compiler<'l> {
                 }
                 ActionKind::Raise { event, data } => {
                     let data = data.as_ref().and_then(|n| self.value(state, n, &Type::Any, source));
-                    compiled.push(Action::Raise { event: event.text.as_str().into(), data });
+                    compiled.push(Action::Raise { event: self.symbols.intern(&event.text), data });
                 }
                 ActionKind::Send { event, to, data, delay, id } => {
+                    let symbol = self.symbols.intern(&event.text);
                     let mut optional = |node: &Option<Node>, ty: &Type| {
                         node.as_ref().and_then(|n| self.value(state, n, ty, source))
                     };
                     compiled.push(Action::Send(Box::new(Send {
-                        event: event.text.as_str().into(),
+                        event: symbol,
                         to: optional(to, &Type::String),
                         data: optional(data, &Type::Any),
                         delay: optional(delay, &Type::Duration),
@@ -523,15 +578,10 @@ fn profiles(root: &Chart) -> BTreeMap<String, BTreeMap<String, Value>> {
     root.profiles.iter().map(|(name, entries)| (name.clone(), values(entries))).collect()
 }
 
-/// The least compound ancestor of source and target: what is inside it is left and entered (SCXML 3.13).
 fn set_domains(program: &mut Program) {
     for at in 0..program.transitions.len() {
-        let (source, target) = (program.transitions[at].source, program.transitions[at].target);
-        let Some(target) = target else { continue };
-        let domain = program.outward(source).skip(1).find(|around| {
-            let compound = matches!(program.state(*around).kind, Kind::Composite { .. } | Kind::Chart { .. });
-            compound && target != *around && program.within(target, *around)
-        });
-        program.transitions[at].domain = domain.or(Some(0));
+        let t = &program.transitions[at];
+        let domain = (!t.targets.is_empty()).then(|| program.domain(t.source, t.internal, &t.targets));
+        program.transitions[at].domain = domain;
     }
 }

@@ -70,7 +70,8 @@ impl Lint<'_, '_> {
         for id in self.ids() {
             let state = self.program.state(id);
             for watch in &state.watches {
-                add(id, &self.program.watches[*watch as usize].name, false, true);
+                let name = self.program.watches[*watch as usize].name;
+                add(id, self.program.tables.symbols.name(name), false, true);
             }
             match &state.kind {
                 Kind::Skill { manifest } => {
@@ -84,6 +85,7 @@ impl Lint<'_, '_> {
                         parent = self.program.state(parent).parent.unwrap_or(0);
                     }
                     let region = self.program.state(parent).region;
+                    let outcome = self.program.tables.symbols.name(*outcome);
                     add(parent, outcome, region, false);
                     if region && let Some(parallel) = self.program.state(parent).parent {
                         add(parallel, outcome, self.program.state(parallel).region, false);
@@ -163,9 +165,9 @@ impl Lint<'_, '_> {
             if s.state == 0 || s.own_only || s.name == "failure" {
                 continue;
             }
-            let taken = self.program.outward(s.state).any(|state| {
-                let transitions = &self.program.state(state).transitions;
-                transitions.iter().any(|t| self.program.transitions[*t as usize].pattern.is(&s.name))
+            let tables = &self.program.tables;
+            let taken = tables.symbols.find(&s.name).is_some_and(|symbol| {
+                self.program.outward(s.state).any(|state| !tables.exact(state, symbol).is_empty())
             });
             if taken || !said.insert((s.state, s.name.as_str())) {
                 continue;
@@ -191,14 +193,14 @@ impl Lint<'_, '_> {
             }
             let state = self.program.state(id);
             match &state.kind {
-                Kind::Composite { initial } => waiting.push(*initial),
+                Kind::Composite { initial } => waiting.extend(&initial.targets),
                 Kind::Chart { .. } | Kind::Parallel => waiting.extend(&state.children),
-                Kind::History { default, .. } => waiting.extend(default),
+                Kind::History { default, .. } => waiting.extend(&default.targets),
                 _ => {}
             }
             waiting.extend(state.parent);
             for t in state.transitions.iter().chain(&state.always).chain(&state.after) {
-                waiting.extend(self.program.transitions[*t as usize].target);
+                waiting.extend(&self.program.transitions[*t as usize].targets);
             }
         }
         for id in self.ids() {
@@ -273,6 +275,11 @@ fn raised(state: &model::State, names: &mut BTreeSet<String>) {
     of_transitions.for_each(|t| raised_by(&t.actions, names));
     raised_by(&state.enter, names);
     raised_by(&state.exit, names);
+    if let model::Kind::Composite { initial: entry, .. } | model::Kind::History { default: entry, .. } =
+        &state.kind
+    {
+        raised_by(&entry.actions, names);
+    }
     state.kind.children().iter().for_each(|child| raised(child, names));
 }
 

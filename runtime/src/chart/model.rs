@@ -90,10 +90,17 @@ pub(crate) enum Kind {
     Skill(Named),
     Chart(Named),
     Remote(Named),
-    Composite { initial: Named, states: Vec<State> },
+    Composite { initial: Entry, states: Vec<State> },
     Parallel(Vec<State>),
     Final(Named),
-    History { deep: bool, default: Option<Named> },
+    History { deep: bool, default: Entry },
+}
+
+/// `initial` and a history's `default`: what is entered, and what is done then.
+#[derive(Debug, Default)]
+pub(crate) struct Entry {
+    pub(crate) targets: Vec<Named>,
+    pub(crate) actions: Vec<Action>,
 }
 
 impl Kind {
@@ -111,7 +118,8 @@ pub(crate) struct Transition {
     /// The event that takes it; none for `always` and `after`.
     pub(crate) event: Option<Named>,
     pub(crate) delay: Option<Node>,
-    pub(crate) target: Option<Named>,
+    pub(crate) targets: Vec<Named>,
+    pub(crate) internal: bool,
     pub(crate) guard: Option<Node>,
     pub(crate) actions: Vec<Action>,
     pub(crate) with: Vec<(Named, Node)>,

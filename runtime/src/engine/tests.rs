@@ -389,7 +389,7 @@ states:
   B: {}
 ",
     );
-    assert_eq!(d.said(), "+A; -A; +B");
+    assert_eq!(d.said(), "+A; error this has no value yet; -A; +B");
 }
 
 #[test]
