@@ -584,4 +584,5 @@ fn set_domains(program: &mut Program) {
         let domain = (!t.targets.is_empty()).then(|| program.domain(t.source, t.internal, &t.targets));
         program.transitions[at].domain = domain;
     }
+    program.tables.set_jumps(&program.transitions);
 }

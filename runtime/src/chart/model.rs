@@ -48,6 +48,19 @@ pub struct Declaration {
 }
 
 impl Declaration {
+    /// Whether a value is as declared already; false where only [`accept`](Self::accept) can tell.
+    pub(crate) fn holds(&self, value: &Value) -> bool {
+        let within = |x: f64| {
+            !x.is_nan() && self.minimum.is_none_or(|m| x >= m) && self.maximum.is_none_or(|m| x <= m)
+        };
+        match (&self.ty, value) {
+            (Type::Bool, Value::Bool(_)) | (Type::String, Value::String(_)) => true,
+            (Type::Int, Value::Int(i)) => within(*i as f64),
+            (Type::Float(_), Value::Float(x)) | (Type::Duration, Value::Duration(x)) => within(*x),
+            _ => false,
+        }
+    }
+
     /// The value as declared: converted to the type and within the bounds; otherwise what is wrong with it.
     ///
     /// # Errors

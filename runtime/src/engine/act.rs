@@ -70,9 +70,12 @@ impl Engine {
         match action {
             Action::Assign { slot, declaration, variable, term, place } => {
                 let value = self.evaluate(term, turn)?;
-                let value = declaration
-                    .accept(value)
-                    .map_err(|message| (format!("`{variable}`: {message}"), turn.program.place(*place)))?;
+                let value = if declaration.holds(&value) {
+                    value
+                } else {
+                    let wrong = |message| (format!("`{variable}`: {message}"), turn.program.place(*place));
+                    declaration.accept(value).map_err(wrong)?
+                };
                 turn.trace(|p| TraceItem::Assigned {
                     variable: shown(p, state, variable),
                     value: value.clone(),

@@ -85,7 +85,7 @@ impl Engine {
         if outcome == SUCCESS {
             return Value::Map(fields);
         }
-        let event = self.store.event.as_ref().map(|e| &e.data);
+        let event = self.store.event.as_ref().map(|e| e.data());
         let here = event.filter(|data| data.get("reason").is_some());
         let owner = program.outward(state).find(|s| matches!(program.state(*s).kind, Kind::Chart { .. }));
         let before = self.last_failure.as_ref().filter(|(_, from)| {
@@ -149,7 +149,7 @@ impl Engine {
         let Some(parallel) = of.parent.filter(|_| of.region) else { return };
         let first_other = &mut self.extra(parallel).first_other;
         if event.symbol != SUCCESS && first_other.is_none() {
-            *first_other = Some((event.symbol, event.data.clone()));
+            *first_other = Some((event.symbol, event.data().clone()));
         }
         let children = &program.state(parallel).children;
         if children.iter().all(|c| self.extra_of(*c).is_some_and(|e| e.done.is_some())) {

@@ -353,7 +353,7 @@ impl Engine {
         (extra.ended, extra.done, extra.waiting) = (false, None, wait_s > 0.0);
         let attempt = extra.retries;
         let event = self.store.event.as_ref();
-        let reason = event.and_then(|e| reason_and_chain(&e.data).0).unwrap_or_default();
+        let reason = event.and_then(|e| reason_and_chain(e.data()).0).unwrap_or_default();
         turn.trace(|p| TraceItem::Retry { state: p.path(state).to_owned(), attempt, reason });
         if wait_s > 0.0 {
             let timer = self.start_timer(TimerUse::Retry { state, entry }, wait_s, u64::MAX - 1, turn);

@@ -24,31 +24,58 @@ pub(super) enum Origin {
     Retry { state: StateId, entry: u64 },
 }
 
+/// Small, as it is moved often: what most events do not have is behind a pointer.
 #[derive(Clone, Debug)]
 pub(super) struct Event {
     pub(super) symbol: Symbol,
-    /// The name, where the chart does not know it.
-    other: Option<Arc<str>>,
-    pub(super) data: Value,
     pub(super) origin: Origin,
+    data: Option<Box<Value>>,
+    rare: Option<Box<Rare>>,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Rare {
+    /// The name, where the chart does not know it.
+    name: Option<Arc<str>>,
     /// What an event that was held back has already moved: states inside do not see it again.
-    pub(super) served: Option<Box<[StateId]>>,
+    served: Vec<StateId>,
 }
 
 impl Event {
+    #[inline]
     pub(super) fn new(symbol: Symbol, data: Value, origin: Origin) -> Self {
-        Self { symbol, other: None, data, origin, served: None }
+        let data = if matches!(data, Value::Null) { None } else { Some(Box::new(data)) };
+        Self { symbol, origin, data, rare: None }
     }
 
     /// An event for all active states, by its name.
     pub(super) fn named(program: &Program, name: &str, data: Value) -> Self {
-        let symbol = program.tables.symbols.find(name);
-        let other = symbol.is_none().then(|| name.into());
-        Self { symbol: symbol.unwrap_or(UNKNOWN), other, data, origin: Origin::Broadcast, served: None }
+        if let Some(symbol) = program.tables.symbols.find(name) {
+            return Self::new(symbol, data, Origin::Broadcast);
+        }
+        let rare = Rare { name: Some(name.into()), served: Vec::new() };
+        Self { rare: Some(Box::new(rare)), ..Self::new(UNKNOWN, data, Origin::Broadcast) }
+    }
+
+    pub(super) fn data(&self) -> &Value {
+        static NULL: Value = Value::Null;
+        self.data.as_deref().unwrap_or(&NULL)
+    }
+
+    /// The states that have had it; they are forgotten.
+    pub(super) fn take_served(&mut self) -> Vec<StateId> {
+        self.rare.as_deref_mut().map_or_else(Vec::new, |rare| std::mem::take(&mut rare.served))
+    }
+
+    pub(super) fn set_served(&mut self, served: Vec<StateId>) {
+        if !served.is_empty() {
+            self.rare.get_or_insert_default().served = served;
+        }
     }
 
     pub(super) fn name<'e>(&'e self, program: &'e Program) -> &'e str {
-        self.other.as_deref().unwrap_or_else(|| program.tables.symbols.name(self.symbol))
+        let other = self.rare.as_deref().and_then(|rare| rare.name.as_deref());
+        other.unwrap_or_else(|| program.tables.symbols.name(self.symbol))
     }
 
     /// The state that it belongs to and the entry that it was meant for.

@@ -43,8 +43,7 @@ impl Engine {
         let Some(mut event) = self.store.event.clone() else { return };
         let moved =
             |t: &u32| self.domain(*t, turn.program).unwrap_or(turn.program.transitions[*t as usize].source);
-        let served: Box<[StateId]> = free.iter().map(moved).collect();
-        event.served = (!served.is_empty()).then_some(served);
+        event.set_served(free.iter().map(moved).collect());
         self.hold(event, holder, source, turn);
     }
 

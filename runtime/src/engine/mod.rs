@@ -184,7 +184,7 @@ impl World for View<'_> {
         self.store.event.as_ref().map(|e| e.name(self.program))
     }
     fn event_data(&self) -> Option<&Value> {
-        self.store.event.as_ref().map(|e| &e.data)
+        self.store.event.as_ref().map(|e| e.data())
     }
     fn active(&self, state: u32) -> bool {
         self.runs.get(state as usize).is_some_and(|r| r.active)
@@ -311,7 +311,13 @@ impl Engine {
         }
         let program = Arc::clone(&self.program);
         let mut turn = Turn { program: &program, sensors, out, tracing: self.tracing };
-        self.queue(Event::new(event.0, data, Origin::Broadcast), &mut turn);
+        let event = Event::new(event.0, data, Origin::Broadcast);
+        if self.pending.is_none() && self.external.is_empty() {
+            self.microsteps = 1;
+            self.dispatch(event, &mut turn);
+        } else {
+            self.queue(event, &mut turn);
+        }
         self.run(&mut turn);
     }
 

@@ -31,15 +31,15 @@ impl Engine {
         turn.trace(|p| TraceItem::Event {
             name: event.name(p).to_owned(),
             from: event.scope().map(|(state, _)| p.path(state).to_owned()),
-            data: event.data.clone(),
+            data: event.data().clone(),
         });
         let (symbol, origin) = (event.symbol, event.origin);
         let ended = self.note_outcome(&event, turn.program);
-        let served = self.store.event.insert(event).served.take();
+        let served = self.store.event.insert(event).take_served();
         match origin {
             Origin::Retry { state, .. } => self.begin_again(state, turn),
             Origin::Broadcast | Origin::Error(_) => {
-                let taken = self.select(By::Event(symbol), served.as_deref().unwrap_or(&[]), turn);
+                let taken = self.select(By::Event(symbol), &served, turn);
                 if taken.is_empty() {
                     self.enabled = taken;
                     self.unhandled(origin, turn);
@@ -68,7 +68,7 @@ impl Engine {
     fn note_outcome(&mut self, event: &Event, program: &Program) -> bool {
         let Origin::Outcome { state, .. } = event.origin else { return false };
         if event.is_failure() {
-            self.last_failure = Some((event.data.clone(), state));
+            self.last_failure = Some((event.data().clone(), state));
         }
         let unbreakable = program.state(state).unbreakable;
         if unbreakable {
@@ -120,7 +120,7 @@ impl Engine {
             Origin::Error(state) => {
                 // The state that it came from may have been left by what failed.
                 let here = turn.program.outward(state).find(|s| self.runs[*s as usize].active);
-                let data = self.store.event.as_ref().map(|e| e.data.clone()).unwrap_or_default();
+                let data = self.store.event.as_ref().map(|e| e.data().clone()).unwrap_or_default();
                 self.push_failure(here.unwrap_or(0), data, turn.program);
             }
             Origin::Outcome { state, region_end, .. } => {
@@ -138,7 +138,7 @@ impl Engine {
     }
 
     fn fail_run(&mut self, event: &Event, state: StateId, turn: &mut Turn<'_>) {
-        let (reason, mut chain) = super::end::reason_and_chain(&event.data);
+        let (reason, mut chain) = super::end::reason_and_chain(event.data());
         for around in turn.program.outward(state) {
             let path = turn.program.path(around);
             if !turn.program.is_root(around) && !chain.iter().any(|link| link == path) {
@@ -259,6 +259,9 @@ impl Engine {
     /// Whether a transition's guard holds; one that fails is false and raises `error.execution`.
     #[inline]
     pub(super) fn guard(&mut self, transition: u32, turn: &mut Turn<'_>) -> bool {
+        if !turn.program.tables.jump(transition).guarded {
+            return true;
+        }
         let t = &turn.program.transitions[transition as usize];
         let Some(code) = &t.guard else { return true };
         let view =

@@ -70,10 +70,11 @@ impl Engine {
 
     /// What a transition leaves and enters is inside this state.
     pub(super) fn domain(&self, transition: u32, program: &Program) -> Option<StateId> {
-        let t = &program.transitions[transition as usize];
-        if !t.historic {
-            return t.domain;
+        let jump = program.tables.jump(transition);
+        if !jump.historic {
+            return Some(jump.domain).filter(|d| *d != StateId::MAX);
         }
+        let t = &program.transitions[transition as usize];
         let targets: Vec<StateId> =
             t.targets.iter().flat_map(|target| self.effective(*target, program)).collect();
         Some(program.domain(t.source, t.internal, &targets))
@@ -162,14 +163,16 @@ impl Engine {
     fn take(&mut self, transitions: &[u32], turn: &mut Turn<'_>) {
         let program = turn.program;
         if let [t] = transitions {
-            // By far the most transitions: one, into a state that needs nothing, beside where it came from.
-            let t = &program.transitions[*t as usize];
-            if let ([target], Some(domain)) = (t.targets.as_slice(), t.domain)
-                && program.tables.node(*target).leaf
-                && program.tables.parent(*target) == Some(domain)
-            {
-                self.act(&t.actions, t.source, turn);
-                return self.enter_leaf(*target, turn);
+            // By far the most transitions: one, that stays or goes to a state beside that needs nothing.
+            let jump = program.tables.jump(*t);
+            if jump.simple {
+                if jump.acts {
+                    self.act(&program.transitions[*t as usize].actions, jump.source, turn);
+                }
+                if jump.target != StateId::MAX {
+                    self.enter_leaf(jump.target, turn);
+                }
+                return;
             }
         }
         let mut entries = Entries::default();

@@ -80,6 +80,22 @@ pub(crate) struct Node {
     pub(crate) leaf: bool,
 }
 
+/// One transition, as taking it sees it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Jump {
+    pub(crate) source: StateId,
+    /// What is left and entered is inside this state; [`StateId::MAX`] for a transition without target.
+    pub(crate) domain: StateId,
+    /// Where a simple transition goes; [`StateId::MAX`] where it stays.
+    pub(crate) target: StateId,
+    pub(crate) guarded: bool,
+    pub(crate) acts: bool,
+    /// Whether the domain depends on what a history remembers.
+    pub(crate) historic: bool,
+    /// It stays, or goes to a plain leaf beside what it leaves, and gives nothing.
+    pub(crate) simple: bool,
+}
+
 /// See the module.
 #[derive(Debug, Default)]
 pub(crate) struct Tables {
@@ -88,6 +104,7 @@ pub(crate) struct Tables {
     /// Event and transition, ordered by both within a state.
     on: Vec<(Symbol, u32)>,
     lists: Vec<u32>,
+    jumps: Vec<Jump>,
 }
 
 fn at(list: &[u32]) -> u32 {
@@ -96,8 +113,13 @@ fn at(list: &[u32]) -> u32 {
 
 impl Tables {
     pub(crate) fn new(symbols: Symbols, states: &[State], transitions: &[Transition]) -> Self {
-        let mut tables =
-            Self { symbols, nodes: Vec::with_capacity(states.len()), on: Vec::new(), lists: Vec::new() };
+        let mut tables = Self {
+            symbols,
+            nodes: Vec::with_capacity(states.len()),
+            on: Vec::new(),
+            lists: Vec::new(),
+            jumps: Vec::new(),
+        };
         for state in states {
             let (on_start, wild_start) = (tables.on.len(), at(&tables.lists));
             for t in &state.transitions {
@@ -128,6 +150,28 @@ impl Tables {
         tables
     }
 
+    /// Takes up transitions whose domains are known.
+    pub(crate) fn set_jumps(&mut self, transitions: &[Transition]) {
+        let jump = |t: &Transition| {
+            let domain = t.domain.unwrap_or(StateId::MAX);
+            let leaf = |s: StateId| self.node(s).leaf && self.node(s).parent == domain;
+            let (simple, target) = match t.targets.as_slice() {
+                [] => (t.with.is_empty(), StateId::MAX),
+                [only] => (t.with.is_empty() && leaf(*only), *only),
+                _ => (false, StateId::MAX),
+            };
+            let (guarded, acts) = (t.guard.is_some(), !t.actions.is_empty());
+            Jump { source: t.source, domain, target, guarded, acts, historic: t.historic, simple }
+        };
+        self.jumps = transitions.iter().map(jump).collect();
+    }
+
+    #[inline]
+    pub(crate) fn jump(&self, transition: u32) -> &Jump {
+        &self.jumps[transition as usize]
+    }
+
+    #[inline]
     pub(crate) fn node(&self, state: StateId) -> &Node {
         &self.nodes[state as usize]
     }
