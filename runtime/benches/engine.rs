@@ -111,6 +111,19 @@ fn size() -> Result<(), String> {
     Ok(())
 }
 
+/// Only loads and checks, so that the memory of the process can be looked at.
+fn load() -> Result<(), String> {
+    let text = wide(100_000);
+    let began = Instant::now();
+    let library = load_text("bench.yaml", &text, &[]);
+    let read = began.elapsed().as_secs_f64();
+    let checked = check(&library, &Registry::new(), &ChannelSchema::new());
+    let all = began.elapsed().as_secs_f64();
+    let states = checked.program.map_or(0, |p| p.len());
+    println!("load, {states} states: read in {read:.3} s, with checks {all:.3} s");
+    Ok(())
+}
+
 /// Says when it was started.
 struct Mark(Arc<Mutex<Vec<Instant>>>);
 
@@ -176,6 +189,9 @@ fn main() -> Result<(), String> {
     }
     if asked("size") {
         size()?;
+    }
+    if asked("load") {
+        load()?;
     }
     if asked("latency") {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build();
