@@ -145,6 +145,8 @@ pub struct Engine {
     /// The outermost chart has come to its end, with this outcome.
     ending: Option<(Symbol, Value)>,
     shown: Vec<StateId>,
+    /// The innermost states that were active when the run came to its end.
+    ended_in: Vec<StateId>,
     /// Whether states were entered or left since the configuration was shown.
     moved: bool,
     tracing: bool,
@@ -243,6 +245,7 @@ impl Engine {
             last_failure: None,
             ending: None,
             shown: Vec::new(),
+            ended_in: Vec::new(),
             moved: false,
             tracing: true,
             finished: false,
@@ -356,6 +359,12 @@ impl Engine {
     #[must_use]
     pub fn configuration(&self) -> &[StateId] {
         &self.configuration
+    }
+
+    /// The innermost states that were active when the run came to its end, before they were left; empty until then.
+    #[must_use]
+    pub fn ended_in(&self) -> &[StateId] {
+        &self.ended_in
     }
 
     /// The locals of the outermost chart that have a value.

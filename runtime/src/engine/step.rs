@@ -63,6 +63,7 @@ impl Engine {
         turn: &mut Turn<'_>,
     ) {
         self.show_configuration(turn);
+        self.ended_in = self.leaves();
         // What was pending is given up; its cancelled skills are still waited for, as their states are active.
         self.pending = None;
         self.begin(Step::Finish { outcome, reason, chain }, turn);
