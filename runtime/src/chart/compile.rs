@@ -1,7 +1,7 @@
 //! From models to tables: charts put into charts, names resolved, expressions compiled, and everything that is
 //! wrong collected on the way. What concerns the whole is in `lint`.
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -42,8 +42,8 @@ pub fn check(library: &Library, registry: &Registry, schema: &ChannelSchema) -> 
         findings.append(&mut compiler.findings);
     }
     findings.sort_by(|a, b| {
-        let key = |f: &Finding| (f.source.path.clone(), f.span.start, f.code);
-        key(a).cmp(&key(b))
+        let key = |f: &'_ Finding| (f.span.start, f.code);
+        a.source.path.cmp(&b.source.path).then_with(|| key(a).cmp(&key(b)))
     });
     // A chart that is used twice is compiled twice; what is wrong with it is said once.
     findings.dedup();
@@ -98,6 +98,7 @@ impl<'l> Compiler<'l> {
                 instances: Vec::new(),
                 schema,
                 channels: RefCell::new(Vec::new()),
+                asked: Cell::new(0),
             },
             flats: Vec::new(),
             last: Vec::new(),
@@ -264,7 +265,8 @@ impl<'l> Compiler<'l> {
             match self.names.find(id, &parts).filter(|found| *found > id && *found <= last) {
                 Some(found) => targets.push(found),
                 None => {
-                    let known = self.flats[id as usize].model.kind.children().iter();
+                    let known =
+                        self.flats[id as usize].model.kind.children().iter().take(expressions::MAX_NAMES);
                     let help = suggest(&name.text, known.map(|c| c.name.text.as_str()));
                     let message = format!("there is no state `{}` inside", name.text);
                     self.error(source, code::STATE, name, message, help);
@@ -320,9 +322,9 @@ impl<'l> Compiler<'l> {
         if found.is_none() {
             let last = parts.last().copied().unwrap_or("");
             let instance = self.names.outlines[from as usize].instance;
-            let elsewhere = self
-                .names
-                .outlines
+            let few = self.names.asked.get() < expressions::MAX_HELP;
+            let outlines = if few { self.names.outlines.as_slice() } else { &[] };
+            let elsewhere = outlines
                 .iter()
                 .enumerate()
                 .find(|(id, o)| o.name == last && o.instance == instance && !o.chart_root && *id != 0);

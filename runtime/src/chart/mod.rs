@@ -5,6 +5,7 @@
 
 mod catalog;
 mod compile;
+mod early;
 mod expressions;
 mod finding;
 mod flatten;

@@ -6,8 +6,9 @@ use armarium_values::Value;
 
 use super::event::{Event, Origin};
 use super::program::{Action, Place, Program, Send, StateId, Term};
+use super::state::{TimerUse, Turn, View};
 use super::tables::ERROR_EXECUTION;
-use super::{Effect, Engine, TimerUse, TraceItem, Turn, View};
+use super::{Effect, Engine, TraceItem};
 
 /// What failed and where it was written.
 type Failed = (String, String);

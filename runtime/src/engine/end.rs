@@ -6,8 +6,9 @@ use armarium_values::Value;
 
 use super::event::{Event, Origin};
 use super::program::{Kind, Program, StateId};
+use super::state::Turn;
 use super::tables::{FAILURE, SUCCESS, Symbol};
-use super::{Effect, Engine, RunResult, TraceItem, Turn};
+use super::{Effect, Engine, RunResult, TraceItem};
 use crate::skill::{SkillManifest, SkillResult};
 
 /// The reason and the chain in a failure's data.

@@ -6,8 +6,9 @@ use armarium_values::Value;
 
 use super::end::reason_and_chain;
 use super::program::{Action, Binding, Kind, Program, StateId};
+use super::state::{SkillRun, TimerUse, Turn};
 use super::step::duration;
-use super::{Effect, Engine, SkillRun, TimerUse, TraceItem, Turn};
+use super::{Effect, Engine, TraceItem};
 
 /// Values by name, or what failed and where.
 pub(super) type Given = Result<BTreeMap<String, Value>, (String, String)>;

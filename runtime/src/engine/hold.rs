@@ -2,8 +2,9 @@
 
 use super::event::{Event, Origin};
 use super::program::{Program, StateId};
+use super::state::{Step, Turn};
 use super::tables::ERROR_QUEUE;
-use super::{Engine, MAX_HELD, Step, TraceItem, Turn};
+use super::{Engine, MAX_HELD, TraceItem};
 
 impl Engine {
     /// What unbreakable states held back is matched again.
@@ -62,8 +63,10 @@ impl Engine {
         let reason = format!("`{path}` holds {MAX_HELD} events back");
         turn.trace(|p| TraceItem::Dropped { name: event.name(p).to_owned(), reason: reason.clone() });
         if !event.is_error(turn.program) {
-            let data =
-                super::Value::record([("reason", reason.into()), ("event", event.name(turn.program).into())]);
+            let data = armarium_values::Value::record([
+                ("reason", reason.into()),
+                ("event", event.name(turn.program).into()),
+            ]);
             self.internal.push_back(Event::new(ERROR_QUEUE, data, Origin::Error(source)));
         }
     }

@@ -8,11 +8,13 @@ mod act;
 mod end;
 mod enter;
 mod event;
+mod hear;
 mod hold;
 mod inputs;
 mod interface;
 mod record;
 mod select;
+mod state;
 mod step;
 
 pub(crate) mod program;
@@ -22,17 +24,16 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use armarium_values::Value;
-use armarium_values::expr::World;
 
 pub use interface::{Effect, Input, InputError, NoSensors, Observation, RunResult, Sensors};
 pub use program::{EventId, Program, StateId};
-pub use record::{Recording, Replaying, Seen};
+pub use record::{InputRecord, Recording, Replaying, Seen};
 
-use crate::skill::SkillResult;
 use crate::trace::TraceItem;
 use event::{Event, Origin};
 use inputs::inputs;
-use tables::{AFTER, FAILURE, RETRY, Symbol};
+use state::{Pending, Run, Store, TimerUse, Turn, View};
+use tables::{ERROR_CHANNEL, FAILURE, Symbol};
 
 /// Microsteps without rest after which a run fails.
 pub const MAX_MICROSTEPS: u32 = 1000;
@@ -40,85 +41,6 @@ pub const MAX_MICROSTEPS: u32 = 1000;
 pub const MAX_QUEUE: usize = 1024;
 /// Events that unbreakable states may hold back.
 pub const MAX_HELD: usize = 64;
-
-/// What a state's skill is doing.
-#[derive(Clone, Debug, Default, PartialEq)]
-enum SkillRun {
-    #[default]
-    None,
-    /// Entered; starts when the macrostep is over.
-    Ready(BTreeMap<String, Value>),
-    Running(u64),
-    Cancelling(u64),
-}
-
-/// What a state is doing; reset when it is entered.
-#[derive(Clone, Debug, Default)]
-struct Run {
-    /// Counts entries of all states: tells one stay in a state from another.
-    entry: u64,
-    /// What few states need.
-    extra: Option<Box<Extra>>,
-    /// The newest selection that has looked at it.
-    seen: u32,
-    /// The newest entry that has planned a state inside it.
-    filled: u32,
-    active: bool,
-}
-
-/// What a state with a skill, timers, tries or an outcome is doing.
-#[derive(Clone, Debug, Default)]
-struct Extra {
-    skill: SkillRun,
-    /// Its outcome, once nobody handled it.
-    done: Option<Symbol>,
-    /// Whether it has reported its outcome, for unbreakable states.
-    ended: bool,
-    retries: u32,
-    /// Waits before it is tried again; nothing inside it is active.
-    waiting: bool,
-    timers: Vec<u64>,
-    /// What the transition that entered it gave, for further tries.
-    given: BTreeMap<String, Value>,
-    /// For a parallel state: the first outcome of a region that is not success.
-    first_other: Option<(Symbol, Value)>,
-}
-
-#[derive(Clone, Debug)]
-enum TimerUse {
-    After { state: StateId, entry: u64, transition: u32 },
-    Retry { state: StateId, entry: u64 },
-    Send { id: Option<String>, event: Event },
-}
-
-/// What a microstep does once all skills that it leaves have returned.
-#[derive(Clone, Debug)]
-enum Step {
-    Take(Vec<u32>),
-    /// Try the inside of a state again.
-    Restart(StateId),
-    Finish {
-        outcome: String,
-        reason: Option<String>,
-        chain: Vec<String>,
-    },
-}
-
-#[derive(Clone, Debug)]
-struct Pending {
-    step: Step,
-    /// States to leave, in the file's order.
-    exits: Vec<StateId>,
-    /// Skills that have not returned yet.
-    waiting: BTreeSet<u64>,
-}
-
-/// The variables of a run, which expressions read.
-#[derive(Debug, Default)]
-struct Store {
-    data: Vec<Option<Value>>,
-    event: Option<Event>,
-}
 
 /// One run of a chart.
 #[derive(Debug)]
@@ -161,54 +83,6 @@ pub struct Engine {
     enabled: Vec<u32>,
     exits: Vec<StateId>,
     entries: Vec<StateId>,
-}
-
-/// The engine's variables, states and sensors together, as expressions see them.
-struct View<'v> {
-    program: &'v Program,
-    store: &'v Store,
-    runs: &'v [Run],
-    sensors: &'v dyn Sensors,
-}
-
-impl World for View<'_> {
-    #[inline]
-    fn data(&self, slot: u32) -> Option<&Value> {
-        self.store.data.get(slot as usize)?.as_ref()
-    }
-    fn channel(&self, channel: u32, path: &[String]) -> Option<Value> {
-        self.sensors.channel(channel, path)
-    }
-    fn age(&self, channel: u32) -> Option<f64> {
-        self.sensors.age(channel)
-    }
-    fn event_name(&self) -> Option<&str> {
-        self.store.event.as_ref().map(|e| e.name(self.program))
-    }
-    fn event_data(&self) -> Option<&Value> {
-        self.store.event.as_ref().map(|e| e.data())
-    }
-    fn active(&self, state: u32) -> bool {
-        self.runs.get(state as usize).is_some_and(|r| r.active)
-    }
-}
-
-/// What one call works with.
-struct Turn<'t> {
-    program: &'t Program,
-    sensors: &'t dyn Sensors,
-    out: &'t mut Vec<Effect>,
-    tracing: bool,
-}
-
-impl<'t> Turn<'t> {
-    /// Tells what happens; nothing is put together when nobody listens.
-    #[inline]
-    fn trace(&mut self, item: impl FnOnce(&'t Program) -> TraceItem) {
-        if self.tracing {
-            self.out.push(Effect::Trace(item(self.program)));
-        }
-    }
 }
 
 impl Engine {
@@ -301,6 +175,15 @@ impl Engine {
                     self.error_at(state, &message, place, &mut turn);
                 }
             }
+            Input::WatchBlind { watch, message, place } => {
+                let state = program.watches.get(watch as usize).map(|w| program.path(w.state));
+                let data = [
+                    ("reason", message.into()),
+                    ("place", place.into()),
+                    ("state", state.unwrap_or("").into()),
+                ];
+                self.queue(Event::new(ERROR_CHANNEL, Value::record(data), Origin::Broadcast), &mut turn);
+            }
             Input::Stop { reason } => self.stop("stopped", reason, &mut turn),
             Input::Abort { reason } => self.stop("failure", reason, &mut turn),
         }
@@ -328,17 +211,19 @@ impl Engine {
     pub fn observe(&self, watch: u32, sensors: &dyn Sensors) -> Observation {
         let watch = &self.program.watches[watch as usize];
         let view = View { program: &self.program, store: &self.store, runs: &self.runs, sensors };
-        let place = |code: &program::Code, message: String| (message, self.program.place(code.place));
-        let mut error = None;
+        let (mut error, mut blind) = (None, None);
         let mut look = |code: &program::Code| {
-            code.expr.observe(&view).unwrap_or_else(|e| {
-                error = Some(place(code, e.message));
+            code.expr.look(&view).unwrap_or_else(|e| {
+                if e.nan || !e.absent {
+                    let to = if e.nan { &mut blind } else { &mut error };
+                    *to = Some((e.message, self.program.place(code.place)));
+                }
                 false
             })
         };
         let holds = look(&watch.condition);
         let until = watch.until.as_ref().map_or(!holds, &mut look);
-        Observation { holds, until, error }
+        Observation { holds, until, error, blind }
     }
 
     /// The program that runs.
@@ -401,86 +286,6 @@ impl Engine {
         self.next - 1
     }
 
-    /// What only few states need, made where it is not there yet.
-    fn extra(&mut self, state: StateId) -> &mut Extra {
-        self.runs[state as usize].extra.get_or_insert_default()
-    }
-
-    fn extra_of(&self, state: StateId) -> Option<&Extra> {
-        self.runs[state as usize].extra.as_deref()
-    }
-
-    /// Queues an event from outside.
-    fn queue(&mut self, event: Event, turn: &mut Turn<'_>) {
-        if self.external.len() >= MAX_QUEUE {
-            let reason = "too many events are waiting".into();
-            turn.trace(|p| TraceItem::Dropped { name: event.name(p).to_owned(), reason });
-        } else {
-            self.external.push_back(event);
-        }
-    }
-
-    fn timer(&mut self, timer: u64, turn: &mut Turn<'_>) {
-        match self.timers.remove(&timer) {
-            None => {}
-            Some(TimerUse::Send { event, .. }) => self.queue(event, turn),
-            Some(TimerUse::After { state, entry, transition }) => {
-                let path = turn.program.path(state);
-                let reason = format!("`{path}` had not ended when its time was up");
-                let data = Value::record([("reason", reason.into())]);
-                self.queue(Event::new(AFTER, data, Origin::After { state, entry, transition }), turn);
-            }
-            Some(TimerUse::Retry { state, entry }) => {
-                self.queue(Event::new(RETRY, Value::Null, Origin::Retry { state, entry }), turn);
-            }
-        }
-    }
-
-    fn skill_ended(&mut self, activation: u64, result: SkillResult, turn: &mut Turn<'_>) {
-        let Some(state) = self.skills.remove(&activation) else { return };
-        let cancelled = self.extra(state).skill == SkillRun::Cancelling(activation);
-        turn.trace(|p| {
-            let (outcome, reason, outputs) = match &result {
-                _ if cancelled => ("cancelled", None, BTreeMap::new()),
-                Ok(outcome) => (outcome.name.as_str(), None, outcome.outputs.clone()),
-                Err(failure) => ("failure", Some(failure.reason.clone()), BTreeMap::new()),
-            };
-            let (state, outcome) = (p.path(state).to_owned(), outcome.to_owned());
-            TraceItem::SkillEnded { activation, state, outcome, reason, outputs }
-        });
-        self.extra(state).skill = SkillRun::None;
-        if cancelled {
-            self.returned(activation, turn);
-        } else {
-            let event = self.outcome_of_skill(state, result, turn);
-            self.external.push_back(event);
-        }
-    }
-
-    /// A skill that was cancelled is gone.
-    fn returned(&mut self, activation: u64, turn: &mut Turn<'_>) {
-        if let Some(pending) = &mut self.pending {
-            pending.waiting.remove(&activation);
-            self.complete_if_returned(turn);
-        }
-    }
-
-    fn skill_stuck(&mut self, activation: u64, turn: &mut Turn<'_>) {
-        let Some(state) = self.skills.remove(&activation) else { return };
-        let path = turn.program.path(state).to_owned();
-        self.extra(state).skill = SkillRun::None;
-        let reason = format!("the skill of `{path}` did not return after it was cancelled");
-        self.finish_with("failure".into(), Some(reason), vec![path], turn);
-        self.returned(activation, turn);
-    }
-
-    fn stop(&mut self, outcome: &str, reason: String, turn: &mut Turn<'_>) {
-        let running = self.pending.as_ref().is_some_and(|p| matches!(p.step, Step::Finish { .. }));
-        if !running {
-            self.finish_with(outcome.to_owned(), Some(reason), Vec::new(), turn);
-        }
-    }
-
     /// The main loop of SCXML's appendix D: macrosteps until there is nothing to do or something to wait for.
     fn run(&mut self, turn: &mut Turn<'_>) {
         while !self.finished && self.pending.is_none() {
@@ -531,6 +336,8 @@ impl Engine {
     }
 }
 
+#[cfg(test)]
+mod cases;
 #[cfg(test)]
 mod properties;
 #[cfg(test)]

@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 use armarium_values::Value;
 use serde::{Deserialize, Serialize};
 
-use super::Sensors;
+use super::{Effect, Engine, Input, Sensors};
 
 /// One reading of a sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -19,6 +19,29 @@ pub enum Seen {
     Channel(Option<Value>),
     /// Seconds since a channel was published; none when it never was.
     Age(Option<f64>),
+}
+
+/// One turn of a run: what the engine was told, and what it read.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct InputRecord {
+    /// Virtual time since the run began, ns.
+    pub at_ns: u64,
+    /// What it was told; none for the start.
+    pub input: Option<Input>,
+    /// What its expressions read, in order.
+    pub seen: Vec<Seen>,
+}
+
+impl Engine {
+    /// Runs a recorded turn again. An engine that is given all turns of a run, begun with the same inputs of the chart,
+    /// goes through the same states and gives the same effects.
+    pub fn replay(&mut self, turn: &InputRecord, out: &mut Vec<Effect>) {
+        let sensors = Replaying::new(turn.seen.iter().cloned());
+        match &turn.input {
+            None => self.start(&sensors, out),
+            Some(input) => self.handle(input.clone(), &sensors, out),
+        }
+    }
 }
 
 /// Sensors that keep what was read from others.

@@ -3,8 +3,9 @@
 
 use super::event::{Event, Origin};
 use super::program::{Pattern, Program, StateId};
+use super::state::{Step, Turn, View};
 use super::tables::{FAILURE, Symbol};
-use super::{Engine, Step, TraceItem, Turn, View};
+use super::{Engine, TraceItem};
 
 /// What a selection looks for.
 #[derive(Clone, Copy)]

@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use super::enter::Entries;
 use super::program::{Kind, Pattern, Program, StateId};
-use super::{Effect, Engine, Pending, SkillRun, Step, TraceItem, Turn};
+use super::state::{Pending, SkillRun, Step, Turn};
+use super::{Effect, Engine, TraceItem};
 
 /// Longest time that a timer waits.
 const LONGEST_S: f64 = 1.0e9;

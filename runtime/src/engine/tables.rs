@@ -17,8 +17,10 @@ pub(crate) const ERROR_EXECUTION: Symbol = 2;
 pub(crate) const ERROR_QUEUE: Symbol = 3;
 pub(crate) const AFTER: Symbol = 4;
 pub(crate) const RETRY: Symbol = 5;
+pub(crate) const ERROR_CHANNEL: Symbol = 6;
 /// The names that every program knows, by their numbers.
-const FIXED: [&str; 6] = ["failure", "success", "error.execution", "error.queue", "after", "retry"];
+const FIXED: [&str; 7] =
+    ["failure", "success", "error.execution", "error.queue", "after", "retry", "error.channel"];
 
 /// Names of events and their numbers.
 #[derive(Debug)]

@@ -205,10 +205,18 @@ impl Expr {
     /// # Errors
     /// [`EvalError`] with the place, for every other failure.
     pub fn observe<W: World + ?Sized>(&self, world: &W) -> Result<bool, EvalError> {
-        match eval::test(&self.root, world, true) {
+        match self.look(world) {
             Err(error) if error.absent => Ok(false),
             other => other,
         }
+    }
+
+    /// Its truth now, for an observer that wants to know why nothing can be said.
+    ///
+    /// # Errors
+    /// [`EvalError`] with the place; `absent` where a channel was never published, and `nan` where its number is NaN.
+    pub fn look<W: World + ?Sized>(&self, world: &W) -> Result<bool, EvalError> {
+        eval::test(&self.root, world, true)
     }
 }
 
