@@ -212,6 +212,11 @@ impl<'l> Compiler<'l> {
             (state.retry, state.unbreakable) = (None, false);
             return state;
         }
+        if let Some(manifest) = self.flats[id as usize].skill.clone() {
+            manifest.outcomes.iter().for_each(|outcome| {
+                self.symbols.intern(outcome);
+            });
+        }
         state.kind = self.kind(id, model, source);
         state.with = self.bindings(id, id, &model.with, source);
         state.enter = self.actions(id, &model.enter, source);
