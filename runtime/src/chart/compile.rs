@@ -12,12 +12,10 @@ use super::expressions::{self, Names, Scope};
 use super::finding::{Finding, Findings, Source, code, suggest};
 use super::library::Library;
 use super::lint;
-use super::model::{self, ActionKind, Chart, Declaration};
+use super::model::{self, Chart, Declaration};
 use super::read::literal;
 use super::yaml::{Named, Node};
-use crate::engine::program::{
-    Action, Binding, Entry, Kind, Pattern, Place, Program, Send, State, StateId, Term, Transition, Watch,
-};
+use crate::engine::program::{Binding, Entry, Kind, Place, Program, State, StateId, Term, Transition, Watch};
 use crate::engine::tables::{Symbols, Tables};
 use crate::skill::{Limits, SkillManifest};
 
@@ -123,7 +121,11 @@ impl<'l> Compiler<'l> {
     }
 
     /// Calls `work` with the findings of one file, and keeps what it added.
-    fn reporting<T>(&mut self, source: u32, work: impl FnOnce(&mut Self, &mut Findings) -> T) -> T {
+    pub(super) fn reporting<T>(
+        &mut self,
+        source: u32,
+        work: impl FnOnce(&mut Self, &mut Findings) -> T,
+    ) -> T {
         let mut findings = Findings::new(Arc::clone(&self.sources[source as usize]));
         let result = work(self, &mut findings);
         self.findings.append(&mut findings.list);
@@ -262,99 +264,17 @@ impl<'l> Compiler<'l> {
         }
     }
 
-    fn initial(&mut self, id: StateId, initial: &model::Entry, source: u32) -> Vec<StateId> {
-        let last = self.last[id as usize];
-        let mut targets = Vec::new();
-        for name in &initial.targets {
-            let parts: Vec<&str> = name.text.split('.').collect();
-            match self.names.find(id, &parts).filter(|found| *found > id && *found <= last) {
-                Some(found) => targets.push(found),
-                None => {
-                    let known =
-                        self.flats[id as usize].model.kind.children().iter().take(expressions::MAX_NAMES);
-                    let help = suggest(&name.text, known.map(|c| c.name.text.as_str()));
-                    let message = format!("there is no state `{}` inside", name.text);
-                    self.error(source, code::STATE, name, message, help);
-                }
-            }
-        }
-        self.together(&targets, &initial.targets, source);
-        targets
-    }
-
-    fn history_default(&mut self, id: StateId, default: &model::Entry, source: u32) -> Vec<StateId> {
-        let parent = self.names.outlines[id as usize].parent.unwrap_or(0);
-        let mut targets = Vec::new();
-        for name in &default.targets {
-            let Some(to) = self.target(id, name, source) else { continue };
-            let inside = to > parent && to <= self.last[parent as usize];
-            let history = matches!(self.flats[to as usize].model.kind, model::Kind::History { .. });
-            if inside && !history {
-                targets.push(to);
-            } else {
-                let message = "the default of a history is a state beside it, not a history".into();
-                self.error(source, code::STATE, name, message, None);
-            }
-        }
-        self.together(&targets, &default.targets, source);
-        targets
-    }
-
-    /// Several targets can only be entered together when they are in different regions of parallel states.
-    fn together(&mut self, targets: &[StateId], names: &[Named], source: u32) {
-        for (i, a) in targets.iter().enumerate() {
-            for b in &targets[i + 1..] {
-                let around =
-                    |s: StateId| std::iter::successors(Some(s), |s| self.names.outlines[*s as usize].parent);
-                let meet = around(*a).find(|s| (*s..=self.last[*s as usize]).contains(b));
-                let apart = meet.is_some_and(|s| {
-                    s != *a
-                        && s != *b
-                        && matches!(self.flats[s as usize].model.kind, model::Kind::Parallel(_))
-                });
-                let Some(name) = names.first().filter(|_| !apart) else { continue };
-                let (a, b) = (&self.flats[*a as usize].path, &self.flats[*b as usize].path);
-                let message =
-                    format!("`{a}` and `{b}` cannot be entered together: they are not in two regions");
-                return self.error(source, code::TOGETHER, name, message, None);
-            }
-        }
-    }
-
-    fn target(&mut self, from: StateId, target: &Named, source: u32) -> Option<StateId> {
-        let parts: Vec<&str> = target.text.split('.').collect();
-        let found = self.names.find(from, &parts);
-        if found.is_none() {
-            let last = parts.last().copied().unwrap_or("");
-            let instance = self.names.outlines[from as usize].instance;
-            let few = self.names.asked.get() < expressions::MAX_HELP;
-            let outlines = if few { self.names.outlines.as_slice() } else { &[] };
-            let elsewhere = outlines
-                .iter()
-                .enumerate()
-                .find(|(id, o)| o.name == last && o.instance == instance && !o.chart_root && *id != 0);
-            let help = suggest(&target.text, self.names.visible(from)).or_else(|| {
-                elsewhere.map(|(id, _)| {
-                    format!("`{last}` is inside another state: write `{}`", self.flats[id].path)
-                })
-            });
-            let message = format!("there is no state `{}`", target.text);
-            self.error(source, code::STATE, target, message, help);
-        }
-        found
-    }
-
     fn scope(&self, state: StateId) -> Scope<'_, 'l> {
         Scope { names: &self.names, state, bound: &self.bound }
     }
 
-    fn value(&mut self, state: StateId, node: &Node, ty: &Type, source: u32) -> Option<Term> {
+    pub(super) fn value(&mut self, state: StateId, node: &Node, ty: &Type, source: u32) -> Option<Term> {
         self.reporting(source, |this, findings| {
             expressions::value(node, ty, &this.scope(state), source, findings)
         })
     }
 
-    fn condition(
+    pub(super) fn condition(
         &mut self,
         state: StateId,
         node: &Node,
@@ -380,7 +300,7 @@ impl<'l> Compiler<'l> {
     }
 
     /// Compiles a `with` that is written at `scope` and given to `target`.
-    fn bindings(
+    pub(super) fn bindings(
         &mut self,
         scope: StateId,
         target: StateId,
@@ -446,135 +366,6 @@ impl<'l> Compiler<'l> {
             state.watches.push(number(self.watches.len()));
             self.watches.push(Watch { state: id, name, condition, until, hold_s: watch.hold_s });
         }
-    }
-
-    fn transition(&mut self, id: StateId, model: &'l model::Transition, source: u32) -> u32 {
-        let targets: Vec<StateId> =
-            model.targets.iter().filter_map(|target| self.target(id, target, source)).collect();
-        self.together(&targets, &model.targets, source);
-        let guard = model.guard.as_ref().and_then(|node| self.condition(id, node, source));
-        let delay = model.delay.as_ref().and_then(|node| self.value(id, node, &Type::Duration, source));
-        let with = match targets.as_slice() {
-            [to] => self.bindings(id, *to, &model.with, source),
-            _ => Vec::new(),
-        };
-        if targets.len() != 1 && targets.len() == model.targets.len() {
-            for (name, _) in &model.with {
-                let message = "only a transition with one target gives something to it".into();
-                self.error(source, code::INPUT, name, message, None);
-            }
-        }
-        if let [target] = targets.as_slice() {
-            self.given.extend(with.iter().map(|b| (*target, b.name.clone())));
-        }
-        let pattern = model.event.as_ref().map_or(Pattern::None, |event| match event.text.as_str() {
-            "*" => Pattern::Any,
-            text => text
-                .strip_suffix(".*")
-                .map_or_else(|| Pattern::Exact(text.into()), |prefix| Pattern::Prefix(prefix.into())),
-        });
-        let actions = self.actions(id, &model.actions, source);
-        self.transitions.push(Transition {
-            source: id,
-            pattern,
-            delay,
-            guard,
-            historic: targets
-                .iter()
-                .any(|t| matches!(self.flats[*t as usize].model.kind, model::Kind::History { .. })),
-            targets,
-            internal: model.internal,
-            domain: None,
-            actions,
-            with,
-        });
-        number(self.transitions.len() - 1)
-    }
-
-    fn actions(&mut self, state: StateId, actions: &'l [model::Action], source: u32) -> Vec<Action> {
-        let mut compiled = Vec::new();
-        for action in actions {
-            let place = Place { source, byte: number(action.span.start) };
-            match &action.kind {
-                ActionKind::Assign(entries) => {
-                    for (name, node) in entries {
-                        compiled.extend(self.assign(state, name, node, source));
-                    }
-                }
-                ActionKind::Raise { event, data } => {
-                    let data = data.as_ref().and_then(|n| self.value(state, n, &Type::Any, source));
-                    compiled.push(Action::Raise { event: self.symbols.intern(&event.text), data });
-                }
-                ActionKind::Send { event, to, data, delay, id } => {
-                    let symbol = self.symbols.intern(&event.text);
-                    let mut optional = |node: &Option<Node>, ty: &Type| {
-                        node.as_ref().and_then(|n| self.value(state, n, ty, source))
-                    };
-                    compiled.push(Action::Send(Box::new(Send {
-                        event: symbol,
-                        to: optional(to, &Type::String),
-                        data: optional(data, &Type::Any),
-                        delay: optional(delay, &Type::Duration),
-                        id: id.as_ref().map(|id| id.text.clone()),
-                        place,
-                    })));
-                }
-                ActionKind::Cancel(id) => compiled.push(Action::Cancel { id: id.text.clone() }),
-                ActionKind::Log(node) => {
-                    let term = self.value(state, node, &Type::Any, source);
-                    compiled.extend(term.map(|term| Action::Log { term }));
-                }
-                ActionKind::If { condition, then, otherwise } => {
-                    let condition = self.condition(state, condition, source);
-                    let then = self.actions(state, then, source);
-                    let otherwise = self.actions(state, otherwise, source);
-                    compiled.extend(condition.map(|condition| Action::If { condition, then, otherwise }));
-                }
-                ActionKind::Foreach { items, variable, body } => {
-                    let items = self.value(state, items, &Type::list(Type::Any), source);
-                    let slot = self.slots;
-                    self.slots += 1;
-                    self.bound.push((variable.text.clone(), slot));
-                    let body = self.actions(state, body, source);
-                    self.bound.pop();
-                    compiled.extend(items.map(|items| Action::Foreach { items, slot, body, place }));
-                }
-            }
-        }
-        compiled
-    }
-
-    fn assign(&mut self, state: StateId, name: &Named, node: &Node, source: u32) -> Option<Action> {
-        let instance = &self.names.instances[self.names.outlines[state as usize].instance as usize];
-        let (kind, variable) = name.text.split_once('.').unwrap_or(("", name.text.as_str()));
-        let declared = match kind {
-            "locals" => &instance.locals,
-            "outputs" => &instance.outputs,
-            _ => {
-                let message = "only `locals.name` and `outputs.name` can be assigned".into();
-                self.error(source, code::VARIABLE, name, message, None);
-                return None;
-            }
-        };
-        let Some(found) = declared.iter().find(|v| v.declaration.name == variable).cloned() else {
-            let help = suggest(variable, declared.iter().map(|v| v.declaration.name.as_str()));
-            let message = format!("the chart has no `{}`", name.text);
-            self.error(source, code::VARIABLE, name, message, help);
-            return None;
-        };
-        let term = self.value(state, node, &found.declaration.ty, source)?;
-        if let Term::Literal(value) = &term
-            && let Err(message) = found.declaration.accept(value.clone())
-        {
-            self.reporting(source, |_, findings| findings.error(code::TYPE, node.span, message));
-        }
-        Some(Action::Assign {
-            slot: found.slot,
-            declaration: Arc::new(found.declaration),
-            variable: name.text.clone(),
-            term,
-            place: Place { source, byte: number(node.span.start) },
-        })
     }
 }
 

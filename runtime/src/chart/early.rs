@@ -146,10 +146,11 @@ impl Search<'_> {
         let program = self.program;
         let of = program.state(state);
         match &of.kind {
-            Kind::Composite { initial } => initial
-                .targets
-                .iter()
-                .fold(false, |found, target| self.entered(*target, state, then) || found),
+            Kind::Composite { initial } => {
+                let mut found = false;
+                initial.targets.iter().for_each(|target| found |= self.entered(*target, state, then));
+                found
+            }
             Kind::Parallel | Kind::Chart { .. } => {
                 self.waiting.extend(&of.children);
                 false
