@@ -213,7 +213,7 @@ mod agreement {
             4 => (number(), prop::sample::select(vec!["<", "<=", ">", ">=", "==", "!="]), number())
                 .prop_map(|(a, op, b)| format!("({a} {op} {b})")),
             1 => prop::sample::select(vec!["true", "false", "active('A')", "flag", "gesture == 'fist'", "x < 2.0", "sqrt(x) > 1.5"])
-                .prop_map(str::to_owned),
+                .prop_map(|s| format!("({s})")),
         ];
         leaf.prop_recursive(4, 16, 2, |inner| {
             let pair = (inner.clone(), prop::sample::select(vec!["&&", "||", "=="]), inner.clone());
