@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use armarium_values::{Type, Value};
 use futures::future::BoxFuture;
+use serde::{Deserialize, Serialize};
 use tokio_util::sync::CancellationToken;
 
 use crate::channels::Channels;
@@ -118,7 +119,7 @@ impl SkillManifest {
 }
 
 /// How a skill ended well.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Outcome {
     /// `success`, or an outcome that the manifest declares.
     pub name: String,
@@ -148,7 +149,7 @@ impl Outcome {
 }
 
 /// Why a skill failed, in words for the person at the robot.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[error("{reason}")]
 pub struct Failure {
     /// One sentence: what happened, and what to do about it where that is known.

@@ -7,6 +7,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use armarium_values::Value;
 use serde::{Deserialize, Serialize};
 
+use crate::engine::InputRecord;
+
 /// One thing that happened, and when.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TraceEvent {
@@ -164,6 +166,9 @@ pub enum TraceItem {
 pub trait TraceSink: Send {
     /// One thing happened.
     fn record(&mut self, event: &TraceEvent);
+    /// The engine was told something; what came of it is recorded next. All these, in order, make a run that can be
+    /// replayed.
+    fn input(&mut self, _turn: &InputRecord) {}
 }
 
 impl<F: FnMut(&TraceEvent) + Send> TraceSink for F {

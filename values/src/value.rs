@@ -18,11 +18,11 @@ pub enum Value {
     /// A whole number.
     Int(i64),
     /// A number, SI.
-    Float(f64),
+    Float(#[serde(with = "number")] f64),
     /// Text.
     String(String),
     /// A span of time, s.
-    Duration(f64),
+    Duration(#[serde(with = "number")] f64),
     /// Opaque bytes.
     Bytes(Vec<u8>),
     /// An ordered sequence.
@@ -37,6 +37,36 @@ pub enum Value {
     Wrench(Wrench),
     /// A named, versioned entity in working memory.
     Reference(Reference),
+}
+
+/// Numbers in formats without NaN and infinity, such as JSON, where these become words.
+mod number {
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    pub(super) fn serialize<S: Serializer>(number: &f64, serializer: S) -> Result<S::Ok, S::Error> {
+        if number.is_finite() || !serializer.is_human_readable() {
+            serializer.serialize_f64(*number)
+        } else {
+            serializer.collect_str(number)
+        }
+    }
+
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Form {
+        Number(f64),
+        Word(String),
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+        if !deserializer.is_human_readable() {
+            return f64::deserialize(deserializer);
+        }
+        match Form::deserialize(deserializer)? {
+            Form::Number(number) => Ok(number),
+            Form::Word(word) => word.parse().map_err(serde::de::Error::custom),
+        }
+    }
 }
 
 /// A reference to an entity in working memory; who holds it sees the entity change.
@@ -254,5 +284,19 @@ impl From<Wrench> for Value {
 impl From<Reference> for Value {
     fn from(v: Reference) -> Self {
         Self::Reference(v)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_that_json_does_not_have_come_back() {
+        for number in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 0.5] {
+            let text = serde_json::to_string(&Value::Float(number)).unwrap();
+            let Value::Float(back) = serde_json::from_str(&text).unwrap() else { panic!("{text}") };
+            assert_eq!(back.to_bits(), number.to_bits(), "{text}");
+        }
     }
 }

@@ -1,7 +1,7 @@
 //! From models to tables: charts put into charts, names resolved, expressions compiled, and everything that is
 //! wrong collected on the way. What concerns the whole is in `lint`.
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -12,12 +12,11 @@ use super::expressions::{self, Names, Scope};
 use super::finding::{Finding, Findings, Source, code, suggest};
 use super::library::Library;
 use super::lint;
-use super::model::{self, ActionKind, Chart, Declaration};
+use super::model::{self, Chart, Declaration};
 use super::read::literal;
 use super::yaml::{Named, Node};
-use crate::engine::program::{
-    Action, Binding, Kind, Pattern, Place, Program, Send, State, StateId, Term, Transition, Watch,
-};
+use crate::engine::program::{Binding, Entry, Kind, Place, Program, State, StateId, Term, Transition, Watch};
+use crate::engine::tables::{Symbols, Tables};
 use crate::skill::{Limits, SkillManifest};
 
 /// What checking a chart gave.
@@ -41,8 +40,8 @@ pub fn check(library: &Library, registry: &Registry, schema: &ChannelSchema) -> 
         findings.append(&mut compiler.findings);
     }
     findings.sort_by(|a, b| {
-        let key = |f: &Finding| (f.source.path.clone(), f.span.start, f.code);
-        key(a).cmp(&key(b))
+        let key = |f: &'_ Finding| (f.span.start, f.code);
+        a.source.path.cmp(&b.source.path).then_with(|| key(a).cmp(&key(b)))
     });
     // A chart that is used twice is compiled twice; what is wrong with it is said once.
     findings.dedup();
@@ -79,6 +78,7 @@ pub(super) struct Compiler<'l> {
     pub(super) given: BTreeSet<(StateId, String)>,
     pub(super) bound: Vec<(String, u32)>,
     pub(super) too_many: bool,
+    pub(super) symbols: Symbols,
 }
 
 pub(super) fn number(n: usize) -> u32 {
@@ -96,6 +96,7 @@ impl<'l> Compiler<'l> {
                 instances: Vec::new(),
                 schema,
                 channels: RefCell::new(Vec::new()),
+                asked: Cell::new(0),
             },
             flats: Vec::new(),
             last: Vec::new(),
@@ -107,6 +108,7 @@ impl<'l> Compiler<'l> {
             given: BTreeSet::new(),
             bound: Vec::new(),
             too_many: false,
+            symbols: Symbols::default(),
         }
     }
 
@@ -119,7 +121,11 @@ impl<'l> Compiler<'l> {
     }
 
     /// Calls `work` with the findings of one file, and keeps what it added.
-    fn reporting<T>(&mut self, source: u32, work: impl FnOnce(&mut Self, &mut Findings) -> T) -> T {
+    pub(super) fn reporting<T>(
+        &mut self,
+        source: u32,
+        work: impl FnOnce(&mut Self, &mut Findings) -> T,
+    ) -> T {
         let mut findings = Findings::new(Arc::clone(&self.sources[source as usize]));
         let result = work(self, &mut findings);
         self.findings.append(&mut findings.list);
@@ -149,15 +155,18 @@ impl<'l> Compiler<'l> {
             states.push(state);
         }
         self.missing_inputs(&states);
+        let transitions = std::mem::take(&mut self.transitions);
+        let tables = Tables::new(std::mem::take(&mut self.symbols), &states, &transitions);
         let mut program = Program {
             name: root.name.clone(),
             sources: std::mem::take(&mut self.sources),
             states,
-            transitions: std::mem::take(&mut self.transitions),
+            transitions,
             watches: std::mem::take(&mut self.watches),
             instances: std::mem::take(&mut self.names.instances),
             channels: Vec::new(),
             slots: self.slots,
+            tables,
             profiles: profiles(root),
         };
         set_domains(&mut program);
@@ -197,12 +206,18 @@ impl<'l> Compiler<'l> {
             limits,
             unbreakable: model.unbreakable,
             outputs: outline.outputs.iter().map(|(name, slot, _)| (name.clone(), *slot)).collect(),
+            done: self.symbols.intern(&format!("done.state.{}", outline.name)),
             place: Place { source, byte: number(model.name.span.start) },
         };
         if id == 0 {
             state.kind = Kind::Chart { instance };
             (state.retry, state.unbreakable) = (None, false);
             return state;
+        }
+        if let Some(manifest) = self.flats[id as usize].skill.clone() {
+            manifest.outcomes.iter().for_each(|outcome| {
+                self.symbols.intern(outcome);
+            });
         }
         state.kind = self.kind(id, model, source);
         state.with = self.bindings(id, id, &model.with, source);
@@ -234,75 +249,32 @@ impl<'l> Compiler<'l> {
                 chart.map_or(Kind::Atomic, |(_, instance)| Kind::Chart { instance })
             }
             model::Kind::Composite { initial, .. } => {
-                let parts: Vec<&str> = initial.text.split('.').collect();
-                match self
-                    .names
-                    .find(id, &parts)
-                    .filter(|found| *found > id && *found <= self.last[id as usize])
-                {
-                    Some(initial) => Kind::Composite { initial },
-                    None => {
-                        let known = model.kind.children().iter().map(|c| c.name.text.as_str());
-                        let help = suggest(&initial.text, known);
-                        let message = format!("there is no state `{}` inside", initial.text);
-                        self.error(source, code::STATE, initial, message, help);
-                        Kind::Atomic
-                    }
+                let targets = self.initial(id, initial, source);
+                Kind::Composite {
+                    initial: Entry { targets, actions: self.actions(id, &initial.actions, source) },
                 }
             }
             model::Kind::Parallel(_) => Kind::Parallel,
-            model::Kind::Final(outcome) => Kind::Final { outcome: outcome.text.clone() },
+            model::Kind::Final(outcome) => Kind::Final { outcome: self.symbols.intern(&outcome.text) },
             model::Kind::History { deep, default } => {
-                let parent = self.names.outlines[id as usize].parent.unwrap_or(0);
-                let named = default;
-                let default = default.as_ref().and_then(|target| self.target(id, target, source));
-                if let (Some(to), Some(named)) = (default, named) {
-                    let inside = to > parent && to <= self.last[parent as usize];
-                    let history = matches!(self.flats[to as usize].model.kind, model::Kind::History { .. });
-                    if !inside || history {
-                        let message = "the default of a history is a state beside it, not a history".into();
-                        self.error(source, code::STATE, named, message, None);
-                    }
-                }
+                let targets = self.history_default(id, default, source);
+                let default = Entry { targets, actions: self.actions(id, &default.actions, source) };
                 Kind::History { deep: *deep, default }
             }
         }
-    }
-
-    fn target(&mut self, from: StateId, target: &Named, source: u32) -> Option<StateId> {
-        let parts: Vec<&str> = target.text.split('.').collect();
-        let found = self.names.find(from, &parts);
-        if found.is_none() {
-            let last = parts.last().copied().unwrap_or("");
-            let instance = self.names.outlines[from as usize].instance;
-            let elsewhere = self
-                .names
-                .outlines
-                .iter()
-                .enumerate()
-                .find(|(id, o)| o.name == last && o.instance == instance && !o.chart_root && *id != 0);
-            let help = suggest(&target.text, self.names.visible(from)).or_else(|| {
-                elsewhere.map(|(id, _)| {
-                    format!("`{last}` is inside another state: write `{}`", self.flats[id].path)
-                })
-            });
-            let message = format!("there is no state `{}`", target.text);
-            self.error(source, code::STATE, target, message, help);
-        }
-        found
     }
 
     fn scope(&self, state: StateId) -> Scope<'_, 'l> {
         Scope { names: &self.names, state, bound: &self.bound }
     }
 
-    fn value(&mut self, state: StateId, node: &Node, ty: &Type, source: u32) -> Option<Term> {
+    pub(super) fn value(&mut self, state: StateId, node: &Node, ty: &Type, source: u32) -> Option<Term> {
         self.reporting(source, |this, findings| {
             expressions::value(node, ty, &this.scope(state), source, findings)
         })
     }
 
-    fn condition(
+    pub(super) fn condition(
         &mut self,
         state: StateId,
         node: &Node,
@@ -328,7 +300,7 @@ impl<'l> Compiler<'l> {
     }
 
     /// Compiles a `with` that is written at `scope` and given to `target`.
-    fn bindings(
+    pub(super) fn bindings(
         &mut self,
         scope: StateId,
         target: StateId,
@@ -390,129 +362,10 @@ impl<'l> Compiler<'l> {
             let condition = self.condition(id, &watch.condition, source);
             let until = watch.until.as_ref().and_then(|node| self.condition(id, node, source));
             let Some(condition) = condition else { continue };
-            let name = watch.name.text.as_str().into();
+            let name = self.symbols.intern(&watch.name.text);
             state.watches.push(number(self.watches.len()));
             self.watches.push(Watch { state: id, name, condition, until, hold_s: watch.hold_s });
         }
-    }
-
-    fn transition(&mut self, id: StateId, model: &'l model::Transition, source: u32) -> u32 {
-        let target = model.target.as_ref().and_then(|target| self.target(id, target, source));
-        let guard = model.guard.as_ref().and_then(|node| self.condition(id, node, source));
-        let delay = model.delay.as_ref().and_then(|node| self.value(id, node, &Type::Duration, source));
-        let with = target.map_or_else(Vec::new, |to| self.bindings(id, to, &model.with, source));
-        if target.is_none() && model.target.is_none() {
-            for (name, _) in &model.with {
-                let message = "a transition without target gives nothing".into();
-                self.error(source, code::INPUT, name, message, None);
-            }
-        }
-        if let Some(target) = target {
-            self.given.extend(with.iter().map(|b| (target, b.name.clone())));
-        }
-        let pattern = model.event.as_ref().map_or(Pattern::None, |event| match event.text.as_str() {
-            "*" => Pattern::Any,
-            text => text
-                .strip_suffix(".*")
-                .map_or_else(|| Pattern::Exact(text.into()), |prefix| Pattern::Prefix(prefix.into())),
-        });
-        let actions = self.actions(id, &model.actions, source);
-        self.transitions.push(Transition {
-            source: id,
-            pattern,
-            delay,
-            guard,
-            target,
-            domain: None,
-            actions,
-            with,
-        });
-        number(self.transitions.len() - 1)
-    }
-
-    fn actions(&mut self, state: StateId, actions: &'l [model::Action], source: u32) -> Vec<Action> {
-        let mut compiled = Vec::new();
-        for action in actions {
-            let place = Place { source, byte: number(action.span.start) };
-            match &action.kind {
-                ActionKind::Assign(entries) => {
-                    for (name, node) in entries {
-                        compiled.extend(self.assign(state, name, node, source));
-                    }
-                }
-                ActionKind::Raise { event, data } => {
-                    let data = data.as_ref().and_then(|n| self.value(state, n, &Type::Any, source));
-                    compiled.push(Action::Raise { event: event.text.as_str().into(), data });
-                }
-                ActionKind::Send { event, to, data, delay, id } => {
-                    let mut optional = |node: &Option<Node>, ty: &Type| {
-                        node.as_ref().and_then(|n| self.value(state, n, ty, source))
-                    };
-                    compiled.push(Action::Send(Box::new(Send {
-                        event: event.text.as_str().into(),
-                        to: optional(to, &Type::String),
-                        data: optional(data, &Type::Any),
-                        delay: optional(delay, &Type::Duration),
-                        id: id.as_ref().map(|id| id.text.clone()),
-                        place,
-                    })));
-                }
-                ActionKind::Cancel(id) => compiled.push(Action::Cancel { id: id.text.clone() }),
-                ActionKind::Log(node) => {
-                    let term = self.value(state, node, &Type::Any, source);
-                    compiled.extend(term.map(|term| Action::Log { term }));
-                }
-                ActionKind::If { condition, then, otherwise } => {
-                    let condition = self.condition(state, condition, source);
-                    let then = self.actions(state, then, source);
-                    let otherwise = self.actions(state, otherwise, source);
-                    compiled.extend(condition.map(|condition| Action::If { condition, then, otherwise }));
-                }
-                ActionKind::Foreach { items, variable, body } => {
-                    let items = self.value(state, items, &Type::list(Type::Any), source);
-                    let slot = self.slots;
-                    self.slots += 1;
-                    self.bound.push((variable.text.clone(), slot));
-                    let body = self.actions(state, body, source);
-                    self.bound.pop();
-                    compiled.extend(items.map(|items| Action::Foreach { items, slot, body, place }));
-                }
-            }
-        }
-        compiled
-    }
-
-    fn assign(&mut self, state: StateId, name: &Named, node: &Node, source: u32) -> Option<Action> {
-        let instance = &self.names.instances[self.names.outlines[state as usize].instance as usize];
-        let (kind, variable) = name.text.split_once('.').unwrap_or(("", name.text.as_str()));
-        let declared = match kind {
-            "locals" => &instance.locals,
-            "outputs" => &instance.outputs,
-            _ => {
-                let message = "only `locals.name` and `outputs.name` can be assigned".into();
-                self.error(source, code::VARIABLE, name, message, None);
-                return None;
-            }
-        };
-        let Some(found) = declared.iter().find(|v| v.declaration.name == variable).cloned() else {
-            let help = suggest(variable, declared.iter().map(|v| v.declaration.name.as_str()));
-            let message = format!("the chart has no `{}`", name.text);
-            self.error(source, code::VARIABLE, name, message, help);
-            return None;
-        };
-        let term = self.value(state, node, &found.declaration.ty, source)?;
-        if let Term::Literal(value) = &term
-            && let Err(message) = found.declaration.accept(value.clone())
-        {
-            self.reporting(source, |_, findings| findings.error(code::TYPE, node.span, message));
-        }
-        Some(Action::Assign {
-            slot: found.slot,
-            declaration: Arc::new(found.declaration),
-            variable: name.text.clone(),
-            term,
-            place: Place { source, byte: number(node.span.start) },
-        })
     }
 }
 
@@ -523,15 +376,11 @@ fn profiles(root: &Chart) -> BTreeMap<String, BTreeMap<String, Value>> {
     root.profiles.iter().map(|(name, entries)| (name.clone(), values(entries))).collect()
 }
 
-/// The least compound ancestor of source and target: what is inside it is left and entered (SCXML 3.13).
 fn set_domains(program: &mut Program) {
     for at in 0..program.transitions.len() {
-        let (source, target) = (program.transitions[at].source, program.transitions[at].target);
-        let Some(target) = target else { continue };
-        let domain = program.outward(source).skip(1).find(|around| {
-            let compound = matches!(program.state(*around).kind, Kind::Composite { .. } | Kind::Chart { .. });
-            compound && target != *around && program.within(target, *around)
-        });
-        program.transitions[at].domain = domain.or(Some(0));
+        let t = &program.transitions[at];
+        let domain = (!t.targets.is_empty()).then(|| program.domain(t.source, t.internal, &t.targets));
+        program.transitions[at].domain = domain;
     }
+    program.tables.set_jumps(&program.transitions);
 }

@@ -1,7 +1,7 @@
 //! Values and expressions in their scope: names looked up from a state outward, types and units held against
 //! what is declared.
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 
 use armarium_values::expr::{
@@ -13,6 +13,11 @@ use super::catalog::ChannelSchema;
 use super::finding::{Findings, Span, code};
 use super::yaml::{Node, Yaml};
 use crate::engine::program::{Code, Instance, Place, StateId, Term};
+
+/// Mistakes for which the nearest name is looked for.
+pub(crate) const MAX_HELP: usize = 200;
+/// Names of one state that are compared.
+pub(crate) const MAX_NAMES: usize = 1000;
 
 /// What the compiler knows of a state before its expressions are compiled.
 #[derive(Debug)]
@@ -34,6 +39,8 @@ pub(crate) struct Names<'c> {
     pub(crate) instances: Vec<Instance>,
     pub(crate) schema: &'c ChannelSchema,
     pub(crate) channels: RefCell<Vec<String>>,
+    /// How often somebody asked for what might be meant.
+    pub(crate) asked: Cell<usize>,
 }
 
 impl Names<'_> {
@@ -71,13 +78,19 @@ impl Names<'_> {
         Some((state, used))
     }
 
-    /// The names that can be looked up from `from`, nearest first.
+    /// The names that can be looked up from `from`, nearest first, to suggest one; a file with very many mistakes or
+    /// names is not searched again and again.
     pub(crate) fn visible(&self, from: StateId) -> Vec<&str> {
         let mut names = Vec::new();
+        self.asked.set(self.asked.get() + 1);
+        if self.asked.get() > MAX_HELP {
+            return names;
+        }
         let mut around = Some(from);
         while let Some(state) = around {
             let range = (state, String::new())..(state + 1, String::new());
-            names.extend(self.children.range(range).map(|((_, name), _)| name.as_str()));
+            let children = self.children.range(range).take(MAX_NAMES);
+            names.extend(children.map(|((_, name), _)| name.as_str()));
             let outline = &self.outlines[state as usize];
             around = if outline.chart_root { None } else { outline.parent };
         }

@@ -114,6 +114,10 @@ pub mod code {
     pub const DECLARED_TYPE: &str = "E024";
     /// A form that this build does not run.
     pub const UNSUPPORTED: &str = "E025";
+    /// Targets that cannot be entered together.
+    pub const TOGETHER: &str = "E026";
+    /// An output that is read before its state can have ended.
+    pub const EARLY: &str = "E027";
     /// An outcome that nobody handles.
     pub const UNHANDLED: &str = "W101";
     /// A state that cannot be reached.

@@ -5,10 +5,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use super::compile::Flat;
+use super::early;
+use super::expressions::{MAX_HELP, MAX_NAMES};
 use super::finding::{Finding, Findings, Severity, Span, code, suggest};
 use super::library::Library;
 use super::model::{self, ActionKind};
-use crate::engine::program::{Kind, Pattern, Program, StateId};
+use crate::engine::program::{Kind, Program, StateId};
 
 pub(crate) fn lint(program: &Program, flats: &[Flat<'_>], library: &Library, findings: &mut Vec<Finding>) {
     let mut lint = Lint { program, flats, findings };
@@ -18,6 +20,7 @@ pub(crate) fn lint(program: &Program, flats: &[Flat<'_>], library: &Library, fin
     // Where a target is unknown, what cannot be reached is not known either.
     if !lint.findings.iter().any(|f| f.code == code::STATE) {
         lint.unreachable();
+        early::early(program, lint.findings);
     }
     lint.shadowed();
     lint.limbs();
@@ -70,7 +73,8 @@ impl Lint<'_, '_> {
         for id in self.ids() {
             let state = self.program.state(id);
             for watch in &state.watches {
-                add(id, &self.program.watches[*watch as usize].name, false, true);
+                let name = self.program.watches[*watch as usize].name;
+                add(id, self.program.tables.symbols.name(name), false, true);
             }
             match &state.kind {
                 Kind::Skill { manifest } => {
@@ -84,6 +88,7 @@ impl Lint<'_, '_> {
                         parent = self.program.state(parent).parent.unwrap_or(0);
                     }
                     let region = self.program.state(parent).region;
+                    let outcome = self.program.tables.symbols.name(*outcome);
                     add(parent, outcome, region, false);
                     if region && let Some(parallel) = self.program.state(parent).parent {
                         add(parallel, outcome, self.program.state(parallel).region, false);
@@ -118,7 +123,7 @@ impl Lint<'_, '_> {
             }
         }
         let mut broadcast: BTreeSet<String> = BTreeSet::new();
-        for name in ["error.execution", "error.queue", "error.communication"] {
+        for name in ["error.execution", "error.queue", "error.communication", "error.channel"] {
             broadcast.insert(name.to_owned());
         }
         for chart in library.charts.values() {
@@ -132,6 +137,7 @@ impl Lint<'_, '_> {
                 broadcast.extend(manifest.events.iter().cloned());
             }
         }
+        let mut unknown = 0;
         for id in self.ids() {
             let model = self.flats[id as usize].model;
             for transition in &model.transitions {
@@ -140,16 +146,20 @@ impl Lint<'_, '_> {
                 let known = match text.strip_suffix(".*") {
                     _ if text == "*" || text == "failure" => true,
                     Some(prefix) => {
-                        let pattern = Pattern::Prefix(prefix.into());
-                        broadcast.iter().any(|name| pattern.matches(name))
+                        let longer = format!("{prefix}.");
+                        let next = broadcast.range(longer.clone()..).next();
+                        broadcast.contains(prefix) || next.is_some_and(|name| name.starts_with(&longer))
                     }
                     None => broadcast.contains(text) || seen.contains(&(id, text)),
                 };
                 if known {
                     continue;
                 }
+                unknown += 1;
+                let few = if unknown <= MAX_HELP { MAX_NAMES } else { 0 };
                 let near = seen.range((id, "")..(id + 1, "")).map(|(_, name)| *name);
-                let help = suggest(text, near.chain(broadcast.iter().map(String::as_str)).chain(["failure"]))
+                let candidates = near.chain(broadcast.iter().map(String::as_str)).take(few);
+                let help = suggest(text, candidates.chain(["failure"]))
                     .unwrap_or_else(|| "events from outside are declared under `events:`".into());
                 let message = format!("nobody raises the event `{text}` here");
                 self.add(Severity::Error, code::EVENT, id, event.span, message, Some(help));
@@ -163,9 +173,9 @@ impl Lint<'_, '_> {
             if s.state == 0 || s.own_only || s.name == "failure" {
                 continue;
             }
-            let taken = self.program.outward(s.state).any(|state| {
-                let transitions = &self.program.state(state).transitions;
-                transitions.iter().any(|t| self.program.transitions[*t as usize].pattern.is(&s.name))
+            let tables = &self.program.tables;
+            let taken = tables.symbols.find(&s.name).is_some_and(|symbol| {
+                self.program.outward(s.state).any(|state| !tables.exact(state, symbol).is_empty())
             });
             if taken || !said.insert((s.state, s.name.as_str())) {
                 continue;
@@ -191,14 +201,14 @@ impl Lint<'_, '_> {
             }
             let state = self.program.state(id);
             match &state.kind {
-                Kind::Composite { initial } => waiting.push(*initial),
+                Kind::Composite { initial } => waiting.extend(&initial.targets),
                 Kind::Chart { .. } | Kind::Parallel => waiting.extend(&state.children),
-                Kind::History { default, .. } => waiting.extend(default),
+                Kind::History { default, .. } => waiting.extend(&default.targets),
                 _ => {}
             }
             waiting.extend(state.parent);
             for t in state.transitions.iter().chain(&state.always).chain(&state.after) {
-                waiting.extend(self.program.transitions[*t as usize].target);
+                waiting.extend(&self.program.transitions[*t as usize].targets);
             }
         }
         for id in self.ids() {
@@ -215,25 +225,21 @@ impl Lint<'_, '_> {
             let model = self.flats[id as usize].model;
             let lists = [&model.transitions, &model.always];
             for list in lists {
-                let mut certain: Vec<Pattern> = Vec::new();
+                // Events that a transition without a condition takes; outcomes and watches are taken by name only.
+                let (mut exact, mut prefixes) = (BTreeSet::new(), BTreeSet::new());
                 for transition in list {
                     let text = transition.event.as_ref().map_or("", |e| e.text.as_str());
-                    let hidden = certain.iter().any(|pattern| match pattern {
-                        Pattern::Exact(before) => **before == *text,
-                        Pattern::Any => text != "failure",
-                        other => !text.is_empty() && other.matches(text.trim_end_matches(".*")),
-                    });
-                    if hidden {
+                    let plain = text.strip_suffix(".*").unwrap_or(text);
+                    let mut starts = plain.match_indices('.').map(|(at, _)| &plain[..at]).chain([plain]);
+                    if exact.contains(text)
+                        || !text.is_empty() && starts.any(|start| prefixes.contains(start))
+                    {
                         let message = "this transition cannot fire: one before it always does".into();
                         self.add(Severity::Warning, code::SHADOWED, id, transition.span, message, None);
                     }
-                    if transition.guard.is_none() {
-                        certain.push(match text.strip_suffix(".*") {
-                            // Outcomes and watches are taken by their names only.
-                            _ if text == "*" => continue,
-                            Some(prefix) => Pattern::Prefix(prefix.into()),
-                            None => Pattern::Exact(text.into()),
-                        });
+                    if transition.guard.is_none() && text != "*" {
+                        let names = if plain == text { &mut exact } else { &mut prefixes };
+                        names.insert(plain);
                     }
                 }
             }
@@ -273,6 +279,11 @@ fn raised(state: &model::State, names: &mut BTreeSet<String>) {
     of_transitions.for_each(|t| raised_by(&t.actions, names));
     raised_by(&state.enter, names);
     raised_by(&state.exit, names);
+    if let model::Kind::Composite { initial: entry, .. } | model::Kind::History { default: entry, .. } =
+        &state.kind
+    {
+        raised_by(&entry.actions, names);
+    }
     state.kind.children().iter().for_each(|child| raised(child, names));
 }
 

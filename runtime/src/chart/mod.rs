@@ -3,8 +3,10 @@
 //! [`load`] reads a file and the charts that it names, [`check`] finds everything that is wrong at once and,
 //! where nothing is, gives the [`Program`](crate::engine::Program) that the executor runs.
 
+mod actions;
 mod catalog;
 mod compile;
+mod early;
 mod expressions;
 mod finding;
 mod flatten;
@@ -13,6 +15,7 @@ mod lint;
 mod model;
 mod read;
 mod read_state;
+mod targets;
 mod yaml;
 
 pub use catalog::{ChannelSchema, Registry};

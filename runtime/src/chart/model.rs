@@ -48,6 +48,19 @@ pub struct Declaration {
 }
 
 impl Declaration {
+    /// Whether a value is as declared already; false where only [`accept`](Self::accept) can tell.
+    pub(crate) fn holds(&self, value: &Value) -> bool {
+        let within = |x: f64| {
+            !x.is_nan() && self.minimum.is_none_or(|m| x >= m) && self.maximum.is_none_or(|m| x <= m)
+        };
+        match (&self.ty, value) {
+            (Type::Bool, Value::Bool(_)) | (Type::String, Value::String(_)) => true,
+            (Type::Int, Value::Int(i)) => within(*i as f64),
+            (Type::Float(_), Value::Float(x)) | (Type::Duration, Value::Duration(x)) => within(*x),
+            _ => false,
+        }
+    }
+
     /// The value as declared: converted to the type and within the bounds; otherwise what is wrong with it.
     ///
     /// # Errors
@@ -90,10 +103,17 @@ pub(crate) enum Kind {
     Skill(Named),
     Chart(Named),
     Remote(Named),
-    Composite { initial: Named, states: Vec<State> },
+    Composite { initial: Entry, states: Vec<State> },
     Parallel(Vec<State>),
     Final(Named),
-    History { deep: bool, default: Option<Named> },
+    History { deep: bool, default: Entry },
+}
+
+/// `initial` and a history's `default`: what is entered, and what is done then.
+#[derive(Debug, Default)]
+pub(crate) struct Entry {
+    pub(crate) targets: Vec<Named>,
+    pub(crate) actions: Vec<Action>,
 }
 
 impl Kind {
@@ -111,7 +131,8 @@ pub(crate) struct Transition {
     /// The event that takes it; none for `always` and `after`.
     pub(crate) event: Option<Named>,
     pub(crate) delay: Option<Node>,
-    pub(crate) target: Option<Named>,
+    pub(crate) targets: Vec<Named>,
+    pub(crate) internal: bool,
     pub(crate) guard: Option<Node>,
     pub(crate) actions: Vec<Action>,
     pub(crate) with: Vec<(Named, Node)>,

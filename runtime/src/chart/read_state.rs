@@ -1,7 +1,7 @@
 //! From the YAML tree to the model: states with their transitions, watches and actions.
 
 use super::finding::{Span, code, suggest};
-use super::model::{Action, ActionKind, Kind, Retry, State, Transition, Watch};
+use super::model::{Action, ActionKind, Entry, Kind, Retry, State, Transition, Watch};
 use super::read::{Entries, MAX_LEVELS, Reader, get};
 use super::yaml::{Named, Node, Yaml};
 
@@ -45,14 +45,7 @@ impl Reader<'_> {
             self.known(entries, STATE_KEYS, "a state");
         }
         let kind = self.kind(&name, span, entries, level, root);
-        let unbreakable = match get(entries, "unbreakable").map(|n| (&n.value, n.span)) {
-            None | Some((Yaml::Bool(false), _)) => false,
-            Some((Yaml::Bool(true), _)) => true,
-            Some((_, at)) => {
-                self.error(code::FORM, at, "`true` or `false` is needed here");
-                false
-            }
-        };
+        let unbreakable = self.flag(entries, "unbreakable");
         Some(State {
             kind,
             with: get(entries, "with").map_or_else(Vec::new, |n| self.entries(n).to_vec()),
@@ -67,6 +60,17 @@ impl Reader<'_> {
             unbreakable,
             name,
         })
+    }
+
+    fn flag(&mut self, entries: &Entries, key: &str) -> bool {
+        match get(entries, key).map(|n| (&n.value, n.span)) {
+            None | Some((Yaml::Bool(false), _)) => false,
+            Some((Yaml::Bool(true), _)) => true,
+            Some((_, at)) => {
+                self.error(code::FORM, at, "`true` or `false` is needed here");
+                false
+            }
+        }
     }
 
     fn kind(&mut self, name: &Named, span: Span, entries: &Entries, level: usize, root: bool) -> Kind {
@@ -88,14 +92,11 @@ impl Reader<'_> {
                     self.error(code::MISSING_KEY, span, "`states` needs `initial: Name`");
                     return Kind::Atomic;
                 };
-                match self.text(initial) {
-                    Some(initial) => Kind::Composite { initial, states },
-                    None => Kind::Atomic,
-                }
+                Kind::Composite { initial: self.entry(initial), states }
             }
             "parallel" => Kind::Parallel(self.states(node, level)),
             "history" => {
-                let default = get(entries, "default").and_then(|n| self.text(n));
+                let default = get(entries, "default").map(|n| self.entry(n));
                 let form = self.text(node);
                 match form.as_ref().map(|f| f.text.as_str()) {
                     Some("shallow" | "deep") | None => {}
@@ -104,7 +105,10 @@ impl Reader<'_> {
                 if default.is_none() {
                     self.error(code::MISSING_KEY, span, "history needs `default: Target`");
                 }
-                Kind::History { deep: form.is_some_and(|f| f.text == "deep"), default }
+                Kind::History {
+                    deep: form.is_some_and(|f| f.text == "deep"),
+                    default: default.unwrap_or_default(),
+                }
             }
             key => match (key, self.text(node)) {
                 ("skill", Some(name)) => Kind::Skill(name),
@@ -113,6 +117,31 @@ impl Reader<'_> {
                 ("final", Some(outcome)) => Kind::Final(outcome),
                 _ => Kind::Atomic,
             },
+        }
+    }
+
+    /// `Name`, `[A.X, B.Y]` for states of several regions, or `{target, do}`.
+    fn entry(&mut self, node: &Node) -> Entry {
+        let Yaml::Map(entries) = &node.value else {
+            return Entry { targets: self.targets(node), actions: Vec::new() };
+        };
+        self.known(entries, &["target", "do"], "an initial transition");
+        let Some(target) = get(entries, "target") else {
+            self.error(code::MISSING_KEY, node.span, "a `target` is needed here");
+            return Entry::default();
+        };
+        Entry { targets: self.targets(target), actions: self.actions(get(entries, "do")) }
+    }
+
+    /// One name, or a list of them.
+    fn targets(&mut self, node: &Node) -> Vec<Named> {
+        match &node.value {
+            Yaml::List(items) if items.is_empty() => {
+                self.form(node, "the name of a state");
+                Vec::new()
+            }
+            Yaml::List(items) => items.iter().filter_map(|n| self.text(n)).collect(),
+            _ => self.text(node).into_iter().collect(),
         }
     }
 
@@ -172,7 +201,11 @@ impl Reader<'_> {
             Yaml::List(items) => {
                 for item in items {
                     let form = self.entries(item);
-                    self.known(form, &["for", "if", "target", "do", "with"], "a timed transition");
+                    self.known(
+                        form,
+                        &["for", "if", "target", "do", "with", "internal"],
+                        "a timed transition",
+                    );
                     let Some(delay) = get(form, "for") else {
                         self.error(code::MISSING_KEY, item.span, "a timed transition needs `for: duration`");
                         continue;
@@ -198,16 +231,34 @@ impl Reader<'_> {
     fn transitions(&mut self, entries: &Entries) -> Vec<Transition> {
         let Some(node) = get(entries, "transitions") else { return Vec::new() };
         let mut result = Vec::new();
-        for (event, node) in self.entries(node) {
-            let pattern = event.text.strip_suffix(".*").unwrap_or(&event.text);
-            if event.text != "*"
-                && (pattern.is_empty() || pattern.split('.').any(|t| t.is_empty() || t == "*"))
-            {
-                self.error(code::NAME, event.span, format!("`{}` is not the name of an event", event.text));
+        // A list where the order of different events matters: `[{event, target, ...}]`.
+        if let Yaml::List(items) = &node.value {
+            for item in items {
+                let form = self.entries(item);
+                self.known(form, &["event", "target", "internal", "do", "if", "with"], "a transition");
+                match get(form, "event").map(|n| self.text(n)) {
+                    Some(Some(event)) => {
+                        self.event_name(&event);
+                        result.push(self.transition(item, Some(&event), true));
+                    }
+                    Some(None) => {}
+                    None => self.error(code::MISSING_KEY, item.span, "a transition needs `event: name` here"),
+                }
             }
+            return result;
+        }
+        for (event, node) in self.entries(node) {
+            self.event_name(event);
             result.extend(self.transition_list(node, Some(event)));
         }
         result
+    }
+
+    fn event_name(&mut self, event: &Named) {
+        let pattern = event.text.strip_suffix(".*").unwrap_or(&event.text);
+        if event.text != "*" && (pattern.is_empty() || pattern.split('.').any(|t| t.is_empty() || t == "*")) {
+            self.error(code::NAME, event.span, format!("`{}` is not the name of an event", event.text));
+        }
     }
 
     fn transition_list(&mut self, node: &Node, event: Option<&Named>) -> Vec<Transition> {
@@ -217,28 +268,30 @@ impl Reader<'_> {
         }
     }
 
-    fn transition(&mut self, node: &Node, event: Option<&Named>, timed: bool) -> Transition {
+    fn transition(&mut self, node: &Node, event: Option<&Named>, checked: bool) -> Transition {
         let mut result = Transition {
             span: event.map_or(node.span, |e| e.span),
             event: event.cloned(),
             delay: None,
-            target: None,
+            targets: Vec::new(),
+            internal: false,
             guard: None,
             actions: Vec::new(),
             with: Vec::new(),
         };
         if let Yaml::String(target) = &node.value {
-            result.target = Some(Named { span: node.span, text: target.clone() });
+            result.targets = vec![Named { span: node.span, text: target.clone() }];
             return result;
         }
         let Yaml::Map(entries) = &node.value else {
             self.form(node, "a target, or `{target, if, do, with}`, or a list of these");
             return result;
         };
-        if !timed {
-            self.known(entries, &["target", "if", "do", "with"], "a transition");
+        if !checked {
+            self.known(entries, &["target", "if", "do", "with", "internal"], "a transition");
         }
-        result.target = get(entries, "target").and_then(|n| self.text(n));
+        result.targets = get(entries, "target").map_or_else(Vec::new, |n| self.targets(n));
+        result.internal = self.flag(entries, "internal");
         result.guard = get(entries, "if").cloned();
         result.actions = self.actions(get(entries, "do"));
         result.with = get(entries, "with").map_or_else(Vec::new, |n| self.entries(n).to_vec());

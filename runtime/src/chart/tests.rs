@@ -69,6 +69,10 @@ fn mistakes_are_found_with_code_place_and_help() {
         (states("{enter: [{assign: {locals.n: 1}}]}"), code::VARIABLE, "locals.n", "no `locals.n`"),
         (states("{limits: {force: 3 m}}"), code::UNIT, "3 m", "number in N"),
         (states("{remote: bob/T}"), code::UNSUPPORTED, "bob/T", "other agents"),
+        (states("{skill: Act, with: {force: \"${A.value}\"}}"), code::EARLY, "A.value", "nothing lets `A` end"),
+        (states("{skill: Act, with: {force: \"${B.value}\"}, transitions: {success: B}}").replace("B: {}", "B: {skill: Act}"), code::EARLY, "B.value", "nothing lets `B` end"),
+        (states("{transitions: {t: {target: [A, B]}}}") + "events: {t: {}}\n", code::TOGETHER, "A", "not in two regions"),
+        (states("{transitions: [{target: B}]}"), code::MISSING_KEY, "{target", "event"),
         (states("3"), code::FORM, "3", "a map is needed"),
         ("statechart: T\ninitial: A\nstates: {A: {}, A: {}}\n".into(), code::YAML, "", "duplicate"),
         ("statechart: T\nstates: {A: {}}\n".into(), code::MISSING_KEY, "T", "initial"),
@@ -181,4 +185,81 @@ fn hostile_files_are_refused() {
     ] {
         assert!(found(&text).contains("error["), "{}", &text[..text.len().min(60)]);
     }
+}
+
+#[test]
+fn an_output_that_some_way_provides_is_no_error() {
+    let chart = |rest: &str| format!("statechart: T\ninitial: A\nstates:\n{rest}");
+    for text in [
+        // After it, in a ring, around a composite, from another region, by another try.
+        chart(
+            "  A: {skill: Act, transitions: {success: B}}\n  B: {skill: Act, with: {force: \"${A.value}\"}, transitions: {success: A}}\n",
+        ),
+        chart(
+            "  A: {transitions: {t: C}}\n  B: {skill: Act, transitions: {success: A}}\n  C: {skill: Act, with: {force: \"${B.value}\"}, transitions: {success: B}}\nevents: {t: {}}\n",
+        ),
+        chart(
+            "  A: {initial: I, states: {I: {skill: Act, transitions: {success: J}}, J: {final: success}}, transitions: {success: B}}\n  B: {skill: Act, with: {force: \"${A.I.value}\"}}\n",
+        ),
+        chart(
+            "  A: {parallel: {L: {skill: Act}, R: {initial: X, states: {X: {skill: Act, with: {force: \"${A.L.value}\"}}}}}}\n",
+        ),
+        chart(
+            "  A: {retry: {times: 2}, initial: X, states: {X: {skill: Act, with: {force: \"${A.Y.value}\"}, transitions: {success: Y}}, Y: {skill: Act}}}\n",
+        ),
+    ] {
+        let said = found(&text);
+        assert!(!said.contains("error"), "{text}\n{said}");
+    }
+}
+
+/// Each limit is met by a file just within it and refused just over it.
+#[test]
+fn limits_hold() {
+    let states = |n: usize| {
+        let mut text = String::from("statechart: T\ninitial: S0\nstates:\n");
+        (0..n).for_each(|i| text += &format!("  S{i}: {{}}\n"));
+        text
+    };
+    assert!(!found(&states(1_000)).contains("error["));
+    assert!(found(&states(200_001)).contains("more than 200000 states"));
+    let deep = |n: usize| {
+        let mut text = String::from("statechart: T\n");
+        for level in 0..n {
+            let pad = "  ".repeat(2 * level);
+            text += &format!("{pad}initial: A\n{pad}states:\n{pad}  A:\n");
+        }
+        text + &"  ".repeat(2 * n) + "{}\n"
+    };
+    assert_eq!(found(&deep(60)), "");
+    assert!(found(&deep(61)).contains("deeper than 60 levels"));
+    let expression = |n: usize| {
+        let sum = "1+".repeat(n / 2 - 3) + "1 > 00";
+        format!(
+            "statechart: T\ninitial: A\nstates: {{A: {{always: [{{target: B, if: \"{sum}\"}}]}}, B: {{}}}}\n"
+        )
+    };
+    assert!(found(&expression(300)).is_empty());
+    assert!(found(&expression(4200)).contains("4096 bytes"));
+    let large = format!("statechart: T\n# {}\n", "x".repeat(10_000_000));
+    assert!(found(&large).contains("more than 10 MB"));
+    let bomb = (1..9).fold("a0: &a0 [x,x,x,x,x,x,x,x,x]\n".to_owned(), |text, i| {
+        let before = i - 1;
+        text + &format!("a{i}: &a{i} [{}]\n", format!("*a{before},").repeat(9).trim_end_matches(','))
+    });
+    assert!(found(&bomb).contains("E002"), "an alias bomb");
+}
+
+#[test]
+fn very_many_mistakes_are_found_in_bounded_time() {
+    let mut text = String::from("statechart: T\ninitial: S0\nstates:\n");
+    for i in 0..20_000 {
+        text += &format!("  S{i}: {{transitions: {{t{i}: X{i}, success: S0}}}}\n");
+    }
+    assert!(found(&text).lines().count() >= 40_000);
+    let many = "a: S1, ".to_owned() + &(0..20_000).map(|i| format!("e{i}: S1, ")).collect::<String>();
+    assert!(
+        found(&format!("statechart: T\ninitial: S1\nstates: {{S1: {{transitions: {{{many}}}}}}}\n"))
+            .contains("E022")
+    );
 }

@@ -1,12 +1,14 @@
 //! Actions and values: what a chart's author wrote, run.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 use armarium_values::Value;
 
-use super::program::{Action, Place, Send, StateId, Term};
-use super::{Effect, Engine, Event, Origin, TimerUse, TraceItem, Turn, View};
+use super::event::{Event, Origin};
+use super::program::{Action, Place, Program, Send, StateId, Term};
+use super::state::{TimerUse, Turn, View};
+use super::tables::ERROR_EXECUTION;
+use super::{Effect, Engine, TraceItem};
 
 /// What failed and where it was written.
 type Failed = (String, String);
@@ -15,12 +17,17 @@ type Failed = (String, String);
 const MAX_ITEMS: usize = 10_000;
 
 impl Engine {
+    #[inline]
+    fn view<'v>(&'v self, turn: &Turn<'v>) -> View<'v> {
+        View { program: turn.program, store: &self.store, runs: &self.runs, sensors: turn.sensors }
+    }
+
     pub(super) fn evaluate(&self, term: &Term, turn: &Turn<'_>) -> Result<Value, Failed> {
         match term {
             Term::Literal(value) => Ok(value.clone()),
             Term::Expr(code) => {
-                let view = View { store: &self.store, runs: &self.runs, sensors: turn.sensors };
-                code.expr.evaluate(&view).map_err(|e| (e.message, self.program.place(code.place)))
+                let view = self.view(turn);
+                code.expr.evaluate(&view).map_err(|e| (e.message, turn.program.place(code.place)))
             }
             Term::Text(parts) => {
                 let mut text = String::new();
@@ -64,19 +71,21 @@ impl Engine {
         match action {
             Action::Assign { slot, declaration, variable, term, place } => {
                 let value = self.evaluate(term, turn)?;
-                let value = declaration
-                    .accept(value)
-                    .map_err(|message| (format!("`{variable}`: {message}"), self.program.place(*place)))?;
-                turn.trace(TraceItem::Assigned {
-                    variable: self.shown(state, variable),
+                let value = if declaration.holds(&value) {
+                    value
+                } else {
+                    let wrong = |message| (format!("`{variable}`: {message}"), turn.program.place(*place));
+                    declaration.accept(value).map_err(wrong)?
+                };
+                turn.trace(|p| TraceItem::Assigned {
+                    variable: shown(p, state, variable),
                     value: value.clone(),
                 });
                 self.store.data[*slot as usize] = Some(value);
             }
             Action::Raise { event, data } => {
                 let data = self.optional(data.as_ref(), turn)?;
-                let name = Arc::clone(event);
-                self.internal.push_back(Event { name, data, origin: Origin::Broadcast });
+                self.internal.push_back(Event::new(*event, data, Origin::Broadcast));
             }
             Action::Send(send) => self.send(send, turn)?,
             Action::Cancel { id } => {
@@ -93,12 +102,12 @@ impl Engine {
                     Value::String(text) => text,
                     other => other.to_json().to_string(),
                 };
-                turn.trace(TraceItem::Log { state: self.program.state(state).path.clone(), text });
+                turn.trace(|p| TraceItem::Log { state: p.path(state).to_owned(), text });
             }
             Action::If { condition, then, otherwise } => {
-                let view = View { store: &self.store, runs: &self.runs, sensors: turn.sensors };
+                let view = self.view(turn);
                 let holds = condition.expr.test(&view);
-                let holds = holds.map_err(|e| (e.message, self.program.place(condition.place)))?;
+                let holds = holds.map_err(|e| (e.message, turn.program.place(condition.place)))?;
                 return Ok(self.act(if holds { then } else { otherwise }, state, turn));
             }
             Action::Foreach { items, slot, body, place } => {
@@ -107,12 +116,12 @@ impl Engine {
                     Value::Map(fields) => fields.into_keys().map(Value::String).collect(),
                     other => {
                         let message = format!("expected a list, found {}", other.describe());
-                        return Err((message, self.program.place(*place)));
+                        return Err((message, turn.program.place(*place)));
                     }
                 };
                 if items.len() > MAX_ITEMS {
                     let message = format!("a list of more than {MAX_ITEMS} items");
-                    return Err((message, self.program.place(*place)));
+                    return Err((message, turn.program.place(*place)));
                 }
                 for item in items {
                     self.store.data[*slot as usize] = Some(item);
@@ -134,47 +143,48 @@ impl Engine {
         let data = self.optional(send.data.as_ref(), turn)?;
         if let Some(to) = &send.to {
             let to = self.evaluate(to, turn)?.as_str().unwrap_or_default().to_owned();
-            turn.out.push(Effect::Send { event: send.event.to_string(), to, data });
+            let event = turn.program.tables.symbols.name(send.event).to_owned();
+            turn.out.push(Effect::Send { event, to, data });
             return Ok(());
         }
-        let event = Event { name: Arc::clone(&send.event), data, origin: Origin::Broadcast };
+        let event = Event::new(send.event, data, Origin::Broadcast);
         let Some(delay) = &send.delay else {
             self.queue(event, turn);
             return Ok(());
         };
         let seconds = self.evaluate(delay, turn)?.as_f64().unwrap_or(f64::NAN);
         if !seconds.is_finite() || seconds < 0.0 {
-            return Err((format!("{seconds} s is not a time to wait"), self.program.place(send.place)));
+            return Err((format!("{seconds} s is not a time to wait"), turn.program.place(send.place)));
         }
         if self.timers.len() >= super::MAX_QUEUE {
-            return Err(("too many delayed events are waiting".into(), self.program.place(send.place)));
+            return Err(("too many delayed events are waiting".into(), turn.program.place(send.place)));
         }
         self.start_timer(TimerUse::Send { id: send.id.clone(), event }, seconds, u64::MAX - 2, turn);
         Ok(())
     }
 
-    /// A variable's name, with the state's chart where that is not the outermost.
-    fn shown(&self, state: StateId, variable: &str) -> String {
-        let owner = self.program.outward(state).find(|s| self.program.state(*s).chart_root);
-        match owner.and_then(|root| self.program.state(root).parent) {
-            Some(owner) if owner != 0 => format!("{}.{variable}", self.program.state(owner).path),
-            _ => variable.to_owned(),
-        }
-    }
-
     /// An expression failed: `error.execution`, unless that is what is being handled.
     pub(super) fn error(&mut self, state: StateId, message: &str, place: Place, turn: &mut Turn<'_>) {
-        let place = self.program.place(place);
+        let place = turn.program.place(place);
         self.error_at(state, message, place, turn);
     }
 
     pub(super) fn error_at(&mut self, state: StateId, message: &str, place: String, turn: &mut Turn<'_>) {
-        turn.trace(TraceItem::Error { message: message.to_owned(), place: place.clone() });
-        if self.store.event.as_ref().is_some_and(Event::is_error) {
+        turn.trace(|_| TraceItem::Error { message: message.to_owned(), place: place.clone() });
+        if self.store.event.as_ref().is_some_and(|e| e.is_error(turn.program)) {
             return;
         }
         let reason = format!("{message} ({place})");
         let data = Value::record([("reason", reason.into()), ("place", place.into())]);
-        self.internal.push_back(Event { name: "error.execution".into(), data, origin: Origin::Error(state) });
+        self.internal.push_back(Event::new(ERROR_EXECUTION, data, Origin::Error(state)));
+    }
+}
+
+/// A variable's name, with the state's chart where that is not the outermost.
+fn shown(program: &Program, state: StateId, variable: &str) -> String {
+    let owner = program.outward(state).find(|s| program.state(*s).chart_root);
+    match owner.and_then(|root| program.tables.parent(root)) {
+        Some(owner) if owner != 0 => format!("{}.{variable}", program.path(owner)),
+        _ => variable.to_owned(),
     }
 }

@@ -1,165 +1,242 @@
 //! Entering states: which ones a target stands for, what they are given, what starts with them; trying again.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
+use std::collections::BTreeMap;
 
 use armarium_values::Value;
 
 use super::end::reason_and_chain;
-use super::program::{Binding, Kind, StateId};
+use super::program::{Action, Binding, Kind, Program, StateId};
+use super::state::{SkillRun, TimerUse, Turn};
 use super::step::duration;
-use super::{Effect, Engine, Event, Run, SkillRun, TimerUse, TraceItem, Turn};
+use super::{Effect, Engine, TraceItem};
 
 /// Values by name, or what failed and where.
 pub(super) type Given = Result<BTreeMap<String, Value>, (String, String)>;
 
-/// The states that a microstep enters, and what transitions give to their targets.
+/// What a microstep enters, and what transitions give to their targets.
 #[derive(Default)]
 pub(super) struct Entries {
-    pub(super) states: BTreeSet<StateId>,
+    /// Targets, each with the state inside of which everything is entered.
+    pub(super) targets: Vec<(StateId, StateId)>,
     pub(super) given: Vec<(StateId, Given)>,
 }
+
+/// Actions of `initial` and of a history's `default`, run when the state around has been entered.
+type Defaults<'p> = Vec<(StateId, &'p [Action])>;
 
 impl Engine {
     /// Enters the run: state 0, the chart, and its initial states.
     pub(super) fn enter_run(&mut self, turn: &mut Turn<'_>) {
-        let mut entries = Entries::default();
-        entries.states.insert(0);
-        self.add_inside(0, &mut entries);
-        self.enter_all(entries, turn);
+        self.enter_all(Entries { targets: vec![(0, StateId::MAX)], given: Vec::new() }, turn);
     }
 
-    pub(super) fn add_target(&self, target: StateId, domain: StateId, entries: &mut Entries) {
-        let program = &self.program;
-        // All that is meant first, so that no region of it is taken for one to be entered by default.
-        let effective = self.effective(target);
-        effective.iter().for_each(|state| self.add_state(*state, entries));
-        for state in effective {
-            let around = program.outward(state).skip(1).take_while(|s| *s != domain);
-            for state in around {
-                entries.states.insert(state);
-                if matches!(program.state(state).kind, Kind::Parallel) {
-                    self.add_missing_regions(state, entries);
-                }
-            }
-        }
-        // A transition into one region of a parallel state enters the others by default, up to the domain.
-        if matches!(program.state(domain).kind, Kind::Parallel) {
-            self.add_missing_regions(domain, entries);
-        }
-    }
-
-    /// What a target stands for: itself, or what a history remembers.
-    fn effective(&self, target: StateId) -> Vec<StateId> {
-        match &self.program.state(target).kind {
+    /// What a target stands for: itself, or what a history remembers, or that history's default.
+    pub(super) fn effective(&self, target: StateId, program: &Program) -> Vec<StateId> {
+        match &program.state(target).kind {
             Kind::History { default, .. } => match self.remembered.get(&target) {
                 Some(states) if !states.is_empty() => states.clone(),
-                _ => default
-                    .iter()
-                    .flat_map(|d| if *d == target { vec![] } else { self.effective_default(*d) })
-                    .collect(),
+                _ => default.targets.clone(),
             },
             _ => vec![target],
         }
     }
 
-    /// A history's default; a default that is a history itself is followed once.
-    fn effective_default(&self, target: StateId) -> Vec<StateId> {
-        match &self.program.state(target).kind {
-            Kind::History { default, .. } => {
-                self.remembered.get(&target).cloned().unwrap_or_else(|| default.iter().copied().collect())
-            }
-            _ => vec![target],
+    /// SCXML's computeEntrySet: all that is meant first, then what is entered by default with it.
+    pub(super) fn enter_all(&mut self, entries: Entries, turn: &mut Turn<'_>) {
+        let mut plan = std::mem::take(&mut self.entries);
+        let mut defaults = Defaults::new();
+        plan.clear();
+        let mark = self.next_selection();
+        for (target, domain) in &entries.targets {
+            self.plan_target(*target, *domain, mark, &mut plan, &mut defaults, turn.program);
         }
+        self.plan_inside(0, mark, &mut plan, &mut defaults, turn.program);
+        self.enter_plan(plan, &defaults, entries.given, turn);
     }
 
-    fn add_state(&self, state: StateId, entries: &mut Entries) {
-        if matches!(self.program.state(state).kind, Kind::History { .. }) {
+    /// Enters what is inside a state that is active.
+    fn enter_inside(&mut self, state: StateId, turn: &mut Turn<'_>) {
+        let mut plan = std::mem::take(&mut self.entries);
+        let mut defaults = Defaults::new();
+        plan.clear();
+        plan.push(state);
+        let mark = self.next_selection();
+        self.plan_inside(0, mark, &mut plan, &mut defaults, turn.program);
+        plan.remove(0);
+        self.enter_plan(plan, &defaults, Vec::new(), turn);
+    }
+
+    fn plan_state(&mut self, state: StateId, mark: u32, plan: &mut Vec<StateId>, program: &Program) {
+        let run = &mut self.runs[state as usize];
+        if run.active || std::mem::replace(&mut run.seen, mark) == mark {
             return;
         }
-        entries.states.insert(state);
-        self.add_inside(state, entries);
-    }
-
-    /// The states that are entered with a state by default.
-    fn add_inside(&self, state: StateId, entries: &mut Entries) {
-        match &self.program.state(state).kind {
-            Kind::Composite { initial } => self.add_target(*initial, state, entries),
-            Kind::Parallel => self.add_missing_regions(state, entries),
-            Kind::Chart { .. } => {
-                self.program.state(state).children.iter().for_each(|c| self.add_state(*c, entries));
-            }
-            _ => {}
+        plan.push(state);
+        if let Some(parent) = program.tables.parent(state) {
+            self.runs[parent as usize].filled = mark;
         }
     }
 
-    fn add_missing_regions(&self, parallel: StateId, entries: &mut Entries) {
-        for region in &self.program.state(parallel).children {
-            let last = self.program.state(*region).last;
-            if entries.states.range(*region..=last).next().is_none() && !self.runs[*region as usize].active {
-                self.add_state(*region, entries);
+    /// Plans a target and the states around it up to `domain`.
+    fn plan_target<'p>(
+        &mut self,
+        target: StateId,
+        domain: StateId,
+        mark: u32,
+        plan: &mut Vec<StateId>,
+        defaults: &mut Defaults<'p>,
+        program: &'p Program,
+    ) {
+        if let Kind::History { default, .. } = &program.state(target).kind {
+            let fresh = self.remembered.get(&target).is_none_or(Vec::is_empty);
+            if let (true, Some(parent)) =
+                (fresh && !default.actions.is_empty(), program.tables.parent(target))
+            {
+                defaults.push((parent, &default.actions));
             }
+            for meant in self.effective(target, program) {
+                if meant != target {
+                    self.plan_path(meant, domain, mark, plan, program);
+                }
+            }
+        } else {
+            self.plan_path(target, domain, mark, plan, program);
         }
     }
 
-    pub(super) fn enter_all(&mut self, entries: Entries, turn: &mut Turn<'_>) {
-        // A composite that is entered on the way to an inner target has that target, not its initial state.
-        for state in &entries.states {
-            if self.runs[*state as usize].active {
+    fn plan_path(
+        &mut self,
+        target: StateId,
+        domain: StateId,
+        mark: u32,
+        plan: &mut Vec<StateId>,
+        program: &Program,
+    ) {
+        for state in program.outward(target).take_while(|s| *s != domain) {
+            self.plan_state(state, mark, plan, program);
+        }
+    }
+
+    /// Adds what is entered by default inside the states that are planned, from number `from` on.
+    fn plan_inside<'p>(
+        &mut self,
+        mut from: usize,
+        mark: u32,
+        plan: &mut Vec<StateId>,
+        defaults: &mut Defaults<'p>,
+        program: &'p Program,
+    ) {
+        while let Some(state) = plan.get(from).copied() {
+            from += 1;
+            if program.tables.node(state).leaf {
                 continue;
             }
-            let given =
-                entries.given.iter().rev().find(|(target, _)| target == state).map(|(_, g)| g.clone());
-            self.enter(*state, given, turn);
+            match &program.state(state).kind {
+                Kind::Composite { initial } if self.runs[state as usize].filled != mark => {
+                    if !initial.actions.is_empty() {
+                        defaults.push((state, &initial.actions));
+                    }
+                    for target in &initial.targets {
+                        self.plan_target(*target, state, mark, plan, defaults, program);
+                    }
+                }
+                Kind::Parallel | Kind::Chart { .. } => {
+                    for child in &program.state(state).children {
+                        self.plan_state(*child, mark, plan, program);
+                    }
+                }
+                _ => {}
+            }
         }
     }
 
-    fn enter(&mut self, state: StateId, given: Option<Given>, turn: &mut Turn<'_>) {
-        let program = Arc::clone(&self.program);
-        let of = program.state(state);
-        let entry = self.number();
-        self.runs[state as usize] = Run { active: true, entry, ..Run::default() };
+    fn enter_plan(
+        &mut self,
+        mut plan: Vec<StateId>,
+        defaults: &Defaults<'_>,
+        mut given: Vec<(StateId, Given)>,
+        turn: &mut Turn<'_>,
+    ) {
+        plan.sort_unstable();
+        self.configuration.extend_from_slice(&plan);
+        self.configuration.sort();
+        self.moved |= !plan.is_empty();
+        for state in &plan {
+            let at = given.iter().rposition(|(target, _)| target == state);
+            let given = at.map(|at| given.swap_remove(at).1);
+            self.enter(*state, given, defaults, turn);
+        }
+        self.entries = plan;
+    }
+
+    /// Enters one plain state without anything inside.
+    pub(super) fn enter_leaf(&mut self, state: StateId, turn: &mut Turn<'_>) {
         let at = self.configuration.partition_point(|s| *s < state);
         self.configuration.insert(at, state);
-        if state != 0 && !of.chart_root {
-            turn.trace(TraceItem::Entered { state: of.path.clone() });
+        self.moved = true;
+        self.enter(state, None, &Defaults::new(), turn);
+    }
+
+    fn enter(&mut self, state: StateId, given: Option<Given>, defaults: &Defaults<'_>, turn: &mut Turn<'_>) {
+        let entry = self.number();
+        let run = &mut self.runs[state as usize];
+        (run.active, run.entry, run.extra) = (true, entry, None);
+        if !turn.program.is_root(state) {
+            turn.trace(|p| TraceItem::Entered { state: p.path(state).to_owned() });
+        }
+        if !turn.program.tables.node(state).plain {
+            self.enter_fully(state, given, defaults, turn);
+        }
+    }
+
+    fn enter_fully(
+        &mut self,
+        state: StateId,
+        given: Option<Given>,
+        defaults: &Defaults<'_>,
+        turn: &mut Turn<'_>,
+    ) {
+        let of = turn.program.state(state);
+        let entry = self.runs[state as usize].entry;
+        self.eager += u32::from(!of.always.is_empty());
+        self.unbreakable += u32::from(of.unbreakable);
+        if state == 0 {
+            self.reset_locals(0, turn.program);
         }
         self.act(&of.enter, state, turn);
+        for (_, actions) in defaults.iter().filter(|(around, _)| *around == state) {
+            self.act(actions, state, turn);
+        }
         self.give_inputs(state, given, turn);
         for t in &of.after {
             self.start_after(state, *t, turn);
         }
-        for watch in &of.watches {
-            turn.out.push(Effect::ArmWatch { watch: *watch, entry });
-        }
-        if let Kind::Final { outcome } = &of.kind {
+        turn.out.extend(of.watches.iter().map(|watch| Effect::ArmWatch { watch: *watch, entry }));
+        if let Kind::Final { outcome } = of.kind {
             self.reached_final(state, outcome, turn);
         }
     }
 
     /// Evaluates `with` and makes the skill ready, or fills the inputs of the chart inside.
     fn give_inputs(&mut self, state: StateId, given: Option<Given>, turn: &mut Turn<'_>) {
-        let program = Arc::clone(&self.program);
+        let program = turn.program;
         let of = program.state(state);
-        if let Kind::Chart { instance } = of.kind
-            && state != 0
-        {
-            self.reset_instance(instance);
-        }
-        if state == 0 {
-            self.reset_locals(0);
+        if state == 0 || !matches!(of.kind, Kind::Skill { .. } | Kind::Chart { .. }) {
             return;
+        }
+        if let Kind::Chart { instance } = of.kind {
+            self.reset_instance(instance, program);
         }
         let mut values = match self.bindings(&of.with, turn) {
             Ok(values) => values,
-            Err((message, place)) => return self.with_failed(state, &message, &place),
+            Err((message, place)) => return self.with_failed(state, &message, &place, turn),
         };
         match given {
-            Some(Ok(over)) => self.runs[state as usize].given = over,
-            Some(Err((message, place))) => return self.with_failed(state, &message, &place),
+            Some(Ok(over)) => self.extra(state).given = over,
+            Some(Err((message, place))) => return self.with_failed(state, &message, &place, turn),
             None => {}
         }
-        values.extend(self.runs[state as usize].given.clone());
+        values.extend(self.extra(state).given.clone());
         match &of.kind {
             Kind::Skill { manifest } => {
                 for parameter in &manifest.inputs {
@@ -170,10 +247,10 @@ impl Engine {
                 }
                 if let Some(missing) = manifest.inputs.iter().find(|p| !values.contains_key(&p.name)) {
                     let message = format!("the input `{}` is not given", missing.name);
-                    let place = self.program.place(of.place);
-                    return self.with_failed(state, &message, &place);
+                    let place = program.place(of.place);
+                    return self.with_failed(state, &message, &place, turn);
                 }
-                self.runs[state as usize].skill = SkillRun::Ready(values);
+                self.extra(state).skill = SkillRun::Ready(values);
                 self.ready.insert(state);
             }
             Kind::Chart { instance } => {
@@ -184,8 +261,8 @@ impl Engine {
                         Some(Ok(value)) => Some(value),
                         Some(Err(message)) => {
                             let message = format!("input `{}`: {message}", declaration.name);
-                            let place = self.program.place(of.place);
-                            self.with_failed(state, &message, &place);
+                            let place = program.place(of.place);
+                            self.with_failed(state, &message, &place, turn);
                             None
                         }
                         None => declaration.default.clone(),
@@ -197,25 +274,25 @@ impl Engine {
         }
     }
 
-    fn with_failed(&mut self, state: StateId, message: &str, place: &str) {
-        let data = Value::record([("reason", format!("{message} ({place})").into())]);
-        self.push_failure(state, data);
+    fn with_failed(&mut self, state: StateId, message: &str, place: &str, turn: &mut Turn<'_>) {
+        turn.trace(|_| TraceItem::Error { message: message.to_owned(), place: place.to_owned() });
+        let reason = format!("{message} ({place})");
+        let data = Value::record([("reason", reason.into()), ("place", place.into())]);
+        self.push_failure(state, data, turn.program);
     }
 
     /// Forgets everything that a use of a chart knew.
-    fn reset_instance(&mut self, instance: u32) {
-        let of = &self.program.instances[instance as usize];
+    fn reset_instance(&mut self, instance: u32, program: &Program) {
+        let of = &program.instances[instance as usize];
         for slot in of.first_slot..of.end_slot {
             self.store.data[slot as usize] = None;
         }
         let owner = of.owner;
-        let program = Arc::clone(&self.program);
         self.remembered.retain(|history, _| !program.within(*history, owner));
-        self.reset_locals(instance);
+        self.reset_locals(instance, program);
     }
 
-    fn reset_locals(&mut self, instance: u32) {
-        let program = Arc::clone(&self.program);
+    fn reset_locals(&mut self, instance: u32, program: &Program) {
         let of = &program.instances[instance as usize];
         for variable in of.locals.iter().chain(&of.outputs) {
             self.store.data[variable.slot as usize].clone_from(&variable.declaration.default);
@@ -223,7 +300,7 @@ impl Engine {
     }
 
     fn start_after(&mut self, state: StateId, transition: u32, turn: &mut Turn<'_>) {
-        let program = Arc::clone(&self.program);
+        let program = turn.program;
         let Some(delay) = &program.transitions[transition as usize].delay else { return };
         let seconds = match self.evaluate(delay, turn) {
             Ok(value) => value.as_f64().unwrap_or(f64::NAN),
@@ -237,7 +314,7 @@ impl Engine {
         let depth = u64::from(u16::MAX - program.state(state).depth);
         let order = (depth << 40) | u64::from(transition);
         let timer = self.start_timer(TimerUse::After { state, entry, transition }, seconds, order, turn);
-        self.runs[state as usize].timers.push(timer);
+        self.extra(state).timers.push(timer);
     }
 
     pub(super) fn start_timer(&mut self, of: TimerUse, seconds: f64, order: u64, turn: &mut Turn<'_>) -> u64 {
@@ -247,46 +324,41 @@ impl Engine {
         timer
     }
 
-    /// Starts the skills of states that were entered and are still there. Gives whether there were any.
-    pub(super) fn start_ready(&mut self, turn: &mut Turn<'_>) -> bool {
-        let ready = std::mem::take(&mut self.ready);
-        let any = !ready.is_empty();
-        for state in ready {
-            let SkillRun::Ready(inputs) = std::mem::take(&mut self.runs[state as usize].skill) else {
-                continue;
-            };
-            let of = self.program.state(state);
+    /// Starts the skills of states that were entered and are still there.
+    pub(super) fn start_ready(&mut self, turn: &mut Turn<'_>) {
+        for state in std::mem::take(&mut self.ready) {
+            let SkillRun::Ready(inputs) = std::mem::take(&mut self.extra(state).skill) else { continue };
+            let of = turn.program.state(state);
             let Kind::Skill { manifest } = &of.kind else { continue };
-            let (skill, limits, path) = (manifest.name.clone(), of.limits, of.path.clone());
+            let skill = manifest.name.clone();
             let activation = self.number();
-            self.runs[state as usize].skill = SkillRun::Running(activation);
+            self.extra(state).skill = SkillRun::Running(activation);
             self.skills.insert(activation, state);
-            let shown = inputs.clone();
-            turn.trace(TraceItem::SkillStarted {
+            turn.trace(|_| TraceItem::SkillStarted {
                 activation,
-                state: path,
+                state: of.path.clone(),
                 skill: skill.clone(),
-                inputs: shown,
+                inputs: inputs.clone(),
             });
-            turn.out.push(Effect::StartSkill { activation, state, skill, inputs, limits });
+            turn.out.push(Effect::StartSkill { activation, state, skill, inputs, limits: of.limits });
         }
-        any
     }
 
     // Trying again.
 
-    pub(super) fn restart(&mut self, state: StateId, event: Option<&Event>, turn: &mut Turn<'_>) {
-        let (_, wait_s) = self.program.state(state).retry.unwrap_or((0, 0.0));
-        let run = &mut self.runs[state as usize];
-        run.retries += 1;
-        (run.ended, run.done, run.waiting) = (false, None, wait_s > 0.0);
-        let (attempt, entry) = (run.retries, run.entry);
-        let reason = event.and_then(|e| reason_and_chain(&e.data).0).unwrap_or_default();
-        let path = self.program.state(state).path.clone();
-        turn.trace(TraceItem::Retry { state: path, attempt, reason });
+    pub(super) fn restart(&mut self, state: StateId, turn: &mut Turn<'_>) {
+        let (_, wait_s) = turn.program.state(state).retry.unwrap_or((0, 0.0));
+        let entry = self.runs[state as usize].entry;
+        let extra = self.extra(state);
+        extra.retries += 1;
+        (extra.ended, extra.done, extra.waiting) = (false, None, wait_s > 0.0);
+        let attempt = extra.retries;
+        let event = self.store.event.as_ref();
+        let reason = event.and_then(|e| reason_and_chain(e.data()).0).unwrap_or_default();
+        turn.trace(|p| TraceItem::Retry { state: p.path(state).to_owned(), attempt, reason });
         if wait_s > 0.0 {
             let timer = self.start_timer(TimerUse::Retry { state, entry }, wait_s, u64::MAX - 1, turn);
-            self.runs[state as usize].timers.push(timer);
+            self.extra(state).timers.push(timer);
         } else {
             self.begin_again(state, turn);
         }
@@ -294,11 +366,9 @@ impl Engine {
 
     /// Starts the inside of a state that is active.
     pub(super) fn begin_again(&mut self, state: StateId, turn: &mut Turn<'_>) {
-        self.runs[state as usize].waiting = false;
+        self.extra(state).waiting = false;
         self.give_inputs(state, None, turn);
-        let mut entries = Entries::default();
-        self.add_inside(state, &mut entries);
-        self.enter_all(entries, turn);
+        self.enter_inside(state, turn);
     }
 
     /// Evaluates a `with`.

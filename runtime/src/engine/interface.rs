@@ -4,13 +4,15 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use armarium_values::Value;
+use serde::{Deserialize, Serialize};
 
 use super::StateId;
 use crate::skill::{Limits, SkillResult};
 use crate::trace::TraceItem;
 
 /// What the engine is told.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "input", rename_all = "snake_case")]
 pub enum Input {
     /// A skill returned, cancelled or not.
     SkillEnded {
@@ -49,6 +51,15 @@ pub enum Input {
         watch: u32,
         /// The entry of the state that it was armed with.
         entry: u64,
+        /// What happened.
+        message: String,
+        /// `file:line:column`.
+        place: String,
+    },
+    /// A watch reads a number that is NaN: it is false, and `error.channel` says so.
+    WatchBlind {
+        /// Its number.
+        watch: u32,
         /// What happened.
         message: String,
         /// `file:line:column`.
@@ -209,4 +220,6 @@ pub struct Observation {
     pub until: bool,
     /// An expression that failed, and where it was written.
     pub error: Option<(String, String)>,
+    /// A number that is NaN, so that nothing can be said, and where it is read.
+    pub blind: Option<(String, String)>,
 }

@@ -7,23 +7,33 @@
 mod act;
 mod end;
 mod enter;
+mod event;
+mod hear;
+mod hold;
+mod inputs;
 mod interface;
+mod record;
 mod select;
+mod state;
 mod step;
 
 pub(crate) mod program;
+pub(crate) mod tables;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use armarium_values::Value;
-use armarium_values::expr::World;
 
 pub use interface::{Effect, Input, InputError, NoSensors, Observation, RunResult, Sensors};
-pub use program::{Program, StateId};
+pub use program::{EventId, Program, StateId};
+pub use record::{InputRecord, Recording, Replaying, Seen};
 
-use crate::skill::SkillResult;
 use crate::trace::TraceItem;
+use event::{Event, Origin};
+use inputs::inputs;
+use state::{Pending, Run, Store, TimerUse, Turn, View};
+use tables::{ERROR_CHANNEL, FAILURE, Symbol};
 
 /// Microsteps without rest after which a run fails.
 pub const MAX_MICROSTEPS: u32 = 1000;
@@ -31,119 +41,6 @@ pub const MAX_MICROSTEPS: u32 = 1000;
 pub const MAX_QUEUE: usize = 1024;
 /// Events that unbreakable states may hold back.
 pub const MAX_HELD: usize = 64;
-
-/// What an event is, beyond its name.
-#[derive(Clone, Debug, PartialEq)]
-enum Origin {
-    /// All active states see it.
-    Broadcast,
-    /// An expression failed in this state.
-    Error(StateId),
-    /// The state reported its outcome; `region_end` when it is a region that came to a final state of its own.
-    Outcome { state: StateId, entry: u64, region_end: bool },
-    /// A watch of the state fired.
-    Watch { state: StateId, entry: u64 },
-    /// A timer of the state ran out; it takes this transition only.
-    After { state: StateId, entry: u64, transition: u32 },
-    /// The state's wait before its next try is over.
-    Retry { state: StateId, entry: u64 },
-}
-
-#[derive(Clone, Debug)]
-struct Event {
-    name: Arc<str>,
-    data: Value,
-    origin: Origin,
-}
-
-impl Event {
-    fn scope(&self) -> Option<(StateId, u64)> {
-        match self.origin {
-            Origin::Broadcast | Origin::Error(_) => None,
-            Origin::Outcome { state, entry, .. }
-            | Origin::Watch { state, entry }
-            | Origin::Retry { state, entry }
-            | Origin::After { state, entry, .. } => Some((state, entry)),
-        }
-    }
-
-    fn is_failure(&self) -> bool {
-        matches!(self.origin, Origin::Outcome { .. }) && &*self.name == "failure"
-    }
-
-    fn is_error(&self) -> bool {
-        self.name.starts_with("error.")
-    }
-}
-
-/// What a state's skill is doing.
-#[derive(Clone, Debug, Default, PartialEq)]
-enum SkillRun {
-    #[default]
-    None,
-    /// Entered; starts when the macrostep is over.
-    Ready(BTreeMap<String, Value>),
-    Running(u64),
-    Cancelling(u64),
-}
-
-/// What a state is doing; reset when it is entered.
-#[derive(Clone, Debug, Default)]
-struct Run {
-    active: bool,
-    /// Counts entries of all states: tells one stay in a state from another.
-    entry: u64,
-    skill: SkillRun,
-    /// Its outcome, once nobody handled it.
-    done: Option<Arc<str>>,
-    /// Whether it has reported its outcome, for unbreakable states.
-    ended: bool,
-    retries: u32,
-    /// Waits before it is tried again; nothing inside it is active.
-    waiting: bool,
-    timers: Vec<u64>,
-    /// What the transition that entered it gave, for further tries.
-    given: BTreeMap<String, Value>,
-    /// For a parallel state: the first outcome of a region that is not success.
-    first_other: Option<(Arc<str>, Value)>,
-}
-
-#[derive(Clone, Debug)]
-enum TimerUse {
-    After { state: StateId, entry: u64, transition: u32 },
-    Retry { state: StateId, entry: u64 },
-    Send { id: Option<String>, event: Event },
-}
-
-/// What a microstep does once all skills that it leaves have returned.
-#[derive(Clone, Debug)]
-enum Step {
-    Take(Vec<u32>),
-    /// Try the inside of a state again.
-    Restart(StateId),
-    Finish {
-        outcome: String,
-        reason: Option<String>,
-        chain: Vec<String>,
-    },
-}
-
-#[derive(Clone, Debug)]
-struct Pending {
-    step: Step,
-    event: Option<Event>,
-    /// States to leave, in the file's order.
-    exits: Vec<StateId>,
-    /// Skills that have not returned yet.
-    waiting: BTreeSet<u64>,
-}
-
-/// The variables of a run, which expressions read.
-#[derive(Debug, Default)]
-struct Store {
-    data: Vec<Option<Value>>,
-    event: Option<Event>,
-}
 
 /// One run of a chart.
 #[derive(Debug)]
@@ -167,48 +64,25 @@ pub struct Engine {
     microsteps: u32,
     /// The newest failure, for finals that do not say why.
     last_failure: Option<(Value, StateId)>,
+    /// The outermost chart has come to its end, with this outcome.
+    ending: Option<(Symbol, Value)>,
     shown: Vec<StateId>,
+    /// The innermost states that were active when the run came to its end.
+    ended_in: Vec<StateId>,
+    /// Whether states were entered or left since the configuration was shown.
+    moved: bool,
+    tracing: bool,
     finished: bool,
-}
-
-/// The engine's variables, states and sensors together, as expressions see them.
-struct View<'v> {
-    store: &'v Store,
-    runs: &'v [Run],
-    sensors: &'v dyn Sensors,
-}
-
-impl World for View<'_> {
-    fn data(&self, slot: u32) -> Option<&Value> {
-        self.store.data.get(slot as usize)?.as_ref()
-    }
-    fn channel(&self, channel: u32, path: &[String]) -> Option<Value> {
-        self.sensors.channel(channel, path)
-    }
-    fn age(&self, channel: u32) -> Option<f64> {
-        self.sensors.age(channel)
-    }
-    fn event_name(&self) -> Option<&str> {
-        self.store.event.as_ref().map(|e| &*e.name)
-    }
-    fn event_data(&self) -> Option<&Value> {
-        self.store.event.as_ref().map(|e| &e.data)
-    }
-    fn active(&self, state: u32) -> bool {
-        self.runs.get(state as usize).is_some_and(|r| r.active)
-    }
-}
-
-/// What one call works with.
-struct Turn<'t> {
-    sensors: &'t dyn Sensors,
-    out: &'t mut Vec<Effect>,
-}
-
-impl Turn<'_> {
-    fn trace(&mut self, item: TraceItem) {
-        self.out.push(Effect::Trace(item));
-    }
+    /// How many active states have eventless transitions.
+    eager: u32,
+    /// How many active states are unbreakable.
+    unbreakable: u32,
+    /// Counts selections.
+    selection: u32,
+    /// Kept for their memory.
+    enabled: Vec<u32>,
+    exits: Vec<StateId>,
+    entries: Vec<StateId>,
 }
 
 impl Engine {
@@ -243,16 +117,33 @@ impl Engine {
             next: 1,
             microsteps: 0,
             last_failure: None,
+            ending: None,
             shown: Vec::new(),
+            ended_in: Vec::new(),
+            moved: false,
+            tracing: true,
             finished: false,
+            eager: 0,
+            unbreakable: 0,
+            selection: 0,
+            enabled: Vec::new(),
+            exits: Vec::new(),
+            entries: Vec::new(),
         })
+    }
+
+    /// Whether what happens is told as [`Effect::Trace`]. It is unless this says otherwise; an engine that nobody
+    /// listens to is several times faster.
+    pub fn set_tracing(&mut self, on: bool) {
+        self.tracing = on;
     }
 
     /// Enters the chart's initial states.
     pub fn start(&mut self, sensors: &dyn Sensors, out: &mut Vec<Effect>) {
-        let mut turn = Turn { sensors, out };
-        let chart = self.program.name.clone();
-        turn.trace(TraceItem::Started { chart, inputs: self.variables_of(0, |i| &i.inputs) });
+        let program = Arc::clone(&self.program);
+        let mut turn = Turn { program: &program, sensors, out, tracing: self.tracing };
+        let inputs = self.variables_of(0, |i| &i.inputs);
+        turn.trace(|p| TraceItem::Started { chart: p.name.clone(), inputs });
         self.enter_run(&mut turn);
         self.run(&mut turn);
     }
@@ -262,25 +153,36 @@ impl Engine {
         if self.finished {
             return;
         }
-        let mut turn = Turn { sensors, out };
+        let program = Arc::clone(&self.program);
+        let mut turn = Turn { program: &program, sensors, out, tracing: self.tracing };
         match input {
             Input::SkillEnded { activation, result } => self.skill_ended(activation, result, &mut turn),
             Input::SkillStuck { activation } => self.skill_stuck(activation, &mut turn),
             Input::Event { name, data } => {
-                self.queue(Event { name: name.into(), data, origin: Origin::Broadcast }, &mut turn);
+                let event = Event::named(&program, &name, data);
+                self.queue(event, &mut turn);
             }
             Input::Timer { timer } => self.timer(timer, &mut turn),
             Input::Watch { watch, entry } => {
-                let watch = &self.program.watches[watch as usize];
-                let origin = Origin::Watch { state: watch.state, entry };
-                let event = Event { name: Arc::clone(&watch.name), data: Value::Null, origin };
-                self.queue(event, &mut turn);
+                if let Some(watch) = program.watches.get(watch as usize) {
+                    let origin = Origin::Watch { state: watch.state, entry };
+                    self.queue(Event::new(watch.name, Value::Null, origin), &mut turn);
+                }
             }
             Input::WatchFailed { watch, entry, message, place } => {
-                let state = self.program.watches[watch as usize].state;
-                if self.runs[state as usize].entry == entry {
+                let state = program.watches.get(watch as usize).map(|w| w.state);
+                if let Some(state) = state.filter(|s| self.runs[*s as usize].entry == entry) {
                     self.error_at(state, &message, place, &mut turn);
                 }
+            }
+            Input::WatchBlind { watch, message, place } => {
+                let state = program.watches.get(watch as usize).map(|w| program.path(w.state));
+                let data = [
+                    ("reason", message.into()),
+                    ("place", place.into()),
+                    ("state", state.unwrap_or("").into()),
+                ];
+                self.queue(Event::new(ERROR_CHANNEL, Value::record(data), Origin::Broadcast), &mut turn);
             }
             Input::Stop { reason } => self.stop("stopped", reason, &mut turn),
             Input::Abort { reason } => self.stop("failure", reason, &mut turn),
@@ -288,21 +190,40 @@ impl Engine {
         self.run(&mut turn);
     }
 
+    /// As [`Input::Event`], for an event whose number is known: nothing is looked up or allocated.
+    pub fn raise(&mut self, event: EventId, data: Value, sensors: &dyn Sensors, out: &mut Vec<Effect>) {
+        if self.finished {
+            return;
+        }
+        let program = Arc::clone(&self.program);
+        let mut turn = Turn { program: &program, sensors, out, tracing: self.tracing };
+        let event = Event::new(event.0, data, Origin::Broadcast);
+        if self.pending.is_none() && self.external.is_empty() {
+            self.microsteps = 1;
+            self.dispatch(event, &mut turn);
+        } else {
+            self.queue(event, &mut turn);
+        }
+        self.run(&mut turn);
+    }
+
     /// Whether the condition of a watch holds now, and whether its `until` (or the condition's end) does.
     pub fn observe(&self, watch: u32, sensors: &dyn Sensors) -> Observation {
         let watch = &self.program.watches[watch as usize];
-        let view = View { store: &self.store, runs: &self.runs, sensors };
-        let place = |code: &program::Code, message: String| (message, self.program.place(code.place));
-        let mut error = None;
+        let view = View { program: &self.program, store: &self.store, runs: &self.runs, sensors };
+        let (mut error, mut blind) = (None, None);
         let mut look = |code: &program::Code| {
-            code.expr.observe(&view).unwrap_or_else(|e| {
-                error = Some(place(code, e.message));
+            code.expr.look(&view).unwrap_or_else(|e| {
+                if e.nan || !e.absent {
+                    let to = if e.nan { &mut blind } else { &mut error };
+                    *to = Some((e.message, self.program.place(code.place)));
+                }
                 false
             })
         };
         let holds = look(&watch.condition);
         let until = watch.until.as_ref().map_or(!holds, &mut look);
-        Observation { holds, until, error }
+        Observation { holds, until, error, blind }
     }
 
     /// The program that runs.
@@ -314,7 +235,7 @@ impl Engine {
     /// The innermost active states, in the file's order.
     #[must_use]
     pub fn leaves(&self) -> Vec<StateId> {
-        let last = |i: usize| self.program.state(self.configuration[i]).last;
+        let last = |i: usize| self.program.tables.last(self.configuration[i]);
         let inner = |i: usize| self.configuration.get(i + 1).is_none_or(|next| *next > last(i));
         (0..self.configuration.len()).filter(|i| inner(*i)).map(|i| self.configuration[i]).collect()
     }
@@ -323,6 +244,12 @@ impl Engine {
     #[must_use]
     pub fn configuration(&self) -> &[StateId] {
         &self.configuration
+    }
+
+    /// The innermost states that were active when the run came to its end, before they were left; empty until then.
+    #[must_use]
+    pub fn ended_in(&self) -> &[StateId] {
+        &self.ended_in
     }
 
     /// The locals of the outermost chart that have a value.
@@ -359,84 +286,6 @@ impl Engine {
         self.next - 1
     }
 
-    /// Queues an event from outside.
-    fn queue(&mut self, event: Event, turn: &mut Turn<'_>) {
-        if self.external.len() >= MAX_QUEUE {
-            let reason = "too many events are waiting".into();
-            turn.trace(TraceItem::Dropped { name: event.name.to_string(), reason });
-        } else {
-            self.external.push_back(event);
-        }
-    }
-
-    fn timer(&mut self, timer: u64, turn: &mut Turn<'_>) {
-        match self.timers.remove(&timer) {
-            None => {}
-            Some(TimerUse::Send { event, .. }) => self.queue(event, turn),
-            Some(TimerUse::After { state, entry, transition }) => {
-                let path = &self.program.state(state).path;
-                let data = Value::record([(
-                    "reason",
-                    format!("`{path}` had not ended when its time was up").into(),
-                )]);
-                let origin = Origin::After { state, entry, transition };
-                self.queue(Event { name: "after".into(), data, origin }, turn);
-            }
-            Some(TimerUse::Retry { state, entry }) => {
-                let origin = Origin::Retry { state, entry };
-                self.queue(Event { name: "retry".into(), data: Value::Null, origin }, turn);
-            }
-        }
-    }
-
-    fn skill_ended(&mut self, activation: u64, result: SkillResult, turn: &mut Turn<'_>) {
-        let Some(state) = self.skills.remove(&activation) else { return };
-        let cancelled = self.runs[state as usize].skill == SkillRun::Cancelling(activation);
-        let (outcome, reason, outputs) = match &result {
-            _ if cancelled => ("cancelled", None, BTreeMap::new()),
-            Ok(outcome) => (outcome.name.as_str(), None, outcome.outputs.clone()),
-            Err(failure) => ("failure", Some(failure.reason.clone()), BTreeMap::new()),
-        };
-        turn.trace(TraceItem::SkillEnded {
-            activation,
-            state: self.program.state(state).path.clone(),
-            outcome: outcome.to_owned(),
-            reason,
-            outputs,
-        });
-        self.runs[state as usize].skill = SkillRun::None;
-        if cancelled {
-            self.returned(activation, turn);
-        } else {
-            let event = self.outcome_of_skill(state, result);
-            self.external.push_back(event);
-        }
-    }
-
-    /// A skill that was cancelled is gone.
-    fn returned(&mut self, activation: u64, turn: &mut Turn<'_>) {
-        if let Some(pending) = &mut self.pending {
-            pending.waiting.remove(&activation);
-            self.complete_if_returned(turn);
-        }
-    }
-
-    fn skill_stuck(&mut self, activation: u64, turn: &mut Turn<'_>) {
-        let Some(state) = self.skills.remove(&activation) else { return };
-        let path = self.program.state(state).path.clone();
-        self.runs[state as usize].skill = SkillRun::None;
-        let reason = format!("the skill of `{path}` did not return after it was cancelled");
-        self.finish_with("failure".into(), Some(reason), vec![path], turn);
-        self.returned(activation, turn);
-    }
-
-    fn stop(&mut self, outcome: &str, reason: String, turn: &mut Turn<'_>) {
-        let running = self.pending.as_ref().is_some_and(|p| matches!(p.step, Step::Finish { .. }));
-        if !running {
-            self.finish_with(outcome.to_owned(), Some(reason), Vec::new(), turn);
-        }
-    }
-
     /// The main loop of SCXML's appendix D: macrosteps until there is nothing to do or something to wait for.
     fn run(&mut self, turn: &mut Turn<'_>) {
         while !self.finished && self.pending.is_none() {
@@ -447,65 +296,48 @@ impl Engine {
                 return;
             }
             self.microsteps += 1;
-            let always = self.select_always(turn);
-            if !always.is_empty() {
-                self.begin(Step::Take(always), None, turn);
-            } else if let Some(event) = self.internal.pop_front() {
+            if let Some((outcome, data)) = self.ending.take() {
+                let (reason, mut chain) = end::reason_and_chain(&data);
+                if outcome == FAILURE {
+                    chain.push(turn.program.name.clone());
+                }
+                let outcome = turn.program.tables.symbols.name(outcome).to_owned();
+                self.finish_with(outcome, reason, chain, turn);
+                continue;
+            }
+            if self.eager > 0 && self.take_always(turn) {
+                continue;
+            }
+            if let Some(event) = self.internal.pop_front() {
                 self.dispatch(event, turn);
-            } else if !self.start_ready(turn) {
+            } else if self.ready.is_empty() {
                 self.microsteps = 0;
                 self.store.event = None;
                 self.show_configuration(turn);
                 let Some(event) = self.external.pop_front() else { return };
                 self.dispatch(event, turn);
+            } else {
+                self.start_ready(turn);
             }
         }
         self.show_configuration(turn);
     }
 
     fn show_configuration(&mut self, turn: &mut Turn<'_>) {
+        if !turn.tracing || !std::mem::take(&mut self.moved) {
+            return;
+        }
         let leaves = self.leaves();
         if leaves != self.shown {
-            let paths = leaves.iter().map(|s| self.program.state(*s).path.clone()).collect();
-            turn.trace(TraceItem::Configuration { leaves: paths });
+            let paths = leaves.iter().map(|s| turn.program.path(*s).to_owned()).collect();
+            turn.trace(|_| TraceItem::Configuration { leaves: paths });
             self.shown = leaves;
         }
     }
 }
 
-fn inputs(
-    program: &Program,
-    given: &BTreeMap<String, Value>,
-    profile: Option<&str>,
-) -> Result<Vec<Value>, InputError> {
-    let variables = &program.instances[0].inputs;
-    let nothing = BTreeMap::new();
-    let profile = match profile {
-        None => &nothing,
-        Some(name) => program.profiles.get(name).ok_or_else(|| InputError::Profile {
-            name: name.to_owned(),
-            known: program.profiles.keys().cloned().collect::<Vec<_>>().join(", "),
-        })?,
-    };
-    let names = || variables.iter().map(|v| v.declaration.name.as_str());
-    if let Some(name) = given.keys().find(|name| !names().any(|known| known == *name)) {
-        let help = crate::chart::suggest(name, names());
-        return Err(InputError::Unknown { name: name.clone(), help });
-    }
-    let one = |variable: &program::Variable| {
-        let name = &variable.declaration.name;
-        let value = given.get(name).or_else(|| profile.get(name)).cloned();
-        match value {
-            None => variable.declaration.default.clone().ok_or(InputError::Missing { name: name.clone() }),
-            Some(value) => variable
-                .declaration
-                .accept(value)
-                .map_err(|message| InputError::Value { name: name.clone(), message }),
-        }
-    };
-    variables.iter().map(one).collect()
-}
-
+#[cfg(test)]
+mod cases;
 #[cfg(test)]
 mod properties;
 #[cfg(test)]

@@ -1,7 +1,8 @@
 //! A chart as tables: every name resolved to a number, every expression compiled. The engine runs this.
 //!
 //! States are numbered in the order of the file, parents before children, so that the states inside `s` are
-//! exactly `s + 1 ..= s.last`. State 0 stands for the run; its only child is the chart.
+//! exactly `s + 1 ..= s.last`. State 0 stands for the run; its only child is the chart. Names of events are numbers
+//! as well; what selecting transitions needs lies side by side in [`Tables`](super::tables::Tables).
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -10,11 +11,16 @@ use std::sync::Arc;
 use armarium_values::expr::Expr;
 use armarium_values::{Type, Value};
 
+use super::tables::{Symbol, Tables};
 use crate::chart::{Declaration, Source};
 use crate::skill::{Limits, SkillManifest};
 
 /// Number of a state.
 pub type StateId = u32;
+
+/// Number of an event's name in one program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct EventId(pub(crate) Symbol);
 
 /// Where something was written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -33,6 +39,7 @@ pub struct Program {
     pub(crate) instances: Vec<Instance>,
     pub(crate) channels: Vec<String>,
     pub(crate) slots: u32,
+    pub(crate) tables: Tables,
     /// Inputs by profile, as written.
     pub(crate) profiles: BTreeMap<String, BTreeMap<String, Value>>,
 }
@@ -73,16 +80,23 @@ pub(crate) enum Kind {
         instance: u32,
     },
     Composite {
-        initial: StateId,
+        initial: Entry,
     },
     Parallel,
     Final {
-        outcome: String,
+        outcome: Symbol,
     },
     History {
         deep: bool,
-        default: Option<StateId>,
+        default: Entry,
     },
+}
+
+/// What is entered by default, and what is done then.
+#[derive(Debug, Default)]
+pub(crate) struct Entry {
+    pub(crate) targets: Vec<StateId>,
+    pub(crate) actions: Vec<Action>,
 }
 
 pub(crate) struct State {
@@ -113,6 +127,8 @@ pub(crate) struct State {
     pub(crate) unbreakable: bool,
     /// Places of what it gives with its outcome.
     pub(crate) outputs: Vec<(String, u32)>,
+    /// The event `done.state.NAME`.
+    pub(crate) done: Symbol,
     pub(crate) place: Place,
 }
 
@@ -139,10 +155,6 @@ impl Pattern {
             }
         }
     }
-
-    pub(crate) fn is(&self, name: &str) -> bool {
-        matches!(self, Self::Exact(n) if **n == *name)
-    }
 }
 
 #[derive(Debug)]
@@ -151,9 +163,14 @@ pub(crate) struct Transition {
     pub(crate) pattern: Pattern,
     pub(crate) delay: Option<Term>,
     pub(crate) guard: Option<Code>,
-    pub(crate) target: Option<StateId>,
+    /// None: the actions run and no state is left.
+    pub(crate) targets: Vec<StateId>,
+    /// Whether the source is not left when all targets are inside it (SCXML's `type="internal"`).
+    pub(crate) internal: bool,
     /// What is left and entered is inside this state; none for a transition without target.
     pub(crate) domain: Option<StateId>,
+    /// Whether a target is a history, so that the domain depends on what it remembers.
+    pub(crate) historic: bool,
     pub(crate) actions: Vec<Action>,
     pub(crate) with: Vec<Binding>,
 }
@@ -161,7 +178,7 @@ pub(crate) struct Transition {
 #[derive(Debug)]
 pub(crate) struct Watch {
     pub(crate) state: StateId,
-    pub(crate) name: Arc<str>,
+    pub(crate) name: Symbol,
     pub(crate) condition: Code,
     pub(crate) until: Option<Code>,
     pub(crate) hold_s: f64,
@@ -195,7 +212,7 @@ pub(crate) struct Binding {
 #[derive(Debug)]
 pub(crate) enum Action {
     Assign { slot: u32, declaration: Arc<Declaration>, variable: String, term: Term, place: Place },
-    Raise { event: Arc<str>, data: Option<Term> },
+    Raise { event: Symbol, data: Option<Term> },
     Send(Box<Send>),
     Cancel { id: String },
     Log { term: Term },
@@ -206,7 +223,7 @@ pub(crate) enum Action {
 /// The action `send`.
 #[derive(Debug)]
 pub(crate) struct Send {
-    pub(crate) event: Arc<str>,
+    pub(crate) event: Symbol,
     pub(crate) to: Option<Term>,
     pub(crate) data: Option<Term>,
     pub(crate) delay: Option<Term>,
@@ -248,6 +265,30 @@ impl Program {
         &self.states[state as usize].path
     }
 
+    /// A state's own name.
+    #[must_use]
+    pub fn name_of(&self, state: StateId) -> &str {
+        &self.states[state as usize].name
+    }
+
+    /// The state around a state; none for state 0, which stands for the run.
+    #[must_use]
+    pub fn parent_of(&self, state: StateId) -> Option<StateId> {
+        self.states.get(state as usize)?.parent
+    }
+
+    /// Whether a state is only the inside of another: the run's, or the root of a chart, which has its user's path.
+    #[must_use]
+    pub fn is_root(&self, state: StateId) -> bool {
+        state == 0 || self.states[state as usize].chart_root
+    }
+
+    /// The event of that name, where the chart knows it: a number that [`Engine::raise`](super::Engine::raise) takes.
+    #[must_use]
+    pub fn event(&self, name: &str) -> Option<EventId> {
+        self.tables.symbols.find(name).map(EventId)
+    }
+
     /// How many states there are, with those of the charts inside.
     #[must_use]
     pub fn len(&self) -> usize {
@@ -266,7 +307,7 @@ impl Program {
 
     /// Whether `inner` is `outer` or inside it.
     pub(crate) fn within(&self, inner: StateId, outer: StateId) -> bool {
-        (outer..=self.state(outer).last).contains(&inner)
+        (outer..=self.tables.last(outer)).contains(&inner)
     }
 
     pub(crate) fn place(&self, place: Place) -> String {
@@ -275,6 +316,20 @@ impl Program {
 
     /// The states around `state`, itself first.
     pub(crate) fn outward(&self, state: StateId) -> impl Iterator<Item = StateId> + '_ {
-        std::iter::successors(Some(state), |s| self.state(*s).parent)
+        std::iter::successors(Some(state), |s| self.tables.parent(*s))
+    }
+
+    /// Whether exactly one state inside is active while it is.
+    pub(crate) fn compound(&self, state: StateId) -> bool {
+        matches!(self.state(state).kind, Kind::Composite { .. } | Kind::Chart { .. })
+    }
+
+    /// SCXML's getTransitionDomain: what is inside of it is left and entered by a transition to `targets`.
+    pub(crate) fn domain(&self, source: StateId, internal: bool, targets: &[StateId]) -> StateId {
+        let around = |s: StateId| targets.iter().all(|t| *t != s && self.within(*t, s));
+        if internal && self.compound(source) && around(source) {
+            return source;
+        }
+        self.outward(source).skip(1).find(|s| self.compound(*s) && around(*s)).unwrap_or(0)
     }
 }

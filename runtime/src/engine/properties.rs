@@ -199,4 +199,49 @@ proptest! {
             engine.handle(input, &NoSensors, &mut out);
         }
     }
+
+    /// A run that is recorded, written as JSON and read again goes through the same states with the same effects;
+    /// and nobody listening changes nothing but that nothing is told.
+    #[test]
+    fn a_replay_equals_its_run(
+        shapes in prop::collection::vec(shape(), 1..4),
+        numbers in prop::collection::vec(0_usize..1000, 8..64),
+        inputs in prop::collection::vec(0_usize..6, 1..40),
+    ) {
+        let shapes: Vec<Shape> =
+            shapes.into_iter().map(|s| if matches!(s, Shape::Final) { Shape::Leaf } else { s }).collect();
+        let program = program(&chart(&shapes, &numbers));
+        let new = || Engine::new(std::sync::Arc::clone(&program), &BTreeMap::new(), None).unwrap();
+        let (mut run, mut replay, mut quiet) = (new(), new(), new());
+        quiet.set_tracing(false);
+        let mut running = BTreeSet::new();
+        for n in std::iter::once(6).chain(inputs) {
+            let input = match (n, running.iter().nth(n % running.len().max(1)).copied()) {
+                (6, _) => None,
+                (0..=2, _) => Some(Input::Event { name: ["a", "b", "c"][n].into(), data: Value::Int(1) }),
+                (_, Some(activation)) => {
+                    running.remove(&activation);
+                    let result = if n == 3 { Err(Failure::new("no")) } else { Ok(Outcome::success()) };
+                    Some(Input::SkillEnded { activation, result })
+                }
+                _ => continue,
+            };
+            let turn = super::InputRecord { at_ns: 0, input, seen: Vec::new() };
+            let read: super::InputRecord =
+                serde_json::from_str(&serde_json::to_string(&turn).unwrap()).unwrap();
+            let (mut first, mut second, mut third) = (Vec::new(), Vec::new(), Vec::new());
+            run.replay(&turn, &mut first);
+            replay.replay(&read, &mut second);
+            quiet.replay(&turn, &mut third);
+            prop_assert_eq!(&first, &second);
+            prop_assert_eq!(run.configuration(), replay.configuration());
+            prop_assert_eq!(run.configuration(), quiet.configuration());
+            first.retain(|effect| !matches!(effect, Effect::Trace(_)));
+            prop_assert_eq!(&first, &third);
+            running.extend(first.iter().filter_map(|effect| match effect {
+                Effect::StartSkill { activation, .. } => Some(*activation),
+                _ => None,
+            }));
+        }
+    }
 }

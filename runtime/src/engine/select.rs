@@ -1,13 +1,19 @@
-//! Which transitions an event takes: inner states first, then the order in the file; what unbreakable states hold
-//! back; what happens to events that nobody takes.
+//! Which transitions an event takes: inner states first, then the order in the file; and what happens to events that
+//! nobody takes.
 
-use super::program::{Pattern, StateId};
-use super::{Engine, Event, MAX_HELD, Origin, Step, TraceItem, Turn};
+use super::event::{Event, Origin};
+use super::program::{Pattern, Program, StateId};
+use super::state::{Step, Turn, View};
+use super::tables::{FAILURE, Symbol};
+use super::{Engine, TraceItem};
 
-/// Why a state's event goes the way it goes.
-enum Found {
+/// What a selection looks for.
+#[derive(Clone, Copy)]
+enum By {
+    /// Transitions that an event takes.
+    Event(Symbol),
+    /// Eventless transitions.
     Nothing,
-    Step(Step),
 }
 
 impl Engine {
@@ -16,166 +22,116 @@ impl Engine {
         if let Some((state, entry)) = event.scope() {
             let run = &self.runs[state as usize];
             if !run.active || run.entry != entry {
-                let reason = format!("`{}` has been left meanwhile", self.program.state(state).path);
-                turn.trace(TraceItem::Dropped { name: event.name.to_string(), reason });
+                turn.trace(|p| TraceItem::Dropped {
+                    name: event.name(p).to_owned(),
+                    reason: format!("`{}` has been left meanwhile", p.path(state)),
+                });
                 return;
             }
         }
-        let from = event.scope().map(|(state, _)| self.program.state(state).path.clone());
-        turn.trace(TraceItem::Event { name: event.name.to_string(), from, data: event.data.clone() });
-        self.store.event = Some(event.clone());
-        if let Origin::Retry { state, .. } = event.origin {
-            self.begin_again(state, turn);
-            return;
-        }
-        let ended = match event.origin {
-            Origin::Outcome { state, .. } => {
-                self.runs[state as usize].ended = true;
-                if event.is_failure() {
-                    self.last_failure = Some((event.data.clone(), state));
-                }
-                self.program.state(state).unbreakable
-            }
-            _ => false,
-        };
-        let found = match event.origin {
+        turn.trace(|p| TraceItem::Event {
+            name: event.name(p).to_owned(),
+            from: event.scope().map(|(state, _)| p.path(state).to_owned()),
+            data: event.data().clone(),
+        });
+        let (symbol, origin) = (event.symbol, event.origin);
+        let ended = self.note_outcome(&event, turn.program);
+        let served = self.store.event.insert(event).take_served();
+        match origin {
+            Origin::Retry { state, .. } => self.begin_again(state, turn),
             Origin::Broadcast | Origin::Error(_) => {
-                let taken = self.select_broadcast(&event, turn);
-                if taken.is_empty() { Found::Nothing } else { Found::Step(Step::Take(taken)) }
+                let taken = self.select(By::Event(symbol), &served, turn);
+                if taken.is_empty() {
+                    self.enabled = taken;
+                    self.unhandled(origin, turn);
+                } else {
+                    self.begin_unless_held(Step::Take(taken), turn);
+                }
             }
             Origin::After { transition, .. } => {
                 if self.guard(transition, turn) {
-                    Found::Step(Step::Take(vec![transition]))
-                } else {
-                    Found::Nothing
+                    self.begin_unless_held(Step::Take(vec![transition]), turn);
                 }
             }
             Origin::Outcome { state, .. } | Origin::Watch { state, .. } => {
-                self.select_outward(&event, state, turn)
+                match self.select_outward(symbol, origin, state, turn) {
+                    Some(step) => self.begin_unless_held(step, turn),
+                    None => self.unhandled(origin, turn),
+                }
             }
-            Origin::Retry { .. } => Found::Nothing,
-        };
-        match found {
-            Found::Step(step) => self.begin_unless_held(step, event, turn),
-            Found::Nothing => self.unhandled(event, turn),
         }
         if ended {
             self.release_held();
         }
     }
 
-    /// What unbreakable states held back is matched again.
-    pub(super) fn release_held(&mut self) {
-        self.internal.extend(self.held.drain(..));
-    }
-
-    fn begin_unless_held(&mut self, step: Step, event: Event, turn: &mut Turn<'_>) {
-        let (step, holder) = match step {
-            Step::Take(transitions) => {
-                let holders: Vec<Option<StateId>> = transitions.iter().map(|t| self.holder(*t)).collect();
-                let holder = holders.iter().flatten().next().copied();
-                let free = transitions.iter().zip(&holders).filter(|(_, h)| h.is_none());
-                let free: Vec<u32> = free.map(|(t, _)| *t).collect();
-                ((!free.is_empty()).then_some(Step::Take(free)), holder)
-            }
-            Step::Restart(state) => match self.unbreakable_inside(state, state) {
-                Some(holder) => (None, Some(holder)),
-                None => (Some(Step::Restart(state)), None),
-            },
-            finish @ Step::Finish { .. } => (Some(finish), None),
-        };
-        if let Some(holder) = holder {
-            self.hold(event.clone(), holder, turn);
+    /// Remembers what an outcome tells. Gives whether an unbreakable state has ended by itself.
+    fn note_outcome(&mut self, event: &Event, program: &Program) -> bool {
+        let Origin::Outcome { state, .. } = event.origin else { return false };
+        if event.is_failure() {
+            self.last_failure = Some((event.data().clone(), state));
         }
-        if let Some(step) = step {
-            self.begin(step, Some(event), turn);
+        let unbreakable = program.state(state).unbreakable;
+        if unbreakable {
+            self.extra(state).ended = true;
         }
-    }
-
-    fn hold(&mut self, event: Event, holder: StateId, turn: &mut Turn<'_>) {
-        let (name, state) = (event.name.to_string(), self.program.state(holder).path.clone());
-        if self.held.len() >= MAX_HELD {
-            turn.trace(TraceItem::Dropped {
-                name,
-                reason: format!("`{state}` holds {MAX_HELD} events back"),
-            });
-            let origin = Origin::Error(holder);
-            self.internal.push_back(Event { name: "error.queue".into(), data: event.data, origin });
-        } else {
-            turn.trace(TraceItem::Held { name, state });
-            self.held.push_back(event);
-        }
-    }
-
-    /// The unbreakable state that a transition would leave from outside, if there is one.
-    fn holder(&self, transition: u32) -> Option<StateId> {
-        let transition = &self.program.transitions[transition as usize];
-        self.unbreakable_inside(transition.domain?, transition.source)
-    }
-
-    /// An active unbreakable state inside `domain` that has not ended and that `source` is not part of.
-    fn unbreakable_inside(&self, domain: StateId, source: StateId) -> Option<StateId> {
-        let inside =
-            self.configuration.iter().copied().filter(|s| *s > domain && self.program.within(*s, domain));
-        inside
-            .filter(|s| self.program.state(*s).unbreakable && !self.runs[*s as usize].ended)
-            .find(|s| !self.program.within(source, *s))
+        unbreakable
     }
 
     /// Transitions of the state that an event belongs to, then of the states around it. A failure is first tried
     /// again by states that have tries left.
-    fn select_outward(&mut self, event: &Event, from: StateId, turn: &mut Turn<'_>) -> Found {
-        let own_only = self.concerns_region_only(event, from);
-        let program = std::sync::Arc::clone(&self.program);
+    fn select_outward(
+        &mut self,
+        symbol: Symbol,
+        origin: Origin,
+        from: StateId,
+        turn: &mut Turn<'_>,
+    ) -> Option<Step> {
+        let failure = symbol == FAILURE && matches!(origin, Origin::Outcome { .. });
+        // A region's own end is not its surroundings' business: the parallel state ends when all regions have.
+        // Only a failure that did not come from a final state of the region goes outward.
+        let own_only = match origin {
+            Origin::Outcome { region_end, .. } => turn.program.state(from).region && (region_end || !failure),
+            _ => false,
+        };
+        let program = turn.program;
         for state in program.outward(from) {
-            if event.is_failure() && self.retry_left(state) {
-                return Found::Step(Step::Restart(state));
+            if failure && self.retry_left(state, program) {
+                return Some(Step::Restart(state));
             }
-            for t in &program.state(state).transitions {
-                if program.transitions[*t as usize].pattern.is(&event.name) && self.guard(*t, turn) {
-                    return Found::Step(Step::Take(vec![*t]));
+            for (_, t) in program.tables.exact(state, symbol) {
+                if self.guard(*t, turn) {
+                    return Some(Step::Take(vec![*t]));
                 }
             }
             if own_only {
                 break;
             }
         }
-        Found::Nothing
+        None
     }
 
-    /// A region's own end is not its surroundings' business: the parallel state ends when all regions have. Only
-    /// a failure that did not come from a final state of the region goes outward.
-    fn concerns_region_only(&self, event: &Event, from: StateId) -> bool {
-        match event.origin {
-            Origin::Outcome { region_end, .. } => {
-                self.program.state(from).region && (region_end || !event.is_failure())
-            }
-            _ => false,
-        }
+    fn retry_left(&self, state: StateId, program: &Program) -> bool {
+        let retry = program.state(state).retry;
+        retry.is_some_and(|(times, _)| self.extra_of(state).map_or(0, |e| e.retries) < times)
     }
 
-    fn retry_left(&self, state: StateId) -> bool {
-        let retry = self.program.state(state).retry;
-        retry.is_some_and(|(times, _)| self.runs[state as usize].retries < times)
-    }
-
-    fn unhandled(&mut self, event: Event, turn: &mut Turn<'_>) {
-        match event.origin {
+    fn unhandled(&mut self, origin: Origin, turn: &mut Turn<'_>) {
+        match origin {
             Origin::Error(state) => {
                 // The state that it came from may have been left by what failed.
-                let program = std::sync::Arc::clone(&self.program);
-                let here = program.outward(state).find(|s| self.runs[*s as usize].active);
-                self.push_failure(here.unwrap_or(0), event.data);
+                let here = turn.program.outward(state).find(|s| self.runs[*s as usize].active);
+                let data = self.store.event.as_ref().map(|e| e.data().clone()).unwrap_or_default();
+                self.push_failure(here.unwrap_or(0), data, turn.program);
             }
             Origin::Outcome { state, region_end, .. } => {
-                if event.is_failure() && !region_end {
-                    if let Some(holder) = self.unbreakable_inside(0, state) {
-                        self.hold(event, holder, turn);
-                        return;
-                    }
-                    self.fail_run(&event, state, turn);
-                } else {
-                    self.mark_done(state, &event, turn);
+                let Some(event) = self.store.event.clone() else { return };
+                if !event.is_failure() || region_end {
+                    return self.mark_done(state, &event, turn);
+                }
+                match self.unbreakable_inside(0, state, turn.program) {
+                    Some(holder) => self.hold(event, holder, state, turn),
+                    None => self.fail_run(&event, state, turn),
                 }
             }
             Origin::Broadcast | Origin::Watch { .. } | Origin::After { .. } | Origin::Retry { .. } => {}
@@ -183,90 +139,115 @@ impl Engine {
     }
 
     fn fail_run(&mut self, event: &Event, state: StateId, turn: &mut Turn<'_>) {
-        let (reason, mut chain) = super::end::reason_and_chain(&event.data);
-        for around in self.program.outward(state) {
-            let s = self.program.state(around);
-            if !s.chart_root && around != 0 && !chain.contains(&s.path) {
-                chain.push(s.path.clone());
+        let (reason, mut chain) = super::end::reason_and_chain(event.data());
+        for around in turn.program.outward(state) {
+            let path = turn.program.path(around);
+            if !turn.program.is_root(around) && !chain.iter().any(|link| link == path) {
+                chain.push(path.to_owned());
             }
         }
-        chain.push(self.program.name.clone());
+        chain.push(turn.program.name.clone());
         self.finish_with("failure".into(), reason, chain, turn);
     }
 
-    /// SCXML's selectTransitions for an event that all active states see.
-    fn select_broadcast(&mut self, event: &Event, turn: &mut Turn<'_>) -> Vec<u32> {
-        let event_name = event.name.clone();
-        self.select(turn, |state| &state.transitions, &|pattern| pattern.matches(&event_name))
+    /// SCXML's selectEventlessTransitions, taken at once. Gives whether there were any.
+    pub(super) fn take_always(&mut self, turn: &mut Turn<'_>) -> bool {
+        let mut taken = self.select(By::Nothing, &[], turn);
+        if self.unbreakable > 0 {
+            taken.retain(|t| self.holder(*t, turn.program).is_none());
+        }
+        if taken.is_empty() {
+            self.enabled = taken;
+            return false;
+        }
+        self.begin(Step::Take(taken), turn);
+        true
     }
 
-    /// SCXML's selectEventlessTransitions.
-    pub(super) fn select_always(&mut self, turn: &mut Turn<'_>) -> Vec<u32> {
-        let found = self.select(turn, |state| &state.always, &|_| true);
-        found.into_iter().filter(|t| self.holder(*t).is_none()).collect()
-    }
-
-    fn select(
-        &mut self,
-        turn: &mut Turn<'_>,
-        list: fn(&super::program::State) -> &Vec<u32>,
-        fits: &dyn Fn(&Pattern) -> bool,
-    ) -> Vec<u32> {
-        let program = std::sync::Arc::clone(&self.program);
-        let mut enabled: Vec<u32> = Vec::new();
-        // States whose transitions were already looked at from an earlier leaf, with what they gave.
-        let mut looked: Vec<(StateId, Option<u32>)> = Vec::new();
+    /// SCXML's selectTransitions, for states that are not inside one of `served`.
+    fn select(&mut self, by: By, served: &[StateId], turn: &mut Turn<'_>) -> Vec<u32> {
+        let tables = &turn.program.tables;
+        let mut enabled = std::mem::take(&mut self.enabled);
+        enabled.clear();
+        let selection = self.next_selection();
         let mut at = 0;
-        while at < self.configuration.len() {
-            let leaf = self.configuration[at];
-            let next = self.configuration.get(at + 1).copied();
+        while let Some(leaf) = self.configuration.get(at).copied() {
             at += 1;
-            if next.is_some_and(|n| n <= program.state(leaf).last) {
+            let inner = self.configuration.get(at).is_none_or(|next| *next > tables.last(leaf));
+            if !inner || served.iter().any(|s| turn.program.within(leaf, *s)) {
                 continue;
             }
-            for state in program.outward(leaf) {
-                let transitions = list(program.state(state));
-                if transitions.is_empty() {
-                    continue;
-                }
-                let known = looked.iter().find(|(s, _)| *s == state).map(|(_, found)| *found);
-                let found = known.unwrap_or_else(|| {
-                    let fitting = |t: &&u32| fits(&program.transitions[**t as usize].pattern);
-                    let found = transitions.iter().filter(fitting).find(|t| self.guard(**t, turn)).copied();
-                    looked.push((state, found));
-                    found
-                });
-                if let Some(t) = found {
-                    if !enabled.contains(&t) {
-                        enabled.push(t);
-                    }
+            let mut around = Some(leaf);
+            while let Some(state) = around {
+                // From here outward an earlier leaf has looked already, and found the same.
+                if std::mem::replace(&mut self.runs[state as usize].seen, selection) == selection {
                     break;
                 }
+                if let Some(t) = self.first_enabled(state, by, turn) {
+                    enabled.push(t);
+                    break;
+                }
+                around = tables.parent(state);
             }
         }
-        self.without_conflicts(enabled)
+        if enabled.len() > 1 { self.without_conflicts(&enabled, turn.program) } else { enabled }
+    }
+
+    pub(super) fn next_selection(&mut self) -> u32 {
+        if self.selection == u32::MAX {
+            self.runs.iter_mut().for_each(|run| (run.seen, run.filled) = (0, 0));
+            self.selection = 0;
+        }
+        self.selection += 1;
+        self.selection
+    }
+
+    /// The first transition of a state, in the file's order, that fits and whose guard holds.
+    fn first_enabled(&mut self, state: StateId, by: By, turn: &mut Turn<'_>) -> Option<u32> {
+        let program = turn.program;
+        let By::Event(symbol) = by else {
+            return program.tables.always(state).iter().copied().find(|t| self.guard(*t, turn));
+        };
+        let exact = program.tables.exact(state, symbol);
+        let wild = program.tables.wild(state);
+        if wild.is_empty() {
+            return exact.iter().map(|(_, t)| *t).find(|t| self.guard(*t, turn));
+        }
+        let (mut exact, mut wild) =
+            (exact.iter().map(|(_, t)| *t).peekable(), wild.iter().copied().peekable());
+        loop {
+            // Numbers grow in the file's order.
+            let next_is_exact = match (exact.peek(), wild.peek()) {
+                (Some(a), Some(b)) => a < b,
+                (a, _) => a.is_some(),
+            };
+            let t = if next_is_exact { exact.next()? } else { wild.next()? };
+            if (next_is_exact || self.fits(program, t)) && self.guard(t, turn) {
+                return Some(t);
+            }
+        }
+    }
+
+    fn fits(&self, program: &Program, transition: u32) -> bool {
+        let pattern: &Pattern = &program.transitions[transition as usize].pattern;
+        self.store.event.as_ref().is_some_and(|event| pattern.matches(event.name(program)))
     }
 
     /// SCXML's removeConflictingTransitions: of two that leave the same states, the inner one wins, else the
     /// earlier one.
-    fn without_conflicts(&self, enabled: Vec<u32>) -> Vec<u32> {
-        if enabled.len() < 2 {
-            return enabled;
-        }
+    fn without_conflicts(&self, enabled: &[u32], program: &Program) -> Vec<u32> {
         let mut kept: Vec<u32> = Vec::new();
-        for candidate in enabled {
-            let c = &self.program.transitions[candidate as usize];
-            let conflicts = |other: u32| {
-                let o = &self.program.transitions[other as usize];
-                match (c.domain, o.domain) {
-                    (Some(a), Some(b)) => self.program.within(a, b) || self.program.within(b, a),
-                    _ => false,
-                }
+        for candidate in enabled.iter().copied() {
+            let c = &program.transitions[candidate as usize];
+            let domain = self.domain(candidate, program);
+            let conflicts = |other: u32| match (domain, self.domain(other, program)) {
+                (Some(a), Some(b)) => program.within(a, b) || program.within(b, a),
+                _ => false,
             };
             let in_conflict: Vec<u32> = kept.iter().copied().filter(|k| conflicts(*k)).collect();
             let inner = |k: &u32| {
-                let other = self.program.transitions[*k as usize].source;
-                c.source != other && self.program.within(c.source, other)
+                let other = program.transitions[*k as usize].source;
+                c.source != other && program.within(c.source, other)
             };
             if in_conflict.iter().all(inner) {
                 kept.retain(|k| !in_conflict.contains(k));
@@ -277,18 +258,21 @@ impl Engine {
     }
 
     /// Whether a transition's guard holds; one that fails is false and raises `error.execution`.
+    #[inline]
     pub(super) fn guard(&mut self, transition: u32, turn: &mut Turn<'_>) -> bool {
-        let program = std::sync::Arc::clone(&self.program);
-        let transition = &program.transitions[transition as usize];
-        transition.guard.as_ref().is_none_or(|code| {
-            let view = super::View { store: &self.store, runs: &self.runs, sensors: turn.sensors };
-            match code.expr.test(&view) {
-                Ok(holds) => holds,
-                Err(error) => {
-                    self.error(transition.source, &error.message, code.place, turn);
-                    false
-                }
+        if !turn.program.tables.jump(transition).guarded {
+            return true;
+        }
+        let t = &turn.program.transitions[transition as usize];
+        let Some(code) = &t.guard else { return true };
+        let view =
+            View { program: turn.program, store: &self.store, runs: &self.runs, sensors: turn.sensors };
+        match code.expr.test(&view) {
+            Ok(holds) => holds,
+            Err(error) => {
+                self.error(t.source, &error.message, code.place, turn);
+                false
             }
-        })
+        }
     }
 }

@@ -1,12 +1,12 @@
 //! One microstep: cancel what is left, wait until it has returned, then leave, act and enter.
 
 use std::collections::BTreeSet;
-use std::sync::Arc;
 use std::time::Duration;
 
 use super::enter::Entries;
-use super::program::{Kind, StateId};
-use super::{Effect, Engine, Event, Pending, Run, SkillRun, Step, TraceItem, Turn};
+use super::program::{Kind, Pattern, Program, StateId};
+use super::state::{Pending, SkillRun, Step, Turn};
+use super::{Effect, Engine, TraceItem};
 
 /// Longest time that a timer waits.
 const LONGEST_S: f64 = 1.0e9;
@@ -17,27 +17,42 @@ pub(super) fn duration(seconds: f64) -> Duration {
 }
 
 impl Engine {
-    /// Begins a microstep: cancels the skills of all states that it leaves.
-    pub(super) fn begin(&mut self, step: Step, event: Option<Event>, turn: &mut Turn<'_>) {
-        if let Step::Take(transitions) = &step {
-            for t in transitions {
-                let t = &self.program.transitions[*t as usize];
-                turn.trace(TraceItem::Transition {
-                    source: self.program.state(t.source).path.clone(),
-                    event: event.as_ref().map(|e| e.name.to_string()),
-                    target: t.target.map(|s| self.program.state(s).path.clone()),
-                });
-            }
+    /// Begins a microstep: cancels the skills of all states that it leaves, and completes it where there are none.
+    pub(super) fn begin(&mut self, step: Step, turn: &mut Turn<'_>) {
+        if turn.tracing {
+            self.trace_transitions(&step, turn);
         }
-        let exits = self.exits(&step);
-        let waiting = self.cancel(&exits, turn);
-        if !waiting.is_empty() {
-            let states = exits.iter().filter(|s| **s != 0 && !self.program.state(**s).chart_root);
-            let states = states.map(|s| self.program.state(*s).path.clone()).collect();
-            turn.trace(TraceItem::Leaving { states });
+        let exits = self.exits(&step, turn.program);
+        let waiting = if self.skills.is_empty() && self.ready.is_empty() {
+            BTreeSet::new()
+        } else {
+            self.cancel(&exits, turn)
+        };
+        if waiting.is_empty() {
+            return self.complete(step, exits, turn);
         }
-        self.pending = Some(Pending { step, event, exits, waiting });
-        self.complete_if_returned(turn);
+        turn.trace(|p| {
+            let states = exits.iter().filter(|s| !p.is_root(**s));
+            TraceItem::Leaving { states: states.map(|s| p.path(*s).to_owned()).collect() }
+        });
+        self.pending = Some(Pending { step, exits, waiting });
+    }
+
+    fn trace_transitions(&self, step: &Step, turn: &mut Turn<'_>) {
+        let Step::Take(transitions) = step else { return };
+        for t in transitions {
+            let event = self.store.event.as_ref().map(|e| e.name(turn.program).to_owned());
+            turn.trace(|p| {
+                let t = &p.transitions[*t as usize];
+                let targets: Vec<&str> = t.targets.iter().map(|s| p.path(*s)).collect();
+                let always = matches!(t.pattern, Pattern::None) && t.delay.is_none();
+                TraceItem::Transition {
+                    source: p.path(t.source).to_owned(),
+                    event: event.filter(|_| !always),
+                    target: (!targets.is_empty()).then(|| targets.join(" ")),
+                }
+            });
+        }
     }
 
     /// Ends the run, whatever is being done: everything is left, once all skills have returned.
@@ -49,38 +64,65 @@ impl Engine {
         turn: &mut Turn<'_>,
     ) {
         self.show_configuration(turn);
+        self.ended_in = self.leaves();
         // What was pending is given up; its cancelled skills are still waited for, as their states are active.
         self.pending = None;
-        self.begin(Step::Finish { outcome, reason, chain }, None, turn);
+        self.begin(Step::Finish { outcome, reason, chain }, turn);
     }
 
-    fn exits(&self, step: &Step) -> Vec<StateId> {
-        let inside = |domain: StateId| {
-            let program = &self.program;
-            self.configuration.iter().copied().filter(move |s| *s != domain && program.within(*s, domain))
+    /// What a transition leaves and enters is inside this state.
+    pub(super) fn domain(&self, transition: u32, program: &Program) -> Option<StateId> {
+        let jump = program.tables.jump(transition);
+        if !jump.historic {
+            return Some(jump.domain).filter(|d| *d != StateId::MAX);
+        }
+        let t = &program.transitions[transition as usize];
+        let targets: Vec<StateId> =
+            t.targets.iter().flat_map(|target| self.effective(*target, program)).collect();
+        Some(program.domain(t.source, t.internal, &targets))
+    }
+
+    /// Where the active states inside `domain` lie in the configuration.
+    pub(super) fn inside(&self, domain: StateId, program: &Program) -> (usize, usize) {
+        let last = program.tables.last(domain);
+        let from = self.configuration.partition_point(|s| *s <= domain);
+        (from, from + self.configuration[from..].partition_point(|s| *s <= last))
+    }
+
+    fn exits(&mut self, step: &Step, program: &Program) -> Vec<StateId> {
+        let mut exits = std::mem::take(&mut self.exits);
+        exits.clear();
+        let mut add = |domain: StateId| {
+            let (from, to) = self.inside(domain, program);
+            exits.extend_from_slice(&self.configuration[from..to]);
         };
         match step {
-            Step::Finish { .. } => self.configuration.clone(),
-            Step::Restart(state) => inside(*state).collect(),
+            Step::Finish { .. } => exits.extend_from_slice(&self.configuration),
+            Step::Restart(state) => add(*state),
             Step::Take(transitions) => {
-                let domains = transitions.iter().filter_map(|t| self.program.transitions[*t as usize].domain);
-                let exits: BTreeSet<StateId> = domains.flat_map(inside).collect();
-                exits.into_iter().collect()
+                transitions.iter().filter_map(|t| self.domain(*t, program)).for_each(&mut add);
+                if transitions.len() > 1 {
+                    exits.sort_unstable();
+                    exits.dedup();
+                }
             }
         }
+        exits
     }
 
     /// Cancels the skills of these states; gives those that have to return.
     fn cancel(&mut self, states: &[StateId], turn: &mut Turn<'_>) -> BTreeSet<u64> {
         let mut waiting = BTreeSet::new();
         for state in states {
-            let run = &mut self.runs[*state as usize];
-            match run.skill {
+            let Some(extra) = self.runs[*state as usize].extra.as_deref_mut() else { continue };
+            match extra.skill {
                 SkillRun::Running(activation) => {
-                    run.skill = SkillRun::Cancelling(activation);
-                    let path = self.program.state(*state).path.clone();
-                    turn.trace(TraceItem::SkillCancelled { activation, state: path });
-                    let grace = match &self.program.state(*state).kind {
+                    extra.skill = SkillRun::Cancelling(activation);
+                    turn.trace(|p| TraceItem::SkillCancelled {
+                        activation,
+                        state: p.path(*state).to_owned(),
+                    });
+                    let grace = match &turn.program.state(*state).kind {
                         Kind::Skill { manifest } => manifest.grace,
                         _ => Duration::from_secs(1),
                     };
@@ -91,7 +133,7 @@ impl Engine {
                     waiting.insert(activation);
                 }
                 SkillRun::Ready(_) => {
-                    run.skill = SkillRun::None;
+                    extra.skill = SkillRun::None;
                     self.ready.remove(state);
                 }
                 SkillRun::None => {}
@@ -102,35 +144,49 @@ impl Engine {
 
     /// Goes on with the microstep that is pending, once all skills that it leaves have returned.
     pub(super) fn complete_if_returned(&mut self, turn: &mut Turn<'_>) {
-        if self.pending.as_ref().is_none_or(|p| !p.waiting.is_empty()) {
-            return;
+        if let Some(pending) = self.pending.take_if(|p| p.waiting.is_empty()) {
+            self.complete(pending.step, pending.exits, turn);
         }
-        let Some(pending) = self.pending.take() else { return };
-        if pending.event.is_some() {
-            self.store.event.clone_from(&pending.event);
-        }
-        self.remember(&pending.exits);
-        for state in pending.exits.iter().rev() {
-            self.exit(*state, turn);
-        }
-        match pending.step {
-            Step::Take(transitions) => self.take(&transitions, turn),
-            Step::Restart(state) => self.restart(state, pending.event.as_ref(), turn),
+    }
+
+    fn complete(&mut self, step: Step, exits: Vec<StateId>, turn: &mut Turn<'_>) {
+        self.leave(&exits, turn);
+        self.exits = exits;
+        match step {
+            Step::Take(transitions) => {
+                self.take(&transitions, turn);
+                self.enabled = transitions;
+            }
+            Step::Restart(state) => self.restart(state, turn),
             Step::Finish { outcome, reason, chain } => self.finish(outcome, reason, chain, turn),
         }
     }
 
     fn take(&mut self, transitions: &[u32], turn: &mut Turn<'_>) {
-        let program = Arc::clone(&self.program);
+        let program = turn.program;
+        if let [t] = transitions {
+            // By far the most transitions: one, that stays or goes to a state beside that needs nothing.
+            let jump = program.tables.jump(*t);
+            if jump.simple {
+                if jump.acts {
+                    self.act(&program.transitions[*t as usize].actions, jump.source, turn);
+                }
+                if jump.target != StateId::MAX {
+                    self.enter_leaf(jump.target, turn);
+                }
+                return;
+            }
+        }
         let mut entries = Entries::default();
-        for t in transitions {
-            let t = &program.transitions[*t as usize];
+        for number in transitions {
+            let t = &program.transitions[*number as usize];
             // What a transition gives is evaluated before its actions change anything that it reads.
-            let given = self.bindings(&t.with, turn);
+            let given = (!t.with.is_empty()).then(|| self.bindings(&t.with, turn));
             self.act(&t.actions, t.source, turn);
-            if let (Some(target), Some(domain)) = (t.target, t.domain) {
-                self.add_target(target, domain, &mut entries);
-                entries.given.push((target, given));
+            let Some(domain) = self.domain(*number, program) else { continue };
+            entries.targets.extend(t.targets.iter().map(|target| (*target, domain)));
+            if let (Some(given), [target]) = (given, t.targets.as_slice()) {
+                entries.given.push((*target, given));
             }
         }
         self.enter_all(entries, turn);
@@ -138,53 +194,82 @@ impl Engine {
 
     // Leaving.
 
-    /// Histories of states that are left remember what is active now.
-    fn remember(&mut self, exits: &[StateId]) {
-        let program = Arc::clone(&self.program);
+    /// Leaves states, inner ones first; histories remember them before.
+    fn leave(&mut self, exits: &[StateId], turn: &mut Turn<'_>) {
+        if exits.is_empty() {
+            return;
+        }
+        self.moved = true;
         for state in exits {
-            for history in &program.state(*state).histories {
-                let Kind::History { deep, .. } = &program.state(*history).kind else { continue };
-                let inside = self.configuration.iter().copied();
-                let inside = inside.filter(|s| s != state && program.within(*s, *state));
-                let states: Vec<StateId> = if *deep {
-                    // Leaves of this chart; the inside of another chart is not remembered.
-                    let foreign = |s: StateId| {
-                        program.outward(s).take_while(|a| a != state).any(|a| program.state(a).chart_root)
-                    };
-                    let own: Vec<StateId> = inside.filter(|s| !foreign(*s)).collect();
-                    let inner = |s: &StateId| !own.iter().any(|o| o != s && program.within(*o, *s));
-                    own.iter().copied().filter(inner).collect()
-                } else {
-                    inside.filter(|s| program.state(*s).parent == Some(*state)).collect()
-                };
-                self.remembered.insert(*history, states);
+            if !turn.program.tables.node(*state).plain {
+                self.remember(*state, turn.program);
             }
+        }
+        for state in exits.iter().rev() {
+            self.exit(*state, turn);
+        }
+        if let [only] = exits {
+            let at = self.configuration.partition_point(|s| s < only);
+            self.configuration.remove(at);
+        } else {
+            let runs = &self.runs;
+            self.configuration.retain(|s| runs[*s as usize].active);
+        }
+    }
+
+    /// Histories of a state that is left remember what is active now.
+    fn remember(&mut self, state: StateId, program: &Program) {
+        for history in &program.state(state).histories {
+            let Kind::History { deep, .. } = &program.state(*history).kind else { continue };
+            let (from, to) = self.inside(state, program);
+            let inside = self.configuration[from..to].iter().copied();
+            let states: Vec<StateId> = if *deep {
+                // Leaves of this chart; the inside of another chart is not remembered.
+                let foreign = |s: StateId| {
+                    program.outward(s).take_while(|a| *a != state).any(|a| program.state(a).chart_root)
+                };
+                let own: Vec<StateId> = inside.filter(|s| !foreign(*s)).collect();
+                let next = |i: usize| own.get(i + 1).copied();
+                let inner = |i: &usize| next(*i).is_none_or(|n| !program.within(n, own[*i]));
+                (0..own.len()).filter(inner).map(|i| own[i]).collect()
+            } else {
+                inside.filter(|s| program.tables.parent(*s) == Some(state)).collect()
+            };
+            self.remembered.insert(*history, states);
         }
     }
 
     fn exit(&mut self, state: StateId, turn: &mut Turn<'_>) {
-        let program = Arc::clone(&self.program);
-        let of = program.state(state);
+        let program = turn.program;
+        if !program.tables.node(state).plain {
+            self.exit_fully(state, turn);
+        }
+        let run = &mut self.runs[state as usize];
+        run.active = false;
+        run.extra = None;
+        if !program.is_root(state) {
+            turn.trace(|p| TraceItem::Exited { state: p.path(state).to_owned() });
+        }
+    }
+
+    fn exit_fully(&mut self, state: StateId, turn: &mut Turn<'_>) {
+        let of = turn.program.state(state);
         self.act(&of.exit, state, turn);
-        for timer in std::mem::take(&mut self.runs[state as usize].timers) {
+        let timers = self.runs[state as usize].extra.as_deref_mut().map(|e| std::mem::take(&mut e.timers));
+        for timer in timers.into_iter().flatten() {
             if self.timers.remove(&timer).is_some() {
                 turn.out.push(Effect::CancelTimer { timer });
             }
         }
-        for watch in &of.watches {
-            turn.out.push(Effect::DisarmWatch { watch: *watch });
-        }
-        if matches!(of.kind, Kind::Final { .. })
-            && let Some(parent) = of.parent
+        turn.out.extend(of.watches.iter().map(|watch| Effect::DisarmWatch { watch: *watch }));
+        if let (Kind::Final { .. }, Some(parent)) = (&of.kind, of.parent)
+            && let Some(extra) = self.runs[parent as usize].extra.as_deref_mut()
         {
-            self.runs[parent as usize].done = None;
+            extra.done = None;
         }
-        self.runs[state as usize] = Run::default();
-        self.configuration.retain(|s| *s != state);
-        if state != 0 && !of.chart_root {
-            turn.trace(TraceItem::Exited { state: of.path.clone() });
-        }
+        self.eager -= u32::from(!of.always.is_empty());
         if of.unbreakable {
+            self.unbreakable -= 1;
             self.release_held();
         }
     }

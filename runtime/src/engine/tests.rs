@@ -6,16 +6,16 @@ use crate::chart::testing::program;
 use crate::skill::{Failure, Outcome};
 
 /// Drives an engine by hand and keeps what it did as text, one line a thing.
-struct Drive {
-    engine: Engine,
+pub(super) struct Drive {
+    pub(super) engine: Engine,
     log: String,
-    skills: BTreeMap<String, u64>,
-    timers: BTreeMap<u64, Duration>,
-    armed: BTreeMap<u32, u64>,
+    pub(super) skills: BTreeMap<String, u64>,
+    pub(super) timers: BTreeMap<u64, Duration>,
+    pub(super) armed: BTreeMap<u32, u64>,
 }
 
 impl Drive {
-    fn new(text: &str) -> Self {
+    pub(super) fn new(text: &str) -> Self {
         let engine = Engine::new(program(text), &BTreeMap::new(), None).unwrap();
         let (skills, timers, armed) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
         let mut drive = Self { engine, log: String::new(), skills, timers, armed };
@@ -81,18 +81,18 @@ impl Drive {
         }
     }
 
-    fn input(&mut self, input: Input) {
+    pub(super) fn input(&mut self, input: Input) {
         let mut out = Vec::new();
         self.engine.handle(input, &NoSensors, &mut out);
         self.take(out);
     }
 
-    fn event(&mut self, name: &str) -> String {
+    pub(super) fn event(&mut self, name: &str) -> String {
         self.input(Input::Event { name: name.into(), data: Value::Null });
         self.said()
     }
 
-    fn end(&mut self, state: &str, outcome: &str) -> String {
+    pub(super) fn end(&mut self, state: &str, outcome: &str) -> String {
         let activation = self.skills[state];
         let result = match outcome {
             "failure" => Err(Failure::new("no luck")),
@@ -102,18 +102,18 @@ impl Drive {
         self.said()
     }
 
-    fn timer(&mut self) -> String {
+    pub(super) fn timer(&mut self) -> String {
         let (timer, _) = self.timers.pop_first().unwrap();
         self.input(Input::Timer { timer });
         self.said()
     }
 
     /// What was done since the last call, in one line.
-    fn said(&mut self) -> String {
+    pub(super) fn said(&mut self) -> String {
         std::mem::take(&mut self.log).trim_end().replace('\n', "; ")
     }
 
-    fn leaves(&self) -> String {
+    pub(super) fn leaves(&self) -> String {
         self.engine.leaves().iter().map(|s| self.engine.program().path(*s)).collect::<Vec<_>>().join(" ")
     }
 }
@@ -389,7 +389,7 @@ states:
   B: {}
 ",
     );
-    assert_eq!(d.said(), "+A; -A; +B");
+    assert_eq!(d.said(), "+A; error this has no value yet; -A; +B");
 }
 
 #[test]

@@ -4,6 +4,7 @@
 //! selection, and nothing but tokio's clock.
 
 mod skills;
+mod watchdog;
 mod watching;
 
 use std::collections::BTreeMap;
@@ -17,9 +18,10 @@ use tokio_util::sync::CancellationToken;
 
 use crate::channels::Channels;
 use crate::chart::Registry;
-use crate::engine::{Effect, Engine, Input, InputError, Program, Sensors};
+use crate::engine::{Effect, Engine, Input, InputError, InputRecord, Program, Recording, Sensors};
 use crate::trace::{TraceEvent, TraceItem, TraceSink};
 use skills::{Message, Running};
+use watchdog::Watchdog;
 use watching::Watching;
 
 pub use crate::engine::RunResult;
@@ -39,7 +41,8 @@ pub struct ExecOptions {
     pub profile: Option<String>,
     /// Takes what happens.
     pub sink: Option<Box<dyn TraceSink>>,
-    /// Called at once with a state's path when its skill does not return within its grace: stop the robot.
+    /// Called at once with a state's path when its skill does not return within its grace, or has not yielded for a
+    /// long time by the wall clock: stop the robot. In the second case it is called from another thread.
     pub on_stuck: Option<OnStuck>,
 }
 
@@ -82,7 +85,7 @@ pub struct Executor {
     registry: Registry,
     channels: Channels,
     sink: Option<Box<dyn TraceSink>>,
-    on_stuck: Option<OnStuck>,
+    watchdog: Watchdog,
     sender: mpsc::Sender<Message>,
     queue: mpsc::Receiver<Message>,
     stop: CancellationToken,
@@ -127,14 +130,15 @@ impl Executor {
         channels: Channels,
         options: ExecOptions,
     ) -> Result<Self, InputError> {
-        let engine = Engine::new(program, &options.inputs, options.profile.as_deref())?;
+        let mut engine = Engine::new(program, &options.inputs, options.profile.as_deref())?;
+        engine.set_tracing(options.sink.is_some());
         let (sender, queue) = mpsc::channel(QUEUE);
         Ok(Self {
             engine,
             registry,
             channels,
             sink: options.sink,
-            on_stuck: options.on_stuck,
+            watchdog: Watchdog::new(options.on_stuck, sender.clone()),
             sender,
             queue,
             stop: CancellationToken::new(),
@@ -148,6 +152,15 @@ impl Executor {
         })
     }
 
+    /// Sets after how long by the wall clock a skill that does not yield is taken to hang; without this, 10 s. Then
+    /// `on_hang` is called with its state's path, from a thread of its own, after [`ExecOptions::on_stuck`]: where the
+    /// skill blocks the thread that everything runs on, nothing else can go on, and the process should end.
+    #[must_use]
+    pub fn hang_after(mut self, limit: std::time::Duration, on_hang: Option<OnStuck>) -> Self {
+        self.watchdog.set(limit, on_hang);
+        self
+    }
+
     /// A handle that reaches into the run.
     #[must_use]
     pub fn controller(&self) -> Controller {
@@ -157,11 +170,8 @@ impl Executor {
     /// Runs the chart to its end. Dropping the future cancels and aborts all skills.
     pub async fn run(mut self) -> RunResult {
         self.began = Instant::now();
-        let mut effects = Vec::new();
-        let program = Arc::clone(self.engine.program());
-        let hub = Hub { channels: &self.channels, names: program.channels() };
-        self.engine.start(&hub, &mut effects);
-        self.apply(effects);
+        self.watchdog.start();
+        self.turn(None);
         let mut stopping = false;
         loop {
             if let Some(result) = self.result.take() {
@@ -195,6 +205,7 @@ impl Executor {
     fn message(&mut self, message: Message) {
         match message {
             Message::Event { name, data } => self.handle(Input::Event { name, data }),
+            Message::Hangs { reason } => self.handle(Input::Abort { reason }),
             Message::Ended { activation, result } => {
                 self.running.remove(&activation);
                 self.handle(Input::SkillEnded { activation, result });
@@ -203,10 +214,27 @@ impl Executor {
     }
 
     fn handle(&mut self, input: Input) {
+        self.turn(Some(input));
+    }
+
+    /// One turn of the engine, its start where there is no input; for a sink, with what it was told and read.
+    fn turn(&mut self, input: Option<Input>) {
         let mut effects = Vec::new();
         let program = Arc::clone(self.engine.program());
         let hub = Hub { channels: &self.channels, names: program.channels() };
-        self.engine.handle(input, &hub, &mut effects);
+        let Some(sink) = &mut self.sink else {
+            match input {
+                None => self.engine.start(&hub, &mut effects),
+                Some(input) => self.engine.handle(input, &hub, &mut effects),
+            }
+            return self.apply(effects);
+        };
+        let sensors = Recording::new(&hub);
+        match input.clone() {
+            None => self.engine.start(&sensors, &mut effects),
+            Some(input) => self.engine.handle(input, &sensors, &mut effects),
+        }
+        sink.input(&InputRecord { at_ns: nanoseconds(self.began), input, seen: sensors.seen() });
         self.apply(effects);
     }
 
@@ -224,9 +252,7 @@ impl Executor {
         for activation in stuck {
             let Some(running) = self.running.remove(&activation) else { continue };
             tracing::error!(state = running.state(), "a skill did not return after it was cancelled");
-            if let Some(on_stuck) = &mut self.on_stuck {
-                on_stuck(running.state());
-            }
+            self.watchdog.stuck(running.state());
             self.handle(Input::SkillStuck { activation });
         }
         while let Some((key, ())) = self.timers.first_key_value().filter(|((at, ..), ())| *at <= now) {
@@ -262,7 +288,11 @@ impl Executor {
                         continue;
                     };
                     let start = skills::Start { activation, state: path, inputs, limits };
-                    let running = Running::start(implementation, start, self.channels.clone(), &self.sender);
+                    let polls = self.watchdog.watch(activation, &start.state);
+                    let declared = self.registry.manifest(&skill).map_or_else(Vec::new, |m| m.events.clone());
+                    let channels = self.channels.clone();
+                    let running =
+                        Running::start(implementation, start, channels, &self.sender, declared, polls);
                     self.running.insert(activation, running);
                 }
                 Effect::Cancel { activation, grace } => {
@@ -303,11 +333,14 @@ impl Executor {
     }
 
     fn trace(&mut self, item: TraceItem) {
-        let elapsed = Instant::now().duration_since(self.began).as_nanos();
         if let Some(sink) = &mut self.sink {
-            sink.record(&TraceEvent { at_ns: u64::try_from(elapsed).unwrap_or(u64::MAX), item });
+            sink.record(&TraceEvent { at_ns: nanoseconds(self.began), item });
         }
     }
+}
+
+fn nanoseconds(since: Instant) -> u64 {
+    u64::try_from(Instant::now().duration_since(since).as_nanos()).unwrap_or(u64::MAX)
 }
 
 /// What woke the executor.

@@ -12,6 +12,7 @@ use tokio::task::AbortHandle;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
+use super::watchdog::Polls;
 use crate::channels::Channels;
 use crate::skill::{Failure, Limits, Skill, SkillContext, SkillResult};
 
@@ -21,8 +22,18 @@ const EVENTS: usize = 64;
 /// What reaches the executor's queue.
 #[derive(Debug)]
 pub(super) enum Message {
-    Ended { activation: u64, result: SkillResult },
-    Event { name: String, data: Value },
+    Ended {
+        activation: u64,
+        result: SkillResult,
+    },
+    Event {
+        name: String,
+        data: Value,
+    },
+    /// A skill has not yielded for too long.
+    Hangs {
+        reason: String,
+    },
 }
 
 /// What a skill is started with.
@@ -56,6 +67,8 @@ impl Running {
         start: Start,
         channels: Channels,
         queue: &mpsc::Sender<Message>,
+        declared: Vec<String>,
+        polls: Polls,
     ) -> Self {
         let cancel = CancellationToken::new();
         let (events, incoming) = mpsc::channel(EVENTS);
@@ -68,7 +81,8 @@ impl Running {
             channels,
             events,
         };
-        let task = tokio::spawn(drive(skill, context, incoming, start.activation, queue.clone()));
+        let driving = Box::pin(drive(skill, context, incoming, start.activation, queue.clone(), declared));
+        let task = tokio::spawn(polls.of(driving));
         Self { state, cancel, task: task.abort_handle(), deadline: None }
     }
 
@@ -113,8 +127,8 @@ async fn drive(
     mut incoming: mpsc::Receiver<(String, Value)>,
     activation: u64,
     queue: mpsc::Sender<Message>,
+    declared: Vec<String>,
 ) {
-    let declared = skill.manifest().events;
     let state = context.state.clone();
     let pass = |(name, data): (String, Value)| {
         let known = declared.contains(&name);

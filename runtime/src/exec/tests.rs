@@ -225,3 +225,132 @@ states:
         assert_eq!(run(text).await, first);
     }
 }
+
+/// Blocks its thread until the flag is set.
+struct Block(Arc<std::sync::atomic::AtomicBool>);
+
+impl crate::skill::Skill for Block {
+    fn manifest(&self) -> crate::skill::SkillManifest {
+        crate::skill::SkillManifest::new("Block", "Does not yield.")
+    }
+    fn run(
+        &self,
+        _: crate::skill::SkillContext,
+    ) -> futures::future::BoxFuture<'static, crate::skill::SkillResult> {
+        let free = Arc::clone(&self.0);
+        Box::pin(async move {
+            while !free.load(std::sync::atomic::Ordering::Relaxed) {
+                std::hint::spin_loop();
+            }
+            Ok(crate::skill::Outcome::success())
+        })
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_skill_that_does_not_yield_is_seen_by_the_wall_clock() {
+    let text = "statechart: T\ninitial: A\nstates: {A: {skill: Block, transitions: {success: B}}, B: {}}\n";
+    let free = Arc::new(std::sync::atomic::AtomicBool::new(false));
+    let mut registry = Registry::new();
+    registry.add(Arc::new(Block(Arc::clone(&free))));
+    let checked = crate::chart::check(
+        &crate::chart::load_text("test.yaml", text, &[]),
+        &registry,
+        &crate::chart::ChannelSchema::new(),
+    );
+    let stuck = Arc::new(Mutex::new(Vec::new()));
+    let (first, second) = (Arc::clone(&stuck), Arc::clone(&stuck));
+    let options = ExecOptions {
+        on_stuck: Some(Box::new(move |state| first.lock().unwrap().push(format!("stop {state}")))),
+        ..ExecOptions::default()
+    };
+    let executor = Executor::new(checked.program.unwrap(), registry, Channels::new(), options).unwrap();
+    let hang: OnStuck = Box::new(move |state| {
+        second.lock().unwrap().push(format!("hangs {state}"));
+        free.store(true, std::sync::atomic::Ordering::Relaxed);
+    });
+    let result = executor.hang_after(Duration::from_millis(20), Some(hang)).run().await;
+    assert_eq!(*stuck.lock().unwrap(), ["stop A", "hangs A"]);
+    assert_eq!(result.outcome, "failure");
+    assert_eq!(result.reason.as_deref(), Some("the skill of `A` has not yielded for 0.02 s"));
+}
+
+/// Keeps what the engine was told and what came of it.
+#[derive(Clone, Default)]
+struct Record(Arc<Mutex<(Vec<InputRecord>, Vec<TraceItem>)>>);
+
+impl TraceSink for Record {
+    fn record(&mut self, event: &TraceEvent) {
+        self.0.lock().unwrap().1.push(event.item.clone());
+    }
+    fn input(&mut self, turn: &InputRecord) {
+        self.0.lock().unwrap().0.push(turn.clone());
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_recorded_run_replays_with_the_values_that_its_guards_read() {
+    let program = program(
+        "
+statechart: T
+initial: A
+states:
+  A:
+    watch: {w: {if: \"norm(channels.wrist.push) > 1.0\", for: 10ms}}
+    transitions: {w: [{target: Hard, if: \"norm(channels.wrist.push) > 6.0\"}, B]}
+    after: {5s: Hard}
+  B: {skill: Act, with: {end: success, for: 1s, force: \"${channels.wrist.push[0]}\"}, transitions: {success: Done}}
+  Hard: {final: failure}
+  Done: {final: success}
+",
+    );
+    let record = Record::default();
+    let channels = Channels::new();
+    let options = ExecOptions { sink: Some(Box::new(record.clone())), ..ExecOptions::default() };
+    let executor = Executor::new(Arc::clone(&program), registry(), channels.clone(), options).unwrap();
+    let publishing = tokio::spawn(async move {
+        for push in [0.0, 2.0, 3.0, 2.5] {
+            channels.publish("wrist", Value::record([("push", vec![push, 0.0, 0.0].into())]));
+            after(20).await;
+        }
+    });
+    let result = executor.run().await;
+    publishing.await.unwrap();
+    assert_eq!(result.outcome, "success");
+    let (turns, told) = record.0.lock().unwrap().clone();
+    assert!(turns.iter().any(|turn| !turn.seen.is_empty()), "the guard's reading is kept");
+    let mut engine = Engine::new(program, &BTreeMap::new(), None).unwrap();
+    let mut out = Vec::new();
+    turns.iter().for_each(|turn| engine.replay(turn, &mut out));
+    let replayed: Vec<TraceItem> =
+        out.into_iter().filter_map(|e| if let Effect::Trace(item) = e { Some(item) } else { None }).collect();
+    assert_eq!(replayed, told);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_thousand_charts_run_at_once() {
+    let text = "
+statechart: T
+inputs: {n: {type: int}}
+outputs: {got: {type: float}}
+initial: A
+states:
+  A:
+    skill: Act
+    with: {end: success, for: \"${inputs.n * 0.001}\", force: \"${inputs.n}\"}
+    transitions: {success: {target: Done, do: [{assign: {outputs.got: \"${A.value}\"}}]}}
+  Done: {final: success}
+";
+    let program = program(text);
+    let start = |n: i64| {
+        let inputs = BTreeMap::from([("n".to_owned(), Value::Int(n))]);
+        let options = ExecOptions { inputs, ..ExecOptions::default() };
+        let executor = Executor::new(Arc::clone(&program), registry(), Channels::new(), options).unwrap();
+        tokio::spawn(executor.run())
+    };
+    let runs: Vec<_> = (0..1000).map(start).collect();
+    for (n, run) in runs.into_iter().enumerate() {
+        let result = run.await.unwrap();
+        assert_eq!((result.outcome.as_str(), &result.outputs["got"]), ("success", &Value::Float(n as f64)));
+    }
+}

@@ -55,6 +55,7 @@ struct Armed {
     reads: Reads,
     dirty: bool,
     failed: bool,
+    blind: bool,
     next_tick: Option<Instant>,
 }
 
@@ -95,8 +96,9 @@ impl Watching {
             observed.readers += 1;
         }
         let hold = Duration::try_from_secs_f64(watch.hold_s).unwrap_or(Duration::ZERO);
-        let (edge, dirty, failed, next_tick) = (Edge::default(), true, false, None);
-        self.armed.insert(number, Armed { entry, edge, hold, reads, dirty, failed, next_tick });
+        let (edge, next_tick) = (Edge::default(), None);
+        let armed = Armed { entry, edge, hold, reads, dirty: true, failed: false, blind: false, next_tick };
+        self.armed.insert(number, armed);
     }
 
     pub(super) fn disarm(&mut self, number: u32) {
@@ -170,6 +172,11 @@ impl Watching {
                 && !std::mem::replace(&mut armed.failed, true)
             {
                 inputs.push(Input::WatchFailed { watch, entry, message, place });
+            }
+            if let Some((message, place)) = seen.blind
+                && !std::mem::replace(&mut armed.blind, true)
+            {
+                inputs.push(Input::WatchBlind { watch, message, place });
             }
             if armed.edge.sample(now, seen.holds, seen.until, armed.hold) {
                 inputs.push(Input::Watch { watch, entry });

@@ -38,7 +38,12 @@ pub(super) fn compile(source: &str, environment: &dyn Environment) -> Result<Exp
     let (root, ty) = checker.check(&tree)?;
     checker.reads.channels.sort_unstable();
     checker.reads.channels.dedup();
-    Ok(Expr { source: source.to_owned(), ty, reads: checker.reads, root })
+    checker.reads.slots.sort_unstable();
+    checker.reads.slots.dedup();
+    // Channels hold records and lists: what reads one is not for the quick way.
+    let scalar = matches!(ty, Type::Bool | Type::Int | Type::Float(_) | Type::Duration);
+    let quick = scalar && checker.reads.channels.is_empty();
+    Ok(Expr { source: source.to_owned(), ty, reads: checker.reads, quick, root })
 }
 
 fn whole(source: &str, kind: Kind, message: String) -> ExprError {
@@ -222,6 +227,7 @@ impl Checker<'_> {
         match slot {
             Slot::Data(n) => {
                 self.reads.data = true;
+                self.reads.slots.push(n);
                 Node::Data(n, pos)
             }
             Slot::Channel(n) => {

@@ -37,6 +37,8 @@ pub struct EvalError {
     pub end: usize,
     /// Whether the cause is a channel without a value or a number that is NaN.
     pub absent: bool,
+    /// Whether the cause is a number that is NaN.
+    pub nan: bool,
 }
 
 /// A place in the source, bytes.
@@ -49,7 +51,7 @@ pub(super) struct Pos {
 impl Pos {
     pub(super) fn error(self, message: impl Into<String>) -> EvalError {
         let (start, end) = (usize::from(self.start), usize::from(self.end));
-        EvalError { message: message.into(), start, end, absent: false }
+        EvalError { message: message.into(), start, end, absent: false, nan: false }
     }
 
     fn absent(self, message: impl Into<String>) -> EvalError {
@@ -270,7 +272,7 @@ impl<W: World + ?Sized> Evaluation<'_, W> {
             return Err(pos.absent("nothing has been published here yet"));
         };
         if self.observing && has_nan(&value) {
-            return Err(pos.absent("the published number is NaN"));
+            return Err(EvalError { nan: true, ..pos.absent("the published number is NaN") });
         }
         Ok(Val::own(value))
     }

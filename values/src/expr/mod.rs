@@ -9,13 +9,16 @@ mod check_operators;
 mod eval;
 mod functions;
 mod operate;
+mod scalar;
 mod template;
 mod typing;
 
 pub use eval::{EvalError, World};
 pub use template::{Piece, TemplateError, split};
 
+use crate::Value;
 use crate::types::Type;
+use scalar::Scalar;
 
 /// Longest expression that is parsed, bytes: the parser's stack is not ours.
 pub const MAX_SOURCE: usize = 4096;
@@ -116,6 +119,8 @@ pub struct Reads {
     pub age: bool,
     /// Whether it reads data or states of the chart.
     pub data: bool,
+    /// The numbered places that it reads, each once, in order.
+    pub slots: Vec<u32>,
     /// Whether it reads the event.
     pub event: bool,
 }
@@ -126,6 +131,8 @@ pub struct Expr {
     source: String,
     ty: Type,
     reads: Reads,
+    /// Whether it may have a value that fits into registers.
+    quick: bool,
     root: eval::Node,
 }
 
@@ -160,7 +167,23 @@ impl Expr {
     ///
     /// # Errors
     /// [`EvalError`] with the place, for instance a value that is not there yet or a division by zero.
-    pub fn evaluate<W: World + ?Sized>(&self, world: &W) -> Result<crate::Value, EvalError> {
+    pub fn evaluate<W: World + ?Sized>(&self, world: &W) -> Result<Value, EvalError> {
+        if self.quick {
+            match scalar::scalar(&self.root, world) {
+                Some(Scalar::Bool(b)) => return Ok(Value::Bool(b)),
+                Some(Scalar::Int(i)) => return Ok(Value::Int(i)),
+                Some(Scalar::Float(f)) => return Ok(Value::Float(f)),
+                None => {}
+            }
+        }
+        self.interpret(world)
+    }
+
+    /// As [`evaluate`](Self::evaluate), the long way: what the quick way is held against.
+    ///
+    /// # Errors
+    /// [`EvalError`] with the place.
+    pub fn interpret<W: World + ?Sized>(&self, world: &W) -> Result<Value, EvalError> {
         eval::evaluate(&self.root, world)
     }
 
@@ -169,6 +192,11 @@ impl Expr {
     /// # Errors
     /// [`EvalError`] with the place.
     pub fn test<W: World + ?Sized>(&self, world: &W) -> Result<bool, EvalError> {
+        if self.quick
+            && let Some(Scalar::Bool(b)) = scalar::scalar(&self.root, world)
+        {
+            return Ok(b);
+        }
         eval::test(&self.root, world, false)
     }
 
@@ -177,10 +205,18 @@ impl Expr {
     /// # Errors
     /// [`EvalError`] with the place, for every other failure.
     pub fn observe<W: World + ?Sized>(&self, world: &W) -> Result<bool, EvalError> {
-        match eval::test(&self.root, world, true) {
+        match self.look(world) {
             Err(error) if error.absent => Ok(false),
             other => other,
         }
+    }
+
+    /// Its truth now, for an observer that wants to know why nothing can be said.
+    ///
+    /// # Errors
+    /// [`EvalError`] with the place; `absent` where a channel was never published, and `nan` where its number is NaN.
+    pub fn look<W: World + ?Sized>(&self, world: &W) -> Result<bool, EvalError> {
+        eval::test(&self.root, world, true)
     }
 }
 

@@ -27,6 +27,21 @@ pub(super) enum Comparison {
     NotEqual,
 }
 
+impl Comparison {
+    /// Whether it holds for two values of this order; numbers that are NaN have none.
+    #[inline]
+    pub(super) fn holds(self, order: Option<Ordering>) -> bool {
+        match self {
+            Self::Less => order == Some(Ordering::Less),
+            Self::LessEqual => matches!(order, Some(Ordering::Less | Ordering::Equal)),
+            Self::Greater => order == Some(Ordering::Greater),
+            Self::GreaterEqual => matches!(order, Some(Ordering::Greater | Ordering::Equal)),
+            Self::Equal => order == Some(Ordering::Equal),
+            Self::NotEqual => order != Some(Ordering::Equal),
+        }
+    }
+}
+
 pub(super) fn has_nan(value: &Value) -> bool {
     match value {
         Value::Float(f) | Value::Duration(f) => f.is_nan(),
@@ -125,14 +140,7 @@ pub(super) fn compare(op: Comparison, a: &Val<'_>, b: &Val<'_>, pos: Pos) -> Res
             },
         },
     };
-    Ok(match op {
-        C::Less => order == Some(Ordering::Less),
-        C::LessEqual => matches!(order, Some(Ordering::Less | Ordering::Equal)),
-        C::Greater => order == Some(Ordering::Greater),
-        C::GreaterEqual => matches!(order, Some(Ordering::Greater | Ordering::Equal)),
-        C::Equal => order == Some(Ordering::Equal),
-        C::NotEqual => order != Some(Ordering::Equal),
-    })
+    Ok(op.holds(order))
 }
 
 pub(super) fn equal(a: &Val<'_>, b: &Val<'_>) -> bool {

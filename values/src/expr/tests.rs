@@ -183,3 +183,93 @@ fn comprehensions_are_bounded() {
     let expr = Expr::compile("items.all(a, items.all(b, a == b))", &fixture).unwrap();
     assert!(expr.test(&fixture).unwrap_err().message.contains("10000"));
 }
+
+mod agreement {
+    //! The quick way and the long way of an expression agree; and both agree with the interpreter of the crate `cel`
+    //! where that has a value of the same kind.
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn number() -> impl Strategy<Value = String> {
+        let leaf = prop_oneof![
+            (-20_i64..20).prop_map(|i| if i < 0 { format!("({i})") } else { i.to_string() }),
+            Just("n".to_owned()),
+            Just("big".to_owned()),
+            Just("later".to_owned()),
+        ];
+        leaf.prop_recursive(4, 24, 2, |inner| {
+            let pair = (inner.clone(), prop::sample::select(vec!["+", "-", "*", "/", "%"]), inner.clone());
+            prop_oneof![
+                4 => pair.prop_map(|(a, op, b)| format!("({a} {op} {b})")),
+                1 => inner.prop_map(|a| format!("(-{a})")),
+            ]
+        })
+    }
+
+    fn truth() -> impl Strategy<Value = String> {
+        let leaf = prop_oneof![
+            4 => (number(), prop::sample::select(vec!["<", "<=", ">", ">=", "==", "!="]), number())
+                .prop_map(|(a, op, b)| format!("({a} {op} {b})")),
+            1 => prop::sample::select(vec!["true", "false", "active('A')", "flag", "gesture == 'fist'", "x < 2.0", "sqrt(x) > 1.5"])
+                .prop_map(|s| format!("({s})")),
+        ];
+        leaf.prop_recursive(4, 16, 2, |inner| {
+            let pair = (inner.clone(), prop::sample::select(vec!["&&", "||", "=="]), inner.clone());
+            prop_oneof![
+                3 => pair.prop_map(|(a, op, b)| format!("({a} {op} {b})")),
+                1 => inner.clone().prop_map(|a| format!("!{a}")),
+                1 => (inner.clone(), inner.clone(), inner).prop_map(|(a, b, c)| format!("({a} ? {b} : {c})")),
+            ]
+        })
+    }
+
+    fn world(n: i64, big: i64, flag: bool, x: f64) -> Fixture {
+        let mut fixture = fixture();
+        fixture.0[0].2 = Some(Value::Int(n));
+        fixture.0[1].2 = Some(Value::Float(x));
+        fixture.0[6] = ("later", Type::Int, None);
+        fixture.0.push(("big", Type::Int, Some(Value::Int(big))));
+        fixture.0.push(("flag", Type::Bool, Some(Value::Bool(flag))));
+        fixture
+    }
+
+    /// What the crate's interpreter says, where it has a value.
+    fn oracle(source: &str, n: i64, big: i64, flag: bool) -> Option<cel::Value> {
+        let program = cel::Program::compile(source).ok()?;
+        let mut context = cel::Context::default();
+        context.add_variable("n", n).ok()?;
+        context.add_variable("big", big).ok()?;
+        context.add_variable("flag", flag).ok()?;
+        program.execute(&context).ok()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 1000, failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn numbers_agree(source in number(), n in -9_i64..9, big in prop_oneof![Just(i64::MAX), Just(i64::MIN), 0_i64..3]) {
+            let world = world(n, big, true, 1.0);
+            let expr = Expr::compile(&source, &world).unwrap();
+            let value = expr.evaluate(&world);
+            prop_assert_eq!(&value, &expr.interpret(&world), "{}", source);
+            if let Some(cel::Value::Int(expected)) = oracle(&source, n, big, true) {
+                prop_assert_eq!(value, Ok(Value::Int(expected)), "{}", source);
+            }
+        }
+
+        #[test]
+        fn truths_agree(source in truth(), n in -9_i64..9, big in 0_i64..3, flag: bool, x in prop_oneof![Just(f64::NAN), 0.0..4.0]) {
+            let world = world(n, big, flag, x);
+            let expr = Expr::compile(&source, &world).unwrap();
+            let value = expr.evaluate(&world);
+            prop_assert_eq!(&value, &expr.interpret(&world), "{}", source);
+            prop_assert_eq!(value.clone(), expr.test(&world).map(Value::Bool), "{}", source);
+            // Its `&&` and `||` look at both sides before they fail: only where ours has a value must they agree.
+            if let (Some(cel::Value::Bool(expected)), Ok(value)) = (oracle(&source, n, big, flag), value) {
+                prop_assert_eq!(value, Value::Bool(expected), "{}", source);
+            }
+        }
+    }
+}

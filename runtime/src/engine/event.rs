@@ -1,0 +1,99 @@
+//! Events as the engine keeps them: where they come from, who may take them, and the queues that they wait in.
+
+use std::sync::Arc;
+
+use armarium_values::Value;
+
+use super::program::{Program, StateId};
+use super::tables::{FAILURE, Symbol, UNKNOWN};
+
+/// What an event is, beyond its name.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Origin {
+    /// All active states see it.
+    Broadcast,
+    /// An expression failed in this state.
+    Error(StateId),
+    /// The state reported its outcome; `region_end` when it is a region that came to a final state of its own.
+    Outcome { state: StateId, entry: u64, region_end: bool },
+    /// A watch of the state fired.
+    Watch { state: StateId, entry: u64 },
+    /// A timer of the state ran out; it takes this transition only.
+    After { state: StateId, entry: u64, transition: u32 },
+    /// The state's wait before its next try is over.
+    Retry { state: StateId, entry: u64 },
+}
+
+/// Small, as it is moved often: what most events do not have is behind a pointer.
+#[derive(Clone, Debug)]
+pub(super) struct Event {
+    pub(super) symbol: Symbol,
+    pub(super) origin: Origin,
+    data: Option<Box<Value>>,
+    rare: Option<Box<Rare>>,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Rare {
+    /// The name, where the chart does not know it.
+    name: Option<Arc<str>>,
+    /// What an event that was held back has already moved: states inside do not see it again.
+    served: Vec<StateId>,
+}
+
+impl Event {
+    #[inline]
+    pub(super) fn new(symbol: Symbol, data: Value, origin: Origin) -> Self {
+        let data = if matches!(data, Value::Null) { None } else { Some(Box::new(data)) };
+        Self { symbol, origin, data, rare: None }
+    }
+
+    /// An event for all active states, by its name.
+    pub(super) fn named(program: &Program, name: &str, data: Value) -> Self {
+        if let Some(symbol) = program.tables.symbols.find(name) {
+            return Self::new(symbol, data, Origin::Broadcast);
+        }
+        let rare = Rare { name: Some(name.into()), served: Vec::new() };
+        Self { rare: Some(Box::new(rare)), ..Self::new(UNKNOWN, data, Origin::Broadcast) }
+    }
+
+    pub(super) fn data(&self) -> &Value {
+        static NULL: Value = Value::Null;
+        self.data.as_deref().unwrap_or(&NULL)
+    }
+
+    /// The states that have had it; they are forgotten.
+    pub(super) fn take_served(&mut self) -> Vec<StateId> {
+        self.rare.as_deref_mut().map_or_else(Vec::new, |rare| std::mem::take(&mut rare.served))
+    }
+
+    pub(super) fn set_served(&mut self, served: Vec<StateId>) {
+        if !served.is_empty() {
+            self.rare.get_or_insert_default().served = served;
+        }
+    }
+
+    pub(super) fn name<'e>(&'e self, program: &'e Program) -> &'e str {
+        let other = self.rare.as_deref().and_then(|rare| rare.name.as_deref());
+        other.unwrap_or_else(|| program.tables.symbols.name(self.symbol))
+    }
+
+    /// The state that it belongs to and the entry that it was meant for.
+    pub(super) fn scope(&self) -> Option<(StateId, u64)> {
+        match self.origin {
+            Origin::Broadcast | Origin::Error(_) => None,
+            Origin::Outcome { state, entry, .. }
+            | Origin::Watch { state, entry }
+            | Origin::Retry { state, entry }
+            | Origin::After { state, entry, .. } => Some((state, entry)),
+        }
+    }
+
+    pub(super) fn is_failure(&self) -> bool {
+        self.symbol == FAILURE && matches!(self.origin, Origin::Outcome { .. })
+    }
+
+    pub(super) fn is_error(&self, program: &Program) -> bool {
+        matches!(self.origin, Origin::Error(_)) || self.name(program).starts_with("error.")
+    }
+}

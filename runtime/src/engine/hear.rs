@@ -1,0 +1,94 @@
+//! What reaches a run from outside becomes events: timers that ran out, skills that returned or are stuck, a stop.
+
+use std::collections::BTreeMap;
+
+use armarium_values::Value;
+
+use super::event::{Event, Origin};
+use super::program::StateId;
+use super::state::{Extra, SkillRun, Step, TimerUse, Turn};
+use super::tables::{AFTER, RETRY};
+use super::{Engine, MAX_QUEUE, TraceItem};
+use crate::skill::SkillResult;
+
+impl Engine {
+    /// What only few states need, made where it is not there yet.
+    pub(super) fn extra(&mut self, state: StateId) -> &mut Extra {
+        self.runs[state as usize].extra.get_or_insert_default()
+    }
+
+    pub(super) fn extra_of(&self, state: StateId) -> Option<&Extra> {
+        self.runs[state as usize].extra.as_deref()
+    }
+
+    /// Queues an event from outside.
+    pub(super) fn queue(&mut self, event: Event, turn: &mut Turn<'_>) {
+        if self.external.len() >= MAX_QUEUE {
+            let reason = "too many events are waiting".into();
+            turn.trace(|p| TraceItem::Dropped { name: event.name(p).to_owned(), reason });
+        } else {
+            self.external.push_back(event);
+        }
+    }
+
+    pub(super) fn timer(&mut self, timer: u64, turn: &mut Turn<'_>) {
+        match self.timers.remove(&timer) {
+            None => {}
+            Some(TimerUse::Send { event, .. }) => self.queue(event, turn),
+            Some(TimerUse::After { state, entry, transition }) => {
+                let path = turn.program.path(state);
+                let reason = format!("`{path}` had not ended when its time was up");
+                let data = Value::record([("reason", reason.into())]);
+                self.queue(Event::new(AFTER, data, Origin::After { state, entry, transition }), turn);
+            }
+            Some(TimerUse::Retry { state, entry }) => {
+                self.queue(Event::new(RETRY, Value::Null, Origin::Retry { state, entry }), turn);
+            }
+        }
+    }
+
+    pub(super) fn skill_ended(&mut self, activation: u64, result: SkillResult, turn: &mut Turn<'_>) {
+        let Some(state) = self.skills.remove(&activation) else { return };
+        let cancelled = self.extra(state).skill == SkillRun::Cancelling(activation);
+        turn.trace(|p| {
+            let (outcome, reason, outputs) = match &result {
+                _ if cancelled => ("cancelled", None, BTreeMap::new()),
+                Ok(outcome) => (outcome.name.as_str(), None, outcome.outputs.clone()),
+                Err(failure) => ("failure", Some(failure.reason.clone()), BTreeMap::new()),
+            };
+            let (state, outcome) = (p.path(state).to_owned(), outcome.to_owned());
+            TraceItem::SkillEnded { activation, state, outcome, reason, outputs }
+        });
+        self.extra(state).skill = SkillRun::None;
+        if cancelled {
+            self.returned(activation, turn);
+        } else {
+            let event = self.outcome_of_skill(state, result, turn);
+            self.external.push_back(event);
+        }
+    }
+
+    /// A skill that was cancelled is gone.
+    pub(super) fn returned(&mut self, activation: u64, turn: &mut Turn<'_>) {
+        if let Some(pending) = &mut self.pending {
+            pending.waiting.remove(&activation);
+            self.complete_if_returned(turn);
+        }
+    }
+
+    pub(super) fn skill_stuck(&mut self, activation: u64, turn: &mut Turn<'_>) {
+        let Some(state) = self.skills.remove(&activation) else { return };
+        let path = turn.program.path(state).to_owned();
+        self.extra(state).skill = SkillRun::None;
+        let reason = format!("the skill of `{path}` did not return after it was cancelled");
+        self.finish_with("failure".into(), Some(reason), vec![path], turn);
+        self.returned(activation, turn);
+    }
+
+    pub(super) fn stop(&mut self, outcome: &str, reason: String, turn: &mut Turn<'_>) {
+        let running = self.pending.as_ref().is_some_and(|p| matches!(p.step, Step::Finish { .. }));
+        if !running {
+            self.finish_with(outcome.to_owned(), Some(reason), Vec::new(), turn);
+        }
+    }
+}

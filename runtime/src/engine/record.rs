@@ -1,0 +1,113 @@
+//! What a turn of the engine read from its sensors, kept beside its input, so that the turn can be run again.
+//!
+//! The engine is a function of its inputs and of what its expressions read: a run that is fed the same inputs, and for
+//! each the same readings in the same order, goes through the same states.
+
+use std::cell::RefCell;
+use std::collections::VecDeque;
+
+use armarium_values::Value;
+use serde::{Deserialize, Serialize};
+
+use super::{Effect, Engine, Input, Sensors};
+
+/// One reading of a sensor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Seen {
+    /// A channel's value, or a field of it; none when there was none.
+    Channel(Option<Value>),
+    /// Seconds since a channel was published; none when it never was.
+    Age(Option<f64>),
+}
+
+/// One turn of a run: what the engine was told, and what it read.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct InputRecord {
+    /// Virtual time since the run began, ns.
+    pub at_ns: u64,
+    /// What it was told; none for the start.
+    pub input: Option<Input>,
+    /// What its expressions read, in order.
+    pub seen: Vec<Seen>,
+}
+
+impl Engine {
+    /// Runs a recorded turn again. An engine that is given all turns of a run, begun with the same inputs of the chart,
+    /// goes through the same states and gives the same effects.
+    pub fn replay(&mut self, turn: &InputRecord, out: &mut Vec<Effect>) {
+        let sensors = Replaying::new(turn.seen.iter().cloned());
+        match &turn.input {
+            None => self.start(&sensors, out),
+            Some(input) => self.handle(input.clone(), &sensors, out),
+        }
+    }
+}
+
+/// Sensors that keep what was read from others.
+pub struct Recording<'s> {
+    inner: &'s dyn Sensors,
+    seen: RefCell<Vec<Seen>>,
+}
+
+impl std::fmt::Debug for Recording<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Recording").field("seen", &self.seen).finish_non_exhaustive()
+    }
+}
+
+impl<'s> Recording<'s> {
+    /// Reads from `inner`.
+    #[must_use]
+    pub fn new(inner: &'s dyn Sensors) -> Self {
+        Self { inner, seen: RefCell::new(Vec::new()) }
+    }
+
+    /// What was read, in order.
+    #[must_use]
+    pub fn seen(self) -> Vec<Seen> {
+        self.seen.into_inner()
+    }
+}
+
+impl Sensors for Recording<'_> {
+    fn channel(&self, channel: u32, path: &[String]) -> Option<Value> {
+        let value = self.inner.channel(channel, path);
+        self.seen.borrow_mut().push(Seen::Channel(value.clone()));
+        value
+    }
+    fn age(&self, channel: u32) -> Option<f64> {
+        let age = self.inner.age(channel);
+        self.seen.borrow_mut().push(Seen::Age(age));
+        age
+    }
+}
+
+/// Sensors that give what was read before, in the same order; nothing once that is used up.
+#[derive(Debug, Default)]
+pub struct Replaying {
+    seen: RefCell<VecDeque<Seen>>,
+}
+
+impl Replaying {
+    /// Gives these readings.
+    #[must_use]
+    pub fn new(seen: impl IntoIterator<Item = Seen>) -> Self {
+        Self { seen: RefCell::new(seen.into_iter().collect()) }
+    }
+}
+
+impl Sensors for Replaying {
+    fn channel(&self, _: u32, _: &[String]) -> Option<Value> {
+        match self.seen.borrow_mut().pop_front() {
+            Some(Seen::Channel(value)) => value,
+            _ => None,
+        }
+    }
+    fn age(&self, _: u32) -> Option<f64> {
+        match self.seen.borrow_mut().pop_front() {
+            Some(Seen::Age(age)) => age,
+            _ => None,
+        }
+    }
+}

@@ -1,0 +1,139 @@
+//! What a run consists of: what each state is doing, the microstep that is pending, the variables, and the view that
+//! expressions have of all that.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use armarium_values::Value;
+use armarium_values::expr::World;
+
+use super::event::Event;
+use super::program::{Program, StateId};
+use super::tables::Symbol;
+use super::{Effect, Sensors, TraceItem};
+
+/// What a state's skill is doing.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) enum SkillRun {
+    #[default]
+    None,
+    /// Entered; starts when the macrostep is over.
+    Ready(BTreeMap<String, Value>),
+    Running(u64),
+    Cancelling(u64),
+}
+
+/// What a state is doing; reset when it is entered.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Run {
+    /// Counts entries of all states: tells one stay in a state from another.
+    pub(super) entry: u64,
+    /// What few states need.
+    pub(super) extra: Option<Box<Extra>>,
+    /// The newest selection that has looked at it.
+    pub(super) seen: u32,
+    /// The newest entry that has planned a state inside it.
+    pub(super) filled: u32,
+    pub(super) active: bool,
+}
+
+/// What a state with a skill, timers, tries or an outcome is doing.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Extra {
+    pub(super) skill: SkillRun,
+    /// Its outcome, once nobody handled it.
+    pub(super) done: Option<Symbol>,
+    /// Whether it has reported its outcome, for unbreakable states.
+    pub(super) ended: bool,
+    pub(super) retries: u32,
+    /// Waits before it is tried again; nothing inside it is active.
+    pub(super) waiting: bool,
+    pub(super) timers: Vec<u64>,
+    /// What the transition that entered it gave, for further tries.
+    pub(super) given: BTreeMap<String, Value>,
+    /// For a parallel state: the first outcome of a region that is not success.
+    pub(super) first_other: Option<(Symbol, Value)>,
+}
+
+#[derive(Clone, Debug)]
+pub(super) enum TimerUse {
+    After { state: StateId, entry: u64, transition: u32 },
+    Retry { state: StateId, entry: u64 },
+    Send { id: Option<String>, event: Event },
+}
+
+/// What a microstep does once all skills that it leaves have returned.
+#[derive(Clone, Debug)]
+pub(super) enum Step {
+    Take(Vec<u32>),
+    /// Try the inside of a state again.
+    Restart(StateId),
+    Finish {
+        outcome: String,
+        reason: Option<String>,
+        chain: Vec<String>,
+    },
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct Pending {
+    pub(super) step: Step,
+    /// States to leave, in the file's order.
+    pub(super) exits: Vec<StateId>,
+    /// Skills that have not returned yet.
+    pub(super) waiting: BTreeSet<u64>,
+}
+
+/// The variables of a run, which expressions read.
+#[derive(Debug, Default)]
+pub(super) struct Store {
+    pub(super) data: Vec<Option<Value>>,
+    pub(super) event: Option<Event>,
+}
+
+/// The engine's variables, states and sensors together, as expressions see them.
+pub(super) struct View<'v> {
+    pub(super) program: &'v Program,
+    pub(super) store: &'v Store,
+    pub(super) runs: &'v [Run],
+    pub(super) sensors: &'v dyn Sensors,
+}
+
+impl World for View<'_> {
+    #[inline]
+    fn data(&self, slot: u32) -> Option<&Value> {
+        self.store.data.get(slot as usize)?.as_ref()
+    }
+    fn channel(&self, channel: u32, path: &[String]) -> Option<Value> {
+        self.sensors.channel(channel, path)
+    }
+    fn age(&self, channel: u32) -> Option<f64> {
+        self.sensors.age(channel)
+    }
+    fn event_name(&self) -> Option<&str> {
+        self.store.event.as_ref().map(|e| e.name(self.program))
+    }
+    fn event_data(&self) -> Option<&Value> {
+        self.store.event.as_ref().map(|e| e.data())
+    }
+    fn active(&self, state: u32) -> bool {
+        self.runs.get(state as usize).is_some_and(|r| r.active)
+    }
+}
+
+/// What one call works with.
+pub(super) struct Turn<'t> {
+    pub(super) program: &'t Program,
+    pub(super) sensors: &'t dyn Sensors,
+    pub(super) out: &'t mut Vec<Effect>,
+    pub(super) tracing: bool,
+}
+
+impl<'t> Turn<'t> {
+    /// Tells what happens; nothing is put together when nobody listens.
+    #[inline]
+    pub(super) fn trace(&mut self, item: impl FnOnce(&'t Program) -> TraceItem) {
+        if self.tracing {
+            self.out.push(Effect::Trace(item(self.program)));
+        }
+    }
+}

@@ -1,0 +1,229 @@
+//! What the engine looks at for every event, side by side: names of events as numbers, the tree of states, and for
+//! each state the transitions by event. A lookup costs the logarithm of one state's events, whatever the chart's size.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use super::program::{Kind, Pattern, State, StateId, Transition};
+
+/// Number of an event's name.
+pub(crate) type Symbol = u32;
+
+/// The name of no event that the chart knows.
+pub(crate) const UNKNOWN: Symbol = u32::MAX;
+pub(crate) const FAILURE: Symbol = 0;
+pub(crate) const SUCCESS: Symbol = 1;
+pub(crate) const ERROR_EXECUTION: Symbol = 2;
+pub(crate) const ERROR_QUEUE: Symbol = 3;
+pub(crate) const AFTER: Symbol = 4;
+pub(crate) const RETRY: Symbol = 5;
+pub(crate) const ERROR_CHANNEL: Symbol = 6;
+/// The names that every program knows, by their numbers.
+const FIXED: [&str; 7] =
+    ["failure", "success", "error.execution", "error.queue", "after", "retry", "error.channel"];
+
+/// Names of events and their numbers.
+#[derive(Debug)]
+pub(crate) struct Symbols {
+    names: Vec<Arc<str>>,
+    numbers: BTreeMap<Arc<str>, Symbol>,
+}
+
+impl Default for Symbols {
+    fn default() -> Self {
+        let mut symbols = Self { names: Vec::new(), numbers: BTreeMap::new() };
+        FIXED.iter().for_each(|name| {
+            symbols.intern(name);
+        });
+        symbols
+    }
+}
+
+impl Symbols {
+    /// The number of a name, a new one where it is not known.
+    pub(crate) fn intern(&mut self, name: &str) -> Symbol {
+        if let Some(known) = self.numbers.get(name) {
+            return *known;
+        }
+        let name: Arc<str> = name.into();
+        let number = Symbol::try_from(self.names.len()).unwrap_or(UNKNOWN);
+        self.names.push(Arc::clone(&name));
+        self.numbers.insert(name, number);
+        number
+    }
+
+    pub(crate) fn find(&self, name: &str) -> Option<Symbol> {
+        self.numbers.get(name).copied()
+    }
+
+    /// The name of a number that was given out.
+    pub(crate) fn name(&self, symbol: Symbol) -> &str {
+        self.names.get(symbol as usize).map_or("", |name| &**name)
+    }
+}
+
+/// A run of entries in a list.
+type Span = (u32, u32);
+
+/// One state, as selecting, leaving and entering see it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Node {
+    parent: StateId,
+    last: StateId,
+    /// Transitions by exact event, in [`Tables::on`].
+    on: Span,
+    /// Transitions with a star, in [`Tables::lists`].
+    wild: Span,
+    /// Eventless transitions, in [`Tables::lists`].
+    always: Span,
+    /// Entering and leaving it does nothing but that.
+    pub(crate) plain: bool,
+    /// A plain state with nothing inside.
+    pub(crate) leaf: bool,
+}
+
+/// One transition, as taking it sees it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Jump {
+    pub(crate) source: StateId,
+    /// What is left and entered is inside this state; [`StateId::MAX`] for a transition without target.
+    pub(crate) domain: StateId,
+    /// Where a simple transition goes; [`StateId::MAX`] where it stays.
+    pub(crate) target: StateId,
+    pub(crate) guarded: bool,
+    pub(crate) acts: bool,
+    /// Whether the domain depends on what a history remembers.
+    pub(crate) historic: bool,
+    /// It stays, or goes to a plain leaf beside what it leaves, and gives nothing.
+    pub(crate) simple: bool,
+}
+
+/// See the module.
+#[derive(Debug, Default)]
+pub(crate) struct Tables {
+    pub(crate) symbols: Symbols,
+    nodes: Vec<Node>,
+    /// Event and transition, ordered by both within a state.
+    on: Vec<(Symbol, u32)>,
+    lists: Vec<u32>,
+    jumps: Vec<Jump>,
+}
+
+fn at(list: &[u32]) -> u32 {
+    u32::try_from(list.len()).unwrap_or(u32::MAX)
+}
+
+impl Tables {
+    pub(crate) fn new(symbols: Symbols, states: &[State], transitions: &[Transition]) -> Self {
+        let mut tables = Self {
+            symbols,
+            nodes: Vec::with_capacity(states.len()),
+            on: Vec::new(),
+            lists: Vec::new(),
+            jumps: Vec::new(),
+        };
+        for state in states {
+            let (on_start, wild_start) = (tables.on.len(), at(&tables.lists));
+            for t in &state.transitions {
+                match &transitions[*t as usize].pattern {
+                    Pattern::Exact(name) => {
+                        let symbol = tables.symbols.intern(name);
+                        tables.on.push((symbol, *t));
+                    }
+                    Pattern::Prefix(_) | Pattern::Any => tables.lists.push(*t),
+                    Pattern::None => {}
+                }
+            }
+            tables.on[on_start..].sort_unstable();
+            let always_start = at(&tables.lists);
+            tables.lists.extend(&state.always);
+            let plain = plain(state);
+            let number = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+            tables.nodes.push(Node {
+                parent: state.parent.unwrap_or(StateId::MAX),
+                last: state.last,
+                on: (number(on_start), number(tables.on.len())),
+                wild: (wild_start, always_start),
+                always: (always_start, at(&tables.lists)),
+                plain,
+                leaf: plain && matches!(state.kind, Kind::Atomic),
+            });
+        }
+        tables
+    }
+
+    /// Takes up transitions whose domains are known.
+    pub(crate) fn set_jumps(&mut self, transitions: &[Transition]) {
+        let jump = |t: &Transition| {
+            let domain = t.domain.unwrap_or(StateId::MAX);
+            let leaf = |s: StateId| self.node(s).leaf && self.node(s).parent == domain;
+            let (simple, target) = match t.targets.as_slice() {
+                [] => (t.with.is_empty(), StateId::MAX),
+                [only] => (t.with.is_empty() && leaf(*only), *only),
+                _ => (false, StateId::MAX),
+            };
+            let (guarded, acts) = (t.guard.is_some(), !t.actions.is_empty());
+            Jump { source: t.source, domain, target, guarded, acts, historic: t.historic, simple }
+        };
+        self.jumps = transitions.iter().map(jump).collect();
+    }
+
+    #[inline]
+    pub(crate) fn jump(&self, transition: u32) -> &Jump {
+        &self.jumps[transition as usize]
+    }
+
+    #[inline]
+    pub(crate) fn node(&self, state: StateId) -> &Node {
+        &self.nodes[state as usize]
+    }
+
+    pub(crate) fn parent(&self, state: StateId) -> Option<StateId> {
+        Some(self.node(state).parent).filter(|p| *p != StateId::MAX)
+    }
+
+    pub(crate) fn last(&self, state: StateId) -> StateId {
+        self.node(state).last
+    }
+
+    /// The transitions of a state that name this event exactly, in the file's order.
+    pub(crate) fn exact(&self, state: StateId, event: Symbol) -> &[(Symbol, u32)] {
+        let (from, to) = self.node(state).on;
+        let all = &self.on[from as usize..to as usize];
+        let from = all.partition_point(|(symbol, _)| *symbol < event);
+        let to = all[from..].partition_point(|(symbol, _)| *symbol == event);
+        &all[from..from + to]
+    }
+
+    /// The transitions of a state that name events with a star, in the file's order.
+    pub(crate) fn wild(&self, state: StateId) -> &[u32] {
+        let (from, to) = self.node(state).wild;
+        &self.lists[from as usize..to as usize]
+    }
+
+    /// The eventless transitions of a state, in the file's order.
+    pub(crate) fn always(&self, state: StateId) -> &[u32] {
+        let (from, to) = self.node(state).always;
+        &self.lists[from as usize..to as usize]
+    }
+}
+
+/// Whether entering and leaving a state has no effect beyond the configuration.
+fn plain(state: &State) -> bool {
+    let kind = match &state.kind {
+        Kind::Atomic | Kind::Parallel => true,
+        Kind::Composite { initial } => initial.actions.is_empty(),
+        _ => false,
+    };
+    kind && state.parent.is_some()
+        && state.enter.is_empty()
+        && state.exit.is_empty()
+        && state.after.is_empty()
+        && state.watches.is_empty()
+        && state.always.is_empty()
+        && state.with.is_empty()
+        && state.histories.is_empty()
+        && state.retry.is_none()
+        && !state.unbreakable
+        && !state.chart_root
+}

@@ -1,0 +1,174 @@
+//! Watches by the wall clock that skills yield. The executor's own time may be virtual, and may stand still while a
+//! skill blocks its thread: only another thread sees that.
+//!
+//! It changes nothing in a run in which every skill yields.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::pin::Pin;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll};
+use std::time::{Duration, Instant};
+
+use tokio::sync::mpsc;
+
+use super::OnStuck;
+use super::skills::Message;
+
+/// After how long a skill that does not yield is taken to hang, unless something else is asked for.
+const HANGS: Duration = Duration::from_secs(10);
+
+/// When a skill's poll began, ns since the watchdog was made; 0 between polls.
+type Since = Arc<AtomicU64>;
+
+struct Shared {
+    began: Instant,
+    skills: Mutex<BTreeMap<u64, (String, Since)>>,
+    on_stuck: Mutex<Option<OnStuck>>,
+    over: Mutex<bool>,
+    wake: Condvar,
+}
+
+pub(super) struct Watchdog {
+    shared: Arc<Shared>,
+    queue: mpsc::Sender<Message>,
+    limit: Duration,
+    on_hang: Option<OnStuck>,
+}
+
+/// The polls of one skill; ends with it.
+pub(super) struct Polls {
+    activation: u64,
+    since: Since,
+    shared: Arc<Shared>,
+}
+
+impl fmt::Debug for Polls {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Polls").field("activation", &self.activation).finish_non_exhaustive()
+    }
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Shared {
+    fn now(&self) -> u64 {
+        u64::try_from(self.began.elapsed().as_nanos()).unwrap_or(u64::MAX).max(1)
+    }
+
+    /// The state of a skill that has been in one poll for longer than `limit`.
+    fn hanging(&self, limit: Duration) -> Option<String> {
+        let now = self.now();
+        let limit = u64::try_from(limit.as_nanos()).unwrap_or(u64::MAX);
+        let skills = locked(&self.skills);
+        let hangs = |since: &Since| match since.load(Ordering::Relaxed) {
+            0 => false,
+            since => now.saturating_sub(since) > limit,
+        };
+        skills.values().find(|(_, since)| hangs(since)).map(|(state, _)| state.clone())
+    }
+}
+
+impl Watchdog {
+    pub(super) fn new(on_stuck: Option<OnStuck>, queue: mpsc::Sender<Message>) -> Self {
+        let shared = Shared {
+            began: Instant::now(),
+            skills: Mutex::default(),
+            on_stuck: Mutex::new(on_stuck),
+            over: Mutex::new(false),
+            wake: Condvar::new(),
+        };
+        Self { shared: Arc::new(shared), queue, limit: HANGS, on_hang: None }
+    }
+
+    pub(super) fn set(&mut self, limit: Duration, on_hang: Option<OnStuck>) {
+        (self.limit, self.on_hang) = (limit.max(Duration::from_millis(1)), on_hang);
+    }
+
+    /// Begins to watch, on a thread of its own that ends with the watchdog.
+    pub(super) fn start(&mut self) {
+        let shared = Arc::clone(&self.shared);
+        let (queue, limit, on_hang) = (self.queue.clone(), self.limit, self.on_hang.take());
+        let thread = std::thread::Builder::new().name("watchdog".into());
+        if let Err(error) = thread.spawn(move || watch(&shared, &queue, limit, on_hang)) {
+            tracing::error!(%error, "skills are not watched: there is no thread for it");
+        }
+    }
+
+    /// A state's skill is stuck: whoever stops the robot is told.
+    pub(super) fn stuck(&self, state: &str) {
+        if let Some(on_stuck) = locked(&self.shared.on_stuck).as_mut() {
+            on_stuck(state);
+        }
+    }
+
+    pub(super) fn watch(&self, activation: u64, state: &str) -> Polls {
+        let since = Since::default();
+        locked(&self.shared.skills).insert(activation, (state.to_owned(), Arc::clone(&since)));
+        Polls { activation, since, shared: Arc::clone(&self.shared) }
+    }
+}
+
+impl Drop for Watchdog {
+    fn drop(&mut self) {
+        *locked(&self.shared.over) = true;
+        self.shared.wake.notify_all();
+    }
+}
+
+fn watch(shared: &Shared, queue: &mpsc::Sender<Message>, limit: Duration, on_hang: Option<OnStuck>) {
+    let mut over = locked(&shared.over);
+    while !*over {
+        (over, _) = shared.wake.wait_timeout(over, limit / 4).unwrap_or_else(PoisonError::into_inner);
+        if *over {
+            return;
+        }
+        let Some(state) = shared.hanging(limit) else { continue };
+        drop(over);
+        let reason = format!("the skill of `{state}` has not yielded for {} s", limit.as_secs_f64());
+        tracing::error!(state, "a skill does not yield");
+        if let Some(on_stuck) = locked(&shared.on_stuck).as_mut() {
+            on_stuck(&state);
+        }
+        // Where the executor has a thread of its own it can still end the run in order.
+        if queue.try_send(Message::Hangs { reason }).is_err() {
+            tracing::error!(state, "the run could not be told");
+        }
+        if let Some(mut on_hang) = on_hang {
+            on_hang(&state);
+        }
+        return;
+    }
+}
+
+impl Polls {
+    /// The same future, each poll of it watched.
+    pub(super) fn of<F: Future + Unpin>(self, future: F) -> Watched<F> {
+        Watched { future, polls: self }
+    }
+}
+
+impl Drop for Polls {
+    fn drop(&mut self) {
+        locked(&self.shared.skills).remove(&self.activation);
+    }
+}
+
+pub(super) struct Watched<F> {
+    future: F,
+    polls: Polls,
+}
+
+impl<F: Future + Unpin> Future for Watched<F> {
+    type Output = F::Output;
+
+    fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<F::Output> {
+        self.polls.since.store(self.polls.shared.now(), Ordering::Relaxed);
+        let result = Pin::new(&mut self.future).poll(context);
+        self.polls.since.store(0, Ordering::Relaxed);
+        result
+    }
+}

@@ -1,0 +1,131 @@
+//! The quick way through an expression: numbers, truth values and words in registers, without allocation. Where it
+//! does not lead to a value (another type, an error, a channel), the evaluation in `eval` says what there is.
+
+use super::eval::{Node, World};
+use super::functions::Function as F;
+use super::operate::{Arithmetic, Comparison};
+use crate::Value;
+
+/// A value that fits into registers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Scalar {
+    Bool(bool),
+    Int(i64),
+    Float(f64),
+}
+
+use Scalar::{Bool, Float, Int};
+
+impl Scalar {
+    fn number(self) -> Option<f64> {
+        match self {
+            Int(i) => Some(i as f64),
+            Float(f) => Some(f),
+            Bool(_) => None,
+        }
+    }
+
+    fn truth(self) -> Option<bool> {
+        if let Bool(b) = self { Some(b) } else { None }
+    }
+}
+
+/// The value, if the quick way leads to one.
+pub(super) fn scalar<W: World + ?Sized>(node: &Node, world: &W) -> Option<Scalar> {
+    Some(match node {
+        Node::Bool(b) => Bool(*b),
+        Node::Int(i) => Int(*i),
+        Node::Float(f) => Float(*f),
+        Node::Data(slot, _) => match world.data(*slot)? {
+            Value::Bool(b) => Bool(*b),
+            Value::Int(i) => Int(*i),
+            Value::Float(f) | Value::Duration(f) => Float(*f),
+            _ => return None,
+        },
+        Node::Active(state) => Bool(world.active(*state)),
+        Node::Age(channel) => Float(world.age(*channel).unwrap_or(f64::INFINITY)),
+        Node::Not(of, _) => Bool(!scalar(of, world)?.truth()?),
+        Node::Negate(of, _) => match scalar(of, world)? {
+            Int(i) => Int(i.checked_neg()?),
+            Float(f) => Float(-f),
+            Bool(_) => return None,
+        },
+        Node::And(pair, _) => Bool(scalar(&pair.0, world)?.truth()? && scalar(&pair.1, world)?.truth()?),
+        Node::Or(pair, _) => Bool(scalar(&pair.0, world)?.truth()? || scalar(&pair.1, world)?.truth()?),
+        Node::Choose(of, _) => {
+            let chosen = if scalar(&of.0, world)?.truth()? { &of.1 } else { &of.2 };
+            return scalar(chosen, world);
+        }
+        Node::Compare(op, pair, _) => Bool(compare(*op, &pair.0, &pair.1, world)?),
+        Node::Arithmetic(op, pair, _) => arithmetic(*op, scalar(&pair.0, world)?, scalar(&pair.1, world)?)?,
+        Node::Call(function, arguments, _) => return call(*function, arguments, world),
+        _ => return None,
+    })
+}
+
+fn text<'v, W: World + ?Sized>(node: &'v Node, world: &'v W) -> Option<&'v str> {
+    match node {
+        Node::Text(s) => Some(s),
+        Node::EventName => Some(world.event_name().unwrap_or("")),
+        Node::Data(slot, _) => world.data(*slot)?.as_str(),
+        _ => None,
+    }
+}
+
+fn compare<W: World + ?Sized>(op: Comparison, a: &Node, b: &Node, world: &W) -> Option<bool> {
+    let order = if let (Some(a), Some(b)) = (text(a, world), text(b, world)) {
+        Some(a.cmp(b))
+    } else {
+        match (scalar(a, world)?, scalar(b, world)?) {
+            (Int(a), Int(b)) => Some(a.cmp(&b)),
+            (Bool(a), Bool(b)) => Some(a.cmp(&b)),
+            (a, b) => a.number()?.partial_cmp(&b.number()?),
+        }
+    };
+    Some(op.holds(order))
+}
+
+fn arithmetic(op: Arithmetic, a: Scalar, b: Scalar) -> Option<Scalar> {
+    use Arithmetic as A;
+    Some(match (a, b) {
+        (Int(a), Int(b)) => Int(match op {
+            A::Add => a.checked_add(b)?,
+            A::Subtract => a.checked_sub(b)?,
+            A::Multiply => a.checked_mul(b)?,
+            A::Divide => a.checked_div(b)?,
+            A::Remainder => a.checked_rem(b)?,
+        }),
+        (a, b) => {
+            let (a, b) = (a.number()?, b.number()?);
+            Float(match op {
+                A::Add => a + b,
+                A::Subtract => a - b,
+                A::Multiply => a * b,
+                A::Divide => a / b,
+                A::Remainder => a % b,
+            })
+        }
+    })
+}
+
+fn call<W: World + ?Sized>(function: F, arguments: &[Node], world: &W) -> Option<Scalar> {
+    let [of] = arguments else { return None };
+    let of = scalar(of, world)?;
+    if let (F::Abs, Int(i)) = (function, of) {
+        return Some(Int(i.checked_abs()?));
+    }
+    let x = of.number()?;
+    Some(Float(match function {
+        F::Abs => x.abs(),
+        F::Sqrt => x.sqrt(),
+        F::Sin => x.sin(),
+        F::Cos => x.cos(),
+        F::Tan => x.tan(),
+        F::Exp => x.exp(),
+        F::Ln => x.ln(),
+        F::Floor => x.floor(),
+        F::Ceil => x.ceil(),
+        F::Round => x.round(),
+        _ => return None,
+    }))
+}
