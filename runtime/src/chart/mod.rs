@@ -24,6 +24,7 @@ pub(crate) use finding::suggest;
 pub use finding::{Finding, Severity, Source, Span, code};
 pub use library::{Library, load, load_text};
 pub use model::{Chart, Declaration};
+pub(crate) use read::is_name;
 
 #[cfg(test)]
 pub(crate) mod testing;

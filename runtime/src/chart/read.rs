@@ -62,6 +62,16 @@ const RESERVED: &[&str] = &[
     "while",
 ];
 
+/// Whether a text can be the name of a state, an input or an output.
+pub(crate) fn is_name(text: &str) -> bool {
+    has_form(text) && !RESERVED.contains(&text)
+}
+
+fn has_form(text: &str) -> bool {
+    text.starts_with(|c: char| c.is_alphabetic() || c == '_')
+        && text.chars().all(|c| c.is_alphanumeric() || c == '_')
+}
+
 /// Reads a chart; what is wrong is added to `findings`, and what can be read is returned.
 pub(crate) fn chart(node: &Node, findings: &mut Findings) -> Option<Chart> {
     let mut reader = Reader { findings, types: BTreeMap::new() };
@@ -124,9 +134,7 @@ impl Reader<'_> {
     }
 
     pub(super) fn name(&mut self, name: &Named) {
-        let ok = name.text.chars().next().is_some_and(|c| c.is_alphabetic() || c == '_')
-            && name.text.chars().all(|c| c.is_alphanumeric() || c == '_');
-        if !ok {
+        if !has_form(&name.text) {
             let message = format!("`{}` is not a name: letters, digits and `_`, no digit first", name.text);
             self.error(code::NAME, name.span, message);
         } else if RESERVED.contains(&name.text.as_str()) {

@@ -1,0 +1,359 @@
+//! One expression: the part of ECMAScript that needs no data model, as CEL.
+//!
+//! Literals, `In('id')`, `_event.name`, `_event.data.x`, `_name`, `_sessionid`, `!`, `&&`, `||`, comparison and the
+//! joining of texts. What is made of literals only is computed here, by ECMAScript's rules.
+
+use super::yaml::cel_string;
+
+/// Deepest nesting of parentheses and signs.
+const MAX_DEPTH: usize = 40;
+/// Longest expression, bytes.
+const MAX_LEN: usize = 4096;
+
+/// What an expression stands for.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Expr {
+    Null,
+    Bool(bool),
+    Number(f64),
+    Text(String),
+    /// Is this state active?
+    In(String),
+    /// `event.name`, `event.data.x`.
+    Event(String),
+    Not(Box<Expr>),
+    Binary(&'static str, Box<Expr>, Box<Expr>),
+}
+
+/// What an expression may name.
+pub(super) struct Scope<'s> {
+    /// The chart's name: SCXML's `_name`, and the id of its only session.
+    pub(super) chart: &'s str,
+    /// The path of a state by its id.
+    pub(super) path: &'s dyn Fn(&str) -> Option<String>,
+}
+
+impl Expr {
+    /// Whether it is one of ECMAScript's true values, for literals.
+    pub(super) fn truth(&self) -> Option<bool> {
+        match self {
+            Self::Null => Some(false),
+            Self::Bool(b) => Some(*b),
+            Self::Number(n) => Some(*n != 0.0 && !n.is_nan()),
+            Self::Text(s) => Some(!s.is_empty()),
+            _ => None,
+        }
+    }
+
+    /// A literal as the text that ECMAScript makes of it.
+    pub(super) fn words(&self) -> Option<String> {
+        match self {
+            Self::Null => Some("null".into()),
+            Self::Bool(b) => Some(b.to_string()),
+            Self::Number(n) => Some(n.to_string()),
+            Self::Text(s) => Some(s.clone()),
+            _ => None,
+        }
+    }
+
+    /// The expression in CEL.
+    pub(super) fn cel(&self) -> String {
+        match self {
+            Self::Null => "null".into(),
+            Self::Bool(b) => b.to_string(),
+            Self::Number(n) => n.to_string(),
+            Self::Text(s) => cel_string(s),
+            Self::In(path) => format!("active({})", cel_string(path)),
+            Self::Event(path) => format!("event.{path}"),
+            Self::Not(inner) => match **inner {
+                Self::In(_) | Self::Event(_) | Self::Bool(_) => format!("!{}", inner.cel()),
+                _ => format!("!({})", inner.cel()),
+            },
+            Self::Binary(op, a, b) => {
+                let side = |e: &Self| match e {
+                    Self::Binary(inner, ..) if inner != op || !matches!(*op, "&&" | "||" | "+") => {
+                        format!("({})", e.cel())
+                    }
+                    _ => e.cel(),
+                };
+                format!("{} {op} {}", side(a), side(b))
+            }
+        }
+    }
+}
+
+/// Reads an expression.
+///
+/// # Errors
+/// One sentence for people.
+pub(super) fn parse(text: &str, scope: &Scope<'_>) -> Result<Expr, String> {
+    let refused = |why: String| format!("the expression `{}` cannot be carried over: {why}", text.trim());
+    if text.len() > MAX_LEN {
+        return Err(format!("an expression has more than {MAX_LEN} bytes"));
+    }
+    let tokens = tokens(text).map_err(refused)?;
+    let mut parser = Parser { tokens: &tokens, at: 0, scope };
+    let result = parser.or(0).and_then(|expr| match parser.tokens.get(parser.at) {
+        None => Ok(expr),
+        Some(token) => Err(format!("`{}` is not understood here", token.show())),
+    });
+    result.map_err(refused)
+}
+
+#[derive(Clone, Debug, PartialEq)]
+enum Token {
+    Name(String),
+    Number(f64),
+    Text(String),
+    Op(&'static str),
+}
+
+impl Token {
+    fn show(&self) -> String {
+        match self {
+            Self::Name(n) => n.clone(),
+            Self::Number(n) => n.to_string(),
+            Self::Text(s) => format!("'{s}'"),
+            Self::Op(op) => (*op).to_owned(),
+        }
+    }
+}
+
+const OPERATORS: [&str; 17] =
+    ["===", "!==", "==", "!=", "<=", ">=", "&&", "||", "<", ">", "!", "(", ")", "+", "-", ".", ","];
+
+fn tokens(text: &str) -> Result<Vec<Token>, String> {
+    let mut result = Vec::new();
+    let mut rest = text.trim_start();
+    while let Some(first) = rest.chars().next() {
+        let next_digit = rest.chars().nth(1).is_some_and(|c| c.is_ascii_digit());
+        let used = if first == '\'' || first == '"' {
+            let (token, used) = quoted(rest, first)?;
+            result.push(Token::Text(token));
+            used
+        } else if first.is_ascii_digit() || (first == '.' && next_digit) {
+            let end = rest.find(|c: char| !(c.is_ascii_alphanumeric() || c == '.')).unwrap_or(rest.len());
+            let number = rest[..end].parse().map_err(|_| format!("`{}` is not a number", &rest[..end]))?;
+            result.push(Token::Number(number));
+            end
+        } else if first.is_alphabetic() || first == '_' || first == '$' {
+            let name = |c: char| c.is_alphanumeric() || c == '_' || c == '$';
+            let end = rest.find(|c| !name(c)).unwrap_or(rest.len());
+            result.push(Token::Name(rest[..end].to_owned()));
+            end
+        } else {
+            let op = OPERATORS.into_iter().find(|op| rest.starts_with(op));
+            let op = op.ok_or_else(|| format!("`{first}` is not understood"))?;
+            result.push(Token::Op(op));
+            op.len()
+        };
+        rest = rest[used..].trim_start();
+    }
+    Ok(result)
+}
+
+/// A quoted text and how many bytes it takes.
+fn quoted(text: &str, quote: char) -> Result<(String, usize), String> {
+    let mut result = String::new();
+    let mut chars = text.char_indices().skip(1);
+    while let Some((at, c)) = chars.next() {
+        match c {
+            c if c == quote => return Ok((result, at + 1)),
+            '\\' => match chars.next().map(|(_, c)| c) {
+                Some('n') => result.push('\n'),
+                Some('t') => result.push('\t'),
+                Some('r') => result.push('\r'),
+                Some(c @ ('\\' | '\'' | '"' | '/')) => result.push(c),
+                _ => return Err("an escape in a text is not understood".into()),
+            },
+            c => result.push(c),
+        }
+    }
+    Err("a text has no end".into())
+}
+
+struct Parser<'t> {
+    tokens: &'t [Token],
+    at: usize,
+    scope: &'t Scope<'t>,
+}
+
+impl Parser<'_> {
+    fn take(&mut self, ops: &[&'static str]) -> Option<&'static str> {
+        match self.tokens.get(self.at) {
+            Some(Token::Op(op)) if ops.contains(op) => {
+                self.at += 1;
+                Some(op)
+            }
+            _ => None,
+        }
+    }
+
+    fn or(&mut self, depth: usize) -> Result<Expr, String> {
+        if depth > MAX_DEPTH {
+            return Err("it is nested too deep".into());
+        }
+        let mut left = self.and(depth)?;
+        while self.take(&["||"]).is_some() {
+            let right = self.and(depth)?;
+            left = match left.truth() {
+                Some(true) => left,
+                Some(false) => right,
+                None => Expr::Binary("||", Box::new(left), Box::new(right)),
+            };
+        }
+        Ok(left)
+    }
+
+    fn and(&mut self, depth: usize) -> Result<Expr, String> {
+        let mut left = self.comparison(depth)?;
+        while self.take(&["&&"]).is_some() {
+            let right = self.comparison(depth)?;
+            left = match left.truth() {
+                Some(true) => right,
+                Some(false) => left,
+                None => Expr::Binary("&&", Box::new(left), Box::new(right)),
+            };
+        }
+        Ok(left)
+    }
+
+    fn comparison(&mut self, depth: usize) -> Result<Expr, String> {
+        let left = self.sum(depth)?;
+        let Some(op) = self.take(&["===", "!==", "==", "!=", "<=", ">=", "<", ">"]) else { return Ok(left) };
+        let right = self.sum(depth)?;
+        compare(op, left, right)
+    }
+
+    fn sum(&mut self, depth: usize) -> Result<Expr, String> {
+        let mut left = self.unary(depth)?;
+        while let Some(op) = self.take(&["+", "-"]) {
+            let right = self.unary(depth)?;
+            left = add(op, left, right)?;
+        }
+        Ok(left)
+    }
+
+    fn unary(&mut self, depth: usize) -> Result<Expr, String> {
+        if depth > MAX_DEPTH {
+            return Err("it is nested too deep".into());
+        }
+        match self.take(&["!", "-", "("]) {
+            Some("!") => {
+                let inner = self.unary(depth + 1)?;
+                Ok(match (inner.truth(), inner) {
+                    (Some(truth), _) => Expr::Bool(!truth),
+                    (None, inner) => Expr::Not(Box::new(inner)),
+                })
+            }
+            Some("-") => match self.unary(depth + 1)? {
+                Expr::Number(n) => Ok(Expr::Number(-n)),
+                _ => Err("`-` stands before a number only".into()),
+            },
+            Some(_) => {
+                let inner = self.or(depth + 1)?;
+                self.take(&[")"]).ok_or("a `)` is missing")?;
+                Ok(inner)
+            }
+            None => self.primary(),
+        }
+    }
+
+    fn primary(&mut self) -> Result<Expr, String> {
+        let token = self.tokens.get(self.at).ok_or("it ends too early")?;
+        self.at += 1;
+        match token {
+            Token::Number(n) => Ok(Expr::Number(*n)),
+            Token::Text(s) => Ok(Expr::Text(s.clone())),
+            Token::Op(op) => Err(format!("`{op}` is not understood here")),
+            Token::Name(name) => match name.as_str() {
+                "true" => Ok(Expr::Bool(true)),
+                "false" => Ok(Expr::Bool(false)),
+                "null" | "undefined" => Ok(Expr::Null),
+                "_name" | "_sessionid" => Ok(Expr::Text(self.scope.chart.to_owned())),
+                "In" => self.in_state(),
+                "_event" => self.event(),
+                other => Err(format!("`{other}` needs a data model")),
+            },
+        }
+    }
+
+    fn in_state(&mut self) -> Result<Expr, String> {
+        self.take(&["("]).ok_or("`In` is written `In('state')`")?;
+        let Some(Token::Text(id)) = self.tokens.get(self.at).cloned() else {
+            return Err("`In` takes the id of a state as text".into());
+        };
+        self.at += 1;
+        self.take(&[")"]).ok_or("a `)` is missing")?;
+        // A state that does not exist is never active.
+        Ok((self.scope.path)(id.trim()).map_or(Expr::Bool(false), Expr::In))
+    }
+
+    fn event(&mut self) -> Result<Expr, String> {
+        let mut path: Vec<String> = Vec::new();
+        while self.take(&["."]).is_some() {
+            let Some(Token::Name(part)) = self.tokens.get(self.at) else {
+                return Err("a name is needed after `.`".into());
+            };
+            path.push(part.clone());
+            self.at += 1;
+        }
+        match path.first().map(String::as_str) {
+            Some("name") if path.len() == 1 => Ok(Expr::Event("name".into())),
+            Some("data") => Ok(Expr::Event(path.join("."))),
+            Some(other) => Err(format!("`_event.{other}` is not known here: `name` and `data` are")),
+            None => Err("`_event` is used with `.name` or `.data`".into()),
+        }
+    }
+}
+
+fn compare(op: &'static str, left: Expr, right: Expr) -> Result<Expr, String> {
+    use Expr::{Bool, Number, Text};
+    let cel = match op {
+        "===" => "==",
+        "!==" => "!=",
+        other => other,
+    };
+    let same = match (&left, &right) {
+        (Number(a), Number(b)) => {
+            let holds = match cel {
+                "<" => a < b,
+                ">" => a > b,
+                "<=" => a <= b,
+                ">=" => a >= b,
+                "==" => a == b,
+                _ => a != b,
+            };
+            return Ok(Bool(holds));
+        }
+        (Text(_) | Bool(_) | Expr::Null, Text(_) | Bool(_) | Expr::Null)
+            if std::mem::discriminant(&left) == std::mem::discriminant(&right) =>
+        {
+            Some(left == right)
+        }
+        _ if left.words().is_some() && right.words().is_some() => {
+            (op == "===" || op == "!==").then_some(false)
+        }
+        _ => return Ok(Expr::Binary(cel, Box::new(left), Box::new(right))),
+    };
+    match (same, cel) {
+        (Some(same), "==") => Ok(Bool(same)),
+        (Some(same), "!=") => Ok(Bool(!same)),
+        _ => Err("values of different kinds are compared".into()),
+    }
+}
+
+fn add(op: &'static str, left: Expr, right: Expr) -> Result<Expr, String> {
+    match (op, &left, &right) {
+        ("+", Expr::Number(a), Expr::Number(b)) => Ok(Expr::Number(a + b)),
+        ("-", Expr::Number(a), Expr::Number(b)) => Ok(Expr::Number(a - b)),
+        ("+", Expr::Text(_), _) | ("+", _, Expr::Text(_)) => match (left.words(), right.words()) {
+            (Some(a), Some(b)) => Ok(Expr::Text(a + &b)),
+            _ => Ok(Expr::Binary("+", Box::new(left), Box::new(right))),
+        },
+        ("+", Expr::Binary("+", ..) | Expr::Event(_), Expr::Event(_)) => {
+            Ok(Expr::Binary("+", Box::new(left), Box::new(right)))
+        }
+        _ => Err("only numbers and texts are added".into()),
+    }
+}

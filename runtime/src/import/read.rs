@@ -1,0 +1,469 @@
+//! From XML to a tree of states: SCXML's structure, with expressions and targets as they were written.
+
+use roxmltree::{Document as Xml, Node, ParsingOptions};
+
+use super::{ImportError, MAX_BYTES};
+
+const NAMESPACE: &str = "http://www.w3.org/2005/07/scxml";
+/// Deepest nesting of elements; 60 levels of states are within it.
+const MAX_DEPTH: usize = 150;
+/// Deepest nesting of `<if>`: each `elseif` becomes a level of the chart's text.
+const MAX_IFS: usize = 20;
+/// Most elements and texts.
+const MAX_NODES: u32 = 4_000_000;
+
+/// Number of a state in [`Document::states`].
+pub(super) type Index = usize;
+
+/// A document; state 0 is the root.
+#[derive(Debug, Default)]
+pub(super) struct Document {
+    pub(super) name: Option<String>,
+    pub(super) states: Vec<State>,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Kind {
+    #[default]
+    State,
+    Parallel,
+    Final,
+    History {
+        deep: bool,
+    },
+}
+
+#[derive(Debug, Default)]
+pub(super) struct State {
+    pub(super) line: u32,
+    pub(super) id: Option<String>,
+    pub(super) kind: Kind,
+    pub(super) parent: Option<Index>,
+    pub(super) children: Vec<Index>,
+    /// Where it is entered by default, or a history's default.
+    pub(super) initial: Option<Entry>,
+    pub(super) transitions: Vec<Transition>,
+    pub(super) enter: Vec<Action>,
+    pub(super) exit: Vec<Action>,
+    /// What a final state tells, with expressions.
+    pub(super) data: Vec<(String, Code)>,
+}
+
+/// A piece of text with its line.
+#[derive(Clone, Debug)]
+pub(super) struct Code {
+    pub(super) line: u32,
+    pub(super) text: String,
+}
+
+#[derive(Debug)]
+pub(super) struct Entry {
+    pub(super) line: u32,
+    pub(super) targets: Vec<String>,
+    pub(super) actions: Vec<Action>,
+}
+
+#[derive(Debug)]
+pub(super) struct Transition {
+    pub(super) line: u32,
+    /// Event descriptors without their `.*`; none for a transition without event.
+    pub(super) events: Vec<String>,
+    pub(super) condition: Option<Code>,
+    pub(super) targets: Vec<String>,
+    pub(super) internal: bool,
+    pub(super) actions: Vec<Action>,
+}
+
+#[derive(Debug)]
+pub(super) enum Action {
+    Raise(String),
+    Send(Send),
+    Cancel(Text),
+    Log { label: Option<String>, expr: Option<Code> },
+    If(Vec<(Option<Code>, Vec<Action>)>),
+}
+
+/// Text that is written down, or given by an expression.
+#[derive(Debug)]
+pub(super) enum Text {
+    Plain(String),
+    Expr(Code),
+}
+
+#[derive(Debug)]
+pub(super) struct Send {
+    pub(super) line: u32,
+    pub(super) event: Text,
+    pub(super) target: Option<Text>,
+    pub(super) kind: Option<Text>,
+    pub(super) delay: Option<Text>,
+    pub(super) id: Option<String>,
+    pub(super) data: Vec<(String, Code)>,
+}
+
+/// Reads a document. What cannot be carried over is added to `errors`.
+pub(super) fn document(text: &str, errors: &mut Vec<ImportError>) -> Option<Document> {
+    if text.len() > MAX_BYTES {
+        let message = format!("the document has more than {} MB", MAX_BYTES / 1_000_000);
+        errors.push(ImportError { line: 1, message });
+        return None;
+    }
+    let options = ParsingOptions { allow_dtd: false, nodes_limit: MAX_NODES, ..ParsingOptions::default() };
+    // White space before the declaration is a mistake that many tools forgive.
+    let lead = text.len() - text.trim_start().len();
+    let xml = match Xml::parse_with_options(&text[lead..], options) {
+        Ok(xml) => xml,
+        Err(error) => {
+            let line = error.pos().row;
+            errors.push(ImportError { line, message: format!("this cannot be read as XML: {error}") });
+            return None;
+        }
+    };
+    let lines_before = u32::try_from(text[..lead].matches('\n').count()).unwrap_or(0);
+    let mut reader = Reader { xml: &xml, lines_before, document: Document::default(), errors };
+    reader.root(xml.root_element());
+    Some(reader.document)
+}
+
+struct Reader<'x, 'e> {
+    xml: &'x Xml<'x>,
+    lines_before: u32,
+    document: Document,
+    errors: &'e mut Vec<ImportError>,
+}
+
+impl<'x> Reader<'x, '_> {
+    fn line(&self, node: Node<'_, '_>) -> u32 {
+        self.lines_before + self.xml.text_pos_at(node.range().start).row
+    }
+
+    fn error(&mut self, node: Node<'_, '_>, message: impl Into<String>) {
+        let line = self.line(node);
+        self.errors.push(ImportError { line, message: message.into() });
+    }
+
+    /// The name of an element of SCXML's, or an error and nothing.
+    fn element(&mut self, node: Node<'x, 'x>) -> Option<&'x str> {
+        if !node.is_element() {
+            let text = node.text().unwrap_or("").trim();
+            if node.is_text() && !text.is_empty() {
+                self.error(node, format!("text stands where an element is needed: `{}`", start(text)));
+            }
+            return None;
+        }
+        let tag = node.tag_name();
+        if tag.namespace().is_some_and(|n| n != NAMESPACE) {
+            let space = tag.namespace().unwrap_or("");
+            let message = format!("`<{}>` of {space} is not SCXML and cannot be carried over", tag.name());
+            self.error(node, message);
+            return None;
+        }
+        Some(tag.name())
+    }
+
+    fn unknown(&mut self, node: Node<'x, 'x>, inside: &str) {
+        let name = node.tag_name().name();
+        let message = match name {
+            "datamodel" | "data" | "assign" | "foreach" => {
+                format!(
+                    "`<{name}>` needs a data model: only the null data model and literals are carried over"
+                )
+            }
+            "script" => "`<script>` cannot be carried over: charts hold no programs".to_owned(),
+            "invoke" | "finalize" => {
+                format!("`<{name}>` cannot be carried over: write a `statechart:` or `remote:` state")
+            }
+            _ => format!("`<{name}>` cannot be carried over inside `<{inside}>`"),
+        };
+        self.error(node, message);
+    }
+
+    fn code(&self, node: Node<'x, 'x>, attribute: &str) -> Option<Code> {
+        let text = node.attribute(attribute)?.to_owned();
+        Some(Code { line: self.line(node), text })
+    }
+
+    /// An attribute, or the one that holds an expression for it.
+    fn text(&mut self, node: Node<'x, 'x>, plain: &str, expr: &str) -> Option<Text> {
+        match (node.attribute(plain), self.code(node, expr)) {
+            (Some(_), Some(_)) => {
+                self.error(node, format!("`{plain}` and `{expr}` are given both"));
+                None
+            }
+            (Some(text), None) => Some(Text::Plain(text.to_owned())),
+            (None, code) => code.map(Text::Expr),
+        }
+    }
+
+    fn root(&mut self, node: Node<'x, 'x>) {
+        match self.element(node) {
+            Some("scxml") => {}
+            Some(other) => return self.error(node, format!("the root is `<{other}>`, not `<scxml>`")),
+            None => return,
+        }
+        self.document.name = node.attribute("name").map(str::to_owned);
+        let initial = self.initial_attribute(node);
+        self.document.states.push(State { line: self.line(node), initial, ..State::default() });
+        for child in node.children() {
+            match self.element(child) {
+                None => {}
+                Some("state" | "parallel" | "final" | "history") => self.state(child, 0, 1),
+                Some("datamodel") if child.children().all(|c| !c.is_element()) => {}
+                Some(_) => self.unknown(child, "scxml"),
+            }
+        }
+        if self.document.states.len() == 1 {
+            self.error(node, "the document has no states");
+        }
+    }
+
+    fn initial_attribute(&mut self, node: Node<'x, 'x>) -> Option<Entry> {
+        let targets: Vec<String> = words(node.attribute("initial")?);
+        if targets.is_empty() {
+            self.error(node, "`initial` names no state");
+        }
+        Some(Entry { line: self.line(node), targets, actions: Vec::new() })
+    }
+
+    fn state(&mut self, node: Node<'x, 'x>, parent: Index, depth: usize) {
+        if depth > MAX_DEPTH {
+            return self.error(node, format!("states are nested deeper than {MAX_DEPTH} levels"));
+        }
+        let at = self.document.states.len();
+        let kind = match node.tag_name().name() {
+            "parallel" => Kind::Parallel,
+            "final" => Kind::Final,
+            "history" => Kind::History { deep: self.deep(node) },
+            _ => Kind::State,
+        };
+        let initial = self.initial_attribute(node);
+        let id = node.attribute("id").map(str::to_owned);
+        let state =
+            State { line: self.line(node), id, kind, parent: Some(parent), initial, ..State::default() };
+        self.document.states.push(state);
+        self.document.states[parent].children.push(at);
+        for child in node.children() {
+            let Some(name) = self.element(child) else { continue };
+            match (name, kind) {
+                ("transition", Kind::History { .. }) => self.entry(child, at),
+                ("transition", Kind::State | Kind::Parallel) => {
+                    let transition = self.transition(child);
+                    self.document.states[at].transitions.push(transition);
+                }
+                ("initial", Kind::State) => self.initial_element(child, at),
+                ("onentry", Kind::State | Kind::Parallel | Kind::Final) => {
+                    let actions = self.actions(child, 0);
+                    self.document.states[at].enter.extend(actions);
+                }
+                ("onexit", Kind::State | Kind::Parallel | Kind::Final) => {
+                    let actions = self.actions(child, 0);
+                    self.document.states[at].exit.extend(actions);
+                }
+                ("state" | "parallel" | "final" | "history", Kind::State)
+                | ("state" | "parallel" | "history", Kind::Parallel) => self.state(child, at, depth + 1),
+                ("donedata", Kind::Final) => {
+                    let data = self.data(child, "donedata");
+                    self.document.states[at].data = data;
+                }
+                ("datamodel", _) if child.children().all(|c| !c.is_element()) => {}
+                _ => self.unknown(child, node.tag_name().name()),
+            }
+        }
+    }
+
+    fn deep(&mut self, node: Node<'x, 'x>) -> bool {
+        match node.attribute("type") {
+            None | Some("shallow") => false,
+            Some("deep") => true,
+            Some(other) => {
+                self.error(node, format!("a history is `shallow` or `deep`, not `{other}`"));
+                false
+            }
+        }
+    }
+
+    fn initial_element(&mut self, node: Node<'x, 'x>, at: Index) {
+        for child in node.children() {
+            match self.element(child) {
+                None => {}
+                Some("transition") => self.entry(child, at),
+                Some(_) => self.unknown(child, "initial"),
+            }
+        }
+    }
+
+    /// The transition of an `<initial>` or a `<history>`.
+    fn entry(&mut self, node: Node<'x, 'x>, at: Index) {
+        if let Some(attribute) = ["event", "cond"].into_iter().find(|a| node.has_attribute(*a)) {
+            self.error(node, format!("the transition of an initial or history state has no `{attribute}`"));
+        }
+        if self.document.states[at].initial.is_some() {
+            self.error(node, "the state is told twice where it is entered");
+        }
+        let targets = words(node.attribute("target").unwrap_or(""));
+        if targets.is_empty() {
+            self.error(node, "the transition of an initial or history state needs a `target`");
+        }
+        let actions = self.actions(node, 0);
+        self.document.states[at].initial = Some(Entry { line: self.line(node), targets, actions });
+    }
+
+    fn transition(&mut self, node: Node<'x, 'x>) -> Transition {
+        let internal = match node.attribute("type") {
+            None | Some("external") => false,
+            Some("internal") => true,
+            Some(other) => {
+                self.error(node, format!("a transition is `external` or `internal`, not `{other}`"));
+                false
+            }
+        };
+        let events: Vec<String> =
+            node.attribute("event").map_or_else(Vec::new, words).iter().map(|e| descriptor(e)).collect();
+        if node.has_attribute("event") && events.is_empty() {
+            self.error(node, "`event` names no event");
+        }
+        for event in events.iter().filter(|e| *e != "*") {
+            if event.split('.').any(|token| token.is_empty() || token == "*") {
+                self.error(node, format!("`{event}` is not the name of an event"));
+            }
+        }
+        Transition {
+            line: self.line(node),
+            events,
+            condition: self.code(node, "cond"),
+            targets: node.attribute("target").map_or_else(Vec::new, words),
+            internal,
+            actions: self.actions(node, 0),
+        }
+    }
+
+    fn actions(&mut self, node: Node<'x, 'x>, depth: usize) -> Vec<Action> {
+        let inside = node.tag_name().name();
+        let mut actions = Vec::new();
+        for child in node.children() {
+            if let Some(name) = self.element(child) {
+                actions.extend(self.action(child, name, inside, depth));
+            }
+        }
+        actions
+    }
+
+    fn action(&mut self, node: Node<'x, 'x>, name: &str, inside: &str, depth: usize) -> Option<Action> {
+        match name {
+            "raise" => self.raise(node),
+            "send" => self.send(node),
+            "cancel" => self.cancel(node),
+            "log" => {
+                let label = node.attribute("label").map(str::to_owned).filter(|l| !l.is_empty());
+                Some(Action::Log { label, expr: self.code(node, "expr") })
+            }
+            "if" if depth < MAX_IFS => Some(self.choice(node, depth)),
+            "if" => {
+                self.error(node, format!("`<if>` is nested deeper than {MAX_IFS} levels"));
+                None
+            }
+            _ => {
+                self.unknown(node, inside);
+                None
+            }
+        }
+    }
+
+    fn raise(&mut self, node: Node<'x, 'x>) -> Option<Action> {
+        let Some(event) = node.attribute("event").filter(|e| !e.trim().is_empty()) else {
+            self.error(node, "`<raise>` needs an `event`");
+            return None;
+        };
+        Some(Action::Raise(event.trim().to_owned()))
+    }
+
+    fn cancel(&mut self, node: Node<'x, 'x>) -> Option<Action> {
+        let id = self.text(node, "sendid", "sendidexpr");
+        if id.is_none() {
+            self.error(node, "`<cancel>` needs a `sendid`");
+        }
+        id.map(Action::Cancel)
+    }
+
+    fn send(&mut self, node: Node<'x, 'x>) -> Option<Action> {
+        for attribute in ["idlocation", "namelist"] {
+            if node.has_attribute(attribute) {
+                let message =
+                    format!("`{attribute}` of `<send>` needs a data model and cannot be carried over");
+                self.error(node, message);
+            }
+        }
+        let Some(event) = self.text(node, "event", "eventexpr") else {
+            self.error(node, "`<send>` needs an `event`");
+            return None;
+        };
+        Some(Action::Send(Send {
+            line: self.line(node),
+            event,
+            target: self.text(node, "target", "targetexpr"),
+            kind: self.text(node, "type", "typeexpr"),
+            delay: self.text(node, "delay", "delayexpr"),
+            id: node.attribute("id").map(str::to_owned),
+            data: self.data(node, "send"),
+        }))
+    }
+
+    /// The `<param>`s of a `<send>` or a `<donedata>`.
+    fn data(&mut self, node: Node<'x, 'x>, inside: &str) -> Vec<(String, Code)> {
+        let mut data = Vec::new();
+        for child in node.children() {
+            match self.element(child) {
+                None => {}
+                Some("param") => match (child.attribute("name"), self.code(child, "expr")) {
+                    (Some(name), Some(code)) => data.push((name.to_owned(), code)),
+                    _ => self.error(child, "`<param>` is carried over with `name` and `expr`"),
+                },
+                Some("content") => {
+                    let message =
+                        "`<content>` cannot be carried over: an event's data has names, as `<param>`";
+                    self.error(child, message);
+                }
+                Some(_) => self.unknown(child, inside),
+            }
+        }
+        data
+    }
+
+    fn choice(&mut self, node: Node<'x, 'x>, depth: usize) -> Action {
+        let mut branches = vec![(self.condition(node), Vec::new())];
+        for child in node.children() {
+            let Some(name) = self.element(child) else { continue };
+            match name {
+                "elseif" => branches.push((self.condition(child), Vec::new())),
+                "else" => branches.push((None, Vec::new())),
+                _ => {
+                    let action = self.action(child, name, "if", depth + 1);
+                    branches.last_mut().expect("there is a branch from the start").1.extend(action);
+                }
+            }
+        }
+        Action::If(branches)
+    }
+
+    fn condition(&mut self, node: Node<'x, 'x>) -> Option<Code> {
+        let code = self.code(node, "cond");
+        if code.is_none() {
+            self.error(node, format!("`<{}>` needs a `cond`", node.tag_name().name()));
+        }
+        code
+    }
+}
+
+fn words(text: &str) -> Vec<String> {
+    text.split_whitespace().map(str::to_owned).collect()
+}
+
+/// An event descriptor without what SCXML says does not matter: a `.*` or `.` at its end.
+fn descriptor(text: &str) -> String {
+    let text = text.strip_suffix(".*").unwrap_or(text);
+    text.strip_suffix('.').unwrap_or(text).to_owned()
+}
+
+fn start(text: &str) -> String {
+    text.chars().take(30).collect()
+}

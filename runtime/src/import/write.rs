@@ -1,0 +1,520 @@
+//! From the tree to the chart's text: names and paths resolved, transitions grouped by their events.
+
+use std::collections::BTreeSet;
+
+use super::ImportError;
+use super::expression::{self, Expr, Scope};
+use super::names::{Names, ancestors};
+use super::read::{Action, Code, Document, Entry, Index, Kind, Send, State, Text, Transition};
+use super::yaml::{cel_string, comment, literal, quoted, scalar};
+
+/// The events of SCXML's own that a chart need not declare.
+const KNOWN: [&str; 2] = ["error.execution", "error.communication"];
+
+/// Writes the chart. What cannot be carried over is added to `errors`.
+pub(super) fn chart(document: &Document, names: &Names, errors: &mut Vec<ImportError>) -> String {
+    let mut writer = Writer { document, names, errors, out: String::new() };
+    writer.chart();
+    writer.out
+}
+
+struct Writer<'d> {
+    document: &'d Document,
+    names: &'d Names,
+    errors: &'d mut Vec<ImportError>,
+    out: String,
+}
+
+impl Writer<'_> {
+    fn error(&mut self, line: u32, message: impl Into<String>) {
+        self.errors.push(ImportError { line, message: message.into() });
+    }
+
+    fn line(&mut self, indent: usize, text: &str) {
+        self.out.push_str(&"  ".repeat(indent));
+        self.out.push_str(text);
+        self.out.push('\n');
+    }
+
+    fn chart(&mut self) {
+        self.line(0, "# Made from SCXML by `armarium import`. A pattern such as `done.*` is SCXML's `done`: it matches");
+        self.line(
+            0,
+            "# by token prefix. States whose names the language does not allow have SCXML's beside them.",
+        );
+        let chart = scalar(&self.names.chart);
+        self.line(0, &format!("statechart: {chart}"));
+        let events = self.events();
+        if !events.is_empty() {
+            self.line(0, "events:");
+            for event in events {
+                self.line(1, &format!("{}: {{}}", scalar(&event)));
+            }
+        }
+        self.twice();
+        self.inside(0, 0);
+    }
+
+    /// Ids that stand for two states.
+    fn twice(&mut self) {
+        let mut seen = BTreeSet::new();
+        let states = self.document.states.iter();
+        let named = states.filter_map(|s| s.id.as_ref().map(|id| (s.line, id)));
+        for (line, id) in named.collect::<Vec<_>>() {
+            if !seen.insert(id) {
+                self.error(line, format!("two states have the id `{id}`"));
+            }
+        }
+    }
+
+    /// The events that transitions name: those from outside have to be declared, and the document does not say
+    /// which those are.
+    fn events(&self) -> BTreeSet<String> {
+        let transitions = self.document.states.iter().flat_map(|s| &s.transitions);
+        let named = transitions.flat_map(|t| &t.events).filter(|e| *e != "*");
+        let known = |event: &str| {
+            let done = event.strip_prefix("done.state.").is_some_and(|id| self.names.find(id).is_some());
+            done || KNOWN.contains(&event) || KNOWN.iter().any(|k| k.starts_with(&format!("{event}.")))
+        };
+        named.filter(|e| !known(e)).map(|e| self.event(e)).collect()
+    }
+
+    /// An event's name; in `done.state.ID` the id becomes the state's name.
+    fn event(&self, event: &str) -> String {
+        let state = event.strip_prefix("done.state.").and_then(|id| self.names.find(id));
+        state.map_or_else(|| event.to_owned(), |s| format!("done.state.{}", self.names.name(s)))
+    }
+
+    /// Everything of a state but its name.
+    fn inside(&mut self, at: Index, indent: usize) {
+        let state = &self.document.states[at];
+        let inner: Vec<Index> = state.children.clone();
+        let entered = |i: &&Index| !matches!(self.document.states[**i].kind, Kind::History { .. });
+        let first = inner.iter().find(entered).copied();
+        match state.kind {
+            Kind::Final => {
+                self.line(indent, "final: success");
+                self.data(at, indent);
+            }
+            Kind::History { deep } => {
+                self.line(indent, if deep { "history: deep" } else { "history: shallow" });
+                match &state.initial {
+                    Some(entry) => self.entry("default", at, entry, indent),
+                    None => self.error(state.line, "a `<history>` needs a `<transition>` to its default"),
+                }
+            }
+            Kind::State => match (&state.initial, first) {
+                (None, None) if inner.is_empty() => {}
+                (Some(entry), None) => {
+                    self.error(entry.line, "a state without states inside has no initial state")
+                }
+                (None, None) => self.error(state.line, "a state with a history has no states inside"),
+                (Some(entry), Some(_)) => self.entry("initial", at, entry, indent),
+                (None, Some(first)) => {
+                    let name = scalar(self.names.name(first));
+                    self.line(indent, &format!("initial: {name}"));
+                }
+            },
+            Kind::Parallel => {}
+        }
+        for (key, actions) in [("enter", &state.enter), ("exit", &state.exit)] {
+            if !actions.is_empty() {
+                self.line(indent, &format!("{key}:"));
+                self.actions(at, actions, indent + 1);
+            }
+        }
+        self.transitions(at, indent);
+        if first.is_some() {
+            self.line(indent, if state.kind == Kind::Parallel { "parallel:" } else { "states:" });
+            for child in inner {
+                self.state(child, indent + 1);
+            }
+        }
+    }
+
+    fn state(&mut self, at: Index, indent: usize) {
+        let state: &State = &self.document.states[at];
+        let name = self.names.name(at);
+        let note = match &state.id {
+            Some(id) if id != name => format!("  # `{}` in SCXML", comment(id)),
+            _ => String::new(),
+        };
+        let before = self.out.len();
+        let head = format!("{}:{note}", scalar(name));
+        self.line(indent, &head);
+        let after = self.out.len();
+        self.inside(at, indent + 1);
+        if self.out.len() == after {
+            self.out.truncate(before);
+            self.line(indent, &format!("{}: {{}}{note}", scalar(name)));
+        }
+    }
+
+    fn data(&mut self, at: Index, indent: usize) {
+        let state: &State = &self.document.states[at];
+        if !state.data.is_empty() {
+            let fields = self.fields(at, &state.data);
+            self.line(indent, &format!("with: {fields}"));
+        }
+    }
+
+    fn fields(&mut self, at: Index, data: &[(String, Code)]) -> String {
+        let mut fields = Vec::new();
+        for (name, code) in data {
+            if let Some(value) = self.expression(at, code) {
+                fields.push(format!("{}: {}", scalar(name), value_of(&value)));
+            }
+        }
+        format!("{{{}}}", fields.join(", "))
+    }
+
+    fn entry(&mut self, key: &str, at: Index, entry: &Entry, indent: usize) {
+        let targets = self.targets(at, &entry.targets, entry.line);
+        let owner = match self.document.states[at].kind {
+            Kind::History { .. } => self.document.states[at].parent.unwrap_or(0),
+            _ => at,
+        };
+        for id in &entry.targets {
+            let inside =
+                self.names.find(id).is_some_and(|s| ancestors(self.document, s).skip(1).any(|a| a == owner));
+            if self.names.find(id).is_some() && !inside {
+                self.error(entry.line, format!("`{id}` is not inside the state that it is the {key} of"));
+            }
+        }
+        if entry.actions.is_empty() {
+            self.line(indent, &format!("{key}: {targets}"));
+        } else {
+            self.line(indent, &format!("{key}:"));
+            self.line(indent + 1, &format!("target: {targets}"));
+            self.line(indent + 1, "do:");
+            self.actions(at, &entry.actions, indent + 2);
+        }
+    }
+
+    /// One target as a name or path, several as a list.
+    fn targets(&mut self, from: Index, ids: &[String], line: u32) -> String {
+        let mut paths = Vec::new();
+        for id in ids {
+            match self.names.find(id) {
+                Some(state) => paths.push(scalar(&self.names.path(self.document, from, state))),
+                None => self.error(line, format!("there is no state with the id `{id}`")),
+            }
+        }
+        match paths.as_slice() {
+            [one] => one.clone(),
+            several => format!("[{}]", several.join(", ")),
+        }
+    }
+
+    // Transitions.
+
+    fn transitions(&mut self, at: Index, indent: usize) {
+        let state: &State = &self.document.states[at];
+        let always: Vec<&Transition> = state.transitions.iter().filter(|t| t.events.is_empty()).collect();
+        if !always.is_empty() {
+            self.line(indent, "always:");
+            for transition in always {
+                self.transition(at, transition, None, indent + 1);
+            }
+        }
+        let groups = groups(&state.transitions);
+        if groups.is_empty() {
+            return;
+        }
+        self.line(indent, "transitions:");
+        for Group { pattern, transitions } in groups {
+            let exact = pattern.starts_with("done.state.");
+            let key = match pattern.as_str() {
+                "*" => quoted("*"),
+                other if exact => scalar(&self.event(other)),
+                other => scalar(&format!("{other}.*")),
+            };
+            if let [(only, None)] = transitions.as_slice()
+                && only.condition.is_none()
+                && only.actions.is_empty()
+                && only.targets.len() == 1
+            {
+                let target = self.targets(at, &only.targets, only.line);
+                if !self.internal(at, only) {
+                    self.line(indent + 1, &format!("{key}: {target}"));
+                    continue;
+                }
+            }
+            self.line(indent + 1, &format!("{key}:"));
+            for (transition, event) in transitions {
+                self.transition(at, transition, event.as_deref(), indent + 2);
+            }
+        }
+    }
+
+    /// Whether a transition leaves its own state alone: SCXML asks for a composite and targets inside.
+    fn internal(&self, at: Index, transition: &Transition) -> bool {
+        let inside = |id: &String| {
+            self.names.find(id).is_some_and(|s| ancestors(self.document, s).skip(1).any(|a| a == at))
+        };
+        transition.internal
+            && self.document.states[at].kind == Kind::State
+            && !transition.targets.is_empty()
+            && transition.targets.iter().all(inside)
+    }
+
+    /// One item of a list of transitions. `event` is a guard on the event's name.
+    fn transition(&mut self, at: Index, transition: &Transition, event: Option<&str>, indent: usize) {
+        let mut parts = Vec::new();
+        if !transition.targets.is_empty() {
+            parts.push(format!("target: {}", self.targets(at, &transition.targets, transition.line)));
+        }
+        if self.internal(at, transition) {
+            parts.push("internal: true".into());
+        }
+        let mut guards: Vec<String> = event.map(named).into_iter().collect();
+        if let Some(code) = &transition.condition
+            && let Some(condition) = self.expression(at, code)
+            && condition.truth() != Some(true)
+        {
+            let condition = condition.truth().map_or_else(|| condition.cel(), |truth| truth.to_string());
+            guards.push(if guards.is_empty() { condition } else { format!("({condition})") });
+        }
+        if !guards.is_empty() {
+            parts.push(format!("if: {}", quoted(&guards.join(" && "))));
+        }
+        if transition.actions.is_empty() {
+            self.line(indent, &format!("- {{{}}}", parts.join(", ")));
+            return;
+        }
+        parts.push("do:".into());
+        for (number, part) in parts.iter().enumerate() {
+            let lead = if number == 0 { "- " } else { "  " };
+            self.line(indent, &format!("{lead}{part}"));
+        }
+        self.actions(at, &transition.actions, indent + 2);
+    }
+
+    // Actions.
+
+    fn actions(&mut self, at: Index, actions: &[Action], indent: usize) {
+        for action in actions {
+            match action {
+                Action::Raise(event) => {
+                    let event = scalar(&self.event(event));
+                    self.line(indent, &format!("- raise: {event}"));
+                }
+                Action::Send(send) => self.send(at, send, indent),
+                Action::Cancel(id) => {
+                    if let Some(id) = self.text(at, id) {
+                        self.line(indent, &format!("- cancel: {}", scalar(&id)));
+                    }
+                }
+                Action::Log { label, expr } => self.log(at, label.as_deref(), expr.as_ref(), indent),
+                Action::If(branches) => self.choice(at, branches, indent),
+            }
+        }
+    }
+
+    fn log(&mut self, at: Index, label: Option<&str>, expr: Option<&Code>, indent: usize) {
+        let mut text = label.map_or_else(String::new, |l| l.replace("${", "$${"));
+        if let Some(value) = expr.and_then(|code| self.expression(at, code)) {
+            if !text.is_empty() {
+                text.push_str(": ");
+            }
+            match value.words() {
+                Some(words) => text.push_str(&words.replace("${", "$${")),
+                None => text.push_str(&format!("${{{}}}", value.cel())),
+            }
+        }
+        self.line(indent, &format!("- log: {}", quoted(&text)));
+    }
+
+    fn choice(&mut self, at: Index, branches: &[(Option<Code>, Vec<Action>)], indent: usize) {
+        let Some(((condition, actions), rest)) = branches.split_first() else { return };
+        let Some(condition) = condition else {
+            // `else`: its actions stand where they are.
+            return self.actions(at, actions, indent);
+        };
+        let Some(condition) = self.expression(at, condition) else { return };
+        let condition = condition.truth().map_or_else(|| condition.cel(), |truth| truth.to_string());
+        self.line(indent, "- if:");
+        self.line(indent + 2, &format!("cond: {}", quoted(&condition)));
+        self.list("then", indent + 2, |writer| writer.actions(at, actions, indent + 3));
+        if !rest.is_empty() {
+            self.list("else", indent + 2, |writer| writer.choice(at, rest, indent + 3));
+        }
+    }
+
+    /// A key with a list that `items` writes, or an empty one.
+    fn list(&mut self, key: &str, indent: usize, items: impl FnOnce(&mut Self)) {
+        let before = self.out.len();
+        self.line(indent, &format!("{key}:"));
+        let after = self.out.len();
+        items(self);
+        if self.out.len() == after {
+            self.out.truncate(before);
+            self.line(indent, &format!("{key}: []"));
+        }
+    }
+
+    fn send(&mut self, at: Index, send: &Send, indent: usize) {
+        let Some(event) = self.text(at, &send.event) else { return };
+        let event = self.event(event.trim());
+        let target = send.target.as_ref().and_then(|t| self.text(at, t));
+        let kind = send.kind.as_ref().and_then(|t| self.text(at, t));
+        let data = if send.data.is_empty() { None } else { Some(self.fields(at, &send.data)) };
+        let delay = send.delay.as_ref().and_then(|t| self.text(at, t));
+        let delay = delay.and_then(|text| {
+            let milliseconds = milliseconds(&text);
+            if milliseconds.is_none() {
+                self.error(send.line, format!("`{text}` is not a delay: write `2s` or `100ms`"));
+            }
+            milliseconds.filter(|ms| *ms > 0.0)
+        });
+        let own = format!("#_scxml_{}", self.names.chart);
+        match undeliverable(kind.as_deref(), target.as_deref().filter(|t| *t != own)) {
+            Delivery::Error(error, why) => {
+                let note = comment(&format!("`{event}` cannot be sent: {why}"));
+                self.line(indent, &format!("- raise: {error}  # {note}"));
+            }
+            Delivery::Internal => {
+                if delay.is_some() {
+                    self.error(send.line, "`<send>` to `#_internal` cannot be delayed");
+                }
+                let text = match data {
+                    Some(data) => format!("- raise: {{event: {}, data: {data}}}", scalar(&event)),
+                    None => format!("- raise: {}", scalar(&event)),
+                };
+                self.line(indent, &text);
+            }
+            Delivery::External => {
+                let mut parts = vec![format!("event: {}", scalar(&event))];
+                parts.extend(data.map(|d| format!("data: {d}")));
+                if let Some(ms) = delay {
+                    parts.push(format!("delay: {}", quoted(&duration(ms))));
+                    parts.extend(send.id.as_ref().map(|id| format!("id: {}", scalar(id))));
+                }
+                match parts.as_slice() {
+                    [_] => self.line(indent, &format!("- send: {}", scalar(&event))),
+                    _ => self.line(indent, &format!("- send: {{{}}}", parts.join(", "))),
+                }
+            }
+        }
+    }
+
+    // Expressions.
+
+    fn expression(&mut self, at: Index, code: &Code) -> Option<Expr> {
+        let (document, names) = (self.document, self.names);
+        let path = |id: &str| names.find(id).map(|state| names.path(document, at, state));
+        let scope = Scope { chart: &names.chart, path: &path };
+        match expression::parse(&code.text, &scope) {
+            Ok(expr) => Some(expr),
+            Err(message) => {
+                self.error(code.line, message);
+                None
+            }
+        }
+    }
+
+    fn text(&mut self, at: Index, text: &Text) -> Option<String> {
+        match text {
+            Text::Plain(text) => Some(text.clone()),
+            Text::Expr(code) => {
+                let words = self.expression(at, code)?.words();
+                if words.is_none() {
+                    let message = format!("`{}` has to be a literal to be carried over", code.text.trim());
+                    self.error(code.line, message);
+                }
+                words
+            }
+        }
+    }
+}
+
+/// Where a `<send>` goes.
+enum Delivery {
+    External,
+    Internal,
+    /// SCXML says which error event takes its place.
+    Error(&'static str, String),
+}
+
+fn undeliverable(kind: Option<&str>, target: Option<&str>) -> Delivery {
+    const PROCESSOR: [&str; 4] =
+        ["", "scxml", "http://www.w3.org/TR/scxml/#SCXMLEventProcessor", "http://www.w3.org/TR/scxml/"];
+    if let Some(kind) = kind.filter(|k| !PROCESSOR.contains(k)) {
+        return Delivery::Error("error.execution", format!("there is no processor `{kind}`"));
+    }
+    match target.map(str::trim) {
+        None | Some("") => Delivery::External,
+        Some("#_internal") => Delivery::Internal,
+        Some(session) if session.starts_with("#_") => {
+            Delivery::Error("error.communication", format!("there is no session `{session}`"))
+        }
+        Some(other) => Delivery::Error("error.execution", format!("`{other}` is no target")),
+    }
+}
+
+/// The transitions of one pattern, in the document's order, each perhaps with the event that its guard asks for.
+struct Group<'t> {
+    pattern: String,
+    transitions: Vec<(&'t Transition, Option<String>)>,
+}
+
+/// Transitions by pattern. A chart tries patterns in the order of the file, so a pattern that comes again after an
+/// overlapping one would be tried too early: then all stand under `*`, with guards on the event's name.
+fn groups(transitions: &[Transition]) -> Vec<Group<'_>> {
+    let mut groups: Vec<Group<'_>> = Vec::new();
+    for transition in transitions {
+        for event in &transition.events {
+            let Some(known) = groups.iter().position(|g| g.pattern == *event) else {
+                groups.push(Group { pattern: event.clone(), transitions: vec![(transition, None)] });
+                continue;
+            };
+            if groups[known + 1..].iter().any(|g| overlap(&g.pattern, event)) {
+                return vec![under_star(transitions)];
+            }
+            groups[known].transitions.push((transition, None));
+        }
+    }
+    groups
+}
+
+fn under_star(transitions: &[Transition]) -> Group<'_> {
+    let each = transitions.iter().flat_map(|t| t.events.iter().map(move |e| (t, e)));
+    let transitions = each.map(|(t, e)| (t, (e != "*").then(|| e.clone()))).collect();
+    Group { pattern: "*".into(), transitions }
+}
+
+fn overlap(a: &str, b: &str) -> bool {
+    let inside =
+        |a: &str, b: &str| a.strip_prefix(b).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
+    a == "*" || b == "*" || inside(a, b) || inside(b, a)
+}
+
+/// The guard that an event has a name, or one that begins with its tokens.
+fn named(event: &str) -> String {
+    let (exact, prefix) = (cel_string(event), cel_string(&format!("{event}.")));
+    format!("(event.name == {exact} || event.name.startsWith({prefix}))")
+}
+
+/// A literal or an expression as the value of a field.
+fn value_of(value: &Expr) -> String {
+    match value {
+        Expr::Text(text) => literal(text),
+        Expr::Null | Expr::Bool(_) | Expr::Number(_) => value.cel(),
+        other => quoted(&format!("${{{}}}", other.cel())),
+    }
+}
+
+/// A delay as SCXML writes it (CSS 2 times), ms.
+fn milliseconds(text: &str) -> Option<f64> {
+    let text = text.trim();
+    let (number, factor) = match text.strip_suffix("ms") {
+        Some(number) => (number, 1.0),
+        None => (text.strip_suffix('s')?, 1000.0),
+    };
+    let number: f64 = number.trim().trim_start_matches('+').parse().ok()?;
+    (number.is_finite() && number >= 0.0).then_some(number * factor)
+}
+
+fn duration(ms: f64) -> String {
+    if ms % 1000.0 == 0.0 { format!("{}s", ms / 1000.0) } else { format!("{ms}ms") }
+}

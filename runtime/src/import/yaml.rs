@@ -1,0 +1,60 @@
+//! Scalars as YAML and CEL: quoted where they could be read as something else.
+
+/// Whether a text can stand as it is: a word that is neither a number, a bool nor nothing.
+fn plain(text: &str) -> bool {
+    const WORDS: [&str; 8] = ["true", "false", "null", "yes", "no", "on", "off", "y"];
+    let lower = text.to_ascii_lowercase();
+    let first = text.chars().next().is_some_and(|c| c.is_ascii_alphabetic() || c == '_');
+    let stem = text.strip_suffix(".*").unwrap_or(text);
+    let inner = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '.' | '-');
+    first && stem.chars().all(inner) && !WORDS.contains(&lower.as_str()) && lower != "n"
+}
+
+/// A text as a YAML scalar.
+pub(super) fn scalar(text: &str) -> String {
+    if plain(text) { text.to_owned() } else { quoted(text) }
+}
+
+/// A text as a double-quoted YAML scalar.
+pub(super) fn quoted(text: &str) -> String {
+    let mut result = String::from("\"");
+    for c in text.chars() {
+        match c {
+            '"' => result.push_str("\\\""),
+            '\\' => result.push_str("\\\\"),
+            '\n' => result.push_str("\\n"),
+            '\t' => result.push_str("\\t"),
+            ' '..='~' => result.push(c),
+            c if c.is_alphanumeric() => result.push(c),
+            c => result.push_str(&format!("\\U{:08X}", u32::from(c))),
+        }
+    }
+    result.push('"');
+    result
+}
+
+/// A text that is meant as it stands: `${` is no expression in it.
+pub(super) fn literal(text: &str) -> String {
+    scalar(&text.replace("${", "$${"))
+}
+
+/// A text as a CEL string.
+pub(super) fn cel_string(text: &str) -> String {
+    let mut result = String::from("'");
+    for c in text.chars() {
+        match c {
+            '\'' | '\\' => result.extend(['\\', c]),
+            '\n' => result.push_str("\\n"),
+            '\r' => result.push_str("\\r"),
+            '\t' => result.push_str("\\t"),
+            c => result.push(c),
+        }
+    }
+    result.push('\'');
+    result
+}
+
+/// A text in a comment: one line of it.
+pub(super) fn comment(text: &str) -> String {
+    text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(200).collect()
+}
