@@ -5,6 +5,7 @@ mod catalog;
 mod check;
 mod chronicle;
 mod gallery;
+mod import;
 mod judge;
 mod logging;
 mod new;
@@ -16,6 +17,7 @@ mod run;
 mod schema;
 mod skills;
 mod stage;
+mod step;
 
 use std::io::{self, IsTerminal as _, Write};
 use std::process::ExitCode;
@@ -43,6 +45,10 @@ enum Command {
     Run(run::RunArgs),
     /// Find everything that is wrong with charts and worlds.
     Check(check::CheckArgs),
+    /// Drive a chart by hand or by a list of events, with no robot, under virtual time.
+    Step(step::StepArgs),
+    /// Make a chart of an SCXML document.
+    Import(import::ImportArgs),
     /// Start a chart, a world and a test of one's own.
     New(new::NewArgs),
     /// Print the JSON schema of a kind of file.
@@ -59,6 +65,8 @@ fn main() -> ExitCode {
     let status = match &arguments.command {
         Command::Run(args) => run::run(args, &mut io::stderr()),
         Command::Check(args) => check::run(args, style(), &catalog::check_chart, &mut out),
+        Command::Step(args) => step::run(args, &mut out, &mut io::stderr()),
+        Command::Import(args) => import::run(args, &mut out, &mut io::stderr()),
         Command::New(args) => new::run(args, &mut out),
         Command::Schema(args) => schema::run(*args, &mut out),
         Command::Reproduce(args) => reproduce::run(args, &mut out),

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use armarium_memoryx::Memory;
 use armarium_runtime::channels::Channels;
+use armarium_runtime::chart::Finding;
 use armarium_runtime::engine::Program;
 use armarium_runtime::exec::{Controller, ExecOptions, Executor, RunResult};
 use armarium_simulator::{TruthSink, World};
@@ -70,18 +71,24 @@ pub(crate) enum Speed {
     RealTime,
 }
 
-fn parse_input(text: &str) -> Result<(String, String), String> {
+pub(crate) fn parse_input(text: &str) -> Result<(String, String), String> {
     let (name, value) = text.split_once('=').ok_or("write it as INPUT=VALUE")?;
     Ok((name.to_owned(), value.to_owned()))
 }
 
 /// The given inputs as values of the types that the chart declares; what the chart does not have stays text and is
-/// refused by the executor, with a suggestion.
-fn read_inputs(given: &[(String, String)], program: &Program) -> Result<BTreeMap<String, Value>, NotBegun> {
+/// refused when the run is made, with a suggestion.
+///
+/// # Errors
+/// One sentence for people.
+pub(crate) fn read_inputs_of(
+    given: &[(String, String)],
+    program: &Program,
+) -> Result<BTreeMap<String, Value>, String> {
     let read = |(name, text): &(String, String)| {
         let declared = program.inputs().find(|input| input.name == *name);
         let value = declared.map_or_else(|| Ok(Value::from(text.as_str())), |input| input.ty.read(text));
-        value.map(|v| (name.clone(), v)).map_err(|e| NotBegun::Message(format!("--set {name}={text}: {e}")))
+        value.map(|v| (name.clone(), v)).map_err(|e| format!("--set {name}={text}: {e}"))
     };
     given.iter().map(read).collect()
 }
@@ -119,6 +126,11 @@ fn show(findings: &[Shown], out: &mut dyn Write) -> io::Result<()> {
     let colour = io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
     write!(out, "{}", render(findings, colour, 100))?;
     writeln!(out, "{}", summary(findings))
+}
+
+/// Shows what is wrong with a chart.
+pub(crate) fn show_findings(findings: &[Finding], out: &mut dyn Write) -> io::Result<()> {
+    show(&findings.iter().map(Shown::from).collect::<Vec<_>>(), out)
 }
 
 fn begin_error(error: impl std::fmt::Display) -> NotBegun {
@@ -167,7 +179,7 @@ async fn perform(args: &RunArgs, began: Instant, out: &mut dyn Write) -> Result<
     let channels = Channels::new();
     let robot = Arc::clone(&stage.robot);
     let options = ExecOptions {
-        inputs: read_inputs(&args.inputs, &program)?,
+        inputs: read_inputs_of(&args.inputs, &program).map_err(NotBegun::Message)?,
         profile: args.profile.clone(),
         sink: Some(Box::new(chronicle.clone())),
         on_stuck: Some(Box::new(move |state| robot.stop(&format!("the skill of `{state}` does not return")))),

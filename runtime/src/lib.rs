@@ -3,6 +3,7 @@
 //! - [`chart`]: reading a chart, finding what is wrong with it, compiling it;
 //! - [`engine`]: the pure interpreter, event in, effects out;
 //! - [`import`]: charts that were written in SCXML;
+//! - [`stepping`]: a chart driven by hand under virtual time;
 //! - [`exec`]: runs skills, timers and watches on tokio;
 //! - [`trace`]: what happened in a run;
 //! - [`skill`]: what a leaf of a chart is, and what it is given while it runs;
@@ -16,4 +17,5 @@ pub mod engine;
 pub mod exec;
 pub mod import;
 pub mod skill;
+pub mod stepping;
 pub mod trace;

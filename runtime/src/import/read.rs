@@ -122,7 +122,7 @@ pub(super) fn document(text: &str, errors: &mut Vec<ImportError>) -> Option<Docu
     let lines_before = u32::try_from(text[..lead].matches('\n').count()).unwrap_or(0);
     let mut reader = Reader { xml: &xml, lines_before, document: Document::default(), errors };
     reader.root(xml.root_element());
-    Some(reader.document)
+    Some(reader.document).filter(|document| !document.states.is_empty())
 }
 
 struct Reader<'x, 'e> {

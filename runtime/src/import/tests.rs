@@ -1,1 +1,183 @@
-//! Documents as charts.
+//! Documents as charts: what is written, and what is refused.
+
+use std::collections::BTreeMap;
+
+use armarium_values::Value;
+
+use super::scxml;
+use crate::chart::{ChannelSchema, Registry, check, load_text};
+use crate::stepping::Stepper;
+
+fn wrap(inside: &str) -> String {
+    format!("<scxml xmlns='http://www.w3.org/2005/07/scxml' version='1.0'>\n{inside}\n</scxml>")
+}
+
+fn yaml(inside: &str) -> String {
+    scxml(&wrap(inside), "c").unwrap_or_else(|e| panic!("{e:?}")).yaml
+}
+
+fn refused(inside: &str) -> Vec<String> {
+    let errors = scxml(&wrap(inside), "c").err().unwrap_or_default();
+    errors.iter().map(ToString::to_string).collect()
+}
+
+fn stepper(inside: &str) -> Stepper {
+    let yaml = yaml(inside);
+    let checked = check(&load_text("c.yaml", &yaml, &[]), &Registry::new(), &ChannelSchema::new());
+    let program = checked.program.unwrap_or_else(|| panic!("{:?}\n{yaml}", checked.findings));
+    let mut stepper = Stepper::new(program, &BTreeMap::new(), None).unwrap();
+    stepper.start();
+    stepper
+}
+
+/// The leaves after each event.
+fn leaves(inside: &str, events: &[&str]) -> Vec<String> {
+    let mut stepper = stepper(inside);
+    let mut result = vec![stepper.snapshot().configuration.join(" ")];
+    for event in events {
+        stepper.event(event, Value::Null);
+        result.push(stepper.snapshot().configuration.join(" "));
+    }
+    result
+}
+
+#[test]
+fn a_small_document_as_a_whole() {
+    let text = yaml(
+        "<state id='a'><onentry><raise event='e'/></onentry>\
+         <transition event='e f.*' cond=\"In('b.1') || _event.name == 'e'\" target='b.1'>\
+         <send event='late' delay='1.5s' id='l'/><log label='L' expr=\"'x' + 1\"/></transition></state>\
+         <state id='b.1'><transition event='late' target='a'/></state>",
+    );
+    insta::assert_snapshot!(text);
+}
+
+#[test]
+fn every_mistake_is_found_at_once_with_its_line() {
+    let found = refused(
+        "<datamodel><data id='x'/></datamodel>\n<state id='a'>\n<invoke/>\n<transition event='e' target='nowhere' cond='x == 1'/>\n\
+         <onentry><script>1</script><send event='e' delay='soon'/></onentry></state>\n<state id='a'/>",
+    );
+    let expected = [
+        "line 2: `<datamodel>` needs a data model: only the null data model and literals are carried over",
+        "line 4: `<invoke>` cannot be carried over: write a `statechart:` or `remote:` state",
+        "line 5: the expression `x == 1` cannot be carried over: `x` needs a data model",
+        "line 5: there is no state with the id `nowhere`",
+        "line 6: `<script>` cannot be carried over: charts hold no programs",
+        "line 6: `soon` is not a delay: write `2s` or `100ms`",
+        "line 7: two states have the id `a`",
+    ];
+    assert_eq!(found, expected);
+}
+
+#[test]
+fn hostile_documents_are_refused() {
+    let deep = format!("{}{}", "<state>".repeat(5000), "</state>".repeat(5000));
+    assert!(refused(&deep)[0].contains("nested deeper"));
+    let ifs = format!(
+        "<state><onentry>{}{}</onentry></state>",
+        "<if cond='true'>".repeat(100),
+        "</if>".repeat(100)
+    );
+    assert!(refused(&ifs)[0].contains("nested deeper"));
+    let bomb = "<!DOCTYPE x [<!ENTITY a 'aa'><!ENTITY b '&a;&a;'>]><scxml>&b;</scxml>";
+    assert!(scxml(bomb, "c").unwrap_err()[0].message.contains("XML"));
+    assert!(scxml("", "c").is_err() && scxml("<a/>", "c").is_err() && scxml("\u{0}", "c").is_err());
+    let cond = format!("<state><transition cond=\"{}true\"/></state>", "!(".repeat(1000));
+    assert!(refused(&cond)[0].contains("too deep"));
+}
+
+#[test]
+fn names_that_are_not_allowed_are_changed_and_kept() {
+    let imported =
+        scxml(&wrap("<state id='b.1'/><state id='b_1'/><state id='in'/><state/><state id='c'/>"), "c");
+    let imported = imported.unwrap();
+    let changed: Vec<(&str, &str)> = imported.renamed.iter().map(|(n, i)| (n.as_str(), i.as_str())).collect();
+    assert_eq!(changed, [("b_1_2", "b.1"), ("in_", "in")]);
+    assert!(imported.yaml.contains("  b_1_2: {}  # `b.1` in SCXML\n"), "{}", imported.yaml);
+    assert!(imported.yaml.contains("statechart: c_2\n"), "{}", imported.yaml);
+}
+
+#[test]
+fn expressions_of_literals_are_computed() {
+    for (text, expected) in [
+        ("1 + 2 == 3", "[b]"),
+        ("'a' === 'a' && !false", "[b]"),
+        ("1 > 2 || ''", "[a]"),
+        ("In('nowhere')", "[a]"),
+        ("In('a') && !In('b')", "[b]"),
+        ("!(In('a') || In('b'))", "[a]"),
+        ("_event.name == 'e'", "[b]"),
+        ("_name == 'c' && _event.name != 'f'", "[b]"),
+        ("0", "[a]"),
+    ] {
+        let text = text.replace('&', "&amp;").replace('<', "&lt;");
+        let found = leaves(
+            &format!(
+                "<state id='a'><transition event='e' cond=\"{text}\" target='b'/></state><state id='b'/>"
+            ),
+            &["e"],
+        );
+        assert_eq!(format!("[{}]", found[1]), expected, "{text}");
+    }
+    for text in
+        ["x", "1 +", "'a", "a(", "In(x)", "f('a')", "_event.origin", "1 = 1", "'\\q'", "-'a'", "'a' < 1"]
+    {
+        let text = text.replace('<', "&lt;");
+        assert_eq!(refused(&format!("<state><transition cond=\"{text}\"/></state>")).len(), 1, "{text}");
+    }
+}
+
+#[test]
+fn an_event_that_comes_again_after_a_wider_one_keeps_its_turn() {
+    let document = "<state id='a'>\
+        <transition event='e' cond='false' target='b'/><transition event='*' cond=\"_event.name != 'f'\" target='c'/>\
+        <transition event='e f' target='d'/></state><state id='b'/><state id='c'/><state id='d'/>";
+    assert_eq!(leaves(document, &["e"]), ["a", "c"]);
+    assert_eq!(leaves(document, &["f"]), ["a", "d"]);
+    assert_eq!(leaves(document, &["f.g"]), ["a", "c"]);
+}
+
+#[test]
+fn conditions_and_branches_run_in_order() {
+    let document = "<state id='a'><onentry><if cond=\"In('b')\"><raise event='x'/><elseif cond=\"In('a')\"/>\
+        <raise event='y'/><if cond='false'/><else/><raise event='z'/></if></onentry>\
+        <transition event='y' target='b'/><transition event='*' target='c'/></state><state id='b'/><state id='c'/>";
+    assert_eq!(leaves(document, &[]), ["b"]);
+}
+
+#[test]
+fn a_delayed_event_can_be_taken_back() {
+    let document = "<state id='a'><onentry><send event='t' delay='2s' id='one'/><send event='u' delayexpr=\"'1s'\"/>\
+        </onentry><transition event='u'><cancel sendid='one'/></transition><transition event='t' target='b'/></state>\
+        <state id='b'/>";
+    let mut stepper = stepper(document);
+    stepper.advance(std::time::Duration::from_secs(5));
+    assert_eq!(stepper.snapshot().configuration, ["a"]);
+    let mut stepper = self::stepper(&document.replace("<cancel sendid='one'/>", ""));
+    stepper.advance(std::time::Duration::from_secs(5));
+    assert_eq!(stepper.snapshot().configuration, ["b"]);
+}
+
+#[test]
+fn what_cannot_be_sent_is_the_error_event_that_scxml_names() {
+    for (attribute, error) in [
+        ("target='baz'", "error.execution"),
+        ("type='27'", "error.execution"),
+        ("target='#_scxml_foo'", "error.communication"),
+        ("target='#_parent'", "error.communication"),
+    ] {
+        let document = format!(
+            "<state id='a'><onentry><send event='e' {attribute}/><send event='f'/></onentry>\
+             <transition event='{error}' target='b'/><transition event='*' target='c'/></state><state id='b'/><state id='c'/>"
+        );
+        assert_eq!(leaves(&document, &[]), ["b"], "{attribute}");
+    }
+}
+
+#[test]
+fn final_states_tell_their_data() {
+    let document = "<state id='s.1'><final id='f'><donedata><param name='x' expr='1'/></donedata></final>\
+        <transition event='done.state.s.1' cond=\"_event.data.x == 1\" target='b'/></state><state id='b'/>";
+    assert_eq!(leaves(document, &[]), ["b"]);
+}

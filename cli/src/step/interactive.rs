@@ -1,0 +1,129 @@
+//! Driving a chart by hand: what is active is shown, and a line is asked for.
+
+use std::io::{self, BufRead, Write};
+use std::time::Duration;
+
+use armarium_runtime::stepping::Stepper;
+use armarium_values::{Type, Value};
+
+/// What can be typed.
+const HELP: &str = "\
+  NAME [JSON]           raise an event, perhaps with data
+  NAME@STATE [JSON]     the outcome of the state's skill, or its watch
+  CHANNEL := JSON       publish a value on a channel
+  +TIME                 let time go by: +500ms, +2s
+  vars                  show locals and outputs
+  quit                  leave";
+
+/// Asks for lines until there are no more, the person leaves or the run has ended.
+pub(super) fn run(mut stepper: Stepper, input: &mut dyn BufRead, out: &mut dyn Write) -> io::Result<()> {
+    stepper.start();
+    writeln!(out, "{HELP}")?;
+    let mut text = String::new();
+    loop {
+        show(&mut stepper, out)?;
+        if stepper.result().is_some() {
+            return Ok(());
+        }
+        write!(out, "> ")?;
+        out.flush()?;
+        text.clear();
+        if input.read_line(&mut text)? == 0 {
+            return writeln!(out);
+        }
+        match text.trim() {
+            "" => {}
+            "quit" | "q" | "exit" => return Ok(()),
+            "help" | "?" => writeln!(out, "{HELP}")?,
+            "vars" => variables(&stepper, out)?,
+            line => {
+                if let Err(message) = obey(&mut stepper, line) {
+                    writeln!(out, "  {message}")?;
+                }
+            }
+        }
+    }
+}
+
+fn show(stepper: &mut Stepper, out: &mut dyn Write) -> io::Result<()> {
+    for line in stepper.take_logs() {
+        writeln!(out, "  log: {line}")?;
+    }
+    let snapshot = stepper.snapshot();
+    writeln!(out, "[{:.3} s] {}", stepper.now().as_secs_f64(), snapshot.configuration.join(" | "))?;
+    for (state, skill) in stepper.running() {
+        writeln!(out, "  {state} runs {skill}")?;
+    }
+    if let Some(result) = stepper.result() {
+        let reason = result.reason.as_ref().map_or_else(String::new, |r| format!(": {r}"));
+        writeln!(out, "the run has ended: {}{reason}", result.outcome)?;
+    }
+    Ok(())
+}
+
+fn variables(stepper: &Stepper, out: &mut dyn Write) -> io::Result<()> {
+    let snapshot = stepper.snapshot();
+    for (kind, values) in [("locals", snapshot.locals), ("outputs", snapshot.outputs)] {
+        for (name, value) in values {
+            writeln!(out, "  {kind}.{name} = {}", value.to_json())?;
+        }
+    }
+    Ok(())
+}
+
+fn obey(stepper: &mut Stepper, line: &str) -> Result<(), String> {
+    if let Some(time) = line.strip_prefix('+') {
+        let time = Type::Duration.read(time.trim()).map_err(|e| e.to_string())?;
+        let seconds = time.as_f64().and_then(|s| Duration::try_from_secs_f64(s).ok());
+        stepper.advance(seconds.ok_or("that is not a time")?);
+        return Ok(());
+    }
+    if let Some((channel, value)) = line.split_once(":=") {
+        stepper.publish(channel.trim(), json(value)?);
+        return Ok(());
+    }
+    let (name, data) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
+    let data = if data.trim().is_empty() { Value::Null } else { json(data)? };
+    match name.split_once('@') {
+        Some((name, state)) => stepper.report(state, name, data).map_err(|e| e.to_string()),
+        None => {
+            stepper.event(name, data);
+            Ok(())
+        }
+    }
+}
+
+fn json(text: &str) -> Result<Value, String> {
+    let value: serde_json::Value = serde_json::from_str(text.trim()).map_err(|e| format!("not JSON: {e}"))?;
+    Ok(Value::from_json(&value))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CHART: &str = "statechart: C\nlocals: {n: {type: int, default: 0}}\nevents: {go: {}}\ninitial: A\nstates:\n  A: {transitions: {go: {target: B, do: [{assign: {locals.n: \"${event.data.n}\"}}]}}}\n  B: {after: {2s: Done}}\n  Done: {final: success}\n";
+
+    #[test]
+    fn a_person_drives_a_chart_to_its_end() {
+        let library = armarium_runtime::chart::load_text("c.yaml", CHART, &[]);
+        let checked = armarium_runtime::chart::check(&library, &Default::default(), &Default::default());
+        let stepper = Stepper::new(checked.program.expect("it is in order"), &Default::default(), None);
+        let lines = "nonsense {\ngo@Nowhere\ngo@A\ngo {\"n\": 7}\nvars\n+soon\n+2s\n";
+        let mut out = Vec::new();
+        run(stepper.expect("it has no inputs"), &mut lines.as_bytes(), &mut out)
+            .expect("memory can be written");
+        let text = String::from_utf8(out).expect("text is UTF-8");
+        for part in [
+            "not JSON",
+            "no state `Nowhere`",
+            "`go` is dropped",
+            "[0.000 s] B",
+            "locals.n = 7",
+            "[2.000 s] Done",
+            "the run has ended: success",
+        ] {
+            assert!(text.contains(part), "{part} in\n{text}");
+        }
+    }
+}

@@ -1,0 +1,171 @@
+//! `armarium step CHART`: drives a chart with no robot under virtual time, by JSON lines or by hand at a terminal.
+//!
+//! `line` reads what comes in and writes what goes out, `interactive` is for people.
+
+mod interactive;
+mod line;
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Write};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+use armarium_runtime::engine::Program;
+use armarium_runtime::stepping::Stepper;
+
+use crate::catalog;
+use crate::run::{parse_input, read_inputs_of};
+
+/// What `step` takes.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct StepArgs {
+    /// The chart.
+    #[arg(value_name = "CHART")]
+    pub(crate) chart: PathBuf,
+    /// An input of the chart, for instance `contact_force=10` or `patience=30s`; may be repeated.
+    #[arg(long = "set", value_name = "INPUT=VALUE", value_parser = parse_input)]
+    pub(crate) inputs: Vec<(String, String)>,
+    /// The chart's profile whose defaults are used.
+    #[arg(long)]
+    pub(crate) profile: Option<String>,
+    /// Events as JSON lines: `{"name": "t1", "data": .., "after_ms": 100}`; an outcome or watch has `"from": "State"`; a
+    /// channel's value is `{"channel": "hand", "value": ..}`. `-` reads them from standard input.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) events: Option<PathBuf>,
+    /// Folders where charts find other charts by name, besides their own.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) charts: Vec<PathBuf>,
+    /// Ask for events at the terminal.
+    #[arg(long, conflicts_with_all = ["events", "repeat", "quiet"])]
+    pub(crate) interactive: bool,
+    /// Drive the list of events so many times.
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "events")]
+    pub(crate) repeat: u64,
+    /// Print one line at the end, with the time that it took.
+    #[arg(long, requires = "events")]
+    pub(crate) quiet: bool,
+}
+
+/// Why a chart cannot be driven on.
+#[derive(Debug, thiserror::Error)]
+enum Stopped {
+    /// What is wrong with the file or an argument; it is shown.
+    #[error("{0}")]
+    Wrong(String),
+    #[error(transparent)]
+    Io(#[from] io::Error),
+}
+
+/// Drives the chart; results go to `out`, what is wrong to `err`. Returns the exit status: 2 when a file, an argument or
+/// an event is wrong, otherwise 0.
+///
+/// # Errors
+/// When `out` or `err` cannot be written.
+pub(crate) fn run(args: &StepArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
+    let checked = catalog::load_idle(&args.chart, &args.charts);
+    let Some(program) = checked.program else {
+        return crate::run::show_findings(&checked.findings, err).map(|()| 2);
+    };
+    match drive(args, &program, out, err) {
+        Ok(()) => Ok(0),
+        Err(Stopped::Wrong(message)) => writeln!(err, "error: {message}").map(|()| 2),
+        Err(Stopped::Io(error)) => Err(error),
+    }
+}
+
+fn drive(
+    args: &StepArgs,
+    program: &Arc<Program>,
+    out: &mut dyn Write,
+    err: &mut dyn Write,
+) -> Result<(), Stopped> {
+    let inputs = read_inputs_of(&args.inputs, program).map_err(Stopped::Wrong)?;
+    let stepper = Stepper::new(Arc::clone(program), &inputs, args.profile.as_deref());
+    let mut stepper = stepper.map_err(|e| Stopped::Wrong(e.to_string()))?;
+    if args.interactive {
+        return Ok(interactive::run(stepper, &mut io::stdin().lock(), out)?);
+    }
+    if args.quiet {
+        return measure(args, &mut stepper, out, err);
+    }
+    stepper.start();
+    line::write(&mut stepper, "", out)?;
+    let Some(events) = &args.events else { return Ok(()) };
+    if args.repeat == 1 {
+        // Each line is answered before the next is read, so that a program can drive a chart through pipes.
+        return each_line(events, |number, text| {
+            if let Some(told) = line::read(text).map_err(|e| wrong(number, &e))? {
+                line::tell(&mut stepper, &told, number, err)?;
+                line::write(&mut stepper, told.name(), out)?;
+                out.flush()?;
+            }
+            Ok(())
+        });
+    }
+    let list = read_all(events)?;
+    for _ in 0..args.repeat {
+        for (number, told) in &list {
+            line::tell(&mut stepper, told, *number, err)?;
+            line::write(&mut stepper, told.name(), out)?;
+        }
+    }
+    Ok(())
+}
+
+/// Drives the list `repeat` times and says how long that took.
+fn measure(
+    args: &StepArgs,
+    stepper: &mut Stepper,
+    out: &mut dyn Write,
+    err: &mut dyn Write,
+) -> Result<(), Stopped> {
+    let list = args.events.as_ref().map_or_else(|| Ok(Vec::new()), read_all)?;
+    stepper.keep_quiet();
+    stepper.start();
+    let began = Instant::now();
+    for _ in 0..args.repeat {
+        for (number, told) in &list {
+            line::tell(stepper, told, *number, err)?;
+        }
+    }
+    let seconds = began.elapsed().as_secs_f64();
+    let events = args.repeat.saturating_mul(list.len() as u64);
+    line::write_figures(stepper, events, seconds, out)?;
+    Ok(())
+}
+
+fn read_all(events: &PathBuf) -> Result<Vec<(usize, line::Told)>, Stopped> {
+    let mut list = Vec::new();
+    each_line(events, |number, text| {
+        list.extend(line::read(text).map_err(|e| wrong(number, &e))?.map(|told| (number, told)));
+        Ok(())
+    })?;
+    Ok(list)
+}
+
+fn wrong(number: usize, message: &str) -> Stopped {
+    Stopped::Wrong(format!("line {number} of the events: {message}"))
+}
+
+/// Calls `work` with each line of a file, or of standard input for `-`, and its number.
+fn each_line(
+    file: &PathBuf,
+    mut work: impl FnMut(usize, &str) -> Result<(), Stopped>,
+) -> Result<(), Stopped> {
+    let unreadable = |e: io::Error| Stopped::Wrong(format!("{}: {e}", file.display()));
+    let mut reader: Box<dyn BufRead> = if file.as_os_str() == "-" {
+        Box::new(io::stdin().lock())
+    } else {
+        Box::new(BufReader::new(File::open(file).map_err(unreadable)?))
+    };
+    let mut text = String::new();
+    for number in 1.. {
+        text.clear();
+        if reader.read_line(&mut text).map_err(unreadable)? == 0 {
+            break;
+        }
+        work(number, &text)?;
+    }
+    Ok(())
+}
