@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use armarium_values::Value;
 
-use crate::engine::{Effect, Engine, Input, InputError, Program, RunResult, Sensors, StateId};
+use crate::engine::{Effect, Engine, EventId, Input, InputError, Program, RunResult, Sensors, StateId};
 use crate::skill::{Failure, Outcome};
 use crate::trace::TraceItem;
 
@@ -92,10 +92,7 @@ pub struct Stepper {
     /// How states are shown.
     labels: Vec<String>,
     by_path: BTreeMap<String, StateId>,
-    /// The leaves that the trace showed last.
-    leaves: Vec<StateId>,
     logs: Vec<String>,
-    quiet: bool,
     result: Option<RunResult>,
     effects: Vec<Effect>,
 }
@@ -121,17 +118,15 @@ impl Stepper {
             watches: BTreeMap::new(),
             labels,
             by_path,
-            leaves: Vec::new(),
             logs: Vec::new(),
-            quiet: false,
             result: None,
             effects: Vec::new(),
         })
     }
 
-    /// What the action `log` says is not kept from now on: for measuring.
+    /// Nothing is told of what happens but what is active: for measuring.
     pub fn keep_quiet(&mut self) {
-        self.quiet = true;
+        self.engine.set_tracing(false);
     }
 
     /// Enters the chart's initial states.
@@ -143,6 +138,12 @@ impl Stepper {
     /// An event that all active states see.
     pub fn event(&mut self, name: &str, data: Value) {
         self.tell(Input::Event { name: name.to_owned(), data });
+    }
+
+    /// As [`Stepper::event`], for an event whose number is known (see [`Program::event`]).
+    pub fn raise(&mut self, event: EventId, data: Value) {
+        self.engine.raise(event, data, &self.board, &mut self.effects);
+        self.settle();
     }
 
     /// A skill's outcome, or the firing of a watch, of a state that is given by its path or unique name. Data are the
@@ -217,7 +218,7 @@ impl Stepper {
     /// The innermost active states; after the end of the run, those at its end.
     #[must_use]
     pub fn leaves(&self) -> Vec<StateId> {
-        if self.result.is_some() { self.leaves.clone() } else { self.engine.leaves() }
+        if self.result.is_some() { self.engine.ended_in().to_vec() } else { self.engine.leaves() }
     }
 
     /// What is active, and what the chart knows.
@@ -225,7 +226,7 @@ impl Stepper {
     pub fn snapshot(&self) -> Snapshot {
         let leaves = self.leaves();
         let program = self.engine.program();
-        let shown = |state: &StateId| *state != 0 && !program.state(*state).chart_root;
+        let shown = |state: &StateId| !program.is_root(*state);
         let all: BTreeSet<StateId> = leaves.iter().flat_map(|leaf| program.outward(*leaf)).collect();
         let label = |state: StateId| self.labels[state as usize].clone();
         let mut configuration: Vec<String> = leaves.into_iter().filter(shown).map(label).collect();
@@ -259,7 +260,7 @@ impl Stepper {
         let program = self.engine.program();
         let is = |watch: &&u32| {
             let watch = &program.watches[**watch as usize];
-            watch.state == state && *watch.name == *name
+            watch.state == state && program.tables.symbols.name(watch.name) == name
         };
         self.watches.keys().find(is).copied()
     }
@@ -322,10 +323,7 @@ impl Stepper {
                 let data = Value::record([("reason", reason.into())]);
                 return Some(Input::Event { name: "error.communication".into(), data });
             }
-            Effect::Trace(TraceItem::Configuration { leaves }) if !leaves.is_empty() => {
-                self.leaves = leaves.iter().filter_map(|path| self.by_path.get(path)).copied().collect();
-            }
-            Effect::Trace(TraceItem::Log { text, .. }) if !self.quiet => self.logs.push(text),
+            Effect::Trace(TraceItem::Log { text, .. }) => self.logs.push(text),
             Effect::Trace(_) => {}
             Effect::Finished(result) => self.result = Some(result),
         }
@@ -398,7 +396,7 @@ fn result(name: &str, data: Value) -> crate::skill::SkillResult {
 /// How states are shown, by number; and states by path.
 fn labels(program: &Program) -> (Vec<String>, BTreeMap<String, StateId>) {
     let count = StateId::try_from(program.len()).unwrap_or(StateId::MAX);
-    let own = |id: &StateId| *id != 0 && !program.state(*id).chart_root;
+    let own = |id: &StateId| !program.is_root(*id);
     let mut uses: BTreeMap<&str, u32> = BTreeMap::new();
     let bare = |id: StateId| program.path(id).rsplit('.').next().unwrap_or("");
     (0..count).filter(own).for_each(|id| *uses.entry(bare(id)).or_default() += 1);

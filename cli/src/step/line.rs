@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::time::Duration;
 
+use armarium_runtime::engine::{EventId, Program};
 use armarium_runtime::stepping::Stepper;
 use armarium_values::Value;
 use serde::{Deserialize, Serialize};
@@ -33,13 +34,33 @@ pub(super) struct Told {
 
 #[derive(Clone, Debug, PartialEq)]
 enum What {
-    Event { name: String, data: Value },
-    Report { from: String, name: String, data: Value },
-    Publish { channel: String, value: Value },
+    /// With the chart's number for it, once that has been looked up.
+    Event {
+        name: String,
+        data: Value,
+        number: Option<EventId>,
+    },
+    Report {
+        from: String,
+        name: String,
+        data: Value,
+    },
+    Publish {
+        channel: String,
+        value: Value,
+    },
     Nothing,
 }
 
 impl Told {
+    /// The same with the event's number, so that it is not looked up each time.
+    pub(super) fn looked_up(mut self, program: &Program) -> Self {
+        if let What::Event { name, number, .. } = &mut self.what {
+            *number = program.event(name);
+        }
+        self
+    }
+
     /// What the line is called in the answer.
     pub(super) fn name(&self) -> &str {
         match &self.what {
@@ -65,7 +86,7 @@ pub(super) fn read(text: &str) -> Result<Option<Told>, String> {
     }
     let data = Value::from_json(&written.data);
     let what = match (written.name, written.from, written.channel, written.value) {
-        (Some(name), None, None, None) => What::Event { name, data },
+        (Some(name), None, None, None) => What::Event { name, data, number: None },
         (Some(name), Some(from), None, None) => What::Report { from, name, data },
         (None, None, Some(channel), Some(value)) => {
             What::Publish { channel, value: Value::from_json(&value) }
@@ -86,7 +107,8 @@ pub(super) fn tell(stepper: &mut Stepper, told: &Told, number: usize, err: &mut 
         stepper.advance(told.after);
     }
     match &told.what {
-        What::Event { name, data } => stepper.event(name, data.clone()),
+        What::Event { number: Some(number), data, .. } => stepper.raise(*number, data.clone()),
+        What::Event { name, data, .. } => stepper.event(name, data.clone()),
         What::Report { from, name, data } => {
             if let Err(error) = stepper.report(from, name, data.clone()) {
                 writeln!(err, "warning: line {number} of the events: {error}")?;
@@ -173,7 +195,7 @@ mod tests {
     fn a_line_is_an_event_an_outcome_a_channel_or_time() {
         let what = |text: &str| read(text).map(|told| told.map(|t| t.what));
         assert_eq!(what("  \n"), Ok(None));
-        let event = What::Event { name: "t".into(), data: Value::Int(1) };
+        let event = What::Event { name: "t".into(), data: Value::Int(1), number: None };
         assert_eq!(what(r#"{"name": "t", "data": 1}"#), Ok(Some(event)));
         let report = What::Report { from: "A.B".into(), name: "success".into(), data: Value::Null };
         assert_eq!(what(r#"{"name": "success", "from": "A.B"}"#), Ok(Some(report)));

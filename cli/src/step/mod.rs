@@ -120,7 +120,9 @@ fn measure(
     out: &mut dyn Write,
     err: &mut dyn Write,
 ) -> Result<(), Stopped> {
-    let list = args.events.as_ref().map_or_else(|| Ok(Vec::new()), read_all)?;
+    let mut list = args.events.as_ref().map_or_else(|| Ok(Vec::new()), read_all)?;
+    let program = Arc::clone(stepper.engine().program());
+    list = list.into_iter().map(|(number, told)| (number, told.looked_up(&program))).collect();
     stepper.keep_quiet();
     stepper.start();
     let began = Instant::now();
