@@ -13,6 +13,7 @@ mod flatten;
 mod library;
 mod lint;
 mod model;
+mod outline;
 mod read;
 mod read_state;
 mod targets;
@@ -24,6 +25,7 @@ pub(crate) use finding::suggest;
 pub use finding::{Finding, Severity, Source, Span, code};
 pub use library::{Library, load, load_text};
 pub use model::{Chart, Declaration};
+pub use outline::{Outline, OutlineKind, OutlineState, OutlineTransition};
 pub(crate) use read::is_name;
 
 #[cfg(test)]
