@@ -19,6 +19,9 @@ pub(crate) struct CheckArgs {
     /// Write the findings as JSON.
     #[arg(long)]
     pub(crate) json: bool,
+    /// Check again whenever a file changes.
+    #[arg(long, conflicts_with = "json")]
+    pub(crate) watch: bool,
 }
 
 /// How the output is drawn.
@@ -36,6 +39,20 @@ pub(crate) struct Style {
 /// # Errors
 /// When `out` cannot be written.
 pub(crate) fn run(
+    args: &CheckArgs,
+    style: Style,
+    check_chart: &dyn Fn(&Path, &[PathBuf]) -> Vec<Shown>,
+    out: &mut dyn Write,
+) -> io::Result<u8> {
+    if args.watch {
+        return crate::changes::follow(&args.files, &args.charts, out, |out| {
+            once(args, style, check_chart, out)
+        });
+    }
+    once(args, style, check_chart, out)
+}
+
+fn once(
     args: &CheckArgs,
     style: Style,
     check_chart: &dyn Fn(&Path, &[PathBuf]) -> Vec<Shown>,

@@ -2,9 +2,11 @@
 //! command line and turns what they return into the exit status.
 
 mod catalog;
+mod changes;
 mod check;
 mod chronicle;
 mod gallery;
+mod graph;
 mod import;
 mod judge;
 mod logging;
@@ -18,6 +20,7 @@ mod schema;
 mod skills;
 mod stage;
 mod step;
+mod test_cases;
 
 use std::io::{self, IsTerminal as _, Write};
 use std::process::ExitCode;
@@ -32,6 +35,9 @@ use clap::{Parser, Subcommand};
     armarium run statecharts/wiping.yaml --set contact_force=10 --seed 3 --report out\n  \
     armarium run statecharts/wiping.yaml --set motion=wiping  start from the motion of the last run\n  \
     armarium check statecharts/*.yaml                         what is wrong, before anything moves\n  \
+    armarium step chart.yaml --interactive                    drive a chart by hand, without a robot\n  \
+    armarium test statecharts/*.test.yaml                     play the test cases of charts\n  \
+    armarium graph statecharts/wiping.yaml -o wiping.svg      draw a chart\n  \
     armarium new my_robot                                     a chart, a world and a test of your own\n\n\
     Exit status: 0 success, 1 a run that failed, 2 a file or argument that is wrong.")]
 struct Arguments {
@@ -47,6 +53,10 @@ enum Command {
     Check(check::CheckArgs),
     /// Drive a chart by hand or by a list of events, with no robot, under virtual time.
     Step(step::StepArgs),
+    /// Play the test cases of charts under virtual time.
+    Test(test_cases::TestArgs),
+    /// Draw a chart: SVG, Mermaid or PlantUML.
+    Graph(graph::GraphArgs),
     /// Make a chart of an SCXML document.
     Import(import::ImportArgs),
     /// Start a chart, a world and a test of one's own.
@@ -66,6 +76,8 @@ fn main() -> ExitCode {
         Command::Run(args) => run::run(args, &mut io::stderr()),
         Command::Check(args) => check::run(args, style(), &catalog::check_chart, &mut out),
         Command::Step(args) => step::run(args, &mut out, &mut io::stderr()),
+        Command::Test(args) => test_cases::run(args, &mut out),
+        Command::Graph(args) => graph::run(args, &mut out),
         Command::Import(args) => import::run(args, &mut out, &mut io::stderr()),
         Command::New(args) => new::run(args, &mut out),
         Command::Schema(args) => schema::run(*args, &mut out),

@@ -51,8 +51,8 @@ fn show(stepper: &mut Stepper, out: &mut dyn Write) -> io::Result<()> {
     }
     let snapshot = stepper.snapshot();
     writeln!(out, "[{:.3} s] {}", stepper.now().as_secs_f64(), snapshot.configuration.join(" | "))?;
-    for (state, skill) in stepper.running() {
-        writeln!(out, "  {state} runs {skill}")?;
+    for running in stepper.running() {
+        writeln!(out, "  {} runs {}", running.state, running.skill)?;
     }
     if let Some(result) = stepper.result() {
         let reason = result.reason.as_ref().map_or_else(String::new, |r| format!(": {r}"));

@@ -4,6 +4,8 @@
 //! between them it shows what is active. Skills that are cancelled return at once. It is for looking at what a chart
 //! means, for conformance tests and for measuring the engine; `exec` is what runs charts.
 
+mod coverage;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
@@ -13,6 +15,8 @@ use armarium_values::Value;
 use crate::engine::{Effect, Engine, EventId, Input, InputError, Program, RunResult, Sensors, StateId};
 use crate::skill::{Failure, Outcome};
 use crate::trace::TraceItem;
+
+pub use coverage::{Coverage, Described};
 
 /// How often a watch that reads the age of a channel is looked at while time goes by.
 const AGE_TICK: Duration = Duration::from_millis(20);
@@ -51,6 +55,19 @@ pub struct Snapshot {
     pub locals: BTreeMap<String, Value>,
     /// Its outputs that have a value.
     pub outputs: BTreeMap<String, Value>,
+}
+
+/// A skill that runs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RunningSkill {
+    /// Number of its start in the run.
+    pub activation: u64,
+    /// The state that runs it, as it is shown: its bare name where that is unique.
+    pub state: String,
+    /// The state's path.
+    pub path: String,
+    /// The skill's name.
+    pub skill: String,
 }
 
 /// An armed watch.
@@ -93,6 +110,7 @@ pub struct Stepper {
     labels: Vec<String>,
     by_path: BTreeMap<String, StateId>,
     logs: Vec<String>,
+    coverage: Coverage,
     result: Option<RunResult>,
     effects: Vec<Effect>,
 }
@@ -119,6 +137,7 @@ impl Stepper {
             labels,
             by_path,
             logs: Vec::new(),
+            coverage: Coverage::default(),
             result: None,
             effects: Vec::new(),
         })
@@ -236,15 +255,27 @@ impl Stepper {
         Snapshot { configuration, states, locals: self.engine.locals(), outputs: self.engine.outputs() }
     }
 
-    /// The skills that run: label of the state and name of the skill, in the chart's order.
+    /// The transitions that were taken so far.
     #[must_use]
-    pub fn running(&self) -> Vec<(String, String)> {
+    pub fn coverage(&self) -> &Coverage {
+        &self.coverage
+    }
+
+    /// The skills that run, in the chart's order.
+    #[must_use]
+    pub fn running(&self) -> Vec<RunningSkill> {
         let program = self.engine.program();
-        let skill = |state: StateId| match &program.state(state).kind {
+        let name = |state: StateId| match &program.state(state).kind {
             crate::engine::program::Kind::Skill { manifest } => manifest.name.clone(),
             _ => String::new(),
         };
-        self.skills.keys().map(|s| (self.labels[*s as usize].clone(), skill(*s))).collect()
+        let one = |(state, activation): (&StateId, &u64)| RunningSkill {
+            activation: *activation,
+            state: self.labels[*state as usize].clone(),
+            path: program.path(*state).to_owned(),
+            skill: name(*state),
+        };
+        self.skills.iter().map(one).collect()
     }
 
     fn find(&self, state: &str) -> Result<StateId, StepError> {
@@ -324,7 +355,7 @@ impl Stepper {
                 return Some(Input::Event { name: "error.communication".into(), data });
             }
             Effect::Trace(TraceItem::Log { text, .. }) => self.logs.push(text),
-            Effect::Trace(_) => {}
+            Effect::Trace(item) => self.coverage.note(&item),
             Effect::Finished(result) => self.result = Some(result),
         }
         None

@@ -1,0 +1,53 @@
+//! Values of a declared type: read from a script, or made up where a script does not say.
+
+use std::collections::BTreeMap;
+
+use armarium_values::{Frame, Pose, Reference, Type, Value, Vector, Wrench};
+use serde_json::Value as Json;
+
+/// A script's value as the declared type; poses, vectors and wrenches are maps of their parts.
+///
+/// # Errors
+/// One sentence for people.
+pub(super) fn read(ty: &Type, json: &Json) -> Result<Value, String> {
+    let part = |e: serde_json::Error| e.to_string();
+    let value = match (ty, json) {
+        (Type::Pose, Json::Object(_)) => {
+            Value::Pose(serde_json::from_value::<Pose>(json.clone()).map_err(part)?)
+        }
+        (Type::Vector, Json::Object(_)) => {
+            Value::Vector(serde_json::from_value::<Vector>(json.clone()).map_err(part)?)
+        }
+        (Type::Wrench, Json::Object(_)) => {
+            Value::Wrench(serde_json::from_value::<Wrench>(json.clone()).map_err(part)?)
+        }
+        _ => Value::from_json(json),
+    };
+    ty.convert(value).map_err(|e| e.to_string())
+}
+
+/// Some value of a type: nothing, none, at the origin; a reference to something that is called `name`.
+pub(super) fn of(ty: &Type, name: &str) -> Value {
+    let root = || Frame::from("root");
+    match ty {
+        Type::Any => Value::Null,
+        Type::Bool => Value::Bool(false),
+        Type::Int => Value::Int(0),
+        Type::Float(_) => Value::Float(0.0),
+        Type::String => Value::String(String::new()),
+        Type::Duration => Value::Duration(0.0),
+        Type::Bytes => Value::Bytes(Vec::new().into()),
+        Type::List(_) => Value::List(Vec::new()),
+        Type::Map(_) => Value::Map(BTreeMap::new()),
+        Type::Record(types) => {
+            Value::Map(types.iter().map(|(field, ty)| (field.clone(), of(ty, field))).collect())
+        }
+        Type::Enum(words) => Value::String(words.first().cloned().unwrap_or_default()),
+        Type::Vector => Value::Vector(Vector { frame: root(), components: [0.0; 3] }),
+        Type::Pose => {
+            Value::Pose(Pose { frame: root(), position: [0.0; 3], orientation: [0.0, 0.0, 0.0, 1.0] })
+        }
+        Type::Wrench => Value::Wrench(Wrench { frame: root(), force: [0.0; 3], torque: [0.0; 3] }),
+        Type::Reference(kind) => Value::Reference(Reference { kind: kind.clone(), id: name.to_owned() }),
+    }
+}

@@ -1,0 +1,72 @@
+//! Which transitions of a chart have been taken, for the table of those that no test takes.
+
+use std::collections::BTreeSet;
+
+use crate::engine::Program;
+use crate::engine::program::Pattern;
+use crate::trace::TraceItem;
+
+/// A transition as the trace tells it: source, event and target.
+type Seen = (String, Option<String>, Option<String>);
+
+/// The transitions that were taken in one or several runs of a program.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Coverage {
+    seen: BTreeSet<Seen>,
+}
+
+/// A transition of a program, in words.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Described {
+    /// Path of the state that it is written at.
+    pub source: String,
+    /// Its event, `after` or `always`.
+    pub event: String,
+    /// Where it goes; empty when no state is left.
+    pub target: String,
+    /// Whether it has a condition.
+    pub guarded: bool,
+}
+
+impl Coverage {
+    /// Takes note of what happened.
+    pub(super) fn note(&mut self, item: &TraceItem) {
+        if let TraceItem::Transition { source, event, target } = item {
+            self.seen.insert((source.clone(), event.clone(), target.clone()));
+        }
+    }
+
+    /// The same with what another has seen.
+    pub fn extend(&mut self, other: Self) {
+        self.seen.extend(other.seen);
+    }
+
+    /// All transitions of a program in the order of the file, and whether each was taken. Of transitions that differ
+    /// only by their condition or actions, all count as taken when one was.
+    #[must_use]
+    pub fn of(&self, program: &Program) -> Vec<(Described, bool)> {
+        let each = program.transitions.iter().map(|transition| {
+            let source = program.path(transition.source).to_owned();
+            let targets: Vec<&str> = transition.targets.iter().map(|t| program.path(*t)).collect();
+            let target = targets.join(" ");
+            let (event, timed) = match &transition.pattern {
+                Pattern::None if transition.delay.is_some() => ("after".to_owned(), true),
+                Pattern::None => ("always".to_owned(), false),
+                Pattern::Exact(name) => (name.to_string(), false),
+                Pattern::Prefix(name) => (format!("{name}.*"), false),
+                Pattern::Any => ("*".to_owned(), false),
+            };
+            let taken = self.seen.iter().any(|(from, seen, to)| {
+                let fits = match (seen, &transition.pattern) {
+                    (None, Pattern::None) => !timed,
+                    (Some(name), Pattern::None) => timed && name == "after",
+                    (Some(name), pattern) => pattern.matches(name),
+                    (None, _) => false,
+                };
+                *from == source && to.as_deref().unwrap_or("") == target && fits
+            });
+            (Described { source, event, target, guarded: transition.guard.is_some() }, taken)
+        });
+        each.collect()
+    }
+}
