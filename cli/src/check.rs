@@ -86,14 +86,32 @@ fn check_file(
             Ok(_) => Vec::new(),
             Err(errors) => errors.iter().map(Shown::from).collect(),
         },
+        Ok(text) if is_cases(&text) => crate::test_cases::read(file)
+            .err()
+            .map(|message| Shown {
+                message,
+                help: String::new(),
+                code: "test::form".into(),
+                ..unreadable(file, &io::Error::other(""))
+            })
+            .into_iter()
+            .collect(),
         Ok(_) => check_chart(file, charts),
     }
 }
 
 /// Whether a file says that it is a world: it has the key `world` and not the key `statechart` at its outermost level.
 fn is_world(text: &[u8]) -> bool {
-    let has = |key: &str| text.split(|byte| *byte == b'\n').any(|line| line.starts_with(key.as_bytes()));
-    has("world:") && !has("statechart:")
+    has_key(text, "world:") && !has_key(text, "statechart:")
+}
+
+/// Whether a file holds test cases of a chart.
+fn is_cases(text: &[u8]) -> bool {
+    has_key(text, "test:") && !has_key(text, "statechart:")
+}
+
+fn has_key(text: &[u8], key: &str) -> bool {
+    text.split(|byte| *byte == b'\n').any(|line| line.starts_with(key.as_bytes()))
 }
 
 fn unreadable(file: &Path, error: &io::Error) -> Shown {

@@ -1,4 +1,4 @@
-//! `armarium schema world`: the JSON schema that editors check and complete files with.
+//! `armarium schema world|chart`: the JSON schemas that editors check and complete files with.
 
 use std::io::{self, Write};
 
@@ -17,6 +17,8 @@ pub(crate) struct SchemaArgs {
 pub(crate) enum SchemaOf {
     /// A world file.
     World,
+    /// A chart.
+    Chart,
 }
 
 /// Writes the schema. Returns the exit status 0.
@@ -25,9 +27,26 @@ pub(crate) enum SchemaOf {
 /// When `out` cannot be written.
 pub(crate) fn run(args: SchemaArgs, out: &mut dyn Write) -> io::Result<u8> {
     let schema = match args.of {
-        SchemaOf::World => World::schema(),
+        SchemaOf::World => serde_json::to_value(World::schema())?,
+        SchemaOf::Chart => armarium_runtime::chart::schema(&crate::catalog::idle_registry()),
     };
     serde_json::to_writer_pretty(&mut *out, &schema)?;
     writeln!(out)?;
     Ok(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The schema that is held beside the charts is the one that the program writes.
+    #[test]
+    fn the_schema_of_charts_is_fresh() {
+        let mut out = Vec::new();
+        run(SchemaArgs { of: SchemaOf::Chart }, &mut out).expect("memory can be written");
+        let held = concat!(env!("CARGO_MANIFEST_DIR"), "/../statecharts/chart.schema.json");
+        let held = std::fs::read_to_string(held).expect("the schema is there");
+        let fresh = String::from_utf8(out).expect("text is UTF-8");
+        assert!(held == fresh, "armarium schema chart > statecharts/chart.schema.json");
+    }
 }

@@ -8,7 +8,7 @@ use serde_json::Value as Json;
 /// A file of test cases.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct TestFile {
+pub(crate) struct TestFile {
     /// The chart, relative to this file.
     pub(super) test: String,
     /// How skills end, by the skill's name or by the state, unless a case says otherwise.

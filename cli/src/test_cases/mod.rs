@@ -17,7 +17,7 @@ use armarium_runtime::engine::Program;
 use armarium_runtime::stepping::{Coverage, Described};
 
 use crate::catalog;
-use case::TestFile;
+pub(crate) use case::TestFile;
 
 /// What `test` takes.
 #[derive(Clone, Debug, clap::Args)]
@@ -85,7 +85,11 @@ pub(crate) fn run(args: &TestArgs, out: &mut dyn Write) -> io::Result<u8> {
     Ok(if wrong { 2 } else { u8::from(failed > 0 || (args.complete && untaken > 0)) })
 }
 
-fn read(file: &Path) -> Result<TestFile, String> {
+/// Reads a file of test cases.
+///
+/// # Errors
+/// What is wrong, for people.
+pub(crate) fn read(file: &Path) -> Result<TestFile, String> {
     let text = std::fs::read_to_string(file).map_err(|e| format!("cannot be read: {e}"))?;
     case::parse(&text)
 }

@@ -16,7 +16,11 @@ mod model;
 mod outline;
 mod read;
 mod read_state;
+<<<<<<< HEAD
 mod targets;
+=======
+mod schema;
+>>>>>>> d0bbde1 (Shipped charts have test cases; every rule of the check has a wrong chart and its good twin; the schema of charts is made from the reader's tables)
 mod yaml;
 
 pub use catalog::{ChannelSchema, Registry};
@@ -27,6 +31,7 @@ pub use library::{Library, load, load_text};
 pub use model::{Chart, Declaration};
 pub use outline::{Outline, OutlineKind, OutlineState, OutlineTransition};
 pub(crate) use read::is_name;
+pub use schema::schema;
 
 #[cfg(test)]
 pub(crate) mod testing;

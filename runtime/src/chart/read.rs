@@ -13,7 +13,7 @@ use crate::skill::Limits;
 /// Deepest nesting of states.
 pub(crate) const MAX_LEVELS: usize = 60;
 
-const CHART_KEYS: &[&str] = &[
+pub(super) const CHART_KEYS: &[&str] = &[
     "statechart",
     "description",
     "inputs",

@@ -5,7 +5,7 @@ use super::model::{Action, ActionKind, Entry, Kind, Retry, State, Transition, Wa
 use super::read::{Entries, MAX_LEVELS, Reader, get};
 use super::yaml::{Named, Node, Yaml};
 
-const STATE_KEYS: &[&str] = &[
+pub(super) const STATE_KEYS: &[&str] = &[
     "description",
     "skill",
     "statechart",
@@ -27,6 +27,8 @@ const STATE_KEYS: &[&str] = &[
     "limits",
     "unbreakable",
 ];
+pub(super) const ACTIONS: [&str; 7] = ["assign", "raise", "send", "cancel", "log", "if", "foreach"];
+
 impl Reader<'_> {
     pub(super) fn state(
         &mut self,
@@ -308,7 +310,6 @@ impl Reader<'_> {
     }
 
     fn action(&mut self, node: &Node) -> Option<Action> {
-        const ACTIONS: [&str; 7] = ["assign", "raise", "send", "cancel", "log", "if", "foreach"];
         let Yaml::Map(entries) = &node.value else {
             self.form(node, "an action");
             return None;

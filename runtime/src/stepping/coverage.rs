@@ -2,8 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use crate::engine::Program;
 use crate::engine::program::Pattern;
+use crate::engine::{Program, StateId};
 use crate::trace::TraceItem;
 
 /// A transition as the trace tells it: source, event and target.
@@ -41,11 +41,15 @@ impl Coverage {
         self.seen.extend(other.seen);
     }
 
-    /// All transitions of a program in the order of the file, and whether each was taken. Of transitions that differ
+    /// The transitions of a chart in the order of the file, and whether each was taken; those of the charts inside are
+    /// not its own. Of transitions that differ
     /// only by their condition or actions, all count as taken when one was.
     #[must_use]
     pub fn of(&self, program: &Program) -> Vec<(Described, bool)> {
-        let each = program.transitions.iter().map(|transition| {
+        let inner =
+            |state: &StateId| program.is_root(*state) && program.parent_of(*state) != Some(0) && *state != 0;
+        let own = program.transitions.iter().filter(|t| !program.outward(t.source).any(|s| inner(&s)));
+        let each = own.map(|transition| {
             let source = program.path(transition.source).to_owned();
             let targets: Vec<&str> = transition.targets.iter().map(|t| program.path(*t)).collect();
             let target = targets.join(" ");

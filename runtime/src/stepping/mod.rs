@@ -108,6 +108,7 @@ pub struct Stepper {
     watches: BTreeMap<u32, Armed>,
     /// How states are shown.
     labels: Vec<String>,
+    /// States by their paths, and by how they are shown.
     by_path: BTreeMap<String, StateId>,
     logs: Vec<String>,
     coverage: Coverage,
@@ -424,7 +425,7 @@ fn result(name: &str, data: Value) -> crate::skill::SkillResult {
     Ok(Outcome { name: name.to_owned(), outputs })
 }
 
-/// How states are shown, by number; and states by path.
+/// How states are shown, by number; and states by path and by how they are shown.
 fn labels(program: &Program) -> (Vec<String>, BTreeMap<String, StateId>) {
     let count = StateId::try_from(program.len()).unwrap_or(StateId::MAX);
     let own = |id: &StateId| !program.is_root(*id);
@@ -435,6 +436,10 @@ fn labels(program: &Program) -> (Vec<String>, BTreeMap<String, StateId>) {
         Some(1) if own(&id) => bare(id).to_owned(),
         _ => program.path(id).to_owned(),
     };
-    let by_path = (0..count).filter(own).map(|id| (program.path(id).to_owned(), id)).collect();
+    let mut by_path: BTreeMap<String, StateId> =
+        (0..count).filter(own).map(|id| (program.path(id).to_owned(), id)).collect();
+    for id in (0..count).filter(own) {
+        by_path.entry(label(id)).or_insert(id);
+    }
     ((0..count).map(label).collect(), by_path)
 }

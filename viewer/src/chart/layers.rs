@@ -44,7 +44,7 @@ const RISE: f64 = 18.0;
 /// Rounds of looking for a better order.
 const SWEEPS: usize = 12;
 /// Rounds of moving boxes towards what they are connected with.
-const ROUNDS: usize = 24;
+const ROUNDS: usize = 40;
 
 /// What stands in a rank: a box, or the place where an arrow passes, with its label in one of them.
 #[derive(Clone, Copy, Debug)]
@@ -55,6 +55,8 @@ struct Item {
 }
 
 struct Layers {
+    /// How many of the items are boxes; they come first.
+    boxes: usize,
     items: Vec<Item>,
     ranks: Vec<Vec<usize>>,
     /// Neighbours in the rank above and below.
@@ -105,6 +107,7 @@ impl Layers {
             chains.push((chain, !*down));
         }
         let mut layers = Self {
+            boxes: boxes.len(),
             ranks: vec![Vec::new(); items.iter().map(|i| i.rank).max().unwrap_or(0) + 1],
             above: vec![Vec::new(); items.len()],
             below: vec![Vec::new(); items.len()],
@@ -233,17 +236,25 @@ impl Layers {
             let both = round > 3;
             let above = self.above[*item].iter().filter(|_| both || round % 2 == 0);
             let below = self.below[*item].iter().filter(|_| both || round % 2 == 1);
-            let near: Vec<f64> = above.chain(below).map(|n| self.items[*n].x).collect();
-            let (mean, weight) = if near.is_empty() {
-                (self.items[*item].x, 0.1)
-            } else {
-                (near.iter().sum::<f64>() / near.len() as f64, near.len() as f64)
-            };
+            let near = above.chain(below).map(|n| (self.items[*n].x, self.stiffness(*item, *n)));
+            let (sum, weight) = near.fold((0.0, 0.0), |(sum, all), (x, w)| (sum + x * w, all + w));
+            let (mean, weight) =
+                if weight == 0.0 { (self.items[*item].x, 0.1) } else { (sum / weight, weight) };
             wanted.push((mean - offset, weight));
         }
         let fitted = increasing(&wanted);
         for ((item, x), offset) in self.ranks[rank].clone().into_iter().zip(fitted).zip(offsets) {
             self.items[item].x = x + offset;
+        }
+    }
+
+    /// How much a piece of an arrow wants to be straight: most where it only passes.
+    fn stiffness(&self, a: usize, b: usize) -> f64 {
+        let passing = |item: usize| item >= self.boxes;
+        match (passing(a), passing(b)) {
+            (true, true) => 8.0,
+            (false, false) => 1.0,
+            _ => 2.0,
         }
     }
 
