@@ -30,7 +30,8 @@ fn registry() -> Registry {
         SkillManifest::new("Act", "Acts.").optional("force", newton, 1.0, "Any force.").outcome("blocked");
     let arm = SkillManifest::new("Arm", "Moves the arm.").limb("right_arm");
     let needs = SkillManifest::new("Needs", "Needs something.").input("what", Type::String, "Anything.");
-    [act, arm, needs].into_iter().map(|m| Arc::new(Declared(m)) as Arc<dyn Skill>).collect()
+    let says = SkillManifest::new("Says", "Says something.").output("said", Type::String, "What it said.");
+    [act, arm, needs, says].into_iter().map(|m| Arc::new(Declared(m)) as Arc<dyn Skill>).collect()
 }
 
 fn folder() -> PathBuf {
