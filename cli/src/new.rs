@@ -13,8 +13,9 @@ pub(crate) struct NewArgs {
 }
 
 /// Name and contents of each file; `NAME` stands for the chart's name.
-const FILES: [(&str, &str); 4] = [
+const FILES: [(&str, &str); 5] = [
     ("chart.yaml", include_str!("template/chart.yaml")),
+    ("chart.test.yaml", include_str!("template/chart.test.yaml")),
     ("world.yaml", include_str!("template/world.yaml")),
     ("test.sh", include_str!("template/test.sh")),
     ("README.md", include_str!("template/README.md")),
@@ -36,7 +37,8 @@ pub(crate) fn run(args: &NewArgs, out: &mut dyn Write) -> io::Result<u8> {
         return Ok(2);
     }
     let shown = dir.display();
-    writeln!(out, "wrote {shown}/chart.yaml, world.yaml, test.sh and README.md; try")?;
+    writeln!(out, "wrote {shown}/chart.yaml, chart.test.yaml, world.yaml, test.sh and README.md; try")?;
+    writeln!(out, "    armarium test {shown}/chart.test.yaml")?;
     writeln!(out, "    armarium run {shown}/chart.yaml --world {shown}/world.yaml")?;
     Ok(0)
 }

@@ -37,8 +37,9 @@ pub(super) struct Case {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(untagged)]
 pub(super) enum Script {
-    One(Ending),
+    // A list first: it could be read as the fields of an ending in their order.
     Several(Vec<Ending>),
+    One(Ending),
 }
 
 impl Script {

@@ -96,10 +96,14 @@ impl Player<'_> {
         let mut at_once = (self.stepper.now(), 0);
         loop {
             self.plan()?;
-            let Some((key, _)) = self.endings.first_key_value().filter(|((at, _), _)| *at <= end) else {
-                break;
-            };
-            let key = *key;
+            // What the chart does by itself on the way may start skills, whose endings are planned from then.
+            let ending = self.endings.first_key_value().map(|(key, _)| *key);
+            let own = self.stepper.next_instant().filter(|at| *at <= end);
+            if let Some(at) = own.filter(|at| ending.is_none_or(|(ending, _)| *at < ending)) {
+                self.stepper.advance(at.saturating_sub(self.stepper.now()));
+                continue;
+            }
+            let Some(key) = ending.filter(|(at, _)| *at <= end) else { break };
             let Some((running, told)) = self.endings.remove(&key) else { break };
             self.stepper.advance(key.0.saturating_sub(self.stepper.now()));
             // Time may have taken the state away.

@@ -364,7 +364,10 @@ impl Stepper {
 
     // Watches.
 
-    fn next_instant(&self) -> Option<Duration> {
+    /// When something happens next by itself: a timer runs out, or a watch may have held long enough. Time since the
+    /// start.
+    #[must_use]
+    pub fn next_instant(&self) -> Option<Duration> {
         let timer = self.timers.first().map(|(at, ..)| *at);
         let program = self.engine.program();
         let watch = |(number, armed): (&u32, &Armed)| {
