@@ -14,6 +14,7 @@ mod new;
 mod plots;
 mod recording;
 mod render_findings;
+mod replay;
 mod reproduce;
 mod run;
 mod schema;
@@ -55,6 +56,8 @@ enum Command {
     Step(step::StepArgs),
     /// Play the test cases of charts under virtual time.
     Test(test_cases::TestArgs),
+    /// Feed a recorded run to the engine again and compare.
+    Replay(replay::ReplayArgs),
     /// Draw a chart: SVG, Mermaid or PlantUML.
     Graph(graph::GraphArgs),
     /// Make a chart of an SCXML document.
@@ -77,6 +80,7 @@ fn main() -> ExitCode {
         Command::Check(args) => check::run(args, style(), &catalog::check_chart, &mut out),
         Command::Step(args) => step::run(args, &mut out, &mut io::stderr()),
         Command::Test(args) => test_cases::run(args, &mut out),
+        Command::Replay(args) => replay::run(args, &mut out),
         Command::Graph(args) => graph::run(args, &mut out),
         Command::Import(args) => import::run(args, &mut out, &mut io::stderr()),
         Command::New(args) => new::run(args, &mut out),

@@ -11,6 +11,7 @@ use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::Finding;
 use armarium_runtime::engine::Program;
 use armarium_runtime::exec::{Controller, ExecOptions, Executor, RunResult};
+use armarium_runtime::trace::TraceSink;
 use armarium_simulator::{TruthSink, World};
 use armarium_states::observers;
 use armarium_values::Value;
@@ -24,6 +25,7 @@ use crate::judge::{self, Case, JointLog};
 use crate::logging;
 use crate::recording::{RunDigest, SharedRecorder, TruthTopics, attach_sources, locked, record_robot};
 use crate::render_findings::{Shown, any_error, render, summary};
+use crate::replay::{Beginning, Recorded};
 use crate::stage::Stage;
 
 /// What `run` takes.
@@ -56,6 +58,9 @@ pub(crate) struct RunArgs {
     /// As fast as the machine (`max`), or in real time (`1`).
     #[arg(long, value_enum, default_value_t = Speed::Max)]
     pub(crate) speed: Speed,
+    /// Record the run for `armarium replay`.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) record: Option<PathBuf>,
     /// Show what happens as lines of text.
     #[arg(short, long)]
     pub(crate) verbose: bool,
@@ -178,10 +183,11 @@ async fn perform(args: &RunArgs, began: Instant, out: &mut dyn Write) -> Result<
     };
     let channels = Channels::new();
     let robot = Arc::clone(&stage.robot);
+    let inputs = read_inputs_of(&args.inputs, &program).map_err(NotBegun::Message)?;
     let options = ExecOptions {
-        inputs: read_inputs_of(&args.inputs, &program).map_err(NotBegun::Message)?,
+        inputs: inputs.clone(),
         profile: args.profile.clone(),
-        sink: Some(Box::new(chronicle.clone())),
+        sink: Some(recorded(args, inputs, Box::new(chronicle.clone()))?),
         on_stuck: Some(Box::new(move |state| robot.stop(&format!("the skill of `{state}` does not return")))),
     };
     let executor = Executor::new(program, registry, channels.clone(), options).map_err(begin_error)?;
@@ -248,6 +254,20 @@ async fn perform(args: &RunArgs, began: Instant, out: &mut dyn Write) -> Result<
         NotBegun::Message(format!("the report cannot be written to `{}`: {e}", args.report.display()))
     })?;
     conclude(&result, &figures, &args.report, out).map_err(begin_error)
+}
+
+/// The sink of a run, with a record beside it where one is asked for.
+fn recorded(
+    args: &RunArgs,
+    inputs: BTreeMap<String, Value>,
+    sink: Box<dyn TraceSink>,
+) -> Result<Box<dyn TraceSink>, NotBegun> {
+    let Some(file) = &args.record else { return Ok(sink) };
+    let (chart, charts, profile) = (args.chart.clone(), args.charts.clone(), args.profile.clone());
+    let beginning = Beginning { chart, charts, inputs, profile };
+    let recorded = Recorded::begin(file, &beginning, sink);
+    let recorded = recorded.map_err(|e| NotBegun::Message(format!("{}: {e}", file.display())))?;
+    Ok(Box::new(recorded))
 }
 
 fn load_world(file: Option<&Path>) -> Result<World, NotBegun> {
