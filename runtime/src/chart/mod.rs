@@ -16,11 +16,8 @@ mod model;
 mod outline;
 mod read;
 mod read_state;
-<<<<<<< HEAD
-mod targets;
-=======
 mod schema;
->>>>>>> d0bbde1 (Shipped charts have test cases; every rule of the check has a wrong chart and its good twin; the schema of charts is made from the reader's tables)
+mod targets;
 mod yaml;
 
 pub use catalog::{ChannelSchema, Registry};
