@@ -162,7 +162,7 @@ struct Pictured {
 
 const FOLLOWING: &[(&str, &str)] = &[("follow", "true"), ("gamma", "1000"), ("posture", "-0.5,0.6,0.6")];
 
-const PICTURED: [Pictured; 8] = [
+const PICTURED: [Pictured; 9] = [
     Pictured {
         experiment: "coaching",
         settings: &[],
