@@ -21,7 +21,8 @@ fn tcp(i: u64) -> Isometry3<f64> {
 /// Records `n` ms of everything.
 fn record(path: &std::path::Path, n: u64) -> Recorder {
     let metadata = BTreeMap::from([("seed".to_owned(), "7".to_owned())]);
-    let mut recorder = Recorder::create(path, metadata).expect("the folder can be written");
+    let options = RecorderOptions { image_period_ns: 500 * MS, ..RecorderOptions::default() };
+    let mut recorder = Recorder::create_with(path, metadata, options).expect("the folder can be written");
     let names: Vec<String> = (0..17).map(|i| format!("Joint {i}")).collect();
     let grey = Image::from_rgb(64, 48, vec![90; 64 * 48 * 3]).expect("the size fits");
     for i in 0..n {
@@ -93,11 +94,13 @@ fn every_message_comes_back_with_its_time_and_values() {
     let position = pose.pose.and_then(|p| p.position).expect("a pose has a position");
     assert_eq!((*t, pose.frame_id.as_str()), (1234 * MS, "root"));
     let expected = tcp(1234).translation.vector;
-    assert_eq!([position.x, position.y, position.z], [expected.x, expected.y, expected.z]);
+    // Poses lie on a grid of a micrometre, forces of contact on one of a millinewton.
+    assert!((Vector3::new(position.x, position.y, position.z) - expected).amax() < 0.5e-6);
 
     let (_, data) = &topics["/truth/contact"][100];
     let contact: Contact = serde_json::from_slice(data).expect("it is the JSON of a contact");
-    assert_eq!(contact, Contact { normal_n: 8.0 + (1.3_f64).sin(), tangential_n: 4.0 });
+    assert!((contact.normal_n - 8.0 - (1.3_f64).sin()).abs() < 0.51e-3);
+    assert_eq!(contact.tangential_n, 4.0);
 
     let joints = fg::JointStates::decode(topics["/robot/joints"][1].1.as_slice()).expect("Foxglove's schema");
     assert_eq!(joints.joints.len(), 17);
