@@ -248,6 +248,15 @@ impl Layers {
         }
     }
 
+    /// Space below a rank: more where arrows go far to the side.
+    fn rise(&self, rank: &[usize]) -> f64 {
+        let aside = |item: &usize| {
+            let below = self.below[*item].iter().map(|b| (self.items[*b].x - self.items[*item].x).abs());
+            below.fold(0.0, f64::max)
+        };
+        RISE + (rank.iter().map(aside).fold(0.0, f64::max) / 12.0).min(50.0)
+    }
+
     /// How much a piece of an arrow wants to be straight: most where it only passes.
     fn stiffness(&self, a: usize, b: usize) -> f64 {
         let passing = |item: usize| item >= self.boxes;
@@ -266,7 +275,7 @@ impl Layers {
             let height = rank.iter().map(|i| self.items[*i].size.height).fold(0.0, f64::max);
             tops.push(y);
             heights.push(height);
-            y += height + RISE;
+            y += height + self.rise(rank);
         }
         let corner = |i: usize| {
             let item = self.items[i];
@@ -298,7 +307,8 @@ impl Layers {
             routes.push(Route { points, label });
         }
         let right = self.items.iter().map(|i| i.x + i.size.width / 2.0).fold(0.0, f64::max);
-        let size = Size { width: right, height: (y - RISE).max(0.0) };
+        let last = self.ranks.last().map_or(RISE, |rank| self.rise(rank));
+        let size = Size { width: right, height: (y - last).max(0.0) };
         Drawing { corners: (0..boxes).map(corner).collect(), routes, size }
     }
 
