@@ -28,6 +28,9 @@ use crate::render_findings::{Shown, any_error, render, summary};
 use crate::replay::{Beginning, Recorded};
 use crate::stage::Stage;
 
+/// How long by the wall clock a skill may keep the program's thread to itself.
+const HANGS: std::time::Duration = std::time::Duration::from_secs(10);
+
 /// What `run` takes.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct RunArgs {
@@ -191,6 +194,17 @@ async fn perform(args: &RunArgs, began: Instant, out: &mut dyn Write) -> Result<
         on_stuck: Some(Box::new(move |state| robot.stop(&format!("the skill of `{state}` does not return")))),
     };
     let executor = Executor::new(program, registry, channels.clone(), options).map_err(begin_error)?;
+    // Robot and skills share one thread here: where a skill blocks it, no report can be written any more.
+    let printer = progress.clone();
+    let executor = executor.hang_after(
+        HANGS,
+        Some(Box::new(move |state| {
+            printer.print(&format!(
+                "the skill of `{state}` blocks the program; the robot stands, no report is written"
+            ));
+            std::process::exit(1);
+        })),
+    );
     let metadata = BTreeMap::from([
         ("chart".to_owned(), chart.clone()),
         ("world".to_owned(), world.name.clone()),
