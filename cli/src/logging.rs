@@ -13,7 +13,7 @@ struct Simulated(Handle);
 
 impl FormatTime for Simulated {
     fn format_time(&self, w: &mut Writer<'_>) -> std::fmt::Result {
-        write!(w, "{:8.2} s ", self.0.now_ns() as f64 * 1e-9)
+        write!(w, "{:8.2} s", self.0.now_ns() as f64 * 1e-9)
     }
 }
 
@@ -86,8 +86,8 @@ mod tests {
             tracing::info!(target: "armarium_simulator::coach", "hello");
             tracing::info!(target: "somebody_else", "chatter");
         });
-        let text = String::from_utf8(page.0.lock().unwrap().clone()).unwrap();
-        text
+        let bytes = page.0.lock().unwrap().clone();
+        String::from_utf8(bytes).unwrap()
     }
 
     #[test]

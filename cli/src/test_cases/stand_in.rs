@@ -36,7 +36,7 @@ pub(super) fn of(ty: &Type, name: &str) -> Value {
         Type::Float(_) => Value::Float(0.0),
         Type::String => Value::String(String::new()),
         Type::Duration => Value::Duration(0.0),
-        Type::Bytes => Value::Bytes(Vec::new().into()),
+        Type::Bytes => Value::Bytes(Vec::new()),
         Type::List(_) => Value::List(Vec::new()),
         Type::Map(_) => Value::Map(BTreeMap::new()),
         Type::Record(types) => {

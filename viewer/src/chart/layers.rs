@@ -234,8 +234,8 @@ impl Layers {
             }
             offsets.push(offset);
             let both = round > 3;
-            let above = self.above[*item].iter().filter(|_| both || round % 2 == 0);
-            let below = self.below[*item].iter().filter(|_| both || round % 2 == 1);
+            let above = self.above[*item].iter().filter(|_| both || round.is_multiple_of(2));
+            let below = self.below[*item].iter().filter(|_| both || !round.is_multiple_of(2));
             let near = above.chain(below).map(|n| (self.items[*n].x, self.stiffness(*item, *n)));
             let (sum, weight) = near.fold((0.0, 0.0), |(sum, all), (x, w)| (sum + x * w, all + w));
             let (mean, weight) =

@@ -51,7 +51,7 @@ fn state(outline: &Outline, placed: &Placed, depth: usize, out: &mut String) {
         OutlineKind::Chart(_) | OutlineKind::Remote(_) => "state chart",
         OutlineKind::Final(outcome) if outcome == "failure" => "state bad",
         OutlineKind::Final(_) => "state end",
-        _ if depth % 2 == 0 => "state outer",
+        _ if depth.is_multiple_of(2) => "state outer",
         _ => "state",
     };
     let round = if matches!(kind, OutlineKind::History { .. }) { size.height / 2.0 } else { 8.0 };
