@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::phase::CanonicalSystem;
 use crate::error::{MotionError, positive, within};
 
-/// The constants of a [`DiscretePeriodicDmp`]; the defaults are the paper's.
+/// The constants of a [`DiscretePeriodicDmp`](crate::DiscretePeriodicDmp); the defaults are the paper's.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DiscretePeriodicConfig {

@@ -27,7 +27,7 @@ pub enum OscillatorRule {
     },
 }
 
-/// The constants of an [`AdaptiveOscillator`].
+/// The constants of an [`AdaptiveOscillator`](crate::AdaptiveOscillator).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OscillatorConfig {
