@@ -136,12 +136,20 @@ impl Run<'_> {
         let slowest = (inside..track.len())
             .filter_map(|i| {
                 let (start, theta) = track[i];
-                let end = track[i..].iter().find(|(_, t)| *t >= theta + eighth).map(|(t, _)| *t)?;
-                Some((end - start) as f64 * 1e-9)
+                Some((reached(&track[i..], theta + eighth)? - start as f64) * 1e-9)
             })
             .fold(0.0, f64::max);
         (slowest > 0.0).then(|| period_s / 8.0 / slowest)
     }
+}
+
+/// When the phase passes `theta`, ns, between the samples of a track (ns, rad): a figure made of such times is as continuous
+/// as the motion, whatever the samples' grid.
+fn reached(track: &[(u64, f64)], theta: f64) -> Option<f64> {
+    let at = track.iter().position(|(_, phase)| *phase >= theta)?;
+    let (after, above) = track[at];
+    let Some((before, below)) = at.checked_sub(1).map(|i| track[i]) else { return Some(after as f64) };
+    Some(before as f64 + (theta - below) / (above - below) * (after - before) as f64)
 }
 
 fn name(kind: ActionKind) -> &'static str {
