@@ -82,10 +82,10 @@ impl Default for CoachConfig {
         Self {
             field: PotentialField::wiping(),
             normal: [0.0, 0.0, 1.0],
-            push_gain: 0.0015,
+            push_gain: 0.002,
             push_dead_band: 1.5,
             push_pass_limit: 0.025,
-            push_limit: 0.045,
+            push_limit: 0.05,
             standoff: 0.05,
             reach: 0.024,
             time_constant: 2.5,
@@ -170,8 +170,9 @@ const HAND_SMOOTHING: f64 = 0.2;
 const HAND_MOVES: f64 = 0.02;
 /// For so long a hand stands still before it coaches, s.
 const HAND_STANDS: f64 = 0.3;
-/// A hand that is seen elsewhere for longer than this has left its place, s.
-const HAND_AWAY: f64 = 0.8;
+/// A hand that is seen elsewhere for longer than this has left its place, s; and for longer than this share of a period.
+/// The robot's own arm passes once in each period and hides a part of the hand.
+const HAND_AWAY: (f64, f64) = (0.8, 0.4);
 
 impl Coach {
     /// A coach for `dmp`, whose first three degrees of freedom are x, y, z in metres.
@@ -316,7 +317,7 @@ impl Coach {
         hand: Vector3<f64>,
         sign: f64,
     ) -> Result<CoachReport, MotionError> {
-        let Some(hand) = self.stands_at(hand, dt) else {
+        let Some(hand) = self.stands_at(hand, dt, omega) else {
             self.meant = None;
             return Ok(CoachReport { phase: dmp.phase(), ..CoachReport::default() });
         };
@@ -349,14 +350,15 @@ impl Coach {
 
     /// Where the hand stands, if it does; m. It stays there while it is seen elsewhere for a moment: each time the robot
     /// passes it, the robot's own arm hides a part of it.
-    fn stands_at(&mut self, hand: Vector3<f64>, dt: f64) -> Option<Vector3<f64>> {
+    fn stands_at(&mut self, hand: Vector3<f64>, dt: f64, omega: f64) -> Option<Vector3<f64>> {
         let share = 1.0 - (-dt / HAND_SMOOTHING).exp();
         let smooth = self.hand.map_or(hand, |old| old + (hand - old) * share);
         self.hand = Some(smooth);
         self.still = if (hand - smooth).norm() < HAND_MOVES { self.still + dt } else { 0.0 };
         let there = self.place.is_some_and(|place| (smooth - place).norm() < 2.0 * HAND_MOVES);
         self.away = if there { 0.0 } else { self.away + dt };
-        if !there && (self.place.is_none() || self.away > HAND_AWAY) {
+        let passage = HAND_AWAY.0.max(HAND_AWAY.1 * std::f64::consts::TAU / omega.max(0.3));
+        if !there && (self.place.is_none() || self.away > passage) {
             self.place = (self.still >= HAND_STANDS).then_some(smooth);
             self.meant = None;
             self.away = 0.0;

@@ -13,14 +13,30 @@ use crate::world::{CoachingAction, Gesture};
 /// How long the motion takes to its own speed after its start and after the coach has gone, s.
 const RECOVERY_S: f64 = 1.0;
 
+/// One period of the motion before all coaching, and the newest period in phase with it.
+struct Uncoached {
+    period: Period,
+    newest: Period,
+}
+
 impl Run<'_> {
     /// One entry for each action that began.
     pub(super) fn coaching(&self) -> Vec<CoachingFigures> {
         let began = self.log.coach.iter().filter(|e| e.event == EventKind::Began);
-        began.filter_map(|e| self.action(e.step, e.kind, ns(e.t))).collect()
+        let mut uncoached = None;
+        began.filter_map(|e| self.action(e.step, e.kind, ns(e.t), &mut uncoached)).collect()
     }
 
-    fn action(&self, step: usize, kind: ActionKind, began: u64) -> Option<CoachingFigures> {
+    /// What one action changed. The coach's phases are found on the motion as it was before all coaching (`uncoached`,
+    /// filled in by the first action), which later periods are in phase with: a path that was pushed aside does not lie
+    /// at its phases any more.
+    fn action(
+        &self,
+        step: usize,
+        kind: ActionKind,
+        began: u64,
+        uncoached: &mut Option<Uncoached>,
+    ) -> Option<CoachingFigures> {
         let event = |wanted: &dyn Fn(&EventKind) -> bool| {
             self.log.coach.iter().find(|e| e.step == step && wanted(&e.event)).map(|e| (ns(e.t), e.event))
         };
@@ -31,8 +47,17 @@ impl Run<'_> {
             CoachingAction::Push { push } => (push.phase, Some(Vector3::from(push.force))),
             CoachingAction::Show(show) => (show.phase, show.direction.map(Vector3::from)),
         };
-        let before = self.before(began);
-        let index = before.as_ref().map(|(b, _)| index_of_phase(b, &self.path, phase));
+        let before = self.before(began).map(|(period, period_s)| match uncoached {
+            None => {
+                *uncoached = Some(Uncoached { period, newest: period });
+                (period, period_s)
+            }
+            Some(known) => {
+                known.newest = aligned(&known.newest, &period);
+                (known.newest, period_s)
+            }
+        });
+        let index = uncoached.as_ref().map(|known| index_of_phase(&known.period, &self.path, phase));
         let palm = arrived.and_then(|(_, e)| match e {
             EventKind::Arrived { palm } => Some(Vector3::from(palm)),
             _ => None,

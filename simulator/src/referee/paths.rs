@@ -83,21 +83,40 @@ pub(super) fn mean_period(path: &[Vector3<f64>], period_s: f64, count: usize) ->
     Some(mean)
 }
 
-/// Root mean square distance of two periods, the second `shift` points ahead.
-fn rms_at(a: &Period, b: &Period, shift: usize) -> f64 {
-    let sum: f64 = (0..POINTS).map(|i| (a[i] - b[(i + shift) % POINTS]).norm_squared()).sum();
-    (sum / POINTS as f64).sqrt()
+/// `b`, turned so that it is in phase with `a`: the least distance of their velocities. A part that has changed must not
+/// pull the rest out of phase, so that differences count by their size, not its square, and a motion that has moved as
+/// a whole is compared as if it had not.
+pub(super) fn aligned(a: &Period, b: &Period) -> Period {
+    let (va, vb) = (velocity(a), velocity(b));
+    let cost = |shift: usize| (0..POINTS).map(|i| (va[i] - vb[(i + shift) % POINTS]).norm()).sum::<f64>();
+    let shift = (0..POINTS).min_by(|x, y| cost(*x).total_cmp(&cost(*y))).unwrap_or(0);
+    // Between points: least squares, each difference divided by its size, some times.
+    let usual = (va.iter().map(Vector3::norm_squared).sum::<f64>() / POINTS as f64).sqrt().max(1e-12);
+    let mut shift = shift as f64;
+    for _ in 0..8 {
+        let (mut gain, mut square) = (0.0, 0.0);
+        for (i, v) in va.iter().enumerate() {
+            let at = i as f64 + shift;
+            let (apart, slope) = (v - between(&vb, at), between(&vb, at + 0.5) - between(&vb, at - 0.5));
+            let weight = 1.0 / apart.norm().max(1e-4 * usual);
+            gain += weight * apart.dot(&slope);
+            square += weight * slope.norm_squared();
+        }
+        shift += if square > 0.0 { (gain / square).clamp(-0.5, 0.5) } else { 0.0 };
+    }
+    std::array::from_fn(|i| between(b, i as f64 + shift))
 }
 
-/// `b`, turned so that it is in phase with `a`: the shift of least distance, between points by a parabola.
-pub(super) fn aligned(a: &Period, b: &Period) -> Period {
-    let squared = |shift: usize| rms_at(a, b, shift % POINTS).powi(2);
-    let shift = (0..POINTS).min_by(|x, y| squared(*x).total_cmp(&squared(*y))).unwrap_or(0);
-    let (before, here, after) = (squared(shift + POINTS - 1), squared(shift), squared(shift + 1));
-    let bend = before - 2.0 * here + after;
-    let part = if bend > 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 };
-    let (low, part) = if part < 0.0 { (shift + POINTS - 1, part + 1.0) } else { (shift, part) };
-    std::array::from_fn(|i| b[(i + low) % POINTS] * (1.0 - part) + b[(i + low + 1) % POINTS] * part)
+/// A period at a point's number, which may lie between points and beyond the ends.
+fn between(period: &Period, at: f64) -> Vector3<f64> {
+    let (low, part) = (at.floor().rem_euclid(POINTS as f64) as usize % POINTS, at - at.floor());
+    period[low] * (1.0 - part) + period[(low + 1) % POINTS] * part
+}
+
+/// The way between the points about each point, m.
+fn velocity(period: &Period) -> Period {
+    const REACH: usize = POINTS / 64;
+    std::array::from_fn(|i| period[(i + REACH) % POINTS] - period[(i + POINTS - REACH) % POINTS])
 }
 
 /// Root mean square distance of one period to the coach's path, minimised over the phase alone. Horizontal place
@@ -191,7 +210,29 @@ mod tests {
         let path = performed(Shape::Eight, 0.5, 6.0);
         let a = mean_period(&path, 2.0, 1).unwrap();
         let b = mean_period(&path[700..], 2.0, 1).unwrap();
-        assert!(rms_at(&a, &aligned(&a, &b), 0) < 5e-5);
+        assert!(apart(&a, &aligned(&a, &b)) < 5e-5);
+    }
+
+    /// Root mean square distance of two periods.
+    fn apart(a: &Period, b: &Period) -> f64 {
+        let sum: f64 = a.iter().zip(b).map(|(a, b)| (a - b).norm_squared()).sum();
+        (sum / POINTS as f64).sqrt()
+    }
+
+    #[test]
+    fn a_part_that_has_changed_and_a_shift_of_the_whole_do_not_pull_the_rest_out_of_phase() {
+        for shape in [Shape::Ellipse, Shape::Eight, Shape::Line] {
+            let path = performed(shape, 0.5, 6.0);
+            let before = mean_period(&path, 2.0, 1).unwrap();
+            let mut after = before;
+            for (i, point) in after.iter_mut().enumerate() {
+                let off = (i as f64 - 90.0) / 25.0;
+                *point += Vector3::new(0.02, 0.04, 0.0) * (-0.5 * off * off).exp() + Vector3::y() * 0.01;
+            }
+            let late: Period = std::array::from_fn(|i| after[(i + 100) % POINTS]);
+            let found = aligned(&before, &late);
+            assert!(apart(&found, &after) < 2e-4, "{shape:?} {}", apart(&found, &after));
+        }
     }
 
     #[test]

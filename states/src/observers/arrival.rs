@@ -9,10 +9,11 @@ const SMOOTHING: f64 = 0.2;
 const MOVES: f64 = 0.02;
 /// For so long a hand stands before it has come, s.
 const STANDS: f64 = 0.3;
-/// A hand this far from where it stood, m, for [`ELSEWHERE_FOR`] s has gone to another place.
+/// A hand this far from where it stood, m, for [`ELSEWHERE_FOR`] has gone to another place.
 const ELSEWHERE: f64 = 0.06;
-/// See [`ELSEWHERE`]; longer than the robot's arm hides a part of the hand in passing.
-const ELSEWHERE_FOR: f64 = 1.0;
+/// See [`ELSEWHERE`]: s, and share of the motion's period. Longer than the robot's arm hides a part of the hand in
+/// passing.
+const ELSEWHERE_FOR: (f64, f64) = (1.0, 0.4);
 /// A hand that has not been seen for this long has gone, s.
 const GONE: f64 = 1.5;
 
@@ -32,13 +33,13 @@ pub(super) struct Arrival {
 }
 
 impl Arrival {
-    /// A frame of the time `stamp_ns` with the palm at `palm` (root frame, m) while the motion was at `phase`, rad.
-    /// Returns the phase at which the hand came to where it is, if it was seen to come.
+    /// A frame of the time `stamp_ns` with the palm at `palm` (root frame, m) while the motion was at a phase (rad) and had
+    /// a frequency (Hz). Returns the phase at which the hand came to where it is, if it was seen to come.
     pub(super) fn update(
         &mut self,
         stamp_ns: u64,
         palm: Option<Vector3<f64>>,
-        phase: Option<f64>,
+        motion: Option<(f64, f64)>,
     ) -> Option<f64> {
         let unseen = seconds(self.seen_ns, stamp_ns);
         let Some(palm) = palm else {
@@ -54,8 +55,9 @@ impl Arrival {
         let share = 1.0 - (-unseen / SMOOTHING).exp();
         let smooth = self.smooth.map_or(palm, |old| old + (palm - old) * share);
         self.smooth = Some(smooth);
-        self.leave(stamp_ns, &smooth);
-        self.stand(stamp_ns, (palm - smooth).norm() > MOVES, phase);
+        let period = motion.map_or(0.0, |(_, frequency)| 1.0 / frequency.max(0.05));
+        self.leave(stamp_ns, &smooth, ELSEWHERE_FOR.0.max(ELSEWHERE_FOR.1 * period));
+        self.stand(stamp_ns, (palm - smooth).norm() > MOVES, motion.map(|(phase, _)| phase));
         self.came()
     }
 
@@ -63,15 +65,15 @@ impl Arrival {
         self.place.and_then(|(_, phase)| phase)
     }
 
-    /// Forgets the place when the hand has been elsewhere for a while.
-    fn leave(&mut self, now: u64, at: &Vector3<f64>) {
+    /// Forgets the place when the hand has been elsewhere for `patience` s.
+    fn leave(&mut self, now: u64, at: &Vector3<f64>, patience: f64) {
         let Some((place, _)) = self.place else { return };
         if (at - place).norm() < ELSEWHERE {
             self.elsewhere = None;
             return;
         }
         let since = *self.elsewhere.get_or_insert(now);
-        if seconds(since, now) > ELSEWHERE_FOR {
+        if seconds(since, now) > patience {
             (self.place, self.elsewhere, self.moved) = (None, None, true);
         }
     }
@@ -106,7 +108,7 @@ mod tests {
             .map(|k| {
                 let t = k as f64 / 15.0;
                 let palm = x(t).map(|x| Vector3::new(x, 0.0, 0.0));
-                arrival.update((t * 1e9) as u64, palm, Some(2.0 * t))
+                arrival.update((t * 1e9) as u64, palm, Some((2.0 * t, 1.0 / std::f64::consts::PI)))
             })
             .collect()
     }

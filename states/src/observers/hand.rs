@@ -32,9 +32,10 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
         let frame = hand_eye.corrected(&frame);
         let seen = observer.update(&frame);
         let mut value = describe(&equipment, &frame, seen.as_ref());
-        let phase = channels.newest("motion").and_then(|s| s.value.get("phase").and_then(Value::as_f64));
+        let motion = channels.newest("motion");
+        let field = |name: &str| motion.as_ref().and_then(|s| s.value.get(name).and_then(Value::as_f64));
         let palm = value.get("position").and_then(as_vector);
-        let came = arrival.update(frame.stamp_ns, palm, phase);
+        let came = arrival.update(frame.stamp_ns, palm, field("phase").zip(field("frequency")));
         if let (Value::Map(fields), Some(came)) = (&mut value, came) {
             fields.insert("came_at".into(), Value::Float(came));
         }
@@ -59,6 +60,7 @@ fn describe(equipment: &Equipment, frame: &StereoFrame, seen: Option<&HandObserv
         ("position", Value::Vector(Vector::new(Frame::root(), &palm.coords))),
         ("direction", Value::Vector(Vector::new(Frame::root(), &direction))),
         ("distance", Value::Float((palm.coords - tcp.translation.vector).norm())),
+        ("hidden", Value::Float(seen.hidden)),
     ])
 }
 

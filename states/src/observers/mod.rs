@@ -3,7 +3,7 @@
 //! | channel | fields | rate |
 //! |---|---|---|
 //! | `wrist` | `force`, `push`: lists of three (N, root frame); `normal`: N; `friction`: coefficient | 200 Hz |
-//! | `hand` | `gesture`, `confidence`, `position` (m), `direction`, `distance` (m, to the TCP) | each frame, while somebody reads it |
+//! | `hand` | `gesture`, `confidence`, `position` (m), `direction`, `distance` (m, to the TCP), `hidden` (share of the outline) | each frame, while somebody reads it |
 //! | `motion` | `phase` (rad), `frequency` (Hz), `position` (m), `velocity` (m/s), `normal_force` (N) | each control step of a running motion |
 
 mod arrival;
@@ -41,6 +41,7 @@ pub fn channels() -> BTreeMap<String, Type> {
                 ("position", Type::Vector),
                 ("direction", Type::Vector),
                 ("distance", Type::FLOAT),
+                ("hidden", Type::FLOAT),
             ]),
         ),
         (

@@ -79,8 +79,15 @@ impl Steady {
     /// How long another gesture must be seen before the coach has changed it, s.
     const CHANGE: f64 = 1.5;
 
+    /// How sure the eyes must be of a gesture for it to count, probability.
+    const SURE: f64 = 0.6;
+
     /// `dt` s later, with what is on the channel now: what the coach asks of the motion.
     fn update(&mut self, dt: f64, hand: Option<Value>) -> CoachInput {
+        let doubtful = |h: &Value| h.get("confidence").and_then(Value::as_f64).is_some_and(|c| c < Self::SURE);
+        if hand.as_ref().is_some_and(doubtful) {
+            return ask(&self.meant, &self.hand);
+        }
         let seen = hand.as_ref().and_then(|h| h.get("gesture")).and_then(Value::as_str).unwrap_or(NONE);
         if seen == self.seen {
             self.seen_for += dt;
@@ -121,6 +128,11 @@ mod tests {
         assert_eq!(after(0.3, at("fist", 0.3)), fist);
         assert_eq!(after(1.0, at("point_two", 0.2)), fist, "half hidden by the robot's arm");
         assert_eq!(after(0.2, None), fist, "hidden for some frames");
+        let mut doubtful = at("point_two", 0.2);
+        if let Some(Value::Map(fields)) = &mut doubtful {
+            fields.insert("confidence".into(), Value::Float(0.5));
+        }
+        assert_eq!(after(3.0, doubtful), fist, "hidden for long");
         assert_eq!(after(0.5, None), Some(CoachInput::None), "gone");
     }
 }

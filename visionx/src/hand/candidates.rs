@@ -4,7 +4,7 @@
 //! matter. Without, things that both eyes see are compared, and a colour that fills more than a hand can is scenery.
 //! It knows nothing of what was seen before but the colour that it is told to prefer.
 
-use super::relief::{LEAST_RELIEF, relief, standing_out};
+use super::relief::{LEAST_RELIEF, standing_out, surroundings};
 use super::shape::{HandShape, hand_shape};
 use super::skin::{HalfImage, SkinClusters};
 use crate::camera::StereoCalibration;
@@ -41,6 +41,8 @@ pub(super) struct Hand {
     pub(super) shape: HandShape,
     /// Its colour: ln(R/G), ln(G/B).
     pub(super) skin: [f32; 2],
+    /// Share of its outline in the left eye at which something nearer begins, 0 without a depth image.
+    pub(super) hidden: f64,
 }
 
 /// A thing of skin colour, with pixels at half resolution.
@@ -102,10 +104,12 @@ impl Search<'_> {
         let shape = hand_shape(&left, candidate.z / self.calibration.camera.focal)?;
         let fits = (PALM_RADII.0..PALM_RADII.1).contains(&shape.palm_radius)
             && (AREAS.0..AREAS.1).contains(&shape.area);
-        let stands_out = self.frame.depth.as_ref().is_none_or(|d| relief(&left, d) >= LEAST_RELIEF);
+        let about = self.frame.depth.as_ref().map(|d| surroundings(&left, d));
+        let stands_out = about.is_none_or(|a| a.deeper >= LEAST_RELIEF);
+        let hidden = about.map_or(0.0, |a| a.nearer);
         let right = candidate.right.as_ref().map(|part| whole(&self.frame.right, part, None));
         let skin = self.clusters.peak(candidate.label);
-        (fits && stands_out).then_some(Hand { left, right, z: candidate.z, shape, skin })
+        (fits && stands_out).then_some(Hand { left, right, z: candidate.z, shape, skin, hidden })
     }
 
     /// The area of a thing at a depth, m^2.

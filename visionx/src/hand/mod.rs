@@ -64,6 +64,9 @@ pub struct HandObservation {
     pub pointing: Option<Vector3<f64>>,
     /// Stretched fingers, in order around the palm.
     pub fingertips: Vec<Fingertip>,
+    /// Share of the hand's outline at which something nearer begins that may hide a part of it, 0 to 1; 0 where there is
+    /// no depth image to tell. While a hand is hidden, what was seen of it before goes on.
+    pub hidden: f64,
     /// Around the hand in the left image.
     pub bounding_box: Region,
     /// The frame's stamp, ns.

@@ -1,6 +1,6 @@
 //! From frames to a hand: measures the thing that is a hand, and smooths over time.
 
-use nalgebra::{Point2, Vector3};
+use nalgebra::{Point2, Point3, Vector3};
 
 use super::candidates::{Hand, find};
 use super::depth::Ranging;
@@ -29,6 +29,8 @@ struct Memory {
     skin: [f32; 2],
     /// Where the hand pointed, in the root frame.
     pointing: Option<Vector3<f64>>,
+    /// Where the palm was when the hand was last seen whole, in the root frame, and when, ns.
+    palm: Option<(Point3<f64>, u64)>,
 }
 
 /// From a palm's surface to its middle, m.
@@ -40,6 +42,16 @@ const BASE_RADIUS: f64 = 0.018;
 const STAY: f64 = 0.94;
 /// Least likelihood of a gesture in one frame.
 const FLOOR: f64 = 0.04;
+/// Share of a hand's outline at which something nearer begins, from which on a part of the hand is taken to be hidden;
+/// a sleeve that comes towards the eyes makes up to 0.15. What is left of a hidden hand tells little of its gesture and
+/// of its place.
+const HIDDEN: f64 = 0.16;
+/// What a frame of a hidden hand counts for its gesture, share of a frame of a whole one. Not nothing: a hand that is
+/// never seen whole shows its gesture too, in a while.
+const HIDDEN_COUNTS: f64 = 0.03;
+/// A hidden hand is taken to be where it was seen whole for this long, ns, unless what is left of it is farther from
+/// there than this, m.
+const SAME_PLACE: (u64, f64) = (1_200_000_000, 0.12);
 /// After this long without a hand, what was seen before does not matter, ns.
 const FORGET_NS: u64 = 400_000_000;
 
@@ -68,15 +80,18 @@ impl HandObserver {
         let (shape, calibration) = (&hand.shape, self.calibration);
         let ranging = Ranging::of(frame, &calibration, hand)?;
         let surface = ranging.palm(&shape.palm);
-        let palm_in_left = surface + surface.coords.try_normalize(1e-6)? * HALF_PALM;
+        let seen_palm = surface + surface.coords.try_normalize(1e-6)? * HALF_PALM;
+        let whole = hand.hidden < HIDDEN;
+        let palm = self.palm(frame.root_from_left * seen_palm, whole, frame.stamp_ns);
+        let palm_in_left = palm.map_or(seen_palm, |(p, _)| frame.root_from_left.inverse_transform_point(&p));
 
         let fingers: Vec<Finger> = shape.fingers.iter().map(|f| in_depth(f, &ranging)).collect();
-        let belief = self.believe(&likelihoods(&fingers));
+        let belief = self.believe(&likelihoods(&fingers), if whole { 1.0 } else { HIDDEN_COUNTS });
         let best = (0..4).max_by(|&a, &b| belief[a].total_cmp(&belief[b]))?;
         let gesture = Gesture::ALL[best];
         let stretched: Vec<&Finger> = fingers.iter().filter(|f| f.score > 0.5).collect();
         let direction = match (gesture, stretched.len()) {
-            (Gesture::PointOne, 1) | (Gesture::PointTwo, 2) => direction(&ranging, &stretched),
+            (Gesture::PointOne, 1) | (Gesture::PointTwo, 2) if whole => direction(&ranging, &stretched),
             _ => None,
         };
         let fingertips = stretched
@@ -94,6 +109,7 @@ impl HandObserver {
             belief,
             skin: hand.skin,
             pointing: pointing.map(|p| frame.root_from_left * p),
+            palm,
         });
         Some(HandObservation {
             gesture,
@@ -103,18 +119,29 @@ impl HandObserver {
             palm_radius_px: shape.palm_radius * calibration.camera.focal / hand.z,
             pointing,
             fingertips,
+            hidden: hand.hidden,
             bounding_box: bounds(&hand.left),
             stamp_ns: frame.stamp_ns,
         })
     }
 
-    /// The gestures' probabilities after one more frame: a hidden Markov chain.
-    fn believe(&self, likelihoods: &[f64; 4]) -> [f64; 4] {
+    /// Where the palm is, in the root frame: where it is `seen`, or where it was shortly before when the hand was whole.
+    fn palm(&self, seen: Point3<f64>, whole: bool, stamp_ns: u64) -> Option<(Point3<f64>, u64)> {
+        let before = self.memory.as_ref().and_then(|m| m.palm);
+        let there = |p: &(Point3<f64>, u64)| {
+            stamp_ns.saturating_sub(p.1) < SAME_PLACE.0 && (p.0 - seen).norm() < SAME_PLACE.1
+        };
+        if whole { Some((seen, stamp_ns)) } else { before.filter(there) }
+    }
+
+    /// The gestures' probabilities after one more frame that counts so much (0 to 1): a hidden Markov chain.
+    fn believe(&self, likelihoods: &[f64; 4], counts: f64) -> [f64; 4] {
         let before = self.memory.as_ref().map_or([0.25; 4], |m| m.belief);
+        let change = (1.0 - STAY) * counts;
         let mut belief = [0.0; 4];
         for i in 0..4 {
-            let predicted = before[i] * STAY + (1.0 - before[i]) * (1.0 - STAY) / 3.0;
-            belief[i] = predicted * (likelihoods[i] + FLOOR);
+            let predicted = before[i] * (1.0 - change) + (1.0 - before[i]) * change / 3.0;
+            belief[i] = predicted * (likelihoods[i] + FLOOR).powf(counts);
         }
         let sum: f64 = belief.iter().sum();
         belief.map(|b| b / sum)
@@ -166,9 +193,9 @@ mod tests {
     use super::*;
     use crate::frame::DepthImage;
     use crate::scenes::{
-        CALIBRATION, SKIN, TABLE, Thing, empty_frames, frame, frame_with_depth, hand, table,
+        CALIBRATION, SKIN, TABLE, Thing, empty_frames, frame, frame_with_depth, hand, root_from_left, table,
     };
-    use nalgebra::{Isometry3, Point3};
+    use nalgebra::Isometry3;
 
     const PLACE: Point3<f64> = Point3::new(0.02, -0.02, 0.7);
 
@@ -226,6 +253,30 @@ mod tests {
             assert!(angle < 0.2, "{angle} at roll {roll}, tilt {tilt}");
             let tip = seen.fingertips[0].in_left.unwrap();
             assert!((tip - PLACE).dot(&direction) > 0.1, "{tip}");
+        }
+    }
+
+    #[test]
+    fn what_is_left_of_a_hidden_hand_changes_neither_gesture_nor_place() {
+        let (open, _) = scene(Gesture::PointTwo, 0.2, true, 0.1);
+        // Something nearer hides the fingers; what is left of the hand looks like a fist.
+        let fingers = root_from_left() * (PLACE + Vector3::new(0.10, 0.02, -0.10));
+        let arm = Thing::Block {
+            root_from_block: Isometry3::from_parts(fingers.coords.into(), root_from_left().rotation),
+            size: Vector3::new(0.09, 0.30, 0.04),
+            color: [60, 60, 70],
+        };
+        let covered: Vec<Thing> = open.iter().cloned().chain([arm]).collect();
+        let mut observer = HandObserver::new(CALIBRATION);
+        let at = |i: u64, things: &[Thing]| frame_with_depth(things, i * 66_000_000, i);
+        let alone = HandObserver::new(CALIBRATION).update(&at(0, &covered)).unwrap();
+        assert!(alone.confidence < 0.5, "{alone:?}");
+        let whole = (0..4).filter_map(|i| observer.update(&at(i, &open))).last().unwrap();
+        assert_eq!(whole.gesture, Gesture::PointTwo);
+        for i in 4..14 {
+            let seen = observer.update(&at(i, &covered)).unwrap();
+            assert_eq!(seen.gesture, Gesture::PointTwo, "frame {i}");
+            assert!((seen.palm_in_left - whole.palm_in_left).norm() < 1e-9, "frame {i}");
         }
     }
 

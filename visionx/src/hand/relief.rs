@@ -34,7 +34,7 @@ const NOWHERE: f32 = 100.0;
 /// Share of a hand's outline behind which the scene lies deeper, at least. A patch of a surface has none, save where
 /// the surface ends.
 pub(super) const LEAST_RELIEF: f64 = 0.3;
-/// Deeper by more than this, m.
+/// Deeper or nearer by more than this, m.
 const STEP: f32 = 0.012;
 
 /// The pixels that stand out of the scenery; `None` unless the depth image is of the camera's size.
@@ -109,14 +109,23 @@ impl Plane {
     }
 }
 
-/// The share of a mask's outline behind which the scene lies deeper by [`STEP`] or more. Along rows and columns, from
-/// inside the outline to outside of it; outlines at the image's border do not count. 0 without an outline.
-pub(super) fn relief(mask: &Mask, depth: &DepthImage) -> f64 {
+/// How the scene lies about a thing: shares of its outline, 0 to 1.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Surroundings {
+    /// Where the scene is deeper by [`STEP`] or more, or not measured: the thing ends there.
+    pub(super) deeper: f64,
+    /// Where something is nearer by [`STEP`] or more: it may hide a part of the thing.
+    pub(super) nearer: f64,
+}
+
+/// What is about a mask. Along rows and columns, from inside the outline to outside of it; outlines at the image's
+/// border do not count. All zero without an outline.
+pub(super) fn surroundings(mask: &Mask, depth: &DepthImage) -> Surroundings {
     let at = |x: i64, y: i64| {
         let inside = x >= 0 && y >= 0 && x < i64::from(depth.width) && y < i64::from(depth.height);
         inside.then(|| depth.data.get(y as usize * depth.width as usize + x as usize).copied()).flatten()
     };
-    let (mut outline, mut deeper) = (0usize, 0usize);
+    let (mut outline, mut deeper, mut nearer) = (0usize, 0usize, 0usize);
     let region = mask.region();
     for y in i64::from(region.y)..i64::from(region.y + region.height) {
         for x in i64::from(region.x)..i64::from(region.x + region.width) {
@@ -134,10 +143,12 @@ pub(super) fn relief(mask: &Mask, depth: &DepthImage) -> f64 {
                 outline += 1;
                 // Nothing measured outside is nothing near.
                 deeper += usize::from(here > 0.0 && (there == 0.0 || there > here + STEP));
+                nearer += usize::from(here > 0.0 && there > 0.0 && there < here - STEP);
             }
         }
     }
-    if outline == 0 { 0.0 } else { deeper as f64 / outline as f64 }
+    let share = |count: usize| if outline == 0 { 0.0 } else { count as f64 / outline as f64 };
+    Surroundings { deeper: share(deeper), nearer: share(nearer) }
 }
 
 /// Depths on every [`STRIDE`]th row and column, m.
@@ -339,10 +350,12 @@ mod tests {
             let data = (0..80 * 80).map(|i| if at(i) { inside } else { outside }).collect();
             DepthImage { width: 80, height: 80, data }
         };
-        assert_eq!(relief(&mask, &depth(0.7, 0.8)), 1.0);
-        assert_eq!(relief(&mask, &depth(0.7, 0.0)), 1.0);
-        assert_eq!(relief(&mask, &depth(0.7, 0.705)), 0.0);
-        assert_eq!(relief(&mask, &depth(0.7, 0.6)), 0.0);
-        assert_eq!(relief(&mask, &DepthImage { width: 80, height: 80, data: Vec::new() }), 0.0);
+        let about = |around: f32| surroundings(&mask, &depth(0.7, around));
+        assert_eq!(about(0.8), Surroundings { deeper: 1.0, nearer: 0.0 });
+        assert_eq!(about(0.0), Surroundings { deeper: 1.0, nearer: 0.0 });
+        assert_eq!(about(0.705), Surroundings::default());
+        assert_eq!(about(0.6), Surroundings { deeper: 0.0, nearer: 1.0 });
+        let nothing = DepthImage { width: 80, height: 80, data: Vec::new() };
+        assert_eq!(surroundings(&mask, &nothing), Surroundings::default());
     }
 }
