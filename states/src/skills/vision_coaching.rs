@@ -1,6 +1,7 @@
 //! `VisionCoaching`: the coach's gestures change the running motion. A fist draws the near part of the path towards
 //! the hand, two fingers push it away, one finger moves the whole motion.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_motion::CoachInput;
@@ -53,20 +54,23 @@ fn ask(gesture: &str, hand: &Value) -> CoachInput {
     }
 }
 
-/// What the coach means: a gesture that has been seen for a while, and the hand as it was when it was seen so last.
+/// What the coach means: the gesture that has been seen clearly for longest in the last seconds, and the hand as it was
+/// when it was seen so last.
 ///
 /// The robot's own arm passes between its eyes and the coach's hand in each cycle and hides a part of it; what is read
-/// of the rest is neither the gesture nor the place. The coach does not change a gesture within one such passage.
+/// of the rest is neither the gesture nor the place, and counts little.
 struct Steady {
     meant: String,
     hand: Value,
-    seen: String,
-    seen_for: f64,
+    /// For how long each gesture has been seen clearly, s; forgotten in time.
+    seen: BTreeMap<String, f64>,
+    /// For how long there has been no hand, s.
+    gone: f64,
 }
 
 impl Default for Steady {
     fn default() -> Self {
-        Self { meant: NONE.into(), hand: Value::Null, seen: NONE.into(), seen_for: 0.0 }
+        Self { meant: NONE.into(), hand: Value::Null, seen: BTreeMap::new(), gone: 0.0 }
     }
 }
 
@@ -76,31 +80,40 @@ const NONE: &str = "none";
 impl Steady {
     /// How long a gesture must be seen before it is meant, and a hand be gone before it is believed, s.
     const HOLD: f64 = 0.4;
-    /// How long another gesture must be seen before the coach has changed it, s.
-    const CHANGE: f64 = 1.5;
-
+    /// The time constant of forgetting, s, and the most time that counts, s: a coach who changes the gesture is
+    /// understood after a second and a half.
+    const FORGET: f64 = 4.0;
+    const MOST: f64 = 2.0;
     /// How sure the eyes must be of a gesture for it to count, probability.
     const SURE: f64 = 0.6;
+    /// Share of the hand's outline from which on something hides a part of it, and what it counts for then.
+    const HIDDEN: (f64, f64) = (0.16, 0.1);
 
     /// `dt` s later, with what is on the channel now: what the coach asks of the motion.
     fn update(&mut self, dt: f64, hand: Option<Value>) -> CoachInput {
-        let doubtful = |h: &Value| h.get("confidence").and_then(Value::as_f64).is_some_and(|c| c < Self::SURE);
-        if hand.as_ref().is_some_and(doubtful) {
+        let number = |name: &str| hand.as_ref().and_then(|h| h.get(name)).and_then(Value::as_f64);
+        let seen = hand.as_ref().and_then(|h| h.get("gesture")).and_then(Value::as_str).unwrap_or(NONE);
+        if seen == NONE {
+            self.gone += dt;
+            if self.gone >= Self::HOLD {
+                *self = Self::default();
+            }
             return ask(&self.meant, &self.hand);
         }
-        let seen = hand.as_ref().and_then(|h| h.get("gesture")).and_then(Value::as_str).unwrap_or(NONE);
-        if seen == self.seen {
-            self.seen_for += dt;
-        } else {
-            (self.seen, self.seen_for) = (seen.to_owned(), 0.0);
+        self.gone = 0.0;
+        let hidden = number("hidden").is_some_and(|share| share >= Self::HIDDEN.0);
+        if number("confidence").is_none_or(|c| c >= Self::SURE) {
+            let counts = if hidden { Self::HIDDEN.1 } else { 1.0 };
+            self.seen.values_mut().for_each(|time| *time *= 1.0 - counts * dt / Self::FORGET);
+            let time = self.seen.entry(seen.to_owned()).or_default();
+            *time = (*time + counts * dt).min(Self::MOST);
+            let longest = self.seen.iter().max_by(|a, b| a.1.total_cmp(b.1));
+            if let Some((gesture, _)) = longest.filter(|(_, time)| **time >= Self::HOLD) {
+                self.meant.clone_from(gesture);
+            }
         }
-        let changes = self.meant != NONE && self.seen != NONE;
-        let needed = if changes { Self::CHANGE } else { Self::HOLD };
-        if self.seen_for >= needed && self.seen != self.meant {
-            self.meant = self.seen.clone();
-        }
-        if let Some(hand) = hand.filter(|_| self.seen == self.meant) {
-            self.hand = hand;
+        if seen == self.meant && (!hidden || self.hand == Value::Null) {
+            self.hand = hand.unwrap_or(Value::Null);
         }
         ask(&self.meant, &self.hand)
     }
@@ -124,15 +137,23 @@ mod tests {
             (0..steps).map(|_| steady.update(1e-3, hand.clone())).last()
         };
         let fist = Some(CoachInput::Attract { hand: nalgebra::Vector3::new(0.3, 0.0, 0.0) });
+        let with = |hand: Option<Value>, name: &str, value: f64| match hand {
+            Some(Value::Map(mut fields)) => {
+                fields.insert(name.into(), Value::Float(value));
+                Some(Value::Map(fields))
+            }
+            other => other,
+        };
         assert_eq!(after(0.3, at("fist", 0.3)), Some(CoachInput::None), "not yet");
         assert_eq!(after(0.3, at("fist", 0.3)), fist);
+        assert_eq!(after(1.0, at("fist", 0.3)), fist);
         assert_eq!(after(1.0, at("point_two", 0.2)), fist, "half hidden by the robot's arm");
+        assert_eq!(after(1.0, at("fist", 0.3)), fist);
         assert_eq!(after(0.2, None), fist, "hidden for some frames");
-        let mut doubtful = at("point_two", 0.2);
-        if let Some(Value::Map(fields)) = &mut doubtful {
-            fields.insert("confidence".into(), Value::Float(0.5));
-        }
-        assert_eq!(after(3.0, doubtful), fist, "hidden for long");
+        assert_eq!(after(3.0, with(at("point_two", 0.2), "confidence", 0.5)), fist, "doubtful");
+        assert_eq!(after(3.0, with(at("point_two", 0.2), "hidden", 0.2)), fist, "hidden for long");
+        let pair = Some(CoachInput::Repel { hand: nalgebra::Vector3::new(0.2, 0.0, 0.0) });
+        assert_eq!(after(2.5, at("point_two", 0.2)), pair, "changed");
         assert_eq!(after(0.5, None), Some(CoachInput::None), "gone");
     }
 }
