@@ -29,8 +29,17 @@ struct Memory {
     skin: [f32; 2],
     /// Where the hand pointed, in the root frame.
     pointing: Option<Vector3<f64>>,
-    /// Where the palm was when the hand was last seen whole, in the root frame, and when, ns.
-    palm: Option<(Point3<f64>, u64)>,
+    /// The palm when the hand was last seen whole.
+    palm: Option<Palm>,
+}
+
+/// A palm as it was seen whole.
+#[derive(Clone, Copy, Debug)]
+struct Palm {
+    in_root: Point3<f64>,
+    stamp_ns: u64,
+    /// Whether it was in the same place the time before.
+    stands: bool,
 }
 
 /// From a palm's surface to its middle, m.
@@ -49,9 +58,11 @@ const HIDDEN: f64 = 0.16;
 /// What a frame of a hidden hand counts for its gesture, share of a frame of a whole one. Not nothing: a hand that is
 /// never seen whole shows its gesture too, in a while.
 const HIDDEN_COUNTS: f64 = 0.03;
-/// A hidden hand is taken to be where it was seen whole for this long, ns, unless what is left of it is farther from
-/// there than this, m.
+/// A hidden hand that stood is taken to stand there for this long, ns, unless what is left of it is farther from there
+/// than this, m.
 const SAME_PLACE: (u64, f64) = (1_200_000_000, 0.12);
+/// A palm that is within this of where it was in the frame before stands, m.
+const STANDS: f64 = 0.012;
 /// After this long without a hand, what was seen before does not matter, ns.
 const FORGET_NS: u64 = 400_000_000;
 
@@ -83,7 +94,8 @@ impl HandObserver {
         let seen_palm = surface + surface.coords.try_normalize(1e-6)? * HALF_PALM;
         let whole = hand.hidden < HIDDEN;
         let palm = self.palm(frame.root_from_left * seen_palm, whole, frame.stamp_ns);
-        let palm_in_left = palm.map_or(seen_palm, |(p, _)| frame.root_from_left.inverse_transform_point(&p));
+        let palm_in_left =
+            palm.map_or(seen_palm, |p| frame.root_from_left.inverse_transform_point(&p.in_root));
 
         let fingers: Vec<Finger> = shape.fingers.iter().map(|f| in_depth(f, &ranging)).collect();
         let belief = self.believe(&likelihoods(&fingers), if whole { 1.0 } else { HIDDEN_COUNTS });
@@ -125,13 +137,16 @@ impl HandObserver {
         })
     }
 
-    /// Where the palm is, in the root frame: where it is `seen`, or where it was shortly before when the hand was whole.
-    fn palm(&self, seen: Point3<f64>, whole: bool, stamp_ns: u64) -> Option<(Point3<f64>, u64)> {
+    /// The palm as it is `seen` (root frame, m) when the hand is whole, as it was shortly before when a part is hidden.
+    fn palm(&self, seen: Point3<f64>, whole: bool, stamp_ns: u64) -> Option<Palm> {
         let before = self.memory.as_ref().and_then(|m| m.palm);
-        let there = |p: &(Point3<f64>, u64)| {
-            stamp_ns.saturating_sub(p.1) < SAME_PLACE.0 && (p.0 - seen).norm() < SAME_PLACE.1
-        };
-        if whole { Some((seen, stamp_ns)) } else { before.filter(there) }
+        let near = |p: &Palm, reach: f64| (p.in_root - seen).norm() < reach;
+        if whole {
+            let stands = before.is_some_and(|p| near(&p, STANDS));
+            return Some(Palm { in_root: seen, stamp_ns, stands });
+        }
+        let (patience, reach) = SAME_PLACE;
+        before.filter(|p| p.stands && near(p, reach) && stamp_ns.saturating_sub(p.stamp_ns) < patience)
     }
 
     /// The gestures' probabilities after one more frame that counts so much (0 to 1): a hidden Markov chain.

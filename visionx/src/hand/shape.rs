@@ -248,9 +248,7 @@ fn measure(branch: &Branch, grid: &Grid, inside: &[f32], from_core: &[f32], reac
 /// Probability that a protrusion of this length and width (m) is a stretched finger.
 fn finger_score(length: f64, width: f64) -> f64 {
     let logistic = |x: f64| 1.0 / (1.0 + (-x).exp());
-    logistic((length - 0.018) / 0.003)
-        * logistic((width - 0.007) / 0.001)
-        * logistic((0.030 - width) / 0.001)
+    logistic((length - 0.018) / 0.003) * logistic((width - 0.007) / 0.001) * logistic((0.030 - width) / 0.001)
 }
 
 /// The Euclidean distance of every cell from the nearest that is `source`, cells; infinite where there is none.
