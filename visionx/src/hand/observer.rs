@@ -275,7 +275,7 @@ mod tests {
     fn what_is_left_of_a_hidden_hand_changes_neither_gesture_nor_place() {
         let (open, _) = scene(Gesture::PointTwo, 0.2, true, 0.1);
         // Something nearer hides the fingers; what is left of the hand looks like a fist.
-        let fingers = root_from_left() * (PLACE + Vector3::new(0.10, 0.02, -0.10));
+        let fingers = root_from_left() * (PLACE + Vector3::new(0.055, 0.02, -0.10));
         let arm = Thing::Block {
             root_from_block: Isometry3::from_parts(fingers.coords.into(), root_from_left().rotation),
             size: Vector3::new(0.09, 0.30, 0.04),
