@@ -12,6 +12,7 @@ pub mod bed;
 pub mod cameras;
 pub mod carrying;
 pub mod coach;
+pub mod modification;
 pub mod physics;
 pub mod referee;
 pub mod render;

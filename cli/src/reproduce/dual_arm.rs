@@ -32,19 +32,23 @@ settings! {
         /// Where its middle is at the start, m.
         at: [f64; 3] = [0.0, 0.45, 1.02];
         /// With how much the hands press on it, N.
-        squeeze: f64 = 50.0;
+        squeeze: f64 = 60.0;
         /// Stiffness of a hand's pad across, N/m.
-        stiffness: f64 = 4000.0;
+        stiffness: f64 = 6000.0;
         /// Stiffness of a hand's pad along, N/m.
         shear_stiffness: f64 = 2000.0;
+        /// Half the edges of a pad, along the fingers and up, m.
+        pad: [f64; 2] = [0.08, 0.09];
         /// Friction of pad on box.
         friction: f64 = 0.9;
         /// K1 of (14).
-        k1: f64 = 0.1;
-        /// What moments count against forces in (10), 1/m^2.
-        moments: f64 = 10.0;
+        k1: f64 = 3.0;
+        /// What the parts of (10) count in it: forces along x, y, z, and moments about them, 1/m^2. A stiff box needs little.
+        weights: [f64; 6] = [0.1, 1.0, 1.0, 1.0, 1.0, 1.0];
         /// K2 of (14); 0 leaves (10).
         k2: f64 = 1.0;
+        /// Cut-off frequency of the low-pass filter on what the palms feel, Hz.
+        filter: f64 = 20.0;
         /// Q of (11).
         q: f64 = 1.0;
         /// L of (11).
@@ -154,15 +158,17 @@ impl DualArm {
         within("squeeze", self.squeeze, 0.1, 0.025 * self.stiffness)?;
         within("stiffness", self.stiffness, 100.0, 20_000.0)?;
         within("shear_stiffness", self.shear_stiffness, 100.0, 20_000.0)?;
+        self.pad.iter().try_for_each(|s| within("pad", *s, 0.0, 0.5))?;
         within("friction", self.friction, 0.0, 3.0)?;
         self.size.iter().try_for_each(|s| within("size", *s, 0.05, 1.0))?;
         within("k1", self.k1, -1e3, 1e3)?;
-        within("moments", self.moments, 0.0, 1e4)?;
+        self.weights.iter().try_for_each(|w| within("weights", *w, 0.0, 1e4))?;
         within("k2", self.k2, -1e3, 1e3)?;
         within("epochs", self.epochs as f64, 1.0, 100.0)?;
         within("duration", self.duration, 0.2, 20.0)?;
         within("period", self.period, 0.2, 20.0)?;
         within("periods", f64::from(self.periods), 1.0, 20.0)?;
+        within("filter", self.filter, 0.1, 1e4)?;
         within("noise", self.noise, 0.0, 20.0)?;
         within("bias", self.bias, 0.0, 100.0)
     }
@@ -176,8 +182,8 @@ impl DualArm {
     }
 
     fn carried(&self) -> CarriedBox {
-        let Self { stiffness, shear_stiffness, friction, .. } = *self;
-        let pad = PadSpec { stiffness, shear_stiffness, friction, ..PadSpec::default() };
+        let Self { stiffness, shear_stiffness, friction, pad: half, .. } = *self;
+        let pad = PadSpec { stiffness, shear_stiffness, friction, half, ..PadSpec::default() };
         CarriedBox { mass: self.mass, size: self.size, at: self.at, pad }
     }
 
@@ -258,13 +264,14 @@ impl DualArm {
         let start = arms.all(open);
         let mut scene = Carrying::new(arms.model(), &self.carried(), &noise, &start, seed)
             .map_err(|error| ReproduceError::Failed(error.to_string()))?;
-        let grasp = take(&mut scene, arms, open, &[joints(right.state().y), joints(left.state().y)]);
+        let grasp = self.take(&mut scene, arms, open, &[joints(right.state().y), joints(left.state().y)]);
+        let mut felt = grasp;
         let referee = scene.referee();
         let from = referee.len();
         let (mut position, mut velocity) = (start.clone(), vec![0.0; start.len()]);
         let (mut speed, mut margin) = (0.0_f64, f64::INFINITY);
         for _ in 0..=self.steps() {
-            let error = self.error(&scene, arms, &grasp, gains)?;
+            let error = self.error(&scene, arms, &grasp, &mut felt, gains)?;
             control.step(left, self.omega(), error.as_slice())?;
             let states = [right.step(DT, self.omega())?, left.step(DT, self.omega())?];
             let (q, qd) = (states.map(|s| joints(s.y)), states.map(|s| joints(s.yd)));
@@ -285,6 +292,7 @@ impl DualArm {
         scene: &Carrying,
         arms: &mut Arms,
         grasp: &Vector6<f64>,
+        felt: &mut Vector6<f64>,
         gains: FeedbackError,
     ) -> Result<Joints, ReproduceError> {
         arms.update(scene.position());
@@ -293,48 +301,54 @@ impl DualArm {
             let qd = arms.of(side, scene.velocity());
             columns[side].iter().zip(qd.iter()).map(|(c, v)| c * *v).sum()
         };
-        let mut wrench = grasp - internal(scene.palms());
-        wrench.fixed_rows_mut::<3>(3).scale_mut(self.moments);
+        let now = self.internal(arms, scene.palms());
+        *felt += (now - *felt) * (DT / (DT + 1.0 / (TAU * self.filter)));
+        let wrench = (grasp - *felt).component_mul(&Vector6::from(self.weights));
         let mut error = Joints::zeros();
         gains.in_joint_space(&columns[1], &wrench, &(twist(0) - twist(1)), error.as_mut_slice())?;
         Ok(error)
+    }
+
+    /// What the left hand exerts on the box against the right one: half the difference of force, N, and of moment about the
+    /// middle of the pad, N m. What both share, as weight and inertia of the box, is not in it.
+    fn internal(&self, arms: &Arms, palms: &[PalmSensed; 2]) -> Vector6<f64> {
+        let carried = self.carried();
+        let at_pad = |side: usize| {
+            let PalmSensed { force, torque } = palms[side];
+            let lever = arms.rotation(side) * carried.pad_middle(side).coords;
+            let moment = torque - lever.cross(&force);
+            Vector6::new(force.x, force.y, force.z, moment.x, moment.y, moment.z)
+        };
+        (at_pad(0) - at_pad(1)) / 2.0
+    }
+
+    /// The hands close on the box and hold; returns what the left hand then exerts. It is as it was sensed, with the sensors'
+    /// offset, which is in all that is felt later too.
+    fn take(
+        &self,
+        scene: &mut Carrying,
+        arms: &mut Arms,
+        open: &[Joints; 2],
+        closed: &[Joints; 2],
+    ) -> Vector6<f64> {
+        let steps = |seconds: f64| (seconds / DT).round() as usize;
+        let mut mean = Vector6::zeros();
+        for k in 0..steps(CLOSE + HOLD) {
+            let s = (k as f64 * DT / CLOSE).min(1.0);
+            let way = s.powi(3) * (10.0 - 15.0 * s + 6.0 * s * s);
+            let rate = 30.0 * s * s * (1.0 - s).powi(2) / CLOSE;
+            let q = [0, 1].map(|side| open[side] + (closed[side] - open[side]) * way);
+            let qd = [0, 1].map(|side| (closed[side] - open[side]) * rate);
+            scene.step(&arms.all(&q), &arms.all(&qd));
+            if k >= steps(CLOSE + HOLD - LISTEN) {
+                arms.update(scene.position());
+                mean += self.internal(arms, scene.palms()) / steps(LISTEN) as f64;
+            }
+        }
+        mean
     }
 }
 
 fn joints(values: &[f64]) -> Joints {
     Joints::from_column_slice(values)
-}
-
-/// What the left hand exerts on the box against the right one: half the difference, N and N m. What both share, as weight
-/// and inertia of the box, is not in it.
-fn internal(palms: &[PalmSensed; 2]) -> Vector6<f64> {
-    let half = |right: Vector3<f64>, left: Vector3<f64>| (right - left) / 2.0;
-    let [right, left] = palms;
-    let (f, m) = (half(right.force, left.force), half(right.torque, left.torque));
-    Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z)
-}
-
-/// The hands close on the box and hold; returns what the left hand then exerts. It is as it was sensed, with the sensors'
-/// offset, which is in all that is felt later too.
-fn take(scene: &mut Carrying, arms: &Arms, open: &[Joints; 2], closed: &[Joints; 2]) -> Vector6<f64> {
-    let steps = |seconds: f64| (seconds / DT).round() as usize;
-    let mut mean = Vector6::zeros();
-    for k in 0..steps(CLOSE + HOLD) {
-        let s = (k as f64 * DT / CLOSE).clamp(0.0, 1.0);
-        let (way, rate) = if s > 0.0 && s < 1.0 {
-            (
-                s.powi(3) * (10.0 - 15.0 * s + 6.0 * s * s),
-                30.0 * s * s * (1.0 - 2.0 * s + s * s) / CLOSE,
-            )
-        } else {
-            (s, 0.0)
-        };
-        let q = [0, 1].map(|side| open[side] + (closed[side] - open[side]) * way);
-        let qd = [0, 1].map(|side| (closed[side] - open[side]) * rate);
-        scene.step(&arms.all(&q), &arms.all(&qd));
-        if k >= steps(CLOSE + HOLD) - steps(LISTEN) {
-            mean += internal(scene.palms()) / steps(LISTEN) as f64;
-        }
-    }
-    mean
 }

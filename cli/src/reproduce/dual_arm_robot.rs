@@ -68,6 +68,11 @@ impl Arms {
         self.kinematics.update(all);
     }
 
+    /// Which way the hand of one arm is turned, after [`update`](Self::update).
+    pub(super) fn rotation(&self, side: usize) -> UnitQuaternion<f64> {
+        self.kinematics.pose(self.tcps[side]).rotation
+    }
+
     /// Columns of the Jacobian of one TCP (m/rad, then rad/rad, root frame) after [`update`](Self::update).
     pub(super) fn columns(&self, side: usize) -> [Vector6<f64>; JOINTS] {
         let tcp = self.tcps[side];

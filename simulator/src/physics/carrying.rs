@@ -21,8 +21,6 @@ use super::drives::{self, Body};
 use super::pad::{Moving, Pad, PadReaction, PadSpec};
 use super::plant::{DT, PlantError};
 
-/// Half edges of a pad: along the fingers and across them, m.
-const PAD_HALF: [f64; 2] = [0.05, 0.02];
 /// Middle of the palm, TCP frame, along the fingers, m.
 const PALM_MIDDLE: f64 = -0.03;
 /// From the TCP to the inner side of the hand, m.
@@ -45,6 +43,16 @@ pub struct CarriedBox {
 impl Default for CarriedBox {
     fn default() -> Self {
         Self { mass: 1.5, size: [0.44, 0.30, 0.24], at: [0.0, 0.45, 1.02], pad: PadSpec::default() }
+    }
+}
+
+impl CarriedBox {
+    /// The middle of a pad's outer face (0 right, 1 left) in the frame of its TCP, m. The hands' y points to the robot's left in
+    /// both: it is the inner side of the right one, and the outer of the left.
+    #[must_use]
+    pub fn pad_middle(&self, side: usize) -> Point3<f64> {
+        let inner = if side == 0 { 1.0 } else { -1.0 };
+        Point3::new(0.0, inner * (HAND_HALF + self.pad.thickness), PALM_MIDDLE)
     }
 }
 
@@ -91,10 +99,9 @@ impl CarryingPlant {
             let name = ARMS[side].1;
             let tcp = model.link(name).ok_or(PlantError::Missing { what: name })?;
             let (lump, palm_from_tcp) = assembly.carrier(tcp).ok_or(PlantError::Missing { what: name })?;
-            // The hands' y points to the robot's left in both: the right pad is on its far side, the left on its near one.
             let inner = if side == 0 { 1.0 } else { -1.0 };
-            let middle = Point3::new(0.0, inner * (HAND_HALF + carried.pad.thickness), PALM_MIDDLE);
-            let edges = (Vector3::z() * PAD_HALF[0], Vector3::x() * PAD_HALF[1]);
+            let middle = carried.pad_middle(side);
+            let edges = (Vector3::z() * carried.pad.half[0], Vector3::x() * carried.pad.half[1]);
             Ok::<_, PlantError>(Hand {
                 palm: bodies[lump].handle,
                 palm_from_tcp,

@@ -14,7 +14,7 @@ use super::plant::PAD_FRICTION;
 /// Points along each edge.
 const POINTS: usize = 3;
 /// Part of critical damping of the box on its pads.
-const DAMPING_RATIO: f64 = 0.6;
+const DAMPING_RATIO: f64 = 0.2;
 
 /// How a pad feels.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -28,11 +28,19 @@ pub struct PadSpec {
     pub friction: f64,
     /// Thickness, m: it is pressed in by less.
     pub thickness: f64,
+    /// Half its edges, along the fingers and across them, m.
+    pub half: [f64; 2],
 }
 
 impl Default for PadSpec {
     fn default() -> Self {
-        Self { stiffness: 4000.0, shear_stiffness: 2000.0, friction: PAD_FRICTION, thickness: 0.03 }
+        Self {
+            stiffness: 6000.0,
+            shear_stiffness: 2000.0,
+            friction: PAD_FRICTION,
+            thickness: 0.03,
+            half: [0.08, 0.09],
+        }
     }
 }
 
@@ -154,7 +162,8 @@ mod tests {
     }
 
     fn pad() -> Pad {
-        Pad::new(PadSpec::default(), 1.5, Point3::origin(), Vector3::y() * 0.05, Vector3::z() * 0.02)
+        let spec = PadSpec { stiffness: 4000.0, ..PadSpec::default() };
+        Pad::new(spec, 1.5, Point3::origin(), Vector3::y() * 0.05, Vector3::z() * 0.02)
     }
 
     const HALF: Vector3<f64> = Vector3::new(0.2, 0.15, 0.1);
