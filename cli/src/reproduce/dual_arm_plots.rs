@@ -34,17 +34,17 @@ impl DualArm {
         };
         let height = |side: usize| move |r: &CarryingRecord| r.tcps[side].translation.vector.z;
         let mut heights = vec![Curve::new("right", over_time(before, &height(0))).looking(Look::Reference)];
-        heights.extend(
-            epochs.iter().map(|e| Curve::new("", over_time(e, &height(1))).looking(Look::Faint)),
-        );
+        heights.extend(epochs.iter().map(|e| Curve::new("", over_time(e, &height(1))).looking(Look::Faint)));
         heights.push(Curve::new("left, before", over_time(before, &height(1))).looking(Look::Colour(1)));
         let mut boxes = Vec::new();
         if let (Some(first), Some(last)) = (epochs.first(), epochs.last()) {
-            heights.push(
-                Curve::new("left, last epoch", over_time(last, &height(1))).looking(Look::Colour(2)),
-            );
-            let tilt = |r: &CarryingRecord| (r.carried.rotation * nalgebra::Vector3::x()).z.asin().to_degrees();
-            for (name, epoch, colour) in [("before", before, 1), ("epoch 1", first, 3), ("last epoch", last, 2)] {
+            heights
+                .push(Curve::new("left, last epoch", over_time(last, &height(1))).looking(Look::Colour(2)));
+            let tilt =
+                |r: &CarryingRecord| (r.carried.rotation * nalgebra::Vector3::x()).z.asin().to_degrees();
+            for (name, epoch, colour) in
+                [("before", before, 1), ("epoch 1", first, 3), ("last epoch", last, 2)]
+            {
                 boxes.push(Curve::new(name, over_time(epoch, &tilt)).looking(Look::Colour(colour)));
             }
         }

@@ -108,8 +108,7 @@ impl Arm {
         let options = Options { start: Some(self.all(q)), ..Options::default() };
         let simulation = Simulation::new(&world, seed, options).map_err(|e| failed(&e))?;
         let robot = simulation.robot();
-        let lease =
-            robot.lease("right_arm", "coaching", LeaseLimits::default()).map_err(|e| failed(&e))?;
+        let lease = robot.lease("right_arm", "coaching", LeaseLimits::default()).map_err(|e| failed(&e))?;
         let simulated = Simulated { simulation: Box::new(simulation), robot, lease, joints: self.joints };
         Ok(Execution::Simulated(simulated))
     }
