@@ -3,13 +3,16 @@
 //! - [`world`]: the world file. [`Simulation`]: everything together, stepped by tokio's clock.
 //! - [`physics`]: Rapier, grip and wrist sensor; on [`table`] and [`bed`], the soft underside of objects.
 //! - [`coach`]: the person who demonstrates and coaches. [`cameras`], [`render`]: what the robot sees.
+//! - [`carrying`]: both arms and a box between their hands, an experiment beside the wiping.
 //! - [`truth`]: what is true, for recorder and [`referee`]; skills never see it.
 //!
 //! This room knows no skill, no chart and no memory.
 
 pub mod bed;
 pub mod cameras;
+pub mod carrying;
 pub mod coach;
+pub mod modification;
 pub mod physics;
 pub mod referee;
 pub mod render;

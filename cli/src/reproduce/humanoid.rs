@@ -1,13 +1,15 @@
 //! The robot experiment of Petrič et al. 2014, section IV, on the right arm of ARMAR-III: four times a coach changes a
 //! circle with his hands, pushing with the right and pulling with the left (Figs 6, 7 and 9).
 //!
-//! The arm moves in the simulator's physics; the figures are measured on the true path of its hand.
+//! The arm moves in the simulator, with its noisy sensors and behind its guard; the figures are the referee's, of the true path
+//! of its hand.
 
 use std::f64::consts::{PI, TAU};
 
 use armarium_motion::{
     CoachingCommand, PeriodicDmp, PeriodicDmpConfig, PhaseSample, PotentialField, joint_coupling,
 };
+use armarium_simulator::modification::{Compared, ModificationFigures};
 use armarium_viewer::report::{Curve, Look, Panel, Row, picture};
 use nalgebra::Vector3;
 use rand::SeedableRng as _;
@@ -64,9 +66,9 @@ settings! {
         pairs: usize = 8;
         /// Farther from the coaching point than this is the far side, m.
         far: f64 = 0.15;
-        /// In the simulator's physics; false for joints that are where they shall be.
+        /// In the simulator; false for joints that are where they shall be.
         physics: bool = true;
-        /// Seed of the tracker's noise.
+        /// Seed of the noise of tracker and robot.
         seed: u64 = 1;
     }
 }
@@ -74,16 +76,17 @@ settings! {
 /// Time between entries of the log, s.
 const LOGGED: f64 = 0.01;
 
-/// What a run leaves, one entry each [`LOGGED`].
+/// What a run leaves, lists with one entry each [`LOGGED`].
 struct Log {
     modification: Modification,
     o: Vector3<f64>,
     q: Vec<Joints>,
     qd: Vec<Joints>,
+    /// Where the hand truly was, m, and where the primitive wanted it.
     x: Vec<Vector3<f64>>,
+    wanted: Vec<Vector3<f64>>,
     coupling: Vec<f64>,
-    /// Distance between the hand and where the primitive wants it, m.
-    lag: Vec<f64>,
+    judged: ModificationFigures,
 }
 
 impl Experiment for HumanoidCoaching {
@@ -192,13 +195,14 @@ impl HumanoidCoaching {
         let original = dmp.weights().to_vec();
         let o = self.centre() + (self.radius + self.gap) * modification.outward();
         let arms = Arms::pointing(modification, o, self.xi);
-        let mut execution = arm.execution(&Joints::from_column_slice(dmp.state().y), self.physics)?;
+        let start_q = Joints::from_column_slice(dmp.state().y);
+        let mut execution = arm.execution(&start_q, self.physics, self.seed)?;
         let (start, stop, back) = (step_of(self.start), step_of(self.stop), step_of(self.back));
         let image = (1.0 / (self.camera_rate * DT)).round().max(1.0) as usize;
         let mut log = Log::new(modification, o);
         let mut command = None;
-        for k in 0..step_of(self.seconds) {
-            let (q, qd) = execution.joints();
+        for k in 0..=step_of(self.seconds) {
+            let (q, qd) = execution.joints().unwrap_or((start_q, Joints::zeros()));
             let (x, columns) = arm.at(&q);
             if (k.max(start) - start).is_multiple_of(image) {
                 let there = (start..stop).contains(&k);
@@ -210,12 +214,13 @@ impl HumanoidCoaching {
             let strength = self.coach(&mut dmp, command, x, &columns, &qd)?;
             if k.is_multiple_of(step_of(LOGGED)) {
                 let wanted = arm.at(&Joints::from_column_slice(dmp.state().y)).0;
-                let truth = execution.truth(arm);
-                log.note(q, qd, truth, strength, (truth - wanted).norm());
+                log.note(q, qd, wanted, strength);
             }
             let state = dmp.step(DT, self.omega())?;
-            execution.drive(state.y, state.yd);
+            execution.drive(arm, state.y, state.yd)?;
         }
+        log.x = execution.truth().into_iter().step_by(step_of(LOGGED)).collect();
+        log.judged = execution.judge(&self.compared(&log));
         Ok(log)
     }
 
@@ -238,9 +243,16 @@ impl HumanoidCoaching {
         Ok(strength)
     }
 
-    /// The true path in the period before the coach came, and in the last one before the motion goes back.
-    fn compared(&self, log: &Log) -> [Vec<Vector3<f64>>; 2] {
-        [self.start, self.back].map(|end| over_period(&log.x, end / LOGGED, self.period()))
+    /// What the referee is asked: the period before the coach came against the last one before the motion goes back.
+    fn compared(&self, log: &Log) -> Compared {
+        Compared {
+            period_s: 1.0 / self.frequency,
+            before_s: self.start,
+            after_s: self.back,
+            place: log.o,
+            way: log.modification.way(),
+            far_m: self.far,
+        }
     }
 
     fn figures(&self, arm: &Arm, tracker: &Tracker, logs: &[Log]) -> Outcome {
@@ -248,8 +260,8 @@ impl HumanoidCoaching {
         let each = |of: &dyn Fn(&Log) -> f64| logs.iter().map(of).collect::<Vec<f64>>();
         let names: Vec<_> = logs.iter().map(|log| log.modification.name()).collect();
         outcome.figure("modifications", names);
-        outcome.figure("displacement_m", each(&|log| self.moved(log)[0]));
-        outcome.figure("far_side_rms_m", each(&|log| self.moved(log)[1]));
+        outcome.figure("displacement_m", each(&|log| log.judged.displacement_m));
+        outcome.figure("far_side_rms_m", each(&|log| log.judged.far_side_rms_m));
         let begin = (self.start / LOGGED).round() as usize;
         let end = (self.stop / LOGGED).round() as usize;
         let count = self.period().round() as usize;
@@ -257,23 +269,17 @@ impl HumanoidCoaching {
         outcome.figure("coupling_mean_first", each(&|log| over(log, begin)));
         outcome.figure("coupling_mean_last", each(&|log| over(log, end - count)));
         let settled = (1.0 / LOGGED) as usize;
-        let rms = |log: &Log| mean(log.lag[settled..].iter().map(|l| l * l)).sqrt();
+        let lag = |log: &Log| log.x.iter().zip(&log.wanted).map(|(x, w)| (x - w).norm_squared()).collect();
+        let rms = |log: &Log| -> f64 {
+            let squares: Vec<f64> = lag(log);
+            mean(squares[settled.min(squares.len())..].iter().copied()).sqrt()
+        };
         outcome.figure("tracking_rms_m", each(&rms));
         outcome.figure("joint_speed_rad_s", each(&|log| largest(&log.qd)));
         let margin = |log: &Log| log.q.iter().map(|q| arm.margin(q)).fold(f64::INFINITY, f64::min);
         outcome.figure("joint_margin_rad", each(&margin));
         outcome.figure("calibration_rms_m", tracker.calibration_rms);
         outcome
-    }
-
-    /// How far the path has moved its way at the coaching point, and by how much on the far side (root mean square), m.
-    fn moved(&self, log: &Log) -> [f64; 2] {
-        let [before, after] = self.compared(log);
-        let distance = |k: &usize| (before[*k] - log.o).norm();
-        let nearest = (0..before.len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0);
-        let far = (0..before.len()).filter(|k| distance(k) > self.far);
-        let square = mean(far.map(|k| (after[k] - before[k]).norm_squared()));
-        [(after[nearest] - before[nearest]).dot(&log.modification.way()), square.sqrt()]
     }
 
     /// Like Fig. 9: the four modifications, with what came in between.
@@ -330,16 +336,15 @@ impl HumanoidCoaching {
 
 impl Log {
     fn new(modification: Modification, o: Vector3<f64>) -> Self {
-        let (q, qd, x, coupling, lag) = Default::default();
-        Self { modification, o, q, qd, x, coupling, lag }
+        let (q, qd, x, wanted, coupling, judged) = Default::default();
+        Self { modification, o, q, qd, x, wanted, coupling, judged }
     }
 
-    fn note(&mut self, q: Joints, qd: Joints, x: Vector3<f64>, coupling: f64, lag: f64) {
+    fn note(&mut self, q: Joints, qd: Joints, wanted: Vector3<f64>, coupling: f64) {
         self.q.push(q);
         self.qd.push(qd);
-        self.x.push(x);
+        self.wanted.push(wanted);
         self.coupling.push(coupling);
-        self.lag.push(lag);
     }
 }
 

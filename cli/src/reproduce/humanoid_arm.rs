@@ -1,11 +1,12 @@
 //! The right arm of ARMAR-III as the coached robot: its inverse kinematics next to a posture, and its execution in the
-//! simulator's physics or, to compare, by ideal joints.
+//! simulator, behind the robot's guard, or, to compare, by ideal joints.
 
 use std::sync::Arc;
 
-use armarium_robot::{Kinematics, LinkId, Model, postures};
-use armarium_simulator::physics::{External, Plant};
+use armarium_robot::{Kinematics, Lease, LeaseLimits, LinkId, Model, Robot, postures};
+use armarium_simulator::modification::{Compared, ModificationFigures, modification, of_path};
 use armarium_simulator::world::World;
+use armarium_simulator::{Options, Simulation};
 use nalgebra::{Matrix3, Point3, SVector, Vector3};
 
 use super::experiment::ReproduceError;
@@ -92,17 +93,24 @@ impl Arm {
         self.joints.iter().zip(q.iter()).map(margin).fold(f64::INFINITY, f64::min)
     }
 
-    /// The arm with its joints at `q`, ready to be driven.
-    pub(crate) fn execution(&self, q: &Joints, physics: bool) -> Result<Execution, ReproduceError> {
+    /// The arm with its joints at `q`, ready to be driven; all that varies in the simulator is drawn from `seed`.
+    pub(crate) fn execution(
+        &self,
+        q: &Joints,
+        physics: bool,
+        seed: u64,
+    ) -> Result<Execution, ReproduceError> {
         if !physics {
-            return Ok(Execution::Ideal { position: *q, velocity: Joints::zeros() });
+            return Ok(Execution::Ideal { position: *q, velocity: Joints::zeros(), path: Vec::new() });
         }
+        let failed = |error: &dyn std::error::Error| ReproduceError::Failed(error.to_string());
         let world = World { objects: Vec::new(), ..World::default() };
-        let position = self.all(q);
-        let plant = Plant::new(self.kinematics.model(), &world, &position)
-            .map_err(|error| ReproduceError::Failed(error.to_string()))?;
-        let velocity = vec![0.0; position.len()];
-        Ok(Execution::Physics { plant: Box::new(plant), joints: self.joints, position, velocity })
+        let options = Options { start: Some(self.all(q)), ..Options::default() };
+        let simulation = Simulation::new(&world, seed, options).map_err(|e| failed(&e))?;
+        let robot = simulation.robot();
+        let lease = robot.lease("right_arm", "coaching", LeaseLimits::default()).map_err(|e| failed(&e))?;
+        let simulated = Simulated { simulation: Box::new(simulation), robot, lease, joints: self.joints };
+        Ok(Execution::Simulated(simulated))
     }
 }
 
@@ -114,49 +122,83 @@ pub(crate) enum Execution {
         position: Joints,
         /// Speeds, rad/s.
         velocity: Joints,
+        /// Where the TCP was, each [`DT`].
+        path: Vec<Vector3<f64>>,
     },
-    /// The simulator's physics: servos, inertia, gravity.
-    Physics { plant: Box<Plant>, joints: [usize; JOINTS], position: Vec<f64>, velocity: Vec<f64> },
+    /// The simulator: sensors, guard, servos, inertia, and the referee.
+    Simulated(Simulated),
+}
+
+/// The simulated robot with its arm leased.
+pub(crate) struct Simulated {
+    simulation: Box<Simulation>,
+    robot: Arc<dyn Robot>,
+    lease: Lease,
+    joints: [usize; JOINTS],
 }
 
 /// Step of the execution, s.
 pub(crate) const DT: f64 = 0.001;
+/// How fast the commanded velocities make up for what a joint is behind, 1/s.
+const FOLLOW: f64 = 15.0;
 
 impl Execution {
     /// Drives the joints to `q` (rad) with `qd` (rad/s) for one [`DT`].
-    pub(crate) fn drive(&mut self, q: &[f64], qd: &[f64]) {
+    pub(crate) fn drive(&mut self, arm: &mut Arm, q: &[f64], qd: &[f64]) -> Result<(), ReproduceError> {
         match self {
-            Self::Ideal { position, velocity } => {
+            Self::Ideal { position, velocity, path } => {
+                path.push(arm.at(position).0);
                 position.copy_from_slice(q);
                 velocity.copy_from_slice(qd);
+                Ok(())
             }
-            Self::Physics { plant, joints, position, velocity } => {
-                for (i, j) in joints.iter().enumerate() {
-                    position[*j] = q[i];
-                    velocity[*j] = qd[i];
-                }
-                plant.step(position, velocity, &External::default());
+            Self::Simulated(Simulated { simulation, robot, lease, joints }) => {
+                let here = robot.sensed().borrow();
+                let velocity = std::array::from_fn::<f64, JOINTS, _>(|i| {
+                    // Before the first step nothing is sensed yet.
+                    let behind = here.position.get(joints[i]).map_or(0.0, |at| q[i] - at);
+                    let behind = if here.stamp_ns == 0 { 0.0 } else { behind };
+                    qd[i] + FOLLOW * behind
+                });
+                lease.command(&velocity).map_err(|fault| ReproduceError::Failed(fault.to_string()))?;
+                simulation.step();
+                Ok(())
             }
         }
     }
 
-    /// Positions (rad) and speeds (rad/s) as the joints report them.
-    pub(crate) fn joints(&self) -> (Joints, Joints) {
+    /// Positions (rad) and speeds (rad/s) as the joints report them; `None` before anything was sensed.
+    pub(crate) fn joints(&self) -> Option<(Joints, Joints)> {
         match self {
-            Self::Ideal { position, velocity } => (*position, *velocity),
-            Self::Physics { plant, joints, .. } => {
+            Self::Ideal { position, velocity, .. } => Some((*position, *velocity)),
+            Self::Simulated(Simulated { robot, joints, .. }) => {
+                let sensed = robot.sensed().borrow();
                 let of = |all: &[f64]| Joints::from_fn(|i, _| all[joints[i]]);
-                (of(plant.position()), of(plant.velocity()))
+                (sensed.stamp_ns > 0).then(|| (of(&sensed.position), of(&sensed.velocity)))
             }
         }
     }
 
-    /// Where the TCP truly is, m, root frame.
-    pub(crate) fn truth(&self, arm: &mut Arm) -> Vector3<f64> {
+    /// Where the TCP truly was, m, root frame, each [`DT`] from the start: what the referee has seen.
+    pub(crate) fn truth(&self) -> Vec<Vector3<f64>> {
         match self {
-            Self::Ideal { position, .. } => arm.at(position).0,
-            Self::Physics { plant, .. } => plant.tcp().translation.vector,
+            Self::Ideal { path, .. } => path.clone(),
+            Self::Simulated(Simulated { simulation, .. }) => {
+                let log = simulation.referee().log();
+                log.records.iter().map(|r| r.tcp.translation.vector).collect()
+            }
         }
+    }
+
+    /// The referee's judgement, or for ideal joints the same of their path.
+    pub(crate) fn judge(&self, compared: &Compared) -> ModificationFigures {
+        let figures = match self {
+            Self::Ideal { path, .. } => of_path(path, compared),
+            Self::Simulated(Simulated { simulation, .. }) => {
+                modification(&simulation.referee().log(), compared)
+            }
+        };
+        figures.unwrap_or(ModificationFigures { displacement_m: f64::NAN, far_side_rms_m: f64::NAN })
     }
 }
 

@@ -7,6 +7,9 @@
 mod arm4;
 mod coaching;
 mod dpdmp;
+mod dual_arm;
+mod dual_arm_plots;
+mod dual_arm_robot;
 mod experiment;
 mod force;
 mod humanoid;
@@ -39,6 +42,7 @@ fn all() -> Vec<Entry> {
         Entry::of::<ilc::Ilc>(),
         Entry::of::<force::Force>(),
         Entry::of::<servo::Servo>(),
+        Entry::of::<dual_arm::DualArm>(),
         Entry::of::<humanoid::HumanoidCoaching>(),
     ]
 }

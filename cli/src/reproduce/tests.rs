@@ -137,7 +137,7 @@ fn each_of_the_four_modifications_goes_its_way() {
 }
 
 #[test]
-fn the_simulators_physics_follows_the_coached_motion() {
+fn the_simulated_robot_follows_the_coached_motion() {
     let short = [
         ("start", "2"),
         ("frequency", "0.5"),
@@ -162,7 +162,7 @@ struct Pictured {
 
 const FOLLOWING: &[(&str, &str)] = &[("follow", "true"), ("gamma", "1000"), ("posture", "-0.5,0.6,0.6")];
 
-const PICTURED: [Pictured; 9] = [
+const PICTURED: [Pictured; 10] = [
     Pictured {
         experiment: "coaching",
         settings: &[],
@@ -256,6 +256,19 @@ const PICTURED: [Pictured; 9] = [
         settings: &[("hand_eye_error_deg", "20")],
         pictures: &[("servo", "servo")],
         said: |f| vec![format!("| {:.2} | {:.3} |", number(f, "converged_s"), number(f, "path_ratio"))],
+    },
+    Pictured {
+        experiment: "dual_arm",
+        settings: &[],
+        pictures: &[("dual_arm", "dual_arm")],
+        said: |f| {
+            let (distance, force) = (numbers(f, "distance_rms_m"), numbers(f, "force_rms_n"));
+            let last = distance.len() - 1;
+            vec![
+                format!("{:.1} mm to {:.2} mm", 1e3 * distance[0], 1e3 * distance[last]),
+                format!("{:.1} N to {:.2} N", force[0], force[last]),
+            ]
+        },
     },
     Pictured {
         experiment: "humanoid_coaching",

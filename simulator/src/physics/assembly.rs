@@ -82,6 +82,8 @@ pub(super) struct Assembly {
     /// Joints that have no dynamics, indices into the model's.
     pub(super) ideal: Vec<usize>,
     pub(super) wrist: Wrist,
+    /// For every link of the model: the lump that carries it, if one does, and its pose in that.
+    links: Vec<(Option<usize>, Isometry3<f64>)>,
 }
 
 impl Assembly {
@@ -90,9 +92,24 @@ impl Assembly {
     /// # Errors
     /// The name of a link or limb that the simulator needs and the model lacks.
     pub(super) fn new(kinematics: &Kinematics, start: &[f64]) -> Result<Self, &'static str> {
+        Self::moving(kinematics, start, &DYNAMIC_LIMBS, &TOUCHING_LIMBS)
+    }
+
+    /// The same with `dynamic` limbs that move by physics, of which the `touching` ones have shapes that touch.
+    ///
+    /// # Errors
+    /// As [`Assembly::new`].
+    pub(super) fn moving(
+        kinematics: &Kinematics,
+        start: &[f64],
+        dynamic: &[&str],
+        touching: &[&str],
+    ) -> Result<Self, &'static str> {
         let model = kinematics.model();
-        let dynamic: Vec<usize> = DYNAMIC_LIMBS.iter().flat_map(|limb| model.limb(limb)).copied().collect();
-        let touching: Vec<usize> = TOUCHING_LIMBS.iter().flat_map(|limb| model.limb(limb)).copied().collect();
+        let joints = |limbs: &[&str]| -> Vec<usize> {
+            limbs.iter().flat_map(|limb| model.limb(limb)).copied().collect()
+        };
+        let (dynamic, touching) = (joints(dynamic), joints(touching));
         let sensor = model.link("wrist_sensor_right").ok_or("link `wrist_sensor_right`")?;
         let tcp = model.link("tcp_right").ok_or("link `tcp_right`")?;
 
@@ -151,7 +168,13 @@ impl Assembly {
             fingers,
         };
         let ideal = (0..model.joints().len()).filter(|j| !dynamic.contains(j)).collect();
-        Ok(Self { lumps, ideal, wrist })
+        Ok(Self { lumps, ideal, wrist, links: carrier.into_iter().zip(carrier_from_link).collect() })
+    }
+
+    /// The lump that carries a link, and the link's pose in it; `None` for links that stand still.
+    pub(super) fn carrier(&self, link: LinkId) -> Option<(usize, Isometry3<f64>)> {
+        let (lump, pose) = self.links.get(link.index())?;
+        Some(((*lump)?, *pose))
     }
 }
 

@@ -7,7 +7,8 @@ use rapier3d_f64::prelude::ColliderHandle;
 
 use super::assembly::{Assembly, Lump, joint_motion};
 use super::convert;
-use super::plant::{Body, GRAVITY, Object, PAD_FRICTION, PlantError, Servo};
+use super::drives::{Body, Servo};
+use super::plant::{DT, GRAVITY, Object, PAD_FRICTION, PlantError};
 use crate::bed::{Bed, BedReaction};
 use crate::table::{THICKNESS, TableTop};
 use crate::world::ObjectSpec;
@@ -19,6 +20,18 @@ const ROOM: rapier::Group = rapier::Group::GROUP_4;
 
 fn groups(of: rapier::Group, with: rapier::Group) -> rapier::InteractionGroups {
     rapier::InteractionGroups::new(of, with, rapier::InteractionTestMode::And)
+}
+
+/// Nothing but gravity and the way in which it is stepped.
+pub(super) fn empty_room() -> rapier::PhysicsWorld {
+    let mut physics = rapier::PhysicsWorld::new();
+    physics.gravity = rapier::Vector::new(0.0, 0.0, -GRAVITY);
+    let parameters = &mut physics.integration_parameters;
+    parameters.dt = DT;
+    parameters.num_solver_iterations = 1;
+    parameters.friction_model = rapier::FrictionModel::Coulomb;
+    parameters.length_unit = 0.1;
+    physics
 }
 
 pub(super) fn add_room(physics: &mut rapier::PhysicsWorld, table: &TableTop) {

@@ -4,8 +4,11 @@
 
 mod assembly;
 mod build;
+pub mod carrying;
 mod convert;
+mod drives;
 pub mod grip;
+pub mod pad;
 mod plant;
 #[cfg(test)]
 mod tests;

@@ -12,14 +12,15 @@
 
 use std::sync::Arc;
 
-use armarium_robot::{JointKind, Kinematics, Model};
+use armarium_robot::{Kinematics, Model};
 use nalgebra::{Isometry3, Vector3};
 use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::{ColliderHandle, MultibodyJointHandle, RigidBodyHandle};
 
 use super::assembly::Assembly;
-use super::build::{add_object, add_robot, add_room};
+use super::build::{add_object, add_robot, add_room, empty_room};
 use super::convert;
+use super::drives::{self, Body};
 use super::grip::{Grip, PadPress};
 use super::wrench::{Momentum, WristWrench};
 use crate::bed::{Bed, BedReaction, Motion};
@@ -60,27 +61,6 @@ pub struct External {
     pub objects: Vec<Vector3<f64>>,
 }
 
-/// A servo's gains.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Servo {
-    pub(super) stiffness: f64,
-    pub(super) damping: f64,
-    pub(super) effort: f64,
-}
-
-/// A lump's body.
-#[derive(Clone, Debug)]
-pub(super) struct Body {
-    pub(super) handle: RigidBodyHandle,
-    pub(super) joint: MultibodyJointHandle,
-    /// Index of the joint in the model.
-    pub(super) index: usize,
-    pub(super) kind: JointKind,
-    /// Position of the joint at which its coordinate in the multibody is 0.
-    pub(super) start: f64,
-    pub(super) servo: Servo,
-}
-
 /// An object's body.
 #[derive(Clone, Debug)]
 pub(super) struct Object {
@@ -115,13 +95,7 @@ impl Plant {
     pub fn new(model: &Arc<Model>, world: &World, start: &[f64]) -> Result<Self, PlantError> {
         let kinematics = Kinematics::new(model);
         let assembly = Assembly::new(&kinematics, start).map_err(|what| PlantError::Missing { what })?;
-        let mut physics = rapier::PhysicsWorld::new();
-        physics.gravity = rapier::Vector::new(0.0, 0.0, -GRAVITY);
-        let parameters = &mut physics.integration_parameters;
-        parameters.dt = DT;
-        parameters.num_solver_iterations = 1;
-        parameters.friction_model = rapier::FrictionModel::Coulomb;
-        parameters.length_unit = 0.1;
+        let mut physics = empty_room();
         let table = TableTop::new(&world.table);
         add_room(&mut physics, &table);
         let (bodies, pads) = add_robot(&mut physics, model, &assembly, start)?;
@@ -214,7 +188,8 @@ impl Plant {
 
     /// Advances everything by [`DT`]: servo targets are positions and velocities of all joints.
     pub fn step(&mut self, position: &[f64], velocity: &[f64], external: &External) {
-        self.drive(position, velocity);
+        let now = (&self.position[..], &self.velocity[..]);
+        drives::set_targets(&mut self.physics, &self.bodies, now, (position, velocity));
         self.apply(external);
         self.physics.step();
         self.read_joints();
@@ -224,21 +199,6 @@ impl Plant {
         }
         self.update_grip(external);
         self.sense_wrist(external);
-    }
-
-    /// Sets every servo's spring so that, with its damper, it pulls to the set point and feeds the velocity forward.
-    fn drive(&mut self, position: &[f64], velocity: &[f64]) {
-        for body in &self.bodies {
-            let Servo { stiffness, damping, effort } = body.servo;
-            let (q, v) = (self.position[body.index], self.velocity[body.index]);
-            let wanted = stiffness * (position[body.index] - q) + damping * (velocity[body.index] - v);
-            let rest = q + (wanted.clamp(-effort, effort) + damping * v) / stiffness;
-            if let Some((multibody, link)) = self.physics.multibody_joints.get_mut(body.joint)
-                && let Some(link) = multibody.link_mut(link)
-            {
-                link.joint.set_spring(axis_of(body.kind), stiffness, rest - body.start);
-            }
-        }
     }
 
     fn apply(&mut self, external: &External) {
@@ -266,12 +226,7 @@ impl Plant {
     }
 
     fn read_joints(&mut self) {
-        for body in &self.bodies {
-            let Some((multibody, id)) = self.physics.multibody_joints.get(body.joint) else { continue };
-            let Some(link) = multibody.link(id) else { continue };
-            self.position[body.index] = body.start + link.joint.coords()[axis_of(body.kind)];
-            self.velocity[body.index] = multibody.joint_velocity(link)[0];
-        }
+        drives::read(&self.physics, &self.bodies, &mut self.position, &mut self.velocity);
     }
 
     /// Makes or breaks the joint between palm and object.
@@ -398,13 +353,5 @@ impl Plant {
             }
         }
         (force, torque)
-    }
-}
-
-/// The coordinate of a joint among the six of a multibody's joint: both frames' x is the joint's axis.
-fn axis_of(kind: JointKind) -> usize {
-    match kind {
-        JointKind::Revolute => 3,
-        JointKind::Prismatic => 0,
     }
 }

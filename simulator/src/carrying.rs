@@ -1,0 +1,209 @@
+//! Both arms and a box between their hands: the [physics](crate::physics::carrying), what the robot senses of it, and a referee
+//! who alone knows the truth.
+//!
+//! A scene for experiments that are stepped by hand, a millisecond at a time; there is no clock, guard, coach or camera.
+//! The robot senses its joints, and at each palm the force and torque between hand and pad with noise and offset.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use armarium_robot::Model;
+use nalgebra::{Isometry3, Vector3};
+use rand::SeedableRng as _;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution as _, StandardNormal};
+
+use crate::physics::carrying::{CarriedBox, CarryingPlant, Sides};
+use crate::physics::pad::PadReaction;
+use crate::physics::{DT, PlantError};
+use crate::world::NoiseSpec;
+
+/// What one palm feels: force (N) and torque about the TCP (N m) of the box on the hand, root frame, with the sensor's noise
+/// and offset.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PalmSensed {
+    /// Force, N.
+    pub force: Vector3<f64>,
+    /// Torque about the TCP, N m.
+    pub torque: Vector3<f64>,
+}
+
+/// One millisecond of the truth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CarryingRecord {
+    /// Poses of the TCPs, right and left.
+    pub tcps: Sides<Isometry3<f64>>,
+    /// Pose of the box's middle.
+    pub carried: Isometry3<f64>,
+    /// What the box did to the hands.
+    pub reactions: Sides<PadReaction>,
+}
+
+impl CarryingRecord {
+    /// From the right TCP to the left one, root frame, m.
+    #[must_use]
+    pub fn apart(&self) -> Vector3<f64> {
+        self.tcps[1].translation.vector - self.tcps[0].translation.vector
+    }
+
+    /// The force with which the left hand presses on the box against the right one, N, root frame: half the difference of
+    /// both hands' forces. The box's weight and inertia, which they share, are not in it.
+    #[must_use]
+    pub fn internal_force(&self) -> Vector3<f64> {
+        (self.reactions[0].force - self.reactions[1].force) / 2.0
+    }
+}
+
+/// What the referee finds over a stretch of time, against how it was at its beginning.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct CarryingFigures {
+    /// Root mean square of how far the hands' distance, a vector, is from the one at the beginning, m.
+    pub distance_rms_m: f64,
+    /// Root mean square of how far the force between the hands is from the one at the beginning, N.
+    pub force_rms_n: f64,
+    /// The largest tilt of the box, rad.
+    pub tilt_rad: f64,
+    /// How far the box has slipped in the right hand in the end, m.
+    pub slipped_m: f64,
+    /// Share of the time in which both hands pressed on the box.
+    pub held: f64,
+}
+
+/// Who judges; clones are the same referee. It tells the robot nothing.
+#[derive(Clone, Debug, Default)]
+pub struct CarryingReferee {
+    log: Arc<Mutex<Vec<CarryingRecord>>>,
+}
+
+impl CarryingReferee {
+    fn lock(&self) -> MutexGuard<'_, Vec<CarryingRecord>> {
+        self.log.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Milliseconds that are logged.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.lock().len()
+    }
+
+    /// Whether nothing has happened yet.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// A copy of the log, for plots: one entry a millisecond.
+    #[must_use]
+    pub fn log(&self) -> Vec<CarryingRecord> {
+        self.lock().clone()
+    }
+
+    /// The figures from the millisecond `from` to the end; `None` when nothing was logged there.
+    #[must_use]
+    pub fn judge(&self, from: usize) -> Option<CarryingFigures> {
+        self.lock().get(from..).and_then(figures)
+    }
+}
+
+/// The figures of a log, against its first entry.
+#[must_use]
+pub fn figures(log: &[CarryingRecord]) -> Option<CarryingFigures> {
+    let (first, last) = (log.first()?, log.last()?);
+    let mean = |of: &dyn Fn(&CarryingRecord) -> f64| log.iter().map(of).sum::<f64>() / log.len() as f64;
+    let in_hand = |r: &CarryingRecord| (r.tcps[0].inverse() * r.carried).translation.vector;
+    let tilt = |r: &CarryingRecord| r.carried.rotation.angle_to(&first.carried.rotation);
+    let held = |r: &CarryingRecord| f64::from(u8::from(r.reactions.iter().all(|p| p.normal > 0.0)));
+    Some(CarryingFigures {
+        distance_rms_m: mean(&|r| (r.apart() - first.apart()).norm_squared()).sqrt(),
+        force_rms_n: mean(&|r| (r.internal_force() - first.internal_force()).norm_squared()).sqrt(),
+        tilt_rad: log.iter().map(tilt).fold(0.0, f64::max),
+        slipped_m: (in_hand(last) - in_hand(first)).norm(),
+        held: mean(&held),
+    })
+}
+
+/// The scene.
+pub struct Carrying {
+    plant: CarryingPlant,
+    noise: NoiseSpec,
+    offset: Sides<PalmSensed>,
+    sensed: Sides<PalmSensed>,
+    rng: ChaCha8Rng,
+    referee: CarryingReferee,
+}
+
+impl Carrying {
+    /// The robot in the posture `start` (all the model's joints, rad or m), the box on its table; noise is drawn from `seed`.
+    ///
+    /// # Errors
+    /// [`PlantError`] when the robot lacks an arm or a TCP.
+    pub fn new(
+        model: &Arc<Model>,
+        carried: &CarriedBox,
+        noise: &NoiseSpec,
+        start: &[f64],
+        seed: u64,
+    ) -> Result<Self, PlantError> {
+        let plant = CarryingPlant::new(model, carried, start)?;
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let offset = [(); 2].map(|()| drawn(noise.wrench_bias, &mut rng));
+        let referee = CarryingReferee::default();
+        let mut scene = Self { plant, noise: noise.clone(), offset, sensed: offset, rng, referee };
+        scene.sense();
+        Ok(scene)
+    }
+
+    /// Joint positions as they are sensed, rad or m.
+    #[must_use]
+    pub fn position(&self) -> &[f64] {
+        self.plant.position()
+    }
+
+    /// Joint velocities as they are sensed, rad/s or m/s.
+    #[must_use]
+    pub fn velocity(&self) -> &[f64] {
+        self.plant.velocity()
+    }
+
+    /// What the palms feel, right and left.
+    #[must_use]
+    pub fn palms(&self) -> &Sides<PalmSensed> {
+        &self.sensed
+    }
+
+    /// Who judges.
+    #[must_use]
+    pub fn referee(&self) -> CarryingReferee {
+        self.referee.clone()
+    }
+
+    /// One millisecond: the joints are driven to `position` with `velocity`, all joints of the model.
+    pub fn step(&mut self, position: &[f64], velocity: &[f64]) {
+        self.plant.step(position, velocity);
+        self.sense();
+        let (tcps, reactions) = (self.plant.tcps(), self.plant.reactions());
+        self.referee.lock().push(CarryingRecord { tcps, carried: self.plant.carried(), reactions });
+    }
+
+    /// Length of a step, s.
+    pub const DT: f64 = DT;
+
+    fn sense(&mut self) {
+        let reactions = self.plant.reactions();
+        for ((sensed, offset), truth) in self.sensed.iter_mut().zip(&self.offset).zip(&reactions) {
+            let noise = drawn(self.noise.wrench, &mut self.rng);
+            sensed.force = truth.force + offset.force + noise.force;
+            sensed.torque = truth.torque + offset.torque + noise.torque;
+        }
+    }
+}
+
+/// A random force of this standard deviation on each axis, N, and a torque of a twentieth, N m.
+fn drawn(deviation: f64, rng: &mut ChaCha8Rng) -> PalmSensed {
+    let mut vector = |scale: f64| {
+        Vector3::from_fn(|_, _| {
+            let normal: f64 = StandardNormal.sample(&mut *rng);
+            scale * normal
+        })
+    };
+    PalmSensed { force: vector(deviation), torque: vector(deviation / 20.0) }
+}
