@@ -26,6 +26,7 @@ mod particles;
 mod processor;
 #[cfg(test)]
 mod scenes;
+pub mod tracking;
 
 pub use camera::{PinholeCamera, StereoCalibration};
 pub use color::ColorModel;

@@ -30,19 +30,19 @@ const USUAL_SKIN: ([f32; 2], f64) = ([0.30, 0.25], 0.12);
 const SAME_SKIN: f64 = 0.06;
 
 /// A thing that has the colour, the size and the shape of a hand.
-pub(super) struct Hand {
+pub(crate) struct Hand {
     /// Its pixels in the left eye.
-    pub(super) left: Mask,
+    pub(crate) left: Mask,
     /// Its pixels in the right eye, when it was found by both eyes.
-    pub(super) right: Option<Mask>,
+    pub(crate) right: Option<Mask>,
     /// Depth, m.
-    pub(super) z: f64,
+    pub(crate) z: f64,
     /// Its shape in the left eye.
-    pub(super) shape: HandShape,
+    pub(crate) shape: HandShape,
     /// Its colour: ln(R/G), ln(G/B).
-    pub(super) skin: [f32; 2],
+    pub(crate) skin: [f32; 2],
     /// Share of its outline in the left eye at which something nearer begins, 0 without a depth image.
-    pub(super) hidden: f64,
+    pub(crate) hidden: f64,
 }
 
 /// A thing of skin colour, with pixels at half resolution.
@@ -68,7 +68,7 @@ struct Search<'a> {
 }
 
 /// The thing that looks most like a hand. `skin`: the log-chromaticities of the hand in the last frames.
-pub(super) fn find(
+pub(crate) fn find(
     frame: &StereoFrame,
     calibration: &StereoCalibration,
     skin: Option<[f32; 2]>,
@@ -185,7 +185,7 @@ fn median_depth(thing: &Component, depth: &DepthImage) -> Option<f64> {
 }
 
 /// The middle one of some depths, m.
-pub(super) fn median(mut values: Vec<f32>) -> Option<f64> {
+pub(crate) fn median(mut values: Vec<f32>) -> Option<f64> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1))
 }
