@@ -13,7 +13,7 @@ use super::edges::edge_map;
 use super::hough::{AdaptiveHoughTransform, HoughVotes, TipCandidate};
 use crate::camera::StereoCalibration;
 use crate::frame::StereoFrame;
-use crate::hand::candidates::{Hand, find};
+use crate::hand::candidates::{Hand, find_near_too};
 use crate::hand::depth::Ranging;
 use crate::hand::shape::Finger;
 
@@ -104,7 +104,7 @@ impl FingerTipTracking {
             self.filter.clear();
             (self.skin, self.last) = (None, None);
         }
-        match find(frame, &self.calibration, self.skin) {
+        match find_near_too(frame, &self.calibration, self.skin) {
             Some(hand) => self.seen(frame, &hand),
             None => self.unseen(frame),
         }
