@@ -14,12 +14,13 @@ use rand_chacha::ChaCha8Rng;
 /// finger's end, is.
 fn photographs() -> Vec<(Image, String, Gesture, Point2<f64>)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/photographs");
-    let truth = std::fs::read_to_string(folder.join("truth.txt")).unwrap();
+    let truth = std::fs::read_to_string(folder.join("truth.txt")).expect("it is in the repository");
     let one = |line: &str| {
         let words: Vec<&str> = line.split_whitespace().collect();
-        let tip = Point2::new(words[2].parse().unwrap(), words[3].parse().unwrap());
-        let image = read_image(&folder.join(words[0])).unwrap();
-        (image, words[0].to_owned(), Gesture::from_name(words[1]).unwrap(), tip)
+        let number = |text: &str| text.parse().expect("a coordinate");
+        let tip = Point2::new(number(words[2]), number(words[3]));
+        let image = read_image(&folder.join(words[0])).expect("a photograph");
+        (image, words[0].to_owned(), Gesture::from_name(words[1]).expect("a gesture"), tip)
     };
     truth.lines().map(one).collect()
 }
@@ -60,7 +61,7 @@ fn wall(color: [f64; 3], planks: bool, seed: u64) -> Image {
             data.extend(color.map(|c| (c * light * plank * grain + noise).clamp(0.0, 255.0) as u8));
         }
     }
-    Image::from_rgb(w, h, data).unwrap()
+    Image::from_rgb(w, h, data).expect("it has the size")
 }
 
 #[test]
