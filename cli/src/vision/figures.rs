@@ -9,7 +9,7 @@ use armarium_visionx::tracking::{
 };
 
 use super::FiguresArgs;
-use super::staged::{BACKGROUNDS, CALIBRATION, CHANGES, RATE_HZ, Stage, Truth, blackout};
+use super::staged::{BACKGROUNDS, CALIBRATION, CHANGES, RATE_HZ, Stage, TrueTip, Truth, blackout};
 
 /// The frames, of each three seconds, in which nothing can be seen.
 const BLACKOUT: std::ops::Range<u64> = 75..80;
@@ -38,6 +38,8 @@ struct Score {
     /// Tracks where no tip is, and all tracks.
     false_tracks: usize,
     tracks: usize,
+    /// Distances from the nearest track at the end of each blackout, px; without a track infinite.
+    blind: Vec<f64>,
     /// Frames until all tips were there again after each blackout.
     again: Vec<u64>,
 }
@@ -57,9 +59,9 @@ pub(super) fn run(args: FiguresArgs, out: &mut dyn Write) -> io::Result<u8> {
     let chosen = if args.whole { &variants[..1] } else { &variants[..] };
     writeln!(
         out,
-        "| tracking | median px | 95 % px | within 6 px | lost | wrong tracks | found again, worst frame |"
+        "| tracking | median px | 95 % px | within 6 px | lost | wrong tracks | found again, worst frame | after 5 blind frames, median px |"
     )?;
-    writeln!(out, "|---|---|---|---|---|---|---|")?;
+    writeln!(out, "|---|---|---|---|---|---|---|---|")?;
     let mut scores: Vec<Score> = chosen.iter().map(|_| Score::default()).collect();
     let mut gestures = Gestures::default();
     for (seed, background) in (0..args.seeds).flat_map(|s| (0..BACKGROUNDS).map(move |b| (s, b))) {
@@ -116,6 +118,9 @@ fn play(stage: &Stage, frames: u64, variants: &[Variant], scores: &mut [Score], 
             let tips = tracking.update(&frame);
             if dark {
                 *waiting = Some(0);
+                if in_period + 1 == BLACKOUT.end {
+                    score.blind.extend(truth.tips.iter().map(|t| distance(&tips, t)));
+                }
                 continue;
             }
             if let Some(frames) = waiting {
@@ -141,9 +146,13 @@ fn play(stage: &Stage, frames: u64, variants: &[Variant], scores: &mut [Score], 
 }
 
 /// The distance of a tip from the nearest track, px; `None` when it is lost.
-fn nearest(tips: &[TrackedFingertip], truth: &super::staged::TrueTip) -> Option<f64> {
-    let distance = tips.iter().map(|t| (t.px - truth.px).norm()).fold(f64::INFINITY, f64::min);
-    (distance < LOST.0 + LOST.1 * truth.radius).then_some(distance)
+fn nearest(tips: &[TrackedFingertip], truth: &TrueTip) -> Option<f64> {
+    Some(distance(tips, truth)).filter(|d| *d < LOST.0 + LOST.1 * truth.radius)
+}
+
+/// The distance of a tip from the nearest track, px; infinite without one.
+fn distance(tips: &[TrackedFingertip], truth: &TrueTip) -> f64 {
+    tips.iter().map(|t| (t.px - truth.px).norm()).fold(f64::INFINITY, f64::min)
 }
 
 impl Score {
@@ -164,17 +173,20 @@ impl Score {
         self.errors.sort_by(f64::total_cmp);
         let n = self.errors.len().max(1);
         let at = |share: f64| self.errors.get((share * n as f64) as usize).copied().unwrap_or(f64::INFINITY);
+        self.blind.sort_by(f64::total_cmp);
+        let blind = self.blind.get(self.blind.len() / 2).copied().unwrap_or(f64::INFINITY);
         let within = self.errors.iter().filter(|e| **e <= 6.0).count();
         let percent = |part: usize, of: usize| 100.0 * part as f64 / of.max(1) as f64;
         writeln!(
             out,
-            "| {name} | {:.2} | {:.2} | {:.1} % | {:.2} % | {:.2} % | {} |",
+            "| {name} | {:.2} | {:.2} | {:.1} % | {:.2} % | {:.2} % | {} | {} |",
             at(0.5),
             at(0.95),
             percent(within, n),
             percent(self.lost, n),
             percent(self.false_tracks, self.tracks),
             self.again.iter().max().copied().unwrap_or(0),
+            if blind.is_finite() { format!("{blind:.1}") } else { "none".into() },
         )
     }
 }
