@@ -22,6 +22,7 @@ mod skills;
 mod stage;
 mod step;
 mod test_cases;
+mod vision;
 
 use std::io::{self, IsTerminal as _, Write};
 use std::process::ExitCode;
@@ -70,6 +71,8 @@ enum Command {
     Reproduce(reproduce::ReproduceArgs),
     /// List the skills that charts can use.
     Skills(skills::SkillsArgs),
+    /// Look for hands, gestures, fingertips and markers in images.
+    Vision(vision::VisionArgs),
 }
 
 fn main() -> ExitCode {
@@ -87,6 +90,7 @@ fn main() -> ExitCode {
         Command::Schema(args) => schema::run(*args, &mut out),
         Command::Reproduce(args) => reproduce::run(args, &mut out),
         Command::Skills(args) => skills::run(args, &mut out),
+        Command::Vision(args) => vision::run(args, &mut out, &mut io::stderr()),
     };
     let status = match status {
         Ok(status) => status,

@@ -7,6 +7,7 @@
 
 use std::time::Instant;
 
+use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking, HandInPicture};
 use armarium_visionx::{
     BoxModel, ColorMarkerObjectTracking, ColorModel, HandObserver, Image, ImageError, MarkerSettings,
     ObjectLocalizer, PinholeCamera, StereoCalibration, StereoFrame,
@@ -92,6 +93,12 @@ fn main() -> Result<(), ImageError> {
         frame.stamp_ns = u64::from(i) * 66_000_000;
         observer.update(&frame).is_some()
     });
+    let mut tips = FingerTipTracking::new(CALIBRATION, FingerTipSettings::default());
+    measure("fingertip tracking", |i| {
+        frame.stamp_ns = u64::from(i) * 66_000_000;
+        tips.update(&frame).len() == 5
+    });
+    measure("hand in one photograph", |_| HandInPicture::find(&frame.left).is_some());
     let model =
         BoxModel { size: Vector3::new(0.10, 0.07, 0.04), color: ColorModel::from_rgb([240, 210, 40]) };
     let localizer = ObjectLocalizer::new(CALIBRATION, model);

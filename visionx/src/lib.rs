@@ -5,6 +5,7 @@
 //! - [`ColorModel`], [`Mask`], [`components`]: which pixels have a colour, and what connected things they form.
 //! - [`ColorMarkerObjectTracking`]: follows a thing of known colour. [`ObjectLocalizer`]: finds the pose of a box of
 //!   known colour and size. [`HandObserver`]: finds a person's hand, its gesture and where it points.
+//! - [`tracking`]: fingertips in streams and in single photographs. [`files`]: images from files and folders.
 //! - [`ImageProcessor`], [`ResultSink`], [`FanOut`], [`run_processor`]: from a stream of frames to a stream of results.
 //! - [`annotate`]: pictures of what was seen.
 //!
@@ -15,6 +16,7 @@ pub mod annotate;
 mod camera;
 mod color;
 mod components;
+pub mod files;
 mod frame;
 pub mod hand;
 mod localizer;
@@ -26,6 +28,7 @@ mod particles;
 mod processor;
 #[cfg(test)]
 mod scenes;
+pub mod tracking;
 
 pub use camera::{PinholeCamera, StereoCalibration};
 pub use color::ColorModel;

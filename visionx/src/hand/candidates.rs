@@ -7,7 +7,7 @@
 use super::relief::{LEAST_RELIEF, standing_out, surroundings};
 use super::shape::{HandShape, hand_shape};
 use super::skin::{HalfImage, SkinClusters};
-use crate::camera::StereoCalibration;
+use crate::camera::{PinholeCamera, StereoCalibration};
 use crate::components::{Component, components};
 use crate::frame::{DepthImage, StereoFrame};
 use crate::mask::{Mask, Region};
@@ -22,6 +22,9 @@ const SCENERY: f64 = 600e-4;
 const PALM_RADII: (f64, f64) = (0.0145, 0.062);
 /// Fewest pixels at half resolution.
 const LEAST_PIXELS: u32 = 30;
+/// Up to this distance of what is nearest, that alone is looked at first, m; and how far behind it a hand may reach, m.
+const NEAR: f32 = 0.95;
+const HAND_LENGTH: f32 = 0.22;
 /// Candidates that are looked at closely.
 const LOOKED_AT: usize = 4;
 /// Log-chromaticities of light and dark skin in white light lie about here, and spread so far.
@@ -30,19 +33,19 @@ const USUAL_SKIN: ([f32; 2], f64) = ([0.30, 0.25], 0.12);
 const SAME_SKIN: f64 = 0.06;
 
 /// A thing that has the colour, the size and the shape of a hand.
-pub(super) struct Hand {
+pub(crate) struct Hand {
     /// Its pixels in the left eye.
-    pub(super) left: Mask,
+    pub(crate) left: Mask,
     /// Its pixels in the right eye, when it was found by both eyes.
-    pub(super) right: Option<Mask>,
+    pub(crate) right: Option<Mask>,
     /// Depth, m.
-    pub(super) z: f64,
+    pub(crate) z: f64,
     /// Its shape in the left eye.
-    pub(super) shape: HandShape,
+    pub(crate) shape: HandShape,
     /// Its colour: ln(R/G), ln(G/B).
-    pub(super) skin: [f32; 2],
+    pub(crate) skin: [f32; 2],
     /// Share of its outline in the left eye at which something nearer begins, 0 without a depth image.
-    pub(super) hidden: f64,
+    pub(crate) hidden: f64,
 }
 
 /// A thing of skin colour, with pixels at half resolution.
@@ -68,14 +71,60 @@ struct Search<'a> {
 }
 
 /// The thing that looks most like a hand. `skin`: the log-chromaticities of the hand in the last frames.
-pub(super) fn find(
+pub(crate) fn find(
     frame: &StereoFrame,
     calibration: &StereoCalibration,
     skin: Option<[f32; 2]>,
 ) -> Option<Hand> {
+    let out = frame.depth.as_ref().and_then(|d| standing_out(d, &calibration.camera));
+    find_among(frame, calibration, skin, out)
+}
+
+/// As [`find`], for hands so near that they hide much of the scenery: what is nearest is looked at alone, where that
+/// gives a hand.
+pub(crate) fn find_near_too(
+    frame: &StereoFrame,
+    calibration: &StereoCalibration,
+    skin: Option<[f32; 2]>,
+) -> Option<Hand> {
+    let nearest = frame.depth.as_ref().and_then(|d| nearest(d, &calibration.camera));
+    nearest
+        .and_then(|out| find_among(frame, calibration, skin, Some(out)))
+        .or_else(|| find(frame, calibration, skin))
+}
+
+/// The pixels that are at most a hand's length behind the nearest, when that is near and they are not most of the
+/// picture.
+fn nearest(depth: &DepthImage, camera: &PinholeCamera) -> Option<Mask> {
+    let pixels = depth.width as usize * depth.height as usize;
+    if (depth.width, depth.height) != (camera.width, camera.height) || depth.data.len() != pixels {
+        return None;
+    }
+    let mut sampled: Vec<f32> = depth.data.iter().copied().step_by(37).filter(|z| *z > 0.0).collect();
+    let place = sampled.len() / 100;
+    if sampled.len() < 100 {
+        return None;
+    }
+    let front = *sampled.select_nth_unstable_by(place, f32::total_cmp).1;
+    if front > NEAR {
+        return None;
+    }
+    let mut mask = Mask::empty(Region::whole(depth.width, depth.height));
+    for (m, z) in mask.data_mut().iter_mut().zip(&depth.data) {
+        *m = u8::from(*z > 0.0 && *z < front + HAND_LENGTH);
+    }
+    (mask.count() < pixels * 7 / 10).then_some(mask)
+}
+
+/// The hand among the pixels that stand out of a frame with depth.
+fn find_among(
+    frame: &StereoFrame,
+    calibration: &StereoCalibration,
+    skin: Option<[f32; 2]>,
+    out: Option<Mask>,
+) -> Option<Hand> {
     let left = HalfImage::of(&frame.left);
     let depth = frame.depth.as_ref();
-    let out = depth.and_then(|d| standing_out(d, &calibration.camera));
     let clusters = SkinClusters::find(&left, out.as_ref());
     let preferred = skin.map_or(USUAL_SKIN, |s| (s, SAME_SKIN));
     let search = Search { frame, calibration, clusters, out, preferred };
@@ -185,7 +234,7 @@ fn median_depth(thing: &Component, depth: &DepthImage) -> Option<f64> {
 }
 
 /// The middle one of some depths, m.
-pub(super) fn median(mut values: Vec<f32>) -> Option<f64> {
+pub(crate) fn median(mut values: Vec<f32>) -> Option<f64> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1))
 }

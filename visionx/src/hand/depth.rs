@@ -9,7 +9,7 @@ use crate::frame::{DepthImage, Image, StereoFrame};
 use crate::mask::Mask;
 
 /// Measures the parts of one hand in one frame.
-pub(super) struct Ranging<'a> {
+pub(crate) struct Ranging<'a> {
     calibration: &'a StereoCalibration,
     left: View<'a>,
     by: By<'a>,
@@ -24,7 +24,7 @@ enum By<'a> {
 
 impl<'a> Ranging<'a> {
     /// For a hand; `None` when there is neither depth nor a second eye to measure with.
-    pub(super) fn of(
+    pub(crate) fn of(
         frame: &'a StereoFrame,
         calibration: &'a StereoCalibration,
         hand: &'a Hand,
@@ -42,17 +42,17 @@ impl<'a> Ranging<'a> {
     }
 
     /// The middle of the visible surface of the palm at a pixel, left camera frame, m.
-    pub(super) fn palm(&self, px: &Point2<f64>) -> Point3<f64> {
+    pub(crate) fn palm(&self, px: &Point2<f64>) -> Point3<f64> {
         Point3::from(self.calibration.camera.ray(px) * self.z)
     }
 
     /// The surface of the hand's part within `radius` m of a pixel, at that pixel, left camera frame, m.
-    pub(super) fn point(&self, px: &Point2<f64>, radius: f64) -> Option<Point3<f64>> {
+    pub(crate) fn point(&self, px: &Point2<f64>, radius: f64) -> Option<Point3<f64>> {
         self.point_by(px, px, radius)
     }
 
     /// As [`Self::point`], measured about a `neighbour` of the pixel.
-    pub(super) fn point_by(
+    pub(crate) fn point_by(
         &self,
         px: &Point2<f64>,
         neighbour: &Point2<f64>,
@@ -63,7 +63,7 @@ impl<'a> Ranging<'a> {
     }
 
     /// The depth of the hand's part within `radius` m of a pixel, m, where a depth image measures it.
-    pub(super) fn measured(&self, px: &Point2<f64>, radius: f64) -> Option<f64> {
+    pub(crate) fn measured(&self, px: &Point2<f64>, radius: f64) -> Option<f64> {
         matches!(self.by, By::Depth(_)).then(|| self.depth(px, radius)).flatten()
     }
 

@@ -7,12 +7,12 @@
 
 use std::fmt;
 
-mod candidates;
-mod depth;
+pub(crate) mod candidates;
+pub(crate) mod depth;
 mod observer;
-mod patterns;
+pub(crate) mod patterns;
 mod relief;
-mod shape;
+pub(crate) mod shape;
 mod skin;
 
 use nalgebra::{Point2, Point3, Vector3};

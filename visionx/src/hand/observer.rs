@@ -2,7 +2,7 @@
 
 use nalgebra::{Point2, Point3, Vector3};
 
-use super::candidates::{Hand, find};
+use super::candidates::{Hand, find, find_near_too};
 use super::depth::Ranging;
 use super::patterns::likelihoods;
 use super::shape::Finger;
@@ -17,6 +17,7 @@ use crate::mask::{Mask, Region};
 pub struct HandObserver {
     calibration: StereoCalibration,
     memory: Option<Memory>,
+    near: bool,
 }
 
 /// What the last frames have shown.
@@ -70,7 +71,14 @@ impl HandObserver {
     /// An observer that has seen nothing yet.
     #[must_use]
     pub fn new(calibration: StereoCalibration) -> Self {
-        Self { calibration, memory: None }
+        Self { calibration, memory: None, near: false }
+    }
+
+    /// The same for scenes in which the hand may come so near, to about 0.3 m, that it hides much of the rest; it has
+    /// to be what is nearest there.
+    #[must_use]
+    pub fn with_near_hands(self) -> Self {
+        Self { near: true, ..self }
     }
 
     /// Takes a frame; returns the hand in it, `None` when there is none. Frames whose images do not have the
@@ -83,6 +91,7 @@ impl HandObserver {
         if self.memory.as_ref().is_some_and(forgotten) {
             self.memory = None;
         }
+        let find = if self.near { find_near_too } else { find };
         let hand = find(frame, &self.calibration, self.memory.as_ref().map(|m| m.skin))?;
         self.observe(frame, &hand)
     }

@@ -5,7 +5,7 @@ use super::shape::Finger;
 
 /// A configuration of stretched fingers that means a gesture.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Pattern {
+pub(crate) struct Pattern {
     gesture: Gesture,
     /// Number of stretched fingers.
     fingers: usize,
@@ -17,7 +17,7 @@ pub(super) struct Pattern {
 
 /// The patterns that are known. An open hand is also known by fewer fingers than five, because some lie before others
 /// when the hand is seen from the side; two fingers far apart are thumb and another finger of an open hand.
-pub(super) const PATTERNS: [Pattern; 7] = [
+pub(crate) const PATTERNS: [Pattern; 7] = [
     Pattern { gesture: Gesture::Fist, fingers: 0, span: (0.0, 1.0), weight: 1.0 },
     Pattern { gesture: Gesture::PointOne, fingers: 1, span: (0.0, 1.0), weight: 1.0 },
     Pattern { gesture: Gesture::PointTwo, fingers: 2, span: (0.25, 0.3), weight: 1.0 },
@@ -28,7 +28,7 @@ pub(super) const PATTERNS: [Pattern; 7] = [
 ];
 
 /// The likelihood of each gesture, in the order of [`Gesture::ALL`], given what may be fingers. They sum to at most 1.
-pub(super) fn likelihoods(fingers: &[Finger]) -> [f64; 4] {
+pub(crate) fn likelihoods(fingers: &[Finger]) -> [f64; 4] {
     let counts = count_distribution(fingers);
     let span = span(fingers);
     let mut result = [0.0; 4];

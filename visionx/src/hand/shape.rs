@@ -10,7 +10,7 @@ use crate::components::components;
 use crate::mask::{Mask, Region};
 
 /// Edge of a cell, m.
-pub(super) const CELL: f64 = 0.0015;
+pub(crate) const CELL: f64 = 0.0015;
 /// Radius of the opening disc, m: wider than a finger (about 10 mm), narrower than a hand seen from its edge (14 mm).
 const OPENING: f64 = 0.0125;
 /// What the opening may miss at the palm's corners, m.
@@ -24,35 +24,35 @@ const MOST_CELLS: u32 = 330;
 
 /// A stretched finger in the image.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Finger {
+pub(crate) struct Finger {
     /// Its end, px.
-    pub(super) tip: Point2<f64>,
+    pub(crate) tip: Point2<f64>,
     /// Where it leaves the palm, px.
-    pub(super) base: Point2<f64>,
+    pub(crate) base: Point2<f64>,
     /// How far it stands out of the palm, m; across the line of sight unless its rise is known.
-    pub(super) length: f64,
+    pub(crate) length: f64,
     /// Mean width, m.
-    pub(super) width: f64,
+    pub(crate) width: f64,
     /// Probability that it is a stretched finger, by length and width.
-    pub(super) score: f64,
+    pub(crate) score: f64,
 }
 
 /// What a silhouette looks like.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct HandShape {
+pub(crate) struct HandShape {
     /// Centre of the palm, px.
-    pub(super) palm: Point2<f64>,
+    pub(crate) palm: Point2<f64>,
     /// Radius of the largest disc in the palm, m.
-    pub(super) palm_radius: f64,
+    pub(crate) palm_radius: f64,
     /// Area of the silhouette, m^2.
-    pub(super) area: f64,
+    pub(crate) area: f64,
     /// What may be fingers, in order of their angle about the palm.
-    pub(super) fingers: Vec<Finger>,
+    pub(crate) fingers: Vec<Finger>,
 }
 
 impl Finger {
     /// The same finger when its tip is farther than its base by `rise` m along the line of sight, or nearer.
-    pub(super) fn reaching(&self, rise: f64) -> Self {
+    pub(crate) fn reaching(&self, rise: f64) -> Self {
         let length = self.length.hypot(rise);
         Self { length, score: finger_score(length, self.width), ..self.clone() }
     }
@@ -60,7 +60,7 @@ impl Finger {
 
 /// The shape of a mask's largest component, when a pixel is `pixel_m` m wide at its distance. `None` when there is
 /// nothing or when it is far too large for a hand.
-pub(super) fn hand_shape(mask: &Mask, pixel_m: f64) -> Option<HandShape> {
+pub(crate) fn hand_shape(mask: &Mask, pixel_m: f64) -> Option<HandShape> {
     let grid = Grid::of(mask, CELL / pixel_m)?;
     let inside = distances(&grid.mask, |v| v == 0);
     let (palm, palm_radius) = largest_disc(&grid.mask, &inside)?;

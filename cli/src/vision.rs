@@ -1,0 +1,138 @@
+//! `armarium vision`: what the vision of the project sees in images that are given as files. Each image stands alone and
+//! needs neither depth nor calibration; `track` takes images as a sequence.
+
+mod figures;
+mod look;
+mod report;
+mod sequence;
+mod staged;
+mod track;
+mod train;
+
+use std::io::{self, Write};
+use std::path::PathBuf;
+
+/// What `vision` takes.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct VisionArgs {
+    #[command(subcommand)]
+    command: VisionCommand,
+}
+
+#[derive(Clone, Debug, clap::Subcommand)]
+enum VisionCommand {
+    /// The hand in each image, its gesture and its fingertips.
+    Gesture(LookArgs),
+    /// The fingertips of the hand in each image.
+    Fingertips(LookArgs),
+    /// The largest thing of a colour in each image.
+    Marker(MarkerArgs),
+    /// Which pixels of each image are the hand.
+    Skin(LookArgs),
+    /// The fingertips in a sequence: a folder of images in the order of their names, or a recording.
+    Track(TrackArgs),
+    /// Learn how fingertips move from sequences, and save the model.
+    Train(TrainArgs),
+    /// Track simulated hands with parts of the tracking left out, and print how well it goes.
+    Figures(FiguresArgs),
+}
+
+/// Images, and how to tell what is in them.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct LookArgs {
+    /// PNG or JPEG files, or folders of them.
+    #[arg(value_name = "IMAGE", required = true)]
+    pub(crate) images: Vec<PathBuf>,
+    /// Write each image with what was seen in it into this folder, as PNG.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) annotate: Option<PathBuf>,
+    /// One line of JSON an image.
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// A YAML file of labelled finger patterns in place of the ones that ship.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) patterns: Option<PathBuf>,
+}
+
+/// Images, and the colour that is sought.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct MarkerArgs {
+    #[command(flatten)]
+    pub(crate) look: LookArgs,
+    /// The colour in full light, red, green and blue from 0 to 255.
+    #[arg(long, value_name = "R,G,B", default_value = "40,170,60", value_parser = look::color)]
+    pub(crate) color: [u8; 3],
+}
+
+/// A sequence, and how to track it.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct TrackArgs {
+    /// A folder of PNG or JPEG files, or a recording (MCAP) with compressed images.
+    #[arg(value_name = "FOLDER|RECORDING")]
+    pub(crate) folder: PathBuf,
+    /// The recording's topic; the first one with images where nothing is said.
+    #[arg(long, value_name = "TOPIC")]
+    pub(crate) topic: Option<String>,
+    /// Write each image with the tracks into this folder, as PNG.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) annotate: Option<PathBuf>,
+    /// One line of JSON an image.
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// Focal length, px; 1.2 times the longer side where nothing is said.
+    #[arg(long, value_name = "PX")]
+    pub(crate) focal: Option<f64>,
+    /// A model of the motion in place of the one that ships.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) model: Option<PathBuf>,
+}
+
+/// What is learned from.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct TrainArgs {
+    /// Folders of images or recordings, one a sequence; none with --simulated.
+    #[arg(value_name = "FOLDER|RECORDING", required_unless_present = "simulated")]
+    pub(crate) folders: Vec<PathBuf>,
+    /// Where the model goes.
+    #[arg(short, long, value_name = "FILE")]
+    pub(crate) output: PathBuf,
+    /// Images a second of the sequences.
+    #[arg(long, value_name = "HZ", default_value_t = 30.0)]
+    pub(crate) rate: f64,
+    /// Focal length, px; 1.2 times the longer side where nothing is said.
+    #[arg(long, value_name = "PX")]
+    pub(crate) focal: Option<f64>,
+    /// Learn from this many simulated sequences as well.
+    #[arg(long, value_name = "N")]
+    pub(crate) simulated: Option<u64>,
+}
+
+/// How much is simulated.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub(crate) struct FiguresArgs {
+    /// Seeds, each before three backgrounds.
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    pub(crate) seeds: u64,
+    /// Frames of a sequence.
+    #[arg(long, value_name = "N", default_value_t = 120)]
+    pub(crate) frames: u64,
+    /// The whole tracking alone, without the table of what its parts do.
+    #[arg(long)]
+    pub(crate) whole: bool,
+}
+
+/// Does what is asked. Returns the exit status: 1 when something cannot be written, 2 when a file cannot be used.
+///
+/// # Errors
+/// When `out` or `err` cannot be written.
+pub(crate) fn run(args: &VisionArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
+    match &args.command {
+        VisionCommand::Gesture(args) => look::run(args, look::Seek::Gesture, out, err),
+        VisionCommand::Fingertips(args) => look::run(args, look::Seek::Fingertips, out, err),
+        VisionCommand::Skin(args) => look::run(args, look::Seek::Skin, out, err),
+        VisionCommand::Marker(args) => look::run(&args.look, look::Seek::Marker(args.color), out, err),
+        VisionCommand::Track(args) => track::run(args, out, err),
+        VisionCommand::Train(args) => train::run(args, out, err),
+        VisionCommand::Figures(args) => figures::run(*args, out),
+    }
+}

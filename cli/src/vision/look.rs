@@ -1,0 +1,273 @@
+//! Single images: a hand, its gesture and fingertips, its pixels; a thing of a colour.
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::Path;
+
+use armarium_visionx::files::{images_in, read_image};
+use armarium_visionx::tracking::{GestureRecognizer, HandInPicture};
+use armarium_visionx::{ColorModel, Image, Region, annotate, components};
+use nalgebra::Point2;
+
+use super::LookArgs;
+use super::report::{ErrorLine, HandLine, MarkerLine, MarkerPlace, SkinLine, Tip, json, rounded};
+
+/// What is sought.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Seek {
+    Gesture,
+    Fingertips,
+    Skin,
+    Marker([u8; 3]),
+}
+
+/// Fewest pixels of a marker.
+const LEAST_MARKER: u32 = 12;
+const DRAWN: [u8; 3] = [255, 40, 200];
+
+/// Looks at each image. Returns 2 when one cannot be used, 1 when an annotated image cannot be written.
+pub(super) fn run(args: &LookArgs, seek: Seek, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
+    let recognizer = match recognizer(args.patterns.as_deref()) {
+        Ok(recognizer) => recognizer,
+        Err(message) => return refuse(&message, err),
+    };
+    let files = match images_in(&args.images) {
+        Ok(files) => files,
+        Err((path, error)) => return refuse(&format!("{}: {error}", path.display()), err),
+    };
+    let mut status = 0;
+    for file in files {
+        let name = file.display().to_string();
+        let mut image = match read_image(&file) {
+            Ok(image) => image,
+            Err(error) => {
+                status = 2;
+                if args.json {
+                    json(&ErrorLine { file: name.clone(), error: error.to_string() }, out)?;
+                }
+                writeln!(err, "error: {name}: {error}")?;
+                continue;
+            }
+        };
+        look(&name, &mut image, seek, &recognizer, args.json, out)?;
+        if let Some(folder) = &args.annotate
+            && let Err(message) = keep(folder, &file, &image)
+        {
+            writeln!(err, "error: {message}")?;
+            status = status.max(1);
+        }
+    }
+    Ok(status)
+}
+
+/// The recogniser of a file's patterns, or of those that ship.
+pub(super) fn recognizer(patterns: Option<&Path>) -> Result<GestureRecognizer, String> {
+    let Some(path) = patterns else { return Ok(GestureRecognizer::default()) };
+    let shown = path.display();
+    let text = fs::read_to_string(path).map_err(|e| format!("{shown}: {e}"))?;
+    GestureRecognizer::from_yaml(&text).map_err(|e| format!("{shown}: {e}"))
+}
+
+pub(super) fn refuse(message: &str, err: &mut dyn Write) -> io::Result<u8> {
+    writeln!(err, "error: {message}")?;
+    Ok(2)
+}
+
+/// Writes an annotated image into a folder, under the name of its file.
+pub(super) fn keep(folder: &Path, file: &Path, image: &Image) -> Result<(), String> {
+    let name = file.file_stem().unwrap_or_default().to_string_lossy();
+    let path = folder.join(format!("{name}.png"));
+    let bytes = annotate::png(image).map_err(|e| format!("{}: {e}", path.display()))?;
+    fs::create_dir_all(folder)
+        .and_then(|()| fs::write(&path, bytes))
+        .map_err(|e| format!("{}: {e}", path.display()))
+}
+
+/// Prints what is seen and draws it into the image.
+fn look(
+    file: &str,
+    image: &mut Image,
+    seek: Seek,
+    recognizer: &GestureRecognizer,
+    as_json: bool,
+    out: &mut dyn Write,
+) -> io::Result<()> {
+    if let Seek::Marker(color) = seek {
+        return marker(file, image, color, as_json, out);
+    }
+    let hand = HandInPicture::find(image);
+    if seek == Seek::Skin {
+        let line = skin_line(file, hand.as_ref(), image);
+        if let Some(hand) = &hand {
+            draw_silhouette(image, hand);
+        }
+        return match as_json {
+            true => json(&line, out),
+            false => writeln!(out, "{file}: {:.1} % of the image is hand", 100.0 * line.share),
+        };
+    }
+    let line = hand_line(file, hand.as_ref(), recognizer);
+    if let Some(hand) = &hand {
+        draw(image, hand);
+    }
+    if as_json { json(&line, out) } else { line.text(out) }
+}
+
+/// What is said of a hand.
+pub(super) fn hand_line(
+    file: &str,
+    hand: Option<&HandInPicture>,
+    recognizer: &GestureRecognizer,
+) -> HandLine {
+    let file = file.to_owned();
+    let Some(hand) = hand else {
+        return HandLine { file, gesture: None, confidence: 0.0, hand: None, fingertips: Vec::new() };
+    };
+    let (gesture, sure) = recognizer.recognize(&hand.fingers());
+    let tip = |t: &armarium_visionx::Fingertip| Tip {
+        x: rounded(t.px.x, 1),
+        y: rounded(t.px.y, 1),
+        score: rounded(t.score, 3),
+        id: None,
+    };
+    HandLine {
+        file,
+        gesture: Some(gesture),
+        confidence: rounded(sure * hand.segmentation.confidence, 3),
+        hand: Some(hand.bounding_box.into()),
+        fingertips: hand.fingertips.iter().map(tip).collect(),
+    }
+}
+
+fn skin_line(file: &str, hand: Option<&HandInPicture>, image: &Image) -> SkinLine {
+    let share = |h: &HandInPicture| {
+        let pixels = f64::from(image.width()) * f64::from(image.height());
+        h.segmentation.mask.count() as f64 * h.segmentation.scale.powi(2) / pixels
+    };
+    SkinLine {
+        file: file.to_owned(),
+        confidence: hand.map_or(0.0, |h| rounded(h.segmentation.confidence, 3)),
+        hand: hand.map(|h| h.bounding_box.into()),
+        share: hand.map_or(0.0, |h| rounded(share(h).min(1.0), 4)),
+    }
+}
+
+fn draw(image: &mut Image, hand: &HandInPicture) {
+    draw_silhouette(image, hand);
+    annotate::region(image, &hand.bounding_box, DRAWN);
+    annotate::circle(image, &hand.palm, hand.palm_radius, [0, 255, 0]);
+    for tip in &hand.fingertips {
+        for radius in [6.0, 7.0, 8.0] {
+            annotate::circle(image, &tip.px, radius, [255, 255, 0]);
+        }
+        annotate::line(image, &hand.palm, &tip.px, [255, 255, 0]);
+    }
+}
+
+/// Darkens what is not the hand.
+fn draw_silhouette(image: &mut Image, hand: &HandInPicture) {
+    let scale = hand.segmentation.scale;
+    let (w, h) = (image.width(), image.height());
+    for (y, x) in (0..h).flat_map(|y| (0..w).map(move |x| (y, x))) {
+        let (u, v) = ((f64::from(x) / scale) as i64, (f64::from(y) / scale) as i64);
+        if !hand.segmentation.mask.contains(u, v) {
+            let dark = image.pixel(x, y).map(|c| c / 2);
+            annotate::pixel(image, i64::from(x), i64::from(y), dark);
+        }
+    }
+}
+
+fn marker(
+    file: &str,
+    image: &mut Image,
+    color: [u8; 3],
+    as_json: bool,
+    out: &mut dyn Write,
+) -> io::Result<()> {
+    let whole = Region::whole(image.width(), image.height());
+    let found = components(&ColorModel::from_rgb(color).segment_region(image, whole), LEAST_MARKER);
+    let place = found.first().map(|c| MarkerPlace {
+        x: rounded(c.centroid.x, 2),
+        y: rounded(c.centroid.y, 2),
+        area: c.area,
+        bounds: c.bounds.into(),
+    });
+    if let Some(component) = found.first() {
+        annotate::region(image, &component.bounds, DRAWN);
+        annotate::cross(image, &component.centroid, 9.0, DRAWN);
+    }
+    match (as_json, place) {
+        (true, marker) => json(&MarkerLine { file: file.to_owned(), marker }, out),
+        (false, None) => writeln!(out, "{file}: nothing of that colour"),
+        (false, Some(p)) => writeln!(out, "{file}: {} pixels at ({:.1}, {:.1})", p.area, p.x, p.y),
+    }
+}
+
+/// A colour of the command line.
+pub(super) fn color(text: &str) -> Result<[u8; 3], String> {
+    let wrong = || "three numbers from 0 to 255, as in 40,170,60".to_owned();
+    let parts: Vec<u8> =
+        text.split(',').map(|p| p.trim().parse()).collect::<Result<_, _>>().map_err(|_| wrong())?;
+    parts.try_into().map_err(|_| wrong())
+}
+
+/// A place in an image as the tracks draw it.
+pub(super) fn mark(image: &mut Image, at: &Point2<f64>, radius: f64) {
+    annotate::circle(image, at, radius.max(3.0), [255, 255, 0]);
+    annotate::cross(image, at, 3.0, [255, 255, 0]);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn looked(args: LookArgs, seek: Seek) -> (u8, String, String) {
+        let (mut out, mut err) = (Vec::new(), Vec::new());
+        let status = run(&args, seek, &mut out, &mut err).expect("memory takes everything");
+        let text = |bytes| String::from_utf8(bytes).expect("it is text");
+        (status, text(out), text(err))
+    }
+
+    fn args(images: Vec<std::path::PathBuf>) -> LookArgs {
+        LookArgs { images, annotate: None, json: true, patterns: None }
+    }
+
+    #[test]
+    fn a_broken_file_is_told_and_the_next_one_looked_at() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        fs::write(folder.path().join("a.png"), b"broken").expect("it can be written");
+        let mut image = Image::from_rgb(64, 48, vec![20; 64 * 48 * 3]).expect("it has the size");
+        for (y, x) in (10..30).flat_map(|y| (8..28).map(move |x| (y, x))) {
+            annotate::pixel(&mut image, x, y, [40, 170, 60]);
+        }
+        keep(folder.path(), Path::new("b.png"), &image).expect("it can be written");
+        let annotated = folder.path().join("seen");
+        let asked = LookArgs { annotate: Some(annotated.clone()), ..args(vec![folder.path().into()]) };
+        let (status, out, err) = looked(asked, Seek::Marker([40, 170, 60]));
+        let lines: Vec<serde_json::Value> =
+            out.lines().map(|l| serde_json::from_str(l).expect("a line of JSON")).collect();
+        assert_eq!((status, lines.len()), (2, 2), "{out}");
+        assert!(lines[0]["error"].is_string() && err.contains("a.png"), "{err}");
+        assert_eq!(lines[1]["marker"]["x"], 17.5);
+        assert_eq!(lines[1]["marker"]["area"], 400);
+        assert!(annotated.join("b.png").is_file() && !annotated.join("a.png").exists());
+        let (_, out, _) = looked(args(vec![folder.path().join("b.png")]), Seek::Gesture);
+        let line: serde_json::Value = serde_json::from_str(&out).expect("a line of JSON");
+        assert!(
+            line["gesture"].is_null()
+                && line["hand"].is_null()
+                && line["fingertips"] == serde_json::json!([])
+        );
+    }
+
+    #[test]
+    fn arguments_that_make_no_sense_are_refused() {
+        assert_eq!(color("40, 170,60"), Ok([40, 170, 60]));
+        for text in ["", "1,2", "1,2,3,4", "1,2,256", "red"] {
+            assert!(color(text).is_err(), "{text}");
+        }
+        assert_eq!(looked(args(vec!["/nowhere/at/all.png".into()]), Seek::Skin).0, 2);
+        let patterns = Some("/nowhere/patterns.yaml".into());
+        assert_eq!(looked(LookArgs { patterns, ..args(Vec::new()) }, Seek::Gesture).0, 2);
+    }
+}

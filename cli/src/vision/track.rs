@@ -1,0 +1,163 @@
+//! A sequence of images of an unknown camera: the fingertips of one hand, followed from image to image.
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::Path;
+
+use armarium_visionx::tracking::{
+    ContourNode, FilterFrame, FingerARModel, GestureRecognizer, HandInPicture, ParticleFilterFingerTracking,
+    TipCandidate,
+};
+use armarium_visionx::{Image, annotate};
+use nalgebra::Vector2;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use super::TrackArgs;
+use super::look::{hand_line, keep, mark, refuse};
+use super::report::{ErrorLine, HandLine, Tip, json, rounded};
+use super::sequence::Sequence;
+
+/// Particles; an image takes far longer to look at than they do.
+const PARTICLES: usize = 300;
+/// Radius of a fingertip, palm radii.
+const TIP: f64 = 0.2;
+/// Focal length of a camera that nobody has measured, longer sides of its image.
+const USUAL_FOCAL: f64 = 1.2;
+
+/// Follows fingertips through images of one camera.
+pub(super) struct Follower {
+    filter: ParticleFilterFingerTracking,
+    rng: ChaCha8Rng,
+    focal: Option<f64>,
+}
+
+/// What was seen in one image of a sequence.
+pub(super) struct Seen {
+    pub(super) hand: Option<HandInPicture>,
+    /// The tips that are followed, px.
+    pub(super) nodes: Vec<ContourNode>,
+    /// Focal length and principal point, px.
+    pub(super) focal: f64,
+    pub(super) center: [f64; 2],
+}
+
+impl Follower {
+    pub(super) fn new(model: FingerARModel, focal: Option<f64>) -> Self {
+        let filter = ParticleFilterFingerTracking::new(model, PARTICLES);
+        Self { filter, rng: ChaCha8Rng::seed_from_u64(1), focal }
+    }
+
+    /// Takes the next image.
+    pub(super) fn update(&mut self, image: &Image) -> Seen {
+        let (w, h) = (f64::from(image.width()), f64::from(image.height()));
+        let focal = self.focal.unwrap_or(USUAL_FOCAL * w.max(h));
+        let center = [(w - 1.0) / 2.0, (h - 1.0) / 2.0];
+        let hand = HandInPicture::find(image);
+        if let Some(hand) = &hand {
+            let radius = TIP * hand.palm_radius;
+            let outward = |t: &armarium_visionx::Fingertip| (t.px - hand.palm).try_normalize(1e-9);
+            let candidate = |t: &armarium_visionx::Fingertip| TipCandidate {
+                center: t.px,
+                radius,
+                outward: outward(t).unwrap_or_else(Vector2::y),
+                score: t.score,
+            };
+            let candidates: Vec<TipCandidate> = hand.fingertips.iter().map(candidate).collect();
+            let told = FilterFrame { focal, center, radius, palm: hand.palm, candidates: &candidates };
+            self.filter.update(&told, &mut self.rng);
+        } else {
+            self.filter.predict(&mut self.rng);
+        }
+        Seen { hand, nodes: self.filter.nodes(focal, center), focal, center }
+    }
+}
+
+/// Tracks and prints. Returns 2 when the sequence or an image of it cannot be used, 1 when an annotated image cannot be
+/// written.
+pub(super) fn run(args: &TrackArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
+    let model = match model(args.model.as_deref()) {
+        Ok(model) => model,
+        Err(message) => return refuse(&message, err),
+    };
+    let sequence = match Sequence::open(&args.folder, args.topic.as_deref()) {
+        Ok(sequence) => sequence,
+        Err(message) => return refuse(&message, err),
+    };
+    let mut follower = Follower::new(model, args.focal.filter(|f| f.is_finite() && *f > 0.0));
+    let recognizer = GestureRecognizer::default();
+    let (mut status, mut failed) = (0u8, Ok(()));
+    let played = sequence.each(|(name, image)| {
+        let written = match image {
+            Ok(mut image) => one(&name, &mut image, &mut follower, &recognizer, args, out, err),
+            Err(error) => complain(&name, &error, args.json, out, err),
+        };
+        match written {
+            Ok(worse) => status = status.max(worse),
+            Err(error) => failed = Err(error),
+        }
+        failed.is_ok()
+    });
+    failed?;
+    match played {
+        Ok(()) => Ok(status),
+        Err(message) => refuse(&message, err),
+    }
+}
+
+/// The model in a file, or the one that ships.
+pub(super) fn model(path: Option<&Path>) -> Result<FingerARModel, String> {
+    let Some(path) = path else { return Ok(FingerARModel::default()) };
+    let text = fs::read_to_string(path).map_err(|e| format!("{}: {e}", path.display()))?;
+    FingerARModel::from_yaml(&text).map_err(|e| format!("{}: {e}", path.display()))
+}
+
+fn complain(
+    name: &str,
+    error: &str,
+    as_json: bool,
+    out: &mut dyn Write,
+    err: &mut dyn Write,
+) -> io::Result<u8> {
+    if as_json {
+        json(&ErrorLine { file: name.to_owned(), error: error.to_owned() }, out)?;
+    }
+    writeln!(err, "error: {name}: {error}")?;
+    Ok(2)
+}
+
+fn one(
+    name: &str,
+    image: &mut Image,
+    follower: &mut Follower,
+    recognizer: &GestureRecognizer,
+    args: &TrackArgs,
+    out: &mut dyn Write,
+    err: &mut dyn Write,
+) -> io::Result<u8> {
+    let seen = follower.update(image);
+    let tip = |n: &ContourNode| Tip {
+        x: rounded(n.px.x, 1),
+        y: rounded(n.px.y, 1),
+        score: rounded(1.0 / f64::from(1 + n.unseen), 3),
+        id: Some(n.id),
+    };
+    let fingertips = seen.nodes.iter().map(tip).collect();
+    let line = HandLine { fingertips, ..hand_line(name, seen.hand.as_ref(), recognizer) };
+    if args.json {
+        json(&line, out)?;
+    } else {
+        line.text(out)?;
+    }
+    let Some(folder) = &args.annotate else { return Ok(0) };
+    if let Some(hand) = &seen.hand {
+        annotate::region(image, &hand.bounding_box, [255, 40, 200]);
+    }
+    seen.nodes.iter().for_each(|n| mark(image, &n.px, 3.0 + n.deviation));
+    // A message of a recording has a name that is no file's.
+    let file: String = name.chars().map(|c| if c == '@' || c == ':' { '_' } else { c }).collect();
+    match keep(folder, Path::new(&file), image) {
+        Ok(()) => Ok(0),
+        Err(message) => writeln!(err, "error: {message}").map(|()| 1),
+    }
+}

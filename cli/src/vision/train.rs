@@ -1,0 +1,99 @@
+//! Learning how fingertips move: from sequences of images, where the tips are found and linked, and from simulated
+//! hands, whose tips are known.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::{self, Write};
+use std::path::Path;
+
+use armarium_visionx::tracking::FingerARModel;
+use nalgebra::Point2;
+
+use super::TrainArgs;
+use super::look::refuse;
+use super::sequence::Sequence;
+use super::staged::{BACKGROUNDS, CALIBRATION, RATE_HZ, Stage};
+use super::track::Follower;
+
+/// Frames of a simulated sequence, and the first seed: those of `figures` begin at 0.
+const FRAMES: u64 = 120;
+const FIRST_SEED: u64 = 1_000;
+
+/// Where one finger's tip was, frame by frame, normalised; not finite where it was not seen.
+type Path2 = Vec<Point2<f64>>;
+
+/// Learns and saves. Returns 2 when there is nothing to learn from, 1 when the model cannot be written.
+pub(super) fn run(args: &TrainArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
+    let mut paths = Vec::new();
+    for folder in &args.folders {
+        match seen(folder, args) {
+            Ok(found) => paths.extend(found),
+            Err(message) => return refuse(&message, err),
+        }
+    }
+    if let Some(sequences) = args.simulated {
+        if (args.rate - RATE_HZ).abs() > 1e-9 {
+            return refuse(&format!("simulated sequences have {RATE_HZ} images a second"), err);
+        }
+        paths.extend((0..sequences).flat_map(simulated));
+    }
+    let model = match FingerARModel::fit(&paths, args.rate) {
+        Ok(model) => model,
+        Err(error) => return refuse(&error.to_string(), err),
+    };
+    let shown = args.output.display();
+    if let Err(error) = fs::write(&args.output, model.to_yaml()) {
+        writeln!(err, "error: {shown}: {error}")?;
+        return Ok(1);
+    }
+    let deviation = model.noise.diagonal().map(f64::sqrt);
+    writeln!(
+        out,
+        "{shown}: learned from {} steps of {} fingertips; a step is off by {:.5} across and {:.5} down",
+        model.samples,
+        paths.len(),
+        deviation.x,
+        deviation.y,
+    )?;
+    Ok(0)
+}
+
+/// The paths of the tips in a sequence of images.
+fn seen(path: &Path, args: &TrainArgs) -> Result<Vec<Path2>, String> {
+    let sequence = Sequence::open(path, None)?;
+    let walk = FingerARModel::random_walk(0.02, args.rate);
+    let mut follower = Follower::new(walk, args.focal.filter(|f| f.is_finite() && *f > 0.0));
+    let mut paths: BTreeMap<u64, Path2> = BTreeMap::new();
+    sequence.each(|(_, image)| {
+        let Ok(image) = image else { return true };
+        let seen = follower.update(&image);
+        for node in seen.nodes.iter().filter(|n| n.unseen == 0) {
+            // The candidate itself and not the filter's mean, which would teach the filter its own smoothing.
+            let tips = seen.hand.iter().flat_map(|h| &h.fingertips).map(|t| t.px);
+            let own = tips.min_by(|a, b| (a - node.px).norm().total_cmp(&(b - node.px).norm()));
+            if let Some(px) = own {
+                let normalised = |i: usize| (px[i] - seen.center[i]) / seen.focal;
+                paths.entry(node.id).or_default().push(Point2::new(normalised(0), normalised(1)));
+            }
+        }
+        true
+    })?;
+    Ok(paths.into_values().collect())
+}
+
+/// The paths of the tips of a simulated hand.
+fn simulated(sequence: u64) -> Vec<Path2> {
+    let stage = Stage::new(FIRST_SEED + sequence, sequence % BACKGROUNDS);
+    let mut paths = vec![Path2::new(); 5];
+    for frame in 0..FRAMES {
+        let (_, truth) = stage.frame(frame);
+        for (finger, path) in paths.iter_mut().enumerate() {
+            let tip = truth.tips.iter().find(|t| t.finger == finger);
+            let camera = CALIBRATION.camera;
+            path.push(tip.map_or(Point2::new(f64::NAN, f64::NAN), |t| {
+                Point2::from((t.px.coords - nalgebra::Vector2::from(camera.center)) / camera.focal)
+            }));
+        }
+    }
+    paths
+}

@@ -1,0 +1,165 @@
+//! Images from files and folders of files. Nothing in a file can make it take more memory than a limit, or end the
+//! program.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, Cursor, Seek};
+use std::path::{Path, PathBuf};
+
+use image::{ImageReader, Limits};
+
+use crate::frame::Image;
+
+/// Most pixels of an image.
+pub const MOST_PIXELS: u64 = 128_000_000;
+/// Longest side of an image, px.
+const LONGEST: u32 = 32_768;
+/// Most memory that a decoder may take, bytes: 4 bytes a pixel and some more.
+const MOST_BYTES: u64 = 768 << 20;
+/// The endings of files that are images.
+const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];
+
+/// Why a file gives no image.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FileError {
+    /// It cannot be read.
+    #[error("cannot be read: {0}")]
+    Read(#[source] std::io::Error),
+    /// It is no PNG or JPEG image, or a broken one.
+    #[error("is not a PNG or JPEG image that can be decoded: {0}")]
+    Decode(#[source] image::ImageError),
+    /// It has too many pixels.
+    #[error("{width} x {height} pixels are more than {MOST_PIXELS}")]
+    TooLarge {
+        /// Width, px.
+        width: u32,
+        /// Height, px.
+        height: u32,
+    },
+    /// There is no image in the folder.
+    #[error("there is no PNG or JPEG file in it")]
+    Empty,
+}
+
+/// Reads a PNG or JPEG file, as the pixels are stored: an orientation that the file asks for is not applied. Transparency is
+/// left out, grey becomes RGB.
+///
+/// # Errors
+/// [`FileError`] when there is no such image or it is too large.
+pub fn read_image(path: &Path) -> Result<Image, FileError> {
+    let size = decode(open(path)?)?.into_dimensions().map_err(FileError::Decode)?;
+    read(open(path)?, size)
+}
+
+/// Decodes the bytes of a PNG or JPEG file; see [`read_image`].
+///
+/// # Errors
+/// [`FileError`] when they are no such image or it is too large.
+pub fn decode_image(bytes: &[u8]) -> Result<Image, FileError> {
+    let size = decode(Cursor::new(bytes))?.into_dimensions().map_err(FileError::Decode)?;
+    read(Cursor::new(bytes), size)
+}
+
+/// The images that paths name: files as they are, and of folders the images in them in the order of their names.
+///
+/// # Errors
+/// The path and [`FileError`] when a folder cannot be read or has no image.
+pub fn images_in(paths: &[PathBuf]) -> Result<Vec<PathBuf>, (PathBuf, FileError)> {
+    let mut files = Vec::new();
+    for path in paths {
+        if path.is_dir() {
+            files.extend(folder(path).map_err(|error| (path.clone(), error))?);
+        } else {
+            files.push(path.clone());
+        }
+    }
+    Ok(files)
+}
+
+fn folder(path: &Path) -> Result<Vec<PathBuf>, FileError> {
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(path).map_err(FileError::Read)? {
+        let file = entry.map_err(FileError::Read)?.path();
+        let ending = file.extension().map(|e| e.to_string_lossy().to_lowercase());
+        if ending.is_some_and(|e| ENDINGS.contains(&e.as_str())) {
+            files.push(file);
+        }
+    }
+    files.sort();
+    if files.is_empty() { Err(FileError::Empty) } else { Ok(files) }
+}
+
+fn open(path: &Path) -> Result<BufReader<File>, FileError> {
+    File::open(path).map(BufReader::new).map_err(FileError::Read)
+}
+
+fn decode<R: BufRead + Seek>(from: R) -> Result<ImageReader<R>, FileError> {
+    let mut reader = ImageReader::new(from).with_guessed_format().map_err(FileError::Read)?;
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(LONGEST);
+    limits.max_image_height = Some(LONGEST);
+    limits.max_alloc = Some(MOST_BYTES);
+    reader.limits(limits);
+    Ok(reader)
+}
+
+fn read<R: BufRead + Seek>(from: R, (width, height): (u32, u32)) -> Result<Image, FileError> {
+    let too_large = FileError::TooLarge { width, height };
+    if u64::from(width) * u64::from(height) > MOST_PIXELS {
+        return Err(too_large);
+    }
+    let rgb = decode(from)?.decode().map_err(FileError::Decode)?.into_rgb8();
+    Image::from_rgb(rgb.width(), rgb.height(), rgb.into_raw()).map_err(|_| too_large)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::annotate::png;
+
+    #[test]
+    fn a_file_is_read_as_it_was_written_and_a_folder_in_order() {
+        let folder = tempfile::tempdir().unwrap();
+        let image = Image::from_rgb(3, 2, (0..18).collect()).unwrap();
+        for name in ["b.png", "a.PNG", "c.txt"] {
+            std::fs::write(folder.path().join(name), png(&image).unwrap()).unwrap();
+        }
+        let files = images_in(&[folder.path().into()]).unwrap();
+        let names: Vec<_> =
+            files.iter().map(|f| f.file_name().unwrap().to_string_lossy().into_owned()).collect();
+        assert_eq!(names, ["a.PNG", "b.png"]);
+        assert_eq!(read_image(&files[0]).unwrap(), image);
+        assert!(matches!(read_image(&folder.path().join("none.png")), Err(FileError::Read(_))));
+        std::fs::create_dir(folder.path().join("empty")).unwrap();
+        assert!(matches!(images_in(&[folder.path().join("empty")]), Err((_, FileError::Empty))));
+    }
+
+    /// A PNG whose header promises a size that its data do not have.
+    fn promising(width: u32, height: u32) -> Vec<u8> {
+        let mut bytes = png(&Image::from_rgb(1, 1, vec![7; 3]).unwrap()).unwrap();
+        bytes[16..20].copy_from_slice(&width.to_be_bytes());
+        bytes[20..24].copy_from_slice(&height.to_be_bytes());
+        // The header's checksum, so that only the size is wrong.
+        let mut crc = u32::MAX;
+        for byte in &bytes[12..29] {
+            crc ^= u32::from(*byte);
+            (0..8).for_each(|_| crc = if crc & 1 == 1 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 });
+        }
+        bytes[29..33].copy_from_slice(&(!crc).to_be_bytes());
+        bytes
+    }
+
+    #[test]
+    fn bombs_and_broken_files_are_errors() {
+        assert!(decode_image(&promising(1, 1)).is_ok());
+        assert!(matches!(decode_image(&promising(20_000, 20_000)), Err(FileError::TooLarge { .. })));
+        assert!(decode_image(&promising(u32::MAX, u32::MAX)).is_err());
+        assert!(decode_image(&promising(0, 10)).is_err());
+        assert!(decode_image(&promising(9000, 9000)).is_err());
+        let whole = png(&Image::from_rgb(8, 8, vec![99; 192]).unwrap()).unwrap();
+        for end in 0..whole.len() - 13 {
+            assert!(decode_image(&whole[..end]).is_err(), "cut at {end}");
+        }
+        assert!(decode_image(b"\xff\xd8\xff\xe0 not much of a photograph").is_err());
+    }
+}

@@ -1,0 +1,352 @@
+//! Up to five fingertips followed as the nodes of one contour, by a particle filter.
+//!
+//! A particle is a whole contour: the places of all tips now and a frame ago. The contour is moved by the learned
+//! [`FingerARModel`], and its nodes are weighted by the frame's Hough candidates and by their distances from their
+//! neighbours on the contour, so that two nodes do not fall onto one finger. The nodes are weighted and drawn anew one
+//! after the other, because ten coordinates at once would need far more particles; a part of the draws of each node
+//! comes from the candidates themselves, so that a tip that was lost is found again.
+//!
+//! # Source
+//! Do, Asfour, Dillmann 2011 (tips as contour nodes); MacCormick, Isard 2000 (node after node: partitioned sampling);
+//! Isard, Blake 1998 (draws from the image: ICondensation).
+
+use nalgebra::{Matrix2, Point2, Vector2};
+use rand::{Rng, RngExt};
+use rand_distr::StandardNormal;
+
+use super::ar_model::FingerARModel;
+use super::hough::TipCandidate;
+
+/// What the filter is told of the camera and the frame.
+#[derive(Clone, Copy, Debug)]
+pub struct FilterFrame<'a> {
+    /// Focal length and principal point, px.
+    pub focal: f64,
+    /// Principal point, px.
+    pub center: [f64; 2],
+    /// Radius of a fingertip, px.
+    pub radius: f64,
+    /// Middle of the palm, px: tips are ordered around it.
+    pub palm: Point2<f64>,
+    /// What may be tips.
+    pub candidates: &'a [TipCandidate],
+}
+
+/// A node of the contour.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ContourNode {
+    /// The same number for the same finger as long as it is followed.
+    pub id: u64,
+    /// The middle of the tip's rounding, px.
+    pub px: Point2<f64>,
+    /// Standard deviation of the particles, px.
+    pub deviation: f64,
+    /// How many frames it has had no candidate.
+    pub unseen: u32,
+}
+
+/// The filter.
+#[derive(Clone, Debug)]
+pub struct ParticleFilterFingerTracking {
+    model: FingerARModel,
+    particles: Vec<Contour>,
+    nodes: Vec<Node>,
+    next_id: u64,
+    count: usize,
+}
+
+/// The places of all nodes, normalised image coordinates.
+#[derive(Clone, Debug, Default)]
+struct Contour {
+    now: Vec<Point2<f64>>,
+    before: Vec<Point2<f64>>,
+}
+
+#[derive(Clone, Debug)]
+struct Node {
+    id: u64,
+    unseen: u32,
+}
+
+/// Share of a node's draws that come from the candidates.
+const FROM_IMAGE: f64 = 0.25;
+/// A candidate is a node's when it is this near, tip radii.
+const NEAR: f64 = 2.5;
+/// Likelihood of a tip where no candidate is.
+const FLOOR: f64 = 0.02;
+/// Frames that a node is kept without a candidate while the hand is seen, and while it is not.
+const KEPT: u32 = 3;
+const KEPT_BLIND: u32 = 12;
+/// Score from which a candidate starts a node.
+const START: f64 = 0.5;
+/// Most tips of a hand.
+const TIPS: usize = 5;
+
+impl ParticleFilterFingerTracking {
+    /// A filter of `count` particles that has seen nothing yet.
+    #[must_use]
+    pub fn new(model: FingerARModel, count: usize) -> Self {
+        Self {
+            model,
+            particles: vec![Contour::default(); count.max(2)],
+            nodes: Vec::new(),
+            next_id: 1,
+            count,
+        }
+    }
+
+    /// Forgets all tips.
+    pub fn clear(&mut self) {
+        *self = Self { next_id: self.next_id, ..Self::new(self.model, self.count) };
+    }
+
+    /// Moves the contour through one frame in which no hand was seen. Returns how many tips are still followed.
+    pub fn predict(&mut self, rng: &mut impl Rng) -> usize {
+        self.moved(rng);
+        for i in (0..self.nodes.len()).rev() {
+            self.nodes[i].unseen += 1;
+            if self.nodes[i].unseen > KEPT_BLIND {
+                self.remove(i);
+            }
+        }
+        self.nodes.len()
+    }
+
+    /// Moves the contour to a frame's tips.
+    pub fn update(&mut self, frame: &FilterFrame<'_>, rng: &mut impl Rng) {
+        self.moved(rng);
+        for i in 0..self.nodes.len() {
+            self.weigh(i, frame, rng);
+        }
+        self.count_unseen(frame);
+        self.start(frame, rng);
+    }
+
+    /// The tips, in order around the palm, px of a camera.
+    #[must_use]
+    pub fn nodes(&self, focal: f64, center: [f64; 2]) -> Vec<ContourNode> {
+        let node = |(i, node): (usize, &Node)| {
+            let (mean, deviation) = self.mean(i);
+            let px = Point2::from(mean.coords * focal + Vector2::from(center));
+            ContourNode { id: node.id, px, deviation: deviation * focal, unseen: node.unseen }
+        };
+        self.nodes.iter().enumerate().map(node).collect()
+    }
+
+    fn mean(&self, i: usize) -> (Point2<f64>, f64) {
+        let n = self.particles.len() as f64;
+        let mean = self.particles.iter().fold(Vector2::zeros(), |s, p| s + p.now[i].coords) / n;
+        let variance =
+            self.particles.iter().map(|p| (p.now[i].coords - mean).norm_squared()).sum::<f64>() / n;
+        (Point2::from(mean), (variance / 2.0).sqrt())
+    }
+
+    fn moved(&mut self, rng: &mut impl Rng) {
+        let factor = self.model.noise.cholesky().map_or_else(Matrix2::zeros, |c| c.l());
+        for particle in &mut self.particles {
+            // Most of a hand's motion is common to its fingers.
+            let common = normal2(rng);
+            for (now, before) in particle.now.iter_mut().zip(&mut particle.before) {
+                let noise = factor * (common * 0.8 + normal2(rng) * 0.6);
+                let next = self.model.predict(now, before) + noise;
+                *before = std::mem::replace(now, next);
+            }
+        }
+    }
+
+    /// Draws anew by one node's likelihood.
+    fn weigh(&mut self, i: usize, frame: &FilterFrame<'_>, rng: &mut impl Rng) {
+        let place =
+            |c: &TipCandidate| Point2::from((c.center.coords - Vector2::from(frame.center)) / frame.focal);
+        let radius = frame.radius / frame.focal;
+        let (expected, spread) = self.mean(i);
+        let gate = NEAR * radius + 2.0 * spread;
+        let near: Vec<(Point2<f64>, f64)> = frame
+            .candidates
+            .iter()
+            .map(|c| (place(c), c.score))
+            .filter(|(c, _)| (c - expected).norm() < gate)
+            .collect();
+        if near.is_empty() {
+            return;
+        }
+        let own = nearest(&near, &expected);
+        let sigma = (0.18 * radius).max(0.8 / frame.focal);
+        let neighbours: Vec<(usize, f64)> = [i.checked_sub(1), (i + 1 < self.nodes.len()).then_some(i + 1)]
+            .into_iter()
+            .flatten()
+            .map(|j| (j, (self.mean(j).0 - expected).norm()))
+            .collect();
+        let mut weights = Vec::with_capacity(self.particles.len());
+        for particle in &mut self.particles {
+            if rng.random::<f64>() < FROM_IMAGE {
+                particle.now[i] = own + normal2(rng) * (0.5 * sigma);
+            }
+            let at = particle.now[i];
+            let off = |c: &Point2<f64>| (c - at).norm_squared() / (2.0 * sigma * sigma);
+            let image: f64 = near.iter().map(|(c, score)| score * (-off(c)).exp()).sum();
+            let contour: f64 = neighbours
+                .iter()
+                .map(|&(j, distance)| {
+                    let off = ((particle.now[j] - at).norm() - distance) / (0.35 * distance + radius);
+                    (-0.5 * off * off).exp()
+                })
+                .product();
+            weights.push((FLOOR + image) * contour.max(1e-6));
+        }
+        self.resample(&weights, rng);
+    }
+
+    /// Systematic resampling of whole contours.
+    fn resample(&mut self, weights: &[f64], rng: &mut impl Rng) {
+        let total: f64 = weights.iter().sum();
+        if !(total.is_finite() && total > 0.0) {
+            return;
+        }
+        let step = total / weights.len() as f64;
+        let (mut target, mut reached, mut k) = (rng.random::<f64>() * step, weights[0], 0);
+        let mut drawn = Vec::with_capacity(weights.len());
+        for _ in 0..weights.len() {
+            while reached < target && k + 1 < weights.len() {
+                k += 1;
+                reached += weights[k];
+            }
+            drawn.push(self.particles[k].clone());
+            target += step;
+        }
+        self.particles = drawn;
+    }
+
+    /// Counts the frames in which a node has had no candidate, and gives up those that have had none for long.
+    fn count_unseen(&mut self, frame: &FilterFrame<'_>) {
+        let nodes = self.nodes(frame.focal, frame.center);
+        let mut taken = vec![usize::MAX; frame.candidates.len()];
+        let mut order: Vec<usize> = (0..nodes.len()).collect();
+        order.sort_by_key(|&i| nodes[i].unseen);
+        for i in order {
+            let distance = |k: &usize| (frame.candidates[*k].center - nodes[i].px).norm();
+            let free = (0..taken.len()).filter(|&k| taken[k] == usize::MAX);
+            let nearest = free.min_by(|a, b| distance(a).total_cmp(&distance(b)));
+            let own = nearest.filter(|k| distance(k) < 1.3 * frame.radius);
+            if let Some(k) = own {
+                taken[k] = i;
+                self.nodes[i].unseen = 0;
+            } else {
+                self.nodes[i].unseen += 1;
+            }
+        }
+        for i in (0..self.nodes.len()).rev() {
+            if self.nodes[i].unseen > KEPT {
+                self.remove(i);
+            }
+        }
+    }
+
+    fn remove(&mut self, i: usize) {
+        self.nodes.remove(i);
+        for particle in &mut self.particles {
+            particle.now.remove(i);
+            particle.before.remove(i);
+        }
+    }
+
+    /// Starts nodes at candidates that no node has; a node that has lost its finger makes place for one.
+    fn start(&mut self, frame: &FilterFrame<'_>, rng: &mut impl Rng) {
+        for candidate in frame.candidates.iter().filter(|c| c.score >= START) {
+            let nodes = self.nodes(frame.focal, frame.center);
+            if nodes.iter().any(|n| (n.px - candidate.center).norm() < 1.3 * frame.radius) {
+                continue;
+            }
+            if self.nodes.len() >= TIPS {
+                let lost = (0..nodes.len()).filter(|&i| nodes[i].unseen > 0).max_by_key(|&i| nodes[i].unseen);
+                let Some(lost) = lost else { continue };
+                self.remove(lost);
+            }
+            let nodes = self.nodes(frame.focal, frame.center);
+            let turn = |p: &Point2<f64>| (p.y - frame.palm.y).atan2(p.x - frame.palm.x);
+            let own = turn(&candidate.center);
+            let at = nodes.iter().position(|n| turn(&n.px) > own).unwrap_or(nodes.len());
+            let place = Point2::from((candidate.center.coords - Vector2::from(frame.center)) / frame.focal);
+            self.nodes.insert(at, Node { id: self.next_id, unseen: 0 });
+            self.next_id += 1;
+            for particle in &mut self.particles {
+                let start = place + normal2(rng) * (1.0 / frame.focal);
+                particle.now.insert(at, start);
+                particle.before.insert(at, start);
+            }
+        }
+    }
+}
+
+fn nearest(places: &[(Point2<f64>, f64)], to: &Point2<f64>) -> Point2<f64> {
+    let distance = |p: &(Point2<f64>, f64)| (p.0 - to).norm();
+    places.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).map_or(*to, |p| p.0)
+}
+
+fn normal2(rng: &mut impl Rng) -> Vector2<f64> {
+    Vector2::from_fn(|_, _| rng.sample(StandardNormal))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    fn tip(x: f64, y: f64) -> TipCandidate {
+        TipCandidate { center: Point2::new(x, y), radius: 8.0, outward: -Vector2::y(), score: 0.9 }
+    }
+
+    fn frame(candidates: &[TipCandidate]) -> FilterFrame<'_> {
+        let palm = Point2::new(300.0, 300.0);
+        FilterFrame { focal: 515.0, center: [320.0, 240.0], radius: 8.0, palm, candidates }
+    }
+
+    fn px(filter: &ParticleFilterFingerTracking) -> Vec<ContourNode> {
+        filter.nodes(515.0, [320.0, 240.0])
+    }
+
+    /// Five tips, moving at a steady pace.
+    fn tips(t: f64) -> Vec<TipCandidate> {
+        (0..5).map(|i| tip(220.0 + 35.0 * f64::from(i) + 6.0 * t, 180.0 + 3.0 * t)).collect()
+    }
+
+    #[test]
+    fn follows_five_tips_through_a_blackout_and_keeps_them_apart() {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let mut filter = ParticleFilterFingerTracking::new(FingerARModel::default(), 200);
+        for t in 0..20 {
+            filter.update(&frame(&tips(f64::from(t))), &mut rng);
+        }
+        let ids: Vec<u64> = px(&filter).iter().map(|n| n.id).collect();
+        assert_eq!(ids.len(), 5);
+        for t in 20..23 {
+            assert_eq!(filter.predict(&mut rng), 5, "{t}");
+        }
+        for t in 23..27 {
+            filter.update(&frame(&tips(f64::from(t))), &mut rng);
+        }
+        let nodes = px(&filter);
+        assert_eq!(nodes.iter().map(|n| n.id).collect::<Vec<_>>(), ids);
+        for (node, truth) in nodes.iter().zip(tips(26.0)) {
+            assert!((node.px - truth.center).norm() < 2.0, "{node:?} {truth:?}");
+        }
+    }
+
+    #[test]
+    fn a_finger_that_closes_is_given_up_and_a_new_one_taken() {
+        let mut rng = ChaCha8Rng::seed_from_u64(6);
+        let mut filter = ParticleFilterFingerTracking::new(FingerARModel::default(), 100);
+        let all = tips(0.0);
+        (0..5).for_each(|_| filter.update(&frame(&all), &mut rng));
+        (0..6).for_each(|_| filter.update(&frame(&all[1..2]), &mut rng));
+        assert_eq!(px(&filter).len(), 1);
+        (0..2).for_each(|_| filter.update(&frame(&all[1..3]), &mut rng));
+        assert_eq!(px(&filter).len(), 2);
+        (0..20).for_each(|_| {
+            filter.predict(&mut rng);
+        });
+        assert!(px(&filter).is_empty());
+        filter.update(&frame(&[tip(f64::NAN, 0.0)]), &mut rng);
+    }
+}

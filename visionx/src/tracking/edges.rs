@@ -1,0 +1,152 @@
+//! The edge map of a hand: points on its outline with the direction into it.
+//!
+//! The outline of a silhouette is whole pixels. Each of its points is moved along the normal to where the picture's
+//! colour is half way between inside and outside, so that circles fitted to the edges are good to a part of a pixel.
+
+use image::{ImageBuffer, Luma};
+use imageproc::filter::gaussian_blur_f32;
+use nalgebra::{Point2, Vector2};
+
+use crate::frame::Image;
+use crate::mask::Mask;
+
+/// A point of the outline.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Edge {
+    /// Where, px.
+    pub at: Point2<f64>,
+    /// Unit normal into the hand.
+    pub inward: Vector2<f64>,
+}
+
+/// Blur of the silhouette before its normals are taken, px.
+const BLUR: f32 = 1.5;
+/// How far along the normal the edge is sought, px.
+const SEARCH: f64 = 2.0;
+
+/// The edges of a silhouette in its picture. Where the silhouette ends at the picture's border there is no edge.
+#[must_use]
+pub fn edge_map(image: &Image, hand: &Mask) -> Vec<Edge> {
+    let region = hand.region();
+    let (w, h) = (region.width, region.height);
+    let (width, height) = (i64::from(image.width()), i64::from(image.height()));
+    if w == 0 || h == 0 {
+        return Vec::new();
+    }
+    // A frame around the mask, so that a hand that fills it has a slope there.
+    const FRAME: u32 = 4;
+    let level = |x: u32, y: u32| {
+        let (x, y) = (i64::from(x) - i64::from(FRAME), i64::from(y) - i64::from(FRAME));
+        f32::from(u8::from(hand.contains(x + i64::from(region.x), y + i64::from(region.y))))
+    };
+    let plain = ImageBuffer::from_fn(w + 2 * FRAME, h + 2 * FRAME, |x, y| Luma([level(x, y)]));
+    let smooth: ImageBuffer<Luma<f32>, Vec<f32>> = gaussian_blur_f32(&plain, BLUR);
+    let at = |x: u32, y: u32| f64::from(smooth.get_pixel(x, y).0[0]);
+    let mut edges = Vec::new();
+    for y in 0..h {
+        for x in 0..w {
+            let (px, py) = (i64::from(region.x + x), i64::from(region.y + y));
+            let inside_picture = px > 0 && py > 0 && px + 1 < width && py + 1 < height;
+            let around = [(px - 1, py), (px + 1, py), (px, py - 1), (px, py + 1)];
+            if !inside_picture || !hand.contains(px, py) || around.iter().all(|&(x, y)| hand.contains(x, y)) {
+                continue;
+            }
+            let (sx, sy) = (x + FRAME, y + FRAME);
+            let slope = Vector2::new(at(sx + 1, sy) - at(sx - 1, sy), at(sx, sy + 1) - at(sx, sy - 1)) / 2.0;
+            let Some(inward) = slope.try_normalize(1e-4) else { continue };
+            // The silhouette's own half level, about half a pixel outside of its outermost pixel.
+            let half = Point2::new(px as f64, py as f64)
+                + inward * ((0.5 - at(sx, sy)) / slope.norm()).clamp(-1.5, 1.5);
+            edges.push(Edge { at: refined(image, &half, &inward), inward });
+        }
+    }
+    edges
+}
+
+/// Where along the normal the colour is half way between inside and outside; the point itself where that is unclear.
+fn refined(image: &Image, at: &Point2<f64>, inward: &Vector2<f64>) -> Point2<f64> {
+    let color = |t: f64| bilinear(image, &(at + inward * t));
+    let (outside, inside) = (color(-SEARCH - 0.5), color(SEARCH + 0.5));
+    let axis: Vec<f64> = (0..3).map(|i| inside[i] - outside[i]).collect();
+    let length: f64 = axis.iter().map(|a| a * a).sum();
+    if length < 400.0 {
+        return *at;
+    }
+    let level = |t: f64| {
+        let c = color(t);
+        (0..3).map(|i| (c[i] - outside[i]) * axis[i]).sum::<f64>() / length
+    };
+    let steps = 8;
+    let place = |k: i32| -SEARCH + 2.0 * SEARCH * f64::from(k) / f64::from(steps);
+    let mut before = level(place(0));
+    let mut best: Option<f64> = None;
+    for k in 1..=steps {
+        let now = level(place(k));
+        if before < 0.5 && now >= 0.5 {
+            let t = place(k - 1) + (0.5 - before) / (now - before) * (2.0 * SEARCH / f64::from(steps));
+            if best.is_none_or(|b| t.abs() < b.abs()) {
+                best = Some(t);
+            }
+        }
+        before = now;
+    }
+    at + inward * best.unwrap_or(0.0)
+}
+
+fn bilinear(image: &Image, at: &Point2<f64>) -> [f64; 3] {
+    let (w, h) = (f64::from(image.width()) - 1.0, f64::from(image.height()) - 1.0);
+    let (x, y) = (at.x.clamp(0.0, w.max(0.0)), at.y.clamp(0.0, h.max(0.0)));
+    let (x0, y0) = (x.floor(), y.floor());
+    let (fx, fy) = (x - x0, y - y0);
+    let pixel = |dx: u32, dy: u32| {
+        let p = image.pixel((x0 as u32 + dx).min(w as u32), (y0 as u32 + dy).min(h as u32));
+        p.map(f64::from)
+    };
+    let (a, b, c, d) = (pixel(0, 0), pixel(1, 0), pixel(0, 1), pixel(1, 1));
+    std::array::from_fn(|i| {
+        (a[i] * (1.0 - fx) + b[i] * fx) * (1.0 - fy) + (c[i] * (1.0 - fx) + d[i] * fx) * fy
+    })
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::mask::Region;
+
+    /// A disc of a skin's colour before a wall, with smooth edges, and its silhouette of whole pixels.
+    pub(in crate::tracking) fn disc(x: f64, y: f64, r: f64) -> (Image, Mask) {
+        let (w, h) = (80u32, 70u32);
+        let mut data = Vec::new();
+        let mut mask = Mask::empty(Region::whole(w, h));
+        for i in 0..w * h {
+            let d = (f64::from(i % w) - x).hypot(f64::from(i / w) - y) - r;
+            let share = (0.5 - d).clamp(0.0, 1.0);
+            mask.data_mut()[i as usize] = u8::from(share >= 0.5);
+            data.extend(
+                [(224.0, 90.0), (172.0, 110.0), (138.0, 120.0)].map(|(i, o)| (o + (i - o) * share) as u8),
+            );
+        }
+        (Image::from_rgb(w, h, data).unwrap(), mask)
+    }
+
+    #[test]
+    fn edges_of_a_disc_lie_on_its_circle_and_look_inwards() {
+        let (image, mask) = disc(40.3, 33.8, 12.4);
+        let edges = edge_map(&image, &mask);
+        assert!(edges.len() > 60, "{}", edges.len());
+        for e in edges {
+            let out = e.at - Point2::new(40.3, 33.8);
+            assert!((out.norm() - 12.4).abs() < 0.25, "{} {}", out.norm(), e.at);
+            assert!(e.inward.dot(&out.normalize()) < -0.97);
+        }
+    }
+
+    #[test]
+    fn there_are_no_edges_at_the_pictures_border() {
+        let (image, mut mask) = disc(0.0, 0.0, 20.0);
+        assert!(edge_map(&image, &mask).iter().all(|e| e.at.coords.norm() > 18.0));
+        mask.data_mut().fill(1);
+        assert!(edge_map(&image, &mask).is_empty());
+        assert!(edge_map(&image, &Mask::empty(Region::whole(0, 0))).is_empty());
+    }
+}

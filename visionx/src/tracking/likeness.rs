@@ -1,0 +1,140 @@
+//! How much a thing in a picture looks like a hand before anything is known of its distance: its outline lies on
+//! edges, it does not lie around the picture as a wall does, it has a palm, and its colour can be skin.
+
+use nalgebra::Vector2;
+
+use super::lab::{LabImage, apart};
+use crate::mask::Mask;
+
+/// Distance from the outline at which colours inside and outside are compared, px.
+const REACH: f32 = 2.6;
+/// Difference of colours that is an edge for sure, CIELAB.
+const CLEAR: f32 = 14.0;
+/// Area of a hand in a picture of it, share: middle and deviation of its logarithm.
+const SHARE: (f64, f64) = (0.17, 0.75);
+/// Skin of all tones in white and in warm light: middle and deviations of redness and yellowness over lightness, and
+/// of hue, rad.
+const REDNESS: (f64, f64) = (0.20, 0.06);
+const YELLOWNESS: (f64, f64) = (0.24, 0.09);
+const HUE: (f64, f64) = (0.87, 0.28);
+
+/// What was seen of a thing.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Likeness {
+    /// How much its outline lies on edges, 0 to 1.
+    pub(super) edge: f64,
+    /// Share of the picture's border that it covers.
+    pub(super) border: f64,
+    /// How many of the picture's corners it covers.
+    pub(super) corners: usize,
+    /// Share of the picture that it fills.
+    pub(super) share: f64,
+    /// Share of it that the largest disc inside fills.
+    pub(super) palm: f64,
+    /// Its mean colour.
+    pub(super) color: [f32; 3],
+    /// Radius of the largest disc inside, px.
+    pub(super) radius: f64,
+}
+
+impl Likeness {
+    /// Looks at a thing in a picture; `None` for nothing.
+    pub(super) fn of(lab: &LabImage, thing: &Mask) -> Option<Self> {
+        let area = thing.count() as f64;
+        if area < 1.0 {
+            return None;
+        }
+        let (border, corners) = border(thing);
+        let radius = f64::from(super::distance::inside(thing).into_iter().fold(0.0f32, f32::max));
+        let mut color = [0.0f32; 3];
+        for (c, _) in lab.data.iter().zip(thing.data()).filter(|(_, m)| **m != 0) {
+            (0..3).for_each(|i| color[i] += c[i] / area as f32);
+        }
+        Some(Self {
+            edge: edge(lab, thing),
+            border,
+            corners,
+            share: area / lab.data.len() as f64,
+            palm: std::f64::consts::PI * radius * radius / area,
+            color,
+            radius,
+        })
+    }
+
+    /// The logarithm of how well it is a hand, up to a constant.
+    pub(super) fn score(&self) -> f64 {
+        let off = |v: f64, (middle, deviation): (f64, f64)| ((v - middle) / deviation).powi(2);
+        let size = off(self.share.ln(), (SHARE.0.ln(), SHARE.1));
+        let skin = unlike_skin(&self.color);
+        // A hand is a palm with fingers and perhaps an arm; a ragged or a long thing is not.
+        let palm = off(self.palm.clamp(0.0, 1.0), (0.50, 0.17));
+        10.0 * self.edge
+            - 0.5 * size
+            - 0.5 * skin
+            - 0.5 * palm
+            - 9.0 * (self.border - 0.10).max(0.0)
+            - 1.5 * self.corners.saturating_sub(1).min(1) as f64
+            - 4.0 * self.corners.saturating_sub(2) as f64
+    }
+}
+
+/// How far a colour is from those that skin can have, squared deviations.
+pub(super) fn unlike_skin(color: &[f32; 3]) -> f64 {
+    let off = |v: f64, (middle, deviation): (f64, f64)| ((v - middle) / deviation).powi(2);
+    // Deep shade and warm light saturate skin, but nothing makes it grey.
+    let light = f64::from(color[0]) + 16.0;
+    // A picture that is too bright bleaches it.
+    let bleached = ((124.0 - light) / 40.0).clamp(0.15, 1.0);
+    let either =
+        |v: f64, (m, d): (f64, f64)| off(v, (m * bleached, if v > m * bleached { 2.5 * d } else { d }));
+    let (red, yellow) = (f64::from(color[1]), f64::from(color[2]));
+    let apart = either(red / light, REDNESS) + either(yellow / light, YELLOWNESS);
+    apart.min(12.0) + off(yellow.atan2(red), HUE).min(9.0)
+}
+
+/// The share of the picture's border that a thing covers, and how many corners.
+fn border(thing: &Mask) -> (f64, usize) {
+    let (w, h) = (thing.width(), thing.height());
+    let row = |y: usize| thing.row(y).iter().map(|&v| usize::from(v)).sum::<usize>();
+    let column = |x: usize| (0..h).map(|y| usize::from(thing.row(y)[x])).sum::<usize>();
+    let covered = row(0) + row(h - 1) + column(0) + column(w - 1);
+    let corners = [(0, 0), (w - 1, 0), (0, h - 1), (w - 1, h - 1)];
+    let count = corners.iter().filter(|(x, y)| thing.row(*y)[*x] != 0).count();
+    (covered as f64 / (2 * (w + h)) as f64, count)
+}
+
+/// How much the outline lies on edges: the mean over the outline of how clearly the colours on its two sides differ,
+/// drawn down by its unclear parts.
+fn edge(lab: &LabImage, thing: &Mask) -> f64 {
+    let (w, h) = (thing.width() as i64, thing.height() as i64);
+    let (mut sum, mut unclear, mut n) = (0.0, 0.0, 0.0f64);
+    for y in 1..h - 1 {
+        for x in 1..w - 1 {
+            let outer = [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)];
+            if !thing.contains(x, y) || outer.iter().all(|&(x, y)| thing.contains(x, y)) {
+                continue;
+            }
+            let Some(normal) = outward(thing, x, y) else { continue };
+            let at = |t: f32| {
+                lab.at((x as f32 + normal.x * t).round() as i64, (y as f32 + normal.y * t).round() as i64)
+            };
+            let difference = apart(&at(-REACH + 0.6), &at(REACH)).sqrt();
+            let clear = f64::from((difference / CLEAR).min(1.0));
+            n += 1.0;
+            sum += clear;
+            unclear += f64::from(u8::from(clear < 0.35));
+        }
+    }
+    if n > 0.0 { (sum / n - 0.7 * unclear / n).max(0.0) } else { 0.0 }
+}
+
+/// The direction out of a thing at a pixel of its outline.
+fn outward(thing: &Mask, x: i64, y: i64) -> Option<Vector2<f32>> {
+    let mut sum = Vector2::zeros();
+    for (dx, dy) in (-3i64..=3).flat_map(|dy| (-3i64..=3).map(move |dx| (dx, dy))) {
+        if thing.contains(x + dx, y + dy) {
+            sum -= Vector2::new(dx as f32, dy as f32);
+        }
+    }
+    sum.try_normalize(1e-3)
+}

@@ -1,0 +1,30 @@
+//! Fingers in pictures and in sequences of them: the tracking classes.
+//!
+//! - [`FingerTipTracking`]: the fingertips in a stream of stereo frames. It is made of [`edge_map`],
+//!   [`AdaptiveHoughTransform`], [`ParticleFilterFingerTracking`] and [`FingerARModel`].
+//! - [`HandInPicture`]: the hand, its fingertips and its gesture in one picture of an unknown camera, cut out by
+//!   [`SkinSegmentation`].
+//! - [`GestureRecognizer`]: gestures as labelled patterns of fingers, from a file.
+
+mod ar_model;
+mod contour_filter;
+mod distance;
+mod edges;
+mod hough;
+mod hypotheses;
+mod lab;
+mod likeness;
+mod mixture;
+mod photograph;
+mod recognizer;
+mod skin;
+mod tips;
+
+pub use ar_model::{ArModelError, FingerARModel};
+pub use contour_filter::{ContourNode, FilterFrame, ParticleFilterFingerTracking};
+pub use edges::{Edge, edge_map};
+pub use hough::{AdaptiveHoughTransform, HoughVotes, TipCandidate};
+pub use photograph::HandInPicture;
+pub use recognizer::{Expected, GesturePattern, GestureRecognizer, PatternError, SeenFinger};
+pub use skin::SkinSegmentation;
+pub use tips::{FingerTipSettings, FingerTipTracking, TrackedFingertip};

@@ -1,0 +1,118 @@
+//! A hand in one picture of an unknown camera: its palm, its stretched fingers and its gesture.
+//!
+//! The hand is cut out by [`SkinSegmentation`]. Its distance is not known, so its palm is taken for one of the usual
+//! size, and everything is measured against it.
+
+use nalgebra::Point2;
+
+use super::distance::inside;
+use super::recognizer::SeenFinger;
+use super::skin::SkinSegmentation;
+use crate::frame::Image;
+use crate::hand::Fingertip;
+use crate::hand::shape::{Finger, HandShape, hand_shape};
+use crate::mask::{Mask, Region};
+
+/// Radius of the largest disc in a usual palm, m.
+const PALM: f64 = 0.040;
+/// How far the place that is given for a fingertip lies inside of the finger's measured end, m.
+const PAD: f64 = 0.0022;
+/// Nothing of a hand is farther from its palm's middle than this, palm radii; what is, is arm.
+const REACH: f64 = 5.2;
+
+/// A hand seen in one picture.
+#[derive(Clone, Debug)]
+pub struct HandInPicture {
+    /// Its silhouette at the segmentation's resolution.
+    pub segmentation: SkinSegmentation,
+    /// Around it in the picture.
+    pub bounding_box: Region,
+    /// Centre of the palm, px of the picture.
+    pub palm: Point2<f64>,
+    /// Radius of the largest disc in the palm, px of the picture.
+    pub palm_radius: f64,
+    /// Stretched fingers in order around the palm, px of the picture.
+    pub fingertips: Vec<Fingertip>,
+    shape: HandShape,
+}
+
+impl HandInPicture {
+    /// The hand in a picture, `None` where there is none.
+    #[must_use]
+    pub fn find(image: &Image) -> Option<Self> {
+        let segmentation = SkinSegmentation::of(image)?;
+        let (palm, radius) = widest(&segmentation.mask)?;
+        let hand = near(&segmentation.mask, &palm, REACH * radius);
+        let shape = hand_shape(&hand, PALM / radius)?;
+        let pixel_m = PALM / radius;
+        let scale = segmentation.scale;
+        let place =
+            |p: &Point2<f64>| Point2::from(p.coords * scale + nalgebra::Vector2::repeat((scale - 1.0) / 2.0));
+        let fingertips = shape.fingers.iter().filter(|f| f.score > 0.5);
+        let fingertips = fingertips
+            .map(|f| Fingertip { px: place(&inside_end(f, pixel_m)), in_left: None, score: f.score })
+            .collect();
+        let whole = Region::whole(image.width(), image.height());
+        Some(Self {
+            bounding_box: enlarged(&bounds(&hand), scale, &whole),
+            palm: place(&shape.palm),
+            palm_radius: radius * scale,
+            fingertips,
+            shape,
+            segmentation,
+        })
+    }
+
+    /// What may be stretched fingers, for a [`super::GestureRecognizer`].
+    #[must_use]
+    pub fn fingers(&self) -> Vec<SeenFinger> {
+        let radius = self.shape.palm_radius.max(1e-3);
+        let seen =
+            |f: &Finger| SeenFinger { direction: f.tip - f.base, length: f.length / radius, score: f.score };
+        self.shape.fingers.iter().map(seen).collect()
+    }
+}
+
+/// The shape of a silhouette, its palm taken for a usual one.
+pub(super) fn measured(mask: &Mask) -> Option<HandShape> {
+    let (palm, radius) = widest(mask)?;
+    hand_shape(&near(mask, &palm, REACH * radius), PALM / radius)
+}
+
+/// The place of a finger's pad: a little inside of its end.
+fn inside_end(finger: &Finger, pixel_m: f64) -> Point2<f64> {
+    let back = (finger.base - finger.tip).try_normalize(1e-9).unwrap_or_default();
+    finger.tip + back * (PAD / pixel_m)
+}
+
+/// The middle and the radius of the widest part of a mask, px.
+fn widest(mask: &Mask) -> Option<(Point2<f64>, f64)> {
+    let distances = inside(mask);
+    let (i, radius) = distances.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))?;
+    let middle = Point2::new((i % mask.width()) as f64, (i / mask.width()) as f64);
+    (*radius > 2.0).then_some((middle, f64::from(*radius)))
+}
+
+/// What of a mask lies within `reach` px of a point.
+fn near(mask: &Mask, middle: &Point2<f64>, reach: f64) -> Mask {
+    let mut part = mask.clone();
+    let w = mask.width();
+    for (i, m) in part.data_mut().iter_mut().enumerate() {
+        let at = Point2::new((i % w) as f64, (i / w) as f64);
+        if (at - middle).norm() > reach {
+            *m = 0;
+        }
+    }
+    part
+}
+
+fn bounds(mask: &Mask) -> Region {
+    crate::components::components(mask, 1).first().map_or_else(Region::default, |c| c.bounds)
+}
+
+/// A region of a reduced picture in the picture.
+fn enlarged(region: &Region, scale: f64, whole: &Region) -> Region {
+    let [x0, y0] = [region.x, region.y].map(|v| f64::from(v) * scale);
+    let [x1, y1] = [region.x + region.width, region.y + region.height].map(|v| f64::from(v) * scale - 1.0);
+    Region::spanning(x0, y0, x1, y1, whole.width, whole.height)
+}

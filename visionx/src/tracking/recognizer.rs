@@ -1,0 +1,229 @@
+//! Gestures by comparing the fingers that are seen with labelled patterns, which a file may define.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Vector2;
+use serde::{Deserialize, Serialize};
+
+/// A finger as it is seen in a picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SeenFinger {
+    /// From where it leaves the palm to its end; only angles between them matter.
+    pub direction: Vector2<f64>,
+    /// Its length, palm radii.
+    pub length: f64,
+    /// Probability that it is a stretched finger, 0 to 1.
+    pub score: f64,
+}
+
+/// A mean and a standard deviation.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Expected {
+    /// Mean.
+    pub mean: f64,
+    /// Standard deviation, positive.
+    pub deviation: f64,
+}
+
+/// A configuration of stretched fingers that means a gesture.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GesturePattern {
+    /// The gesture's name.
+    pub name: String,
+    /// Number of stretched fingers; 5 stands for five and more.
+    pub fingers: usize,
+    /// Angle between the outermost fingers, rad.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub span: Option<Expected>,
+    /// Length of the longest finger, palm radii.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub length: Option<Expected>,
+    /// How often the pattern means this gesture, among patterns of as many fingers.
+    #[serde(default = "one")]
+    pub weight: f64,
+}
+
+/// Knows gestures by their patterns.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GestureRecognizer {
+    gestures: Vec<GesturePattern>,
+}
+
+/// Why patterns cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PatternError {
+    /// It is not a file of patterns.
+    #[error("the gestures cannot be read: {0}")]
+    Yaml(String),
+    /// A number is out of range.
+    #[error("gesture `{name}`: {what}")]
+    Value {
+        /// The pattern's name.
+        name: String,
+        /// What is wrong.
+        what: &'static str,
+    },
+}
+
+/// Least likelihood of a gesture that has a pattern.
+const FLOOR: f64 = 0.02;
+/// The patterns that ship.
+const BUILT_IN: &str = include_str!("gestures.yaml");
+
+fn one() -> f64 {
+    1.0
+}
+
+impl Default for GestureRecognizer {
+    fn default() -> Self {
+        Self::from_yaml(BUILT_IN).expect("the patterns that ship are tested")
+    }
+}
+
+impl GestureRecognizer {
+    /// A recogniser of the patterns in a file.
+    ///
+    /// # Errors
+    /// [`PatternError`] when the text is not such a file, or a number makes no sense.
+    pub fn from_yaml(text: &str) -> Result<Self, PatternError> {
+        let read: Self = serde_saphyr::from_str(text).map_err(|e| PatternError::Yaml(e.to_string()))?;
+        if read.gestures.is_empty() {
+            return Err(PatternError::Yaml("there is no gesture".into()));
+        }
+        for pattern in &read.gestures {
+            let wrong = |what| Err(PatternError::Value { name: pattern.name.clone(), what });
+            let expected = [pattern.span, pattern.length].into_iter().flatten();
+            if pattern.name.is_empty() || pattern.fingers > 5 {
+                return wrong("a pattern has a name and 0 to 5 fingers");
+            }
+            if !(pattern.weight > 0.0 && pattern.weight.is_finite()) {
+                return wrong("the weight must be positive");
+            }
+            if expected
+                .into_iter()
+                .any(|e| !(e.mean.is_finite() && e.deviation > 0.0 && e.deviation.is_finite()))
+            {
+                return wrong("mean and deviation must be finite, the deviation positive");
+            }
+        }
+        Ok(read)
+    }
+
+    /// The patterns.
+    #[must_use]
+    pub fn patterns(&self) -> &[GesturePattern] {
+        &self.gestures
+    }
+
+    /// The most likely gesture of what may be stretched fingers, and its probability.
+    #[must_use]
+    pub fn recognize(&self, fingers: &[SeenFinger]) -> (String, f64) {
+        let likelihoods = self.likelihoods(fingers);
+        let sum: f64 = likelihoods.values().map(|l| l + FLOOR).sum();
+        let best = likelihoods.into_iter().max_by(|a, b| a.1.total_cmp(&b.1));
+        best.map_or_else(|| (String::new(), 0.0), |(name, l)| (name, (l + FLOOR) / sum))
+    }
+
+    /// The likelihood of each gesture by name; they sum to about 1 at most.
+    #[must_use]
+    pub fn likelihoods(&self, fingers: &[SeenFinger]) -> BTreeMap<String, f64> {
+        let counts = count_distribution(fingers);
+        let likely = || fingers.iter().filter(|f| f.score > 0.5);
+        let longest = likely().map(|f| f.length).fold(0.0, f64::max);
+        let span = likely()
+            .enumerate()
+            .flat_map(|(i, a)| likely().take(i).map(|b| a.direction.angle(&b.direction)))
+            .fold(0.0, f64::max);
+        let fit = |value: f64, expected: Option<Expected>| {
+            expected.map_or(1.0, |e| (-0.5 * ((value - e.mean) / e.deviation).powi(2)).exp())
+        };
+        let mut result = BTreeMap::new();
+        for p in &self.gestures {
+            let count = if p.fingers == 5 { counts[5..].iter().sum() } else { counts[p.fingers] };
+            let span = if p.fingers >= 2 { fit(span, p.span) } else { 1.0 };
+            let length = if p.fingers >= 1 { fit(longest, p.length) } else { 1.0 };
+            *result.entry(p.name.clone()).or_insert(0.0) += p.weight * count * span * length;
+        }
+        result
+    }
+}
+
+/// The probability of each number of stretched fingers (index; the last is seven), each being one on its own.
+fn count_distribution(fingers: &[SeenFinger]) -> [f64; 8] {
+    let mut p = [0.0; 8];
+    p[0] = 1.0;
+    for finger in fingers.iter().take(7) {
+        let score = finger.score.clamp(0.0, 1.0);
+        for n in (0..8).rev() {
+            p[n] = p[n] * (1.0 - score) + if n > 0 { p[n - 1] * score } else { 0.0 };
+        }
+    }
+    p
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Gesture;
+    use crate::hand::patterns;
+    use crate::hand::shape::Finger;
+    use nalgebra::Point2;
+
+    fn seen(angle: f64, score: f64) -> SeenFinger {
+        SeenFinger { direction: Vector2::new(angle.sin(), -angle.cos()), length: 2.0, score }
+    }
+
+    #[test]
+    fn the_patterns_that_ship_are_those_of_the_hand_observer() {
+        let recognizer = GestureRecognizer::default();
+        for angles in [vec![], vec![0.2], vec![0.0, 0.3], vec![0.0, 1.2], vec![-0.3, 0.0, 0.3, 0.6, 1.1]] {
+            for score in [0.3, 0.9] {
+                let fingers: Vec<SeenFinger> = angles.iter().map(|a| seen(*a, score)).collect();
+                let same = |f: &SeenFinger| Finger {
+                    tip: Point2::from(f.direction),
+                    base: Point2::origin(),
+                    length: 0.08,
+                    width: 0.018,
+                    score: f.score,
+                };
+                let expected = patterns::likelihoods(&fingers.iter().map(same).collect::<Vec<_>>());
+                let found = recognizer.likelihoods(&fingers);
+                for gesture in Gesture::ALL {
+                    assert!((found[gesture.name()] - expected[gesture as usize]).abs() < 1e-12);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_file_can_teach_another_gesture() {
+        let taught = GestureRecognizer::from_yaml(
+            "gestures:\n  - {name: stop, fingers: 5}\n  - {name: hook, fingers: 1, length: {mean: 1.0, deviation: 0.3}}\n  \
+             - {name: point, fingers: 1, length: {mean: 2.2, deviation: 0.4}}\n",
+        )
+        .unwrap();
+        assert_eq!(taught.recognize(&[seen(0.0, 0.95)]).0, "point");
+        assert_eq!(taught.recognize(&[SeenFinger { length: 1.1, ..seen(0.0, 0.95) }]).0, "hook");
+        assert_eq!(taught.recognize(&[-0.4, -0.2, 0.0, 0.2, 0.9].map(|a| seen(a, 0.9))).0, "stop");
+        assert!(taught.recognize(&[]).1 < 0.5);
+    }
+
+    #[test]
+    fn what_is_no_pattern_is_refused() {
+        for text in [
+            "",
+            "gestures: []",
+            "gestures:\n  - {name: a, fingers: 6}",
+            "gestures:\n  - {name: a, fingers: 1, weight: -1}",
+            "gestures:\n  - {name: a, fingers: 2, span: {mean: 0, deviation: 0}}",
+            "gestures:\n  - {name: a, fingers: 2, colour: red}",
+            "a: [",
+        ] {
+            assert!(GestureRecognizer::from_yaml(text).is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,218 @@
+//! Which pixels of one picture are the hand, adapted to the scene.
+//!
+//! Things that may be a hand are proposed at a low resolution, judged, and the best are cut out again by the colours
+//! that they and their surroundings have, first coarsely and then finely; the best of them is the hand. No camera
+//! model, no depth and no earlier picture is needed. Hands that have the very colour of what lies behind, or that fill
+//! less than a hundredth of the picture, are not found.
+//!
+//! # Source
+//! The cutting again follows Rother, Kolmogorov, Blake 2004 (GrabCut). Differs in: mean-field iterations in place of
+//! a graph cut.
+
+use super::distance::inside;
+use super::hypotheses::{hypotheses, parts};
+use super::lab::{LabImage, apart};
+use super::likeness::{Likeness, unlike_skin};
+use super::mixture::Mixture;
+use super::photograph::measured;
+use crate::components::components;
+use crate::frame::Image;
+use crate::mask::{Mask, Region};
+
+/// The longer side of the picture where things are proposed and where the best is cut out, px.
+const COARSE: u32 = 160;
+const FINE: u32 = 480;
+/// How many of the proposed things are cut out again.
+const BEST: usize = 6;
+/// Share that two things must have in common to be the same.
+const SAME: f64 = 0.8;
+/// Score from which a thing is a hand.
+const LEAST_SCORE: f64 = 2.0;
+/// What stretched fingers add to a score.
+const FINGERS: f64 = 1.0;
+/// Radius of what is too thin to be a finger, share of the palm's.
+const THREAD: f32 = 0.10;
+/// Gaussians of the hand and of the rest.
+const PARTS: (usize, usize) = (3, 5);
+/// By how much less than the best a part of the hand's colours may be like skin, squared deviations.
+const LESS_LIKE_SKIN: f64 = 5.0;
+/// How much a pixel follows its neighbours.
+const COUPLING: f32 = 0.9;
+/// Largest log-odds that colour gives a pixel, and that the earlier cut gives.
+const MOST_ODDS: f32 = 6.0;
+const PRIOR_ODDS: f32 = 2.0;
+
+/// A hand cut out of a picture.
+#[derive(Clone, Debug)]
+pub struct SkinSegmentation {
+    /// The hand, at the picture's own resolution or lower.
+    pub mask: Mask,
+    /// Pixels of the picture a pixel of the mask.
+    pub scale: f64,
+    /// How much it looks like a hand, 0 to 1.
+    pub confidence: f64,
+}
+
+impl SkinSegmentation {
+    /// The hand in a picture, `None` where nothing looks like one.
+    #[must_use]
+    pub fn of(image: &Image) -> Option<Self> {
+        let coarse = LabImage::of(image, COARSE)?;
+        if coarse.width.min(coarse.height) < 16 {
+            return None;
+        }
+        let (best, score) = ranked(&coarse, hypotheses(&coarse))
+            .into_iter()
+            .filter_map(|(thing, _)| {
+                let cut = (0..3).try_fold(thing, |thing, _| cut_out(&coarse, &thing))?;
+                let score = Likeness::of(&coarse, &cut)?.score() + has_fingers(&cut);
+                Some((cut, score))
+            })
+            .max_by(|a, b| a.1.total_cmp(&b.1))?;
+        if score < LEAST_SCORE {
+            return None;
+        }
+        let fine = LabImage::of(image, FINE)?;
+        let enlarged = enlarge(&best, &fine);
+        let mask = without_threads(cut_out(&fine, &enlarged).unwrap_or(enlarged));
+        let confidence = 1.0 / (1.0 + (-(score - LEAST_SCORE) / 2.0).exp());
+        Some(Self { mask, scale: fine.scale, confidence })
+    }
+}
+
+/// The mask opened by a disc much thinner than a finger, its largest part.
+fn without_threads(mask: Mask) -> Mask {
+    let distances = inside(&mask);
+    let least = THREAD * distances.iter().copied().fold(0.0, f32::max);
+    let mut core = Mask::empty(mask.region());
+    core.data_mut().iter_mut().zip(&distances).for_each(|(c, d)| *c = u8::from(*d <= least));
+    // Of what is not core, what is farther than the disc's radius from the core is thread.
+    let from_core = inside(&core);
+    let mut opened = Mask::empty(mask.region());
+    let kept = mask.data().iter().zip(&from_core).map(|(m, d)| u8::from(*m != 0 && *d < least + 0.5));
+    opened.data_mut().iter_mut().zip(kept).for_each(|(o, k)| *o = k);
+    let Some(largest) = components(&opened, 1).into_iter().next() else { return mask };
+    let mut alone = Mask::empty(mask.region());
+    alone.add(&largest.runs);
+    alone
+}
+
+/// What fingers add to the score of a thing.
+fn has_fingers(thing: &Mask) -> f64 {
+    let stretched = measured(thing).map_or(0, |shape| shape.fingers.iter().filter(|f| f.score > 0.5).count());
+    if (1..=5).contains(&stretched) { FINGERS } else { 0.0 }
+}
+
+/// The best things, best first, none nearly the same as another.
+fn ranked(lab: &LabImage, things: Vec<Mask>) -> Vec<(Mask, f64)> {
+    let mut scored: Vec<(Mask, f64)> =
+        things.into_iter().filter_map(|t| Likeness::of(lab, &t).map(|l| (t, l.score()))).collect();
+    scored.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let mut chosen: Vec<(Mask, f64)> = Vec::new();
+    for candidate in scored {
+        if chosen.len() == BEST {
+            break;
+        }
+        if chosen.iter().all(|(c, _)| overlap(c, &candidate.0) < SAME) {
+            chosen.push(candidate);
+        }
+    }
+    chosen
+}
+
+/// What two masks of one picture have in common, as a share of what either has.
+fn overlap(a: &Mask, b: &Mask) -> f64 {
+    let pairs = a.data().iter().zip(b.data());
+    let (both, either) = pairs.fold((0, 0), |(n, m), (a, b)| (n + (a & b) as usize, m + (a | b) as usize));
+    both as f64 / (either as f64).max(1.0)
+}
+
+/// The thing cut out again: colours of it and of the rest, its place, and neighbours of like colour that go together.
+fn cut_out(lab: &LabImage, thing: &Mask) -> Option<Mask> {
+    let colors = |set: u8| -> Vec<[f32; 3]> {
+        lab.data.iter().zip(thing.data()).filter(|(_, m)| **m == set).map(|(c, _)| *c).collect()
+    };
+    let (hand, rest) = (Mixture::fit(&colors(1), PARTS.0)?, Mixture::fit(&colors(0), PARTS.1)?);
+    // A sleeve or a shadow that has come along is told by its colour.
+    let most = hand.means().map(|m| unlike_skin(&m)).fold(f64::INFINITY, f64::min) + LESS_LIKE_SKIN;
+    let (hand, other) = hand.divided(|color| unlike_skin(color) <= most);
+    let hand = hand?;
+    let off_hand = |c: &[f32; 3]| {
+        let along = other.as_ref().map_or(f32::NEG_INFINITY, |o| o.log_density(c));
+        rest.log_density(c).max(along)
+    };
+    let near = smoothed(thing, lab.data.len());
+    let odds: Vec<f32> = lab
+        .data
+        .iter()
+        .zip(&near)
+        .map(|(c, near)| {
+            let by_color = (hand.log_density(c) - off_hand(c)).clamp(-MOST_ODDS, MOST_ODDS);
+            by_color + PRIOR_ODDS * (2.0 * near - 1.0)
+        })
+        .collect();
+    let shares = mean_field(lab, &odds);
+    let cut: Vec<bool> = shares.iter().map(|s| *s > 0.0).collect();
+    parts(lab, &cut, 1).into_iter().next()
+}
+
+/// The mask as shares, blurred over a thirtieth of the picture.
+fn smoothed(thing: &Mask, pixels: usize) -> Vec<f32> {
+    let (w, h) = (thing.width(), thing.height());
+    let radius = ((pixels as f64).sqrt() / 30.0).ceil() as usize;
+    let rows: Vec<f32> = box_blur(&thing.data().iter().map(|v| f32::from(*v)).collect::<Vec<_>>(), w, radius);
+    let turned = transposed(&rows, w, h);
+    transposed(&box_blur(&turned, h, radius), h, w)
+}
+
+fn transposed(values: &[f32], w: usize, h: usize) -> Vec<f32> {
+    (0..w).flat_map(|x| (0..h).map(move |y| values[y * w + x])).collect()
+}
+
+/// The mean of each value and its `radius` neighbours on either side in its row of `w`.
+fn box_blur(values: &[f32], w: usize, radius: usize) -> Vec<f32> {
+    let mut out = Vec::with_capacity(values.len());
+    for row in values.chunks_exact(w) {
+        let mut sums = vec![0.0f32; w + 1];
+        (0..w).for_each(|x| sums[x + 1] = sums[x] + row[x]);
+        for x in 0..w {
+            let (from, to) = (x.saturating_sub(radius), (x + radius + 1).min(w));
+            out.push((sums[to] - sums[from]) / (to - from) as f32);
+        }
+    }
+    out
+}
+
+/// Two times the probability that each pixel is hand, less 1: neighbours of like colour draw each other along.
+fn mean_field(lab: &LabImage, odds: &[f32]) -> Vec<f32> {
+    let (w, h) = (lab.width, lab.height);
+    let step = |i: usize, j: usize| apart(&lab.data[i], &lab.data[j]);
+    let across = |i: usize| (i % w + 1 < w).then_some(i + 1);
+    let down = |i: usize| (i + w < w * h).then_some(i + w);
+    let all = || (0..w * h).flat_map(|i| [across(i), down(i)].into_iter().flatten().map(move |j| (i, j)));
+    let mean = all().map(|(i, j)| step(i, j)).sum::<f32>() / (2 * w * h) as f32;
+    let weight = |(i, j): (usize, usize)| COUPLING * (-step(i, j) / (2.0 * mean).max(0.5)).exp();
+    let links: Vec<(usize, usize, f32)> = all().map(|pair| (pair.0, pair.1, weight(pair))).collect();
+    let mut shares: Vec<f32> = odds.iter().map(|o| (o / 2.0).tanh()).collect();
+    for _ in 0..6 {
+        let mut fields = odds.to_vec();
+        for &(i, j, weight) in &links {
+            fields[i] += 2.0 * weight * shares[j];
+            fields[j] += 2.0 * weight * shares[i];
+        }
+        shares.iter_mut().zip(&fields).for_each(|(s, f)| *s = (f / 2.0).tanh());
+    }
+    shares
+}
+
+/// A mask in the size of a larger version of its picture.
+fn enlarge(mask: &Mask, lab: &LabImage) -> Mask {
+    let mut large = Mask::empty(Region::whole(lab.width as u32, lab.height as u32));
+    for y in 0..lab.height {
+        let row = mask.row(y * mask.height() / lab.height);
+        for x in 0..lab.width {
+            large.data_mut()[y * lab.width + x] = row[x * mask.width() / lab.width];
+        }
+    }
+    large
+}

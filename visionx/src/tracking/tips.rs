@@ -1,0 +1,218 @@
+//! The fingertips of a person's hand in a stream of frames.
+//!
+//! The hand's silhouette gives an edge map, the edges give circles of a fingertip's radius at the hand's distance, and
+//! a particle filter follows them; each tip is then moved to the mean of the votes around it.
+
+use nalgebra::{Point2, Point3};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use super::ar_model::FingerARModel;
+use super::contour_filter::{FilterFrame, ParticleFilterFingerTracking};
+use super::edges::edge_map;
+use super::hough::{AdaptiveHoughTransform, HoughVotes, TipCandidate};
+use crate::camera::StereoCalibration;
+use crate::frame::StereoFrame;
+use crate::hand::candidates::{Hand, find_near_too};
+use crate::hand::depth::Ranging;
+use crate::hand::shape::Finger;
+
+/// How fingertips are tracked; the parts can be left out one by one, to see what each is good for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FingerTipSettings {
+    /// Circles of a fingertip's size.
+    pub hough: AdaptiveHoughTransform,
+    /// How tips move.
+    pub model: FingerARModel,
+    /// Whether each tip is moved to the mean of the votes around it.
+    pub mean_shift: bool,
+    /// Whether the particle filter follows the tips; otherwise each frame's candidates are taken as they are.
+    pub filter: bool,
+    /// Particles.
+    pub particles: usize,
+    /// Of the filter's draws.
+    pub seed: u64,
+}
+
+/// A fingertip that is followed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrackedFingertip {
+    /// The same number for the same finger as long as it is followed; 0 without the filter.
+    pub id: u64,
+    /// The middle of the tip's rounding in the left image, px.
+    pub px: Point2<f64>,
+    /// The radius of the rounding, px.
+    pub radius: f64,
+    /// The surface there in the left camera's frame, m, where it can be measured.
+    pub in_left: Option<Point3<f64>>,
+    /// How much it looks like a tip, 0 to 1; lower while it is only predicted.
+    pub score: f64,
+}
+
+/// Tracks the fingertips of one hand.
+#[derive(Clone, Debug)]
+pub struct FingerTipTracking {
+    calibration: StereoCalibration,
+    settings: FingerTipSettings,
+    filter: ParticleFilterFingerTracking,
+    rng: ChaCha8Rng,
+    skin: Option<[f32; 2]>,
+    last: Option<(u64, f64)>,
+}
+
+/// After this long without a frame, what was seen before does not matter, ns.
+const FORGET_NS: u64 = 600_000_000;
+/// How far a candidate may be from the end of a finger of the silhouette, tip radii.
+const AT_A_FINGER: f64 = 2.0;
+/// Least probability of a finger whose end is looked at.
+const LIKELY: f64 = 0.3;
+
+impl Default for FingerTipSettings {
+    fn default() -> Self {
+        Self {
+            hough: AdaptiveHoughTransform::default(),
+            model: FingerARModel::default(),
+            mean_shift: true,
+            filter: true,
+            particles: 150,
+            seed: 1,
+        }
+    }
+}
+
+impl FingerTipTracking {
+    /// Tracking that has seen nothing yet.
+    #[must_use]
+    pub fn new(calibration: StereoCalibration, settings: FingerTipSettings) -> Self {
+        Self {
+            calibration,
+            settings,
+            filter: ParticleFilterFingerTracking::new(settings.model, settings.particles),
+            rng: ChaCha8Rng::seed_from_u64(settings.seed),
+            skin: None,
+            last: None,
+        }
+    }
+
+    /// Takes a frame; returns the fingertips in it in order around the palm. Tips that are hidden for a moment are
+    /// predicted. Frames whose images do not have the calibration's size show nothing.
+    pub fn update(&mut self, frame: &StereoFrame) -> Vec<TrackedFingertip> {
+        if !self.calibration.fits(frame) {
+            return Vec::new();
+        }
+        if self.last.is_some_and(|(t, _)| frame.stamp_ns < t || frame.stamp_ns - t > FORGET_NS) {
+            self.filter.clear();
+            (self.skin, self.last) = (None, None);
+        }
+        match find_near_too(frame, &self.calibration, self.skin) {
+            Some(hand) => self.seen(frame, &hand),
+            None => self.unseen(frame),
+        }
+    }
+
+    fn seen(&mut self, frame: &StereoFrame, hand: &Hand) -> Vec<TrackedFingertip> {
+        let camera = self.calibration.camera;
+        self.skin = Some(hand.skin);
+        let radius = self.settings.hough.radius_px(camera.focal, hand.z);
+        self.last = Some((frame.stamp_ns, radius));
+        let edges = edge_map(&frame.left, &hand.left);
+        let votes = self.settings.hough.votes(&edges, radius);
+        let candidates = votes.as_ref().map_or_else(Vec::new, |v| v.candidates(&edges));
+        let candidates: Vec<TipCandidate> =
+            candidates.into_iter().filter(|c| at_a_finger(c, &hand.shape.fingers, radius)).collect();
+        let mut tips = if self.settings.filter {
+            let palm = hand.shape.palm;
+            let told = FilterFrame {
+                focal: camera.focal,
+                center: camera.center,
+                radius,
+                palm,
+                candidates: &candidates,
+            };
+            self.filter.update(&told, &mut self.rng);
+            self.followed(radius)
+        } else {
+            candidates.iter().map(|c| tip(0, c.center, radius, c.score)).collect()
+        };
+        let ranging = Ranging::of(frame, &self.calibration, hand);
+        for tip in &mut tips {
+            if let Some(votes) = votes.as_ref().filter(|_| self.settings.mean_shift) {
+                shift(tip, votes);
+            }
+            let metres = 0.9 * radius * hand.z / camera.focal;
+            tip.in_left = ranging.as_ref().and_then(|r| r.point(&tip.px, metres));
+        }
+        tips
+    }
+
+    /// The hand is not seen: the tips go on as they have moved.
+    fn unseen(&mut self, frame: &StereoFrame) -> Vec<TrackedFingertip> {
+        let Some((_, radius)) = self.last.filter(|_| self.settings.filter) else { return Vec::new() };
+        if self.filter.predict(&mut self.rng) == 0 {
+            self.last = None;
+            return Vec::new();
+        }
+        self.last = Some((frame.stamp_ns, radius));
+        self.followed(radius)
+    }
+
+    fn followed(&self, radius: f64) -> Vec<TrackedFingertip> {
+        let camera = self.calibration.camera;
+        let nodes = self.filter.nodes(camera.focal, camera.center);
+        nodes.iter().map(|n| tip(n.id, n.px, radius, 1.0 / (1.0 + f64::from(n.unseen)))).collect()
+    }
+}
+
+fn tip(id: u64, px: Point2<f64>, radius: f64, score: f64) -> TrackedFingertip {
+    TrackedFingertip { id, px, radius, in_left: None, score }
+}
+
+fn shift(tip: &mut TrackedFingertip, votes: &HoughVotes) {
+    let shifted = votes.mean_shift(&tip.px);
+    if (shifted - tip.px).norm() < tip.radius {
+        tip.px = shifted;
+    }
+}
+
+/// Whether a circle is the end of a finger of the silhouette and looks along it.
+fn at_a_finger(candidate: &TipCandidate, fingers: &[Finger], radius: f64) -> bool {
+    fingers.iter().filter(|f| f.score > LIKELY).any(|f| {
+        let along = f.tip - f.base;
+        (f.tip - candidate.center).norm() < AT_A_FINGER * radius && along.dot(&candidate.outward) > 0.0
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Gesture;
+    use crate::scenes::{CALIBRATION, TABLE, frame, hand, table};
+
+    #[test]
+    fn a_pointing_hand_has_one_tip_and_an_open_one_five() {
+        for (gesture, n) in
+            [(Gesture::PointOne, 1), (Gesture::PointTwo, 2), (Gesture::OpenHand, 5), (Gesture::Fist, 0)]
+        {
+            let (mut things, direction) = hand(gesture, Point3::new(0.02, -0.02, 0.6), 0.2, true, 0.1);
+            things.push(table(TABLE));
+            let mut tracking = FingerTipTracking::new(CALIBRATION, FingerTipSettings::default());
+            let mut tips = Vec::new();
+            for t in 0..3 {
+                tips = tracking.update(&frame(&things, t * 33_000_000, t));
+            }
+            assert_eq!(tips.len(), n, "{gesture}: {tips:?}");
+            if gesture == Gesture::PointOne {
+                let reach = (tips[0].in_left.unwrap() - Point3::new(0.02, -0.02, 0.6)).dot(&direction);
+                assert!((0.07..0.16).contains(&reach), "{reach}");
+            }
+        }
+    }
+
+    #[test]
+    fn pictures_of_another_size_show_nothing() {
+        let mut calibration = CALIBRATION;
+        calibration.camera.width += 1;
+        let mut tracking = FingerTipTracking::new(calibration, FingerTipSettings::default());
+        assert!(tracking.update(&frame(&[table(TABLE)], 0, 0)).is_empty());
+    }
+}

@@ -1,0 +1,89 @@
+//! Hands in photographs: rendered ones with the textures, shadows, blur, noise and compression of real ones; see
+//! `docs/vision.md`. And pictures without a hand, and pictures that are hardly pictures.
+
+use std::path::Path;
+
+use armarium_visionx::files::read_image;
+use armarium_visionx::tracking::{GestureRecognizer, HandInPicture};
+use armarium_visionx::{Gesture, Image};
+use nalgebra::Point2;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// A photograph: its file, what it shows, and where the index finger's last joint frame, a few millimetres inside of the
+/// finger's end, is.
+fn photographs() -> Vec<(Image, String, Gesture, Point2<f64>)> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/photographs");
+    let truth = std::fs::read_to_string(folder.join("truth.txt")).expect("it is in the repository");
+    let one = |line: &str| {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let number = |text: &str| text.parse().expect("a coordinate");
+        let tip = Point2::new(number(words[2]), number(words[3]));
+        let image = read_image(&folder.join(words[0])).expect("a photograph");
+        (image, words[0].to_owned(), Gesture::from_name(words[1]).expect("a gesture"), tip)
+    };
+    truth.lines().map(one).collect()
+}
+
+#[test]
+fn hands_are_found_and_three_of_four_gestures_are_right() {
+    let recognizer = GestureRecognizer::default();
+    let (mut right, mut n) = (0, 0);
+    let mut wrong = Vec::new();
+    for (image, file, gesture, tip) in photographs() {
+        let hand = HandInPicture::find(&image).unwrap_or_else(|| panic!("no hand in {file}"));
+        let (seen, _) = recognizer.recognize(&hand.fingers());
+        n += 1;
+        right += usize::from(seen == gesture.name());
+        if seen != gesture.name() {
+            wrong.push(format!("{file}: {seen}"));
+        }
+        if gesture == Gesture::PointOne {
+            let error = hand.fingertips.iter().map(|t| (t.px - tip).norm()).fold(f64::INFINITY, f64::min);
+            // A finger's width in these pictures is 40 to 60 px.
+            assert!(error < 25.0, "{file}: {error} px");
+        }
+    }
+    assert!(4 * right >= 3 * n, "{right} of {n}; {wrong:?}");
+}
+
+/// A wall with a slope of light, grain and noise.
+fn wall(color: [f64; 3], planks: bool, seed: u64) -> Image {
+    let (w, h) = (240u32, 320u32);
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut data = Vec::new();
+    for y in 0..h {
+        let plank = if planks && y % 80 < 2 { 0.6 } else { 1.0 };
+        let grain = if planks { 1.0 + 0.08 * (f64::from(y) * 0.9).sin() } else { 1.0 };
+        for x in 0..w {
+            let light = 0.75 + 0.3 * f64::from(x) / f64::from(w);
+            let noise = 8.0 * (rng.random::<f64>() - 0.5);
+            data.extend(color.map(|c| (c * light * plank * grain + noise).clamp(0.0, 255.0) as u8));
+        }
+    }
+    Image::from_rgb(w, h, data).expect("it has the size")
+}
+
+#[test]
+fn walls_have_no_hands() {
+    let walls = [[214.0, 194.0, 166.0], [206.0, 132.0, 74.0], [150.0, 100.0, 60.0], [128.0, 128.0, 130.0]];
+    for (i, color) in walls.into_iter().enumerate() {
+        for planks in [false, true] {
+            let seen = HandInPicture::find(&wall(color, planks, i as u64));
+            let confidence = seen.map(|s| s.segmentation.confidence);
+            assert_eq!(confidence, None, "{color:?} {planks}");
+        }
+    }
+}
+
+#[test]
+fn what_is_hardly_a_picture_has_no_hand_and_ends_nothing() {
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    for (w, h) in [(0, 0), (1, 1), (1, 900), (17, 16), (200, 150)] {
+        let bytes = (w * h * 3) as usize;
+        let noise: Vec<u8> = (0..bytes).map(|_| rng.random()).collect();
+        for data in [vec![0; bytes], vec![255; bytes], noise] {
+            assert!(HandInPicture::find(&Image::from_rgb(w, h, data).unwrap()).is_none(), "{w} x {h}");
+        }
+    }
+}
