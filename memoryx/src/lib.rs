@@ -11,33 +11,42 @@
 //!
 //! This room knows no robot and no image.
 
+mod attributes;
 pub mod conformance;
 mod entity;
 mod error;
+mod filter;
 mod follow;
+pub mod maintain;
 mod memory;
 mod observer;
+mod place;
 pub mod prior;
 mod query;
 mod remote;
 mod schema;
 mod server;
 mod store;
+pub mod updater;
 pub mod wire;
 mod working;
 
+pub use attributes::Attributes;
 pub use entity::{Commit, EntityId, Instance, Snapshot, check_name};
 pub use error::MemoryError;
+pub use filter::Filter;
 pub use follow::{Change, Follower};
-pub use memory::{Memory, modify};
+pub use memory::{Memory, Pages, modify, pages};
 pub use observer::{Condition, MemoryEvent, Observer};
+pub use place::{Region, distance, place_of};
 pub use prior::{GraspPose, ObjectClass, PriorKnowledge, Recognition};
-pub use query::{Pattern, Query, Times};
+pub use query::{Asked, Cursor, Pattern, Query, Times};
 pub use remote::RemoteMemory;
 pub use schema::{Attribute, SegmentSchema, core_segments};
 pub use server::MemoryServer;
 pub use store::{
-    Consolidator, LongTermMemory, Numbering, Policies, Policy, Step, StoreError, StoreStats, Verification,
+    Consolidator, Dropped, LongTermMemory, Named, Numbering, Policies, Policy, Retention, Step, StoreError,
+    StoreStats, Verification,
 };
 pub use working::{Backing, Clock, Limits, WorkingMemory, tokio_clock};
 

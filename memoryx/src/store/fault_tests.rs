@@ -284,16 +284,18 @@ fn other_files_are_refused_and_left_alone() {
     drop(other);
     assert!(matches!(LongTermMemory::open(&path), Err(StoreError::NotAStore { .. })));
 
-    let path = folder.path().join("newer.redb");
-    drop(LongTermMemory::open(&path).unwrap());
-    let newer = Database::create(&path).unwrap();
-    let write = newer.begin_write().unwrap();
-    write.open_table(META).unwrap().insert("format", 2).unwrap();
-    write.commit().unwrap();
-    drop(newer);
-    let path_text = path.display().to_string();
-    let error = StoreError::Format { path: path_text, found: 2, supported: FORMAT };
-    assert_eq!(LongTermMemory::open(&path).unwrap_err(), error);
+    for other_format in [1, 3] {
+        let path = folder.path().join(format!("format{other_format}.redb"));
+        drop(LongTermMemory::open(&path).unwrap());
+        let newer = Database::create(&path).unwrap();
+        let write = newer.begin_write().unwrap();
+        write.open_table(META).unwrap().insert("format", other_format).unwrap();
+        write.commit().unwrap();
+        drop(newer);
+        let path_text = path.display().to_string();
+        let error = StoreError::Format { path: path_text, found: other_format, supported: FORMAT };
+        assert_eq!(LongTermMemory::open(&path).unwrap_err(), error);
+    }
 }
 
 /// The variable that makes [`the_process_that_is_killed`] one.
