@@ -320,7 +320,7 @@ fn a_killed_process_loses_nothing_acknowledged() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("killed.redb");
     let mut random = ChaCha8Rng::seed_from_u64(9);
-    for _ in 0..5 {
+    for _ in 0..100 {
         let mut child = Command::new(std::env::current_exe().unwrap())
             .args(["--exact", "store::fault_tests::the_process_that_is_killed", "--nocapture"])
             .env(CHILD, &path)
@@ -328,7 +328,7 @@ fn a_killed_process_loses_nothing_acknowledged() {
             .spawn()
             .unwrap();
         let lines = io::BufReader::new(child.stdout.take().unwrap()).lines();
-        let count = random.random_range(1..60);
+        let count = random.random_range(1..30);
         let mut last = 0;
         let acknowledged = lines.map_while(Result::ok);
         for line in acknowledged.filter_map(|l| l.rsplit_once("acknowledged ")?.1.parse().ok()).take(count) {

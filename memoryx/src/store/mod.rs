@@ -54,6 +54,8 @@ mod write;
 #[cfg(test)]
 mod fault_tests;
 #[cfg(test)]
+mod keep_tests;
+#[cfg(test)]
 mod tests;
 
 pub use consolidate::{Consolidator, Numbering, Policies, Policy, Step};
