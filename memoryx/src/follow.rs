@@ -186,6 +186,12 @@ impl Follower {
         self.ready.push_back(Change::New(snapshot));
     }
 
+    /// When the last change arrived in the memory that was told, ns.
+    #[must_use]
+    pub fn since_ns(&self) -> u64 {
+        self.since_ns
+    }
+
     /// The newest version told of each entity; [`Self::resume`] goes on from it.
     #[must_use]
     pub fn told(&self) -> &BTreeMap<EntityId, u64> {

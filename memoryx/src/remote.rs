@@ -63,6 +63,12 @@ struct Stream {
 }
 
 impl Stream {
+    /// What arrived until then is known, ns.
+    fn begin(&mut self, until: u64) {
+        self.whole_until = self.whole_until.max(until);
+        self.heard_until = self.heard_until.max(until);
+    }
+
     /// Takes note of a message of changes. Returns whether something before it is missing.
     fn hear(&mut self, changes: &Changes) -> bool {
         let follows = self.epoch == changes.epoch && self.next.is_none_or(|next| next == changes.first);
@@ -109,6 +115,7 @@ impl RemoteMemory {
         tasks.spawn(Arc::clone(&link).watch(roll));
         // An answer says that the other side knows of the subscription: declarations travel before questions.
         let follower = link.first_answer().await?;
+        link.stream().begin(follower.since_ns());
         tasks.spawn(Arc::clone(&link).tell(follower, changes.clone()));
         Ok(Self { link, changes, _tasks: tasks })
     }

@@ -483,22 +483,23 @@ impl WorkingMemory {
 /// What two memories are asked for when the answer is taken of what they know together: all that could decide it.
 fn wider(query: &Query) -> Query {
     let by_time = matches!(query.times, Times::All | Times::Between(..) | Times::Versions(..));
+    let is_plain = by_time && query.filter.is_none() && query.region.is_none();
     let (times, limit) = match query.times {
         Times::Latest => (Times::All, Some(1)),
         Times::Index(..) => (Times::All, None),
         Times::At(time) => (Times::Between(0, time), None),
         Times::Before(time) => (Times::Between(0, time.saturating_sub(1)), None),
         // Each has the newest ones of what it knows, unless something else chooses among them.
-        times => (
-            times,
-            query.limit.filter(|_| query.filter.is_none() && query.region.is_none() && query.after.is_none()),
-        ),
+        times => (times, query.limit.filter(|_| is_plain && query.after.is_none())),
     };
     Query {
         pattern: query.pattern.clone(),
         times,
         limit,
         arrived_since: query.arrived_since.filter(|_| by_time),
+        // The first ones of both together are among the first ones of each.
+        after: query.after.clone().filter(|_| is_plain && query.limit.is_none()),
+        most: query.most.filter(|_| is_plain && query.limit.is_none()),
         ..Query::default()
     }
 }
