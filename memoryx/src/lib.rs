@@ -57,4 +57,6 @@ pub use store::{
 pub use working::{Backing, Clock, Limits, WorkingMemory, tokio_clock};
 
 #[cfg(test)]
+mod hostile_tests;
+#[cfg(test)]
 mod working_tests;

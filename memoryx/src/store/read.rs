@@ -21,8 +21,11 @@ pub(super) struct Reader<'s> {
     blobs: ReadOnlyTable<&'static [u8], &'static [u8]>,
     entities: ReadOnlyTable<&'static [u8], (u64, bool)>,
     /// The chunk that was read last.
-    last: RefCell<Option<(u64, AccessGuard<'static, &'static [u8]>)>>,
+    last: RefCell<Option<(u64, Chunk)>>,
 }
+
+/// The bytes of a chunk, for as long as they are looked at.
+type Chunk = AccessGuard<'static, &'static [u8]>;
 
 /// An entity in the file.
 #[derive(Clone, Debug)]
