@@ -355,7 +355,8 @@ mod tests {
 
     #[test]
     fn the_bytes_are_the_ones_of_rfc_8949() {
-        let cases: [(Value, &[u8]); 5] = [
+        let cases: [(Value, &[u8]); 6] = [
+            (Value::Bytes(vec![1, 2]), b"\xa1\x65bytes\x42\x01\x02"),
             (Value::Null, b"\x64null"),
             (Value::Int(10), b"\xa1\x63int\x0a"),
             (Value::Int(-500), b"\xa1\x63int\x39\x01\xf3"),

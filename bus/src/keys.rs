@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! {agent}/memory                                   queryable: commit
+//! {agent}/memory/changes                           the memory's changes in their order, several in one message
 //! {agent}/memory/{segment}/{provider}/{entity}     put = update, subscribe = observe, get = query
 //! {agent}/image/{provider}                         frames
 //! {agent}/robot/state, {agent}/robot/command
@@ -79,6 +80,14 @@ fn pattern(parts: &[Part<'_>]) -> Result<KeyPattern, KeyError> {
 /// [`KeyError`] when a name cannot be part of a key; so for all of these.
 pub fn memory_commit(agent: &str) -> Result<Key, KeyError> {
     key(&[agent, "memory"])
+}
+
+/// Where a memory tells its changes in their order.
+///
+/// # Errors
+/// [`KeyError`].
+pub fn memory_changes(agent: &str) -> Result<Key, KeyError> {
+    key(&[agent, "memory", "changes"])
 }
 
 /// One entity in an agent's memory.

@@ -15,8 +15,8 @@ pub mod session;
 pub use codec::{Bounds, CodecError, Payload, Schema, decode, decode_within, encode};
 pub use keys::{Key, KeyError, KeyPattern};
 pub use session::{
-    AliveToken, Answer, Liveliness, Message, Mode, Question, Questions, Roll, Session, SessionConfig,
-    SessionError, Subscription, Tls,
+    AliveToken, Answer, Interest, Liveliness, Message, Mode, Question, Questions, Roll, Session,
+    SessionConfig, SessionError, Subscription, Tls,
 };
 
 #[cfg(test)]

@@ -6,7 +6,7 @@
 //! A session needs a multi-threaded tokio runtime, and waits in real time.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use tokio::runtime::{Handle, RuntimeFlavor};
@@ -153,6 +153,14 @@ pub struct Liveliness {
     pub alive: bool,
 }
 
+/// Whether others subscribe to some keys.
+#[derive(Debug)]
+pub struct Interest {
+    there: Arc<AtomicBool>,
+    _listener: zenoh::matching::MatchingListener<()>,
+    _publisher: zenoh::pubsub::Publisher<'static>,
+}
+
 /// The services that appear and go.
 #[derive(Debug)]
 pub struct Roll {
@@ -242,6 +250,42 @@ impl Session {
         let declared = self.zenoh.declare_subscriber(keys.into().as_str().to_owned());
         let declared = declared.callback(move |sample| offer(&sender, message(&sample), &counter));
         Ok(Subscription { queue, dropped, _declared: declared.await.map_err(failed)? })
+    }
+
+    /// As [`Self::subscribe`], without what this session puts itself.
+    ///
+    /// # Errors
+    /// [`SessionError::Zenoh`].
+    pub async fn subscribe_others(
+        &self,
+        keys: impl Into<KeyPattern>,
+        capacity: usize,
+    ) -> Result<Subscription, SessionError> {
+        let (sender, queue) = mpsc::channel(capacity.max(1));
+        let dropped = Arc::new(AtomicU64::new(0));
+        let counter = Arc::clone(&dropped);
+        let declared = self.zenoh.declare_subscriber(keys.into().as_str().to_owned());
+        let declared = declared.allowed_origin(zenoh::sample::Locality::Remote);
+        let declared = declared.callback(move |sample| offer(&sender, message(&sample), &counter));
+        Ok(Subscription { queue, dropped, _declared: declared.await.map_err(failed)? })
+    }
+
+    /// Whether other sessions subscribe to any of these keys, now and from now on.
+    ///
+    /// # Errors
+    /// [`SessionError::Zenoh`].
+    pub async fn interest(&self, keys: &KeyPattern) -> Result<Interest, SessionError> {
+        let publisher = self.zenoh.declare_publisher(keys.as_str().to_owned());
+        let publisher =
+            publisher.allowed_destination(zenoh::sample::Locality::Remote).await.map_err(failed)?;
+        let there = Arc::new(AtomicBool::new(false));
+        let told = Arc::clone(&there);
+        let listener = publisher.matching_listener();
+        let listener = listener.callback(move |status| told.store(status.matching(), Ordering::Relaxed));
+        let listener = listener.await.map_err(failed)?;
+        let status = publisher.matching_status().await.map_err(failed)?;
+        there.store(status.matching(), Ordering::Relaxed);
+        Ok(Interest { there, _listener: listener, _publisher: publisher })
     }
 
     /// Asks all who answer on a key or pattern, `parameters` after the `?`, at most `most` answers, within `timeout`.
@@ -414,6 +458,14 @@ impl Subscription {
     }
 }
 
+impl Interest {
+    /// Whether anybody does.
+    #[must_use]
+    pub fn is_there(&self) -> bool {
+        self.there.load(Ordering::Relaxed)
+    }
+}
+
 impl Roll {
     /// The next service that has appeared or gone; `None` when the session has closed.
     pub async fn next(&mut self) -> Option<Liveliness> {
@@ -425,6 +477,11 @@ impl Questions {
     /// The next question; `None` when the session has closed.
     pub async fn next(&mut self) -> Option<Question> {
         self.queue.recv().await
+    }
+
+    /// The next question if there is one already.
+    pub fn try_next(&mut self) -> Option<Question> {
+        self.queue.try_recv().ok()
     }
 
     /// How many questions have not fitted into the queue so far; they got no answer.

@@ -10,6 +10,7 @@ mod graph;
 mod import;
 mod judge;
 mod logging;
+mod memory;
 mod new;
 mod plots;
 mod recording;
@@ -69,6 +70,8 @@ enum Command {
     Schema(schema::SchemaArgs),
     /// Reproduce an experiment of the papers: figures as JSON, plots as SVG.
     Reproduce(reproduce::ReproduceArgs),
+    /// Look into the memory of agents, write, save, export and mend it.
+    Memory(memory::MemoryArgs),
     /// List the skills that charts can use.
     Skills(skills::SkillsArgs),
     /// Look for hands, gestures, fingertips and markers in images.
@@ -89,6 +92,7 @@ fn main() -> ExitCode {
         Command::New(args) => new::run(args, &mut out),
         Command::Schema(args) => schema::run(*args, &mut out),
         Command::Reproduce(args) => reproduce::run(args, &mut out),
+        Command::Memory(args) => memory::run(args, &mut out, &mut io::stderr()),
         Command::Skills(args) => skills::run(args, &mut out),
         Command::Vision(args) => vision::run(args, &mut out, &mut io::stderr()),
     };

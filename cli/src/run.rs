@@ -331,7 +331,7 @@ async fn watch_gestures(
             Ok(snapshot) if snapshot.id.segment() == "HumanHands" => {
                 let gesture = snapshot.attribute("gesture").and_then(Value::as_str);
                 referee.gesture_seen(snapshot.referenced_ns, gesture.filter(|g| *g != "none"));
-                let seen = snapshot.instance().map(|i| Value::Map(i.attributes.clone()).to_json());
+                let seen = snapshot.instance().map(|i| Value::Map(i.attributes.to_map()).to_json());
                 if let (Some(recorder), Some(seen)) = (locked(&recorder).as_mut(), seen)
                     && recorder.json("/vision/hand", snapshot.referenced_ns, &seen).is_err()
                 {

@@ -7,12 +7,14 @@
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::fmt;
+use std::hash::{Hash, Hasher};
 use std::str::FromStr;
 use std::sync::Arc;
 
 use armarium_values::{Reference, Value};
 use serde::{Deserialize, Serialize};
 
+use crate::attributes::Attributes;
 use crate::error::MemoryError;
 
 /// Longest name in an address, bytes.
@@ -20,7 +22,7 @@ const LONGEST_NAME: usize = 200;
 
 /// The address of an entity: `core segment / provider / entity`, each a name without `/`, `*`, `#`, `?`, `$`.
 /// Ordered by core segment, then provider, then entity. Cheap to clone.
-#[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct EntityId {
     path: Arc<str>,
@@ -32,9 +34,13 @@ pub struct EntityId {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Instance {
     /// Attributes by name.
-    pub attributes: BTreeMap<String, Value>,
+    pub attributes: Attributes,
     /// How far it is trusted, 0 to 1.
     pub confidence: f64,
+    /// Covariances of the attributes that have one, rows one after the other, in the attribute's unit squared: one
+    /// number for a number, 3x3 for a vector or a point, 6x6 for a pose (position, then rotation vector, rad).
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub covariance: BTreeMap<String, Vec<f64>>,
 }
 
 /// The state of an entity at one time.
@@ -123,6 +129,18 @@ pub fn check_name(name: &str) -> Result<(), MemoryError> {
     armarium_bus::keys::check_name(name).map_err(|error| MemoryError::Name { name: error.name })
 }
 
+impl PartialEq for EntityId {
+    fn eq(&self, other: &Self) -> bool {
+        self.path == other.path
+    }
+}
+
+impl Hash for EntityId {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.path.hash(state);
+    }
+}
+
 impl Ord for EntityId {
     fn cmp(&self, other: &Self) -> Ordering {
         (self.segment(), self.provider(), self.entity()).cmp(&(
@@ -187,8 +205,8 @@ impl fmt::Debug for EntityId {
 impl Instance {
     /// A fully trusted instance.
     #[must_use]
-    pub fn new(attributes: BTreeMap<String, Value>) -> Self {
-        Self { attributes, confidence: 1.0 }
+    pub fn new(attributes: impl Into<Attributes>) -> Self {
+        Self { attributes: attributes.into(), confidence: 1.0, covariance: BTreeMap::new() }
     }
 
     /// The same instance with another confidence, 0 to 1.
@@ -197,12 +215,19 @@ impl Instance {
         self.confidence = confidence;
         self
     }
+
+    /// The same instance with the covariance of one of its attributes, rows one after the other.
+    #[must_use]
+    pub fn with_covariance(mut self, attribute: &str, covariance: Vec<f64>) -> Self {
+        self.covariance.insert(attribute.into(), covariance);
+        self
+    }
 }
 
 impl Commit {
     /// One fully trusted hypothesis, whatever the entity's version is.
     #[must_use]
-    pub fn new(id: EntityId, referenced_ns: u64, attributes: BTreeMap<String, Value>) -> Self {
+    pub fn new(id: EntityId, referenced_ns: u64, attributes: impl Into<Attributes>) -> Self {
         Self { id, referenced_ns, instances: vec![Instance::new(attributes)], expected_version: None }
     }
 

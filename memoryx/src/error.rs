@@ -64,6 +64,30 @@ pub enum MemoryError {
         /// The maximum.
         entities: u64,
     },
+    /// A question that cannot be asked.
+    #[error("the query cannot be answered: {what}")]
+    Query {
+        /// What is wrong with it.
+        what: String,
+    },
+    /// Data that speak of a time that is not yet.
+    #[error("`{id}` speaks of a time {ahead_s} s from now, which this memory does not take")]
+    Future {
+        /// The address.
+        id: String,
+        /// How far ahead, s.
+        ahead_s: u64,
+    },
+    /// More in one commit, or one entity, than the memory takes.
+    #[error("`{id}` does not fit: it takes {bytes} bytes, and at most {most} are taken")]
+    TooLarge {
+        /// The address.
+        id: String,
+        /// How many it takes, about.
+        bytes: u64,
+        /// How many are taken.
+        most: u64,
+    },
     /// The store under the memory failed.
     #[error("the memory's store failed: {what}")]
     Store {

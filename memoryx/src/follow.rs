@@ -11,8 +11,11 @@ use tokio::sync::broadcast::{self, error::RecvError, error::TryRecvError};
 
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
-use crate::memory::Memory;
-use crate::query::{Pattern, Query};
+use crate::memory::{Memory, pages};
+use crate::query::{Pattern, Query, Times};
+
+/// Snapshots that are asked for at once.
+const PIECE: usize = 4096;
 
 /// What a follower tells.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,6 +40,8 @@ pub struct Follower {
     changes: broadcast::Receiver<Arc<Snapshot>>,
     /// Newest version told of each entity.
     told: BTreeMap<EntityId, u64>,
+    /// When the last change arrived that came without a gap, ns.
+    since_ns: u64,
     ready: VecDeque<Change>,
 }
 
@@ -52,7 +57,12 @@ impl Follower {
     ) -> Result<(Self, Vec<Arc<Snapshot>>), MemoryError> {
         let mut follower = Self::from_start(memory, pattern);
         let query = Query::history(follower.pattern.clone()).limit(1);
-        let held = follower.memory.query(&query).await?;
+        let mut pieces = pages(query, PIECE);
+        let mut held = Vec::new();
+        while let Some(piece) = pieces.next(&*follower.memory).await? {
+            held.extend(piece);
+        }
+        follower.since_ns = held.iter().map(|s| s.arrived_ns).max().unwrap_or(0);
         follower.told = held.iter().map(|s| (s.id.clone(), s.version)).collect();
         Ok((follower, held.into_iter().filter(|s| !s.is_removed()).collect()))
     }
@@ -61,10 +71,12 @@ impl Follower {
     #[must_use]
     pub fn from_start(memory: Arc<dyn Memory>, pattern: Pattern) -> Self {
         let changes = memory.subscribe();
-        Self { memory, pattern, changes, told: BTreeMap::new(), ready: VecDeque::new() }
+        Self { memory, pattern, changes, told: BTreeMap::new(), since_ns: 0, ready: VecDeque::new() }
     }
 
-    /// Follows on from what was told before, by entity: what has changed since comes first, from the history.
+    /// Follows on from what was told before, by entity: what has changed since comes first, from the history, which is
+    /// long-term memory's where working memory has forgotten. `since_ns`: what arrived before was told; 0 when that is
+    /// not known.
     ///
     /// # Errors
     /// As [`Memory::query`].
@@ -72,10 +84,11 @@ impl Follower {
         memory: Arc<dyn Memory>,
         pattern: Pattern,
         told: BTreeMap<EntityId, u64>,
+        since_ns: u64,
     ) -> Result<Self, MemoryError> {
         let mut follower = Self::from_start(memory, pattern);
         follower.told = told;
-        follower.read_again().await?;
+        follower.read_since(since_ns).await?;
         Ok(follower)
     }
 
@@ -90,7 +103,7 @@ impl Follower {
             }
             match self.changes.recv().await {
                 Ok(snapshot) => self.receive(snapshot).await?,
-                Err(RecvError::Lagged(_)) => self.read_again().await?,
+                Err(RecvError::Lagged(_)) => self.read_since(self.since_ns).await?,
                 Err(RecvError::Closed) => return Ok(None),
             }
         }
@@ -104,7 +117,7 @@ impl Follower {
         while self.ready.len() < most {
             match self.changes.try_recv() {
                 Ok(snapshot) => self.receive(snapshot).await?,
-                Err(TryRecvError::Lagged(_)) => self.read_again().await?,
+                Err(TryRecvError::Lagged(_)) => self.read_since(self.since_ns).await?,
                 Err(TryRecvError::Empty | TryRecvError::Closed) => break,
             }
         }
@@ -126,27 +139,36 @@ impl Follower {
     }
 
     async fn receive(&mut self, snapshot: Arc<Snapshot>) -> Result<(), MemoryError> {
+        self.since_ns = self.since_ns.max(snapshot.arrived_ns);
         if !self.pattern.matches(&snapshot.id) {
             return Ok(());
         }
         let told = self.told.get(&snapshot.id).copied().unwrap_or(0);
         if snapshot.version > told + 1 {
-            let query = Query::history(Pattern::entity(&snapshot.id));
-            let mut held = self.memory.query(&query).await?;
-            held.retain(|s| s.version < snapshot.version);
-            held.into_iter().for_each(|s| self.tell(s));
+            let missing = Times::Versions(told + 1, snapshot.version - 1);
+            self.read(Query::latest(Pattern::entity(&snapshot.id)).times(missing)).await?;
         }
         self.tell(snapshot);
         Ok(())
     }
 
-    /// After a gap of unknown content: whatever the memory has that was not told.
+    /// After a gap: whatever the memory has that arrived at a time or later, ns, and was not told.
     ///
     /// # Errors
     /// As [`Memory::query`].
-    pub async fn read_again(&mut self) -> Result<(), MemoryError> {
-        let held = self.memory.query(&Query::history(self.pattern.clone())).await?;
-        held.into_iter().for_each(|s| self.tell(s));
+    pub async fn read_since(&mut self, since_ns: u64) -> Result<(), MemoryError> {
+        let query = Query::history(self.pattern.clone());
+        self.read(Query { arrived_since: Some(since_ns), ..query }).await
+    }
+
+    async fn read(&mut self, query: Query) -> Result<(), MemoryError> {
+        let mut pieces = pages(query.with_long_term(), PIECE);
+        while let Some(piece) = pieces.next(&*self.memory).await? {
+            for snapshot in piece {
+                self.since_ns = self.since_ns.max(snapshot.arrived_ns);
+                self.tell(snapshot);
+            }
+        }
         Ok(())
     }
 
@@ -162,6 +184,12 @@ impl Follower {
         }
         *told = snapshot.version;
         self.ready.push_back(Change::New(snapshot));
+    }
+
+    /// When the last change arrived in the memory that was told, ns.
+    #[must_use]
+    pub fn since_ns(&self) -> u64 {
+        self.since_ns
     }
 
     /// The newest version told of each entity; [`Self::resume`] goes on from it.

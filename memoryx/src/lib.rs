@@ -6,40 +6,57 @@
 //! - [`Follower`]: a subscription that says what it missed.
 //! - [`PriorKnowledge`]: object classes, known before one is seen.
 //! - [`MemoryServer`], [`RemoteMemory`]: a memory shared over Zenoh ([`wire`] says how).
+//! - [`Following`]: what another agent knows, in one's own frame; [`AgentMemory`]: all of it, put together.
+//! - [`updater`]: observations become entities: matching, fusion, motion models.
 //! - [`Observer`]: conditions on memory that become events.
 //! - [`LongTermMemory`]: what is kept on disk; [`Consolidator`] decides what.
 //!
 //! This room knows no robot and no image.
 
+mod agent;
+mod attributes;
 pub mod conformance;
 mod entity;
 mod error;
+mod filter;
 mod follow;
+pub mod maintain;
 mod memory;
 mod observer;
+mod place;
 pub mod prior;
 mod query;
 mod remote;
 mod schema;
 mod server;
+pub mod share;
 mod store;
+pub mod updater;
 pub mod wire;
 mod working;
 
+pub use agent::{AgentConfig, AgentMemory};
+pub use attributes::Attributes;
 pub use entity::{Commit, EntityId, Instance, Snapshot, check_name};
 pub use error::MemoryError;
+pub use filter::Filter;
 pub use follow::{Change, Follower};
-pub use memory::{Memory, modify};
+pub use memory::{Memory, Pages, modify, pages};
 pub use observer::{Condition, MemoryEvent, Observer};
+pub use place::{Region, distance, place_of};
 pub use prior::{GraspPose, ObjectClass, PriorKnowledge, Recognition};
-pub use query::{Pattern, Query, Times};
+pub use query::{Asked, Cursor, Pattern, Query, Times};
 pub use remote::RemoteMemory;
 pub use schema::{Attribute, SegmentSchema, core_segments};
 pub use server::MemoryServer;
+pub use share::{FollowSettings, Following};
 pub use store::{
-    Consolidator, LongTermMemory, Numbering, Policies, Policy, Step, StoreError, StoreStats, Verification,
+    Consolidator, Dropped, LongTermMemory, Named, Numbering, Policies, Policy, Retention, Step, StoreError,
+    StoreStats, Verification,
 };
 pub use working::{Backing, Clock, Limits, WorkingMemory, tokio_clock};
 
+#[cfg(test)]
+mod hostile_tests;
 #[cfg(test)]
 mod working_tests;

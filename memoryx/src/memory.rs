@@ -12,7 +12,7 @@ use tokio::sync::broadcast;
 
 use crate::entity::{Commit, EntityId, Instance, Snapshot};
 use crate::error::MemoryError;
-use crate::query::Query;
+use crate::query::{Cursor, Query};
 
 /// How often [`modify`] begins again before it reports the conflict.
 const MODIFY_TRIES: u32 = 64;
@@ -37,14 +37,45 @@ pub trait Memory: Send + Sync {
     /// # Errors
     /// [`MemoryError::Store`] when the memory cannot be read.
     async fn segment(&self, segment: &str) -> Result<Vec<Arc<Snapshot>>, MemoryError>;
-    /// What a query asks for, ordered by address, then version.
+    /// What a query asks for, ordered by address, then version; the nearest ones by distance. [`pages`] asks for a
+    /// long answer piece by piece.
     ///
     /// # Errors
-    /// [`MemoryError::Store`] when the memory cannot be read.
+    /// [`MemoryError::Query`] when the question is none; [`MemoryError::Store`] when the memory cannot be read.
     async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError>;
     /// All later changes, in order. A reader that falls behind is told how many it missed; [`crate::Follower`]
     /// says which, and reads them again where the memory still has them.
     fn subscribe(&self) -> broadcast::Receiver<Arc<Snapshot>>;
+}
+
+/// The pieces of a long answer: at most `size` snapshots each, until all were given.
+#[derive(Clone, Debug)]
+pub struct Pages {
+    query: Query,
+    left: bool,
+}
+
+/// The answer to `query` in pieces of at most `size` snapshots. What is committed meanwhile may be in later pieces;
+/// nothing is there twice, and nothing that stays is left out.
+#[must_use]
+pub fn pages(query: Query, size: usize) -> Pages {
+    Pages { query: Query { most: Some(size.max(1)), ..query }, left: true }
+}
+
+impl Pages {
+    /// The next piece; `None` after the last one.
+    ///
+    /// # Errors
+    /// As [`Memory::query`]; the same piece is asked for again next.
+    pub async fn next(&mut self, memory: &dyn Memory) -> Result<Option<Vec<Arc<Snapshot>>>, MemoryError> {
+        if !self.left {
+            return Ok(None);
+        }
+        let found = memory.query(&self.query).await?;
+        self.left = Some(found.len()) == self.query.most && !self.query.is_nearest();
+        self.query.after = found.last().map(|s| Cursor { id: s.id.clone(), version: s.version });
+        Ok((!found.is_empty()).then_some(found))
+    }
 }
 
 /// Changes an entity by what it is now: reads it, lets `change` make the new attributes, and commits them unless
@@ -78,7 +109,7 @@ where
         let update = Commit {
             id: id.clone(),
             referenced_ns,
-            instances: vec![Instance { attributes, confidence }],
+            instances: vec![Instance::new(attributes).with_confidence(confidence)],
             expected_version: Some(version),
         };
         tries += 1;

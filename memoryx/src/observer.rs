@@ -4,15 +4,17 @@
 //! An observer follows a memory through a [`Follower`], so that it tells every change once, in order, also after it
 //! has lagged. Only versions that the memory no longer has are passed over; [`Observer::missed`] counts them.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
-use armarium_values::{Frame, Value};
+use armarium_values::Frame;
 
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
+use crate::filter::Filter;
 use crate::follow::{Change, Follower};
 use crate::memory::Memory;
+use crate::place::{distance, place_of};
 use crate::query::Pattern;
 
 /// When an observed entity makes an event.
@@ -28,6 +30,11 @@ pub enum Condition {
     Moved {
         /// How far, m.
         by: f64,
+    },
+    /// A CEL expression over its snapshot (see [`Filter`]) has become true.
+    Holds {
+        /// The expression.
+        expression: String,
     },
 }
 
@@ -54,8 +61,11 @@ struct Watched {
     name: String,
     pattern: Pattern,
     condition: Condition,
+    filter: Option<Filter>,
     /// Where each entity was at its last event.
     places: BTreeMap<EntityId, Place>,
+    /// The entities for which the expression holds.
+    held: BTreeSet<EntityId>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -76,10 +86,20 @@ impl Observer {
     }
 
     /// Adds a condition on what `pattern` fits; its events have this name.
-    #[must_use]
-    pub fn when(mut self, name: &str, pattern: Pattern, condition: Condition) -> Self {
-        self.conditions.push(Watched { name: name.into(), pattern, condition, places: BTreeMap::new() });
-        self
+    ///
+    /// # Errors
+    /// [`MemoryError::Query`] when its expression or distance is none.
+    pub fn when(mut self, name: &str, pattern: Pattern, condition: Condition) -> Result<Self, MemoryError> {
+        let filter = match &condition {
+            Condition::Holds { expression } => Some(Filter::compile(expression)?),
+            Condition::Moved { by } if !by.is_finite() || *by < 0.0 => {
+                return Err(MemoryError::Query { what: format!("nothing can move further than {by} m") });
+            }
+            _ => None,
+        };
+        let (places, held) = (BTreeMap::new(), BTreeSet::new());
+        self.conditions.push(Watched { name: name.into(), pattern, condition, filter, places, held });
+        Ok(self)
     }
 
     /// The next event; `None` when the memory has gone. Dropping the future loses nothing.
@@ -131,7 +151,16 @@ impl Observer {
 impl Watched {
     fn fires(&mut self, snapshot: &Snapshot, was_there: bool) -> bool {
         let is_there = !snapshot.is_removed();
-        match self.condition {
+        match &self.condition {
+            Condition::Holds { .. } => {
+                let holds = is_there && self.filter.as_ref().is_some_and(|filter| filter.fits(snapshot));
+                if holds {
+                    self.held.insert(snapshot.id.clone())
+                } else {
+                    self.held.remove(&snapshot.id);
+                    false
+                }
+            }
             Condition::Created => is_there && !was_there,
             Condition::Updated => is_there,
             Condition::Removed => !is_there && was_there,
@@ -143,7 +172,7 @@ impl Watched {
                 };
                 match self.places.get(&snapshot.id) {
                     Some(before) if before.frame == now.frame => {
-                        let moved = distance(&before.position, &now.position) > by;
+                        let moved = distance(&before.position, &now.position) > *by;
                         if moved {
                             self.places.insert(snapshot.id.clone(), now);
                         }
@@ -160,23 +189,13 @@ impl Watched {
     }
 }
 
-/// Where an entity is: its `pose`, or else its `position`.
 fn place(snapshot: &Snapshot) -> Option<Place> {
-    let place = match snapshot.attribute("pose").or_else(|| snapshot.attribute("position"))? {
-        Value::Pose(pose) => Place { frame: pose.frame.clone(), position: pose.position },
-        Value::Vector(vector) => Place { frame: vector.frame.clone(), position: vector.components },
-        _ => return None,
-    };
-    place.position.iter().all(|x| x.is_finite()).then_some(place)
-}
-
-fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+    place_of(snapshot).map(|(frame, position)| Place { frame: frame.clone(), position })
 }
 
 #[cfg(test)]
 mod tests {
-    use armarium_values::Vector;
+    use armarium_values::{Value, Vector};
 
     use super::*;
     use crate::entity::Commit;
@@ -206,9 +225,15 @@ mod tests {
             .await
             .unwrap()
             .when("new", things(), Condition::Created)
+            .unwrap()
             .when("gone", things(), Condition::Removed)
+            .unwrap()
             .when("changed", things().named("old"), Condition::Updated)
-            .when("moved", things(), Condition::Moved { by: 0.1 });
+            .unwrap()
+            .when("moved", things(), Condition::Moved { by: 0.1 })
+            .unwrap()
+            .when("far", things(), Condition::Holds { expression: "position.x > 0.1".into() })
+            .unwrap();
         let gone = |name: &str| Commit::removal(EntityId::new("Things", "p", name).unwrap(), 0);
         memory
             .commit_now(vec![
@@ -223,7 +248,7 @@ mod tests {
                 at("cup", "camera", 0.0),
             ])
             .unwrap();
-        let expected = ["new cup 1", "moved cup 4", "changed old 2", "gone cup 7", "new cup 8"];
+        let expected = ["new cup 1", "moved cup 4", "far cup 4", "changed old 2", "gone cup 7", "new cup 8"];
         assert_eq!(events(&mut observer).await, expected);
     }
 
@@ -231,11 +256,16 @@ mod tests {
     async fn a_lagging_observer_reads_again_and_counts_what_is_lost() {
         let limits = Limits { history: 3, backlog: 2, ..Limits::default() };
         let memory = Arc::new(WorkingMemory::new(Arc::new(|| 0)).with_limits(limits));
-        let mut observer = Observer::new(Arc::<WorkingMemory>::clone(&memory)).await.unwrap().when(
-            "changed",
-            Pattern::any(),
-            Condition::Updated,
-        );
+        let observer = Observer::new(Arc::<WorkingMemory>::clone(&memory)).await.unwrap();
+        assert!(matches!(
+            Observer::new(Arc::<WorkingMemory>::clone(&memory)).await.unwrap().when(
+                "bad",
+                Pattern::any(),
+                Condition::Holds { expression: "1 +".into() }
+            ),
+            Err(MemoryError::Query { .. })
+        ));
+        let mut observer = observer.when("changed", Pattern::any(), Condition::Updated).unwrap();
         for i in 0..10 {
             memory.commit_now(vec![at("cup", "root", f64::from(i))]).unwrap();
         }

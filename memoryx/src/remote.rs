@@ -4,7 +4,8 @@
 //! memory that was away for a while all make this side ask for what it has missed. What the other side no longer
 //! has shows as a gap in the versions, which a [`Follower`] reports.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use armarium_bus::session::{Answer, Roll};
 use armarium_bus::{Session, SessionError, Subscription, keys};
@@ -16,14 +17,16 @@ use crate::entity::{Commit, EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::follow::{Change, Follower};
 use crate::memory::Memory;
-use crate::query::{Pattern, Query};
+use crate::query::{Cursor, Pattern, Query};
 use crate::server::unreachable_memory;
-use crate::wire::{self, CommitRequest, Snapshots, Versions};
+use crate::wire::{self, Changes, CommitRequest, Maintain, Report, Snapshots, Versions};
 
 /// Messages that wait to be looked at, and changes that a subscriber may lag behind.
 const QUEUE: usize = 4096;
 /// How often a memory that does not answer is asked when connecting.
 const TRIES: u32 = 5;
+/// How long to wait before a memory that did not answer is asked again for what was missed.
+const RETRY: Duration = Duration::from_millis(500);
 
 /// The memory of another agent.
 #[derive(Debug)]
@@ -39,8 +42,49 @@ struct Link {
     session: Session,
     agent: String,
     raw: broadcast::Sender<Arc<Snapshot>>,
-    /// Something may have been lost without a gap that shows.
+    stream: Mutex<Stream>,
+    /// Something was lost, or may have been.
     lost: Notify,
+}
+
+/// How far the stream of changes was heard.
+#[derive(Debug, Default)]
+struct Stream {
+    epoch: u64,
+    /// The count of the next change, once one was heard.
+    next: Option<u64>,
+    /// When the last change arrived in the other memory before anything was lost, ns.
+    whole_until: u64,
+    /// The same of the last change that was heard.
+    heard_until: u64,
+    /// Gaps so far, and how many of them were closed.
+    gaps: u64,
+    closed: u64,
+}
+
+impl Stream {
+    /// What arrived until then is known, ns.
+    fn begin(&mut self, until: u64) {
+        self.whole_until = self.whole_until.max(until);
+        self.heard_until = self.heard_until.max(until);
+    }
+
+    /// Takes note of a message of changes. Returns whether something before it is missing.
+    fn hear(&mut self, changes: &Changes) -> bool {
+        let follows = self.epoch == changes.epoch && self.next.is_none_or(|next| next == changes.first);
+        let is_first = self.next.is_none();
+        self.epoch = changes.epoch;
+        self.next = Some(changes.first + changes.snapshots.len() as u64);
+        if !follows && !is_first {
+            self.gaps += 1;
+        }
+        let last = changes.snapshots.last().map_or(0, |s| s.arrived_ns);
+        self.heard_until = self.heard_until.max(last);
+        if self.gaps == self.closed {
+            self.whole_until = self.heard_until;
+        }
+        !follows && !is_first
+    }
 }
 
 impl RemoteMemory {
@@ -52,21 +96,41 @@ impl RemoteMemory {
     pub async fn connect(session: &Session, agent: &str) -> Result<Self, MemoryError> {
         let named = |error: armarium_bus::KeyError| MemoryError::Name { name: error.name };
         let failed = |error: SessionError| unreachable_memory(agent, &error.to_string());
-        let entities = wire::every_entity(agent).map_err(named)?;
+        let stream = keys::memory_changes(agent).map_err(named)?;
         let service = keys::alive(agent, "memory").map_err(named)?;
 
         let (raw, changes) = (broadcast::channel(QUEUE).0, broadcast::channel(QUEUE).0);
-        let link = Link { session: session.clone(), agent: agent.into(), raw, lost: Notify::new() };
+        let link = Link {
+            session: session.clone(),
+            agent: agent.into(),
+            raw,
+            stream: Mutex::default(),
+            lost: Notify::new(),
+        };
         let link = Arc::new(link);
-        let messages = session.subscribe(entities, QUEUE).await.map_err(failed)?;
+        let messages = session.subscribe(stream, QUEUE).await.map_err(failed)?;
         let roll = session.watch_alive(&service.into(), 16).await.map_err(failed)?;
         let mut tasks = JoinSet::new();
         tasks.spawn(Arc::clone(&link).hear(messages));
         tasks.spawn(Arc::clone(&link).watch(roll));
         // An answer says that the other side knows of the subscription: declarations travel before questions.
         let follower = link.first_answer().await?;
+        link.stream().begin(follower.since_ns());
         tasks.spawn(Arc::clone(&link).tell(follower, changes.clone()));
         Ok(Self { link, changes, _tasks: tasks })
+    }
+}
+
+impl RemoteMemory {
+    /// Has the agent do something with its long-term memory.
+    ///
+    /// # Errors
+    /// [`MemoryError::Store`] when it has none, or it fails; [`MemoryError::Remote`].
+    pub async fn maintain(&self, request: &Maintain) -> Result<Report, MemoryError> {
+        let failed = |error: armarium_bus::CodecError| self.link.failed(&error.to_string());
+        let (encoding, payload) = wire::seal(request).map_err(failed)?;
+        let (encoding, payload) = self.link.ask(&encoding, payload).await?;
+        wire::open(&encoding, &payload).map_err(failed)
     }
 }
 
@@ -87,30 +151,55 @@ impl Link {
     async fn hear(self: Arc<Self>, mut messages: Subscription) {
         let mut dropped = 0;
         while let Some(message) = messages.next().await {
-            // Others put updates on the same keys; only the memory itself says what holds.
-            if message.encoding.starts_with("application/cbor;memoryx/entity;") {
-                match wire::open::<Snapshot>(&message.encoding, &message.payload) {
-                    Ok(snapshot) if message.key.ends_with(&format!("/memory/{}", snapshot.id)) => {
+            match wire::open::<Changes>(&message.encoding, &message.payload) {
+                Ok(changes) => {
+                    let is_missing = self.stream().hear(&changes);
+                    for snapshot in changes.snapshots {
                         // Nobody listening is no error.
-                        let _ = self.raw.send(Arc::new(snapshot));
+                        let _ = self.raw.send(snapshot);
                     }
-                    Ok(snapshot) => {
-                        tracing::warn!(key = message.key, id = %snapshot.id, "a snapshot on another's key")
+                    if is_missing {
+                        self.lost.notify_one();
                     }
-                    Err(error) => tracing::warn!(%error, key = message.key, "a snapshot was not understood"),
                 }
+                Err(error) => tracing::warn!(%error, key = message.key, "changes were not understood"),
             }
             if messages.dropped() > dropped {
                 dropped = messages.dropped();
-                self.lost.notify_one();
+                self.lose();
             }
         }
+    }
+
+    /// Something may have been lost: what was whole until now has to be looked at again.
+    fn lose(&self) {
+        self.stream().gaps += 1;
+        self.lost.notify_one();
+    }
+
+    fn stream(&self) -> MutexGuard<'_, Stream> {
+        self.stream.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Reads what was lost. What is lost meanwhile is read by the next call.
+    async fn catch_up(&self, follower: &mut Follower) -> Result<(), MemoryError> {
+        let (since, gaps) = {
+            let stream = self.stream();
+            (stream.whole_until, stream.gaps)
+        };
+        follower.read_since(since).await?;
+        let mut stream = self.stream();
+        stream.closed = gaps;
+        if stream.gaps == gaps {
+            stream.whole_until = stream.heard_until;
+        }
+        Ok(())
     }
 
     async fn watch(self: Arc<Self>, mut roll: Roll) {
         while let Some(service) = roll.next().await {
             if service.alive {
-                self.lost.notify_one();
+                self.lose();
             }
         }
     }
@@ -119,7 +208,7 @@ impl Link {
         loop {
             let told = tokio::select! {
                 biased;
-                () = self.lost.notified() => follower.read_again().await.map(|()| None),
+                () = self.lost.notified() => self.catch_up(&mut follower).await.map(|()| None),
                 change = follower.next() => match change {
                     Ok(None) => return,
                     change => change,
@@ -133,7 +222,12 @@ impl Link {
                     tracing::warn!(%id, from, to, agent = self.agent, "the memory no longer has these versions");
                 }
                 Ok(None) => {}
-                Err(error) => tracing::warn!(%error, "what was missed could not be asked for"),
+                Err(error) => {
+                    tracing::warn!(%error, "what was missed could not be asked for");
+                    // The memory is away; it is asked again when it is back, and now and then.
+                    tokio::time::sleep(RETRY).await;
+                    self.lost.notify_one();
+                }
             }
         }
     }
@@ -173,10 +267,21 @@ impl Memory for Link {
     }
 
     async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
-        let (encoding, payload) = wire::seal(query).map_err(|e| self.failed(&e.to_string()))?;
-        let (encoding, payload) = self.ask(&encoding, payload).await?;
-        let Snapshots(found) = wire::open(&encoding, &payload).map_err(|e| self.failed(&e.to_string()))?;
-        Ok(found.into_iter().map(Arc::new).collect())
+        let mut query = query.clone();
+        let mut all = Vec::new();
+        loop {
+            let (encoding, payload) = wire::seal(&query).map_err(|e| self.failed(&e.to_string()))?;
+            let (encoding, payload) = self.ask(&encoding, payload).await?;
+            let found: Snapshots =
+                wire::open(&encoding, &payload).map_err(|e| self.failed(&e.to_string()))?;
+            if let Some(most) = &mut query.most {
+                *most = most.saturating_sub(found.snapshots.len());
+            }
+            all.extend(found.snapshots);
+            let last = all.last().filter(|_| found.more);
+            let Some(last) = last.filter(|_| query.most != Some(0)) else { return Ok(all) };
+            query.after = Some(Cursor { id: last.id.clone(), version: last.version });
+        }
     }
 
     fn subscribe(&self) -> broadcast::Receiver<Arc<Snapshot>> {
@@ -277,14 +382,14 @@ mod tests {
         for i in 0..5 {
             pair.memory.commit_now(vec![commit("a", i)]).unwrap();
         }
-        // Somebody who repeats old news, tells them on another's key, or tells nonsense changes nothing.
+        // Somebody who repeats old news, or tells nonsense, changes nothing.
         let known = pair.memory.latest_now(&commit("a", 0).id).unwrap();
-        let (encoding, payload) = wire::seal(&*known).unwrap();
-        for name in ["a", "b"] {
-            let key = keys::memory("alice", "Things", "p", name).unwrap();
-            pair.far.put_waiting(&key, &encoding, payload.clone()).await.unwrap();
-        }
-        pair.remote.link.lost.notify_one();
+        let (encoding, payload) =
+            wire::seal(&Changes { epoch: 7, first: 9, snapshots: vec![known] }).unwrap();
+        let key = keys::memory_changes("alice").unwrap();
+        pair.far.put_waiting(&key, &encoding, payload.clone()).await.unwrap();
+        pair.far.put_waiting(&key, &encoding, vec![0xff; 9]).await.unwrap();
+        pair.remote.link.lose();
         pair.memory.commit_now(vec![commit("end", 0)]).unwrap();
         let mut heard = Vec::new();
         while heard.last().is_none_or(|(name, _)| name != "end") {

@@ -139,6 +139,54 @@ fn misfit(ty: &Type, value: &Value) -> Option<Misfit> {
     }
 }
 
+/// Checks what every instance has to keep, whatever its segment: confidence, depth, covariances.
+///
+/// # Errors
+/// [`MemoryError::Confidence`], [`MemoryError::Schema`].
+pub(crate) fn check_form(id: &EntityId, instance: &Instance) -> Result<(), MemoryError> {
+    let refused = |attribute: &str, what: &str| {
+        Err(MemoryError::Schema { id: id.to_string(), attribute: attribute.into(), what: what.into() })
+    };
+    if !(0.0..=1.0).contains(&instance.confidence) {
+        return Err(MemoryError::Confidence { id: id.to_string() });
+    }
+    if let Some((name, _)) = instance.attributes.iter().find(|(_, value)| too_deep(value)) {
+        return refused(name, "is nested too deep");
+    }
+    for (name, covariance) in &instance.covariance {
+        let size = match instance.attributes.get(name) {
+            Some(Value::Int(_) | Value::Float(_) | Value::Duration(_)) => 1,
+            Some(Value::Vector(_)) => 3,
+            Some(Value::Pose(_)) => 6,
+            Some(_) => return refused(name, "has a covariance, and is of a type that has none"),
+            None => return refused(name, "has a covariance, and is missing"),
+        };
+        if !is_covariance(covariance, size) {
+            return refused(
+                name,
+                &format!("needs a symmetric covariance of {size}x{size} numbers, not negative"),
+            );
+        }
+    }
+    Ok(())
+}
+
+/// Whether these are the rows of a symmetric matrix whose 1x1 and 2x2 principal minors are not negative.
+fn is_covariance(rows: &[f64], size: usize) -> bool {
+    if rows.len() != size * size || rows.iter().any(|x| !x.is_finite()) {
+        return false;
+    }
+    let at = |i: usize, j: usize| rows[i * size + j];
+    let close = |a: f64, b: f64| (a - b).abs() <= 1e-9 * (a.abs() + b.abs()) + f64::MIN_POSITIVE;
+    (0..size).all(|i| {
+        at(i, i) >= 0.0
+            && (0..i).all(|j| {
+                let bound = (at(i, i) * at(j, j)).sqrt() * (1.0 + 1e-9) + f64::MIN_POSITIVE;
+                close(at(i, j), at(j, i)) && at(i, j).abs() <= bound
+            })
+    })
+}
+
 /// Whether a value is nested so deep that it could not be stored or sent.
 pub(crate) fn too_deep(value: &Value) -> bool {
     fn deeper(value: &Value, left: usize) -> bool {
@@ -163,8 +211,13 @@ pub fn core_segments() -> BTreeMap<String, SegmentSchema> {
             .optional("pose", Type::Pose, "pose of the object, m, in its frame")
             .optional("position", Type::Vector, "centre of the object, m, in its frame")
             .optional("velocity", Type::Vector, "velocity of the centre, m/s, in its frame")
-            .optional("position_covariance", numbers(), "covariance of the position, m^2, 3x3 by rows")
-            .optional("attached_to", Type::String, "what it moves with: a hand or another object"),
+            .optional("attached_to", Type::String, "what it moves with: a hand or another object")
+            .optional(
+                "motion_model",
+                Type::String,
+                "static, hand or object: how it moves between observations",
+            )
+            .optional("alternatives", numbers(), "confidences of other matches that were considered, 0 to 1"),
         SegmentSchema::new("ObjectClasses", "What is known of a kind of thing before it is seen.")
             .required("color", numbers(), "red, green and blue, 0 to 255")
             .required("size", Type::list(metres()), "extent along the object's x, y and z, m")
@@ -215,7 +268,8 @@ mod tests {
 
     fn complaint(segment: &str, attributes: &[(&str, Value)]) -> String {
         let id = EntityId::new(segment, "p", "e").unwrap();
-        let attributes = attributes.iter().map(|(k, v)| ((*k).to_owned(), v.clone())).collect();
+        let attributes: BTreeMap<String, Value> =
+            attributes.iter().map(|(k, v)| ((*k).to_owned(), v.clone())).collect();
         match core_segments()[segment].check(&id, &Instance::new(attributes)) {
             Ok(()) => "fits".into(),
             Err(error) => error.to_string(),
@@ -242,11 +296,34 @@ mod tests {
                 refused("`pose` has an orientation that is not a unit quaternion"),
             ),
             (
-                vec![class, ("position_covariance", Value::List(vec![1.0.into(), "x".into()]))],
-                refused("`position_covariance[1]` is the string \"x\", where float is wanted"),
+                vec![class, ("alternatives", Value::List(vec![1.0.into(), "x".into()]))],
+                refused("`alternatives[1]` is the string \"x\", where float is wanted"),
             ),
         ] {
             assert_eq!(complaint("ObjectInstances", &attributes), expected);
+        }
+    }
+
+    #[test]
+    fn covariances_fit_their_attributes() {
+        let id: EntityId = "S/p/e".parse().unwrap();
+        let point = Value::Vector(Vector { frame: Frame::root(), components: [0.0; 3] });
+        let instance = Instance::new([("x", Value::Float(1.0)), ("at", point), ("word", "a".into())]);
+        let fits = |name: &str, rows: &[f64]| {
+            check_form(&id, &instance.clone().with_covariance(name, rows.to_vec())).is_ok()
+        };
+        assert!(fits("x", &[0.0]) && fits("at", &[1.0, 0.5, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0, 2.0]));
+        for (name, rows) in [
+            ("x", &[-1.0][..]),
+            ("x", &[f64::NAN]),
+            ("x", &[1.0, 1.0]),
+            ("at", &[1.0]),
+            ("at", &[1.0, 0.5, 0.0, 0.4, 1.0, 0.0, 0.0, 0.0, 2.0]),
+            ("at", &[1.0, 2.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0, 2.0]),
+            ("word", &[1.0]),
+            ("missing", &[1.0]),
+        ] {
+            assert!(!fits(name, rows), "{name} {rows:?}");
         }
     }
 

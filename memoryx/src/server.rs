@@ -1,27 +1,40 @@
 //! Shares a working memory over Zenoh: answers commits and queries, takes updates, and tells every change.
 //!
 //! What is told goes through a [`Follower`], so that a network that is slow for a while loses nothing that the
-//! memory still holds. What others send is checked like any commit; what is not understood is refused or, where
+//! memory still has; changes that wait together travel together. Nobody who does not read holds the others up: what
+//! a link does not take is dropped there, and its reader sees the gap and asks again. Commits that wait together are
+//! made durable together. What others send is checked like any commit; what is not understood is refused or, where
 //! nobody waits for an answer, logged with its sender.
 
 use std::sync::Arc;
 
 use armarium_bus::{
-    AliveToken, KeyPattern, Message, Question, Questions, Session, SessionError, Subscription, keys,
+    AliveToken, Interest, Message, Question, Questions, Session, SessionError, Subscription, keys,
 };
+use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 
-use crate::entity::Commit;
+use crate::entity::{Commit, Snapshot};
 use crate::error::MemoryError;
 use crate::follow::{Change, Follower};
+use crate::maintain;
 use crate::query::{Pattern, Query};
-use crate::wire::{self, CommitRequest, Snapshots, Versions};
+use crate::store::LongTermMemory;
+use crate::wire::{self, Changes, CommitRequest, Maintain, Snapshots, Versions};
 use crate::working::WorkingMemory;
 
 /// Questions and updates that wait to be looked at.
 const QUEUE: usize = 1024;
-/// Most bytes of snapshots in one answer.
-const LARGEST_ANSWER: usize = 32 << 20;
+/// Commits that are made durable together.
+const GROUP: usize = 256;
+/// Changes that are told together.
+const TOGETHER: usize = 512;
+/// Most snapshots in one answer.
+const MOST_SNAPSHOTS: usize = 8192;
+/// Most bytes of snapshots in one message, about; a single larger one travels alone.
+const MOST_BYTES: u64 = 4 << 20;
+/// Queries that are answered side by side.
+const QUERIES: usize = 8;
 
 /// A memory that is shared for as long as this lives.
 #[derive(Debug)]
@@ -40,6 +53,19 @@ impl MemoryServer {
         agent: &str,
         memory: Arc<WorkingMemory>,
     ) -> Result<Self, MemoryError> {
+        Self::start_with(session, agent, memory, None).await
+    }
+
+    /// [`Self::start`], with a long-term memory that others may ask to be maintained.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub async fn start_with(
+        session: &Session,
+        agent: &str,
+        memory: Arc<WorkingMemory>,
+        store: Option<Arc<LongTermMemory>>,
+    ) -> Result<Self, MemoryError> {
         let failed = |error: SessionError| unreachable_memory(agent, &error.to_string());
         let named = |error: armarium_bus::KeyError| MemoryError::Name { name: error.name };
         let requests = keys::memory_commit(agent).map_err(named)?;
@@ -47,22 +73,20 @@ impl MemoryServer {
         let service = keys::alive(agent, "memory").map_err(named)?;
 
         let (follower, _) = Follower::from_now(Arc::<WorkingMemory>::clone(&memory), Pattern::any()).await?;
-        let shared = Shared { session: session.clone(), agent: agent.into(), memory };
+        let queries = Arc::new(Semaphore::new(QUERIES));
+        let shared = Shared { session: session.clone(), agent: agent.into(), memory, store, queries };
         let mut tasks = JoinSet::new();
         let questions = session.answer(requests, QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_requests(questions));
         let gets = session.answer(entities.clone(), QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_gets(gets));
-        let updates = subscribe(session, entities).await.map_err(failed)?;
+        let updates = session.subscribe_others(entities.clone(), QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().take_updates(updates));
-        tasks.spawn(shared.tell(follower));
+        let interest = session.interest(&entities).await.map_err(failed)?;
+        tasks.spawn(shared.tell(follower, interest));
         let alive = session.alive(&service).await.map_err(failed)?;
         Ok(Self { _alive: alive, _tasks: tasks })
     }
-}
-
-async fn subscribe(session: &Session, entities: KeyPattern) -> Result<Subscription, SessionError> {
-    session.subscribe(entities, QUEUE).await
 }
 
 pub(crate) fn unreachable_memory(agent: &str, what: &str) -> MemoryError {
@@ -74,54 +98,111 @@ struct Shared {
     session: Session,
     agent: String,
     memory: Arc<WorkingMemory>,
+    store: Option<Arc<LongTermMemory>>,
+    queries: Arc<Semaphore>,
 }
 
 impl Shared {
     async fn answer_requests(self, mut questions: Questions) {
-        while let Some(question) = questions.next().await {
-            let answer = self.answer(&question.encoding, &question.payload);
-            let sent = match answer {
-                Ok((encoding, payload)) => match keys::memory_commit(&self.agent) {
-                    Ok(key) => question.reply(&key, &encoding, payload).await,
-                    Err(error) => refuse(&question, &MemoryError::Name { name: error.name }).await,
-                },
-                Err(error) => refuse(&question, &error).await,
-            };
-            log_failure(sent);
+        let mut others = JoinSet::new();
+        while let Some(first) = questions.next().await {
+            let mut commits = Vec::new();
+            let mut next = Some(first);
+            while let Some(question) = next {
+                if question.encoding.starts_with("application/cbor;memoryx/commit;") {
+                    commits.push(question);
+                } else if let Ok(permit) = Arc::clone(&self.queries).acquire_owned().await {
+                    let shared = self.clone();
+                    others.spawn(async move {
+                        let answer = tokio::task::block_in_place(|| shared.answer(&question));
+                        shared.send(&question, answer).await;
+                        drop(permit);
+                    });
+                }
+                next = if commits.len() < GROUP { questions.try_next() } else { None };
+            }
+            self.answer_commits(commits).await;
+            while others.try_join_next().is_some() {}
         }
     }
 
-    /// A commit or a query, by its encoding.
-    fn answer(&self, encoding: &str, payload: &[u8]) -> Result<(String, Vec<u8>), MemoryError> {
-        let not_understood =
-            |error: armarium_bus::CodecError| unreachable_memory(&self.agent, &error.to_string());
-        if encoding.starts_with("application/cbor;memoryx/commit;") {
-            let request: CommitRequest = wire::open(encoding, payload).map_err(not_understood)?;
-            let versions = self.memory.commit_sent(request.updates, request.sent_ns)?;
-            return wire::seal(&Versions(versions)).map_err(not_understood);
+    async fn answer_commits(&self, questions: Vec<Question>) {
+        let mut understood = Vec::with_capacity(questions.len());
+        let mut commits = Vec::with_capacity(questions.len());
+        for question in questions {
+            match wire::open::<CommitRequest>(&question.encoding, &question.payload) {
+                Ok(request) => {
+                    commits.push((request.updates, request.sent_ns));
+                    understood.push(question);
+                }
+                Err(error) => self.send(&question, Err(self.not_understood(&error))).await,
+            }
         }
-        let query: Query = wire::open(encoding, payload).map_err(not_understood)?;
-        let found = self.memory.query_now(&query);
-        let (encoding, payload) =
-            wire::seal(&Snapshots(found.iter().map(|s| (**s).clone()).collect())).map_err(not_understood)?;
-        if payload.len() > LARGEST_ANSWER {
-            let what = format!("the answer of {} snapshots is too large; ask for less at once", found.len());
-            return Err(unreachable_memory(&self.agent, &what));
+        if commits.is_empty() {
+            return;
         }
-        Ok((encoding, payload))
+        let answers = tokio::task::block_in_place(|| self.memory.commit_group(commits));
+        for (question, answer) in understood.iter().zip(answers) {
+            let sealed = answer.and_then(|v| wire::seal(&Versions(v)).map_err(|e| self.not_understood(&e)));
+            self.send(question, sealed).await;
+        }
+    }
+
+    async fn send(&self, question: &Question, answer: Result<(String, Vec<u8>), MemoryError>) {
+        let key = keys::memory_commit(&self.agent).map_err(|error| MemoryError::Name { name: error.name });
+        let sent = match (answer, key) {
+            (Ok((encoding, payload)), Ok(key)) => question.reply(&key, &encoding, payload).await,
+            (Err(error), _) | (_, Err(error)) => refuse(question, &error).await,
+        };
+        log_failure(sent);
+    }
+
+    fn not_understood(&self, error: &armarium_bus::CodecError) -> MemoryError {
+        unreachable_memory(&self.agent, &error.to_string())
+    }
+
+    /// A query or maintenance, by its encoding.
+    fn answer(&self, question: &Question) -> Result<(String, Vec<u8>), MemoryError> {
+        let (encoding, payload) = (question.encoding.as_str(), question.payload.as_slice());
+        let sealed = if encoding.starts_with("application/cbor;memoryx/maintain;") {
+            let request: Maintain = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
+            let store =
+                self.store.as_deref().ok_or_else(|| MemoryError::Store { what: "there is none".into() })?;
+            wire::seal(&maintain::carry_out(request, store, &self.memory)?)
+        } else {
+            let query: Query = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
+            wire::seal(&self.piece(query)?)
+        };
+        sealed.map_err(|e| self.not_understood(&e))
+    }
+
+    /// As much of an answer as travels at once.
+    fn piece(&self, mut query: Query) -> Result<Snapshots, MemoryError> {
+        let most = query.most.unwrap_or(usize::MAX).min(MOST_SNAPSHOTS);
+        let wanted = query.most.replace(most);
+        let mut snapshots = self.memory.query_now(&query)?;
+        let full = snapshots.len() == most && wanted.is_none_or(|wanted| wanted > most);
+        let fits = within(&snapshots, MOST_BYTES);
+        let cut = fits < snapshots.len();
+        snapshots.truncate(fits);
+        // The nearest ones have an order of their own, in which nobody can go on.
+        Ok(Snapshots { snapshots, more: (full || cut) && !query.is_nearest() })
     }
 
     async fn answer_gets(self, mut questions: Questions) {
         while let Some(question) = questions.next().await {
-            match wire::query_of_get(&question.key, &question.parameters) {
-                Ok(query) => log_failure(self.answer_get(&question, &query).await),
-                Err(what) => log_failure(refuse(&question, &unreachable_memory(&self.agent, &what)).await),
+            let found = wire::query_of_get(&question.key, &question.parameters)
+                .map_err(|what| MemoryError::Query { what })
+                .and_then(|query| tokio::task::block_in_place(|| self.memory.query_now(&query)));
+            match found {
+                Ok(found) => log_failure(self.answer_get(&question, found).await),
+                Err(error) => log_failure(refuse(&question, &error).await),
             }
         }
     }
 
-    async fn answer_get(&self, question: &Question, query: &Query) -> Result<(), SessionError> {
-        for snapshot in self.memory.query_now(query) {
+    async fn answer_get(&self, question: &Question, found: Vec<Arc<Snapshot>>) -> Result<(), SessionError> {
+        for snapshot in found {
             let (Ok(key), Ok((encoding, payload))) =
                 (wire::entity_key(&self.agent, &snapshot), wire::seal(&*snapshot))
             else {
@@ -135,9 +216,7 @@ impl Shared {
     async fn take_updates(self, mut updates: Subscription) {
         let mut dropped = 0;
         while let Some(message) = updates.next().await {
-            // The memory's own voice is on the same keys.
-            let is_own = message.encoding.starts_with("application/cbor;memoryx/entity;");
-            if let Some(error) = (!is_own).then(|| self.take_update(&message).err()).flatten() {
+            if let Err(error) = self.take_update(&message) {
                 let sender = message.sender.as_deref().unwrap_or("unknown");
                 tracing::warn!(%error, key = message.key, sender, "an update was refused");
             }
@@ -156,29 +235,72 @@ impl Shared {
             return Err(not_understood(format!("the update is of `{}`, not of its key", update.id)));
         }
         let sent_ns = message.sent_ns.unwrap_or_else(|| self.memory.now_ns());
-        self.memory.commit_sent(vec![update], sent_ns)?;
+        tokio::task::block_in_place(|| self.memory.commit_sent(vec![update], sent_ns))?;
         Ok(())
     }
 
-    async fn tell(self, mut follower: Follower) {
+    async fn tell(self, mut follower: Follower, interest: Interest) {
+        let Ok(key) = keys::memory_changes(&self.agent) else { return };
+        let epoch = self.session.now_ns();
+        let mut told = 0;
         loop {
-            match follower.next().await {
-                Ok(Some(Change::New(snapshot))) => {
-                    let (Ok(key), Ok((encoding, payload))) =
-                        (wire::entity_key(&self.agent, &snapshot), wire::seal(&*snapshot))
-                    else {
-                        continue;
-                    };
-                    log_failure(self.session.put_waiting(&key, &encoding, payload).await);
-                }
-                Ok(Some(Change::Missed { id, from, to })) => {
-                    tracing::warn!(%id, from, to, "versions were overtaken before they could be told");
-                }
+            let first = match follower.next().await {
+                Ok(Some(change)) => change,
                 Ok(None) => return,
-                Err(error) => tracing::warn!(%error, "changes could not be read"),
+                Err(error) => {
+                    tracing::warn!(%error, "changes could not be read");
+                    continue;
+                }
+            };
+            let more = follower.drain(TOGETHER - 1).await.unwrap_or_else(|error| {
+                tracing::warn!(%error, "changes could not be read");
+                Vec::new()
+            });
+            let mut news = Vec::with_capacity(more.len() + 1);
+            for change in std::iter::once(first).chain(more) {
+                match change {
+                    Change::New(snapshot) => news.push(snapshot),
+                    Change::Missed { id, from, to } => {
+                        tracing::warn!(%id, from, to, "versions were overtaken before they could be told");
+                    }
+                }
+            }
+            if interest.is_there() {
+                self.tell_each(&news).await;
+            }
+            while !news.is_empty() {
+                let rest = news.split_off(within(&news, MOST_BYTES));
+                let changes = Changes { epoch, first: told, snapshots: std::mem::replace(&mut news, rest) };
+                told += changes.snapshots.len() as u64;
+                match wire::seal(&changes) {
+                    Ok((encoding, payload)) => log_failure(self.session.put(&key, &encoding, payload).await),
+                    Err(error) => tracing::warn!(%error, "changes could not be told"),
+                }
             }
         }
     }
+
+    /// Tells changes on the keys of their entities, for those who know nothing of [`Changes`].
+    async fn tell_each(&self, news: &[Arc<Snapshot>]) {
+        for snapshot in news {
+            let (Ok(key), Ok((encoding, payload))) =
+                (wire::entity_key(&self.agent, snapshot), wire::seal(&**snapshot))
+            else {
+                continue;
+            };
+            log_failure(self.session.put(&key, &encoding, payload).await);
+        }
+    }
+}
+
+/// How many of the first snapshots fit into this many bytes, about; at least one.
+fn within(snapshots: &[Arc<Snapshot>], most: u64) -> usize {
+    let mut bytes = 0;
+    let fits = snapshots.iter().take_while(|snapshot| {
+        bytes += snapshot.bytes();
+        bytes <= most
+    });
+    fits.count().max(1).min(snapshots.len())
 }
 
 async fn refuse(question: &Question, error: &MemoryError) -> Result<(), SessionError> {

@@ -3,13 +3,19 @@
 //! | where | payload | answer |
 //! |---|---|---|
 //! | get `{agent}/memory` | `memoryx/commit;v1`: [`CommitRequest`] | `memoryx/versions;v1`: list of versions |
-//! | get `{agent}/memory` | `memoryx/query;v1`: [`Query`] | `memoryx/snapshots;v1`: list of snapshots |
+//! | get `{agent}/memory` | `memoryx/query;v1`: [`Query`] | `memoryx/snapshots;v2`: [`Snapshots`], a part where there is more |
+//! | get `{agent}/memory` | `memoryx/maintain;v1`: [`Maintain`] | `memoryx/report;v1`: [`Report`] |
 //! | get `{agent}/memory/{segment}/{provider}/{entity}`, `*` allowed | - | `memoryx/entity;v1` each, on its own key |
 //! | put `{agent}/memory/{segment}/{provider}/{entity}` by others | `memoryx/update;v1`: [`Commit`] | - |
-//! | put `{agent}/memory/{segment}/{provider}/{entity}` by the memory | `memoryx/entity;v1`: [`Snapshot`] | - |
+//! | put `{agent}/memory/{segment}/{provider}/{entity}` by the memory, while anybody subscribes | `memoryx/entity;v1`: [`Snapshot`] | - |
+//! | put `{agent}/memory/changes` by the memory | `memoryx/changes;v1`: [`Changes`] | - |
 //!
 //! A refusal is an error reply with `memoryx/error;v1`: [`MemoryError`]. Parameters of a get on entities, times in ns:
-//! none (the newest), `history`, `at=T`, `before=T`, `from=T;to=T`, and with each `limit=N`.
+//! none (the newest), `history`, `at=T`, `before=T`, `from=T;to=T`, `index=I,J`, and with each `limit=N`, `filter=CEL` (without `;` and
+//! `=`), `long_term`.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use armarium_bus::{CodecError, Key, KeyPattern, Payload, Schema, keys};
 use serde::{Deserialize, Serialize};
@@ -32,10 +38,75 @@ pub struct CommitRequest {
 #[serde(transparent)]
 pub struct Versions(pub Vec<u64>);
 
-/// The snapshots that answer a query.
+/// The snapshots that answer a query, or the first part of them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct Snapshots(pub Vec<Snapshot>);
+pub struct Snapshots {
+    /// The snapshots.
+    pub snapshots: Vec<Arc<Snapshot>>,
+    /// Whether there are more, to be asked for with `after` the last of these.
+    pub more: bool,
+}
+
+/// Changes of a memory, in their order.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Changes {
+    /// When the memory began to tell, ns: the count begins anew with it.
+    pub epoch: u64,
+    /// How many changes were told before these.
+    pub first: u64,
+    /// The changes.
+    pub snapshots: Vec<Arc<Snapshot>>,
+}
+
+/// What is to be done with an agent's long-term memory.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Maintain {
+    /// Count what is there.
+    Stats,
+    /// Read and check everything.
+    Verify,
+    /// Give free space back.
+    Compact,
+    /// Keep working memory under a name.
+    Save {
+        /// The name.
+        name: String,
+    },
+    /// Make working memory hold again what a name holds.
+    Load {
+        /// The name.
+        name: String,
+    },
+    /// Forget a name.
+    Forget {
+        /// The name.
+        name: String,
+    },
+    /// List the names.
+    Names,
+    /// Forget what is old or too much.
+    Retain {
+        /// How long snapshots are kept, ns.
+        age_ns: Option<u64>,
+        /// Most bytes.
+        bytes: Option<u64>,
+    },
+    /// Keep snapshots with their versions, as an import does.
+    Keep {
+        /// The snapshots.
+        snapshots: Vec<Arc<Snapshot>>,
+    },
+}
+
+/// What was done.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// Numbers by name.
+    pub counts: BTreeMap<String, u64>,
+    /// What is to be said besides: damages, names.
+    pub words: Vec<String>,
+}
 
 impl Payload for CommitRequest {
     const SCHEMA: Schema = Schema::new("memoryx/commit", 1);
@@ -47,7 +118,16 @@ impl Payload for Query {
     const SCHEMA: Schema = Schema::new("memoryx/query", 1);
 }
 impl Payload for Snapshots {
-    const SCHEMA: Schema = Schema::new("memoryx/snapshots", 1);
+    const SCHEMA: Schema = Schema::new("memoryx/snapshots", 2);
+}
+impl Payload for Changes {
+    const SCHEMA: Schema = Schema::new("memoryx/changes", 1);
+}
+impl Payload for Maintain {
+    const SCHEMA: Schema = Schema::new("memoryx/maintain", 1);
+}
+impl Payload for Report {
+    const SCHEMA: Schema = Schema::new("memoryx/report", 1);
 }
 impl Payload for Snapshot {
     const SCHEMA: Schema = Schema::new("memoryx/entity", 1);
@@ -97,6 +177,14 @@ pub(crate) fn query_of_get(key: &str, parameters: &str) -> Result<Query, String>
             "latest" => query.times = Times::Latest,
             "history" => query.times = Times::All,
             "at" => query.times = Times::At(number()?),
+            "index" => {
+                let (first, last) = value.split_once(',').unwrap_or((value, value));
+                let place =
+                    |n: &str| n.parse::<i64>().map_err(|_| format!("`{parameter}` needs whole numbers"));
+                query.times = Times::Index(place(first)?, place(last)?);
+            }
+            "filter" => query.filter = Some(value.to_owned()),
+            "long_term" => query.long_term = true,
             "before" => query.times = Times::Before(number()?),
             "from" => from = Some(number()?),
             "to" => to = Some(number()?),

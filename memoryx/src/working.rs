@@ -4,9 +4,11 @@
 //! - Typed core segments are checked, others are free ([`SegmentSchema`]).
 //! - A [`Backing`] makes commits durable before they are acknowledged, and keeps the version numbers of entities
 //!   that this memory has not seen yet.
-//! - Writers wait for each other; a reader waits only while the new snapshots are put in, never for the backing.
+//! - Writers wait for each other; those who wait together are made durable together, by one write of the backing. A
+//!   reader waits only while the new snapshots are put in, never for the backing.
+//! - What it holds is bounded: entities, history, bytes, how far ahead data may speak.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
@@ -16,8 +18,14 @@ use tokio::sync::broadcast;
 use crate::entity::{Commit, EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::memory::Memory;
-use crate::query::{Query, Times};
-use crate::schema::{SegmentSchema, core_segments, too_deep};
+use crate::query::{Pattern, Query, Times};
+use crate::schema::{SegmentSchema, core_segments};
+
+mod committing;
+mod held;
+
+use committing::{Answer, Numbered, Request};
+use held::State;
 
 /// Tells the time, ns since an epoch that the whole memory shares.
 pub type Clock = Arc<dyn Fn() -> u64 + Send + Sync>;
@@ -38,11 +46,15 @@ pub struct Limits {
     pub entities: usize,
     /// Changes that a subscriber may lag behind before it misses some.
     pub backlog: usize,
+    /// Most bytes of all snapshots together, about.
+    pub bytes: u64,
+    /// How far ahead of this memory's clock data may speak, ns; any time where none is given.
+    pub ahead_ns: Option<u64>,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { history: 32, entities: 1_000_000, backlog: 4096 }
+        Self { history: 32, entities: 1_000_000, backlog: 4096, bytes: 4 << 30, ahead_ns: None }
     }
 }
 
@@ -60,6 +72,14 @@ pub trait Backing: Send + Sync {
     /// # Errors
     /// [`MemoryError::Store`] when they cannot be taken; the commit is then refused.
     fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError>;
+
+    /// What a query asks for of all that was ever taken.
+    ///
+    /// # Errors
+    /// [`MemoryError::Store`] when it cannot be read; [`MemoryError::Query`].
+    fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
+        query.ask().map(|_| Vec::new())
+    }
 }
 
 /// The memory of one agent, in this process.
@@ -69,16 +89,11 @@ pub struct WorkingMemory {
     schemas: BTreeMap<String, SegmentSchema>,
     backing: Option<Arc<dyn Backing>>,
     changes: broadcast::Sender<Arc<Snapshot>>,
-    /// Held by the one who commits, over the backing's answer.
-    committing: Mutex<()>,
+    /// Commits that wait for the one who commits.
+    waiting: Mutex<Vec<Request>>,
+    /// Held by the one who commits, over the backing's answer; the time of the last arrival, ns.
+    committing: Mutex<u64>,
     state: RwLock<State>,
-}
-
-#[derive(Default)]
-struct State {
-    segments: BTreeMap<String, BTreeMap<EntityId, VecDeque<Arc<Snapshot>>>>,
-    entities: usize,
-    read_only: BTreeSet<(String, String)>,
 }
 
 impl WorkingMemory {
@@ -92,7 +107,8 @@ impl WorkingMemory {
             schemas: core_segments(),
             backing: None,
             changes: broadcast::channel(limits.backlog).0,
-            committing: Mutex::new(()),
+            waiting: Mutex::default(),
+            committing: Mutex::new(0),
             state: RwLock::default(),
         }
     }
@@ -134,7 +150,13 @@ impl WorkingMemory {
     /// How many entities it holds, the removed ones included.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.read().entities
+        self.read().len()
+    }
+
+    /// How many bytes its snapshots take, about.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.read().bytes()
     }
 
     /// Whether it holds nothing.
@@ -160,10 +182,36 @@ impl WorkingMemory {
         self.write(updates, sent_ns, false)
     }
 
+    /// Several commits at once: each is taken or refused for itself, and those that are taken are made durable
+    /// together.
+    pub fn commit_group(&self, commits: Vec<(Vec<Commit>, u64)>) -> Vec<Result<Vec<u64>, MemoryError>> {
+        let answers: Vec<_> = commits.iter().map(|_| Arc::new(Mutex::new(None))).collect();
+        let requests = commits.into_iter().zip(&answers).map(|((updates, sent_ns), answer)| Request {
+            updates,
+            sent_ns,
+            prior: false,
+            answer: Arc::clone(answer),
+        });
+        let requests: Vec<_> = requests.collect();
+        self.waiting.lock().unwrap_or_else(PoisonError::into_inner).extend(requests);
+        self.commit_waiting();
+        let taken = |answer: Arc<Mutex<Option<Answer>>>| {
+            let answer = answer.lock().unwrap_or_else(PoisonError::into_inner).take();
+            answer.expect("whoever takes a request from the queue answers it")
+        };
+        answers.into_iter().map(taken).collect()
+    }
+
     /// Makes a provider segment read-only for everybody: prior knowledge.
     pub fn protect(&self, segment: &str, provider: &str) {
         let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
         state.read_only.insert((segment.into(), provider.into()));
+    }
+
+    /// Whether an entity is in a read-only provider segment.
+    #[must_use]
+    pub fn is_read_only(&self, id: &EntityId) -> bool {
+        self.read().is_read_only(id)
     }
 
     /// Commits into read-only provider segments too.
@@ -182,10 +230,11 @@ impl WorkingMemory {
         let state = self.read();
         let newest = |id: &EntityId| state.newest(id).map_or(0, |s| s.version);
         let wanted: Vec<_> = snapshots.into_iter().filter(|s| s.version > newest(&s.id)).collect();
+        let mut room = Numbered::default();
         for snapshot in &wanted {
             self.check(&snapshot.id, &snapshot.instances)?;
+            self.check_room(&state, &mut room, &snapshot.id, &snapshot.instances)?;
         }
-        self.check_room(&state, wanted.iter().map(|s| &s.id))?;
         drop(state);
         let count = wanted.len();
         self.put_in(wanted);
@@ -202,173 +251,50 @@ impl WorkingMemory {
     }
 
     /// [`Memory::query`] without a task.
-    #[must_use]
-    pub fn query_now(&self, query: &Query) -> Vec<Arc<Snapshot>> {
-        let state = self.read();
-        let one = |id: &EntityId, history: &VecDeque<Arc<Snapshot>>| {
-            if query.pattern.matches(id) { query.select(history.iter().cloned()) } else { Vec::new() }
-        };
-        let in_segment = |segment: &BTreeMap<EntityId, VecDeque<Arc<Snapshot>>>| {
-            segment.iter().flat_map(|(id, history)| one(id, history)).collect::<Vec<_>>()
-        };
-        let pattern = &query.pattern;
-        if let (Some(s), Some(p), Some(e)) = (&pattern.segment, &pattern.provider, &pattern.entity) {
-            let Ok(id) = EntityId::new(s, p, e) else { return Vec::new() };
-            return state.history(&id).map(|history| one(&id, history)).unwrap_or_default();
+    ///
+    /// # Errors
+    /// As [`Memory::query`].
+    pub fn query_now(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
+        let asked = query.ask()?;
+        let backing = self.backing.as_ref().filter(|_| query.long_term);
+        let Some(backing) = backing else { return Ok(asked.finish(self.read().select(&asked))) };
+        let wide = wider(query);
+        let mut known: BTreeMap<EntityId, BTreeMap<u64, Arc<Snapshot>>> = BTreeMap::new();
+        let recalled = backing.recall(&wide)?;
+        let held = self.read().select(&wide.ask()?);
+        for snapshot in recalled.into_iter().chain(held) {
+            known.entry(snapshot.id.clone()).or_default().insert(snapshot.version, snapshot);
         }
-        match &pattern.segment {
-            Some(name) => state.segments.get(name).map(in_segment).unwrap_or_default(),
-            None => state.segments.values().flat_map(in_segment).collect(),
-        }
+        let wanted = known.into_iter().filter(|(id, _)| asked.wants(id));
+        Ok(asked.finish(wanted.flat_map(|(_, history)| asked.select(history.into_values())).collect()))
     }
 
     fn read(&self) -> std::sync::RwLockReadGuard<'_, State> {
         self.state.read().unwrap_or_else(PoisonError::into_inner)
     }
-
-    fn write(&self, updates: Vec<Commit>, sent_ns: u64, prior: bool) -> Result<Vec<u64>, MemoryError> {
-        let _one_writer = self.committing.lock().unwrap_or_else(PoisonError::into_inner);
-        let snapshots = self.number(updates, sent_ns, prior)?;
-        if let Some(backing) = &self.backing {
-            backing.take(&snapshots)?;
-        }
-        let versions = snapshots.iter().map(|s| s.version).collect();
-        self.put_in(snapshots);
-        Ok(versions)
-    }
-
-    /// Checks updates and makes numbered snapshots of them, which nobody sees yet.
-    fn number(
-        &self,
-        updates: Vec<Commit>,
-        sent_ns: u64,
-        prior: bool,
-    ) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
-        let arrived_ns = self.now_ns();
-        let state = self.read();
-        for update in &updates {
-            if !prior && state.is_read_only(&update.id) {
-                return Err(MemoryError::ReadOnly { id: update.id.to_string() });
-            }
-            self.check(&update.id, &update.instances)?;
-        }
-        self.check_room(&state, updates.iter().map(|u| &u.id))?;
-        let mut numbered: BTreeMap<EntityId, u64> = BTreeMap::new();
-        let mut gone: BTreeSet<EntityId> = BTreeSet::new();
-        let mut snapshots = Vec::with_capacity(updates.len());
-        for update in updates {
-            let (version, is_gone) = match (numbered.get(&update.id), state.newest(&update.id)) {
-                (Some(version), _) => (*version, gone.contains(&update.id)),
-                (None, Some(newest)) => (newest.version, newest.is_removed()),
-                (None, None) => (self.backing_version(&update.id)?, true),
-            };
-            expect(&update, if is_gone { 0 } else { version })?;
-            if snapshots.capacity() > 1 {
-                numbered.insert(update.id.clone(), version + 1);
-                if update.instances.is_empty() {
-                    gone.insert(update.id.clone());
-                } else {
-                    gone.remove(&update.id);
-                }
-            }
-            snapshots.push(Arc::new(Snapshot {
-                id: update.id,
-                version: version + 1,
-                referenced_ns: update.referenced_ns,
-                sent_ns,
-                arrived_ns,
-                instances: update.instances,
-            }));
-        }
-        Ok(snapshots)
-    }
-
-    fn backing_version(&self, id: &EntityId) -> Result<u64, MemoryError> {
-        self.backing.as_ref().map_or(Ok(0), |backing| backing.last_version(id))
-    }
-
-    fn check(&self, id: &EntityId, instances: &[crate::entity::Instance]) -> Result<(), MemoryError> {
-        let schema = self.schemas.get(id.segment());
-        for instance in instances {
-            if !(0.0..=1.0).contains(&instance.confidence) {
-                return Err(MemoryError::Confidence { id: id.to_string() });
-            }
-            if let Some((name, _)) = instance.attributes.iter().find(|(_, value)| too_deep(value)) {
-                let what = "is nested too deep".into();
-                return Err(MemoryError::Schema { id: id.to_string(), attribute: name.clone(), what });
-            }
-            if let Some(schema) = schema {
-                schema.check(id, instance)?;
-            }
-        }
-        Ok(())
-    }
-
-    fn check_room<'a>(
-        &self,
-        state: &State,
-        ids: impl Iterator<Item = &'a EntityId>,
-    ) -> Result<(), MemoryError> {
-        let mut new = BTreeSet::new();
-        for id in ids {
-            if state.newest(id).is_none()
-                && new.insert(id)
-                && state.entities + new.len() > self.limits.entities
-            {
-                return Err(MemoryError::Full { id: id.to_string(), entities: self.limits.entities as u64 });
-            }
-        }
-        Ok(())
-    }
-
-    /// Makes snapshots visible, and tells the subscribers in the same order.
-    fn put_in(&self, snapshots: Vec<Arc<Snapshot>>) {
-        let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
-        for snapshot in snapshots {
-            state.put_in(&snapshot, self.limits.history);
-            // Nobody listening is no error.
-            let _ = self.changes.send(snapshot);
-        }
-    }
 }
 
-fn expect(update: &Commit, actual: u64) -> Result<(), MemoryError> {
-    match update.expected_version {
-        Some(expected) if expected != actual => {
-            Err(MemoryError::Conflict { id: update.id.to_string(), expected, actual })
-        }
-        _ => Ok(()),
-    }
-}
-
-impl State {
-    fn history(&self, id: &EntityId) -> Option<&VecDeque<Arc<Snapshot>>> {
-        self.segments.get(id.segment())?.get(id)
-    }
-
-    fn newest(&self, id: &EntityId) -> Option<&Arc<Snapshot>> {
-        self.history(id)?.back()
-    }
-
-    fn is_read_only(&self, id: &EntityId) -> bool {
-        !self.read_only.is_empty()
-            && self.read_only.iter().any(|(s, p)| s == id.segment() && p == id.provider())
-    }
-
-    fn put_in(&mut self, snapshot: &Arc<Snapshot>, keep: usize) {
-        if !self.segments.contains_key(snapshot.id.segment()) {
-            self.segments.insert(snapshot.id.segment().into(), BTreeMap::new());
-        }
-        let segment =
-            self.segments.get_mut(snapshot.id.segment()).expect("it was put there if it was missing");
-        let history = segment.entry(snapshot.id.clone()).or_insert_with(|| {
-            self.entities += 1;
-            VecDeque::new()
-        });
-        while history.len() >= keep {
-            history.pop_front();
-        }
-        history.push_back(Arc::clone(snapshot));
+/// What two memories are asked for when the answer is taken of what they know together: all that could decide it.
+fn wider(query: &Query) -> Query {
+    let by_time = matches!(query.times, Times::All | Times::Between(..) | Times::Versions(..));
+    let is_plain = by_time && query.filter.is_none() && query.region.is_none();
+    let (times, limit) = match query.times {
+        Times::Latest => (Times::All, Some(1)),
+        Times::Index(..) => (Times::All, None),
+        Times::At(time) => (Times::Between(0, time), None),
+        Times::Before(time) => (Times::Between(0, time.saturating_sub(1)), None),
+        // Each has the newest ones of what it knows, unless something else chooses among them.
+        times => (times, query.limit.filter(|_| is_plain && query.after.is_none())),
+    };
+    Query {
+        pattern: query.pattern.clone(),
+        times,
+        limit,
+        arrived_since: query.arrived_since.filter(|_| by_time),
+        // The first ones of both together are among the first ones of each.
+        after: query.after.clone().filter(|_| is_plain && query.limit.is_none()),
+        most: query.most.filter(|_| is_plain && query.limit.is_none()),
+        ..Query::default()
     }
 }
 
@@ -383,12 +309,11 @@ impl Memory for WorkingMemory {
     }
 
     async fn segment(&self, segment: &str) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
-        let pattern = crate::query::Pattern::segment(segment);
-        Ok(self.query_now(&Query { pattern, times: Times::Latest, limit: None }))
+        self.query_now(&Query::latest(Pattern::segment(segment)))
     }
 
     async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
-        Ok(self.query_now(query))
+        self.query_now(query)
     }
 
     fn subscribe(&self) -> broadcast::Receiver<Arc<Snapshot>> {

@@ -34,6 +34,7 @@ fn three_times_are_kept_apart() {
     memory.commit_now(vec![update("a", 41, 1)]).unwrap();
     let times: Vec<_> = memory
         .query_now(&Query::history(Pattern::any()))
+        .unwrap()
         .iter()
         .map(|s| (s.referenced_ns, s.sent_ns, s.arrived_ns))
         .collect();
@@ -47,7 +48,7 @@ fn history_and_entities_are_bounded() {
         memory.commit_now(vec![update("a", i, 0)]).unwrap();
     }
     let held: Vec<u64> =
-        memory.query_now(&Query::history(Pattern::any())).iter().map(|s| s.version).collect();
+        memory.query_now(&Query::history(Pattern::any())).unwrap().iter().map(|s| s.version).collect();
     assert_eq!(held, [4, 5]);
     let full = memory.commit_now(vec![update("b", 0, 0), update("a", 0, 0), update("c", 0, 0)]);
     assert_eq!(full, Err(MemoryError::Full { id: "Things/p/c".into(), entities: 2 }));
@@ -103,7 +104,7 @@ async fn a_follower_resumes_where_it_was() {
         memory.commit_now(vec![update("a", i, 0)]).unwrap();
     }
     let mut follower =
-        Follower::resume(Arc::<WorkingMemory>::clone(&memory), Pattern::any(), told).await.unwrap();
+        Follower::resume(Arc::<WorkingMemory>::clone(&memory), Pattern::any(), told, 0).await.unwrap();
     let mut seen = Vec::new();
     for change in follower.drain(100).await.unwrap() {
         seen.push(match change {

@@ -24,7 +24,7 @@ pub enum Value {
     /// A span of time, s.
     Duration(#[serde(with = "number")] f64),
     /// Opaque bytes.
-    Bytes(Vec<u8>),
+    Bytes(#[serde(with = "bytes")] Vec<u8>),
     /// An ordered sequence.
     List(Vec<Value>),
     /// Named values, ordered by name.
@@ -66,6 +66,56 @@ mod number {
             Form::Number(number) => Ok(number),
             Form::Word(word) => word.parse().map_err(serde::de::Error::custom),
         }
+    }
+}
+
+/// Bytes as such in binary formats, and as a list of numbers in formats for people; both are read in both.
+mod bytes {
+    use std::fmt;
+
+    use serde::de::{SeqAccess, Visitor};
+    use serde::{Deserializer, Serialize, Serializer};
+
+    /// Room that is made before the bytes of a list have been seen.
+    const ROOM: usize = 4096;
+
+    pub(super) fn serialize<S: Serializer>(bytes: &Vec<u8>, serializer: S) -> Result<S::Ok, S::Error> {
+        if serializer.is_human_readable() {
+            bytes.serialize(serializer)
+        } else {
+            serializer.serialize_bytes(bytes)
+        }
+    }
+
+    struct Bytes;
+
+    impl<'de> Visitor<'de> for Bytes {
+        type Value = Vec<u8>;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("bytes")
+        }
+
+        fn visit_bytes<E>(self, bytes: &[u8]) -> Result<Vec<u8>, E> {
+            Ok(bytes.to_vec())
+        }
+
+        fn visit_byte_buf<E>(self, bytes: Vec<u8>) -> Result<Vec<u8>, E> {
+            Ok(bytes)
+        }
+
+        fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<Vec<u8>, A::Error> {
+            let mut bytes = Vec::with_capacity(items.size_hint().unwrap_or(0).min(ROOM));
+            while let Some(byte) = items.next_element()? {
+                bytes.push(byte);
+            }
+            Ok(bytes)
+        }
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<u8>, D::Error> {
+        // A self-describing format says itself which of the two it holds.
+        deserializer.deserialize_any(Bytes)
     }
 }
 
@@ -298,5 +348,12 @@ mod tests {
             let Value::Float(back) = serde_json::from_str(&text).unwrap() else { panic!("{text}") };
             assert_eq!(back.to_bits(), number.to_bits(), "{text}");
         }
+    }
+    #[test]
+    fn bytes_are_numbers_for_people() {
+        let bytes = Value::Bytes(vec![0, 1, 255]);
+        let text = serde_json::to_string(&bytes).unwrap();
+        assert_eq!(text, r#"{"bytes":[0,1,255]}"#);
+        assert_eq!(serde_json::from_str::<Value>(&text).unwrap(), bytes);
     }
 }

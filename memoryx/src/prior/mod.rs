@@ -10,6 +10,7 @@ use std::collections::BTreeMap;
 
 use armarium_values::{Frame, Pose, Value};
 
+use crate::attributes::Attributes;
 use crate::entity::{Commit, EntityId, Snapshot, check_name};
 use crate::error::MemoryError;
 use crate::working::WorkingMemory;
@@ -277,12 +278,12 @@ impl PriorKnowledge {
         let now = memory.now_ns();
         let query =
             crate::query::Query::latest(crate::query::Pattern::segment(OBJECT_CLASSES).of_provider(PRIOR));
-        let held = memory.query_now(&query);
+        let held = memory.query_now(&query)?;
         let gone = held.iter().filter(|s| !self.classes.contains_key(s.id.entity()));
         let mut updates: Vec<Commit> = gone.map(|s| Commit::removal(s.id.clone(), now)).collect();
         for class in self.classes.values() {
             let id = EntityId::new(OBJECT_CLASSES, PRIOR, &class.name)?;
-            let attributes = class.attributes();
+            let attributes = Attributes::from(class.attributes());
             let known = held.iter().find(|s| s.id == id).and_then(|s| s.instance());
             if known.is_none_or(|instance| instance.attributes != attributes) {
                 updates.push(Commit::new(id, now, attributes));

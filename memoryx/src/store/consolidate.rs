@@ -12,6 +12,7 @@ use std::time::Duration;
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::follow::{Change, Follower};
+use crate::query::Query;
 use crate::store::{LongTermMemory, StoreError};
 use crate::working::Backing;
 
@@ -275,6 +276,10 @@ impl Backing for Consolidator {
         self.consolidate(snapshots)?;
         Ok(())
     }
+
+    fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
+        self.store.recall(query)
+    }
 }
 
 /// A backing that only numbers: for a working memory whose changes are kept beside it, by [`Consolidator::follow`].
@@ -288,5 +293,9 @@ impl Backing for Numbering {
 
     fn take(&self, _: &[Arc<Snapshot>]) -> Result<(), MemoryError> {
         Ok(())
+    }
+
+    fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
+        self.0.recall(query)
     }
 }

@@ -284,16 +284,18 @@ fn other_files_are_refused_and_left_alone() {
     drop(other);
     assert!(matches!(LongTermMemory::open(&path), Err(StoreError::NotAStore { .. })));
 
-    let path = folder.path().join("newer.redb");
-    drop(LongTermMemory::open(&path).unwrap());
-    let newer = Database::create(&path).unwrap();
-    let write = newer.begin_write().unwrap();
-    write.open_table(META).unwrap().insert("format", 2).unwrap();
-    write.commit().unwrap();
-    drop(newer);
-    let path_text = path.display().to_string();
-    let error = StoreError::Format { path: path_text, found: 2, supported: FORMAT };
-    assert_eq!(LongTermMemory::open(&path).unwrap_err(), error);
+    for other_format in [1, 3] {
+        let path = folder.path().join(format!("format{other_format}.redb"));
+        drop(LongTermMemory::open(&path).unwrap());
+        let newer = Database::create(&path).unwrap();
+        let write = newer.begin_write().unwrap();
+        write.open_table(META).unwrap().insert("format", other_format).unwrap();
+        write.commit().unwrap();
+        drop(newer);
+        let path_text = path.display().to_string();
+        let error = StoreError::Format { path: path_text, found: other_format, supported: FORMAT };
+        assert_eq!(LongTermMemory::open(&path).unwrap_err(), error);
+    }
 }
 
 /// The variable that makes [`the_process_that_is_killed`] one.
@@ -318,7 +320,7 @@ fn a_killed_process_loses_nothing_acknowledged() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("killed.redb");
     let mut random = ChaCha8Rng::seed_from_u64(9);
-    for _ in 0..5 {
+    for _ in 0..100 {
         let mut child = Command::new(std::env::current_exe().unwrap())
             .args(["--exact", "store::fault_tests::the_process_that_is_killed", "--nocapture"])
             .env(CHILD, &path)
@@ -326,7 +328,7 @@ fn a_killed_process_loses_nothing_acknowledged() {
             .spawn()
             .unwrap();
         let lines = io::BufReader::new(child.stdout.take().unwrap()).lines();
-        let count = random.random_range(1..60);
+        let count = random.random_range(1..30);
         let mut last = 0;
         let acknowledged = lines.map_while(Result::ok);
         for line in acknowledged.filter_map(|l| l.rsplit_once("acknowledged ")?.1.parse().ok()).take(count) {

@@ -4,20 +4,27 @@
 //! whole or not at all. It does not decide what is worth keeping (see [`crate::Consolidator`]) and keeps no copy in
 //! working memory. All functions block for the disk.
 //!
-//! # The file, format 1
+//! # The file, format 2
 //!
-//! A redb file of file format 3 with four tables. Numbers in keys are big-endian, so that the order of bytes is the
-//! order of numbers; names hold no control characters, so that a zero byte ends them without doubt.
+//! A redb file of file format 3. Snapshots lie in the order in which they came, in chunks; an index finds them by entity
+//! and version. So keeping a group costs little more than writing its bytes, and reading everything is reading
+//! the chunks.
 //!
 //! | table | key | value |
 //! |---|---|---|
-//! | `meta` | `format` (text) | 1 (`u64`) |
-//! | `snapshots` | segment `00` provider `00` entity `00` version (8 bytes) | CRC-32 (IEEE, 4 bytes little-endian) of key and record, then the record |
-//! | `times` | segment `00` provider `00` entity `00` referenced_ns (8 bytes) version (8 bytes) | nothing |
-//! | `latest` | segment `00` provider `00` entity `00` | newest version (`u64`) |
+//! | `meta` | name (text) | `u64`: `format` (2), `next_entity`, `next_chunk`, `snapshots`, `bytes` (of chunks and blobs) |
+//! | `entities` | segment `00` provider `00` entity `00` | its number (`u64`), and whether later versions never speak of earlier times |
+//! | `index` | entity's number, version | chunk (`u64`), offset and length in it (`u32` each), referenced_ns (`u64`) |
+//! | `chunks` | number, counted up | records, one after the other, up to 64 kB; a longer record has a chunk of its own |
+//! | `blobs` | SHA-256 of the content | the content: byte values of 16 kB or more |
+//! | `blob_uses` | SHA-256 of the content | how many records name it (`u64`) |
+//! | `named` | name (text) | a named snapshot of working memory: the time it was taken, then entity numbers and versions (`u64` each) |
 //!
-//! A record is the CBOR map `{referenced_ns, sent_ns, arrived_ns, instances}`, `instances` as on the wire. `times` and
-//! `latest` follow from `snapshots`; one transaction changes all three, so they never disagree.
+//! A record: its length (`u32`), CRC-32 (IEEE, `u32`) of what follows, the entity's number, the version, referenced_ns, sent_ns,
+//! arrived_ns (`u64` each), the number of instances, and for each the confidence (`f64`), the attributes and the covariances. All
+//! numbers little-endian, counts and lengths as LEB128; a value is a byte that says its kind, then its content (`record.rs`
+//! has the list). Names hold no control characters, so that a zero byte ends them without doubt. One transaction
+//! changes all tables, so they never disagree.
 //!
 //! # What is relied on
 //! A sync that returns has written; a write that is not synced may be there in part, or not; nobody else writes
@@ -26,9 +33,9 @@
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
-use redb::{Database, ReadableDatabase, ReadableTable, ReadableTableMetadata, TableDefinition};
+use redb::{Database, ReadableDatabase, ReadableTableMetadata, TableDefinition};
 
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
@@ -36,26 +43,42 @@ use crate::query::{Pattern, Query};
 use crate::working::{Backing, WorkingMemory};
 
 mod consolidate;
+mod exchange;
+mod named;
 mod read;
 mod record;
+mod retain;
 mod verify;
+mod write;
 
 #[cfg(test)]
 mod fault_tests;
 #[cfg(test)]
+mod keep_tests;
+#[cfg(test)]
 mod tests;
 
 pub use consolidate::{Consolidator, Numbering, Policies, Policy, Step};
+pub use named::Named;
+pub use retain::{Dropped, Retention};
 pub use verify::Verification;
 
+use write::{Memo, Totals};
+
 /// The format that this program writes and reads.
-const FORMAT: u64 = 1;
+const FORMAT: u64 = 2;
 /// redb's cache, bytes.
 const CACHE: usize = 32 << 20;
 const META: TableDefinition<'_, &str, u64> = TableDefinition::new("meta");
-const SNAPSHOTS: TableDefinition<'_, &[u8], &[u8]> = TableDefinition::new("snapshots");
-const TIMES: TableDefinition<'_, &[u8], ()> = TableDefinition::new("times");
-const LATEST: TableDefinition<'_, &[u8], u64> = TableDefinition::new("latest");
+const ENTITIES: TableDefinition<'_, &[u8], (u64, bool)> = TableDefinition::new("entities");
+const INDEX: TableDefinition<'_, (u64, u64), Row> = TableDefinition::new("index");
+const CHUNKS: TableDefinition<'_, u64, &[u8]> = TableDefinition::new("chunks");
+const BLOBS: TableDefinition<'_, &[u8], &[u8]> = TableDefinition::new("blobs");
+const BLOB_USES: TableDefinition<'_, &[u8], u64> = TableDefinition::new("blob_uses");
+const NAMED: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("named");
+
+/// Where a record is: chunk, offset, length, and the time that its data speak of.
+type Row = (u64, u32, u32, u64);
 
 /// Why long-term memory refuses.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -76,7 +99,10 @@ pub enum StoreError {
         what: String,
     },
     /// The file is of another format.
-    #[error("`{path}` is of format {found}; this program reads and writes format {supported}")]
+    #[error(
+        "`{path}` is of format {found}; this program reads and writes format {supported}: use another file, or the \
+         program that wrote it"
+    )]
     Format {
         /// The file.
         path: String,
@@ -115,19 +141,34 @@ pub enum StoreError {
         /// The version.
         version: u64,
     },
-    /// A snapshot that cannot be encoded.
-    #[error("`{id}` cannot be kept: {what}")]
-    Encode {
-        /// The entity.
-        id: String,
-        /// Why.
+    /// There is no named snapshot of that name, or the name cannot be one.
+    #[error("long-term memory has no snapshot named `{name}`")]
+    NoSuchName {
+        /// The name.
+        name: String,
+    },
+    /// A line that is no snapshot, at import.
+    #[error("line {line} cannot be imported: {what}")]
+    Import {
+        /// Counted from 1.
+        line: u64,
+        /// What is wrong with it.
+        what: String,
+    },
+    /// A question that cannot be asked.
+    #[error("the query cannot be answered: {what}")]
+    Query {
+        /// What is wrong with it.
         what: String,
     },
 }
 
 impl From<StoreError> for MemoryError {
     fn from(error: StoreError) -> Self {
-        Self::Store { what: error.to_string() }
+        match error {
+            StoreError::Query { what } => Self::Query { what },
+            error => Self::Store { what: error.to_string() },
+        }
     }
 }
 
@@ -138,6 +179,8 @@ pub struct StoreStats {
     pub entities: u64,
     /// Snapshots.
     pub snapshots: u64,
+    /// Bytes of records and blobs, without the free space between them.
+    pub bytes: u64,
     /// Length of the file, bytes; 0 where there is no file.
     pub file_bytes: u64,
 }
@@ -151,6 +194,8 @@ pub struct LongTermMemory {
     opener: Opener,
     /// None after a failure: the next use opens the file again, which brings it back to its last commit.
     database: RwLock<Option<Database>>,
+    /// What is known of entities without reading; held by the one who writes.
+    memo: Mutex<Memo>,
 }
 
 impl LongTermMemory {
@@ -186,57 +231,9 @@ impl LongTermMemory {
     }
 
     fn open_with(name: String, path: Option<PathBuf>, opener: Opener) -> Result<Self, StoreError> {
-        let store = Self { path, name, opener, database: RwLock::new(None) };
+        let store = Self { path, name, opener, database: RwLock::new(None), memo: Mutex::default() };
         store.reopen()?;
         Ok(store)
-    }
-
-    /// Keeps snapshots, all or none; on the disk when this returns. Snapshots that are there already stay as they
-    /// are. Returns how many are new.
-    ///
-    /// # Errors
-    /// [`StoreError::Version`] when another snapshot has that version; [`StoreError::Full`] and others when the disk
-    /// fails.
-    pub fn persist(&self, snapshots: &[Arc<Snapshot>]) -> Result<usize, StoreError> {
-        let records = snapshots.iter().map(|s| record::encode(s)).collect::<Result<Vec<_>, _>>()?;
-        if records.is_empty() {
-            return Ok(0);
-        }
-        self.with(|database| {
-            let transaction = database.begin_write().map_err(|e| self.fault(e))?;
-            let mut new = 0;
-            {
-                let mut table = transaction.open_table(SNAPSHOTS).map_err(|e| self.fault(e))?;
-                let mut times = transaction.open_table(TIMES).map_err(|e| self.fault(e))?;
-                let mut latest = transaction.open_table(LATEST).map_err(|e| self.fault(e))?;
-                for (snapshot, record) in snapshots.iter().zip(&records) {
-                    let key = record::key(&snapshot.id, snapshot.version);
-                    let held =
-                        table.get(key.as_slice()).map_err(|e| self.fault(e))?.map(|v| v.value() == record);
-                    match held {
-                        Some(true) => continue,
-                        Some(false) => {
-                            let (id, version) = (snapshot.id.to_string(), snapshot.version);
-                            return Err(StoreError::Version { id, version });
-                        }
-                        None => {}
-                    }
-                    table.insert(key.as_slice(), record.as_slice()).map_err(|e| self.fault(e))?;
-                    let time = record::time_key(&snapshot.id, snapshot.referenced_ns, snapshot.version);
-                    times.insert(time.as_slice(), ()).map_err(|e| self.fault(e))?;
-                    let entity = record::entity_key(&snapshot.id);
-                    let newest = latest.get(entity.as_slice()).map_err(|e| self.fault(e))?.map(|v| v.value());
-                    if newest.is_none_or(|n| n < snapshot.version) {
-                        latest.insert(entity.as_slice(), snapshot.version).map_err(|e| self.fault(e))?;
-                    }
-                    new += 1;
-                }
-            }
-            if new > 0 {
-                transaction.commit().map_err(|e| self.fault(e))?;
-            }
-            Ok(new)
-        })
     }
 
     /// The newest version of an entity, also when it says that the entity is gone; `None` when nothing was kept.
@@ -265,22 +262,27 @@ impl LongTermMemory {
         let file_bytes = self.path.as_ref().and_then(|p| std::fs::metadata(p).ok()).map_or(0, |m| m.len());
         self.with(|database| {
             let transaction = database.begin_read().map_err(|e| self.fault(e))?;
-            let snapshots = transaction.open_table(SNAPSHOTS).map_err(|e| self.fault(e))?;
-            let latest = transaction.open_table(LATEST).map_err(|e| self.fault(e))?;
+            let meta = transaction.open_table(META).map_err(|e| self.fault(e))?;
+            let totals = Totals::read(&meta).map_err(|e| self.fault(e))?;
+            let entities = transaction.open_table(ENTITIES).map_err(|e| self.fault(e))?;
             Ok(StoreStats {
-                entities: latest.len().map_err(|e| self.fault(e))?,
-                snapshots: snapshots.len().map_err(|e| self.fault(e))?,
+                entities: entities.len().map_err(|e| self.fault(e))?,
+                snapshots: totals.snapshots,
+                bytes: totals.bytes,
                 file_bytes,
             })
         })
     }
 
-    /// Gives free space back to the file system. Returns whether there was any. Waits until nobody else uses it.
+    /// Joins small chunks and gives free space back to the file system. Returns whether the file has changed. Waits
+    /// until nobody else uses it.
     ///
     /// # Errors
     /// When the disk fails; nothing is lost then.
     pub fn compact(&self) -> Result<bool, StoreError> {
-        self.with_alone(|database| database.compact().map_err(|e| self.fault(e)))
+        let joined = self.join_chunks()?;
+        let freed = self.with_alone(|database| database.compact().map_err(|e| self.fault(e)))?;
+        Ok(joined || freed)
     }
 
     /// Uses the database together with others; opens it again first if it has failed.
@@ -378,9 +380,16 @@ impl LongTermMemory {
             .map_err(|e| fault(e.into()))?
             .insert("format", FORMAT)
             .map_err(|e| fault(e.into()))?;
-        write.open_table(SNAPSHOTS).map_err(|e| fault(e.into()))?;
-        write.open_table(TIMES).map_err(|e| fault(e.into()))?;
-        write.open_table(LATEST).map_err(|e| fault(e.into()))?;
+        let make = || -> Result<(), redb::Error> {
+            write.open_table(ENTITIES)?;
+            write.open_table(INDEX)?;
+            write.open_table(CHUNKS)?;
+            write.open_table(BLOBS)?;
+            write.open_table(BLOB_USES)?;
+            write.open_table(NAMED)?;
+            Ok(())
+        };
+        make().map_err(fault)?;
         write.commit().map_err(|e| fault(e.into()))
     }
 
@@ -432,18 +441,16 @@ impl LongTermMemory {
 
 impl Backing for LongTermMemory {
     fn last_version(&self, id: &EntityId) -> Result<u64, MemoryError> {
-        let key = record::entity_key(id);
-        let version = self.with(|database| {
-            let transaction = database.begin_read().map_err(|e| self.fault(e))?;
-            let latest = transaction.open_table(LATEST).map_err(|e| self.fault(e))?;
-            Ok(latest.get(key.as_slice()).map_err(|e| self.fault(e))?.map_or(0, |v| v.value()))
-        })?;
-        Ok(version)
+        Ok(self.newest_version(id)?)
     }
 
     fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError> {
         self.persist(snapshots)?;
         Ok(())
+    }
+
+    fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
+        Ok(self.query(query)?)
     }
 }
 

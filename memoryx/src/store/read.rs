@@ -1,118 +1,312 @@
 //! Queries on long-term memory: no more of the file is read than the answer needs.
 
+use std::cell::RefCell;
+use std::collections::BTreeMap;
 use std::ops::Bound;
 use std::sync::Arc;
 
-use redb::{ReadTransaction, ReadableDatabase};
+use redb::{AccessGuard, ReadOnlyTable, ReadTransaction, ReadableDatabase, ReadableTable};
 
-use super::{LATEST, LongTermMemory, SNAPSHOTS, StoreError, TIMES, record};
+use super::record::{self, Hash};
+use super::{BLOBS, CHUNKS, ENTITIES, INDEX, LongTermMemory, Row, StoreError};
 use crate::entity::{EntityId, Snapshot};
-use crate::query::{Pattern, Query, Times};
+use crate::error::MemoryError;
+use crate::query::{Asked, Pattern, Query, Times, places};
 
-impl LongTermMemory {
-    /// What a query asks for, ordered by address, then version: the same as [`crate::Memory::query`], of everything
-    /// that was ever kept.
-    ///
-    /// # Errors
-    /// [`StoreError::Damaged`] and others when it cannot be read.
-    pub fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, StoreError> {
-        self.with(|database| {
-            let transaction = database.begin_read().map_err(|e| self.fault(e))?;
-            let mut found = Vec::new();
-            for (id, newest) in self.entities(&transaction, &query.pattern)? {
-                self.query_entity(&transaction, query, &id, newest, &mut found)?;
+/// Where records are found, in one transaction.
+pub(super) struct Reader<'s> {
+    store: &'s LongTermMemory,
+    pub(super) index: ReadOnlyTable<(u64, u64), Row>,
+    pub(super) chunks: ReadOnlyTable<u64, &'static [u8]>,
+    blobs: ReadOnlyTable<&'static [u8], &'static [u8]>,
+    entities: ReadOnlyTable<&'static [u8], (u64, bool)>,
+    /// The chunk that was read last.
+    last: RefCell<Option<(u64, Chunk)>>,
+}
+
+/// The bytes of a chunk, for as long as they are looked at.
+type Chunk = AccessGuard<'static, &'static [u8]>;
+
+/// An entity in the file.
+#[derive(Clone, Debug)]
+pub(super) struct Entity {
+    pub(super) id: EntityId,
+    pub(super) number: u64,
+    ordered: bool,
+}
+
+impl<'s> Reader<'s> {
+    pub(super) fn new(store: &'s LongTermMemory, transaction: &ReadTransaction) -> Result<Self, StoreError> {
+        let open = || -> Result<Self, redb::Error> {
+            Ok(Self {
+                store,
+                index: transaction.open_table(INDEX)?,
+                chunks: transaction.open_table(CHUNKS)?,
+                blobs: transaction.open_table(BLOBS)?,
+                entities: transaction.open_table(ENTITIES)?,
+                last: RefCell::new(None),
+            })
+        };
+        open().map_err(|e| store.fault(e))
+    }
+
+    /// One entity.
+    pub(super) fn entity(&self, id: &EntityId) -> Result<Option<Entity>, StoreError> {
+        let key = record::entity_key(id);
+        let held = self.entities.get(key.as_slice()).map_err(|e| self.store.fault(e))?.map(|v| v.value());
+        Ok(held.map(|(number, ordered)| Entity { id: id.clone(), number, ordered }))
+    }
+
+    /// Gives the entities that a pattern fits to `act`, in order of address, until it says that it is enough.
+    pub(super) fn entities(
+        &self,
+        pattern: &Pattern,
+        from: Option<&EntityId>,
+        mut act: impl FnMut(Entity) -> Result<bool, StoreError>,
+    ) -> Result<(), StoreError> {
+        if let Some(id) = pattern.exact() {
+            return self.entity(&id)?.map_or(Ok(()), |entity| act(entity).map(|_| ()));
+        }
+        let (first, to) = record::entity_range(pattern);
+        let first = from.map_or(first.clone(), |id| first.max(record::entity_key(id)));
+        let to = to.as_ref().map_or(Bound::Unbounded, |to| Bound::Excluded(to.as_slice()));
+        let fault = |e: redb::StorageError| self.store.fault(e);
+        let rows = self.entities.range::<&[u8]>((Bound::Included(first.as_slice()), to)).map_err(fault)?;
+        for row in rows {
+            let (key, value) = row.map_err(fault)?;
+            let id = record::entity_of(key.value()).map_err(|what| self.store.damaged(what))?;
+            let (number, ordered) = value.value();
+            if pattern.matches(&id) && !act(Entity { id, number, ordered })? {
+                break;
             }
-            Ok(found)
+        }
+        Ok(())
+    }
+
+    /// The newest version of an entity, and where it is.
+    pub(super) fn newest(&self, number: u64) -> Result<Option<(u64, Row)>, StoreError> {
+        self.one(self.index.range((number, 0)..=(number, u64::MAX)).map(|mut rows| rows.next_back()))
+    }
+
+    fn one(
+        &self,
+        found: Result<Option<Found>, redb::StorageError>,
+    ) -> Result<Option<(u64, Row)>, StoreError> {
+        let row = found.and_then(Option::transpose).map_err(|e| self.store.fault(e))?;
+        Ok(row.map(|(key, row)| (key.value().1, row.value())))
+    }
+
+    /// The snapshot in a place.
+    pub(super) fn snapshot(&self, id: &EntityId, row: Row) -> Result<Arc<Snapshot>, StoreError> {
+        let decoded = self.with_record(row, |bytes| {
+            let head = record::head(bytes)?;
+            record::decode(id, head, bytes, &|hash| self.blob(hash))
+        })?;
+        decoded.map(Arc::new).map_err(|what| self.store.damaged(what))
+    }
+
+    /// Gives the bytes in a place to `act`.
+    fn with_record<T>(&self, row: Row, act: impl FnOnce(&[u8]) -> T) -> Result<T, StoreError> {
+        let missing = || self.store.damaged(format!("a record in chunk {} is missing", row.0));
+        let mut last = self.last.borrow_mut();
+        if last.as_ref().is_none_or(|(chunk, _)| *chunk != row.0) {
+            let chunk = self.chunks.get(row.0).map_err(|e| self.store.fault(e))?.ok_or_else(missing)?;
+            *last = Some((row.0, chunk));
+        }
+        let (_, chunk) = last.as_ref().ok_or_else(missing)?;
+        let range = row.1 as usize..(row.1 as usize).saturating_add(row.2 as usize);
+        Ok(act(chunk.value().get(range).ok_or_else(missing)?))
+    }
+
+    pub(super) fn blob(&self, hash: &Hash) -> Result<Vec<u8>, String> {
+        let found = self.blobs.get(hash.as_slice()).map_err(|e| e.to_string())?;
+        found.map(|v| v.value().to_vec()).ok_or_else(|| "a large value of it is missing".into())
+    }
+
+    /// What a question takes of one entity, without reading more of its history than that.
+    fn select(&self, asked: &Asked<'_>, entity: &Entity) -> Result<Vec<Arc<Snapshot>>, StoreError> {
+        let query = asked.query();
+        let limit = query.limit.filter(|_| asked.is_plain()).unwrap_or(usize::MAX);
+        let all = (0, u64::MAX);
+        let rows = match query.times {
+            _ if query.limit == Some(0) => Vec::new(),
+            Times::Latest => self.newest(entity.number)?.into_iter().collect(),
+            Times::All if query.arrived_since.is_some() => return self.arrived(asked, entity),
+            Times::All => self.last_rows(entity.number, all, limit, |_| true)?,
+            Times::Versions(from, to) if from > to => Vec::new(),
+            Times::Versions(from, to) => self.last_rows(entity.number, (from, to), limit, |_| true)?,
+            Times::Between(from, to) => {
+                self.last_rows(entity.number, all, limit, |row| (from..=to).contains(&row.3))?
+            }
+            Times::Index(from, to) => {
+                let rows = self.last_rows(entity.number, all, usize::MAX, |_| true)?;
+                let range = places(from, to, rows.len());
+                rows.get(range).unwrap_or_default().to_vec()
+            }
+            Times::At(time) => self.held(entity, |referenced| referenced <= time)?.into_iter().collect(),
+            Times::Before(time) => self.held(entity, |referenced| referenced < time)?.into_iter().collect(),
+        };
+        let found = rows.into_iter().map(|(_, row)| self.snapshot(&entity.id, row));
+        let found = found.collect::<Result<Vec<_>, _>>()?;
+        Ok(match query.times {
+            Times::Index(..) => asked.select_of(found, Times::All),
+            _ => asked.select(found.into_iter()),
         })
     }
 
-    /// The entities that a pattern fits, with their newest versions.
-    fn entities(
+    /// The last `limit` rows of an entity that count, in order of version.
+    fn last_rows(
         &self,
-        transaction: &ReadTransaction,
-        pattern: &Pattern,
-    ) -> Result<Vec<(EntityId, u64)>, StoreError> {
-        let latest = transaction.open_table(LATEST).map_err(|e| self.fault(e))?;
-        let (from, to) = record::entity_range(pattern);
-        let to = to.as_ref().map_or(Bound::Unbounded, |to| Bound::Excluded(to.as_slice()));
-        let rows =
-            latest.range::<&[u8]>((Bound::Included(from.as_slice()), to)).map_err(|e| self.fault(e))?;
+        number: u64,
+        versions: (u64, u64),
+        limit: usize,
+        counts: impl Fn(&Row) -> bool,
+    ) -> Result<Vec<(u64, Row)>, StoreError> {
+        let fault = |e: redb::StorageError| self.store.fault(e);
+        let rows = self.index.range((number, versions.0)..=(number, versions.1)).map_err(fault)?;
         let mut found = Vec::new();
-        for row in rows {
-            let (key, version) = row.map_err(|e| self.fault(e))?;
-            let id = record::entity_of(key.value()).map_err(|what| self.damaged(what))?;
-            if pattern.matches(&id) {
-                found.push((id, version.value()));
+        for row in rows.rev() {
+            let (key, row) = row.map_err(fault)?;
+            if counts(&row.value()) {
+                found.push((key.value().1, row.value()));
+                if found.len() == limit {
+                    break;
+                }
             }
         }
+        found.reverse();
         Ok(found)
     }
 
-    /// Adds what a query takes of one entity, without reading more of its history than that.
-    fn query_entity(
-        &self,
-        transaction: &ReadTransaction,
-        query: &Query,
-        id: &EntityId,
-        newest: u64,
-        found: &mut Vec<Arc<Snapshot>>,
-    ) -> Result<(), StoreError> {
-        let limit = query.limit.unwrap_or(usize::MAX);
-        let snapshots = transaction.open_table(SNAPSHOTS).map_err(|e| self.fault(e))?;
-        let get = |version: u64| -> Result<Arc<Snapshot>, StoreError> {
-            let key = record::key(id, version);
-            let row = snapshots.get(key.as_slice()).map_err(|e| self.fault(e))?;
-            let row = row.ok_or_else(|| self.damaged(format!("version {version} of `{id}` is missing")))?;
-            record::decode(&key, row.value()).map(Arc::new).map_err(|what| self.damaged(what))
-        };
-        let times = || transaction.open_table(TIMES).map_err(|e| self.fault(e));
-        let held = |before: u64| -> Result<Option<u64>, StoreError> {
-            let (from, to) = (record::time_key(id, 0, 0), record::time_key(id, before, u64::MAX));
-            let times = times()?;
-            let mut rows =
-                times.range::<&[u8]>(from.as_slice()..=to.as_slice()).map_err(|e| self.fault(e))?;
-            let row = rows.next_back().transpose().map_err(|e| self.fault(e))?;
-            Ok(row.map(|(key, _)| record::last_number(key.value())))
-        };
-        if limit == 0 {
-            return Ok(());
+    /// What arrived at a time or later: versions arrive in their order.
+    fn arrived(&self, asked: &Asked<'_>, entity: &Entity) -> Result<Vec<Arc<Snapshot>>, StoreError> {
+        let since = asked.query().arrived_since.unwrap_or(0);
+        let fault = |e: redb::StorageError| self.store.fault(e);
+        let rows = self.index.range((entity.number, 0)..=(entity.number, u64::MAX)).map_err(fault)?;
+        let mut found = Vec::new();
+        for row in rows.rev() {
+            let row = row.map_err(fault)?.1.value();
+            let times = self.with_record(row, record::times)?;
+            if times.map_err(|what| self.store.damaged(what))?.1 < since {
+                break;
+            }
+            found.push(self.snapshot(&entity.id, row)?);
         }
-        let taken = match query.times {
-            Times::Latest => vec![get(newest)?],
-            Times::At(time) => held(time)?.map(get).transpose()?.into_iter().collect(),
-            Times::Before(0) => Vec::new(),
-            Times::Before(time) => held(time - 1)?.map(get).transpose()?.into_iter().collect(),
-            Times::All => {
-                let (from, to) = (record::key(id, 0), record::key(id, u64::MAX));
-                let rows =
-                    snapshots.range::<&[u8]>(from.as_slice()..=to.as_slice()).map_err(|e| self.fault(e))?;
-                let mut taken = Vec::new();
-                for row in rows.rev().take(limit) {
-                    let (key, value) = row.map_err(|e| self.fault(e))?;
-                    let snapshot = record::decode(key.value(), value.value());
-                    taken.push(Arc::new(snapshot.map_err(|what| self.damaged(what))?));
-                }
-                taken.reverse();
-                found.extend(taken);
-                return Ok(());
-            }
-            Times::Between(from, to) if from <= to => {
-                let (from, to) = (record::time_key(id, from, 0), record::time_key(id, to, u64::MAX));
-                let times = times()?;
-                let rows =
-                    times.range::<&[u8]>(from.as_slice()..=to.as_slice()).map_err(|e| self.fault(e))?;
-                let mut versions = Vec::new();
-                for row in rows {
-                    versions.push(record::last_number(row.map_err(|e| self.fault(e))?.0.value()));
-                }
-                versions.sort_unstable();
-                let first = versions.len().saturating_sub(limit);
-                found.extend(versions[first..].iter().map(|v| get(*v)).collect::<Result<Vec<_>, _>>()?);
-                return Ok(());
-            }
-            Times::Between(..) => Vec::new(),
+        found.reverse();
+        Ok(asked.select(found.into_iter()))
+    }
+
+    /// The row with the latest time among those that count; `counts` holds up to some time and not after it.
+    fn held(&self, entity: &Entity, counts: impl Fn(u64) -> bool) -> Result<Option<(u64, Row)>, StoreError> {
+        if !entity.ordered {
+            let rows = self.last_rows(entity.number, (0, u64::MAX), usize::MAX, |row| counts(row.3))?;
+            return Ok(rows.into_iter().max_by_key(|(version, row)| (row.3, *version)));
+        }
+        let Some((newest, _)) = self.newest(entity.number)? else { return Ok(None) };
+        let before = |version: u64| {
+            self.one(
+                self.index.range((entity.number, 0)..=(entity.number, version)).map(|mut r| r.next_back()),
+            )
         };
-        found.extend(taken.into_iter().filter(|s| !s.is_removed()));
-        Ok(())
+        // Bisection over versions: some may be missing, so each step looks at the last one there is.
+        let (mut low, mut high, mut best) = (0, newest, None);
+        while low <= high {
+            let middle = low + (high - low) / 2;
+            match before(middle)? {
+                Some(found) if counts(found.1.3) => {
+                    best = Some(found);
+                    low = middle + 1;
+                }
+                Some((version, _)) if version > 0 && version > low => high = version - 1,
+                Some(_) => break,
+                None => low = middle + 1,
+            }
+        }
+        Ok(best)
+    }
+}
+
+type Found = Result<(AccessGuard<'static, (u64, u64)>, AccessGuard<'static, Row>), redb::StorageError>;
+
+impl LongTermMemory {
+    /// What a query asks for: the same as [`crate::Memory::query`], of everything that is kept.
+    ///
+    /// # Errors
+    /// [`StoreError::Damaged`] and others when it cannot be read; [`StoreError::Query`] when the question is none.
+    pub fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, StoreError> {
+        let asked = query.ask().map_err(|error| match error {
+            MemoryError::Query { what } => StoreError::Query { what },
+            error => StoreError::Query { what: error.to_string() },
+        })?;
+        self.read(|reader| {
+            let mut found = Vec::new();
+            reader.entities(&query.pattern, query.after.as_ref().map(|a| &a.id), |entity| {
+                if asked.wants(&entity.id) {
+                    found.extend(reader.select(&asked, &entity)?);
+                }
+                Ok(!asked.is_full(found.len()))
+            })?;
+            Ok(asked.finish(found))
+        })
+    }
+
+    /// Gives every snapshot to `act`, in about the order in which they came, until it gives `false`. Reads the file from
+    /// its beginning to its end, which is faster than any query for as much.
+    ///
+    /// # Errors
+    /// [`StoreError::Damaged`] and others when it cannot be read.
+    pub fn scan(&self, mut act: impl FnMut(Snapshot) -> bool) -> Result<(), StoreError> {
+        self.read(|reader| {
+            let ids = reader.addresses()?;
+            let rows = reader.chunks.iter().map_err(|e| self.fault(e))?;
+            for row in rows {
+                let (_, chunk) = row.map_err(|e| self.fault(e))?;
+                let mut rest = chunk.value();
+                while !rest.is_empty() {
+                    let head = record::head(rest).map_err(|what| self.damaged(what))?;
+                    let unknown = || self.damaged(format!("entity number {} has no address", head.number));
+                    let id = ids.get(&head.number).ok_or_else(unknown)?;
+                    let snapshot = record::decode(id, head, rest, &|hash| reader.blob(hash));
+                    if !act(snapshot.map_err(|what| self.damaged(what))?) {
+                        return Ok(());
+                    }
+                    rest = &rest[head.length..];
+                }
+            }
+            Ok(())
+        })
+    }
+
+    /// The newest version of an entity; 0 when nothing is kept.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub(super) fn newest_version(&self, id: &EntityId) -> Result<u64, StoreError> {
+        self.read(|reader| {
+            let Some(entity) = reader.entity(id)? else { return Ok(0) };
+            Ok(reader.newest(entity.number)?.map_or(0, |(version, _)| version))
+        })
+    }
+
+    pub(super) fn read<T>(
+        &self,
+        act: impl FnOnce(&Reader<'_>) -> Result<T, StoreError>,
+    ) -> Result<T, StoreError> {
+        self.with(|database| {
+            let transaction = database.begin_read().map_err(|e| self.fault(e))?;
+            act(&Reader::new(self, &transaction)?)
+        })
+    }
+}
+
+impl Reader<'_> {
+    /// The addresses of all entities by number.
+    pub(super) fn addresses(&self) -> Result<BTreeMap<u64, EntityId>, StoreError> {
+        let mut ids = BTreeMap::new();
+        self.entities(&Pattern::any(), None, |entity| {
+            ids.insert(entity.number, entity.id);
+            Ok(true)
+        })?;
+        Ok(ids)
     }
 }

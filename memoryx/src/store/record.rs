@@ -1,27 +1,26 @@
 //! The bytes of keys and records; the page of [`super`] describes them.
 
-use std::borrow::Cow;
+use std::collections::BTreeMap;
 
-use serde::{Deserialize, Serialize};
+use armarium_values::{Frame, Pose, Reference, Value, Vector, Wrench};
+use sha2::{Digest, Sha256};
 
-use super::StoreError;
+use crate::attributes::Attributes;
 use crate::entity::{EntityId, Instance, Snapshot};
 use crate::query::Pattern;
 
-/// Bytes of the checksum before a record.
-const CHECKSUM: usize = 4;
+/// Bytes before a record's content: length, checksum, entity, version.
+pub(super) const HEAD: usize = 24;
+/// Bytes from which on a value is kept once by its content.
+pub(super) const BLOB_FROM: usize = 16 << 10;
+/// Deepest nesting that is read back; more than memory takes.
+const DEEPEST: usize = 32;
 
-/// A snapshot without what its key says.
-#[derive(Serialize, Deserialize)]
-struct Record<'a> {
-    referenced_ns: u64,
-    sent_ns: u64,
-    arrived_ns: u64,
-    instances: Cow<'a, [Instance]>,
-}
+/// The name of a blob: SHA-256 of its bytes.
+pub(super) type Hash = [u8; 32];
 
 pub(super) fn entity_key(id: &EntityId) -> Vec<u8> {
-    let mut key = Vec::with_capacity(id.as_str().len() + 17);
+    let mut key = Vec::with_capacity(id.as_str().len() + 1);
     for name in [id.segment(), id.provider(), id.entity()] {
         key.extend_from_slice(name.as_bytes());
         key.push(0);
@@ -29,24 +28,11 @@ pub(super) fn entity_key(id: &EntityId) -> Vec<u8> {
     key
 }
 
-pub(super) fn key(id: &EntityId, version: u64) -> Vec<u8> {
-    let mut key = entity_key(id);
-    key.extend_from_slice(&version.to_be_bytes());
-    key
-}
-
-pub(super) fn time_key(id: &EntityId, referenced_ns: u64, version: u64) -> Vec<u8> {
-    let mut key = entity_key(id);
-    key.extend_from_slice(&referenced_ns.to_be_bytes());
-    key.extend_from_slice(&version.to_be_bytes());
-    key
-}
-
 /// Keys of entities that a pattern can fit: from the first, included, to the second, excluded.
 pub(super) fn entity_range(pattern: &Pattern) -> (Vec<u8>, Option<Vec<u8>>) {
     let mut from = Vec::new();
     for name in [&pattern.segment, &pattern.provider, &pattern.entity] {
-        let Some(name) = name else { break };
+        let Some(name) = name.as_ref().filter(|name| !name.contains('*')) else { break };
         from.extend_from_slice(name.as_bytes());
         from.push(0);
     }
@@ -66,51 +52,305 @@ pub(super) fn entity_of(key: &[u8]) -> Result<EntityId, String> {
     }
 }
 
-/// The version at the end of a key.
-pub(super) fn last_number(key: &[u8]) -> u64 {
-    key.last_chunk().map_or(0, |bytes| u64::from_be_bytes(*bytes))
-}
-
-pub(super) fn encode(snapshot: &Snapshot) -> Result<Vec<u8>, StoreError> {
-    let record = Record {
-        referenced_ns: snapshot.referenced_ns,
-        sent_ns: snapshot.sent_ns,
-        arrived_ns: snapshot.arrived_ns,
-        instances: Cow::Borrowed(&snapshot.instances),
-    };
-    let refused = |what: String| StoreError::Encode { id: snapshot.id.to_string(), what };
-    let payload = armarium_bus::encode(&record).map_err(|e| refused(e.to_string()))?;
-    // What could not be read back must not be acknowledged.
-    armarium_bus::codec::check(&payload, armarium_bus::Bounds::default())
-        .map_err(|e| refused(e.to_string()))?;
-    let mut bytes = checksum(&key(&snapshot.id, snapshot.version), &payload).to_le_bytes().to_vec();
-    bytes.extend_from_slice(&payload);
-    Ok(bytes)
-}
-
-pub(super) fn decode(key: &[u8], bytes: &[u8]) -> Result<Snapshot, String> {
-    let unreadable = |what: &str| format!("the record of {}: {what}", key.escape_ascii());
-    let (entity, version) = key.split_last_chunk::<8>().ok_or_else(|| unreadable("its key is too short"))?;
-    let id = entity_of(entity)?;
-    let version = u64::from_be_bytes(*version);
-    let (stored, payload) = bytes.split_at_checked(CHECKSUM).ok_or_else(|| unreadable("it is too short"))?;
-    if stored != checksum(key, payload).to_le_bytes() {
-        return Err(format!("version {version} of `{id}` does not have its checksum"));
+/// Appends the record of a snapshot; `blobs` gets the large values that it names.
+pub(super) fn append<'s>(
+    to: &mut Vec<u8>,
+    number: u64,
+    snapshot: &'s Snapshot,
+    blobs: &mut Vec<(Hash, &'s [u8])>,
+) {
+    let start = to.len();
+    to.extend_from_slice(&[0; 8]);
+    to.extend_from_slice(&number.to_le_bytes());
+    to.extend_from_slice(&snapshot.version.to_le_bytes());
+    for time in [snapshot.referenced_ns, snapshot.sent_ns, snapshot.arrived_ns] {
+        to.extend_from_slice(&time.to_le_bytes());
     }
-    let record: Record<'_> = armarium_bus::decode(payload).map_err(|e| unreadable(&e.to_string()))?;
-    Ok(Snapshot {
-        id,
-        version,
-        referenced_ns: record.referenced_ns,
-        sent_ns: record.sent_ns,
-        arrived_ns: record.arrived_ns,
-        instances: record.instances.into_owned(),
-    })
+    put_count(to, snapshot.instances.len());
+    for instance in &snapshot.instances {
+        to.extend_from_slice(&instance.confidence.to_le_bytes());
+        put_count(to, instance.attributes.len());
+        for (name, value) in instance.attributes.iter() {
+            put_bytes(to, name.as_bytes());
+            put_value(to, value, blobs);
+        }
+        put_count(to, instance.covariance.len());
+        for (name, rows) in &instance.covariance {
+            put_bytes(to, name.as_bytes());
+            put_count(to, rows.len());
+            put_numbers(to, rows);
+        }
+    }
+    seal(&mut to[start..]);
 }
 
-fn checksum(key: &[u8], payload: &[u8]) -> u32 {
-    let mut hasher = crc32fast::Hasher::new();
-    hasher.update(key);
-    hasher.update(payload);
-    hasher.finalize()
+fn seal(record: &mut [u8]) {
+    let length = u32::try_from(record.len()).unwrap_or(u32::MAX);
+    let sum = crc32fast::hash(&record[8..]);
+    record[..4].copy_from_slice(&length.to_le_bytes());
+    record[4..8].copy_from_slice(&sum.to_le_bytes());
+}
+
+fn put_count(to: &mut Vec<u8>, count: usize) {
+    let mut rest = count as u64;
+    while rest >= 0x80 {
+        to.push((rest as u8 & 0x7f) | 0x80);
+        rest >>= 7;
+    }
+    to.push(rest as u8);
+}
+
+fn put_bytes(to: &mut Vec<u8>, bytes: &[u8]) {
+    put_count(to, bytes.len());
+    to.extend_from_slice(bytes);
+}
+
+fn put_numbers(to: &mut Vec<u8>, numbers: &[f64]) {
+    numbers.iter().for_each(|n| to.extend_from_slice(&n.to_le_bytes()));
+}
+
+fn put_value<'s>(to: &mut Vec<u8>, value: &'s Value, blobs: &mut Vec<(Hash, &'s [u8])>) {
+    match value {
+        Value::Null => to.push(0),
+        Value::Bool(b) => to.push(1 + u8::from(*b)),
+        Value::Int(i) => {
+            to.push(3);
+            to.extend_from_slice(&i.to_le_bytes());
+        }
+        Value::Float(f) => {
+            to.push(4);
+            put_numbers(to, &[*f]);
+        }
+        Value::String(text) => {
+            to.push(5);
+            put_bytes(to, text.as_bytes());
+        }
+        Value::Duration(s) => {
+            to.push(6);
+            put_numbers(to, &[*s]);
+        }
+        Value::Bytes(bytes) if bytes.len() >= BLOB_FROM => {
+            let hash: Hash = Sha256::digest(bytes).into();
+            to.push(7);
+            to.extend_from_slice(&hash);
+            blobs.push((hash, bytes));
+        }
+        Value::Bytes(bytes) => {
+            to.push(8);
+            put_bytes(to, bytes);
+        }
+        Value::List(items) => {
+            to.push(9);
+            put_count(to, items.len());
+            items.iter().for_each(|item| put_value(to, item, blobs));
+        }
+        Value::Map(fields) => {
+            to.push(10);
+            put_count(to, fields.len());
+            for (name, field) in fields {
+                put_bytes(to, name.as_bytes());
+                put_value(to, field, blobs);
+            }
+        }
+        Value::Vector(v) => {
+            to.push(11);
+            put_bytes(to, v.frame.0.as_bytes());
+            put_numbers(to, &v.components);
+        }
+        Value::Pose(p) => {
+            to.push(12);
+            put_bytes(to, p.frame.0.as_bytes());
+            put_numbers(to, &p.position);
+            put_numbers(to, &p.orientation);
+        }
+        Value::Wrench(w) => {
+            to.push(13);
+            put_bytes(to, w.frame.0.as_bytes());
+            put_numbers(to, &w.force);
+            put_numbers(to, &w.torque);
+        }
+        Value::Reference(r) => {
+            to.push(14);
+            put_bytes(to, r.kind.as_bytes());
+            put_bytes(to, r.id.as_bytes());
+        }
+    }
+}
+
+/// What stands before a record's content.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Head {
+    pub(super) length: usize,
+    pub(super) number: u64,
+    pub(super) version: u64,
+}
+
+/// The head of the record that bytes begin with, checked against its checksum.
+pub(super) fn head(bytes: &[u8]) -> Result<Head, String> {
+    let mut cursor = Cursor { rest: bytes };
+    let (length, sum) = (cursor.u32()? as usize, cursor.u32()?);
+    let (number, version) = (cursor.u64()?, cursor.u64()?);
+    let content = bytes.get(8..length).ok_or("a record is longer than its place")?;
+    if crc32fast::hash(content) != sum {
+        return Err(format!("version {version} of entity number {number} does not have its checksum"));
+    }
+    Ok(Head { length, number, version })
+}
+
+/// Where blobs are found.
+pub(super) type Blobs<'b> = &'b dyn Fn(&Hash) -> Result<Vec<u8>, String>;
+
+/// The snapshot of a record whose [`head`] was read.
+pub(super) fn decode(id: &EntityId, head: Head, bytes: &[u8], blobs: Blobs<'_>) -> Result<Snapshot, String> {
+    let content = bytes.get(HEAD..head.length).ok_or("a record is shorter than its head says")?;
+    let mut cursor = Cursor { rest: content };
+    let snapshot = cursor.snapshot(id, head.version, blobs);
+    let snapshot = snapshot.map_err(|what| format!("version {} of `{id}`: {what}", head.version))?;
+    if cursor.rest.is_empty() {
+        Ok(snapshot)
+    } else {
+        Err(format!("version {} of `{id}` is too long", head.version))
+    }
+}
+
+/// The time that a record's data speak of and the time it arrived, ns.
+pub(super) fn times(bytes: &[u8]) -> Result<(u64, u64), String> {
+    let mut cursor = Cursor { rest: bytes.get(HEAD..).ok_or("a record is too short")? };
+    let (referenced, _, arrived) = (cursor.u64()?, cursor.u64()?, cursor.u64()?);
+    Ok((referenced, arrived))
+}
+
+/// The blobs that a record names.
+pub(super) fn blobs_of(bytes: &[u8], head: Head) -> Result<Vec<Hash>, String> {
+    let found = std::cell::RefCell::new(Vec::new());
+    let note = |hash: &Hash| {
+        found.borrow_mut().push(*hash);
+        Ok(Vec::new())
+    };
+    let nobody = EntityId::new("none", "none", "none").map_err(|e| e.to_string())?;
+    decode(&nobody, head, bytes, &note)?;
+    Ok(found.into_inner())
+}
+
+struct Cursor<'b> {
+    rest: &'b [u8],
+}
+
+impl<'b> Cursor<'b> {
+    fn take(&mut self, count: usize) -> Result<&'b [u8], String> {
+        let (taken, rest) = self.rest.split_at_checked(count).ok_or("it ends too early")?;
+        self.rest = rest;
+        Ok(taken)
+    }
+
+    fn array<const N: usize>(&mut self) -> Result<[u8; N], String> {
+        let (taken, rest) = self.rest.split_first_chunk().ok_or("it ends too early")?;
+        self.rest = rest;
+        Ok(*taken)
+    }
+
+    fn u32(&mut self) -> Result<u32, String> {
+        Ok(u32::from_le_bytes(self.array()?))
+    }
+
+    fn u64(&mut self) -> Result<u64, String> {
+        Ok(u64::from_le_bytes(self.array()?))
+    }
+
+    fn f64(&mut self) -> Result<f64, String> {
+        Ok(f64::from_le_bytes(self.array()?))
+    }
+
+    fn f64s<const N: usize>(&mut self) -> Result<[f64; N], String> {
+        let mut numbers = [0.0; N];
+        for number in &mut numbers {
+            *number = self.f64()?;
+        }
+        Ok(numbers)
+    }
+
+    /// A count of things that take at least a byte each.
+    fn count(&mut self) -> Result<usize, String> {
+        let mut count = 0_u64;
+        for shift in (0..64).step_by(7) {
+            let [byte] = self.array()?;
+            count |= u64::from(byte & 0x7f) << shift;
+            if byte < 0x80 {
+                let count = usize::try_from(count).unwrap_or(usize::MAX);
+                return if count <= self.rest.len() { Ok(count) } else { Err("it ends too early".into()) };
+            }
+        }
+        Err("a count does not end".into())
+    }
+
+    fn text(&mut self) -> Result<&'b str, String> {
+        let count = self.count()?;
+        std::str::from_utf8(self.take(count)?).map_err(|_| "a text is not UTF-8".into())
+    }
+
+    fn frame(&mut self) -> Result<Frame, String> {
+        Ok(Frame(self.text()?.to_owned()))
+    }
+
+    fn snapshot(&mut self, id: &EntityId, version: u64, blobs: Blobs<'_>) -> Result<Snapshot, String> {
+        let (referenced_ns, sent_ns, arrived_ns) = (self.u64()?, self.u64()?, self.u64()?);
+        let count = self.count()?;
+        let mut instances = Vec::with_capacity(count);
+        for _ in 0..count {
+            instances.push(self.instance(blobs)?);
+        }
+        Ok(Snapshot { id: id.clone(), version, referenced_ns, sent_ns, arrived_ns, instances })
+    }
+
+    fn instance(&mut self, blobs: Blobs<'_>) -> Result<Instance, String> {
+        let confidence = self.f64()?;
+        let count = self.count()?;
+        let mut pairs = Vec::with_capacity(count);
+        for _ in 0..count {
+            let name = self.text()?;
+            pairs.push((name.into(), self.value(blobs, DEEPEST)?));
+        }
+        let mut covariance = BTreeMap::new();
+        for _ in 0..self.count()? {
+            let name = self.text()?.to_owned();
+            let rows = self.count()?;
+            covariance.insert(name, (0..rows).map(|_| self.f64()).collect::<Result<_, _>>()?);
+        }
+        Ok(Instance { attributes: Attributes::from_pairs(pairs), confidence, covariance })
+    }
+
+    fn value(&mut self, blobs: Blobs<'_>, left: usize) -> Result<Value, String> {
+        let left = left.checked_sub(1).ok_or("it is nested too deep")?;
+        let [tag] = self.array()?;
+        Ok(match tag {
+            0 => Value::Null,
+            1 => Value::Bool(false),
+            2 => Value::Bool(true),
+            3 => Value::Int(i64::from_le_bytes(self.array()?)),
+            4 => Value::Float(self.f64()?),
+            5 => Value::String(self.text()?.to_owned()),
+            6 => Value::Duration(self.f64()?),
+            7 => Value::Bytes(blobs(&self.array()?)?),
+            8 => {
+                let count = self.count()?;
+                Value::Bytes(self.take(count)?.to_vec())
+            }
+            9 => {
+                let count = self.count()?;
+                Value::List((0..count).map(|_| self.value(blobs, left)).collect::<Result<_, _>>()?)
+            }
+            10 => {
+                let count = self.count()?;
+                let field = |_| Ok((self.text()?.to_owned(), self.value(blobs, left)?));
+                Value::Map((0..count).map(field).collect::<Result<_, String>>()?)
+            }
+            11 => Value::Vector(Vector { frame: self.frame()?, components: self.f64s()? }),
+            12 => {
+                Value::Pose(Pose { frame: self.frame()?, position: self.f64s()?, orientation: self.f64s()? })
+            }
+            13 => Value::Wrench(Wrench { frame: self.frame()?, force: self.f64s()?, torque: self.f64s()? }),
+            14 => Value::Reference(Reference { kind: self.text()?.to_owned(), id: self.text()?.to_owned() }),
+            other => return Err(format!("a value is of the unknown kind {other}")),
+        })
+    }
 }

@@ -10,7 +10,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::entity::{Commit, Instance};
 use crate::follow::Follower;
-use crate::query::Times;
+use crate::query::{Cursor, Times};
 use crate::working::Limits;
 
 pub(super) fn snapshot(path: &str, version: u64, time: u64, value: i64) -> Arc<Snapshot> {
@@ -193,6 +193,8 @@ fn queries() -> impl Strategy<Value = Query> {
         (0u64..12, 0u64..12).prop_map(|(a, b)| Times::Between(a, b)),
         (0u64..13).prop_map(Times::At),
         (0u64..13).prop_map(Times::Before),
+        (0u64..9, 0u64..9).prop_map(|(a, b)| Times::Versions(a, b)),
+        (-5i64..5, -5i64..5).prop_map(|(a, b)| Times::Index(a, b)),
     ];
     let pattern = prop_oneof![
         Just(Pattern::any()),
@@ -201,11 +203,25 @@ fn queries() -> impl Strategy<Value = Query> {
         Just(Pattern { entity: Some("e2".into()), ..Pattern::any() }),
         Just(Pattern::segment("T")),
     ];
-    (pattern, times, proptest::option::of(0usize..4)).prop_map(|(pattern, times, limit)| Query {
-        pattern,
-        times,
-        limit,
-    })
+    let filter = proptest::option::of(prop_oneof![
+        Just("version % 2 == 0"),
+        Just("referenced_s > 5e-9 || entity == 'e1'")
+    ]);
+    let cursor = (0..4, 0u64..9)
+        .prop_map(|(name, version)| Cursor { id: format!("S/p/e{name}").parse().unwrap(), version });
+    let part = (proptest::option::of(cursor), proptest::option::of(0usize..6), proptest::option::of(3u64..9));
+    (pattern, times, proptest::option::of(0usize..4), filter, part).prop_map(
+        |(pattern, times, limit, filter, (after, most, arrived_since))| Query {
+            pattern,
+            times,
+            limit,
+            filter: filter.map(Into::into),
+            after,
+            most,
+            arrived_since,
+            ..Query::default()
+        },
+    )
 }
 
 proptest! {
@@ -215,15 +231,25 @@ proptest! {
     #[test]
     fn queries_mean_the_same_on_disk(history in histories(), queries in proptest::collection::vec(queries(), 8)) {
         let (_folder, _, store) = store();
-        let memory = WorkingMemory::new(Arc::new(|| 0)).with_backing(Arc::<LongTermMemory>::clone(&store));
+        let (_other_folder, _, other) = self::store();
+        let clock = || {
+            let ticks = std::sync::atomic::AtomicU64::new(0);
+            Arc::new(move || ticks.fetch_add(1, std::sync::atomic::Ordering::Relaxed)) as crate::working::Clock
+        };
+        let memory = WorkingMemory::new(clock()).with_backing(Arc::<LongTermMemory>::clone(&store));
+        let forgetful = WorkingMemory::new(clock()).with_limits(Limits { history: 1, ..Limits::default() });
+        let forgetful = forgetful.with_backing(other);
         for (name, time, there) in history {
             let id: EntityId = format!("S/p/e{name}").parse().unwrap();
             let update = if there { Commit::new(id, time, BTreeMap::new()) } else { Commit::removal(id, time) };
-            memory.commit_now(vec![update]).unwrap();
+            memory.commit_now(vec![update.clone()]).unwrap();
+            forgetful.commit_now(vec![update]).unwrap();
         }
         for query in queries {
-            let expected = memory.query_now(&query);
+            let expected = memory.query_now(&query).unwrap();
             prop_assert_eq!(versions(&store.query(&query).unwrap()), versions(&expected), "{:?}", query);
+            let both = forgetful.query_now(&query.clone().with_long_term()).unwrap();
+            prop_assert_eq!(versions(&both), versions(&expected), "recalled: {:?}", query);
         }
         prop_assert!(store.verify().unwrap().is_intact());
     }

@@ -1,8 +1,13 @@
 //! Verification of a long-term memory: everything is read and compared with its checksums and indices.
 
-use redb::{ReadTransaction, ReadableDatabase, ReadableTable, ReadableTableMetadata};
+use std::collections::BTreeMap;
 
-use super::{LATEST, LongTermMemory, SNAPSHOTS, StoreError, TIMES, record};
+use redb::{ReadableDatabase, ReadableTable, ReadableTableMetadata};
+use sha2::{Digest, Sha256};
+
+use super::read::Reader;
+use super::record::{self, Hash};
+use super::{BLOB_USES, BLOBS, LongTermMemory, META, StoreError, Totals};
 
 /// Damages that a verification lists one by one.
 const LISTED: usize = 100;
@@ -34,8 +39,8 @@ impl Verification {
 }
 
 impl LongTermMemory {
-    /// Reads everything and checks it: redb's own checksums, each record's checksum and content, and that the
-    /// indices agree. Waits until nobody else uses the memory. Changes nothing that is intact.
+    /// Reads everything and checks it: redb's own checksums, each record's checksum and content, the large values'
+    /// hashes, and that the indices agree. Waits until nobody else uses the memory. Changes nothing that is intact.
     ///
     /// # Errors
     /// When the file cannot be read at all.
@@ -50,44 +55,83 @@ impl LongTermMemory {
         }
         self.with(|database| {
             let transaction = database.begin_read().map_err(|e| self.fault(e))?;
-            self.verify_tables(&transaction, &mut found)
+            let mut uses = BTreeMap::new();
+            let reader = Reader::new(self, &transaction)?;
+            self.verify_records(&reader, &mut uses, &mut found)?;
+            let meta = transaction.open_table(META).map_err(|e| self.fault(e))?;
+            let totals = Totals::read(&meta).map_err(|e| self.fault(e))?;
+            if totals.snapshots != found.intact {
+                found.damage(format!(
+                    "{} snapshots are counted, {} are intact",
+                    totals.snapshots, found.intact
+                ));
+            }
+            let blobs = transaction.open_table(BLOBS).map_err(|e| self.fault(e))?;
+            for row in blobs.iter().map_err(|e| self.fault(e))? {
+                let (hash, content) = row.map_err(|e| self.fault(e))?;
+                if Sha256::digest(content.value()).as_slice() != hash.value() {
+                    found.damage("a large value is not as it was written".into());
+                }
+            }
+            let counted = transaction.open_table(BLOB_USES).map_err(|e| self.fault(e))?;
+            for row in counted.iter().map_err(|e| self.fault(e))? {
+                let (hash, count) = row.map_err(|e| self.fault(e))?;
+                if uses.remove(hash.value()) != Some(count.value()) {
+                    found.damage("the uses of a large value are not counted as they are".into());
+                }
+            }
+            uses.iter().for_each(|_| found.damage("a large value is missing".into()));
+            Ok(())
         })?;
         Ok(found)
     }
 
-    fn verify_tables(
+    fn verify_records(
         &self,
-        transaction: &ReadTransaction,
+        reader: &Reader<'_>,
+        uses: &mut BTreeMap<Vec<u8>, u64>,
         found: &mut Verification,
     ) -> Result<(), StoreError> {
-        let snapshots = transaction.open_table(SNAPSHOTS).map_err(|e| self.fault(e))?;
-        let times = transaction.open_table(TIMES).map_err(|e| self.fault(e))?;
-        let latest = transaction.open_table(LATEST).map_err(|e| self.fault(e))?;
-        for row in snapshots.iter().map_err(|e| self.fault(e))? {
-            let (key, value) = row.map_err(|e| self.fault(e))?;
-            match record::decode(key.value(), value.value()) {
-                Err(what) => found.damage(what),
-                Ok(snapshot) => {
-                    let time = record::time_key(&snapshot.id, snapshot.referenced_ns, snapshot.version);
-                    let timed = times.get(time.as_slice()).map_err(|e| self.fault(e))?.is_some();
-                    let entity = record::entity_key(&snapshot.id);
-                    let newest = latest.get(entity.as_slice()).map_err(|e| self.fault(e))?;
-                    let newest = newest.is_some_and(|v| v.value() >= snapshot.version);
-                    if timed && newest {
-                        found.intact += 1;
-                    } else {
-                        found.damage(format!(
-                            "version {} of `{}` is not in the index",
-                            snapshot.version, snapshot.id
-                        ));
+        let ids = reader.addresses()?;
+        let mut records = 0;
+        for row in reader.chunks.iter().map_err(|e| self.fault(e))? {
+            let (number, chunk) = row.map_err(|e| self.fault(e))?;
+            let (number, bytes) = (number.value(), chunk.value());
+            let mut at = 0;
+            while at < bytes.len() {
+                let head = match record::head(&bytes[at..]) {
+                    Ok(head) if head.length >= record::HEAD => head,
+                    Ok(_) => {
+                        found.damage(format!("chunk {number} has an empty record"));
+                        break;
                     }
+                    Err(what) => {
+                        found.damage(what);
+                        break;
+                    }
+                };
+                let record = &bytes[at..at + head.length];
+                let blobs: Vec<Hash> = record::blobs_of(record, head).unwrap_or_default();
+                blobs.into_iter().for_each(|hash| *uses.entry(hash.to_vec()).or_default() += 1);
+                let place = reader.index.get((head.number, head.version)).map_err(|e| self.fault(e))?;
+                let is_indexed = place.is_some_and(|row| {
+                    let row = row.value();
+                    (row.0, row.1 as usize, row.2 as usize) == (number, at, head.length)
+                });
+                let decoded = ids.get(&head.number).ok_or("has no address".to_owned());
+                let decoded = decoded.and_then(|id| record::decode(id, head, record, &|_| Ok(Vec::new())));
+                match decoded {
+                    Ok(_) if is_indexed => found.intact += 1,
+                    Ok(s) => found.damage(format!("version {} of `{}` is not in the index", s.version, s.id)),
+                    Err(what) => found.damage(what),
                 }
+                records += 1;
+                at += head.length;
             }
         }
-        let (rows, timed) =
-            (snapshots.len().map_err(|e| self.fault(e))?, times.len().map_err(|e| self.fault(e))?);
-        if rows != timed {
-            found.damage(format!("{rows} snapshots have {timed} entries in the index of times"));
+        let indexed = reader.index.len().map_err(|e| self.fault(e))?;
+        if indexed != records {
+            found.damage(format!("{records} records have {indexed} entries in the index"));
         }
         Ok(())
     }

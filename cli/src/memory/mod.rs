@@ -1,0 +1,268 @@
+//! `armarium memory`: what agents know and keep: looked at, written, followed, saved and mended.
+//!
+//! Each command works on the memory of a running agent (`--agent`, over Zenoh) or on a long-term file that nobody has
+//! open (`--store`). This file reads the command line; [`reach`] finds the memory, [`work`] does the work, [`show`]
+//! prints.
+
+use std::io::{self, Write};
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+
+mod reach;
+mod serve;
+mod show;
+mod work;
+
+/// What `memory` takes.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct MemoryArgs {
+    /// The agent whose memory it is.
+    #[arg(long, global = true, default_value = "local", value_name = "NAME")]
+    agent: String,
+    /// Where the agent listens; may be repeated.
+    #[arg(long, global = true, value_name = "ENDPOINT", default_value = "tcp/127.0.0.1:7447")]
+    connect: Vec<String>,
+    /// Accept addresses beyond this machine.
+    #[arg(long, global = true)]
+    off_loopback: bool,
+    /// A long-term file instead of a running agent.
+    #[arg(long, global = true, value_name = "FILE")]
+    store: Option<PathBuf>,
+    /// Print JSON, one object a line, instead of tables.
+    #[arg(long, global = true)]
+    json: bool,
+    #[command(subcommand)]
+    command: MemoryCommand,
+}
+
+#[derive(Clone, Debug, Subcommand)]
+enum MemoryCommand {
+    /// List entities: version, time, confidence and attributes.
+    Ls(PatternArg),
+    /// Show an entity, or its history.
+    Get(GetArgs),
+    /// Write an entity, or remove it.
+    Put(PutArgs),
+    /// Show changes as they come.
+    Watch(WatchArgs),
+    /// Ask by pattern, time, place and expression.
+    Query(QueryArgs),
+    /// Keep the whole working memory under a name, and load it back.
+    Snapshot(SnapshotArgs),
+    /// Write snapshots as JSON lines.
+    Export(ExportArgs),
+    /// Keep snapshots of JSON lines, with their versions.
+    Import {
+        /// The file; `-` is standard input.
+        file: PathBuf,
+    },
+    /// Join what is scattered and give free space back.
+    Compact,
+    /// Read everything and check it.
+    Verify,
+    /// Count entities, snapshots and bytes.
+    Stats,
+    /// Forget what is old or too much.
+    Retain(RetainArgs),
+    /// Run the memory of an agent until Ctrl-C.
+    Serve(serve::ServeArgs),
+}
+
+/// Which entities: `SEGMENT/PROVIDER/ENTITY`, each with `*` for anything; missing parts are anything.
+#[derive(Clone, Debug, Args)]
+struct PatternArg {
+    /// For instance `ObjectInstances` or `ObjectInstances/*/cup*`.
+    #[arg(default_value = "*")]
+    pattern: String,
+}
+
+#[derive(Clone, Debug, Args)]
+struct GetArgs {
+    /// The address, `SEGMENT/PROVIDER/ENTITY`.
+    id: String,
+    /// All versions that are still there, long-term memory included.
+    #[arg(long)]
+    history: bool,
+    /// What held at this time, ns since 1970.
+    #[arg(long, value_name = "NS", conflicts_with = "history")]
+    at: Option<u64>,
+    /// The newest N of them.
+    #[arg(long, value_name = "N")]
+    limit: Option<usize>,
+}
+
+#[derive(Clone, Debug, Args)]
+struct PutArgs {
+    /// The address, `SEGMENT/PROVIDER/ENTITY`.
+    id: String,
+    /// An attribute: plain JSON or text, or `{"vector": {"frame": "root", "components": [0, 0, 1]}}`.
+    #[arg(long = "set", value_name = "NAME=VALUE")]
+    set: Vec<String>,
+    /// How far it is trusted, 0 to 1.
+    #[arg(long, default_value_t = 1.0)]
+    confidence: f64,
+    /// Refuse unless this is the newest version; 0: it must not exist.
+    #[arg(long, value_name = "VERSION")]
+    expect: Option<u64>,
+    /// The time that the data speak of, ns since 1970; now if not given.
+    #[arg(long, value_name = "NS")]
+    time: Option<u64>,
+    /// The entity is gone.
+    #[arg(long, conflicts_with = "set")]
+    remove: bool,
+}
+
+#[derive(Clone, Debug, Args)]
+struct WatchArgs {
+    #[command(flatten)]
+    pattern: PatternArg,
+    /// Only what a CEL expression is true for.
+    #[arg(long, value_name = "CEL")]
+    filter: Option<String>,
+    /// End after this many changes.
+    #[arg(long, value_name = "N")]
+    count: Option<usize>,
+}
+
+#[derive(Clone, Debug, Args)]
+struct QueryArgs {
+    #[command(flatten)]
+    pattern: PatternArg,
+    /// Only what a CEL expression is true for: `class == 'cup' && position.z > 0.8`.
+    #[arg(long, value_name = "CEL")]
+    filter: Option<String>,
+    /// All versions instead of the newest.
+    #[arg(long)]
+    history: bool,
+    /// Versions that speak of this time or later, ns since 1970.
+    #[arg(long, value_name = "NS")]
+    from: Option<u64>,
+    /// Versions that speak of this time or earlier, ns since 1970.
+    #[arg(long, value_name = "NS")]
+    to: Option<u64>,
+    /// What held at this time, ns since 1970.
+    #[arg(long, value_name = "NS", conflicts_with_all = ["history", "from", "to"])]
+    at: Option<u64>,
+    /// Look into long-term memory too.
+    #[arg(long)]
+    long_term: bool,
+    /// The nearest to this point, m.
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    near: Option<String>,
+    /// How many of the nearest; with `--radius`, how far away, m.
+    #[arg(long, default_value_t = 10, requires = "near")]
+    count: usize,
+    /// All within this distance of the point, m, instead of the nearest.
+    #[arg(long, value_name = "M", requires = "near")]
+    radius: Option<f64>,
+    /// All inside this box, m.
+    #[arg(long = "box", value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true, conflicts_with = "near")]
+    in_box: Option<String>,
+    /// The frame of points and boxes.
+    #[arg(long, default_value = "root")]
+    frame: String,
+    /// At most N of each entity, the newest.
+    #[arg(long, value_name = "N")]
+    limit: Option<usize>,
+    /// At most N in all.
+    #[arg(long, value_name = "N")]
+    most: Option<usize>,
+}
+
+#[derive(Clone, Debug, Args)]
+struct SnapshotArgs {
+    #[command(subcommand)]
+    command: SnapshotCommand,
+}
+
+#[derive(Clone, Debug, Subcommand)]
+enum SnapshotCommand {
+    /// Keep working memory under a name.
+    Save {
+        /// The name.
+        name: String,
+    },
+    /// Make working memory hold again what a name holds.
+    Load {
+        /// The name.
+        name: String,
+    },
+    /// List the names.
+    Ls,
+    /// Forget a name.
+    Rm {
+        /// The name.
+        name: String,
+    },
+}
+
+#[derive(Clone, Debug, Args)]
+struct ExportArgs {
+    #[command(flatten)]
+    pattern: PatternArg,
+    /// The file; standard output if not given.
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+}
+
+#[derive(Clone, Debug, Args)]
+struct RetainArgs {
+    /// How long snapshots are kept, days.
+    #[arg(long, value_name = "DAYS")]
+    days: Option<f64>,
+    /// Most megabytes of records.
+    #[arg(long, value_name = "MB")]
+    megabytes: Option<f64>,
+}
+
+/// Why a command ended.
+pub(crate) enum Failure {
+    /// The memory refuses or cannot be reached: status 1.
+    Refused(String),
+    /// An argument is wrong: status 2.
+    Argument(String),
+    /// The output cannot be written.
+    Output(io::Error),
+}
+
+impl From<io::Error> for Failure {
+    fn from(error: io::Error) -> Self {
+        Self::Output(error)
+    }
+}
+
+impl From<armarium_memoryx::MemoryError> for Failure {
+    fn from(error: armarium_memoryx::MemoryError) -> Self {
+        use armarium_memoryx::MemoryError;
+        match &error {
+            MemoryError::Name { .. } | MemoryError::Query { .. } => Self::Argument(error.to_string()),
+            _ => Self::Refused(error.to_string()),
+        }
+    }
+}
+
+impl From<armarium_memoryx::StoreError> for Failure {
+    fn from(error: armarium_memoryx::StoreError) -> Self {
+        Self::Refused(error.to_string())
+    }
+}
+
+/// Carries out a command. Returns the exit status: 0 when it was done, 1 when the memory refused or is damaged, 2 for a
+/// wrong argument.
+///
+/// # Errors
+/// When `out` cannot be written.
+pub(crate) fn run(args: &MemoryArgs, out: &mut dyn Write, errors: &mut dyn Write) -> io::Result<u8> {
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+    let done = runtime.block_on(work::carry_out(args, out));
+    let status = match done {
+        Ok(status) => status,
+        Err(Failure::Output(error)) => return Err(error),
+        Err(Failure::Refused(what)) => writeln!(errors, "error: {what}").map(|()| 1)?,
+        Err(Failure::Argument(what)) => writeln!(errors, "error: {what}").map(|()| 2)?,
+    };
+    // Whatever still waits for the network ends with the program.
+    runtime.shutdown_background();
+    Ok(status)
+}

@@ -1,0 +1,120 @@
+//! The memory that a command works on: that of a running agent, or a file.
+
+use std::sync::Arc;
+
+use armarium_bus::{Session, SessionConfig, SessionError};
+use armarium_memoryx::wire::{Maintain, Report};
+use armarium_memoryx::{
+    LongTermMemory, Memory, Pattern, Query, RemoteMemory, Snapshot, WorkingMemory, maintain, pages,
+};
+
+use super::{Failure, MemoryArgs};
+
+/// Snapshots that are asked for at once.
+const PIECE: usize = 4096;
+
+/// The memory that a command works on.
+pub(super) enum Reached {
+    Agent { remote: RemoteMemory, session: Session },
+    File { store: Arc<LongTermMemory>, memory: Arc<WorkingMemory> },
+}
+
+impl Reached {
+    /// Opens what the arguments name.
+    pub(super) async fn open(args: &MemoryArgs) -> Result<Self, Failure> {
+        if let Some(file) = &args.store {
+            if !file.exists() {
+                return Err(Failure::Argument(format!("there is no file `{}`", file.display())));
+            }
+            let store = Arc::new(LongTermMemory::open(file)?);
+            let memory = Arc::new(opened(&store)?);
+            return Ok(Self::File { store, memory });
+        }
+        let session = session(&args.connect, Vec::new(), args.off_loopback).await?;
+        let remote = RemoteMemory::connect(&session, &args.agent).await.map_err(|error| {
+            let connect = args.connect.join(" ");
+            Failure::Refused(format!("{error}; is the agent running, and does it listen at {connect}?"))
+        })?;
+        Ok(Self::Agent { remote, session })
+    }
+
+    /// What is asked.
+    pub(super) fn memory(&self) -> &dyn Memory {
+        match self {
+            Self::Agent { remote, .. } => remote,
+            Self::File { memory, .. } => &**memory,
+        }
+    }
+
+    /// The time now, ns since 1970.
+    pub(super) fn now_ns(&self) -> u64 {
+        match self {
+            Self::Agent { session, .. } => session.now_ns(),
+            Self::File { memory, .. } => memory.now_ns(),
+        }
+    }
+
+    /// All that a question asks for, piece by piece.
+    pub(super) async fn each(
+        &self,
+        query: Query,
+        mut act: impl FnMut(&Snapshot) -> Result<(), Failure>,
+    ) -> Result<u64, Failure> {
+        let mut count = 0;
+        // The nearest ones have an order of their own, and a bounded answer is one piece.
+        if query.is_nearest() || query.most.is_some() {
+            for snapshot in self.memory().query(&query).await? {
+                act(&snapshot)?;
+                count += 1;
+            }
+            return Ok(count);
+        }
+        let mut pieces = pages(query, PIECE);
+        while let Some(piece) = pieces.next(self.memory()).await? {
+            for snapshot in piece {
+                act(&snapshot)?;
+                count += 1;
+            }
+        }
+        Ok(count)
+    }
+
+    /// Has long-term memory maintained.
+    pub(super) async fn maintain(&self, request: Maintain) -> Result<Report, Failure> {
+        match self {
+            Self::Agent { remote, .. } => Ok(remote.maintain(&request).await?),
+            Self::File { store, memory } => Ok(maintain::carry_out(request, store, memory)?),
+        }
+    }
+}
+
+/// A working memory on a file, with what it kept last. Its clock is the machine's.
+fn opened(store: &Arc<LongTermMemory>) -> Result<WorkingMemory, Failure> {
+    let backing = Arc::clone(store) as Arc<dyn armarium_memoryx::Backing>;
+    let memory = WorkingMemory::new(Arc::new(wall_clock_ns)).with_backing(backing);
+    store.load_into(&memory, Pattern::any())?;
+    Ok(memory)
+}
+
+/// The wall clock, ns since 1970: commands are the edge at which it is read.
+#[allow(clippy::disallowed_methods)]
+fn wall_clock_ns() -> u64 {
+    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    since.map_or(0, |since| u64::try_from(since.as_nanos()).unwrap_or(u64::MAX))
+}
+
+/// A session that connects and listens as asked.
+pub(super) async fn session(
+    connect: &[String],
+    listen: Vec<String>,
+    off_loopback: bool,
+) -> Result<Session, Failure> {
+    let mut config = SessionConfig { off_loopback, ..SessionConfig::connected_to(connect) };
+    if !listen.is_empty() {
+        config.listen = listen;
+    }
+    Session::open(&config).await.map_err(|error| match error {
+        SessionError::OffLoopback { .. } => Failure::Argument(format!("{error}: --off-loopback")),
+        error => Failure::Refused(error.to_string()),
+    })
+}

@@ -1,0 +1,84 @@
+//! `armarium memory serve`: the memory of an agent as a process of its own.
+
+use std::io::Write;
+
+use armarium_memoryx::{AgentConfig, AgentMemory, FollowSettings, Pattern, Retention};
+use clap::Args;
+
+use super::reach::session;
+use super::{Failure, MemoryArgs};
+
+#[derive(Clone, Debug, Args)]
+pub(super) struct ServeArgs {
+    /// The agent's name.
+    #[arg(long, default_value = "local")]
+    name: String,
+    /// Where it listens.
+    #[arg(long, value_name = "ENDPOINT", default_value = "tcp/127.0.0.1:7447")]
+    listen: Vec<String>,
+    /// Another agent to connect to; may be repeated.
+    #[arg(long, value_name = "ENDPOINT")]
+    to: Vec<String>,
+    /// What to follow of others, `AGENT` or `AGENT:SEGMENT`; may be repeated.
+    #[arg(long, value_name = "AGENT[:SEGMENT]")]
+    follow: Vec<String>,
+    /// Fuse followed objects into this provider segment of `ObjectInstances`.
+    #[arg(long, value_name = "PROVIDER")]
+    fuse_into: Option<String>,
+    /// How many newest snapshots working memory holds of each entity.
+    #[arg(long, default_value_t = 32)]
+    history: usize,
+    /// How long long-term memory keeps snapshots, days; for ever if not given.
+    #[arg(long, value_name = "DAYS")]
+    days: Option<f64>,
+    /// Most megabytes that long-term memory keeps.
+    #[arg(long, value_name = "MB")]
+    megabytes: Option<f64>,
+}
+
+/// Runs until Ctrl-C.
+pub(super) async fn serve(args: &MemoryArgs, serve: &ServeArgs, out: &mut dyn Write) -> Result<u8, Failure> {
+    let session = session(&serve.to, serve.listen.clone(), args.off_loopback).await?;
+    let mut config = AgentConfig::new(&serve.name);
+    config.store.clone_from(&args.store);
+    config.limits.history = serve.history;
+    config.retention = retention(serve.days, serve.megabytes)?;
+    config.follow = serve.follow.iter().map(|follow| settings(serve, follow)).collect();
+    let agent = AgentMemory::start(&session, config).await?;
+    let endpoints = session.endpoints().await.join(" ");
+    let kept = args.store.as_ref().map_or_else(|| "not kept".into(), |f| format!("kept in {}", f.display()));
+    writeln!(
+        out,
+        "memory of `{}` at {endpoints}, {} entities, {kept}; Ctrl-C ends it",
+        serve.name,
+        agent.memory().len()
+    )?;
+    out.flush()?;
+    tokio::signal::ctrl_c().await?;
+    drop(agent);
+    // A session that cannot be closed ends with the process.
+    let _ = session.close().await.is_ok();
+    Ok(0)
+}
+
+fn settings(serve: &ServeArgs, follow: &str) -> FollowSettings {
+    let (agent, pattern) = match follow.split_once(':') {
+        Some((agent, segment)) => (agent, Pattern::segment(segment)),
+        None => (follow, Pattern::any()),
+    };
+    FollowSettings {
+        own: serve.name.clone(),
+        agent: agent.into(),
+        pattern,
+        fuse_into: serve.fuse_into.clone(),
+    }
+}
+
+/// How much is kept, from days and megabytes.
+pub(super) fn retention(days: Option<f64>, megabytes: Option<f64>) -> Result<Retention, Failure> {
+    let scaled = |number: Option<f64>, unit: f64, what: &str| match number {
+        Some(n) if !n.is_finite() || n < 0.0 => Err(Failure::Argument(format!("{what} cannot be {n}"))),
+        number => Ok(number.map(|n| (n * unit) as u64)),
+    };
+    Ok(Retention { age_ns: scaled(days, 86_400e9, "days")?, bytes: scaled(megabytes, 1e6, "megabytes")? })
+}

@@ -1,0 +1,187 @@
+//! How memory is printed: tables for people, one JSON object a line for programs.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+
+use armarium_memoryx::Snapshot;
+use armarium_values::Value;
+use serde_json::{Value as Json, json};
+
+use super::Failure;
+
+/// Longest text of attributes in a row, characters.
+const WIDE: usize = 72;
+
+/// Prints in one of two ways.
+pub(super) struct Shown {
+    json: bool,
+    rows: u64,
+}
+
+impl Shown {
+    pub(super) fn new(json: bool) -> Self {
+        Self { json, rows: 0 }
+    }
+
+    /// One snapshot in one line.
+    pub(super) fn row(&mut self, snapshot: &Snapshot, out: &mut dyn Write) -> Result<(), Failure> {
+        if self.json {
+            return Ok(writeln!(out, "{}", json_of(snapshot))?);
+        }
+        if self.rows == 0 {
+            writeln!(
+                out,
+                "{:<44} {:>7}  {:<23} {:>5}  attributes",
+                "entity", "version", "time (UTC)", "conf"
+            )?;
+        }
+        self.rows += 1;
+        let confidence = snapshot.instance().map_or_else(|| "-".into(), |i| format!("{:.2}", i.confidence));
+        let attributes = match snapshot.instance() {
+            Some(instance) => cut(&brief(instance.attributes.iter())),
+            None => "(removed)".into(),
+        };
+        let (id, time) = (snapshot.id.as_str(), utc(snapshot.referenced_ns));
+        writeln!(out, "{id:<44} {:>7}  {time:<23} {confidence:>5}  {attributes}", snapshot.version)?;
+        Ok(())
+    }
+
+    /// How many rows there were.
+    pub(super) fn end(&self, count: u64, what: &str, out: &mut dyn Write) -> Result<(), Failure> {
+        if self.json { Ok(()) } else { Ok(writeln!(out, "{count} {what}")?) }
+    }
+
+    /// One snapshot with everything that is known of it.
+    pub(super) fn whole(&self, snapshot: &Snapshot, out: &mut dyn Write) -> Result<(), Failure> {
+        if self.json {
+            return Ok(writeln!(out, "{}", json_of(snapshot))?);
+        }
+        writeln!(out, "{} version {}", snapshot.id, snapshot.version)?;
+        writeln!(
+            out,
+            "    referenced {}, sent {}, arrived {}",
+            utc(snapshot.referenced_ns),
+            utc(snapshot.sent_ns),
+            utc(snapshot.arrived_ns)
+        )?;
+        if snapshot.is_removed() {
+            writeln!(out, "    removed")?;
+        }
+        for instance in &snapshot.instances {
+            writeln!(out, "    confidence {:.3}", instance.confidence)?;
+            for (name, value) in instance.attributes.iter() {
+                writeln!(out, "        {name} = {}", plain(value))?;
+                if let Some(rows) = instance.covariance.get(name) {
+                    writeln!(out, "            covariance {rows:?}")?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Numbers by name.
+    pub(super) fn counts(&self, counts: &BTreeMap<String, u64>, out: &mut dyn Write) -> Result<(), Failure> {
+        if self.json {
+            return Ok(writeln!(out, "{}", json!(counts))?);
+        }
+        for (name, count) in counts {
+            writeln!(out, "{:<18} {count}", name.replace('_', " "))?;
+        }
+        Ok(())
+    }
+
+    /// Changes that came faster than they could be printed.
+    pub(super) fn lagged(&self, count: u64, out: &mut dyn Write) -> Result<(), Failure> {
+        if self.json {
+            return Ok(writeln!(out, "{}", json!({ "missed": count }))?);
+        }
+        Ok(writeln!(out, "({count} changes came faster than they could be shown)")?)
+    }
+}
+
+/// A snapshot as plain JSON.
+fn json_of(snapshot: &Snapshot) -> Json {
+    let instances = snapshot.instances.iter().map(|instance| {
+        let attributes: BTreeMap<&str, Json> =
+            instance.attributes.iter().map(|(name, value)| (name, value.to_json())).collect();
+        json!({
+            "confidence": instance.confidence,
+            "attributes": attributes,
+            "covariance": instance.covariance,
+        })
+    });
+    json!({
+        "id": snapshot.id.as_str(),
+        "version": snapshot.version,
+        "referenced_ns": snapshot.referenced_ns,
+        "sent_ns": snapshot.sent_ns,
+        "arrived_ns": snapshot.arrived_ns,
+        "removed": snapshot.is_removed(),
+        "instances": instances.collect::<Vec<_>>(),
+    })
+}
+
+fn brief<'a>(attributes: impl Iterator<Item = (&'a str, &'a Value)>) -> String {
+    attributes.map(|(name, value)| format!("{name}={}", plain(value))).collect::<Vec<_>>().join(" ")
+}
+
+/// A value in few words.
+fn plain(value: &Value) -> String {
+    let rounded = |numbers: &[f64]| numbers.iter().map(|n| format!("{n:.4}")).collect::<Vec<_>>().join(", ");
+    match value {
+        Value::Bytes(bytes) => format!("{} bytes", bytes.len()),
+        Value::Vector(v) => format!("({}) in {}", rounded(&v.components), v.frame.0),
+        Value::Pose(p) => {
+            format!("({}) turned ({}) in {}", rounded(&p.position), rounded(&p.orientation), p.frame.0)
+        }
+        other => other.to_json().to_string(),
+    }
+}
+
+fn cut(text: &str) -> String {
+    if text.chars().count() <= WIDE {
+        return text.to_owned();
+    }
+    let mut short: String = text.chars().take(WIDE - 1).collect();
+    short.push('…');
+    short
+}
+
+/// A time, ns since 1970, as UTC. Times of a clock that began elsewhere are seconds.
+fn utc(ns: u64) -> String {
+    let (seconds, milliseconds) = (ns / 1_000_000_000, ns / 1_000_000 % 1000);
+    if seconds < 86_400 * 365 {
+        return format!("{seconds}.{milliseconds:03} s");
+    }
+    let (days, rest) = (seconds / 86_400, seconds % 86_400);
+    let (year, month, day) = civil(days);
+    let (hour, minute, second) = (rest / 3600, rest / 60 % 60, rest % 60);
+    format!("{year}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02}.{milliseconds:03}")
+}
+
+/// Year, month and day of a number of days since 1970-01-01.
+///
+/// # Source
+/// Hinnant, "chrono-Compatible Low-Level Date Algorithms", `civil_from_days`.
+fn civil(days: u64) -> (u64, u64, u64) {
+    let shifted = days + 719_468;
+    let (era, day_of_era) = (shifted / 146_097, shifted % 146_097);
+    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let shifted_month = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * shifted_month + 2) / 5 + 1;
+    let month = if shifted_month < 10 { shifted_month + 3 } else { shifted_month - 9 };
+    (year_of_era + era * 400 + u64::from(month <= 2), month, day)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_dates() {
+        assert_eq!(utc(1_500_000_000), "1.500 s");
+        assert_eq!(utc(951_782_400_000_000_000), "2000-02-29 00:00:00.000");
+        assert_eq!(utc(1_763_736_362_123_456_789), "2025-11-21 14:46:02.123");
+    }
+}

@@ -1,0 +1,255 @@
+//! What each command does.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, BufWriter, Write};
+use std::path::Path;
+use std::sync::Arc;
+
+use armarium_memoryx::wire::{Maintain, Report};
+use armarium_memoryx::{Commit, EntityId, Filter, Instance, Pattern, Query, Region, Snapshot, Times};
+use armarium_values::{Frame, Value};
+use tokio::sync::broadcast::error::RecvError;
+
+use super::reach::Reached;
+use super::show::Shown;
+use super::{
+    ExportArgs, Failure, GetArgs, MemoryArgs, MemoryCommand, PutArgs, QueryArgs, SnapshotCommand, WatchArgs,
+    serve,
+};
+
+/// Snapshots that are imported at once.
+const BATCH: usize = 1000;
+
+pub(super) async fn carry_out(args: &MemoryArgs, out: &mut dyn Write) -> Result<u8, Failure> {
+    if let MemoryCommand::Serve(command) = &args.command {
+        return serve::serve(args, command, out).await;
+    }
+    let reached = Reached::open(args).await?;
+    let mut shown = Shown::new(args.json);
+    match &args.command {
+        MemoryCommand::Ls(of) => {
+            let query = Query::latest(pattern(&of.pattern)?);
+            let count = reached.each(query, |s| shown.row(s, out)).await?;
+            shown.end(count, "entities", out)?;
+        }
+        MemoryCommand::Get(get) => return self::get(&reached, get, &shown, out).await,
+        MemoryCommand::Put(put) => {
+            let version = self::put(&reached, put).await?;
+            shown.counts(&[("version".to_owned(), version)].into(), out)?;
+        }
+        MemoryCommand::Watch(watch) => self::watch(&reached, watch, &mut shown, out).await?,
+        MemoryCommand::Query(query) => {
+            let count = reached.each(self::query(query)?, |s| shown.row(s, out)).await?;
+            shown.end(count, "snapshots", out)?;
+        }
+        MemoryCommand::Export(export) => self::export(&reached, export, out).await?,
+        MemoryCommand::Import { file } => {
+            let counts = import(&reached, file).await?;
+            shown.counts(&counts, out)?;
+        }
+        MemoryCommand::Snapshot(_)
+        | MemoryCommand::Compact
+        | MemoryCommand::Verify
+        | MemoryCommand::Stats
+        | MemoryCommand::Retain(_)
+        | MemoryCommand::Serve(_) => {
+            let report = reached.maintain(request(&args.command)?).await?;
+            return report_of(&report, &shown, out);
+        }
+    }
+    Ok(0)
+}
+
+fn request(command: &MemoryCommand) -> Result<Maintain, Failure> {
+    Ok(match command {
+        MemoryCommand::Snapshot(snapshot) => match &snapshot.command {
+            SnapshotCommand::Save { name } => Maintain::Save { name: name.clone() },
+            SnapshotCommand::Load { name } => Maintain::Load { name: name.clone() },
+            SnapshotCommand::Rm { name } => Maintain::Forget { name: name.clone() },
+            SnapshotCommand::Ls => Maintain::Names,
+        },
+        MemoryCommand::Compact => Maintain::Compact,
+        MemoryCommand::Verify => Maintain::Verify,
+        MemoryCommand::Retain(retain) => {
+            let retention = serve::retention(retain.days, retain.megabytes)?;
+            Maintain::Retain { age_ns: retention.age_ns, bytes: retention.bytes }
+        }
+        _ => Maintain::Stats,
+    })
+}
+
+fn report_of(report: &Report, shown: &Shown, out: &mut dyn Write) -> Result<u8, Failure> {
+    shown.counts(&report.counts, out)?;
+    let damaged = report.counts.get("damaged").is_some_and(|count| *count > 0);
+    if damaged {
+        for what in &report.words {
+            writeln!(out, "damaged: {what}")?;
+        }
+    }
+    Ok(u8::from(damaged))
+}
+
+fn pattern(text: &str) -> Result<Pattern, Failure> {
+    let parts: Vec<&str> = text.split('/').collect();
+    if parts.len() > 3 || parts.iter().any(|part| part.is_empty()) {
+        return Err(Failure::Argument(format!("`{text}` is not SEGMENT/PROVIDER/ENTITY")));
+    }
+    let part = |i: usize| parts.get(i).filter(|p| **p != "*").map(|p| (*p).to_owned());
+    Ok(Pattern { segment: part(0), provider: part(1), entity: part(2) })
+}
+
+async fn get(reached: &Reached, get: &GetArgs, shown: &Shown, out: &mut dyn Write) -> Result<u8, Failure> {
+    let id: EntityId = get.id.parse()?;
+    let times = match get.at {
+        Some(at) => Times::At(at),
+        None if get.history => Times::All,
+        None => Times::Latest,
+    };
+    let query = Query::latest(Pattern::entity(&id)).times(times);
+    let mut query = if get.history || get.at.is_some() { query.with_long_term() } else { query };
+    query.limit = get.limit;
+    let count = reached.each(query, |s| shown.whole(s, out)).await?;
+    if count == 0 {
+        return Err(Failure::Refused(format!("there is no entity `{id}` in memory")));
+    }
+    Ok(0)
+}
+
+async fn put(reached: &Reached, put: &PutArgs) -> Result<u64, Failure> {
+    let id: EntityId = put.id.parse()?;
+    let mut attributes = BTreeMap::new();
+    for set in &put.set {
+        let (name, text) =
+            set.split_once('=').ok_or_else(|| Failure::Argument(format!("`{set}` is not NAME=VALUE")))?;
+        attributes.insert(name.to_owned(), value(text));
+    }
+    let instances =
+        if put.remove { Vec::new() } else { vec![Instance::new(attributes).with_confidence(put.confidence)] };
+    let referenced_ns = put.time.unwrap_or_else(|| reached.now_ns());
+    let commit = Commit { id, referenced_ns, instances, expected_version: put.expect };
+    Ok(reached.memory().commit(vec![commit]).await?.first().copied().unwrap_or(0))
+}
+
+/// A value of a command line: with its kind, as plain JSON, or else as text.
+fn value(text: &str) -> Value {
+    match serde_json::from_str::<serde_json::Value>(text) {
+        Ok(json) if json.is_object() => {
+            serde_json::from_value(json.clone()).unwrap_or_else(|_| Value::from_json(&json))
+        }
+        Ok(json) => Value::from_json(&json),
+        Err(_) => Value::String(text.to_owned()),
+    }
+}
+
+async fn watch(
+    reached: &Reached,
+    watch: &WatchArgs,
+    shown: &mut Shown,
+    out: &mut dyn Write,
+) -> Result<(), Failure> {
+    let pattern = pattern(&watch.pattern.pattern)?;
+    let filter = watch.filter.as_deref().map(Filter::compile).transpose()?;
+    let mut changes = reached.memory().subscribe();
+    let mut left = watch.count.unwrap_or(usize::MAX);
+    while left > 0 {
+        let change = tokio::select! {
+            biased;
+            ended = tokio::signal::ctrl_c() => return Ok(ended?),
+            change = changes.recv() => change,
+        };
+        match change {
+            Ok(snapshot) => {
+                let fits = filter.as_ref().is_none_or(|filter| filter.fits(&snapshot));
+                if pattern.matches(&snapshot.id) && fits {
+                    shown.row(&snapshot, out)?;
+                    out.flush()?;
+                    left -= 1;
+                }
+            }
+            Err(RecvError::Lagged(count)) => shown.lagged(count, out)?,
+            Err(RecvError::Closed) => return Ok(()),
+        }
+    }
+    Ok(())
+}
+
+fn query(args: &QueryArgs) -> Result<Query, Failure> {
+    let mut query = Query::latest(pattern(&args.pattern.pattern)?);
+    query.times = match (args.at, args.from, args.to) {
+        (Some(at), _, _) => Times::At(at),
+        (None, None, None) if args.history => Times::All,
+        (None, None, None) => Times::Latest,
+        (None, from, to) => Times::Between(from.unwrap_or(0), to.unwrap_or(u64::MAX)),
+    };
+    query.filter.clone_from(&args.filter);
+    (query.limit, query.most, query.long_term) = (args.limit, args.most, args.long_term);
+    let frame = Frame(args.frame.clone());
+    query.region = match (&args.near, args.radius, &args.in_box) {
+        (Some(near), Some(radius), _) => Some(Region::Within { frame, of: numbers(near)?, radius }),
+        (Some(near), None, _) => Some(Region::Nearest { frame, to: numbers(near)?, count: args.count }),
+        (None, _, Some(corners)) => {
+            let [a, b, c, d, e, f] = numbers(corners)?;
+            Some(Region::Box { frame, min: [a, b, c], max: [d, e, f] })
+        }
+        _ => None,
+    };
+    Ok(query)
+}
+
+fn numbers<const N: usize>(text: &str) -> Result<[f64; N], Failure> {
+    let wrong = || Failure::Argument(format!("`{text}` is not {N} numbers with commas between them"));
+    let numbers = text.split(',').map(|n| n.trim().parse::<f64>().map_err(|_| wrong()));
+    numbers.collect::<Result<Vec<_>, _>>()?.try_into().map_err(|_| wrong())
+}
+
+async fn export(reached: &Reached, export: &ExportArgs, out: &mut dyn Write) -> Result<(), Failure> {
+    let pattern = pattern(&export.pattern.pattern)?;
+    let mut file = match &export.output {
+        Some(path) => Some(BufWriter::new(File::create(path).map_err(|e| unusable(path, &e))?)),
+        None => None,
+    };
+    let to: &mut dyn Write = match &mut file {
+        Some(file) => file,
+        None => out,
+    };
+    let query = Query::history(pattern).with_long_term();
+    let each = |snapshot: &Snapshot| -> Result<(), Failure> {
+        let line = serde_json::to_string(snapshot).map_err(|e| Failure::Refused(e.to_string()))?;
+        Ok(writeln!(to, "{line}")?)
+    };
+    reached.each(query, each).await?;
+    Ok(to.flush()?)
+}
+
+fn unusable(path: &Path, error: &io::Error) -> Failure {
+    Failure::Argument(format!("`{}` cannot be used: {error}", path.display()))
+}
+
+async fn import(reached: &Reached, file: &Path) -> Result<BTreeMap<String, u64>, Failure> {
+    let mut lines: Box<dyn BufRead + Send> = if file == Path::new("-") {
+        Box::new(BufReader::new(io::stdin()))
+    } else {
+        Box::new(BufReader::new(File::open(file).map_err(|e| unusable(file, &e))?))
+    };
+    let mut counts = BTreeMap::from([("kept".to_owned(), 0), ("lines".to_owned(), 0)]);
+    let (mut batch, mut line, mut number) = (Vec::new(), String::new(), 0_u64);
+    loop {
+        line.clear();
+        let read = lines.read_line(&mut line)?;
+        if read > 0 && !line.trim().is_empty() {
+            number += 1;
+            let wrong =
+                |e: serde_json::Error| Failure::Argument(format!("line {number} is no snapshot: {e}"));
+            batch.push(Arc::new(serde_json::from_str::<Snapshot>(&line).map_err(wrong)?));
+        }
+        if batch.len() == BATCH || (read == 0 && !batch.is_empty()) {
+            let report = reached.maintain(Maintain::Keep { snapshots: std::mem::take(&mut batch) }).await?;
+            *counts.entry("kept".into()).or_insert(0) += report.counts.get("kept").copied().unwrap_or(0);
+        }
+        if read == 0 {
+            counts.insert("lines".into(), number);
+            return Ok(counts);
+        }
+    }
+}

@@ -1,0 +1,217 @@
+//! CEL expressions over snapshots, for queries and observers.
+//!
+//! Names: `id`, `segment`, `provider`, `entity`, `version`, `confidence`, `referenced_s`, `sent_s`, `arrived_s`; any other
+//! name is an attribute of the most trusted instance (`attributes.NAME` where it has one of these names). An
+//! expression that has no value, because an attribute is missing or of another type, does not fit.
+
+use std::cell::RefCell;
+
+use armarium_values::expr::{Environment, Expr, Slot, Unresolved, Variable, World};
+use armarium_values::{Type, Value};
+
+use crate::entity::Snapshot;
+use crate::error::MemoryError;
+
+/// A checked expression over snapshots.
+#[derive(Clone, Debug)]
+pub struct Filter {
+    expression: Expr,
+    names: Vec<Name>,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Name {
+    Id,
+    Segment,
+    Provider,
+    Entity,
+    Version,
+    Confidence,
+    Referenced,
+    Sent,
+    Arrived,
+    Attribute(String),
+}
+
+impl Name {
+    const OWN: [(&'static str, Self); 9] = [
+        ("id", Self::Id),
+        ("segment", Self::Segment),
+        ("provider", Self::Provider),
+        ("entity", Self::Entity),
+        ("version", Self::Version),
+        ("confidence", Self::Confidence),
+        ("referenced_s", Self::Referenced),
+        ("sent_s", Self::Sent),
+        ("arrived_s", Self::Arrived),
+    ];
+
+    /// What a dotted name begins with, and how many of its parts that takes.
+    fn of(path: &[&str]) -> Option<(Self, usize)> {
+        match path {
+            ["attributes", name, ..] => Some((Self::Attribute((*name).to_owned()), 2)),
+            [name, ..] => {
+                let own = Self::OWN.into_iter().find(|(n, _)| n == name).map(|(_, own)| own);
+                Some((own.unwrap_or_else(|| Self::Attribute((*name).to_owned())), 1))
+            }
+            [] => None,
+        }
+    }
+
+    fn ty(&self) -> Type {
+        match self {
+            Self::Id | Self::Segment | Self::Provider | Self::Entity => Type::String,
+            Self::Version => Type::Int,
+            Self::Confidence | Self::Referenced | Self::Sent | Self::Arrived => Type::FLOAT,
+            Self::Attribute(_) => Type::Any,
+        }
+    }
+
+    /// What it holds besides attributes.
+    fn value(&self, snapshot: &Snapshot) -> Option<Value> {
+        let seconds = |ns: u64| Value::Float(ns as f64 * 1e-9);
+        Some(match self {
+            Self::Id => snapshot.id.as_str().into(),
+            Self::Segment => snapshot.id.segment().into(),
+            Self::Provider => snapshot.id.provider().into(),
+            Self::Entity => snapshot.id.entity().into(),
+            Self::Version => Value::Int(i64::try_from(snapshot.version).unwrap_or(i64::MAX)),
+            Self::Confidence => Value::Float(snapshot.instance()?.confidence),
+            Self::Referenced => seconds(snapshot.referenced_ns),
+            Self::Sent => seconds(snapshot.sent_ns),
+            Self::Arrived => seconds(snapshot.arrived_ns),
+            Self::Attribute(_) => return None,
+        })
+    }
+}
+
+struct Names(RefCell<Vec<Name>>);
+
+impl Environment for Names {
+    fn variable(&self, path: &[&str]) -> Result<Variable, Unresolved> {
+        let missing = || Unresolved { message: "a name is missing".into(), help: None };
+        let (name, used) = Name::of(path).ok_or_else(missing)?;
+        let ty = name.ty();
+        let mut names = self.0.borrow_mut();
+        let at = names.iter().position(|n| *n == name).unwrap_or_else(|| {
+            names.push(name);
+            names.len() - 1
+        });
+        let slot = Slot::Data(u32::try_from(at).map_err(|_| missing())?);
+        Ok(Variable { slot, ty, used })
+    }
+
+    fn channel(&self, name: &str) -> Result<u32, Unresolved> {
+        Err(Unresolved { message: format!("`{name}` is a channel, and memory has none"), help: None })
+    }
+
+    fn state(&self, path: &str) -> Result<u32, Unresolved> {
+        Err(Unresolved { message: format!("`{path}` is a state, and memory has none"), help: None })
+    }
+}
+
+struct Seen<'a> {
+    filter: &'a Filter,
+    snapshot: &'a Snapshot,
+    own: Vec<Option<Value>>,
+}
+
+impl World for Seen<'_> {
+    fn data(&self, slot: u32) -> Option<&Value> {
+        let at = usize::try_from(slot).ok()?;
+        match self.filter.names.get(at)? {
+            Name::Attribute(name) => self.snapshot.attribute(name),
+            _ => self.own.get(at)?.as_ref(),
+        }
+    }
+
+    fn channel(&self, _: u32, _: &[String]) -> Option<Value> {
+        None
+    }
+
+    fn age(&self, _: u32) -> Option<f64> {
+        None
+    }
+
+    fn event_name(&self) -> Option<&str> {
+        None
+    }
+
+    fn event_data(&self) -> Option<&Value> {
+        None
+    }
+
+    fn active(&self, _: u32) -> bool {
+        false
+    }
+}
+
+impl Filter {
+    /// Checks an expression.
+    ///
+    /// # Errors
+    /// [`MemoryError::Query`] when it is no CEL, or certainly not a truth value.
+    pub fn compile(source: &str) -> Result<Self, MemoryError> {
+        let wrong =
+            |what: String| MemoryError::Query { what: format!("the filter `{}`: {what}", short(source)) };
+        let names = Names(RefCell::default());
+        let expression = Expr::compile(source, &names).map_err(|e| wrong(e.message))?;
+        if !matches!(expression.ty(), Type::Bool | Type::Any) {
+            return Err(wrong(format!("is a {}, where true or false is wanted", expression.ty())));
+        }
+        Ok(Self { expression, names: names.0.into_inner() })
+    }
+
+    /// Whether a snapshot fits.
+    #[must_use]
+    pub fn fits(&self, snapshot: &Snapshot) -> bool {
+        let own = self.names.iter().map(|name| name.value(snapshot)).collect();
+        self.expression.test(&Seen { filter: self, snapshot, own }).unwrap_or(false)
+    }
+}
+
+fn short(source: &str) -> String {
+    source.chars().take(80).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use armarium_values::{Frame, Vector};
+
+    use super::*;
+    use crate::attributes::Attributes;
+    use crate::entity::Instance;
+
+    #[test]
+    fn expressions_see_attributes_and_what_surrounds_them() {
+        let position = Value::Vector(Vector { frame: Frame::root(), components: [0.1, 0.2, 0.9] });
+        let attributes =
+            Attributes::from([("class", "sponge".into()), ("position", position), ("id", Value::Int(7))]);
+        let snapshot = Snapshot {
+            id: "ObjectInstances/vision/sponge".parse().unwrap(),
+            version: 3,
+            referenced_ns: 2_000_000_000,
+            sent_ns: 0,
+            arrived_ns: 0,
+            instances: vec![Instance::new(attributes).with_confidence(0.75)],
+        };
+        for (source, expected) in [
+            ("class == 'sponge' && confidence > 0.5", true),
+            ("position.z > 0.8 && position.x < 0.2", true),
+            ("position.z > 1", false),
+            ("referenced_s == 2.0 && version == 3 && provider == 'vision'", true),
+            ("id.startsWith('ObjectInstances') && attributes.id == 7", true),
+            ("mass > 1.0", false),
+            ("class > 1.0", false),
+            ("!(mass > 1.0)", false),
+        ] {
+            match Filter::compile(source) {
+                Ok(filter) => assert_eq!(filter.fits(&snapshot), expected, "{source}"),
+                Err(error) => panic!("{source}: {error}"),
+            }
+        }
+        for bad in ["", "class ==", "version + 1", "age(x) > 1", "'text'"] {
+            assert!(matches!(Filter::compile(bad), Err(MemoryError::Query { .. })), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,98 @@
+//! Whoever sends nonsense, too much or from the future is told so, and everyone else is served.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use armarium_bus::session::Answer;
+use armarium_bus::{Session, SessionConfig, keys};
+use armarium_values::Value;
+
+use crate::wire::{self, CommitRequest};
+use crate::*;
+
+fn update(name: &str, time: u64) -> Commit {
+    Commit::new(EntityId::new("Things", "p", name).unwrap(), time, [("value", Value::Int(1))])
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn nonsense_is_refused_in_words_and_others_are_served() {
+    let session = Session::open(&SessionConfig::default()).await.unwrap();
+    let limits = Limits { entities: 3, bytes: 100_000, ahead_ns: Some(1000), ..Limits::default() };
+    let memory = Arc::new(WorkingMemory::new(Arc::new(|| 500)).with_limits(limits));
+    let _server = MemoryServer::start(&session, "alice", Arc::clone(&memory)).await.unwrap();
+    let near = Session::open(&SessionConfig::connected_to(&session.endpoints().await)).await.unwrap();
+    let remote = RemoteMemory::connect(&near, "alice").await.unwrap();
+    let key = keys::memory_commit("alice").unwrap();
+    let commit = |v: u32| format!("application/cbor;memoryx/commit;v{v}");
+    let deep = vec![0x81; 100_000];
+    let good = wire::seal(&CommitRequest { updates: vec![update("a", 1)], sent_ns: 1 }).unwrap().1;
+    for (encoding, payload, words) in [
+        (commit(9), good.clone(), "is version 9 of `memoryx/commit`"),
+        ("text/plain".to_owned(), good.clone(), "does not name a schema"),
+        ("application/cbor;robot/state;v1".to_owned(), good, "is a `robot/state`"),
+        (commit(1), b"\xff\xff".to_vec(), "starts no item"),
+        (commit(1), Vec::new(), "ends too early"),
+        (commit(1), deep, "nested deeper"),
+        ("application/cbor;memoryx/query;v1".to_owned(), b"\x01".to_vec(), "does not fit"),
+        ("application/cbor;memoryx/maintain;v1".to_owned(), b"\x65stats".to_vec(), "there is none"),
+    ] {
+        let answer = near.ask_one(&key, "", Some((&encoding, payload))).await.unwrap();
+        let Answer::Refusal { encoding, payload } = answer else { panic!("{words}: was taken") };
+        let error = wire::open::<MemoryError>(&encoding, &payload).unwrap().to_string();
+        assert!(error.contains(words), "{error} does not say: {words}");
+    }
+    assert!(memory.is_empty());
+    assert_eq!(remote.commit(vec![update("a", 1)]).await, Ok(vec![1]));
+    let ahead = remote.commit(vec![update("a", 9_000_000_000)]).await;
+    assert!(matches!(ahead, Err(MemoryError::Future { ahead_s: 8, .. })), "{ahead:?}");
+    let many = (0..1000).map(|i| update(&format!("many{i}"), 1)).collect();
+    assert!(matches!(remote.commit(many).await, Err(MemoryError::Full { entities: 3, .. })));
+    let large = Commit::new(update("a", 1).id, 1, [("data", Value::Bytes(vec![0; 200_000]))]);
+    assert!(matches!(remote.commit(vec![large]).await, Err(MemoryError::TooLarge { most: 100_000, .. })));
+    assert_eq!(memory.len(), 1);
+    assert_eq!(remote.commit(vec![update("a", 2)]).await, Ok(vec![2]));
+}
+
+/// Counts how often it is asked to keep something.
+#[derive(Default)]
+struct Counting(AtomicUsize);
+
+impl Backing for Counting {
+    fn last_version(&self, _: &EntityId) -> Result<u64, MemoryError> {
+        Ok(0)
+    }
+
+    fn take(&self, _: &[Arc<Snapshot>]) -> Result<(), MemoryError> {
+        self.0.fetch_add(1, Ordering::Relaxed);
+        Ok(())
+    }
+}
+
+#[test]
+fn commits_that_wait_together_are_kept_together() {
+    let backing = Arc::new(Counting::default());
+    let memory = WorkingMemory::new(Arc::new(|| 0)).with_backing(Arc::<Counting>::clone(&backing));
+    let group = vec![
+        (vec![update("a", 1), update("b", 1)], 0),
+        (vec![update("c", 1), update("a", 2).expecting(7)], 0),
+        (vec![update("a", 3).expecting(1)], 0),
+    ];
+    let answers = memory.commit_group(group);
+    assert_eq!(answers[0], Ok(vec![1, 1]));
+    assert!(matches!(answers[1], Err(MemoryError::Conflict { expected: 7, actual: 1, .. })));
+    assert_eq!(answers[2], Ok(vec![2]), "what was refused has left nothing behind");
+    assert_eq!((backing.0.load(Ordering::Relaxed), memory.len()), (1, 2));
+
+    let versions: Vec<u64> = std::thread::scope(|scope| {
+        let write = |_| {
+            scope.spawn(|| {
+                (0..50).flat_map(|i| memory.commit_now(vec![update("d", i)]).unwrap()).collect::<Vec<_>>()
+            })
+        };
+        let writers: Vec<_> = (0..4).map(write).collect();
+        writers.into_iter().flat_map(|writer| writer.join().unwrap()).collect()
+    });
+    let mut sorted = versions;
+    sorted.sort_unstable();
+    assert_eq!(sorted, (1..=200).collect::<Vec<_>>(), "each version is given once");
+}

@@ -1,0 +1,62 @@
+//! Maintenance of a long-term memory: what [`crate::wire::Maintain`] asks for, carried out.
+
+use std::collections::BTreeMap;
+
+use crate::error::MemoryError;
+use crate::store::{LongTermMemory, Retention};
+use crate::wire::{Maintain, Report};
+use crate::working::WorkingMemory;
+
+/// Carries out a request. Blocks for the disk.
+///
+/// # Errors
+/// [`MemoryError::Store`] when the disk or the file fails; as [`WorkingMemory::commit_now`] when a named snapshot is loaded.
+pub fn carry_out(
+    request: Maintain,
+    store: &LongTermMemory,
+    memory: &WorkingMemory,
+) -> Result<Report, MemoryError> {
+    let counted = |counts: &[(&str, u64)]| Report {
+        counts: counts.iter().map(|(name, count)| ((*name).to_owned(), *count)).collect::<BTreeMap<_, _>>(),
+        words: Vec::new(),
+    };
+    Ok(match request {
+        Maintain::Stats => {
+            let stats = store.stats()?;
+            counted(&[
+                ("entities", stats.entities),
+                ("snapshots", stats.snapshots),
+                ("bytes", stats.bytes),
+                ("file_bytes", stats.file_bytes),
+                ("working_entities", memory.len() as u64),
+                ("working_bytes", memory.bytes()),
+            ])
+        }
+        Maintain::Verify => {
+            let found = store.verify()?;
+            let report = counted(&[("intact", found.intact), ("damaged", found.damaged)]);
+            Report { words: found.damages, ..report }
+        }
+        Maintain::Compact => {
+            let before = store.stats()?.file_bytes;
+            store.compact()?;
+            counted(&[("file_bytes_before", before), ("file_bytes", store.stats()?.file_bytes)])
+        }
+        Maintain::Save { name } => counted(&[("entities", store.save_named(&name, memory)? as u64)]),
+        Maintain::Load { name } => counted(&[("changed", store.load_named(&name, memory)? as u64)]),
+        Maintain::Forget { name } => {
+            store.forget_named(&name)?;
+            Report::default()
+        }
+        Maintain::Names => {
+            let names = store.list_named()?;
+            let counts = names.iter().map(|n| (n.name.clone(), n.entities)).collect();
+            Report { counts, words: names.into_iter().map(|n| n.name).collect() }
+        }
+        Maintain::Retain { age_ns, bytes } => {
+            let dropped = store.retain(Retention { age_ns, bytes }, memory.now_ns())?;
+            counted(&[("dropped", dropped.snapshots), ("freed_bytes", dropped.bytes)])
+        }
+        Maintain::Keep { snapshots } => counted(&[("kept", store.persist(&snapshots)? as u64)]),
+    })
+}

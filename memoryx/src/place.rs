@@ -1,0 +1,102 @@
+//! Where things are: the place of a snapshot, and regions that queries ask for.
+
+use armarium_values::{Frame, Value};
+use serde::{Deserialize, Serialize};
+
+use crate::entity::Snapshot;
+use crate::error::MemoryError;
+
+/// A region of space, in one frame. Entities whose place is known in another frame are not in it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Region {
+    /// Inside a box along the frame's axes, its faces included.
+    Box {
+        /// The frame of the corners.
+        frame: Frame,
+        /// The smallest x, y and z, m.
+        min: [f64; 3],
+        /// The largest x, y and z, m.
+        max: [f64; 3],
+    },
+    /// Not further away than a radius.
+    Within {
+        /// The frame of the centre.
+        frame: Frame,
+        /// The centre, m.
+        of: [f64; 3],
+        /// The radius, m.
+        radius: f64,
+    },
+    /// The nearest ones, nearest first.
+    Nearest {
+        /// The frame of the point.
+        frame: Frame,
+        /// The point, m.
+        to: [f64; 3],
+        /// How many.
+        count: usize,
+    },
+}
+
+/// Where an entity is: its `pose`, or else its `position`, m. `None` when it has neither, or a number is not finite.
+#[must_use]
+pub fn place_of(snapshot: &Snapshot) -> Option<(&Frame, [f64; 3])> {
+    let (frame, position) = match snapshot.attribute("pose").or_else(|| snapshot.attribute("position"))? {
+        Value::Pose(pose) => (&pose.frame, pose.position),
+        Value::Vector(vector) => (&vector.frame, vector.components),
+        _ => return None,
+    };
+    position.iter().all(|x| x.is_finite()).then_some((frame, position))
+}
+
+/// The distance of two points, m.
+#[must_use]
+pub fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+}
+
+impl Region {
+    /// The frame that it is in.
+    #[must_use]
+    pub fn frame(&self) -> &Frame {
+        match self {
+            Self::Box { frame, .. } | Self::Within { frame, .. } | Self::Nearest { frame, .. } => frame,
+        }
+    }
+
+    /// Whether a snapshot's place is in the region; for the nearest ones, whether it has a place that can be compared.
+    #[must_use]
+    pub fn holds(&self, snapshot: &Snapshot) -> bool {
+        let Some((frame, position)) = place_of(snapshot) else { return false };
+        frame == self.frame()
+            && match self {
+                Self::Box { min, max, .. } => (0..3).all(|i| min[i] <= position[i] && position[i] <= max[i]),
+                Self::Within { of, radius, .. } => distance(of, &position) <= *radius,
+                Self::Nearest { .. } => true,
+            }
+    }
+
+    /// Whether its numbers can be used.
+    ///
+    /// # Errors
+    /// [`MemoryError::Query`] when one is not finite, or nothing could be inside.
+    pub fn check(&self) -> Result<(), MemoryError> {
+        let wrong = |what: &str| Err(MemoryError::Query { what: format!("the region {what}") });
+        let finite = |numbers: &[f64]| numbers.iter().all(|n| n.is_finite());
+        match self {
+            Self::Box { min, max, .. } if !finite(min) || !finite(max) => {
+                wrong("has a number that is not finite")
+            }
+            Self::Box { min, max, .. } if (0..3).any(|i| min[i] > max[i]) => {
+                wrong("has a minimum above its maximum")
+            }
+            Self::Within { of, radius, .. } if !finite(of) || !radius.is_finite() => {
+                wrong("has a number that is not finite")
+            }
+            Self::Within { radius, .. } if *radius < 0.0 => wrong("has a negative radius"),
+            Self::Nearest { to, .. } if !finite(to) => wrong("has a number that is not finite"),
+            _ => Ok(()),
+        }
+    }
+}

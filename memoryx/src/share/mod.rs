@@ -1,0 +1,249 @@
+//! Following another agent's memory: what it knows is here as well, as the provider segment `{agent}.{provider}`, in this
+//! agent's frame, with the attribute `origin` that says whose it is.
+//!
+//! Every version is taken once and in order. After a cut the other memory is asked for what came since, out of its
+//! long-term memory where its working memory has forgotten; what is nowhere any more is a gap: the next snapshot's
+//! `origin.missed` counts the versions, and [`Following::missed`] all of them. What has itself been followed is not
+//! followed on.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use armarium_values::Value;
+use tokio::task::JoinSet;
+
+use crate::entity::{Commit, EntityId, Instance, Snapshot};
+use crate::error::MemoryError;
+use crate::follow::{Change, Follower};
+use crate::memory::Memory;
+use crate::query::{Pattern, Query};
+use crate::updater::{OBJECT_INSTANCES, Observation, Updater};
+use crate::working::WorkingMemory;
+
+mod frames;
+
+pub use frames::{WORLD, own_from_other, transformed};
+
+/// Changes that are committed together.
+const TOGETHER: usize = 256;
+/// How long to wait before a memory that refuses for a while is tried again.
+const RETRY: std::time::Duration = std::time::Duration::from_millis(500);
+
+/// What is followed, and how.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FollowSettings {
+    /// This agent.
+    pub own: String,
+    /// Whose memory is followed.
+    pub agent: String,
+    /// What of it.
+    pub pattern: Pattern,
+    /// Whether objects with a place are also fused into this provider segment of `ObjectInstances`, as observations; kept
+    /// apart where none is given.
+    pub fuse_into: Option<String>,
+}
+
+/// Follows for as long as it lives.
+#[derive(Debug)]
+pub struct Following {
+    missed: Arc<AtomicU64>,
+    taken: Arc<AtomicU64>,
+    _tasks: JoinSet<()>,
+}
+
+impl Following {
+    /// Goes on following `other` from what `memory` has of it already.
+    ///
+    /// # Errors
+    /// [`MemoryError::Name`] when an agent's name is none; as [`Memory::query`].
+    pub async fn start(
+        other: Arc<dyn Memory>,
+        memory: Arc<WorkingMemory>,
+        settings: FollowSettings,
+    ) -> Result<Self, MemoryError> {
+        crate::entity::check_name(&settings.agent)?;
+        let (told, since_ns) = known(&memory, &settings)?;
+        let follower = Follower::resume(other, settings.pattern.clone(), told, since_ns).await?;
+        let updater = match &settings.fuse_into {
+            Some(provider) => Some(Updater::new(Arc::<WorkingMemory>::clone(&memory), provider)?),
+            None => None,
+        };
+        let (missed, taken) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
+        let task = Task { memory, settings, updater, missed: Arc::clone(&missed), taken: Arc::clone(&taken) };
+        let mut tasks = JoinSet::new();
+        tasks.spawn(task.run(follower));
+        Ok(Self { missed, taken, _tasks: tasks })
+    }
+
+    /// Versions that nobody has any more, so far.
+    #[must_use]
+    pub fn missed(&self) -> u64 {
+        self.missed.load(Ordering::Relaxed)
+    }
+
+    /// Versions that were taken so far.
+    #[must_use]
+    pub fn taken(&self) -> u64 {
+        self.taken.load(Ordering::Relaxed)
+    }
+}
+
+/// The address that another agent's entity has here.
+///
+/// # Errors
+/// [`MemoryError::Name`] when the names are too long together.
+pub fn followed_id(agent: &str, id: &EntityId) -> Result<EntityId, MemoryError> {
+    EntityId::new(id.segment(), &format!("{agent}.{}", id.provider()), id.entity())
+}
+
+/// What is here of another memory: the newest version of each of its entities, and when the newest arrived there, ns.
+fn known(
+    memory: &WorkingMemory,
+    settings: &FollowSettings,
+) -> Result<(BTreeMap<EntityId, u64>, u64), MemoryError> {
+    let prefix = format!("{}.", settings.agent);
+    let pattern = Pattern::any().of_provider(&format!("{prefix}*"));
+    let mut told = BTreeMap::new();
+    let mut since_ns = 0;
+    for snapshot in memory.query_now(&Query::history(pattern).with_long_term())? {
+        let number = |name: &str| {
+            let origin = snapshot.attribute("origin")?.get(name)?.as_int()?;
+            u64::try_from(origin).ok()
+        };
+        let provider = snapshot.id.provider().strip_prefix(&prefix).unwrap_or_default();
+        let id = EntityId::new(snapshot.id.segment(), provider, snapshot.id.entity())?;
+        if let Some(version) = number("version") {
+            let newest = told.entry(id).or_insert(0);
+            *newest = version.max(*newest);
+        } else if snapshot.is_removed() {
+            // A removal has no attributes: it is the version after the one before it.
+            *told.entry(id).or_insert(0) += 1;
+        }
+        since_ns = since_ns.max(number("arrived_ns").unwrap_or(0));
+    }
+    Ok((told, since_ns))
+}
+
+struct Task {
+    memory: Arc<WorkingMemory>,
+    settings: FollowSettings,
+    updater: Option<Updater>,
+    missed: Arc<AtomicU64>,
+    taken: Arc<AtomicU64>,
+}
+
+impl Task {
+    async fn run(self, mut follower: Follower) {
+        let mut gaps: BTreeMap<EntityId, u64> = BTreeMap::new();
+        loop {
+            let first = match follower.next().await {
+                Ok(Some(change)) => change,
+                Ok(None) => return,
+                Err(error) => {
+                    tracing::warn!(%error, agent = self.settings.agent, "what was missed could not be asked for");
+                    tokio::time::sleep(RETRY).await;
+                    continue;
+                }
+            };
+            let mut changes = vec![first];
+            changes.extend(follower.drain(TOGETHER - 1).await.unwrap_or_default());
+            let mut news = Vec::with_capacity(changes.len());
+            for change in changes {
+                match change {
+                    Change::Missed { id, from, to } => {
+                        let count = to - from + 1;
+                        self.missed.fetch_add(count, Ordering::Relaxed);
+                        *gaps.entry(id).or_insert(0) += count;
+                    }
+                    Change::New(snapshot) if snapshot.attribute("origin").is_none() => {
+                        let missed = gaps.remove(&snapshot.id).unwrap_or(0);
+                        news.push((snapshot, missed));
+                    }
+                    Change::New(_) => {}
+                }
+            }
+            self.take(news).await;
+        }
+    }
+
+    async fn take(&self, news: Vec<(Arc<Snapshot>, u64)>) {
+        let count = news.len() as u64;
+        let translated = news.iter().map(|(snapshot, missed)| self.translated(snapshot, *missed));
+        let updates: Vec<Commit> =
+            translated.filter_map(|update| note(update, &self.settings.agent)).collect();
+        if self.memory.commit(updates.clone()).await.is_err() {
+            // One that is refused does not take the others with it; a disk that fails is waited for.
+            for update in updates {
+                while let Err(error) = self.memory.commit(vec![update.clone()]).await {
+                    tracing::warn!(%error, agent = self.settings.agent, "what is followed was refused");
+                    if !matches!(error, MemoryError::Store { .. }) {
+                        break;
+                    }
+                    tokio::time::sleep(RETRY).await;
+                }
+            }
+        }
+        if let Some(updater) = &self.updater {
+            let seen: Vec<Observation> = news.iter().filter_map(|(s, _)| self.observation(s)).collect();
+            for observation in seen {
+                note(updater.update(&[observation]).await, &self.settings.agent);
+            }
+        }
+        self.taken.fetch_add(count, Ordering::Relaxed);
+    }
+
+    /// An update of this memory that says the same in this agent's frame.
+    fn translated(&self, snapshot: &Snapshot, missed: u64) -> Result<Commit, MemoryError> {
+        let number = |n: u64| Value::Int(i64::try_from(n).unwrap_or(i64::MAX));
+        let mut origin = vec![
+            ("agent", Value::from(self.settings.agent.as_str())),
+            ("provider", snapshot.id.provider().into()),
+            ("version", number(snapshot.version)),
+            ("arrived_ns", number(snapshot.arrived_ns)),
+        ];
+        if missed > 0 {
+            origin.push(("missed", number(missed)));
+        }
+        let origin = Value::Map(origin.into_iter().map(|(name, value)| (name.to_owned(), value)).collect());
+        let instances = snapshot.instances.iter().map(|instance| {
+            let moved = self.moved(instance);
+            Instance { attributes: moved.attributes.with("origin", origin.clone()), ..moved }
+        });
+        Ok(Commit {
+            id: followed_id(&self.settings.agent, &snapshot.id)?,
+            referenced_ns: snapshot.referenced_ns,
+            instances: instances.collect(),
+            expected_version: None,
+        })
+    }
+
+    fn moved(&self, instance: &Instance) -> Instance {
+        let own_from_other = own_from_other(&self.memory, &self.settings.own, &self.settings.agent);
+        transformed(instance, &self.settings.agent, own_from_other.as_ref())
+    }
+
+    fn observation(&self, snapshot: &Snapshot) -> Option<Observation> {
+        let moved = self.moved(snapshot.instance()?);
+        let confidence = moved.confidence;
+        let rows = moved.covariance.get("position").and_then(|rows| rows.as_slice().try_into().ok());
+        let moved = Snapshot { instances: vec![moved], ..snapshot.clone() };
+        let (frame, components) = crate::place::place_of(&moved)?;
+        let class = moved.attribute("class")?.as_str()?.to_owned();
+        (snapshot.id.segment() == OBJECT_INSTANCES).then(|| Observation {
+            class,
+            stamp_ns: snapshot.referenced_ns,
+            position: armarium_values::Vector { frame: frame.clone(), components },
+            covariance: rows.unwrap_or([1e-4, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1e-4]),
+            confidence,
+            attributes: BTreeMap::new(),
+        })
+    }
+}
+
+fn note<T>(result: Result<T, MemoryError>, agent: &str) -> Option<T> {
+    result.inspect_err(|error| tracing::warn!(%error, agent, "what is followed was refused")).ok()
+}
+
+#[cfg(test)]
+mod tests;

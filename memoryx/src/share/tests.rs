@@ -1,0 +1,205 @@
+//! Following over real sessions: frames, a cut that heals, gaps that are said.
+
+use std::net::SocketAddr;
+
+use armarium_bus::{Session, SessionConfig};
+use armarium_values::{Frame, Pose, Vector};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use tokio::io::copy_bidirectional;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::watch;
+
+use super::*;
+use crate::remote::RemoteMemory;
+use crate::server::MemoryServer;
+use crate::store::{Consolidator, LongTermMemory, Policies, Policy};
+use crate::working::Limits;
+
+fn cup(time: u64, x: f64) -> Commit {
+    let id = EntityId::new(OBJECT_INSTANCES, "vision", "cup").unwrap();
+    let position = Vector { frame: Frame::root(), components: [x, 0.0, 1.0] };
+    let velocity = Vector { frame: Frame::root(), components: [1.0, 0.0, 0.0] };
+    let instance = Instance::new([
+        ("class", Value::from("cup")),
+        ("position", position.into()),
+        ("velocity", velocity.into()),
+    ]);
+    let covariance = vec![4e-4, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1e-4];
+    let instances = vec![instance.with_covariance("position", covariance)];
+    Commit { id, referenced_ns: time, instances, expected_version: None }
+}
+
+fn stands(agent: &str, x: f64, turned: f64) -> Commit {
+    let at = Isometry3::new(Vector3::new(x, 0.0, 0.0), Vector3::z() * turned);
+    let id = EntityId::new("AgentInstances", "map", agent).unwrap();
+    Commit::new(id, 0, [("pose", Value::Pose(Pose::new(WORLD.into(), &at)))])
+}
+
+fn settings(fuse_into: Option<&str>) -> FollowSettings {
+    FollowSettings {
+        own: "bob".into(),
+        agent: "alice".into(),
+        pattern: Pattern::segment(OBJECT_INSTANCES),
+        fuse_into: fuse_into.map(Into::into),
+    }
+}
+
+async fn until(mut holds: impl FnMut() -> bool) {
+    while !holds() {
+        tokio::task::yield_now().await;
+    }
+}
+
+/// Waits until the data here speak of a time.
+async fn arrived(memory: &WorkingMemory, id: &EntityId, time: u64) {
+    let mut changes = memory.subscribe();
+    while memory.latest_now(id).map_or(true, |s| s.referenced_ns < time) {
+        // A lagging receiver looks again as well.
+        let _ = changes.recv().await;
+    }
+}
+
+fn close(a: [f64; 3], b: [f64; 3]) -> bool {
+    crate::place::distance(&a, &b) < 1e-12
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_is_followed_is_in_ones_own_frame_with_its_origin() {
+    let alice = Arc::new(WorkingMemory::new(Arc::new(|| 7)));
+    let bob = Arc::new(WorkingMemory::new(Arc::new(|| 8)));
+    let quarter = std::f64::consts::FRAC_PI_2;
+    bob.commit_now(vec![stands("alice", 2.0, quarter), stands("bob", 1.0, 0.0)]).unwrap();
+    alice.commit_now(vec![cup(5, 0.3)]).unwrap();
+    let other = Arc::<WorkingMemory>::clone(&alice);
+    let following = Following::start(other, Arc::clone(&bob), settings(Some("scene"))).await.unwrap();
+    until(|| following.taken() == 1).await;
+    let found = bob.latest_now(&"ObjectInstances/alice.vision/cup".parse().unwrap()).unwrap();
+    // Alice's x points along Bob's y, from one metre before him.
+    let Some(Value::Vector(position)) = found.attribute("position") else { panic!("no position") };
+    assert!(close(position.components, [1.0, 0.3, 1.0]), "{position:?}");
+    assert_eq!(position.frame, Frame::root());
+    let Some(Value::Vector(velocity)) = found.attribute("velocity") else { panic!("no velocity") };
+    assert!(close(velocity.components, [0.0, 1.0, 0.0]), "{velocity:?}");
+    let covariance = &found.instance().unwrap().covariance["position"];
+    assert!((covariance[0] - 1e-4).abs() < 1e-15 && (covariance[4] - 4e-4).abs() < 1e-15, "{covariance:?}");
+    let origin = found.attribute("origin").unwrap();
+    assert_eq!(origin.get("agent"), Some(&Value::from("alice")));
+    assert_eq!((origin.get("version"), found.referenced_ns), (Some(&Value::Int(1)), 5));
+    let fused = bob.latest_now(&"ObjectInstances/scene/cup".parse().unwrap()).unwrap();
+    assert!(fused.attribute("position") == Some(&Value::Vector(position.clone())));
+
+    // Bob is not told again what he has, also after he has begun anew.
+    drop(following);
+    alice.commit_now(vec![cup(6, 0.4)]).unwrap();
+    let other = Arc::<WorkingMemory>::clone(&alice);
+    let following = Following::start(other, Arc::clone(&bob), settings(None)).await.unwrap();
+    until(|| following.taken() == 1).await;
+    assert_eq!(bob.latest_now(&found.id).unwrap().version, 2);
+    assert_eq!(following.missed(), 0);
+}
+
+#[test]
+fn a_place_that_is_not_known_is_nobody_elses() {
+    let instance = cup(1, 0.3).instances.remove(0);
+    let moved = transformed(&instance, "alice", None);
+    let Some(Value::Vector(position)) = moved.attributes.get("position") else { panic!("no position") };
+    assert_eq!((position.frame.0.as_str(), position.components), ("alice/root", [0.3, 0.0, 1.0]));
+}
+
+#[test]
+fn transforms_compose_like_isometries() {
+    let by = Isometry3::from_parts(
+        Vector3::new(0.3, -0.2, 1.0).into(),
+        UnitQuaternion::from_euler_angles(0.2, -0.7, 1.1),
+    );
+    let wrench =
+        armarium_values::Wrench { frame: Frame::root(), force: [1.0, 2.0, 3.0], torque: [0.1, 0.2, 0.3] };
+    let instance = Instance::new([
+        ("wrench", Value::Wrench(wrench)),
+        ("a", Value::List(vec![cup(0, 0.3).instances[0].attributes.get("position").unwrap().clone()])),
+    ]);
+    let there = transformed(&instance, "alice", Some(&by));
+    let back = transformed(&there, "alice", Some(&by.inverse()));
+    let numbers = |i: &Instance| match (i.attributes.get("wrench"), i.attributes.get("a")) {
+        (Some(Value::Wrench(w)), Some(Value::List(items))) => match &items[0] {
+            Value::Vector(v) => [w.force, w.torque, v.components],
+            other => panic!("{other:?}"),
+        },
+        other => panic!("{other:?}"),
+    };
+    for (a, b) in numbers(&instance).into_iter().zip(numbers(&back)) {
+        assert!(close(a, b), "{a:?} {b:?}");
+    }
+    let moved = by * Point3::new(0.3, 0.0, 1.0);
+    assert!(close(numbers(&there)[2], moved.coords.into()));
+}
+
+/// A line between two agents that can be cut.
+async fn line(to: SocketAddr) -> (SocketAddr, watch::Sender<bool>) {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    let (cut, is_cut) = watch::channel(false);
+    tokio::spawn(async move {
+        while let Ok((mut near, _)) = listener.accept().await {
+            let mut is_cut = is_cut.clone();
+            tokio::spawn(async move {
+                if *is_cut.borrow() {
+                    return;
+                }
+                let Ok(mut far) = TcpStream::connect(to).await else { return };
+                tokio::select! {
+                    biased;
+                    _ = is_cut.wait_for(|cut| *cut) => {}
+                    _ = copy_bidirectional(&mut near, &mut far) => {}
+                }
+            });
+        }
+    });
+    (address, cut)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn after_a_cut_both_sides_are_equal() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Arc::new(LongTermMemory::open(&folder.path().join("alice.redb")).unwrap());
+    let kept = Consolidator::new(Arc::clone(&store), Policies::all(Policy::Everything));
+    let session = Session::open(&SessionConfig::default()).await.unwrap();
+    let clock = session.clone();
+    let alice = WorkingMemory::new(Arc::new(move || clock.now_ns()));
+    let alice = alice.with_limits(Limits { history: 4, ..Limits::default() }).with_backing(Arc::new(kept));
+    let alice = Arc::new(alice);
+    let server = MemoryServer::start_with(&session, "alice", Arc::clone(&alice), Some(store)).await.unwrap();
+    let endpoint = session.endpoints().await.remove(0);
+    let (address, cut) = line(endpoint.strip_prefix("tcp/").unwrap().parse().unwrap()).await;
+
+    let near = Session::open(&SessionConfig::connected_to(&[format!("tcp/{address}")])).await.unwrap();
+    let remote = Arc::new(RemoteMemory::connect(&near, "alice").await.unwrap());
+    let bob = WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits { history: 10_000, ..Limits::default() });
+    let bob = Arc::new(bob);
+    let shared = Arc::<RemoteMemory>::clone(&remote);
+    let following = Following::start(shared, Arc::clone(&bob), settings(None)).await.unwrap();
+    let commit = |from: u64, to: u64| {
+        for time in from..to {
+            alice.commit_now(vec![cup(time, time as f64 * 1e-3)]).unwrap();
+        }
+    };
+    let id: EntityId = "ObjectInstances/alice.vision/cup".parse().unwrap();
+    commit(0, 50);
+    arrived(&bob, &id, 49).await;
+    cut.send(true).unwrap();
+    // Far more than working memory remembers.
+    commit(50, 600);
+    cut.send(false).unwrap();
+    arrived(&bob, &id, 599).await;
+    commit(600, 620);
+    arrived(&bob, &id, 619).await;
+    let taken: Vec<u64> = bob
+        .query_now(&Query::history(Pattern::entity(&id)))
+        .unwrap()
+        .iter()
+        .map(|s| s.referenced_ns)
+        .collect();
+    assert_eq!(taken, (0..620).collect::<Vec<_>>(), "nothing is lost and nothing there twice");
+    assert_eq!(following.missed(), 0);
+    drop(server);
+}

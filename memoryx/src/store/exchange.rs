@@ -1,0 +1,77 @@
+//! Export and import as JSON lines: one snapshot a line, as `{"id", "version", "referenced_ns", "sent_ns", "arrived_ns",
+//! "instances"}`, values with their kind (`{"float": 0.5}`).
+
+use std::io::{BufRead, Write};
+use std::sync::Arc;
+
+use super::{LongTermMemory, StoreError};
+use crate::entity::Snapshot;
+use crate::query::Pattern;
+
+/// Snapshots that are imported in one transaction.
+const BATCH: usize = 1000;
+/// Longest line that is read, bytes.
+const LONGEST: u64 = 256 << 20;
+
+impl LongTermMemory {
+    /// Writes what a pattern fits, ordered by the time it came. Returns how many lines.
+    ///
+    /// # Errors
+    /// [`StoreError::Failed`] when `to` cannot be written; when the memory cannot be read.
+    pub fn export(&self, pattern: &Pattern, to: &mut impl Write) -> Result<u64, StoreError> {
+        let mut count = 0;
+        let mut failure = None;
+        self.scan(|snapshot| {
+            if !pattern.matches(&snapshot.id) {
+                return true;
+            }
+            let line = serde_json::to_vec(&snapshot).map_err(|e| e.to_string());
+            let written = line.and_then(|mut line| {
+                line.push(b'\n');
+                to.write_all(&line).map_err(|e| e.to_string())
+            });
+            count += 1;
+            failure = written.err();
+            failure.is_none()
+        })?;
+        let flushed = to.flush().map_err(|e| e.to_string());
+        match failure.map_or(flushed, Err) {
+            Ok(()) => Ok(count),
+            Err(what) => Err(self.failed(&format!("the export cannot be written: {what}"))),
+        }
+    }
+
+    /// Keeps what lines hold. Those that are there already are passed over. Returns how many were new.
+    ///
+    /// # Errors
+    /// [`StoreError::Import`] with the line that is wrong; [`StoreError::Version`] when another snapshot has its version.
+    /// Lines before the last full thousand are kept then.
+    pub fn import(&self, from: &mut impl BufRead) -> Result<u64, StoreError> {
+        let (mut line, mut number, mut new) = (Vec::new(), 0, 0);
+        let mut batch = Vec::with_capacity(BATCH);
+        loop {
+            line.clear();
+            number += 1;
+            let wrong = |what: String| StoreError::Import { line: number, what };
+            let read = std::io::Read::take(&mut *from, LONGEST).read_until(b'\n', &mut line);
+            let read = read.map_err(|e| wrong(e.to_string()))?;
+            if read == 0 {
+                break;
+            }
+            if line.iter().all(u8::is_ascii_whitespace) {
+                continue;
+            }
+            let snapshot: Snapshot = serde_json::from_slice(&line).map_err(|e| wrong(e.to_string()))?;
+            for instance in &snapshot.instances {
+                let formed = crate::schema::check_form(&snapshot.id, instance);
+                formed.map_err(|e| wrong(e.to_string()))?;
+            }
+            batch.push(Arc::new(snapshot));
+            if batch.len() == BATCH {
+                new += self.persist(&batch)? as u64;
+                batch.clear();
+            }
+        }
+        Ok(new + self.persist(&batch)? as u64)
+    }
+}

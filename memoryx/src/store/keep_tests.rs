@@ -1,0 +1,202 @@
+//! Long-term memory beyond single snapshots: large values, names, retention, exchange.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use armarium_values::{Frame, Pose, Reference, Value, Vector, Wrench};
+
+use super::tests::snapshot;
+use super::*;
+use crate::attributes::Attributes;
+use crate::entity::{Commit, Instance};
+
+fn store() -> (tempfile::TempDir, PathBuf, LongTermMemory) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("memory.redb");
+    let store = LongTermMemory::open(&path).unwrap();
+    (folder, path, store)
+}
+
+fn image(version: u64, content: u8) -> Arc<Snapshot> {
+    let attributes = [("pixels", Value::Bytes(vec![content; 100_000])), ("n", Value::Int(1))];
+    let instances = vec![Instance::new(attributes)];
+    Arc::new(Snapshot { instances, ..(*snapshot("Images/eye/left", version, version, 0)).clone() })
+}
+
+fn all(store: &LongTermMemory) -> Vec<Arc<Snapshot>> {
+    store.query(&Query::history(Pattern::any())).unwrap()
+}
+
+/// Every kind of value, nested, with covariances.
+fn everything() -> Arc<Snapshot> {
+    let frame = Frame::root();
+    let vector = Vector { frame: frame.clone(), components: [1.0, -2.0, 0.5] };
+    let values = vec![
+        Value::Null,
+        Value::Bool(true),
+        Value::Bool(false),
+        Value::Int(i64::MIN),
+        Value::Float(f64::INFINITY),
+        Value::String("ä\u{0}".into()),
+        Value::Duration(0.1),
+        Value::Bytes(vec![0, 255]),
+        Value::Bytes(vec![9; record::BLOB_FROM]),
+        Value::Vector(vector.clone()),
+        Value::Pose(Pose { frame: frame.clone(), position: [1.0; 3], orientation: [0.0, 0.0, 0.0, 1.0] }),
+        Value::Wrench(Wrench { frame, force: [1.0; 3], torque: [2.0; 3] }),
+        Value::Reference(Reference { kind: "Motion".into(), id: "a/b/c".into() }),
+        Value::Map(BTreeMap::from([("x".to_owned(), Value::List(vec![]))])),
+    ];
+    let attributes = Attributes::from([("values", Value::List(values)), ("at", vector.into())]);
+    let first =
+        Instance::new(attributes).with_covariance("at", vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+    let instances = vec![first, Instance::new(BTreeMap::new()).with_confidence(0.1)];
+    Arc::new(Snapshot { instances, ..(*snapshot("S/p/all", 1, 5, 0)).clone() })
+}
+
+#[test]
+fn every_kind_of_value_comes_back() {
+    let (_folder, path, store) = store();
+    store.persist(&[everything()]).unwrap();
+    assert_eq!(all(&store), [everything()]);
+    drop(store);
+    let store = LongTermMemory::open(&path).unwrap();
+    let mut scanned = Vec::new();
+    store
+        .scan(|s| {
+            scanned.push(s);
+            true
+        })
+        .unwrap();
+    assert_eq!(scanned, [(*everything()).clone()]);
+    assert!(store.verify().unwrap().is_intact());
+}
+
+#[test]
+fn no_bytes_of_a_record_panic() {
+    let mut bytes = Vec::new();
+    let everything = everything();
+    record::append(&mut bytes, 0, &everything, &mut Vec::new());
+    let none = |_: &record::Hash| Ok(Vec::new());
+    for at in 0..bytes.len() {
+        for value in [0, 1, 7, 0x7f, 0x80, 0xff] {
+            let mut changed = bytes.clone();
+            changed[at] = value;
+            // The checksum finds it; behind the checksum nothing may panic either.
+            let _ = record::head(&changed);
+            let head = record::Head { length: changed.len(), number: 0, version: 1 };
+            let _ = record::decode(&everything.id, head, &changed, &none);
+        }
+        let cut = record::Head { length: at, number: 0, version: 1 };
+        assert!(record::decode(&everything.id, cut, &bytes, &none).is_err());
+    }
+}
+
+#[test]
+fn large_values_are_kept_once_and_go_with_their_last_use() {
+    let (_folder, _, store) = store();
+    let same: Vec<_> = (1..=20).map(|v| image(v, 7)).collect();
+    store.persist(&same).unwrap();
+    let bytes = store.stats().unwrap().bytes;
+    assert!(bytes < 103_000, "one picture, not twenty: {bytes}");
+    store.persist(&[image(21, 8)]).unwrap();
+    assert_eq!(all(&store).len(), 21);
+    assert_eq!(*all(&store)[20], *image(21, 8));
+    assert!(store.verify().unwrap().is_intact());
+    let dropped = store.retain(Retention { age_ns: Some(0), bytes: None }, u64::MAX).unwrap();
+    assert_eq!(dropped.snapshots, 20);
+    assert!(dropped.bytes > 100_000, "the older picture has gone: {dropped:?}");
+    assert_eq!(all(&store), [image(21, 8)], "the newest of an entity stays");
+    assert!(store.verify().unwrap().is_intact());
+}
+
+#[test]
+fn retention_is_by_age_and_by_room() {
+    let (_folder, _, store) = store();
+    // A chunk for each commit; arrival is two later than the time.
+    for time in 0..100 {
+        store.persist(&[snapshot("S/p/e", time + 1, time, 0)]).unwrap();
+    }
+    store.persist(&[snapshot("S/p/old", 1, 0, 0)]).unwrap();
+    let dropped = store.retain(Retention { age_ns: Some(50), bytes: None }, 102).unwrap();
+    assert_eq!(dropped.snapshots, 50);
+    let kept: Vec<u64> = all(&store).iter().map(|s| s.version).collect();
+    assert_eq!(kept, (51..=100).chain([1]).collect::<Vec<_>>());
+    assert_eq!(store.last_version(&"S/p/e".parse().unwrap()), Ok(100));
+    let budget = store.stats().unwrap().bytes / 2;
+    store.retain(Retention { age_ns: None, bytes: Some(budget) }, 102).unwrap();
+    assert!(store.stats().unwrap().bytes <= budget);
+    assert_eq!(all(&store).last().unwrap().id.entity(), "old", "the newest of each entity stays");
+    assert!(store.verify().unwrap().is_intact());
+    assert_eq!(store.retain(Retention::default(), 102), Ok(Dropped::default()));
+    // What is dropped is a gap, and the count goes on.
+    store.persist(&[snapshot("S/p/e", 101, 200, 0)]).unwrap();
+    assert_eq!(store.newest(&"S/p/e".parse().unwrap()).unwrap().unwrap().version, 101);
+}
+
+#[test]
+fn working_memory_comes_back_under_its_name() {
+    let (_folder, path, store) = store();
+    let store = Arc::new(store);
+    let memory = WorkingMemory::new(Arc::new(|| 9));
+    let commit = |name: &str, value: i64| {
+        Commit::new(format!("S/p/{name}").parse().unwrap(), 1, [("value", Value::Int(value))])
+    };
+    memory.commit_now(vec![commit("a", 1), commit("b", 2)]).unwrap();
+    assert_eq!(store.save_named("morning", &memory), Ok(2));
+    memory.commit_now(vec![commit("a", 7), commit("c", 3)]).unwrap();
+    assert_eq!(store.save_named("noon", &memory), Ok(3));
+    // Retention spares what a name holds.
+    store.retain(Retention { age_ns: Some(0), bytes: Some(0) }, u64::MAX).unwrap();
+    drop(store);
+    let store = LongTermMemory::open(&path).unwrap();
+    let names: Vec<_> =
+        store.list_named().unwrap().into_iter().map(|n| (n.name, n.entities, n.taken_ns)).collect();
+    assert_eq!(names, [("morning".to_owned(), 2, 9), ("noon".to_owned(), 3, 9)]);
+    assert_eq!(store.load_named("morning", &memory), Ok(2), "a is as it was, c has gone, b is the same");
+    let held = memory.query_now(&Query::latest(Pattern::any())).unwrap();
+    let held: Vec<_> = held
+        .iter()
+        .map(|s| (s.id.entity(), s.version, s.attribute("value").and_then(Value::as_int)))
+        .collect();
+    assert_eq!(held, [("a", 3, Some(1)), ("b", 1, Some(2))]);
+    store.forget_named("morning").unwrap();
+    assert_eq!(store.forget_named("morning"), Err(StoreError::NoSuchName { name: "morning".into() }));
+    assert!(store.load_named("morning", &memory).is_err());
+    assert!(store.save_named("a/b", &memory).is_err());
+    store.retain(Retention { age_ns: Some(0), bytes: None }, u64::MAX).unwrap();
+    assert_eq!(all(&store).len(), 3, "the newest of each");
+    assert!(store.verify().unwrap().is_intact());
+}
+
+#[test]
+fn what_is_exported_can_be_imported() {
+    let (_folder, _, store) = store();
+    let kept: Vec<_> = (1..=1500).map(|v| snapshot("S/p/e", v, v, v as i64)).chain([image(1, 3)]).collect();
+    store.persist(&kept).unwrap();
+    let mut lines = Vec::new();
+    assert_eq!(store.export(&Pattern::any(), &mut lines), Ok(1501));
+    let (_other_folder, _, other) = self::store();
+    assert_eq!(other.import(&mut lines.as_slice()), Ok(1501));
+    assert_eq!(all(&other), all(&store));
+    assert_eq!(other.import(&mut lines.as_slice()), Ok(0), "what is there already is passed over");
+    let mut one = Vec::new();
+    assert_eq!(store.export(&Pattern::segment("Images"), &mut one), Ok(1));
+    for bad in ["{", "[]", r#"{"id":"S/p"}"#, "\n\nnull"] {
+        assert!(matches!(other.import(&mut bad.as_bytes()), Err(StoreError::Import { .. })), "{bad}");
+    }
+    assert!(other.verify().unwrap().is_intact());
+}
+
+#[test]
+fn compaction_joins_what_came_one_by_one() {
+    let (_folder, _, store) = store();
+    for version in 1..=300 {
+        store.persist(&[snapshot("S/p/e", version, version, 0)]).unwrap();
+    }
+    let before = all(&store);
+    assert_eq!(store.compact(), Ok(true));
+    assert_eq!(all(&store), before);
+    assert!(store.verify().unwrap().is_intact());
+}

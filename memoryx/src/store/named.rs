@@ -1,0 +1,155 @@
+//! Named snapshots of the whole working memory, which load back.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use redb::{ReadableDatabase, ReadableTable};
+
+use super::{LongTermMemory, NAMED, StoreError};
+use crate::entity::{Commit, Snapshot, check_name};
+use crate::error::MemoryError;
+use crate::query::{Pattern, Query};
+use crate::working::WorkingMemory;
+
+/// A named snapshot's entry in the list.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Named {
+    /// Its name.
+    pub name: String,
+    /// When it was taken, ns.
+    pub taken_ns: u64,
+    /// How many entities it holds.
+    pub entities: u64,
+}
+
+impl LongTermMemory {
+    /// Keeps what working memory holds now under a name, durably; an older snapshot of that name is replaced. What it
+    /// holds is kept until [`Self::forget_named`]. Returns how many entities it holds.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSuchName`] for what cannot be a name; as [`Self::persist`].
+    pub fn save_named(&self, name: &str, memory: &WorkingMemory) -> Result<usize, StoreError> {
+        check_name(name).map_err(|_| no_such(name))?;
+        let held = memory
+            .query_now(&Query::latest(Pattern::any()))
+            .map_err(|e| StoreError::Query { what: e.to_string() })?;
+        let taken_ns = memory.now_ns();
+        // The list is written after what it names: a crash between the two leaves the older list.
+        self.persist(&held)?;
+        self.write(|writer, memo| {
+            let mut list = taken_ns.to_le_bytes().to_vec();
+            for snapshot in &held {
+                list.extend_from_slice(&writer.number(&snapshot.id, memo)?.to_le_bytes());
+                list.extend_from_slice(&snapshot.version.to_le_bytes());
+            }
+            writer.name(name, Some(&list))?;
+            Ok(((), true))
+        })?;
+        Ok(held.len())
+    }
+
+    /// What a named snapshot holds, ordered by address.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSuchName`]; [`StoreError::Damaged`] and others when it cannot be read.
+    pub fn named(&self, name: &str) -> Result<Vec<Arc<Snapshot>>, StoreError> {
+        let list = self.with(|database| {
+            let transaction = database.begin_read().map_err(|e| self.fault(e))?;
+            let table = transaction.open_table(NAMED).map_err(|e| self.fault(e))?;
+            Ok(table.get(name).map_err(|e| self.fault(e))?.map(|v| v.value().to_vec()))
+        })?;
+        let list = list.ok_or_else(|| no_such(name))?;
+        self.read(|reader| {
+            let ids = reader.addresses()?;
+            let missing = || self.damaged(format!("the snapshot `{name}` names what is not there"));
+            let mut found = Vec::new();
+            for (number, version) in entries(&list) {
+                let id = ids.get(&number).ok_or_else(missing)?;
+                let row =
+                    reader.index.get((number, version)).map_err(|e| self.fault(e))?.ok_or_else(missing)?;
+                found.push(reader.snapshot(id, row.value())?);
+            }
+            found.sort_by(|a, b| a.id.cmp(&b.id));
+            Ok(found)
+        })
+    }
+
+    /// Makes working memory hold again what a named snapshot holds: entities that differ get its data as a new version,
+    /// and those that it does not have are removed, so that nobody's count of versions goes back. Read-only segments
+    /// stay as they are. Returns how many entities were changed.
+    ///
+    /// # Errors
+    /// As [`Self::named`] and [`crate::Memory::commit`]; nothing is changed then.
+    pub fn load_named(&self, name: &str, memory: &WorkingMemory) -> Result<usize, MemoryError> {
+        let wanted = self.named(name)?;
+        let held = memory.query_now(&Query::latest(Pattern::any()))?;
+        let mut updates = Vec::new();
+        for snapshot in &wanted {
+            let now = held.binary_search_by(|s| s.id.cmp(&snapshot.id)).ok().and_then(|i| held.get(i));
+            if now.is_none_or(|now| now.instances != snapshot.instances) {
+                updates.push(Commit {
+                    id: snapshot.id.clone(),
+                    referenced_ns: snapshot.referenced_ns,
+                    instances: snapshot.instances.clone(),
+                    expected_version: None,
+                });
+            }
+        }
+        let gone = held.iter().filter(|s| wanted.binary_search_by(|w| w.id.cmp(&s.id)).is_err());
+        updates.extend(gone.map(|s| Commit::removal(s.id.clone(), memory.now_ns())));
+        updates.retain(|update| !memory.is_read_only(&update.id));
+        let count = updates.len();
+        memory.commit_now(updates)?;
+        Ok(count)
+    }
+
+    /// All named snapshots, ordered by name.
+    ///
+    /// # Errors
+    /// When they cannot be read.
+    pub fn list_named(&self) -> Result<Vec<Named>, StoreError> {
+        self.lists(|name, list| Named {
+            name: name.to_owned(),
+            taken_ns: list.first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes)),
+            entities: entries(list).count() as u64,
+        })
+    }
+
+    /// Forgets a named snapshot; what it alone holds goes with the next [`Self::retain`].
+    ///
+    /// # Errors
+    /// [`StoreError::NoSuchName`]; when the disk fails.
+    pub fn forget_named(&self, name: &str) -> Result<(), StoreError> {
+        let was = self.write(|writer, _| {
+            let was = writer.name(name, None)?;
+            Ok((was, was))
+        })?;
+        if was { Ok(()) } else { Err(no_such(name)) }
+    }
+
+    /// Everything that named snapshots hold.
+    pub(super) fn pinned(&self) -> Result<BTreeSet<(u64, u64)>, StoreError> {
+        Ok(self.lists(|_, list| entries(list).collect::<Vec<_>>())?.into_iter().flatten().collect())
+    }
+
+    fn lists<T>(&self, read: impl Fn(&str, &[u8]) -> T) -> Result<Vec<T>, StoreError> {
+        self.with(|database| {
+            let transaction = database.begin_read().map_err(|e| self.fault(e))?;
+            let table = transaction.open_table(NAMED).map_err(|e| self.fault(e))?;
+            let rows = table.iter().map_err(|e| self.fault(e))?;
+            rows.map(|row| row.map(|(name, list)| read(name.value(), list.value())))
+                .collect::<Result<_, _>>()
+                .map_err(|e| self.fault(e))
+        })
+    }
+}
+
+fn no_such(name: &str) -> StoreError {
+    StoreError::NoSuchName { name: name.chars().take(200).collect() }
+}
+
+/// Entity numbers and versions of a list.
+fn entries(list: &[u8]) -> impl Iterator<Item = (u64, u64)> {
+    let number = |bytes: &[u8]| bytes.first_chunk().map_or(0, |b| u64::from_le_bytes(*b));
+    list.get(8..).unwrap_or_default().chunks_exact(16).map(move |entry| (number(entry), number(&entry[8..])))
+}

@@ -1,0 +1,171 @@
+//! Retention: what long-term memory forgets by age and by room, and the joining of small chunks.
+//!
+//! The newest snapshot of each entity stays, and so does what a named snapshot holds. What was forgotten shows to
+//! followers as a gap in the versions.
+
+use std::collections::BTreeSet;
+
+use redb::{ReadableTable, ReadableTableMetadata};
+
+use super::write::Writer;
+use super::{LongTermMemory, StoreError, record};
+
+/// Chunks that are worked on in one transaction.
+const BATCH: usize = 256;
+/// A chunk below this many bytes is joined with others.
+const SMALL: usize = 32_000;
+
+/// How much is kept.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Retention {
+    /// How long after their arrival snapshots are kept, ns.
+    pub age_ns: Option<u64>,
+    /// Most bytes of records and blobs.
+    pub bytes: Option<u64>,
+}
+
+/// What retention has forgotten.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Dropped {
+    /// Snapshots.
+    pub snapshots: u64,
+    /// Bytes of records and blobs.
+    pub bytes: u64,
+}
+
+impl LongTermMemory {
+    /// Forgets what is older than the age, at `now_ns`, and the oldest until what is left fits. The file shrinks with
+    /// the next [`Self::compact`]; until then the room is used again.
+    ///
+    /// # Errors
+    /// When the disk fails; what was forgotten until then stays forgotten.
+    pub fn retain(&self, retention: Retention, now_ns: u64) -> Result<Dropped, StoreError> {
+        let pinned = self.pinned()?;
+        let before = retention.age_ns.map_or(0, |age| now_ns.saturating_sub(age));
+        let last = self.write(|writer, _| Ok((writer.totals.next_chunk, false)))?;
+        let start = self.stats()?;
+        let mut from = 0;
+        while let Some(next) = self.write(|writer, _| {
+            let next = forget_some(self, writer, (from, last), retention.bytes, before, &pinned)?;
+            Ok((next, true))
+        })? {
+            from = next;
+        }
+        let end = self.stats()?;
+        Ok(Dropped {
+            snapshots: start.snapshots.saturating_sub(end.snapshots),
+            bytes: start.bytes.saturating_sub(end.bytes),
+        })
+    }
+
+    /// Joins small chunks, in their order. Returns whether there were any.
+    pub(super) fn join_chunks(&self) -> Result<bool, StoreError> {
+        let last = self.write(|writer, _| Ok((writer.totals.next_chunk, false)))?;
+        let mut joined = false;
+        let mut from = 0;
+        loop {
+            let (next, any) = self.write(|writer, _| {
+                let (small, next) = small_chunks(self, writer, from, last)?;
+                if small.len() > 1 {
+                    for chunk in &small {
+                        let bytes = writer.take_chunk(*chunk)?;
+                        each_record(self, &bytes, |head, record| writer.move_record(record, head))?;
+                    }
+                }
+                Ok(((next, small.len() > 1), small.len() > 1))
+            })?;
+            joined |= any;
+            match next {
+                Some(next) => from = next,
+                None => return Ok(joined),
+            }
+        }
+    }
+}
+
+/// Forgets in at most [`BATCH`] chunks from one to another, the second excluded. Returns where to go on.
+fn forget_some(
+    store: &LongTermMemory,
+    writer: &mut Writer<'_>,
+    (from, last): (u64, u64),
+    budget: Option<u64>,
+    before: u64,
+    pinned: &BTreeSet<(u64, u64)>,
+) -> Result<Option<u64>, StoreError> {
+    let fault = |e: redb::StorageError| store.fault(e);
+    let rows = writer.chunks.range(from..last).map_err(fault)?;
+    let mut numbers = Vec::new();
+    for row in rows.take(BATCH) {
+        numbers.push(row.map_err(fault)?.0.value());
+    }
+    for number in &numbers {
+        let over = budget.is_some_and(|most| writer.totals.bytes > most);
+        let bytes =
+            writer.chunks.get(*number).map_err(fault)?.map(|v| v.value().to_vec()).unwrap_or_default();
+        let mut newest_arrival = 0;
+        each_record(store, &bytes, |_, record| {
+            let (_, arrived) = record::times(record).map_err(|what| store.damaged(what))?;
+            newest_arrival = newest_arrival.max(arrived);
+            Ok(())
+        })?;
+        if !over && newest_arrival >= before {
+            continue;
+        }
+        let bytes = writer.take_chunk(*number)?;
+        each_record(store, &bytes, |head, record| {
+            let last =
+                writer.index.range((head.number, 0)..=(head.number, u64::MAX)).map_err(fault)?.next_back();
+            let newest = last.transpose().map_err(fault)?.map(|(key, _)| key.value().1);
+            if newest == Some(head.version) || pinned.contains(&(head.number, head.version)) {
+                writer.move_record(record, head)
+            } else {
+                writer.forget(record, head)
+            }
+        })?;
+    }
+    Ok(numbers.last().filter(|_| numbers.len() == BATCH).map(|n| n + 1))
+}
+
+/// Up to [`BATCH`] small chunks from one to another, and where to go on.
+fn small_chunks(
+    store: &LongTermMemory,
+    writer: &Writer<'_>,
+    from: u64,
+    last: u64,
+) -> Result<(Vec<u64>, Option<u64>), StoreError> {
+    let fault = |e: redb::StorageError| store.fault(e);
+    if writer.chunks.len().map_err(fault)? == 0 {
+        return Ok((Vec::new(), None));
+    }
+    let mut small = Vec::new();
+    for row in writer.chunks.range(from..last).map_err(fault)? {
+        let (number, bytes) = row.map_err(fault)?;
+        if bytes.value().len() < SMALL {
+            small.push(number.value());
+            if small.len() == BATCH {
+                let next = number.value() + 1;
+                return Ok((small, Some(next)));
+            }
+        }
+    }
+    Ok((small, None))
+}
+
+/// Gives the records of a chunk to `act`, one after the other.
+fn each_record(
+    store: &LongTermMemory,
+    bytes: &[u8],
+    mut act: impl FnMut(record::Head, &[u8]) -> Result<(), StoreError>,
+) -> Result<(), StoreError> {
+    let mut rest = bytes;
+    while !rest.is_empty() {
+        let head = record::head(rest).map_err(|what| store.damaged(what))?;
+        if head.length < record::HEAD {
+            return Err(store.damaged("a chunk has an empty record".into()));
+        }
+        let (record, after) = rest.split_at(head.length);
+        act(head, record)?;
+        rest = after;
+    }
+    Ok(())
+}

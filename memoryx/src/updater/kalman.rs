@@ -1,0 +1,116 @@
+//! The Kalman filter of a place: prediction adds uncertainty, an observation takes some away.
+
+use nalgebra::{Cholesky, Matrix3, Vector3};
+
+/// A place with its covariance.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Gaussian {
+    mean: Vector3<f64>,
+    covariance: Matrix3<f64>,
+}
+
+impl Gaussian {
+    /// A place, m, with its covariance, m². `None` unless all numbers are finite and the covariance is symmetric and
+    /// positive definite.
+    #[must_use]
+    pub fn new(mean: Vector3<f64>, covariance: Matrix3<f64>) -> Option<Self> {
+        let finite = mean.iter().chain(covariance.iter()).all(|x| x.is_finite());
+        let scale = covariance.amax();
+        let symmetric = (covariance - covariance.transpose()).amax() <= 1e-9 * scale;
+        let definite = finite && Cholesky::new(covariance).is_some();
+        (symmetric && definite).then_some(Self { mean, covariance })
+    }
+
+    /// The place, m.
+    #[must_use]
+    pub fn mean(&self) -> Vector3<f64> {
+        self.mean
+    }
+
+    /// Its covariance, m².
+    #[must_use]
+    pub fn covariance(&self) -> Matrix3<f64> {
+        self.covariance
+    }
+
+    /// The same place, less sure by `variance`, m², along each axis.
+    #[must_use]
+    pub fn spread(&self, variance: f64) -> Self {
+        Self { mean: self.mean, covariance: self.covariance + Matrix3::identity() * variance }
+    }
+
+    /// The squared Mahalanobis distance of two independent estimates of one place: chi-squared with 3 degrees of freedom
+    /// when they are of one thing.
+    #[must_use]
+    pub fn distance_squared(&self, other: &Self) -> Option<f64> {
+        let innovation = other.mean - self.mean;
+        let decomposed = Cholesky::new(self.covariance + other.covariance)?;
+        Some(innovation.dot(&decomposed.solve(&innovation)))
+    }
+
+    /// What follows from two independent estimates of one place: the Kalman update with the observation matrix I, its
+    /// covariance in Joseph's form, which stays symmetric and positive.
+    ///
+    /// # Source
+    /// Bar-Shalom, Li, Kirubarajan 2001, eqs. (5.2.3-11) to (5.2.3-18).
+    #[must_use]
+    pub fn fuse(&self, observed: &Self) -> Option<Self> {
+        let inverse = Cholesky::new(self.covariance + observed.covariance)?.inverse();
+        let gain = self.covariance * inverse;
+        let rest = Matrix3::identity() - gain;
+        let covariance =
+            rest * self.covariance * rest.transpose() + gain * observed.covariance * gain.transpose();
+        let covariance = (covariance + covariance.transpose()) * 0.5;
+        Some(Self { mean: self.mean + gain * (observed.mean - self.mean), covariance })
+    }
+}
+
+/// How far something is trusted after one more independent observation of it, each 0 to 1; never more than 0.999.
+#[must_use]
+pub fn fuse_confidence(before: f64, observed: f64) -> f64 {
+    (1.0 - (1.0 - before) * (1.0 - observed)).min(before.max(observed).max(0.999)).clamp(0.0, 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn equal_estimates_are_averaged_and_twice_as_sure() {
+        let at = |x: f64| Gaussian::new(Vector3::new(x, 0.0, 0.0), Matrix3::identity() * 4e-4).unwrap();
+        let fused = at(0.1).fuse(&at(0.3)).unwrap();
+        assert!((fused.mean().x - 0.2).abs() < 1e-12);
+        assert!((fused.covariance() - Matrix3::identity() * 2e-4).amax() < 1e-15);
+        assert!((at(0.1).distance_squared(&at(0.3)).unwrap() - 0.04 / 8e-4).abs() < 1e-9);
+    }
+
+    proptest! {
+        /// Against the information form: inverses add.
+        #[test]
+        fn fusion_adds_information(a in proptest::array::uniform6(-1.0..1.0), b in proptest::array::uniform6(-1.0..1.0)) {
+            let gaussian = |n: [f64; 6]| {
+                let root = Matrix3::new(n[0], 0.0, 0.0, n[1], n[2], 0.0, n[3], n[4], n[5]);
+                let covariance = root * root.transpose() + Matrix3::identity() * 0.1;
+                Gaussian::new(Vector3::new(n[0], n[3], n[5]), covariance).unwrap()
+            };
+            let (a, b) = (gaussian(a), gaussian(b));
+            let fused = a.fuse(&b).unwrap();
+            let inverse = |g: &Gaussian| g.covariance().try_inverse().unwrap();
+            let expected = (inverse(&a) + inverse(&b)).try_inverse().unwrap();
+            let mean = expected * (inverse(&a) * a.mean() + inverse(&b) * b.mean());
+            prop_assert!((fused.covariance() - expected).amax() < 1e-9);
+            prop_assert!((fused.mean() - mean).amax() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn what_is_no_covariance_is_refused() {
+        let zero = Vector3::zeros();
+        for bad in [Matrix3::zeros(), -Matrix3::identity(), Matrix3::identity() * f64::NAN] {
+            assert_eq!(Gaussian::new(zero, bad), None);
+        }
+        assert_eq!(Gaussian::new(Vector3::repeat(f64::INFINITY), Matrix3::identity()), None);
+    }
+}

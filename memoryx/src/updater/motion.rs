@@ -1,0 +1,144 @@
+//! Motion models: where an entity is expected between two observations.
+//!
+//! Attributes of the entity: `motion_model` (`static`, `hand` or `object`), `attached_to` (the hand's name or the other
+//! entity's address) and `offset` (its centre in the carrier's frame, m).
+
+use std::sync::Arc;
+
+use armarium_values::{Frame, Pose, Value};
+use nalgebra::{Matrix3, Point3, Vector3};
+
+use super::Settings;
+use super::kalman::Gaussian;
+use crate::entity::{Instance, Snapshot};
+use crate::place::place_of;
+
+/// How far variances are trusted that nobody gave: 1 cm along each axis, m².
+const UNKNOWN: f64 = 1e-4;
+/// Carriers that are carried themselves, one on the other.
+const DEEPEST: usize = 8;
+
+/// How an entity moves while nobody sees it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum MotionModel {
+    /// It stays where it is.
+    Static,
+    /// It moves with a hand of the robot.
+    Hand {
+        /// The hand.
+        name: String,
+        /// Its centre in the hand's frame, m.
+        offset: [f64; 3],
+    },
+    /// It moves with another entity.
+    Object {
+        /// The entity's address.
+        id: String,
+        /// Its centre in the entity's frame, m.
+        offset: [f64; 3],
+    },
+}
+
+/// Who knows where hands are.
+pub trait Carriers: Send + Sync {
+    /// The pose of a hand at a time, m; `None` when it is not known.
+    fn hand(&self, name: &str, at_ns: u64) -> Option<Pose>;
+}
+
+/// Nobody knows.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct NoCarriers;
+
+impl Carriers for NoCarriers {
+    fn hand(&self, _: &str, _: u64) -> Option<Pose> {
+        None
+    }
+}
+
+impl MotionModel {
+    /// The model that an instance names; one that names none, or not completely, stands still.
+    #[must_use]
+    pub fn of(instance: &Instance) -> Self {
+        let text = |name: &str| instance.attributes.get(name).and_then(Value::as_str).map(str::to_owned);
+        let offset = instance.attributes.get("offset").and_then(Value::as_vector3).unwrap_or_default();
+        match (text("motion_model").as_deref(), text("attached_to")) {
+            (Some("hand"), Some(name)) => Self::Hand { name, offset },
+            (Some("object"), Some(id)) => Self::Object { id, offset },
+            _ => Self::Static,
+        }
+    }
+
+    /// The attributes that name the model.
+    #[must_use]
+    pub fn attributes(&self) -> Vec<(String, Value)> {
+        let named = |kind: &str| vec![("motion_model".to_owned(), Value::from(kind))];
+        let attached = |kind: &str, to: &str, offset: &[f64; 3]| {
+            let mut attributes = named(kind);
+            attributes.push(("attached_to".into(), to.into()));
+            attributes.push(("offset".into(), (*offset).into()));
+            attributes
+        };
+        match self {
+            Self::Static => named("static"),
+            Self::Hand { name, offset } => attached("hand", name, offset),
+            Self::Object { id, offset } => attached("object", id, offset),
+        }
+    }
+}
+
+/// Where an entity is expected at a time, with the frame: by its motion model, growing less sure with the time since it was
+/// observed. `held`: the newest snapshots of the entities that may carry it, ordered by address. `None` when it has
+/// no place. A carrier whose place is not known leaves the entity where it was seen.
+#[must_use]
+pub fn predict(
+    snapshot: &Snapshot,
+    at_ns: u64,
+    held: &[Arc<Snapshot>],
+    carriers: &dyn Carriers,
+    settings: &Settings,
+) -> Option<(Frame, Gaussian)> {
+    predict_within(snapshot, at_ns, held, carriers, settings, DEEPEST)
+}
+
+fn predict_within(
+    snapshot: &Snapshot,
+    at_ns: u64,
+    held: &[Arc<Snapshot>],
+    carriers: &dyn Carriers,
+    settings: &Settings,
+    left: usize,
+) -> Option<(Frame, Gaussian)> {
+    let instance = snapshot.instance()?;
+    let (frame, position) = place_of(snapshot)?;
+    let seconds = at_ns.saturating_sub(snapshot.referenced_ns) as f64 * 1e-9;
+    let rows = instance.covariance.get("position").filter(|rows| rows.len() == 9);
+    let covariance = rows.map_or_else(|| Matrix3::identity() * UNKNOWN, |rows| Matrix3::from_row_slice(rows));
+    let seen = |frame: &Frame, mean: Vector3<f64>, drift: f64| {
+        let gaussian = Gaussian::new(mean, covariance)
+            .or_else(|| Gaussian::new(mean, covariance + Matrix3::identity() * 1e-12))?;
+        Some((frame.clone(), gaussian.spread(drift * seconds)))
+    };
+    let carried = match MotionModel::of(instance) {
+        MotionModel::Static => None,
+        MotionModel::Hand { name, offset } => carriers.hand(&name, at_ns).map(|pose| (pose, offset)),
+        MotionModel::Object { id, offset } => {
+            let carrier = held.iter().find(|s| s.id.as_str() == id).filter(|_| left > 0);
+            let pose = carrier.and_then(|carrier| {
+                let (frame, place) = predict_within(carrier, at_ns, held, carriers, settings, left - 1)?;
+                let turned = match carrier.attribute("pose") {
+                    Some(Value::Pose(pose)) => pose.orientation,
+                    _ => [0.0, 0.0, 0.0, 1.0],
+                };
+                Some(Pose { frame, position: place.mean().into(), orientation: turned })
+            });
+            pose.map(|pose| (pose, offset))
+        }
+    };
+    match carried {
+        Some((pose, offset)) => {
+            let mean = pose.isometry() * Point3::from(offset);
+            seen(&pose.frame, mean.coords, settings.carried_drift)
+        }
+        None => seen(frame, Vector3::from(position), settings.drift),
+    }
+}

@@ -1,0 +1,149 @@
+//! The updater against closed forms: what is matched, fused, predicted and enriched.
+
+use armarium_values::Pose;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+use crate::prior::{ObjectClass, PriorKnowledge};
+use crate::working::WorkingMemory;
+
+const VARIANCE: f64 = 1e-4;
+
+fn memory() -> Arc<WorkingMemory> {
+    let memory = WorkingMemory::new(Arc::new(|| 0));
+    let mut prior = PriorKnowledge::new();
+    prior.add(ObjectClass::new("cup", [200, 0, 0], [0.08, 0.08, 0.1]).with_mass(0.2)).unwrap();
+    prior.put_into(&memory).unwrap();
+    Arc::new(memory)
+}
+
+fn updater(memory: &Arc<WorkingMemory>) -> Updater {
+    Updater::new(Arc::<WorkingMemory>::clone(memory), "vision").unwrap()
+}
+
+fn cup(seconds: f64, x: f64, y: f64) -> Observation {
+    let variance = Matrix3::<f64>::identity() * VARIANCE;
+    Observation {
+        class: "cup".into(),
+        stamp_ns: (seconds * 1e9) as u64,
+        position: Vector { frame: Frame::root(), components: [x, y, 1.0] },
+        covariance: variance.as_slice().try_into().unwrap(),
+        confidence: 0.6,
+        attributes: BTreeMap::new(),
+    }
+}
+
+fn names(found: &[(EntityId, u64)]) -> Vec<(&str, u64)> {
+    found.iter().map(|(id, version)| (id.entity(), *version)).collect()
+}
+
+#[tokio::test(start_paused = true)]
+async fn observations_find_their_entities_whatever_their_order() {
+    let memory = memory();
+    let updater = updater(&memory);
+    let first = updater.update(&[cup(0.0, 0.0, 0.0), cup(0.0, 0.5, 0.0)]).await.unwrap();
+    assert_eq!(names(&first), [("cup", 1), ("cup_2", 1)]);
+    let second =
+        updater.update(&[cup(0.1, 0.51, 0.0), cup(0.1, 0.01, 0.0), cup(0.1, 2.0, 2.0)]).await.unwrap();
+    assert_eq!(names(&second), [("cup_2", 2), ("cup", 2), ("cup_3", 1)]);
+    // Between two cups: each gets the one that makes both fit.
+    let third = updater.update(&[cup(0.2, 0.02, 0.0), cup(0.2, 0.03, 0.0)]).await.unwrap();
+    assert_eq!(names(&third), [("cup", 3), ("cup_4", 1)]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_place_is_fused_and_a_new_entity_enriched() {
+    let memory = memory();
+    let updater = updater(&memory).with_settings(Settings { drift: 0.0, ..Settings::default() });
+    for x in [0.10, 0.12, 0.11, 0.09] {
+        updater.update(&[cup(0.0, x, 0.0)]).await.unwrap();
+    }
+    let found = memory.latest_now(&"ObjectInstances/vision/cup".parse().unwrap()).unwrap();
+    let Some(Value::Vector(position)) = found.attribute("position") else { panic!("no position") };
+    // Four observations of equal weight: their mean, a quarter of the variance.
+    assert!((position.components[0] - 0.105).abs() < 1e-12);
+    let covariance = &found.instance().unwrap().covariance["position"];
+    assert!((covariance[0] - VARIANCE / 4.0).abs() < 1e-12 && covariance[1].abs() < 1e-15);
+    assert!((found.instance().unwrap().confidence - (1.0 - 0.4_f64.powi(4))).abs() < 1e-12);
+    assert_eq!(found.attribute("mass"), Some(&Value::Float(0.2)));
+    assert_eq!(found.attribute("prior").and_then(Value::as_reference).unwrap().id, "ObjectClasses/prior/cup");
+}
+
+#[tokio::test(start_paused = true)]
+async fn noise_becomes_as_small_as_it_can() {
+    use rand::RngExt;
+    let memory = memory();
+    let updater = updater(&memory).with_settings(Settings { drift: 0.0, gate: 40.0, ..Settings::default() });
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    // A sum of twelve uniform numbers less six has variance one.
+    let mut noise = || (0..12).map(|_| random.random_range(0.0..1.0)).sum::<f64>() - 6.0;
+    for i in 0..100 {
+        let at = (0.3 + noise() * VARIANCE.sqrt(), noise() * VARIANCE.sqrt());
+        updater.update(&[cup(f64::from(i) * 0.03, at.0, at.1)]).await.unwrap();
+    }
+    let found = memory.latest_now(&"ObjectInstances/vision/cup".parse().unwrap()).unwrap();
+    let (_, position) = crate::place::place_of(&found).unwrap();
+    // A hundredth of the variance: 1 mm, within three of it.
+    assert!((position[0] - 0.3).abs() < 3e-3 && position[1].abs() < 3e-3, "{position:?}");
+    assert_eq!(memory.query_now(&Query::latest(Pattern::segment(OBJECT_INSTANCES))).unwrap().len(), 1);
+}
+
+struct Hand;
+
+impl Carriers for Hand {
+    fn hand(&self, name: &str, at_ns: u64) -> Option<Pose> {
+        let position = [at_ns as f64 * 1e-9, 0.0, 1.0];
+        // A quarter turn about z.
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let pose = Pose { frame: Frame::root(), position, orientation: [0.0, 0.0, half, half] };
+        (name == "right").then_some(pose)
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_is_carried_moves_with_its_carrier() {
+    let memory = memory();
+    let updater = updater(&memory).with_carriers(Arc::new(Hand));
+    updater.update(&[cup(0.0, 0.0, 0.0)]).await.unwrap();
+    let id: EntityId = "ObjectInstances/vision/cup".parse().unwrap();
+    let held = MotionModel::Hand { name: "right".into(), offset: [0.1, 0.0, 0.0] };
+    let before = memory.latest_now(&id).unwrap();
+    let mut attributes = before.instance().unwrap().attributes.to_map();
+    attributes.extend(held.attributes());
+    let instance = Instance { attributes: attributes.into(), ..before.instance().unwrap().clone() };
+    let commit =
+        Commit { id: id.clone(), referenced_ns: 0, instances: vec![instance], expected_version: None };
+    memory.commit_now(vec![commit]).unwrap();
+    let now = memory.latest_now(&id).unwrap();
+    let settings = Settings::default();
+    let (frame, place) = predict(&now, 2_000_000_000, &[], &Hand, &settings).unwrap();
+    assert_eq!(frame, Frame::root());
+    // The hand is at x = 2 and turned: the offset along its x points along y.
+    assert!((place.mean() - Vector3::new(2.0, 0.1, 1.0)).norm() < 1e-12, "{place:?}");
+    assert!((place.covariance()[(0, 0)] - VARIANCE - 2.0 * settings.carried_drift).abs() < 1e-12);
+    // Seen where the hand has carried it, it is the same cup; a plate on it goes along.
+    let seen = updater.update(&[cup(2.0, 2.0, 0.11)]).await.unwrap();
+    assert_eq!(names(&seen), [("cup", 3)]);
+    let on = MotionModel::Object { id: id.to_string(), offset: [0.0, 0.0, 0.1] };
+    let mut attributes: BTreeMap<String, Value> = on.attributes().into_iter().collect();
+    attributes.insert("class".into(), "plate".into());
+    attributes.insert("position".into(), Vector { frame: Frame::root(), components: [9.0; 3] }.into());
+    let plate: EntityId = "ObjectInstances/vision/plate".parse().unwrap();
+    memory.commit_now(vec![Commit::new(plate.clone(), 0, attributes)]).unwrap();
+    let held = memory.query_now(&Query::latest(Pattern::segment(OBJECT_INSTANCES))).unwrap();
+    let plate = memory.latest_now(&plate).unwrap();
+    let (_, place) = predict(&plate, 3_000_000_000, &held, &Hand, &settings).unwrap();
+    assert!((place.mean() - Vector3::new(3.0, 0.1, 1.1)).norm() < 1e-12, "{place:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_cannot_be_an_observation_is_refused_whole() {
+    let memory = memory();
+    let updater = updater(&memory);
+    let bad = Observation { covariance: [0.0; 9], ..cup(0.0, 0.0, 0.0) };
+    let refused = updater.update(&[cup(0.0, 1.0, 0.0), bad]).await;
+    assert!(matches!(refused, Err(MemoryError::Schema { .. })), "{refused:?}");
+    assert_eq!(memory.query_now(&Query::latest(Pattern::segment(OBJECT_INSTANCES))).unwrap().len(), 0);
+    assert!(Updater::new(memory, "a/b").is_err());
+}

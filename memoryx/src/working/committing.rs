@@ -1,0 +1,235 @@
+//! How commits get in: who commits takes along what waits, numbers it, has the backing keep it in one go, and makes it
+//! visible. Nobody sees a snapshot that the backing has not kept.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::WorkingMemory;
+use super::held::{State, bytes_of};
+use crate::entity::{Commit, EntityId, Instance, Snapshot};
+use crate::error::MemoryError;
+use crate::schema::check_form;
+
+/// Updates that belong together, on their way.
+pub(super) struct Request {
+    pub(super) updates: Vec<Commit>,
+    pub(super) sent_ns: u64,
+    pub(super) prior: bool,
+    pub(super) answer: Arc<Mutex<Option<Answer>>>,
+}
+
+/// The versions that a commit has made.
+pub(super) type Answer = Result<Vec<u64>, MemoryError>;
+
+/// The newest version of an entity, and whether it says that the entity is gone.
+type Newest = (u64, bool);
+
+/// What a group of commits has numbered so far, beyond what the memory holds.
+#[derive(Default)]
+pub(super) struct Numbered {
+    newest: BTreeMap<EntityId, Newest>,
+    /// Entities that the memory does not have yet.
+    new: usize,
+    bytes: u64,
+}
+
+impl WorkingMemory {
+    pub(super) fn write(&self, updates: Vec<Commit>, sent_ns: u64, prior: bool) -> Answer {
+        let answer = Arc::new(Mutex::new(None));
+        let request = Request { updates, sent_ns, prior, answer: Arc::clone(&answer) };
+        self.waiting.lock().unwrap_or_else(PoisonError::into_inner).push(request);
+        self.commit_waiting();
+        let answer = answer.lock().unwrap_or_else(PoisonError::into_inner).take();
+        answer.expect("whoever takes a request from the queue answers it")
+    }
+
+    /// Commits all that waits. When this returns, what waited before it was called has its answer: from here, or from
+    /// whoever was committing meanwhile.
+    pub(super) fn commit_waiting(&self) {
+        let mut last_arrival = self.committing.lock().unwrap_or_else(PoisonError::into_inner);
+        let requests = std::mem::take(&mut *self.waiting.lock().unwrap_or_else(PoisonError::into_inner));
+        if requests.is_empty() {
+            return;
+        }
+        // Arrivals are in order even where the clock is not.
+        *last_arrival = self.now_ns().max(*last_arrival);
+        self.commit_together(requests, *last_arrival);
+    }
+
+    fn commit_together(&self, requests: Vec<Request>, arrived_ns: u64) {
+        let mut numbered = Numbered::default();
+        let mut group = Vec::new();
+        let mut taken = Vec::with_capacity(requests.len());
+        for request in requests {
+            let from = group.len();
+            match self.number(
+                request.updates,
+                request.sent_ns,
+                arrived_ns,
+                request.prior,
+                &mut numbered,
+                &mut group,
+            ) {
+                Ok(()) => taken.push((request.answer, from..group.len())),
+                Err(error) => answer(&request.answer, Err(error)),
+            }
+        }
+        let kept = self.backing.as_ref().filter(|_| !group.is_empty()).map_or(Ok(()), |b| b.take(&group));
+        match kept {
+            Ok(()) => {
+                let versions = |range: std::ops::Range<usize>| -> Vec<u64> {
+                    group.get(range).unwrap_or_default().iter().map(|s| s.version).collect()
+                };
+                let answers: Vec<_> = taken.into_iter().map(|(to, range)| (to, versions(range))).collect();
+                self.put_in(group);
+                answers.into_iter().for_each(|(to, versions)| answer(&to, Ok(versions)));
+            }
+            Err(error) => taken.iter().for_each(|(to, _)| answer(to, Err(error.clone()))),
+        }
+    }
+
+    /// Checks updates and makes numbered snapshots of them, which nobody sees yet. When they are refused, `numbered`
+    /// and `group` are as they were.
+    fn number(
+        &self,
+        updates: Vec<Commit>,
+        sent_ns: u64,
+        arrived_ns: u64,
+        prior: bool,
+        numbered: &mut Numbered,
+        group: &mut Vec<Arc<Snapshot>>,
+    ) -> Result<(), MemoryError> {
+        let state = self.read();
+        let from = group.len();
+        let mut before = Vec::new();
+        let (new, bytes) = (numbered.new, numbered.bytes);
+        let mut refused = Ok(());
+        for update in updates {
+            match self.number_one(update, sent_ns, arrived_ns, prior, &state, numbered) {
+                Ok((snapshot, was)) => {
+                    before.push((snapshot.id.clone(), was));
+                    group.push(snapshot);
+                }
+                Err(error) => {
+                    refused = Err(error);
+                    break;
+                }
+            }
+        }
+        if refused.is_err() {
+            group.truncate(from);
+            (numbered.new, numbered.bytes) = (new, bytes);
+            for (id, was) in before.into_iter().rev() {
+                match was {
+                    Some(was) => numbered.newest.insert(id, was),
+                    None => numbered.newest.remove(&id),
+                };
+            }
+        }
+        refused
+    }
+
+    /// One numbered snapshot, and what was numbered of its entity before.
+    fn number_one(
+        &self,
+        update: Commit,
+        sent_ns: u64,
+        arrived_ns: u64,
+        prior: bool,
+        state: &State,
+        numbered: &mut Numbered,
+    ) -> Result<(Arc<Snapshot>, Option<Newest>), MemoryError> {
+        if !prior && state.is_read_only(&update.id) {
+            return Err(MemoryError::ReadOnly { id: update.id.to_string() });
+        }
+        self.check(&update.id, &update.instances)?;
+        self.check_time(&update, arrived_ns)?;
+        let known = numbered.newest.get(&update.id).copied();
+        let (version, is_gone) = match (known, state.newest(&update.id)) {
+            (Some(known), _) => known,
+            (None, Some(newest)) => (newest.version, newest.is_removed()),
+            (None, None) => (self.backing_version(&update.id)?, true),
+        };
+        expect(&update, if is_gone { 0 } else { version })?;
+        self.check_room(state, numbered, &update.id, &update.instances)?;
+        numbered.newest.insert(update.id.clone(), (version + 1, update.instances.is_empty()));
+        let snapshot = Snapshot {
+            id: update.id,
+            version: version + 1,
+            referenced_ns: update.referenced_ns,
+            sent_ns,
+            arrived_ns,
+            instances: update.instances,
+        };
+        Ok((Arc::new(snapshot), known))
+    }
+
+    fn backing_version(&self, id: &EntityId) -> Result<u64, MemoryError> {
+        self.backing.as_ref().map_or(Ok(0), |backing| backing.last_version(id))
+    }
+
+    pub(super) fn check(&self, id: &EntityId, instances: &[Instance]) -> Result<(), MemoryError> {
+        let schema = self.schemas.get(id.segment());
+        for instance in instances {
+            check_form(id, instance)?;
+            if let Some(schema) = schema {
+                schema.check(id, instance)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn check_time(&self, update: &Commit, now_ns: u64) -> Result<(), MemoryError> {
+        let ahead_ns = update.referenced_ns.saturating_sub(now_ns);
+        match self.limits.ahead_ns {
+            Some(most) if ahead_ns > most => {
+                Err(MemoryError::Future { id: update.id.to_string(), ahead_s: ahead_ns / 1_000_000_000 })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    pub(super) fn check_room(
+        &self,
+        state: &State,
+        numbered: &mut Numbered,
+        id: &EntityId,
+        instances: &[Instance],
+    ) -> Result<(), MemoryError> {
+        let is_new = state.newest(id).is_none() && !numbered.newest.contains_key(id);
+        let entities = state.len() + numbered.new + usize::from(is_new);
+        if is_new && entities > self.limits.entities {
+            return Err(MemoryError::Full { id: id.to_string(), entities: self.limits.entities as u64 });
+        }
+        let bytes = bytes_of(id, instances);
+        if state.bytes() + numbered.bytes + bytes > self.limits.bytes {
+            return Err(MemoryError::TooLarge { id: id.to_string(), bytes, most: self.limits.bytes });
+        }
+        numbered.new += usize::from(is_new);
+        numbered.bytes += bytes;
+        Ok(())
+    }
+
+    /// Makes snapshots visible, and tells the subscribers in the same order.
+    pub(super) fn put_in(&self, snapshots: Vec<Arc<Snapshot>>) {
+        let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
+        for snapshot in snapshots {
+            state.put_in(&snapshot, self.limits.history);
+            // Nobody listening is no error.
+            let _ = self.changes.send(snapshot);
+        }
+    }
+}
+
+fn answer(to: &Mutex<Option<Answer>>, answer: Answer) {
+    *to.lock().unwrap_or_else(PoisonError::into_inner) = Some(answer);
+}
+
+fn expect(update: &Commit, actual: u64) -> Result<(), MemoryError> {
+    match update.expected_version {
+        Some(expected) if expected != actual => {
+            Err(MemoryError::Conflict { id: update.id.to_string(), expected, actual })
+        }
+        _ => Ok(()),
+    }
+}
