@@ -239,8 +239,8 @@ impl<'l> Compiler<'l> {
 
     fn kind(&mut self, id: StateId, model: &'l model::State, source: u32) -> Kind {
         match &model.kind {
-            model::Kind::Atomic | model::Kind::Remote(_) => Kind::Atomic,
-            model::Kind::Skill(_) => self.flats[id as usize]
+            model::Kind::Atomic => Kind::Atomic,
+            model::Kind::Skill(_) | model::Kind::Remote(_) => self.flats[id as usize]
                 .skill
                 .clone()
                 .map_or(Kind::Atomic, |manifest| Kind::Skill { manifest }),
@@ -288,7 +288,7 @@ impl<'l> Compiler<'l> {
     /// What may be given to a state: the inputs of its skill or chart, or anything for a final state.
     fn accepted(&self, state: StateId) -> Option<Vec<(String, Type, bool)>> {
         let flat = &self.flats[state as usize];
-        if let Some(manifest) = &flat.skill {
+        if let Some(manifest) = flat.skill.as_ref().filter(|manifest| !manifest.open) {
             let one = |p: &crate::skill::Parameter| (p.name.clone(), p.ty.clone(), p.default.is_none());
             return Some(manifest.inputs.iter().map(one).collect());
         }

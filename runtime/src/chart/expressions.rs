@@ -28,6 +28,8 @@ pub(crate) struct Outline {
     /// Whether it is the inside of a `statechart:` state.
     pub(crate) chart_root: bool,
     pub(crate) outputs: Vec<(String, u32, Type)>,
+    /// Whether it gives more than is known: then its first output is a map of all.
+    pub(crate) open: bool,
 }
 
 /// Everything that names can stand for.
@@ -197,6 +199,9 @@ impl Scope<'_, '_> {
         let Some(name) = path.get(used) else {
             return unresolved(format!("`{shown}` is a state; its outputs are `{shown}.name`"), None);
         };
+        if let (true, Some((_, slot, ty))) = (names.outlines[state as usize].open, outputs.first()) {
+            return Ok(Variable { slot: Slot::Data(*slot), ty: ty.clone(), used });
+        }
         match outputs.iter().find(|(output, ..)| output == name) {
             Some((_, slot, ty)) => Ok(Variable { slot: Slot::Data(*slot), ty: ty.clone(), used: used + 1 }),
             None => {

@@ -68,7 +68,7 @@ fn mistakes_are_found_with_code_place_and_help() {
         (states("{enter: [{asign: {}}]}"), code::KEY, "asign", "did you mean `assign`"),
         (states("{enter: [{assign: {locals.n: 1}}]}"), code::VARIABLE, "locals.n", "no `locals.n`"),
         (states("{limits: {force: 3 m}}"), code::UNIT, "3 m", "number in N"),
-        (states("{remote: bob/T}"), code::UNSUPPORTED, "bob/T", "other agents"),
+        (states("{remote: bob}"), code::REMOTE, "bob", "agent/Name"),
         (states("{skill: Act, with: {force: \"${A.value}\"}}"), code::EARLY, "A.value", "nothing lets `A` end"),
         (states("{skill: Act, with: {force: \"${B.value}\"}, transitions: {success: B}}").replace("B: {}", "B: {skill: Act}"), code::EARLY, "B.value", "nothing lets `B` end"),
         (states("{transitions: {t: {target: [A, B]}}}") + "events: {t: {}}\n", code::TOGETHER, "A", "not in two regions"),
