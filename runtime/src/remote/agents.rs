@@ -1,16 +1,20 @@
 //! What other agents offer: asked for before a chart is checked, and started when a state of it is entered.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
 use armarium_bus::{Payload, Session, keys};
 use futures::FutureExt as _;
 use futures::future::BoxFuture;
+use tokio::runtime::Handle;
+use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep, timeout};
 
-use super::wire::{Cancel, Ended, Manifest, Poll, Start, Status, answered, packed};
+use super::wire::{Cancel, Ended, Manifest, Start, Status, answered, packed};
 use super::{HELD, LEASE};
 use crate::chart::{Registry, suggest};
 use crate::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
@@ -31,13 +35,16 @@ pub struct Agents {
     session: Session,
     caller: String,
     calls: Arc<AtomicU64>,
+    /// Where calls run: not where charts do, so that a busy chart does not look like a lost agent.
+    threads: Handle,
 }
 
 impl Agents {
-    /// The agents that `session` reaches; `caller` is what they are told of who calls.
+    /// The agents that `session` reaches; `caller` is what they are told of who calls. Calls run on `threads`, a
+    /// runtime in real time.
     #[must_use]
-    pub fn new(session: Session, caller: &str) -> Self {
-        Self { session, caller: caller.to_owned(), calls: Arc::default() }
+    pub fn new(session: Session, caller: &str, threads: Handle) -> Self {
+        Self { session, caller: caller.to_owned(), calls: Arc::default(), threads }
     }
 
     /// Asks for what charts call `agent/Name`, and notes in the registry what is there and why something cannot be
@@ -153,6 +160,7 @@ impl Skill for Remote {
 
     fn run(&self, context: SkillContext) -> BoxFuture<'static, SkillResult> {
         let agents = self.agents.clone();
+        let threads = agents.threads.clone();
         let (agent, name) = self.name.split_once('/').unwrap_or_default();
         let number = agents.calls.fetch_add(1, Ordering::Relaxed);
         let call = Call {
@@ -163,7 +171,26 @@ impl Skill for Remote {
             agents,
             heard: Instant::now(),
         };
-        call.run(context).boxed()
+        let running = Started(threads.spawn(call.run(context)));
+        async move { running.await }.boxed()
+    }
+}
+
+/// A call that ends when nobody waits for it any more.
+struct Started(JoinHandle<SkillResult>);
+
+impl Future for Started {
+    type Output = SkillResult;
+
+    fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<SkillResult> {
+        let joined = ready!(Pin::new(&mut self.0).poll(context));
+        Poll::Ready(joined.unwrap_or_else(|error| Err(Failure::new(format!("the call was lost: {error}")))))
+    }
+}
+
+impl Drop for Started {
+    fn drop(&mut self) {
+        self.0.abort();
     }
 }
 
@@ -186,7 +213,7 @@ impl Call {
         let mut seen = 0;
         let mut cancelled = false;
         loop {
-            let poll = Poll { call: self.id.clone(), seen, wait_s: HELD.as_secs_f64() };
+            let poll = super::wire::Poll { call: self.id.clone(), seen, wait_s: HELD.as_secs_f64() };
             let asked = self.agents.ask(&self.agent, &self.name, &poll, self.left());
             let answer = tokio::select! {
                 biased;
