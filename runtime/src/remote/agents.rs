@@ -26,6 +26,9 @@ const AGAIN: Duration = Duration::from_millis(20);
 /// What a remote state needs to return beyond the grace of what it runs: the cancel's way, or a lease that runs out.
 const BEYOND: Duration = Duration::from_millis(1000);
 
+/// Counts the calls of this process.
+static CALLS: AtomicU64 = AtomicU64::new(0);
+
 /// How long agents that are not there yet are waited for.
 pub type Patience = Duration;
 
@@ -34,7 +37,6 @@ pub type Patience = Duration;
 pub struct Agents {
     session: Session,
     caller: String,
-    calls: Arc<AtomicU64>,
     /// Where calls run: not where charts do, so that a busy chart does not look like a lost agent.
     threads: Handle,
 }
@@ -44,7 +46,7 @@ impl Agents {
     /// runtime in real time.
     #[must_use]
     pub fn new(session: Session, caller: &str, threads: Handle) -> Self {
-        Self { session, caller: caller.to_owned(), calls: Arc::default(), threads }
+        Self { session, caller: caller.to_owned(), threads }
     }
 
     /// Asks for what charts call `agent/Name`, and notes in the registry what is there and why something cannot be
@@ -162,7 +164,8 @@ impl Skill for Remote {
         let agents = self.agents.clone();
         let threads = agents.threads.clone();
         let (agent, name) = self.name.split_once('/').unwrap_or_default();
-        let number = agents.calls.fetch_add(1, Ordering::Relaxed);
+        // The session's name is no other process's, the number no other call's of this one.
+        let number = CALLS.fetch_add(1, Ordering::Relaxed);
         let call = Call {
             agent: agent.to_owned(),
             name: name.to_owned(),

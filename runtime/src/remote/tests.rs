@@ -35,17 +35,11 @@ async fn pair() -> (Session, Session) {
 
 /// Offers the chart and the skill `Act` as `bob`.
 fn bob(session: &Session) -> JoinHandle<Result<(), ServeError>> {
-    let stop: crate::exec::Stop = Arc::new(|_| {});
-    let mut offers = Offers::new("bob", session, Channels::new(), Arc::clone(&stop));
-    let dance = ChartSkill::new(program(DANCE), "Dances.", Registry::new(), stop);
-    offers.add(Arc::new(dance)).unwrap();
-    offers.add(Arc::new(Act("Act"))).unwrap();
-    assert_eq!(offers.names().collect::<Vec<_>>(), ["Act", "Dance"]);
-    assert_eq!(offers.add(Arc::new(Act("Act"))), Err(ServeError::Twice { name: "Act".into() }));
     let mut offers = Offers::new("bob", session, Channels::new(), Arc::new(|_| {}));
     let dance = ChartSkill::new(program(DANCE), "Dances.", Registry::new(), Arc::new(|_| {}));
     offers.add(Arc::new(dance)).unwrap();
     offers.add(Arc::new(Act("Act"))).unwrap();
+    assert_eq!(offers.names().collect::<Vec<_>>(), ["Act", "Dance"]);
     let session = session.clone();
     tokio::spawn(async move { serve(&session, offers).await })
 }
@@ -167,7 +161,7 @@ async fn two_agents_of_one_name_are_named() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn an_agent_that_falls_silent_is_lost_within_a_second_and_its_caller_that_does_is_too() {
+async fn an_agent_that_falls_silent_is_lost_within_a_second() {
     let (one, two) = pair().await;
     let serving = bob(&one);
     let chart = "statechart: T\ninitial: A\nstates: {A: {remote: bob/Act, with: {end: never}}}\n";
@@ -239,6 +233,14 @@ async fn a_skill_that_has_changed_since_the_check_is_not_started() {
     let run = Executor::new(program, registry, Channels::new(), ExecOptions::default()).unwrap().run();
     let reason = run.await.reason.unwrap();
     assert!(reason.contains("this chart was checked with version"), "{reason}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn one_agent_offers_a_name_once() {
+    let session = Session::open(&SessionConfig::default()).await.unwrap();
+    let mut offers = Offers::new("bob", &session, Channels::new(), Arc::new(|_| {}));
+    offers.add(Arc::new(Act("Act"))).unwrap();
+    assert_eq!(offers.add(Arc::new(Act("Act"))), Err(ServeError::Twice { name: "Act".into() }));
 }
 
 #[test]
