@@ -122,6 +122,8 @@ pub(crate) struct Scope<'s, 'c> {
     pub(crate) state: StateId,
     /// Loop variables, innermost last.
     pub(crate) bound: &'s [(String, u32)],
+    /// The type of `event.data`, where the event is one that declares it.
+    pub(crate) event_data: Option<&'s Type>,
 }
 
 fn unresolved<T>(message: String, help: Option<String>) -> Result<T, Unresolved> {
@@ -155,7 +157,9 @@ impl Environment for Scope<'_, '_> {
         }
         match (path[0], path.get(1)) {
             ("event", Some(&"name")) => return found(Slot::EventName, Type::String, 2),
-            ("event", Some(&"data")) => return found(Slot::EventData, Type::Any, 2),
+            ("event", Some(&"data")) => {
+                return found(Slot::EventData, self.event_data.cloned().unwrap_or(Type::Any), 2);
+            }
             ("event", _) => return unresolved("an event has `event.name` and `event.data`".into(), None),
             ("channels", Some(name)) => {
                 let number = names.channel_number(name)?;

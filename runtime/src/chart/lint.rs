@@ -132,7 +132,7 @@ impl Lint<'_, '_> {
             broadcast.insert(name.to_owned());
         }
         for chart in library.charts.values() {
-            broadcast.extend(chart.events.iter().map(|e| e.text.clone()));
+            broadcast.extend(chart.events.iter().map(|(event, _)| event.text.clone()));
             raised(&chart.root, &mut broadcast);
         }
         for id in self.ids() {

@@ -43,6 +43,8 @@ pub struct Program {
     pub(crate) tables: Tables,
     /// Inputs by profile, as written.
     pub(crate) profiles: BTreeMap<String, BTreeMap<String, Value>>,
+    /// What comes with the events that declare it.
+    pub(crate) event_types: BTreeMap<String, Type>,
 }
 
 impl fmt::Debug for Program {
