@@ -82,3 +82,23 @@ fn what_is_wrong_ends_with_status_2_and_is_json_where_that_is_asked() {
         assert_eq!(armarium(folder.path(), args, "").status.code(), Some(2), "{args:?}");
     }
 }
+
+#[test]
+fn a_run_in_the_simulator_is_recorded_and_replayed() {
+    let folder = tempfile::tempdir().unwrap();
+    let chart = "statechart: Hand\ninitial: Open\nstates:\n  Open: {skill: OpenHand, transitions: {success: Rest, failure: Failed}}\n  Rest: {after: {200ms: Done}}\n  Done: {final: success}\n  Failed: {final: failure}\n";
+    std::fs::write(folder.path().join("hand.yaml"), chart).unwrap();
+    let ran = armarium(folder.path(), &["run", "hand.yaml", "--record", "run.jsonl", "--store", "s.redb"], "");
+    assert!(ran.status.success(), "{}", text(&ran.stderr));
+    let replayed = armarium(folder.path(), &["replay", "run.jsonl"], "");
+    assert!(replayed.status.success(), "{}", text(&replayed.stdout));
+    assert!(text(&replayed.stdout).contains("the same states"));
+    let early = text(&armarium(folder.path(), &["replay", "run.jsonl", "--until", "1ms"], "").stdout);
+    assert!(early.contains("active at the end: Open"), "{early}");
+
+    // A chart that has been changed since is noticed, with the event at which it began to differ.
+    std::fs::write(folder.path().join("hand.yaml"), chart.replace("success: Rest", "success: Done")).unwrap();
+    let changed = armarium(folder.path(), &["replay", "run.jsonl"], "");
+    assert_eq!(changed.status.code(), Some(1));
+    assert!(text(&changed.stdout).contains("with event success from Open"), "{}", text(&changed.stdout));
+}
