@@ -43,7 +43,8 @@ fn a_document_is_imported_and_driven() {
     assert!(imported.status.success() && imported.stderr.is_empty(), "{}", text(&imported.stderr));
     std::fs::write(folder.path().join("demo.yaml"), &imported.stdout).unwrap();
 
-    let events = "{\"name\": \"t\"}\n{\"name\": \"unknown\", \"after_ms\": 99}\n{\"name\": \"x\", \"after_ms\": 1}\n";
+    let events =
+        "{\"name\": \"t\"}\n{\"name\": \"unknown\", \"after_ms\": 99}\n{\"name\": \"x\", \"after_ms\": 1}\n";
     let steps = lines(&armarium(folder.path(), &["step", "demo.yaml", "--events", "-"], events));
     let active: Vec<&str> = steps.iter().map(|s| s["configuration"][0].as_str().unwrap()).collect();
     assert_eq!(active, ["a", "b1", "b1", "end"]);
@@ -78,7 +79,9 @@ fn what_is_wrong_ends_with_status_2_and_is_json_where_that_is_asked() {
     assert_eq!(checked.status.code(), Some(2));
     let found: serde_json::Value = serde_json::from_slice(&checked.stdout).unwrap();
     assert!(found.as_array().unwrap().iter().all(|f| f["code"].is_string() && f["line"].is_u64()), "{found}");
-    for args in [&["import", "c.yaml"][..], &["step", "c.yaml"], &["step", "nowhere.yaml"], &["replay", "c.yaml"]] {
+    for args in
+        [&["import", "c.yaml"][..], &["step", "c.yaml"], &["step", "nowhere.yaml"], &["replay", "c.yaml"]]
+    {
         assert_eq!(armarium(folder.path(), args, "").status.code(), Some(2), "{args:?}");
     }
 }
@@ -88,7 +91,8 @@ fn a_run_in_the_simulator_is_recorded_and_replayed() {
     let folder = tempfile::tempdir().unwrap();
     let chart = "statechart: Hand\ninitial: Open\nstates:\n  Open: {skill: OpenHand, transitions: {success: Rest, failure: Failed}}\n  Rest: {after: {200ms: Done}}\n  Done: {final: success}\n  Failed: {final: failure}\n";
     std::fs::write(folder.path().join("hand.yaml"), chart).unwrap();
-    let ran = armarium(folder.path(), &["run", "hand.yaml", "--record", "run.jsonl", "--store", "s.redb"], "");
+    let ran =
+        armarium(folder.path(), &["run", "hand.yaml", "--record", "run.jsonl", "--store", "s.redb"], "");
     assert!(ran.status.success(), "{}", text(&ran.stderr));
     let replayed = armarium(folder.path(), &["replay", "run.jsonl"], "");
     assert!(replayed.status.success(), "{}", text(&replayed.stdout));

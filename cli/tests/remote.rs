@@ -117,7 +117,17 @@ fn agent(folder: &Path) -> (Running, String) {
 }
 
 fn run(folder: &Path, endpoint: &str) -> Running {
-    let args = ["run", "main.yaml", "--connect", endpoint, "--store", "own.redb", "--verbose", "--record", "run.jsonl"];
+    let args = [
+        "run",
+        "main.yaml",
+        "--connect",
+        endpoint,
+        "--store",
+        "own.redb",
+        "--verbose",
+        "--record",
+        "run.jsonl",
+    ];
     Running::start(folder, &args)
 }
 
@@ -211,7 +221,8 @@ fn a_chart_whose_caller_is_killed_cancels_itself() {
 
 #[test]
 fn a_name_is_taken_once_and_wrong_uses_are_said_before_anything_runs() {
-    let folder = folder("statechart: Main\ninitial: W\nstates: {W: {remote: bob/Dance, with: {steps: many}}}\n");
+    let folder =
+        folder("statechart: Main\ninitial: W\nstates: {W: {remote: bob/Dance, with: {steps: many}}}\n");
     let (_bob, endpoint) = agent(folder.path());
     let (status, said) = run(folder.path(), &endpoint).end();
     assert_eq!(status, Some(2), "{said}");

@@ -12,7 +12,8 @@ use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|text: &str| {
     let Ok(imported) = import::scxml(text, "fuzz") else { return };
-    let checked = check(&load_text("fuzz.yaml", &imported.yaml, &[]), &Registry::new(), &ChannelSchema::new());
+    let checked =
+        check(&load_text("fuzz.yaml", &imported.yaml, &[]), &Registry::new(), &ChannelSchema::new());
     // What the importer writes is YAML in any case, whatever names and texts the document has.
     let broken = checked.findings.iter().find(|f| ["E002", "E003", "E004", "E005"].contains(&f.code));
     assert!(broken.is_none(), "{broken:?}\n{}", imported.yaml);

@@ -8,8 +8,8 @@ use super::compile::{Compiler, Flat, number};
 use super::expressions::Outline;
 use super::finding::{Severity, code, suggest};
 use super::model::{self, Chart, Declaration};
-use super::yaml::Named;
 use super::read::MAX_LEVELS;
+use super::yaml::Named;
 use crate::engine::program::{Instance, StateId, Variable};
 use crate::skill::{Limits, SkillManifest};
 
@@ -44,7 +44,14 @@ impl<'l> Compiler<'l> {
         self.flats.push(Flat { model, source, depth, path, limits, chart: None, skill: None });
         self.last.push(id);
         let name = model.name.text.clone();
-        self.names.outlines.push(Outline { name, parent, instance, chart_root, outputs: Vec::new(), open: false });
+        self.names.outlines.push(Outline {
+            name,
+            parent,
+            instance,
+            chart_root,
+            outputs: Vec::new(),
+            open: false,
+        });
         id
     }
 

@@ -91,7 +91,9 @@ impl Lint<'_, '_> {
                     let outcome = self.program.tables.symbols.name(*outcome);
                     add(parent, outcome, region, false);
                     if region && let Some(parallel) = self.program.state(parent).parent {
-                        add(parallel, outcome, self.program.state(parallel).region, false);
+                        // It ends when all its regions have; where one never does, nobody need handle it.
+                        let own_only = self.program.state(parallel).region || !self.can_end(parallel);
+                        add(parallel, outcome, own_only, false);
                     }
                 }
                 Kind::Parallel => add(id, "success", state.region || !self.can_end(id), false),

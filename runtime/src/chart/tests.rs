@@ -120,6 +120,18 @@ states:
 }
 
 #[test]
+fn a_parallel_state_of_which_one_region_never_ends_needs_no_outcome_handled() {
+    let chart = |second: &str| {
+        format!(
+            "statechart: T\ninitial: P\nstates:\n  P:\n    parallel:\n      A: {{initial: X, states: {{X: {{final: success}}}}}}\n      \
+             B: {{initial: Y, states: {{Y: {second}}}}}\n"
+        )
+    };
+    assert_eq!(found(&chart("{}")), "");
+    assert!(found(&chart("{final: success}")).contains("nobody handles the outcome `success` of `P`"));
+}
+
+#[test]
 fn all_findings_come_at_once_in_order() {
     let said = found("statechart: T\ninitial: X\nstates:\n  A: {skill: Akt}\n  B: {transitions: {t: C}}\n");
     let codes: Vec<&str> = said.lines().map(|l| &l[l.find('[').unwrap() + 1..][..4]).collect();

@@ -99,7 +99,13 @@ impl Agents {
     }
 
     /// Asks on a key of an agent; `None` when nobody answers in time.
-    async fn ask<P: Payload>(&self, agent: &str, name: &str, message: &P, within: Duration) -> Option<Result<Status, String>> {
+    async fn ask<P: Payload>(
+        &self,
+        agent: &str,
+        name: &str,
+        message: &P,
+        within: Duration,
+    ) -> Option<Result<Status, String>> {
         let key = match keys::chart(agent, name) {
             Ok(key) => key,
             Err(error) => return Some(Err(error.to_string())),

@@ -172,15 +172,18 @@ impl Manifest {
     ///
     /// # Errors
     /// One sentence for people: an input that is unknown, missing, or of another type.
-    pub(super) fn checked(&self, mut given: BTreeMap<String, Value>) -> Result<BTreeMap<String, Value>, String> {
+    pub(super) fn checked(
+        &self,
+        mut given: BTreeMap<String, Value>,
+    ) -> Result<BTreeMap<String, Value>, String> {
         let mut inputs = BTreeMap::new();
         for parameter in &self.inputs {
             let name = &parameter.name;
             let value = match given.remove(name) {
-                Some(value) => {
-                    parameter.ty.convert(value).map_err(|e| format!("the input `{name}`: {e}"))?
+                Some(value) => parameter.ty.convert(value).map_err(|e| format!("the input `{name}`: {e}"))?,
+                None => {
+                    parameter.default.clone().ok_or_else(|| format!("the input `{name}` is not given"))?
                 }
-                None => parameter.default.clone().ok_or_else(|| format!("the input `{name}` is not given"))?,
             };
             inputs.insert(name.clone(), value);
         }

@@ -69,13 +69,7 @@ impl Offers {
     /// An agent that offers nothing yet. `stop` is called when a skill does not return.
     #[must_use]
     pub fn new(agent: &str, session: &Session, channels: Channels, stop: Stop) -> Self {
-        Self {
-            agent: agent.to_owned(),
-            offers: BTreeMap::new(),
-            instance: session.id(),
-            channels,
-            stop,
-        }
+        Self { agent: agent.to_owned(), offers: BTreeMap::new(), instance: session.id(), channels, stop }
     }
 
     /// Offers a skill or a chart under the name of its manifest.
@@ -165,7 +159,11 @@ impl Server {
     }
 
     /// What a question about a call is answered; nothing where another process is meant.
-    async fn status(self: &Arc<Self>, offer: &Arc<Offer>, question: &Question) -> Option<Result<Status, String>> {
+    async fn status(
+        self: &Arc<Self>,
+        offer: &Arc<Offer>,
+        question: &Question,
+    ) -> Option<Result<Status, String>> {
         let (encoding, bytes) = (question.encoding.as_str(), question.payload.as_slice());
         let schema = encoding.split(';').nth(1).unwrap_or_default();
         Some(match schema {
@@ -190,7 +188,10 @@ impl Server {
                 }
                 Err(error) => Err(error),
             },
-            _ => Err(format!("`{}` is no question that is understood here", encoding.chars().take(100).collect::<String>())),
+            _ => Err(format!(
+                "`{}` is no question that is understood here",
+                encoding.chars().take(100).collect::<String>()
+            )),
         })
     }
 

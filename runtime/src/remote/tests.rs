@@ -80,7 +80,9 @@ async fn run(session: &Session, text: &str) -> (RunResult, Vec<String>) {
 async fn inputs_go_over_and_outcome_outputs_and_active_states_come_back() {
     let (one, two) = pair().await;
     let _bob = bob(&one);
-    let (result, told) = run(&two, "
+    let (result, told) = run(
+        &two,
+        "
 statechart: T
 outputs: {n: {type: int}}
 initial: A
@@ -90,7 +92,9 @@ states:
     with: {steps: 21}
     transitions: {success: {target: Done, do: [{assign: {outputs.n: \"${A.danced}\"}}]}}
   Done: {final: success}
-").await;
+",
+    )
+    .await;
     assert_eq!((result.outcome.as_str(), &result.outputs["n"]), ("success", &Value::Int(42)), "{result:?}");
     assert!(told.contains(&"A [Turning]".to_owned()), "{told:?}");
 }
@@ -99,14 +103,18 @@ states:
 async fn a_cancel_is_passed_on_and_waited_for_and_events_come_over() {
     let (one, two) = pair().await;
     let _bob = bob(&one);
-    let (result, told) = run(&two, "
+    let (result, told) = run(
+        &two,
+        "
 statechart: T
 initial: A
 states:
   A: {remote: bob/Act, with: {end: ping, force: 3 N}, transitions: {ping: B}}
   B: {remote: bob/Act, with: {end: never, late: 300ms}, after: {100ms: Done}}
   Done: {final: success}
-").await;
+",
+    )
+    .await;
     assert_eq!(result.outcome, "success", "{result:?}");
     let ends = |line: &str| told.iter().position(|l| l == line);
     assert!(ends("event ping").is_some(), "{told:?}");
@@ -117,8 +125,10 @@ states:
 async fn failures_of_the_other_agent_are_failures_here_with_their_reason() {
     let (one, two) = pair().await;
     let _bob = bob(&one);
-    for (end, reason) in [("failure", "it did not work"), ("panic", "panicked"), ("odd", "does not declare")] {
-        let chart = format!("statechart: T\ninitial: A\nstates: {{A: {{remote: bob/Act, with: {{end: {end}}}}}}}\n");
+    for (end, reason) in [("failure", "it did not work"), ("panic", "panicked"), ("odd", "does not declare")]
+    {
+        let chart =
+            format!("statechart: T\ninitial: A\nstates: {{A: {{remote: bob/Act, with: {{end: {end}}}}}}}\n");
         let (result, _) = run(&two, &chart).await;
         let said = result.reason.unwrap();
         assert_eq!(result.outcome, "failure");
@@ -200,7 +210,8 @@ async fn stranger(session: Session, manifest: Manifest, told: BTreeMap<String, (
 async fn messages_of_another_version_are_named() {
     let (one, two) = pair().await;
     let skill = SkillManifest::new("Act", "Acts.").input("x", Type::Int, "Any.");
-    let status = packed(&Status { revision: 1, leaves: Vec::new(), events: Vec::new(), ended: None }).unwrap();
+    let status =
+        packed(&Status { revision: 1, leaves: Vec::new(), events: Vec::new(), ended: None }).unwrap();
     let newer = (status.0.replace(";v1", ";v7"), status.1);
     let told = BTreeMap::from([("runtime/start".to_owned(), newer)]);
     tokio::spawn(stranger(one, Manifest::of(&skill, "p"), told));
@@ -224,7 +235,10 @@ async fn a_skill_that_has_changed_since_the_check_is_not_started() {
         fn manifest(&self) -> SkillManifest {
             Act("Act").manifest().input("more", Type::Int, "Was added.")
         }
-        fn run(&self, context: crate::skill::SkillContext) -> futures::future::BoxFuture<'static, crate::skill::SkillResult> {
+        fn run(
+            &self,
+            context: crate::skill::SkillContext,
+        ) -> futures::future::BoxFuture<'static, crate::skill::SkillResult> {
             Act("Act").run(context)
         }
     }
@@ -245,7 +259,8 @@ async fn one_agent_offers_a_name_once() {
 
 #[test]
 fn what_charts_want_of_others_is_listed() {
-    let text = "statechart: T\nparallel: {A: {remote: bob/X}, B: {initial: C, states: {C: {remote: carol/Y}}}}\n";
+    let text =
+        "statechart: T\nparallel: {A: {remote: bob/X}, B: {initial: C, states: {C: {remote: carol/Y}}}}\n";
     let library = chart::load_text("t.yaml", text, &[]);
     assert_eq!(library.remote_names(), BTreeSet::from(["bob/X".to_owned(), "carol/Y".to_owned()]));
     let checked = chart::check(&library, &Registry::new(), &ChannelSchema::new());
