@@ -1,6 +1,11 @@
 //! Two processes on loopback: an agent that offers charts, and a run that starts them. One of them is killed, stopped,
 //! or cut off, and the other notices within a second.
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::disallowed_methods,
+    reason = "a test may fail; it waits for what other processes say, on threads of its own"
+)]
 
 use std::io::{BufRead as _, BufReader, Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
