@@ -162,28 +162,25 @@ impl<'l> Compiler<'l> {
                 stack.pop();
             }
             model::Kind::Remote(name) => {
-                if let Some(manifest) = self.offered(source, name) {
-                    self.acts(id, manifest);
-                }
+                let manifest = self.offered(source, name);
+                self.acts(id, manifest);
             }
             _ => {}
         }
     }
 
-    /// What another agent offers under a name `agent/Name`, as far as it is known here.
-    fn offered(&mut self, source: u32, name: &Named) -> Option<Arc<SkillManifest>> {
-        if !is_remote_name(&name.text) {
-            let message = format!("`{}` names nothing of another agent", name.text);
-            let help = "write it as `agent/Name`".to_owned();
-            self.error(source, code::REMOTE, name, message, Some(help));
-            return None;
-        }
+    /// What another agent offers under a name `agent/Name`; of what is not known or cannot be used, nothing more is said.
+    fn offered(&mut self, source: u32, name: &Named) -> Arc<SkillManifest> {
         match self.registry.remote(&name.text) {
-            Some(Ok(manifest)) => Some(Arc::clone(manifest)),
+            Some(Ok(manifest)) => return Arc::clone(manifest),
+            _ if !is_remote_name(&name.text) => {
+                let message = format!("`{}` names nothing of another agent", name.text);
+                let help = "write it as `agent/Name`".to_owned();
+                self.error(source, code::REMOTE, name, message, Some(help));
+            }
             Some(Err(reason)) => {
                 let message = reason.to_owned();
                 self.error(source, code::REMOTE, name, message, None);
-                None
             }
             None => {
                 let message = format!("`{}` is not checked: its agent was not asked", name.text);
@@ -191,11 +188,11 @@ impl<'l> Compiler<'l> {
                 self.reporting(source, |_, findings| {
                     findings.add(Severity::Warning, code::UNASKED, name.span, message, help);
                 });
-                let mut manifest = SkillManifest::new(&name.text, "Something that another agent offers.");
-                manifest.open = true;
-                Some(Arc::new(manifest))
             }
         }
+        let mut manifest = SkillManifest::new(&name.text, "Something that another agent offers.");
+        manifest.open = true;
+        Arc::new(manifest)
     }
 
     /// A state acts by a skill: places for what that gives. One that is not known yet gives a map of all.
