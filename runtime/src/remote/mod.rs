@@ -1,7 +1,7 @@
 //! Charts and skills of other agents: what one process offers, another starts as a state of its own chart.
 //!
 //! - [`wire`]: the messages, as `docs/wire.md` explains them to other languages;
-//! - [`serve`] offers skills (charts are skills here, see [`ChartSkill`](crate::exec::ChartSkill));
+//! - [`serve()`] offers skills (charts are skills here, see [`ChartSkill`](crate::exec::ChartSkill));
 //! - [`Agents`] asks others what they offer, and starts it.
 //!
 //! Whoever starts something polls it; the polls are the lease for both sides. A side that has not heard of the other
