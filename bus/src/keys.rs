@@ -143,6 +143,14 @@ pub fn chart(agent: &str, chart: &str) -> Result<Key, KeyError> {
     key(&[agent, "chart", chart])
 }
 
+/// The charts and skills that agents offer.
+///
+/// # Errors
+/// [`KeyError`].
+pub fn chart_pattern(agent: Part<'_>, chart: Part<'_>) -> Result<KeyPattern, KeyError> {
+    pattern(&[agent, Some("chart"), chart])
+}
+
 /// What happens in a run, for viewers.
 ///
 /// # Errors

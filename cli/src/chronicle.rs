@@ -99,6 +99,9 @@ impl Chronicle {
                     self.mark_end(&skill, &inputs, outputs, t_ns);
                 }
             }
+            TraceItem::Inside { state, leaves } if !leaves.is_empty() => {
+                self.say(story, t_s, state, &format!("inside, {}", leaves.join(" | ")));
+            }
             TraceItem::Event { name, .. } => self.mark_event(name, t_ns),
             TraceItem::Log { state, text } => self.say(story, t_s, state, text),
             TraceItem::Error { message, place } => self.say(story, t_s, place, message),

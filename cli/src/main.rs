@@ -1,10 +1,12 @@
 //! The program `armarium`: it puts the rooms together and prints. Each subcommand is a file of its own; this one reads the
 //! command line and turns what they return into the exit status.
 
+mod agent;
 mod catalog;
 mod changes;
 mod check;
 mod chronicle;
+mod connection;
 mod gallery;
 mod graph;
 mod import;
@@ -37,6 +39,7 @@ use clap::{Parser, Subcommand};
     armarium run statecharts/wiping.yaml                      the wiping scenario in the simulator\n  \
     armarium run statecharts/wiping.yaml --set contact_force=10 --seed 3 --report out\n  \
     armarium run statecharts/wiping.yaml --set motion=wiping  start from the motion of the last run\n  \
+    armarium agent --name bob statecharts                     offer charts and skills to other agents\n  \
     armarium check statecharts/*.yaml                         what is wrong, before anything moves\n  \
     armarium step chart.yaml --interactive                    drive a chart by hand, without a robot\n  \
     armarium test statecharts/*.test.yaml                     play the test cases of charts\n  \
@@ -52,6 +55,8 @@ struct Arguments {
 enum Command {
     /// Run a chart in the simulator and leave a report.
     Run(run::RunArgs),
+    /// Offer charts and skills to other agents.
+    Agent(agent::AgentArgs),
     /// Find everything that is wrong with charts and worlds.
     Check(check::CheckArgs),
     /// Drive a chart by hand or by a list of events, with no robot, under virtual time.
@@ -83,6 +88,7 @@ fn main() -> ExitCode {
     let mut out = io::stdout();
     let status = match &arguments.command {
         Command::Run(args) => run::run(args, &mut io::stderr()),
+        Command::Agent(args) => agent::run(args, &mut out),
         Command::Check(args) => check::run(args, style(), &catalog::check_chart, &mut out),
         Command::Step(args) => step::run(args, &mut out, &mut io::stderr()),
         Command::Test(args) => test_cases::run(args, &mut out),

@@ -11,6 +11,8 @@ use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::Finding;
 use armarium_runtime::engine::Program;
 use armarium_runtime::exec::{Controller, ExecOptions, Executor, RunResult};
+use armarium_runtime::remote::Agents;
+use armarium_runtime::skill::Limits;
 use armarium_runtime::trace::TraceSink;
 use armarium_simulator::{TruthSink, World};
 use armarium_states::observers;
@@ -20,6 +22,7 @@ use armarium_viewer::recorder::Recorder;
 
 use crate::catalog;
 use crate::chronicle::{Chronicle, Story};
+use crate::connection::{Connection, ConnectionArgs};
 use crate::gallery::Gallery;
 use crate::judge::{self, Case, JointLog};
 use crate::logging;
@@ -58,9 +61,11 @@ pub(crate) struct RunArgs {
     /// Folders where charts find other charts by name, besides their own.
     #[arg(long, value_name = "DIR")]
     pub(crate) charts: Vec<PathBuf>,
-    /// As fast as the machine (`max`), or in real time (`1`).
+    /// As fast as the machine (`max`), or in real time (`1`). With other agents it is real time.
     #[arg(long, value_enum, default_value_t = Speed::Max)]
     pub(crate) speed: Speed,
+    #[command(flatten)]
+    pub(crate) connection: ConnectionArgs,
     /// Record the run for `armarium replay`.
     #[arg(long, value_name = "FILE")]
     pub(crate) record: Option<PathBuf>,
@@ -114,10 +119,15 @@ enum NotBegun {
 /// When `out` or a report cannot be written.
 pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
     let began = Instant::now();
+    let connection = match Connection::if_asked(&args.connection) {
+        Ok(connection) => connection,
+        Err(message) => return writeln!(out, "error: {message}").map(|()| 2),
+    };
+    let agents = connection.as_ref().map(|connection| connection.agents("armarium run"));
     let mut builder = tokio::runtime::Builder::new_current_thread();
-    builder.enable_all().start_paused(args.speed == Speed::Max);
+    builder.enable_all().start_paused(args.speed == Speed::Max && agents.is_none());
     let runtime = builder.build()?;
-    match runtime.block_on(perform(args, began, out)) {
+    match runtime.block_on(perform(args, began, agents.as_ref(), out)) {
         Ok(status) => Ok(status),
         Err(NotBegun::Message(message)) => {
             writeln!(out, "error: {message}")?;
@@ -145,7 +155,12 @@ fn begin_error(error: impl std::fmt::Display) -> NotBegun {
     NotBegun::Message(error.to_string())
 }
 
-async fn perform(args: &RunArgs, began: Instant, out: &mut dyn Write) -> Result<u8, NotBegun> {
+async fn perform(
+    args: &RunArgs,
+    began: Instant,
+    agents: Option<&Agents>,
+    out: &mut dyn Write,
+) -> Result<u8, NotBegun> {
     let world = load_world(args.world.as_deref())?;
     let recorder: SharedRecorder = Arc::new(Mutex::new(None));
     let digest = RunDigest::default();
@@ -155,8 +170,9 @@ async fn perform(args: &RunArgs, began: Instant, out: &mut dyn Write) -> Result<
     let gallery = Arc::new(Gallery::of(Arc::clone(&stage.equipment.images), &world, Arc::clone(&recorder)));
     stage.equipment.images = Arc::clone(&gallery) as Arc<dyn armarium_visionx::ImageSource>;
 
-    let registry = catalog::registry(&stage.equipment);
-    let checked = catalog::load(&args.chart, &args.charts, &registry);
+    let mut registry = catalog::registry(&stage.equipment);
+    let checked = catalog::load_connected(&args.chart, &args.charts, &mut registry, agents).await;
+    let checked = checked.map_err(NotBegun::Message)?;
     let findings: Vec<Shown> = checked.findings.iter().map(Shown::from).collect();
     let program = match checked.program {
         Some(program) if !any_error(&findings) => program,
@@ -190,6 +206,7 @@ async fn perform(args: &RunArgs, began: Instant, out: &mut dyn Write) -> Result<
     let options = ExecOptions {
         inputs: inputs.clone(),
         profile: args.profile.clone(),
+        limits: Limits::default(),
         sink: Some(recorded(args, inputs, Box::new(chronicle.clone()))?),
         on_stuck: Some(Box::new(move |state| robot.stop(&format!("the skill of `{state}` does not return")))),
     };
@@ -371,7 +388,7 @@ async fn show_progress(
         progress.update(&Status {
             simulated_s: sample.stamp_ns as f64 * 1e-9,
             wall_s: began.elapsed().as_secs_f64(),
-            states: locked(&story).status.leaves.clone(),
+            states: locked(&story).status.shown(),
             force_n: Some(sample.wrist.force.norm()),
         });
     }

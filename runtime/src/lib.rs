@@ -5,17 +5,20 @@
 //! - [`import`]: charts that were written in SCXML;
 //! - [`stepping`]: a chart driven by hand under virtual time;
 //! - [`exec`]: runs skills, timers and watches on tokio;
+//! - `remote`, with the feature of that name: charts and skills of other agents, over Zenoh;
 //! - [`trace`]: what happened in a run;
 //! - [`skill`]: what a leaf of a chart is, and what it is given while it runs;
 //! - [`channels`]: what observers publish and watches read.
 //!
-//! This room knows no robot, no memory and no network (remote states: feature `remote`).
+//! This room knows no robot and no memory; and no network without the feature `remote`.
 
 pub mod channels;
 pub mod chart;
 pub mod engine;
 pub mod exec;
 pub mod import;
+#[cfg(feature = "remote")]
+pub mod remote;
 pub mod skill;
 pub mod stepping;
 pub mod trace;

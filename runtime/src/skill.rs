@@ -31,6 +31,9 @@ pub struct SkillManifest {
     pub limbs: Vec<String>,
     /// How long it may take to return after a cancel.
     pub grace: Duration,
+    /// Whether it takes and gives more than is declared here: so does what another agent offers, as long as that agent
+    /// has not been asked.
+    pub open: bool,
 }
 
 /// A typed, documented input or output.
@@ -59,6 +62,7 @@ impl SkillManifest {
             events: Vec::new(),
             limbs: Vec::new(),
             grace: Duration::from_secs(1),
+            open: false,
         }
     }
 
@@ -175,6 +179,21 @@ pub struct Limits {
     pub speed_m_s: Option<f64>,
 }
 
+impl Limits {
+    /// Both bounds together: of each the smaller.
+    #[must_use]
+    pub fn tightened(self, inner: Self) -> Self {
+        let least = |a: Option<f64>, b: Option<f64>| match (a, b) {
+            (Some(a), Some(b)) => Some(a.min(b)),
+            (a, b) => a.or(b),
+        };
+        Self {
+            force_n: least(self.force_n, inner.force_n),
+            speed_m_s: least(self.speed_m_s, inner.speed_m_s),
+        }
+    }
+}
+
 /// What a running skill is given.
 #[derive(Clone, Debug)]
 pub struct SkillContext {
@@ -191,6 +210,9 @@ pub struct SkillContext {
     /// Raises one of the manifest's events, with data, into the chart. Bounded: an event over the bound is
     /// counted and dropped.
     pub events: tokio::sync::mpsc::Sender<(String, Value)>,
+    /// The states that are active inside the skill, where it has some: those of a chart that another agent runs. They
+    /// are shown in the trace; only the newest counts.
+    pub inside: tokio::sync::watch::Sender<Vec<String>>,
 }
 
 /// An action that a leaf state performs.

@@ -108,6 +108,13 @@ pub enum TraceItem {
         /// What it was given.
         inputs: BTreeMap<String, Value>,
     },
+    /// What is active inside a state that another agent runs.
+    Inside {
+        /// The state.
+        state: String,
+        /// The innermost active states there.
+        leaves: Vec<String>,
+    },
     /// A skill was told to stop.
     SkillCancelled {
         /// Number of its start.
@@ -184,6 +191,8 @@ pub struct RunStatus {
     pub leaves: Vec<String>,
     /// The states that wait for their skills to return.
     pub leaving: BTreeSet<String>,
+    /// What is active inside states that other agents run.
+    pub inside: BTreeMap<String, Vec<String>>,
     /// The outcome, once the run has ended.
     pub outcome: Option<String>,
 }
@@ -196,15 +205,32 @@ impl RunStatus {
             TraceItem::Leaving { states } => self.leaving = states.iter().cloned().collect(),
             TraceItem::Exited { state } => {
                 self.leaving.remove(state);
+                self.inside.remove(state);
+            }
+            TraceItem::Inside { state, leaves } => {
+                self.inside.insert(state.clone(), leaves.clone());
+            }
+            TraceItem::SkillEnded { state, .. } => {
+                self.inside.remove(state);
             }
             TraceItem::Finished { outcome, .. } => self.outcome = Some(outcome.clone()),
             _ => {}
         }
     }
 
-    /// The active states in one line.
+    /// The active states in one line, with those of other agents in brackets behind theirs.
     #[must_use]
     pub fn line(&self) -> String {
-        self.leaves.join(" | ")
+        self.shown().join(" | ")
+    }
+
+    /// The innermost active states, each with what is active inside at another agent.
+    #[must_use]
+    pub fn shown(&self) -> Vec<String> {
+        let one = |leaf: &String| match self.inside.get(leaf).filter(|inside| !inside.is_empty()) {
+            Some(inside) => format!("{leaf} [{}]", inside.join(" | ")),
+            None => leaf.clone(),
+        };
+        self.leaves.iter().map(one).collect()
     }
 }

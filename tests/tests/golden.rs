@@ -31,7 +31,13 @@ fn registry() -> Registry {
     let arm = SkillManifest::new("Arm", "Moves the arm.").limb("right_arm");
     let needs = SkillManifest::new("Needs", "Needs something.").input("what", Type::String, "Anything.");
     let says = SkillManifest::new("Says", "Says something.").output("said", Type::String, "What it said.");
-    [act, arm, needs, says].into_iter().map(|m| Arc::new(Declared(m)) as Arc<dyn Skill>).collect()
+    let skills = [act, arm, needs, says].into_iter().map(|m| Arc::new(Declared(m)) as Arc<dyn Skill>);
+    let mut registry: Registry = skills.collect();
+    // What the agent bob offers, and what it was asked for in vain.
+    let dance = SkillManifest::new("bob/Dance", "Dances.").input("steps", Type::Int, "How many.");
+    registry.add_remote(Arc::new(Declared(dance)));
+    registry.refuse_remote("bob/Dnce", "`bob` does not offer `Dnce`; did you mean `Dance`?");
+    registry
 }
 
 fn folder() -> PathBuf {

@@ -15,6 +15,8 @@ impl<'l> Compiler<'l> {
         let targets: Vec<StateId> =
             model.targets.iter().filter_map(|target| self.target(id, target, source)).collect();
         self.together(&targets, &model.targets, source);
+        let event = model.event.as_ref();
+        self.event_data = event.and_then(|event| self.event_types.get(&event.text).cloned());
         let guard = model.guard.as_ref().and_then(|node| self.condition(id, node, source));
         let delay = model.delay.as_ref().and_then(|node| self.value(id, node, &Type::Duration, source));
         let with = match targets.as_slice() {
@@ -37,6 +39,7 @@ impl<'l> Compiler<'l> {
                 .map_or_else(|| Pattern::Exact(text.into()), |prefix| Pattern::Prefix(prefix.into())),
         });
         let actions = self.actions(id, &model.actions, source);
+        self.event_data = None;
         self.transitions.push(Transition {
             source: id,
             pattern,
@@ -70,18 +73,19 @@ impl<'l> Compiler<'l> {
                     }
                 }
                 ActionKind::Raise { event, data } => {
-                    let data = data.as_ref().and_then(|n| self.value(state, n, &Type::Any, source));
+                    let data = self.data_of(state, event, data.as_ref(), source);
                     compiled.push(Action::Raise { event: self.symbols.intern(&event.text), data });
                 }
                 ActionKind::Send { event, to, data, delay, id } => {
                     let symbol = self.symbols.intern(&event.text);
+                    let data = self.data_of(state, event, data.as_ref(), source);
                     let mut optional = |node: &Option<Node>, ty: &Type| {
                         node.as_ref().and_then(|n| self.value(state, n, ty, source))
                     };
                     compiled.push(Action::Send(Box::new(Send {
                         event: symbol,
                         to: optional(to, &Type::String),
-                        data: optional(data, &Type::Any),
+                        data,
                         delay: optional(delay, &Type::Duration),
                         id: id.as_ref().map(|id| id.text.clone()),
                         place,
@@ -110,6 +114,19 @@ impl<'l> Compiler<'l> {
             }
         }
         compiled
+    }
+
+    /// What goes with an event, held against what the event declares.
+    fn data_of(&mut self, state: StateId, event: &Named, data: Option<&Node>, source: u32) -> Option<Term> {
+        let declared = self.event_types.get(&event.text).cloned();
+        if let (None, Some(Type::Record(fields))) = (data, &declared)
+            && !fields.is_empty()
+        {
+            let names = fields.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
+            let message = format!("the event `{}` comes with data: {names}", event.text);
+            self.error(source, code::TYPE, event, message, None);
+        }
+        data.and_then(|node| self.value(state, node, &declared.unwrap_or(Type::Any), source))
     }
 
     pub(super) fn assign(

@@ -12,6 +12,8 @@ use crate::skill::{Skill, SkillManifest};
 #[derive(Clone, Default)]
 pub struct Registry {
     skills: BTreeMap<String, (Arc<dyn Skill>, Arc<SkillManifest>)>,
+    /// What other agents offer, by `agent/Name`; or why it cannot be used.
+    remote: BTreeMap<String, Result<(Arc<dyn Skill>, Arc<SkillManifest>), String>>,
 }
 
 impl fmt::Debug for Registry {
@@ -36,13 +38,32 @@ impl Registry {
     /// The skill of that name.
     #[must_use]
     pub fn get(&self, name: &str) -> Option<&Arc<dyn Skill>> {
-        self.skills.get(name).map(|(skill, _)| skill)
+        let remote = || self.remote.get(name)?.as_ref().ok();
+        self.skills.get(name).or_else(remote).map(|(skill, _)| skill)
     }
 
     /// What the skill of that name declares.
     #[must_use]
     pub fn manifest(&self, name: &str) -> Option<&Arc<SkillManifest>> {
-        self.skills.get(name).map(|(_, manifest)| manifest)
+        let remote = || self.remote.get(name)?.as_ref().ok();
+        self.skills.get(name).or_else(remote).map(|(_, manifest)| manifest)
+    }
+
+    /// Adds what another agent offers, under the name of its manifest, `agent/Name`.
+    pub fn add_remote(&mut self, skill: Arc<dyn Skill>) {
+        let manifest = Arc::new(skill.manifest());
+        self.remote.insert(manifest.name.clone(), Ok((skill, manifest)));
+    }
+
+    /// Notes that what charts call `agent/Name` cannot be used, and why.
+    pub fn refuse_remote(&mut self, name: &str, reason: impl Into<String>) {
+        self.remote.insert(name.to_owned(), Err(reason.into()));
+    }
+
+    /// What is known of `agent/Name`: what it declares, or why it cannot be used; `None` when nobody has asked.
+    pub(crate) fn remote(&self, name: &str) -> Option<Result<&Arc<SkillManifest>, &str>> {
+        let known = self.remote.get(name)?;
+        Some(known.as_ref().map(|(_, manifest)| manifest).map_err(String::as_str))
     }
 
     /// All manifests, ordered by name.

@@ -79,6 +79,10 @@ pub(super) struct Compiler<'l> {
     pub(super) bound: Vec<(String, u32)>,
     pub(super) too_many: bool,
     pub(super) symbols: Symbols,
+    /// What comes with the events that declare it.
+    pub(super) event_types: BTreeMap<String, Type>,
+    /// What comes with the event of the transition that is compiled.
+    pub(super) event_data: Option<Type>,
 }
 
 pub(super) fn number(n: usize) -> u32 {
@@ -109,6 +113,8 @@ impl<'l> Compiler<'l> {
             bound: Vec::new(),
             too_many: false,
             symbols: Symbols::default(),
+            event_types: event_types(library),
+            event_data: None,
         }
     }
 
@@ -168,6 +174,7 @@ impl<'l> Compiler<'l> {
             slots: self.slots,
             tables,
             profiles: profiles(root),
+            event_types: std::mem::take(&mut self.event_types),
         };
         set_domains(&mut program);
         lint::lint(&program, &self.flats, self.library, &mut self.findings);
@@ -239,8 +246,8 @@ impl<'l> Compiler<'l> {
 
     fn kind(&mut self, id: StateId, model: &'l model::State, source: u32) -> Kind {
         match &model.kind {
-            model::Kind::Atomic | model::Kind::Remote(_) => Kind::Atomic,
-            model::Kind::Skill(_) => self.flats[id as usize]
+            model::Kind::Atomic => Kind::Atomic,
+            model::Kind::Skill(_) | model::Kind::Remote(_) => self.flats[id as usize]
                 .skill
                 .clone()
                 .map_or(Kind::Atomic, |manifest| Kind::Skill { manifest }),
@@ -265,7 +272,7 @@ impl<'l> Compiler<'l> {
     }
 
     fn scope(&self, state: StateId) -> Scope<'_, 'l> {
-        Scope { names: &self.names, state, bound: &self.bound }
+        Scope { names: &self.names, state, bound: &self.bound, event_data: self.event_data.as_ref() }
     }
 
     pub(super) fn value(&mut self, state: StateId, node: &Node, ty: &Type, source: u32) -> Option<Term> {
@@ -288,7 +295,7 @@ impl<'l> Compiler<'l> {
     /// What may be given to a state: the inputs of its skill or chart, or anything for a final state.
     fn accepted(&self, state: StateId) -> Option<Vec<(String, Type, bool)>> {
         let flat = &self.flats[state as usize];
-        if let Some(manifest) = &flat.skill {
+        if let Some(manifest) = flat.skill.as_ref().filter(|manifest| !manifest.open) {
             let one = |p: &crate::skill::Parameter| (p.name.clone(), p.ty.clone(), p.default.is_none());
             return Some(manifest.inputs.iter().map(one).collect());
         }
@@ -367,6 +374,20 @@ impl<'l> Compiler<'l> {
             self.watches.push(Watch { state: id, name, condition, until, hold_s: watch.hold_s });
         }
     }
+}
+
+/// What comes with the events that charts declare. All active states see an event, whichever chart declares it; one that
+/// two charts declare differently may hold anything.
+fn event_types(library: &Library) -> BTreeMap<String, Type> {
+    let mut types: BTreeMap<String, Type> = BTreeMap::new();
+    for (event, data) in library.charts.values().flat_map(|chart| &chart.events) {
+        let Some(data) = data else { continue };
+        let known = types.entry(event.text.clone()).or_insert_with(|| data.clone());
+        if known != data {
+            *known = Type::Any;
+        }
+    }
+    types
 }
 
 fn profiles(root: &Chart) -> BTreeMap<String, BTreeMap<String, Value>> {

@@ -28,6 +28,8 @@ pub(crate) struct Outline {
     /// Whether it is the inside of a `statechart:` state.
     pub(crate) chart_root: bool,
     pub(crate) outputs: Vec<(String, u32, Type)>,
+    /// Whether it gives more than is known: then its first output is a map of all.
+    pub(crate) open: bool,
 }
 
 /// Everything that names can stand for.
@@ -120,6 +122,8 @@ pub(crate) struct Scope<'s, 'c> {
     pub(crate) state: StateId,
     /// Loop variables, innermost last.
     pub(crate) bound: &'s [(String, u32)],
+    /// The type of `event.data`, where the event is one that declares it.
+    pub(crate) event_data: Option<&'s Type>,
 }
 
 fn unresolved<T>(message: String, help: Option<String>) -> Result<T, Unresolved> {
@@ -153,7 +157,9 @@ impl Environment for Scope<'_, '_> {
         }
         match (path[0], path.get(1)) {
             ("event", Some(&"name")) => return found(Slot::EventName, Type::String, 2),
-            ("event", Some(&"data")) => return found(Slot::EventData, Type::Any, 2),
+            ("event", Some(&"data")) => {
+                return found(Slot::EventData, self.event_data.cloned().unwrap_or(Type::Any), 2);
+            }
             ("event", _) => return unresolved("an event has `event.name` and `event.data`".into(), None),
             ("channels", Some(name)) => {
                 let number = names.channel_number(name)?;
@@ -197,6 +203,9 @@ impl Scope<'_, '_> {
         let Some(name) = path.get(used) else {
             return unresolved(format!("`{shown}` is a state; its outputs are `{shown}.name`"), None);
         };
+        if let (true, Some((_, slot, ty))) = (names.outlines[state as usize].open, outputs.first()) {
+            return Ok(Variable { slot: Slot::Data(*slot), ty: ty.clone(), used });
+        }
         match outputs.iter().find(|(output, ..)| output == name) {
             Some((_, slot, ty)) => Ok(Variable { slot: Slot::Data(*slot), ty: ty.clone(), used: used + 1 }),
             None => {

@@ -112,8 +112,8 @@ pub mod code {
     pub const LIMB: &str = "E023";
     /// A type that does not exist.
     pub const DECLARED_TYPE: &str = "E024";
-    /// A form that this build does not run.
-    pub const UNSUPPORTED: &str = "E025";
+    /// A chart or skill of another agent that cannot be used.
+    pub const REMOTE: &str = "E025";
     /// Targets that cannot be entered together.
     pub const TOGETHER: &str = "E026";
     /// An output that is read before its state can have ended.
@@ -126,6 +126,8 @@ pub mod code {
     pub const SHADOWED: &str = "W103";
     /// A value that has no effect.
     pub const UNUSED: &str = "W104";
+    /// A chart or skill of another agent that was not asked.
+    pub const UNASKED: &str = "W105";
 }
 
 /// One thing that is wrong.

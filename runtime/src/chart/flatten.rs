@@ -2,13 +2,16 @@
 
 use std::sync::Arc;
 
+use armarium_values::Type;
+
 use super::compile::{Compiler, Flat, number};
 use super::expressions::Outline;
-use super::finding::{code, suggest};
+use super::finding::{Severity, code, suggest};
 use super::model::{self, Chart, Declaration};
 use super::read::MAX_LEVELS;
+use super::yaml::Named;
 use crate::engine::program::{Instance, StateId, Variable};
-use crate::skill::Limits;
+use crate::skill::{Limits, SkillManifest};
 
 /// Most states, those of the charts inside counted at each use.
 const MAX_STATES: usize = 200_000;
@@ -41,7 +44,14 @@ impl<'l> Compiler<'l> {
         self.flats.push(Flat { model, source, depth, path, limits, chart: None, skill: None });
         self.last.push(id);
         let name = model.name.text.clone();
-        self.names.outlines.push(Outline { name, parent, instance, chart_root, outputs: Vec::new() });
+        self.names.outlines.push(Outline {
+            name,
+            parent,
+            instance,
+            chart_root,
+            outputs: Vec::new(),
+            open: false,
+        });
         id
     }
 
@@ -63,7 +73,7 @@ impl<'l> Compiler<'l> {
         let source = self.source(&chart.source);
         let path = self.flats[owner as usize].path.clone();
         let path = if owner == 0 { String::new() } else { path };
-        let limits = tighten(limits, chart.root.limits);
+        let limits = limits.tightened(chart.root.limits);
         let root = self.push(&chart.root, source, Some(owner), instance, path, limits, true);
         self.flatten_children(root, &chart.root, instance, source, limits, stack);
         self.finish(root);
@@ -100,7 +110,7 @@ impl<'l> Compiler<'l> {
             let prefix = &self.flats[parent as usize].path;
             let name = &child.name.text;
             let path = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
-            let limits = tighten(limits, child.limits);
+            let limits = limits.tightened(child.limits);
             let id = self.push(child, source, Some(parent), instance, path, limits, false);
             if self.names.children.insert((parent, name.clone()), id).is_some() {
                 let message = format!("there are two states `{name}` here");
@@ -130,12 +140,7 @@ impl<'l> Compiler<'l> {
                     self.error(source, code::SKILL, name, message, Some(help));
                     return;
                 };
-                for output in &manifest.outputs {
-                    let place = (output.name.clone(), self.slots, output.ty.clone());
-                    self.names.outlines[id as usize].outputs.push(place);
-                    self.slots += 1;
-                }
-                self.flats[id as usize].skill = Some(manifest);
+                self.acts(id, manifest);
             }
             model::Kind::Chart(name) => {
                 // A chart that could not be read has its finding already.
@@ -157,21 +162,60 @@ impl<'l> Compiler<'l> {
                 stack.pop();
             }
             model::Kind::Remote(name) => {
-                let message = "states of other agents cannot be run by this program yet".into();
-                self.error(source, code::UNSUPPORTED, name, message, None);
+                let manifest = self.offered(source, name);
+                self.acts(id, manifest);
             }
             _ => {}
         }
     }
+
+    /// What another agent offers under a name `agent/Name`; of what is not known or cannot be used, nothing more is said.
+    fn offered(&mut self, source: u32, name: &Named) -> Arc<SkillManifest> {
+        match self.registry.remote(&name.text) {
+            Some(Ok(manifest)) => return Arc::clone(manifest),
+            _ if !is_remote_name(&name.text) => {
+                let message = format!("`{}` names nothing of another agent", name.text);
+                let help = "write it as `agent/Name`".to_owned();
+                self.error(source, code::REMOTE, name, message, Some(help));
+            }
+            Some(Err(reason)) => {
+                let message = reason.to_owned();
+                self.error(source, code::REMOTE, name, message, None);
+            }
+            None => {
+                let message = format!("`{}` is not checked: its agent was not asked", name.text);
+                let help = Some("`--connect tcp/HOST:PORT` asks it".to_owned());
+                self.reporting(source, |_, findings| {
+                    findings.add(Severity::Warning, code::UNASKED, name.span, message, help);
+                });
+            }
+        }
+        let mut manifest = SkillManifest::new(&name.text, "Something that another agent offers.");
+        manifest.open = true;
+        Arc::new(manifest)
+    }
+
+    /// A state acts by a skill: places for what that gives. One that is not known yet gives a map of all.
+    fn acts(&mut self, id: StateId, manifest: Arc<SkillManifest>) {
+        let outline = &mut self.names.outlines[id as usize];
+        outline.open = manifest.open;
+        if manifest.open {
+            outline.outputs.push((String::new(), self.slots, Type::Any));
+            self.slots += 1;
+        }
+        for output in &manifest.outputs {
+            outline.outputs.push((output.name.clone(), self.slots, output.ty.clone()));
+            self.slots += 1;
+        }
+        self.flats[id as usize].skill = Some(manifest);
+    }
 }
 
-fn tighten(outer: Limits, inner: Limits) -> Limits {
-    let least = |a: Option<f64>, b: Option<f64>| match (a, b) {
-        (Some(a), Some(b)) => Some(a.min(b)),
-        (a, b) => a.or(b),
+/// Whether a name has the form `agent/Name`.
+pub(super) fn is_remote_name(name: &str) -> bool {
+    let plain = |part: &str| {
+        (1..=100).contains(&part.len())
+            && part.chars().all(|c| c.is_alphanumeric() || c == '_' || c == '-' || c == '.')
     };
-    Limits {
-        force_n: least(outer.force_n, inner.force_n),
-        speed_m_s: least(outer.speed_m_s, inner.speed_m_s),
-    }
+    name.split_once('/').is_some_and(|(agent, rest)| plain(agent) && plain(rest))
 }

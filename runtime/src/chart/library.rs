@@ -1,6 +1,6 @@
 //! Finding and reading chart files: a chart and all charts that it names, each once.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -71,6 +71,14 @@ fn parse(source: Arc<Source>) -> (Option<Chart>, Vec<Finding>) {
 }
 
 impl Library {
+    /// What the charts want of other agents, as `agent/Name`.
+    #[must_use]
+    pub fn remote_names(&self) -> BTreeSet<String> {
+        let mut names = BTreeSet::new();
+        self.charts.values().for_each(|chart| named_remotes(&chart.root, &mut names));
+        names
+    }
+
     fn add_root(&mut self, source: Arc<Source>, folders: &[PathBuf]) {
         let (chart, findings) = parse(source);
         self.findings.extend(findings);
@@ -134,6 +142,13 @@ impl Library {
         self.findings.extend(findings.list);
         result
     }
+}
+
+fn named_remotes(state: &State, names: &mut BTreeSet<String>) {
+    if let Kind::Remote(name) = &state.kind {
+        names.insert(name.text.clone());
+    }
+    state.kind.children().iter().for_each(|child| named_remotes(child, names));
 }
 
 fn named_charts<'s>(state: &'s State, names: &mut Vec<&'s Named>) {

@@ -91,7 +91,9 @@ impl Lint<'_, '_> {
                     let outcome = self.program.tables.symbols.name(*outcome);
                     add(parent, outcome, region, false);
                     if region && let Some(parallel) = self.program.state(parent).parent {
-                        add(parallel, outcome, self.program.state(parallel).region, false);
+                        // It ends when all its regions have; where one never does, nobody need handle it.
+                        let own_only = self.program.state(parallel).region || !self.can_end(parallel);
+                        add(parallel, outcome, own_only, false);
                     }
                 }
                 Kind::Parallel => add(id, "success", state.region || !self.can_end(id), false),
@@ -115,6 +117,11 @@ impl Lint<'_, '_> {
     }
 
     fn unknown_events(&mut self, scoped: &[Scoped], library: &Library) {
+        // What another agent raises is not known before it was asked.
+        let open = |state: &crate::engine::program::State| matches!(&state.kind, Kind::Skill { manifest } if manifest.open);
+        if self.program.states.iter().any(open) {
+            return;
+        }
         let mut seen: BTreeSet<(StateId, &str)> = BTreeSet::new();
         for s in scoped {
             let around = if s.own_only { 1 } else { usize::MAX };
@@ -127,7 +134,7 @@ impl Lint<'_, '_> {
             broadcast.insert(name.to_owned());
         }
         for chart in library.charts.values() {
-            broadcast.extend(chart.events.iter().map(|e| e.text.clone()));
+            broadcast.extend(chart.events.iter().map(|(event, _)| event.text.clone()));
             raised(&chart.root, &mut broadcast);
         }
         for id in self.ids() {

@@ -24,7 +24,7 @@ pub struct Chart {
     pub outputs: Vec<Declaration>,
     /// What it remembers while it runs.
     pub locals: Vec<Declaration>,
-    pub(crate) events: Vec<Named>,
+    pub(crate) events: Vec<(Named, Option<Type>)>,
     pub(crate) profiles: BTreeMap<String, Vec<(Named, Node)>>,
     pub(crate) root: State,
 }

@@ -159,8 +159,7 @@ impl Reader<'_> {
         let inputs = self.declarations(entries, "inputs");
         let outputs = self.declarations(entries, "outputs");
         let locals = self.declarations(entries, "locals");
-        let events = get(entries, "events")
-            .map_or_else(Vec::new, |n| self.entries(n).iter().map(|(key, _)| key.clone()).collect());
+        let events = self.events(entries);
         let profiles = self.profiles(entries, &inputs);
         let description = self.words(entries, "description");
         let root = self.state(name.clone(), node.span, entries, 0, true)?;
@@ -169,6 +168,29 @@ impl Reader<'_> {
         }
         let source = Arc::clone(&self.findings.source);
         Some(Chart { source, name: name.text, description, inputs, outputs, locals, events, profiles, root })
+    }
+
+    /// The events from outside, each with the type of its data where that is declared: named fields.
+    fn events(&mut self, entries: &Entries) -> Vec<(Named, Option<Type>)> {
+        let Some(node) = get(entries, "events") else { return Vec::new() };
+        let mut events = Vec::new();
+        for (event, node) in self.entries(node) {
+            let mut data = None;
+            if !matches!(node.value, Yaml::Null) {
+                let form = self.entries(node);
+                self.known(form, &["data", "description"], "an event");
+                data = get(form, "data").map(|fields| {
+                    let fields = self.entries(fields).iter();
+                    let one = |(name, node): &(Named, Node)| {
+                        let declared = self.declaration(name, node);
+                        (declared.name, declared.ty)
+                    };
+                    Type::Record(fields.map(one).collect())
+                });
+            }
+            events.push((event.clone(), data));
+        }
+        events
     }
 
     fn declare_types(&mut self, entries: &Entries) {

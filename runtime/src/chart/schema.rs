@@ -81,7 +81,7 @@ fn chart_key(key: &str) -> Json {
             json!({"type": "object", "description": "Words that stand for a type: `{enum: [fist, open_hand]}`."})
         }
         "events" => {
-            json!({"type": "object", "description": "Events from outside that the chart understands."})
+            json!({"type": "object", "description": "Events from outside that the chart understands, with what comes with them: `said: {data: {word: string}}`."})
         }
         "profiles" => {
             json!({"type": "object", "description": "Other defaults of inputs, chosen by `run --profile`."})

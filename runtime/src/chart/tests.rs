@@ -68,10 +68,15 @@ fn mistakes_are_found_with_code_place_and_help() {
         (states("{enter: [{asign: {}}]}"), code::KEY, "asign", "did you mean `assign`"),
         (states("{enter: [{assign: {locals.n: 1}}]}"), code::VARIABLE, "locals.n", "no `locals.n`"),
         (states("{limits: {force: 3 m}}"), code::UNIT, "3 m", "number in N"),
-        (states("{remote: bob/T}"), code::UNSUPPORTED, "bob/T", "other agents"),
+        (states("{remote: bob}"), code::REMOTE, "bob", "agent/Name"),
         (states("{skill: Act, with: {force: \"${A.value}\"}}"), code::EARLY, "A.value", "nothing lets `A` end"),
         (states("{skill: Act, with: {force: \"${B.value}\"}, transitions: {success: B}}").replace("B: {}", "B: {skill: Act}"), code::EARLY, "B.value", "nothing lets `B` end"),
         (states("{transitions: {t: {target: [A, B]}}}") + "events: {t: {}}\n", code::TOGETHER, "A", "not in two regions"),
+        (states("{transitions: {t: {target: B, if: \"event.data.wrd == 'x'\"}}}") + "events: {t: {data: {word: string}}}\n", code::VARIABLE, ".wrd", "did you mean `word`"),
+        (states("{transitions: {t: {target: B, if: \"event.data.n == 'x'\"}}}") + "events: {t: {data: {n: int}}}\n", code::TYPE, "", "int"),
+        (states("{enter: [{raise: {event: t, data: {n: many}}}]}") + "events: {t: {data: {n: int}}}\n", code::TYPE, "many", "expected int"),
+        (states("{enter: [{raise: t}]}") + "events: {t: {data: {n: int}}}\n", code::TYPE, "t}]", "comes with data: n"),
+        (states("{transitions: {t: B}}") + "events: {t: {data: {n: itn}}}\n", code::DECLARED_TYPE, "itn", "did you mean `int`"),
         (states("{transitions: [{target: B}]}"), code::MISSING_KEY, "{target", "event"),
         (states("3"), code::FORM, "3", "a map is needed"),
         ("statechart: T\ninitial: A\nstates: {A: {}, A: {}}\n".into(), code::YAML, "", "duplicate"),
@@ -112,6 +117,18 @@ states:
         assert!(said.contains(words), "{said}");
     }
     program(text);
+}
+
+#[test]
+fn a_parallel_state_of_which_one_region_never_ends_needs_no_outcome_handled() {
+    let chart = |second: &str| {
+        format!(
+            "statechart: T\ninitial: P\nstates:\n  P:\n    parallel:\n      A: {{initial: X, states: {{X: {{final: success}}}}}}\n      \
+             B: {{initial: Y, states: {{Y: {second}}}}}\n"
+        )
+    };
+    assert_eq!(found(&chart("{}")), "");
+    assert!(found(&chart("{final: success}")).contains("nobody handles the outcome `success` of `P`"));
 }
 
 #[test]

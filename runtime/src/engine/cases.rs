@@ -36,6 +36,29 @@ fn outcome_timer_or_watch_of_a_state_that_has_been_left_is_dropped_and_seen() {
 }
 
 #[test]
+fn an_event_whose_data_is_not_as_declared_is_not_heard_and_an_error_says_so() {
+    let mut d = Drive::new(
+        "
+statechart: T
+initial: A
+states:
+  A: {transitions: {said: [{target: B, if: \"event.data.n == 3\"}], error.communication: C}}
+  B: {transitions: {said: A}}
+  C: {}
+events: {said: {data: {n: {type: float, unit: m}}}}
+",
+    );
+    d.said();
+    let said = |n: Value| Input::Event { name: "said".into(), data: Value::record([("n", n)]) };
+    d.input(said("3000 mm".into()));
+    assert_eq!(d.said(), "-A; +B", "what is given in another unit is converted");
+    d.input(said(Value::Int(1)));
+    d.said();
+    d.input(said("3 kg".into()));
+    assert_eq!(d.said(), "dropped said; -A; +C");
+}
+
+#[test]
 fn an_outcome_of_a_state_left_before_it_is_taken_is_dropped() {
     let mut d = Drive::new(
         "

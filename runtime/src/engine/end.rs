@@ -44,7 +44,9 @@ impl Engine {
         match checked(declared, result) {
             Ok((name, outputs)) => {
                 for (output, slot) in &program.state(state).outputs {
-                    self.store.data[*slot as usize] = outputs.get(output).cloned();
+                    let all = || Value::Map(outputs.clone());
+                    let value = if declared.open { Some(all()) } else { outputs.get(output).cloned() };
+                    self.store.data[*slot as usize] = value;
                 }
                 // Declared outcomes have numbers.
                 let symbol = program.tables.symbols.find(&name).unwrap_or(SUCCESS);
@@ -196,6 +198,9 @@ fn checked(
     let name = outcome.name;
     if name == "failure" {
         return Err(format!("the skill `{skill}` failed without saying why"));
+    }
+    if declared.open {
+        return Ok((name, outcome.outputs));
     }
     if name != "success" && !declared.outcomes.contains(&name) {
         return Err(format!("the skill `{skill}` gave the outcome `{name}`, which it does not declare"));

@@ -22,6 +22,23 @@ impl Engine {
     }
 
     /// Queues an event from outside.
+    /// An event from outside. One whose data is not as its chart declares is not heard; `error.communication` says so.
+    pub(super) fn event(&mut self, name: &str, data: Value, turn: &mut Turn<'_>) {
+        let program = turn.program;
+        let converted = match program.event_types.get(name) {
+            Some(ty) => ty.convert(data).map_err(|error| format!("the data of `{name}`: {error}")),
+            None => Ok(data),
+        };
+        match converted {
+            Ok(data) => self.queue(Event::named(program, name, data), turn),
+            Err(reason) => {
+                turn.trace(|_| TraceItem::Dropped { name: name.to_owned(), reason: reason.clone() });
+                let data = Value::record([("reason", reason.into())]);
+                self.queue(Event::named(program, "error.communication", data), turn);
+            }
+        }
+    }
+
     pub(super) fn queue(&mut self, event: Event, turn: &mut Turn<'_>) {
         if self.external.len() >= MAX_QUEUE {
             let reason = "too many events are waiting".into();

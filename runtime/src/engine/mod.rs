@@ -158,10 +158,7 @@ impl Engine {
         match input {
             Input::SkillEnded { activation, result } => self.skill_ended(activation, result, &mut turn),
             Input::SkillStuck { activation } => self.skill_stuck(activation, &mut turn),
-            Input::Event { name, data } => {
-                let event = Event::named(&program, &name, data);
-                self.queue(event, &mut turn);
-            }
+            Input::Event { name, data } => self.event(&name, data, &mut turn),
             Input::Timer { timer } => self.timer(timer, &mut turn),
             Input::Watch { watch, entry } => {
                 if let Some(watch) = program.watches.get(watch as usize) {

@@ -4,9 +4,10 @@
 //! exactly `s + 1 ..= s.last`. State 0 stands for the run; its only child is the chart. Names of events are numbers
 //! as well; what selecting transitions needs lies side by side in [`Tables`](super::tables::Tables).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::Arc;
+use std::time::Duration;
 
 use armarium_values::expr::Expr;
 use armarium_values::{Type, Value};
@@ -42,6 +43,8 @@ pub struct Program {
     pub(crate) tables: Tables,
     /// Inputs by profile, as written.
     pub(crate) profiles: BTreeMap<String, BTreeMap<String, Value>>,
+    /// What comes with the events that declare it.
+    pub(crate) event_types: BTreeMap<String, Type>,
 }
 
 impl fmt::Debug for Program {
@@ -246,6 +249,57 @@ impl Program {
     /// What the chart gives.
     pub fn outputs(&self) -> impl Iterator<Item = &Declaration> {
         self.instances[0].outputs.iter().map(|v| &v.declaration)
+    }
+
+    /// The outcomes that the chart can end with beyond `success` and `failure`, in their order.
+    #[must_use]
+    pub fn outcomes(&self) -> Vec<String> {
+        let mut outcomes = BTreeSet::new();
+        self.outcomes_of(1, &mut outcomes);
+        outcomes.remove("success");
+        outcomes.remove("failure");
+        outcomes.into_iter().collect()
+    }
+
+    /// The outcomes of a state that its own inside gives it.
+    fn outcomes_of(&self, state: StateId, outcomes: &mut BTreeSet<String>) {
+        let of = self.state(state);
+        match &of.kind {
+            Kind::Skill { manifest } => outcomes.extend(manifest.outcomes.iter().cloned()),
+            Kind::Chart { .. } | Kind::Parallel => {
+                of.children.iter().for_each(|child| self.outcomes_of(*child, outcomes));
+            }
+            Kind::Composite { .. } => {
+                for child in &of.children {
+                    if let Kind::Final { outcome } = self.state(*child).kind {
+                        outcomes.insert(self.tables.symbols.name(outcome).to_owned());
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// The longest time that a skill of the chart may take to return after a cancel.
+    #[must_use]
+    pub fn grace(&self) -> Duration {
+        let grace = |state: &State| match &state.kind {
+            Kind::Skill { manifest } => Some(manifest.grace),
+            _ => None,
+        };
+        self.states.iter().filter_map(grace).max().unwrap_or_default()
+    }
+
+    /// The limbs that skills of the chart command, in their order.
+    #[must_use]
+    pub fn limbs(&self) -> Vec<String> {
+        let mut limbs = BTreeSet::new();
+        for state in &self.states {
+            if let Kind::Skill { manifest } = &state.kind {
+                limbs.extend(manifest.limbs.iter().cloned());
+            }
+        }
+        limbs.into_iter().collect()
     }
 
     /// The channels that expressions read; their numbers are their places here.

@@ -3,6 +3,7 @@
 //! On a current-thread runtime with a paused clock a run is repeatable bit for bit: ordered maps, biased
 //! selection, and nothing but tokio's clock.
 
+mod chart_skill;
 mod skills;
 mod watchdog;
 mod watching;
@@ -19,12 +20,14 @@ use tokio_util::sync::CancellationToken;
 use crate::channels::Channels;
 use crate::chart::Registry;
 use crate::engine::{Effect, Engine, Input, InputError, InputRecord, Program, Recording, Sensors};
+use crate::skill::Limits;
 use crate::trace::{TraceEvent, TraceItem, TraceSink};
 use skills::{Message, Running};
 use watchdog::Watchdog;
 use watching::Watching;
 
 pub use crate::engine::RunResult;
+pub use chart_skill::{ChartSkill, Stop};
 
 /// Messages that may wait for the engine; skills that send more wait.
 const QUEUE: usize = 256;
@@ -39,6 +42,8 @@ pub struct ExecOptions {
     pub inputs: BTreeMap<String, Value>,
     /// The profile whose defaults are used.
     pub profile: Option<String>,
+    /// Bounds on every skill, beside the chart's own.
+    pub limits: Limits,
     /// Takes what happens.
     pub sink: Option<Box<dyn TraceSink>>,
     /// Called at once with a state's path when its skill does not return within its grace, or has not yielded for a
@@ -84,6 +89,7 @@ pub struct Executor {
     engine: Engine,
     registry: Registry,
     channels: Channels,
+    limits: Limits,
     sink: Option<Box<dyn TraceSink>>,
     watchdog: Watchdog,
     sender: mpsc::Sender<Message>,
@@ -137,6 +143,7 @@ impl Executor {
             engine,
             registry,
             channels,
+            limits: options.limits,
             sink: options.sink,
             watchdog: Watchdog::new(options.on_stuck, sender.clone()),
             sender,
@@ -205,6 +212,7 @@ impl Executor {
     fn message(&mut self, message: Message) {
         match message {
             Message::Event { name, data } => self.handle(Input::Event { name, data }),
+            Message::Inside { state, leaves } => self.trace(TraceItem::Inside { state, leaves }),
             Message::Hangs { reason } => self.handle(Input::Abort { reason }),
             Message::Ended { activation, result } => {
                 self.running.remove(&activation);
@@ -280,6 +288,7 @@ impl Executor {
             match effect {
                 Effect::StartSkill { activation, state, skill, inputs, limits } => {
                     let path = self.engine.program().path(state).to_owned();
+                    let limits = self.limits.tightened(limits);
                     let Some(implementation) = self.registry.get(&skill).cloned() else {
                         let reason = format!("there is no skill `{skill}` in this program");
                         let result = Err(crate::skill::Failure::new(reason));

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use armarium_values::Value;
 use futures::FutureExt;
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 use tokio::task::AbortHandle;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
@@ -29,6 +29,11 @@ pub(super) enum Message {
     Event {
         name: String,
         data: Value,
+    },
+    /// What is active inside a skill has changed.
+    Inside {
+        state: String,
+        leaves: Vec<String>,
     },
     /// A skill has not yielded for too long.
     Hangs {
@@ -72,6 +77,7 @@ impl Running {
     ) -> Self {
         let cancel = CancellationToken::new();
         let (events, incoming) = mpsc::channel(EVENTS);
+        let (inside, within) = watch::channel(Vec::new());
         let state = start.state.clone();
         let context = SkillContext {
             state: start.state,
@@ -80,8 +86,10 @@ impl Running {
             cancel: cancel.clone(),
             channels,
             events,
+            inside,
         };
-        let driving = Box::pin(drive(skill, context, incoming, start.activation, queue.clone(), declared));
+        let told = Told { incoming, within, declared };
+        let driving = Box::pin(drive(skill, context, told, start.activation, queue.clone()));
         let task = tokio::spawn(polls.of(driving));
         Self { state, cancel, task: task.abort_handle(), deadline: None }
     }
@@ -121,14 +129,22 @@ async fn report(queue: &mpsc::Sender<Message>, message: Message) {
     }
 }
 
+/// What a skill tells while it runs.
+struct Told {
+    incoming: mpsc::Receiver<(String, Value)>,
+    within: watch::Receiver<Vec<String>>,
+    /// Events that it may raise.
+    declared: Vec<String>,
+}
+
 async fn drive(
     skill: Arc<dyn Skill>,
     context: SkillContext,
-    mut incoming: mpsc::Receiver<(String, Value)>,
+    told: Told,
     activation: u64,
     queue: mpsc::Sender<Message>,
-    declared: Vec<String>,
 ) {
+    let Told { mut incoming, mut within, declared } = told;
     let state = context.state.clone();
     let pass = |(name, data): (String, Value)| {
         let known = declared.contains(&name);
@@ -146,6 +162,10 @@ async fn drive(
                 if let Some(message) = pass(event) {
                     report(&queue, message).await;
                 }
+            }
+            Ok(()) = within.changed() => {
+                let leaves = within.borrow_and_update().clone();
+                report(&queue, Message::Inside { state: state.clone(), leaves }).await;
             }
             result = &mut acting => break result,
         }

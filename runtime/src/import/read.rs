@@ -43,8 +43,9 @@ pub(super) struct State {
     /// Where it is entered by default, or a history's default.
     pub(super) initial: Option<Entry>,
     pub(super) transitions: Vec<Transition>,
-    pub(super) enter: Vec<Action>,
-    pub(super) exit: Vec<Action>,
+    /// Each `<onentry>` is a block of its own: an error ends only its block.
+    pub(super) enter: Vec<Vec<Action>>,
+    pub(super) exit: Vec<Vec<Action>>,
     /// What a final state tells, with expressions.
     pub(super) data: Vec<(String, Code)>,
 }
@@ -253,11 +254,11 @@ impl<'x> Reader<'x, '_> {
                 ("initial", Kind::State) => self.initial_element(child, at),
                 ("onentry", Kind::State | Kind::Parallel | Kind::Final) => {
                     let actions = self.actions(child, 0);
-                    self.document.states[at].enter.extend(actions);
+                    self.document.states[at].enter.push(actions);
                 }
                 ("onexit", Kind::State | Kind::Parallel | Kind::Final) => {
                     let actions = self.actions(child, 0);
-                    self.document.states[at].exit.extend(actions);
+                    self.document.states[at].exit.push(actions);
                 }
                 ("state" | "parallel" | "final" | "history", Kind::State)
                 | ("state" | "parallel" | "history", Kind::Parallel) => self.state(child, at, depth + 1),

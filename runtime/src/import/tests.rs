@@ -176,6 +176,16 @@ fn what_cannot_be_sent_is_the_error_event_that_scxml_names() {
 }
 
 #[test]
+fn an_action_that_fails_ends_its_block_and_no_other() {
+    let document = "<state id='a'><onentry><send event='e' target='!no'/><raise event='f'/></onentry>\
+        <onentry><raise event='g'/></onentry><transition event='f' target='c'/><transition event='g' target='b'/></state>\
+        <state id='b'><onexit><send event='e' type='none'/><raise event='h'/></onexit><onexit><raise event='i'/></onexit>\
+        <transition target='d'/></state><state id='c'/><state id='d'><transition event='h' target='c'/>\
+        <transition event='i' target='ok'/></state><state id='ok'/>";
+    assert_eq!(leaves(document, &[]), ["ok"]);
+}
+
+#[test]
 fn final_states_tell_their_data() {
     let document = "<state id='s.1'><final id='f'><donedata><param name='x' expr='1'/></donedata></final>\
         <transition event='done.state.s.1' cond=\"_event.data.x == 1\" target='b'/></state><state id='b'/>";

@@ -117,10 +117,10 @@ impl Writer<'_> {
             },
             Kind::Parallel => {}
         }
-        for (key, actions) in [("enter", &state.enter), ("exit", &state.exit)] {
-            if !actions.is_empty() {
+        for (key, blocks) in [("enter", &state.enter), ("exit", &state.exit)] {
+            if blocks.iter().any(|actions| !actions.is_empty()) {
                 self.line(indent, &format!("{key}:"));
-                self.actions(at, actions, indent + 1);
+                blocks.iter().for_each(|actions| self.actions(at, actions, indent + 1));
             }
         }
         self.transitions(at, indent);
@@ -292,6 +292,7 @@ impl Writer<'_> {
 
     // Actions.
 
+    /// One block: what follows an action that fails for certain is left out, as SCXML does not do it.
     fn actions(&mut self, at: Index, actions: &[Action], indent: usize) {
         for action in actions {
             match action {
@@ -299,7 +300,11 @@ impl Writer<'_> {
                     let event = scalar(&self.event(event));
                     self.line(indent, &format!("- raise: {event}"));
                 }
-                Action::Send(send) => self.send(at, send, indent),
+                Action::Send(send) => {
+                    if !self.send(at, send, indent) {
+                        return;
+                    }
+                }
                 Action::Cancel(id) => {
                     if let Some(id) = self.text(at, id) {
                         self.line(indent, &format!("- cancel: {}", scalar(&id)));
@@ -353,8 +358,9 @@ impl Writer<'_> {
         }
     }
 
-    fn send(&mut self, at: Index, send: &Send, indent: usize) {
-        let Some(event) = self.text(at, &send.event) else { return };
+    /// Gives whether the actions after it are done.
+    fn send(&mut self, at: Index, send: &Send, indent: usize) -> bool {
+        let Some(event) = self.text(at, &send.event) else { return true };
         let event = self.event(event.trim());
         let target = send.target.as_ref().and_then(|t| self.text(at, t));
         let kind = send.kind.as_ref().and_then(|t| self.text(at, t));
@@ -372,6 +378,7 @@ impl Writer<'_> {
             Delivery::Error(error, why) => {
                 let note = comment(&format!("`{event}` cannot be sent: {why}"));
                 self.line(indent, &format!("- raise: {error}  # {note}"));
+                return error != "error.execution";
             }
             Delivery::Internal => {
                 if delay.is_some() {
@@ -396,6 +403,7 @@ impl Writer<'_> {
                 }
             }
         }
+        true
     }
 
     // Expressions.

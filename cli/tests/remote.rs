@@ -1,0 +1,351 @@
+//! Two processes on loopback: an agent that offers charts, and a run that starts them. One of them is killed, stopped,
+//! or cut off, and the other notices within a second.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::disallowed_methods,
+    reason = "a test may fail; it waits for what other processes say, on threads of its own"
+)]
+
+use std::io::{BufRead as _, BufReader, Read, Write};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::path::Path;
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex};
+
+use tempfile::TempDir;
+
+/// What `bob` offers.
+const DANCE: &str = "
+statechart: Dance
+inputs: {steps: {type: int}, pace: {type: float, unit: m/s, default: 0.2 m/s}}
+outputs: {danced: {type: int}}
+initial: Turning
+states:
+  Turning:
+    after: [{for: 50ms, target: Done, do: [{assign: {outputs.danced: \"${inputs.steps * 2}\"}}]}]
+  Done: {final: success}
+";
+const WAIT: &str = "
+statechart: Wait
+initial: Waiting
+states:
+  Waiting: {}
+";
+
+/// A process and what it says, line by line.
+struct Running {
+    child: Child,
+    lines: Receiver<String>,
+    said: Vec<String>,
+}
+
+/// Sends what a stream says, line by line.
+fn listen(stream: impl Read + Send + 'static, lines: Sender<String>) {
+    std::thread::spawn(move || {
+        for line in BufReader::new(stream).lines().map_while(Result::ok) {
+            // Nobody listens any more once the test is over.
+            let _ = lines.send(line).is_ok();
+        }
+    });
+}
+
+impl Running {
+    fn start(folder: &Path, args: &[&str]) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_armarium"))
+            .args(args)
+            .current_dir(folder)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the program can be started");
+        let (sender, lines) = channel();
+        let out: ChildStdout = child.stdout.take().unwrap();
+        listen(out, sender.clone());
+        listen(child.stderr.take().unwrap(), sender);
+        Self { child, lines, said: Vec::new() }
+    }
+
+    /// Waits for a line with this text; fails with all that was said when the process ends before.
+    fn wait_for(&mut self, text: &str) -> String {
+        loop {
+            let Ok(line) = self.lines.recv() else {
+                panic!("`{text}` was not said:\n{}", self.said.join("\n"));
+            };
+            self.said.push(line.clone());
+            if line.contains(text) {
+                return line;
+            }
+        }
+    }
+
+    /// Waits for the end; gives the exit status and all that was said.
+    fn end(mut self) -> (Option<i32>, String) {
+        let status = self.child.wait().expect("the process was started").code();
+        self.said.extend(self.lines.iter());
+        (status, std::mem::take(&mut self.said).join("\n"))
+    }
+
+    fn signal(&self, name: &str) {
+        let kill = format!("kill -{name} {}", self.child.id());
+        assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // It may have ended.
+        let _ = self.child.kill().and_then(|()| self.child.wait()).is_ok();
+    }
+}
+
+/// A folder with the charts of both.
+fn folder(main: &str) -> TempDir {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    std::fs::create_dir(folder.path().join("bob")).unwrap();
+    std::fs::write(folder.path().join("bob/dance.yaml"), DANCE).unwrap();
+    std::fs::write(folder.path().join("bob/wait.yaml"), WAIT).unwrap();
+    std::fs::write(folder.path().join("main.yaml"), main).unwrap();
+    folder
+}
+
+/// An agent that offers the charts, and where it listens.
+fn agent(folder: &Path) -> (Running, String) {
+    let mut bob =
+        Running::start(folder, &["agent", "--name", "bob", "bob", "--store", "bob.redb", "--verbose"]);
+    let line = bob.wait_for("listens on ");
+    let endpoint = line.split("listens on ").nth(1).unwrap().trim().to_owned();
+    (bob, endpoint)
+}
+
+fn run(folder: &Path, endpoint: &str) -> Running {
+    let args = [
+        "run",
+        "main.yaml",
+        "--connect",
+        endpoint,
+        "--store",
+        "own.redb",
+        "--verbose",
+        "--record",
+        "run.jsonl",
+    ];
+    Running::start(folder, &args)
+}
+
+const WAITING: &str = "statechart: Main\ninitial: Work\nstates: {Work: {remote: bob/Wait}}\n";
+
+/// The seconds of silence in the reason that a lost agent gives.
+fn silence(said: &str) -> f64 {
+    let after = said.split("the agent `bob` is lost: it has not answered for ").nth(1);
+    let seconds = after.and_then(|rest| rest.split(' ').next()?.parse().ok());
+    seconds.unwrap_or_else(|| panic!("the agent is not lost:\n{said}"))
+}
+
+#[test]
+fn a_chart_of_another_process_takes_inputs_gives_outputs_and_is_seen() {
+    let folder = folder(
+        "
+statechart: Main
+outputs: {n: {type: int}}
+initial: Work
+states:
+  Work:
+    remote: bob/Dance
+    with: {steps: 21}
+    transitions:
+      success: [{if: \"Work.danced == 42\", target: Done, do: [{assign: {outputs.n: \"${Work.danced}\"}}]}, {target: Wrong}]
+      failure: Wrong
+  Done:  {final: success}
+  Wrong: {final: failure}
+",
+    );
+    let (_bob, endpoint) = agent(folder.path());
+    let (status, said) = run(folder.path(), &endpoint).end();
+    assert_eq!(status, Some(0), "{said}");
+    assert!(said.contains("Work: inside, Turning"), "{said}");
+
+    // What was recorded passes through the same states again, without the other process.
+    let (status, said) = Running::start(folder.path(), &["replay", "run.jsonl"]).end();
+    assert_eq!(status, Some(0), "{said}");
+    assert!(said.contains("the same states"), "{said}");
+}
+
+#[test]
+fn an_agent_that_is_killed_is_lost_within_a_second() {
+    let folder = folder(WAITING);
+    let (bob, endpoint) = agent(folder.path());
+    let mut main = run(folder.path(), &endpoint);
+    main.wait_for("inside, Waiting");
+    bob.signal("KILL");
+    let (status, said) = main.end();
+    assert_eq!(status, Some(1), "{said}");
+    assert!(silence(&said) < 1.0, "{said}");
+}
+
+#[test]
+fn an_agent_that_is_stopped_is_lost_within_a_second_and_ends_what_it_ran_when_it_goes_on() {
+    let folder = folder(WAITING);
+    let (mut bob, endpoint) = agent(folder.path());
+    let mut main = run(folder.path(), &endpoint);
+    main.wait_for("inside, Waiting");
+    bob.signal("STOP");
+    let (status, said) = main.end();
+    assert_eq!(status, Some(1), "{said}");
+    assert!(silence(&said) < 1.0, "{said}");
+    bob.signal("CONT");
+    bob.wait_for("its caller is gone");
+}
+
+#[test]
+fn an_agent_that_is_cut_off_is_lost_within_a_second_on_both_sides() {
+    let folder = folder(WAITING);
+    let (mut bob, endpoint) = agent(folder.path());
+    let cable = Cable::to(endpoint.trim_start_matches("tcp/"));
+    let mut main = run(folder.path(), &cable.endpoint);
+    main.wait_for("inside, Waiting");
+    cable.cut.store(true, Ordering::SeqCst);
+    let (status, said) = main.end();
+    assert_eq!(status, Some(1), "{said}");
+    assert!(silence(&said) < 1.0, "{said}");
+    bob.wait_for("its caller is gone");
+}
+
+#[test]
+fn a_chart_whose_caller_is_killed_cancels_itself() {
+    let folder = folder(WAITING);
+    let (mut bob, endpoint) = agent(folder.path());
+    let mut main = run(folder.path(), &endpoint);
+    main.wait_for("inside, Waiting");
+    main.signal("KILL");
+    bob.wait_for("its caller is gone");
+}
+
+#[test]
+fn a_name_is_taken_once_and_wrong_uses_are_said_before_anything_runs() {
+    let folder =
+        folder("statechart: Main\ninitial: W\nstates: {W: {remote: bob/Dance, with: {steps: many}}}\n");
+    let (_bob, endpoint) = agent(folder.path());
+    let (status, said) = run(folder.path(), &endpoint).end();
+    assert_eq!(status, Some(2), "{said}");
+    assert!(said.contains("expected int"), "{said}");
+    let other = ["agent", "--name", "bob", "--connect", &endpoint, "--store", "other.redb"];
+    let (status, said) = Running::start(folder.path(), &other).end();
+    assert_eq!(status, Some(2), "{said}");
+    assert!(said.contains("there is an agent called `bob` already"), "{said}");
+    let (status, said) = Running::start(folder.path(), &["run", "main.yaml"]).end();
+    assert_eq!(status, Some(2), "{said}");
+    assert!(said.contains("--connect"), "{said}");
+}
+
+/// A connection through this process that can be cut: both ends stay open, and hear nothing any more.
+struct Cable {
+    endpoint: String,
+    cut: Arc<AtomicBool>,
+    ends: Arc<Mutex<Vec<TcpStream>>>,
+}
+
+impl Cable {
+    fn to(address: &str) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let endpoint = format!("tcp/{}", listener.local_addr().unwrap());
+        let (cut, ends) = (Arc::new(AtomicBool::new(false)), Arc::new(Mutex::new(Vec::new())));
+        let (address, cutting, kept) = (address.to_owned(), Arc::clone(&cut), Arc::clone(&ends));
+        std::thread::spawn(move || {
+            for one in listener.incoming().map_while(Result::ok) {
+                let Ok(two) = TcpStream::connect(&address) else { return };
+                for (from, to) in [(&one, &two), (&two, &one)] {
+                    let (from, to) = (from.try_clone().unwrap(), to.try_clone().unwrap());
+                    let cut = Arc::clone(&cutting);
+                    std::thread::spawn(move || carry(from, to, &cut));
+                }
+                kept.lock().unwrap().extend([one, two]);
+            }
+        });
+        Self { endpoint, cut, ends }
+    }
+}
+
+impl Drop for Cable {
+    fn drop(&mut self) {
+        for end in self.ends.lock().unwrap().iter() {
+            // It may be closed already.
+            let _ = end.shutdown(Shutdown::Both).is_ok();
+        }
+    }
+}
+
+fn carry(mut from: TcpStream, mut to: TcpStream, cut: &AtomicBool) {
+    let mut bytes = [0; 4096];
+    while let Ok(n @ 1..) = from.read(&mut bytes) {
+        if !cut.load(Ordering::SeqCst) && to.write_all(&bytes[..n]).is_err() {
+            return;
+        }
+    }
+}
+
+/// A Python with the packages `eclipse-zenoh` and `cbor2`, where there is one.
+fn python() -> Option<std::ffi::OsString> {
+    std::env::var_os("ARMARIUM_PYTHON").filter(|program| {
+        let tried = Command::new(program).args(["-c", "import zenoh, cbor2"]).stderr(Stdio::null()).status();
+        tried.is_ok_and(|status| status.success())
+    })
+}
+
+#[test]
+fn a_skill_may_live_in_python() {
+    let Some(python) = python() else {
+        println!(
+            "NOT RUN: ARMARIUM_PYTHON names no Python with the packages eclipse-zenoh and cbor2, so the skill in \
+             another language was not tried"
+        );
+        return;
+    };
+    let folder = folder(
+        "
+statechart: Main
+locals: {heard: {type: int, default: 0}}
+initial: Sum
+states:
+  Sum:
+    remote: eve/Sum
+    with: {numbers: [1.5, 2, 38.5], takes: 100ms}
+    transitions:
+      summing: {do: [{assign: {locals.heard: \"${event.data}\"}}]}
+      success: [{if: \"Sum.sum == 42.0 && locals.heard == 3\", target: Slow}, {target: Wrong}]
+  Slow:
+    remote: eve/Sum
+    with: {numbers: [1.0], takes: 1h}
+    after: {100ms: Empty}
+  Empty:
+    remote: eve/Sum
+    with: {numbers: []}
+    transitions: {failure: Done}
+  Done:  {final: success}
+  Wrong: {final: failure}
+",
+    );
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/python/offer_skill.py");
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let mut eve = Command::new(python)
+        .arg(script)
+        .arg(&endpoint)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("Python can be started");
+    let mut ready = String::new();
+    BufReader::new(eve.stdout.take().unwrap()).read_line(&mut ready).unwrap();
+    let (status, said) = run(folder.path(), &endpoint).end();
+    drop(eve.stdin.take());
+    let left = eve.wait().expect("it was started");
+    assert_eq!(ready.trim(), "eve is ready");
+    assert_eq!(status, Some(0), "{said}");
+    assert!(said.contains("Sum: inside, adding"), "{said}");
+    assert!(said.contains("there is nothing to sum"), "{said}");
+    assert!(left.success(), "{left}");
+}

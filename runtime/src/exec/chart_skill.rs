@@ -1,0 +1,119 @@
+//! A chart as a skill: whoever starts it gives its inputs and gets its outcome and outputs, and a cancel ends it in
+//! order. So other agents start charts as they start skills.
+
+use std::fmt;
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures::FutureExt as _;
+use futures::future::BoxFuture;
+use tokio::sync::watch;
+
+use super::{ExecOptions, Executor, RunResult};
+use crate::chart::{Declaration, Registry};
+use crate::engine::Program;
+use crate::skill::{Failure, Outcome, Parameter, Skill, SkillContext, SkillManifest, SkillResult};
+use crate::trace::{TraceEvent, TraceItem, TraceSink};
+
+/// Stops the robot because the skill of this state is stuck.
+pub type Stop = Arc<dyn Fn(&str) + Send + Sync>;
+
+/// What the chart itself needs to end, beside its skills.
+const ENDING: Duration = Duration::from_millis(500);
+
+/// A chart that is started like a skill.
+pub struct ChartSkill {
+    program: Arc<Program>,
+    description: String,
+    registry: Registry,
+    stop: Stop,
+}
+
+impl fmt::Debug for ChartSkill {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("ChartSkill").field(&self.program).finish()
+    }
+}
+
+impl ChartSkill {
+    /// A chart with the skills that it uses; `stop` is called when one of those does not return.
+    #[must_use]
+    pub fn new(program: Arc<Program>, description: &str, registry: Registry, stop: Stop) -> Self {
+        Self { program, description: description.to_owned(), registry, stop }
+    }
+}
+
+fn parameter(declaration: &Declaration) -> Parameter {
+    Parameter {
+        name: declaration.name.clone(),
+        ty: declaration.ty.clone(),
+        default: declaration.default.clone(),
+        description: declaration.description.clone(),
+    }
+}
+
+impl Skill for ChartSkill {
+    fn manifest(&self) -> SkillManifest {
+        let mut manifest = SkillManifest::new(self.program.name(), &self.description);
+        manifest.inputs = self.program.inputs().map(parameter).collect();
+        manifest.outputs = self.program.outputs().map(parameter).collect();
+        manifest.outcomes = self.program.outcomes();
+        manifest.limbs = self.program.limbs();
+        manifest.grace = self.program.grace() + ENDING;
+        manifest
+    }
+
+    fn run(&self, context: SkillContext) -> BoxFuture<'static, SkillResult> {
+        let stop = Arc::clone(&self.stop);
+        let options = ExecOptions {
+            inputs: context.inputs,
+            profile: None,
+            limits: context.limits,
+            sink: Some(Box::new(Leaves(context.inside))),
+            on_stuck: Some(Box::new(move |state| stop(state))),
+        };
+        let executor =
+            Executor::new(Arc::clone(&self.program), self.registry.clone(), context.channels, options);
+        let cancel = context.cancel;
+        async move {
+            let executor = executor.map_err(|error| Failure::new(error.to_string()))?;
+            let controller = executor.controller();
+            let run = executor.run();
+            tokio::pin!(run);
+            let result = tokio::select! {
+                biased;
+                result = &mut run => result,
+                () = cancel.cancelled() => {
+                    controller.stop("whoever started it has cancelled it");
+                    run.await
+                }
+            };
+            ended(result)
+        }
+        .boxed()
+    }
+}
+
+fn ended(result: RunResult) -> SkillResult {
+    if result.outcome != "failure" {
+        return Ok(Outcome { name: result.outcome, outputs: result.outputs });
+    }
+    let reason = result.reason.unwrap_or_else(|| "the chart failed without saying why".into());
+    let through = if result.chain.is_empty() {
+        String::new()
+    } else {
+        format!(" (through {})", result.chain.join(" < "))
+    };
+    Err(Failure::new(reason + &through))
+}
+
+/// Tells what is active.
+struct Leaves(watch::Sender<Vec<String>>);
+
+impl TraceSink for Leaves {
+    fn record(&mut self, event: &TraceEvent) {
+        if let TraceItem::Configuration { leaves } = &event.item {
+            self.0.send_replace(leaves.clone());
+        }
+    }
+}

@@ -1,0 +1,330 @@
+//! What other agents offer: asked for before a chart is checked, and started when a state of it is entered.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+
+use armarium_bus::{Payload, Session, keys};
+use futures::FutureExt as _;
+use futures::future::BoxFuture;
+use tokio::runtime::Handle;
+use tokio::task::JoinHandle;
+use tokio::time::{Instant, sleep, timeout};
+
+use super::wire::{Cancel, Ended, Manifest, Start, Status, answered, packed};
+use super::{HELD, LEASE};
+use crate::chart::{Registry, suggest};
+use crate::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
+
+/// Manifests that one question may bring.
+const MOST_MANIFESTS: usize = 4096;
+/// Between questions that found nobody.
+const AGAIN: Duration = Duration::from_millis(20);
+/// What a remote state needs to return beyond the grace of what it runs: the cancel's way, or a lease that runs out.
+const BEYOND: Duration = Duration::from_millis(1000);
+
+/// Counts the calls of this process.
+static CALLS: AtomicU64 = AtomicU64::new(0);
+
+/// How long agents that are not there yet are waited for.
+pub type Patience = Duration;
+
+/// The agents that a session reaches.
+#[derive(Clone, Debug)]
+pub struct Agents {
+    session: Session,
+    caller: String,
+    /// Where calls run: not where charts do, so that a busy chart does not look like a lost agent.
+    threads: Handle,
+}
+
+impl Agents {
+    /// The agents that `session` reaches; `caller` is what they are told of who calls. Calls run on `threads`, a
+    /// runtime in real time.
+    #[must_use]
+    pub fn new(session: Session, caller: &str, threads: Handle) -> Self {
+        Self { session, caller: caller.to_owned(), threads }
+    }
+
+    /// Asks for what charts call `agent/Name`, and notes in the registry what is there and why something cannot be
+    /// used. Agents that do not answer yet are asked again until `patience` is over.
+    pub async fn resolve(&self, names: &BTreeSet<String>, patience: Patience, registry: &mut Registry) {
+        let deadline = Instant::now() + patience;
+        let mut waiting: BTreeSet<&String> = names.iter().collect();
+        while !waiting.is_empty() {
+            let last = Instant::now() >= deadline;
+            let agents: BTreeSet<&str> =
+                waiting.iter().filter_map(|name| Some(name.split_once('/')?.0)).collect();
+            let mut offered = BTreeMap::new();
+            for agent in agents {
+                offered.insert(agent.to_owned(), self.offered(agent, None).await);
+            }
+            waiting.retain(|name| {
+                let Some((agent, wanted)) = name.split_once('/') else { return false };
+                let Some(found) = offered.get(agent) else { return false };
+                match chosen(agent, wanted, found) {
+                    Ok(manifest) => {
+                        let remote = Remote { agents: self.clone(), name: (*name).clone(), manifest };
+                        registry.add_remote(Arc::new(remote));
+                        false
+                    }
+                    Err(Missing::Absent(reason)) => {
+                        if last {
+                            registry.refuse_remote(name, reason);
+                        }
+                        !last
+                    }
+                    Err(Missing::Wrong(reason)) => {
+                        registry.refuse_remote(name, reason);
+                        false
+                    }
+                }
+            });
+            if !waiting.is_empty() {
+                sleep(AGAIN).await;
+            }
+        }
+    }
+
+    /// What an agent offers, all of it or under one name; what cannot be read is told in words.
+    async fn offered(&self, agent: &str, name: Option<&str>) -> Vec<Result<Manifest, String>> {
+        let Ok(pattern) = keys::chart_pattern(Some(agent), name) else { return Vec::new() };
+        match self.session.ask(pattern, "", None, MOST_MANIFESTS, LEASE).await {
+            Ok(answers) => answers.iter().filter_map(answered).collect(),
+            Err(error) => vec![Err(error.to_string())],
+        }
+    }
+
+    /// Asks on a key of an agent; `None` when nobody answers in time.
+    async fn ask<P: Payload>(
+        &self,
+        agent: &str,
+        name: &str,
+        message: &P,
+        within: Duration,
+    ) -> Option<Result<Status, String>> {
+        let key = match keys::chart(agent, name) {
+            Ok(key) => key,
+            Err(error) => return Some(Err(error.to_string())),
+        };
+        let (encoding, bytes) = match packed(message) {
+            Ok(packed) => packed,
+            Err(error) => return Some(Err(error)),
+        };
+        let asked = self.session.ask(key, "", Some((&encoding, bytes)), 16, within);
+        // Zenoh keeps the time as well, but not where its own threads are held up.
+        let answers = timeout(within, asked).await.ok()?.ok()?;
+        answers.iter().find_map(answered)
+    }
+}
+
+/// Why something is not there.
+enum Missing {
+    /// It may come.
+    Absent(String),
+    /// It is there, and cannot be used.
+    Wrong(String),
+}
+
+/// The one manifest of that name.
+fn chosen(agent: &str, wanted: &str, offered: &[Result<Manifest, String>]) -> Result<Manifest, Missing> {
+    if offered.is_empty() {
+        return Err(Missing::Absent(format!("no agent `{agent}` answers")));
+    }
+    let fitting: Vec<&Manifest> =
+        offered.iter().filter_map(|o| o.as_ref().ok()).filter(|m| m.name == wanted).collect();
+    match fitting.as_slice() {
+        [one] => Ok((*one).clone()),
+        [one, two, ..] => Err(Missing::Wrong(format!(
+            "two agents are called `{agent}` and offer `{wanted}`: the processes {} and {}",
+            one.instance, two.instance
+        ))),
+        [] => {
+            if let Some(error) = offered.iter().find_map(|o| o.as_ref().err()) {
+                return Err(Missing::Wrong(format!("what `{agent}` offers cannot be understood: {error}")));
+            }
+            let names = || offered.iter().filter_map(|o| Some(o.as_ref().ok()?.name.as_str()));
+            let help = suggest(wanted, names())
+                .unwrap_or_else(|| format!("it offers: {}", names().collect::<Vec<_>>().join(", ")));
+            Err(Missing::Absent(format!("`{agent}` does not offer `{wanted}`; {help}")))
+        }
+    }
+}
+
+/// Something that another agent offers, as a skill of this process.
+struct Remote {
+    agents: Agents,
+    name: String,
+    manifest: Manifest,
+}
+
+impl Skill for Remote {
+    fn manifest(&self) -> SkillManifest {
+        self.manifest.skill(&self.name, BEYOND)
+    }
+
+    fn run(&self, context: SkillContext) -> BoxFuture<'static, SkillResult> {
+        let agents = self.agents.clone();
+        let threads = agents.threads.clone();
+        let (agent, name) = self.name.split_once('/').unwrap_or_default();
+        // The session's name is no other process's, the number no other call's of this one.
+        let number = CALLS.fetch_add(1, Ordering::Relaxed);
+        let call = Call {
+            agent: agent.to_owned(),
+            name: name.to_owned(),
+            id: format!("{}-{number}", agents.session.id()),
+            version: self.manifest.version.clone(),
+            agents,
+            heard: Instant::now(),
+        };
+        let running = Started(threads.spawn(call.run(context)));
+        async move { running.await }.boxed()
+    }
+}
+
+/// A call that ends when nobody waits for it any more.
+struct Started(JoinHandle<SkillResult>);
+
+impl Future for Started {
+    type Output = SkillResult;
+
+    fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<SkillResult> {
+        let joined = ready!(Pin::new(&mut self.0).poll(context));
+        Poll::Ready(joined.unwrap_or_else(|error| Err(Failure::new(format!("the call was lost: {error}")))))
+    }
+}
+
+impl Drop for Started {
+    fn drop(&mut self) {
+        self.0.abort();
+    }
+}
+
+/// A call at another agent.
+struct Call {
+    agents: Agents,
+    agent: String,
+    name: String,
+    id: String,
+    /// The version that the chart was checked with.
+    version: String,
+    /// When the agent was last heard of.
+    heard: Instant,
+}
+
+impl Call {
+    async fn run(mut self, context: SkillContext) -> SkillResult {
+        self.heard = Instant::now();
+        self.start(&context).await?;
+        let mut seen = 0;
+        let mut cancelled = false;
+        loop {
+            let poll = super::wire::Poll { call: self.id.clone(), seen, wait_s: HELD.as_secs_f64() };
+            let asked = self.agents.ask(&self.agent, &self.name, &poll, self.left());
+            let answer = tokio::select! {
+                biased;
+                () = context.cancel.cancelled(), if !cancelled => {
+                    cancelled = true;
+                    self.cancel(&context.state).await;
+                    continue;
+                }
+                answer = asked => answer,
+            };
+            match answer {
+                Some(Ok(status)) => {
+                    self.heard = Instant::now();
+                    if let Some(ended) = self.told(status, &mut seen, &context).await {
+                        return ended.into();
+                    }
+                }
+                Some(Err(reason)) => {
+                    return Err(Failure::new(format!("`{}/{}`: {reason}", self.agent, self.name)));
+                }
+                None if self.left().is_zero() => return Err(self.lost()),
+                None => sleep(AGAIN.min(self.left())).await,
+            }
+        }
+    }
+
+    /// Of the lease, what is left.
+    fn left(&self) -> Duration {
+        LEASE.saturating_sub(self.heard.elapsed())
+    }
+
+    fn lost(&self) -> Failure {
+        let silent = self.heard.elapsed().as_secs_f64();
+        Failure::new(format!("the agent `{}` is lost: it has not answered for {silent:.2} s", self.agent))
+    }
+
+    /// Finds the process that offers it now, and starts it there.
+    async fn start(&mut self, context: &SkillContext) -> Result<(), Failure> {
+        let shown = format!("{}/{}", self.agent, self.name);
+        let manifest = loop {
+            match chosen(&self.agent, &self.name, &self.agents.offered(&self.agent, Some(&self.name)).await) {
+                Ok(manifest) => break manifest,
+                Err(Missing::Wrong(reason)) => return Err(Failure::new(reason)),
+                Err(Missing::Absent(_)) if self.left().is_zero() => return Err(self.lost()),
+                Err(Missing::Absent(_)) => sleep(AGAIN).await,
+            }
+        };
+        if manifest.version != self.version {
+            return Err(Failure::new(format!(
+                "`{shown}` is version {} now; this chart was checked with version {}",
+                manifest.version, self.version
+            )));
+        }
+        self.heard = Instant::now();
+        let start = Start {
+            call: self.id.clone(),
+            instance: manifest.instance,
+            version: manifest.version,
+            caller: format!("{} ({})", self.agents.caller, context.state),
+            inputs: context.inputs.clone(),
+            force_n: context.limits.force_n,
+            speed_m_s: context.limits.speed_m_s,
+        };
+        match self.agents.ask(&self.agent, &self.name, &start, LEASE).await {
+            Some(Ok(_)) => {
+                self.heard = Instant::now();
+                Ok(())
+            }
+            Some(Err(reason)) => Err(Failure::new(reason)),
+            None => Err(self.lost()),
+        }
+    }
+
+    /// Passes a cancel on; the polls after it wait for the end.
+    async fn cancel(&mut self, state: &str) {
+        let cancel = Cancel { call: self.id.clone(), reason: format!("`{state}` is left") };
+        while !self.left().is_zero() {
+            let within = self.left().min(Duration::from_millis(150));
+            if self.agents.ask(&self.agent, &self.name, &cancel, within).await.is_some() {
+                self.heard = Instant::now();
+                return;
+            }
+            sleep(AGAIN.min(self.left())).await;
+        }
+    }
+
+    /// Passes on what is new; gives how it ended, once it has.
+    async fn told(&self, status: Status, seen: &mut u64, context: &SkillContext) -> Option<Ended> {
+        for event in status.events.into_iter().filter(|e| e.revision > *seen) {
+            // The queue ends with the state; then nobody waits for the event.
+            let _ = context.events.send((event.name, event.data)).await.is_ok();
+        }
+        // A process that does not hold its answers back is not asked without a pause.
+        if status.revision <= *seen && status.ended.is_none() {
+            sleep(AGAIN).await;
+        }
+        *seen = status.revision.max(*seen);
+        context.inside.send_if_modified(|inside| {
+            let changed = *inside != status.leaves;
+            *inside = status.leaves;
+            changed
+        });
+        status.ended
+    }
+}

@@ -1,0 +1,239 @@
+//! Offers skills to other agents: answers their questions, runs what they start, cancels what nobody polls.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use armarium_bus::{Key, KeyError, Question, Session, SessionError, keys};
+use tokio::sync::Semaphore;
+
+use super::HELD;
+use super::call::{Call, Task};
+use super::wire::{Cancel, Manifest, Poll, Refusal, Start, Status, packed, unpacked};
+use crate::channels::Channels;
+use crate::exec::Stop;
+use crate::skill::Skill;
+
+/// Calls that run at once.
+const MOST_CALLS: usize = 64;
+/// Questions that are answered at once; more get no answer.
+const MOST_QUESTIONS: usize = 256;
+/// How long the result of a call is kept for its caller.
+const KEPT: Duration = Duration::from_secs(10);
+
+/// Why an agent cannot offer anything.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ServeError {
+    /// A name that cannot be part of a key.
+    #[error(transparent)]
+    Key(#[from] KeyError),
+    /// The network.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// Two things of one name.
+    #[error("`{name}` would be offered twice: a chart and a skill, or two charts, have this name")]
+    Twice {
+        /// The name.
+        name: String,
+    },
+}
+
+/// One skill or chart that is offered.
+pub struct Offer {
+    skill: Arc<dyn Skill>,
+    manifest: Manifest,
+    key: Key,
+}
+
+/// What an agent offers.
+pub struct Offers {
+    agent: String,
+    offers: BTreeMap<String, Arc<Offer>>,
+    instance: String,
+    channels: Channels,
+    stop: Stop,
+}
+
+impl fmt::Debug for Offers {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Offers")
+            .field("agent", &self.agent)
+            .field("names", &self.offers.keys())
+            .finish_non_exhaustive()
+    }
+}
+
+impl Offers {
+    /// An agent that offers nothing yet. `stop` is called when a skill does not return.
+    #[must_use]
+    pub fn new(agent: &str, session: &Session, channels: Channels, stop: Stop) -> Self {
+        Self { agent: agent.to_owned(), offers: BTreeMap::new(), instance: session.id(), channels, stop }
+    }
+
+    /// Offers a skill or a chart under the name of its manifest.
+    ///
+    /// # Errors
+    /// [`ServeError::Twice`] when there is one of that name already; [`ServeError::Key`] for a name that cannot be
+    /// part of a key.
+    pub fn add(&mut self, skill: Arc<dyn Skill>) -> Result<(), ServeError> {
+        let manifest = Manifest::of(&skill.manifest(), &self.instance);
+        let name = manifest.name.clone();
+        let key = keys::chart(&self.agent, &name)?;
+        if self.offers.insert(name.clone(), Arc::new(Offer { skill, manifest, key })).is_some() {
+            return Err(ServeError::Twice { name });
+        }
+        Ok(())
+    }
+
+    /// The names that are offered.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.offers.keys().map(String::as_str)
+    }
+}
+
+struct Server {
+    offers: Offers,
+    calls: Mutex<BTreeMap<String, Arc<Call>>>,
+}
+
+/// Answers questions until the session closes. The calls run on the runtime that this is awaited on; dropping the
+/// future leaves them to end by themselves, within the lease.
+///
+/// # Errors
+/// [`ServeError`] when nothing can be offered.
+pub async fn serve(session: &Session, offers: Offers) -> Result<(), ServeError> {
+    let mut questions =
+        session.answer(keys::chart_pattern(Some(&offers.agent), None)?, MOST_QUESTIONS).await?;
+    let server = Arc::new(Server { offers, calls: Mutex::default() });
+    let places = Arc::new(Semaphore::new(MOST_QUESTIONS));
+    while let Some(question) = questions.next().await {
+        let Ok(place) = Arc::clone(&places).try_acquire_owned() else { continue };
+        let server = Arc::clone(&server);
+        tokio::spawn(async move {
+            server.answer(&question).await;
+            drop(place);
+        });
+    }
+    Ok(())
+}
+
+impl Server {
+    async fn answer(self: Arc<Self>, question: &Question) {
+        if question.encoding.is_empty() || question.payload.is_empty() {
+            return self.declare(question).await;
+        }
+        let name = question.key.rsplit('/').next().unwrap_or_default();
+        let Some(offer) = self.offers.offers.get(name).map(Arc::clone) else {
+            return;
+        };
+        let answer = match self.status(&offer, question).await {
+            Some(answer) => answer,
+            None => return,
+        };
+        let sent = match answer.and_then(|status| packed(&status)) {
+            Ok((encoding, bytes)) => question.reply(&offer.key, &encoding, bytes).await,
+            Err(reason) => match packed(&Refusal { reason }) {
+                Ok((encoding, bytes)) => question.refuse(&encoding, bytes).await,
+                Err(_) => return,
+            },
+        };
+        if let Err(error) = sent {
+            tracing::debug!(%error, "an answer did not reach its caller");
+        }
+    }
+
+    /// Tells what is offered under the names that are asked for.
+    async fn declare(&self, question: &Question) {
+        let wanted = question.key.rsplit('/').next().unwrap_or_default();
+        for (name, offer) in &self.offers.offers {
+            if wanted != name && wanted != "*" && wanted != "**" {
+                continue;
+            }
+            let Ok((encoding, bytes)) = packed(&offer.manifest) else { continue };
+            if let Err(error) = question.reply(&offer.key, &encoding, bytes).await {
+                tracing::debug!(%error, "a manifest did not reach who asked for it");
+            }
+        }
+    }
+
+    /// What a question about a call is answered; nothing where another process is meant.
+    async fn status(
+        self: &Arc<Self>,
+        offer: &Arc<Offer>,
+        question: &Question,
+    ) -> Option<Result<Status, String>> {
+        let (encoding, bytes) = (question.encoding.as_str(), question.payload.as_slice());
+        let schema = encoding.split(';').nth(1).unwrap_or_default();
+        Some(match schema {
+            "runtime/start" => match unpacked::<Start>(encoding, bytes) {
+                Ok(start) if start.instance != self.offers.instance => return None,
+                Ok(start) => self.start(offer, start),
+                Err(error) => Err(error),
+            },
+            "runtime/poll" => match unpacked::<Poll>(encoding, bytes) {
+                Ok(poll) => {
+                    let call = self.call(&poll.call)?;
+                    let wait = Duration::try_from_secs_f64(poll.wait_s).unwrap_or_default().min(HELD);
+                    Ok(call.poll(poll.seen, wait).await)
+                }
+                Err(error) => Err(error),
+            },
+            "runtime/cancel" => match unpacked::<Cancel>(encoding, bytes) {
+                Ok(cancel) => {
+                    let call = self.call(&cancel.call)?;
+                    call.cancel(&cancel.reason);
+                    Ok(call.poll(0, Duration::ZERO).await)
+                }
+                Err(error) => Err(error),
+            },
+            _ => Err(format!(
+                "`{}` is no question that is understood here",
+                encoding.chars().take(100).collect::<String>()
+            )),
+        })
+    }
+
+    fn call(&self, name: &str) -> Option<Arc<Call>> {
+        self.calls.lock().unwrap_or_else(PoisonError::into_inner).get(name).map(Arc::clone)
+    }
+
+    fn start(self: &Arc<Self>, offer: &Arc<Offer>, start: Start) -> Result<Status, String> {
+        let shown = format!("{}/{}", self.offers.agent, offer.manifest.name);
+        if start.version != offer.manifest.version {
+            let (here, there) = (&offer.manifest.version, &start.version);
+            return Err(format!(
+                "`{shown}` is version {here} now, and the caller's chart was checked with version {there}"
+            ));
+        }
+        let inputs = offer.manifest.checked(start.inputs.clone()).map_err(|e| format!("`{shown}`: {e}"))?;
+        let mut calls = self.calls.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(call) = calls.get(&start.call) {
+            // Asked twice because the first answer was lost.
+            return Ok(call.status(0));
+        }
+        if calls.values().filter(|call| !call.has_ended()).count() >= MOST_CALLS {
+            return Err(format!("`{}` runs {MOST_CALLS} calls already", self.offers.agent));
+        }
+        tracing::info!(call = %shown, caller = %start.caller, "started by another agent");
+        let task = Task {
+            name: shown,
+            skill: Arc::clone(&offer.skill),
+            manifest: offer.skill.manifest(),
+            inputs,
+            limits: start.limits(),
+            channels: self.offers.channels.clone(),
+            stop: Arc::clone(&self.offers.stop),
+        };
+        let (call, running) = Call::start(task);
+        calls.insert(start.call.clone(), Arc::clone(&call));
+        let server = Arc::clone(self);
+        tokio::spawn(async move {
+            running.await;
+            tokio::time::sleep(KEPT).await;
+            server.calls.lock().unwrap_or_else(PoisonError::into_inner).remove(&start.call);
+        });
+        Ok(call.status(0))
+    }
+}

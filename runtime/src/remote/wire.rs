@@ -1,0 +1,322 @@
+//! The messages between the agent that starts a skill and the one that offers it.
+//!
+//! All are questions on the key `{agent}/chart/{Name}`, told apart by the schema in the payload's encoding. A question
+//! without payload is answered by the [`Manifest`]; [`Start`], [`Poll`] and [`Cancel`] are answered by a [`Status`], or
+//! refused with a [`Refusal`].
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use armarium_bus::{Answer, Payload, Schema, codec};
+use armarium_values::{Type, Value};
+use serde::{Deserialize, Serialize};
+
+use crate::skill::{Failure, Limits, Outcome, Parameter, SkillManifest, SkillResult};
+
+/// What an agent offers under one name.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// The name, without the agent's.
+    pub name: String,
+    /// The process that offers it: another one each time that an agent is started.
+    pub instance: String,
+    /// Names what is declared here; it changes when anything of that changes.
+    pub version: String,
+    /// For people.
+    #[serde(default)]
+    pub description: String,
+    /// What it takes.
+    #[serde(default)]
+    pub inputs: Vec<WireParameter>,
+    /// What it gives with its outcome.
+    #[serde(default)]
+    pub outputs: Vec<WireParameter>,
+    /// Outcomes beyond `success` and `failure`.
+    #[serde(default)]
+    pub outcomes: Vec<String>,
+    /// Events that it raises while it runs.
+    #[serde(default)]
+    pub events: Vec<String>,
+    /// Limbs that it commands: of the agent that offers it.
+    #[serde(default)]
+    pub limbs: Vec<String>,
+    /// How long it may take to return after a cancel, s.
+    pub grace_s: f64,
+}
+
+/// An input or output.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct WireParameter {
+    /// Its name.
+    pub name: String,
+    /// Its type.
+    #[serde(rename = "type")]
+    pub ty: Type,
+    /// Value of an input that is not given; none for one that must be given.
+    #[serde(default)]
+    pub default: Option<Value>,
+    /// For people.
+    #[serde(default)]
+    pub description: String,
+}
+
+/// Starts it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Start {
+    /// The caller's name for this call; never used twice.
+    pub call: String,
+    /// The process that is meant, from the manifest. Another one does not answer.
+    pub instance: String,
+    /// The version that the caller has checked its chart against.
+    pub version: String,
+    /// Who calls, for people.
+    pub caller: String,
+    /// The inputs by name.
+    pub inputs: BTreeMap<String, Value>,
+    /// Largest wrist force that the caller's chart allows, N.
+    #[serde(default)]
+    pub force_n: Option<f64>,
+    /// Largest TCP speed that the caller's chart allows, m/s.
+    #[serde(default)]
+    pub speed_m_s: Option<f64>,
+}
+
+/// Asks for what is new, and says that the caller is there.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Poll {
+    /// Which call.
+    pub call: String,
+    /// The newest revision that the caller has.
+    pub seen: u64,
+    /// How long the answer may be held back while nothing is new, s.
+    pub wait_s: f64,
+}
+
+/// Tells it to stop. It is polled further until it has ended.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Cancel {
+    /// Which call.
+    pub call: String,
+    /// Why, for people.
+    pub reason: String,
+}
+
+/// How a call stands.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Status {
+    /// Grows with everything that happens.
+    pub revision: u64,
+    /// The innermost active states of a chart, in its order.
+    #[serde(default)]
+    pub leaves: Vec<String>,
+    /// The events that were raised after the revision that the caller has seen.
+    #[serde(default)]
+    pub events: Vec<RaisedEvent>,
+    /// How it ended, once it has.
+    #[serde(default)]
+    pub ended: Option<Ended>,
+}
+
+/// An event that a skill has raised.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RaisedEvent {
+    /// The revision that it made.
+    pub revision: u64,
+    /// Its name.
+    pub name: String,
+    /// What comes with it.
+    pub data: Value,
+}
+
+/// How a call ended.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Ended {
+    /// `success`, `failure`, or one of the manifest's outcomes.
+    pub outcome: String,
+    /// Why, for a failure.
+    #[serde(default)]
+    pub reason: Option<String>,
+    /// Outputs by name.
+    #[serde(default)]
+    pub outputs: BTreeMap<String, Value>,
+}
+
+/// Why a question is refused.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Refusal {
+    /// One sentence for people.
+    pub reason: String,
+}
+
+impl Payload for Manifest {
+    const SCHEMA: Schema = Schema::new("runtime/manifest", 1);
+}
+impl Payload for Start {
+    const SCHEMA: Schema = Schema::new("runtime/start", 1);
+}
+impl Payload for Poll {
+    const SCHEMA: Schema = Schema::new("runtime/poll", 1);
+}
+impl Payload for Cancel {
+    const SCHEMA: Schema = Schema::new("runtime/cancel", 1);
+}
+impl Payload for Status {
+    const SCHEMA: Schema = Schema::new("runtime/status", 1);
+}
+impl Payload for Refusal {
+    const SCHEMA: Schema = Schema::new("runtime/refusal", 1);
+}
+
+/// Longest message that is read, bytes, and how it may be nested.
+const BOUNDS: codec::Bounds = codec::Bounds { bytes: 4 << 20, items: 200_000, depth: 40 };
+
+/// A message with the encoding that names it.
+///
+/// # Errors
+/// What the codec says.
+pub fn packed<P: Payload>(message: &P) -> Result<(String, Vec<u8>), String> {
+    let bytes = codec::encode(message).map_err(|e| e.to_string())?;
+    Ok((P::SCHEMA.encoding(), bytes))
+}
+
+/// A message of the wanted schema.
+///
+/// # Errors
+/// What the codec says: another schema, another version, or bytes that are no such message.
+pub fn unpacked<P: Payload>(encoding: &str, bytes: &[u8]) -> Result<P, String> {
+    P::SCHEMA.check(encoding).map_err(|e| e.to_string())?;
+    codec::decode_within(bytes, BOUNDS).map_err(|e| e.to_string())
+}
+
+/// What an answer says: the message, or why there is none. `None` when it is only Zenoh's word that nobody answered.
+#[must_use]
+pub fn answered<P: Payload>(answer: &Answer) -> Option<Result<P, String>> {
+    match answer {
+        Answer::Message(message) => Some(unpacked(&message.encoding, &message.payload)),
+        Answer::Refusal { encoding, payload } if encoding.starts_with("application/cbor;") => {
+            Some(Err(match unpacked::<Refusal>(encoding, payload) {
+                Ok(refusal) => refusal.reason.chars().take(1000).collect(),
+                Err(error) => error,
+            }))
+        }
+        Answer::Refusal { .. } => None,
+    }
+}
+
+impl Manifest {
+    /// What a skill declares, as offered by a process.
+    #[must_use]
+    pub fn of(skill: &SkillManifest, instance: &str) -> Self {
+        let parameter = |p: &Parameter| WireParameter {
+            name: p.name.clone(),
+            ty: p.ty.clone(),
+            default: p.default.clone(),
+            description: p.description.clone(),
+        };
+        let mut manifest = Self {
+            name: skill.name.clone(),
+            instance: String::new(),
+            version: String::new(),
+            description: skill.description.clone(),
+            inputs: skill.inputs.iter().map(parameter).collect(),
+            outputs: skill.outputs.iter().map(parameter).collect(),
+            outcomes: skill.outcomes.clone(),
+            events: skill.events.clone(),
+            limbs: skill.limbs.clone(),
+            grace_s: skill.grace.as_secs_f64(),
+        };
+        // What CBOR cannot hold cannot be offered either; that is found when the manifest is sent.
+        manifest.version = fingerprint(&codec::encode(&manifest).unwrap_or_default());
+        instance.clone_into(&mut manifest.instance);
+        manifest
+    }
+
+    /// What it declares to a chart that knows it as `name`.
+    #[must_use]
+    pub fn skill(&self, name: &str, beyond: Duration) -> SkillManifest {
+        let parameter = |p: &WireParameter| Parameter {
+            name: p.name.clone(),
+            ty: p.ty.clone(),
+            default: p.default.clone(),
+            description: p.description.clone(),
+        };
+        let grace = Duration::try_from_secs_f64(self.grace_s).unwrap_or_default();
+        let mut skill = SkillManifest::new(name, &self.description).grace(grace.min(MOST_GRACE) + beyond);
+        skill.inputs = self.inputs.iter().map(parameter).collect();
+        skill.outputs = self.outputs.iter().map(parameter).collect();
+        skill.outcomes.clone_from(&self.outcomes);
+        skill.events.clone_from(&self.events);
+        let agent = name.split('/').next().unwrap_or_default();
+        skill.limbs = self.limbs.iter().map(|limb| format!("{agent}/{limb}")).collect();
+        skill
+    }
+}
+
+/// A longer grace than this is not believed.
+const MOST_GRACE: Duration = Duration::from_secs(60);
+
+/// FNV-1a with 64 bits, as hexadecimal digits: tells versions apart, and protects from nothing.
+fn fingerprint(bytes: &[u8]) -> String {
+    let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3);
+    format!("{:016x}", bytes.iter().fold(0xcbf2_9ce4_8422_2325, step))
+}
+
+impl Start {
+    /// The bounds of the caller's chart.
+    #[must_use]
+    pub fn limits(&self) -> Limits {
+        Limits { force_n: self.force_n, speed_m_s: self.speed_m_s }
+    }
+}
+
+impl From<SkillResult> for Ended {
+    fn from(result: SkillResult) -> Self {
+        match result {
+            Ok(outcome) => Self { outcome: outcome.name, reason: None, outputs: outcome.outputs },
+            Err(failure) => {
+                Self { outcome: "failure".into(), reason: Some(failure.reason), outputs: BTreeMap::new() }
+            }
+        }
+    }
+}
+
+impl From<Ended> for SkillResult {
+    fn from(ended: Ended) -> Self {
+        if ended.outcome == "failure" {
+            let reason = ended.reason.unwrap_or_else(|| "it failed without saying why".into());
+            return Err(Failure::new(reason));
+        }
+        Ok(Outcome { name: ended.outcome, outputs: ended.outputs })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_version_tells_declarations_apart_and_not_processes() {
+        let skill = SkillManifest::new("S", "Acts.").input("x", Type::Int, "Any.");
+        let one = Manifest::of(&skill, "p1");
+        assert_eq!(one.version, Manifest::of(&skill, "p2").version);
+        assert_ne!(one.version, Manifest::of(&skill.clone().outcome("odd"), "p1").version);
+        let back: Manifest = {
+            let (encoding, bytes) = packed(&one).unwrap();
+            unpacked(&encoding, &bytes).unwrap()
+        };
+        assert_eq!(back, one);
+        assert_eq!(back.skill("bob/S", Duration::ZERO).inputs, skill.inputs);
+        // The offset basis and one step of FNV-1a, from its published test vectors.
+        assert_eq!(fingerprint(b""), "cbf29ce484222325");
+        assert_eq!(fingerprint(b"a"), "af63dc4c8601ec8c");
+    }
+
+    #[test]
+    fn another_version_or_message_is_named() {
+        let (encoding, bytes) = packed(&Refusal { reason: "no".into() }).unwrap();
+        let later = encoding.replace(";v1", ";v2");
+        let wrong = unpacked::<Refusal>(&later, &bytes).unwrap_err();
+        assert!(wrong.contains("version 2"), "{wrong}");
+        assert!(unpacked::<Status>(&encoding, &bytes).unwrap_err().contains("runtime/refusal"));
+    }
+}
