@@ -11,10 +11,13 @@ use crate::skill::{Skill, SkillManifest};
 /// The skills of a program, by name.
 #[derive(Clone, Default)]
 pub struct Registry {
-    skills: BTreeMap<String, (Arc<dyn Skill>, Arc<SkillManifest>)>,
+    skills: BTreeMap<String, Known>,
     /// What other agents offer, by `agent/Name`; or why it cannot be used.
-    remote: BTreeMap<String, Result<(Arc<dyn Skill>, Arc<SkillManifest>), String>>,
+    remote: BTreeMap<String, Result<Known, String>>,
 }
+
+/// A skill and what it declares.
+type Known = (Arc<dyn Skill>, Arc<SkillManifest>);
 
 impl fmt::Debug for Registry {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

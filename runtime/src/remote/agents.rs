@@ -180,8 +180,7 @@ impl Skill for Remote {
             agents,
             heard: Instant::now(),
         };
-        let running = Started(threads.spawn(call.run(context)));
-        async move { running.await }.boxed()
+        Started(threads.spawn(call.run(context))).boxed()
     }
 }
 
