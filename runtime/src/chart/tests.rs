@@ -74,7 +74,7 @@ fn mistakes_are_found_with_code_place_and_help() {
         (states("{transitions: {t: {target: [A, B]}}}") + "events: {t: {}}\n", code::TOGETHER, "A", "not in two regions"),
         (states("{transitions: {t: {target: B, if: \"event.data.wrd == 'x'\"}}}") + "events: {t: {data: {word: string}}}\n", code::VARIABLE, ".wrd", "did you mean `word`"),
         (states("{transitions: {t: {target: B, if: \"event.data.n == 'x'\"}}}") + "events: {t: {data: {n: int}}}\n", code::TYPE, "", "int"),
-        (states("{enter: [{raise: {event: t, data: {n: many}}}]}") + "events: {t: {data: {n: int}}}\n", code::TYPE, "many", "expected int"),
+        (states("{enter: [{raise: {event: t, data: {n: many}}}]}") + "events: {t: {data: {n: int}}}\n", code::TYPE, "{n: many", "expected int"),
         (states("{enter: [{raise: t}]}") + "events: {t: {data: {n: int}}}\n", code::TYPE, "t}]", "comes with data: n"),
         (states("{transitions: {t: B}}") + "events: {t: {data: {n: itn}}}\n", code::DECLARED_TYPE, "itn", "did you mean `int`"),
         (states("{transitions: [{target: B}]}"), code::MISSING_KEY, "{target", "event"),
