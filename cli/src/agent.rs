@@ -1,4 +1,4 @@
-//! `armarium agent --name NAME CHARTS...`: offers charts, and the skills of the simulated robot, to other agents.
+//! `armarium agent --name NAME CHARTS...`: offers charts, the skills of the simulated robot, and its memory to other agents.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_bus::{AliveToken, Session, SessionError, keys};
+use armarium_memoryx::MemoryServer;
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::{self, Registry};
 use armarium_runtime::exec::{ChartSkill, Stop};
@@ -95,6 +96,9 @@ async fn offer(
             .map_err(|errors| NotBegun::Findings(errors.iter().map(Shown::from).collect()))?,
     };
     let (stage, simulation) = Stage::set(&world, args.seed, &args.store, Vec::new()).map_err(message)?;
+    let (memory, long_term) = (Arc::clone(&stage.memory), Arc::clone(&stage.long_term));
+    let _memory =
+        MemoryServer::start_with(session, &args.name, memory, Some(long_term)).await.map_err(message)?;
     let progress = Progress::new(Box::new(io::stderr()), false);
     logging::install(&progress, stage.handle.clone(), args.verbose, false).map_err(message)?;
     let channels = Channels::new();

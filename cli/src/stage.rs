@@ -49,6 +49,7 @@ pub(crate) struct Stage {
     pub(crate) equipment: Equipment,
     pub(crate) memory: Arc<WorkingMemory>,
     pub(crate) kept: Arc<Consolidator>,
+    pub(crate) long_term: Arc<LongTermMemory>,
 }
 
 impl Stage {
@@ -87,6 +88,7 @@ impl Stage {
             equipment,
             memory,
             kept,
+            long_term,
         };
         Ok((stage, simulation))
     }

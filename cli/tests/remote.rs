@@ -175,6 +175,24 @@ states:
 }
 
 #[test]
+fn the_memory_of_an_agent_can_be_read_and_written() {
+    let folder = folder(WAITING);
+    let (_bob, endpoint) = agent(folder.path());
+    let memory = |args: &[&str]| {
+        let args = [args, &["--agent", "bob", "--connect", &endpoint, "--json"]].concat();
+        Running::start(folder.path(), &[&["memory"], &args[..]].concat()).end()
+    };
+    let (status, said) = memory(&["ls"]);
+    assert_eq!(status, Some(0), "{said}");
+    assert!(said.contains("ObjectClasses"), "what the robot knows beforehand:\n{said}");
+    let (status, said) = memory(&["put", "Notes/alice/table", "--set", "clean=true"]);
+    assert_eq!(status, Some(0), "{said}");
+    let (status, said) = memory(&["get", "Notes/alice/table"]);
+    assert_eq!(status, Some(0), "{said}");
+    assert!(said.contains("clean"), "{said}");
+}
+
+#[test]
 fn an_agent_that_is_killed_is_lost_within_a_second() {
     let folder = folder(WAITING);
     let (bob, endpoint) = agent(folder.path());
