@@ -65,7 +65,8 @@ pub struct HandObservation {
     /// Stretched fingers, in order around the palm.
     pub fingertips: Vec<Fingertip>,
     /// Share of the hand's outline at which something nearer begins that may hide a part of it, 0 to 1; 0 where there is
-    /// no depth image to tell. While a hand is hidden, what was seen of it before goes on.
+    /// no depth image to tell, 1 where the hand reaches beyond the picture. While a hand is hidden, what was seen of it
+    /// before goes on.
     pub hidden: f64,
     /// Around the hand in the left image.
     pub bounding_box: Region,

@@ -101,7 +101,11 @@ impl HandObserver {
         let ranging = Ranging::of(frame, &calibration, hand)?;
         let surface = ranging.palm(&shape.palm);
         let seen_palm = surface + surface.coords.try_normalize(1e-6)? * HALF_PALM;
-        let whole = hand.hidden < HIDDEN;
+        // What reaches beyond the picture is hidden too.
+        let bounds = bounds(&hand.left);
+        let cut = !self.near && bounds.touches_border(frame.left.width(), frame.left.height());
+        let hidden = if cut { 1.0 } else { hand.hidden };
+        let whole = hidden < HIDDEN;
         let palm = self.palm(frame.root_from_left * seen_palm, whole, frame.stamp_ns);
         let palm_in_left =
             palm.map_or(seen_palm, |p| frame.root_from_left.inverse_transform_point(&p.in_root));
@@ -140,8 +144,8 @@ impl HandObserver {
             palm_radius_px: shape.palm_radius * calibration.camera.focal / hand.z,
             pointing,
             fingertips,
-            hidden: hand.hidden,
-            bounding_box: bounds(&hand.left),
+            hidden,
+            bounding_box: bounds,
             stamp_ns: frame.stamp_ns,
         })
     }
