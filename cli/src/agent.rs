@@ -96,7 +96,7 @@ async fn offer(
             .map_err(|errors| NotBegun::Findings(errors.iter().map(Shown::from).collect()))?,
     };
     let (stage, simulation) = Stage::set(&world, args.seed, &args.store, Vec::new()).map_err(message)?;
-    let (memory, long_term) = (Arc::clone(&stage.memory), Arc::clone(&stage.long_term));
+    let (memory, long_term) = (Arc::clone(&stage.memory), Arc::clone(stage.kept.store()));
     let _memory =
         MemoryServer::start_with(session, &args.name, memory, Some(long_term)).await.map_err(message)?;
     let progress = Progress::new(Box::new(io::stderr()), false);

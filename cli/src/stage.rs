@@ -49,7 +49,6 @@ pub(crate) struct Stage {
     pub(crate) equipment: Equipment,
     pub(crate) memory: Arc<WorkingMemory>,
     pub(crate) kept: Arc<Consolidator>,
-    pub(crate) long_term: Arc<LongTermMemory>,
 }
 
 impl Stage {
@@ -88,7 +87,6 @@ impl Stage {
             equipment,
             memory,
             kept,
-            long_term,
         };
         Ok((stage, simulation))
     }

@@ -55,13 +55,20 @@ impl Gaze {
                 }
             }
         }
-        kinematics.update(&q);
-        let angle = self.off(&kinematics, point).norm();
+        let angle = self.angle(model, &q, point);
         if angle < TOLERANCE {
             return Ok(q);
         }
         let link = model.links()[self.left.index()].name.clone();
         Err(IkError { link, position_error_m: 0.0, orientation_error_rad: angle, nearest: q })
+    }
+
+    /// By how much the gaze is off the point (root frame, m) with all joints at `q`, rad.
+    #[must_use]
+    pub fn angle(&self, model: &Arc<Model>, q: &[f64], point: &Point3<f64>) -> f64 {
+        let mut kinematics = Kinematics::new(model);
+        kinematics.update(q);
+        self.off(&kinematics, point).norm()
     }
 
     /// The rotation vector that turns the optical axis towards the point, rad.

@@ -15,6 +15,7 @@ mod frames;
 mod grasp;
 mod hand;
 mod hand_eye;
+mod head;
 mod inputs;
 mod line;
 mod motions;

@@ -19,6 +19,7 @@ mod recall_motion;
 mod verify_grasp;
 mod vision_coaching;
 mod visual_servo;
+mod watch_coach;
 mod weigh_hand;
 
 use std::sync::Arc;
@@ -51,5 +52,6 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         execute_motion::skill(equipment),
         force_coaching::skill(equipment),
         vision_coaching::skill(equipment),
+        watch_coach::skill(equipment),
     ]
 }

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use armarium_motion::CoachInput;
 use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Value};
+use armarium_visionx::HandObservation;
 
 use crate::coaching::Coaching;
 use crate::equipment::{self, Equipment};
@@ -86,8 +87,8 @@ impl Steady {
     const MOST: f64 = 2.0;
     /// How sure the eyes must be of a gesture for it to count, probability.
     const SURE: f64 = 0.6;
-    /// Share of the hand's outline from which on something hides a part of it, and what it counts for then.
-    const HIDDEN: (f64, f64) = (0.16, 0.1);
+    /// What a sight of a hand that is hidden in part counts for, share of one of a whole hand.
+    const HIDDEN_COUNTS: f64 = 0.1;
 
     /// `dt` s later, with what is on the channel now: what the coach asks of the motion.
     fn update(&mut self, dt: f64, hand: Option<Value>) -> CoachInput {
@@ -101,9 +102,9 @@ impl Steady {
             return ask(&self.meant, &self.hand);
         }
         self.gone = 0.0;
-        let hidden = number("hidden").is_some_and(|share| share >= Self::HIDDEN.0);
+        let hidden = number("hidden").is_some_and(|share| share >= HandObservation::HIDDEN);
         if number("confidence").is_none_or(|c| c >= Self::SURE) {
-            let counts = if hidden { Self::HIDDEN.1 } else { 1.0 };
+            let counts = if hidden { Self::HIDDEN_COUNTS } else { 1.0 };
             self.seen.values_mut().for_each(|time| *time *= 1.0 - counts * dt / Self::FORGET);
             let time = self.seen.entry(seen.to_owned()).or_default();
             *time = (*time + counts * dt).min(Self::MOST);

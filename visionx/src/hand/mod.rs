@@ -74,6 +74,12 @@ pub struct HandObservation {
     pub stamp_ns: u64,
 }
 
+impl HandObservation {
+    /// The share of [`hidden`](Self::hidden) from which on a part of the hand is taken to be hidden; a sleeve that comes
+    /// towards the eyes makes up to 0.15. What is left of a hidden hand tells little of its gesture and of its place.
+    pub const HIDDEN: f64 = 0.16;
+}
+
 impl Gesture {
     /// All gestures, in order.
     pub const ALL: [Self; 4] = [Self::Fist, Self::OpenHand, Self::PointOne, Self::PointTwo];

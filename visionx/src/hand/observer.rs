@@ -52,10 +52,6 @@ const BASE_RADIUS: f64 = 0.018;
 const STAY: f64 = 0.94;
 /// Least likelihood of a gesture in one frame.
 const FLOOR: f64 = 0.04;
-/// Share of a hand's outline at which something nearer begins, from which on a part of the hand is taken to be hidden;
-/// a sleeve that comes towards the eyes makes up to 0.15. What is left of a hidden hand tells little of its gesture and
-/// of its place.
-const HIDDEN: f64 = 0.16;
 /// What a frame of a hidden hand counts for its gesture, share of a frame of a whole one. Not nothing: a hand that is
 /// never seen whole shows its gesture too, in a while.
 const HIDDEN_COUNTS: f64 = 0.03;
@@ -105,7 +101,7 @@ impl HandObserver {
         let bounds = bounds(&hand.left);
         let cut = !self.near && bounds.touches_border(frame.left.width(), frame.left.height());
         let hidden = if cut { 1.0 } else { hand.hidden };
-        let whole = hidden < HIDDEN;
+        let whole = hidden < HandObservation::HIDDEN;
         let palm = self.palm(frame.root_from_left * seen_palm, whole, frame.stamp_ns);
         let palm_in_left =
             palm.map_or(seen_palm, |p| frame.root_from_left.inverse_transform_point(&p.in_root));

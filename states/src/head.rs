@@ -1,0 +1,62 @@
+//! The head under a skill's command: it turns until the eyes look at a point, and follows a point that moves. Both eyes
+//! stay parallel, as the stereo calibration holds only there. It holds the lease for as long as it lives.
+
+use std::sync::Arc;
+
+use armarium_robot::{Gaze, Lease, Model, Sensed};
+use armarium_runtime::skill::{Failure, SkillContext};
+use nalgebra::Point3;
+
+use crate::arm::lease;
+use crate::equipment::Equipment;
+
+/// The limb.
+pub(crate) const HEAD: &str = "head";
+/// Gain of the joints' error, 1/s.
+const GAIN: f64 = 4.0;
+/// Where the joints should be is found anew this often, s: the torso under the head may move.
+const RENEWAL: f64 = 0.1;
+
+/// The head that a skill commands.
+pub(crate) struct Head {
+    lease: Lease,
+    model: Arc<Model>,
+    gaze: Gaze,
+    /// Where all joints should be, rad, and how long ago that was found, s.
+    goal: Option<(Vec<f64>, f64)>,
+}
+
+impl Head {
+    /// Takes the head for the skill in `context`.
+    pub(crate) fn take(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
+        let lease = lease(equipment, context, HEAD)?;
+        let model = Arc::clone(equipment.robot.model());
+        let gaze = Gaze::of(&model).map_err(|e| Failure::new(e.to_string()))?;
+        Ok(Self { lease, model, gaze, goal: None })
+    }
+
+    /// Turns towards `point` (root frame, m), each joint at `speed` rad/s at most, `dt` s after the last time; as near as
+    /// the neck can. Returns by how much the gaze is off now, rad.
+    pub(crate) fn look(
+        &mut self,
+        sample: &Sensed,
+        dt: f64,
+        point: &Point3<f64>,
+        speed: f64,
+    ) -> Result<f64, Failure> {
+        let goal = match self.goal.take() {
+            Some((goal, age)) if age + dt < RENEWAL => (goal, age + dt),
+            _ => (self.facing(sample, point), 0.0),
+        };
+        let towards = |&j: &usize| (GAIN * (goal.0[j] - sample.position[j])).clamp(-speed, speed);
+        let velocity: Vec<f64> = self.model.limb(HEAD).iter().map(towards).collect();
+        self.goal = Some(goal);
+        self.lease.command(&velocity).map_err(|fault| Failure::new(fault.to_string()))?;
+        Ok(self.gaze.angle(&self.model, &sample.position, point))
+    }
+
+    fn facing(&self, sample: &Sensed, point: &Point3<f64>) -> Vec<f64> {
+        let solved = self.gaze.look_at(&self.model, &sample.position, point);
+        solved.unwrap_or_else(|nearest| nearest.nearest)
+    }
+}

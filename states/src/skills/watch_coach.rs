@@ -1,0 +1,67 @@
+//! `WatchCoach`: keeps the motion and the coach's hand in view, until it is cancelled.
+
+use std::sync::Arc;
+
+use armarium_runtime::channels::Channels;
+use armarium_runtime::skill::{Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::Type;
+use nalgebra::{Point3, Vector3};
+
+use crate::arm::Senses;
+use crate::equipment::{self, Equipment};
+use crate::head::{HEAD, Head};
+use crate::inputs::{Inputs, as_vector};
+use crate::motions;
+
+/// Largest speed of a joint, rad/s: slow, so that what is seen meanwhile is seen well.
+const SPEED: f64 = 0.3;
+/// Time constant with which the gaze follows what there is to see, s.
+const CALM: f64 = 0.5;
+/// A hand that has not been seen for this long has gone, s. The robot's arm hides it in passing.
+const GONE: f64 = 1.5;
+
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+    let manifest = SkillManifest::new(
+        "WatchCoach",
+        "Looks at the middle of the motion, and between it and the coach's hand while there is one, until it is cancelled.",
+    )
+    .input("motion", Type::motion(), "The motion that runs.")
+    .limb(HEAD);
+    equipment::skill(equipment, manifest, run)
+}
+
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+    let (motion, _) = motions::load(&*equipment.memory, &context.entity("motion")?).await?;
+    let centre = motion.primitive().centre();
+    let middle = Vector3::new(centre[0], centre[1], centre[2]);
+    let mut head = Head::take(&equipment, &context)?;
+    let mut senses = Senses::new(&*equipment.robot, &context);
+    let _frames_are_wanted = context.channels.demand("hand");
+    let mut hand = Sight::default();
+    let mut looked_at = middle;
+    loop {
+        let (sample, dt) = senses.next().await?;
+        let wanted = hand.update(dt, &context.channels).map_or(middle, |hand| (middle + hand) / 2.0);
+        looked_at += (wanted - looked_at) * (dt / CALM).min(1.0);
+        head.look(&sample, dt, &Point3::from(looked_at), SPEED)?;
+    }
+}
+
+/// Where the coach's hand was seen last.
+#[derive(Default)]
+struct Sight {
+    hand: Option<Vector3<f64>>,
+    /// How long ago, s.
+    age: f64,
+}
+
+impl Sight {
+    /// `dt` s later: the place of the hand (root frame, m), while there is one.
+    fn update(&mut self, dt: f64, channels: &Channels) -> Option<Vector3<f64>> {
+        let seen = channels.newest("hand").filter(|s| s.at.elapsed().as_secs_f64() < GONE);
+        let place = seen.and_then(|s| s.value.get("position").and_then(as_vector));
+        self.age = if place.is_some() { 0.0 } else { self.age + dt };
+        self.hand = place.or(self.hand).filter(|_| self.age < GONE);
+        self.hand
+    }
+}
