@@ -97,6 +97,8 @@ const LEAST_VISIBLE: f64 = 0.12;
 const CENTROID_SIGMA_PX: f64 = 0.15;
 /// How near to its expected place a marker is taken for near, m.
 const NEAR: f64 = 0.08;
+/// What hides no more than this of a row of the marker is narrow, share of the radius in which its pixels are looked for.
+const NARROW: f64 = 0.5;
 /// Components smaller than this are noise, px.
 const LEAST_AREA: u32 = 12;
 
@@ -394,10 +396,13 @@ fn centroid(mask: &Mask, mut at: Point2<f64>, radius_px: f64) -> Option<Sight> {
     sight
 }
 
+/// Centroid and area of the coloured pixels of a disc of `reach` px. What is not coloured between coloured pixels of a row
+/// is something narrow in front of the marker, such as its handle, and counts as the marker.
 fn disc_mean(mask: &Mask, at: &Point2<f64>, reach: f64) -> Option<Sight> {
     let region = mask.region();
     let (w, h) = (region.x + region.width, region.y + region.height);
     let part = Region::spanning(at.x - reach, at.y - reach, at.x + reach, at.y + reach, w, h);
+    let narrow = NARROW * reach;
     let (mut n, mut sx, mut sy) = (0.0, 0.0, 0.0);
     for y in part.y.max(region.y)..part.y + part.height {
         let dy = f64::from(y) - at.y;
@@ -405,12 +410,14 @@ fn disc_mean(mask: &Mask, at: &Point2<f64>, reach: f64) -> Option<Sight> {
         let x0 = ((at.x - half).ceil().max(f64::from(region.x))) as u32;
         let x1 = ((at.x + half).floor().min(f64::from(w) - 1.0)).max(-1.0) as i64;
         let row = mask.row((y - region.y) as usize);
-        for x in x0..u32::try_from(x1 + 1).unwrap_or(0) {
-            if row[(x - region.x) as usize] != 0 {
-                n += 1.0;
-                sx += f64::from(x);
-                sy += f64::from(y);
-            }
+        let mut end = None;
+        for x in (x0..u32::try_from(x1 + 1).unwrap_or(0)).filter(|x| row[(x - region.x) as usize] != 0) {
+            let from = end.filter(|&end| f64::from(x - end) <= narrow).unwrap_or(x);
+            let count = f64::from(x + 1 - from);
+            n += count;
+            sx += count * f64::from(from + x) / 2.0;
+            sy += count * f64::from(y);
+            end = Some(x + 1);
         }
     }
     (n > 0.0).then(|| Sight { center: Point2::new(sx / n, sy / n), area: n })
