@@ -8,14 +8,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use armarium_robot::{Guard, GuardConfig, JointKind, JointTargets, Model, Robot, Sample};
+use armarium_robot::{Guard, GuardConfig, JointKind, JointTargets, Kinematics, LinkId, Model, Robot, Sample};
 use armarium_visionx::ImageSource;
 use nalgebra::{Isometry3, Point3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::cameras::{Eyes, SimulatedCameras, View};
-use crate::coach::Coach;
+use crate::coach::{Coach, SeenArm};
 use crate::physics::{External, Plant, PlantError};
 use crate::referee::Referee;
 use crate::sensing::Sensors;
@@ -87,6 +87,9 @@ pub struct Simulation {
     robot: Arc<dyn Robot>,
     guard: Guard,
     plant: Plant,
+    /// Where the links truly are, and those of the right arm that the coach sees: wrist and elbow.
+    kinematics: Kinematics,
+    arm: [Option<LinkId>; 2],
     sensors: Sensors,
     coach: Coach,
     eyes: Eyes,
@@ -135,6 +138,8 @@ impl Simulation {
         Ok(Self {
             robot,
             guard,
+            kinematics: Kinematics::new(&model),
+            arm: ["wrist_1_r", "elbow_r"].map(|name| model.link(name)),
             sensors: Sensors::new(&world.robot.noise, &world.faults, sliding, stream(1)),
             coach: Coach::new(&world.coach, world.table.height, camera, stream(2)),
             eyes,
@@ -256,8 +261,8 @@ impl Simulation {
 
     /// Forces from outside: the coach's and those of accidents.
     fn act(&mut self, t: f64) {
-        let tcp = Point3::from(self.plant.tcp().translation.vector);
-        let state = *self.coach.step(t, &tcp, &self.plant.tcp_velocity(), 1e-3);
+        let arm = self.seen_arm();
+        let state = *self.coach.step(t, &arm, 1e-3);
         if state.hand.is_some() {
             self.hand_gone_at = t;
         }
@@ -280,6 +285,16 @@ impl Simulation {
                 self.external.objects[i] += force;
             }
         }
+    }
+
+    fn seen_arm(&mut self) -> SeenArm {
+        self.kinematics.update(self.plant.position());
+        let tcp = Point3::from(self.plant.tcp().translation.vector);
+        let at = |link: Option<LinkId>| {
+            link.map_or(tcp, |link| Point3::from(self.kinematics.pose(link).translation.vector))
+        };
+        let [wrist, elbow] = self.arm.map(at);
+        SeenArm { tcp, velocity: self.plant.tcp_velocity(), wrist, elbow }
     }
 
     /// Gathers what is true and tells those who may know.

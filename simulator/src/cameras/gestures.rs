@@ -9,7 +9,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::coach::{Coach, CoachPath};
+use crate::coach::{Coach, CoachPath, SeenArm};
 use crate::render::hand::SKIN;
 use crate::world::{CoachingAction, CoachingStep, Show};
 
@@ -123,7 +123,9 @@ fn watch(world: &World, seed: u64) -> Score {
         let tcp = wiper.tcp();
         let velocity = (tcp.translation.vector - before.translation.vector) / STEP_S;
         before = tcp;
-        let state = *coach.step(t, &Point3::from(tcp.translation.vector), &velocity, STEP_S);
+        let tcp_at = Point3::from(tcp.translation.vector);
+        let arm = SeenArm { tcp: tcp_at, velocity, wrist: tcp_at, elbow: tcp_at };
+        let state = *coach.step(t, &arm, STEP_S);
         if state.hand.is_some() {
             hand_gone_at = t;
         }

@@ -9,9 +9,10 @@ use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-use super::CoachState;
+use super::clearance::lift;
 use super::demonstration::minimum_jerk;
 use super::path::{CoachPath, PhaseTracker};
+use super::{CoachState, SeenArm};
 use crate::world::{CoachSpec, CoachingAction, CoachingStep, Gesture, Push, Show};
 
 /// How long the hand takes to come and to go, s.
@@ -113,7 +114,7 @@ pub(super) struct Coaching {
     path: CoachPath,
     tracker: PhaseTracker,
     since_tracked: f64,
-    seen: Vec<Option<Vector3<f64>>>,
+    seen: Vec<Option<SeenArm>>,
     since: Option<f64>,
     next: usize,
     activity: Activity,
@@ -154,17 +155,10 @@ impl Coaching {
         idle && (self.next >= self.steps.len() || self.since.is_some_and(|s| t > s + self.ends))
     }
 
-    pub(super) fn step(
-        &mut self,
-        t: f64,
-        tcp: &Point3<f64>,
-        velocity: &Vector3<f64>,
-        dt: f64,
-        state: &mut CoachState,
-    ) {
+    pub(super) fn step(&mut self, t: f64, arm: &SeenArm, dt: f64, state: &mut CoachState) {
         *state = CoachState::default();
         let Some(since) = self.since else { return };
-        self.track(tcp, velocity, dt);
+        self.track(arm, dt);
         state.phase = self.tracker.phase();
         let gone = t - since > self.ends;
         let Some(step) = self.steps.get(self.next).cloned() else { return };
@@ -180,7 +174,8 @@ impl Coaching {
         }
     }
 
-    fn track(&mut self, tcp: &Point3<f64>, velocity: &Vector3<f64>, dt: f64) {
+    fn track(&mut self, arm: &SeenArm, dt: f64) {
+        let (tcp, velocity) = (arm.tcp, arm.velocity);
         self.since_tracked += dt;
         if self.since_tracked + 1e-9 < TRACK_DT {
             return;
@@ -189,7 +184,7 @@ impl Coaching {
         self.since_tracked = 0.0;
         if let Some(phase) = self.tracker.phase() {
             let bin = ((phase * BINS as f64) as usize).min(BINS - 1);
-            self.seen[bin] = Some(tcp.coords);
+            self.seen[bin] = Some(*arm);
         }
     }
 
@@ -304,7 +299,8 @@ impl Coaching {
         ((1.0 - hand.come) / left.max(1e-3)).clamp(1.0 / (HURRY * COME), HURRY / COME)
     }
 
-    /// Where the hand waits: beside the path as it was executed last, the palm turned to the cameras.
+    /// Where the hand waits: beside the path as it was executed last, the palm turned to the cameras, and over the robot's
+    /// arm where that would be in the hand most of the time.
     fn place(&self, show: &Show) -> Isometry3<f64> {
         let palm = self.path_point(show.phase) + Vector3::from(show.offset);
         let view = (self.camera.coords - palm).try_normalize(1e-6).unwrap_or_else(Vector3::z);
@@ -312,13 +308,15 @@ impl Coaching {
             Some(direction) => direction,
             None => across(&Vector3::from(show.offset), &view),
         };
-        Isometry3::from_parts(Translation3::from(palm), facing(&fingers, &view))
+        let beside = Isometry3::from_parts(Translation3::from(palm), facing(&fingers, &view));
+        Translation3::from(Vector3::z() * lift(&beside, &self.seen)) * beside
     }
 
     /// The executed path at a phase, or the coach's own with the height of what was executed.
     fn path_point(&self, phase: f64) -> Vector3<f64> {
         let bin = (phase.rem_euclid(1.0) * BINS as f64) as usize % BINS;
         let seen = (0..4).find_map(|d| self.seen[(bin + d) % BINS].or(self.seen[(bin + BINS - d) % BINS]));
+        let seen = seen.map(|arm| arm.tcp.coords);
         let own = self.path.point(phase * std::f64::consts::TAU);
         match seen {
             Some(p) if (p.x - own[0]).hypot(p.y - own[1]) < 0.12 => p,
@@ -369,7 +367,9 @@ mod tests {
             let t = f64::from(i) * DT;
             let (p, d) = (path.point(omega * t), path.tangent(omega * t));
             let velocity = Vector3::new(d[0], d[1], 0.0) * omega;
-            coaching.step(t, &Point3::new(p[0], p[1], 1.05), &velocity, DT, &mut state);
+            let tcp = Point3::new(p[0], p[1], 1.05);
+            let arm = SeenArm { tcp, velocity, wrist: tcp, elbow: tcp };
+            coaching.step(t, &arm, DT, &mut state);
             states.push(state);
         }
         (states, coaching.take_events())

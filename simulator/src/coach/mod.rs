@@ -1,8 +1,9 @@
 //! The coach: a person who shows the motion when asked, then changes it by pushing the robot's hand and by gestures.
 //!
-//! The coach hears what the robot says, sees the robot's hand (its true pose) and acts on it by force; the hand and
+//! The coach hears what the robot says, sees the robot's arm (where it truly is) and acts on its hand by force; the hand and
 //! the tool are seen by the cameras and have no physics. Stepped every millisecond, seeded.
 
+mod clearance;
 mod coaching;
 mod demonstration;
 mod path;
@@ -28,6 +29,19 @@ pub struct CoachState {
     pub push: Vector3<f64>,
     /// Where on the coach's path the robot's hand is while it wipes, 0 to 1.
     pub phase: Option<f64>,
+}
+
+/// What the coach sees of the arm that wipes, root frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SeenArm {
+    /// The TCP, m.
+    pub tcp: Point3<f64>,
+    /// Its velocity, m/s.
+    pub velocity: Vector3<f64>,
+    /// The wrist, m.
+    pub wrist: Point3<f64>,
+    /// The elbow, m.
+    pub elbow: Point3<f64>,
 }
 
 /// The coach of a world.
@@ -76,10 +90,10 @@ impl Coach {
         self.coaching.since()
     }
 
-    /// Acts for one step that ends at `t` s: sees the TCP's position, m, and velocity, m/s.
-    pub fn step(&mut self, t: f64, tcp: &Point3<f64>, velocity: &Vector3<f64>, dt: f64) -> &CoachState {
+    /// Acts for one step that ends at `t` s.
+    pub fn step(&mut self, t: f64, arm: &SeenArm, dt: f64) -> &CoachState {
         let shown = self.performance.as_ref().and_then(|(from, p)| p.at(t - from));
-        self.coaching.step(t, tcp, velocity, dt, &mut self.state);
+        self.coaching.step(t, arm, dt, &mut self.state);
         self.state.tool = shown.map(|s| s.root_from_tool);
         &self.state
     }

@@ -55,7 +55,8 @@ pub(super) fn repeat_period(path: &[Vector3<f64>]) -> Option<f64> {
             _ => {}
         }
     }
-    let (_, coarse) = candidate?;
+    // What still comes nearer at the end of the search returns later than that.
+    let (_, coarse) = candidate.filter(|(_, lag)| lag + 2 * STRIDE < most)?;
     let lags = coarse.saturating_sub(2 * STRIDE)..(coarse + 2 * STRIDE).min(path.len() - 100);
     let (best, at) = lags.map(|lag| (distance(lag, 1), lag)).min_by(|a, b| a.0.total_cmp(&b.0))?;
     let (before, after) = (distance(at - 1, 1), distance(at + 1, 1));
@@ -191,6 +192,11 @@ mod tests {
         }
         assert_eq!(repeat_period(&vec![Vector3::x(); 5000]), None);
         assert_eq!(repeat_period(&performed(Shape::Ellipse, 0.1, 5.0)), None);
+        assert_eq!(
+            repeat_period(&performed(Shape::Ellipse, 0.3, 4.7)),
+            None,
+            "3.1 s of it, of 3.3, are compared"
+        );
     }
 
     #[test]
