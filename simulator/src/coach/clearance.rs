@@ -13,7 +13,7 @@ const CLEAR: f64 = 0.065;
 const BRUSHED: (f64, f64) = (0.4, 0.1);
 /// Steps in which he lifts it, m, and how many at most.
 const STEP: f64 = 0.01;
-const STEPS: u32 = 15;
+const STEPS: u32 = 10;
 /// From the palm to the wrist and to the fingertips, along the fingers, m.
 const HAND: [f64; 2] = [-0.08, 0.15];
 /// Points of the hand that are held against the arm.
