@@ -241,10 +241,11 @@ pub async fn run_processor(
             with.statistics.skipped.fetch_add(1, Ordering::Relaxed);
             continue;
         }
-        if !step(processor, with, &provider, &frames).await {
+        let more = step(processor, with, &provider, &frames).await;
+        with.statistics.count(began, received);
+        if !more {
             return Ok(());
         }
-        with.statistics.count(began, received);
     }
 }
 
@@ -396,7 +397,7 @@ mod tests {
         let every = Trigger::Every(Duration::from_millis(150));
         let (_, counts) = run(&mut look, vec![camera(20), camera(20)], every, 4, None).await;
         assert_eq!(look.0, [[2, 2], [4, 4], [6, 6], [9, 9]]);
-        assert_eq!((counts.frames(), counts.skipped()), (4, 5));
+        assert_eq!((counts.frames(), counts.skipped()), (4, 4));
         let mut look = Look(Vec::new());
         let (ended, _) = run(&mut look, vec![camera(3)], every, 40, None).await;
         assert!(matches!(ended, Err(ImageError::Gone { .. })));
