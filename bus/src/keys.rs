@@ -4,7 +4,8 @@
 //! {agent}/memory                                   queryable: commit
 //! {agent}/memory/changes                           the memory's changes in their order, several in one message
 //! {agent}/memory/{segment}/{provider}/{entity}     put = update, subscribe = observe, get = query
-//! {agent}/image/{provider}                         frames
+//! {agent}/image/{provider}                         frames; queryable: what the provider gives
+//! {agent}/image/{provider}/{coding}                the same frames as PNG or JPEG
 //! {agent}/robot/state, {agent}/robot/command
 //! {agent}/chart/{Chart}                            queryable: start, cancel, outcome
 //! {agent}/trace/{run}                              the droppable stream for viewers
@@ -117,6 +118,22 @@ pub fn memory_pattern(
 /// [`KeyError`].
 pub fn image(agent: &str, provider: &str) -> Result<Key, KeyError> {
     key(&[agent, "image", provider])
+}
+
+/// The frames of an image provider as PNG or JPEG files.
+///
+/// # Errors
+/// [`KeyError`].
+pub fn image_coded(agent: &str, provider: &str, coding: &str) -> Result<Key, KeyError> {
+    key(&[agent, "image", provider, coding])
+}
+
+/// The image providers that fit.
+///
+/// # Errors
+/// [`KeyError`].
+pub fn image_pattern(agent: Part<'_>, provider: Part<'_>) -> Result<KeyPattern, KeyError> {
+    pattern(&[agent, Some("image"), provider])
 }
 
 /// What an agent's robot senses.

@@ -3,10 +3,12 @@
 //! - [`codec`]: bytes from values and back, deterministic one way and hardened the other; [`Schema`] names what a
 //!   payload holds.
 //! - [`keys`]: every key, as a checked type.
+//! - [`bulk`]: large payloads through shared memory on one machine, over the network otherwise.
 //! - [`session`]: on loopback unless more is asked for; bounded queues that count what they drop.
 //!
 //! This room knows no memory, robot, image or chart: it carries bytes for those that do.
 
+pub mod bulk;
 pub mod codec;
 mod config;
 pub mod keys;

@@ -1,5 +1,8 @@
 //! Two real sessions on loopback, on ports that were free.
 
+use std::time::Duration;
+
+use crate::bulk::Bulk;
 use crate::keys;
 use crate::session::{ANSWER_TIMEOUT, Answer, Session, SessionConfig, SessionError};
 
@@ -96,4 +99,71 @@ async fn services_are_seen_to_come_and_go() {
 #[tokio::test]
 async fn a_single_threaded_runtime_is_refused() {
     assert_eq!(Session::open(&SessionConfig::default()).await.unwrap_err(), SessionError::Runtime);
+}
+
+async fn bulk_between(shared: [bool; 2], capacity: usize, detached: bool) -> Vec<Bulk> {
+    let config = |shared_memory| SessionConfig { shared_memory, ..SessionConfig::default() };
+    let one = Session::open(&config(shared[0])).await.unwrap();
+    let connected = SessionConfig { connect: one.endpoints().await, ..config(shared[1]) };
+    let two = Session::open(&connected).await.unwrap();
+    let key = keys::image("alice", "eyes").unwrap();
+    let sender = one.bulk_sender(&key, "pixels").await.unwrap();
+    assert!(!sender.is_wanted());
+    let reader = two.bulk_reader(key, capacity, detached).await.unwrap();
+    sender.wanted().await;
+    let mut heard = Vec::new();
+    // Sizes that change, and one that no packet holds.
+    for length in [0usize, 1, 70_000, 3_000_000, 5, 9_000_000] {
+        let mut slot = sender.slot(length);
+        assert_eq!(slot.len(), length);
+        slot.fill(length as u8);
+        sender.send(slot, vec![7, length as u8]).await.unwrap();
+        if capacity == 1 {
+            heard.push(tokio::time::timeout(Duration::from_secs(20), reader.next()).await.unwrap());
+        }
+    }
+    while capacity > 1 && heard.len() < 6 {
+        heard.push(tokio::time::timeout(Duration::from_secs(20), reader.next()).await.unwrap());
+    }
+    if detached {
+        // What was copied out stays, whatever the sender does.
+        drop(sender);
+        assert!(heard.iter().all(|bulk| bulk.payload.is_intact()));
+    }
+    heard
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn large_payloads_arrive_whole_by_shared_memory_where_both_can() {
+    for (shared, detached) in [([true, true], false), ([true, true], true), ([true, false], false)] {
+        let capacity = if detached { 8 } else { 1 };
+        let heard = bulk_between(shared, capacity, detached).await;
+        for (bulk, length) in heard.iter().zip([0usize, 1, 70_000, 3_000_000, 5, 9_000_000]) {
+            // An empty slot is sent as one byte: shared memory has no empty buffers.
+            let bytes = bulk.payload.as_ref();
+            assert!(bytes.len() == length.max(1) || bytes.is_empty(), "{} of {length}", bytes.len());
+            assert!(bytes.iter().all(|b| *b == length as u8) || length == 0);
+            assert_eq!(bulk.attachment, [7, length as u8]);
+            assert_eq!((bulk.key.as_str(), bulk.encoding.as_str()), ("alice/image/eyes", "pixels"));
+            let by_shared_memory = shared == [true, true] && !detached;
+            assert_eq!(bulk.payload.is_shared(), by_shared_memory, "{shared:?} {detached}");
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_bulk_queue_keeps_the_newest_and_counts_the_others() {
+    let one = Session::open(&SessionConfig::default()).await.unwrap();
+    let key = keys::image_coded("alice", "eyes", "png").unwrap();
+    let sender = one.bulk_sender(&key, "pixels").await.unwrap();
+    let reader = one.bulk_reader(key, 2, false).await.unwrap();
+    for i in 0..5u8 {
+        let mut slot = sender.slot(1);
+        slot[0] = i;
+        sender.send(slot, Vec::new()).await.unwrap();
+    }
+    assert_eq!(reader.dropped(), 3);
+    let kept = [reader.next().await, reader.next().await].map(|b| b.payload.as_ref()[0]);
+    assert_eq!(kept, [3, 4]);
+    assert!(reader.try_next().is_none());
 }

@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::path::{Path, PathBuf};
 
-use image::{ImageReader, Limits};
+use image::{DynamicImage, ImageReader, Limits};
 
 use crate::frame::Image;
 
@@ -39,6 +39,12 @@ pub enum FileError {
     /// There is no image in the folder.
     #[error("there is no PNG or JPEG file in it")]
     Empty,
+    /// A file that describes cameras does not.
+    #[error("does not describe cameras: {what}")]
+    Calibration {
+        /// Why not.
+        what: String,
+    },
 }
 
 /// Reads a PNG or JPEG file, as the pixels are stored: an orientation that the file asks for is not applied. Transparency is
@@ -58,6 +64,41 @@ pub fn read_image(path: &Path) -> Result<Image, FileError> {
 pub fn decode_image(bytes: &[u8]) -> Result<Image, FileError> {
     let size = decode(Cursor::new(bytes))?.into_dimensions().map_err(FileError::Decode)?;
     read(Cursor::new(bytes), size)
+}
+
+/// Reads a depth image: a PNG file of 16 bit gray, millimetres. Returns width and height, px, and two little-endian bytes a
+/// pixel.
+///
+/// # Errors
+/// [`FileError`] when there is no such image or it is too large.
+pub fn read_depth(path: &Path) -> Result<(u32, u32, Vec<u8>), FileError> {
+    let size = decode(open(path)?)?.into_dimensions().map_err(FileError::Decode)?;
+    gray(open(path)?, size, true)
+}
+
+/// Decodes the bytes of a gray PNG or JPEG file: width and height, px, and a byte a pixel, or with `wide` two
+/// (little-endian).
+///
+/// # Errors
+/// [`FileError`] when they are no such image or it is too large.
+pub fn decode_gray(bytes: &[u8], wide: bool) -> Result<(u32, u32, Vec<u8>), FileError> {
+    let size = decode(Cursor::new(bytes))?.into_dimensions().map_err(FileError::Decode)?;
+    gray(Cursor::new(bytes), size, wide)
+}
+
+fn gray<R: BufRead + Seek>(
+    from: R,
+    size: (u32, u32),
+    wide: bool,
+) -> Result<(u32, u32, Vec<u8>), FileError> {
+    let image = small(from, size)?;
+    let (width, height) = (image.width(), image.height());
+    let bytes = if wide {
+        image.into_luma16().into_raw().into_iter().flat_map(u16::to_le_bytes).collect()
+    } else {
+        image.into_luma8().into_raw()
+    };
+    Ok((width, height, bytes))
 }
 
 /// The images that paths name: files as they are, and of folders the images in them in the order of their names.
@@ -103,13 +144,18 @@ fn decode<R: BufRead + Seek>(from: R) -> Result<ImageReader<R>, FileError> {
     Ok(reader)
 }
 
-fn read<R: BufRead + Seek>(from: R, (width, height): (u32, u32)) -> Result<Image, FileError> {
-    let too_large = FileError::TooLarge { width, height };
+fn read<R: BufRead + Seek>(from: R, size: (u32, u32)) -> Result<Image, FileError> {
+    let rgb = small(from, size)?.into_rgb8();
+    let (width, height) = (rgb.width(), rgb.height());
+    Image::from_rgb(width, height, rgb.into_raw()).map_err(|_| FileError::TooLarge { width, height })
+}
+
+/// Decodes an image unless it is too large.
+fn small<R: BufRead + Seek>(from: R, (width, height): (u32, u32)) -> Result<DynamicImage, FileError> {
     if u64::from(width) * u64::from(height) > MOST_PIXELS {
-        return Err(too_large);
+        return Err(FileError::TooLarge { width, height });
     }
-    let rgb = decode(from)?.decode().map_err(FileError::Decode)?.into_rgb8();
-    Image::from_rgb(rgb.width(), rgb.height(), rgb.into_raw()).map_err(|_| too_large)
+    decode(from)?.decode().map_err(FileError::Decode)
 }
 
 #[cfg(test)]

@@ -47,7 +47,7 @@ pub struct StereoFrame {
 #[non_exhaustive]
 pub enum ImageError {
     /// The data do not fill the image.
-    #[error("an image of {width} x {height} needs {expected} bytes, not {actual}")]
+    #[error("an image of {width} x {height} pixels needs {expected} bytes, not {actual}")]
     Size {
         /// Width, px.
         width: u32,
@@ -63,6 +63,14 @@ pub enum ImageError {
     Gone {
         /// Its name.
         provider: String,
+    },
+    /// One frame cannot be had, or used as what is asked for; others may.
+    #[error("the image provider `{provider}` gave {what}")]
+    Spoilt {
+        /// Its name.
+        provider: String,
+        /// What is wrong.
+        what: String,
     },
 }
 
@@ -116,6 +124,12 @@ impl Image {
     #[must_use]
     pub fn data_mut(&mut self) -> &mut [u8] {
         &mut self.data
+    }
+
+    /// All bytes, given away.
+    #[must_use]
+    pub fn into_data(self) -> Vec<u8> {
+        self.data
     }
 
     /// The colour at a pixel; black outside of the image.

@@ -1,12 +1,14 @@
 //! Images, camera models, providers and processors, tracking and gestures.
 //!
-//! - [`Image`], [`DepthImage`], [`StereoFrame`]: what cameras give. [`ImageSource`]: who gives it.
+//! - [`Image`], [`DepthImage`], [`StereoFrame`]: what trackers work on. [`ImageSource`]: who gives it to skills.
+//! - [`providers`]: frames of any format, from cameras, files, recordings and other processes, and how they are offered.
 //! - [`PinholeCamera`], [`StereoCalibration`]: from pixels to points.
 //! - [`ColorModel`], [`Mask`], [`components`]: which pixels have a colour, and what connected things they form.
 //! - [`ColorMarkerObjectTracking`]: follows a thing of known colour. [`ObjectLocalizer`]: finds the pose of a box of
 //!   known colour and size. [`HandObserver`]: finds a person's hand, its gesture and where it points.
 //! - [`tracking`]: fingertips in streams and in single photographs. [`files`]: images from files and folders.
-//! - [`ImageProcessor`], [`ResultSink`], [`FanOut`], [`run_processor`]: from a stream of frames to a stream of results.
+//! - [`ImageProcessor`], [`ResultSink`], [`run_processor`]: from streams of frames to a stream of results. [`StereoStep`]:
+//!   the trackers as such.
 //! - [`annotate`]: pictures of what was seen.
 //!
 //! This room knows no robot and no memory: results are plain values in the camera's frame, or in the root frame
@@ -26,8 +28,10 @@ mod minimize;
 mod outline;
 mod particles;
 mod processor;
+pub mod providers;
 #[cfg(test)]
 mod scenes;
+mod steps;
 pub mod tracking;
 
 pub use camera::{PinholeCamera, StereoCalibration};
@@ -39,6 +43,7 @@ pub use localizer::{BoxModel, ObjectEstimate, ObjectLocalizer};
 pub use marker::{ColorMarkerObjectTracking, MarkerEstimate, MarkerSettings};
 pub use mask::{Mask, Region};
 pub use processor::{
-    FanOut, Finding, FindingSource, ImageProcessor, ProcessorStatistics, ResultSink, Subscription,
+    Finding, FindingSource, ImageProcessor, ProcessorLoop, ProcessorStatistics, ResultSink, Trigger,
     run_processor,
 };
+pub use steps::{OfStereo, StereoStep};

@@ -1,21 +1,21 @@
-//! From a stream of frames to a stream of results: the processor, the sink that takes its results, the fan-out of one
-//! provider to many readers in a process, and the loop that runs a processor.
+//! From streams of frames to a stream of results: the processor, the sink that takes its results, and the loop that runs
+//! it.
 //!
-//! Transport between processes is not here: a provider behind a network or shared memory is another [`ImageSource`],
-//! and a remote reader another [`ResultSink`].
+//! Where frames come from is not known here: [`crate::providers`] does that.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use async_trait::async_trait;
 use tokio::sync::Mutex;
-use tokio::time::{Duration, Instant};
+use tokio::time::{Duration, Instant, sleep_until};
 
-use crate::camera::StereoCalibration;
-use crate::frame::{Image, ImageError, ImageSource, StereoFrame};
-use crate::hand::{HandObservation, HandObserver};
-use crate::localizer::{ObjectEstimate, ObjectLocalizer};
-use crate::marker::{ColorMarkerObjectTracking, MarkerEstimate};
+use crate::frame::{Image, ImageError};
+use crate::hand::HandObservation;
+use crate::localizer::ObjectEstimate;
+use crate::marker::MarkerEstimate;
+use crate::providers::{Frame, FrameImage, FrameSender, ImageProvider, PixelFormat};
+use crate::tracking::TrackedFingertip;
 
 /// What a processor saw of one thing in one frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,6 +27,8 @@ pub enum Finding {
     Object(Option<ObjectEstimate>),
     /// A person's hand; `None`: no hand.
     Hand(Option<HandObservation>),
+    /// The fingertips that are followed.
+    Fingertips(Vec<TrackedFingertip>),
 }
 
 /// Which frame a finding speaks of, and who found it.
@@ -34,22 +36,28 @@ pub enum Finding {
 pub struct FindingSource {
     /// The processor's name.
     pub processor: String,
-    /// The provider's name.
+    /// The first provider's name.
     pub provider: String,
-    /// The frame's stamp, ns.
+    /// The first provider's frame's stamp, ns.
     pub stamp_ns: u64,
 }
 
-/// A step from a frame to results. It may keep state from frame to frame and does not wait for anything.
+/// A step from frames to results, one frame of each of its providers at a time. It may keep state from one to the next
+/// and does not wait for anything.
 pub trait ImageProcessor: Send {
     /// Its name.
     fn name(&self) -> &str;
-    /// What is seen in this frame.
-    fn process(&mut self, frame: &StereoFrame) -> Finding;
-    /// The frame's left image with what was seen in it, for people.
-    fn annotated(&self, frame: &StereoFrame, finding: &Finding) -> Image {
-        let _ = finding;
-        frame.left.clone()
+
+    /// What is seen in these frames, one of each provider.
+    ///
+    /// # Errors
+    /// [`ImageError`] when they are not what it works on; the next may be.
+    fn process(&mut self, frames: &[Arc<Frame>]) -> Result<Finding, ImageError>;
+
+    /// A picture of the frames with what was seen in them, for people; `None` when it draws none.
+    fn annotated(&self, frames: &[Arc<Frame>], finding: &Finding) -> Option<Image> {
+        let _ = (frames, finding);
+        None
     }
 }
 
@@ -60,27 +68,39 @@ pub trait ResultSink: Send + Sync {
     async fn take(&self, source: &FindingSource, finding: Finding) -> bool;
 }
 
+/// When a processor takes frames.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Trigger {
+    /// Each time the first provider has a new one, with the newest of the others.
+    Next,
+    /// The newest of each, at this interval; no new ones, no step.
+    Every(Duration),
+}
+
+/// What a loop works with beside its processor.
+pub struct ProcessorLoop<'a> {
+    /// Who gives the frames. A processor that is too slow gets the newest.
+    pub inputs: Vec<Arc<dyn ImageProvider>>,
+    /// When it takes them.
+    pub trigger: Trigger,
+    /// Where results go.
+    pub sink: &'a dyn ResultSink,
+    /// Where annotated images go, if anywhere.
+    pub annotated: Option<&'a FrameSender>,
+    /// What is counted.
+    pub statistics: &'a ProcessorStatistics,
+}
+
 /// Counts of a processor's loop. All may be read at any time.
 #[derive(Debug, Default)]
 pub struct ProcessorStatistics {
     frames: AtomicU64,
     skipped: AtomicU64,
+    unusable: AtomicU64,
+    torn: AtomicU64,
     latency_ns: AtomicU64,
     worst_ns: AtomicU64,
-}
-
-/// Several readers of one provider in one process. The provider is asked only while a reader waits, once for all that
-/// wait, and each reader gets the newest frame that it has not had; the ones that it missed are counted.
-pub struct FanOut {
-    source: Arc<dyn ImageSource>,
-    newest: Mutex<(u64, Option<Arc<StereoFrame>>)>,
-}
-
-/// One reader's end of a [`FanOut`].
-pub struct Subscription {
-    shared: Arc<FanOut>,
-    seen: AtomicU64,
-    skipped: AtomicU64,
+    span_ns: AtomicU64,
 }
 
 impl ProcessorStatistics {
@@ -90,10 +110,23 @@ impl ProcessorStatistics {
         self.frames.load(Ordering::Relaxed)
     }
 
-    /// Frames that the processor was too slow for.
+    /// Frames of the first provider that were never looked at, by their numbers: the processor or the way to it was
+    /// too slow.
     #[must_use]
     pub fn skipped(&self) -> u64 {
         self.skipped.load(Ordering::Relaxed)
+    }
+
+    /// Frames that were spoilt, or not what the processor works on.
+    #[must_use]
+    pub fn unusable(&self) -> u64 {
+        self.unusable.load(Ordering::Relaxed)
+    }
+
+    /// Results that were thrown away because the frame's memory was taken away meanwhile.
+    #[must_use]
+    pub fn torn(&self) -> u64 {
+        self.torn.load(Ordering::Relaxed)
     }
 
     /// Mean time from receiving a frame to handing over its result, s of tokio's clock (zero in virtual time).
@@ -108,151 +141,169 @@ impl ProcessorStatistics {
         self.worst_ns.load(Ordering::Relaxed) as f64 * 1e-9
     }
 
-    fn count(&self, latency: Duration, skipped: u64) {
-        let ns = u64::try_from(latency.as_nanos()).unwrap_or(u64::MAX);
+    /// Frames processed per second of tokio's clock, from the first to the last; 0 before the second.
+    #[must_use]
+    pub fn rate_hz(&self) -> f64 {
+        let span_s = self.span_ns.load(Ordering::Relaxed) as f64 * 1e-9;
+        if span_s > 0.0 { self.frames().saturating_sub(1) as f64 / span_s } else { 0.0 }
+    }
+
+    fn count(&self, began: Instant, received: Instant) {
+        let ns = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
+        let latency = ns(received.elapsed());
         self.frames.fetch_add(1, Ordering::Relaxed);
-        self.skipped.store(skipped, Ordering::Relaxed);
-        self.latency_ns.fetch_add(ns, Ordering::Relaxed);
-        self.worst_ns.fetch_max(ns, Ordering::Relaxed);
+        self.latency_ns.fetch_add(latency, Ordering::Relaxed);
+        self.worst_ns.fetch_max(latency, Ordering::Relaxed);
+        self.span_ns.store(ns(received.duration_since(began)), Ordering::Relaxed);
     }
 }
 
-impl FanOut {
-    /// Shares a provider.
-    #[must_use]
-    pub fn new(source: Arc<dyn ImageSource>) -> Arc<Self> {
-        Arc::new(Self { source, newest: Mutex::new((0, None)) })
+/// Keeps the newest frame of a provider while a processor works.
+struct Newest {
+    frame: Arc<Mutex<Option<Arc<Frame>>>>,
+    task: tokio::task::JoinHandle<ImageError>,
+}
+
+impl Newest {
+    fn of(provider: &Arc<dyn ImageProvider>) -> Self {
+        let frame = Arc::new(Mutex::new(None));
+        let (kept, provider) = (Arc::clone(&frame), Arc::clone(provider));
+        let task = tokio::spawn(async move {
+            loop {
+                match provider.next().await {
+                    Ok(frame) => *kept.lock().await = Some(frame),
+                    Err(error @ ImageError::Gone { .. }) => return error,
+                    Err(_) => tokio::task::yield_now().await,
+                }
+            }
+        });
+        Self { frame, task }
     }
 
-    /// A new reader. Its first frame is one that is taken after this call.
-    pub async fn subscribe(self: &Arc<Self>) -> Subscription {
-        let seen = self.newest.lock().await.0;
-        Subscription { shared: Arc::clone(self), seen: AtomicU64::new(seen), skipped: AtomicU64::new(0) }
+    async fn get(&self) -> Option<Arc<Frame>> {
+        self.frame.lock().await.clone()
     }
 }
 
-impl Subscription {
-    /// How many frames came and went while this reader was busy.
-    #[must_use]
-    pub fn skipped(&self) -> u64 {
-        self.skipped.load(Ordering::Relaxed)
+impl Drop for Newest {
+    fn drop(&mut self) {
+        self.task.abort();
     }
 }
 
-#[async_trait]
-impl ImageSource for Subscription {
-    fn name(&self) -> &str {
-        self.shared.source.name()
-    }
-
-    fn calibration(&self) -> StereoCalibration {
-        self.shared.source.calibration()
-    }
-
-    /// The newest frame that this reader has not had, or else the next one. When a waiting reader is dropped, the
-    /// next one takes its place at the provider.
-    async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
-        let mut newest = self.shared.newest.lock().await;
-        let seen = self.seen.load(Ordering::Relaxed);
-        if newest.0 <= seen {
-            let frame = self.shared.source.next().await?;
-            *newest = (newest.0 + 1, Some(frame));
-        }
-        let (number, Some(frame)) = &*newest else {
-            return Err(ImageError::Gone { provider: self.name().into() });
-        };
-        self.skipped.fetch_add(number.saturating_sub(seen + 1), Ordering::Relaxed);
-        self.seen.store(*number, Ordering::Relaxed);
-        Ok(Arc::clone(frame))
-    }
-}
-
-/// Feeds each frame that `source` gives to `processor` and its result to `sink`, until the sink wants no more.
+/// Feeds frames to `processor` and its results to the sink, until the sink wants no more.
 ///
 /// # Errors
-/// [`ImageError::Gone`] when the provider has gone.
+/// [`ImageError::Gone`] when a provider has gone.
 pub async fn run_processor(
-    source: &Subscription,
     processor: &mut dyn ImageProcessor,
-    sink: &dyn ResultSink,
-    statistics: &ProcessorStatistics,
+    with: &ProcessorLoop<'_>,
 ) -> Result<(), ImageError> {
+    let gone = || ImageError::Gone { provider: String::new() };
+    let (first, others) = with.inputs.split_first().ok_or_else(gone)?;
+    let provider = first.description().name;
+    let others: Vec<Newest> = others.iter().map(Newest::of).collect();
+    let leader = matches!(with.trigger, Trigger::Every(_)).then(|| Newest::of(first));
+    let (mut last, mut began, mut due) = (None::<u64>, None, Instant::now());
     loop {
-        let frame = source.next().await?;
-        let received = Instant::now();
-        let finding = processor.process(&frame);
-        let from = FindingSource {
-            processor: processor.name().into(),
-            provider: source.name().into(),
-            stamp_ns: frame.stamp_ns,
+        let frame = match (&leader, with.trigger) {
+            (Some(newest), Trigger::Every(interval)) => {
+                due += interval;
+                sleep_until(due).await;
+                match newest.get().await {
+                    Some(frame) if last != Some(frame.number) => frame,
+                    _ if newest.task.is_finished() => return Err(ImageError::Gone { provider }),
+                    _ => continue,
+                }
+            }
+            _ => match first.next().await {
+                Ok(frame) => frame,
+                Err(error @ ImageError::Gone { .. }) => return Err(error),
+                Err(_) => {
+                    with.statistics.unusable.fetch_add(1, Ordering::Relaxed);
+                    tokio::task::yield_now().await;
+                    continue;
+                }
+            },
         };
-        let more = sink.take(&from, finding).await;
-        statistics.count(received.elapsed(), source.skipped());
+        let received = Instant::now();
+        let began = *began.get_or_insert(received);
+        // A number that is not larger belongs to the provider's next life.
+        let missed = last.map_or(0, |last| frame.number.saturating_sub(last.saturating_add(1)));
+        with.statistics.skipped.fetch_add(missed, Ordering::Relaxed);
+        last = Some(frame.number);
+        let mut frames = vec![frame];
+        for other in &others {
+            frames.extend(other.get().await);
+        }
+        if frames.len() < with.inputs.len() {
+            // Another provider has not begun yet.
+            with.statistics.skipped.fetch_add(1, Ordering::Relaxed);
+            continue;
+        }
+        let more = step(processor, with, &provider, &frames).await;
+        with.statistics.count(began, received);
         if !more {
             return Ok(());
         }
     }
 }
 
-impl ImageProcessor for ColorMarkerObjectTracking {
-    fn name(&self) -> &str {
-        "marker"
-    }
-
-    fn process(&mut self, frame: &StereoFrame) -> Finding {
-        Finding::Marker(self.update(frame))
-    }
-
-    fn annotated(&self, frame: &StereoFrame, finding: &Finding) -> Image {
-        let mut image = frame.left.clone();
-        if let Finding::Marker(Some(marker)) = finding {
-            crate::annotate::marker(&mut image, marker);
+/// One step; whether more is wanted.
+async fn step(
+    processor: &mut dyn ImageProcessor,
+    with: &ProcessorLoop<'_>,
+    provider: &str,
+    frames: &[Arc<Frame>],
+) -> bool {
+    let finding = match processor.process(frames) {
+        Ok(finding) => finding,
+        Err(error) => {
+            if with.statistics.unusable.fetch_add(1, Ordering::Relaxed) == 0 {
+                tracing::warn!("{}: {error}", processor.name());
+            }
+            return true;
         }
-        image
+    };
+    if let Some(annotated) = with.annotated.filter(|to| to.is_wanted())
+        && let Some(image) = processor.annotated(frames, &finding)
+    {
+        annotated.send(drawn(&frames[0], image));
     }
+    if !frames.iter().all(|frame| frame.is_intact()) {
+        with.statistics.torn.fetch_add(1, Ordering::Relaxed);
+        return true;
+    }
+    let source = FindingSource {
+        processor: processor.name().into(),
+        provider: provider.into(),
+        stamp_ns: frames[0].stamp_ns,
+    };
+    with.sink.take(&source, finding).await
 }
 
-impl ImageProcessor for ObjectLocalizer {
-    fn name(&self) -> &str {
-        "object"
-    }
-
-    fn process(&mut self, frame: &StereoFrame) -> Finding {
-        Finding::Object(self.localize(frame))
-    }
-
-    fn annotated(&self, frame: &StereoFrame, finding: &Finding) -> Image {
-        let mut image = frame.left.clone();
-        if let Finding::Object(Some(object)) = finding {
-            crate::annotate::object(&mut image, object);
-        }
-        image
-    }
-}
-
-impl ImageProcessor for HandObserver {
-    fn name(&self) -> &str {
-        "hand"
-    }
-
-    fn process(&mut self, frame: &StereoFrame) -> Finding {
-        Finding::Hand(self.update(frame))
-    }
-
-    fn annotated(&self, frame: &StereoFrame, finding: &Finding) -> Image {
-        let mut image = frame.left.clone();
-        if let Finding::Hand(Some(hand)) = finding {
-            crate::annotate::hand(&mut image, hand);
-        }
-        image
+/// An annotated image as a frame of its own.
+fn drawn(of: &Frame, image: Image) -> Frame {
+    let size = (image.width(), image.height());
+    let image = FrameImage::new("image", PixelFormat::Rgb8, size, image.into_data());
+    Frame {
+        number: 0,
+        stamp_ns: of.stamp_ns,
+        frame_id: of.frame_id.clone(),
+        root_from_camera: of.root_from_camera,
+        images: image.into_iter().collect(),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::frame::ImageSource;
+    use crate::hand::HandObserver;
+    use crate::providers::{Description, StereoProvider, channel};
     use crate::scenes::{CALIBRATION, empty_frames};
-    use std::sync::atomic::AtomicUsize;
+    use crate::steps::OfStereo;
+    use crate::{StereoCalibration, StereoFrame};
 
     /// Gives a frame each 66 ms, `frames` in all.
     struct Camera {
@@ -281,64 +332,75 @@ mod tests {
         }
     }
 
-    fn camera(frames: u64) -> (Arc<Camera>, Arc<FanOut>) {
-        let camera = Arc::new(Camera { frames, given: AtomicU64::new(0) });
-        (Arc::clone(&camera), FanOut::new(camera))
+    fn camera(frames: u64) -> Arc<dyn ImageProvider> {
+        let camera = Camera { frames, given: AtomicU64::new(0) };
+        Arc::new(StereoProvider::new(Arc::new(camera), "camera_left"))
     }
 
     struct Count {
-        wanted: usize,
-        taken: AtomicUsize,
+        wanted: u64,
+        taken: AtomicU64,
     }
 
     #[async_trait]
     impl ResultSink for Count {
-        async fn take(&self, source: &FindingSource, finding: Finding) -> bool {
-            assert_eq!((source.processor.as_str(), source.provider.as_str()), ("hand", "camera"));
-            assert_eq!(finding, Finding::Hand(None));
+        async fn take(&self, source: &FindingSource, _: Finding) -> bool {
+            assert_eq!(source.provider, "camera");
             self.taken.fetch_add(1, Ordering::Relaxed) + 1 < self.wanted
         }
     }
 
-    #[tokio::test(start_paused = true)]
-    async fn all_who_wait_get_the_same_frame() {
-        let (camera, shared) = camera(5);
-        let (a, b) = (shared.subscribe().await, shared.subscribe().await);
-        for i in 0..5 {
-            let (x, y) = tokio::join!(a.next(), b.next());
-            assert_eq!((x.unwrap().stamp_ns, y.unwrap().stamp_ns), (i, i));
-        }
-        assert_eq!(camera.given.load(Ordering::Relaxed), 5);
-        assert!(matches!(a.next().await, Err(ImageError::Gone { .. })));
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn a_slow_reader_gets_the_newest_and_knows_what_it_missed() {
-        let (camera, shared) = camera(9);
-        let (quick, slow) = (shared.subscribe().await, shared.subscribe().await);
-        for _ in 0..4 {
-            quick.next().await.unwrap();
-        }
-        assert_eq!(slow.next().await.unwrap().stamp_ns, 3);
-        assert_eq!((slow.skipped(), quick.skipped()), (3, 0));
-        // A reader that gives up waiting does not hold up the others.
-        let gave_up = tokio::time::timeout(Duration::from_millis(10), slow.next()).await;
-        assert!(gave_up.is_err());
-        assert_eq!(quick.next().await.unwrap().stamp_ns, 4);
-        assert_eq!(camera.given.load(Ordering::Relaxed), 5);
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn a_processor_runs_until_its_sink_has_enough() {
-        let (_, shared) = camera(4);
-        let source = shared.subscribe().await;
-        let mut observer = HandObserver::new(CALIBRATION);
+    async fn run(
+        processor: &mut dyn ImageProcessor,
+        inputs: Vec<Arc<dyn ImageProvider>>,
+        trigger: Trigger,
+        wanted: u64,
+        annotated: Option<&FrameSender>,
+    ) -> (Result<(), ImageError>, ProcessorStatistics) {
         let statistics = ProcessorStatistics::default();
-        let sink = Count { wanted: 3, taken: AtomicUsize::new(0) };
-        run_processor(&source, &mut observer, &sink, &statistics).await.unwrap();
-        assert_eq!((statistics.frames(), statistics.skipped()), (3, 0));
-        let gone = run_processor(&source, &mut observer, &sink, &statistics).await;
-        assert!(gone.is_ok() || matches!(gone, Err(ImageError::Gone { .. })));
-        assert!(statistics.mean_latency_s() <= statistics.worst_latency_s());
+        let sink = Count { wanted, taken: AtomicU64::new(0) };
+        let with = ProcessorLoop { inputs, trigger, sink: &sink, annotated, statistics: &statistics };
+        let ended = run_processor(processor, &with).await;
+        (ended, statistics)
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_processor_runs_until_its_sink_has_enough_and_draws_what_it_saw() {
+        let (drawn, pictures) = channel(Description { name: "drawn".into(), ..Description::default() });
+        let mut hand = OfStereo(HandObserver::new(CALIBRATION));
+        let (ended, counts) = run(&mut hand, vec![camera(4)], Trigger::Next, 3, Some(&drawn)).await;
+        assert!(ended.is_ok());
+        assert_eq!((counts.frames(), counts.skipped(), counts.unusable()), (3, 0, 0));
+        assert!((counts.rate_hz() - 1.0 / 0.066).abs() < 1e-6);
+        assert_eq!(pictures.next().await.unwrap().stamp_ns, 2);
+        let (ended, counts) = run(&mut hand, vec![camera(2)], Trigger::Next, 9, None).await;
+        assert_eq!((ended, counts.frames()), (Err(ImageError::Gone { provider: "camera".into() }), 2));
+    }
+
+    /// Takes anything.
+    struct Look(Vec<Vec<u64>>);
+
+    impl ImageProcessor for Look {
+        fn name(&self) -> &str {
+            "look"
+        }
+
+        fn process(&mut self, frames: &[Arc<Frame>]) -> Result<Finding, ImageError> {
+            self.0.push(frames.iter().map(|frame| frame.number).collect());
+            Ok(Finding::Hand(None))
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn several_providers_give_a_frame_each_and_polling_takes_the_newest() {
+        let mut look = Look(Vec::new());
+        let every = Trigger::Every(Duration::from_millis(150));
+        let (_, counts) = run(&mut look, vec![camera(20), camera(20)], every, 4, None).await;
+        assert_eq!(look.0, [[2, 2], [4, 4], [6, 6], [9, 9]]);
+        assert_eq!((counts.frames(), counts.skipped()), (4, 4));
+        let mut look = Look(Vec::new());
+        let (ended, _) = run(&mut look, vec![camera(3)], every, 40, None).await;
+        assert!(matches!(ended, Err(ImageError::Gone { .. })));
+        assert_eq!(look.0, [[2], [3]]);
     }
 }

@@ -1,0 +1,106 @@
+//! Frames that a program makes itself, such as annotated images, as a provider of its own.
+//!
+//! Whoever makes them never waits: a reader that is busy gets the newest when it comes back, and knows what it missed.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use async_trait::async_trait;
+use tokio::sync::{Mutex, watch};
+
+use super::{Description, Frame, ImageProvider};
+use crate::frame::ImageError;
+
+/// Where frames are put in.
+#[derive(Debug)]
+pub struct FrameSender {
+    newest: watch::Sender<(u64, Option<Arc<Frame>>)>,
+}
+
+/// Where they come out; a clone is another reader.
+#[derive(Debug)]
+pub struct FrameChannel {
+    description: Arc<Description>,
+    newest: Mutex<watch::Receiver<(u64, Option<Arc<Frame>>)>>,
+    seen: AtomicU64,
+    missed: AtomicU64,
+}
+
+/// A provider of frames that are put in here.
+#[must_use]
+pub fn channel(description: Description) -> (FrameSender, FrameChannel) {
+    let (newest, receiver) = watch::channel((0, None));
+    let description = Arc::new(description);
+    (FrameSender { newest }, FrameChannel::reader(description, receiver, 0))
+}
+
+impl FrameSender {
+    /// Gives a frame to all readers. It gets the next number.
+    pub fn send(&self, mut frame: Frame) {
+        self.newest.send_modify(|(count, newest)| {
+            *count += 1;
+            frame.number = *count;
+            *newest = Some(Arc::new(frame));
+        });
+    }
+
+    /// Whether there is a reader.
+    #[must_use]
+    pub fn is_wanted(&self) -> bool {
+        !self.newest.is_closed()
+    }
+}
+
+impl FrameChannel {
+    fn reader(
+        description: Arc<Description>,
+        newest: watch::Receiver<(u64, Option<Arc<Frame>>)>,
+        seen: u64,
+    ) -> Self {
+        Self { description, newest: Mutex::new(newest), seen: AtomicU64::new(seen), missed: AtomicU64::new(0) }
+    }
+
+    /// How many frames came and went while this reader was busy.
+    #[must_use]
+    pub fn missed(&self) -> u64 {
+        self.missed.load(Ordering::Relaxed)
+    }
+}
+
+#[async_trait]
+impl ImageProvider for FrameChannel {
+    fn description(&self) -> Description {
+        (*self.description).clone()
+    }
+
+    async fn next(&self) -> Result<Arc<Frame>, ImageError> {
+        let gone = || ImageError::Gone { provider: self.description.name.clone() };
+        let mut newest = self.newest.lock().await;
+        newest.changed().await.map_err(|_| gone())?;
+        let (count, frame) = newest.borrow_and_update().clone();
+        let seen = self.seen.swap(count, Ordering::Relaxed);
+        self.missed.fetch_add(count.saturating_sub(seen + 1), Ordering::Relaxed);
+        frame.ok_or_else(gone)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_reader_gets_the_newest_and_knows_what_it_missed() {
+        let (sender, reader) = channel(Description { name: "drawn".into(), ..Description::default() });
+        assert!(sender.is_wanted());
+        for stamp_ns in [10, 20, 30] {
+            sender.send(Frame { stamp_ns, ..Frame::default() });
+        }
+        let frame = reader.next().await.unwrap();
+        assert_eq!((frame.stamp_ns, frame.number, reader.missed()), (30, 3, 2));
+        sender.send(Frame::default());
+        drop(sender);
+        assert_eq!(reader.next().await.unwrap().number, 4);
+        assert_eq!(reader.next().await.unwrap_err(), ImageError::Gone { provider: "drawn".into() });
+        assert_eq!(reader.missed(), 2);
+    }
+}

@@ -1,0 +1,286 @@
+//! One moment as a provider gives it: one or more images in any of the formats that cameras have.
+//!
+//! Nothing is converted here; [`super::convert`] does that for those who want RGB.
+
+use std::fmt;
+use std::sync::Arc;
+
+use nalgebra::Isometry3;
+use serde::{Deserialize, Serialize};
+
+use crate::frame::ImageError;
+
+/// Most images of a frame.
+pub const MOST_IMAGES: usize = 16;
+/// Longest name of a role or frame, bytes.
+pub const LONGEST_NAME: usize = 200;
+/// Longest side of an image, px; the length of a list of points may be longer.
+pub const LONGEST_SIDE: u32 = 65_536;
+/// Most bytes of an image.
+pub const MOST_BYTES: usize = 2 << 30;
+
+/// How the bytes of an image are to be read. Rows from the top, without padding; numbers are little-endian.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum PixelFormat {
+    /// Red, green, blue: a byte each.
+    Rgb8,
+    /// Brightness: a byte.
+    Gray8,
+    /// A byte a pixel behind a colour filter; the first row begins red, green; the second green, blue.
+    BayerRggb8,
+    /// The same; rows begin blue, green; green, red.
+    BayerBggr8,
+    /// The same; rows begin green, red; blue, green.
+    BayerGrbg8,
+    /// The same; rows begin green, blue; red, green.
+    BayerGbrg8,
+    /// Distance along the optical axis, m, 32-bit float; 0 where nothing was seen.
+    Depth32F,
+    /// Distance along the optical axis, mm, 16 bit; 0 where nothing was seen.
+    Depth16,
+    /// Points x, y, z in the camera's frame, m, 32-bit floats; NaN where nothing was seen. An organised cloud has the
+    /// camera's width and height, any other the height 1.
+    Points32F,
+}
+
+/// What holds an image's bytes, such as a buffer in shared memory.
+pub trait PixelOwner: Send + Sync {
+    /// The bytes.
+    fn bytes(&self) -> &[u8];
+    /// Whether what was read so far is what was given; false when memory that is shared was written anew meanwhile.
+    fn is_intact(&self) -> bool {
+        true
+    }
+}
+
+/// The bytes of one image; clones are the same bytes.
+#[derive(Clone)]
+pub struct Pixels {
+    owner: Arc<dyn PixelOwner>,
+    start: usize,
+    end: usize,
+}
+
+/// One image of a frame.
+#[derive(Clone, Debug)]
+pub struct FrameImage {
+    role: String,
+    format: PixelFormat,
+    width: u32,
+    height: u32,
+    pixels: Pixels,
+}
+
+/// One moment: all images that belong to it.
+#[derive(Clone, Debug, Default)]
+pub struct Frame {
+    /// Counts the provider's frames; what is missing in between was dropped on the way.
+    pub number: u64,
+    /// When the shutter was open, by the provider's clock, ns; the same clock as the robot's samples where there is a
+    /// robot.
+    pub stamp_ns: u64,
+    /// Name of the coordinate frame that poses and points are in: that of the first camera.
+    pub frame_id: String,
+    /// The first camera's pose in the robot's root frame as the robot believes it, where there is a robot.
+    pub root_from_camera: Option<Isometry3<f64>>,
+    /// The images; each role at most once.
+    pub images: Vec<FrameImage>,
+}
+
+impl PixelFormat {
+    /// Bytes of one pixel.
+    #[must_use]
+    pub fn bytes_per_pixel(self) -> usize {
+        match self {
+            Self::Gray8 | Self::BayerRggb8 | Self::BayerBggr8 | Self::BayerGrbg8 | Self::BayerGbrg8 => 1,
+            Self::Depth16 => 2,
+            Self::Rgb8 => 3,
+            Self::Depth32F => 4,
+            Self::Points32F => 12,
+        }
+    }
+
+    /// Bytes of an image; `None` beyond [`MOST_BYTES`] or [`LONGEST_SIDE`], and when a side is 0.
+    #[must_use]
+    pub fn bytes(self, width: u32, height: u32) -> Option<usize> {
+        let sides = width > 0 && height > 0 && height <= LONGEST_SIDE;
+        let wide = width <= LONGEST_SIDE || (self == Self::Points32F && height == 1);
+        let pixels = u64::from(width).checked_mul(u64::from(height))?;
+        let bytes = pixels.checked_mul(self.bytes_per_pixel() as u64)?;
+        let bytes = usize::try_from(bytes).ok()?;
+        (sides && wide && bytes <= MOST_BYTES).then_some(bytes)
+    }
+}
+
+impl PixelOwner for Vec<u8> {
+    fn bytes(&self) -> &[u8] {
+        self
+    }
+}
+
+impl Pixels {
+    /// Bytes `start..end` of `owner`; `None` when it does not have them.
+    #[must_use]
+    pub fn part(owner: Arc<dyn PixelOwner>, start: usize, end: usize) -> Option<Self> {
+        (start <= end && end <= owner.bytes().len()).then_some(Self { owner, start, end })
+    }
+
+    /// The bytes; empty when their owner has shrunk.
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
+        self.owner.bytes().get(self.start..self.end).unwrap_or_default()
+    }
+
+    /// See [`PixelOwner::is_intact`].
+    #[must_use]
+    pub fn is_intact(&self) -> bool {
+        self.owner.is_intact()
+    }
+}
+
+impl From<Vec<u8>> for Pixels {
+    fn from(bytes: Vec<u8>) -> Self {
+        Self { start: 0, end: bytes.len(), owner: Arc::new(bytes) }
+    }
+}
+
+impl PartialEq for Pixels {
+    fn eq(&self, other: &Self) -> bool {
+        self.bytes() == other.bytes()
+    }
+}
+
+impl fmt::Debug for Pixels {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} bytes", self.end - self.start)
+    }
+}
+
+impl FrameImage {
+    /// An image of raw bytes. `role` says which it is among the frame's: `left`, `right`, `depth`, `points`, `image`.
+    ///
+    /// # Errors
+    /// [`ImageError::Size`] unless the bytes are those of `width * height` pixels.
+    pub fn new(
+        role: &str,
+        format: PixelFormat,
+        (width, height): (u32, u32),
+        pixels: impl Into<Pixels>,
+    ) -> Result<Self, ImageError> {
+        let pixels = pixels.into();
+        let (expected, actual) = (format.bytes(width, height).unwrap_or(0), pixels.bytes().len());
+        if expected == actual && actual > 0 {
+            Ok(Self { role: role.into(), format, width, height, pixels })
+        } else {
+            Err(ImageError::Size { width, height, expected, actual })
+        }
+    }
+
+    /// Which image of its frame it is.
+    #[must_use]
+    pub fn role(&self) -> &str {
+        &self.role
+    }
+
+    /// How its bytes are to be read.
+    #[must_use]
+    pub fn format(&self) -> PixelFormat {
+        self.format
+    }
+
+    /// Width, px.
+    #[must_use]
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Height, px.
+    #[must_use]
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// Its bytes, as the format says.
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
+        self.pixels.bytes()
+    }
+}
+
+impl Frame {
+    /// The image of a role.
+    #[must_use]
+    pub fn image(&self, role: &str) -> Option<&FrameImage> {
+        self.images.iter().find(|image| image.role == role)
+    }
+
+    /// Bytes of all images.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.images.iter().map(|image| image.bytes().len()).sum()
+    }
+
+    /// Whether what was read so far is what the provider gave. A frame in shared memory may be taken away from a
+    /// reader that the system does not let run; whoever has worked on its pixels asks afterwards.
+    #[must_use]
+    pub fn is_intact(&self) -> bool {
+        self.images.iter().all(|image| image.pixels.is_intact())
+    }
+}
+
+/// Two frames are equal when all they say is, wherever their bytes lie.
+impl PartialEq for Frame {
+    fn eq(&self, other: &Self) -> bool {
+        let head = |f: &Self| (f.number, f.stamp_ns, f.root_from_camera);
+        head(self) == head(other) && self.frame_id == other.frame_id && self.images == other.images
+    }
+}
+
+impl PartialEq for FrameImage {
+    fn eq(&self, other: &Self) -> bool {
+        let head = |i: &Self| (i.format, i.width, i.height);
+        head(self) == head(other) && self.role == other.role && self.pixels == other.pixels
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_image_has_the_bytes_of_its_format_and_size() {
+        for (format, bytes) in [
+            (PixelFormat::Rgb8, 18),
+            (PixelFormat::Gray8, 6),
+            (PixelFormat::BayerGbrg8, 6),
+            (PixelFormat::Depth16, 12),
+            (PixelFormat::Depth32F, 24),
+            (PixelFormat::Points32F, 72),
+        ] {
+            let image = |bytes| FrameImage::new("left", format, (3, 2), vec![0; bytes]);
+            assert_eq!(image(bytes).unwrap().bytes().len(), bytes);
+            let wrong = Err(ImageError::Size { width: 3, height: 2, expected: bytes, actual: bytes + 1 });
+            assert_eq!(image(bytes + 1), wrong);
+        }
+    }
+
+    #[test]
+    fn sizes_that_are_none_are_refused_without_overflow() {
+        let rgb = |width, height| PixelFormat::Rgb8.bytes(width, height);
+        assert_eq!(rgb(1, 1), Some(3));
+        assert_eq!([rgb(0, 5), rgb(5, 0), rgb(u32::MAX, u32::MAX), rgb(65_537, 1), rgb(60_000, 60_000)], [None; 5]);
+        assert_eq!(PixelFormat::Points32F.bytes(1_000_000, 1), Some(12_000_000));
+        assert_eq!(PixelFormat::Points32F.bytes(1_000_000, 2), None);
+        assert!(FrameImage::new("left", PixelFormat::Rgb8, (0, 0), vec![]).is_err());
+    }
+
+    #[test]
+    fn a_part_of_a_buffer_is_within_it() {
+        let owner: Arc<dyn PixelOwner> = Arc::new(vec![1, 2, 3, 4]);
+        assert_eq!(Pixels::part(Arc::clone(&owner), 1, 3).unwrap().bytes(), [2, 3]);
+        assert_eq!(Pixels::part(Arc::clone(&owner), 3, 5), None);
+        assert_eq!(Pixels::part(owner, 3, 2), None);
+    }
+}

@@ -1,0 +1,256 @@
+//! Offers a provider to other processes.
+//!
+//! Frames go out on `{agent}/image/{provider}` while somebody listens, through shared memory on one machine; as PNG or
+//! JPEG on `.../png` and `.../jpeg`, made only when asked for. A question on the key is answered with the description; one with
+//! `frames=LIFE:FROM:TO` with those of the last frames that are still there, for readers that want all.
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use armarium_bus::bulk::BulkSender;
+use armarium_bus::{Key, Question, Questions, Session, SessionError, keys};
+use tokio::task::JoinHandle;
+
+use super::convert::coded;
+use super::fan_out::{FanOut, Subscription};
+use super::wire::{ENCODING, Header, ImageCoding, PACKED, pack};
+use super::{Frame, ImageProvider};
+use crate::frame::ImageError;
+
+/// The schema of a description.
+pub const DESCRIPTION: armarium_bus::Schema = armarium_bus::Schema::new("image/description", 1);
+/// Frames that are kept for readers that missed some.
+const KEPT: usize = 16;
+/// Most bytes that are kept for them.
+const KEPT_BYTES: usize = 64 << 20;
+/// Questions that wait to be answered.
+const WAITING: usize = 64;
+
+/// A provider that is offered, until this is dropped.
+#[derive(Debug)]
+#[must_use = "the provider is offered until this is dropped"]
+pub struct Offered {
+    tasks: Vec<JoinHandle<()>>,
+    statistics: Arc<OfferedStatistics>,
+}
+
+/// Counts of an offered provider.
+#[derive(Debug, Default)]
+pub struct OfferedStatistics {
+    sent: AtomicU64,
+    spoilt: AtomicU64,
+    unshared: AtomicU64,
+}
+
+impl OfferedStatistics {
+    /// Frames sent as they are.
+    #[must_use]
+    pub fn sent(&self) -> u64 {
+        self.sent.load(Ordering::Relaxed)
+    }
+
+    /// Frames that the provider could not make.
+    #[must_use]
+    pub fn spoilt(&self) -> u64 {
+        self.spoilt.load(Ordering::Relaxed)
+    }
+
+    /// Frames for which there was no room in shared memory; they went as copies.
+    #[must_use]
+    pub fn unshared(&self) -> u64 {
+        self.unshared.load(Ordering::Relaxed)
+    }
+}
+
+impl Offered {
+    /// Counts so far.
+    #[must_use]
+    pub fn statistics(&self) -> &OfferedStatistics {
+        &self.statistics
+    }
+
+    /// Waits until the provider gives no more frames.
+    pub async fn ended(&mut self) {
+        if let Some(raw) = self.tasks.first_mut() {
+            // A task that was ended from outside has ended too.
+            let _ = raw.await.is_ok();
+        }
+    }
+}
+
+impl Drop for Offered {
+    fn drop(&mut self) {
+        self.tasks.iter().for_each(JoinHandle::abort);
+    }
+}
+
+/// What the tasks of an offered provider share.
+struct Offering {
+    provider: Arc<dyn ImageProvider>,
+    session: Session,
+    life: u64,
+    kept: Mutex<VecDeque<Arc<Frame>>>,
+    statistics: Arc<OfferedStatistics>,
+}
+
+/// Offers a provider as `{agent}/image/{its name}`.
+///
+/// # Errors
+/// [`SessionError`] when the session has ended or the names cannot be part of a key.
+pub async fn offer(
+    session: &Session,
+    agent: &str,
+    provider: Arc<dyn ImageProvider>,
+) -> Result<Offered, SessionError> {
+    let name = provider.description().name;
+    let wrong = |e: keys::KeyError| SessionError::Config { what: e.to_string() };
+    let key = keys::image(agent, &name).map_err(wrong)?;
+    let statistics = Arc::new(OfferedStatistics::default());
+    let offering = Arc::new(Offering {
+        session: session.clone(),
+        life: session.now_ns(),
+        kept: Mutex::new(VecDeque::new()),
+        statistics: Arc::clone(&statistics),
+        provider: Arc::clone(&provider),
+    });
+    let shared = FanOut::new(provider);
+    let sender = session.bulk_sender(&key, ENCODING).await?;
+    let mut tasks =
+        vec![tokio::spawn(Arc::clone(&offering).send_raw(sender, shared.subscribe().await))];
+    for (coding, word) in [(ImageCoding::Png, "png"), (ImageCoding::Jpeg, "jpeg")] {
+        let key = keys::image_coded(agent, &name, word).map_err(wrong)?;
+        let sender = session.bulk_sender(&key, ENCODING).await?;
+        let frames = shared.subscribe().await;
+        tasks.push(tokio::spawn(Arc::clone(&offering).send_coded(sender, frames, coding)));
+    }
+    let questions = session.answer(key.clone(), WAITING).await?;
+    tasks.push(tokio::spawn(offering.answer(questions, key)));
+    Ok(Offered { tasks, statistics })
+}
+
+impl Offering {
+    /// The next frame; what is spoilt is counted and left out. `None` when there will be no more.
+    async fn next(&self, frames: &Subscription) -> Option<Arc<Frame>> {
+        loop {
+            match frames.next().await {
+                Ok(frame) => return Some(frame),
+                Err(ImageError::Gone { .. }) => return None,
+                Err(error) => {
+                    self.statistics.spoilt.fetch_add(1, Ordering::Relaxed);
+                    tracing::warn!("{error}");
+                    // A provider that fails again and again does not keep the others from running.
+                    tokio::task::yield_now().await;
+                }
+            }
+        }
+    }
+
+    async fn send_raw(self: Arc<Self>, sender: BulkSender, frames: Subscription) {
+        loop {
+            sender.wanted().await;
+            let Some(frame) = self.next(&frames).await else { return };
+            let Ok(header) = Header::raw(&frame, self.life, self.session.now_ns()).encode() else { continue };
+            let mut slot = sender.slot(frame.bytes());
+            let mut at = 0;
+            for image in &frame.images {
+                let end = at + image.bytes().len();
+                // A frame whose memory was taken away meanwhile is not sent.
+                let Some(part) = slot.get_mut(at..end) else { break };
+                part.copy_from_slice(image.bytes());
+                at = end;
+            }
+            if at != slot.len() || !frame.is_intact() {
+                self.statistics.spoilt.fetch_add(1, Ordering::Relaxed);
+                continue;
+            }
+            self.keep(&frame);
+            if let Err(error) = sender.send(slot, header).await {
+                tracing::warn!("a frame was not sent: {error}");
+                return;
+            }
+            self.statistics.sent.fetch_add(1, Ordering::Relaxed);
+            self.statistics.unshared.store(sender.unshared(), Ordering::Relaxed);
+        }
+    }
+
+    async fn send_coded(self: Arc<Self>, sender: BulkSender, frames: Subscription, coding: ImageCoding) {
+        loop {
+            sender.wanted().await;
+            let Some(frame) = self.next(&frames).await else { return };
+            let (life, sent_ns) = (self.life, self.session.now_ns());
+            let made = tokio::task::spawn_blocking(move || coded(&frame, coding, life, sent_ns)).await;
+            let Ok(Ok((header, bytes))) = made else {
+                self.statistics.spoilt.fetch_add(1, Ordering::Relaxed);
+                continue;
+            };
+            let Ok(header) = header.encode() else { continue };
+            let mut slot = sender.slot(bytes.len());
+            slot.copy_from_slice(&bytes);
+            if sender.send(slot, header).await.is_err() {
+                return;
+            }
+        }
+    }
+
+    fn keep(&self, frame: &Arc<Frame>) {
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        kept.push_back(Arc::clone(frame));
+        let mut bytes: usize = kept.iter().map(|frame| frame.bytes()).sum();
+        while kept.len() > KEPT || bytes > KEPT_BYTES {
+            bytes -= kept.pop_front().map_or(bytes, |frame| frame.bytes());
+        }
+    }
+
+    async fn answer(self: Arc<Self>, mut questions: Questions, key: Key) {
+        while let Some(question) = questions.next().await {
+            if let Err(error) = self.reply(&question, &key).await {
+                tracing::warn!("a question about images was not answered: {error}");
+            }
+        }
+    }
+
+    async fn reply(&self, question: &Question, key: &Key) -> Result<(), SessionError> {
+        if question.parameters.is_empty() {
+            let description = armarium_bus::encode(&self.provider.description());
+            let description = description.map_err(|e| SessionError::Config { what: e.to_string() })?;
+            return question.reply(key, &DESCRIPTION.encoding(), description).await;
+        }
+        let Some((life, from, to)) = range(&question.parameters) else {
+            let reason = "a question is empty or `frames=LIFE:FROM:TO`";
+            return question.refuse("text/plain", reason.into()).await;
+        };
+        let wanted: Vec<Arc<Frame>> = {
+            let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+            let fits = |frame: &&Arc<Frame>| life == self.life && (from..=to).contains(&frame.number);
+            kept.iter().filter(fits).cloned().collect()
+        };
+        for frame in wanted.iter().filter(|frame| frame.is_intact()) {
+            if let Ok(packed) = pack(frame, self.life, self.session.now_ns()) {
+                question.reply(key, PACKED, packed).await?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The numbers of `frames=LIFE:FROM:TO`.
+fn range(parameters: &str) -> Option<(u64, u64, u64)> {
+    let mut numbers = parameters.strip_prefix("frames=")?.split(':').map(str::parse);
+    let mut next = || numbers.next()?.ok();
+    let found = (next()?, next()?, next()?);
+    numbers.next().is_none().then_some(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::range;
+
+    #[test]
+    fn a_range_of_frames_is_read() {
+        assert_eq!(range("frames=7:1:3"), Some((7, 1, 3)));
+        for wrong in ["", "frames=", "frames=1:2", "frames=1:2:x", "frames=1:2:3:4", "1:2:3", "frames=-1:2:3"] {
+            assert_eq!(range(wrong), None, "{wrong}");
+        }
+    }
+}

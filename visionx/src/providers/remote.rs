@@ -1,0 +1,300 @@
+//! A provider in another process, as this one sees it.
+//!
+//! Frames come through shared memory where both processes can, otherwise over the network. A provider that is killed and
+//! started again goes on where its readers wait. What is missing between two frames is counted; a reader that wants all
+//! asks for it again.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use armarium_bus::bulk::{Bulk, BulkBytes, BulkReader, remove_orphans};
+use armarium_bus::keys::{self, Key, Part};
+use armarium_bus::{Answer, Session, SessionError, decode};
+use async_trait::async_trait;
+use tokio::sync::Mutex;
+
+use super::frame::PixelOwner;
+use super::offering::DESCRIPTION;
+use super::wire::{ENCODING, Header, ImageCoding, PACKED, WireError, unpack};
+use super::{Description, Frame, ImageProvider};
+use crate::frame::ImageError;
+
+/// How long missing frames are waited for.
+const AGAIN: Duration = Duration::from_secs(1);
+/// Most frames that are asked for again at once.
+const MOST_AGAIN: usize = 64;
+/// Most providers that are listed.
+const MOST_PROVIDERS: usize = 1024;
+
+/// Which frames a reader gets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Delivery {
+    /// The newest: for live use. Nothing waits but one frame.
+    Newest,
+    /// All, as far as this many may wait: for recording. They are copied out of shared memory, and what was lost on the
+    /// way is asked for again.
+    All {
+        /// How many frames may wait.
+        waiting: usize,
+    },
+}
+
+/// A provider in another process.
+pub struct RemoteProvider {
+    session: Session,
+    key: Key,
+    description: Description,
+    reader: BulkReader,
+    again: bool,
+    state: Mutex<State>,
+    statistics: RemoteStatistics,
+}
+
+#[derive(Default)]
+struct State {
+    /// Life and number of the last frame.
+    last: Option<(u64, u64)>,
+    /// What came after a gap, and what filled it.
+    ready: VecDeque<Arc<Frame>>,
+}
+
+/// Counts of a reader. All may be read at any time.
+#[derive(Debug, Default)]
+pub struct RemoteStatistics {
+    received: AtomicU64,
+    missed: AtomicU64,
+    again: AtomicU64,
+    malformed: AtomicU64,
+    lives: AtomicU64,
+    shared: AtomicU64,
+    latency_ns: AtomicU64,
+    worst_ns: AtomicU64,
+}
+
+macro_rules! counts {
+    ($($(#[$doc:meta])* $name:ident),* $(,)?) => {
+        $($(#[$doc])* #[must_use] pub fn $name(&self) -> u64 { self.$name.load(Ordering::Relaxed) })*
+    };
+}
+
+impl RemoteStatistics {
+    counts! {
+        /// Frames received, those that were asked for again included.
+        received,
+        /// Frames that the provider numbered and that never came: it, the network or this reader was too slow.
+        missed,
+        /// Frames that came only when they were asked for again.
+        again,
+        /// Messages that are no frames.
+        malformed,
+        /// How often the provider was seen to begin: 1, and 1 more for each new start.
+        lives,
+        /// Frames that came through shared memory.
+        shared,
+    }
+
+    /// Mean time from the sending of a frame to its being taken here, s; by both processes' wall clocks, so only on one
+    /// machine.
+    #[must_use]
+    pub fn mean_latency_s(&self) -> f64 {
+        self.latency_ns.load(Ordering::Relaxed) as f64 * 1e-9 / self.received().max(1) as f64
+    }
+
+    /// The longest such time, s.
+    #[must_use]
+    pub fn worst_latency_s(&self) -> f64 {
+        self.worst_ns.load(Ordering::Relaxed) as f64 * 1e-9
+    }
+}
+
+impl PixelOwner for BulkBytes {
+    fn bytes(&self) -> &[u8] {
+        self.as_ref()
+    }
+
+    fn is_intact(&self) -> bool {
+        BulkBytes::is_intact(self)
+    }
+}
+
+/// The providers that answer within `wait`: who offers them, and what they are.
+///
+/// # Errors
+/// [`SessionError`].
+pub async fn providers(
+    session: &Session,
+    agent: Part<'_>,
+    provider: Part<'_>,
+    wait: Duration,
+) -> Result<Vec<(String, Description)>, SessionError> {
+    let wrong = |e: keys::KeyError| SessionError::Config { what: e.to_string() };
+    let keys = keys::image_pattern(agent, provider).map_err(wrong)?;
+    let answers = session.ask(keys, "", None, MOST_PROVIDERS, wait).await?;
+    let mut found: Vec<(String, Description)> = answers.iter().filter_map(described).collect();
+    found.sort_by(|a, b| (&a.0, &a.1.name).cmp(&(&b.0, &b.1.name)));
+    Ok(found)
+}
+
+/// The agent and the description in an answer; what is neither is left out.
+fn described(answer: &Answer) -> Option<(String, Description)> {
+    let Answer::Message(message) = answer else { return None };
+    DESCRIPTION.check(&message.encoding).ok()?;
+    let description: Description = decode(&message.payload).ok()?;
+    let agent = message.key.split('/').next()?;
+    (description.images.len() <= super::MOST_IMAGES).then(|| (agent.to_owned(), description))
+}
+
+impl RemoteProvider {
+    /// Connects to `{agent}/image/{provider}` and waits at most `wait` until it answers.
+    ///
+    /// # Errors
+    /// [`SessionError::NoAnswer`] when it does not.
+    pub async fn connect(
+        session: &Session,
+        agent: &str,
+        provider: &str,
+        delivery: Delivery,
+        coding: ImageCoding,
+        wait: Duration,
+    ) -> Result<Self, SessionError> {
+        let wrong = |e: keys::KeyError| SessionError::Config { what: e.to_string() };
+        let key = keys::image(agent, provider).map_err(wrong)?;
+        let frames = match coding {
+            ImageCoding::Raw => key.clone(),
+            ImageCoding::Png => keys::image_coded(agent, provider, "png").map_err(wrong)?,
+            ImageCoding::Jpeg => keys::image_coded(agent, provider, "jpeg").map_err(wrong)?,
+        };
+        let (capacity, all) = match delivery {
+            Delivery::Newest => (1, false),
+            Delivery::All { waiting } => (waiting, true),
+        };
+        let description = describe(session, &key, wait).await?;
+        let reader = session.bulk_reader(frames, capacity, all).await?;
+        let again = all && coding == ImageCoding::Raw;
+        let (state, statistics) = (Mutex::default(), RemoteStatistics::default());
+        Ok(Self { session: session.clone(), key, description, reader, again, state, statistics })
+    }
+
+    /// Counts so far.
+    #[must_use]
+    pub fn statistics(&self) -> &RemoteStatistics {
+        &self.statistics
+    }
+
+    /// The newest frame if one has come since the last; does not wait.
+    pub async fn newest(&self) -> Option<Arc<Frame>> {
+        let mut state = self.state.lock().await;
+        loop {
+            if let Some(frame) = state.ready.pop_front() {
+                return Some(frame);
+            }
+            let bulk = self.reader.try_next()?;
+            self.take(&bulk, &mut state).await;
+        }
+    }
+
+    /// Reads a message; what it gives is ready then.
+    async fn take(&self, bulk: &Bulk, state: &mut State) {
+        let (header, frame) = match read(bulk) {
+            Ok(read) => read,
+            Err(error) => {
+                if self.statistics.malformed.fetch_add(1, Ordering::Relaxed) == 0 {
+                    tracing::warn!("{}: {error}", self.key);
+                }
+                return;
+            }
+        };
+        let add = |counter: &AtomicU64, n: u64| counter.fetch_add(n, Ordering::Relaxed);
+        let last = state.last.replace((header.life, header.number));
+        match last {
+            Some((life, number)) if life == header.life => {
+                let missing = header.number.saturating_sub(number.saturating_add(1));
+                if self.again && missing > 0 {
+                    self.ask_again(header.life, number + 1, header.number - 1, state).await;
+                } else {
+                    add(&self.statistics.missed, missing);
+                }
+            }
+            _ => {
+                add(&self.statistics.lives, 1);
+                if last.is_some() {
+                    // Whoever was killed has left its shared memory behind.
+                    let _ = tokio::task::spawn_blocking(remove_orphans).await.is_ok();
+                }
+            }
+        }
+        let latency = self.session.now_ns().saturating_sub(header.sent_ns);
+        add(&self.statistics.latency_ns, latency);
+        self.statistics.worst_ns.fetch_max(latency, Ordering::Relaxed);
+        add(&self.statistics.shared, u64::from(bulk.payload.is_shared()));
+        add(&self.statistics.received, 1);
+        state.ready.push_back(Arc::new(frame));
+    }
+
+    /// Asks for the frames `from` to `to` that did not come; what cannot be had any more is missed.
+    async fn ask_again(&self, life: u64, from: u64, to: u64, state: &mut State) {
+        let parameters = format!("frames={life}:{from}:{to}");
+        let asked = self.session.ask(self.key.clone(), &parameters, None, MOST_AGAIN, AGAIN).await;
+        let mut found: Vec<Frame> = asked.unwrap_or_default().into_iter().filter_map(packed).collect();
+        found.retain(|frame| (from..=to).contains(&frame.number));
+        found.sort_by_key(|frame| frame.number);
+        found.dedup_by_key(|frame| frame.number);
+        let count = found.len() as u64;
+        self.statistics.again.fetch_add(count, Ordering::Relaxed);
+        self.statistics.received.fetch_add(count, Ordering::Relaxed);
+        self.statistics.missed.fetch_add((to - from + 1).saturating_sub(count), Ordering::Relaxed);
+        state.ready.extend(found.into_iter().map(Arc::new));
+    }
+}
+
+#[async_trait]
+impl ImageProvider for RemoteProvider {
+    fn description(&self) -> Description {
+        self.description.clone()
+    }
+
+    /// Waits for as long as it takes: a provider may come back.
+    async fn next(&self) -> Result<Arc<Frame>, ImageError> {
+        let mut state = self.state.lock().await;
+        loop {
+            if let Some(frame) = state.ready.pop_front() {
+                return Ok(frame);
+            }
+            let bulk = self.reader.next().await;
+            self.take(&bulk, &mut state).await;
+        }
+    }
+}
+
+fn read(bulk: &Bulk) -> Result<(Header, Frame), WireError> {
+    if bulk.encoding != ENCODING {
+        return Err(WireError::Impossible { what: "it is not sent as a frame" });
+    }
+    let header = Header::decode(&bulk.attachment)?;
+    let owner: Arc<dyn PixelOwner> = Arc::new(bulk.payload.clone());
+    let frame = header.frame(&owner)?;
+    Ok((header, frame))
+}
+
+fn packed(answer: Answer) -> Option<Frame> {
+    let Answer::Message(message) = answer else { return None };
+    (message.encoding == PACKED).then(|| unpack(message.payload).ok()).flatten().map(|(_, frame)| frame)
+}
+
+/// Asks for the description until it comes.
+async fn describe(session: &Session, key: &Key, wait: Duration) -> Result<Description, SessionError> {
+    let asking = async {
+        loop {
+            // Whoever is not known yet is not asked: the next question may reach it.
+            let answers = session.ask(key.clone(), "", None, 16, Duration::from_millis(500)).await?;
+            if let Some((_, description)) = answers.iter().find_map(described) {
+                return Ok(description);
+            }
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    };
+    let none = SessionError::NoAnswer { key: key.to_string(), seconds: wait.as_secs() };
+    tokio::time::timeout(wait, asking).await.unwrap_or(Err(none))
+}

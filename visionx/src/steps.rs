@@ -1,0 +1,111 @@
+//! The trackers as processors: a [`StereoStep`] works on one provider of stereo pairs, and [`OfStereo`] makes an
+//! [`ImageProcessor`] of it.
+
+use std::sync::Arc;
+
+use crate::annotate;
+use crate::frame::{Image, ImageError, StereoFrame};
+use crate::hand::HandObserver;
+use crate::localizer::ObjectLocalizer;
+use crate::marker::ColorMarkerObjectTracking;
+use crate::processor::{Finding, ImageProcessor};
+use crate::providers::{Frame, convert, stereo_frame};
+use crate::tracking::FingerTipTracking;
+
+/// A processor of one provider of stereo pairs.
+pub trait StereoStep: Send {
+    /// Its name.
+    fn name(&self) -> &str;
+    /// What is seen in this frame.
+    fn step(&mut self, frame: &StereoFrame) -> Finding;
+    /// Draws what was seen into the left image.
+    fn draw(&self, image: &mut Image, finding: &Finding);
+}
+
+/// Makes an [`ImageProcessor`] of a [`StereoStep`].
+pub struct OfStereo<S>(pub S);
+
+impl<S: StereoStep> ImageProcessor for OfStereo<S> {
+    fn name(&self) -> &str {
+        self.0.name()
+    }
+
+    fn process(&mut self, frames: &[Arc<Frame>]) -> Result<Finding, ImageError> {
+        let [frame, ..] = frames else {
+            return Err(ImageError::Spoilt { provider: self.name().into(), what: "no frame".into() });
+        };
+        Ok(self.0.step(&stereo_frame(frame, self.0.name())?))
+    }
+
+    fn annotated(&self, frames: &[Arc<Frame>], finding: &Finding) -> Option<Image> {
+        let mut image = convert::rgb_of(frames.first()?.image("left")?)?;
+        self.0.draw(&mut image, finding);
+        Some(image)
+    }
+}
+
+impl StereoStep for ColorMarkerObjectTracking {
+    fn name(&self) -> &str {
+        "marker"
+    }
+
+    fn step(&mut self, frame: &StereoFrame) -> Finding {
+        Finding::Marker(self.update(frame))
+    }
+
+    fn draw(&self, image: &mut Image, finding: &Finding) {
+        if let Finding::Marker(Some(marker)) = finding {
+            annotate::marker(image, marker);
+        }
+    }
+}
+
+impl StereoStep for ObjectLocalizer {
+    fn name(&self) -> &str {
+        "object"
+    }
+
+    fn step(&mut self, frame: &StereoFrame) -> Finding {
+        Finding::Object(self.localize(frame))
+    }
+
+    fn draw(&self, image: &mut Image, finding: &Finding) {
+        if let Finding::Object(Some(object)) = finding {
+            annotate::object(image, object);
+        }
+    }
+}
+
+impl StereoStep for HandObserver {
+    fn name(&self) -> &str {
+        "hand"
+    }
+
+    fn step(&mut self, frame: &StereoFrame) -> Finding {
+        Finding::Hand(self.update(frame))
+    }
+
+    fn draw(&self, image: &mut Image, finding: &Finding) {
+        if let Finding::Hand(Some(hand)) = finding {
+            annotate::hand(image, hand);
+        }
+    }
+}
+
+impl StereoStep for FingerTipTracking {
+    fn name(&self) -> &str {
+        "fingertips"
+    }
+
+    fn step(&mut self, frame: &StereoFrame) -> Finding {
+        Finding::Fingertips(self.update(frame))
+    }
+
+    fn draw(&self, image: &mut Image, finding: &Finding) {
+        if let Finding::Fingertips(tips) = finding {
+            for tip in tips {
+                annotate::circle(image, &tip.px, tip.radius, [255, 0, 255]);
+            }
+        }
+    }
+}
