@@ -10,7 +10,9 @@ use std::f64::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{LARGEST, MotionError, finite, positive, vector, within};
+use crate::error::{
+    LARGEST, MotionError, constant, finite, frequency, kernel_width, positive, vector, within,
+};
 use crate::kernels::PhaseKernels;
 
 /// How the primitive is integrated.
@@ -72,12 +74,12 @@ impl PeriodicDmpConfig {
         within("dofs", self.dofs as f64, 1.0, 4096.0)?;
         within("kernels", self.kernels as f64, 2.0, 4096.0)?;
         if let Some(width) = self.width {
-            positive("width", width)?;
+            kernel_width("width", width, self.kernels)?;
         }
-        positive("alpha_z", self.alpha_z)?;
-        positive("beta_z", self.beta_z)?;
+        constant("alpha_z", self.alpha_z)?;
+        constant("beta_z", self.beta_z)?;
         within("forgetting", self.forgetting, 1e-6, 1.0)?;
-        positive("initial_gain", self.initial_gain)
+        constant("initial_gain", self.initial_gain)
     }
 }
 
@@ -269,7 +271,7 @@ impl PeriodicDmp {
     pub fn reset(&mut self, phase: f64, y: &[f64], yd: &[f64], omega: f64) -> Result<(), MotionError> {
         vector("y", self.y.len(), y)?;
         vector("yd", self.y.len(), yd)?;
-        positive("omega", omega)?;
+        frequency("omega", omega)?;
         self.set_phase(phase)?;
         self.y.copy_from_slice(y);
         self.yd.copy_from_slice(yd);
