@@ -119,6 +119,8 @@ struct Shown {
 impl Experiment for DualArm {
     const NAME: &'static str = "dual_arm";
     const ABOUT: &'static str = "both arms of ARMAR-III carry and shake a box (Gams et al. 2015, Fig. 4)";
+    const ALIASES: &'static [(&'static str, &'static str)] =
+        &[("periodic_kernels", "n"), ("discrete_kernels", "m")];
 
     fn run(&self) -> Result<Outcome, ReproduceError> {
         self.check()?;

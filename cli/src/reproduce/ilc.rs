@@ -115,6 +115,8 @@ pub(super) struct Learning {
 impl Experiment for Ilc {
     const NAME: &'static str = "ilc";
     const ABOUT: &'static str = "two arms learn to carry a box (Gams et al. 2015, Figs 1, 2, 3, 5, 6)";
+    const ALIASES: &'static [(&'static str, &'static str)] =
+        &[("periodic_kernels", "n"), ("discrete_kernels", "m")];
 
     fn run(&self) -> Result<Outcome, ReproduceError> {
         self.check()?;

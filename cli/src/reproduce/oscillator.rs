@@ -135,6 +135,7 @@ impl Oscillator {
         within("amplitude", self.amplitude, 1e-6, 1e6)?;
         within("initial", self.initial, 0.05, 0.2 / self.dt)?;
         within("noise", self.noise, 0.0, 10.0)?;
+        within("chirp_begin", self.chirp_begin, 0.0, 1e5)?;
         within("chirp_end", self.chirp_end, self.chirp_begin + self.dt, 1e6)?;
         if self.signal == Signal::Step {
             within("step_at", self.step_at, 0.0, self.seconds)?;
