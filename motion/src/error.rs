@@ -22,7 +22,7 @@ pub enum MotionError {
         what: &'static str,
     },
     /// A number lies outside of what it may be; the bounds belong to the allowed range unless the doc says otherwise.
-    #[error("{what} = {value:?} {}", beyond(*.low, *.high))]
+    #[error("{what} = {value:?} {}", beyond(*.value, *.low, *.high))]
     OutOfRange {
         /// The argument.
         what: &'static str,
@@ -54,8 +54,8 @@ pub enum MotionError {
 }
 
 /// How the number lies, seen from its range.
-fn beyond(low: f64, high: f64) -> String {
-    if low == f64::MIN_POSITIVE && high == f64::MAX {
+fn beyond(value: f64, low: f64, high: f64) -> String {
+    if low == f64::MIN_POSITIVE && value < low {
         "is not over zero".to_owned()
     } else {
         format!("is outside {low:?}..{high:?}")
@@ -93,6 +93,11 @@ pub(crate) fn within(what: &'static str, value: f64, low: f64, high: f64) -> Res
 /// what is allowed elsewhere would overflow.
 pub(crate) fn constant(what: &'static str, value: f64) -> Result<(), MotionError> {
     within(what, value, 1e-9, 1e9)
+}
+
+/// The time between two samples of a signal: over zero and at most 1e6 s, after which nothing is left to follow.
+pub(crate) fn sample_time(value: f64) -> Result<(), MotionError> {
+    within("dt", value, f64::MIN_POSITIVE, 1e6)
 }
 
 /// A frequency, rad/s, that something is divided by.

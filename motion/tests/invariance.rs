@@ -76,6 +76,9 @@ fn what_was_shown_larger_is_done_larger() {
     let (mut one, mut four) = (circle(0.7), circle(2.8));
     let (mut near, mut far) = (reach(1.0), reach(4.0));
     let (mut low, mut high) = (walk(1.0), walk(4.0));
+    let radius = |dmp: &PeriodicDmp| dmp.steady_path(64).unwrap().half_range()[0];
+    assert!((radius(&one) - 0.7).abs() < 1e-3 && (radius(&four) - 2.8).abs() < 4e-3);
+    assert_eq!((far.demonstrated_start(), far.goal()), (&[0.0][..], &[4.0][..]));
     for _ in 0..800 {
         let (a, b) = (one.step(DT, 3.0).unwrap(), four.step(DT, 3.0).unwrap());
         assert!((4.0 * a.y[0] - b.y[0]).abs() < 1e-9 && (4.0 * a.yd[1] - b.yd[1]).abs() < 1e-9);
@@ -240,7 +243,7 @@ fn wiped(stiff: f64, force: f64, pace: f64, ahead: f64) -> Vec<f64> {
         ..SurfaceConfig::default()
     };
     let mut adaptation = SurfaceAdaptation::new(config).unwrap();
-    let (omega, dt, mut offset) = (3.0 * pace, 0.005 / pace, 0.0);
+    let (omega, dt, mut offset) = (3.0 * pace, 0.02 / pace, 0.0);
     let step = |k: i32| {
         let phase = omega * dt * f64::from(k);
         let table = 0.004 * phase.sin() - 0.002;
@@ -248,7 +251,7 @@ fn wiped(stiff: f64, force: f64, pace: f64, ahead: f64) -> Vec<f64> {
             adaptation.step(dt, phase + ahead, omega, (stiff * (table - offset)).max(0.0)).unwrap().offset;
         offset
     };
-    (0..2000).map(step).collect()
+    (0..600).map(step).collect()
 }
 
 #[test]
