@@ -135,6 +135,19 @@ impl Ilc {
     fn check(&self) -> Result<(), ReproduceError> {
         within("stiffness", self.stiffness, 1e-3, 1e6)?;
         within("turn_stiffness", self.turn_stiffness, 0.0, 1e6)?;
+        self.links.iter().try_for_each(|l| within("links", *l, 1e-3, 10.0))?;
+        self.hand.iter().try_for_each(|h| within("hand", *h, -10.0, 10.0))?;
+        self.posture.iter().try_for_each(|p| within("posture", *p, -TAU, TAU))?;
+        for (key, length) in [
+            ("shoulder", self.shoulder),
+            ("start", self.start),
+            ("lift", self.lift),
+            ("amplitude", self.amplitude),
+            ("left_lift", self.left_lift),
+            ("left_amplitude", self.left_amplitude),
+        ] {
+            within(key, length, -10.0, 10.0)?;
+        }
         within("k1", self.k1, -1e3, 1e3)?;
         within("k1_task", self.k1_task, -1e3, 1e3)?;
         within("k2", self.k2, -1e3, 1e3)?;
