@@ -216,7 +216,7 @@ mod tests {
 
     #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
     #[serde(rename_all = "snake_case")]
-    enum Way {
+    pub(crate) enum Way {
         Left,
         Right,
     }
