@@ -7,7 +7,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::decay_kernels::DecayKernels;
-use crate::error::{LARGEST, MotionError, finite, positive, vector, within};
+use crate::error::{LARGEST, MotionError, constant, finite, positive, vector, within};
 use crate::pdmp::Transition;
 
 mod saved;
@@ -57,10 +57,10 @@ impl DiscreteDmpConfig {
         within("dofs", self.dofs as f64, 1.0, 4096.0)?;
         within("kernels", self.kernels as f64, 2.0, 4096.0)?;
         within("alpha_x", self.alpha_x, 1e-3, 100.0)?;
-        positive("alpha_z", self.alpha_z)?;
-        positive("beta_z", self.beta_z)?;
+        constant("alpha_z", self.alpha_z)?;
+        constant("beta_z", self.beta_z)?;
         within("forgetting", self.forgetting, 1e-6, 1.0)?;
-        positive("initial_gain", self.initial_gain)
+        constant("initial_gain", self.initial_gain)
     }
 }
 
@@ -243,7 +243,7 @@ impl DiscreteDmp {
     pub fn begin(&mut self, y: &[f64], yd: &[f64], duration: f64) -> Result<(), MotionError> {
         vector("y", self.y.len(), y)?;
         vector("yd", self.y.len(), yd)?;
-        within("duration", duration, f64::MIN_POSITIVE, LARGEST)?;
+        constant("duration", duration)?;
         self.x = 1.0;
         self.y.copy_from_slice(y);
         self.yd.copy_from_slice(yd);
@@ -302,7 +302,7 @@ impl DiscreteDmp {
     /// When `dt` or `duration` is not positive or the result would not be finite; the state is unchanged.
     pub fn step(&mut self, dt: f64, duration: f64) -> Result<DiscreteState<'_>, MotionError> {
         positive("dt", dt)?;
-        positive("duration", duration)?;
+        constant("duration", duration)?;
         let advance = dt / duration;
         within("dt / duration", advance, 0.0, LARGEST)?;
         self.refresh();

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::discrete::DiscreteDmp;
-use crate::error::{MotionError, finite, positive, vector, within};
+use crate::error::{MotionError, constant, finite, positive, vector, within};
 
 /// One sample of a demonstrated movement, for batch learning; the slices have one value a degree of freedom.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,7 +41,7 @@ impl DiscreteDmp {
     ) -> Result<(), MotionError> {
         let n = self.dofs();
         within("t", t, 0.0, f64::MAX)?;
-        positive("duration", duration)?;
+        constant("duration", duration)?;
         positive("dt", dt)?;
         vector("y", n, y)?;
         vector("yd", n, yd)?;

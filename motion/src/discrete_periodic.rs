@@ -322,10 +322,11 @@ impl DiscretePeriodicDmp {
         Ok(self.state())
     }
 
-    /// Position and z of degree of freedom `d` after the step: exact for forcing and control that are constant in it.
+    /// Position and z of degree of freedom `d` after the step: exact for forcing and control that are constant in it, and
+    /// of second order for what they change.
     fn advance_one(&self, d: usize, dt: f64, omega: f64, transition: &Transition) -> (f64, f64) {
         let (alpha, beta) = (self.config.alpha_z, self.config.beta_z);
-        let u = self.input(d, omega);
+        let u = self.input(d, omega, 0.5 * (self.control[d] + self.next_control[d]));
         if omega <= 0.0 {
             return (self.y[d] + u * dt, self.z[d]);
         }
@@ -336,16 +337,16 @@ impl DiscretePeriodicDmp {
         (rest + y, z - slope)
     }
 
-    /// The whole control signal of this step, unit / s.
-    fn input(&self, d: usize, omega: f64) -> f64 {
-        self.control[d] * omega / self.omega + self.correction[d]
+    /// The whole control signal of degree of freedom `d`, unit / s, from what was learned of it at the demonstrated frequency.
+    fn input(&self, d: usize, omega: f64, learned: f64) -> f64 {
+        learned * omega / self.omega + self.correction[d]
     }
 
     fn commit(&mut self, phase: f64, radius: f64, omega: f64) {
         let (alpha, beta) = (self.config.alpha_z, self.config.beta_z);
         for d in 0..self.y.len() {
             let pull = alpha * (beta * (self.centre[d] - self.next_y[d]) - self.next_z[d]);
-            self.yd[d] = omega * self.next_z[d] + self.input(d, omega);
+            self.yd[d] = omega * self.next_z[d] + self.input(d, omega, self.next_control[d]);
             self.ydd[d] = omega * omega * (pull + self.next_forcing[d]);
         }
         std::mem::swap(&mut self.y, &mut self.next_y);

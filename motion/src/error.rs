@@ -22,7 +22,7 @@ pub enum MotionError {
         what: &'static str,
     },
     /// A number lies outside of what it may be; the bounds belong to the allowed range unless the doc says otherwise.
-    #[error("{what} = {value} is outside {low}..{high}")]
+    #[error("{what} = {value:?} {}", beyond(*.value, *.low, *.high))]
     OutOfRange {
         /// The argument.
         what: &'static str,
@@ -53,6 +53,15 @@ pub enum MotionError {
     },
 }
 
+/// How the number lies, seen from its range.
+fn beyond(value: f64, low: f64, high: f64) -> String {
+    if low == f64::MIN_POSITIVE && value < low {
+        "is not over zero".to_owned()
+    } else {
+        format!("is outside {low:?}..{high:?}")
+    }
+}
+
 pub(crate) fn size(what: &'static str, expected: usize, got: usize) -> Result<(), MotionError> {
     if expected == got { Ok(()) } else { Err(MotionError::Size { what, expected, got }) }
 }
@@ -80,7 +89,52 @@ pub(crate) fn within(what: &'static str, value: f64, low: f64, high: f64) -> Res
     }
 }
 
+/// A constant of a linear system such as alpha_z or a gain such as P(0): over zero, and not so large that its products with
+/// what is allowed elsewhere would overflow.
+pub(crate) fn constant(what: &'static str, value: f64) -> Result<(), MotionError> {
+    within(what, value, 1e-9, 1e9)
+}
+
+/// The time between two samples of a signal: over zero and at most 1e6 s, after which nothing is left to follow.
+pub(crate) fn sample_time(value: f64) -> Result<(), MotionError> {
+    within("dt", value, f64::MIN_POSITIVE, 1e6)
+}
+
+/// A frequency, rad/s, that something is divided by.
+pub(crate) fn frequency(what: &'static str, value: f64) -> Result<(), MotionError> {
+    within(what, value, 1e-9, LARGEST)
+}
+
+/// The width h of `count` kernels about one period: over zero, and not so narrow that there would be no kernel between
+/// two centres.
+pub(crate) fn kernel_width(what: &'static str, value: f64, count: usize) -> Result<(), MotionError> {
+    within(what, value, 1e-9, 100.0 * (count * count) as f64)
+}
+
 /// Finite and over zero.
 pub(crate) fn positive(what: &'static str, value: f64) -> Result<(), MotionError> {
     within(what, value, f64::MIN_POSITIVE, f64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_is_said_shortly_and_with_its_range() {
+        let said = |result: Result<(), MotionError>| result.unwrap_err().to_string();
+        assert_eq!(said(within("q", 1e300, 0.0, 1.0)), "q = 1e300 is outside 0.0..1.0");
+        assert_eq!(said(positive("dt", -1e-300)), "dt = -1e-300 is not over zero");
+        assert_eq!(said(positive("dt", f64::NAN)), "dt is not finite");
+        assert_eq!(said(size("y", 3, 2)), "y: 3 values needed, 2 given");
+    }
+
+    #[test]
+    fn kernels_may_be_as_narrow_as_their_sum_allows() {
+        let kernels = crate::PhaseKernels::new(25, 100.0 * 625.0);
+        let between = std::f64::consts::PI / 25.0;
+        assert!(kernel_width("width", kernels.width(), 25).is_ok());
+        assert!(kernels.evaluate(between, &mut [0.0; 25]) > 1e-250);
+        assert!(kernel_width("width", 1.01 * kernels.width(), 25).is_err());
+    }
 }

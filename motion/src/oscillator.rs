@@ -12,7 +12,7 @@ mod statistics;
 
 use std::f64::consts::TAU;
 
-use crate::error::{MotionError, positive, vector};
+use crate::error::{MotionError, sample_time, vector};
 use crate::fourier::FourierSeries;
 use crate::period::{PeriodEstimate, PeriodEstimator};
 
@@ -99,7 +99,7 @@ impl AdaptiveOscillator {
     /// # Source
     /// Eqs. (1)-(3); how it differs is said at the top of the module.
     pub fn update(&mut self, dt: f64, v: &[f64]) -> Result<(), MotionError> {
-        positive("dt", dt)?;
+        sample_time(dt)?;
         vector("signal", self.config.dims, v)?;
         self.estimator.push(dt, v)?;
         if self.config.estimate {
@@ -330,7 +330,9 @@ impl AdaptiveOscillator {
         self.phase = (self.phase + drive).rem_euclid(TAU);
         self.loop_omega = (self.loop_omega + drive).clamp(1e-3, 1e3);
         self.omega = self.loop_omega;
-        self.series.learn_pinned(learning * dt, &self.error, self.series.harmonics(), self.anchor);
+        // Faster than this the weights would swing over what is missed.
+        let rate = (learning * dt).min(1.0 / (2 * self.series.harmonics() + 1) as f64);
+        self.series.learn_pinned(rate, &self.error, self.series.harmonics(), self.anchor);
         self.periods.residual(self.loop_omega * dt, missed, self.series.power());
     }
 

@@ -10,76 +10,16 @@ use std::f64::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{LARGEST, MotionError, finite, positive, vector, within};
+use crate::error::{LARGEST, MotionError, finite, frequency, positive, vector, within};
 use crate::kernels::PhaseKernels;
 
-/// How the primitive is integrated.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Integrator {
-    /// Exact for the linear part, the forcing term averaged over the step: stable for every step width.
-    #[default]
-    Exact,
-    /// Explicit Euler as in the papers' experiments; refuses steps that are too wide to be stable.
-    Euler,
-}
+mod config;
+mod saved;
+mod transition;
 
-/// The constants of a [`PeriodicDmp`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct PeriodicDmpConfig {
-    /// Degrees of freedom n, at least 1.
-    pub dofs: usize,
-    /// Kernels N a degree of freedom, at least 2; 25 in the papers.
-    pub kernels: usize,
-    /// Kernel width h of (7), dimensionless; `2.5 N` if absent.
-    pub width: Option<f64>,
-    /// Stiffness constant of (4), 1 per rad of phase.
-    pub alpha_z: f64,
-    /// Damping constant of (4); `alpha_z / 4` makes it critically damped.
-    pub beta_z: f64,
-    /// Forgetting factor lambda of (9) for each 10 ms of learning, in (0, 1].
-    pub forgetting: f64,
-    /// P(0) of (9), which is also the most that P may grow to where a kernel is not visited.
-    pub initial_gain: f64,
-    /// How (4), (5) are integrated.
-    pub integrator: Integrator,
-}
-
-impl Default for PeriodicDmpConfig {
-    fn default() -> Self {
-        Self {
-            dofs: 1,
-            kernels: 25,
-            width: None,
-            alpha_z: 8.0,
-            beta_z: 2.0,
-            forgetting: 0.9995,
-            initial_gain: 1.0,
-            integrator: Integrator::Exact,
-        }
-    }
-}
-
-impl PeriodicDmpConfig {
-    /// The default constants for `dofs` degrees of freedom.
-    #[must_use]
-    pub fn with_dofs(dofs: usize) -> Self {
-        Self { dofs, ..Self::default() }
-    }
-
-    fn validate(&self) -> Result<(), MotionError> {
-        within("dofs", self.dofs as f64, 1.0, 4096.0)?;
-        within("kernels", self.kernels as f64, 2.0, 4096.0)?;
-        if let Some(width) = self.width {
-            positive("width", width)?;
-        }
-        positive("alpha_z", self.alpha_z)?;
-        positive("beta_z", self.beta_z)?;
-        within("forgetting", self.forgetting, 1e-6, 1.0)?;
-        positive("initial_gain", self.initial_gain)
-    }
-}
+pub use self::config::{Integrator, PeriodicDmpConfig};
+pub(crate) use self::transition::Transition;
+use self::transition::widest_euler_step;
 
 /// What a step yields; the slices have one value a degree of freedom.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -100,7 +40,7 @@ pub struct DmpState<'a> {
 /// Petrič et al. 2014, eqs. (4)-(13); the weights are per degree of freedom, P is common to all of them because
 /// (9) does not depend on the data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Saved", into = "Saved")]
+#[serde(try_from = "saved::Saved", into = "saved::Saved")]
 pub struct PeriodicDmp {
     pub(crate) config: PeriodicDmpConfig,
     pub(crate) kernels: PhaseKernels,
@@ -269,7 +209,7 @@ impl PeriodicDmp {
     pub fn reset(&mut self, phase: f64, y: &[f64], yd: &[f64], omega: f64) -> Result<(), MotionError> {
         vector("y", self.y.len(), y)?;
         vector("yd", self.y.len(), yd)?;
-        positive("omega", omega)?;
+        frequency("omega", omega)?;
         self.set_phase(phase)?;
         self.y.copy_from_slice(y);
         self.yd.copy_from_slice(yd);
@@ -407,91 +347,6 @@ impl PeriodicDmp {
         for (o, w) in out.iter_mut().zip(self.weights.chunks_exact(psi.len())) {
             *o = self.amplitude / sum * w.iter().zip(&psi).map(|(w, p)| w * p).sum::<f64>();
         }
-    }
-}
-
-/// The `alpha_z * omega * dt` from which on Euler's rule on (4), (5) does not decay any more (Jury's criterion on
-/// `l^2 - (2 - u) l + 1 - u + u^2 beta / alpha`): 4 where it is critically damped.
-fn widest_euler_step(alpha: f64, beta: f64) -> f64 {
-    let ratio = beta / alpha;
-    if 4.0 * ratio < 1.0 { 4.0 / (1.0 + (1.0 - 4.0 * ratio).sqrt()) } else { 1.0 / ratio }
-}
-
-/// The exact transition of `(y - rest, z)` over a piece of phase.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Transition {
-    yy: f64,
-    yz: f64,
-    zy: f64,
-    zz: f64,
-}
-
-impl Transition {
-    /// `exp(M advance)` of `M = [[0, 1], [-alpha beta, -alpha]]`, in its three cases.
-    pub(crate) fn new(alpha: f64, beta: f64, advance: f64) -> Self {
-        let half = 0.5 * alpha;
-        let stiffness = alpha * beta;
-        let squared = stiffness - half * half;
-        // exp(-half a) times cos and sin / rate, written so that nothing overflows for wide steps.
-        let (cosine, sine) = if squared > 1e-12 * stiffness {
-            let rate = squared.sqrt();
-            let decay = (-half * advance).exp();
-            (decay * (rate * advance).cos(), decay * (rate * advance).sin() / rate)
-        } else if squared < -1e-12 * stiffness {
-            let rate = (-squared).sqrt();
-            let slow = ((rate - half) * advance).exp();
-            let fast = ((-rate - half) * advance).exp();
-            (0.5 * (slow + fast), 0.5 * (slow - fast) / rate)
-        } else {
-            let decay = (-half * advance).exp();
-            (decay, decay * advance)
-        };
-        Self { yy: cosine + half * sine, yz: sine, zy: -stiffness * sine, zz: cosine - half * sine }
-    }
-
-    pub(crate) fn apply(&self, y: f64, z: f64) -> (f64, f64) {
-        (self.yy * y + self.yz * z, self.zy * y + self.zz * z)
-    }
-}
-
-/// The saved form: everything that makes the motion, not the instant that it was saved in.
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Saved {
-    config: PeriodicDmpConfig,
-    centre: Vec<f64>,
-    amplitude: f64,
-    weights: Vec<f64>,
-    gain: Vec<f64>,
-}
-
-impl From<PeriodicDmp> for Saved {
-    fn from(dmp: PeriodicDmp) -> Self {
-        Self {
-            config: dmp.config,
-            centre: dmp.centre,
-            amplitude: dmp.amplitude,
-            weights: dmp.weights,
-            gain: dmp.gain,
-        }
-    }
-}
-
-impl TryFrom<Saved> for PeriodicDmp {
-    type Error = MotionError;
-
-    fn try_from(saved: Saved) -> Result<Self, MotionError> {
-        let mut dmp = Self::new(saved.config)?;
-        dmp.set_centre(&saved.centre)?;
-        dmp.set_amplitude(saved.amplitude)?;
-        dmp.set_weights(&saved.weights)?;
-        vector("gain", dmp.gain.len(), &saved.gain)?;
-        for p in &saved.gain {
-            within("gain", *p, 0.0, f64::MAX)?;
-        }
-        dmp.gain = saved.gain;
-        dmp.start_on_path(0.0, 1.0)?;
-        Ok(dmp)
     }
 }
 

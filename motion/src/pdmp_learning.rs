@@ -3,7 +3,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::error::{MotionError, finite, positive, vector};
+use crate::error::{LARGEST, MotionError, finite, frequency, positive, vector, within};
 use crate::pdmp::PeriodicDmp;
 
 /// One sample of a demonstrated period, for batch learning; the slices have one value a degree of freedom.
@@ -41,7 +41,7 @@ impl PeriodicDmp {
     ) -> Result<(), MotionError> {
         let n = self.dofs();
         finite("phase", &[phase])?;
-        positive("omega", omega)?;
+        frequency("omega", omega)?;
         positive("dt", dt)?;
         vector("y", n, y)?;
         vector("yd", n, yd)?;
@@ -100,15 +100,16 @@ impl PeriodicDmp {
         shift: &[f64],
     ) -> Result<(), MotionError> {
         finite("phase", &[phase])?;
-        finite("advance", &[advance])?;
+        vector("advance", 1, &[advance])?;
         vector("shift", shift.len(), shift)?;
         if self.amplitude == 0.0 {
             return Err(MotionError::Degenerate { what: "amplitude", why: "0 hides every weight" });
         }
-        self.fresh = false;
-        self.kernels.evaluate(phase - self.lag(), &mut self.psi);
         let scale = self.config.alpha_z * self.config.beta_z * advance
             / (std::f64::consts::TAU * self.kernels.mean() * self.amplitude);
+        shift.iter().try_for_each(|s| within("displacement", scale * s, -LARGEST, LARGEST))?;
+        self.fresh = false;
+        self.kernels.evaluate(phase - self.lag(), &mut self.psi);
         for (w, s) in self.weights.chunks_exact_mut(self.kernels.len()).zip(shift) {
             for (w, psi) in w.iter_mut().zip(&self.psi) {
                 *w += scale * psi * s;

@@ -5,7 +5,7 @@
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::error::{MotionError, finite, positive, within};
+use crate::error::{MotionError, finite, positive, vector, within};
 
 /// The constants of a [`PositionServo`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -156,7 +156,7 @@ impl PositionServo {
         positive("dt", dt)?;
         if let Some(o) = observation {
             for pose in [&o.hand, &o.target] {
-                finite("pose", pose.translation.vector.as_slice())?;
+                vector("pose", 3, pose.translation.vector.as_slice())?;
                 finite("pose", pose.rotation.coords.as_slice())?;
             }
         }

@@ -4,7 +4,7 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use crate::error::{MotionError, positive, vector, within};
+use crate::error::{MotionError, kernel_width, vector, within};
 use crate::kernels::PhaseKernels;
 
 /// `offset(phase)` along `normal`, m, as a sum of normalised kernels over the phase.
@@ -25,7 +25,7 @@ impl SurfaceCorrection {
     pub fn new(weights: Vec<f64>, width: f64, normal: [f64; 3]) -> Result<Self, MotionError> {
         within("weights of the surface correction", weights.len() as f64, 2.0, 4096.0)?;
         vector("weights of the surface correction", weights.len(), &weights)?;
-        positive("width", width)?;
+        kernel_width("width", width, weights.len())?;
         vector("normal", 3, &normal)?;
         let normal = Vector3::from(normal)
             .try_normalize(1e-9)

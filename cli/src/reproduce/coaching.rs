@@ -68,6 +68,8 @@ settings! {
         lambda: f64 = 0.9995;
         /// P(0) of (9).
         p0: f64 = 1.0;
+        /// w(0) of (10), of all weights.
+        w0: f64 = 0.0;
         /// Step, s.
         dt: f64 = 0.01;
         /// Cycles of learning before the run.
@@ -92,6 +94,8 @@ struct Log {
 impl Experiment for Coaching {
     const NAME: &'static str = "coaching";
     const ABOUT: &'static str = "planar arm on a circle, coached at a point (Petric et al. 2014, Figs 2-4)";
+    const ALIASES: &'static [(&'static str, &'static str)] =
+        &[("width", "h"), ("forgetting", "lambda"), ("initial_gain", "p0")];
 
     fn run(&self) -> Result<Outcome, ReproduceError> {
         self.check()?;
@@ -108,6 +112,10 @@ impl Coaching {
         within("dt", self.dt, 1e-4, 0.1)?;
         within("frequency", self.frequency, 0.01, 0.125 / self.dt)?;
         within("radius", self.radius, 1e-3, 100.0)?;
+        self.center.iter().try_for_each(|x| within("center", *x, -1e3, 1e3))?;
+        self.o.iter().try_for_each(|x| within("o", *x, -1e3, 1e3))?;
+        within("w0", self.w0, -1e6, 1e6)?;
+        within("psi", self.psi, -1e3, 1e3)?;
         within("cycles", f64::from(self.cycles), 1.0, 1000.0)?;
         within("start", self.start, 1.0 / self.frequency, 600.0)?;
         within("seconds", self.seconds, self.start + 1.0 / self.frequency, 3600.0)?;
@@ -161,6 +169,7 @@ impl Coaching {
         let samples = self.demonstration()?;
         let mean = samples.iter().map(|s| s[0]).sum::<Vector3<f64>>() / samples.len() as f64;
         dmp.set_centre(mean.as_slice())?;
+        dmp.set_weights(&vec![self.w0; dmp.weights().len()])?;
         for k in 0..self.cycles as usize * self.period() {
             let [y, yd, ydd] = &samples[k % samples.len()];
             let phase = omega * self.dt * k as f64;

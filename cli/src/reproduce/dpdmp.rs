@@ -142,6 +142,8 @@ impl Experiment for Dpdmp {
     const NAME: &'static str = "dpdmp";
     const ABOUT: &'static str =
         "discrete-periodic primitive at another frequency (Gams et al. 2015, II, Fig. 7)";
+    const ALIASES: &'static [(&'static str, &'static str)] =
+        &[("periodic_kernels", "n"), ("discrete_kernels", "m")];
 
     fn run(&self) -> Result<Outcome, ReproduceError> {
         self.check()?;
@@ -183,6 +185,16 @@ impl Dpdmp {
         within("dt", self.dt, 1e-5, 0.1)?;
         let longest = (self.omega * self.duration + TAU * self.periods) / self.omega.min(self.omega_new);
         within("steps of a replay", longest / self.dt, 10.0, 2e6)?;
+        for (key, values) in [
+            ("center", self.center),
+            ("a", self.a),
+            ("b", self.b),
+            ("adapted_center", self.adapted_center),
+            ("adapted_a", self.adapted_a),
+        ] {
+            values.iter().try_for_each(|v| within(key, *v, -1e6, 1e6))?;
+        }
+        within("gain", self.gain, -1e6, 1e6)?;
         within("epochs", f64::from(self.epochs), 1.0, 1000.0)
     }
 

@@ -5,7 +5,7 @@ use serde_json::{Map, Value};
 
 use super::settings::{self, Key, Settings};
 
-/// Figures under their names, in order of importance, and plots.
+/// Figures under their names, and plots.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Outcome {
     /// What stands at the top level of the JSON; a figure that does not exist is `null`.
@@ -46,7 +46,7 @@ impl From<MotionError> for ReproduceError {
     fn from(error: MotionError) -> Self {
         match error {
             MotionError::OutOfRange { what, value, low, high } => {
-                Self::Setting { key: what.to_owned(), why: format!("{value} is outside of {low} to {high}") }
+                Self::Setting { key: what.to_owned(), why: outside(value, low, high) }
             }
             other => Self::Failed(other.to_string()),
         }
@@ -58,10 +58,15 @@ pub(crate) fn within(key: &str, value: f64, low: f64, high: f64) -> Result<(), R
     if (low..=high).contains(&value) {
         return Ok(());
     }
-    Err(ReproduceError::Setting {
-        key: key.to_owned(),
-        why: format!("{value} is outside of {low} to {high}"),
-    })
+    Err(ReproduceError::Setting { key: key.to_owned(), why: outside(value, low, high) })
+}
+
+/// The numbers as they would be written as a setting.
+fn outside(value: f64, low: f64, high: f64) -> String {
+    if low == f64::MIN_POSITIVE {
+        return format!("{value:?} is not over zero");
+    }
+    format!("{value:?} is outside of {low:?} to {high:?}")
 }
 
 /// An experiment of the papers.
@@ -70,6 +75,8 @@ pub(crate) trait Experiment: Settings {
     const NAME: &'static str;
     /// What it runs, in one line.
     const ABOUT: &'static str;
+    /// What the library calls a setting that has another name here, and that name.
+    const ALIASES: &'static [(&'static str, &'static str)] = &[];
 
     /// Runs it.
     ///
@@ -100,5 +107,13 @@ fn run<E: Experiment>(given: &[(String, String)]) -> Result<(Value, Outcome), Re
     let experiment: E = settings::read(given)?;
     let inputs = serde_json::to_value(&experiment)
         .map_err(|error| ReproduceError::Failed(format!("the inputs cannot be written: {error}")))?;
-    Ok((inputs, experiment.run()?))
+    let outcome = experiment.run().map_err(|error| match error {
+        ReproduceError::Setting { key, why } => {
+            let name =
+                E::ALIASES.iter().find(|(theirs, _)| *theirs == key).map(|(_, ours)| (*ours).to_owned());
+            ReproduceError::Setting { key: name.unwrap_or(key), why }
+        }
+        other => other,
+    })?;
+    Ok((inputs, outcome))
 }

@@ -49,6 +49,8 @@ settings! {
         stiffness_guess: f64 = 4000.0;
         /// Bandwidth of the feedback, rad/s.
         bandwidth: f64 = 7.0;
+        /// The fastest that the height changes, m/s; the hand comes down with 0.3 of it.
+        max_speed: f64 = 0.12;
         /// Share of what is missing that each cycle adds to what is learned.
         learning: f64 = 0.7;
         /// Time from a command to its force, s; none for one step, which it is here.
@@ -90,6 +92,12 @@ impl Force {
         within("cycles", f64::from(self.cycles), 1.0, 500.0)?;
         within("off_cycles", f64::from(self.off_cycles), 1.0, 500.0)?;
         within("stiffness", self.stiffness, 10.0, 1e6)?;
+        within("stiffness_guess", self.stiffness_guess, 10.0, 1e6)?;
+        self.amplitude.iter().try_for_each(|a| within("amplitude", *a, -10.0, 10.0))?;
+        self.tilt.iter().try_for_each(|t| within("tilt", *t, -10.0, 10.0))?;
+        self.bump_at.iter().try_for_each(|b| within("bump_at", *b, -1e3, 1e3))?;
+        within("phase", self.phase, -1e3, 1e3)?;
+        within("bump", self.bump, -1.0, 1.0)?;
         within("noise", self.noise, 0.0, 100.0)?;
         within("start_height", self.start_height, -0.05, 0.05)?;
         within("bump_width", self.bump_width, 1e-9, 1e9)?;
@@ -115,6 +123,7 @@ impl Force {
             stiffness: self.stiffness_guess,
             bandwidth: self.bandwidth,
             learning: self.learning,
+            max_speed: self.max_speed,
             delay: self.delay.unwrap_or(self.dt),
             ..SurfaceConfig::default()
         }

@@ -93,6 +93,7 @@ impl Experiment for HumanoidCoaching {
     const NAME: &'static str = "humanoid_coaching";
     const ABOUT: &'static str =
         "coach's hands push and pull the arm of ARMAR-III (Petric et al. 2014, Figs 6, 7, 9)";
+    const ALIASES: &'static [(&'static str, &'static str)] = &[("forgetting", "lambda")];
 
     fn run(&self) -> Result<Outcome, ReproduceError> {
         self.check()?;

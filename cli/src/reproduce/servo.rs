@@ -59,6 +59,11 @@ struct Frame {
 impl Experiment for Servo {
     const NAME: &'static str = "servo";
     const ABOUT: &'static str = "position-based visual servoing from a start pose to its target";
+    const ALIASES: &'static [(&'static str, &'static str)] = &[
+        ("gain_scale", "lambda_scale"),
+        ("position_tolerance", "tolerance_m"),
+        ("rotation_tolerance", "tolerance_deg"),
+    ];
 
     fn run(&self) -> Result<Outcome, ReproduceError> {
         self.check()?;
@@ -74,6 +79,9 @@ impl Servo {
         within("dt", self.dt, 1e-4, 1.0)?;
         within("lambda", self.lambda, 1e-3, 1.9 / self.dt)?;
         within("lambda_near", self.lambda_near.unwrap_or(self.lambda), 1e-3, 1.9 / self.dt)?;
+        let [x, y, z, a, b, c] = self.start;
+        [x, y, z].iter().try_for_each(|v| within("start", *v, -1e3, 1e3))?;
+        [a, b, c].iter().try_for_each(|v| within("start", *v, -360.0, 360.0))?;
         within("noise", self.noise, 0.0, 1.0)?;
         within("hand_eye_error_deg", self.hand_eye_error_deg, -180.0, 180.0)?;
         within("hand_eye_axis", Vector3::from(self.hand_eye_axis).norm(), 1e-9, 1e9)?;

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::phase::CanonicalSystem;
-use crate::error::{MotionError, positive, within};
+use crate::error::{MotionError, constant, kernel_width, within};
 
 /// The constants of a [`DiscretePeriodicDmp`](crate::DiscretePeriodicDmp); the defaults are the paper's.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -54,10 +54,10 @@ impl DiscretePeriodicConfig {
         within("discrete_kernels", self.discrete_kernels as f64, 2.0, 1024.0)?;
         within("periodic_kernels", self.periodic_kernels as f64, 2.0, 1024.0)?;
         if let Some(width) = self.periodic_width {
-            positive("periodic_width", width)?;
+            kernel_width("periodic_width", width, self.periodic_kernels)?;
         }
-        within("alpha_z", self.alpha_z, 1e-6, 1e6)?;
-        within("beta_z", self.beta_z, 1e-6, 1e6)?;
+        constant("alpha_z", self.alpha_z)?;
+        constant("beta_z", self.beta_z)?;
         within("ridge", self.ridge, 0.0, 1e6)?;
         self.canonical.validate()
     }

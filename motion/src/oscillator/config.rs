@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{MotionError, positive, within};
+use crate::error::{MotionError, constant, within};
 
 /// How phase and frequency follow the error.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -76,16 +76,16 @@ impl OscillatorConfig {
 
     pub(super) fn validate(&self) -> Result<(), MotionError> {
         within("harmonics", self.harmonics as f64, 1.0, 64.0)?;
-        positive("initial_hz", self.initial_hz)?;
-        positive("lowest_hz", self.lowest_hz)?;
+        constant("initial_hz", self.initial_hz)?;
+        constant("lowest_hz", self.lowest_hz)?;
         within("highest_hz", self.highest_hz, self.lowest_hz, 1000.0 * self.lowest_hz)?;
         within("bandwidth", self.bandwidth, 1e-4, 0.5)?;
         within("memory", self.memory, 0.5, 1000.0)?;
         if let OscillatorRule::Paper { coupling, learning } | OscillatorRule::Bare { coupling, learning } =
             self.rule
         {
-            positive("coupling", coupling)?;
-            positive("learning", learning)?;
+            constant("coupling", coupling)?;
+            constant("learning", learning)?;
         }
         Ok(())
     }

@@ -1,0 +1,73 @@
+//! The constants of the periodic primitive, and how it is integrated.
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{MotionError, constant, kernel_width, within};
+
+/// How the primitive is integrated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Integrator {
+    /// Exact for the linear part, the forcing term averaged over the step: stable for every step width.
+    #[default]
+    Exact,
+    /// Explicit Euler as in the papers' experiments; refuses steps that are too wide to be stable.
+    Euler,
+}
+
+/// The constants of a [`PeriodicDmp`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PeriodicDmpConfig {
+    /// Degrees of freedom n, at least 1.
+    pub dofs: usize,
+    /// Kernels N a degree of freedom, at least 2; 25 in the papers.
+    pub kernels: usize,
+    /// Kernel width h of (7), dimensionless; `2.5 N` if absent.
+    pub width: Option<f64>,
+    /// Stiffness constant of (4), 1 per rad of phase.
+    pub alpha_z: f64,
+    /// Damping constant of (4); `alpha_z / 4` makes it critically damped.
+    pub beta_z: f64,
+    /// Forgetting factor lambda of (9) for each 10 ms of learning, in (0, 1].
+    pub forgetting: f64,
+    /// P(0) of (9), which is also the most that P may grow to where a kernel is not visited.
+    pub initial_gain: f64,
+    /// How (4), (5) are integrated.
+    pub integrator: Integrator,
+}
+
+impl Default for PeriodicDmpConfig {
+    fn default() -> Self {
+        Self {
+            dofs: 1,
+            kernels: 25,
+            width: None,
+            alpha_z: 8.0,
+            beta_z: 2.0,
+            forgetting: 0.9995,
+            initial_gain: 1.0,
+            integrator: Integrator::Exact,
+        }
+    }
+}
+
+impl PeriodicDmpConfig {
+    /// The default constants for `dofs` degrees of freedom.
+    #[must_use]
+    pub fn with_dofs(dofs: usize) -> Self {
+        Self { dofs, ..Self::default() }
+    }
+
+    pub(super) fn validate(&self) -> Result<(), MotionError> {
+        within("dofs", self.dofs as f64, 1.0, 4096.0)?;
+        within("kernels", self.kernels as f64, 2.0, 4096.0)?;
+        if let Some(width) = self.width {
+            kernel_width("width", width, self.kernels)?;
+        }
+        constant("alpha_z", self.alpha_z)?;
+        constant("beta_z", self.beta_z)?;
+        within("forgetting", self.forgetting, 1e-6, 1.0)?;
+        constant("initial_gain", self.initial_gain)
+    }
+}

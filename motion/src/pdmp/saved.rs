@@ -1,0 +1,47 @@
+//! What is saved of a periodic primitive, and its checks when it is read back.
+
+use serde::{Deserialize, Serialize};
+
+use super::{PeriodicDmp, PeriodicDmpConfig};
+use crate::error::{MotionError, vector, within};
+
+/// The saved form: everything that makes the motion, not the instant that it was saved in.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Saved {
+    config: PeriodicDmpConfig,
+    centre: Vec<f64>,
+    amplitude: f64,
+    weights: Vec<f64>,
+    gain: Vec<f64>,
+}
+
+impl From<PeriodicDmp> for Saved {
+    fn from(dmp: PeriodicDmp) -> Self {
+        Self {
+            config: dmp.config,
+            centre: dmp.centre,
+            amplitude: dmp.amplitude,
+            weights: dmp.weights,
+            gain: dmp.gain,
+        }
+    }
+}
+
+impl TryFrom<Saved> for PeriodicDmp {
+    type Error = MotionError;
+
+    fn try_from(saved: Saved) -> Result<Self, MotionError> {
+        let mut dmp = Self::new(saved.config)?;
+        dmp.set_centre(&saved.centre)?;
+        dmp.set_amplitude(saved.amplitude)?;
+        dmp.set_weights(&saved.weights)?;
+        vector("gain", dmp.gain.len(), &saved.gain)?;
+        for p in &saved.gain {
+            within("gain", *p, 0.0, f64::MAX)?;
+        }
+        dmp.gain = saved.gain;
+        dmp.start_on_path(0.0, 1.0)?;
+        Ok(dmp)
+    }
+}
