@@ -17,7 +17,6 @@ mod hand;
 mod hand_eye;
 mod head;
 mod inputs;
-mod line;
 mod motions;
 pub mod observers;
 mod prior;

@@ -7,7 +7,7 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use armarium_memoryx::{EntityId, Snapshot};
-use armarium_motion::{Motion, PeriodicDmp};
+use armarium_motion::{Motion, PeriodicDmp, StraightLine};
 use armarium_robot::Sensed;
 use armarium_runtime::channels::Channels;
 use armarium_runtime::skill::{Failure, SkillContext};
@@ -18,7 +18,6 @@ use tokio::sync::broadcast;
 use crate::arm::{Arm, Senses};
 use crate::equipment::Equipment;
 use crate::inputs::{Inputs, as_pose};
-use crate::line::Line;
 use crate::motions::{self, failed};
 
 /// The pace (share of the learned frequency) changes at most this fast, 1/s.
@@ -124,10 +123,10 @@ impl Wiper {
     /// Brings the TCP on a straight line over the present point of the path, at height `z` m.
     pub(crate) async fn approach(&mut self, senses: &mut Senses, z: f64, speed: f64) -> Result<(), Failure> {
         let goal = self.pose(z);
-        let mut line = Line::new(self.arm.tcp(&senses.newest()), goal, speed);
+        let mut line = StraightLine::new(self.arm.tcp(&senses.newest()), goal, speed).map_err(failed)?;
         while !line.rested(0.3) {
             let (sample, dt) = senses.next().await?;
-            let point = line.step(dt);
+            let point = line.step(dt).map_err(failed)?;
             let error = self.arm.track(&sample, &point.pose, point.linear, point.angular)?;
             check_track(error)?;
         }

@@ -6,7 +6,7 @@
 
 use std::sync::Arc;
 
-use armarium_motion::rigid_fit;
+use armarium_motion::{StraightLine, rigid_fit};
 use armarium_robot::LinkId;
 use armarium_robot::postures::palm_down;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
@@ -19,7 +19,7 @@ use crate::equipment::{self, Equipment};
 use crate::frames::Frames;
 use crate::hand_eye::HandEye;
 use crate::inputs::{Inputs, as_point};
-use crate::line::Line;
+use crate::motions::failed;
 
 /// Places relative to the middle, m: spread in all three directions.
 const PLACES: [[f64; 3]; 6] = [
@@ -92,10 +92,10 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 }
 
 async fn go(arm: &mut Arm, senses: &mut Senses, tcp: Isometry3<f64>) -> Result<(), Failure> {
-    let mut line = Line::new(arm.tcp(&senses.newest()), tcp, 0.2);
+    let mut line = StraightLine::new(arm.tcp(&senses.newest()), tcp, 0.2).map_err(failed)?;
     while !line.rested(0.3) {
         let (sample, dt) = senses.next().await?;
-        let point = line.step(dt);
+        let point = line.step(dt).map_err(failed)?;
         arm.track(&sample, &point.pose, point.linear, point.angular)?;
     }
     Ok(())

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use armarium_motion::StraightLine;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use nalgebra::Isometry3;
@@ -9,7 +10,7 @@ use nalgebra::Isometry3;
 use crate::arm::{Arm, Senses};
 use crate::equipment::{self, Equipment};
 use crate::inputs::{Inputs, pose_value};
-use crate::line::Line;
+use crate::motions::failed;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new(
@@ -63,12 +64,12 @@ pub(crate) async fn move_to(
     speed: f64,
     reached: &Reached,
 ) -> SkillResult {
-    let mut line = Line::new(arm.tcp(&senses.newest()), target, speed);
+    let mut line = StraightLine::new(arm.tcp(&senses.newest()), target, speed).map_err(failed)?;
     let mut elapsed = 0.0;
     loop {
         let (sample, dt) = senses.next().await?;
         elapsed += dt;
-        let point = line.step(dt);
+        let point = line.step(dt).map_err(failed)?;
         arm.track(&sample, &point.pose, point.linear, point.angular)?;
         let tcp = arm.tcp(&sample);
         let distance = (target.translation.vector - tcp.translation.vector).norm();
