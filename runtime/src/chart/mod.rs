@@ -20,7 +20,7 @@ mod schema;
 mod targets;
 mod yaml;
 
-pub use catalog::{ChannelSchema, Registry};
+pub use catalog::{ChannelSchema, Refused, Registry};
 pub use compile::{Checked, check};
 pub(crate) use finding::suggest;
 pub use finding::{Finding, Severity, Source, Span, code};

@@ -141,15 +141,16 @@ impl Engine {
 
     fn send(&mut self, send: &Send, turn: &mut Turn<'_>) -> Result<(), Failed> {
         let data = self.optional(send.data.as_ref(), turn)?;
-        if let Some(to) = &send.to {
-            let to = self.evaluate(to, turn)?.as_str().unwrap_or_default().to_owned();
-            let event = turn.program.tables.symbols.name(send.event).to_owned();
-            turn.out.push(Effect::Send { event, to, data });
-            return Ok(());
+        let to = match &send.to {
+            None => None,
+            Some(term) => Some(self.evaluate(term, turn)?.as_str().unwrap_or_default().to_owned()),
+        };
+        if to.as_ref().is_some_and(String::is_empty) {
+            return Err(("`to` names no agent".into(), turn.program.place(send.place)));
         }
         let event = Event::new(send.event, data, Origin::Broadcast);
         let Some(delay) = &send.delay else {
-            self.queue(event, turn);
+            self.post(event, to, turn);
             return Ok(());
         };
         let seconds = self.evaluate(delay, turn)?.as_f64().unwrap_or(f64::NAN);
@@ -159,8 +160,17 @@ impl Engine {
         if self.timers.len() >= super::MAX_QUEUE {
             return Err(("too many delayed events are waiting".into(), turn.program.place(send.place)));
         }
-        self.start_timer(TimerUse::Send { id: send.id.clone(), event }, seconds, u64::MAX - 2, turn);
+        self.start_timer(TimerUse::Send { id: send.id.clone(), event, to }, seconds, u64::MAX - 2, turn);
         Ok(())
+    }
+
+    /// An event that was sent goes its way: to this chart, or to another agent.
+    pub(super) fn post(&mut self, event: Event, to: Option<String>, turn: &mut Turn<'_>) {
+        let Some(to) = to else { return self.queue(event, turn) };
+        let name = event.name(turn.program).to_owned();
+        let data = event.data().clone();
+        turn.trace(|_| TraceItem::Sent { name: name.clone(), to: to.clone(), data: data.clone() });
+        turn.out.push(Effect::Send { event: name, to, data });
     }
 
     /// An expression failed: `error.execution`, unless that is what is being handled.

@@ -21,7 +21,6 @@ impl Engine {
         self.runs[state as usize].extra.as_deref()
     }
 
-    /// Queues an event from outside.
     /// An event from outside. One whose data is not as its chart declares is not heard; `error.communication` says so.
     pub(super) fn event(&mut self, name: &str, data: Value, turn: &mut Turn<'_>) {
         let program = turn.program;
@@ -51,7 +50,7 @@ impl Engine {
     pub(super) fn timer(&mut self, timer: u64, turn: &mut Turn<'_>) {
         match self.timers.remove(&timer) {
             None => {}
-            Some(TimerUse::Send { event, .. }) => self.queue(event, turn),
+            Some(TimerUse::Send { event, to, .. }) => self.post(event, to, turn),
             Some(TimerUse::After { state, entry, transition }) => {
                 let path = turn.program.path(state);
                 let reason = format!("`{path}` had not ended when its time was up");

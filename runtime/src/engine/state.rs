@@ -58,7 +58,7 @@ pub(super) struct Extra {
 pub(super) enum TimerUse {
     After { state: StateId, entry: u64, transition: u32 },
     Retry { state: StateId, entry: u64 },
-    Send { id: Option<String>, event: Event },
+    Send { id: Option<String>, event: Event, to: Option<String> },
 }
 
 /// What a microstep does once all skills that it leaves have returned.
