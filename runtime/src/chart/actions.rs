@@ -74,7 +74,8 @@ impl<'l> Compiler<'l> {
                 }
                 ActionKind::Raise { event, data } => {
                     let data = self.data_of(state, event, data.as_ref(), source);
-                    compiled.push(Action::Raise { event: self.symbols.intern(&event.text), data });
+                    let event = self.symbols.intern(&event.text);
+                    compiled.push(Action::Raise { event, data, place });
                 }
                 ActionKind::Send { event, to, data, delay, id } => {
                     let symbol = self.symbols.intern(&event.text);

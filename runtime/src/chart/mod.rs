@@ -17,6 +17,7 @@ mod outline;
 mod read;
 mod read_state;
 mod schema;
+mod stack;
 mod targets;
 mod yaml;
 

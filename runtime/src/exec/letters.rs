@@ -104,7 +104,9 @@ impl Hearers {
                     continue;
                 }
                 if !controller.raise(event, data.clone()) {
-                    return Err(format!("the chart `{name}` has no room for `{event}`: too many events wait"));
+                    return Err(format!(
+                        "the chart `{name}` has no room for `{event}`: too many events wait"
+                    ));
                 }
                 heard += 1;
             }
@@ -184,7 +186,6 @@ fn undelivered(letter: &Letter, why: &str) -> Message {
     let Letter { to, event, .. } = letter;
     let reason = format!("`{event}` cannot be sent to `{to}`: {why}");
     tracing::warn!("{reason}");
-    let data =
-        [("reason", reason.into()), ("event", event.as_str().into()), ("to", to.as_str().into())];
+    let data = [("reason", reason.into()), ("event", event.as_str().into()), ("to", to.as_str().into())];
     Message::Event { name: "error.communication".into(), data: Value::record(data) }
 }

@@ -5,10 +5,13 @@ use roxmltree::{Document as Xml, Node, ParsingOptions};
 use super::{ImportError, MAX_BYTES};
 
 const NAMESPACE: &str = "http://www.w3.org/2005/07/scxml";
+const XINCLUDE: &str = "http://www.w3.org/2001/XInclude";
 /// Deepest nesting of elements; 60 levels of states are within it.
 const MAX_DEPTH: usize = 150;
 /// Deepest nesting of `<if>`: each `elseif` becomes a level of the chart's text.
 const MAX_IFS: usize = 20;
+/// Deepest nesting of JSON.
+const MAX_JSON: usize = 20;
 /// Most elements and texts.
 const MAX_NODES: u32 = 4_000_000;
 
@@ -20,6 +23,8 @@ pub(super) type Index = usize;
 pub(super) struct Document {
     pub(super) name: Option<String>,
     pub(super) states: Vec<State>,
+    /// What tools have left in the document beside SCXML: elements with their lines.
+    pub(super) foreign: Vec<(u32, String)>,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -99,7 +104,21 @@ pub(super) struct Send {
     pub(super) kind: Option<Text>,
     pub(super) delay: Option<Text>,
     pub(super) id: Option<String>,
-    pub(super) data: Vec<(String, Code)>,
+    pub(super) data: Payload,
+}
+
+/// What goes with an event: named values, or one value.
+#[derive(Debug, Default)]
+pub(super) struct Payload {
+    pub(super) fields: Vec<(String, Code)>,
+    pub(super) content: Option<Content>,
+}
+
+#[derive(Debug)]
+pub(super) enum Content {
+    Expr(Code),
+    /// JSON, or a text.
+    Written(serde_json::Value),
 }
 
 /// Reads a document. What cannot be carried over is added to `errors`.
@@ -110,6 +129,7 @@ pub(super) fn document(text: &str, errors: &mut Vec<ImportError>) -> Option<Docu
         return None;
     }
     let options = ParsingOptions { allow_dtd: false, nodes_limit: MAX_NODES, ..ParsingOptions::default() };
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     // White space before the declaration is a mistake that many tools forgive.
     let lead = text.len() - text.trim_start().len();
     let xml = match Xml::parse_with_options(&text[lead..], options) {
@@ -162,6 +182,16 @@ impl<'x> Reader<'x, '_> {
         Some(tag.name())
     }
 
+    /// As [`Self::element`], where other elements only say something to the tools that wrote them.
+    fn element_or_foreign(&mut self, node: Node<'x, 'x>) -> Option<&'x str> {
+        let space = node.tag_name().namespace();
+        if node.is_element() && space.is_some_and(|space| space != NAMESPACE && space != XINCLUDE) {
+            self.document.foreign.push((self.line(node), node.tag_name().name().to_owned()));
+            return None;
+        }
+        self.element(node)
+    }
+
     fn unknown(&mut self, node: Node<'x, 'x>, inside: &str) {
         let name = node.tag_name().name();
         let message = match name {
@@ -206,7 +236,7 @@ impl<'x> Reader<'x, '_> {
         let initial = self.initial_attribute(node);
         self.document.states.push(State { line: self.line(node), initial, ..State::default() });
         for child in node.children() {
-            match self.element(child) {
+            match self.element_or_foreign(child) {
                 None => {}
                 Some("state" | "parallel" | "final" | "history") => self.state(child, 0, 1),
                 Some("datamodel") if child.children().all(|c| !c.is_element()) => {}
@@ -244,7 +274,7 @@ impl<'x> Reader<'x, '_> {
         self.document.states.push(state);
         self.document.states[parent].children.push(at);
         for child in node.children() {
-            let Some(name) = self.element(child) else { continue };
+            let Some(name) = self.element_or_foreign(child) else { continue };
             match (name, kind) {
                 ("transition", Kind::History { .. }) => self.entry(child, at),
                 ("transition", Kind::State | Kind::Parallel) => {
@@ -264,7 +294,12 @@ impl<'x> Reader<'x, '_> {
                 | ("state" | "parallel" | "history", Kind::Parallel) => self.state(child, at, depth + 1),
                 ("donedata", Kind::Final) => {
                     let data = self.data(child, "donedata");
-                    self.document.states[at].data = data;
+                    if data.content.is_some() {
+                        let message = "`<content>` of `<donedata>` cannot be carried over: what a final state tells \
+                                       has names, as `<param>`";
+                        self.error(child, message);
+                    }
+                    self.document.states[at].data = data.fields;
                 }
                 ("datamodel", _) if child.children().all(|c| !c.is_element()) => {}
                 _ => self.unknown(child, node.tag_name().name()),
@@ -388,7 +423,7 @@ impl<'x> Reader<'x, '_> {
 
     fn send(&mut self, node: Node<'x, 'x>) -> Option<Action> {
         for attribute in ["idlocation", "namelist"] {
-            if node.has_attribute(attribute) {
+            if node.attribute(attribute).is_some_and(|a| !a.trim().is_empty()) {
                 let message =
                     format!("`{attribute}` of `<send>` needs a data model and cannot be carried over");
                 self.error(node, message);
@@ -409,25 +444,46 @@ impl<'x> Reader<'x, '_> {
         }))
     }
 
-    /// The `<param>`s of a `<send>` or a `<donedata>`.
-    fn data(&mut self, node: Node<'x, 'x>, inside: &str) -> Vec<(String, Code)> {
-        let mut data = Vec::new();
+    /// What a `<send>` or a `<donedata>` gives.
+    fn data(&mut self, node: Node<'x, 'x>, inside: &str) -> Payload {
+        let mut data = Payload::default();
         for child in node.children() {
             match self.element(child) {
                 None => {}
                 Some("param") => match (child.attribute("name"), self.code(child, "expr")) {
-                    (Some(name), Some(code)) => data.push((name.to_owned(), code)),
+                    (Some(name), Some(code)) => data.fields.push((name.to_owned(), code)),
                     _ => self.error(child, "`<param>` is carried over with `name` and `expr`"),
                 },
-                Some("content") => {
-                    let message =
-                        "`<content>` cannot be carried over: an event's data has names, as `<param>`";
-                    self.error(child, message);
-                }
+                Some("content") => data.content = self.content(child),
                 Some(_) => self.unknown(child, inside),
             }
         }
+        if data.content.is_some() && !data.fields.is_empty() {
+            self.error(node, format!("`<{inside}>` has `<param>` or `<content>`, not both"));
+        }
         data
+    }
+
+    /// One value: an expression, JSON, or a text with its white space made single spaces.
+    fn content(&mut self, node: Node<'x, 'x>) -> Option<Content> {
+        if node.children().any(|child| child.is_element()) {
+            self.error(node, "`<content>` with elements cannot be carried over: XML is no value here");
+            return None;
+        }
+        if let Some(code) = self.code(node, "expr") {
+            return Some(Content::Expr(code));
+        }
+        let text = node.text().unwrap_or("").trim();
+        if text.is_empty() {
+            return None;
+        }
+        let spaced = || serde_json::Value::String(words(text).join(" "));
+        let value = serde_json::from_str(text).unwrap_or_else(|_| spaced());
+        if deeper(&value, MAX_JSON) {
+            self.error(node, format!("the JSON of `<content>` is nested deeper than {MAX_JSON} levels"));
+            return None;
+        }
+        Some(Content::Written(value))
     }
 
     fn choice(&mut self, node: Node<'x, 'x>, depth: usize) -> Action {
@@ -452,6 +508,16 @@ impl<'x> Reader<'x, '_> {
             self.error(node, format!("`<{}>` needs a `cond`", node.tag_name().name()));
         }
         code
+    }
+}
+
+/// Whether lists and maps stand inside one another in more than `levels` levels.
+fn deeper(value: &serde_json::Value, levels: usize) -> bool {
+    let below = |value: &serde_json::Value| levels == 0 || deeper(value, levels - 1);
+    match value {
+        serde_json::Value::Array(items) => items.iter().any(below),
+        serde_json::Value::Object(fields) => fields.values().any(below),
+        _ => false,
     }
 }
 

@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use super::ImportError;
 use super::expression::{self, Expr, Scope};
 use super::names::{Names, ancestors};
-use super::read::{Action, Code, Document, Entry, Index, Kind, Send, State, Text, Transition};
-use super::yaml::{cel_string, comment, literal, quoted, scalar};
+use super::read::{Action, Code, Content, Document, Entry, Index, Kind, Send, State, Text, Transition};
+use super::yaml::{cel_string, comment, json, literal, quoted, scalar};
 
 /// The events of SCXML's own that a chart need not declare.
 const KNOWN: [&str; 2] = ["error.execution", "error.communication"];
@@ -42,6 +42,9 @@ impl Writer<'_> {
             0,
             "# by token prefix. States whose names the language does not allow have SCXML's beside them.",
         );
+        for (line, name) in &self.document.foreign {
+            self.line(0, &format!("# `<{}>` (line {line}) is not SCXML: it is left out.", comment(name)));
+        }
         let chart = scalar(&self.names.chart);
         self.line(0, &format!("statechart: {chart}"));
         let events = self.events();
@@ -364,7 +367,12 @@ impl Writer<'_> {
         let event = self.event(event.trim());
         let target = send.target.as_ref().and_then(|t| self.text(at, t));
         let kind = send.kind.as_ref().and_then(|t| self.text(at, t));
-        let data = if send.data.is_empty() { None } else { Some(self.fields(at, &send.data)) };
+        let data = match &send.data.content {
+            Some(Content::Written(value)) => Some(json(value)),
+            Some(Content::Expr(code)) => self.expression(at, code).map(|value| value_of(&value)),
+            None if send.data.fields.is_empty() => None,
+            None => Some(self.fields(at, &send.data.fields)),
+        };
         let delay = send.delay.as_ref().and_then(|t| self.text(at, t));
         let delay = delay.and_then(|text| {
             let milliseconds = milliseconds(&text);
