@@ -209,7 +209,8 @@ states:
 ";
     std::fs::write(folder.path().join("bob/listen.yaml"), listen).unwrap();
     let (_bob, endpoint) = agent(folder.path());
-    let args = ["run", "main.yaml", "--name", "alice", "--connect", &endpoint, "--store", "own.redb", "--verbose"];
+    let args =
+        ["run", "main.yaml", "--name", "alice", "--connect", &endpoint, "--store", "own.redb", "--verbose"];
     let (status, said) = Running::start(folder.path(), &args).end();
     assert_eq!(status, Some(0), "{said}");
     assert!(said.contains("alice listens on tcp/127.0.0.1:"), "{said}");

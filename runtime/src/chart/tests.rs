@@ -79,7 +79,7 @@ fn mistakes_are_found_with_code_place_and_help() {
         (states("{transitions: {t: B}}") + "events: {t: {data: {n: itn}}}\n", code::DECLARED_TYPE, "itn", "did you mean `int`"),
         (states("{transitions: [{target: B}]}"), code::MISSING_KEY, "{target", "event"),
         (states("3"), code::FORM, "3", "a map is needed"),
-        ("statechart: T\ninitial: A\nstates: {A: {}, A: {}}\n".into(), code::YAML, "", "duplicate"),
+        ("statechart: T\ninitial: A\nstates: {A: {}, A: {}}\n".into(), code::YAML, "A: {}}", "there twice"),
         ("statechart: T\nstates: {A: {}}\n".into(), code::MISSING_KEY, "T", "initial"),
         ("statechart: T\ninputs: {x: {type: flaot}}\ninitial: A\nstates: {A: {}}\n".into(), code::DECLARED_TYPE, "flaot", "did you mean `float`"),
         ("statechart: T\ninputs: {x: {type: float, default: 9.0, maximum: 5.0}}\ninitial: A\nstates: {A: {}}\n".into(), code::TYPE, "9.0", "outside"),

@@ -193,16 +193,17 @@ fn explained(error: &serde_saphyr::Error) -> (String, Option<String>) {
         E::AliasReplayLimitExceeded { .. }
         | E::AliasExpansionLimitExceeded { .. }
         | E::AliasReplayStackDepthExceeded { .. } => aliases,
-        E::Budget { breach, .. } if format!("{breach:?}").starts_with("Depth") => deep,
-        E::Budget { breach, .. } if format!("{breach:?}").contains("nchor") => aliases,
-        E::Budget { .. } => ("it has too many parts", "use `statechart:` for parts in files of their own"),
         other => {
             let text = other.to_string();
             let first = text.lines().next().unwrap_or("").trim_start_matches("error: ");
             // The place is said by the finding.
             let first = first.split(" at line ").next().unwrap_or(first).to_owned();
-            if first.contains("recursion limit") {
+            if first.contains("recursion limit") || first.contains("Depth {") {
                 deep
+            } else if first.contains("budget breached") && first.contains("nchor") {
+                aliases
+            } else if first.contains("budget breached") {
+                ("it has too many parts", "use `statechart:` for parts in files of their own")
             } else if first.contains("tab") {
                 return (first, Some("indent with spaces".into()));
             } else {

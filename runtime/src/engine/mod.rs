@@ -355,6 +355,8 @@ mod cases;
 #[cfg(test)]
 mod hostile;
 #[cfg(test)]
+mod nested;
+#[cfg(test)]
 mod properties;
 #[cfg(test)]
 mod tests;
