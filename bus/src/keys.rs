@@ -8,6 +8,7 @@
 //! {agent}/image/{provider}/{coding}                the same frames as PNG or JPEG
 //! {agent}/robot/state, {agent}/robot/command
 //! {agent}/chart/{Chart}                            queryable: start, cancel, outcome
+//! {agent}/event                                    queryable: an event for the charts that run there
 //! {agent}/trace/{run}                              the droppable stream for viewers
 //! {agent}/alive/{service}                          liveliness token
 //! ```
@@ -158,6 +159,14 @@ pub fn robot_command(agent: &str) -> Result<Key, KeyError> {
 /// [`KeyError`].
 pub fn chart(agent: &str, chart: &str) -> Result<Key, KeyError> {
     key(&[agent, "chart", chart])
+}
+
+/// Where an agent's charts are told events.
+///
+/// # Errors
+/// [`KeyError`].
+pub fn event(agent: &str) -> Result<Key, KeyError> {
+    key(&[agent, "event"])
 }
 
 /// The charts and skills that agents offer.

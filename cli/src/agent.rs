@@ -3,26 +3,22 @@
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
 
-use armarium_bus::{AliveToken, Session, SessionError, keys};
+use armarium_bus::Session;
 use armarium_memoryx::MemoryServer;
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::{self, Registry};
-use armarium_runtime::exec::{ChartSkill, Stop};
-use armarium_runtime::remote::{Agents, Offers, serve};
+use armarium_runtime::exec::{ChartSkill, Others, Stop};
+use armarium_runtime::remote::{Agents, Offers, hear, serve};
 use armarium_simulator::World;
 use armarium_states::observers;
 use armarium_viewer::progress::Progress;
 
 use crate::catalog;
-use crate::connection::{Connection, ConnectionArgs};
+use crate::connection::{Connection, ConnectionArgs, be_the_only_one};
 use crate::logging;
 use crate::render_findings::{Shown, any_error, render, summary};
 use crate::stage::Stage;
-
-/// How long another agent of the same name is looked for.
-const LOOKED: Duration = Duration::from_millis(500);
 
 /// What `agent` takes.
 #[derive(Clone, Debug, clap::Args)]
@@ -89,7 +85,7 @@ async fn offer(
     agents: &Agents,
     out: &mut dyn Write,
 ) -> Result<(), NotBegun> {
-    let _alive = be_the_only_one(session, &args.name).await?;
+    let _alive = be_the_only_one(session, &args.name).await.map_err(message)?;
     let world = match &args.world {
         None => World::default(),
         Some(file) => World::load(file)
@@ -108,11 +104,12 @@ async fn offer(
 
     let mut registry = catalog::registry(&stage.equipment);
     let mut offers = Offers::new(&args.name, session, channels.clone(), Arc::clone(&stop));
+    let others = Others { post: Some(Arc::new(agents.clone())), ..Others::default() };
     let mut charts = Vec::new();
     for file in chart_files(&args.offered).map_err(message)? {
         let chart = load(&file, &args.charts, &mut registry, agents, &stop, out).await?;
-        charts.push(chart.name.clone());
-        offers.add(Arc::new(chart.skill)).map_err(message)?;
+        charts.push(chart.name);
+        offers.add(Arc::new(chart.skill.among(others.clone()))).map_err(message)?;
     }
     let skills: Vec<String> = registry.manifests().map(|m| m.name.clone()).collect();
     for name in &skills {
@@ -128,6 +125,7 @@ async fn offer(
         biased;
         () = stopped() => {}
         ended = serve(session, offers) => ended.map_err(message)?,
+        ended = hear(session, &args.name, others.hearers) => ended.map_err(message)?,
     }
     stage.robot.stop("the agent ends");
     stage.handle.stop();
@@ -136,16 +134,6 @@ async fn offer(
         writeln!(out, "warning: what was learned was not kept: {error}").map_err(message)?;
     }
     Ok(())
-}
-
-/// Takes the agent's name, unless another process has it.
-async fn be_the_only_one(session: &Session, name: &str) -> Result<AliveToken, NotBegun> {
-    let others = keys::alive_pattern(Some(name), Some("agent")).map_err(message)?;
-    let mut roll = session.watch_alive(&others, 16).await.map_err(message)?;
-    if let Ok(Some(_)) = tokio::time::timeout(LOOKED, roll.next()).await {
-        return Err(NotBegun::Message(format!("there is an agent called `{name}` already")));
-    }
-    session.alive(&keys::alive(name, "agent").map_err(message)?).await.map_err(message)
 }
 
 struct Chart {
@@ -228,11 +216,5 @@ async fn stopped() {
         biased;
         _ = interrupted => {}
         _ = terminated.recv() => {}
-    }
-}
-
-impl From<SessionError> for NotBegun {
-    fn from(error: SessionError) -> Self {
-        message(error)
     }
 }

@@ -104,6 +104,7 @@ impl Chronicle {
             }
             TraceItem::Event { name, .. } => self.mark_event(name, t_ns),
             TraceItem::Log { state, text } => self.say(story, t_s, state, text),
+            TraceItem::Sent { name, to, .. } => self.say(story, t_s, to, &format!("is sent {name}")),
             TraceItem::Error { message, place } => self.say(story, t_s, place, message),
             TraceItem::Retry { state, attempt, reason } => {
                 self.say(story, t_s, state, &format!("try {} after: {reason}", attempt + 1));

@@ -3,9 +3,14 @@
 //! Charts in virtual time run on one thread with a clock that stands; the network does not. So the session has a
 //! runtime beside.
 
-use armarium_bus::{Session, SessionConfig, SessionError};
+use std::time::Duration;
+
+use armarium_bus::{AliveToken, Session, SessionConfig, SessionError, keys};
 use armarium_runtime::remote::Agents;
 use tokio::runtime::Runtime;
+
+/// How long another agent of the same name is looked for.
+const LOOKED: Duration = Duration::from_millis(500);
 
 /// Where other agents are.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -40,12 +45,12 @@ pub(crate) struct Connection {
 }
 
 impl Connection {
-    /// Opens a session when the options ask for one.
+    /// Opens a session when the options ask for one, or when this process is to be called by a name.
     ///
     /// # Errors
     /// One sentence for people.
-    pub(crate) fn if_asked(args: &ConnectionArgs) -> Result<Option<Self>, String> {
-        if args.connect.is_empty() && args.listen.is_empty() {
+    pub(crate) fn if_asked(args: &ConnectionArgs, named: bool) -> Result<Option<Self>, String> {
+        if args.connect.is_empty() && args.listen.is_empty() && !named {
             return Ok(None);
         }
         Self::open(args).map(Some)
@@ -74,6 +79,21 @@ impl Connection {
     pub(crate) fn runtime(&self) -> &Runtime {
         self.runtime.as_ref().expect("the runtime is only taken when the connection ends")
     }
+}
+
+/// Takes an agent's name, unless another process has it.
+///
+/// # Errors
+/// One sentence for people.
+pub(crate) async fn be_the_only_one(session: &Session, name: &str) -> Result<AliveToken, String> {
+    let words = |error: SessionError| error.to_string();
+    let others = keys::alive_pattern(Some(name), Some("agent")).map_err(|e| e.to_string())?;
+    let mut roll = session.watch_alive(&others, 16).await.map_err(words)?;
+    if let Ok(Some(_)) = tokio::time::timeout(LOOKED, roll.next()).await {
+        return Err(format!("there is an agent called `{name}` already: choose another --name"));
+    }
+    let key = keys::alive(name, "agent").map_err(|e| e.to_string())?;
+    session.alive(&key).await.map_err(words)
 }
 
 impl Drop for Connection {

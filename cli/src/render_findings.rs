@@ -9,7 +9,10 @@ use std::sync::Arc;
 
 use armarium_runtime::chart::Finding;
 use armarium_simulator::WorldError;
-use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, NamedSource, SourceCode};
+use miette::{
+    Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, MietteError, MietteSpanContents,
+    NamedSource, SourceCode, SourceSpan, SpanContents,
+};
 use serde::Serialize;
 
 /// How much a finding matters.
@@ -100,6 +103,42 @@ pub(crate) fn render(findings: &[Shown], colour: bool, width: usize) -> String {
     out
 }
 
+/// Longest line that is shown whole, and how much of a longer one is shown before the place, bytes.
+const LONGEST_LINE: usize = 200;
+const BEFORE: usize = 80;
+
+/// A text with the same number of lines whose long ones near a place are cut, and the place in it; nothing where none is.
+fn shortened(text: &str, (start, length): (usize, usize)) -> Option<(String, (usize, usize))> {
+    let first = text.get(..start)?.matches('\n').count();
+    let near = |line: usize| line.abs_diff(first) <= 1;
+    if !text.split('\n').enumerate().any(|(at, line)| near(at) && line.len() > LONGEST_LINE) {
+        return None;
+    }
+    let column = start - text[..start].rfind('\n').map_or(0, |at| at + 1);
+    let (mut short, mut place) = (String::new(), (start, length));
+    for (at, line) in text.split('\n').enumerate() {
+        if at > 0 {
+            short.push('\n');
+        }
+        if !near(at) {
+            continue;
+        }
+        let from = line.floor_char_boundary(if at == first { column.saturating_sub(BEFORE) } else { 0 });
+        let to = line.floor_char_boundary(from + LONGEST_LINE);
+        if from > 0 {
+            short.push_str("... ");
+        }
+        if at == first {
+            place = (short.len() + column - from, length.min(to.saturating_sub(column)));
+        }
+        short.push_str(&line[from..to]);
+        if to < line.len() {
+            short.push_str(" ...");
+        }
+    }
+    Some((short, place))
+}
+
 /// A finding on one line.
 fn plain(finding: &Shown) -> String {
     let Shown { file, line, column, message, .. } = finding;
@@ -118,19 +157,57 @@ pub(crate) fn any_error(findings: &[Shown]) -> bool {
     findings.iter().any(|finding| finding.severity == Severity::Error)
 }
 
+/// A file's text, or what is left of it where its lines are very long.
+#[derive(Debug)]
+struct Cut {
+    text: NamedSource<Arc<str>>,
+    /// How many columns the place has lost.
+    columns: usize,
+}
+
+impl SourceCode for Cut {
+    fn read_span<'a>(
+        &'a self,
+        span: &SourceSpan,
+        lines_before: usize,
+        lines_after: usize,
+    ) -> Result<Box<dyn SpanContents<'a> + 'a>, MietteError> {
+        let found = self.text.read_span(span, lines_before, lines_after)?;
+        if self.columns == 0 || lines_before + lines_after > 0 {
+            return Ok(found);
+        }
+        // What the head of a finding says is the place in the file.
+        let (line, column) = (found.line(), found.column() + self.columns);
+        let name = found.name().unwrap_or_default().to_owned();
+        let (data, span, lines) = (found.data(), *found.span(), found.line_count());
+        Ok(Box::new(MietteSpanContents::new_named(name, data, span, line, column, lines)))
+    }
+}
+
 /// A finding with the text that it points into.
 #[derive(Debug)]
 struct Rendered<'a> {
     finding: &'a Shown,
-    source: Option<NamedSource<Arc<str>>>,
+    source: Option<Cut>,
+    span: (usize, usize),
 }
 
 impl<'a> Rendered<'a> {
     fn new(finding: &'a Shown, text: Option<Arc<str>>) -> Self {
-        let source = text
-            .filter(|text| finding.line > 0 && finding.span.0 <= text.len())
-            .map(|text| NamedSource::new(finding.file.display().to_string(), text));
-        Self { finding, source }
+        let mut span = finding.span;
+        let source = text.filter(|text| finding.line > 0 && span.0 <= text.len()).map(|text| {
+            let column = |text: &str, at: usize| at - text[..at].rfind('\n').map_or(0, |line| line + 1);
+            let (text, columns) = match shortened(&text, span) {
+                None => (text, 0),
+                Some((short, place)) => {
+                    let lost = column(&text, span.0).saturating_sub(column(&short, place.0));
+                    span = place;
+                    (short.into(), lost)
+                }
+            };
+            Cut { text: NamedSource::new(finding.file.display().to_string(), text), columns }
+        });
+        Self { finding, source, span }
     }
 }
 
@@ -167,8 +244,8 @@ impl Diagnostic for Rendered<'_> {
 
     fn labels(&self) -> Option<Box<dyn Iterator<Item = LabeledSpan> + '_>> {
         let source = self.source.as_ref()?;
-        let (start, length) = self.finding.span;
-        let length = length.clamp(1, source.inner().len().saturating_sub(start).max(1));
+        let (start, length) = self.span;
+        let length = length.clamp(1, source.text.inner().len().saturating_sub(start).max(1));
         Some(Box::new(std::iter::once(LabeledSpan::underline((start, length)))))
     }
 }
@@ -216,6 +293,19 @@ mod tests {
         for span in [(0, 1), (1, 1), (3, 0), (3, 900), (900, 1)] {
             assert!(render(&[finding(&file, 1, span)], true, 80).contains("MoveJonts"), "{span:?}");
         }
+    }
+
+    #[test]
+    fn a_very_long_line_is_cut_and_its_place_kept() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let file = folder.path().join("a.yaml");
+        let line = format!("{}MoveJonts{}", "é".repeat(1000), "y".repeat(1000));
+        std::fs::write(&file, format!("a\n{line}\n{line}\n")).expect("the folder can be written");
+        let text = render(&[finding(&file, 2, (2002, 9))], false, 200);
+        assert!(text.contains("a.yaml:2:") && text.lines().all(|line| line.chars().count() < 260), "{text}");
+        let at = |mark: &str| text.lines().position(|line| line.contains(mark)).expect(mark);
+        let marked = text.lines().nth(at("éMoveJonts") + 1).expect("there is a line for the caret");
+        assert_eq!(marked.matches('─').count(), 9, "{text}");
     }
 
     #[test]

@@ -6,12 +6,13 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use armarium_bus::AliveToken;
 use armarium_memoryx::Memory;
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::Finding;
 use armarium_runtime::engine::Program;
-use armarium_runtime::exec::{Controller, ExecOptions, Executor, RunResult};
-use armarium_runtime::remote::Agents;
+use armarium_runtime::exec::{Controller, ExecOptions, Executor, Hearers, Others, Post, RunResult};
+use armarium_runtime::remote::{Agents, hear};
 use armarium_runtime::skill::Limits;
 use armarium_runtime::trace::TraceSink;
 use armarium_simulator::{TruthSink, World};
@@ -22,7 +23,7 @@ use armarium_viewer::recorder::Recorder;
 
 use crate::catalog;
 use crate::chronicle::{Chronicle, Story};
-use crate::connection::{Connection, ConnectionArgs};
+use crate::connection::{Connection, ConnectionArgs, be_the_only_one};
 use crate::gallery::Gallery;
 use crate::judge::{self, Case, JointLog};
 use crate::logging;
@@ -64,6 +65,9 @@ pub(crate) struct RunArgs {
     /// As fast as the machine (`max`), or in real time (`1`). With other agents it is real time.
     #[arg(long, value_enum, default_value_t = Speed::Max)]
     pub(crate) speed: Speed,
+    /// The name by which other agents can send events to this run.
+    #[arg(long)]
+    pub(crate) name: Option<String>,
     #[command(flatten)]
     pub(crate) connection: ConnectionArgs,
     /// Record the run for `armarium replay`.
@@ -119,15 +123,24 @@ enum NotBegun {
 /// When `out` or a report cannot be written.
 pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
     let began = Instant::now();
-    let connection = match Connection::if_asked(&args.connection) {
+    let connection = match Connection::if_asked(&args.connection, args.name.is_some()) {
         Ok(connection) => connection,
         Err(message) => return writeln!(out, "error: {message}").map(|()| 2),
     };
-    let agents = connection.as_ref().map(|connection| connection.agents("armarium run"));
+    let caller = args.name.as_deref().unwrap_or("armarium run");
+    let agents = connection.as_ref().map(|connection| connection.agents(caller));
+    let others = Others { post: agents.clone().map(|a| Arc::new(a) as Arc<dyn Post>), ..Others::default() };
+    let _hears = match (&connection, &args.name) {
+        (Some(connection), Some(name)) => match listen(connection, name, &others.hearers, out)? {
+            Ok(hears) => Some(hears),
+            Err(message) => return writeln!(out, "error: {message}").map(|()| 2),
+        },
+        _ => None,
+    };
     let mut builder = tokio::runtime::Builder::new_current_thread();
     builder.enable_all().start_paused(args.speed == Speed::Max && agents.is_none());
     let runtime = builder.build()?;
-    match runtime.block_on(perform(args, began, agents.as_ref(), out)) {
+    match runtime.block_on(perform(args, began, agents.as_ref(), others, out)) {
         Ok(status) => Ok(status),
         Err(NotBegun::Message(message)) => {
             writeln!(out, "error: {message}")?;
@@ -138,6 +151,31 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
             Ok(2)
         }
     }
+}
+
+/// Takes a name, and lets the run hear what other agents send to it, on the connection's threads. Gives what keeps the name.
+fn listen(
+    connection: &Connection,
+    name: &str,
+    hearers: &Hearers,
+    out: &mut dyn Write,
+) -> io::Result<Result<AliveToken, String>> {
+    let (session, threads) = (&connection.session, connection.runtime());
+    let alive = match threads.block_on(be_the_only_one(session, name)) {
+        Ok(alive) => alive,
+        Err(message) => return Ok(Err(message)),
+    };
+    let (hearing, called, hearers) = (session.clone(), name.to_owned(), hearers.clone());
+    threads.spawn(async move {
+        if let Err(error) = hear(&hearing, &called, hearers).await {
+            tracing::error!("other agents cannot send events to `{called}`: {error}");
+        }
+    });
+    for endpoint in threads.block_on(session.endpoints()) {
+        writeln!(out, "{name} listens on {endpoint}")?;
+    }
+    out.flush()?;
+    Ok(Ok(alive))
 }
 
 fn show(findings: &[Shown], out: &mut dyn Write) -> io::Result<()> {
@@ -159,6 +197,7 @@ async fn perform(
     args: &RunArgs,
     began: Instant,
     agents: Option<&Agents>,
+    others: Others,
     out: &mut dyn Write,
 ) -> Result<u8, NotBegun> {
     let world = load_world(args.world.as_deref())?;
@@ -209,6 +248,7 @@ async fn perform(
         limits: Limits::default(),
         sink: Some(recorded(args, inputs, Box::new(chronicle.clone()))?),
         on_stuck: Some(Box::new(move |state| robot.stop(&format!("the skill of `{state}` does not return")))),
+        others,
     };
     let executor = Executor::new(program, registry, channels.clone(), options).map_err(begin_error)?;
     // Robot and skills share one thread here: where a skill blocks it, no report can be written any more.

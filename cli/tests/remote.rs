@@ -175,6 +175,49 @@ states:
 }
 
 #[test]
+fn charts_of_two_processes_send_each_other_events() {
+    let folder = folder(
+        "
+statechart: Main
+events: {bye: {data: {word: string}}}
+initial: Both
+states:
+  Both:
+    parallel:
+      Work: {remote: bob/Listen}
+      Talk:
+        initial: Knock
+        states:
+          Knock:
+            enter: [{send: {event: hello, to: bob/Listen, data: {word: hi}}}]
+            transitions: {error.communication: Again}
+          Again: {after: {50ms: Knock}}
+    transitions: {bye: {target: Done, if: event.data.word == 'hi'}, failure: Failed}
+  Done:   {final: success}
+  Failed: {final: failure}
+",
+    );
+    let listen = "
+statechart: Listen
+events: {hello: {data: {word: string}}}
+initial: Listening
+states:
+  Listening:
+    transitions:
+      hello: {target: Done, do: [{send: {event: bye, to: alice, data: {word: \"${event.data.word}\"}}}]}
+  Done: {final: success}
+";
+    std::fs::write(folder.path().join("bob/listen.yaml"), listen).unwrap();
+    let (_bob, endpoint) = agent(folder.path());
+    let args =
+        ["run", "main.yaml", "--name", "alice", "--connect", &endpoint, "--store", "own.redb", "--verbose"];
+    let (status, said) = Running::start(folder.path(), &args).end();
+    assert_eq!(status, Some(0), "{said}");
+    assert!(said.contains("alice listens on tcp/127.0.0.1:"), "{said}");
+    assert!(said.contains("bob/Listen: is sent hello"), "{said}");
+}
+
+#[test]
 fn the_memory_of_an_agent_can_be_read_and_written() {
     let folder = folder(WAITING);
     let (_bob, endpoint) = agent(folder.path());

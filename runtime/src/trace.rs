@@ -52,6 +52,15 @@ pub enum TraceItem {
         /// The unbreakable state.
         state: String,
     },
+    /// An event goes to another agent.
+    Sent {
+        /// Its name.
+        name: String,
+        /// The agent, or `agent/Chart`.
+        to: String,
+        /// What comes with it.
+        data: Value,
+    },
     /// A transition was chosen.
     Transition {
         /// The state that it is written at.

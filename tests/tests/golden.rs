@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use armarium_runtime::chart::{self, ChannelSchema, Registry};
+use armarium_runtime::chart::{self, ChannelSchema, Refused, Registry};
 use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_tests::repository;
 use armarium_values::{Type, Unit};
@@ -36,7 +36,8 @@ fn registry() -> Registry {
     // What the agent bob offers, and what it was asked for in vain.
     let dance = SkillManifest::new("bob/Dance", "Dances.").input("steps", Type::Int, "How many.");
     registry.add_remote(Arc::new(Declared(dance)));
-    registry.refuse_remote("bob/Dnce", "`bob` does not offer `Dnce`; did you mean `Dance`?");
+    let reason = "`bob` does not offer `Dnce`".to_owned();
+    registry.refuse_remote("bob/Dnce", Refused { reason, help: Some("did you mean `Dance`?".into()) });
     registry
 }
 

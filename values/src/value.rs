@@ -128,7 +128,40 @@ pub struct Reference {
     pub id: String,
 }
 
+/// Bytes of text that count as a part.
+const PART: usize = 64;
+
+/// A text in parts.
+pub(crate) fn text_parts(text: &str) -> usize {
+    1 + text.len() / PART
+}
+
 impl Value {
+    /// What it takes to hold it: one for each value in it, and one for every 64 bytes of text.
+    #[must_use]
+    pub fn parts(&self) -> usize {
+        match self {
+            Self::String(text) => text_parts(text),
+            Self::Bytes(bytes) => 1 + bytes.len() / PART,
+            Self::List(items) => items.iter().map(Self::parts).sum::<usize>() + 1,
+            Self::Map(fields) => {
+                fields.iter().map(|(name, value)| text_parts(name) + value.parts()).sum::<usize>() + 1
+            }
+            _ => 1,
+        }
+    }
+
+    /// Whether lists and maps stand inside one another in more than `levels` levels.
+    #[must_use]
+    pub fn deeper_than(&self, levels: usize) -> bool {
+        let below = |value: &Self| levels == 0 || value.deeper_than(levels - 1);
+        match self {
+            Self::List(items) => items.iter().any(below),
+            Self::Map(fields) => fields.values().any(below),
+            _ => false,
+        }
+    }
+
     /// The number in an `Int`, `Float` or `Duration`.
     #[must_use]
     pub fn as_f64(&self) -> Option<f64> {

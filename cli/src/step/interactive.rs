@@ -49,6 +49,9 @@ fn show(stepper: &mut Stepper, out: &mut dyn Write) -> io::Result<()> {
     for line in stepper.take_logs() {
         writeln!(out, "  log: {line}")?;
     }
+    for sent in stepper.take_sent() {
+        writeln!(out, "  sent to {}: {} {}", sent.to, sent.event, sent.data.to_json())?;
+    }
     let snapshot = stepper.snapshot();
     writeln!(out, "[{:.3} s] {}", stepper.now().as_secs_f64(), snapshot.configuration.join(" | "))?;
     for running in stepper.running() {

@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use std::time::Duration;
 
 use armarium_runtime::engine::{EventId, Program};
-use armarium_runtime::stepping::Stepper;
+use armarium_runtime::stepping::{Sent, Stepper};
 use armarium_values::Value;
 use serde::{Deserialize, Serialize};
 
@@ -130,6 +130,8 @@ struct Answer<'a> {
     outputs: BTreeMap<String, serde_json::Value>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     log: Vec<String>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    sent: Vec<serde_json::Value>,
     #[serde(skip_serializing_if = "Option::is_none")]
     outcome: Option<&'a str>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -138,6 +140,10 @@ struct Answer<'a> {
 
 fn json(values: BTreeMap<String, Value>) -> BTreeMap<String, serde_json::Value> {
     values.into_iter().map(|(name, value)| (name, value.to_json())).collect()
+}
+
+fn letter(sent: &Sent) -> serde_json::Value {
+    serde_json::json!({"event": sent.event, "to": sent.to, "data": sent.data.to_json()})
 }
 
 /// Writes what is active after `event`; before any, that is null.
@@ -151,6 +157,7 @@ pub(super) fn write(stepper: &mut Stepper, event: &str, out: &mut dyn Write) -> 
         locals: json(snapshot.locals),
         outputs: json(snapshot.outputs),
         log,
+        sent: stepper.take_sent().iter().map(letter).collect(),
         outcome: stepper.result().map(|r| r.outcome.as_str()),
         reason: stepper.result().and_then(|r| r.reason.as_deref()),
     };

@@ -121,6 +121,8 @@ pub(super) struct Expect {
     pub(super) reason: Option<String>,
     /// A part of what was logged since the last step that looked at it.
     pub(super) log: Option<String>,
+    /// An event that was sent to another agent since the last step that looked at it.
+    pub(super) sent: Option<String>,
 }
 
 /// Reads a file's text.

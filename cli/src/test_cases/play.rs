@@ -34,6 +34,7 @@ pub(super) fn play(
         endings: BTreeMap::new(),
         known: BTreeSet::new(),
         logs: Vec::new(),
+        sent: Vec::new(),
     };
     player.stepper.start();
     let result = player.steps(&case.steps);
@@ -61,6 +62,8 @@ struct Player<'p> {
     endings: BTreeMap<(Duration, u64), (RunningSkill, Told)>,
     known: BTreeSet<u64>,
     logs: Vec<String>,
+    /// The names of events that were sent to other agents.
+    sent: Vec<String>,
 }
 
 impl Player<'_> {
@@ -123,6 +126,7 @@ impl Player<'_> {
         self.stepper.advance(end.saturating_sub(self.stepper.now()));
         self.plan()?;
         self.logs.extend(self.stepper.take_logs());
+        self.sent.extend(self.stepper.take_sent().into_iter().map(|sent| sent.event));
         Ok(())
     }
 
@@ -198,6 +202,12 @@ impl Player<'_> {
             let logs = std::mem::take(&mut self.logs);
             if !logs.iter().any(|line| line.contains(text)) {
                 return Err(format!("`{text}` was not said; what was: {logs:?}"));
+            }
+        }
+        if let Some(event) = &expect.sent {
+            let sent = std::mem::take(&mut self.sent);
+            if !sent.contains(event) {
+                return Err(format!("`{event}` was not sent to another agent; what was: {sent:?}"));
             }
         }
         Ok(())

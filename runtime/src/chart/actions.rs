@@ -74,11 +74,16 @@ impl<'l> Compiler<'l> {
                 }
                 ActionKind::Raise { event, data } => {
                     let data = self.data_of(state, event, data.as_ref(), source);
-                    compiled.push(Action::Raise { event: self.symbols.intern(&event.text), data });
+                    let event = self.symbols.intern(&event.text);
+                    compiled.push(Action::Raise { event, data, place });
                 }
                 ActionKind::Send { event, to, data, delay, id } => {
                     let symbol = self.symbols.intern(&event.text);
-                    let data = self.data_of(state, event, data.as_ref(), source);
+                    // What another agent's event comes with is declared there.
+                    let data = match to {
+                        None => self.data_of(state, event, data.as_ref(), source),
+                        Some(_) => data.as_ref().and_then(|n| self.value(state, n, &Type::Any, source)),
+                    };
                     let mut optional = |node: &Option<Node>, ty: &Type| {
                         node.as_ref().and_then(|n| self.value(state, n, ty, source))
                     };

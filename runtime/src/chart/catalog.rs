@@ -13,7 +13,16 @@ use crate::skill::{Skill, SkillManifest};
 pub struct Registry {
     skills: BTreeMap<String, Known>,
     /// What other agents offer, by `agent/Name`; or why it cannot be used.
-    remote: BTreeMap<String, Result<Known, String>>,
+    remote: BTreeMap<String, Result<Known, Refused>>,
+}
+
+/// Why something of another agent cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Refused {
+    /// What is wrong.
+    pub reason: String,
+    /// What can be done about it.
+    pub help: Option<String>,
 }
 
 /// A skill and what it declares.
@@ -59,14 +68,13 @@ impl Registry {
     }
 
     /// Notes that what charts call `agent/Name` cannot be used, and why.
-    pub fn refuse_remote(&mut self, name: &str, reason: impl Into<String>) {
-        self.remote.insert(name.to_owned(), Err(reason.into()));
+    pub fn refuse_remote(&mut self, name: &str, refused: Refused) {
+        self.remote.insert(name.to_owned(), Err(refused));
     }
 
     /// What is known of `agent/Name`: what it declares, or why it cannot be used; `None` when nobody has asked.
-    pub(crate) fn remote(&self, name: &str) -> Option<Result<&Arc<SkillManifest>, &str>> {
-        let known = self.remote.get(name)?;
-        Some(known.as_ref().map(|(_, manifest)| manifest).map_err(String::as_str))
+    pub(crate) fn remote(&self, name: &str) -> Option<Result<&Arc<SkillManifest>, &Refused>> {
+        Some(self.remote.get(name)?.as_ref().map(|(_, manifest)| manifest))
     }
 
     /// All manifests, ordered by name.

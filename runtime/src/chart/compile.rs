@@ -14,6 +14,7 @@ use super::library::Library;
 use super::lint;
 use super::model::{self, Chart, Declaration};
 use super::read::literal;
+use super::stack::on_a_large_stack;
 use super::yaml::{Named, Node};
 use crate::engine::program::{Binding, Entry, Kind, Place, Program, State, StateId, Term, Transition, Watch};
 use crate::engine::tables::{Symbols, Tables};
@@ -31,6 +32,10 @@ pub struct Checked {
 /// Finds everything that is wrong with a chart and compiles it.
 #[must_use]
 pub fn check(library: &Library, registry: &Registry, schema: &ChannelSchema) -> Checked {
+    on_a_large_stack(|| checked(library, registry, schema))
+}
+
+fn checked(library: &Library, registry: &Registry, schema: &ChannelSchema) -> Checked {
     let mut findings = library.findings.clone();
     let mut program = None;
     if let Some(root) = library.charts.get(&library.root) {
@@ -38,6 +43,10 @@ pub fn check(library: &Library, registry: &Registry, schema: &ChannelSchema) -> 
         compiler.flatten_root(root);
         program = Some(compiler.compile(root));
         findings.append(&mut compiler.findings);
+    }
+    if findings.iter().any(|f| f.code == code::LIMIT) {
+        // States that a limit cuts off are missed by others: that is no mistake of its own.
+        findings.retain(|f| f.is_error() && f.code != code::STATE);
     }
     findings.sort_by(|a, b| {
         let key = |f: &'_ Finding| (f.span.start, f.code);

@@ -178,9 +178,9 @@ impl<'l> Compiler<'l> {
                 let help = "write it as `agent/Name`".to_owned();
                 self.error(source, code::REMOTE, name, message, Some(help));
             }
-            Some(Err(reason)) => {
-                let message = reason.to_owned();
-                self.error(source, code::REMOTE, name, message, None);
+            Some(Err(refused)) => {
+                let (message, help) = (refused.reason.clone(), refused.help.clone());
+                self.error(source, code::REMOTE, name, message, help);
             }
             None => {
                 let message = format!("`{}` is not checked: its agent was not asked", name.text);

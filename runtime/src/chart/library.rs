@@ -56,12 +56,23 @@ fn read_source(path: &Path) -> (Arc<Source>, Option<String>) {
         return (empty(), Some(format!("the file cannot be read: {error}")));
     }
     if bytes.len() > MAX_BYTES {
-        return (empty(), Some(format!("the file has more than {} MB", MAX_BYTES / 1_000_000)));
+        return (empty(), Some(too_large()));
     }
     match String::from_utf8(bytes) {
         Ok(text) => (Arc::new(Source::new(path, text)), None),
-        Err(_) => (empty(), Some("the file is not UTF-8 text".into())),
+        Err(error) => {
+            let utf16 = matches!(error.as_bytes(), [0xff, 0xfe, ..] | [0xfe, 0xff, ..]);
+            let what = if utf16 { "UTF-16" } else { "not UTF-8 text" };
+            let at = error.utf8_error().valid_up_to();
+            (empty(), Some(format!("the file is {what} (byte {at}): save it as UTF-8")))
+        }
     }
+}
+
+/// What is said of a file over the limit.
+pub(super) fn too_large() -> String {
+    let limit = MAX_BYTES / 1_000_000;
+    format!("the file has more than {limit} MB: use `statechart:` for parts in files of their own")
 }
 
 fn parse(source: Arc<Source>) -> (Option<Chart>, Vec<Finding>) {
@@ -168,7 +179,9 @@ fn chart_files(folders: &[PathBuf]) -> BTreeMap<String, Vec<PathBuf>> {
         paths.sort();
         let mut here: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
         for path in paths {
+            // Whatever else has such a name (a pipe, a device) is not opened: that could take for ever.
             if path.extension().is_some_and(|e| e == "yaml" || e == "yml")
+                && path.is_file()
                 && let Some(name) = chart_name(&path)
             {
                 here.entry(name).or_default().push(path);

@@ -280,7 +280,7 @@ impl Lint<'_, '_> {
     }
 }
 
-/// The events that the actions of a state and of those inside raise or send.
+/// The events that the actions of a state and of those inside raise or send to the chart itself.
 fn raised(state: &model::State, names: &mut BTreeSet<String>) {
     let of_transitions = state.transitions.iter().chain(&state.always).chain(&state.after);
     of_transitions.for_each(|t| raised_by(&t.actions, names));
@@ -297,7 +297,7 @@ fn raised(state: &model::State, names: &mut BTreeSet<String>) {
 fn raised_by(actions: &[model::Action], names: &mut BTreeSet<String>) {
     for action in actions {
         match &action.kind {
-            ActionKind::Raise { event, .. } | ActionKind::Send { event, .. } => {
+            ActionKind::Raise { event, .. } | ActionKind::Send { event, to: None, .. } => {
                 names.insert(event.text.clone());
             }
             ActionKind::If { then, otherwise, .. } => {

@@ -17,10 +17,11 @@ mod outline;
 mod read;
 mod read_state;
 mod schema;
+mod stack;
 mod targets;
 mod yaml;
 
-pub use catalog::{ChannelSchema, Registry};
+pub use catalog::{ChannelSchema, Refused, Registry};
 pub use compile::{Checked, check};
 pub(crate) use finding::suggest;
 pub use finding::{Finding, Severity, Source, Span, code};

@@ -8,7 +8,7 @@ use armarium_values::{Type, Unit, Value};
 use futures::FutureExt;
 use futures::future::BoxFuture;
 
-use super::{ChannelSchema, Registry, check, load_text};
+use super::{ChannelSchema, Checked, Registry, check, load_text};
 use crate::engine::Program;
 use crate::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 
@@ -83,14 +83,16 @@ pub(crate) fn program(text: &str) -> Arc<Program> {
     checked.program.unwrap_or_else(|| panic!("{}", findings.join("\n")))
 }
 
+/// A chart and others that it may name, checked.
+pub(crate) fn checked(text: &str, others: &BTreeMap<&str, &str>) -> Checked {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, text) in others {
+        std::fs::write(folder.path().join(name), text).unwrap();
+    }
+    check(&load_text("test.yaml", text, &[folder.path().to_owned()]), &registry(), &schema())
+}
+
 /// The findings of a chart and of others that it may name, one line each.
 pub(crate) fn findings(text: &str, others: &BTreeMap<&str, &str>) -> String {
-    let folder = std::env::temp_dir().join(format!("armarium-charts-{}", std::process::id()));
-    let folder = folder.join(others.keys().copied().collect::<String>());
-    std::fs::create_dir_all(&folder).unwrap();
-    for (name, text) in others {
-        std::fs::write(folder.join(name), text).unwrap();
-    }
-    let checked = check(&load_text("test.yaml", text, &[folder]), &registry(), &schema());
-    checked.findings.iter().map(|f| format!("{f}\n")).collect()
+    checked(text, others).findings.iter().map(|f| format!("{f}\n")).collect()
 }

@@ -79,7 +79,7 @@ fn mistakes_are_found_with_code_place_and_help() {
         (states("{transitions: {t: B}}") + "events: {t: {data: {n: itn}}}\n", code::DECLARED_TYPE, "itn", "did you mean `int`"),
         (states("{transitions: [{target: B}]}"), code::MISSING_KEY, "{target", "event"),
         (states("3"), code::FORM, "3", "a map is needed"),
-        ("statechart: T\ninitial: A\nstates: {A: {}, A: {}}\n".into(), code::YAML, "", "duplicate"),
+        ("statechart: T\ninitial: A\nstates: {A: {}, A: {}}\n".into(), code::YAML, "A: {}}", "there twice"),
         ("statechart: T\nstates: {A: {}}\n".into(), code::MISSING_KEY, "T", "initial"),
         ("statechart: T\ninputs: {x: {type: flaot}}\ninitial: A\nstates: {A: {}}\n".into(), code::DECLARED_TYPE, "flaot", "did you mean `float`"),
         ("statechart: T\ninputs: {x: {type: float, default: 9.0, maximum: 5.0}}\ninitial: A\nstates: {A: {}}\n".into(), code::TYPE, "9.0", "outside"),
@@ -202,6 +202,38 @@ fn hostile_files_are_refused() {
     ] {
         assert!(found(&text).contains("error["), "{}", &text[..text.len().min(60)]);
     }
+}
+
+/// What is said of files that are no YAML, with the place.
+#[test]
+fn what_is_no_yaml_is_explained() {
+    for (text, said) in [
+        ("statechart: T\nstates:\n\tA: {}\n", "3:"),
+        ("statechart: T\nstates:\n\tA: {}\n", "indent with spaces"),
+        (
+            "statechart: T\ninitial: A\nstates:\n  A: {}\n  A: {}\n",
+            "5:3: error[E002]: this cannot be read as YAML: the key `A` is there twice",
+        ),
+        ("statechart: T\ninitial: A\nstates: {A: {}}\n---\nb: 1\n", "a second document begins here"),
+        ("statechart: T\nlocals: {x: {type: float, default: .nan}}\n", "no finite number"),
+        (&"[".repeat(10_000), "this is nested too deep"),
+        (
+            &("a0: &a0 [x,x,x,x,x,x,x,x,x]\n".to_owned()
+                + &(1..9)
+                    .map(|i| format!("a{i}: &a{i} [{}]\n", vec![format!("*a{}", i - 1); 9].join(",")))
+                    .collect::<String>()),
+            "its aliases make it too large",
+        ),
+    ] {
+        let said_here = found(text);
+        assert!(said_here.contains(said), "{said}: {said_here}");
+        assert!(!said_here.contains(" at line "), "{said_here}");
+    }
+    // Windows' ends of lines and a mark at the beginning are no mistakes, and move no place.
+    assert_eq!(found("\u{feff}statechart: T\r\ninitial: A\r\nstates: {A: {}}\r\n"), "");
+    assert!(
+        found("\u{feff}statechart: T\r\ninitial: B\r\nstates: {A: {}}\r\n").contains("2:10: error[E010]")
+    );
 }
 
 #[test]

@@ -9,6 +9,7 @@ use serde::de::{Deserializer, Error, MapAccess, SeqAccess, Visitor};
 use serde_saphyr::{Location, Spanned};
 
 use super::finding::{Findings, Span, code};
+use super::stack::on_a_large_stack;
 
 /// Largest file, bytes.
 pub(crate) const MAX_BYTES: usize = 10_000_000;
@@ -135,27 +136,80 @@ pub(crate) fn parse(findings: &mut Findings) -> Option<Node> {
     let source = std::sync::Arc::clone(&findings.source);
     let everything = Span { start: 0, end: 1 };
     if source.text.len() > MAX_BYTES {
-        let message = format!("the file has more than {} MB", MAX_BYTES / 1_000_000);
+        let message = super::library::too_large();
         findings.error(code::FILE, everything, message);
         return None;
     }
-    let mut budget = serde_saphyr::Budget::default();
-    budget.max_depth = MAX_DEPTH;
-    budget.max_nodes = MAX_NODES;
-    budget.max_events = 3 * MAX_NODES;
-    let options = serde_saphyr::options! {
-        strict_booleans: true,
-        with_snippet: false,
-        budget: Some(budget),
-    };
-    match serde_saphyr::from_str_with_options::<Node>(&source.text, options) {
+    let parsed = on_a_large_stack(|| {
+        let mut budget = serde_saphyr::Budget::default();
+        budget.max_depth = MAX_DEPTH;
+        budget.max_nodes = MAX_NODES;
+        budget.max_events = 3 * MAX_NODES;
+        let options = serde_saphyr::options! {
+            strict_booleans: true,
+            with_snippet: false,
+            budget: Some(budget),
+        };
+        serde_saphyr::from_str_with_options::<Node>(&source.text, options)
+    });
+    match parsed {
         Ok(node) => Some(node),
         Err(error) => {
-            let at = error.location().map_or(everything, span);
-            let text = error.without_snippet().to_string();
-            let first = text.lines().next().unwrap_or("").trim_start_matches("error: ").to_owned();
-            findings.error(code::YAML, at, format!("this cannot be read as YAML: {first}"));
+            let at = error.location().map_or(everything, |location| place(location, &source.text));
+            let (message, help) = explained(&error);
+            findings.error_help(code::YAML, at, format!("this cannot be read as YAML: {message}"), help);
             None
         }
     }
+}
+
+/// The place of an error; some errors know only their line and column, which count from 1.
+fn place(location: Location, text: &str) -> Span {
+    if location.span().byte_offset().is_some_and(|offset| offset > 0) {
+        return span(location);
+    }
+    let before = |n: u64| usize::try_from(n).unwrap_or(usize::MAX).saturating_sub(1);
+    let line = before(location.line());
+    let start: usize = text.split_inclusive('\n').take(line).map(str::len).sum();
+    let here = text[start..].lines().next().unwrap_or("");
+    let column: usize = here.chars().take(before(location.column())).map(char::len_utf8).sum();
+    Span { start: start + column, end: start + column + 1 }
+}
+
+/// What is wrong with the form of a file, and what can be done about it.
+fn explained(error: &serde_saphyr::Error) -> (String, Option<String>) {
+    use serde_saphyr::Error as E;
+    let deep = ("this is nested too deep", "states may be nested 60 levels deep");
+    let aliases = ("its aliases make it too large", "write out what they stand for, or use fewer of them");
+    let (message, help) = match error.without_snippet() {
+        E::DuplicateMappingKey { key: Some(key), .. } => {
+            let message = format!("the key `{key}` is there twice");
+            return (message, Some("remove one of them, or give it another name".into()));
+        }
+        E::MultipleDocuments { .. } => {
+            ("a second document begins here", "a file holds one chart: write the other in a file of its own")
+        }
+        E::NonFiniteFloat { .. } => ("this is no finite number", "write a number, or a text in quotes"),
+        E::AliasReplayLimitExceeded { .. }
+        | E::AliasExpansionLimitExceeded { .. }
+        | E::AliasReplayStackDepthExceeded { .. } => aliases,
+        other => {
+            let text = other.to_string();
+            let first = text.lines().next().unwrap_or("").trim_start_matches("error: ");
+            // The place is said by the finding.
+            let first = first.split(" at line ").next().unwrap_or(first).to_owned();
+            if first.contains("recursion limit") || first.contains("Depth {") {
+                deep
+            } else if first.contains("budget breached") && first.contains("nchor") {
+                aliases
+            } else if first.contains("budget breached") {
+                ("it has too many parts", "use `statechart:` for parts in files of their own")
+            } else if first.contains("tab") {
+                return (first, Some("indent with spaces".into()));
+            } else {
+                return (first, None);
+            }
+        }
+    };
+    (message.to_owned(), Some(help.to_owned()))
 }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use armarium_values::Value;
+use armarium_values::expr::{MAX_PARTS, MAX_TEXT};
 
 use super::event::{Event, Origin};
 use super::program::{Action, Place, Program, Send, StateId, Term};
@@ -15,6 +16,12 @@ type Failed = (String, String);
 
 /// Most items that a `foreach` visits.
 const MAX_ITEMS: usize = 10_000;
+/// Deepest nesting of lists and maps that an expression may give.
+const MAX_LEVELS: usize = 60;
+/// Most actions in answer to one input: `foreach` in `foreach`.
+const MAX_ACTIONS: u32 = 100_000;
+/// Most parts of what the events that wait carry.
+const MAX_CARRIED: usize = 10 * MAX_PARTS;
 
 impl Engine {
     #[inline]
@@ -27,7 +34,12 @@ impl Engine {
             Term::Literal(value) => Ok(value.clone()),
             Term::Expr(code) => {
                 let view = self.view(turn);
-                code.expr.evaluate(&view).map_err(|e| (e.message, turn.program.place(code.place)))
+                let failed = |message| (message, turn.program.place(code.place));
+                let value = code.expr.evaluate(&view).map_err(|e| failed(e.message))?;
+                if value.deeper_than(MAX_LEVELS) {
+                    return Err(failed(format!("lists and maps are nested deeper than {MAX_LEVELS} levels")));
+                }
+                Ok(value)
             }
             Term::Text(parts) => {
                 let mut text = String::new();
@@ -36,20 +48,40 @@ impl Engine {
                         Value::String(s) => text.push_str(&s),
                         other => text.push_str(&other.to_json().to_string()),
                     }
+                    if let (Term::Expr(code), true) = (part, text.len() > MAX_TEXT) {
+                        let message = format!("the text has more than {MAX_TEXT} bytes");
+                        return Err((message, turn.program.place(code.place)));
+                    }
                 }
                 Ok(Value::String(text))
             }
             Term::List(items) => {
-                Ok(Value::List(items.iter().map(|t| self.evaluate(t, turn)).collect::<Result<_, _>>()?))
+                let mut parts = 0;
+                Ok(Value::List(
+                    items.iter().map(|t| self.part(t, &mut parts, turn)).collect::<Result<_, _>>()?,
+                ))
             }
             Term::Map(entries) => {
-                let mut fields = BTreeMap::new();
+                let (mut fields, mut parts) = (BTreeMap::new(), 0);
                 for (name, term) in entries {
-                    fields.insert(name.clone(), self.evaluate(term, turn)?);
+                    fields.insert(name.clone(), self.part(term, &mut parts, turn)?);
                 }
                 Ok(Value::Map(fields))
             }
         }
+    }
+
+    /// A value inside a list or map. What expressions make of it has a bound; what is written in the file has the file's.
+    fn part(&self, term: &Term, parts: &mut usize, turn: &Turn<'_>) -> Result<Value, Failed> {
+        let value = self.evaluate(term, turn)?;
+        if let Term::Expr(code) = term {
+            *parts += value.parts();
+            if *parts > MAX_PARTS {
+                let message = format!("this makes a value of more than {MAX_PARTS} parts");
+                return Err((message, turn.program.place(code.place)));
+            }
+        }
+        Ok(value)
     }
 
     /// Runs actions in order; one that fails raises `error.execution` and ends this list.
@@ -68,6 +100,11 @@ impl Engine {
     }
 
     fn act_one(&mut self, action: &Action, state: StateId, turn: &mut Turn<'_>) -> Result<bool, Failed> {
+        turn.actions += 1;
+        if turn.actions > MAX_ACTIONS {
+            let message = format!("more than {MAX_ACTIONS} actions in answer to one event");
+            return Err((message, turn.program.path(state).to_owned()));
+        }
         match action {
             Action::Assign { slot, declaration, variable, term, place } => {
                 let value = self.evaluate(term, turn)?;
@@ -81,17 +118,28 @@ impl Engine {
                     variable: shown(p, state, variable),
                     value: value.clone(),
                 });
-                self.store.data[*slot as usize] = Some(value);
+                if !self.store.assign(*slot, value) {
+                    let message = "the chart's variables hold too much".into();
+                    return Err((message, turn.program.place(*place)));
+                }
             }
-            Action::Raise { event, data } => {
+            Action::Raise { event, data, place } => {
                 let data = self.optional(data.as_ref(), turn)?;
-                self.internal.push_back(Event::new(*event, data, Origin::Broadcast));
+                let event = Event::new(*event, data, Origin::Broadcast);
+                if self.internal.len() >= super::MAX_QUEUE || !self.can_carry(&event) {
+                    return Err(("too many events are waiting".into(), turn.program.place(*place)));
+                }
+                self.internal.push_back(event);
             }
             Action::Send(send) => self.send(send, turn)?,
             Action::Cancel { id } => {
                 let matching = |of: &TimerUse| matches!(of, TimerUse::Send { id: Some(i), .. } if i == id);
-                let timers: Vec<u64> =
-                    self.timers.iter().filter(|(_, of)| matching(of)).map(|(timer, _)| *timer).collect();
+                let timers: Vec<u64> = self
+                    .timers
+                    .iter()
+                    .filter(|(_, timer)| matching(&timer.of))
+                    .map(|(timer, _)| *timer)
+                    .collect();
                 for timer in timers {
                     self.timers.remove(&timer);
                     turn.out.push(Effect::CancelTimer { timer });
@@ -141,26 +189,49 @@ impl Engine {
 
     fn send(&mut self, send: &Send, turn: &mut Turn<'_>) -> Result<(), Failed> {
         let data = self.optional(send.data.as_ref(), turn)?;
-        if let Some(to) = &send.to {
-            let to = self.evaluate(to, turn)?.as_str().unwrap_or_default().to_owned();
-            let event = turn.program.tables.symbols.name(send.event).to_owned();
-            turn.out.push(Effect::Send { event, to, data });
-            return Ok(());
+        let to = match &send.to {
+            None => None,
+            Some(term) => Some(self.evaluate(term, turn)?.as_str().unwrap_or_default().to_owned()),
+        };
+        if to.as_ref().is_some_and(String::is_empty) {
+            return Err(("`to` names no agent".into(), turn.program.place(send.place)));
         }
         let event = Event::new(send.event, data, Origin::Broadcast);
         let Some(delay) = &send.delay else {
-            self.queue(event, turn);
+            self.post(event, to, turn);
             return Ok(());
         };
         let seconds = self.evaluate(delay, turn)?.as_f64().unwrap_or(f64::NAN);
         if !seconds.is_finite() || seconds < 0.0 {
             return Err((format!("{seconds} s is not a time to wait"), turn.program.place(send.place)));
         }
-        if self.timers.len() >= super::MAX_QUEUE {
+        if self.timers.len() >= super::MAX_QUEUE || !self.can_carry(&event) {
             return Err(("too many delayed events are waiting".into(), turn.program.place(send.place)));
         }
-        self.start_timer(TimerUse::Send { id: send.id.clone(), event }, seconds, u64::MAX - 2, turn);
+        self.start_timer(TimerUse::Send { id: send.id.clone(), event, to }, seconds, u64::MAX - 2, turn);
         Ok(())
+    }
+
+    /// Whether there is room for what an event carries.
+    pub(super) fn can_carry(&self, event: &Event) -> bool {
+        if event.parts() == 0 {
+            return true;
+        }
+        let timers = self.timers.values().filter_map(|timer| match &timer.of {
+            TimerUse::Send { event, .. } => Some(event),
+            _ => None,
+        });
+        let waiting = self.internal.iter().chain(&self.external).chain(timers);
+        waiting.map(Event::parts).sum::<usize>() + event.parts() <= MAX_CARRIED
+    }
+
+    /// An event that was sent goes its way: to this chart, or to another agent.
+    pub(super) fn post(&mut self, event: Event, to: Option<String>, turn: &mut Turn<'_>) {
+        let Some(to) = to else { return self.queue(event, turn) };
+        let name = event.name(turn.program).to_owned();
+        let data = event.data().clone();
+        turn.trace(|_| TraceItem::Sent { name: name.clone(), to: to.clone(), data: data.clone() });
+        turn.out.push(Effect::Send { event: name, to, data });
     }
 
     /// An expression failed: `error.execution`, unless that is what is being handled.

@@ -6,7 +6,7 @@ use armarium_values::Value;
 
 use super::end::reason_and_chain;
 use super::program::{Action, Binding, Kind, Program, StateId};
-use super::state::{SkillRun, TimerUse, Turn};
+use super::state::{SkillRun, Timer, TimerUse, Turn};
 use super::step::duration;
 use super::{Effect, Engine, TraceItem};
 
@@ -319,8 +319,10 @@ impl Engine {
 
     pub(super) fn start_timer(&mut self, of: TimerUse, seconds: f64, order: u64, turn: &mut Turn<'_>) -> u64 {
         let timer = self.number();
-        self.timers.insert(timer, of);
-        turn.out.push(Effect::StartTimer { timer, after: duration(seconds), order });
+        let after = duration(seconds);
+        let chain = if after.is_zero() { self.chain + 1 } else { 0 };
+        self.timers.insert(timer, Timer { of, chain });
+        turn.out.push(Effect::StartTimer { timer, after, order });
         timer
     }
 

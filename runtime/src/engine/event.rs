@@ -28,6 +28,8 @@ pub(super) enum Origin {
 #[derive(Clone, Debug)]
 pub(super) struct Event {
     pub(super) symbol: Symbol,
+    /// What its data take, where those are more than a scalar.
+    parts: u32,
     pub(super) origin: Origin,
     data: Option<Box<Value>>,
     rare: Option<Box<Rare>>,
@@ -44,8 +46,13 @@ struct Rare {
 impl Event {
     #[inline]
     pub(super) fn new(symbol: Symbol, data: Value, origin: Origin) -> Self {
+        let parts = match &data {
+            Value::List(_) | Value::Map(_) | Value::String(_) | Value::Bytes(_) => data.parts(),
+            _ => 0,
+        };
+        let parts = u32::try_from(parts).unwrap_or(u32::MAX);
         let data = if matches!(data, Value::Null) { None } else { Some(Box::new(data)) };
-        Self { symbol, origin, data, rare: None }
+        Self { symbol, parts, origin, data, rare: None }
     }
 
     /// An event for all active states, by its name.
@@ -60,6 +67,11 @@ impl Event {
     pub(super) fn data(&self) -> &Value {
         static NULL: Value = Value::Null;
         self.data.as_deref().unwrap_or(&NULL)
+    }
+
+    /// What its data take, in parts; nothing for a scalar.
+    pub(super) fn parts(&self) -> usize {
+        self.parts as usize
     }
 
     /// The states that have had it; they are forgotten.

@@ -6,9 +6,9 @@ use armarium_values::Value;
 
 use super::event::{Event, Origin};
 use super::program::StateId;
-use super::state::{Extra, SkillRun, Step, TimerUse, Turn};
+use super::state::{Extra, SkillRun, Step, Timer, TimerUse, Turn};
 use super::tables::{AFTER, RETRY};
-use super::{Engine, MAX_QUEUE, TraceItem};
+use super::{Engine, MAX_MICROSTEPS, MAX_QUEUE, TraceItem};
 use crate::skill::SkillResult;
 
 impl Engine {
@@ -21,7 +21,6 @@ impl Engine {
         self.runs[state as usize].extra.as_deref()
     }
 
-    /// Queues an event from outside.
     /// An event from outside. One whose data is not as its chart declares is not heard; `error.communication` says so.
     pub(super) fn event(&mut self, name: &str, data: Value, turn: &mut Turn<'_>) {
         let program = turn.program;
@@ -40,7 +39,7 @@ impl Engine {
     }
 
     pub(super) fn queue(&mut self, event: Event, turn: &mut Turn<'_>) {
-        if self.external.len() >= MAX_QUEUE {
+        if self.external.len() >= MAX_QUEUE || !self.can_carry(&event) {
             let reason = "too many events are waiting".into();
             turn.trace(|p| TraceItem::Dropped { name: event.name(p).to_owned(), reason });
         } else {
@@ -49,16 +48,21 @@ impl Engine {
     }
 
     pub(super) fn timer(&mut self, timer: u64, turn: &mut Turn<'_>) {
-        match self.timers.remove(&timer) {
-            None => {}
-            Some(TimerUse::Send { event, .. }) => self.queue(event, turn),
-            Some(TimerUse::After { state, entry, transition }) => {
+        let Some(Timer { of, chain }) = self.timers.remove(&timer) else { return };
+        if chain > MAX_MICROSTEPS {
+            let reason = format!("{MAX_MICROSTEPS} timers without any time between them");
+            return self.finish_with("failure".into(), Some(reason), Vec::new(), turn);
+        }
+        self.chain = chain;
+        match of {
+            TimerUse::Send { event, to, .. } => self.post(event, to, turn),
+            TimerUse::After { state, entry, transition } => {
                 let path = turn.program.path(state);
                 let reason = format!("`{path}` had not ended when its time was up");
                 let data = Value::record([("reason", reason.into())]);
                 self.queue(Event::new(AFTER, data, Origin::After { state, entry, transition }), turn);
             }
-            Some(TimerUse::Retry { state, entry }) => {
+            TimerUse::Retry { state, entry } => {
                 self.queue(Event::new(RETRY, Value::Null, Origin::Retry { state, entry }), turn);
             }
         }

@@ -126,11 +126,11 @@ pub enum Effect {
         /// Its number.
         watch: u32,
     },
-    /// Send an event to another agent or chart.
+    /// Send an event to another agent.
     Send {
         /// Its name.
         event: String,
-        /// To whom.
+        /// The agent, or `agent/Chart`.
         to: String,
         /// What comes with it.
         data: Value,

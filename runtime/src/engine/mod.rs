@@ -32,13 +32,15 @@ pub use record::{InputRecord, Recording, Replaying, Seen};
 use crate::trace::TraceItem;
 use event::{Event, Origin};
 use inputs::inputs;
-use state::{Pending, Run, Store, TimerUse, Turn, View};
+use state::{Pending, Run, Store, Timer, Turn, View};
 use tables::{ERROR_CHANNEL, FAILURE, Symbol};
 
 /// Microsteps without rest after which a run fails.
 pub const MAX_MICROSTEPS: u32 = 1000;
 /// Events that may wait while states are left; more are dropped, and seen in the trace.
 pub const MAX_QUEUE: usize = 1024;
+/// Microsteps in answer to one input after which a run fails: those of events that the chart sends itself are counted.
+pub const MAX_ANSWER: u32 = 20_000;
 /// Events that unbreakable states may hold back.
 pub const MAX_HELD: usize = 64;
 
@@ -55,7 +57,9 @@ pub struct Engine {
     internal: VecDeque<Event>,
     external: VecDeque<Event>,
     held: VecDeque<Event>,
-    timers: BTreeMap<u64, TimerUse>,
+    timers: BTreeMap<u64, Timer>,
+    /// Of the timer that is being handled.
+    chain: u32,
     /// The states of skills that run.
     skills: BTreeMap<u64, StateId>,
     pending: Option<Pending>,
@@ -103,7 +107,7 @@ impl Engine {
         let runs = vec![Run::default(); program.states.len()];
         Ok(Self {
             program,
-            store: Store { data, event: None },
+            store: Store { data, ..Store::default() },
             runs,
             configuration: Vec::new(),
             remembered: BTreeMap::new(),
@@ -111,6 +115,7 @@ impl Engine {
             external: VecDeque::new(),
             held: VecDeque::new(),
             timers: BTreeMap::new(),
+            chain: 0,
             skills: BTreeMap::new(),
             pending: None,
             ready: BTreeSet::new(),
@@ -141,7 +146,7 @@ impl Engine {
     /// Enters the chart's initial states.
     pub fn start(&mut self, sensors: &dyn Sensors, out: &mut Vec<Effect>) {
         let program = Arc::clone(&self.program);
-        let mut turn = Turn { program: &program, sensors, out, tracing: self.tracing };
+        let mut turn = Turn { program: &program, sensors, out, tracing: self.tracing, actions: 0 };
         let inputs = self.variables_of(0, |i| &i.inputs);
         turn.trace(|p| TraceItem::Started { chart: p.name.clone(), inputs });
         self.enter_run(&mut turn);
@@ -154,7 +159,8 @@ impl Engine {
             return;
         }
         let program = Arc::clone(&self.program);
-        let mut turn = Turn { program: &program, sensors, out, tracing: self.tracing };
+        let mut turn = Turn { program: &program, sensors, out, tracing: self.tracing, actions: 0 };
+        self.chain = 0;
         match input {
             Input::SkillEnded { activation, result } => self.skill_ended(activation, result, &mut turn),
             Input::SkillStuck { activation } => self.skill_stuck(activation, &mut turn),
@@ -193,7 +199,8 @@ impl Engine {
             return;
         }
         let program = Arc::clone(&self.program);
-        let mut turn = Turn { program: &program, sensors, out, tracing: self.tracing };
+        let mut turn = Turn { program: &program, sensors, out, tracing: self.tracing, actions: 0 };
+        self.chain = 0;
         let event = Event::new(event.0, data, Origin::Broadcast);
         if self.pending.is_none() && self.external.is_empty() {
             self.microsteps = 1;
@@ -285,14 +292,18 @@ impl Engine {
 
     /// The main loop of SCXML's appendix D: macrosteps until there is nothing to do or something to wait for.
     fn run(&mut self, turn: &mut Turn<'_>) {
+        let mut answer = 0;
         while !self.finished && self.pending.is_none() {
             if self.microsteps >= MAX_MICROSTEPS {
-                let reason = format!("{MAX_MICROSTEPS} microsteps without rest");
-                self.microsteps = 0;
-                self.finish_with("failure".into(), Some(reason), Vec::new(), turn);
-                return;
+                return self.restless(&format!("{MAX_MICROSTEPS} microsteps without rest"), turn);
+            }
+            if answer >= MAX_ANSWER {
+                let reason =
+                    format!("{MAX_ANSWER} microsteps without rest: it sends itself events without end");
+                return self.restless(&reason, turn);
             }
             self.microsteps += 1;
+            answer += 1;
             if let Some((outcome, data)) = self.ending.take() {
                 let (reason, mut chain) = end::reason_and_chain(&data);
                 if outcome == FAILURE {
@@ -320,6 +331,12 @@ impl Engine {
         self.show_configuration(turn);
     }
 
+    /// Ends a run that would never wait for anything.
+    fn restless(&mut self, reason: &str, turn: &mut Turn<'_>) {
+        self.microsteps = 0;
+        self.finish_with("failure".into(), Some(reason.to_owned()), Vec::new(), turn);
+    }
+
     fn show_configuration(&mut self, turn: &mut Turn<'_>) {
         if !turn.tracing || !std::mem::take(&mut self.moved) {
             return;
@@ -335,6 +352,10 @@ impl Engine {
 
 #[cfg(test)]
 mod cases;
+#[cfg(test)]
+mod hostile;
+#[cfg(test)]
+mod nested;
 #[cfg(test)]
 mod properties;
 #[cfg(test)]

@@ -215,7 +215,7 @@ pub(crate) struct Binding {
 #[derive(Debug)]
 pub(crate) enum Action {
     Assign { slot: u32, declaration: Arc<Declaration>, variable: String, term: Term, place: Place },
-    Raise { event: Symbol, data: Option<Term> },
+    Raise { event: Symbol, data: Option<Term>, place: Place },
     Send(Box<Send>),
     Cancel { id: String },
     Log { term: Term },

@@ -4,12 +4,15 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use armarium_values::Value;
-use armarium_values::expr::World;
+use armarium_values::expr::{MAX_PARTS, World};
 
 use super::event::Event;
 use super::program::{Program, StateId};
 use super::tables::Symbol;
 use super::{Effect, Sensors, TraceItem};
+
+/// Most parts of what all variables together hold by assignment.
+const MAX_HELD_PARTS: usize = 20 * MAX_PARTS;
 
 /// What a state's skill is doing.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -54,11 +57,19 @@ pub(super) struct Extra {
     pub(super) first_other: Option<(Symbol, Value)>,
 }
 
+/// A timer that has been started.
+#[derive(Clone, Debug)]
+pub(super) struct Timer {
+    pub(super) of: TimerUse,
+    /// How many timers of no time have run out one after the other until this one, itself counted.
+    pub(super) chain: u32,
+}
+
 #[derive(Clone, Debug)]
 pub(super) enum TimerUse {
     After { state: StateId, entry: u64, transition: u32 },
     Retry { state: StateId, entry: u64 },
-    Send { id: Option<String>, event: Event },
+    Send { id: Option<String>, event: Event, to: Option<String> },
 }
 
 /// What a microstep does once all skills that it leaves have returned.
@@ -88,6 +99,34 @@ pub(super) struct Pending {
 pub(super) struct Store {
     pub(super) data: Vec<Option<Value>>,
     pub(super) event: Option<Event>,
+    /// Parts of the assigned values that are more than a scalar, by their place.
+    pub(super) parts: BTreeMap<u32, usize>,
+    /// All those together.
+    pub(super) held: usize,
+}
+
+impl Store {
+    /// Sets a variable. Gives false, and changes nothing, when all together would hold too much.
+    pub(super) fn assign(&mut self, slot: u32, value: Value) -> bool {
+        let parts = match &value {
+            Value::List(_) | Value::Map(_) | Value::String(_) | Value::Bytes(_) => value.parts(),
+            _ => 0,
+        };
+        if parts > 0 || !self.parts.is_empty() {
+            let held = self.held - self.parts.get(&slot).copied().unwrap_or(0) + parts;
+            if held > MAX_HELD_PARTS {
+                return false;
+            }
+            self.held = held;
+            if parts > 0 {
+                self.parts.insert(slot, parts);
+            } else {
+                self.parts.remove(&slot);
+            }
+        }
+        self.data[slot as usize] = Some(value);
+        true
+    }
 }
 
 /// The engine's variables, states and sensors together, as expressions see them.
@@ -126,6 +165,8 @@ pub(super) struct Turn<'t> {
     pub(super) sensors: &'t dyn Sensors,
     pub(super) out: &'t mut Vec<Effect>,
     pub(super) tracing: bool,
+    /// Actions that were run.
+    pub(super) actions: u32,
 }
 
 impl<'t> Turn<'t> {

@@ -11,9 +11,16 @@ use super::{Effect, Engine, TraceItem};
 /// Longest time that a timer waits.
 const LONGEST_S: f64 = 1.0e9;
 
+/// Shortest time that a timer waits, unless it waits for none.
+const SHORTEST_S: f64 = 1.0e-6;
+
 /// A finite, non-negative number of seconds as a duration.
 pub(super) fn duration(seconds: f64) -> Duration {
-    if seconds.is_finite() { Duration::from_secs_f64(seconds.clamp(0.0, LONGEST_S)) } else { Duration::ZERO }
+    if seconds.is_finite() && seconds > 0.0 {
+        Duration::from_secs_f64(seconds.clamp(SHORTEST_S, LONGEST_S))
+    } else {
+        Duration::ZERO
+    }
 }
 
 impl Engine {

@@ -16,7 +16,11 @@ pub(super) struct Drive {
 
 impl Drive {
     pub(super) fn new(text: &str) -> Self {
-        let engine = Engine::new(program(text), &BTreeMap::new(), None).unwrap();
+        Self::of(program(text))
+    }
+
+    pub(super) fn of(program: Arc<Program>) -> Self {
+        let engine = Engine::new(program, &BTreeMap::new(), None).unwrap();
         let (skills, timers, armed) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
         let mut drive = Self { engine, log: String::new(), skills, timers, armed };
         let mut out = Vec::new();

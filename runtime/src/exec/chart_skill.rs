@@ -9,7 +9,7 @@ use futures::FutureExt as _;
 use futures::future::BoxFuture;
 use tokio::sync::watch;
 
-use super::{ExecOptions, Executor, RunResult};
+use super::{ExecOptions, Executor, Others, RunResult};
 use crate::chart::{Declaration, Registry};
 use crate::engine::Program;
 use crate::skill::{Failure, Outcome, Parameter, Skill, SkillContext, SkillManifest, SkillResult};
@@ -27,6 +27,7 @@ pub struct ChartSkill {
     description: String,
     registry: Registry,
     stop: Stop,
+    others: Others,
 }
 
 impl fmt::Debug for ChartSkill {
@@ -39,7 +40,14 @@ impl ChartSkill {
     /// A chart with the skills that it uses; `stop` is called when one of those does not return.
     #[must_use]
     pub fn new(program: Arc<Program>, description: &str, registry: Registry, stop: Stop) -> Self {
-        Self { program, description: description.to_owned(), registry, stop }
+        Self { program, description: description.to_owned(), registry, stop, others: Others::default() }
+    }
+
+    /// The same chart among those of other agents: it sends them events, and hears what they send.
+    #[must_use]
+    pub fn among(mut self, others: Others) -> Self {
+        self.others = others;
+        self
     }
 }
 
@@ -71,6 +79,7 @@ impl Skill for ChartSkill {
             limits: context.limits,
             sink: Some(Box::new(Leaves(context.inside))),
             on_stuck: Some(Box::new(move |state| stop(state))),
+            others: self.others.clone(),
         };
         let executor =
             Executor::new(Arc::clone(&self.program), self.registry.clone(), context.channels, options);

@@ -4,6 +4,7 @@
 //! selection, and nothing but tokio's clock.
 
 mod chart_skill;
+mod letters;
 mod skills;
 mod watchdog;
 mod watching;
@@ -22,12 +23,14 @@ use crate::chart::Registry;
 use crate::engine::{Effect, Engine, Input, InputError, InputRecord, Program, Recording, Sensors};
 use crate::skill::Limits;
 use crate::trace::{TraceEvent, TraceItem, TraceSink};
+use letters::Outbox;
 use skills::{Message, Running};
 use watchdog::Watchdog;
 use watching::Watching;
 
 pub use crate::engine::RunResult;
 pub use chart_skill::{ChartSkill, Stop};
+pub use letters::{Hearers, Letter, Others, Post};
 
 /// Messages that may wait for the engine; skills that send more wait.
 const QUEUE: usize = 256;
@@ -49,6 +52,8 @@ pub struct ExecOptions {
     /// Called at once with a state's path when its skill does not return within its grace, or has not yielded for a
     /// long time by the wall clock: stop the robot. In the second case it is called from another thread.
     pub on_stuck: Option<OnStuck>,
+    /// The charts of other agents, and how events go to and fro.
+    pub others: Others,
 }
 
 impl fmt::Debug for ExecOptions {
@@ -92,6 +97,8 @@ pub struct Executor {
     limits: Limits,
     sink: Option<Box<dyn TraceSink>>,
     watchdog: Watchdog,
+    outbox: Outbox,
+    hearers: Hearers,
     sender: mpsc::Sender<Message>,
     queue: mpsc::Receiver<Message>,
     stop: CancellationToken,
@@ -146,6 +153,8 @@ impl Executor {
             limits: options.limits,
             sink: options.sink,
             watchdog: Watchdog::new(options.on_stuck, sender.clone()),
+            outbox: Outbox::new(options.others.post, sender.clone()),
+            hearers: options.others.hearers,
             sender,
             queue,
             stop: CancellationToken::new(),
@@ -178,10 +187,13 @@ impl Executor {
     pub async fn run(mut self) -> RunResult {
         self.began = Instant::now();
         self.watchdog.start();
+        let seat = self.hearers.join(self.engine.program().name(), self.controller());
         self.turn(None);
         let mut stopping = false;
         loop {
             if let Some(result) = self.result.take() {
+                drop(seat);
+                self.outbox.close().await;
                 return result;
             }
             if self.sample_watches() {
@@ -323,18 +335,7 @@ impl Executor {
                     self.watching.arm(watch, entry, self.engine.program(), &self.channels);
                 }
                 Effect::DisarmWatch { watch } => self.watching.disarm(watch),
-                Effect::Send { event, to, .. } => {
-                    let reason =
-                        format!("`{event}` cannot be sent to `{to}`: this run has no connection to others");
-                    let data = Value::record([("reason", reason.into())]);
-                    if self
-                        .sender
-                        .try_send(Message::Event { name: "error.communication".into(), data })
-                        .is_err()
-                    {
-                        tracing::warn!("an event could not be sent, and the queue is full");
-                    }
-                }
+                Effect::Send { event, to, data } => self.outbox.send(Letter { to, event, data }),
                 Effect::Trace(item) => self.trace(item),
                 Effect::Finished(result) => self.result = Some(result),
             }

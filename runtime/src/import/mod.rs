@@ -3,8 +3,8 @@
 //!
 //! Carried over: states, parallel states, final states with data, histories, initial states with one or several
 //! targets and with actions, transitions with several event descriptors, internal and targetless ones, `onentry` and
-//! `onexit`, `raise`, `send` with delay and id, `cancel`, `log`, `if`, and expressions made of `In()`, literals,
-//! `_event`, comparison and logic. What cannot be carried over (a data model, scripts, `invoke`) is an [`ImportError`]
+//! `onexit`, `raise`, `send` with delay, id, parameters and content, `cancel`, `log`, `if`, and expressions made of
+//! `In()`, literals, `_event`, comparison and logic. What cannot be carried over (a data model, scripts, `invoke`) is an [`ImportError`]
 //! that names it with its line; all of them are found at once. Nothing is run here.
 //!
 //! Start reading at [`scxml`]; `read` gives the tree, `expression` one expression, `write` the chart's text.

@@ -1,14 +1,15 @@
 //! From XML to a tree of states: SCXML's structure, with expressions and targets as they were written.
 
+mod actions;
+
 use roxmltree::{Document as Xml, Node, ParsingOptions};
 
 use super::{ImportError, MAX_BYTES};
 
 const NAMESPACE: &str = "http://www.w3.org/2005/07/scxml";
+const XINCLUDE: &str = "http://www.w3.org/2001/XInclude";
 /// Deepest nesting of elements; 60 levels of states are within it.
 const MAX_DEPTH: usize = 150;
-/// Deepest nesting of `<if>`: each `elseif` becomes a level of the chart's text.
-const MAX_IFS: usize = 20;
 /// Most elements and texts.
 const MAX_NODES: u32 = 4_000_000;
 
@@ -20,6 +21,8 @@ pub(super) type Index = usize;
 pub(super) struct Document {
     pub(super) name: Option<String>,
     pub(super) states: Vec<State>,
+    /// What tools have left in the document beside SCXML: elements with their lines.
+    pub(super) foreign: Vec<(u32, String)>,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -99,7 +102,21 @@ pub(super) struct Send {
     pub(super) kind: Option<Text>,
     pub(super) delay: Option<Text>,
     pub(super) id: Option<String>,
-    pub(super) data: Vec<(String, Code)>,
+    pub(super) data: Payload,
+}
+
+/// What goes with an event: named values, or one value.
+#[derive(Debug, Default)]
+pub(super) struct Payload {
+    pub(super) fields: Vec<(String, Code)>,
+    pub(super) content: Option<Content>,
+}
+
+#[derive(Debug)]
+pub(super) enum Content {
+    Expr(Code),
+    /// JSON, or a text.
+    Written(serde_json::Value),
 }
 
 /// Reads a document. What cannot be carried over is added to `errors`.
@@ -110,6 +127,7 @@ pub(super) fn document(text: &str, errors: &mut Vec<ImportError>) -> Option<Docu
         return None;
     }
     let options = ParsingOptions { allow_dtd: false, nodes_limit: MAX_NODES, ..ParsingOptions::default() };
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     // White space before the declaration is a mistake that many tools forgive.
     let lead = text.len() - text.trim_start().len();
     let xml = match Xml::parse_with_options(&text[lead..], options) {
@@ -162,6 +180,16 @@ impl<'x> Reader<'x, '_> {
         Some(tag.name())
     }
 
+    /// As [`Self::element`], where other elements only say something to the tools that wrote them.
+    fn element_or_foreign(&mut self, node: Node<'x, 'x>) -> Option<&'x str> {
+        let space = node.tag_name().namespace();
+        if node.is_element() && space.is_some_and(|space| space != NAMESPACE && space != XINCLUDE) {
+            self.document.foreign.push((self.line(node), node.tag_name().name().to_owned()));
+            return None;
+        }
+        self.element(node)
+    }
+
     fn unknown(&mut self, node: Node<'x, 'x>, inside: &str) {
         let name = node.tag_name().name();
         let message = match name {
@@ -206,7 +234,7 @@ impl<'x> Reader<'x, '_> {
         let initial = self.initial_attribute(node);
         self.document.states.push(State { line: self.line(node), initial, ..State::default() });
         for child in node.children() {
-            match self.element(child) {
+            match self.element_or_foreign(child) {
                 None => {}
                 Some("state" | "parallel" | "final" | "history") => self.state(child, 0, 1),
                 Some("datamodel") if child.children().all(|c| !c.is_element()) => {}
@@ -244,7 +272,7 @@ impl<'x> Reader<'x, '_> {
         self.document.states.push(state);
         self.document.states[parent].children.push(at);
         for child in node.children() {
-            let Some(name) = self.element(child) else { continue };
+            let Some(name) = self.element_or_foreign(child) else { continue };
             match (name, kind) {
                 ("transition", Kind::History { .. }) => self.entry(child, at),
                 ("transition", Kind::State | Kind::Parallel) => {
@@ -264,7 +292,12 @@ impl<'x> Reader<'x, '_> {
                 | ("state" | "parallel" | "history", Kind::Parallel) => self.state(child, at, depth + 1),
                 ("donedata", Kind::Final) => {
                     let data = self.data(child, "donedata");
-                    self.document.states[at].data = data;
+                    if data.content.is_some() {
+                        let message = "`<content>` of `<donedata>` cannot be carried over: what a final state tells \
+                                       has names, as `<param>`";
+                        self.error(child, message);
+                    }
+                    self.document.states[at].data = data.fields;
                 }
                 ("datamodel", _) if child.children().all(|c| !c.is_element()) => {}
                 _ => self.unknown(child, node.tag_name().name()),
@@ -336,122 +369,6 @@ impl<'x> Reader<'x, '_> {
             internal,
             actions: self.actions(node, 0),
         }
-    }
-
-    fn actions(&mut self, node: Node<'x, 'x>, depth: usize) -> Vec<Action> {
-        let inside = node.tag_name().name();
-        let mut actions = Vec::new();
-        for child in node.children() {
-            if let Some(name) = self.element(child) {
-                actions.extend(self.action(child, name, inside, depth));
-            }
-        }
-        actions
-    }
-
-    fn action(&mut self, node: Node<'x, 'x>, name: &str, inside: &str, depth: usize) -> Option<Action> {
-        match name {
-            "raise" => self.raise(node),
-            "send" => self.send(node),
-            "cancel" => self.cancel(node),
-            "log" => {
-                let label = node.attribute("label").map(str::to_owned).filter(|l| !l.is_empty());
-                Some(Action::Log { label, expr: self.code(node, "expr") })
-            }
-            "if" if depth < MAX_IFS => Some(self.choice(node, depth)),
-            "if" => {
-                self.error(node, format!("`<if>` is nested deeper than {MAX_IFS} levels"));
-                None
-            }
-            _ => {
-                self.unknown(node, inside);
-                None
-            }
-        }
-    }
-
-    fn raise(&mut self, node: Node<'x, 'x>) -> Option<Action> {
-        let Some(event) = node.attribute("event").filter(|e| !e.trim().is_empty()) else {
-            self.error(node, "`<raise>` needs an `event`");
-            return None;
-        };
-        Some(Action::Raise(event.trim().to_owned()))
-    }
-
-    fn cancel(&mut self, node: Node<'x, 'x>) -> Option<Action> {
-        let id = self.text(node, "sendid", "sendidexpr");
-        if id.is_none() {
-            self.error(node, "`<cancel>` needs a `sendid`");
-        }
-        id.map(Action::Cancel)
-    }
-
-    fn send(&mut self, node: Node<'x, 'x>) -> Option<Action> {
-        for attribute in ["idlocation", "namelist"] {
-            if node.has_attribute(attribute) {
-                let message =
-                    format!("`{attribute}` of `<send>` needs a data model and cannot be carried over");
-                self.error(node, message);
-            }
-        }
-        let Some(event) = self.text(node, "event", "eventexpr") else {
-            self.error(node, "`<send>` needs an `event`");
-            return None;
-        };
-        Some(Action::Send(Send {
-            line: self.line(node),
-            event,
-            target: self.text(node, "target", "targetexpr"),
-            kind: self.text(node, "type", "typeexpr"),
-            delay: self.text(node, "delay", "delayexpr"),
-            id: node.attribute("id").map(str::to_owned),
-            data: self.data(node, "send"),
-        }))
-    }
-
-    /// The `<param>`s of a `<send>` or a `<donedata>`.
-    fn data(&mut self, node: Node<'x, 'x>, inside: &str) -> Vec<(String, Code)> {
-        let mut data = Vec::new();
-        for child in node.children() {
-            match self.element(child) {
-                None => {}
-                Some("param") => match (child.attribute("name"), self.code(child, "expr")) {
-                    (Some(name), Some(code)) => data.push((name.to_owned(), code)),
-                    _ => self.error(child, "`<param>` is carried over with `name` and `expr`"),
-                },
-                Some("content") => {
-                    let message =
-                        "`<content>` cannot be carried over: an event's data has names, as `<param>`";
-                    self.error(child, message);
-                }
-                Some(_) => self.unknown(child, inside),
-            }
-        }
-        data
-    }
-
-    fn choice(&mut self, node: Node<'x, 'x>, depth: usize) -> Action {
-        let mut branches = vec![(self.condition(node), Vec::new())];
-        for child in node.children() {
-            let Some(name) = self.element(child) else { continue };
-            match name {
-                "elseif" => branches.push((self.condition(child), Vec::new())),
-                "else" => branches.push((None, Vec::new())),
-                _ => {
-                    let action = self.action(child, name, "if", depth + 1);
-                    branches.last_mut().expect("there is a branch from the start").1.extend(action);
-                }
-            }
-        }
-        Action::If(branches)
-    }
-
-    fn condition(&mut self, node: Node<'x, 'x>) -> Option<Code> {
-        let code = self.code(node, "cond");
-        if code.is_none() {
-            self.error(node, format!("`<{}>` needs a `cond`", node.tag_name().name()));
-        }
-        code
     }
 }
 

@@ -1,11 +1,13 @@
 //! From the tree to the chart's text: names and paths resolved, transitions grouped by their events.
 
+mod actions;
+
 use std::collections::BTreeSet;
 
 use super::ImportError;
 use super::expression::{self, Expr, Scope};
 use super::names::{Names, ancestors};
-use super::read::{Action, Code, Document, Entry, Index, Kind, Send, State, Text, Transition};
+use super::read::{Code, Document, Entry, Index, Kind, State, Text, Transition};
 use super::yaml::{cel_string, comment, literal, quoted, scalar};
 
 /// The events of SCXML's own that a chart need not declare.
@@ -42,6 +44,9 @@ impl Writer<'_> {
             0,
             "# by token prefix. States whose names the language does not allow have SCXML's beside them.",
         );
+        for (line, name) in &self.document.foreign {
+            self.line(0, &format!("# `<{}>` (line {line}) is not SCXML: it is left out.", comment(name)));
+        }
         let chart = scalar(&self.names.chart);
         self.line(0, &format!("statechart: {chart}"));
         let events = self.events();
@@ -290,122 +295,6 @@ impl Writer<'_> {
         self.actions(at, &transition.actions, indent + 2);
     }
 
-    // Actions.
-
-    /// One block: what follows an action that fails for certain is left out, as SCXML does not do it.
-    fn actions(&mut self, at: Index, actions: &[Action], indent: usize) {
-        for action in actions {
-            match action {
-                Action::Raise(event) => {
-                    let event = scalar(&self.event(event));
-                    self.line(indent, &format!("- raise: {event}"));
-                }
-                Action::Send(send) => {
-                    if !self.send(at, send, indent) {
-                        return;
-                    }
-                }
-                Action::Cancel(id) => {
-                    if let Some(id) = self.text(at, id) {
-                        self.line(indent, &format!("- cancel: {}", scalar(&id)));
-                    }
-                }
-                Action::Log { label, expr } => self.log(at, label.as_deref(), expr.as_ref(), indent),
-                Action::If(branches) => self.choice(at, branches, indent),
-            }
-        }
-    }
-
-    fn log(&mut self, at: Index, label: Option<&str>, expr: Option<&Code>, indent: usize) {
-        let mut text = label.map_or_else(String::new, |l| l.replace("${", "$${"));
-        if let Some(value) = expr.and_then(|code| self.expression(at, code)) {
-            if !text.is_empty() {
-                text.push_str(": ");
-            }
-            match value.words() {
-                Some(words) => text.push_str(&words.replace("${", "$${")),
-                None => text.push_str(&format!("${{{}}}", value.cel())),
-            }
-        }
-        self.line(indent, &format!("- log: {}", quoted(&text)));
-    }
-
-    fn choice(&mut self, at: Index, branches: &[(Option<Code>, Vec<Action>)], indent: usize) {
-        let Some(((condition, actions), rest)) = branches.split_first() else { return };
-        let Some(condition) = condition else {
-            // `else`: its actions stand where they are.
-            return self.actions(at, actions, indent);
-        };
-        let Some(condition) = self.expression(at, condition) else { return };
-        let condition = condition.truth().map_or_else(|| condition.cel(), |truth| truth.to_string());
-        self.line(indent, "- if:");
-        self.line(indent + 2, &format!("cond: {}", quoted(&condition)));
-        self.list("then", indent + 2, |writer| writer.actions(at, actions, indent + 3));
-        if !rest.is_empty() {
-            self.list("else", indent + 2, |writer| writer.choice(at, rest, indent + 3));
-        }
-    }
-
-    /// A key with a list that `items` writes, or an empty one.
-    fn list(&mut self, key: &str, indent: usize, items: impl FnOnce(&mut Self)) {
-        let before = self.out.len();
-        self.line(indent, &format!("{key}:"));
-        let after = self.out.len();
-        items(self);
-        if self.out.len() == after {
-            self.out.truncate(before);
-            self.line(indent, &format!("{key}: []"));
-        }
-    }
-
-    /// Gives whether the actions after it are done.
-    fn send(&mut self, at: Index, send: &Send, indent: usize) -> bool {
-        let Some(event) = self.text(at, &send.event) else { return true };
-        let event = self.event(event.trim());
-        let target = send.target.as_ref().and_then(|t| self.text(at, t));
-        let kind = send.kind.as_ref().and_then(|t| self.text(at, t));
-        let data = if send.data.is_empty() { None } else { Some(self.fields(at, &send.data)) };
-        let delay = send.delay.as_ref().and_then(|t| self.text(at, t));
-        let delay = delay.and_then(|text| {
-            let milliseconds = milliseconds(&text);
-            if milliseconds.is_none() {
-                self.error(send.line, format!("`{text}` is not a delay: write `2s` or `100ms`"));
-            }
-            milliseconds.filter(|ms| *ms > 0.0)
-        });
-        let own = format!("#_scxml_{}", self.names.chart);
-        match undeliverable(kind.as_deref(), target.as_deref().filter(|t| *t != own)) {
-            Delivery::Error(error, why) => {
-                let note = comment(&format!("`{event}` cannot be sent: {why}"));
-                self.line(indent, &format!("- raise: {error}  # {note}"));
-                return error != "error.execution";
-            }
-            Delivery::Internal => {
-                if delay.is_some() {
-                    self.error(send.line, "`<send>` to `#_internal` cannot be delayed");
-                }
-                let text = match data {
-                    Some(data) => format!("- raise: {{event: {}, data: {data}}}", scalar(&event)),
-                    None => format!("- raise: {}", scalar(&event)),
-                };
-                self.line(indent, &text);
-            }
-            Delivery::External => {
-                let mut parts = vec![format!("event: {}", scalar(&event))];
-                parts.extend(data.map(|d| format!("data: {d}")));
-                if let Some(ms) = delay {
-                    parts.push(format!("delay: {}", quoted(&duration(ms))));
-                    parts.extend(send.id.as_ref().map(|id| format!("id: {}", scalar(id))));
-                }
-                match parts.as_slice() {
-                    [_] => self.line(indent, &format!("- send: {}", scalar(&event))),
-                    _ => self.line(indent, &format!("- send: {{{}}}", parts.join(", "))),
-                }
-            }
-        }
-        true
-    }
-
     // Expressions.
 
     fn expression(&mut self, at: Index, code: &Code) -> Option<Expr> {
@@ -433,30 +322,6 @@ impl Writer<'_> {
                 words
             }
         }
-    }
-}
-
-/// Where a `<send>` goes.
-enum Delivery {
-    External,
-    Internal,
-    /// SCXML says which error event takes its place.
-    Error(&'static str, String),
-}
-
-fn undeliverable(kind: Option<&str>, target: Option<&str>) -> Delivery {
-    const PROCESSOR: [&str; 4] =
-        ["", "scxml", "http://www.w3.org/TR/scxml/#SCXMLEventProcessor", "http://www.w3.org/TR/scxml/"];
-    if let Some(kind) = kind.filter(|k| !PROCESSOR.contains(k)) {
-        return Delivery::Error("error.execution", format!("there is no processor `{kind}`"));
-    }
-    match target.map(str::trim) {
-        None | Some("") => Delivery::External,
-        Some("#_internal") => Delivery::Internal,
-        Some(session) if session.starts_with("#_") => {
-            Delivery::Error("error.communication", format!("there is no session `{session}`"))
-        }
-        Some(other) => Delivery::Error("error.execution", format!("`{other}` is no target")),
     }
 }
 
@@ -510,19 +375,4 @@ fn value_of(value: &Expr) -> String {
         Expr::Null | Expr::Bool(_) | Expr::Number(_) => value.cel(),
         other => quoted(&format!("${{{}}}", other.cel())),
     }
-}
-
-/// A delay as SCXML writes it (CSS 2 times), ms.
-fn milliseconds(text: &str) -> Option<f64> {
-    let text = text.trim();
-    let (number, factor) = match text.strip_suffix("ms") {
-        Some(number) => (number, 1.0),
-        None => (text.strip_suffix('s')?, 1000.0),
-    };
-    let number: f64 = number.trim().trim_start_matches('+').parse().ok()?;
-    (number.is_finite() && number >= 0.0).then_some(number * factor)
-}
-
-fn duration(ms: f64) -> String {
-    if ms % 1000.0 == 0.0 { format!("{}s", ms / 1000.0) } else { format!("{ms}ms") }
 }

@@ -38,6 +38,20 @@ pub(super) fn literal(text: &str) -> String {
     scalar(&text.replace("${", "$${"))
 }
 
+/// JSON as YAML on one line; texts are meant as they stand.
+pub(super) fn json(value: &serde_json::Value) -> String {
+    use serde_json::Value as Json;
+    match value {
+        Json::Null | Json::Bool(_) | Json::Number(_) => value.to_string(),
+        Json::String(text) => literal(text),
+        Json::Array(items) => format!("[{}]", items.iter().map(json).collect::<Vec<_>>().join(", ")),
+        Json::Object(fields) => {
+            let field = |(name, value): (&String, &Json)| format!("{}: {}", scalar(name), json(value));
+            format!("{{{}}}", fields.iter().map(field).collect::<Vec<_>>().join(", "))
+        }
+    }
+}
+
 /// A text as a CEL string.
 pub(super) fn cel_string(text: &str) -> String {
     let mut result = String::from("'");

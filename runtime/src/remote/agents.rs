@@ -16,7 +16,7 @@ use tokio::time::{Instant, sleep, timeout};
 
 use super::wire::{Cancel, Ended, Manifest, Start, Status, answered, packed};
 use super::{HELD, LEASE};
-use crate::chart::{Registry, suggest};
+use crate::chart::{Refused, Registry, suggest};
 use crate::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
 
 /// Manifests that one question may bring.
@@ -35,10 +35,10 @@ pub type Patience = Duration;
 /// The agents that a session reaches.
 #[derive(Clone, Debug)]
 pub struct Agents {
-    session: Session,
-    caller: String,
+    pub(super) session: Session,
+    pub(super) caller: String,
     /// Where calls run: not where charts do, so that a busy chart does not look like a lost agent.
-    threads: Handle,
+    pub(super) threads: Handle,
 }
 
 impl Agents {
@@ -71,14 +71,9 @@ impl Agents {
                         registry.add_remote(Arc::new(remote));
                         false
                     }
-                    Err(Missing::Absent(reason)) => {
-                        if last {
-                            registry.refuse_remote(name, reason);
-                        }
-                        !last
-                    }
-                    Err(Missing::Wrong(reason)) => {
-                        registry.refuse_remote(name, reason);
+                    Err(Missing::Absent(_)) if !last => true,
+                    Err(Missing::Absent(refused) | Missing::Wrong(refused)) => {
+                        registry.refuse_remote(name, refused);
                         false
                     }
                 }
@@ -124,32 +119,45 @@ impl Agents {
 /// Why something is not there.
 enum Missing {
     /// It may come.
-    Absent(String),
+    Absent(Refused),
     /// It is there, and cannot be used.
-    Wrong(String),
+    Wrong(Refused),
+}
+
+fn refused(reason: String, help: impl Into<String>) -> Refused {
+    Refused { reason, help: Some(help.into()) }
 }
 
 /// The one manifest of that name.
 fn chosen(agent: &str, wanted: &str, offered: &[Result<Manifest, String>]) -> Result<Manifest, Missing> {
     if offered.is_empty() {
-        return Err(Missing::Absent(format!("no agent `{agent}` answers")));
+        let help = format!(
+            "start it with `armarium agent --name {agent} CHARTS`, and give what it listens on: \
+             --connect tcp/HOST:PORT"
+        );
+        return Err(Missing::Absent(refused(format!("no agent `{agent}` answers"), help)));
     }
     let fitting: Vec<&Manifest> =
         offered.iter().filter_map(|o| o.as_ref().ok()).filter(|m| m.name == wanted).collect();
     match fitting.as_slice() {
         [one] => Ok((*one).clone()),
-        [one, two, ..] => Err(Missing::Wrong(format!(
-            "two agents are called `{agent}` and offer `{wanted}`: the processes {} and {}",
-            one.instance, two.instance
+        [one, two, ..] => Err(Missing::Wrong(refused(
+            format!(
+                "two agents are called `{agent}` and offer `{wanted}`: the processes {} and {}",
+                one.instance, two.instance
+            ),
+            "end one of them, or start it with another --name",
         ))),
         [] => {
             if let Some(error) = offered.iter().find_map(|o| o.as_ref().err()) {
-                return Err(Missing::Wrong(format!("what `{agent}` offers cannot be understood: {error}")));
+                let reason = format!("what `{agent}` offers cannot be understood: {error}");
+                let help = "both sides have to speak the same version of the messages (docs/wire.md)";
+                return Err(Missing::Wrong(refused(reason, help)));
             }
             let names = || offered.iter().filter_map(|o| Some(o.as_ref().ok()?.name.as_str()));
             let help = suggest(wanted, names())
                 .unwrap_or_else(|| format!("it offers: {}", names().collect::<Vec<_>>().join(", ")));
-            Err(Missing::Absent(format!("`{agent}` does not offer `{wanted}`; {help}")))
+            Err(Missing::Absent(refused(format!("`{agent}` does not offer `{wanted}`"), help)))
         }
     }
 }
@@ -264,7 +272,7 @@ impl Call {
         let manifest = loop {
             match chosen(&self.agent, &self.name, &self.agents.offered(&self.agent, Some(&self.name)).await) {
                 Ok(manifest) => break manifest,
-                Err(Missing::Wrong(reason)) => return Err(Failure::new(reason)),
+                Err(Missing::Wrong(refused)) => return Err(Failure::new(refused.reason)),
                 Err(Missing::Absent(_)) if self.left().is_zero() => return Err(self.lost()),
                 Err(Missing::Absent(_)) => sleep(AGAIN).await,
             }

@@ -2,7 +2,7 @@
 //!
 //! - [`wire`]: the messages, as `docs/wire.md` explains them to other languages;
 //! - [`serve()`] offers skills (charts are skills here, see [`ChartSkill`](crate::exec::ChartSkill));
-//! - [`Agents`] asks others what they offer, and starts it.
+//! - [`Agents`] asks others what they offer, and starts it; it also takes events to their charts, which [`hear()`] them.
 //!
 //! Whoever starts something polls it; the polls are the lease for both sides. A side that has not heard of the other
 //! for [`LEASE`] takes it for lost: the caller's state fails, and what was started is cancelled.
@@ -11,10 +11,12 @@
 
 mod agents;
 mod call;
+mod letters;
 mod serve;
 pub mod wire;
 
 pub use agents::{Agents, Patience};
+pub use letters::hear;
 pub use serve::{Offer, Offers, ServeError, serve};
 
 use std::time::Duration;

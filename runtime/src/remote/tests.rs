@@ -192,6 +192,30 @@ async fn an_agent_that_falls_silent_is_lost_within_a_second() {
     assert_eq!(result.chain, ["A", "T"]);
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_lost_agent_counts_as_returned_where_its_state_is_left() {
+    let (one, two) = pair().await;
+    let serving = bob(&one);
+    let chart = "statechart: T\nevents: {go: {}}\ninitial: A\nstates:\n  A: {remote: bob/Act, with: {end: never}, \
+                 transitions: {go: Done}}\n  Done: {final: success}\n";
+    let (program, registry) = checked(&two, chart).await.expect("the chart is in order");
+    let (started, mut starts) = tokio::sync::mpsc::unbounded_channel();
+    let sink = move |event: &TraceEvent| {
+        if matches!(event.item, TraceItem::SkillStarted { .. }) {
+            started.send(()).unwrap();
+        }
+    };
+    let options = ExecOptions { sink: Some(Box::new(sink)), ..ExecOptions::default() };
+    let executor = Executor::new(program, registry, Channels::new(), options).unwrap();
+    let controller = executor.controller();
+    let running = tokio::spawn(executor.run());
+    starts.recv().await.expect("the skill is started");
+    serving.abort();
+    assert!(controller.raise("go", Value::Null));
+    let result = running.await.unwrap();
+    assert_eq!((result.outcome.as_str(), result.reason), ("success", None), "it is not taken for stuck");
+}
+
 /// An agent in another language that declares `Act` with one version, and refuses to start it.
 async fn stranger(session: Session, manifest: Manifest, told: BTreeMap<String, (String, Vec<u8>)>) {
     let key = keys::chart("eve", &manifest.name).unwrap();

@@ -2,7 +2,7 @@
 //!
 //! All are questions on the key `{agent}/chart/{Name}`, told apart by the schema in the payload's encoding. A question
 //! without payload is answered by the [`Manifest`]; [`Start`], [`Poll`] and [`Cancel`] are answered by a [`Status`], or
-//! refused with a [`Refusal`].
+//! refused with a [`Refusal`]. An event for an agent's charts is [`Told`] on `{agent}/event` and answered by [`Heard`].
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -141,6 +141,31 @@ pub struct Ended {
     pub outputs: BTreeMap<String, Value>,
 }
 
+/// Tells the charts of an agent an event.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Told {
+    /// The sender's name for this event; never used twice.
+    pub letter: String,
+    /// Who sends it, for people.
+    pub caller: String,
+    /// The chart that is meant; all that run, where there is none.
+    #[serde(default)]
+    pub chart: Option<String>,
+    /// The event's name.
+    pub name: String,
+    /// What comes with it.
+    pub data: Value,
+}
+
+/// Who has heard an event.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Heard {
+    /// How many charts.
+    pub charts: u32,
+    /// The process that answers.
+    pub instance: String,
+}
+
 /// Why a question is refused.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Refusal {
@@ -162,6 +187,12 @@ impl Payload for Cancel {
 }
 impl Payload for Status {
     const SCHEMA: Schema = Schema::new("runtime/status", 1);
+}
+impl Payload for Told {
+    const SCHEMA: Schema = Schema::new("runtime/event", 1);
+}
+impl Payload for Heard {
+    const SCHEMA: Schema = Schema::new("runtime/heard", 1);
 }
 impl Payload for Refusal {
     const SCHEMA: Schema = Schema::new("runtime/refusal", 1);

@@ -70,6 +70,17 @@ pub struct RunningSkill {
     pub skill: String,
 }
 
+/// An event that went to another agent.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sent {
+    /// Its name.
+    pub event: String,
+    /// The agent, or `agent/Chart`.
+    pub to: String,
+    /// What came with it.
+    pub data: Value,
+}
+
 /// An armed watch.
 #[derive(Clone, Copy, Debug)]
 struct Armed {
@@ -111,6 +122,7 @@ pub struct Stepper {
     /// States by their paths, and by how they are shown.
     by_path: BTreeMap<String, StateId>,
     logs: Vec<String>,
+    sent: Vec<Sent>,
     coverage: Coverage,
     result: Option<RunResult>,
     effects: Vec<Effect>,
@@ -138,6 +150,7 @@ impl Stepper {
             labels,
             by_path,
             logs: Vec::new(),
+            sent: Vec::new(),
             coverage: Coverage::default(),
             result: None,
             effects: Vec::new(),
@@ -227,6 +240,11 @@ impl Stepper {
     /// What the action `log` has said since this was asked last.
     pub fn take_logs(&mut self) -> Vec<String> {
         std::mem::take(&mut self.logs)
+    }
+
+    /// What was sent to other agents since this was asked last. They are not here, and are taken to have heard it.
+    pub fn take_sent(&mut self) -> Vec<Sent> {
+        std::mem::take(&mut self.sent)
     }
 
     /// The engine that is driven.
@@ -350,11 +368,7 @@ impl Stepper {
             Effect::DisarmWatch { watch } => {
                 self.watches.remove(&watch);
             }
-            Effect::Send { event, to, .. } => {
-                let reason = format!("`{event}` cannot be sent to `{to}`: nobody else is here");
-                let data = Value::record([("reason", reason.into())]);
-                return Some(Input::Event { name: "error.communication".into(), data });
-            }
+            Effect::Send { event, to, data } => self.sent.push(Sent { event, to, data }),
             Effect::Trace(TraceItem::Log { text, .. }) => self.logs.push(text),
             Effect::Trace(item) => self.coverage.note(&item),
             Effect::Finished(result) => self.result = Some(result),

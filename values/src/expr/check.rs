@@ -61,10 +61,12 @@ fn syntax(source: &str, errors: &cel::ParseErrors) -> ExprError {
     let start = boundary(source, (line_start + column).min(source.len()));
     let end = source[start..].chars().next().map_or(source.len(), |c| start + c.len_utf8());
     let message = first.msg.trim_start_matches("Syntax error: ").to_owned();
-    let kind = if message.contains("recursion") { Kind::TooLarge } else { Kind::Syntax };
+    if message.to_ascii_lowercase().contains("recursion limit") {
+        return whole(source, Kind::TooLarge, "the expression is nested too deeply".into());
+    }
     let help = "reserved words (`in`, `if`, `for`, `package` ...) cannot be names; text is quoted".to_owned();
     ExprError {
-        kind,
+        kind: Kind::Syntax,
         message: format!("this is not an expression: {message}"),
         help: Some(help),
         start: start.min(end),

@@ -3,10 +3,11 @@
 use std::cell::Cell;
 use std::collections::BTreeMap;
 
-use super::MAX_ITEMS;
 use super::functions::Function;
 use super::operate::{Arithmetic, Comparison, arithmetic, compare, contains, field, has_nan, index, negate};
+use super::{MAX_ITEMS, MAX_PARTS};
 use crate::Value;
+use crate::value::text_parts;
 
 /// What names hold while an expression is evaluated.
 pub trait World {
@@ -187,20 +188,42 @@ struct Evaluation<'v, W: ?Sized> {
     /// A NaN from a channel counts as absent.
     observing: bool,
     items: Cell<u32>,
+    /// Parts of lists and maps that were put together.
+    parts: Cell<usize>,
 }
 
 type Result<T> = std::result::Result<T, EvalError>;
 
 pub(super) fn evaluate<W: World + ?Sized>(node: &Node, world: &W) -> Result<Value> {
-    let evaluation = Evaluation { world, observing: false, items: Cell::new(0) };
-    evaluation.value(node, None).map(Val::into_value)
+    Evaluation::new(world, false).value(node, None).map(Val::into_value)
 }
 
 pub(super) fn test<W: World + ?Sized>(node: &Node, world: &W, observing: bool) -> Result<bool> {
-    Evaluation { world, observing, items: Cell::new(0) }.truth(node, None, Pos::default())
+    Evaluation::new(world, observing).truth(node, None, Pos::default())
+}
+
+impl<'v, W: World + ?Sized> Evaluation<'v, W> {
+    fn new(world: &'v W, observing: bool) -> Self {
+        Self { world, observing, items: Cell::new(0), parts: Cell::new(0) }
+    }
 }
 
 impl<W: World + ?Sized> Evaluation<'_, W> {
+    /// A value that becomes part of a larger one.
+    fn part(&self, value: Val<'_>, pos: Pos) -> Result<Value> {
+        let parts = match &value {
+            Val::Ref(value) => value.parts(),
+            Val::Owned(value) => value.parts(),
+            Val::Str(text) => text_parts(text),
+            _ => 1,
+        };
+        self.parts.set(self.parts.get().saturating_add(parts));
+        if self.parts.get() > MAX_PARTS {
+            return Err(pos.error(format!("this makes a value of more than {MAX_PARTS} parts")));
+        }
+        Ok(value.into_value())
+    }
+
     fn truth(&self, node: &Node, frame: Option<&Frame<'_>>, pos: Pos) -> Result<bool> {
         match self.value(node, frame)? {
             Val::Bool(b) => Ok(b),
@@ -259,7 +282,8 @@ impl<W: World + ?Sized> Evaluation<'_, W> {
                 function.call(&values).map_err(|message| pos.error(message))
             }
             Node::List(items) => {
-                let values = items.iter().map(|n| self.value(n, frame).map(Val::into_value));
+                let part = |n| self.part(self.value(n, frame)?, Pos::default());
+                let values = items.iter().map(part);
                 Ok(Val::own(Value::List(values.collect::<Result<_>>()?)))
             }
             Node::Record(entries, pos) => self.record(entries, frame, *pos),
@@ -289,7 +313,7 @@ impl<W: World + ?Sized> Evaluation<'_, W> {
             let Some(name) = key.text() else {
                 return Err(pos.error(format!("the keys of a map are strings, found {}", key.describe())));
             };
-            let value = self.value(value, frame)?.into_value();
+            let value = self.part(self.value(value, frame)?, pos)?;
             if fields.insert(name.to_owned(), value).is_some() {
                 return Err(pos.error(format!("the key `{name}` is there twice")));
             }
@@ -323,7 +347,7 @@ impl<W: World + ?Sized> Evaluation<'_, W> {
             }
             let inner = Frame { value: item, outer: frame };
             if kind == Macro::Map {
-                kept.push(self.value(body, Some(&inner))?.into_value());
+                kept.push(self.part(self.value(body, Some(&inner))?, pos)?);
                 continue;
             }
             let holds = self.truth(body, Some(&inner), pos)?;
@@ -331,7 +355,7 @@ impl<W: World + ?Sized> Evaluation<'_, W> {
             match kind {
                 Macro::All if !holds => return Ok(Val::Bool(false)),
                 Macro::Exists if holds => return Ok(Val::Bool(true)),
-                Macro::Filter if holds => kept.push(item.clone()),
+                Macro::Filter if holds => kept.push(self.part(Val::of(item), pos)?),
                 _ => {}
             }
         }

@@ -24,6 +24,10 @@ use scalar::Scalar;
 pub const MAX_SOURCE: usize = 4096;
 /// Most list items that all comprehensions of one evaluation together may visit.
 pub const MAX_ITEMS: u32 = 10_000;
+/// Most parts ([`Value::parts`]) of what one evaluation puts together.
+pub const MAX_PARTS: usize = 100_000;
+/// Longest text that an evaluation puts together, bytes.
+pub const MAX_TEXT: usize = 1_000_000;
 
 /// Where a name's value is found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

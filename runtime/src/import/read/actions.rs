@@ -1,0 +1,159 @@
+//! Executable content: what states and transitions do, as it was written.
+
+use roxmltree::Node;
+
+use super::{Action, Code, Content, Payload, Reader, Send, words};
+
+/// Deepest nesting of `<if>`: each `elseif` becomes a level of the chart's text.
+const MAX_IFS: usize = 20;
+/// Deepest nesting of JSON.
+const MAX_JSON: usize = 20;
+
+impl<'x> Reader<'x, '_> {
+    pub(super) fn actions(&mut self, node: Node<'x, 'x>, depth: usize) -> Vec<Action> {
+        let inside = node.tag_name().name();
+        let mut actions = Vec::new();
+        for child in node.children() {
+            if let Some(name) = self.element(child) {
+                actions.extend(self.action(child, name, inside, depth));
+            }
+        }
+        actions
+    }
+
+    fn action(&mut self, node: Node<'x, 'x>, name: &str, inside: &str, depth: usize) -> Option<Action> {
+        match name {
+            "raise" => self.raise(node),
+            "send" => self.send(node),
+            "cancel" => self.cancel(node),
+            "log" => {
+                let label = node.attribute("label").map(str::to_owned).filter(|l| !l.is_empty());
+                Some(Action::Log { label, expr: self.code(node, "expr") })
+            }
+            "if" if depth < MAX_IFS => Some(self.choice(node, depth)),
+            "if" => {
+                self.error(node, format!("`<if>` is nested deeper than {MAX_IFS} levels"));
+                None
+            }
+            _ => {
+                self.unknown(node, inside);
+                None
+            }
+        }
+    }
+
+    fn raise(&mut self, node: Node<'x, 'x>) -> Option<Action> {
+        let Some(event) = node.attribute("event").filter(|e| !e.trim().is_empty()) else {
+            self.error(node, "`<raise>` needs an `event`");
+            return None;
+        };
+        Some(Action::Raise(event.trim().to_owned()))
+    }
+
+    fn cancel(&mut self, node: Node<'x, 'x>) -> Option<Action> {
+        let id = self.text(node, "sendid", "sendidexpr");
+        if id.is_none() {
+            self.error(node, "`<cancel>` needs a `sendid`");
+        }
+        id.map(Action::Cancel)
+    }
+
+    fn send(&mut self, node: Node<'x, 'x>) -> Option<Action> {
+        for attribute in ["idlocation", "namelist"] {
+            if node.attribute(attribute).is_some_and(|a| !a.trim().is_empty()) {
+                let message =
+                    format!("`{attribute}` of `<send>` needs a data model and cannot be carried over");
+                self.error(node, message);
+            }
+        }
+        let Some(event) = self.text(node, "event", "eventexpr") else {
+            self.error(node, "`<send>` needs an `event`");
+            return None;
+        };
+        Some(Action::Send(Send {
+            line: self.line(node),
+            event,
+            target: self.text(node, "target", "targetexpr"),
+            kind: self.text(node, "type", "typeexpr"),
+            delay: self.text(node, "delay", "delayexpr"),
+            id: node.attribute("id").map(str::to_owned),
+            data: self.data(node, "send"),
+        }))
+    }
+
+    /// What a `<send>` or a `<donedata>` gives.
+    pub(super) fn data(&mut self, node: Node<'x, 'x>, inside: &str) -> Payload {
+        let mut data = Payload::default();
+        for child in node.children() {
+            match self.element(child) {
+                None => {}
+                Some("param") => match (child.attribute("name"), self.code(child, "expr")) {
+                    (Some(name), Some(code)) => data.fields.push((name.to_owned(), code)),
+                    _ => self.error(child, "`<param>` is carried over with `name` and `expr`"),
+                },
+                Some("content") => data.content = self.content(child),
+                Some(_) => self.unknown(child, inside),
+            }
+        }
+        if data.content.is_some() && !data.fields.is_empty() {
+            self.error(node, format!("`<{inside}>` has `<param>` or `<content>`, not both"));
+        }
+        data
+    }
+
+    /// One value: an expression, JSON, or a text with its white space made single spaces.
+    fn content(&mut self, node: Node<'x, 'x>) -> Option<Content> {
+        if node.children().any(|child| child.is_element()) {
+            self.error(node, "`<content>` with elements cannot be carried over: XML is no value here");
+            return None;
+        }
+        if let Some(code) = self.code(node, "expr") {
+            return Some(Content::Expr(code));
+        }
+        let text = node.text().unwrap_or("").trim();
+        if text.is_empty() {
+            return None;
+        }
+        let spaced = || serde_json::Value::String(words(text).join(" "));
+        let value = serde_json::from_str(text).unwrap_or_else(|_| spaced());
+        if deeper(&value, MAX_JSON) {
+            self.error(node, format!("the JSON of `<content>` is nested deeper than {MAX_JSON} levels"));
+            return None;
+        }
+        Some(Content::Written(value))
+    }
+
+    fn choice(&mut self, node: Node<'x, 'x>, depth: usize) -> Action {
+        let mut branches = vec![(self.condition(node), Vec::new())];
+        for child in node.children() {
+            let Some(name) = self.element(child) else { continue };
+            match name {
+                "elseif" => branches.push((self.condition(child), Vec::new())),
+                "else" => branches.push((None, Vec::new())),
+                _ => {
+                    let action = self.action(child, name, "if", depth + 1);
+                    branches.last_mut().expect("there is a branch from the start").1.extend(action);
+                }
+            }
+        }
+        Action::If(branches)
+    }
+
+    fn condition(&mut self, node: Node<'x, 'x>) -> Option<Code> {
+        let code = self.code(node, "cond");
+        if code.is_none() {
+            self.error(node, format!("`<{}>` needs a `cond`", node.tag_name().name()));
+        }
+        code
+    }
+}
+
+/// Whether lists and maps stand inside one another in more than `levels` levels.
+fn deeper(value: &serde_json::Value, levels: usize) -> bool {
+    let below = |value: &serde_json::Value| levels == 0 || deeper(value, levels - 1);
+    match value {
+        serde_json::Value::Array(items) => items.iter().any(below),
+        serde_json::Value::Object(fields) => fields.values().any(below),
+        _ => false,
+    }
+}

@@ -1,0 +1,284 @@
+//! Events from charts to the charts of other agents, over Zenoh: a question on `{agent}/event`, answered by how many
+//! charts have heard it.
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use armarium_bus::{Session, keys};
+use futures::FutureExt as _;
+use futures::future::BoxFuture;
+use tokio::time::{Instant, sleep, timeout};
+
+use super::LEASE;
+use super::agents::Agents;
+use super::serve::ServeError;
+use super::wire::{Heard, Refusal, Told, answered, packed, unpacked};
+use crate::exec::{Hearers, Letter, Post};
+
+/// Questions that may wait.
+const MOST_QUESTIONS: usize = 256;
+/// Between questions that found nobody.
+const AGAIN: Duration = Duration::from_millis(20);
+/// Events whose names are remembered, so that one that comes twice is heard once.
+const REMEMBERED: usize = 1024;
+
+/// Counts the events that this process has sent.
+static SENT: AtomicU64 = AtomicU64::new(0);
+
+impl Post for Agents {
+    fn deliver(&self, letter: Letter) -> BoxFuture<'static, Result<(), String>> {
+        let agents = self.clone();
+        let task = self.threads.spawn(async move { agents.tell(letter).await });
+        async move { task.await.unwrap_or_else(|error| Err(format!("it was lost: {error}"))) }.boxed()
+    }
+}
+
+impl Agents {
+    async fn tell(&self, letter: Letter) -> Result<(), String> {
+        let (agent, chart) = match letter.to.split_once('/') {
+            Some((agent, chart)) => (agent, Some(chart.to_owned())),
+            None => (letter.to.as_str(), None),
+        };
+        let key = keys::event(agent).map_err(|e| e.to_string())?;
+        let number = SENT.fetch_add(1, Ordering::Relaxed);
+        let told = Told {
+            letter: format!("{}-{number}", self.session.id()),
+            caller: self.caller.clone(),
+            chart: chart.clone(),
+            name: letter.event,
+            data: letter.data,
+        };
+        let (encoding, bytes) = packed(&told)?;
+        let until = Instant::now() + LEASE;
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            let question = Some((encoding.as_str(), bytes.clone()));
+            let asked = self.session.ask(key.clone(), "", question, 16, left);
+            // Zenoh keeps the time as well, but not where its own threads are held up.
+            let answers = match timeout(left, asked).await {
+                Ok(answers) => answers.map_err(|e| e.to_string())?,
+                Err(_) => Vec::new(),
+            };
+            let heard: Result<Vec<Heard>, String> = answers.iter().filter_map(answered).collect();
+            match heard?.as_slice() {
+                [] if left.is_zero() => return Err(format!("no agent `{agent}` answers")),
+                [] => sleep(AGAIN.min(left)).await,
+                [one] if one.charts > 0 => return Ok(()),
+                [_] => return Err(nobody(agent, chart.as_deref())),
+                [one, two, ..] => {
+                    return Err(format!(
+                        "two agents are called `{agent}`, the processes {} and {}, and both have heard it",
+                        one.instance, two.instance
+                    ));
+                }
+            }
+        }
+    }
+}
+
+fn nobody(agent: &str, chart: Option<&str>) -> String {
+    match chart {
+        Some(chart) => format!("`{agent}` runs no chart `{chart}` now"),
+        None => format!("`{agent}` runs no chart now"),
+    }
+}
+
+/// Raises what other agents send to `agent` in the charts that hear it, until the session closes.
+///
+/// # Errors
+/// [`ServeError`] when nothing can be heard.
+pub async fn hear(session: &Session, agent: &str, hearers: Hearers) -> Result<(), ServeError> {
+    let key = keys::event(agent)?;
+    let mut questions = session.answer(key.clone(), MOST_QUESTIONS).await?;
+    let mut remembered: VecDeque<(String, u32)> = VecDeque::new();
+    let instance = session.id();
+    while let Some(question) = questions.next().await {
+        let heard = unpacked::<Told>(&question.encoding, &question.payload).and_then(|told| {
+            if let Some((_, charts)) = remembered.iter().find(|(letter, _)| *letter == told.letter) {
+                return Ok(*charts);
+            }
+            tracing::debug!(event = %told.name, caller = %told.caller, "another agent sends an event");
+            let charts = hearers.raise(told.chart.as_deref(), &told.name, &told.data)?;
+            if charts > 0 {
+                if remembered.len() >= REMEMBERED {
+                    remembered.pop_front();
+                }
+                remembered.push_back((told.letter, charts));
+            }
+            Ok(charts)
+        });
+        let sent = match heard.and_then(|charts| packed(&Heard { charts, instance: instance.clone() })) {
+            Ok((encoding, bytes)) => question.reply(&key, &encoding, bytes).await,
+            Err(reason) => match packed(&Refusal { reason }) {
+                Ok((encoding, bytes)) => question.refuse(&encoding, bytes).await,
+                Err(_) => continue,
+            },
+        };
+        if let Err(error) = sent {
+            tracing::debug!(%error, "an answer did not reach who sent an event");
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use armarium_bus::SessionConfig;
+    use armarium_values::Value;
+    use tokio::runtime::Handle;
+
+    use super::*;
+    use crate::channels::Channels;
+    use crate::chart::Registry;
+    use crate::chart::testing::program;
+    use crate::exec::{ExecOptions, Executor, Others, RunResult};
+
+    async fn pair() -> (Session, Session) {
+        let one = Session::open(&SessionConfig::default()).await.unwrap();
+        let two = Session::open(&SessionConfig::connected_to(&one.endpoints().await)).await.unwrap();
+        (one, two)
+    }
+
+    /// An agent that is called `name` and runs charts.
+    fn agent(session: &Session, name: &'static str) -> Others {
+        let others = Others {
+            post: Some(Arc::new(Agents::new(session.clone(), name, Handle::current()))),
+            hearers: Hearers::default(),
+        };
+        let (session, hearers) = (session.clone(), others.hearers.clone());
+        tokio::spawn(async move { hear(&session, name, hearers).await });
+        others
+    }
+
+    fn run(others: &Others, chart: &str) -> impl Future<Output = RunResult> + use<> {
+        let options = ExecOptions { others: others.clone(), ..ExecOptions::default() };
+        Executor::new(program(chart), Registry::new(), Channels::new(), options).unwrap().run()
+    }
+
+    const BOB: &str = "
+statechart: Bob
+events: {count: {data: {n: int}}, last: {}}
+locals: {heard: {type: list<any>, default: []}}
+outputs: {heard: {type: list<any>}}
+initial: Listen
+states:
+  Listen:
+    transitions:
+      count: {do: [{assign: {locals.heard: \"${locals.heard + [event.data.n]}\"}}]}
+      last:
+        target: Done
+        do: [{assign: {outputs.heard: \"${locals.heard}\"}}, {send: {event: thanks, to: alice, data: {n: 3}}}]
+  Done: {final: success}
+";
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn what_is_sent_is_heard_in_its_order_and_answered() {
+        let (one, two) = pair().await;
+        let (alice, bob) = (agent(&one, "alice"), agent(&two, "bob"));
+        let listening = tokio::spawn(run(&bob, BOB));
+        // Bob may not listen yet: then it is tried again.
+        let result = run(
+            &alice,
+            "
+statechart: Alice
+events: {thanks: {data: {n: int}}}
+initial: Knock
+states:
+  Knock:
+    enter: [{send: {event: count, to: \"${'b' + 'ob'}\", data: {n: 1}}}]
+    transitions: {error.communication: Again}
+    after: {300ms: Count}
+  Again: {after: {20ms: Knock}}
+  Count:
+    enter:
+      - foreach: {in: [2, 3, 4, 5], as: n, do: [{send: {event: count, to: bob/Bob, data: {n: \"${n}\"}}}]}
+      - send: {event: count, to: bob, data: {n: 6}, delay: 10s, id: late}
+      - send: {event: last, to: bob/Bob, delay: 50ms}
+      - cancel: late
+    transitions: {thanks: {target: Done, if: event.data.n == 3}}
+  Done: {final: success}
+",
+        );
+        assert_eq!(result.await.outcome, "success");
+        let heard = listening.await.unwrap().outputs["heard"].clone();
+        assert_eq!(heard, Value::List((1..=5).map(Value::Int).collect()));
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn what_nobody_hears_comes_back() {
+        let (one, two) = pair().await;
+        let (alice, _bob) = (agent(&one, "alice"), agent(&two, "bob"));
+        for (to, said) in [
+            ("carol", "no agent `carol` answers"),
+            ("bob", "`bob` runs no chart now"),
+            ("bob/Dance", "`bob` runs no chart `Dance` now"),
+            ("b*b", "cannot be part of a key"),
+        ] {
+            let result = run(
+                &alice,
+                &format!(
+                    "
+statechart: Alice
+outputs: {{why: {{type: string}}}}
+initial: A
+states:
+  A:
+    enter: [{{send: {{event: hello, to: '{to}'}}}}]
+    transitions:
+      error.communication: {{target: Done, do: [{{assign: {{outputs.why: \"${{event.data.reason}}\"}}}}]}}
+  Done: {{final: success}}
+"
+                ),
+            );
+            let why = result.await.outputs["why"].clone();
+            let why = why.as_str().unwrap();
+            assert!(
+                why.starts_with(&format!("`hello` cannot be sent to `{to}`: ")) && why.contains(said),
+                "{why}"
+            );
+        }
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn an_event_that_comes_twice_is_heard_once_and_one_with_a_wrong_type_is_an_error_there() {
+        let (one, two) = pair().await;
+        let bob = agent(&two, "bob");
+        let chart = "
+statechart: Bob
+events: {count: {data: {n: int}}}
+locals: {n: {type: int, default: 0}}
+initial: Listen
+states:
+  Listen:
+    transitions:
+      count: {do: [{assign: {locals.n: \"${locals.n + 1}\"}}]}
+      error.communication: [{if: locals.n == 1, target: Done}, {target: Wrong}]
+  Done: {final: success}
+  Wrong: {final: failure}
+";
+        let listening = tokio::spawn(run(&bob, chart));
+        let told = |letter: &str, data: Value| Told {
+            letter: letter.into(),
+            caller: "a test".into(),
+            chart: None,
+            name: "count".into(),
+            data: Value::record([("n", data)]),
+        };
+        for told in [told("x-1", Value::Int(1)), told("x-1", Value::Int(1)), told("x-2", "many".into())] {
+            let (encoding, bytes) = packed(&told).unwrap();
+            // Until there is somebody who hears it.
+            loop {
+                let question = Some((encoding.as_str(), bytes.clone()));
+                let answers = one.ask(keys::event("bob").unwrap(), "", question, 16, LEASE).await.unwrap();
+                match answers.iter().find_map(answered::<Heard>) {
+                    Some(Ok(heard)) if heard.charts == 1 => break,
+                    _ => tokio::task::yield_now().await,
+                }
+            }
+        }
+        assert_eq!(listening.await.unwrap().outcome, "success");
+    }
+}
