@@ -172,7 +172,9 @@ impl Shared {
     }
 
     async fn send(&self, question: &Question, answer: Result<(String, Vec<u8>), MemoryError>) {
-        let key = Key::parse(&question.key).map_err(|error| MemoryError::Name { name: error.name });
+        // Who asks all memories at once is answered on this one's key.
+        let key = Key::parse(&question.key).or_else(|_| keys::memory_commit(&self.agent));
+        let key = key.map_err(|error| MemoryError::Name { name: error.name });
         let sent = match (answer, key) {
             (Ok((encoding, payload)), Ok(key)) => question.reply(&key, &encoding, payload).await,
             (Err(error), _) | (_, Err(error)) => refuse(question, &error).await,
