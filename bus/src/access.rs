@@ -20,7 +20,7 @@ pub struct Access {
     pub readers: Vec<String>,
     /// Who may write provider segments of his own name into its memory; they may read it too.
     pub writers: Vec<String>,
-    /// Who may start its charts and skills.
+    /// Who may start its charts and skills, and tell them events.
     pub callers: Vec<String>,
 }
 
@@ -122,7 +122,7 @@ impl Access {
             rules.push(rule(other, "writes", &["put"], "ingress", [format!("{own}/memory/*/{other}/*")]));
         }
         if is_in(&self.callers) {
-            let charts = || [format!("{own}/chart/*"), format!("{own}/alive/*")];
+            let charts = || [format!("{own}/chart/*"), format!("{own}/event"), format!("{own}/alive/*")];
             rules.push(rule(other, "calls", ASKS, "ingress", charts()));
             rules.push(rule(other, "is_answered", TELLS, "egress", charts()));
         }

@@ -15,7 +15,7 @@ use armarium_states::observers;
 use armarium_viewer::progress::Progress;
 
 use crate::catalog;
-use crate::connection::{Connection, ConnectionArgs, be_the_only_one};
+use crate::connection::{AccessArgs, Connection, ConnectionArgs, be_the_only_one};
 use crate::logging;
 use crate::render_findings::{Shown, any_error, render, summary};
 use crate::stage::Stage;
@@ -34,6 +34,8 @@ pub(crate) struct AgentArgs {
     pub(crate) charts: Vec<PathBuf>,
     #[command(flatten)]
     pub(crate) connection: ConnectionArgs,
+    #[command(flatten)]
+    pub(crate) access: AccessArgs,
     /// The simulated world that the agent's robot is in; the default kitchen if not given.
     #[arg(long, value_name = "FILE")]
     pub(crate) world: Option<PathBuf>,
@@ -63,7 +65,8 @@ fn message(error: impl std::fmt::Display) -> NotBegun {
 /// # Errors
 /// When `out` cannot be written.
 pub(crate) fn run(args: &AgentArgs, out: &mut dyn Write) -> io::Result<u8> {
-    let connection = match Connection::open(&args.connection) {
+    let access = args.access.of(&args.name);
+    let connection = match Connection::open(&args.connection, access.as_ref()) {
         Ok(connection) => connection,
         Err(message) => return writeln!(out, "error: {message}").map(|()| 2),
     };
@@ -93,8 +96,10 @@ async fn offer(
     };
     let (stage, simulation) = Stage::set(&world, args.seed, &args.store, Vec::new()).map_err(message)?;
     let (memory, long_term) = (Arc::clone(&stage.memory), Arc::clone(stage.kept.store()));
-    let _memory =
-        MemoryServer::start_with(session, &args.name, memory, Some(long_term)).await.map_err(message)?;
+    let guarded = args.access.of(&args.name).is_some();
+    let _memory = MemoryServer::start_guarded(session, &args.name, memory, Some(long_term), guarded)
+        .await
+        .map_err(message)?;
     let progress = Progress::new(Box::new(io::stderr()), false);
     logging::install(&progress, stage.handle.clone(), args.verbose, false).map_err(message)?;
     let channels = Channels::new();

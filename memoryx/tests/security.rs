@@ -1,5 +1,7 @@
 //! Mutual TLS and access rules over real sessions: who is let in, as what, and what everybody else is told.
 
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
+
 use std::path::Path;
 use std::sync::Arc;
 

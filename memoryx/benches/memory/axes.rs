@@ -60,23 +60,35 @@ fn by_policy(name: &str, policy: Policy) {
     start.say(&format!("transfer, {name}: durable updates of two"), frames * 2, "");
     let stats = store.stats().expect("it can be read");
     say(&format!("compression, {name}: kept"), stats.snapshots as f64 * 100.0 / (frames * 2) as f64, "%", "");
-    say(&format!("compression, {name}: a kept snapshot"), stats.bytes as f64 / stats.snapshots as f64, "bytes", "");
+    say(
+        &format!("compression, {name}: a kept snapshot"),
+        stats.bytes as f64 / stats.snapshots as f64,
+        "bytes",
+        "",
+    );
     let (mut sum, mut most, asked) = (0.0, 0.0_f64, 997);
     let pattern = Pattern::segment("ObjectInstances").named("moving");
     for i in 1..=asked {
         let time_ns = i * (frames - 1) * step_ns / (asked + 1);
-        let found = store.query(&Query::latest(pattern.clone()).times(Times::At(time_ns))).expect("it can be read");
+        let found =
+            store.query(&Query::latest(pattern.clone()).times(Times::At(time_ns))).expect("it can be read");
         let place = found.first().and_then(|s| place_of(s)).expect("it was seen before").1;
         let error = distance(&place, &round(time_ns));
         (sum, most) = (sum + error, most.max(error));
     }
-    say(&format!("reproduction, {name}: mean error of the moving one"), sum * 1000.0 / asked as f64, "mm", "");
+    say(
+        &format!("reproduction, {name}: mean error of the moving one"),
+        sum * 1000.0 / asked as f64,
+        "mm",
+        "",
+    );
     say(&format!("reproduction, {name}: largest"), most * 1000.0, "mm", "");
 }
 
 /// Each day the most probable place is guessed before the cup is looked for.
 async fn prediction() {
-    let memory = WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits { history: 10_000, ..Limits::default() });
+    let memory =
+        WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits { history: 10_000, ..Limits::default() });
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let (mut guessed, mut surprise, mut days) = (0, 0.0, 0);
     for day in 1..=200_u64 {
@@ -90,7 +102,8 @@ async fn prediction() {
         conclude_once(&memory, &UsualPlaces::default(), day * DAY_NS).await.expect("it can be concluded");
         let known = memory.segment(USUAL_PLACES).await.expect("it can be read");
         let chance = |s: &armarium_memoryx::Snapshot| s.instance().map_or(0.0, |i| i.confidence);
-        let is_there = |s: &armarium_memoryx::Snapshot| place_of(s).is_some_and(|(_, at)| distance(&at, &today) < 0.3);
+        let is_there =
+            |s: &armarium_memoryx::Snapshot| place_of(s).is_some_and(|(_, at)| distance(&at, &today) < 0.3);
         if day > 10 {
             days += 1;
             let best = known.iter().max_by(|a, b| chance(a).total_cmp(&chance(b)));
@@ -99,7 +112,12 @@ async fn prediction() {
         }
         memory.commit_now(vec![cup("cup", today, day * DAY_NS + 1)]).expect("it fits");
     }
-    say("prediction: the cup was where it was likeliest", f64::from(guessed) * 100.0 / f64::from(days), "%", "best: 60");
+    say(
+        "prediction: the cup was where it was likeliest",
+        f64::from(guessed) * 100.0 / f64::from(days),
+        "%",
+        "best: 60",
+    );
     let entropy: f64 = PLACES.iter().map(|(_, n)| f64::from(*n) / 10.0).map(|p| -p * p.log2()).sum();
     say("prediction: surprise a day", surprise / f64::from(days), "bits", &format!("entropy: {entropy:.2}"));
 }

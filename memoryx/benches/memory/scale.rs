@@ -30,7 +30,8 @@ pub(super) async fn scale() {
 async fn through_one_router(count: usize) {
     let router = SessionConfig { mode: Mode::Router, ..SessionConfig::default() };
     let router = Session::open(&router).await.expect("a router");
-    let config = SessionConfig { mode: Mode::Client, ..SessionConfig::connected_to(&router.endpoints().await) };
+    let config =
+        SessionConfig { mode: Mode::Client, ..SessionConfig::connected_to(&router.endpoints().await) };
     let (before, start) = (resident_mb(), Meter::start());
     let mut agents = Vec::new();
     for n in 0..count {

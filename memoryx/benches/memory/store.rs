@@ -139,7 +139,8 @@ pub(super) fn durable_agent() {
     let folder = tempfile::tempdir().expect("a folder");
     let store = Arc::new(LongTermMemory::open(&folder.path().join("agent.redb")).expect("a file"));
     let kept = Consolidator::new(store, Policies::all(Policy::Everything));
-    let memory = WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits::default()).with_backing(Arc::new(kept));
+    let memory =
+        WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits::default()).with_backing(Arc::new(kept));
     for group in [1000, 10_000] {
         let start = Meter::start();
         for g in 0..KEPT / group {

@@ -174,7 +174,8 @@ async fn after_a_cut_both_sides_are_equal() {
 
     let near = Session::open(&SessionConfig::connected_to(&[format!("tcp/{address}")])).await.unwrap();
     let remote = Arc::new(RemoteMemory::connect(&near, "alice").await.unwrap());
-    let bob = WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits { history: 100_000, ..Limits::default() });
+    let bob =
+        WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits { history: 100_000, ..Limits::default() });
     let bob = Arc::new(bob);
     let shared = Arc::<RemoteMemory>::clone(&remote);
     let following = Following::start(shared, Arc::clone(&bob), settings(None)).await.unwrap();
