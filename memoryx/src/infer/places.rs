@@ -41,7 +41,7 @@ const COUNTS_S: (f64, f64) = (600.0, 1.0);
 const CELL: f64 = 0.05;
 /// How far from its centre a place reaches, m.
 const REACH: f64 = 0.3;
-/// Rounds of clustering; each lessens the cost, and it has always ended long before.
+/// Most rounds of clustering; each lessens the cost, and it ends where nothing changes.
 const ROUNDS: usize = 100;
 /// Cells beyond this distance from the origin are no places, m.
 const FAR: f64 = 1e6;
