@@ -3,11 +3,13 @@
 //! - [`Frame`]: one moment, of one or more images. [`Description`]: what a provider gives, and its calibration.
 //! - [`ImageProvider`]: who gives frames. [`StereoProvider`] makes one of an [`ImageSource`](crate::ImageSource), such as
 //!   the simulator's cameras, and [`StereoView`] the other way; [`FileProvider`] gives images of files,
-//!   [`RecordingProvider`] what was recorded, [`FrameSender`] what a program makes itself, [`RemoteProvider`] what another
+//!   [`RecordingProvider`] what was recorded, [`FrameSender`] what a program makes itself, `CameraProvider` (feature `camera`) what a camera sees, [`RemoteProvider`] what another
 //!   process offers.
 //! - [`FanOut`]: many readers of one provider. [`offer`]: to other processes. [`Recording`]: into a file.
 //! - [`wire`]: what a frame is on the network and in a recording.
 
+#[cfg(feature = "camera")]
+mod camera;
 mod channel;
 pub mod convert;
 mod description;
@@ -26,6 +28,8 @@ use async_trait::async_trait;
 
 use crate::frame::ImageError;
 
+#[cfg(feature = "camera")]
+pub use camera::CameraProvider;
 pub use channel::{FrameChannel, FrameSender, channel};
 pub use description::{CameraModel, Description, Distortion, ImageDescription};
 pub use fan_out::{FanOut, Subscription};
@@ -34,7 +38,7 @@ pub use frame::{Frame, FrameImage, MOST_IMAGES, PixelFormat, PixelOwner, Pixels}
 pub use offering::{Offered, OfferedStatistics, offer};
 pub use recording::{Recording, RecordingError, RecordingProvider, recorded};
 pub use remote::{Delivery, RemoteProvider, RemoteStatistics, providers};
-pub use stereo::{StereoProvider, StereoView, stereo_frame};
+pub use stereo::{StereoProvider, StereoView, frame_of, stereo_frame};
 pub use wire::ImageCoding;
 
 /// Who gives frames. Frames that nobody asks for need not be made.

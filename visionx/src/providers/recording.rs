@@ -24,7 +24,7 @@ use crate::files::decode_image;
 use crate::frame::ImageError;
 
 /// The schema of packed frames in a recording.
-pub const SCHEMA: &str = "armarium.image.PackedFrame.v1";
+pub(super) const SCHEMA: &str = "armarium.image.PackedFrame.v1";
 /// The schema of compressed images.
 const COMPRESSED: &str = "foxglove.CompressedImage";
 /// The encoding of messages with packed frames.
@@ -289,9 +289,8 @@ impl RecordingProvider {
     pub async fn open(path: &Path, wanted: Option<&str>, pace: Pace) -> Result<Self, RecordingError> {
         let (file, chosen) = (path.to_owned(), wanted.map(str::to_owned));
         let found = tokio::task::spawn_blocking(move || find(&file, chosen.as_deref())).await;
-        let (topic, description) = found.unwrap_or_else(|error| {
-            Err(RecordingError::File { path: path.into(), source: error.into() })
-        })?;
+        let (topic, description) = found
+            .unwrap_or_else(|error| Err(RecordingError::File { path: path.into(), source: error.into() }))?;
         let messages = Some(Messages::open(path)?);
         let play = Play { messages, began: None, first_ns: 0, shift_ns: 0, last_ns: 0, number: 0 };
         Ok(Self { path: path.into(), topic, description, pace, state: Mutex::new(play) })
