@@ -61,9 +61,21 @@ impl Connection {
     /// # Errors
     /// One sentence for people.
     pub(crate) fn open(args: &ConnectionArgs) -> Result<Self, String> {
+        Self::with(&args.config())
+    }
+
+    /// Opens a session whose images pass through shared memory on one machine.
+    ///
+    /// # Errors
+    /// One sentence for people.
+    pub(crate) fn for_images(args: &ConnectionArgs) -> Result<Self, String> {
+        Self::with(&SessionConfig { shared_memory: true, ..args.config() })
+    }
+
+    fn with(config: &SessionConfig) -> Result<Self, String> {
         let mut builder = tokio::runtime::Builder::new_multi_thread();
         let runtime = builder.worker_threads(2).enable_all().build().map_err(|e| e.to_string())?;
-        let session = runtime.block_on(Session::open(&args.config())).map_err(|error| match error {
+        let session = runtime.block_on(Session::open(config)).map_err(|error| match error {
             SessionError::OffLoopback { .. } => format!("{error}: --off-loopback"),
             error => error.to_string(),
         })?;
