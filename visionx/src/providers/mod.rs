@@ -11,6 +11,7 @@
 #[cfg(feature = "camera")]
 mod camera;
 mod channel;
+mod compressed;
 pub mod convert;
 mod description;
 mod fan_out;
@@ -21,6 +22,7 @@ mod recording;
 mod remote;
 mod stereo;
 pub mod wire;
+mod writing;
 
 use std::sync::Arc;
 
@@ -36,10 +38,11 @@ pub use fan_out::{FanOut, Subscription};
 pub use files::{FileProvider, Pace};
 pub use frame::{Frame, FrameImage, MOST_IMAGES, PixelFormat, PixelOwner, Pixels};
 pub use offering::{Offered, OfferedStatistics, offer};
-pub use recording::{Recording, RecordingError, RecordingProvider, recorded};
+pub use recording::{RecordingError, RecordingProvider, recorded};
 pub use remote::{Delivery, RemoteProvider, RemoteStatistics, providers};
 pub use stereo::{StereoProvider, StereoView, frame_of, stereo_frame};
 pub use wire::ImageCoding;
+pub use writing::Recording;
 
 /// Who gives frames. Frames that nobody asks for need not be made.
 #[async_trait]
