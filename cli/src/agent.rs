@@ -1,4 +1,5 @@
-//! `armarium agent --name NAME CHARTS...`: offers charts, the skills of the simulated robot, and its memory to other agents.
+//! `armarium agent --name NAME CHARTS...`: offers charts, the skills of the simulated robot, its memory and its
+//! cameras to other agents.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -13,6 +14,7 @@ use armarium_runtime::remote::{Agents, Offers, hear, serve};
 use armarium_simulator::World;
 use armarium_states::observers;
 use armarium_viewer::progress::Progress;
+use armarium_visionx::providers::{StereoProvider, offer as offer_images};
 
 use crate::catalog;
 use crate::connection::{AccessArgs, Connection, ConnectionArgs, be_the_only_one};
@@ -66,7 +68,7 @@ fn message(error: impl std::fmt::Display) -> NotBegun {
 /// When `out` cannot be written.
 pub(crate) fn run(args: &AgentArgs, out: &mut dyn Write) -> io::Result<u8> {
     let access = args.access.of(&args.name);
-    let connection = match Connection::open(&args.connection, access.as_ref()) {
+    let connection = match Connection::for_images(&args.connection, access.as_ref()) {
         Ok(connection) => connection,
         Err(message) => return writeln!(out, "error: {message}").map(|()| 2),
     };
@@ -94,12 +96,15 @@ async fn offer(
         Some(file) => World::load(file)
             .map_err(|errors| NotBegun::Findings(errors.iter().map(Shown::from).collect()))?,
     };
-    let (stage, simulation) = Stage::set(&world, args.seed, &args.store, Vec::new()).map_err(message)?;
+    let (stage, simulation) =
+        Stage::set(&world, args.seed, &args.store, Vec::new(), None).map_err(message)?;
     let (memory, long_term) = (Arc::clone(&stage.memory), Arc::clone(stage.kept.store()));
     let guarded = args.access.of(&args.name).is_some();
     let _memory = MemoryServer::start_guarded(session, &args.name, memory, Some(long_term), guarded)
         .await
         .map_err(message)?;
+    let cameras = StereoProvider::new(Arc::clone(&stage.equipment.images), "camera_left");
+    let _cameras = offer_images(session, &args.name, Arc::new(cameras)).await.map_err(message)?;
     let progress = Progress::new(Box::new(io::stderr()), false);
     logging::install(&progress, stage.handle.clone(), args.verbose, false).map_err(message)?;
     let channels = Channels::new();
@@ -211,7 +216,7 @@ async fn say(
 }
 
 /// Waits for Ctrl-C, or for the system's request to end.
-async fn stopped() {
+pub(crate) async fn stopped() {
     let interrupted = tokio::signal::ctrl_c();
     let Ok(mut terminated) = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) else {
         let _ = interrupted.await.is_ok();

@@ -69,6 +69,10 @@ impl ConnectionArgs {
     /// # Errors
     /// As [`Session::open`]; [`explained`] makes a sentence for people of it.
     pub(crate) async fn session(&self, access: Option<&Access>) -> Result<Session, SessionError> {
+        Session::open(&self.config(access)?).await
+    }
+
+    fn config(&self, access: Option<&Access>) -> Result<SessionConfig, SessionError> {
         let mut config = SessionConfig::connected_to(&self.connect);
         if !self.listen.is_empty() {
             config.listen.clone_from(&self.listen);
@@ -77,7 +81,7 @@ impl ConnectionArgs {
         config.tls = self.tls()?;
         let rules = access.map(Access::rules).transpose();
         config.access_control = rules.map_err(|error| SessionError::Config { what: error.to_string() })?;
-        Session::open(&config).await
+        Ok(config)
     }
 
     fn tls(&self) -> Result<Option<Tls>, SessionError> {
@@ -133,9 +137,22 @@ impl Connection {
     /// # Errors
     /// One sentence for people.
     pub(crate) fn open(args: &ConnectionArgs, access: Option<&Access>) -> Result<Self, String> {
+        Self::with(args.config(access))
+    }
+
+    /// Opens a session whose images pass through shared memory on one machine.
+    ///
+    /// # Errors
+    /// One sentence for people.
+    pub(crate) fn for_images(args: &ConnectionArgs, access: Option<&Access>) -> Result<Self, String> {
+        Self::with(args.config(access).map(|config| SessionConfig { shared_memory: true, ..config }))
+    }
+
+    fn with(config: Result<SessionConfig, SessionError>) -> Result<Self, String> {
+        let config = config.map_err(|error| explained(&error))?;
         let mut builder = tokio::runtime::Builder::new_multi_thread();
         let runtime = builder.worker_threads(2).enable_all().build().map_err(|e| e.to_string())?;
-        let session = runtime.block_on(args.session(access)).map_err(|error| explained(&error))?;
+        let session = runtime.block_on(Session::open(&config)).map_err(|error| explained(&error))?;
         Ok(Self { session, runtime: Some(runtime) })
     }
 

@@ -15,12 +15,14 @@ use armarium_runtime::exec::{Controller, ExecOptions, Executor, Hearers, Others,
 use armarium_runtime::remote::{Agents, hear};
 use armarium_runtime::skill::Limits;
 use armarium_runtime::trace::TraceSink;
+use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{TruthSink, World};
 use armarium_states::observers;
 use armarium_values::Value;
 use armarium_viewer::progress::{Progress, Status};
 use armarium_viewer::recorder::Recorder;
 
+use crate::cameras;
 use crate::catalog;
 use crate::chronicle::{Chronicle, Story};
 use crate::connection::{Connection, ConnectionArgs, be_the_only_one};
@@ -68,6 +70,9 @@ pub(crate) struct RunArgs {
     /// The name by which other agents can send events to this run.
     #[arg(long)]
     pub(crate) name: Option<String>,
+    /// Look through the cameras of `armarium cameras --name NAME`, in another process, with the same world and seed.
+    #[arg(long, value_name = "NAME")]
+    pub(crate) cameras: Option<String>,
     #[command(flatten)]
     pub(crate) connection: ConnectionArgs,
     /// Record the run for `armarium replay`.
@@ -123,7 +128,11 @@ enum NotBegun {
 /// When `out` or a report cannot be written.
 pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
     let began = Instant::now();
-    let connection = match Connection::if_asked(&args.connection, args.name.is_some()) {
+    let connection = match &args.cameras {
+        None => Connection::if_asked(&args.connection, args.name.is_some()),
+        Some(_) => Connection::for_images(&args.connection, None).map(Some),
+    };
+    let connection = match connection {
         Ok(connection) => connection,
         Err(message) => return writeln!(out, "error: {message}").map(|()| 2),
     };
@@ -140,7 +149,7 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
     let mut builder = tokio::runtime::Builder::new_current_thread();
     builder.enable_all().start_paused(args.speed == Speed::Max && agents.is_none());
     let runtime = builder.build()?;
-    match runtime.block_on(perform(args, began, agents.as_ref(), others, out)) {
+    match runtime.block_on(perform(args, began, connection.as_ref(), agents.as_ref(), others, out)) {
         Ok(status) => Ok(status),
         Err(NotBegun::Message(message)) => {
             writeln!(out, "error: {message}")?;
@@ -196,6 +205,7 @@ fn begin_error(error: impl std::fmt::Display) -> NotBegun {
 async fn perform(
     args: &RunArgs,
     began: Instant,
+    connection: Option<&Connection>,
     agents: Option<&Agents>,
     others: Others,
     out: &mut dyn Write,
@@ -205,8 +215,17 @@ async fn perform(
     let digest = RunDigest::default();
     let sinks: Vec<Box<dyn TruthSink>> =
         vec![Box::new(digest.clone()), Box::new(TruthTopics(Arc::clone(&recorder)))];
-    let (mut stage, simulation) = Stage::set(&world, args.seed, &args.store, sinks).map_err(begin_error)?;
-    let gallery = Arc::new(Gallery::of(Arc::clone(&stage.equipment.images), &world, Arc::clone(&recorder)));
+    let (told, cameras) = match (&args.cameras, connection) {
+        (Some(name), Some(connection)) => {
+            let (told, cameras) = cameras::connect(name, connection).await.map_err(NotBegun::Message)?;
+            (Some(Box::new(told) as Box<dyn ScenerySink>), Some(cameras))
+        }
+        _ => (None, None),
+    };
+    let set = Stage::set(&world, args.seed, &args.store, sinks, told);
+    let (mut stage, simulation) = set.map_err(begin_error)?;
+    let cameras = cameras.unwrap_or_else(|| Arc::clone(&stage.equipment.images));
+    let gallery = Arc::new(Gallery::of(cameras, &world, Arc::clone(&recorder)));
     stage.equipment.images = Arc::clone(&gallery) as Arc<dyn armarium_visionx::ImageSource>;
 
     let mut registry = catalog::registry(&stage.equipment);
