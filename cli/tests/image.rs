@@ -1,5 +1,6 @@
 //! `armarium image` with real processes: what one offers, others list, show, record and play; and a provider that is
 //! killed harms nobody.
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader};
@@ -132,7 +133,7 @@ async fn a_provider_that_is_killed_and_started_again_is_seen_again_and_leaves_no
     pictures(folder.path());
     let files = folder.path().to_str().unwrap();
     let (mut playing, endpoint) = play(&[files, "--name", "carol", "--loop", "--rate", "50"]);
-    let config = SessionConfig { shared_memory: true, ..SessionConfig::connected_to(&[endpoint.clone()]) };
+    let config = SessionConfig { shared_memory: true, ..SessionConfig::connected_to(std::slice::from_ref(&endpoint)) };
     let session = Session::open(&config).await.unwrap();
     let (delivery, coding) = (Delivery::Newest, ImageCoding::Raw);
     let reader = RemoteProvider::connect(&session, "carol", "files", delivery, coding, WAIT).await.unwrap();

@@ -1,5 +1,6 @@
 //! Frames between two real Zenoh sessions on loopback: through shared memory, over the network, coded, lost and asked for
 //! again, of changing size, and broken.
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 use std::sync::Arc;
 use std::time::Duration;

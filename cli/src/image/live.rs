@@ -68,13 +68,14 @@ struct HandOn {
 impl ResultSink for HandOn {
     async fn take(&self, source: &FindingSource, finding: Finding) -> bool {
         let to = self.to.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        match to.map(|to| to.try_send((source.clone(), finding))) {
-            Some(Ok(())) => {}
-            Some(Err(mpsc::error::TrySendError::Full(_))) => {
+        let Some(to) = to else { return false };
+        match to.try_send((source.clone(), finding)) {
+            Ok(()) => {}
+            Err(mpsc::error::TrySendError::Full(_)) => {
                 self.dropped.fetch_add(1, Ordering::Relaxed);
             }
             // Whoever printed or committed has ended.
-            Some(Err(mpsc::error::TrySendError::Closed(_))) | None => return false,
+            Err(mpsc::error::TrySendError::Closed(_)) => return false,
         }
         let mut left = self.left.lock().unwrap_or_else(PoisonError::into_inner);
         *left = left.map(|left| left.saturating_sub(1));

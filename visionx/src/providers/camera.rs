@@ -100,7 +100,7 @@ impl ImageProvider for CameraProvider {
 }
 
 /// Hands on what the driver gives until nobody wants it, or the camera is gone; then readers are told.
-fn watch(mut stream: ReadStream, layout: Layout, to: &FrameSender, ends: &AtomicBool, device: &PathBuf) {
+fn watch(mut stream: ReadStream, layout: Layout, to: &FrameSender, ends: &AtomicBool, device: &Path) {
     let began = Instant::now();
     while !ends.load(Ordering::Relaxed) && to.is_wanted() {
         let taken = stream.dequeue(|view| Ok((!view.is_error()).then(|| layout.image(&view)).flatten()));
