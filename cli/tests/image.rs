@@ -133,7 +133,8 @@ async fn a_provider_that_is_killed_and_started_again_is_seen_again_and_leaves_no
     pictures(folder.path());
     let files = folder.path().to_str().unwrap();
     let (mut playing, endpoint) = play(&[files, "--name", "carol", "--loop", "--rate", "50"]);
-    let config = SessionConfig { shared_memory: true, ..SessionConfig::connected_to(std::slice::from_ref(&endpoint)) };
+    let config =
+        SessionConfig { shared_memory: true, ..SessionConfig::connected_to(std::slice::from_ref(&endpoint)) };
     let session = Session::open(&config).await.unwrap();
     let (delivery, coding) = (Delivery::Newest, ImageCoding::Raw);
     let reader = RemoteProvider::connect(&session, "carol", "files", delivery, coding, WAIT).await.unwrap();

@@ -3,7 +3,7 @@
 //! The driver is waited for on a thread that tokio keeps for such; whoever reads gets the newest frame.
 
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
