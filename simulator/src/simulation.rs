@@ -14,7 +14,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::cameras::{Eyes, SimulatedCameras, View};
+use crate::cameras::{AgentEyes, Eyes, SimulatedCameras, View};
 use crate::coach::{Coach, SeenArm};
 use crate::physics::{External, Plant, PlantError};
 use crate::referee::Referee;
@@ -93,6 +93,7 @@ pub struct Simulation {
     sensors: Sensors,
     coach: Coach,
     eyes: Eyes,
+    agents: Vec<AgentEyes>,
     referee: Referee,
     sinks: Vec<Box<dyn TruthSink>>,
     handle: Handle,
@@ -130,6 +131,11 @@ impl Simulation {
         let plant = Plant::new(&model, world, &start)?;
         let mut eyes = Eyes::new(&model, world, plant.table(), seed).ok_or(SimulationError::Camera)?;
         let camera = eyes.viewpoint(&start);
+        let calibration = eyes.source().calibration();
+        let agents = world.agents.iter().zip(1u64..).map(|(agent, n)| {
+            let seed = seed.rotate_left(32) ^ n;
+            AgentEyes::new(agent, calibration, world.camera.noise, seed)
+        });
         let sliding = model.joints().iter().map(|j| j.kind == JointKind::Prismatic).collect();
         let (guard, robot) = Guard::new(Arc::clone(&model), options.guard);
         let sponge = world.sponge().and_then(|s| world.objects.iter().position(|o| o.name == s.name));
@@ -142,6 +148,7 @@ impl Simulation {
             arm: ["wrist_1_r", "elbow_r"].map(|name| model.link(name)),
             sensors: Sensors::new(&world.robot.noise, &world.faults, sliding, stream(1)),
             coach: Coach::new(&world.coach, world.table.height, camera, stream(2)),
+            agents: agents.collect(),
             eyes,
             referee: Referee::new(world),
             sinks: options.truth_sinks,
@@ -173,6 +180,16 @@ impl Simulation {
     pub fn images(&self) -> Arc<dyn ImageSource> {
         let source: Arc<SimulatedCameras> = Arc::clone(self.eyes.source());
         source
+    }
+
+    /// The eyes of the world's other agents, by their names; poses are in each agent's own root frame.
+    #[must_use]
+    pub fn agents(&self) -> Vec<(String, Arc<dyn ImageSource>)> {
+        let eyes = |agent: &AgentEyes| {
+            let source: Arc<SimulatedCameras> = Arc::clone(agent.source());
+            (agent.name().to_owned(), source as Arc<dyn ImageSource>)
+        };
+        self.agents.iter().map(eyes).collect()
     }
 
     /// Who judges.
@@ -231,6 +248,7 @@ impl Simulation {
         self.act(t);
         self.tell(stamp_ns);
         self.show(stamp_ns, t);
+        self.show_agents(stamp_ns, t);
         if self.steps.is_multiple_of(WIPE_EVERY) {
             self.wipe();
         }
@@ -352,6 +370,27 @@ impl Simulation {
         }
     }
 
+    /// Draws for the other agents whose frames are due and wanted.
+    fn show_agents(&mut self, stamp_ns: u64, t: f64) {
+        let due: Vec<bool> = self.agents.iter_mut().map(|agent| agent.due(t)).collect();
+        if !due.contains(&true) {
+            return;
+        }
+        let objects: Vec<Isometry3<f64>> =
+            (0..self.object_names.len()).filter_map(|i| self.plant.object(i)).collect();
+        let view = View {
+            stamp_ns,
+            true_position: self.plant.position(),
+            sensed_position: &self.sample.position,
+            objects: &objects,
+            coach: &self.truth.coach,
+            without_hand_s: t - self.hand_gone_at,
+            wiped: &self.dirt,
+        };
+        let agents = self.agents.iter().zip(due).filter_map(|(agent, due)| due.then_some(agent));
+        self.eyes.draw_for(agents, &view);
+    }
+
     fn wipe(&mut self) {
         let Some(index) = self.sponge else { return };
         if self.truth.contact.normal <= 0.0 {
@@ -366,6 +405,7 @@ impl Simulation {
 impl Drop for Simulation {
     fn drop(&mut self) {
         self.eyes.source().close();
+        self.agents.iter().for_each(|agent| agent.source().close());
     }
 }
 
