@@ -1,8 +1,8 @@
 //! `AttachObject`: says in memory that the hand holds an object: from now on it moves with the hand, for this agent
 //! and for everyone who follows it.
 //!
-//! Where the object sits in the hand is taken from where memory said that it was when the hand closed. Whether it is
-//! held at all, `VerifyGrasp` says.
+//! Where the object sits in the hand follows from where it was, and where the hand was, when the hand closed. Whether it
+//! is held at all, `VerifyGrasp` says.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use armarium_values::{Frame, Type, Value, Vector};
 
 use crate::arm::{TCP, link};
 use crate::equipment::{self, Equipment};
-use crate::inputs::{Inputs, as_pose, pose_value, reference};
+use crate::inputs::{Inputs, pose_value, reference};
 use crate::motions::failed;
 
 /// The hand that holds.
@@ -25,7 +25,8 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         "AttachObject",
         "Says in memory that the right hand holds an object, which moves with it from now on.",
     )
-    .input("object", Type::object(), "The object in memory, where it was before the grasp.")
+    .input("object", Type::object(), "The object in memory.")
+    .input("pose", Type::Pose, "Its pose when the hand closed, root frame.")
     .input("tcp_at_grasp", Type::Pose, "Pose of the TCP when the hand closed.")
     .output("object", Type::object(), "The object in memory, in the hand.")
     .limb(HAND);
@@ -35,12 +36,10 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let before = context.entity("object")?;
     let snapshot = equipment.memory.latest(&before).await.map_err(failed)?;
-    let pose = snapshot.attribute("pose").and_then(as_pose);
-    let root_from_object =
-        pose.ok_or_else(|| Failure::new(format!("memory does not know where `{before}` was")))?;
     let class = snapshot.attribute("class").and_then(Value::as_str);
     let class = class.ok_or_else(|| Failure::new(format!("memory does not know what `{before}` is")))?;
-    let tcp_from_object = context.pose("tcp_at_grasp")?.inverse() * root_from_object;
+    // What memory says of its place by now may be of the object in the hand.
+    let tcp_from_object = context.pose("tcp_at_grasp")?.inverse() * context.pose("pose")?;
 
     let sensed = equipment.robot.sensed().borrow();
     let model = equipment.robot.model();
