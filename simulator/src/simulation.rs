@@ -25,6 +25,10 @@ use crate::world::{Disturbance, Milestone, World};
 
 /// One step, ns.
 const STEP_NS: u64 = 1_000_000;
+/// The same.
+const STEP: Duration = Duration::from_nanos(STEP_NS);
+/// Steps over more than this are not made up for: the guard would take the silence of those who command for their end.
+const LONGEST_DELAY: Duration = Duration::from_millis(10);
 /// The table's wiped cells are marked every so many steps; the referee does the same.
 pub(crate) const WIPE_EVERY: u64 = 5;
 
@@ -216,11 +220,20 @@ impl Simulation {
         &self.dirt
     }
 
-    /// Steps once a millisecond of tokio's clock until the handle stops it; then no more frames come.
+    /// Steps once a millisecond of tokio's clock until the handle stops it; then no more frames come. Where real time
+    /// runs away, those who command get their turn between the steps that are made up for, and of a long delay nothing is
+    /// made up for: simulated time stays behind.
     pub async fn run(mut self) {
-        let mut tick = tokio::time::interval(Duration::from_millis(1));
+        let mut tick = tokio::time::interval(STEP);
         while !self.handle.shared.stop.load(Ordering::Relaxed) {
-            tick.tick().await;
+            let due = tick.tick().await;
+            let late = due.elapsed();
+            if late > LONGEST_DELAY {
+                tick.reset();
+            }
+            if late > STEP {
+                tokio::task::yield_now().await;
+            }
             self.step();
         }
     }
