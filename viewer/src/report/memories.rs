@@ -12,9 +12,9 @@ pub(super) fn draw(known: &Memories, time: [f64; 2]) -> String {
     let plot = known.distance.as_ref().map(|plot| timeplot::draw(plot, time, timeplot::WIDE));
     let mut body = plot.unwrap_or_default();
     body.push_str(
-        "<table><thead><tr><th>Memory of</th><th class=\"n\">From</th><th class=\"n\">Until</th>\
-         <th class=\"n\">Times</th><th>Entity</th><th>Found by</th><th>Says</th><th class=\"n\">At x, y, z</th>\
-         <th class=\"n\">Trusted</th><th class=\"n\">Off by</th></tr></thead><tbody>",
+        "<table><thead><tr><th>Memory of</th><th class=\"n\">When</th><th class=\"n\">Times</th><th>Entity</th>\
+         <th>Found by</th><th>Says</th><th class=\"n\">At x, y, z</th><th class=\"n\">Trusted</th>\
+         <th class=\"n\">Off by</th></tr></thead><tbody>",
     );
     known.rows.iter().for_each(|row| body.push_str(&line(row)));
     body.push_str("</tbody></table>");
@@ -26,13 +26,20 @@ fn line(row: &MemoryRow) -> String {
     let place = row.position.map_or("–".to_owned(), |p| with_unit(p.map(|c| number(c, 3)).join(", "), "m"));
     let off = row.error_m.map_or("–".to_owned(), |e| with_unit(number(e * 1e3, 0), "mm"));
     let mut line = format!("<tr><td>{}</td>", escape(&row.agent));
-    for cell in [seconds(row.from_s), seconds(row.to_s), row.count.to_string()] {
+    let when = if row.count > 1 {
+        format!("{}\u{a0}–\u{a0}{}", number(row.from_s, 1), seconds(row.to_s))
+    } else {
+        seconds(row.from_s)
+    };
+    // What it is, an object or a relation, is plain from what it says.
+    let entity = row.entity.split_once('/').map_or(row.entity.as_str(), |(_, entity)| entity);
+    for cell in [when, row.count.to_string()] {
         let _ = write!(line, "<td class=\"n\">{}</td>", escape(&cell));
     }
     let _ = write!(
         line,
         "<td><code>{}</code></td><td>{}</td><td>{}</td>",
-        escape(&row.entity),
+        escape(entity),
         escape(&row.origin),
         escape(&row.says)
     );
