@@ -241,55 +241,6 @@ impl Head {
     }
 }
 
-/// The name and version of what a payload holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Schema {
-    /// The name, for instance `memoryx/entity`.
-    pub name: &'static str,
-    /// Goes up with every change that an older reader would not understand.
-    pub version: u32,
-}
-
-/// Something that travels as a payload of its own.
-pub trait Payload: Serialize + DeserializeOwned {
-    /// What the encoding names.
-    const SCHEMA: Schema;
-}
-
-impl Schema {
-    /// A schema.
-    #[must_use]
-    pub const fn new(name: &'static str, version: u32) -> Self {
-        Self { name, version }
-    }
-
-    /// The encoding that names the schema, `application/cbor;memoryx/entity;v1`.
-    #[must_use]
-    pub fn encoding(&self) -> String {
-        format!("application/cbor;{};v{}", self.name, self.version)
-    }
-
-    /// Whether an encoding names this schema in this version.
-    ///
-    /// # Errors
-    /// [`CodecError::NoSchema`], [`CodecError::OtherSchema`], [`CodecError::OtherVersion`].
-    pub fn check(&self, encoding: &str) -> Result<(), CodecError> {
-        let unnamed = || CodecError::NoSchema { encoding: encoding.chars().take(100).collect() };
-        let named = encoding.strip_prefix("application/cbor;").ok_or_else(unnamed)?;
-        let (name, version) = named.rsplit_once(";v").ok_or_else(unnamed)?;
-        let version: u32 = version.parse().map_err(|_| unnamed())?;
-        if name != self.name {
-            let found = name.chars().take(100).collect();
-            return Err(CodecError::OtherSchema { expected: self.name.into(), found });
-        }
-        if version != self.version {
-            let name = self.name.into();
-            return Err(CodecError::OtherVersion { name, expected: self.version, found: version });
-        }
-        Ok(())
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeMap;
@@ -394,29 +345,5 @@ mod tests {
         assert_eq!(check(b"\x80", bounds), Ok(()));
         let deep = vec![0x81; 1 << 20];
         assert_eq!(decode::<Value>(&deep), Err(CodecError::TooDeep { most: 64, at: 64 }));
-    }
-
-    #[test]
-    fn a_payload_is_of_the_schema_that_is_wanted() {
-        let schema = Schema::new("memoryx/entity", 1);
-        assert_eq!(schema.encoding(), "application/cbor;memoryx/entity;v1");
-        assert_eq!(schema.check(&schema.encoding()), Ok(()));
-        for (encoding, expected) in [
-            (
-                "application/cbor;memoryx/entity;v2",
-                "the payload is version 2 of `memoryx/entity`; this side understands version 1",
-            ),
-            ("application/cbor;robot/state;v1", "the payload is a `robot/state`, not a `memoryx/entity`"),
-            (
-                "application/json",
-                "`application/json` does not name a schema as `application/cbor;NAME;vN` does",
-            ),
-            (
-                "application/cbor;memoryx/entity;vx",
-                "`application/cbor;memoryx/entity;vx` does not name a schema as `application/cbor;NAME;vN` does",
-            ),
-        ] {
-            assert_eq!(schema.check(encoding).unwrap_err().to_string(), expected);
-        }
     }
 }

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! {agent}/memory                                   queryable: commit
+//! {agent}/memory/by/{writer}                       the same, for a writer who says who he is
 //! {agent}/memory/changes                           the memory's changes in their order, several in one message
 //! {agent}/memory/{segment}/{provider}/{entity}     put = update, subscribe = observe, get = query
 //! {agent}/image/{provider}                         frames; queryable: what the provider gives
@@ -58,11 +59,12 @@ pub struct MemoryParts<'a> {
 /// # Errors
 /// [`KeyError`] when it cannot.
 pub fn check_name(name: &str) -> Result<(), KeyError> {
+    let forbidden = |byte: u8| matches!(byte, b'/' | b'*' | b'#' | b'?' | b'$') || byte.is_ascii_control();
     let bad = name.is_empty()
         || name.len() > LONGEST_NAME
         || name.starts_with('@')
-        || name.contains(['/', '*', '#', '?', '$'])
-        || name.chars().any(char::is_control);
+        || name.bytes().any(forbidden)
+        || (!name.is_ascii() && name.chars().any(char::is_control));
     if bad { Err(KeyError { name: name.chars().take(40).collect() }) } else { Ok(()) }
 }
 
@@ -82,6 +84,22 @@ fn pattern(parts: &[Part<'_>]) -> Result<KeyPattern, KeyError> {
 /// [`KeyError`] when a name cannot be part of a key; so for all of these.
 pub fn memory_commit(agent: &str) -> Result<Key, KeyError> {
     key(&[agent, "memory"])
+}
+
+/// Where one writer's commits go to: access rules can let in him and nobody else.
+///
+/// # Errors
+/// [`KeyError`].
+pub fn memory_by(agent: &str, writer: &str) -> Result<Key, KeyError> {
+    key(&[agent, "memory", "by", writer])
+}
+
+/// Where the commits of all named writers go to.
+///
+/// # Errors
+/// [`KeyError`].
+pub fn memory_by_pattern(agent: &str) -> Result<KeyPattern, KeyError> {
+    pattern(&[Some(agent), Some("memory"), Some("by"), None])
 }
 
 /// Where a memory tells its changes in their order.

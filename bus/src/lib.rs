@@ -4,18 +4,25 @@
 //!   payload holds.
 //! - [`keys`]: every key, as a checked type.
 //! - [`bulk`]: large payloads through shared memory on one machine, over the network otherwise.
+//! - [`Access`]: who may say and ask what, as rules by certificate.
 //! - [`session`]: on loopback unless more is asked for; bounded queues that count what they drop.
 //!
 //! This room knows no memory, robot, image or chart: it carries bytes for those that do.
 
+mod access;
 pub mod bulk;
 pub mod codec;
 mod config;
 pub mod keys;
+mod message;
+mod queue;
+mod schema;
 pub mod session;
 
-pub use codec::{Bounds, CodecError, Payload, Schema, decode, decode_within, encode};
+pub use access::Access;
+pub use codec::{Bounds, CodecError, decode, decode_within, encode};
 pub use keys::{Key, KeyError, KeyPattern};
+pub use schema::{Payload, Schema};
 pub use session::{
     AliveToken, Answer, Interest, Liveliness, Message, Mode, Question, Questions, Roll, Session,
     SessionConfig, SessionError, Subscription, Tls,

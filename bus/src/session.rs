@@ -6,18 +6,20 @@
 //! A session needs a multi-threaded tokio runtime, and waits in real time.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use tokio::runtime::{Handle, RuntimeFlavor};
-use tokio::sync::mpsc;
 use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
 use zenoh::query::{ConsolidationMode, QueryTarget};
-use zenoh::sample::SampleKind;
+use zenoh::sample::{Locality, SampleKind};
 
 pub use crate::config::{Mode, SessionConfig, Tls};
 use crate::keys::{Key, KeyPattern};
+pub use crate::message::{Answer, Liveliness, Message, Question, Questions, Roll, Subscription};
+use crate::message::{nanoseconds, of_query, of_reply, of_sample};
+use crate::queue::queue;
 
 /// How long a question waits for its answers unless it says otherwise.
 pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
@@ -66,7 +68,7 @@ pub enum SessionError {
 }
 
 /// Takes any of Zenoh's errors.
-fn failed(error: impl std::fmt::Display) -> SessionError {
+pub(crate) fn failed(error: impl std::fmt::Display) -> SessionError {
     SessionError::Zenoh { what: error.to_string() }
 }
 
@@ -76,81 +78,11 @@ pub struct Session {
     zenoh: zenoh::Session,
 }
 
-/// A payload with what names it.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Message {
-    /// The key it was put on, as Zenoh writes it.
-    pub key: String,
-    /// Whether the key was deleted; the payload is empty then.
-    pub deleted: bool,
-    /// What the payload is, `application/cbor;NAME;vN`.
-    pub encoding: String,
-    /// The payload.
-    pub payload: Vec<u8>,
-    /// When it was sent, ns since 1970 by the sender's clock, where the sender said so.
-    pub sent_ns: Option<u64>,
-    /// The session that sent it, where known.
-    pub sender: Option<String>,
-}
-
-/// An answer to a question.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Answer {
-    /// What was asked for.
-    Message(Message),
-    /// The other side refuses; its payload says why.
-    Refusal {
-        /// What the payload is.
-        encoding: String,
-        /// Why.
-        payload: Vec<u8>,
-    },
-}
-
-/// What a subscription's queue holds: all that came, unless it was full.
-#[derive(Debug)]
-pub struct Subscription {
-    queue: mpsc::Receiver<Message>,
-    dropped: Arc<AtomicU64>,
-    _declared: zenoh::pubsub::Subscriber<()>,
-}
-
-/// The questions that others ask on a key.
-#[derive(Debug)]
-pub struct Questions {
-    queue: mpsc::Receiver<Question>,
-    dropped: Arc<AtomicU64>,
-    _declared: zenoh::query::Queryable<()>,
-}
-
-/// A question of another session. It ends, for the asker too, when it is dropped.
-#[derive(Debug)]
-pub struct Question {
-    /// The key or key expression that was asked for.
-    pub key: String,
-    /// What follows the `?`.
-    pub parameters: String,
-    /// The payload's encoding; empty without one.
-    pub encoding: String,
-    /// The payload that came with the question; empty without one.
-    pub payload: Vec<u8>,
-    query: zenoh::query::Query,
-}
-
 /// Says that a service is there, until it is dropped.
 #[derive(Debug)]
 #[must_use = "the service is gone when the token is dropped"]
 pub struct AliveToken {
     _declared: zenoh::liveliness::LivelinessToken,
-}
-
-/// A service has appeared or gone.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Liveliness {
-    /// Its key.
-    pub key: String,
-    /// Whether it is there.
-    pub alive: bool,
 }
 
 /// Whether others subscribe to some keys.
@@ -159,13 +91,6 @@ pub struct Interest {
     there: Arc<AtomicBool>,
     _listener: zenoh::matching::MatchingListener<()>,
     _publisher: zenoh::pubsub::Publisher<'static>,
-}
-
-/// The services that appear and go.
-#[derive(Debug)]
-pub struct Roll {
-    queue: mpsc::Receiver<Liveliness>,
-    _declared: zenoh::pubsub::Subscriber<()>,
 }
 
 impl Session {
@@ -244,12 +169,7 @@ impl Session {
         keys: impl Into<KeyPattern>,
         capacity: usize,
     ) -> Result<Subscription, SessionError> {
-        let (sender, queue) = mpsc::channel(capacity.max(1));
-        let dropped = Arc::new(AtomicU64::new(0));
-        let counter = Arc::clone(&dropped);
-        let declared = self.zenoh.declare_subscriber(keys.into().as_str().to_owned());
-        let declared = declared.callback(move |sample| offer(&sender, message(&sample), &counter));
-        Ok(Subscription { queue, dropped, _declared: declared.await.map_err(failed)? })
+        self.subscribe_from(keys.into(), capacity, Locality::Any).await
     }
 
     /// As [`Self::subscribe`], without what this session puts itself.
@@ -261,13 +181,19 @@ impl Session {
         keys: impl Into<KeyPattern>,
         capacity: usize,
     ) -> Result<Subscription, SessionError> {
-        let (sender, queue) = mpsc::channel(capacity.max(1));
-        let dropped = Arc::new(AtomicU64::new(0));
-        let counter = Arc::clone(&dropped);
-        let declared = self.zenoh.declare_subscriber(keys.into().as_str().to_owned());
-        let declared = declared.allowed_origin(zenoh::sample::Locality::Remote);
-        let declared = declared.callback(move |sample| offer(&sender, message(&sample), &counter));
-        Ok(Subscription { queue, dropped, _declared: declared.await.map_err(failed)? })
+        self.subscribe_from(keys.into(), capacity, Locality::Remote).await
+    }
+
+    async fn subscribe_from(
+        &self,
+        keys: KeyPattern,
+        capacity: usize,
+        origin: Locality,
+    ) -> Result<Subscription, SessionError> {
+        let (offer, queue) = queue(capacity);
+        let declared = self.zenoh.declare_subscriber(keys.as_str().to_owned()).allowed_origin(origin);
+        let declared = declared.callback(move |sample| offer.offer(of_sample(&sample)));
+        Ok(Subscription { queue, _declared: declared.await.map_err(failed)? })
     }
 
     /// Whether other sessions subscribe to any of these keys, now and from now on.
@@ -303,9 +229,7 @@ impl Session {
     ) -> Result<Vec<Answer>, SessionError> {
         let keys = keys.into();
         let selector = if parameters.is_empty() { keys.to_string() } else { format!("{keys}?{parameters}") };
-        let (sender, mut queue) = mpsc::channel(most.max(1));
-        let dropped = Arc::new(AtomicU64::new(0));
-        let counter = Arc::clone(&dropped);
+        let (offer, mut queue) = queue(most);
         let mut get = self
             .zenoh
             .get(selector)
@@ -315,15 +239,15 @@ impl Session {
         if let Some((encoding, payload)) = payload {
             get = get.payload(payload).encoding(Encoding::from(encoding));
         }
-        get.callback(move |reply| offer(&sender, answer(&reply), &counter)).await.map_err(failed)?;
+        get.callback(move |reply| offer.offer(of_reply(&reply))).await.map_err(failed)?;
         let mut answers = Vec::new();
-        while let Some(answer) = queue.recv().await {
+        while let Some(answer) = queue.next().await {
             answers.push(answer);
             if answers.len() > most {
                 break;
             }
         }
-        if dropped.load(Ordering::Relaxed) > 0 || answers.len() > most {
+        if queue.dropped() > 0 || answers.len() > most {
             return Err(SessionError::TooManyAnswers { key: keys.to_string(), most });
         }
         Ok(answers)
@@ -356,12 +280,10 @@ impl Session {
         keys: impl Into<KeyPattern>,
         capacity: usize,
     ) -> Result<Questions, SessionError> {
-        let (sender, queue) = mpsc::channel(capacity.max(1));
-        let dropped = Arc::new(AtomicU64::new(0));
-        let counter = Arc::clone(&dropped);
+        let (offer, queue) = queue(capacity);
         let declared = self.zenoh.declare_queryable(keys.into().as_str().to_owned());
-        let declared = declared.callback(move |query| offer(&sender, question(query), &counter));
-        Ok(Questions { queue, dropped, _declared: declared.await.map_err(failed)? })
+        let declared = declared.callback(move |query| offer.offer(of_query(query)));
+        Ok(Questions { queue, _declared: declared.await.map_err(failed)? })
     }
 
     /// Says that a service is there, under its key.
@@ -378,11 +300,10 @@ impl Session {
     /// # Errors
     /// [`SessionError::Zenoh`].
     pub async fn watch_alive(&self, keys: &KeyPattern, capacity: usize) -> Result<Roll, SessionError> {
-        let (sender, queue) = mpsc::channel(capacity.max(1));
-        let dropped = Arc::new(AtomicU64::new(0));
+        let (offer, queue) = queue(capacity);
         let seen = move |sample: zenoh::sample::Sample| {
             let alive = sample.kind() == SampleKind::Put;
-            offer(&sender, Liveliness { key: sample.key_expr().to_string(), alive }, &dropped);
+            offer.offer(Liveliness { key: sample.key_expr().to_string(), alive });
         };
         let liveliness = self.zenoh.liveliness();
         let declared = liveliness.declare_subscriber(keys.as_str().to_owned()).history(true).callback(seen);
@@ -398,114 +319,10 @@ impl Session {
     }
 }
 
-/// Never waits: this runs on the threads of Zenoh's links.
-fn offer<T>(queue: &mpsc::Sender<T>, item: T, dropped: &AtomicU64) {
-    if queue.try_send(item).is_err() {
-        dropped.fetch_add(1, Ordering::Relaxed);
-    }
-}
-
-fn message(sample: &zenoh::sample::Sample) -> Message {
-    Message {
-        key: sample.key_expr().to_string(),
-        deleted: sample.kind() == SampleKind::Delete,
-        encoding: sample.encoding().to_string(),
-        payload: sample.payload().to_bytes().into_owned(),
-        sent_ns: sample.timestamp().map(nanoseconds),
-        sender: sample.timestamp().map(|stamp| stamp.get_id().to_string()),
-    }
-}
-
-fn answer(reply: &zenoh::query::Reply) -> Answer {
-    match reply.result() {
-        Ok(sample) => Answer::Message(message(sample)),
-        Err(error) => Answer::Refusal {
-            encoding: error.encoding().to_string(),
-            payload: error.payload().to_bytes().into_owned(),
-        },
-    }
-}
-
-fn question(query: zenoh::query::Query) -> Question {
-    Question {
-        key: query.key_expr().to_string(),
-        parameters: query.parameters().to_string(),
-        encoding: query.encoding().map(ToString::to_string).unwrap_or_default(),
-        payload: query.payload().map(|p| p.to_bytes().into_owned()).unwrap_or_default(),
-        query,
-    }
-}
-
-fn nanoseconds(stamp: &zenoh::time::Timestamp) -> u64 {
-    stamp.get_time().as_nanos()
-}
-
-impl Subscription {
-    /// The next message; `None` when the session has closed.
-    pub async fn next(&mut self) -> Option<Message> {
-        self.queue.recv().await
-    }
-
-    /// The next message if there is one already.
-    pub fn try_next(&mut self) -> Option<Message> {
-        self.queue.try_recv().ok()
-    }
-
-    /// How many messages have not fitted into the queue so far.
-    #[must_use]
-    pub fn dropped(&self) -> u64 {
-        self.dropped.load(Ordering::Relaxed)
-    }
-}
-
 impl Interest {
     /// Whether anybody does.
     #[must_use]
     pub fn is_there(&self) -> bool {
         self.there.load(Ordering::Relaxed)
-    }
-}
-
-impl Roll {
-    /// The next service that has appeared or gone; `None` when the session has closed.
-    pub async fn next(&mut self) -> Option<Liveliness> {
-        self.queue.recv().await
-    }
-}
-
-impl Questions {
-    /// The next question; `None` when the session has closed.
-    pub async fn next(&mut self) -> Option<Question> {
-        self.queue.recv().await
-    }
-
-    /// The next question if there is one already.
-    pub fn try_next(&mut self) -> Option<Question> {
-        self.queue.try_recv().ok()
-    }
-
-    /// How many questions have not fitted into the queue so far; they got no answer.
-    #[must_use]
-    pub fn dropped(&self) -> u64 {
-        self.dropped.load(Ordering::Relaxed)
-    }
-}
-
-impl Question {
-    /// One answer, of perhaps many, on a key that the question fits.
-    ///
-    /// # Errors
-    /// [`SessionError::Zenoh`].
-    pub async fn reply(&self, key: &Key, encoding: &str, payload: Vec<u8>) -> Result<(), SessionError> {
-        let reply = self.query.reply(key.as_str(), payload).encoding(Encoding::from(encoding));
-        reply.await.map_err(failed)
-    }
-
-    /// Refuses, with a payload that says why.
-    ///
-    /// # Errors
-    /// [`SessionError::Zenoh`].
-    pub async fn refuse(&self, encoding: &str, payload: Vec<u8>) -> Result<(), SessionError> {
-        self.query.reply_err(payload).encoding(Encoding::from(encoding)).await.map_err(failed)
     }
 }

@@ -1,5 +1,5 @@
-//! `armarium agent --name NAME CHARTS...`: offers charts, skills and its memory to other agents: those of a simulated
-//! robot, or of one who only watches through images that another agent offers.
+//! `armarium agent --name NAME CHARTS...`: offers charts, skills, its memory and its cameras to other agents: those of a
+//! simulated robot, or of one who only watches through images that another agent offers.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -16,11 +16,12 @@ use armarium_runtime::skill::Limits;
 use armarium_simulator::World;
 use armarium_states::observers;
 use armarium_viewer::progress::Progress;
+use armarium_visionx::providers::{StereoProvider, offer as offer_images};
 use tokio::task::JoinSet;
 
 use crate::body::{Body, watching_mind};
 use crate::catalog;
-use crate::connection::{Connection, ConnectionArgs, be_the_only_one};
+use crate::connection::{AccessArgs, Connection, ConnectionArgs, be_the_only_one};
 use crate::following::follow_when_there;
 use crate::logging;
 use crate::render_findings::{Shown, any_error, render, summary};
@@ -41,6 +42,8 @@ pub(crate) struct AgentArgs {
     pub(crate) charts: Vec<PathBuf>,
     #[command(flatten)]
     pub(crate) connection: ConnectionArgs,
+    #[command(flatten)]
+    pub(crate) access: AccessArgs,
     /// Images that another agent offers, as the agent's eyes. It has no robot then, only skills that move nothing, and
     /// stands where the world says.
     #[arg(long, value_name = "AGENT/PROVIDER")]
@@ -84,7 +87,8 @@ fn message(error: impl std::fmt::Display) -> NotBegun {
 /// # Errors
 /// When `out` cannot be written.
 pub(crate) fn run(args: &AgentArgs, out: &mut dyn Write) -> io::Result<u8> {
-    let connection = match Connection::open(&args.connection) {
+    let access = args.access.of(&args.name);
+    let connection = match Connection::for_images(&args.connection, access.as_ref()) {
         Ok(connection) => connection,
         Err(message) => return writeln!(out, "error: {message}").map(|()| 2),
     };
@@ -106,7 +110,7 @@ async fn offer(
     agents: &Agents,
     out: &mut dyn Write,
 ) -> Result<u8, NotBegun> {
-    let mut asked_to_end = std::pin::pin!(stopped(args.while_input));
+    let mut asked_to_end = std::pin::pin!(stopped_or(args.while_input));
     let _alive = be_the_only_one(session, &args.name).await.map_err(message)?;
     let world = match &args.world {
         None => World::default(),
@@ -116,7 +120,7 @@ async fn offer(
     let (mind, simulated) = match &args.eyes {
         None => {
             let (stage, simulation) =
-                Stage::set(&world, args.seed, &args.store, Vec::new()).map_err(message)?;
+                Stage::set(&world, args.seed, &args.store, Vec::new(), None).map_err(message)?;
             let mind = Mind { memory: Arc::clone(&stage.memory), kept: Arc::clone(&stage.kept) };
             (mind, Some((stage, simulation)))
         }
@@ -124,8 +128,10 @@ async fn offer(
     };
     let Mind { memory, kept } = mind;
     let store = Some(Arc::clone(kept.store()));
-    let _served =
-        MemoryServer::start_with(session, &args.name, Arc::clone(&memory), store).await.map_err(message)?;
+    let guarded = args.access.of(&args.name).is_some();
+    let _served = MemoryServer::start_guarded(session, &args.name, Arc::clone(&memory), store, guarded)
+        .await
+        .map_err(message)?;
     let _followed = follow_all(args, session, &memory);
     let body = match (simulated, &args.eyes) {
         (Some((stage, simulation)), _) => Body::simulated(stage, simulation),
@@ -143,6 +149,8 @@ async fn offer(
         }
         (None, None) => return Err(message("an agent without a robot needs --eyes")),
     };
+    let cameras = StereoProvider::new(Arc::clone(&body.equipment.images), "camera_left");
+    let _cameras = offer_images(session, &args.name, Arc::new(cameras)).await.map_err(message)?;
     let progress = Progress::new(Box::new(io::stderr()), false);
     logging::install(&progress, Arc::clone(&body.clock), args.verbose, false).map_err(message)?;
     let status = act(args, (session, agents), body, asked_to_end, out).await?;
@@ -335,19 +343,25 @@ async fn say(
     out.flush()
 }
 
-/// Waits for Ctrl-C, for the system's request to end, or, if asked for, for the end of the standard input.
-async fn stopped(while_input: bool) {
+/// Waits for Ctrl-C, or for the system's request to end.
+pub(crate) async fn stopped() {
     let interrupted = tokio::signal::ctrl_c();
-    let terminated = async {
-        match tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
-            Ok(mut signal) => signal.recv().await,
-            Err(_) => std::future::pending().await,
-        }
+    let Ok(mut terminated) = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) else {
+        let _ = interrupted.await.is_ok();
+        return;
     };
     tokio::select! {
         biased;
         _ = interrupted => {}
-        _ = terminated => {}
+        _ = terminated.recv() => {}
+    }
+}
+
+/// As [`stopped`]; if asked for, also for the end of the standard input.
+async fn stopped_or(while_input: bool) {
+    tokio::select! {
+        biased;
+        () = stopped() => {}
         () = input_ended(), if while_input => {}
     }
 }

@@ -3,6 +3,7 @@
 
 mod agent;
 mod body;
+mod cameras;
 mod catalog;
 mod changes;
 mod check;
@@ -12,6 +13,7 @@ mod connection;
 mod following;
 mod gallery;
 mod graph;
+mod image;
 mod import;
 mod judge;
 mod logging;
@@ -64,6 +66,8 @@ enum Command {
     Run(run::RunArgs),
     /// Offer charts and skills to other agents.
     Agent(agent::AgentArgs),
+    /// The simulated cameras in a process of their own, for `run --cameras`.
+    Cameras(cameras::CamerasArgs),
     /// Find everything that is wrong with charts and worlds.
     Check(check::CheckArgs),
     /// Drive a chart by hand or by a list of events, with no robot, under virtual time.
@@ -84,6 +88,8 @@ enum Command {
     Reproduce(reproduce::ReproduceArgs),
     /// Look into the memory of agents, write, save, export and mend it.
     Memory(memory::MemoryArgs),
+    /// List, show, record, play and check providers of images.
+    Image(image::ImageArgs),
     /// List the skills that charts can use.
     Skills(skills::SkillsArgs),
     /// Look for hands, gestures, fingertips and markers in images.
@@ -96,6 +102,7 @@ fn main() -> ExitCode {
     let status = match &arguments.command {
         Command::Run(args) => run::run(args, &mut io::stderr()),
         Command::Agent(args) => agent::run(args, &mut out),
+        Command::Cameras(args) => cameras::run(args, &mut out),
         Command::Check(args) => check::run(args, style(), &catalog::check_chart, &mut out),
         Command::Step(args) => step::run(args, &mut out, &mut io::stderr()),
         Command::Test(args) => test_cases::run(args, &mut out),
@@ -106,6 +113,7 @@ fn main() -> ExitCode {
         Command::Schema(args) => schema::run(*args, &mut out),
         Command::Reproduce(args) => reproduce::run(args, &mut out),
         Command::Memory(args) => memory::run(args, &mut out, &mut io::stderr()),
+        Command::Image(args) => image::run(args, &mut out, &mut io::stderr()),
         Command::Skills(args) => skills::run(args, &mut out),
         Command::Vision(args) => vision::run(args, &mut out, &mut io::stderr()),
     };

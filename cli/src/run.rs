@@ -15,12 +15,14 @@ use armarium_runtime::engine::Program;
 use armarium_runtime::exec::{ExecOptions, Executor, Others, Post, RunResult};
 use armarium_runtime::skill::Limits;
 use armarium_runtime::trace::TraceSink;
+use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{Simulation, TruthSink, World};
 use armarium_states::observers;
 use armarium_values::Value;
 use armarium_viewer::progress::{Progress, Status};
 use armarium_viewer::recorder::Recorder;
 
+use crate::cameras;
 use crate::catalog;
 use crate::chronicle::{Chronicle, Story};
 use crate::company::{Beginning, Company, Told};
@@ -70,6 +72,9 @@ pub(crate) struct RunArgs {
     /// The name by which other agents can send events to this run.
     #[arg(long)]
     pub(crate) name: Option<String>,
+    /// Look through the cameras of `armarium cameras --name NAME`, in another process, with the same world and seed.
+    #[arg(long, value_name = "NAME")]
+    pub(crate) cameras: Option<String>,
     #[command(flatten)]
     pub(crate) connection: ConnectionArgs,
     /// Record the run for `armarium replay`.
@@ -130,7 +135,12 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
         Err(errors) => return show(&errors.iter().map(Shown::from).collect::<Vec<_>>(), out).map(|()| 2),
     };
     let name = scene.called(args.name.as_deref());
-    let connection = match Connection::if_asked(&args.connection, name.is_some()) {
+    let connection = match &args.cameras {
+        None if scene.world.agents.is_empty() => Connection::if_asked(&args.connection, name.is_some()),
+        // The other agents' eyes are images too.
+        None | Some(_) => Connection::for_images(&args.connection, None).map(Some),
+    };
+    let connection = match connection {
         Ok(connection) => connection,
         Err(message) => return writeln!(out, "error: {message}").map(|()| 2),
     };
@@ -187,8 +197,17 @@ async fn perform(
     let digest = RunDigest::default();
     let sinks: Vec<Box<dyn TruthSink>> =
         vec![Box::new(digest.clone()), Box::new(TruthTopics(Arc::clone(&recorder)))];
-    let (mut stage, simulation) = Stage::set(&world, args.seed, &args.store, sinks).map_err(begin_error)?;
-    let gallery = Arc::new(Gallery::of(Arc::clone(&stage.equipment.images), &world, Arc::clone(&recorder)));
+    let (told, cameras) = match (&args.cameras, connection) {
+        (Some(name), Some(connection)) => {
+            let (told, cameras) = cameras::connect(name, connection).await.map_err(NotBegun::Message)?;
+            (Some(Box::new(told) as Box<dyn ScenerySink>), Some(cameras))
+        }
+        _ => (None, None),
+    };
+    let set = Stage::set(&world, args.seed, &args.store, sinks, told);
+    let (mut stage, simulation) = set.map_err(begin_error)?;
+    let cameras = cameras.unwrap_or_else(|| Arc::clone(&stage.equipment.images));
+    let gallery = Arc::new(Gallery::of(cameras, &world, Arc::clone(&recorder)));
     stage.equipment.images = Arc::clone(&gallery) as Arc<dyn armarium_visionx::ImageSource>;
 
     let mut registry = catalog::registry(&stage.equipment);

@@ -9,6 +9,7 @@ use armarium_memoryx::{
     PriorKnowledge, StoreError, WorkingMemory, tokio_clock,
 };
 use armarium_robot::{Model, Robot, postures};
+use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{Handle, Options, Referee, Simulation, SimulationError, TruthSink, World};
 use armarium_states::Equipment;
 
@@ -75,15 +76,16 @@ impl Mind {
 }
 
 impl Stage {
-    /// Sets the stage; the simulation is to be spawned.
+    /// Sets the stage; the simulation is to be spawned. With `scenery`, its cameras are in another process.
     pub(crate) fn set(
         world: &World,
         seed: u64,
         store: &Path,
         truth_sinks: Vec<Box<dyn TruthSink>>,
+        scenery: Option<Box<dyn ScenerySink>>,
     ) -> Result<(Self, Simulation), StageError> {
         let start = postures::home(&Arc::new(Model::armar3()));
-        let options = Options { truth_sinks, start: Some(start), ..Options::default() };
+        let options = Options { truth_sinks, start: Some(start), scenery, ..Options::default() };
         let simulation = Simulation::new(world, seed, options)?;
         let Mind { memory, kept } = Mind::open(world, store)?;
         let equipment = Equipment {

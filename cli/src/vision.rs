@@ -12,6 +12,8 @@ mod train;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
+pub(crate) use look::color;
+
 /// What `vision` takes.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct VisionArgs {

@@ -10,6 +10,8 @@ use armarium_bus::Session;
 use tokio::task::JoinSet;
 
 use crate::error::MemoryError;
+use crate::infer::{Attached, Inference};
+use crate::prior::PriorKnowledge;
 use crate::query::Pattern;
 use crate::remote::RemoteMemory;
 use crate::server::MemoryServer;
@@ -37,6 +39,12 @@ pub struct AgentConfig {
     pub limits: Limits,
     /// Whom it follows.
     pub follow: Vec<FollowSettings>,
+    /// What is known before anything is seen.
+    pub prior: PriorKnowledge,
+    /// What concludes something from its memory.
+    pub infer: Vec<Arc<dyn Inference>>,
+    /// Whether only named writers may write, each his own provider segments.
+    pub guarded: bool,
 }
 
 impl AgentConfig {
@@ -50,6 +58,9 @@ impl AgentConfig {
             retention: Retention::default(),
             limits: Limits { ahead_ns: Some(60_000_000_000), ..Limits::default() },
             follow: Vec::new(),
+            prior: PriorKnowledge::new(),
+            infer: Vec::new(),
+            guarded: false,
         }
     }
 
@@ -67,6 +78,7 @@ pub struct AgentMemory {
     memory: Arc<WorkingMemory>,
     store: Option<Arc<LongTermMemory>>,
     _server: MemoryServer,
+    _inferences: Vec<Attached>,
     _tasks: JoinSet<()>,
 }
 
@@ -84,9 +96,15 @@ impl AgentMemory {
                 memory.with_backing(Arc::new(Consolidator::new(Arc::clone(store), config.policies.clone())));
             store.load_into(&memory, Pattern::any())?;
         }
+        config.prior.put_into(&memory)?;
         let memory = Arc::new(memory);
-        let server =
-            MemoryServer::start_with(session, &config.name, Arc::clone(&memory), store.clone()).await?;
+        let (shared, kept) = (Arc::clone(&memory), store.clone());
+        let server = MemoryServer::start_guarded(session, &config.name, shared, kept, config.guarded).await?;
+        let attach = |inference| {
+            let (clock, memory) = (session.clone(), Arc::<WorkingMemory>::clone(&memory));
+            Attached::start(memory, inference, Arc::new(move || clock.now_ns()))
+        };
+        let inferences = config.infer.into_iter().map(attach).collect();
         let mut tasks = JoinSet::new();
         for settings in config.follow {
             tasks.spawn(follow(session.clone(), Arc::clone(&memory), settings));
@@ -94,7 +112,7 @@ impl AgentMemory {
         if let Some(store) = store.clone().filter(|_| config.retention != Retention::default()) {
             tasks.spawn(retain(store, Arc::clone(&memory), config.retention));
         }
-        Ok(Self { memory, store, _server: server, _tasks: tasks })
+        Ok(Self { memory, store, _server: server, _inferences: inferences, _tasks: tasks })
     }
 
     /// What it knows now.

@@ -12,7 +12,8 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use armarium_values::{Reference, Value};
-use serde::{Deserialize, Serialize};
+use serde::de::Visitor;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::attributes::Attributes;
 use crate::error::MemoryError;
@@ -22,8 +23,7 @@ const LONGEST_NAME: usize = 200;
 
 /// The address of an entity: `core segment / provider / entity`, each a name without `/`, `*`, `#`, `?`, `$`.
 /// Ordered by core segment, then provider, then entity. Cheap to clone.
-#[derive(Clone, Eq, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
+#[derive(Clone, Eq)]
 pub struct EntityId {
     path: Arc<str>,
     provider_at: u16,
@@ -82,12 +82,13 @@ impl EntityId {
         for name in [segment, provider, entity] {
             check_name(name)?;
         }
+        Ok(Self::of_path(format!("{segment}/{provider}/{entity}").into(), segment.len(), provider.len()))
+    }
+
+    /// The address that a path of checked names is, by the lengths of the first two.
+    fn of_path(path: Arc<str>, segment: usize, provider: usize) -> Self {
         let position = |n: usize| u16::try_from(n).expect("three names of at most 200 bytes");
-        Ok(Self {
-            path: format!("{segment}/{provider}/{entity}").into(),
-            provider_at: position(segment.len() + 1),
-            entity_at: position(segment.len() + provider.len() + 2),
-        })
+        Self { path, provider_at: position(segment + 1), entity_at: position(segment + provider + 2) }
     }
 
     /// The core segment.
@@ -143,6 +144,10 @@ impl Hash for EntityId {
 
 impl Ord for EntityId {
     fn cmp(&self, other: &Self) -> Ordering {
+        // Where the parts are equally long, the slashes are in the same places and do not count.
+        if (self.provider_at, self.entity_at) == (other.provider_at, other.entity_at) {
+            return self.path.cmp(&other.path);
+        }
         (self.segment(), self.provider(), self.entity()).cmp(&(
             other.segment(),
             other.provider(),
@@ -161,18 +166,42 @@ impl FromStr for EntityId {
     type Err = MemoryError;
 
     fn from_str(path: &str) -> Result<Self, MemoryError> {
-        match path.split('/').collect::<Vec<_>>().as_slice() {
-            [segment, provider, entity] => Self::new(segment, provider, entity),
-            _ => Err(MemoryError::Name { name: path.chars().take(LONGEST_NAME).collect() }),
-        }
+        let parts = path.split_once('/').and_then(|(segment, rest)| {
+            let (provider, entity) = rest.split_once('/')?;
+            Some([segment, provider, entity])
+        });
+        let Some(names) = parts else {
+            return Err(MemoryError::Name { name: path.chars().take(LONGEST_NAME).collect() });
+        };
+        // A third slash is one in the entity's name, which no name may hold.
+        names.iter().try_for_each(|name| check_name(name))?;
+        Ok(Self::of_path(path.into(), names[0].len(), names[1].len()))
     }
 }
 
-impl TryFrom<String> for EntityId {
-    type Error = MemoryError;
+impl Serialize for EntityId {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.as_str())
+    }
+}
 
-    fn try_from(path: String) -> Result<Self, MemoryError> {
-        path.parse()
+impl<'de> Deserialize<'de> for EntityId {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Path;
+
+        impl Visitor<'_> for Path {
+            type Value = EntityId;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an address, `segment/provider/entity`")
+            }
+
+            fn visit_str<E: serde::de::Error>(self, path: &str) -> Result<EntityId, E> {
+                path.parse().map_err(E::custom)
+            }
+        }
+
+        deserializer.deserialize_str(Path)
     }
 }
 
@@ -181,12 +210,6 @@ impl TryFrom<&Reference> for EntityId {
 
     fn try_from(reference: &Reference) -> Result<Self, MemoryError> {
         reference.id.parse()
-    }
-}
-
-impl From<EntityId> for String {
-    fn from(id: EntityId) -> Self {
-        id.as_str().into()
     }
 }
 

@@ -56,6 +56,17 @@ pub enum MemoryError {
         /// The address.
         id: String,
     },
+    /// The memory lets only certain writers write, and each only his own provider segments.
+    #[error(
+        "`{writer}` may not write `{id}`: this memory takes commits on `AGENT/memory/by/WRITER`, of provider segments that are \
+         called as the writer or begin with his name and a dot"
+    )]
+    Forbidden {
+        /// The address, or what else was asked for.
+        id: String,
+        /// The writer, as far as he is known.
+        writer: String,
+    },
     /// The memory has as many entities as it may have.
     #[error("`{id}` does not fit: the memory holds its maximum of {entities} entities")]
     Full {

@@ -7,6 +7,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
+use indexmap::IndexMap;
 use tokio::sync::broadcast::{self, error::RecvError, error::TryRecvError};
 
 use crate::entity::{EntityId, Snapshot};
@@ -39,7 +40,7 @@ pub struct Follower {
     pattern: Pattern,
     changes: broadcast::Receiver<Arc<Snapshot>>,
     /// Newest version told of each entity.
-    told: BTreeMap<EntityId, u64>,
+    told: IndexMap<EntityId, u64>,
     /// When the last change arrived that came without a gap, ns.
     since_ns: u64,
     ready: VecDeque<Change>,
@@ -71,7 +72,7 @@ impl Follower {
     #[must_use]
     pub fn from_start(memory: Arc<dyn Memory>, pattern: Pattern) -> Self {
         let changes = memory.subscribe();
-        Self { memory, pattern, changes, told: BTreeMap::new(), since_ns: 0, ready: VecDeque::new() }
+        Self { memory, pattern, changes, told: IndexMap::new(), since_ns: 0, ready: VecDeque::new() }
     }
 
     /// Follows on from what was told before, by entity: what has changed since comes first, from the history, which is
@@ -87,7 +88,7 @@ impl Follower {
         since_ns: u64,
     ) -> Result<Self, MemoryError> {
         let mut follower = Self::from_start(memory, pattern);
-        follower.told = told;
+        follower.told = told.into_iter().collect();
         follower.read_since(since_ns).await?;
         Ok(follower)
     }
@@ -107,6 +108,17 @@ impl Follower {
                 Err(RecvError::Closed) => return Ok(None),
             }
         }
+    }
+
+    /// The next change and those that wait behind it, at most `most` but one; nothing when the memory has gone. Dropping
+    /// the future loses nothing.
+    ///
+    /// # Errors
+    /// As [`Self::next`].
+    pub async fn some(&mut self, most: usize) -> Result<Vec<Change>, MemoryError> {
+        let Some(first) = self.next().await? else { return Ok(Vec::new()) };
+        self.ready.push_front(first);
+        self.drain(most.max(1)).await
     }
 
     /// What can be told without waiting for a change, about `most` of it.
@@ -143,7 +155,14 @@ impl Follower {
         if !self.pattern.matches(&snapshot.id) {
             return Ok(());
         }
-        let told = self.told.get(&snapshot.id).copied().unwrap_or(0);
+        let told = match self.told.get_mut(&snapshot.id) {
+            Some(told) if snapshot.version == *told + 1 => {
+                *told = snapshot.version;
+                self.ready.push_back(Change::New(snapshot));
+                return Ok(());
+            }
+            told => told.copied().unwrap_or(0),
+        };
         if snapshot.version > told + 1 {
             let missing = Times::Versions(told + 1, snapshot.version - 1);
             self.read(Query::latest(Pattern::entity(&snapshot.id)).times(missing)).await?;
@@ -190,11 +209,5 @@ impl Follower {
     #[must_use]
     pub fn since_ns(&self) -> u64 {
         self.since_ns
-    }
-
-    /// The newest version told of each entity; [`Self::resume`] goes on from it.
-    #[must_use]
-    pub fn told(&self) -> &BTreeMap<EntityId, u64> {
-        &self.told
     }
 }

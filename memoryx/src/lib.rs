@@ -4,22 +4,25 @@
 //! - [`EntityId`], [`Snapshot`], [`Commit`]: what is kept and how it gets in; [`Query`]: what can be asked.
 //! - [`WorkingMemory`]: what an agent knows now.
 //! - [`Follower`]: a subscription that says what it missed.
-//! - [`PriorKnowledge`]: object classes, known before one is seen.
+//! - [`PriorKnowledge`]: object classes and scenes, known before one is seen.
 //! - [`MemoryServer`], [`RemoteMemory`]: a memory shared over Zenoh ([`wire`] says how).
 //! - [`Following`]: what another agent knows, in one's own frame; [`AgentMemory`]: all of it, put together.
 //! - [`updater`]: observations become entities: matching, fusion, motion models.
 //! - [`Observer`]: conditions on memory that become events.
+//! - [`Inference`]: what is concluded from all of it, with confidence and provenance.
 //! - [`LongTermMemory`]: what is kept on disk; [`Consolidator`] decides what.
 //!
 //! This room knows no robot and no image.
 
 mod agent;
+mod asked;
 mod attributes;
 pub mod conformance;
 mod entity;
 mod error;
 mod filter;
 mod follow;
+pub mod infer;
 pub mod maintain;
 mod memory;
 mod observer;
@@ -36,16 +39,18 @@ pub mod wire;
 mod working;
 
 pub use agent::{AgentConfig, AgentMemory};
+pub use asked::Asked;
 pub use attributes::Attributes;
 pub use entity::{Commit, EntityId, Instance, Snapshot, check_name};
 pub use error::MemoryError;
 pub use filter::Filter;
 pub use follow::{Change, Follower};
+pub use infer::{Attached, Conclusion, Inference, SpatialRelations, UsualPlaces};
 pub use memory::{Memory, Pages, modify, pages};
 pub use observer::{Condition, MemoryEvent, Observer};
 pub use place::{Region, distance, place_of};
 pub use prior::{GraspPose, ObjectClass, PriorKnowledge, Recognition};
-pub use query::{Asked, Cursor, Pattern, Query, Times};
+pub use query::{Cursor, Pattern, Query, Times};
 pub use remote::RemoteMemory;
 pub use schema::{Attribute, SegmentSchema, core_segments};
 pub use server::MemoryServer;

@@ -9,7 +9,7 @@
 use std::sync::Arc;
 
 use armarium_bus::{
-    AliveToken, Interest, Message, Question, Questions, Session, SessionError, Subscription, keys,
+    AliveToken, Interest, Key, Message, Question, Questions, Session, SessionError, Subscription, keys,
 };
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
@@ -28,7 +28,7 @@ const QUEUE: usize = 1024;
 /// Commits that are made durable together.
 const GROUP: usize = 256;
 /// Changes that are told together.
-const TOGETHER: usize = 512;
+const TOGETHER: usize = 2048;
 /// Most snapshots in one answer.
 const MOST_SNAPSHOTS: usize = 8192;
 /// Most bytes of snapshots in one message, about; a single larger one travels alone.
@@ -66,17 +66,37 @@ impl MemoryServer {
         memory: Arc<WorkingMemory>,
         store: Option<Arc<LongTermMemory>>,
     ) -> Result<Self, MemoryError> {
+        Self::start_guarded(session, agent, memory, store, false).await
+    }
+
+    /// [`Self::start_with`], where `guarded` says that only named writers may write, each his own provider segments, and only
+    /// the agent itself may have long-term memory maintained. That a writer is who he says is up to the session's rules
+    /// ([`armarium_bus::Access`]).
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub async fn start_guarded(
+        session: &Session,
+        agent: &str,
+        memory: Arc<WorkingMemory>,
+        store: Option<Arc<LongTermMemory>>,
+        guarded: bool,
+    ) -> Result<Self, MemoryError> {
         let failed = |error: SessionError| unreachable_memory(agent, &error.to_string());
         let named = |error: armarium_bus::KeyError| MemoryError::Name { name: error.name };
         let requests = keys::memory_commit(agent).map_err(named)?;
+        let named_requests = keys::memory_by_pattern(agent).map_err(named)?;
         let entities = wire::every_entity(agent).map_err(named)?;
         let service = keys::alive(agent, "memory").map_err(named)?;
 
         let (follower, _) = Follower::from_now(Arc::<WorkingMemory>::clone(&memory), Pattern::any()).await?;
         let queries = Arc::new(Semaphore::new(QUERIES));
-        let shared = Shared { session: session.clone(), agent: agent.into(), memory, store, queries };
+        let shared =
+            Shared { session: session.clone(), agent: agent.into(), memory, store, queries, guarded };
         let mut tasks = JoinSet::new();
         let questions = session.answer(requests, QUEUE).await.map_err(failed)?;
+        tasks.spawn(shared.clone().answer_requests(questions));
+        let questions = session.answer(named_requests, QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_requests(questions));
         let gets = session.answer(entities.clone(), QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_gets(gets));
@@ -100,6 +120,7 @@ struct Shared {
     memory: Arc<WorkingMemory>,
     store: Option<Arc<LongTermMemory>>,
     queries: Arc<Semaphore>,
+    guarded: bool,
 }
 
 impl Shared {
@@ -130,18 +151,20 @@ impl Shared {
         let mut understood = Vec::with_capacity(questions.len());
         let mut commits = Vec::with_capacity(questions.len());
         for question in questions {
-            match wire::open::<CommitRequest>(&question.encoding, &question.payload) {
+            let request = wire::open::<CommitRequest>(&question.encoding, &question.payload);
+            let request = request.map_err(|error| self.not_understood(&error));
+            match request.and_then(|request| self.permitted(&question, request)) {
                 Ok(request) => {
                     commits.push((request.updates, request.sent_ns));
                     understood.push(question);
                 }
-                Err(error) => self.send(&question, Err(self.not_understood(&error))).await,
+                Err(error) => self.send(&question, Err(error)).await,
             }
         }
         if commits.is_empty() {
             return;
         }
-        let answers = tokio::task::block_in_place(|| self.memory.commit_group(commits));
+        let answers = self.held_up(|| self.memory.commit_group(commits));
         for (question, answer) in understood.iter().zip(answers) {
             let sealed = answer.and_then(|v| wire::seal(&Versions(v)).map_err(|e| self.not_understood(&e)));
             self.send(question, sealed).await;
@@ -149,12 +172,44 @@ impl Shared {
     }
 
     async fn send(&self, question: &Question, answer: Result<(String, Vec<u8>), MemoryError>) {
-        let key = keys::memory_commit(&self.agent).map_err(|error| MemoryError::Name { name: error.name });
+        // Who asks all memories at once is answered on this one's key.
+        let key = Key::parse(&question.key).or_else(|_| keys::memory_commit(&self.agent));
+        let key = key.map_err(|error| MemoryError::Name { name: error.name });
         let sent = match (answer, key) {
             (Ok((encoding, payload)), Ok(key)) => question.reply(&key, &encoding, payload).await,
             (Err(error), _) | (_, Err(error)) => refuse(question, &error).await,
         };
         log_failure(sent);
+    }
+
+    /// The writer that a question's key names.
+    fn writer<'q>(&self, question: &'q Question) -> Option<&'q str> {
+        match question.key.split('/').collect::<Vec<_>>()[..] {
+            [_, "memory", "by", writer] => Some(writer),
+            _ => None,
+        }
+    }
+
+    /// The request, if whoever makes it may write all of it.
+    fn permitted(&self, question: &Question, request: CommitRequest) -> Result<CommitRequest, MemoryError> {
+        let is_own = |writer: &str, provider: &str| {
+            writer == self.agent
+                || provider.strip_prefix(writer).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+        };
+        let writer = self.writer(question);
+        let forbidden = request.updates.iter().find(|update| match writer {
+            Some(writer) => !is_own(writer, update.id.provider()),
+            None => self.guarded,
+        });
+        match forbidden {
+            Some(update) => Err(forbid(update.id.to_string(), writer)),
+            None => Ok(request),
+        }
+    }
+
+    /// Does what may wait for a disk, where there is one.
+    fn held_up<T>(&self, act: impl FnOnce() -> T) -> T {
+        if self.memory.has_backing() { tokio::task::block_in_place(act) } else { act() }
     }
 
     fn not_understood(&self, error: &armarium_bus::CodecError) -> MemoryError {
@@ -166,6 +221,10 @@ impl Shared {
         let (encoding, payload) = (question.encoding.as_str(), question.payload.as_slice());
         let sealed = if encoding.starts_with("application/cbor;memoryx/maintain;") {
             let request: Maintain = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
+            let writer = self.writer(question);
+            if self.guarded && writer != Some(self.agent.as_str()) {
+                return Err(forbid("long-term memory".into(), writer));
+            }
             let store =
                 self.store.as_deref().ok_or_else(|| MemoryError::Store { what: "there is none".into() })?;
             wire::seal(&maintain::carry_out(request, store, &self.memory)?)
@@ -193,7 +252,7 @@ impl Shared {
         while let Some(question) = questions.next().await {
             let found = wire::query_of_get(&question.key, &question.parameters)
                 .map_err(|what| MemoryError::Query { what })
-                .and_then(|query| tokio::task::block_in_place(|| self.memory.query_now(&query)));
+                .and_then(|query| self.held_up(|| self.memory.query_now(&query)));
             match found {
                 Ok(found) => log_failure(self.answer_get(&question, found).await),
                 Err(error) => log_failure(refuse(&question, &error).await),
@@ -235,7 +294,7 @@ impl Shared {
             return Err(not_understood(format!("the update is of `{}`, not of its key", update.id)));
         }
         let sent_ns = message.sent_ns.unwrap_or_else(|| self.memory.now_ns());
-        tokio::task::block_in_place(|| self.memory.commit_sent(vec![update], sent_ns))?;
+        self.held_up(|| self.memory.commit_sent(vec![update], sent_ns))?;
         Ok(())
     }
 
@@ -244,20 +303,16 @@ impl Shared {
         let epoch = self.session.now_ns();
         let mut told = 0;
         loop {
-            let first = match follower.next().await {
-                Ok(Some(change)) => change,
-                Ok(None) => return,
+            let changes = match follower.some(TOGETHER).await {
+                Ok(changes) if changes.is_empty() => return,
+                Ok(changes) => changes,
                 Err(error) => {
                     tracing::warn!(%error, "changes could not be read");
                     continue;
                 }
             };
-            let more = follower.drain(TOGETHER - 1).await.unwrap_or_else(|error| {
-                tracing::warn!(%error, "changes could not be read");
-                Vec::new()
-            });
-            let mut news = Vec::with_capacity(more.len() + 1);
-            for change in std::iter::once(first).chain(more) {
+            let mut news = Vec::with_capacity(changes.len());
+            for change in changes {
                 match change {
                     Change::New(snapshot) => news.push(snapshot),
                     Change::Missed { id, from, to } => {
@@ -291,6 +346,10 @@ impl Shared {
             log_failure(self.session.put(&key, &encoding, payload).await);
         }
     }
+}
+
+fn forbid(id: String, writer: Option<&str>) -> MemoryError {
+    MemoryError::Forbidden { id, writer: writer.unwrap_or("somebody without a name").into() }
 }
 
 /// How many of the first snapshots fit into this many bytes, about; at least one.

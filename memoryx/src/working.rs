@@ -8,7 +8,7 @@
 //!   reader waits only while the new snapshots are put in, never for the backing.
 //! - What it holds is bounded: entities, history, bytes, how far ahead data may speak.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
@@ -147,6 +147,12 @@ impl WorkingMemory {
         (self.clock)()
     }
 
+    /// Whether something keeps its commits, so that they may take as long as a disk does.
+    #[must_use]
+    pub fn has_backing(&self) -> bool {
+        self.backing.is_some()
+    }
+
     /// How many entities it holds, the removed ones included.
     #[must_use]
     pub fn len(&self) -> usize {
@@ -230,10 +236,11 @@ impl WorkingMemory {
         let state = self.read();
         let newest = |id: &EntityId| state.newest(id).map_or(0, |s| s.version);
         let wanted: Vec<_> = snapshots.into_iter().filter(|s| s.version > newest(&s.id)).collect();
-        let mut room = Numbered::default();
+        let (mut room, mut restored) = (Numbered::default(), BTreeSet::new());
         for snapshot in &wanted {
             self.check(&snapshot.id, &snapshot.instances)?;
-            self.check_room(&state, &mut room, &snapshot.id, &snapshot.instances)?;
+            let is_new = state.newest(&snapshot.id).is_none() && restored.insert(&snapshot.id);
+            self.check_room(&state, &mut room, &snapshot.id, &snapshot.instances, is_new)?;
         }
         drop(state);
         let count = wanted.len();

@@ -4,6 +4,7 @@
 //! joint angles say; the true camera stands off by the world's mounting error.
 
 mod agents;
+mod distant;
 #[cfg(test)]
 mod gestures;
 
@@ -27,6 +28,8 @@ use crate::truth::FrameTruth;
 use crate::world::{CoverSpec, Gesture, ImageFault, World};
 
 pub(crate) use agents::AgentEyes;
+
+pub use distant::{DistantCameras, Scenery, SceneryError, ScenerySink};
 
 /// Half the edges of the coach's tool, m.
 pub const TOOL_HALF: Vector3<f64> = Vector3::new(0.045, 0.03, 0.02);
@@ -198,17 +201,30 @@ impl Eyes {
         self.truth.pose(self.left).translation.vector.into()
     }
 
-    /// Whether a frame is due at `t` s and somebody waits for it.
-    pub(crate) fn due(&mut self, t: f64) -> bool {
+    /// Whether a frame is due at `t` s and somebody waits for it, here or elsewhere.
+    pub(crate) fn due(&mut self, t: f64, elsewhere: bool) -> bool {
         if t + 1e-9 < self.next_frame as f64 * self.period_s {
             return false;
         }
         self.next_frame = ((t + 1e-9) / self.period_s).floor() as u64 + 1;
-        self.source.wanted()
+        elsewhere || self.source.wanted()
     }
 
     /// Draws a frame, hands it out and says what is true of it.
     pub(crate) fn draw(&mut self, view: &View<'_>) -> FrameTruth {
+        let (drawn, truth) = self.paint(view);
+        let frame = self.sensed(view.stamp_ns, drawn);
+        self.source.publish(frame);
+        truth
+    }
+
+    /// Counts the frames that were due.
+    pub(crate) fn frame(&self) -> u64 {
+        self.next_frame
+    }
+
+    /// What both eyes see, and what is true of it.
+    pub(crate) fn paint(&mut self, view: &View<'_>) -> ([Rendering; 2], FrameTruth) {
         self.truth.update(view.true_position);
         self.belief.update(view.sensed_position);
         let scene = self.scene(view);
@@ -221,16 +237,17 @@ impl Eyes {
             let alone = render_pair(&Scene::new(skin(&hand)), &[left, right]);
             whole(&hand, &left, &drawn[0], &alone[0]) && whole(&hand, &right, &drawn[1], &alone[1])
         });
-        self.hand_out(view.stamp_ns, drawn);
-        FrameTruth {
+        let truth = FrameTruth {
             stamp_ns: view.stamp_ns,
             gesture: view.coach.hand.map(|h| h.gesture),
             since_s: view.coach.hand.map_or(view.without_hand_s, |h| h.shown_s),
             visible,
-        }
+        };
+        (drawn, truth)
     }
 
-    fn hand_out(&mut self, stamp_ns: u64, drawn: [Rendering; 2]) {
+    /// What the sensors make of it, with their noise and faults.
+    fn sensed(&mut self, stamp_ns: u64, drawn: [Rendering; 2]) -> StereoFrame {
         let [Rendering { image: mut left, depth }, Rendering { image: mut right, .. }] = drawn;
         let frame = self.next_frame;
         self.noise.apply(&mut left, frame, 0);
@@ -251,7 +268,7 @@ impl Eyes {
         }
         let root_from_left = *self.belief.pose(self.left);
         let (left, right, depth) = pictures;
-        self.source.publish(StereoFrame { stamp_ns, left, right, depth: Some(depth), root_from_left });
+        StereoFrame { stamp_ns, left, right, depth: Some(depth), root_from_left }
     }
 
     fn scene(&mut self, view: &View<'_>) -> Scene {

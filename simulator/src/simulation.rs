@@ -14,7 +14,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::cameras::{AgentEyes, Eyes, SimulatedCameras, View};
+use crate::cameras::{AgentEyes, Eyes, Scenery, ScenerySink, SimulatedCameras, View};
 use crate::coach::{Coach, SeenArm};
 use crate::physics::{External, Plant, PlantError};
 use crate::referee::Referee;
@@ -59,6 +59,8 @@ pub struct Options {
     pub start: Option<Vec<f64>>,
     /// The guard's limits.
     pub guard: GuardConfig,
+    /// Cameras in another process; those here give no frames then.
+    pub scenery: Option<Box<dyn ScenerySink>>,
 }
 
 /// Ends a simulation and tells its time; clones are the same handle.
@@ -100,6 +102,8 @@ pub struct Simulation {
     agents: Vec<AgentEyes>,
     referee: Referee,
     sinks: Vec<Box<dyn TruthSink>>,
+    scenery: Option<Box<dyn ScenerySink>>,
+    world: (String, u64),
     handle: Handle,
     disturbances: Vec<Disturbance>,
     object_names: Vec<String>,
@@ -156,6 +160,8 @@ impl Simulation {
             eyes,
             referee: Referee::new(world),
             sinks: options.truth_sinks,
+            scenery: options.scenery,
+            world: (world.name.clone(), seed),
             handle: Handle::default(),
             disturbances: world.disturbances.clone(),
             object_names: world.objects.iter().map(|o| o.name.clone()).collect(),
@@ -363,12 +369,13 @@ impl Simulation {
 
     /// Draws a frame when one is due and wanted.
     fn show(&mut self, stamp_ns: u64, t: f64) {
-        if !self.eyes.due(t) {
+        let elsewhere = self.scenery.as_ref().is_some_and(|scenery| scenery.is_wanted());
+        if !self.eyes.due(t, elsewhere) {
             return;
         }
         let objects: Vec<Isometry3<f64>> =
             (0..self.object_names.len()).filter_map(|i| self.plant.object(i)).collect();
-        let truth = self.eyes.draw(&View {
+        let view = View {
             stamp_ns,
             true_position: self.plant.position(),
             sensed_position: &self.sample.position,
@@ -376,7 +383,14 @@ impl Simulation {
             coach: &self.truth.coach,
             without_hand_s: t - self.hand_gone_at,
             wiped: &self.dirt,
-        });
+        };
+        let truth = match &mut self.scenery {
+            None => self.eyes.draw(&view),
+            Some(scenery) => {
+                scenery.show(Scenery::of(&view, &self.world, self.eyes.frame()));
+                self.eyes.paint(&view).1
+            }
+        };
         self.referee.frame(&truth);
         for sink in &mut self.sinks {
             sink.frame(&truth);

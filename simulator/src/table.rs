@@ -189,6 +189,15 @@ impl DirtGrid {
         new
     }
 
+    /// Marks cells by their places in [`Self::cells`]; those that are none are passed over.
+    pub fn mark_cells(&mut self, cells: &[u32]) {
+        for cell in cells {
+            if let Some(marked) = usize::try_from(*cell).ok().and_then(|at| self.marked.get_mut(at)) {
+                *marked = true;
+            }
+        }
+    }
+
     /// The part of this grid's marked cells that `other` has marked too; `None` when nothing is marked.
     #[must_use]
     pub fn covered_by(&self, other: &Self) -> Option<f64> {

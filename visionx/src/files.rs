@@ -86,11 +86,7 @@ pub fn decode_gray(bytes: &[u8], wide: bool) -> Result<(u32, u32, Vec<u8>), File
     gray(Cursor::new(bytes), size, wide)
 }
 
-fn gray<R: BufRead + Seek>(
-    from: R,
-    size: (u32, u32),
-    wide: bool,
-) -> Result<(u32, u32, Vec<u8>), FileError> {
+fn gray<R: BufRead + Seek>(from: R, size: (u32, u32), wide: bool) -> Result<(u32, u32, Vec<u8>), FileError> {
     let image = small(from, size)?;
     let (width, height) = (image.width(), image.height());
     let bytes = if wide {

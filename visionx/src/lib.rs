@@ -2,7 +2,7 @@
 //!
 //! - [`Image`], [`DepthImage`], [`StereoFrame`]: what trackers work on. [`ImageSource`]: who gives it to skills.
 //! - [`providers`]: frames of any format, from cameras, files, recordings and other processes, and how they are offered.
-//! - [`PinholeCamera`], [`StereoCalibration`]: from pixels to points.
+//! - [`PinholeCamera`], [`StereoCalibration`]: from pixels to points; [`EpipolarCheck`]: whether they are right.
 //! - [`ColorModel`], [`Mask`], [`components`]: which pixels have a colour, and what connected things they form.
 //! - [`ColorMarkerObjectTracking`]: follows a thing of known colour. [`ObjectLocalizer`]: finds the pose of a box of
 //!   known colour and size. [`HandObserver`]: finds a person's hand, its gesture and where it points.
@@ -18,6 +18,7 @@ pub mod annotate;
 mod camera;
 mod color;
 mod components;
+mod epipolar;
 pub mod files;
 mod frame;
 pub mod hand;
@@ -37,6 +38,7 @@ pub mod tracking;
 pub use camera::{PinholeCamera, StereoCalibration};
 pub use color::ColorModel;
 pub use components::{Component, Run, components};
+pub use epipolar::EpipolarCheck;
 pub use frame::{DepthImage, Image, ImageError, ImageSource, StereoFrame};
 pub use hand::{Fingertip, Gesture, HandObservation, HandObserver};
 pub use localizer::{BoxModel, ObjectEstimate, ObjectLocalizer};

@@ -141,11 +141,40 @@ impl Mask {
     pub fn count(&self) -> usize {
         self.data.iter().map(|&v| usize::from(v)).sum()
     }
+
+    /// Each pixel as five or more of the nine around it; those at the mask's border stay.
+    #[must_use]
+    pub fn majority(&self) -> Self {
+        let (w, h) = (self.width(), self.height());
+        let mut result = self.clone();
+        for y in 1..h.saturating_sub(1) {
+            let rows = [self.row(y - 1), self.row(y), self.row(y + 1)];
+            for x in 1..w.saturating_sub(1) {
+                let sum: u8 = rows.iter().map(|r| r[x - 1] + r[x] + r[x + 1]).sum();
+                result.data[y * w + x] = u8::from(sum >= 5);
+            }
+        }
+        result
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_majority_closes_a_hole_and_takes_off_a_speck() {
+        let mut mask = Mask::empty(Region::whole(7, 5));
+        mask.data_mut().copy_from_slice(&[
+            1, 1, 1, 0, 0, 0, 0, //
+            1, 0, 1, 0, 0, 0, 0, //
+            1, 1, 1, 0, 0, 1, 0, //
+            0, 0, 0, 0, 0, 0, 0, //
+            0, 0, 0, 0, 0, 0, 1,
+        ]);
+        let smooth = mask.majority();
+        assert_eq!([smooth.row(1)[1], smooth.row(2)[5], smooth.row(4)[6]], [1, 0, 1]);
+    }
 
     #[test]
     fn regions_clip() {

@@ -9,6 +9,8 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
+use crate::connection::{ConnectionArgs, explained};
+
 mod reach;
 mod serve;
 mod show;
@@ -20,12 +22,12 @@ pub(crate) struct MemoryArgs {
     /// The agent whose memory it is.
     #[arg(long, global = true, default_value = "local", value_name = "NAME")]
     agent: String,
-    /// Where the agent listens; may be repeated.
-    #[arg(long, global = true, value_name = "ENDPOINT", default_value = "tcp/127.0.0.1:7447")]
-    connect: Vec<String>,
-    /// Accept addresses beyond this machine.
-    #[arg(long, global = true)]
-    off_loopback: bool,
+    /// Who asks, as his certificate says: a memory with access rules takes commits only from whom it knows, into provider
+    /// segments with his name.
+    #[arg(long = "as", global = true, value_name = "NAME")]
+    writer: Option<String>,
+    #[command(flatten)]
+    connection: ConnectionArgs,
     /// A long-term file instead of a running agent.
     #[arg(long, global = true, value_name = "FILE")]
     store: Option<PathBuf>,
@@ -65,8 +67,31 @@ enum MemoryCommand {
     Stats,
     /// Forget what is old or too much.
     Retain(RetainArgs),
+    /// Conclude from memory once: how things stand to each other, or where they usually are.
+    Infer {
+        /// What to conclude.
+        what: Inferences,
+    },
     /// Run the memory of an agent until Ctrl-C.
     Serve(serve::ServeArgs),
+}
+
+/// The inferences that ship.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Inferences {
+    /// What is on, in, near or left of what.
+    SpatialRelations,
+    /// Where objects are likely found, from all earlier days.
+    UsualPlaces,
+}
+
+impl Inferences {
+    fn inference(self) -> std::sync::Arc<dyn armarium_memoryx::Inference> {
+        match self {
+            Self::SpatialRelations => std::sync::Arc::new(armarium_memoryx::SpatialRelations::default()),
+            Self::UsualPlaces => std::sync::Arc::new(armarium_memoryx::UsualPlaces::default()),
+        }
+    }
 }
 
 /// Which entities: `SEGMENT/PROVIDER/ENTITY`, each with `*` for anything; missing parts are anything.
@@ -229,6 +254,18 @@ pub(crate) enum Failure {
 impl From<io::Error> for Failure {
     fn from(error: io::Error) -> Self {
         Self::Output(error)
+    }
+}
+
+impl From<armarium_bus::SessionError> for Failure {
+    fn from(error: armarium_bus::SessionError) -> Self {
+        use armarium_bus::SessionError;
+        match &error {
+            SessionError::OffLoopback { .. } | SessionError::Config { .. } => {
+                Self::Argument(explained(&error))
+            }
+            _ => Self::Refused(explained(&error)),
+        }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use armarium_bus::{Session, SessionConfig, SessionError};
+use armarium_bus::Session;
 use armarium_memoryx::wire::{Maintain, Report};
 use armarium_memoryx::{
     LongTermMemory, Memory, Pattern, Query, RemoteMemory, Snapshot, WorkingMemory, maintain, pages,
@@ -10,6 +10,8 @@ use armarium_memoryx::{
 
 use super::{Failure, MemoryArgs};
 
+/// Where an agent listens that was told nothing else.
+pub(super) const USUAL_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 /// Snapshots that are asked for at once.
 const PIECE: usize = 4096;
 
@@ -30,10 +32,20 @@ impl Reached {
             let memory = Arc::new(opened(&store)?);
             return Ok(Self::File { store, memory });
         }
-        let session = session(&args.connect, Vec::new(), args.off_loopback).await?;
-        let remote = RemoteMemory::connect(&session, &args.agent).await.map_err(|error| {
-            let connect = args.connect.join(" ");
-            Failure::Refused(format!("{error}; is the agent running, and does it listen at {connect}?"))
+        let mut connection = args.connection.clone();
+        if connection.connect.is_empty() {
+            connection.connect = vec![USUAL_ENDPOINT.into()];
+        }
+        let session = connection.session(None).await?;
+        let remote = match &args.writer {
+            Some(writer) => RemoteMemory::connect_as(&session, &args.agent, writer).await,
+            None => RemoteMemory::connect(&session, &args.agent).await,
+        };
+        let remote = remote.map_err(|error| {
+            let connect = connection.connect.join(" ");
+            Failure::Refused(format!(
+                "{error}; is the agent running, does it listen at {connect}, and does it let you in?"
+            ))
         })?;
         Ok(Self::Agent { remote, session })
     }
@@ -96,25 +108,9 @@ fn opened(store: &Arc<LongTermMemory>) -> Result<WorkingMemory, Failure> {
     Ok(memory)
 }
 
-/// The wall clock, ns since 1970: commands are the edge at which it is read.
-#[allow(clippy::disallowed_methods)]
+/// The wall clock, ns since 1970.
+#[allow(clippy::disallowed_methods)] // Commands are the edge at which it is read.
 fn wall_clock_ns() -> u64 {
     let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
     since.map_or(0, |since| u64::try_from(since.as_nanos()).unwrap_or(u64::MAX))
-}
-
-/// A session that connects and listens as asked.
-pub(super) async fn session(
-    connect: &[String],
-    listen: Vec<String>,
-    off_loopback: bool,
-) -> Result<Session, Failure> {
-    let mut config = SessionConfig { off_loopback, ..SessionConfig::connected_to(connect) };
-    if !listen.is_empty() {
-        config.listen = listen;
-    }
-    Session::open(&config).await.map_err(|error| match error {
-        SessionError::OffLoopback { .. } => Failure::Argument(format!("{error}: --off-loopback")),
-        error => Failure::Refused(error.to_string()),
-    })
 }

@@ -1,24 +1,28 @@
 //! `armarium memory serve`: the memory of an agent as a process of its own.
 
 use std::io::Write;
+use std::path::PathBuf;
 
-use armarium_memoryx::{AgentConfig, AgentMemory, FollowSettings, Pattern, Retention};
+use armarium_memoryx::{AgentConfig, AgentMemory, FollowSettings, Pattern, PriorKnowledge, Retention};
 use clap::Args;
 
-use super::reach::session;
-use super::{Failure, MemoryArgs};
+use super::reach::USUAL_ENDPOINT;
+use super::{Failure, Inferences, MemoryArgs};
+use crate::connection::AccessArgs;
 
 #[derive(Clone, Debug, Args)]
 pub(super) struct ServeArgs {
     /// The agent's name.
     #[arg(long, default_value = "local")]
     name: String,
-    /// Where it listens.
-    #[arg(long, value_name = "ENDPOINT", default_value = "tcp/127.0.0.1:7447")]
-    listen: Vec<String>,
-    /// Another agent to connect to; may be repeated.
-    #[arg(long, value_name = "ENDPOINT")]
-    to: Vec<String>,
+    #[command(flatten)]
+    access: AccessArgs,
+    /// A folder of prior knowledge: object classes and scenes, a YAML file each.
+    #[arg(long, value_name = "DIR")]
+    prior: Option<PathBuf>,
+    /// Conclude something whenever memory has changed; may be repeated.
+    #[arg(long, value_name = "WHAT")]
+    infer: Vec<Inferences>,
     /// What to follow of others, `AGENT` or `AGENT:SEGMENT`; may be repeated.
     #[arg(long, value_name = "AGENT[:SEGMENT]")]
     follow: Vec<String>,
@@ -38,12 +42,22 @@ pub(super) struct ServeArgs {
 
 /// Runs until Ctrl-C.
 pub(super) async fn serve(args: &MemoryArgs, serve: &ServeArgs, out: &mut dyn Write) -> Result<u8, Failure> {
-    let session = session(&serve.to, serve.listen.clone(), args.off_loopback).await?;
+    let mut connection = args.connection.clone();
+    if connection.listen.is_empty() {
+        connection.listen = vec![USUAL_ENDPOINT.into()];
+    }
+    let access = serve.access.of(&serve.name);
     let mut config = AgentConfig::new(&serve.name);
+    config.guarded = access.is_some();
+    config.infer = serve.infer.iter().map(|what| what.inference()).collect();
+    if let Some(folder) = &serve.prior {
+        config.prior = PriorKnowledge::load(folder).map_err(|error| Failure::Argument(error.to_string()))?;
+    }
     config.store.clone_from(&args.store);
     config.limits.history = serve.history;
     config.retention = retention(serve.days, serve.megabytes)?;
     config.follow = serve.follow.iter().map(|follow| settings(serve, follow)).collect();
+    let session = connection.session(access.as_ref()).await?;
     let agent = AgentMemory::start(&session, config).await?;
     let endpoints = session.endpoints().await.join(" ");
     let kept = args.store.as_ref().map_or_else(|| "not kept".into(), |f| format!("kept in {}", f.display()));

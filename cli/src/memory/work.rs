@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use armarium_memoryx::wire::{Maintain, Report};
-use armarium_memoryx::{Commit, EntityId, Filter, Instance, Pattern, Query, Region, Snapshot, Times};
+use armarium_memoryx::{Commit, EntityId, Filter, Instance, Pattern, Query, Region, Snapshot, Times, infer};
 use armarium_values::{Frame, Value};
 use tokio::sync::broadcast::error::RecvError;
 
@@ -47,6 +47,13 @@ pub(super) async fn carry_out(args: &MemoryArgs, out: &mut dyn Write) -> Result<
         MemoryCommand::Import { file } => {
             let counts = import(&reached, file).await?;
             shown.counts(&counts, out)?;
+        }
+        MemoryCommand::Infer { what } => {
+            let inference = what.inference();
+            let round = infer::conclude_once(reached.memory(), &*inference, reached.now_ns()).await?;
+            let counts =
+                [("concluded", round.concluded), ("written", round.written), ("removed", round.removed)];
+            shown.counts(&counts.map(|(name, count)| (name.to_owned(), count)).into(), out)?;
         }
         MemoryCommand::Snapshot(_)
         | MemoryCommand::Compact

@@ -204,7 +204,7 @@ fn marker(
 }
 
 /// A colour of the command line.
-pub(super) fn color(text: &str) -> Result<[u8; 3], String> {
+pub(crate) fn color(text: &str) -> Result<[u8; 3], String> {
     let wrong = || "three numbers from 0 to 255, as in 40,170,60".to_owned();
     let parts: Vec<u8> =
         text.split(',').map(|p| p.trim().parse()).collect::<Result<_, _>>().map_err(|_| wrong())?;

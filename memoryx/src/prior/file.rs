@@ -1,4 +1,4 @@
-//! The files of prior knowledge: one object class a YAML file.
+//! The files of prior knowledge: one object class a YAML file, and one scene a file, which [`super::scene`] has the form of.
 //!
 //! ```yaml
 //! object: sponge
@@ -20,7 +20,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_saphyr::Spanned;
 
-use super::{GraspPose, ObjectClass, PriorKnowledge, Recognition};
+use super::{GraspPose, ObjectClass, PriorKnowledge, Recognition, scene};
 
 /// Longest file, bytes.
 const LONGEST: u64 = 1 << 20;
@@ -34,7 +34,8 @@ pub struct Finding {
     pub file: PathBuf,
     /// Line and column, from 1; none where the file as a whole is meant.
     pub place: Option<(u64, u64)>,
-    /// A code that stays: `prior.read`, `prior.syntax`, `prior.value`, `prior.recognition`, `prior.duplicate`.
+    /// A code that stays: `prior.read`, `prior.syntax`, `prior.value`, `prior.recognition`, `prior.duplicate`,
+    /// `prior.class`.
     pub code: &'static str,
     /// What is wrong.
     pub message: String,
@@ -120,8 +121,20 @@ impl PriorKnowledge {
     pub fn load(folder: &Path) -> Result<Self, PriorError> {
         let mut findings = Vec::new();
         let mut known = Self::new();
+        let mut scenes = Vec::new();
         for file in files(folder).map_err(|finding| PriorError { findings: vec![finding] })? {
-            match read(&file).and_then(|text| parse(&file, &text)) {
+            let text = match read(&file) {
+                Ok(text) => text,
+                Err(found) => {
+                    findings.push(found);
+                    continue;
+                }
+            };
+            if scene::is_scene(&text) {
+                scenes.push((file, text));
+                continue;
+            }
+            match parse(&file, &text) {
                 Ok((class, place)) if known.class(&class.name).is_some() => findings.push(Finding {
                     place: Some(place),
                     help: Some("one of the two files has to go, or its object another name".into()),
@@ -133,7 +146,33 @@ impl PriorKnowledge {
                 Err(found) => findings.push(found),
             }
         }
+        // Scenes name classes, which all have to be known before.
+        for (file, text) in scenes {
+            known.add_scene(&file, &text, &mut findings);
+        }
         if findings.is_empty() { Ok(known) } else { Err(PriorError { findings }) }
+    }
+
+    fn add_scene(&mut self, file: &Path, text: &str, findings: &mut Vec<Finding>) {
+        let read = match scene::parse(file, text) {
+            Ok(read) => read,
+            Err(found) => return findings.push(found),
+        };
+        let unknown = read.classes.into_iter().filter(|(class, _)| self.class(class).is_none());
+        findings.extend(unknown.map(|(class, place)| Finding {
+            place,
+            help: Some("a file of the same folder has to describe it: `object: NAME` ...".into()),
+            ..finding(file, "prior.class", format!("there is no object class `{class}`"))
+        }));
+        if self.scene(&read.scene.name).is_some() {
+            findings.push(Finding {
+                place: read.place,
+                help: Some("one of the two files has to go, or its scene another name".into()),
+                ..finding(file, "prior.duplicate", format!("`{}` is in another file too", read.scene.name))
+            });
+            return;
+        }
+        self.scenes.insert(read.scene.name.clone(), read.scene);
     }
 
     /// Reads one class from YAML; `file` is its name in messages.
@@ -145,7 +184,7 @@ impl PriorKnowledge {
     }
 }
 
-fn finding(file: &Path, code: &'static str, message: String) -> Finding {
+pub(super) fn finding(file: &Path, code: &'static str, message: String) -> Finding {
     Finding { file: file.into(), place: None, code, message, help: None }
 }
 
@@ -210,7 +249,7 @@ fn parse(file: &Path, text: &str) -> Result<(ObjectClass, (u64, u64)), Finding> 
     Ok((class, place(&parsed.object).unwrap_or((1, 1))))
 }
 
-fn place<T>(spanned: &Spanned<T>) -> Option<(u64, u64)> {
+pub(super) fn place<T>(spanned: &Spanned<T>) -> Option<(u64, u64)> {
     let at = spanned.referenced;
     (at.line() > 0).then(|| (at.line(), at.column()))
 }

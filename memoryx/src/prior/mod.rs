@@ -1,6 +1,8 @@
 //! Prior knowledge: what is known of kinds of objects before one is seen. It enriches what perception finds with
 //! colour, size, mass, the recognition method and grasps.
 //!
+//! Besides classes there are [scenes](Scene): which things usually stand where.
+//!
 //! The classes come from a folder of YAML files ([`PriorKnowledge::load`], one class a file, see [`mod@file`] for its
 //! form) or from the program ([`PriorKnowledge::add`]). [`PriorKnowledge::put_into`] makes them the read-only
 //! provider segment `ObjectClasses/prior` of a working memory; skills read them back with
@@ -13,9 +15,13 @@ use armarium_values::{Frame, Pose, Value};
 use crate::attributes::Attributes;
 use crate::entity::{Commit, EntityId, Snapshot, check_name};
 use crate::error::MemoryError;
+use crate::query::{Pattern, Query};
 use crate::working::WorkingMemory;
 
 pub mod file;
+pub mod scene;
+
+pub use scene::{Placed, SCENES, Scene};
 
 /// The core segment of object classes.
 pub const OBJECT_CLASSES: &str = "ObjectClasses";
@@ -65,10 +71,11 @@ pub struct ObjectClass {
     pub grasps: Vec<GraspPose>,
 }
 
-/// Object classes by name.
+/// Object classes and scenes by name.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PriorKnowledge {
     classes: BTreeMap<String, ObjectClass>,
+    scenes: BTreeMap<String, Scene>,
 }
 
 impl Recognition {
@@ -269,30 +276,51 @@ impl PriorKnowledge {
         self.classes.values()
     }
 
-    /// Makes the classes the provider segment `ObjectClasses/prior` of a memory, read-only for everybody else.
-    /// Classes that are there already and have not changed keep their version; ones that are no longer known go.
+    /// The scene of that name.
+    #[must_use]
+    pub fn scene(&self, name: &str) -> Option<&Scene> {
+        self.scenes.get(name)
+    }
+
+    /// All scenes, ordered by name.
+    pub fn scenes(&self) -> impl Iterator<Item = &Scene> {
+        self.scenes.values()
+    }
+
+    /// Makes the classes the provider segment `ObjectClasses/prior` of a memory and the scenes `Scenes/prior`, read-only for
+    /// everybody else. What is there already and has not changed keeps its version; what is no longer known goes.
     ///
     /// # Errors
     /// As [`crate::Memory::commit`].
     pub fn put_into(&self, memory: &WorkingMemory) -> Result<(), MemoryError> {
-        let now = memory.now_ns();
-        let query =
-            crate::query::Query::latest(crate::query::Pattern::segment(OBJECT_CLASSES).of_provider(PRIOR));
-        let held = memory.query_now(&query)?;
-        let gone = held.iter().filter(|s| !self.classes.contains_key(s.id.entity()));
-        let mut updates: Vec<Commit> = gone.map(|s| Commit::removal(s.id.clone(), now)).collect();
-        for class in self.classes.values() {
-            let id = EntityId::new(OBJECT_CLASSES, PRIOR, &class.name)?;
-            let attributes = Attributes::from(class.attributes());
-            let known = held.iter().find(|s| s.id == id).and_then(|s| s.instance());
-            if known.is_none_or(|instance| instance.attributes != attributes) {
-                updates.push(Commit::new(id, now, attributes));
-            }
-        }
-        memory.commit_prior(updates)?;
-        memory.protect(OBJECT_CLASSES, PRIOR);
-        Ok(())
+        let classes = self.classes.values().map(|class| (class.name.as_str(), class.attributes()));
+        replace(memory, OBJECT_CLASSES, classes.collect())?;
+        let scenes = self.scenes.values().map(|scene| (scene.name.as_str(), scene.attributes()));
+        replace(memory, SCENES, scenes.collect())
     }
+}
+
+/// Makes the provider segment `{segment}/prior` hold these entities and no others.
+fn replace(
+    memory: &WorkingMemory,
+    segment: &str,
+    wanted: BTreeMap<&str, BTreeMap<String, Value>>,
+) -> Result<(), MemoryError> {
+    let now = memory.now_ns();
+    let held = memory.query_now(&Query::latest(Pattern::segment(segment).of_provider(PRIOR)))?;
+    let gone = held.iter().filter(|s| !wanted.contains_key(s.id.entity()));
+    let mut updates: Vec<Commit> = gone.map(|s| Commit::removal(s.id.clone(), now)).collect();
+    for (name, attributes) in wanted {
+        let id = EntityId::new(segment, PRIOR, name)?;
+        let attributes = Attributes::from(attributes);
+        let known = held.iter().find(|s| s.id == id).and_then(|s| s.instance());
+        if known.is_none_or(|instance| instance.attributes != attributes) {
+            updates.push(Commit::new(id, now, attributes));
+        }
+    }
+    memory.commit_prior(updates)?;
+    memory.protect(segment, PRIOR);
+    Ok(())
 }
 
 #[cfg(test)]

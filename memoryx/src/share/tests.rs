@@ -174,32 +174,35 @@ async fn after_a_cut_both_sides_are_equal() {
 
     let near = Session::open(&SessionConfig::connected_to(&[format!("tcp/{address}")])).await.unwrap();
     let remote = Arc::new(RemoteMemory::connect(&near, "alice").await.unwrap());
-    let bob = WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits { history: 10_000, ..Limits::default() });
+    let bob =
+        WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits { history: 100_000, ..Limits::default() });
     let bob = Arc::new(bob);
     let shared = Arc::<RemoteMemory>::clone(&remote);
     let following = Following::start(shared, Arc::clone(&bob), settings(None)).await.unwrap();
     let commit = |from: u64, to: u64| {
-        for time in from..to {
-            alice.commit_now(vec![cup(time, time as f64 * 1e-3)]).unwrap();
+        let times: Vec<u64> = (from..to).collect();
+        for together in times.chunks(1000) {
+            let updates = together.iter().map(|time| cup(*time, *time as f64 * 1e-3));
+            alice.commit_now(updates.collect()).unwrap();
         }
     };
     let id: EntityId = "ObjectInstances/alice.vision/cup".parse().unwrap();
     commit(0, 50);
     arrived(&bob, &id, 49).await;
     cut.send(true).unwrap();
-    // Far more than working memory remembers.
-    commit(50, 600);
+    // As much as a minute brings at 1000 a second: far more than working memory remembers.
+    commit(50, 60_000);
     cut.send(false).unwrap();
-    arrived(&bob, &id, 599).await;
-    commit(600, 620);
-    arrived(&bob, &id, 619).await;
+    arrived(&bob, &id, 59_999).await;
+    commit(60_000, 60_020);
+    arrived(&bob, &id, 60_019).await;
     let taken: Vec<u64> = bob
         .query_now(&Query::history(Pattern::entity(&id)))
         .unwrap()
         .iter()
         .map(|s| s.referenced_ns)
         .collect();
-    assert_eq!(taken, (0..620).collect::<Vec<_>>(), "nothing is lost and nothing there twice");
+    assert_eq!(taken, (0..60_020).collect::<Vec<_>>(), "nothing is lost and nothing there twice");
     assert_eq!(following.missed(), 0);
     drop(server);
 }

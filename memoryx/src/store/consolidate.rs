@@ -128,6 +128,10 @@ impl Consolidator {
             if policy.ignores(&snapshot.id) {
                 continue;
             }
+            if policy.keeps_all() {
+                chosen.push(Arc::clone(snapshot));
+                continue;
+            }
             let known = changed.get(&snapshot.id).or_else(|| last.get(&snapshot.id)).cloned();
             let mut known = match known {
                 Some(known) => known,
@@ -252,11 +256,15 @@ impl Policy {
         }
     }
 
+    /// Whether every snapshot that it does not ignore is kept, whatever was kept before.
+    fn keeps_all(&self) -> bool {
+        matches!(self, Self::Everything | Self::Named(_))
+    }
+
     fn keeps(&self, snapshot: &Snapshot, kept: Option<&Snapshot>) -> bool {
         let Some(kept) = kept else { return !matches!(self, Self::Nothing) };
         match self {
-            Self::Nothing => false,
-            Self::Everything | Self::Named(_) => true,
+            Self::Nothing | Self::Everything | Self::Named(_) => self.keeps_all(),
             Self::OnChange => kept.instances != snapshot.instances,
             // A removal is never held back, and a clock that has begun anew begins a new count.
             Self::AtMost { hz } => {

@@ -31,9 +31,8 @@
 //! into the file (it is locked). redb makes the newest complete transaction the valid one by its own checksums.
 
 use std::fmt;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, RwLock};
 
 use redb::{Database, ReadableDatabase, ReadableTableMetadata, TableDefinition};
 
@@ -43,8 +42,10 @@ use crate::query::{Pattern, Query};
 use crate::working::{Backing, WorkingMemory};
 
 mod consolidate;
+mod error;
 mod exchange;
 mod named;
+mod opening;
 mod read;
 mod record;
 mod retain;
@@ -59,6 +60,7 @@ mod keep_tests;
 mod tests;
 
 pub use consolidate::{Consolidator, Numbering, Policies, Policy, Step};
+pub use error::StoreError;
 pub use named::Named;
 pub use retain::{Dropped, Retention};
 pub use verify::Verification;
@@ -79,98 +81,6 @@ const NAMED: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("named");
 
 /// Where a record is: chunk, offset, length, and the time that its data speak of.
 type Row = (u64, u32, u32, u64);
-
-/// Why long-term memory refuses.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum StoreError {
-    /// Another process, or this one, has the file open.
-    #[error("long-term memory `{path}` is in use by another process")]
-    Locked {
-        /// The file.
-        path: String,
-    },
-    /// The file is not a long-term memory, or its beginning is destroyed.
-    #[error("`{path}` is no long-term memory: {what}")]
-    NotAStore {
-        /// The file.
-        path: String,
-        /// What is said of it.
-        what: String,
-    },
-    /// The file is of another format.
-    #[error(
-        "`{path}` is of format {found}; this program reads and writes format {supported}: use another file, or the \
-         program that wrote it"
-    )]
-    Format {
-        /// The file.
-        path: String,
-        /// Its format.
-        found: u64,
-        /// The format of this program.
-        supported: u64,
-    },
-    /// The disk is full.
-    #[error("the disk under long-term memory `{path}` is full; nothing of the last commit was kept")]
-    Full {
-        /// The file.
-        path: String,
-    },
-    /// Something on the disk is not what was written.
-    #[error("long-term memory `{path}` is damaged: {what}")]
-    Damaged {
-        /// The file.
-        path: String,
-        /// What is damaged.
-        what: String,
-    },
-    /// The operating system refuses.
-    #[error("long-term memory `{path}` cannot be used: {what}")]
-    Failed {
-        /// The file.
-        path: String,
-        /// What it says.
-        what: String,
-    },
-    /// Another snapshot has the version already.
-    #[error("long-term memory has another version {version} of `{id}` already")]
-    Version {
-        /// The entity.
-        id: String,
-        /// The version.
-        version: u64,
-    },
-    /// There is no named snapshot of that name, or the name cannot be one.
-    #[error("long-term memory has no snapshot named `{name}`")]
-    NoSuchName {
-        /// The name.
-        name: String,
-    },
-    /// A line that is no snapshot, at import.
-    #[error("line {line} cannot be imported: {what}")]
-    Import {
-        /// Counted from 1.
-        line: u64,
-        /// What is wrong with it.
-        what: String,
-    },
-    /// A question that cannot be asked.
-    #[error("the query cannot be answered: {what}")]
-    Query {
-        /// What is wrong with it.
-        what: String,
-    },
-}
-
-impl From<StoreError> for MemoryError {
-    fn from(error: StoreError) -> Self {
-        match error {
-            StoreError::Query { what } => Self::Query { what },
-            error => Self::Store { what: error.to_string() },
-        }
-    }
-}
 
 /// How much a long-term memory holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -283,159 +193,6 @@ impl LongTermMemory {
         let joined = self.join_chunks()?;
         let freed = self.with_alone(|database| database.compact().map_err(|e| self.fault(e)))?;
         Ok(joined || freed)
-    }
-
-    /// Uses the database together with others; opens it again first if it has failed.
-    fn with<T>(&self, act: impl FnOnce(&Database) -> Result<T, StoreError>) -> Result<T, StoreError> {
-        let open = self.database.read().unwrap_or_else(PoisonError::into_inner);
-        let open = if open.is_some() {
-            open
-        } else {
-            drop(open);
-            self.reopen()?;
-            self.database.read().unwrap_or_else(PoisonError::into_inner)
-        };
-        let Some(database) = open.as_ref() else {
-            return Err(self.failed("it has just failed in another place"));
-        };
-        let result = self.contained(|| act(database));
-        drop(open);
-        self.close_after(&result);
-        result
-    }
-
-    /// Uses the database while nobody else does.
-    fn with_alone<T>(
-        &self,
-        act: impl FnOnce(&mut Database) -> Result<T, StoreError>,
-    ) -> Result<T, StoreError> {
-        self.reopen()?;
-        let mut open = self.database.write().unwrap_or_else(PoisonError::into_inner);
-        let Some(database) = open.as_mut() else {
-            return Err(self.failed("it has just failed in another place"));
-        };
-        let result = self.contained(|| act(database));
-        drop(open);
-        self.close_after(&result);
-        result
-    }
-
-    /// After a failure only opening the file again brings a database back that can be used.
-    fn close_after<T>(&self, result: &Result<T, StoreError>) {
-        if let Err(StoreError::Full { .. } | StoreError::Failed { .. } | StoreError::Damaged { .. }) = result
-        {
-            self.close();
-        }
-    }
-
-    /// Closing writes too, and so it can fail; what was acknowledged does not depend on it.
-    fn close(&self) {
-        let mut open = self.database.write().unwrap_or_else(PoisonError::into_inner);
-        let closing = open.take();
-        let closed = self.contained(|| {
-            drop(closing);
-            Ok(())
-        });
-        if let Err(error) = closed {
-            tracing::warn!(%error, "long-term memory was not closed cleanly");
-        }
-    }
-
-    fn reopen(&self) -> Result<(), StoreError> {
-        let mut open = self.database.write().unwrap_or_else(PoisonError::into_inner);
-        if open.is_none() {
-            *open = Some(self.contained(|| {
-                let database = (self.opener)().map_err(|e| self.opening(e))?;
-                self.check_format(&database)?;
-                Ok(database)
-            })?);
-        }
-        Ok(())
-    }
-
-    fn check_format(&self, database: &Database) -> Result<(), StoreError> {
-        let fault = |e: redb::Error| self.fault(e);
-        {
-            let read = database.begin_read().map_err(|e| fault(e.into()))?;
-            match read.open_table(META) {
-                Ok(meta) => {
-                    let found = meta.get("format").map_err(|e| fault(e.into()))?.map_or(0, |v| v.value());
-                    let path = self.name.clone();
-                    return match found {
-                        FORMAT => Ok(()),
-                        found => Err(StoreError::Format { path, found, supported: FORMAT }),
-                    };
-                }
-                Err(redb::TableError::TableDoesNotExist(_)) => {}
-                Err(error) => return Err(fault(error.into())),
-            }
-            if read.list_tables().map_err(|e| fault(e.into()))?.next().is_some() {
-                let what = "it is a database of something else".into();
-                return Err(StoreError::NotAStore { path: self.name.clone(), what });
-            }
-        }
-        let write = database.begin_write().map_err(|e| fault(e.into()))?;
-        write
-            .open_table(META)
-            .map_err(|e| fault(e.into()))?
-            .insert("format", FORMAT)
-            .map_err(|e| fault(e.into()))?;
-        let make = || -> Result<(), redb::Error> {
-            write.open_table(ENTITIES)?;
-            write.open_table(INDEX)?;
-            write.open_table(CHUNKS)?;
-            write.open_table(BLOBS)?;
-            write.open_table(BLOB_USES)?;
-            write.open_table(NAMED)?;
-            Ok(())
-        };
-        make().map_err(fault)?;
-        write.commit().map_err(|e| fault(e.into()))
-    }
-
-    /// redb answers some damages of a file with a panic: here it is an error like others.
-    fn contained<T>(&self, act: impl FnOnce() -> Result<T, StoreError>) -> Result<T, StoreError> {
-        catch_unwind(AssertUnwindSafe(act)).unwrap_or_else(|panic| {
-            let what = panic.downcast_ref::<String>().map(String::as_str);
-            let what = what.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("unknown");
-            Err(self.damaged(format!("its pages contradict each other ({what})")))
-        })
-    }
-
-    fn damaged(&self, what: String) -> StoreError {
-        StoreError::Damaged { path: self.name.clone(), what }
-    }
-
-    fn failed(&self, what: &str) -> StoreError {
-        StoreError::Failed { path: self.name.clone(), what: what.into() }
-    }
-
-    /// What an error at opening means to the user.
-    fn opening(&self, error: redb::DatabaseError) -> StoreError {
-        let path = self.name.clone();
-        match error {
-            redb::DatabaseError::DatabaseAlreadyOpen => StoreError::Locked { path },
-            redb::DatabaseError::UpgradeRequired(format) => {
-                StoreError::NotAStore { path, what: format!("it is of redb's old file format {format}") }
-            }
-            redb::DatabaseError::Storage(redb::StorageError::Io(e))
-                if e.kind() == std::io::ErrorKind::InvalidData =>
-            {
-                StoreError::NotAStore { path, what: e.to_string() }
-            }
-            error => self.fault(error),
-        }
-    }
-
-    /// What an error in use means to the user.
-    fn fault(&self, error: impl Into<redb::Error>) -> StoreError {
-        let path = self.name.clone();
-        match error.into() {
-            redb::Error::Io(e) if e.kind() == std::io::ErrorKind::StorageFull => StoreError::Full { path },
-            redb::Error::Corrupted(what) => StoreError::Damaged { path, what },
-            redb::Error::DatabaseAlreadyOpen => StoreError::Locked { path },
-            error => StoreError::Failed { path, what: error.to_string() },
-        }
     }
 }
 

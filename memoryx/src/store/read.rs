@@ -9,9 +9,10 @@ use redb::{AccessGuard, ReadOnlyTable, ReadTransaction, ReadableDatabase, Readab
 
 use super::record::{self, Hash};
 use super::{BLOBS, CHUNKS, ENTITIES, INDEX, LongTermMemory, Row, StoreError};
+use crate::asked::{Asked, places};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
-use crate::query::{Asked, Pattern, Query, Times, places};
+use crate::query::{Pattern, Query, Times};
 
 /// Where records are found, in one transaction.
 pub(super) struct Reader<'s> {

@@ -1,8 +1,8 @@
 //! Keeping snapshots: one transaction for a group, whose records lie one after the other in chunks.
 
-use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError};
 
+use indexmap::IndexMap;
 use redb::{ReadableTable, Table, WriteTransaction};
 
 use super::record::{self, Hash};
@@ -26,7 +26,7 @@ pub(super) struct Known {
 }
 
 /// The entities that were written lately.
-pub(super) type Memo = BTreeMap<EntityId, Known>;
+pub(super) type Memo = IndexMap<EntityId, Known>;
 
 /// The numbers that the table `meta` keeps.
 #[derive(Clone, Copy, Debug, Default)]
@@ -316,12 +316,12 @@ impl LongTermMemory {
             }
         });
         match written {
-            Ok((result, mut known)) => {
+            Ok((result, known)) => {
                 if memo.len() + known.len() > REMEMBERED {
                     memo.clear();
                 }
                 if known.len() <= REMEMBERED {
-                    memo.append(&mut known);
+                    memo.extend(known);
                 }
                 Ok(result)
             }

@@ -68,6 +68,16 @@ impl Default for Settings {
     }
 }
 
+/// What an observation is of.
+struct Match<'h> {
+    /// Its place among the observations.
+    observation: usize,
+    /// The entity; none when it is new.
+    entity: Option<&'h Arc<Snapshot>>,
+    /// Where that entity was expected.
+    predicted: Option<Gaussian>,
+}
+
 /// Writes observations into the provider segment of one process.
 pub struct Updater {
     memory: Arc<dyn Memory>,
@@ -138,31 +148,30 @@ impl Updater {
                 .collect();
             let known: Vec<&Arc<Snapshot>> =
                 held.iter().filter(|s| s.attribute("class").and_then(Value::as_str) == Some(class)).collect();
-            for (at, entity, prior) in self.match_class(observations, &seen, &known, &held)? {
-                let observation = &observations[at];
-                let update = match entity {
-                    Some(entity) => self.fused(observation, entity, prior)?,
+            for matched in self.match_class(observations, &seen, &known, &held)? {
+                let observation = &observations[matched.observation];
+                let update = match matched.entity {
+                    Some(entity) => self.fused(observation, entity, matched.predicted)?,
                     None => {
                         let name = free_name(class, &names);
                         names.push(name.clone());
                         self.created(observation, &name, &classes)?
                     }
                 };
-                updates[at] = Some(update);
+                updates[matched.observation] = Some(update);
             }
         }
         Ok(updates.into_iter().flatten().collect())
     }
 
     /// The entity of each observation of one class, with what is predicted of its place.
-    #[allow(clippy::type_complexity)]
     fn match_class<'h>(
         &self,
         observations: &[Observation],
         seen: &[usize],
         known: &[&'h Arc<Snapshot>],
         held: &[Arc<Snapshot>],
-    ) -> Result<Vec<(usize, Option<&'h Arc<Snapshot>>, Option<Gaussian>)>, MemoryError> {
+    ) -> Result<Vec<Match<'h>>, MemoryError> {
         let mut predicted = Vec::new();
         let mut costs = Vec::new();
         for at in seen {
@@ -185,8 +194,12 @@ impl Updater {
             .iter()
             .enumerate()
             .map(|(row, at)| match assigned.get(row).copied().filter(|column| *column < known.len()) {
-                Some(column) => (*at, Some(known[column]), predicted[row * known.len() + column].clone()),
-                None => (*at, None, None),
+                Some(column) => Match {
+                    observation: *at,
+                    entity: Some(known[column]),
+                    predicted: predicted[row * known.len() + column].clone(),
+                },
+                None => Match { observation: *at, entity: None, predicted: None },
             })
             .collect())
     }

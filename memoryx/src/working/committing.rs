@@ -1,8 +1,9 @@
 //! How commits get in: who commits takes along what waits, numbers it, has the backing keep it in one go, and makes it
 //! visible. Nobody sees a snapshot that the backing has not kept.
 
-use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
+
+use indexmap::IndexMap;
 
 use super::WorkingMemory;
 use super::held::{State, bytes_of};
@@ -27,7 +28,7 @@ type Newest = (u64, bool);
 /// What a group of commits has numbered so far, beyond what the memory holds.
 #[derive(Default)]
 pub(super) struct Numbered {
-    newest: BTreeMap<EntityId, Newest>,
+    newest: IndexMap<EntityId, Newest>,
     /// Entities that the memory does not have yet.
     new: usize,
     bytes: u64,
@@ -122,7 +123,7 @@ impl WorkingMemory {
             for (id, was) in before.into_iter().rev() {
                 match was {
                     Some(was) => numbered.newest.insert(id, was),
-                    None => numbered.newest.remove(&id),
+                    None => numbered.newest.swap_remove(&id),
                 };
             }
         }
@@ -145,13 +146,15 @@ impl WorkingMemory {
         self.check(&update.id, &update.instances)?;
         self.check_time(&update, arrived_ns)?;
         let known = numbered.newest.get(&update.id).copied();
-        let (version, is_gone) = match (known, state.newest(&update.id)) {
+        let newest = if known.is_some() { None } else { state.newest(&update.id) };
+        let (version, is_gone) = match (known, newest) {
             (Some(known), _) => known,
             (None, Some(newest)) => (newest.version, newest.is_removed()),
             (None, None) => (self.backing_version(&update.id)?, true),
         };
         expect(&update, if is_gone { 0 } else { version })?;
-        self.check_room(state, numbered, &update.id, &update.instances)?;
+        let is_new = known.is_none() && newest.is_none();
+        self.check_room(state, numbered, &update.id, &update.instances, is_new)?;
         numbered.newest.insert(update.id.clone(), (version + 1, update.instances.is_empty()));
         let snapshot = Snapshot {
             id: update.id,
@@ -195,8 +198,8 @@ impl WorkingMemory {
         numbered: &mut Numbered,
         id: &EntityId,
         instances: &[Instance],
+        is_new: bool,
     ) -> Result<(), MemoryError> {
-        let is_new = state.newest(id).is_none() && !numbered.newest.contains_key(id);
         let entities = state.len() + numbered.new + usize::from(is_new);
         if is_new && entities > self.limits.entities {
             return Err(MemoryError::Full { id: id.to_string(), entities: self.limits.entities as u64 });

@@ -7,20 +7,39 @@ use std::sync::Arc;
 use armarium_values::Value;
 use indexmap::IndexMap;
 
+use crate::asked::Asked;
 use crate::entity::{EntityId, Instance, Snapshot};
-use crate::query::Asked;
 
 /// What one allocation takes beyond its content, bytes, about.
 const ALLOCATION: usize = 16;
+/// Changes of which it is remembered when they arrived and whose they were.
+const ARRIVALS: usize = 1 << 17;
 
 #[derive(Default)]
 pub(super) struct State {
     /// By address. Nothing is ever taken out, so that places stay.
-    histories: IndexMap<EntityId, VecDeque<Arc<Snapshot>>>,
+    histories: IndexMap<EntityId, History>,
     /// The places of the addresses of each core segment.
     segments: BTreeMap<String, BTreeMap<EntityId, usize>>,
     pub(super) read_only: BTreeSet<(String, String)>,
     bytes: u64,
+    /// The newest changes in their order: when they arrived, ns, and the places of their entities. So who has missed a
+    /// few of them costs no more than those.
+    arrivals: VecDeque<(u64, usize)>,
+    /// When the newest change arrived that is in `arrivals` no more, ns.
+    forgotten_until: u64,
+}
+
+/// What is held of one entity. The newest snapshot is all that most questions look at.
+struct History {
+    newest: Arc<Snapshot>,
+    older: VecDeque<Arc<Snapshot>>,
+}
+
+impl History {
+    fn iter(&self) -> impl DoubleEndedIterator<Item = Arc<Snapshot>> {
+        self.older.iter().chain(std::iter::once(&self.newest)).cloned()
+    }
 }
 
 impl State {
@@ -33,7 +52,7 @@ impl State {
     }
 
     pub(super) fn newest(&self, id: &EntityId) -> Option<&Arc<Snapshot>> {
-        self.histories.get(id)?.back()
+        self.histories.get(id).map(|history| &history.newest)
     }
 
     pub(super) fn is_read_only(&self, id: &EntityId) -> bool {
@@ -46,7 +65,18 @@ impl State {
         let mut found = Vec::new();
         if let Some(id) = asked.query().pattern.exact() {
             if let Some(history) = self.histories.get(&id).filter(|_| asked.wants(&id)) {
-                found = asked.select(history.iter().cloned());
+                found = asked.select(history.iter());
+            }
+            return found;
+        }
+        if let Some(places) = self.arrived(asked) {
+            for (id, place) in places {
+                if asked.is_full(found.len()) {
+                    break;
+                }
+                if let Some((_, history)) = self.histories.get_index(place).filter(|_| asked.wants(id)) {
+                    found.extend(asked.select(history.iter()));
+                }
             }
             return found;
         }
@@ -60,35 +90,56 @@ impl State {
                     return found;
                 }
                 if let Some((_, history)) = self.histories.get_index(*place).filter(|_| asked.wants(id)) {
-                    found.extend(asked.select(history.iter().cloned()));
+                    found.extend(asked.select(history.iter()));
                 }
             }
         }
         found
     }
 
+    /// The entities of which something arrived when the question asks for it, in order of address; `None` when that is
+    /// not asked for or not remembered.
+    fn arrived(&self, asked: &Asked<'_>) -> Option<BTreeMap<&EntityId, usize>> {
+        let since = asked.query().arrived_since.filter(|since| *since > self.forgotten_until)?;
+        let first = self.arrivals.partition_point(|(arrived_ns, _)| *arrived_ns < since);
+        let entity = |(_, place): &(u64, usize)| Some((self.histories.get_index(*place)?.0, *place));
+        Some(self.arrivals.range(first..).filter_map(entity).collect())
+    }
+
     pub(super) fn put_in(&mut self, snapshot: &Arc<Snapshot>, keep: usize) {
-        let place = match self.histories.get_index_of(&snapshot.id) {
-            Some(place) => place,
-            None => {
-                let (place, _) = self.histories.insert_full(snapshot.id.clone(), VecDeque::with_capacity(1));
-                if !self.segments.contains_key(snapshot.id.segment()) {
-                    self.segments.insert(snapshot.id.segment().into(), BTreeMap::new());
-                }
-                if let Some(segment) = self.segments.get_mut(snapshot.id.segment()) {
-                    segment.insert(snapshot.id.clone(), place);
+        let place = match self.histories.get_full_mut(&snapshot.id) {
+            Some((place, _, history)) => {
+                let before = std::mem::replace(&mut history.newest, Arc::clone(snapshot));
+                history.older.push_back(before);
+                while history.older.len() >= keep {
+                    if let Some(old) = history.older.pop_front() {
+                        self.bytes -= old.bytes().min(self.bytes);
+                    }
                 }
                 place
             }
+            None => self.put_in_new(snapshot),
         };
-        let history = &mut self.histories[place];
-        while history.len() >= keep {
-            if let Some(old) = history.pop_front() {
-                self.bytes -= bytes_of(&old.id, &old.instances).min(self.bytes);
-            }
+        self.bytes += snapshot.bytes();
+        if self.arrivals.len() == ARRIVALS {
+            let forgotten = self.arrivals.pop_front();
+            self.forgotten_until = forgotten.map_or(0, |(arrived_ns, _)| arrived_ns);
         }
-        history.push_back(Arc::clone(snapshot));
-        self.bytes += bytes_of(&snapshot.id, &snapshot.instances);
+        // What is put back from a store may have arrived long ago; a time after the last one keeps the order.
+        let last = self.arrivals.back().map_or(0, |(arrived_ns, _)| *arrived_ns);
+        self.arrivals.push_back((snapshot.arrived_ns.max(last), place));
+    }
+
+    fn put_in_new(&mut self, snapshot: &Arc<Snapshot>) -> usize {
+        let history = History { newest: Arc::clone(snapshot), older: VecDeque::new() };
+        let (place, _) = self.histories.insert_full(snapshot.id.clone(), history);
+        if !self.segments.contains_key(snapshot.id.segment()) {
+            self.segments.insert(snapshot.id.segment().into(), BTreeMap::new());
+        }
+        if let Some(segment) = self.segments.get_mut(snapshot.id.segment()) {
+            segment.insert(snapshot.id.clone(), place);
+        }
+        place
     }
 }
 

@@ -345,7 +345,7 @@ pub struct Show {
 }
 
 /// The four gestures of the coach.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, serde::Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Gesture {
     /// The path is pulled towards the hand.

@@ -23,6 +23,8 @@ const GRAVITY: f64 = 9.81;
 const LEAST_APERTURE: f64 = 0.02;
 /// The object must be seen within this distance of its place in the hand, m.
 const IN_HAND: f64 = 0.08;
+/// What is seen farther than this from the height at which the object stood does not lie on the table, m.
+const ON_TABLE: f64 = 0.1;
 /// The least share of the expected weight that must be felt.
 const LEAST_WEIGHT_SHARE: f64 = 0.4;
 /// The least weight that counts when prior knowledge does not know the object's mass, N.
@@ -61,13 +63,15 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             "the hand is only {weight:.2} N heavier than empty, at least {expected:.2} N were expected: the object stayed behind"
         )));
     }
-    let sight = look(&equipment, &mut arm, &mut senses, class.color).await?;
+    let tcp_at_grasp = context.pose("tcp_at_grasp")?;
+    let stood = tcp_at_grasp * Point3::from(GRASP_IN_TCP);
+    let sight = look(&equipment, &mut arm, &mut senses, class.color, stood.z).await?;
     sight.judge(object.entity(), class.mass.is_some())?;
 
     let mass = weight / GRAVITY;
     equipment.robot.set_load(mass, Point3::from(GRASP_IN_TCP));
     let grasp = BTreeMap::from([
-        ("tcp".to_owned(), pose_value(&context.pose("tcp_at_grasp")?)),
+        ("tcp".to_owned(), pose_value(&tcp_at_grasp)),
         ("height".to_owned(), Value::Float(class.size[2])),
         ("mass".to_owned(), Value::Float(mass)),
     ]);
@@ -99,12 +103,14 @@ impl Sight {
     }
 }
 
-/// Looks for the object's colour in the hand.
+/// Looks for the object's colour in the hand, and elsewhere for an object that stayed behind where it stood at the
+/// height `stood`, m. What is seen over or under the table is the arm, or two parts of the object taken for one.
 async fn look(
     equipment: &Equipment,
     arm: &mut Arm,
     senses: &mut Senses,
     color: [u8; 3],
+    stood: f64,
 ) -> Result<Sight, Failure> {
     let hand_eye = HandEye::load(&*equipment.memory, &equipment.agent).await?;
     let settings = MarkerSettings { color: ColorModel::from_rgb(color), ..MarkerSettings::new(color) };
@@ -120,7 +126,10 @@ async fn look(
         let held = arm.tcp(&sample) * Point3::from(GRASP_IN_TCP);
         let held_in_left = frame.root_from_left.inverse() * held;
         let Some(seen) = tracking.update_near(&frame, Some(&held_in_left)) else { continue };
-        nearest = nearest.min((seen.point_in_left - held_in_left).norm());
+        let away = (seen.point_in_left - held_in_left).norm();
+        if away < IN_HAND || ((frame.root_from_left * seen.point_in_left).z - stood).abs() < ON_TABLE {
+            nearest = nearest.min(away);
+        }
         if nearest < IN_HAND {
             break;
         }

@@ -145,7 +145,7 @@ impl SkinClusters {
                     u8::from(among && self.logs.bin(p).is_some_and(|b| self.labels[b] == label));
             }
         }
-        majority(&mask)
+        mask.majority()
     }
 }
 
@@ -154,20 +154,6 @@ fn row_sum(image: &Image, x: u32, y: u32) -> [u16; 3] {
     let [left, middle, right] =
         [x.saturating_sub(1), x, (x + 1).min(image.width() - 1)].map(|x| image.pixel(x, y));
     std::array::from_fn(|i| u16::from(left[i]) + 2 * u16::from(middle[i]) + u16::from(right[i]))
-}
-
-/// Each pixel as five or more of the nine around it; the mask's border pixels stay.
-fn majority(mask: &Mask) -> Mask {
-    let (w, h) = (mask.width(), mask.height());
-    let mut result = mask.clone();
-    for y in 1..h.saturating_sub(1) {
-        let rows = [mask.row(y - 1), mask.row(y), mask.row(y + 1)];
-        for x in 1..w.saturating_sub(1) {
-            let sum: u8 = rows.iter().map(|r| r[x - 1] + r[x] + r[x + 1]).sum();
-            result.data_mut()[y * w + x] = u8::from(sum >= 5);
-        }
-    }
-    result
 }
 
 /// Gives each bin without a label the lowest label of its neighbours, for colours that only noise makes.

@@ -57,7 +57,12 @@ impl FrameChannel {
         newest: watch::Receiver<(u64, Option<Arc<Frame>>)>,
         seen: u64,
     ) -> Self {
-        Self { description, newest: Mutex::new(newest), seen: AtomicU64::new(seen), missed: AtomicU64::new(0) }
+        Self {
+            description,
+            newest: Mutex::new(newest),
+            seen: AtomicU64::new(seen),
+            missed: AtomicU64::new(0),
+        }
     }
 
     /// How many frames came and went while this reader was busy.

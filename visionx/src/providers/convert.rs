@@ -38,7 +38,9 @@ pub fn depth_of(image: &FrameImage) -> Option<DepthImage> {
     let data: Vec<f32> = match image.format() {
         PixelFormat::Depth16 => words(image.bytes()).map(|mm| f32::from(mm) * 1e-3).collect(),
         PixelFormat::Depth32F => floats(image.bytes()).map(usable).collect(),
-        PixelFormat::Points32F if height > 1 => floats(image.bytes()).skip(2).step_by(3).map(usable).collect(),
+        PixelFormat::Points32F if height > 1 => {
+            floats(image.bytes()).skip(2).step_by(3).map(usable).collect()
+        }
         _ => return None,
     };
     Some(DepthImage { width, height, data })
@@ -114,7 +116,12 @@ pub fn jpeg(image: &Image) -> Result<Vec<u8>, CodingError> {
 ///
 /// # Errors
 /// When an encoder fails.
-pub fn coded(frame: &Frame, coding: ImageCoding, life: u64, sent_ns: u64) -> Result<(Header, Vec<u8>), CodingError> {
+pub fn coded(
+    frame: &Frame,
+    coding: ImageCoding,
+    life: u64,
+    sent_ns: u64,
+) -> Result<(Header, Vec<u8>), CodingError> {
     let mut header = Header::raw(frame, life, sent_ns);
     let mut bytes = Vec::new();
     for (image, said) in frame.images.iter().zip(&mut header.images) {
@@ -135,7 +142,12 @@ pub fn coded(frame: &Frame, coding: ImageCoding, life: u64, sent_ns: u64) -> Res
             (PixelFormat::Depth32F, _) => {
                 (said.coding, said.format) = (ImageCoding::Png, PixelFormat::Depth16);
                 let mm = floats(image.bytes()).map(|z| (z * 1e3).round().clamp(0.0, 65_535.0) as u16);
-                png(&mut bytes, &mm.flat_map(u16::to_ne_bytes).collect::<Vec<u8>>(), size, ExtendedColorType::L16)?;
+                png(
+                    &mut bytes,
+                    &mm.flat_map(u16::to_ne_bytes).collect::<Vec<u8>>(),
+                    size,
+                    ExtendedColorType::L16,
+                )?;
             }
             (PixelFormat::Depth16, _) => {
                 said.coding = ImageCoding::Png;
@@ -202,19 +214,24 @@ mod tests {
         assert_eq!(depth.data, [0.5, 0.0, 0.0, 2.0]);
         let bytes: Vec<u8> = [500u16, 0, 0, 2000].iter().flat_map(|z| z.to_le_bytes()).collect();
         assert_eq!(depth_of(&image("depth", PixelFormat::Depth16, (2, 2), bytes)).unwrap(), depth);
-        let points = metres.iter().flat_map(|z| [0.0, 1.0, *z]).flat_map(f32::to_le_bytes).collect::<Vec<u8>>();
+        let points =
+            metres.iter().flat_map(|z| [0.0, 1.0, *z]).flat_map(f32::to_le_bytes).collect::<Vec<u8>>();
         let organised = image("points", PixelFormat::Points32F, (2, 2), points.clone());
         assert_eq!(depth_of(&organised).unwrap(), depth);
         let list = image("points", PixelFormat::Points32F, (4, 1), points);
         assert!(depth_of(&list).is_none() && rgb_of(&list).is_none());
         let colors = rgb_of(&organised).unwrap();
-        assert_eq!([colors.pixel(0, 0), colors.pixel(1, 0), colors.pixel(1, 1)], [[255, 0, 0], [0; 3], [0, 0, 255]]);
+        assert_eq!(
+            [colors.pixel(0, 0), colors.pixel(1, 0), colors.pixel(1, 1)],
+            [[255, 0, 0], [0; 3], [0, 0, 255]]
+        );
     }
 
     #[test]
     fn png_is_lossless_and_jpeg_close() {
         let (width, height) = (16u32, 12u32);
-        let ramp = |n: usize| (0..width as usize * height as usize * n).map(|i| (i / n) as u8).collect::<Vec<u8>>();
+        let ramp =
+            |n: usize| (0..width as usize * height as usize * n).map(|i| (i / n) as u8).collect::<Vec<u8>>();
         let depth: Vec<u8> = (0..192u16).flat_map(|i| (f32::from(i) * 0.01).to_le_bytes()).collect();
         let frame = Frame {
             images: vec![

@@ -117,10 +117,7 @@ impl CameraModel {
         let p = self.reference_from_camera.inverse_transform_point(point);
         (p.z > 1e-6).then(|| {
             let seen = self.distortion.distort(&Point2::new(p.x / p.z, p.y / p.z));
-            Point2::new(
-                self.center[0] + self.focal[0] * seen.x,
-                self.center[1] + self.focal[1] * seen.y,
-            )
+            Point2::new(self.center[0] + self.focal[0] * seen.x, self.center[1] + self.focal[1] * seen.y)
         })
     }
 

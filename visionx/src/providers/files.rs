@@ -54,7 +54,7 @@ impl FileProvider {
         let nothing = || (paths.first().cloned().unwrap_or_default(), FileError::Empty);
         let first = frames.first().ok_or_else(nothing)?;
         let file = first.values().next().ok_or_else(nothing)?.clone();
-        let images = read(first.clone()).await.map_err(|(file, error)| (file, error))?;
+        let images = read(first.clone()).await?;
         let cameras = calibration(&file)?;
         let described = |image: &FrameImage| ImageDescription {
             role: image.role().into(),
@@ -116,7 +116,9 @@ impl ImageProvider for FileProvider {
 
 /// A time span that tokio's clock can hold.
 pub(super) fn seconds(s: f64) -> Duration {
-    Duration::try_from_secs_f64(s.max(0.0)).unwrap_or(Duration::from_secs(86_400)).min(Duration::from_secs(86_400))
+    Duration::try_from_secs_f64(s.max(0.0))
+        .unwrap_or(Duration::from_secs(86_400))
+        .min(Duration::from_secs(86_400))
 }
 
 /// Files by frame and role.
@@ -156,7 +158,8 @@ fn image(role: &str, file: &Path) -> Result<FrameImage, FileError> {
         let image = read_image(file)?;
         (PixelFormat::Rgb8, (image.width(), image.height()), image.data().to_vec())
     };
-    FrameImage::new(role, format, size, bytes).map_err(|_| FileError::TooLarge { width: size.0, height: size.1 })
+    FrameImage::new(role, format, size, bytes)
+        .map_err(|_| FileError::TooLarge { width: size.0, height: size.1 })
 }
 
 /// The cameras by role, where there is a description beside the first file.

@@ -13,11 +13,11 @@ use crate::frame::ImageError;
 /// Most images of a frame.
 pub const MOST_IMAGES: usize = 16;
 /// Longest name of a role or frame, bytes.
-pub const LONGEST_NAME: usize = 200;
+pub(super) const LONGEST_NAME: usize = 200;
 /// Longest side of an image, px; the length of a list of points may be longer.
-pub const LONGEST_SIDE: u32 = 65_536;
+pub(super) const LONGEST_SIDE: u32 = 65_536;
 /// Most bytes of an image.
-pub const MOST_BYTES: usize = 2 << 30;
+pub(super) const MOST_BYTES: usize = 2 << 30;
 
 /// How the bytes of an image are to be read. Rows from the top, without padding; numbers are little-endian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -102,7 +102,7 @@ impl PixelFormat {
         }
     }
 
-    /// Bytes of an image; `None` beyond [`MOST_BYTES`] or [`LONGEST_SIDE`], and when a side is 0.
+    /// Bytes of an image; `None` beyond 2 GiB or a side of 65536 px, and when a side is 0.
     #[must_use]
     pub fn bytes(self, width: u32, height: u32) -> Option<usize> {
         let sides = width > 0 && height > 0 && height <= LONGEST_SIDE;
@@ -270,7 +270,10 @@ mod tests {
     fn sizes_that_are_none_are_refused_without_overflow() {
         let rgb = |width, height| PixelFormat::Rgb8.bytes(width, height);
         assert_eq!(rgb(1, 1), Some(3));
-        assert_eq!([rgb(0, 5), rgb(5, 0), rgb(u32::MAX, u32::MAX), rgb(65_537, 1), rgb(60_000, 60_000)], [None; 5]);
+        assert_eq!(
+            [rgb(0, 5), rgb(5, 0), rgb(u32::MAX, u32::MAX), rgb(65_537, 1), rgb(60_000, 60_000)],
+            [None; 5]
+        );
         assert_eq!(PixelFormat::Points32F.bytes(1_000_000, 1), Some(12_000_000));
         assert_eq!(PixelFormat::Points32F.bytes(1_000_000, 2), None);
         assert!(FrameImage::new("left", PixelFormat::Rgb8, (0, 0), vec![]).is_err());

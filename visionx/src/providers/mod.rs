@@ -3,12 +3,15 @@
 //! - [`Frame`]: one moment, of one or more images. [`Description`]: what a provider gives, and its calibration.
 //! - [`ImageProvider`]: who gives frames. [`StereoProvider`] makes one of an [`ImageSource`](crate::ImageSource), such as
 //!   the simulator's cameras, and [`StereoView`] the other way; [`FileProvider`] gives images of files,
-//!   [`RecordingProvider`] what was recorded, [`FrameSender`] what a program makes itself, [`RemoteProvider`] what another
+//!   [`RecordingProvider`] what was recorded, [`FrameSender`] what a program makes itself, `CameraProvider` (feature `camera`) what a camera sees, [`RemoteProvider`] what another
 //!   process offers.
 //! - [`FanOut`]: many readers of one provider. [`offer`]: to other processes. [`Recording`]: into a file.
 //! - [`wire`]: what a frame is on the network and in a recording.
 
+#[cfg(feature = "camera")]
+mod camera;
 mod channel;
+mod compressed;
 pub mod convert;
 mod description;
 mod fan_out;
@@ -19,6 +22,7 @@ mod recording;
 mod remote;
 mod stereo;
 pub mod wire;
+mod writing;
 
 use std::sync::Arc;
 
@@ -26,16 +30,19 @@ use async_trait::async_trait;
 
 use crate::frame::ImageError;
 
+#[cfg(feature = "camera")]
+pub use camera::CameraProvider;
 pub use channel::{FrameChannel, FrameSender, channel};
 pub use description::{CameraModel, Description, Distortion, ImageDescription};
 pub use fan_out::{FanOut, Subscription};
 pub use files::{FileProvider, Pace};
 pub use frame::{Frame, FrameImage, MOST_IMAGES, PixelFormat, PixelOwner, Pixels};
 pub use offering::{Offered, OfferedStatistics, offer};
-pub use recording::{Recording, RecordingError, RecordingProvider, recorded};
+pub use recording::{RecordingError, RecordingProvider, recorded};
 pub use remote::{Delivery, RemoteProvider, RemoteStatistics, providers};
-pub use stereo::{StereoProvider, StereoView, stereo_frame};
+pub use stereo::{StereoProvider, StereoView, frame_of, stereo_frame};
 pub use wire::ImageCoding;
+pub use writing::Recording;
 
 /// Who gives frames. Frames that nobody asks for need not be made.
 #[async_trait]

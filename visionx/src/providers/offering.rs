@@ -19,7 +19,7 @@ use super::{Frame, ImageProvider};
 use crate::frame::ImageError;
 
 /// The schema of a description.
-pub const DESCRIPTION: armarium_bus::Schema = armarium_bus::Schema::new("image/description", 1);
+pub(super) const DESCRIPTION: armarium_bus::Schema = armarium_bus::Schema::new("image/description", 1);
 /// Frames that are kept for readers that missed some.
 const KEPT: usize = 16;
 /// Most bytes that are kept for them.
@@ -116,8 +116,7 @@ pub async fn offer(
     });
     let shared = FanOut::new(provider);
     let sender = session.bulk_sender(&key, ENCODING).await?;
-    let mut tasks =
-        vec![tokio::spawn(Arc::clone(&offering).send_raw(sender, shared.subscribe().await))];
+    let mut tasks = vec![tokio::spawn(Arc::clone(&offering).send_raw(sender, shared.subscribe().await))];
     for (coding, word) in [(ImageCoding::Png, "png"), (ImageCoding::Jpeg, "jpeg")] {
         let key = keys::image_coded(agent, &name, word).map_err(wrong)?;
         let sender = session.bulk_sender(&key, ENCODING).await?;
@@ -249,7 +248,8 @@ mod tests {
     #[test]
     fn a_range_of_frames_is_read() {
         assert_eq!(range("frames=7:1:3"), Some((7, 1, 3)));
-        for wrong in ["", "frames=", "frames=1:2", "frames=1:2:x", "frames=1:2:3:4", "1:2:3", "frames=-1:2:3"] {
+        for wrong in ["", "frames=", "frames=1:2", "frames=1:2:x", "frames=1:2:3:4", "1:2:3", "frames=-1:2:3"]
+        {
             assert_eq!(range(wrong), None, "{wrong}");
         }
     }

@@ -1,4 +1,4 @@
-//! Frames in MCAP recordings: written whole and lossless, and given again as a provider.
+//! Frames in MCAP recordings as a provider; [`super::writing`] writes them.
 //!
 //! A recording of ours has a channel `/image/{provider}` of packed frames ([`super::wire`]) with the schema
 //! [`SCHEMA`], and the provider's description as metadata. Recordings of runs and of other programs are read too: a topic of compressed
@@ -7,34 +7,31 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, BufWriter, Read as _};
+use std::io::{BufReader, Read as _};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use async_trait::async_trait;
-use mcap::records::{MessageHeader, Metadata, Record};
+use mcap::records::Record;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use tokio::sync::Mutex;
 use tokio::time::{Instant, sleep_until};
 
+use super::compressed::image_field;
 use super::files::{Pace, seconds};
-use super::wire::{pack, unpack};
+use super::wire::unpack;
 use super::{Description, Frame, FrameImage, ImageDescription, ImageProvider, PixelFormat};
 use crate::files::decode_image;
 use crate::frame::ImageError;
 
 /// The schema of packed frames in a recording.
-pub const SCHEMA: &str = "armarium.image.PackedFrame.v1";
+pub(super) const SCHEMA: &str = "armarium.image.PackedFrame.v1";
 /// The schema of compressed images.
 const COMPRESSED: &str = "foxglove.CompressedImage";
-/// The encoding of messages with packed frames.
-const ENCODING: &str = "armarium-packed-frame";
 /// Longest record that is read, bytes.
 const LONGEST_RECORD: usize = 2 << 30;
-/// Bytes of a chunk: a crash costs the last.
-const CHUNK: u64 = 4 << 20;
 /// Name of the metadata records with descriptions.
-const DESCRIPTION: &str = "image/description";
+pub(super) const DESCRIPTION: &str = "image/description";
 
 /// Why there is no recording.
 #[derive(Debug, thiserror::Error)]
@@ -72,85 +69,6 @@ pub enum RecordingError {
         /// Why.
         what: String,
     },
-}
-
-/// A recording that is being written. Frames are compressed without loss.
-pub struct Recording {
-    path: PathBuf,
-    writer: mcap::Writer<BufWriter<File>>,
-    channels: BTreeMap<String, u16>,
-    frames: u64,
-}
-
-impl Recording {
-    /// Begins a recording; a file that is there is written anew.
-    ///
-    /// # Errors
-    /// [`RecordingError`].
-    pub fn create(path: &Path) -> Result<Self, RecordingError> {
-        let file = File::create(path).map_err(|source| RecordingError::File { path: path.into(), source })?;
-        let options = mcap::WriteOptions::new().chunk_size(Some(CHUNK)).library("armarium");
-        let writer = options.compression_level(1).create(BufWriter::new(file));
-        let writer = writer.map_err(|source| RecordingError::Mcap { path: path.into(), source })?;
-        Ok(Self { path: path.into(), writer, channels: BTreeMap::new(), frames: 0 })
-    }
-
-    fn failed(&self) -> impl Fn(mcap::McapError) -> RecordingError + use<> {
-        let path = self.path.clone();
-        move |source| RecordingError::Mcap { path: path.clone(), source }
-    }
-
-    /// Says what a provider gives; its frames may follow then.
-    ///
-    /// # Errors
-    /// [`RecordingError`].
-    pub fn add_provider(&mut self, description: &Description) -> Result<(), RecordingError> {
-        let encode = |what: String| RecordingError::Encode { what };
-        let said = armarium_bus::encode(description).map_err(|e| encode(e.to_string()))?;
-        let said = said.iter().map(|byte| format!("{byte:02x}")).collect::<String>();
-        let metadata = BTreeMap::from([("name".into(), description.name.clone()), ("cbor".into(), said)]);
-        let failed = self.failed();
-        let schema = self.writer.add_schema(SCHEMA, "", &[]).map_err(&failed)?;
-        let topic = format!("/image/{}", description.name);
-        let channel = self.writer.add_channel(schema, &topic, ENCODING, &BTreeMap::new()).map_err(&failed)?;
-        self.channels.insert(description.name.clone(), channel);
-        self.writer.write_metadata(&Metadata { name: DESCRIPTION.into(), metadata }).map_err(&failed)
-    }
-
-    /// Writes a frame of a provider that was added.
-    ///
-    /// # Errors
-    /// [`RecordingError`].
-    pub fn add(&mut self, provider: &str, frame: &Frame) -> Result<(), RecordingError> {
-        let unknown = || RecordingError::Encode { what: format!("there is no provider `{provider}` in it") };
-        let channel_id = *self.channels.get(provider).ok_or_else(unknown)?;
-        let data = pack(frame, 0, 0).map_err(|e| RecordingError::Encode { what: e.to_string() })?;
-        let header = MessageHeader {
-            channel_id,
-            // Only for people; the frame has its own number.
-            sequence: frame.number as u32,
-            log_time: frame.stamp_ns,
-            publish_time: frame.stamp_ns,
-        };
-        self.writer.write_to_known_channel(&header, &data).map_err(self.failed())?;
-        self.frames += 1;
-        Ok(())
-    }
-
-    /// Frames written so far.
-    #[must_use]
-    pub fn frames(&self) -> u64 {
-        self.frames
-    }
-
-    /// Ends the recording.
-    ///
-    /// # Errors
-    /// [`RecordingError`].
-    pub fn finish(mut self) -> Result<(), RecordingError> {
-        let failed = self.failed();
-        self.writer.finish().map(|_| ()).map_err(failed)
-    }
 }
 
 /// Gives the frames of a recording.
@@ -289,9 +207,8 @@ impl RecordingProvider {
     pub async fn open(path: &Path, wanted: Option<&str>, pace: Pace) -> Result<Self, RecordingError> {
         let (file, chosen) = (path.to_owned(), wanted.map(str::to_owned));
         let found = tokio::task::spawn_blocking(move || find(&file, chosen.as_deref())).await;
-        let (topic, description) = found.unwrap_or_else(|error| {
-            Err(RecordingError::File { path: path.into(), source: error.into() })
-        })?;
+        let (topic, description) = found
+            .unwrap_or_else(|error| Err(RecordingError::File { path: path.into(), source: error.into() }))?;
         let messages = Some(Messages::open(path)?);
         let play = Play { messages, began: None, first_ns: 0, shift_ns: 0, last_ns: 0, number: 0 };
         Ok(Self { path: path.into(), topic, description, pace, state: Mutex::new(play) })
@@ -415,45 +332,9 @@ fn described(hex: &str) -> Option<Description> {
     armarium_bus::decode(&digits.collect::<Option<Vec<u8>>>()?).ok()
 }
 
-/// The field `data` (2) of a protobuf message, the encoding of `foxglove.CompressedImage`.
-fn image_field(mut message: &[u8]) -> Option<&[u8]> {
-    while !message.is_empty() {
-        let tag = varint(&mut message)?;
-        match tag & 7 {
-            0 => {
-                varint(&mut message)?;
-            }
-            1 => message = message.get(8..)?,
-            5 => message = message.get(4..)?,
-            2 => {
-                let length = usize::try_from(varint(&mut message)?).ok()?;
-                let field = message.get(..length)?;
-                if tag >> 3 == 2 {
-                    return Some(field);
-                }
-                message = &message[length..];
-            }
-            _ => return None,
-        }
-    }
-    None
-}
-
-fn varint(bytes: &mut &[u8]) -> Option<u64> {
-    let mut value = 0u64;
-    for shift in (0..64).step_by(7) {
-        let (&byte, rest) = bytes.split_first()?;
-        *bytes = rest;
-        value |= u64::from(byte & 0x7f) << shift;
-        if byte & 0x80 == 0 {
-            return Some(value);
-        }
-    }
-    None
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::writing::Recording;
     use super::*;
 
     const ALL: Pace = Pace { speed: None, repeat: false };
@@ -540,15 +421,5 @@ mod tests {
         assert!(RecordingProvider::open(&folder.path().join("none"), None, ALL).await.is_err());
         let nothing = RecordingProvider::open(&path, Some("third"), ALL).await.map(|_| ()).unwrap_err();
         assert!(nothing.to_string().contains("/image/eyes, /image/other"), "{nothing}");
-    }
-
-    #[test]
-    fn the_image_is_taken_out_of_its_message() {
-        let message = [0x08, 0x96, 0x01, 0x22, 1, b'f', 0x12, 3, 7, 8, 9, 0x1a, 0];
-        assert_eq!(image_field(&message), Some(&[7u8, 8, 9][..]));
-        for cut in 0..10 {
-            assert_eq!(image_field(&message[..cut]), None, "{cut}");
-        }
-        assert_eq!(image_field(&[0xff; 40]), None);
     }
 }

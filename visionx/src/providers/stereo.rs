@@ -60,7 +60,11 @@ impl ImageProvider for StereoProvider {
     }
 }
 
-fn frame_of(stereo: &Arc<StereoFrame>, number: u64, frame_id: &str) -> Result<Frame, ImageError> {
+/// A stereo frame as a provider gives it. Pixels are not copied; depth is.
+///
+/// # Errors
+/// [`ImageError::Size`] when an image is empty or larger than frames can be.
+pub fn frame_of(stereo: &Arc<StereoFrame>, number: u64, frame_id: &str) -> Result<Frame, ImageError> {
     let eye = |role: &str, right: bool| {
         let image = if right { &stereo.right } else { &stereo.left };
         let owner: Arc<dyn PixelOwner> = Arc::new(Eye { frame: Arc::clone(stereo), right });
@@ -110,8 +114,8 @@ impl StereoView {
     pub fn new(provider: Arc<dyn ImageProvider>) -> Result<Self, ImageError> {
         let description = provider.description();
         let calibration = description.stereo();
-        let calibration = calibration
-            .map_err(|what| ImageError::Spoilt { provider: description.name.clone(), what })?;
+        let calibration =
+            calibration.map_err(|what| ImageError::Spoilt { provider: description.name.clone(), what })?;
         Ok(Self { provider, name: description.name, calibration, torn: AtomicU64::new(0) })
     }
 

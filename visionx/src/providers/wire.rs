@@ -315,7 +315,8 @@ mod tests {
     use proptest::prelude::*;
 
     fn frame() -> Frame {
-        let pose = Isometry3::new(nalgebra::Vector3::new(0.1, -2.0, 3.0), nalgebra::Vector3::new(0.3, 0.1, -1.0));
+        let pose =
+            Isometry3::new(nalgebra::Vector3::new(0.1, -2.0, 3.0), nalgebra::Vector3::new(0.3, 0.1, -1.0));
         Frame {
             number: 9,
             stamp_ns: 123_456_789,

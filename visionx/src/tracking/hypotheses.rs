@@ -51,7 +51,7 @@ pub(super) fn parts(lab: &LabImage, cut: &[bool], most: usize) -> Vec<Mask> {
     let region = Region::whole(lab.width as u32, lab.height as u32);
     let mut mask = Mask::empty(region);
     mask.data_mut().iter_mut().zip(cut).for_each(|(m, c)| *m = u8::from(*c));
-    let mask = majority(&majority(&mask));
+    let mask = mask.majority().majority();
     let pixels = lab.data.len() as f64;
     let found = components(&mask, (LEAST_SHARE * pixels) as u32);
     let alone = |c: &crate::components::Component| {
@@ -141,20 +141,6 @@ fn by_clusters(lab: &LabImage, k: usize, cuts: &mut Vec<Vec<bool>>) {
             cuts.push(of.iter().map(|&o| chosen >> o & 1 == 1).collect());
         }
     }
-}
-
-/// Each pixel as five or more of the nine around it; those at the border stay.
-fn majority(mask: &Mask) -> Mask {
-    let (w, h) = (mask.width(), mask.height());
-    let mut result = mask.clone();
-    for y in 1..h.saturating_sub(1) {
-        let rows = [mask.row(y - 1), mask.row(y), mask.row(y + 1)];
-        for x in 1..w.saturating_sub(1) {
-            let sum: u8 = rows.iter().map(|r| r[x - 1] + r[x] + r[x + 1]).sum();
-            result.data_mut()[y * w + x] = u8::from(sum >= 5);
-        }
-    }
-    result
 }
 
 /// Fills what is enclosed and smaller than `most` pixels.

@@ -1,5 +1,5 @@
 //! How long the image processors take for a stereo frame of 640 x 480, on one thread:
-//! `cargo run --release -p armarium-visionx --example speed`.
+//! `cargo bench -p armarium-visionx --bench tracking`.
 //!
 //! The pictures are flat: a brown table with a hand, a green ball and a yellow box painted at their disparities.
 

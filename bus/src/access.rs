@@ -1,0 +1,172 @@
+//! Who may say and ask what: access rules for one agent, as Zenoh's `access_control` has them.
+//!
+//! The rules stand at the agent whose they are and hold for every link to it. Who is on the other side of a link is told by
+//! the common name of the certificate that it shows, so they need [`crate::Tls`] with `mutual`. What no rule allows is denied:
+//! Zenoh drops it without a word, and a question that was denied has no answer.
+//!
+//! Rules see keys, not payloads: what a commit holds is checked by the memory, which knows the writer by the key that only
+//! he may ask (`keys::memory_by`).
+
+use serde_json::{Value as Json, json};
+
+use crate::keys::{KeyError, check_name};
+
+/// Whom an agent lets in. Names are common names of certificates, and the names of agents.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Access {
+    /// The agent. Whoever shows its own certificate may do everything.
+    pub own: String,
+    /// Who may read its memory, and be followed by it.
+    pub readers: Vec<String>,
+    /// Who may write provider segments of his own name into its memory; they may read it too.
+    pub writers: Vec<String>,
+    /// Who may start its charts and skills, and tell them events.
+    pub callers: Vec<String>,
+}
+
+/// One rule: its name, messages, directions (as this agent sees them) and keys.
+struct Rule {
+    id: String,
+    messages: &'static [&'static str],
+    flow: &'static str,
+    keys: Vec<String>,
+}
+
+/// What somebody does who asks.
+const ASKS: &[&str] = &["query", "declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"];
+/// What somebody does who tells.
+const TELLS: &[&str] = &["put", "delete", "reply", "declare_queryable", "liveliness_token"];
+const EVERYTHING: &[&str] = &[
+    "put",
+    "delete",
+    "reply",
+    "declare_queryable",
+    "liveliness_token",
+    "query",
+    "declare_subscriber",
+    "declare_liveliness_subscriber",
+    "liveliness_query",
+];
+
+impl Access {
+    /// Whether anybody but the agent itself is let in.
+    #[must_use]
+    pub fn is_for_others(&self) -> bool {
+        !(self.readers.is_empty() && self.writers.is_empty() && self.callers.is_empty())
+    }
+
+    /// The rules, for [`crate::SessionConfig::access_control`].
+    ///
+    /// # Errors
+    /// [`KeyError`] when a name cannot be part of a key.
+    pub fn rules(&self) -> Result<Json, KeyError> {
+        let own = self.own.as_str();
+        check_name(own)?;
+        let mut rules = vec![rule(own, "everything", EVERYTHING, "ingress", ["**".into()])];
+        rules.push(rule(own, "everything_back", EVERYTHING, "egress", ["**".into()]));
+        let mut subjects = vec![own];
+        for other in self.readers.iter().chain(&self.writers).chain(&self.callers) {
+            if subjects.contains(&other.as_str()) {
+                continue;
+            }
+            check_name(other)?;
+            subjects.push(other);
+            rules.extend(self.of(other));
+        }
+        let policies: Vec<Json> = subjects
+            .iter()
+            .map(|subject| {
+                let prefix = format!("{subject} ");
+                let ids: Vec<&str> =
+                    rules.iter().map(|r| r.id.as_str()).filter(|id| id.starts_with(&prefix)).collect();
+                json!({"rules": ids, "subjects": [subject]})
+            })
+            .collect();
+        let subjects: Vec<Json> =
+            subjects.iter().map(|name| json!({"id": name, "cert_common_names": [name]})).collect();
+        let rules: Vec<Json> = rules
+            .iter()
+            .map(|r| {
+                json!({
+                    "id": r.id, "permission": "allow", "messages": r.messages, "flows": [r.flow], "key_exprs": r.keys,
+                })
+            })
+            .collect();
+        Ok(json!({
+            "enabled": true, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies,
+        }))
+    }
+
+    /// What somebody else may do: tell and be asked about himself, and what his part in this agent's lists says.
+    fn of(&self, other: &str) -> Vec<Rule> {
+        let own = &self.own;
+        let is_in = |list: &[String]| list.iter().any(|name| name == other);
+        let himself = || [format!("{other}/**")];
+        let mut rules = vec![
+            rule(other, "tells", TELLS, "ingress", himself()),
+            rule(other, "is_asked", ASKS, "egress", himself()),
+        ];
+        if is_in(&self.readers) || is_in(&self.writers) {
+            let asked = [
+                format!("{own}/memory"),
+                format!("{own}/memory/changes"),
+                format!("{own}/memory/*/*/*"),
+                format!("{own}/memory/by/{other}"),
+                format!("{own}/alive/*"),
+            ];
+            rules.push(rule(other, "reads", ASKS, "ingress", asked));
+            let told = [format!("{own}/memory/**"), format!("{own}/alive/*")];
+            rules.push(rule(other, "is_told", TELLS, "egress", told));
+        }
+        if is_in(&self.writers) {
+            rules.push(rule(other, "writes", &["put"], "ingress", [format!("{own}/memory/*/{other}/*")]));
+        }
+        if is_in(&self.callers) {
+            let charts = || [format!("{own}/chart/*"), format!("{own}/event"), format!("{own}/alive/*")];
+            rules.push(rule(other, "calls", ASKS, "ingress", charts()));
+            rules.push(rule(other, "is_answered", TELLS, "egress", charts()));
+        }
+        rules
+    }
+}
+
+fn rule(
+    subject: &str,
+    name: &str,
+    messages: &'static [&'static str],
+    flow: &'static str,
+    keys: impl Into<Vec<String>>,
+) -> Rule {
+    Rule { id: format!("{subject} {name}"), messages, flow, keys: keys.into() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn everybody_is_allowed_what_his_part_needs_and_no_more() {
+        let names = |list: &[&str]| list.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
+        let access = Access {
+            own: "alice".into(),
+            readers: names(&["bob"]),
+            writers: names(&["carol", "bob"]),
+            callers: names(&["dave"]),
+        };
+        let rules = access.rules().unwrap();
+        assert_eq!(rules["default_permission"], "deny");
+        let of = |name: &str| {
+            let policies = rules["policies"].as_array().unwrap();
+            let policy = policies.iter().find(|p| p["subjects"][0] == name).unwrap();
+            let ids = policy["rules"].as_array().unwrap().iter();
+            ids.map(|id| id.as_str().unwrap().to_owned()).collect::<Vec<_>>()
+        };
+        assert_eq!(of("alice"), ["alice everything", "alice everything_back"]);
+        assert_eq!(of("bob"), ["bob tells", "bob is_asked", "bob reads", "bob is_told", "bob writes"]);
+        assert_eq!(of("dave"), ["dave tells", "dave is_asked", "dave calls", "dave is_answered"]);
+        let config = crate::SessionConfig { access_control: Some(rules), ..Default::default() };
+        assert!(config.to_zenoh().is_ok());
+        let bad = Access { own: "a*".into(), ..Access::default() };
+        assert!(bad.rules().is_err() && !bad.is_for_others());
+    }
+}

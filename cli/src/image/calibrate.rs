@@ -1,0 +1,83 @@
+//! `armarium image calibrate-check`: what a stereo provider's images say of its calibration.
+
+use std::io::Write;
+
+use armarium_visionx::providers::{Delivery, ImageCoding, stereo_frame};
+use armarium_visionx::{EpipolarCheck, ImageError};
+use serde_json::json;
+
+use super::{CalibrateArgs, Failure, argument, failed, source};
+use crate::connection::Connection;
+
+/// Rows may differ by this much, px, as the median.
+const ROWS_PX: f64 = 0.5;
+/// Depth may be off by this share, as the median.
+const DEPTH: f64 = 0.02;
+/// Fewer corners than this say nothing.
+const LEAST: usize = 30;
+
+/// Looks at some frames; a calibration that is wrong is a failure.
+pub(super) async fn run(
+    args: &CalibrateArgs,
+    connection: &Connection,
+    out: &mut dyn Write,
+) -> Result<(), Failure> {
+    let source = source::open(&args.source, connection, Delivery::Newest, ImageCoding::Raw).await?;
+    let described = source.provider.description();
+    let calibration = described.stereo().map_err(|what| argument(format!("`{}`: {what}", described.name)))?;
+    let mut check = EpipolarCheck::default();
+    for _ in 0..args.frames.max(1) {
+        let frame = match source.provider.next().await {
+            Ok(frame) => frame,
+            Err(ImageError::Spoilt { .. }) => continue,
+            Err(_) => break,
+        };
+        let Ok(stereo) = stereo_frame(&frame, &described.name) else { continue };
+        let seen = tokio::task::spawn_blocking(move || EpipolarCheck::of(&stereo, &calibration)).await;
+        check.add(seen.map_err(failed)?);
+    }
+    let corners = check.rows_px.len();
+    let rows = EpipolarCheck::median(&check.rows_px);
+    let spread = rows.and_then(|middle| {
+        let away: Vec<f64> = check.rows_px.iter().map(|row| (row - middle).abs()).collect();
+        EpipolarCheck::median(&away)
+    });
+    let depth = EpipolarCheck::median(&check.depth_ratio).filter(|_| check.depth_ratio.len() >= LEAST);
+    let verdict = match rows {
+        None => "nothing to see",
+        Some(_) if corners < LEAST => "too little to see",
+        Some(rows) if rows.abs() > ROWS_PX => "the eyes do not see in the same rows",
+        Some(_) if depth.is_some_and(|ratio| (ratio - 1.0).abs() > DEPTH) => {
+            "focal length or baseline do not fit the depth image"
+        }
+        Some(_) => "fits",
+    };
+    if args.json {
+        let said = json!({
+            "provider": described.name, "corners": corners, "rows_px": rows, "rows_spread_px": spread,
+            "depth_ratio": depth, "verdict": verdict,
+        });
+        writeln!(out, "{said}")?;
+    } else {
+        let number = |value: Option<f64>| value.map_or("-".to_owned(), |v| format!("{v:.3}"));
+        let camera = calibration.camera;
+        writeln!(
+            out,
+            "{}: focal {:.1} px, baseline {:.4} m",
+            described.name, camera.focal, calibration.baseline
+        )?;
+        writeln!(out, "corners seen by both eyes      {corners}")?;
+        writeln!(
+            out,
+            "lower in the right eye, px     {} (median), {} (spread)",
+            number(rows),
+            number(spread)
+        )?;
+        writeln!(out, "stereo depth / depth image     {}", number(depth))?;
+    }
+    if verdict == "fits" {
+        Ok(())
+    } else {
+        Err(failed(format!("the calibration of `{}`: {verdict}", described.name)))
+    }
+}

@@ -1,0 +1,198 @@
+//! A page on this machine that shows a provider live: the images of each frame side by side, as JPEG, newest first. It
+//! answers `GET` of `/` and of `/frame`, which waits for the next frame; nothing else, and nobody beyond this machine.
+
+use std::io::Write;
+use std::sync::Arc;
+use std::time::Duration;
+
+use armarium_visionx::providers::convert::{jpeg, rgb_of};
+use armarium_visionx::providers::{Frame, ImageProvider};
+use armarium_visionx::{Image, ImageError};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{Semaphore, watch};
+
+use super::{Failure, failed};
+use crate::agent::stopped;
+
+/// Longest request that is read, bytes.
+const LONGEST: usize = 8192;
+/// How long a browser may take to ask, and a frame to come.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Browsers at a time.
+const MOST: usize = 16;
+/// The page: it asks for the next frame when the last has come.
+const PAGE: &str = include_str!("page.html");
+
+type Newest = watch::Receiver<(u64, Arc<Vec<u8>>)>;
+
+/// Shows the page until Ctrl-C, or until the provider has ended and its last frame was shown.
+pub(super) async fn show(
+    provider: Arc<dyn ImageProvider>,
+    port: u16,
+    out: &mut dyn Write,
+) -> Result<(), Failure> {
+    let listener = TcpListener::bind(("127.0.0.1", port)).await;
+    let listener = listener.map_err(|e| failed(format!("the page cannot be at port {port}: {e}")))?;
+    let address = listener.local_addr().map_err(failed)?;
+    writeln!(out, "http://{address}/ shows {}; Ctrl-C ends it", provider.description().name)?;
+    out.flush()?;
+    let (sender, newest) = watch::channel((0, Arc::new(Vec::new())));
+    let pulling = tokio::spawn(pull(provider, sender));
+    let places = Arc::new(Semaphore::new(MOST));
+    let serving = async {
+        loop {
+            let Ok((stream, _)) = listener.accept().await else { continue };
+            let Ok(place) = Arc::clone(&places).acquire_owned().await else { return };
+            let newest = newest.clone();
+            tokio::spawn(async move {
+                // A browser that goes away in the middle harms nobody.
+                let _ = tokio::time::timeout(PATIENCE * 2, answer(stream, newest)).await.is_ok();
+                drop(place);
+            });
+        }
+    };
+    tokio::select! {
+        biased;
+        () = stopped() => {}
+        () = serving => {}
+    }
+    pulling.abort();
+    Ok(())
+}
+
+/// Keeps the newest frame as a picture; makes none while nobody looks at the last.
+async fn pull(provider: Arc<dyn ImageProvider>, to: watch::Sender<(u64, Arc<Vec<u8>>)>) {
+    let mut count = 0;
+    loop {
+        match provider.next().await {
+            Ok(frame) => {
+                let made = tokio::task::spawn_blocking(move || picture(&frame)).await;
+                if let Ok(Some(picture)) = made {
+                    count += 1;
+                    to.send_replace((count, Arc::new(picture)));
+                }
+            }
+            Err(ImageError::Gone { .. }) => return,
+            Err(error) => tracing::warn!("{error}"),
+        }
+    }
+}
+
+/// The images of a frame side by side.
+fn picture(frame: &Frame) -> Option<Vec<u8>> {
+    let images: Vec<Image> = frame.images.iter().filter_map(rgb_of).collect();
+    let height = images.iter().map(Image::height).max()?;
+    let width = images.iter().map(Image::width).sum();
+    let mut data = Vec::new();
+    for y in 0..height {
+        for image in &images {
+            let row = image.width() as usize * 3;
+            let start = y as usize * row;
+            match image.data().get(start..start + row) {
+                Some(pixels) => data.extend(pixels),
+                None => data.resize(data.len() + row, 0),
+            }
+        }
+    }
+    jpeg(&Image::from_rgb(width, height, data).ok()?).ok()
+}
+
+async fn answer(mut stream: TcpStream, mut newest: Newest) -> std::io::Result<()> {
+    let Some(path) = request(&mut stream).await? else {
+        return respond(&mut stream, "400 Bad Request", "text/plain", b"").await;
+    };
+    let (path, seen) = path.split_once('?').unwrap_or((&path, ""));
+    match path {
+        "/" => respond(&mut stream, "200 OK", "text/html; charset=utf-8", PAGE.as_bytes()).await,
+        "/frame" => {
+            let seen: u64 = seen.parse().unwrap_or(0);
+            let next = newest.wait_for(|(count, _)| *count > seen || (seen > *count && *count > 0));
+            let found = match tokio::time::timeout(PATIENCE, next).await {
+                Ok(Ok(found)) => Some(found.clone()),
+                _ => None,
+            };
+            let Some((count, picture)) = found else {
+                return respond(&mut stream, "204 No Content", "text/plain", b"").await;
+            };
+            let kind = format!("image/jpeg\r\nX-Frame: {count}");
+            respond(&mut stream, "200 OK", &kind, &picture).await
+        }
+        _ => respond(&mut stream, "404 Not Found", "text/plain", b"").await,
+    }
+}
+
+/// The path of a `GET` request to this machine; `None` for anything else.
+async fn request(stream: &mut TcpStream) -> std::io::Result<Option<String>> {
+    let mut bytes = Vec::new();
+    let mut piece = [0; 1024];
+    while !bytes.windows(4).any(|end| end == b"\r\n\r\n") {
+        let read = stream.read(&mut piece).await?;
+        bytes.extend(&piece[..read]);
+        if read == 0 || bytes.len() > LONGEST {
+            return Ok(None);
+        }
+    }
+    Ok(path_of(&String::from_utf8_lossy(&bytes)))
+}
+
+/// Another site must not read the pictures through the browser: the request has to name this machine.
+fn path_of(request: &str) -> Option<String> {
+    let mut lines = request.split("\r\n");
+    let path = lines.next()?.strip_prefix("GET ")?.split(' ').next()?.to_owned();
+    let host = lines.find_map(|line| {
+        let (name, value) = line.split_once(':')?;
+        name.eq_ignore_ascii_case("host").then(|| value.trim().to_owned())
+    })?;
+    let name = host.rsplit_once(':').map_or(host.as_str(), |(name, _)| name);
+    matches!(name, "127.0.0.1" | "localhost").then_some(path)
+}
+
+async fn respond(stream: &mut TcpStream, status: &str, kind: &str, body: &[u8]) -> std::io::Result<()> {
+    let head = format!(
+        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nCache-Control: no-store\r\n\
+         Connection: close\r\n\r\n",
+        body.len()
+    );
+    stream.write_all(head.as_bytes()).await?;
+    stream.write_all(body).await?;
+    stream.shutdown().await
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use armarium_visionx::files::decode_image;
+    use armarium_visionx::providers::{FrameImage, PixelFormat};
+
+    #[test]
+    fn only_requests_to_this_machine_are_answered() {
+        let request = |host: &str| format!("GET /frame?3 HTTP/1.1\r\nAccept: */*\r\nHost: {host}\r\n\r\n");
+        assert_eq!(path_of(&request("127.0.0.1:8080")).as_deref(), Some("/frame?3"));
+        assert_eq!(path_of(&request("localhost")).as_deref(), Some("/frame?3"));
+        for wrong in ["evil.example", "127.0.0.1.evil.example:80", ""] {
+            assert_eq!(path_of(&request(wrong)), None, "{wrong}");
+        }
+        assert_eq!(path_of("POST / HTTP/1.1\r\nHost: localhost\r\n\r\n"), None);
+        assert_eq!(path_of("GET / HTTP/1.1\r\n\r\n"), None);
+    }
+
+    #[test]
+    fn images_of_a_frame_stand_side_by_side_whatever_their_size() {
+        let image = |role: &str, format, size: (u32, u32), bytes| {
+            FrameImage::new(role, format, size, vec![200u8; bytes]).expect("the bytes fit")
+        };
+        let frame = Frame {
+            images: vec![
+                image("left", PixelFormat::Rgb8, (40, 30), 3600),
+                image("points", PixelFormat::Points32F, (2, 1), 24),
+                image("gray", PixelFormat::Gray8, (10, 20), 200),
+            ],
+            ..Frame::default()
+        };
+        let shown = decode_image(&picture(&frame).expect("there are pictures")).expect("it is a JPEG");
+        assert_eq!((shown.width(), shown.height()), (50, 30));
+        assert!(shown.pixel(45, 25)[0] < 40 && shown.pixel(45, 5)[0] > 160);
+        assert!(picture(&Frame::default()).is_none());
+    }
+}

@@ -1,0 +1,78 @@
+//! `armarium image record`: providers into an MCAP file.
+
+use std::io::Write;
+use std::sync::Arc;
+use std::time::Duration;
+
+use armarium_visionx::ImageError;
+use armarium_visionx::providers::{Delivery, Frame, ImageCoding, ImageProvider, Recording, RemoteProvider};
+use tokio::sync::mpsc;
+
+use super::{Failure, RecordArgs, argument, failed, source};
+use crate::agent::stopped;
+use crate::connection::Connection;
+
+/// Frames of one provider that may wait to be written.
+const WAITING: usize = 64;
+
+/// Records until enough is there, or Ctrl-C.
+pub(super) async fn run(
+    args: &RecordArgs,
+    connection: &Connection,
+    out: &mut dyn Write,
+) -> Result<(), Failure> {
+    let mut recording = Recording::create(&args.output).map_err(argument)?;
+    let (sender, mut frames) = mpsc::channel::<(String, Arc<Frame>)>(WAITING);
+    let (mut providers, mut reading): (Vec<Arc<RemoteProvider>>, Vec<_>) = (Vec::new(), Vec::new());
+    for name in &args.providers {
+        let all = Delivery::All { waiting: WAITING };
+        let provider = Arc::new(source::remote(name, connection, all, ImageCoding::Raw).await?);
+        let mut described = provider.description();
+        if providers.iter().any(|other| other.description().name == described.name) {
+            // Two agents may call theirs the same.
+            described.name = name.replace('/', "_");
+        }
+        recording.add_provider(&described).map_err(failed)?;
+        providers.push(Arc::clone(&provider));
+        reading.push(tokio::spawn(read(provider, described.name, sender.clone())));
+    }
+    drop(sender);
+    writeln!(out, "recording into {}; Ctrl-C ends it", args.output.display())?;
+    out.flush()?;
+    let until = args.seconds.and_then(|s| Duration::try_from_secs_f64(s).ok()).unwrap_or(Duration::MAX);
+    let writing = async {
+        while args.frames.is_none_or(|most| recording.frames() < most) {
+            let Some((provider, frame)) = frames.recv().await else { return Ok(()) };
+            recording.add(&provider, &frame).map_err(failed)?;
+        }
+        Ok(())
+    };
+    let written: Result<(), Failure> = tokio::select! {
+        biased;
+        () = stopped() => Ok(()),
+        written = tokio::time::timeout(until, writing) => written.unwrap_or(Ok(())),
+    };
+    reading.iter().for_each(tokio::task::JoinHandle::abort);
+    written?;
+    let count = recording.frames();
+    recording.finish().map_err(failed)?;
+    let (missed, again) = providers.iter().fold((0, 0), |(missed, again), provider| {
+        (missed + provider.statistics().missed(), again + provider.statistics().again())
+    });
+    writeln!(out, "{count} frames, {missed} missed, {again} asked for again")?;
+    Ok(())
+}
+
+/// Hands on the frames of one provider; where they cannot be written fast enough, they wait at the reader.
+async fn read(provider: Arc<RemoteProvider>, name: String, to: mpsc::Sender<(String, Arc<Frame>)>) {
+    loop {
+        let frame = match provider.next().await {
+            Ok(frame) => frame,
+            Err(ImageError::Spoilt { .. }) => continue,
+            Err(_) => return,
+        };
+        if to.send((name.clone(), frame)).await.is_err() {
+            return;
+        }
+    }
+}

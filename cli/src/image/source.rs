@@ -1,0 +1,95 @@
+//! What is named on the command line as a provider.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use armarium_visionx::providers::{
+    Delivery, FileProvider, ImageCoding, ImageProvider, Pace, RecordingProvider, RemoteProvider,
+};
+
+use super::{Failure, SourceArgs, argument, failed};
+use crate::connection::Connection;
+
+/// How long a provider is waited for.
+const WAIT: Duration = Duration::from_secs(10);
+/// Frames a second of image files.
+const RATE_HZ: f64 = 30.0;
+
+/// A provider, and the other process's side of it where there is one.
+pub(super) struct Source {
+    pub(super) provider: Arc<dyn ImageProvider>,
+    pub(super) remote: Option<Arc<RemoteProvider>>,
+}
+
+/// Opens what the arguments name; files are given as fast as they are asked for.
+pub(super) async fn open(
+    args: &SourceArgs,
+    connection: &Connection,
+    delivery: Delivery,
+    coding: ImageCoding,
+) -> Result<Source, Failure> {
+    if Path::new(&args.source).exists() {
+        let pace = Pace { speed: None, repeat: false };
+        let provider =
+            file(&[args.source.as_str().into()], "files", args.topic.as_deref(), RATE_HZ, pace).await?;
+        return Ok(Source { provider, remote: None });
+    }
+    let remote = Arc::new(remote(&args.source, connection, delivery, coding).await?);
+    Ok(Source { provider: Arc::clone(&remote) as Arc<dyn ImageProvider>, remote: Some(remote) })
+}
+
+/// The provider `AGENT/PROVIDER`.
+pub(super) async fn remote(
+    name: &str,
+    connection: &Connection,
+    delivery: Delivery,
+    coding: ImageCoding,
+) -> Result<RemoteProvider, Failure> {
+    let Some((agent, provider)) = name.split_once('/').filter(|(a, p)| !a.is_empty() && !p.is_empty()) else {
+        return Err(argument(format!("`{name}` is no file, and no AGENT/PROVIDER")));
+    };
+    let connected =
+        RemoteProvider::connect(&connection.session, agent, provider, delivery, coding, WAIT).await;
+    connected.map_err(|e| failed(format!("{e}; `armarium image ls` lists the providers that can be reached")))
+}
+
+/// A recording, a camera (`/dev/video0`), or image files.
+pub(super) async fn file(
+    files: &[std::path::PathBuf],
+    name: &str,
+    topic: Option<&str>,
+    rate_hz: f64,
+    pace: Pace,
+) -> Result<Arc<dyn ImageProvider>, Failure> {
+    if let [recording] = files
+        && recording.extension().is_some_and(|e| e == "mcap")
+    {
+        return Ok(Arc::new(RecordingProvider::open(recording, topic, pace).await.map_err(argument)?));
+    }
+    if let [device] = files
+        && device.starts_with("/dev")
+    {
+        return camera(device, name);
+    }
+    let provider = FileProvider::open(name, files, rate_hz, pace).await;
+    Ok(Arc::new(provider.map_err(|(path, e)| argument(format!("{}: {e}", path.display())))?))
+}
+
+/// Size that cameras are asked for, px.
+#[cfg(feature = "camera")]
+const CAMERA: (u32, u32) = (640, 480);
+
+#[cfg(feature = "camera")]
+fn camera(device: &Path, name: &str) -> Result<Arc<dyn ImageProvider>, Failure> {
+    let camera = armarium_visionx::providers::CameraProvider::open(device, name, CAMERA);
+    Ok(Arc::new(camera.map_err(|e| argument(format!("{}: {e}", device.display())))?))
+}
+
+#[cfg(not(feature = "camera"))]
+fn camera(device: &Path, _: &str) -> Result<Arc<dyn ImageProvider>, Failure> {
+    let device = device.display();
+    Err(argument(format!(
+        "{device}: this program was built without cameras; build it with `--features camera`"
+    )))
+}

@@ -1,0 +1,68 @@
+//! `armarium image stats`: how a provider's frames come.
+
+use std::io::Write;
+use std::time::{Duration, Instant};
+
+use armarium_visionx::ImageError;
+use armarium_visionx::providers::{Delivery, ImageCoding};
+use serde_json::json;
+
+use super::{Failure, StatsArgs, argument, source};
+use crate::connection::Connection;
+
+/// Counts for a while.
+pub(super) async fn run(
+    args: &StatsArgs,
+    connection: &Connection,
+    out: &mut dyn Write,
+) -> Result<(), Failure> {
+    let span = Duration::try_from_secs_f64(args.seconds).map_err(|_| argument("--seconds is at least 0"))?;
+    let source = source::open(&args.source, connection, Delivery::Newest, ImageCoding::Raw).await?;
+    let (mut frames, mut bytes, mut spoilt, mut sizes) = (0u64, 0usize, 0u64, Vec::new());
+    let (mut first, mut last) = (None, None);
+    let counting = async {
+        loop {
+            match source.provider.next().await {
+                Ok(frame) => {
+                    frames += 1;
+                    bytes += frame.bytes();
+                    last = Some(Instant::now());
+                    first = first.or(last);
+                    let size: Vec<(u32, u32)> =
+                        frame.images.iter().map(|i| (i.width(), i.height())).collect();
+                    if sizes.last() != Some(&size) && sizes.len() < 100 {
+                        sizes.push(size);
+                    }
+                }
+                Err(ImageError::Spoilt { .. }) => spoilt += 1,
+                Err(_) => return,
+            }
+        }
+    };
+    // Either the time is up, or the provider has ended.
+    let _ = tokio::time::timeout(span, counting).await.is_ok();
+    let elapsed_s =
+        first.zip(last).map_or(0.0, |(first, last): (Instant, Instant)| (last - first).as_secs_f64());
+    let rate = if elapsed_s > 0.0 { (frames.saturating_sub(1)) as f64 / elapsed_s } else { 0.0 };
+    let mut said = json!({
+        "provider": args.source.source, "frames": frames, "frames_per_s": rate,
+        "bytes_per_frame": bytes as u64 / frames.max(1), "spoilt": spoilt, "sizes": sizes,
+    });
+    if let Some(remote) = &source.remote {
+        let counts = remote.statistics();
+        said["missed"] = counts.missed().into();
+        said["malformed"] = counts.malformed().into();
+        said["provider_starts"] = counts.lives().into();
+        said["through_shared_memory"] = counts.shared().into();
+        said["latency_mean_ms"] = (counts.mean_latency_s() * 1e3).into();
+        said["latency_worst_ms"] = (counts.worst_latency_s() * 1e3).into();
+    }
+    if args.json {
+        writeln!(out, "{said}")?;
+    } else {
+        for (name, value) in said.as_object().into_iter().flatten() {
+            writeln!(out, "{:<22} {value}", name.replace('_', " "))?;
+        }
+    }
+    Ok(())
+}

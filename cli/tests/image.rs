@@ -1,0 +1,159 @@
+//! `armarium image` with real processes: what one offers, others list, show, record and play; and a provider that is
+//! killed harms nobody.
+
+use std::collections::BTreeSet;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::Duration;
+
+use armarium_bus::{Session, SessionConfig};
+use armarium_visionx::annotate::png;
+use armarium_visionx::providers::{Delivery, ImageCoding, ImageProvider, RemoteProvider};
+use armarium_visionx::{Image, files};
+
+const WAIT: Duration = Duration::from_secs(60);
+
+/// A process that is ended when the test is.
+struct Process(Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.0.kill().is_ok();
+        let _ = self.0.wait().is_ok();
+    }
+}
+
+fn armarium(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_armarium"));
+    command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+/// Plays files, and says where.
+fn play(arguments: &[&str]) -> (Process, String) {
+    let mut child = armarium(&[&["image", "play"], arguments].concat()).spawn().unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    let endpoint = loop {
+        let line = lines.next().expect("it says where it listens").unwrap();
+        if let Some(endpoint) = line.trim().strip_prefix("listens on ") {
+            break endpoint.to_owned();
+        }
+    };
+    (Process(child), endpoint)
+}
+
+fn done(arguments: &[&str]) -> Output {
+    let output = armarium(arguments).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{arguments:?}: {said}");
+    output
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+/// Three flat pictures.
+fn pictures(folder: &Path) {
+    for (name, value) in [("a.png", 10u8), ("b.png", 20), ("c.png", 30)] {
+        let image = Image::from_rgb(64, 48, vec![value; 64 * 48 * 3]).unwrap();
+        std::fs::write(folder.join(name), png(&image).unwrap()).unwrap();
+    }
+}
+
+#[test]
+fn what_is_played_is_listed_shown_counted_recorded_and_played_again() {
+    let folder = tempfile::tempdir().unwrap();
+    pictures(folder.path());
+    let files = folder.path().to_str().unwrap();
+    let (_playing, endpoint) = play(&[files, "--name", "alice", "--loop", "--rate", "50"]);
+    let connect = ["--connect", endpoint.as_str()];
+
+    let listed = said(&done(&[&["image", "ls"][..], &connect].concat()));
+    assert!(listed.contains("alice/files") && listed.contains("image: 64 x 48"), "{listed}");
+
+    let shown = folder.path().join("shown");
+    let arguments = ["image", "view", "alice/files", "--png", shown.to_str().unwrap(), "--frames", "2"];
+    done(&[&arguments[..], &connect].concat());
+    let images = files::images_in(std::slice::from_ref(&shown)).unwrap();
+    assert_eq!(images.len(), 2);
+    assert!([10, 20, 30].contains(&files::read_image(&images[0]).unwrap().pixel(5, 5)[0]));
+
+    let counted =
+        done(&[&["image", "stats", "alice/files", "--seconds", "2", "--json"][..], &connect].concat());
+    let counted: serde_json::Value = serde_json::from_slice(&counted.stdout).unwrap();
+    assert!(counted["frames"].as_u64().unwrap() > 2, "{counted}");
+    assert_eq!(counted["bytes_per_frame"], 64 * 48 * 3);
+
+    let recording = folder.path().join("r.mcap");
+    let to = recording.to_str().unwrap();
+    let recorded =
+        done(&[&["image", "record", "alice/files", "-o", to, "--frames", "6"][..], &connect].concat());
+    assert!(said(&recorded).contains("6 frames, 0 missed"), "{}", said(&recorded));
+
+    let (_again, endpoint) = play(&[to, "--name", "bob", "--speed", "2", "--loop"]);
+    let counted = done(&["image", "stats", "bob/files", "--seconds", "1", "--json", "--connect", &endpoint]);
+    assert!(said(&counted).contains("\"sizes\":[[[64,48]]]"), "{}", said(&counted));
+    let counted = done(&["image", "stats", to, "--json"]);
+    assert!(said(&counted).contains("\"frames\":6"), "{}", said(&counted));
+}
+
+#[test]
+fn what_is_wrong_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let wrong = |arguments: &[&str], status: i32, word: &str| {
+        let output = armarium(&[&["image"], arguments].concat()).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(status), "{said}");
+        assert!(said.contains(word), "{said}");
+    };
+    let broken = folder.path().join("broken.mcap");
+    std::fs::write(&broken, b"no recording").unwrap();
+    wrong(&["play", broken.to_str().unwrap()], 2, "no recording that can be read");
+    wrong(&["play", folder.path().to_str().unwrap()], 2, "no PNG or JPEG file");
+    wrong(&["stats", "nonsense"], 2, "AGENT/PROVIDER");
+    wrong(&["view", "nobody/eyes", "--connect", "tcp/10.0.0.1:7447"], 2, "--off-loopback");
+    pictures(folder.path());
+    wrong(&["calibrate-check", folder.path().to_str().unwrap()], 2, "no image `left`");
+    wrong(&["play", folder.path().to_str().unwrap(), "--speed", "0"], 2, "greater than 0");
+}
+
+/// The shared memory of a process.
+fn segments(process: u32) -> BTreeSet<PathBuf> {
+    let maps = std::fs::read_to_string(format!("/proc/{process}/maps")).unwrap_or_default();
+    let paths = maps.lines().filter_map(|line| line.split_whitespace().nth(5));
+    paths.filter(|path| path.starts_with("/dev/shm/")).map(PathBuf::from).collect()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_provider_that_is_killed_and_started_again_is_seen_again_and_leaves_no_memory_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    pictures(folder.path());
+    let files = folder.path().to_str().unwrap();
+    let (mut playing, endpoint) = play(&[files, "--name", "carol", "--loop", "--rate", "50"]);
+    let config = SessionConfig { shared_memory: true, ..SessionConfig::connected_to(&[endpoint.clone()]) };
+    let session = Session::open(&config).await.unwrap();
+    let (delivery, coding) = (Delivery::Newest, ImageCoding::Raw);
+    let reader = RemoteProvider::connect(&session, "carol", "files", delivery, coding, WAIT).await.unwrap();
+    for _ in 0..3 {
+        tokio::time::timeout(WAIT, reader.next()).await.unwrap().unwrap();
+    }
+    assert!(reader.statistics().shared() > 0);
+    let own = segments(std::process::id());
+    let left = segments(playing.0.id());
+    assert!(!left.is_empty(), "its frames are in shared memory");
+    playing.0.kill().unwrap();
+    playing.0.wait().unwrap();
+
+    let (_again, _) = play(&[files, "--name", "carol", "--loop", "--rate", "50", "--listen", &endpoint]);
+    while reader.statistics().lives() < 2 {
+        tokio::time::timeout(WAIT, reader.next()).await.expect("the reader goes on").unwrap();
+    }
+    drop(reader);
+    session.close().await.unwrap();
+    // What this process still maps goes when it ends; the next provider or reader anywhere sweeps it away.
+    armarium_bus::bulk::remove_orphans();
+    let still: Vec<&PathBuf> = left.difference(&own).filter(|path| path.exists()).collect();
+    assert!(still.is_empty(), "left behind: {still:?}");
+}

@@ -1,0 +1,106 @@
+//! How fast memory is, with a bare map, a bare redb file and the bare session in the same run for scale:
+//! `cargo bench -p armarium-memoryx`. Words pick the parts whose names hold one: `working`, `store`, `durable`, `shared`,
+//! `scale`, `axes`.
+//!
+//! Rates say what a machine does that has other work as well; so the processor time of each item stands beside them.
+
+#![allow(clippy::print_stdout)] // It prints figures.
+
+use std::time::{Duration, Instant};
+
+use armarium_memoryx::{Commit, EntityId};
+use armarium_values::Value;
+
+mod axes;
+mod scale;
+mod shared;
+mod store;
+mod working;
+
+fn id(n: u64) -> EntityId {
+    EntityId::new("Things", "bench", &format!("e{n}")).expect("a name")
+}
+
+fn commit(n: u64, bytes: usize) -> Commit {
+    Commit::new(id(n), n, [("data", Value::Bytes(vec![n as u8; bytes]))])
+}
+
+fn median(mut times: Vec<Duration>) -> f64 {
+    times.sort_unstable();
+    times[times.len() / 2].as_secs_f64() * 1e6
+}
+
+fn say(what: &str, figure: f64, unit: &str, asked: &str) {
+    println!("{what:<62} {figure:>12.2} {unit:<10} {asked}");
+}
+
+/// A kilobyte-figure of this process's status, MB.
+fn resident_mb() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:")).unwrap_or("0");
+    line.trim().trim_end_matches(" kB").trim().parse::<f64>().unwrap_or(0.0) / 1024.0
+}
+
+/// Processor time of all threads of this process, s.
+fn processor_s() -> f64 {
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    let after = stat.rsplit(')').next().unwrap_or_default();
+    let ticks = after.split_whitespace().skip(11).take(2).filter_map(|n| n.parse::<f64>().ok());
+    ticks.sum::<f64>() / 100.0
+}
+
+/// Wall-clock and processor time since it was made.
+struct Meter {
+    start: Instant,
+    processor_s: f64,
+}
+
+impl Meter {
+    #[allow(clippy::disallowed_methods)] // Figures are of the wall clock.
+    fn start() -> Self {
+        // The clock is read last: what came before takes longer than what some meters measure.
+        Self { processor_s: processor_s(), start: Instant::now() }
+    }
+
+    fn elapsed(&self) -> Duration {
+        self.start.elapsed()
+    }
+
+    fn processor_us(&self) -> f64 {
+        (processor_s() - self.processor_s) * 1e6
+    }
+
+    /// Prints how many there were a second, and what each took of the processors. Returns the rate.
+    fn say(&self, what: &str, count: u64, asked: &str) -> f64 {
+        let rate = count as f64 / self.elapsed().as_secs_f64();
+        let each_us = self.processor_us() / count as f64;
+        println!("{what:<62} {rate:>12.0} {:<10} {each_us:>7.2} us of processors each; {asked}", "/s");
+        rate
+    }
+}
+
+fn main() {
+    let wanted: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with('-')).collect();
+    let is_wanted = |name: &str| wanted.is_empty() || wanted.iter().any(|w| name.contains(w.as_str()));
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
+    let runtime = runtime.expect("threads");
+    if is_wanted("working") {
+        working::in_process();
+        working::a_million();
+    }
+    if is_wanted("store") {
+        store::long_term();
+    }
+    if is_wanted("durable") {
+        store::durable_agent();
+    }
+    if is_wanted("shared") {
+        runtime.block_on(shared::shared());
+    }
+    if is_wanted("axes") {
+        runtime.block_on(axes::axes());
+    }
+    if is_wanted("scale") {
+        runtime.block_on(scale::scale());
+    }
+}

@@ -1,0 +1,153 @@
+//! Long-term memory, beside a bare redb file with the same rows.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use armarium_memoryx::{
+    Consolidator, Instance, Limits, LongTermMemory, Pattern, Policies, Policy, Query, Snapshot, WorkingMemory,
+};
+use armarium_values::Value;
+use redb::{Database, TableDefinition};
+
+use super::{Meter, commit, id, median, say};
+
+const BARE: TableDefinition<'_, (u64, u64), &[u8]> = TableDefinition::new("bare");
+/// Snapshots that are kept in a part.
+const KEPT: u64 = 100_000;
+
+fn snapshot(entity: u64, version: u64, bytes: usize) -> Arc<Snapshot> {
+    let instances = vec![Instance::new([("data", Value::Bytes(vec![version as u8; bytes]))])];
+    Arc::new(Snapshot {
+        id: id(entity),
+        version,
+        referenced_ns: version,
+        sent_ns: 0,
+        arrived_ns: version,
+        instances,
+    })
+}
+
+fn put_bare(bare: &Database, rows: impl Iterator<Item = (u64, u64)>) {
+    let write = bare.begin_write().expect("a transaction");
+    {
+        let mut table = write.open_table(BARE).expect("a table");
+        for row in rows {
+            table.insert(row, [7; 1000].as_slice()).expect("room");
+        }
+    }
+    write.commit().expect("a disk");
+}
+
+pub(super) fn long_term() {
+    let folder = tempfile::tempdir().expect("a folder");
+    one_by_one(folder.path());
+    for (group, entities) in [(1000, 10), (1000, 1000), (10_000, 1000)] {
+        in_groups(folder.path(), group, entities);
+    }
+    small(folder.path());
+    frames(folder.path());
+}
+
+fn one_by_one(folder: &Path) {
+    let bare = Database::create(folder.join("bare.redb")).expect("a file");
+    let store = LongTermMemory::open(&folder.join("ours.redb")).expect("a file");
+    let (mut raw, mut ours) = (Vec::new(), Vec::new());
+    // One after the other, so that both see the same disk.
+    for version in 1..=300 {
+        let start = Meter::start();
+        put_bare(&bare, [(0, version)].into_iter());
+        raw.push(start.elapsed());
+        let one = [snapshot(0, version, 1000)];
+        let start = Meter::start();
+        store.persist(&one).expect("a disk");
+        ours.push(start.elapsed());
+    }
+    let (raw, ours) = (median(raw), median(ours));
+    say("bare redb commit, 1 kB, durable, median", raw, "us", "");
+    say("durable commit of one snapshot, 1 kB, median", ours, "us", "");
+    say("  times the bare one", ours / raw, "", "asked: at most 2");
+}
+
+fn in_groups(folder: &Path, group: u64, entities: u64) {
+    let what = format!("1 kB in groups of {group}, of {entities} entities");
+    let row = |n: u64| (n % entities, n / entities + 1);
+    let groups = || (0..KEPT / group).map(|g| g * group..(g + 1) * group);
+    let bare = Database::create(folder.join(format!("bare-{group}-{entities}.redb"))).expect("a file");
+    let start = Meter::start();
+    for group in groups() {
+        put_bare(&bare, group.map(row));
+    }
+    let raw = start.say(&format!("bare redb, {what}"), KEPT, "");
+    drop(bare);
+    let store = LongTermMemory::open(&folder.join(format!("{group}-{entities}.redb"))).expect("a file");
+    let groups: Vec<Vec<_>> = groups()
+        .map(|group| group.map(row).map(|(entity, version)| snapshot(entity, version, 1000)).collect())
+        .collect();
+    let start = Meter::start();
+    for group in &groups {
+        store.persist(group).expect("a disk");
+    }
+    let ours = start.say(&format!("snapshots of {what}"), KEPT, "asked: 100 000");
+    say("  times the bare rate", ours / raw, "", "");
+    scan(&store, &format!("scan, {what}"));
+    let start = Meter::start();
+    let found = store.query(&Query::history(Pattern::entity(&id(1)))).expect("it can be read");
+    start.say(&format!("history of one entity, {what}"), found.len() as u64, "");
+}
+
+fn scan(store: &LongTermMemory, what: &str) {
+    let start = Meter::start();
+    let mut count = 0;
+    let counted = store.scan(|_| {
+        count += 1;
+        true
+    });
+    counted.expect("it can be read");
+    start.say(what, count, "asked: 1 000 000");
+}
+
+fn small(folder: &Path) {
+    let store = LongTermMemory::open(&folder.join("small.redb")).expect("a file");
+    for g in 0..50 {
+        let group: Vec<_> = (0..10_000).map(|i| snapshot(i % 100, g * 100 + i / 100 + 1, 100)).collect();
+        store.persist(&group).expect("a disk");
+    }
+    scan(&store, "scan, 100 B");
+}
+
+fn frames(folder: &Path) {
+    let store = LongTermMemory::open(&folder.join("frames.redb")).expect("a file");
+    let mut noise = 1_u64;
+    let frames: Vec<_> = (1..=90_u64)
+        .map(|version| {
+            let pixels = (0..640 * 480 * 3).map(|_| {
+                noise = noise.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                (noise >> 56) as u8
+            });
+            let instances = vec![Instance::new([("pixels", Value::Bytes(pixels.collect()))])];
+            Arc::new(Snapshot { instances, ..(*snapshot(0, version, 0)).clone() })
+        })
+        .collect();
+    let start = Meter::start();
+    for frame in frames {
+        store.persist(&[frame]).expect("a disk");
+    }
+    start.say("noisy 640x480 RGB frames, durable, one by one", 90, "asked: 30");
+}
+
+pub(super) fn durable_agent() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let store = Arc::new(LongTermMemory::open(&folder.path().join("agent.redb")).expect("a file"));
+    let kept = Consolidator::new(store, Policies::all(Policy::Everything));
+    let memory =
+        WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits::default()).with_backing(Arc::new(kept));
+    for group in [1000, 10_000] {
+        let start = Meter::start();
+        for g in 0..KEPT / group {
+            let updates = (0..group).map(|i| commit((g * group + i) % 1000, 1000));
+            memory.commit_now(updates.collect()).expect("it fits");
+        }
+        let what = format!("durable commits of {group} x 1 kB through working memory");
+        start.say(&what, KEPT, "asked: 100 000");
+    }
+}

@@ -1,0 +1,54 @@
+//! Working memory in this process.
+
+use std::sync::Arc;
+
+use armarium_memoryx::{EntityId, Limits, WorkingMemory};
+use indexmap::IndexMap;
+
+use super::{Meter, commit, id, median, resident_mb, say};
+
+/// How many entities are looked up.
+const LOOKS: u64 = 10_000;
+
+pub(super) fn in_process() {
+    let memory = WorkingMemory::new(Arc::new(|| 0));
+    let mut times = Vec::new();
+    for i in 0..20_000 {
+        let update = vec![commit(i % 100, 1000)];
+        let start = Meter::start();
+        memory.commit_now(update).expect("it fits");
+        times.push(start.elapsed());
+    }
+    say("commit in process, 1 kB, median", median(times), "us", "asked: 2");
+}
+
+fn looked_up<T>(count: u64, mut look: impl FnMut(&EntityId) -> T) -> f64 {
+    let ids: Vec<EntityId> = (0..LOOKS).map(|i| id(i * 7919 % count)).collect();
+    let start = Meter::start();
+    for id in &ids {
+        std::hint::black_box(look(id));
+    }
+    start.elapsed().as_secs_f64() * 1e6 / LOOKS as f64
+}
+
+pub(super) fn a_million() {
+    let before = resident_mb();
+    let memory =
+        WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits { entities: 1_000_000, ..Limits::default() });
+    let mut bare: IndexMap<String, Arc<u64>> = IndexMap::new();
+    let mut held = 0;
+    for count in [1000, 1_000_000] {
+        for n in held..count {
+            memory.commit_now(vec![commit(n, 200)]).expect("it fits");
+        }
+        if count == 1_000_000 {
+            say("1 000 000 entities of 200 B", resident_mb() - before, "MB", "asked: 1000");
+        }
+        bare.extend((held..count).map(|n| (id(n).as_str().to_owned(), Arc::new(n))));
+        held = count;
+        let ours = looked_up(count, |id| memory.latest_now(id).expect("it is there"));
+        let bare = looked_up(count, |id| bare.get(id.as_str()).cloned());
+        say(&format!("latest by id among {count}"), ours, "us", "asked: independent");
+        say(&format!("  a bare map's lookup among {count}"), bare, "us", "");
+    }
+}

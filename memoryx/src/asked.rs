@@ -1,0 +1,188 @@
+//! A question that was checked, put to the snapshots of one entity after the other: the one function by which every
+//! memory answers. Finds no entities; those are each memory's own.
+
+use std::cmp::Ordering;
+use std::sync::Arc;
+
+use crate::entity::{EntityId, Snapshot};
+use crate::filter::Filter;
+use crate::place::{Region, distance, place_of};
+use crate::query::{Query, Times};
+
+/// A question that was checked.
+#[derive(Clone, Debug)]
+pub struct Asked<'q> {
+    pub(crate) query: &'q Query,
+    pub(crate) filter: Option<Filter>,
+}
+
+impl Asked<'_> {
+    /// The question.
+    #[must_use]
+    pub fn query(&self) -> &Query {
+        self.query
+    }
+
+    /// Whether an entity can be in the answer.
+    #[must_use]
+    pub fn wants(&self, id: &EntityId) -> bool {
+        self.query.pattern.matches(id) && self.query.after.as_ref().is_none_or(|after| after.id <= *id)
+    }
+
+    /// Whether which snapshots it takes follows from the times alone.
+    #[must_use]
+    pub fn is_plain(&self) -> bool {
+        self.filter.is_none()
+            && self.query.region.is_none()
+            && self.query.arrived_since.is_none()
+            && self.query.after.is_none()
+    }
+
+    /// What the question takes of one wanted entity's snapshots, given and returned in order of version.
+    #[must_use]
+    pub fn select(&self, history: impl DoubleEndedIterator<Item = Arc<Snapshot>>) -> Vec<Arc<Snapshot>> {
+        let query = self.query;
+        let limit = query.limit.unwrap_or(usize::MAX);
+        let mut history = history;
+        let newest = |history: &mut dyn Iterator<Item = Arc<Snapshot>>| {
+            let mut kept: Vec<_> = history.filter(|s| self.fits(s)).take(limit).collect();
+            kept.reverse();
+            kept
+        };
+        match query.times {
+            _ if limit == 0 => Vec::new(),
+            Times::Latest => {
+                let newest = history.next_back().filter(|s| !s.is_removed() && self.fits(s));
+                newest.into_iter().collect()
+            }
+            Times::All => newest(&mut history.rev()),
+            Times::Between(from, to) => {
+                newest(&mut history.rev().filter(|s| (from..=to).contains(&s.referenced_ns)))
+            }
+            Times::Versions(from, to) => {
+                newest(&mut history.rev().filter(|s| (from..=to).contains(&s.version)))
+            }
+            Times::Index(from, to) => {
+                let held: Vec<_> = history.collect();
+                newest(&mut held.get(places(from, to, held.len())).unwrap_or_default().iter().rev().cloned())
+            }
+            Times::At(time) => self.held(history, |s| s.referenced_ns <= time),
+            Times::Before(time) => self.held(history, |s| s.referenced_ns < time),
+        }
+    }
+
+    /// [`Self::select`] of snapshots whose times were chosen before.
+    pub(crate) fn select_of(&self, chosen: Vec<Arc<Snapshot>>, times: Times) -> Vec<Arc<Snapshot>> {
+        let query = Query { times, ..self.query.clone() };
+        Asked { query: &query, filter: self.filter.clone() }.select(chosen.into_iter())
+    }
+
+    /// Whether as much was found as is asked for, so that later entities need not be looked at.
+    #[must_use]
+    pub fn is_full(&self, found: usize) -> bool {
+        !self.query.is_nearest() && self.query.most.is_some_and(|most| found >= most)
+    }
+
+    /// Makes the answer of what was taken of all entities, in order of address.
+    #[must_use]
+    pub fn finish(&self, mut found: Vec<Arc<Snapshot>>) -> Vec<Arc<Snapshot>> {
+        if let Some(Region::Nearest { to, count, .. }) = &self.query.region {
+            let far = |s: &Snapshot| place_of(s).map_or(f64::INFINITY, |(_, place)| distance(to, &place));
+            let mut placed: Vec<(f64, Arc<Snapshot>)> = found.into_iter().map(|s| (far(&s), s)).collect();
+            // Those equally far keep the order of their addresses.
+            placed.sort_by(|a, b| a.0.total_cmp(&b.0));
+            placed.truncate(*count);
+            found = placed.into_iter().map(|(_, s)| s).collect();
+        }
+        found.truncate(self.query.most.unwrap_or(usize::MAX));
+        found
+    }
+
+    fn fits(&self, snapshot: &Snapshot) -> bool {
+        let query = self.query;
+        query.arrived_since.is_none_or(|since| snapshot.arrived_ns >= since)
+            && query.after.as_ref().is_none_or(|after| {
+                (snapshot.id.cmp(&after.id)).then(snapshot.version.cmp(&after.version)) == Ordering::Greater
+            })
+            && query.region.as_ref().is_none_or(|region| region.holds(snapshot))
+            && self.filter.as_ref().is_none_or(|filter| filter.fits(snapshot))
+    }
+
+    /// The snapshot with the latest referenced time among those that count, unless it says that the entity is gone.
+    fn held(
+        &self,
+        history: impl Iterator<Item = Arc<Snapshot>>,
+        counts: impl Fn(&Snapshot) -> bool,
+    ) -> Vec<Arc<Snapshot>> {
+        let held = history.filter(|s| counts(s)).max_by_key(|s| (s.referenced_ns, s.version));
+        held.filter(|s| !s.is_removed() && self.fits(s)).into_iter().collect()
+    }
+}
+
+/// The places from one to another among `count`, negative ones counted from the end.
+pub(crate) fn places(from: i64, to: i64, count: usize) -> std::ops::Range<usize> {
+    let count = i64::try_from(count).unwrap_or(i64::MAX);
+    let place = |i: i64| if i < 0 { count.saturating_add(i) } else { i };
+    let (from, to) = (place(from).max(0), place(to).min(count - 1));
+    if from > to {
+        return 0..0;
+    }
+    let index = |i: i64| usize::try_from(i).unwrap_or(0);
+    index(from)..index(to) + 1
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+    use crate::entity::Instance;
+    use crate::query::Pattern;
+
+    /// Versions 1.. with these referenced times; a negative time says gone at that time.
+    fn history(times: &[i64]) -> Vec<Arc<Snapshot>> {
+        let snapshot = |(i, t): (usize, &i64)| {
+            Arc::new(Snapshot {
+                id: "S/p/e".parse().unwrap(),
+                version: i as u64 + 1,
+                referenced_ns: t.unsigned_abs(),
+                sent_ns: 0,
+                arrived_ns: 0,
+                instances: if *t < 0 { vec![] } else { vec![Instance::new(BTreeMap::new())] },
+            })
+        };
+        times.iter().enumerate().map(snapshot).collect()
+    }
+
+    #[test]
+    fn a_question_takes_the_versions_it_asks_for() {
+        let cases: &[(&[i64], Query, &[u64])] = &[
+            (&[10, 20, 30], Query::default(), &[3]),
+            (&[10, 20, -30], Query::default(), &[]),
+            (&[10, 20, -30], Query::default().times(Times::All), &[1, 2, 3]),
+            (&[10, 20, 30], Query::default().times(Times::All).limit(2), &[2, 3]),
+            (&[10, 20, 30], Query::default().times(Times::All).limit(0), &[]),
+            (&[10, 20, 30, 40], Query::default().times(Times::Between(20, 30)), &[2, 3]),
+            (&[10, 20, 30, 40], Query::default().times(Times::Between(10, 40)).limit(1), &[4]),
+            (&[10, 20, 30], Query::default().times(Times::At(20)), &[2]),
+            (&[10, 20, 30], Query::default().times(Times::At(9)), &[]),
+            (&[10, 20, 30], Query::default().times(Times::Before(20)), &[1]),
+            (&[10, -20, 30], Query::default().times(Times::At(25)), &[]),
+            (&[10, 30, 20], Query::default().times(Times::At(100)), &[2]),
+            (&[10, 10], Query::default().times(Times::At(10)), &[2]),
+            (&[], Query::default(), &[]),
+            (&[10, 20, 30], Query::default().times(Times::Index(0, 0)), &[1]),
+            (&[10, 20, 30], Query::default().times(Times::Index(-2, -1)), &[2, 3]),
+            (&[10, 20, 30], Query::default().times(Times::Index(1, 99)).limit(1), &[3]),
+            (&[10, 20, 30], Query::default().times(Times::Index(5, 9)), &[]),
+            (&[10, 20, 30], Query::default().times(Times::Versions(2, 9)), &[2, 3]),
+            (&[10, 20, 30], Query::history(Pattern::any()).filter("version != 2"), &[1, 3]),
+            (&[10, 20, 30], Query::history(Pattern::any()).filter("version < 3").limit(1), &[2]),
+        ];
+        for (times, query, expected) in cases {
+            let taken: Vec<u64> =
+                query.ask().unwrap().select(history(times).into_iter()).iter().map(|s| s.version).collect();
+            assert_eq!(&taken, expected, "{query:?} of {times:?}");
+        }
+    }
+}

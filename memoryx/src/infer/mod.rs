@@ -1,0 +1,231 @@
+//! Inference: processes that attach to memory, read what it holds and kept, and write what they conclude, with confidence and
+//! provenance.
+//!
+//! - [`Inference`]: what such a process is. It sees a [`Memory`], in this process or another agent's, and asks it with
+//!   `long_term` for what working memory has forgotten.
+//! - [`Attached`]: runs one whenever something that it watches has changed. [`conclude_once`]: one round.
+//! - [`SpatialRelations`], [`UsualPlaces`]: the two that ship.
+//!
+//! Conclusions live in the provider segment with the inference's name, and nobody else should write there: what is no longer
+//! concluded is removed. Every conclusion has the attributes `concluded_by` and `because`: the addresses and versions that it
+//! rests on. Other languages attach over Zenoh; `docs/wire-memory.md` has an example.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use armarium_values::Value;
+use async_trait::async_trait;
+use sha2::{Digest, Sha256};
+use tokio::sync::broadcast::error::RecvError;
+use tokio::task::JoinSet;
+
+use crate::attributes::Attributes;
+use crate::entity::{Commit, EntityId, Instance, Snapshot, check_name};
+use crate::error::MemoryError;
+use crate::memory::Memory;
+use crate::query::{Pattern, Query};
+use crate::working::Clock;
+
+mod places;
+mod relations;
+mod solid;
+
+pub use places::{USUAL_PLACES, UsualPlaces};
+pub use relations::{OBJECT_RELATIONS, SpatialRelations};
+
+/// Conclusions that are committed together.
+const TOGETHER: usize = 1000;
+/// Most pieces of evidence that are named.
+const EVIDENCE: usize = 16;
+/// A conclusion whose confidence has changed by less is not written again.
+const SAME_CONFIDENCE: f64 = 0.02;
+/// Longest name that is made of others, bytes.
+const LONGEST_NAME: usize = 160;
+
+/// A process that concludes something from memory.
+#[async_trait]
+pub trait Inference: fmt::Debug + Send + Sync {
+    /// Its name: the provider segment of its conclusions.
+    fn name(&self) -> &str;
+    /// What of memory makes it conclude anew when it changes.
+    fn watches(&self) -> Vec<Pattern>;
+    /// The shortest time between two rounds.
+    fn pause(&self) -> Duration;
+    /// All that it concludes now. `now_ns`: the memory's time.
+    ///
+    /// # Errors
+    /// As [`Memory::query`].
+    async fn conclude(&self, memory: &dyn Memory, now_ns: u64) -> Result<Vec<Conclusion>, MemoryError>;
+}
+
+/// Something that was concluded.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Conclusion {
+    /// The core segment that it belongs into.
+    pub segment: String,
+    /// The name of its entity; [`joined`] makes one of other names.
+    pub entity: String,
+    /// What is concluded.
+    pub attributes: BTreeMap<String, Value>,
+    /// Covariances of attributes, as in an [`Instance`].
+    pub covariance: BTreeMap<String, Vec<f64>>,
+    /// How far it is trusted, 0 to 1.
+    pub confidence: f64,
+    /// The time that it speaks of, ns.
+    pub referenced_ns: u64,
+    /// The entities and versions that it rests on.
+    pub because: Vec<(EntityId, u64)>,
+}
+
+/// What one round has changed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Round {
+    /// Conclusions that hold now.
+    pub concluded: u64,
+    /// Those of them that are new or have changed.
+    pub written: u64,
+    /// Those that no longer hold.
+    pub removed: u64,
+}
+
+/// An inference that runs for as long as this lives.
+#[derive(Debug)]
+pub struct Attached {
+    rounds: Arc<AtomicU64>,
+    _tasks: JoinSet<()>,
+}
+
+/// A name made of other names; one that would be too long is cut and made unmistakable by a hash.
+#[must_use]
+pub fn joined(names: &[&str]) -> String {
+    let whole = names.join("-");
+    let name: String = whole.chars().map(|c| if is_forbidden(c) { '_' } else { c }).collect();
+    if name == whole && name.len() <= LONGEST_NAME {
+        return name;
+    }
+    let hash = Sha256::digest(whole.as_bytes());
+    let mut cut = name.len().min(LONGEST_NAME);
+    while !name.is_char_boundary(cut) {
+        cut -= 1;
+    }
+    let hash: String = hash.iter().take(6).map(|byte| format!("{byte:02x}")).collect();
+    format!("{}-{hash}", &name[..cut])
+}
+
+fn is_forbidden(c: char) -> bool {
+    c.is_control() || matches!(c, '/' | '*' | '#' | '?' | '$' | '@')
+}
+
+impl Conclusion {
+    fn instance(&self, by: &str) -> Instance {
+        let evidence = |(id, version): &(EntityId, u64)| {
+            let version = Value::Int(i64::try_from(*version).unwrap_or(i64::MAX));
+            Value::record([("id", id.as_str().into()), ("version", version)])
+        };
+        let mut attributes = self.attributes.clone();
+        attributes.insert("concluded_by".into(), by.into());
+        let because = self.because.iter().take(EVIDENCE).map(evidence).collect();
+        attributes.insert("because".into(), Value::List(because));
+        Instance {
+            attributes: attributes.into(),
+            confidence: self.confidence,
+            covariance: self.covariance.clone(),
+        }
+    }
+}
+
+/// Whether two instances say the same, apart from what they rest on.
+fn say_the_same(a: &Instance, b: &Instance) -> bool {
+    let without = |attributes: &Attributes| {
+        let mut map = attributes.to_map();
+        map.remove("because");
+        map
+    };
+    (a.confidence - b.confidence).abs() < SAME_CONFIDENCE
+        && without(&a.attributes) == without(&b.attributes)
+        && a.covariance == b.covariance
+}
+
+/// Has an inference conclude once, and makes memory hold exactly what it concludes.
+///
+/// # Errors
+/// As [`Memory::query`] and [`Memory::commit`]; [`MemoryError::Name`] when a name of the inference cannot be part of an address.
+pub async fn conclude_once(
+    memory: &dyn Memory,
+    inference: &dyn Inference,
+    now_ns: u64,
+) -> Result<Round, MemoryError> {
+    let name = inference.name();
+    check_name(name)?;
+    let conclusions = inference.conclude(memory, now_ns).await?;
+    let held = memory.query(&Query::latest(Pattern::any().of_provider(name))).await?;
+    let mut held: BTreeMap<EntityId, Arc<Snapshot>> = held.into_iter().map(|s| (s.id.clone(), s)).collect();
+    let mut round = Round { concluded: conclusions.len() as u64, ..Round::default() };
+    let mut updates = Vec::new();
+    for conclusion in conclusions {
+        let id = EntityId::new(&conclusion.segment, name, &conclusion.entity)?;
+        let instance = conclusion.instance(name);
+        let known = held.remove(&id);
+        if known.as_ref().and_then(|s| s.instance()).is_some_and(|known| say_the_same(known, &instance)) {
+            continue;
+        }
+        round.written += 1;
+        let referenced_ns = conclusion.referenced_ns;
+        updates.push(Commit { id, referenced_ns, instances: vec![instance], expected_version: None });
+    }
+    round.removed = held.len() as u64;
+    updates.extend(held.into_keys().map(|id| Commit::removal(id, now_ns)));
+    while !updates.is_empty() {
+        let rest = updates.split_off(updates.len().min(TOGETHER));
+        memory.commit(std::mem::replace(&mut updates, rest)).await?;
+    }
+    Ok(round)
+}
+
+impl Attached {
+    /// Concludes now, and again when something that the inference watches has changed. `clock` is the memory's.
+    #[must_use]
+    pub fn start(memory: Arc<dyn Memory>, inference: Arc<dyn Inference>, clock: Clock) -> Self {
+        let rounds = Arc::new(AtomicU64::new(0));
+        let mut tasks = JoinSet::new();
+        tasks.spawn(run(memory, inference, clock, Arc::clone(&rounds)));
+        Self { rounds, _tasks: tasks }
+    }
+
+    /// How many rounds have ended, failed ones included.
+    #[must_use]
+    pub fn rounds(&self) -> u64 {
+        self.rounds.load(Ordering::Relaxed)
+    }
+}
+
+async fn run(memory: Arc<dyn Memory>, inference: Arc<dyn Inference>, clock: Clock, rounds: Arc<AtomicU64>) {
+    let patterns = inference.watches();
+    let watched = |s: &Snapshot| {
+        s.id.provider() != inference.name() && patterns.iter().any(|pattern| pattern.matches(&s.id))
+    };
+    loop {
+        // What changes from here on is looked at in this round or makes another.
+        let mut changes = memory.subscribe();
+        if let Err(error) = conclude_once(&*memory, &*inference, clock()).await {
+            tracing::warn!(%error, inference = inference.name(), "nothing could be concluded");
+        }
+        rounds.fetch_add(1, Ordering::Relaxed);
+        loop {
+            match changes.recv().await {
+                Ok(snapshot) if watched(&snapshot) => break,
+                Ok(_) => {}
+                Err(RecvError::Lagged(_)) => break,
+                Err(RecvError::Closed) => return,
+            }
+        }
+        drop(changes);
+        tokio::time::sleep(inference.pause()).await;
+    }
+}
+
+#[cfg(test)]
+mod tests;

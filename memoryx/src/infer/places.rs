@@ -1,0 +1,258 @@
+//! Usual places: where an object of a class is likely found, learned from what long-term memory kept of all earlier days.
+//!
+//! 1. Every sighting of an object that nobody carried counts as long as nothing else was seen of it, ten minutes at most. The
+//!    time spent in each cell of 5 cm is summed up by class, frame and day.
+//! 2. Days count alike: a day's times are divided by their sum, over all places of the class.
+//! 3. Cells are clustered by DP-means, so that a place is what lies within 30 cm; the number of places follows.
+//! 4. With `d_k` days' worth of time in place `k` of `K`, out of `D` days, the probability of the place is
+//!    `(d_k + 1/2) / (D + (K + 1)/2)`: there is always a rest for somewhere new, and one day makes nobody certain.
+//!
+//! Days are those of UTC. Today does not count yet: so what was concluded in the morning can be tested against the day.
+//!
+//! # Source
+//! DP-means: Kulis and Jordan 2012, "Revisiting k-means: new algorithms via Bayesian nonparametrics", algorithm 1. The
+//! estimate: Krichevsky and Trofimov 1981, with one outcome for what was not seen.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::time::Duration;
+
+use armarium_values::{Frame, Value, Vector};
+use async_trait::async_trait;
+use nalgebra::{Matrix3, Vector3};
+
+use super::{Conclusion, Inference, joined};
+use crate::entity::{EntityId, Snapshot};
+use crate::error::MemoryError;
+use crate::memory::{Memory, pages};
+use crate::place::place_of;
+use crate::query::{Pattern, Query};
+use crate::updater::OBJECT_INSTANCES;
+
+/// The core segment of usual places.
+pub const USUAL_PLACES: &str = "UsualPlaces";
+/// Snapshots that are read at once.
+const PIECE: usize = 4096;
+/// A day, ns.
+const DAY_NS: u64 = 86_400_000_000_000;
+/// How long a sighting counts at most, and at least, s.
+const COUNTS_S: (f64, f64) = (600.0, 1.0);
+/// The side of a cell, m.
+const CELL: f64 = 0.05;
+/// How far from its centre a place reaches, m.
+const REACH: f64 = 0.3;
+/// Most rounds of clustering; each lessens the cost, and it ends where nothing changes.
+const ROUNDS: usize = 100;
+/// Cells beyond this distance from the origin are no places, m.
+const FAR: f64 = 1e6;
+
+/// Concludes [`USUAL_PLACES`] from the history of `ObjectInstances`.
+#[derive(Clone, Debug)]
+pub struct UsualPlaces {
+    name: String,
+}
+
+impl Default for UsualPlaces {
+    fn default() -> Self {
+        Self { name: "usual_places".into() }
+    }
+}
+
+/// What was seen in a cell.
+#[derive(Clone, Debug, Default)]
+struct Cell {
+    seconds: f64,
+    /// The sum of the places, each times its seconds, m s.
+    places: Vector3<f64>,
+    sightings: u64,
+    last_ns: u64,
+}
+
+/// A cell of one day with its share of the day.
+struct Share {
+    place: Vector3<f64>,
+    weight: f64,
+    day: u64,
+    sightings: u64,
+    last_ns: u64,
+}
+
+/// The cells of a class in a frame, by day and coordinates.
+#[derive(Default)]
+struct Seen {
+    cells: BTreeMap<(u64, [i64; 3]), Cell>,
+    /// The newest versions of the entities that were seen.
+    who: BTreeMap<EntityId, u64>,
+}
+
+/// All that was seen, by class and frame.
+#[derive(Default)]
+struct Sightings(BTreeMap<(String, String), Seen>);
+
+impl Sightings {
+    /// Counts a snapshot of a day before today that held until the next one of its entity, ns.
+    fn count(&mut self, snapshot: &Snapshot, until_ns: u64, today_ns: u64) {
+        let text = |name: &str| snapshot.attribute(name).and_then(Value::as_str);
+        let carried = text("motion_model").is_some_and(|model| model != "static");
+        let (Some((frame, place)), Some(class)) = (place_of(snapshot), text("class")) else { return };
+        let is_early = snapshot.referenced_ns < today_ns;
+        if !is_early || carried || text("attached_to").is_some() || place.iter().any(|x| x.abs() > FAR) {
+            return;
+        }
+        let held_s = until_ns.saturating_sub(snapshot.referenced_ns) as f64 * 1e-9;
+        let seconds = held_s.min(COUNTS_S.0).max(COUNTS_S.1);
+        let seen = self.0.entry((class.to_owned(), frame.0.clone())).or_default();
+        let at = place.map(|x| (x / CELL).floor() as i64);
+        let cell = seen.cells.entry((snapshot.referenced_ns / DAY_NS, at)).or_default();
+        cell.seconds += seconds;
+        cell.places += Vector3::from(place) * seconds;
+        cell.sightings += 1;
+        cell.last_ns = cell.last_ns.max(snapshot.referenced_ns);
+        seen.who.insert(snapshot.id.clone(), snapshot.version);
+    }
+}
+
+impl Seen {
+    /// The cells with their shares of their days, the largest first.
+    fn shares(&self) -> Vec<Share> {
+        let mut days: BTreeMap<u64, f64> = BTreeMap::new();
+        for ((day, _), cell) in &self.cells {
+            *days.entry(*day).or_insert(0.0) += cell.seconds;
+        }
+        let share = |((day, _), cell): (&(u64, [i64; 3]), &Cell)| Share {
+            place: cell.places / cell.seconds,
+            weight: cell.seconds / days.get(day).copied().unwrap_or(cell.seconds),
+            day: *day,
+            sightings: cell.sightings,
+            last_ns: cell.last_ns,
+        };
+        let mut shares: Vec<Share> = self.cells.iter().map(share).collect();
+        shares.sort_by(|a, b| b.weight.total_cmp(&a.weight));
+        shares
+    }
+}
+
+/// The place of each share, by DP-means.
+fn clustered(shares: &[Share]) -> Vec<Vec<&Share>> {
+    let mut centres: Vec<Vector3<f64>> = Vec::new();
+    let mut of: Vec<usize> = vec![usize::MAX; shares.len()];
+    for _ in 0..ROUNDS {
+        let mut changed = false;
+        for (share, of) in shares.iter().zip(&mut of) {
+            let far = |centre: &Vector3<f64>| (centre - share.place).norm();
+            let nearest = (0..centres.len()).min_by(|a, b| far(&centres[*a]).total_cmp(&far(&centres[*b])));
+            let place = nearest.filter(|nearest| far(&centres[*nearest]) <= REACH).unwrap_or_else(|| {
+                centres.push(share.place);
+                centres.len() - 1
+            });
+            changed |= std::mem::replace(of, place) != place;
+        }
+        if !changed {
+            break;
+        }
+        let members = grouped(shares, &of, centres.len());
+        for (centre, members) in centres.iter_mut().zip(&members) {
+            if let Some(mean) = mean(members) {
+                *centre = mean;
+            }
+        }
+    }
+    grouped(shares, &of, centres.len()).into_iter().filter(|members| !members.is_empty()).collect()
+}
+
+fn grouped<'s>(shares: &'s [Share], of: &[usize], count: usize) -> Vec<Vec<&'s Share>> {
+    let mut members = vec![Vec::new(); count];
+    for (share, of) in shares.iter().zip(of) {
+        members[*of].push(share);
+    }
+    members
+}
+
+fn weight(members: &[&Share]) -> f64 {
+    members.iter().map(|share| share.weight).sum()
+}
+
+fn mean(members: &[&Share]) -> Option<Vector3<f64>> {
+    let sum: Vector3<f64> = members.iter().map(|share| share.place * share.weight).sum();
+    (!members.is_empty()).then(|| sum / weight(members))
+}
+
+/// The covariance of a place, m², rows one after the other: of the cells, and of what lies within a cell.
+fn covariance(members: &[&Share], mean: &Vector3<f64>) -> Vec<f64> {
+    let within = Matrix3::identity() * (CELL * CELL / 12.0);
+    let of = |share: &&Share| (share.place - mean) * (share.place - mean).transpose() * share.weight;
+    let rows: Matrix3<f64> = within + members.iter().map(of).sum::<Matrix3<f64>>() / weight(members);
+    rows.as_slice().to_vec()
+}
+
+impl UsualPlaces {
+    /// The conclusions about one class in one frame.
+    fn places(&self, class: &str, frame: &str, seen: &Seen) -> Vec<Conclusion> {
+        let shares = seen.shares();
+        let days = shares.iter().map(|share| share.day).collect::<BTreeSet<_>>().len();
+        let mut places = clustered(&shares);
+        places.sort_by(|a, b| weight(b).total_cmp(&weight(a)));
+        let rest = (places.len() as f64 + 1.0) / 2.0;
+        let conclusion = |(i, members): (usize, &Vec<&Share>)| {
+            let mean = mean(members)?;
+            let number = |n: u64| Value::Int(i64::try_from(n).unwrap_or(i64::MAX));
+            let own_days = members.iter().map(|share| share.day).collect::<BTreeSet<_>>().len();
+            let last_ns = members.iter().map(|share| share.last_ns).max().unwrap_or(0);
+            let attributes = [
+                ("class", class.into()),
+                ("position", Value::Vector(Vector::new(Frame(frame.to_owned()), &mean))),
+                ("days", number(own_days as u64)),
+                ("of_days", number(days as u64)),
+                ("sightings", number(members.iter().map(|share| share.sightings).sum())),
+                ("last_seen_ns", number(last_ns)),
+            ];
+            Some(Conclusion {
+                segment: USUAL_PLACES.into(),
+                entity: joined(&[class, frame, &(i + 1).to_string()]),
+                attributes: attributes.map(|(name, value)| (name.to_owned(), value)).into(),
+                covariance: BTreeMap::from([("position".to_owned(), covariance(members, &mean))]),
+                confidence: (weight(members) + 0.5) / (days as f64 + rest),
+                referenced_ns: last_ns,
+                because: seen.who.iter().map(|(id, version)| (id.clone(), *version)).collect(),
+            })
+        };
+        places.iter().enumerate().filter_map(conclusion).collect()
+    }
+}
+
+#[async_trait]
+impl Inference for UsualPlaces {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn watches(&self) -> Vec<Pattern> {
+        vec![Pattern::segment(OBJECT_INSTANCES)]
+    }
+
+    fn pause(&self) -> Duration {
+        Duration::from_secs(600)
+    }
+
+    async fn conclude(&self, memory: &dyn Memory, now_ns: u64) -> Result<Vec<Conclusion>, MemoryError> {
+        let today_ns = now_ns / DAY_NS * DAY_NS;
+        let mut sightings = Sightings::default();
+        let mut last: Option<Arc<Snapshot>> = None;
+        // The history of one entity after the other, each in order of version.
+        let mut pieces = pages(Query::history(Pattern::segment(OBJECT_INSTANCES)).with_long_term(), PIECE);
+        while let Some(piece) = pieces.next(memory).await? {
+            for next in piece {
+                if let Some(last) = &last {
+                    let until_ns = if last.id == next.id { next.referenced_ns } else { u64::MAX };
+                    sightings.count(last, until_ns.min(today_ns), today_ns);
+                }
+                last = Some(next);
+            }
+        }
+        if let Some(last) = &last {
+            sightings.count(last, today_ns, today_ns);
+        }
+        let found = sightings.0.iter().map(|((class, frame), seen)| self.places(class, frame, seen));
+        Ok(found.flatten().collect())
+    }
+}

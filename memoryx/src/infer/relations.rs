@@ -1,0 +1,200 @@
+//! Spatial relations: which thing is on, in, near or left of which other, from where they are and how large they are.
+//!
+//! Each relation is a few conditions on differences of coordinates. With normally distributed places each condition has a
+//! probability; their product, times the lower confidence of the two things, is the relation's confidence. Relations below
+//! one half are not concluded. Things are taken as boxes along the axes of their frame, which is the robot's root (x to its
+//! right, y forward, z up) or one like it; things in different frames are not compared.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use armarium_values::Value;
+use async_trait::async_trait;
+
+use super::solid::{Solid, between};
+use super::{Conclusion, Inference, joined};
+use crate::entity::Snapshot;
+use crate::error::MemoryError;
+use crate::memory::Memory;
+use crate::prior::OBJECT_CLASSES;
+use crate::query::Pattern;
+use crate::updater::OBJECT_INSTANCES;
+
+/// The core segment of relations.
+pub const OBJECT_RELATIONS: &str = "ObjectRelations";
+/// The core segment of tables, walls and other places.
+const ENVIRONMENT: &str = "EnvironmentModels";
+const X: usize = 0;
+const Y: usize = 1;
+const Z: usize = 2;
+
+/// Concludes `ObjectRelations` from `ObjectInstances` and `EnvironmentModels`.
+#[derive(Clone, Debug)]
+pub struct SpatialRelations {
+    name: String,
+    /// Largest gap between a thing and what it stands on, m.
+    pub touching: f64,
+    /// Largest gap between things that are near each other, m.
+    pub near: f64,
+    /// Largest gap between a thing and what it is left of, m.
+    pub beside: f64,
+    /// Least confidence that is concluded.
+    pub least: f64,
+}
+
+impl Default for SpatialRelations {
+    fn default() -> Self {
+        Self { name: "spatial_relations".into(), touching: 0.02, near: 0.15, beside: 0.5, least: 0.5 }
+    }
+}
+
+impl SpatialRelations {
+    /// With a name of its own, for several of them in one memory.
+    #[must_use]
+    pub fn named(name: &str) -> Self {
+        Self { name: name.into(), ..Self::default() }
+    }
+
+    /// All relations among things. Only those are compared whose boxes come within reach of each other along x.
+    fn relations(&self, mut solids: Vec<Solid>) -> Vec<Conclusion> {
+        solids.sort_by(|a, b| a.least(X).total_cmp(&b.least(X)).then_with(|| a.id.cmp(&b.id)));
+        let unsure = 6.0 * solids.iter().map(|s| s.variance[X]).fold(0.0, f64::max).sqrt();
+        let reach = self.beside.max(self.near) + 2.0 * unsure;
+        let mut found = Vec::new();
+        for (i, a) in solids.iter().enumerate() {
+            for b in solids[i + 1..].iter().take_while(|b| b.least(X) <= a.most(X) + reach) {
+                // One thing that two providers tell of stands in no relation to itself.
+                if a.frame == b.frame && (a.class != b.class || a.id.entity() != b.id.entity()) {
+                    found.extend(self.of_two(a, b));
+                }
+            }
+        }
+        found
+    }
+
+    /// The relations of two things. That they are near each other is said once, and not of what is in or on the other.
+    fn of_two(&self, a: &Solid, b: &Solid) -> Vec<Conclusion> {
+        let mut found = Vec::new();
+        for (a, b) in [(a, b), (b, a)] {
+            let inside = probability_in(a, b);
+            found.extend(self.conclusion(a, b, "in", inside));
+            found.extend(self.conclusion(a, b, "on", (1.0 - inside) * self.probability_on(a, b)));
+        }
+        if found.is_empty() {
+            let (first, second) = if a.id < b.id { (a, b) } else { (b, a) };
+            found.extend(self.conclusion(first, second, "near", self.probability_near(a, b)));
+        }
+        found.extend(self.conclusion(a, b, "left_of", self.probability_left(a, b)));
+        found.extend(self.conclusion(b, a, "left_of", self.probability_left(b, a)));
+        found
+    }
+
+    /// The underside of `a` is at the top of `b`, and the centre of `a` is over `b`.
+    fn probability_on(&self, a: &Solid, b: &Solid) -> f64 {
+        if a.half.is_none() || b.half.is_none() {
+            return 0.0;
+        }
+        let gap = between(a.least(Z) - b.most(Z), a.sigma(b, Z), -self.touching, self.touching);
+        gap * over(a, b, X) * over(a, b, Y)
+    }
+
+    /// The gap between the two is small along every axis.
+    fn probability_near(&self, a: &Solid, b: &Solid) -> f64 {
+        (0..3)
+            .map(|axis| {
+                let reach = self.near + halves(a, b, axis);
+                between(a.centre[axis] - b.centre[axis], a.sigma(b, axis), -reach, reach)
+            })
+            .product()
+    }
+
+    /// All of `a` is to the left of all of `b`, not far away, and beside it rather than behind or above it.
+    fn probability_left(&self, a: &Solid, b: &Solid) -> f64 {
+        let gap = between(b.least(X) - a.most(X), a.sigma(b, X), 0.0, self.beside);
+        let beside = |axis: usize| {
+            let reach = halves(a, b, axis).max(self.touching);
+            between(a.centre[axis] - b.centre[axis], a.sigma(b, axis), -reach, reach)
+        };
+        gap * beside(Y) * beside(Z)
+    }
+
+    /// That `a` stands in a relation to `b`, when it is sure enough.
+    fn conclusion(&self, a: &Solid, b: &Solid, relation: &str, probability: f64) -> Option<Conclusion> {
+        let confidence = (probability * a.confidence.min(b.confidence)).clamp(0.0, 1.0);
+        if confidence < self.least {
+            return None;
+        }
+        let name = |s: &Solid| joined(&[s.id.provider(), s.id.entity()]);
+        let attributes = [
+            ("subject".to_owned(), Value::from(a.id.as_str())),
+            ("relation".to_owned(), relation.into()),
+            ("object".to_owned(), b.id.as_str().into()),
+        ];
+        Some(Conclusion {
+            segment: OBJECT_RELATIONS.into(),
+            entity: joined(&[&name(a), relation, &name(b)]),
+            attributes: attributes.into(),
+            covariance: BTreeMap::new(),
+            confidence,
+            referenced_ns: a.referenced_ns.max(b.referenced_ns),
+            because: vec![(a.id.clone(), a.version), (b.id.clone(), b.version)],
+        })
+    }
+}
+
+/// The centre of `a` is within the extent of `b` along an axis.
+fn over(a: &Solid, b: &Solid, axis: usize) -> f64 {
+    between(a.centre[axis], a.sigma(b, axis), b.least(axis), b.most(axis))
+}
+
+/// Half of both extents together.
+fn halves(a: &Solid, b: &Solid, axis: usize) -> f64 {
+    a.half.map_or(0.0, |half| half[axis]) + b.half.map_or(0.0, |half| half[axis])
+}
+
+/// The centre of `a` is within `b`, and `a` is the smaller.
+fn probability_in(a: &Solid, b: &Solid) -> f64 {
+    if a.half.is_none() || b.half.is_none() || a.volume() >= b.volume() {
+        return 0.0;
+    }
+    (0..3).map(|axis| over(a, b, axis)).product()
+}
+
+/// The extent that a snapshot says, or else its class.
+fn size_of(snapshot: &Snapshot, classes: &BTreeMap<String, [f64; 3]>) -> Option<[f64; 3]> {
+    let own = snapshot.attribute("size").and_then(Value::as_vector3);
+    let size = own.or_else(|| classes.get(snapshot.attribute("class")?.as_str()?).copied());
+    size.filter(|size| size.iter().all(|x| x.is_finite()))
+}
+
+#[async_trait]
+impl Inference for SpatialRelations {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn watches(&self) -> Vec<Pattern> {
+        vec![
+            Pattern::segment(OBJECT_INSTANCES),
+            Pattern::segment(ENVIRONMENT),
+            Pattern::segment(OBJECT_CLASSES),
+        ]
+    }
+
+    fn pause(&self) -> Duration {
+        Duration::from_millis(200)
+    }
+
+    async fn conclude(&self, memory: &dyn Memory, _now_ns: u64) -> Result<Vec<Conclusion>, MemoryError> {
+        let classes = memory.segment(OBJECT_CLASSES).await?;
+        let size = |s: &Snapshot| s.attribute("size").and_then(Value::as_vector3);
+        let classes: BTreeMap<String, [f64; 3]> =
+            classes.iter().filter_map(|s| Some((s.id.entity().to_owned(), size(s)?))).collect();
+        let mut solids = Vec::new();
+        for segment in [OBJECT_INSTANCES, ENVIRONMENT] {
+            let held = memory.segment(segment).await?;
+            solids.extend(held.iter().filter_map(|s| Solid::new(s, size_of(s, &classes))));
+        }
+        Ok(self.relations(solids))
+    }
+}

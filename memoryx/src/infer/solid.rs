@@ -1,0 +1,120 @@
+//! Things as boxes along the axes of their frame, with how sure their places are, and how probable it is that something
+//! about two of them holds. Knows nothing of relations.
+
+use armarium_values::{Frame, Value};
+
+use crate::entity::{EntityId, Snapshot};
+use crate::place::place_of;
+
+/// The standard deviation of a place that says nothing of its own, and the least of any, m.
+const LEAST_SIGMA: f64 = 0.005;
+
+/// A thing.
+#[derive(Clone, Debug)]
+pub(super) struct Solid {
+    pub(super) id: EntityId,
+    pub(super) version: u64,
+    pub(super) referenced_ns: u64,
+    pub(super) class: String,
+    pub(super) frame: Frame,
+    /// Centre, m.
+    pub(super) centre: [f64; 3],
+    /// Half of the extent along the frame's axes, m; none where the size is not known.
+    pub(super) half: Option<[f64; 3]>,
+    /// Variance of the centre along each axis, m².
+    pub(super) variance: [f64; 3],
+    pub(super) confidence: f64,
+}
+
+impl Solid {
+    /// The thing that a snapshot describes; `size`: its extent along its own axes, m. `None` when it has no place.
+    pub(super) fn new(snapshot: &Snapshot, size: Option<[f64; 3]>) -> Option<Self> {
+        let (frame, centre) = place_of(snapshot)?;
+        let instance = snapshot.instance()?;
+        Some(Self {
+            id: snapshot.id.clone(),
+            version: snapshot.version,
+            referenced_ns: snapshot.referenced_ns,
+            class: snapshot.attribute("class").and_then(Value::as_str).unwrap_or_default().to_owned(),
+            frame: frame.clone(),
+            centre,
+            half: size.map(|size| half_of(snapshot, size)),
+            variance: variance_of(snapshot),
+            confidence: instance.confidence,
+        })
+    }
+
+    pub(super) fn least(&self, axis: usize) -> f64 {
+        self.centre[axis] - self.half.map_or(0.0, |half| half[axis])
+    }
+
+    pub(super) fn most(&self, axis: usize) -> f64 {
+        self.centre[axis] + self.half.map_or(0.0, |half| half[axis])
+    }
+
+    pub(super) fn volume(&self) -> f64 {
+        self.half.map_or(0.0, |half| half.iter().map(|h| 2.0 * h).product())
+    }
+
+    /// The standard deviation of the difference of two places along an axis, m.
+    pub(super) fn sigma(&self, other: &Self, axis: usize) -> f64 {
+        (self.variance[axis] + other.variance[axis]).sqrt()
+    }
+}
+
+/// Half of the box along the frame's axes that encloses the turned one.
+fn half_of(snapshot: &Snapshot, size: [f64; 3]) -> [f64; 3] {
+    let half = size.map(|length| length.abs() / 2.0);
+    let Some(Value::Pose(pose)) = snapshot.attribute("pose") else { return half };
+    let turned = pose.isometry().rotation.to_rotation_matrix();
+    std::array::from_fn(|i| (0..3).map(|j| turned[(i, j)].abs() * half[j]).sum())
+}
+
+fn variance_of(snapshot: &Snapshot) -> [f64; 3] {
+    let least = LEAST_SIGMA * LEAST_SIGMA;
+    let rows = snapshot.instance().and_then(|instance| {
+        let of = if instance.attributes.get("pose").is_some() { "pose" } else { "position" };
+        instance.covariance.get(of)
+    });
+    let columns = rows.map_or(0, |rows| if rows.len() == 36 { 6 } else { 3 });
+    let at = |axis: usize| rows.and_then(|rows| rows.get(axis * (columns + 1))).copied().unwrap_or(0.0);
+    std::array::from_fn(|axis| at(axis).max(least))
+}
+
+/// The probability that a normally distributed number with mean `mean` is between two others.
+pub(super) fn between(mean: f64, sigma: f64, low: f64, high: f64) -> f64 {
+    (below((high - mean) / sigma) - below((low - mean) / sigma)).max(0.0)
+}
+
+/// The standard normal distribution function.
+///
+/// # Source
+/// Abramowitz and Stegun 1964, 7.1.26 for the error function: exact to 1.5e-7.
+fn below(x: f64) -> f64 {
+    let z = x.abs() / std::f64::consts::SQRT_2;
+    let t = 1.0 / (1.0 + 0.327_591_1 * z);
+    let polynomial = [1.061_405_429, -1.453_152_027, 1.421_413_741, -0.284_496_736, 0.254_829_592]
+        .into_iter()
+        .fold(0.0, |sum, factor| (sum + factor) * t);
+    let tail = 0.5 * polynomial * (-z * z).exp();
+    if x < 0.0 { tail } else { 1.0 - tail }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_normal_distribution_is_that_of_the_tables() {
+        for (x, expected) in [
+            (0.0, 0.5),
+            (1.0, 0.841_344_746),
+            (-1.0, 0.158_655_254),
+            (1.96, 0.975_002_105),
+            (-3.0, 0.001_349_898),
+        ] {
+            assert!((below(x) - expected).abs() < 2e-7, "{x}");
+        }
+        assert!((between(0.0, 2.0, -2.0, 2.0) - 0.682_689_492).abs() < 4e-7);
+    }
+}

@@ -1,0 +1,211 @@
+//! The link to another agent's memory: the questions that can be asked, and the changes as they come, gaps and all, until
+//! they are put in order.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use armarium_bus::session::{Answer, Roll};
+use armarium_bus::{Key, Session, Subscription};
+use async_trait::async_trait;
+use tokio::sync::{Notify, broadcast};
+
+use super::stream::Stream;
+use crate::entity::{Commit, EntityId, Snapshot};
+use crate::error::MemoryError;
+use crate::follow::{Change, Follower};
+use crate::memory::Memory;
+use crate::query::{Cursor, Pattern, Query};
+use crate::server::unreachable_memory;
+use crate::wire::{self, Changes, CommitRequest, Snapshots, Versions};
+
+/// How often a memory that does not answer is asked when connecting.
+const TRIES: u32 = 5;
+/// How long to wait before a memory that did not answer is asked again for what was missed.
+const RETRY: Duration = Duration::from_millis(500);
+/// Changes that wait to be put in order before more messages are opened.
+const BEHIND: usize = 8192;
+/// Changes that are put in order at once.
+const TOGETHER: usize = 1024;
+
+/// The questions that can be asked, and the changes as they come, gaps and all.
+#[derive(Debug)]
+pub(super) struct Link {
+    pub(super) session: Session,
+    pub(super) agent: String,
+    /// The key that is asked.
+    pub(super) questions: Key,
+    pub(super) raw: broadcast::Sender<Arc<Snapshot>>,
+    pub(super) stream: Mutex<Stream>,
+    /// Something was lost, or may have been.
+    pub(super) lost: Notify,
+    /// The follower has taken something out of `raw`.
+    pub(super) taken: Notify,
+}
+
+impl Link {
+    pub(super) async fn first_answer(self: &Arc<Self>) -> Result<Follower, MemoryError> {
+        let mut tries = 0;
+        loop {
+            tries += 1;
+            let shared: Arc<dyn Memory> = Arc::<Self>::clone(self);
+            match Follower::from_now(shared, Pattern::any()).await {
+                Ok((follower, _)) => return Ok(follower),
+                Err(error) if tries == TRIES => return Err(error),
+                Err(_) => tokio::time::sleep(Duration::from_millis(100)).await,
+            }
+        }
+    }
+
+    pub(super) async fn hear(self: Arc<Self>, mut messages: Subscription) {
+        let mut dropped = 0;
+        while let Some(message) = messages.next().await {
+            match wire::open::<Changes>(&message.encoding, &message.payload) {
+                Ok(changes) => {
+                    // What waits longer waits in the queue of messages, which counts what it drops.
+                    while self.raw.len() > BEHIND {
+                        self.taken.notified().await;
+                    }
+                    let is_missing = self.stream().hear(&changes);
+                    for snapshot in changes.snapshots {
+                        // Nobody listening is no error.
+                        let _ = self.raw.send(snapshot);
+                    }
+                    if is_missing {
+                        self.lost.notify_one();
+                    }
+                }
+                Err(error) => {
+                    let sender = message.sender.as_deref().unwrap_or("unknown");
+                    tracing::warn!(%error, key = message.key, sender, "changes were not understood");
+                }
+            }
+            if messages.dropped() > dropped {
+                dropped = messages.dropped();
+                self.lose();
+            }
+        }
+    }
+
+    /// Something may have been lost: what was whole until now has to be looked at again.
+    pub(super) fn lose(&self) {
+        self.stream().lose();
+        self.lost.notify_one();
+    }
+
+    pub(super) fn stream(&self) -> MutexGuard<'_, Stream> {
+        self.stream.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Reads what was lost. What is lost meanwhile is read by the next call.
+    async fn catch_up(&self, follower: &mut Follower) -> Result<(), MemoryError> {
+        let (since, gaps) = self.stream().open_gap();
+        follower.read_since(since).await?;
+        self.stream().close_gap(gaps);
+        Ok(())
+    }
+
+    pub(super) async fn watch(self: Arc<Self>, mut roll: Roll) {
+        while let Some(service) = roll.next().await {
+            if service.alive {
+                self.lose();
+            }
+        }
+    }
+
+    pub(super) async fn tell(
+        self: Arc<Self>,
+        mut follower: Follower,
+        changes: broadcast::Sender<Arc<Snapshot>>,
+    ) {
+        loop {
+            let told = tokio::select! {
+                biased;
+                () = self.lost.notified() => self.catch_up(&mut follower).await.map(|()| Vec::new()),
+                some = follower.some(TOGETHER) => match some {
+                    Ok(some) if some.is_empty() => return,
+                    some => some,
+                },
+            };
+            self.taken.notify_one();
+            match told {
+                Ok(some) => some.into_iter().for_each(|change| self.pass_on(change, &changes)),
+                Err(error) => {
+                    tracing::warn!(%error, "what was missed could not be asked for");
+                    // The memory is away; it is asked again when it is back, and now and then.
+                    tokio::time::sleep(RETRY).await;
+                    self.lost.notify_one();
+                }
+            }
+        }
+    }
+
+    fn pass_on(&self, change: Change, changes: &broadcast::Sender<Arc<Snapshot>>) {
+        match change {
+            Change::New(snapshot) => {
+                let _ = changes.send(snapshot);
+            }
+            Change::Missed { id, from, to } => {
+                tracing::warn!(%id, from, to, agent = self.agent, "the memory no longer has these versions");
+            }
+        }
+    }
+
+    pub(super) async fn ask(
+        &self,
+        encoding: &str,
+        payload: Vec<u8>,
+    ) -> Result<(String, Vec<u8>), MemoryError> {
+        let answer = self.session.ask_one(&self.questions, "", Some((encoding, payload))).await;
+        match answer.map_err(|error| self.failed(&error.to_string()))? {
+            Answer::Message(message) => Ok((message.encoding, message.payload)),
+            Answer::Refusal { encoding, payload } => Err(wire::open::<MemoryError>(&encoding, &payload)
+                .unwrap_or_else(|_| self.failed(&String::from_utf8_lossy(&payload)))),
+        }
+    }
+
+    pub(super) fn failed(&self, what: &str) -> MemoryError {
+        unreachable_memory(&self.agent, what)
+    }
+}
+
+#[async_trait]
+impl Memory for Link {
+    async fn commit(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError> {
+        let request = CommitRequest { updates, sent_ns: self.session.now_ns() };
+        let (encoding, payload) = wire::seal(&request).map_err(|e| self.failed(&e.to_string()))?;
+        let (encoding, payload) = self.ask(&encoding, payload).await?;
+        let Versions(versions) = wire::open(&encoding, &payload).map_err(|e| self.failed(&e.to_string()))?;
+        Ok(versions)
+    }
+
+    async fn latest(&self, id: &EntityId) -> Result<Arc<Snapshot>, MemoryError> {
+        let found = self.query(&Query::latest(Pattern::entity(id))).await?.pop();
+        found.ok_or_else(|| MemoryError::NotFound { id: id.to_string() })
+    }
+
+    async fn segment(&self, segment: &str) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
+        self.query(&Query::latest(Pattern::segment(segment))).await
+    }
+
+    async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
+        let mut query = query.clone();
+        let mut all = Vec::new();
+        loop {
+            let (encoding, payload) = wire::seal(&query).map_err(|e| self.failed(&e.to_string()))?;
+            let (encoding, payload) = self.ask(&encoding, payload).await?;
+            let found: Snapshots =
+                wire::open(&encoding, &payload).map_err(|e| self.failed(&e.to_string()))?;
+            if let Some(most) = &mut query.most {
+                *most = most.saturating_sub(found.snapshots.len());
+            }
+            all.extend(found.snapshots);
+            let last = all.last().filter(|_| found.more);
+            let Some(last) = last.filter(|_| query.most != Some(0)) else { return Ok(all) };
+            query.after = Some(Cursor { id: last.id.clone(), version: last.version });
+        }
+    }
+
+    fn subscribe(&self) -> broadcast::Receiver<Arc<Snapshot>> {
+        self.raw.subscribe()
+    }
+}

@@ -1,0 +1,95 @@
+//! The memory of another agent over real sessions on this machine.
+
+use std::collections::BTreeMap;
+
+use armarium_bus::{Answer, SessionConfig};
+use armarium_values::Value;
+
+use super::*;
+use crate::conformance;
+use crate::server::MemoryServer;
+use crate::wire::Changes;
+use crate::working::{Limits, WorkingMemory};
+
+struct Pair {
+    memory: Arc<WorkingMemory>,
+    remote: RemoteMemory,
+    near: Session,
+    far: Session,
+    _server: MemoryServer,
+}
+
+async fn pair() -> Pair {
+    let memory = WorkingMemory::new(Arc::new(|| 0));
+    let memory = Arc::new(memory.with_limits(Limits { history: 64, ..Limits::default() }));
+    let far = Session::open(&SessionConfig::default()).await.unwrap();
+    let server = MemoryServer::start(&far, "alice", Arc::clone(&memory)).await.unwrap();
+    let near = Session::open(&SessionConfig::connected_to(&far.endpoints().await)).await.unwrap();
+    let remote = RemoteMemory::connect(&near, "alice").await.unwrap();
+    Pair { memory, remote, near, far, _server: server }
+}
+
+fn commit(name: &str, value: i64) -> Commit {
+    let id = EntityId::new("Things", "p", name).unwrap();
+    Commit::new(id, 1, BTreeMap::from([("value".to_owned(), Value::Int(value))]))
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn it_conforms() {
+    let pair = pair().await;
+    conformance::check(&pair.remote).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn updates_that_are_put_and_gets_by_key_work_without_this_program() {
+    let pair = pair().await;
+    let mut changes = pair.remote.subscribe();
+    let key = keys::memory("alice", "Things", "p", "a").unwrap();
+    let (encoding, payload) = wire::seal(&commit("a", 7)).unwrap();
+    let update = commit("a", 7);
+    pair.near.put_waiting(&key, "application/cbor;memoryx/update;v9", payload.clone()).await.unwrap();
+    pair.near.put_waiting(&key, &encoding, vec![0xff; 10]).await.unwrap();
+    pair.near.put_waiting(&key, &encoding, payload).await.unwrap();
+    let heard = changes.recv().await.unwrap();
+    assert_eq!((heard.version, &heard.instances), (1, &update.instances), "the bad ones changed nothing");
+    assert!(heard.sent_ns > 0);
+
+    let every = wire::every_entity("alice").unwrap();
+    let answers =
+        pair.near.ask(every, "history", None, 10, armarium_bus::session::ANSWER_TIMEOUT).await.unwrap();
+    let [Answer::Message(message)] = &answers[..] else { panic!("one answer, not {answers:?}") };
+    assert_eq!(message.key, "alice/memory/Things/p/a");
+    assert_eq!(wire::open::<Snapshot>(&message.encoding, &message.payload).unwrap(), *heard);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_was_missed_is_asked_for() {
+    let pair = pair().await;
+    let mut changes = pair.remote.subscribe();
+    for i in 0..5 {
+        pair.memory.commit_now(vec![commit("a", i)]).unwrap();
+    }
+    // Somebody who repeats old news, or tells nonsense, changes nothing.
+    let known = pair.memory.latest_now(&commit("a", 0).id).unwrap();
+    let (encoding, payload) = wire::seal(&Changes { epoch: 7, first: 9, snapshots: vec![known] }).unwrap();
+    let key = keys::memory_changes("alice").unwrap();
+    pair.far.put_waiting(&key, &encoding, payload.clone()).await.unwrap();
+    pair.far.put_waiting(&key, &encoding, vec![0xff; 9]).await.unwrap();
+    pair.remote.link.lose();
+    pair.memory.commit_now(vec![commit("end", 0)]).unwrap();
+    let mut heard = Vec::new();
+    while heard.last().is_none_or(|(name, _)| name != "end") {
+        let snapshot = changes.recv().await.unwrap();
+        heard.push((snapshot.id.entity().to_owned(), snapshot.version));
+    }
+    let expected: Vec<_> = (1..=5).map(|v| ("a".to_owned(), v)).chain([("end".to_owned(), 1)]).collect();
+    assert_eq!(heard, expected);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_memory_that_is_not_there_is_an_error() {
+    let session = Session::open(&SessionConfig::default()).await.unwrap();
+    let error = RemoteMemory::connect(&session, "nobody").await.unwrap_err();
+    assert!(matches!(error, MemoryError::Remote { .. }), "{error}");
+    assert!(matches!(RemoteMemory::connect(&session, "no/body").await, Err(MemoryError::Name { .. })));
+}

@@ -1,0 +1,218 @@
+//! Cameras in another process than the world: the world sends what there is to see, and the cameras draw it.
+//!
+//! A [`Scenery`] is the world's side, [`DistantCameras`] the cameras'. Both are made of the same world and seed; the images
+//! are the same, bit for bit, as if the cameras were in the world's process. The referee looks for itself.
+
+use std::sync::Arc;
+
+use armarium_robot::Model;
+use armarium_visionx::{StereoCalibration, StereoFrame};
+use nalgebra::Isometry3;
+use serde::{Deserialize, Serialize};
+
+use super::{Eyes, View};
+use crate::coach::{CoachState, HandShown};
+use crate::simulation::SimulationError;
+use crate::table::{DirtGrid, TableTop};
+use crate::world::{Gesture, World};
+
+/// What there is to see at a frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Scenery {
+    /// Which world it is of: its name and the run's seed.
+    pub world: (String, u64),
+    /// Counts the frames that were due, drawn or not.
+    pub frame: u64,
+    /// When, ns.
+    pub stamp_ns: u64,
+    /// Joint positions as they are, rad (m), in the model's order.
+    pub true_position: Vec<f64>,
+    /// The same as the robot senses them.
+    pub sensed_position: Vec<f64>,
+    /// Poses of the objects, in the world's order, root frame.
+    pub objects: Vec<Isometry3<f64>>,
+    /// Pose of the coach's tool while it is shown.
+    pub tool: Option<Isometry3<f64>>,
+    /// Pose and gesture of the coach's hand while it is shown.
+    pub hand: Option<(Isometry3<f64>, Gesture)>,
+    /// The table's cells that have been wiped.
+    pub wiped: Vec<u32>,
+}
+
+/// Who takes what there is to see; it must not wait.
+pub trait ScenerySink: Send {
+    /// Whether a frame is wanted now.
+    fn is_wanted(&self) -> bool;
+    /// Takes what there is to see.
+    fn show(&mut self, scenery: Scenery);
+}
+
+/// Why a scenery cannot be drawn.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SceneryError {
+    /// It is of another world, or of another seed.
+    #[error(
+        "what there is to see is of the world `{name}` with seed {seed}; the cameras have `{own_name}` with seed {own_seed}"
+    )]
+    World {
+        /// The world that is shown.
+        name: String,
+        /// Its seed.
+        seed: u64,
+        /// The cameras' world.
+        own_name: String,
+        /// Its seed.
+        own_seed: u64,
+    },
+    /// It has not the joints of the robot or the objects of the world, or numbers that are none.
+    #[error("what there is to see does not fit the robot and the world's objects")]
+    Shape,
+}
+
+/// The cameras of a world that is in another process.
+pub struct DistantCameras {
+    eyes: Eyes,
+    world: (String, u64),
+    joints: usize,
+    objects: usize,
+    wiped: DirtGrid,
+}
+
+impl Scenery {
+    pub(crate) fn of(view: &View<'_>, world: &(String, u64), frame: u64) -> Self {
+        let wiped = view.wiped.cells().iter().zip(0u32..).filter(|(wiped, _)| **wiped);
+        Self {
+            world: world.clone(),
+            frame,
+            stamp_ns: view.stamp_ns,
+            true_position: view.true_position.to_vec(),
+            sensed_position: view.sensed_position.to_vec(),
+            objects: view.objects.to_vec(),
+            tool: view.coach.tool,
+            hand: view.coach.hand.map(|hand| (hand.root_from_hand, hand.gesture)),
+            wiped: wiped.map(|(_, cell)| cell).collect(),
+        }
+    }
+}
+
+impl DistantCameras {
+    /// The cameras of a world.
+    ///
+    /// # Errors
+    /// [`SimulationError::Camera`] when the robot has none.
+    pub fn new(world: &World, seed: u64) -> Result<Self, SimulationError> {
+        let model = Arc::new(Model::armar3());
+        let table = TableTop::new(&world.table);
+        let eyes = Eyes::new(&model, world, &table, seed).ok_or(SimulationError::Camera)?;
+        Ok(Self {
+            eyes,
+            world: (world.name.clone(), seed),
+            joints: model.joints().len(),
+            objects: world.objects.len(),
+            wiped: DirtGrid::new(&table),
+        })
+    }
+
+    /// The name of what they give.
+    #[must_use]
+    pub fn name() -> &'static str {
+        super::SimulatedCameras::NAME
+    }
+
+    /// Intrinsics and extrinsics.
+    #[must_use]
+    pub fn calibration(&self) -> StereoCalibration {
+        self.eyes.source.calibration
+    }
+
+    /// Draws what there is to see, with the sensors' noise and faults.
+    ///
+    /// # Errors
+    /// [`SceneryError`] when it is not of these cameras' world.
+    pub fn draw(&mut self, scenery: &Scenery) -> Result<StereoFrame, SceneryError> {
+        if scenery.world != self.world {
+            let ((name, seed), (own_name, own_seed)) = (scenery.world.clone(), self.world.clone());
+            return Err(SceneryError::World { name, seed, own_name, own_seed });
+        }
+        let positions = [&scenery.true_position, &scenery.sensed_position];
+        let joints = positions.iter().all(|q| q.len() == self.joints && q.iter().all(|v| v.is_finite()));
+        let poses =
+            scenery.objects.iter().chain(&scenery.tool).chain(scenery.hand.iter().map(|(pose, _)| pose));
+        let finite = poses.copied().all(|pose| pose.to_homogeneous().iter().all(|v| v.is_finite()));
+        if !joints || !finite || scenery.objects.len() != self.objects {
+            return Err(SceneryError::Shape);
+        }
+        self.wiped.mark_cells(&scenery.wiped);
+        let hand = scenery.hand.map(|(root_from_hand, gesture)| HandShown {
+            root_from_hand,
+            gesture,
+            shown_s: 0.0,
+            in_place: false,
+        });
+        let coach = CoachState { tool: scenery.tool, hand, ..CoachState::default() };
+        self.eyes.next_frame = scenery.frame;
+        let (drawn, _) = self.eyes.paint(&View {
+            stamp_ns: scenery.stamp_ns,
+            true_position: &scenery.true_position,
+            sensed_position: &scenery.sensed_position,
+            objects: &scenery.objects,
+            coach: &coach,
+            without_hand_s: 0.0,
+            wiped: &self.wiped,
+        });
+        Ok(self.eyes.sensed(scenery.stamp_ns, drawn))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Mutex;
+
+    use super::*;
+    use crate::simulation::{Options, Simulation};
+
+    struct Kept(Arc<Mutex<Vec<Scenery>>>);
+
+    impl ScenerySink for Kept {
+        fn is_wanted(&self) -> bool {
+            true
+        }
+
+        fn show(&mut self, scenery: Scenery) {
+            self.0.lock().unwrap().push(scenery);
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn distant_cameras_see_what_near_ones_see_to_the_last_bit() {
+        let world = World::default();
+        let kept = Arc::new(Mutex::new(Vec::new()));
+        let options = Options { scenery: Some(Box::new(Kept(Arc::clone(&kept)))), ..Options::default() };
+        let mut distant = Simulation::new(&world, 5, options).unwrap();
+        (0..300).for_each(|_| distant.step());
+        let shown = kept.lock().unwrap().pop().unwrap();
+
+        let near = Simulation::new(&world, 5, Options::default()).unwrap();
+        let (images, handle) = (near.images(), near.handle());
+        let running = tokio::spawn(near.run());
+        let seen = loop {
+            let frame = images.next().await.unwrap();
+            if frame.stamp_ns == shown.stamp_ns {
+                break frame;
+            }
+            assert!(frame.stamp_ns < shown.stamp_ns);
+        };
+        handle.stop();
+        running.await.unwrap();
+        let mut cameras = DistantCameras::new(&world, 5).unwrap();
+        assert!(*seen == cameras.draw(&shown).unwrap());
+
+        let other = Scenery { world: ("elsewhere".into(), 5), ..shown.clone() };
+        assert!(matches!(cameras.draw(&other), Err(SceneryError::World { .. })));
+        let short = Scenery { true_position: vec![0.0], ..shown.clone() };
+        assert_eq!(cameras.draw(&short), Err(SceneryError::Shape));
+        let wild = Scenery { wiped: vec![u32::MAX], ..shown };
+        assert!(cameras.draw(&wild).is_ok());
+    }
+}

@@ -1,0 +1,177 @@
+//! How long a frame takes from provider to processor, and how many pass in a second, beside raw Zenoh shared memory and
+//! a mere copy: `cargo bench -p armarium-visionx --bench transport`.
+//!
+//! Two sessions in one process, connected over TCP on loopback, shared memory on; an RGB image each time. Raw: allocate, copy the
+//! image in, put; receive. Ours: hand the frame to the provider's channel; receive it from a `RemoteProvider`. Latency is
+//! measured at a frame each 2 ms (1 kHz leaves a busy machine no rest), throughput with four frames on the way. Raw and
+//! ours take turns, so that what else the machine does troubles both alike.
+
+#![allow(clippy::print_stdout, clippy::unwrap_used, reason = "a program for people")]
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use armarium_bus::{Session, SessionConfig};
+use armarium_visionx::providers::{
+    Delivery, Description, Frame, FrameImage, FrameSender, ImageCoding, ImageProvider, PixelFormat,
+    RemoteProvider, channel, offer,
+};
+use zenoh::Wait;
+use zenoh::pubsub::{Publisher, Subscriber};
+use zenoh::shm::{GarbageCollect, PosixShmProviderBackend, ShmProvider, ShmProviderBuilder};
+
+const ROUNDS: usize = 5;
+const LATENCIES: usize = 100;
+const FRAMES: usize = 400;
+const WINDOW: usize = 4;
+
+struct Raw {
+    pool: ShmProvider<PosixShmProviderBackend>,
+    publisher: Publisher<'static>,
+    subscriber: Subscriber<zenoh::handlers::FifoChannelHandler<zenoh::sample::Sample>>,
+}
+
+impl Raw {
+    async fn send(&self, pixels: &[u8]) {
+        let mut buffer = self.pool.alloc(pixels.len()).with_policy::<GarbageCollect>().wait().unwrap();
+        buffer.copy_from_slice(pixels);
+        self.publisher.put(buffer).await.unwrap();
+    }
+
+    async fn receive(&self) -> usize {
+        let sample = self.subscriber.recv_async().await.unwrap();
+        assert!(sample.payload().as_shm().is_some());
+        sample.payload().len()
+    }
+}
+
+struct Ours {
+    sender: FrameSender,
+    reader: RemoteProvider,
+    _offered: armarium_visionx::providers::Offered,
+}
+
+impl Ours {
+    fn send(&self, frame: &Frame) {
+        self.sender.send(frame.clone());
+    }
+}
+
+async fn pair() -> (Session, Session) {
+    let config = SessionConfig { shared_memory: true, ..SessionConfig::default() };
+    let one = Session::open(&config).await.unwrap();
+    let two = Session::open(&SessionConfig { connect: one.endpoints().await, ..config }).await.unwrap();
+    (one, two)
+}
+
+async fn raw(one: &Session, two: &Session, bytes: usize) -> Raw {
+    let pool = ShmProviderBuilder::default_backend(bytes * 8).wait().unwrap();
+    let key = format!("raw/{bytes}");
+    let publisher = one.zenoh().declare_publisher(key.clone()).express(true).await.unwrap();
+    let subscriber = two.zenoh().declare_subscriber(key).await.unwrap();
+    while !publisher.matching_status().await.unwrap().matching() {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    Raw { pool, publisher, subscriber }
+}
+
+async fn ours(one: &Session, two: &Session, frame: &Frame) -> Ours {
+    let name = format!("eyes{}", frame.bytes());
+    let (sender, provider) = channel(Description { name: name.clone(), ..Description::default() });
+    let offered = offer(one, "bench", Arc::new(provider)).await.unwrap();
+    let wait = Duration::from_secs(20);
+    let (delivery, coding) = (Delivery::Newest, ImageCoding::Raw);
+    let reader = RemoteProvider::connect(two, "bench", &name, delivery, coding, wait).await.unwrap();
+    loop {
+        sender.send(frame.clone());
+        if tokio::time::timeout(Duration::from_millis(100), reader.next()).await.is_ok() {
+            return Ours { sender, reader, _offered: offered };
+        }
+    }
+}
+
+fn median(mut times: Vec<f64>) -> f64 {
+    times.sort_by(f64::total_cmp);
+    times[times.len() / 2]
+}
+
+async fn bench(one: &Session, two: &Session, (width, height): (u32, u32)) {
+    let pixels: Vec<u8> = (0..width * height * 3).map(|i| i as u8).collect();
+    let image = FrameImage::new("left", PixelFormat::Rgb8, (width, height), pixels.clone()).unwrap();
+    let frame = Frame { images: vec![image], ..Frame::default() };
+    let (raw, ours) = (raw(one, two, pixels.len()).await, ours(one, two, &frame).await);
+    let mut into = vec![0u8; pixels.len()];
+    let (mut copies, mut raws, mut provided) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut raw_rates, mut our_rates, mut copy_rates) = (Vec::new(), Vec::new(), Vec::new());
+    let ms = |since: Instant| since.elapsed().as_secs_f64() * 1e3;
+    let mut tick = tokio::time::interval(Duration::from_millis(2));
+    for _ in 0..ROUNDS {
+        for _ in 0..LATENCIES {
+            tick.tick().await;
+            let began = Instant::now();
+            into.copy_from_slice(std::hint::black_box(&pixels));
+            std::hint::black_box(&mut into);
+            copies.push(ms(began));
+            let began = Instant::now();
+            raw.send(&pixels).await;
+            assert_eq!(raw.receive().await, pixels.len());
+            raws.push(ms(began));
+            tick.tick().await;
+            let began = Instant::now();
+            ours.send(&frame);
+            assert_eq!(ours.reader.next().await.unwrap().bytes(), pixels.len());
+            provided.push(ms(began));
+        }
+        let began = Instant::now();
+        for _ in 0..FRAMES {
+            into.copy_from_slice(std::hint::black_box(&pixels));
+            std::hint::black_box(&mut into);
+        }
+        copy_rates.push(FRAMES as f64 / began.elapsed().as_secs_f64());
+        let began = Instant::now();
+        for i in 0..FRAMES {
+            raw.send(&pixels).await;
+            if i >= WINDOW {
+                raw.receive().await;
+            }
+        }
+        for _ in 0..WINDOW {
+            raw.receive().await;
+        }
+        raw_rates.push(FRAMES as f64 / began.elapsed().as_secs_f64());
+        // The provider keeps the newest only: what reaches the processor counts, as it drains what comes.
+        let before = ours.reader.statistics().received();
+        let began = Instant::now();
+        let giving = async {
+            while began.elapsed() < Duration::from_millis(400) {
+                ours.send(&frame);
+                tokio::task::yield_now().await;
+            }
+        };
+        let taking = async {
+            while tokio::time::timeout(Duration::from_millis(100), ours.reader.next()).await.is_ok() {}
+        };
+        let taking = tokio::time::timeout(Duration::from_millis(400), taking);
+        let _ = tokio::join!(giving, taking).1.is_ok();
+        let received = ours.reader.statistics().received() - before;
+        our_rates.push(received as f64 / 0.4);
+    }
+    println!("| {width} x {height} | memcpy | raw Zenoh shared memory | provider to processor |");
+    let (copy, raw_ms, ours_ms) = (median(copies), median(raws), median(provided));
+    println!(
+        "| latency, median, ms | {copy:.3} | {raw_ms:.3} | {ours_ms:.3} ({:.2} x raw) |",
+        ours_ms / raw_ms
+    );
+    let (copy, raw, ours) = (median(copy_rates), median(raw_rates), median(our_rates));
+    println!("| frames/s | {copy:.0} | {raw:.0} | {ours:.0} |");
+}
+
+fn main() {
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
+    runtime.block_on(async {
+        let (one, two) = pair().await;
+        for size in [(640, 480), (1920, 1080)] {
+            bench(&one, &two, size).await;
+        }
+    });
+}

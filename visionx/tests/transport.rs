@@ -1,0 +1,164 @@
+//! Frames between two real Zenoh sessions on loopback: through shared memory, over the network, coded, lost and asked for
+//! again, of changing size, and broken.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use armarium_bus::{Session, SessionConfig, keys};
+use armarium_visionx::providers::{
+    Delivery, Description, Frame, FrameImage, FrameSender, ImageCoding, ImageProvider, Offered, PixelFormat,
+    RemoteProvider, channel, offer, providers,
+};
+
+const WAIT: Duration = Duration::from_secs(30);
+
+/// Two sessions, the second connected to the first.
+async fn pair(shared: [bool; 2]) -> (Session, Session) {
+    let config = |shared_memory| SessionConfig { shared_memory, ..SessionConfig::default() };
+    let one = Session::open(&config(shared[0])).await.unwrap();
+    let connected = SessionConfig { connect: one.endpoints().await, ..config(shared[1]) };
+    let two = Session::open(&connected).await.unwrap();
+    (one, two)
+}
+
+fn image(role: &str, format: PixelFormat, size: (u32, u32), value: u8) -> FrameImage {
+    FrameImage::new(role, format, size, vec![value; format.bytes(size.0, size.1).unwrap()]).unwrap()
+}
+
+fn frame(value: u8, size: (u32, u32)) -> Frame {
+    let images = vec![
+        image("left", PixelFormat::Rgb8, size, value),
+        image("right", PixelFormat::Gray8, size, value),
+        image("depth", PixelFormat::Depth16, size, value),
+    ];
+    Frame { stamp_ns: u64::from(value), frame_id: "eye".into(), images, ..Frame::default() }
+}
+
+async fn offered(session: &Session) -> (FrameSender, Offered) {
+    let description = Description { name: "eyes".into(), about: "a test".into(), ..Description::default() };
+    let (sender, provider) = channel(description);
+    (sender, offer(session, "alice", Arc::new(provider)).await.unwrap())
+}
+
+async fn connected(session: &Session, delivery: Delivery, coding: ImageCoding) -> RemoteProvider {
+    RemoteProvider::connect(session, "alice", "eyes", delivery, coding, WAIT).await.unwrap()
+}
+
+/// The next frame; the sender's frame is given again until the two know each other.
+async fn first(sender: &FrameSender, reader: &RemoteProvider, frame: &Frame) -> Arc<Frame> {
+    loop {
+        sender.send(frame.clone());
+        if let Ok(frame) = tokio::time::timeout(Duration::from_millis(200), reader.next()).await {
+            return frame.unwrap();
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn frames_pass_through_shared_memory_or_the_network_with_their_sizes() {
+    for shared in [[true, true], [true, false]] {
+        let (one, two) = pair(shared).await;
+        let (sender, _offered) = offered(&one).await;
+        let reader = connected(&two, Delivery::Newest, ImageCoding::Raw).await;
+        assert_eq!(reader.description().about, "a test");
+        let found = providers(&two, None, None, Duration::from_secs(2)).await.unwrap();
+        assert_eq!((found.len(), found[0].0.as_str()), (1, "alice"));
+        first(&sender, &reader, &frame(1, (64, 48))).await;
+        for (value, size) in [(2, (640, 480)), (3, (1, 1)), (4, (1921, 1081)), (5, (7, 3))] {
+            let sent = frame(value, size);
+            // Live frames may be dropped on a busy machine, the large ones on the network first.
+            let arriving = async {
+                loop {
+                    let got = first(&sender, &reader, &sent).await;
+                    if got.stamp_ns == sent.stamp_ns {
+                        return got;
+                    }
+                }
+            };
+            let got = tokio::time::timeout(WAIT, arriving).await.unwrap();
+            assert_eq!((&got.images, got.stamp_ns), (&sent.images, sent.stamp_ns));
+            assert_eq!(got.frame_id, "eye");
+        }
+        let counts = reader.statistics();
+        assert_eq!(counts.shared() > 0, shared[1], "{counts:?}");
+        assert_eq!((counts.lives(), counts.malformed()), (1, 0));
+        assert!(counts.mean_latency_s() <= counts.worst_latency_s());
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_reader_on_a_thin_link_gets_files() {
+    let (one, two) = pair([true, false]).await;
+    let (sender, _offered) = offered(&one).await;
+    let sent = frame(9, (32, 24));
+    for coding in [ImageCoding::Png, ImageCoding::Jpeg] {
+        let reader = connected(&two, Delivery::Newest, coding).await;
+        let got = first(&sender, &reader, &sent).await;
+        assert_eq!(got.images, sent.images, "a flat picture survives JPEG too");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_recorder_gets_all_frames_and_a_stalled_one_counts_what_it_missed() {
+    let (one, two) = pair([true, true]).await;
+    let (sender, _offered) = offered(&one).await;
+    let reader = connected(&two, Delivery::All { waiting: 100 }, ImageCoding::Raw).await;
+    let stalled = connected(&two, Delivery::Newest, ImageCoding::Raw).await;
+    let begin = first(&sender, &reader, &frame(0, (64, 48))).await.number;
+    // Slower than the provider hands them on, faster than anybody reads.
+    let mut last = begin;
+    for value in 1..=40 {
+        sender.send(frame(value, (64, 48)));
+        let got = tokio::time::timeout(WAIT, reader.next()).await.unwrap().unwrap();
+        last = got.number;
+    }
+    let counts = reader.statistics();
+    assert_eq!(counts.missed(), 0, "{counts:?}");
+    assert_eq!(counts.received(), last - begin + 1);
+    let newest = tokio::time::timeout(WAIT, stalled.next()).await.unwrap().unwrap();
+    assert_eq!(newest.number, last, "a reader that comes back gets the newest");
+    assert!(stalled.newest().await.is_none());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_a_full_queue_pushed_out_is_asked_for_again() {
+    let (one, two) = pair([true, true]).await;
+    let (sender, _offered) = offered(&one).await;
+    let reader = connected(&two, Delivery::All { waiting: 2 }, ImageCoding::Raw).await;
+    let watching = connected(&two, Delivery::Newest, ImageCoding::Raw).await;
+    let begin = first(&sender, &watching, &frame(0, (64, 48))).await.number;
+    while reader.newest().await.is_none_or(|frame| frame.number < begin) {
+        tokio::task::yield_now().await;
+    }
+    // Eight frames, each seen by the other reader, while this one stands still.
+    for value in 1..=8 {
+        sender.send(frame(value, (64, 48)));
+        tokio::time::timeout(WAIT, watching.next()).await.unwrap().unwrap();
+    }
+    let mut numbers = Vec::new();
+    while numbers.last() != Some(&(begin + 8)) {
+        numbers.push(tokio::time::timeout(WAIT, reader.next()).await.unwrap().unwrap().number);
+    }
+    assert_eq!(numbers, (begin + 1..=begin + 8).collect::<Vec<_>>());
+    let counts = reader.statistics();
+    assert!(counts.again() >= 5 && counts.missed() == 0, "{counts:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_no_frame_is_counted_and_the_next_is_read() {
+    let (one, two) = pair([true, true]).await;
+    let (sender, _offered) = offered(&one).await;
+    let reader = connected(&two, Delivery::All { waiting: 64 }, ImageCoding::Raw).await;
+    first(&sender, &reader, &frame(0, (8, 8))).await;
+    let before = reader.statistics().malformed();
+    let key = keys::image("alice", "eyes").unwrap();
+    let junk = one.bulk_sender(&key, "application/octet-stream;image/frame;v1").await.unwrap();
+    junk.wanted().await;
+    for attachment in [vec![], vec![0xff; 40], vec![0xa0], vec![0x9f; 100]] {
+        junk.send(junk.slot(1000), attachment).await.unwrap();
+    }
+    one.put(&key, "application/cbor;other;v1", vec![1, 2, 3]).await.unwrap();
+    let got = first(&sender, &reader, &frame(7, (8, 8))).await;
+    assert_eq!(got.images, frame(7, (8, 8)).images);
+    assert_eq!(reader.statistics().malformed() - before, 5);
+}
