@@ -37,13 +37,14 @@ type Pool = ShmProvider<PosixShmProviderBackend>;
 /// Sends large payloads on one key.
 #[derive(Debug)]
 pub struct BulkSender {
+    /// Goes before the publisher that it listens to.
+    _listener: zenoh::matching::MatchingListener<()>,
     publisher: Publisher<'static>,
     /// The pool, and the smaller one before it, in which readers may still look.
     pools: Mutex<VecDeque<(usize, Pool)>>,
     unshared: AtomicU64,
     wanted: watch::Receiver<bool>,
     session: Session,
-    _listener: zenoh::matching::MatchingListener<()>,
 }
 
 /// Where one payload is written: in shared memory, or in the process's own when there is no room.

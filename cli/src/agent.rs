@@ -1,26 +1,32 @@
-//! `armarium agent --name NAME CHARTS...`: offers charts, the skills of the simulated robot, its memory and its
-//! cameras to other agents.
+//! `armarium agent --name NAME CHARTS...`: offers charts, skills, its memory and its cameras to other agents: those of a
+//! simulated robot, or of one who only watches through images that another agent offers.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use armarium_bus::Session;
-use armarium_memoryx::MemoryServer;
+use armarium_memoryx::{Consolidator, MemoryServer, WorkingMemory};
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::{self, Registry};
-use armarium_runtime::exec::{ChartSkill, Others, Stop};
+use armarium_runtime::engine::Program;
+use armarium_runtime::exec::{ChartSkill, ExecOptions, Executor, Others, RunResult, Stop};
 use armarium_runtime::remote::{Agents, Offers, hear, serve};
+use armarium_runtime::skill::Limits;
 use armarium_simulator::World;
 use armarium_states::observers;
 use armarium_viewer::progress::Progress;
 use armarium_visionx::providers::{StereoProvider, offer as offer_images};
+use tokio::task::JoinSet;
 
+use crate::body::{Body, watching_mind};
 use crate::catalog;
 use crate::connection::{AccessArgs, Connection, ConnectionArgs, be_the_only_one};
+use crate::following::follow_when_there;
 use crate::logging;
 use crate::render_findings::{Shown, any_error, render, summary};
-use crate::stage::Stage;
+use crate::stage::{Mind, Stage};
+use crate::watching::{self, Eyes};
 
 /// What `agent` takes.
 #[derive(Clone, Debug, clap::Args)]
@@ -38,6 +44,19 @@ pub(crate) struct AgentArgs {
     pub(crate) connection: ConnectionArgs,
     #[command(flatten)]
     pub(crate) access: AccessArgs,
+    /// Images that another agent offers, as the agent's eyes. It has no robot then, only skills that move nothing, and
+    /// stands where the world says.
+    #[arg(long, value_name = "AGENT/PROVIDER")]
+    pub(crate) eyes: Option<Eyes>,
+    /// A chart that the agent runs from the beginning; the agent ends with it.
+    #[arg(long, value_name = "CHART")]
+    pub(crate) run: Option<PathBuf>,
+    /// An agent whose memory is followed as soon as it is there; may be repeated.
+    #[arg(long, value_name = "AGENT")]
+    pub(crate) follow: Vec<String>,
+    /// End when the standard input does: for an agent that another process starts.
+    #[arg(long)]
+    pub(crate) while_input: bool,
     /// The simulated world that the agent's robot is in; the default kitchen if not given.
     #[arg(long, value_name = "FILE")]
     pub(crate) world: Option<PathBuf>,
@@ -62,7 +81,8 @@ fn message(error: impl std::fmt::Display) -> NotBegun {
     NotBegun::Message(error.to_string())
 }
 
-/// Offers until Ctrl-C. Returns the exit status: 0 when it was ended so, 2 when it could not begin.
+/// Offers until Ctrl-C. Returns the exit status: 0 when it was ended so, 1 when what it ran has failed, 2 when it could
+/// not begin.
 ///
 /// # Errors
 /// When `out` cannot be written.
@@ -75,7 +95,7 @@ pub(crate) fn run(args: &AgentArgs, out: &mut dyn Write) -> io::Result<u8> {
     let agents = connection.agents(&args.name);
     // Simulation, skills and charts share the session's threads; one that is busy holds up no answer.
     match connection.runtime().block_on(offer(args, &connection.session, &agents, out)) {
-        Ok(()) => Ok(0),
+        Ok(status) => Ok(status),
         Err(NotBegun::Message(message)) => writeln!(out, "error: {message}").map(|()| 2),
         Err(NotBegun::Findings(findings)) => {
             write!(out, "{}", render(&findings, false, 100))?;
@@ -89,30 +109,69 @@ async fn offer(
     session: &Session,
     agents: &Agents,
     out: &mut dyn Write,
-) -> Result<(), NotBegun> {
+) -> Result<u8, NotBegun> {
+    let mut asked_to_end = std::pin::pin!(stopped_or(args.while_input));
     let _alive = be_the_only_one(session, &args.name).await.map_err(message)?;
     let world = match &args.world {
         None => World::default(),
         Some(file) => World::load(file)
             .map_err(|errors| NotBegun::Findings(errors.iter().map(Shown::from).collect()))?,
     };
-    let (stage, simulation) =
-        Stage::set(&world, args.seed, &args.store, Vec::new(), None).map_err(message)?;
-    let (memory, long_term) = (Arc::clone(&stage.memory), Arc::clone(stage.kept.store()));
+    let (mind, simulated) = match &args.eyes {
+        None => {
+            let (stage, simulation) =
+                Stage::set(&world, args.seed, &args.store, Vec::new(), None).map_err(message)?;
+            let mind = Mind { memory: Arc::clone(&stage.memory), kept: Arc::clone(&stage.kept) };
+            (mind, Some((stage, simulation)))
+        }
+        Some(_) => (watching_mind(&args.name, &world, &args.store).map_err(message)?, None),
+    };
+    let Mind { memory, kept } = mind;
+    let store = Some(Arc::clone(kept.store()));
     let guarded = args.access.of(&args.name).is_some();
-    let _memory = MemoryServer::start_guarded(session, &args.name, memory, Some(long_term), guarded)
+    let _served = MemoryServer::start_guarded(session, &args.name, Arc::clone(&memory), store, guarded)
         .await
         .map_err(message)?;
-    let cameras = StereoProvider::new(Arc::clone(&stage.equipment.images), "camera_left");
+    let _followed = follow_all(args, session, &memory);
+    let body = match (simulated, &args.eyes) {
+        (Some((stage, simulation)), _) => Body::simulated(stage, simulation),
+        (None, Some(eyes)) => {
+            let say = |what: &str| {
+                // Whoever does not read this waits all the same.
+                let _ = writeln!(out, "{what}").and_then(|()| out.flush()).is_ok();
+            };
+            let view = tokio::select! {
+                biased;
+                () = &mut asked_to_end => return Ok(0),
+                view = watching::open_eyes(session, eyes, say) => view.map_err(message)?,
+            };
+            Body::watching(&args.name, args.seed, view, &memory)
+        }
+        (None, None) => return Err(message("an agent without a robot needs --eyes")),
+    };
+    let cameras = StereoProvider::new(Arc::clone(&body.equipment.images), "camera_left");
     let _cameras = offer_images(session, &args.name, Arc::new(cameras)).await.map_err(message)?;
     let progress = Progress::new(Box::new(io::stderr()), false);
-    logging::install(&progress, stage.handle.clone(), args.verbose, false).map_err(message)?;
+    logging::install(&progress, Arc::clone(&body.clock), args.verbose, false).map_err(message)?;
+    let status = act(args, (session, agents), body, asked_to_end, out).await?;
+    keep(&kept, out)?;
+    Ok(status)
+}
+
+/// Offers charts and skills, and runs the agent's own chart, until it is asked to end.
+async fn act(
+    args: &AgentArgs,
+    (session, agents): (&Session, &Agents),
+    body: Body,
+    asked_to_end: impl Future<Output = ()>,
+    out: &mut dyn Write,
+) -> Result<u8, NotBegun> {
+    let Body { equipment, mut registry, life, observing, .. } = body;
     let channels = Channels::new();
-    let robot = Arc::clone(&stage.robot);
+    let robot = Arc::clone(&equipment.robot);
     let stop: Stop =
         Arc::new(move |what: &str| robot.stop(&format!("the skill of `{what}` does not return")));
 
-    let mut registry = catalog::registry(&stage.equipment);
     let mut offers = Offers::new(&args.name, session, channels.clone(), Arc::clone(&stop));
     let others = Others { post: Some(Arc::new(agents.clone())), ..Others::default() };
     let mut charts = Vec::new();
@@ -127,23 +186,80 @@ async fn offer(
             offers.add(Arc::clone(skill)).map_err(message)?;
         }
     }
+    let own = match &args.run {
+        None => None,
+        Some(file) => {
+            let program = checked(file, &args.charts, &mut registry, agents, out).await?;
+            Some(execute(program, registry.clone(), &channels, (&stop, &others))?)
+        }
+    };
     say(args, session, &charts, &skills, out).await.map_err(message)?;
 
-    let mut observing = observers::start(&stage.equipment, &channels);
-    observing.push(tokio::spawn(simulation.run()));
-    tokio::select! {
+    let mut tasks = if observing { observers::start(&equipment, &channels) } else { Vec::new() };
+    let life = tokio::spawn(life);
+    let own = async {
+        match own {
+            Some(executor) => executor.run().await,
+            None => std::future::pending().await,
+        }
+    };
+    let status = tokio::select! {
         biased;
-        () = stopped() => {}
-        ended = serve(session, offers) => ended.map_err(message)?,
-        ended = hear(session, &args.name, others.hearers) => ended.map_err(message)?,
+        () = asked_to_end => 0,
+        ended = own => told(&ended, out)?,
+        ended = serve(session, offers) => ended.map(|()| 0).map_err(message)?,
+        ended = hear(session, &args.name, others.hearers) => ended.map(|()| 0).map_err(message)?,
+    };
+    equipment.robot.stop("the agent ends");
+    tasks.push(life);
+    tasks.iter().for_each(tokio::task::JoinHandle::abort);
+    Ok(status)
+}
+
+/// Follows others for as long as the tasks live.
+fn follow_all(args: &AgentArgs, session: &Session, memory: &Arc<WorkingMemory>) -> JoinSet<()> {
+    let mut tasks = JoinSet::new();
+    for other in &args.follow {
+        let (session, memory) = (session.clone(), Arc::clone(memory));
+        let (own, other) = (args.name.clone(), other.clone());
+        tasks.spawn(async move {
+            let _followed = follow_when_there(&session, &memory, &own, &other).await;
+            std::future::pending::<()>().await;
+        });
     }
-    stage.robot.stop("the agent ends");
-    stage.handle.stop();
-    observing.iter().for_each(tokio::task::JoinHandle::abort);
-    if let Err(error) = stage.kept.flush() {
-        writeln!(out, "warning: what was learned was not kept: {error}").map_err(message)?;
+    tasks
+}
+
+fn execute(
+    program: Arc<Program>,
+    registry: Registry,
+    channels: &Channels,
+    (stop, others): (&Stop, &Others),
+) -> Result<Executor, NotBegun> {
+    let stop = Arc::clone(stop);
+    let options = ExecOptions {
+        limits: Limits::default(),
+        on_stuck: Some(Box::new(move |state| stop(state))),
+        others: others.clone(),
+        ..ExecOptions::default()
+    };
+    Executor::new(program, registry, channels.clone(), options).map_err(message)
+}
+
+/// Says how the agent's own chart ended; its exit status.
+fn told(ended: &RunResult, out: &mut dyn Write) -> Result<u8, NotBegun> {
+    let reason = ended.reason.as_deref().unwrap_or("no reason was given");
+    let good = ended.outcome == "success";
+    let line = if good { "success".to_owned() } else { format!("{}: {reason}", ended.outcome) };
+    writeln!(out, "the chart has ended: {line}").map_err(message)?;
+    Ok(u8::from(!good))
+}
+
+fn keep(kept: &Consolidator, out: &mut dyn Write) -> Result<(), NotBegun> {
+    match kept.flush() {
+        Ok(_) => Ok(()),
+        Err(error) => writeln!(out, "warning: what was learned was not kept: {error}").map_err(message),
     }
-    Ok(())
 }
 
 struct Chart {
@@ -159,6 +275,21 @@ async fn load(
     stop: &Stop,
     out: &mut dyn Write,
 ) -> Result<Chart, NotBegun> {
+    let program = checked(file, folders, registry, agents, out).await?;
+    let library = chart::load(file, folders);
+    let description = library.charts.get(program.name()).map_or("", |chart| chart.description.as_str());
+    let name = program.name().to_owned();
+    Ok(Chart { name, skill: ChartSkill::new(program, description, registry.clone(), Arc::clone(stop)) })
+}
+
+/// A chart that is in order; warnings are said.
+async fn checked(
+    file: &Path,
+    folders: &[PathBuf],
+    registry: &mut Registry,
+    agents: &Agents,
+    out: &mut dyn Write,
+) -> Result<Arc<Program>, NotBegun> {
     let checked = catalog::load_connected(file, folders, registry, Some(agents)).await.map_err(message)?;
     let findings: Vec<Shown> = checked.findings.iter().map(Shown::from).collect();
     let program = match checked.program {
@@ -168,10 +299,7 @@ async fn load(
     if !findings.is_empty() {
         write!(out, "{}", render(&findings, false, 100)).map_err(message)?;
     }
-    let library = chart::load(file, folders);
-    let description = library.charts.get(program.name()).map_or("", |chart| chart.description.as_str());
-    let name = program.name().to_owned();
-    Ok(Chart { name, skill: ChartSkill::new(program, description, registry.clone(), Arc::clone(stop)) })
+    Ok(program)
 }
 
 /// The charts that are named, and those of the folders that are.
@@ -227,4 +355,30 @@ pub(crate) async fn stopped() {
         _ = interrupted => {}
         _ = terminated.recv() => {}
     }
+}
+
+/// As [`stopped`]; if asked for, also for the end of the standard input.
+async fn stopped_or(while_input: bool) {
+    tokio::select! {
+        biased;
+        () = stopped() => {}
+        () = input_ended(), if while_input => {}
+    }
+}
+
+/// Waits until nobody can write to the standard input any more.
+#[expect(
+    clippy::disallowed_methods,
+    reason = "agents live in real time, and nothing can wait for this thread"
+)]
+async fn input_ended() {
+    // A thread of its own, which does not hold up the end of the program as one of the runtime's would.
+    let (ended, waiting) = tokio::sync::oneshot::channel();
+    std::thread::spawn(move || {
+        // What is said there is not for this program; an input that cannot be read has ended too.
+        let _ = io::copy(&mut io::stdin().lock(), &mut io::sink()).is_ok();
+        let _ = ended.send(()).is_ok();
+    });
+    // The sender is only dropped after it has sent.
+    let _ = waiting.await.is_ok();
 }

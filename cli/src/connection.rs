@@ -173,13 +173,22 @@ impl Connection {
 /// One sentence for people.
 pub(crate) async fn be_the_only_one(session: &Session, name: &str) -> Result<AliveToken, String> {
     let words = |error: SessionError| error.to_string();
-    let others = keys::alive_pattern(Some(name), Some("agent")).map_err(|e| e.to_string())?;
-    let mut roll = session.watch_alive(&others, 16).await.map_err(words)?;
-    if let Ok(Some(_)) = tokio::time::timeout(LOOKED, roll.next()).await {
+    if is_there(session, name).await.map_err(words)? {
         return Err(format!("there is an agent called `{name}` already: choose another --name"));
     }
     let key = keys::alive(name, "agent").map_err(|e| e.to_string())?;
     session.alive(&key).await.map_err(words)
+}
+
+/// Whether an agent of that name is there.
+///
+/// # Errors
+/// When the name is none, or the session has ended.
+pub(crate) async fn is_there(session: &Session, name: &str) -> Result<bool, SessionError> {
+    let wrong = |e: keys::KeyError| SessionError::Config { what: e.to_string() };
+    let those = keys::alive_pattern(Some(name), Some("agent")).map_err(wrong)?;
+    let mut roll = session.watch_alive(&those, 16).await?;
+    Ok(matches!(tokio::time::timeout(LOOKED, roll.next()).await, Ok(Some(_))))
 }
 
 impl Drop for Connection {

@@ -7,10 +7,13 @@ use std::path::Path;
 
 use armarium_runtime::exec::RunResult;
 use armarium_simulator::{Referee, World};
-use armarium_viewer::report::{self, ChainLink, CoachingRow, Picture, ReportData, Series, TimePlot};
+use armarium_viewer::report::{
+    self, ChainLink, CoachingRow, Memories, Picture, ReportData, Series, TimePlot,
+};
 use serde_json::{Value as Json, json};
 
 use crate::chronicle::Story;
+use crate::memories::{self, Entry};
 use crate::plots;
 
 /// What a report is written from.
@@ -26,6 +29,8 @@ pub(crate) struct Case<'r> {
     pub(crate) story: &'r Story,
     pub(crate) pictures: Vec<Picture>,
     pub(crate) joints: Vec<TimePlot>,
+    /// What the memories of the agents knew; empty where there is one agent.
+    pub(crate) diary: &'r [Entry],
 }
 
 /// The figures of the run, by the names that reports share.
@@ -59,13 +64,18 @@ pub(crate) fn figures(case: &Case<'_>) -> Json {
 /// # Errors
 /// When a file cannot be written.
 pub(crate) fn write(folder: &Path, case: Case<'_>) -> io::Result<Json> {
-    let figures = figures(&case);
+    let mut figures = figures(&case);
+    let part = memories::part(case.diary, case.world, &case.referee.log()).filter(|_| !case.diary.is_empty());
+    let (json, memories) = part.unzip();
+    if let (Json::Object(report), Some(json)) = (&mut figures, json) {
+        report.insert("memories".into(), json);
+    }
     std::fs::write(folder.join("report.json"), format!("{figures:#}\n"))?;
-    std::fs::write(folder.join("report.html"), report::render(&page(case, &figures)))?;
+    std::fs::write(folder.join("report.html"), report::render(&page(case, &figures, memories)))?;
     Ok(figures)
 }
 
-fn page(case: Case<'_>, figures: &Json) -> ReportData {
+fn page(case: Case<'_>, figures: &Json, memories: Option<Memories>) -> ReportData {
     let log = case.referee.log();
     let marks = case.referee.marks();
     let minutes = |s: f64| format!("{:.0} min {:04.1} s", (s / 60.0).floor(), s % 60.0);
@@ -93,6 +103,7 @@ fn page(case: Case<'_>, figures: &Json) -> ReportData {
         wiped: case.referee.wiped().and_then(|cells| plots::wiped(case.world, &log, &marks, &cells)),
         joints: case.joints,
         coaching: coaching(figures),
+        memories,
         confusion: serde_json::from_value(figures["gestures"]["confusion"].clone()).unwrap_or_default(),
         pictures: case.pictures,
         log: case.story.log.clone(),

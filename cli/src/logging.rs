@@ -2,18 +2,22 @@
 //!
 //! Warnings are shown; `-v` shows what happens too, and `RUST_LOG` decides instead where it is set.
 
-use armarium_simulator::Handle;
+use std::sync::Arc;
+
 use armarium_viewer::progress::Progress;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::time::FormatTime;
 
+/// Tells the time of the robot's world, ns.
+pub(crate) type Clock = Arc<dyn Fn() -> u64 + Send + Sync>;
+
 /// Tells the simulated time of an event.
-struct Simulated(Handle);
+struct Simulated(Clock);
 
 impl FormatTime for Simulated {
     fn format_time(&self, w: &mut Writer<'_>) -> std::fmt::Result {
-        write!(w, "{:8.2} s", self.0.now_ns() as f64 * 1e-9)
+        write!(w, "{:8.2} s", (self.0)() as f64 * 1e-9)
     }
 }
 
@@ -28,7 +32,7 @@ fn filter(wanted: Option<&str>, verbose: bool) -> Result<EnvFilter, String> {
 /// A subscriber that writes lines above the progress line.
 fn subscriber(
     progress: &Progress,
-    clock: Handle,
+    clock: Clock,
     filter: EnvFilter,
     colour: bool,
 ) -> impl tracing::Subscriber + Send + Sync + use<> {
@@ -45,7 +49,7 @@ fn subscriber(
 ///
 /// # Errors
 /// When `RUST_LOG` cannot be read.
-pub(crate) fn install(progress: &Progress, clock: Handle, verbose: bool, colour: bool) -> Result<(), String> {
+pub(crate) fn install(progress: &Progress, clock: Clock, verbose: bool, colour: bool) -> Result<(), String> {
     let filter = filter(std::env::var("RUST_LOG").ok().as_deref(), verbose)?;
     // A subscriber that is there already is a test's, or that of an embedding program.
     drop(tracing::subscriber::set_global_default(subscriber(progress, clock, filter, colour)));
@@ -55,7 +59,7 @@ pub(crate) fn install(progress: &Progress, clock: Handle, verbose: bool, colour:
 #[cfg(test)]
 mod tests {
     use std::io::Write;
-    use std::sync::{Arc, Mutex};
+    use std::sync::Mutex;
 
     use armarium_viewer::progress::Status;
 
@@ -81,7 +85,7 @@ mod tests {
         let progress = Progress::new(Box::new(page.clone()), true);
         progress.update(&Status { states: vec!["Live".into()], ..Status::default() });
         let filter = filter(wanted, verbose).unwrap();
-        tracing::subscriber::with_default(subscriber(&progress, Handle::default(), filter, false), || {
+        tracing::subscriber::with_default(subscriber(&progress, Arc::new(|| 0), filter, false), || {
             tracing::warn!(target: "armarium_bus", "slippery");
             tracing::info!(target: "armarium_simulator::coach", "hello");
             tracing::info!(target: "somebody_else", "chatter");

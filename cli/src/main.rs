@@ -2,18 +2,22 @@
 //! command line and turns what they return into the exit status.
 
 mod agent;
+mod body;
 mod cameras;
 mod catalog;
 mod changes;
 mod check;
 mod chronicle;
+mod company;
 mod connection;
+mod following;
 mod gallery;
 mod graph;
 mod image;
 mod import;
 mod judge;
 mod logging;
+mod memories;
 mod memory;
 mod new;
 mod plots;
@@ -22,12 +26,14 @@ mod render_findings;
 mod replay;
 mod reproduce;
 mod run;
+mod scene;
 mod schema;
 mod skills;
 mod stage;
 mod step;
 mod test_cases;
 mod vision;
+mod watching;
 
 use std::io::{self, IsTerminal as _, Write};
 use std::process::ExitCode;
@@ -41,6 +47,7 @@ use clap::{Parser, Subcommand};
     armarium run statecharts/wiping.yaml                      the wiping scenario in the simulator\n  \
     armarium run statecharts/wiping.yaml --set contact_force=10 --seed 3 --report out\n  \
     armarium run statecharts/wiping.yaml --set motion=wiping  start from the motion of the last run\n  \
+    armarium run statecharts/share_scene.yaml                 two agents who share what they see\n  \
     armarium agent --name bob statecharts                     offer charts and skills to other agents\n  \
     armarium check statecharts/*.yaml                         what is wrong, before anything moves\n  \
     armarium step chart.yaml --interactive                    drive a chart by hand, without a robot\n  \

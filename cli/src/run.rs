@@ -1,22 +1,22 @@
 //! `armarium run CHART`: checks the chart, sets the stage, runs it in the simulator, and leaves recording and report.
 
+mod beside;
+mod reach;
+
 use std::collections::BTreeMap;
 use std::io::{self, IsTerminal as _, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use armarium_bus::AliveToken;
-use armarium_memoryx::Memory;
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::Finding;
 use armarium_runtime::engine::Program;
-use armarium_runtime::exec::{Controller, ExecOptions, Executor, Hearers, Others, Post, RunResult};
-use armarium_runtime::remote::{Agents, hear};
+use armarium_runtime::exec::{ExecOptions, Executor, Others, Post, RunResult};
 use armarium_runtime::skill::Limits;
 use armarium_runtime::trace::TraceSink;
 use armarium_simulator::cameras::ScenerySink;
-use armarium_simulator::{TruthSink, World};
+use armarium_simulator::{Simulation, TruthSink, World};
 use armarium_states::observers;
 use armarium_values::Value;
 use armarium_viewer::progress::{Progress, Status};
@@ -25,13 +25,15 @@ use armarium_viewer::recorder::Recorder;
 use crate::cameras;
 use crate::catalog;
 use crate::chronicle::{Chronicle, Story};
-use crate::connection::{Connection, ConnectionArgs, be_the_only_one};
+use crate::company::{Beginning, Company, Told};
+use crate::connection::{Connection, ConnectionArgs};
 use crate::gallery::Gallery;
 use crate::judge::{self, Case, JointLog};
 use crate::logging;
 use crate::recording::{RunDigest, SharedRecorder, TruthTopics, attach_sources, locked, record_robot};
 use crate::render_findings::{Shown, any_error, render, summary};
-use crate::replay::{Beginning, Recorded};
+use crate::replay::{self, Recorded};
+use crate::scene::Scene;
 use crate::stage::Stage;
 
 /// How long by the wall clock a skill may keep the program's thread to itself.
@@ -43,7 +45,7 @@ pub(crate) struct RunArgs {
     /// The chart to run.
     #[arg(value_name = "CHART")]
     pub(crate) chart: PathBuf,
-    /// The simulated world; the default kitchen if not given.
+    /// The simulated world; if not given, NAME.world.yaml beside the chart NAME.yaml, or else the default kitchen.
     #[arg(long, value_name = "FILE")]
     pub(crate) world: Option<PathBuf>,
     /// Seeds everything that varies.
@@ -128,19 +130,25 @@ enum NotBegun {
 /// When `out` or a report cannot be written.
 pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
     let began = Instant::now();
+    let mut scene = match Scene::of(&args.chart, args.world.as_deref()) {
+        Ok(scene) => scene,
+        Err(errors) => return show(&errors.iter().map(Shown::from).collect::<Vec<_>>(), out).map(|()| 2),
+    };
+    let name = scene.called(args.name.as_deref());
     let connection = match &args.cameras {
-        None => Connection::if_asked(&args.connection, args.name.is_some()),
-        Some(_) => Connection::for_images(&args.connection, None).map(Some),
+        None if scene.world.agents.is_empty() => Connection::if_asked(&args.connection, name.is_some()),
+        // The other agents' eyes are images too.
+        None | Some(_) => Connection::for_images(&args.connection, None).map(Some),
     };
     let connection = match connection {
         Ok(connection) => connection,
         Err(message) => return writeln!(out, "error: {message}").map(|()| 2),
     };
-    let caller = args.name.as_deref().unwrap_or("armarium run");
+    let caller = name.as_deref().unwrap_or("armarium run");
     let agents = connection.as_ref().map(|connection| connection.agents(caller));
     let others = Others { post: agents.clone().map(|a| Arc::new(a) as Arc<dyn Post>), ..Others::default() };
-    let _hears = match (&connection, &args.name) {
-        (Some(connection), Some(name)) => match listen(connection, name, &others.hearers, out)? {
+    let _hears = match (&connection, &name) {
+        (Some(connection), Some(name)) => match reach::listen(connection, name, &others.hearers, out)? {
             Ok(hears) => Some(hears),
             Err(message) => return writeln!(out, "error: {message}").map(|()| 2),
         },
@@ -149,7 +157,8 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
     let mut builder = tokio::runtime::Builder::new_current_thread();
     builder.enable_all().start_paused(args.speed == Speed::Max && agents.is_none());
     let runtime = builder.build()?;
-    match runtime.block_on(perform(args, began, connection.as_ref(), agents.as_ref(), others, out)) {
+    let reached = reach::Reach { connection: connection.as_ref(), agents: agents.as_ref(), others };
+    match runtime.block_on(perform(args, scene, began, reached, out)) {
         Ok(status) => Ok(status),
         Err(NotBegun::Message(message)) => {
             writeln!(out, "error: {message}")?;
@@ -160,31 +169,6 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
             Ok(2)
         }
     }
-}
-
-/// Takes a name, and lets the run hear what other agents send to it, on the connection's threads. Gives what keeps the name.
-fn listen(
-    connection: &Connection,
-    name: &str,
-    hearers: &Hearers,
-    out: &mut dyn Write,
-) -> io::Result<Result<AliveToken, String>> {
-    let (session, threads) = (&connection.session, connection.runtime());
-    let alive = match threads.block_on(be_the_only_one(session, name)) {
-        Ok(alive) => alive,
-        Err(message) => return Ok(Err(message)),
-    };
-    let (hearing, called, hearers) = (session.clone(), name.to_owned(), hearers.clone());
-    threads.spawn(async move {
-        if let Err(error) = hear(&hearing, &called, hearers).await {
-            tracing::error!("other agents cannot send events to `{called}`: {error}");
-        }
-    });
-    for endpoint in threads.block_on(session.endpoints()) {
-        writeln!(out, "{name} listens on {endpoint}")?;
-    }
-    out.flush()?;
-    Ok(Ok(alive))
 }
 
 fn show(findings: &[Shown], out: &mut dyn Write) -> io::Result<()> {
@@ -204,13 +188,11 @@ fn begin_error(error: impl std::fmt::Display) -> NotBegun {
 
 async fn perform(
     args: &RunArgs,
+    Scene { world, file }: Scene,
     began: Instant,
-    connection: Option<&Connection>,
-    agents: Option<&Agents>,
-    others: Others,
+    reach::Reach { connection, agents, others }: reach::Reach<'_>,
     out: &mut dyn Write,
 ) -> Result<u8, NotBegun> {
-    let world = load_world(args.world.as_deref())?;
     let recorder: SharedRecorder = Arc::new(Mutex::new(None));
     let digest = RunDigest::default();
     let sinks: Vec<Box<dyn TruthSink>> =
@@ -247,7 +229,15 @@ async fn perform(
     let terminal = io::stderr().is_terminal();
     let progress = Progress::new(Box::new(io::stderr()), terminal);
     let colour = terminal && std::env::var_os("NO_COLOR").is_none();
-    logging::install(&progress, stage.handle.clone(), args.verbose, colour).map_err(begin_error)?;
+    let handle = stage.handle.clone();
+    logging::install(&progress, Arc::new(move || handle.now_ns()), args.verbose, colour)
+        .map_err(begin_error)?;
+    let company = match connection.zip(file).filter(|_| !world.agents.is_empty()) {
+        Some((connection, world_file)) => {
+            Some(gather(connection, &stage, &simulation, (&world, world_file), &args.report).await?)
+        }
+        None => None,
+    };
     let printer = progress.clone();
     let chronicle = Chronicle {
         story: Arc::new(Mutex::new(Story::default())),
@@ -293,10 +283,14 @@ async fn perform(
     let joints = Arc::new(Mutex::new(JointLog::default()));
     let mut helpers = vec![
         record_robot(&stage.robot, Arc::clone(&recorder)),
-        tokio::spawn(watch_gestures(stage.memory.clone(), stage.referee.clone(), Arc::clone(&recorder))),
-        tokio::spawn(log_joints(Arc::clone(&stage.robot), Arc::clone(&joints))),
-        tokio::spawn(stop_on_signal(executor.controller())),
-        tokio::spawn(show_progress(
+        tokio::spawn(beside::watch_gestures(
+            stage.memory.clone(),
+            stage.referee.clone(),
+            Arc::clone(&recorder),
+        )),
+        tokio::spawn(beside::log_joints(Arc::clone(&stage.robot), Arc::clone(&joints))),
+        tokio::spawn(beside::stop_on_signal(executor.controller())),
+        tokio::spawn(beside::show_progress(
             progress.clone(),
             Arc::clone(&stage.robot),
             Arc::clone(&chronicle.story),
@@ -304,8 +298,13 @@ async fn perform(
         )),
     ];
     helpers.extend(observers::start(&stage.equipment, &channels));
+    helpers.extend(company.as_ref().map(|company| tokio::spawn(company.watch(executor.controller()))));
     let world_task = tokio::spawn(simulation.run());
     let result = executor.run().await;
+    let told = match company {
+        Some(company) => company.close().await,
+        None => Told::default(),
+    };
     stage.robot.stop("the run has ended");
     stage.handle.stop();
     for helper in helpers {
@@ -327,6 +326,9 @@ async fn perform(
         states: vec![result.outcome.clone()],
         force_n: None,
     });
+    let states_at = |t_ns: u64| story.states_at(t_ns as f64 * 1e-9);
+    let mut pictures = gallery.pictures(&states_at);
+    pictures.extend(told.pictures(&states_at));
     let case = Case {
         chart: &chart,
         world: &world,
@@ -337,8 +339,9 @@ async fn perform(
         trace_sha256: digest.hex(),
         referee: &stage.referee,
         story: &story,
-        pictures: gallery.pictures(&|t_ns| story.states_at(t_ns as f64 * 1e-9)),
+        pictures,
         joints: locked(&joints).plots(stage.robot.model()),
+        diary: &told.diary,
     };
     let figures = judge::write(&args.report, case).map_err(|e| {
         NotBegun::Message(format!("the report cannot be written to `{}`: {e}", args.report.display()))
@@ -354,15 +357,32 @@ fn recorded(
 ) -> Result<Box<dyn TraceSink>, NotBegun> {
     let Some(file) = &args.record else { return Ok(sink) };
     let (chart, charts, profile) = (args.chart.clone(), args.charts.clone(), args.profile.clone());
-    let beginning = Beginning { chart, charts, inputs, profile };
+    let beginning = replay::Beginning { chart, charts, inputs, profile };
     let recorded = Recorded::begin(file, &beginning, sink);
     let recorded = recorded.map_err(|e| NotBegun::Message(format!("{}: {e}", file.display())))?;
     Ok(Box::new(recorded))
 }
 
-fn load_world(file: Option<&Path>) -> Result<World, NotBegun> {
-    let Some(file) = file else { return Ok(World::default()) };
-    World::load(file).map_err(|errors| NotBegun::Findings(errors.iter().map(Shown::from).collect()))
+/// Brings in the world's other agents, on the connection's threads.
+async fn gather(
+    connection: &Connection,
+    stage: &Stage,
+    simulation: &Simulation,
+    (world, world_file): (&World, PathBuf),
+    folder: &Path,
+) -> Result<Company, NotBegun> {
+    let beginning = Beginning {
+        session: connection.session.clone(),
+        world: world.clone(),
+        world_file,
+        memory: Arc::clone(&stage.memory),
+        store: Arc::clone(stage.kept.store()),
+        eyes: simulation.agents(),
+        folder: folder.to_owned(),
+        clock: stage.handle.clone(),
+    };
+    let gathered = connection.runtime().spawn(Company::gather(beginning)).await;
+    gathered.map_err(begin_error)?.map_err(NotBegun::Message)
 }
 
 /// Says how the run ended and where its report is.
@@ -393,69 +413,4 @@ fn conclude(
     }
     writeln!(out, "the report is {}", folder.join("report.html").display())?;
     Ok(1)
-}
-
-/// Passes on to the referee what vision took each frame's hand for, and records it.
-async fn watch_gestures(
-    memory: Arc<armarium_memoryx::WorkingMemory>,
-    referee: armarium_simulator::Referee,
-    recorder: SharedRecorder,
-) {
-    let mut changes = memory.subscribe();
-    loop {
-        match changes.recv().await {
-            Ok(snapshot) if snapshot.id.segment() == "HumanHands" => {
-                let gesture = snapshot.attribute("gesture").and_then(Value::as_str);
-                referee.gesture_seen(snapshot.referenced_ns, gesture.filter(|g| *g != "none"));
-                let seen = snapshot.instance().map(|i| Value::Map(i.attributes.to_map()).to_json());
-                if let (Some(recorder), Some(seen)) = (locked(&recorder).as_mut(), seen)
-                    && recorder.json("/vision/hand", snapshot.referenced_ns, &seen).is_err()
-                {
-                    tracing::warn!("what was seen of the hand was not recorded");
-                }
-            }
-            Ok(_) | Err(tokio::sync::broadcast::error::RecvError::Lagged(_)) => {}
-            Err(_) => return,
-        }
-    }
-}
-
-/// Keeps the joint angles of torso and arm for the report, 20 times a second.
-async fn log_joints(robot: Arc<dyn armarium_robot::Robot>, log: Arc<Mutex<JointLog>>) {
-    let chosen = armarium_robot::postures::reaching_joints(robot.model());
-    let mut sensed = robot.sensed();
-    // Before the first sample nothing is sensed.
-    let begun = sensed.changed().await;
-    let mut tick = tokio::time::interval(Duration::from_millis(50));
-    while begun.is_ok() {
-        tick.tick().await;
-        let sample = Arc::clone(&sensed.borrow());
-        locked(&log).add(sample.stamp_ns as f64 * 1e-9, &sample.position, &chosen);
-    }
-}
-
-async fn show_progress(
-    progress: Progress,
-    robot: Arc<dyn armarium_robot::Robot>,
-    story: Arc<Mutex<Story>>,
-    began: Instant,
-) {
-    let mut tick = tokio::time::interval(Duration::from_millis(100));
-    loop {
-        tick.tick().await;
-        let sample = Arc::clone(&robot.sensed().borrow());
-        progress.update(&Status {
-            simulated_s: sample.stamp_ns as f64 * 1e-9,
-            wall_s: began.elapsed().as_secs_f64(),
-            states: locked(&story).status.shown(),
-            force_n: Some(sample.wrist.force.norm()),
-        });
-    }
-}
-
-/// Ctrl-C stops the robot first: every skill is cancelled and has returned before the report is written.
-async fn stop_on_signal(controller: Controller) {
-    if tokio::signal::ctrl_c().await.is_ok() {
-        controller.stop("stopped by Ctrl-C");
-    }
 }

@@ -52,6 +52,29 @@ pub(crate) struct Stage {
     pub(crate) kept: Arc<Consolidator>,
 }
 
+/// What an agent knows, and what it keeps of it.
+pub(crate) struct Mind {
+    pub(crate) memory: Arc<WorkingMemory>,
+    pub(crate) kept: Arc<Consolidator>,
+}
+
+impl Mind {
+    /// A memory with prior knowledge of the world's things and with what was kept in a store.
+    pub(crate) fn open(world: &World, store: &Path) -> Result<Self, StageError> {
+        if let Some(folder) = store.parent().filter(|f| !f.as_os_str().is_empty()) {
+            std::fs::create_dir_all(folder)
+                .map_err(|source| StageError::Folder { folder: folder.into(), source })?;
+        }
+        let long_term = Arc::new(LongTermMemory::open(store)?);
+        let policies = Policies::all(Policy::Nothing).with(KEPT_SEGMENT, Policy::AtMost { hz: 1.0 });
+        let kept = Arc::new(Consolidator::new(Arc::clone(&long_term), policies));
+        let memory = WorkingMemory::new(tokio_clock()).with_backing(Arc::clone(&kept) as Arc<dyn Backing>);
+        long_term.load_into(&memory, Pattern::segment(KEPT_SEGMENT))?;
+        prior_knowledge(world)?.put_into(&memory)?;
+        Ok(Self { memory: Arc::new(memory), kept })
+    }
+}
+
 impl Stage {
     /// Sets the stage; the simulation is to be spawned. With `scenery`, its cameras are in another process.
     pub(crate) fn set(
@@ -64,22 +87,12 @@ impl Stage {
         let start = postures::home(&Arc::new(Model::armar3()));
         let options = Options { truth_sinks, start: Some(start), scenery, ..Options::default() };
         let simulation = Simulation::new(world, seed, options)?;
-        if let Some(folder) = store.parent().filter(|f| !f.as_os_str().is_empty()) {
-            std::fs::create_dir_all(folder)
-                .map_err(|source| StageError::Folder { folder: folder.into(), source })?;
-        }
-        let long_term = Arc::new(LongTermMemory::open(store)?);
-        let policies = Policies::all(Policy::Nothing).with(KEPT_SEGMENT, Policy::AtMost { hz: 1.0 });
-        let kept = Arc::new(Consolidator::new(Arc::clone(&long_term), policies));
-        let memory = WorkingMemory::new(tokio_clock()).with_backing(Arc::clone(&kept) as Arc<dyn Backing>);
-        long_term.load_into(&memory, Pattern::segment(KEPT_SEGMENT))?;
-        prior_knowledge(world)?.put_into(&memory)?;
-        let memory = Arc::new(memory);
+        let Mind { memory, kept } = Mind::open(world, store)?;
         let equipment = Equipment {
             robot: simulation.robot(),
             images: simulation.images(),
             memory: Arc::clone(&memory) as Arc<dyn armarium_memoryx::Memory>,
-            agent: "local".into(),
+            agent: world.robot.name.clone(),
             seed,
         };
         let stage = Self {

@@ -3,6 +3,7 @@
 //! A frame is drawn only when it is due and somebody waits for it. The robot believes its cameras to be where its
 //! joint angles say; the true camera stands off by the world's mounting error.
 
+mod agents;
 mod distant;
 #[cfg(test)]
 mod gestures;
@@ -24,7 +25,9 @@ use crate::render::{
 };
 use crate::table::{DirtGrid, THICKNESS, TableTop};
 use crate::truth::FrameTruth;
-use crate::world::{Gesture, ImageFault, World};
+use crate::world::{CoverSpec, Gesture, ImageFault, World};
+
+pub(crate) use agents::AgentEyes;
 
 pub use distant::{DistantCameras, Scenery, SceneryError, ScenerySink};
 
@@ -40,6 +43,7 @@ const HIDES: f32 = 0.002;
 /// The provider of the simulated frames.
 #[derive(Debug)]
 pub struct SimulatedCameras {
+    name: String,
     calibration: StereoCalibration,
     newest: newest::Sender<Feed>,
     waiting: AtomicUsize,
@@ -63,8 +67,9 @@ impl Drop for Waiting<'_> {
 impl SimulatedCameras {
     const NAME: &'static str = "head_stereo";
 
-    fn new(calibration: StereoCalibration) -> Self {
-        Self { calibration, newest: newest::Sender::new(Feed::default()), waiting: AtomicUsize::new(0) }
+    fn new(name: &str, calibration: StereoCalibration) -> Self {
+        let newest = newest::Sender::new(Feed::default());
+        Self { name: name.into(), calibration, newest, waiting: AtomicUsize::new(0) }
     }
 
     fn wanted(&self) -> bool {
@@ -80,15 +85,15 @@ impl SimulatedCameras {
         self.newest.send(Feed { gone: true, ..self.newest.borrow() });
     }
 
-    fn gone() -> ImageError {
-        ImageError::Gone { provider: Self::NAME.into() }
+    fn gone(&self) -> ImageError {
+        ImageError::Gone { provider: self.name.clone() }
     }
 }
 
 #[async_trait]
 impl ImageSource for SimulatedCameras {
     fn name(&self) -> &str {
-        Self::NAME
+        &self.name
     }
 
     fn calibration(&self) -> StereoCalibration {
@@ -98,15 +103,15 @@ impl ImageSource for SimulatedCameras {
     async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
         let mut newest = self.newest.subscribe();
         if newest.borrow_and_update().gone {
-            return Err(Self::gone());
+            return Err(self.gone());
         }
         self.waiting.fetch_add(1, Ordering::Relaxed);
         let _waiting = Waiting(&self.waiting);
-        newest.changed().await.map_err(|_| Self::gone())?;
+        newest.changed().await.map_err(|_| self.gone())?;
         let feed = newest.borrow();
         match &feed.frame {
             Some(frame) if !feed.gone => Ok(Arc::clone(frame)),
-            _ => Err(Self::gone()),
+            _ => Err(self.gone()),
         }
     }
 }
@@ -165,7 +170,7 @@ impl Eyes {
         let [hx, hy] = table.half();
         let table_half = Vector3::new(hx, hy, THICKNESS / 2.0);
         Some(Self {
-            source: Arc::new(SimulatedCameras::new(calibration)),
+            source: Arc::new(SimulatedCameras::new(SimulatedCameras::NAME, calibration)),
             period_s: 1.0 / spec.rate,
             next_frame: 0,
             truth: Kinematics::new(model),
@@ -175,7 +180,7 @@ impl Eyes {
             noise: SensorNoise::new(spec.noise, seed),
             fault: (world.faults.images, world.faults.from),
             last: None,
-            fixed: legs(table),
+            fixed: legs(table).into_iter().chain(world.covers.iter().map(board)).collect(),
             table_half,
             table_pose: table.root_from_top() * Translation3::new(0.0, 0.0, -THICKNESS / 2.0),
             table_color: world.table.color,
@@ -371,6 +376,14 @@ fn legs(table: &TableTop) -> Vec<Shape> {
         });
     }
     legs
+}
+
+fn board(cover: &CoverSpec) -> Shape {
+    Shape {
+        geometry: Geometry::Box { half: Vector3::from(cover.size) / 2.0 },
+        scene_from_shape: cover.root_from_cover(),
+        color: cover.color,
+    }
 }
 
 /// The coach's block on a grey stick.

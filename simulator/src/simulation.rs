@@ -14,7 +14,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::cameras::{Eyes, Scenery, ScenerySink, SimulatedCameras, View};
+use crate::cameras::{AgentEyes, Eyes, Scenery, ScenerySink, SimulatedCameras, View};
 use crate::coach::{Coach, SeenArm};
 use crate::physics::{External, Plant, PlantError};
 use crate::referee::Referee;
@@ -25,6 +25,10 @@ use crate::world::{Disturbance, Milestone, World};
 
 /// One step, ns.
 const STEP_NS: u64 = 1_000_000;
+/// The same.
+const STEP: Duration = Duration::from_nanos(STEP_NS);
+/// Steps over more than this are not made up for: the guard would take the silence of those who command for their end.
+const LONGEST_DELAY: Duration = Duration::from_millis(10);
 /// The table's wiped cells are marked every so many steps; the referee does the same.
 pub(crate) const WIPE_EVERY: u64 = 5;
 
@@ -95,6 +99,7 @@ pub struct Simulation {
     sensors: Sensors,
     coach: Coach,
     eyes: Eyes,
+    agents: Vec<AgentEyes>,
     referee: Referee,
     sinks: Vec<Box<dyn TruthSink>>,
     scenery: Option<Box<dyn ScenerySink>>,
@@ -134,6 +139,11 @@ impl Simulation {
         let plant = Plant::new(&model, world, &start)?;
         let mut eyes = Eyes::new(&model, world, plant.table(), seed).ok_or(SimulationError::Camera)?;
         let camera = eyes.viewpoint(&start);
+        let calibration = eyes.source().calibration();
+        let agents = world.agents.iter().zip(1u64..).map(|(agent, n)| {
+            let seed = seed.rotate_left(32) ^ n;
+            AgentEyes::new(agent, calibration, world.camera.noise, seed)
+        });
         let sliding = model.joints().iter().map(|j| j.kind == JointKind::Prismatic).collect();
         let (guard, robot) = Guard::new(Arc::clone(&model), options.guard);
         let sponge = world.sponge().and_then(|s| world.objects.iter().position(|o| o.name == s.name));
@@ -146,6 +156,7 @@ impl Simulation {
             arm: ["wrist_1_r", "elbow_r"].map(|name| model.link(name)),
             sensors: Sensors::new(&world.robot.noise, &world.faults, sliding, stream(1)),
             coach: Coach::new(&world.coach, world.table.height, camera, stream(2)),
+            agents: agents.collect(),
             eyes,
             referee: Referee::new(world),
             sinks: options.truth_sinks,
@@ -181,6 +192,16 @@ impl Simulation {
         source
     }
 
+    /// The eyes of the world's other agents, by their names; poses are in each agent's own root frame.
+    #[must_use]
+    pub fn agents(&self) -> Vec<(String, Arc<dyn ImageSource>)> {
+        let eyes = |agent: &AgentEyes| {
+            let source: Arc<SimulatedCameras> = Arc::clone(agent.source());
+            (agent.name().to_owned(), source as Arc<dyn ImageSource>)
+        };
+        self.agents.iter().map(eyes).collect()
+    }
+
     /// Who judges.
     #[must_use]
     pub fn referee(&self) -> Referee {
@@ -205,11 +226,20 @@ impl Simulation {
         &self.dirt
     }
 
-    /// Steps once a millisecond of tokio's clock until the handle stops it; then no more frames come.
+    /// Steps once a millisecond of tokio's clock until the handle stops it; then no more frames come. Where real time
+    /// runs away, those who command get their turn between the steps that are made up for, and of a long delay nothing is
+    /// made up for: simulated time stays behind.
     pub async fn run(mut self) {
-        let mut tick = tokio::time::interval(Duration::from_millis(1));
+        let mut tick = tokio::time::interval(STEP);
         while !self.handle.shared.stop.load(Ordering::Relaxed) {
-            tick.tick().await;
+            let due = tick.tick().await;
+            let late = due.elapsed();
+            if late > LONGEST_DELAY {
+                tick.reset();
+            }
+            if late > STEP {
+                tokio::task::yield_now().await;
+            }
             self.step();
         }
     }
@@ -237,6 +267,7 @@ impl Simulation {
         self.act(t);
         self.tell(stamp_ns);
         self.show(stamp_ns, t);
+        self.show_agents(stamp_ns, t);
         if self.steps.is_multiple_of(WIPE_EVERY) {
             self.wipe();
         }
@@ -366,6 +397,27 @@ impl Simulation {
         }
     }
 
+    /// Draws for the other agents whose frames are due and wanted.
+    fn show_agents(&mut self, stamp_ns: u64, t: f64) {
+        let due: Vec<bool> = self.agents.iter_mut().map(|agent| agent.due(t)).collect();
+        if !due.contains(&true) {
+            return;
+        }
+        let objects: Vec<Isometry3<f64>> =
+            (0..self.object_names.len()).filter_map(|i| self.plant.object(i)).collect();
+        let view = View {
+            stamp_ns,
+            true_position: self.plant.position(),
+            sensed_position: &self.sample.position,
+            objects: &objects,
+            coach: &self.truth.coach,
+            without_hand_s: t - self.hand_gone_at,
+            wiped: &self.dirt,
+        };
+        let agents = self.agents.iter().zip(due).filter_map(|(agent, due)| due.then_some(agent));
+        self.eyes.draw_for(agents, &view);
+    }
+
     fn wipe(&mut self) {
         let Some(index) = self.sponge else { return };
         if self.truth.contact.normal <= 0.0 {
@@ -380,6 +432,7 @@ impl Simulation {
 impl Drop for Simulation {
     fn drop(&mut self) {
         self.eyes.source().close();
+        self.agents.iter().for_each(|agent| agent.source().close());
     }
 }
 

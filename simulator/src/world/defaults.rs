@@ -17,13 +17,15 @@ impl Default for World {
             coach: CoachSpec::default(),
             faults: Faults::default(),
             disturbances: Vec::new(),
+            agents: Vec::new(),
+            covers: Vec::new(),
         }
     }
 }
 
 impl Default for RobotSpec {
     fn default() -> Self {
-        Self { model: RobotModel::Armar3, arm: Arm::Right, noise: NoiseSpec::default() }
+        Self { name: "local".into(), model: RobotModel::Armar3, arm: Arm::Right, noise: NoiseSpec::default() }
     }
 }
 

@@ -5,6 +5,7 @@
 //! times s, in the robot's root frame (x right, y forward, z up); keys that end in `_deg` are degrees.
 //! This module does not simulate anything.
 
+mod agents;
 mod defaults;
 mod read;
 #[cfg(test)]
@@ -16,6 +17,8 @@ use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
 use serde::Serialize;
+
+pub use agents::{AgentSpec, CoverSpec};
 
 /// A whole world.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
@@ -39,12 +42,18 @@ pub struct World {
     pub faults: Faults,
     /// Accidents.
     pub disturbances: Vec<Disturbance>,
+    /// Other agents who look on.
+    pub agents: Vec<AgentSpec>,
+    /// Boards that stand in somebody's view.
+    pub covers: Vec<CoverSpec>,
 }
 
 /// Which robot, and how noisy its sensors are.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RobotSpec {
+    /// The name by which other agents call it.
+    pub name: String,
     /// Name of the model.
     pub model: RobotModel,
     /// The arm that wipes.

@@ -76,12 +76,44 @@ fn impossible_worlds_are_refused() {
 }
 
 #[test]
+fn other_agents_and_covers_are_read_and_read_back() {
+    let text = "
+robot: {name: bob}
+agents: [{name: alice, at: [0.3, 1.4, 1500 mm], looks_at: [0.3, 0.5, 1], rate: 4 Hz, runs: watch.yaml}]
+covers: [{at: [0, 0.3, 1.4], size: [0.3, 0.01, 0.2], yaw: 10 deg}]
+";
+    let world = parse(Path::new("w"), text).unwrap();
+    assert_eq!((world.robot.name.as_str(), world.agents[0].name.as_str()), ("bob", "alice"));
+    assert_eq!((world.agents[0].at[2], world.agents[0].rate), (1.5, 4.0));
+    assert_eq!(world.agents[0].runs.as_deref(), Some("watch.yaml"));
+    assert!((world.covers[0].yaw_deg - 10.0).abs() < 1e-9);
+    let again = serde_json::to_string(&world).unwrap();
+    assert_eq!(parse(Path::new("w"), &again).unwrap(), world);
+    for wrong in [
+        "agents: [{at: [0, 1, 1]}]",
+        "agents: [{name: a/b}]",
+        "agents: [{name: a}, {name: a}]",
+        "agents: [{name: local}]",
+        "robot: {name: a b}",
+        "agents: [{name: a, at: [0, 1, 1], looks_at: [0, 1, 1]}]",
+        "covers: [{size: [0, 1, 1]}]",
+    ] {
+        assert_eq!(findings(wrong).len(), 1, "{wrong}");
+    }
+}
+
+#[test]
 fn the_schema_names_every_section_and_both_forms_of_angles() {
     let schema = World::schema();
-    for key in ["world", "robot", "camera", "table", "objects", "coach", "faults", "disturbances"] {
+    let keys = ["world", "robot", "camera", "table", "objects", "coach", "faults", "disturbances"];
+    for key in keys.into_iter().chain(["agents", "covers"]) {
         assert!(schema["properties"].get(key).is_some(), "{key}");
     }
-    for pointer in ["/$defs/TableSpec/properties/tilt", "/$defs/ObjectSpec/properties/yaw_deg"] {
+    for pointer in [
+        "/$defs/TableSpec/properties/tilt",
+        "/$defs/ObjectSpec/properties/yaw_deg",
+        "/$defs/CoverSpec/properties/yaw",
+    ] {
         assert!(schema.pointer(pointer).is_some(), "{pointer}");
     }
     assert_eq!(schema["additionalProperties"], false);

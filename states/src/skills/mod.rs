@@ -1,5 +1,6 @@
 //! All skills, by name. A new one is a file here and a line in [`skills`].
 
+mod attach_object;
 mod calibrate_hand_eye;
 mod close_hand;
 mod execute_motion;
@@ -16,6 +17,7 @@ mod movement_imitation;
 mod open_hand;
 mod plan_grasp;
 mod recall_motion;
+mod recall_object;
 mod verify_grasp;
 mod vision_coaching;
 mod visual_servo;
@@ -40,10 +42,12 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         close_hand::skill(equipment),
         calibrate_hand_eye::skill(equipment),
         locate_object::skill(equipment),
+        recall_object::skill(equipment),
         plan_grasp::skill(equipment),
         visual_servo::skill(equipment),
         weigh_hand::skill(equipment),
         verify_grasp::skill(equipment),
+        attach_object::skill(equipment),
         movement_imitation::skill(equipment),
         imitate_motion::skill(equipment),
         recall_motion::skill(equipment),

@@ -39,6 +39,8 @@ pub struct ReportData {
     pub wiped: Option<WipedArea>,
     /// What each coaching did.
     pub coaching: Vec<CoachingRow>,
+    /// What the memories of several agents knew.
+    pub memories: Option<Memories>,
     /// Gestures: true, then seen, then in how many frames.
     pub confusion: BTreeMap<String, BTreeMap<String, u64>>,
     /// Camera images with what was seen in them.
@@ -187,6 +189,44 @@ pub struct CoachingRow {
     pub far_side_rms_m: Option<f64>,
     /// Lowest frequency over the learned one while the hand was near.
     pub slowed_to: Option<f64>,
+}
+
+/// What the memories of several agents knew of one thing over time.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Memories {
+    /// The thing.
+    pub subject: String,
+    /// What each came to know, in order of time.
+    pub rows: Vec<MemoryRow>,
+    /// How far each was from the truth.
+    pub distance: Option<TimePlot>,
+}
+
+/// Something that one memory came to know, once or several times in a row.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct MemoryRow {
+    /// Whose memory.
+    pub agent: String,
+    /// The entity's address there.
+    pub entity: String,
+    /// When it came to know it first, s of the run.
+    pub from_s: f64,
+    /// When it was told the same for the last time, s.
+    pub to_s: f64,
+    /// How often it was told.
+    pub count: u64,
+    /// The agent who found it out.
+    pub origin: String,
+    /// What is said, beside the place.
+    pub says: String,
+    /// Where the thing is said to be, robot's root frame, m.
+    pub position: Option<[f64; 3]>,
+    /// How far it is trusted, 0 to 1.
+    pub confidence: f64,
+    /// How far that was from the truth when it came, m.
+    pub error_m: Option<f64>,
 }
 
 /// A picture of the run, as PNG or JPEG.

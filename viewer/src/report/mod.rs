@@ -8,6 +8,7 @@ mod curves;
 mod data;
 mod figures;
 mod gantt;
+mod memories;
 mod page;
 mod plan;
 mod series;
@@ -16,8 +17,8 @@ mod timeplot;
 
 pub use curves::{Curve, Look, Panel, Row, picture};
 pub use data::{
-    Band, Cell, ChainLink, CoachingRow, Path, PathRole, Picture, ReportData, Series, StateSpan, TimePlot,
-    WipedArea,
+    Band, Cell, ChainLink, CoachingRow, Memories, MemoryRow, Path, PathRole, Picture, ReportData, Series,
+    StateSpan, TimePlot, WipedArea,
 };
 pub use figures::{Figure, Requirement, figures};
 pub use page::render;

@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use super::data::{CoachingRow, ReportData, TimePlot};
 use super::figures::{Figure, Requirement};
 use super::svg::{data_uri, escape};
-use super::{gantt, plan, timeplot};
+use super::{gantt, memories, plan, timeplot};
 
 const STYLE: &str = include_str!("style.css");
 
@@ -26,6 +26,7 @@ pub fn render(data: &ReportData) -> String {
         failure(data),
         figures(&data.figures),
         states(data),
+        memories(data),
         paths(data),
         signals(data),
         wiped(data),
@@ -94,7 +95,7 @@ fn failure(data: &ReportData) -> String {
     )
 }
 
-fn number(value: f64, digits: usize) -> String {
+pub(super) fn number(value: f64, digits: usize) -> String {
     if value.is_finite() {
         format!("{value:.digits$}").replace('-', "−")
     } else {
@@ -102,7 +103,7 @@ fn number(value: f64, digits: usize) -> String {
     }
 }
 
-fn with_unit(text: String, unit: &str) -> String {
+pub(super) fn with_unit(text: String, unit: &str) -> String {
     if unit.is_empty() { text } else { format!("{text}\u{a0}{unit}") }
 }
 
@@ -161,6 +162,13 @@ fn states(data: &ReportData) -> String {
     }
     let note = "Which states were active, and when. A thin bar is a state with states inside.";
     section("States", note, &gantt::draw(&data.states, time(data)))
+}
+
+fn memories(data: &ReportData) -> String {
+    let Some(known) = &data.memories else { return String::new() };
+    let note = "What each agent's memory came to know, as it told others. Places are in the robot's root frame, set \
+                beside the simulator's truth of that moment; the plot takes what speaks of the latest time.";
+    section(&format!("Memories of the {}", known.subject), note, &memories::draw(known, time(data)))
 }
 
 fn paths(data: &ReportData) -> String {

@@ -4,6 +4,7 @@
 //! default in place and adds a finding, so that one pass finds everything. The checks that join several values
 //! (an object beside its table) come last, and only when everything else is right.
 
+mod agents;
 mod coach;
 mod values;
 
@@ -24,6 +25,8 @@ const MAX_BYTES: usize = 1 << 20;
 const MAX_LIST: usize = 1000;
 /// Most objects; each costs physics.
 const MAX_OBJECTS: usize = 8;
+/// Most agents with eyes; each costs rendering.
+const MAX_AGENTS: usize = 8;
 
 pub(super) fn load(path: &Path) -> Result<World, Vec<WorldError>> {
     match std::fs::read_to_string(path) {
@@ -64,7 +67,9 @@ pub(super) fn add_radian_keys(schema: &mut serde_json::Value) {
         "description": "The same in rad, or with its unit: `20 deg`.",
         "type": ["number", "string"],
     });
-    for (definition, key) in [("ObjectSpec", "yaw"), ("TableSpec", "tilt"), ("MountingError", "rotation")] {
+    for (definition, key) in
+        [("ObjectSpec", "yaw"), ("CoverSpec", "yaw"), ("TableSpec", "tilt"), ("MountingError", "rotation")]
+    {
         let value = if key == "yaw" {
             angle.clone()
         } else {
@@ -79,7 +84,18 @@ pub(super) fn add_radian_keys(schema: &mut serde_json::Value) {
 }
 impl Reader<'_> {
     fn world(&mut self, root: &Node, world: &mut World) {
-        let keys = ["world", "robot", "camera", "table", "objects", "coach", "faults", "disturbances"];
+        let keys = [
+            "world",
+            "robot",
+            "camera",
+            "table",
+            "objects",
+            "coach",
+            "faults",
+            "disturbances",
+            "agents",
+            "covers",
+        ];
         let Some(s) = self.section(root, &keys) else { return };
         self.text(s.get("world"), &mut world.name);
         if let Some(n) = s.get("robot") {
@@ -105,13 +121,25 @@ impl Reader<'_> {
         if let Some(items) = s.get("disturbances").and_then(|n| self.list(n, MAX_LIST)) {
             world.disturbances = items.iter().map(|n| self.disturbance(n, &world.objects)).collect();
         }
+        for n in s.get("agents").and_then(|n| self.list(n, MAX_AGENTS)).unwrap_or_default() {
+            let agent = self.agent(n, &world.agents, world);
+            world.agents.push(agent);
+        }
+        if let Some(items) = s.get("covers").and_then(|n| self.list(n, MAX_LIST)) {
+            world.covers = items.iter().map(|n| self.cover(n)).collect();
+        }
         if self.findings.is_empty() {
             self.together(root, world, &places);
         }
     }
 
     fn robot(&mut self, node: &Node, world: &mut World) {
-        let Some(s) = self.section(node, &["model", "arm", "noise"]) else { return };
+        let Some(s) = self.section(node, &["name", "model", "arm", "noise"]) else { return };
+        if let Some(n) = s.get("name") {
+            self.text(Some(n), &mut world.robot.name);
+            let name = world.robot.name.clone();
+            self.agent_name(n, &name);
+        }
         self.choice(s.get("model"), &mut world.robot.model, &[("armar3", RobotModel::Armar3)]);
         self.choice(s.get("arm"), &mut world.robot.arm, &[("right", super::Arm::Right)]);
         if let Some(n) = s.get("noise") {

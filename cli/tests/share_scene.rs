@@ -1,0 +1,86 @@
+//! Two agents as two processes in one simulated world, who share what they know.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn armarium(folder: &Path, args: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_armarium"));
+    command.current_dir(folder).args(args).output().expect("the program of this package can be started")
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&[output.stdout.as_slice(), output.stderr.as_slice()].concat()).into_owned()
+}
+
+fn chart(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../statecharts").join(name)
+}
+
+#[test]
+fn bob_grasps_by_what_alice_sees_and_alice_learns_that_he_holds_it() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let chart = chart("share_scene.yaml").display().to_string();
+    let output = armarium(folder.path(), &["run", &chart, "--report", "report", "--store", "bob.redb"]);
+    let log = std::fs::read_to_string(folder.path().join("report/alice.log")).unwrap_or_default();
+    assert_eq!(output.status.code(), Some(0), "{}\nalice: {log}", said(&output));
+    let text = std::fs::read_to_string(folder.path().join("report/report.json")).expect("a report");
+    let report: Value = serde_json::from_str(&text).expect("JSON");
+    assert_eq!(report["outcome"], "success");
+    let error_m = report["grasp"]["position_error_m"].as_f64().expect("the sponge was grasped");
+    assert!(error_m < 0.015, "{error_m} m");
+
+    let rows = report["memories"]["rows"].as_array().expect("both memories are in the report");
+    let knows = |agent: &str, id: &str, says: &str| {
+        rows.iter().find(|row| row["agent"] == agent && row["id"] == id && row["says"] == says)
+    };
+    let seen = knows("bob", "ObjectInstances/alice.alice/sponge", "seen").expect("Alice told Bob");
+    assert_eq!(seen["origin"], "alice");
+    assert!(seen["error_m"].as_f64().is_some_and(|e| e < 0.02), "{seen}");
+    assert_eq!(knows("bob", "ObjectInstances/bob/sponge", "seen"), None, "his view is covered");
+    let hand = "bob/right_hand";
+    let held = knows("alice", "ObjectInstances/bob.bob/sponge", &format!("in {hand}"));
+    let held = held.expect("Bob told Alice");
+    assert_eq!(held["origin"], "bob");
+    assert!(held["error_m"].as_f64().is_some_and(|e| e < 0.02), "{held}");
+    let relation = format!("sponge in {hand}");
+    assert!(knows("alice", "ObjectRelations/bob.bob/sponge-in-right_hand", &relation).is_some());
+}
+
+/// A chart that waits, and a world with an agent who runs `watch`.
+fn waiting(watch: Option<&str>) -> (tempfile::TempDir, Output) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let write = |name: &str, text: &str| {
+        std::fs::write(folder.path().join(name), text).expect("the folder can be written");
+    };
+    write("wait.yaml", "statechart: Wait\ninitial: Waiting\nstates: {Waiting: {}}\n");
+    write(
+        "wait.world.yaml",
+        "world: two\nrobot: {name: bob}\nagents: [{name: alice, at: [0.3, 1.4, 1.5], runs: watch.yaml}]\n",
+    );
+    if let Some(watch) = watch {
+        write("watch.yaml", watch);
+    }
+    let output = armarium(folder.path(), &["run", "wait.yaml"]);
+    (folder, output)
+}
+
+#[test]
+fn an_agent_that_ends_stops_the_run() {
+    let watch = "statechart: Watch\ninitial: Waiting\nstates:\n  Waiting: {after: {200ms: Failed}}\n  Failed: {final: failure}\n";
+    let (folder, output) = waiting(Some(watch));
+    let text = said(&output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("the agent `alice` has ended"), "{text}");
+    assert!(folder.path().join("report/report.json").exists(), "{text}");
+}
+
+#[test]
+fn an_agent_that_cannot_begin_is_said() {
+    let (folder, output) = waiting(None);
+    let text = said(&output);
+    assert_eq!(output.status.code(), Some(2), "{text}");
+    assert!(text.contains("the agent `alice` has ended") && text.contains("alice.log"), "{text}");
+    assert!(!folder.path().join("report/report.json").exists());
+}

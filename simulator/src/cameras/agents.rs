@@ -1,0 +1,115 @@
+//! The eyes of other agents: fixed stereo pairs like the robot's, each in its agent's own root frame.
+//!
+//! They see the scene that the robot sees, and are drawn only when a frame is due and somebody waits for it.
+
+use std::sync::Arc;
+
+use armarium_visionx::{StereoCalibration, StereoFrame};
+use nalgebra::Isometry3;
+
+use super::{Eyes, SimulatedCameras, View};
+use crate::render::{Rendering, Scene, SensorNoise, Viewpoint, render_pair};
+use crate::world::AgentSpec;
+
+/// The stereo pair of one agent.
+pub(crate) struct AgentEyes {
+    name: String,
+    source: Arc<SimulatedCameras>,
+    scene_from_left: Isometry3<f64>,
+    agent_from_left: Isometry3<f64>,
+    period_s: f64,
+    next_frame: u64,
+    noise: SensorNoise,
+}
+
+impl AgentEyes {
+    /// `noise`: standard deviation of each pixel's channels; `seed` draws it.
+    pub(crate) fn new(agent: &AgentSpec, calibration: StereoCalibration, noise: f64, seed: u64) -> Self {
+        let scene_from_left = agent.root_from_left(calibration.baseline);
+        Self {
+            name: agent.name.clone(),
+            source: Arc::new(SimulatedCameras::new(&agent.name, calibration)),
+            scene_from_left,
+            agent_from_left: agent.root_from_agent().inverse() * scene_from_left,
+            period_s: 1.0 / agent.rate,
+            next_frame: 0,
+            noise: SensorNoise::new(noise, seed),
+        }
+    }
+
+    pub(crate) fn name(&self) -> &str {
+        &self.name
+    }
+
+    pub(crate) fn source(&self) -> &Arc<SimulatedCameras> {
+        &self.source
+    }
+
+    /// Whether a frame is due at `t` s and somebody waits for it.
+    pub(crate) fn due(&mut self, t: f64) -> bool {
+        if t + 1e-9 < self.next_frame as f64 * self.period_s {
+            return false;
+        }
+        self.next_frame = ((t + 1e-9) / self.period_s).floor() as u64 + 1;
+        self.source.wanted()
+    }
+
+    fn draw(&self, scene: &Scene, stamp_ns: u64) {
+        let calibration = self.source.calibration;
+        let left = Viewpoint { scene_from_camera: self.scene_from_left, camera: calibration.camera };
+        let right = left.shifted_right(calibration.baseline);
+        let [Rendering { image: mut left, depth }, Rendering { image: mut right, .. }] =
+            render_pair(scene, &[left, right]);
+        self.noise.apply(&mut left, self.next_frame, 0);
+        self.noise.apply(&mut right, self.next_frame, 1);
+        let root_from_left = self.agent_from_left;
+        self.source.publish(StereoFrame { stamp_ns, left, right, depth: Some(depth), root_from_left });
+    }
+}
+
+impl Eyes {
+    /// Hands out what these agents see of what the robot sees.
+    pub(crate) fn draw_for<'a>(&mut self, agents: impl Iterator<Item = &'a AgentEyes>, view: &View<'_>) {
+        self.truth.update(view.true_position);
+        let scene = self.scene(view);
+        agents.for_each(|agent| agent.draw(&scene, view.stamp_ns));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::sync::Arc;
+
+    use armarium_robot::{Model, postures};
+    use armarium_visionx::{BoxModel, ColorModel, ObjectLocalizer, components};
+    use nalgebra::Vector3;
+
+    use crate::simulation::{Options, Simulation};
+    use crate::world::World;
+
+    #[tokio::test(start_paused = true)]
+    async fn what_the_shelf_hides_from_the_robot_alice_sees_in_her_own_frame() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../statecharts/share_scene.world.yaml");
+        let world = World::load(&file).unwrap();
+        let start = Some(postures::home(&Arc::new(Model::armar3())));
+        let simulation = Simulation::new(&world, 1, Options { start, ..Options::default() }).unwrap();
+        let (own, others, handle) = (simulation.images(), simulation.agents(), simulation.handle());
+        let (name, eyes) = &others[0];
+        assert_eq!((others.len(), name.as_str(), eyes.name()), (1, "alice", "alice"));
+        let running = tokio::spawn(simulation.run());
+        let (robots, alices) = tokio::join!(own.next(), eyes.next());
+        handle.stop();
+        running.await.unwrap();
+        let (robots, alices) = (robots.unwrap(), alices.unwrap());
+
+        let sponge = world.sponge().unwrap();
+        let color = ColorModel::from_rgb(sponge.color);
+        assert!(components(&color.segment(&robots.left), 20).is_empty(), "the robot sees the sponge");
+        let model = BoxModel { size: Vector3::from(sponge.size), color };
+        let seen = ObjectLocalizer::new(eyes.calibration(), model).localize(&alices).unwrap();
+        let place = (world.agents[0].root_from_agent() * seen.root_from_object).translation;
+        let off = (place.x - sponge.at[0]).hypot(place.y - sponge.at[1]);
+        assert!(off < 0.015, "{place:?} is {off} m off");
+    }
+}

@@ -1,0 +1,72 @@
+//! `AttachObject`: says in memory that the hand holds an object: from now on it moves with the hand, for this agent
+//! and for everyone who follows it.
+//!
+//! Where the object sits in the hand follows from where it was, and where the hand was, when the hand closed. Whether it
+//! is held at all, `VerifyGrasp` says.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use armarium_memoryx::updater::MotionModel;
+use armarium_memoryx::{Commit, EntityId};
+use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::{Frame, Type, Value, Vector};
+
+use crate::arm::{TCP, link};
+use crate::equipment::{self, Equipment};
+use crate::inputs::{Inputs, pose_value, reference};
+use crate::motions::failed;
+
+/// The hand that holds.
+const HAND: &str = "right_hand";
+
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+    let manifest = SkillManifest::new(
+        "AttachObject",
+        "Says in memory that the right hand holds an object, which moves with it from now on.",
+    )
+    .input("object", Type::object(), "The object in memory.")
+    .input("pose", Type::Pose, "Its pose when the hand closed, root frame.")
+    .input("tcp_at_grasp", Type::Pose, "Pose of the TCP when the hand closed.")
+    .output("object", Type::object(), "The object in memory, in the hand.")
+    .limb(HAND);
+    equipment::skill(equipment, manifest, run)
+}
+
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+    let before = context.entity("object")?;
+    let snapshot = equipment.memory.latest(&before).await.map_err(failed)?;
+    let class = snapshot.attribute("class").and_then(Value::as_str);
+    let class = class.ok_or_else(|| Failure::new(format!("memory does not know what `{before}` is")))?;
+    // What memory says of its place by now may be of the object in the hand.
+    let tcp_from_object = context.pose("tcp_at_grasp")?.inverse() * context.pose("pose")?;
+
+    let sensed = equipment.robot.sensed().borrow();
+    let model = equipment.robot.model();
+    let now = model.link_pose(&sensed.position, link(model, TCP)?) * tcp_from_object;
+    // Hands of several agents are told apart by the agent's name in front.
+    let hand = format!("{}/{HAND}", equipment.agent);
+    let held = MotionModel::Hand { name: hand.clone(), offset: tcp_from_object.translation.vector.into() };
+    let mut attributes = BTreeMap::from([
+        ("class".to_owned(), Value::from(class)),
+        ("pose".to_owned(), pose_value(&now)),
+        ("position".to_owned(), Value::Vector(Vector::new(Frame::root(), &now.translation.vector))),
+    ]);
+    attributes.extend(held.attributes());
+    let confidence = snapshot.instance().map_or(1.0, |instance| instance.confidence);
+
+    let id = EntityId::new("ObjectInstances", &equipment.agent, before.entity()).map_err(failed)?;
+    let name = format!("{}-in-{HAND}", before.entity());
+    let relation = EntityId::new("ObjectRelations", &equipment.agent, &name).map_err(failed)?;
+    let related = BTreeMap::from([
+        ("subject".to_owned(), Value::from(id.as_str())),
+        ("relation".to_owned(), Value::from("in")),
+        ("object".to_owned(), Value::from(hand)),
+    ]);
+    let commits = vec![
+        Commit::new(id.clone(), sensed.stamp_ns, attributes).with_confidence(confidence),
+        Commit::new(relation, sensed.stamp_ns, related),
+    ];
+    equipment.memory.commit(commits).await.map_err(failed)?;
+    Ok(Outcome::success().with("object", reference("Object", &id)))
+}

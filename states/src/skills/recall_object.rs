@@ -1,0 +1,176 @@
+//! `RecallObject`: where an object is, from memory: whoever saw it last, this agent or one that it follows.
+//!
+//! It looks at nothing. What an agent says in a frame of its own, because it is not known where it stands, is of no use
+//! here, and neither is a place from which a hand has taken the object since.
+
+use std::sync::Arc;
+
+use armarium_memoryx::{Pattern, Query, Snapshot};
+use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_values::{Type, Value};
+use nalgebra::Isometry3;
+
+use crate::arm::Senses;
+use crate::equipment::{self, Equipment};
+use crate::inputs::{Inputs, as_pose, pose_value, reference};
+use crate::motions::failed;
+
+/// How often memory is asked, s.
+const ASK_EVERY: f64 = 0.1;
+
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+    let manifest = SkillManifest::new(
+        "RecallObject",
+        "Finds where an object is in memory, whoever saw it last, and waits for somebody who does.",
+    )
+    .input("object", Type::String, "Object class in prior knowledge.")
+    .optional("max_age", Type::Duration, 10.0, "How long ago it may have been seen.")
+    .optional("timeout", Type::Duration, 5.0, "How long to wait for somebody who sees it.")
+    .output("object", Type::object(), "The object in memory.")
+    .output("pose", Type::Pose, "Its pose in the root frame.")
+    .output("told_by", Type::String, "The agent who saw it.");
+    equipment::skill(equipment, manifest, run)
+}
+
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+    let class = context.text("object")?;
+    let (max_age, timeout) = (context.number("max_age")?, context.number("timeout")?);
+    let mut senses = Senses::new(&*equipment.robot, &context);
+    let (mut waited, mut asked) = (0.0, f64::NEG_INFINITY);
+    loop {
+        let (sample, dt) = senses.next().await?;
+        waited += dt;
+        if waited - asked < ASK_EVERY {
+            continue;
+        }
+        asked = waited;
+        let query = Query::latest(Pattern::segment("ObjectInstances"));
+        let known = equipment.memory.query(&query).await.map_err(failed)?;
+        match newest(&known, class, sample.stamp_ns, max_age) {
+            Ok((snapshot, pose)) => {
+                return Ok(Outcome::success()
+                    .with("object", reference("Object", &snapshot.id))
+                    .with("pose", pose_value(&pose))
+                    .with("told_by", teller(snapshot).unwrap_or(&equipment.agent)));
+            }
+            Err(unknown) if waited > timeout => {
+                let why = unknown.explain(class, max_age);
+                return Err(Failure::new(format!("{why}; waited {timeout:.0} s")));
+            }
+            Err(_) => {}
+        }
+    }
+}
+
+/// Why memory does not say where an object is.
+#[derive(Debug, PartialEq)]
+enum Unknown {
+    Never,
+    Old { age_s: f64, id: String },
+    Held { by: String },
+    Elsewhere { id: String },
+}
+
+impl Unknown {
+    fn explain(&self, class: &str, max_age: f64) -> String {
+        match self {
+            Self::Never => format!(
+                "nobody has told where an object `{class}` is; is an agent who sees it followed, and does it run?"
+            ),
+            Self::Old { age_s, id } => {
+                format!(
+                    "the newest that is known of `{class}` (`{id}`) is {age_s:.1} s old, over {max_age:.1} s"
+                )
+            }
+            Self::Held { by } => format!("`{class}` is in the hand `{by}`"),
+            Self::Elsewhere { id } => format!(
+                "`{id}` has no pose in the root frame: it is not known where the agent stands who saw it"
+            ),
+        }
+    }
+}
+
+/// The agent from whose memory it was taken; `None` for this agent's own.
+fn teller(snapshot: &Snapshot) -> Option<&str> {
+    snapshot.attribute("origin")?.get("agent")?.as_str()
+}
+
+/// What speaks of the latest time among all that is known of a class at `now_ns`, and its pose in the root frame.
+fn newest<'k>(
+    known: &'k [Arc<Snapshot>],
+    class: &str,
+    now_ns: u64,
+    max_age: f64,
+) -> Result<(&'k Snapshot, Isometry3<f64>), Unknown> {
+    let of_class = known.iter().filter(|s| s.attribute("class").and_then(Value::as_str) == Some(class));
+    let newest = of_class.max_by_key(|s| s.referenced_ns).ok_or(Unknown::Never)?;
+    let age_s = now_ns.saturating_sub(newest.referenced_ns) as f64 * 1e-9;
+    let id = newest.id.to_string();
+    if let Some(by) = newest.attribute("attached_to").and_then(Value::as_str) {
+        return Err(Unknown::Held { by: by.to_owned() });
+    }
+    if age_s > max_age {
+        return Err(Unknown::Old { age_s, id });
+    }
+    let pose = newest.attribute("pose").and_then(as_pose).ok_or(Unknown::Elsewhere { id })?;
+    Ok((newest, pose))
+}
+
+#[cfg(test)]
+mod tests {
+    use armarium_memoryx::{Instance, Snapshot};
+    use armarium_values::Pose;
+
+    use super::*;
+
+    const SECOND: u64 = 1_000_000_000;
+
+    fn sponge(provider: &str, at_s: u64, frame: &str, x: f64, held: bool) -> Arc<Snapshot> {
+        let pose = Value::Pose(Pose::new(frame.into(), &Isometry3::translation(x, 0.0, 0.0)));
+        let mut attributes = std::collections::BTreeMap::from([
+            ("class".to_owned(), Value::from("sponge")),
+            ("pose".to_owned(), pose),
+        ]);
+        if held {
+            attributes.insert("attached_to".into(), Value::from("bob/right_hand"));
+        }
+        if let Some((agent, _)) = provider.split_once('.') {
+            let origin = std::collections::BTreeMap::from([("agent".to_owned(), Value::from(agent))]);
+            attributes.insert("origin".into(), Value::Map(origin));
+        }
+        Arc::new(Snapshot {
+            id: format!("ObjectInstances/{provider}/sponge").parse().unwrap(),
+            version: 1,
+            referenced_ns: at_s * SECOND,
+            sent_ns: 0,
+            arrived_ns: 0,
+            instances: vec![Instance::new(attributes)],
+        })
+    }
+
+    #[test]
+    fn whoever_saw_it_last_is_believed() {
+        let known = [sponge("alice.alice", 7, "root", 0.2, false), sponge("bob", 3, "root", 0.1, false)];
+        let (found, pose) = newest(&known, "sponge", 9 * SECOND, 5.0).unwrap();
+        assert_eq!((teller(found), pose.translation.x), (Some("alice"), 0.2));
+        let (found, _) = newest(&known[1..], "sponge", 4 * SECOND, 5.0).unwrap();
+        assert_eq!(teller(found), None);
+    }
+
+    #[test]
+    fn what_does_not_help_is_said() {
+        let unknown =
+            |known: &[Arc<Snapshot>], class: &str| newest(known, class, 20 * SECOND, 5.0).unwrap_err();
+        let old = sponge("bob", 3, "root", 0.1, false);
+        assert_eq!(unknown(&[Arc::clone(&old)], "cup"), Unknown::Never);
+        assert!(
+            matches!(unknown(&[Arc::clone(&old)], "sponge"), Unknown::Old { age_s, .. } if age_s == 17.0)
+        );
+        let held = sponge("bob", 18, "root", 0.1, true);
+        let said = unknown(&[old, held], "sponge");
+        assert_eq!(said, Unknown::Held { by: "bob/right_hand".into() });
+        assert_eq!(said.explain("sponge", 5.0), "`sponge` is in the hand `bob/right_hand`");
+        let elsewhere = sponge("alice.alice", 18, "alice/root", 0.1, false);
+        assert!(matches!(unknown(&[elsewhere], "sponge"), Unknown::Elsewhere { .. }));
+    }
+}
