@@ -116,8 +116,16 @@ async fn a_recorder_gets_all_frames_and_a_stalled_one_counts_what_it_missed() {
     let counts = reader.statistics();
     assert_eq!(counts.missed(), 0, "{counts:?}");
     assert_eq!(counts.received(), last - begin + 1);
-    let newest = tokio::time::timeout(WAIT, stalled.next()).await.unwrap().unwrap();
-    assert_eq!(newest.number, last, "a reader that comes back gets the newest");
+    // The last frames may be on their way to this reader still, but the first are gone.
+    let newest = async {
+        let (mut frames, mut number) = (0, begin);
+        while number < last {
+            (frames, number) = (frames + 1, stalled.next().await.unwrap().number);
+        }
+        frames
+    };
+    let frames = tokio::time::timeout(WAIT, newest).await.unwrap();
+    assert!(frames < 40, "a reader that comes back gets the newest, not all {frames}");
     assert!(stalled.newest().await.is_none());
 }
 

@@ -69,9 +69,13 @@ mod tests {
             error_m: Some(0.0042),
         };
         let line = line(&row);
-        for expected in
-            ["12.3\u{a0}s", "&lt;sponge&gt;", "0.351, −0.500, 1.000\u{a0}m", ">4\u{a0}mm<", "90\u{a0}%"]
-        {
+        for expected in [
+            "12.3\u{a0}–\u{a0}13.0\u{a0}s",
+            "&lt;sponge&gt;",
+            "0.351, −0.500, 1.000\u{a0}m",
+            ">4\u{a0}mm<",
+            "90\u{a0}%",
+        ] {
             assert!(line.contains(expected), "{expected} in {line}");
         }
         let nowhere = MemoryRow::default();
