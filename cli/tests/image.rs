@@ -3,9 +3,9 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 use std::collections::BTreeSet;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Lines};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, ChildStdout, Command, Output, Stdio};
 use std::time::Duration;
 
 use armarium_bus::{Session, SessionConfig};
@@ -15,13 +15,16 @@ use armarium_visionx::{Image, files};
 
 const WAIT: Duration = Duration::from_secs(60);
 
-/// A process that is ended when the test is.
-struct Process(Child);
+/// A process that is ended when the test is, and what it says: it could not go on if nobody read that.
+struct Process {
+    child: Child,
+    _says: Lines<BufReader<ChildStdout>>,
+}
 
 impl Drop for Process {
     fn drop(&mut self) {
-        let _ = self.0.kill().is_ok();
-        let _ = self.0.wait().is_ok();
+        let _ = self.child.kill().is_ok();
+        let _ = self.child.wait().is_ok();
     }
 }
 
@@ -41,7 +44,7 @@ fn play(arguments: &[&str]) -> (Process, String) {
             break endpoint.to_owned();
         }
     };
-    (Process(child), endpoint)
+    (Process { child, _says: lines }, endpoint)
 }
 
 fn done(arguments: &[&str]) -> Output {
@@ -143,10 +146,10 @@ async fn a_provider_that_is_killed_and_started_again_is_seen_again_and_leaves_no
     }
     assert!(reader.statistics().shared() > 0);
     let own = segments(std::process::id());
-    let left = segments(playing.0.id());
+    let left = segments(playing.child.id());
     assert!(!left.is_empty(), "its frames are in shared memory");
-    playing.0.kill().unwrap();
-    playing.0.wait().unwrap();
+    playing.child.kill().unwrap();
+    playing.child.wait().unwrap();
 
     let (_again, _) = play(&[files, "--name", "carol", "--loop", "--rate", "50", "--listen", &endpoint]);
     while reader.statistics().lives() < 2 {
