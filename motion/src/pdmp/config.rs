@@ -15,7 +15,7 @@ pub enum Integrator {
     Euler,
 }
 
-/// The constants of a [`PeriodicDmp`].
+/// The constants of a [`PeriodicDmp`](crate::PeriodicDmp).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PeriodicDmpConfig {
