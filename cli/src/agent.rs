@@ -121,7 +121,7 @@ async fn offer(
         None => {
             let (stage, simulation) =
                 Stage::set(&world, args.seed, &args.store, Vec::new(), None).map_err(message)?;
-            let mind = Mind { memory: Arc::clone(&stage.memory), kept: Arc::clone(&stage.kept) };
+            let mind = stage.mind.clone();
             (mind, Some((stage, simulation)))
         }
         Some(_) => (watching_mind(&args.name, &world, &args.store).map_err(message)?, None),

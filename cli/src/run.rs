@@ -249,7 +249,7 @@ async fn perform(
         verbose: args.verbose,
     };
     let channels = Channels::new();
-    let robot = Arc::clone(&stage.robot);
+    let robot = Arc::clone(&stage.equipment.robot);
     let inputs = read_inputs_of(&args.inputs, &program).map_err(NotBegun::Message)?;
     let options = ExecOptions {
         inputs: inputs.clone(),
@@ -282,17 +282,17 @@ async fn perform(
 
     let joints = Arc::new(Mutex::new(JointLog::default()));
     let mut helpers = vec![
-        record_robot(&stage.robot, Arc::clone(&recorder)),
+        record_robot(&stage.equipment.robot, Arc::clone(&recorder)),
         tokio::spawn(beside::watch_gestures(
-            stage.memory.clone(),
+            stage.mind.memory.clone(),
             stage.referee.clone(),
             Arc::clone(&recorder),
         )),
-        tokio::spawn(beside::log_joints(Arc::clone(&stage.robot), Arc::clone(&joints))),
+        tokio::spawn(beside::log_joints(Arc::clone(&stage.equipment.robot), Arc::clone(&joints))),
         tokio::spawn(beside::stop_on_signal(executor.controller())),
         tokio::spawn(beside::show_progress(
             progress.clone(),
-            Arc::clone(&stage.robot),
+            Arc::clone(&stage.equipment.robot),
             Arc::clone(&chronicle.story),
             began,
         )),
@@ -305,13 +305,13 @@ async fn perform(
         Some(company) => company.close().await,
         None => Told::default(),
     };
-    stage.robot.stop("the run has ended");
+    stage.equipment.robot.stop("the run has ended");
     stage.handle.stop();
     for helper in helpers {
         helper.abort();
     }
     let _ = world_task.await;
-    if let Err(error) = stage.kept.flush() {
+    if let Err(error) = stage.mind.kept.flush() {
         writeln!(out, "warning: what was learned was not kept: {error}").map_err(begin_error)?;
     }
     if let Some(recorder) = locked(&recorder).take() {
@@ -340,7 +340,7 @@ async fn perform(
         referee: &stage.referee,
         story: &story,
         pictures,
-        joints: locked(&joints).plots(stage.robot.model()),
+        joints: locked(&joints).plots(stage.equipment.robot.model()),
         diary: &told.diary,
     };
     let figures = judge::write(&args.report, case).map_err(|e| {
@@ -375,8 +375,8 @@ async fn gather(
         session: connection.session.clone(),
         world: world.clone(),
         world_file,
-        memory: Arc::clone(&stage.memory),
-        store: Arc::clone(stage.kept.store()),
+        memory: Arc::clone(&stage.mind.memory),
+        store: Arc::clone(stage.mind.kept.store()),
         eyes: simulation.agents(),
         folder: folder.to_owned(),
         clock: stage.handle.clone(),

@@ -8,7 +8,7 @@ use armarium_memoryx::{
     Backing, Consolidator, LongTermMemory, MemoryError, ObjectClass, Pattern, Policies, Policy,
     PriorKnowledge, StoreError, WorkingMemory, tokio_clock,
 };
-use armarium_robot::{Model, Robot, postures};
+use armarium_robot::{Model, postures};
 use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{Handle, Options, Referee, Simulation, SimulationError, TruthSink, World};
 use armarium_states::Equipment;
@@ -44,15 +44,14 @@ pub(crate) enum StageError {
 
 /// Everything that a chart runs on.
 pub(crate) struct Stage {
-    pub(crate) robot: Arc<dyn Robot>,
     pub(crate) referee: Referee,
     pub(crate) handle: Handle,
     pub(crate) equipment: Equipment,
-    pub(crate) memory: Arc<WorkingMemory>,
-    pub(crate) kept: Arc<Consolidator>,
+    pub(crate) mind: Mind,
 }
 
-/// What an agent knows, and what it keeps of it.
+/// What an agent knows, and what it keeps of it; clones are the same.
+#[derive(Clone)]
 pub(crate) struct Mind {
     pub(crate) memory: Arc<WorkingMemory>,
     pub(crate) kept: Arc<Consolidator>,
@@ -87,22 +86,15 @@ impl Stage {
         let start = postures::home(&Arc::new(Model::armar3()));
         let options = Options { truth_sinks, start: Some(start), scenery, ..Options::default() };
         let simulation = Simulation::new(world, seed, options)?;
-        let Mind { memory, kept } = Mind::open(world, store)?;
+        let mind = Mind::open(world, store)?;
         let equipment = Equipment {
             robot: simulation.robot(),
             images: simulation.images(),
-            memory: Arc::clone(&memory) as Arc<dyn armarium_memoryx::Memory>,
+            memory: Arc::<WorkingMemory>::clone(&mind.memory),
             agent: world.robot.name.clone(),
             seed,
         };
-        let stage = Self {
-            robot: simulation.robot(),
-            referee: simulation.referee(),
-            handle: simulation.handle(),
-            equipment,
-            memory,
-            kept,
-        };
+        let stage = Self { referee: simulation.referee(), handle: simulation.handle(), equipment, mind };
         Ok((stage, simulation))
     }
 }

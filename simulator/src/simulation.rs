@@ -267,7 +267,6 @@ impl Simulation {
         self.act(t);
         self.tell(stamp_ns);
         self.show(stamp_ns, t);
-        self.show_agents(stamp_ns, t);
         if self.steps.is_multiple_of(WIPE_EVERY) {
             self.wipe();
         }
@@ -367,40 +366,13 @@ impl Simulation {
         }
     }
 
-    /// Draws a frame when one is due and wanted.
+    /// Draws the frames that are due and wanted: the robot's, and those of other agents.
     fn show(&mut self, stamp_ns: u64, t: f64) {
         let elsewhere = self.scenery.as_ref().is_some_and(|scenery| scenery.is_wanted());
-        if !self.eyes.due(t, elsewhere) {
-            return;
-        }
-        let objects: Vec<Isometry3<f64>> =
-            (0..self.object_names.len()).filter_map(|i| self.plant.object(i)).collect();
-        let view = View {
-            stamp_ns,
-            true_position: self.plant.position(),
-            sensed_position: &self.sample.position,
-            objects: &objects,
-            coach: &self.truth.coach,
-            without_hand_s: t - self.hand_gone_at,
-            wiped: &self.dirt,
-        };
-        let truth = match &mut self.scenery {
-            None => self.eyes.draw(&view),
-            Some(scenery) => {
-                scenery.show(Scenery::of(&view, &self.world, self.eyes.frame()));
-                self.eyes.paint(&view).1
-            }
-        };
-        self.referee.frame(&truth);
-        for sink in &mut self.sinks {
-            sink.frame(&truth);
-        }
-    }
-
-    /// Draws for the other agents whose frames are due and wanted.
-    fn show_agents(&mut self, stamp_ns: u64, t: f64) {
+        let own = self.eyes.due(t, elsewhere);
         let due: Vec<bool> = self.agents.iter_mut().map(|agent| agent.due(t)).collect();
-        if !due.contains(&true) {
+        let others = due.contains(&true);
+        if !own && !others {
             return;
         }
         let objects: Vec<Isometry3<f64>> =
@@ -414,8 +386,21 @@ impl Simulation {
             without_hand_s: t - self.hand_gone_at,
             wiped: &self.dirt,
         };
-        let agents = self.agents.iter().zip(due).filter_map(|(agent, due)| due.then_some(agent));
-        self.eyes.draw_for(agents, &view);
+        if own {
+            let truth = match &mut self.scenery {
+                None => self.eyes.draw(&view),
+                Some(scenery) => {
+                    scenery.show(Scenery::of(&view, &self.world, self.eyes.frame()));
+                    self.eyes.paint(&view).1
+                }
+            };
+            self.referee.frame(&truth);
+            self.sinks.iter_mut().for_each(|sink| sink.frame(&truth));
+        }
+        if others {
+            let agents = self.agents.iter().zip(due).filter_map(|(agent, due)| due.then_some(agent));
+            self.eyes.draw_for(agents, &view);
+        }
     }
 
     fn wipe(&mut self) {

@@ -6,6 +6,10 @@
 //! less of the marker is seen, the less the centroids are trusted. The thing is taken for round: its centroid in the
 //! image is the projection of its centre. It does not measure orientation; see [`crate::ObjectLocalizer`].
 
+mod sight;
+#[cfg(test)]
+mod tests;
+
 use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -14,8 +18,9 @@ use crate::camera::StereoCalibration;
 use crate::color::ColorModel;
 use crate::components::{Component, components};
 use crate::frame::{Image, StereoFrame};
-use crate::mask::{Mask, Region};
+use crate::mask::Mask;
 use crate::particles::Cloud;
+use sight::{Counts, Sight, centroid, likelihood};
 
 /// What is known of a marker and of how it moves.
 #[derive(Clone, Debug, PartialEq)]
@@ -73,22 +78,6 @@ struct Track {
     measured_ns: u64,
 }
 
-/// The coloured pixels of one eye near the expected place.
-struct Sight {
-    /// Their centroid, px.
-    center: Point2<f64>,
-    /// How many.
-    area: f64,
-}
-
-/// One eye's coloured pixels, to be counted in rectangles.
-struct Counts {
-    width: i64,
-    height: i64,
-    origin: (i64, i64),
-    sums: Vec<u32>,
-}
-
 /// A marker that is not measured for this long is lost, ns.
 const LOST_AFTER_NS: u64 = 500_000_000;
 /// Below this visible fraction an eye's centroid says nothing.
@@ -97,8 +86,6 @@ const LEAST_VISIBLE: f64 = 0.12;
 const CENTROID_SIGMA_PX: f64 = 0.15;
 /// How near to its expected place a marker is taken for near, m.
 const NEAR: f64 = 0.08;
-/// What hides no more than this of a row of the marker is narrow, share of the radius in which its pixels are looked for.
-const NARROW: f64 = 0.5;
 /// Components smaller than this are noise, px.
 const LEAST_AREA: u32 = 12;
 
@@ -360,69 +347,6 @@ fn one_eye(
     (z > 0.0).then(|| (point, Matrix3::identity() * across + along * along.transpose() * 0.01, false))
 }
 
-/// How likely the images are when the marker is at `point`: coloured inside its disc, and not around it.
-fn likelihood(
-    point: &Point3<f64>,
-    counts: &[Counts; 2],
-    calibration: &StereoCalibration,
-    diameter: f64,
-) -> f64 {
-    let mut sum = 0.0;
-    for (eye, shift) in counts.iter().zip([0.0, calibration.baseline]) {
-        let Some(at) = calibration.camera.project_shifted(point, shift) else { return 0.0 };
-        let radius = 0.5 * diameter * calibration.camera.focal / point.z;
-        // The square inside the disc is full, the frame around the disc's square is empty.
-        let inner = eye.density(&at, 0.7 * radius);
-        let (outer, square) = (eye.sum(&at, 1.5 * radius), eye.sum(&at, radius));
-        let ring = (outer.0 - square.0) / (outer.1 - square.1).max(1.0);
-        sum += inner - 0.5 * ring;
-    }
-    (4.0 * sum).exp()
-}
-
-/// The centroid of the coloured pixels about `at`, by mean shift with a disc that is wider than the marker.
-fn centroid(mask: &Mask, mut at: Point2<f64>, radius_px: f64) -> Option<Sight> {
-    let reach = 1.4 * radius_px + 2.0;
-    let mut sight = None;
-    for _ in 0..6 {
-        let next = disc_mean(mask, &at, reach)?;
-        let moved = (next.center - at).norm();
-        at = next.center;
-        sight = Some(next);
-        if moved < 0.02 {
-            break;
-        }
-    }
-    sight
-}
-
-/// Centroid and area of the coloured pixels of a disc of `reach` px. What is not coloured between coloured pixels of a row
-/// is something narrow in front of the marker, such as its handle, and counts as the marker.
-fn disc_mean(mask: &Mask, at: &Point2<f64>, reach: f64) -> Option<Sight> {
-    let region = mask.region();
-    let (w, h) = (region.x + region.width, region.y + region.height);
-    let part = Region::spanning(at.x - reach, at.y - reach, at.x + reach, at.y + reach, w, h);
-    let narrow = NARROW * reach;
-    let (mut n, mut sx, mut sy) = (0.0, 0.0, 0.0);
-    for y in part.y.max(region.y)..part.y + part.height {
-        let dy = f64::from(y) - at.y;
-        let half = (reach * reach - dy * dy).max(0.0).sqrt();
-        let x0 = ((at.x - half).ceil().max(f64::from(region.x))) as u32;
-        let x1 = ((at.x + half).floor().min(f64::from(w) - 1.0)).max(-1.0) as i64;
-        let row = mask.row((y - region.y) as usize);
-        let mut end = None;
-        for x in (x0..u32::try_from(x1 + 1).unwrap_or(0)).filter(|x| row[(x - region.x) as usize] != 0) {
-            let from = end.filter(|&end| f64::from(x - end) <= narrow).unwrap_or(x);
-            let count = f64::from(x + 1 - from);
-            n += count;
-            sx += count * f64::from(from + x) / 2.0;
-            sy += count * f64::from(y);
-            end = Some(x + 1);
-        }
-    }
-    (n > 0.0).then(|| Sight { center: Point2::new(sx / n, sy / n), area: n })
-}
-
 fn pixels<'a>(component: &'a Component, image: &'a Image) -> impl Iterator<Item = [u8; 3]> + Clone + 'a {
     component.runs.iter().flat_map(move |run| (run.x0..run.x1).map(move |x| image.pixel(x, run.y)))
 }
@@ -431,171 +355,4 @@ fn mean_color(component: &Component, image: &Image) -> [f64; 3] {
     let mut sum = [0.0; 3];
     pixels(component, image).for_each(|p| (0..3).for_each(|i| sum[i] += f64::from(p[i])));
     sum.map(|s| s / f64::from(component.area.max(1)))
-}
-
-impl Counts {
-    /// Sums over the square of half width `reach` px about `at`, clipped to the mask.
-    fn about(mask: &Mask, at: &Point2<f64>, reach: f64) -> Self {
-        let whole = mask.region();
-        let region = Region::spanning(
-            at.x - reach,
-            at.y - reach,
-            at.x + reach,
-            at.y + reach,
-            whole.width,
-            whole.height,
-        );
-        let (w, h) = (region.width as usize, region.height as usize);
-        let mut sums = vec![0; (w + 1) * (h + 1)];
-        for y in 0..h {
-            let row = &mask.row(region.y as usize + y)[region.x as usize..][..w];
-            let mut run = 0;
-            for (x, v) in row.iter().enumerate() {
-                run += u32::from(*v);
-                sums[(y + 1) * (w + 1) + x + 1] = sums[y * (w + 1) + x + 1] + run;
-            }
-        }
-        Self { width: w as i64, height: h as i64, origin: (i64::from(region.x), i64::from(region.y)), sums }
-    }
-
-    /// Coloured pixels in the square of half width `half` about `at`, and the square's pixels in all. Outside of
-    /// the counted part nothing is coloured.
-    fn sum(&self, at: &Point2<f64>, half: f64) -> (f64, f64) {
-        let clip =
-            |v: f64, origin: i64, end: i64| (v.round() as i64).saturating_sub(origin).clamp(0, end) as usize;
-        let (x0, x1) =
-            (clip(at.x - half, self.origin.0, self.width), clip(at.x + half, self.origin.0, self.width));
-        let (y0, y1) =
-            (clip(at.y - half, self.origin.1, self.height), clip(at.y + half, self.origin.1, self.height));
-        let w = self.width as usize + 1;
-        let inside = self.sums[y1 * w + x1] + self.sums[y0 * w + x0];
-        let outside = self.sums[y0 * w + x1] + self.sums[y1 * w + x0];
-        (f64::from(inside - outside), (2.0 * half).powi(2))
-    }
-
-    fn density(&self, at: &Point2<f64>, half: f64) -> f64 {
-        let (coloured, all) = self.sum(at, half);
-        (coloured / all.max(1.0)).min(1.0)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::scenes::{CALIBRATION, TABLE, Thing, empty_frames, frame, root_from_left, table};
-
-    const GREEN: [u8; 3] = [40, 170, 60];
-
-    fn ball(center: Point3<f64>, radius: f64, color: [u8; 3]) -> Thing {
-        Thing::Ball { center, radius, color }
-    }
-
-    /// A tool on a circle, half a turn a second.
-    fn path(i: u64) -> Point3<f64> {
-        let angle = std::f64::consts::PI * i as f64 / 15.0;
-        Point3::new(0.28 + 0.06 * angle.sin(), 0.53 + 0.05 * angle.cos(), 1.05)
-    }
-
-    fn stamp(i: u64) -> u64 {
-        i * 66_666_667
-    }
-
-    fn tracker() -> ColorMarkerObjectTracking {
-        ColorMarkerObjectTracking::new(CALIBRATION, MarkerSettings::new(GREEN), 1)
-    }
-
-    fn error(estimate: &MarkerEstimate, truth: &Point3<f64>) -> Vector3<f64> {
-        estimate.point_in_left - root_from_left().inverse() * truth
-    }
-
-    #[test]
-    fn follows_a_tool_past_a_thing_of_similar_colour() {
-        let mut tracker = tracker();
-        let mut squares = Vector3::zeros();
-        for i in 0..30 {
-            let other = ball(Point3::new(0.40, 0.53, 1.0), 0.033, [60, 175, 50]);
-            let scene = [table(TABLE), ball(path(i), 0.03, GREEN), other];
-            let estimate = tracker.update(&frame(&scene, stamp(i), i)).unwrap();
-            let e = error(&estimate, &path(i));
-            squares += e.component_mul(&e) / 30.0;
-            assert!(estimate.visible > 0.9);
-        }
-        let rms = squares.map(f64::sqrt);
-        assert!(rms.x < 0.003 && rms.y < 0.003 && rms.z < 0.008, "{rms}");
-    }
-
-    #[test]
-    fn half_hidden_it_is_less_sure() {
-        let mut tracker = tracker();
-        let mut before = 0.0;
-        for i in 0..12 {
-            let at = path(i);
-            let mut scene = vec![table(TABLE), ball(at, 0.03, GREEN)];
-            if i > 6 {
-                let toward = root_from_left().translation.vector - at.coords;
-                let screen = at + toward.normalize() * 0.06 + root_from_left() * Vector3::new(0.05, 0.0, 0.0);
-                scene.push(ball(screen, 0.05, [120, 120, 120]));
-            }
-            let estimate = tracker.update(&frame(&scene, stamp(i), i)).unwrap();
-            let e = error(&estimate, &at);
-            if i <= 6 {
-                before = estimate.covariance.trace();
-            } else {
-                assert!(estimate.visible < 0.8 && estimate.covariance.trace() > 3.0 * before, "{estimate:?}");
-                assert!(e.norm() < 0.03);
-                let distance = e.dot(&(estimate.covariance.try_inverse().unwrap() * e));
-                assert!(distance < 16.0, "{distance}");
-            }
-        }
-    }
-
-    #[test]
-    fn a_lost_marker_is_found_again_elsewhere() {
-        let mut tracker = tracker();
-        let nothing = [table(TABLE)];
-        for i in 0..40 {
-            let at = if i < 5 { path(0) } else { Point3::new(0.1, 0.6, 1.0) };
-            let hidden = (5..20).contains(&i);
-            let scene = [table(TABLE), ball(at, 0.03, GREEN)];
-            let seen = tracker.update(&frame(if hidden { &nothing } else { &scene }, stamp(i), i));
-            assert_eq!(seen.is_none(), hidden, "frame {i}");
-            if let Some(estimate) = seen {
-                assert!(error(&estimate, &at).norm() < 0.02, "frame {i}");
-            }
-        }
-    }
-
-    #[test]
-    fn what_is_where_it_should_be_is_preferred() {
-        let small = Point3::new(0.20, 0.50, 1.0);
-        let scene =
-            [table(TABLE), ball(small, 0.012, GREEN), ball(Point3::new(0.45, 0.60, 1.0), 0.05, GREEN)];
-        let frame = frame(&scene, 0, 1);
-        let anywhere = tracker().update(&frame).unwrap();
-        assert!(error(&anywhere, &small).norm() > 0.2);
-        let place = root_from_left().inverse() * (small + Vector3::new(0.02, -0.02, 0.02));
-        let there = tracker().update_near(&frame, Some(&place)).unwrap();
-        assert!(error(&there, &small).norm() < 0.01, "{there:?}");
-        let elsewhere = root_from_left().inverse() * Point3::new(-0.2, 0.5, 1.0);
-        assert!(tracker().update_near(&frame, Some(&elsewhere)).is_some());
-    }
-
-    #[test]
-    fn nothing_is_seen_where_nothing_is() {
-        let mut tracker = tracker();
-        for frame in empty_frames() {
-            assert_eq!(tracker.update(&frame), None);
-        }
-    }
-
-    #[test]
-    fn the_same_seed_gives_the_same_track() {
-        let run = || {
-            let mut tracker = tracker();
-            (0..4)
-                .map(|i| tracker.update(&frame(&[ball(path(i), 0.03, GREEN)], stamp(i), i)))
-                .collect::<Vec<_>>()
-        };
-        assert_eq!(run(), run());
-    }
 }

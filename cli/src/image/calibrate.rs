@@ -2,11 +2,11 @@
 
 use std::io::Write;
 
-use armarium_visionx::providers::{Delivery, ImageCoding, stereo_frame};
+use armarium_visionx::providers::stereo_frame;
 use armarium_visionx::{EpipolarCheck, ImageError};
 use serde_json::json;
 
-use super::{CalibrateArgs, Failure, argument, failed, source};
+use super::{CalibrateArgs, Failure, failed, source};
 use crate::connection::Connection;
 
 /// Rows may differ by this much, px, as the median.
@@ -22,9 +22,7 @@ pub(super) async fn run(
     connection: &Connection,
     out: &mut dyn Write,
 ) -> Result<(), Failure> {
-    let source = source::open(&args.source, connection, Delivery::Newest, ImageCoding::Raw).await?;
-    let described = source.provider.description();
-    let calibration = described.stereo().map_err(|what| argument(format!("`{}`: {what}", described.name)))?;
+    let (source, described, calibration) = source::open_pair(&args.source, connection).await?;
     let mut check = EpipolarCheck::default();
     for _ in 0..args.frames.max(1) {
         let frame = match source.provider.next().await {

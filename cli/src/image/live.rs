@@ -10,7 +10,7 @@ use std::time::Duration;
 use armarium_memoryx::RemoteMemory;
 use armarium_memoryx::updater::{Observation, Updater};
 use armarium_values::{Frame, Value, Vector};
-use armarium_visionx::providers::{Delivery, Description, ImageCoding, channel, offer};
+use armarium_visionx::providers::{Description, channel, offer};
 use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking};
 use armarium_visionx::{
     ColorMarkerObjectTracking, Finding, FindingSource, HandObserver, ImageError, ImageProcessor,
@@ -89,9 +89,7 @@ pub(super) async fn run(
     connection: &Connection,
     out: &mut dyn Write,
 ) -> Result<(), Failure> {
-    let source = source::open(&args.source, connection, Delivery::Newest, ImageCoding::Raw).await?;
-    let described = source.provider.description();
-    let calibration = described.stereo().map_err(|what| argument(format!("`{}`: {what}", described.name)))?;
+    let (source, described, calibration) = source::open_pair(&args.source, connection).await?;
     let trigger = match args.rate {
         None => Trigger::Next,
         Some(hz) if hz.is_finite() && hz > 0.0 => {

@@ -4,8 +4,9 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
+use armarium_visionx::StereoCalibration;
 use armarium_visionx::providers::{
-    Delivery, FileProvider, ImageCoding, ImageProvider, Pace, RecordingProvider, RemoteProvider,
+    Delivery, Description, FileProvider, ImageCoding, ImageProvider, Pace, RecordingProvider, RemoteProvider,
 };
 
 use super::{Failure, SourceArgs, argument, failed};
@@ -37,6 +38,17 @@ pub(super) async fn open(
     }
     let remote = Arc::new(remote(&args.source, connection, delivery, coding).await?);
     Ok(Source { provider: Arc::clone(&remote) as Arc<dyn ImageProvider>, remote: Some(remote) })
+}
+
+/// As [`open`], the newest frames of what must be a stereo pair; with its description and calibration.
+pub(super) async fn open_pair(
+    args: &SourceArgs,
+    connection: &Connection,
+) -> Result<(Source, Description, StereoCalibration), Failure> {
+    let source = open(args, connection, Delivery::Newest, ImageCoding::Raw).await?;
+    let described = source.provider.description();
+    let calibration = described.stereo().map_err(|what| argument(format!("`{}`: {what}", described.name)))?;
+    Ok((source, described, calibration))
 }
 
 /// The provider `AGENT/PROVIDER`.

@@ -4,7 +4,7 @@
 //!
 //! Rates say what a machine does that has other work as well; so the processor time of each item stands beside them.
 
-#![allow(clippy::print_stdout)] // It prints figures.
+#![allow(clippy::print_stdout, reason = "it prints figures")]
 
 use std::time::{Duration, Instant};
 
@@ -56,7 +56,7 @@ struct Meter {
 }
 
 impl Meter {
-    #[allow(clippy::disallowed_methods)] // Figures are of the wall clock.
+    #[allow(clippy::disallowed_methods, reason = "figures are of the wall clock")]
     fn start() -> Self {
         // The clock is read last: what came before takes longer than what some meters measure.
         Self { processor_s: processor_s(), start: Instant::now() }

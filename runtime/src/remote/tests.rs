@@ -170,19 +170,25 @@ async fn two_agents_of_one_name_are_named() {
     assert!(found.contains("two agents are called `bob` and offer `Act`"), "{found}");
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn an_agent_that_falls_silent_is_lost_within_a_second() {
-    let (one, two) = pair().await;
-    let serving = bob(&one);
-    let chart = "statechart: T\ninitial: A\nstates: {A: {remote: bob/Act, with: {end: never}}}\n";
-    let (program, registry) = checked(&two, chart).await.expect("the chart is in order");
-    let (started, mut starts) = tokio::sync::mpsc::unbounded_channel();
+/// Options of a run that tells when a skill is started.
+fn telling_starts() -> (ExecOptions, tokio::sync::mpsc::UnboundedReceiver<()>) {
+    let (started, starts) = tokio::sync::mpsc::unbounded_channel();
     let sink = move |event: &TraceEvent| {
         if matches!(event.item, TraceItem::SkillStarted { .. }) {
             started.send(()).unwrap();
         }
     };
     let options = ExecOptions { sink: Some(Box::new(sink)), ..ExecOptions::default() };
+    (options, starts)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_agent_that_falls_silent_is_lost_within_a_second() {
+    let (one, two) = pair().await;
+    let serving = bob(&one);
+    let chart = "statechart: T\ninitial: A\nstates: {A: {remote: bob/Act, with: {end: never}}}\n";
+    let (program, registry) = checked(&two, chart).await.expect("the chart is in order");
+    let (options, mut starts) = telling_starts();
     let running = tokio::spawn(Executor::new(program, registry, Channels::new(), options).unwrap().run());
     starts.recv().await.expect("the skill is started");
     serving.abort();
@@ -199,13 +205,7 @@ async fn a_lost_agent_counts_as_returned_where_its_state_is_left() {
     let chart = "statechart: T\nevents: {go: {}}\ninitial: A\nstates:\n  A: {remote: bob/Act, with: {end: never}, \
                  transitions: {go: Done}}\n  Done: {final: success}\n";
     let (program, registry) = checked(&two, chart).await.expect("the chart is in order");
-    let (started, mut starts) = tokio::sync::mpsc::unbounded_channel();
-    let sink = move |event: &TraceEvent| {
-        if matches!(event.item, TraceItem::SkillStarted { .. }) {
-            started.send(()).unwrap();
-        }
-    };
-    let options = ExecOptions { sink: Some(Box::new(sink)), ..ExecOptions::default() };
+    let (options, mut starts) = telling_starts();
     let executor = Executor::new(program, registry, Channels::new(), options).unwrap();
     let controller = executor.controller();
     let running = tokio::spawn(executor.run());
