@@ -1,5 +1,5 @@
-//! Hands in photographs: rendered ones with the textures, shadows, blur, noise and compression of real ones; see
-//! `docs/vision.md`. And pictures without a hand, and pictures that are hardly pictures.
+//! Hands in photographs: three real ones, and rendered ones with the textures, shadows, blur, noise and compression of
+//! real ones; see `docs/vision.md`. And pictures without a hand, and pictures that are hardly pictures.
 
 use std::path::Path;
 
@@ -45,6 +45,72 @@ fn hands_are_found_and_three_of_four_gestures_are_right() {
         }
     }
     assert!(4 * right >= 3 * n, "{right} of {n}; {wrong:?}");
+}
+
+/// Real photographs (MIT licence, see `photographs/README.md`): what they show, and where the pointing finger ends.
+const REAL: [(&str, Gesture, Option<Point2<f64>>); 3] = [
+    ("real_fist.jpg", Gesture::Fist, None),
+    ("real_point_one.jpg", Gesture::PointOne, Some(Point2::new(214.0, 96.0))),
+    ("real_bent_point_one.jpg", Gesture::PointOne, Some(Point2::new(337.0, 216.0))),
+];
+
+fn real(file: &str) -> Image {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/photographs");
+    read_image(&folder.join(file)).expect("it is in the repository")
+}
+
+/// Asserts that the hand is seen for what it is, with its finger's end within 15 px of a picture of 480 x 640.
+fn assert_seen(image: &Image, gesture: Gesture, end: Option<Point2<f64>>, what: &str) {
+    let hand = HandInPicture::find(image).unwrap_or_else(|| panic!("no hand in {what}"));
+    let (seen, _) = GestureRecognizer::default().recognize(&hand.fingers());
+    assert_eq!(seen, gesture.name(), "{what}");
+    let ends: Vec<_> = end.into_iter().collect();
+    let tips: Vec<_> = hand.fingertips.iter().map(|t| t.px).collect();
+    assert_eq!(tips.len(), ends.len(), "{what}: {tips:?}");
+    for (tip, end) in tips.iter().zip(&ends) {
+        let limit_px = 15.0 * f64::from(image.width()) / 480.0;
+        assert!((tip - end).norm() < limit_px, "{what}: {tip} is not at {end}");
+    }
+}
+
+#[test]
+fn real_hands_are_seen() {
+    for (file, gesture, end) in REAL {
+        assert_seen(&real(file), gesture, end, file);
+    }
+}
+
+/// The picture with its colours times these factors, for other lamps.
+fn lit(image: &Image, factors: [f64; 3]) -> Image {
+    let color = |(i, v): (usize, &u8)| (f64::from(*v) * factors[i % 3]).min(255.0) as u8;
+    let data = image.data().iter().enumerate().map(color).collect();
+    Image::from_rgb(image.width(), image.height(), data).expect("it has the size")
+}
+
+/// The picture at half its size, in the middle of the lower edge of one of the old size; its outermost pixels go on.
+fn smaller(image: &Image) -> Image {
+    let (w, h) = (image.width(), image.height());
+    let source = |x: u32, y: u32| {
+        let column = (2 * x).saturating_sub(w / 2).min(w - 1);
+        let row = (2 * y).saturating_sub(h).min(h - 1);
+        let at = 3 * (row * w + column) as usize;
+        image.data()[at..at + 3].to_vec()
+    };
+    let data = (0..h).flat_map(|y| (0..w).map(move |x| (x, y))).flat_map(|(x, y)| source(x, y)).collect();
+    Image::from_rgb(w, h, data).expect("it has the size")
+}
+
+#[test]
+fn real_hands_are_seen_in_other_light_and_smaller() {
+    for (file, gesture, end) in REAL {
+        let image = real(file);
+        for factors in [[1.15, 1.0, 0.75], [0.6, 0.55, 0.5]] {
+            assert_seen(&lit(&image, factors), gesture, end, &format!("{file} in light {factors:?}"));
+        }
+        let (w, h) = (f64::from(image.width()), f64::from(image.height()));
+        let end = end.map(|p| Point2::new(w / 4.0 + p.x / 2.0, h / 2.0 + p.y / 2.0));
+        assert_seen(&smaller(&image), gesture, end, &format!("{file}, smaller"));
+    }
 }
 
 /// A wall with a slope of light, grain and noise.

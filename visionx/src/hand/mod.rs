@@ -2,7 +2,7 @@
 //!
 //! [`HandObserver`] goes from what stands out of the scenery (`relief`) and from colour (`skin`) to a silhouette of a
 //! hand's size at its distance (`candidates`), from there to a palm and stretched fingers (`shape`), to a gesture
-//! (`patterns`), and to points and directions (`depth`). Without a depth image both eyes take its place.
+//! ([`crate::tracking::GestureRecognizer`]), and to points and directions (`depth`). Without a depth image both eyes take its place.
 //! One hand at a time; whose hand it is, it does not know.
 
 use std::fmt;
@@ -10,7 +10,6 @@ use std::fmt;
 pub(crate) mod candidates;
 pub(crate) mod depth;
 mod observer;
-pub(crate) mod patterns;
 mod relief;
 pub(crate) mod shape;
 mod skin;

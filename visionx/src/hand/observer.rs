@@ -4,18 +4,19 @@ use nalgebra::{Point2, Point3, Vector3};
 
 use super::candidates::{Hand, find, find_near_too};
 use super::depth::Ranging;
-use super::patterns::likelihoods;
-use super::shape::Finger;
+use super::shape::{Finger, HandShape};
 use super::{Fingertip, Gesture, HandObservation};
 use crate::camera::StereoCalibration;
 use crate::components::components;
 use crate::frame::StereoFrame;
 use crate::mask::{Mask, Region};
+use crate::tracking::{GestureRecognizer, SeenFinger};
 
 /// Finds a hand and its gesture in a stream of frames.
 #[derive(Clone, Debug)]
 pub struct HandObserver {
     calibration: StereoCalibration,
+    recognizer: GestureRecognizer,
     memory: Option<Memory>,
     near: bool,
 }
@@ -67,7 +68,7 @@ impl HandObserver {
     /// An observer that has seen nothing yet.
     #[must_use]
     pub fn new(calibration: StereoCalibration) -> Self {
-        Self { calibration, memory: None, near: false }
+        Self { calibration, recognizer: GestureRecognizer::at_a_slant(), memory: None, near: false }
     }
 
     /// The same for scenes in which the hand may come so near, to about 0.3 m, that it hides much of the rest; it has
@@ -107,7 +108,8 @@ impl HandObserver {
             palm.map_or(seen_palm, |p| frame.root_from_left.inverse_transform_point(&p.in_root));
 
         let fingers: Vec<Finger> = shape.fingers.iter().map(|f| in_depth(f, &ranging)).collect();
-        let belief = self.believe(&likelihoods(&fingers), if whole { 1.0 } else { HIDDEN_COUNTS });
+        let belief =
+            self.believe(&self.likelihoods(shape, &fingers), if whole { 1.0 } else { HIDDEN_COUNTS });
         let best = (0..4).max_by(|&a, &b| belief[a].total_cmp(&belief[b]))?;
         let gesture = Gesture::ALL[best];
         let stretched: Vec<&Finger> = fingers.iter().filter(|f| f.score > 0.5).collect();
@@ -156,6 +158,13 @@ impl HandObserver {
         }
         let (patience, reach) = SAME_PLACE;
         before.filter(|p| p.stands && near(p, reach) && stamp_ns.saturating_sub(p.stamp_ns) < patience)
+    }
+
+    /// The likelihood of each gesture by what this frame alone shows, in the order of [`Gesture::ALL`].
+    fn likelihoods(&self, shape: &HandShape, fingers: &[Finger]) -> [f64; 4] {
+        let seen: Vec<SeenFinger> = fingers.iter().map(|f| f.seen(shape.palm_radius)).collect();
+        let by_name = self.recognizer.likelihoods(&seen);
+        Gesture::ALL.map(|g| by_name.get(g.name()).copied().unwrap_or(0.0))
     }
 
     /// The gestures' probabilities after one more frame that counts so much (0 to 1): a hidden Markov chain.

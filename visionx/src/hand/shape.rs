@@ -4,10 +4,14 @@
 //! Opening it by a disc that is a little wider than a finger leaves the palm; what the opening has taken away, if it is
 //! as long and as wide as a finger, is a finger. It knows nothing of colour, depth or gestures.
 
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap};
+
 use nalgebra::{Point2, Vector2};
 
 use crate::components::components;
 use crate::mask::{Mask, Region};
+use crate::tracking::SeenFinger;
 
 /// Edge of a cell, m.
 pub(crate) const CELL: f64 = 0.0015;
@@ -17,6 +21,25 @@ const OPENING: f64 = 0.0125;
 const MARGIN: f64 = 0.002;
 /// How far the gap between two fingers must reach in from the nearer tip, m.
 const LEAST_GAP: f64 = 0.007;
+/// Steps to a cell's neighbours, columns and rows, and their lengths, fifths of a cell.
+const STEPS: [(isize, isize, u32); 16] = [
+    (1, 0, 5),
+    (-1, 0, 5),
+    (0, 1, 5),
+    (0, -1, 5),
+    (1, 1, 7),
+    (1, -1, 7),
+    (-1, 1, 7),
+    (-1, -1, 7),
+    (2, 1, 11),
+    (2, -1, 11),
+    (-2, 1, 11),
+    (-2, -1, 11),
+    (1, 2, 11),
+    (1, -2, 11),
+    (-1, 2, 11),
+    (-1, -2, 11),
+];
 /// Holes up to this size are filled, m^2.
 const HOLE: f64 = 8e-5;
 /// Most cells along an edge; a silhouette that needs more is no hand.
@@ -51,6 +74,12 @@ pub(crate) struct HandShape {
 }
 
 impl Finger {
+    /// As a recogniser of gestures sees it, on a hand whose palm has this radius, m.
+    pub(crate) fn seen(&self, palm_radius: f64) -> SeenFinger {
+        let length = self.length / palm_radius.max(1e-3);
+        SeenFinger { direction: self.tip - self.base, length, score: self.score }
+    }
+
     /// The same finger when its tip is farther than its base by `rise` m along the line of sight, or nearer.
     pub(crate) fn reaching(&self, rise: f64) -> Self {
         let length = self.length.hypot(rise);
@@ -229,20 +258,52 @@ fn heir(heirs: &[usize], mut branch: usize) -> usize {
 fn measure(branch: &Branch, grid: &Grid, inside: &[f32], from_core: &[f32], reach: f32) -> Finger {
     let w = grid.mask.width();
     let bottom = branch.cells.iter().map(|&i| from_core[i]).fold(f32::MAX, f32::min);
+    let along = along(&branch.cells, |i| from_core[i] < bottom + 1.5, w);
+    let place = |i: usize| Vector2::new((i % w) as f64, (i / w) as f64);
+    let (reached, end) = along
+        .iter()
+        .fold((0.0, Vector2::zeros()), |far, (&i, &d)| if d > far.0 { (d, place(i)) } else { far });
     // The ends are means over a few millimetres.
-    let end = |keep: &dyn Fn(f32) -> bool| {
-        let chosen = branch.cells.iter().filter(|&&i| keep(from_core[i]));
-        let (n, sum) = chosen.fold((0.0, Vector2::zeros()), |(n, s), i| {
-            (n + 1.0, s + Vector2::new((i % w) as f64, (i / w) as f64))
-        });
+    let mean = |keep: &dyn Fn(usize) -> bool| {
+        let chosen = branch.cells.iter().filter(|&&i| keep(i));
+        let (n, sum) = chosen.fold((0.0, Vector2::zeros()), |(n, s), &i| (n + 1.0, s + place(i)));
         grid.pixel(&Point2::from(sum / f64::max(n, 1.0)))
     };
+    let is_end =
+        |i: usize| along.get(&i).is_some_and(|d| *d > reached - 2.0) && (place(i) - end).norm() < 8.0;
     // The widest disc in the finger's last four centimetres, without its rounding.
     let widest = branch.cells.iter().filter(|&&i| from_core[i] > branch.top - (0.04 / CELL) as f32);
     let width = 2.0 * CELL * f64::from(widest.map(|&i| inside[i]).fold(0.0, f32::max));
-    let length = f64::from(branch.top - reach) * CELL + MARGIN;
-    let (tip, base) = (end(&|d| d > branch.top - 2.0), end(&|d| d < bottom + 3.0));
+    let length = f64::from((branch.top - bottom).max(reached) + bottom - reach) * CELL + MARGIN;
+    let (tip, base) = (mean(&is_end), mean(&|i| from_core[i] < bottom + 3.0));
     Finger { tip, base, length, width, score: finger_score(length, width) }
+}
+
+/// How far each cell is from the nearest of those `at_base`, along paths within `cells`, cells; what cannot be reached
+/// is left out. So the end of a bent finger is farther than its knuckle.
+///
+/// # Source
+/// Borgefors 1986: chamfer distances with steps of 5, 7 and 11 fifths, 2 % off at most; by Dijkstra's search.
+fn along(cells: &[usize], at_base: impl Fn(usize) -> bool, width: usize) -> BTreeMap<usize, f32> {
+    let mut fifths: BTreeMap<usize, u32> = cells.iter().map(|&i| (i, u32::MAX)).collect();
+    let mut open = BinaryHeap::new();
+    for &i in cells.iter().filter(|&&i| at_base(i)) {
+        fifths.insert(i, 0);
+        open.push(Reverse((0, i)));
+    }
+    while let Some(Reverse((d, i))) = open.pop() {
+        if fifths.get(&i).is_some_and(|known| *known < d) {
+            continue;
+        }
+        for (dx, dy, step) in STEPS {
+            let Some(next) = i.checked_add_signed(dy * width as isize + dx) else { continue };
+            if let Some(known) = fifths.get_mut(&next).filter(|known| d + step < **known) {
+                *known = d + step;
+                open.push(Reverse((d + step, next)));
+            }
+        }
+    }
+    fifths.into_iter().filter(|(_, d)| *d < u32::MAX).map(|(i, d)| (i, d as f32 / 5.0)).collect()
 }
 
 /// Probability that a protrusion of this length and width (m) is a stretched finger.
@@ -362,6 +423,20 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn the_end_of_a_bent_finger_is_its_tip_and_not_its_knuckle() {
+        let mut mask = Mask::empty(Region::whole(260, 260));
+        stroke(&mut mask, [130.0, 170.0], [130.0, 170.0], 40.0);
+        stroke(&mut mask, [130.0, 170.0], [130.0, 80.0], 9.0);
+        stroke(&mut mask, [130.0, 80.0], [185.0, 95.0], 8.0);
+        let shape = hand_shape(&mask, 0.001).unwrap();
+        let fingers: Vec<&Finger> = shape.fingers.iter().filter(|f| f.score > 0.5).collect();
+        assert_eq!(fingers.len(), 1, "{shape:?}");
+        assert!((fingers[0].tip - Point2::new(192.0, 97.0)).norm() < 5.0, "{:?}", fingers[0]);
+        // The shortest way through it cuts the corner of its joint.
+        assert!((fingers[0].length - 0.090).abs() < 0.008, "{:?}", fingers[0]);
     }
 
     #[test]

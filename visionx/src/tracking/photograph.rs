@@ -3,7 +3,7 @@
 //! The hand is cut out by [`SkinSegmentation`]. Its distance is not known, so its palm is taken for one of the usual
 //! size, and everything is measured against it.
 
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector2};
 
 use super::distance::inside;
 use super::recognizer::SeenFinger;
@@ -46,8 +46,7 @@ impl HandInPicture {
         let shape = hand_shape(&hand, PALM / radius)?;
         let pixel_m = PALM / radius;
         let scale = segmentation.scale;
-        let place =
-            |p: &Point2<f64>| Point2::from(p.coords * scale + nalgebra::Vector2::repeat((scale - 1.0) / 2.0));
+        let place = |p: &Point2<f64>| Point2::from(p.coords * scale + Vector2::repeat((scale - 1.0) / 2.0));
         let fingertips = shape.fingers.iter().filter(|f| f.score > 0.5);
         let fingertips = fingertips
             .map(|f| Fingertip { px: place(&inside_end(f, pixel_m)), in_left: None, score: f.score })
@@ -66,10 +65,7 @@ impl HandInPicture {
     /// What may be stretched fingers, for a [`super::GestureRecognizer`].
     #[must_use]
     pub fn fingers(&self) -> Vec<SeenFinger> {
-        let radius = self.shape.palm_radius.max(1e-3);
-        let seen =
-            |f: &Finger| SeenFinger { direction: f.tip - f.base, length: f.length / radius, score: f.score };
-        self.shape.fingers.iter().map(seen).collect()
+        self.shape.fingers.iter().map(|f| f.seen(self.shape.palm_radius)).collect()
     }
 }
 
@@ -93,15 +89,17 @@ fn widest(mask: &Mask) -> Option<(Point2<f64>, f64)> {
     (*radius > 2.0).then_some((middle, f64::from(*radius)))
 }
 
-/// What of a mask lies within `reach` px of a point.
+/// What of a mask of a whole picture lies within `reach` px of a point.
 fn near(mask: &Mask, middle: &Point2<f64>, reach: f64) -> Mask {
-    let mut part = mask.clone();
-    let w = mask.width();
+    let whole = mask.region();
+    let (from, to) = (middle - Vector2::repeat(reach), middle + Vector2::repeat(reach));
+    let region = Region::spanning(from.x, from.y, to.x, to.y, whole.width, whole.height);
+    let mut part = Mask::empty(region);
+    let w = part.width();
     for (i, m) in part.data_mut().iter_mut().enumerate() {
-        let at = Point2::new((i % w) as f64, (i / w) as f64);
-        if (at - middle).norm() > reach {
-            *m = 0;
-        }
+        let (x, y) = (region.x as usize + i % w, region.y as usize + i / w);
+        let is_near = (Point2::new(x as f64, y as f64) - middle).norm() <= reach;
+        *m = u8::from(is_near && mask.contains(x as i64, y as i64));
     }
     part
 }
