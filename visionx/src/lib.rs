@@ -5,7 +5,7 @@
 //! - [`PinholeCamera`], [`StereoCalibration`]: from pixels to points; [`EpipolarCheck`]: whether they are right.
 //! - [`ColorModel`], [`Mask`], [`components`]: which pixels have a colour, and what connected things they form.
 //! - [`ColorMarkerObjectTracking`]: follows a thing of known colour. [`ObjectLocalizer`]: finds the pose of a box of
-//!   known colour and size. [`HandObserver`]: finds a person's hand, its gesture and where it points.
+//!   known colour and size. [`TabletopSegmentation`]: a table and what stands on it. [`HandObserver`]: finds a person's hand, its gesture and where it points.
 //! - [`tracking`]: fingertips in streams and in single photographs. [`files`]: images from files and folders.
 //! - [`ImageProcessor`], [`ResultSink`], [`run_processor`]: from streams of frames to a stream of results. [`StereoStep`]:
 //!   the trackers as such.
@@ -33,6 +33,7 @@ pub mod providers;
 #[cfg(test)]
 mod scenes;
 mod steps;
+mod tabletop;
 pub mod tracking;
 
 pub use camera::{PinholeCamera, StereoCalibration};
@@ -49,3 +50,4 @@ pub use processor::{
     run_processor,
 };
 pub use steps::{OfStereo, StereoStep};
+pub use tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};

@@ -15,6 +15,7 @@ use crate::hand::HandObservation;
 use crate::localizer::ObjectEstimate;
 use crate::marker::MarkerEstimate;
 use crate::providers::{Frame, FrameImage, FrameSender, ImageProvider, PixelFormat};
+use crate::tabletop::Tabletop;
 use crate::tracking::TrackedFingertip;
 
 /// What a processor saw of one thing in one frame.
@@ -27,6 +28,8 @@ pub enum Finding {
     Object(Option<ObjectEstimate>),
     /// A person's hand; `None`: no hand.
     Hand(Option<HandObservation>),
+    /// A table with what stands on it; `None`: no table.
+    Tabletop(Option<Tabletop>),
     /// The fingertips that are followed.
     Fingertips(Vec<TrackedFingertip>),
 }

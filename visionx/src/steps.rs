@@ -10,6 +10,7 @@ use crate::localizer::ObjectLocalizer;
 use crate::marker::ColorMarkerObjectTracking;
 use crate::processor::{Finding, ImageProcessor};
 use crate::providers::{Frame, convert, stereo_frame};
+use crate::tabletop::TabletopSegmentation;
 use crate::tracking::FingerTipTracking;
 
 /// A processor of one provider of stereo pairs.
@@ -72,6 +73,22 @@ impl StereoStep for ObjectLocalizer {
     fn draw(&self, image: &mut Image, finding: &Finding) {
         if let Finding::Object(Some(object)) = finding {
             annotate::object(image, object);
+        }
+    }
+}
+
+impl StereoStep for TabletopSegmentation {
+    fn name(&self) -> &str {
+        "tabletop"
+    }
+
+    fn step(&mut self, frame: &StereoFrame) -> Finding {
+        Finding::Tabletop(self.segment(frame))
+    }
+
+    fn draw(&self, image: &mut Image, finding: &Finding) {
+        if let Finding::Tabletop(Some(seen)) = finding {
+            seen.objects.iter().for_each(|o| annotate::region(image, &o.bounding_box, [255, 0, 255]));
         }
     }
 }

@@ -1,0 +1,199 @@
+//! The table and what stands on it, from a depth image: a level plane, and the things that rise from it.
+//!
+//! Nothing is known of the things beforehand; a thing is the box around what is seen of it, down to the table. Those
+//! that the picture's border cuts, as an arm that reaches in, are left out. Without a depth image nothing is seen.
+
+use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector3};
+
+use crate::camera::PinholeCamera;
+use crate::frame::{DepthImage, StereoFrame};
+use crate::mask::Region;
+
+mod plane;
+mod rectangle;
+
+use plane::Plane;
+use rectangle::Rectangle;
+
+/// Depth is looked at on every so many pixels.
+const STEP: u32 = 2;
+/// How far above the table things begin, and how high they may be, m.
+const RISES: (f64, f64) = (0.010, 0.50);
+/// How far from the table's border a thing may stand, m.
+const OVERHANG: f64 = 0.02;
+/// A step in depth between neighbours at which another thing begins, m.
+const GAP: f32 = 0.02;
+/// Fewest points of a thing.
+const LEAST_POINTS: usize = 30;
+/// The share of a thing's points that its height and its footprint leave out at each end, against stray depths.
+const STRAYS: f64 = 0.01;
+
+/// A table, or another level surface.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TableEstimate {
+    /// Pose of the middle of what is seen of its surface in the root frame that the frame's `root_from_left` speaks
+    /// of; z is the surface's normal, upwards, x along the longer edge.
+    pub root_from_table: Isometry3<f64>,
+    /// Lengths along x and y of what is seen of it, m.
+    pub size: [f64; 2],
+    /// Standard deviation of its points' distances from the plane, m.
+    pub deviation: f64,
+}
+
+/// A thing on a table.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TableObject {
+    /// Pose of the middle of the box around it in the same root frame; z is the table's normal, x along the longer edge.
+    pub root_from_object: Isometry3<f64>,
+    /// Edge lengths of that box, m.
+    pub size: Vector3<f64>,
+    /// Covariance of its middle in the root frame, m²: the pixels' width at its distance on either side, and the
+    /// table's deviation.
+    pub covariance: Matrix3<f64>,
+    /// Its mean colour, RGB.
+    pub color: [u8; 3],
+    /// Around it in the left image.
+    pub bounding_box: Region,
+}
+
+/// What stands on a table.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tabletop {
+    /// The table.
+    pub table: TableEstimate,
+    /// What stands on it, largest in the picture first.
+    pub objects: Vec<TableObject>,
+}
+
+/// Finds tables and what stands on them in stereo frames with depth.
+#[derive(Clone, Debug)]
+pub struct TabletopSegmentation {
+    camera: PinholeCamera,
+}
+
+/// A point of the depth image: its place in the reduced image, and where it is in the root frame, m.
+struct Seen {
+    place: usize,
+    depth: f32,
+    at: Point3<f64>,
+}
+
+impl TabletopSegmentation {
+    /// For depth images of this camera.
+    #[must_use]
+    pub fn new(camera: PinholeCamera) -> Self {
+        Self { camera }
+    }
+
+    /// The table in a frame with what stands on it; `None` where there is no depth image of the camera's size, or no
+    /// level plane in it that is higher than a floor.
+    #[must_use]
+    pub fn segment(&self, frame: &StereoFrame) -> Option<Tabletop> {
+        let depth = frame.depth.as_ref()?;
+        let fits = (depth.width, depth.height) == (self.camera.width, self.camera.height);
+        if !fits || depth.data.len() != (depth.width as usize) * (depth.height as usize) {
+            return None;
+        }
+        let seen = self.points(depth, &frame.root_from_left);
+        let plane = Plane::level(&seen.iter().map(|s| s.at).collect::<Vec<_>>())?;
+        let on_it: Vec<Point2<f64>> =
+            seen.iter().filter(|s| plane.above(&s.at).abs() < RISES.0).map(|s| plane.flat(&s.at)).collect();
+        let border = Rectangle::around(&on_it, 0.0)?;
+        let table = TableEstimate {
+            root_from_table: plane.pose(&border, 0.0),
+            size: border.size,
+            deviation: plane.deviation,
+        };
+        let mut objects: Vec<(usize, TableObject)> = self
+            .things(&seen, &plane, &border, depth)
+            .into_iter()
+            .filter_map(|thing| Some((thing.len(), self.object(&thing, &plane, frame)?)))
+            .collect();
+        objects.sort_by_key(|(points, _)| std::cmp::Reverse(*points));
+        Some(Tabletop { table, objects: objects.into_iter().map(|(_, object)| object).collect() })
+    }
+
+    fn points(&self, depth: &DepthImage, root_from_left: &Isometry3<f64>) -> Vec<Seen> {
+        let (w, h) = (depth.width / STEP, depth.height / STEP);
+        let places = (0..h).flat_map(|y| (0..w).map(move |x| (x, y)));
+        let seen = |(x, y): (u32, u32)| {
+            let (u, v) = (x * STEP, y * STEP);
+            let z = depth.data[(v * depth.width + u) as usize];
+            let ray = self.camera.ray(&Point2::new(f64::from(u), f64::from(v)));
+            let at = root_from_left * Point3::from(ray * f64::from(z));
+            (z > 0.0 && z.is_finite()).then_some(Seen { place: (y * w + x) as usize, depth: z, at })
+        };
+        places.filter_map(seen).collect()
+    }
+
+    /// What rises from the table, a thing at a time: neighbours without a step in depth belong together.
+    fn things<'s>(
+        &self,
+        seen: &'s [Seen],
+        plane: &Plane,
+        border: &Rectangle,
+        depth: &DepthImage,
+    ) -> Vec<Vec<&'s Seen>> {
+        let (w, h) = ((depth.width / STEP) as usize, (depth.height / STEP) as usize);
+        let mut rising: Vec<Option<&Seen>> = vec![None; w * h];
+        let rises = |s: &&Seen| (RISES.0..RISES.1).contains(&plane.above(&s.at));
+        for s in seen.iter().filter(rises).filter(|s| border.holds(&plane.flat(&s.at), OVERHANG)) {
+            rising[s.place] = Some(s);
+        }
+        let mut things = Vec::new();
+        for start in 0..rising.len() {
+            let Some(first) = rising[start].take() else { continue };
+            let (mut thing, mut open, mut cut) = (vec![first], vec![first], false);
+            while let Some(here) = open.pop() {
+                let (x, y) = (here.place % w, here.place / w);
+                cut |= x == 0 || y == 0 || x + 1 == w || y + 1 == h;
+                let left = (x > 0).then(|| here.place - 1);
+                let right = (x + 1 < w).then(|| here.place + 1);
+                let neighbours = [left, right, here.place.checked_sub(w), Some(here.place + w)];
+                for place in neighbours.into_iter().flatten() {
+                    let near = |next: &mut &Seen| (next.depth - here.depth).abs() < GAP;
+                    if let Some(next) = rising.get_mut(place).and_then(|next| next.take_if(near)) {
+                        thing.push(next);
+                        open.push(next);
+                    }
+                }
+            }
+            if !cut && thing.len() >= LEAST_POINTS {
+                things.push(thing);
+            }
+        }
+        things
+    }
+
+    fn object(&self, thing: &[&Seen], plane: &Plane, frame: &StereoFrame) -> Option<TableObject> {
+        let footprint: Vec<Point2<f64>> = thing.iter().map(|s| plane.flat(&s.at)).collect();
+        let rectangle = Rectangle::around(&footprint, STRAYS)?;
+        let mut heights: Vec<f64> = thing.iter().map(|s| plane.above(&s.at)).collect();
+        heights.sort_by(f64::total_cmp);
+        let height = heights[((heights.len() - 1) as f64 * (1.0 - STRAYS)) as usize];
+        let distance = thing.iter().map(|s| f64::from(s.depth)).sum::<f64>() / thing.len() as f64;
+        let pixel = f64::from(STEP) * distance / self.camera.focal;
+        let variance = pixel * pixel / 2.0 + plane.deviation * plane.deviation;
+        let w = frame.left.width() / STEP;
+        let pixels = || thing.iter().map(|s| (s.place as u32 % w * STEP, s.place as u32 / w * STEP));
+        let mut color = [0u64; 3];
+        for (x, y) in pixels() {
+            (0..3).for_each(|i| color[i] += u64::from(frame.left.pixel(x, y)[i]));
+        }
+        let range = |values: &mut dyn Iterator<Item = u32>| {
+            values.fold((f64::MAX, 0.0), |(low, high), v| (f64::min(low, v.into()), f64::max(high, v.into())))
+        };
+        let (x0, x1) = range(&mut pixels().map(|p| p.0));
+        let (y0, y1) = range(&mut pixels().map(|p| p.1));
+        Some(TableObject {
+            root_from_object: plane.pose(&rectangle, height / 2.0),
+            size: Vector3::new(rectangle.size[0], rectangle.size[1], height),
+            covariance: Matrix3::from_diagonal_element(variance),
+            color: color.map(|c| (c / thing.len() as u64) as u8),
+            bounding_box: Region::spanning(x0, y0, x1, y1, frame.left.width(), frame.left.height()),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,73 @@
+//! The smallest rectangle around points of a plane.
+
+use imageproc::geometry::min_area_rect;
+use imageproc::point::Point as Cell;
+use nalgebra::{Point2, Rotation2, Vector2};
+
+/// Points are rounded to this for the search, m.
+const CELL: f64 = 0.0002;
+/// Farthest point that is looked at, m.
+const FARTHEST: f64 = 4.0;
+
+/// A rectangle in a plane.
+pub(super) struct Rectangle {
+    pub(super) middle: Point2<f64>,
+    /// Of the longer edge, rad, in (-pi/2, pi/2].
+    pub(super) angle: f64,
+    /// The longer and the shorter edge, m.
+    pub(super) size: [f64; 2],
+}
+
+impl Rectangle {
+    /// The smallest rectangle around points, m; `None` without any. A share of `strays` of the points is left out at
+    /// each of its sides.
+    pub(super) fn around(points: &[Point2<f64>], strays: f64) -> Option<Self> {
+        let cell = |v: f64| (v.clamp(-FARTHEST, FARTHEST) / CELL).round() as i32;
+        let cells: Vec<Cell<i32>> = points.iter().map(|p| Cell::new(cell(p.x), cell(p.y))).collect();
+        if cells.is_empty() {
+            return None;
+        }
+        let corners = min_area_rect(&cells).map(|c| Vector2::new(f64::from(c.x), f64::from(c.y)));
+        let (a, b) = (corners[1] - corners[0], corners[3] - corners[0]);
+        let long = if a.norm() >= b.norm() { a } else { b };
+        let angle = if long.x == 0.0 { std::f64::consts::FRAC_PI_2 } else { (long.y / long.x).atan() };
+        let turned: Vec<Vector2<f64>> = points.iter().map(|p| Rotation2::new(-angle) * p.coords).collect();
+        let side = |axis: usize| {
+            let mut values: Vec<f64> = turned.iter().map(|p| p[axis]).collect();
+            values.sort_by(f64::total_cmp);
+            let cut = ((values.len() - 1) as f64 * strays / 2.0) as usize;
+            (values[cut], values[values.len() - 1 - cut])
+        };
+        let (x, y) = (side(0), side(1));
+        let middle = Rotation2::new(angle) * Vector2::new(x.0 + x.1, y.0 + y.1) / 2.0;
+        Some(Self { middle: Point2::from(middle), angle, size: [x.1 - x.0, y.1 - y.0] })
+    }
+
+    /// Whether a point lies within it, or at most `beyond` m from its sides.
+    pub(super) fn holds(&self, point: &Point2<f64>, beyond: f64) -> bool {
+        let local = Rotation2::new(-self.angle) * (point - self.middle);
+        (0..2).all(|i| local[i].abs() <= self.size[i] / 2.0 + beyond)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_turned_rectangle_is_found() {
+        for angle in [-1.2, -0.4, 0.0, 0.7, 1.5] {
+            let points: Vec<Point2<f64>> = (0..41)
+                .flat_map(|i| (0..21).map(move |j| Vector2::new(f64::from(i) - 20.0, f64::from(j) - 10.0)))
+                .map(|p| Point2::new(0.3, -0.1) + Rotation2::new(angle) * p * 0.005)
+                .collect();
+            let found = Rectangle::around(&points, 0.0).unwrap();
+            assert!((found.middle - Point2::new(0.3, -0.1)).norm() < 5e-4);
+            assert!((found.size[0] - 0.2).abs() < 1e-3 && (found.size[1] - 0.1).abs() < 1e-3, "{angle}");
+            assert!((found.angle - angle).abs() < 0.01, "{} {angle}", found.angle);
+            assert!(found.holds(&Point2::new(0.3, -0.1), 0.0) && !found.holds(&Point2::new(0.6, -0.1), 0.02));
+        }
+        assert!(Rectangle::around(&[], 0.0).is_none());
+        assert_eq!(Rectangle::around(&[Point2::new(1.0, 2.0); 3], 0.0).unwrap().size, [0.0, 0.0]);
+    }
+}

@@ -1,0 +1,95 @@
+use nalgebra::UnitQuaternion;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+use super::*;
+use crate::scenes::{CALIBRATION, Thing, empty_frames, frame_with_depth, table};
+
+const TOP: f64 = 0.90;
+
+fn block(x: f64, y: f64, yaw: f64, size: [f64; 3], color: [u8; 3]) -> Thing {
+    let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+    let root_from_block = Isometry3::from_parts(Vector3::new(x, y, TOP + size[2] / 2.0).into(), rotation);
+    Thing::Block { root_from_block, size: Vector3::from(size), color }
+}
+
+fn noisy(mut frame: StereoFrame, deviation: f64) -> StereoFrame {
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let depth = frame.depth.as_mut().unwrap();
+    for z in depth.data.iter_mut().filter(|z| **z > 0.0) {
+        *z += (deviation * rng.sample::<f64, _>(StandardNormal)) as f32;
+    }
+    frame
+}
+
+fn yaw_apart(a: f64, b: f64) -> f64 {
+    let d = (a - b).rem_euclid(std::f64::consts::PI);
+    d.min(std::f64::consts::PI - d)
+}
+
+#[test]
+fn table_and_things_are_found_with_place_and_size() {
+    let things = [
+        table([150, 115, 80]),
+        block(0.10, 0.50, 0.4, [0.10, 0.06, 0.04], [240, 210, 40]),
+        block(0.36, 0.62, -0.7, [0.12, 0.05, 0.15], [40, 60, 200]),
+    ];
+    for noise in [0.0, 0.001] {
+        let frame = noisy(frame_with_depth(&things, 0, 1), noise);
+        let seen = TabletopSegmentation::new(CALIBRATION.camera).segment(&frame).unwrap();
+        let up = seen.table.root_from_table.rotation * Vector3::z();
+        assert!(up.angle(&Vector3::z()) < 0.003, "{up}");
+        assert!((seen.table.root_from_table.translation.z - TOP).abs() < 0.001);
+        assert!(seen.table.deviation < 0.0015, "{}", seen.table.deviation);
+        assert_eq!(seen.objects.len(), 2, "{:?}", seen.objects);
+        for (x, y, yaw, size, blue) in
+            [(0.10, 0.50, 0.4, [0.10, 0.06, 0.04], false), (0.36, 0.62, -0.7, [0.12, 0.05, 0.15], true)]
+        {
+            let is_it = |o: &&TableObject| (o.color[2] > o.color[0]) == blue;
+            let object = seen.objects.iter().find(is_it).unwrap();
+            let middle = object.root_from_object.translation.vector;
+            let error = middle - Vector3::new(x, y, TOP + size[2] / 2.0);
+            let sigma = object.covariance[(0, 0)].sqrt();
+            assert!(error.norm() < 0.006 && error.amax() < 4.0 * sigma, "{error} {sigma}");
+            assert!((object.size - Vector3::from(size)).amax() < 0.010, "{:?}", object.size);
+            let (_, _, turned) = object.root_from_object.rotation.euler_angles();
+            assert!(yaw_apart(turned, yaw) < 0.09, "{turned} {yaw}");
+        }
+    }
+}
+
+#[test]
+fn what_the_picture_cuts_is_no_thing() {
+    let arm = block(0.25, 0.05, 0.0, [0.08, 1.2, 0.06], [90, 90, 95]);
+    let cup = block(0.05, 0.60, 0.0, [0.07, 0.07, 0.09], [200, 40, 40]);
+    let frame = frame_with_depth(&[table([150, 115, 80]), arm, cup], 0, 2);
+    let seen = TabletopSegmentation::new(CALIBRATION.camera).segment(&frame).unwrap();
+    assert_eq!(seen.objects.len(), 1, "{:?}", seen.objects);
+    assert!(seen.objects[0].color[0] > 100);
+}
+
+#[test]
+fn where_there_is_no_table_nothing_is_seen() {
+    let segmentation = TabletopSegmentation::new(CALIBRATION.camera);
+    for frame in empty_frames() {
+        assert_eq!(segmentation.segment(&frame), None);
+    }
+    let wall = Thing::Block {
+        root_from_block: Isometry3::translation(0.25, 1.0, 1.0),
+        size: Vector3::new(3.0, 0.1, 3.0),
+        color: [200; 3],
+    };
+    assert_eq!(segmentation.segment(&frame_with_depth(&[wall], 0, 3)), None);
+    let mut frame = frame_with_depth(&[table([150, 115, 80])], 0, 4);
+    let depth = frame.depth.as_mut().unwrap();
+    depth.data.iter_mut().step_by(3).for_each(|z| *z = f32::NAN);
+    depth.data.iter_mut().skip(1).step_by(3).for_each(|z| *z = -1.0);
+    assert!(segmentation.segment(&frame).is_some_and(|seen| seen.objects.is_empty()));
+    depth_of_another_size(&mut frame);
+    assert_eq!(segmentation.segment(&frame), None);
+}
+
+fn depth_of_another_size(frame: &mut StereoFrame) {
+    frame.depth.as_mut().unwrap().width = 3;
+}
