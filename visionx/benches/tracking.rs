@@ -1,12 +1,16 @@
-//! How long the image processors take for a stereo frame of 640 x 480, on one thread:
+//! How long the image processors take for a stereo frame of 640 x 480, and for a photograph, on one thread:
 //! `cargo bench -p armarium-visionx --bench tracking`.
 //!
-//! The pictures are flat: a brown table with a hand, a green ball and a yellow box painted at their disparities.
+//! The stereo frame is flat: a brown table with a hand, a green ball and a yellow box painted at their disparities. The
+//! photograph is one of those of the tests.
 
 #![allow(clippy::print_stdout, reason = "a program for people")]
 
+use std::error::Error;
+use std::path::Path;
 use std::time::Instant;
 
+use armarium_visionx::files::read_image;
 use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking, HandInPicture};
 use armarium_visionx::{
     BoxModel, ColorMarkerObjectTracking, ColorModel, HandObserver, Image, ImageError, MarkerSettings,
@@ -21,6 +25,7 @@ const CALIBRATION: StereoCalibration = StereoCalibration {
 /// Depth of all painted things, m.
 const DEPTH: f64 = 0.7;
 const FRAMES: u32 = 100;
+const STEREO: &str = "a stereo frame";
 
 /// The colour at a place of the painted plane, m from the left camera's axis.
 fn paint(at: Vector2<f64>) -> [f64; 3] {
@@ -62,17 +67,17 @@ fn eye(shift: f64, seed: u64) -> Result<Image, ImageError> {
     Image::from_rgb(camera.width, camera.height, data)
 }
 
-fn measure(name: &str, mut step: impl FnMut(u32) -> bool) {
+fn measure(name: &str, of: &str, mut step: impl FnMut(u32) -> bool) {
     let mut seen = 0;
     let start = Instant::now();
     for i in 0..FRAMES {
         seen += u32::from(step(i));
     }
     let each = start.elapsed().as_secs_f64() * 1e3 / f64::from(FRAMES);
-    println!("{name:<28} {each:6.2} ms a stereo frame, seen in {seen} of {FRAMES}");
+    println!("{name:<28} {each:6.2} ms {of}, seen in {seen} of {FRAMES}");
 }
 
-fn main() -> Result<(), ImageError> {
+fn main() -> Result<(), Box<dyn Error>> {
     let root_from_left = Isometry3::rotation(Vector3::x() * std::f64::consts::PI);
     let mut frame = StereoFrame {
         stamp_ns: 0,
@@ -82,26 +87,30 @@ fn main() -> Result<(), ImageError> {
         root_from_left,
     };
     let color = ColorModel::from_rgb([40, 170, 60]);
-    measure("colour segmentation", |_| color.counts(&frame)[0] > 0);
+    measure("colour segmentation", STEREO, |_| color.counts(&frame)[0] > 0);
     let mut tracking = ColorMarkerObjectTracking::new(CALIBRATION, MarkerSettings::new([40, 170, 60]), 1);
-    measure("marker tracking", |i| {
+    measure("marker tracking", STEREO, |i| {
         frame.stamp_ns = u64::from(i) * 66_000_000;
         tracking.update(&frame).is_some()
     });
     let mut observer = HandObserver::new(CALIBRATION);
-    measure("hand, gesture, fingertips", |i| {
+    measure("hand, gesture, fingertips", STEREO, |i| {
         frame.stamp_ns = u64::from(i) * 66_000_000;
         observer.update(&frame).is_some()
     });
     let mut tips = FingerTipTracking::new(CALIBRATION, FingerTipSettings::default());
-    measure("fingertip tracking", |i| {
+    measure("fingertip tracking", STEREO, |i| {
         frame.stamp_ns = u64::from(i) * 66_000_000;
         tips.update(&frame).len() == 5
     });
-    measure("hand in one photograph", |_| HandInPicture::find(&frame.left).is_some());
+    let photograph =
+        read_image(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/photographs/b03_open_hand.jpg")))?;
+    measure("hand in one photograph", "a photograph of 480 x 640", |_| {
+        HandInPicture::find(&photograph).is_some()
+    });
     let model =
         BoxModel { size: Vector3::new(0.10, 0.07, 0.04), color: ColorModel::from_rgb([240, 210, 40]) };
     let localizer = ObjectLocalizer::new(CALIBRATION, model);
-    measure("object localisation", |_| localizer.localize(&frame).is_some());
+    measure("object localisation", STEREO, |_| localizer.localize(&frame).is_some());
     Ok(())
 }

@@ -13,8 +13,14 @@ use crate::frame::Image;
 pub const MOST_PIXELS: u64 = 128_000_000;
 /// Longest side of an image, px.
 const LONGEST: u32 = 32_768;
-/// Most memory that a decoder may take, bytes: 4 bytes a pixel and some more.
+/// Longest file, bytes.
+const LONGEST_FILE: u64 = 512 << 20;
+/// Most memory that a decoder may take beside the pixels, bytes: what a file says of colours and in words goes into it.
+const MOST_BESIDE: u64 = 32 << 20;
+/// Most memory that it may take for the pixels, bytes: 4 bytes a pixel and some more.
 const MOST_BYTES: u64 = 768 << 20;
+/// Bytes of a pixel at most: four channels of 16 bit.
+const WIDEST_PIXEL: u64 = 8;
 /// The endings of files that are images.
 const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];
 
@@ -28,13 +34,19 @@ pub enum FileError {
     /// It is no PNG or JPEG image, or a broken one.
     #[error("is not a PNG or JPEG image that can be decoded: {0}")]
     Decode(#[source] image::ImageError),
-    /// It has too many pixels.
-    #[error("{width} x {height} pixels are more than {MOST_PIXELS}")]
+    /// It has too many pixels, or a side that is too long.
+    #[error("{width} x {height} pixels are more than {MOST_PIXELS}, or a side is longer than {LONGEST}")]
     TooLarge {
         /// Width, px.
         width: u32,
         /// Height, px.
         height: u32,
+    },
+    /// It is longer than any image of as many pixels needs to be.
+    #[error("is {bytes} bytes long; at most {LONGEST_FILE} are read")]
+    TooLong {
+        /// Its length, bytes.
+        bytes: u64,
     },
     /// There is no image in the folder.
     #[error("there is no PNG or JPEG file in it")]
@@ -53,7 +65,7 @@ pub enum FileError {
 /// # Errors
 /// [`FileError`] when there is no such image or it is too large.
 pub fn read_image(path: &Path) -> Result<Image, FileError> {
-    let size = decode(open(path)?)?.into_dimensions().map_err(FileError::Decode)?;
+    let size = size_of(open(path)?)?;
     read(open(path)?, size)
 }
 
@@ -62,7 +74,7 @@ pub fn read_image(path: &Path) -> Result<Image, FileError> {
 /// # Errors
 /// [`FileError`] when they are no such image or it is too large.
 pub fn decode_image(bytes: &[u8]) -> Result<Image, FileError> {
-    let size = decode(Cursor::new(bytes))?.into_dimensions().map_err(FileError::Decode)?;
+    let size = size_of(Cursor::new(bytes))?;
     read(Cursor::new(bytes), size)
 }
 
@@ -72,7 +84,7 @@ pub fn decode_image(bytes: &[u8]) -> Result<Image, FileError> {
 /// # Errors
 /// [`FileError`] when there is no such image or it is too large.
 pub fn read_depth(path: &Path) -> Result<(u32, u32, Vec<u8>), FileError> {
-    let size = decode(open(path)?)?.into_dimensions().map_err(FileError::Decode)?;
+    let size = size_of(open(path)?)?;
     gray(open(path)?, size, true)
 }
 
@@ -82,12 +94,12 @@ pub fn read_depth(path: &Path) -> Result<(u32, u32, Vec<u8>), FileError> {
 /// # Errors
 /// [`FileError`] when they are no such image or it is too large.
 pub fn decode_gray(bytes: &[u8], wide: bool) -> Result<(u32, u32, Vec<u8>), FileError> {
-    let size = decode(Cursor::new(bytes))?.into_dimensions().map_err(FileError::Decode)?;
+    let size = size_of(Cursor::new(bytes))?;
     gray(Cursor::new(bytes), size, wide)
 }
 
 fn gray<R: BufRead + Seek>(from: R, size: (u32, u32), wide: bool) -> Result<(u32, u32, Vec<u8>), FileError> {
-    let image = small(from, size)?;
+    let image = decoded(from, size)?;
     let (width, height) = (image.width(), image.height());
     let bytes = if wide {
         image.into_luma16().into_raw().into_iter().flat_map(u16::to_le_bytes).collect()
@@ -127,31 +139,44 @@ fn folder(path: &Path) -> Result<Vec<PathBuf>, FileError> {
 }
 
 fn open(path: &Path) -> Result<BufReader<File>, FileError> {
-    File::open(path).map(BufReader::new).map_err(FileError::Read)
+    let file = File::open(path).map_err(FileError::Read)?;
+    let bytes = file.metadata().map_err(FileError::Read)?.len();
+    if bytes > LONGEST_FILE { Err(FileError::TooLong { bytes }) } else { Ok(BufReader::new(file)) }
 }
 
-fn decode<R: BufRead + Seek>(from: R) -> Result<ImageReader<R>, FileError> {
+/// Width and height, px, of an image that is not too large; its pixels are not decoded.
+///
+/// # Errors
+/// [`FileError`] when there is no such image or it is too large.
+pub(crate) fn size_of<R: BufRead + Seek>(from: R) -> Result<(u32, u32), FileError> {
+    let size = decoder(from, MOST_BESIDE)?.into_dimensions().map_err(FileError::Decode)?;
+    let (width, height) = size;
+    if u64::from(width) * u64::from(height) > MOST_PIXELS || width.max(height) > LONGEST {
+        return Err(FileError::TooLarge { width, height });
+    }
+    Ok(size)
+}
+
+/// A decoder that takes no more memory than this.
+fn decoder<R: BufRead + Seek>(from: R, most_bytes: u64) -> Result<ImageReader<R>, FileError> {
     let mut reader = ImageReader::new(from).with_guessed_format().map_err(FileError::Read)?;
-    let mut limits = Limits::default();
-    limits.max_image_width = Some(LONGEST);
-    limits.max_image_height = Some(LONGEST);
-    limits.max_alloc = Some(MOST_BYTES);
+    let mut limits = Limits::no_limits();
+    limits.max_alloc = Some(most_bytes);
     reader.limits(limits);
     Ok(reader)
 }
 
 fn read<R: BufRead + Seek>(from: R, size: (u32, u32)) -> Result<Image, FileError> {
-    let rgb = small(from, size)?.into_rgb8();
+    let rgb = decoded(from, size)?.into_rgb8();
     let (width, height) = (rgb.width(), rgb.height());
     Image::from_rgb(width, height, rgb.into_raw()).map_err(|_| FileError::TooLarge { width, height })
 }
 
-/// Decodes an image unless it is too large.
-fn small<R: BufRead + Seek>(from: R, (width, height): (u32, u32)) -> Result<DynamicImage, FileError> {
-    if u64::from(width) * u64::from(height) > MOST_PIXELS {
-        return Err(FileError::TooLarge { width, height });
-    }
-    decode(from)?.decode().map_err(FileError::Decode)
+/// Decodes an image of a size that was checked.
+fn decoded<R: BufRead + Seek>(from: R, (width, height): (u32, u32)) -> Result<DynamicImage, FileError> {
+    let pixels = u64::from(width) * u64::from(height);
+    let most_bytes = (pixels * WIDEST_PIXEL + MOST_BESIDE).min(MOST_BYTES);
+    decoder(from, most_bytes)?.decode().map_err(FileError::Decode)
 }
 
 #[cfg(test)]

@@ -3,8 +3,10 @@
 //!
 //! Where frames come from is not known here: [`crate::providers`] does that.
 
+mod statistics;
+
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 
 use async_trait::async_trait;
 use tokio::sync::Mutex;
@@ -17,6 +19,8 @@ use crate::marker::MarkerEstimate;
 use crate::providers::{Frame, FrameImage, FrameSender, ImageProvider, PixelFormat};
 use crate::tabletop::Tabletop;
 use crate::tracking::TrackedFingertip;
+
+pub use statistics::ProcessorStatistics;
 
 /// What a processor saw of one thing in one frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -92,73 +96,6 @@ pub struct ProcessorLoop<'a> {
     pub annotated: Option<&'a FrameSender>,
     /// What is counted.
     pub statistics: &'a ProcessorStatistics,
-}
-
-/// Counts of a processor's loop. All may be read at any time.
-#[derive(Debug, Default)]
-pub struct ProcessorStatistics {
-    frames: AtomicU64,
-    skipped: AtomicU64,
-    unusable: AtomicU64,
-    torn: AtomicU64,
-    latency_ns: AtomicU64,
-    worst_ns: AtomicU64,
-    span_ns: AtomicU64,
-}
-
-impl ProcessorStatistics {
-    /// Frames processed.
-    #[must_use]
-    pub fn frames(&self) -> u64 {
-        self.frames.load(Ordering::Relaxed)
-    }
-
-    /// Frames of the first provider that were never looked at, by their numbers: the processor or the way to it was
-    /// too slow.
-    #[must_use]
-    pub fn skipped(&self) -> u64 {
-        self.skipped.load(Ordering::Relaxed)
-    }
-
-    /// Frames that were spoilt, or not what the processor works on.
-    #[must_use]
-    pub fn unusable(&self) -> u64 {
-        self.unusable.load(Ordering::Relaxed)
-    }
-
-    /// Results that were thrown away because the frame's memory was taken away meanwhile.
-    #[must_use]
-    pub fn torn(&self) -> u64 {
-        self.torn.load(Ordering::Relaxed)
-    }
-
-    /// Mean time from receiving a frame to handing over its result, s of tokio's clock (zero in virtual time).
-    #[must_use]
-    pub fn mean_latency_s(&self) -> f64 {
-        self.latency_ns.load(Ordering::Relaxed) as f64 * 1e-9 / self.frames().max(1) as f64
-    }
-
-    /// The longest such time, s.
-    #[must_use]
-    pub fn worst_latency_s(&self) -> f64 {
-        self.worst_ns.load(Ordering::Relaxed) as f64 * 1e-9
-    }
-
-    /// Frames processed per second of tokio's clock, from the first to the last; 0 before the second.
-    #[must_use]
-    pub fn rate_hz(&self) -> f64 {
-        let span_s = self.span_ns.load(Ordering::Relaxed) as f64 * 1e-9;
-        if span_s > 0.0 { self.frames().saturating_sub(1) as f64 / span_s } else { 0.0 }
-    }
-
-    fn count(&self, began: Instant, received: Instant) {
-        let ns = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
-        let latency = ns(received.elapsed());
-        self.frames.fetch_add(1, Ordering::Relaxed);
-        self.latency_ns.fetch_add(latency, Ordering::Relaxed);
-        self.worst_ns.fetch_max(latency, Ordering::Relaxed);
-        self.span_ns.store(ns(received.duration_since(began)), Ordering::Relaxed);
-    }
 }
 
 /// Keeps the newest frame of a provider while a processor works.
@@ -299,111 +236,4 @@ fn drawn(of: &Frame, image: Image) -> Frame {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::frame::ImageSource;
-    use crate::hand::HandObserver;
-    use crate::providers::{Description, StereoProvider, channel};
-    use crate::scenes::{CALIBRATION, empty_frames};
-    use crate::steps::OfStereo;
-    use crate::{StereoCalibration, StereoFrame};
-
-    /// Gives a frame each 66 ms, `frames` in all.
-    struct Camera {
-        frames: u64,
-        given: AtomicU64,
-    }
-
-    #[async_trait]
-    impl ImageSource for Camera {
-        fn name(&self) -> &str {
-            "camera"
-        }
-
-        fn calibration(&self) -> StereoCalibration {
-            CALIBRATION
-        }
-
-        async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
-            tokio::time::sleep(Duration::from_millis(66)).await;
-            let i = self.given.fetch_add(1, Ordering::Relaxed);
-            if i >= self.frames {
-                return Err(ImageError::Gone { provider: "camera".into() });
-            }
-            let frame = empty_frames().swap_remove(3);
-            Ok(Arc::new(StereoFrame { stamp_ns: i, ..frame }))
-        }
-    }
-
-    fn camera(frames: u64) -> Arc<dyn ImageProvider> {
-        let camera = Camera { frames, given: AtomicU64::new(0) };
-        Arc::new(StereoProvider::new(Arc::new(camera), "camera_left"))
-    }
-
-    struct Count {
-        wanted: u64,
-        taken: AtomicU64,
-    }
-
-    #[async_trait]
-    impl ResultSink for Count {
-        async fn take(&self, source: &FindingSource, _: Finding) -> bool {
-            assert_eq!(source.provider, "camera");
-            self.taken.fetch_add(1, Ordering::Relaxed) + 1 < self.wanted
-        }
-    }
-
-    async fn run(
-        processor: &mut dyn ImageProcessor,
-        inputs: Vec<Arc<dyn ImageProvider>>,
-        trigger: Trigger,
-        wanted: u64,
-        annotated: Option<&FrameSender>,
-    ) -> (Result<(), ImageError>, ProcessorStatistics) {
-        let statistics = ProcessorStatistics::default();
-        let sink = Count { wanted, taken: AtomicU64::new(0) };
-        let with = ProcessorLoop { inputs, trigger, sink: &sink, annotated, statistics: &statistics };
-        let ended = run_processor(processor, &with).await;
-        (ended, statistics)
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn a_processor_runs_until_its_sink_has_enough_and_draws_what_it_saw() {
-        let (drawn, pictures) = channel(Description { name: "drawn".into(), ..Description::default() });
-        let mut hand = OfStereo(HandObserver::new(CALIBRATION));
-        let (ended, counts) = run(&mut hand, vec![camera(4)], Trigger::Next, 3, Some(&drawn)).await;
-        assert!(ended.is_ok());
-        assert_eq!((counts.frames(), counts.skipped(), counts.unusable()), (3, 0, 0));
-        assert!((counts.rate_hz() - 1.0 / 0.066).abs() < 1e-6);
-        assert_eq!(pictures.next().await.unwrap().stamp_ns, 2);
-        let (ended, counts) = run(&mut hand, vec![camera(2)], Trigger::Next, 9, None).await;
-        assert_eq!((ended, counts.frames()), (Err(ImageError::Gone { provider: "camera".into() }), 2));
-    }
-
-    /// Takes anything.
-    struct Look(Vec<Vec<u64>>);
-
-    impl ImageProcessor for Look {
-        fn name(&self) -> &str {
-            "look"
-        }
-
-        fn process(&mut self, frames: &[Arc<Frame>]) -> Result<Finding, ImageError> {
-            self.0.push(frames.iter().map(|frame| frame.number).collect());
-            Ok(Finding::Hand(None))
-        }
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn several_providers_give_a_frame_each_and_polling_takes_the_newest() {
-        let mut look = Look(Vec::new());
-        let every = Trigger::Every(Duration::from_millis(150));
-        let (_, counts) = run(&mut look, vec![camera(20), camera(20)], every, 4, None).await;
-        assert_eq!(look.0, [[2, 2], [4, 4], [6, 6], [9, 9]]);
-        assert_eq!((counts.frames(), counts.skipped()), (4, 4));
-        let mut look = Look(Vec::new());
-        let (ended, _) = run(&mut look, vec![camera(3)], every, 40, None).await;
-        assert!(matches!(ended, Err(ImageError::Gone { .. })));
-        assert_eq!(look.0, [[2], [3]]);
-    }
-}
+mod tests;

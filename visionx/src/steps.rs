@@ -9,7 +9,7 @@ use crate::hand::HandObserver;
 use crate::localizer::ObjectLocalizer;
 use crate::marker::ColorMarkerObjectTracking;
 use crate::processor::{Finding, ImageProcessor};
-use crate::providers::{Frame, convert, stereo_frame};
+use crate::providers::{Frame, StereoPair};
 use crate::tabletop::TabletopSegmentation;
 use crate::tracking::FingerTipTracking;
 
@@ -24,23 +24,33 @@ pub trait StereoStep: Send {
 }
 
 /// Makes an [`ImageProcessor`] of a [`StereoStep`].
-pub struct OfStereo<S>(pub S);
+pub struct OfStereo<S> {
+    step: S,
+    pair: StereoPair,
+}
+
+impl<S: StereoStep> OfStereo<S> {
+    /// Looks at these pairs; `step` was made with their calibration.
+    pub fn new(step: S, pair: StereoPair) -> Self {
+        Self { step, pair }
+    }
+}
 
 impl<S: StereoStep> ImageProcessor for OfStereo<S> {
     fn name(&self) -> &str {
-        self.0.name()
+        self.step.name()
     }
 
     fn process(&mut self, frames: &[Arc<Frame>]) -> Result<Finding, ImageError> {
         let [frame, ..] = frames else {
             return Err(ImageError::Spoilt { provider: self.name().into(), what: "no frame".into() });
         };
-        Ok(self.0.step(&stereo_frame(frame, self.0.name())?))
+        Ok(self.step.step(&self.pair.frame(frame)?))
     }
 
     fn annotated(&self, frames: &[Arc<Frame>], finding: &Finding) -> Option<Image> {
-        let mut image = convert::rgb_of(frames.first()?.image("left")?)?;
-        self.0.draw(&mut image, finding);
+        let mut image = self.pair.frame(frames.first()?).ok()?.left;
+        self.step.draw(&mut image, finding);
         Some(image)
     }
 }

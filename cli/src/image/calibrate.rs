@@ -2,7 +2,6 @@
 
 use std::io::Write;
 
-use armarium_visionx::providers::stereo_frame;
 use armarium_visionx::{EpipolarCheck, ImageError};
 use serde_json::json;
 
@@ -22,7 +21,8 @@ pub(super) async fn run(
     connection: &Connection,
     out: &mut dyn Write,
 ) -> Result<(), Failure> {
-    let (source, described, calibration) = source::open_pair(&args.source, connection).await?;
+    let (source, described, pair) = source::open_pair(&args.source, connection).await?;
+    let calibration = pair.calibration();
     let mut check = EpipolarCheck::default();
     for _ in 0..args.frames.max(1) {
         let frame = match source.provider.next().await {
@@ -30,7 +30,7 @@ pub(super) async fn run(
             Err(ImageError::Spoilt { .. }) => continue,
             Err(_) => break,
         };
-        let Ok(stereo) = stereo_frame(&frame, &described.name) else { continue };
+        let Ok(stereo) = pair.frame(&frame) else { continue };
         let seen = tokio::task::spawn_blocking(move || EpipolarCheck::of(&stereo, &calibration)).await;
         check.add(seen.map_err(failed)?);
     }

@@ -10,12 +10,11 @@ use std::time::Duration;
 use armarium_memoryx::RemoteMemory;
 use armarium_memoryx::updater::{Observation, Updater};
 use armarium_values::{Frame, Value, Vector};
-use armarium_visionx::providers::{Description, channel, offer};
+use armarium_visionx::providers::{Description, StereoPair, channel, offer};
 use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking};
 use armarium_visionx::{
     ColorMarkerObjectTracking, Finding, FindingSource, HandObserver, ImageError, ImageProcessor,
-    MarkerSettings, OfStereo, ProcessorLoop, ProcessorStatistics, ResultSink, StereoCalibration, Trigger,
-    run_processor,
+    MarkerSettings, OfStereo, ProcessorLoop, ProcessorStatistics, ResultSink, Trigger, run_processor,
 };
 use async_trait::async_trait;
 use nalgebra::{Matrix3, Vector3};
@@ -43,15 +42,17 @@ pub(crate) enum Look {
 }
 
 impl Look {
-    fn processor(self, calibration: StereoCalibration, color: [u8; 3]) -> Box<dyn ImageProcessor> {
+    fn processor(self, pair: StereoPair, color: [u8; 3]) -> Box<dyn ImageProcessor> {
+        let calibration = pair.calibration();
         match self {
-            Self::Hand => Box::new(OfStereo(HandObserver::new(calibration))),
+            Self::Hand => Box::new(OfStereo::new(HandObserver::new(calibration), pair)),
             Self::Fingertips => {
-                Box::new(OfStereo(FingerTipTracking::new(calibration, FingerTipSettings::default())))
+                let tracking = FingerTipTracking::new(calibration, FingerTipSettings::default());
+                Box::new(OfStereo::new(tracking, pair))
             }
             Self::Marker => {
-                let settings = MarkerSettings::new(color);
-                Box::new(OfStereo(ColorMarkerObjectTracking::new(calibration, settings, 1)))
+                let tracking = ColorMarkerObjectTracking::new(calibration, MarkerSettings::new(color), 1);
+                Box::new(OfStereo::new(tracking, pair))
             }
         }
     }
@@ -89,7 +90,7 @@ pub(super) async fn run(
     connection: &Connection,
     out: &mut dyn Write,
 ) -> Result<(), Failure> {
-    let (source, described, calibration) = source::open_pair(&args.source, connection).await?;
+    let (source, described, pair) = source::open_pair(&args.source, connection).await?;
     let trigger = match args.rate {
         None => Trigger::Next,
         Some(hz) if hz.is_finite() && hz > 0.0 => {
@@ -97,7 +98,7 @@ pub(super) async fn run(
         }
         Some(_) => return Err(argument("--rate is greater than 0")),
     };
-    let mut processor = args.look.processor(calibration, args.color);
+    let mut processor = args.look.processor(pair, args.color);
     let updater = match &args.memory {
         Some(agent) => {
             let memory = RemoteMemory::connect(&connection.session, agent).await.map_err(failed)?;

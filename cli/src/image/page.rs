@@ -21,12 +21,14 @@ const LONGEST: usize = 8192;
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Browsers at a time.
 const MOST: usize = 16;
+/// Most pixels of a picture.
+const MOST_PIXELS: u64 = 64_000_000;
 /// The page: it asks for the next frame when the last has come.
 const PAGE: &str = include_str!("page.html");
 
 type Newest = watch::Receiver<(u64, Arc<Vec<u8>>)>;
 
-/// Shows the page until Ctrl-C, or until the provider has ended and its last frame was shown.
+/// Shows the page until Ctrl-C, also when the provider has ended: its last frame can still be looked at.
 pub(super) async fn show(
     provider: Arc<dyn ImageProvider>,
     port: u16,
@@ -38,16 +40,17 @@ pub(super) async fn show(
     writeln!(out, "http://{address}/ shows {}; Ctrl-C ends it", provider.description().name)?;
     out.flush()?;
     let (sender, newest) = watch::channel((0, Arc::new(Vec::new())));
-    let pulling = tokio::spawn(pull(provider, sender));
+    let (want, wanted) = watch::channel(None);
+    let pulling = tokio::spawn(pull(provider, sender, wanted));
     let places = Arc::new(Semaphore::new(MOST));
     let serving = async {
         loop {
             let Ok((stream, _)) = listener.accept().await else { continue };
             let Ok(place) = Arc::clone(&places).acquire_owned().await else { return };
-            let newest = newest.clone();
+            let (newest, want) = (newest.clone(), want.clone());
             tokio::spawn(async move {
                 // A browser that goes away in the middle harms nobody.
-                let _ = tokio::time::timeout(PATIENCE * 2, answer(stream, newest)).await.is_ok();
+                let _ = tokio::time::timeout(PATIENCE * 2, answer(stream, newest, want)).await.is_ok();
                 drop(place);
             });
         }
@@ -61,16 +64,22 @@ pub(super) async fn show(
     Ok(())
 }
 
-/// Keeps the newest frame as a picture; makes none while nobody looks at the last.
-async fn pull(provider: Arc<dyn ImageProvider>, to: watch::Sender<(u64, Arc<Vec<u8>>)>) {
-    let mut count = 0;
-    loop {
+/// Keeps the newest frame as a picture; makes none until a browser has seen the last and wants another.
+async fn pull(
+    provider: Arc<dyn ImageProvider>,
+    to: watch::Sender<(u64, Arc<Vec<u8>>)>,
+    mut wanted: watch::Receiver<Option<u64>>,
+) {
+    let (mut count, mut told) = (0, false);
+    while wanted.wait_for(|seen| seen.is_some_and(|seen| seen >= count)).await.is_ok() {
         match provider.next().await {
             Ok(frame) => {
                 let made = tokio::task::spawn_blocking(move || picture(&frame)).await;
                 if let Ok(Some(picture)) = made {
                     count += 1;
                     to.send_replace((count, Arc::new(picture)));
+                } else if !std::mem::replace(&mut told, true) {
+                    tracing::warn!("a frame cannot be shown: it has only lists of points, or is too large");
                 }
             }
             Err(ImageError::Gone { .. }) => return,
@@ -79,12 +88,16 @@ async fn pull(provider: Arc<dyn ImageProvider>, to: watch::Sender<(u64, Arc<Vec<
     }
 }
 
-/// The images of a frame side by side.
+/// The images of a frame side by side; `None` where there is nothing to see, or too much: a wide image beside a high one
+/// makes a picture that is far larger than both.
 fn picture(frame: &Frame) -> Option<Vec<u8>> {
     let images: Vec<Image> = frame.images.iter().filter_map(rgb_of).collect();
     let height = images.iter().map(Image::height).max()?;
-    let width = images.iter().map(Image::width).sum();
-    let mut data = Vec::new();
+    let width = images.iter().try_fold(0u32, |sum, image| sum.checked_add(image.width()))?;
+    if u64::from(width) * u64::from(height) > MOST_PIXELS {
+        return None;
+    }
+    let mut data = Vec::with_capacity(width as usize * height as usize * 3);
     for y in 0..height {
         for image in &images {
             let row = image.width() as usize * 3;
@@ -98,7 +111,11 @@ fn picture(frame: &Frame) -> Option<Vec<u8>> {
     jpeg(&Image::from_rgb(width, height, data).ok()?).ok()
 }
 
-async fn answer(mut stream: TcpStream, mut newest: Newest) -> std::io::Result<()> {
+async fn answer(
+    mut stream: TcpStream,
+    mut newest: Newest,
+    want: watch::Sender<Option<u64>>,
+) -> std::io::Result<()> {
     let Some(path) = request(&mut stream).await? else {
         return respond(&mut stream, "400 Bad Request", "text/plain", b"").await;
     };
@@ -106,14 +123,19 @@ async fn answer(mut stream: TcpStream, mut newest: Newest) -> std::io::Result<()
     match path {
         "/" => respond(&mut stream, "200 OK", "text/html; charset=utf-8", PAGE.as_bytes()).await,
         "/frame" => {
+            // A page of an earlier run counts from there: it has seen none of these.
             let seen: u64 = seen.parse().unwrap_or(0);
-            let next = newest.wait_for(|(count, _)| *count > seen || (seen > *count && *count > 0));
+            let seen = if seen > newest.borrow().0 { 0 } else { seen };
+            want.send_modify(|wanted| *wanted = (*wanted).max(Some(seen)));
+            let next = newest.wait_for(|(count, _)| *count > seen);
             let found = match tokio::time::timeout(PATIENCE, next).await {
-                Ok(Ok(found)) => Some(found.clone()),
-                _ => None,
+                Ok(Ok(found)) => Ok(found.clone()),
+                Ok(Err(_)) => Err("410 Gone"),
+                Err(_) => Err("204 No Content"),
             };
-            let Some((count, picture)) = found else {
-                return respond(&mut stream, "204 No Content", "text/plain", b"").await;
+            let (count, picture) = match found {
+                Ok(found) => found,
+                Err(status) => return respond(&mut stream, status, "text/plain", b"").await,
             };
             let kind = format!("image/jpeg\r\nX-Frame: {count}");
             respond(&mut stream, "200 OK", &kind, &picture).await
@@ -194,5 +216,13 @@ mod tests {
         assert_eq!((shown.width(), shown.height()), (50, 30));
         assert!(shown.pixel(45, 25)[0] < 40 && shown.pixel(45, 5)[0] > 160);
         assert!(picture(&Frame::default()).is_none());
+        let bars = Frame {
+            images: vec![
+                image("wide", PixelFormat::Gray8, (65_000, 1), 65_000),
+                image("high", PixelFormat::Gray8, (1, 65_000), 65_000),
+            ],
+            ..Frame::default()
+        };
+        assert!(picture(&bars).is_none(), "130 kB are not shown as 12 GB");
     }
 }

@@ -4,9 +4,9 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use armarium_visionx::StereoCalibration;
 use armarium_visionx::providers::{
     Delivery, Description, FileProvider, ImageCoding, ImageProvider, Pace, RecordingProvider, RemoteProvider,
+    StereoPair,
 };
 
 use super::{Failure, SourceArgs, argument, failed};
@@ -23,15 +23,17 @@ pub(super) struct Source {
     pub(super) remote: Option<Arc<RemoteProvider>>,
 }
 
-/// Opens what the arguments name; files are given as fast as they are asked for.
+/// Opens what the arguments name. Files are given at `speed` times their own, or without one as fast as they are asked
+/// for.
 pub(super) async fn open(
     args: &SourceArgs,
     connection: &Connection,
-    delivery: Delivery,
     coding: ImageCoding,
+    speed: Option<f64>,
 ) -> Result<Source, Failure> {
+    let delivery = Delivery::Newest;
     if Path::new(&args.source).exists() {
-        let pace = Pace { speed: None, repeat: false };
+        let pace = Pace { speed, repeat: false };
         let provider =
             file(&[args.source.as_str().into()], "files", args.topic.as_deref(), RATE_HZ, pace).await?;
         return Ok(Source { provider, remote: None });
@@ -40,15 +42,17 @@ pub(super) async fn open(
     Ok(Source { provider: Arc::clone(&remote) as Arc<dyn ImageProvider>, remote: Some(remote) })
 }
 
-/// As [`open`], the newest frames of what must be a stereo pair; with its description and calibration.
+/// As [`open`], the newest frames of what must be a stereo pair; with its description and the pairs.
 pub(super) async fn open_pair(
     args: &SourceArgs,
     connection: &Connection,
-) -> Result<(Source, Description, StereoCalibration), Failure> {
-    let source = open(args, connection, Delivery::Newest, ImageCoding::Raw).await?;
+) -> Result<(Source, Description, StereoPair), Failure> {
+    let source = open(args, connection, ImageCoding::Raw, None).await?;
     let described = source.provider.description();
-    let calibration = described.stereo().map_err(|what| argument(format!("`{}`: {what}", described.name)))?;
-    Ok((source, described, calibration))
+    let pair = StereoPair::of(&described);
+    let pair =
+        pair.map_err(|what| argument(format!("`{}` gives no stereo pairs: {what}", described.name)))?;
+    Ok((source, described, pair))
 }
 
 /// The provider `AGENT/PROVIDER`.

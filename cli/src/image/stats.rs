@@ -4,7 +4,7 @@ use std::io::Write;
 use std::time::{Duration, Instant};
 
 use armarium_visionx::ImageError;
-use armarium_visionx::providers::{Delivery, ImageCoding};
+use armarium_visionx::providers::ImageCoding;
 use serde_json::json;
 
 use super::{Failure, StatsArgs, argument, source};
@@ -17,7 +17,7 @@ pub(super) async fn run(
     out: &mut dyn Write,
 ) -> Result<(), Failure> {
     let span = Duration::try_from_secs_f64(args.seconds).map_err(|_| argument("--seconds is at least 0"))?;
-    let source = source::open(&args.source, connection, Delivery::Newest, ImageCoding::Raw).await?;
+    let source = source::open(&args.source, connection, ImageCoding::Raw, None).await?;
     let (mut frames, mut bytes, mut spoilt, mut sizes) = (0u64, 0usize, 0u64, Vec::new());
     let (mut first, mut last) = (None, None);
     let counting = async {

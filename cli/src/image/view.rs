@@ -6,7 +6,7 @@ use std::path::Path;
 use armarium_visionx::ImageError;
 use armarium_visionx::annotate::png;
 use armarium_visionx::providers::convert::rgb_of;
-use armarium_visionx::providers::{Delivery, Frame, ImageCoding};
+use armarium_visionx::providers::{Frame, ImageCoding};
 
 use super::{Failure, ViewArgs, argument, failed, page, source};
 use crate::connection::Connection;
@@ -18,7 +18,9 @@ pub(super) async fn run(
     out: &mut dyn Write,
 ) -> Result<(), Failure> {
     let coding = if args.jpeg { ImageCoding::Jpeg } else { ImageCoding::Raw };
-    let source = source::open(&args.source, connection, Delivery::Newest, coding).await?;
+    // A page shows files as they were taken; of what is written as PNG none waits.
+    let speed = args.png.is_none().then_some(1.0);
+    let source = source::open(&args.source, connection, coding, speed).await?;
     let Some(folder) = &args.png else {
         return page::show(source.provider, args.port, out).await;
     };

@@ -4,10 +4,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use async_trait::async_trait;
-use nalgebra::Isometry3;
 
-use super::convert::{depth_of, rgb_of};
-use super::{Description, Frame, FrameImage, ImageProvider, PixelFormat, PixelOwner, Pixels};
+use super::{Description, Frame, FrameImage, ImageProvider, PixelFormat, PixelOwner, Pixels, StereoPair};
 use crate::camera::StereoCalibration;
 use crate::frame::{ImageError, ImageSource, StereoFrame};
 
@@ -21,9 +19,8 @@ pub struct StereoProvider {
 /// A provider of stereo pairs as an [`ImageSource`].
 pub struct StereoView {
     provider: Arc<dyn ImageProvider>,
-    name: String,
-    calibration: StereoCalibration,
-    torn: AtomicU64,
+    pair: StereoPair,
+    unusable: AtomicU64,
 }
 
 /// One eye of a frame that is shared.
@@ -86,26 +83,6 @@ pub fn frame_of(stereo: &Arc<StereoFrame>, number: u64, frame_id: &str) -> Resul
     })
 }
 
-/// The stereo frame of a frame with the images `left` and `right`, and `depth` if there is one. A frame that does not
-/// say where its camera is has it at the root.
-///
-/// # Errors
-/// [`ImageError::Spoilt`] when an eye is missing.
-pub fn stereo_frame(frame: &Frame, provider: &str) -> Result<StereoFrame, ImageError> {
-    let spoilt = |what: String| ImageError::Spoilt { provider: provider.into(), what };
-    let eye = |role: &str| {
-        let image = frame.image(role).ok_or_else(|| spoilt(format!("a frame without the image `{role}`")))?;
-        rgb_of(image).ok_or_else(|| spoilt(format!("the image `{role}` has no colours")))
-    };
-    Ok(StereoFrame {
-        stamp_ns: frame.stamp_ns,
-        left: eye("left")?,
-        right: eye("right")?,
-        depth: frame.image("depth").and_then(depth_of),
-        root_from_left: frame.root_from_camera.unwrap_or_else(Isometry3::identity),
-    })
-}
-
 impl StereoView {
     /// The stereo pairs of a provider.
     ///
@@ -113,42 +90,43 @@ impl StereoView {
     /// [`ImageError::Spoilt`] when it is not calibrated as a pair of equal, parallel cameras.
     pub fn new(provider: Arc<dyn ImageProvider>) -> Result<Self, ImageError> {
         let description = provider.description();
-        let calibration = description.stereo();
-        let calibration =
-            calibration.map_err(|what| ImageError::Spoilt { provider: description.name.clone(), what })?;
-        Ok(Self { provider, name: description.name, calibration, torn: AtomicU64::new(0) })
+        let pair = StereoPair::of(&description);
+        let pair = pair.map_err(|what| ImageError::Spoilt { provider: description.name, what })?;
+        Ok(Self { provider, pair, unusable: AtomicU64::new(0) })
     }
 
-    /// Frames that were taken away while they were copied.
+    /// Frames that were left out: they were spoilt, no pair of the calibration's size, or taken away while they were copied.
     #[must_use]
-    pub fn torn(&self) -> u64 {
-        self.torn.load(Ordering::Relaxed)
+    pub fn unusable(&self) -> u64 {
+        self.unusable.load(Ordering::Relaxed)
     }
 }
 
 #[async_trait]
 impl ImageSource for StereoView {
     fn name(&self) -> &str {
-        &self.name
+        self.pair.provider()
     }
 
     fn calibration(&self) -> StereoCalibration {
-        self.calibration
+        self.pair.calibration()
     }
 
     /// A frame that is not a whole stereo pair is left out.
     async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
         loop {
             let frame = match self.provider.next().await {
-                Ok(frame) => frame,
-                Err(ImageError::Spoilt { .. }) => continue,
+                Ok(frame) => Some(frame),
+                Err(ImageError::Spoilt { .. }) => None,
                 Err(error) => return Err(error),
             };
-            let stereo = stereo_frame(&frame, &self.name);
-            match stereo {
-                Ok(stereo) if frame.is_intact() => return Ok(Arc::new(stereo)),
-                Ok(_) | Err(_) => self.torn.fetch_add(1, Ordering::Relaxed),
-            };
+            let stereo = frame.as_ref().and_then(|frame| self.pair.frame(frame).ok());
+            if let Some(stereo) = stereo.filter(|_| frame.is_some_and(|frame| frame.is_intact())) {
+                return Ok(Arc::new(stereo));
+            }
+            self.unusable.fetch_add(1, Ordering::Relaxed);
+            // A provider that spoils frame after frame does not keep the others from running.
+            tokio::task::yield_now().await;
         }
     }
 }
@@ -184,6 +162,6 @@ mod tests {
         let view = StereoView::new(provider).unwrap();
         assert_eq!((view.name(), view.calibration()), ("once", CALIBRATION));
         assert_eq!(*view.next().await.unwrap(), frame);
-        assert_eq!(view.torn(), 0);
+        assert_eq!(view.unusable(), 0);
     }
 }

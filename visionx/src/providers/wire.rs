@@ -5,6 +5,7 @@
 //! (little-endian), the header, the bytes. The header is CBOR, a map by field name; `docs/wire-images.md` describes it.
 //! Nothing that is decoded here is trusted: a header that does not fit its bytes is an error.
 
+use std::io::Cursor;
 use std::sync::Arc;
 
 use armarium_bus::{Bounds, CodecError};
@@ -12,7 +13,7 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
 
 use super::frame::{Frame, FrameImage, LONGEST_NAME, MOST_IMAGES, PixelFormat, PixelOwner, Pixels};
-use crate::files::{FileError, decode_gray, decode_image};
+use crate::files::{FileError, decode_gray, decode_image, size_of};
 use crate::frame::ImageError;
 
 /// The version of the header that is written here.
@@ -21,6 +22,8 @@ pub const VERSION: u32 = 1;
 pub const ENCODING: &str = "application/octet-stream;image/frame;v1";
 /// The Zenoh encoding of a [`pack`]ed frame.
 pub const PACKED: &str = "application/octet-stream;image/packed-frame;v1";
+/// Most bytes that the coded images of a frame may have when they are decoded: they are made of far fewer.
+const MOST_DECODED: usize = 512 << 20;
 /// What a header may cost.
 const BOUNDS: Bounds = Bounds { bytes: 16 << 10, items: 1024, depth: 8 };
 
@@ -181,6 +184,11 @@ impl Header {
         if self.root_from_camera.is_some_and(|pose| isometry(pose).is_none()) {
             return impossible("the camera's pose is none");
         }
+        let coded = self.images.iter().filter(|image| image.coding != ImageCoding::Raw);
+        let decoded = coded.map(|image| image.format.bytes(image.width, image.height).unwrap_or(usize::MAX));
+        if decoded.fold(0, usize::saturating_add) > MOST_DECODED {
+            return impossible("its coded images are larger than 512 MiB");
+        }
         Ok(())
     }
 
@@ -249,20 +257,15 @@ impl ImageHeader {
 
     fn decoded(&self, file: &[u8]) -> Result<Vec<u8>, WireError> {
         let coded = |source| WireError::Coded { role: self.role.clone(), source };
-        let (width, height, bytes) = match self.format {
-            PixelFormat::Rgb8 => {
-                let image = decode_image(file).map_err(coded)?;
-                (image.width(), image.height(), image.data().to_vec())
-            }
-            PixelFormat::Depth32F | PixelFormat::Points32F => {
-                return Err(WireError::Other { role: self.role.clone() });
-            }
-            _ => decode_gray(file, self.format == PixelFormat::Depth16).map_err(coded)?,
-        };
-        if (width, height) == (self.width, self.height) {
-            Ok(bytes)
-        } else {
-            Err(WireError::Other { role: self.role.clone() })
+        let other = || WireError::Other { role: self.role.clone() };
+        // Before its pixels are decoded: the header's size is one that was checked.
+        if size_of(Cursor::new(file)).map_err(coded)? != (self.width, self.height) {
+            return Err(other());
+        }
+        match self.format {
+            PixelFormat::Rgb8 => Ok(decode_image(file).map_err(coded)?.into_data()),
+            PixelFormat::Depth32F | PixelFormat::Points32F => Err(other()),
+            format => Ok(decode_gray(file, format == PixelFormat::Depth16).map_err(coded)?.2),
         }
     }
 }
@@ -310,96 +313,4 @@ fn isometry([x, y, z, i, j, k, w]: [f64; 7]) -> Option<Isometry3<f64>> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    fn frame() -> Frame {
-        let pose =
-            Isometry3::new(nalgebra::Vector3::new(0.1, -2.0, 3.0), nalgebra::Vector3::new(0.3, 0.1, -1.0));
-        Frame {
-            number: 9,
-            stamp_ns: 123_456_789,
-            frame_id: "camera_left".into(),
-            root_from_camera: Some(pose),
-            images: vec![
-                FrameImage::new("left", PixelFormat::Rgb8, (2, 1), vec![1, 2, 3, 4, 5, 6]).unwrap(),
-                FrameImage::new("depth", PixelFormat::Depth16, (1, 2), vec![7, 0, 8, 1]).unwrap(),
-                FrameImage::new("points", PixelFormat::Points32F, (1, 1), vec![0; 12]).unwrap(),
-            ],
-        }
-    }
-
-    #[test]
-    fn a_frame_survives_packing_to_the_last_bit() {
-        for frame in [frame(), Frame::default()] {
-            let (header, back) = unpack(pack(&frame, 4, 5).unwrap()).unwrap();
-            assert_eq!(back, frame);
-            assert_eq!((header.life, header.sent_ns, header.version), (4, 5, VERSION));
-        }
-    }
-
-    #[test]
-    fn a_message_that_is_cut_or_longer_is_an_error() {
-        let whole = pack(&frame(), 1, 1).unwrap();
-        for end in 0..whole.len() {
-            assert!(unpack(whole[..end].to_vec()).is_err(), "cut at {end}");
-        }
-        let mut longer = whole;
-        longer.push(0);
-        assert!(matches!(unpack(longer), Err(WireError::Length { .. })));
-    }
-
-    #[test]
-    fn headers_that_no_frame_can_have_are_refused() {
-        let header = Header::raw(&frame(), 1, 1);
-        let owner: Arc<dyn PixelOwner> = Arc::new(vec![0u8; 22]);
-        assert!(header.frame(&owner).is_ok());
-        for spoil in [
-            |h: &mut Header| h.version = 2,
-            |h: &mut Header| h.root_from_camera = Some([0.0; 7]),
-            |h: &mut Header| h.root_from_camera = Some([f64::NAN, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
-            |h: &mut Header| h.images[1].role = "left".into(),
-            |h: &mut Header| h.images[1].role = String::new(),
-            |h: &mut Header| h.frame_id = "x".repeat(201),
-            |h: &mut Header| h.images = vec![h.images[0].clone(); 17],
-        ] {
-            let mut wrong = header.clone();
-            spoil(&mut wrong);
-            assert!(Header::decode(&wrong.encode().unwrap()).is_err(), "{wrong:?}");
-        }
-        for spoil in [
-            |h: &mut Header| h.images[0].bytes = u64::MAX,
-            |h: &mut Header| (h.images[0].bytes, h.images[1].bytes) = (u64::MAX, 7),
-            |h: &mut Header| (h.images[0].bytes, h.images[1].bytes) = (5, 5),
-            |h: &mut Header| h.images[0].width = u32::MAX,
-            |h: &mut Header| h.images[0].coding = ImageCoding::Png,
-            |h: &mut Header| h.images[2].coding = ImageCoding::Jpeg,
-            |h: &mut Header| h.images.clear(),
-        ] {
-            let mut wrong = header.clone();
-            spoil(&mut wrong);
-            assert!(wrong.frame(&owner).is_err(), "{wrong:?}");
-        }
-        assert!(matches!(unpack(vec![1, 0, 0, 0, 0xff]), Err(WireError::Header(_))));
-    }
-
-    proptest! {
-        #[test]
-        fn whatever_the_bytes_nothing_panics(bytes in proptest::collection::vec(any::<u8>(), 0..300)) {
-            let _ = unpack(bytes.clone()).is_ok();
-            let _ = Header::decode(&bytes).is_ok();
-        }
-
-        #[test]
-        fn a_spoilt_message_is_an_error_or_another_frame(at in 0usize..400, flip in 1u8..) {
-            let mut bytes = pack(&frame(), 1, 2).unwrap();
-            let at = at % bytes.len();
-            bytes[at] ^= flip;
-            if let Ok((header, frame)) = unpack(bytes) {
-                let sum: u64 = header.images.iter().map(|i| i.bytes).sum();
-                prop_assert_eq!(frame.bytes() as u64, sum);
-            }
-        }
-    }
-}
+mod tests;

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::{MessageHeader, Metadata};
 
-use super::recording::{DESCRIPTION, RecordingError, SCHEMA};
+use super::recording::{DESCRIPTION, LONGEST_RECORD, RecordingError, SCHEMA};
 use super::wire::pack;
 use super::{Description, Frame};
 
@@ -15,6 +15,8 @@ use super::{Description, Frame};
 const ENCODING: &str = "armarium-packed-frame";
 /// Bytes of a chunk: a crash costs the last.
 const CHUNK: u64 = 4 << 20;
+/// Most bytes of the images of a frame: with its headers it is a record that is read again.
+const LONGEST_FRAME: usize = LONGEST_RECORD - (64 << 10);
 
 /// A recording that is being written. Frames are compressed without loss.
 pub struct Recording {
@@ -66,6 +68,10 @@ impl Recording {
     pub fn add(&mut self, provider: &str, frame: &Frame) -> Result<(), RecordingError> {
         let unknown = || RecordingError::Encode { what: format!("there is no provider `{provider}` in it") };
         let channel_id = *self.channels.get(provider).ok_or_else(unknown)?;
+        if frame.bytes() > LONGEST_FRAME {
+            let what = format!("it has {} bytes; at most {LONGEST_FRAME} are recorded", frame.bytes());
+            return Err(RecordingError::Encode { what });
+        }
         let data = pack(frame, 0, 0).map_err(|e| RecordingError::Encode { what: e.to_string() })?;
         let header = MessageHeader {
             channel_id,

@@ -1,0 +1,143 @@
+use std::sync::atomic::AtomicU64;
+
+use super::*;
+use crate::frame::ImageSource;
+use crate::hand::HandObserver;
+use crate::providers::{Description, StereoPair, StereoProvider, channel};
+use crate::scenes::{CALIBRATION, empty_frames};
+use crate::steps::OfStereo;
+use crate::{StereoCalibration, StereoFrame};
+
+/// Gives a frame each 66 ms, `frames` in all.
+struct Camera {
+    frames: u64,
+    given: AtomicU64,
+}
+
+#[async_trait]
+impl ImageSource for Camera {
+    fn name(&self) -> &str {
+        "camera"
+    }
+
+    fn calibration(&self) -> StereoCalibration {
+        CALIBRATION
+    }
+
+    async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
+        tokio::time::sleep(Duration::from_millis(66)).await;
+        let i = self.given.fetch_add(1, Ordering::Relaxed);
+        if i >= self.frames {
+            return Err(ImageError::Gone { provider: "camera".into() });
+        }
+        let frame = empty_frames().swap_remove(3);
+        Ok(Arc::new(StereoFrame { stamp_ns: i, ..frame }))
+    }
+}
+
+fn camera(frames: u64) -> Arc<dyn ImageProvider> {
+    let camera = Camera { frames, given: AtomicU64::new(0) };
+    Arc::new(StereoProvider::new(Arc::new(camera), "camera_left"))
+}
+
+fn pair() -> StereoPair {
+    StereoPair::of(&Description::of_stereo("camera", "camera_left", &CALIBRATION)).unwrap()
+}
+
+struct Count {
+    wanted: u64,
+    taken: AtomicU64,
+}
+
+#[async_trait]
+impl ResultSink for Count {
+    async fn take(&self, source: &FindingSource, _: Finding) -> bool {
+        assert_eq!(source.provider, "camera");
+        self.taken.fetch_add(1, Ordering::Relaxed) + 1 < self.wanted
+    }
+}
+
+async fn run(
+    processor: &mut dyn ImageProcessor,
+    inputs: Vec<Arc<dyn ImageProvider>>,
+    trigger: Trigger,
+    wanted: u64,
+    annotated: Option<&FrameSender>,
+) -> (Result<(), ImageError>, ProcessorStatistics) {
+    let statistics = ProcessorStatistics::default();
+    let sink = Count { wanted, taken: AtomicU64::new(0) };
+    let with = ProcessorLoop { inputs, trigger, sink: &sink, annotated, statistics: &statistics };
+    let ended = run_processor(processor, &with).await;
+    (ended, statistics)
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_processor_runs_until_its_sink_has_enough_and_draws_what_it_saw() {
+    let (drawn, pictures) = channel(Description { name: "drawn".into(), ..Description::default() });
+    let mut hand = OfStereo::new(HandObserver::new(CALIBRATION), pair());
+    let (ended, counts) = run(&mut hand, vec![camera(4)], Trigger::Next, 3, Some(&drawn)).await;
+    assert!(ended.is_ok());
+    assert_eq!((counts.frames(), counts.skipped(), counts.unusable()), (3, 0, 0));
+    assert!((counts.rate_hz() - 1.0 / 0.066).abs() < 1e-6);
+    assert_eq!(pictures.next().await.unwrap().stamp_ns, 2);
+    let (ended, counts) = run(&mut hand, vec![camera(2)], Trigger::Next, 9, None).await;
+    assert_eq!((ended, counts.frames()), (Err(ImageError::Gone { provider: "camera".into() }), 2));
+}
+
+/// Takes anything.
+struct Look(Vec<Vec<u64>>);
+
+impl ImageProcessor for Look {
+    fn name(&self) -> &str {
+        "look"
+    }
+
+    fn process(&mut self, frames: &[Arc<Frame>]) -> Result<Finding, ImageError> {
+        self.0.push(frames.iter().map(|frame| frame.number).collect());
+        Ok(Finding::Hand(None))
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn several_providers_give_a_frame_each_and_polling_takes_the_newest() {
+    let mut look = Look(Vec::new());
+    let every = Trigger::Every(Duration::from_millis(150));
+    let (_, counts) = run(&mut look, vec![camera(20), camera(20)], every, 4, None).await;
+    assert_eq!(look.0, [[2, 2], [4, 4], [6, 6], [9, 9]]);
+    assert_eq!((counts.frames(), counts.skipped()), (4, 4));
+    let mut look = Look(Vec::new());
+    let (ended, _) = run(&mut look, vec![camera(3)], every, 40, None).await;
+    assert!(matches!(ended, Err(ImageError::Gone { .. })));
+    assert_eq!(look.0, [[2], [3]]);
+}
+
+/// Gives pairs of these sizes, one after the other.
+struct Sizes(Vec<(u32, u32)>, AtomicU64);
+
+#[async_trait]
+impl ImageProvider for Sizes {
+    fn description(&self) -> Description {
+        Description { name: "camera".into(), ..Description::default() }
+    }
+
+    async fn next(&self) -> Result<Arc<Frame>, ImageError> {
+        let at = self.1.fetch_add(1, Ordering::Relaxed);
+        let size = self.0.get(at as usize).ok_or(ImageError::Gone { provider: "camera".into() })?;
+        let eye = |role| {
+            let bytes = PixelFormat::Rgb8.bytes(size.0, size.1).unwrap();
+            FrameImage::new(role, PixelFormat::Rgb8, *size, vec![9; bytes]).unwrap()
+        };
+        Ok(Arc::new(Frame { number: at + 1, images: vec![eye("left"), eye("right")], ..Frame::default() }))
+    }
+}
+
+#[tokio::test]
+async fn frames_of_another_size_than_the_calibration_s_are_counted_and_the_next_is_looked_at() {
+    let size = (CALIBRATION.camera.width, CALIBRATION.camera.height);
+    let sizes = vec![size, (1, 1), (size.0 + 1, size.1), (1, 480), size];
+    let camera: Arc<dyn ImageProvider> = Arc::new(Sizes(sizes, AtomicU64::new(0)));
+    let mut hand = OfStereo::new(HandObserver::new(CALIBRATION), pair());
+    let (ended, counts) = run(&mut hand, vec![camera], Trigger::Next, 9, None).await;
+    assert!(ended.is_err(), "the provider has gone");
+    assert_eq!((counts.frames(), counts.unusable()), (5, 3));
+}

@@ -1,0 +1,114 @@
+//! The messages with images in an MCAP file, read piece by piece. Nothing in the file is trusted.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufReader, Read as _};
+use std::path::Path;
+
+use mcap::records::Record;
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+
+use super::super::compressed::image_field;
+use super::super::wire::unpack;
+use super::super::{Description, Frame, FrameImage, PixelFormat};
+use super::{DESCRIPTION, RecordingError, SCHEMA};
+use crate::files::decode_image;
+
+/// The schema of compressed images.
+const COMPRESSED: &str = "foxglove.CompressedImage";
+/// Longest record that is read, and message that is written, bytes: a chunk of a few kilobytes may promise any.
+pub(in crate::providers) const LONGEST_RECORD: usize = 512 << 20;
+
+/// The messages of a recording's image channels, one after the other.
+pub(super) struct Messages {
+    file: BufReader<File>,
+    reader: LinearReader,
+    schemas: BTreeMap<u16, String>,
+    channels: BTreeMap<u16, (String, String)>,
+    /// What was said of providers so far, by their names.
+    pub(super) descriptions: BTreeMap<String, Description>,
+}
+
+/// A message with an image or a frame.
+pub(super) struct Message {
+    pub(super) topic: String,
+    schema: String,
+    pub(super) stamp_ns: u64,
+    data: Vec<u8>,
+}
+
+impl Messages {
+    pub(super) fn open(path: &Path) -> Result<Self, RecordingError> {
+        let file = File::open(path).map_err(|source| RecordingError::File { path: path.into(), source })?;
+        let options = LinearReaderOptions::default().with_record_length_limit(LONGEST_RECORD);
+        Ok(Self {
+            file: BufReader::new(file),
+            reader: LinearReader::new_with_options(options),
+            schemas: BTreeMap::new(),
+            channels: BTreeMap::new(),
+            descriptions: BTreeMap::new(),
+        })
+    }
+
+    /// The next image; `None` at the end.
+    pub(super) fn next(&mut self) -> Result<Option<Message>, mcap::McapError> {
+        while let Some(event) = self.reader.next_event() {
+            let (opcode, data) = match event? {
+                LinearReadEvent::ReadRequest(wanted) => {
+                    // Not more at once than what a file of that length may have.
+                    let read = self.file.read(self.reader.insert(wanted.min(1 << 20)))?;
+                    self.reader.notify_read(read);
+                    continue;
+                }
+                LinearReadEvent::Record { opcode, data } => (opcode, data),
+            };
+            match mcap::parse_record(opcode, data)? {
+                Record::Schema { header, .. } => {
+                    self.schemas.insert(header.id, header.name);
+                }
+                Record::Channel(channel) => {
+                    let schema = self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
+                    if schema == COMPRESSED || schema == SCHEMA {
+                        self.channels.insert(channel.id, (channel.topic, schema));
+                    }
+                }
+                Record::Metadata(metadata) if metadata.name == DESCRIPTION => {
+                    if let Some(description) = metadata.metadata.get("cbor").and_then(|hex| described(hex)) {
+                        self.descriptions.insert(description.name.clone(), description);
+                    }
+                }
+                Record::Message { header, data } => {
+                    if let Some((topic, schema)) = self.channels.get(&header.channel_id) {
+                        let (topic, schema) = (topic.clone(), schema.clone());
+                        let (stamp_ns, data) = (header.log_time, data.into_owned());
+                        return Ok(Some(Message { topic, schema, stamp_ns, data }));
+                    }
+                }
+                _ => {}
+            }
+        }
+        Ok(None)
+    }
+}
+
+impl Message {
+    pub(super) fn frame(self) -> Result<Frame, String> {
+        if self.schema == SCHEMA {
+            return unpack(self.data).map(|(_, frame)| frame).map_err(|e| e.to_string());
+        }
+        let file = image_field(&self.data).ok_or("a message that is no compressed image")?;
+        let image = decode_image(file).map_err(|e| format!("an image {e}"))?;
+        let size = (image.width(), image.height());
+        let image = FrameImage::new("image", PixelFormat::Rgb8, size, image.into_data());
+        let images = vec![image.map_err(|e| e.to_string())?];
+        Ok(Frame { stamp_ns: self.stamp_ns, frame_id: "camera".into(), images, ..Frame::default() })
+    }
+}
+
+fn described(hex: &str) -> Option<Description> {
+    let digits = hex.as_bytes().chunks(2).map(|two| {
+        let digit = |at: usize| char::from(*two.get(at)?).to_digit(16);
+        Some((digit(0)? * 16 + digit(1)?) as u8)
+    });
+    armarium_bus::decode(&digits.collect::<Option<Vec<u8>>>()?).ok()
+}
