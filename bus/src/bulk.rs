@@ -22,6 +22,7 @@ use zenoh::shm::{
     cleanup_orphaned_shm_segments,
 };
 
+use crate::attached;
 use crate::keys::{Key, KeyPattern};
 use crate::session::{Session, SessionError};
 
@@ -98,9 +99,10 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes the shared memory that processes left behind which were killed. It looks through all segments of the machine:
-/// for now and then.
+/// Removes the shared memory that processes left behind which were killed, and lets go of what this one still maps of
+/// it. It looks through all segments of the machine: for now and then.
 pub fn remove_orphans() {
+    attached::let_go();
     cleanup_orphaned_shm_segments();
 }
 

@@ -10,6 +10,7 @@
 //! This room knows no memory, robot, image or chart: it carries bytes for those that do.
 
 mod access;
+mod attached;
 pub mod bulk;
 pub mod codec;
 mod config;

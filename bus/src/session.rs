@@ -15,6 +15,7 @@ use zenoh::qos::CongestionControl;
 use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::sample::{Locality, SampleKind};
 
+use crate::attached;
 pub use crate::config::{Mode, SessionConfig, Tls};
 use crate::keys::{Key, KeyPattern};
 pub use crate::message::{Answer, Liveliness, Message, Question, Questions, Roll, Subscription};
@@ -105,7 +106,11 @@ impl Session {
         if !matches!(flavor, Ok(RuntimeFlavor::MultiThread)) {
             return Err(SessionError::Runtime);
         }
-        let zenoh = zenoh::open(config.to_zenoh()?).await.map_err(failed)?;
+        let mut opening = zenoh::open(config.to_zenoh()?);
+        if config.shared_memory {
+            opening = opening.with_shm_clients(attached::clients());
+        }
+        let zenoh = opening.await.map_err(failed)?;
         Ok(Self { zenoh })
     }
 
@@ -315,7 +320,9 @@ impl Session {
     /// # Errors
     /// [`SessionError::Zenoh`].
     pub async fn close(&self) -> Result<(), SessionError> {
-        self.zenoh.close().await.map_err(failed)
+        let closed = self.zenoh.close().await.map_err(failed);
+        attached::let_go();
+        closed
     }
 }
 

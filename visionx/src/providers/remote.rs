@@ -21,6 +21,8 @@ use super::wire::{ENCODING, Header, ImageCoding, PACKED, WireError, unpack};
 use super::{Description, Frame, ImageProvider};
 use crate::frame::ImageError;
 
+/// After so long without frames, a provider is taken for gone: what it left behind is removed.
+const QUIET: Duration = Duration::from_secs(5);
 /// How long missing frames are waited for.
 const AGAIN: Duration = Duration::from_secs(1);
 /// Most frames that are asked for again at once.
@@ -220,8 +222,7 @@ impl RemoteProvider {
             _ => {
                 add(&self.statistics.lives, 1);
                 if last.is_some() {
-                    // Whoever was killed has left its shared memory behind.
-                    let _ = tokio::task::spawn_blocking(remove_orphans).await.is_ok();
+                    sweep().await;
                 }
             }
         }
@@ -262,10 +263,21 @@ impl ImageProvider for RemoteProvider {
             if let Some(frame) = state.ready.pop_front() {
                 return Ok(frame);
             }
-            let bulk = self.reader.next().await;
+            let bulk = match tokio::time::timeout(QUIET, self.reader.next()).await {
+                Ok(bulk) => bulk,
+                Err(_) => {
+                    sweep().await;
+                    self.reader.next().await
+                }
+            };
             self.take(&bulk, &mut state).await;
         }
     }
+}
+
+/// Whoever was killed has left its shared memory behind.
+async fn sweep() {
+    let _ = tokio::task::spawn_blocking(remove_orphans).await.is_ok();
 }
 
 fn read(bulk: &Bulk) -> Result<(Header, Frame), WireError> {
