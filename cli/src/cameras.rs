@@ -81,7 +81,7 @@ async fn serve(
     let told = session.bulk_reader(told_on(&args.name)?, 1, true).await.map_err(|e| e.to_string())?;
     let mut say =
         |line: String| writeln!(out, "{line}").and_then(|()| out.flush()).map_err(|e| e.to_string());
-    say(format!("{}/image/{}", args.name, DistantCameras::name()))?;
+    say(format!("{}/{}", args.name, DistantCameras::name()))?;
     for endpoint in session.endpoints().await {
         say(format!("  listens on {endpoint}"))?;
     }

@@ -30,6 +30,7 @@ mod outline;
 mod particles;
 mod processor;
 pub mod providers;
+mod rectify;
 #[cfg(test)]
 mod scenes;
 mod steps;
@@ -49,5 +50,6 @@ pub use processor::{
     Finding, FindingSource, ImageProcessor, ProcessorLoop, ProcessorStatistics, ResultSink, Trigger,
     run_processor,
 };
+pub use rectify::Rectification;
 pub use steps::{OfStereo, StereoStep};
 pub use tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};

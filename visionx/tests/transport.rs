@@ -118,14 +118,16 @@ async fn a_recorder_gets_all_frames_and_a_stalled_one_counts_what_it_missed() {
     assert_eq!(counts.received(), last - begin + 1);
     // The last frames may be on their way to this reader still, but the first are gone.
     let newest = async {
-        let (mut frames, mut number) = (0, begin);
-        while number < last {
-            (frames, number) = (frames + 1, stalled.next().await.unwrap().number);
+        let mut numbers = Vec::new();
+        while numbers.last().is_none_or(|number| *number < last) {
+            numbers.push(stalled.next().await.unwrap().number);
         }
-        frames
+        numbers
     };
-    let frames = tokio::time::timeout(WAIT, newest).await.unwrap();
-    assert!(frames < 40, "a reader that comes back gets the newest, not all {frames}");
+    let numbers = tokio::time::timeout(WAIT, newest).await.unwrap();
+    assert!(numbers.len() < 40, "a reader that comes back gets the newest, not all {numbers:?}");
+    let given = last - numbers[0] + 1;
+    assert_eq!(stalled.statistics().missed(), given - numbers.len() as u64, "{numbers:?}");
     assert!(stalled.newest().await.is_none());
 }
 

@@ -17,7 +17,7 @@ use armarium_visionx::{
     MarkerSettings, OfStereo, ProcessorLoop, ProcessorStatistics, ResultSink, Trigger, run_processor,
 };
 use async_trait::async_trait;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use serde_json::{Value as Json, json};
 use tokio::sync::mpsc;
 
@@ -63,6 +63,8 @@ struct HandOn {
     to: Mutex<Option<mpsc::Sender<(FindingSource, Finding)>>>,
     dropped: AtomicU64,
     left: Mutex<Option<u64>>,
+    /// From the axes that findings are in to those of the provider's left camera.
+    camera_from_pair: UnitQuaternion<f64>,
 }
 
 #[async_trait]
@@ -70,7 +72,7 @@ impl ResultSink for HandOn {
     async fn take(&self, source: &FindingSource, finding: Finding) -> bool {
         let to = self.to.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let Some(to) = to else { return false };
-        match to.try_send((source.clone(), finding)) {
+        match to.try_send((source.clone(), turned(finding, &self.camera_from_pair))) {
             Ok(()) => {}
             Err(mpsc::error::TrySendError::Full(_)) => {
                 self.dropped.fetch_add(1, Ordering::Relaxed);
@@ -82,6 +84,20 @@ impl ResultSink for HandOn {
         *left = left.map(|left| left.saturating_sub(1));
         *left != Some(0)
     }
+}
+
+/// Places of pairs that were rectified, in the provider's left camera.
+fn turned(mut finding: Finding, camera_from_pair: &UnitQuaternion<f64>) -> Finding {
+    match &mut finding {
+        Finding::Hand(Some(hand)) => hand.palm_in_left = camera_from_pair * hand.palm_in_left,
+        Finding::Marker(Some(marker)) => {
+            let rotation = camera_from_pair.to_rotation_matrix();
+            marker.point_in_left = camera_from_pair * marker.point_in_left;
+            marker.covariance = rotation * marker.covariance * rotation.transpose();
+        }
+        _ => {}
+    }
+    finding
 }
 
 /// Processes until the provider ends, enough frames were looked at, or Ctrl-C.
@@ -98,6 +114,7 @@ pub(super) async fn run(
         }
         Some(_) => return Err(argument("--rate is greater than 0")),
     };
+    let camera_from_pair = pair.left_from_pair();
     let mut processor = args.look.processor(pair, args.color);
     let updater = match &args.memory {
         Some(agent) => {
@@ -115,7 +132,12 @@ pub(super) async fn run(
     };
     let statistics = ProcessorStatistics::default();
     let (to, findings) = mpsc::channel(WAITING);
-    let sink = HandOn { to: Mutex::new(Some(to)), dropped: AtomicU64::new(0), left: Mutex::new(args.frames) };
+    let sink = HandOn {
+        to: Mutex::new(Some(to)),
+        dropped: AtomicU64::new(0),
+        left: Mutex::new(args.frames),
+        camera_from_pair,
+    };
     let with = ProcessorLoop {
         inputs: vec![Arc::clone(&source.provider)],
         trigger,

@@ -5,7 +5,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_visionx::ImageError;
-use armarium_visionx::providers::{Delivery, Frame, ImageCoding, ImageProvider, Recording, RemoteProvider};
+use armarium_visionx::providers::{
+    Delivery, Description, Frame, ImageCoding, ImageProvider, Recording, RemoteProvider,
+};
 use tokio::sync::mpsc;
 
 use super::{Failure, RecordArgs, argument, failed, source};
@@ -21,20 +23,25 @@ pub(super) async fn run(
     connection: &Connection,
     out: &mut dyn Write,
 ) -> Result<(), Failure> {
-    let mut recording = Recording::create(&args.output).map_err(argument)?;
     let (sender, mut frames) = mpsc::channel::<(String, Arc<Frame>)>(WAITING);
     let (mut providers, mut reading): (Vec<Arc<RemoteProvider>>, Vec<_>) = (Vec::new(), Vec::new());
+    let mut named: Vec<Description> = Vec::new();
     for name in &args.providers {
         let all = Delivery::All { waiting: WAITING };
         let provider = Arc::new(source::remote(name, connection, all, ImageCoding::Raw).await?);
         let mut described = provider.description();
-        if providers.iter().any(|other| other.description().name == described.name) {
+        if named.iter().any(|other| other.name == described.name) {
             // Two agents may call theirs the same.
             described.name = name.replace('/', "_");
         }
+        providers.push(provider);
+        named.push(described);
+    }
+    // Only now: a recording that is there stays when a provider is not.
+    let mut recording = Recording::create(&args.output).map_err(argument)?;
+    for (provider, described) in providers.iter().zip(named) {
         recording.add_provider(&described).map_err(failed)?;
-        providers.push(Arc::clone(&provider));
-        reading.push(tokio::spawn(read(provider, described.name, sender.clone())));
+        reading.push(tokio::spawn(read(Arc::clone(provider), described.name, sender.clone())));
     }
     drop(sender);
     writeln!(out, "recording into {}; Ctrl-C ends it", args.output.display())?;

@@ -14,6 +14,8 @@ use crate::connection::Connection;
 
 /// How long a provider is waited for.
 const WAIT: Duration = Duration::from_secs(10);
+/// What ends so is meant as a file.
+const ENDINGS: [&str; 4] = ["mcap", "png", "jpg", "jpeg"];
 /// Frames a second of image files.
 const RATE_HZ: f64 = 30.0;
 
@@ -62,8 +64,10 @@ pub(super) async fn remote(
     delivery: Delivery,
     coding: ImageCoding,
 ) -> Result<RemoteProvider, Failure> {
-    let Some((agent, provider)) = name.split_once('/').filter(|(a, p)| !a.is_empty() && !p.is_empty()) else {
-        return Err(argument(format!("`{name}` is no file, and no AGENT/PROVIDER")));
+    let file = Path::new(name).extension().is_some_and(|e| ENDINGS.iter().any(|ending| e == *ending));
+    let parts = name.split_once('/').filter(|(a, p)| !file && !a.is_empty() && !p.is_empty());
+    let Some((agent, provider)) = parts else {
+        return Err(argument(format!("there is no file `{name}`, and it is no AGENT/PROVIDER")));
     };
     let connected =
         RemoteProvider::connect(&connection.session, agent, provider, delivery, coding, WAIT).await;

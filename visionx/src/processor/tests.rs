@@ -30,7 +30,7 @@ impl ImageSource for Camera {
         if i >= self.frames {
             return Err(ImageError::Gone { provider: "camera".into() });
         }
-        let frame = empty_frames().swap_remove(3);
+        let frame = empty_frames().swap_remove(0);
         Ok(Arc::new(StereoFrame { stamp_ns: i, ..frame }))
     }
 }

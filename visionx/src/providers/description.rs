@@ -163,41 +163,50 @@ impl Description {
         self.images.iter().find(|image| image.role == role)
     }
 
+    /// The cameras of the roles `left` and `right`, whose images have one size.
+    ///
+    /// # Errors
+    /// What is missing.
+    pub(super) fn eyes(&self) -> Result<((u32, u32), [CameraModel; 2]), String> {
+        let eye = |role: &str| {
+            let image = self.image(role).ok_or_else(|| format!("there is no image `{role}`"))?;
+            let camera = image.camera.ok_or_else(|| format!("the camera of `{role}` is not calibrated"))?;
+            if camera.is_usable() {
+                Ok(((image.width, image.height), camera))
+            } else {
+                Err(format!("the calibration of `{role}` is not one of a camera"))
+            }
+        };
+        let ((size, left), (other, right)) = (eye("left")?, eye("right")?);
+        if size != other {
+            return Err("the images `left` and `right` are not of one size".into());
+        }
+        Ok((size, [left, right]))
+    }
+
     /// The calibration of two equal, parallel cameras without distortion in the roles `left` and `right`.
     ///
     /// # Errors
     /// What keeps them from being such a pair.
     pub fn stereo(&self) -> Result<StereoCalibration, String> {
-        let eye = |role: &str| {
-            let image = self.image(role).ok_or_else(|| format!("there is no image `{role}`"))?;
-            let camera = image.camera.ok_or_else(|| format!("the camera of `{role}` is not calibrated"))?;
-            if !camera.is_usable() {
-                return Err(format!("the calibration of `{role}` is not one of a camera"));
+        let ((width, height), [left, right]) = self.eyes()?;
+        for (role, eye) in [("left", &left), ("right", &right)] {
+            if eye.distortion != Distortion::default() {
+                return Err(format!("`{role}` is distorted"));
             }
-            if camera.distortion != Distortion::default() {
-                return Err(format!("`{role}` is distorted; it has to be rectified first"));
-            }
-            Ok((image, camera))
-        };
-        let ((left_image, left), (right_image, right)) = (eye("left")?, eye("right")?);
-        let pair = left.reference_from_camera.inverse() * right.reference_from_camera;
-        let shift = pair.translation.vector;
-        let size = |image: &ImageDescription| (image.width, image.height);
-        if size(left_image) != size(right_image) || left.focal != right.focal || left.center != right.center {
+        }
+        if left.focal != right.focal || left.center != right.center {
             return Err("the two cameras are not equal".into());
         }
+        let pair = left.reference_from_camera.inverse() * right.reference_from_camera;
+        let shift = pair.translation.vector;
         if (left.focal[0] - left.focal[1]).abs() > 1e-9 * left.focal[0] {
             return Err("the pixels are not square".into());
         }
         if pair.rotation.angle() > 1e-6 || shift.yz().norm() > 1e-6 || shift.x <= 0.0 {
             return Err("the right camera does not stand to the right of the left one, parallel to it".into());
         }
-        let camera = PinholeCamera {
-            width: left_image.width,
-            height: left_image.height,
-            focal: left.focal[0],
-            center: left.center,
-        };
+        let camera = PinholeCamera { width, height, focal: left.focal[0], center: left.center };
         Ok(StereoCalibration { camera, baseline: shift.x })
     }
 }

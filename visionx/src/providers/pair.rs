@@ -1,26 +1,38 @@
 //! From the frames of a provider to the stereo pairs that trackers work on.
 
-use nalgebra::Isometry3;
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, UnitQuaternion};
 
 use super::convert::{depth_of, rgb_of};
 use super::{Description, Frame};
 use crate::camera::StereoCalibration;
 use crate::frame::{ImageError, StereoFrame};
+use crate::rectify::Rectification;
 
 /// What a provider's frames are as stereo pairs.
 #[derive(Clone, Debug)]
 pub struct StereoPair {
     provider: String,
     calibration: StereoCalibration,
+    rectification: Option<Arc<Rectification>>,
 }
 
 impl StereoPair {
-    /// The pairs of the provider with this description.
+    /// The pairs of the provider with this description. They are rectified when its eyes are distorted, unlike or not
+    /// parallel.
     ///
     /// # Errors
-    /// As [`Description::stereo`].
+    /// What keeps its images from being a pair.
     pub fn of(description: &Description) -> Result<Self, String> {
-        Ok(Self { provider: description.name.clone(), calibration: description.stereo()? })
+        let provider = description.name.clone();
+        if let Ok(calibration) = description.stereo() {
+            return Ok(Self { provider, calibration, rectification: None });
+        }
+        let (size, [left, right]) = description.eyes()?;
+        let rectification = Rectification::new(&left, &right, size)?;
+        let calibration = rectification.calibration();
+        Ok(Self { provider, calibration, rectification: Some(Arc::new(rectification)) })
     }
 
     /// The provider's name.
@@ -35,6 +47,12 @@ impl StereoPair {
         self.calibration
     }
 
+    /// From the axes of the pairs' left camera to those of the provider's: a rotation where pairs are rectified.
+    #[must_use]
+    pub fn left_from_pair(&self) -> UnitQuaternion<f64> {
+        self.rectification.as_ref().map_or_else(UnitQuaternion::identity, |r| r.left_from_rectified())
+    }
+
     /// The pair in a frame.
     ///
     /// # Errors
@@ -42,7 +60,8 @@ impl StereoPair {
     pub fn frame(&self, frame: &Frame) -> Result<StereoFrame, ImageError> {
         let stereo = stereo_frame(frame, &self.provider)?;
         if self.calibration.fits(&stereo) {
-            return Ok(stereo);
+            let rectified = self.rectification.as_ref().and_then(|how| how.rectify(&stereo));
+            return Ok(rectified.unwrap_or(stereo));
         }
         let (camera, [left, right]) = (&self.calibration.camera, [&stereo.left, &stereo.right]);
         let what = format!(

@@ -38,9 +38,17 @@ pub enum RecordingError {
         /// Why.
         source: std::io::Error,
     },
-    /// It cannot be written, or what was read is no recording.
-    #[error("{path}: is no recording that can be read, or cannot be written: {source}")]
+    /// It is no recording.
+    #[error("{path}: is no recording that can be read: {source}")]
     Mcap {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: mcap::McapError,
+    },
+    /// It cannot be written.
+    #[error("{path}: cannot be written: {source}")]
+    Write {
         /// The file.
         path: PathBuf,
         /// Why.

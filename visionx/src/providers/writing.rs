@@ -35,13 +35,13 @@ impl Recording {
         let file = File::create(path).map_err(|source| RecordingError::File { path: path.into(), source })?;
         let options = mcap::WriteOptions::new().chunk_size(Some(CHUNK)).library("armarium");
         let writer = options.compression_level(1).create(BufWriter::new(file));
-        let writer = writer.map_err(|source| RecordingError::Mcap { path: path.into(), source })?;
+        let writer = writer.map_err(|source| RecordingError::Write { path: path.into(), source })?;
         Ok(Self { path: path.into(), writer, channels: BTreeMap::new(), frames: 0 })
     }
 
     fn failed(&self) -> impl Fn(mcap::McapError) -> RecordingError + use<> {
         let path = self.path.clone();
-        move |source| RecordingError::Mcap { path: path.clone(), source }
+        move |source| RecordingError::Write { path: path.clone(), source }
     }
 
     /// Says what a provider gives; its frames may follow then.

@@ -1,0 +1,206 @@
+//! Stereo pairs of cameras that are distorted, unlike or not quite parallel, as an equal, parallel pair without distortion
+//! would have seen them: both images are drawn again, each pixel from the place that a table says.
+//!
+//! Nothing is calibrated here; [`CameraModel`] says what the cameras are.
+
+use nalgebra::{Matrix3, Point2, Rotation3, UnitQuaternion, Vector3};
+
+use crate::camera::{PinholeCamera, StereoCalibration};
+use crate::frame::{DepthImage, Image, StereoFrame};
+use crate::providers::CameraModel;
+
+/// A pixel that shows nothing that the camera saw.
+const NOTHING: u32 = u32::MAX;
+/// Cosine of the largest angle, 45 degrees, between an eye and the pair's common direction.
+const LEAST_COSINE: f64 = std::f64::consts::FRAC_1_SQRT_2;
+
+/// How a pair of cameras becomes an ideal one.
+///
+/// # Source
+/// A. Fusiello, E. Trucco, A. Verri, A compact algorithm for rectification of stereo pairs, Machine Vision and
+/// Applications 12 (2000); differs in: the old axis that the new one keeps close to is the mean of both eyes', and the
+/// principal point is chosen so that the images' middles stay in the middle.
+#[derive(Clone, Debug)]
+pub struct Rectification {
+    calibration: StereoCalibration,
+    left_from_rectified: UnitQuaternion<f64>,
+    eyes: [Vec<Source>; 2],
+}
+
+/// Where a pixel comes from.
+#[derive(Clone, Copy, Debug)]
+struct Source {
+    /// The upper left of the four pixels that it is mixed of; [`NOTHING`] beyond the image.
+    at: u32,
+    /// How far to the next column and row, of 256.
+    part: [u16; 2],
+    /// Depth in the rectified camera over depth in the old one.
+    depth: f32,
+}
+
+impl Rectification {
+    /// The rectification of two eyes whose images are `width` x `height` px.
+    ///
+    /// # Errors
+    /// What keeps them from being a pair.
+    pub fn new(left: &CameraModel, right: &CameraModel, (width, height): (u32, u32)) -> Result<Self, String> {
+        if width < 2 || height < 2 || width.max(height) > 1 << 15 {
+            return Err(format!("images of {width} x {height} pixels are not rectified"));
+        }
+        let reference_from_rectified = axes(left, right)?;
+        let turned =
+            [left, right].map(|eye| eye.reference_from_camera.rotation.inverse() * reference_from_rectified);
+        let focal = [left, right].iter().map(|eye| eye.focal[0] + eye.focal[1]).sum::<f64>() / 4.0;
+        let middle = Point2::new(f64::from(width - 1), f64::from(height - 1)) / 2.0;
+        let mut center = Vector3::zeros();
+        for (eye, camera_from_rectified) in [left, right].into_iter().zip(&turned) {
+            let ray = camera_from_rectified.inverse() * ray_of(eye, &middle)?;
+            center += Vector3::new(middle.x, middle.y, 0.0) / 2.0 - ray * (focal / ray.z / 2.0);
+        }
+        let camera = PinholeCamera { width, height, focal, center: [center.x, center.y] };
+        let baseline = (right.reference_from_camera.translation.vector
+            - left.reference_from_camera.translation.vector)
+            .norm();
+        let eyes = [table(left, &turned[0], &camera), table(right, &turned[1], &camera)];
+        let calibration = StereoCalibration { camera, baseline };
+        Ok(Self { calibration, left_from_rectified: turned[0], eyes })
+    }
+
+    /// The ideal pair.
+    #[must_use]
+    pub fn calibration(&self) -> StereoCalibration {
+        self.calibration
+    }
+
+    /// From the ideal left camera's axes to those of the left camera that there is; both stand at one place.
+    #[must_use]
+    pub fn left_from_rectified(&self) -> UnitQuaternion<f64> {
+        self.left_from_rectified
+    }
+
+    /// The frame as the ideal pair would have seen it; black where the cameras did not look. `None` when an image has
+    /// another size. A depth image of another size than the left one is left out.
+    #[must_use]
+    pub fn rectify(&self, frame: &StereoFrame) -> Option<StereoFrame> {
+        let [left, right] = &self.eyes;
+        Some(StereoFrame {
+            stamp_ns: frame.stamp_ns,
+            left: self.image(&frame.left, left)?,
+            right: self.image(&frame.right, right)?,
+            depth: frame.depth.as_ref().and_then(|depth| self.depth(depth)),
+            root_from_left: frame.root_from_left * self.left_from_rectified,
+        })
+    }
+
+    /// Bilinear interpolation.
+    fn image(&self, image: &Image, sources: &[Source]) -> Option<Image> {
+        let PinholeCamera { width, height, .. } = self.calibration.camera;
+        if (image.width(), image.height()) != (width, height) {
+            return None;
+        }
+        let (old, row) = (image.data(), width as usize * 3);
+        let mut data = Vec::with_capacity(old.len());
+        for source in sources {
+            if source.at == NOTHING {
+                data.extend([0; 3]);
+                continue;
+            }
+            let (at, [x, y]) = (source.at as usize * 3, source.part.map(u32::from));
+            let mix = |c: usize| {
+                let value = |i: usize| u32::from(old[at + c + i]);
+                let upper = value(0) * (256 - x) + value(3) * x;
+                let lower = value(row) * (256 - x) + value(row + 3) * x;
+                // Of 65536; half is added so that it is rounded.
+                ((upper * (256 - y) + lower * y + (1 << 15)) >> 16) as u8
+            };
+            data.extend([mix(0), mix(1), mix(2)]);
+        }
+        Image::from_rgb(width, height, data).ok()
+    }
+
+    /// The nearest pixel: a mean of two depths lies on neither thing.
+    fn depth(&self, depth: &DepthImage) -> Option<DepthImage> {
+        let PinholeCamera { width, height, .. } = self.calibration.camera;
+        if (depth.width, depth.height) != (width, height) || depth.data.len() != self.eyes[0].len() {
+            return None;
+        }
+        let nearest = |source: &Source| {
+            if source.at == NOTHING {
+                return 0.0;
+            }
+            let [right, down] = source.part.map(|part| usize::from(part >= 128));
+            depth.data[source.at as usize + right + down * width as usize] * source.depth
+        };
+        Some(DepthImage { width, height, data: self.eyes[0].iter().map(nearest).collect() })
+    }
+}
+
+/// The common axes of the ideal pair: x along the baseline, z close to where both eyes look.
+fn axes(left: &CameraModel, right: &CameraModel) -> Result<UnitQuaternion<f64>, String> {
+    let poses = [left, right].map(|eye| eye.reference_from_camera);
+    let wrong =
+        || "the right camera does not stand to the right of the left one, looking the same way".to_owned();
+    let forward = poses.iter().map(|pose| pose.rotation * Vector3::z()).sum::<Vector3<f64>>();
+    let x =
+        (poses[1].translation.vector - poses[0].translation.vector).try_normalize(1e-6).ok_or_else(wrong)?;
+    let y = forward.cross(&x).try_normalize(1e-6).ok_or_else(wrong)?;
+    let z = x.cross(&y);
+    let close = |pose: &nalgebra::Isometry3<f64>| {
+        let [right, ahead] = [Vector3::x(), Vector3::z()].map(|axis| pose.rotation * axis);
+        right.dot(&x) > LEAST_COSINE && ahead.dot(&z) > LEAST_COSINE
+    };
+    if !poses.iter().all(close) {
+        return Err(wrong());
+    }
+    let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, z]));
+    Ok(UnitQuaternion::from_rotation_matrix(&rotation))
+}
+
+/// The direction, in the camera's axes, of what appears at `px`.
+fn ray_of(camera: &CameraModel, px: &Point2<f64>) -> Result<Vector3<f64>, String> {
+    let [fx, fy] = camera.focal;
+    let seen = Point2::new((px.x - camera.center[0]) / fx, (px.y - camera.center[1]) / fy);
+    let ideal = camera.distortion.undistort(&seen);
+    ideal.map(|p| p.coords.push(1.0)).ok_or_else(|| "the distortion is beyond what its model can be".into())
+}
+
+/// Where each pixel of the ideal camera comes from.
+fn table(
+    eye: &CameraModel,
+    camera_from_rectified: &UnitQuaternion<f64>,
+    ideal: &PinholeCamera,
+) -> Vec<Source> {
+    let reach = reach(eye);
+    let last = [f64::from(ideal.width - 1), f64::from(ideal.height - 1)];
+    let source = |x: u32, y: u32| -> Option<Source> {
+        let ray = camera_from_rectified * ideal.ray(&Point2::new(f64::from(x), f64::from(y)));
+        let plane = Point2::new(ray.x / ray.z, ray.y / ray.z);
+        if ray.z <= 1e-6 || plane.coords.norm() >= reach {
+            return None;
+        }
+        let seen = eye.distortion.distort(&plane);
+        let px = [eye.center[0] + eye.focal[0] * seen.x, eye.center[1] + eye.focal[1] * seen.y];
+        if !px.iter().zip(last).all(|(p, last)| (0.0..=last).contains(p)) {
+            return None;
+        }
+        // The last column and row are mixed of those before them, with the whole weight.
+        let corner = [0, 1].map(|i| px[i].floor().min(last[i] - 1.0));
+        let part = [0, 1].map(|i| ((px[i] - corner[i]) * 256.0).round() as u16);
+        let at = corner[1] as u32 * ideal.width + corner[0] as u32;
+        Some(Source { at, part, depth: (1.0 / ray.z) as f32 })
+    };
+    let nothing = Source { at: NOTHING, part: [0; 2], depth: 0.0 };
+    let pixels = (0..ideal.height).flat_map(|y| (0..ideal.width).map(move |x| (x, y)));
+    pixels.map(|(x, y)| source(x, y).unwrap_or(nothing)).collect()
+}
+
+/// Farthest from the axis, at depth 1, that the radial model still goes outwards: beyond, it would fold the picture back.
+fn reach(eye: &CameraModel) -> f64 {
+    let d = &eye.distortion;
+    let slope = |r: f64| 1.0 + r * r * (3.0 * d.k1 + r * r * (5.0 * d.k2 + r * r * 7.0 * d.k3));
+    let steps = (0..1000u32).map(|i| f64::from(i) * 0.005);
+    steps.take_while(|r| slope(*r) > 0.0).last().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests;
