@@ -30,7 +30,7 @@ fn eyes() -> [CameraModel; 2] {
     [left, right]
 }
 
-/// The wall's brightness, smooth between the points of a grid of 12 mm.
+/// The wall's brightness, smooth between the points of a grid of 40 mm.
 fn paint(x: f64, y: f64) -> f64 {
     let grid = |i: f64, j: f64| {
         let mut hash =
@@ -38,7 +38,7 @@ fn paint(x: f64, y: f64) -> f64 {
         hash = (hash ^ (hash >> 15)).wrapping_mul(0x2C1B_3C6D);
         ((hash ^ (hash >> 12)) & 0xff) as f64
     };
-    let (u, v) = (x / 0.012, y / 0.012);
+    let (u, v) = (x / 0.04, y / 0.04);
     let (i, j) = (u.floor(), v.floor());
     let (a, b) = (u - i, v - j);
     let upper = grid(i, j) * (1.0 - a) + grid(i + 1.0, j) * a;
@@ -124,7 +124,7 @@ fn rows_agree_afterwards_and_did_not_before() {
         (away.len(), EpipolarCheck::median(&away), EpipolarCheck::median(&check.depth_ratio))
     };
     let (corners, rows_px, depth) = rows(&rectification.rectify(&seen()).unwrap());
-    assert!(corners > 100, "{corners}");
+    assert!(corners > 40, "one in most cells of the picture: {corners}");
     assert!(rows_px.unwrap() < 0.3, "{rows_px:?}");
     assert!((depth.unwrap() - 1.0).abs() < 0.01, "{depth:?}");
     let (found, before, _) = rows(&seen());
