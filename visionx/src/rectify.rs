@@ -99,21 +99,21 @@ impl Rectification {
             return None;
         }
         let (old, row) = (image.data(), width as usize * 3);
-        let mut data = Vec::with_capacity(old.len());
-        for source in sources {
-            if source.at == NOTHING {
-                data.extend([0; 3]);
+        let mut data = vec![0; old.len()];
+        for (pixel, source) in data.chunks_exact_mut(3).zip(sources) {
+            let at = source.at as usize * 3;
+            // Two pixels beside each other in each of two rows; what shows nothing has none and stays black.
+            let (Some(upper), Some(lower)) = (old.get(at..at + 6), old.get(at + row..at + row + 6)) else {
                 continue;
-            }
-            let (at, [x, y]) = (source.at as usize * 3, source.part.map(u32::from));
-            let mix = |c: usize| {
-                let value = |i: usize| u32::from(old[at + c + i]);
-                let upper = value(0) * (256 - x) + value(3) * x;
-                let lower = value(row) * (256 - x) + value(row + 3) * x;
-                // Of 65536; half is added so that it is rounded.
-                ((upper * (256 - y) + lower * y + (1 << 15)) >> 16) as u8
             };
-            data.extend([mix(0), mix(1), mix(2)]);
+            let [x, y] = source.part.map(u32::from);
+            let weights = [(256 - x) * (256 - y), x * (256 - y), (256 - x) * y, x * y];
+            for (c, value) in pixel.iter_mut().enumerate() {
+                let four = [upper[c], upper[c + 3], lower[c], lower[c + 3]];
+                let sum: u32 = four.iter().zip(weights).map(|(v, weight)| u32::from(*v) * weight).sum();
+                // Of 65536; half is added so that it is rounded.
+                *value = ((sum + (1 << 15)) >> 16) as u8;
+            }
         }
         Image::from_rgb(width, height, data).ok()
     }
