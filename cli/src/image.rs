@@ -2,6 +2,7 @@
 //! them, record and play them, count and check.
 
 mod calibrate;
+mod findings;
 mod live;
 mod page;
 mod play;

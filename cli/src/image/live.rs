@@ -1,34 +1,31 @@
 //! `armarium image process`: a processor on a provider. What it finds goes out as lines of JSON and, through the updater,
 //! into a memory; what it draws is a provider of its own.
 
-use std::collections::BTreeMap;
 use std::io::Write;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use armarium_memoryx::RemoteMemory;
-use armarium_memoryx::updater::{Observation, Updater};
-use armarium_values::{Frame, Value, Vector};
+use armarium_memoryx::updater::Updater;
+use armarium_memoryx::{Memory, RemoteMemory};
 use armarium_visionx::providers::{Description, StereoPair, channel, offer};
 use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking};
 use armarium_visionx::{
     ColorMarkerObjectTracking, Finding, FindingSource, HandObserver, ImageError, ImageProcessor,
-    MarkerSettings, OfStereo, ProcessorLoop, ProcessorStatistics, ResultSink, Trigger, run_processor,
+    MarkerSettings, OfStereo, ProcessorLoop, ProcessorStatistics, ResultSink, TabletopSegmentation, Trigger,
+    run_processor,
 };
 use async_trait::async_trait;
-use nalgebra::{Matrix3, UnitQuaternion, Vector3};
-use serde_json::{Value as Json, json};
+use nalgebra::UnitQuaternion;
+use serde_json::json;
 use tokio::sync::mpsc;
 
-use super::{Failure, ProcessArgs, argument, failed, source};
+use super::{Failure, ProcessArgs, argument, failed, findings, source};
 use crate::agent::stopped;
 use crate::connection::Connection;
 
 /// Findings that may wait to be printed and committed.
 const WAITING: usize = 64;
-/// Variance of a palm's place along each axis, m²: the observer gives none, and the palm's middle is known to about 1 cm.
-const PALM: f64 = 1e-4;
 
 /// What is looked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -39,6 +36,8 @@ pub(crate) enum Look {
     Fingertips,
     /// A thing of one colour.
     Marker,
+    /// A table and what stands on it, by depth; the provider has to say where its camera is.
+    Tabletop,
 }
 
 impl Look {
@@ -54,6 +53,7 @@ impl Look {
                 let tracking = ColorMarkerObjectTracking::new(calibration, MarkerSettings::new(color), 1);
                 Box::new(OfStereo::new(tracking, pair))
             }
+            Self::Tabletop => Box::new(OfStereo::new(TabletopSegmentation::new(calibration.camera), pair)),
         }
     }
 }
@@ -116,10 +116,11 @@ pub(super) async fn run(
     };
     let camera_from_pair = pair.left_from_pair();
     let mut processor = args.look.processor(pair, args.color);
-    let updater = match &args.memory {
+    let remembers = match &args.memory {
         Some(agent) => {
-            let memory = RemoteMemory::connect(&connection.session, agent).await.map_err(failed)?;
-            Some(Updater::new(Arc::new(memory), processor.name()).map_err(failed)?)
+            let memory = Arc::new(RemoteMemory::connect(&connection.session, agent).await.map_err(failed)?);
+            let updater = Updater::new(Arc::<RemoteMemory>::clone(&memory), processor.name());
+            Some((memory, updater.map_err(failed)?))
         }
         None => None,
     };
@@ -131,7 +132,7 @@ pub(super) async fn run(
         None => None,
     };
     let statistics = ProcessorStatistics::default();
-    let (to, findings) = mpsc::channel(WAITING);
+    let (to, told) = mpsc::channel(WAITING);
     let sink = HandOn {
         to: Mutex::new(Some(to)),
         dropped: AtomicU64::new(0),
@@ -155,7 +156,7 @@ pub(super) async fn run(
         }
     };
     let both = async {
-        let (processed, told) = tokio::join!(processing, tell(findings, updater, &described.frame_id, out));
+        let (processed, told) = tokio::join!(processing, tell(told, remembers, &described.frame_id, out));
         told.and(processed)
     };
     let ended = tokio::select! {
@@ -175,62 +176,21 @@ pub(super) async fn run(
 
 /// Prints findings and commits them, until there are no more.
 async fn tell(
-    mut findings: mpsc::Receiver<(FindingSource, Finding)>,
-    updater: Option<Updater>,
+    mut told: mpsc::Receiver<(FindingSource, Finding)>,
+    remembers: Option<(Arc<RemoteMemory>, Updater)>,
     frame_id: &str,
     out: &mut dyn Write,
 ) -> Result<(), Failure> {
-    while let Some((source, finding)) = findings.recv().await {
-        writeln!(out, "{}", line(&source, &finding))?;
-        if let (Some(updater), Some(observation)) = (&updater, observation(&source, &finding, frame_id)) {
-            updater.update(&[observation]).await.map_err(failed)?;
+    while let Some((source, finding)) = told.recv().await {
+        writeln!(out, "{}", findings::line(&source, &finding))?;
+        let Some((memory, updater)) = &remembers else { continue };
+        let observations = findings::observations(&source, &finding, frame_id);
+        if !observations.is_empty() {
+            updater.update(&observations).await.map_err(failed)?;
+        }
+        if let Some(commit) = findings::surroundings(&source, &finding).map_err(failed)? {
+            memory.commit(vec![commit]).await.map_err(failed)?;
         }
     }
     Ok(())
-}
-
-fn line(source: &FindingSource, finding: &Finding) -> Json {
-    let mut line = json!({"provider": source.provider, "stamp_ns": source.stamp_ns});
-    line[source.processor.as_str()] = match finding {
-        Finding::Hand(Some(hand)) => json!({
-            "gesture": hand.gesture.to_string(), "confidence": hand.confidence,
-            "palm_m": hand.palm_in_left.coords.as_slice(), "palm_px": hand.palm_px.coords.as_slice(),
-        }),
-        Finding::Marker(Some(marker)) => json!({
-            "position_m": marker.point_in_left.coords.as_slice(), "visible": marker.visible,
-        }),
-        Finding::Fingertips(tips) => tips
-            .iter()
-            .map(|tip| {
-                json!({
-                    "id": tip.id, "x": tip.px.x, "y": tip.px.y, "score": tip.score,
-                })
-            })
-            .collect(),
-        _ => Json::Null,
-    };
-    line
-}
-
-/// What a finding says of a place; nothing was seen without one.
-fn observation(source: &FindingSource, finding: &Finding, frame_id: &str) -> Option<Observation> {
-    let (position, covariance, confidence, attributes): (Vector3<f64>, Matrix3<f64>, f64, _) = match finding {
-        Finding::Hand(Some(hand)) => {
-            let gesture = Value::from(hand.gesture.to_string().as_str());
-            let attributes = BTreeMap::from([("gesture".to_owned(), gesture)]);
-            (hand.palm_in_left.coords, Matrix3::identity() * PALM, hand.confidence, attributes)
-        }
-        Finding::Marker(Some(marker)) => {
-            (marker.point_in_left.coords, marker.covariance, marker.visible, BTreeMap::new())
-        }
-        _ => return None,
-    };
-    Some(Observation {
-        class: source.processor.clone(),
-        stamp_ns: source.stamp_ns,
-        position: Vector::new(Frame::from(frame_id), &position),
-        covariance: covariance.transpose().as_slice().try_into().ok()?,
-        confidence: confidence.clamp(0.0, 1.0),
-        attributes,
-    })
 }
