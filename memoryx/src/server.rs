@@ -2,33 +2,36 @@
 //!
 //! What is told goes through a [`Follower`], so that a network that is slow for a while loses nothing that the
 //! memory still has; changes that wait together travel together. Nobody who does not read holds the others up: what
-//! a link does not take is dropped there, and its reader sees the gap and asks again. Commits that wait together are
+//! a link does not take is dropped there, and its reader sees the gap and asks again, by the next message or, when
+//! nothing more changes, by the number of changes that a quiet memory tells. Commits that wait together are
 //! made durable together. What others send is checked like any commit; what is not understood is refused or, where
 //! nobody waits for an answer, logged with its sender.
 
 use std::sync::Arc;
 
 use armarium_bus::{
-    AliveToken, Interest, Key, Message, Question, Questions, Session, SessionError, Subscription, keys,
+    AliveToken, Key, Message, Question, Questions, Session, SessionError, Subscription, keys,
 };
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 
 use crate::entity::{Commit, Snapshot};
 use crate::error::MemoryError;
-use crate::follow::{Change, Follower};
+use crate::follow::Follower;
 use crate::maintain;
 use crate::query::{Pattern, Query};
 use crate::store::LongTermMemory;
-use crate::wire::{self, Changes, CommitRequest, Maintain, Snapshots, Versions};
+use crate::wire::{self, CommitRequest, Maintain, Snapshots, Versions};
 use crate::working::WorkingMemory;
+
+mod tell;
+
+use tell::Teller;
 
 /// Questions and updates that wait to be looked at.
 const QUEUE: usize = 1024;
 /// Commits that are made durable together.
 const GROUP: usize = 256;
-/// Changes that are told together.
-const TOGETHER: usize = 2048;
 /// Most snapshots in one answer.
 const MOST_SNAPSHOTS: usize = 8192;
 /// Most bytes of snapshots in one message, about; a single larger one travels alone.
@@ -101,9 +104,9 @@ impl MemoryServer {
         let gets = session.answer(entities.clone(), QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_gets(gets));
         let updates = session.subscribe_others(entities.clone(), QUEUE).await.map_err(failed)?;
-        tasks.spawn(shared.clone().take_updates(updates));
-        let interest = session.interest(&entities).await.map_err(failed)?;
-        tasks.spawn(shared.tell(follower, interest));
+        tasks.spawn(shared.take_updates(updates));
+        let teller = Teller::new(session, agent).await?;
+        tasks.spawn(teller.tell(follower));
         let alive = session.alive(&service).await.map_err(failed)?;
         Ok(Self { _alive: alive, _tasks: tasks })
     }
@@ -296,55 +299,6 @@ impl Shared {
         let sent_ns = message.sent_ns.unwrap_or_else(|| self.memory.now_ns());
         self.held_up(|| self.memory.commit_sent(vec![update], sent_ns))?;
         Ok(())
-    }
-
-    async fn tell(self, mut follower: Follower, interest: Interest) {
-        let Ok(key) = keys::memory_changes(&self.agent) else { return };
-        let epoch = self.session.now_ns();
-        let mut told = 0;
-        loop {
-            let changes = match follower.some(TOGETHER).await {
-                Ok(changes) if changes.is_empty() => return,
-                Ok(changes) => changes,
-                Err(error) => {
-                    tracing::warn!(%error, "changes could not be read");
-                    continue;
-                }
-            };
-            let mut news = Vec::with_capacity(changes.len());
-            for change in changes {
-                match change {
-                    Change::New(snapshot) => news.push(snapshot),
-                    Change::Missed { id, from, to } => {
-                        tracing::warn!(%id, from, to, "versions were overtaken before they could be told");
-                    }
-                }
-            }
-            if interest.is_there() {
-                self.tell_each(&news).await;
-            }
-            while !news.is_empty() {
-                let rest = news.split_off(within(&news, MOST_BYTES));
-                let changes = Changes { epoch, first: told, snapshots: std::mem::replace(&mut news, rest) };
-                told += changes.snapshots.len() as u64;
-                match wire::seal(&changes) {
-                    Ok((encoding, payload)) => log_failure(self.session.put(&key, &encoding, payload).await),
-                    Err(error) => tracing::warn!(%error, "changes could not be told"),
-                }
-            }
-        }
-    }
-
-    /// Tells changes on the keys of their entities, for those who know nothing of [`Changes`].
-    async fn tell_each(&self, news: &[Arc<Snapshot>]) {
-        for snapshot in news {
-            let (Ok(key), Ok((encoding, payload))) =
-                (wire::entity_key(&self.agent, snapshot), wire::seal(&**snapshot))
-            else {
-                continue;
-            };
-            log_failure(self.session.put(&key, &encoding, payload).await);
-        }
     }
 }
 

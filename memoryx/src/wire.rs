@@ -47,14 +47,14 @@ pub struct Snapshots {
     pub more: bool,
 }
 
-/// Changes of a memory, in their order.
+/// Changes of a memory, in their order; when nothing has changed for a while, none, and how many there were.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Changes {
     /// When the memory began to tell, ns: the count begins anew with it.
     pub epoch: u64,
     /// How many changes were told before these.
     pub first: u64,
-    /// The changes.
+    /// The changes; perhaps none.
     pub snapshots: Vec<Arc<Snapshot>>,
 }
 

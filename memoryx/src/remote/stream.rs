@@ -24,13 +24,16 @@ impl Stream {
         self.heard_until = self.heard_until.max(until);
     }
 
-    /// Takes note of a message of changes. Returns whether something before it is missing.
+    /// Takes note of a message of changes, which may hold none. Returns whether something before it is missing.
     pub(super) fn hear(&mut self, changes: &Changes) -> bool {
-        let follows = self.epoch == changes.epoch && self.next.is_none_or(|next| next == changes.first);
-        let is_first = self.next.is_none();
+        let follows = match self.next {
+            Some(next) => self.epoch == changes.epoch && next == changes.first,
+            // What was told before the first message that arrives may have been told to nobody.
+            None => changes.first == 0,
+        };
         self.epoch = changes.epoch;
         self.next = Some(changes.first.saturating_add(changes.snapshots.len() as u64));
-        if !follows && !is_first {
+        if !follows {
             self.gaps += 1;
         }
         let last = changes.snapshots.last().map_or(0, |s| s.arrived_ns);
@@ -38,7 +41,7 @@ impl Stream {
         if self.gaps == self.closed {
             self.whole_until = self.heard_until;
         }
-        !follows && !is_first
+        !follows
     }
 
     /// Something may have been lost.
@@ -56,6 +59,64 @@ impl Stream {
         self.closed = gaps;
         if self.gaps == gaps {
             self.whole_until = self.heard_until;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::entity::Snapshot;
+
+    fn message(epoch: u64, first: u64, arrived_ns: &[u64]) -> Changes {
+        let snapshot = |arrived_ns: &u64| {
+            let id = "S/p/e".parse().unwrap();
+            let (version, instances) = (*arrived_ns, Vec::new());
+            Arc::new(Snapshot {
+                id,
+                version,
+                referenced_ns: 0,
+                sent_ns: 0,
+                arrived_ns: *arrived_ns,
+                instances,
+            })
+        };
+        Changes { epoch, first, snapshots: arrived_ns.iter().map(snapshot).collect() }
+    }
+
+    #[test]
+    fn every_gap_is_noticed_and_read_from_where_it_was_whole() {
+        let mut stream = Stream::default();
+        stream.begin(10);
+        for (told, is_missing, whole_until) in [
+            (message(1, 0, &[11, 12]), false, 12),
+            (message(1, 2, &[]), false, 12),
+            (message(1, 2, &[13]), false, 13),
+            // The last ones were lost, and nothing came after them but their number.
+            (message(1, 5, &[]), true, 13),
+            (message(1, 5, &[16]), false, 13),
+            // The memory has begun anew.
+            (message(2, 0, &[17]), true, 13),
+        ] {
+            assert_eq!(stream.hear(&told), is_missing, "{told:?}");
+            assert_eq!(stream.open_gap().0, whole_until, "{told:?}");
+        }
+        let (_, gaps) = stream.open_gap();
+        stream.close_gap(gaps);
+        assert_eq!(stream.open_gap().0, 17);
+        stream.hear(&message(2, 1, &[18]));
+        assert_eq!(stream.open_gap().0, 18);
+    }
+
+    #[test]
+    fn what_was_told_before_the_first_message_is_missing() {
+        for (first, is_missing) in [(0, false), (3, true)] {
+            let mut stream = Stream::default();
+            stream.begin(10);
+            assert_eq!(stream.hear(&message(1, first, &[20])), is_missing);
+            assert_eq!(stream.open_gap().0, if is_missing { 10 } else { 20 });
         }
     }
 }
