@@ -94,8 +94,7 @@ impl MemoryServer {
 
         let (follower, _) = Follower::from_now(Arc::<WorkingMemory>::clone(&memory), Pattern::any()).await?;
         let queries = Arc::new(Semaphore::new(QUERIES));
-        let shared =
-            Shared { session: session.clone(), agent: agent.into(), memory, store, queries, guarded };
+        let shared = Shared { agent: agent.into(), memory, store, queries, guarded };
         let mut tasks = JoinSet::new();
         let questions = session.answer(requests, QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_requests(questions));
@@ -118,7 +117,6 @@ pub(crate) fn unreachable_memory(agent: &str, what: &str) -> MemoryError {
 
 #[derive(Clone)]
 struct Shared {
-    session: Session,
     agent: String,
     memory: Arc<WorkingMemory>,
     store: Option<Arc<LongTermMemory>>,
