@@ -14,6 +14,7 @@ use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::memory::{Memory, pages};
 use crate::query::{Pattern, Query, Times};
+use crate::wire;
 
 /// Snapshots that are asked for at once.
 const PIECE: usize = 4096;
@@ -41,7 +42,7 @@ pub struct Follower {
     changes: broadcast::Receiver<Arc<Snapshot>>,
     /// Newest version told of each entity.
     told: IndexMap<EntityId, u64>,
-    /// When the last change arrived that came without a gap, ns.
+    /// What arrived before was told, ns.
     since_ns: u64,
     ready: VecDeque<Change>,
 }
@@ -61,9 +62,11 @@ impl Follower {
         let mut pieces = pages(query, PIECE);
         let mut held = Vec::new();
         while let Some(piece) = pieces.next(&*follower.memory).await? {
+            if held.is_empty() {
+                follower.since_ns = seen_until(&piece);
+            }
             held.extend(piece);
         }
-        follower.since_ns = held.iter().map(|s| s.arrived_ns).max().unwrap_or(0);
         follower.told = held.iter().map(|s| (s.id.clone(), s.version)).collect();
         Ok((follower, held.into_iter().filter(|s| !s.is_removed()).collect()))
     }
@@ -177,18 +180,20 @@ impl Follower {
     /// As [`Memory::query`].
     pub async fn read_since(&mut self, since_ns: u64) -> Result<(), MemoryError> {
         let query = Query::history(self.pattern.clone());
-        self.read(Query { arrived_since: Some(since_ns), ..query }).await
+        let seen_until = self.read(Query { arrived_since: Some(since_ns), ..query }).await?;
+        self.since_ns = self.since_ns.max(since_ns).max(seen_until);
+        Ok(())
     }
 
-    async fn read(&mut self, query: Query) -> Result<(), MemoryError> {
+    /// Tells what an answer holds. Returns until when, by arrival, ns, it certainly holds everything that was asked for.
+    async fn read(&mut self, query: Query) -> Result<u64, MemoryError> {
         let mut pieces = pages(query.with_long_term(), PIECE);
+        let mut until = None;
         while let Some(piece) = pieces.next(&*self.memory).await? {
-            for snapshot in piece {
-                self.since_ns = self.since_ns.max(snapshot.arrived_ns);
-                self.tell(snapshot);
-            }
+            until.get_or_insert_with(|| seen_until(&piece));
+            piece.into_iter().for_each(|snapshot| self.tell(snapshot));
         }
-        Ok(())
+        Ok(until.unwrap_or(0))
     }
 
     /// Tells a snapshot unless it was told, and first what is missing before it.
@@ -205,9 +210,19 @@ impl Follower {
         self.ready.push_back(Change::New(snapshot));
     }
 
-    /// When the last change arrived in the memory that was told, ns.
+    /// What arrived in the memory before was told, ns.
     #[must_use]
     pub fn since_ns(&self) -> u64 {
         self.since_ns
     }
 }
+
+/// Until when, by arrival, ns, the first piece of an answer and those after it certainly hold everything. What arrives
+/// while the later ones are read may belong into one that was read before: so only the first answer counts.
+fn seen_until(first: &[Arc<Snapshot>]) -> u64 {
+    let together = &first[..wire::in_one_answer(first)];
+    together.iter().map(|snapshot| snapshot.arrived_ns).max().unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests;

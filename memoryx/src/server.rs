@@ -32,10 +32,6 @@ use tell::Teller;
 const QUEUE: usize = 1024;
 /// Commits that are made durable together.
 const GROUP: usize = 256;
-/// Most snapshots in one answer.
-const MOST_SNAPSHOTS: usize = 8192;
-/// Most bytes of snapshots in one message, about; a single larger one travels alone.
-const MOST_BYTES: u64 = 4 << 20;
 /// Queries that are answered side by side.
 const QUERIES: usize = 8;
 
@@ -238,11 +234,11 @@ impl Shared {
 
     /// As much of an answer as travels at once.
     fn piece(&self, mut query: Query) -> Result<Snapshots, MemoryError> {
-        let most = query.most.unwrap_or(usize::MAX).min(MOST_SNAPSHOTS);
+        let most = query.most.unwrap_or(usize::MAX).min(wire::MOST_SNAPSHOTS);
         let wanted = query.most.replace(most);
         let mut snapshots = self.memory.query_now(&query)?;
         let full = snapshots.len() == most && wanted.is_none_or(|wanted| wanted > most);
-        let fits = within(&snapshots, MOST_BYTES);
+        let fits = wire::in_one_answer(&snapshots);
         let cut = fits < snapshots.len();
         snapshots.truncate(fits);
         // The nearest ones have an order of their own, in which nobody can go on.
@@ -302,16 +298,6 @@ impl Shared {
 
 fn forbid(id: String, writer: Option<&str>) -> MemoryError {
     MemoryError::Forbidden { id, writer: writer.unwrap_or("somebody without a name").into() }
-}
-
-/// How many of the first snapshots fit into this many bytes, about; at least one.
-fn within(snapshots: &[Arc<Snapshot>], most: u64) -> usize {
-    let mut bytes = 0;
-    let fits = snapshots.iter().take_while(|snapshot| {
-        bytes += snapshot.bytes();
-        bytes <= most
-    });
-    fits.count().max(1).min(snapshots.len())
 }
 
 async fn refuse(question: &Question, error: &MemoryError) -> Result<(), SessionError> {

@@ -24,6 +24,11 @@ use crate::entity::{Commit, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Pattern, Query, Times};
 
+/// Most snapshots in one answer.
+pub(crate) const MOST_SNAPSHOTS: usize = 8192;
+/// Most bytes of snapshots in one message, about; a single larger one travels alone.
+const MOST_BYTES: u64 = 4 << 20;
+
 /// Updates that are taken together or not at all.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CommitRequest {
@@ -137,6 +142,16 @@ impl Payload for Commit {
 }
 impl Payload for MemoryError {
     const SCHEMA: Schema = Schema::new("memoryx/error", 1);
+}
+
+/// How many of the first snapshots travel in one message; at least one.
+pub(crate) fn in_one_answer(snapshots: &[Arc<Snapshot>]) -> usize {
+    let mut bytes = 0;
+    let fits = snapshots.iter().take(MOST_SNAPSHOTS).take_while(|snapshot| {
+        bytes += snapshot.bytes();
+        bytes <= MOST_BYTES
+    });
+    fits.count().max(1).min(snapshots.len())
 }
 
 /// A payload of the type that its encoding names.

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use armarium_bus::{Interest, Key, Session, SessionError, keys};
 
-use super::{MOST_BYTES, log_failure, unreachable_memory, within};
+use super::{log_failure, unreachable_memory};
 use crate::entity::Snapshot;
 use crate::error::MemoryError;
 use crate::follow::{Change, Follower};
@@ -82,7 +82,7 @@ impl Teller {
     /// Tells changes in as many messages as it takes; none at all in one, which says how many there were before.
     async fn tell_together(&mut self, mut news: Vec<Arc<Snapshot>>) {
         loop {
-            let rest = news.split_off(within(&news, MOST_BYTES));
+            let rest = news.split_off(wire::in_one_answer(&news));
             let changes = Changes { epoch: self.epoch, first: self.told, snapshots: news };
             self.told += changes.snapshots.len() as u64;
             match wire::seal(&changes) {
