@@ -59,6 +59,9 @@ pub struct Changes {
     pub epoch: u64,
     /// How many changes were told before these.
     pub first: u64,
+    /// What arrived in the memory before then was told with these or before them, ns; 0 when that is not known.
+    #[serde(default)]
+    pub until_ns: u64,
     /// The changes; perhaps none.
     pub snapshots: Vec<Arc<Snapshot>>,
 }

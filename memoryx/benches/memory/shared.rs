@@ -116,7 +116,7 @@ fn codec() {
     let updates: Vec<_> = (0..1000).map(|n| commit(n, 100)).collect();
     memory.commit_now(updates.clone()).expect("it fits");
     let snapshots = (0..1000).map(|n| memory.latest_now(&id(n)).expect("it is there")).collect();
-    round_trip("changes", &Changes { epoch: 0, first: 0, snapshots });
+    round_trip("changes", &Changes { epoch: 0, first: 0, until_ns: 0, snapshots });
     round_trip("a commit", &CommitRequest { updates, sent_ns: 0 });
 }
 

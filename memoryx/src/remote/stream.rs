@@ -8,9 +8,9 @@ pub(super) struct Stream {
     epoch: u64,
     /// The count of the next change, once one was heard.
     next: Option<u64>,
-    /// When the last change arrived in the other memory before anything was lost, ns.
+    /// What arrived in the other memory before then was heard, ns.
     whole_until: u64,
-    /// The same of the last change that was heard.
+    /// The same, but for what was lost.
     heard_until: u64,
     /// Gaps so far, and how many of them were closed.
     gaps: u64,
@@ -36,8 +36,7 @@ impl Stream {
         if !follows {
             self.gaps += 1;
         }
-        let last = changes.snapshots.last().map_or(0, |s| s.arrived_ns);
-        self.heard_until = self.heard_until.max(last);
+        self.heard_until = self.heard_until.max(changes.until_ns);
         if self.gaps == self.closed {
             self.whole_until = self.heard_until;
         }
@@ -47,6 +46,11 @@ impl Stream {
     /// Something may have been lost.
     pub(super) fn lose(&mut self) {
         self.gaps += 1;
+    }
+
+    /// What arrived in the other memory before then was heard, ns.
+    pub(super) fn whole_until(&self) -> u64 {
+        self.whole_until
     }
 
     /// From when on what was lost has to be read again, ns, and which gaps that closes.
@@ -70,7 +74,7 @@ mod tests {
     use super::*;
     use crate::entity::Snapshot;
 
-    fn message(epoch: u64, first: u64, arrived_ns: &[u64]) -> Changes {
+    fn message(epoch: u64, first: u64, until_ns: u64, arrived_ns: &[u64]) -> Changes {
         let snapshot = |arrived_ns: &u64| {
             let id = "S/p/e".parse().unwrap();
             let (version, instances) = (*arrived_ns, Vec::new());
@@ -83,7 +87,7 @@ mod tests {
                 instances,
             })
         };
-        Changes { epoch, first, snapshots: arrived_ns.iter().map(snapshot).collect() }
+        Changes { epoch, first, until_ns, snapshots: arrived_ns.iter().map(snapshot).collect() }
     }
 
     #[test]
@@ -91,14 +95,14 @@ mod tests {
         let mut stream = Stream::default();
         stream.begin(10);
         for (told, is_missing, whole_until) in [
-            (message(1, 0, &[11, 12]), false, 12),
-            (message(1, 2, &[]), false, 12),
-            (message(1, 2, &[13]), false, 13),
+            (message(1, 0, 12, &[12, 11]), false, 12),
+            (message(1, 2, 12, &[]), false, 12),
+            (message(1, 2, 13, &[15]), false, 13),
             // The last ones were lost, and nothing came after them but their number.
-            (message(1, 5, &[]), true, 13),
-            (message(1, 5, &[16]), false, 13),
+            (message(1, 5, 15, &[]), true, 13),
+            (message(1, 5, 16, &[16]), false, 13),
             // The memory has begun anew.
-            (message(2, 0, &[17]), true, 13),
+            (message(2, 0, 17, &[17]), true, 13),
         ] {
             assert_eq!(stream.hear(&told), is_missing, "{told:?}");
             assert_eq!(stream.open_gap().0, whole_until, "{told:?}");
@@ -106,7 +110,7 @@ mod tests {
         let (_, gaps) = stream.open_gap();
         stream.close_gap(gaps);
         assert_eq!(stream.open_gap().0, 17);
-        stream.hear(&message(2, 1, &[18]));
+        stream.hear(&message(2, 1, 18, &[18]));
         assert_eq!(stream.open_gap().0, 18);
     }
 
@@ -115,7 +119,7 @@ mod tests {
         for (first, is_missing) in [(0, false), (3, true)] {
             let mut stream = Stream::default();
             stream.begin(10);
-            assert_eq!(stream.hear(&message(1, first, &[20])), is_missing);
+            assert_eq!(stream.hear(&message(1, first, 20, &[20])), is_missing);
             assert_eq!(stream.open_gap().0, if is_missing { 10 } else { 20 });
         }
     }

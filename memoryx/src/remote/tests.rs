@@ -72,7 +72,8 @@ async fn what_was_missed_is_asked_for() {
     }
     // Somebody who repeats old news, or tells nonsense, changes nothing.
     let known = pair.memory.latest_now(&commit("a", 0).id).unwrap();
-    let (encoding, payload) = wire::seal(&Changes { epoch: 7, first: 9, snapshots: vec![known] }).unwrap();
+    let (encoding, payload) =
+        wire::seal(&Changes { epoch: 7, first: 9, until_ns: 0, snapshots: vec![known] }).unwrap();
     let key = keys::memory_changes("alice").unwrap();
     pair.far.put_waiting(&key, &encoding, payload.clone()).await.unwrap();
     pair.far.put_waiting(&key, &encoding, vec![0xff; 9]).await.unwrap();

@@ -17,6 +17,8 @@ const TOGETHER: usize = 2048;
 /// After how long without changes their number is told. It is told again after twice as long, and so on: a line that takes
 /// nothing for a while delays it, and a memory in which nothing happens ever more rarely says so.
 const QUIET: Duration = Duration::from_millis(80);
+/// How long to wait before a memory that could not be read is read again.
+const RETRY: Duration = Duration::from_millis(500);
 
 /// Tells what a follower hears.
 pub(super) struct Teller {
@@ -26,6 +28,8 @@ pub(super) struct Teller {
     epoch: u64,
     /// Changes told so far.
     told: u64,
+    /// What arrived before was told, ns.
+    until_ns: u64,
     /// Those who know nothing of [`Changes`].
     each: Interest,
     /// While this is declared, nothing goes to a router behind which nobody follows.
@@ -43,6 +47,7 @@ impl Teller {
             agent: agent.into(),
             epoch: session.now_ns(),
             told: 0,
+            until_ns: 0,
             each: session.interest(&entities).await.map_err(failed)?,
             _followers: session.interest(&key.clone().into()).await.map_err(failed)?,
             key,
@@ -58,7 +63,7 @@ impl Teller {
                 changes = follower.some(TOGETHER) => changes,
                 // Where nothing was told, nothing was missed.
                 () = tokio::time::sleep(quiet), if self.told > 0 => {
-                    self.tell_together(Vec::new()).await;
+                    self.tell_together(Vec::new(), self.until_ns).await;
                     quiet = quiet.saturating_mul(2);
                     continue;
                 }
@@ -68,22 +73,28 @@ impl Teller {
                 Ok(changes) => news(changes),
                 Err(error) => {
                     tracing::warn!(%error, "changes could not be read");
+                    tokio::time::sleep(RETRY).await;
                     continue;
                 }
             };
             if self.each.is_there() {
                 self.tell_each(&news).await;
             }
-            self.tell_together(news).await;
+            self.tell_together(news, follower.told_until()).await;
             quiet = QUIET;
         }
     }
 
     /// Tells changes in as many messages as it takes; none at all in one, which says how many there were before.
-    async fn tell_together(&mut self, mut news: Vec<Arc<Snapshot>>) {
+    /// What arrived before `until_ns` is told with the last of them.
+    async fn tell_together(&mut self, mut news: Vec<Arc<Snapshot>>, until_ns: u64) {
         loop {
             let rest = news.split_off(wire::in_one_answer(&news));
-            let changes = Changes { epoch: self.epoch, first: self.told, snapshots: news };
+            if rest.is_empty() {
+                self.until_ns = until_ns;
+            }
+            let (epoch, first, until_ns) = (self.epoch, self.told, self.until_ns);
+            let changes = Changes { epoch, first, until_ns, snapshots: news };
             self.told += changes.snapshots.len() as u64;
             match wire::seal(&changes) {
                 Ok((encoding, payload)) => log_failure(self.session.put(&self.key, &encoding, payload).await),
