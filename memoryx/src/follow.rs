@@ -200,27 +200,37 @@ impl Follower {
     }
 
     async fn take(&mut self, snapshot: Arc<Snapshot>) -> Result<(), MemoryError> {
-        let told = match self.told.get_mut(&snapshot.id) {
+        let known = match self.told.get_mut(&snapshot.id) {
             Some(told) if snapshot.version == *told + 1 => {
                 *told = snapshot.version;
                 self.ready.push_back(Change::New(snapshot));
                 return Ok(());
             }
-            told => told.copied().unwrap_or(0),
+            told => told.copied(),
         };
-        if snapshot.version > told + 1 {
-            let missing = Times::Versions(told + 1, snapshot.version - 1);
+        if snapshot.version > known.unwrap_or(0) + 1 {
             // Until they are read: nobody may wait for that to its end.
             self.behind = true;
-            self.read(Query::latest(Pattern::entity(&snapshot.id)).times(missing)).await?;
+            if known.is_some() {
+                // Where one is missing, others are, and one question brings them all.
+                self.read_since(self.since_ns).await?;
+            }
+            let told = self.told.get(&snapshot.id).copied().unwrap_or(0);
+            if snapshot.version > told + 1 {
+                let missing = Times::Versions(told + 1, snapshot.version - 1);
+                self.read(Query::latest(Pattern::entity(&snapshot.id)).times(missing)).await?;
+            }
             self.behind = false;
         }
         self.tell(snapshot);
         Ok(())
     }
 
-    /// Reads what was missed since the last change that was received.
-    async fn catch_up(&mut self) -> Result<(), MemoryError> {
+    /// Reads what the memory has and was not told, from the last moment on at which nothing was missing.
+    ///
+    /// # Errors
+    /// As [`Memory::query`]; nothing is forgotten then.
+    pub async fn catch_up(&mut self) -> Result<(), MemoryError> {
         self.read_since(self.since_ns).await?;
         self.behind = false;
         Ok(())

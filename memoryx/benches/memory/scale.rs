@@ -113,7 +113,7 @@ pub(super) async fn told(agent: &Agent, remotes: &[RemoteMemory], together: u64,
         for changes in &mut listening {
             hear(changes, together).await;
         }
-        if remotes.is_empty() && g * together % 500 == 0 {
+        if remotes.is_empty() && (g * together).is_multiple_of(500) {
             // Nobody is waited for: slowly enough that none is overtaken before it could be told.
             tokio::time::sleep(Duration::from_millis(5)).await;
         }

@@ -108,8 +108,10 @@ impl Link {
 
     /// Reads what was lost. What is lost meanwhile is read by the next call.
     async fn catch_up(&self, follower: &mut Follower) -> Result<(), MemoryError> {
-        let (since, gaps) = self.stream().open_gap();
-        follower.read_since(since).await?;
+        let (_, gaps) = self.stream().open_gap();
+        // From what was taken out of `raw`, not from what was heard: what still waits there comes later, and its versions
+        // before those that are read now must not be taken for lost.
+        follower.catch_up().await?;
         self.stream().close_gap(gaps);
         Ok(())
     }
@@ -225,8 +227,7 @@ impl Memory for Link {
         self.raw.subscribe()
     }
 
-    /// Not known here: [`Stream`] knows from when on to read.
     fn told_until(&self) -> Option<u64> {
-        Some(0)
+        Some(self.stream().whole_until())
     }
 }
