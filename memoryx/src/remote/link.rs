@@ -108,7 +108,7 @@ impl Link {
 
     /// Reads what was lost. What is lost meanwhile is read by the next call.
     async fn catch_up(&self, follower: &mut Follower) -> Result<(), MemoryError> {
-        let (_, gaps) = self.stream().open_gap();
+        let gaps = self.stream().gaps();
         // From what was taken out of `raw`, not from what was heard: what still waits there comes later, and its versions
         // before those that are read now must not be taken for lost.
         follower.catch_up().await?;
