@@ -14,6 +14,7 @@ use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::memory::{Memory, pages};
 use crate::query::{Pattern, Query, Times};
+use crate::wire;
 
 /// Snapshots that are asked for at once.
 const PIECE: usize = 4096;
@@ -41,8 +42,12 @@ pub struct Follower {
     changes: broadcast::Receiver<Arc<Snapshot>>,
     /// Newest version told of each entity.
     told: IndexMap<EntityId, u64>,
-    /// When the last change arrived that came without a gap, ns.
+    /// What arrived before was received, ns.
     since_ns: u64,
+    /// What arrived before was told, ns.
+    told_until: u64,
+    /// Something was missed that was not read again yet.
+    behind: bool,
     ready: VecDeque<Change>,
 }
 
@@ -61,9 +66,12 @@ impl Follower {
         let mut pieces = pages(query, PIECE);
         let mut held = Vec::new();
         while let Some(piece) = pieces.next(&*follower.memory).await? {
+            if held.is_empty() {
+                follower.since_ns = seen_until(&piece);
+            }
             held.extend(piece);
         }
-        follower.since_ns = held.iter().map(|s| s.arrived_ns).max().unwrap_or(0);
+        follower.told_until = follower.since_ns;
         follower.told = held.iter().map(|s| (s.id.clone(), s.version)).collect();
         Ok((follower, held.into_iter().filter(|s| !s.is_removed()).collect()))
     }
@@ -72,7 +80,16 @@ impl Follower {
     #[must_use]
     pub fn from_start(memory: Arc<dyn Memory>, pattern: Pattern) -> Self {
         let changes = memory.subscribe();
-        Self { memory, pattern, changes, told: IndexMap::new(), since_ns: 0, ready: VecDeque::new() }
+        Self {
+            memory,
+            pattern,
+            changes,
+            told: IndexMap::new(),
+            since_ns: 0,
+            told_until: 0,
+            behind: false,
+            ready: VecDeque::new(),
+        }
     }
 
     /// Follows on from what was told before, by entity: what has changed since comes first, from the history, which is
@@ -100,11 +117,16 @@ impl Follower {
     pub async fn next(&mut self) -> Result<Option<Change>, MemoryError> {
         loop {
             if let Some(change) = self.ready.pop_front() {
+                self.note_told();
                 return Ok(Some(change));
+            }
+            if self.behind {
+                self.catch_up().await?;
+                continue;
             }
             match self.changes.recv().await {
                 Ok(snapshot) => self.receive(snapshot).await?,
-                Err(RecvError::Lagged(_)) => self.read_since(self.since_ns).await?,
+                Err(RecvError::Lagged(_)) => self.behind = true,
                 Err(RecvError::Closed) => return Ok(None),
             }
         }
@@ -127,14 +149,26 @@ impl Follower {
     /// As [`Self::next`].
     pub async fn drain(&mut self, most: usize) -> Result<Vec<Change>, MemoryError> {
         while self.ready.len() < most {
+            if self.behind {
+                self.catch_up().await?;
+                continue;
+            }
             match self.changes.try_recv() {
                 Ok(snapshot) => self.receive(snapshot).await?,
-                Err(TryRecvError::Lagged(_)) => self.read_since(self.since_ns).await?,
+                Err(TryRecvError::Lagged(_)) => self.behind = true,
                 Err(TryRecvError::Empty | TryRecvError::Closed) => break,
             }
         }
         let count = most.min(self.ready.len());
-        Ok(self.ready.drain(..count).collect())
+        let some = self.ready.drain(..count).collect();
+        self.note_told();
+        Ok(some)
+    }
+
+    fn note_told(&mut self) {
+        if self.ready.is_empty() {
+            self.told_until = self.since_ns;
+        }
     }
 
     /// Takes back what was told last, to tell it again first.
@@ -147,27 +181,58 @@ impl Follower {
     /// Whether everything that has happened was told.
     #[must_use]
     pub fn told_all(&self) -> bool {
-        self.ready.is_empty() && self.changes.is_empty()
+        self.ready.is_empty() && self.changes.is_empty() && !self.behind
     }
 
     async fn receive(&mut self, snapshot: Arc<Snapshot>) -> Result<(), MemoryError> {
-        self.since_ns = self.since_ns.max(snapshot.arrived_ns);
-        if !self.pattern.matches(&snapshot.id) {
-            return Ok(());
+        let arrived_ns = snapshot.arrived_ns;
+        if self.pattern.matches(&snapshot.id) {
+            self.take(snapshot).await?;
         }
-        let told = match self.told.get_mut(&snapshot.id) {
+        // What the memory says is asked for first: what it tells meanwhile waits, and is seen to wait.
+        let until = match self.memory.told_until() {
+            None => arrived_ns,
+            Some(until) if self.changes.is_empty() => until,
+            Some(_) => 0,
+        };
+        self.since_ns = self.since_ns.max(until);
+        Ok(())
+    }
+
+    async fn take(&mut self, snapshot: Arc<Snapshot>) -> Result<(), MemoryError> {
+        let known = match self.told.get_mut(&snapshot.id) {
             Some(told) if snapshot.version == *told + 1 => {
                 *told = snapshot.version;
                 self.ready.push_back(Change::New(snapshot));
                 return Ok(());
             }
-            told => told.copied().unwrap_or(0),
+            told => told.copied(),
         };
-        if snapshot.version > told + 1 {
-            let missing = Times::Versions(told + 1, snapshot.version - 1);
-            self.read(Query::latest(Pattern::entity(&snapshot.id)).times(missing)).await?;
+        if snapshot.version > known.unwrap_or(0) + 1 {
+            // Until they are read: nobody may wait for that to its end.
+            self.behind = true;
+            if known.is_some() {
+                // Where one is missing, others are, and one question brings them all.
+                self.read_since(self.since_ns).await?;
+            }
+            let told = self.told.get(&snapshot.id).copied().unwrap_or(0);
+            if snapshot.version > told + 1 {
+                let missing = Times::Versions(told + 1, snapshot.version - 1);
+                self.read(Query::latest(Pattern::entity(&snapshot.id)).times(missing)).await?;
+            }
+            self.behind = false;
         }
         self.tell(snapshot);
+        Ok(())
+    }
+
+    /// Reads what the memory has and was not told, from the last moment on at which nothing was missing.
+    ///
+    /// # Errors
+    /// As [`Memory::query`]; nothing is forgotten then.
+    pub async fn catch_up(&mut self) -> Result<(), MemoryError> {
+        self.read_since(self.since_ns).await?;
+        self.behind = false;
         Ok(())
     }
 
@@ -177,18 +242,28 @@ impl Follower {
     /// As [`Memory::query`].
     pub async fn read_since(&mut self, since_ns: u64) -> Result<(), MemoryError> {
         let query = Query::history(self.pattern.clone());
-        self.read(Query { arrived_since: Some(since_ns), ..query }).await
+        let seen_until = self.read(Query { arrived_since: Some(since_ns), ..query }).await?;
+        self.since_ns = self.since_ns.max(since_ns).max(seen_until);
+        Ok(())
     }
 
-    async fn read(&mut self, query: Query) -> Result<(), MemoryError> {
+    /// Tells what an answer holds, in the order in which it arrived. Returns until when, by arrival, ns, it certainly holds
+    /// everything that was asked for.
+    async fn read(&mut self, query: Query) -> Result<u64, MemoryError> {
         let mut pieces = pages(query.with_long_term(), PIECE);
+        let mut until = None;
+        let mut found: Vec<(u64, Arc<Snapshot>)> = Vec::new();
         while let Some(piece) = pieces.next(&*self.memory).await? {
+            until.get_or_insert_with(|| seen_until(&piece));
             for snapshot in piece {
-                self.since_ns = self.since_ns.max(snapshot.arrived_ns);
-                self.tell(snapshot);
+                // No version comes before an earlier one, whatever the clock did.
+                let before = found.last().filter(|(_, last)| last.id == snapshot.id).map_or(0, |last| last.0);
+                found.push((snapshot.arrived_ns.max(before), snapshot));
             }
         }
-        Ok(())
+        found.sort_by_key(|(arrived_ns, _)| *arrived_ns);
+        found.into_iter().for_each(|(_, snapshot)| self.tell(snapshot));
+        Ok(until.unwrap_or(0))
     }
 
     /// Tells a snapshot unless it was told, and first what is missing before it.
@@ -205,9 +280,19 @@ impl Follower {
         self.ready.push_back(Change::New(snapshot));
     }
 
-    /// When the last change arrived in the memory that was told, ns.
+    /// What arrived in the memory before was told, ns.
     #[must_use]
-    pub fn since_ns(&self) -> u64 {
-        self.since_ns
+    pub fn told_until(&self) -> u64 {
+        self.told_until
     }
 }
+
+/// Until when, by arrival, ns, the first piece of an answer and those after it certainly hold everything. What arrives
+/// while the later ones are read may belong into one that was read before: so only the first answer counts.
+fn seen_until(first: &[Arc<Snapshot>]) -> u64 {
+    let together = &first[..wire::in_one_answer(first)];
+    together.iter().map(|snapshot| snapshot.arrived_ns).max().unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests;

@@ -64,4 +64,6 @@ pub use working::{Backing, Clock, Limits, WorkingMemory, tokio_clock};
 #[cfg(test)]
 mod hostile_tests;
 #[cfg(test)]
+mod line;
+#[cfg(test)]
 mod working_tests;

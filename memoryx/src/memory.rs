@@ -43,9 +43,14 @@ pub trait Memory: Send + Sync {
     /// # Errors
     /// [`MemoryError::Query`] when the question is none; [`MemoryError::Store`] when the memory cannot be read.
     async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError>;
-    /// All later changes, in order. A reader that falls behind is told how many it missed; [`crate::Follower`]
+    /// All later changes; of each entity in order. A reader that falls behind is told how many it missed; [`crate::Follower`]
     /// says which, and reads them again where the memory still has them.
     fn subscribe(&self) -> broadcast::Receiver<Arc<Snapshot>>;
+    /// Subscribers were given everything that arrived before then, ns; `None` where they get all changes in the order of
+    /// their arrival, so that each says this of those before it.
+    fn told_until(&self) -> Option<u64> {
+        None
+    }
 }
 
 /// The pieces of a long answer: at most `size` snapshots each, until all were given.

@@ -4,6 +4,7 @@
 //! memory that was away for a while all make this side ask for what it has missed. What the other side no longer
 //! has shows as a gap in the versions, which a [`crate::Follower`] reports.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
 use armarium_bus::{Key, Session, SessionError, keys};
@@ -72,6 +73,7 @@ impl RemoteMemory {
             stream: Mutex::default(),
             lost: Notify::new(),
             taken: Notify::new(),
+            passed_until: AtomicU64::new(0),
         };
         let link = Arc::new(link);
         let messages = session.subscribe(stream, QUEUE).await.map_err(failed)?;
@@ -81,7 +83,7 @@ impl RemoteMemory {
         tasks.spawn(Arc::clone(&link).watch(roll));
         // An answer says that the other side knows of the subscription: declarations travel before questions.
         let follower = link.first_answer().await?;
-        link.stream().begin(follower.since_ns());
+        link.stream().begin(follower.told_until());
         tasks.spawn(Arc::clone(&link).tell(follower, changes.clone()));
         Ok(Self { link, changes, _tasks: tasks })
     }
@@ -120,6 +122,10 @@ impl Memory for RemoteMemory {
 
     fn subscribe(&self) -> broadcast::Receiver<Arc<Snapshot>> {
         self.changes.subscribe()
+    }
+
+    fn told_until(&self) -> Option<u64> {
+        Some(self.link.passed_until.load(Ordering::Acquire))
     }
 }
 

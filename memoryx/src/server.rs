@@ -2,37 +2,36 @@
 //!
 //! What is told goes through a [`Follower`], so that a network that is slow for a while loses nothing that the
 //! memory still has; changes that wait together travel together. Nobody who does not read holds the others up: what
-//! a link does not take is dropped there, and its reader sees the gap and asks again. Commits that wait together are
+//! a link does not take is dropped there, and its reader sees the gap and asks again, by the next message or, when
+//! nothing more changes, by the number of changes that a quiet memory tells. Commits that wait together are
 //! made durable together. What others send is checked like any commit; what is not understood is refused or, where
 //! nobody waits for an answer, logged with its sender.
 
 use std::sync::Arc;
 
 use armarium_bus::{
-    AliveToken, Interest, Key, Message, Question, Questions, Session, SessionError, Subscription, keys,
+    AliveToken, Key, Message, Question, Questions, Session, SessionError, Subscription, keys,
 };
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 
 use crate::entity::{Commit, Snapshot};
 use crate::error::MemoryError;
-use crate::follow::{Change, Follower};
+use crate::follow::Follower;
 use crate::maintain;
 use crate::query::{Pattern, Query};
 use crate::store::LongTermMemory;
-use crate::wire::{self, Changes, CommitRequest, Maintain, Snapshots, Versions};
+use crate::wire::{self, CommitRequest, Maintain, Snapshots, Versions};
 use crate::working::WorkingMemory;
+
+mod tell;
+
+use tell::Teller;
 
 /// Questions and updates that wait to be looked at.
 const QUEUE: usize = 1024;
 /// Commits that are made durable together.
 const GROUP: usize = 256;
-/// Changes that are told together.
-const TOGETHER: usize = 2048;
-/// Most snapshots in one answer.
-const MOST_SNAPSHOTS: usize = 8192;
-/// Most bytes of snapshots in one message, about; a single larger one travels alone.
-const MOST_BYTES: u64 = 4 << 20;
 /// Queries that are answered side by side.
 const QUERIES: usize = 8;
 
@@ -91,8 +90,7 @@ impl MemoryServer {
 
         let (follower, _) = Follower::from_now(Arc::<WorkingMemory>::clone(&memory), Pattern::any()).await?;
         let queries = Arc::new(Semaphore::new(QUERIES));
-        let shared =
-            Shared { session: session.clone(), agent: agent.into(), memory, store, queries, guarded };
+        let shared = Shared { agent: agent.into(), memory, store, queries, guarded };
         let mut tasks = JoinSet::new();
         let questions = session.answer(requests, QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_requests(questions));
@@ -101,9 +99,9 @@ impl MemoryServer {
         let gets = session.answer(entities.clone(), QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_gets(gets));
         let updates = session.subscribe_others(entities.clone(), QUEUE).await.map_err(failed)?;
-        tasks.spawn(shared.clone().take_updates(updates));
-        let interest = session.interest(&entities).await.map_err(failed)?;
-        tasks.spawn(shared.tell(follower, interest));
+        tasks.spawn(shared.take_updates(updates));
+        let teller = Teller::new(session, agent).await?;
+        tasks.spawn(teller.tell(follower));
         let alive = session.alive(&service).await.map_err(failed)?;
         Ok(Self { _alive: alive, _tasks: tasks })
     }
@@ -115,7 +113,6 @@ pub(crate) fn unreachable_memory(agent: &str, what: &str) -> MemoryError {
 
 #[derive(Clone)]
 struct Shared {
-    session: Session,
     agent: String,
     memory: Arc<WorkingMemory>,
     store: Option<Arc<LongTermMemory>>,
@@ -237,11 +234,11 @@ impl Shared {
 
     /// As much of an answer as travels at once.
     fn piece(&self, mut query: Query) -> Result<Snapshots, MemoryError> {
-        let most = query.most.unwrap_or(usize::MAX).min(MOST_SNAPSHOTS);
+        let most = query.most.unwrap_or(usize::MAX).min(wire::MOST_SNAPSHOTS);
         let wanted = query.most.replace(most);
         let mut snapshots = self.memory.query_now(&query)?;
         let full = snapshots.len() == most && wanted.is_none_or(|wanted| wanted > most);
-        let fits = within(&snapshots, MOST_BYTES);
+        let fits = wire::in_one_answer(&snapshots);
         let cut = fits < snapshots.len();
         snapshots.truncate(fits);
         // The nearest ones have an order of their own, in which nobody can go on.
@@ -297,69 +294,10 @@ impl Shared {
         self.held_up(|| self.memory.commit_sent(vec![update], sent_ns))?;
         Ok(())
     }
-
-    async fn tell(self, mut follower: Follower, interest: Interest) {
-        let Ok(key) = keys::memory_changes(&self.agent) else { return };
-        let epoch = self.session.now_ns();
-        let mut told = 0;
-        loop {
-            let changes = match follower.some(TOGETHER).await {
-                Ok(changes) if changes.is_empty() => return,
-                Ok(changes) => changes,
-                Err(error) => {
-                    tracing::warn!(%error, "changes could not be read");
-                    continue;
-                }
-            };
-            let mut news = Vec::with_capacity(changes.len());
-            for change in changes {
-                match change {
-                    Change::New(snapshot) => news.push(snapshot),
-                    Change::Missed { id, from, to } => {
-                        tracing::warn!(%id, from, to, "versions were overtaken before they could be told");
-                    }
-                }
-            }
-            if interest.is_there() {
-                self.tell_each(&news).await;
-            }
-            while !news.is_empty() {
-                let rest = news.split_off(within(&news, MOST_BYTES));
-                let changes = Changes { epoch, first: told, snapshots: std::mem::replace(&mut news, rest) };
-                told += changes.snapshots.len() as u64;
-                match wire::seal(&changes) {
-                    Ok((encoding, payload)) => log_failure(self.session.put(&key, &encoding, payload).await),
-                    Err(error) => tracing::warn!(%error, "changes could not be told"),
-                }
-            }
-        }
-    }
-
-    /// Tells changes on the keys of their entities, for those who know nothing of [`Changes`].
-    async fn tell_each(&self, news: &[Arc<Snapshot>]) {
-        for snapshot in news {
-            let (Ok(key), Ok((encoding, payload))) =
-                (wire::entity_key(&self.agent, snapshot), wire::seal(&**snapshot))
-            else {
-                continue;
-            };
-            log_failure(self.session.put(&key, &encoding, payload).await);
-        }
-    }
 }
 
 fn forbid(id: String, writer: Option<&str>) -> MemoryError {
     MemoryError::Forbidden { id, writer: writer.unwrap_or("somebody without a name").into() }
-}
-
-/// How many of the first snapshots fit into this many bytes, about; at least one.
-fn within(snapshots: &[Arc<Snapshot>], most: u64) -> usize {
-    let mut bytes = 0;
-    let fits = snapshots.iter().take_while(|snapshot| {
-        bytes += snapshot.bytes();
-        bytes <= most
-    });
-    fits.count().max(1).min(snapshots.len())
 }
 
 async fn refuse(question: &Question, error: &MemoryError) -> Result<(), SessionError> {

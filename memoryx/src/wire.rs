@@ -24,6 +24,11 @@ use crate::entity::{Commit, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Pattern, Query, Times};
 
+/// Most snapshots in one answer.
+pub(crate) const MOST_SNAPSHOTS: usize = 8192;
+/// Most bytes of snapshots in one message, about; a single larger one travels alone.
+const MOST_BYTES: u64 = 4 << 20;
+
 /// Updates that are taken together or not at all.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CommitRequest {
@@ -47,14 +52,17 @@ pub struct Snapshots {
     pub more: bool,
 }
 
-/// Changes of a memory, in their order.
+/// Changes of a memory, in their order; when nothing has changed for a while, none, and how many there were.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Changes {
     /// When the memory began to tell, ns: the count begins anew with it.
     pub epoch: u64,
     /// How many changes were told before these.
     pub first: u64,
-    /// The changes.
+    /// What arrived in the memory before then was told with these or before them, ns; 0 when that is not known.
+    #[serde(default)]
+    pub until_ns: u64,
+    /// The changes; perhaps none.
     pub snapshots: Vec<Arc<Snapshot>>,
 }
 
@@ -137,6 +145,16 @@ impl Payload for Commit {
 }
 impl Payload for MemoryError {
     const SCHEMA: Schema = Schema::new("memoryx/error", 1);
+}
+
+/// How many of the first snapshots travel in one message; at least one.
+pub(crate) fn in_one_answer(snapshots: &[Arc<Snapshot>]) -> usize {
+    let mut bytes = 0;
+    let fits = snapshots.iter().take(MOST_SNAPSHOTS).take_while(|snapshot| {
+        bytes += snapshot.bytes();
+        bytes <= MOST_BYTES
+    });
+    fits.count().max(1).min(snapshots.len())
 }
 
 /// A payload of the type that its encoding names.

@@ -1,6 +1,6 @@
 //! How fast memory is, with a bare map, a bare redb file and the bare session in the same run for scale:
 //! `cargo bench -p armarium-memoryx`. Words pick the parts whose names hold one: `working`, `store`, `durable`, `shared`,
-//! `scale`, `axes`.
+//! `scale`, `link`, `axes`.
 //!
 //! Rates say what a machine does that has other work as well; so the processor time of each item stands beside them.
 
@@ -12,6 +12,7 @@ use armarium_memoryx::{Commit, EntityId};
 use armarium_values::Value;
 
 mod axes;
+mod link;
 mod scale;
 mod shared;
 mod store;
@@ -102,5 +103,8 @@ fn main() {
     }
     if is_wanted("scale") {
         runtime.block_on(scale::scale());
+    }
+    if is_wanted("link") {
+        runtime.block_on(link::link());
     }
 }

@@ -1,6 +1,7 @@
 //! Many agents through one router: what an update costs by how many follow it, and by how many others are there.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use armarium_bus::{Mode, Session, SessionConfig};
 use armarium_memoryx::{Limits, Memory, MemoryServer, RemoteMemory, WorkingMemory};
@@ -10,79 +11,153 @@ use super::{Meter, commit, resident_mb, say};
 
 /// Entities of each agent.
 const ENTITIES: u64 = 1000;
-/// Updates of one agent that are measured.
-const UPDATES: u64 = 20_000;
+/// Updates that are measured where this many travel together.
+const UPDATES: [(u64, u64); 2] = [(1, 2000), (100, 50_000)];
 /// How many follow.
 const FOLLOWERS: [usize; 4] = [0, 1, 4, 9];
+/// How long is looked at agents that do nothing.
+const IDLE: Duration = Duration::from_secs(5);
 
-struct Agent {
-    session: Session,
-    memory: Arc<WorkingMemory>,
+/// An agent with its memory on a session of its own.
+pub(super) struct Agent {
+    pub(super) name: String,
+    pub(super) session: Session,
+    pub(super) memory: Arc<WorkingMemory>,
     _server: MemoryServer,
 }
 
 pub(super) async fn scale() {
-    for count in [10, 100] {
+    for count in [10, 30, 100] {
         through_one_router(count).await;
     }
 }
 
 async fn through_one_router(count: usize) {
-    let router = SessionConfig { mode: Mode::Router, ..SessionConfig::default() };
-    let router = Session::open(&router).await.expect("a router");
-    let config =
-        SessionConfig { mode: Mode::Client, ..SessionConfig::connected_to(&router.endpoints().await) };
-    let (before, start) = (resident_mb(), Meter::start());
-    let mut agents = Vec::new();
-    for n in 0..count {
-        agents.push(agent(&config, n).await);
-    }
-    let each = (resident_mb() - before) / count as f64;
-    say(&format!("an agent with {ENTITIES} entities, of {count}"), each, "MB", "");
-    start.say(&format!("agents started, of {count}"), count as u64, "");
-    let mut costs = Vec::new();
-    for followers in FOLLOWERS {
-        let others = agents.iter().skip(1).take(followers);
-        let mut remotes = Vec::new();
-        for other in others {
-            remotes.push(RemoteMemory::connect(&other.session, "agent0").await.expect("it answers"));
+    let router = router().await;
+    let agents = started(&router, count).await;
+    idle(count).await;
+    for (together, updates) in UPDATES {
+        let mut costs = Vec::new();
+        for followers in FOLLOWERS {
+            let remotes = following(&agents[1..=followers], "agent0").await;
+            let what =
+                format!("{together} updates of 100 B at once, {followers} followers, of {count} agents");
+            let start = Meter::start();
+            told(&agents[0], &remotes, together, updates).await;
+            let each_us = start.processor_us() / updates as f64;
+            start.say(&what, updates, "");
+            costs.push((followers as f64, each_us));
         }
-        let what = format!("updates of 100 B, {followers} followers, of {count} agents");
-        costs.push((followers as f64, told(&agents[0], &remotes, &what).await));
+        say(&format!("  each follower adds, {together} at once, of {count} agents"), slope(&costs), "us", "");
     }
-    say(&format!("each follower adds, of {count} agents"), slope(&costs), "us", "");
+    ring(&agents).await;
     for agent in agents {
         agent.session.close().await.expect("it closes");
     }
     router.close().await.expect("it closes");
 }
 
-async fn agent(config: &SessionConfig, n: usize) -> Agent {
-    let session = Session::open(config).await.expect("a session");
+pub(super) async fn router() -> Session {
+    let config = SessionConfig { mode: Mode::Router, ..SessionConfig::default() };
+    Session::open(&config).await.expect("a router")
+}
+
+pub(super) fn client(endpoints: &[String]) -> SessionConfig {
+    SessionConfig { mode: Mode::Client, ..SessionConfig::connected_to(endpoints) }
+}
+
+/// Agents on a router, with what a session and what a memory takes.
+async fn started(router: &Session, count: usize) -> Vec<Agent> {
+    let config = client(&router.endpoints().await);
+    let (before, start) = (resident_mb(), Meter::start());
+    let mut sessions = Vec::new();
+    for _ in 0..count {
+        sessions.push(Session::open(&config).await.expect("a session"));
+    }
+    let opened = resident_mb();
+    start.say(&format!("sessions opened, of {count}"), count as u64, "");
+    say(&format!("  a session, of {count}"), (opened - before) * 1024.0 / count as f64, "kB", "");
+    let start = Meter::start();
+    let mut agents = Vec::new();
+    for (n, session) in sessions.into_iter().enumerate() {
+        agents.push(agent(session, format!("agent{n}")).await);
+    }
+    start.say(&format!("memories of {ENTITIES} entities shared, of {count}"), count as u64, "");
+    say(&format!("  a memory, of {count}"), (resident_mb() - opened) * 1024.0 / count as f64, "kB", "");
+    agents
+}
+
+pub(super) async fn agent(session: Session, name: String) -> Agent {
     let clock = session.clone();
     let memory = WorkingMemory::new(Arc::new(move || clock.now_ns()));
     let memory = Arc::new(memory.with_limits(Limits { history: 2, ..Limits::default() }));
     memory.commit_now((0..ENTITIES).map(|n| commit(n, 100)).collect()).expect("it fits");
-    let shared = Arc::clone(&memory);
-    let server = MemoryServer::start(&session, &format!("agent{n}"), shared).await.expect("it is shared");
-    Agent { session, memory, _server: server }
+    let server = MemoryServer::start(&session, &name, Arc::clone(&memory)).await.expect("it is shared");
+    Agent { name, session, memory, _server: server }
 }
 
-/// Processor time of an update until all have heard it, us.
-async fn told(agent: &Agent, remotes: &[RemoteMemory], what: &str) -> f64 {
-    let mut changes: Vec<_> = remotes.iter().map(Memory::subscribe).collect();
+/// The memory of one agent as some others see it.
+pub(super) async fn following(by: impl IntoIterator<Item = &Agent>, agent: &str) -> Vec<RemoteMemory> {
+    let mut remotes = Vec::new();
+    for follower in by {
+        remotes.push(RemoteMemory::connect(&follower.session, agent).await.expect("it answers"));
+    }
+    remotes
+}
+
+/// Updates of an agent, the next ones when all have heard the last ones.
+pub(super) async fn told(agent: &Agent, remotes: &[RemoteMemory], together: u64, updates: u64) {
+    let mut listening: Vec<_> = remotes.iter().map(Memory::subscribe).collect();
+    for g in 0..updates / together {
+        tell(agent, g * together, together);
+        for changes in &mut listening {
+            hear(changes, together).await;
+        }
+        if remotes.is_empty() && (g * together).is_multiple_of(500) {
+            // Nobody is waited for: slowly enough that none is overtaken before it could be told.
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    }
+}
+
+/// One commit of an agent, which goes on after the first `told` updates.
+fn tell(agent: &Agent, told: u64, together: u64) {
+    let updates = (0..together).map(|i| commit((told + i) % ENTITIES, 100));
+    agent.memory.commit_now(updates.collect()).expect("it fits");
+}
+
+/// What agents cost that do nothing.
+async fn idle(count: usize) {
     let start = Meter::start();
-    for g in 0..UPDATES / 100 {
-        let updates = (0..100).map(|i| commit((g * 100 + i) % ENTITIES, 100));
-        agent.memory.commit_now(updates.collect()).expect("it fits");
-        tokio::task::yield_now().await;
+    tokio::time::sleep(IDLE).await;
+    let each = start.processor_us() / IDLE.as_secs_f64() / count as f64;
+    say(&format!("an agent that does nothing, of {count}"), each, "us/s", "of processors");
+}
+
+/// Everybody follows one other, and all tell at once.
+async fn ring(agents: &[Agent]) {
+    let count = agents.len();
+    let start = Meter::start();
+    let mut remotes = Vec::new();
+    for (n, agent) in agents.iter().enumerate() {
+        let next = &agents[(n + 1) % count].name;
+        remotes.push(RemoteMemory::connect(&agent.session, next).await.expect("it answers"));
     }
-    for changes in &mut changes {
-        hear(changes, UPDATES).await;
+    start.say(&format!("followers connected, of {count}"), count as u64, "");
+    let mut listening: Vec<_> = remotes.iter().map(Memory::subscribe).collect();
+    let (together, updates) = UPDATES[1];
+    let rounds = updates / together / count as u64;
+    let start = Meter::start();
+    for g in 0..rounds {
+        for agent in agents {
+            tell(agent, g * together, together);
+        }
+        for changes in &mut listening {
+            hear(changes, together).await;
+        }
     }
-    let each_us = start.processor_us() / UPDATES as f64;
-    start.say(what, UPDATES, "");
-    each_us
+    let what = format!("{together} at once by each of {count} agents, 1 follower each");
+    start.say(&what, rounds * together * count as u64, "");
 }
 
 /// The slope of the line through the points whose squared errors are least.

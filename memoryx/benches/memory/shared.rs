@@ -1,12 +1,14 @@
 //! Memory over Zenoh, beside the bare session: both ends in this process, over TCP on loopback.
 
 use std::sync::Arc;
+use std::time::Duration;
 
-use armarium_bus::{Payload, Session, SessionConfig, decode, encode, keys};
+use armarium_bus::{Key, Payload, Session, SessionConfig, Subscription, decode, encode, keys};
 use armarium_memoryx::wire::{Changes, CommitRequest};
-use armarium_memoryx::{Limits, Memory, MemoryServer, RemoteMemory, Snapshot, WorkingMemory};
+use armarium_memoryx::{EntityId, Limits, Memory, MemoryServer, RemoteMemory, Snapshot, WorkingMemory};
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
+use tokio::task::JoinSet;
 
 use super::{Meter, commit, id, median, say};
 
@@ -19,16 +21,22 @@ pub(super) async fn shared() {
     codec();
     let far = Session::open(&SessionConfig::default()).await.expect("a session");
     let near = Session::open(&SessionConfig::connected_to(&far.endpoints().await)).await.expect("a session");
-    let (raw_put, raw_get) = bare_session(&near, &far).await;
     let clock = far.clone();
     let memory = WorkingMemory::new(Arc::new(move || clock.now_ns()));
     let memory = Arc::new(memory.with_limits(Limits { history: 64, ..Limits::default() }));
     let _server = MemoryServer::start(&far, "alice", Arc::clone(&memory)).await.expect("it is shared");
     let remote = RemoteMemory::connect(&near, "alice").await.expect("it answers");
-    latencies(&memory, &remote, raw_put, raw_get).await;
+    let mut bare = Bare::start(&near, &far).await;
+    latencies(&memory, &remote, &mut bare).await;
+    bare.rate().await;
+    rates(&memory, &remote).await;
+}
+
+/// How many updates go through in a second, each way.
+async fn rates(memory: &Arc<WorkingMemory>, remote: &RemoteMemory) {
     let mut changes = remote.subscribe();
     let start = Meter::start();
-    let writing = Arc::clone(&memory);
+    let writing = Arc::clone(memory);
     let writer = tokio::spawn(async move {
         for n in 0..UPDATES / 100 {
             let updates = (0..100).map(|i| commit((n * 100 + i) % 20_000, 100));
@@ -60,35 +68,46 @@ pub(super) async fn hear(changes: &mut Receiver<Arc<Snapshot>>, count: u64) {
     }
 }
 
-async fn latencies(memory: &WorkingMemory, remote: &RemoteMemory, raw_put: f64, raw_get: f64) {
+/// Until exactly this version is told, however much came before it.
+async fn hear_version(changes: &mut Receiver<Arc<Snapshot>>, of: &EntityId, version: u64) {
+    while let Ok(snapshot) = changes.recv().await {
+        if snapshot.version == version && snapshot.id == *of {
+            return;
+        }
+    }
+}
+
+/// One of each after the other, again and again, so that all see the same machine.
+async fn latencies(memory: &WorkingMemory, remote: &RemoteMemory, bare: &mut Bare) {
     let mut changes = remote.subscribe();
-    let (mut told, mut asked, mut taken) = (Vec::new(), Vec::new(), Vec::new());
-    for n in 0..TIMES {
-        let update = vec![commit(n % 10, 100)];
-        let start = Meter::start();
-        memory.commit_now(update).expect("it fits");
-        changes.recv().await.expect("it is told");
-        told.push(start.elapsed());
-    }
+    let mut times: [Vec<Duration>; 5] = std::array::from_fn(|_| Vec::new());
+    let one = id(1);
     for _ in 0..TIMES {
+        times[0].push(bare.put().await);
+        let update = vec![commit(1, 100)];
         let start = Meter::start();
-        remote.latest(&id(1)).await.expect("it is there");
-        asked.push(start.elapsed());
-    }
-    for n in 0..TIMES {
-        let update = vec![commit(n % 10, 100)];
+        let version = memory.commit_now(update).expect("it fits")[0];
+        hear_version(&mut changes, &one, version).await;
+        times[1].push(start.elapsed());
+        times[2].push(bare.get().await);
         let start = Meter::start();
-        remote.commit(update).await.expect("it fits");
-        taken.push(start.elapsed());
+        remote.latest(&one).await.expect("it is there");
+        times[3].push(start.elapsed());
+        let update = vec![commit(1, 100)];
+        let start = Meter::start();
+        let version = remote.commit(update).await.expect("it fits")[0];
+        times[4].push(start.elapsed());
+        hear_version(&mut changes, &one, version).await;
     }
-    for (what, time, raw, asked) in [
-        ("commit to a remote observer, median", median(told), raw_put, "asked: 2.5"),
-        ("remote query of one entity, median", median(asked), raw_get, "asked: 2"),
-        ("remote commit with its answer, median", median(taken), raw_get, ""),
-    ] {
-        say(what, time, "us", "");
-        say("  times the bare one", time / raw, "", asked);
-    }
+    let [put, told, get, asked, taken] = times.map(median);
+    say("bare put to subscriber, 100 B, median", put, "us", "");
+    say("commit to a remote observer, median", told, "us", "");
+    say("  times the bare put", told / put, "", "asked: at most 2.5");
+    say("bare get, 100 B, median", get, "us", "");
+    say("remote query of one entity, median", asked, "us", "");
+    say("  times the bare get", asked / get, "", "asked: at most 2");
+    say("remote commit with its answer, median", taken, "us", "");
+    say("  times the bare get", taken / get, "", "");
 }
 
 /// What an update costs to write and to read, without a network.
@@ -97,7 +116,7 @@ fn codec() {
     let updates: Vec<_> = (0..1000).map(|n| commit(n, 100)).collect();
     memory.commit_now(updates.clone()).expect("it fits");
     let snapshots = (0..1000).map(|n| memory.latest_now(&id(n)).expect("it is there")).collect();
-    round_trip("changes", &Changes { epoch: 0, first: 0, snapshots });
+    round_trip("changes", &Changes { epoch: 0, first: 0, until_ns: 0, snapshots });
     round_trip("a commit", &CommitRequest { updates, sent_ns: 0 });
 }
 
@@ -115,53 +134,78 @@ fn round_trip<T: Payload>(what: &str, thousand: &T) {
     start.say(&format!("{what} of 100 B each: read"), 50_000, "");
 }
 
-/// Median latency of a put and of a get, us.
-async fn bare_session(near: &Session, far: &Session) -> (f64, f64) {
-    let key = keys::trace("alice", "bench").expect("a key");
-    let mut heard = near.subscribe(key.clone(), 1 << 16).await.expect("a subscription");
-    while heard.try_next().is_none() {
-        far.put(&key, "x", vec![0; 100]).await.expect("a session");
-        tokio::task::yield_now().await;
-    }
-    while heard.try_next().is_some() {}
-    let mut times = Vec::new();
-    for _ in 0..TIMES {
-        let start = Meter::start();
-        far.put(&key, "x", vec![0; 100]).await.expect("a session");
-        heard.next().await.expect("it arrives");
-        times.push(start.elapsed());
-    }
-    let put = median(times);
-    say("bare put to subscriber, 100 B, median", put, "us", "");
-    let start = Meter::start();
-    let (sender, putting) = (far.clone(), key.clone());
-    let writer = tokio::spawn(async move {
-        for _ in 0..200_000 {
-            sender.put_waiting(&putting, "x", vec![0; 100]).await.expect("a session");
+/// The bare session: what Zenoh takes for a put and for a get without memory.
+struct Bare {
+    near: Session,
+    far: Session,
+    put_on: Key,
+    ask_on: Key,
+    heard: Subscription,
+    /// How many were put: the number in the newest one.
+    puts: u64,
+    _answering: JoinSet<()>,
+}
+
+impl Bare {
+    async fn start(near: &Session, far: &Session) -> Self {
+        let put_on = keys::trace("alice", "bench").expect("a key");
+        let ask_on = keys::chart("alice", "bench").expect("a key");
+        let heard = near.subscribe(put_on.clone(), 1 << 16).await.expect("a subscription");
+        let mut questions = far.answer(ask_on.clone(), 64).await.expect("a queryable");
+        let reply = ask_on.clone();
+        let mut answering = JoinSet::new();
+        answering.spawn(async move {
+            while let Some(question) = questions.next().await {
+                question.reply(&reply, "x", vec![0; 100]).await.expect("an answer");
+            }
+        });
+        let (near, far) = (near.clone(), far.clone());
+        let mut bare = Self { near, far, put_on, ask_on, heard, puts: 0, _answering: answering };
+        // Until the other side knows of the declarations.
+        while bare.heard.try_next().is_none() {
+            bare.send().await;
+            tokio::task::yield_now().await;
         }
-    });
-    let mut count = 0;
-    while count + heard.dropped() < 200_000 && heard.next().await.is_some() {
-        count += 1;
+        while bare.near.ask_one(&bare.ask_on, "", None).await.is_err() {}
+        bare
     }
-    writer.await.expect("it ends");
-    start.say("bare puts of 100 B heard, one message each", 200_000, "");
-    let key = keys::chart("alice", "bench").expect("a key");
-    let mut questions = far.answer(key.clone(), 64).await.expect("a queryable");
-    let reply = key.clone();
-    tokio::spawn(async move {
-        while let Some(question) = questions.next().await {
-            question.reply(&reply, "x", vec![0; 100]).await.expect("an answer");
-        }
-    });
-    while near.ask_one(&key, "", None).await.is_err() {}
-    let mut times = Vec::new();
-    for _ in 0..TIMES {
+
+    /// Puts 100 B with the next number in front.
+    async fn send(&mut self) {
+        self.puts += 1;
+        let mut payload = vec![0; 100];
+        payload[..8].copy_from_slice(&self.puts.to_le_bytes());
+        self.far.put(&self.put_on, "x", payload).await.expect("a session");
+    }
+
+    /// How long a put takes until that very message has arrived.
+    async fn put(&mut self) -> Duration {
         let start = Meter::start();
-        near.ask_one(&key, "", None).await.expect("an answer");
-        times.push(start.elapsed());
+        self.send().await;
+        let number = self.puts.to_le_bytes();
+        while self.heard.next().await.is_some_and(|message| !message.payload.starts_with(&number)) {}
+        start.elapsed()
     }
-    let get = median(times);
-    say("bare get, 100 B, median", get, "us", "");
-    (put, get)
+
+    async fn get(&self) -> Duration {
+        let start = Meter::start();
+        self.near.ask_one(&self.ask_on, "", None).await.expect("an answer");
+        start.elapsed()
+    }
+
+    async fn rate(&mut self) {
+        let start = Meter::start();
+        let (sender, put_on) = (self.far.clone(), self.put_on.clone());
+        let writer = tokio::spawn(async move {
+            for _ in 0..200_000 {
+                sender.put_waiting(&put_on, "x", vec![0; 100]).await.expect("a session");
+            }
+        });
+        let mut count = 0;
+        while count + self.heard.dropped() < 200_000 && self.heard.next().await.is_some() {
+            count += 1;
+        }
+        writer.await.expect("it ends");
+        start.say("bare puts of 100 B heard, one message each", 200_000, "");
+    }
 }

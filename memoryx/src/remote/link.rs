@@ -1,6 +1,7 @@
 //! The link to another agent's memory: the questions that can be asked, and the changes as they come, gaps and all, until
 //! they are put in order.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -40,6 +41,8 @@ pub(super) struct Link {
     pub(super) lost: Notify,
     /// The follower has taken something out of `raw`.
     pub(super) taken: Notify,
+    /// What arrived in the other memory before then was passed on to subscribers, ns.
+    pub(super) passed_until: AtomicU64,
 }
 
 impl Link {
@@ -65,12 +68,7 @@ impl Link {
                     while self.raw.len() > BEHIND {
                         self.taken.notified().await;
                     }
-                    let is_missing = self.stream().hear(&changes);
-                    for snapshot in changes.snapshots {
-                        // Nobody listening is no error.
-                        let _ = self.raw.send(snapshot);
-                    }
-                    if is_missing {
+                    if self.take(changes) {
                         self.lost.notify_one();
                     }
                 }
@@ -86,6 +84,18 @@ impl Link {
         }
     }
 
+    /// Puts changes into `raw`. Returns whether something before them is missing. Whoever sees how far the stream is whole
+    /// finds all of it there.
+    fn take(&self, changes: Changes) -> bool {
+        let mut stream = self.stream();
+        let is_missing = stream.hear(&changes);
+        for snapshot in changes.snapshots {
+            // Nobody listening is no error.
+            let _ = self.raw.send(snapshot);
+        }
+        is_missing
+    }
+
     /// Something may have been lost: what was whole until now has to be looked at again.
     pub(super) fn lose(&self) {
         self.stream().lose();
@@ -98,8 +108,10 @@ impl Link {
 
     /// Reads what was lost. What is lost meanwhile is read by the next call.
     async fn catch_up(&self, follower: &mut Follower) -> Result<(), MemoryError> {
-        let (since, gaps) = self.stream().open_gap();
-        follower.read_since(since).await?;
+        let gaps = self.stream().gaps();
+        // From what was taken out of `raw`, not from what was heard: what still waits there comes later, and its versions
+        // before those that are read now must not be taken for lost.
+        follower.catch_up().await?;
         self.stream().close_gap(gaps);
         Ok(())
     }
@@ -118,6 +130,7 @@ impl Link {
         changes: broadcast::Sender<Arc<Snapshot>>,
     ) {
         loop {
+            let until = self.stream().whole_until();
             let told = tokio::select! {
                 biased;
                 () = self.lost.notified() => self.catch_up(&mut follower).await.map(|()| Vec::new()),
@@ -128,7 +141,12 @@ impl Link {
             };
             self.taken.notify_one();
             match told {
-                Ok(some) => some.into_iter().for_each(|change| self.pass_on(change, &changes)),
+                Ok(some) => {
+                    some.into_iter().for_each(|change| self.pass_on(change, &changes));
+                    if follower.told_all() {
+                        self.passed_until.fetch_max(until, Ordering::Release);
+                    }
+                }
                 Err(error) => {
                     tracing::warn!(%error, "what was missed could not be asked for");
                     // The memory is away; it is asked again when it is back, and now and then.
@@ -207,5 +225,9 @@ impl Memory for Link {
 
     fn subscribe(&self) -> broadcast::Receiver<Arc<Snapshot>> {
         self.raw.subscribe()
+    }
+
+    fn told_until(&self) -> Option<u64> {
+        Some(self.stream().whole_until())
     }
 }

@@ -8,9 +8,9 @@ pub(super) struct Stream {
     epoch: u64,
     /// The count of the next change, once one was heard.
     next: Option<u64>,
-    /// When the last change arrived in the other memory before anything was lost, ns.
+    /// What arrived in the other memory before then was heard, ns.
     whole_until: u64,
-    /// The same of the last change that was heard.
+    /// The same, but for what was lost.
     heard_until: u64,
     /// Gaps so far, and how many of them were closed.
     gaps: u64,
@@ -24,21 +24,23 @@ impl Stream {
         self.heard_until = self.heard_until.max(until);
     }
 
-    /// Takes note of a message of changes. Returns whether something before it is missing.
+    /// Takes note of a message of changes, which may hold none. Returns whether something before it is missing.
     pub(super) fn hear(&mut self, changes: &Changes) -> bool {
-        let follows = self.epoch == changes.epoch && self.next.is_none_or(|next| next == changes.first);
-        let is_first = self.next.is_none();
+        let follows = match self.next {
+            Some(next) => self.epoch == changes.epoch && next == changes.first,
+            // What was told before the first message that arrives may have been told to nobody.
+            None => changes.first == 0,
+        };
         self.epoch = changes.epoch;
         self.next = Some(changes.first.saturating_add(changes.snapshots.len() as u64));
-        if !follows && !is_first {
+        if !follows {
             self.gaps += 1;
         }
-        let last = changes.snapshots.last().map_or(0, |s| s.arrived_ns);
-        self.heard_until = self.heard_until.max(last);
+        self.heard_until = self.heard_until.max(changes.until_ns);
         if self.gaps == self.closed {
             self.whole_until = self.heard_until;
         }
-        !follows && !is_first
+        !follows
     }
 
     /// Something may have been lost.
@@ -46,9 +48,14 @@ impl Stream {
         self.gaps += 1;
     }
 
-    /// From when on what was lost has to be read again, ns, and which gaps that closes.
-    pub(super) fn open_gap(&self) -> (u64, u64) {
-        (self.whole_until, self.gaps)
+    /// What arrived in the other memory before then was heard, ns.
+    pub(super) fn whole_until(&self) -> u64 {
+        self.whole_until
+    }
+
+    /// Gaps so far: reading what was lost closes those that were there when it began.
+    pub(super) fn gaps(&self) -> u64 {
+        self.gaps
     }
 
     /// What was lost up to these gaps has been read.
@@ -56,6 +63,64 @@ impl Stream {
         self.closed = gaps;
         if self.gaps == gaps {
             self.whole_until = self.heard_until;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::entity::Snapshot;
+
+    fn message(epoch: u64, first: u64, until_ns: u64, arrived_ns: &[u64]) -> Changes {
+        let snapshot = |arrived_ns: &u64| {
+            let id = "S/p/e".parse().unwrap();
+            let (version, instances) = (*arrived_ns, Vec::new());
+            Arc::new(Snapshot {
+                id,
+                version,
+                referenced_ns: 0,
+                sent_ns: 0,
+                arrived_ns: *arrived_ns,
+                instances,
+            })
+        };
+        Changes { epoch, first, until_ns, snapshots: arrived_ns.iter().map(snapshot).collect() }
+    }
+
+    #[test]
+    fn every_gap_is_noticed_and_read_from_where_it_was_whole() {
+        let mut stream = Stream::default();
+        stream.begin(10);
+        for (told, is_missing, whole_until) in [
+            (message(1, 0, 12, &[12, 11]), false, 12),
+            (message(1, 2, 12, &[]), false, 12),
+            (message(1, 2, 13, &[15]), false, 13),
+            // The last ones were lost, and nothing came after them but their number.
+            (message(1, 5, 15, &[]), true, 13),
+            (message(1, 5, 16, &[16]), false, 13),
+            // The memory has begun anew.
+            (message(2, 0, 17, &[17]), true, 13),
+        ] {
+            assert_eq!(stream.hear(&told), is_missing, "{told:?}");
+            assert_eq!(stream.whole_until(), whole_until, "{told:?}");
+        }
+        let gaps = stream.gaps();
+        stream.close_gap(gaps);
+        assert_eq!(stream.whole_until(), 17);
+        stream.hear(&message(2, 1, 18, &[18]));
+        assert_eq!(stream.whole_until(), 18);
+    }
+
+    #[test]
+    fn what_was_told_before_the_first_message_is_missing() {
+        for (first, is_missing) in [(0, false), (3, true)] {
+            let mut stream = Stream::default();
+            stream.begin(10);
+            assert_eq!(stream.hear(&message(1, first, 20, &[20])), is_missing);
+            assert_eq!(stream.whole_until(), if is_missing { 10 } else { 20 });
         }
     }
 }

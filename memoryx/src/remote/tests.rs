@@ -7,6 +7,7 @@ use armarium_values::Value;
 
 use super::*;
 use crate::conformance;
+use crate::line::{Line, line};
 use crate::server::MemoryServer;
 use crate::wire::Changes;
 use crate::working::{Limits, WorkingMemory};
@@ -71,7 +72,8 @@ async fn what_was_missed_is_asked_for() {
     }
     // Somebody who repeats old news, or tells nonsense, changes nothing.
     let known = pair.memory.latest_now(&commit("a", 0).id).unwrap();
-    let (encoding, payload) = wire::seal(&Changes { epoch: 7, first: 9, snapshots: vec![known] }).unwrap();
+    let (encoding, payload) =
+        wire::seal(&Changes { epoch: 7, first: 9, until_ns: 0, snapshots: vec![known] }).unwrap();
     let key = keys::memory_changes("alice").unwrap();
     pair.far.put_waiting(&key, &encoding, payload.clone()).await.unwrap();
     pair.far.put_waiting(&key, &encoding, vec![0xff; 9]).await.unwrap();
@@ -84,6 +86,45 @@ async fn what_was_missed_is_asked_for() {
     }
     let expected: Vec<_> = (1..=5).map(|v| ("a".to_owned(), v)).chain([("end".to_owned(), 1)]).collect();
     assert_eq!(heard, expected);
+}
+
+/// Until this version of the only entity is heard: which ones were, in their order.
+async fn heard_until(changes: &mut broadcast::Receiver<Arc<Snapshot>>, last: u64) -> Vec<u64> {
+    let mut heard = Vec::new();
+    while heard.last() != Some(&last) {
+        heard.push(changes.recv().await.unwrap().version);
+    }
+    heard
+}
+
+/// What a line that takes nothing has lost is all there soon after it takes something again, the last one too, although
+/// nothing changes any more.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_last_changes_are_not_missed() {
+    let pair = pair().await;
+    let (endpoint, state) = line(&pair.far.endpoints().await[0]).await;
+    let slow = Session::open(&SessionConfig::connected_to(&[endpoint])).await.unwrap();
+    let behind = RemoteMemory::connect(&slow, "alice").await.unwrap();
+    let probe = keys::trace("alice", "probe").unwrap();
+    let mut probed = slow.subscribe(probe.clone(), 1).await.unwrap();
+    while probed.try_next().is_none() {
+        pair.far.put(&probe, "x", Vec::new()).await.unwrap();
+        tokio::task::yield_now().await;
+    }
+    let (mut beside, mut behind) = (pair.remote.subscribe(), behind.subscribe());
+    state.send(Line::Held).unwrap();
+    // Several times as much as the buffers on the way hold.
+    let (count, large) = (24, 1 << 20);
+    for i in 1..=count {
+        let id = commit("a", 0).id;
+        let update = Commit::new(id, i, [("data", Value::Bytes(vec![7; large]))]);
+        pair.memory.commit_now(vec![update]).unwrap();
+    }
+    assert_eq!(heard_until(&mut beside, count).await, (1..=count).collect::<Vec<_>>());
+    // Messages go onto a line one after the other: when this one has been refused, the last change was.
+    pair.far.put(&probe, "x", Vec::new()).await.unwrap();
+    state.send(Line::Open).unwrap();
+    assert_eq!(heard_until(&mut behind, count).await, (1..=count).collect::<Vec<_>>());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -1,15 +1,11 @@
 //! Following over real sessions: frames, a cut that heals, gaps that are said.
 
-use std::net::SocketAddr;
-
 use armarium_bus::{Session, SessionConfig};
 use armarium_values::{Frame, Pose, Vector};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
-use tokio::io::copy_bidirectional;
-use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::watch;
 
 use super::*;
+use crate::line::{Line, line};
 use crate::remote::RemoteMemory;
 use crate::server::MemoryServer;
 use crate::store::{Consolidator, LongTermMemory, Policies, Policy};
@@ -134,30 +130,6 @@ fn transforms_compose_like_isometries() {
     assert!(close(numbers(&there)[2], moved.coords.into()));
 }
 
-/// A line between two agents that can be cut.
-async fn line(to: SocketAddr) -> (SocketAddr, watch::Sender<bool>) {
-    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-    let address = listener.local_addr().unwrap();
-    let (cut, is_cut) = watch::channel(false);
-    tokio::spawn(async move {
-        while let Ok((mut near, _)) = listener.accept().await {
-            let mut is_cut = is_cut.clone();
-            tokio::spawn(async move {
-                if *is_cut.borrow() {
-                    return;
-                }
-                let Ok(mut far) = TcpStream::connect(to).await else { return };
-                tokio::select! {
-                    biased;
-                    _ = is_cut.wait_for(|cut| *cut) => {}
-                    _ = copy_bidirectional(&mut near, &mut far) => {}
-                }
-            });
-        }
-    });
-    (address, cut)
-}
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn after_a_cut_both_sides_are_equal() {
     let folder = tempfile::tempdir().unwrap();
@@ -169,10 +141,9 @@ async fn after_a_cut_both_sides_are_equal() {
     let alice = alice.with_limits(Limits { history: 4, ..Limits::default() }).with_backing(Arc::new(kept));
     let alice = Arc::new(alice);
     let server = MemoryServer::start_with(&session, "alice", Arc::clone(&alice), Some(store)).await.unwrap();
-    let endpoint = session.endpoints().await.remove(0);
-    let (address, cut) = line(endpoint.strip_prefix("tcp/").unwrap().parse().unwrap()).await;
+    let (endpoint, state) = line(&session.endpoints().await[0]).await;
 
-    let near = Session::open(&SessionConfig::connected_to(&[format!("tcp/{address}")])).await.unwrap();
+    let near = Session::open(&SessionConfig::connected_to(&[endpoint])).await.unwrap();
     let remote = Arc::new(RemoteMemory::connect(&near, "alice").await.unwrap());
     let bob =
         WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits { history: 100_000, ..Limits::default() });
@@ -189,10 +160,10 @@ async fn after_a_cut_both_sides_are_equal() {
     let id: EntityId = "ObjectInstances/alice.vision/cup".parse().unwrap();
     commit(0, 50);
     arrived(&bob, &id, 49).await;
-    cut.send(true).unwrap();
+    state.send(Line::Cut).unwrap();
     // As much as a minute brings at 1000 a second: far more than working memory remembers.
     commit(50, 60_000);
-    cut.send(false).unwrap();
+    state.send(Line::Open).unwrap();
     arrived(&bob, &id, 59_999).await;
     commit(60_000, 60_020);
     arrived(&bob, &id, 60_019).await;

@@ -1,0 +1,76 @@
+//! A follower of a memory that changes while it is read.
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use armarium_values::Value;
+use async_trait::async_trait;
+
+use super::*;
+use crate::entity::Commit;
+use crate::working::{Limits, WorkingMemory};
+
+/// A memory that changes after each of the first questions.
+struct Busy {
+    memory: WorkingMemory,
+    after: Mutex<VecDeque<Vec<Commit>>>,
+}
+
+#[async_trait]
+impl Memory for Busy {
+    async fn commit(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError> {
+        self.memory.commit_now(updates)
+    }
+
+    async fn latest(&self, id: &EntityId) -> Result<Arc<Snapshot>, MemoryError> {
+        self.memory.latest_now(id)
+    }
+
+    async fn segment(&self, segment: &str) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
+        self.memory.segment(segment).await
+    }
+
+    async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
+        let found = self.memory.query_now(query);
+        let updates = self.after.lock().unwrap().pop_front().unwrap_or_default();
+        updates.into_iter().for_each(|update| drop(self.memory.commit_now(vec![update]).unwrap()));
+        found
+    }
+
+    fn subscribe(&self) -> broadcast::Receiver<Arc<Snapshot>> {
+        self.memory.subscribe()
+    }
+}
+
+fn update(entity: usize) -> Commit {
+    let id = EntityId::new("Things", "p", &format!("e{entity:05}")).unwrap();
+    Commit::new(id, 1, [("value", Value::Int(1))])
+}
+
+/// What changes in a part that was read already, while a later part is read, and is overtaken in the queue as well.
+#[tokio::test]
+async fn what_changes_while_it_is_read_is_not_missed() {
+    let time = AtomicU64::new(0);
+    let memory = WorkingMemory::new(Arc::new(move || time.fetch_add(1, Ordering::Relaxed) + 1));
+    let memory = memory.with_limits(Limits { backlog: 2, ..Limits::default() });
+    let (first, last) = (0, PIECE + 10);
+    let overtaking = (1..10).map(update).collect();
+    let after = VecDeque::from([vec![update(first), update(last)], overtaking]);
+    let memory = Arc::new(Busy { memory, after: Mutex::new(after) });
+    let shared = Arc::<Busy>::clone(&memory);
+    let mut follower = Follower::from_start(shared, Pattern::any());
+    memory.memory.commit_now((first..=last).map(update).collect()).unwrap();
+
+    let mut told = BTreeMap::new();
+    while !follower.told_all() || told.is_empty() {
+        for change in follower.drain(PIECE).await.unwrap() {
+            let Change::New(snapshot) = change else { panic!("{change:?}") };
+            let before = told.insert(snapshot.id.clone(), snapshot.version).unwrap_or(0);
+            assert_eq!(snapshot.version, before + 1, "{}", snapshot.id);
+        }
+    }
+    let newest = memory.memory.query_now(&Query::latest(Pattern::any())).unwrap();
+    let newest: BTreeMap<_, _> = newest.iter().map(|s| (s.id.clone(), s.version)).collect();
+    assert_eq!(told[&update(first).id], 2);
+    assert_eq!(told, newest);
+}
