@@ -67,8 +67,10 @@ pub enum MemoryError {
         /// The writer, as far as he is known.
         writer: String,
     },
-    /// The memory has as many entities as it may have.
-    #[error("`{id}` does not fit: the memory holds its maximum of {entities} entities")]
+    /// The memory has as many entities as it may have, of all writers or of this one.
+    #[error(
+        "`{id}` does not fit: the memory holds its maximum of {entities} entities, of all writers or of this one"
+    )]
     Full {
         /// The address.
         id: String,
@@ -90,7 +92,9 @@ pub enum MemoryError {
         ahead_s: u64,
     },
     /// More in one commit, or one entity, than the memory takes.
-    #[error("`{id}` does not fit: it takes {bytes} bytes, and at most {most} are taken")]
+    #[error(
+        "`{id}` does not fit: it takes {bytes} bytes, and at most {most} are held of all writers or of this one"
+    )]
     TooLarge {
         /// The address.
         id: String,

@@ -17,24 +17,30 @@ use tokio::task::JoinSet;
 use crate::entity::{Commit, Snapshot};
 use crate::error::MemoryError;
 use crate::follow::{Change, Follower};
-use crate::maintain;
-use crate::query::{Pattern, Query};
+use crate::query::Pattern;
 use crate::store::LongTermMemory;
-use crate::wire::{self, Changes, CommitRequest, Maintain, Snapshots, Versions};
+use crate::wire::{self, Changes, CommitRequest, Versions};
 use crate::working::WorkingMemory;
+
+mod asking;
+mod refusals;
+
+use refusals::{Refusals, is_rude};
 
 /// Questions and updates that wait to be looked at.
 const QUEUE: usize = 1024;
 /// Commits that are made durable together.
 const GROUP: usize = 256;
+/// Bytes of requests that are opened together, beyond the one that passes them.
+const GROUP_BYTES: usize = 8 << 20;
 /// Changes that are told together.
 const TOGETHER: usize = 2048;
-/// Most snapshots in one answer.
-const MOST_SNAPSHOTS: usize = 8192;
 /// Most bytes of snapshots in one message, about; a single larger one travels alone.
 const MOST_BYTES: u64 = 4 << 20;
 /// Queries that are answered side by side.
 const QUERIES: usize = 8;
+/// Room for questions that wait or are answered, kB.
+const ROOM_KB: u32 = 64 << 10;
 
 /// A memory that is shared for as long as this lives.
 #[derive(Debug)]
@@ -91,8 +97,18 @@ impl MemoryServer {
 
         let (follower, _) = Follower::from_now(Arc::<WorkingMemory>::clone(&memory), Pattern::any()).await?;
         let queries = Arc::new(Semaphore::new(QUERIES));
-        let shared =
-            Shared { session: session.clone(), agent: agent.into(), memory, store, queries, guarded };
+        let room = Arc::new(Semaphore::new(ROOM_KB as usize));
+        let refusals = Arc::default();
+        let shared = Shared {
+            session: session.clone(),
+            agent: agent.into(),
+            memory,
+            store,
+            queries,
+            room,
+            guarded,
+            refusals,
+        };
         let mut tasks = JoinSet::new();
         let questions = session.answer(requests, QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_requests(questions));
@@ -120,27 +136,32 @@ struct Shared {
     memory: Arc<WorkingMemory>,
     store: Option<Arc<LongTermMemory>>,
     queries: Arc<Semaphore>,
+    room: Arc<Semaphore>,
     guarded: bool,
+    refusals: Arc<Refusals>,
 }
 
 impl Shared {
     async fn answer_requests(self, mut questions: Questions) {
         let mut others = JoinSet::new();
         while let Some(first) = questions.next().await {
-            let mut commits = Vec::new();
+            let (mut commits, mut bytes) = (Vec::new(), 0);
             let mut next = Some(first);
             while let Some(question) = next {
                 if question.encoding.starts_with("application/cbor;memoryx/commit;") {
+                    bytes += question.payload.len();
                     commits.push(question);
-                } else if let Ok(permit) = Arc::clone(&self.queries).acquire_owned().await {
+                } else if let Some(room) = self.room_for(&question).await {
                     let shared = self.clone();
                     others.spawn(async move {
+                        let _turn = shared.turn().await;
                         let answer = tokio::task::block_in_place(|| shared.answer(&question));
                         shared.send(&question, answer).await;
-                        drop(permit);
+                        drop(room);
                     });
                 }
-                next = if commits.len() < GROUP { questions.try_next() } else { None };
+                let is_group = commits.len() == GROUP || bytes > GROUP_BYTES;
+                next = if is_group { None } else { questions.try_next() };
             }
             self.answer_commits(commits).await;
             while others.try_join_next().is_some() {}
@@ -177,7 +198,7 @@ impl Shared {
         let key = key.map_err(|error| MemoryError::Name { name: error.name });
         let sent = match (answer, key) {
             (Ok((encoding, payload)), Ok(key)) => question.reply(&key, &encoding, payload).await,
-            (Err(error), _) | (_, Err(error)) => refuse(question, &error).await,
+            (Err(error), _) | (_, Err(error)) => self.refuse(question, &error).await,
         };
         log_failure(sent);
     }
@@ -216,60 +237,15 @@ impl Shared {
         unreachable_memory(&self.agent, &error.to_string())
     }
 
-    /// A query or maintenance, by its encoding.
-    fn answer(&self, question: &Question) -> Result<(String, Vec<u8>), MemoryError> {
-        let (encoding, payload) = (question.encoding.as_str(), question.payload.as_slice());
-        let sealed = if encoding.starts_with("application/cbor;memoryx/maintain;") {
-            let request: Maintain = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
-            let writer = self.writer(question);
-            if self.guarded && writer != Some(self.agent.as_str()) {
-                return Err(forbid("long-term memory".into(), writer));
-            }
-            let store =
-                self.store.as_deref().ok_or_else(|| MemoryError::Store { what: "there is none".into() })?;
-            wire::seal(&maintain::carry_out(request, store, &self.memory)?)
-        } else {
-            let query: Query = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
-            wire::seal(&self.piece(query)?)
-        };
-        sealed.map_err(|e| self.not_understood(&e))
-    }
-
-    /// As much of an answer as travels at once.
-    fn piece(&self, mut query: Query) -> Result<Snapshots, MemoryError> {
-        let most = query.most.unwrap_or(usize::MAX).min(MOST_SNAPSHOTS);
-        let wanted = query.most.replace(most);
-        let mut snapshots = self.memory.query_now(&query)?;
-        let full = snapshots.len() == most && wanted.is_none_or(|wanted| wanted > most);
-        let fits = within(&snapshots, MOST_BYTES);
-        let cut = fits < snapshots.len();
-        snapshots.truncate(fits);
-        // The nearest ones have an order of their own, in which nobody can go on.
-        Ok(Snapshots { snapshots, more: (full || cut) && !query.is_nearest() })
-    }
-
-    async fn answer_gets(self, mut questions: Questions) {
-        while let Some(question) = questions.next().await {
-            let found = wire::query_of_get(&question.key, &question.parameters)
-                .map_err(|what| MemoryError::Query { what })
-                .and_then(|query| self.held_up(|| self.memory.query_now(&query)));
-            match found {
-                Ok(found) => log_failure(self.answer_get(&question, found).await),
-                Err(error) => log_failure(refuse(&question, &error).await),
-            }
+    /// Tells whoever asks why not, and the log who it was.
+    async fn refuse(&self, question: &Question, error: &MemoryError) -> Result<(), SessionError> {
+        if is_rude(error) {
+            self.refusals.note(self.writer(question).unwrap_or("unknown"), &question.key, error);
         }
-    }
-
-    async fn answer_get(&self, question: &Question, found: Vec<Arc<Snapshot>>) -> Result<(), SessionError> {
-        for snapshot in found {
-            let (Ok(key), Ok((encoding, payload))) =
-                (wire::entity_key(&self.agent, &snapshot), wire::seal(&*snapshot))
-            else {
-                continue;
-            };
-            question.reply(&key, &encoding, payload).await?;
+        match wire::seal(error) {
+            Ok((encoding, payload)) => question.refuse(&encoding, payload).await,
+            Err(_) => question.refuse("text/plain", error.to_string().into_bytes()).await,
         }
-        Ok(())
     }
 
     async fn take_updates(self, mut updates: Subscription) {
@@ -277,9 +253,10 @@ impl Shared {
         while let Some(message) = updates.next().await {
             if let Err(error) = self.take_update(&message) {
                 let sender = message.sender.as_deref().unwrap_or("unknown");
-                tracing::warn!(%error, key = message.key, sender, "an update was refused");
+                self.refusals.note(sender, &message.key, &error);
             }
-            if updates.dropped() > dropped {
+            // Each time that it has doubled: a flood is not logged one by one.
+            if updates.dropped() > 2 * dropped {
                 dropped = updates.dropped();
                 tracing::warn!(dropped, "updates came faster than they could be taken");
             }
@@ -360,13 +337,6 @@ fn within(snapshots: &[Arc<Snapshot>], most: u64) -> usize {
         bytes <= most
     });
     fits.count().max(1).min(snapshots.len())
-}
-
-async fn refuse(question: &Question, error: &MemoryError) -> Result<(), SessionError> {
-    match wire::seal(error) {
-        Ok((encoding, payload)) => question.refuse(&encoding, payload).await,
-        Err(_) => question.refuse("text/plain", error.to_string().into_bytes()).await,
-    }
 }
 
 fn log_failure(sent: Result<(), SessionError>) {

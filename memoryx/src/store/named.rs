@@ -35,7 +35,16 @@ impl LongTermMemory {
             .map_err(|e| StoreError::Query { what: e.to_string() })?;
         let taken_ns = memory.now_ns();
         // The list is written after what it names: a crash between the two leaves the older list.
-        self.persist(&held)?;
+        self.write(|writer, memo| {
+            let mut new = false;
+            for snapshot in &held {
+                // What is kept already may be coded, and stays so.
+                if !writer.holds(&snapshot.id, snapshot.version, memo)? {
+                    new |= writer.add(snapshot, memo)?;
+                }
+            }
+            Ok(((), new))
+        })?;
         self.write(|writer, memo| {
             let mut list = taken_ns.to_le_bytes().to_vec();
             for snapshot in &held {

@@ -1,0 +1,115 @@
+//! Questions to a shared memory: queries, gets by key and maintenance, answered beside each other and beside commits, in
+//! parts, and in a room that has an end.
+
+use std::sync::Arc;
+
+use armarium_bus::{Question, Questions, SessionError};
+use tokio::sync::OwnedSemaphorePermit;
+use tokio::task::JoinSet;
+
+use super::{MOST_BYTES, ROOM_KB, Shared, forbid, log_failure, within};
+use crate::error::MemoryError;
+use crate::maintain;
+use crate::query::{Cursor, Query};
+use crate::wire::{self, Maintain, Snapshots};
+
+/// Most snapshots in one answer.
+const MOST_SNAPSHOTS: usize = 8192;
+/// What a question takes of the room at least, kB.
+const QUERY_KB: u32 = 128;
+
+impl Shared {
+    /// Room for a question to wait for its turn beside the others, so that commits never wait for queries; when there is
+    /// none, whoever asks is told so.
+    pub(super) async fn room_for(&self, question: &Question) -> Option<OwnedSemaphorePermit> {
+        let kb = u32::try_from(question.payload.len() / 1024).unwrap_or(ROOM_KB);
+        let wanted = kb.saturating_add(QUERY_KB).min(ROOM_KB);
+        let room = Arc::clone(&self.room).try_acquire_many_owned(wanted).ok();
+        if room.is_none() {
+            let what = "too many questions wait for their answers: ask again later".into();
+            self.send(question, Err(MemoryError::Query { what })).await;
+        }
+        room
+    }
+
+    /// The turn of one that waits.
+    pub(super) async fn turn(&self) -> Option<OwnedSemaphorePermit> {
+        Arc::clone(&self.queries).acquire_owned().await.ok()
+    }
+
+    /// A query or maintenance, by its encoding.
+    pub(super) fn answer(&self, question: &Question) -> Result<(String, Vec<u8>), MemoryError> {
+        let (encoding, payload) = (question.encoding.as_str(), question.payload.as_slice());
+        let sealed = if encoding.starts_with("application/cbor;memoryx/maintain;") {
+            let request: Maintain = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
+            let writer = self.writer(question);
+            if self.guarded && writer != Some(self.agent.as_str()) {
+                return Err(forbid("long-term memory".into(), writer));
+            }
+            let store =
+                self.store.as_deref().ok_or_else(|| MemoryError::Store { what: "there is none".into() })?;
+            wire::seal(&maintain::carry_out(request, store, &self.memory)?)
+        } else {
+            let query: Query = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
+            wire::seal(&self.piece(query)?)
+        };
+        sealed.map_err(|e| self.not_understood(&e))
+    }
+
+    /// As much of an answer as travels at once.
+    fn piece(&self, mut query: Query) -> Result<Snapshots, MemoryError> {
+        let wanted = query.clone();
+        query.most = Some(query.most.unwrap_or(usize::MAX).min(MOST_SNAPSHOTS));
+        query.most_bytes = Some(query.most_bytes.unwrap_or(u64::MAX).min(MOST_BYTES));
+        let mut snapshots = self.memory.query_now(&query)?;
+        let full = query.is_filled_by(&snapshots) && !wanted.is_filled_by(&snapshots);
+        let fits = within(&snapshots, MOST_BYTES);
+        let cut = fits < snapshots.len();
+        snapshots.truncate(fits);
+        // The nearest ones have an order of their own, in which nobody can go on.
+        Ok(Snapshots { snapshots, more: (full || cut) && !query.is_nearest() })
+    }
+
+    pub(super) async fn answer_gets(self, mut questions: Questions) {
+        let mut answers = JoinSet::new();
+        while let Some(question) = questions.next().await {
+            if let Some(room) = self.room_for(&question).await {
+                let shared = self.clone();
+                answers.spawn(async move {
+                    let _turn = shared.turn().await;
+                    log_failure(shared.answer_get(&question).await);
+                    drop(room);
+                });
+            }
+            while answers.try_join_next().is_some() {}
+        }
+    }
+
+    /// Answers part by part, so that no more of a long answer is in memory at once.
+    async fn answer_get(&self, question: &Question) -> Result<(), SessionError> {
+        let query = wire::query_of_get(&question.key, &question.parameters);
+        let mut query = match query {
+            Ok(query) => Query { most: Some(MOST_SNAPSHOTS), most_bytes: Some(MOST_BYTES), ..query },
+            Err(what) => return self.refuse(question, &MemoryError::Query { what }).await,
+        };
+        loop {
+            let found = match tokio::task::block_in_place(|| self.memory.query_now(&query)) {
+                Ok(found) => found,
+                Err(error) => return self.refuse(question, &error).await,
+            };
+            let more = query.is_filled_by(&found);
+            query.after = found.last().map(|s| Cursor { id: s.id.clone(), version: s.version });
+            for snapshot in found {
+                let (Ok(key), Ok((encoding, payload))) =
+                    (wire::entity_key(&self.agent, &snapshot), wire::seal(&*snapshot))
+                else {
+                    continue;
+                };
+                question.reply(&key, &encoding, payload).await?;
+            }
+            if !more {
+                return Ok(());
+            }
+        }
+    }
+}
