@@ -58,8 +58,8 @@ pub enum MemoryError {
     },
     /// The memory lets only certain writers write, and each only his own provider segments.
     #[error(
-        "`{writer}` may not write `{id}`: this memory takes commits on `AGENT/memory/by/WRITER`, of provider segments that are \
-         called as the writer or begin with his name and a dot"
+        "`{writer}` may not write `{id}`: this memory has access rules, and lets a writer who says his name write provider segments \
+         that are called as he is, or begin with his name and a dot, and the agent itself everything"
     )]
     Forbidden {
         /// The address, or what else was asked for.

@@ -11,6 +11,7 @@ use clap::{Args, Subcommand};
 
 use crate::connection::{ConnectionArgs, explained};
 
+mod keep;
 mod reach;
 mod serve;
 mod show;

@@ -7,7 +7,7 @@ use armarium_memoryx::{AgentConfig, AgentMemory, FollowSettings, Pattern, PriorK
 use clap::Args;
 
 use super::reach::USUAL_ENDPOINT;
-use super::{Failure, Inferences, MemoryArgs};
+use super::{Failure, Inferences, MemoryArgs, keep};
 use crate::connection::AccessArgs;
 
 #[derive(Clone, Debug, Args)]
@@ -29,6 +29,11 @@ pub(super) struct ServeArgs {
     /// Fuse followed objects into this provider segment of `ObjectInstances`.
     #[arg(long, value_name = "PROVIDER")]
     fuse_into: Option<String>,
+    /// What of a core segment the file keeps: `everything`, `nothing`, `on-change`, `at-most:HZ` or `named:NAME+NAME`; with `,jpeg` or
+    /// `,jpeg:QUALITY` its images become JPEG files there. The segment `*` is all others. May be repeated; everything is kept
+    /// where nothing is said.
+    #[arg(long, value_name = "SEGMENT=POLICY")]
+    keep: Vec<String>,
     /// How many newest snapshots working memory holds of each entity.
     #[arg(long, default_value_t = 32)]
     history: usize,
@@ -52,6 +57,10 @@ pub(super) async fn serve(args: &MemoryArgs, serve: &ServeArgs, out: &mut dyn Wr
     config.infer = serve.infer.iter().map(|what| what.inference()).collect();
     if let Some(folder) = &serve.prior {
         config.prior = PriorKnowledge::load(folder).map_err(|error| Failure::Argument(error.to_string()))?;
+    }
+    config.policies = keep::policies(&serve.keep)?;
+    if !serve.keep.is_empty() && args.store.is_none() {
+        return Err(Failure::Argument("--keep says what a file keeps: name the file with --store".into()));
     }
     config.store.clone_from(&args.store);
     config.limits.history = serve.history;

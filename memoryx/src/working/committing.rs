@@ -175,10 +175,10 @@ impl WorkingMemory {
         let put = (&update.id, update.instances.as_slice());
         let bytes = self.check_room(state, numbered, put, is_new, owner)?;
         numbered.take(owner, Taken { entities: usize::from(is_new), bytes });
-        numbered.newest.insert(update.id.clone(), (version + 1, update.instances.is_empty()));
+        numbered.newest.insert(update.id.clone(), (version.saturating_add(1), update.instances.is_empty()));
         let snapshot = Snapshot {
             id: update.id,
-            version: version + 1,
+            version: version.saturating_add(1),
             referenced_ns: update.referenced_ns,
             sent_ns,
             arrived_ns,
