@@ -129,6 +129,9 @@ pub(crate) fn unreachable_memory(agent: &str, what: &str) -> MemoryError {
     MemoryError::Remote { agent: agent.into(), what: what.into() }
 }
 
+/// The encoding and the bytes of an answer, or why there is none.
+type Answer = Result<(String, Vec<u8>), MemoryError>;
+
 #[derive(Clone)]
 struct Shared {
     session: Session,
@@ -152,23 +155,22 @@ impl Shared {
                     bytes += question.payload.len();
                     commits.push(question);
                 } else if let Some(room) = self.room_for(&question).await {
-                    let shared = self.clone();
-                    others.spawn(async move {
-                        let _turn = shared.turn().await;
-                        let answer = tokio::task::block_in_place(|| shared.answer(&question));
-                        shared.send(&question, answer).await;
-                        drop(room);
-                    });
+                    others.spawn(self.clone().answer_aside(question, room));
                 }
                 let is_group = commits.len() == GROUP || bytes > GROUP_BYTES;
                 next = if is_group { None } else { questions.try_next() };
             }
-            self.answer_commits(commits).await;
+            let answers = self.answer_commits(commits).await;
+            if !answers.is_empty() {
+                let shared = self.clone();
+                others.spawn_blocking(move || shared.send_all(answers));
+            }
             while others.try_join_next().is_some() {}
         }
     }
 
-    async fn answer_commits(&self, questions: Vec<Question>) {
+    /// Commits what is understood and permitted; what is to be said to whom.
+    async fn answer_commits(&self, questions: Vec<Question>) -> Vec<(Question, Answer)> {
         let mut understood = Vec::with_capacity(questions.len());
         let mut commits = Vec::with_capacity(questions.len());
         for question in questions {
@@ -183,16 +185,25 @@ impl Shared {
             }
         }
         if commits.is_empty() {
-            return;
+            return Vec::new();
         }
         let answers = self.held_up(|| self.memory.commit_group(commits));
-        for (question, answer) in understood.iter().zip(answers) {
-            let sealed = answer.and_then(|v| wire::seal(&Versions(v)).map_err(|e| self.not_understood(&e)));
-            self.send(question, sealed).await;
+        let sealed = answers.into_iter().map(|answer| {
+            answer.and_then(|versions| wire::seal(&Versions(versions)).map_err(|e| self.not_understood(&e)))
+        });
+        understood.into_iter().zip(sealed).collect()
+    }
+
+    /// Sends answers, on a thread that may wait: a link that takes nothing holds whoever sends up until Zenoh gives it up,
+    /// and nobody else waits for that.
+    fn send_all(&self, answers: Vec<(Question, Answer)>) {
+        let runtime = tokio::runtime::Handle::current();
+        for (question, answer) in answers {
+            runtime.block_on(self.send(&question, answer));
         }
     }
 
-    async fn send(&self, question: &Question, answer: Result<(String, Vec<u8>), MemoryError>) {
+    async fn send(&self, question: &Question, answer: Answer) {
         // Who asks all memories at once is answered on this one's key.
         let key = Key::parse(&question.key).or_else(|_| keys::memory_commit(&self.agent));
         let key = key.map_err(|error| MemoryError::Name { name: error.name });

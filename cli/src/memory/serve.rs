@@ -3,7 +3,9 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use armarium_memoryx::{AgentConfig, AgentMemory, FollowSettings, Pattern, PriorKnowledge, Retention};
+use armarium_memoryx::{
+    AgentConfig, AgentMemory, FollowSettings, Pattern, PriorKnowledge, Retention, check_name,
+};
 use clap::Args;
 
 use super::reach::USUAL_ENDPOINT;
@@ -38,10 +40,10 @@ pub(super) struct ServeArgs {
     #[arg(long, default_value_t = 32)]
     history: usize,
     /// How long long-term memory keeps snapshots, days; for ever if not given.
-    #[arg(long, value_name = "DAYS")]
+    #[arg(long, value_name = "DAYS", allow_negative_numbers = true)]
     days: Option<f64>,
     /// Most megabytes that long-term memory keeps.
-    #[arg(long, value_name = "MB")]
+    #[arg(long, value_name = "MB", allow_negative_numbers = true)]
     megabytes: Option<f64>,
 }
 
@@ -65,7 +67,7 @@ pub(super) async fn serve(args: &MemoryArgs, serve: &ServeArgs, out: &mut dyn Wr
     config.store.clone_from(&args.store);
     config.limits.history = serve.history;
     config.retention = retention(serve.days, serve.megabytes)?;
-    config.follow = serve.follow.iter().map(|follow| settings(serve, follow)).collect();
+    config.follow = serve.follow.iter().map(|follow| settings(serve, follow)).collect::<Result<_, _>>()?;
     let session = connection.session(access.as_ref()).await?;
     let agent = AgentMemory::start(&session, config).await?;
     let endpoints = session.endpoints().await.join(" ");
@@ -84,17 +86,18 @@ pub(super) async fn serve(args: &MemoryArgs, serve: &ServeArgs, out: &mut dyn Wr
     Ok(0)
 }
 
-fn settings(serve: &ServeArgs, follow: &str) -> FollowSettings {
+fn settings(serve: &ServeArgs, follow: &str) -> Result<FollowSettings, Failure> {
     let (agent, pattern) = match follow.split_once(':') {
         Some((agent, segment)) => (agent, Pattern::segment(segment)),
         None => (follow, Pattern::any()),
     };
-    FollowSettings {
+    check_name(agent)?;
+    Ok(FollowSettings {
         own: serve.name.clone(),
         agent: agent.into(),
         pattern,
         fuse_into: serve.fuse_into.clone(),
-    }
+    })
 }
 
 /// How much is kept, from days and megabytes.

@@ -4,6 +4,7 @@
 use std::sync::Arc;
 
 use armarium_bus::{Question, Questions, SessionError};
+use tokio::runtime::Handle;
 use tokio::sync::OwnedSemaphorePermit;
 use tokio::task::JoinSet;
 
@@ -15,8 +16,8 @@ use crate::wire::{self, Maintain, Snapshots};
 
 /// Most snapshots in one answer.
 const MOST_SNAPSHOTS: usize = 8192;
-/// What a question takes of the room at least, kB.
-const QUERY_KB: u32 = 128;
+/// What a question takes of the room at least, kB: so that fewer wait at once than there are threads that may wait.
+const QUERY_KB: u32 = 256;
 
 impl Shared {
     /// Room for a question to wait for its turn beside the others, so that commits never wait for queries; when there is
@@ -33,12 +34,26 @@ impl Shared {
     }
 
     /// The turn of one that waits.
-    pub(super) async fn turn(&self) -> Option<OwnedSemaphorePermit> {
+    async fn turn(&self) -> Option<OwnedSemaphorePermit> {
         Arc::clone(&self.queries).acquire_owned().await.ok()
     }
 
+    /// Answers a query or maintenance when it is its turn. Its turn ends before it is sent: how long that takes is up to
+    /// who asked.
+    pub(super) async fn answer_aside(self, question: Question, room: OwnedSemaphorePermit) {
+        let turn = self.turn().await;
+        let answering = tokio::task::spawn_blocking(move || {
+            let answer = self.answer(&question);
+            drop(turn);
+            self.send_all(vec![(question, answer)]);
+            drop(room);
+        });
+        // It does not panic, and nobody takes it back.
+        let _ = answering.await.is_ok();
+    }
+
     /// A query or maintenance, by its encoding.
-    pub(super) fn answer(&self, question: &Question) -> Result<(String, Vec<u8>), MemoryError> {
+    fn answer(&self, question: &Question) -> Result<(String, Vec<u8>), MemoryError> {
         let (encoding, payload) = (question.encoding.as_str(), question.payload.as_slice());
         let sealed = if encoding.starts_with("application/cbor;memoryx/maintain;") {
             let request: Maintain = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
@@ -75,9 +90,8 @@ impl Shared {
         while let Some(question) = questions.next().await {
             if let Some(room) = self.room_for(&question).await {
                 let shared = self.clone();
-                answers.spawn(async move {
-                    let _turn = shared.turn().await;
-                    log_failure(shared.answer_get(&question).await);
+                answers.spawn_blocking(move || {
+                    log_failure(Handle::current().block_on(shared.answer_get(&question)));
                     drop(room);
                 });
             }
@@ -93,10 +107,12 @@ impl Shared {
             Err(what) => return self.refuse(question, &MemoryError::Query { what }).await,
         };
         loop {
-            let found = match tokio::task::block_in_place(|| self.memory.query_now(&query)) {
+            let turn = self.turn().await;
+            let found = match self.memory.query_now(&query) {
                 Ok(found) => found,
                 Err(error) => return self.refuse(question, &error).await,
             };
+            drop(turn);
             let more = query.is_filled_by(&found);
             query.after = found.last().map(|s| Cursor { id: s.id.clone(), version: s.version });
             for snapshot in found {

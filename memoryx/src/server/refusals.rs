@@ -1,6 +1,7 @@
-//! What is refused is logged with who sent it, and a flood of it does not become a flood of log lines: a few are
-//! written each second, and the others counted.
+//! What is refused is logged with who sent it, and a flood of it does not become a flood of log lines: a few of
+//! each sender are written in a second, and the others counted.
 
+use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
@@ -8,8 +9,10 @@ use tokio::time::Instant;
 
 use crate::error::MemoryError;
 
-/// Refusals that are logged one by one in a second.
-const LOGGED: u32 = 5;
+/// Refusals of one sender that are logged one by one in a second.
+const LOGGED: u32 = 3;
+/// Senders whose refusals are logged in a second.
+const SENDERS: usize = 16;
 /// How long they are counted together.
 const WINDOW: Duration = Duration::from_secs(1);
 
@@ -20,7 +23,7 @@ pub(super) struct Refusals(Mutex<Lately>);
 #[derive(Debug, Default)]
 struct Lately {
     since: Option<Instant>,
-    logged: u32,
+    logged: BTreeMap<String, u32>,
     left_out: u64,
 }
 
@@ -36,8 +39,9 @@ impl Refusals {
             }
             *lately = Lately { since: Some(now), ..Lately::default() };
         }
-        if lately.logged < LOGGED {
-            lately.logged += 1;
+        let logged = lately.logged.get(sender).copied().unwrap_or(0);
+        if logged < LOGGED && (logged > 0 || lately.logged.len() < SENDERS) {
+            lately.logged.insert(sender.into(), logged + 1);
             tracing::warn!(%error, key, sender, "refused");
         } else {
             lately.left_out += 1;

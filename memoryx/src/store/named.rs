@@ -27,9 +27,9 @@ impl LongTermMemory {
     /// holds is kept until [`Self::forget_named`]. Returns how many entities it holds.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchName`] for what cannot be a name; as [`Self::persist`].
+    /// [`StoreError::Name`] for what cannot be a name; as [`Self::persist`].
     pub fn save_named(&self, name: &str, memory: &WorkingMemory) -> Result<usize, StoreError> {
-        check_name(name).map_err(|_| no_such(name))?;
+        check_name(name).map_err(|_| StoreError::Name { name: short(name) })?;
         let held = memory
             .query_now(&Query::latest(Pattern::any()))
             .map_err(|e| StoreError::Query { what: e.to_string() })?;
@@ -154,7 +154,11 @@ impl LongTermMemory {
 }
 
 fn no_such(name: &str) -> StoreError {
-    StoreError::NoSuchName { name: name.chars().take(200).collect() }
+    StoreError::NoSuchName { name: short(name) }
+}
+
+fn short(name: &str) -> String {
+    name.chars().take(200).collect()
 }
 
 /// Entity numbers and versions of a list.
