@@ -92,6 +92,8 @@ pub struct WorkingMemory {
     limits: Limits,
     schemas: BTreeMap<String, SegmentSchema>,
     backing: Option<Arc<dyn Backing>>,
+    /// Most snapshots that the backing is asked for at once.
+    part: usize,
     changes: broadcast::Sender<Arc<Snapshot>>,
     /// Commits that wait for the one who commits.
     waiting: Mutex<Vec<Request>>,
@@ -110,6 +112,7 @@ impl WorkingMemory {
             limits,
             schemas: core_segments(),
             backing: None,
+            part: recalling::PART,
             changes: broadcast::channel(limits.backlog).0,
             waiting: Mutex::default(),
             committing: Mutex::new(0),
@@ -136,6 +139,13 @@ impl WorkingMemory {
     #[must_use]
     pub fn with_backing(mut self, backing: Arc<dyn Backing>) -> Self {
         self.backing = Some(backing);
+        self
+    }
+
+    /// The same memory, which asks its backing in smaller parts.
+    #[cfg(test)]
+    pub(crate) fn in_parts_of(mut self, part: usize) -> Self {
+        self.part = part;
         self
     }
 

@@ -218,7 +218,9 @@ async fn who_never_reads_or_sends_too_much_costs_the_others_nothing() {
     let stuck = Mutex::new(stuck);
     let changes_of_alice = keys::memory_changes("alice").unwrap();
     let never = lazy.zenoh().declare_subscriber(changes_of_alice.as_str().to_owned());
-    let wait = move |_| drop(stuck.lock().unwrap().recv());
+    let wait = move |_| {
+        let _ = stuck.lock().unwrap().recv();
+    };
     let never = never.callback(wait).await.unwrap();
     let near = connected(&far).await;
     let carol = RemoteMemory::connect(&near, "alice").await.unwrap();

@@ -138,8 +138,10 @@ impl<'s> Reader<'s> {
             Times::At(time) => answer.extend(one(self.held(entity, |referenced| referenced <= time)?)?),
             Times::Before(time) => answer.extend(one(self.held(entity, |referenced| referenced < time)?)?),
             Times::All if query.arrived_since.is_some() => {
-                let rows = self.arrived(asked, entity)?;
-                self.add(asked, entity, rows, answer)?;
+                let goes_on = query.after.as_ref().is_some_and(|after| after.id == entity.id);
+                let since = query.arrived_since.filter(|_| !goes_on);
+                let first = since.map_or(Ok(0), |since| self.arrived(entity.number, since))?;
+                self.add_range(asked, entity, (first, u64::MAX), |_| true, answer)?;
             }
             Times::All => self.add_range(asked, entity, all, |_| true, answer)?,
             Times::Versions(from, to) if from > to => {}
@@ -252,22 +254,22 @@ impl<'s> Reader<'s> {
         Ok(found)
     }
 
-    /// The rows of what arrived at a time or later: versions arrive in their order.
-    fn arrived(&self, asked: &Asked<'_>, entity: &Entity) -> Result<Vec<(u64, Row)>, StoreError> {
-        let since = asked.query().arrived_since.unwrap_or(0);
+    /// The first version that arrived at a time or later, by bisection: versions arrive in their order.
+    fn arrived(&self, number: u64, since: u64) -> Result<u64, StoreError> {
         let fault = |e: redb::StorageError| self.store.fault(e);
-        let rows = self.index.range((entity.number, 0)..=(entity.number, u64::MAX)).map_err(fault)?;
-        let mut found = Vec::new();
-        for row in rows.rev() {
-            let (key, row) = row.map_err(fault)?;
+        let (mut low, mut high) = (0, self.newest(number)?.map_or(0, |(version, _)| version + 1));
+        while low < high {
+            let middle = low + (high - low) / 2;
+            let row = self.index.range((number, middle)..=(number, u64::MAX)).map_err(fault)?.next();
+            let Some((key, row)) = row.transpose().map_err(fault)? else { break };
             let times = self.with_record(row.value(), record::times)?;
             if times.map_err(|what| self.store.damaged(what))?.1 < since {
-                break;
+                low = key.value().1 + 1;
+            } else {
+                high = middle;
             }
-            found.push((key.value().1, row.value()));
         }
-        found.reverse();
-        Ok(found)
+        Ok(low)
     }
 
     /// The row with the latest time among those that count; `counts` holds up to some time and not after it.

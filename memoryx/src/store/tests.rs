@@ -242,7 +242,7 @@ proptest! {
         };
         let memory = WorkingMemory::new(clock()).with_backing(Arc::<LongTermMemory>::clone(&store));
         let forgetful = WorkingMemory::new(clock()).with_limits(Limits { history: 1, ..Limits::default() });
-        let forgetful = forgetful.with_backing(other);
+        let forgetful = forgetful.with_backing(other).in_parts_of(3);
         for (name, time, there) in history {
             let id: EntityId = format!("S/p/e{name}").parse().unwrap();
             let update = if there { Commit::new(id, time, BTreeMap::new()) } else { Commit::removal(id, time) };
@@ -263,7 +263,7 @@ proptest! {
     fn pieces_make_up_the_whole(history in histories(), query in queries(), size in 1usize..5, bytes in 0u64..900) {
         let (_folder, _, store) = store();
         let memory = WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits { history: 2, ..Limits::default() });
-        let memory = memory.with_backing(store);
+        let memory = memory.with_backing(store).in_parts_of(2);
         for (name, time, there) in history {
             let id: EntityId = format!("S/p/e{name}").parse().unwrap();
             let update = if there { Commit::new(id, time, BTreeMap::new()) } else { Commit::removal(id, time) };

@@ -10,8 +10,8 @@ use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Cursor, Query, Times};
 
-/// Most snapshots of a part; few in tests, so that they have more than one.
-const PART: usize = if cfg!(test) { 3 } else { 1024 };
+/// Most snapshots of a part.
+pub(super) const PART: usize = 8192;
 /// Most bytes of a part, about.
 const PART_BYTES: u64 = 16 << 20;
 
@@ -24,7 +24,7 @@ impl WorkingMemory {
     ) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         let query = asked.query();
         let mut answer = asked.answer();
-        let mut wide = wider(query);
+        let mut wide = wider(query, self.part);
         loop {
             let recalled = backing.recall(&wide)?;
             let held = self.read().select(&wide.ask()?);
@@ -59,13 +59,13 @@ fn is_one(times: Times) -> bool {
 }
 
 /// What two memories are asked for when the answer is taken of what they know together: all that could decide it.
-fn wider(query: &Query) -> Query {
+fn wider(query: &Query, part: usize) -> Query {
     let is_one = is_one(query.times);
     let by_time = matches!(query.times, Times::All | Times::Between(..) | Times::Versions(..));
     // Whether each snapshot is asked for or not, whatever others there are.
     let is_each = by_time && query.limit.is_none();
     let in_parts = is_one || (is_each && !query.is_nearest());
-    let most = if is_each { query.most.map_or(PART, |most| most.min(PART)) } else { PART };
+    let most = if is_each { query.most.map_or(part, |most| most.min(part)) } else { part };
     let after = query.after.clone().filter(|_| is_one || by_time);
     Query {
         pattern: query.pattern.clone(),
