@@ -160,7 +160,7 @@ impl Shared {
                 let is_group = commits.len() == GROUP || bytes > GROUP_BYTES;
                 next = if is_group { None } else { questions.try_next() };
             }
-            let answers = self.answer_commits(commits).await;
+            let answers = self.answer_commits(commits);
             if !answers.is_empty() {
                 let shared = self.clone();
                 others.spawn_blocking(move || shared.send_all(answers));
@@ -170,9 +170,8 @@ impl Shared {
     }
 
     /// Commits what is understood and permitted; what is to be said to whom.
-    async fn answer_commits(&self, questions: Vec<Question>) -> Vec<(Question, Answer)> {
-        let mut understood = Vec::with_capacity(questions.len());
-        let mut commits = Vec::with_capacity(questions.len());
+    fn answer_commits(&self, questions: Vec<Question>) -> Vec<(Question, Answer)> {
+        let (mut understood, mut commits, mut answers) = (Vec::new(), Vec::new(), Vec::new());
         for question in questions {
             let request = wire::open::<CommitRequest>(&question.encoding, &question.payload);
             let request = request.map_err(|error| self.not_understood(&error));
@@ -181,17 +180,17 @@ impl Shared {
                     commits.push((request.updates, request.sent_ns));
                     understood.push(question);
                 }
-                Err(error) => self.send(&question, Err(error)).await,
+                Err(error) => answers.push((question, Err(error))),
             }
         }
-        if commits.is_empty() {
-            return Vec::new();
+        if !commits.is_empty() {
+            let sealed = self.held_up(|| self.memory.commit_group(commits)).into_iter().map(|answer| {
+                answer
+                    .and_then(|versions| wire::seal(&Versions(versions)).map_err(|e| self.not_understood(&e)))
+            });
+            answers.extend(understood.into_iter().zip(sealed));
         }
-        let answers = self.held_up(|| self.memory.commit_group(commits));
-        let sealed = answers.into_iter().map(|answer| {
-            answer.and_then(|versions| wire::seal(&Versions(versions)).map_err(|e| self.not_understood(&e)))
-        });
-        understood.into_iter().zip(sealed).collect()
+        answers
     }
 
     /// Sends answers, on a thread that may wait: a link that takes nothing holds whoever sends up until Zenoh gives it up,
