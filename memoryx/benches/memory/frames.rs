@@ -32,7 +32,7 @@ impl Camera {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             (state >> 60) as i8
         };
-        // Sums of uniform numbers are about normally distributed: standard deviation 0.8 * 4.6.
+        // Sums of uniform numbers are about normally distributed; the standard deviation of these is 4.0.
         let noise = (0..BYTES + 100_003).map(|_| {
             let sum = i16::from(random()) + i16::from(random()) + i16::from(random()) - 22;
             (sum / 2) as i8
