@@ -111,7 +111,6 @@ impl Access {
                 format!("{own}/memory"),
                 format!("{own}/memory/changes"),
                 format!("{own}/memory/*/*/*"),
-                format!("{own}/memory/by/{other}"),
                 format!("{own}/alive/*"),
             ];
             rules.push(rule(other, "reads", ASKS, "ingress", asked));
@@ -119,6 +118,7 @@ impl Access {
             rules.push(rule(other, "is_told", TELLS, "egress", told));
         }
         if is_in(&self.writers) {
+            rules.push(rule(other, "commits", ASKS, "ingress", [format!("{own}/memory/by/{other}")]));
             rules.push(rule(other, "writes", &["put"], "ingress", [format!("{own}/memory/*/{other}/*")]));
         }
         if is_in(&self.callers) {
@@ -149,7 +149,7 @@ mod tests {
         let names = |list: &[&str]| list.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
         let access = Access {
             own: "alice".into(),
-            readers: names(&["bob"]),
+            readers: names(&["bob", "erin"]),
             writers: names(&["carol", "bob"]),
             callers: names(&["dave"]),
         };
@@ -162,7 +162,14 @@ mod tests {
             ids.map(|id| id.as_str().unwrap().to_owned()).collect::<Vec<_>>()
         };
         assert_eq!(of("alice"), ["alice everything", "alice everything_back"]);
-        assert_eq!(of("bob"), ["bob tells", "bob is_asked", "bob reads", "bob is_told", "bob writes"]);
+        let reader = ["erin tells", "erin is_asked", "erin reads", "erin is_told"];
+        assert_eq!(of("erin"), reader);
+        let writer = ["bob tells", "bob is_asked", "bob reads", "bob is_told", "bob commits", "bob writes"];
+        assert_eq!(of("bob"), writer);
+        let keys = |id: &str| {
+            rules["rules"].as_array().unwrap().iter().find(|r| r["id"] == id).unwrap()["key_exprs"].clone()
+        };
+        assert!(!keys("erin reads").to_string().contains("/by/"), "who reads has no key to commit on");
         assert_eq!(of("dave"), ["dave tells", "dave is_asked", "dave calls", "dave is_answered"]);
         let config = crate::SessionConfig { access_control: Some(rules), ..Default::default() };
         assert!(config.to_zenoh().is_ok());

@@ -78,10 +78,26 @@ impl ConnectionArgs {
             config.listen.clone_from(&self.listen);
         }
         config.off_loopback = self.off_loopback;
+        for endpoint in config.listen.iter().chain(&config.connect) {
+            self.check(endpoint)?;
+        }
         config.tls = self.tls()?;
         let rules = access.map(Access::rules).transpose();
         config.access_control = rules.map_err(|error| SessionError::Config { what: error.to_string() })?;
         Ok(config)
+    }
+
+    /// Says of an endpoint what Zenoh would say late or not at all.
+    fn check(&self, endpoint: &str) -> Result<(), SessionError> {
+        let protocol = endpoint.split_once('/').map(|(protocol, _)| protocol);
+        let what = match protocol {
+            None | Some("") => format!("`{endpoint}` is no endpoint such as tcp/127.0.0.1:7447"),
+            Some("tls" | "quic") if self.ca.is_none() => {
+                format!("`{endpoint}` needs certificates: --ca, --certificate and --key")
+            }
+            Some(_) => return Ok(()),
+        };
+        Err(SessionError::Config { what })
     }
 
     fn tls(&self) -> Result<Option<Tls>, SessionError> {

@@ -56,7 +56,7 @@ impl AgentConfig {
             store: None,
             policies: Policies::all(Policy::Everything),
             retention: Retention::default(),
-            limits: Limits { ahead_ns: Some(60_000_000_000), ..Limits::default() },
+            limits: Limits { ahead_ns: Some(60_000_000_000), shares: 4, ..Limits::default() },
             follow: Vec::new(),
             prior: PriorKnowledge::new(),
             infer: Vec::new(),

@@ -52,7 +52,7 @@ impl Asked<'_> {
         match query.times {
             _ if limit == 0 => Vec::new(),
             Times::Latest => {
-                let newest = history.next_back().filter(|s| !s.is_removed() && self.fits(s));
+                let newest = history.next_back().filter(|s| self.is_told(s) && self.fits(s));
                 newest.into_iter().collect()
             }
             Times::All => newest(&mut history.rev()),
@@ -71,16 +71,9 @@ impl Asked<'_> {
         }
     }
 
-    /// [`Self::select`] of snapshots whose times were chosen before.
-    pub(crate) fn select_of(&self, chosen: Vec<Arc<Snapshot>>, times: Times) -> Vec<Arc<Snapshot>> {
-        let query = Query { times, ..self.query.clone() };
-        Asked { query: &query, filter: self.filter.clone() }.select(chosen.into_iter())
-    }
-
-    /// Whether as much was found as is asked for, so that later entities need not be looked at.
-    #[must_use]
-    pub fn is_full(&self, found: usize) -> bool {
-        !self.query.is_nearest() && self.query.most.is_some_and(|most| found >= most)
+    /// An answer with nothing in it yet.
+    pub(crate) fn answer(&self) -> Answer<'_> {
+        Answer { asked: self, found: Vec::new(), bytes: 0 }
     }
 
     /// Makes the answer of what was taken of all entities, in order of address.
@@ -95,10 +88,24 @@ impl Asked<'_> {
             found = placed.into_iter().map(|(_, s)| s).collect();
         }
         found.truncate(self.query.most.unwrap_or(usize::MAX));
+        if let Some(most) = self.query.most_bytes {
+            let mut bytes = 0;
+            let before_last = found.iter().take_while(|snapshot| {
+                bytes += snapshot.bytes();
+                bytes < most
+            });
+            found.truncate(before_last.count() + 1);
+        }
         found
     }
 
-    fn fits(&self, snapshot: &Snapshot) -> bool {
+    /// Whether a snapshot may be told where one of an entity is asked for.
+    fn is_told(&self, snapshot: &Snapshot) -> bool {
+        self.query.removed || !snapshot.is_removed()
+    }
+
+    /// Whether a snapshot that the times have chosen is asked for.
+    pub(crate) fn fits(&self, snapshot: &Snapshot) -> bool {
         let query = self.query;
         query.arrived_since.is_none_or(|since| snapshot.arrived_ns >= since)
             && query.after.as_ref().is_none_or(|after| {
@@ -115,7 +122,40 @@ impl Asked<'_> {
         counts: impl Fn(&Snapshot) -> bool,
     ) -> Vec<Arc<Snapshot>> {
         let held = history.filter(|s| counts(s)).max_by_key(|s| (s.referenced_ns, s.version));
-        held.filter(|s| !s.is_removed() && self.fits(s)).into_iter().collect()
+        held.filter(|s| self.is_told(s) && self.fits(s)).into_iter().collect()
+    }
+}
+
+/// What was found so far, in the order of the answer.
+pub(crate) struct Answer<'a> {
+    asked: &'a Asked<'a>,
+    found: Vec<Arc<Snapshot>>,
+    /// Of `found`, where the question bounds them.
+    bytes: u64,
+}
+
+impl Answer<'_> {
+    pub(crate) fn push(&mut self, snapshot: Arc<Snapshot>) {
+        if self.asked.query.most_bytes.is_some() {
+            self.bytes += snapshot.bytes();
+        }
+        self.found.push(snapshot);
+    }
+
+    pub(crate) fn extend(&mut self, snapshots: Vec<Arc<Snapshot>>) {
+        snapshots.into_iter().for_each(|snapshot| self.push(snapshot));
+    }
+
+    /// Whether as much was found as is asked for, so that nothing that comes later need be looked at.
+    pub(crate) fn is_full(&self) -> bool {
+        let query = self.asked.query;
+        !query.is_nearest()
+            && (query.most.is_some_and(|most| self.found.len() >= most)
+                || query.most_bytes.is_some_and(|most| self.bytes >= most && !self.found.is_empty()))
+    }
+
+    pub(crate) fn finish(self) -> Vec<Arc<Snapshot>> {
+        self.asked.finish(self.found)
     }
 }
 

@@ -58,8 +58,8 @@ pub enum MemoryError {
     },
     /// The memory lets only certain writers write, and each only his own provider segments.
     #[error(
-        "`{writer}` may not write `{id}`: this memory takes commits on `AGENT/memory/by/WRITER`, of provider segments that are \
-         called as the writer or begin with his name and a dot"
+        "`{writer}` may not write `{id}`: this memory has access rules, and lets a writer who says his name write provider segments \
+         that are called as he is, or begin with his name and a dot, and the agent itself everything"
     )]
     Forbidden {
         /// The address, or what else was asked for.
@@ -67,8 +67,10 @@ pub enum MemoryError {
         /// The writer, as far as he is known.
         writer: String,
     },
-    /// The memory has as many entities as it may have.
-    #[error("`{id}` does not fit: the memory holds its maximum of {entities} entities")]
+    /// The memory has as many entities as it may have, of all writers or of this one.
+    #[error(
+        "`{id}` does not fit: the memory holds its maximum of {entities} entities, of all writers or of this one"
+    )]
     Full {
         /// The address.
         id: String,
@@ -90,7 +92,9 @@ pub enum MemoryError {
         ahead_s: u64,
     },
     /// More in one commit, or one entity, than the memory takes.
-    #[error("`{id}` does not fit: it takes {bytes} bytes, and at most {most} are taken")]
+    #[error(
+        "`{id}` does not fit: it takes {bytes} bytes, and at most {most} are held of all writers or of this one"
+    )]
     TooLarge {
         /// The address.
         id: String,

@@ -53,6 +53,39 @@ async fn nonsense_is_refused_in_words_and_others_are_served() {
     assert_eq!(remote.commit(vec![update("a", 2)]).await, Ok(vec![2]));
 }
 
+#[test]
+fn nobody_takes_the_room_of_others() {
+    let limits = Limits { history: 2, entities: 100, bytes: 40_000, shares: 4, ..Limits::default() };
+    let memory = WorkingMemory::new(Arc::new(|| 0)).with_limits(limits);
+    let of = |provider: &str, name: &str, bytes: usize| {
+        let data = Value::Bytes(vec![0; bytes]);
+        Commit::new(EntityId::new("Things", provider, name).unwrap(), 0, [("data", data)])
+    };
+    // A provider segment and those that begin with its name and a dot are of one owner.
+    let many = |provider: &str, count: usize| {
+        (0..count).map(|i| of(provider, &format!("e{i}"), 0)).collect::<Vec<_>>()
+    };
+    assert!(memory.commit_now([many("mallory", 20), many("mallory.b", 5)].concat()).is_ok());
+    let more = memory.commit_now(vec![of("mallory.c", "e", 0)]);
+    assert!(matches!(more, Err(MemoryError::Full { entities: 25, .. })), "{more:?}");
+    let at_once = memory.commit_now(many("other", 26));
+    assert!(matches!(at_once, Err(MemoryError::Full { entities: 25, .. })), "all or none: {at_once:?}");
+    assert_eq!(memory.len(), 25);
+    assert!(memory.commit_now(many("carol", 25)).is_ok(), "there is room for others");
+
+    // Bytes: what pushes as much out as it brings is taken for ever.
+    for _ in 0..5 {
+        memory.commit_now(vec![of("dave", "image", 4000)]).unwrap();
+    }
+    let second = memory.commit_now(vec![of("dave", "other", 4000)]);
+    assert!(matches!(second, Err(MemoryError::TooLarge { most: 10_000, .. })), "{second:?}");
+    let large = memory.commit_now(vec![of("dave", "image", 9000)]);
+    assert!(matches!(large, Err(MemoryError::TooLarge { most: 10_000, .. })), "{large:?}");
+    let gone = Commit::removal(of("dave", "image", 0).id, 0);
+    assert_eq!(memory.commit_now(vec![gone]), Ok(vec![6]), "that it is gone is always taken");
+    assert!(memory.commit_now(vec![of("erin", "image", 4000)]).is_ok());
+}
+
 /// Counts how often it is asked to keep something.
 #[derive(Default)]
 struct Counting(AtomicUsize);

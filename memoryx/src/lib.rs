@@ -56,8 +56,8 @@ pub use schema::{Attribute, SegmentSchema, core_segments};
 pub use server::MemoryServer;
 pub use share::{FollowSettings, Following};
 pub use store::{
-    Consolidator, Dropped, LongTermMemory, Named, Numbering, Policies, Policy, Retention, Step, StoreError,
-    StoreStats, Verification,
+    Coding, Consolidator, Dropped, LongTermMemory, Named, Numbering, Policies, Policy, Retention, Step,
+    StoreError, StoreStats, Verification,
 };
 pub use working::{Backing, Clock, Limits, WorkingMemory, tokio_clock};
 

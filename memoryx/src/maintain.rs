@@ -10,7 +10,8 @@ use crate::working::WorkingMemory;
 /// Carries out a request. Blocks for the disk.
 ///
 /// # Errors
-/// [`MemoryError::Store`] when the disk or the file fails; as [`WorkingMemory::commit_now`] when a named snapshot is loaded.
+/// [`MemoryError::Store`] when the disk or the file fails; [`MemoryError::Schema`] and [`MemoryError::Confidence`] for
+/// snapshots that no memory would have taken; as [`WorkingMemory::commit_now`] when a named snapshot is loaded.
 pub fn carry_out(
     request: Maintain,
     store: &LongTermMemory,
@@ -57,6 +58,9 @@ pub fn carry_out(
             let dropped = store.retain(Retention { age_ns, bytes }, memory.now_ns())?;
             counted(&[("dropped", dropped.snapshots), ("freed_bytes", dropped.bytes)])
         }
-        Maintain::Keep { snapshots } => counted(&[("kept", store.persist(&snapshots)? as u64)]),
+        Maintain::Keep { snapshots } => {
+            snapshots.iter().try_for_each(|snapshot| snapshot.check_kept())?;
+            counted(&[("kept", store.persist(&snapshots)? as u64)])
+        }
     })
 }

@@ -53,7 +53,11 @@ pub trait Memory: Send + Sync {
     }
 }
 
-/// The pieces of a long answer: at most `size` snapshots each, until all were given.
+/// Most bytes of snapshots in a piece, about.
+const PIECE_BYTES: u64 = 16 << 20;
+
+/// The pieces of a long answer: at most `size` snapshots each, and no more bytes than a process can do with, until all
+/// were given.
 #[derive(Clone, Debug)]
 pub struct Pages {
     query: Query,
@@ -64,7 +68,8 @@ pub struct Pages {
 /// nothing is there twice, and nothing that stays is left out.
 #[must_use]
 pub fn pages(query: Query, size: usize) -> Pages {
-    Pages { query: Query { most: Some(size.max(1)), ..query }, left: true }
+    let bytes = query.most_bytes.unwrap_or(PIECE_BYTES);
+    Pages { query: Query { most: Some(size.max(1)), most_bytes: Some(bytes), ..query }, left: true }
 }
 
 impl Pages {
@@ -77,7 +82,7 @@ impl Pages {
             return Ok(None);
         }
         let found = memory.query(&self.query).await?;
-        self.left = Some(found.len()) == self.query.most && !self.query.is_nearest();
+        self.left = self.query.is_filled_by(&found);
         self.query.after = found.last().map(|s| Cursor { id: s.id.clone(), version: s.version });
         Ok((!found.is_empty()).then_some(found))
     }

@@ -1,10 +1,12 @@
 //! What can be asked of a memory. It answers nothing: every memory selects with [`Asked`], so that in process, on disk and
 //! over Zenoh a query means the same.
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 
 use crate::asked::Asked;
-use crate::entity::EntityId;
+use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::filter::Filter;
 use crate::place::Region;
@@ -71,6 +73,10 @@ pub struct Query {
     pub after: Option<Cursor>,
     /// At most this many snapshots in all, the first ones.
     pub most: Option<usize>,
+    /// At most about this many bytes of snapshots in all, the first ones; the one that reaches it is the last.
+    pub most_bytes: Option<u64>,
+    /// Whether the newest, or what held at a time, is told also when it says that the entity is gone.
+    pub removed: bool,
     /// Whether to look into long-term memory too, where working memory has forgotten.
     pub long_term: bool,
 }
@@ -191,6 +197,21 @@ impl Query {
     #[must_use]
     pub fn is_nearest(&self) -> bool {
         matches!(self.region, Some(Region::Nearest { .. }))
+    }
+
+    /// Whether an answer is as long as this question lets it be, so that there may be more: to be asked for
+    /// with [`Self::after`] its last one.
+    #[must_use]
+    pub fn is_filled_by(&self, answer: &[Arc<Snapshot>]) -> bool {
+        let is_long = |most: u64| {
+            let mut bytes = 0;
+            answer.iter().any(|snapshot| {
+                bytes += snapshot.bytes();
+                bytes >= most
+            })
+        };
+        !self.is_nearest()
+            && (self.most.is_some_and(|most| answer.len() >= most) || self.most_bytes.is_some_and(is_long))
     }
 
     /// Checks the question.

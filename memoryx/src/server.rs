@@ -15,25 +15,31 @@ use armarium_bus::{
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 
-use crate::entity::{Commit, Snapshot};
+use crate::entity::Commit;
 use crate::error::MemoryError;
 use crate::follow::Follower;
-use crate::maintain;
-use crate::query::{Pattern, Query};
+use crate::query::Pattern;
 use crate::store::LongTermMemory;
-use crate::wire::{self, CommitRequest, Maintain, Snapshots, Versions};
+use crate::wire::{self, CommitRequest, Versions};
 use crate::working::WorkingMemory;
 
+mod asking;
+mod refusals;
 mod tell;
 
+use refusals::{Refusals, is_rude};
 use tell::Teller;
 
 /// Questions and updates that wait to be looked at.
 const QUEUE: usize = 1024;
 /// Commits that are made durable together.
 const GROUP: usize = 256;
+/// Bytes of requests that are opened together, beyond the one that passes them.
+const GROUP_BYTES: usize = 8 << 20;
 /// Queries that are answered side by side.
 const QUERIES: usize = 8;
+/// Room for questions that wait or are answered, kB.
+const ROOM_KB: u32 = 64 << 10;
 
 /// A memory that is shared for as long as this lives.
 #[derive(Debug)]
@@ -90,7 +96,9 @@ impl MemoryServer {
 
         let (follower, _) = Follower::from_now(Arc::<WorkingMemory>::clone(&memory), Pattern::any()).await?;
         let queries = Arc::new(Semaphore::new(QUERIES));
-        let shared = Shared { agent: agent.into(), memory, store, queries, guarded };
+        let room = Arc::new(Semaphore::new(ROOM_KB as usize));
+        let refusals = Arc::default();
+        let shared = Shared { agent: agent.into(), memory, store, queries, room, guarded, refusals };
         let mut tasks = JoinSet::new();
         let questions = session.answer(requests, QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_requests(questions));
@@ -111,42 +119,48 @@ pub(crate) fn unreachable_memory(agent: &str, what: &str) -> MemoryError {
     MemoryError::Remote { agent: agent.into(), what: what.into() }
 }
 
+/// The encoding and the bytes of an answer, or why there is none.
+type Answer = Result<(String, Vec<u8>), MemoryError>;
+
 #[derive(Clone)]
 struct Shared {
     agent: String,
     memory: Arc<WorkingMemory>,
     store: Option<Arc<LongTermMemory>>,
     queries: Arc<Semaphore>,
+    room: Arc<Semaphore>,
     guarded: bool,
+    refusals: Arc<Refusals>,
 }
 
 impl Shared {
     async fn answer_requests(self, mut questions: Questions) {
         let mut others = JoinSet::new();
         while let Some(first) = questions.next().await {
-            let mut commits = Vec::new();
+            let (mut commits, mut bytes) = (Vec::new(), 0);
             let mut next = Some(first);
             while let Some(question) = next {
                 if question.encoding.starts_with("application/cbor;memoryx/commit;") {
+                    bytes += question.payload.len();
                     commits.push(question);
-                } else if let Ok(permit) = Arc::clone(&self.queries).acquire_owned().await {
-                    let shared = self.clone();
-                    others.spawn(async move {
-                        let answer = tokio::task::block_in_place(|| shared.answer(&question));
-                        shared.send(&question, answer).await;
-                        drop(permit);
-                    });
+                } else if let Some(room) = self.room_for(&question).await {
+                    others.spawn(self.clone().answer_aside(question, room));
                 }
-                next = if commits.len() < GROUP { questions.try_next() } else { None };
+                let is_group = commits.len() == GROUP || bytes > GROUP_BYTES;
+                next = if is_group { None } else { questions.try_next() };
             }
-            self.answer_commits(commits).await;
+            let answers = self.answer_commits(commits);
+            if !answers.is_empty() {
+                let shared = self.clone();
+                others.spawn_blocking(move || shared.send_all(answers));
+            }
             while others.try_join_next().is_some() {}
         }
     }
 
-    async fn answer_commits(&self, questions: Vec<Question>) {
-        let mut understood = Vec::with_capacity(questions.len());
-        let mut commits = Vec::with_capacity(questions.len());
+    /// Commits what is understood and permitted; what is to be said to whom.
+    fn answer_commits(&self, questions: Vec<Question>) -> Vec<(Question, Answer)> {
+        let (mut understood, mut commits, mut answers) = (Vec::new(), Vec::new(), Vec::new());
         for question in questions {
             let request = wire::open::<CommitRequest>(&question.encoding, &question.payload);
             let request = request.map_err(|error| self.not_understood(&error));
@@ -155,26 +169,35 @@ impl Shared {
                     commits.push((request.updates, request.sent_ns));
                     understood.push(question);
                 }
-                Err(error) => self.send(&question, Err(error)).await,
+                Err(error) => answers.push((question, Err(error))),
             }
         }
-        if commits.is_empty() {
-            return;
+        if !commits.is_empty() {
+            let sealed = self.held_up(|| self.memory.commit_group(commits)).into_iter().map(|answer| {
+                answer
+                    .and_then(|versions| wire::seal(&Versions(versions)).map_err(|e| self.not_understood(&e)))
+            });
+            answers.extend(understood.into_iter().zip(sealed));
         }
-        let answers = self.held_up(|| self.memory.commit_group(commits));
-        for (question, answer) in understood.iter().zip(answers) {
-            let sealed = answer.and_then(|v| wire::seal(&Versions(v)).map_err(|e| self.not_understood(&e)));
-            self.send(question, sealed).await;
+        answers
+    }
+
+    /// Sends answers, on a thread that may wait: a link that takes nothing holds whoever sends up until Zenoh gives it up,
+    /// and nobody else waits for that.
+    fn send_all(&self, answers: Vec<(Question, Answer)>) {
+        let runtime = tokio::runtime::Handle::current();
+        for (question, answer) in answers {
+            runtime.block_on(self.send(&question, answer));
         }
     }
 
-    async fn send(&self, question: &Question, answer: Result<(String, Vec<u8>), MemoryError>) {
+    async fn send(&self, question: &Question, answer: Answer) {
         // Who asks all memories at once is answered on this one's key.
         let key = Key::parse(&question.key).or_else(|_| keys::memory_commit(&self.agent));
         let key = key.map_err(|error| MemoryError::Name { name: error.name });
         let sent = match (answer, key) {
             (Ok((encoding, payload)), Ok(key)) => question.reply(&key, &encoding, payload).await,
-            (Err(error), _) | (_, Err(error)) => refuse(question, &error).await,
+            (Err(error), _) | (_, Err(error)) => self.refuse(question, &error).await,
         };
         log_failure(sent);
     }
@@ -213,60 +236,15 @@ impl Shared {
         unreachable_memory(&self.agent, &error.to_string())
     }
 
-    /// A query or maintenance, by its encoding.
-    fn answer(&self, question: &Question) -> Result<(String, Vec<u8>), MemoryError> {
-        let (encoding, payload) = (question.encoding.as_str(), question.payload.as_slice());
-        let sealed = if encoding.starts_with("application/cbor;memoryx/maintain;") {
-            let request: Maintain = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
-            let writer = self.writer(question);
-            if self.guarded && writer != Some(self.agent.as_str()) {
-                return Err(forbid("long-term memory".into(), writer));
-            }
-            let store =
-                self.store.as_deref().ok_or_else(|| MemoryError::Store { what: "there is none".into() })?;
-            wire::seal(&maintain::carry_out(request, store, &self.memory)?)
-        } else {
-            let query: Query = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
-            wire::seal(&self.piece(query)?)
-        };
-        sealed.map_err(|e| self.not_understood(&e))
-    }
-
-    /// As much of an answer as travels at once.
-    fn piece(&self, mut query: Query) -> Result<Snapshots, MemoryError> {
-        let most = query.most.unwrap_or(usize::MAX).min(wire::MOST_SNAPSHOTS);
-        let wanted = query.most.replace(most);
-        let mut snapshots = self.memory.query_now(&query)?;
-        let full = snapshots.len() == most && wanted.is_none_or(|wanted| wanted > most);
-        let fits = wire::in_one_answer(&snapshots);
-        let cut = fits < snapshots.len();
-        snapshots.truncate(fits);
-        // The nearest ones have an order of their own, in which nobody can go on.
-        Ok(Snapshots { snapshots, more: (full || cut) && !query.is_nearest() })
-    }
-
-    async fn answer_gets(self, mut questions: Questions) {
-        while let Some(question) = questions.next().await {
-            let found = wire::query_of_get(&question.key, &question.parameters)
-                .map_err(|what| MemoryError::Query { what })
-                .and_then(|query| self.held_up(|| self.memory.query_now(&query)));
-            match found {
-                Ok(found) => log_failure(self.answer_get(&question, found).await),
-                Err(error) => log_failure(refuse(&question, &error).await),
-            }
+    /// Tells whoever asks why not, and the log who it was.
+    async fn refuse(&self, question: &Question, error: &MemoryError) -> Result<(), SessionError> {
+        if is_rude(error) {
+            self.refusals.note(self.writer(question).unwrap_or("unknown"), &question.key, error);
         }
-    }
-
-    async fn answer_get(&self, question: &Question, found: Vec<Arc<Snapshot>>) -> Result<(), SessionError> {
-        for snapshot in found {
-            let (Ok(key), Ok((encoding, payload))) =
-                (wire::entity_key(&self.agent, &snapshot), wire::seal(&*snapshot))
-            else {
-                continue;
-            };
-            question.reply(&key, &encoding, payload).await?;
+        match wire::seal(error) {
+            Ok((encoding, payload)) => question.refuse(&encoding, payload).await,
+            Err(_) => question.refuse("text/plain", error.to_string().into_bytes()).await,
         }
-        Ok(())
     }
 
     async fn take_updates(self, mut updates: Subscription) {
@@ -274,9 +252,10 @@ impl Shared {
         while let Some(message) = updates.next().await {
             if let Err(error) = self.take_update(&message) {
                 let sender = message.sender.as_deref().unwrap_or("unknown");
-                tracing::warn!(%error, key = message.key, sender, "an update was refused");
+                self.refusals.note(sender, &message.key, &error);
             }
-            if updates.dropped() > dropped {
+            // Each time that it has doubled: a flood is not logged one by one.
+            if updates.dropped() > 2 * dropped {
                 dropped = updates.dropped();
                 tracing::warn!(dropped, "updates came faster than they could be taken");
             }
@@ -298,13 +277,6 @@ impl Shared {
 
 fn forbid(id: String, writer: Option<&str>) -> MemoryError {
     MemoryError::Forbidden { id, writer: writer.unwrap_or("somebody without a name").into() }
-}
-
-async fn refuse(question: &Question, error: &MemoryError) -> Result<(), SessionError> {
-    match wire::seal(error) {
-        Ok((encoding, payload)) => question.refuse(&encoding, payload).await,
-        Err(_) => question.refuse("text/plain", error.to_string().into_bytes()).await,
-    }
 }
 
 fn log_failure(sent: Result<(), SessionError>) {

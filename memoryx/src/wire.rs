@@ -17,7 +17,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_bus::{CodecError, Key, KeyPattern, Payload, Schema, keys};
+use armarium_bus::{Bounds, CodecError, Key, KeyPattern, Payload, Schema, keys};
 use serde::{Deserialize, Serialize};
 
 use crate::entity::{Commit, Snapshot};
@@ -27,7 +27,7 @@ use crate::query::{Pattern, Query, Times};
 /// Most snapshots in one answer.
 pub(crate) const MOST_SNAPSHOTS: usize = 8192;
 /// Most bytes of snapshots in one message, about; a single larger one travels alone.
-const MOST_BYTES: u64 = 4 << 20;
+pub(crate) const MOST_BYTES: u64 = 4 << 20;
 
 /// Updates that are taken together or not at all.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -164,8 +164,15 @@ pub(crate) fn open<T: Payload>(encoding: &str, payload: &[u8]) -> Result<T, Code
 }
 
 /// The encoding and the bytes of a payload.
+///
+/// # Errors
+/// [`CodecError::TooLong`] for more than the other side would open: it is said here, where somebody can do something about it.
 pub(crate) fn seal<T: Payload>(content: &T) -> Result<(String, Vec<u8>), CodecError> {
-    Ok((T::SCHEMA.encoding(), armarium_bus::encode(content)?))
+    let (bytes, most) = (armarium_bus::encode(content)?, Bounds::default().bytes);
+    if bytes.len() > most {
+        return Err(CodecError::TooLong { bytes: bytes.len(), most });
+    }
+    Ok((T::SCHEMA.encoding(), bytes))
 }
 
 /// The key of a snapshot's entity in an agent's memory.

@@ -18,14 +18,15 @@ use tokio::sync::broadcast;
 use crate::entity::{Commit, EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::memory::Memory;
-use crate::query::{Pattern, Query, Times};
+use crate::query::{Pattern, Query};
 use crate::schema::{SegmentSchema, core_segments};
 
 mod committing;
 mod held;
+mod recalling;
 
 use committing::{Answer, Numbered, Request};
-use held::State;
+use held::{State, Taken};
 
 /// Tells the time, ns since an epoch that the whole memory shares.
 pub type Clock = Arc<dyn Fn() -> u64 + Send + Sync>;
@@ -50,11 +51,14 @@ pub struct Limits {
     pub bytes: u64,
     /// How far ahead of this memory's clock data may speak, ns; any time where none is given.
     pub ahead_ns: Option<u64>,
+    /// Into how many shares entities and bytes are divided: whoever owns a provider segment, which is its name up to the
+    /// first dot, takes one of them at most, so that there is room for others. 1: nobody is held back.
+    pub shares: u32,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { history: 32, entities: 1_000_000, backlog: 4096, bytes: 4 << 30, ahead_ns: None }
+        Self { history: 32, entities: 1_000_000, backlog: 4096, bytes: 4 << 30, ahead_ns: None, shares: 1 }
     }
 }
 
@@ -88,6 +92,8 @@ pub struct WorkingMemory {
     limits: Limits,
     schemas: BTreeMap<String, SegmentSchema>,
     backing: Option<Arc<dyn Backing>>,
+    /// Most snapshots that the backing is asked for at once.
+    part: usize,
     changes: broadcast::Sender<Arc<Snapshot>>,
     /// Commits that wait for the one who commits.
     waiting: Mutex<Vec<Request>>,
@@ -106,6 +112,7 @@ impl WorkingMemory {
             limits,
             schemas: core_segments(),
             backing: None,
+            part: recalling::PART,
             changes: broadcast::channel(limits.backlog).0,
             waiting: Mutex::default(),
             committing: Mutex::new(0),
@@ -116,7 +123,7 @@ impl WorkingMemory {
     /// The same memory with other limits. To be called before anybody subscribes.
     #[must_use]
     pub fn with_limits(mut self, limits: Limits) -> Self {
-        self.limits = Limits { history: limits.history.max(1), ..limits };
+        self.limits = Limits { history: limits.history.max(1), shares: limits.shares.max(1), ..limits };
         self.changes = broadcast::channel(limits.backlog.clamp(1, 1 << 24)).0;
         self
     }
@@ -132,6 +139,13 @@ impl WorkingMemory {
     #[must_use]
     pub fn with_backing(mut self, backing: Arc<dyn Backing>) -> Self {
         self.backing = Some(backing);
+        self
+    }
+
+    /// The same memory, which asks its backing in smaller parts.
+    #[cfg(test)]
+    pub(crate) fn in_parts_of(mut self, part: usize) -> Self {
+        self.part = part;
         self
     }
 
@@ -240,7 +254,9 @@ impl WorkingMemory {
         for snapshot in &wanted {
             self.check(&snapshot.id, &snapshot.instances)?;
             let is_new = state.newest(&snapshot.id).is_none() && restored.insert(&snapshot.id);
-            self.check_room(&state, &mut room, &snapshot.id, &snapshot.instances, is_new)?;
+            let put = (&snapshot.id, snapshot.instances.as_slice());
+            let bytes = self.check_room(&state, &room, put, is_new, None)?;
+            room.take(None, Taken { entities: usize::from(is_new), bytes });
         }
         drop(state);
         let count = wanted.len();
@@ -264,44 +280,14 @@ impl WorkingMemory {
     pub fn query_now(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         let asked = query.ask()?;
         let backing = self.backing.as_ref().filter(|_| query.long_term);
-        let Some(backing) = backing else { return Ok(asked.finish(self.read().select(&asked))) };
-        let wide = wider(query);
-        let mut known: BTreeMap<EntityId, BTreeMap<u64, Arc<Snapshot>>> = BTreeMap::new();
-        let recalled = backing.recall(&wide)?;
-        let held = self.read().select(&wide.ask()?);
-        for snapshot in recalled.into_iter().chain(held) {
-            known.entry(snapshot.id.clone()).or_default().insert(snapshot.version, snapshot);
+        match backing {
+            Some(backing) => self.ask_both(&asked, &**backing),
+            None => Ok(self.read().select(&asked)),
         }
-        let wanted = known.into_iter().filter(|(id, _)| asked.wants(id));
-        Ok(asked.finish(wanted.flat_map(|(_, history)| asked.select(history.into_values())).collect()))
     }
 
     fn read(&self) -> std::sync::RwLockReadGuard<'_, State> {
         self.state.read().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-/// What two memories are asked for when the answer is taken of what they know together: all that could decide it.
-fn wider(query: &Query) -> Query {
-    let by_time = matches!(query.times, Times::All | Times::Between(..) | Times::Versions(..));
-    let is_plain = by_time && query.filter.is_none() && query.region.is_none();
-    let (times, limit) = match query.times {
-        Times::Latest => (Times::All, Some(1)),
-        Times::Index(..) => (Times::All, None),
-        Times::At(time) => (Times::Between(0, time), None),
-        Times::Before(time) => (Times::Between(0, time.saturating_sub(1)), None),
-        // Each has the newest ones of what it knows, unless something else chooses among them.
-        times => (times, query.limit.filter(|_| is_plain && query.after.is_none())),
-    };
-    Query {
-        pattern: query.pattern.clone(),
-        times,
-        limit,
-        arrived_since: query.arrived_since.filter(|_| by_time),
-        // The first ones of both together are among the first ones of each.
-        after: query.after.clone().filter(|_| is_plain && query.limit.is_none()),
-        most: query.most.filter(|_| is_plain && query.limit.is_none()),
-        ..Query::default()
     }
 }
 

@@ -112,6 +112,9 @@ async fn an_agent_writes_only_its_own_segments_and_a_stranger_reads_nothing() {
     assert_eq!(everything(&carol).await, 3);
     let refused = carol.commit(commit("carol", "cup")).await;
     assert!(matches!(refused, Err(MemoryError::Forbidden { .. })), "{refused:?}");
+    // A name of his own does not make a writer of him.
+    let as_writer = RemoteMemory::connect_as(&session, "alice", "carol").await;
+    assert!(matches!(as_writer, Err(MemoryError::Remote { .. })), "{as_writer:?}");
 
     // A stranger with a good certificate reads nothing, and one of another authority does not even connect.
     let session = open(authority.tls("mallory")).await.unwrap();

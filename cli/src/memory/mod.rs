@@ -11,6 +11,7 @@ use clap::{Args, Subcommand};
 
 use crate::connection::{ConnectionArgs, explained};
 
+mod keep;
 mod reach;
 mod serve;
 mod show;
@@ -54,7 +55,7 @@ enum MemoryCommand {
     Snapshot(SnapshotArgs),
     /// Write snapshots as JSON lines.
     Export(ExportArgs),
-    /// Keep snapshots of JSON lines, with their versions.
+    /// Keep snapshots of JSON lines, with their versions; a file named by `--store` is made if it is not there.
     Import {
         /// The file; `-` is standard input.
         file: PathBuf,
@@ -112,6 +113,9 @@ struct GetArgs {
     /// What held at this time, ns since 1970.
     #[arg(long, value_name = "NS", conflicts_with = "history")]
     at: Option<u64>,
+    /// What held just before this time, ns since 1970.
+    #[arg(long, value_name = "NS", conflicts_with_all = ["history", "at"])]
+    before: Option<u64>,
     /// The newest N of them.
     #[arg(long, value_name = "N")]
     limit: Option<usize>,
@@ -169,6 +173,9 @@ struct QueryArgs {
     /// What held at this time, ns since 1970.
     #[arg(long, value_name = "NS", conflicts_with_all = ["history", "from", "to"])]
     at: Option<u64>,
+    /// What held just before this time, ns since 1970.
+    #[arg(long, value_name = "NS", conflicts_with_all = ["history", "from", "to", "at"])]
+    before: Option<u64>,
     /// Look into long-term memory too.
     #[arg(long)]
     long_term: bool,
@@ -179,7 +186,7 @@ struct QueryArgs {
     #[arg(long, default_value_t = 10, requires = "near")]
     count: usize,
     /// All within this distance of the point, m, instead of the nearest.
-    #[arg(long, value_name = "M", requires = "near")]
+    #[arg(long, value_name = "M", requires = "near", allow_negative_numbers = true)]
     radius: Option<f64>,
     /// All inside this box, m.
     #[arg(long = "box", value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true, conflicts_with = "near")]
@@ -234,10 +241,10 @@ struct ExportArgs {
 #[derive(Clone, Debug, Args)]
 struct RetainArgs {
     /// How long snapshots are kept, days.
-    #[arg(long, value_name = "DAYS")]
+    #[arg(long, value_name = "DAYS", allow_negative_numbers = true, required_unless_present = "megabytes")]
     days: Option<f64>,
     /// Most megabytes of records.
-    #[arg(long, value_name = "MB")]
+    #[arg(long, value_name = "MB", allow_negative_numbers = true)]
     megabytes: Option<f64>,
 }
 
@@ -281,7 +288,12 @@ impl From<armarium_memoryx::MemoryError> for Failure {
 
 impl From<armarium_memoryx::StoreError> for Failure {
     fn from(error: armarium_memoryx::StoreError) -> Self {
-        Self::Refused(error.to_string())
+        match &error {
+            armarium_memoryx::StoreError::Locked { .. } => Self::Refused(format!(
+                "{error}: ask the agent that has it open, with --agent instead of --store"
+            )),
+            _ => Self::Refused(error.to_string()),
+        }
     }
 }
 

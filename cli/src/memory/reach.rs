@@ -5,10 +5,11 @@ use std::sync::Arc;
 use armarium_bus::Session;
 use armarium_memoryx::wire::{Maintain, Report};
 use armarium_memoryx::{
-    LongTermMemory, Memory, Pattern, Query, RemoteMemory, Snapshot, WorkingMemory, maintain, pages,
+    LongTermMemory, Memory, MemoryError, Pattern, Query, RemoteMemory, Snapshot, WorkingMemory, maintain,
+    pages,
 };
 
-use super::{Failure, MemoryArgs};
+use super::{Failure, MemoryArgs, MemoryCommand};
 
 /// Where an agent listens that was told nothing else.
 pub(super) const USUAL_ENDPOINT: &str = "tcp/127.0.0.1:7447";
@@ -25,7 +26,8 @@ impl Reached {
     /// Opens what the arguments name.
     pub(super) async fn open(args: &MemoryArgs) -> Result<Self, Failure> {
         if let Some(file) = &args.store {
-            if !file.exists() {
+            let makes = matches!(args.command, MemoryCommand::Import { .. });
+            if !makes && !file.exists() {
                 return Err(Failure::Argument(format!("there is no file `{}`", file.display())));
             }
             let store = Arc::new(LongTermMemory::open(file)?);
@@ -41,11 +43,15 @@ impl Reached {
             Some(writer) => RemoteMemory::connect_as(&session, &args.agent, writer).await,
             None => RemoteMemory::connect(&session, &args.agent).await,
         };
-        let remote = remote.map_err(|error| {
-            let connect = connection.connect.join(" ");
-            Failure::Refused(format!(
-                "{error}; is the agent running, does it listen at {connect}, and does it let you in?"
-            ))
+        let remote = remote.map_err(|error| match error {
+            MemoryError::Remote { .. } => {
+                let connect = connection.connect.join(" ");
+                let whom = args.writer.as_ref().map_or("", |_| " under that name");
+                Failure::Refused(format!(
+                    "{error}; is the agent running, does it listen at {connect}, and does it let you in{whom}?"
+                ))
+            }
+            error => error.into(),
         })?;
         Ok(Self::Agent { remote, session })
     }

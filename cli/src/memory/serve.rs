@@ -3,11 +3,13 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use armarium_memoryx::{AgentConfig, AgentMemory, FollowSettings, Pattern, PriorKnowledge, Retention};
+use armarium_memoryx::{
+    AgentConfig, AgentMemory, FollowSettings, Pattern, PriorKnowledge, Retention, check_name,
+};
 use clap::Args;
 
 use super::reach::USUAL_ENDPOINT;
-use super::{Failure, Inferences, MemoryArgs};
+use super::{Failure, Inferences, MemoryArgs, keep};
 use crate::connection::AccessArgs;
 
 #[derive(Clone, Debug, Args)]
@@ -29,14 +31,19 @@ pub(super) struct ServeArgs {
     /// Fuse followed objects into this provider segment of `ObjectInstances`.
     #[arg(long, value_name = "PROVIDER")]
     fuse_into: Option<String>,
+    /// What of a core segment the file keeps: `everything`, `nothing`, `on-change`, `at-most:HZ` or `named:NAME+NAME`; with `,jpeg` or
+    /// `,jpeg:QUALITY` its images become JPEG files there. The segment `*` is all others. May be repeated; everything is kept
+    /// where nothing is said.
+    #[arg(long, value_name = "SEGMENT=POLICY")]
+    keep: Vec<String>,
     /// How many newest snapshots working memory holds of each entity.
     #[arg(long, default_value_t = 32)]
     history: usize,
     /// How long long-term memory keeps snapshots, days; for ever if not given.
-    #[arg(long, value_name = "DAYS")]
+    #[arg(long, value_name = "DAYS", allow_negative_numbers = true)]
     days: Option<f64>,
     /// Most megabytes that long-term memory keeps.
-    #[arg(long, value_name = "MB")]
+    #[arg(long, value_name = "MB", allow_negative_numbers = true)]
     megabytes: Option<f64>,
 }
 
@@ -53,10 +60,14 @@ pub(super) async fn serve(args: &MemoryArgs, serve: &ServeArgs, out: &mut dyn Wr
     if let Some(folder) = &serve.prior {
         config.prior = PriorKnowledge::load(folder).map_err(|error| Failure::Argument(error.to_string()))?;
     }
+    config.policies = keep::policies(&serve.keep)?;
+    if !serve.keep.is_empty() && args.store.is_none() {
+        return Err(Failure::Argument("--keep says what a file keeps: name the file with --store".into()));
+    }
     config.store.clone_from(&args.store);
     config.limits.history = serve.history;
     config.retention = retention(serve.days, serve.megabytes)?;
-    config.follow = serve.follow.iter().map(|follow| settings(serve, follow)).collect();
+    config.follow = serve.follow.iter().map(|follow| settings(serve, follow)).collect::<Result<_, _>>()?;
     let session = connection.session(access.as_ref()).await?;
     let agent = AgentMemory::start(&session, config).await?;
     let endpoints = session.endpoints().await.join(" ");
@@ -75,17 +86,18 @@ pub(super) async fn serve(args: &MemoryArgs, serve: &ServeArgs, out: &mut dyn Wr
     Ok(0)
 }
 
-fn settings(serve: &ServeArgs, follow: &str) -> FollowSettings {
+fn settings(serve: &ServeArgs, follow: &str) -> Result<FollowSettings, Failure> {
     let (agent, pattern) = match follow.split_once(':') {
         Some((agent, segment)) => (agent, Pattern::segment(segment)),
         None => (follow, Pattern::any()),
     };
-    FollowSettings {
+    check_name(agent)?;
+    Ok(FollowSettings {
         own: serve.name.clone(),
         agent: agent.into(),
         pattern,
         fuse_into: serve.fuse_into.clone(),
-    }
+    })
 }
 
 /// How much is kept, from days and megabytes.

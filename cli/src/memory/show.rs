@@ -130,6 +130,11 @@ fn plain(value: &Value) -> String {
     let rounded = |numbers: &[f64]| numbers.iter().map(|n| format!("{n:.4}")).collect::<Vec<_>>().join(", ");
     match value {
         Value::Bytes(bytes) => format!("{} bytes", bytes.len()),
+        // An image, for instance: nobody reads its bytes.
+        Value::Map(fields) if fields.values().any(|field| matches!(field, Value::Bytes(_))) => {
+            let fields = fields.iter().map(|(name, field)| format!("{name}: {}", plain(field)));
+            format!("{{{}}}", fields.collect::<Vec<_>>().join(", "))
+        }
         Value::Vector(v) => format!("({}) in {}", rounded(&v.components), v.frame.0),
         Value::Pose(p) => {
             format!("({}) turned ({}) in {}", rounded(&p.position), rounded(&p.orientation), p.frame.0)
@@ -177,6 +182,13 @@ fn civil(days: u64) -> (u64, u64, u64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_image_is_shown_in_one_line() {
+        let fields = [("width", Value::Int(2)), ("data", Value::Bytes(vec![0; 6]))];
+        let image = Value::Map(fields.map(|(name, value)| (name.to_owned(), value)).into());
+        assert_eq!(plain(&image), "{data: 6 bytes, width: 2}");
+    }
 
     #[test]
     fn times_are_dates() {

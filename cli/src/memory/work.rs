@@ -35,7 +35,7 @@ pub(super) async fn carry_out(args: &MemoryArgs, out: &mut dyn Write) -> Result<
         }
         MemoryCommand::Get(get) => return self::get(&reached, get, &shown, out).await,
         MemoryCommand::Put(put) => {
-            let version = self::put(&reached, put).await?;
+            let version = self::put(&reached, put).await.map_err(|failure| explained(failure, args))?;
             shown.counts(&[("version".to_owned(), version)].into(), out)?;
         }
         MemoryCommand::Watch(watch) => self::watch(&reached, watch, &mut shown, out).await?,
@@ -107,14 +107,15 @@ fn pattern(text: &str) -> Result<Pattern, Failure> {
 }
 
 async fn get(reached: &Reached, get: &GetArgs, shown: &Shown, out: &mut dyn Write) -> Result<u8, Failure> {
-    let id: EntityId = get.id.parse()?;
-    let times = match get.at {
-        Some(at) => Times::At(at),
-        None if get.history => Times::All,
-        None => Times::Latest,
+    let id = id(&get.id)?;
+    let times = match (get.at, get.before) {
+        (Some(at), _) => Times::At(at),
+        (None, Some(before)) => Times::Before(before),
+        (None, None) if get.history => Times::All,
+        (None, None) => Times::Latest,
     };
     let query = Query::latest(Pattern::entity(&id)).times(times);
-    let mut query = if get.history || get.at.is_some() { query.with_long_term() } else { query };
+    let mut query = if times == Times::Latest { query } else { query.with_long_term() };
     query.limit = get.limit;
     let count = reached.each(query, |s| shown.whole(s, out)).await?;
     if count == 0 {
@@ -124,12 +125,12 @@ async fn get(reached: &Reached, get: &GetArgs, shown: &Shown, out: &mut dyn Writ
 }
 
 async fn put(reached: &Reached, put: &PutArgs) -> Result<u64, Failure> {
-    let id: EntityId = put.id.parse()?;
+    let id = id(&put.id)?;
     let mut attributes = BTreeMap::new();
     for set in &put.set {
         let (name, text) =
             set.split_once('=').ok_or_else(|| Failure::Argument(format!("`{set}` is not NAME=VALUE")))?;
-        attributes.insert(name.to_owned(), value(text));
+        attributes.insert(name.to_owned(), value(name, text)?);
     }
     let instances =
         if put.remove { Vec::new() } else { vec![Instance::new(attributes).with_confidence(put.confidence)] };
@@ -138,14 +139,51 @@ async fn put(reached: &Reached, put: &PutArgs) -> Result<u64, Failure> {
     Ok(reached.memory().commit(vec![commit]).await?.first().copied().unwrap_or(0))
 }
 
-/// A value of a command line: with its kind, as plain JSON, or else as text.
-fn value(text: &str) -> Value {
-    match serde_json::from_str::<serde_json::Value>(text) {
-        Ok(json) if json.is_object() => {
-            serde_json::from_value(json.clone()).unwrap_or_else(|_| Value::from_json(&json))
+/// An address of a command line.
+fn id(text: &str) -> Result<EntityId, Failure> {
+    match text.split('/').collect::<Vec<_>>()[..] {
+        [segment, provider, entity] => Ok(EntityId::new(segment, provider, entity)?),
+        _ => Err(Failure::Argument(format!("`{text}` is not SEGMENT/PROVIDER/ENTITY"))),
+    }
+}
+
+/// The failure of a writer who may not know that he has to say his name.
+fn explained(failure: Failure, args: &MemoryArgs) -> Failure {
+    match failure {
+        Failure::Refused(what) if args.writer.is_none() && what.contains("access rules") => {
+            Failure::Refused(format!("{what}: say who you are with --as NAME"))
         }
-        Ok(json) => Value::from_json(&json),
-        Err(_) => Value::String(text.to_owned()),
+        failure => failure,
+    }
+}
+
+/// Kinds of values that stand for themselves in an object with one field.
+const KINDS: [&str; 12] = [
+    "bool",
+    "int",
+    "float",
+    "string",
+    "duration",
+    "bytes",
+    "list",
+    "map",
+    "vector",
+    "pose",
+    "wrench",
+    "reference",
+];
+
+/// A value of a command line: with its kind, as plain JSON, or else as text.
+fn value(name: &str, text: &str) -> Result<Value, Failure> {
+    let json = match serde_json::from_str::<serde_json::Value>(text) {
+        Ok(json) => json,
+        Err(_) => return Ok(Value::String(text.to_owned())),
+    };
+    let kind = json.as_object().filter(|object| object.len() == 1).and_then(|object| object.keys().next());
+    match kind.filter(|kind| KINDS.contains(&kind.as_str())) {
+        Some(kind) => serde_json::from_value(json.clone())
+            .map_err(|error| Failure::Argument(format!("--set {name}: this is no {kind}: {error}"))),
+        None => Ok(Value::from_json(&json)),
     }
 }
 
@@ -183,8 +221,9 @@ async fn watch(
 
 fn query(args: &QueryArgs) -> Result<Query, Failure> {
     let mut query = Query::latest(pattern(&args.pattern.pattern)?);
-    query.times = match (args.at, args.from, args.to) {
-        (Some(at), _, _) => Times::At(at),
+    query.times = match (args.at.or(args.before), args.from, args.to) {
+        (Some(at), _, _) if args.at.is_some() => Times::At(at),
+        (Some(before), _, _) => Times::Before(before),
         (None, None, None) if args.history => Times::All,
         (None, None, None) => Times::Latest,
         (None, from, to) => Times::Between(from.unwrap_or(0), to.unwrap_or(u64::MAX)),

@@ -1,6 +1,6 @@
 //! How fast memory is, with a bare map, a bare redb file and the bare session in the same run for scale:
 //! `cargo bench -p armarium-memoryx`. Words pick the parts whose names hold one: `working`, `store`, `durable`, `shared`,
-//! `scale`, `link`, `axes`.
+//! `scale`, `link`, `axes`; and `minutes`, which is only run when it is named: ten minutes of images in real time, 17 GB of disk.
 //!
 //! Rates say what a machine does that has other work as well; so the processor time of each item stands beside them.
 
@@ -12,6 +12,7 @@ use armarium_memoryx::{Commit, EntityId};
 use armarium_values::Value;
 
 mod axes;
+mod frames;
 mod link;
 mod scale;
 mod shared;
@@ -94,6 +95,9 @@ fn main() {
     }
     if is_wanted("durable") {
         store::durable_agent();
+    }
+    if wanted.iter().any(|word| word == "minutes") {
+        frames::ten_minutes(&wanted);
     }
     if is_wanted("shared") {
         runtime.block_on(shared::shared());

@@ -45,7 +45,8 @@ pub(super) fn long_term() {
         in_groups(folder.path(), group, entities);
     }
     small(folder.path());
-    frames(folder.path());
+    super::frames::as_fast_as_they_go(folder.path());
+    starts(folder.path());
 }
 
 fn one_by_one(folder: &Path) {
@@ -115,24 +116,27 @@ fn small(folder: &Path) {
     scan(&store, "scan, 100 B");
 }
 
-fn frames(folder: &Path) {
-    let store = LongTermMemory::open(&folder.join("frames.redb")).expect("a file");
-    let mut noise = 1_u64;
-    let frames: Vec<_> = (1..=90_u64)
-        .map(|version| {
-            let pixels = (0..640 * 480 * 3).map(|_| {
-                noise = noise.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                (noise >> 56) as u8
-            });
-            let instances = vec![Instance::new([("pixels", Value::Bytes(pixels.collect()))])];
-            Arc::new(Snapshot { instances, ..(*snapshot(0, version, 0)).clone() })
-        })
-        .collect();
-    let start = Meter::start();
-    for frame in frames {
-        store.persist(&[frame]).expect("a disk");
+/// How long it takes until a file that is not closed can be used again, and until working memory holds the newest of it.
+fn starts(folder: &Path) {
+    let path = folder.join("started.redb");
+    let store = LongTermMemory::open(&path).expect("a file");
+    for g in 0..KEPT / 1000 {
+        let group: Vec<_> = (0..1000).map(|i| snapshot(i, g + 1, 1000)).collect();
+        store.persist(&group).expect("a disk");
     }
-    start.say("noisy 640x480 RGB frames, durable, one by one", 90, "asked: 30");
+    // A copy of a file that is open is what a process leaves that is killed.
+    let killed = folder.join("killed.redb");
+    std::fs::copy(&path, &killed).expect("room");
+    drop(store);
+    for (what, path) in [("closed", path), ("killed", killed)] {
+        let start = Meter::start();
+        let store = LongTermMemory::open(&path).expect("a file");
+        let memory = WorkingMemory::new(Arc::new(|| 0));
+        let loaded = store.load_into(&memory, Pattern::any()).expect("it can be read");
+        let ms = start.elapsed().as_secs_f64() * 1e3;
+        let words = format!("start on 100 000 x 1 kB of {loaded} entities, {what}");
+        say(&words, ms, "ms", "asked: under 1000");
+    }
 }
 
 pub(super) fn durable_agent() {

@@ -216,9 +216,14 @@ impl Memory for Link {
             if let Some(most) = &mut query.most {
                 *most = most.saturating_sub(found.snapshots.len());
             }
+            if let Some(most) = &mut query.most_bytes {
+                *most = most.saturating_sub(found.snapshots.iter().map(|s| s.bytes()).sum());
+            }
             all.extend(found.snapshots);
             let last = all.last().filter(|_| found.more);
-            let Some(last) = last.filter(|_| query.most != Some(0)) else { return Ok(all) };
+            let Some(last) = last.filter(|_| query.most != Some(0) && query.most_bytes != Some(0)) else {
+                return Ok(all);
+            };
             query.after = Some(Cursor { id: last.id.clone(), version: last.version });
         }
     }

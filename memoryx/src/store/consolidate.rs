@@ -13,7 +13,7 @@ use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::follow::{Change, Follower};
 use crate::query::Query;
-use crate::store::{LongTermMemory, StoreError};
+use crate::store::{Coding, LongTermMemory, StoreError};
 use crate::working::Backing;
 
 /// Changes that are kept in one transaction.
@@ -46,6 +46,8 @@ pub struct Policies {
     pub default: Policy,
     /// By core segment.
     pub by_segment: BTreeMap<String, Policy>,
+    /// How attributes are coded before they are kept, by core segment; as they are where nothing is said.
+    pub codings: BTreeMap<String, Coding>,
 }
 
 impl Default for Policies {
@@ -55,6 +57,7 @@ impl Default for Policies {
         Self {
             default: Policy::AtMost { hz: 1.0 },
             by_segment: own.into_iter().map(|(name, policy)| (name.to_owned(), policy)).collect(),
+            codings: BTreeMap::new(),
         }
     }
 }
@@ -63,7 +66,7 @@ impl Policies {
     /// One policy for everything.
     #[must_use]
     pub fn all(policy: Policy) -> Self {
-        Self { default: policy, by_segment: BTreeMap::new() }
+        Self { default: policy, by_segment: BTreeMap::new(), codings: BTreeMap::new() }
     }
 
     /// The same policies with one for a core segment.
@@ -71,6 +74,19 @@ impl Policies {
     pub fn with(mut self, segment: &str, policy: Policy) -> Self {
         self.by_segment.insert(segment.into(), policy);
         self
+    }
+
+    /// The same policies with a coding for a core segment.
+    #[must_use]
+    pub fn coded(mut self, segment: &str, coding: Coding) -> Self {
+        self.codings.insert(segment.into(), coding);
+        self
+    }
+
+    /// A snapshot as it is kept.
+    fn as_kept(&self, snapshot: &Arc<Snapshot>) -> Arc<Snapshot> {
+        let coding = self.codings.get(snapshot.id.segment());
+        coding.map_or_else(|| Arc::clone(snapshot), |coding| coding.of(snapshot))
     }
 
     fn of(&self, segment: &str) -> &Policy {
@@ -129,7 +145,7 @@ impl Consolidator {
                 continue;
             }
             if policy.keeps_all() {
-                chosen.push(Arc::clone(snapshot));
+                chosen.push(self.policies.as_kept(snapshot));
                 continue;
             }
             let known = changed.get(&snapshot.id).or_else(|| last.get(&snapshot.id)).cloned();
@@ -138,7 +154,7 @@ impl Consolidator {
                 None => Last { kept: self.store.newest(&snapshot.id)?, pending: None },
             };
             if policy.keeps(snapshot, known.kept.as_deref()) {
-                chosen.push(Arc::clone(snapshot));
+                chosen.push(self.policies.as_kept(snapshot));
                 known = Last { kept: Some(Arc::clone(snapshot)), pending: None };
             } else {
                 known.pending = Some(Arc::clone(snapshot));
@@ -159,7 +175,8 @@ impl Consolidator {
         let rated = |id: &EntityId| matches!(self.policies.of(id.segment()), Policy::AtMost { .. });
         let held: Vec<_> =
             last.iter().filter(|(id, _)| rated(id)).filter_map(|(_, l)| l.pending.clone()).collect();
-        self.store.persist(&held)?;
+        let kept: Vec<_> = held.iter().map(|snapshot| self.policies.as_kept(snapshot)).collect();
+        self.store.persist(&kept)?;
         for snapshot in &held {
             last.insert(snapshot.id.clone(), Last { kept: Some(Arc::clone(snapshot)), pending: None });
         }

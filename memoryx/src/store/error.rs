@@ -63,7 +63,15 @@ pub enum StoreError {
         /// The version.
         version: u64,
     },
-    /// There is no named snapshot of that name, or the name cannot be one.
+    /// What cannot be a name.
+    #[error(
+        "`{name}` cannot be the name of a snapshot: names have 1 to 200 bytes and no `/`, `*`, `#`, `?` or `$`"
+    )]
+    Name {
+        /// It.
+        name: String,
+    },
+    /// There is no named snapshot of that name.
     #[error("long-term memory has no snapshot named `{name}`")]
     NoSuchName {
         /// The name.
@@ -89,6 +97,7 @@ impl From<StoreError> for MemoryError {
     fn from(error: StoreError) -> Self {
         match error {
             StoreError::Query { what } => Self::Query { what },
+            StoreError::Name { name } => Self::Name { name },
             error => Self::Store { what: error.to_string() },
         }
     }

@@ -6,12 +6,27 @@ use std::sync::Arc;
 
 use super::{LongTermMemory, StoreError};
 use crate::entity::Snapshot;
+use crate::error::MemoryError;
 use crate::query::Pattern;
 
 /// Snapshots that are imported in one transaction.
 const BATCH: usize = 1000;
 /// Longest line that is read, bytes.
 const LONGEST: u64 = 256 << 20;
+
+/// Highest version that is kept from elsewhere: nobody counts so far.
+const HIGHEST_VERSION: u64 = 1 << 62;
+
+impl Snapshot {
+    /// Whether a snapshot that comes from elsewhere, with its version, is one that a memory could have made.
+    pub(crate) fn check_kept(&self) -> Result<(), MemoryError> {
+        if !(1..=HIGHEST_VERSION).contains(&self.version) {
+            let what = format!("`{}` cannot have version {}", self.id, self.version);
+            return Err(MemoryError::Store { what });
+        }
+        self.instances.iter().try_for_each(|instance| crate::schema::check_form(&self.id, instance))
+    }
+}
 
 impl LongTermMemory {
     /// Writes what a pattern fits, ordered by the time it came. Returns how many lines.
@@ -62,10 +77,7 @@ impl LongTermMemory {
                 continue;
             }
             let snapshot: Snapshot = serde_json::from_slice(&line).map_err(|e| wrong(e.to_string()))?;
-            for instance in &snapshot.instances {
-                let formed = crate::schema::check_form(&snapshot.id, instance);
-                formed.map_err(|e| wrong(e.to_string()))?;
-            }
+            snapshot.check_kept().map_err(|e| wrong(e.to_string()))?;
             batch.push(Arc::new(snapshot));
             if batch.len() == BATCH {
                 new += self.persist(&batch)? as u64;

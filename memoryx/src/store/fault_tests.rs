@@ -27,6 +27,8 @@ struct Disk {
     loose: Vec<(u64, Vec<u8>)>,
     /// Syncs so far.
     syncs: u64,
+    /// Bytes read so far.
+    read: u64,
     /// Changes that still work.
     left: Option<u64>,
     /// What the changes after that report.
@@ -85,7 +87,8 @@ impl StorageBackend for Medium {
     }
 
     fn read(&self, offset: u64, out: &mut [u8]) -> io::Result<()> {
-        let disk = self.0.lock().unwrap();
+        let mut disk = self.0.lock().unwrap();
+        disk.read += out.len() as u64;
         let from = offset as usize;
         let bytes = disk.seen.get(from..from + out.len()).ok_or(io::ErrorKind::UnexpectedEof)?;
         out.copy_from_slice(bytes);
@@ -142,7 +145,8 @@ fn check_kept(medium: &Medium, acknowledged: u64) {
 
 #[test]
 fn a_crash_at_any_write_loses_nothing_acknowledged() {
-    for changes in 0..180 {
+    // Until none is left at which it has not crashed.
+    for changes in 0.. {
         let mut random = ChaCha8Rng::seed_from_u64(changes);
         let medium = Medium::default();
         let acknowledged = keep_until_failure(&medium, 1, 4);
@@ -151,7 +155,35 @@ fn a_crash_at_any_write_loses_nothing_acknowledged() {
         let acknowledged = keep_until_failure(&medium, 5, 14);
         medium.recover(&mut random);
         check_kept(&medium, acknowledged);
+        if acknowledged == 14 {
+            assert!(changes > 50, "ten commits are more than {changes} writes");
+            break;
+        }
     }
+}
+
+#[test]
+fn a_longer_file_takes_no_longer_to_open() {
+    let read = [200, 20_000].map(|count| {
+        let medium = Medium::default();
+        let store = medium.store().unwrap();
+        let all: Vec<_> = (1..=count).map(|v| snapshot("S/p/e", v, v, v as i64)).collect();
+        for group in all.chunks(100) {
+            store.persist(group).unwrap();
+        }
+        drop(store);
+        let length = medium.0.lock().unwrap().seen.len() as u64;
+        medium.0.lock().unwrap().read = 0;
+        let store = medium.store().unwrap();
+        let memory = WorkingMemory::new(Arc::new(|| 0));
+        assert_eq!(store.load_into(&memory, Pattern::any()), Ok(1));
+        (length, medium.0.lock().unwrap().read)
+    });
+    let [(_, of_few), (length, of_many)] = read;
+    assert!(
+        of_many < length / 4 && of_many < 4 * of_few,
+        "{of_few} and {of_many} bytes are read of {length}"
+    );
 }
 
 #[test]
@@ -169,7 +201,7 @@ fn each_group_is_synced_once() {
 
 #[test]
 fn a_crash_while_the_file_is_made_leaves_one_that_can_be_made() {
-    for changes in 0..60 {
+    for changes in 0.. {
         let mut random = ChaCha8Rng::seed_from_u64(changes);
         let medium = Medium::default();
         medium.fail_after(Some(changes), false);
@@ -185,6 +217,10 @@ fn a_crash_while_the_file_is_made_leaves_one_that_can_be_made() {
                     "{error}"
                 );
             }
+        }
+        if acknowledged == 3 {
+            assert!(changes > 20, "a file and three commits are more than {changes} writes");
+            break;
         }
     }
 }
@@ -337,7 +373,9 @@ fn a_killed_process_loses_nothing_acknowledged() {
         child.kill().unwrap();
         child.wait().unwrap();
         let store = LongTermMemory::open(&path).unwrap();
-        assert!(last > 0 && store.last_version(&"S/p/e".parse().unwrap()).unwrap() >= last);
+        let newest = store.last_version(&"S/p/e".parse().unwrap()).unwrap();
+        assert!(last > 0 && newest >= last);
+        assert_eq!(store.stats().unwrap().snapshots, newest, "none of them is missing");
         assert!(store.verify().unwrap().is_intact());
     }
 }

@@ -200,3 +200,73 @@ fn compaction_joins_what_came_one_by_one() {
     assert_eq!(all(&store), before);
     assert!(store.verify().unwrap().is_intact());
 }
+
+#[test]
+fn what_is_coded_is_kept_so_and_nothing_contradicts_it() {
+    let (_folder, path, store) = store();
+    let store = Arc::new(store);
+    let code = |value: &Value| match value {
+        Value::Bytes(bytes) => Some(Value::Bytes(bytes.iter().step_by(2).copied().collect())),
+        _ => None,
+    };
+    let coded = || Policies::all(Policy::Everything).coded("Images", Coding::new("every other byte", code));
+    let backing = Arc::new(Consolidator::new(Arc::clone(&store), coded()));
+    let memory = WorkingMemory::new(Arc::new(|| 1)).with_backing(backing);
+    let come = [image(1, 3), image(2, 4), snapshot("Notes/p/e", 1, 1, 7)];
+    for snapshot in &come {
+        let update = Commit {
+            id: snapshot.id.clone(),
+            referenced_ns: 1,
+            instances: snapshot.instances.clone(),
+            expected_version: None,
+        };
+        memory.commit_now(vec![update]).unwrap();
+    }
+    let bytes = |found: &Snapshot| match found.attribute("pixels") {
+        Some(Value::Bytes(bytes)) => bytes.len(),
+        _ => 0,
+    };
+    let newest = memory.latest_now(&come[1].id).unwrap();
+    assert_eq!(bytes(&newest), 100_000, "working memory has it as it came");
+    let kept = store.query(&Query::history(Pattern::segment("Images"))).unwrap();
+    assert_eq!(kept.iter().map(|s| bytes(s)).collect::<Vec<_>>(), [50_000, 50_000]);
+    assert_eq!(kept[0].attribute("n"), Some(&Value::Int(1)), "what is not coded stays");
+    assert!(store.stats().unwrap().bytes < 110_000);
+
+    // The whole of working memory under a name, and the same snapshots once more: what is kept stays.
+    assert_eq!(store.save_named("now", &memory), Ok(2));
+    assert_eq!(bytes(&store.named("now").unwrap()[0]), 50_000);
+    let again = Consolidator::new(Arc::clone(&store), coded());
+    assert_eq!(again.consolidate(&[newest]), Ok(1));
+    assert_eq!(store.stats().unwrap().snapshots, 3);
+    assert!(store.verify().unwrap().is_intact());
+    drop((memory, again, store));
+    assert_eq!(
+        LongTermMemory::open(&path).unwrap().newest(&come[1].id).unwrap().map(|s| bytes(&s)),
+        Some(50_000)
+    );
+}
+
+#[test]
+fn what_no_memory_would_have_taken_is_not_kept_from_elsewhere() {
+    let (_folder, _, store) = store();
+    let memory = WorkingMemory::new(Arc::new(|| 1));
+    let mut nested = Value::Int(1);
+    for _ in 0..20 {
+        nested = Value::List(vec![nested]);
+    }
+    let good = snapshot("S/p/e", 1, 1, 1);
+    let with = |instance: Instance| Snapshot { instances: vec![instance], ..(*good).clone() };
+    for bad in [
+        Snapshot { version: 0, ..(*good).clone() },
+        Snapshot { version: u64::MAX, ..(*good).clone() },
+        with(Instance::new([("nested", nested)])),
+        with(Instance::new([("n", Value::Int(1))]).with_confidence(f64::NAN)),
+    ] {
+        let keep = crate::wire::Maintain::Keep { snapshots: vec![Arc::clone(&good), Arc::new(bad.clone())] };
+        assert!(crate::maintain::carry_out(keep, &store, &memory).is_err(), "{bad:?}");
+        let line = serde_json::to_vec(&bad).unwrap();
+        assert!(matches!(store.import(&mut line.as_slice()), Err(StoreError::Import { .. })), "{bad:?}");
+    }
+    assert_eq!(store.stats().unwrap().snapshots, 0);
+}

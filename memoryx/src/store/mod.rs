@@ -41,6 +41,7 @@ use crate::error::MemoryError;
 use crate::query::{Pattern, Query};
 use crate::working::{Backing, WorkingMemory};
 
+mod coding;
 mod consolidate;
 mod error;
 mod exchange;
@@ -59,6 +60,7 @@ mod keep_tests;
 #[cfg(test)]
 mod tests;
 
+pub use coding::Coding;
 pub use consolidate::{Consolidator, Numbering, Policies, Policy, Step};
 pub use error::StoreError;
 pub use named::Named;

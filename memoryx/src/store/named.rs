@@ -27,15 +27,24 @@ impl LongTermMemory {
     /// holds is kept until [`Self::forget_named`]. Returns how many entities it holds.
     ///
     /// # Errors
-    /// [`StoreError::NoSuchName`] for what cannot be a name; as [`Self::persist`].
+    /// [`StoreError::Name`] for what cannot be a name; as [`Self::persist`].
     pub fn save_named(&self, name: &str, memory: &WorkingMemory) -> Result<usize, StoreError> {
-        check_name(name).map_err(|_| no_such(name))?;
+        check_name(name).map_err(|_| StoreError::Name { name: short(name) })?;
         let held = memory
             .query_now(&Query::latest(Pattern::any()))
             .map_err(|e| StoreError::Query { what: e.to_string() })?;
         let taken_ns = memory.now_ns();
         // The list is written after what it names: a crash between the two leaves the older list.
-        self.persist(&held)?;
+        self.write(|writer, memo| {
+            let mut new = false;
+            for snapshot in &held {
+                // What is kept already may be coded, and stays so.
+                if !writer.holds(&snapshot.id, snapshot.version, memo)? {
+                    new |= writer.add(snapshot, memo)?;
+                }
+            }
+            Ok(((), new))
+        })?;
         self.write(|writer, memo| {
             let mut list = taken_ns.to_le_bytes().to_vec();
             for snapshot in &held {
@@ -145,7 +154,11 @@ impl LongTermMemory {
 }
 
 fn no_such(name: &str) -> StoreError {
-    StoreError::NoSuchName { name: name.chars().take(200).collect() }
+    StoreError::NoSuchName { name: short(name) }
+}
+
+fn short(name: &str) -> String {
+    name.chars().take(200).collect()
 }
 
 /// Entity numbers and versions of a list.

@@ -9,7 +9,7 @@ use redb::{AccessGuard, ReadOnlyTable, ReadTransaction, ReadableDatabase, Readab
 
 use super::record::{self, Hash};
 use super::{BLOBS, CHUNKS, ENTITIES, INDEX, LongTermMemory, Row, StoreError};
-use crate::asked::{Asked, places};
+use crate::asked::{Answer, Asked, places};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Pattern, Query, Times};
@@ -124,35 +124,110 @@ impl<'s> Reader<'s> {
         found.map(|v| v.value().to_vec()).ok_or_else(|| "a large value of it is missing".into())
     }
 
-    /// What a question takes of one entity, without reading more of its history than that.
-    fn select(&self, asked: &Asked<'_>, entity: &Entity) -> Result<Vec<Arc<Snapshot>>, StoreError> {
+    /// Adds what a question takes of one entity, without reading more of its history than that.
+    fn select(&self, asked: &Asked<'_>, entity: &Entity, answer: &mut Answer<'_>) -> Result<(), StoreError> {
         let query = asked.query();
-        let limit = query.limit.filter(|_| asked.is_plain()).unwrap_or(usize::MAX);
         let all = (0, u64::MAX);
-        let rows = match query.times {
-            _ if query.limit == Some(0) => Vec::new(),
-            Times::Latest => self.newest(entity.number)?.into_iter().collect(),
-            Times::All if query.arrived_since.is_some() => return self.arrived(asked, entity),
-            Times::All => self.last_rows(entity.number, all, limit, |_| true)?,
-            Times::Versions(from, to) if from > to => Vec::new(),
-            Times::Versions(from, to) => self.last_rows(entity.number, (from, to), limit, |_| true)?,
+        let one = |row: Option<(u64, Row)>| -> Result<Vec<Arc<Snapshot>>, StoreError> {
+            let found = row.map(|(_, row)| self.snapshot(&entity.id, row)).transpose()?;
+            Ok(asked.select(found.into_iter()))
+        };
+        match query.times {
+            _ if query.limit == Some(0) => {}
+            Times::Latest => answer.extend(one(self.newest(entity.number)?)?),
+            Times::At(time) => answer.extend(one(self.held(entity, |referenced| referenced <= time)?)?),
+            Times::Before(time) => answer.extend(one(self.held(entity, |referenced| referenced < time)?)?),
+            Times::All if query.arrived_since.is_some() => {
+                let goes_on = query.after.as_ref().is_some_and(|after| after.id == entity.id);
+                let since = query.arrived_since.filter(|_| !goes_on);
+                let first = since.map_or(Ok(0), |since| self.arrived(entity.number, since))?;
+                self.add_range(asked, entity, (first, u64::MAX), |_| true, answer)?;
+            }
+            Times::All => self.add_range(asked, entity, all, |_| true, answer)?,
+            Times::Versions(from, to) if from > to => {}
+            Times::Versions(from, to) => self.add_range(asked, entity, (from, to), |_| true, answer)?,
             Times::Between(from, to) => {
-                self.last_rows(entity.number, all, limit, |row| (from..=to).contains(&row.3))?
+                self.add_range(asked, entity, all, |row| (from..=to).contains(&row.3), answer)?;
             }
             Times::Index(from, to) => {
                 let rows = self.last_rows(entity.number, all, usize::MAX, |_| true)?;
-                let range = places(from, to, rows.len());
-                rows.get(range).unwrap_or_default().to_vec()
+                let chosen = rows.get(places(from, to, rows.len())).unwrap_or_default().to_vec();
+                self.add(asked, entity, chosen, answer)?;
             }
-            Times::At(time) => self.held(entity, |referenced| referenced <= time)?.into_iter().collect(),
-            Times::Before(time) => self.held(entity, |referenced| referenced < time)?.into_iter().collect(),
-        };
-        let found = rows.into_iter().map(|(_, row)| self.snapshot(&entity.id, row));
-        let found = found.collect::<Result<Vec<_>, _>>()?;
-        Ok(match query.times {
-            Times::Index(..) => asked.select_of(found, Times::All),
-            _ => asked.select(found.into_iter()),
-        })
+        }
+        Ok(())
+    }
+
+    /// Adds versions from one to another whose rows count.
+    fn add_range(
+        &self,
+        asked: &Asked<'_>,
+        entity: &Entity,
+        (from, to): (u64, u64),
+        counts: impl Fn(&Row) -> bool,
+        answer: &mut Answer<'_>,
+    ) -> Result<(), StoreError> {
+        if let Some(limit) = asked.query().limit {
+            let limit = if asked.is_plain() { limit } else { usize::MAX };
+            let rows = self.last_rows(entity.number, (from, to), limit, counts)?;
+            return self.add(asked, entity, rows, answer);
+        }
+        let after = asked.query().after.as_ref().filter(|after| after.id == entity.id);
+        let from = after.map_or(from, |after| from.max(after.version.saturating_add(1)));
+        if from > to {
+            return Ok(());
+        }
+        let fault = |e: redb::StorageError| self.store.fault(e);
+        for row in self.index.range((entity.number, from)..=(entity.number, to)).map_err(fault)? {
+            if answer.is_full() {
+                break;
+            }
+            let row = row.map_err(fault)?.1.value();
+            if counts(&row) {
+                self.add_one(asked, entity, row, answer)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds what is asked for of these rows, given in order of version: the newest ones where there is a limit.
+    fn add(
+        &self,
+        asked: &Asked<'_>,
+        entity: &Entity,
+        mut rows: Vec<(u64, Row)>,
+        answer: &mut Answer<'_>,
+    ) -> Result<(), StoreError> {
+        if let Some(limit) = asked.query().limit {
+            let mut left = limit;
+            let mut first = rows.len();
+            while first > 0 && left > 0 {
+                first -= 1;
+                left -= usize::from(asked.fits(&*self.snapshot(&entity.id, rows[first].1)?));
+            }
+            rows.drain(..first);
+        }
+        for (_, row) in rows {
+            if answer.is_full() {
+                break;
+            }
+            self.add_one(asked, entity, row, answer)?;
+        }
+        Ok(())
+    }
+
+    fn add_one(
+        &self,
+        asked: &Asked<'_>,
+        entity: &Entity,
+        row: Row,
+        answer: &mut Answer<'_>,
+    ) -> Result<(), StoreError> {
+        let snapshot = self.snapshot(&entity.id, row)?;
+        if asked.fits(&snapshot) {
+            answer.push(snapshot);
+        }
+        Ok(())
     }
 
     /// The last `limit` rows of an entity that count, in order of version.
@@ -179,22 +254,22 @@ impl<'s> Reader<'s> {
         Ok(found)
     }
 
-    /// What arrived at a time or later: versions arrive in their order.
-    fn arrived(&self, asked: &Asked<'_>, entity: &Entity) -> Result<Vec<Arc<Snapshot>>, StoreError> {
-        let since = asked.query().arrived_since.unwrap_or(0);
+    /// The first version that arrived at a time or later, by bisection: versions arrive in their order.
+    fn arrived(&self, number: u64, since: u64) -> Result<u64, StoreError> {
         let fault = |e: redb::StorageError| self.store.fault(e);
-        let rows = self.index.range((entity.number, 0)..=(entity.number, u64::MAX)).map_err(fault)?;
-        let mut found = Vec::new();
-        for row in rows.rev() {
-            let row = row.map_err(fault)?.1.value();
-            let times = self.with_record(row, record::times)?;
+        let (mut low, mut high) = (0, self.newest(number)?.map_or(0, |(version, _)| version + 1));
+        while low < high {
+            let middle = low + (high - low) / 2;
+            let row = self.index.range((number, middle)..=(number, u64::MAX)).map_err(fault)?.next();
+            let Some((key, row)) = row.transpose().map_err(fault)? else { break };
+            let times = self.with_record(row.value(), record::times)?;
             if times.map_err(|what| self.store.damaged(what))?.1 < since {
-                break;
+                low = key.value().1 + 1;
+            } else {
+                high = middle;
             }
-            found.push(self.snapshot(&entity.id, row)?);
         }
-        found.reverse();
-        Ok(asked.select(found.into_iter()))
+        Ok(low)
     }
 
     /// The row with the latest time among those that count; `counts` holds up to some time and not after it.
@@ -240,14 +315,14 @@ impl LongTermMemory {
             error => StoreError::Query { what: error.to_string() },
         })?;
         self.read(|reader| {
-            let mut found = Vec::new();
+            let mut answer = asked.answer();
             reader.entities(&query.pattern, query.after.as_ref().map(|a| &a.id), |entity| {
                 if asked.wants(&entity.id) {
-                    found.extend(reader.select(&asked, &entity)?);
+                    reader.select(&asked, &entity, &mut answer)?;
                 }
-                Ok(!asked.is_full(found.len()))
+                Ok(!answer.is_full())
             })?;
-            Ok(asked.finish(found))
+            Ok(answer.finish())
         })
     }
 

@@ -10,6 +10,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::entity::{Commit, Instance};
 use crate::follow::Follower;
+use crate::memory::pages;
 use crate::query::{Cursor, Times};
 use crate::working::Limits;
 
@@ -209,15 +210,18 @@ fn queries() -> impl Strategy<Value = Query> {
     ]);
     let cursor = (0..4, 0u64..9)
         .prop_map(|(name, version)| Cursor { id: format!("S/p/e{name}").parse().unwrap(), version });
-    let part = (proptest::option::of(cursor), proptest::option::of(0usize..6), proptest::option::of(3u64..9));
+    let bounds = (proptest::option::of(0usize..6), proptest::option::of(0u64..900), proptest::bool::ANY);
+    let part = (proptest::option::of(cursor), bounds, proptest::option::of(3u64..9));
     (pattern, times, proptest::option::of(0usize..4), filter, part).prop_map(
-        |(pattern, times, limit, filter, (after, most, arrived_since))| Query {
+        |(pattern, times, limit, filter, (after, (most, most_bytes, removed), arrived_since))| Query {
             pattern,
             times,
             limit,
             filter: filter.map(Into::into),
             after,
             most,
+            most_bytes,
+            removed,
             arrived_since,
             ..Query::default()
         },
@@ -238,7 +242,7 @@ proptest! {
         };
         let memory = WorkingMemory::new(clock()).with_backing(Arc::<LongTermMemory>::clone(&store));
         let forgetful = WorkingMemory::new(clock()).with_limits(Limits { history: 1, ..Limits::default() });
-        let forgetful = forgetful.with_backing(other);
+        let forgetful = forgetful.with_backing(other).in_parts_of(3);
         for (name, time, there) in history {
             let id: EntityId = format!("S/p/e{name}").parse().unwrap();
             let update = if there { Commit::new(id, time, BTreeMap::new()) } else { Commit::removal(id, time) };
@@ -253,6 +257,56 @@ proptest! {
         }
         prop_assert!(store.verify().unwrap().is_intact());
     }
+
+    /// Piece by piece, of any size, is the same as at once.
+    #[test]
+    fn pieces_make_up_the_whole(history in histories(), query in queries(), size in 1usize..5, bytes in 0u64..900) {
+        let (_folder, _, store) = store();
+        let memory = WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits { history: 2, ..Limits::default() });
+        let memory = memory.with_backing(store).in_parts_of(2);
+        for (name, time, there) in history {
+            let id: EntityId = format!("S/p/e{name}").parse().unwrap();
+            let update = if there { Commit::new(id, time, BTreeMap::new()) } else { Commit::removal(id, time) };
+            memory.commit_now(vec![update]).unwrap();
+        }
+        let whole = Query { most: None, most_bytes: None, ..query }.with_long_term();
+        let mut pieces = pages(Query { most_bytes: Some(bytes), ..whole.clone() }, size);
+        let mut found = Vec::new();
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        while let Some(piece) = runtime.block_on(pieces.next(&memory)).unwrap() {
+            prop_assert!(piece.len() <= size);
+            found.extend(piece);
+        }
+        prop_assert_eq!(versions(&found), versions(&memory.query_now(&whole).unwrap()), "{:?}", whole);
+    }
+}
+
+/// What speaks of a far future must not hide what comes after it.
+#[test]
+fn a_time_from_the_future_hides_nothing_that_comes_later() {
+    let now = 1_000_000_000_000_u64;
+    let future = 100 * now;
+    let come = [(1, now), (2, future), (3, now + 2_000_000_000), (4, now + 4_000_000_000)];
+    let one = |(version, time): (u64, u64)| {
+        Arc::new(Snapshot { arrived_ns: now + version, ..(*snapshot("S/p/e", version, time, 0)).clone() })
+    };
+    let come = come.map(one);
+    let (_folder, path, store) = store();
+    let kept = Consolidator::new(Arc::clone(&store), Policies::all(Policy::AtMost { hz: 1.0 }));
+    for one in &come {
+        kept.consolidate(std::slice::from_ref(one)).unwrap();
+    }
+    drop((kept, store));
+    let store = LongTermMemory::open(&path).unwrap();
+    let all = |times: Times| {
+        let found = store.query(&Query::latest(Pattern::any()).times(times)).unwrap();
+        found.iter().map(|s| s.version).collect::<Vec<_>>()
+    };
+    assert_eq!(all(Times::All), [1, 2, 3, 4], "a rate goes on after it");
+    assert_eq!(all(Times::Latest), [4], "the newest is what came last");
+    assert_eq!(all(Times::At(now + 3_000_000_000)), [3], "and what held at a time is asked by that time");
+    let dropped = store.retain(Retention { age_ns: Some(0), bytes: None }, now * 2).unwrap();
+    assert_eq!((dropped.snapshots, all(Times::All)), (3, vec![4]), "and it is forgotten by when it came");
 }
 
 #[test]

@@ -125,6 +125,13 @@ impl<'t> Writer<'t> {
         Ok(self.know(id, memo)?.number)
     }
 
+    /// Whether a version of an entity is there.
+    pub(super) fn holds(&mut self, id: &EntityId, version: u64, memo: &Memo) -> Result<bool, StoreError> {
+        let number = self.know(id, memo)?.number;
+        let row = self.index.get((number, version)).map_err(|e| self.store.fault(e))?;
+        Ok(row.is_some())
+    }
+
     /// Adds a snapshot unless it is there. Returns whether it is new.
     pub(super) fn add(&mut self, snapshot: &Snapshot, memo: &Memo) -> Result<bool, StoreError> {
         let mut known = self.know(&snapshot.id, memo)?;

@@ -1,12 +1,13 @@
 //! How commits get in: who commits takes along what waits, numbers it, has the backing keep it in one go, and makes it
 //! visible. Nobody sees a snapshot that the backing has not kept.
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use indexmap::IndexMap;
 
 use super::WorkingMemory;
-use super::held::{State, bytes_of};
+use super::held::{State, Taken, bytes_of, owner};
 use crate::entity::{Commit, EntityId, Instance, Snapshot};
 use crate::error::MemoryError;
 use crate::schema::check_form;
@@ -29,9 +30,25 @@ type Newest = (u64, bool);
 #[derive(Default)]
 pub(super) struct Numbered {
     newest: IndexMap<EntityId, Newest>,
-    /// Entities that the memory does not have yet.
-    new: usize,
-    bytes: u64,
+    /// What it takes that the memory does not hold yet.
+    all: Taken,
+    /// The same by owner, where room is divided.
+    by_owner: BTreeMap<String, Taken>,
+}
+
+impl Numbered {
+    fn of(&self, owner: &str) -> Taken {
+        self.by_owner.get(owner).copied().unwrap_or_default()
+    }
+
+    /// Counts what is to be put in.
+    pub(super) fn take(&mut self, owner: Option<&str>, more: Taken) {
+        self.all = self.all + more;
+        if let Some(owner) = owner {
+            let taken = self.of(owner) + more;
+            self.by_owner.insert(owner.into(), taken);
+        }
+    }
 }
 
 impl WorkingMemory {
@@ -103,7 +120,7 @@ impl WorkingMemory {
         let state = self.read();
         let from = group.len();
         let mut before = Vec::new();
-        let (new, bytes) = (numbered.new, numbered.bytes);
+        let (all, by_owner) = (numbered.all, numbered.by_owner.clone());
         let mut refused = Ok(());
         for update in updates {
             match self.number_one(update, sent_ns, arrived_ns, prior, &state, numbered) {
@@ -119,7 +136,7 @@ impl WorkingMemory {
         }
         if refused.is_err() {
             group.truncate(from);
-            (numbered.new, numbered.bytes) = (new, bytes);
+            (numbered.all, numbered.by_owner) = (all, by_owner);
             for (id, was) in before.into_iter().rev() {
                 match was {
                     Some(was) => numbered.newest.insert(id, was),
@@ -154,11 +171,14 @@ impl WorkingMemory {
         };
         expect(&update, if is_gone { 0 } else { version })?;
         let is_new = known.is_none() && newest.is_none();
-        self.check_room(state, numbered, &update.id, &update.instances, is_new)?;
-        numbered.newest.insert(update.id.clone(), (version + 1, update.instances.is_empty()));
+        let owner = Some(owner(&update.id)).filter(|_| self.limits.shares > 1 && !prior);
+        let put = (&update.id, update.instances.as_slice());
+        let bytes = self.check_room(state, numbered, put, is_new, owner)?;
+        numbered.take(owner, Taken { entities: usize::from(is_new), bytes });
+        numbered.newest.insert(update.id.clone(), (version.saturating_add(1), update.instances.is_empty()));
         let snapshot = Snapshot {
             id: update.id,
-            version: version + 1,
+            version: version.saturating_add(1),
             referenced_ns: update.referenced_ns,
             sent_ns,
             arrived_ns,
@@ -192,25 +212,41 @@ impl WorkingMemory {
         }
     }
 
+    /// How many bytes a snapshot adds, where there is room for it: in the whole memory, and in the share of its owner
+    /// where one is given. What it pushes out of its entity's history makes room for it, and that an entity is gone is
+    /// always taken.
     pub(super) fn check_room(
         &self,
         state: &State,
-        numbered: &mut Numbered,
-        id: &EntityId,
-        instances: &[Instance],
+        numbered: &Numbered,
+        (id, instances): (&EntityId, &[Instance]),
         is_new: bool,
-    ) -> Result<(), MemoryError> {
-        let entities = state.len() + numbered.new + usize::from(is_new);
-        if is_new && entities > self.limits.entities {
-            return Err(MemoryError::Full { id: id.to_string(), entities: self.limits.entities as u64 });
-        }
+        owner: Option<&str>,
+    ) -> Result<u64, MemoryError> {
+        let whole = Taken { entities: self.limits.entities, bytes: self.limits.bytes };
+        let shares = self.limits.shares;
+        let share =
+            Taken { entities: whole.entities / shares as usize, bytes: whole.bytes / u64::from(shares) };
+        let of_all = Taken { entities: state.len(), bytes: state.bytes() } + numbered.all;
+        let of_owner = owner.map(|owner| (state.taken(owner) + numbered.of(owner), share));
         let bytes = bytes_of(id, instances);
-        if state.bytes() + numbered.bytes + bytes > self.limits.bytes {
-            return Err(MemoryError::TooLarge { id: id.to_string(), bytes, most: self.limits.bytes });
+        let is_gone = instances.is_empty() && !is_new;
+        let mut added = bytes;
+        for (held, most) in std::iter::once((of_all, whole)).chain(of_owner) {
+            if is_new && held.entities >= most.entities {
+                return Err(MemoryError::Full { id: id.to_string(), entities: most.entities as u64 });
+            }
+            if held.bytes + bytes > most.bytes && !is_gone {
+                // Of several updates of an entity at once, only the first makes room.
+                let is_first = !numbered.newest.contains_key(id);
+                let freed = if is_first { state.freed(id, self.limits.history) } else { 0 };
+                added = bytes.saturating_sub(freed);
+                if held.bytes + added > most.bytes {
+                    return Err(MemoryError::TooLarge { id: id.to_string(), bytes, most: most.bytes });
+                }
+            }
         }
-        numbered.new += usize::from(is_new);
-        numbered.bytes += bytes;
-        Ok(())
+        Ok(added)
     }
 
     /// Makes snapshots visible, and tells the subscribers in the same order.

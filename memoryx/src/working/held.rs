@@ -2,12 +2,13 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::mem::size_of;
+use std::ops::Add;
 use std::sync::Arc;
 
 use armarium_values::Value;
 use indexmap::IndexMap;
 
-use crate::asked::Asked;
+use crate::asked::{Answer, Asked};
 use crate::entity::{EntityId, Instance, Snapshot};
 
 /// What one allocation takes beyond its content, bytes, about.
@@ -23,11 +24,33 @@ pub(super) struct State {
     segments: BTreeMap<String, BTreeMap<EntityId, usize>>,
     pub(super) read_only: BTreeSet<(String, String)>,
     bytes: u64,
+    /// What is held, by owner.
+    taken: BTreeMap<String, Taken>,
     /// The newest changes in their order: when they arrived, ns, and the places of their entities. So who has missed a
     /// few of them costs no more than those.
     arrivals: VecDeque<(u64, usize)>,
     /// When the newest change arrived that is in `arrivals` no more, ns.
     forgotten_until: u64,
+}
+
+/// A part of a memory's room.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Taken {
+    pub(super) entities: usize,
+    pub(super) bytes: u64,
+}
+
+impl Add for Taken {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self { entities: self.entities + other.entities, bytes: self.bytes + other.bytes }
+    }
+}
+
+/// Whose a provider segment is: its name up to the first dot.
+pub(super) fn owner(id: &EntityId) -> &str {
+    id.provider().split('.').next().unwrap_or_default()
 }
 
 /// What is held of one entity. The newest snapshot is all that most questions look at.
@@ -51,6 +74,19 @@ impl State {
         self.bytes
     }
 
+    /// What an owner's provider segments take.
+    pub(super) fn taken(&self, owner: &str) -> Taken {
+        self.taken.get(owner).copied().unwrap_or_default()
+    }
+
+    /// How many bytes the next snapshot of an entity pushes out, where `keep` are held.
+    pub(super) fn freed(&self, id: &EntityId, keep: usize) -> u64 {
+        let Some(history) = self.histories.get(id) else { return 0 };
+        let is_full = history.older.len() + 1 >= keep;
+        let oldest = history.older.front().unwrap_or(&history.newest);
+        if is_full { oldest.bytes() } else { 0 }
+    }
+
     pub(super) fn newest(&self, id: &EntityId) -> Option<&Arc<Snapshot>> {
         self.histories.get(id).map(|history| &history.newest)
     }
@@ -62,39 +98,46 @@ impl State {
 
     /// What a question takes of what is held, in order of address, then version.
     pub(super) fn select(&self, asked: &Asked<'_>) -> Vec<Arc<Snapshot>> {
-        let mut found = Vec::new();
+        let mut answer = asked.answer();
         if let Some(id) = asked.query().pattern.exact() {
             if let Some(history) = self.histories.get(&id).filter(|_| asked.wants(&id)) {
-                found = asked.select(history.iter());
+                answer.extend(asked.select(history.iter()));
             }
-            return found;
-        }
-        if let Some(places) = self.arrived(asked) {
+        } else if let Some(places) = self.arrived(asked) {
             for (id, place) in places {
-                if asked.is_full(found.len()) {
+                if !self.add(asked, id, place, &mut answer) {
                     break;
                 }
-                if let Some((_, history)) = self.histories.get_index(place).filter(|_| asked.wants(id)) {
-                    found.extend(asked.select(history.iter()));
-                }
             }
-            return found;
+        } else {
+            self.add_all(asked, &mut answer);
         }
+        answer.finish()
+    }
+
+    fn add_all(&self, asked: &Asked<'_>, answer: &mut Answer<'_>) {
         let one = asked.query().pattern.exact_segment();
         let segments = self.segments.iter().filter(|(name, _)| one.is_none_or(|one| one == name.as_str()));
         for (_, entities) in segments {
             let first = asked.query().after.as_ref().map(|after| &after.id);
             let range = first.map_or_else(|| entities.range::<EntityId, _>(..), |id| entities.range(id..));
             for (id, place) in range {
-                if asked.is_full(found.len()) {
-                    return found;
-                }
-                if let Some((_, history)) = self.histories.get_index(*place).filter(|_| asked.wants(id)) {
-                    found.extend(asked.select(history.iter()));
+                if !self.add(asked, id, *place, answer) {
+                    return;
                 }
             }
         }
-        found
+    }
+
+    /// Adds what a question takes of one entity, unless the answer is full: then it says so.
+    fn add(&self, asked: &Asked<'_>, id: &EntityId, place: usize, answer: &mut Answer<'_>) -> bool {
+        if answer.is_full() {
+            return false;
+        }
+        if let Some((_, history)) = self.histories.get_index(place).filter(|_| asked.wants(id)) {
+            answer.extend(asked.select(history.iter()));
+        }
+        true
     }
 
     /// The entities of which something arrived when the question asks for it, in order of address; `None` when that is
@@ -107,20 +150,33 @@ impl State {
     }
 
     pub(super) fn put_in(&mut self, snapshot: &Arc<Snapshot>, keep: usize) {
+        let (mut freed, mut entities) = (0, 0);
         let place = match self.histories.get_full_mut(&snapshot.id) {
             Some((place, _, history)) => {
                 let before = std::mem::replace(&mut history.newest, Arc::clone(snapshot));
                 history.older.push_back(before);
                 while history.older.len() >= keep {
                     if let Some(old) = history.older.pop_front() {
-                        self.bytes -= old.bytes().min(self.bytes);
+                        freed += old.bytes();
                     }
                 }
                 place
             }
-            None => self.put_in_new(snapshot),
+            None => {
+                entities = 1;
+                self.put_in_new(snapshot)
+            }
         };
-        self.bytes += snapshot.bytes();
+        let bytes = snapshot.bytes();
+        self.bytes = (self.bytes + bytes).saturating_sub(freed);
+        let owner = owner(&snapshot.id);
+        if !self.taken.contains_key(owner) {
+            self.taken.insert(owner.into(), Taken::default());
+        }
+        if let Some(taken) = self.taken.get_mut(owner) {
+            taken.entities += entities;
+            taken.bytes = (taken.bytes + bytes).saturating_sub(freed);
+        }
         if self.arrivals.len() == ARRIVALS {
             let forgotten = self.arrivals.pop_front();
             self.forgotten_until = forgotten.map_or(0, |(arrived_ns, _)| arrived_ns);

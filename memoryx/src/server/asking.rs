@@ -1,0 +1,129 @@
+//! Questions to a shared memory: queries, gets by key and maintenance, answered beside each other and beside commits, in
+//! parts, and in a room that has an end.
+
+use std::sync::Arc;
+
+use armarium_bus::{Question, Questions, SessionError};
+use tokio::runtime::Handle;
+use tokio::sync::OwnedSemaphorePermit;
+use tokio::task::JoinSet;
+
+use super::{ROOM_KB, Shared, forbid, log_failure};
+use crate::error::MemoryError;
+use crate::maintain;
+use crate::query::{Cursor, Query};
+use crate::wire::{self, MOST_BYTES, MOST_SNAPSHOTS, Maintain, Snapshots};
+
+/// What a question takes of the room at least, kB: so that fewer wait at once than there are threads that may wait.
+const QUERY_KB: u32 = 256;
+
+impl Shared {
+    /// Room for a question to wait for its turn beside the others, so that commits never wait for queries; when there is
+    /// none, whoever asks is told so.
+    pub(super) async fn room_for(&self, question: &Question) -> Option<OwnedSemaphorePermit> {
+        let kb = u32::try_from(question.payload.len() / 1024).unwrap_or(ROOM_KB);
+        let wanted = kb.saturating_add(QUERY_KB).min(ROOM_KB);
+        let room = Arc::clone(&self.room).try_acquire_many_owned(wanted).ok();
+        if room.is_none() {
+            let what = "too many questions wait for their answers: ask again later".into();
+            self.send(question, Err(MemoryError::Query { what })).await;
+        }
+        room
+    }
+
+    /// The turn of one that waits.
+    async fn turn(&self) -> Option<OwnedSemaphorePermit> {
+        Arc::clone(&self.queries).acquire_owned().await.ok()
+    }
+
+    /// Answers a query or maintenance when it is its turn. Its turn ends before it is sent: how long that takes is up to
+    /// who asked.
+    pub(super) async fn answer_aside(self, question: Question, room: OwnedSemaphorePermit) {
+        let turn = self.turn().await;
+        let answering = tokio::task::spawn_blocking(move || {
+            let answer = self.answer(&question);
+            drop(turn);
+            self.send_all(vec![(question, answer)]);
+            drop(room);
+        });
+        // It does not panic, and nobody takes it back.
+        let _ = answering.await.is_ok();
+    }
+
+    /// A query or maintenance, by its encoding.
+    fn answer(&self, question: &Question) -> Result<(String, Vec<u8>), MemoryError> {
+        let (encoding, payload) = (question.encoding.as_str(), question.payload.as_slice());
+        let sealed = if encoding.starts_with("application/cbor;memoryx/maintain;") {
+            let request: Maintain = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
+            let writer = self.writer(question);
+            if self.guarded && writer != Some(self.agent.as_str()) {
+                return Err(forbid("long-term memory".into(), writer));
+            }
+            let store =
+                self.store.as_deref().ok_or_else(|| MemoryError::Store { what: "there is none".into() })?;
+            wire::seal(&maintain::carry_out(request, store, &self.memory)?)
+        } else {
+            let query: Query = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
+            wire::seal(&self.piece(query)?)
+        };
+        sealed.map_err(|e| self.not_understood(&e))
+    }
+
+    /// As much of an answer as travels at once.
+    fn piece(&self, mut query: Query) -> Result<Snapshots, MemoryError> {
+        let wanted = query.clone();
+        query.most = Some(query.most.unwrap_or(usize::MAX).min(MOST_SNAPSHOTS));
+        query.most_bytes = Some(query.most_bytes.unwrap_or(u64::MAX).min(MOST_BYTES));
+        let mut snapshots = self.memory.query_now(&query)?;
+        let full = query.is_filled_by(&snapshots) && !wanted.is_filled_by(&snapshots);
+        let fits = wire::in_one_answer(&snapshots);
+        let cut = fits < snapshots.len();
+        snapshots.truncate(fits);
+        // The nearest ones have an order of their own, in which nobody can go on.
+        Ok(Snapshots { snapshots, more: (full || cut) && !query.is_nearest() })
+    }
+
+    pub(super) async fn answer_gets(self, mut questions: Questions) {
+        let mut answers = JoinSet::new();
+        while let Some(question) = questions.next().await {
+            if let Some(room) = self.room_for(&question).await {
+                let shared = self.clone();
+                answers.spawn_blocking(move || {
+                    log_failure(Handle::current().block_on(shared.answer_get(&question)));
+                    drop(room);
+                });
+            }
+            while answers.try_join_next().is_some() {}
+        }
+    }
+
+    /// Answers part by part, so that no more of a long answer is in memory at once.
+    async fn answer_get(&self, question: &Question) -> Result<(), SessionError> {
+        let query = wire::query_of_get(&question.key, &question.parameters);
+        let mut query = match query {
+            Ok(query) => Query { most: Some(MOST_SNAPSHOTS), most_bytes: Some(MOST_BYTES), ..query },
+            Err(what) => return self.refuse(question, &MemoryError::Query { what }).await,
+        };
+        loop {
+            let turn = self.turn().await;
+            let found = match self.memory.query_now(&query) {
+                Ok(found) => found,
+                Err(error) => return self.refuse(question, &error).await,
+            };
+            drop(turn);
+            let more = query.is_filled_by(&found);
+            query.after = found.last().map(|s| Cursor { id: s.id.clone(), version: s.version });
+            for snapshot in found {
+                let (Ok(key), Ok((encoding, payload))) =
+                    (wire::entity_key(&self.agent, &snapshot), wire::seal(&*snapshot))
+                else {
+                    continue;
+                };
+                question.reply(&key, &encoding, payload).await?;
+            }
+            if !more {
+                return Ok(());
+            }
+        }
+    }
+}
