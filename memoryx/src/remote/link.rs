@@ -139,7 +139,6 @@ impl Link {
                     some => some,
                 },
             };
-            self.taken.notify_one();
             match told {
                 Ok(some) => {
                     some.into_iter().for_each(|change| self.pass_on(change, &changes));
@@ -232,7 +231,10 @@ impl Memory for Link {
         self.raw.subscribe()
     }
 
+    /// The follower asks after each change that it has taken, also after those that tell nothing new and that
+    /// [`Self::tell`] therefore never sees: so [`Self::hear`] learns here that there is room.
     fn told_until(&self) -> Option<u64> {
+        self.taken.notify_one();
         Some(self.stream().whole_until())
     }
 }

@@ -7,7 +7,9 @@ use armarium_values::Value;
 
 use super::*;
 use crate::conformance;
+use crate::follow::{Change, Follower};
 use crate::line::{Line, line};
+use crate::query::Pattern;
 use crate::server::MemoryServer;
 use crate::wire::Changes;
 use crate::working::{Limits, WorkingMemory};
@@ -125,6 +127,37 @@ async fn the_last_changes_are_not_missed() {
     pair.far.put(&probe, "x", Vec::new()).await.unwrap();
     state.send(Line::Open).unwrap();
     assert_eq!(heard_until(&mut behind, count).await, (1..=count).collect::<Vec<_>>());
+}
+
+/// Faster than anybody follows: nothing is lost all the same, nor told twice.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_flooded_arrives_whole() {
+    let far = Session::open(&SessionConfig::default()).await.unwrap();
+    let clock = far.clone();
+    let memory = WorkingMemory::new(Arc::new(move || clock.now_ns()));
+    let memory = Arc::new(memory.with_limits(Limits { history: 256, ..Limits::default() }));
+    let _server = MemoryServer::start(&far, "alice", Arc::clone(&memory)).await.unwrap();
+    let near = Session::open(&SessionConfig::connected_to(&far.endpoints().await)).await.unwrap();
+    let remote = Arc::new(RemoteMemory::connect(&near, "alice").await.unwrap());
+    let mut follower = Follower::from_start(remote, Pattern::any());
+    let (groups, entities) = (2000, 1000);
+    let writer = tokio::spawn(async move {
+        for group in 0..groups {
+            let update = |i| commit(&format!("e{}", (group * 100 + i) % entities), group);
+            memory.commit_now((0..100).map(update).collect()).unwrap();
+            tokio::task::yield_now().await;
+        }
+    });
+    let mut newest: BTreeMap<EntityId, u64> = BTreeMap::new();
+    for _ in 0..groups * 100 {
+        let Some(Change::New(snapshot)) = follower.next().await.unwrap() else { panic!("one is missing") };
+        let before = newest.insert(snapshot.id.clone(), snapshot.version).unwrap_or(0);
+        assert_eq!(snapshot.version, before + 1, "{}", snapshot.id);
+    }
+    writer.await.unwrap();
+    assert!(
+        newest.len() == entities as usize && newest.values().all(|v| *v == (groups * 100 / entities) as u64)
+    );
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
