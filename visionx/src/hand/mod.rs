@@ -10,6 +10,7 @@ use std::fmt;
 pub(crate) mod candidates;
 pub(crate) mod depth;
 mod observer;
+mod paths;
 mod relief;
 pub(crate) mod shape;
 mod skin;
