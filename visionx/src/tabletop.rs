@@ -174,7 +174,7 @@ impl TabletopSegmentation {
         let distance = thing.iter().map(|s| f64::from(s.depth)).sum::<f64>() / thing.len() as f64;
         let pixel = f64::from(STEP) * distance / self.camera.focal;
         let variance = pixel * pixel / 2.0 + plane.deviation * plane.deviation;
-        let w = frame.left.width() / STEP;
+        let w = self.camera.width / STEP;
         let pixels = || thing.iter().map(|s| (s.place as u32 % w * STEP, s.place as u32 / w * STEP));
         let mut color = [0u64; 3];
         for (x, y) in pixels() {
@@ -190,7 +190,7 @@ impl TabletopSegmentation {
             size: Vector3::new(rectangle.size[0], rectangle.size[1], height),
             covariance: Matrix3::from_diagonal_element(variance),
             color: color.map(|c| (c / thing.len() as u64) as u8),
-            bounding_box: Region::spanning(x0, y0, x1, y1, frame.left.width(), frame.left.height()),
+            bounding_box: Region::spanning(x0, y0, x1, y1, self.camera.width, self.camera.height),
         })
     }
 }
