@@ -2,7 +2,7 @@
 //! payloads.
 
 use zenoh::bytes::Encoding;
-use zenoh::sample::SampleKind;
+use zenoh::sample::{SampleKind, SourceInfo};
 
 use crate::keys::Key;
 use crate::queue::{Queue, Weigh};
@@ -64,6 +64,8 @@ pub struct Question {
     pub encoding: String,
     /// The payload that came with the question; empty without one.
     pub payload: Vec<u8>,
+    /// The session that asks, where it says so.
+    pub sender: Option<String>,
     query: zenoh::query::Query,
 }
 
@@ -172,6 +174,11 @@ impl Weigh for Liveliness {
     }
 }
 
+/// The session that something comes from, if it says so.
+fn source(info: Option<&SourceInfo>) -> Option<String> {
+    info.map(|info| info.source_id().zid().to_string())
+}
+
 pub(crate) fn of_sample(sample: &zenoh::sample::Sample) -> Message {
     Message {
         key: sample.key_expr().to_string(),
@@ -179,7 +186,8 @@ pub(crate) fn of_sample(sample: &zenoh::sample::Sample) -> Message {
         encoding: sample.encoding().to_string(),
         payload: sample.payload().to_bytes().into_owned(),
         sent_ns: sample.timestamp().map(nanoseconds),
-        sender: sample.timestamp().map(|stamp| stamp.get_id().to_string()),
+        sender: source(sample.source_info())
+            .or_else(|| sample.timestamp().map(|stamp| stamp.get_id().to_string())),
     }
 }
 
@@ -197,6 +205,7 @@ pub(crate) fn of_query(query: zenoh::query::Query) -> Question {
     Question {
         key: query.key_expr().to_string(),
         parameters: query.parameters().to_string(),
+        sender: source(query.source_info()),
         encoding: query.encoding().map(ToString::to_string).unwrap_or_default(),
         payload: query.payload().map(|p| p.to_bytes().into_owned()).unwrap_or_default(),
         query,

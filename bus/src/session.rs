@@ -13,7 +13,7 @@ use tokio::runtime::{Handle, RuntimeFlavor};
 use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
 use zenoh::query::{ConsolidationMode, QueryTarget};
-use zenoh::sample::{Locality, SampleKind};
+use zenoh::sample::{Locality, SampleKind, SourceInfo};
 
 use crate::attached;
 pub use crate::config::{Mode, SessionConfig, Tls};
@@ -131,6 +131,17 @@ impl Session {
         self.zenoh.zid().to_string()
     }
 
+    /// Who sent something, for people: as the message says or, when it does not, the sessions that this one has a link
+    /// to, through one of which it came.
+    pub async fn sender(&self, said: Option<&str>) -> String {
+        if let Some(said) = said {
+            return said.into();
+        }
+        let linked = self.zenoh.info().transports().await;
+        let linked: Vec<_> = linked.map(|transport| transport.zid().to_string()).collect();
+        format!("one of those linked here: {}", linked.join(", "))
+    }
+
     /// The wall clock that messages are stamped with, ns since 1970; never the same twice.
     #[must_use]
     pub fn now_ns(&self) -> u64 {
@@ -240,6 +251,7 @@ impl Session {
             .get(selector)
             .target(QueryTarget::All)
             .consolidation(ConsolidationMode::None)
+            .source_info(SourceInfo::new(self.zenoh.id(), 0))
             .timeout(timeout);
         if let Some((encoding, payload)) = payload {
             get = get.payload(payload).encoding(Encoding::from(encoding));

@@ -9,6 +9,10 @@ use crate::filter::Filter;
 use crate::place::{Region, distance, place_of};
 use crate::query::{Query, Times};
 
+/// Snapshots, and bytes of them, among which the nearest are looked for before the others are forgotten.
+const LEFT: usize = 1024;
+const LEFT_BYTES: u64 = 16 << 20;
+
 /// A question that was checked.
 #[derive(Clone, Debug)]
 pub struct Asked<'q> {
@@ -29,13 +33,10 @@ impl Asked<'_> {
         self.query.pattern.matches(id) && self.query.after.as_ref().is_none_or(|after| after.id <= *id)
     }
 
-    /// Whether which snapshots it takes follows from the times alone.
+    /// Whether which snapshots it takes follows from their versions and the times that they speak of.
     #[must_use]
     pub fn is_plain(&self) -> bool {
-        self.filter.is_none()
-            && self.query.region.is_none()
-            && self.query.arrived_since.is_none()
-            && self.query.after.is_none()
+        self.filter.is_none() && self.query.region.is_none() && self.query.arrived_since.is_none()
     }
 
     /// What the question takes of one wanted entity's snapshots, given and returned in order of version.
@@ -73,7 +74,7 @@ impl Asked<'_> {
 
     /// An answer with nothing in it yet.
     pub(crate) fn answer(&self) -> Answer<'_> {
-        Answer { asked: self, found: Vec::new(), bytes: 0 }
+        Answer { asked: self, found: Vec::new(), bytes: 0, left: LEFT, left_bytes: LEFT_BYTES }
     }
 
     /// Makes the answer of what was taken of all entities, in order of address.
@@ -132,14 +133,27 @@ pub(crate) struct Answer<'a> {
     found: Vec<Arc<Snapshot>>,
     /// Of `found`, where the question bounds them.
     bytes: u64,
+    /// How many more may be found, and how many bytes of them, before those that are not among the nearest are forgotten.
+    left: usize,
+    left_bytes: u64,
 }
 
 impl Answer<'_> {
     pub(crate) fn push(&mut self, snapshot: Arc<Snapshot>) {
-        if self.asked.query.most_bytes.is_some() {
+        let query = self.asked.query;
+        if query.is_nearest() {
+            self.left = self.left.saturating_sub(1);
+            self.left_bytes = self.left_bytes.saturating_sub(snapshot.bytes());
+        } else if query.most_bytes.is_some() {
             self.bytes += snapshot.bytes();
         }
         self.found.push(snapshot);
+        if self.left == 0 || self.left_bytes == 0 {
+            self.found = self.asked.finish(std::mem::take(&mut self.found));
+            // As many again, so that sorting costs little of each.
+            self.left = self.found.len().max(LEFT);
+            self.left_bytes = self.found.iter().map(|s| s.bytes()).sum::<u64>().max(LEFT_BYTES);
+        }
     }
 
     pub(crate) fn extend(&mut self, snapshots: Vec<Arc<Snapshot>>) {

@@ -98,7 +98,16 @@ impl MemoryServer {
         let queries = Arc::new(Semaphore::new(QUERIES));
         let room = Arc::new(Semaphore::new(ROOM_KB as usize));
         let refusals = Arc::default();
-        let shared = Shared { agent: agent.into(), memory, store, queries, room, guarded, refusals };
+        let shared = Shared {
+            session: session.clone(),
+            agent: agent.into(),
+            memory,
+            store,
+            queries,
+            room,
+            guarded,
+            refusals,
+        };
         let mut tasks = JoinSet::new();
         let questions = session.answer(requests, QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_requests(questions));
@@ -124,6 +133,7 @@ type Answer = Result<(String, Vec<u8>), MemoryError>;
 
 #[derive(Clone)]
 struct Shared {
+    session: Session,
     agent: String,
     memory: Arc<WorkingMemory>,
     store: Option<Arc<LongTermMemory>>,
@@ -239,7 +249,8 @@ impl Shared {
     /// Tells whoever asks why not, and the log who it was.
     async fn refuse(&self, question: &Question, error: &MemoryError) -> Result<(), SessionError> {
         if is_rude(error) {
-            self.refusals.note(self.writer(question).unwrap_or("unknown"), &question.key, error);
+            let said = self.writer(question).or(question.sender.as_deref());
+            self.refusals.note(&self.session.sender(said).await, &question.key, error);
         }
         match wire::seal(error) {
             Ok((encoding, payload)) => question.refuse(&encoding, payload).await,
@@ -251,8 +262,8 @@ impl Shared {
         let mut dropped = 0;
         while let Some(message) = updates.next().await {
             if let Err(error) = self.take_update(&message) {
-                let sender = message.sender.as_deref().unwrap_or("unknown");
-                self.refusals.note(sender, &message.key, &error);
+                let sender = self.session.sender(message.sender.as_deref()).await;
+                self.refusals.note(&sender, &message.key, &error);
             }
             // Each time that it has doubled: a flood is not logged one by one.
             if updates.dropped() > 2 * dropped {

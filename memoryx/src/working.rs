@@ -27,6 +27,7 @@ mod recalling;
 
 use committing::{Answer, Numbered, Request};
 use held::{State, Taken};
+use recalling::Both;
 
 /// Tells the time, ns since an epoch that the whole memory shares.
 pub type Clock = Arc<dyn Fn() -> u64 + Send + Sync>;
@@ -83,6 +84,22 @@ pub trait Backing: Send + Sync {
     /// [`MemoryError::Store`] when it cannot be read; [`MemoryError::Query`].
     fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         query.ask().map(|_| Vec::new())
+    }
+
+    /// Gives the versions of one entity that a query chooses among all that was ever taken, whatever its bounds, to
+    /// `act`, in their order or `backwards`, until it says that this is enough. The query is not about one time.
+    ///
+    /// # Errors
+    /// As [`Self::recall`].
+    fn versions(
+        &self,
+        query: &Query,
+        id: &EntityId,
+        backwards: bool,
+        act: &mut dyn FnMut(u64) -> bool,
+    ) -> Result<(), MemoryError> {
+        let _ = (id, backwards, act);
+        query.ask().map(|_| ())
     }
 }
 
@@ -281,7 +298,7 @@ impl WorkingMemory {
         let asked = query.ask()?;
         let backing = self.backing.as_ref().filter(|_| query.long_term);
         match backing {
-            Some(backing) => self.ask_both(&asked, &**backing),
+            Some(backing) => Both { memory: self, backing: &**backing }.ask(&asked),
             None => Ok(self.read().select(&asked)),
         }
     }

@@ -113,6 +113,11 @@ async fn nonsense_on_every_key_is_answered_and_ends_nothing() {
         }
     }
     assert!(refused > 300, "{refused} of 600 are nonsense");
+    assert!(said.has_refused(&stranger.id()), "the log names who has asked what was refused");
+    let nameless = stranger.zenoh().get(asked[0].as_str()).payload("nonsense").await.unwrap();
+    assert!(nameless.recv_async().await.unwrap().result().is_err());
+    let linked = said.names().into_iter().find(|name| name.starts_with("one of those linked here: "));
+    assert!(linked.is_some_and(|ids| ids.contains(&stranger.id())), "or through whom it came");
 
     // Gets by key, with what is no parameter, and too many kinds of it.
     let parameters = [
@@ -293,7 +298,11 @@ fn said() -> Said {
 
 impl Said {
     fn has_refused(&self, sender: &str) -> bool {
-        self.0.lock().unwrap().0.iter().any(|said| said.as_str() == sender)
+        self.names().iter().any(|said| said == sender)
+    }
+
+    fn names(&self) -> Vec<String> {
+        self.0.lock().unwrap().0.clone()
     }
 
     fn lines(&self) -> usize {

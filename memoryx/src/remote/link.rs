@@ -73,7 +73,7 @@ impl Link {
                     }
                 }
                 Err(error) => {
-                    let sender = message.sender.as_deref().unwrap_or("unknown");
+                    let sender = self.session.sender(message.sender.as_deref()).await;
                     tracing::warn!(%error, key = message.key, sender, "changes were not understood");
                 }
             }

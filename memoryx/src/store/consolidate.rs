@@ -305,6 +305,16 @@ impl Backing for Consolidator {
     fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         self.store.recall(query)
     }
+
+    fn versions(
+        &self,
+        query: &Query,
+        id: &EntityId,
+        backwards: bool,
+        act: &mut dyn FnMut(u64) -> bool,
+    ) -> Result<(), MemoryError> {
+        self.store.versions(query, id, backwards, act)
+    }
 }
 
 /// A backing that only numbers: for a working memory whose changes are kept beside it, by [`Consolidator::follow`].
@@ -322,5 +332,15 @@ impl Backing for Numbering {
 
     fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         self.0.recall(query)
+    }
+
+    fn versions(
+        &self,
+        query: &Query,
+        id: &EntityId,
+        backwards: bool,
+        act: &mut dyn FnMut(u64) -> bool,
+    ) -> Result<(), MemoryError> {
+        self.0.versions(query, id, backwards, act)
     }
 }

@@ -58,6 +58,8 @@ mod fault_tests;
 #[cfg(test)]
 mod keep_tests;
 #[cfg(test)]
+mod query_tests;
+#[cfg(test)]
 mod tests;
 
 pub use coding::Coding;
@@ -210,6 +212,16 @@ impl Backing for LongTermMemory {
 
     fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         Ok(self.query(query)?)
+    }
+
+    fn versions(
+        &self,
+        query: &Query,
+        id: &EntityId,
+        backwards: bool,
+        act: &mut dyn FnMut(u64) -> bool,
+    ) -> Result<(), MemoryError> {
+        Ok(self.versions_of(query, id, backwards, act)?)
     }
 }
 

@@ -9,10 +9,13 @@ use redb::{AccessGuard, ReadOnlyTable, ReadTransaction, ReadableDatabase, Readab
 
 use super::record::{self, Hash};
 use super::{BLOBS, CHUNKS, ENTITIES, INDEX, LongTermMemory, Row, StoreError};
-use crate::asked::{Answer, Asked, places};
+use crate::asked::{Answer, Asked};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Pattern, Query, Times};
+
+/// No version.
+const NONE: (u64, u64) = (1, 0);
 
 /// Where records are found, in one transaction.
 pub(super) struct Reader<'s> {
@@ -126,132 +129,98 @@ impl<'s> Reader<'s> {
 
     /// Adds what a question takes of one entity, without reading more of its history than that.
     fn select(&self, asked: &Asked<'_>, entity: &Entity, answer: &mut Answer<'_>) -> Result<(), StoreError> {
-        let query = asked.query();
-        let all = (0, u64::MAX);
         let one = |row: Option<(u64, Row)>| -> Result<Vec<Arc<Snapshot>>, StoreError> {
             let found = row.map(|(_, row)| self.snapshot(&entity.id, row)).transpose()?;
             Ok(asked.select(found.into_iter()))
         };
-        match query.times {
-            _ if query.limit == Some(0) => {}
+        match asked.query().times {
+            _ if asked.query().limit == Some(0) => {}
             Times::Latest => answer.extend(one(self.newest(entity.number)?)?),
             Times::At(time) => answer.extend(one(self.held(entity, |referenced| referenced <= time)?)?),
             Times::Before(time) => answer.extend(one(self.held(entity, |referenced| referenced < time)?)?),
-            Times::All if query.arrived_since.is_some() => {
-                let goes_on = query.after.as_ref().is_some_and(|after| after.id == entity.id);
-                let since = query.arrived_since.filter(|_| !goes_on);
-                let first = since.map_or(Ok(0), |since| self.arrived(entity.number, since))?;
-                self.add_range(asked, entity, (first, u64::MAX), |_| true, answer)?;
-            }
-            Times::All => self.add_range(asked, entity, all, |_| true, answer)?,
-            Times::Versions(from, to) if from > to => {}
-            Times::Versions(from, to) => self.add_range(asked, entity, (from, to), |_| true, answer)?,
-            Times::Between(from, to) => {
-                self.add_range(asked, entity, all, |row| (from..=to).contains(&row.3), answer)?;
-            }
-            Times::Index(from, to) => {
-                let rows = self.last_rows(entity.number, all, usize::MAX, |_| true)?;
-                let chosen = rows.get(places(from, to, rows.len())).unwrap_or_default().to_vec();
-                self.add(asked, entity, chosen, answer)?;
+            _ => {
+                let (mut from, to) = self.bounds(asked, entity)?;
+                if let Some(limit) = asked.query().limit {
+                    let mut left = limit;
+                    self.choose(asked, entity, (from, to), true, |version, _| {
+                        left -= 1;
+                        from = version;
+                        Ok(left > 0)
+                    })?;
+                }
+                self.choose(asked, entity, (from, to), false, |_, row| {
+                    let is_wanted = !answer.is_full();
+                    if is_wanted {
+                        answer.push(self.snapshot(&entity.id, row)?);
+                    }
+                    Ok(is_wanted)
+                })?;
             }
         }
         Ok(())
     }
 
-    /// Adds versions from one to another whose rows count.
-    fn add_range(
+    /// The first and the last version of an entity between which all are that a question takes.
+    fn bounds(&self, asked: &Asked<'_>, entity: &Entity) -> Result<(u64, u64), StoreError> {
+        let query = asked.query();
+        let after = query.after.as_ref().filter(|after| after.id == entity.id);
+        let (from, to) = match query.times {
+            Times::Versions(from, to) => (from, to),
+            Times::Index(from, to) => {
+                let (first, last) = (self.at(entity, from)?, self.at(entity, to)?);
+                // Before the beginning is the beginning for the first place, and nothing for the last one.
+                let first = first.or((from < 0).then_some(0));
+                let last = last.or((to >= 0).then_some(u64::MAX));
+                first.zip(last).unwrap_or(NONE)
+            }
+            // An answer that goes on in an entity is beyond what arrived earlier.
+            _ if after.is_some() => (0, u64::MAX),
+            _ => (query.arrived_since.map_or(Ok(0), |since| self.arrived(entity.number, since))?, u64::MAX),
+        };
+        Ok((after.map_or(from, |after| from.max(after.version.saturating_add(1))), to))
+    }
+
+    /// The version in a place of an entity's history, negative ones counted from the end.
+    fn at(&self, entity: &Entity, place: i64) -> Result<Option<u64>, StoreError> {
+        let mut rows = self.rows(entity, (0, u64::MAX))?;
+        let index = |place: i64| usize::try_from(place).unwrap_or(usize::MAX);
+        let found = if place < 0 { rows.nth_back(index(-1 - place)) } else { rows.nth(index(place)) };
+        Ok(self.one(Ok(found))?.map(|(version, _)| version))
+    }
+
+    fn rows(&self, entity: &Entity, (from, to): (u64, u64)) -> Result<Rows, StoreError> {
+        let from = (entity.number, from.min(to));
+        self.index.range(from..=(entity.number, to)).map_err(|e| self.store.fault(e))
+    }
+
+    /// Gives the versions from one to another that a question about several takes of an entity to `act`, in their order
+    /// or backwards, until it says that this is enough. No data are read unless the question is about them.
+    fn choose(
         &self,
         asked: &Asked<'_>,
         entity: &Entity,
         (from, to): (u64, u64),
-        counts: impl Fn(&Row) -> bool,
-        answer: &mut Answer<'_>,
+        backwards: bool,
+        mut act: impl FnMut(u64, Row) -> Result<bool, StoreError>,
     ) -> Result<(), StoreError> {
-        if let Some(limit) = asked.query().limit {
-            let limit = if asked.is_plain() { limit } else { usize::MAX };
-            let rows = self.last_rows(entity.number, (from, to), limit, counts)?;
-            return self.add(asked, entity, rows, answer);
-        }
-        let after = asked.query().after.as_ref().filter(|after| after.id == entity.id);
-        let from = after.map_or(from, |after| from.max(after.version.saturating_add(1)));
         if from > to {
             return Ok(());
         }
-        let fault = |e: redb::StorageError| self.store.fault(e);
-        for row in self.index.range((entity.number, from)..=(entity.number, to)).map_err(fault)? {
-            if answer.is_full() {
+        let mut rows = self.rows(entity, (from, to))?;
+        let counts = |row: &Row| match asked.query().times {
+            Times::Between(from, to) => (from..=to).contains(&row.3),
+            _ => true,
+        };
+        while let Some((version, row)) =
+            self.one(Ok(if backwards { rows.next_back() } else { rows.next() }))?
+        {
+            let is_asked_for =
+                counts(&row) && (asked.is_plain() || asked.fits(&*self.snapshot(&entity.id, row)?));
+            if is_asked_for && !act(version, row)? {
                 break;
             }
-            let row = row.map_err(fault)?.1.value();
-            if counts(&row) {
-                self.add_one(asked, entity, row, answer)?;
-            }
         }
         Ok(())
-    }
-
-    /// Adds what is asked for of these rows, given in order of version: the newest ones where there is a limit.
-    fn add(
-        &self,
-        asked: &Asked<'_>,
-        entity: &Entity,
-        mut rows: Vec<(u64, Row)>,
-        answer: &mut Answer<'_>,
-    ) -> Result<(), StoreError> {
-        if let Some(limit) = asked.query().limit {
-            let mut left = limit;
-            let mut first = rows.len();
-            while first > 0 && left > 0 {
-                first -= 1;
-                left -= usize::from(asked.fits(&*self.snapshot(&entity.id, rows[first].1)?));
-            }
-            rows.drain(..first);
-        }
-        for (_, row) in rows {
-            if answer.is_full() {
-                break;
-            }
-            self.add_one(asked, entity, row, answer)?;
-        }
-        Ok(())
-    }
-
-    fn add_one(
-        &self,
-        asked: &Asked<'_>,
-        entity: &Entity,
-        row: Row,
-        answer: &mut Answer<'_>,
-    ) -> Result<(), StoreError> {
-        let snapshot = self.snapshot(&entity.id, row)?;
-        if asked.fits(&snapshot) {
-            answer.push(snapshot);
-        }
-        Ok(())
-    }
-
-    /// The last `limit` rows of an entity that count, in order of version.
-    fn last_rows(
-        &self,
-        number: u64,
-        versions: (u64, u64),
-        limit: usize,
-        counts: impl Fn(&Row) -> bool,
-    ) -> Result<Vec<(u64, Row)>, StoreError> {
-        let fault = |e: redb::StorageError| self.store.fault(e);
-        let rows = self.index.range((number, versions.0)..=(number, versions.1)).map_err(fault)?;
-        let mut found = Vec::new();
-        for row in rows.rev() {
-            let (key, row) = row.map_err(fault)?;
-            if counts(&row.value()) {
-                found.push((key.value().1, row.value()));
-                if found.len() == limit {
-                    break;
-                }
-            }
-        }
-        found.reverse();
-        Ok(found)
     }
 
     /// The first version that arrived at a time or later, by bisection: versions arrive in their order.
@@ -275,8 +244,14 @@ impl<'s> Reader<'s> {
     /// The row with the latest time among those that count; `counts` holds up to some time and not after it.
     fn held(&self, entity: &Entity, counts: impl Fn(u64) -> bool) -> Result<Option<(u64, Row)>, StoreError> {
         if !entity.ordered {
-            let rows = self.last_rows(entity.number, (0, u64::MAX), usize::MAX, |row| counts(row.3))?;
-            return Ok(rows.into_iter().max_by_key(|(version, row)| (row.3, *version)));
+            let mut rows = self.rows(entity, (0, u64::MAX))?;
+            let mut held: Option<(u64, Row)> = None;
+            while let Some((version, row)) = self.one(Ok(rows.next()))? {
+                if counts(row.3) && held.is_none_or(|(_, best)| best.3 <= row.3) {
+                    held = Some((version, row));
+                }
+            }
+            return Ok(held);
         }
         let Some((newest, _)) = self.newest(entity.number)? else { return Ok(None) };
         let before = |version: u64| {
@@ -302,6 +277,14 @@ impl<'s> Reader<'s> {
     }
 }
 
+fn no_question(error: MemoryError) -> StoreError {
+    match error {
+        MemoryError::Query { what } => StoreError::Query { what },
+        error => StoreError::Query { what: error.to_string() },
+    }
+}
+
+type Rows = redb::Range<'static, (u64, u64), Row>;
 type Found = Result<(AccessGuard<'static, (u64, u64)>, AccessGuard<'static, Row>), redb::StorageError>;
 
 impl LongTermMemory {
@@ -310,10 +293,7 @@ impl LongTermMemory {
     /// # Errors
     /// [`StoreError::Damaged`] and others when it cannot be read; [`StoreError::Query`] when the question is none.
     pub fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, StoreError> {
-        let asked = query.ask().map_err(|error| match error {
-            MemoryError::Query { what } => StoreError::Query { what },
-            error => StoreError::Query { what: error.to_string() },
-        })?;
+        let asked = query.ask().map_err(no_question)?;
         self.read(|reader| {
             let mut answer = asked.answer();
             reader.entities(&query.pattern, query.after.as_ref().map(|a| &a.id), |entity| {
@@ -323,6 +303,22 @@ impl LongTermMemory {
                 Ok(!answer.is_full())
             })?;
             Ok(answer.finish())
+        })
+    }
+
+    /// See [`crate::Backing::versions`].
+    pub(super) fn versions_of(
+        &self,
+        query: &Query,
+        id: &EntityId,
+        backwards: bool,
+        act: &mut dyn FnMut(u64) -> bool,
+    ) -> Result<(), StoreError> {
+        let asked = query.ask().map_err(no_question)?;
+        self.read(|reader| {
+            let Some(entity) = reader.entity(id)? else { return Ok(()) };
+            let bounds = reader.bounds(&asked, &entity)?;
+            reader.choose(&asked, &entity, bounds, backwards, |version, _| Ok(act(version)))
         })
     }
 

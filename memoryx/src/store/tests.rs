@@ -5,13 +5,11 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use armarium_values::Value;
-use proptest::prelude::*;
 
 use super::*;
 use crate::entity::{Commit, Instance};
 use crate::follow::Follower;
-use crate::memory::pages;
-use crate::query::{Cursor, Times};
+use crate::query::Times;
 use crate::working::Limits;
 
 pub(super) fn snapshot(path: &str, version: u64, time: u64, value: i64) -> Arc<Snapshot> {
@@ -30,14 +28,14 @@ fn removed(path: &str, version: u64, time: u64) -> Arc<Snapshot> {
     Arc::new(Snapshot { instances: Vec::new(), ..(*snapshot(path, version, time, 0)).clone() })
 }
 
-fn store() -> (tempfile::TempDir, PathBuf, Arc<LongTermMemory>) {
+pub(super) fn store() -> (tempfile::TempDir, PathBuf, Arc<LongTermMemory>) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("memory.redb");
     let store = Arc::new(LongTermMemory::open(&path).unwrap());
     (folder, path, store)
 }
 
-fn versions(found: &[Arc<Snapshot>]) -> Vec<(String, u64)> {
+pub(super) fn versions(found: &[Arc<Snapshot>]) -> Vec<(String, u64)> {
     found.iter().map(|s| (s.id.to_string(), s.version)).collect()
 }
 
@@ -180,105 +178,6 @@ fn compaction_keeps_everything() {
     assert!(std::fs::metadata(&path).unwrap().len() < before);
     assert_eq!(store.query(&Query::history(Pattern::any())).unwrap(), many);
     assert_eq!(store.verify().unwrap().intact, 1999);
-}
-
-/// A history with times out of order and removals, by entity.
-fn histories() -> impl Strategy<Value = Vec<(u8, u64, bool)>> {
-    proptest::collection::vec((0u8..3, 0u64..12, proptest::bool::weighted(0.8)), 0..30)
-}
-
-fn queries() -> impl Strategy<Value = Query> {
-    let times = prop_oneof![
-        Just(Times::Latest),
-        Just(Times::All),
-        (0u64..12, 0u64..12).prop_map(|(a, b)| Times::Between(a, b)),
-        (0u64..13).prop_map(Times::At),
-        (0u64..13).prop_map(Times::Before),
-        (0u64..9, 0u64..9).prop_map(|(a, b)| Times::Versions(a, b)),
-        (-5i64..5, -5i64..5).prop_map(|(a, b)| Times::Index(a, b)),
-    ];
-    let pattern = prop_oneof![
-        Just(Pattern::any()),
-        Just(Pattern::segment("S")),
-        Just(Pattern::segment("S").of_provider("p").named("e1")),
-        Just(Pattern { entity: Some("e2".into()), ..Pattern::any() }),
-        Just(Pattern::segment("T")),
-    ];
-    let filter = proptest::option::of(prop_oneof![
-        Just("version % 2 == 0"),
-        Just("referenced_s > 5e-9 || entity == 'e1'")
-    ]);
-    let cursor = (0..4, 0u64..9)
-        .prop_map(|(name, version)| Cursor { id: format!("S/p/e{name}").parse().unwrap(), version });
-    let bounds = (proptest::option::of(0usize..6), proptest::option::of(0u64..900), proptest::bool::ANY);
-    let part = (proptest::option::of(cursor), bounds, proptest::option::of(3u64..9));
-    (pattern, times, proptest::option::of(0usize..4), filter, part).prop_map(
-        |(pattern, times, limit, filter, (after, (most, most_bytes, removed), arrived_since))| Query {
-            pattern,
-            times,
-            limit,
-            filter: filter.map(Into::into),
-            after,
-            most,
-            most_bytes,
-            removed,
-            arrived_since,
-            ..Query::default()
-        },
-    )
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(48))]
-
-    /// Working memory that forgets nothing is the oracle of the queries on disk.
-    #[test]
-    fn queries_mean_the_same_on_disk(history in histories(), queries in proptest::collection::vec(queries(), 8)) {
-        let (_folder, _, store) = store();
-        let (_other_folder, _, other) = self::store();
-        let clock = || {
-            let ticks = std::sync::atomic::AtomicU64::new(0);
-            Arc::new(move || ticks.fetch_add(1, std::sync::atomic::Ordering::Relaxed)) as crate::working::Clock
-        };
-        let memory = WorkingMemory::new(clock()).with_backing(Arc::<LongTermMemory>::clone(&store));
-        let forgetful = WorkingMemory::new(clock()).with_limits(Limits { history: 1, ..Limits::default() });
-        let forgetful = forgetful.with_backing(other).in_parts_of(3);
-        for (name, time, there) in history {
-            let id: EntityId = format!("S/p/e{name}").parse().unwrap();
-            let update = if there { Commit::new(id, time, BTreeMap::new()) } else { Commit::removal(id, time) };
-            memory.commit_now(vec![update.clone()]).unwrap();
-            forgetful.commit_now(vec![update]).unwrap();
-        }
-        for query in queries {
-            let expected = memory.query_now(&query).unwrap();
-            prop_assert_eq!(versions(&store.query(&query).unwrap()), versions(&expected), "{:?}", query);
-            let both = forgetful.query_now(&query.clone().with_long_term()).unwrap();
-            prop_assert_eq!(versions(&both), versions(&expected), "recalled: {:?}", query);
-        }
-        prop_assert!(store.verify().unwrap().is_intact());
-    }
-
-    /// Piece by piece, of any size, is the same as at once.
-    #[test]
-    fn pieces_make_up_the_whole(history in histories(), query in queries(), size in 1usize..5, bytes in 0u64..900) {
-        let (_folder, _, store) = store();
-        let memory = WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits { history: 2, ..Limits::default() });
-        let memory = memory.with_backing(store).in_parts_of(2);
-        for (name, time, there) in history {
-            let id: EntityId = format!("S/p/e{name}").parse().unwrap();
-            let update = if there { Commit::new(id, time, BTreeMap::new()) } else { Commit::removal(id, time) };
-            memory.commit_now(vec![update]).unwrap();
-        }
-        let whole = Query { most: None, most_bytes: None, ..query }.with_long_term();
-        let mut pieces = pages(Query { most_bytes: Some(bytes), ..whole.clone() }, size);
-        let mut found = Vec::new();
-        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
-        while let Some(piece) = runtime.block_on(pieces.next(&memory)).unwrap() {
-            prop_assert!(piece.len() <= size);
-            found.extend(piece);
-        }
-        prop_assert_eq!(versions(&found), versions(&memory.query_now(&whole).unwrap()), "{:?}", whole);
-    }
 }
 
 /// What speaks of a far future must not hide what comes after it.

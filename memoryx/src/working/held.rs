@@ -115,6 +115,12 @@ impl State {
         answer.finish()
     }
 
+    /// The versions that a question takes of one entity, whatever its bounds in all.
+    pub(super) fn versions(&self, asked: &Asked<'_>, id: &EntityId) -> Vec<u64> {
+        let history = self.histories.get(id).into_iter();
+        history.flat_map(|history| asked.select(history.iter())).map(|snapshot| snapshot.version).collect()
+    }
+
     fn add_all(&self, asked: &Asked<'_>, answer: &mut Answer<'_>) {
         let one = asked.query().pattern.exact_segment();
         let segments = self.segments.iter().filter(|(name, _)| one.is_none_or(|one| one == name.as_str()));

@@ -5,46 +5,156 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::{Backing, WorkingMemory};
-use crate::asked::Asked;
+use crate::asked::{Answer, Asked};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
-use crate::query::{Cursor, Query, Times};
+use crate::query::{Cursor, Pattern, Query, Times};
 
 /// Most snapshots of a part.
 pub(super) const PART: usize = 8192;
 /// Most bytes of a part, about.
 const PART_BYTES: u64 = 16 << 20;
 
-impl WorkingMemory {
-    /// What a question asks for of what is held and of what was ever kept.
-    pub(super) fn ask_both(
-        &self,
-        asked: &Asked<'_>,
-        backing: &dyn Backing,
-    ) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
+/// Snapshots by entity and version.
+type Known = BTreeMap<EntityId, BTreeMap<u64, Arc<Snapshot>>>;
+
+/// What is held, and what was ever kept.
+pub(super) struct Both<'m> {
+    pub(super) memory: &'m WorkingMemory,
+    pub(super) backing: &'m dyn Backing,
+}
+
+impl Both<'_> {
+    /// What a question asks for.
+    pub(super) fn ask(&self, asked: &Asked<'_>) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         let query = asked.query();
         let mut answer = asked.answer();
-        let mut wide = wider(query, self.part);
+        let is_counted = query.limit.is_some() || matches!(query.times, Times::Index(..));
+        match query.limit {
+            Some(0) => {}
+            _ if is_counted && !is_one(query.times) => self.add_entities(asked, &mut answer)?,
+            _ => self.add(asked, &mut answer)?,
+        }
+        Ok(answer.finish())
+    }
+
+    /// Adds what follows from each snapshot or, where one of an entity is asked for, from the newest ones of both.
+    fn add(&self, asked: &Asked<'_>, answer: &mut Answer<'_>) -> Result<(), MemoryError> {
+        let mut wide = wider(asked.query(), self.memory.part);
         loop {
-            let recalled = backing.recall(&wide)?;
-            let held = self.read().select(&wide.ask()?);
-            let cut = [&recalled, &held].into_iter().filter(|part| wide.is_filled_by(part));
-            // Beyond the end of a part that was cut not everything is known: that is asked for again.
-            let end = cut.filter_map(|part| part.last()).map(|last| place(last, query)).min();
-            let mut known: BTreeMap<EntityId, BTreeMap<u64, Arc<Snapshot>>> = BTreeMap::new();
-            for snapshot in recalled.into_iter().chain(held) {
-                if end.as_ref().is_none_or(|end| place(&snapshot, query) <= *end) {
-                    known.entry(snapshot.id.clone()).or_default().insert(snapshot.version, snapshot);
-                }
-            }
+            let (known, end) = self.part(&wide)?;
             for (_, history) in known.into_iter().filter(|(id, _)| asked.wants(id)) {
                 answer.extend(asked.select(history.into_values()));
             }
             match end {
-                Some((id, version)) if !answer.is_full() => wide.after = Some(Cursor { id, version }),
-                _ => return Ok(answer.finish()),
+                Some(end) if !answer.is_full() => wide.after = Some(end),
+                _ => return Ok(()),
             }
         }
+    }
+
+    /// A part of what both know, and where it ends if there is more.
+    fn part(&self, wide: &Query) -> Result<(Known, Option<Cursor>), MemoryError> {
+        let recalled = self.backing.recall(wide)?;
+        let held = self.memory.read().select(&wide.ask()?);
+        let cut = [&recalled, &held].into_iter().filter(|part| wide.is_filled_by(part));
+        // Beyond the end of a part that was cut not everything is known: that is asked for again.
+        let end = cut.filter_map(|part| part.last()).map(|last| place(last, wide)).min();
+        let mut known = Known::new();
+        for snapshot in recalled.into_iter().chain(held) {
+            if end.as_ref().is_none_or(|end| place(&snapshot, wide) <= *end) {
+                known.entry(snapshot.id.clone()).or_default().insert(snapshot.version, snapshot);
+            }
+        }
+        Ok((known, end.map(|(id, version)| Cursor { id, version })))
+    }
+
+    /// Adds what follows from places in a history, entity by entity.
+    fn add_entities(&self, asked: &Asked<'_>, answer: &mut Answer<'_>) -> Result<(), MemoryError> {
+        let query = asked.query();
+        if let Some(id) = query.pattern.exact() {
+            return if asked.wants(&id) { self.add_entity(asked, &id, answer) } else { Ok(()) };
+        }
+        let newest = Query { after: query.after.clone(), ..Query::latest(query.pattern.clone()) };
+        let mut newest = wider(&newest, self.memory.part);
+        loop {
+            let (known, end) = self.part(&newest)?;
+            for id in known.keys().filter(|id| asked.wants(id)) {
+                self.add_entity(asked, id, answer)?;
+                if answer.is_full() {
+                    return Ok(());
+                }
+            }
+            match end {
+                Some(end) => newest.after = Some(end),
+                None => return Ok(()),
+            }
+        }
+    }
+
+    /// Finds the versions between which all are that are asked for, and adds those.
+    fn add_entity(
+        &self,
+        asked: &Asked<'_>,
+        id: &EntityId,
+        answer: &mut Answer<'_>,
+    ) -> Result<(), MemoryError> {
+        let mut query = Query { pattern: Pattern::entity(id), limit: None, ..asked.query().clone() };
+        if let Times::Index(from, to) = query.times {
+            let all = Query::history(query.pattern.clone());
+            let all = Asked { query: &all, filter: None };
+            let at = |place: i64| {
+                let index = if place < 0 { -1 - place } else { place };
+                self.nth(&all, id, usize::try_from(index).unwrap_or(usize::MAX), place < 0)
+            };
+            // Before the beginning is the beginning for the first place, and nothing for the last one.
+            let first = at(from)?.or((from < 0).then_some(0));
+            let last = at(to)?.or((to >= 0).then_some(u64::MAX));
+            let Some((first, last)) = first.zip(last) else { return Ok(()) };
+            query.times = Times::Versions(first, last);
+        }
+        let one = Asked { query: &query, filter: asked.filter.clone() };
+        let Some(limit) = asked.query().limit else { return self.add(&one, answer) };
+        // Where there are fewer, all are asked for.
+        let Some(first) = self.nth(&one, id, limit.saturating_sub(1), true)? else {
+            return self.add(&one, answer);
+        };
+        let after = first.checked_sub(1).map(|version| Cursor { id: id.clone(), version });
+        let query = Query { after: after.or(query.after.clone()), ..query };
+        self.add(&Asked { query: &query, filter: asked.filter.clone() }, answer)
+    }
+
+    /// The `n`th of the versions of an entity that a question chooses, from 0, from the first one or backwards.
+    fn nth(
+        &self,
+        asked: &Asked<'_>,
+        id: &EntityId,
+        n: usize,
+        backwards: bool,
+    ) -> Result<Option<u64>, MemoryError> {
+        let mut held = self.memory.read().versions(asked, id);
+        if backwards {
+            held.reverse();
+        }
+        let (mut held, mut left, mut found) = (held.into_iter().peekable(), n, None);
+        let mut is_found = |version: u64| {
+            match left {
+                _ if found.is_some() => {}
+                0 => found = Some(version),
+                _ => left -= 1,
+            }
+            found.is_some()
+        };
+        self.backing.versions(asked.query(), id, backwards, &mut |version| {
+            let is_before = |held: &u64| if backwards { *held > version } else { *held < version };
+            while let Some(earlier) = held.next_if(is_before) {
+                is_found(earlier);
+            }
+            held.next_if_eq(&version);
+            !is_found(version)
+        })?;
+        held.any(is_found);
+        Ok(found)
     }
 }
 
@@ -61,22 +171,18 @@ fn is_one(times: Times) -> bool {
 /// What two memories are asked for when the answer is taken of what they know together: all that could decide it.
 fn wider(query: &Query, part: usize) -> Query {
     let is_one = is_one(query.times);
-    let by_time = matches!(query.times, Times::All | Times::Between(..) | Times::Versions(..));
-    // Whether each snapshot is asked for or not, whatever others there are.
-    let is_each = by_time && query.limit.is_none();
-    let in_parts = is_one || (is_each && !query.is_nearest());
-    let most = if is_each { query.most.map_or(part, |most| most.min(part)) } else { part };
-    let after = query.after.clone().filter(|_| is_one || by_time);
+    let most = query.most.filter(|_| !is_one && !query.is_nearest());
+    let after = query.after.clone();
     Query {
         pattern: query.pattern.clone(),
-        times: if matches!(query.times, Times::Index(..)) { Times::All } else { query.times },
-        arrived_since: query.arrived_since.filter(|_| by_time),
-        filter: query.filter.clone().filter(|_| by_time),
-        region: query.region.clone().filter(|_| is_each || (by_time && !query.is_nearest())),
-        limit: query.limit.filter(|limit| by_time || *limit == 0),
+        times: query.times,
+        arrived_since: query.arrived_since.filter(|_| !is_one),
+        filter: query.filter.clone().filter(|_| !is_one),
+        region: query.region.clone().filter(|_| !is_one && !query.is_nearest()),
+        limit: None,
         after: after.map(|after| Cursor { version: if is_one { 0 } else { after.version }, ..after }),
-        most: in_parts.then_some(most),
-        most_bytes: in_parts.then_some(PART_BYTES),
+        most: Some(most.map_or(part, |most| most.min(part))),
+        most_bytes: Some(PART_BYTES),
         removed: is_one,
         long_term: false,
     }
