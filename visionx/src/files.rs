@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use image::{DynamicImage, ImageReader, Limits};
 
 use crate::frame::Image;
+use crate::jpeg;
 
 /// Most pixels of an image.
 pub const MOST_PIXELS: u64 = 128_000_000;
@@ -21,6 +22,8 @@ const MOST_BESIDE: u64 = 32 << 20;
 const MOST_BYTES: u64 = 768 << 20;
 /// Bytes of a pixel at most: four channels of 16 bit.
 const WIDEST_PIXEL: u64 = 8;
+/// What a JPEG file begins with.
+const JPEG: [u8; 2] = [0xFF, 0xD8];
 /// The endings of files that are images.
 const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];
 
@@ -34,6 +37,9 @@ pub enum FileError {
     /// It is no PNG or JPEG image, or a broken one.
     #[error("is not a PNG or JPEG image that can be decoded: {0}")]
     Decode(#[source] image::ImageError),
+    /// It is a JPEG image whose end is missing.
+    #[error("is a JPEG image that is cut short: its end is missing; copy it again from where it came")]
+    CutShort,
     /// It has too many pixels, or a side that is too long.
     #[error("{width} x {height} pixels are more than {MOST_PIXELS}, or a side is longer than {LONGEST}")]
     TooLarge {
@@ -173,7 +179,12 @@ fn read<R: BufRead + Seek>(from: R, size: (u32, u32)) -> Result<Image, FileError
 }
 
 /// Decodes an image of a size that was checked.
-fn decoded<R: BufRead + Seek>(from: R, (width, height): (u32, u32)) -> Result<DynamicImage, FileError> {
+fn decoded<R: BufRead + Seek>(mut from: R, (width, height): (u32, u32)) -> Result<DynamicImage, FileError> {
+    let is_jpeg = from.fill_buf().map_err(FileError::Read)?.starts_with(&JPEG);
+    if is_jpeg && !jpeg::is_whole(&mut from).map_err(FileError::Read)? {
+        return Err(FileError::CutShort);
+    }
+    from.rewind().map_err(FileError::Read)?;
     let pixels = u64::from(width) * u64::from(height);
     let most_bytes = (pixels * WIDEST_PIXEL + MOST_BESIDE).min(MOST_BYTES);
     decoder(from, most_bytes)?.decode().map_err(FileError::Decode)
@@ -228,5 +239,29 @@ mod tests {
             assert!(decode_image(&whole[..end]).is_err(), "cut at {end}");
         }
         assert!(decode_image(b"\xff\xd8\xff\xe0 not much of a photograph").is_err());
+    }
+
+    #[test]
+    fn a_photograph_that_is_cut_short_is_an_error() {
+        let name = "tests/photographs/real_point_one.jpg";
+        let whole = std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).unwrap();
+        let image = decode_image(&whole).unwrap();
+        for end in (0..whole.len()).step_by(501).chain([whole.len() - 1]) {
+            let error = decode_image(&whole[..end]).unwrap_err();
+            let is_known = matches!(error, FileError::CutShort | FileError::Decode(_));
+            assert!(
+                is_known && (end < 5000 || matches!(error, FileError::CutShort)),
+                "cut at {end}: {error}"
+            );
+        }
+        // A camera may write more behind the image, and a thumbnail with an end of its own before it.
+        let mut more = whole.clone();
+        more.extend_from_slice(b"\xff\xd8\xff\xd9 and more");
+        assert_eq!(decode_image(&more).unwrap(), image);
+        let thumbnail = b"\xff\xe1\x00\x0a\xff\xd8 123\xff\xd9";
+        let with_thumbnail = [&whole[..2], thumbnail, &whole[2..]].concat();
+        assert_eq!(decode_image(&with_thumbnail).unwrap(), image);
+        let cut = &with_thumbnail[..with_thumbnail.len() / 2];
+        assert!(matches!(decode_image(cut), Err(FileError::CutShort)));
     }
 }

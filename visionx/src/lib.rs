@@ -22,6 +22,7 @@ mod epipolar;
 pub mod files;
 mod frame;
 pub mod hand;
+mod jpeg;
 mod localizer;
 mod marker;
 mod mask;
