@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use armarium_bus::Session;
-use armarium_memoryx::{Consolidator, MemoryServer, WorkingMemory};
+use armarium_memoryx::{Consolidator, MemoryServer, WorkingMemory, keep_within};
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::{self, Registry};
 use armarium_runtime::engine::Program;
@@ -22,8 +22,9 @@ use tokio::task::JoinSet;
 use crate::body::{Body, watching_mind};
 use crate::catalog;
 use crate::connection::{AccessArgs, Connection, ConnectionArgs, be_the_only_one};
-use crate::following::follow_when_there;
+use crate::following::{Followee, follow_when_there};
 use crate::logging;
+use crate::memory::keep::KeepArgs;
 use crate::render_findings::{Shown, any_error, render, summary};
 use crate::stage::{Mind, Stage};
 use crate::watching::{self, Eyes};
@@ -51,9 +52,10 @@ pub(crate) struct AgentArgs {
     /// A chart that the agent runs from the beginning; the agent ends with it.
     #[arg(long, value_name = "CHART")]
     pub(crate) run: Option<PathBuf>,
-    /// An agent whose memory is followed as soon as it is there; may be repeated.
-    #[arg(long, value_name = "AGENT")]
-    pub(crate) follow: Vec<String>,
+    /// An agent whose memory is followed as soon as it is there: its `ObjectInstances` and `ObjectRelations`, or the core
+    /// segment that is named; may be repeated.
+    #[arg(long, value_name = "AGENT[:SEGMENT]")]
+    pub(crate) follow: Vec<Followee>,
     /// End when the standard input does: for an agent that another process starts.
     #[arg(long)]
     pub(crate) while_input: bool,
@@ -63,9 +65,12 @@ pub(crate) struct AgentArgs {
     /// Seeds everything that varies in the world.
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
-    /// The long-term store that motions are kept in.
+    /// The file of long-term memory: what was learned and what others committed is there again when the agent is started
+    /// anew; what was seen can be asked for. One snapshot a second is kept of what is seen and learned, and all of the rest.
     #[arg(long, value_name = "FILE", default_value = "armarium-agent.redb")]
     pub(crate) store: PathBuf,
+    #[command(flatten)]
+    pub(crate) kept: KeepArgs,
     /// Show what happens as lines of text.
     #[arg(short, long)]
     pub(crate) verbose: bool,
@@ -117,16 +122,21 @@ async fn offer(
         Some(file) => World::load(file)
             .map_err(|errors| NotBegun::Findings(errors.iter().map(Shown::from).collect()))?,
     };
+    let policies = args.kept.policies(Mind::usual_policies()).map_err(message)?;
+    let retention = args.kept.retention().map_err(message)?;
+    let mind = Mind::of_agent(&world, &args.store, policies, session).map_err(message)?;
     let (mind, simulated) = match &args.eyes {
         None => {
             let (stage, simulation) =
-                Stage::set(&world, args.seed, &args.store, Vec::new(), None).map_err(message)?;
+                Stage::set(&world, args.seed, mind, Vec::new(), None).map_err(message)?;
             let mind = stage.mind.clone();
             (mind, Some((stage, simulation)))
         }
-        Some(_) => (watching_mind(&args.name, &world, &args.store).map_err(message)?, None),
+        Some(_) => (watching_mind(&args.name, &world, mind).map_err(message)?, None),
     };
     let Mind { memory, kept } = mind;
+    let mut retaining = JoinSet::new();
+    retaining.spawn(keep_within(Arc::clone(kept.store()), Arc::clone(&memory), retention));
     let store = Some(Arc::clone(kept.store()));
     let guarded = args.access.of(&args.name).is_some();
     let _served = MemoryServer::start_guarded(session, &args.name, Arc::clone(&memory), store, guarded)
@@ -221,9 +231,10 @@ fn follow_all(args: &AgentArgs, session: &Session, memory: &Arc<WorkingMemory>) 
     let mut tasks = JoinSet::new();
     for other in &args.follow {
         let (session, memory) = (session.clone(), Arc::clone(memory));
-        let (own, other) = (args.name.clone(), other.clone());
+        let (own, followee) = (args.name.clone(), other.clone());
         tasks.spawn(async move {
-            let _followed = follow_when_there(&session, &memory, &own, &other).await;
+            let what = (followee.agent.as_str(), followee.segment.as_deref());
+            let _followed = follow_when_there(&session, &memory, &own, what).await;
             std::future::pending::<()>().await;
         });
     }

@@ -1,6 +1,5 @@
 //! What an agent acts with: a simulated robot, or eyes that another agent lends to one who only watches.
 
-use std::path::Path;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -28,13 +27,12 @@ pub(crate) struct Body {
     pub(crate) observing: bool,
 }
 
-/// The memory of an agent who only watches, which says where it stands: as the world says of the agent of that name.
+/// The mind of an agent who only watches, which says where it stands: as the world says of the agent of that name.
 ///
 /// # Errors
 /// One sentence for people.
-pub(crate) fn watching_mind(name: &str, world: &World, store: &Path) -> Result<Mind, String> {
+pub(crate) fn watching_mind(name: &str, world: &World, mind: Mind) -> Result<Mind, String> {
     let agent = watching::agent_of(world, name)?;
-    let mind = Mind::open(world, store).map_err(|e| e.to_string())?;
     let stand = stands(name, &agent.root_from_agent()).and_then(|stand| mind.memory.commit_now(vec![stand]));
     stand.map_err(|e| e.to_string())?;
     Ok(mind)

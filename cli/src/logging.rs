@@ -56,6 +56,18 @@ pub(crate) fn install(progress: &Progress, clock: Clock, verbose: bool, colour: 
     Ok(())
 }
 
+/// From here on log events are shown on the standard error output, with the time of day: for a program that has no robot.
+///
+/// # Errors
+/// When `RUST_LOG` cannot be read.
+pub(crate) fn install_plain() -> Result<(), String> {
+    let filter = filter(std::env::var("RUST_LOG").ok().as_deref(), false)?;
+    let plain =
+        tracing_subscriber::fmt().with_env_filter(filter).with_ansi(false).with_writer(std::io::stderr);
+    drop(tracing::subscriber::set_global_default(plain.finish()));
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use std::io::Write;

@@ -34,7 +34,7 @@ use crate::recording::{RunDigest, SharedRecorder, TruthTopics, attach_sources, l
 use crate::render_findings::{Shown, any_error, render, summary};
 use crate::replay::{self, Recorded};
 use crate::scene::Scene;
-use crate::stage::Stage;
+use crate::stage::{Mind, Stage};
 
 /// How long by the wall clock a skill may keep the program's thread to itself.
 const HANGS: std::time::Duration = std::time::Duration::from_secs(10);
@@ -204,7 +204,8 @@ async fn perform(
         }
         _ => (None, None),
     };
-    let set = Stage::set(&world, args.seed, &args.store, sinks, told);
+    let mind = Mind::of_run(&world, &args.store).map_err(begin_error)?;
+    let set = Stage::set(&world, args.seed, mind, sinks, told);
     let (mut stage, simulation) = set.map_err(begin_error)?;
     let cameras = cameras.unwrap_or_else(|| Arc::clone(&stage.equipment.images));
     let gallery = Arc::new(Gallery::of(cameras, &world, Arc::clone(&recorder)));

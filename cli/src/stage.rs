@@ -4,8 +4,9 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use armarium_bus::Session;
 use armarium_memoryx::{
-    Backing, Consolidator, LongTermMemory, MemoryError, ObjectClass, Pattern, Policies, Policy,
+    Backing, Consolidator, Limits, LongTermMemory, MemoryError, ObjectClass, Pattern, Policies, Policy,
     PriorKnowledge, StoreError, WorkingMemory, tokio_clock,
 };
 use armarium_robot::{Model, postures};
@@ -17,8 +18,11 @@ use armarium_states::Equipment;
 const COACH_TOOL: &str = "coach_tool";
 /// Size of the tool that the coach demonstrates with, m.
 const COACH_TOOL_SIZE: [f64; 3] = [0.08, 0.08, 0.08];
-/// Core segment whose entities the long-term store keeps and gives back.
-const KEPT_SEGMENT: &str = "Motions";
+/// Core segment of what was learned.
+const MOTIONS: &str = "Motions";
+/// Core segments of what is seen of a world.
+const SEEN: [&str; 6] =
+    ["ObjectInstances", "ObjectRelations", "AgentInstances", "EnvironmentModels", "HumanHands", "HumanPoses"];
 
 /// Why a stage cannot be set.
 #[derive(Debug, thiserror::Error)]
@@ -58,17 +62,50 @@ pub(crate) struct Mind {
 }
 
 impl Mind {
-    /// A memory with prior knowledge of the world's things and with what was kept in a store.
-    pub(crate) fn open(world: &World, store: &Path) -> Result<Self, StageError> {
+    /// The mind of a run: prior knowledge of the world's things, and the motions that were kept in a store.
+    pub(crate) fn of_run(world: &World, store: &Path) -> Result<Self, StageError> {
+        let policies = Policies::all(Policy::Nothing).with(MOTIONS, Policy::AtMost { hz: 1.0 });
+        let memory = WorkingMemory::new(tokio_clock());
+        Self::open(world, store, policies, memory, |segment| segment == MOTIONS)
+    }
+
+    /// The mind of an agent that others write to: what they and it have committed is kept and is there again, but for what
+    /// was seen. That stays in the store: the simulated world that was seen begins anew.
+    pub(crate) fn of_agent(
+        world: &World,
+        store: &Path,
+        policies: Policies,
+        session: &Session,
+    ) -> Result<Self, StageError> {
+        let clock = session.clone();
+        let memory = WorkingMemory::new(Arc::new(move || clock.now_ns())).with_limits(Limits::of_agent());
+        Self::open(world, store, policies, memory, |segment| !SEEN.contains(&segment))
+    }
+
+    /// What an agent keeps where nothing is said: of what is seen and learned one snapshot a second, and all of the rest.
+    pub(crate) fn usual_policies() -> Policies {
+        let thinned = SEEN.into_iter().chain([MOTIONS]);
+        let usual = Policies::all(Policy::Everything).with("ObjectClasses", Policy::OnChange);
+        thinned.fold(usual, |policies, segment| policies.with(segment, Policy::AtMost { hz: 1.0 }))
+    }
+
+    fn open(
+        world: &World,
+        store: &Path,
+        policies: Policies,
+        memory: WorkingMemory,
+        is_loaded: impl Fn(&str) -> bool,
+    ) -> Result<Self, StageError> {
         if let Some(folder) = store.parent().filter(|f| !f.as_os_str().is_empty()) {
             std::fs::create_dir_all(folder)
                 .map_err(|source| StageError::Folder { folder: folder.into(), source })?;
         }
         let long_term = Arc::new(LongTermMemory::open(store)?);
-        let policies = Policies::all(Policy::Nothing).with(KEPT_SEGMENT, Policy::AtMost { hz: 1.0 });
         let kept = Arc::new(Consolidator::new(Arc::clone(&long_term), policies));
-        let memory = WorkingMemory::new(tokio_clock()).with_backing(Arc::clone(&kept) as Arc<dyn Backing>);
-        long_term.load_into(&memory, Pattern::segment(KEPT_SEGMENT))?;
+        let memory = memory.with_backing(Arc::clone(&kept) as Arc<dyn Backing>);
+        for segment in long_term.segments()?.iter().filter(|segment| is_loaded(segment)) {
+            long_term.load_into(&memory, Pattern::segment(segment))?;
+        }
         prior_knowledge(world)?.put_into(&memory)?;
         Ok(Self { memory: Arc::new(memory), kept })
     }
@@ -79,14 +116,13 @@ impl Stage {
     pub(crate) fn set(
         world: &World,
         seed: u64,
-        store: &Path,
+        mind: Mind,
         truth_sinks: Vec<Box<dyn TruthSink>>,
         scenery: Option<Box<dyn ScenerySink>>,
     ) -> Result<(Self, Simulation), StageError> {
         let start = postures::home(&Arc::new(Model::armar3()));
         let options = Options { truth_sinks, start: Some(start), scenery, ..Options::default() };
         let simulation = Simulation::new(world, seed, options)?;
-        let mind = Mind::open(world, store)?;
         let equipment = Equipment {
             robot: simulation.robot(),
             images: simulation.images(),

@@ -56,7 +56,7 @@ impl AgentConfig {
             store: None,
             policies: Policies::all(Policy::Everything),
             retention: Retention::default(),
-            limits: Limits { ahead_ns: Some(60_000_000_000), shares: 4, ..Limits::default() },
+            limits: Limits::of_agent(),
             follow: Vec::new(),
             prior: PriorKnowledge::new(),
             infer: Vec::new(),
@@ -110,7 +110,7 @@ impl AgentMemory {
             tasks.spawn(follow(session.clone(), Arc::clone(&memory), settings));
         }
         if let Some(store) = store.clone().filter(|_| config.retention != Retention::default()) {
-            tasks.spawn(retain(store, Arc::clone(&memory), config.retention));
+            tasks.spawn(keep_within(store, Arc::clone(&memory), config.retention));
         }
         Ok(Self { memory, store, _server: server, _inferences: inferences, _tasks: tasks })
     }
@@ -145,8 +145,10 @@ async fn follow(session: Session, memory: Arc<WorkingMemory>, settings: FollowSe
     }
 }
 
-async fn retain(store: Arc<LongTermMemory>, memory: Arc<WorkingMemory>, retention: Retention) {
-    loop {
+/// Has long-term memory forget what is too old or too much, every minute, for as long as it is waited for; the time is
+/// `memory`'s.
+pub async fn keep_within(store: Arc<LongTermMemory>, memory: Arc<WorkingMemory>, retention: Retention) {
+    while retention != Retention::default() {
         tokio::time::sleep(RETAIN_EVERY).await;
         let (store, now_ns) = (Arc::clone(&store), memory.now_ns());
         match tokio::task::spawn_blocking(move || store.retain(retention, now_ns)).await {

@@ -2,7 +2,8 @@
 //! not.
 //!
 //! Every version of every entity is told in order and once. Where a version is missing, because the reader lagged
-//! or the network lost it, the memory's history is asked; what that no longer has becomes [`Change::Missed`].
+//! or the network lost it, the memory's history is asked; what that no longer has becomes [`Change::Missed`]. A memory that
+//! was started again and has not kept its versions counts them anew: what arrived later is new, whatever its number.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -35,13 +36,33 @@ pub enum Change {
     },
 }
 
+/// What was told last of an entity.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Told {
+    /// Its version.
+    pub version: u64,
+    /// When it arrived in the memory, ns.
+    pub arrived_ns: u64,
+}
+
+impl Told {
+    fn of(snapshot: &Snapshot) -> Self {
+        Self { version: snapshot.version, arrived_ns: snapshot.arrived_ns }
+    }
+
+    /// Whether a snapshot has come later under a version that was told: the memory has begun to count anew.
+    fn is_before_life_of(self, snapshot: &Snapshot) -> bool {
+        snapshot.version <= self.version && snapshot.arrived_ns > self.arrived_ns
+    }
+}
+
 /// A subscription to what a pattern fits, without silent gaps.
 pub struct Follower {
     memory: Arc<dyn Memory>,
     pattern: Pattern,
     changes: broadcast::Receiver<Arc<Snapshot>>,
-    /// Newest version told of each entity.
-    told: IndexMap<EntityId, u64>,
+    /// What was told last of each entity.
+    told: IndexMap<EntityId, Told>,
     /// What arrived before was received, ns.
     since_ns: u64,
     /// What arrived before was told, ns.
@@ -72,7 +93,7 @@ impl Follower {
             held.extend(piece);
         }
         follower.told_until = follower.since_ns;
-        follower.told = held.iter().map(|s| (s.id.clone(), s.version)).collect();
+        follower.told = held.iter().map(|s| (s.id.clone(), Told::of(s))).collect();
         Ok((follower, held.into_iter().filter(|s| !s.is_removed()).collect()))
     }
 
@@ -101,7 +122,7 @@ impl Follower {
     pub async fn resume(
         memory: Arc<dyn Memory>,
         pattern: Pattern,
-        told: BTreeMap<EntityId, u64>,
+        told: BTreeMap<EntityId, Told>,
         since_ns: u64,
     ) -> Result<Self, MemoryError> {
         let mut follower = Self::from_start(memory, pattern);
@@ -201,21 +222,23 @@ impl Follower {
 
     async fn take(&mut self, snapshot: Arc<Snapshot>) -> Result<(), MemoryError> {
         let known = match self.told.get_mut(&snapshot.id) {
-            Some(told) if snapshot.version == *told + 1 => {
-                *told = snapshot.version;
+            Some(told) if snapshot.version == told.version + 1 => {
+                *told = Told::of(&snapshot);
                 self.ready.push_back(Change::New(snapshot));
                 return Ok(());
             }
             told => told.copied(),
         };
-        if snapshot.version > known.unwrap_or(0) + 1 {
+        let begins = known.is_some_and(|told| told.is_before_life_of(&snapshot));
+        if begins || snapshot.version > known.map_or(0, |told| told.version) + 1 {
             // Until they are read: nobody may wait for that to its end.
             self.behind = true;
             if known.is_some() {
                 // Where one is missing, others are, and one question brings them all.
                 self.read_since(self.since_ns).await?;
             }
-            let told = self.told.get(&snapshot.id).copied().unwrap_or(0);
+            self.begin_if_anew(&snapshot).await?;
+            let told = self.told.get(&snapshot.id).map_or(0, |told| told.version);
             if snapshot.version > told + 1 {
                 let missing = Times::Versions(told + 1, snapshot.version - 1);
                 self.read(Query::latest(Pattern::entity(&snapshot.id)).times(missing)).await?;
@@ -262,21 +285,39 @@ impl Follower {
             }
         }
         found.sort_by_key(|(arrived_ns, _)| *arrived_ns);
-        found.into_iter().for_each(|(_, snapshot)| self.tell(snapshot));
+        for (_, snapshot) in found {
+            self.begin_if_anew(&snapshot).await?;
+            self.tell(snapshot);
+        }
         Ok(until.unwrap_or(0))
+    }
+
+    /// Where a snapshot is the first one that has come since its memory began to count anew: finds the version from which it
+    /// counts, the last one that it had kept.
+    async fn begin_if_anew(&mut self, first: &Snapshot) -> Result<(), MemoryError> {
+        if !self.told.get(&first.id).is_some_and(|told| told.is_before_life_of(first)) {
+            return Ok(());
+        }
+        let earlier = Times::Versions(0, first.version.saturating_sub(1));
+        let query = Query::latest(Pattern::entity(&first.id)).times(earlier).limit(1).with_long_term();
+        let kept = self.memory.query(&query).await?.pop();
+        if let Some(told) = self.told.get_mut(&first.id) {
+            told.version = kept.map_or(0, |kept| kept.version);
+        }
+        Ok(())
     }
 
     /// Tells a snapshot unless it was told, and first what is missing before it.
     fn tell(&mut self, snapshot: Arc<Snapshot>) {
-        let told = self.told.entry(snapshot.id.clone()).or_insert(0);
-        if snapshot.version <= *told {
+        let told = self.told.entry(snapshot.id.clone()).or_default();
+        if snapshot.version <= told.version {
             return;
         }
-        if snapshot.version > *told + 1 {
-            let (from, to) = (*told + 1, snapshot.version - 1);
+        if snapshot.version > told.version + 1 {
+            let (from, to) = (told.version + 1, snapshot.version - 1);
             self.ready.push_back(Change::Missed { id: snapshot.id.clone(), from, to });
         }
-        *told = snapshot.version;
+        *told = Told::of(&snapshot);
         self.ready.push_back(Change::New(snapshot));
     }
 

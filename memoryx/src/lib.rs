@@ -38,13 +38,13 @@ pub mod updater;
 pub mod wire;
 mod working;
 
-pub use agent::{AgentConfig, AgentMemory};
+pub use agent::{AgentConfig, AgentMemory, keep_within};
 pub use asked::Asked;
 pub use attributes::Attributes;
 pub use entity::{Commit, EntityId, Instance, Snapshot, check_name};
 pub use error::MemoryError;
 pub use filter::Filter;
-pub use follow::{Change, Follower};
+pub use follow::{Change, Follower, Told};
 pub use infer::{Attached, Conclusion, Inference, SpatialRelations, UsualPlaces};
 pub use memory::{Memory, Pages, modify, pages};
 pub use observer::{Condition, MemoryEvent, Observer};

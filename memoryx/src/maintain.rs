@@ -59,7 +59,7 @@ pub fn carry_out(
             counted(&[("dropped", dropped.snapshots), ("freed_bytes", dropped.bytes)])
         }
         Maintain::Keep { snapshots } => {
-            snapshots.iter().try_for_each(|snapshot| snapshot.check_kept())?;
+            snapshots.iter().try_for_each(|snapshot| memory.check_kept(snapshot))?;
             counted(&[("kept", store.persist(&snapshots)? as u64)])
         }
     })

@@ -63,6 +63,14 @@ impl Default for Limits {
     }
 }
 
+impl Limits {
+    /// Of a memory that others write to: no time that is more than a minute ahead, and a quarter of it for an owner at most.
+    #[must_use]
+    pub fn of_agent() -> Self {
+        Self { ahead_ns: Some(60_000_000_000), shares: 4, ..Self::default() }
+    }
+}
+
 /// What stands behind a working memory: it is asked before a commit is acknowledged.
 pub trait Backing: Send + Sync {
     /// The newest version that was ever given to an entity that is not in working memory; 0 if there was none.
@@ -257,28 +265,44 @@ impl WorkingMemory {
         self.write(updates, now, true)
     }
 
-    /// Puts back what a store has kept, with its versions and times; what this memory knows as new or newer stays.
-    /// Returns how many snapshots were put back. The backing is not asked: it is where they come from.
+    /// Whether a snapshot that comes from elsewhere, with its version, is one that this memory could have made.
     ///
     /// # Errors
-    /// As [`Memory::commit`]; nothing has changed then.
-    pub fn restore(&self, snapshots: Vec<Arc<Snapshot>>) -> Result<usize, MemoryError> {
+    /// [`MemoryError::Store`] for its version; [`MemoryError::Schema`] and [`MemoryError::Confidence`].
+    pub fn check_kept(&self, snapshot: &Snapshot) -> Result<(), MemoryError> {
+        snapshot.check_version()?;
+        self.check(&snapshot.id, &snapshot.instances)
+    }
+
+    /// Puts back what a store has kept, with its versions and times; what this memory knows as new or newer stays, and
+    /// what it would not take is left out: that is in the store only. Returns how many snapshots were put back, and why
+    /// the first one was left out. The backing is not asked: it is where they come from.
+    pub fn restore(&self, snapshots: Vec<Arc<Snapshot>>) -> (usize, Option<MemoryError>) {
         let _one_writer = self.committing.lock().unwrap_or_else(PoisonError::into_inner);
         let state = self.read();
-        let newest = |id: &EntityId| state.newest(id).map_or(0, |s| s.version);
-        let wanted: Vec<_> = snapshots.into_iter().filter(|s| s.version > newest(&s.id)).collect();
         let (mut room, mut restored) = (Numbered::default(), BTreeSet::new());
-        for snapshot in &wanted {
-            self.check(&snapshot.id, &snapshot.instances)?;
-            let is_new = state.newest(&snapshot.id).is_none() && restored.insert(&snapshot.id);
+        let (mut fitting, mut refused) = (Vec::with_capacity(snapshots.len()), None);
+        for snapshot in snapshots {
+            let newest = state.newest(&snapshot.id).map_or(0, |s| s.version);
+            if snapshot.version <= newest {
+                continue;
+            }
+            let is_new = newest == 0 && !restored.contains(&snapshot.id);
             let put = (&snapshot.id, snapshot.instances.as_slice());
-            let bytes = self.check_room(&state, &room, put, is_new, None)?;
-            room.take(None, Taken { entities: usize::from(is_new), bytes });
+            let fits = self.check_kept(&snapshot);
+            match fits.and_then(|()| self.check_room(&state, &room, put, is_new, None)) {
+                Ok(bytes) => {
+                    room.take(None, Taken { entities: usize::from(is_new), bytes });
+                    restored.insert(snapshot.id.clone());
+                    fitting.push(snapshot);
+                }
+                Err(error) => refused = refused.or(Some(error)),
+            }
         }
         drop(state);
-        let count = wanted.len();
-        self.put_in(wanted);
-        Ok(count)
+        let count = fitting.len();
+        self.put_in(fitting);
+        (count, refused)
     }
 
     /// [`Memory::latest`] without a task.

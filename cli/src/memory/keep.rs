@@ -3,21 +3,63 @@
 
 use std::collections::BTreeMap;
 
-use armarium_memoryx::{Coding, Policies, Policy, check_name};
+use armarium_memoryx::{Coding, Policies, Policy, Retention, check_name};
 use armarium_values::Value;
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
-use super::Failure;
-
 /// Quality of a JPEG file unless it is said.
 const QUALITY: u8 = 85;
 
-/// The policies that the options say; everything is kept where nothing is said.
-pub(super) fn policies(options: &[String]) -> Result<Policies, Failure> {
-    let mut policies = Policies::all(Policy::Everything);
+/// What a file keeps, and for how long.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub(crate) struct KeepArgs {
+    /// What of a core segment the file keeps: `everything`, `nothing`, `on-change`, `at-most:HZ` or `named:NAME+NAME`; with `,jpeg` or
+    /// `,jpeg:QUALITY` its images become JPEG files there. The segment `*` is all that are not named. May be repeated.
+    #[arg(long, value_name = "SEGMENT=POLICY")]
+    keep: Vec<String>,
+    /// How long the file keeps snapshots, days; for ever if not given. The newest of each entity stays.
+    #[arg(long, value_name = "DAYS", allow_negative_numbers = true)]
+    days: Option<f64>,
+    /// Most megabytes that the file keeps. The newest of each entity stays.
+    #[arg(long, value_name = "MB", allow_negative_numbers = true)]
+    megabytes: Option<f64>,
+}
+
+impl KeepArgs {
+    /// The first option that was given.
+    pub(crate) fn given(&self) -> Option<&'static str> {
+        let given = [
+            ("--keep", !self.keep.is_empty()),
+            ("--days", self.days.is_some()),
+            ("--megabytes", self.megabytes.is_some()),
+        ];
+        given.into_iter().find(|(_, is_given)| *is_given).map(|(name, _)| name)
+    }
+
+    /// What is kept: as the options say, or else as `usual`.
+    pub(crate) fn policies(&self, usual: Policies) -> Result<Policies, String> {
+        policies(usual, &self.keep)
+    }
+
+    /// For how long.
+    pub(crate) fn retention(&self) -> Result<Retention, String> {
+        retention(self.days, self.megabytes)
+    }
+}
+
+/// How much is kept, from days and megabytes.
+pub(super) fn retention(days: Option<f64>, megabytes: Option<f64>) -> Result<Retention, String> {
+    let scaled = |number: Option<f64>, unit: f64, what: &str| match number {
+        Some(n) if !n.is_finite() || n < 0.0 => Err(format!("{what} cannot be {n}")),
+        number => Ok(number.map(|n| (n * unit) as u64)),
+    };
+    Ok(Retention { age_ns: scaled(days, 86_400e9, "days")?, bytes: scaled(megabytes, 1e6, "megabytes")? })
+}
+
+fn policies(mut policies: Policies, options: &[String]) -> Result<Policies, String> {
     for option in options {
-        let wrong = |what: String| Failure::Argument(format!("--keep {option}: {what}"));
+        let wrong = |what: String| format!("--keep {option}: {what}");
         let (segment, words) = option.split_once('=').ok_or_else(|| {
             wrong("it is not SEGMENT=POLICY, for instance Images=everything,jpeg:80".into())
         })?;
@@ -115,10 +157,7 @@ mod tests {
 
     fn options(options: &[&str]) -> Result<Policies, String> {
         let options: Vec<String> = options.iter().map(|option| (*option).to_owned()).collect();
-        policies(&options).map_err(|failure| match failure {
-            Failure::Argument(what) => what,
-            _ => "another failure".into(),
-        })
+        policies(Policies::all(Policy::Everything), &options)
     }
 
     #[test]

@@ -10,18 +10,22 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 
 use crate::connection::{ConnectionArgs, explained};
+use crate::logging;
 
-mod keep;
+pub(crate) mod keep;
 mod reach;
 mod serve;
 mod show;
 mod work;
 
+/// The name of a memory that was given none.
+const LOCAL: &str = "local";
+
 /// What `memory` takes.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct MemoryArgs {
     /// The agent whose memory it is.
-    #[arg(long, global = true, default_value = "local", value_name = "NAME")]
+    #[arg(long, global = true, default_value = LOCAL, value_name = "NAME")]
     agent: String,
     /// Who asks, as his certificate says: a memory with access rules takes commits only from whom it knows, into provider
     /// segments with his name.
@@ -304,7 +308,10 @@ impl From<armarium_memoryx::StoreError> for Failure {
 /// When `out` cannot be written.
 pub(crate) fn run(args: &MemoryArgs, out: &mut dyn Write, errors: &mut dyn Write) -> io::Result<u8> {
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
-    let done = runtime.block_on(work::carry_out(args, out));
+    let done = match logging::install_plain() {
+        Ok(()) => runtime.block_on(work::carry_out(args, out)),
+        Err(what) => Err(Failure::Argument(what)),
+    };
     let status = match done {
         Ok(status) => status,
         Err(Failure::Output(error)) => return Err(error),

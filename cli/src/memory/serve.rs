@@ -4,18 +4,18 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use armarium_memoryx::{
-    AgentConfig, AgentMemory, FollowSettings, Pattern, PriorKnowledge, Retention, check_name,
+    AgentConfig, AgentMemory, FollowSettings, Pattern, Policies, Policy, PriorKnowledge, check_name,
 };
 use clap::Args;
 
 use super::reach::USUAL_ENDPOINT;
-use super::{Failure, Inferences, MemoryArgs, keep};
-use crate::connection::AccessArgs;
+use super::{Failure, Inferences, LOCAL, MemoryArgs, keep};
+use crate::connection::{AccessArgs, be_the_only_one};
 
 #[derive(Clone, Debug, Args)]
 pub(super) struct ServeArgs {
     /// The agent's name.
-    #[arg(long, default_value = "local")]
+    #[arg(long, default_value = LOCAL)]
     name: String,
     #[command(flatten)]
     access: AccessArgs,
@@ -31,24 +31,20 @@ pub(super) struct ServeArgs {
     /// Fuse followed objects into this provider segment of `ObjectInstances`.
     #[arg(long, value_name = "PROVIDER")]
     fuse_into: Option<String>,
-    /// What of a core segment the file keeps: `everything`, `nothing`, `on-change`, `at-most:HZ` or `named:NAME+NAME`; with `,jpeg` or
-    /// `,jpeg:QUALITY` its images become JPEG files there. The segment `*` is all others. May be repeated; everything is kept
-    /// where nothing is said.
-    #[arg(long, value_name = "SEGMENT=POLICY")]
-    keep: Vec<String>,
     /// How many newest snapshots working memory holds of each entity.
-    #[arg(long, default_value_t = 32)]
+    #[arg(long, default_value_t = 32, value_parser = at_least_one)]
     history: usize,
-    /// How long long-term memory keeps snapshots, days; for ever if not given.
-    #[arg(long, value_name = "DAYS", allow_negative_numbers = true)]
-    days: Option<f64>,
-    /// Most megabytes that long-term memory keeps.
-    #[arg(long, value_name = "MB", allow_negative_numbers = true)]
-    megabytes: Option<f64>,
+    #[command(flatten)]
+    kept: keep::KeepArgs,
 }
 
 /// Runs until Ctrl-C.
 pub(super) async fn serve(args: &MemoryArgs, serve: &ServeArgs, out: &mut dyn Write) -> Result<u8, Failure> {
+    if args.agent != LOCAL {
+        let what =
+            format!("--agent names a memory that runs already; one that is to run has --name {}", args.agent);
+        return Err(Failure::Argument(what));
+    }
     let mut connection = args.connection.clone();
     if connection.listen.is_empty() {
         connection.listen = vec![USUAL_ENDPOINT.into()];
@@ -60,15 +56,18 @@ pub(super) async fn serve(args: &MemoryArgs, serve: &ServeArgs, out: &mut dyn Wr
     if let Some(folder) = &serve.prior {
         config.prior = PriorKnowledge::load(folder).map_err(|error| Failure::Argument(error.to_string()))?;
     }
-    config.policies = keep::policies(&serve.keep)?;
-    if !serve.keep.is_empty() && args.store.is_none() {
-        return Err(Failure::Argument("--keep says what a file keeps: name the file with --store".into()));
+    config.policies = serve.kept.policies(Policies::all(Policy::Everything)).map_err(Failure::Argument)?;
+    if let (Some(option), None) = (serve.kept.given(), &args.store) {
+        return Err(Failure::Argument(format!(
+            "{option} says what a file keeps: name the file with --store"
+        )));
     }
     config.store.clone_from(&args.store);
     config.limits.history = serve.history;
-    config.retention = retention(serve.days, serve.megabytes)?;
+    config.retention = serve.kept.retention().map_err(Failure::Argument)?;
     config.follow = serve.follow.iter().map(|follow| settings(serve, follow)).collect::<Result<_, _>>()?;
     let session = connection.session(access.as_ref()).await?;
+    let _alive = be_the_only_one(&session, &serve.name).await.map_err(Failure::Refused)?;
     let agent = AgentMemory::start(&session, config).await?;
     let endpoints = session.endpoints().await.join(" ");
     let kept = args.store.as_ref().map_or_else(|| "not kept".into(), |f| format!("kept in {}", f.display()));
@@ -100,11 +99,6 @@ fn settings(serve: &ServeArgs, follow: &str) -> Result<FollowSettings, Failure> 
     })
 }
 
-/// How much is kept, from days and megabytes.
-pub(super) fn retention(days: Option<f64>, megabytes: Option<f64>) -> Result<Retention, Failure> {
-    let scaled = |number: Option<f64>, unit: f64, what: &str| match number {
-        Some(n) if !n.is_finite() || n < 0.0 => Err(Failure::Argument(format!("{what} cannot be {n}"))),
-        number => Ok(number.map(|n| (n * unit) as u64)),
-    };
-    Ok(Retention { age_ns: scaled(days, 86_400e9, "days")?, bytes: scaled(megabytes, 1e6, "megabytes")? })
+fn at_least_one(text: &str) -> Result<usize, String> {
+    text.parse().ok().filter(|n| *n > 0).ok_or_else(|| "it is a whole number from 1".into())
 }

@@ -15,7 +15,7 @@ use super::reach::Reached;
 use super::show::Shown;
 use super::{
     ExportArgs, Failure, GetArgs, MemoryArgs, MemoryCommand, PutArgs, QueryArgs, SnapshotCommand, WatchArgs,
-    serve,
+    keep, serve,
 };
 
 /// Snapshots that are imported at once.
@@ -79,7 +79,7 @@ fn request(command: &MemoryCommand) -> Result<Maintain, Failure> {
         MemoryCommand::Compact => Maintain::Compact,
         MemoryCommand::Verify => Maintain::Verify,
         MemoryCommand::Retain(retain) => {
-            let retention = serve::retention(retain.days, retain.megabytes)?;
+            let retention = keep::retention(retain.days, retain.megabytes).map_err(Failure::Argument)?;
             Maintain::Retain { age_ns: retention.age_ns, bytes: retention.bytes }
         }
         _ => Maintain::Stats,

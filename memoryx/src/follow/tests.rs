@@ -74,3 +74,34 @@ async fn what_changes_while_it_is_read_is_not_missed() {
     assert_eq!(told[&update(first).id], 2);
     assert_eq!(told, newest);
 }
+
+/// A memory that was started again and kept nothing counts from 1: what it says now is new.
+#[tokio::test]
+async fn a_memory_that_begins_anew_is_followed_on() {
+    for (history, expected) in [(32, "1 2 3 4"), (2, "missed 1-1 2 3 4")] {
+        let time = AtomicU64::new(100);
+        let memory = WorkingMemory::new(Arc::new(move || time.fetch_add(1, Ordering::Relaxed)));
+        let memory = Arc::new(memory.with_limits(Limits { history, ..Limits::default() }));
+        let told = BTreeMap::from([(update(0).id, Told { version: 5, arrived_ns: 99 })]);
+        let shared = Arc::<WorkingMemory>::clone(&memory);
+        for _ in 0..3 {
+            memory.commit_now(vec![update(0)]).unwrap();
+        }
+        let mut follower = Follower::resume(shared, Pattern::any(), told, 90).await.unwrap();
+        memory.commit_now(vec![update(0)]).unwrap();
+        let words = |change| match change {
+            Change::New(snapshot) => snapshot.version.to_string(),
+            Change::Missed { from, to, .. } => format!("missed {from}-{to}"),
+        };
+        let told: Vec<_> = follower.drain(100).await.unwrap().into_iter().map(words).collect();
+        assert_eq!(told.join(" "), expected);
+        // And while it listens: the next life's first change has a version that was told.
+        let later = Arc::new(Snapshot { version: 1, arrived_ns: 500, ..(*newest(&memory)).clone() });
+        follower.take(later).await.unwrap();
+        assert!(matches!(&follower.drain(9).await.unwrap()[..], [Change::New(s)] if s.arrived_ns == 500));
+    }
+}
+
+fn newest(memory: &WorkingMemory) -> Arc<Snapshot> {
+    memory.latest_now(&update(0).id).unwrap()
+}

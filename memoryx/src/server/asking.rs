@@ -71,11 +71,10 @@ impl Shared {
 
     /// As much of an answer as travels at once.
     fn piece(&self, mut query: Query) -> Result<Snapshots, MemoryError> {
-        let wanted = query.clone();
         query.most = Some(query.most.unwrap_or(usize::MAX).min(MOST_SNAPSHOTS));
         query.most_bytes = Some(query.most_bytes.unwrap_or(u64::MAX).min(MOST_BYTES));
         let mut snapshots = self.memory.query_now(&query)?;
-        let full = query.is_filled_by(&snapshots) && !wanted.is_filled_by(&snapshots);
+        let full = query.is_filled_by(&snapshots) && !snapshots.is_empty();
         let fits = wire::in_one_answer(&snapshots);
         let cut = fits < snapshots.len();
         snapshots.truncate(fits);

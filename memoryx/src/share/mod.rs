@@ -15,8 +15,8 @@ use tokio::task::JoinSet;
 
 use crate::entity::{Commit, EntityId, Instance, Snapshot};
 use crate::error::MemoryError;
-use crate::follow::{Change, Follower};
-use crate::memory::Memory;
+use crate::follow::{Change, Follower, Told};
+use crate::memory::{Memory, pages};
 use crate::query::{Pattern, Query};
 use crate::updater::{OBJECT_INSTANCES, Observation, Updater};
 use crate::working::WorkingMemory;
@@ -27,6 +27,11 @@ pub use frames::{WORLD, own_from_other, transformed};
 
 /// Changes that are committed together.
 const TOGETHER: usize = 256;
+/// Snapshots of one's own that are looked at together.
+const PIECE: usize = 4096;
+/// What is followed may have been committed here in another order than it arrived there, when this agent ended: what
+/// arrived so long before the last of it is asked for again, ns.
+const DISORDER_NS: u64 = 10_000_000_000;
 /// How long to wait before a memory that refuses for a while is tried again.
 const RETRY: std::time::Duration = std::time::Duration::from_millis(500);
 
@@ -63,7 +68,7 @@ impl Following {
         settings: FollowSettings,
     ) -> Result<Self, MemoryError> {
         crate::entity::check_name(&settings.agent)?;
-        let (told, since_ns) = known(&memory, &settings)?;
+        let (told, since_ns) = known(&memory, &settings).await?;
         let follower = Follower::resume(other, settings.pattern.clone(), told, since_ns).await?;
         let updater = match &settings.fuse_into {
             Some(provider) => Some(Updater::new(Arc::<WorkingMemory>::clone(&memory), provider)?),
@@ -97,32 +102,35 @@ pub fn followed_id(agent: &str, id: &EntityId) -> Result<EntityId, MemoryError> 
     EntityId::new(id.segment(), &format!("{agent}.{}", id.provider()), id.entity())
 }
 
-/// What is here of another memory: the newest version of each of its entities, and when the newest arrived there, ns.
-fn known(
+/// What is here of another memory: what was told last of each of its entities, and until when everything was, ns.
+async fn known(
     memory: &WorkingMemory,
     settings: &FollowSettings,
-) -> Result<(BTreeMap<EntityId, u64>, u64), MemoryError> {
+) -> Result<(BTreeMap<EntityId, Told>, u64), MemoryError> {
     let prefix = format!("{}.", settings.agent);
     let pattern = Pattern::any().of_provider(&format!("{prefix}*"));
-    let mut told = BTreeMap::new();
-    let mut since_ns = 0;
-    for snapshot in memory.query_now(&Query::history(pattern).with_long_term())? {
-        let number = |name: &str| {
-            let origin = snapshot.attribute("origin")?.get(name)?.as_int()?;
-            u64::try_from(origin).ok()
-        };
-        let provider = snapshot.id.provider().strip_prefix(&prefix).unwrap_or_default();
-        let id = EntityId::new(snapshot.id.segment(), provider, snapshot.id.entity())?;
-        if let Some(version) = number("version") {
-            let newest = told.entry(id).or_insert(0);
-            *newest = version.max(*newest);
-        } else if snapshot.is_removed() {
-            // A removal has no attributes: it is the version after the one before it.
-            *told.entry(id).or_insert(0) += 1;
+    let mut told: BTreeMap<EntityId, Told> = BTreeMap::new();
+    let mut until_ns = 0;
+    // A removal has no attributes: it is the version after the one before it, which arrived there no later than here.
+    let mut pieces = pages(Query::history(pattern).limit(2).with_long_term(), PIECE);
+    while let Some(piece) = pieces.next(memory).await? {
+        for snapshot in piece {
+            let number = |name: &str| {
+                let origin = snapshot.attribute("origin")?.get(name)?.as_int()?;
+                u64::try_from(origin).ok()
+            };
+            let provider = snapshot.id.provider().strip_prefix(&prefix).unwrap_or_default();
+            let id = EntityId::new(snapshot.id.segment(), provider, snapshot.id.entity())?;
+            let last = told.entry(id).or_default();
+            if let (Some(version), Some(arrived_ns)) = (number("version"), number("arrived_ns")) {
+                *last = Told { version, arrived_ns };
+                until_ns = until_ns.max(arrived_ns);
+            } else if snapshot.is_removed() {
+                *last = Told { version: last.version + 1, arrived_ns: snapshot.arrived_ns };
+            }
         }
-        since_ns = since_ns.max(number("arrived_ns").unwrap_or(0));
     }
-    Ok((told, since_ns))
+    Ok((told, until_ns.saturating_sub(DISORDER_NS)))
 }
 
 struct Task {

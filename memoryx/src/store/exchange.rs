@@ -18,12 +18,17 @@ const LONGEST: u64 = 256 << 20;
 const HIGHEST_VERSION: u64 = 1 << 62;
 
 impl Snapshot {
-    /// Whether a snapshot that comes from elsewhere, with its version, is one that a memory could have made.
-    pub(crate) fn check_kept(&self) -> Result<(), MemoryError> {
-        if !(1..=HIGHEST_VERSION).contains(&self.version) {
-            let what = format!("`{}` cannot have version {}", self.id, self.version);
-            return Err(MemoryError::Store { what });
+    /// Whether a version that comes from elsewhere is one that a memory could have given.
+    pub(crate) fn check_version(&self) -> Result<(), MemoryError> {
+        if (1..=HIGHEST_VERSION).contains(&self.version) {
+            return Ok(());
         }
+        Err(MemoryError::Store { what: format!("`{}` cannot have version {}", self.id, self.version) })
+    }
+
+    /// Whether a snapshot that comes from elsewhere is one that a memory without typed segments could have made.
+    fn check_kept(&self) -> Result<(), MemoryError> {
+        self.check_version()?;
         self.instances.iter().try_for_each(|instance| crate::schema::check_form(&self.id, instance))
     }
 }

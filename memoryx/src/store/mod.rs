@@ -38,7 +38,7 @@ use redb::{Database, ReadableDatabase, ReadableTableMetadata, TableDefinition};
 
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
-use crate::query::{Pattern, Query};
+use crate::query::{Cursor, Pattern, Query};
 use crate::working::{Backing, WorkingMemory};
 
 mod coding;
@@ -73,6 +73,9 @@ use write::{Memo, Totals};
 
 /// The format that this program writes and reads.
 const FORMAT: u64 = 2;
+/// Snapshots that are loaded together, and about how many bytes of them.
+const PIECE: usize = 8192;
+const PIECE_BYTES: u64 = 16 << 20;
 /// redb's cache, bytes.
 const CACHE: usize = 32 << 20;
 const META: TableDefinition<'_, &str, u64> = TableDefinition::new("meta");
@@ -160,12 +163,32 @@ impl LongTermMemory {
     }
 
     /// Puts the newest snapshots of what a pattern fits back into working memory, with their versions. Returns how
-    /// many that memory did not have.
+    /// many that memory did not have. What it does not take, because it does not fit or there is no room, is left where it is,
+    /// and the log says so.
     ///
     /// # Errors
-    /// [`MemoryError::Store`] when they cannot be read; otherwise as [`WorkingMemory::restore`].
+    /// [`MemoryError::Store`] when they cannot be read.
     pub fn load_into(&self, memory: &WorkingMemory, pattern: Pattern) -> Result<usize, MemoryError> {
-        memory.restore(self.query(&Query::latest(pattern))?)
+        let (mut restored, mut refused) = (0, None);
+        let mut query = Query { most: Some(PIECE), most_bytes: Some(PIECE_BYTES), ..Query::latest(pattern) };
+        loop {
+            let found = self.query(&query)?;
+            let Some(last) = found.last().map(|s| Cursor { id: s.id.clone(), version: s.version }) else {
+                break;
+            };
+            let is_cut = query.is_filled_by(&found);
+            let (count, error) = memory.restore(found);
+            restored += count;
+            refused = refused.or(error);
+            if !is_cut {
+                break;
+            }
+            query.after = Some(last);
+        }
+        if let Some(error) = refused {
+            tracing::warn!(%error, store = self.name, "some of what was kept is not in working memory");
+        }
+        Ok(restored)
     }
 
     /// How much it holds.

@@ -306,6 +306,23 @@ impl LongTermMemory {
         })
     }
 
+    /// The core segments of which something is kept, in their order.
+    ///
+    /// # Errors
+    /// [`StoreError::Damaged`] and others when it cannot be read.
+    pub fn segments(&self) -> Result<Vec<String>, StoreError> {
+        self.read(|reader| {
+            let mut segments: Vec<String> = Vec::new();
+            reader.entities(&Pattern::any(), None, |entity| {
+                if segments.last().is_none_or(|last| last != entity.id.segment()) {
+                    segments.push(entity.id.segment().into());
+                }
+                Ok(true)
+            })?;
+            Ok(segments)
+        })
+    }
+
     /// See [`crate::Backing::versions`].
     pub(super) fn versions_of(
         &self,
