@@ -34,7 +34,7 @@ async fn nonsense_is_refused_in_words_and_others_are_served() {
         (commit(1), Vec::new(), "ends too early"),
         (commit(1), deep, "nested deeper"),
         ("application/cbor;memoryx/query;v1".to_owned(), b"\x01".to_vec(), "does not fit"),
-        ("application/cbor;memoryx/maintain;v1".to_owned(), b"\x65stats".to_vec(), "there is none"),
+        ("application/cbor;memoryx/maintain;v1".to_owned(), b"\x66verify".to_vec(), "--store"),
     ] {
         let answer = near.ask_one(&key, "", Some((&encoding, payload))).await.unwrap();
         let Answer::Refusal { encoding, payload } = answer else { panic!("{words}: was taken") };

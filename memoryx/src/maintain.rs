@@ -14,24 +14,29 @@ use crate::working::WorkingMemory;
 /// snapshots that no memory would have taken; as [`WorkingMemory::commit_now`] when a named snapshot is loaded.
 pub fn carry_out(
     request: Maintain,
-    store: &LongTermMemory,
+    store: Option<&LongTermMemory>,
     memory: &WorkingMemory,
 ) -> Result<Report, MemoryError> {
     let counted = |counts: &[(&str, u64)]| Report {
         counts: counts.iter().map(|(name, count)| ((*name).to_owned(), *count)).collect::<BTreeMap<_, _>>(),
         words: Vec::new(),
     };
+    let working = [("working_entities", memory.len() as u64), ("working_bytes", memory.bytes())];
+    let Some(store) = store else {
+        let what = "it has no file: start the agent with --store FILE".into();
+        let is_stats = matches!(request, Maintain::Stats);
+        return if is_stats { Ok(counted(&working)) } else { Err(MemoryError::Store { what }) };
+    };
     Ok(match request {
         Maintain::Stats => {
             let stats = store.stats()?;
-            counted(&[
+            let kept = [
                 ("entities", stats.entities),
                 ("snapshots", stats.snapshots),
                 ("bytes", stats.bytes),
                 ("file_bytes", stats.file_bytes),
-                ("working_entities", memory.len() as u64),
-                ("working_bytes", memory.bytes()),
-            ])
+            ];
+            counted(&[&kept[..], &working[..]].concat())
         }
         Maintain::Verify => {
             let found = store.verify()?;
@@ -39,6 +44,14 @@ pub fn carry_out(
             Report { words: found.damages, ..report }
         }
         Maintain::Compact => {
+            let found = store.verify()?;
+            if !found.is_intact() {
+                let what = format!(
+                    "{} places of it are damaged, so nothing was moved: export what is intact, and import it into a new file",
+                    found.damaged
+                );
+                return Err(MemoryError::Store { what });
+            }
             let before = store.stats()?.file_bytes;
             store.compact()?;
             counted(&[("file_bytes_before", before), ("file_bytes", store.stats()?.file_bytes)])

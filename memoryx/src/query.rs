@@ -13,7 +13,7 @@ use crate::place::Region;
 
 /// Which entities: each part is a name, a name with `*` for any characters, or any where none is given.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct Pattern {
     /// The core segment.
     pub segment: Option<String>,
@@ -55,7 +55,7 @@ pub struct Cursor {
 
 /// A question to a memory. What it asks for besides the pattern and the times is applied in the order of the fields.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
 pub struct Query {
     /// Which entities.
     pub pattern: Pattern,

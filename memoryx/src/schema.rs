@@ -10,6 +10,8 @@ use crate::error::MemoryError;
 
 /// Deepest nesting of an attribute's value; the codec reads back what is not deeper.
 const DEEPEST: usize = 16;
+/// How far from 1 the norm of a unit quaternion may be: numbers that were written with three digits.
+const UNIT: f64 = 1e-3;
 
 /// One attribute of a typed core segment.
 #[derive(Clone, Debug, PartialEq)]
@@ -153,6 +155,9 @@ pub(crate) fn check_form(id: &EntityId, instance: &Instance) -> Result<(), Memor
     if let Some((name, _)) = instance.attributes.iter().find(|(_, value)| too_deep(value)) {
         return refused(name, "is nested too deep");
     }
+    if let Some((name, _)) = instance.attributes.iter().find(|(_, value)| turns_nowhere(value)) {
+        return refused(name, "has a pose whose orientation is no unit quaternion");
+    }
     for (name, covariance) in &instance.covariance {
         let size = match instance.attributes.get(name) {
             Some(Value::Int(_) | Value::Float(_) | Value::Duration(_)) => 1,
@@ -185,6 +190,20 @@ fn is_covariance(rows: &[f64], size: usize) -> bool {
                 close(at(i, j), at(j, i)) && at(i, j).abs() <= bound
             })
     })
+}
+
+/// Whether there is a pose in a value, which is not nested too deep, whose orientation is no unit quaternion.
+fn turns_nowhere(value: &Value) -> bool {
+    match value {
+        Value::Pose(pose) => {
+            let norm = pose.orientation.iter().map(|x| x * x).sum::<f64>().sqrt();
+            // Not a number is no unit either.
+            !((norm - 1.0).abs() < UNIT)
+        }
+        Value::List(items) => items.iter().any(turns_nowhere),
+        Value::Map(fields) => fields.values().any(turns_nowhere),
+        _ => false,
+    }
 }
 
 /// Whether a value is nested so deep that it could not be stored or sent.

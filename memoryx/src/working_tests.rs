@@ -185,3 +185,30 @@ proptest! {
         }
     }
 }
+
+/// Who makes and removes names without end does not fill the memory, and nothing else is touched.
+#[test]
+fn names_that_are_gone_are_free_again() {
+    let time = std::sync::atomic::AtomicU64::new(0);
+    let clock = move || time.fetch_add(1_000_000, std::sync::atomic::Ordering::Relaxed);
+    let limits = Limits { entities: 100_000, shares: 1, ..Limits::default() };
+    let memory = WorkingMemory::new(Arc::new(clock)).with_limits(limits);
+    let id = |i: u64| EntityId::new("Things", if i % 2 == 0 { "p" } else { "q" }, &format!("e{i}")).unwrap();
+    for i in 0..300_000 {
+        memory.commit_now(vec![Commit::new(id(i), i, [("value", Value::Int(1))])]).unwrap();
+        if i % 1000 != 0 {
+            memory.commit_now(vec![Commit::removal(id(i), i)]).unwrap();
+        }
+    }
+    assert!((300..90_000).contains(&memory.len()), "{} entities", memory.len());
+    let held = memory.query_now(&Query::latest(Pattern::any())).unwrap();
+    assert_eq!(held.len(), 300);
+    let since = held[299].arrived_ns;
+    let later = Query { arrived_since: Some(since), ..Query::history(Pattern::any()) };
+    assert!(memory.query_now(&later).unwrap().iter().all(|s| s.arrived_ns >= since));
+    assert_eq!(memory.commit_now(vec![Commit::new(id(1), 1, [("value", Value::Int(1))])]), Ok(vec![1]));
+    assert_eq!(memory.commit_now(vec![Commit::new(id(1000), 1, [("value", Value::Int(1))])]), Ok(vec![2]));
+    memory.query_now(&Query::latest(Pattern::any())).unwrap().iter().for_each(|s| {
+        assert_eq!(memory.latest_now(&s.id).as_ref(), Ok(s));
+    });
+}

@@ -43,6 +43,22 @@ pub(crate) struct MemoryArgs {
     command: MemoryCommand,
 }
 
+impl MemoryArgs {
+    /// Whether all that is said is of use where a file is named, which nobody has open.
+    fn only_a_file(&self) -> Result<(), Failure> {
+        let wrong = if matches!(self.command, MemoryCommand::Watch(_)) {
+            "watch: a file that no agent has open does not change"
+        } else if self.agent != LOCAL || self.writer.is_some() {
+            "--agent and --as name an agent, --store a file that no agent has open"
+        } else if !self.connection.connect.is_empty() {
+            "--connect reaches an agent, --store opens a file that none has open"
+        } else {
+            return Ok(());
+        };
+        Err(Failure::Argument(format!("{wrong}: leave one of them out")))
+    }
+}
+
 #[derive(Clone, Debug, Subcommand)]
 enum MemoryCommand {
     /// List entities: version, time, confidence and attributes.

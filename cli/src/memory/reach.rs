@@ -26,6 +26,7 @@ impl Reached {
     /// Opens what the arguments name.
     pub(super) async fn open(args: &MemoryArgs) -> Result<Self, Failure> {
         if let Some(file) = &args.store {
+            args.only_a_file()?;
             let makes = matches!(args.command, MemoryCommand::Import { .. });
             if !makes && !file.exists() {
                 return Err(Failure::Argument(format!("there is no file `{}`", file.display())));
@@ -101,7 +102,7 @@ impl Reached {
     pub(super) async fn maintain(&self, request: Maintain) -> Result<Report, Failure> {
         match self {
             Self::Agent { remote, .. } => Ok(remote.maintain(&request).await?),
-            Self::File { store, memory } => Ok(maintain::carry_out(request, store, memory)?),
+            Self::File { store, memory } => Ok(maintain::carry_out(request, Some(store), memory)?),
         }
     }
 }

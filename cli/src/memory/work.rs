@@ -130,7 +130,9 @@ async fn put(reached: &Reached, put: &PutArgs) -> Result<u64, Failure> {
     for set in &put.set {
         let (name, text) =
             set.split_once('=').ok_or_else(|| Failure::Argument(format!("`{set}` is not NAME=VALUE")))?;
-        attributes.insert(name.to_owned(), value(name, text)?);
+        if name.is_empty() || attributes.insert(name.to_owned(), value(name, text)?).is_some() {
+            return Err(Failure::Argument(format!("--set {set}: each attribute has a name, and one value")));
+        }
     }
     let instances =
         if put.remove { Vec::new() } else { vec![Instance::new(attributes).with_confidence(put.confidence)] };
@@ -259,6 +261,11 @@ async fn export(reached: &Reached, export: &ExportArgs, out: &mut dyn Write) -> 
         Some(file) => file,
         None => out,
     };
+    if let Reached::File { store, .. } = reached {
+        // Past what is damaged, to the last that is not.
+        store.export(&pattern, &mut &mut *to)?;
+        return Ok(());
+    }
     let query = Query::history(pattern).with_long_term();
     let each = |snapshot: &Snapshot| -> Result<(), Failure> {
         let line = serde_json::to_string(snapshot).map_err(|e| Failure::Refused(e.to_string()))?;

@@ -66,23 +66,22 @@ struct Cell {
     places: Vector3<f64>,
     sightings: u64,
     last_ns: u64,
+    /// The newest versions that were seen there.
+    who: BTreeMap<EntityId, u64>,
 }
 
 /// A cell of one day with its share of the day.
-struct Share {
+struct Share<'s> {
+    cell: &'s Cell,
     place: Vector3<f64>,
     weight: f64,
     day: u64,
-    sightings: u64,
-    last_ns: u64,
 }
 
 /// The cells of a class in a frame, by day and coordinates.
 #[derive(Default)]
 struct Seen {
     cells: BTreeMap<(u64, [i64; 3]), Cell>,
-    /// The newest versions of the entities that were seen.
-    who: BTreeMap<EntityId, u64>,
 }
 
 /// All that was seen, by class and frame.
@@ -108,32 +107,29 @@ impl Sightings {
         cell.places += Vector3::from(place) * seconds;
         cell.sightings += 1;
         cell.last_ns = cell.last_ns.max(snapshot.referenced_ns);
-        seen.who.insert(snapshot.id.clone(), snapshot.version);
+        cell.who.insert(snapshot.id.clone(), snapshot.version);
     }
 }
 
 impl Seen {
     /// The cells with their shares of their days, the largest first.
-    fn shares(&self) -> Vec<Share> {
+    fn shares(&self) -> Vec<Share<'_>> {
         let mut days: BTreeMap<u64, f64> = BTreeMap::new();
         for ((day, _), cell) in &self.cells {
             *days.entry(*day).or_insert(0.0) += cell.seconds;
         }
-        let share = |((day, _), cell): (&(u64, [i64; 3]), &Cell)| Share {
-            place: cell.places / cell.seconds,
-            weight: cell.seconds / days.get(day).copied().unwrap_or(cell.seconds),
-            day: *day,
-            sightings: cell.sightings,
-            last_ns: cell.last_ns,
-        };
-        let mut shares: Vec<Share> = self.cells.iter().map(share).collect();
+        let mut shares = Vec::with_capacity(self.cells.len());
+        for ((day, _), cell) in &self.cells {
+            let weight = cell.seconds / days.get(day).copied().unwrap_or(cell.seconds);
+            shares.push(Share { cell, place: cell.places / cell.seconds, weight, day: *day });
+        }
         shares.sort_by(|a, b| b.weight.total_cmp(&a.weight));
         shares
     }
 }
 
 /// The place of each share, by DP-means.
-fn clustered(shares: &[Share]) -> Vec<Vec<&Share>> {
+fn clustered<'s>(shares: &'s [Share<'s>]) -> Vec<Vec<&'s Share<'s>>> {
     let mut centres: Vec<Vector3<f64>> = Vec::new();
     let mut of: Vec<usize> = vec![usize::MAX; shares.len()];
     for _ in 0..ROUNDS {
@@ -160,7 +156,7 @@ fn clustered(shares: &[Share]) -> Vec<Vec<&Share>> {
     grouped(shares, &of, centres.len()).into_iter().filter(|members| !members.is_empty()).collect()
 }
 
-fn grouped<'s>(shares: &'s [Share], of: &[usize], count: usize) -> Vec<Vec<&'s Share>> {
+fn grouped<'s>(shares: &'s [Share<'s>], of: &[usize], count: usize) -> Vec<Vec<&'s Share<'s>>> {
     let mut members = vec![Vec::new(); count];
     for (share, of) in shares.iter().zip(of) {
         members[*of].push(share);
@@ -168,21 +164,31 @@ fn grouped<'s>(shares: &'s [Share], of: &[usize], count: usize) -> Vec<Vec<&'s S
     members
 }
 
-fn weight(members: &[&Share]) -> f64 {
+fn weight(members: &[&Share<'_>]) -> f64 {
     members.iter().map(|share| share.weight).sum()
 }
 
-fn mean(members: &[&Share]) -> Option<Vector3<f64>> {
+fn mean(members: &[&Share<'_>]) -> Option<Vector3<f64>> {
     let sum: Vector3<f64> = members.iter().map(|share| share.place * share.weight).sum();
     (!members.is_empty()).then(|| sum / weight(members))
 }
 
 /// The covariance of a place, m², rows one after the other: of the cells, and of what lies within a cell.
-fn covariance(members: &[&Share], mean: &Vector3<f64>) -> Vec<f64> {
+fn covariance(members: &[&Share<'_>], mean: &Vector3<f64>) -> Vec<f64> {
     let within = Matrix3::identity() * (CELL * CELL / 12.0);
-    let of = |share: &&Share| (share.place - mean) * (share.place - mean).transpose() * share.weight;
+    let of = |share: &&Share<'_>| (share.place - mean) * (share.place - mean).transpose() * share.weight;
     let rows: Matrix3<f64> = within + members.iter().map(of).sum::<Matrix3<f64>>() / weight(members);
     rows.as_slice().to_vec()
+}
+
+/// What was seen in a place: the newest version of each entity.
+fn because(members: &[&Share<'_>]) -> Vec<(EntityId, u64)> {
+    let mut newest: BTreeMap<&EntityId, u64> = BTreeMap::new();
+    for (id, version) in members.iter().flat_map(|share| &share.cell.who) {
+        let known = newest.entry(id).or_insert(0);
+        *known = version.max(known).to_owned();
+    }
+    newest.into_iter().map(|(id, version)| (id.clone(), version)).collect()
 }
 
 impl UsualPlaces {
@@ -193,17 +199,17 @@ impl UsualPlaces {
         let mut places = clustered(&shares);
         places.sort_by(|a, b| weight(b).total_cmp(&weight(a)));
         let rest = (places.len() as f64 + 1.0) / 2.0;
-        let conclusion = |(i, members): (usize, &Vec<&Share>)| {
+        let conclusion = |(i, members): (usize, &Vec<&Share<'_>>)| {
             let mean = mean(members)?;
             let number = |n: u64| Value::Int(i64::try_from(n).unwrap_or(i64::MAX));
             let own_days = members.iter().map(|share| share.day).collect::<BTreeSet<_>>().len();
-            let last_ns = members.iter().map(|share| share.last_ns).max().unwrap_or(0);
+            let last_ns = members.iter().map(|share| share.cell.last_ns).max().unwrap_or(0);
             let attributes = [
                 ("class", class.into()),
                 ("position", Value::Vector(Vector::new(Frame(frame.to_owned()), &mean))),
                 ("days", number(own_days as u64)),
                 ("of_days", number(days as u64)),
-                ("sightings", number(members.iter().map(|share| share.sightings).sum())),
+                ("sightings", number(members.iter().map(|share| share.cell.sightings).sum())),
                 ("last_seen_ns", number(last_ns)),
             ];
             Some(Conclusion {
@@ -213,7 +219,7 @@ impl UsualPlaces {
                 covariance: BTreeMap::from([("position".to_owned(), covariance(members, &mean))]),
                 confidence: (weight(members) + 0.5) / (days as f64 + rest),
                 referenced_ns: last_ns,
-                because: seen.who.iter().map(|(id, version)| (id.clone(), *version)).collect(),
+                because: because(members),
             })
         };
         places.iter().enumerate().filter_map(conclusion).collect()

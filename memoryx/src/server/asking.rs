@@ -59,9 +59,7 @@ impl Shared {
             if self.guarded && writer != Some(self.agent.as_str()) {
                 return Err(forbid("long-term memory".into(), writer));
             }
-            let store =
-                self.store.as_deref().ok_or_else(|| MemoryError::Store { what: "there is none".into() })?;
-            wire::seal(&maintain::carry_out(request, store, &self.memory)?)
+            wire::seal(&maintain::carry_out(request, self.store.as_deref(), &self.memory)?)
         } else {
             let query: Query = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
             wire::seal(&self.piece(query)?)

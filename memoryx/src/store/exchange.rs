@@ -37,11 +37,20 @@ impl LongTermMemory {
     /// Writes what a pattern fits, ordered by the time it came. Returns how many lines.
     ///
     /// # Errors
-    /// [`StoreError::Failed`] when `to` cannot be written; when the memory cannot be read.
+    /// [`StoreError::Failed`] when `to` cannot be written; [`StoreError::Damaged`] when some of it is damaged: all that is
+    /// intact was written then.
     pub fn export(&self, pattern: &Pattern, to: &mut impl Write) -> Result<u64, StoreError> {
-        let mut count = 0;
+        let (mut count, mut damages, mut first) = (0_u64, 0_u64, None);
         let mut failure = None;
-        self.scan(|snapshot| {
+        self.scan_intact(|snapshot| {
+            let snapshot = match snapshot {
+                Ok(snapshot) => snapshot,
+                Err(what) => {
+                    damages += 1;
+                    first.get_or_insert(what);
+                    return true;
+                }
+            };
             if !pattern.matches(&snapshot.id) {
                 return true;
             }
@@ -56,7 +65,12 @@ impl LongTermMemory {
         })?;
         let flushed = to.flush().map_err(|e| e.to_string());
         match failure.map_or(flushed, Err) {
-            Ok(()) => Ok(count),
+            Ok(()) => match first {
+                None => Ok(count),
+                Some(what) => Err(self.damaged(format!(
+                    "{damages} places cannot be read, the first: {what}; the {count} snapshots that are intact were written"
+                ))),
+            },
             Err(what) => Err(self.failed(&format!("the export cannot be written: {what}"))),
         }
     }

@@ -248,6 +248,33 @@ fn a_cut_file_is_an_error() {
     }
 }
 
+/// What is intact is taken out of a damaged file, and that it is not all is said.
+#[test]
+fn what_is_intact_is_exported_past_what_is_damaged() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file_with(folder.path(), "whole.redb", 500);
+    let mut whole = Vec::new();
+    let count = LongTermMemory::open(&path).unwrap().export(&Pattern::any(), &mut whole).unwrap();
+    let mut bytes = std::fs::read(&path).unwrap();
+    // In the content of a record in the middle: its own checksum tells.
+    let name = b"value";
+    let places: Vec<_> =
+        bytes.windows(name.len()).enumerate().filter(|(_, w)| w == name).map(|(i, _)| i).collect();
+    bytes[places[places.len() / 2]] ^= 1;
+    std::fs::write(&path, &bytes).unwrap();
+    let store = LongTermMemory::open(&path).unwrap();
+    let mut rest = Vec::new();
+    let error = store.export(&Pattern::any(), &mut rest).unwrap_err();
+    assert!(matches!(&error, StoreError::Damaged { what, .. } if what.contains("were written")), "{error}");
+    let lines = |text: &[u8]| text.iter().filter(|byte| **byte == b'\n').count() as u64;
+    assert_eq!((lines(&whole), lines(&rest)), (count, count - 1));
+    let memory = WorkingMemory::new(Arc::new(|| 1));
+    let before = std::fs::read(&path).unwrap();
+    assert!(crate::maintain::carry_out(crate::wire::Maintain::Compact, Some(&store), &memory).is_err());
+    drop(store);
+    assert_eq!(before.len(), std::fs::read(&path).unwrap().len());
+}
+
 #[test]
 fn a_flipped_bit_is_found_or_harmless() {
     let folder = tempfile::tempdir().unwrap();
@@ -284,6 +311,11 @@ fn other_files_are_refused_and_left_alone() {
     std::fs::write(&path, "name: value\n".repeat(1000)).unwrap();
     assert!(matches!(LongTermMemory::open(&path), Err(StoreError::NotAStore { .. })));
     assert_eq!(std::fs::read_to_string(&path).unwrap(), "name: value\n".repeat(1000));
+
+    let empty = folder.path().join("empty.redb");
+    std::fs::write(&empty, "").unwrap();
+    assert!(matches!(LongTermMemory::open(&empty), Err(StoreError::NotAStore { .. })));
+    assert_eq!(std::fs::metadata(&empty).unwrap().len(), 0);
 
     let path = folder.path().join("other.redb");
     let other = Database::create(&path).unwrap();

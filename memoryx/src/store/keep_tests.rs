@@ -264,9 +264,36 @@ fn what_no_memory_would_have_taken_is_not_kept_from_elsewhere() {
         with(Instance::new([("n", Value::Int(1))]).with_confidence(f64::NAN)),
     ] {
         let keep = crate::wire::Maintain::Keep { snapshots: vec![Arc::clone(&good), Arc::new(bad.clone())] };
-        assert!(crate::maintain::carry_out(keep, &store, &memory).is_err(), "{bad:?}");
+        assert!(crate::maintain::carry_out(keep, Some(&store), &memory).is_err(), "{bad:?}");
         let line = serde_json::to_vec(&bad).unwrap();
         assert!(matches!(store.import(&mut line.as_slice()), Err(StoreError::Import { .. })), "{bad:?}");
     }
     assert_eq!(store.stats().unwrap().snapshots, 0);
+}
+
+/// What does not fit a typed core segment is refused; a file of a program that knew no such segment is opened all the same.
+#[test]
+fn what_does_not_fit_stops_no_start() {
+    let (_folder, path, store) = store();
+    let memory = WorkingMemory::new(Arc::new(|| 1));
+    let (odd, good) = (snapshot("ObjectInstances/p/odd", 1, 1, 1), snapshot("S/p/e", 1, 1, 1));
+    let keep = crate::wire::Maintain::Keep { snapshots: vec![Arc::clone(&odd)] };
+    let refused = crate::maintain::carry_out(keep, Some(&store), &memory).unwrap_err();
+    assert!(matches!(refused, MemoryError::Schema { .. }), "{refused}");
+    store.persist(&[odd, Arc::clone(&good)]).unwrap();
+    drop(store);
+    let store = LongTermMemory::open(&path).unwrap();
+    assert_eq!(store.load_into(&memory, Pattern::any()), Ok(1));
+    assert_eq!(memory.query_now(&Query::latest(Pattern::any())), Ok(vec![good]));
+    assert_eq!(store.segments(), Ok(vec!["ObjectInstances".into(), "S".into()]));
+}
+
+/// What is said of a memory without a file.
+#[test]
+fn a_memory_without_a_file_counts_what_it_holds_and_says_what_it_lacks() {
+    let memory = WorkingMemory::new(Arc::new(|| 1));
+    let stats = crate::maintain::carry_out(crate::wire::Maintain::Stats, None, &memory).unwrap();
+    assert_eq!(stats.counts.keys().collect::<Vec<_>>(), ["working_bytes", "working_entities"]);
+    let refused = crate::maintain::carry_out(crate::wire::Maintain::Compact, None, &memory).unwrap_err();
+    assert!(refused.to_string().contains("--store"), "{refused}");
 }

@@ -125,7 +125,11 @@ impl LongTermMemory {
     pub fn open(path: &Path) -> Result<Self, StoreError> {
         let name = path.display().to_string();
         let failed = |e: std::io::Error| StoreError::Failed { path: name.clone(), what: e.to_string() };
-        if std::fs::metadata(path).map_or(true, |m| m.len() == 0) {
+        if std::fs::metadata(path).is_ok_and(|m| m.len() == 0) {
+            let what = "it is empty: remove it, and a new one is made in its place".into();
+            return Err(StoreError::NotAStore { path: name, what });
+        }
+        if std::fs::metadata(path).is_err() {
             let mut beside = path.as_os_str().to_owned();
             beside.push(".new");
             let beside = PathBuf::from(beside);

@@ -150,6 +150,11 @@ impl LongTermMemory {
             {
                 StoreError::NotAStore { path, what: e.to_string() }
             }
+            redb::DatabaseError::Storage(redb::StorageError::Io(e))
+                if e.kind() == std::io::ErrorKind::UnexpectedEof =>
+            {
+                self.damaged("it is cut short".into())
+            }
             error => self.fault(error),
         }
     }

@@ -345,6 +345,25 @@ impl LongTermMemory {
     /// # Errors
     /// [`StoreError::Damaged`] and others when it cannot be read.
     pub fn scan(&self, mut act: impl FnMut(Snapshot) -> bool) -> Result<(), StoreError> {
+        let mut damage = None;
+        self.scan_intact(|snapshot| match snapshot {
+            Ok(snapshot) => act(snapshot),
+            Err(what) => {
+                damage = Some(what);
+                false
+            }
+        })?;
+        damage.map_or(Ok(()), |what| Err(self.damaged(what)))
+    }
+
+    /// As [`Self::scan`], past what is damaged: `act` is told of each place what is wrong there.
+    ///
+    /// # Errors
+    /// When the file cannot be read at all.
+    pub(super) fn scan_intact(
+        &self,
+        mut act: impl FnMut(Result<Snapshot, String>) -> bool,
+    ) -> Result<(), StoreError> {
         self.read(|reader| {
             let ids = reader.addresses()?;
             let rows = reader.chunks.iter().map_err(|e| self.fault(e))?;
@@ -352,14 +371,20 @@ impl LongTermMemory {
                 let (_, chunk) = row.map_err(|e| self.fault(e))?;
                 let mut rest = chunk.value();
                 while !rest.is_empty() {
-                    let head = record::head(rest).map_err(|what| self.damaged(what))?;
-                    let unknown = || self.damaged(format!("entity number {} has no address", head.number));
-                    let id = ids.get(&head.number).ok_or_else(unknown)?;
-                    let snapshot = record::decode(id, head, rest, &|hash| reader.blob(hash));
-                    if !act(snapshot.map_err(|what| self.damaged(what))?) {
+                    let (snapshot, length) = match record::head(rest) {
+                        Ok(head) => {
+                            let unknown = || format!("entity number {} has no address", head.number);
+                            let id = ids.get(&head.number).ok_or_else(unknown);
+                            let blobs = |hash: &_| reader.blob(hash);
+                            (id.and_then(|id| record::decode(id, head, rest, &blobs)), head.length)
+                        }
+                        // Where a record's length is wrong too, what follows it in the chunk cannot be found.
+                        Err(what) => (Err(what), record::length(rest).unwrap_or(rest.len())),
+                    };
+                    if !act(snapshot) {
                         return Ok(());
                     }
-                    rest = &rest[head.length..];
+                    rest = &rest[length..];
                 }
             }
             Ok(())

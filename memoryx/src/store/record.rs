@@ -197,6 +197,12 @@ pub(super) fn head(bytes: &[u8]) -> Result<Head, String> {
     Ok(Head { length, number, version })
 }
 
+/// The length that a record says of itself, if another record can follow there.
+pub(super) fn length(bytes: &[u8]) -> Option<usize> {
+    let length = Cursor { rest: bytes }.u32().ok()? as usize;
+    (HEAD..=bytes.len()).contains(&length).then_some(length)
+}
+
 /// Where blobs are found.
 pub(super) type Blobs<'b> = &'b dyn Fn(&Hash) -> Result<Vec<u8>, String>;
 

@@ -257,6 +257,7 @@ impl WorkingMemory {
             // Nobody listening is no error.
             let _ = self.changes.send(snapshot);
         }
+        state.forget_gone();
     }
 }
 

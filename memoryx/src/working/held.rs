@@ -16,9 +16,14 @@ const ALLOCATION: usize = 16;
 /// Changes of which it is remembered when they arrived and whose they were.
 const ARRIVALS: usize = 1 << 17;
 
+/// How many entities have to be gone at least before they are forgotten, and how long they have been then, ns: whoever
+/// follows has heard of it.
+const CROWD: usize = 4096;
+const GONE_NS: u64 = 60_000_000_000;
+
 #[derive(Default)]
 pub(super) struct State {
-    /// By address. Nothing is ever taken out, so that places stay.
+    /// By address. Places stay until [`State::forget_gone`].
     histories: IndexMap<EntityId, History>,
     /// The places of the addresses of each core segment.
     segments: BTreeMap<String, BTreeMap<EntityId, usize>>,
@@ -31,6 +36,9 @@ pub(super) struct State {
     arrivals: VecDeque<(u64, usize)>,
     /// When the newest change arrived that is in `arrivals` no more, ns.
     forgotten_until: u64,
+    /// How many entities are gone, and with how many of them those that have long been are forgotten.
+    gone: usize,
+    crowded: usize,
 }
 
 /// A part of a memory's room.
@@ -157,6 +165,8 @@ impl State {
 
     pub(super) fn put_in(&mut self, snapshot: &Arc<Snapshot>, keep: usize) {
         let (mut freed, mut entities) = (0, 0);
+        let was_gone = self.newest(&snapshot.id).is_some_and(|newest| newest.is_removed());
+        self.gone = self.gone + usize::from(snapshot.is_removed()) - usize::from(was_gone);
         let place = match self.histories.get_full_mut(&snapshot.id) {
             Some((place, _, history)) => {
                 let before = std::mem::replace(&mut history.newest, Arc::clone(snapshot));
@@ -190,6 +200,45 @@ impl State {
         // What is put back from a store may have arrived long ago; a time after the last one keeps the order.
         let last = self.arrivals.back().map_or(0, |(arrived_ns, _)| *arrived_ns);
         self.arrivals.push_back((snapshot.arrived_ns.max(last), place));
+    }
+
+    /// Forgets entities that have long been gone, when there are many: their names are free again, and their versions are
+    /// counted on by whatever keeps them, or anew.
+    pub(super) fn forget_gone(&mut self) {
+        if self.gone < self.crowded.max(CROWD).max(self.histories.len() / 8) {
+            return;
+        }
+        let newest = self.arrivals.back().map_or(0, |(arrived_ns, _)| *arrived_ns);
+        let is_over = |history: &History| {
+            history.newest.is_removed() && history.newest.arrived_ns.saturating_add(GONE_NS) < newest
+        };
+        let mut places = Vec::with_capacity(self.histories.len());
+        let mut stays = 0;
+        for (id, history) in &self.histories {
+            places.push((!is_over(history)).then_some(stays));
+            if !is_over(history) {
+                stays += 1;
+                continue;
+            }
+            self.gone -= 1;
+            let bytes: u64 = history.iter().map(|snapshot| snapshot.bytes()).sum();
+            self.bytes = self.bytes.saturating_sub(bytes);
+            if let Some(taken) = self.taken.get_mut(owner(id)) {
+                taken.entities = taken.entities.saturating_sub(1);
+                taken.bytes = taken.bytes.saturating_sub(bytes);
+            }
+        }
+        self.histories.retain(|_, history| !is_over(history));
+        let moved = |place: &mut usize| match places.get(*place) {
+            Some(Some(to)) => {
+                *place = *to;
+                true
+            }
+            _ => false,
+        };
+        self.segments.values_mut().for_each(|entities| entities.retain(|_, place| moved(place)));
+        self.arrivals.retain_mut(|(_, place)| moved(place));
+        self.crowded = 2 * self.gone;
     }
 
     fn put_in_new(&mut self, snapshot: &Arc<Snapshot>) -> usize {
