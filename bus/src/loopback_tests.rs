@@ -3,13 +3,27 @@
 use std::time::Duration;
 
 use crate::bulk::Bulk;
-use crate::keys;
+use crate::keys::{self, KeyPattern};
 use crate::session::{ANSWER_TIMEOUT, Answer, Session, SessionConfig, SessionError};
 
 async fn pair() -> (Session, Session) {
     let one = Session::open(&SessionConfig::default()).await.unwrap();
     let two = Session::open(&SessionConfig::connected_to(&one.endpoints().await)).await.unwrap();
     (one, two)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_is_there_is_known_at_once() {
+    let (far, near) = pair().await;
+    let service = keys::alive("alice", "agent").unwrap();
+    let those = KeyPattern::from(service.clone());
+    let most = Duration::from_secs(60);
+    assert_eq!(far.is_alive(&those, most).await, Ok(false));
+    let token = far.alive(&service).await.unwrap();
+    while near.is_alive(&those, most).await != Ok(true) {}
+    let other = KeyPattern::from(keys::alive("bob", "agent").unwrap());
+    assert_eq!(near.is_alive(&other, most).await, Ok(false));
+    drop(token);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

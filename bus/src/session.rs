@@ -327,6 +327,22 @@ impl Session {
         Ok(Roll { queue, _declared: declared.await.map_err(failed)? })
     }
 
+    /// Whether a service is there now, as far as the sessions linked here know and say within `timeout`.
+    ///
+    /// # Errors
+    /// [`SessionError::Zenoh`].
+    pub async fn is_alive(&self, keys: &KeyPattern, timeout: Duration) -> Result<bool, SessionError> {
+        let (offer, mut queue) = queue(16);
+        let get = self.zenoh.liveliness().get(keys.as_str().to_owned()).timeout(timeout);
+        get.callback(move |reply| offer.offer(of_reply(&reply))).await.map_err(failed)?;
+        while let Some(answer) = queue.next().await {
+            if matches!(answer, Answer::Message(_)) {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
     /// Closes the session for all clones.
     ///
     /// # Errors

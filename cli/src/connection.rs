@@ -203,8 +203,7 @@ pub(crate) async fn be_the_only_one(session: &Session, name: &str) -> Result<Ali
 pub(crate) async fn is_there(session: &Session, name: &str) -> Result<bool, SessionError> {
     let wrong = |e: keys::KeyError| SessionError::Config { what: e.to_string() };
     let those = keys::alive_pattern(Some(name), Some("agent")).map_err(wrong)?;
-    let mut roll = session.watch_alive(&those, 16).await?;
-    Ok(matches!(tokio::time::timeout(LOOKED, roll.next()).await, Ok(Some(_))))
+    session.is_alive(&those, LOOKED).await
 }
 
 impl Drop for Connection {

@@ -202,8 +202,8 @@ struct QueryArgs {
     /// The nearest to this point, m.
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     near: Option<String>,
-    /// How many of the nearest; with `--radius`, how far away, m.
-    #[arg(long, default_value_t = 10, requires = "near")]
+    /// How many of the nearest.
+    #[arg(long, default_value_t = 10, requires = "near", conflicts_with = "radius")]
     count: usize,
     /// All within this distance of the point, m, instead of the nearest.
     #[arg(long, value_name = "M", requires = "near", allow_negative_numbers = true)]
