@@ -9,6 +9,9 @@ use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::time::FormatTime;
 
+/// Zenoh warns whoever connects that his session does not gossip, which it is not to do.
+const QUIET: &str = "zenoh::net::routing::hat=error";
+
 /// Tells the time of the robot's world, ns.
 pub(crate) type Clock = Arc<dyn Fn() -> u64 + Send + Sync>;
 
@@ -25,7 +28,9 @@ impl FormatTime for Simulated {
 fn filter(wanted: Option<&str>, verbose: bool) -> Result<EnvFilter, String> {
     match wanted.filter(|text| !text.trim().is_empty()) {
         Some(text) => EnvFilter::try_new(text).map_err(|e| format!("RUST_LOG={text}: {e}")),
-        None => Ok(EnvFilter::new(if verbose { "warn,armarium=info" } else { "warn" })),
+        None => {
+            Ok(EnvFilter::new(format!("{},{QUIET}", if verbose { "warn,armarium=info" } else { "warn" })))
+        }
     }
 }
 

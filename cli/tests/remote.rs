@@ -218,21 +218,37 @@ states:
 }
 
 #[test]
-fn the_memory_of_an_agent_can_be_read_and_written() {
+fn the_memory_of_an_agent_is_read_and_written_and_survives_its_end() {
     let folder = folder(WAITING);
-    let (_bob, endpoint) = agent(folder.path());
-    let memory = |args: &[&str]| {
-        let args = [args, &["--agent", "bob", "--connect", &endpoint, "--json"]].concat();
+    let (bob, endpoint) = agent(folder.path());
+    let memory = |endpoint: &str, args: &[&str]| {
+        let args = [args, &["--agent", "bob", "--connect", endpoint, "--json"]].concat();
         Running::start(folder.path(), &[&["memory"], &args[..]].concat()).end()
     };
-    let (status, said) = memory(&["ls"]);
+    let (status, said) = memory(&endpoint, &["ls"]);
     assert_eq!(status, Some(0), "{said}");
     assert!(said.contains("ObjectClasses"), "what the robot knows beforehand:\n{said}");
-    let (status, said) = memory(&["put", "Notes/alice/table", "--set", "clean=true"]);
-    assert_eq!(status, Some(0), "{said}");
-    let (status, said) = memory(&["get", "Notes/alice/table"]);
+    for (id, attribute) in [("Notes/alice/table", "clean=true"), ("ObjectInstances/alice/cup", "class=cup")] {
+        let (status, said) = memory(&endpoint, &["put", id, "--set", attribute]);
+        assert_eq!(status, Some(0), "{said}");
+    }
+    let (status, said) = memory(&endpoint, &["put", "Notes/alice/table", "--time", "9000000000000000000"]);
+    assert!(status == Some(1) && said.contains("from now"), "{said}");
+    let twice = ["memory", "serve", "--name", "bob", "--connect", &endpoint, "--listen", "tcp/127.0.0.1:0"];
+    let (status, said) = Running::start(folder.path(), &twice).end();
+    assert!(status == Some(1) && said.contains("already"), "{said}");
+
+    bob.signal("KILL");
+    assert_eq!(bob.end().0, None);
+    let (_bob, endpoint) = agent(folder.path());
+    let (status, said) = memory(&endpoint, &["get", "Notes/alice/table"]);
     assert_eq!(status, Some(0), "{said}");
     assert!(said.contains("clean"), "{said}");
+    // The world that was seen begins anew; what was seen of it can be asked for.
+    let (status, said) = memory(&endpoint, &["get", "ObjectInstances/alice/cup"]);
+    assert_eq!(status, Some(1), "{said}");
+    let (status, said) = memory(&endpoint, &["get", "ObjectInstances/alice/cup", "--history"]);
+    assert!(status == Some(0) && said.contains("cup"), "{said}");
 }
 
 #[test]
