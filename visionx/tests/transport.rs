@@ -63,7 +63,7 @@ async fn frames_pass_through_shared_memory_or_the_network_with_their_sizes() {
         let reader = connected(&two, Delivery::Newest, ImageCoding::Raw).await;
         assert_eq!(reader.description().about, "a test");
         let found = providers(&two, None, None, Duration::from_secs(2)).await.unwrap();
-        assert_eq!((found.len(), found[0].0.as_str()), (1, "alice"));
+        assert_eq!((found.len(), found[0].agent.as_str()), (1, "alice"));
         first(&sender, &reader, &frame(1, (64, 48))).await;
         for (value, size) in [(2, (640, 480)), (3, (1, 1)), (4, (1921, 1081)), (5, (7, 3))] {
             let sent = frame(value, size);

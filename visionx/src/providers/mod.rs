@@ -8,6 +8,7 @@
 //! - [`FanOut`]: many readers of one provider. [`offer`]: to other processes. [`Recording`]: into a file.
 //! - [`wire`]: what a frame is on the network and in a recording.
 
+mod calibration;
 #[cfg(feature = "camera")]
 mod camera;
 mod channel;
@@ -17,6 +18,7 @@ mod description;
 mod fan_out;
 mod files;
 mod frame;
+mod lenient;
 mod offering;
 mod pair;
 mod recording;
@@ -41,7 +43,7 @@ pub use frame::{Frame, FrameImage, MOST_IMAGES, PixelFormat, PixelOwner, Pixels}
 pub use offering::{Offered, OfferedStatistics, offer};
 pub use pair::{StereoPair, stereo_frame};
 pub use recording::{RecordingError, RecordingProvider, recorded};
-pub use remote::{Delivery, RemoteProvider, RemoteStatistics, providers};
+pub use remote::{Delivery, FoundProvider, RemoteError, RemoteProvider, RemoteStatistics, providers};
 pub use stereo::{StereoProvider, StereoView, frame_of};
 pub use wire::ImageCoding;
 pub use writing::Recording;

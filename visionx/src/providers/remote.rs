@@ -11,11 +11,13 @@ use std::time::Duration;
 
 use armarium_bus::bulk::{Bulk, BulkBytes, BulkReader, remove_orphans};
 use armarium_bus::keys::{self, Key, Part};
-use armarium_bus::{Answer, Session, SessionError, decode};
+use armarium_bus::{Answer, Bounds, Session, SessionError};
 use async_trait::async_trait;
 use tokio::sync::Mutex;
+use tokio::time::Instant;
 
 use super::frame::PixelOwner;
+use super::lenient::decode_leniently;
 use super::offering::DESCRIPTION;
 use super::wire::{ENCODING, Header, ImageCoding, PACKED, WireError, unpack};
 use super::{Description, Frame, ImageProvider};
@@ -43,10 +45,42 @@ pub enum Delivery {
     },
 }
 
+/// Why there is no provider to read.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RemoteError {
+    /// Nobody answers, or the session has ended.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// It answers, and cannot be understood.
+    #[error(
+        "`{provider}` answers, but what it says of itself cannot be read (see docs/wire-images.md): {what}"
+    )]
+    Description {
+        /// `AGENT/PROVIDER`.
+        provider: String,
+        /// What is wrong with its description.
+        what: String,
+    },
+}
+
+/// A provider that answers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FoundProvider {
+    /// Who offers it.
+    pub agent: String,
+    /// Its name in the key.
+    pub provider: String,
+    /// What it is; or why what it says of itself cannot be read.
+    pub description: Result<Description, String>,
+}
+
 /// A provider in another process.
 pub struct RemoteProvider {
     session: Session,
     key: Key,
+    /// `AGENT/PROVIDER`, for people.
+    name: String,
     description: Description,
     reader: BulkReader,
     again: bool,
@@ -60,6 +94,10 @@ struct State {
     last: Option<(u64, u64)>,
     /// What came after a gap, and what filled it.
     ready: VecDeque<Arc<Frame>>,
+    /// When the last frame came; `None` before the first.
+    heard: Option<Instant>,
+    /// Whether the silence since then was noticed.
+    quiet: bool,
 }
 
 /// Counts of a reader. All may be read at any time.
@@ -71,6 +109,7 @@ pub struct RemoteStatistics {
     malformed: AtomicU64,
     lives: AtomicU64,
     shared: AtomicU64,
+    bytes: AtomicU64,
     latency_ns: AtomicU64,
     worst_ns: AtomicU64,
 }
@@ -95,6 +134,8 @@ impl RemoteStatistics {
         lives,
         /// Frames that came through shared memory.
         shared,
+        /// Bytes of the frames received, as they came: of images that are coded, those of their files.
+        bytes,
     }
 
     /// Mean time from the sending of a frame to its being taken here, s; by both processes' wall clocks, so only on one
@@ -121,7 +162,7 @@ impl PixelOwner for BulkBytes {
     }
 }
 
-/// The providers that answer within `wait`: who offers them, and what they are.
+/// The providers that answer within `wait`, by agent and name; also those that cannot be understood.
 ///
 /// # Errors
 /// [`SessionError`].
@@ -130,29 +171,39 @@ pub async fn providers(
     agent: Part<'_>,
     provider: Part<'_>,
     wait: Duration,
-) -> Result<Vec<(String, Description)>, SessionError> {
+) -> Result<Vec<FoundProvider>, SessionError> {
     let wrong = |e: keys::KeyError| SessionError::Config { what: e.to_string() };
     let keys = keys::image_pattern(agent, provider).map_err(wrong)?;
     let answers = session.ask(keys, "", None, MOST_PROVIDERS, wait).await?;
-    let mut found: Vec<(String, Description)> = answers.iter().filter_map(described).collect();
-    found.sort_by(|a, b| (&a.0, &a.1.name).cmp(&(&b.0, &b.1.name)));
+    let mut found: Vec<FoundProvider> = answers.iter().filter_map(found).collect();
+    found.sort_by(|a, b| (&a.agent, &a.provider).cmp(&(&b.agent, &b.provider)));
     Ok(found)
 }
 
-/// The agent and the description in an answer; what is neither is left out.
-fn described(answer: &Answer) -> Option<(String, Description)> {
+/// Who answers; a refusal is nobody.
+fn found(answer: &Answer) -> Option<FoundProvider> {
     let Answer::Message(message) = answer else { return None };
-    DESCRIPTION.check(&message.encoding).ok()?;
-    let description: Description = decode(&message.payload).ok()?;
-    let agent = message.key.split('/').next()?;
-    (description.images.len() <= super::MOST_IMAGES).then(|| (agent.to_owned(), description))
+    let mut parts = message.key.split('/');
+    let (agent, provider) = (parts.next()?.to_owned(), parts.nth(1)?.to_owned());
+    let description = description(&message.encoding, &message.payload);
+    Some(FoundProvider { agent, provider, description })
+}
+
+/// The description in an answer; or why it is none.
+fn description(encoding: &str, payload: &[u8]) -> Result<Description, String> {
+    DESCRIPTION.check(encoding).map_err(|e| e.to_string())?;
+    let description: Description = decode_leniently(payload, Bounds::default()).map_err(|e| e.to_string())?;
+    match description.images.len() {
+        0..=super::MOST_IMAGES => Ok(description),
+        images => Err(format!("it speaks of {images} images; at most {} are read", super::MOST_IMAGES)),
+    }
 }
 
 impl RemoteProvider {
     /// Connects to `{agent}/image/{provider}` and waits at most `wait` until it answers.
     ///
     /// # Errors
-    /// [`SessionError::NoAnswer`] when it does not.
+    /// [`SessionError::NoAnswer`] when it does not, [`RemoteError::Description`] when its answer cannot be read.
     pub async fn connect(
         session: &Session,
         agent: &str,
@@ -160,7 +211,7 @@ impl RemoteProvider {
         delivery: Delivery,
         coding: ImageCoding,
         wait: Duration,
-    ) -> Result<Self, SessionError> {
+    ) -> Result<Self, RemoteError> {
         let wrong = |e: keys::KeyError| SessionError::Config { what: e.to_string() };
         let key = keys::image(agent, provider).map_err(wrong)?;
         let frames = match coding {
@@ -172,11 +223,12 @@ impl RemoteProvider {
             Delivery::Newest => (1, false),
             Delivery::All { waiting } => (waiting, true),
         };
-        let description = describe(session, &key, wait).await?;
+        let name = format!("{agent}/{provider}");
+        let description = describe(session, &key, &name, wait).await?;
         let reader = session.bulk_reader(frames, capacity, all).await?;
         let again = all && coding == ImageCoding::Raw;
         let (state, statistics) = (Mutex::default(), RemoteStatistics::default());
-        Ok(Self { session: session.clone(), key, description, reader, again, state, statistics })
+        Ok(Self { session: session.clone(), key, name, description, reader, again, state, statistics })
     }
 
     /// Counts so far.
@@ -185,15 +237,40 @@ impl RemoteProvider {
         &self.statistics
     }
 
-    /// The newest frame if one has come since the last; does not wait.
+    /// The newest frame if one has come since the last; does not wait. Whoever wants no frames for now asks every few
+    /// seconds all the same: the pixels of a provider that has gone are then let go.
     pub async fn newest(&self) -> Option<Arc<Frame>> {
         let mut state = self.state.lock().await;
         loop {
             if let Some(frame) = state.ready.pop_front() {
                 return Some(frame);
             }
-            let bulk = self.reader.try_next()?;
+            let Some(bulk) = self.reader.try_next() else {
+                let silent = state.heard.is_some_and(|heard| heard.elapsed() >= QUIET);
+                if silent && !std::mem::replace(&mut state.quiet, true) {
+                    sweep().await;
+                }
+                return None;
+            };
             self.take(&bulk, &mut state).await;
+        }
+    }
+
+    /// Says, once a silence, that nothing comes.
+    fn tell_silence(&self, state: &mut State) {
+        if std::mem::replace(&mut state.quiet, true) {
+            return;
+        }
+        let (name, quiet) = (&self.name, QUIET.as_secs());
+        if state.heard.is_some() {
+            tracing::warn!(
+                "no more frames for {quiet} s from `{name}`: it is waited for until it comes back"
+            );
+        } else {
+            tracing::warn!(
+                "no frame for {quiet} s from `{name}`, which answered: it has nothing to show yet, or has gone; it is \
+                 waited for. `armarium cameras` gives frames only while a run is connected to it"
+            );
         }
     }
 
@@ -203,7 +280,7 @@ impl RemoteProvider {
             Ok(read) => read,
             Err(error) => {
                 if self.statistics.malformed.fetch_add(1, Ordering::Relaxed) == 0 {
-                    tracing::warn!("{}: {error}", self.key);
+                    tracing::warn!("`{}` sends what cannot be read, and is left out: {error}", self.name);
                 }
                 return;
             }
@@ -231,6 +308,8 @@ impl RemoteProvider {
         self.statistics.worst_ns.fetch_max(latency, Ordering::Relaxed);
         add(&self.statistics.shared, u64::from(bulk.payload.is_shared()));
         add(&self.statistics.received, 1);
+        add(&self.statistics.bytes, bulk.payload.as_ref().len() as u64);
+        (state.heard, state.quiet) = (Some(Instant::now()), false);
         state.ready.push_back(Arc::new(frame));
     }
 
@@ -245,6 +324,8 @@ impl RemoteProvider {
         let count = found.len() as u64;
         self.statistics.again.fetch_add(count, Ordering::Relaxed);
         self.statistics.received.fetch_add(count, Ordering::Relaxed);
+        let bytes: usize = found.iter().map(Frame::bytes).sum();
+        self.statistics.bytes.fetch_add(bytes as u64, Ordering::Relaxed);
         self.statistics.missed.fetch_add((to - from + 1).saturating_sub(count), Ordering::Relaxed);
         state.ready.extend(found.into_iter().map(Arc::new));
     }
@@ -256,7 +337,7 @@ impl ImageProvider for RemoteProvider {
         self.description.clone()
     }
 
-    /// Waits for as long as it takes: a provider may come back.
+    /// Waits for as long as it takes: a provider may come back. A silence is said once, as a warning.
     async fn next(&self) -> Result<Arc<Frame>, ImageError> {
         let mut state = self.state.lock().await;
         loop {
@@ -266,6 +347,7 @@ impl ImageProvider for RemoteProvider {
             let bulk = match tokio::time::timeout(QUIET, self.reader.next()).await {
                 Ok(bulk) => bulk,
                 Err(_) => {
+                    self.tell_silence(&mut state);
                     sweep().await;
                     self.reader.next().await
                 }
@@ -282,7 +364,7 @@ async fn sweep() {
 
 fn read(bulk: &Bulk) -> Result<(Header, Frame), WireError> {
     if bulk.encoding != ENCODING {
-        return Err(WireError::Impossible { what: "it is not sent as a frame" });
+        return Err(WireError::Encoding { found: bulk.encoding.clone() });
     }
     let header = Header::decode(&bulk.attachment)?;
     let owner: Arc<dyn PixelOwner> = Arc::new(bulk.payload.clone());
@@ -296,17 +378,25 @@ fn packed(answer: Answer) -> Option<Frame> {
 }
 
 /// Asks for the description until it comes.
-async fn describe(session: &Session, key: &Key, wait: Duration) -> Result<Description, SessionError> {
+async fn describe(
+    session: &Session,
+    key: &Key,
+    name: &str,
+    wait: Duration,
+) -> Result<Description, RemoteError> {
     let asking = async {
         loop {
             // Whoever is not known yet is not asked: the next question may reach it.
             let answers = session.ask(key.clone(), "", None, 16, Duration::from_millis(500)).await?;
-            if let Some((_, description)) = answers.iter().find_map(described) {
-                return Ok(description);
+            let answered: Vec<_> = answers.iter().filter_map(found).map(|found| found.description).collect();
+            // Of several that answer on one key, one that is understood will do.
+            if let Some(answer) = answered.iter().find(|a| a.is_ok()).or(answered.first()) {
+                let unread = |what| RemoteError::Description { provider: name.to_owned(), what };
+                return answer.clone().map_err(unread);
             }
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
     };
     let none = SessionError::NoAnswer { key: key.to_string(), seconds: wait.as_secs() };
-    tokio::time::timeout(wait, asking).await.unwrap_or(Err(none))
+    tokio::time::timeout(wait, asking).await.unwrap_or(Err(none.into()))
 }
