@@ -143,9 +143,9 @@ pub(crate) struct FiguresArgs {
 
 /// A number of the command line that is greater than 0.
 fn positive(text: &str) -> Result<f64, String> {
-    let number: f64 = text.parse().map_err(|_| "it is no number".to_owned())?;
+    let number: f64 = text.parse().map_err(|_| "this is no number".to_owned())?;
     let fits = number.is_finite() && number > 0.0;
-    fits.then_some(number).ok_or_else(|| "it is a number greater than 0".to_owned())
+    fits.then_some(number).ok_or_else(|| "give a number greater than 0".to_owned())
 }
 
 /// Does what is asked. Returns the exit status: 1 when something cannot be written, 2 when a file cannot be used.

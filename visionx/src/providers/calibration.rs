@@ -80,7 +80,7 @@ impl Calibration {
     }
 
     fn from_yaml(text: &str) -> Result<Self, String> {
-        let file: File = serde_saphyr::from_str(text).map_err(|e| e.to_string())?;
+        let file: File = serde_saphyr::from_str(text).map_err(|e| said(&e.to_string()))?;
         let roles =
             [("left", file.left), ("right", file.right), ("depth", file.depth), ("image", file.image)];
         let mut cameras = BTreeMap::new();
@@ -98,11 +98,17 @@ impl Calibration {
     }
 }
 
+/// The reader's words without the one that stands before them anyway.
+fn said(error: &str) -> String {
+    error.strip_prefix("error: ").unwrap_or(error).to_owned()
+}
+
 /// The pose with a rotation of length 1.
 fn pose(read: Isometry3<f64>) -> Result<Isometry3<f64>, String> {
     let rotation = read.rotation.into_inner();
     let finite = read.translation.vector.iter().all(|v| v.is_finite());
-    if !finite || !((rotation.norm() - 1.0).abs() < UNIT) {
+    let unit = (rotation.norm() - 1.0).abs() < UNIT;
+    if !(finite && unit) {
         return Err(
             "`root_from_camera` is no pose: a translation, m, and a unit quaternion x, y, z, w".into()
         );

@@ -81,7 +81,7 @@ pub struct RemoteProvider {
     key: Key,
     /// `AGENT/PROVIDER`, for people.
     name: String,
-    description: Description,
+    description: Arc<Description>,
     reader: BulkReader,
     again: bool,
     state: Mutex<State>,
@@ -224,7 +224,7 @@ impl RemoteProvider {
             Delivery::All { waiting } => (waiting, true),
         };
         let name = format!("{agent}/{provider}");
-        let description = describe(session, &key, &name, wait).await?;
+        let description = Arc::new(describe(session, &key, &name, wait).await?);
         let reader = session.bulk_reader(frames, capacity, all).await?;
         let again = all && coding == ImageCoding::Raw;
         let (state, statistics) = (Mutex::default(), RemoteStatistics::default());
@@ -254,6 +254,22 @@ impl RemoteProvider {
             };
             self.take(&bulk, &mut state).await;
         }
+    }
+
+    /// Asks a provider that has begun anew for its description, and warns when its images are others than before: whoever
+    /// reads it goes by the old ones.
+    fn compare_cameras(&self) {
+        let (session, key, name) = (self.session.clone(), self.key.clone(), self.name.clone());
+        let before = Arc::clone(&self.description);
+        tokio::spawn(async move {
+            let Ok(now) = describe(&session, &key, &name, QUIET).await else { return };
+            if now.images != before.images {
+                tracing::warn!(
+                    "`{name}` has begun anew with other images or cameras than before, and is still read by the old \
+                     ones: start this reader anew"
+                );
+            }
+        });
     }
 
     /// Says, once a silence, that nothing comes.
@@ -299,6 +315,7 @@ impl RemoteProvider {
             _ => {
                 add(&self.statistics.lives, 1);
                 if last.is_some() {
+                    self.compare_cameras();
                     sweep().await;
                 }
             }
@@ -334,7 +351,7 @@ impl RemoteProvider {
 #[async_trait]
 impl ImageProvider for RemoteProvider {
     fn description(&self) -> Description {
-        self.description.clone()
+        (*self.description).clone()
     }
 
     /// Waits for as long as it takes: a provider may come back. A silence is said once, as a warning.
