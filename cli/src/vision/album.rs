@@ -33,7 +33,11 @@ impl Album {
         let mut album = Self { folder: Some(folder.clone()), force: args.force, ..Self::default() };
         let own: BTreeSet<PathBuf> = images.iter().filter_map(|image| image.canonicalize().ok()).collect();
         for image in images {
-            let path = album.place(folder, image);
+            if album.planned.contains_key(image) {
+                continue;
+            }
+            let stem = image.file_stem().unwrap_or_default().to_string_lossy();
+            let path = album.place(folder, &stem);
             let shown = path.display();
             if path.canonicalize().is_ok_and(|path| own.contains(&path)) {
                 return Err(format!(
@@ -47,12 +51,11 @@ impl Album {
     }
 
     /// A place that no other image has.
-    fn place(&mut self, folder: &Path, image: &Path) -> PathBuf {
-        let stem = image.file_stem().unwrap_or_default().to_string_lossy();
-        let mut path = folder.join(format!("{stem}.png"));
+    fn place(&mut self, folder: &Path, name: &str) -> PathBuf {
+        let mut path = folder.join(format!("{name}.png"));
         let mut number = 2u64;
         while !self.taken.insert(path.clone()) {
-            path = folder.join(format!("{stem}_{number}.png"));
+            path = folder.join(format!("{name}_{number}.png"));
             number += 1;
         }
         path
@@ -68,16 +71,20 @@ impl Album {
         ))
     }
 
-    /// Writes an annotated image, if annotated images are wanted.
+    /// Writes an annotated image, if annotated images are wanted: to the place of its file, or for a message of a recording
+    /// to one after its name.
     ///
     /// # Errors
     /// Why it cannot be written, with the file; for people.
-    pub(super) fn keep(&mut self, file: &Path, image: &Image) -> Result<(), String> {
+    pub(super) fn keep(&mut self, name: &str, image: &Image) -> Result<(), String> {
         let Some(folder) = self.folder.clone() else { return Ok(()) };
-        let path = match self.planned.get(file) {
+        let path = match self.planned.get(Path::new(name)) {
             Some(path) => path.clone(),
             None => {
-                let path = self.place(&folder, file);
+                // What stands in a recording names no folder.
+                let plain = |c: char| if c.is_alphanumeric() || c == '.' || c == '-' { c } else { '_' };
+                let name: String = name.chars().map(plain).collect();
+                let path = self.place(&folder, &name);
                 self.may_write(&path)?;
                 path
             }
@@ -111,7 +118,8 @@ mod tests {
         assert!(file.contains("is a file; name a folder"), "{file}");
 
         let mut album = Album::of(&into(&at("seen"), false), &images).expect("there is a place for each");
-        images.iter().for_each(|file| album.keep(file, &image).expect("it can be written"));
+        let name = |file: &Path| file.to_str().expect("it is text").to_owned();
+        images.iter().for_each(|file| album.keep(&name(file), &image).expect("it can be written"));
         let names = fs::read_dir(at("seen")).expect("it is there").filter_map(Result::ok);
         let names: BTreeSet<_> = names.map(|file| file.file_name()).collect();
         assert_eq!(names, ["a.png", "a_2.png", "a_3.png"].map(Into::into).into());
@@ -121,8 +129,9 @@ mod tests {
         assert!(again.contains("--force"), "{again}");
         assert!(Album::of(&into(&at("seen"), true), &images).is_ok());
         let mut frames = Album::of(&into(&at("seen"), false), &[]).expect("a recording has no files");
-        assert!(frames.keep(Path::new("a"), &image).is_err());
-        frames.keep(Path::new("eyes_12"), &image).expect("it can be written");
-        assert!(Album::default().keep(Path::new("a"), &image).is_ok());
+        assert!(frames.keep("a", &image).is_err());
+        frames.keep("../a.b@12", &image).expect("it can be written");
+        assert!(at("seen/.._a.b_12.png").is_file());
+        assert!(Album::default().keep("a", &image).is_ok());
     }
 }

@@ -51,7 +51,7 @@ pub(super) fn run(args: &LookArgs, seek: &Seek, out: &mut dyn Write, err: &mut d
             }
         };
         look(&name, &mut image, seek, args.json, out)?;
-        if let Err(message) = album.keep(&file, &image) {
+        if let Err(message) = album.keep(&name, &image) {
             writeln!(err, "error: {message}")?;
             status = status.max(1);
         }

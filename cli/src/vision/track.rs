@@ -168,9 +168,7 @@ fn one(
         annotate::region(image, &hand.bounding_box, [255, 40, 200]);
     }
     seen.nodes.iter().for_each(|n| mark(image, &n.px, 3.0 + n.deviation));
-    // A message of a recording has a name that is no file's.
-    let file: String = name.chars().map(|c| if c == '@' || c == ':' { '_' } else { c }).collect();
-    match album.keep(Path::new(&file), image) {
+    match album.keep(name, image) {
         Ok(()) => Ok(0),
         Err(message) => writeln!(err, "error: {message}").map(|()| 1),
     }
