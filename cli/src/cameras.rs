@@ -85,6 +85,10 @@ async fn serve(
     for endpoint in session.endpoints().await {
         say(format!("  listens on {endpoint}"))?;
     }
+    let name = &args.name;
+    say(format!(
+        "  blind until a run shows them its world: armarium run CHART --cameras {name} --connect ENDPOINT"
+    ))?;
     let mut refused = None;
     let drawing = async {
         loop {

@@ -10,12 +10,14 @@ mod record;
 mod source;
 mod stats;
 mod view;
+mod warnings;
 
 use std::io::{self, Write};
 use std::path::PathBuf;
 use std::time::Duration;
 
-use armarium_visionx::providers::providers;
+use armarium_visionx::providers::{FoundProvider, providers};
+use serde_json::json;
 
 use crate::connection::{Connection, ConnectionArgs};
 
@@ -73,7 +75,7 @@ pub(crate) struct SourceArgs {
 pub(crate) struct ViewArgs {
     #[command(flatten)]
     pub(crate) source: SourceArgs,
-    /// Write each image as a PNG file into this folder, in place of showing a page.
+    /// Write each image as a PNG file into this folder, in place of showing a page; depth as 16 bit gray, mm.
     #[arg(long, value_name = "DIR")]
     pub(crate) png: Option<PathBuf>,
     /// How many frames to write.
@@ -95,6 +97,9 @@ pub(crate) struct RecordArgs {
     /// The recording.
     #[arg(short, long, value_name = "FILE")]
     pub(crate) output: PathBuf,
+    /// Replace the recording if it is there already.
+    #[arg(long)]
+    pub(crate) force: bool,
     /// End after so many seconds; otherwise with Ctrl-C.
     #[arg(long, value_name = "S")]
     pub(crate) seconds: Option<f64>,
@@ -197,6 +202,9 @@ pub(crate) fn run(args: &ImageArgs, out: &mut dyn Write, err: &mut dyn Write) ->
         Ok(connection) => connection,
         Err(message) => return writeln!(err, "error: {message}").map(|()| 2),
     };
+    if let Err(message) = warnings::show() {
+        return writeln!(err, "error: {message}").map(|()| 2);
+    }
     let doing = async {
         match &args.command {
             ImageCommand::Ls(args) => list(args, &connection, out).await,
@@ -252,10 +260,21 @@ async fn list(args: &LsArgs, connection: &Connection, out: &mut dyn Write) -> Re
             if args.connection.connect.is_empty() { "; say where they are with --connect" } else { "" };
         writeln!(out, "no provider answers{hint}")?;
     }
-    for (agent, description) in found {
+    for FoundProvider { agent, provider, description } in found {
+        let description = match description {
+            Ok(description) => description,
+            Err(what) => {
+                if args.json {
+                    let line = json!({"agent": agent, "provider": {"name": provider}, "error": what});
+                    writeln!(out, "{line}")?;
+                } else {
+                    writeln!(out, "{agent}/{provider}: cannot be read (see docs/wire-images.md): {what}")?;
+                }
+                continue;
+            }
+        };
         if args.json {
-            let line = serde_json::json!({"agent": agent, "provider": description});
-            writeln!(out, "{line}")?;
+            writeln!(out, "{}", json!({"agent": agent, "provider": description}))?;
             continue;
         }
         let rate = description.rate_hz.map(|hz| format!(", {hz} frames/s")).unwrap_or_default();
@@ -263,7 +282,10 @@ async fn list(args: &LsArgs, connection: &Connection, out: &mut dyn Write) -> Re
         for image in &description.images {
             let calibrated = if image.camera.is_some() { "calibrated" } else { "not calibrated" };
             let (role, width, height) = (&image.role, image.width, image.height);
-            writeln!(out, "  {role}: {width} x {height}, {:?}, {calibrated}", image.format)?;
+            // As documents and JSON have it.
+            let format = json!(image.format);
+            let format = format.as_str().unwrap_or_default();
+            writeln!(out, "  {role}: {width} x {height}, {format}, {calibrated}")?;
         }
     }
     Ok(())

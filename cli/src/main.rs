@@ -66,7 +66,7 @@ enum Command {
     Run(run::RunArgs),
     /// Offer charts and skills to other agents.
     Agent(agent::AgentArgs),
-    /// The simulated cameras in a process of their own, for `run --cameras`.
+    /// The simulated cameras in a process of their own, for `run --cameras`; blind until a run connects.
     Cameras(cameras::CamerasArgs),
     /// Find everything that is wrong with charts and worlds.
     Check(check::CheckArgs),

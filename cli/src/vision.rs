@@ -1,6 +1,7 @@
 //! `armarium vision`: what the vision of the project sees in images that are given as files. Each image stands alone and
 //! needs neither depth nor calibration; `track` takes images as a sequence.
 
+mod album;
 mod figures;
 mod look;
 mod report;
@@ -12,6 +13,7 @@ mod train;
 use std::io::{self, Write};
 use std::path::PathBuf;
 
+use armarium_visionx::tracking::GestureRecognizer;
 pub(crate) use look::color;
 
 /// What `vision` takes.
@@ -24,7 +26,7 @@ pub(crate) struct VisionArgs {
 #[derive(Clone, Debug, clap::Subcommand)]
 enum VisionCommand {
     /// The hand in each image, its gesture and its fingertips.
-    Gesture(LookArgs),
+    Gesture(GestureArgs),
     /// The fingertips of the hand in each image.
     Fingertips(LookArgs),
     /// The largest thing of a colour in each image.
@@ -45,12 +47,29 @@ pub(crate) struct LookArgs {
     /// PNG or JPEG files, or folders of them.
     #[arg(value_name = "IMAGE", required = true)]
     pub(crate) images: Vec<PathBuf>,
-    /// Write each image with what was seen in it into this folder, as PNG.
-    #[arg(long, value_name = "DIR")]
-    pub(crate) annotate: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) annotate: AnnotateArgs,
     /// One line of JSON an image.
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+/// Where annotated images go.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub(crate) struct AnnotateArgs {
+    /// Write each image with what was seen in it into this folder, as PNG.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) annotate: Option<PathBuf>,
+    /// Replace files of that folder that are there already; the images that are looked at are never replaced.
+    #[arg(long, requires = "annotate")]
+    pub(crate) force: bool,
+}
+
+/// Images, and what gestures are.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct GestureArgs {
+    #[command(flatten)]
+    pub(crate) look: LookArgs,
     /// A YAML file of labelled finger patterns in place of the ones that ship.
     #[arg(long, value_name = "FILE")]
     pub(crate) patterns: Option<PathBuf>,
@@ -75,14 +94,13 @@ pub(crate) struct TrackArgs {
     /// The recording's topic; the first one with images where nothing is said.
     #[arg(long, value_name = "TOPIC")]
     pub(crate) topic: Option<String>,
-    /// Write each image with the tracks into this folder, as PNG.
-    #[arg(long, value_name = "DIR")]
-    pub(crate) annotate: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) annotate: AnnotateArgs,
     /// One line of JSON an image.
     #[arg(long)]
     pub(crate) json: bool,
     /// Focal length, px; 1.2 times the longer side where nothing is said.
-    #[arg(long, value_name = "PX")]
+    #[arg(long, value_name = "PX", value_parser = positive)]
     pub(crate) focal: Option<f64>,
     /// A model of the motion in place of the one that ships.
     #[arg(long, value_name = "FILE")]
@@ -99,10 +117,10 @@ pub(crate) struct TrainArgs {
     #[arg(short, long, value_name = "FILE")]
     pub(crate) output: PathBuf,
     /// Images a second of the sequences.
-    #[arg(long, value_name = "HZ", default_value_t = 30.0)]
+    #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = positive)]
     pub(crate) rate: f64,
     /// Focal length, px; 1.2 times the longer side where nothing is said.
-    #[arg(long, value_name = "PX")]
+    #[arg(long, value_name = "PX", value_parser = positive)]
     pub(crate) focal: Option<f64>,
     /// Learn from this many simulated sequences as well.
     #[arg(long, value_name = "N")]
@@ -123,18 +141,43 @@ pub(crate) struct FiguresArgs {
     pub(crate) whole: bool,
 }
 
+/// A number of the command line that is greater than 0.
+fn positive(text: &str) -> Result<f64, String> {
+    let number: f64 = text.parse().map_err(|_| "this is no number".to_owned())?;
+    let fits = number.is_finite() && number > 0.0;
+    fits.then_some(number).ok_or_else(|| "give a number greater than 0".to_owned())
+}
+
 /// Does what is asked. Returns the exit status: 1 when something cannot be written, 2 when a file cannot be used.
 ///
 /// # Errors
 /// When `out` or `err` cannot be written.
 pub(crate) fn run(args: &VisionArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
     match &args.command {
-        VisionCommand::Gesture(args) => look::run(args, look::Seek::Gesture, out, err),
-        VisionCommand::Fingertips(args) => look::run(args, look::Seek::Fingertips, out, err),
-        VisionCommand::Skin(args) => look::run(args, look::Seek::Skin, out, err),
-        VisionCommand::Marker(args) => look::run(&args.look, look::Seek::Marker(args.color), out, err),
+        VisionCommand::Gesture(args) => match look::recognizer(args.patterns.as_deref()) {
+            Ok(recognizer) => look::run(&args.look, &look::Seek::Gesture(recognizer), out, err),
+            Err(message) => look::refuse(&message, err),
+        },
+        VisionCommand::Fingertips(args) => {
+            look::run(args, &look::Seek::Gesture(GestureRecognizer::default()), out, err)
+        }
+        VisionCommand::Skin(args) => look::run(args, &look::Seek::Skin, out, err),
+        VisionCommand::Marker(args) => look::run(&args.look, &look::Seek::Marker(args.color), out, err),
         VisionCommand::Track(args) => track::run(args, out, err),
         VisionCommand::Train(args) => train::run(args, out, err),
         VisionCommand::Figures(args) => figures::run(*args, out),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::positive;
+
+    #[test]
+    fn lengths_and_rates_are_greater_than_0() {
+        assert_eq!(positive("515.5"), Ok(515.5));
+        for text in ["0", "-5", "nan", "inf", "-0.0", "wide", ""] {
+            assert!(positive(text).is_err(), "{text}");
+        }
     }
 }

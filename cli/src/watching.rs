@@ -12,7 +12,7 @@ use armarium_runtime::chart::Registry;
 use armarium_simulator::World;
 use armarium_simulator::world::AgentSpec;
 use armarium_states::Equipment;
-use armarium_visionx::providers::{Delivery, ImageCoding, RemoteProvider, StereoView};
+use armarium_visionx::providers::{Delivery, ImageCoding, RemoteError, RemoteProvider, StereoView};
 use armarium_visionx::{ImageError, ImageSource, StereoCalibration, StereoFrame};
 use async_trait::async_trait;
 use tokio::sync::watch;
@@ -73,7 +73,9 @@ pub(crate) async fn open_eyes(
                 let view = StereoView::new(Arc::new(provider));
                 return view.map(Arc::new).map_err(|e| e.to_string());
             }
-            Err(SessionError::NoAnswer { .. }) => say(&format!("waiting for the images `{agent}/{name}`")),
+            Err(RemoteError::Session(SessionError::NoAnswer { .. })) => {
+                say(&format!("waiting for the images `{agent}/{name}`"))
+            }
             Err(error) => return Err(error.to_string()),
         }
     }

@@ -10,7 +10,10 @@ use std::time::Duration;
 
 use armarium_bus::{Session, SessionConfig};
 use armarium_visionx::annotate::png;
-use armarium_visionx::providers::{Delivery, ImageCoding, ImageProvider, RemoteProvider};
+use armarium_visionx::providers::convert::depth_png;
+use armarium_visionx::providers::{
+    Delivery, FrameImage, ImageCoding, ImageProvider, PixelFormat, RemoteProvider,
+};
 use armarium_visionx::{Image, files};
 
 const WAIT: Duration = Duration::from_secs(60);
@@ -120,7 +123,43 @@ fn what_is_wrong_is_said() {
     wrong(&["view", "nobody/eyes", "--connect", "tcp/10.0.0.1:7447"], 2, "--off-loopback");
     pictures(folder.path());
     wrong(&["calibrate-check", folder.path().to_str().unwrap()], 2, "no image `left`");
-    wrong(&["play", folder.path().to_str().unwrap(), "--speed", "0"], 2, "greater than 0");
+    let files = folder.path().to_str().unwrap();
+    wrong(&["play", files, "--speed", "0"], 2, "greater than 0");
+    let photo = folder.path().join("a.png");
+    wrong(&["process", photo.to_str().unwrap()], 2, "a.png` gives no stereo pairs");
+    wrong(&["play", broken.to_str().unwrap(), files], 2, "cannot be mixed");
+    wrong(&["record", "nobody/eyes", "-o", broken.to_str().unwrap()], 2, "--force");
+    assert_eq!(std::fs::read(&broken).unwrap(), b"no recording");
+    std::fs::rename(&photo, folder.path().join("a_depth.png")).unwrap();
+    wrong(&["stats", files], 2, "no depth image");
+}
+
+#[test]
+fn depth_is_written_so_that_it_can_be_played_and_a_table_needs_its_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let metres: Vec<u8> = [0.5f32, 0.0, 1.234, 4.5].iter().flat_map(|z| z.to_le_bytes()).collect();
+    let depth = FrameImage::new("depth", PixelFormat::Depth32F, (2, 2), metres).unwrap();
+    let depth = depth_png(&depth).unwrap().unwrap();
+    let left = png(&Image::from_rgb(2, 2, vec![9; 12]).unwrap()).unwrap();
+    for (name, bytes) in [("0_left", &left), ("0_right", &left), ("0_depth", &depth)] {
+        std::fs::write(folder.path().join(format!("{name}.png")), bytes).unwrap();
+    }
+    calibrated(folder.path(), "");
+    let (files, shown) = (folder.path().to_str().unwrap(), folder.path().join("shown"));
+    done(&["image", "view", files, "--png", shown.to_str().unwrap()]);
+    let (_, _, read) = files::read_depth(&shown.join("000001_depth.png")).unwrap();
+    assert_eq!(read, [500u16, 0, 1234, 4500].iter().flat_map(|mm| mm.to_le_bytes()).collect::<Vec<_>>());
+
+    let tabletop = || armarium(&["image", "process", files, "--look", "tabletop"]).output().unwrap();
+    let output = tabletop();
+    let complaint = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{complaint}");
+    assert!(
+        complaint.contains("root_from_camera") && said(&output).contains("\"unusable\":1"),
+        "{complaint}"
+    );
+    calibrated(folder.path(), "root_from_camera: {rotation: [0, 0, 0, 1], translation: [0, 0, 1]}\n");
+    assert!(tabletop().status.success());
 }
 
 /// The shared memory of a process.
@@ -155,15 +194,20 @@ fn pairs(folder: &Path) -> (u64, u64) {
     write("8_right.png".into(), (64, 40), 9);
     std::fs::write(folder.join("9_left.png"), b"\x89PNG\r\n\x1a\n broken").unwrap();
     write("9_right.png".into(), (64, 48), 9);
+    calibrated(folder, "");
+    (3 * sizes.len() as u64 + 2, 6)
+}
+
+/// Two parallel cameras, and what else is said of them.
+fn calibrated(folder: &Path, more: &str) {
     let camera = |shift: f64| {
         format!(
             "{{focal: [50, 50], center: [32, 24], distortion: {{k1: 0, k2: 0, p1: 0, p2: 0, k3: 0}}, \
              reference_from_camera: {{rotation: [0, 0, 0, 1], translation: [{shift}, 0, 0]}}}}"
         )
     };
-    let text = format!("left: {}\nright: {}\n", camera(0.0), camera(0.1));
+    let text = format!("left: {}\nright: {}\n{more}", camera(0.0), camera(0.1));
     std::fs::write(folder.join("calibration.yaml"), text).unwrap();
-    (3 * sizes.len() as u64 + 2, 6)
 }
 
 #[test]

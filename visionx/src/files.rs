@@ -35,8 +35,14 @@ pub enum FileError {
     #[error("cannot be read: {0}")]
     Read(#[source] std::io::Error),
     /// It is no PNG or JPEG image, or a broken one.
-    #[error("is not a PNG or JPEG image that can be decoded: {0}")]
+    #[error("is not a PNG or JPEG image that can be decoded: {}", .0.to_string().trim_end())]
     Decode(#[source] image::ImageError),
+    /// It is an image, and none of depth.
+    #[error("is no depth image: that is 16 bit gray, mm, as PNG, and this is {found}")]
+    NotDepth {
+        /// What it is.
+        found: String,
+    },
     /// It is a JPEG image whose end is missing.
     #[error("is a JPEG image that is cut short: its end is missing; copy it again from where it came")]
     CutShort,
@@ -94,8 +100,8 @@ pub fn read_depth(path: &Path) -> Result<(u32, u32, Vec<u8>), FileError> {
     gray(open(path)?, size, true)
 }
 
-/// Decodes the bytes of a gray PNG or JPEG file: width and height, px, and a byte a pixel, or with `wide` two
-/// (little-endian).
+/// Decodes the bytes of a gray PNG or JPEG file: width and height, px, and a byte a pixel; or with `wide` of a depth image,
+/// see [`read_depth`].
 ///
 /// # Errors
 /// [`FileError`] when they are no such image or it is too large.
@@ -107,15 +113,28 @@ pub fn decode_gray(bytes: &[u8], wide: bool) -> Result<(u32, u32, Vec<u8>), File
 fn gray<R: BufRead + Seek>(from: R, size: (u32, u32), wide: bool) -> Result<(u32, u32, Vec<u8>), FileError> {
     let image = decoded(from, size)?;
     let (width, height) = (image.width(), image.height());
-    let bytes = if wide {
-        image.into_luma16().into_raw().into_iter().flat_map(u16::to_le_bytes).collect()
-    } else {
-        image.into_luma8().into_raw()
+    let bytes = match image {
+        DynamicImage::ImageLuma16(depth) if wide => {
+            depth.into_raw().into_iter().flat_map(u16::to_le_bytes).collect()
+        }
+        // Shades that were computed from colours are no distances.
+        other if wide => return Err(FileError::NotDepth { found: kind(&other) }),
+        other => other.into_luma8().into_raw(),
     };
     Ok((width, height, bytes))
 }
 
-/// The images that paths name: files as they are, and of folders the images in them in the order of their names.
+/// What an image is, in words.
+fn kind(image: &DynamicImage) -> String {
+    let color = image.color();
+    let bits = color.bits_per_pixel() / u16::from(color.channel_count().max(1));
+    let what = if color.has_color() { "in colours" } else { "gray" };
+    let alpha = if color.has_alpha() { ", with transparency" } else { "" };
+    format!("{bits} bit {what}{alpha}")
+}
+
+/// The images that paths name: files as they are, and of folders the images in them in the order of their names, without
+/// those that are hidden.
 ///
 /// # Errors
 /// The path and [`FileError`] when a folder cannot be read or has no image.
@@ -135,6 +154,9 @@ fn folder(path: &Path) -> Result<Vec<PathBuf>, FileError> {
     let mut files = Vec::new();
     for entry in std::fs::read_dir(path).map_err(FileError::Read)? {
         let file = entry.map_err(FileError::Read)?.path();
+        if file.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b".")) {
+            continue;
+        }
         let ending = file.extension().map(|e| e.to_string_lossy().to_lowercase());
         if ending.is_some_and(|e| ENDINGS.contains(&e.as_str())) {
             files.push(file);
@@ -199,7 +221,7 @@ mod tests {
     fn a_file_is_read_as_it_was_written_and_a_folder_in_order() {
         let folder = tempfile::tempdir().unwrap();
         let image = Image::from_rgb(3, 2, (0..18).collect()).unwrap();
-        for name in ["b.png", "a.PNG", "c.txt"] {
+        for name in ["b.png", "a.PNG", "c.txt", "._a.PNG"] {
             std::fs::write(folder.path().join(name), png(&image).unwrap()).unwrap();
         }
         let files = images_in(&[folder.path().into()]).unwrap();
@@ -239,6 +261,19 @@ mod tests {
             assert!(decode_image(&whole[..end]).is_err(), "cut at {end}");
         }
         assert!(decode_image(b"\xff\xd8\xff\xe0 not much of a photograph").is_err());
+    }
+
+    #[test]
+    fn only_gray_of_16_bit_is_depth() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a_depth.png");
+        let gray = |value: u16| image::ImageBuffer::from_pixel(3, 2, image::Luma([value]));
+        DynamicImage::ImageLuma16(gray(1234)).save(&file).unwrap();
+        let (width, height, bytes) = read_depth(&file).unwrap();
+        assert_eq!((width, height, bytes), (3, 2, [210, 4].repeat(6)));
+        std::fs::write(&file, png(&Image::from_rgb(1, 1, vec![7; 3]).unwrap()).unwrap()).unwrap();
+        let error = read_depth(&file).unwrap_err().to_string();
+        assert!(error.contains("16 bit gray") && error.ends_with("8 bit in colours"), "{error}");
     }
 
     #[test]

@@ -159,8 +159,8 @@ pub async fn run_processor(
             _ => match first.next().await {
                 Ok(frame) => frame,
                 Err(error @ ImageError::Gone { .. }) => return Err(error),
-                Err(_) => {
-                    with.statistics.unusable.fetch_add(1, Ordering::Relaxed);
+                Err(error) => {
+                    with.statistics.count_unusable(processor.name(), &error);
                     tokio::task::yield_now().await;
                     continue;
                 }
@@ -199,9 +199,7 @@ async fn step(
     let finding = match processor.process(frames) {
         Ok(finding) => finding,
         Err(error) => {
-            if with.statistics.unusable.fetch_add(1, Ordering::Relaxed) == 0 {
-                tracing::warn!("{}: {error}", processor.name());
-            }
+            with.statistics.count_unusable(processor.name(), &error);
             return true;
         }
     };

@@ -17,6 +17,11 @@ use crate::tracking::FingerTipTracking;
 pub trait StereoStep: Send {
     /// Its name.
     fn name(&self) -> &str;
+    /// What a frame lacks to be looked at, for people; `None`: nothing.
+    fn lacks(&self, frame: &Frame) -> Option<String> {
+        let _ = frame;
+        None
+    }
     /// What is seen in this frame.
     fn step(&mut self, frame: &StereoFrame) -> Finding;
     /// Draws what was seen into the left image.
@@ -45,6 +50,9 @@ impl<S: StereoStep> ImageProcessor for OfStereo<S> {
         let [frame, ..] = frames else {
             return Err(ImageError::Spoilt { provider: self.name().into(), what: "no frame".into() });
         };
+        if let Some(what) = self.step.lacks(frame) {
+            return Err(ImageError::Spoilt { provider: self.pair.provider().into(), what });
+        }
         Ok(self.step.step(&self.pair.frame(frame)?))
     }
 
@@ -90,6 +98,10 @@ impl StereoStep for ObjectLocalizer {
 impl StereoStep for TabletopSegmentation {
     fn name(&self) -> &str {
         "tabletop"
+    }
+
+    fn lacks(&self, frame: &Frame) -> Option<String> {
+        self.lacks(frame)
     }
 
     fn step(&mut self, frame: &StereoFrame) -> Finding {

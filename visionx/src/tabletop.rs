@@ -8,6 +8,7 @@ use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector3};
 use crate::camera::PinholeCamera;
 use crate::frame::{DepthImage, StereoFrame};
 use crate::mask::Region;
+use crate::providers::{Frame, PixelFormat};
 
 mod plane;
 mod rectangle;
@@ -83,6 +84,37 @@ impl TabletopSegmentation {
     #[must_use]
     pub fn new(camera: PinholeCamera) -> Self {
         Self { camera }
+    }
+
+    /// What keeps a frame from being looked at: it does not say where its camera is, so that nothing has a place in the root
+    /// frame, or has no depth image of the camera's size. With what can be done, for people; `None`: nothing.
+    #[must_use]
+    pub fn lacks(&self, frame: &Frame) -> Option<String> {
+        if frame.root_from_camera.is_none() {
+            return Some(
+                "a frame that does not say where its camera is, and a table lies in the robot's root frame: give \
+                 `root_from_camera` in the frame's header, or in the `calibration.yaml` of files"
+                    .into(),
+            );
+        }
+        let depth = frame.image("depth").filter(|image| {
+            matches!(image.format(), PixelFormat::Depth32F | PixelFormat::Depth16)
+                || image.format() == PixelFormat::Points32F && image.height() > 1
+        });
+        let Some(depth) = depth else {
+            return Some(
+                "a frame without depth, and tables are found by depth alone: give an image `depth` that lies on the \
+                 left one (of files: `NAME_depth.png`, 16 bit gray, mm)"
+                    .into(),
+            );
+        };
+        let (size, wanted) = ((depth.width(), depth.height()), (self.camera.width, self.camera.height));
+        (size != wanted).then(|| {
+            format!(
+                "a depth image of {} x {} pixels, and its camera is calibrated for {} x {}: both are of one size",
+                size.0, size.1, wanted.0, wanted.1
+            )
+        })
     }
 
     /// The table in a frame with what stands on it; `None` where there is no depth image of the camera's size, or no

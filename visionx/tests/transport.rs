@@ -8,7 +8,7 @@ use std::time::Duration;
 use armarium_bus::{Session, SessionConfig, keys};
 use armarium_visionx::providers::{
     Delivery, Description, Frame, FrameImage, FrameSender, ImageCoding, ImageProvider, Offered, PixelFormat,
-    RemoteProvider, channel, offer, providers,
+    RemoteError, RemoteProvider, channel, offer, providers,
 };
 
 const WAIT: Duration = Duration::from_secs(30);
@@ -63,7 +63,7 @@ async fn frames_pass_through_shared_memory_or_the_network_with_their_sizes() {
         let reader = connected(&two, Delivery::Newest, ImageCoding::Raw).await;
         assert_eq!(reader.description().about, "a test");
         let found = providers(&two, None, None, Duration::from_secs(2)).await.unwrap();
-        assert_eq!((found.len(), found[0].0.as_str()), (1, "alice"));
+        assert_eq!((found.len(), found[0].agent.as_str()), (1, "alice"));
         first(&sender, &reader, &frame(1, (64, 48))).await;
         for (value, size) in [(2, (640, 480)), (3, (1, 1)), (4, (1921, 1081)), (5, (7, 3))] {
             let sent = frame(value, size);
@@ -153,6 +153,40 @@ async fn what_a_full_queue_pushed_out_is_asked_for_again() {
     assert_eq!(numbers, (begin + 1..=begin + 8).collect::<Vec<_>>());
     let counts = reader.statistics();
     assert!(counts.again() >= 5 && counts.missed() == 0, "{counts:?}");
+}
+
+/// Answers questions about `alice/{name}` with a description whose rate is a whole number.
+async fn described(session: &Session, name: &str, encoding: &'static str) -> tokio::task::JoinHandle<()> {
+    let key = keys::image("alice", name).unwrap();
+    let said = r#"{"name": "other", "about": "", "frame_id": "", "rate_hz": 30, "images": []}"#;
+    let said: serde_json::Value = serde_json::from_str(said).unwrap();
+    let said = armarium_bus::encode(&said).unwrap();
+    let mut questions = session.answer(key.clone(), 16).await.unwrap();
+    tokio::spawn(async move {
+        while let Some(question) = questions.next().await {
+            question.reply(&key, encoding, said.clone()).await.unwrap();
+        }
+    })
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn whole_numbers_are_read_as_floats_and_what_cannot_be_read_is_said() {
+    let (one, two) = pair([false, false]).await;
+    let whole = described(&one, "whole", "application/cbor;image/description;v1").await;
+    let newer = described(&one, "newer", "application/cbor;image/description;v2").await;
+    let connect =
+        |name| RemoteProvider::connect(&two, "alice", name, Delivery::Newest, ImageCoding::Raw, WAIT);
+    assert_eq!(connect("whole").await.unwrap().description().rate_hz, Some(30.0));
+    let Err(RemoteError::Description { provider, what }) = connect("newer").await else {
+        panic!("another version is not read");
+    };
+    assert_eq!(provider, "alice/newer");
+    assert!(what.contains("version 2"), "{what}");
+    let found = providers(&two, None, None, Duration::from_secs(2)).await.unwrap();
+    assert_eq!(found.iter().map(|f| f.provider.as_str()).collect::<Vec<_>>(), ["newer", "whole"]);
+    assert!(found[0].description.is_err() && found[1].description.is_ok(), "{found:?}");
+    whole.abort();
+    newer.abort();
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

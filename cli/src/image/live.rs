@@ -2,7 +2,7 @@
 //! into a memory; what it draws is a provider of its own.
 
 use std::io::Write;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -62,6 +62,7 @@ impl Look {
 struct HandOn {
     to: Mutex<Option<mpsc::Sender<(FindingSource, Finding)>>>,
     dropped: AtomicU64,
+    taken: AtomicBool,
     left: Mutex<Option<u64>>,
     /// From the axes that findings are in to those of the provider's left camera.
     camera_from_pair: UnitQuaternion<f64>,
@@ -70,6 +71,7 @@ struct HandOn {
 #[async_trait]
 impl ResultSink for HandOn {
     async fn take(&self, source: &FindingSource, finding: Finding) -> bool {
+        self.taken.store(true, Ordering::Relaxed);
         let to = self.to.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let Some(to) = to else { return false };
         match to.try_send((source.clone(), turned(finding, &self.camera_from_pair))) {
@@ -136,6 +138,7 @@ pub(super) async fn run(
     let sink = HandOn {
         to: Mutex::new(Some(to)),
         dropped: AtomicU64::new(0),
+        taken: AtomicBool::new(false),
         left: Mutex::new(args.frames),
         camera_from_pair,
     };
@@ -171,7 +174,14 @@ pub(super) async fn run(
         "latency_worst_ms": statistics.worst_latency_s() * 1e3,
     });
     writeln!(out, "{counts}")?;
-    ended
+    ended?;
+    match statistics.why_unusable() {
+        Some(why) if !sink.taken.load(Ordering::Relaxed) => {
+            let source = &args.source.source;
+            Err(failed(format!("of `{source}` no frame could be used: {why}")))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Prints findings and commits them, until there are no more.

@@ -5,13 +5,14 @@ use std::io::Write;
 use std::sync::Arc;
 use std::time::Duration;
 
+use armarium_visionx::providers::Frame;
 use armarium_visionx::providers::convert::{jpeg, rgb_of};
-use armarium_visionx::providers::{Frame, ImageProvider};
 use armarium_visionx::{Image, ImageError};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Semaphore, watch};
 
+use super::source::Source;
 use super::{Failure, failed};
 use crate::agent::stopped;
 
@@ -19,6 +20,8 @@ use crate::agent::stopped;
 const LONGEST: usize = 8192;
 /// How long a browser may take to ask, and a frame to come.
 const PATIENCE: Duration = Duration::from_secs(10);
+/// How often a frame that no browser wants is taken all the same.
+const UNSEEN: Duration = Duration::from_secs(5);
 /// Browsers at a time.
 const MOST: usize = 16;
 /// Most pixels of a picture.
@@ -29,19 +32,15 @@ const PAGE: &str = include_str!("page.html");
 type Newest = watch::Receiver<(u64, Arc<Vec<u8>>)>;
 
 /// Shows the page until Ctrl-C, also when the provider has ended: its last frame can still be looked at.
-pub(super) async fn show(
-    provider: Arc<dyn ImageProvider>,
-    port: u16,
-    out: &mut dyn Write,
-) -> Result<(), Failure> {
+pub(super) async fn show(source: Source, port: u16, out: &mut dyn Write) -> Result<(), Failure> {
     let listener = TcpListener::bind(("127.0.0.1", port)).await;
     let listener = listener.map_err(|e| failed(format!("the page cannot be at port {port}: {e}")))?;
     let address = listener.local_addr().map_err(failed)?;
-    writeln!(out, "http://{address}/ shows {}; Ctrl-C ends it", provider.description().name)?;
+    writeln!(out, "http://{address}/ shows {}; Ctrl-C ends it", source.provider.description().name)?;
     out.flush()?;
     let (sender, newest) = watch::channel((0, Arc::new(Vec::new())));
     let (want, wanted) = watch::channel(None);
-    let pulling = tokio::spawn(pull(provider, sender, wanted));
+    let pulling = tokio::spawn(pull(source, sender, wanted));
     let places = Arc::new(Semaphore::new(MOST));
     let serving = async {
         loop {
@@ -64,18 +63,32 @@ pub(super) async fn show(
     Ok(())
 }
 
-/// Keeps the newest frame as a picture; makes none until a browser has seen the last and wants another.
+/// Keeps the newest frame as a picture, made when a browser has seen the last and wants another. While none does, the frame
+/// of another process that waits is made one every few seconds: it would otherwise hold the memory of a provider that has
+/// gone.
 async fn pull(
-    provider: Arc<dyn ImageProvider>,
+    source: Source,
     to: watch::Sender<(u64, Arc<Vec<u8>>)>,
     mut wanted: watch::Receiver<Option<u64>>,
 ) {
     let (mut count, mut told) = (0, false);
-    while wanted.wait_for(|seen| seen.is_some_and(|seen| seen >= count)).await.is_ok() {
-        match provider.next().await {
+    loop {
+        let want = wanted.wait_for(|seen| seen.is_some_and(|seen| seen >= count));
+        let next = match tokio::time::timeout(UNSEEN, want).await.map(|want| want.is_ok()) {
+            Ok(true) => source.provider.next().await,
+            Ok(false) => return,
+            Err(_) => {
+                let Some(remote) = &source.remote else { continue };
+                let Some(frame) = remote.newest().await else { continue };
+                Ok(frame)
+            }
+        };
+        match next {
             Ok(frame) => {
-                let made = tokio::task::spawn_blocking(move || picture(&frame)).await;
-                if let Ok(Some(picture)) = made {
+                let make = move || (picture(&frame), frame.is_intact());
+                // A frame that was taken away meanwhile is no picture of anything.
+                let Ok((made, true)) = tokio::task::spawn_blocking(make).await else { continue };
+                if let Some(picture) = made {
                     count += 1;
                     to.send_replace((count, Arc::new(picture)));
                 } else if !std::mem::replace(&mut told, true) {

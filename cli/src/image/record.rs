@@ -23,6 +23,12 @@ pub(super) async fn run(
     connection: &Connection,
     out: &mut dyn Write,
 ) -> Result<(), Failure> {
+    if args.output.exists() && !args.force {
+        let shown = args.output.display();
+        return Err(argument(format!(
+            "{shown}: is there already and is left as it is; give another file, or --force to replace it"
+        )));
+    }
     let (sender, mut frames) = mpsc::channel::<(String, Arc<Frame>)>(WAITING);
     let (mut providers, mut reading): (Vec<Arc<RemoteProvider>>, Vec<_>) = (Vec::new(), Vec::new());
     let mut named: Vec<Description> = Vec::new();

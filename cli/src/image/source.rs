@@ -4,9 +4,10 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
+use armarium_bus::SessionError;
 use armarium_visionx::providers::{
-    Delivery, Description, FileProvider, ImageCoding, ImageProvider, Pace, RecordingProvider, RemoteProvider,
-    StereoPair,
+    Delivery, Description, FileProvider, ImageCoding, ImageProvider, Pace, RecordingProvider, RemoteError,
+    RemoteProvider, StereoPair,
 };
 
 use super::{Failure, SourceArgs, argument, failed};
@@ -52,8 +53,15 @@ pub(super) async fn open_pair(
     let source = open(args, connection, ImageCoding::Raw, None).await?;
     let described = source.provider.description();
     let pair = StereoPair::of(&described);
-    let pair =
-        pair.map_err(|what| argument(format!("`{}` gives no stereo pairs: {what}", described.name)))?;
+    let pair = pair.map_err(|what| {
+        let hint = if source.remote.is_some() {
+            "`armarium image ls` lists what it gives"
+        } else {
+            "of files, a pair is `NAME_left.png` and `NAME_right.png` with a `calibration.yaml` (docs/vision.md); \
+             `armarium vision` looks at single photographs"
+        };
+        argument(format!("`{}` gives no stereo pairs: {what}; {hint}", args.source))
+    })?;
     Ok((source, described, pair))
 }
 
@@ -71,7 +79,12 @@ pub(super) async fn remote(
     };
     let connected =
         RemoteProvider::connect(&connection.session, agent, provider, delivery, coding, WAIT).await;
-    connected.map_err(|e| failed(format!("{e}; `armarium image ls` lists the providers that can be reached")))
+    connected.map_err(|error| match error {
+        RemoteError::Session(SessionError::NoAnswer { .. }) => {
+            failed(format!("{error}; `armarium image ls` lists the providers that can be reached"))
+        }
+        error => failed(error),
+    })
 }
 
 /// A recording, a camera (`/dev/video0`), or image files.
@@ -82,10 +95,17 @@ pub(super) async fn file(
     rate_hz: f64,
     pace: Pace,
 ) -> Result<Arc<dyn ImageProvider>, Failure> {
-    if let [recording] = files
-        && recording.extension().is_some_and(|e| e == "mcap")
-    {
-        return Ok(Arc::new(RecordingProvider::open(recording, topic, pace).await.map_err(argument)?));
+    match (files.iter().find(|file| file.extension().is_some_and(|e| e == "mcap")), files) {
+        (Some(recording), [_]) => {
+            return Ok(Arc::new(RecordingProvider::open(recording, topic, pace).await.map_err(argument)?));
+        }
+        (Some(recording), _) => {
+            let recording = recording.display();
+            return Err(argument(format!(
+                "{recording}: a recording cannot be mixed with other files; give it alone"
+            )));
+        }
+        (None, _) => {}
     }
     if let [device] = files
         && device.starts_with("/dev")

@@ -10,6 +10,9 @@ use serde_json::json;
 use super::{Failure, StatsArgs, argument, source};
 use crate::connection::Connection;
 
+/// Most sizes that are told.
+const MOST_SIZES: usize = 32;
+
 /// Counts for a while.
 pub(super) async fn run(
     args: &StatsArgs,
@@ -30,7 +33,7 @@ pub(super) async fn run(
                     first = first.or(last);
                     let size: Vec<(u32, u32)> =
                         frame.images.iter().map(|i| (i.width(), i.height())).collect();
-                    if sizes.last() != Some(&size) && sizes.len() < 100 {
+                    if sizes.len() < MOST_SIZES && !sizes.contains(&size) {
                         sizes.push(size);
                     }
                 }
@@ -50,6 +53,8 @@ pub(super) async fn run(
     });
     if let Some(remote) = &source.remote {
         let counts = remote.statistics();
+        // As they came over the link, and not as they are decoded.
+        said["bytes_per_frame"] = (counts.bytes() / counts.received().max(1)).into();
         said["missed"] = counts.missed().into();
         said["malformed"] = counts.malformed().into();
         said["provider_starts"] = counts.lives().into();

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use armarium_visionx::ImageError;
 use armarium_visionx::annotate::png;
-use armarium_visionx::providers::convert::rgb_of;
+use armarium_visionx::providers::convert::{depth_png, rgb_of};
 use armarium_visionx::providers::{Frame, ImageCoding};
 
 use super::{Failure, ViewArgs, argument, failed, page, source};
@@ -22,36 +22,53 @@ pub(super) async fn run(
     let speed = args.png.is_none().then_some(1.0);
     let source = source::open(&args.source, connection, coding, speed).await?;
     let Some(folder) = &args.png else {
-        return page::show(source.provider, args.port, out).await;
+        return page::show(source, args.port, out).await;
     };
     std::fs::create_dir_all(folder)
         .map_err(|e| argument(format!("the folder `{}` cannot be made: {e}", folder.display())))?;
-    let mut written = 0;
-    while written < args.frames {
+    let (mut taken, mut written) = (0, 0);
+    while taken < args.frames {
         match source.provider.next().await {
             Ok(frame) => {
-                write(folder, &frame, out)?;
-                written += 1;
+                written += write(folder, &frame, out)?;
+                taken += 1;
             }
             Err(error @ ImageError::Spoilt { .. }) => writeln!(out, "warning: {error}")?,
             Err(_) => break,
         }
     }
-    if written == 0 { Err(failed("the provider gave no frame")) } else { Ok(()) }
+    let source = &args.source.source;
+    match (taken, written) {
+        (0, _) => Err(failed(format!("`{source}` gave no frame"))),
+        (_, 0) => Err(failed(format!(
+            "nothing was written: `{source}` has no pictures, only lists of points; `armarium image record` keeps those"
+        ))),
+        _ => Ok(()),
+    }
 }
 
-fn write(folder: &Path, frame: &Frame, out: &mut dyn Write) -> Result<(), Failure> {
+/// Writes the images of a frame; how many there are.
+fn write(folder: &Path, frame: &Frame, out: &mut dyn Write) -> Result<u64, Failure> {
+    let mut written = 0;
     for image in &frame.images {
-        let Some(picture) = rgb_of(image) else {
-            writeln!(out, "`{}` is a list of points: there is no picture of it", image.role())?;
-            continue;
-        };
         // A role may come from another process: it names no folder.
         let role: String = image.role().chars().map(|c| if c.is_alphanumeric() { c } else { '_' }).collect();
-        let file = folder.join(format!("{:06}_{role}.png", frame.number));
-        let bytes = png(&picture).map_err(failed)?;
+        let (name, bytes) = match (depth_png(image).map_err(failed)?, rgb_of(image)) {
+            (Some(depth), _) => (role, depth),
+            // Colours of points under this name would be taken for distances.
+            (None, Some(picture)) if role == "depth" => {
+                (format!("{role}_colors"), png(&picture).map_err(failed)?)
+            }
+            (None, Some(picture)) => (role, png(&picture).map_err(failed)?),
+            (None, None) => {
+                writeln!(out, "`{}` is a list of points: there is no picture of it", image.role())?;
+                continue;
+            }
+        };
+        let file = folder.join(format!("{:06}_{name}.png", frame.number));
         std::fs::write(&file, bytes).map_err(|e| failed(format!("{}: {e}", file.display())))?;
         writeln!(out, "{}", file.display())?;
+        written += 1;
     }
-    Ok(())
+    Ok(written)
 }

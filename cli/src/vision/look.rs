@@ -10,13 +10,14 @@ use armarium_visionx::{ColorModel, Image, Region, annotate, components};
 use nalgebra::Point2;
 
 use super::LookArgs;
+use super::album::Album;
 use super::report::{ErrorLine, HandLine, MarkerLine, MarkerPlace, SkinLine, Tip, json, rounded};
 
 /// What is sought.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub(super) enum Seek {
-    Gesture,
-    Fingertips,
+    /// The hand, its fingertips, and which of these gestures it makes.
+    Gesture(GestureRecognizer),
     Skin,
     Marker([u8; 3]),
 }
@@ -25,15 +26,15 @@ pub(super) enum Seek {
 const LEAST_MARKER: u32 = 12;
 const DRAWN: [u8; 3] = [255, 40, 200];
 
-/// Looks at each image. Returns 2 when one cannot be used, 1 when an annotated image cannot be written.
-pub(super) fn run(args: &LookArgs, seek: Seek, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
-    let recognizer = match recognizer(args.patterns.as_deref()) {
-        Ok(recognizer) => recognizer,
-        Err(message) => return refuse(&message, err),
-    };
+/// Looks at each image. Returns 2 when one cannot be used or the annotated ones have no place, 1 when an annotated image cannot be written.
+pub(super) fn run(args: &LookArgs, seek: &Seek, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
     let files = match images_in(&args.images) {
         Ok(files) => files,
         Err((path, error)) => return refuse(&format!("{}: {error}", path.display()), err),
+    };
+    let mut album = match Album::of(&args.annotate, &files) {
+        Ok(album) => album,
+        Err(message) => return refuse(&message, err),
     };
     let mut status = 0;
     for file in files {
@@ -49,10 +50,8 @@ pub(super) fn run(args: &LookArgs, seek: Seek, out: &mut dyn Write, err: &mut dy
                 continue;
             }
         };
-        look(&name, &mut image, seek, &recognizer, args.json, out)?;
-        if let Some(folder) = &args.annotate
-            && let Err(message) = keep(folder, &file, &image)
-        {
+        look(&name, &mut image, seek, args.json, out)?;
+        if let Err(message) = album.keep(&name, &image) {
             writeln!(err, "error: {message}")?;
             status = status.max(1);
         }
@@ -73,39 +72,14 @@ pub(super) fn refuse(message: &str, err: &mut dyn Write) -> io::Result<u8> {
     Ok(2)
 }
 
-/// Writes an annotated image into a folder, under the name of its file.
-pub(super) fn keep(folder: &Path, file: &Path, image: &Image) -> Result<(), String> {
-    let name = file.file_stem().unwrap_or_default().to_string_lossy();
-    let path = folder.join(format!("{name}.png"));
-    let bytes = annotate::png(image).map_err(|e| format!("{}: {e}", path.display()))?;
-    fs::create_dir_all(folder)
-        .and_then(|()| fs::write(&path, bytes))
-        .map_err(|e| format!("{}: {e}", path.display()))
-}
-
 /// Prints what is seen and draws it into the image.
-fn look(
-    file: &str,
-    image: &mut Image,
-    seek: Seek,
-    recognizer: &GestureRecognizer,
-    as_json: bool,
-    out: &mut dyn Write,
-) -> io::Result<()> {
-    if let Seek::Marker(color) = seek {
-        return marker(file, image, color, as_json, out);
-    }
+fn look(file: &str, image: &mut Image, seek: &Seek, as_json: bool, out: &mut dyn Write) -> io::Result<()> {
+    let recognizer = match seek {
+        Seek::Marker(color) => return marker(file, image, *color, as_json, out),
+        Seek::Skin => return skin(file, image, as_json, out),
+        Seek::Gesture(recognizer) => recognizer,
+    };
     let hand = HandInPicture::find(image);
-    if seek == Seek::Skin {
-        let line = skin_line(file, hand.as_ref(), image);
-        if let Some(hand) = &hand {
-            draw_silhouette(image, hand);
-        }
-        return match as_json {
-            true => json(&line, out),
-            false => writeln!(out, "{file}: {:.1} % of the image is hand", 100.0 * line.share),
-        };
-    }
     let line = hand_line(file, hand.as_ref(), recognizer);
     if let Some(hand) = &hand {
         draw(image, hand);
@@ -136,6 +110,18 @@ pub(super) fn hand_line(
         confidence: rounded(sure * hand.segmentation.confidence, 3),
         hand: Some(hand.bounding_box.into()),
         fingertips: hand.fingertips.iter().map(tip).collect(),
+    }
+}
+
+fn skin(file: &str, image: &mut Image, as_json: bool, out: &mut dyn Write) -> io::Result<()> {
+    let hand = HandInPicture::find(image);
+    let line = skin_line(file, hand.as_ref(), image);
+    if let Some(hand) = &hand {
+        draw_silhouette(image, hand);
+    }
+    match as_json {
+        true => json(&line, out),
+        false => writeln!(out, "{file}: {:.1} % of the image is hand", 100.0 * line.share),
     }
 }
 
@@ -219,9 +205,10 @@ pub(super) fn mark(image: &mut Image, at: &Point2<f64>, radius: f64) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::AnnotateArgs;
     use super::*;
 
-    fn looked(args: LookArgs, seek: Seek) -> (u8, String, String) {
+    fn looked(args: LookArgs, seek: &Seek) -> (u8, String, String) {
         let (mut out, mut err) = (Vec::new(), Vec::new());
         let status = run(&args, seek, &mut out, &mut err).expect("memory takes everything");
         let text = |bytes| String::from_utf8(bytes).expect("it is text");
@@ -229,7 +216,7 @@ mod tests {
     }
 
     fn args(images: Vec<std::path::PathBuf>) -> LookArgs {
-        LookArgs { images, annotate: None, json: true, patterns: None }
+        LookArgs { images, annotate: AnnotateArgs::default(), json: true }
     }
 
     #[test]
@@ -240,10 +227,12 @@ mod tests {
         for (y, x) in (10..30).flat_map(|y| (8..28).map(move |x| (y, x))) {
             annotate::pixel(&mut image, x, y, [40, 170, 60]);
         }
-        keep(folder.path(), Path::new("b.png"), &image).expect("it can be written");
+        let file = annotate::png(&image).expect("it is a picture");
+        fs::write(folder.path().join("b.png"), file).expect("it can be written");
         let annotated = folder.path().join("seen");
-        let asked = LookArgs { annotate: Some(annotated.clone()), ..args(vec![folder.path().into()]) };
-        let (status, out, err) = looked(asked, Seek::Marker([40, 170, 60]));
+        let to = AnnotateArgs { annotate: Some(annotated.clone()), force: false };
+        let asked = LookArgs { annotate: to, ..args(vec![folder.path().into()]) };
+        let (status, out, err) = looked(asked, &Seek::Marker([40, 170, 60]));
         let lines: Vec<serde_json::Value> =
             out.lines().map(|l| serde_json::from_str(l).expect("a line of JSON")).collect();
         assert_eq!((status, lines.len()), (2, 2), "{out}");
@@ -251,7 +240,8 @@ mod tests {
         assert_eq!(lines[1]["marker"]["x"], 17.5);
         assert_eq!(lines[1]["marker"]["area"], 400);
         assert!(annotated.join("b.png").is_file() && !annotated.join("a.png").exists());
-        let (_, out, _) = looked(args(vec![folder.path().join("b.png")]), Seek::Gesture);
+        let (_, out, _) =
+            looked(args(vec![folder.path().join("b.png")]), &Seek::Gesture(GestureRecognizer::default()));
         let line: serde_json::Value = serde_json::from_str(&out).expect("a line of JSON");
         assert!(
             line["gesture"].is_null()
@@ -266,8 +256,7 @@ mod tests {
         for text in ["", "1,2", "1,2,3,4", "1,2,256", "red"] {
             assert!(color(text).is_err(), "{text}");
         }
-        assert_eq!(looked(args(vec!["/nowhere/at/all.png".into()]), Seek::Skin).0, 2);
-        let patterns = Some("/nowhere/patterns.yaml".into());
-        assert_eq!(looked(LookArgs { patterns, ..args(Vec::new()) }, Seek::Gesture).0, 2);
+        assert_eq!(looked(args(vec!["/nowhere/at/all.png".into()]), &Seek::Skin).0, 2);
+        assert!(recognizer(Some(Path::new("/nowhere/patterns.yaml"))).is_err());
     }
 }

@@ -24,11 +24,28 @@ impl Sequence {
             let files = images_in(&[path.to_owned()]).map_err(|(p, e)| format!("{}: {e}", p.display()))?;
             return Ok(Self::Files(files));
         }
+        let shown = path.display();
+        let wanted = "give a folder of images, in the order of their names, or a recording (.mcap)";
+        if !path.exists() {
+            return Err(format!("{shown}: there is no such folder or recording; {wanted}"));
+        }
+        let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        if ["png", "jpg", "jpeg"].contains(&ending.as_str()) {
+            return Err(format!("{shown}: is one image and no sequence; {wanted}"));
+        }
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build();
         let runtime = runtime.map_err(|e| e.to_string())?;
         let sequence = Self::Recording { path: path.to_owned(), topic: topic.map(str::to_owned), runtime };
         sequence.provider()?;
         Ok(sequence)
+    }
+
+    /// The files of a folder; a recording has none.
+    pub(super) fn files(&self) -> &[PathBuf] {
+        match self {
+            Self::Files(files) => files,
+            Self::Recording { .. } => &[],
+        }
     }
 
     fn provider(&self) -> Result<Option<RecordingProvider>, String> {
@@ -84,6 +101,9 @@ mod tests {
         let file = folder.path().join("a.mcap");
         std::fs::write(&file, b"not a recording").expect("it can be written");
         assert!(Sequence::open(&file, None).is_err());
-        assert!(Sequence::open(&folder.path().join("none"), None).is_err());
+        let why = |name: &str| Sequence::open(&folder.path().join(name), None).err().unwrap_or_default();
+        assert!(why("none").contains("no such folder"));
+        std::fs::write(folder.path().join("a.JPG"), b"a photograph").expect("it can be written");
+        assert!(why("a.JPG").contains("no sequence; give a folder"));
     }
 }

@@ -14,7 +14,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::TrackArgs;
-use super::look::{hand_line, keep, mark, refuse};
+use super::album::Album;
+use super::look::{hand_line, mark, refuse};
 use super::report::{ErrorLine, HandLine, Tip, json, rounded};
 use super::sequence::Sequence;
 
@@ -30,6 +31,8 @@ pub(super) struct Follower {
     filter: ParticleFilterFingerTracking,
     rng: ChaCha8Rng,
     focal: Option<f64>,
+    /// Width and height of the last image, px.
+    size: Option<(u32, u32)>,
 }
 
 /// What was seen in one image of a sequence.
@@ -45,11 +48,16 @@ pub(super) struct Seen {
 impl Follower {
     pub(super) fn new(model: FingerARModel, focal: Option<f64>) -> Self {
         let filter = ParticleFilterFingerTracking::new(model, PARTICLES);
-        Self { filter, rng: ChaCha8Rng::seed_from_u64(1), focal }
+        Self { filter, rng: ChaCha8Rng::seed_from_u64(1), focal, size: None }
     }
 
-    /// Takes the next image.
+    /// Takes the next image. Tips are not followed into an image of another size, where they would be elsewhere, nor out of
+    /// the picture.
     pub(super) fn update(&mut self, image: &Image) -> Seen {
+        let size = (image.width(), image.height());
+        if self.size.replace(size).is_some_and(|last| last != size) {
+            self.filter.clear();
+        }
         let (w, h) = (f64::from(image.width()), f64::from(image.height()));
         let focal = self.focal.unwrap_or(USUAL_FOCAL * w.max(h));
         let center = [(w - 1.0) / 2.0, (h - 1.0) / 2.0];
@@ -69,7 +77,9 @@ impl Follower {
         } else {
             self.filter.predict(&mut self.rng);
         }
-        Seen { hand, nodes: self.filter.nodes(focal, center), focal, center }
+        let inside = |n: &ContourNode| (0.0..w).contains(&n.px.x) && (0.0..h).contains(&n.px.y);
+        let nodes = self.filter.nodes(focal, center).into_iter().filter(inside).collect();
+        Seen { hand, nodes, focal, center }
     }
 }
 
@@ -84,12 +94,18 @@ pub(super) fn run(args: &TrackArgs, out: &mut dyn Write, err: &mut dyn Write) ->
         Ok(sequence) => sequence,
         Err(message) => return refuse(&message, err),
     };
-    let mut follower = Follower::new(model, args.focal.filter(|f| f.is_finite() && *f > 0.0));
+    let mut album = match Album::of(&args.annotate, sequence.files()) {
+        Ok(album) => album,
+        Err(message) => return refuse(&message, err),
+    };
+    let mut follower = Follower::new(model, args.focal);
     let recognizer = GestureRecognizer::default();
     let (mut status, mut failed) = (0u8, Ok(()));
     let played = sequence.each(|(name, image)| {
         let written = match image {
-            Ok(mut image) => one(&name, &mut image, &mut follower, &recognizer, args, out, err),
+            Ok(mut image) => {
+                one(&name, &mut image, &mut follower, (&recognizer, &mut album, args.json), out, err)
+            }
             Err(error) => complain(&name, &error, args.json, out, err),
         };
         match written {
@@ -130,8 +146,7 @@ fn one(
     name: &str,
     image: &mut Image,
     follower: &mut Follower,
-    recognizer: &GestureRecognizer,
-    args: &TrackArgs,
+    (recognizer, album, as_json): (&GestureRecognizer, &mut Album, bool),
     out: &mut dyn Write,
     err: &mut dyn Write,
 ) -> io::Result<u8> {
@@ -144,19 +159,16 @@ fn one(
     };
     let fingertips = seen.nodes.iter().map(tip).collect();
     let line = HandLine { fingertips, ..hand_line(name, seen.hand.as_ref(), recognizer) };
-    if args.json {
+    if as_json {
         json(&line, out)?;
     } else {
         line.text(out)?;
     }
-    let Some(folder) = &args.annotate else { return Ok(0) };
     if let Some(hand) = &seen.hand {
         annotate::region(image, &hand.bounding_box, [255, 40, 200]);
     }
     seen.nodes.iter().for_each(|n| mark(image, &n.px, 3.0 + n.deviation));
-    // A message of a recording has a name that is no file's.
-    let file: String = name.chars().map(|c| if c == '@' || c == ':' { '_' } else { c }).collect();
-    match keep(folder, Path::new(&file), image) {
+    match album.keep(name, image) {
         Ok(()) => Ok(0),
         Err(message) => writeln!(err, "error: {message}").map(|()| 1),
     }

@@ -1,15 +1,19 @@
 //! What is counted while a processor runs.
 
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use tokio::time::{Duration, Instant};
+
+use crate::frame::ImageError;
 
 /// Counts of a processor's loop. All may be read at any time.
 #[derive(Debug, Default)]
 pub struct ProcessorStatistics {
     frames: AtomicU64,
     pub(super) skipped: AtomicU64,
-    pub(super) unusable: AtomicU64,
+    unusable: AtomicU64,
+    why_unusable: OnceLock<String>,
     pub(super) torn: AtomicU64,
     latency_ns: AtomicU64,
     worst_ns: AtomicU64,
@@ -36,6 +40,12 @@ impl ProcessorStatistics {
         self.unusable.load(Ordering::Relaxed)
     }
 
+    /// What was wrong with the first of them, for people.
+    #[must_use]
+    pub fn why_unusable(&self) -> Option<&str> {
+        self.why_unusable.get().map(String::as_str)
+    }
+
     /// Results that were thrown away because the frame's memory was taken away meanwhile.
     #[must_use]
     pub fn torn(&self) -> u64 {
@@ -59,6 +69,14 @@ impl ProcessorStatistics {
     pub fn rate_hz(&self) -> f64 {
         let span_s = self.span_ns.load(Ordering::Relaxed) as f64 * 1e-9;
         if span_s > 0.0 { self.frames().saturating_sub(1) as f64 / span_s } else { 0.0 }
+    }
+
+    /// Counts a frame that cannot be used; what was wrong with the first is said.
+    pub(super) fn count_unusable(&self, processor: &str, error: &ImageError) {
+        self.unusable.fetch_add(1, Ordering::Relaxed);
+        if self.why_unusable.set(error.to_string()).is_ok() {
+            tracing::warn!("`{processor}` cannot use a frame: {error}");
+        }
     }
 
     pub(super) fn count(&self, began: Instant, received: Instant) {

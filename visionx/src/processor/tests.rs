@@ -140,4 +140,5 @@ async fn frames_of_another_size_than_the_calibration_s_are_counted_and_the_next_
     let (ended, counts) = run(&mut hand, vec![camera], Trigger::Next, 9, None).await;
     assert!(ended.is_err(), "the provider has gone");
     assert_eq!((counts.frames(), counts.unusable()), (5, 3));
+    assert!(counts.why_unusable().is_some_and(|why| why.contains("1 x 1")), "{counts:?}");
 }

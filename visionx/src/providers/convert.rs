@@ -141,18 +141,11 @@ pub fn coded(
             }
             (PixelFormat::Depth32F, _) => {
                 (said.coding, said.format) = (ImageCoding::Png, PixelFormat::Depth16);
-                let mm = floats(image.bytes()).map(|z| (z * 1e3).round().clamp(0.0, 65_535.0) as u16);
-                png(
-                    &mut bytes,
-                    &mm.flat_map(u16::to_ne_bytes).collect::<Vec<u8>>(),
-                    size,
-                    ExtendedColorType::L16,
-                )?;
+                png(&mut bytes, &native_mm(image), size, ExtendedColorType::L16)?;
             }
             (PixelFormat::Depth16, _) => {
                 said.coding = ImageCoding::Png;
-                let native: Vec<u8> = words(image.bytes()).flat_map(u16::to_ne_bytes).collect();
-                png(&mut bytes, &native, size, ExtendedColorType::L16)?;
+                png(&mut bytes, &native_mm(image), size, ExtendedColorType::L16)?;
             }
             (PixelFormat::Rgb8, ImageCoding::Png) => {
                 said.coding = ImageCoding::Png;
@@ -166,6 +159,29 @@ pub fn coded(
         said.bytes = (bytes.len() - start) as u64;
     }
     Ok((header, bytes))
+}
+
+/// The bytes of a PNG file of a depth image, 16 bit gray, mm, as [`crate::files::read_depth`] reads it; `None` when it is no
+/// depth image.
+///
+/// # Errors
+/// When the encoder fails.
+pub fn depth_png(image: &FrameImage) -> Result<Option<Vec<u8>>, CodingError> {
+    if !matches!(image.format(), PixelFormat::Depth32F | PixelFormat::Depth16) {
+        return Ok(None);
+    }
+    let mut bytes = Vec::new();
+    png(&mut bytes, &native_mm(image), (image.width(), image.height()), ExtendedColorType::L16)?;
+    Ok(Some(bytes))
+}
+
+/// Depth in mm, 16 bit in the machine's order; 0 where there is none.
+fn native_mm(image: &FrameImage) -> Vec<u8> {
+    if image.format() == PixelFormat::Depth16 {
+        return words(image.bytes()).flat_map(u16::to_ne_bytes).collect();
+    }
+    let mm = |z: f32| if z.is_finite() { (z * 1e3).round().clamp(0.0, 65_535.0) as u16 } else { 0 };
+    floats(image.bytes()).map(mm).flat_map(u16::to_ne_bytes).collect()
 }
 
 fn png(
@@ -225,6 +241,16 @@ mod tests {
             [colors.pixel(0, 0), colors.pixel(1, 0), colors.pixel(1, 1)],
             [[255, 0, 0], [0; 3], [0, 0, 255]]
         );
+    }
+
+    #[test]
+    fn depth_as_a_file_is_read_back_in_millimetres() {
+        let metres: Vec<u8> =
+            [0.5f32, f32::NAN, f32::INFINITY, 70.0].iter().flat_map(|z| z.to_le_bytes()).collect();
+        let file = depth_png(&image("depth", PixelFormat::Depth32F, (2, 2), metres)).unwrap().unwrap();
+        let (_, _, bytes) = crate::files::decode_gray(&file, true).unwrap();
+        assert_eq!(words(&bytes).collect::<Vec<u16>>(), [500, 0, 0, u16::MAX]);
+        assert!(depth_png(&image("gray", PixelFormat::Gray8, (1, 1), vec![1])).unwrap().is_none());
     }
 
     #[test]

@@ -6,16 +6,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use async_trait::async_trait;
+use nalgebra::Isometry3;
 use tokio::sync::Mutex;
 use tokio::time::{Duration, Instant, sleep_until};
 
-use super::description::{CameraModel, Description, ImageDescription};
+use super::calibration::Calibration;
+use super::description::{Description, ImageDescription};
 use super::{Frame, FrameImage, ImageProvider, PixelFormat};
 use crate::files::{FileError, images_in, read_depth, read_image};
 use crate::frame::ImageError;
 
-/// Name of the file that describes the cameras.
-const CALIBRATION: &str = "calibration.yaml";
 /// The roles that a file's name can end in.
 const ROLES: [&str; 3] = ["left", "right", "depth"];
 
@@ -35,6 +35,7 @@ pub struct FileProvider {
     frames: Vec<BTreeMap<String, PathBuf>>,
     rate_hz: f64,
     pace: Pace,
+    root_from_camera: Option<Isometry3<f64>>,
     state: Mutex<(u64, Option<Instant>)>,
 }
 
@@ -55,7 +56,7 @@ impl FileProvider {
         let first = frames.first().ok_or_else(nothing)?;
         let file = first.values().next().ok_or_else(nothing)?.clone();
         let images = read(first.clone()).await?;
-        let cameras = calibration(&file)?;
+        let Calibration { cameras, root_from_camera } = Calibration::beside(&file)?;
         let described = |image: &FrameImage| ImageDescription {
             role: image.role().into(),
             format: image.format(),
@@ -71,7 +72,7 @@ impl FileProvider {
             images: images.iter().map(described).collect(),
         };
         let rate_hz = if rate_hz > 0.0 && rate_hz.is_finite() { rate_hz } else { 30.0 };
-        Ok(Self { description, frames, rate_hz, pace, state: Mutex::new((0, None)) })
+        Ok(Self { description, frames, rate_hz, pace, root_from_camera, state: Mutex::new((0, None)) })
     }
 
     fn gone(&self) -> ImageError {
@@ -108,7 +109,7 @@ impl ImageProvider for FileProvider {
             number: at + 1,
             stamp_ns: (elapsed_s * 1e9).round() as u64,
             frame_id: self.description.frame_id.clone(),
-            root_from_camera: None,
+            root_from_camera: self.root_from_camera,
             images,
         }))
     }
@@ -162,24 +163,10 @@ fn image(role: &str, file: &Path) -> Result<FrameImage, FileError> {
         .map_err(|_| FileError::TooLarge { width: size.0, height: size.1 })
 }
 
-/// The cameras by role, where there is a description beside the first file.
-fn calibration(first: &Path) -> Result<BTreeMap<String, CameraModel>, (PathBuf, FileError)> {
-    let file = first.with_file_name(CALIBRATION);
-    if !file.exists() {
-        return Ok(BTreeMap::new());
-    }
-    let text = std::fs::read_to_string(&file).map_err(|e| (file.clone(), FileError::Read(e)))?;
-    let cameras: BTreeMap<String, CameraModel> = serde_saphyr::from_str(&text)
-        .map_err(|e| (file.clone(), FileError::Calibration { what: e.to_string() }))?;
-    if let Some((role, _)) = cameras.iter().find(|(_, camera)| !camera.is_usable()) {
-        let what = format!("`{role}` is no camera: focal lengths are positive and all numbers finite");
-        return Err((file, FileError::Calibration { what }));
-    }
-    Ok(cameras)
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::calibration::CALIBRATION;
+    use super::super::description::CameraModel;
     use super::*;
     use crate::annotate::png;
     use crate::frame::Image;

@@ -8,15 +8,18 @@
 //! - [`FanOut`]: many readers of one provider. [`offer`]: to other processes. [`Recording`]: into a file.
 //! - [`wire`]: what a frame is on the network and in a recording.
 
+mod calibration;
 #[cfg(feature = "camera")]
 mod camera;
 mod channel;
 mod compressed;
 pub mod convert;
 mod description;
+mod discovery;
 mod fan_out;
 mod files;
 mod frame;
+mod lenient;
 mod offering;
 mod pair;
 mod recording;
@@ -35,13 +38,14 @@ use crate::frame::ImageError;
 pub use camera::CameraProvider;
 pub use channel::{FrameChannel, FrameSender, channel};
 pub use description::{CameraModel, Description, Distortion, ImageDescription};
+pub use discovery::{FoundProvider, RemoteError, providers};
 pub use fan_out::{FanOut, Subscription};
 pub use files::{FileProvider, Pace};
 pub use frame::{Frame, FrameImage, MOST_IMAGES, PixelFormat, PixelOwner, Pixels};
 pub use offering::{Offered, OfferedStatistics, offer};
 pub use pair::{StereoPair, stereo_frame};
 pub use recording::{RecordingError, RecordingProvider, recorded};
-pub use remote::{Delivery, RemoteProvider, RemoteStatistics, providers};
+pub use remote::{Delivery, RemoteProvider, RemoteStatistics};
 pub use stereo::{StereoProvider, StereoView, frame_of};
 pub use wire::ImageCoding;
 pub use writing::Recording;

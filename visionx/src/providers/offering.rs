@@ -24,6 +24,8 @@ pub(super) const DESCRIPTION: armarium_bus::Schema = armarium_bus::Schema::new("
 const KEPT: usize = 16;
 /// Most bytes that are kept for them.
 const KEPT_BYTES: usize = 64 << 20;
+/// Frames that could not be made of which each is told.
+const TOLD: u64 = 10;
 /// Questions that wait to be answered.
 const WAITING: usize = 64;
 
@@ -136,8 +138,9 @@ impl Offering {
                 Ok(frame) => return Some(frame),
                 Err(ImageError::Gone { .. }) => return None,
                 Err(error) => {
-                    self.statistics.spoilt.fetch_add(1, Ordering::Relaxed);
-                    tracing::warn!("{error}");
+                    if self.statistics.spoilt.fetch_add(1, Ordering::Relaxed) < TOLD {
+                        tracing::warn!("{error}");
+                    }
                     // A provider that fails again and again does not keep the others from running.
                     tokio::task::yield_now().await;
                 }

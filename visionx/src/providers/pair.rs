@@ -78,7 +78,7 @@ impl StereoPair {
 }
 
 /// The stereo frame of a frame with the images `left` and `right`, and `depth` if there is one. A frame that does not
-/// say where its camera is has it at the root.
+/// say where its camera is has it at the root: whoever needs places in the root frame asks the frame first.
 ///
 /// # Errors
 /// [`ImageError::Spoilt`] when an eye is missing.

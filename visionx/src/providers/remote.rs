@@ -10,13 +10,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use armarium_bus::bulk::{Bulk, BulkBytes, BulkReader, remove_orphans};
-use armarium_bus::keys::{self, Key, Part};
-use armarium_bus::{Answer, Session, SessionError, decode};
+use armarium_bus::keys::{self, Key};
+use armarium_bus::{Answer, Session, SessionError};
 use async_trait::async_trait;
 use tokio::sync::Mutex;
+use tokio::time::Instant;
 
+use super::discovery::{RemoteError, describe};
 use super::frame::PixelOwner;
-use super::offering::DESCRIPTION;
 use super::wire::{ENCODING, Header, ImageCoding, PACKED, WireError, unpack};
 use super::{Description, Frame, ImageProvider};
 use crate::frame::ImageError;
@@ -27,8 +28,6 @@ const QUIET: Duration = Duration::from_secs(5);
 const AGAIN: Duration = Duration::from_secs(1);
 /// Most frames that are asked for again at once.
 const MOST_AGAIN: usize = 64;
-/// Most providers that are listed.
-const MOST_PROVIDERS: usize = 1024;
 
 /// Which frames a reader gets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,7 +46,9 @@ pub enum Delivery {
 pub struct RemoteProvider {
     session: Session,
     key: Key,
-    description: Description,
+    /// `AGENT/PROVIDER`, for people.
+    name: String,
+    description: Arc<Description>,
     reader: BulkReader,
     again: bool,
     state: Mutex<State>,
@@ -60,6 +61,10 @@ struct State {
     last: Option<(u64, u64)>,
     /// What came after a gap, and what filled it.
     ready: VecDeque<Arc<Frame>>,
+    /// When the last frame came; `None` before the first.
+    heard: Option<Instant>,
+    /// Whether the silence since then was noticed.
+    quiet: bool,
 }
 
 /// Counts of a reader. All may be read at any time.
@@ -71,6 +76,7 @@ pub struct RemoteStatistics {
     malformed: AtomicU64,
     lives: AtomicU64,
     shared: AtomicU64,
+    bytes: AtomicU64,
     latency_ns: AtomicU64,
     worst_ns: AtomicU64,
 }
@@ -95,6 +101,8 @@ impl RemoteStatistics {
         lives,
         /// Frames that came through shared memory.
         shared,
+        /// Bytes of the frames received, as they came: of images that are coded, those of their files.
+        bytes,
     }
 
     /// Mean time from the sending of a frame to its being taken here, s; by both processes' wall clocks, so only on one
@@ -121,38 +129,11 @@ impl PixelOwner for BulkBytes {
     }
 }
 
-/// The providers that answer within `wait`: who offers them, and what they are.
-///
-/// # Errors
-/// [`SessionError`].
-pub async fn providers(
-    session: &Session,
-    agent: Part<'_>,
-    provider: Part<'_>,
-    wait: Duration,
-) -> Result<Vec<(String, Description)>, SessionError> {
-    let wrong = |e: keys::KeyError| SessionError::Config { what: e.to_string() };
-    let keys = keys::image_pattern(agent, provider).map_err(wrong)?;
-    let answers = session.ask(keys, "", None, MOST_PROVIDERS, wait).await?;
-    let mut found: Vec<(String, Description)> = answers.iter().filter_map(described).collect();
-    found.sort_by(|a, b| (&a.0, &a.1.name).cmp(&(&b.0, &b.1.name)));
-    Ok(found)
-}
-
-/// The agent and the description in an answer; what is neither is left out.
-fn described(answer: &Answer) -> Option<(String, Description)> {
-    let Answer::Message(message) = answer else { return None };
-    DESCRIPTION.check(&message.encoding).ok()?;
-    let description: Description = decode(&message.payload).ok()?;
-    let agent = message.key.split('/').next()?;
-    (description.images.len() <= super::MOST_IMAGES).then(|| (agent.to_owned(), description))
-}
-
 impl RemoteProvider {
     /// Connects to `{agent}/image/{provider}` and waits at most `wait` until it answers.
     ///
     /// # Errors
-    /// [`SessionError::NoAnswer`] when it does not.
+    /// [`SessionError::NoAnswer`] when it does not, [`RemoteError::Description`] when its answer cannot be read.
     pub async fn connect(
         session: &Session,
         agent: &str,
@@ -160,7 +141,7 @@ impl RemoteProvider {
         delivery: Delivery,
         coding: ImageCoding,
         wait: Duration,
-    ) -> Result<Self, SessionError> {
+    ) -> Result<Self, RemoteError> {
         let wrong = |e: keys::KeyError| SessionError::Config { what: e.to_string() };
         let key = keys::image(agent, provider).map_err(wrong)?;
         let frames = match coding {
@@ -172,11 +153,12 @@ impl RemoteProvider {
             Delivery::Newest => (1, false),
             Delivery::All { waiting } => (waiting, true),
         };
-        let description = describe(session, &key, wait).await?;
+        let name = format!("{agent}/{provider}");
+        let description = Arc::new(describe(session, &key, &name, wait).await?);
         let reader = session.bulk_reader(frames, capacity, all).await?;
         let again = all && coding == ImageCoding::Raw;
         let (state, statistics) = (Mutex::default(), RemoteStatistics::default());
-        Ok(Self { session: session.clone(), key, description, reader, again, state, statistics })
+        Ok(Self { session: session.clone(), key, name, description, reader, again, state, statistics })
     }
 
     /// Counts so far.
@@ -185,15 +167,56 @@ impl RemoteProvider {
         &self.statistics
     }
 
-    /// The newest frame if one has come since the last; does not wait.
+    /// The newest frame if one has come since the last; does not wait. Whoever wants no frames for now asks every few
+    /// seconds all the same: the pixels of a provider that has gone are then let go.
     pub async fn newest(&self) -> Option<Arc<Frame>> {
         let mut state = self.state.lock().await;
         loop {
             if let Some(frame) = state.ready.pop_front() {
                 return Some(frame);
             }
-            let bulk = self.reader.try_next()?;
+            let Some(bulk) = self.reader.try_next() else {
+                let silent = state.heard.is_some_and(|heard| heard.elapsed() >= QUIET);
+                if silent && !std::mem::replace(&mut state.quiet, true) {
+                    sweep().await;
+                }
+                return None;
+            };
             self.take(&bulk, &mut state).await;
+        }
+    }
+
+    /// Asks a provider that has begun anew for its description, and warns when its images are others than before: whoever
+    /// reads it goes by the old ones.
+    fn compare_cameras(&self) {
+        let (session, key, name) = (self.session.clone(), self.key.clone(), self.name.clone());
+        let before = Arc::clone(&self.description);
+        tokio::spawn(async move {
+            let Ok(now) = describe(&session, &key, &name, QUIET).await else { return };
+            if now.images != before.images {
+                tracing::warn!(
+                    "`{name}` has begun anew with other images or cameras than before, and is still read by the old \
+                     ones: start this reader anew"
+                );
+            }
+        });
+    }
+
+    /// Says, once a silence, that nothing comes.
+    fn tell_silence(&self, state: &mut State) {
+        if std::mem::replace(&mut state.quiet, true) {
+            return;
+        }
+        let (name, quiet) = (&self.name, QUIET.as_secs());
+        if state.heard.is_some() {
+            tracing::warn!(
+                "no more frames for {quiet} s from `{name}`: it is waited for until it comes back"
+            );
+        } else {
+            tracing::warn!(
+                "no frame for {quiet} s from `{name}`, which answered: it has nothing to show yet, or has gone; it is \
+                 waited for. `armarium cameras` gives frames only while a run is connected to it"
+            );
         }
     }
 
@@ -203,7 +226,7 @@ impl RemoteProvider {
             Ok(read) => read,
             Err(error) => {
                 if self.statistics.malformed.fetch_add(1, Ordering::Relaxed) == 0 {
-                    tracing::warn!("{}: {error}", self.key);
+                    tracing::warn!("`{}` sends what cannot be read, and is left out: {error}", self.name);
                 }
                 return;
             }
@@ -222,6 +245,7 @@ impl RemoteProvider {
             _ => {
                 add(&self.statistics.lives, 1);
                 if last.is_some() {
+                    self.compare_cameras();
                     sweep().await;
                 }
             }
@@ -231,6 +255,8 @@ impl RemoteProvider {
         self.statistics.worst_ns.fetch_max(latency, Ordering::Relaxed);
         add(&self.statistics.shared, u64::from(bulk.payload.is_shared()));
         add(&self.statistics.received, 1);
+        add(&self.statistics.bytes, bulk.payload.as_ref().len() as u64);
+        (state.heard, state.quiet) = (Some(Instant::now()), false);
         state.ready.push_back(Arc::new(frame));
     }
 
@@ -245,6 +271,8 @@ impl RemoteProvider {
         let count = found.len() as u64;
         self.statistics.again.fetch_add(count, Ordering::Relaxed);
         self.statistics.received.fetch_add(count, Ordering::Relaxed);
+        let bytes: usize = found.iter().map(Frame::bytes).sum();
+        self.statistics.bytes.fetch_add(bytes as u64, Ordering::Relaxed);
         self.statistics.missed.fetch_add((to - from + 1).saturating_sub(count), Ordering::Relaxed);
         state.ready.extend(found.into_iter().map(Arc::new));
     }
@@ -253,10 +281,10 @@ impl RemoteProvider {
 #[async_trait]
 impl ImageProvider for RemoteProvider {
     fn description(&self) -> Description {
-        self.description.clone()
+        (*self.description).clone()
     }
 
-    /// Waits for as long as it takes: a provider may come back.
+    /// Waits for as long as it takes: a provider may come back. A silence is said once, as a warning.
     async fn next(&self) -> Result<Arc<Frame>, ImageError> {
         let mut state = self.state.lock().await;
         loop {
@@ -266,6 +294,7 @@ impl ImageProvider for RemoteProvider {
             let bulk = match tokio::time::timeout(QUIET, self.reader.next()).await {
                 Ok(bulk) => bulk,
                 Err(_) => {
+                    self.tell_silence(&mut state);
                     sweep().await;
                     self.reader.next().await
                 }
@@ -282,7 +311,7 @@ async fn sweep() {
 
 fn read(bulk: &Bulk) -> Result<(Header, Frame), WireError> {
     if bulk.encoding != ENCODING {
-        return Err(WireError::Impossible { what: "it is not sent as a frame" });
+        return Err(WireError::Encoding { found: bulk.encoding.clone() });
     }
     let header = Header::decode(&bulk.attachment)?;
     let owner: Arc<dyn PixelOwner> = Arc::new(bulk.payload.clone());
@@ -293,20 +322,4 @@ fn read(bulk: &Bulk) -> Result<(Header, Frame), WireError> {
 fn packed(answer: Answer) -> Option<Frame> {
     let Answer::Message(message) = answer else { return None };
     (message.encoding == PACKED).then(|| unpack(message.payload).ok()).flatten().map(|(_, frame)| frame)
-}
-
-/// Asks for the description until it comes.
-async fn describe(session: &Session, key: &Key, wait: Duration) -> Result<Description, SessionError> {
-    let asking = async {
-        loop {
-            // Whoever is not known yet is not asked: the next question may reach it.
-            let answers = session.ask(key.clone(), "", None, 16, Duration::from_millis(500)).await?;
-            if let Some((_, description)) = answers.iter().find_map(described) {
-                return Ok(description);
-            }
-            tokio::time::sleep(Duration::from_millis(50)).await;
-        }
-    };
-    let none = SessionError::NoAnswer { key: key.to_string(), seconds: wait.as_secs() };
-    tokio::time::timeout(wait, asking).await.unwrap_or(Err(none))
 }

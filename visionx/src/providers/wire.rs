@@ -13,6 +13,7 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
 
 use super::frame::{Frame, FrameImage, LONGEST_NAME, MOST_IMAGES, PixelFormat, PixelOwner, Pixels};
+use super::lenient::decode_leniently;
 use crate::files::{FileError, decode_gray, decode_image, size_of};
 use crate::frame::ImageError;
 
@@ -91,6 +92,12 @@ pub enum WireError {
         /// The version found.
         found: u32,
     },
+    /// The message's encoding is not that of a frame.
+    #[error("it is sent as `{found}`; this side understands `{ENCODING}`")]
+    Encoding {
+        /// The encoding found.
+        found: String,
+    },
     /// Too many images, two of one role, a name that is too long, or a pose that is none.
     #[error("the header says something that no frame can be: {what}")]
     Impossible {
@@ -159,11 +166,11 @@ impl Header {
     /// # Errors
     /// [`WireError`] when it is none or says something impossible.
     pub fn decode(bytes: &[u8]) -> Result<Self, WireError> {
-        let version: Versioned = armarium_bus::codec::decode_within(bytes, BOUNDS)?;
+        let version: Versioned = decode_leniently(bytes, BOUNDS)?;
         if version.version != VERSION {
             return Err(WireError::Version { found: version.version });
         }
-        let header: Self = armarium_bus::codec::decode_within(bytes, BOUNDS)?;
+        let header: Self = decode_leniently(bytes, BOUNDS)?;
         header.check()?;
         Ok(header)
     }

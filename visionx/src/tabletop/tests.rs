@@ -1,10 +1,15 @@
+use std::sync::Arc;
+
 use nalgebra::UnitQuaternion;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use super::*;
+use crate::processor::{Finding, ImageProcessor};
+use crate::providers::{Description, FrameImage, StereoPair, frame_of};
 use crate::scenes::{CALIBRATION, Thing, empty_frames, frame_with_depth, table};
+use crate::steps::OfStereo;
 
 const TOP: f64 = 0.90;
 
@@ -101,4 +106,23 @@ fn where_there_is_no_table_nothing_is_seen() {
 
 fn depth_of_another_size(frame: &mut StereoFrame) {
     frame.depth.as_mut().unwrap().width = 3;
+}
+
+#[test]
+fn a_frame_without_place_or_depth_is_no_table_but_an_error_that_says_what_is_missing() {
+    let stereo = Arc::new(frame_with_depth(&[table([150, 115, 80])], 0, 1));
+    let whole = frame_of(&stereo, 1, "camera_left").unwrap();
+    let pair = StereoPair::of(&Description::of_stereo("eyes", "camera_left", &CALIBRATION)).unwrap();
+    let mut tabletop = OfStereo::new(TabletopSegmentation::new(CALIBRATION.camera), pair);
+    let mut asked = |frame: Frame| tabletop.process(&[Arc::new(frame)]).map_err(|e| e.to_string());
+    assert!(matches!(asked(whole.clone()), Ok(Finding::Tabletop(Some(_)))));
+
+    let nowhere = Frame { root_from_camera: None, ..whole.clone() };
+    assert!(asked(nowhere).unwrap_err().contains("give `root_from_camera` in the frame's header"));
+    let mut flat = whole.clone();
+    flat.images.retain(|image| image.role() != "depth");
+    assert!(asked(flat).unwrap_err().contains("without depth"));
+    let mut small = whole;
+    small.images[2] = FrameImage::new("depth", PixelFormat::Depth16, (2, 1), vec![9; 4]).unwrap();
+    assert!(asked(small).unwrap_err().contains("a depth image of 2 x 1 pixels"));
 }

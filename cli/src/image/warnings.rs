@@ -1,0 +1,57 @@
+//! Where the rooms' warnings go while an `armarium image` command runs: to standard error, a line each, with nothing before
+//! them but what they are. `RUST_LOG` shows more where it is set.
+
+use std::fmt;
+
+use tracing::{Event, Level, Subscriber};
+use tracing_subscriber::EnvFilter;
+use tracing_subscriber::fmt::format::Writer;
+use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
+use tracing_subscriber::registry::LookupSpan;
+
+/// What is shown where nobody says: what our own rooms warn of.
+const SHOWN: &str = "off,armarium=warn";
+
+/// A line for people.
+struct Plain;
+
+impl<S, N> FormatEvent<S, N> for Plain
+where
+    S: Subscriber + for<'a> LookupSpan<'a>,
+    N: for<'a> FormatFields<'a> + 'static,
+{
+    fn format_event(
+        &self,
+        context: &FmtContext<'_, S, N>,
+        mut writer: Writer<'_>,
+        event: &Event<'_>,
+    ) -> fmt::Result {
+        let what = match *event.metadata().level() {
+            Level::ERROR => "error",
+            Level::WARN => "warning",
+            _ => "note",
+        };
+        write!(writer, "{what}: ")?;
+        context.format_fields(writer.by_ref(), event)?;
+        writeln!(writer)
+    }
+}
+
+/// From here on warnings are shown; a second call in one process changes nothing.
+///
+/// # Errors
+/// When `RUST_LOG` cannot be read.
+pub(super) fn show() -> Result<(), String> {
+    let wanted = std::env::var("RUST_LOG").unwrap_or_default();
+    let wanted = if wanted.trim().is_empty() { SHOWN } else { &wanted };
+    let filter = EnvFilter::try_new(wanted).map_err(|e| format!("RUST_LOG={wanted}: {e}"))?;
+    let subscriber = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(false)
+        .event_format(Plain)
+        .with_writer(std::io::stderr)
+        .finish();
+    // A subscriber that is there already is a test's.
+    drop(tracing::subscriber::set_global_default(subscriber));
+    Ok(())
+}

@@ -1,0 +1,137 @@
+//! The folder of annotated images: which file each gets. No file that was there is replaced unless that is asked for, none of
+//! the images that are looked at ever, and no annotated image by another one.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use armarium_visionx::{Image, annotate};
+
+use super::AnnotateArgs;
+
+/// Where annotated images go, if anywhere.
+#[derive(Debug, Default)]
+pub(super) struct Album {
+    folder: Option<PathBuf>,
+    force: bool,
+    /// The places of images that are known beforehand.
+    planned: BTreeMap<PathBuf, PathBuf>,
+    /// All places that were given away.
+    taken: BTreeSet<PathBuf>,
+}
+
+impl Album {
+    /// The places of these images: `NAME.png`, and `NAME_2.png` for another of the same name.
+    ///
+    /// # Errors
+    /// When the folder is a file, or one of the places is; one sentence for people.
+    pub(super) fn of(args: &AnnotateArgs, images: &[PathBuf]) -> Result<Self, String> {
+        let Some(folder) = &args.annotate else { return Ok(Self::default()) };
+        if folder.exists() && !folder.is_dir() {
+            return Err(format!("--annotate {}: is a file; name a folder", folder.display()));
+        }
+        let mut album = Self { folder: Some(folder.clone()), force: args.force, ..Self::default() };
+        let own: BTreeSet<PathBuf> = images.iter().filter_map(|image| image.canonicalize().ok()).collect();
+        for image in images {
+            if album.planned.contains_key(image) {
+                continue;
+            }
+            let stem = image.file_stem().unwrap_or_default().to_string_lossy();
+            let path = album.place(folder, &stem);
+            let shown = path.display();
+            if path.canonicalize().is_ok_and(|path| own.contains(&path)) {
+                return Err(format!(
+                    "{shown}: is one of the images themselves; name another folder with --annotate"
+                ));
+            }
+            album.may_write(&path)?;
+            album.planned.insert(image.clone(), path);
+        }
+        Ok(album)
+    }
+
+    /// A place that no other image has.
+    fn place(&mut self, folder: &Path, name: &str) -> PathBuf {
+        let mut path = folder.join(format!("{name}.png"));
+        let mut number = 2u64;
+        while !self.taken.insert(path.clone()) {
+            path = folder.join(format!("{name}_{number}.png"));
+            number += 1;
+        }
+        path
+    }
+
+    fn may_write(&self, path: &Path) -> Result<(), String> {
+        if self.force || !path.exists() {
+            return Ok(());
+        }
+        let shown = path.display();
+        Err(format!(
+            "{shown}: is there already and is left as it is; name another folder, or --force to replace it"
+        ))
+    }
+
+    /// Writes an annotated image, if annotated images are wanted: to the place of its file, or for a message of a recording
+    /// to one after its name.
+    ///
+    /// # Errors
+    /// Why it cannot be written, with the file; for people.
+    pub(super) fn keep(&mut self, name: &str, image: &Image) -> Result<(), String> {
+        let Some(folder) = self.folder.clone() else { return Ok(()) };
+        let path = match self.planned.get(Path::new(name)) {
+            Some(path) => path.clone(),
+            None => {
+                // What stands in a recording names no folder.
+                let plain = |c: char| if c.is_alphanumeric() || c == '.' || c == '-' { c } else { '_' };
+                let name: String = name.chars().map(plain).collect();
+                let path = self.place(&folder, &name);
+                self.may_write(&path)?;
+                path
+            }
+        };
+        let failed = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
+        let bytes = annotate::png(image).map_err(|e| failed(&e))?;
+        fs::create_dir_all(&folder).and_then(|()| fs::write(&path, bytes)).map_err(|e| failed(&e))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn into(folder: &Path, force: bool) -> AnnotateArgs {
+        AnnotateArgs { annotate: Some(folder.into()), force }
+    }
+
+    #[test]
+    fn no_file_is_replaced_and_no_image_by_another() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let at = |name: &str| folder.path().join(name);
+        let image = Image::from_rgb(1, 1, vec![1; 3]).expect("it has the size");
+        fs::create_dir(at("other")).expect("it can be made");
+        let images = [at("a.png"), at("a.jpg"), at("other/a.png")];
+        images.iter().for_each(|image| fs::write(image, b"mine").expect("it can be written"));
+
+        let same = Album::of(&into(folder.path(), true), &images).expect_err("the images are in it");
+        assert!(same.contains("a.png: is one of the images themselves"), "{same}");
+        let file = Album::of(&into(&at("a.png"), true), &images).expect_err("it is a file");
+        assert!(file.contains("is a file; name a folder"), "{file}");
+
+        let mut album = Album::of(&into(&at("seen"), false), &images).expect("there is a place for each");
+        let name = |file: &Path| file.to_str().expect("it is text").to_owned();
+        images.iter().for_each(|file| album.keep(&name(file), &image).expect("it can be written"));
+        let names = fs::read_dir(at("seen")).expect("it is there").filter_map(Result::ok);
+        let names: BTreeSet<_> = names.map(|file| file.file_name()).collect();
+        assert_eq!(names, ["a.png", "a_2.png", "a_3.png"].map(Into::into).into());
+        assert!(images.iter().all(|image| fs::read(image).is_ok_and(|bytes| bytes == b"mine")));
+
+        let again = Album::of(&into(&at("seen"), false), &images).expect_err("they are there");
+        assert!(again.contains("--force"), "{again}");
+        assert!(Album::of(&into(&at("seen"), true), &images).is_ok());
+        let mut frames = Album::of(&into(&at("seen"), false), &[]).expect("a recording has no files");
+        assert!(frames.keep("a", &image).is_err());
+        frames.keep("../a.b@12", &image).expect("it can be written");
+        assert!(at("seen/.._a.b_12.png").is_file());
+        assert!(Album::default().keep("a", &image).is_ok());
+    }
+}

@@ -1,0 +1,104 @@
+//! Who offers images: the providers that answer, and what they say of themselves, also when that cannot be read.
+
+use std::time::Duration;
+
+use armarium_bus::keys::{self, Key, Part};
+use armarium_bus::{Answer, Bounds, Session, SessionError};
+
+use super::Description;
+use super::lenient::decode_leniently;
+use super::offering::DESCRIPTION;
+
+/// Most providers that are listed.
+const MOST_PROVIDERS: usize = 1024;
+
+/// Why there is no provider to read.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RemoteError {
+    /// Nobody answers, or the session has ended.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// It answers, and cannot be understood.
+    #[error(
+        "`{provider}` answers, but what it says of itself cannot be read (see docs/wire-images.md): {what}"
+    )]
+    Description {
+        /// `AGENT/PROVIDER`.
+        provider: String,
+        /// What is wrong with its description.
+        what: String,
+    },
+}
+
+/// A provider that answers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FoundProvider {
+    /// Who offers it.
+    pub agent: String,
+    /// Its name in the key.
+    pub provider: String,
+    /// What it is; or why what it says of itself cannot be read.
+    pub description: Result<Description, String>,
+}
+
+/// The providers that answer within `wait`, by agent and name; also those that cannot be understood.
+///
+/// # Errors
+/// [`SessionError`].
+pub async fn providers(
+    session: &Session,
+    agent: Part<'_>,
+    provider: Part<'_>,
+    wait: Duration,
+) -> Result<Vec<FoundProvider>, SessionError> {
+    let wrong = |e: keys::KeyError| SessionError::Config { what: e.to_string() };
+    let keys = keys::image_pattern(agent, provider).map_err(wrong)?;
+    let answers = session.ask(keys, "", None, MOST_PROVIDERS, wait).await?;
+    let mut found: Vec<FoundProvider> = answers.iter().filter_map(found).collect();
+    found.sort_by(|a, b| (&a.agent, &a.provider).cmp(&(&b.agent, &b.provider)));
+    Ok(found)
+}
+
+/// Who answers; a refusal is nobody.
+fn found(answer: &Answer) -> Option<FoundProvider> {
+    let Answer::Message(message) = answer else { return None };
+    let mut parts = message.key.split('/');
+    let (agent, provider) = (parts.next()?.to_owned(), parts.nth(1)?.to_owned());
+    let description = description(&message.encoding, &message.payload);
+    Some(FoundProvider { agent, provider, description })
+}
+
+/// The description in an answer; or why it is none.
+fn description(encoding: &str, payload: &[u8]) -> Result<Description, String> {
+    DESCRIPTION.check(encoding).map_err(|e| e.to_string())?;
+    let description: Description = decode_leniently(payload, Bounds::default()).map_err(|e| e.to_string())?;
+    match description.images.len() {
+        0..=super::MOST_IMAGES => Ok(description),
+        images => Err(format!("it speaks of {images} images; at most {} are read", super::MOST_IMAGES)),
+    }
+}
+
+/// Asks for the description until it comes.
+pub(super) async fn describe(
+    session: &Session,
+    key: &Key,
+    name: &str,
+    wait: Duration,
+) -> Result<Description, RemoteError> {
+    let asking = async {
+        loop {
+            // Whoever is not known yet is not asked: the next question may reach it.
+            let answers = session.ask(key.clone(), "", None, 16, Duration::from_millis(500)).await?;
+            let answered: Vec<_> = answers.iter().filter_map(found).map(|found| found.description).collect();
+            // Of several that answer on one key, one that is understood will do.
+            if let Some(answer) = answered.iter().find(|a| a.is_ok()).or(answered.first()) {
+                let unread = |what| RemoteError::Description { provider: name.to_owned(), what };
+                return answer.clone().map_err(unread);
+            }
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    };
+    let none = SessionError::NoAnswer { key: key.to_string(), seconds: wait.as_secs() };
+    tokio::time::timeout(wait, asking).await.unwrap_or(Err(none.into()))
+}
