@@ -10,7 +10,6 @@ mod record;
 mod source;
 mod stats;
 mod view;
-mod warnings;
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -202,7 +201,7 @@ pub(crate) fn run(args: &ImageArgs, out: &mut dyn Write, err: &mut dyn Write) ->
         Ok(connection) => connection,
         Err(message) => return writeln!(err, "error: {message}").map(|()| 2),
     };
-    if let Err(message) = warnings::show() {
+    if let Err(message) = crate::warnings::show() {
         return writeln!(err, "error: {message}").map(|()| 2);
     }
     let doing = async {

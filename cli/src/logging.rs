@@ -65,11 +65,11 @@ pub(crate) fn install(progress: &Progress, clock: Clock, verbose: bool, colour: 
 ///
 /// # Errors
 /// When `RUST_LOG` cannot be read.
-pub(crate) fn install_plain() -> Result<(), String> {
+pub(crate) fn install_dated() -> Result<(), String> {
     let filter = filter(std::env::var("RUST_LOG").ok().as_deref(), false)?;
-    let plain =
+    let dated =
         tracing_subscriber::fmt().with_env_filter(filter).with_ansi(false).with_writer(std::io::stderr);
-    drop(tracing::subscriber::set_global_default(plain.finish()));
+    drop(tracing::subscriber::set_global_default(dated.finish()));
     Ok(())
 }
 

@@ -33,6 +33,7 @@ mod stage;
 mod step;
 mod test_cases;
 mod vision;
+mod warnings;
 mod watching;
 
 use std::io::{self, IsTerminal as _, Write};

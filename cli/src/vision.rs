@@ -57,12 +57,9 @@ pub(crate) struct LookArgs {
 /// Where annotated images go.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(crate) struct AnnotateArgs {
-    /// Write each image with what was seen in it into this folder, as PNG.
+    /// Write each image with what was seen in it into this folder, as PNG; the images that are looked at are never replaced.
     #[arg(long, value_name = "DIR")]
     pub(crate) annotate: Option<PathBuf>,
-    /// Replace files of that folder that are there already; the images that are looked at are never replaced.
-    #[arg(long, requires = "annotate")]
-    pub(crate) force: bool,
 }
 
 /// Images, and what gestures are.

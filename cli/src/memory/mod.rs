@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 
 use crate::connection::{ConnectionArgs, explained};
-use crate::logging;
+use crate::{logging, warnings};
 
 pub(crate) mod keep;
 mod reach;
@@ -324,7 +324,9 @@ impl From<armarium_memoryx::StoreError> for Failure {
 /// When `out` cannot be written.
 pub(crate) fn run(args: &MemoryArgs, out: &mut dyn Write, errors: &mut dyn Write) -> io::Result<u8> {
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
-    let done = match logging::install_plain() {
+    // What runs for long says when.
+    let serves = matches!(args.command, MemoryCommand::Serve(_));
+    let done = match if serves { logging::install_dated() } else { warnings::show() } {
         Ok(()) => runtime.block_on(work::carry_out(args, out)),
         Err(what) => Err(Failure::Argument(what)),
     };

@@ -1,5 +1,5 @@
-//! The folder of annotated images: which file each gets. No file that was there is replaced unless that is asked for, none of
-//! the images that are looked at ever, and no annotated image by another one.
+//! The folder of annotated images: which file each gets. What an earlier look has left there is replaced, but none of the
+//! images that are looked at, and no annotated image by another one.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -13,7 +13,6 @@ use super::AnnotateArgs;
 #[derive(Debug, Default)]
 pub(super) struct Album {
     folder: Option<PathBuf>,
-    force: bool,
     /// The places of images that are known beforehand.
     planned: BTreeMap<PathBuf, PathBuf>,
     /// All places that were given away.
@@ -30,7 +29,7 @@ impl Album {
         if folder.exists() && !folder.is_dir() {
             return Err(format!("--annotate {}: is a file; name a folder", folder.display()));
         }
-        let mut album = Self { folder: Some(folder.clone()), force: args.force, ..Self::default() };
+        let mut album = Self { folder: Some(folder.clone()), ..Self::default() };
         let own: BTreeSet<PathBuf> = images.iter().filter_map(|image| image.canonicalize().ok()).collect();
         for image in images {
             if album.planned.contains_key(image) {
@@ -44,7 +43,6 @@ impl Album {
                     "{shown}: is one of the images themselves; name another folder with --annotate"
                 ));
             }
-            album.may_write(&path)?;
             album.planned.insert(image.clone(), path);
         }
         Ok(album)
@@ -61,16 +59,6 @@ impl Album {
         path
     }
 
-    fn may_write(&self, path: &Path) -> Result<(), String> {
-        if self.force || !path.exists() {
-            return Ok(());
-        }
-        let shown = path.display();
-        Err(format!(
-            "{shown}: is there already and is left as it is; name another folder, or --force to replace it"
-        ))
-    }
-
     /// Writes an annotated image, if annotated images are wanted: to the place of its file, or for a message of a recording
     /// to one after its name.
     ///
@@ -84,9 +72,7 @@ impl Album {
                 // What stands in a recording names no folder.
                 let plain = |c: char| if c.is_alphanumeric() || c == '.' || c == '-' { c } else { '_' };
                 let name: String = name.chars().map(plain).collect();
-                let path = self.place(&folder, &name);
-                self.may_write(&path)?;
-                path
+                self.place(&folder, &name)
             }
         };
         let failed = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
@@ -99,12 +85,12 @@ impl Album {
 mod tests {
     use super::*;
 
-    fn into(folder: &Path, force: bool) -> AnnotateArgs {
-        AnnotateArgs { annotate: Some(folder.into()), force }
+    fn into(folder: &Path) -> AnnotateArgs {
+        AnnotateArgs { annotate: Some(folder.into()) }
     }
 
     #[test]
-    fn no_file_is_replaced_and_no_image_by_another() {
+    fn no_image_is_replaced_and_no_annotated_one_by_another() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let at = |name: &str| folder.path().join(name);
         let image = Image::from_rgb(1, 1, vec![1; 3]).expect("it has the size");
@@ -112,12 +98,12 @@ mod tests {
         let images = [at("a.png"), at("a.jpg"), at("other/a.png")];
         images.iter().for_each(|image| fs::write(image, b"mine").expect("it can be written"));
 
-        let same = Album::of(&into(folder.path(), true), &images).expect_err("the images are in it");
+        let same = Album::of(&into(folder.path()), &images).expect_err("the images are in it");
         assert!(same.contains("a.png: is one of the images themselves"), "{same}");
-        let file = Album::of(&into(&at("a.png"), true), &images).expect_err("it is a file");
+        let file = Album::of(&into(&at("a.png")), &images).expect_err("it is a file");
         assert!(file.contains("is a file; name a folder"), "{file}");
 
-        let mut album = Album::of(&into(&at("seen"), false), &images).expect("there is a place for each");
+        let mut album = Album::of(&into(&at("seen")), &images).expect("there is a place for each");
         let name = |file: &Path| file.to_str().expect("it is text").to_owned();
         images.iter().for_each(|file| album.keep(&name(file), &image).expect("it can be written"));
         let names = fs::read_dir(at("seen")).expect("it is there").filter_map(Result::ok);
@@ -125,11 +111,10 @@ mod tests {
         assert_eq!(names, ["a.png", "a_2.png", "a_3.png"].map(Into::into).into());
         assert!(images.iter().all(|image| fs::read(image).is_ok_and(|bytes| bytes == b"mine")));
 
-        let again = Album::of(&into(&at("seen"), false), &images).expect_err("they are there");
-        assert!(again.contains("--force"), "{again}");
-        assert!(Album::of(&into(&at("seen"), true), &images).is_ok());
-        let mut frames = Album::of(&into(&at("seen"), false), &[]).expect("a recording has no files");
-        assert!(frames.keep("a", &image).is_err());
+        let mut again =
+            Album::of(&into(&at("seen")), &images[..1]).expect("what was seen before is replaced");
+        again.keep(&name(&images[0]), &image).expect("it can be written");
+        let mut frames = Album::of(&into(&at("seen")), &[]).expect("a recording has no files");
         frames.keep("../a.b@12", &image).expect("it can be written");
         assert!(at("seen/.._a.b_12.png").is_file());
         assert!(Album::default().keep("a", &image).is_ok());

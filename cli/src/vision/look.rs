@@ -230,7 +230,7 @@ mod tests {
         let file = annotate::png(&image).expect("it is a picture");
         fs::write(folder.path().join("b.png"), file).expect("it can be written");
         let annotated = folder.path().join("seen");
-        let to = AnnotateArgs { annotate: Some(annotated.clone()), force: false };
+        let to = AnnotateArgs { annotate: Some(annotated.clone()) };
         let asked = LookArgs { annotate: to, ..args(vec![folder.path().into()]) };
         let (status, out, err) = looked(asked, &Seek::Marker([40, 170, 60]));
         let lines: Vec<serde_json::Value> =

@@ -1,4 +1,4 @@
-//! Where the rooms' warnings go while an `armarium image` command runs: to standard error, a line each, with nothing before
+//! Where the rooms' warnings go while a command works for people that has no robot and no clock: to standard error, a line each, with nothing before
 //! them but what they are. `RUST_LOG` shows more where it is set.
 
 use std::fmt;
@@ -41,7 +41,7 @@ where
 ///
 /// # Errors
 /// When `RUST_LOG` cannot be read.
-pub(super) fn show() -> Result<(), String> {
+pub(crate) fn show() -> Result<(), String> {
     let wanted = std::env::var("RUST_LOG").unwrap_or_default();
     let wanted = if wanted.trim().is_empty() { SHOWN } else { &wanted };
     let filter = EnvFilter::try_new(wanted).map_err(|e| format!("RUST_LOG={wanted}: {e}"))?;
