@@ -197,8 +197,7 @@ fn turns_nowhere(value: &Value) -> bool {
     match value {
         Value::Pose(pose) => {
             let norm = pose.orientation.iter().map(|x| x * x).sum::<f64>().sqrt();
-            // Not a number is no unit either.
-            !((norm - 1.0).abs() < UNIT)
+            norm.is_nan() || (norm - 1.0).abs() > UNIT
         }
         Value::List(items) => items.iter().any(turns_nowhere),
         Value::Map(fields) => fields.values().any(turns_nowhere),

@@ -193,10 +193,12 @@ fn names_that_are_gone_are_free_again() {
     let clock = move || time.fetch_add(1_000_000, std::sync::atomic::Ordering::Relaxed);
     let limits = Limits { entities: 100_000, shares: 1, ..Limits::default() };
     let memory = WorkingMemory::new(Arc::new(clock)).with_limits(limits);
-    let id = |i: u64| EntityId::new("Things", if i % 2 == 0 { "p" } else { "q" }, &format!("e{i}")).unwrap();
+    let id = |i: u64| {
+        EntityId::new("Things", if i.is_multiple_of(2) { "p" } else { "q" }, &format!("e{i}")).unwrap()
+    };
     for i in 0..300_000 {
         memory.commit_now(vec![Commit::new(id(i), i, [("value", Value::Int(1))])]).unwrap();
-        if i % 1000 != 0 {
+        if !i.is_multiple_of(1000) {
             memory.commit_now(vec![Commit::removal(id(i), i)]).unwrap();
         }
     }

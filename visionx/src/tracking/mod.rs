@@ -17,6 +17,7 @@ mod likeness;
 mod mixture;
 mod photograph;
 mod recognizer;
+mod refusal;
 mod skin;
 mod tips;
 

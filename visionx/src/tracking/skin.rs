@@ -15,6 +15,7 @@ use super::lab::{LabImage, apart};
 use super::likeness::{Likeness, unlike_skin};
 use super::mixture::Mixture;
 use super::photograph::measured;
+use super::refusal::is_no_hand;
 use crate::components::components;
 use crate::frame::Image;
 use crate::mask::{Mask, Region};
@@ -75,6 +76,9 @@ impl SkinSegmentation {
         let fine = LabImage::of(image, FINE)?;
         let enlarged = enlarge(&best, &fine);
         let mask = without_threads(cut_out(&fine, &enlarged).unwrap_or(enlarged));
+        if is_no_hand(&fine, &mask) {
+            return None;
+        }
         let confidence = 1.0 / (1.0 + (-(score - LEAST_SCORE) / 2.0).exp());
         Some(Self { mask, scale: fine.scale, confidence })
     }

@@ -1,0 +1,225 @@
+//! What looks like no hand: regions of a photograph that were cut out as one and that are, in one respect, farther from all
+//! hands of a collection than these are from each other.
+//!
+//! # Source
+//! Measured on 513 pictures of hands, three of them photographs and the others rendered, turned, scaled, recoloured or pasted on
+//! other pictures: the most extreme of them, in brackets below, and a fifth more. Boxes and balls are told from fists by hand.
+
+use nalgebra::{Point2, Vector2};
+
+use super::distance::inside;
+use super::lab::LabImage;
+use crate::mask::Mask;
+use crate::outline::Outline;
+
+/// Share of the picture's border (hands: 0.25).
+const BORDER: f64 = 0.30;
+/// Share of the picture (0.45).
+const SHARE: f64 = 0.54;
+/// Squared perimeter over that of a disc of the same area (5.5).
+const RAGGED: f64 = 6.6;
+/// Area over that of the smallest rectangle around it (0.885): a box.
+const RECTANGLE: f64 = 0.93;
+/// Area of the largest disc inside over the area (0.75): a ball.
+const DISC: f64 = 0.86;
+/// Change of colour from pixel to pixel inside, CIELAB (2.8).
+const TEXTURE: f64 = 3.4;
+/// The same over that along the outline (0.48).
+const BLURRED: f64 = 0.58;
+/// Deviation of a* or b*, as a part of L* + 16 (0.15).
+const MOTLEY: f64 = 0.178;
+/// How deep inside texture is looked at, radii of the largest disc.
+const DEEP: f64 = 0.12;
+
+/// Whether what was cut out of a picture, a mask of all of it, is no hand.
+pub(super) fn is_no_hand(image: &LabImage, mask: &Mask) -> bool {
+    let view = View { image, mask, width: image.width as i64, height: image.height as i64 };
+    let pixels = view.pixels();
+    let area = pixels.len() as f64;
+    let radius = inside(mask).into_iter().map(f64::from).fold(0.0, f64::max);
+    if area < 1.0 || radius < 1.0 {
+        return true;
+    }
+    let edge: Vec<(i64, i64)> = pixels.iter().copied().filter(|at| view.is_edge(*at)).collect();
+    let perimeter = edge.len() as f64;
+    area > SHARE * (view.width * view.height) as f64
+        || view.border() > BORDER
+        || perimeter * perimeter > RAGGED * 4.0 * std::f64::consts::PI * area
+        || std::f64::consts::PI * radius * radius > DISC * area
+        || rectangle(&pixels).is_some_and(|around| area > RECTANGLE * around)
+        || view.motley(&pixels) > MOTLEY
+        || view.is_textured(&pixels, &edge, radius)
+}
+
+struct View<'v> {
+    image: &'v LabImage,
+    mask: &'v Mask,
+    width: i64,
+    height: i64,
+}
+
+impl View<'_> {
+    fn pixels(&self) -> Vec<(i64, i64)> {
+        let all = (0..self.height).flat_map(|y| (0..self.width).map(move |x| (x, y)));
+        all.filter(|(x, y)| self.mask.contains(*x, *y)).collect()
+    }
+
+    /// Whether there is something else beside a pixel of the region; the picture's border is nothing.
+    fn is_edge(&self, (x, y): (i64, i64)) -> bool {
+        let beside = [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)];
+        beside.into_iter().any(|(x, y)| {
+            (0..self.width).contains(&x) && (0..self.height).contains(&y) && !self.mask.contains(x, y)
+        })
+    }
+
+    /// The share of the picture's border that is in the region.
+    fn border(&self) -> f64 {
+        let (right, bottom) = (self.width - 1, self.height - 1);
+        let rows = (0..self.width).flat_map(|x| [(x, 0), (x, bottom)]);
+        let columns = (1..bottom).flat_map(|y| [(0, y), (right, y)]);
+        let (mut held, mut all) = (0.0, 0.0);
+        for (x, y) in rows.chain(columns) {
+            held += f64::from(u8::from(self.mask.contains(x, y)));
+            all += 1.0;
+        }
+        held / all
+    }
+
+    /// The larger deviation of a* and b* from their means, each as a part of the light.
+    fn motley(&self, pixels: &[(i64, i64)]) -> f64 {
+        let deviation = |channel: usize| {
+            let of = |at: &(i64, i64)| {
+                let color = self.image.at(at.0, at.1);
+                f64::from(color[channel]) / (f64::from(color[0]) + 16.0)
+            };
+            let count = pixels.len() as f64;
+            let mean = pixels.iter().map(of).sum::<f64>() / count;
+            (pixels.iter().map(|at| (of(at) - mean).powi(2)).sum::<f64>() / count).sqrt()
+        };
+        deviation(1).max(deviation(2))
+    }
+
+    /// Whether colours change inside as they do along an outline, or more than on skin.
+    fn is_textured(&self, pixels: &[(i64, i64)], edge: &[(i64, i64)], radius: f64) -> bool {
+        let depth = self.depth();
+        let least = (DEEP * radius).floor().max(2.0) as u32;
+        let deep: Vec<(i64, i64)> =
+            pixels.iter().copied().filter(|(x, y)| depth[(y * self.width + x) as usize] > least).collect();
+        let deep = if deep.len() < 20 { pixels } else { &deep[..] };
+        let mean = |places: &[(i64, i64)]| {
+            places.iter().map(|at| self.change(*at)).sum::<f64>() / places.len().max(1) as f64
+        };
+        let within = mean(deep);
+        within > TEXTURE || (!edge.is_empty() && within > BLURRED * mean(edge))
+    }
+
+    /// How many steps of a pixel lead out of the region, beyond the picture not at all.
+    fn depth(&self) -> Vec<u32> {
+        let (w, h) = (self.width, self.height);
+        let far = u32::try_from(w + h).unwrap_or(u32::MAX);
+        let place = |x: i64, y: i64| (y * w + x) as usize;
+        let mut depth = vec![0; (w * h) as usize];
+        let relax = |x: i64, y: i64, from: [(i64, i64); 2], depth: &mut Vec<u32>| {
+            let is_in = |(x, y): &(i64, i64)| (0..w).contains(x) && (0..h).contains(y);
+            for (u, v) in from.into_iter().filter(is_in) {
+                depth[place(x, y)] = depth[place(x, y)].min(depth[place(u, v)] + 1);
+            }
+        };
+        for y in 0..h {
+            for x in 0..w {
+                depth[place(x, y)] = if self.mask.contains(x, y) { far } else { 0 };
+                relax(x, y, [(x - 1, y), (x, y - 1)], &mut depth);
+            }
+        }
+        for y in (0..h).rev() {
+            for x in (0..w).rev() {
+                relax(x, y, [(x + 1, y), (x, y + 1)], &mut depth);
+            }
+        }
+        depth
+    }
+
+    /// How much the colour changes at a pixel of the smoothed picture, a pixel.
+    fn change(&self, (x, y): (i64, i64)) -> f64 {
+        // Sobel's differences of the picture smoothed by a Gaussian of one pixel, in one kernel along each axis.
+        const SMOOTH: [f32; 7] =
+            [0.0625 / 4.0, 0.375 / 4.0, 0.9375 / 4.0, 1.25 / 4.0, 0.9375 / 4.0, 0.375 / 4.0, 0.0625 / 4.0];
+        const SLOPE: [f32; 7] = [-0.03125, -0.125, -0.15625, 0.0, 0.15625, 0.125, 0.03125];
+        let (mut along, mut across) = ([0.0_f32; 3], [0.0_f32; 3]);
+        for (j, v) in (-3..=3).enumerate() {
+            for (i, u) in (-3..=3).enumerate() {
+                let color = self.image.at(x + u, y + v);
+                for c in 0..3 {
+                    along[c] += SLOPE[i] * SMOOTH[j] * color[c];
+                    across[c] += SMOOTH[i] * SLOPE[j] * color[c];
+                }
+            }
+        }
+        f64::from((0..3).map(|c| along[c] * along[c] + across[c] * across[c]).sum::<f32>()).sqrt()
+    }
+}
+
+/// The area of the smallest rectangle around pixels, px²: one of its sides lies along their hull.
+fn rectangle(pixels: &[(i64, i64)]) -> Option<f64> {
+    let mut points: Vec<Point2<f64>> =
+        pixels.iter().map(|(x, y)| Point2::new(*x as f64, *y as f64)).collect();
+    let hull = Outline::hull(&mut points)?;
+    let corners = hull.corners();
+    let extent = |along: &Vector2<f64>| {
+        let at = corners.iter().map(|corner| corner.coords.dot(along));
+        let (low, high) = at.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
+        high - low + 1.0
+    };
+    let areas = (0..corners.len()).map(|i| {
+        let along = (corners[(i + 1) % corners.len()] - corners[i]).normalize();
+        extent(&along) * extent(&Vector2::new(-along.y, along.x))
+    });
+    areas.min_by(f64::total_cmp)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::Image;
+    use crate::mask::Region;
+
+    /// A picture of `inside` where `holds`, of gray elsewhere, and the mask of it.
+    fn picture(holds: impl Fn(i64, i64) -> bool, inside: impl Fn(i64, i64) -> [u8; 3]) -> (LabImage, Mask) {
+        let (w, h) = (120, 160);
+        let mut mask = Mask::empty(Region::whole(w, h));
+        let mut bytes = Vec::new();
+        for y in 0..i64::from(h) {
+            for x in 0..i64::from(w) {
+                mask.data_mut()[(y * i64::from(w) + x) as usize] = u8::from(holds(x, y));
+                bytes.extend(if holds(x, y) { inside(x, y) } else { [90, 95, 92] });
+            }
+        }
+        let image = Image::from_rgb(w, h, bytes).unwrap();
+        (LabImage::of(&image, 480).unwrap(), mask)
+    }
+
+    const SKIN: [u8; 3] = [222, 170, 140];
+
+    fn is_refused(holds: impl Fn(i64, i64) -> bool, inside: impl Fn(i64, i64) -> [u8; 3]) -> bool {
+        let (image, mask) = picture(holds, inside);
+        is_no_hand(&image, &mask)
+    }
+
+    #[test]
+    fn a_hand_is_none_of_these() {
+        let fist = |x: i64, y: i64| {
+            ((x - 60) * (x - 60) + (y - 60) * (y - 60) < 30 * 30) || ((45..75).contains(&x) && y > 60)
+        };
+        assert!(!is_refused(fist, |_, _| SKIN), "a fist and its arm");
+        assert!(is_refused(|x, y| x > 20 && y > 50, |_, _| SKIN), "a table, to three borders");
+        assert!(is_refused(|x, y| (30..90).contains(&x) && (50..110).contains(&y), |_, _| SKIN), "a box");
+        let tilted = |x: i64, y: i64| (x + y - 140).abs() < 50 && (x - y + 20).abs() < 25;
+        assert!(is_refused(tilted, |_, _| SKIN), "a box that is turned");
+        assert!(is_refused(|x, y| (x - 60) * (x - 60) + (y - 70) * (y - 70) < 900, |_, _| SKIN), "a ball");
+        let noise =
+            |x: i64, y: i64| if (x * 7919 + y * 104_729) % 5 < 2 { [250, 200, 120] } else { [150, 120, 160] };
+        assert!(is_refused(fist, noise), "noise");
+        assert!(is_refused(|x, y| fist(x, y) && (x + y) % 6 < 3, |_, _| SKIN), "threads");
+        assert!(is_refused(|_, _| false, |_, _| SKIN), "nothing");
+    }
+}
