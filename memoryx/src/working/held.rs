@@ -165,11 +165,11 @@ impl State {
 
     pub(super) fn put_in(&mut self, snapshot: &Arc<Snapshot>, keep: usize) {
         let (mut freed, mut entities) = (0, 0);
-        let was_gone = self.newest(&snapshot.id).is_some_and(|newest| newest.is_removed());
-        self.gone = self.gone + usize::from(snapshot.is_removed()) - usize::from(was_gone);
+        let mut was_gone = false;
         let place = match self.histories.get_full_mut(&snapshot.id) {
             Some((place, _, history)) => {
                 let before = std::mem::replace(&mut history.newest, Arc::clone(snapshot));
+                was_gone = before.is_removed();
                 history.older.push_back(before);
                 while history.older.len() >= keep {
                     if let Some(old) = history.older.pop_front() {
@@ -183,6 +183,7 @@ impl State {
                 self.put_in_new(snapshot)
             }
         };
+        self.gone = self.gone + usize::from(snapshot.is_removed()) - usize::from(was_gone);
         let bytes = snapshot.bytes();
         self.bytes = (self.bytes + bytes).saturating_sub(freed);
         let owner = owner(&snapshot.id);
