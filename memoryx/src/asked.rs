@@ -185,6 +185,19 @@ pub(crate) fn places(from: i64, to: i64, count: usize) -> std::ops::Range<usize>
     index(from)..index(to) + 1
 }
 
+/// The first and the last version from one place in a history to another, negative ones counted from the end, where `at`
+/// gives the version in a place; `None` where there is none between them.
+pub(crate) fn versions_between<E>(
+    from: i64,
+    to: i64,
+    at: impl Fn(i64) -> Result<Option<u64>, E>,
+) -> Result<Option<(u64, u64)>, E> {
+    // What is before the beginning is the beginning for the first place, and nothing for the last one.
+    let first = at(from)?.or((from < 0).then_some(0));
+    let last = at(to)?.or((to >= 0).then_some(u64::MAX));
+    Ok(first.zip(last))
+}
+
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeMap;

@@ -59,7 +59,7 @@ pub use store::{
     Coding, Consolidator, Dropped, LongTermMemory, Named, Numbering, Policies, Policy, Retention, Step,
     StoreError, StoreStats, Verification,
 };
-pub use working::{Backing, Clock, Limits, WorkingMemory, tokio_clock};
+pub use working::{Backing, Clock, Kept, Limits, WorkingMemory, tokio_clock};
 
 #[cfg(test)]
 mod hostile_tests;

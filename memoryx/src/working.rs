@@ -86,29 +86,31 @@ pub trait Backing: Send + Sync {
     /// [`MemoryError::Store`] when they cannot be taken; the commit is then refused.
     fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError>;
 
-    /// What a query asks for of all that was ever taken.
+    /// What it has taken so far, where that can be asked.
+    fn kept(&self) -> Option<&dyn Kept> {
+        None
+    }
+}
+
+/// All that a [`Backing`] was ever given.
+pub trait Kept {
+    /// What a query asks for.
     ///
     /// # Errors
     /// [`MemoryError::Store`] when it cannot be read; [`MemoryError::Query`].
-    fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
-        query.ask().map(|_| Vec::new())
-    }
+    fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError>;
 
-    /// Gives the versions of one entity that a query chooses among all that was ever taken, whatever its bounds, to
-    /// `act`, in their order or `backwards`, until it says that this is enough. The query is not about one time.
+    /// Gives the versions that a query chooses of the one entity that its pattern names, whatever its bounds, to `act`, in
+    /// their order or `backwards`, until it says that this is enough. The query is not about one time.
     ///
     /// # Errors
     /// As [`Self::recall`].
     fn versions(
         &self,
         query: &Query,
-        id: &EntityId,
         backwards: bool,
         act: &mut dyn FnMut(u64) -> bool,
-    ) -> Result<(), MemoryError> {
-        let _ = (id, backwards, act);
-        query.ask().map(|_| ())
-    }
+    ) -> Result<(), MemoryError>;
 }
 
 /// The memory of one agent, in this process.
@@ -320,9 +322,9 @@ impl WorkingMemory {
     /// As [`Memory::query`].
     pub fn query_now(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         let asked = query.ask()?;
-        let backing = self.backing.as_ref().filter(|_| query.long_term);
-        match backing {
-            Some(backing) => Both { memory: self, backing: &**backing }.ask(&asked),
+        let kept = self.backing.as_ref().filter(|_| query.long_term).and_then(|backing| backing.kept());
+        match kept {
+            Some(kept) => Both { memory: self, kept }.ask(&asked),
             None => Ok(self.read().select(&asked)),
         }
     }

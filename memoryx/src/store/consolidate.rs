@@ -12,9 +12,8 @@ use std::time::Duration;
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::follow::{Change, Follower};
-use crate::query::Query;
 use crate::store::{Coding, LongTermMemory, StoreError};
-use crate::working::Backing;
+use crate::working::{Backing, Kept};
 
 /// Changes that are kept in one transaction.
 const BATCH: usize = 4096;
@@ -302,18 +301,8 @@ impl Backing for Consolidator {
         Ok(())
     }
 
-    fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
-        self.store.recall(query)
-    }
-
-    fn versions(
-        &self,
-        query: &Query,
-        id: &EntityId,
-        backwards: bool,
-        act: &mut dyn FnMut(u64) -> bool,
-    ) -> Result<(), MemoryError> {
-        self.store.versions(query, id, backwards, act)
+    fn kept(&self) -> Option<&dyn Kept> {
+        Some(&*self.store)
     }
 }
 
@@ -330,17 +319,7 @@ impl Backing for Numbering {
         Ok(())
     }
 
-    fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
-        self.0.recall(query)
-    }
-
-    fn versions(
-        &self,
-        query: &Query,
-        id: &EntityId,
-        backwards: bool,
-        act: &mut dyn FnMut(u64) -> bool,
-    ) -> Result<(), MemoryError> {
-        self.0.versions(query, id, backwards, act)
+    fn kept(&self) -> Option<&dyn Kept> {
+        Some(&*self.0)
     }
 }

@@ -39,7 +39,7 @@ use redb::{Database, ReadableDatabase, ReadableTableMetadata, TableDefinition};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Cursor, Pattern, Query};
-use crate::working::{Backing, WorkingMemory};
+use crate::working::{Backing, Kept, WorkingMemory};
 
 mod coding;
 mod consolidate;
@@ -237,6 +237,12 @@ impl Backing for LongTermMemory {
         Ok(())
     }
 
+    fn kept(&self) -> Option<&dyn Kept> {
+        Some(self)
+    }
+}
+
+impl Kept for LongTermMemory {
     fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         Ok(self.query(query)?)
     }
@@ -244,11 +250,10 @@ impl Backing for LongTermMemory {
     fn versions(
         &self,
         query: &Query,
-        id: &EntityId,
         backwards: bool,
         act: &mut dyn FnMut(u64) -> bool,
     ) -> Result<(), MemoryError> {
-        Ok(self.versions_of(query, id, backwards, act)?)
+        Ok(self.versions_of(query, backwards, act)?)
     }
 }
 

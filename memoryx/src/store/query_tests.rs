@@ -94,6 +94,12 @@ impl Backing for InParts {
         self.store.take(snapshots)
     }
 
+    fn kept(&self) -> Option<&dyn Kept> {
+        Some(self)
+    }
+}
+
+impl Kept for InParts {
     fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         assert!(query.most.is_some_and(|most| most <= self.most) && query.most_bytes.is_some(), "{query:?}");
         self.store.recall(query)
@@ -102,11 +108,10 @@ impl Backing for InParts {
     fn versions(
         &self,
         query: &Query,
-        id: &EntityId,
         backwards: bool,
         act: &mut dyn FnMut(u64) -> bool,
     ) -> Result<(), MemoryError> {
-        self.store.versions(query, id, backwards, act)
+        self.store.versions(query, backwards, act)
     }
 }
 

@@ -9,7 +9,7 @@ use redb::{AccessGuard, ReadOnlyTable, ReadTransaction, ReadableDatabase, Readab
 
 use super::record::{self, Hash};
 use super::{BLOBS, CHUNKS, ENTITIES, INDEX, LongTermMemory, Row, StoreError};
-use crate::asked::{Answer, Asked};
+use crate::asked::{Answer, Asked, versions_between};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Pattern, Query, Times};
@@ -167,11 +167,7 @@ impl<'s> Reader<'s> {
         let (from, to) = match query.times {
             Times::Versions(from, to) => (from, to),
             Times::Index(from, to) => {
-                let (first, last) = (self.at(entity, from)?, self.at(entity, to)?);
-                // Before the beginning is the beginning for the first place, and nothing for the last one.
-                let first = first.or((from < 0).then_some(0));
-                let last = last.or((to >= 0).then_some(u64::MAX));
-                first.zip(last).unwrap_or(NONE)
+                versions_between(from, to, |place| self.at(entity, place))?.unwrap_or(NONE)
             }
             // An answer that goes on in an entity is beyond what arrived earlier.
             _ if after.is_some() => (0, u64::MAX),
@@ -323,17 +319,17 @@ impl LongTermMemory {
         })
     }
 
-    /// See [`crate::Backing::versions`].
+    /// See [`crate::Kept::versions`].
     pub(super) fn versions_of(
         &self,
         query: &Query,
-        id: &EntityId,
         backwards: bool,
         act: &mut dyn FnMut(u64) -> bool,
     ) -> Result<(), StoreError> {
         let asked = query.ask().map_err(no_question)?;
+        let Some(id) = query.pattern.exact() else { return Ok(()) };
         self.read(|reader| {
-            let Some(entity) = reader.entity(id)? else { return Ok(()) };
+            let Some(entity) = reader.entity(&id)? else { return Ok(()) };
             let bounds = reader.bounds(&asked, &entity)?;
             reader.choose(&asked, &entity, bounds, backwards, |version, _| Ok(act(version)))
         })

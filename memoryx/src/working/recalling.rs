@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::{Backing, WorkingMemory};
-use crate::asked::{Answer, Asked};
+use super::{Kept, WorkingMemory};
+use crate::asked::{Answer, Asked, versions_between};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Cursor, Pattern, Query, Times};
@@ -21,7 +21,7 @@ type Known = BTreeMap<EntityId, BTreeMap<u64, Arc<Snapshot>>>;
 /// What is held, and what was ever kept.
 pub(super) struct Both<'m> {
     pub(super) memory: &'m WorkingMemory,
-    pub(super) backing: &'m dyn Backing,
+    pub(super) kept: &'m dyn Kept,
 }
 
 impl Both<'_> {
@@ -55,7 +55,7 @@ impl Both<'_> {
 
     /// A part of what both know, and where it ends if there is more.
     fn part(&self, wide: &Query) -> Result<(Known, Option<Cursor>), MemoryError> {
-        let recalled = self.backing.recall(wide)?;
+        let recalled = self.kept.recall(wide)?;
         let held = self.memory.read().select(&wide.ask()?);
         let cut = [&recalled, &held].into_iter().filter(|part| wide.is_filled_by(part));
         // Beyond the end of a part that was cut not everything is known: that is asked for again.
@@ -107,10 +107,7 @@ impl Both<'_> {
                 let index = if place < 0 { -1 - place } else { place };
                 self.nth(&all, id, usize::try_from(index).unwrap_or(usize::MAX), place < 0)
             };
-            // Before the beginning is the beginning for the first place, and nothing for the last one.
-            let first = at(from)?.or((from < 0).then_some(0));
-            let last = at(to)?.or((to >= 0).then_some(u64::MAX));
-            let Some((first, last)) = first.zip(last) else { return Ok(()) };
+            let Some((first, last)) = versions_between(from, to, at)? else { return Ok(()) };
             query.times = Times::Versions(first, last);
         }
         let one = Asked { query: &query, filter: asked.filter.clone() };
@@ -145,7 +142,7 @@ impl Both<'_> {
             }
             found.is_some()
         };
-        self.backing.versions(asked.query(), id, backwards, &mut |version| {
+        self.kept.versions(asked.query(), backwards, &mut |version| {
             let is_before = |held: &u64| if backwards { *held > version } else { *held < version };
             while let Some(earlier) = held.next_if(is_before) {
                 is_found(earlier);
