@@ -23,8 +23,9 @@ use zenoh::shm::{
 };
 
 use crate::attached;
+use crate::error::SessionError;
 use crate::keys::{Key, KeyPattern};
-use crate::session::{Session, SessionError};
+use crate::session::Session;
 
 /// Payloads of the last size that a pool has room for.
 const ROOM: usize = 8;

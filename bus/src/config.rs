@@ -2,7 +2,7 @@
 
 use serde_json::{Value as Json, json};
 
-use crate::session::SessionError;
+use crate::error::SessionError;
 
 /// What a session is on the network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -14,6 +14,7 @@ mod attached;
 pub mod bulk;
 pub mod codec;
 mod config;
+mod error;
 pub mod keys;
 mod message;
 mod queue;
@@ -22,11 +23,12 @@ pub mod session;
 
 pub use access::Access;
 pub use codec::{Bounds, CodecError, decode, decode_within, encode};
+pub use error::SessionError;
 pub use keys::{Key, KeyError, KeyPattern};
 pub use schema::{Payload, Schema};
 pub use session::{
     AliveToken, Answer, Interest, Liveliness, Message, Mode, Question, Questions, Roll, Session,
-    SessionConfig, SessionError, Subscription, Tls,
+    SessionConfig, Subscription, Tls,
 };
 
 #[cfg(test)]

@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use crate::bulk::Bulk;
 use crate::keys::{self, KeyPattern};
-use crate::session::{ANSWER_TIMEOUT, Answer, Session, SessionConfig, SessionError};
+use crate::error::SessionError;
+use crate::session::{ANSWER_TIMEOUT, Answer, Session, SessionConfig};
 
 async fn pair() -> (Session, Session) {
     let one = Session::open(&SessionConfig::default()).await.unwrap();

@@ -4,9 +4,9 @@
 use zenoh::bytes::Encoding;
 use zenoh::sample::{SampleKind, SourceInfo};
 
+use crate::error::{SessionError, failed};
 use crate::keys::Key;
 use crate::queue::{Queue, Weigh};
-use crate::session::{SessionError, failed};
 
 /// A payload with what names it.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -3,6 +3,7 @@
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use armarium_host::catalog;
 use armarium_simulator::World;
 
 use crate::render_findings::{Severity, Shown, any_error, render, summary};
@@ -98,6 +99,11 @@ fn check_file(
             .collect(),
         Ok(_) => check_chart(file, charts),
     }
+}
+
+/// Everything that is wrong with a chart, against the skills that ship.
+pub(crate) fn check_chart(file: &Path, folders: &[PathBuf]) -> Vec<Shown> {
+    catalog::load_idle(file, folders).findings.iter().map(Shown::from).collect()
 }
 
 /// Whether a file says that it is a world: it has the key `world` and not the key `statechart` at its outermost level.

@@ -2,8 +2,7 @@
 //!
 //! Warnings are shown; `-v` shows what happens too, and `RUST_LOG` decides instead where it is set.
 
-use std::sync::Arc;
-
+use armarium_host::Clock;
 use armarium_viewer::progress::Progress;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::format::Writer;
@@ -11,9 +10,6 @@ use tracing_subscriber::fmt::time::FormatTime;
 
 /// Zenoh warns whoever connects that his session does not gossip, which it is not to do.
 const QUIET: &str = "zenoh::net::routing::hat=error";
-
-/// Tells the time of the robot's world, ns.
-pub(crate) type Clock = Arc<dyn Fn() -> u64 + Send + Sync>;
 
 /// Tells the simulated time of an event.
 struct Simulated(Clock);
@@ -50,6 +46,14 @@ fn subscriber(
         .finish()
 }
 
+/// Whether `RUST_LOG` can be read.
+///
+/// # Errors
+/// What is wrong with it.
+pub(crate) fn check_environment() -> Result<(), String> {
+    filter(std::env::var("RUST_LOG").ok().as_deref(), false).map(drop)
+}
+
 /// From here on log events are shown; a second call in one process changes nothing.
 ///
 /// # Errors
@@ -76,7 +80,7 @@ pub(crate) fn install_dated() -> Result<(), String> {
 #[cfg(test)]
 mod tests {
     use std::io::Write;
-    use std::sync::Mutex;
+    use std::sync::{Arc, Mutex};
 
     use armarium_viewer::progress::Status;
 

@@ -1,40 +1,29 @@
-//! The program `armarium`: it puts the rooms together and prints. Each subcommand is a file of its own; this one reads the
-//! command line and turns what they return into the exit status.
+//! The program `armarium`: arguments, printing, exit codes. Each subcommand is a file of its own; this one reads the command
+//! line and turns what they return into the exit status. What they start is in `host`, `experiments` and the other rooms.
 
 mod agent;
-mod body;
 mod cameras;
-mod catalog;
 mod changes;
 mod check;
-mod chronicle;
-mod company;
-mod connection;
-mod following;
-mod gallery;
+mod connection_args;
+mod console;
 mod graph;
 mod image;
 mod import;
-mod judge;
 mod logging;
-mod memories;
 mod memory;
 mod new;
-mod plots;
-mod recording;
 mod render_findings;
 mod replay;
 mod reproduce;
 mod run;
-mod scene;
 mod schema;
 mod skills;
-mod stage;
 mod step;
+mod stopped;
 mod test_cases;
 mod vision;
 mod warnings;
-mod watching;
 
 use std::io::{self, IsTerminal as _, Write};
 use std::process::ExitCode;
@@ -104,7 +93,7 @@ fn main() -> ExitCode {
         Command::Run(args) => run::run(args, &mut io::stderr()),
         Command::Agent(args) => agent::run(args, &mut out),
         Command::Cameras(args) => cameras::run(args, &mut out),
-        Command::Check(args) => check::run(args, style(), &catalog::check_chart, &mut out),
+        Command::Check(args) => check::run(args, style(), &check::check_chart, &mut out),
         Command::Step(args) => step::run(args, &mut out, &mut io::stderr()),
         Command::Test(args) => test_cases::run(args, &mut out),
         Command::Replay(args) => replay::run(args, &mut out),

@@ -28,7 +28,7 @@ pub(crate) enum SchemaOf {
 pub(crate) fn run(args: SchemaArgs, out: &mut dyn Write) -> io::Result<u8> {
     let schema = match args.of {
         SchemaOf::World => serde_json::to_value(World::schema())?,
-        SchemaOf::Chart => armarium_runtime::chart::schema(&crate::catalog::idle_registry()),
+        SchemaOf::Chart => armarium_runtime::chart::schema(&armarium_host::catalog::idle_registry()),
     };
     serde_json::to_writer_pretty(&mut *out, &schema)?;
     writeln!(out)?;

@@ -2,9 +2,8 @@
 
 use std::io::{self, Write};
 
+use armarium_host::catalog;
 use armarium_runtime::skill::{Parameter, SkillManifest};
-
-use crate::catalog;
 
 /// What `skills` takes.
 #[derive(Clone, Debug, clap::Args)]

@@ -1,7 +1,8 @@
 //! The memory of one agent, put together: working memory on a long-term file, shared over Zenoh, following others.
 //!
-//! This is what a program runs for an agent; it reads no command line and opens no session.
+//! Every program opens an agent's memory here, a run in virtual time too. It reads no command line and opens no session.
 
+use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,7 +18,7 @@ use crate::remote::RemoteMemory;
 use crate::server::MemoryServer;
 use crate::share::{FollowSettings, Following};
 use crate::store::{Consolidator, LongTermMemory, Policies, Policy, Retention};
-use crate::working::{Limits, WorkingMemory};
+use crate::working::{Backing, Clock, Limits, WorkingMemory};
 
 /// How often long-term memory forgets what is old or too much.
 const RETAIN_EVERY: Duration = Duration::from_secs(60);
@@ -33,6 +34,8 @@ pub struct AgentConfig {
     pub store: Option<PathBuf>,
     /// What of working memory is kept; it is durable when a commit is acknowledged.
     pub policies: Policies,
+    /// What of it is in working memory again after a start; all of it can be asked for.
+    pub restored: Restored,
     /// How much is kept.
     pub retention: Retention,
     /// How much working memory holds.
@@ -55,6 +58,7 @@ impl AgentConfig {
             name: name.into(),
             store: None,
             policies: Policies::all(Policy::Everything),
+            restored: Restored::All,
             retention: Retention::default(),
             limits: Limits::of_agent(),
             follow: Vec::new(),
@@ -72,47 +76,104 @@ impl AgentConfig {
     }
 }
 
-/// An agent's memory, shared for as long as this lives.
-#[derive(Debug)]
+/// Which core segments of the file are in working memory again after a start.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Restored {
+    /// All of them.
+    All,
+    /// These.
+    Only(Vec<String>),
+    /// All but these.
+    AllBut(Vec<String>),
+}
+
+impl Restored {
+    fn has(&self, segment: &str) -> bool {
+        let names = |list: &[String]| list.iter().any(|name| name == segment);
+        match self {
+            Self::All => true,
+            Self::Only(list) => names(list),
+            Self::AllBut(list) => !names(list),
+        }
+    }
+}
+
+/// An agent's memory. It is shared with others after [`Self::share`], for as long as this lives.
 pub struct AgentMemory {
     memory: Arc<WorkingMemory>,
-    store: Option<Arc<LongTermMemory>>,
-    _server: MemoryServer,
-    _inferences: Vec<Attached>,
-    _tasks: JoinSet<()>,
+    kept: Option<Arc<Consolidator>>,
+    clock: Clock,
+    server: Option<MemoryServer>,
+    inferences: Vec<Attached>,
+    tasks: JoinSet<()>,
+}
+
+impl fmt::Debug for AgentMemory {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("AgentMemory").field("memory", &self.memory).field("server", &self.server).finish()
+    }
 }
 
 impl AgentMemory {
-    /// Opens the file, loads what was known last, and shares it. Times are those of the session: ns since 1970.
+    /// Opens the file, whose folder is made if it is not there, and restores what was known. Nothing is shared yet.
     ///
     /// # Errors
-    /// [`MemoryError::Store`] when the file cannot be used; as [`MemoryServer::start`].
-    pub async fn start(session: &Session, config: AgentConfig) -> Result<Self, MemoryError> {
-        let clock = session.clone();
-        let mut memory = WorkingMemory::new(Arc::new(move || clock.now_ns())).with_limits(config.limits);
-        let store = config.store.as_deref().map(LongTermMemory::open).transpose()?.map(Arc::new);
-        if let Some(store) = &store {
-            memory =
-                memory.with_backing(Arc::new(Consolidator::new(Arc::clone(store), config.policies.clone())));
-            store.load_into(&memory, Pattern::any())?;
+    /// [`MemoryError::Store`] when the file cannot be used; as [`WorkingMemory::commit_now`] for prior knowledge.
+    pub fn open(config: &AgentConfig, clock: Clock) -> Result<Self, MemoryError> {
+        let mut memory = WorkingMemory::new(Arc::clone(&clock)).with_limits(config.limits);
+        let mut kept = None;
+        if let Some(file) = &config.store {
+            if let Some(folder) = file.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+                std::fs::create_dir_all(folder).map_err(|error| MemoryError::Store {
+                    what: format!("the folder `{}` cannot be made: {error}", folder.display()),
+                })?;
+            }
+            let store = Arc::new(LongTermMemory::open(file)?);
+            let consolidator = Arc::new(Consolidator::new(Arc::clone(&store), config.policies.clone()));
+            memory = memory.with_backing(Arc::clone(&consolidator) as Arc<dyn Backing>);
+            for segment in store.segments()?.iter().filter(|segment| config.restored.has(segment)) {
+                store.load_into(&memory, Pattern::segment(segment))?;
+            }
+            kept = Some(consolidator);
         }
         config.prior.put_into(&memory)?;
         let memory = Arc::new(memory);
-        let (shared, kept) = (Arc::clone(&memory), store.clone());
-        let server = MemoryServer::start_guarded(session, &config.name, shared, kept, config.guarded).await?;
-        let attach = |inference| {
-            let (clock, memory) = (session.clone(), Arc::<WorkingMemory>::clone(&memory));
-            Attached::start(memory, inference, Arc::new(move || clock.now_ns()))
-        };
-        let inferences = config.infer.into_iter().map(attach).collect();
-        let mut tasks = JoinSet::new();
-        for settings in config.follow {
-            tasks.spawn(follow(session.clone(), Arc::clone(&memory), settings));
+        Ok(Self { memory, kept, clock, server: None, inferences: Vec::new(), tasks: JoinSet::new() })
+    }
+
+    /// Lets others read and write it over `session`, follows the others, draws conclusions and forgets what is old: all that
+    /// the configuration says.
+    ///
+    /// # Errors
+    /// As [`MemoryServer::start`].
+    pub async fn share(&mut self, session: &Session, config: &AgentConfig) -> Result<(), MemoryError> {
+        let (shared, store) = (Arc::clone(&self.memory), self.store().cloned());
+        let server =
+            MemoryServer::start_guarded(session, &config.name, shared, store.clone(), config.guarded).await?;
+        self.server = Some(server);
+        for inference in &config.infer {
+            let memory = Arc::<WorkingMemory>::clone(&self.memory);
+            let attached = Attached::start(memory, Arc::clone(inference), Arc::clone(&self.clock));
+            self.inferences.push(attached);
         }
-        if let Some(store) = store.clone().filter(|_| config.retention != Retention::default()) {
-            tasks.spawn(keep_within(store, Arc::clone(&memory), config.retention));
+        for settings in &config.follow {
+            self.tasks.spawn(follow(session.clone(), Arc::clone(&self.memory), settings.clone()));
         }
-        Ok(Self { memory, store, _server: server, _inferences: inferences, _tasks: tasks })
+        if let Some(store) = store.filter(|_| config.retention != Retention::default()) {
+            self.tasks.spawn(keep_within(store, Arc::clone(&self.memory), config.retention));
+        }
+        Ok(())
+    }
+
+    /// Opens and shares in one. Times are those of the session: ns since 1970.
+    ///
+    /// # Errors
+    /// As [`Self::open`] and [`Self::share`].
+    pub async fn start(session: &Session, config: AgentConfig) -> Result<Self, MemoryError> {
+        let clock = session.clone();
+        let mut agent = Self::open(&config, Arc::new(move || clock.now_ns()))?;
+        agent.share(session, &config).await?;
+        Ok(agent)
     }
 
     /// What it knows now.
@@ -124,7 +185,18 @@ impl AgentMemory {
     /// What it keeps.
     #[must_use]
     pub fn store(&self) -> Option<&Arc<LongTermMemory>> {
-        self.store.as_ref()
+        self.kept.as_ref().map(|kept| kept.store())
+    }
+
+    /// Writes what policies have held back so far.
+    ///
+    /// # Errors
+    /// [`MemoryError::Store`] when the file cannot be written.
+    pub fn flush(&self) -> Result<(), MemoryError> {
+        match &self.kept {
+            Some(kept) => Ok(kept.flush().map(|_| ())?),
+            None => Ok(()),
+        }
     }
 }
 
@@ -147,7 +219,7 @@ async fn follow(session: Session, memory: Arc<WorkingMemory>, settings: FollowSe
 
 /// Has long-term memory forget what is too old or too much, every minute, for as long as it is waited for; the time is
 /// `memory`'s.
-pub async fn keep_within(store: Arc<LongTermMemory>, memory: Arc<WorkingMemory>, retention: Retention) {
+async fn keep_within(store: Arc<LongTermMemory>, memory: Arc<WorkingMemory>, retention: Retention) {
     while retention != Retention::default() {
         tokio::time::sleep(RETAIN_EVERY).await;
         let (store, now_ns) = (Arc::clone(&store), memory.now_ns());

@@ -15,8 +15,8 @@
 //! This room knows no robot and no image.
 
 mod agent;
-mod asked;
 mod attributes;
+mod checked_query;
 pub mod conformance;
 mod entity;
 mod error;
@@ -38,9 +38,9 @@ pub mod updater;
 pub mod wire;
 mod working;
 
-pub use agent::{AgentConfig, AgentMemory, keep_within};
-pub use asked::Asked;
+pub use agent::{AgentConfig, AgentMemory, Restored};
 pub use attributes::Attributes;
+pub use checked_query::CheckedQuery;
 pub use entity::{Commit, EntityId, Instance, Snapshot, check_name};
 pub use error::MemoryError;
 pub use filter::Filter;
@@ -54,7 +54,7 @@ pub use query::{Cursor, Pattern, Query, Times};
 pub use remote::RemoteMemory;
 pub use schema::{Attribute, SegmentSchema, core_segments};
 pub use server::MemoryServer;
-pub use share::{FollowSettings, Following};
+pub use share::{FollowSettings, FollowedAgent, Followee, Following, FollowingAgent, agent_stands};
 pub use store::{
     Coding, Consolidator, Dropped, LongTermMemory, Named, Numbering, Policies, Policy, Retention, Step,
     StoreError, StoreStats, Verification,

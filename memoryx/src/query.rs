@@ -1,11 +1,10 @@
-//! What can be asked of a memory. It answers nothing: every memory selects with [`Asked`], so that in process, on disk and
+//! What can be asked of a memory. It answers nothing: every memory selects with [`CheckedQuery`], so that in process, on disk and
 //! over Zenoh a query means the same.
 
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::asked::Asked;
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::filter::Filter;
@@ -213,16 +212,6 @@ impl Query {
         !self.is_nearest()
             && (self.most.is_some_and(|most| answer.len() >= most) || self.most_bytes.is_some_and(is_long))
     }
-
-    /// Checks the question.
-    ///
-    /// # Errors
-    /// [`MemoryError::Query`] when its expression or region is none.
-    pub fn ask(&self) -> Result<Asked<'_>, MemoryError> {
-        self.region.as_ref().map_or(Ok(()), Region::check)?;
-        let filter = self.filter.as_deref().map(Filter::compile).transpose()?;
-        Ok(Asked { query: self, filter })
-    }
 }
 
 /// Whether a name fits a pattern with `*` for any characters, in time linear in both.
@@ -272,7 +261,7 @@ mod tests {
             Query::default().region(region(f64::NAN)),
             Query::default().region(region(-1.0)),
         ] {
-            assert!(matches!(bad.ask(), Err(MemoryError::Query { .. })), "{bad:?}");
+            assert!(matches!(bad.check(), Err(MemoryError::Query { .. })), "{bad:?}");
         }
     }
 }

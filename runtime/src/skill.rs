@@ -27,6 +27,8 @@ pub struct SkillManifest {
     pub outcomes: Vec<String>,
     /// Events that it raises while it runs.
     pub events: Vec<String>,
+    /// What whoever judges a run is told of it.
+    pub marks: Vec<Mark>,
     /// Limbs that it commands; two regions that can command one limb at the same time are an error at load.
     pub limbs: Vec<String>,
     /// How long it may take to return after a cancel.
@@ -49,6 +51,86 @@ pub struct Parameter {
     pub description: String,
 }
 
+/// Something that whoever judges a run must know: that a skill has reached a point, with some of its numbers. It has no
+/// effect on the run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mark {
+    /// What judges know it by.
+    pub name: String,
+    /// When it is given.
+    pub at: MarkTime,
+    /// Numbers that go with it: the name in the mark, and where the number comes from.
+    pub numbers: Vec<(String, MarkNumber)>,
+}
+
+/// When a mark is given.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum MarkTime {
+    /// When the skill begins.
+    Start,
+    /// When it ends with `success`.
+    Success,
+    /// When it raises this event.
+    Event(String),
+}
+
+/// Where a number of a mark comes from. A mark at the start or at an event knows inputs only.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum MarkNumber {
+    /// The input of this name.
+    Input(String),
+    /// The output of this name.
+    Output(String),
+}
+
+impl Mark {
+    /// A mark that is given when the skill begins.
+    #[must_use]
+    pub fn at_start(name: &str) -> Self {
+        Self { name: name.into(), at: MarkTime::Start, numbers: Vec::new() }
+    }
+
+    /// A mark that is given when the skill ends with `success`.
+    #[must_use]
+    pub fn at_success(name: &str) -> Self {
+        Self { at: MarkTime::Success, ..Self::at_start(name) }
+    }
+
+    /// A mark that is given when the skill raises `event`.
+    #[must_use]
+    pub fn at_event(event: &str, name: &str) -> Self {
+        Self { at: MarkTime::Event(event.into()), ..Self::at_start(name) }
+    }
+
+    /// Adds a number: the skill's input `input`.
+    #[must_use]
+    pub fn with_input(mut self, name: &str, input: &str) -> Self {
+        self.numbers.push((name.into(), MarkNumber::Input(input.into())));
+        self
+    }
+
+    /// Adds a number: the skill's output `output`.
+    #[must_use]
+    pub fn with_output(mut self, name: &str, output: &str) -> Self {
+        self.numbers.push((name.into(), MarkNumber::Output(output.into())));
+        self
+    }
+
+    /// The numbers of one run of the skill; those that are none or not there are left out.
+    #[must_use]
+    pub fn numbers_of(
+        &self,
+        inputs: &BTreeMap<String, Value>,
+        outputs: &BTreeMap<String, Value>,
+    ) -> BTreeMap<String, f64> {
+        let number = |source: &MarkNumber| match source {
+            MarkNumber::Input(name) => inputs.get(name).and_then(Value::as_f64),
+            MarkNumber::Output(name) => outputs.get(name).and_then(Value::as_f64),
+        };
+        self.numbers.iter().filter_map(|(name, source)| Some((name.clone(), number(source)?))).collect()
+    }
+}
+
 impl SkillManifest {
     /// A skill without inputs, outputs, further outcomes, events or limbs, and with a grace of 1 s.
     #[must_use]
@@ -60,6 +142,7 @@ impl SkillManifest {
             outputs: Vec::new(),
             outcomes: Vec::new(),
             events: Vec::new(),
+            marks: Vec::new(),
             limbs: Vec::new(),
             grace: Duration::from_secs(1),
             open: false,
@@ -104,6 +187,13 @@ impl SkillManifest {
     #[must_use]
     pub fn event(mut self, name: &str) -> Self {
         self.events.push(name.into());
+        self
+    }
+
+    /// Adds a mark that the skill gives.
+    #[must_use]
+    pub fn mark(mut self, mark: Mark) -> Self {
+        self.marks.push(mark);
         self
     }
 
@@ -213,6 +303,38 @@ pub struct SkillContext {
     /// The states that are active inside the skill, where it has some: those of a chart that another agent runs. They
     /// are shown in the trace; only the newest counts.
     pub inside: tokio::sync::watch::Sender<Vec<String>>,
+}
+
+impl SkillContext {
+    /// The input of that name.
+    ///
+    /// # Errors
+    /// When the manifest does not declare it.
+    pub fn value(&self, name: &str) -> Result<&Value, Failure> {
+        self.inputs.get(name).ok_or_else(|| Failure::new(format!("the input `{name}` is missing")))
+    }
+
+    /// An input that is a finite number, SI.
+    ///
+    /// # Errors
+    /// When it is none.
+    pub fn number(&self, name: &str) -> Result<f64, Failure> {
+        let value = self.value(name)?;
+        value.as_f64().filter(|n| n.is_finite()).ok_or_else(|| wrong(name, "a finite number", value))
+    }
+
+    /// An input that is text.
+    ///
+    /// # Errors
+    /// When it is none.
+    pub fn text(&self, name: &str) -> Result<&str, Failure> {
+        let value = self.value(name)?;
+        value.as_str().ok_or_else(|| wrong(name, "text", value))
+    }
+}
+
+fn wrong(name: &str, expected: &str, found: &Value) -> Failure {
+    Failure::new(format!("the input `{name}` should be {expected}, but is {}", found.describe()))
 }
 
 /// An action that a leaf state performs.

@@ -16,6 +16,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::cameras::{AgentEyes, Eyes, Scenery, ScenerySink, SimulatedCameras, View};
 use crate::coach::{Coach, SeenArm};
+use crate::error::SimulationError;
 use crate::physics::{External, Plant, PlantError};
 use crate::referee::Referee;
 use crate::sensing::Sensors;
@@ -29,26 +30,6 @@ const STEP_NS: u64 = 1_000_000;
 const STEP: Duration = Duration::from_nanos(STEP_NS);
 /// Steps over more than this are not made up for: the guard would take the silence of those who command for their end.
 const LONGEST_DELAY: Duration = Duration::from_millis(10);
-/// The table's wiped cells are marked every so many steps; the referee does the same.
-pub(crate) const WIPE_EVERY: u64 = 5;
-
-/// Why a simulation cannot be built.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum SimulationError {
-    /// The physics refused.
-    #[error(transparent)]
-    Plant(#[from] PlantError),
-    /// The robot has no camera.
-    #[error("the robot's description has no link `camera_left`")]
-    Camera,
-    /// The starting posture has not one position a joint.
-    #[error("a starting posture needs {expected} finite joint positions")]
-    Start {
-        /// Joints of the model.
-        expected: usize,
-    },
-}
 
 /// What may be chosen beside world and seed.
 #[derive(Default)]

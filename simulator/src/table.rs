@@ -12,6 +12,8 @@ use crate::world::TableSpec;
 pub const THICKNESS: f64 = 0.03;
 /// Edge of a cell of the dirt grid, m.
 pub const DIRT_CELL: f64 = 0.0025;
+/// The table's wiped cells are marked every so many steps; the referee does the same.
+pub(crate) const WIPE_EVERY: u64 = 5;
 
 /// The top of the table.
 #[derive(Clone, Debug)]

@@ -5,14 +5,8 @@ use armarium_runtime::skill::{Failure, SkillContext};
 use armarium_values::{Pose, Reference, Value};
 use nalgebra::{Isometry3, Point3, Vector3};
 
-/// Typed access to the inputs that the chart's checker has already held against the manifest.
+/// Inputs of the robot's and the memory's types, beside those that [`SkillContext`] gives itself.
 pub(crate) trait Inputs {
-    /// The input of that name.
-    fn value(&self, name: &str) -> Result<&Value, Failure>;
-    /// A number, SI.
-    fn number(&self, name: &str) -> Result<f64, Failure>;
-    /// Text.
-    fn text(&self, name: &str) -> Result<&str, Failure>;
     /// A pose in the root frame.
     fn pose(&self, name: &str) -> Result<Isometry3<f64>, Failure>;
     /// The address that a reference holds.
@@ -20,20 +14,6 @@ pub(crate) trait Inputs {
 }
 
 impl Inputs for SkillContext {
-    fn value(&self, name: &str) -> Result<&Value, Failure> {
-        self.inputs.get(name).ok_or_else(|| Failure::new(format!("the input `{name}` is missing")))
-    }
-
-    fn number(&self, name: &str) -> Result<f64, Failure> {
-        let value = self.value(name)?;
-        value.as_f64().filter(|n| n.is_finite()).ok_or_else(|| wrong(name, "a finite number", value))
-    }
-
-    fn text(&self, name: &str) -> Result<&str, Failure> {
-        let value = self.value(name)?;
-        value.as_str().ok_or_else(|| wrong(name, "text", value))
-    }
-
     fn pose(&self, name: &str) -> Result<Isometry3<f64>, Failure> {
         let value = self.value(name)?;
         as_pose(value).ok_or_else(|| wrong(name, "a pose in the root frame", value))

@@ -44,7 +44,6 @@ pub fn read(path: &Path) -> Result<Recorded, String> {
     let mut steps: BTreeMap<u64, Step> = BTreeMap::new();
     let mut recorded =
         Recorded { world: world(&data)?, log: TruthLog::default(), marks: Vec::new(), seen: Vec::new() };
-    let mut running = BTreeMap::new();
     for message in mcap::MessageStream::new(&data).map_err(|e| e.to_string())? {
         let message = message.map_err(|e| e.to_string())?;
         let t = message.log_time;
@@ -60,7 +59,7 @@ pub fn read(path: &Path) -> Result<Recorded, String> {
             }
             "/truth/hand" => recorded.log.frames.extend(frame(&json()?)),
             "/truth/events" => recorded.log.coach.extend(action(&json()?)),
-            "/chart/events" => mark(&json()?["item"], t, &mut running, &mut recorded.marks),
+            "/truth/marks" => recorded.marks.extend(mark(&json()?).map(|mark| (t, mark))),
             "/vision/hand" => {
                 let seen = json()?["gesture"].as_str().filter(|g| *g != "none").map(str::to_owned);
                 recorded.seen.push((t, seen));
@@ -214,40 +213,11 @@ fn action(json: &Value) -> Option<ActionEvent> {
     })
 }
 
-/// What an event of the chart says about the scenario. `running` holds each started skill's name and inputs.
-fn mark(item: &Value, t: u64, running: &mut BTreeMap<u64, (String, Value)>, marks: &mut Vec<(u64, Mark)>) {
-    let activation = item["activation"].as_u64().unwrap_or(u64::MAX);
-    let skill = item["skill"].as_str().unwrap_or_default();
-    let found = match item["what"].as_str() {
-        Some("skill_started") => {
-            running.insert(activation, (skill.to_owned(), item["inputs"].clone()));
-            match skill {
-                "ForceAdaptation" => Some(Mark::AdaptationStarted),
-                "ExecuteMotion" => Some(Mark::WipingStarted),
-                _ => None,
-            }
-        }
-        Some("skill_ended") => {
-            let Some((skill, inputs)) = running.remove(&activation) else { return };
-            match skill.as_str() {
-                _ if item["outcome"] != "success" => None,
-                "CloseHand" => Some(Mark::GraspClosed),
-                "MovementImitation" => Some(Mark::LearningEnded),
-                "ForceAdaptation" => Some(Mark::AdaptationEnded {
-                    desired_n: inputs["force"]["float"].as_f64().unwrap_or_default(),
-                    cycles: item["outputs"]["cycles"]["int"].as_u64().unwrap_or_default() as u32,
-                }),
-                _ => None,
-            }
-        }
-        Some("event") => match item["name"].as_str() {
-            Some("imitation.steady") => Some(Mark::FreeSpaceSteady),
-            Some("imitation.over") => Some(Mark::AdaptationStarted),
-            _ => None,
-        },
-        _ => None,
-    };
-    marks.extend(found.map(|mark| (t, mark)));
+/// A mark that a skill gave.
+fn mark(message: &Value) -> Option<Mark> {
+    let numbers = message["numbers"].as_object()?.iter();
+    let numbers = numbers.filter_map(|(name, value)| Some((name.clone(), value.as_f64()?))).collect();
+    Mark::named(message["mark"].as_str()?, &numbers)
 }
 
 /// Where a report and the figures computed again differ by more than the recording's grids explain.

@@ -1,10 +1,11 @@
 //! What flows between skills, memory and agents: self-describing typed values with units and frames,
-//! their schemas, and CEL expressions over them.
+//! their schemas, CEL expressions over them, and reports as plain data.
 //!
 //! This room knows no robot, no clock and no network. Start with [`Value`] and [`Type`].
 
 pub mod expr;
 mod geometry;
+pub mod report;
 mod types;
 mod unit;
 mod value;

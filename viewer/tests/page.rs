@@ -2,15 +2,15 @@
 //!
 //! The pages are left in the build's folder for temporary files, to be looked at.
 
-use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
-use armarium_viewer::report::{
-    Band, Cell, ChainLink, CoachingRow, Path, PathRole, Picture, ReportData, Series, StateSpan, TimePlot,
-    WipedArea, figures, render,
+use armarium_values::report::{
+    Band, Block, Cell, Cells, Confusion, Figure, Path, PathStyle, Picture, Plan, Requirement, Section,
+    Series, StateSpan, Table, TimePlot, Tone,
 };
+use armarium_viewer::report::{ChainLink, ReportData, render};
 use armarium_visionx::Image;
-use serde_json::json;
+use armarium_visionx::providers::convert::jpeg;
 
 fn span(path: &str, from_s: f64, to_s: f64, outcome: Option<&str>) -> StateSpan {
     StateSpan { path: path.into(), from_s, to_s: Some(to_s), outcome: outcome.map(Into::into) }
@@ -39,7 +39,7 @@ fn states() -> Vec<StateSpan> {
     ]
 }
 
-fn loop_path(label: &str, role: PathRole, shift: impl Fn(f64) -> [f64; 2]) -> Path {
+fn loop_path(label: &str, style: PathStyle, shift: impl Fn(f64) -> [f64; 2]) -> Path {
     let points = (0..=2000)
         .map(|i| {
             let phase = TAU * f64::from(i) / 2000.0;
@@ -47,7 +47,7 @@ fn loop_path(label: &str, role: PathRole, shift: impl Fn(f64) -> [f64; 2]) -> Pa
             [0.28 + 0.05 * phase.cos() + dx, 0.53 + 0.03 * phase.sin() + dy]
         })
         .collect();
-    Path { label: label.into(), role, points }
+    Path { label: label.into(), style, points }
 }
 
 fn signal(label: &str, end: f64, f: impl Fn(f64) -> f64) -> Series {
@@ -107,7 +107,7 @@ fn joints() -> Vec<TimePlot> {
     (1..=7).map(joint).collect()
 }
 
-fn wiped() -> WipedArea {
+fn wiped() -> Plan {
     let (columns, rows, cell_m) = (160, 120, 0.0025);
     let cells = (0..columns * rows)
         .map(|i| {
@@ -115,14 +115,23 @@ fn wiped() -> WipedArea {
             let y = 0.4 + (i / columns) as f64 * cell_m - 0.53;
             let off = ((x / 0.05).hypot(y / 0.03) - 1.0).abs();
             match off {
-                _ if off < 0.5 && x > 0.055 && y > 0.0 => Cell::Missed,
-                _ if off < 0.5 => Cell::Cleaned,
-                _ if off < 0.6 => Cell::Beside,
-                _ => Cell::Untouched,
+                _ if off < 0.5 && x > 0.055 && y > 0.0 => 2,
+                _ if off < 0.5 => 1,
+                _ if off < 0.6 => 3,
+                _ => 0,
             }
         })
         .collect();
-    WipedArea { origin: [0.1, 0.4], cell_m, columns, cells, path: vec![[0.2, 0.5], [0.25, 0.52]] }
+    let kinds = [("cleaned", Tone::Good), ("missed", Tone::Bad), ("beside", Tone::Neutral)];
+    let kinds = kinds.map(|(name, tone)| (name.to_owned(), tone)).to_vec();
+    let points = vec![[0.2, 0.5], [0.25, 0.52]];
+    Plan {
+        title: "Wiped area".into(),
+        x_label: "x, m".into(),
+        y_label: "y, m".into(),
+        cells: Some(Cells { origin: [0.1, 0.4], cell_m, columns, kinds, cells }),
+        paths: vec![Path { label: "path of the hand".into(), style: PathStyle::Overlay, points }],
+    }
 }
 
 fn picture(caption: &str) -> Picture {
@@ -138,38 +147,49 @@ fn picture(caption: &str) -> Picture {
         })
         .collect();
     let image = Image::from_rgb(width, height, data).expect("the size fits");
-    Picture::jpeg(&image, caption).expect("a small image encodes")
+    let data = jpeg(&image).expect("a small image encodes");
+    Picture { caption: caption.into(), data, media_type: "image/jpeg".into() }
 }
 
-fn report() -> serde_json::Value {
-    json!({
-        "grasp": {"position_error_m": 0.0063},
-        "imitation": {"frequency_hz": 0.5007, "demonstrated_frequency_hz": 0.5, "path_rms_m": 0.0041},
-        "force": {"mean_n": 7.97, "desired_n": 8.0, "rms_error_n": 0.44, "max_n": 9.9, "contact_lost_s": 0.0, "touchdown_max_n": 14.0, "cycles": 9},
-        "wiped_fraction": 0.943,
-        "coaching": [
-            {"kind": "push", "displacement_m": 0.031, "retained_m": 0.029, "far_side_rms_m": 0.0012, "direction_error_deg": 5.7},
-            {"kind": "fist", "displacement_m": 0.021, "retained_m": 0.020, "far_side_rms_m": 0.001, "slowed_to": 0.42},
-            {"kind": "open_hand"},
-        ],
-        "gestures": {"frames": 412, "accuracy": 0.978},
-    })
-}
-
-fn coaching() -> Vec<CoachingRow> {
-    let row = |kind: &str, at_s, moved, slowed_to| CoachingRow {
-        kind: kind.into(),
-        at_s,
-        displacement_m: moved,
-        retained_m: moved.map(|m| m * 0.95),
-        far_side_rms_m: moved.map(|_| 0.0012),
-        slowed_to,
+fn figures() -> Vec<Figure> {
+    let figure = |group: &str, name: &str, value, unit: &str, requirement| Figure {
+        group: group.into(),
+        name: name.into(),
+        value,
+        unit: unit.into(),
+        requirement,
+        digits: 1,
     };
     vec![
-        row("push", 73.0, Some(0.031), None),
-        row("fist", 93.0, Some(0.021), Some(0.42)),
-        row("open_hand", 150.0, None, None),
+        figure("Grasp", "position error", Some(6.3), "mm", Requirement::AtMost(15.0)),
+        figure("Force", "mean", Some(7.97), "N", Requirement::Shown),
+        figure("Force", "contact lost", None, "s", Requirement::AtMost(0.0)),
+        figure("Wiping", "wiped fraction", Some(94.3), "%", Requirement::AtLeast(95.0)),
+        figure(
+            "Coaching 1: push",
+            "kept after two cycles",
+            Some(95.0),
+            "%",
+            Requirement::Between(80.0, 110.0),
+        ),
     ]
+}
+
+fn coaching() -> Table {
+    let mut table = Table::new(&["Coach", "#At", "#Moved the motion", "Entity", "#Place"]);
+    let place = Cell::Numbers { values: vec![0.351, -0.5, 1.0], unit: "m".into(), digits: 3 };
+    let row = |kind: &str, at_s, moved, place| {
+        let entity = Cell::Code("bob.bob/<sponge>".into());
+        vec![
+            Cell::Text(kind.into()),
+            Cell::number(at_s, "s", 1),
+            Cell::optional(moved, "mm", 1),
+            entity,
+            place,
+        ]
+    };
+    table.rows = vec![row("push", 73.0, Some(31.0), place), row("open_hand", 150.0, None, Cell::Absent)];
+    table
 }
 
 fn success() -> ReportData {
@@ -187,53 +207,63 @@ fn success() -> ReportData {
         ("Real-time factor", "2.74"),
         ("Trace", "9f2c41d07be1"),
     ];
+    let table = vec![[-0.25, 0.25], [0.75, 0.25], [0.75, 0.95], [-0.25, 0.95], [-0.25, 0.25]];
+    let paths = Plan {
+        title: "Paths over the table".into(),
+        paths: vec![
+            Path { label: "table".into(), style: PathStyle::Outline, points: table },
+            loop_path("demonstrated", PathStyle::Reference, |_| [0.0; 2]),
+            loop_path("learned", PathStyle::Line, |p| [0.0015 * (3.0 * p).sin(), 0.001]),
+            loop_path("after push", PathStyle::Line, shift(TAU / 4.0, [0.0, 0.031])),
+            loop_path("after fist", PathStyle::Line, shift(TAU * 0.75, [0.0, -0.021])),
+        ],
+        ..Plan::default()
+    };
+    let speed = TimePlot {
+        title: "Speed of the motion".into(),
+        y_label: "frequency, Hz".into(),
+        series: vec![
+            signal("executed", 168.0, |t| {
+                if t < 62.0 { f64::NAN } else { 0.5 - 0.25 * (-(t - 98.0).powi(2) / 20.0).exp() }
+            }),
+            signal("learned", 168.0, |t| if t < 14.2 { f64::NAN } else { 0.5 }),
+        ],
+        ..Default::default()
+    };
+    let confusion = Confusion {
+        names: ["fist", "open_hand", "point_one", "none"].map(str::to_owned).to_vec(),
+        rows: vec![
+            ("fist".into(), vec![98, 0, 0, 3]),
+            ("open_hand".into(), vec![0, 101, 0, 0]),
+            ("none".into(), vec![0, 0, 2, 204]),
+        ],
+    };
+    let captions =
+        ["the sponge, found at 0.4 s", "the coach's tool, followed at 22 s", "a fist, seen at 94 s"];
+    let log = ["00:00.0 Grasp: looking for <sponge>", "00:14.2 Learn: the coach begins"];
     ReportData {
         title: "Wiping".into(),
         subtitle: "Learn a wiping motion from a coach, fit it to the table, then let the coach change it."
             .into(),
         outcome: "success".into(),
         facts: facts.map(|(a, b)| (a.to_owned(), b.to_owned())).to_vec(),
-        figures: figures(&report()),
-        states: states(),
-        paths: vec![
-            Path {
-                label: "table".into(),
-                role: PathRole::Outline,
-                points: vec![[-0.25, 0.25], [0.75, 0.25], [0.75, 0.95], [-0.25, 0.95], [-0.25, 0.25]],
-            },
-            loop_path("demonstrated", PathRole::Demonstrated, |_| [0.0; 2]),
-            loop_path("learned", PathRole::Learned, |p| [0.0015 * (3.0 * p).sin(), 0.001]),
-            loop_path("after push", PathRole::Coached, shift(TAU / 4.0, [0.0, 0.031])),
-            loop_path("after fist", PathRole::Coached, shift(TAU * 0.75, [0.0, -0.021])),
+        sections: vec![
+            Section::new(
+                "Figures",
+                "Measured against the simulator's truth.",
+                vec![Block::Figures(figures())],
+            ),
+            Section::new("States", "", vec![Block::Gantt(states())]),
+            Section::new("Paths", "", vec![Block::Plan(paths)]),
+            Section::new("Contact force", "", vec![Block::Plot(force())]),
+            Section::new("Speed of the motion", "", vec![Block::Plot(speed)]),
+            Section::new("Wiped area", "", vec![Block::Plan(wiped())]),
+            Section::new("Coaching", "How far.", vec![Block::Table(coaching())]),
+            Section::new("Gestures", "", vec![Block::Confusion(confusion)]),
+            Section::new("Joints", "", vec![Block::SmallPlots(joints())]),
+            Section::new("What the cameras saw", "", vec![Block::Pictures(captions.map(picture).to_vec())]),
+            Section::new("Log", "", vec![Block::Lines(log.map(str::to_owned).to_vec())]),
         ],
-        force: Some(force()),
-        signals: vec![TimePlot {
-            title: "Speed of the motion".into(),
-            y_label: "frequency, Hz".into(),
-            series: vec![
-                signal("executed", 168.0, |t| {
-                    if t < 62.0 { f64::NAN } else { 0.5 - 0.25 * (-(t - 98.0).powi(2) / 20.0).exp() }
-                }),
-                signal("learned", 168.0, |t| if t < 14.2 { f64::NAN } else { 0.5 }),
-            ],
-            ..Default::default()
-        }],
-        joints: joints(),
-        wiped: Some(wiped()),
-        coaching: coaching(),
-        confusion: BTreeMap::from([
-            ("fist".to_owned(), BTreeMap::from([("fist".to_owned(), 98), ("none".to_owned(), 3)])),
-            ("open_hand".to_owned(), BTreeMap::from([("open_hand".to_owned(), 101)])),
-            ("none".to_owned(), BTreeMap::from([("none".to_owned(), 204), ("point_one".to_owned(), 2)])),
-        ]),
-        pictures: [
-            "the sponge, found at 0.4 s",
-            "the coach's tool, followed at 22 s",
-            "a fist, seen at 94 s",
-        ]
-        .map(picture)
-        .to_vec(),
-        log: vec!["00:00.0 Grasp: looking for <sponge>".into(), "00:14.2 Learn: the coach begins".into()],
         ..Default::default()
     }
 }
@@ -275,7 +305,12 @@ fn a_full_page_has_every_section_nothing_from_elsewhere_and_a_bounded_size() {
     assert!(page.len() < 1_500_000, "{} bytes", page.len());
     assert_eq!(page.matches("http").count(), page.matches("http://www.w3.org/2000/svg").count());
     assert!(!page.contains("<script") && !page.contains("NaN") && page.contains("&lt;sponge&gt;"));
-    assert!(page.contains("✗ missed") && page.contains("15 of 16 met"), "the wiped fraction is missed");
+    assert!(page.contains("✗ missed") && page.contains("simulator&#39;s truth. 2 of 4 met."));
+    for cell in
+        ["0.351, −0.500, 1.000\u{a0}m", "<code>bob.bob/&lt;sponge&gt;</code>", "<td class=\"n\">–</td>"]
+    {
+        assert!(page.contains(cell), "{cell}");
+    }
     balanced(&page);
 }
 
@@ -291,18 +326,22 @@ fn a_failed_run_says_why_and_through_which_states() {
             ChainLink { state: "Grasp".into(), reason: None },
             ChainLink { state: "Wiping".into(), reason: None },
         ],
-        states: vec![
-            span("Grasp", 0.0, 12.0, Some("failure")),
-            span("Grasp.Find", 0.0, 12.0, Some("failure")),
+        sections: vec![
+            Section::new(
+                "States",
+                "",
+                vec![Block::Gantt(vec![
+                    span("Grasp", 0.0, 12.0, Some("failure")),
+                    span("Grasp.Find", 0.0, 12.0, Some("failure")),
+                ])],
+            ),
+            Section::new("Figures", "None.", vec![Block::Figures(Vec::new()), Block::Plan(Plan::default())]),
+            Section::new(
+                "Joints",
+                "None.",
+                vec![Block::SmallPlots(Vec::new()), Block::Table(Table::default())],
+            ),
         ],
-        figures: Vec::new(),
-        force: None,
-        signals: Vec::new(),
-        joints: Vec::new(),
-        wiped: None,
-        paths: Vec::new(),
-        coaching: Vec::new(),
-        confusion: BTreeMap::new(),
         ..success()
     };
     let page = render(&data);
@@ -327,17 +366,27 @@ fn nothing_at_all_is_still_a_page() {
 fn hostile_numbers_and_texts_do_no_harm() {
     let mut data = success();
     data.title = "<script>alert(1)</script>".into();
-    data.paths[2].points = vec![[f64::NAN, 0.0], [f64::INFINITY, 1.0]];
-    data.states[0].to_s = Some(f64::NAN);
-    data.states[1].path = "..".into();
-    data.force = Some(TimePlot {
+    let hostile_path = Path { points: vec![[f64::NAN, 0.0], [f64::INFINITY, 1.0]], ..Path::default() };
+    let hostile_plot = TimePlot {
         series: vec![Series { label: "x".into(), t_s: vec![0.0, f64::NAN, 2.0], y: vec![f64::INFINITY] }],
         band: Some(Band { value: f64::NAN, tolerance: 1.0, label: String::new(), from_s: None, to_s: None }),
         marks: vec![(f64::NAN, "never".into())],
         y_range: Some([1.0, 1.0]),
         ..Default::default()
-    });
-    data.wiped = Some(WipedArea { cell_m: f64::NAN, ..wiped() });
+    };
+    let cells = wiped().cells.map(|cells| Cells { cell_m: f64::NAN, ..cells });
+    let ragged = Table { rows: vec![vec![], vec![Cell::number(f64::NAN, "m", 900)]], ..coaching() };
+    data.sections.push(Section::new(
+        "<script>",
+        "",
+        vec![
+            Block::Plan(Plan { paths: vec![hostile_path], ..Plan::default() }),
+            Block::Plot(hostile_plot),
+            Block::Plan(Plan { cells, ..wiped() }),
+            Block::Gantt(vec![span("..", 0.0, f64::NAN, None), span("", f64::NAN, f64::INFINITY, None)]),
+            Block::Table(ragged),
+        ],
+    ));
     let page = render(&data);
     assert!(!page.contains("<script") && !page.contains("=\"NaN") && !page.contains("=\"inf"));
 }

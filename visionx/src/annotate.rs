@@ -3,10 +3,10 @@
 use nalgebra::Point2;
 
 use crate::frame::Image;
-use crate::hand::HandObservation;
 use crate::localizer::ObjectEstimate;
 use crate::marker::MarkerEstimate;
 use crate::mask::{Mask, Region};
+use crate::tracking::hand::HandObservation;
 
 /// Why a picture could not be encoded.
 #[derive(Debug, thiserror::Error)]

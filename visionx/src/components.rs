@@ -2,18 +2,7 @@
 
 use nalgebra::{Matrix2, Point2};
 
-use crate::mask::{Mask, Region};
-
-/// A horizontal run of set pixels, in the coordinates of the image: columns `x0 .. x1` of row `y`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Run {
-    /// Row, px.
-    pub y: u32,
-    /// First column, px.
-    pub x0: u32,
-    /// One past the last column, px.
-    pub x1: u32,
-}
+use crate::mask::{Mask, Region, Run};
 
 /// A connected component (8-neighbours) of a mask.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,11 +1,6 @@
-//! Frames as providers give them, and the trait of a provider.
+//! Frames: stereo images with depth and the pose of the camera at their time.
 
-use std::sync::Arc;
-
-use async_trait::async_trait;
 use nalgebra::Isometry3;
-
-use crate::camera::StereoCalibration;
 
 /// An RGB image, 8 bit a channel, rows from the top, three bytes a pixel.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -72,20 +67,6 @@ pub enum ImageError {
         /// What is wrong.
         what: String,
     },
-}
-
-/// A provider of stereo frames. Frames that nobody asks for are not made.
-#[async_trait]
-pub trait ImageSource: Send + Sync {
-    /// Its name.
-    fn name(&self) -> &str;
-    /// Intrinsics and extrinsics.
-    fn calibration(&self) -> StereoCalibration;
-    /// Waits for the next frame.
-    ///
-    /// # Errors
-    /// [`ImageError::Gone`] when no further frame will come.
-    async fn next(&self) -> Result<Arc<StereoFrame>, ImageError>;
 }
 
 impl Image {

@@ -1,7 +1,57 @@
-//! Whether a JPEG file is all there. Its decoder fills up with gray what is missing, which is good for looking at a photograph
-//! and bad for saying what is on it.
+//! JPEG files: pixels become one, and whether one is all there. Its decoder fills up with gray what is missing, which is good
+//! for looking at a photograph and bad for saying what is on it.
 
 use std::io::{BufRead, ErrorKind, Read, Result, copy, sink};
+
+use image::codecs::jpeg::JpegEncoder;
+use image::{ExtendedColorType, ImageEncoder, ImageError as CodingError};
+
+/// Quality where nothing is said, of 100.
+pub const JPEG_QUALITY: u8 = 85;
+
+/// What a pixel of a JPEG file holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JpegPixel {
+    /// One byte of brightness.
+    Gray,
+    /// A byte each of red, green and blue.
+    Rgb,
+}
+
+impl JpegPixel {
+    /// Bytes of a pixel.
+    #[must_use]
+    pub const fn bytes(self) -> usize {
+        match self {
+            Self::Gray => 1,
+            Self::Rgb => 3,
+        }
+    }
+}
+
+/// Appends a JPEG file of rows of pixels, `width` by `height`, to `file`. `quality` is 1 to 100.
+///
+/// # Errors
+/// When the encoder fails, for instance because a side is longer than 65 535 pixels.
+pub fn encode_jpeg(
+    file: &mut Vec<u8>,
+    pixels: &[u8],
+    (width, height): (u32, u32),
+    pixel: JpegPixel,
+    quality: u8,
+) -> std::result::Result<(), CodingError> {
+    let color = match pixel {
+        JpegPixel::Gray => ExtendedColorType::L8,
+        JpegPixel::Rgb => ExtendedColorType::Rgb8,
+    };
+    // The encoder takes a wrong length for a mistake of the program.
+    let wanted = u64::from(width) * u64::from(height) * pixel.bytes() as u64;
+    if pixels.len() as u64 != wanted {
+        let what = image::error::ParameterErrorKind::DimensionMismatch;
+        return Err(CodingError::Parameter(image::error::ParameterError::from_kind(what)));
+    }
+    JpegEncoder::new_with_quality(file, quality.clamp(1, 100)).write_image(pixels, width, height, color)
+}
 
 const END_OF_IMAGE: u8 = 0xD9;
 

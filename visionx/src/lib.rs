@@ -21,7 +21,7 @@ mod components;
 mod epipolar;
 pub mod files;
 mod frame;
-pub mod hand;
+mod image_source;
 mod jpeg;
 mod localizer;
 mod marker;
@@ -31,7 +31,6 @@ mod outline;
 mod particles;
 mod processor;
 pub mod providers;
-mod rectify;
 #[cfg(test)]
 mod scenes;
 mod steps;
@@ -40,17 +39,19 @@ pub mod tracking;
 
 pub use camera::{PinholeCamera, StereoCalibration};
 pub use color::ColorModel;
-pub use components::{Component, Run, components};
+pub use components::{Component, components};
 pub use epipolar::EpipolarCheck;
-pub use frame::{DepthImage, Image, ImageError, ImageSource, StereoFrame};
-pub use hand::{Fingertip, Gesture, HandObservation, HandObserver};
+pub use frame::{DepthImage, Image, ImageError, StereoFrame};
+pub use image_source::ImageSource;
+pub use jpeg::{JPEG_QUALITY, JpegPixel, encode_jpeg};
 pub use localizer::{BoxModel, ObjectEstimate, ObjectLocalizer};
 pub use marker::{ColorMarkerObjectTracking, MarkerEstimate, MarkerSettings};
-pub use mask::{Mask, Region};
+pub use mask::{Mask, Region, Run};
 pub use processor::{
     Finding, FindingSource, ImageProcessor, ProcessorLoop, ProcessorStatistics, ResultSink, Trigger,
     run_processor,
 };
-pub use rectify::Rectification;
+pub use providers::rectify::Rectification;
 pub use steps::{OfStereo, StereoStep};
 pub use tabletop::{TableEstimate, TableObject, Tabletop, TabletopSegmentation};
+pub use tracking::hand::{Fingertip, Gesture, HandObservation, HandObserver};

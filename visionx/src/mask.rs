@@ -1,7 +1,17 @@
 //! Binary images, and rectangles in an image. What a mask means is its maker's business.
 
-use crate::components::Run;
 use serde::{Deserialize, Serialize};
+
+/// A horizontal run of set pixels, in the coordinates of the image: columns `x0 .. x1` of row `y`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Run {
+    /// Row, px.
+    pub y: u32,
+    /// First column, px.
+    pub x0: u32,
+    /// One past the last column, px.
+    pub x1: u32,
+}
 
 /// A rectangle of pixels: columns `x .. x + width`, rows `y .. y + height`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -7,7 +7,7 @@ use rand_distr::StandardNormal;
 
 use crate::camera::{PinholeCamera, StereoCalibration};
 use crate::frame::{DepthImage, Image, StereoFrame};
-use crate::hand::Gesture;
+use crate::tracking::hand::Gesture;
 
 pub(crate) const CALIBRATION: StereoCalibration = StereoCalibration {
     camera: PinholeCamera { width: 640, height: 480, focal: 515.0, center: [320.0, 240.0] },

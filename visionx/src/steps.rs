@@ -5,13 +5,13 @@ use std::sync::Arc;
 
 use crate::annotate;
 use crate::frame::{Image, ImageError, StereoFrame};
-use crate::hand::HandObserver;
 use crate::localizer::ObjectLocalizer;
 use crate::marker::ColorMarkerObjectTracking;
 use crate::processor::{Finding, ImageProcessor};
 use crate::providers::{Frame, StereoPair};
 use crate::tabletop::TabletopSegmentation;
 use crate::tracking::FingerTipTracking;
+use crate::tracking::hand::HandObserver;
 
 /// A processor of one provider of stereo pairs.
 pub trait StereoStep: Send {

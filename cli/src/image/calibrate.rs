@@ -6,7 +6,7 @@ use armarium_visionx::{EpipolarCheck, ImageError};
 use serde_json::json;
 
 use super::{CalibrateArgs, Failure, failed, source};
-use crate::connection::Connection;
+use armarium_host::Connection;
 
 /// Rows may differ by this much, px, as the median.
 const ROWS_PX: f64 = 0.5;

@@ -21,8 +21,8 @@ use serde_json::json;
 use tokio::sync::mpsc;
 
 use super::{Failure, ProcessArgs, argument, failed, findings, source};
-use crate::agent::stopped;
-use crate::connection::Connection;
+use crate::stopped::stopped;
+use armarium_host::Connection;
 
 /// Findings that may wait to be printed and committed.
 const WAITING: usize = 64;
@@ -120,7 +120,7 @@ pub(super) async fn run(
     let mut processor = args.look.processor(pair, args.color);
     let remembers = match &args.memory {
         Some(agent) => {
-            let memory = Arc::new(RemoteMemory::connect(&connection.session, agent).await.map_err(failed)?);
+            let memory = Arc::new(RemoteMemory::connect(connection.session(), agent).await.map_err(failed)?);
             let updater = Updater::new(Arc::<RemoteMemory>::clone(&memory), processor.name());
             Some((memory, updater.map_err(failed)?))
         }
@@ -130,7 +130,7 @@ pub(super) async fn run(
     let description = Description { name: processor.name().into(), about, ..Description::default() };
     let (drawn, pictures) = channel(description);
     let _offered = match &args.offer {
-        Some(agent) => Some(offer(&connection.session, agent, Arc::new(pictures)).await.map_err(failed)?),
+        Some(agent) => Some(offer(connection.session(), agent, Arc::new(pictures)).await.map_err(failed)?),
         None => None,
     };
     let statistics = ProcessorStatistics::default();

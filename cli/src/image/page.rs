@@ -14,7 +14,7 @@ use tokio::sync::{Semaphore, watch};
 
 use super::source::Source;
 use super::{Failure, failed};
-use crate::agent::stopped;
+use crate::stopped::stopped;
 
 /// Longest request that is read, bytes.
 const LONGEST: usize = 8192;

@@ -5,8 +5,8 @@ use std::io::Write;
 use armarium_visionx::providers::{Pace, offer};
 
 use super::{Failure, PlayArgs, argument, failed, source};
-use crate::agent::stopped;
-use crate::connection::Connection;
+use crate::stopped::stopped;
+use armarium_host::Connection;
 
 /// Offers until the end, or Ctrl-C.
 pub(super) async fn run(
@@ -20,9 +20,9 @@ pub(super) async fn run(
     let pace = Pace { speed: Some(args.speed), repeat: args.repeat };
     let provider = source::file(&args.files, &args.provider, args.topic.as_deref(), args.rate, pace).await?;
     let described = provider.description();
-    let mut offered = offer(&connection.session, &args.name, provider).await.map_err(failed)?;
+    let mut offered = offer(connection.session(), &args.name, provider).await.map_err(failed)?;
     writeln!(out, "{}/{}: {}", args.name, described.name, described.about)?;
-    for endpoint in connection.session.endpoints().await {
+    for endpoint in connection.session().endpoints().await {
         writeln!(out, "  listens on {endpoint}")?;
     }
     writeln!(out, "  begins when somebody looks; Ctrl-C ends it")?;

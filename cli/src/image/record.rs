@@ -11,8 +11,8 @@ use armarium_visionx::providers::{
 use tokio::sync::mpsc;
 
 use super::{Failure, RecordArgs, argument, failed, source};
-use crate::agent::stopped;
-use crate::connection::Connection;
+use crate::stopped::stopped;
+use armarium_host::Connection;
 
 /// Frames of one provider that may wait to be written.
 const WAITING: usize = 64;

@@ -11,7 +11,7 @@ use armarium_visionx::providers::{
 };
 
 use super::{Failure, SourceArgs, argument, failed};
-use crate::connection::Connection;
+use armarium_host::Connection;
 
 /// How long a provider is waited for.
 const WAIT: Duration = Duration::from_secs(10);
@@ -78,7 +78,7 @@ pub(super) async fn remote(
         return Err(argument(format!("there is no file `{name}`, and it is no AGENT/PROVIDER")));
     };
     let connected =
-        RemoteProvider::connect(&connection.session, agent, provider, delivery, coding, WAIT).await;
+        RemoteProvider::connect(connection.session(), agent, provider, delivery, coding, WAIT).await;
     connected.map_err(|error| match error {
         RemoteError::Session(SessionError::NoAnswer { .. }) => {
             failed(format!("{error}; `armarium image ls` lists the providers that can be reached"))

@@ -8,7 +8,7 @@ use armarium_visionx::providers::ImageCoding;
 use serde_json::json;
 
 use super::{Failure, StatsArgs, argument, source};
-use crate::connection::Connection;
+use armarium_host::Connection;
 
 /// Most sizes that are told.
 const MOST_SIZES: usize = 32;

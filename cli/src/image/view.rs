@@ -9,7 +9,7 @@ use armarium_visionx::providers::convert::{depth_png, rgb_of};
 use armarium_visionx::providers::{Frame, ImageCoding};
 
 use super::{Failure, ViewArgs, argument, failed, page, source};
-use crate::connection::Connection;
+use armarium_host::Connection;
 
 /// Shows the page until Ctrl-C, or writes as many frames as are asked for.
 pub(super) async fn run(

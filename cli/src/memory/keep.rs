@@ -5,11 +5,7 @@ use std::collections::BTreeMap;
 
 use armarium_memoryx::{Coding, Policies, Policy, Retention, check_name};
 use armarium_values::Value;
-use image::codecs::jpeg::JpegEncoder;
-use image::{ExtendedColorType, ImageEncoder};
-
-/// Quality of a JPEG file unless it is said.
-const QUALITY: u8 = 85;
+use armarium_visionx::{JPEG_QUALITY, JpegPixel, encode_jpeg};
 
 /// What a file keeps, and for how long.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -109,10 +105,10 @@ fn coding(word: &str) -> Result<Option<Coding>, String> {
     if name != "jpeg" {
         return Ok(None);
     }
-    let quality = if word == "jpeg" { Ok(QUALITY) } else { value.parse() };
+    let quality = if word == "jpeg" { Ok(JPEG_QUALITY) } else { value.parse() };
     match quality {
         Ok(quality @ 1..=100) => Ok(Some(jpeg(quality))),
-        _ => Err(format!("`{word}` needs a quality from 1 to 100, for instance jpeg:{QUALITY}")),
+        _ => Err(format!("`{word}` needs a quality from 1 to 100, for instance jpeg:{JPEG_QUALITY}")),
     }
 }
 
@@ -133,17 +129,16 @@ fn as_jpeg(value: &Value, quality: u8) -> Option<Value> {
         _ => None,
     };
     let (width, height) = (side("width")?, side("height")?);
-    let color = match fields.get("format")? {
-        Value::String(format) if format == "rgb8" => ExtendedColorType::Rgb8,
-        Value::String(format) if format == "gray8" => ExtendedColorType::L8,
+    let pixel = match fields.get("format")? {
+        Value::String(format) if format == "rgb8" => JpegPixel::Rgb,
+        Value::String(format) if format == "gray8" => JpegPixel::Gray,
         _ => return None,
     };
-    let wanted = u64::from(width) * u64::from(height) * u64::from(color.bits_per_pixel() / 8);
-    if coding != "raw" || data.len() as u64 != wanted {
+    if coding != "raw" {
         return None;
     }
     let mut file = Vec::new();
-    JpegEncoder::new_with_quality(&mut file, quality).write_image(data, width, height, color).ok()?;
+    encode_jpeg(&mut file, data, (width, height), pixel, quality).ok()?;
     let mut kept: BTreeMap<String, Value> =
         fields.iter().filter(|(name, _)| *name != "data").map(|(n, v)| (n.clone(), v.clone())).collect();
     kept.insert("coding".into(), Value::String("jpeg".into()));

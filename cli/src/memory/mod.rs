@@ -9,7 +9,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
-use crate::connection::{ConnectionArgs, explained};
+use crate::connection_args::{ConnectionArgs, explained};
 use crate::{logging, warnings};
 
 pub(crate) mod keep;
@@ -292,6 +292,16 @@ impl From<armarium_bus::SessionError> for Failure {
                 Self::Argument(explained(&error))
             }
             _ => Self::Refused(explained(&error)),
+        }
+    }
+}
+
+impl From<armarium_host::HostError> for Failure {
+    fn from(error: armarium_host::HostError) -> Self {
+        match error {
+            armarium_host::HostError::Session(error) => error.into(),
+            armarium_host::HostError::Memory(error) => error.into(),
+            error => Self::Refused(error.to_string()),
         }
     }
 }

@@ -10,7 +10,8 @@ use clap::Args;
 
 use super::reach::USUAL_ENDPOINT;
 use super::{Failure, Inferences, LOCAL, MemoryArgs, keep};
-use crate::connection::{AccessArgs, be_the_only_one};
+use crate::connection_args::AccessArgs;
+use armarium_host::connection::take_name;
 
 #[derive(Clone, Debug, Args)]
 pub(super) struct ServeArgs {
@@ -67,7 +68,7 @@ pub(super) async fn serve(args: &MemoryArgs, serve: &ServeArgs, out: &mut dyn Wr
     config.retention = serve.kept.retention().map_err(Failure::Argument)?;
     config.follow = serve.follow.iter().map(|follow| settings(serve, follow)).collect::<Result<_, _>>()?;
     let session = connection.session(access.as_ref()).await?;
-    let _alive = be_the_only_one(&session, &serve.name).await.map_err(Failure::Refused)?;
+    let _alive = take_name(&session, &serve.name).await?;
     let agent = AgentMemory::start(&session, config).await?;
     let endpoints = session.endpoints().await.join(" ");
     let kept = args.store.as_ref().map_or_else(|| "not kept".into(), |f| format!("kept in {}", f.display()));

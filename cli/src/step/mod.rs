@@ -14,8 +14,10 @@ use std::time::Instant;
 use armarium_runtime::engine::Program;
 use armarium_runtime::stepping::Stepper;
 
-use crate::catalog;
-use crate::run::{parse_input, read_inputs_of};
+use crate::console;
+use crate::render_findings::Shown;
+use crate::run::parse_input;
+use armarium_host::{catalog, run::read_inputs};
 
 /// What `step` takes.
 #[derive(Clone, Debug, clap::Args)]
@@ -65,7 +67,7 @@ enum Stopped {
 pub(crate) fn run(args: &StepArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
     let checked = catalog::load_idle(&args.chart, &args.charts);
     let Some(program) = checked.program else {
-        return crate::run::show_findings(&checked.findings, err).map(|()| 2);
+        return console::show(&checked.findings.iter().map(Shown::from).collect::<Vec<_>>(), err).map(|()| 2);
     };
     match drive(args, &program, out, err) {
         Ok(()) => Ok(0),
@@ -80,7 +82,7 @@ fn drive(
     out: &mut dyn Write,
     err: &mut dyn Write,
 ) -> Result<(), Stopped> {
-    let inputs = read_inputs_of(&args.inputs, program).map_err(Stopped::Wrong)?;
+    let inputs = read_inputs(&args.inputs, program).map_err(|e| Stopped::Wrong(e.to_string()))?;
     let stepper = Stepper::new(Arc::clone(program), &inputs, args.profile.as_deref());
     let mut stepper = stepper.map_err(|e| Stopped::Wrong(e.to_string()))?;
     if args.interactive {

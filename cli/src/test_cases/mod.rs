@@ -16,7 +16,9 @@ use armarium_runtime::chart::Registry;
 use armarium_runtime::engine::Program;
 use armarium_runtime::stepping::{Coverage, Described};
 
-use crate::catalog;
+use crate::console;
+use crate::render_findings::Shown;
+use armarium_host::catalog;
 pub(crate) use case::TestFile;
 
 /// What `test` takes.
@@ -107,7 +109,7 @@ fn load<'t>(
     if !tested.contains_key(&chart) {
         let checked = catalog::load(&chart, &args.charts, registry);
         let Some(program) = checked.program else {
-            crate::run::show_findings(&checked.findings, out)?;
+            console::show(&checked.findings.iter().map(Shown::from).collect::<Vec<_>>(), out)?;
             return Ok(None);
         };
         tested.insert(chart.clone(), Tested { program, coverage: Coverage::default() });

@@ -21,8 +21,10 @@ use crate::query::{Pattern, Query};
 use crate::updater::{OBJECT_INSTANCES, Observation, Updater};
 use crate::working::WorkingMemory;
 
+mod agents;
 mod frames;
 
+pub use agents::{FollowedAgent, Followee, FollowingAgent, agent_stands};
 pub use frames::{WORLD, own_from_other, transformed};
 
 /// Changes that are committed together.

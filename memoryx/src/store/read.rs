@@ -9,7 +9,7 @@ use redb::{AccessGuard, ReadOnlyTable, ReadTransaction, ReadableDatabase, Readab
 
 use super::record::{self, Hash};
 use super::{BLOBS, CHUNKS, ENTITIES, INDEX, LongTermMemory, Row, StoreError};
-use crate::asked::{Answer, Asked, versions_between};
+use crate::checked_query::{Answer, CheckedQuery, versions_between};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Pattern, Query, Times};
@@ -128,7 +128,12 @@ impl<'s> Reader<'s> {
     }
 
     /// Adds what a question takes of one entity, without reading more of its history than that.
-    fn select(&self, asked: &Asked<'_>, entity: &Entity, answer: &mut Answer<'_>) -> Result<(), StoreError> {
+    fn select(
+        &self,
+        asked: &CheckedQuery<'_>,
+        entity: &Entity,
+        answer: &mut Answer<'_>,
+    ) -> Result<(), StoreError> {
         let one = |row: Option<(u64, Row)>| -> Result<Vec<Arc<Snapshot>>, StoreError> {
             let found = row.map(|(_, row)| self.snapshot(&entity.id, row)).transpose()?;
             Ok(asked.select(found.into_iter()))
@@ -161,7 +166,7 @@ impl<'s> Reader<'s> {
     }
 
     /// The first and the last version of an entity between which all are that a question takes.
-    fn bounds(&self, asked: &Asked<'_>, entity: &Entity) -> Result<(u64, u64), StoreError> {
+    fn bounds(&self, asked: &CheckedQuery<'_>, entity: &Entity) -> Result<(u64, u64), StoreError> {
         let query = asked.query();
         let after = query.after.as_ref().filter(|after| after.id == entity.id);
         let (from, to) = match query.times {
@@ -193,7 +198,7 @@ impl<'s> Reader<'s> {
     /// or backwards, until it says that this is enough. No data are read unless the question is about them.
     fn choose(
         &self,
-        asked: &Asked<'_>,
+        asked: &CheckedQuery<'_>,
         entity: &Entity,
         (from, to): (u64, u64),
         backwards: bool,
@@ -289,7 +294,7 @@ impl LongTermMemory {
     /// # Errors
     /// [`StoreError::Damaged`] and others when it cannot be read; [`StoreError::Query`] when the question is none.
     pub fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, StoreError> {
-        let asked = query.ask().map_err(no_question)?;
+        let asked = query.check().map_err(no_question)?;
         self.read(|reader| {
             let mut answer = asked.answer();
             reader.entities(&query.pattern, query.after.as_ref().map(|a| &a.id), |entity| {
@@ -326,7 +331,7 @@ impl LongTermMemory {
         backwards: bool,
         act: &mut dyn FnMut(u64) -> bool,
     ) -> Result<(), StoreError> {
-        let asked = query.ask().map_err(no_question)?;
+        let asked = query.check().map_err(no_question)?;
         let Some(id) = query.pattern.exact() else { return Ok(()) };
         self.read(|reader| {
             let Some(entity) = reader.entity(&id)? else { return Ok(()) };

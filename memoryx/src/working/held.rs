@@ -8,7 +8,7 @@ use std::sync::Arc;
 use armarium_values::Value;
 use indexmap::IndexMap;
 
-use crate::asked::{Answer, Asked};
+use crate::checked_query::{Answer, CheckedQuery};
 use crate::entity::{EntityId, Instance, Snapshot};
 
 /// What one allocation takes beyond its content, bytes, about.
@@ -105,7 +105,7 @@ impl State {
     }
 
     /// What a question takes of what is held, in order of address, then version.
-    pub(super) fn select(&self, asked: &Asked<'_>) -> Vec<Arc<Snapshot>> {
+    pub(super) fn select(&self, asked: &CheckedQuery<'_>) -> Vec<Arc<Snapshot>> {
         let mut answer = asked.answer();
         if let Some(id) = asked.query().pattern.exact() {
             if let Some(history) = self.histories.get(&id).filter(|_| asked.wants(&id)) {
@@ -124,12 +124,12 @@ impl State {
     }
 
     /// The versions that a question takes of one entity, whatever its bounds in all.
-    pub(super) fn versions(&self, asked: &Asked<'_>, id: &EntityId) -> Vec<u64> {
+    pub(super) fn versions(&self, asked: &CheckedQuery<'_>, id: &EntityId) -> Vec<u64> {
         let history = self.histories.get(id).into_iter();
         history.flat_map(|history| asked.select(history.iter())).map(|snapshot| snapshot.version).collect()
     }
 
-    fn add_all(&self, asked: &Asked<'_>, answer: &mut Answer<'_>) {
+    fn add_all(&self, asked: &CheckedQuery<'_>, answer: &mut Answer<'_>) {
         let one = asked.query().pattern.exact_segment();
         let segments = self.segments.iter().filter(|(name, _)| one.is_none_or(|one| one == name.as_str()));
         for (_, entities) in segments {
@@ -144,7 +144,7 @@ impl State {
     }
 
     /// Adds what a question takes of one entity, unless the answer is full: then it says so.
-    fn add(&self, asked: &Asked<'_>, id: &EntityId, place: usize, answer: &mut Answer<'_>) -> bool {
+    fn add(&self, asked: &CheckedQuery<'_>, id: &EntityId, place: usize, answer: &mut Answer<'_>) -> bool {
         if answer.is_full() {
             return false;
         }
@@ -156,7 +156,7 @@ impl State {
 
     /// The entities of which something arrived when the question asks for it, in order of address; `None` when that is
     /// not asked for or not remembered.
-    fn arrived(&self, asked: &Asked<'_>) -> Option<BTreeMap<&EntityId, usize>> {
+    fn arrived(&self, asked: &CheckedQuery<'_>) -> Option<BTreeMap<&EntityId, usize>> {
         let since = asked.query().arrived_since.filter(|since| *since > self.forgotten_until)?;
         let first = self.arrivals.partition_point(|(arrived_ns, _)| *arrived_ns < since);
         let entity = |(_, place): &(u64, usize)| Some((self.histories.get_index(*place)?.0, *place));

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::{Kept, WorkingMemory};
-use crate::asked::{Answer, Asked, versions_between};
+use crate::checked_query::{Answer, CheckedQuery, versions_between};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Cursor, Pattern, Query, Times};
@@ -26,7 +26,7 @@ pub(super) struct Both<'m> {
 
 impl Both<'_> {
     /// What a question asks for.
-    pub(super) fn ask(&self, asked: &Asked<'_>) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
+    pub(super) fn ask(&self, asked: &CheckedQuery<'_>) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         let query = asked.query();
         let mut answer = asked.answer();
         let is_counted = query.limit.is_some() || matches!(query.times, Times::Index(..));
@@ -39,7 +39,7 @@ impl Both<'_> {
     }
 
     /// Adds what follows from each snapshot or, where one of an entity is asked for, from the newest ones of both.
-    fn add(&self, asked: &Asked<'_>, answer: &mut Answer<'_>) -> Result<(), MemoryError> {
+    fn add(&self, asked: &CheckedQuery<'_>, answer: &mut Answer<'_>) -> Result<(), MemoryError> {
         let mut wide = wider(asked.query(), self.memory.part);
         loop {
             let (known, end) = self.part(&wide)?;
@@ -56,7 +56,7 @@ impl Both<'_> {
     /// A part of what both know, and where it ends if there is more.
     fn part(&self, wide: &Query) -> Result<(Known, Option<Cursor>), MemoryError> {
         let recalled = self.kept.recall(wide)?;
-        let held = self.memory.read().select(&wide.ask()?);
+        let held = self.memory.read().select(&wide.check()?);
         let cut = [&recalled, &held].into_iter().filter(|part| wide.is_filled_by(part));
         // Beyond the end of a part that was cut not everything is known: that is asked for again.
         let end = cut.filter_map(|part| part.last()).map(|last| place(last, wide)).min();
@@ -70,7 +70,7 @@ impl Both<'_> {
     }
 
     /// Adds what follows from places in a history, entity by entity.
-    fn add_entities(&self, asked: &Asked<'_>, answer: &mut Answer<'_>) -> Result<(), MemoryError> {
+    fn add_entities(&self, asked: &CheckedQuery<'_>, answer: &mut Answer<'_>) -> Result<(), MemoryError> {
         let query = asked.query();
         if let Some(id) = query.pattern.exact() {
             return if asked.wants(&id) { self.add_entity(asked, &id, answer) } else { Ok(()) };
@@ -95,14 +95,14 @@ impl Both<'_> {
     /// Finds the versions between which all are that are asked for, and adds those.
     fn add_entity(
         &self,
-        asked: &Asked<'_>,
+        asked: &CheckedQuery<'_>,
         id: &EntityId,
         answer: &mut Answer<'_>,
     ) -> Result<(), MemoryError> {
         let mut query = Query { pattern: Pattern::entity(id), limit: None, ..asked.query().clone() };
         if let Times::Index(from, to) = query.times {
             let all = Query::history(query.pattern.clone());
-            let all = Asked { query: &all, filter: None };
+            let all = CheckedQuery { query: &all, filter: None };
             let at = |place: i64| {
                 let index = if place < 0 { -1 - place } else { place };
                 self.nth(&all, id, usize::try_from(index).unwrap_or(usize::MAX), place < 0)
@@ -110,7 +110,7 @@ impl Both<'_> {
             let Some((first, last)) = versions_between(from, to, at)? else { return Ok(()) };
             query.times = Times::Versions(first, last);
         }
-        let one = Asked { query: &query, filter: asked.filter.clone() };
+        let one = CheckedQuery { query: &query, filter: asked.filter.clone() };
         let Some(limit) = asked.query().limit else { return self.add(&one, answer) };
         // Where there are fewer, all are asked for.
         let Some(first) = self.nth(&one, id, limit.saturating_sub(1), true)? else {
@@ -118,13 +118,13 @@ impl Both<'_> {
         };
         let after = first.checked_sub(1).map(|version| Cursor { id: id.clone(), version });
         let query = Query { after: after.or(query.after.clone()), ..query };
-        self.add(&Asked { query: &query, filter: asked.filter.clone() }, answer)
+        self.add(&CheckedQuery { query: &query, filter: asked.filter.clone() }, answer)
     }
 
     /// The `n`th of the versions of an entity that a question chooses, from 0, from the first one or backwards.
     fn nth(
         &self,
-        asked: &Asked<'_>,
+        asked: &CheckedQuery<'_>,
         id: &EntityId,
         n: usize,
         backwards: bool,

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Eyes, View};
 use crate::coach::{CoachState, HandShown};
-use crate::simulation::SimulationError;
+use crate::error::SimulationError;
 use crate::table::{DirtGrid, TableTop};
 use crate::world::{Gesture, World};
 

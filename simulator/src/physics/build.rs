@@ -8,10 +8,10 @@ use rapier3d_f64::prelude::ColliderHandle;
 use super::assembly::{Assembly, Lump, joint_motion};
 use super::convert;
 use super::drives::{Body, Servo};
-use super::plant::{DT, GRAVITY, Object, PAD_FRICTION, PlantError};
-use crate::bed::{Bed, BedReaction};
+use super::plant::{DT, Object, PAD_FRICTION, PlantError};
+use crate::foundation::{ElasticFoundation, FoundationReaction};
 use crate::table::{THICKNESS, TableTop};
-use crate::world::ObjectSpec;
+use crate::world::{GRAVITY, ObjectSpec};
 
 const ROBOT: rapier::Group = rapier::Group::GROUP_1;
 const OBJECT: rapier::Group = rapier::Group::GROUP_2;
@@ -49,7 +49,7 @@ pub(super) fn add_room(physics: &mut rapier::PhysicsWorld, table: &TableTop) {
 }
 
 pub(super) fn add_object(physics: &mut rapier::PhysicsWorld, table: &TableTop, spec: &ObjectSpec) -> Object {
-    let bed = Bed::new(spec);
+    let bed = ElasticFoundation::new(spec);
     let half = *bed.half();
     let [x, y] = spec.at;
     let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), spec.yaw_deg.to_radians());
@@ -76,7 +76,7 @@ pub(super) fn add_object(physics: &mut rapier::PhysicsWorld, table: &TableTop, s
         .collision_groups(groups(CORE, ROOM));
     let collider = physics.insert_collider(full, Some(handle));
     physics.insert_collider(core, Some(handle));
-    Object { handle, collider, bed, reaction: BedReaction::default() }
+    Object { handle, collider, bed, reaction: FoundationReaction::default() }
 }
 
 pub(super) fn add_robot(

@@ -2,7 +2,7 @@
 //!
 //! The pad is a grid of points on the hand. Each one that the box has pressed in is a spring and damper across the box's
 //! side and a bristle along it that sticks until Coulomb's limit and then slips, like the cells of a
-//! [`Bed`](crate::bed::Bed). A pad only pushes: a box that is not pressed on from both sides falls. It does not know
+//! [`ElasticFoundation`](crate::foundation::ElasticFoundation). A pad only pushes: a box that is not pressed on from both sides falls. It does not know
 //! which hand it is on.
 
 use nalgebra::{Isometry3, Point3, Vector3};

@@ -5,7 +5,7 @@
 //!   by the joint's effort. The servo carries the robot's own weight by its nominal model; as that model is exact, the
 //!   two cancel and gravity is left off these bodies (loads and contacts are felt in full).
 //! - Head and left arm follow their set points ideally.
-//! - Objects are free boxes on a [`Bed`] of springs; Rapier keeps them off the fingers, and a thin core keeps
+//! - Objects are free boxes on a [`ElasticFoundation`] of springs; Rapier keeps them off the fingers, and a thin core keeps
 //!   them from falling through the table when they lie on their side.
 //! - An object is held by a fixed joint that exists only while both finger pads press on it (see [`grip`](super::grip)).
 //! - The wrist sensor is exact here (see [`wrench`](super::wrench)); noise is added where it is sensed.
@@ -23,14 +23,12 @@ use super::convert;
 use super::drives::{self, Body};
 use super::grip::{Grip, PadPress};
 use super::wrench::{Momentum, WristWrench};
-use crate::bed::{Bed, BedReaction, Motion};
+use crate::foundation::{ElasticFoundation, FoundationReaction, Motion};
 use crate::table::TableTop;
-use crate::world::World;
+use crate::world::{GRAVITY, World};
 
 /// One step, s.
 pub const DT: f64 = 1e-3;
-/// Gravity, m/s^2.
-pub const GRAVITY: f64 = 9.81;
 /// Friction of finger pads on objects.
 pub const PAD_FRICTION: f64 = 0.9;
 
@@ -66,8 +64,8 @@ pub struct External {
 pub(super) struct Object {
     pub(super) handle: RigidBodyHandle,
     pub(super) collider: ColliderHandle,
-    pub(super) bed: Bed,
-    pub(super) reaction: BedReaction,
+    pub(super) bed: ElasticFoundation,
+    pub(super) reaction: FoundationReaction,
 }
 
 /// The physics of a world.
@@ -164,13 +162,13 @@ impl Plant {
 
     /// An object's underside.
     #[must_use]
-    pub fn bed(&self, index: usize) -> Option<&Bed> {
+    pub fn bed(&self, index: usize) -> Option<&ElasticFoundation> {
         self.objects.get(index).map(|o| &o.bed)
     }
 
     /// What the table did to an object in the last step.
     #[must_use]
-    pub fn reaction(&self, index: usize) -> Option<&BedReaction> {
+    pub fn reaction(&self, index: usize) -> Option<&FoundationReaction> {
         self.objects.get(index).map(|o| &o.reaction)
     }
 

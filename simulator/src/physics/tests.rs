@@ -5,7 +5,8 @@ use std::sync::Arc;
 use armarium_robot::{Kinematics, Model};
 use nalgebra::{Isometry3, Vector3};
 
-use super::{DT, External, GRAVITY, Plant};
+use super::{DT, External, Plant};
+use crate::world::GRAVITY;
 use crate::world::{ObjectSpec, TableSpec, World};
 
 fn model() -> Arc<Model> {

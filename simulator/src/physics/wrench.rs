@@ -10,7 +10,8 @@ use rapier3d_f64::prelude::RigidBody;
 use super::assembly::{Mass, Wrist};
 use super::convert;
 use super::grip::Load;
-use super::plant::{DT, GRAVITY};
+use super::plant::DT;
+use crate::world::GRAVITY;
 
 /// Momentum of a body about the room's origin, and where its weight acts.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -102,6 +102,7 @@ impl Run<'_> {
         let last = mean_period(&path[path.len().saturating_sub(samples)..], period_s, 1)?;
         Some(ImitationFigures {
             frequency_hz: 1.0 / period_s,
+            demonstrated_frequency_hz: self.world.coach.demonstration.as_ref().map(|shown| shown.frequency),
             path_rms_m: distance_to_coach(&last, &self.path),
         })
     }

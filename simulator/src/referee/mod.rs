@@ -3,26 +3,32 @@
 //! It keeps a bounded log ([`TruthLog`]) and computes every figure from it by a pure function ([`figures::compute`]), so
 //! that whoever has a recording can compute them again. It never tells the robot anything.
 
+mod asked;
 mod coached;
 pub mod figures;
 mod gestures;
 mod log;
 mod paths;
 mod report;
+mod sections;
 mod wiped;
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+pub use asked::asked;
 pub use log::{Record, TruthLog};
 pub use report::{
     CoachingFigures, ForceFigures, GestureFigures, GraspFigures, ImitationFigures, RefereeReport,
 };
 pub use wiped::WipedCells;
 
+use armarium_values::report::Section;
+
 use crate::truth::{FrameTruth, TruthEvent, TruthSample};
 use crate::world::World;
 
-/// What the program tells the referee about its progress. Of a kind that comes several times, the last counts.
+/// What skills tell the referee about their progress, by the marks of their manifests. Of a kind that comes several times, the last counts.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Mark {
@@ -43,6 +49,25 @@ pub enum Mark {
     },
     /// The background motion runs and the coach may act.
     WipingStarted,
+}
+
+impl Mark {
+    /// The mark of that name with its numbers, as a skill declares it; `None` for one that this referee does not know.
+    #[must_use]
+    pub fn named(name: &str, numbers: &BTreeMap<String, f64>) -> Option<Self> {
+        let number = |name: &str| numbers.get(name).copied().unwrap_or_default();
+        Some(match name {
+            "grasp_closed" => Self::GraspClosed,
+            "learning_ended" => Self::LearningEnded,
+            "free_space_steady" => Self::FreeSpaceSteady,
+            "adaptation_started" => Self::AdaptationStarted,
+            "adaptation_ended" => {
+                Self::AdaptationEnded { desired_n: number("desired_n"), cycles: number("cycles") as u32 }
+            }
+            "wiping_started" => Self::WipingStarted,
+            _ => return None,
+        })
+    }
 }
 
 /// A handle on the referee; clones are the same referee.
@@ -94,6 +119,15 @@ impl Referee {
     pub fn report(&self) -> RefereeReport {
         let notes = self.notes();
         figures::compute(&notes.world, &notes.log, &notes.marks, &notes.seen)
+    }
+
+    /// What a report shows of the run, the figures with what is asked of them first. Sections without data are empty.
+    #[must_use]
+    pub fn sections(&self) -> Vec<Section> {
+        let notes = self.notes();
+        let report = figures::compute(&notes.world, &notes.log, &notes.marks, &notes.seen);
+        let cells = figures::wiped(&notes.world, &notes.log, &notes.marks);
+        sections::sections(&notes.world, &notes.log, &notes.marks, &report, cells.as_ref())
     }
 
     /// Which cells of the table were to be cleaned and which were; `None` before adaptation has ended.

@@ -33,6 +33,8 @@ pub struct GraspFigures {
 pub struct ImitationFigures {
     /// Inverse of the repeat period of the whole learned path, Hz.
     pub frequency_hz: f64,
+    /// The frequency that the coach showed, Hz.
+    pub demonstrated_frequency_hz: Option<f64>,
     /// True TCP path over one steady period against the coach's true path, m.
     pub path_rms_m: f64,
 }

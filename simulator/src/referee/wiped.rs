@@ -4,8 +4,8 @@ use std::f64::consts::TAU;
 
 use super::Mark;
 use super::figures::Run;
-use crate::bed::Bed;
-use crate::simulation::WIPE_EVERY;
+use crate::foundation::ElasticFoundation;
+use crate::table::WIPE_EVERY;
 use crate::table::{DirtGrid, TableTop};
 
 /// Cells of the table, all in one grid.
@@ -28,7 +28,7 @@ impl Run<'_> {
         let spec = self.world.sponge()?;
         let record = self.log.at(ended)?;
         let tcp_from_sponge = record.tcp.inverse() * record.sponge?;
-        let (table, bed) = (TableTop::new(&self.world.table), Bed::new(spec));
+        let (table, bed) = (TableTop::new(&self.world.table), ElasticFoundation::new(spec));
         let mut swept = DirtGrid::new(&table);
         for i in 0..360 {
             let [x, y] = self.path.point(TAU * f64::from(i) / 360.0);

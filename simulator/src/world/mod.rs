@@ -20,6 +20,9 @@ use serde::Serialize;
 
 pub use agents::{AgentSpec, CoverSpec};
 
+/// Standard gravity, m/s², along the world's negative z.
+pub const GRAVITY: f64 = 9.81;
+
 /// A whole world.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]

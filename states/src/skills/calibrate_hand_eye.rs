@@ -18,7 +18,7 @@ use crate::arm::{Arm, Senses, link};
 use crate::equipment::{self, Equipment};
 use crate::frames::Frames;
 use crate::hand_eye::HandEye;
-use crate::inputs::{Inputs, as_point};
+use crate::inputs::as_point;
 use crate::motions::failed;
 
 /// Places relative to the middle, m: spread in all three directions.

@@ -2,13 +2,12 @@
 
 use std::sync::Arc;
 
-use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
 use crate::hand::Hand;
-use crate::inputs::Inputs;
 
 /// The pads count as stopped below this speed, m/s.
 const STOPPED: f64 = 0.002;
@@ -27,6 +26,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     )
     .optional("timeout", Type::Duration, 6.0, "Longest time it may take.")
     .output("aperture", Type::quantity(Unit::M), "Distance of the finger pads at the end.")
+    .mark(Mark::at_success("grasp_closed"))
     .limb("right_hand");
     equipment::skill(equipment, manifest, run)
 }

@@ -6,12 +6,11 @@ use std::sync::Arc;
 
 use armarium_motion::{SlowDown, SurfaceAdaptation, SurfaceConfig};
 use armarium_runtime::channels::Channels;
-use armarium_runtime::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::skill::{Failure, Mark, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
 
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
-use crate::inputs::Inputs;
 use crate::motions::failed;
 use crate::wiper::{ContactWatch, GraspedTool, Height, Wiper};
 
@@ -34,6 +33,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         4000.0,
         "Stiffness of the contact, as force adaptation found it.",
     )
+    .mark(Mark::at_start("wiping_started"))
     .limb("torso")
     .limb("right_arm");
     equipment::skill(equipment, manifest, run)

@@ -4,12 +4,12 @@
 use std::sync::Arc;
 
 use armarium_motion::{SurfaceAdaptation, SurfaceConfig, Touchdown, TouchdownConfig, TouchdownStatus};
-use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
-use crate::inputs::{Inputs, reference};
+use crate::inputs::reference;
 use crate::motions::{self, failed};
 use crate::reach::required_speed;
 use crate::wiper::{ContactWatch, GraspedTool, Height, Wiper};
@@ -44,6 +44,10 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     .output("cycles", Type::Int, "Cycles that were needed.")
     .output("rms", Type::quantity(Unit::N), "Root mean square force error of the last cycle.")
     .output("stiffness", Type::quantity(Unit::N_M), "Stiffness of the contact.")
+    .mark(Mark::at_start("adaptation_started"))
+    .mark(
+        Mark::at_success("adaptation_ended").with_input("desired_n", "force").with_output("cycles", "cycles"),
+    )
     .limb("torso")
     .limb("right_arm");
     equipment::skill(equipment, manifest, run)

@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 
 use crate::coaching::Coaching;
 use crate::equipment::{self, Equipment};
-use crate::inputs::{Inputs, as_vector};
+use crate::inputs::as_vector;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest =

@@ -2,12 +2,11 @@
 
 use std::sync::Arc;
 
-use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::skill::{Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
 
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
-use crate::inputs::Inputs;
 use crate::reach::required_speed;
 use crate::wiper::{GraspedTool, Height, Wiper};
 
@@ -28,6 +27,8 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
             .output("frequency", Type::quantity(Unit::HZ), "Frequency of the motion.")
             .event(STEADY)
             .event(OVER)
+            .mark(Mark::at_event(STEADY, "free_space_steady"))
+            .mark(Mark::at_event(OVER, "adaptation_started"))
             .limb("torso")
             .limb("right_arm");
     equipment::skill(equipment, manifest, run)

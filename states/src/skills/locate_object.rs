@@ -13,7 +13,7 @@ use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
 use crate::frames::Frames;
 use crate::hand_eye::HandEye;
-use crate::inputs::{Inputs, pose_value, reference};
+use crate::inputs::{pose_value, reference};
 use crate::motions::failed;
 use crate::prior::object_class;
 

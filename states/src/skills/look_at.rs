@@ -8,7 +8,7 @@ use armarium_values::{Type, Unit};
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
 use crate::head::{HEAD, Head};
-use crate::inputs::{Inputs, as_point};
+use crate::inputs::as_point;
 
 /// Largest speed of a joint, rad/s.
 const SPEED: f64 = 1.0;

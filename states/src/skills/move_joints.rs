@@ -9,7 +9,6 @@ use armarium_values::{Type, Unit};
 
 use crate::arm::{ARM, Senses, lease};
 use crate::equipment::{self, Equipment};
-use crate::inputs::Inputs;
 
 /// The share of each joint's limit that is used.
 const SHARE: f64 = 0.8;

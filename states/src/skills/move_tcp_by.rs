@@ -7,7 +7,7 @@ use armarium_values::{Type, Unit};
 
 use crate::arm::{Arm, Senses};
 use crate::equipment::{self, Equipment};
-use crate::inputs::{Inputs, as_vector};
+use crate::inputs::as_vector;
 use crate::skills::move_tcp::{Reached, move_to};
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {

@@ -9,7 +9,7 @@ use armarium_motion::{
     DemonstrationSegmenter, DemonstrationStage, Imitation, Motion, MotionError, PeriodicDmp,
     PeriodicDmpConfig, SegmenterConfig, Swipe,
 };
-use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use armarium_visionx::{ColorMarkerObjectTracking, MarkerSettings};
 use nalgebra::Point3;
@@ -18,7 +18,7 @@ use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
 use crate::frames::Frames;
 use crate::hand_eye::HandEye;
-use crate::inputs::{Inputs, reference};
+use crate::inputs::reference;
 use crate::motions::{self, failed};
 use crate::prior::object_class;
 
@@ -40,7 +40,8 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     .optional("patience", Type::Duration, 30.0, "How long to wait for the demonstration to begin.")
     .optional("periods", Type::Int, 40_i64, "Periods after which the demonstration has been seen enough.")
     .output("motion", Type::motion(), "The learned motion.")
-    .output("frequency", Type::quantity(Unit::HZ), "Its frequency.");
+    .output("frequency", Type::quantity(Unit::HZ), "Its frequency.")
+    .mark(Mark::at_success("learning_ended"));
     equipment::skill(equipment, manifest, run)
 }
 

@@ -8,7 +8,6 @@ use armarium_values::{Type, Unit};
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
 use crate::hand::Hand;
-use crate::inputs::Inputs;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new("OpenHand", "Opens the right hand and lets go of what it holds.")

@@ -6,7 +6,7 @@ use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, Skill
 use armarium_values::{Type, Unit};
 
 use crate::equipment::{self, Equipment};
-use crate::inputs::{Inputs, reference};
+use crate::inputs::reference;
 use crate::motions;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {

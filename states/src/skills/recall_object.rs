@@ -12,7 +12,7 @@ use nalgebra::Isometry3;
 
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
-use crate::inputs::{Inputs, as_pose, pose_value, reference};
+use crate::inputs::{as_pose, pose_value, reference};
 use crate::motions::failed;
 
 /// How often memory is asked, s.

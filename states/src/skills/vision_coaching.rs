@@ -11,7 +11,7 @@ use armarium_visionx::HandObservation;
 
 use crate::coaching::Coaching;
 use crate::equipment::{self, Equipment};
-use crate::inputs::{Inputs, as_vector};
+use crate::inputs::as_vector;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new("VisionCoaching", "Changes the running motion as the coach's gestures say: fist draws, two fingers push away, one finger moves all.")

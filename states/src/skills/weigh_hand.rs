@@ -8,7 +8,6 @@ use nalgebra::Vector3;
 
 use crate::arm::{Arm, Senses};
 use crate::equipment::{self, Equipment};
-use crate::inputs::Inputs;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new(

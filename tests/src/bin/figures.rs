@@ -7,8 +7,9 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use armarium_simulator::referee::asked;
 use armarium_tests::recorded;
-use armarium_viewer::report::{Figure, figures};
+use armarium_values::report::Figure;
 use serde_json::Value;
 
 /// What every report of the whole scenario holds.
@@ -77,7 +78,7 @@ fn main() -> io::Result<ExitCode> {
         return Ok(ExitCode::from(2));
     };
     let report: Value = serde_json::from_str(&std::fs::read_to_string(folder.join("report.json"))?)?;
-    let figures = figures(&report);
+    let figures = asked(&report);
     show(&mut out, &figures)?;
     let mut complaints = complaints(&report, &figures);
     match recorded::read(&folder.join("run.mcap")) {
@@ -112,7 +113,7 @@ mod tests {
 
     #[test]
     fn a_good_report_has_no_complaints_and_each_change_for_the_worse_has_one() {
-        assert_eq!(complaints(&good(), &figures(&good())), Vec::<String>::new());
+        assert_eq!(complaints(&good(), &asked(&good())), Vec::<String>::new());
         let worse = [
             ("/outcome", json!("failure")),
             ("/trace_sha256", Value::Null),
@@ -126,7 +127,7 @@ mod tests {
         for (place, value) in worse {
             let mut report = good();
             *report.pointer_mut(place).expect("the place exists") = value;
-            assert_eq!(complaints(&report, &figures(&report)).len(), 1, "{place}");
+            assert_eq!(complaints(&report, &asked(&report)).len(), 1, "{place}");
         }
     }
 }

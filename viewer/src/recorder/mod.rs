@@ -18,10 +18,9 @@ use std::io::BufWriter;
 use std::path::Path;
 use std::sync::Arc;
 
-use armarium_visionx::Image;
+use armarium_visionx::{Image, JpegPixel, encode_jpeg};
 use foxglove::messages as fg;
 use foxglove::{Channel, Context, McapCompression, McapWriteOptions, McapWriterHandle, RawChannel, Schema};
-use image::codecs::jpeg::JpegEncoder;
 use nalgebra::Isometry3;
 use serde::Serialize;
 
@@ -387,11 +386,6 @@ impl Recorder {
 
 fn jpeg(image: &Image, quality: u8) -> Result<Vec<u8>, image::ImageError> {
     let mut data = Vec::with_capacity(image.data().len() / 8);
-    JpegEncoder::new_with_quality(&mut data, quality.clamp(1, 100)).encode(
-        image.data(),
-        image.width(),
-        image.height(),
-        image::ExtendedColorType::Rgb8,
-    )?;
+    encode_jpeg(&mut data, image.data(), (image.width(), image.height()), JpegPixel::Rgb, quality)?;
     Ok(data)
 }

@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use armarium_values::report::StateSpan;
+
 use super::axes::{Axes, ticks};
-use super::data::StateSpan;
 use super::svg::{Anchor, Svg, fit};
 
 const ROW: f64 = 21.0;

@@ -1,12 +1,14 @@
 //! The page: sections in order, each left out when it has nothing to show.
 
-use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 
-use super::data::{CoachingRow, ReportData, TimePlot};
-use super::figures::{Figure, Requirement};
+use armarium_values::report::{
+    Block, Cell, Confusion, Figure, Picture, Requirement, Section, Table, TimePlot,
+};
+
+use super::data::ReportData;
 use super::svg::{data_uri, escape};
-use super::{gantt, memories, plan, timeplot};
+use super::{gantt, plan, timeplot};
 
 const STYLE: &str = include_str!("style.css");
 
@@ -21,39 +23,66 @@ pub fn render(data: &ReportData) -> String {
         escape(title),
         escape(&data.outcome),
     );
-    let sections = [
-        header(title, data),
-        failure(data),
-        figures(&data.figures),
-        states(data),
-        memories(data),
-        paths(data),
-        signals(data),
-        wiped(data),
-        coaching(&data.coaching),
-        gestures(data),
-        joints(data),
-        pictures(data),
-        log(data),
-    ];
-    sections.iter().for_each(|section| page.push_str(section));
+    page.push_str(&header(title, data));
+    page.push_str(&failure(data));
+    let time = time(data);
+    data.sections.iter().for_each(|shown| page.push_str(&section(shown, time)));
     page.push_str("</main>\n</body>\n</html>\n");
     page
 }
 
 /// The time that all plots show: from 0 to the last instant of any of them, s.
 fn time(data: &ReportData) -> [f64; 2] {
-    let plots = data.force.iter().chain(&data.signals).chain(&data.joints);
-    let signals = plots.flat_map(|p| &p.series).filter_map(|s| s.t_s.last().copied());
-    let states = data.states.iter().flat_map(|s| [Some(s.from_s), s.to_s]).flatten();
-    let end = signals.chain(states).filter(|t| t.is_finite()).fold(0.0, f64::max);
+    let last = |plot: &TimePlot| plot.series.iter().filter_map(|s| s.t_s.last().copied()).fold(0.0, later);
+    let end = |block: &Block| match block {
+        Block::Plot(plot) => last(plot),
+        Block::SmallPlots(plots) => plots.iter().map(last).fold(0.0, later),
+        Block::Gantt(spans) => spans.iter().flat_map(|s| [Some(s.from_s), s.to_s]).flatten().fold(0.0, later),
+        _ => 0.0,
+    };
+    let end = data.sections.iter().flat_map(|section| &section.blocks).map(end).fold(0.0, later);
     [0.0, if end > 0.0 { end } else { 1.0 }]
 }
 
-fn section(title: &str, note: &str, body: &str) -> String {
+/// The later of two instants; one that is not a number is none.
+fn later(a: f64, b: f64) -> f64 {
+    if b.is_finite() { a.max(b) } else { a }
+}
+
+/// A section, or nothing where none of its blocks shows anything.
+fn section(section: &Section, time: [f64; 2]) -> String {
+    let body: String = section.blocks.iter().map(|shown| block(shown, time)).collect();
+    if body.is_empty() {
+        return String::new();
+    }
+    let judged: Vec<bool> = section.figures().filter_map(Figure::passed).collect();
+    let met = judged.iter().filter(|met| **met).count();
+    let mut note = section.note.clone();
+    if !judged.is_empty() {
+        let _ = write!(note, "{}{met} of {} met.", if note.is_empty() { "" } else { " " }, judged.len());
+    }
     let note =
-        if note.is_empty() { String::new() } else { format!("<p class=\"note\">{}</p>\n", escape(note)) };
-    format!("<section>\n<h2>{}</h2>\n{note}{body}\n</section>\n", escape(title))
+        if note.is_empty() { String::new() } else { format!("<p class=\"note\">{}</p>\n", escape(&note)) };
+    format!("<section>\n<h2>{}</h2>\n{note}{body}\n</section>\n", escape(&section.title))
+}
+
+fn block(block: &Block, time: [f64; 2]) -> String {
+    match block {
+        Block::Figures(list) if !list.is_empty() => figures(list),
+        Block::Plot(plot) if !plot.series.is_empty() => timeplot::draw(plot, time, timeplot::WIDE),
+        Block::SmallPlots(plots) if !plots.is_empty() => {
+            let plots: String =
+                plots.iter().map(|plot| timeplot::draw(plot, time, timeplot::SMALL)).collect();
+            format!("<div class=\"grid2\">{plots}</div>")
+        }
+        Block::Plan(shown) => plan::draw(shown).unwrap_or_default(),
+        Block::Gantt(spans) if !spans.is_empty() => gantt::draw(spans, time),
+        Block::Table(shown) if !shown.rows.is_empty() => table(shown),
+        Block::Confusion(shown) if !shown.rows.is_empty() => confusion(shown),
+        Block::Pictures(list) if !list.is_empty() => pictures(list),
+        Block::Lines(lines) if !lines.is_empty() => format!("<pre>{}</pre>", escape(&lines.join("\n"))),
+        _ => String::new(),
+    }
 }
 
 fn header(title: &str, data: &ReportData) -> String {
@@ -95,7 +124,7 @@ fn failure(data: &ReportData) -> String {
     )
 }
 
-pub(super) fn number(value: f64, digits: usize) -> String {
+fn number(value: f64, digits: usize) -> String {
     if value.is_finite() {
         format!("{value:.digits$}").replace('-', "−")
     } else {
@@ -103,7 +132,7 @@ pub(super) fn number(value: f64, digits: usize) -> String {
     }
 }
 
-pub(super) fn with_unit(text: String, unit: &str) -> String {
+fn with_unit(text: String, unit: &str) -> String {
     if unit.is_empty() { text } else { format!("{text}\u{a0}{unit}") }
 }
 
@@ -119,9 +148,6 @@ fn requirement(figure: &Figure) -> String {
 }
 
 fn figures(figures: &[Figure]) -> String {
-    if figures.is_empty() {
-        return String::new();
-    }
     let mut body = String::from(
         "<table><thead><tr><th></th><th>Figure</th><th class=\"n\">Measured</th><th>Required</th><th></th></tr></thead><tbody>",
     );
@@ -147,104 +173,48 @@ fn figures(figures: &[Figure]) -> String {
         );
     }
     body.push_str("</tbody></table>");
-    let judged: Vec<bool> = figures.iter().filter_map(Figure::passed).collect();
-    let met = judged.iter().filter(|met| **met).count();
-    section(
-        "Figures",
-        &format!("Measured against the simulator's truth. {met} of {} met.", judged.len()),
-        &body,
-    )
+    body
 }
 
-fn states(data: &ReportData) -> String {
-    if data.states.is_empty() {
-        return String::new();
+fn table(table: &Table) -> String {
+    let class = |is_number: bool| if is_number { " class=\"n\"" } else { "" };
+    let mut body = String::from("<table><thead><tr>");
+    for column in &table.columns {
+        let _ = write!(body, "<th{}>{}</th>", class(column.is_number), escape(&column.title));
     }
-    let note = "Which states were active, and when. A thin bar is a state with states inside.";
-    section("States", note, &gantt::draw(&data.states, time(data)))
-}
-
-fn memories(data: &ReportData) -> String {
-    let Some(known) = &data.memories else { return String::new() };
-    let note = "What each agent's memory came to know, as it told others. Places are in the robot's root frame, set \
-                beside the simulator's truth of that moment; the plot takes what speaks of the latest time.";
-    section(&format!("Memories of the {}", known.subject), note, &memories::draw(known, time(data)))
-}
-
-fn paths(data: &ReportData) -> String {
-    if data.paths.iter().all(|path| path.points.is_empty()) {
-        return String::new();
-    }
-    section("Paths", "The table seen from above; a dot marks where each begins.", &plan::paths(&data.paths))
-}
-
-fn signals(data: &ReportData) -> String {
-    let time = time(data);
-    let draw = |plot: &TimePlot| section(&plot.title, "", &timeplot::draw(plot, time, timeplot::WIDE));
-    data.force.iter().chain(&data.signals).filter(|plot| !plot.series.is_empty()).map(draw).collect()
-}
-
-fn wiped(data: &ReportData) -> String {
-    let Some(plan) = data.wiped.as_ref().and_then(plan::wiped) else { return String::new() };
-    section(
-        "Wiped area",
-        "What the sponge cleaned by pressing on it, seen from above, and the path of the hand until the coach acted.",
-        &plan,
-    )
-}
-
-fn coaching(rows: &[CoachingRow]) -> String {
-    if rows.is_empty() {
-        return String::new();
-    }
-    let mut body = String::from(
-        "<table><thead><tr><th>Coach</th><th class=\"n\">At</th><th class=\"n\">Moved the motion</th>\
-         <th class=\"n\">Kept</th><th class=\"n\">Far side, RMS</th><th class=\"n\">Slowed to</th></tr></thead><tbody>",
-    );
-    let cell = |value: Option<f64>, factor: f64, digits: usize, unit: &str| {
-        let text = value.map_or("–".to_owned(), |v| with_unit(number(v * factor, digits), unit));
-        format!("<td class=\"n\">{}</td>", escape(&text))
-    };
-    for row in rows {
-        let _ = write!(
-            body,
-            "<tr><td>{}</td>{}{}{}{}{}</tr>",
-            escape(&row.kind.replace('_', " ")),
-            cell(Some(row.at_s), 1.0, 1, "s"),
-            cell(row.displacement_m, 1e3, 1, "mm"),
-            cell(row.retained_m, 1e3, 1, "mm"),
-            cell(row.far_side_rms_m, 1e3, 1, "mm"),
-            cell(row.slowed_to, 1e2, 0, "%"),
-        );
+    body.push_str("</tr></thead><tbody>");
+    for row in &table.rows {
+        body.push_str("<tr>");
+        for (column, shown) in table.columns.iter().zip(row) {
+            let _ = write!(body, "<td{}>{}</td>", class(column.is_number), cell(shown));
+        }
+        body.push_str("</tr>");
     }
     body.push_str("</tbody></table>");
-    section(
-        "Coaching",
-        "How far each coaching moved the motion, and what stayed when the coach had gone.",
-        &body,
-    )
+    body
 }
 
-fn gestures(data: &ReportData) -> String {
-    if data.confusion.is_empty() {
-        return String::new();
+fn cell(cell: &Cell) -> String {
+    match cell {
+        Cell::Absent => "–".to_owned(),
+        Cell::Text(text) => escape(text),
+        Cell::Code(text) => format!("<code>{}</code>", escape(text)),
+        Cell::Numbers { values, unit, digits } => {
+            let numbers: Vec<String> = values.iter().map(|value| number(*value, *digits)).collect();
+            escape(&with_unit(numbers.join(", "), unit))
+        }
     }
-    // No hand at all comes last.
-    let order = |name: &'_ String| (name == "none", name.clone());
-    let names: BTreeSet<(bool, String)> =
-        data.confusion.keys().chain(data.confusion.values().flat_map(|r| r.keys())).map(order).collect();
-    let names: Vec<String> = names.into_iter().map(|(_, name)| name).collect();
-    let nothing = BTreeMap::new();
+}
+
+fn confusion(confusion: &Confusion) -> String {
     let mut body = String::from("<table class=\"matrix\"><thead><tr><th>shown \\ seen</th>");
-    for name in &names {
+    for name in &confusion.names {
         let _ = write!(body, "<th>{}</th>", escape(&name.replace('_', " ")));
     }
     body.push_str("</tr></thead><tbody>");
-    for shown in names.iter().filter(|name| data.confusion.contains_key(*name)) {
-        let row = data.confusion.get(shown).unwrap_or(&nothing);
+    for (shown, counts) in &confusion.rows {
         let _ = write!(body, "<tr><th>{}</th>", escape(&shown.replace('_', " ")));
-        for seen in &names {
-            let count = row.get(seen).copied().unwrap_or(0);
+        for (seen, count) in confusion.names.iter().zip(counts) {
             let class = match (count, shown == seen) {
                 (0, _) => "",
                 (_, true) => "on",
@@ -255,28 +225,12 @@ fn gestures(data: &ReportData) -> String {
         body.push_str("</tr>");
     }
     body.push_str("</tbody></table>");
-    section("Gestures", "Camera frames by the gesture that was shown and the one that was seen.", &body)
+    body
 }
 
-fn joints(data: &ReportData) -> String {
-    if data.joints.is_empty() {
-        return String::new();
-    }
-    let time = time(data);
-    let plots: String = data.joints.iter().map(|plot| timeplot::draw(plot, time, timeplot::SMALL)).collect();
-    section(
-        "Joints",
-        "Trajectories over time in seconds; dashed lines are limits.",
-        &format!("<div class=\"grid2\">{plots}</div>"),
-    )
-}
-
-fn pictures(data: &ReportData) -> String {
-    if data.pictures.is_empty() {
-        return String::new();
-    }
+fn pictures(pictures: &[Picture]) -> String {
     let mut body = String::from("<div class=\"pictures\">");
-    for picture in &data.pictures {
+    for picture in pictures {
         let caption = escape(&picture.caption);
         let uri = data_uri(&picture.media_type, &picture.data);
         let _ = write!(
@@ -285,12 +239,5 @@ fn pictures(data: &ReportData) -> String {
         );
     }
     body.push_str("</div>");
-    section("What the cameras saw", "", &body)
-}
-
-fn log(data: &ReportData) -> String {
-    if data.log.is_empty() {
-        return String::new();
-    }
-    section("Log", "", &format!("<pre>{}</pre>", escape(&data.log.join("\n"))))
+    body
 }

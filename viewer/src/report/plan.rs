@@ -1,9 +1,9 @@
-//! The table seen from above: paths, and what the sponge cleaned. x to the right, y forward, one scale for both.
+//! Something seen from above: areas, and lines over them. x to the right, y up, one scale for both.
 
+use armarium_values::report::{Cells, Path, PathStyle, Plan, Tone};
 use image::ImageEncoder as _;
 
 use super::axes::{Axes, Key, legend, legend_height, range_of};
-use super::data::{Cell, Path, PathRole, WipedArea};
 use super::svg::{Anchor, Svg, data_uri};
 
 const WIDTH: f64 = 760.0;
@@ -17,48 +17,62 @@ fn frame(x: [f64; 2], y: [f64; 2], entries: &[(String, String, Key)]) -> Axes {
     Axes { left, top: 26.0 + keys, width, height, x, y }.with_equal_units()
 }
 
-fn draw_axes(svg: &mut Svg, axes: &Axes) {
-    axes.draw(svg, "x, m (to the robot's right)");
-    svg.text([axes.left, axes.top - 10.0], Anchor::Start, "label", "y, m (forward)");
-}
-
+/// The class of each path; lines and references of no colour of their own are numbered in order.
 fn classes(paths: &[Path]) -> Vec<String> {
-    let mut coached = 1;
-    paths
-        .iter()
-        .map(|path| match path.role {
-            PathRole::Demonstrated => "line demonstrated".to_owned(),
-            PathRole::Learned => "line c1".to_owned(),
-            PathRole::Outline => "line outline".to_owned(),
-            PathRole::Coached => {
-                coached += 1;
-                format!("line c{}", (coached - 1) % 6 + 1)
-            }
-        })
-        .collect()
+    let mut lines = 0;
+    let class = |path: &Path| match path.style {
+        PathStyle::Reference => "line demonstrated".to_owned(),
+        PathStyle::Outline => "line outline".to_owned(),
+        PathStyle::Overlay => "line over".to_owned(),
+        PathStyle::Line => {
+            lines += 1;
+            format!("line c{}", (lines - 1) % 6 + 1)
+        }
+    };
+    paths.iter().map(class).collect()
 }
 
-/// Paths as SVG; a dot marks where each begins.
-pub(super) fn paths(paths: &[Path]) -> String {
-    let shown = |axis: usize| {
-        let inner = paths.iter().filter(|p| p.role != PathRole::Outline);
-        range_of(inner.flat_map(|p| p.points.iter().map(move |point| point[axis])), 0.12)
+/// A plan as SVG; `None` when there is nothing to show.
+pub(super) fn draw(plan: &Plan) -> Option<String> {
+    let cells = plan.cells.as_ref().and_then(Used::of);
+    let [x, y] = match &cells {
+        Some(used) => [range_of(used.x, 0.1), range_of(used.y, 0.1)],
+        None => [0, 1].map(|axis| {
+            let inner = plan.paths.iter().filter(|p| p.style != PathStyle::Outline);
+            range_of(inner.flat_map(|p| p.points.iter().map(move |point| point[axis])), 0.12)
+        }),
     };
-    let classes = classes(paths);
-    let entries: Vec<_> =
-        paths.iter().zip(&classes).map(|(p, class)| (p.label.clone(), class.clone(), Key::Line)).collect();
-    let axes = frame(shown(0), shown(1), &entries);
-    let mut svg = Svg::new(WIDTH, axes.bottom() + 42.0, "Paths over the table");
+    let paths: Vec<&Path> = plan.paths.iter().filter(|path| !path.points.is_empty()).collect();
+    // Areas that nothing was found in are not shown with the lines over them either.
+    if cells.is_none() && (plan.cells.is_some() || paths.is_empty()) {
+        return None;
+    }
+    let classes = classes(&plan.paths);
+    let kinds = plan.cells.iter().flat_map(|cells| &cells.kinds);
+    let kinds = kinds.map(|(label, tone)| (label.clone(), area_class(*tone).to_owned(), Key::Area));
+    let lines = plan.paths.iter().zip(&classes).filter(|(path, _)| !path.points.is_empty());
+    let lines: Vec<_> = lines.collect();
+    let entries: Vec<_> = kinds
+        .chain(lines.iter().map(|(path, class)| (path.label.clone(), (*class).clone(), Key::Line)))
+        .collect();
+    let axes = frame(x, y, &entries);
+    let mut svg = Svg::new(WIDTH, axes.bottom() + 42.0, &plan.title);
     legend(&mut svg, [axes.left, 2.0], axes.width, &entries);
-    draw_axes(&mut svg, &axes);
+    axes.draw(&mut svg, &plan.x_label);
+    svg.text([axes.left, axes.top - 10.0], Anchor::Start, "label", &plan.y_label);
+    if let Some(used) = &cells {
+        let [left, top] = axes.point(used.x[0], used.y[1]);
+        let [right, bottom] = axes.point(used.x[1], used.y[0]);
+        svg.image([left, top], [right - left, bottom - top], &data_uri("image/png", &used.png()?));
+    }
     svg.clipped([axes.left, axes.top], [axes.width, axes.height], |svg| {
-        // What was demonstrated lies on top: its dashes let the others through.
-        let mut order: Vec<_> = paths.iter().zip(&classes).collect();
-        order.sort_by_key(|(path, _)| path.role == PathRole::Demonstrated);
+        // What the others are compared with lies on top: its dashes let them through.
+        let mut order = lines;
+        order.sort_by_key(|(path, _)| path.style == PathStyle::Reference);
         for (path, class) in order {
             let finite = path.points.iter().filter(|p| p[0].is_finite() && p[1].is_finite());
             let points: Vec<[f64; 2]> = thinned(finite.map(|p| axes.point(p[0], p[1])));
-            if path.role != PathRole::Outline
+            if matches!(path.style, PathStyle::Line | PathStyle::Reference)
                 && let Some(start) = points.first()
             {
                 svg.circle(*start, 4.0, &class.replace("line", "dot"));
@@ -66,7 +80,7 @@ pub(super) fn paths(paths: &[Path]) -> String {
             svg.polyline(points, class);
         }
     });
-    svg.finish("plan")
+    Some(svg.finish("plan"))
 }
 
 /// Points at least half a pixel apart, the last one kept.
@@ -86,66 +100,59 @@ pub(super) fn thinned(points: impl Iterator<Item = [f64; 2]>) -> Vec<[f64; 2]> {
     kept
 }
 
-/// The cleaned cells as SVG; `None` when there is nothing to show.
-pub(super) fn wiped(area: &WipedArea) -> Option<String> {
-    let cell_of = |i: usize| (i % area.columns, i / area.columns);
-    let touched = |i: &usize| area.cells[*i] != Cell::Untouched;
-    let whole = area.columns * area.rows();
-    if whole == 0 || !(area.cell_m.is_finite() && area.cell_m > 0.0) {
-        return None;
+fn area_class(tone: Tone) -> &'static str {
+    match tone {
+        Tone::Good => "cleaned",
+        Tone::Bad => "missed",
+        Tone::Neutral => "beside",
     }
-    let used: Vec<(usize, usize)> = (0..whole).filter(touched).map(cell_of).collect();
-    let columns = [used.iter().map(|c| c.0).min()?, used.iter().map(|c| c.0).max()? + 1];
-    let rows = [used.iter().map(|c| c.1).min()?, used.iter().map(|c| c.1).max()? + 1];
-    let at = |axis: usize, cell: usize| area.origin[axis] + cell as f64 * area.cell_m;
-    let (x, y) = (columns.map(|c| at(0, c)), rows.map(|r| at(1, r)));
-    let percent = area.fraction().map_or(String::new(), |f| format!(" ({:.1} %)", f * 100.0));
-    let mut entries = vec![
-        (format!("cleaned{percent}"), "cleaned".to_owned(), Key::Area),
-        ("missed".to_owned(), "missed".to_owned(), Key::Area),
-        ("cleaned beside that or later".to_owned(), "beside".to_owned(), Key::Area),
-    ];
-    if !area.path.is_empty() {
-        entries.push(("path of the hand".to_owned(), "line over".to_owned(), Key::Line));
-    }
-    let axes = frame(range_of(x, 0.1), range_of(y, 0.1), &entries);
-    let mut svg = Svg::new(WIDTH, axes.bottom() + 42.0, "Wiped area");
-    legend(&mut svg, [axes.left, 2.0], axes.width, &entries);
-    draw_axes(&mut svg, &axes);
-    let [left, top] = axes.point(x[0], y[1]);
-    let [right, bottom] = axes.point(x[1], y[0]);
-    let png = cells_as_png(area, columns, rows)?;
-    svg.image([left, top], [right - left, bottom - top], &data_uri("image/png", &png));
-    let path = area.path.iter().filter(|p| p[0].is_finite() && p[1].is_finite());
-    svg.clipped([axes.left, axes.top], [axes.width, axes.height], |svg| {
-        svg.polyline(thinned(path.map(|p| axes.point(p[0], p[1]))), "line over");
-    });
-    Some(svg.finish("plan"))
 }
 
-fn cells_as_png(area: &WipedArea, columns: [usize; 2], rows: [usize; 2]) -> Option<Vec<u8>> {
-    let colour = |cell: Cell| match cell {
-        Cell::Untouched => [0, 0, 0, 0],
-        Cell::Cleaned => [42, 157, 143, 235],
-        Cell::Missed => [214, 73, 51, 255],
-        Cell::Beside => [150, 195, 235, 190],
-    };
-    let pixels: Vec<u8> = (rows[0]..rows[1])
-        .rev()
-        .flat_map(|row| (columns[0]..columns[1]).map(move |column| row * area.columns + column))
-        .flat_map(|i| colour(area.cells[i]))
-        .collect();
-    let (width, height) = (columns[1] - columns[0], rows[1] - rows[0]);
-    let mut png = Vec::new();
-    image::codecs::png::PngEncoder::new(&mut png)
-        .write_image(
-            &pixels,
-            u32::try_from(width).ok()?,
-            u32::try_from(height).ok()?,
-            image::ExtendedColorType::Rgba8,
-        )
-        .ok()?;
-    Some(png)
+/// The cells of a plan that are something, and the rectangle around them.
+struct Used<'c> {
+    cells: &'c Cells,
+    columns: [usize; 2],
+    rows: [usize; 2],
+    x: [f64; 2],
+    y: [f64; 2],
+}
+
+impl<'c> Used<'c> {
+    fn of(cells: &'c Cells) -> Option<Self> {
+        if !(cells.cell_m.is_finite() && cells.cell_m > 0.0) {
+            return None;
+        }
+        let used = (0..cells.columns * cells.rows()).filter(|i| cells.cells[*i] != 0);
+        let used: Vec<(usize, usize)> = used.map(|i| (i % cells.columns, i / cells.columns)).collect();
+        let columns = [used.iter().map(|c| c.0).min()?, used.iter().map(|c| c.0).max()? + 1];
+        let rows = [used.iter().map(|c| c.1).min()?, used.iter().map(|c| c.1).max()? + 1];
+        let at = |axis: usize, cell: usize| cells.origin[axis] + cell as f64 * cells.cell_m;
+        let (x, y) = (columns.map(|c| at(0, c)), rows.map(|r| at(1, r)));
+        Some(Self { cells, columns, rows, x, y })
+    }
+
+    fn png(&self) -> Option<Vec<u8>> {
+        let colour = |kind: u8| {
+            let tone = usize::from(kind).checked_sub(1).and_then(|kind| self.cells.kinds.get(kind));
+            match tone.map(|(_, tone)| tone) {
+                None => [0, 0, 0, 0],
+                Some(Tone::Good) => [42, 157, 143, 235],
+                Some(Tone::Bad) => [214, 73, 51, 255],
+                Some(Tone::Neutral) => [150, 195, 235, 190],
+            }
+        };
+        let columns = self.columns[0]..self.columns[1];
+        let of_row = |row: usize| columns.clone().map(move |column| row * self.cells.columns + column);
+        let pixels = (self.rows[0]..self.rows[1]).rev().flat_map(of_row);
+        let pixels: Vec<u8> = pixels.flat_map(|i| colour(self.cells.cells[i])).collect();
+        let width = u32::try_from(self.columns[1] - self.columns[0]).ok()?;
+        let height = u32::try_from(self.rows[1] - self.rows[0]).ok()?;
+        let mut png = Vec::new();
+        image::codecs::png::PngEncoder::new(&mut png)
+            .write_image(&pixels, width, height, image::ExtendedColorType::Rgba8)
+            .ok()?;
+        Some(png)
+    }
 }
 
 #[cfg(test)]
@@ -153,19 +160,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_area_without_a_touched_cell_or_a_size_is_not_drawn() {
-        assert!(wiped(&WipedArea::default()).is_none());
-        let untouched = WipedArea {
-            origin: [0.0; 2],
-            cell_m: 0.01,
+    fn a_plan_without_a_used_cell_or_a_size_is_not_drawn() {
+        assert!(draw(&Plan::default()).is_none());
+        let cells = |cells: Vec<u8>, cell_m: f64| Cells {
+            cell_m,
             columns: 2,
-            cells: vec![Cell::Untouched; 5],
-            path: vec![[0.0, 0.0], [f64::NAN, 0.0]],
+            kinds: vec![("cleaned".into(), Tone::Good)],
+            cells,
+            ..Cells::default()
         };
-        assert!(wiped(&untouched).is_none());
-        let touched = WipedArea { cells: vec![Cell::Cleaned; 5], ..untouched };
-        assert!(wiped(&touched).is_some());
-        assert_eq!(touched.fraction(), Some(1.0));
+        let path = Path { points: vec![[0.0, 0.0], [f64::NAN, 0.0]], ..Path::default() };
+        let plan = |cells: Cells| Plan { cells: Some(cells), paths: vec![path.clone()], ..Plan::default() };
+        assert!(draw(&plan(cells(vec![0; 5], 0.01))).is_none());
+        assert!(draw(&plan(cells(vec![1; 5], f64::NAN))).is_none());
+        assert!(draw(&plan(cells(vec![1; 5], 0.01))).is_some());
+        assert!(draw(&plan(cells(vec![9; 5], 0.01))).is_some(), "a kind without a name is nothing");
     }
 
     #[test]

@@ -1,7 +1,8 @@
 //! Signals over time, with the band that they should stay in, limits, and marked instants.
 
+use armarium_values::report::TimePlot;
+
 use super::axes::{Axes, Key, legend, legend_height, range_of};
-use super::data::TimePlot;
 use super::series::pieces;
 use super::svg::{Anchor, Svg, fit, text_width};
 

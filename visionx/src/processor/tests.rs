@@ -1,11 +1,11 @@
 use std::sync::atomic::AtomicU64;
 
 use super::*;
-use crate::frame::ImageSource;
-use crate::hand::HandObserver;
+use crate::image_source::ImageSource;
 use crate::providers::{Description, StereoPair, StereoProvider, channel};
 use crate::scenes::{CALIBRATION, empty_frames};
 use crate::steps::OfStereo;
+use crate::tracking::hand::HandObserver;
 use crate::{StereoCalibration, StereoFrame};
 
 /// Gives a frame each 66 ms, `frames` in all.

@@ -1,15 +1,12 @@
 //! From the formats of cameras to RGB and to depth, and from frames to PNG or JPEG.
 
-use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder, ImageError as CodingError};
 
 use super::frame::{Frame, FrameImage, PixelFormat};
 use super::wire::{Header, ImageCoding};
 use crate::frame::{DepthImage, Image};
-
-/// Quality of JPEG files, of 100.
-const QUALITY: u8 = 85;
+use crate::jpeg::{JPEG_QUALITY, JpegPixel, encode_jpeg};
 
 /// The image in RGB: gray and raw Bayer images too; depth and organised points as colours from near (red) to far (blue).
 /// `None` for a mere list of points.
@@ -106,8 +103,8 @@ fn colors_of(depth: &DepthImage) -> Option<Image> {
 /// When the encoder fails, for instance because a side is longer than 65535 px.
 pub fn jpeg(image: &Image) -> Result<Vec<u8>, CodingError> {
     let mut bytes = Vec::new();
-    let encoder = JpegEncoder::new_with_quality(&mut bytes, QUALITY);
-    encoder.write_image(image.data(), image.width(), image.height(), ExtendedColorType::Rgb8)?;
+    let size = (image.width(), image.height());
+    encode_jpeg(&mut bytes, image.data(), size, JpegPixel::Rgb, JPEG_QUALITY)?;
     Ok(bytes)
 }
 
@@ -131,13 +128,11 @@ pub fn coded(
             (_, ImageCoding::Raw) | (PixelFormat::Points32F, _) => bytes.extend(image.bytes()),
             (PixelFormat::Rgb8, ImageCoding::Jpeg) => {
                 said.coding = ImageCoding::Jpeg;
-                let encoder = JpegEncoder::new_with_quality(&mut bytes, QUALITY);
-                encoder.write_image(image.bytes(), size.0, size.1, ExtendedColorType::Rgb8)?;
+                encode_jpeg(&mut bytes, image.bytes(), size, JpegPixel::Rgb, JPEG_QUALITY)?;
             }
             (PixelFormat::Gray8, ImageCoding::Jpeg) => {
                 said.coding = ImageCoding::Jpeg;
-                let encoder = JpegEncoder::new_with_quality(&mut bytes, QUALITY);
-                encoder.write_image(image.bytes(), size.0, size.1, ExtendedColorType::L8)?;
+                encode_jpeg(&mut bytes, image.bytes(), size, JpegPixel::Gray, JPEG_QUALITY)?;
             }
             (PixelFormat::Depth32F, _) => {
                 (said.coding, said.format) = (ImageCoding::Png, PixelFormat::Depth16);

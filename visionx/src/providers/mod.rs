@@ -23,6 +23,7 @@ mod lenient;
 mod offering;
 mod pair;
 mod recording;
+pub mod rectify;
 mod remote;
 mod stereo;
 pub mod wire;

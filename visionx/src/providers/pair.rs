@@ -8,7 +8,7 @@ use super::convert::{depth_of, rgb_of};
 use super::{Description, Frame};
 use crate::camera::StereoCalibration;
 use crate::frame::{ImageError, StereoFrame};
-use crate::rectify::Rectification;
+use crate::providers::rectify::Rectification;
 
 /// What a provider's frames are as stereo pairs.
 #[derive(Clone, Debug)]

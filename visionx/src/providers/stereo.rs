@@ -7,7 +7,8 @@ use async_trait::async_trait;
 
 use super::{Description, Frame, FrameImage, ImageProvider, PixelFormat, PixelOwner, Pixels, StereoPair};
 use crate::camera::StereoCalibration;
-use crate::frame::{ImageError, ImageSource, StereoFrame};
+use crate::frame::{ImageError, StereoFrame};
+use crate::image_source::ImageSource;
 
 /// An [`ImageSource`] as a provider. Pixels are not copied; depth is.
 pub struct StereoProvider {

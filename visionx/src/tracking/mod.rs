@@ -10,6 +10,7 @@ mod ar_model;
 mod contour_filter;
 mod distance;
 mod edges;
+pub mod hand;
 mod hough;
 mod hypotheses;
 mod lab;

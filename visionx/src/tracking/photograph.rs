@@ -9,9 +9,9 @@ use super::distance::inside;
 use super::recognizer::SeenFinger;
 use super::skin::SkinSegmentation;
 use crate::frame::Image;
-use crate::hand::Fingertip;
-use crate::hand::shape::{Finger, HandShape, hand_shape};
 use crate::mask::{Mask, Region};
+use crate::tracking::hand::Fingertip;
+use crate::tracking::hand::shape::{Finger, HandShape, hand_shape};
 
 /// Radius of the largest disc in a usual palm, m.
 const PALM: f64 = 0.040;

@@ -13,9 +13,9 @@ use super::edges::edge_map;
 use super::hough::{AdaptiveHoughTransform, HoughVotes, TipCandidate};
 use crate::camera::StereoCalibration;
 use crate::frame::StereoFrame;
-use crate::hand::candidates::{Hand, find_near_too};
-use crate::hand::depth::Ranging;
-use crate::hand::shape::Finger;
+use crate::tracking::hand::candidates::{Hand, find_near_too};
+use crate::tracking::hand::depth::Ranging;
+use crate::tracking::hand::shape::Finger;
 
 /// How fingertips are tracked; the parts can be left out one by one, to see what each is good for.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -261,7 +261,7 @@ impl Reader<'_> {
                 let message = format!("object `{}` at ({x}, {y}) is not on the table", object.name);
                 self.find(at, "world::value", message, "move it, or the table".into());
             }
-            if object.mass * crate::physics::GRAVITY > 0.25 * object.stiffness * object.size[2] {
+            if object.mass * crate::world::GRAVITY > 0.25 * object.stiffness * object.size[2] {
                 let message =
                     format!("object `{}` is too soft: its weight alone presses it flat", object.name);
                 self.find(at, "world::value", message, "make it lighter, thicker or stiffer".into());

@@ -1,0 +1,132 @@
+//! The options that say where other agents are, and who may do what.
+
+use std::path::{Path, PathBuf};
+
+use armarium_bus::{Access, KeyError, Session, SessionConfig, SessionError, Tls};
+
+/// Where other agents are.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub(crate) struct ConnectionArgs {
+    /// Where another agent listens, for instance `tcp/127.0.0.1:7447`; may be repeated.
+    #[arg(long, global = true, value_name = "ENDPOINT")]
+    pub(crate) connect: Vec<String>,
+    /// Where to listen for other agents; a free port of this machine if not given.
+    #[arg(long, global = true, value_name = "ENDPOINT")]
+    pub(crate) listen: Vec<String>,
+    /// Accept addresses beyond this machine.
+    #[arg(long, global = true)]
+    pub(crate) off_loopback: bool,
+    /// For endpoints `tls/...`: the certificate (PEM) of the authority that both sides trust.
+    #[arg(long, global = true, value_name = "FILE", requires_all = ["certificate", "key"])]
+    pub(crate) ca: Option<PathBuf>,
+    /// The certificate (PEM) that is shown; its common name is the agent's.
+    #[arg(long, global = true, value_name = "FILE", requires = "ca")]
+    pub(crate) certificate: Option<PathBuf>,
+    /// The private key (PEM) of the certificate.
+    #[arg(long, global = true, value_name = "FILE", requires = "ca")]
+    pub(crate) key: Option<PathBuf>,
+}
+
+/// Whom an agent lets in, by the common names of their certificates.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub(crate) struct AccessArgs {
+    /// Somebody who may read this agent's memory; may be repeated. As soon as anybody is named, nobody else may do anything.
+    #[arg(long = "reader", value_name = "NAME", requires = "ca")]
+    readers: Vec<String>,
+    /// Somebody who may read it, and write provider segments that are called as he is; may be repeated.
+    #[arg(long = "writer", value_name = "NAME", requires = "ca")]
+    writers: Vec<String>,
+    /// Somebody who may start this agent's charts and skills; may be repeated.
+    #[arg(long = "caller", value_name = "NAME", requires = "ca")]
+    callers: Vec<String>,
+}
+
+impl AccessArgs {
+    /// Whom the agent `own` lets in; `None` when nobody is named, and everybody may do everything.
+    pub(crate) fn of(&self, own: &str) -> Option<Access> {
+        let access = Access {
+            own: own.into(),
+            readers: self.readers.clone(),
+            writers: self.writers.clone(),
+            callers: self.callers.clone(),
+        };
+        access.is_for_others().then_some(access)
+    }
+}
+
+impl ConnectionArgs {
+    /// Whether anything is said.
+    pub(crate) fn is_given(&self) -> bool {
+        !self.connect.is_empty() || !self.listen.is_empty()
+    }
+
+    /// Opens a session on this runtime, with access rules if there are any.
+    ///
+    /// # Errors
+    /// As [`Session::open`]; [`explained`] makes a sentence for people of it.
+    pub(crate) async fn session(&self, access: Option<&Access>) -> Result<Session, SessionError> {
+        let mut config = self.config()?;
+        let no_name = |error: KeyError| SessionError::Config { what: error.to_string() };
+        config.access_control = access.map(Access::rules).transpose().map_err(no_name)?;
+        Session::open(&config).await
+    }
+
+    /// What is said, as the configuration of a session.
+    ///
+    /// # Errors
+    /// [`SessionError::Config`] for an endpoint that is none, and a file that is not there.
+    pub(crate) fn config(&self) -> Result<SessionConfig, SessionError> {
+        let mut config = SessionConfig::connected_to(&self.connect);
+        if !self.listen.is_empty() {
+            config.listen.clone_from(&self.listen);
+        }
+        config.off_loopback = self.off_loopback;
+        for endpoint in config.listen.iter().chain(&config.connect) {
+            self.check(endpoint)?;
+        }
+        config.tls = self.tls()?;
+        Ok(config)
+    }
+
+    /// Says of an endpoint what Zenoh would say late or not at all.
+    fn check(&self, endpoint: &str) -> Result<(), SessionError> {
+        let protocol = endpoint.split_once('/').map(|(protocol, _)| protocol);
+        let what = match protocol {
+            None | Some("") => format!("`{endpoint}` is no endpoint such as tcp/127.0.0.1:7447"),
+            Some("tls" | "quic") if self.ca.is_none() => {
+                format!("`{endpoint}` needs certificates: --ca, --certificate and --key")
+            }
+            Some(_) => return Ok(()),
+        };
+        Err(SessionError::Config { what })
+    }
+
+    fn tls(&self) -> Result<Option<Tls>, SessionError> {
+        let (Some(ca), Some(certificate), Some(key)) = (&self.ca, &self.certificate, &self.key) else {
+            return Ok(None);
+        };
+        Ok(Some(Tls {
+            root_ca: readable(ca)?,
+            certificate: readable(certificate)?,
+            private_key: readable(key)?,
+            mutual: true,
+        }))
+    }
+}
+
+/// The path of a file that is there.
+fn readable(file: &Path) -> Result<String, SessionError> {
+    let path = file.display().to_string();
+    match std::fs::File::open(file) {
+        Ok(_) => Ok(path),
+        Err(error) => Err(SessionError::Config { what: format!("`{path}` cannot be read: {error}") }),
+    }
+}
+
+/// What went wrong, and what to do about it.
+pub(crate) fn explained(error: &SessionError) -> String {
+    match error {
+        SessionError::OffLoopback { .. } => format!("{error}: --off-loopback"),
+        error => error.to_string(),
+    }
+}

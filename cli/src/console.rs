@@ -1,0 +1,108 @@
+//! How a run and an agent tell people how it goes: a line on the terminal that says how far it is, notes, and findings with
+//! their place.
+
+use std::io::{self, IsTerminal as _, Write};
+use std::process;
+use std::sync::Arc;
+
+use armarium_host::{Clock, Console, HostError};
+use armarium_runtime::chart::Finding;
+use armarium_viewer::progress::{Progress, Status};
+
+use crate::connection_args::explained;
+use crate::logging;
+use crate::render_findings::{Shown, render, summary};
+
+/// The terminal. Notes go to standard output, or to standard error where that shows the progress.
+pub(crate) struct Terminal {
+    progress: Progress,
+    shows_progress: bool,
+    verbose: bool,
+}
+
+impl Terminal {
+    /// A terminal that shows a run's progress.
+    pub(crate) fn with_progress(verbose: bool) -> Arc<dyn Console> {
+        let progress = Progress::new(Box::new(io::stderr()), io::stderr().is_terminal());
+        Arc::new(Self { progress, shows_progress: true, verbose })
+    }
+
+    /// A terminal that only shows notes and warnings.
+    pub(crate) fn for_notes(verbose: bool) -> Self {
+        Self { progress: Progress::new(Box::new(io::stderr()), false), shows_progress: false, verbose }
+    }
+
+    fn colour(&self) -> bool {
+        self.shows_progress && io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none()
+    }
+}
+
+impl Console for Terminal {
+    fn note(&self, text: &str) {
+        if self.shows_progress {
+            self.progress.print(text);
+        } else {
+            let mut out = io::stdout();
+            // Whoever does not read this is served all the same.
+            let _ = writeln!(out, "{text}").and_then(|()| out.flush()).is_ok();
+        }
+    }
+
+    fn happened(&self, line: &str) {
+        if self.verbose {
+            self.progress.print(line);
+        }
+    }
+
+    fn progress(&self, status: &Status) {
+        self.progress.update(status);
+    }
+
+    fn finished(&self, status: &Status) {
+        self.progress.finish(status);
+    }
+
+    fn warnings(&self, findings: &[Finding]) {
+        let shown: Vec<Shown> = findings.iter().map(Shown::from).collect();
+        self.note(render(&shown, self.colour(), 100).trim_end_matches('\n'));
+        if self.shows_progress {
+            self.note(&summary(&shown));
+        }
+    }
+
+    fn blocked(&self, state: &str) {
+        let what = "blocks the program; the robot stands, no report is written";
+        self.progress.print(&format!("the skill of `{state}` {what}"));
+        process::exit(1);
+    }
+
+    fn world_begins(&self, clock: Clock) {
+        if let Err(error) = logging::install(&self.progress, clock, self.verbose, self.colour()) {
+            self.note(&format!("warning: {error}"));
+        }
+    }
+}
+
+/// Says why nothing was done. Gives the exit status 2.
+///
+/// # Errors
+/// When `out` cannot be written.
+pub(crate) fn refuse(error: &HostError, out: &mut dyn Write) -> io::Result<u8> {
+    match error {
+        HostError::Chart(findings) => show(&findings.iter().map(Shown::from).collect::<Vec<_>>(), out)?,
+        HostError::World(errors) => show(&errors.iter().map(Shown::from).collect::<Vec<_>>(), out)?,
+        HostError::Session(error) => writeln!(out, "error: {}", explained(error))?,
+        error => writeln!(out, "error: {error}")?,
+    }
+    Ok(2)
+}
+
+/// Shows findings with their places, and counts them.
+///
+/// # Errors
+/// When `out` cannot be written.
+pub(crate) fn show(findings: &[Shown], out: &mut dyn Write) -> io::Result<()> {
+    let colour = io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+    write!(out, "{}", render(findings, colour, 100))?;
+    writeln!(out, "{}", summary(findings))
+}

@@ -1,0 +1,298 @@
+//! `armarium image`: providers of images, those that other processes offer and those that are files: list them, look at
+//! them, record and play them, count and check.
+
+mod calibrate;
+mod findings;
+mod live;
+mod page;
+mod play;
+mod record;
+mod source;
+mod stats;
+mod view;
+
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::time::Duration;
+
+use armarium_bus::SessionConfig;
+use armarium_host::Connection;
+use armarium_visionx::providers::{FoundProvider, providers};
+use serde_json::json;
+
+use crate::connection_args::{ConnectionArgs, explained};
+use crate::console;
+
+/// How long providers are listened for.
+const LISTENED: Duration = Duration::from_secs(2);
+
+/// What `image` takes.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct ImageArgs {
+    #[command(subcommand)]
+    command: ImageCommand,
+}
+
+#[derive(Clone, Debug, clap::Subcommand)]
+enum ImageCommand {
+    /// List the providers that can be reached, with their images.
+    Ls(LsArgs),
+    /// Show a provider live in a browser page of this machine, or write its images as PNG.
+    View(ViewArgs),
+    /// Record providers into an MCAP file, without loss.
+    Record(RecordArgs),
+    /// Offer a recording, or images of files, as a provider.
+    Play(PlayArgs),
+    /// Count a provider's frames: rate, latency, size, what is lost.
+    Stats(StatsArgs),
+    /// Compare a stereo provider's calibration with what its images show.
+    CalibrateCheck(CalibrateArgs),
+    /// Run a processor on a provider: results as lines of JSON, into a memory, and as an annotated provider.
+    Process(ProcessArgs),
+}
+
+#[derive(Clone, Debug, clap::Args)]
+struct LsArgs {
+    /// One line of JSON a provider.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    connection: ConnectionArgs,
+}
+
+/// Where frames come from.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct SourceArgs {
+    /// `AGENT/PROVIDER`, or a recording, an image file or a folder of images.
+    #[arg(value_name = "SOURCE")]
+    pub(crate) source: String,
+    /// The provider or topic in a recording; the first if not given.
+    #[arg(long, value_name = "NAME")]
+    pub(crate) topic: Option<String>,
+    #[command(flatten)]
+    pub(crate) connection: ConnectionArgs,
+}
+
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct ViewArgs {
+    #[command(flatten)]
+    pub(crate) source: SourceArgs,
+    /// Write each image as a PNG file into this folder, in place of showing a page; depth as 16 bit gray, mm.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) png: Option<PathBuf>,
+    /// How many frames to write.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(crate) frames: u64,
+    /// Where the page is; a free port if not given.
+    #[arg(long, value_name = "PORT", default_value_t = 0)]
+    pub(crate) port: u16,
+    /// Have the images sent as JPEG, for a thin link.
+    #[arg(long)]
+    pub(crate) jpeg: bool,
+}
+
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct RecordArgs {
+    /// `AGENT/PROVIDER`; may be repeated.
+    #[arg(value_name = "PROVIDER", required = true)]
+    pub(crate) providers: Vec<String>,
+    /// The recording.
+    #[arg(short, long, value_name = "FILE")]
+    pub(crate) output: PathBuf,
+    /// Replace the recording if it is there already.
+    #[arg(long)]
+    pub(crate) force: bool,
+    /// End after so many seconds; otherwise with Ctrl-C.
+    #[arg(long, value_name = "S")]
+    pub(crate) seconds: Option<f64>,
+    /// End after so many frames.
+    #[arg(long, value_name = "N")]
+    pub(crate) frames: Option<u64>,
+    #[command(flatten)]
+    pub(crate) connection: ConnectionArgs,
+}
+
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct PlayArgs {
+    /// A recording (MCAP), image files, or folders of them.
+    #[arg(value_name = "FILE", required = true)]
+    pub(crate) files: Vec<PathBuf>,
+    /// The agent that offers it.
+    #[arg(long, default_value = "player")]
+    pub(crate) name: String,
+    /// The provider's name, for images of files.
+    #[arg(long, value_name = "NAME", default_value = "files")]
+    pub(crate) provider: String,
+    /// The provider or topic in a recording; the first if not given.
+    #[arg(long, value_name = "NAME")]
+    pub(crate) topic: Option<String>,
+    /// Times the original speed.
+    #[arg(long, value_name = "X", default_value_t = 1.0)]
+    pub(crate) speed: f64,
+    /// Begin again at the end.
+    #[arg(long = "loop")]
+    pub(crate) repeat: bool,
+    /// Frames a second of images of files.
+    #[arg(long, value_name = "HZ", default_value_t = 30.0)]
+    pub(crate) rate: f64,
+    #[command(flatten)]
+    pub(crate) connection: ConnectionArgs,
+}
+
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct StatsArgs {
+    #[command(flatten)]
+    pub(crate) source: SourceArgs,
+    /// How long to count, s.
+    #[arg(long, value_name = "S", default_value_t = 5.0)]
+    pub(crate) seconds: f64,
+    /// One line of JSON.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct CalibrateArgs {
+    #[command(flatten)]
+    pub(crate) source: SourceArgs,
+    /// How many frames to look at.
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    pub(crate) frames: u64,
+    /// One line of JSON.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct ProcessArgs {
+    #[command(flatten)]
+    pub(crate) source: SourceArgs,
+    /// What to look for.
+    #[arg(long, value_enum, default_value_t = live::Look::Hand)]
+    pub(crate) look: live::Look,
+    /// The marker's colour in full light.
+    #[arg(long, value_name = "R,G,B", default_value = "40,170,60", value_parser = crate::vision::color)]
+    pub(crate) color: [u8; 3],
+    /// Write what is found into the memory of this agent.
+    #[arg(long, value_name = "AGENT")]
+    pub(crate) memory: Option<String>,
+    /// Offer the annotated images as a provider of this agent, called after the processor.
+    #[arg(long, value_name = "AGENT")]
+    pub(crate) offer: Option<String>,
+    /// Take the newest frame at this rate, in place of each.
+    #[arg(long, value_name = "HZ")]
+    pub(crate) rate: Option<f64>,
+    /// End after so many frames.
+    #[arg(long, value_name = "N")]
+    pub(crate) frames: Option<u64>,
+}
+
+/// Why a command fails.
+pub(crate) enum Failure {
+    /// An argument or file is wrong: exit status 2.
+    Argument(String),
+    /// It could not be done: exit status 1.
+    Failed(String),
+}
+
+/// Does what is asked. Returns the exit status: 0 success, 1 it could not be done, 2 an argument or file is wrong.
+///
+/// # Errors
+/// When `out` or `err` cannot be written.
+pub(crate) fn run(args: &ImageArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
+    let session = match args.connection().config() {
+        Ok(session) => SessionConfig { shared_memory: true, ..session },
+        Err(error) => return writeln!(err, "error: {}", explained(&error)).map(|()| 2),
+    };
+    let connection = match Connection::open(&session) {
+        Ok(connection) => connection,
+        Err(error) => return console::refuse(&error, err),
+    };
+    if let Err(message) = crate::warnings::show() {
+        return writeln!(err, "error: {message}").map(|()| 2);
+    }
+    let doing = async {
+        match &args.command {
+            ImageCommand::Ls(args) => list(args, &connection, out).await,
+            ImageCommand::View(args) => view::run(args, &connection, out).await,
+            ImageCommand::Record(args) => record::run(args, &connection, out).await,
+            ImageCommand::Play(args) => play::run(args, &connection, out).await,
+            ImageCommand::Stats(args) => stats::run(args, &connection, out).await,
+            ImageCommand::CalibrateCheck(args) => calibrate::run(args, &connection, out).await,
+            ImageCommand::Process(args) => live::run(args, &connection, out).await,
+        }
+    };
+    match connection.runtime().block_on(doing) {
+        Ok(()) => Ok(0),
+        Err(Failure::Argument(message)) => writeln!(err, "error: {message}").map(|()| 2),
+        Err(Failure::Failed(message)) => writeln!(err, "error: {message}").map(|()| 1),
+    }
+}
+
+impl ImageArgs {
+    fn connection(&self) -> &ConnectionArgs {
+        match &self.command {
+            ImageCommand::Ls(args) => &args.connection,
+            ImageCommand::View(args) => &args.source.connection,
+            ImageCommand::Record(args) => &args.connection,
+            ImageCommand::Play(args) => &args.connection,
+            ImageCommand::Stats(args) => &args.source.connection,
+            ImageCommand::CalibrateCheck(args) => &args.source.connection,
+            ImageCommand::Process(args) => &args.source.connection,
+        }
+    }
+}
+
+impl From<io::Error> for Failure {
+    fn from(error: io::Error) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
+/// A failure that an argument is to blame for.
+pub(crate) fn argument(error: impl std::fmt::Display) -> Failure {
+    Failure::Argument(error.to_string())
+}
+
+/// A failure that no argument is to blame for.
+pub(crate) fn failed(error: impl std::fmt::Display) -> Failure {
+    Failure::Failed(error.to_string())
+}
+
+async fn list(args: &LsArgs, connection: &Connection, out: &mut dyn Write) -> Result<(), Failure> {
+    let found = providers(connection.session(), None, None, LISTENED).await.map_err(failed)?;
+    if found.is_empty() && !args.json {
+        let hint =
+            if args.connection.connect.is_empty() { "; say where they are with --connect" } else { "" };
+        writeln!(out, "no provider answers{hint}")?;
+    }
+    for FoundProvider { agent, provider, description } in found {
+        let description = match description {
+            Ok(description) => description,
+            Err(what) => {
+                if args.json {
+                    let line = json!({"agent": agent, "provider": {"name": provider}, "error": what});
+                    writeln!(out, "{line}")?;
+                } else {
+                    writeln!(out, "{agent}/{provider}: cannot be read (see docs/wire-images.md): {what}")?;
+                }
+                continue;
+            }
+        };
+        if args.json {
+            writeln!(out, "{}", json!({"agent": agent, "provider": description}))?;
+            continue;
+        }
+        let rate = description.rate_hz.map(|hz| format!(", {hz} frames/s")).unwrap_or_default();
+        writeln!(out, "{agent}/{}: {}{rate}", description.name, description.about)?;
+        for image in &description.images {
+            let calibrated = if image.camera.is_some() { "calibrated" } else { "not calibrated" };
+            let (role, width, height) = (&image.role, image.width, image.height);
+            // As documents and JSON have it.
+            let format = json!(image.format);
+            let format = format.as_str().unwrap_or_default();
+            writeln!(out, "  {role}: {width} x {height}, {format}, {calibrated}")?;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,358 @@
+//! A discrete movement that becomes periodic, in one primitive (Gams et al. 2015, II and Fig. 7): replayed as shown, and at
+//! another frequency with the original canonical system and the modified one, before and after an adaptation.
+
+use std::f64::consts::{PI, TAU};
+
+use armarium_motion::{
+    CanonicalRule, CanonicalSystem, DiscretePeriodicConfig, DiscretePeriodicDmp, LearningControl,
+    LearningControlConfig, TimeSample,
+};
+use armarium_viewer::report::{Curve, Look, Panel, Row, picture};
+
+use super::experiment::{Experiment, ExperimentError, Outcome, within};
+use super::settings::settings;
+
+settings! {
+    /// What the primitive is shown and how it is replayed.
+    Dpdmp {
+        /// Frequency Omega of the demonstration, rad/s.
+        omega: f64 = 4.0 * PI;
+        /// Frequency of the second replay, rad/s.
+        omega_new: f64 = 2.0 * PI;
+        /// Duration T of the discrete part, s.
+        duration: f64 = 1.0;
+        /// Periods after it.
+        periods: f64 = 4.0;
+        /// Step, s.
+        dt: f64 = 0.001;
+        /// Centre c of y = c + A sin phi + B cos 2 phi, one value a degree of freedom.
+        center: [f64; 2] = [1.0, -0.5];
+        /// A.
+        a: [f64; 2] = [0.3, 0.2];
+        /// B.
+        b: [f64; 2] = [0.1, -0.08];
+        /// Constant of (1).
+        alpha_z: f64 = 48.0;
+        /// Constant of (1).
+        beta_z: f64 = 12.0;
+        /// Periodic kernels N.
+        n: usize = 25;
+        /// Discrete kernels M.
+        m: usize = 25;
+        /// Ridge of the regression.
+        ridge: f64 = 1e-8;
+        /// Constant of (4).
+        eta: f64 = 6.0;
+        /// Constant of (4).
+        alpha: f64 = 1.0 / 6.0;
+        /// Constant of (4).
+        beta: f64 = 0.001;
+        /// Radius of the limit cycle.
+        mu: f64 = 1.0;
+        /// Radius at which the discrete part ends.
+        mu1: f64 = 1.2;
+        /// Radius at which the transition begins.
+        mu2: f64 = 1.4;
+        /// Centre of what the motion is adapted to.
+        adapted_center: [f64; 2] = [1.1, -0.45];
+        /// Its A; B stays.
+        adapted_a: [f64; 2] = [0.4, 0.12];
+        /// Epochs of the adaptation (11).
+        epochs: u32 = 20;
+        /// Control per unit of error, 1/s; L and C are parts of it.
+        gain: f64 = 150.0;
+        /// L of (11).
+        l: f64 = 0.3;
+        /// C of (11).
+        c: f64 = 0.3;
+    }
+}
+
+/// The fifth-order polynomials from rest in 0 to the periodic part, and that.
+struct Shape {
+    omega: f64,
+    duration: f64,
+    center: [f64; 2],
+    a: [f64; 2],
+    b: [f64; 2],
+}
+
+impl Shape {
+    /// Position, velocity and acceleration of degree of freedom `d` in the periodic part, `t` s after its start.
+    fn periodic(&self, d: usize, t: f64) -> [f64; 3] {
+        let (w, p) = (self.omega, self.omega * t);
+        let (a, b) = (self.a[d], self.b[d]);
+        [
+            self.center[d] + a * p.sin() + b * (2.0 * p).cos(),
+            w * (a * p.cos() - 2.0 * b * (2.0 * p).sin()),
+            -w * w * (a * p.sin() + 4.0 * b * (2.0 * p).cos()),
+        ]
+    }
+
+    fn at(&self, d: usize, t: f64) -> [f64; 3] {
+        if t >= self.duration {
+            return self.periodic(d, t - self.duration);
+        }
+        rise(self.periodic(d, 0.0), self.duration, t.max(0.0))
+    }
+
+    fn sample(&self, t: f64) -> TimeSample {
+        let both = [self.at(0, t), self.at(1, t)];
+        let of = |i: usize| both.iter().map(|v| v[i]).collect();
+        TimeSample { t, y: of(0), yd: of(1), ydd: of(2) }
+    }
+}
+
+/// Position, velocity and acceleration `t` s after rest in 0, on the way to `end` at `duration` s: the fifth-order
+/// polynomial.
+pub(super) fn rise(end: [f64; 3], duration: f64, t: f64) -> [f64; 3] {
+    let s = t / duration;
+    let [y, v, a] = [end[0], end[1] * duration, end[2] * duration * duration];
+    let c = [10.0 * y - 4.0 * v + 0.5 * a, 7.0 * v - 15.0 * y - a, 6.0 * y - 3.0 * v + 0.5 * a];
+    let sum = |f: &dyn Fn(f64) -> f64| (3..6).zip(c).map(|(k, c)| c * f(f64::from(k))).sum::<f64>();
+    [
+        sum(&|k| s.powf(k)),
+        sum(&|k| k * s.powf(k - 1.0)) / duration,
+        sum(&|k| k * (k - 1.0) * s.powf(k - 2.0)) / (duration * duration),
+    ]
+}
+
+/// A replay: positions and what they should have been, one entry a step.
+struct Replay {
+    dt: f64,
+    y: Vec<[f64; 2]>,
+    wanted: Vec<[f64; 2]>,
+}
+
+impl Replay {
+    /// Root mean square error of each degree of freedom as a share of `range`.
+    fn error(&self, range: [f64; 2]) -> Vec<f64> {
+        let square =
+            |d: usize| self.y.iter().zip(&self.wanted).map(|(y, w)| (y[d] - w[d]).powi(2)).sum::<f64>();
+        (0..2).map(|d| (square(d) / self.y.len() as f64).sqrt() / range[d]).collect()
+    }
+
+    fn curve(&self, of: &[[f64; 2]], d: usize) -> Vec<[f64; 2]> {
+        let stride = of.len().div_ceil(2500);
+        of.iter().enumerate().step_by(stride).map(|(k, y)| [self.dt * k as f64, y[d]]).collect()
+    }
+}
+
+impl Experiment for Dpdmp {
+    const NAME: &'static str = "dpdmp";
+    const ABOUT: &'static str =
+        "discrete-periodic primitive at another frequency (Gams et al. 2015, II, Fig. 7)";
+    const ALIASES: &'static [(&'static str, &'static str)] =
+        &[("periodic_kernels", "n"), ("discrete_kernels", "m")];
+
+    fn run(&self) -> Result<Outcome, ExperimentError> {
+        self.check()?;
+        let demonstrated = self.shape(self.center, self.a);
+        let adapted = self.shape(self.adapted_center, self.adapted_a);
+        let mut modified = self.learn(CanonicalRule::Modified, &demonstrated)?;
+        let mut original = self.learn(CanonicalRule::Original, &demonstrated)?;
+        let range = self.range(&demonstrated);
+        let mut outcome = Outcome::default();
+        let (phi, r) = modified.initial_phase();
+        outcome.figure("phi_init", phi);
+        outcome.figure("r_init", r);
+        let mut replays = vec![
+            ("rmse_replay", self.replay(&mut modified, self.omega, &demonstrated)?),
+            ("rmse_modified", self.replay(&mut modified, self.omega_new, &demonstrated)?),
+            ("rmse_original", self.replay(&mut original, self.omega_new, &demonstrated)?),
+            ("rmse_before_adaptation", self.replay(&mut modified, self.omega, &adapted)?),
+        ];
+        self.adapt(&mut modified, &adapted)?;
+        original.set_control_weights(modified.control_weights())?;
+        replays.push(("rmse_adapted", self.replay(&mut modified, self.omega, &adapted)?));
+        replays.push(("rmse_adapted_modified", self.replay(&mut modified, self.omega_new, &adapted)?));
+        replays.push(("rmse_adapted_original", self.replay(&mut original, self.omega_new, &adapted)?));
+        for (name, replay) in &replays {
+            outcome.figure(name, replay.error(range));
+        }
+        let replays: Vec<Replay> = replays.into_iter().map(|(_, replay)| replay).collect();
+        outcome.plot("dpdmp", plot(&replays));
+        Ok(outcome)
+    }
+}
+
+impl Dpdmp {
+    fn check(&self) -> Result<(), ExperimentError> {
+        within("omega", self.omega, 0.01, 1000.0)?;
+        within("omega_new", self.omega_new, 0.01, 1000.0)?;
+        within("duration", self.duration, 0.01, 100.0)?;
+        within("periods", self.periods, 0.5, 100.0)?;
+        within("dt", self.dt, 1e-5, 0.1)?;
+        let longest = (self.omega * self.duration + TAU * self.periods) / self.omega.min(self.omega_new);
+        within("steps of a replay", longest / self.dt, 10.0, 2e6)?;
+        for (key, values) in [
+            ("center", self.center),
+            ("a", self.a),
+            ("b", self.b),
+            ("adapted_center", self.adapted_center),
+            ("adapted_a", self.adapted_a),
+        ] {
+            values.iter().try_for_each(|v| within(key, *v, -1e6, 1e6))?;
+        }
+        within("gain", self.gain, -1e6, 1e6)?;
+        within("epochs", f64::from(self.epochs), 1.0, 1000.0)
+    }
+
+    fn shape(&self, center: [f64; 2], a: [f64; 2]) -> Shape {
+        Shape { omega: self.omega, duration: self.duration, center, a, b: self.b }
+    }
+
+    /// Steps of the demonstration.
+    fn steps(&self) -> usize {
+        ((self.duration + TAU * self.periods / self.omega) / self.dt).round() as usize
+    }
+
+    fn range(&self, shape: &Shape) -> [f64; 2] {
+        [0, 1].map(|d| {
+            let values = || (0..=self.steps()).map(|k| shape.at(d, self.dt * k as f64)[0]);
+            values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)
+        })
+    }
+
+    fn learn(&self, rule: CanonicalRule, shape: &Shape) -> Result<DiscretePeriodicDmp, ExperimentError> {
+        let canonical = CanonicalSystem {
+            eta: self.eta,
+            alpha: self.alpha,
+            beta: self.beta,
+            mu: self.mu,
+            mu1: self.mu1,
+            mu2: self.mu2,
+            rule,
+        };
+        let config = DiscretePeriodicConfig {
+            discrete_kernels: self.m,
+            periodic_kernels: self.n,
+            alpha_z: self.alpha_z,
+            beta_z: self.beta_z,
+            ridge: self.ridge,
+            canonical,
+            ..DiscretePeriodicConfig::with_dofs(2)
+        };
+        let mut dmp = DiscretePeriodicDmp::new(config, self.omega, self.duration)?;
+        let samples: Vec<TimeSample> = (0..=self.steps()).map(|k| shape.sample(self.dt * k as f64)).collect();
+        dmp.learn(&samples)?;
+        Ok(dmp)
+    }
+
+    /// One execution at `omega`, beside `shape` stretched in time.
+    fn replay(
+        &self,
+        dmp: &mut DiscretePeriodicDmp,
+        omega: f64,
+        shape: &Shape,
+    ) -> Result<Replay, ExperimentError> {
+        dmp.restart();
+        let steps = (dmp.length(self.periods, omega) / self.dt).round() as usize;
+        let mut replay = Replay { dt: self.dt, y: Vec::new(), wanted: Vec::new() };
+        for k in 0..=steps {
+            let t = self.dt * k as f64 * omega / self.omega;
+            replay.y.push([dmp.state().y[0], dmp.state().y[1]]);
+            replay.wanted.push([shape.at(0, t)[0], shape.at(1, t)[0]]);
+            dmp.step(self.dt, omega)?;
+        }
+        Ok(replay)
+    }
+
+    /// Learns the control signal that makes `shape` of the motion.
+    fn adapt(&self, dmp: &mut DiscretePeriodicDmp, shape: &Shape) -> Result<(), ExperimentError> {
+        let steps = self.steps();
+        let config = LearningControlConfig { q: 1.0, l: self.l, c: self.c };
+        let mut learning = LearningControl::new(config, 2, steps)?;
+        for _ in 0..self.epochs {
+            dmp.restart();
+            for k in 0..steps {
+                let t = self.dt * k as f64;
+                let error = [0, 1].map(|d| self.gain * (shape.at(d, t)[0] - dmp.state().y[d]));
+                learning.step(dmp, self.omega, &error)?;
+                dmp.step(self.dt, self.omega)?;
+            }
+            learning.finish(dmp)?;
+        }
+        Ok(())
+    }
+}
+
+/// Rows: original, modified and adapted; columns: the two degrees of freedom. The replays are in the order of the figures.
+fn plot(replays: &[Replay]) -> String {
+    let panel = |d: usize, title: &str, shown: &[(usize, &str, u8)]| {
+        let mut curves = Vec::new();
+        if let Some((last, _, _)) = shown.last() {
+            let replay = &replays[*last];
+            curves.push(
+                Curve::new("wanted, stretched", replay.curve(&replay.wanted, d)).looking(Look::Reference),
+            );
+        }
+        curves.extend(shown.iter().map(|(i, name, colour)| {
+            let replay = &replays[*i];
+            Curve::new(*name, replay.curve(&replay.y, d)).looking(Look::Colour(*colour))
+        }));
+        Panel {
+            x_label: "time, s".into(),
+            y_label: format!("y{} ({title})", d + 1),
+            curves,
+            ..Panel::default()
+        }
+    };
+    let row = |title: &str, shown: &[(usize, &str, u8)]| Row {
+        height: 270.0,
+        panels: vec![panel(0, title, shown), panel(1, title, shown)],
+    };
+    picture(
+        "A discrete-periodic movement at another frequency",
+        &[
+            row("original", &[(0, "as shown", 1), (2, "new frequency", 2)]),
+            row("modified", &[(0, "as shown", 1), (1, "new frequency", 2)]),
+            row("adapted, original", &[(4, "adapted", 1), (6, "new frequency", 2)]),
+            row("adapted, modified", &[(4, "adapted", 1), (5, "new frequency", 2)]),
+        ],
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_modified_canonical_system_scales_before_and_after_an_adaptation() {
+        let outcome = Dpdmp::default().run().unwrap();
+        let worst = |name: &str| {
+            let values = outcome.figures[name].as_array().unwrap();
+            values.iter().map(|v| v.as_f64().unwrap()).fold(0.0, f64::max)
+        };
+        // An independent integration with the midpoint rule gives 34.070, 3.43e-4 and 0.313.
+        assert!((outcome.figures["r_init"].as_f64().unwrap() / 34.070 - 1.0).abs() < 1e-3);
+        assert!((worst("rmse_replay") / 3.43e-4 - 1.0).abs() < 0.05, "{}", worst("rmse_replay"));
+        assert!((worst("rmse_original") / 0.3127 - 1.0).abs() < 0.05, "{}", worst("rmse_original"));
+        assert!(worst("rmse_modified") < 0.01);
+        assert!(worst("rmse_adapted") < 0.01, "{}", worst("rmse_adapted"));
+        assert!(worst("rmse_before_adaptation") > 0.04);
+        assert!(worst("rmse_adapted_modified") < 0.01 && worst("rmse_adapted_original") > 0.15);
+        assert_eq!(outcome.plots.len(), 1);
+    }
+
+    #[test]
+    fn other_settings_agree_with_the_independent_integration_too() {
+        let settings = Dpdmp { omega: 3.0 * PI, omega_new: 5.0, duration: 0.7, ..Dpdmp::default() };
+        let outcome = settings.run().unwrap();
+        let values = |name: &str| -> Vec<f64> {
+            outcome.figures[name].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
+        };
+        assert!((outcome.figures["r_init"].as_f64().unwrap() / 10.589_869 - 1.0).abs() < 1e-3);
+        for (ours, theirs) in values("rmse_original").iter().zip([0.135_806, 0.070_605]) {
+            assert!((ours / theirs - 1.0).abs() < 0.05, "{ours} {theirs}");
+        }
+        assert!(values("rmse_modified").iter().all(|e| *e < 1e-4));
+    }
+
+    #[test]
+    fn the_rise_ends_in_the_state_asked_for() {
+        let [y, v, a] = rise([0.7, -3.0, 12.0], 0.8, 0.8);
+        assert!((y - 0.7).abs() < 1e-12 && (v + 3.0).abs() < 1e-12 && (a - 12.0).abs() < 1e-10);
+        assert_eq!(rise([0.7, -3.0, 12.0], 0.8, 0.0), [0.0; 3]);
+    }
+}

@@ -1,0 +1,368 @@
+//! The box task of Gams et al. 2015 (Fig. 4, V) on both arms of ARMAR-III in the simulator's physics: the right arm lifts a box
+//! and shakes it as it was shown; the left one was shown too little and too late, and learns from epoch to epoch to follow
+//! from what its palm and the right one feel.
+//!
+//! Each epoch begins anew with the box on its table. The learner knows joints and palms as they are sensed; the figures
+//! are the referee's.
+
+use std::f64::consts::TAU;
+
+use armarium_motion::{
+    DiscretePeriodicConfig, DiscretePeriodicDmp, FeedbackError, LearningControl, LearningControlConfig,
+    differentiate,
+};
+use armarium_simulator::carrying::{Carrying, CarryingFigures, CarryingRecord, PalmSensed};
+use armarium_simulator::physics::carrying::{CarriedBox, HAND_HALF};
+use armarium_simulator::physics::pad::PadSpec;
+use armarium_simulator::world::NoiseSpec;
+use nalgebra::{Vector3, Vector6};
+
+use super::dpdmp::rise;
+use super::dual_arm_robot::{Arms, JOINTS, Joints};
+use super::experiment::{Experiment, ExperimentError, Outcome, within};
+use super::settings::settings;
+
+settings! {
+    /// What the arms carry and how the left one learns; root frame: x right, y forward, z up.
+    DualArm {
+        /// Mass of the box, kg.
+        mass: f64 = 1.5;
+        /// Its width between the hands, depth and height, m.
+        size: [f64; 3] = [0.44, 0.3, 0.24];
+        /// Where its middle is at the start, m.
+        at: [f64; 3] = [0.0, 0.45, 1.02];
+        /// With how much the hands press on it, N.
+        squeeze: f64 = 60.0;
+        /// Stiffness of a hand's pad across, N/m.
+        stiffness: f64 = 6000.0;
+        /// Stiffness of a hand's pad along, N/m.
+        shear_stiffness: f64 = 2000.0;
+        /// Half the edges of a pad, along the fingers and up, m.
+        pad: [f64; 2] = [0.08, 0.09];
+        /// Friction of pad on box.
+        friction: f64 = 0.9;
+        /// K1 of (14).
+        k1: f64 = 3.0;
+        /// What the parts of (10) count in it: forces along x, y, z, and moments about them, 1/m^2. A stiff box needs little.
+        weights: [f64; 6] = [0.1, 1.0, 1.0, 1.0, 1.0, 1.0];
+        /// K2 of (14); 0 leaves (10).
+        k2: f64 = 1.0;
+        /// Cut-off frequency of the low-pass filter on what the palms feel, Hz.
+        filter: f64 = 20.0;
+        /// Q of (11).
+        q: f64 = 1.0;
+        /// L of (11).
+        l: f64 = 0.3;
+        /// C of (11).
+        c: f64 = 0.3;
+        /// Epochs of learning.
+        epochs: usize = 10;
+        /// Duration T of the discrete part, s.
+        duration: f64 = 1.5;
+        /// Periods of the periodic part in an epoch.
+        periods: u32 = 3;
+        /// Length of a period, s.
+        period: f64 = 1.2;
+        /// How far the right hand lifts, m.
+        lift: f64 = 0.12;
+        /// Amplitude of its shaking, m.
+        amplitude: f64 = 0.03;
+        /// How far the left hand was shown to lift, m.
+        left_lift: f64 = 0.08;
+        /// Amplitude that it was shown, m.
+        left_amplitude: f64 = 0.015;
+        /// Phase that it was shown, rad.
+        left_phase: f64 = 0.6;
+        /// Constant of (1).
+        alpha_z: f64 = 8.0;
+        /// Constant of (1).
+        beta_z: f64 = 2.0;
+        /// Periodic kernels N.
+        n: usize = 25;
+        /// Discrete kernels M.
+        m: usize = 25;
+        /// Ridge of both regressions.
+        ridge: f64 = 1e-8;
+        /// White noise of a palm's force sensor, N an axis; of its torque a twentieth, N m.
+        noise: f64 = 0.3;
+        /// Standard deviation of its offset, N; what counts is the change since the grasp.
+        bias: f64 = 1.0;
+        /// Seed of both.
+        seed: u64 = 1;
+    }
+}
+
+/// How far from the box the hands wait, m.
+const WAIT: f64 = 0.03;
+/// How long the hands take to close, and hold before the motion begins, s.
+const CLOSE: f64 = 0.8;
+const HOLD: f64 = 0.6;
+/// Over how long at the end of that the palms are read, s.
+const LISTEN: f64 = 0.2;
+const DT: f64 = Carrying::DT;
+
+/// What an epoch leaves: the referee's log from the motion's beginning on, and what the joints were told.
+pub(super) struct Epoch {
+    pub(super) figures: CarryingFigures,
+    pub(super) log: Vec<CarryingRecord>,
+    pub(super) speed: f64,
+    pub(super) margin: f64,
+}
+
+/// Both arms' motions as they were shown.
+struct Shown {
+    open: [Joints; 2],
+    right: DiscretePeriodicDmp,
+    left: DiscretePeriodicDmp,
+}
+
+impl Experiment for DualArm {
+    const NAME: &'static str = "dual_arm";
+    const ABOUT: &'static str = "both arms of ARMAR-III carry and shake a box (Gams et al. 2015, Fig. 4)";
+    const ALIASES: &'static [(&'static str, &'static str)] =
+        &[("periodic_kernels", "n"), ("discrete_kernels", "m")];
+
+    fn run(&self) -> Result<Outcome, ExperimentError> {
+        self.check()?;
+        let mut arms = Arms::new()?;
+        let mut shown = self.demonstrate(&mut arms)?;
+        let config = LearningControlConfig { q: self.q, l: self.l, c: self.c };
+        let mut control = LearningControl::new(config, JOINTS, self.steps() + 1)?;
+        let gains = FeedbackError { k1: self.k1, k2: self.k2, ..FeedbackError::default() };
+        let silent = FeedbackError { k1: 0.0, k2: 0.0, ..gains };
+        let before = self.epoch(&mut arms, &mut shown, &mut control, silent, 0)?;
+        control.abandon();
+        let mut epochs = Vec::new();
+        let mut diverged = None;
+        for number in 1..=self.epochs {
+            let epoch = self
+                .epoch(&mut arms, &mut shown, &mut control, gains, number)
+                .and_then(|epoch| Ok(control.finish(&mut shown.left).map(|()| epoch)?));
+            match epoch {
+                Ok(epoch) => epochs.push(epoch),
+                // The gains are the user's: that they do not hold the motion is a result.
+                Err(_) => {
+                    diverged = Some(number);
+                    break;
+                }
+            }
+        }
+        let mut outcome = Outcome::default();
+        self.figures(&before, &epochs, diverged, &mut outcome);
+        outcome.plot("dual_arm", self.plot(&before, &epochs));
+        Ok(outcome)
+    }
+}
+
+impl DualArm {
+    fn check(&self) -> Result<(), ExperimentError> {
+        within("mass", self.mass, 0.05, 10.0)?;
+        within("stiffness", self.stiffness, 100.0, 20_000.0)?;
+        within("squeeze", self.squeeze, 0.1, 0.025 * self.stiffness)?;
+        self.at.iter().try_for_each(|x| within("at", *x, -10.0, 10.0))?;
+        for (key, length) in [
+            ("lift", self.lift),
+            ("amplitude", self.amplitude),
+            ("left_lift", self.left_lift),
+            ("left_amplitude", self.left_amplitude),
+        ] {
+            within(key, length, -10.0, 10.0)?;
+        }
+        within("shear_stiffness", self.shear_stiffness, 100.0, 20_000.0)?;
+        self.pad.iter().try_for_each(|s| within("pad", *s, 0.005, 0.5))?;
+        within("friction", self.friction, 0.0, 3.0)?;
+        self.size.iter().try_for_each(|s| within("size", *s, 0.05, 1.0))?;
+        within("k1", self.k1, -1e3, 1e3)?;
+        self.weights.iter().try_for_each(|w| within("weights", *w, 0.0, 1e4))?;
+        within("k2", self.k2, -1e3, 1e3)?;
+        within("epochs", self.epochs as f64, 1.0, 100.0)?;
+        within("duration", self.duration, 0.2, 20.0)?;
+        within("period", self.period, 0.2, 20.0)?;
+        within("periods", f64::from(self.periods), 1.0, 20.0)?;
+        within("filter", self.filter, 0.1, 1e4)?;
+        within("noise", self.noise, 0.0, 20.0)?;
+        within("bias", self.bias, 0.0, 100.0)
+    }
+
+    fn omega(&self) -> f64 {
+        TAU / self.period
+    }
+
+    fn steps(&self) -> usize {
+        ((self.duration + f64::from(self.periods) * self.period) / DT).round() as usize
+    }
+
+    fn carried(&self) -> CarriedBox {
+        let Self { stiffness, shear_stiffness, friction, pad: half, .. } = *self;
+        let pad = PadSpec { stiffness, shear_stiffness, friction, half, ..PadSpec::default() };
+        CarriedBox { mass: self.mass, size: self.size, at: self.at, pad }
+    }
+
+    /// Where a hand presses on the standing box, or waits beside it.
+    fn beside(&self, side: usize, gap: f64) -> Vector3<f64> {
+        let out = self.size[0] / 2.0 + HAND_HALF + PadSpec::default().thickness + gap;
+        Vector3::from(self.at) + Vector3::x() * if side == 0 { out } else { -out }
+    }
+
+    /// How much higher than at the start a hand was shown to be, m.
+    fn rise(&self, side: usize, t: f64) -> f64 {
+        let (lift, amplitude, phase) = if side == 0 {
+            (self.lift, self.amplitude, 0.0)
+        } else {
+            (self.left_lift, self.left_amplitude, self.left_phase)
+        };
+        let w = self.omega();
+        let periodic = |t: f64| {
+            let p = w * t + phase;
+            [lift + amplitude * p.sin(), w * amplitude * p.cos(), -w * w * amplitude * p.sin()]
+        };
+        if t < self.duration {
+            rise(periodic(0.0), self.duration, t)[0]
+        } else {
+            periodic(t - self.duration)[0]
+        }
+    }
+
+    fn demonstrate(&self, arms: &mut Arms) -> Result<Shown, ExperimentError> {
+        let pressed = -self.squeeze / self.stiffness;
+        let mut primitives = Vec::new();
+        let mut open = [Joints::zeros(); 2];
+        for (side, open) in open.iter_mut().enumerate() {
+            *open = arms.inverse(side, self.beside(side, WAIT), &Arms::posture(side))?;
+            let mut q = *open;
+            let mut path = Vec::with_capacity(self.steps() + 1);
+            for k in 0..=self.steps() {
+                let up = Vector3::z() * self.rise(side, DT * k as f64);
+                q = arms.inverse(side, self.beside(side, pressed) + up, &q)?;
+                path.push(q.as_slice().to_vec());
+            }
+            primitives.push(self.primitive(&path)?);
+        }
+        let [right, left] = <[DiscretePeriodicDmp; 2]>::try_from(primitives)
+            .map_err(|_| ExperimentError::Failed("two arms make two motions".into()))?;
+        Ok(Shown { open, right, left })
+    }
+
+    fn primitive(&self, path: &[Vec<f64>]) -> Result<DiscretePeriodicDmp, ExperimentError> {
+        let config = DiscretePeriodicConfig {
+            discrete_kernels: self.m,
+            periodic_kernels: self.n,
+            alpha_z: self.alpha_z,
+            beta_z: self.beta_z,
+            ridge: self.ridge,
+            ..DiscretePeriodicConfig::with_dofs(JOINTS)
+        };
+        let mut dmp = DiscretePeriodicDmp::new(config, self.omega(), self.duration)?;
+        dmp.learn(&differentiate(DT, path)?)?;
+        Ok(dmp)
+    }
+
+    /// The hands take the box; then one discrete part and its periods, with the feedback that `gains` make of what the palms
+    /// feel.
+    fn epoch(
+        &self,
+        arms: &mut Arms,
+        shown: &mut Shown,
+        control: &mut LearningControl,
+        gains: FeedbackError,
+        number: usize,
+    ) -> Result<Epoch, ExperimentError> {
+        let Shown { open, right, left } = shown;
+        right.restart();
+        left.restart();
+        let noise = NoiseSpec { wrench: self.noise, wrench_bias: self.bias, ..NoiseSpec::default() };
+        let seed = self.seed.wrapping_mul(1000).wrapping_add(number as u64);
+        let start = arms.all(open);
+        let mut scene = Carrying::new(arms.model(), &self.carried(), &noise, &start, seed)
+            .map_err(|error| ExperimentError::Failed(error.to_string()))?;
+        let grasp = self.take(&mut scene, arms, open, &[joints(right.state().y), joints(left.state().y)]);
+        let mut felt = grasp;
+        let referee = scene.referee();
+        let from = referee.len();
+        let (mut position, mut velocity) = (start.clone(), vec![0.0; start.len()]);
+        let (mut speed, mut margin) = (0.0_f64, f64::INFINITY);
+        for _ in 0..=self.steps() {
+            let error = self.error(&scene, arms, &grasp, &mut felt, gains)?;
+            control.step(left, self.omega(), error.as_slice())?;
+            let states = [right.step(DT, self.omega())?, left.step(DT, self.omega())?];
+            let (q, qd) = (states.map(|s| joints(s.y)), states.map(|s| joints(s.yd)));
+            arms.write(&q, &mut position);
+            arms.write(&qd, &mut velocity);
+            scene.step(&position, &velocity);
+            speed = qd.iter().map(Joints::amax).fold(speed, f64::max);
+            margin = (0..2).map(|side| arms.margin(side, &q[side])).fold(margin, f64::min);
+        }
+        let figures = referee.judge(from).unwrap_or_default();
+        Ok(Epoch { figures, log: referee.log().split_off(from), speed, margin })
+    }
+
+    /// (14) with what both palms feel: by how much more than at the grasp the left hand would have to press along, and how
+    /// much faster the right one moves.
+    fn error(
+        &self,
+        scene: &Carrying,
+        arms: &mut Arms,
+        grasp: &Vector6<f64>,
+        felt: &mut Vector6<f64>,
+        gains: FeedbackError,
+    ) -> Result<Joints, ExperimentError> {
+        arms.update(scene.position());
+        let columns = [arms.columns(0), arms.columns(1)];
+        let twist = |side: usize| -> Vector6<f64> {
+            let qd = arms.of(side, scene.velocity());
+            columns[side].iter().zip(qd.iter()).map(|(c, v)| c * *v).sum()
+        };
+        let now = self.internal(arms, scene.palms());
+        *felt += (now - *felt) * (DT / (DT + 1.0 / (TAU * self.filter)));
+        let wrench = (grasp - *felt).component_mul(&Vector6::from(self.weights));
+        let mut error = Joints::zeros();
+        gains.in_joint_space(&columns[1], &wrench, &(twist(0) - twist(1)), error.as_mut_slice())?;
+        Ok(error)
+    }
+
+    /// What the left hand exerts on the box against the right one: half the difference of force, N, and of moment about the
+    /// middle of the pad, N m. What both share, as weight and inertia of the box, is not in it.
+    fn internal(&self, arms: &Arms, palms: &[PalmSensed; 2]) -> Vector6<f64> {
+        let carried = self.carried();
+        let at_pad = |side: usize| {
+            let PalmSensed { force, torque } = palms[side];
+            let lever = arms.rotation(side) * carried.pad_middle(side).coords;
+            let moment = torque - lever.cross(&force);
+            Vector6::new(force.x, force.y, force.z, moment.x, moment.y, moment.z)
+        };
+        (at_pad(0) - at_pad(1)) / 2.0
+    }
+
+    /// The hands close on the box and hold; returns what the left hand then exerts. It is as it was sensed, with the sensors'
+    /// offset, which is in all that is felt later too.
+    fn take(
+        &self,
+        scene: &mut Carrying,
+        arms: &mut Arms,
+        open: &[Joints; 2],
+        closed: &[Joints; 2],
+    ) -> Vector6<f64> {
+        let steps = |seconds: f64| (seconds / DT).round() as usize;
+        let mut mean = Vector6::zeros();
+        for k in 0..steps(CLOSE + HOLD) {
+            let s = (k as f64 * DT / CLOSE).min(1.0);
+            let way = s.powi(3) * (10.0 - 15.0 * s + 6.0 * s * s);
+            let rate = 30.0 * s * s * (1.0 - s).powi(2) / CLOSE;
+            let q = [0, 1].map(|side| open[side] + (closed[side] - open[side]) * way);
+            let qd = [0, 1].map(|side| (closed[side] - open[side]) * rate);
+            scene.step(&arms.all(&q), &arms.all(&qd));
+            if k >= steps(CLOSE + HOLD - LISTEN) {
+                arms.update(scene.position());
+                mean += self.internal(arms, scene.palms()) / steps(LISTEN) as f64;
+            }
+        }
+        mean
+    }
+}
+
+fn joints(values: &[f64]) -> Joints {
+    Joints::from_column_slice(values)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,201 @@
+//! Force adaptation after Gams et al. 2014 (T-RO): a wiping motion over a table that is tilted and has a bump learns
+//! the height that keeps the force, so well that it holds with the feedback turned off.
+
+use std::f64::consts::TAU;
+
+use armarium_motion::{SurfaceAdaptation, SurfaceConfig};
+use armarium_viewer::report::{Curve, Look, Panel, Row, picture};
+use rand::SeedableRng as _;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution as _, StandardNormal};
+
+use super::experiment::{Experiment, ExperimentError, Outcome, within};
+use super::settings::settings;
+
+settings! {
+    /// What the adaptation is run with.
+    Force {
+        /// Stiffness of the contact, N/m.
+        stiffness: f64 = 2000.0;
+        /// Force to be kept, N.
+        force: f64 = 10.0;
+        /// Cycles of adaptation.
+        cycles: u32 = 16;
+        /// Cycles with the feedback off that follow.
+        off_cycles: u32 = 4;
+        /// Amplitudes of the wiping in x and y (which runs twice as fast), m.
+        amplitude: [f64; 2] = [0.15, 0.1];
+        /// Phase by which y is ahead, rad.
+        phase: f64 = 0.3;
+        /// Slope of the table in x and y.
+        tilt: [f64; 2] = [0.02, -0.03];
+        /// Height of its bump, m.
+        bump: f64 = 0.01;
+        /// Place of the bump, m.
+        bump_at: [f64; 2] = [0.1, 0.05];
+        /// It falls as exp(-(squared distance) / this), m^2.
+        bump_width: f64 = 0.005;
+        /// Frequency of the wiping, Hz.
+        frequency: f64 = 0.5;
+        /// Standard deviation of the measured force, N.
+        noise: f64 = 0.2;
+        /// Height over the table at the start, m.
+        start_height: f64 = 0.02;
+        /// Step, s.
+        dt: f64 = 0.005;
+        /// Kernels over the phase.
+        kernels: usize = 36;
+        /// First guess of the stiffness, N/m; it is identified from there.
+        stiffness_guess: f64 = 4000.0;
+        /// Bandwidth of the feedback, rad/s.
+        bandwidth: f64 = 7.0;
+        /// The fastest that the height changes, m/s; the hand comes down with 0.3 of it.
+        max_speed: f64 = 0.12;
+        /// Share of what is missing that each cycle adds to what is learned.
+        learning: f64 = 0.7;
+        /// Time from a command to its force, s; none for one step, which it is here.
+        delay: Option<f64> = None;
+        /// Seed of the noise.
+        seed: u64 = 1;
+    }
+}
+
+/// One entry a step.
+#[derive(Default)]
+struct Log {
+    /// The force without noise, N.
+    force: Vec<f64>,
+    height: Vec<f64>,
+}
+
+impl Experiment for Force {
+    const NAME: &'static str = "force";
+    const ABOUT: &'static str = "wiping over an unknown table learns to keep a force (Gams et al. 2014)";
+
+    fn run(&self) -> Result<Outcome, ExperimentError> {
+        self.check()?;
+        let (log, stiffness) = self.wipe()?;
+        let (rms, off) = self.rms(&log);
+        let mut outcome = Outcome::default();
+        outcome.figure("rms_n", rms.clone());
+        outcome.figure("rms_off_n", off);
+        outcome.figure("stiffness_found_n_m", stiffness);
+        outcome.plot("force", self.plot(&log, &rms));
+        Ok(outcome)
+    }
+}
+
+impl Force {
+    fn check(&self) -> Result<(), ExperimentError> {
+        within("dt", self.dt, 1e-4, 0.05)?;
+        within("frequency", self.frequency, 0.01, 0.02 / self.dt)?;
+        within("cycles", f64::from(self.cycles), 1.0, 500.0)?;
+        within("off_cycles", f64::from(self.off_cycles), 1.0, 500.0)?;
+        within("stiffness", self.stiffness, 10.0, 1e6)?;
+        within("stiffness_guess", self.stiffness_guess, 10.0, 1e6)?;
+        self.amplitude.iter().try_for_each(|a| within("amplitude", *a, -10.0, 10.0))?;
+        self.tilt.iter().try_for_each(|t| within("tilt", *t, -10.0, 10.0))?;
+        self.bump_at.iter().try_for_each(|b| within("bump_at", *b, -1e3, 1e3))?;
+        within("phase", self.phase, -1e3, 1e3)?;
+        within("bump", self.bump, -1.0, 1.0)?;
+        within("noise", self.noise, 0.0, 100.0)?;
+        within("start_height", self.start_height, -0.05, 0.05)?;
+        within("bump_width", self.bump_width, 1e-9, 1e9)?;
+        within("force", self.force, 0.01, 1000.0)
+    }
+
+    /// Height of the table under the wiping motion at a phase, m.
+    fn under(&self, phase: f64) -> f64 {
+        let x = self.amplitude[0] * phase.sin();
+        let y = self.amplitude[1] * (2.0 * phase + self.phase).sin();
+        let from_bump = (x - self.bump_at[0]).powi(2) + (y - self.bump_at[1]).powi(2);
+        self.tilt[0] * x + self.tilt[1] * y + self.bump * (-from_bump / self.bump_width).exp()
+    }
+
+    fn period(&self) -> usize {
+        (1.0 / (self.frequency * self.dt)).round() as usize
+    }
+
+    fn config(&self) -> SurfaceConfig {
+        SurfaceConfig {
+            force: self.force,
+            kernels: self.kernels,
+            stiffness: self.stiffness_guess,
+            bandwidth: self.bandwidth,
+            learning: self.learning,
+            max_speed: self.max_speed,
+            delay: self.delay.unwrap_or(self.dt),
+            ..SurfaceConfig::default()
+        }
+    }
+
+    fn wipe(&self) -> Result<(Log, f64), ExperimentError> {
+        let mut adaptation = SurfaceAdaptation::new(self.config())?;
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
+        let (period, omega) = (self.period(), TAU * self.frequency);
+        let base = self.under(0.0) + self.start_height;
+        let mut log = Log::default();
+        let mut height = base;
+        for k in 0..(self.cycles + self.off_cycles) as usize * period {
+            if k == self.cycles as usize * period {
+                adaptation.set_feedback(false);
+                adaptation.set_learning(false);
+            }
+            let phase = omega * self.dt * k as f64;
+            let force = (self.stiffness * (self.under(phase) - height)).max(0.0);
+            log.force.push(force);
+            log.height.push(height);
+            let noise: f64 = StandardNormal.sample(&mut rng);
+            let command = adaptation.step(self.dt, phase, omega, force + self.noise * noise)?;
+            height = base + command.offset;
+        }
+        Ok((log, adaptation.stiffness()))
+    }
+
+    /// Root mean square error of the force in each cycle, and over those with the feedback off, N.
+    fn rms(&self, log: &Log) -> (Vec<f64>, f64) {
+        let rms = |forces: &[f64]| {
+            (forces.iter().map(|f| (f - self.force).powi(2)).sum::<f64>() / forces.len() as f64).sqrt()
+        };
+        let off = &log.force[self.cycles as usize * self.period()..];
+        (log.force.chunks(self.period()).map(rms).collect(), rms(off))
+    }
+
+    fn plot(&self, log: &Log, rms: &[f64]) -> String {
+        let time = |k: usize| self.dt * k as f64;
+        let off = (self.dt * (self.cycles as usize * self.period()) as f64, "feedback off".to_owned());
+        let over_time = |values: &[f64]| values.iter().enumerate().map(|(k, v)| [time(k), *v]).collect();
+        let surface: Vec<f64> =
+            (0..log.height.len()).map(|k| self.under(TAU * self.frequency * time(k)) * 1e3).collect();
+        let height: Vec<f64> = log.height.iter().map(|h| h * 1e3).collect();
+        let force = Panel {
+            x_label: "time, s".into(),
+            y_label: "force, N".into(),
+            curves: vec![Curve::new("", over_time(&log.force))],
+            marks: vec![off.clone()],
+            ..Panel::default()
+        };
+        let heights = Panel {
+            x_label: "time, s".into(),
+            y_label: "height, mm".into(),
+            curves: vec![
+                Curve::new("table under the hand", over_time(&surface)).looking(Look::Reference),
+                Curve::new("hand", over_time(&height)).looking(Look::Colour(1)),
+            ],
+            marks: vec![off],
+            ..Panel::default()
+        };
+        let cycles = Panel {
+            x_label: "cycle".into(),
+            y_label: "log10 of the RMS force error, N".into(),
+            curves: vec![Curve::new(
+                "",
+                rms.iter().zip(1..).map(|(r, n)| [f64::from(n), r.log10()]).collect(),
+            )],
+            marks: vec![(f64::from(self.cycles) + 0.5, "feedback off".into())],
+            ..Panel::default()
+        };
+        let row = |panel| Row { height: 260.0, panels: vec![panel] };
+        picture("Force over an unknown table", &[row(force), row(heights), row(cycles)])
+    }
+}

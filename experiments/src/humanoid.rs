@@ -1,0 +1,354 @@
+//! The robot experiment of Petrič et al. 2014, section IV, on the right arm of ARMAR-III: four times a coach changes a
+//! circle with his hands, pushing with the right and pulling with the left (Figs 6, 7 and 9).
+//!
+//! The arm moves in the simulator, with its noisy sensors and behind its guard; the figures are the referee's, of the true path
+//! of its hand.
+
+use std::f64::consts::{PI, TAU};
+
+use armarium_motion::{
+    CoachingCommand, PeriodicDmp, PeriodicDmpConfig, PhaseSample, PotentialField, joint_coupling,
+};
+use armarium_simulator::modification::{Compared, ModificationFigures};
+use armarium_viewer::report::{Curve, Look, Panel, Row, picture};
+use nalgebra::Vector3;
+use rand::SeedableRng as _;
+use rand_chacha::ChaCha8Rng;
+
+use super::experiment::{Experiment, ExperimentError, Outcome, within};
+use super::humanoid_arm::{Arm, DT, JOINTS, Joints, largest};
+use super::humanoid_coach::{Arms, Modification, Tracker};
+use super::phase::{mean, over_period};
+use super::settings::settings;
+
+settings! {
+    /// What the four modifications are run with; root frame: x right, y forward over the table, z up.
+    HumanoidCoaching {
+        /// Centre of the circle, m.
+        center: [f64; 3] = [0.28, 0.53, 1.2];
+        /// Its radius, m.
+        radius: f64 = 0.1;
+        /// Its frequency, Hz.
+        frequency: f64 = 0.2;
+        /// Scale of the coupling (14).
+        gamma: f64 = 10.0;
+        /// Steepness of the field's edge (16), 1/m.
+        eta: f64 = 60.0;
+        /// Reach of the field (16), m.
+        rm: f64 = 0.08;
+        /// How the field fades with the angle (14), 1/rad; only its size counts.
+        beta: f64 = -10.0 / PI;
+        /// From the wrist to the coaching point (20), (21), m.
+        xi: f64 = 0.1;
+        /// From the circle out to the coaching point, m.
+        gap: f64 = 0.03;
+        /// Kernels N of the primitive.
+        kernels: usize = 25;
+        /// Constant of (4).
+        alpha_z: f64 = 8.0;
+        /// Constant of (4).
+        beta_z: f64 = 2.0;
+        /// Forgetting factor of (9) for each 10 ms.
+        lambda: f64 = 0.9995;
+        /// When the coach comes, s.
+        start: f64 = 5.0;
+        /// When he goes, s.
+        stop: f64 = 50.0;
+        /// When the motion goes back to the one before, s.
+        back: f64 = 55.0;
+        /// Length of a run, s.
+        seconds: f64 = 65.0;
+        /// Images of the body tracker a second.
+        camera_rate: f64 = 30.0;
+        /// Standard deviation of a tracked wrist or elbow, m a coordinate.
+        noise: f64 = 0.005;
+        /// Point pairs of the calibration.
+        pairs: usize = 8;
+        /// Farther from the coaching point than this is the far side, m.
+        far: f64 = 0.15;
+        /// In the simulator; false for joints that are where they shall be.
+        physics: bool = true;
+        /// Seed of the noise of tracker and robot.
+        seed: u64 = 1;
+    }
+}
+
+/// Time between entries of the log, s.
+const LOGGED: f64 = 0.01;
+
+/// What a run leaves, lists with one entry each [`LOGGED`].
+struct Log {
+    modification: Modification,
+    o: Vector3<f64>,
+    q: Vec<Joints>,
+    qd: Vec<Joints>,
+    /// Where the hand truly was, m, and where the primitive wanted it.
+    x: Vec<Vector3<f64>>,
+    wanted: Vec<Vector3<f64>>,
+    coupling: Vec<f64>,
+    judged: ModificationFigures,
+}
+
+impl Experiment for HumanoidCoaching {
+    const NAME: &'static str = "humanoid_coaching";
+    const ABOUT: &'static str =
+        "coach's hands push and pull the arm of ARMAR-III (Petric et al. 2014, Figs 6, 7, 9)";
+    const ALIASES: &'static [(&'static str, &'static str)] = &[("forgetting", "lambda")];
+
+    fn run(&self) -> Result<Outcome, ExperimentError> {
+        self.check()?;
+        let mut arm = Arm::new()?;
+        let mut tracker = self.calibrate()?;
+        let logs = Modification::ALL
+            .iter()
+            .map(|m| self.modify(&mut arm, &mut tracker, *m))
+            .collect::<Result<Vec<_>, _>>()?;
+        let mut outcome = self.figures(&arm, &tracker, &logs);
+        outcome.plot("humanoid_coaching", self.paths_plot(&logs));
+        outcome.plot("humanoid_coaching_joints", self.joints_plot(&logs[1]));
+        Ok(outcome)
+    }
+}
+
+impl HumanoidCoaching {
+    fn check(&self) -> Result<(), ExperimentError> {
+        within("radius", self.radius, 1e-3, 0.3)?;
+        within("frequency", self.frequency, 0.05, 1.0)?;
+        within("start", self.start, 1.0 / self.frequency, 600.0)?;
+        within("stop", self.stop, self.start + 1.0 / self.frequency, 600.0)?;
+        within("back", self.back, self.stop, 600.0)?;
+        within("seconds", self.seconds, self.back, 600.0)?;
+        within("gamma", self.gamma, 0.0, 1e6)?;
+        within("eta", self.eta, 0.0, 1e6)?;
+        within("camera_rate", self.camera_rate, 1.0, 1000.0)?;
+        within("noise", self.noise, 0.0, 0.1)?;
+        within("xi", self.xi, 0.0, 1.0)?;
+        within("pairs", self.pairs as f64, 4.0, 1000.0)
+    }
+
+    fn centre(&self) -> Vector3<f64> {
+        Vector3::from(self.center)
+    }
+
+    fn omega(&self) -> f64 {
+        TAU * self.frequency
+    }
+
+    /// Entries of the log in a period, not a whole number.
+    fn period(&self) -> f64 {
+        1.0 / (self.frequency * LOGGED)
+    }
+
+    /// Places over the table, spread like the corners of a box.
+    fn calibrate(&self) -> Result<Tracker, ExperimentError> {
+        let corner = |k: usize| {
+            let sign = |bit: usize| if (k >> bit) & 1 == 0 { -1.0 } else { 1.0 };
+            self.centre() + Vector3::new(0.15 * sign(0), 0.12 * sign(1), 0.1 * sign(2))
+        };
+        let places: Vec<_> =
+            (0..self.pairs).map(|k| corner(if k < 4 { [0, 3, 5, 6][k] } else { k })).collect();
+        Tracker::calibrated(&places, self.noise, ChaCha8Rng::seed_from_u64(self.seed))
+    }
+
+    /// The circle in the plane of a modification, learned.
+    fn learn(&self, arm: &mut Arm, plane: [usize; 2]) -> Result<PeriodicDmp, ExperimentError> {
+        let mut dmp = PeriodicDmp::new(PeriodicDmpConfig {
+            kernels: self.kernels,
+            alpha_z: self.alpha_z,
+            beta_z: self.beta_z,
+            forgetting: self.lambda,
+            ..PeriodicDmpConfig::with_dofs(JOINTS)
+        })?;
+        let posture = arm.inverse(self.centre(), &arm.posture())?;
+        let count = 360;
+        let step = TAU / count as f64;
+        let mut angle = |k: usize| {
+            let (sin, cos) = (step * k as f64).sin_cos();
+            let mut x = self.centre();
+            x[plane[0]] += self.radius * cos;
+            x[plane[1]] += self.radius * sin;
+            arm.inverse(x, &posture)
+        };
+        let q = (0..count).map(&mut angle).collect::<Result<Vec<_>, _>>()?;
+        let sample = |k: usize| {
+            let [before, after] = [q[(k + count - 1) % count], q[(k + 1) % count]];
+            PhaseSample {
+                phase: step * k as f64,
+                y: q[k].as_slice().to_vec(),
+                dy: ((after - before) / (2.0 * step)).as_slice().to_vec(),
+                ddy: ((after - 2.0 * q[k] + before) / (step * step)).as_slice().to_vec(),
+            }
+        };
+        dmp.learn_batch(&(0..count).map(sample).collect::<Vec<_>>())?;
+        // As after a long demonstration: how strongly the coach is heard does not depend on it.
+        dmp.settle_gain(DT)?;
+        dmp.start_on_path(0.0, self.omega())?;
+        Ok(dmp)
+    }
+
+    fn modify(
+        &self,
+        arm: &mut Arm,
+        tracker: &mut Tracker,
+        modification: Modification,
+    ) -> Result<Log, ExperimentError> {
+        let mut dmp = self.learn(arm, modification.plane())?;
+        let original = dmp.weights().to_vec();
+        let o = self.centre() + (self.radius + self.gap) * modification.outward();
+        let arms = Arms::pointing(modification, o, self.xi);
+        let start_q = Joints::from_column_slice(dmp.state().y);
+        let mut execution = arm.execution(&start_q, self.physics, self.seed)?;
+        let (start, stop, back) = (step_of(self.start), step_of(self.stop), step_of(self.back));
+        let image = (1.0 / (self.camera_rate * DT)).round().max(1.0) as usize;
+        let mut log = Log::new(modification, o);
+        let mut command = None;
+        for k in 0..=step_of(self.seconds) {
+            let (q, qd) = execution.joints().unwrap_or((start_q, Joints::zeros()));
+            let (x, columns) = arm.at(&q);
+            if (k.max(start) - start).is_multiple_of(image) {
+                let there = (start..stop).contains(&k);
+                command = if there { tracker.command(&arms, &x, self.xi) } else { None };
+            }
+            if k == back {
+                dmp.set_weights(&original)?;
+            }
+            let strength = self.coach(&mut dmp, command, x, &columns, &qd)?;
+            if k.is_multiple_of(step_of(LOGGED)) {
+                let wanted = arm.at(&Joints::from_column_slice(dmp.state().y)).0;
+                log.note(q, qd, wanted, strength);
+            }
+            let state = dmp.step(DT, self.omega())?;
+            execution.drive(arm, state.y, state.yd)?;
+        }
+        log.x = execution.truth().into_iter().step_by(step_of(LOGGED)).collect();
+        log.judged = execution.judge(&self.compared(&log));
+        Ok(log)
+    }
+
+    /// Hands what the coach wants to the weights; returns |C_y|.
+    fn coach(
+        &self,
+        dmp: &mut PeriodicDmp,
+        command: Option<CoachingCommand>,
+        x: Vector3<f64>,
+        columns: &[Vector3<f64>],
+        qd: &Joints,
+    ) -> Result<f64, ExperimentError> {
+        let Some(CoachingCommand { o, d }) = command else { return Ok(0.0) };
+        let field = PotentialField { gamma: self.gamma, eta: self.eta, r_m: self.rm, beta: self.beta };
+        let v: Vector3<f64> = columns.iter().zip(qd.iter()).map(|(c, qd)| c * *qd).sum();
+        let strength = field.strength(o.as_slice(), x.as_slice(), v.as_slice());
+        let mut coupling = [0.0; JOINTS];
+        joint_coupling(columns, &(strength * d), 0.0, &mut coupling)?;
+        dmp.couple(&coupling)?;
+        Ok(strength)
+    }
+
+    /// What the referee is asked: the period before the coach came against the last one before the motion goes back.
+    fn compared(&self, log: &Log) -> Compared {
+        Compared {
+            period_s: 1.0 / self.frequency,
+            before_s: self.start,
+            after_s: self.back,
+            place: log.o,
+            way: log.modification.way(),
+            far_m: self.far,
+        }
+    }
+
+    fn figures(&self, arm: &Arm, tracker: &Tracker, logs: &[Log]) -> Outcome {
+        let mut outcome = Outcome::default();
+        let each = |of: &dyn Fn(&Log) -> f64| logs.iter().map(of).collect::<Vec<f64>>();
+        let names: Vec<_> = logs.iter().map(|log| log.modification.name()).collect();
+        outcome.figure("modifications", names);
+        outcome.figure("displacement_m", each(&|log| log.judged.displacement_m));
+        outcome.figure("far_side_rms_m", each(&|log| log.judged.far_side_rms_m));
+        let begin = (self.start / LOGGED).round() as usize;
+        let end = (self.stop / LOGGED).round() as usize;
+        let count = self.period().round() as usize;
+        let over = |log: &Log, from: usize| mean(log.coupling[from..].iter().take(count).copied());
+        outcome.figure("coupling_mean_first", each(&|log| over(log, begin)));
+        outcome.figure("coupling_mean_last", each(&|log| over(log, end - count)));
+        let settled = (1.0 / LOGGED) as usize;
+        let lag = |log: &Log| log.x.iter().zip(&log.wanted).map(|(x, w)| (x - w).norm_squared()).collect();
+        let rms = |log: &Log| -> f64 {
+            let squares: Vec<f64> = lag(log);
+            mean(squares[settled.min(squares.len())..].iter().copied()).sqrt()
+        };
+        outcome.figure("tracking_rms_m", each(&rms));
+        outcome.figure("joint_speed_rad_s", each(&|log| largest(&log.qd)));
+        let margin = |log: &Log| log.q.iter().map(|q| arm.margin(q)).fold(f64::INFINITY, f64::min);
+        outcome.figure("joint_margin_rad", each(&margin));
+        outcome.figure("calibration_rms_m", tracker.calibration_rms);
+        outcome
+    }
+
+    /// Like Fig. 9: the four modifications, with what came in between.
+    fn paths_plot(&self, logs: &[Log]) -> String {
+        let panel = |log: &Log| {
+            let axes = log.modification.plane();
+            let project = |p: &Vector3<f64>| [p[axes[0]], p[axes[1]]];
+            let closed = |end: f64| {
+                let path = over_period(&log.x, end / LOGGED, self.period());
+                path.iter().chain(path.first()).map(project).collect::<Vec<_>>()
+            };
+            let between = |i: u32| {
+                let steps = [i, i + 1].map(|i| (self.start / LOGGED + self.period() * f64::from(i)) as usize);
+                let path = log.x.get(steps[0]..=steps[1])?;
+                Some(Curve::new("", path.iter().map(project).collect()).looking(Look::Faint))
+            };
+            let passes = ((self.stop - self.start) * self.frequency) as u32;
+            let mut curves: Vec<Curve> = (0..passes).filter_map(between).collect();
+            curves.push(Curve::new("before", closed(self.start)).looking(Look::Colour(5)));
+            curves.push(Curve::new(log.modification.name(), closed(self.back)).looking(Look::Colour(3)));
+            curves.push(Curve::new("coaching point", vec![project(&log.o)]).looking(Look::Dots(2)));
+            Panel {
+                x_label: format!("{}, m", ["x", "y", "z"][axes[0]]),
+                y_label: format!("{}, m", ["x", "y", "z"][axes[1]]),
+                curves,
+                equal_units: true,
+                ..Panel::default()
+            }
+        };
+        let row = |logs: &[Log]| Row { height: 420.0, panels: logs.iter().map(panel).collect() };
+        let rows: Vec<_> = logs.chunks(2).map(row).collect();
+        picture("Four modifications of the arm's motion by the coach's hands", &rows)
+    }
+
+    /// Like Fig. 7: the joints over time.
+    fn joints_plot(&self, log: &Log) -> String {
+        let over_time = |i: usize| log.q.iter().enumerate().map(|(k, q)| [LOGGED * k as f64, q[i]]).collect();
+        // Said once; the lines go through all of them.
+        let marks = |i: usize| {
+            let named = [(self.start, "coach comes"), (self.stop, "goes"), (self.back, "back")];
+            named.map(|(t, name)| (t, if i == 0 { name.to_owned() } else { String::new() })).to_vec()
+        };
+        let panel = |i: usize| Panel {
+            x_label: if i + 1 == JOINTS { "time, s".into() } else { String::new() },
+            y_label: format!("q{}, rad", i + 1),
+            curves: vec![Curve::new("", over_time(i)).looking(Look::Colour(1))],
+            marks: marks(i),
+            ..Panel::default()
+        };
+        let rows: Vec<_> = (0..JOINTS).map(|i| Row { height: 130.0, panels: vec![panel(i)] }).collect();
+        picture("Joints of the arm while its motion is pulled", &rows)
+    }
+}
+
+impl Log {
+    fn new(modification: Modification, o: Vector3<f64>) -> Self {
+        let (q, qd, x, wanted, coupling, judged) = Default::default();
+        Self { modification, o, q, qd, x, wanted, coupling, judged }
+    }
+
+    fn note(&mut self, q: Joints, qd: Joints, wanted: Vector3<f64>, coupling: f64) {
+        self.q.push(q);
+        self.qd.push(qd);
+        self.wanted.push(wanted);
+        self.coupling.push(coupling);
+    }
+}
+
+fn step_of(time: f64) -> usize {
+    (time / DT).round() as usize
+}

@@ -1,0 +1,208 @@
+//! The right arm of ARMAR-III as the coached robot: its inverse kinematics next to a posture, and its execution in the
+//! simulator, behind the robot's guard, or, to compare, by ideal joints.
+
+use std::sync::Arc;
+
+use armarium_robot::{Kinematics, Lease, LeaseLimits, LinkId, Model, Robot, postures};
+use armarium_simulator::modification::{Compared, ModificationFigures, modification, of_path};
+use armarium_simulator::world::World;
+use armarium_simulator::{Options, Simulation};
+use nalgebra::{Matrix3, Point3, SVector, Vector3};
+
+use super::experiment::ExperimentError;
+
+/// Joints of the arm.
+pub(crate) const JOINTS: usize = 7;
+/// Angles or speeds of the arm's joints, rad or rad/s.
+pub(crate) type Joints = SVector<f64, JOINTS>;
+
+/// The arm with the rest of the robot standing still.
+pub(crate) struct Arm {
+    kinematics: Kinematics,
+    tcp: LinkId,
+    joints: [usize; JOINTS],
+    /// All joints of the robot; those of the arm are where it works best.
+    rest: Vec<f64>,
+}
+
+impl Arm {
+    pub(crate) fn new() -> Result<Self, ExperimentError> {
+        let model = Arc::new(Model::armar3());
+        let missing = || ExperimentError::Failed("the robot lacks a right arm of seven joints".into());
+        let limb = model.find_limb("right_arm").ok_or_else(missing)?;
+        let joints = limb.joints.as_slice().try_into().map_err(|_| missing())?;
+        let tcp = limb.tcp.ok_or_else(missing)?;
+        Ok(Self { rest: postures::wipe(&model), kinematics: Kinematics::new(&model), tcp, joints })
+    }
+
+    /// All joints with the arm's at `q`.
+    fn all(&self, q: &Joints) -> Vec<f64> {
+        let mut all = self.rest.clone();
+        self.joints.iter().zip(q.iter()).for_each(|(j, q)| all[*j] = *q);
+        all
+    }
+
+    /// TCP (m) and the columns of its Jacobian (m/rad) for the arm's joints, root frame.
+    pub(crate) fn at(&mut self, q: &Joints) -> (Vector3<f64>, [Vector3<f64>; JOINTS]) {
+        let all = self.all(q);
+        self.kinematics.update(&all);
+        let x = self.kinematics.pose(self.tcp).translation.vector;
+        let columns = self.joints.map(|j| self.kinematics.column(j, self.tcp, &Point3::from(x)).linear);
+        (x, columns)
+    }
+
+    /// The arm's joints in the posture that everything stays next to.
+    pub(crate) fn posture(&self) -> Joints {
+        Joints::from_fn(|i, _| self.rest[self.joints[i]])
+    }
+
+    /// The joint angles nearest to `posture` that put the TCP to `x`, m; which way the hand points is left open.
+    pub(crate) fn inverse(&mut self, x: Vector3<f64>, posture: &Joints) -> Result<Joints, ExperimentError> {
+        let mut q = *posture;
+        for _ in 0..500 {
+            let (here, columns) = self.at(&q);
+            let square: Matrix3<f64> = columns.iter().map(|c| c * c.transpose()).sum();
+            let away = q - posture;
+            let moved: Vector3<f64> = columns.iter().zip(away.iter()).map(|(c, a)| c * *a).sum();
+            let wanted = moved + x - here;
+            let inverse = (square + Matrix3::identity() * 1e-10).try_inverse().unwrap_or_else(Matrix3::zeros);
+            let multiplier = inverse * wanted;
+            let step = Joints::from_fn(|i, _| columns[i].dot(&multiplier)) - away;
+            q += step * (0.3 / step.norm()).min(0.8);
+            if step.norm() < 1e-12 {
+                break;
+            }
+        }
+        let apart = (self.at(&q).0 - x).norm();
+        if apart < 1e-6 && self.margin(&q) > 0.0 {
+            return Ok(q);
+        }
+        Err(ExperimentError::Failed(format!(
+            "the arm does not reach ({:.3}, {:.3}, {:.3}) m within its limits",
+            x.x, x.y, x.z
+        )))
+    }
+
+    /// Distance of the joint that is nearest to its limit, rad; negative beyond it.
+    pub(crate) fn margin(&self, q: &Joints) -> f64 {
+        let model = self.kinematics.model();
+        let margin = |(j, q): (&usize, &f64)| {
+            let joint = &model.joints()[*j];
+            (q - joint.lower).min(joint.upper - q)
+        };
+        self.joints.iter().zip(q.iter()).map(margin).fold(f64::INFINITY, f64::min)
+    }
+
+    /// The arm with its joints at `q`, ready to be driven; all that varies in the simulator is drawn from `seed`.
+    pub(crate) fn execution(
+        &self,
+        q: &Joints,
+        physics: bool,
+        seed: u64,
+    ) -> Result<Execution, ExperimentError> {
+        if !physics {
+            return Ok(Execution::Ideal { position: *q, velocity: Joints::zeros(), path: Vec::new() });
+        }
+        let failed = |error: &dyn std::error::Error| ExperimentError::Failed(error.to_string());
+        let world = World { objects: Vec::new(), ..World::default() };
+        let options = Options { start: Some(self.all(q)), ..Options::default() };
+        let simulation = Simulation::new(&world, seed, options).map_err(|e| failed(&e))?;
+        let robot = simulation.robot();
+        let lease = robot.lease("right_arm", "coaching", LeaseLimits::default()).map_err(|e| failed(&e))?;
+        let simulated = Simulated { simulation: Box::new(simulation), robot, lease, joints: self.joints };
+        Ok(Execution::Simulated(simulated))
+    }
+}
+
+/// Who moves the arm.
+pub(crate) enum Execution {
+    /// Joints that are where they shall be.
+    Ideal {
+        /// Angles, rad.
+        position: Joints,
+        /// Speeds, rad/s.
+        velocity: Joints,
+        /// Where the TCP was, each [`DT`].
+        path: Vec<Vector3<f64>>,
+    },
+    /// The simulator: sensors, guard, servos, inertia, and the referee.
+    Simulated(Simulated),
+}
+
+/// The simulated robot with its arm leased.
+pub(crate) struct Simulated {
+    simulation: Box<Simulation>,
+    robot: Arc<dyn Robot>,
+    lease: Lease,
+    joints: [usize; JOINTS],
+}
+
+/// Step of the execution, s.
+pub(crate) const DT: f64 = 0.001;
+/// How fast the commanded velocities make up for what a joint is behind, 1/s.
+const FOLLOW: f64 = 15.0;
+
+impl Execution {
+    /// Drives the joints to `q` (rad) with `qd` (rad/s) for one [`DT`].
+    pub(crate) fn drive(&mut self, arm: &mut Arm, q: &[f64], qd: &[f64]) -> Result<(), ExperimentError> {
+        match self {
+            Self::Ideal { position, velocity, path } => {
+                path.push(arm.at(position).0);
+                position.copy_from_slice(q);
+                velocity.copy_from_slice(qd);
+                Ok(())
+            }
+            Self::Simulated(Simulated { simulation, robot, lease, joints }) => {
+                let here = robot.sensed().borrow();
+                let velocity = std::array::from_fn::<f64, JOINTS, _>(|i| {
+                    // Before the first step nothing is sensed yet.
+                    let behind = here.position.get(joints[i]).map_or(0.0, |at| q[i] - at);
+                    let behind = if here.stamp_ns == 0 { 0.0 } else { behind };
+                    qd[i] + FOLLOW * behind
+                });
+                lease.command(&velocity).map_err(|fault| ExperimentError::Failed(fault.to_string()))?;
+                simulation.step();
+                Ok(())
+            }
+        }
+    }
+
+    /// Positions (rad) and speeds (rad/s) as the joints report them; `None` before anything was sensed.
+    pub(crate) fn joints(&self) -> Option<(Joints, Joints)> {
+        match self {
+            Self::Ideal { position, velocity, .. } => Some((*position, *velocity)),
+            Self::Simulated(Simulated { robot, joints, .. }) => {
+                let sensed = robot.sensed().borrow();
+                let of = |all: &[f64]| Joints::from_fn(|i, _| all[joints[i]]);
+                (sensed.stamp_ns > 0).then(|| (of(&sensed.position), of(&sensed.velocity)))
+            }
+        }
+    }
+
+    /// Where the TCP truly was, m, root frame, each [`DT`] from the start: what the referee has seen.
+    pub(crate) fn truth(&self) -> Vec<Vector3<f64>> {
+        match self {
+            Self::Ideal { path, .. } => path.clone(),
+            Self::Simulated(Simulated { simulation, .. }) => {
+                let log = simulation.referee().log();
+                log.records.iter().map(|r| r.tcp.translation.vector).collect()
+            }
+        }
+    }
+
+    /// The referee's judgement, or for ideal joints the same of their path.
+    pub(crate) fn judge(&self, compared: &Compared) -> ModificationFigures {
+        let figures = match self {
+            Self::Ideal { path, .. } => of_path(path, compared),
+            Self::Simulated(Simulated { simulation, .. }) => {
+                modification(&simulation.referee().log(), compared)
+            }
+        };
+        figures.unwrap_or(ModificationFigures { displacement_m: f64::NAN, far_side_rms_m: f64::NAN })
+    }
+}
+
+/// The largest of all values, whatever their sign.
+pub(crate) fn largest(values: &[Joints]) -> f64 {
+    values.iter().map(Joints::amax).fold(0.0, f64::max)
+}

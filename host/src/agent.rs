@@ -1,0 +1,313 @@
+//! An agent: it offers charts, skills, its memory and its cameras to other agents, and may run a chart of its own. It acts with a
+//! simulated robot, or only watches through images that another agent offers.
+//!
+//! A program of one's own begins here: [`AgentConfig::new`], a few fields, [`run_agent`].
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use armarium_bus::{Access, KeyError, Session, SessionConfig, SessionError};
+use armarium_memoryx::{AgentMemory, Followee, FollowingAgent, Policies, Retention, agent_stands};
+use armarium_runtime::channels::Channels;
+use armarium_runtime::chart::{self, Registry};
+use armarium_runtime::engine::Program;
+use armarium_runtime::exec::{ChartSkill, ExecOptions, Executor, Others, RunResult, Stop};
+use armarium_runtime::remote::{Agents, Offers, hear, serve};
+use armarium_runtime::skill::Limits;
+use armarium_simulator::World;
+use armarium_states::observers;
+use armarium_visionx::providers::{StereoProvider, offer as offer_images};
+use tokio::task::JoinSet;
+
+use crate::backend::Backend;
+use crate::catalog::{self, SkillFactory};
+use crate::connection::{Connection, take_name};
+use crate::console::Console;
+use crate::error::HostError;
+use crate::remote_eyes::{self, Eyes};
+use crate::simulated::{SimulatedRobot, memory_of_agent, usual_policies};
+
+/// What an agent is, and what it offers.
+#[derive(Clone)]
+pub struct AgentConfig {
+    /// The name by which other agents call it.
+    pub name: String,
+    /// Charts to offer, or folders of charts. Skills are offered always.
+    pub offered: Vec<PathBuf>,
+    /// Folders where charts find other charts by name, besides their own.
+    pub charts: Vec<PathBuf>,
+    /// A chart that the agent runs from the beginning; the agent ends with it.
+    pub run: Option<PathBuf>,
+    /// The simulated world that the agent is in; the default kitchen if not given.
+    pub world: Option<PathBuf>,
+    /// Seeds everything that varies in the world.
+    pub seed: u64,
+    /// Images that another agent offers, as the agent's eyes. It has no robot then, only skills that move nothing, and
+    /// stands where the world says.
+    pub eyes: Option<Eyes>,
+    /// Agents whose memory is followed as soon as they are there.
+    pub follow: Vec<Followee>,
+    /// The file of long-term memory.
+    pub store: PathBuf,
+    /// What of memory the file keeps.
+    pub policies: Policies,
+    /// How much of it.
+    pub retention: Retention,
+    /// How other agents are reached.
+    pub session: SessionConfig,
+    /// Whom it lets in; everybody, who may do everything, where nothing is said.
+    pub access: Option<Access>,
+    /// Skills of one's own, besides those that ship.
+    pub skills: Vec<SkillFactory>,
+}
+
+impl AgentConfig {
+    /// An agent with a simulated robot in the default kitchen, reached on this machine only.
+    #[must_use]
+    pub fn new(name: &str) -> Self {
+        Self {
+            name: name.into(),
+            offered: Vec::new(),
+            charts: Vec::new(),
+            run: None,
+            world: None,
+            seed: 1,
+            eyes: None,
+            follow: Vec::new(),
+            store: "armarium-agent.redb".into(),
+            policies: usual_policies(),
+            retention: Retention::default(),
+            session: SessionConfig::default(),
+            access: None,
+            skills: Vec::new(),
+        }
+    }
+}
+
+/// Offers until `until` is ready, or until the agent's own chart has ended; then gives how the chart ended.
+///
+/// # Errors
+/// [`HostError`] when the agent cannot begin or cannot go on.
+pub fn run_agent(
+    config: &AgentConfig,
+    console: &dyn Console,
+    until: impl Future<Output = ()>,
+) -> Result<Option<RunResult>, HostError> {
+    let mut session = SessionConfig { shared_memory: true, ..config.session.clone() };
+    if let Some(access) = &config.access {
+        let no_name = |error: KeyError| SessionError::Config { what: error.to_string() };
+        session.access_control = Some(access.rules().map_err(no_name)?);
+    }
+    let connection = Connection::open(&session)?;
+    let agents = connection.agents(&config.name);
+    // Simulation, skills and charts share the session's threads; one that is busy holds up no answer.
+    connection.runtime().block_on(live(config, connection.session(), &agents, console, until))
+}
+
+async fn live(
+    config: &AgentConfig,
+    session: &Session,
+    agents: &Agents,
+    console: &dyn Console,
+    until: impl Future<Output = ()>,
+) -> Result<Option<RunResult>, HostError> {
+    let mut until = std::pin::pin!(until);
+    let _name = take_name(session, &config.name).await?;
+    let world = config.world.as_deref().map_or_else(|| Ok(World::default()), World::load);
+    let world = world.map_err(HostError::World)?;
+    let mut kept = memory_of_agent(&config.name, &world, &config.store, config.policies.clone())?;
+    kept.retention = config.retention;
+    kept.guarded = config.access.is_some();
+    let clock = session.clone();
+    let mut memory = AgentMemory::open(&kept, Arc::new(move || clock.now_ns()))?;
+    let simulated = match &config.eyes {
+        None => Some(SimulatedRobot::new(&world, config.seed, memory.memory(), Vec::new(), None)?),
+        Some(_) => {
+            let root_from_agent = remote_eyes::agent_of(&world, &config.name)?.root_from_agent();
+            memory.memory().commit_now(vec![agent_stands(&config.name, &root_from_agent)?])?;
+            None
+        }
+    };
+    memory.share(session, &kept).await?;
+    let _followed = follow_all(config, session, &memory);
+    let backend = match (simulated, &config.eyes) {
+        (Some((robot, simulation)), _) => Backend::simulated(robot, simulation, &config.skills),
+        (None, eyes) => {
+            let eyes = eyes.as_ref().expect("an agent without a robot has eyes");
+            let view = tokio::select! {
+                biased;
+                () = &mut until => return Ok(None),
+                view = remote_eyes::open(session, eyes, |what| console.note(what)) => view?,
+            };
+            Backend::eyes_only(&config.name, config.seed, view, memory.memory(), &config.skills)
+        }
+    };
+    let cameras = StereoProvider::new(Arc::clone(&backend.equipment.images), "camera_left");
+    let _cameras = offer_images(session, &config.name, Arc::new(cameras)).await?;
+    console.world_begins(Arc::clone(&backend.clock));
+    let ended = act(config, (session, agents), backend, until, console).await?;
+    if let Err(error) = memory.flush() {
+        console.note(&format!("warning: what was learned was not kept: {error}"));
+    }
+    Ok(ended)
+}
+
+/// Offers charts and skills, and runs the agent's own chart, until it is asked to end.
+async fn act(
+    config: &AgentConfig,
+    (session, agents): (&Session, &Agents),
+    backend: Backend,
+    until: impl Future<Output = ()>,
+    console: &dyn Console,
+) -> Result<Option<RunResult>, HostError> {
+    let Backend { equipment, mut registry, life, observes, .. } = backend;
+    let channels = Channels::new();
+    let robot = Arc::clone(&equipment.robot);
+    let stop: Stop =
+        Arc::new(move |what: &str| robot.stop(&format!("the skill of `{what}` does not return")));
+
+    let mut offers = Offers::new(&config.name, session, channels.clone(), Arc::clone(&stop));
+    let others = Others { post: Some(Arc::new(agents.clone())), ..Others::default() };
+    let mut charts = Vec::new();
+    for file in chart_files(&config.offered)? {
+        let program = load(&file, config, &mut registry, agents, console).await?;
+        charts.push(program.name().to_owned());
+        let skill = offered(&file, config, program, &registry, &stop);
+        offers.add(Arc::new(skill.among(others.clone())))?;
+    }
+    let skills: Vec<String> = registry.manifests().map(|m| m.name.clone()).collect();
+    for skill in skills.iter().filter_map(|name| registry.get(name)) {
+        offers.add(Arc::clone(skill))?;
+    }
+    let own = match &config.run {
+        None => None,
+        Some(file) => {
+            let program = load(file, config, &mut registry, agents, console).await?;
+            Some(execute(program, registry.clone(), &channels, (&stop, &others))?)
+        }
+    };
+    introduce(config, session, &charts, &skills, console).await;
+
+    let mut tasks = if observes { observers::start(&equipment, &channels) } else { Vec::new() };
+    let life = tokio::spawn(life);
+    let own = async {
+        match own {
+            Some(executor) => executor.run().await,
+            None => std::future::pending().await,
+        }
+    };
+    let ended = tokio::select! {
+        biased;
+        () = until => None,
+        ended = own => Some(ended),
+        ended = serve(session, offers) => ended.map(|()| None)?,
+        ended = hear(session, &config.name, others.hearers) => ended.map(|()| None)?,
+    };
+    equipment.robot.stop("the agent ends");
+    tasks.push(life);
+    tasks.iter().for_each(tokio::task::JoinHandle::abort);
+    Ok(ended)
+}
+
+/// Follows others for as long as the tasks live.
+fn follow_all(config: &AgentConfig, session: &Session, memory: &AgentMemory) -> JoinSet<()> {
+    let mut tasks = JoinSet::new();
+    for other in config.follow.iter().cloned() {
+        let following = FollowingAgent {
+            session: session.clone(),
+            memory: Arc::clone(memory.memory()),
+            own: config.name.clone(),
+        };
+        tasks.spawn(async move {
+            let _followed = following.follow_when_there(&other).await;
+            std::future::pending::<()>().await;
+        });
+    }
+    tasks
+}
+
+fn execute(
+    program: Arc<Program>,
+    registry: Registry,
+    channels: &Channels,
+    (stop, others): (&Stop, &Others),
+) -> Result<Executor, HostError> {
+    let stop = Arc::clone(stop);
+    let options = ExecOptions {
+        limits: Limits::default(),
+        on_stuck: Some(Box::new(move |state| stop(state))),
+        others: others.clone(),
+        ..ExecOptions::default()
+    };
+    Ok(Executor::new(program, registry, channels.clone(), options)?)
+}
+
+/// A chart as a skill for others.
+fn offered(
+    file: &Path,
+    config: &AgentConfig,
+    program: Arc<Program>,
+    registry: &Registry,
+    stop: &Stop,
+) -> ChartSkill {
+    let library = chart::load(file, &config.charts);
+    let description = library.charts.get(program.name()).map_or("", |chart| chart.description.as_str());
+    ChartSkill::new(program, description, registry.clone(), Arc::clone(stop))
+}
+
+/// A chart that is in order; warnings are said.
+async fn load(
+    file: &Path,
+    config: &AgentConfig,
+    registry: &mut Registry,
+    agents: &Agents,
+    console: &dyn Console,
+) -> Result<Arc<Program>, HostError> {
+    let checked = catalog::load_connected(file, &config.charts, registry, Some(agents)).await?;
+    catalog::runnable(checked, console)
+}
+
+/// The charts that are named, and those of the folders that are.
+fn chart_files(named: &[PathBuf]) -> Result<Vec<PathBuf>, HostError> {
+    let mut files = Vec::new();
+    for path in named {
+        if !path.is_dir() {
+            files.push(path.clone());
+            continue;
+        }
+        let entries = std::fs::read_dir(path).map_err(|source| HostError::File {
+            what: "the folder of charts cannot be read:",
+            path: path.clone(),
+            source,
+        })?;
+        let mut inside: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
+        inside.sort();
+        files.extend(inside.into_iter().filter(|file| is_chart(file)));
+    }
+    Ok(files)
+}
+
+/// Whether a file of a folder is a chart: YAML with the key `statechart` at its outermost level.
+fn is_chart(file: &Path) -> bool {
+    file.extension().is_some_and(|e| e == "yaml" || e == "yml")
+        && std::fs::read_to_string(file)
+            .is_ok_and(|text| text.lines().any(|line| line.starts_with("statechart:")))
+}
+
+/// Says what the agent offers and where it listens.
+async fn introduce(
+    config: &AgentConfig,
+    session: &Session,
+    charts: &[String],
+    skills: &[String],
+    console: &dyn Console,
+) {
+    console.note(&format!("agent {}, process {}", config.name, session.id()));
+    if !charts.is_empty() {
+        console.note(&format!("  charts: {}", charts.join(", ")));
+    }
+    console.note(&format!("  skills: {}", skills.join(", ")));
+    for endpoint in session.endpoints().await {
+        console.note(&format!("  listens on {endpoint}"));
+    }
+}

@@ -1,0 +1,82 @@
+//! What an agent acts with: a simulated robot, or only the images that another agent offers.
+
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use armarium_memoryx::{Memory, WorkingMemory};
+use armarium_runtime::chart::Registry;
+use armarium_simulator::{Handle, Simulation};
+use armarium_states::Equipment;
+use armarium_visionx::providers::StereoView;
+
+use crate::catalog::{self, SkillFactory};
+use crate::console::Clock;
+use crate::remote_eyes::RemoteEyes;
+use crate::simulated::SimulatedRobot;
+
+/// What an agent acts with.
+pub(crate) struct Backend {
+    pub(crate) equipment: Equipment,
+    pub(crate) registry: Registry,
+    pub(crate) clock: Clock,
+    /// Lives until the agent ends, or until there is nothing more to sense.
+    pub(crate) life: Pin<Box<dyn Future<Output = ()> + Send>>,
+    /// Whether it has what the observers observe.
+    pub(crate) observes: bool,
+}
+
+impl Backend {
+    /// The simulated robot with its senses.
+    pub(crate) fn simulated(robot: SimulatedRobot, simulation: Simulation, own: &[SkillFactory]) -> Self {
+        let (handle, ending) = (robot.handle.clone(), EndOnDrop(robot.handle));
+        Self {
+            registry: catalog::registry(&robot.equipment, own),
+            equipment: robot.equipment,
+            clock: Arc::new(move || handle.now_ns()),
+            life: Box::pin(async move {
+                let _ending = ending;
+                simulation.run().await;
+            }),
+            observes: true,
+        }
+    }
+
+    /// The images of another agent, and no limb: only skills that move nothing.
+    pub(crate) fn eyes_only(
+        name: &str,
+        seed: u64,
+        view: Arc<StereoView>,
+        memory: &Arc<WorkingMemory>,
+        own: &[SkillFactory],
+    ) -> Self {
+        let now_ns = Arc::new(AtomicU64::new(0));
+        let eyes = RemoteEyes::new(view, Arc::clone(&now_ns));
+        let equipment = Equipment {
+            robot: Arc::clone(&eyes.robot),
+            images: Arc::clone(&eyes.images),
+            memory: Arc::<WorkingMemory>::clone(memory) as Arc<dyn Memory>,
+            agent: name.to_owned(),
+            seed,
+        };
+        let registry = catalog::registry(&equipment, own);
+        let still = registry.manifests().filter(|manifest| manifest.limbs.is_empty());
+        let still: Vec<String> = still.map(|manifest| manifest.name.clone()).collect();
+        Self {
+            registry: still.iter().filter_map(|name| registry.get(name).cloned()).collect(),
+            equipment,
+            clock: Arc::new(move || now_ns.load(Ordering::Relaxed)),
+            life: Box::pin(eyes.live()),
+            observes: false,
+        }
+    }
+}
+
+/// Ends the simulation with the task that lives it.
+struct EndOnDrop(Handle);
+
+impl Drop for EndOnDrop {
+    fn drop(&mut self) {
+        self.0.stop();
+    }
+}

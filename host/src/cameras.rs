@@ -1,0 +1,138 @@
+//! The simulated cameras in a process of their own. A run sends what there is to see, and looks at the frames that come
+//! back; they are images of any provider then.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use armarium_bus::{Interest, Key, KeyError, Schema, Session, decode, encode, keys};
+use armarium_simulator::World;
+use armarium_simulator::cameras::{DistantCameras, Scenery, ScenerySink};
+use armarium_visionx::ImageSource;
+use armarium_visionx::providers::{
+    Delivery, Description, ImageCoding, RemoteProvider, StereoView, channel, frame_of, offer,
+};
+use tokio::sync::watch;
+
+use crate::connection::Connection;
+use crate::console::Console;
+use crate::error::HostError;
+
+/// What there is to see, on the network.
+const SCENERY: Schema = Schema::new("simulator/scenery", 1);
+/// The part of the provider's key on which it is told.
+const SCENERY_KEY: &str = "scenery";
+/// How long a run waits for its cameras.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// The left camera's coordinate frame.
+const FRAME_ID: &str = "camera_left";
+
+/// Simulated cameras that another process shows its world.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CamerasConfig {
+    /// The name by which a run asks for them.
+    pub name: String,
+    /// The simulated world, the same as the run's; the default kitchen if not given.
+    pub world: Option<PathBuf>,
+    /// The run's seed.
+    pub seed: u64,
+}
+
+fn unusable(name: &str, why: impl ToString) -> HostError {
+    HostError::Images { provider: name.to_owned(), why: why.to_string() }
+}
+
+/// Draws what runs show, for as long as it is waited for.
+///
+/// # Errors
+/// [`HostError::World`], [`HostError::Images`] and [`HostError::Session`].
+pub async fn serve_cameras(
+    config: &CamerasConfig,
+    session: &Session,
+    console: &dyn Console,
+) -> Result<(), HostError> {
+    let world = config.world.as_deref().map_or_else(|| Ok(World::default()), World::load);
+    let world = world.map_err(HostError::World)?;
+    let name = &config.name;
+    let mut cameras = DistantCameras::new(&world, config.seed).map_err(|error| unusable(name, error))?;
+    let described = Description::of_stereo(DistantCameras::name(), FRAME_ID, &cameras.calibration());
+    let about = format!("cameras of the simulated world `{}`, seed {}", world.name, config.seed);
+    let (frames, provider) = channel(Description { about, ..described });
+    let _offered = offer(session, name, Arc::new(provider)).await?;
+    let scenery = session.bulk_reader(scenery_key(name)?, 1, true).await?;
+    console.note(&format!("{name}/{}", DistantCameras::name()));
+    for endpoint in session.endpoints().await {
+        console.note(&format!("  listens on {endpoint}"));
+    }
+    console.note(&format!(
+        "  blind until a run shows them its world: armarium run CHART --cameras {name} --connect ENDPOINT"
+    ));
+    let mut refused = None;
+    loop {
+        let message = scenery.next().await;
+        let drawn = SCENERY
+            .check(&message.encoding)
+            .and_then(|()| decode::<Scenery>(message.payload.as_ref()))
+            .map_err(|e| e.to_string())
+            .and_then(|scenery| cameras.draw(&scenery).map_err(|e| e.to_string()))
+            .and_then(|stereo| frame_of(&Arc::new(stereo), 0, FRAME_ID).map_err(|e| e.to_string()));
+        match drawn {
+            Ok(frame) => frames.send(frame),
+            // Once each: a run that shows another world does so at each frame.
+            Err(error) if refused.as_ref() != Some(&error) => {
+                console.note(&format!("warning: {error}"));
+                refused = Some(error);
+            }
+            Err(_) => {}
+        }
+    }
+}
+
+fn scenery_key(name: &str) -> Result<Key, HostError> {
+    let wrong = |error: KeyError| unusable(name, error);
+    keys::image_coded(name, DistantCameras::name(), SCENERY_KEY).map_err(wrong)
+}
+
+/// Shows cameras in another process what there is to see; the newest, when they are slower than the world.
+pub(crate) struct RemoteScenery {
+    newest: watch::Sender<Option<Scenery>>,
+    wanted: Interest,
+}
+
+impl ScenerySink for RemoteScenery {
+    fn is_wanted(&self) -> bool {
+        self.wanted.is_there()
+    }
+
+    fn show(&mut self, scenery: Scenery) {
+        self.newest.send_replace(Some(scenery));
+    }
+}
+
+/// The cameras `name`: where the world shows what there is to see, and the frames that come back.
+///
+/// # Errors
+/// [`HostError::Images`] when they are not there or are no stereo pair.
+pub(crate) async fn connect(
+    name: &str,
+    connection: &Connection,
+) -> Result<(RemoteScenery, Arc<dyn ImageSource>), HostError> {
+    let session = connection.session();
+    let key = scenery_key(name)?;
+    let wanted = session.interest(&key.clone().into()).await?;
+    let (camera, delivery) = (DistantCameras::name(), Delivery::Newest);
+    let provider = RemoteProvider::connect(session, name, camera, delivery, ImageCoding::Raw, PATIENCE).await;
+    let provider = provider.map_err(|error| unusable(name, error))?;
+    let view = StereoView::new(Arc::new(provider)).map_err(|error| unusable(name, error))?;
+    let (newest, mut scenery) = watch::channel(None::<Scenery>);
+    let sending = session.clone();
+    connection.runtime().spawn(async move {
+        while scenery.changed().await.is_ok() {
+            let Some(Ok(payload)) = scenery.borrow_and_update().as_ref().map(encode) else { continue };
+            if let Err(error) = sending.put(&key, &SCENERY.encoding(), payload).await {
+                tracing::warn!("the cameras were not shown what there is to see: {error}");
+            }
+        }
+    });
+    Ok((RemoteScenery { newest, wanted }, Arc::new(view)))
+}

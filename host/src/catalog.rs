@@ -1,0 +1,100 @@
+//! What charts may name: skills and channels; and the check of a chart against them.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use armarium_memoryx::{Memory, WorkingMemory, tokio_clock};
+use armarium_runtime::chart::{self, ChannelSchema, Checked, Finding, Registry};
+use armarium_runtime::engine::Program;
+use armarium_runtime::remote::Agents;
+use armarium_runtime::skill::Skill;
+use armarium_simulator::{Options, Simulation, World};
+use armarium_states::{Equipment, observers};
+
+use crate::console::Console;
+use crate::error::HostError;
+
+/// How long other agents may take to be there.
+const PATIENCE: Duration = Duration::from_secs(3);
+
+/// Makes a skill of one's own that works with the robot, the cameras and the memory that it is given.
+pub type SkillFactory = Arc<dyn Fn(&Equipment) -> Arc<dyn Skill> + Send + Sync>;
+
+/// The skills that ship, and those of one's own, working with `equipment`.
+#[must_use]
+pub fn registry(equipment: &Equipment, own: &[SkillFactory]) -> Registry {
+    let own = own.iter().map(|make| make(equipment));
+    armarium_states::skills(equipment).into_iter().chain(own).collect()
+}
+
+/// The channels that observers and skills publish.
+#[must_use]
+pub fn channels() -> ChannelSchema {
+    observers::channels().into_iter().fold(ChannelSchema::new(), |schema, (name, ty)| schema.with(&name, ty))
+}
+
+/// The skills that ship, on the default world: for whoever only wants to know what they declare.
+#[must_use]
+pub fn idle_registry() -> Registry {
+    let Ok(simulation) = Simulation::new(&World::default(), 0, Options::default()) else {
+        return Registry::new();
+    };
+    let equipment = Equipment {
+        robot: simulation.robot(),
+        images: simulation.images(),
+        memory: Arc::new(WorkingMemory::new(tokio_clock())) as Arc<dyn Memory>,
+        agent: "local".into(),
+        seed: 0,
+    };
+    registry(&equipment, &[])
+}
+
+/// Loads a chart with the charts that it names and checks it.
+#[must_use]
+pub fn load(file: &Path, folders: &[PathBuf], registry: &Registry) -> Checked {
+    chart::check(&chart::load(file, folders), registry, &channels())
+}
+
+/// Loads and checks a chart against the skills that ship, for whoever does not run it.
+#[must_use]
+pub fn load_idle(file: &Path, folders: &[PathBuf]) -> Checked {
+    load(file, folders, &idle_registry())
+}
+
+/// As [`load`], with what other agents offer.
+///
+/// # Errors
+/// [`HostError::NotConnected`] where the chart names another agent and none can be asked.
+pub async fn load_connected(
+    file: &Path,
+    folders: &[PathBuf],
+    registry: &mut Registry,
+    agents: Option<&Agents>,
+) -> Result<Checked, HostError> {
+    let library = chart::load(file, folders);
+    let names = library.remote_names();
+    match (agents, names.first()) {
+        (Some(agents), _) => agents.resolve(&names, PATIENCE, registry).await,
+        (None, Some(name)) => return Err(HostError::NotConnected { name: name.clone() }),
+        (None, None) => {}
+    }
+    Ok(chart::check(&library, registry, &channels()))
+}
+
+/// The program of a chart that is in order; what is doubtful is told.
+///
+/// # Errors
+/// [`HostError::Chart`] with all that is wrong.
+pub fn runnable(checked: Checked, console: &dyn Console) -> Result<Arc<Program>, HostError> {
+    let is_wrong = checked.findings.iter().any(Finding::is_error);
+    match checked.program {
+        Some(program) if !is_wrong => {
+            if !checked.findings.is_empty() {
+                console.warnings(&checked.findings);
+            }
+            Ok(program)
+        }
+        _ => Err(HostError::Chart(checked.findings)),
+    }
+}

@@ -1,0 +1,135 @@
+//! A few camera images of the run for the report, and what is seen in them.
+//!
+//! The sampler stands between the cameras and the skills and keeps a frame every few seconds of those that are made
+//! anyway, and gives some to the recording; it never asks for one. Its pictures are marked with the same vision that the
+//! skills use, knowing what prior knowledge says of things: colour and size.
+
+use std::sync::Arc;
+
+use armarium_simulator::World;
+use armarium_values::report::Picture;
+use armarium_viewer::recorder::ImageCoding;
+use armarium_visionx::providers::convert::jpeg;
+use armarium_visionx::{
+    BoxModel, ColorModel, HandObserver, Image, ImageError, ImageSource, ObjectLocalizer, StereoCalibration,
+    StereoFrame, annotate, components,
+};
+use async_trait::async_trait;
+use nalgebra::Vector3;
+use parking_lot::Mutex;
+
+use crate::recording::SharedRecorder;
+
+/// Frames are at least this far apart, ns.
+const APART_NS: u64 = 4_000_000_000;
+/// Frames that are kept; later ones replace every second one.
+const MOST: usize = 24;
+/// Topic of the left eye in the recording.
+const TOPIC: &str = "/camera/left";
+/// Patches of the tool's colour with fewer pixels than this are not taken for it.
+const LEAST_PATCH: u32 = 150;
+
+/// Keeps some of the frames that pass.
+pub(crate) struct FrameSampler {
+    cameras: Arc<dyn ImageSource>,
+    kept: Mutex<Vec<Arc<StereoFrame>>>,
+    known: Known,
+    recorder: SharedRecorder,
+}
+
+/// What the pictures are searched for.
+struct Known {
+    objects: Vec<(String, BoxModel)>,
+    tool: ColorModel,
+}
+
+impl FrameSampler {
+    /// A sampler of what the cameras give.
+    pub(crate) fn of(cameras: Arc<dyn ImageSource>, world: &World, recorder: SharedRecorder) -> Self {
+        let model = |size, color| BoxModel { size: Vector3::from(size), color: ColorModel::from_rgb(color) };
+        let objects = world.objects.iter().map(|o| (o.name.clone(), model(o.size, o.color))).collect();
+        let known = Known { objects, tool: ColorModel::from_rgb(world.coach.tool.color) };
+        Self { cameras, kept: Mutex::new(Vec::new()), known, recorder }
+    }
+
+    fn record(&self, frame: &StereoFrame) {
+        if let Some(recorder) = self.recorder.lock().as_mut()
+            && let Err(error) = recorder.image(TOPIC, frame.stamp_ns, &frame.left, ImageCoding::Jpeg)
+        {
+            tracing::warn!("a camera image was not recorded: {error}");
+        }
+    }
+
+    fn look(&self, frame: &Arc<StereoFrame>) {
+        let mut kept = self.kept.lock();
+        let due = kept.last().is_none_or(|last| frame.stamp_ns >= last.stamp_ns + APART_NS);
+        if !due {
+            return;
+        }
+        if kept.len() >= MOST {
+            let mut even = false;
+            kept.retain(|_| {
+                even = !even;
+                even
+            });
+        }
+        kept.push(Arc::clone(frame));
+    }
+
+    /// The pictures, with everything marked that is seen in them; `state_at` names what the robot did then.
+    pub(crate) fn pictures(&self, state_at: &dyn Fn(u64) -> String) -> Vec<Picture> {
+        let calibration = self.cameras.calibration();
+        let kept = self.kept.lock();
+        kept.iter().filter_map(|frame| self.known.picture(calibration, frame, state_at)).collect()
+    }
+}
+
+impl Known {
+    fn picture(
+        &self,
+        calibration: StereoCalibration,
+        frame: &StereoFrame,
+        state_at: &dyn Fn(u64) -> String,
+    ) -> Option<Picture> {
+        let mut image: Image = frame.left.clone();
+        let mut seen = Vec::new();
+        for (name, model) in &self.objects {
+            let Some(found) = ObjectLocalizer::new(calibration, model.clone()).localize(frame) else {
+                continue;
+            };
+            annotate::object(&mut image, &found);
+            let at = found.root_from_object.translation.vector;
+            seen.push(format!("{name} at ({:.2}, {:.2}, {:.2}) m", at.x, at.y, at.z));
+        }
+        if let Some(patch) = components(&self.tool.segment(&frame.left), LEAST_PATCH).first() {
+            annotate::region(&mut image, &patch.bounds, [0, 255, 0]);
+            seen.push("the coach's tool".to_owned());
+        }
+        if let Some(hand) = HandObserver::new(calibration).update(frame) {
+            annotate::hand(&mut image, &hand);
+            seen.push(format!("a hand: {}", hand.gesture.to_string().replace('_', " ")));
+        }
+        let seen = if seen.is_empty() { String::new() } else { format!(" · seen: {}", seen.join(", ")) };
+        let caption = format!("{:.1} s · {}{seen}", frame.stamp_ns as f64 * 1e-9, state_at(frame.stamp_ns));
+        let data = jpeg(&image).ok()?;
+        Some(Picture { caption, data, media_type: "image/jpeg".into() })
+    }
+}
+
+#[async_trait]
+impl ImageSource for FrameSampler {
+    fn name(&self) -> &str {
+        self.cameras.name()
+    }
+
+    fn calibration(&self) -> StereoCalibration {
+        self.cameras.calibration()
+    }
+
+    async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
+        let frame = self.cameras.next().await?;
+        self.look(&frame);
+        self.record(&frame);
+        Ok(frame)
+    }
+}

@@ -1,0 +1,59 @@
+//! How a run reaches other agents, and how they reach it.
+
+use std::sync::Arc;
+
+use armarium_bus::{AliveToken, SessionConfig};
+use armarium_runtime::exec::{Hearers, Others, Post};
+use armarium_runtime::remote::{Agents, hear};
+
+use crate::connection::{Connection, take_name};
+use crate::console::Console;
+use crate::error::HostError;
+
+/// How a run reaches other agents; nothing where it needs none.
+#[derive(Default)]
+pub(crate) struct Network {
+    pub(crate) connection: Option<Connection>,
+    pub(crate) agents: Option<Agents>,
+    pub(crate) others: Others,
+    /// Keeps the run's name.
+    _name: Option<AliveToken>,
+}
+
+impl Network {
+    /// Opens a session. With a name, the run hears what other agents send to it, on the session's threads.
+    ///
+    /// # Errors
+    /// [`HostError::NameTaken`]; [`HostError::Session`] when the network refuses.
+    pub(crate) fn open(
+        config: &SessionConfig,
+        name: Option<&str>,
+        console: &dyn Console,
+    ) -> Result<Self, HostError> {
+        let connection = Connection::open(config)?;
+        let agents = connection.agents(name.unwrap_or("armarium run"));
+        let others = Others { post: Some(Arc::new(agents.clone()) as Arc<dyn Post>), ..Others::default() };
+        let token = name.map(|name| listen(&connection, name, &others.hearers, console)).transpose()?;
+        Ok(Self { connection: Some(connection), agents: Some(agents), others, _name: token })
+    }
+}
+
+fn listen(
+    connection: &Connection,
+    name: &str,
+    hearers: &Hearers,
+    console: &dyn Console,
+) -> Result<AliveToken, HostError> {
+    let (session, threads) = (connection.session(), connection.runtime());
+    let token = threads.block_on(take_name(session, name))?;
+    let (hearing, own, hearers) = (session.clone(), name.to_owned(), hearers.clone());
+    threads.spawn(async move {
+        if let Err(error) = hear(&hearing, &own, hearers).await {
+            tracing::error!("other agents cannot send events to `{own}`: {error}");
+        }
+    });
+    for endpoint in threads.block_on(session.endpoints()) {
+        console.note(&format!("{name} listens on {endpoint}"));
+    }
+    Ok(token)
+}

@@ -1,0 +1,167 @@
+//! Writing the run down while it happens: the recording, the digest that says whether two runs are the same, and the
+//! few camera images that the report shows.
+//!
+//! The referee's view of the truth goes into the recording beside what the robot sensed; nothing flows back.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use armarium_bus::codec;
+use armarium_robot::{Model, Robot};
+use armarium_simulator::truth::FrameTruth;
+use armarium_simulator::{TruthEvent, TruthSample, TruthSink, World};
+use armarium_viewer::recorder::{Contact, Recorder, RecorderError, WrenchSample};
+use nalgebra::Isometry3;
+use parking_lot::Mutex;
+use serde::Serialize;
+use sha2::{Digest as _, Sha256};
+use tokio::task::JoinHandle;
+
+/// A recorder that several tasks of one thread write to.
+pub(crate) type SharedRecorder = Arc<Mutex<Option<Recorder>>>;
+
+/// SHA-256 over the canonical CBOR of all engine events, configurations and joint commands.
+#[derive(Clone, Default)]
+pub(crate) struct RunDigest {
+    state: Arc<Mutex<Sha256>>,
+}
+
+impl RunDigest {
+    /// Adds something that happened.
+    pub(crate) fn add(&self, what: &impl Serialize) {
+        // Only values that CBOR cannot hold fail; they are then no part of the digest in any run.
+        if let Ok(bytes) = codec::encode(what) {
+            self.state.lock().update(&bytes);
+        }
+    }
+
+    /// The digest so far, in hexadecimal digits.
+    pub(crate) fn hex(&self) -> String {
+        let digest = self.state.lock().clone().finalize();
+        digest.iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+}
+
+impl TruthSink for RunDigest {
+    fn sample(&mut self, sample: &TruthSample) {
+        self.add(&(sample.stamp_ns, &sample.command_position, &sample.command_velocity));
+    }
+}
+
+/// Writes the truth into the recording.
+pub(crate) struct TruthTopics(pub(crate) SharedRecorder);
+
+impl TruthSink for TruthTopics {
+    fn sample(&mut self, sample: &TruthSample) {
+        let mut shared = self.0.lock();
+        let Some(recorder) = shared.as_mut() else { return };
+        let t = sample.stamp_ns;
+        recorder.pose("/truth/tcp", t, &sample.tcp);
+        if let Some(sponge) = &sample.sponge {
+            recorder.pose("/truth/sponge", t, sponge);
+        }
+        let coach = sample.coach.hand.as_ref().map(|hand| hand.root_from_hand).or(sample.coach.tool);
+        if let Some(coach) = coach {
+            let coach: Isometry3<f64> = coach;
+            recorder.pose("/truth/coach", t, &coach);
+        }
+        let contact =
+            Contact { normal_n: sample.contact.normal, tangential_n: sample.contact.tangential.norm() };
+        if let Err(error) = recorder.contact(t, &contact) {
+            tracing::warn!("the contact was not recorded: {error}");
+        }
+    }
+
+    fn frame(&mut self, frame: &FrameTruth) {
+        self.json("/truth/hand", frame.stamp_ns, frame);
+    }
+
+    fn event(&mut self, stamp_ns: u64, event: &TruthEvent) {
+        self.json("/truth/events", stamp_ns, event);
+    }
+}
+
+impl TruthTopics {
+    fn json(&self, topic: &str, stamp_ns: u64, message: &impl Serialize) {
+        if let Some(Err(error)) =
+            self.0.lock().as_mut().map(|recorder| recorder.json(topic, stamp_ns, message))
+        {
+            tracing::warn!("the truth was not recorded: {error}");
+        }
+    }
+}
+
+/// Stores with the recording what the run was made of: the chart's text, and the whole world, defaults included, as a
+/// file that `--world` reads.
+///
+/// # Errors
+/// When the recording cannot be written.
+pub(crate) fn attach_sources(
+    recorder: &mut Recorder,
+    chart: &Path,
+    world: &World,
+) -> Result<(), RecorderError> {
+    // The chart was read a moment ago; one that has gone since is run all the same.
+    if let Ok(text) = std::fs::read(chart) {
+        recorder.attach("chart.yaml", "application/yaml", &text)?;
+    }
+    let mut world = serde_json::to_value(world).unwrap_or_default();
+    omit_nulls(&mut world);
+    recorder.attach("world.json", "application/json", format!("{world:#}").as_bytes())
+}
+
+/// Takes away what is null: world files leave out what there is none of, but for a coach who never demonstrates.
+fn omit_nulls(value: &mut serde_json::Value) {
+    match value {
+        serde_json::Value::Object(map) => {
+            map.retain(|key, value| !value.is_null() || key == "demonstration");
+            map.values_mut().for_each(omit_nulls);
+        }
+        serde_json::Value::Array(items) => items.iter_mut().for_each(omit_nulls),
+        _ => {}
+    }
+}
+
+/// Writes what the robot senses into the recording, until the robot is gone.
+pub(crate) fn record_robot(robot: &Arc<dyn Robot>, recorder: SharedRecorder) -> JoinHandle<()> {
+    let names = joint_names(robot.model());
+    let mut sensed = robot.sensed();
+    tokio::spawn(async move {
+        while sensed.changed().await.is_ok() {
+            let sample = Arc::clone(&sensed.borrow_and_update());
+            let mut shared = recorder.lock();
+            let Some(recorder) = shared.as_mut() else { return };
+            recorder.joints(sample.stamp_ns, &names, &sample.position, &sample.velocity);
+            let wrench = WrenchSample {
+                force_raw: sample.force_raw.into(),
+                torque_raw: sample.torque_raw.into(),
+                force: sample.wrist.force.into(),
+                torque: sample.wrist.torque.into(),
+            };
+            if let Err(error) = recorder.wrench(sample.stamp_ns, &wrench) {
+                tracing::warn!("the wrench was not recorded: {error}");
+            }
+        }
+    })
+}
+
+/// The names of the joints in the model's order.
+pub(crate) fn joint_names(model: &Model) -> Vec<String> {
+    model.joints().iter().map(|joint| joint.name.clone()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_attached_world_is_read_as_the_same_world() {
+        let mut silent = World::default();
+        silent.coach.demonstration = None;
+        for world in [World::default(), silent] {
+            let mut written = serde_json::to_value(&world).unwrap();
+            omit_nulls(&mut written);
+            assert_eq!(World::parse(Path::new("world.json"), &written.to_string()), Ok(world));
+        }
+    }
+}

@@ -1,0 +1,166 @@
+//! An agent who only watches: its eyes are images that another agent offers, and it has no limb that it could move.
+//!
+//! Its time is that of the images, so that two agents of one simulated world have one time.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use armarium_bus::{Session, SessionError};
+use armarium_robot::{Guard, GuardConfig, Model, Robot, Sample, postures};
+use armarium_simulator::World;
+use armarium_simulator::world::AgentSpec;
+use armarium_visionx::providers::{Delivery, ImageCoding, RemoteError, RemoteProvider, StereoView};
+use armarium_visionx::{ImageError, ImageSource, StereoCalibration, StereoFrame};
+use async_trait::async_trait;
+use tokio::sync::watch;
+
+use crate::error::HostError;
+
+/// How long one look for the images takes before it is said that they are not there.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Where images come from: `AGENT/PROVIDER`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Eyes {
+    /// Who offers them.
+    pub agent: String,
+    /// Under which name.
+    pub provider: String,
+}
+
+/// Text that does not name images.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("write it as AGENT/PROVIDER, for instance bob/alice")]
+pub struct EyesError;
+
+impl std::str::FromStr for Eyes {
+    type Err = EyesError;
+
+    fn from_str(text: &str) -> Result<Self, EyesError> {
+        match text.split('/').collect::<Vec<_>>().as_slice() {
+            [agent, provider] if !agent.is_empty() && !provider.is_empty() => {
+                Ok(Self { agent: (*agent).into(), provider: (*provider).into() })
+            }
+            _ => Err(EyesError),
+        }
+    }
+}
+
+/// What the world says of the agent of that name.
+///
+/// # Errors
+/// [`HostError::UnknownAgent`] when it says nothing.
+pub(crate) fn agent_of<'w>(world: &'w World, name: &str) -> Result<&'w AgentSpec, HostError> {
+    world.agents.iter().find(|agent| agent.name == name).ok_or_else(|| {
+        let known: Vec<&str> = world.agents.iter().map(|agent| agent.name.as_str()).collect();
+        let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+        HostError::UnknownAgent { world: world.name.clone(), name: name.to_owned(), known }
+    })
+}
+
+/// The images, as soon as somebody offers them; as long as nobody does, `say` is told so now and then.
+///
+/// # Errors
+/// When they are no stereo pair, or the session has ended.
+pub(crate) async fn open(
+    session: &Session,
+    eyes: &Eyes,
+    mut say: impl FnMut(&str),
+) -> Result<Arc<StereoView>, HostError> {
+    loop {
+        let (agent, name) = (&eyes.agent, &eyes.provider);
+        let unusable = |why: String| HostError::Images { provider: format!("{agent}/{name}"), why };
+        let connected =
+            RemoteProvider::connect(session, agent, name, Delivery::Newest, ImageCoding::Raw, PATIENCE);
+        match connected.await {
+            Ok(provider) => {
+                let view = StereoView::new(Arc::new(provider));
+                return view.map(Arc::new).map_err(|e| unusable(e.to_string()));
+            }
+            Err(RemoteError::Session(SessionError::NoAnswer { .. })) => {
+                say(&format!("waiting for the images `{agent}/{name}`"))
+            }
+            Err(error) => return Err(unusable(error.to_string())),
+        }
+    }
+}
+
+/// The eyes of an agent whose robot stands still.
+pub(crate) struct RemoteEyes {
+    pub(crate) robot: Arc<dyn Robot>,
+    pub(crate) images: Arc<dyn ImageSource>,
+    guard: Guard,
+    view: Arc<StereoView>,
+    newest: watch::Sender<Option<Arc<StereoFrame>>>,
+    now_ns: Arc<AtomicU64>,
+}
+
+impl RemoteEyes {
+    /// Eyes that look through `view`; `now_ns` gets the time of the newest image.
+    pub(crate) fn new(view: Arc<StereoView>, now_ns: Arc<AtomicU64>) -> Self {
+        let (guard, robot) = Guard::new(Arc::new(Model::armar3()), GuardConfig::default());
+        let (newest, receiver) = watch::channel(None);
+        let (name, calibration) = (view.name().to_owned(), view.calibration());
+        let images = Arc::new(SharedImages { name, calibration, newest: receiver });
+        Self { robot, images, guard, view, newest, now_ns }
+    }
+
+    /// Passes images on, and lets the robot sense with each, until there are no more.
+    pub(crate) async fn live(mut self) {
+        let sample = Sample::resting(postures::home(&Arc::new(Model::armar3())));
+        while let Ok(frame) = self.view.next().await {
+            let stamp_ns = frame.stamp_ns;
+            self.newest.send_replace(Some(frame));
+            self.guard.step(stamp_ns, &sample);
+            self.now_ns.store(stamp_ns, Ordering::Relaxed);
+        }
+    }
+}
+
+/// The images for any number of readers.
+struct SharedImages {
+    name: String,
+    calibration: StereoCalibration,
+    newest: watch::Receiver<Option<Arc<StereoFrame>>>,
+}
+
+#[async_trait]
+impl ImageSource for SharedImages {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn calibration(&self) -> StereoCalibration {
+        self.calibration
+    }
+
+    async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
+        let gone = || ImageError::Gone { provider: self.name.clone() };
+        let mut newest = self.newest.clone();
+        newest.mark_unchanged();
+        newest.changed().await.map_err(|_| gone())?;
+        let frame = newest.borrow_and_update().clone();
+        frame.ok_or_else(gone)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn eyes_are_named_by_agent_and_provider() {
+        let eyes = Eyes { agent: "bob".into(), provider: "alice".into() };
+        assert_eq!("bob/alice".parse(), Ok(eyes));
+        for wrong in ["bob", "/alice", "bob/", "a/b/c"] {
+            assert!(wrong.parse::<Eyes>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn an_agent_that_the_world_does_not_know_is_said_with_those_that_it_does() {
+        let error = agent_of(&World::default(), "alice").unwrap_err().to_string();
+        assert!(error.contains("no agent `alice` (it has none)"), "{error}");
+    }
+}

@@ -1,0 +1,138 @@
+//! The report of a run: `report.json` for programs, `report.html` for people. What it says of the world was measured by
+//! the referee.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::path::Path;
+
+use armarium_runtime::exec::RunResult;
+use armarium_simulator::{Referee, World};
+use armarium_values::report::{Block, Figure, Picture, Section, Series, TimePlot};
+use armarium_viewer::report::{self, ChainLink, ReportData};
+use serde_json::{Value as Json, json};
+
+use crate::memory_log::{self, Entry};
+use crate::run_log::RunLog;
+
+/// What a report is written from.
+pub(crate) struct Case<'r> {
+    pub(crate) chart: &'r str,
+    pub(crate) world: &'r World,
+    pub(crate) seed: u64,
+    pub(crate) result: &'r RunResult,
+    pub(crate) simulated_s: f64,
+    pub(crate) wall_s: f64,
+    pub(crate) trace_sha256: String,
+    pub(crate) referee: &'r Referee,
+    pub(crate) log: &'r RunLog,
+    pub(crate) pictures: Vec<Picture>,
+    pub(crate) joints: Vec<TimePlot>,
+    /// What the memories of the agents knew; empty where there is one agent.
+    pub(crate) memory_log: &'r [Entry],
+}
+
+/// The figures of the run, by the names that reports share.
+pub(crate) fn figures(case: &Case<'_>) -> Json {
+    let measured = serde_json::to_value(case.referee.report()).unwrap_or_else(|_| json!({}));
+    let mut report = json!({
+        "chart": case.chart,
+        "world": case.world.name,
+        "seed": case.seed,
+        "outcome": case.result.outcome,
+        "reason": case.result.reason,
+        "chain": case.result.chain,
+        "simulated_s": case.simulated_s,
+        "wall_s": case.wall_s,
+        "real_time_factor": case.simulated_s / case.wall_s.max(1e-9),
+        "trace_sha256": case.trace_sha256,
+    });
+    if let (Json::Object(report), Json::Object(measured)) = (&mut report, measured) {
+        report.extend(measured);
+    }
+    report
+}
+
+/// Writes both reports into `folder`. Gives the figures as `report.json` has them, and those that something is asked of.
+///
+/// # Errors
+/// When a file cannot be written.
+pub(crate) fn write(folder: &Path, case: Case<'_>) -> io::Result<(Json, Vec<Figure>)> {
+    let mut figures = figures(&case);
+    let memories = (!case.memory_log.is_empty())
+        .then(|| memory_log::part(case.memory_log, case.world, &case.referee.log()))
+        .flatten();
+    let (json, memories) = memories.unzip();
+    if let (Json::Object(report), Some(json)) = (&mut figures, json) {
+        report.insert("memories".into(), json);
+    }
+    let sections = case.referee.sections();
+    let judged = sections.iter().flat_map(Section::figures).cloned().collect();
+    std::fs::write(folder.join("report.json"), format!("{figures:#}\n"))?;
+    std::fs::write(folder.join("report.html"), report::render(&page(case, sections, memories)))?;
+    Ok((figures, judged))
+}
+
+fn page(case: Case<'_>, mut judged: Vec<Section>, memories: Option<Section>) -> ReportData {
+    let minutes = |s: f64| format!("{:.0} min {:04.1} s", (s / 60.0).floor(), s % 60.0);
+    let rest = judged.split_off(judged.len().min(1));
+    let states = "Which states were active, and when. A thin bar is a state with states inside.";
+    let joints = "Trajectories over time in seconds; dashed lines are limits.";
+    let mut sections = judged;
+    sections.push(Section::new("States", states, vec![Block::Gantt(case.log.states.clone())]));
+    sections.extend(memories);
+    sections.extend(rest);
+    sections.push(Section::new("Joints", joints, vec![Block::SmallPlots(case.joints)]));
+    sections.push(Section::new("What the cameras saw", "", vec![Block::Pictures(case.pictures)]));
+    sections.push(Section::new("Log", "", vec![Block::Lines(case.log.lines.clone())]));
+    ReportData {
+        title: case.chart.to_owned(),
+        subtitle: format!("world `{}`, seed {}", case.world.name, case.seed),
+        outcome: case.result.outcome.clone(),
+        reason: case.result.reason.clone(),
+        failure_chain: case
+            .result
+            .chain
+            .iter()
+            .map(|s| ChainLink { state: s.clone(), reason: None })
+            .collect(),
+        facts: vec![
+            ("simulated".into(), minutes(case.simulated_s)),
+            ("on the wall".into(), minutes(case.wall_s)),
+            ("real time factor".into(), format!("{:.2}", case.simulated_s / case.wall_s.max(1e-9))),
+            ("trace".into(), case.trace_sha256.chars().take(16).collect()),
+        ],
+        sections,
+    }
+}
+
+/// Joint angles of the moving limbs, gathered while the robot runs.
+#[derive(Debug, Default)]
+pub(crate) struct JointLog {
+    times: Vec<f64>,
+    positions: BTreeMap<usize, Vec<f64>>,
+}
+
+impl JointLog {
+    /// One sample of the joints `chosen`.
+    pub(crate) fn add(&mut self, t_s: f64, position: &[f64], chosen: &[usize]) {
+        self.times.push(t_s);
+        for &joint in chosen {
+            self.positions.entry(joint).or_default().push(position.get(joint).copied().unwrap_or(f64::NAN));
+        }
+    }
+
+    /// A plot a joint, with its limits.
+    pub(crate) fn plots(&self, model: &armarium_robot::Model) -> Vec<TimePlot> {
+        let plot = |(joint, y): (&usize, &Vec<f64>)| {
+            let described = &model.joints()[*joint];
+            TimePlot {
+                title: described.name.clone(),
+                y_label: "rad".into(),
+                series: vec![Series { label: described.name.clone(), t_s: self.times.clone(), y: y.clone() }],
+                limits: vec![(described.lower, "lower".into()), (described.upper, "upper".into())],
+                ..TimePlot::default()
+            }
+        };
+        self.positions.iter().map(plot).collect()
+    }
+}

@@ -1,0 +1,422 @@
+//! A run of a chart with the simulated robot, from its files to its report. [`run`] goes through the phases one after the
+//! other; each is a function below it.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use armarium_bus::SessionConfig;
+use armarium_memoryx::AgentMemory;
+use armarium_runtime::channels::Channels;
+use armarium_runtime::chart::Registry;
+use armarium_runtime::engine::Program;
+use armarium_runtime::exec::{ExecOptions, Executor, RunResult};
+use armarium_runtime::skill::Limits;
+use armarium_runtime::trace::TraceSink;
+use armarium_simulator::cameras::ScenerySink;
+use armarium_simulator::{Simulation, TruthSink, World};
+use armarium_states::observers;
+use armarium_values::Value;
+use armarium_values::report::Figure;
+use armarium_viewer::progress::Status;
+use armarium_viewer::recorder::Recorder;
+use armarium_visionx::ImageSource;
+use parking_lot::Mutex;
+use tokio::task::JoinHandle;
+
+use crate::cameras;
+use crate::catalog::{self, SkillFactory};
+use crate::company::{Company, CompanyRecord, Invitation};
+use crate::console::Console;
+use crate::error::HostError;
+use crate::frame_sampler::FrameSampler;
+use crate::network::Network;
+use crate::recording::{RunDigest, SharedRecorder, TruthTopics, attach_sources, record_robot};
+use crate::replay::{RunSource, TurnRecorder};
+use crate::report::{self, Case, JointLog};
+use crate::run_log::{self, RunLog, RunLogger};
+use crate::side_tasks;
+use crate::simulated::{SimulatedRobot, memory_of_run};
+use crate::world_file::WorldFile;
+
+/// How long by the wall clock a skill may keep the program's thread to itself.
+const HANGS: Duration = Duration::from_secs(10);
+
+/// What is run, and where.
+#[derive(Clone)]
+pub struct RunConfig {
+    /// The chart.
+    pub chart: PathBuf,
+    /// Folders where charts find other charts by name, besides their own.
+    pub charts: Vec<PathBuf>,
+    /// The simulated world; if not given, `NAME.world.yaml` beside the chart `NAME.yaml`, or else the default kitchen.
+    pub world: Option<PathBuf>,
+    /// Seeds everything that varies.
+    pub seed: u64,
+    /// Inputs of the chart, as they are written: `("patience", "30s")`.
+    pub inputs: Vec<(String, String)>,
+    /// The chart's profile whose defaults are used.
+    pub profile: Option<String>,
+    /// Folder for `report.json`, `report.html` and `run.mcap`.
+    pub report: PathBuf,
+    /// The long-term store that motions are kept in.
+    pub store: PathBuf,
+    /// A file that the engine's turns are recorded in, for [`replay`](crate::replay::Replay).
+    pub record: Option<PathBuf>,
+    /// Whether time goes as on the wall. With other agents it always does.
+    pub real_time: bool,
+    /// The name by which other agents can send events to this run.
+    pub name: Option<String>,
+    /// The name of cameras in another process, which show the same world with the same seed.
+    pub cameras: Option<String>,
+    /// How other agents are reached; where a run needs them and nothing is said, on this machine.
+    pub session: Option<SessionConfig>,
+    /// The program `armarium`, which starts the world's other agents; without it they have to be there.
+    pub program: Option<PathBuf>,
+    /// Skills of one's own, besides those that ship.
+    pub skills: Vec<SkillFactory>,
+}
+
+impl RunConfig {
+    /// A run of the chart in virtual time, which leaves `report/` and `armarium.redb`.
+    #[must_use]
+    pub fn new(chart: impl Into<PathBuf>) -> Self {
+        Self {
+            chart: chart.into(),
+            charts: Vec::new(),
+            world: None,
+            seed: 1,
+            inputs: Vec::new(),
+            profile: None,
+            report: "report".into(),
+            store: "armarium.redb".into(),
+            record: None,
+            real_time: false,
+            name: None,
+            cameras: None,
+            session: None,
+            program: None,
+            skills: Vec::new(),
+        }
+    }
+
+    /// How other agents are reached, if they are at all.
+    fn session(&self, world: &World, named: bool) -> Option<SessionConfig> {
+        let sees_or_shows_images = self.cameras.is_some() || !world.agents.is_empty();
+        if self.session.is_none() && !named && !sees_or_shows_images {
+            return None;
+        }
+        let session = self.session.clone().unwrap_or_default();
+        Some(SessionConfig { shared_memory: session.shared_memory || sees_or_shows_images, ..session })
+    }
+}
+
+/// How a run ended.
+#[derive(Clone, Debug)]
+pub struct RunEnded {
+    /// Outcome and reason.
+    pub result: RunResult,
+    /// What `report.json` says.
+    pub report: serde_json::Value,
+    /// The figures that referees measured, and what is asked of them.
+    pub figures: Vec<Figure>,
+}
+
+/// The given inputs as values of the types that the chart declares; what the chart does not have stays text and is
+/// refused when the run is made, with a suggestion.
+///
+/// # Errors
+/// [`HostError::Input`] for text that is no value of the input's type.
+pub fn read_inputs(
+    given: &[(String, String)],
+    program: &Program,
+) -> Result<BTreeMap<String, Value>, HostError> {
+    let read = |(name, text): &(String, String)| {
+        let declared = program.inputs().find(|input| input.name == *name);
+        let value = declared.map_or_else(|| Ok(Value::from(text.as_str())), |input| input.ty.read(text));
+        let wrong = |why| HostError::Input { name: name.clone(), text: text.clone(), why };
+        value.map(|value| (name.clone(), value)).map_err(|error| wrong(error.to_string()))
+    };
+    given.iter().map(read).collect()
+}
+
+/// Checks the chart, runs it in the simulator, and leaves recording and report. Ctrl-C ends the run with a report too.
+///
+/// # Errors
+/// [`HostError`] when the run cannot begin, in which case nothing has moved, or when its report cannot be written.
+pub fn run(config: &RunConfig, console: &Arc<dyn Console>) -> Result<RunEnded, HostError> {
+    let began = Instant::now();
+    let mut world = WorldFile::of(&config.chart, config.world.as_deref()).map_err(HostError::World)?;
+    let name = world.called(config.name.as_deref());
+    let network = match config.session(&world.world, name.is_some()) {
+        Some(session) => Network::open(&session, name.as_deref(), &**console)?,
+        None => Network::default(),
+    };
+    let mut builder = tokio::runtime::Builder::new_current_thread();
+    builder.enable_all().start_paused(!config.real_time && network.connection.is_none());
+    builder.build()?.block_on(perform(config, &world, &network, console, began))
+}
+
+async fn perform(
+    config: &RunConfig,
+    world: &WorldFile,
+    network: &Network,
+    console: &Arc<dyn Console>,
+    began: Instant,
+) -> Result<RunEnded, HostError> {
+    let (stage, simulation) = Stage::set(config, &world.world, network).await?;
+    let (program, registry) = load(config, &stage, network, &**console).await?;
+    std::fs::create_dir_all(&config.report).map_err(|source| HostError::File {
+        what: "the report's folder cannot be made:",
+        path: config.report.clone(),
+        source,
+    })?;
+    let handle = stage.robot.handle.clone();
+    console.world_begins(Arc::new(move || handle.now_ns()));
+    let company = stage.gather_company(config, world, network, &simulation).await?;
+    let chart = program.name().to_owned();
+    let logger = stage.logger(&registry, console);
+    let channels = Channels::new();
+    let executor = stage.executor(config, program, (registry, &channels), &logger, network, console)?;
+    stage.open_recording(config, &chart, &world.world)?;
+
+    let joints = Arc::new(Mutex::new(JointLog::default()));
+    let mut tasks = stage.side_tasks(&executor, &logger, &joints, console, began);
+    tasks.extend(observers::start(&stage.robot.equipment, &channels));
+    tasks.extend(company.as_ref().map(|company| tokio::spawn(company.watch(executor.controller()))));
+    let world_task = tokio::spawn(simulation.run());
+    let result = executor.run().await;
+
+    let company = match company {
+        Some(company) => company.close().await,
+        None => CompanyRecord::default(),
+    };
+    stage.robot.equipment.robot.stop("the run has ended");
+    stage.robot.handle.stop();
+    tasks.iter().for_each(JoinHandle::abort);
+    let _ = world_task.await;
+    if let Err(error) = stage.memory.flush() {
+        console.note(&format!("warning: what was learned was not kept: {error}"));
+    }
+    if let Some(recorder) = stage.recorder.lock().take() {
+        recorder.finish()?;
+    }
+    stage.report(config, &chart, &world.world, (result, began), (&logger.log, &joints, &company), console)
+}
+
+/// What a chart is run on: the robot in its world, its memory, and what writes the run down.
+struct Stage {
+    memory: AgentMemory,
+    robot: SimulatedRobot,
+    frames: Arc<FrameSampler>,
+    recorder: SharedRecorder,
+    digest: RunDigest,
+}
+
+impl Stage {
+    async fn set(
+        config: &RunConfig,
+        world: &World,
+        network: &Network,
+    ) -> Result<(Self, Simulation), HostError> {
+        let recorder = SharedRecorder::default();
+        let digest = RunDigest::default();
+        let sinks: Vec<Box<dyn TruthSink>> =
+            vec![Box::new(digest.clone()), Box::new(TruthTopics(Arc::clone(&recorder)))];
+        let (scenery, cameras) = match (&config.cameras, &network.connection) {
+            (Some(name), Some(connection)) => {
+                let (scenery, cameras) = cameras::connect(name, connection).await?;
+                (Some(Box::new(scenery) as Box<dyn ScenerySink>), Some(cameras))
+            }
+            _ => (None, None),
+        };
+        let memory = memory_of_run(world, &config.store)?;
+        let (mut robot, simulation) =
+            SimulatedRobot::new(world, config.seed, memory.memory(), sinks, scenery)?;
+        let cameras = cameras.unwrap_or_else(|| Arc::clone(&robot.equipment.images));
+        let frames = Arc::new(FrameSampler::of(cameras, world, Arc::clone(&recorder)));
+        robot.equipment.images = Arc::clone(&frames) as Arc<dyn ImageSource>;
+        Ok((Self { memory, robot, frames, recorder, digest }, simulation))
+    }
+
+    /// Brings in the world's other agents, on the connection's threads.
+    async fn gather_company(
+        &self,
+        config: &RunConfig,
+        world: &WorldFile,
+        network: &Network,
+        simulation: &Simulation,
+    ) -> Result<Option<Company>, HostError> {
+        let (Some(connection), Some(world_file)) = (&network.connection, &world.file) else {
+            return Ok(None);
+        };
+        let Some(store) = self.memory.store().filter(|_| !world.world.agents.is_empty()) else {
+            return Ok(None);
+        };
+        let invitation = Invitation {
+            session: connection.session().clone(),
+            world: world.world.clone(),
+            world_file: world_file.clone(),
+            memory: Arc::clone(self.memory.memory()),
+            store: Arc::clone(store),
+            eyes: simulation.agents(),
+            folder: config.report.clone(),
+            program: config.program.clone(),
+            clock: self.robot.handle.clone(),
+        };
+        let gathered = connection.runtime().spawn(Company::gather(invitation)).await;
+        gathered.map_err(|error| HostError::OtherAgent(error.to_string()))?.map(Some)
+    }
+
+    fn logger(&self, registry: &Registry, console: &Arc<dyn Console>) -> RunLogger {
+        RunLogger {
+            log: Arc::new(Mutex::new(RunLog::default())),
+            digest: self.digest.clone(),
+            recorder: Arc::clone(&self.recorder),
+            referee: self.robot.referee.clone(),
+            clock: self.robot.handle.clone(),
+            console: Arc::clone(console),
+            marks: run_log::marks(registry),
+        }
+    }
+
+    fn executor(
+        &self,
+        config: &RunConfig,
+        program: Arc<Program>,
+        (registry, channels): (Registry, &Channels),
+        logger: &RunLogger,
+        network: &Network,
+        console: &Arc<dyn Console>,
+    ) -> Result<Executor, HostError> {
+        let robot = Arc::clone(&self.robot.equipment.robot);
+        let inputs = read_inputs(&config.inputs, &program)?;
+        let options = ExecOptions {
+            inputs: inputs.clone(),
+            profile: config.profile.clone(),
+            limits: Limits::default(),
+            sink: Some(recorded(config, inputs, Box::new(logger.clone()))?),
+            on_stuck: Some(Box::new(move |state| {
+                robot.stop(&format!("the skill of `{state}` does not return"));
+            })),
+            others: network.others.clone(),
+        };
+        let executor = Executor::new(program, registry, channels.clone(), options)?;
+        // Robot and skills share one thread here: where a skill blocks it, no report can be written any more.
+        let console = Arc::clone(console);
+        Ok(executor.hang_after(HANGS, Some(Box::new(move |state| console.blocked(state)))))
+    }
+
+    fn open_recording(&self, config: &RunConfig, chart: &str, world: &World) -> Result<(), HostError> {
+        let metadata = BTreeMap::from([
+            ("chart".to_owned(), chart.to_owned()),
+            ("world".to_owned(), world.name.clone()),
+            ("seed".to_owned(), config.seed.to_string()),
+        ]);
+        let mut opened = Recorder::create(&config.report.join("run.mcap"), metadata)?;
+        attach_sources(&mut opened, &config.chart, world)?;
+        *self.recorder.lock() = Some(opened);
+        Ok(())
+    }
+
+    /// What goes on beside the chart.
+    fn side_tasks(
+        &self,
+        executor: &Executor,
+        logger: &RunLogger,
+        joints: &Arc<Mutex<JointLog>>,
+        console: &Arc<dyn Console>,
+        began: Instant,
+    ) -> Vec<JoinHandle<()>> {
+        let robot = &self.robot.equipment.robot;
+        vec![
+            record_robot(robot, Arc::clone(&self.recorder)),
+            tokio::spawn(side_tasks::watch_gestures(
+                Arc::clone(self.memory.memory()),
+                self.robot.referee.clone(),
+                Arc::clone(&self.recorder),
+            )),
+            tokio::spawn(side_tasks::log_joints(Arc::clone(robot), Arc::clone(joints))),
+            tokio::spawn(side_tasks::stop_on_signal(executor.controller())),
+            tokio::spawn(side_tasks::show_progress(
+                Arc::clone(console),
+                Arc::clone(robot),
+                Arc::clone(&logger.log),
+                began,
+            )),
+        ]
+    }
+
+    fn report(
+        &self,
+        config: &RunConfig,
+        chart: &str,
+        world: &World,
+        (result, began): (RunResult, Instant),
+        (log, joints, company): (&Mutex<RunLog>, &Mutex<JointLog>, &CompanyRecord),
+        console: &Arc<dyn Console>,
+    ) -> Result<RunEnded, HostError> {
+        let simulated_s = self.robot.handle.now_ns() as f64 * 1e-9;
+        let log = log.lock();
+        console.finished(&Status {
+            simulated_s,
+            wall_s: began.elapsed().as_secs_f64(),
+            states: vec![result.outcome.clone()],
+            force_n: None,
+        });
+        let states_at = |t_ns: u64| log.states_at(t_ns as f64 * 1e-9);
+        let mut pictures = self.frames.pictures(&states_at);
+        pictures.extend(company.pictures(&states_at));
+        let case = Case {
+            chart,
+            world,
+            seed: config.seed,
+            result: &result,
+            simulated_s,
+            wall_s: began.elapsed().as_secs_f64(),
+            trace_sha256: self.digest.hex(),
+            referee: &self.robot.referee,
+            log: &log,
+            pictures,
+            joints: joints.lock().plots(self.robot.equipment.robot.model()),
+            memory_log: &company.memory_log,
+        };
+        let (report, figures) = report::write(&config.report, case).map_err(|source| HostError::File {
+            what: "the report cannot be written to",
+            path: config.report.clone(),
+            source,
+        })?;
+        Ok(RunEnded { result, report, figures })
+    }
+}
+
+/// The program of a chart that is in order, and the skills that it is run with.
+async fn load(
+    config: &RunConfig,
+    stage: &Stage,
+    network: &Network,
+    console: &dyn Console,
+) -> Result<(Arc<Program>, Registry), HostError> {
+    let mut registry = catalog::registry(&stage.robot.equipment, &config.skills);
+    let agents = network.agents.as_ref();
+    let checked = catalog::load_connected(&config.chart, &config.charts, &mut registry, agents).await?;
+    Ok((catalog::runnable(checked, console)?, registry))
+}
+
+/// The sink of a run, with a record beside it where one is asked for.
+fn recorded(
+    config: &RunConfig,
+    inputs: BTreeMap<String, Value>,
+    sink: Box<dyn TraceSink>,
+) -> Result<Box<dyn TraceSink>, HostError> {
+    let Some(file) = &config.record else { return Ok(sink) };
+    let (chart, charts, profile) = (config.chart.clone(), config.charts.clone(), config.profile.clone());
+    let source = RunSource { chart, charts, inputs, profile };
+    let recorder = TurnRecorder::begin(file, &source, sink).map_err(|source| HostError::File {
+        what: "the record cannot be written:",
+        path: file.clone(),
+        source,
+    })?;
+    Ok(Box::new(recorder))
+}

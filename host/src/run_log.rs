@@ -1,0 +1,166 @@
+//! The log of a run: what the chart did and when, for the progress line, the report, the recording and the digest. Marks that
+//! skills declare go to the referee.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use armarium_runtime::chart::Registry;
+use armarium_runtime::skill::{Mark, MarkTime};
+use armarium_runtime::trace::{RunStatus, TraceEvent, TraceItem, TraceSink};
+use armarium_simulator::{Handle, Referee};
+use armarium_values::Value;
+use armarium_values::report::StateSpan;
+use armarium_viewer::recorder::LogLevel;
+use parking_lot::Mutex;
+
+use crate::console::Console;
+use crate::recording::{RunDigest, SharedRecorder};
+
+/// Lines of the log that the report shows.
+const LOG_LINES: usize = 200;
+
+/// What is known of the run so far.
+#[derive(Debug, Default)]
+pub(crate) struct RunLog {
+    /// The states through time.
+    pub(crate) states: Vec<StateSpan>,
+    /// What is active now.
+    pub(crate) status: RunStatus,
+    /// The last lines.
+    pub(crate) lines: Vec<String>,
+    /// The running skills by activation.
+    running: BTreeMap<u64, Running>,
+}
+
+#[derive(Debug)]
+struct Running {
+    skill: String,
+    inputs: BTreeMap<String, Value>,
+}
+
+impl RunLog {
+    /// The innermost states at a time, s.
+    pub(crate) fn states_at(&self, t_s: f64) -> String {
+        let active = |s: &&StateSpan| s.from_s <= t_s && s.to_s.is_none_or(|to| t_s < to);
+        let paths: Vec<&str> = self.states.iter().filter(active).map(|s| s.path.as_str()).collect();
+        let inner = |path: &&&str| !paths.iter().any(|o| o.len() > path.len() && o.starts_with(**path));
+        paths.iter().filter(inner).copied().collect::<Vec<_>>().join(", ")
+    }
+}
+
+/// A trace sink that writes the log and passes everything on; clones write the same log.
+#[derive(Clone)]
+pub(crate) struct RunLogger {
+    pub(crate) log: Arc<Mutex<RunLog>>,
+    pub(crate) digest: RunDigest,
+    pub(crate) recorder: SharedRecorder,
+    pub(crate) referee: Referee,
+    pub(crate) clock: Handle,
+    pub(crate) console: Arc<dyn Console>,
+    /// The marks of each skill.
+    pub(crate) marks: Arc<BTreeMap<String, Vec<Mark>>>,
+}
+
+/// The marks that skills declare.
+pub(crate) fn marks(registry: &Registry) -> Arc<BTreeMap<String, Vec<Mark>>> {
+    let declared = registry.manifests().filter(|manifest| !manifest.marks.is_empty());
+    Arc::new(declared.map(|manifest| (manifest.name.clone(), manifest.marks.clone())).collect())
+}
+
+impl TraceSink for RunLogger {
+    fn record(&mut self, event: &TraceEvent) {
+        self.digest.add(event);
+        let t_ns = self.clock.now_ns();
+        if let Some(recorder) = self.recorder.lock().as_mut() {
+            let written = serde_json::to_value(event).map(|json| recorder.event(t_ns, &json));
+            if !matches!(written, Ok(Ok(()))) {
+                tracing::warn!("an event of the chart was not recorded");
+            }
+        }
+        let mut log = self.log.lock();
+        log.status.update(event);
+        self.follow(&mut log, t_ns, &event.item);
+    }
+}
+
+impl RunLogger {
+    fn follow(&self, log: &mut RunLog, t_ns: u64, item: &TraceItem) {
+        let t_s = t_ns as f64 * 1e-9;
+        match item {
+            TraceItem::Entered { state } => {
+                let span = StateSpan { path: state.clone(), from_s: t_s, to_s: None, outcome: None };
+                log.states.push(span);
+            }
+            TraceItem::Exited { state } => {
+                if let Some(span) = open(&mut log.states, state) {
+                    span.to_s = Some(t_s);
+                }
+            }
+            TraceItem::SkillStarted { activation, skill, inputs, state } => {
+                self.say(log, t_s, state, &format!("{skill} begins"));
+                let running = Running { skill: skill.clone(), inputs: inputs.clone() };
+                self.mark(&running, &MarkTime::Start, &BTreeMap::new(), t_ns);
+                log.running.insert(*activation, running);
+            }
+            TraceItem::SkillEnded { activation, state, outcome, reason, outputs } => {
+                if let Some(span) = open(&mut log.states, state) {
+                    span.outcome = Some(outcome.clone());
+                }
+                let Some(running) = log.running.remove(activation) else { return };
+                let why = reason.as_ref().filter(|_| outcome == "failure");
+                let why = why.map_or(String::new(), |reason| format!(": {reason}"));
+                self.say(log, t_s, state, &format!("{} ends with {outcome}{why}", running.skill));
+                if outcome == "success" {
+                    self.mark(&running, &MarkTime::Success, outputs, t_ns);
+                }
+            }
+            TraceItem::Event { name, .. } => {
+                let at = MarkTime::Event(name.clone());
+                log.running.values().for_each(|running| self.mark(running, &at, &BTreeMap::new(), t_ns));
+            }
+            TraceItem::Inside { state, leaves } if !leaves.is_empty() => {
+                self.say(log, t_s, state, &format!("inside, {}", leaves.join(" | ")));
+            }
+            TraceItem::Log { state, text } => self.say(log, t_s, state, text),
+            TraceItem::Sent { name, to, .. } => self.say(log, t_s, to, &format!("is sent {name}")),
+            TraceItem::Error { message, place } => self.say(log, t_s, place, message),
+            TraceItem::Retry { state, attempt, reason } => {
+                self.say(log, t_s, state, &format!("try {} after: {reason}", attempt + 1));
+            }
+            _ => {}
+        }
+    }
+
+    fn say(&self, log: &mut RunLog, t_s: f64, who: &str, what: &str) {
+        let line = format!("{t_s:8.2} s  {who}: {what}");
+        self.console.happened(&line);
+        if let Some(recorder) = self.recorder.lock().as_mut() {
+            recorder.log((t_s * 1e9) as u64, LogLevel::Info, who, what);
+        }
+        if log.lines.len() >= LOG_LINES {
+            log.lines.remove(0);
+        }
+        log.lines.push(line);
+    }
+
+    /// Gives the referee, and the recording, the marks of a running skill at this point of its life.
+    fn mark(&self, running: &Running, at: &MarkTime, outputs: &BTreeMap<String, Value>, t_ns: u64) {
+        let Some(marks) = self.marks.get(&running.skill) else { return };
+        for mark in marks.iter().filter(|mark| mark.at == *at) {
+            let numbers = mark.numbers_of(&running.inputs, outputs);
+            if let Some(known) = armarium_simulator::Mark::named(&mark.name, &numbers) {
+                self.referee.mark(known, t_ns);
+            }
+            let written = serde_json::json!({"mark": mark.name, "numbers": numbers});
+            if let Some(Err(error)) =
+                self.recorder.lock().as_mut().map(|recorder| recorder.json("/truth/marks", t_ns, &written))
+            {
+                tracing::warn!("a mark was not recorded: {error}");
+            }
+        }
+    }
+}
+
+fn open<'s>(states: &'s mut [StateSpan], path: &str) -> Option<&'s mut StateSpan> {
+    states.iter_mut().rev().find(|span| span.path == path && span.to_s.is_none())
+}

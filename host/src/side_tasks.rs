@@ -1,0 +1,80 @@
+//! What goes on beside a run's chart: what is seen and moved is noted for the report, the progress is shown, Ctrl-C is heard.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use armarium_memoryx::Memory;
+use armarium_runtime::exec::Controller;
+use armarium_values::Value;
+use armarium_viewer::progress::Status;
+use parking_lot::Mutex;
+
+use crate::console::Console;
+use crate::recording::SharedRecorder;
+use crate::report::JointLog;
+use crate::run_log::RunLog;
+
+/// Passes on to the referee what vision took each frame's hand for, and records it.
+pub(crate) async fn watch_gestures(
+    memory: Arc<armarium_memoryx::WorkingMemory>,
+    referee: armarium_simulator::Referee,
+    recorder: SharedRecorder,
+) {
+    let mut changes = memory.subscribe();
+    loop {
+        match changes.recv().await {
+            Ok(snapshot) if snapshot.id.segment() == "HumanHands" => {
+                let gesture = snapshot.attribute("gesture").and_then(Value::as_str);
+                referee.gesture_seen(snapshot.referenced_ns, gesture.filter(|g| *g != "none"));
+                let seen = snapshot.instance().map(|i| Value::Map(i.attributes.to_map()).to_json());
+                if let (Some(recorder), Some(seen)) = (recorder.lock().as_mut(), seen)
+                    && recorder.json("/vision/hand", snapshot.referenced_ns, &seen).is_err()
+                {
+                    tracing::warn!("what was seen of the hand was not recorded");
+                }
+            }
+            Ok(_) | Err(tokio::sync::broadcast::error::RecvError::Lagged(_)) => {}
+            Err(_) => return,
+        }
+    }
+}
+
+/// Keeps the joint angles of torso and arm for the report, 20 times a second.
+pub(crate) async fn log_joints(robot: Arc<dyn armarium_robot::Robot>, log: Arc<Mutex<JointLog>>) {
+    let chosen = armarium_robot::postures::reaching_joints(robot.model());
+    let mut sensed = robot.sensed();
+    // Before the first sample nothing is sensed.
+    let begun = sensed.changed().await;
+    let mut tick = tokio::time::interval(Duration::from_millis(50));
+    while begun.is_ok() {
+        tick.tick().await;
+        let sample = Arc::clone(&sensed.borrow());
+        log.lock().add(sample.stamp_ns as f64 * 1e-9, &sample.position, &chosen);
+    }
+}
+
+pub(crate) async fn show_progress(
+    console: Arc<dyn Console>,
+    robot: Arc<dyn armarium_robot::Robot>,
+    log: Arc<Mutex<RunLog>>,
+    began: Instant,
+) {
+    let mut tick = tokio::time::interval(Duration::from_millis(100));
+    loop {
+        tick.tick().await;
+        let sample = Arc::clone(&robot.sensed().borrow());
+        console.progress(&Status {
+            simulated_s: sample.stamp_ns as f64 * 1e-9,
+            wall_s: began.elapsed().as_secs_f64(),
+            states: log.lock().status.shown(),
+            force_n: Some(sample.wrist.force.norm()),
+        });
+    }
+}
+
+/// Ctrl-C stops the robot first: every skill is cancelled and has returned before the report is written.
+pub(crate) async fn stop_on_signal(controller: Controller) {
+    if tokio::signal::ctrl_c().await.is_ok() {
+        controller.stop("stopped by Ctrl-C");
+    }
+}

@@ -1,0 +1,177 @@
+//! Following an agent: where the agents stand first, so that all the rest arrives in one's own frame; then what it sees.
+//!
+//! Start at [`FollowingAgent`].
+
+use std::str::FromStr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use armarium_bus::Session;
+use armarium_values::{Pose, Value};
+use nalgebra::Isometry3;
+
+use super::{FollowSettings, Following, WORLD, own_from_other};
+use crate::entity::{Commit, EntityId, check_name};
+use crate::error::MemoryError;
+use crate::memory::Memory;
+use crate::query::Pattern;
+use crate::remote::RemoteMemory;
+use crate::working::WorkingMemory;
+
+/// Core segment of where agents stand.
+const AGENTS: &str = "AgentInstances";
+/// What of another agent is followed where nothing is said.
+const USUAL: [&str; 2] = ["ObjectInstances", "ObjectRelations"];
+/// How long it may take until the other says where it stands.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// How long to wait before an agent that is not there is looked for again.
+const RETRY: Duration = Duration::from_millis(500);
+
+/// Whose memory is followed, and which core segment of it; objects and their relations where none is named. Written as
+/// `AGENT` or `AGENT:SEGMENT`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Followee {
+    /// The agent.
+    pub agent: String,
+    /// The core segment.
+    pub segment: Option<String>,
+}
+
+impl FromStr for Followee {
+    type Err = MemoryError;
+
+    fn from_str(text: &str) -> Result<Self, MemoryError> {
+        let (agent, segment) = match text.split_once(':') {
+            Some((agent, segment)) => (agent, Some(segment)),
+            None => (text, None),
+        };
+        for name in [Some(agent), segment].into_iter().flatten() {
+            check_name(name)?;
+        }
+        Ok(Self { agent: agent.into(), segment: segment.map(Into::into) })
+    }
+}
+
+impl From<&str> for Followee {
+    /// All that is usually followed of an agent.
+    fn from(agent: &str) -> Self {
+        Self { agent: agent.into(), segment: None }
+    }
+}
+
+/// Follows an agent for as long as it lives.
+#[derive(Debug)]
+pub struct FollowedAgent {
+    /// The other's own memory.
+    pub remote: Arc<RemoteMemory>,
+    followings: Vec<Following>,
+}
+
+/// Says in memory where an agent's root frame is in the world frame.
+///
+/// # Errors
+/// [`MemoryError::Name`] when the name cannot be part of an address.
+pub fn agent_stands(agent: &str, world_from_root: &Isometry3<f64>) -> Result<Commit, MemoryError> {
+    let pose = Value::Pose(Pose::new(WORLD.into(), world_from_root));
+    Ok(Commit::new(EntityId::new(AGENTS, agent, agent)?, 0, [("pose", pose)]))
+}
+
+/// The agent `own`, whose memory follows others.
+#[derive(Clone, Debug)]
+pub struct FollowingAgent {
+    /// Over which the others are reached.
+    pub session: Session,
+    /// What learns from the others.
+    pub memory: Arc<WorkingMemory>,
+    /// The agent's name.
+    pub own: String,
+}
+
+impl FollowingAgent {
+    /// Follows an agent from now on.
+    ///
+    /// # Errors
+    /// [`MemoryError::Remote`] when nobody answers under that name, or it does not say where it stands.
+    pub async fn follow(&self, other: &Followee) -> Result<FollowedAgent, MemoryError> {
+        let mut followed = self.begin(&other.agent).await?;
+        if !self.place_is_known(&other.agent).await {
+            let what = format!("it does not say where it stands: {}", said_by(&other.agent));
+            return Err(MemoryError::Remote { agent: other.agent.clone(), what });
+        }
+        self.go_on(&mut followed, other).await?;
+        Ok(followed)
+    }
+
+    /// As [`Self::follow`], of an agent who may not be there yet. Where it does not say where it stands, things are known in
+    /// its own frame.
+    pub async fn follow_when_there(&self, other: &Followee) -> FollowedAgent {
+        loop {
+            match self.try_follow(other).await {
+                Ok(followed) => return followed,
+                Err(error) => tracing::info!("{error}; looking for `{}` again", other.agent),
+            }
+            tokio::time::sleep(RETRY).await;
+        }
+    }
+
+    async fn try_follow(&self, other: &Followee) -> Result<FollowedAgent, MemoryError> {
+        let mut followed = self.begin(&other.agent).await?;
+        if !self.place_is_known(&other.agent).await {
+            tracing::warn!(
+                "`{0}` or `{1}` does not say where it stands, so what comes is in the frame `{0}/root`: {2}",
+                other.agent,
+                self.own,
+                said_by(&other.agent)
+            );
+        }
+        self.go_on(&mut followed, other).await?;
+        Ok(followed)
+    }
+
+    /// Follows where agents stand.
+    async fn begin(&self, agent: &str) -> Result<FollowedAgent, MemoryError> {
+        let remote = Arc::new(RemoteMemory::connect(&self.session, agent).await?);
+        let mut followed = FollowedAgent { remote, followings: Vec::new() };
+        self.follow_segment(&mut followed, agent, AGENTS).await?;
+        Ok(followed)
+    }
+
+    /// Follows the rest.
+    async fn go_on(&self, followed: &mut FollowedAgent, other: &Followee) -> Result<(), MemoryError> {
+        let segments = other.segment.as_deref().map_or(USUAL.to_vec(), |segment| vec![segment]);
+        for segment in segments.into_iter().filter(|segment| *segment != AGENTS) {
+            self.follow_segment(followed, &other.agent, segment).await?;
+        }
+        Ok(())
+    }
+
+    async fn follow_segment(
+        &self,
+        followed: &mut FollowedAgent,
+        agent: &str,
+        segment: &str,
+    ) -> Result<(), MemoryError> {
+        let pattern = Pattern::segment(segment);
+        let settings =
+            FollowSettings { own: self.own.clone(), agent: agent.into(), pattern, fuse_into: None };
+        let remote: Arc<dyn Memory> = Arc::<RemoteMemory>::clone(&followed.remote);
+        followed.followings.push(Following::start(remote, Arc::clone(&self.memory), settings).await?);
+        Ok(())
+    }
+
+    /// Whether it is known, or soon is, where the other stands.
+    async fn place_is_known(&self, other: &str) -> bool {
+        let mut changes = self.memory.subscribe();
+        let known = async {
+            while own_from_other(&self.memory, &self.own, other).is_none() {
+                // A reader that lags looks again as well.
+                let _ = changes.recv().await.is_ok();
+            }
+        };
+        tokio::time::timeout(PATIENCE, known).await.is_ok()
+    }
+}
+
+fn said_by(agent: &str) -> String {
+    format!("its memory has no `{AGENTS}/{agent}/{agent}` with a `pose` in `{WORLD}`")
+}

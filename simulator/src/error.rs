@@ -1,0 +1,21 @@
+//! Why a simulation cannot be built.
+
+use crate::physics::PlantError;
+
+/// Why a simulation cannot be built.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SimulationError {
+    /// The physics refused.
+    #[error(transparent)]
+    Plant(#[from] PlantError),
+    /// The robot has no camera.
+    #[error("the robot's description has no link `camera_left`")]
+    Camera,
+    /// The starting posture has not one position a joint.
+    #[error("a starting posture needs {expected} finite joint positions")]
+    Start {
+        /// Joints of the model.
+        expected: usize,
+    },
+}

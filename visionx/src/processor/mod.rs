@@ -1,0 +1,237 @@
+//! From streams of frames to a stream of results: the processor, the sink that takes its results, and the loop that runs
+//! it.
+//!
+//! Where frames come from is not known here: [`crate::providers`] does that.
+
+mod statistics;
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use async_trait::async_trait;
+use tokio::sync::Mutex;
+use tokio::time::{Duration, Instant, sleep_until};
+
+use crate::frame::{Image, ImageError};
+use crate::localizer::ObjectEstimate;
+use crate::marker::MarkerEstimate;
+use crate::providers::{Frame, FrameImage, FrameSender, ImageProvider, PixelFormat};
+use crate::tabletop::Tabletop;
+use crate::tracking::TrackedFingertip;
+use crate::tracking::hand::HandObservation;
+
+pub use statistics::ProcessorStatistics;
+
+/// What a processor saw of one thing in one frame.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum Finding {
+    /// A marker of known colour; `None`: not seen.
+    Marker(Option<MarkerEstimate>),
+    /// An object's pose; `None`: not seen.
+    Object(Option<ObjectEstimate>),
+    /// A person's hand; `None`: no hand.
+    Hand(Option<HandObservation>),
+    /// A table with what stands on it; `None`: no table.
+    Tabletop(Option<Tabletop>),
+    /// The fingertips that are followed.
+    Fingertips(Vec<TrackedFingertip>),
+}
+
+/// Which frame a finding speaks of, and who found it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FindingSource {
+    /// The processor's name.
+    pub processor: String,
+    /// The first provider's name.
+    pub provider: String,
+    /// The first provider's frame's stamp, ns.
+    pub stamp_ns: u64,
+}
+
+/// A step from frames to results, one frame of each of its providers at a time. It may keep state from one to the next
+/// and does not wait for anything.
+pub trait ImageProcessor: Send {
+    /// Its name.
+    fn name(&self) -> &str;
+
+    /// What is seen in these frames, one of each provider.
+    ///
+    /// # Errors
+    /// [`ImageError`] when they are not what it works on; the next may be.
+    fn process(&mut self, frames: &[Arc<Frame>]) -> Result<Finding, ImageError>;
+
+    /// A picture of the frames with what was seen in them, for people; `None` when it draws none.
+    fn annotated(&self, frames: &[Arc<Frame>], finding: &Finding) -> Option<Image> {
+        let _ = (frames, finding);
+        None
+    }
+}
+
+/// Where results go: into a memory, a report, a recorder. It must not wait for slow readers.
+#[async_trait]
+pub trait ResultSink: Send + Sync {
+    /// Takes the result of one frame. Returns whether more is wanted; `false` ends the loop.
+    async fn take(&self, source: &FindingSource, finding: Finding) -> bool;
+}
+
+/// When a processor takes frames.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Trigger {
+    /// Each time the first provider has a new one, with the newest of the others.
+    Next,
+    /// The newest of each, at this interval; no new ones, no step.
+    Every(Duration),
+}
+
+/// What a loop works with beside its processor.
+pub struct ProcessorLoop<'a> {
+    /// Who gives the frames. A processor that is too slow gets the newest.
+    pub inputs: Vec<Arc<dyn ImageProvider>>,
+    /// When it takes them.
+    pub trigger: Trigger,
+    /// Where results go.
+    pub sink: &'a dyn ResultSink,
+    /// Where annotated images go, if anywhere.
+    pub annotated: Option<&'a FrameSender>,
+    /// What is counted.
+    pub statistics: &'a ProcessorStatistics,
+}
+
+/// Keeps the newest frame of a provider while a processor works.
+struct Newest {
+    frame: Arc<Mutex<Option<Arc<Frame>>>>,
+    task: tokio::task::JoinHandle<ImageError>,
+}
+
+impl Newest {
+    fn of(provider: &Arc<dyn ImageProvider>) -> Self {
+        let frame = Arc::new(Mutex::new(None));
+        let (kept, provider) = (Arc::clone(&frame), Arc::clone(provider));
+        let task = tokio::spawn(async move {
+            loop {
+                match provider.next().await {
+                    Ok(frame) => *kept.lock().await = Some(frame),
+                    Err(error @ ImageError::Gone { .. }) => return error,
+                    Err(_) => tokio::task::yield_now().await,
+                }
+            }
+        });
+        Self { frame, task }
+    }
+
+    async fn get(&self) -> Option<Arc<Frame>> {
+        self.frame.lock().await.clone()
+    }
+}
+
+impl Drop for Newest {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+/// Feeds frames to `processor` and its results to the sink, until the sink wants no more.
+///
+/// # Errors
+/// [`ImageError::Gone`] when a provider has gone.
+pub async fn run_processor(
+    processor: &mut dyn ImageProcessor,
+    with: &ProcessorLoop<'_>,
+) -> Result<(), ImageError> {
+    let gone = || ImageError::Gone { provider: String::new() };
+    let (first, others) = with.inputs.split_first().ok_or_else(gone)?;
+    let provider = first.description().name;
+    let others: Vec<Newest> = others.iter().map(Newest::of).collect();
+    let leader = matches!(with.trigger, Trigger::Every(_)).then(|| Newest::of(first));
+    let (mut last, mut began, mut due) = (None::<u64>, None, Instant::now());
+    loop {
+        let frame = match (&leader, with.trigger) {
+            (Some(newest), Trigger::Every(interval)) => {
+                due += interval;
+                sleep_until(due).await;
+                match newest.get().await {
+                    Some(frame) if last != Some(frame.number) => frame,
+                    _ if newest.task.is_finished() => return Err(ImageError::Gone { provider }),
+                    _ => continue,
+                }
+            }
+            _ => match first.next().await {
+                Ok(frame) => frame,
+                Err(error @ ImageError::Gone { .. }) => return Err(error),
+                Err(error) => {
+                    with.statistics.count_unusable(processor.name(), &error);
+                    tokio::task::yield_now().await;
+                    continue;
+                }
+            },
+        };
+        let received = Instant::now();
+        let began = *began.get_or_insert(received);
+        // A number that is not larger belongs to the provider's next life.
+        let missed = last.map_or(0, |last| frame.number.saturating_sub(last.saturating_add(1)));
+        with.statistics.skipped.fetch_add(missed, Ordering::Relaxed);
+        last = Some(frame.number);
+        let mut frames = vec![frame];
+        for other in &others {
+            frames.extend(other.get().await);
+        }
+        if frames.len() < with.inputs.len() {
+            // Another provider has not begun yet.
+            with.statistics.skipped.fetch_add(1, Ordering::Relaxed);
+            continue;
+        }
+        let more = step(processor, with, &provider, &frames).await;
+        with.statistics.count(began, received);
+        if !more {
+            return Ok(());
+        }
+    }
+}
+
+/// One step; whether more is wanted.
+async fn step(
+    processor: &mut dyn ImageProcessor,
+    with: &ProcessorLoop<'_>,
+    provider: &str,
+    frames: &[Arc<Frame>],
+) -> bool {
+    let finding = match processor.process(frames) {
+        Ok(finding) => finding,
+        Err(error) => {
+            with.statistics.count_unusable(processor.name(), &error);
+            return true;
+        }
+    };
+    if let Some(annotated) = with.annotated.filter(|to| to.is_wanted())
+        && let Some(image) = processor.annotated(frames, &finding)
+    {
+        annotated.send(drawn(&frames[0], image));
+    }
+    if !frames.iter().all(|frame| frame.is_intact()) {
+        with.statistics.torn.fetch_add(1, Ordering::Relaxed);
+        return true;
+    }
+    let source = FindingSource {
+        processor: processor.name().into(),
+        provider: provider.into(),
+        stamp_ns: frames[0].stamp_ns,
+    };
+    with.sink.take(&source, finding).await
+}
+
+/// An annotated image as a frame of its own.
+fn drawn(of: &Frame, image: Image) -> Frame {
+    let size = (image.width(), image.height());
+    let image = FrameImage::new("image", PixelFormat::Rgb8, size, image.into_data());
+    Frame {
+        number: 0,
+        stamp_ns: of.stamp_ns,
+        frame_id: of.frame_id.clone(),
+        root_from_camera: of.root_from_camera,
+        images: image.into_iter().collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests;
