@@ -5,6 +5,7 @@
 //! - [`keys`]: every key, as a checked type.
 //! - [`bulk`]: large payloads through shared memory on one machine, over the network otherwise.
 //! - [`Access`]: who may say and ask what, as rules by certificate.
+//! - [`stream`]: numbers by which a reader notices what did not come, and asks for it again.
 //! - [`session`]: on loopback unless more is asked for; bounded queues that count what they drop.
 //!
 //! This room knows no memory, robot, image or chart: it carries bytes for those that do.
@@ -20,6 +21,7 @@ mod message;
 mod queue;
 mod schema;
 pub mod session;
+pub mod stream;
 
 pub use access::Access;
 pub use codec::{Bounds, CodecError, decode, decode_within, encode};

@@ -14,7 +14,7 @@ fuzz_target!(|bytes: &[u8]| {
         for image in &frame.images {
             let _ = (rgb_of(image), depth_of(image));
         }
-        if let Ok(packed) = pack(&frame, header.life, header.sent_ns) {
+        if let Ok(packed) = pack(&frame, header.epoch, header.sent_ns) {
             let (_, again) = unpack(packed).expect("what was packed can be unpacked");
             assert_eq!(again.images.len(), frame.images.len());
         }

@@ -1,13 +1,13 @@
-//! How far the stream of changes was heard, and what of it is missing. Knows counts and times, no snapshots.
+//! Until when, by arrival, the stream of changes was heard whole. Knows positions and times, no snapshots.
+
+use armarium_bus::stream::{Arrival, StreamPosition, StreamReader};
 
 use crate::wire::Changes;
 
 /// How far the stream of changes was heard.
 #[derive(Debug, Default)]
 pub(super) struct Stream {
-    epoch: u64,
-    /// The count of the next change, once one was heard.
-    next: Option<u64>,
+    reader: StreamReader,
     /// What arrived in the other memory before then was heard, ns.
     whole_until: u64,
     /// The same, but for what was lost.
@@ -26,13 +26,13 @@ impl Stream {
 
     /// Takes note of a message of changes, which may hold none. Returns whether something before it is missing.
     pub(super) fn hear(&mut self, changes: &Changes) -> bool {
-        let follows = match self.next {
-            Some(next) => self.epoch == changes.epoch && next == changes.first,
+        let position = StreamPosition { epoch: changes.epoch, number: changes.first };
+        let follows = match self.reader.arrive(position, changes.snapshots.len()) {
+            Arrival::InOrder | Arrival::Again => true,
             // What was told before the first message that arrives may have been told to nobody.
-            None => changes.first == 0,
+            Arrival::First => changes.first == 0,
+            Arrival::After(_) | Arrival::NewEpoch => false,
         };
-        self.epoch = changes.epoch;
-        self.next = Some(changes.first.saturating_add(changes.snapshots.len() as u64));
         if !follows {
             self.gaps += 1;
         }

@@ -24,11 +24,11 @@ use crate::wire::{self, CommitRequest, Versions};
 use crate::working::WorkingMemory;
 
 mod asking;
+mod publish;
 mod refusals;
-mod tell;
 
+use publish::ChangePublisher;
 use refusals::{Refusals, is_rude};
-use tell::Teller;
 
 /// Questions and updates that wait to be looked at.
 const QUEUE: usize = 1024;
@@ -117,8 +117,8 @@ impl MemoryServer {
         tasks.spawn(shared.clone().answer_gets(gets));
         let updates = session.subscribe_others(entities.clone(), QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.take_updates(updates));
-        let teller = Teller::new(session, agent).await?;
-        tasks.spawn(teller.tell(follower));
+        let publisher = ChangePublisher::new(session, agent).await?;
+        tasks.spawn(publisher.publish(follower));
         let alive = session.alive(&service).await.map_err(failed)?;
         Ok(Self { _alive: alive, _tasks: tasks })
     }

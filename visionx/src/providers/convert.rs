@@ -116,10 +116,10 @@ pub fn jpeg(image: &Image) -> Result<Vec<u8>, CodingError> {
 pub fn coded(
     frame: &Frame,
     coding: ImageCoding,
-    life: u64,
+    epoch: u64,
     sent_ns: u64,
 ) -> Result<(Header, Vec<u8>), CodingError> {
-    let mut header = Header::raw(frame, life, sent_ns);
+    let mut header = Header::raw(frame, epoch, sent_ns);
     let mut bytes = Vec::new();
     for (image, said) in frame.images.iter().zip(&mut header.images) {
         let start = bytes.len();

@@ -2,13 +2,14 @@
 //!
 //! Frames go out on `{agent}/image/{provider}` while somebody listens, through shared memory on one machine; as PNG or
 //! JPEG on `.../png` and `.../jpeg`, made only when asked for. A question on the key is answered with the description; one with
-//! `frames=LIFE:FROM:TO` with those of the last frames that are still there, for readers that want all.
+//! `lost=EPOCH:FROM:TO` with those of the last frames that are still there, for readers that want all.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use armarium_bus::bulk::BulkSender;
+use armarium_bus::stream::{Lost, StreamPosition};
 use armarium_bus::{Key, Question, Questions, Session, SessionError, keys};
 use tokio::task::JoinHandle;
 
@@ -91,7 +92,7 @@ impl Drop for Offered {
 struct Offering {
     provider: Arc<dyn ImageProvider>,
     session: Session,
-    life: u64,
+    epoch: u64,
     kept: Mutex<VecDeque<Arc<Frame>>>,
     statistics: Arc<OfferedStatistics>,
 }
@@ -111,7 +112,7 @@ pub async fn offer(
     let statistics = Arc::new(OfferedStatistics::default());
     let offering = Arc::new(Offering {
         session: session.clone(),
-        life: session.now_ns(),
+        epoch: session.now_ns(),
         kept: Mutex::new(VecDeque::new()),
         statistics: Arc::clone(&statistics),
         provider: Arc::clone(&provider),
@@ -152,7 +153,9 @@ impl Offering {
         loop {
             sender.wanted().await;
             let Some(frame) = self.next(&frames).await else { return };
-            let Ok(header) = Header::raw(&frame, self.life, self.session.now_ns()).encode() else { continue };
+            let Ok(header) = Header::raw(&frame, self.epoch, self.session.now_ns()).encode() else {
+                continue;
+            };
             let mut slot = sender.slot(frame.bytes());
             let mut at = 0;
             for image in &frame.images {
@@ -180,8 +183,8 @@ impl Offering {
         loop {
             sender.wanted().await;
             let Some(frame) = self.next(&frames).await else { return };
-            let (life, sent_ns) = (self.life, self.session.now_ns());
-            let made = tokio::task::spawn_blocking(move || coded(&frame, coding, life, sent_ns)).await;
+            let (epoch, sent_ns) = (self.epoch, self.session.now_ns());
+            let made = tokio::task::spawn_blocking(move || coded(&frame, coding, epoch, sent_ns)).await;
             let Ok(Ok((header, bytes))) = made else {
                 self.statistics.spoilt.fetch_add(1, Ordering::Relaxed);
                 continue;
@@ -218,42 +221,21 @@ impl Offering {
             let description = description.map_err(|e| SessionError::Config { what: e.to_string() })?;
             return question.reply(key, &DESCRIPTION.encoding(), description).await;
         }
-        let Some((life, from, to)) = range(&question.parameters) else {
-            let reason = "a question is empty or `frames=LIFE:FROM:TO`";
-            return question.refuse("text/plain", reason.into()).await;
+        let lost = match question.parameters.parse::<Lost>() {
+            Ok(lost) => lost,
+            Err(error) => return question.refuse("text/plain", error.to_string().into()).await,
         };
         let wanted: Vec<Arc<Frame>> = {
             let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-            let fits = |frame: &&Arc<Frame>| life == self.life && (from..=to).contains(&frame.number);
+            let position = |frame: &Frame| StreamPosition { epoch: self.epoch, number: frame.number };
+            let fits = |frame: &&Arc<Frame>| lost.contains(position(frame));
             kept.iter().filter(fits).cloned().collect()
         };
         for frame in wanted.iter().filter(|frame| frame.is_intact()) {
-            if let Ok(packed) = pack(frame, self.life, self.session.now_ns()) {
+            if let Ok(packed) = pack(frame, self.epoch, self.session.now_ns()) {
                 question.reply(key, PACKED, packed).await?;
             }
         }
         Ok(())
-    }
-}
-
-/// The numbers of `frames=LIFE:FROM:TO`.
-fn range(parameters: &str) -> Option<(u64, u64, u64)> {
-    let mut numbers = parameters.strip_prefix("frames=")?.split(':').map(str::parse);
-    let mut next = || numbers.next()?.ok();
-    let found = (next()?, next()?, next()?);
-    numbers.next().is_none().then_some(found)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::range;
-
-    #[test]
-    fn a_range_of_frames_is_read() {
-        assert_eq!(range("frames=7:1:3"), Some((7, 1, 3)));
-        for wrong in ["", "frames=", "frames=1:2", "frames=1:2:x", "frames=1:2:3:4", "1:2:3", "frames=-1:2:3"]
-        {
-            assert_eq!(range(wrong), None, "{wrong}");
-        }
     }
 }

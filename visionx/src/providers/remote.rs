@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use armarium_bus::bulk::{Bulk, BulkBytes, BulkReader, remove_orphans};
 use armarium_bus::keys::{self, Key};
+use armarium_bus::stream::{Arrival, Lost, StreamPosition, StreamReader};
 use armarium_bus::{Answer, Session, SessionError};
 use async_trait::async_trait;
 use tokio::sync::Mutex;
@@ -57,8 +58,8 @@ pub struct RemoteProvider {
 
 #[derive(Default)]
 struct State {
-    /// Life and number of the last frame.
-    last: Option<(u64, u64)>,
+    /// How far the frames were heard.
+    stream: StreamReader,
     /// What came after a gap, and what filled it.
     ready: VecDeque<Arc<Frame>>,
     /// When the last frame came; `None` before the first.
@@ -232,22 +233,15 @@ impl RemoteProvider {
             }
         };
         let add = |counter: &AtomicU64, n: u64| counter.fetch_add(n, Ordering::Relaxed);
-        let last = state.last.replace((header.life, header.number));
-        match last {
-            Some((life, number)) if life == header.life => {
-                let missing = header.number.saturating_sub(number.saturating_add(1));
-                if self.again && missing > 0 {
-                    self.ask_again(header.life, number + 1, header.number - 1, state).await;
-                } else {
-                    add(&self.statistics.missed, missing);
-                }
-            }
-            _ => {
+        match state.stream.arrive(header.position(), 1) {
+            Arrival::InOrder | Arrival::Again => {}
+            Arrival::After(lost) if self.again => self.ask_again(lost, state).await,
+            Arrival::After(lost) => add(&self.statistics.missed, lost.count()),
+            Arrival::First => add(&self.statistics.lives, 1),
+            Arrival::NewEpoch => {
                 add(&self.statistics.lives, 1);
-                if last.is_some() {
-                    self.compare_cameras();
-                    sweep().await;
-                }
+                self.compare_cameras();
+                sweep().await;
             }
         }
         let latency = self.session.now_ns().saturating_sub(header.sent_ns);
@@ -260,12 +254,11 @@ impl RemoteProvider {
         state.ready.push_back(Arc::new(frame));
     }
 
-    /// Asks for the frames `from` to `to` that did not come; what cannot be had any more is missed.
-    async fn ask_again(&self, life: u64, from: u64, to: u64, state: &mut State) {
-        let parameters = format!("frames={life}:{from}:{to}");
-        let asked = self.session.ask(self.key.clone(), &parameters, None, MOST_AGAIN, AGAIN).await;
+    /// Asks for the frames that did not come; what cannot be had any more is missed.
+    async fn ask_again(&self, lost: Lost, state: &mut State) {
+        let asked = self.session.ask(self.key.clone(), &lost.to_string(), None, MOST_AGAIN, AGAIN).await;
         let mut found: Vec<Frame> = asked.unwrap_or_default().into_iter().filter_map(packed).collect();
-        found.retain(|frame| (from..=to).contains(&frame.number));
+        found.retain(|frame| lost.contains(StreamPosition { epoch: lost.epoch, number: frame.number }));
         found.sort_by_key(|frame| frame.number);
         found.dedup_by_key(|frame| frame.number);
         let count = found.len() as u64;
@@ -273,7 +266,7 @@ impl RemoteProvider {
         self.statistics.received.fetch_add(count, Ordering::Relaxed);
         let bytes: usize = found.iter().map(Frame::bytes).sum();
         self.statistics.bytes.fetch_add(bytes as u64, Ordering::Relaxed);
-        self.statistics.missed.fetch_add((to - from + 1).saturating_sub(count), Ordering::Relaxed);
+        self.statistics.missed.fetch_add(lost.count().saturating_sub(count), Ordering::Relaxed);
         state.ready.extend(found.into_iter().map(Arc::new));
     }
 }

@@ -5,6 +5,7 @@
 //! (little-endian), the header, the bytes. The header is CBOR, a map by field name; `docs/wire-images.md` describes it.
 //! Nothing that is decoded here is trusted: a header that does not fit its bytes is an error.
 
+use armarium_bus::stream::StreamPosition;
 use std::io::Cursor;
 use std::sync::Arc;
 
@@ -46,8 +47,10 @@ pub enum ImageCoding {
 pub struct Header {
     /// Version of the header: [`VERSION`].
     pub version: u32,
-    /// Tells one life of a provider from the next: its numbers begin anew in each.
-    pub life: u64,
+    /// Tells one life of a provider from the next: its numbers begin anew in each. Recordings of earlier versions call it
+    /// `life`.
+    #[serde(alias = "life")]
+    pub epoch: u64,
     /// Counts the provider's frames.
     pub number: u64,
     /// When the shutter was open, by the provider's clock, ns.
@@ -139,11 +142,11 @@ pub enum WireError {
 impl Header {
     /// The header of a frame whose images are sent as they are.
     #[must_use]
-    pub fn raw(frame: &Frame, life: u64, sent_ns: u64) -> Self {
+    pub fn raw(frame: &Frame, epoch: u64, sent_ns: u64) -> Self {
         let images = frame.images.iter().map(ImageHeader::raw).collect();
         Self {
             version: VERSION,
-            life,
+            epoch,
             number: frame.number,
             stamp_ns: frame.stamp_ns,
             sent_ns,
@@ -151,6 +154,12 @@ impl Header {
             root_from_camera: frame.root_from_camera.as_ref().map(seven),
             images,
         }
+    }
+
+    /// Where the frame stands in the provider's stream.
+    #[must_use]
+    pub fn position(&self) -> StreamPosition {
+        StreamPosition { epoch: self.epoch, number: self.number }
     }
 
     /// Its bytes.
@@ -281,8 +290,8 @@ impl ImageHeader {
 ///
 /// # Errors
 /// As [`Header::encode`].
-pub fn pack(frame: &Frame, life: u64, sent_ns: u64) -> Result<Vec<u8>, WireError> {
-    let header = Header::raw(frame, life, sent_ns).encode()?;
+pub fn pack(frame: &Frame, epoch: u64, sent_ns: u64) -> Result<Vec<u8>, WireError> {
+    let header = Header::raw(frame, epoch, sent_ns).encode()?;
     let mut bytes = Vec::with_capacity(4 + header.len() + frame.bytes());
     bytes.extend((header.len() as u32).to_le_bytes());
     bytes.extend(&header);

@@ -24,7 +24,7 @@ fn a_frame_survives_packing_to_the_last_bit() {
     for frame in [frame(), Frame::default()] {
         let (header, back) = unpack(pack(&frame, 4, 5).unwrap()).unwrap();
         assert_eq!(back, frame);
-        assert_eq!((header.life, header.sent_ns, header.version), (4, 5, VERSION));
+        assert_eq!((header.epoch, header.sent_ns, header.version), (4, 5, VERSION));
     }
 }
 

@@ -4,6 +4,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use armarium_bus::stream::{StreamPosition, StreamWriter};
 use armarium_bus::{Interest, Key, Session, SessionError, keys};
 
 use super::{log_failure, unreachable_memory};
@@ -20,14 +21,12 @@ const QUIET: Duration = Duration::from_millis(80);
 /// How long to wait before a memory that could not be read is read again.
 const RETRY: Duration = Duration::from_millis(500);
 
-/// Tells what a follower hears.
-pub(super) struct Teller {
+/// Publishes what a follower hears.
+pub(super) struct ChangePublisher {
     session: Session,
     agent: String,
     key: Key,
-    epoch: u64,
-    /// Changes told so far.
-    told: u64,
+    stream: StreamWriter,
     /// What arrived before was told, ns.
     until_ns: u64,
     /// Those who know nothing of [`Changes`].
@@ -36,7 +35,7 @@ pub(super) struct Teller {
     _followers: Interest,
 }
 
-impl Teller {
+impl ChangePublisher {
     pub(super) async fn new(session: &Session, agent: &str) -> Result<Self, MemoryError> {
         let failed = |error: SessionError| unreachable_memory(agent, &error.to_string());
         let named = |error: armarium_bus::KeyError| MemoryError::Name { name: error.name };
@@ -45,8 +44,7 @@ impl Teller {
         Ok(Self {
             session: session.clone(),
             agent: agent.into(),
-            epoch: session.now_ns(),
-            told: 0,
+            stream: StreamWriter::new(session.now_ns()),
             until_ns: 0,
             each: session.interest(&entities).await.map_err(failed)?,
             _followers: session.interest(&key.clone().into()).await.map_err(failed)?,
@@ -55,15 +53,15 @@ impl Teller {
     }
 
     /// Until the memory has gone.
-    pub(super) async fn tell(mut self, mut follower: Follower) {
+    pub(super) async fn publish(mut self, mut follower: Follower) {
         let mut quiet = QUIET;
         loop {
             let changes = tokio::select! {
                 biased;
                 changes = follower.some(TOGETHER) => changes,
                 // Where nothing was told, nothing was missed.
-                () = tokio::time::sleep(quiet), if self.told > 0 => {
-                    self.tell_together(Vec::new(), self.until_ns).await;
+                () = tokio::time::sleep(quiet), if self.stream.sent() > 0 => {
+                    self.publish_together(Vec::new(), self.until_ns).await;
                     quiet = quiet.saturating_mul(2);
                     continue;
                 }
@@ -78,24 +76,23 @@ impl Teller {
                 }
             };
             if self.each.is_there() {
-                self.tell_each(&news).await;
+                self.publish_each(&news).await;
             }
-            self.tell_together(news, follower.told_until()).await;
+            self.publish_together(news, follower.told_until()).await;
             quiet = QUIET;
         }
     }
 
     /// Tells changes in as many messages as it takes; none at all in one, which says how many there were before.
     /// What arrived before `until_ns` is told with the last of them.
-    async fn tell_together(&mut self, mut news: Vec<Arc<Snapshot>>, until_ns: u64) {
+    async fn publish_together(&mut self, mut news: Vec<Arc<Snapshot>>, until_ns: u64) {
         loop {
             let rest = news.split_off(wire::in_one_answer(&news));
             if rest.is_empty() {
                 self.until_ns = until_ns;
             }
-            let (epoch, first, until_ns) = (self.epoch, self.told, self.until_ns);
-            let changes = Changes { epoch, first, until_ns, snapshots: news };
-            self.told += changes.snapshots.len() as u64;
+            let StreamPosition { epoch, number: first } = self.stream.advance(news.len());
+            let changes = Changes { epoch, first, until_ns: self.until_ns, snapshots: news };
             match wire::seal(&changes) {
                 Ok((encoding, payload)) => log_failure(self.session.put(&self.key, &encoding, payload).await),
                 Err(error) => tracing::warn!(%error, "changes could not be told"),
@@ -108,7 +105,7 @@ impl Teller {
     }
 
     /// Tells changes on the keys of their entities.
-    async fn tell_each(&self, news: &[Arc<Snapshot>]) {
+    async fn publish_each(&self, news: &[Arc<Snapshot>]) {
         for snapshot in news {
             let (Ok(key), Ok((encoding, payload))) =
                 (wire::entity_key(&self.agent, snapshot), wire::seal(&**snapshot))
