@@ -4,8 +4,9 @@
 //! was killed would stay with its reader. Here a segment is let go when nobody holds a payload in it, and mapped again
 //! should another one come. Zenoh's own bookkeeping of payloads (1.3 MB a sender) is not reached from here.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Weak};
 
+use parking_lot::Mutex;
 use zenoh::shm::{
     ChunkID, PosixShmClient, ProtocolID, SegmentID, ShmClient, ShmClientStorage, ShmSegment, WithProtocolID,
 };
@@ -25,10 +26,6 @@ struct Attached {
 /// Attaches to segments so that they can be let go.
 #[derive(Debug)]
 struct Client;
-
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// What a session reads shared memory with.
 pub(crate) fn clients() -> Arc<ShmClientStorage> {
@@ -50,7 +47,7 @@ impl Attached {
     /// Drops the mapping when the session's table is the only other holder. Whoever takes the segment from the table
     /// meanwhile waits at the lock, and maps it again.
     fn let_go(self: &Arc<Self>) {
-        let mut mapped = locked(&self.mapped);
+        let mut mapped = self.mapped.lock();
         if Arc::strong_count(self) == 2 {
             *mapped = None;
         }
@@ -59,7 +56,7 @@ impl Attached {
 
 impl ShmSegment for Attached {
     fn map(&self, chunk: ChunkID) -> zenoh::Result<*mut u8> {
-        let mut mapped = locked(&self.mapped);
+        let mut mapped = self.mapped.lock();
         let segment = match mapped.take() {
             Some(segment) => segment,
             None => PosixShmClient.attach(self.id)?,

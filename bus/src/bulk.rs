@@ -8,8 +8,8 @@
 use std::collections::VecDeque;
 use std::fmt;
 use std::ops::{Deref, DerefMut};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::{Notify, watch};
 use zenoh::Wait;
@@ -26,6 +26,7 @@ use crate::attached;
 use crate::error::SessionError;
 use crate::keys::{Key, KeyPattern};
 use crate::session::Session;
+use parking_lot::Mutex;
 
 /// Payloads of the last size that a pool has room for.
 const ROOM: usize = 8;
@@ -94,10 +95,6 @@ struct Queue {
 
 fn failed(error: impl fmt::Display) -> SessionError {
     SessionError::Zenoh { what: error.to_string() }
-}
-
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Removes the shared memory that processes left behind which were killed, and lets go of what this one still maps of
@@ -192,7 +189,7 @@ impl BulkSender {
 
     fn shared(&self, length: usize) -> Option<ZShmMut> {
         let wanted = length.saturating_mul(ROOM).clamp(LEAST_POOL, MOST_POOL);
-        let mut pools = locked(&self.pools);
+        let mut pools = self.pools.lock();
         if pools.back().is_none_or(|(size, _)| *size < wanted) {
             let made = ShmProviderBuilder::default_backend(wanted).wait();
             pools.push_back((wanted, made.ok()?));
@@ -295,7 +292,7 @@ impl fmt::Debug for BulkBytes {
 impl Queue {
     /// Never waits: this runs on the threads of Zenoh's links.
     fn offer(&self, bulk: Bulk) {
-        let mut waiting = locked(&self.waiting);
+        let mut waiting = self.waiting.lock();
         if waiting.len() >= self.capacity {
             waiting.pop_front();
             self.dropped.fetch_add(1, Ordering::Relaxed);
@@ -320,7 +317,7 @@ impl BulkReader {
     /// The next payload if there is one already.
     #[must_use]
     pub fn try_next(&self) -> Option<Bulk> {
-        locked(&self.queue.waiting).pop_front()
+        self.queue.waiting.lock().pop_front()
     }
 
     /// How many payloads were pushed out of the queue so far.

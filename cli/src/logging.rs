@@ -4,6 +4,7 @@
 
 use armarium_host::Clock;
 use armarium_viewer::progress::Progress;
+use parking_lot::Mutex;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::time::FormatTime;
@@ -80,7 +81,7 @@ pub(crate) fn install_dated() -> Result<(), String> {
 #[cfg(test)]
 mod tests {
     use std::io::Write;
-    use std::sync::{Arc, Mutex};
+    use std::sync::Arc;
 
     use armarium_viewer::progress::Status;
 
@@ -91,7 +92,7 @@ mod tests {
 
     impl Write for Page {
         fn write(&mut self, data: &[u8]) -> std::io::Result<usize> {
-            self.0.lock().unwrap().extend_from_slice(data);
+            self.0.lock().extend_from_slice(data);
             Ok(data.len())
         }
 
@@ -111,7 +112,7 @@ mod tests {
             tracing::info!(target: "armarium_simulator::coach", "hello");
             tracing::info!(target: "somebody_else", "chatter");
         });
-        let bytes = page.0.lock().unwrap().clone();
+        let bytes = page.0.lock().clone();
         String::from_utf8(bytes).unwrap()
     }
 

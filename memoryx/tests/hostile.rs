@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use std::fmt;
-use std::sync::{Arc, Mutex, OnceLock, mpsc};
+use std::sync::{Arc, OnceLock, mpsc};
 use std::time::Duration;
 
 use armarium_bus::session::Answer;
@@ -15,6 +15,7 @@ use armarium_memoryx::{
     RemoteMemory, Times, WorkingMemory,
 };
 use armarium_values::{Frame, Value, Vector};
+use parking_lot::Mutex;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::sync::broadcast::error::RecvError;
@@ -224,7 +225,7 @@ async fn who_never_reads_or_sends_too_much_costs_the_others_nothing() {
     let changes_of_alice = keys::memory_changes("alice").unwrap();
     let never = lazy.zenoh().declare_subscriber(changes_of_alice.as_str().to_owned());
     let wait = move |_| {
-        let _ = stuck.lock().unwrap().recv();
+        let _ = stuck.lock().recv();
     };
     let never = never.callback(wait).await.unwrap();
     let near = connected(&far).await;
@@ -292,7 +293,7 @@ fn said() -> Said {
         tracing::subscriber::set_global_default(said.clone()).unwrap();
         said
     });
-    *said.0.lock().unwrap() = Default::default();
+    *said.0.lock() = Default::default();
     said.clone()
 }
 
@@ -302,11 +303,11 @@ impl Said {
     }
 
     fn names(&self) -> Vec<String> {
-        self.0.lock().unwrap().0.clone()
+        self.0.lock().0.clone()
     }
 
     fn lines(&self) -> usize {
-        self.0.lock().unwrap().1
+        self.0.lock().1
     }
 }
 
@@ -336,7 +337,7 @@ impl tracing::Subscriber for Said {
         }
         let mut sender = Sender(None);
         event.record(&mut sender);
-        let mut said = self.0.lock().unwrap();
+        let mut said = self.0.lock();
         said.0.extend(sender.0);
         said.1 += 1;
     }

@@ -4,7 +4,7 @@
 //! A scene for experiments that are stepped by hand, a millisecond at a time; there is no clock, guard, coach or camera.
 //! The robot senses its joints, and at each palm the force and torque between hand and pad with noise and offset.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use armarium_robot::Model;
 use nalgebra::{Isometry3, Vector3};
@@ -16,6 +16,7 @@ use crate::physics::carrying::{CarriedBox, CarryingPlant, Sides};
 use crate::physics::pad::PadReaction;
 use crate::physics::{DT, PlantError};
 use crate::world::NoiseSpec;
+use parking_lot::{Mutex, MutexGuard};
 
 /// What one palm feels: force (N) and torque about the TCP (N m) of the box on the hand, root frame, with the sensor's noise
 /// and offset.
@@ -76,7 +77,7 @@ pub struct CarryingReferee {
 
 impl CarryingReferee {
     fn lock(&self) -> MutexGuard<'_, Vec<CarryingRecord>> {
-        self.log.lock().unwrap_or_else(PoisonError::into_inner)
+        self.log.lock()
     }
 
     /// Milliseconds that are logged.

@@ -1,12 +1,13 @@
 //! What is true at an instant, and who may look: the recorder, the referee and a digest. Skills never do.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use nalgebra::{Isometry3, Vector3};
 use serde::Serialize;
 
 use crate::coach::{ActionEvent, CoachState};
 use crate::world::{Gesture, Milestone};
+use parking_lot::Mutex;
 
 /// Everything that is true at one control step.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -110,13 +111,13 @@ impl TruthDigest {
     /// The digest of what has been seen so far.
     #[must_use]
     pub fn value(&self) -> u64 {
-        *self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        *self.state.lock()
     }
 }
 
 impl TruthSink for TruthDigest {
     fn sample(&mut self, s: &TruthSample) {
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut state = self.state.lock();
         let mut eat = |v: f64| {
             for byte in v.to_bits().to_le_bytes() {
                 *state = (*state ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);

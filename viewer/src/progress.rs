@@ -3,8 +3,9 @@
 //! On a terminal the line is drawn over itself, and log lines appear above it; elsewhere a line is written now and
 //! then. The caller says what time it is and gives the place to write: this file reads no clock.
 
+use parking_lot::{Mutex, MutexGuard};
 use std::io::{self, Write};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 /// What the line shows.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -105,7 +106,7 @@ impl Progress {
     }
 
     fn inner(&self) -> MutexGuard<'_, Inner> {
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+        self.inner.lock()
     }
 
     /// Whether an update at this time would be shown: ask before gathering what costs something.
@@ -201,7 +202,7 @@ mod tests {
 
     impl Write for Page {
         fn write(&mut self, data: &[u8]) -> io::Result<usize> {
-            self.0.lock().expect("no writer panics").extend_from_slice(data);
+            self.0.lock().extend_from_slice(data);
             Ok(data.len())
         }
 
@@ -212,7 +213,7 @@ mod tests {
 
     impl Page {
         fn text(&self) -> String {
-            String::from_utf8(self.0.lock().expect("no writer panics").clone()).expect("text is UTF-8")
+            String::from_utf8(self.0.lock().clone()).expect("text is UTF-8")
         }
     }
 

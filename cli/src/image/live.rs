@@ -2,8 +2,8 @@
 //! into a memory; what it draws is a provider of its own.
 
 use std::io::Write;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use armarium_memoryx::updater::Updater;
@@ -23,6 +23,7 @@ use tokio::sync::mpsc;
 use super::{Failure, ProcessArgs, argument, failed, findings, source};
 use crate::stopped::stopped;
 use armarium_host::Connection;
+use parking_lot::Mutex;
 
 /// Findings that may wait to be printed and committed.
 const WAITING: usize = 64;
@@ -72,7 +73,7 @@ struct HandOn {
 impl ResultSink for HandOn {
     async fn take(&self, source: &FindingSource, finding: Finding) -> bool {
         self.taken.store(true, Ordering::Relaxed);
-        let to = self.to.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let to = self.to.lock().clone();
         let Some(to) = to else { return false };
         match to.try_send((source.clone(), turned(finding, &self.camera_from_pair))) {
             Ok(()) => {}
@@ -82,7 +83,7 @@ impl ResultSink for HandOn {
             // Whoever printed or committed has ended.
             Err(mpsc::error::TrySendError::Closed(_)) => return false,
         }
-        let mut left = self.left.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut left = self.left.lock();
         *left = left.map(|left| left.saturating_sub(1));
         *left != Some(0)
     }
@@ -152,7 +153,7 @@ pub(super) async fn run(
     let processing = async {
         let ended = run_processor(&mut *processor, &with).await;
         // No further finding comes: what waits is told, and that ends too.
-        sink.to.lock().unwrap_or_else(PoisonError::into_inner).take();
+        sink.to.lock().take();
         match ended {
             Ok(()) | Err(ImageError::Gone { .. }) => Ok(()),
             Err(error) => Err(failed(error)),

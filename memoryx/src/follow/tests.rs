@@ -1,6 +1,5 @@
 //! A follower of a memory that changes while it is read.
 
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use armarium_values::Value;
@@ -9,6 +8,7 @@ use async_trait::async_trait;
 use super::*;
 use crate::entity::Commit;
 use crate::working::{Limits, WorkingMemory};
+use parking_lot::Mutex;
 
 /// A memory that changes after each of the first questions.
 struct Busy {
@@ -32,7 +32,7 @@ impl Memory for Busy {
 
     async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         let found = self.memory.query_now(query);
-        let updates = self.after.lock().unwrap().pop_front().unwrap_or_default();
+        let updates = self.after.lock().pop_front().unwrap_or_default();
         updates.into_iter().for_each(|update| drop(self.memory.commit_now(vec![update]).unwrap()));
         found
     }

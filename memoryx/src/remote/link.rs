@@ -1,8 +1,8 @@
 //! The link to another agent's memory: the questions that can be asked, and the changes as they come, gaps and all, until
 //! they are put in order.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use armarium_bus::session::{Answer, Roll};
@@ -18,6 +18,7 @@ use crate::memory::Memory;
 use crate::query::{Cursor, Pattern, Query};
 use crate::server::unreachable_memory;
 use crate::wire::{self, Changes, CommitRequest, Snapshots, Versions};
+use parking_lot::{Mutex, MutexGuard};
 
 /// How often a memory that does not answer is asked when connecting.
 const TRIES: u32 = 5;
@@ -103,7 +104,7 @@ impl Link {
     }
 
     pub(super) fn stream(&self) -> MutexGuard<'_, Stream> {
-        self.stream.lock().unwrap_or_else(PoisonError::into_inner)
+        self.stream.lock()
     }
 
     /// Reads what was lost. What is lost meanwhile is read by the next call.

@@ -4,8 +4,8 @@
 //! memory that was away for a while all make this side ask for what it has missed. What the other side no longer
 //! has shows as a gap in the versions, which a [`crate::Follower`] reports.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
 
 use armarium_bus::{Key, Session, SessionError, keys};
 use async_trait::async_trait;
@@ -18,6 +18,7 @@ use crate::memory::Memory;
 use crate::query::Query;
 use crate::server::unreachable_memory;
 use crate::wire::{self, Maintain, Report};
+use parking_lot::Mutex;
 
 /// Messages that wait to be looked at, and changes that a subscriber may lag behind.
 const QUEUE: usize = 4096;

@@ -2,12 +2,12 @@
 //! each sender are written in a second, and the others counted.
 
 use std::collections::BTreeMap;
-use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use tokio::time::Instant;
 
 use crate::error::MemoryError;
+use parking_lot::Mutex;
 
 /// Refusals of one sender that are logged one by one in a second.
 const LOGGED: u32 = 3;
@@ -30,7 +30,7 @@ struct Lately {
 impl Refusals {
     /// Logs that something of `sender` on `key` was refused, unless that has been logged often enough.
     pub(super) fn note(&self, sender: &str, key: &str, error: &MemoryError) {
-        let mut lately = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut lately = self.0.lock();
         let now = Instant::now();
         if lately.since.is_none_or(|since| now - since >= WINDOW) {
             let left_out = lately.left_out;

@@ -6,7 +6,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use crate::entity::{EntityId, Snapshot};
@@ -14,6 +14,7 @@ use crate::error::MemoryError;
 use crate::follow::{Change, Follower};
 use crate::store::{Coding, LongTermMemory, StoreError};
 use crate::working::{Backing, Kept};
+use parking_lot::Mutex;
 
 /// Changes that are kept in one transaction.
 const BATCH: usize = 4096;
@@ -135,7 +136,7 @@ impl Consolidator {
     /// # Errors
     /// As [`LongTermMemory::persist`]; none is kept then, and the same snapshots can be given again.
     pub fn consolidate(&self, snapshots: &[Arc<Snapshot>]) -> Result<u64, StoreError> {
-        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut last = self.last.lock();
         let mut changed: BTreeMap<EntityId, Last> = BTreeMap::new();
         let mut chosen = Vec::new();
         for snapshot in snapshots {
@@ -170,7 +171,7 @@ impl Consolidator {
     /// # Errors
     /// As [`LongTermMemory::persist`]; they are still held back then.
     pub fn flush(&self) -> Result<u64, StoreError> {
-        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut last = self.last.lock();
         let rated = |id: &EntityId| matches!(self.policies.of(id.segment()), Policy::AtMost { .. });
         let held: Vec<_> =
             last.iter().filter(|(id, _)| rated(id)).filter_map(|(_, l)| l.pending.clone()).collect();

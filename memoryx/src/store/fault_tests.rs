@@ -4,7 +4,7 @@ use std::io;
 use std::io::BufRead;
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -12,6 +12,7 @@ use redb::StorageBackend;
 
 use super::tests::snapshot;
 use super::*;
+use parking_lot::Mutex;
 
 /// A medium that loses power: what was not synced may be there or not, piece by piece.
 #[derive(Clone, Debug, Default)]
@@ -55,13 +56,13 @@ impl Medium {
     }
 
     fn fail_after(&self, changes: Option<u64>, full: bool) {
-        let mut disk = self.0.lock().unwrap();
+        let mut disk = self.0.lock();
         (disk.left, disk.full) = (changes, full);
     }
 
     /// The power comes back: each loose write is there, in part, or not.
     fn recover(&self, random: &mut ChaCha8Rng) {
-        let mut disk = self.0.lock().unwrap();
+        let mut disk = self.0.lock();
         let mut bytes = std::mem::take(&mut disk.synced);
         for (offset, data) in std::mem::take(&mut disk.loose) {
             let written = match random.random_range(0..3) {
@@ -81,11 +82,11 @@ impl Medium {
 
 impl StorageBackend for Medium {
     fn len(&self) -> io::Result<u64> {
-        Ok(self.0.lock().unwrap().seen.len() as u64)
+        Ok(self.0.lock().seen.len() as u64)
     }
 
     fn read(&self, offset: u64, out: &mut [u8]) -> io::Result<()> {
-        let disk = self.0.lock().unwrap();
+        let disk = self.0.lock();
         let from = offset as usize;
         let bytes = disk.seen.get(from..from + out.len()).ok_or(io::ErrorKind::UnexpectedEof)?;
         out.copy_from_slice(bytes);
@@ -93,14 +94,14 @@ impl StorageBackend for Medium {
     }
 
     fn set_len(&self, len: u64) -> io::Result<()> {
-        let mut disk = self.0.lock().unwrap();
+        let mut disk = self.0.lock();
         disk.change()?;
         disk.seen.resize(len as usize, 0);
         Ok(())
     }
 
     fn sync_data(&self) -> io::Result<()> {
-        let mut disk = self.0.lock().unwrap();
+        let mut disk = self.0.lock();
         disk.change()?;
         disk.syncs += 1;
         disk.synced = disk.seen.clone();
@@ -109,7 +110,7 @@ impl StorageBackend for Medium {
     }
 
     fn write(&self, offset: u64, data: &[u8]) -> io::Result<()> {
-        let mut disk = self.0.lock().unwrap();
+        let mut disk = self.0.lock();
         disk.change()?;
         let from = offset as usize;
         disk.seen.get_mut(from..from + data.len()).ok_or(io::ErrorKind::UnexpectedEof)?.copy_from_slice(data);
@@ -164,11 +165,11 @@ fn each_group_is_synced_once() {
     let medium = Medium::default();
     let store = medium.store().unwrap();
     for group in 0..5 {
-        let before = medium.0.lock().unwrap().syncs;
+        let before = medium.0.lock().syncs;
         let snapshots: Vec<_> = (1..100).map(|v| snapshot("S/p/e", group * 100 + v, v, 0)).collect();
         store.persist(&snapshots).unwrap();
-        assert_eq!(medium.0.lock().unwrap().syncs - before, 1);
-        assert!(medium.0.lock().unwrap().loose.is_empty(), "nothing is written after the sync");
+        assert_eq!(medium.0.lock().syncs - before, 1);
+        assert!(medium.0.lock().loose.is_empty(), "nothing is written after the sync");
     }
 }
 

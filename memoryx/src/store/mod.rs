@@ -32,7 +32,7 @@
 
 use std::fmt;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, RwLock};
+use std::sync::Arc;
 
 use redb::{Database, ReadableDatabase, ReadableTableMetadata, TableDefinition};
 
@@ -40,6 +40,7 @@ use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Cursor, Pattern, Query};
 use crate::working::{Backing, Kept, WorkingMemory};
+use parking_lot::{Mutex, RwLock};
 
 mod coding;
 mod consolidate;

@@ -2,7 +2,6 @@
 //! database that can be used. Holds nothing itself.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::PoisonError;
 
 use redb::{Database, ReadableDatabase};
 
@@ -14,13 +13,13 @@ impl LongTermMemory {
         &self,
         act: impl FnOnce(&Database) -> Result<T, StoreError>,
     ) -> Result<T, StoreError> {
-        let open = self.database.read().unwrap_or_else(PoisonError::into_inner);
+        let open = self.database.read();
         let open = if open.is_some() {
             open
         } else {
             drop(open);
             self.reopen()?;
-            self.database.read().unwrap_or_else(PoisonError::into_inner)
+            self.database.read()
         };
         let Some(database) = open.as_ref() else {
             return Err(self.failed("it has just failed in another place"));
@@ -37,7 +36,7 @@ impl LongTermMemory {
         act: impl FnOnce(&mut Database) -> Result<T, StoreError>,
     ) -> Result<T, StoreError> {
         self.reopen()?;
-        let mut open = self.database.write().unwrap_or_else(PoisonError::into_inner);
+        let mut open = self.database.write();
         let Some(database) = open.as_mut() else {
             return Err(self.failed("it has just failed in another place"));
         };
@@ -57,7 +56,7 @@ impl LongTermMemory {
 
     /// Closing writes too, and so it can fail; what was acknowledged does not depend on it.
     pub(super) fn close(&self) {
-        let mut open = self.database.write().unwrap_or_else(PoisonError::into_inner);
+        let mut open = self.database.write();
         let closing = open.take();
         let closed = self.contained(|| {
             drop(closing);
@@ -69,7 +68,7 @@ impl LongTermMemory {
     }
 
     pub(super) fn reopen(&self) -> Result<(), StoreError> {
-        let mut open = self.database.write().unwrap_or_else(PoisonError::into_inner);
+        let mut open = self.database.write();
         if open.is_none() {
             *open = Some(self.contained(|| {
                 let database = (self.opener)().map_err(|e| self.opening(e))?;

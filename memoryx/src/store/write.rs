@@ -1,6 +1,6 @@
 //! Keeping snapshots: one transaction for a group, whose records lie one after the other in chunks.
 
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 
 use indexmap::IndexMap;
 use redb::{ReadableTable, Table, WriteTransaction};
@@ -303,7 +303,7 @@ impl LongTermMemory {
         &self,
         act: impl FnOnce(&mut Writer<'_>, &Memo) -> Result<(T, bool), StoreError>,
     ) -> Result<T, StoreError> {
-        let mut memo = self.memo.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut memo = self.memo.lock();
         let written = self.with(|database| {
             let transaction = database.begin_write().map_err(|e| self.fault(e))?;
             let mut writer = Writer::new(self, &transaction)?;

@@ -2,7 +2,7 @@
 //! visible. Nobody sees a snapshot that the backing has not kept.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use indexmap::IndexMap;
 
@@ -11,6 +11,7 @@ use super::held::{State, Taken, bytes_of, owner};
 use crate::entity::{Commit, EntityId, Instance, Snapshot};
 use crate::error::MemoryError;
 use crate::schema::check_form;
+use parking_lot::Mutex;
 
 /// Updates that belong together, on their way.
 pub(super) struct Request {
@@ -55,17 +56,17 @@ impl WorkingMemory {
     pub(super) fn write(&self, updates: Vec<Commit>, sent_ns: u64, prior: bool) -> Answer {
         let answer = Arc::new(Mutex::new(None));
         let request = Request { updates, sent_ns, prior, answer: Arc::clone(&answer) };
-        self.waiting.lock().unwrap_or_else(PoisonError::into_inner).push(request);
+        self.waiting.lock().push(request);
         self.commit_waiting();
-        let answer = answer.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let answer = answer.lock().take();
         answer.expect("whoever takes a request from the queue answers it")
     }
 
     /// Commits all that waits. When this returns, what waited before it was called has its answer: from here, or from
     /// whoever was committing meanwhile.
     pub(super) fn commit_waiting(&self) {
-        let mut last_arrival = self.committing.lock().unwrap_or_else(PoisonError::into_inner);
-        let requests = std::mem::take(&mut *self.waiting.lock().unwrap_or_else(PoisonError::into_inner));
+        let mut last_arrival = self.committing.lock();
+        let requests = std::mem::take(&mut *self.waiting.lock());
         if requests.is_empty() {
             return;
         }
@@ -251,7 +252,7 @@ impl WorkingMemory {
 
     /// Makes snapshots visible, and tells the subscribers in the same order.
     pub(super) fn put_in(&self, snapshots: Vec<Arc<Snapshot>>) {
-        let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
+        let mut state = self.state.write();
         for snapshot in snapshots {
             state.put_in(&snapshot, self.limits.history);
             // Nobody listening is no error.
@@ -262,7 +263,7 @@ impl WorkingMemory {
 }
 
 fn answer(to: &Mutex<Option<Answer>>, answer: Answer) {
-    *to.lock().unwrap_or_else(PoisonError::into_inner) = Some(answer);
+    *to.lock() = Some(answer);
 }
 
 fn expect(update: &Commit, actual: u64) -> Result<(), MemoryError> {

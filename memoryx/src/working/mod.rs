@@ -10,7 +10,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::sync::Arc;
 
 use async_trait::async_trait;
 use tokio::sync::broadcast;
@@ -20,6 +20,7 @@ use crate::error::MemoryError;
 use crate::memory::Memory;
 use crate::query::{Pattern, Query};
 use crate::schema::{SegmentSchema, core_segments};
+use parking_lot::{Mutex, RwLock};
 
 mod committing;
 mod held;
@@ -240,10 +241,10 @@ impl WorkingMemory {
             answer: Arc::clone(answer),
         });
         let requests: Vec<_> = requests.collect();
-        self.waiting.lock().unwrap_or_else(PoisonError::into_inner).extend(requests);
+        self.waiting.lock().extend(requests);
         self.commit_waiting();
         let taken = |answer: Arc<Mutex<Option<Answer>>>| {
-            let answer = answer.lock().unwrap_or_else(PoisonError::into_inner).take();
+            let answer = answer.lock().take();
             answer.expect("whoever takes a request from the queue answers it")
         };
         answers.into_iter().map(taken).collect()
@@ -251,7 +252,7 @@ impl WorkingMemory {
 
     /// Makes a provider segment read-only for everybody: prior knowledge.
     pub fn protect(&self, segment: &str, provider: &str) {
-        let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
+        let mut state = self.state.write();
         state.read_only.insert((segment.into(), provider.into()));
     }
 
@@ -280,7 +281,7 @@ impl WorkingMemory {
     /// what it would not take is left out: that is in the store only. Returns how many snapshots were put back, and why
     /// the first one was left out. The backing is not asked: it is where they come from.
     pub fn restore(&self, snapshots: Vec<Arc<Snapshot>>) -> (usize, Option<MemoryError>) {
-        let _one_writer = self.committing.lock().unwrap_or_else(PoisonError::into_inner);
+        let _one_writer = self.committing.lock();
         let state = self.read();
         let (mut room, mut restored) = (Numbered::default(), BTreeSet::new());
         let (mut fitting, mut refused) = (Vec::with_capacity(snapshots.len()), None);
@@ -329,8 +330,8 @@ impl WorkingMemory {
         }
     }
 
-    fn read(&self) -> std::sync::RwLockReadGuard<'_, State> {
-        self.state.read().unwrap_or_else(PoisonError::into_inner)
+    fn read(&self) -> parking_lot::RwLockReadGuard<'_, State> {
+        self.state.read()
     }
 }
 

@@ -15,6 +15,7 @@ use crate::coach::{CoachState, HandShown};
 use crate::error::SimulationError;
 use crate::table::{DirtGrid, TableTop};
 use crate::world::{Gesture, World};
+use parking_lot::Mutex;
 
 /// What there is to see at a frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -167,7 +168,6 @@ impl DistantCameras {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Mutex;
 
     use super::*;
     use crate::simulation::{Options, Simulation};
@@ -180,7 +180,7 @@ mod tests {
         }
 
         fn show(&mut self, scenery: Scenery) {
-            self.0.lock().unwrap().push(scenery);
+            self.0.lock().push(scenery);
         }
     }
 
@@ -191,7 +191,7 @@ mod tests {
         let options = Options { scenery: Some(Box::new(Kept(Arc::clone(&kept)))), ..Options::default() };
         let mut distant = Simulation::new(&world, 5, options).unwrap();
         (0..300).for_each(|_| distant.step());
-        let shown = kept.lock().unwrap().pop().unwrap();
+        let shown = kept.lock().pop().unwrap();
 
         let near = Simulation::new(&world, 5, Options::default()).unwrap();
         let (images, handle) = (near.images(), near.handle());

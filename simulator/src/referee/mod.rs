@@ -14,7 +14,7 @@ mod sections;
 mod wiped;
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 pub use asked::asked;
 pub use log::{Record, TruthLog};
@@ -27,6 +27,7 @@ use armarium_values::report::Section;
 
 use crate::truth::{FrameTruth, TruthEvent, TruthSample};
 use crate::world::World;
+use parking_lot::{Mutex, MutexGuard};
 
 /// What skills tell the referee about their progress, by the marks of their manifests. Of a kind that comes several times, the last counts.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -94,7 +95,7 @@ impl Referee {
     }
 
     fn notes(&self) -> MutexGuard<'_, Notes> {
-        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
+        self.shared.lock()
     }
 
     /// The program reached something at `stamp_ns` of the robot's time.

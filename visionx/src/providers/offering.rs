@@ -5,8 +5,8 @@
 //! `lost=EPOCH:FROM:TO` with those of the last frames that are still there, for readers that want all.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 
 use armarium_bus::bulk::BulkSender;
 use armarium_bus::stream::{Lost, StreamPosition};
@@ -18,6 +18,7 @@ use super::fan_out::{FanOut, Subscription};
 use super::wire::{ENCODING, Header, ImageCoding, PACKED, pack};
 use super::{Frame, ImageProvider};
 use crate::frame::ImageError;
+use parking_lot::Mutex;
 
 /// The schema of a description.
 pub(super) const DESCRIPTION: armarium_bus::Schema = armarium_bus::Schema::new("image/description", 1);
@@ -199,7 +200,7 @@ impl Offering {
     }
 
     fn keep(&self, frame: &Arc<Frame>) {
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut kept = self.kept.lock();
         kept.push_back(Arc::clone(frame));
         let mut bytes: usize = kept.iter().map(|frame| frame.bytes()).sum();
         while kept.len() > KEPT || bytes > KEPT_BYTES {
@@ -226,7 +227,7 @@ impl Offering {
             Err(error) => return question.refuse("text/plain", error.to_string().into()).await,
         };
         let wanted: Vec<Arc<Frame>> = {
-            let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+            let kept = self.kept.lock();
             let position = |frame: &Frame| StreamPosition { epoch: self.epoch, number: frame.number };
             let fits = |frame: &&Arc<Frame>| lost.contains(position(frame));
             kept.iter().filter(fits).cloned().collect()
