@@ -132,6 +132,24 @@ fn join(parents: &mut [usize], i: usize, j: usize) {
     parents[high] = low;
 }
 
+/// The bounds of the largest component; empty where nothing is set.
+pub(crate) fn largest_bounds(mask: &Mask) -> Region {
+    components(mask, 1).first().map_or_else(Region::default, |component| component.bounds)
+}
+
+/// Sets what is enclosed and has fewer than `most` pixels.
+pub(crate) fn fill_holes(mask: &mut Mask, most: u32) {
+    let region = mask.region();
+    let mut outside = Mask::empty(region);
+    outside.data_mut().iter_mut().zip(mask.data()).for_each(|(o, m)| *o = 1 - *m);
+    for hole in components(&outside, 1) {
+        let bounds = Region { x: hole.bounds.x - region.x, y: hole.bounds.y - region.y, ..hole.bounds };
+        if hole.area < most && !bounds.touches_border(region.width, region.height) {
+            mask.add(&hole.runs);
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

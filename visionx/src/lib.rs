@@ -18,6 +18,7 @@ pub mod annotate;
 mod camera;
 mod color;
 mod components;
+mod distance;
 mod epipolar;
 pub mod files;
 mod frame;
@@ -31,6 +32,7 @@ mod outline;
 mod particles;
 mod processor;
 pub mod providers;
+mod rectangle;
 #[cfg(test)]
 mod scenes;
 mod steps;

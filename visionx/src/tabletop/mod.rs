@@ -5,17 +5,18 @@
 
 use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector3};
 
+use crate::rectangle::Rectangle;
 use crate::camera::PinholeCamera;
 use crate::frame::{DepthImage, StereoFrame};
 use crate::mask::Region;
 use crate::providers::{Frame, PixelFormat};
 
 mod plane;
-mod rectangle;
 
 use plane::Plane;
-use rectangle::Rectangle;
 
+/// Points of a footprint are rounded to this for the search of the rectangle around them, m.
+const CELL: f64 = 0.0002;
 /// Depth is looked at on every so many pixels.
 const STEP: u32 = 2;
 /// How far above the table things begin, and how high they may be, m.
@@ -130,7 +131,7 @@ impl TabletopSegmentation {
         let plane = Plane::level(&seen.iter().map(|s| s.at).collect::<Vec<_>>())?;
         let on_it: Vec<Point2<f64>> =
             seen.iter().filter(|s| plane.above(&s.at).abs() < RISES.0).map(|s| plane.flat(&s.at)).collect();
-        let border = Rectangle::around(&on_it, 0.0)?;
+        let border = Rectangle::around(&on_it, 0.0, CELL)?;
         let table = TableEstimate {
             root_from_table: plane.pose(&border, 0.0),
             size: border.size,
@@ -199,7 +200,7 @@ impl TabletopSegmentation {
 
     fn object(&self, thing: &[&Seen], plane: &Plane, frame: &StereoFrame) -> Option<TableObject> {
         let footprint: Vec<Point2<f64>> = thing.iter().map(|s| plane.flat(&s.at)).collect();
-        let rectangle = Rectangle::around(&footprint, STRAYS)?;
+        let rectangle = Rectangle::around(&footprint, STRAYS, CELL)?;
         let mut heights: Vec<f64> = thing.iter().map(|s| plane.above(&s.at)).collect();
         heights.sort_by(f64::total_cmp);
         let height = heights[((heights.len() - 1) as f64 * (1.0 - STRAYS)) as usize];

@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Matrix3, Point2, Point3, Rotation3, SymmetricEigen, Un
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::rectangle::Rectangle;
+use crate::rectangle::Rectangle;
 
 /// Largest tilt of a level plane, rad.
 const LEVEL: f64 = 0.26;

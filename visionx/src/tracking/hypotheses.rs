@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 
 use super::lab::LabImage;
 use super::mixture::Mixture;
-use crate::components::components;
+use crate::components::{components, fill_holes};
 use crate::mask::{Mask, Region};
 
 /// Levels of a histogram.
@@ -139,18 +139,6 @@ fn by_clusters(lab: &LabImage, k: usize, cuts: &mut Vec<Vec<bool>>) {
     for chosen in 1u32..1 << k {
         if chosen.count_ones() <= 3 {
             cuts.push(of.iter().map(|&o| chosen >> o & 1 == 1).collect());
-        }
-    }
-}
-
-/// Fills what is enclosed and smaller than `most` pixels.
-fn fill_holes(mask: &mut Mask, most: u32) {
-    let region = mask.region();
-    let mut outside = Mask::empty(region);
-    outside.data_mut().iter_mut().zip(mask.data()).for_each(|(o, m)| *o = 1 - *m);
-    for hole in components(&outside, 1) {
-        if hole.area < most && !hole.bounds.touches_border(region.width, region.height) {
-            mask.add(&hole.runs);
         }
     }
 }

@@ -45,7 +45,7 @@ impl Likeness {
             return None;
         }
         let (border, corners) = border(thing);
-        let radius = f64::from(super::distance::inside(thing).into_iter().fold(0.0f32, f32::max));
+        let radius = f64::from(crate::distance::inside(thing).into_iter().fold(0.0f32, f32::max));
         let mut color = [0.0f32; 3];
         for (c, _) in lab.data.iter().zip(thing.data()).filter(|(_, m)| **m != 0) {
             (0..3).for_each(|i| color[i] += c[i] / area as f32);

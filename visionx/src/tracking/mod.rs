@@ -8,7 +8,6 @@
 
 mod ar_model;
 mod contour_filter;
-mod distance;
 mod edges;
 pub mod hand;
 mod hough;

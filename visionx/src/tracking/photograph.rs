@@ -5,7 +5,8 @@
 
 use nalgebra::{Point2, Vector2};
 
-use super::distance::inside;
+use crate::components::largest_bounds;
+use crate::distance::inside;
 use super::recognizer::SeenFinger;
 use super::skin::SkinSegmentation;
 use crate::frame::Image;
@@ -53,7 +54,7 @@ impl HandInPicture {
             .collect();
         let whole = Region::whole(image.width(), image.height());
         Some(Self {
-            bounding_box: enlarged(&bounds(&hand), scale, &whole),
+            bounding_box: enlarged(&largest_bounds(&hand), scale, &whole),
             palm: place(&shape.palm),
             palm_radius: radius * scale,
             fingertips,
@@ -102,10 +103,6 @@ fn near(mask: &Mask, middle: &Point2<f64>, reach: f64) -> Mask {
         *m = u8::from(is_near && mask.contains(x as i64, y as i64));
     }
     part
-}
-
-fn bounds(mask: &Mask) -> Region {
-    crate::components::components(mask, 1).first().map_or_else(Region::default, |c| c.bounds)
 }
 
 /// A region of a reduced picture in the picture.

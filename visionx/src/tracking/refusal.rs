@@ -5,13 +5,15 @@
 //! Measured on 513 pictures of hands, three of them photographs and the others rendered, turned, scaled, recoloured or pasted on
 //! other pictures: the most extreme of them, in brackets below, and a fifth more. Boxes and balls are told from fists by hand.
 
-use nalgebra::{Point2, Vector2};
+use nalgebra::Point2;
 
-use super::distance::inside;
+use crate::rectangle::Rectangle;
+use crate::distance::inside;
 use super::lab::LabImage;
 use crate::mask::Mask;
-use crate::outline::Outline;
 
+/// Pixels are rounded to this for the search of the rectangle around them, px.
+const CELL: f64 = 0.05;
 /// Share of the picture's border (hands: 0.25).
 const BORDER: f64 = 0.30;
 /// Share of the picture (0.45).
@@ -159,22 +161,12 @@ impl View<'_> {
     }
 }
 
-/// The area of the smallest rectangle around pixels, px²: one of its sides lies along their hull.
+/// The area of the smallest rectangle around pixels, px².
 fn rectangle(pixels: &[(i64, i64)]) -> Option<f64> {
-    let mut points: Vec<Point2<f64>> =
-        pixels.iter().map(|(x, y)| Point2::new(*x as f64, *y as f64)).collect();
-    let hull = Outline::hull(&mut points)?;
-    let corners = hull.corners();
-    let extent = |along: &Vector2<f64>| {
-        let at = corners.iter().map(|corner| corner.coords.dot(along));
-        let (low, high) = at.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
-        high - low + 1.0
-    };
-    let areas = (0..corners.len()).map(|i| {
-        let along = (corners[(i + 1) % corners.len()] - corners[i]).normalize();
-        extent(&along) * extent(&Vector2::new(-along.y, along.x))
-    });
-    areas.min_by(f64::total_cmp)
+    let points: Vec<Point2<f64>> = pixels.iter().map(|(x, y)| Point2::new(*x as f64, *y as f64)).collect();
+    let around = Rectangle::around(&points, 0.0, CELL)?;
+    // From the middles of the outermost pixels to their edges.
+    Some((around.size[0] + 1.0) * (around.size[1] + 1.0))
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@
 //! The cutting again follows Rother, Kolmogorov, Blake 2004 (GrabCut). Differs in: mean-field iterations in place of
 //! a graph cut.
 
-use super::distance::inside;
+use crate::distance::inside;
 use super::hypotheses::{hypotheses, parts};
 use super::lab::{LabImage, apart};
 use super::likeness::{Likeness, unlike_skin};

@@ -7,7 +7,7 @@ use super::depth::Ranging;
 use super::shape::{Finger, HandShape};
 use super::{Fingertip, Gesture, HandObservation};
 use crate::camera::StereoCalibration;
-use crate::components::components;
+use crate::components::largest_bounds;
 use crate::frame::StereoFrame;
 use crate::mask::{Mask, Region};
 use crate::tracking::{GestureRecognizer, SeenFinger};
@@ -99,7 +99,7 @@ impl HandObserver {
         let surface = ranging.palm(&shape.palm);
         let seen_palm = surface + surface.coords.try_normalize(1e-6)? * HALF_PALM;
         // What reaches beyond the picture is hidden too.
-        let bounds = bounds(&hand.left);
+        let bounds = largest_bounds(&hand.left);
         let cut = !self.near && bounds.touches_border(frame.left.width(), frame.left.height());
         let hidden = if cut { 1.0 } else { hand.hidden };
         let whole = hidden < HandObservation::HIDDEN;
@@ -215,10 +215,6 @@ fn in_depth(finger: &Finger, ranging: &Ranging<'_>) -> Finger {
 /// A place a little inside of a finger's end, px.
 fn inside_tip(finger: &Finger) -> Point2<f64> {
     finger.tip + (finger.base - finger.tip) * (0.008 / finger.length.max(0.02))
-}
-
-fn bounds(mask: &Mask) -> Region {
-    components(mask, 1).first().map_or_else(Region::default, |c| c.bounds)
 }
 
 #[cfg(test)]

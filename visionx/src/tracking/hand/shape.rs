@@ -6,8 +6,9 @@
 
 use nalgebra::{Point2, Vector2};
 
-use super::paths::{along, distances};
-use crate::components::components;
+use super::paths::along;
+use crate::components::{components, fill_holes};
+use crate::distance::{inside, to_set};
 use crate::mask::{Mask, Region};
 use crate::tracking::SeenFinger;
 
@@ -70,14 +71,14 @@ impl Finger {
 /// nothing or when it is far too large for a hand.
 pub(crate) fn hand_shape(mask: &Mask, pixel_m: f64) -> Option<HandShape> {
     let grid = Grid::of(mask, CELL / pixel_m)?;
-    let inside = distances(&grid.mask, |v| v == 0);
+    let inside = inside(&grid.mask);
     let (palm, palm_radius) = largest_disc(&grid.mask, &inside)?;
     let opening = (OPENING / CELL) as f32;
     let mut core = Mask::empty(grid.mask.region());
     for (c, d) in core.data_mut().iter_mut().zip(&inside) {
         *c = u8::from(*d > opening);
     }
-    let from_core = distances(&core, |v| v != 0);
+    let from_core = to_set(&core);
     let fingers = fingers(&grid, &inside, &from_core, &palm);
     Some(HandShape {
         palm: grid.pixel(&palm),
@@ -115,23 +116,13 @@ impl Grid {
         let largest = components(&grid.mask, 1).into_iter().next()?;
         grid.mask = Mask::empty(grid.mask.region());
         grid.mask.add(&largest.runs);
-        grid.fill_holes();
+        // A hole of fewer cells than this is filled.
+        fill_holes(&mut grid.mask, (HOLE / (CELL * CELL)).ceil() as u32);
         Some(grid)
     }
 
     fn pixel(&self, cell: &Point2<f64>) -> Point2<f64> {
         Point2::from(cell.coords * self.step + self.origin)
-    }
-
-    fn fill_holes(&mut self) {
-        let mut outside = self.mask.clone();
-        outside.data_mut().iter_mut().for_each(|v| *v = 1 - *v);
-        // The largest is the surroundings.
-        for hole in components(&outside, 1).iter().skip(1) {
-            if f64::from(hole.area) * CELL * CELL < HOLE {
-                self.mask.add(&hole.runs);
-            }
-        }
     }
 }
 

@@ -4,25 +4,24 @@ use imageproc::geometry::min_area_rect;
 use imageproc::point::Point as Cell;
 use nalgebra::{Point2, Rotation2, Vector2};
 
-/// Points are rounded to this for the search, m.
-const CELL: f64 = 0.0002;
-/// Farthest point that is looked at, m.
-const FARTHEST: f64 = 4.0;
+/// Farthest point that is looked at, cells.
+const FARTHEST: f64 = 20_000.0;
 
 /// A rectangle in a plane.
-pub(super) struct Rectangle {
-    pub(super) middle: Point2<f64>,
-    /// Of the longer edge, rad, in (-pi/2, pi/2].
-    pub(super) angle: f64,
-    /// The longer and the shorter edge, m.
-    pub(super) size: [f64; 2],
+pub(crate) struct Rectangle {
+    pub(crate) middle: Point2<f64>,
+    /// Direction of the longer edge, rad, in (-pi/2, pi/2].
+    pub(crate) angle: f64,
+    /// The longer and the shorter edge, in the points' unit.
+    pub(crate) size: [f64; 2],
 }
 
 impl Rectangle {
-    /// The smallest rectangle around points, m; `None` without any. A share of `strays` of the points is left out at
-    /// each of its sides.
-    pub(super) fn around(points: &[Point2<f64>], strays: f64) -> Option<Self> {
-        let cell = |v: f64| (v.clamp(-FARTHEST, FARTHEST) / CELL).round() as i32;
+    /// The smallest rectangle around points; `None` without any. For the search they are rounded to `cell`, in the points'
+    /// unit, and those farther than 20 000 of them count as that far. A share of `strays` of the points is left out at each
+    /// of its sides.
+    pub(crate) fn around(points: &[Point2<f64>], strays: f64, cell: f64) -> Option<Self> {
+        let cell = |v: f64| (v / cell).clamp(-FARTHEST, FARTHEST).round() as i32;
         let cells: Vec<Cell<i32>> = points.iter().map(|p| Cell::new(cell(p.x), cell(p.y))).collect();
         if cells.is_empty() {
             return None;
@@ -43,8 +42,8 @@ impl Rectangle {
         Some(Self { middle: Point2::from(middle), angle, size: [x.1 - x.0, y.1 - y.0] })
     }
 
-    /// Whether a point lies within it, or at most `beyond` m from its sides.
-    pub(super) fn holds(&self, point: &Point2<f64>, beyond: f64) -> bool {
+    /// Whether a point lies within it, or at most `beyond` from its sides.
+    pub(crate) fn holds(&self, point: &Point2<f64>, beyond: f64) -> bool {
         let local = Rotation2::new(-self.angle) * (point - self.middle);
         (0..2).all(|i| local[i].abs() <= self.size[i] / 2.0 + beyond)
     }
@@ -61,13 +60,13 @@ mod tests {
                 .flat_map(|i| (0..21).map(move |j| Vector2::new(f64::from(i) - 20.0, f64::from(j) - 10.0)))
                 .map(|p| Point2::new(0.3, -0.1) + Rotation2::new(angle) * p * 0.005)
                 .collect();
-            let found = Rectangle::around(&points, 0.0).unwrap();
+            let found = Rectangle::around(&points, 0.0, 0.0002).unwrap();
             assert!((found.middle - Point2::new(0.3, -0.1)).norm() < 5e-4);
             assert!((found.size[0] - 0.2).abs() < 1e-3 && (found.size[1] - 0.1).abs() < 1e-3, "{angle}");
             assert!((found.angle - angle).abs() < 0.01, "{} {angle}", found.angle);
             assert!(found.holds(&Point2::new(0.3, -0.1), 0.0) && !found.holds(&Point2::new(0.6, -0.1), 0.02));
         }
-        assert!(Rectangle::around(&[], 0.0).is_none());
-        assert_eq!(Rectangle::around(&[Point2::new(1.0, 2.0); 3], 0.0).unwrap().size, [0.0, 0.0]);
+        assert!(Rectangle::around(&[], 0.0, 0.0002).is_none());
+        assert_eq!(Rectangle::around(&[Point2::new(1.0, 2.0); 3], 0.0, 0.0002).unwrap().size, [0.0, 0.0]);
     }
 }

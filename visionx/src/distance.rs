@@ -1,0 +1,73 @@
+//! The Euclidean distance transform, from `imageproc`, for masks.
+
+use image::{GrayImage, Luma};
+use imageproc::definitions::Image;
+use imageproc::distance_transform::euclidean_squared_distance_transform;
+
+use crate::mask::Mask;
+
+/// For each pixel of a mask that is set, the distance of the nearest that is not, px; 0 for the others. What lies
+/// outside of the mask's region counts as not set.
+pub(crate) fn inside(mask: &Mask) -> Vec<f32> {
+    let (w, h) = (mask.width() as u32, mask.height() as u32);
+    // A frame of one pixel is the outside.
+    let is_set = |x: u32, y: u32| {
+        let within = x > 0 && y > 0 && x <= w && y <= h;
+        within && mask.row(y as usize - 1)[x as usize - 1] != 0
+    };
+    let squared = squared_to_nearest(w + 2, h + 2, |x, y| !is_set(x, y));
+    let at = |x: u32, y: u32| squared.get_pixel(x + 1, y + 1).0[0].sqrt() as f32;
+    (0..h).flat_map(|y| (0..w).map(move |x| (x, y))).map(|(x, y)| at(x, y)).collect()
+}
+
+/// The distance of every pixel from the nearest that is set, px; infinite where none is.
+pub(crate) fn to_set(mask: &Mask) -> Vec<f32> {
+    let (w, h) = (mask.width() as u32, mask.height() as u32);
+    if mask.count() == 0 {
+        return vec![f32::INFINITY; mask.data().len()];
+    }
+    let squared = squared_to_nearest(w, h, |x, y| mask.row(y as usize)[x as usize] != 0);
+    squared.pixels().map(|d| d.0[0].sqrt() as f32).collect()
+}
+
+/// The squared distance of every pixel from the nearest source.
+fn squared_to_nearest(w: u32, h: u32, is_source: impl Fn(u32, u32) -> bool) -> Image<Luma<f64>> {
+    // The transform measures from white pixels.
+    let white = GrayImage::from_fn(w, h, |x, y| Luma([if is_source(x, y) { 255 } else { 0 }]));
+    euclidean_squared_distance_transform(&white)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::mask::Region;
+
+    proptest! {
+        #[test]
+        fn distances_agree_with_brute_force(bits in proptest::collection::vec(0u8..8, 11 * 7)) {
+            let mut mask = Mask::empty(Region::whole(11, 7));
+            mask.data_mut().iter_mut().zip(&bits).for_each(|(m, b)| *m = u8::from(*b == 0));
+            let found = to_set(&mask);
+            for (i, d) in found.iter().enumerate() {
+                let (x, y) = ((i % 11) as f32, (i / 11) as f32);
+                let expected = (0..77)
+                    .filter(|&j| mask.data()[j] != 0)
+                    .map(|j| ((j % 11) as f32 - x).hypot((j / 11) as f32 - y))
+                    .fold(f32::INFINITY, f32::min);
+                prop_assert!((d - expected).abs() < 1e-4 || *d == expected);
+            }
+        }
+    }
+
+    #[test]
+    fn the_middle_of_a_square_is_farthest_in() {
+        let mut mask = Mask::empty(Region { x: 4, y: 9, width: 9, height: 9 });
+        mask.data_mut().fill(1);
+        let found = inside(&mask);
+        assert_eq!((found[0], found[40]), (1.0, 5.0));
+        mask.data_mut().fill(0);
+        assert!(inside(&mask).iter().all(|d| *d == 0.0));
+    }
+}
