@@ -85,8 +85,8 @@ impl CheckedQuery<'_> {
     }
 
     /// An answer with nothing in it yet.
-    pub(crate) fn answer(&self) -> Answer<'_> {
-        Answer { asked: self, found: Vec::new(), bytes: 0, left: LEFT, left_bytes: LEFT_BYTES }
+    pub(crate) fn answer(&self) -> Selection<'_> {
+        Selection { asked: self, found: Vec::new(), bytes: 0, left: LEFT, left_bytes: LEFT_BYTES }
     }
 
     /// Makes the answer of what was taken of all entities, in order of address.
@@ -140,7 +140,7 @@ impl CheckedQuery<'_> {
 }
 
 /// What was found so far, in the order of the answer.
-pub(crate) struct Answer<'a> {
+pub(crate) struct Selection<'a> {
     asked: &'a CheckedQuery<'a>,
     found: Vec<Arc<Snapshot>>,
     /// Of `found`, where the question bounds them.
@@ -150,7 +150,7 @@ pub(crate) struct Answer<'a> {
     left_bytes: u64,
 }
 
-impl Answer<'_> {
+impl Selection<'_> {
     pub(crate) fn push(&mut self, snapshot: Arc<Snapshot>) {
         let query = self.asked.query;
         if query.is_nearest() {

@@ -44,7 +44,7 @@ pub use checked_query::CheckedQuery;
 pub use entity::{Commit, EntityId, Instance, Snapshot, check_name};
 pub use error::MemoryError;
 pub use filter::Filter;
-pub use follow::{Change, Follower, Told};
+pub use follow::{Change, Follower, LastSeen};
 pub use infer::{Attached, Conclusion, Inference, SpatialRelations, UsualPlaces};
 pub use memory::{Memory, Pages, modify, pages};
 pub use observer::{Condition, MemoryEvent, Observer};

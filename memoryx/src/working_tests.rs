@@ -99,7 +99,7 @@ async fn concurrent_modifications_all_count() {
 #[tokio::test(start_paused = true)]
 async fn a_follower_resumes_where_it_was() {
     let memory = memory(Limits { history: 3, ..Limits::default() });
-    let told = BTreeMap::from([("Things/p/a".parse().unwrap(), Told { version: 2, arrived_ns: 0 })]);
+    let told = BTreeMap::from([("Things/p/a".parse().unwrap(), LastSeen { version: 2, arrived_ns: 0 })]);
     for i in 0..7 {
         memory.commit_now(vec![update("a", i, 0)]).unwrap();
     }

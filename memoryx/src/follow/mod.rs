@@ -38,14 +38,14 @@ pub enum Change {
 
 /// What was told last of an entity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Told {
+pub struct LastSeen {
     /// Its version.
     pub version: u64,
     /// When it arrived in the memory, ns.
     pub arrived_ns: u64,
 }
 
-impl Told {
+impl LastSeen {
     fn of(snapshot: &Snapshot) -> Self {
         Self { version: snapshot.version, arrived_ns: snapshot.arrived_ns }
     }
@@ -62,7 +62,7 @@ pub struct Follower {
     pattern: Pattern,
     changes: broadcast::Receiver<Arc<Snapshot>>,
     /// What was told last of each entity.
-    told: IndexMap<EntityId, Told>,
+    told: IndexMap<EntityId, LastSeen>,
     /// What arrived before was received, ns.
     since_ns: u64,
     /// What arrived before was told, ns.
@@ -93,7 +93,7 @@ impl Follower {
             held.extend(piece);
         }
         follower.told_until = follower.since_ns;
-        follower.told = held.iter().map(|s| (s.id.clone(), Told::of(s))).collect();
+        follower.told = held.iter().map(|s| (s.id.clone(), LastSeen::of(s))).collect();
         Ok((follower, held.into_iter().filter(|s| !s.is_removed()).collect()))
     }
 
@@ -122,7 +122,7 @@ impl Follower {
     pub async fn resume(
         memory: Arc<dyn Memory>,
         pattern: Pattern,
-        told: BTreeMap<EntityId, Told>,
+        told: BTreeMap<EntityId, LastSeen>,
         since_ns: u64,
     ) -> Result<Self, MemoryError> {
         let mut follower = Self::from_start(memory, pattern);
@@ -223,7 +223,7 @@ impl Follower {
     async fn take(&mut self, snapshot: Arc<Snapshot>) -> Result<(), MemoryError> {
         let known = match self.told.get_mut(&snapshot.id) {
             Some(told) if snapshot.version == told.version + 1 => {
-                *told = Told::of(&snapshot);
+                *told = LastSeen::of(&snapshot);
                 self.ready.push_back(Change::New(snapshot));
                 return Ok(());
             }
@@ -317,7 +317,7 @@ impl Follower {
             let (from, to) = (told.version + 1, snapshot.version - 1);
             self.ready.push_back(Change::Missed { id: snapshot.id.clone(), from, to });
         }
-        *told = Told::of(&snapshot);
+        *told = LastSeen::of(&snapshot);
         self.ready.push_back(Change::New(snapshot));
     }
 

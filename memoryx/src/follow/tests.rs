@@ -82,7 +82,7 @@ async fn a_memory_that_begins_anew_is_followed_on() {
         let time = AtomicU64::new(100);
         let memory = WorkingMemory::new(Arc::new(move || time.fetch_add(1, Ordering::Relaxed)));
         let memory = Arc::new(memory.with_limits(Limits { history, ..Limits::default() }));
-        let told = BTreeMap::from([(update(0).id, Told { version: 5, arrived_ns: 99 })]);
+        let told = BTreeMap::from([(update(0).id, LastSeen { version: 5, arrived_ns: 99 })]);
         let shared = Arc::<WorkingMemory>::clone(&memory);
         for _ in 0..3 {
             memory.commit_now(vec![update(0)]).unwrap();

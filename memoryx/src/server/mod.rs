@@ -28,7 +28,7 @@ mod publish;
 mod refusals;
 
 use publish::ChangePublisher;
-use refusals::{Refusals, is_rude};
+use refusals::{Refusals, is_senders_fault};
 
 /// Questions and updates that wait to be looked at.
 const QUEUE: usize = 1024;
@@ -129,7 +129,7 @@ pub(crate) fn unreachable_memory(agent: &str, what: &str) -> MemoryError {
 }
 
 /// The encoding and the bytes of an answer, or why there is none.
-type Answer = Result<(String, Vec<u8>), MemoryError>;
+type Response = Result<(String, Vec<u8>), MemoryError>;
 
 #[derive(Clone)]
 struct Shared {
@@ -169,7 +169,7 @@ impl Shared {
     }
 
     /// Commits what is understood and permitted; what is to be said to whom.
-    fn answer_commits(&self, questions: Vec<Question>) -> Vec<(Question, Answer)> {
+    fn answer_commits(&self, questions: Vec<Question>) -> Vec<(Question, Response)> {
         let (mut understood, mut commits, mut answers) = (Vec::new(), Vec::new(), Vec::new());
         for question in questions {
             let request = wire::open::<CommitRequest>(&question.encoding, &question.payload);
@@ -183,7 +183,7 @@ impl Shared {
             }
         }
         if !commits.is_empty() {
-            let sealed = self.held_up(|| self.memory.commit_group(commits)).into_iter().map(|answer| {
+            let sealed = self.waiting_for_disk(|| self.memory.commit_group(commits)).into_iter().map(|answer| {
                 answer
                     .and_then(|versions| wire::seal(&Versions(versions)).map_err(|e| self.not_understood(&e)))
             });
@@ -194,14 +194,14 @@ impl Shared {
 
     /// Sends answers, on a thread that may wait: a link that takes nothing holds whoever sends up until Zenoh gives it up,
     /// and nobody else waits for that.
-    fn send_all(&self, answers: Vec<(Question, Answer)>) {
+    fn send_all(&self, answers: Vec<(Question, Response)>) {
         let runtime = tokio::runtime::Handle::current();
         for (question, answer) in answers {
             runtime.block_on(self.send(&question, answer));
         }
     }
 
-    async fn send(&self, question: &Question, answer: Answer) {
+    async fn send(&self, question: &Question, answer: Response) {
         // Who asks all memories at once is answered on this one's key.
         let key = Key::parse(&question.key).or_else(|_| keys::memory_commit(&self.agent));
         let key = key.map_err(|error| MemoryError::Name { name: error.name });
@@ -238,7 +238,7 @@ impl Shared {
     }
 
     /// Does what may wait for a disk, where there is one.
-    fn held_up<T>(&self, act: impl FnOnce() -> T) -> T {
+    fn waiting_for_disk<T>(&self, act: impl FnOnce() -> T) -> T {
         if self.memory.has_backing() { tokio::task::block_in_place(act) } else { act() }
     }
 
@@ -248,7 +248,7 @@ impl Shared {
 
     /// Tells whoever asks why not, and the log who it was.
     async fn refuse(&self, question: &Question, error: &MemoryError) -> Result<(), SessionError> {
-        if is_rude(error) {
+        if is_senders_fault(error) {
             let said = self.writer(question).or(question.sender.as_deref());
             self.refusals.note(&self.session.sender(said).await, &question.key, error);
         }
@@ -281,7 +281,7 @@ impl Shared {
             return Err(not_understood(format!("the update is of `{}`, not of its key", update.id)));
         }
         let sent_ns = message.sent_ns.unwrap_or_else(|| self.memory.now_ns());
-        self.held_up(|| self.memory.commit_sent(vec![update], sent_ns))?;
+        self.waiting_for_disk(|| self.memory.commit_sent(vec![update], sent_ns))?;
         Ok(())
     }
 }

@@ -51,7 +51,7 @@ impl Refusals {
 
 /// Whether whoever is told this error has done something wrong, or at least more than the memory takes; what happens
 /// among those who work together is not worth a line.
-pub(super) fn is_rude(error: &MemoryError) -> bool {
+pub(super) fn is_senders_fault(error: &MemoryError) -> bool {
     !matches!(
         error,
         MemoryError::NotFound { .. }

@@ -15,7 +15,7 @@ use tokio::task::JoinSet;
 
 use crate::entity::{Commit, EntityId, Instance, Snapshot};
 use crate::error::MemoryError;
-use crate::follow::{Change, Follower, Told};
+use crate::follow::{Change, Follower, LastSeen};
 use crate::memory::{Memory, pages};
 use crate::query::{Pattern, Query};
 use crate::updater::{OBJECT_INSTANCES, Observation, Updater};
@@ -108,10 +108,10 @@ pub fn followed_id(agent: &str, id: &EntityId) -> Result<EntityId, MemoryError> 
 async fn known(
     memory: &WorkingMemory,
     settings: &FollowSettings,
-) -> Result<(BTreeMap<EntityId, Told>, u64), MemoryError> {
+) -> Result<(BTreeMap<EntityId, LastSeen>, u64), MemoryError> {
     let prefix = format!("{}.", settings.agent);
     let pattern = Pattern::any().of_provider(&format!("{prefix}*"));
-    let mut told: BTreeMap<EntityId, Told> = BTreeMap::new();
+    let mut told: BTreeMap<EntityId, LastSeen> = BTreeMap::new();
     let mut until_ns = 0;
     // A removal has no attributes: it is the version after the one before it, which arrived there no later than here.
     let mut pieces = pages(Query::history(pattern).limit(2).with_long_term(), PIECE);
@@ -125,10 +125,10 @@ async fn known(
             let id = EntityId::new(snapshot.id.segment(), provider, snapshot.id.entity())?;
             let last = told.entry(id).or_default();
             if let (Some(version), Some(arrived_ns)) = (number("version"), number("arrived_ns")) {
-                *last = Told { version, arrived_ns };
+                *last = LastSeen { version, arrived_ns };
                 until_ns = until_ns.max(arrived_ns);
             } else if snapshot.is_removed() {
-                *last = Told { version: last.version + 1, arrived_ns: snapshot.arrived_ns };
+                *last = LastSeen { version: last.version + 1, arrived_ns: snapshot.arrived_ns };
             }
         }
     }

@@ -9,7 +9,7 @@ use redb::{AccessGuard, ReadOnlyTable, ReadTransaction, ReadableDatabase, Readab
 
 use super::record::{self, Hash};
 use super::{BLOBS, CHUNKS, ENTITIES, INDEX, LongTermMemory, Row, StoreError};
-use crate::checked_query::{Answer, CheckedQuery, versions_between};
+use crate::checked_query::{Selection, CheckedQuery, versions_between};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Pattern, Query, Times};
@@ -132,7 +132,7 @@ impl<'s> Reader<'s> {
         &self,
         asked: &CheckedQuery<'_>,
         entity: &Entity,
-        answer: &mut Answer<'_>,
+        answer: &mut Selection<'_>,
     ) -> Result<(), StoreError> {
         let one = |row: Option<(u64, Row)>| -> Result<Vec<Arc<Snapshot>>, StoreError> {
             let found = row.map(|(_, row)| self.snapshot(&entity.id, row)).transpose()?;

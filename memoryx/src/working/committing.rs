@@ -18,11 +18,11 @@ pub(super) struct Request {
     pub(super) updates: Vec<Commit>,
     pub(super) sent_ns: u64,
     pub(super) prior: bool,
-    pub(super) answer: Arc<Mutex<Option<Answer>>>,
+    pub(super) answer: Arc<Mutex<Option<CommitResult>>>,
 }
 
 /// The versions that a commit has made.
-pub(super) type Answer = Result<Vec<u64>, MemoryError>;
+pub(super) type CommitResult = Result<Vec<u64>, MemoryError>;
 
 /// The newest version of an entity, and whether it says that the entity is gone.
 type Newest = (u64, bool);
@@ -53,7 +53,7 @@ impl Numbered {
 }
 
 impl WorkingMemory {
-    pub(super) fn write(&self, updates: Vec<Commit>, sent_ns: u64, prior: bool) -> Answer {
+    pub(super) fn write(&self, updates: Vec<Commit>, sent_ns: u64, prior: bool) -> CommitResult {
         let answer = Arc::new(Mutex::new(None));
         let request = Request { updates, sent_ns, prior, answer: Arc::clone(&answer) };
         self.waiting.lock().push(request);
@@ -262,7 +262,7 @@ impl WorkingMemory {
     }
 }
 
-fn answer(to: &Mutex<Option<Answer>>, answer: Answer) {
+fn answer(to: &Mutex<Option<CommitResult>>, answer: CommitResult) {
     *to.lock() = Some(answer);
 }
 

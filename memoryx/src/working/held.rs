@@ -8,7 +8,7 @@ use std::sync::Arc;
 use armarium_values::Value;
 use indexmap::IndexMap;
 
-use crate::checked_query::{Answer, CheckedQuery};
+use crate::checked_query::{Selection, CheckedQuery};
 use crate::entity::{EntityId, Instance, Snapshot};
 
 /// What one allocation takes beyond its content, bytes, about.
@@ -129,7 +129,7 @@ impl State {
         history.flat_map(|history| asked.select(history.iter())).map(|snapshot| snapshot.version).collect()
     }
 
-    fn add_all(&self, asked: &CheckedQuery<'_>, answer: &mut Answer<'_>) {
+    fn add_all(&self, asked: &CheckedQuery<'_>, answer: &mut Selection<'_>) {
         let one = asked.query().pattern.exact_segment();
         let segments = self.segments.iter().filter(|(name, _)| one.is_none_or(|one| one == name.as_str()));
         for (_, entities) in segments {
@@ -144,7 +144,7 @@ impl State {
     }
 
     /// Adds what a question takes of one entity, unless the answer is full: then it says so.
-    fn add(&self, asked: &CheckedQuery<'_>, id: &EntityId, place: usize, answer: &mut Answer<'_>) -> bool {
+    fn add(&self, asked: &CheckedQuery<'_>, id: &EntityId, place: usize, answer: &mut Selection<'_>) -> bool {
         if answer.is_full() {
             return false;
         }

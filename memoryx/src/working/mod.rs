@@ -24,11 +24,11 @@ use parking_lot::{Mutex, RwLock};
 
 mod committing;
 mod held;
-mod recalling;
+mod merged_view;
 
-use committing::{Answer, Numbered, Request};
+use committing::{CommitResult, Numbered, Request};
 use held::{State, Taken};
-use recalling::Both;
+use merged_view::MergedView;
 
 /// Tells the time, ns since an epoch that the whole memory shares.
 pub type Clock = Arc<dyn Fn() -> u64 + Send + Sync>;
@@ -140,7 +140,7 @@ impl WorkingMemory {
             limits,
             schemas: core_segments(),
             backing: None,
-            part: recalling::PART,
+            part: merged_view::PART,
             changes: broadcast::channel(limits.backlog).0,
             waiting: Mutex::default(),
             committing: Mutex::new(0),
@@ -243,7 +243,7 @@ impl WorkingMemory {
         let requests: Vec<_> = requests.collect();
         self.waiting.lock().extend(requests);
         self.commit_waiting();
-        let taken = |answer: Arc<Mutex<Option<Answer>>>| {
+        let taken = |answer: Arc<Mutex<Option<CommitResult>>>| {
             let answer = answer.lock().take();
             answer.expect("whoever takes a request from the queue answers it")
         };
@@ -325,7 +325,7 @@ impl WorkingMemory {
         let asked = query.check()?;
         let kept = self.backing.as_ref().filter(|_| query.long_term).and_then(|backing| backing.kept());
         match kept {
-            Some(kept) => Both { memory: self, kept }.ask(&asked),
+            Some(kept) => MergedView { memory: self, kept }.ask(&asked),
             None => Ok(self.read().select(&asked)),
         }
     }

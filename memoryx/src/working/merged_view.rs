@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::{Kept, WorkingMemory};
-use crate::checked_query::{Answer, CheckedQuery, versions_between};
+use crate::checked_query::{Selection, CheckedQuery, versions_between};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Cursor, Pattern, Query, Times};
@@ -19,12 +19,12 @@ const PART_BYTES: u64 = 16 << 20;
 type Known = BTreeMap<EntityId, BTreeMap<u64, Arc<Snapshot>>>;
 
 /// What is held, and what was ever kept.
-pub(super) struct Both<'m> {
+pub(super) struct MergedView<'m> {
     pub(super) memory: &'m WorkingMemory,
     pub(super) kept: &'m dyn Kept,
 }
 
-impl Both<'_> {
+impl MergedView<'_> {
     /// What a question asks for.
     pub(super) fn ask(&self, asked: &CheckedQuery<'_>) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         let query = asked.query();
@@ -39,7 +39,7 @@ impl Both<'_> {
     }
 
     /// Adds what follows from each snapshot or, where one of an entity is asked for, from the newest ones of both.
-    fn add(&self, asked: &CheckedQuery<'_>, answer: &mut Answer<'_>) -> Result<(), MemoryError> {
+    fn add(&self, asked: &CheckedQuery<'_>, answer: &mut Selection<'_>) -> Result<(), MemoryError> {
         let mut wide = wider(asked.query(), self.memory.part);
         loop {
             let (known, end) = self.part(&wide)?;
@@ -70,7 +70,7 @@ impl Both<'_> {
     }
 
     /// Adds what follows from places in a history, entity by entity.
-    fn add_entities(&self, asked: &CheckedQuery<'_>, answer: &mut Answer<'_>) -> Result<(), MemoryError> {
+    fn add_entities(&self, asked: &CheckedQuery<'_>, answer: &mut Selection<'_>) -> Result<(), MemoryError> {
         let query = asked.query();
         if let Some(id) = query.pattern.exact() {
             return if asked.wants(&id) { self.add_entity(asked, &id, answer) } else { Ok(()) };
@@ -97,7 +97,7 @@ impl Both<'_> {
         &self,
         asked: &CheckedQuery<'_>,
         id: &EntityId,
-        answer: &mut Answer<'_>,
+        answer: &mut Selection<'_>,
     ) -> Result<(), MemoryError> {
         let mut query = Query { pattern: Pattern::entity(id), limit: None, ..asked.query().clone() };
         if let Times::Index(from, to) = query.times {
