@@ -11,6 +11,7 @@ use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use parking_lot::Mutex;
 use tokio::sync::{Notify, watch};
 use zenoh::Wait;
 use zenoh::bytes::{Encoding, ZBytes};
@@ -26,7 +27,6 @@ use crate::attached;
 use crate::error::SessionError;
 use crate::keys::{Key, KeyPattern};
 use crate::session::Session;
-use parking_lot::Mutex;
 
 /// Payloads of the last size that a pool has room for.
 const ROOM: usize = 8;

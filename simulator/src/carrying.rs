@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use armarium_robot::Model;
 use nalgebra::{Isometry3, Vector3};
+use parking_lot::{Mutex, MutexGuard};
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
@@ -16,7 +17,6 @@ use crate::physics::carrying::{CarriedBox, CarryingPlant, Sides};
 use crate::physics::pad::PadReaction;
 use crate::physics::{DT, PlantError};
 use crate::world::NoiseSpec;
-use parking_lot::{Mutex, MutexGuard};
 
 /// What one palm feels: force (N) and torque about the TCP (N m) of the box on the hand, root frame, with the sensor's noise
 /// and offset.

@@ -18,10 +18,10 @@ use crate::cameras::{AgentEyes, Eyes, Scenery, ScenerySink, SimulatedCameras, Vi
 use crate::coach::{Coach, SeenArm};
 use crate::error::SimulationError;
 use crate::physics::{External, Plant};
-use crate::table::WIPE_EVERY;
 use crate::referee::Referee;
 use crate::sensing::Sensors;
 use crate::table::DirtGrid;
+use crate::table::WIPE_EVERY;
 use crate::truth::{Contact, TruthEvent, TruthSample, TruthSink};
 use crate::world::{Disturbance, Milestone, World};
 

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Vector3};
+use parking_lot::Mutex;
 use serde::Serialize;
 
 use crate::coach::{ActionEvent, CoachState};
 use crate::world::{Gesture, Milestone};
-use parking_lot::Mutex;
 
 /// Everything that is true at one control step.
 #[derive(Clone, Debug, Default, PartialEq)]

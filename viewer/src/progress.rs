@@ -3,9 +3,10 @@
 //! On a terminal the line is drawn over itself, and log lines appear above it; elsewhere a line is written now and
 //! then. The caller says what time it is and gives the place to write: this file reads no clock.
 
-use parking_lot::{Mutex, MutexGuard};
 use std::io::{self, Write};
 use std::sync::Arc;
+
+use parking_lot::{Mutex, MutexGuard};
 
 /// What the line shows.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -4,11 +4,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use armarium_values::Value;
 use async_trait::async_trait;
+use parking_lot::Mutex;
 
 use super::*;
 use crate::entity::Commit;
 use crate::working::{Limits, WorkingMemory};
-use parking_lot::Mutex;
 
 /// A memory that changes after each of the first questions.
 struct Busy {

@@ -8,6 +8,7 @@ use std::time::Duration;
 use armarium_bus::session::{Answer, Roll};
 use armarium_bus::{Key, Session, Subscription};
 use async_trait::async_trait;
+use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::{Notify, broadcast};
 
 use super::stream::Stream;
@@ -18,7 +19,6 @@ use crate::memory::Memory;
 use crate::query::{Cursor, Pattern, Query};
 use crate::server::unreachable_memory;
 use crate::wire::{self, Changes, CommitRequest, Snapshots, Versions};
-use parking_lot::{Mutex, MutexGuard};
 
 /// How often a memory that does not answer is asked when connecting.
 const TRIES: u32 = 5;

@@ -18,7 +18,6 @@ use crate::memory::Memory;
 use crate::query::Query;
 use crate::server::unreachable_memory;
 use crate::wire::{self, Maintain, Report};
-use parking_lot::Mutex;
 
 /// Messages that wait to be looked at, and changes that a subscriber may lag behind.
 const QUEUE: usize = 4096;
@@ -29,6 +28,7 @@ mod link;
 mod stream;
 
 use link::Link;
+use parking_lot::Mutex;
 
 /// The memory of another agent.
 #[derive(Debug)]

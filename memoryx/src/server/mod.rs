@@ -183,10 +183,12 @@ impl Shared {
             }
         }
         if !commits.is_empty() {
-            let sealed = self.waiting_for_disk(|| self.memory.commit_group(commits)).into_iter().map(|answer| {
-                answer
-                    .and_then(|versions| wire::seal(&Versions(versions)).map_err(|e| self.not_understood(&e)))
-            });
+            let sealed =
+                self.waiting_for_disk(|| self.memory.commit_group(commits)).into_iter().map(|answer| {
+                    answer.and_then(|versions| {
+                        wire::seal(&Versions(versions)).map_err(|e| self.not_understood(&e))
+                    })
+                });
             answers.extend(understood.into_iter().zip(sealed));
         }
         answers

@@ -4,10 +4,10 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use tokio::time::Instant;
 
 use crate::error::MemoryError;
-use parking_lot::Mutex;
 
 /// Refusals of one sender that are logged one by one in a second.
 const LOGGED: u32 = 3;

@@ -9,12 +9,13 @@ use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 
+use parking_lot::Mutex;
+
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::follow::{Change, Follower};
 use crate::store::{Coding, LongTermMemory, StoreError};
 use crate::working::{Backing, Kept};
-use parking_lot::Mutex;
 
 /// Changes that are kept in one transaction.
 const BATCH: usize = 4096;

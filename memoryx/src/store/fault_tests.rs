@@ -6,13 +6,13 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 
+use parking_lot::Mutex;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use redb::StorageBackend;
 
 use super::tests::snapshot;
 use super::*;
-use parking_lot::Mutex;
 
 /// A medium that loses power: what was not synced may be there or not, piece by piece.
 #[derive(Clone, Debug, Default)]

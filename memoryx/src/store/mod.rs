@@ -40,7 +40,6 @@ use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Cursor, Pattern, Query};
 use crate::working::{Backing, Kept, WorkingMemory};
-use parking_lot::{Mutex, RwLock};
 
 mod coding;
 mod consolidate;
@@ -70,6 +69,7 @@ pub use named::Named;
 pub use retain::{Dropped, Retention};
 pub use verify::Verification;
 
+use parking_lot::{Mutex, RwLock};
 use write::{Memo, Totals};
 
 /// The format that this program writes and reads.

@@ -9,7 +9,7 @@ use redb::{AccessGuard, ReadOnlyTable, ReadTransaction, ReadableDatabase, Readab
 
 use super::record::{self, Hash};
 use super::{BLOBS, CHUNKS, ENTITIES, INDEX, LongTermMemory, Row, StoreError};
-use crate::checked_query::{Selection, CheckedQuery, versions_between};
+use crate::checked_query::{CheckedQuery, Selection, versions_between};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Pattern, Query, Times};

@@ -5,13 +5,13 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use indexmap::IndexMap;
+use parking_lot::Mutex;
 
 use super::WorkingMemory;
 use super::held::{State, Taken, bytes_of, owner};
 use crate::entity::{Commit, EntityId, Instance, Snapshot};
 use crate::error::MemoryError;
 use crate::schema::check_form;
-use parking_lot::Mutex;
 
 /// Updates that belong together, on their way.
 pub(super) struct Request {

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use armarium_values::Value;
 use indexmap::IndexMap;
 
-use crate::checked_query::{Selection, CheckedQuery};
+use crate::checked_query::{CheckedQuery, Selection};
 use crate::entity::{EntityId, Instance, Snapshot};
 
 /// What one allocation takes beyond its content, bytes, about.

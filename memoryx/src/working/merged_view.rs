@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::{Kept, WorkingMemory};
-use crate::checked_query::{Selection, CheckedQuery, versions_between};
+use crate::checked_query::{CheckedQuery, Selection, versions_between};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Cursor, Pattern, Query, Times};

@@ -20,7 +20,6 @@ use crate::error::MemoryError;
 use crate::memory::Memory;
 use crate::query::{Pattern, Query};
 use crate::schema::{SegmentSchema, core_segments};
-use parking_lot::{Mutex, RwLock};
 
 mod committing;
 mod held;
@@ -29,6 +28,7 @@ mod merged_view;
 use committing::{CommitResult, Numbered, Request};
 use held::{State, Taken};
 use merged_view::MergedView;
+use parking_lot::{Mutex, RwLock};
 
 /// Tells the time, ns since an epoch that the whole memory shares.
 pub type Clock = Arc<dyn Fn() -> u64 + Send + Sync>;

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use armarium_robot::Model;
 use armarium_visionx::{StereoCalibration, StereoFrame};
 use nalgebra::Isometry3;
+use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 
 use super::{Eyes, View};
@@ -15,7 +16,6 @@ use crate::coach::{CoachState, HandShown};
 use crate::error::SimulationError;
 use crate::table::{DirtGrid, TableTop};
 use crate::world::{Gesture, World};
-use parking_lot::Mutex;
 
 /// What there is to see at a frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

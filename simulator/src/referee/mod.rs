@@ -24,10 +24,10 @@ pub use report::{
 pub use wiped::WipedCells;
 
 use armarium_values::report::Section;
+use parking_lot::{Mutex, MutexGuard};
 
 use crate::truth::{FrameTruth, TruthEvent, TruthSample};
 use crate::world::World;
-use parking_lot::{Mutex, MutexGuard};
 
 /// What skills tell the referee about their progress, by the marks of their manifests. Of a kind that comes several times, the last counts.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]

@@ -11,6 +11,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use armarium_bus::bulk::BulkSender;
 use armarium_bus::stream::{Lost, StreamPosition};
 use armarium_bus::{Key, Question, Questions, Session, SessionError, keys};
+use parking_lot::Mutex;
 use tokio::task::JoinHandle;
 
 use super::convert::coded;
@@ -18,7 +19,6 @@ use super::fan_out::{FanOut, Subscription};
 use super::wire::{ENCODING, Header, ImageCoding, PACKED, pack};
 use super::{Frame, ImageProvider};
 use crate::frame::ImageError;
-use parking_lot::Mutex;
 
 /// The schema of a description.
 pub(super) const DESCRIPTION: armarium_bus::Schema = armarium_bus::Schema::new("image/description", 1);

@@ -5,11 +5,11 @@
 
 use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector3};
 
-use crate::rectangle::Rectangle;
 use crate::camera::PinholeCamera;
 use crate::frame::{DepthImage, StereoFrame};
 use crate::mask::Region;
 use crate::providers::{Frame, PixelFormat};
+use crate::rectangle::Rectangle;
 
 mod plane;
 

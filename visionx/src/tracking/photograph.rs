@@ -5,10 +5,10 @@
 
 use nalgebra::{Point2, Vector2};
 
-use crate::components::largest_bounds;
-use crate::distance::inside;
 use super::recognizer::SeenFinger;
 use super::skin::SkinSegmentation;
+use crate::components::largest_bounds;
+use crate::distance::inside;
 use crate::frame::Image;
 use crate::mask::{Mask, Region};
 use crate::tracking::hand::Fingertip;

@@ -7,10 +7,10 @@
 
 use nalgebra::Point2;
 
-use crate::rectangle::Rectangle;
-use crate::distance::inside;
 use super::lab::LabImage;
+use crate::distance::inside;
 use crate::mask::Mask;
+use crate::rectangle::Rectangle;
 
 /// Pixels are rounded to this for the search of the rectangle around them, px.
 const CELL: f64 = 0.05;

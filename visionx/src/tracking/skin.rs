@@ -9,7 +9,6 @@
 //! The cutting again follows Rother, Kolmogorov, Blake 2004 (GrabCut). Differs in: mean-field iterations in place of
 //! a graph cut.
 
-use crate::distance::inside;
 use super::hypotheses::{hypotheses, parts};
 use super::lab::{LabImage, apart};
 use super::likeness::{Likeness, unlike_skin};
@@ -17,6 +16,7 @@ use super::mixture::Mixture;
 use super::photograph::measured;
 use super::refusal::is_no_hand;
 use crate::components::components;
+use crate::distance::inside;
 use crate::frame::Image;
 use crate::mask::{Mask, Region};
 
