@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use crate::bulk::Bulk;
-use crate::keys::{self, KeyPattern};
 use crate::error::SessionError;
+use crate::keys::{self, KeyPattern};
 use crate::session::{ANSWER_TIMEOUT, Answer, Session, SessionConfig};
 
 async fn pair() -> (Session, Session) {

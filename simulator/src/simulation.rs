@@ -17,10 +17,11 @@ use rand_chacha::ChaCha8Rng;
 use crate::cameras::{AgentEyes, Eyes, Scenery, ScenerySink, SimulatedCameras, View};
 use crate::coach::{Coach, SeenArm};
 use crate::error::SimulationError;
-use crate::physics::{External, Plant, PlantError};
+use crate::physics::{External, Plant};
 use crate::referee::Referee;
 use crate::sensing::Sensors;
 use crate::table::DirtGrid;
+use crate::table::WIPE_EVERY;
 use crate::truth::{Contact, TruthEvent, TruthSample, TruthSink};
 use crate::world::{Disturbance, Milestone, World};
 

@@ -25,7 +25,7 @@ use super::grip::{Grip, PadPress};
 use super::wrench::{Momentum, WristWrench};
 use crate::foundation::{ElasticFoundation, FoundationReaction, Motion};
 use crate::table::TableTop;
-use crate::world::{GRAVITY, World};
+use crate::world::World;
 
 /// One step, s.
 pub const DT: f64 = 1e-3;
