@@ -9,7 +9,7 @@ use armarium_bus::Session;
 use armarium_memoryx::{Consolidator, MemoryServer, WorkingMemory, keep_within};
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::{self, Registry};
-use armarium_runtime::engine::Program;
+use armarium_runtime::program::Program;
 use armarium_runtime::exec::{ChartSkill, ExecOptions, Executor, Others, RunResult, Stop};
 use armarium_runtime::remote::{Agents, Offers, hear, serve};
 use armarium_runtime::skill::Limits;

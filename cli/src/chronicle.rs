@@ -4,7 +4,8 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
-use armarium_runtime::trace::{RunStatus, TraceEvent, TraceItem, TraceSink};
+use armarium_runtime::exec::TraceSink;
+use armarium_runtime::trace::{RunStatus, TraceEvent, TraceItem};
 use armarium_simulator::{Handle, Mark, Referee};
 use armarium_values::Value;
 use armarium_viewer::recorder::LogLevel;

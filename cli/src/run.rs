@@ -11,10 +11,9 @@ use std::time::Instant;
 
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::Finding;
-use armarium_runtime::engine::Program;
-use armarium_runtime::exec::{ExecOptions, Executor, Others, Post, RunResult};
+use armarium_runtime::program::Program;
+use armarium_runtime::exec::{ExecOptions, Executor, Others, Post, RunResult, TraceSink};
 use armarium_runtime::skill::Limits;
-use armarium_runtime::trace::TraceSink;
 use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{Simulation, TruthSink, World};
 use armarium_states::observers;

@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use armarium_values::{Type, Value};
+use armarium_values::{ConvertError, Type, Value};
 use futures::future::BoxFuture;
 use serde::{Deserialize, Serialize};
 use tokio_util::sync::CancellationToken;
@@ -36,17 +36,79 @@ pub struct SkillManifest {
     pub open: bool,
 }
 
-/// A typed, documented input or output.
+/// A typed, documented input or output of a skill or chart, or a local of a chart.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameter {
     /// Its name.
     pub name: String,
     /// Its type, with the unit for numbers.
     pub ty: Type,
-    /// Value when the chart gives none; an input without one is required.
+    /// Value when none is given; an input without one is required.
     pub default: Option<Value>,
+    /// Smallest number that is allowed, SI.
+    pub minimum: Option<f64>,
+    /// Largest number that is allowed, SI.
+    pub maximum: Option<f64>,
     /// One sentence for people.
     pub description: String,
+}
+
+/// Why a parameter does not take a value.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ParameterError {
+    /// It has another type, or another unit.
+    #[error(transparent)]
+    Type(#[from] ConvertError),
+    /// The number is not within the bounds.
+    #[error("{value} is outside of the allowed range, {} to {}", bound(*.minimum), bound(*.maximum))]
+    Range {
+        /// The number, SI.
+        value: f64,
+        /// Smallest number that is allowed.
+        minimum: Option<f64>,
+        /// Largest number that is allowed.
+        maximum: Option<f64>,
+    },
+}
+
+fn bound(bound: Option<f64>) -> String {
+    bound.map_or_else(|| "any".into(), |bound| bound.to_string())
+}
+
+impl Parameter {
+    /// A parameter without default and bounds.
+    #[must_use]
+    pub fn new(name: &str, ty: Type, description: &str) -> Self {
+        let (name, description) = (name.into(), description.into());
+        Self { name, ty, default: None, minimum: None, maximum: None, description }
+    }
+
+    fn allows(&self, x: f64) -> bool {
+        !x.is_nan() && self.minimum.is_none_or(|m| x >= m) && self.maximum.is_none_or(|m| x <= m)
+    }
+
+    /// Whether a value is as declared already; false where only [`accept`](Self::accept) can tell.
+    pub(crate) fn holds(&self, value: &Value) -> bool {
+        match (&self.ty, value) {
+            (Type::Bool, Value::Bool(_)) | (Type::String, Value::String(_)) => true,
+            (Type::Int, Value::Int(i)) => self.allows(*i as f64),
+            (Type::Float(_), Value::Float(x)) | (Type::Duration, Value::Duration(x)) => self.allows(*x),
+            _ => false,
+        }
+    }
+
+    /// The value as declared: converted to the type, and within the bounds.
+    ///
+    /// # Errors
+    /// [`ParameterError`] when it is of another type, or out of bounds.
+    pub fn accept(&self, value: Value) -> Result<Value, ParameterError> {
+        let value = self.ty.convert(value)?;
+        match value.as_f64().filter(|x| !self.allows(*x)) {
+            None => Ok(value),
+            Some(value) => Err(ParameterError::Range { value, minimum: self.minimum, maximum: self.maximum }),
+        }
+    }
 }
 
 impl SkillManifest {
@@ -69,7 +131,7 @@ impl SkillManifest {
     /// Adds an input that the chart must give.
     #[must_use]
     pub fn input(mut self, name: &str, ty: Type, description: &str) -> Self {
-        self.inputs.push(Parameter { name: name.into(), ty, default: None, description: description.into() });
+        self.inputs.push(Parameter::new(name, ty, description));
         self
     }
 
@@ -77,19 +139,14 @@ impl SkillManifest {
     #[must_use]
     pub fn optional(mut self, name: &str, ty: Type, default: impl Into<Value>, description: &str) -> Self {
         let default = Some(default.into());
-        self.inputs.push(Parameter { name: name.into(), ty, default, description: description.into() });
+        self.inputs.push(Parameter { default, ..Parameter::new(name, ty, description) });
         self
     }
 
     /// Adds an output.
     #[must_use]
     pub fn output(mut self, name: &str, ty: Type, description: &str) -> Self {
-        self.outputs.push(Parameter {
-            name: name.into(),
-            ty,
-            default: None,
-            description: description.into(),
-        });
+        self.outputs.push(Parameter::new(name, ty, description));
         self
     }
 

@@ -9,7 +9,7 @@ use futures::FutureExt;
 use futures::future::BoxFuture;
 
 use super::{ChannelSchema, Checked, Registry, check, load_text};
-use crate::engine::Program;
+use crate::program::Program;
 use crate::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 
 /// `Act` takes and gives numbers and ends as its input `end` says after its input `for`.

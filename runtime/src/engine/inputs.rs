@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use armarium_values::Value;
 
 use super::InputError;
-use super::program::{Program, Variable};
+use crate::finding::suggest;
+use crate::program::{Program, Variable};
 
 pub(super) fn inputs(
     program: &Program,
@@ -23,7 +24,7 @@ pub(super) fn inputs(
     };
     let names = || variables.iter().map(|v| v.declaration.name.as_str());
     if let Some(name) = given.keys().find(|name| !names().any(|known| known == *name)) {
-        let help = crate::chart::suggest(name, names());
+        let help = suggest(name, names());
         return Err(InputError::Unknown { name: name.clone(), help });
     }
     let one = |variable: &Variable| {
@@ -34,7 +35,7 @@ pub(super) fn inputs(
             Some(value) => variable
                 .declaration
                 .accept(value)
-                .map_err(|message| InputError::Value { name: name.clone(), message }),
+                .map_err(|error| InputError::Value { name: name.clone(), message: error.to_string() }),
         }
     };
     variables.iter().map(one).collect()

@@ -6,7 +6,7 @@ use std::time::Duration;
 use armarium_values::Value;
 use serde::{Deserialize, Serialize};
 
-use super::StateId;
+use crate::program::StateId;
 use crate::skill::{Limits, SkillResult};
 use crate::trace::TraceItem;
 
@@ -156,7 +156,7 @@ pub struct RunResult {
 
 /// What expressions read from outside of the engine.
 pub trait Sensors {
-    /// The newest value of a channel (its place in [`Program::channels`](super::Program::channels)), or the field that `path` names.
+    /// The newest value of a channel (its place in [`Program::channels`](crate::program::Program::channels)), or the field that `path` names.
     fn channel(&self, channel: u32, path: &[String]) -> Option<Value>;
     /// Seconds since it was published.
     fn age(&self, channel: u32) -> Option<f64>;

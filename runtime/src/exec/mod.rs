@@ -1,36 +1,42 @@
-//! Runs a chart on tokio: skills as tasks, timers, watches, one bounded queue. The engine decides, this does.
+//! Runs a chart on tokio: skills as tasks, one bounded queue, tokio's clock. The engine decides, the agenda says what
+//! is due, this does it. What is due at an instant comes before what arrives at it, so that a flood of events delays no timer.
 //!
 //! On a current-thread runtime with a paused clock a run is repeatable bit for bit: ordered maps, biased
 //! selection, and nothing but tokio's clock.
 
 mod chart_skill;
+mod following;
 mod letters;
+mod sink;
 mod skills;
 mod watchdog;
-mod watching;
 
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 use armarium_values::Value;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
+use crate::agenda::Agenda;
 use crate::channels::Channels;
 use crate::chart::Registry;
-use crate::engine::{Effect, Engine, Input, InputError, InputRecord, Program, Recording, Sensors};
+use crate::engine::{Effect, Engine, Input, InputError, InputRecord, Recording, Sensors};
+use crate::program::Program;
 use crate::skill::Limits;
-use crate::trace::{TraceEvent, TraceItem, TraceSink};
+use crate::trace::{TraceEvent, TraceItem};
+use following::Following;
 use letters::Outbox;
 use skills::{Message, Running};
 use watchdog::Watchdog;
-use watching::Watching;
 
 pub use crate::engine::RunResult;
 pub use chart_skill::{ChartSkill, Stop};
 pub use letters::{Hearers, Letter, Others, Post};
+pub use sink::TraceSink;
 
 /// Messages that may wait for the engine; skills that send more wait.
 const QUEUE: usize = 256;
@@ -104,10 +110,11 @@ pub struct Executor {
     stop: CancellationToken,
     reason: Arc<Mutex<Option<String>>>,
     running: BTreeMap<u64, Running>,
-    timers: BTreeMap<(Instant, u64, u64), ()>,
-    timer_keys: BTreeMap<u64, (Instant, u64, u64)>,
-    watching: Watching,
+    agenda: Agenda,
+    following: Following,
     began: Instant,
+    /// Time since the run began, at the turn that is taken.
+    now: Duration,
     result: Option<RunResult>,
 }
 
@@ -160,10 +167,10 @@ impl Executor {
             stop: CancellationToken::new(),
             reason: Arc::new(Mutex::new(None)),
             running: BTreeMap::new(),
-            timers: BTreeMap::new(),
-            timer_keys: BTreeMap::new(),
-            watching: Watching::default(),
+            agenda: Agenda::default(),
+            following: Following::default(),
             began: Instant::now(),
+            now: Duration::ZERO,
             result: None,
         })
     }
@@ -172,7 +179,7 @@ impl Executor {
     /// `on_hang` is called with its state's path, from a thread of its own, after [`ExecOptions::on_stuck`]: where the
     /// skill blocks the thread that everything runs on, nothing else can go on, and the process should end.
     #[must_use]
-    pub fn hang_after(mut self, limit: std::time::Duration, on_hang: Option<OnStuck>) -> Self {
+    pub fn hang_after(mut self, limit: Duration, on_hang: Option<OnStuck>) -> Self {
         self.watchdog.set(limit, on_hang);
         self
     }
@@ -190,51 +197,70 @@ impl Executor {
         let seat = self.hearers.join(self.engine.program().name(), self.controller());
         self.turn(None);
         let mut stopping = false;
+        let stop = self.stop.clone();
         loop {
+            self.catch_up();
             if let Some(result) = self.result.take() {
                 drop(seat);
                 self.outbox.close().await;
                 return result;
             }
-            if self.sample_watches() {
-                continue;
-            }
-            let deadline = self.deadline();
-            let stop = self.stop.clone();
-            let turn = tokio::select! {
+            let deadline = self.agenda.next().and_then(|at| self.began.checked_add(at));
+            let message = tokio::select! {
                 biased;
-                () = stop.cancelled(), if !stopping => Turn::Stop,
-                Some(message) = self.queue.recv() => Turn::Message(message),
-                () = until(deadline), if deadline.is_some() => Turn::Time,
-                () = self.watching.changed(), if self.watching.observes() => Turn::Channels,
-            };
-            match turn {
-                Turn::Stop => {
+                () = stop.cancelled(), if !stopping => {
                     stopping = true;
                     let reason = self.reason.lock().unwrap_or_else(PoisonError::into_inner).clone();
-                    self.handle(Input::Stop { reason: reason.unwrap_or_default() });
+                    Message::Stopped { reason: reason.unwrap_or_default() }
                 }
-                Turn::Message(message) => self.message(message),
-                Turn::Time => self.time(),
-                Turn::Channels => {}
+                Some(message) = self.queue.recv() => message,
+                () = until(deadline), if deadline.is_some() => continue,
+                () = self.following.changed(), if !self.following.is_empty() => continue,
+            };
+            self.catch_up();
+            if self.result.is_none() {
+                self.message(message);
             }
+        }
+    }
+
+    /// Tells the engine everything that is due by now.
+    fn catch_up(&mut self) {
+        self.now = self.began.elapsed();
+        while self.result.is_none() {
+            for channel in self.following.take_changed() {
+                self.agenda.published(channel);
+            }
+            let program = Arc::clone(self.engine.program());
+            let hub = Hub { channels: &self.channels, names: program.channels() };
+            let Some(input) = self.agenda.due(&self.engine, &hub, self.now) else { return };
+            if let Input::SkillStuck { activation } = &input
+                && let Some(running) = self.running.remove(activation)
+            {
+                let state = program.path(running.state());
+                tracing::error!(state, "a skill did not return after it was cancelled");
+                self.watchdog.stuck(state);
+            }
+            self.turn(Some(input));
         }
     }
 
     fn message(&mut self, message: Message) {
         match message {
-            Message::Event { name, data } => self.handle(Input::Event { name, data }),
+            Message::Event { name, data } => self.turn(Some(Input::Event { name, data })),
             Message::Inside { state, leaves } => self.trace(TraceItem::Inside { state, leaves }),
-            Message::Hangs { reason } => self.handle(Input::Abort { reason }),
+            Message::Hangs { reason } => self.turn(Some(Input::Abort { reason })),
+            Message::Stopped { reason } => self.turn(Some(Input::Stop { reason })),
             Message::Ended { activation, result } => {
-                self.running.remove(&activation);
-                self.handle(Input::SkillEnded { activation, result });
+                let Some(running) = self.running.remove(&activation) else { return };
+                let program = self.engine.program();
+                let restless = self.agenda.ended(activation, running.state(), program, self.now);
+                self.turn(Some(Input::SkillEnded { activation, result }));
+                if restless.is_some() && self.result.is_none() {
+                    self.turn(restless);
+                }
             }
         }
-    }
-
-    fn handle(&mut self, input: Input) {
-        self.turn(Some(input));
     }
 
     /// One turn of the engine, its start where there is no input; for a sink, with what it was told and read.
@@ -242,123 +268,71 @@ impl Executor {
         let mut effects = Vec::new();
         let program = Arc::clone(self.engine.program());
         let hub = Hub { channels: &self.channels, names: program.channels() };
-        let Some(sink) = &mut self.sink else {
+        if let Some(sink) = &mut self.sink {
+            let sensors = Recording::new(&hub);
+            match input.clone() {
+                None => self.engine.start(&sensors, &mut effects),
+                Some(input) => self.engine.handle(input, &sensors, &mut effects),
+            }
+            sink.input(&InputRecord { at_ns: nanoseconds(self.now), input, seen: sensors.seen() });
+        } else {
             match input {
                 None => self.engine.start(&hub, &mut effects),
                 Some(input) => self.engine.handle(input, &hub, &mut effects),
             }
-            return self.apply(effects);
-        };
-        let sensors = Recording::new(&hub);
-        match input.clone() {
-            None => self.engine.start(&sensors, &mut effects),
-            Some(input) => self.engine.handle(input, &sensors, &mut effects),
         }
-        sink.input(&InputRecord { at_ns: nanoseconds(self.began), input, seen: sensors.seen() });
-        self.apply(effects);
-    }
-
-    fn deadline(&self) -> Option<Instant> {
-        let timer = self.timers.keys().next().map(|(at, ..)| *at);
-        let grace = self.running.values().filter_map(Running::deadline).min();
-        [timer, grace, self.watching.deadline()].into_iter().flatten().min()
-    }
-
-    /// Everything that is due now: stuck skills, then timers in their order. Watches are sampled anyway.
-    fn time(&mut self) {
-        let now = Instant::now();
-        let stuck = |running: &Running| running.deadline().is_some_and(|at| at <= now);
-        let stuck: Vec<u64> = self.running.iter().filter(|(_, r)| stuck(r)).map(|(a, _)| *a).collect();
-        for activation in stuck {
-            let Some(running) = self.running.remove(&activation) else { continue };
-            tracing::error!(state = running.state(), "a skill did not return after it was cancelled");
-            self.watchdog.stuck(running.state());
-            self.handle(Input::SkillStuck { activation });
-        }
-        while let Some((key, ())) = self.timers.first_key_value().filter(|((at, ..), ())| *at <= now) {
-            let key = *key;
-            self.timers.remove(&key);
-            self.timer_keys.remove(&key.2);
-            self.handle(Input::Timer { timer: key.2 });
-        }
-        self.watching.time(now);
-    }
-
-    /// Looks at the watches that may have changed. Gives whether one fired.
-    fn sample_watches(&mut self) -> bool {
-        let program = Arc::clone(self.engine.program());
-        let hub = Hub { channels: &self.channels, names: program.channels() };
-        let inputs = self.watching.sample(&self.engine, &hub, Instant::now());
-        let any = !inputs.is_empty();
-        inputs.into_iter().for_each(|input| self.handle(input));
-        any
-    }
-
-    fn apply(&mut self, effects: Vec<Effect>) {
-        self.watching.data_changed();
         for effect in effects {
-            match effect {
-                Effect::StartSkill { activation, state, skill, inputs, limits } => {
-                    let path = self.engine.program().path(state).to_owned();
-                    let limits = self.limits.tightened(limits);
-                    let Some(implementation) = self.registry.get(&skill).cloned() else {
-                        let reason = format!("there is no skill `{skill}` in this program");
-                        let result = Err(crate::skill::Failure::new(reason));
-                        self.running
-                            .insert(activation, Running::failed(path, activation, result, &self.sender));
-                        continue;
-                    };
-                    let start = skills::Start { activation, state: path, inputs, limits };
-                    let polls = self.watchdog.watch(activation, &start.state);
-                    let declared = self.registry.manifest(&skill).map_or_else(Vec::new, |m| m.events.clone());
-                    let channels = self.channels.clone();
-                    let running =
-                        Running::start(implementation, start, channels, &self.sender, declared, polls);
-                    self.running.insert(activation, running);
-                }
-                Effect::Cancel { activation, grace } => {
-                    if let Some(running) = self.running.get_mut(&activation) {
-                        running.cancel(Instant::now() + grace);
-                    }
-                }
-                Effect::StartTimer { timer, after, order } => {
-                    let key = (Instant::now() + after, order, timer);
-                    self.timers.insert(key, ());
-                    self.timer_keys.insert(timer, key);
-                }
-                Effect::CancelTimer { timer } => {
-                    if let Some(key) = self.timer_keys.remove(&timer) {
-                        self.timers.remove(&key);
-                    }
-                }
-                Effect::ArmWatch { watch, entry } => {
-                    self.watching.arm(watch, entry, self.engine.program(), &self.channels);
-                }
-                Effect::DisarmWatch { watch } => self.watching.disarm(watch),
-                Effect::Send { event, to, data } => self.outbox.send(Letter { to, event, data }),
-                Effect::Trace(item) => self.trace(item),
-                Effect::Finished(result) => self.result = Some(result),
+            if let Some(effect) = self.agenda.take(effect, &program, self.now) {
+                self.act(effect);
             }
+        }
+        self.agenda.turned();
+        self.following.follow(self.agenda.channels(), program.channels(), &self.channels);
+    }
+
+    /// Does what the engine wants done and the agenda does not do.
+    fn act(&mut self, effect: Effect) {
+        match effect {
+            Effect::StartSkill { activation, state, skill, inputs, limits } => {
+                let path = self.engine.program().path(state);
+                let limits = self.limits.tightened(limits);
+                let Some(implementation) = self.registry.get(&skill).cloned() else {
+                    let reason = format!("there is no skill `{skill}` in this program");
+                    let result = Err(crate::skill::Failure::new(reason));
+                    self.running.insert(activation, Running::failed(state, activation, result, &self.sender));
+                    return;
+                };
+                let polls = self.watchdog.watch(activation, path);
+                let start = skills::Start { activation, state, path: path.to_owned(), inputs, limits };
+                let declared = self.registry.manifest(&skill).map_or_else(Vec::new, |m| m.events.clone());
+                let channels = self.channels.clone();
+                let running = Running::start(implementation, start, channels, &self.sender, declared, polls);
+                self.running.insert(activation, running);
+            }
+            Effect::Cancel { activation, .. } => {
+                if let Some(running) = self.running.get(&activation) {
+                    running.cancel();
+                }
+            }
+            Effect::Send { event, to, data } => self.outbox.send(Letter { to, event, data }),
+            Effect::Trace(item) => self.trace(item),
+            Effect::Finished(result) => self.result = Some(result),
+            Effect::StartTimer { .. }
+            | Effect::CancelTimer { .. }
+            | Effect::ArmWatch { .. }
+            | Effect::DisarmWatch { .. } => {}
         }
     }
 
     fn trace(&mut self, item: TraceItem) {
         if let Some(sink) = &mut self.sink {
-            sink.record(&TraceEvent { at_ns: nanoseconds(self.began), item });
+            sink.record(&TraceEvent { at_ns: nanoseconds(self.now), item });
         }
     }
 }
 
-fn nanoseconds(since: Instant) -> u64 {
-    u64::try_from(Instant::now().duration_since(since).as_nanos()).unwrap_or(u64::MAX)
-}
-
-/// What woke the executor.
-enum Turn {
-    Stop,
-    Message(Message),
-    Time,
-    Channels,
+fn nanoseconds(time: Duration) -> u64 {
+    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }
 
 async fn until(deadline: Option<Instant>) {

@@ -9,11 +9,11 @@ use armarium_values::Value;
 use futures::FutureExt;
 use tokio::sync::{mpsc, watch};
 use tokio::task::AbortHandle;
-use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 use super::watchdog::Polls;
 use crate::channels::Channels;
+use crate::program::StateId;
 use crate::skill::{Failure, Limits, Skill, SkillContext, SkillResult};
 
 /// Events of one skill that may wait.
@@ -39,13 +39,19 @@ pub(super) enum Message {
     Hangs {
         reason: String,
     },
+    /// Somebody ends the run.
+    Stopped {
+        reason: String,
+    },
 }
 
 /// What a skill is started with.
 #[derive(Debug)]
 pub(super) struct Start {
     pub(super) activation: u64,
-    pub(super) state: String,
+    pub(super) state: StateId,
+    /// The state's path.
+    pub(super) path: String,
     pub(super) inputs: BTreeMap<String, Value>,
     pub(super) limits: Limits,
 }
@@ -53,10 +59,9 @@ pub(super) struct Start {
 /// A skill that has been started. Dropping it cancels and aborts the task, if that still runs.
 #[derive(Debug)]
 pub(super) struct Running {
-    state: String,
+    state: StateId,
     cancel: CancellationToken,
     task: AbortHandle,
-    deadline: Option<Instant>,
 }
 
 impl Drop for Running {
@@ -78,9 +83,9 @@ impl Running {
         let cancel = CancellationToken::new();
         let (events, incoming) = mpsc::channel(EVENTS);
         let (inside, within) = watch::channel(Vec::new());
-        let state = start.state.clone();
+        let state = start.state;
         let context = SkillContext {
-            state: start.state,
+            state: start.path,
             inputs: start.inputs,
             limits: start.limits,
             cancel: cancel.clone(),
@@ -91,12 +96,12 @@ impl Running {
         let told = Told { incoming, within, declared };
         let driving = Box::pin(drive(skill, context, told, start.activation, queue.clone()));
         let task = tokio::spawn(polls.of(driving));
-        Self { state, cancel, task: task.abort_handle(), deadline: None }
+        Self { state, cancel, task: task.abort_handle() }
     }
 
     /// A skill that could not even be started.
     pub(super) fn failed(
-        state: String,
+        state: StateId,
         activation: u64,
         result: SkillResult,
         queue: &mpsc::Sender<Message>,
@@ -105,21 +110,15 @@ impl Running {
         let task = tokio::spawn(async move {
             report(&queue, Message::Ended { activation, result }).await;
         });
-        Self { state, cancel: CancellationToken::new(), task: task.abort_handle(), deadline: None }
+        Self { state, cancel: CancellationToken::new(), task: task.abort_handle() }
     }
 
-    pub(super) fn cancel(&mut self, deadline: Instant) {
+    pub(super) fn cancel(&self) {
         self.cancel.cancel();
-        self.deadline.get_or_insert(deadline);
     }
 
-    /// When it counts as stuck; none while it is not cancelled.
-    pub(super) fn deadline(&self) -> Option<Instant> {
-        self.deadline
-    }
-
-    pub(super) fn state(&self) -> &str {
-        &self.state
+    pub(super) fn state(&self) -> StateId {
+        self.state
     }
 }
 

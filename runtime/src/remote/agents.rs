@@ -16,7 +16,8 @@ use tokio::time::{Instant, sleep, timeout};
 
 use super::wire::{Cancel, Ended, Manifest, Start, Status, answered, packed};
 use super::{HELD, LEASE};
-use crate::chart::{Refused, Registry, suggest};
+use crate::chart::{Refused, Registry};
+use crate::finding::suggest;
 use crate::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
 
 /// Manifests that one question may bring.

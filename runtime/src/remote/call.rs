@@ -15,7 +15,7 @@ use super::LEASE;
 use super::wire::{Ended, Manifest, RaisedEvent, Status};
 use crate::channels::Channels;
 use crate::exec::Stop;
-use crate::skill::{Failure, Limits, Skill, SkillContext, SkillManifest, SkillResult};
+use crate::skill::{Failure, Limits, Parameter, Skill, SkillContext, SkillManifest, SkillResult};
 
 /// Events that wait for the caller; older ones are dropped.
 const EVENTS: usize = 256;
@@ -180,7 +180,9 @@ impl Manifest {
         for parameter in &self.inputs {
             let name = &parameter.name;
             let value = match given.remove(name) {
-                Some(value) => parameter.ty.convert(value).map_err(|e| format!("the input `{name}`: {e}"))?,
+                Some(value) => Parameter::from(parameter)
+                    .accept(value)
+                    .map_err(|e| format!("the input `{name}`: {e}"))?,
                 None => {
                     parameter.default.clone().ok_or_else(|| format!("the input `{name}` is not given"))?
                 }

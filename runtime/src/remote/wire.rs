@@ -55,9 +55,29 @@ pub struct WireParameter {
     /// Value of an input that is not given; none for one that must be given.
     #[serde(default)]
     pub default: Option<Value>,
+    /// Smallest number that is allowed, SI.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub minimum: Option<f64>,
+    /// Largest number that is allowed, SI.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub maximum: Option<f64>,
     /// For people.
     #[serde(default)]
     pub description: String,
+}
+
+impl From<&Parameter> for WireParameter {
+    fn from(parameter: &Parameter) -> Self {
+        let Parameter { name, ty, default, minimum, maximum, description } = parameter.clone();
+        Self { name, ty, default, minimum, maximum, description }
+    }
+}
+
+impl From<&WireParameter> for Parameter {
+    fn from(parameter: &WireParameter) -> Self {
+        let WireParameter { name, ty, default, minimum, maximum, description } = parameter.clone();
+        Self { name, ty, default, minimum, maximum, description }
+    }
 }
 
 /// Starts it.
@@ -238,19 +258,13 @@ impl Manifest {
     /// What a skill declares, as offered by a process.
     #[must_use]
     pub fn of(skill: &SkillManifest, instance: &str) -> Self {
-        let parameter = |p: &Parameter| WireParameter {
-            name: p.name.clone(),
-            ty: p.ty.clone(),
-            default: p.default.clone(),
-            description: p.description.clone(),
-        };
         let mut manifest = Self {
             name: skill.name.clone(),
             instance: String::new(),
             version: String::new(),
             description: skill.description.clone(),
-            inputs: skill.inputs.iter().map(parameter).collect(),
-            outputs: skill.outputs.iter().map(parameter).collect(),
+            inputs: skill.inputs.iter().map(WireParameter::from).collect(),
+            outputs: skill.outputs.iter().map(WireParameter::from).collect(),
             outcomes: skill.outcomes.clone(),
             events: skill.events.clone(),
             limbs: skill.limbs.clone(),
@@ -265,16 +279,10 @@ impl Manifest {
     /// What it declares to a chart that knows it as `name`.
     #[must_use]
     pub fn skill(&self, name: &str, beyond: Duration) -> SkillManifest {
-        let parameter = |p: &WireParameter| Parameter {
-            name: p.name.clone(),
-            ty: p.ty.clone(),
-            default: p.default.clone(),
-            description: p.description.clone(),
-        };
         let grace = Duration::try_from_secs_f64(self.grace_s).unwrap_or_default();
         let mut skill = SkillManifest::new(name, &self.description).grace(grace.min(MOST_GRACE) + beyond);
-        skill.inputs = self.inputs.iter().map(parameter).collect();
-        skill.outputs = self.outputs.iter().map(parameter).collect();
+        skill.inputs = self.inputs.iter().map(Parameter::from).collect();
+        skill.outputs = self.outputs.iter().map(Parameter::from).collect();
         skill.outcomes.clone_from(&self.outcomes);
         skill.events.clone_from(&self.events);
         let agent = name.split('/').next().unwrap_or_default();
