@@ -14,6 +14,7 @@
 //!
 //! This room knows no robot and no memory; and no network without the feature `remote`.
 
+mod activation;
 pub mod agenda;
 pub mod channels;
 pub mod chart;

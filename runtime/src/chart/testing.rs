@@ -54,7 +54,7 @@ impl Skill for Act {
                 "failure" => Err(Failure::new("it did not work")),
                 "panic" => panic!("out of order"),
                 "ping" => {
-                    let _ = context.events.send(("ping".into(), force.into())).await;
+                    context.events.raise("ping", force.into());
                     context.cancel.cancelled().await;
                     Ok(Outcome::success())
                 }

@@ -175,42 +175,6 @@ impl Sensors for NoSensors {
     }
 }
 
-/// An input that a chart cannot be started with.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum InputError {
-    /// No input of that name.
-    #[error("the chart has no input `{name}`{}", help.as_ref().map_or(String::new(), |h| format!("; {h}")))]
-    Unknown {
-        /// The name.
-        name: String,
-        /// What might be meant.
-        help: Option<String>,
-    },
-    /// The value does not fit.
-    #[error("input `{name}`: {message}")]
-    Value {
-        /// The name.
-        name: String,
-        /// What is wrong.
-        message: String,
-    },
-    /// An input without default was not given.
-    #[error("the chart needs the input `{name}`")]
-    Missing {
-        /// The name.
-        name: String,
-    },
-    /// No profile of that name.
-    #[error("the chart has no profile `{name}`; it has: {known}")]
-    Profile {
-        /// The name.
-        name: String,
-        /// The profiles that it has.
-        known: String,
-    },
-}
-
 /// What a watch sees now.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Observation {

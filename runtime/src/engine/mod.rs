@@ -24,10 +24,11 @@ use std::sync::Arc;
 use armarium_values::Value;
 
 pub(crate) use circle::{Circle, NEAR};
-pub use interface::{Effect, Input, InputError, NoSensors, Observation, RunResult, Sensors};
+pub use interface::{Effect, Input, NoSensors, Observation, RunResult, Sensors};
 pub use record::{InputRecord, Recording, Replaying, Seen};
 
 use crate::program::{Code, ERROR_CHANNEL, EventId, FAILURE, Instance, Program, StateId, Symbol, Variable};
+use crate::skill::InputError;
 use crate::trace::TraceItem;
 use event::{Event, Origin};
 use inputs::inputs;
@@ -101,10 +102,10 @@ impl Engine {
         given: &BTreeMap<String, Value>,
         profile: Option<&str>,
     ) -> Result<Self, InputError> {
-        let inputs = inputs(&program, given, profile)?;
+        let mut inputs = inputs(&program, given, profile)?;
         let mut data = vec![None; program.slots as usize];
-        for (variable, value) in program.instances[0].inputs.iter().zip(inputs) {
-            data[variable.slot as usize] = Some(value);
+        for variable in &program.instances[0].inputs {
+            data[variable.slot as usize] = inputs.remove(&variable.declaration.name);
         }
         let runs = vec![Run::default(); program.states.len()];
         Ok(Self {

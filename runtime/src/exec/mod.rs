@@ -17,16 +17,18 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use armarium_values::Value;
+use futures::future::BoxFuture;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
+use crate::activation::{Activation, Report, Start};
 use crate::agenda::Agenda;
 use crate::channels::Channels;
 use crate::chart::Registry;
-use crate::engine::{Effect, Engine, Input, InputError, InputRecord, Recording, Sensors};
+use crate::engine::{Effect, Engine, Input, InputRecord, Recording, Sensors};
 use crate::program::Program;
-use crate::skill::Limits;
+use crate::skill::{Failure, InputError, Limits, Skill, SkillContext, SkillManifest, SkillResult};
 use crate::trace::{TraceEvent, TraceItem};
 use following::Following;
 use letters::Outbox;
@@ -248,13 +250,29 @@ impl Executor {
     fn message(&mut self, message: Message) {
         match message {
             Message::Event { name, data } => self.turn(Some(Input::Event { name, data })),
-            Message::Inside { state, leaves } => self.trace(TraceItem::Inside { state, leaves }),
+            Message::Skill { activation, report } => self.report(activation, report),
             Message::Hangs { reason } => self.turn(Some(Input::Abort { reason })),
             Message::Stopped { reason } => self.turn(Some(Input::Stop { reason })),
-            Message::Ended { activation, result } => {
-                let Some(running) = self.running.remove(&activation) else { return };
-                let program = self.engine.program();
-                let restless = self.agenda.ended(activation, running.state(), program, self.now);
+        }
+    }
+
+    /// A skill tells something; what one tells that is taken for stuck is not heard any more.
+    fn report(&mut self, activation: u64, report: Report) {
+        let Some(state) = self.running.get(&activation).map(Running::state) else { return };
+        let path = || self.engine.program().path(state).to_owned();
+        match report {
+            Report::Event { name, data } => self.turn(Some(Input::Event { name, data })),
+            Report::Dropped { name, count } => {
+                let reason = format!("`{}` raised {count} more than may wait", path());
+                self.trace(TraceItem::Dropped { name, reason });
+            }
+            Report::Inside(leaves) => {
+                let state = path();
+                self.trace(TraceItem::Inside { state, leaves });
+            }
+            Report::Ended(result) => {
+                self.running.remove(&activation);
+                let restless = self.agenda.ended(activation, state, self.engine.program(), self.now);
                 self.turn(Some(Input::SkillEnded { activation, result }));
                 if restless.is_some() && self.result.is_none() {
                     self.turn(restless);
@@ -295,18 +313,24 @@ impl Executor {
         match effect {
             Effect::StartSkill { activation, state, skill, inputs, limits } => {
                 let path = self.engine.program().path(state);
-                let limits = self.limits.tightened(limits);
-                let Some(implementation) = self.registry.get(&skill).cloned() else {
-                    let reason = format!("there is no skill `{skill}` in this program");
-                    let result = Err(crate::skill::Failure::new(reason));
-                    self.running.insert(activation, Running::failed(state, activation, result, &self.sender));
-                    return;
-                };
-                let polls = self.watchdog.watch(activation, path);
-                let start = skills::Start { activation, state, path: path.to_owned(), inputs, limits };
                 let declared = self.registry.manifest(&skill).map_or_else(Vec::new, |m| m.events.clone());
-                let channels = self.channels.clone();
-                let running = Running::start(implementation, start, channels, &self.sender, declared, polls);
+                let implementation =
+                    self.registry.get(&skill).cloned().unwrap_or_else(|| Arc::new(Missing(skill)));
+                let cancel = CancellationToken::new();
+                let start = Start {
+                    state: path.to_owned(),
+                    inputs,
+                    limits: self.limits.tightened(limits),
+                    channels: self.channels.clone(),
+                    cancel: cancel.clone(),
+                };
+                let running = Running::start(
+                    (activation, state),
+                    Activation::new(implementation, declared, start),
+                    cancel,
+                    self.sender.clone(),
+                    self.watchdog.watch(activation, path),
+                );
                 self.running.insert(activation, running);
             }
             Effect::Cancel { activation, .. } => {
@@ -335,6 +359,19 @@ fn nanoseconds(time: Duration) -> u64 {
     u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }
 
+/// Stands for a skill that this program does not have.
+struct Missing(String);
+
+impl Skill for Missing {
+    fn manifest(&self) -> SkillManifest {
+        SkillManifest::new(&self.0, "Is not part of this program.")
+    }
+    fn run(&self, _: SkillContext) -> BoxFuture<'static, SkillResult> {
+        let failure = Failure::new(format!("there is no skill `{}` in this program", self.0));
+        Box::pin(std::future::ready(Err(failure)))
+    }
+}
+
 async fn until(deadline: Option<Instant>) {
     match deadline {
         Some(at) => sleep_until(at).await,
@@ -342,5 +379,7 @@ async fn until(deadline: Option<Instant>) {
     }
 }
 
+#[cfg(test)]
+mod agreement;
 #[cfg(test)]
 mod tests;

@@ -235,7 +235,8 @@ async fn messages_of_another_version_are_named() {
     let (one, two) = pair().await;
     let skill = SkillManifest::new("Act", "Acts.").input("x", Type::Int, "Any.");
     let status =
-        packed(&Status { revision: 1, leaves: Vec::new(), events: Vec::new(), ended: None }).unwrap();
+        packed(&Status { revision: 1, leaves: Vec::new(), events: Vec::new(), dropped: 0, ended: None })
+            .unwrap();
     let newer = (status.0.replace(";v1", ";v7"), status.1);
     let told = BTreeMap::from([("runtime/start".to_owned(), newer)]);
     tokio::spawn(stranger(one, Manifest::of(&skill, "p"), told));

@@ -132,6 +132,9 @@ pub struct Status {
     /// The events that were raised after the revision that the caller has seen.
     #[serde(default)]
     pub events: Vec<RaisedEvent>,
+    /// How many events were dropped so far because they came over a bound.
+    #[serde(default)]
+    pub dropped: u64,
     /// How it ended, once it has.
     #[serde(default)]
     pub ended: Option<Ended>,

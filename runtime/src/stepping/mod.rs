@@ -14,10 +14,10 @@ use std::time::Duration;
 use armarium_values::Value;
 
 use crate::agenda::Agenda;
-use crate::engine::{Effect, Engine, Input, InputError, RunResult, Sensors};
+use crate::engine::{Effect, Engine, Input, RunResult, Sensors};
 use crate::finding::suggest;
 use crate::program::{EventId, Kind, Program, StateId};
-use crate::skill::{Failure, Outcome};
+use crate::skill::{Failure, InputError, Outcome};
 use crate::trace::TraceItem;
 
 pub use coverage::{Coverage, Described};
@@ -118,6 +118,9 @@ pub struct Stepper {
     coverage: Coverage,
     result: Option<RunResult>,
     effects: Vec<Effect>,
+    /// Everything that was traced, with its time.
+    #[cfg(test)]
+    pub(crate) trace: Vec<crate::trace::TraceEvent>,
 }
 
 impl Stepper {
@@ -145,6 +148,8 @@ impl Stepper {
             coverage: Coverage::default(),
             result: None,
             effects: Vec::new(),
+            #[cfg(test)]
+            trace: Vec::new(),
         })
     }
 
@@ -345,6 +350,11 @@ impl Stepper {
     }
 
     fn act(&mut self, effect: Effect) {
+        #[cfg(test)]
+        if let Effect::Trace(item) = &effect {
+            let at_ns = u64::try_from(self.board.now.as_nanos()).unwrap_or(u64::MAX);
+            self.trace.push(crate::trace::TraceEvent { at_ns, item: item.clone() });
+        }
         match self.agenda.take(effect, self.engine.program(), self.board.now) {
             Some(Effect::StartSkill { activation, state, .. }) => {
                 self.skills.insert(state, activation);
