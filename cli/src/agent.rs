@@ -9,8 +9,8 @@ use armarium_bus::Session;
 use armarium_memoryx::{Consolidator, MemoryServer, WorkingMemory, keep_within};
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::{self, Registry};
+use armarium_runtime::exec::{ChartSkill, ExecOptions, Executor, Peers, RunResult, Stop};
 use armarium_runtime::program::Program;
-use armarium_runtime::exec::{ChartSkill, ExecOptions, Executor, Others, RunResult, Stop};
 use armarium_runtime::remote::{Agents, Offers, hear, serve};
 use armarium_runtime::skill::Limits;
 use armarium_simulator::World;
@@ -183,7 +183,7 @@ async fn act(
         Arc::new(move |what: &str| robot.stop(&format!("the skill of `{what}` does not return")));
 
     let mut offers = Offers::new(&args.name, session, channels.clone(), Arc::clone(&stop));
-    let others = Others { post: Some(Arc::new(agents.clone())), ..Others::default() };
+    let others = Peers { transport: Some(Arc::new(agents.clone())), ..Peers::default() };
     let mut charts = Vec::new();
     for file in chart_files(&args.offered).map_err(message)? {
         let chart = load(&file, &args.charts, &mut registry, agents, &stop, out).await?;
@@ -218,7 +218,7 @@ async fn act(
         () = asked_to_end => 0,
         ended = own => told(&ended, out)?,
         ended = serve(session, offers) => ended.map(|()| 0).map_err(message)?,
-        ended = hear(session, &args.name, others.hearers) => ended.map(|()| 0).map_err(message)?,
+        ended = hear(session, &args.name, others.subscribers) => ended.map(|()| 0).map_err(message)?,
     };
     equipment.robot.stop("the agent ends");
     tasks.push(life);
@@ -245,7 +245,7 @@ fn execute(
     program: Arc<Program>,
     registry: Registry,
     channels: &Channels,
-    (stop, others): (&Stop, &Others),
+    (stop, others): (&Stop, &Peers),
 ) -> Result<Executor, NotBegun> {
     let stop = Arc::clone(stop);
     let options = ExecOptions {

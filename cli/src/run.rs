@@ -11,8 +11,8 @@ use std::time::Instant;
 
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::Finding;
+use armarium_runtime::exec::{ExecOptions, Executor, Peers, RunResult, TraceSink, Transport};
 use armarium_runtime::program::Program;
-use armarium_runtime::exec::{ExecOptions, Executor, Others, Post, RunResult, TraceSink};
 use armarium_runtime::skill::Limits;
 use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{Simulation, TruthSink, World};
@@ -145,9 +145,10 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
     };
     let caller = name.as_deref().unwrap_or("armarium run");
     let agents = connection.as_ref().map(|connection| connection.agents(caller));
-    let others = Others { post: agents.clone().map(|a| Arc::new(a) as Arc<dyn Post>), ..Others::default() };
+    let others =
+        Peers { transport: agents.clone().map(|a| Arc::new(a) as Arc<dyn Transport>), ..Peers::default() };
     let _hears = match (&connection, &name) {
-        (Some(connection), Some(name)) => match reach::listen(connection, name, &others.hearers, out)? {
+        (Some(connection), Some(name)) => match reach::listen(connection, name, &others.subscribers, out)? {
             Ok(hears) => Some(hears),
             Err(message) => return writeln!(out, "error: {message}").map(|()| 2),
         },

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use armarium_bus::AliveToken;
-use armarium_runtime::exec::{Hearers, Others};
+use armarium_runtime::exec::{Peers, Subscribers};
 use armarium_runtime::remote::{Agents, hear};
 
 use crate::connection::{Connection, be_the_only_one};
@@ -12,14 +12,14 @@ use crate::connection::{Connection, be_the_only_one};
 pub(super) struct Reach<'c> {
     pub(super) connection: Option<&'c Connection>,
     pub(super) agents: Option<&'c Agents>,
-    pub(super) others: Others,
+    pub(super) others: Peers,
 }
 
 /// Takes a name, and lets the run hear what other agents send to it, on the connection's threads. Gives what keeps the name.
 pub(super) fn listen(
     connection: &Connection,
     name: &str,
-    hearers: &Hearers,
+    subscribers: &Subscribers,
     out: &mut dyn Write,
 ) -> io::Result<Result<AliveToken, String>> {
     let (session, threads) = (&connection.session, connection.runtime());
@@ -27,9 +27,9 @@ pub(super) fn listen(
         Ok(alive) => alive,
         Err(message) => return Ok(Err(message)),
     };
-    let (hearing, called, hearers) = (session.clone(), name.to_owned(), hearers.clone());
+    let (hearing, called, subscribers) = (session.clone(), name.to_owned(), subscribers.clone());
     threads.spawn(async move {
-        if let Err(error) = hear(&hearing, &called, hearers).await {
+        if let Err(error) = hear(&hearing, &called, subscribers).await {
             tracing::error!("other agents cannot send events to `{called}`: {error}");
         }
     });

@@ -40,6 +40,8 @@ pub struct Agenda {
     /// What watches have seen, still to be told.
     seen: VecDeque<Input>,
     firings: Repeats,
+    /// Whether watches never came to rest: the run ends, and they are not looked at any more.
+    restless: bool,
     ends: Repeats,
     /// When `ends` were counted.
     ends_at: Duration,
@@ -181,7 +183,10 @@ impl Agenda {
             }
             return Some(Input::Timer { timer });
         }
-        if let Some(states) = self.look(engine, sensors, now) {
+        if !self.restless
+            && let Some(states) = self.look(engine, sensors, now)
+        {
+            self.restless = true;
             let reason = format!("{MAX_FIRINGS} firings of watches without rest: {states}");
             return Some(Input::Abort { reason });
         }

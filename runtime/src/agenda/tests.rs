@@ -117,3 +117,20 @@ states:
     s.advance(Duration::from_millis(1));
     assert_eq!(s.take_logs(), ["inner", "outer", "watch"]);
 }
+
+#[test]
+fn a_watch_whose_condition_and_until_both_hold_fails_the_run_though_a_skill_has_to_return() {
+    let s = stepper(
+        "
+statechart: T
+locals: {n: {type: int, default: 1}}
+initial: A
+states:
+  A:
+    skill: Act
+    watch: {w: {if: \"locals.n > 0\", until: \"locals.n > 0\"}}
+    transitions: {w: {do: [{assign: {locals.n: 2}}]}}
+",
+    );
+    assert_eq!(failed(&s), format!("{MAX_FIRINGS} firings of watches without rest: `A`"));
+}

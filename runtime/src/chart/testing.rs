@@ -45,7 +45,9 @@ impl Skill for Act {
                     if end == "stuck" {
                         std::future::pending::<()>().await;
                     }
-                    tokio::time::sleep(Duration::from_secs_f64(late)).await;
+                    if late > 0.0 {
+                        tokio::time::sleep(Duration::from_secs_f64(late)).await;
+                    }
                     return Ok(Outcome::success());
                 }
                 () = over => {}

@@ -9,7 +9,7 @@ use futures::FutureExt as _;
 use futures::future::BoxFuture;
 use tokio::sync::watch;
 
-use super::{ExecOptions, Executor, Others, RunResult, TraceSink};
+use super::{ExecOptions, Executor, Peers, RunResult, TraceSink};
 use crate::chart::Registry;
 use crate::program::Program;
 use crate::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
@@ -27,7 +27,7 @@ pub struct ChartSkill {
     description: String,
     registry: Registry,
     stop: Stop,
-    others: Others,
+    others: Peers,
 }
 
 impl fmt::Debug for ChartSkill {
@@ -40,12 +40,12 @@ impl ChartSkill {
     /// A chart with the skills that it uses; `stop` is called when one of those does not return.
     #[must_use]
     pub fn new(program: Arc<Program>, description: &str, registry: Registry, stop: Stop) -> Self {
-        Self { program, description: description.to_owned(), registry, stop, others: Others::default() }
+        Self { program, description: description.to_owned(), registry, stop, others: Peers::default() }
     }
 
     /// The same chart among those of other agents: it sends them events, and hears what they send.
     #[must_use]
-    pub fn among(mut self, others: Others) -> Self {
+    pub fn among(mut self, others: Peers) -> Self {
         self.others = others;
         self
     }

@@ -6,7 +6,7 @@
 
 mod chart_skill;
 mod following;
-mod letters;
+mod remote_events;
 mod sink;
 mod skills;
 mod watchdog;
@@ -31,13 +31,13 @@ use crate::program::Program;
 use crate::skill::{Failure, InputError, Limits, Skill, SkillContext, SkillManifest, SkillResult};
 use crate::trace::{TraceEvent, TraceItem};
 use following::Following;
-use letters::Outbox;
+use remote_events::Outbox;
 use skills::{Message, Running};
 use watchdog::Watchdog;
 
 pub use crate::engine::RunResult;
 pub use chart_skill::{ChartSkill, Stop};
-pub use letters::{Hearers, Letter, Others, Post};
+pub use remote_events::{Peers, RemoteEvent, Subscribers, Transport};
 pub use sink::TraceSink;
 
 /// Messages that may wait for the engine; skills that send more wait.
@@ -61,7 +61,7 @@ pub struct ExecOptions {
     /// long time by the wall clock: stop the robot. In the second case it is called from another thread.
     pub on_stuck: Option<OnStuck>,
     /// The charts of other agents, and how events go to and fro.
-    pub others: Others,
+    pub others: Peers,
 }
 
 impl fmt::Debug for ExecOptions {
@@ -106,7 +106,7 @@ pub struct Executor {
     sink: Option<Box<dyn TraceSink>>,
     watchdog: Watchdog,
     outbox: Outbox,
-    hearers: Hearers,
+    subscribers: Subscribers,
     sender: mpsc::Sender<Message>,
     queue: mpsc::Receiver<Message>,
     stop: CancellationToken,
@@ -162,8 +162,8 @@ impl Executor {
             limits: options.limits,
             sink: options.sink,
             watchdog: Watchdog::new(options.on_stuck, sender.clone()),
-            outbox: Outbox::new(options.others.post, sender.clone()),
-            hearers: options.others.hearers,
+            outbox: Outbox::new(options.others.transport, sender.clone()),
+            subscribers: options.others.subscribers,
             sender,
             queue,
             stop: CancellationToken::new(),
@@ -196,14 +196,14 @@ impl Executor {
     pub async fn run(mut self) -> RunResult {
         self.began = Instant::now();
         self.watchdog.start();
-        let seat = self.hearers.join(self.engine.program().name(), self.controller());
+        let subscription = self.subscribers.join(self.engine.program().name(), self.controller());
         self.turn(None);
         let mut stopping = false;
         let stop = self.stop.clone();
         loop {
             self.catch_up();
             if let Some(result) = self.result.take() {
-                drop(seat);
+                drop(subscription);
                 self.outbox.close().await;
                 return result;
             }
@@ -338,7 +338,7 @@ impl Executor {
                     running.cancel();
                 }
             }
-            Effect::Send { event, to, data } => self.outbox.send(Letter { to, event, data }),
+            Effect::Send { event, to, data } => self.outbox.send(RemoteEvent { to, event, data }),
             Effect::Trace(item) => self.trace(item),
             Effect::Finished(result) => self.result = Some(result),
             Effect::StartTimer { .. }

@@ -2,7 +2,7 @@
 //!
 //! All are questions on the key `{agent}/chart/{Name}`, told apart by the schema in the payload's encoding. A question
 //! without payload is answered by the [`Manifest`]; [`Start`], [`Poll`] and [`Cancel`] are answered by a [`Status`], or
-//! refused with a [`Refusal`]. An event for an agent's charts is [`Told`] on `{agent}/event` and answered by [`Heard`].
+//! refused with a [`Refusal`]. An event for an agent's charts is [`EventMessage`] on `{agent}/event` and answered by [`EventReceipt`].
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -166,9 +166,10 @@ pub struct Ended {
 
 /// Tells the charts of an agent an event.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Told {
+pub struct EventMessage {
     /// The sender's name for this event; never used twice.
-    pub letter: String,
+    #[serde(rename = "letter")]
+    pub id: String,
     /// Who sends it, for people.
     pub caller: String,
     /// The chart that is meant; all that run, where there is none.
@@ -182,7 +183,7 @@ pub struct Told {
 
 /// Who has heard an event.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Heard {
+pub struct EventReceipt {
     /// How many charts.
     pub charts: u32,
     /// The process that answers.
@@ -211,10 +212,10 @@ impl Payload for Cancel {
 impl Payload for Status {
     const SCHEMA: Schema = Schema::new("runtime/status", 1);
 }
-impl Payload for Told {
+impl Payload for EventMessage {
     const SCHEMA: Schema = Schema::new("runtime/event", 1);
 }
-impl Payload for Heard {
+impl Payload for EventReceipt {
     const SCHEMA: Schema = Schema::new("runtime/heard", 1);
 }
 impl Payload for Refusal {
