@@ -359,7 +359,7 @@ impl Program {
         state == 0 || self.states[state as usize].chart_root
     }
 
-    /// The event of that name, where the chart knows it: a number that [`Engine::raise`](crate::engine::Engine::raise) takes.
+    /// The event of that name, where the chart knows it: a number that `Engine::raise` takes.
     #[must_use]
     pub fn event(&self, name: &str) -> Option<EventId> {
         self.symbols.find(name).map(EventId)

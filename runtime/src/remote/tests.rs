@@ -19,7 +19,7 @@ use crate::trace::{TraceEvent, TraceItem};
 
 const DANCE: &str = "
 statechart: Dance
-inputs: {steps: {type: int}}
+inputs: {steps: {type: int, minimum: 1, maximum: 1000}}
 outputs: {danced: {type: int}}
 initial: Turning
 states:
@@ -145,6 +145,7 @@ async fn what_does_not_fit_is_said_at_load() {
         ("{remote: bob/Dnce, with: {steps: 1}}", "did you mean `Dance`"),
         ("{remote: bob/Dance, with: {steps: many}}", "expected int"),
         ("{remote: bob/Dance}", "needs the input `steps`"),
+        ("{remote: bob/Dance, with: {steps: 1001}}", "1001 is outside of the allowed range, 1 to 1000"),
         ("{remote: bob/Dance, with: {steps: 1, speed: 2}}", "no input `speed`"),
         ("{remote: carol/Dance, with: {steps: 1}}", "no agent `carol` answers"),
     ] {

@@ -355,6 +355,21 @@ mod tests {
     }
 
     #[test]
+    fn bounds_go_over_the_wire_and_fields_of_others_are_left_alone() {
+        let bounded =
+            Parameter { minimum: Some(1.0), maximum: Some(9.5), ..Parameter::new("x", Type::FLOAT, "") };
+        let mut skill = SkillManifest::new("S", "Acts.");
+        skill.inputs = vec![bounded.clone(), Parameter::new("y", Type::Int, "")];
+        let (encoding, bytes) = packed(&Manifest::of(&skill, "p")).unwrap();
+        let back: Manifest = unpacked(&encoding, &bytes).unwrap();
+        assert_eq!(back.skill("bob/S", Duration::ZERO).inputs, skill.inputs);
+        // What an agent says that knows no bounds, and more of something else.
+        let other = serde_json::json!({"name": "x", "type": bounded.ty, "colour": "green"});
+        let read: WireParameter = serde_json::from_value(other).unwrap();
+        assert_eq!(Parameter::from(&read), Parameter::new("x", Type::FLOAT, ""));
+    }
+
+    #[test]
     fn another_version_or_message_is_named() {
         let (encoding, bytes) = packed(&Refusal { reason: "no".into() }).unwrap();
         let later = encoding.replace(";v1", ";v2");
