@@ -1,7 +1,7 @@
 //! Any text as an expression: it is refused, or the quick way and the long way agree; it never panics.
 #![no_main]
 
-use armarium_values::expr::{Environment, Expr, Slot, Unresolved, Variable, World};
+use armarium_values::expr::{Environment, Expr, Slot, Unknown, Unresolved, Variable, World};
 use armarium_values::{Type, Value};
 use libfuzzer_sys::fuzz_target;
 
@@ -11,7 +11,8 @@ struct Fixture(Vec<(&'static str, Type, Option<Value>)>);
 impl Environment for Fixture {
     fn variable(&self, path: &[&str]) -> Result<Variable, Unresolved> {
         let at = self.0.iter().position(|(name, ..)| path.first() == Some(name));
-        let unknown = || Unresolved { message: "there is no such name".into(), help: None };
+        let unknown =
+            || Unresolved { kind: Unknown::Name, message: "there is no such name".into(), help: None };
         let at = at.ok_or_else(unknown)?;
         Ok(Variable { slot: Slot::Data(at as u32), ty: self.0[at].1.clone(), used: 1 })
     }

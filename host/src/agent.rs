@@ -10,8 +10,8 @@ use armarium_bus::{Access, KeyError, Session, SessionConfig, SessionError};
 use armarium_memoryx::{AgentMemory, Followee, FollowingAgent, Policies, Retention, agent_stands};
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::{self, Registry};
-use armarium_runtime::engine::Program;
-use armarium_runtime::exec::{ChartSkill, ExecOptions, Executor, Others, RunResult, Stop};
+use armarium_runtime::exec::{ChartSkill, ExecOptions, Executor, Peers, RunResult, Stop};
+use armarium_runtime::program::Program;
 use armarium_runtime::remote::{Agents, Offers, hear, serve};
 use armarium_runtime::skill::Limits;
 use armarium_simulator::World;
@@ -167,13 +167,13 @@ async fn act(
         Arc::new(move |what: &str| robot.stop(&format!("the skill of `{what}` does not return")));
 
     let mut offers = Offers::new(&config.name, session, channels.clone(), Arc::clone(&stop));
-    let others = Others { post: Some(Arc::new(agents.clone())), ..Others::default() };
+    let peers = Peers { transport: Some(Arc::new(agents.clone())), ..Peers::default() };
     let mut charts = Vec::new();
     for file in chart_files(&config.offered)? {
         let program = load(&file, config, &mut registry, agents, console).await?;
         charts.push(program.name().to_owned());
         let skill = offered(&file, config, program, &registry, &stop);
-        offers.add(Arc::new(skill.among(others.clone())))?;
+        offers.add(Arc::new(skill.among(peers.clone())))?;
     }
     let skills: Vec<String> = registry.manifests().map(|m| m.name.clone()).collect();
     for skill in skills.iter().filter_map(|name| registry.get(name)) {
@@ -183,7 +183,7 @@ async fn act(
         None => None,
         Some(file) => {
             let program = load(file, config, &mut registry, agents, console).await?;
-            Some(execute(program, registry.clone(), &channels, (&stop, &others))?)
+            Some(execute(program, registry.clone(), &channels, (&stop, &peers))?)
         }
     };
     introduce(config, session, &charts, &skills, console).await;
@@ -201,7 +201,7 @@ async fn act(
         () = until => None,
         ended = own => Some(ended),
         ended = serve(session, offers) => ended.map(|()| None)?,
-        ended = hear(session, &config.name, others.hearers) => ended.map(|()| None)?,
+        ended = hear(session, &config.name, peers.subscribers) => ended.map(|()| None)?,
     };
     equipment.robot.stop("the agent ends");
     tasks.push(life);
@@ -230,13 +230,13 @@ fn execute(
     program: Arc<Program>,
     registry: Registry,
     channels: &Channels,
-    (stop, others): (&Stop, &Others),
+    (stop, peers): (&Stop, &Peers),
 ) -> Result<Executor, HostError> {
     let stop = Arc::clone(stop);
     let options = ExecOptions {
         limits: Limits::default(),
         on_stuck: Some(Box::new(move |state| stop(state))),
-        others: others.clone(),
+        peers: peers.clone(),
         ..ExecOptions::default()
     };
     Ok(Executor::new(program, registry, channels.clone(), options)?)

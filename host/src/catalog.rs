@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use armarium_memoryx::{Memory, WorkingMemory, tokio_clock};
 use armarium_runtime::chart::{self, ChannelSchema, Checked, Finding, Registry};
-use armarium_runtime::engine::Program;
+use armarium_runtime::program::Program;
 use armarium_runtime::remote::Agents;
 use armarium_runtime::skill::Skill;
 use armarium_simulator::{Options, Simulation, World};

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use armarium_bus::{AliveToken, SessionConfig};
-use armarium_runtime::exec::{Hearers, Others, Post};
+use armarium_runtime::exec::{Peers, Subscribers, Transport};
 use armarium_runtime::remote::{Agents, hear};
 
 use crate::connection::{Connection, take_name};
@@ -15,7 +15,7 @@ use crate::error::HostError;
 pub(crate) struct Network {
     pub(crate) connection: Option<Connection>,
     pub(crate) agents: Option<Agents>,
-    pub(crate) others: Others,
+    pub(crate) peers: Peers,
     /// Keeps the run's name.
     _name: Option<AliveToken>,
 }
@@ -32,23 +32,24 @@ impl Network {
     ) -> Result<Self, HostError> {
         let connection = Connection::open(config)?;
         let agents = connection.agents(name.unwrap_or("armarium run"));
-        let others = Others { post: Some(Arc::new(agents.clone()) as Arc<dyn Post>), ..Others::default() };
-        let token = name.map(|name| listen(&connection, name, &others.hearers, console)).transpose()?;
-        Ok(Self { connection: Some(connection), agents: Some(agents), others, _name: token })
+        let transport: Arc<dyn Transport> = Arc::new(agents.clone());
+        let peers = Peers { transport: Some(transport), ..Peers::default() };
+        let token = name.map(|name| listen(&connection, name, &peers.subscribers, console)).transpose()?;
+        Ok(Self { connection: Some(connection), agents: Some(agents), peers, _name: token })
     }
 }
 
 fn listen(
     connection: &Connection,
     name: &str,
-    hearers: &Hearers,
+    subscribers: &Subscribers,
     console: &dyn Console,
 ) -> Result<AliveToken, HostError> {
     let (session, threads) = (connection.session(), connection.runtime());
     let token = threads.block_on(take_name(session, name))?;
-    let (hearing, own, hearers) = (session.clone(), name.to_owned(), hearers.clone());
+    let (hearing, own, subscribers) = (session.clone(), name.to_owned(), subscribers.clone());
     threads.spawn(async move {
-        if let Err(error) = hear(&hearing, &own, hearers).await {
+        if let Err(error) = hear(&hearing, &own, subscribers).await {
             tracing::error!("other agents cannot send events to `{own}`: {error}");
         }
     });

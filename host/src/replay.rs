@@ -10,7 +10,8 @@ use std::io::{self, BufRead as _, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use armarium_runtime::engine::{Effect, Engine, InputRecord};
-use armarium_runtime::trace::{TraceEvent, TraceItem, TraceSink};
+use armarium_runtime::exec::TraceSink;
+use armarium_runtime::trace::{TraceEvent, TraceItem};
 use armarium_values::Value;
 use serde::{Deserialize, Serialize};
 

@@ -10,10 +10,9 @@ use armarium_bus::SessionConfig;
 use armarium_memoryx::AgentMemory;
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::Registry;
-use armarium_runtime::engine::Program;
-use armarium_runtime::exec::{ExecOptions, Executor, RunResult};
+use armarium_runtime::exec::{ExecOptions, Executor, RunResult, TraceSink};
+use armarium_runtime::program::Program;
 use armarium_runtime::skill::Limits;
-use armarium_runtime::trace::TraceSink;
 use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{Simulation, TruthSink, World};
 use armarium_states::observers;
@@ -300,7 +299,7 @@ impl Stage {
             on_stuck: Some(Box::new(move |state| {
                 robot.stop(&format!("the skill of `{state}` does not return"));
             })),
-            others: network.others.clone(),
+            peers: network.peers.clone(),
         };
         let executor = Executor::new(program, registry, channels.clone(), options)?;
         // Robot and skills share one thread here: where a skill blocks it, no report can be written any more.

@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_runtime::chart::Registry;
+use armarium_runtime::exec::TraceSink;
 use armarium_runtime::skill::{Mark, MarkTime};
-use armarium_runtime::trace::{RunStatus, TraceEvent, TraceItem, TraceSink};
+use armarium_runtime::trace::{RunStatus, TraceEvent, TraceItem};
 use armarium_simulator::{Handle, Referee};
 use armarium_values::Value;
 use armarium_values::report::StateSpan;

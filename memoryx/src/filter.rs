@@ -6,7 +6,7 @@
 
 use std::cell::RefCell;
 
-use armarium_values::expr::{Environment, Expr, Slot, Unresolved, Variable, World};
+use armarium_values::expr::{Environment, Expr, Slot, Unknown, Unresolved, Variable, World};
 use armarium_values::{Type, Value};
 
 use crate::entity::Snapshot;
@@ -89,7 +89,8 @@ struct Names(RefCell<Vec<Name>>);
 
 impl Environment for Names {
     fn variable(&self, path: &[&str]) -> Result<Variable, Unresolved> {
-        let missing = || Unresolved { message: "a name is missing".into(), help: None };
+        let missing =
+            || Unresolved { kind: Unknown::Name, message: "a name is missing".into(), help: None };
         let (name, used) = Name::of(path).ok_or_else(missing)?;
         let ty = name.ty();
         let mut names = self.0.borrow_mut();
@@ -102,11 +103,13 @@ impl Environment for Names {
     }
 
     fn channel(&self, name: &str) -> Result<u32, Unresolved> {
-        Err(Unresolved { message: format!("`{name}` is a channel, and memory has none"), help: None })
+        let message = format!("`{name}` is a channel, and memory has none");
+        Err(Unresolved { kind: Unknown::Channel, message, help: None })
     }
 
     fn state(&self, path: &str) -> Result<u32, Unresolved> {
-        Err(Unresolved { message: format!("`{path}` is a state, and memory has none"), help: None })
+        let message = format!("`{path}` is a state, and memory has none");
+        Err(Unresolved { kind: Unknown::State, message, help: None })
     }
 }
 

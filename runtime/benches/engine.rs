@@ -13,8 +13,9 @@ use std::time::Instant;
 
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::{ChannelSchema, Registry, check, load_text};
-use armarium_runtime::engine::{Engine, EventId, NoSensors, Program};
+use armarium_runtime::engine::{Engine, NoSensors};
 use armarium_runtime::exec::{ExecOptions, Executor};
+use armarium_runtime::program::{EventId, Program};
 use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::Value;
 use futures::FutureExt;

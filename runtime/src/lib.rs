@@ -1,10 +1,12 @@
 //! Statecharts: written in YAML, checked at load, run by a pure engine and an executor that starts skills.
 //!
-//! - [`chart`]: reading a chart, finding what is wrong with it, compiling it;
-//! - [`engine`]: the pure interpreter, event in, effects out;
+//! - [`program`]: a chart as tables, ready to run;
+//! - [`chart`]: reading a chart, finding what is wrong with it, compiling it to a program;
+//! - [`engine`]: the pure interpreter of programs, event in, effects out;
 //! - [`import`]: charts that were written in SCXML;
 //! - [`stepping`]: a chart driven by hand under virtual time;
-//! - [`exec`]: runs skills, timers and watches on tokio;
+//! - [`agenda`]: what is due and when, over a time that is handed in: timers, watches, graces;
+//! - [`exec`]: runs charts on tokio: skills, the clock, the channels;
 //! - `remote`, with the feature of that name: charts and skills of other agents, over Zenoh;
 //! - [`trace`]: what happened in a run;
 //! - [`skill`]: what a leaf of a chart is, and what it is given while it runs;
@@ -12,11 +14,15 @@
 //!
 //! This room knows no robot and no memory; and no network without the feature `remote`.
 
+mod activation;
+pub mod agenda;
 pub mod channels;
 pub mod chart;
 pub mod engine;
 pub mod exec;
+mod finding;
 pub mod import;
+pub mod program;
 #[cfg(feature = "remote")]
 pub mod remote;
 pub mod skill;

@@ -3,14 +3,17 @@
 //! A skill is started with checked inputs, reports one outcome, and returns soon after it has been cancelled.
 
 use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use armarium_values::{Type, Value};
+use armarium_values::{ConvertError, Type, Value};
 use futures::future::BoxFuture;
 use serde::{Deserialize, Serialize};
+use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use crate::channels::Channels;
+use crate::finding::suggest;
 
 /// What a skill declares about itself; the checker, the editor's schema and `armarium skills` use it.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,15 +41,19 @@ pub struct SkillManifest {
     pub open: bool,
 }
 
-/// A typed, documented input or output.
+/// A typed, documented input or output of a skill or chart, or a local of a chart.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameter {
     /// Its name.
     pub name: String,
     /// Its type, with the unit for numbers.
     pub ty: Type,
-    /// Value when the chart gives none; an input without one is required.
+    /// Value when none is given; an input without one is required.
     pub default: Option<Value>,
+    /// Smallest number that is allowed, SI.
+    pub minimum: Option<f64>,
+    /// Largest number that is allowed, SI.
+    pub maximum: Option<f64>,
     /// One sentence for people.
     pub description: String,
 }
@@ -131,6 +138,125 @@ impl Mark {
     }
 }
 
+/// Why a parameter does not take a value.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ParameterError {
+    /// It has another type, or another unit.
+    #[error(transparent)]
+    Type(#[from] ConvertError),
+    /// The number is not within the bounds.
+    #[error("{value} is outside of the allowed range, {} to {}", bound(*.minimum), bound(*.maximum))]
+    Range {
+        /// The number, SI.
+        value: f64,
+        /// Smallest number that is allowed.
+        minimum: Option<f64>,
+        /// Largest number that is allowed.
+        maximum: Option<f64>,
+    },
+}
+
+fn bound(bound: Option<f64>) -> String {
+    bound.map_or_else(|| "any".into(), |bound| bound.to_string())
+}
+
+/// Inputs that a skill or chart cannot be started with.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum InputError {
+    /// No input of that name.
+    #[error("there is no input `{name}`{}", help.as_ref().map_or(String::new(), |h| format!("; {h}")))]
+    Unknown {
+        /// The name.
+        name: String,
+        /// What might be meant.
+        help: Option<String>,
+    },
+    /// The value does not fit.
+    #[error("input `{name}`: {error}")]
+    Value {
+        /// The name.
+        name: String,
+        /// What is wrong.
+        error: ParameterError,
+    },
+    /// An input without default was not given.
+    #[error("the input `{name}` is needed, and was not given")]
+    Missing {
+        /// The name.
+        name: String,
+    },
+    /// The chart has no profile of that name.
+    #[error("the chart has no profile `{name}`; it has: {known}")]
+    Profile {
+        /// The name.
+        name: String,
+        /// The profiles that it has.
+        known: String,
+    },
+}
+
+/// What is given to these parameters, as declared: converted, within the bounds, with defaults.
+///
+/// # Errors
+/// [`InputError`] for a value that is unknown, missing, of another type, or out of bounds.
+pub(crate) fn inputs<'p>(
+    parameters: impl Iterator<Item = &'p Parameter> + Clone,
+    mut given: BTreeMap<String, Value>,
+) -> Result<BTreeMap<String, Value>, InputError> {
+    let names = || parameters.clone().map(|p| p.name.as_str());
+    if let Some(name) = given.keys().find(|name| !names().any(|known| known == *name)) {
+        return Err(InputError::Unknown { name: name.clone(), help: suggest(name, names()) });
+    }
+    let one = |parameter: &Parameter| {
+        let name = parameter.name.clone();
+        let value = match given.remove(&name) {
+            Some(value) => {
+                parameter.accept(value).map_err(|error| InputError::Value { name: name.clone(), error })?
+            }
+            None => parameter.default.clone().ok_or_else(|| InputError::Missing { name: name.clone() })?,
+        };
+        Ok((name, value))
+    };
+    parameters.clone().map(one).collect()
+}
+
+impl Parameter {
+    /// A parameter without default and bounds.
+    #[must_use]
+    pub fn new(name: &str, ty: Type, description: &str) -> Self {
+        let (name, description) = (name.into(), description.into());
+        Self { name, ty, default: None, minimum: None, maximum: None, description }
+    }
+
+    fn allows(&self, x: f64) -> bool {
+        !x.is_nan() && self.minimum.is_none_or(|m| x >= m) && self.maximum.is_none_or(|m| x <= m)
+    }
+
+    /// Whether a value is as declared already; false where only [`accept`](Self::accept) can tell.
+    pub(crate) fn holds(&self, value: &Value) -> bool {
+        match (&self.ty, value) {
+            (Type::Bool, Value::Bool(_)) | (Type::String, Value::String(_)) => true,
+            (Type::Int, Value::Int(i)) => self.allows(*i as f64),
+            (Type::Float(_), Value::Float(x)) | (Type::Duration, Value::Duration(x)) => self.allows(*x),
+            _ => false,
+        }
+    }
+
+    /// The value as declared: converted to the type, and within the bounds.
+    ///
+    /// # Errors
+    /// [`ParameterError`] when it is of another type, or out of bounds.
+    pub fn accept(&self, value: Value) -> Result<Value, ParameterError> {
+        let value = self.ty.convert(value)?;
+        match value.as_f64().filter(|x| !self.allows(*x)) {
+            None => Ok(value),
+            Some(value) => Err(ParameterError::Range { value, minimum: self.minimum, maximum: self.maximum }),
+        }
+    }
+}
+
 impl SkillManifest {
     /// A skill without inputs, outputs, further outcomes, events or limbs, and with a grace of 1 s.
     #[must_use]
@@ -152,7 +278,7 @@ impl SkillManifest {
     /// Adds an input that the chart must give.
     #[must_use]
     pub fn input(mut self, name: &str, ty: Type, description: &str) -> Self {
-        self.inputs.push(Parameter { name: name.into(), ty, default: None, description: description.into() });
+        self.inputs.push(Parameter::new(name, ty, description));
         self
     }
 
@@ -160,19 +286,14 @@ impl SkillManifest {
     #[must_use]
     pub fn optional(mut self, name: &str, ty: Type, default: impl Into<Value>, description: &str) -> Self {
         let default = Some(default.into());
-        self.inputs.push(Parameter { name: name.into(), ty, default, description: description.into() });
+        self.inputs.push(Parameter { default, ..Parameter::new(name, ty, description) });
         self
     }
 
     /// Adds an output.
     #[must_use]
     pub fn output(mut self, name: &str, ty: Type, description: &str) -> Self {
-        self.outputs.push(Parameter {
-            name: name.into(),
-            ty,
-            default: None,
-            description: description.into(),
-        });
+        self.outputs.push(Parameter::new(name, ty, description));
         self
     }
 
@@ -284,6 +405,67 @@ impl Limits {
     }
 }
 
+/// Events of one skill that may wait.
+pub const MAX_EVENTS: usize = 256;
+
+/// Raises events of a running skill into its chart, in their order.
+#[derive(Clone, Debug)]
+pub struct Events {
+    queue: mpsc::Sender<(String, Value)>,
+    dropped: Dropped,
+}
+
+/// How many events came over the bound, by name.
+type Dropped = Arc<Mutex<BTreeMap<String, u64>>>;
+
+impl Events {
+    /// Raises one of the manifest's events. It does not wait: an event over the bound ([`MAX_EVENTS`]) is dropped and
+    /// counted, and the trace of the run says how many were.
+    pub fn raise(&self, name: &str, data: Value) {
+        if let Err(mpsc::error::TrySendError::Full((name, _))) = self.queue.try_send((name.to_owned(), data))
+        {
+            self.dropped(&name, 1);
+        }
+    }
+
+    /// Counts events that were dropped before they came here.
+    pub(crate) fn dropped(&self, name: &str, count: u64) {
+        let mut dropped = self.dropped.lock().unwrap_or_else(PoisonError::into_inner);
+        *dropped.entry(name.to_owned()).or_default() += count;
+    }
+}
+
+/// The other end of [`Events`].
+#[derive(Debug)]
+pub(crate) struct EventQueue {
+    queue: mpsc::Receiver<(String, Value)>,
+    dropped: Dropped,
+}
+
+/// A way for events, and its end.
+pub(crate) fn events() -> (Events, EventQueue) {
+    let (sender, queue) = mpsc::channel(MAX_EVENTS);
+    let dropped = Dropped::default();
+    (Events { queue: sender, dropped: Arc::clone(&dropped) }, EventQueue { queue, dropped })
+}
+
+impl EventQueue {
+    /// The next event, if one waits.
+    pub(crate) fn take(&mut self) -> Option<(String, Value)> {
+        self.queue.try_recv().ok()
+    }
+
+    /// The next event; none once nobody can raise one.
+    pub(crate) async fn next(&mut self) -> Option<(String, Value)> {
+        self.queue.recv().await
+    }
+
+    /// Events of one name that were dropped since this was asked last.
+    pub(crate) fn take_dropped(&mut self) -> Option<(String, u64)> {
+        self.dropped.lock().unwrap_or_else(PoisonError::into_inner).pop_first()
+    }
+}
+
 /// What a running skill is given.
 #[derive(Clone, Debug)]
 pub struct SkillContext {
@@ -297,9 +479,8 @@ pub struct SkillContext {
     pub cancel: CancellationToken,
     /// What observers publish; skills may publish there as well.
     pub channels: Channels,
-    /// Raises one of the manifest's events, with data, into the chart. Bounded: an event over the bound is
-    /// counted and dropped.
-    pub events: tokio::sync::mpsc::Sender<(String, Value)>,
+    /// Raises the manifest's events into the chart.
+    pub events: Events,
     /// The states that are active inside the skill, where it has some: those of a chart that another agent runs. They
     /// are shown in the trace; only the newest counts.
     pub inside: tokio::sync::watch::Sender<Vec<String>>,

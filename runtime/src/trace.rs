@@ -1,13 +1,11 @@
 //! What happened in a run, as data: for recordings, progress lines, viewers and hashes.
 //!
-//! The engine emits [`TraceItem`]s, the executor adds the virtual time. A sink must not block.
+//! The engine emits [`TraceItem`]s, the executor adds the virtual time.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use armarium_values::Value;
 use serde::{Deserialize, Serialize};
-
-use crate::engine::InputRecord;
 
 /// One thing that happened, and when.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -176,21 +174,6 @@ pub enum TraceItem {
         /// What the chart gave.
         outputs: BTreeMap<String, Value>,
     },
-}
-
-/// Takes what happened, in order. Called in the middle of a run: it must return at once.
-pub trait TraceSink: Send {
-    /// One thing happened.
-    fn record(&mut self, event: &TraceEvent);
-    /// The engine was told something; what came of it is recorded next. All these, in order, make a run that can be
-    /// replayed.
-    fn input(&mut self, _turn: &InputRecord) {}
-}
-
-impl<F: FnMut(&TraceEvent) + Send> TraceSink for F {
-    fn record(&mut self, event: &TraceEvent) {
-        self(event);
-    }
 }
 
 /// Follows a trace and knows what is active now, for a progress line.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::time::Duration;
 
-use armarium_runtime::engine::{EventId, Program};
+use armarium_runtime::program::{EventId, Program};
 use armarium_runtime::stepping::{Sent, Stepper};
 use armarium_values::Value;
 use serde::{Deserialize, Serialize};

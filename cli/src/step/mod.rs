@@ -11,7 +11,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use armarium_runtime::engine::Program;
+use armarium_runtime::program::Program;
 use armarium_runtime::stepping::Stepper;
 
 use crate::console;

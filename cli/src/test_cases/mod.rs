@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use armarium_runtime::chart::Registry;
-use armarium_runtime::engine::Program;
+use armarium_runtime::program::Program;
 use armarium_runtime::stepping::{Coverage, Described};
 
 use crate::console;

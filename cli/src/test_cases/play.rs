@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_runtime::chart::Registry;
-use armarium_runtime::engine::Program;
+use armarium_runtime::program::Program;
 use armarium_runtime::stepping::{Coverage, RunningSkill, Stepper};
 use armarium_values::{Type, Value};
 use serde_json::Value as Json;

@@ -7,8 +7,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::finding::{Finding, Findings, Span, code};
-use crate::engine::program::{Action, Binding, Code, Kind, Program, State, StateId, Term};
+use crate::finding::{Finding, Findings, Span, code};
+use crate::program::{Action, Binding, Code, Kind, Program, State, StateId, Term};
 
 /// States that all searches together may visit; after that nothing more is proven.
 const MAX_VISITS: usize = 4_000_000;
@@ -20,14 +20,15 @@ enum When {
     Active,
 }
 
-/// Adds an error for each expression that cannot have the output that it reads.
-pub(crate) fn early(program: &Program, findings: &mut Vec<Finding>) {
+/// An error for each expression that cannot have the output that it reads.
+pub(super) fn early(program: &Program) -> Vec<Finding> {
+    let mut findings = Vec::new();
     let mut owners = BTreeMap::new();
     for (id, state) in (0..).zip(&program.states) {
         owners.extend(state.outputs.iter().map(|(name, slot)| (*slot, (id, name.as_str()))));
     }
     if owners.is_empty() {
-        return;
+        return findings;
     }
     let marked = vec![0; program.states.len()];
     let followed = marked.clone();
@@ -61,6 +62,7 @@ pub(crate) fn early(program: &Program, findings: &mut Vec<Finding>) {
             findings.append(&mut found.list);
         }
     }
+    findings
 }
 
 struct Search<'p> {

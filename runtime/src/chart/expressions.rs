@@ -2,101 +2,56 @@
 //! what is declared.
 
 use std::cell::{Cell, RefCell};
-use std::collections::BTreeMap;
 
 use armarium_values::expr::{
-    Environment, Expr, ExprErrorKind, Piece, Slot, Unresolved, Variable, nearest, split,
+    Environment, Expr, ExprErrorKind, Piece, Slot, Unknown, Unresolved, Variable, nearest, split,
 };
 use armarium_values::{Fit, Type, Value};
 
 use super::catalog::ChannelSchema;
-use super::finding::{Findings, Span, code};
+use super::flatten::{Tree, number};
 use super::yaml::{Node, Yaml};
-use crate::engine::program::{Code, Instance, Place, StateId, Term};
+use crate::finding::{Findings, Span, code};
+use crate::program::{Code, Place, StateId, Term};
 
 /// Mistakes for which the nearest name is looked for.
-pub(crate) const MAX_HELP: usize = 200;
+pub(super) const MAX_HELP: usize = 200;
 /// Names of one state that are compared.
-pub(crate) const MAX_NAMES: usize = 1000;
-
-/// What the compiler knows of a state before its expressions are compiled.
-#[derive(Debug)]
-pub(crate) struct Outline {
-    pub(crate) name: String,
-    pub(crate) parent: Option<StateId>,
-    pub(crate) instance: u32,
-    /// Whether it is the inside of a `statechart:` state.
-    pub(crate) chart_root: bool,
-    pub(crate) outputs: Vec<(String, u32, Type)>,
-    /// Whether it gives more than is known: then its first output is a map of all.
-    pub(crate) open: bool,
-}
+pub(super) const MAX_NAMES: usize = 1000;
 
 /// Everything that names can stand for.
 #[derive(Debug)]
-pub(crate) struct Names<'c> {
-    pub(crate) outlines: Vec<Outline>,
-    /// Children by parent and name.
-    pub(crate) children: BTreeMap<(StateId, String), StateId>,
-    pub(crate) instances: Vec<Instance>,
-    pub(crate) schema: &'c ChannelSchema,
-    pub(crate) channels: RefCell<Vec<String>>,
+pub(super) struct Names<'c> {
+    pub(super) tree: &'c Tree<'c>,
+    schema: &'c ChannelSchema,
+    /// The channels that expressions read so far; their numbers are their places.
+    channels: RefCell<Vec<String>>,
     /// How often somebody asked for what might be meant.
-    pub(crate) asked: Cell<usize>,
+    asked: Cell<usize>,
 }
 
-impl Names<'_> {
-    /// A state by its path, looked up from `from` outward within its chart.
-    pub(crate) fn find(&self, from: StateId, path: &[&str]) -> Option<StateId> {
-        self.find_prefix(from, path).filter(|(_, used)| *used == path.len()).map(|(state, _)| state)
+impl<'c> Names<'c> {
+    pub(super) fn new(tree: &'c Tree<'c>, schema: &'c ChannelSchema) -> Self {
+        Self { tree, schema, channels: RefCell::default(), asked: Cell::default() }
     }
 
-    /// The state that the first parts of a path name, and how many parts those are.
-    fn find_prefix(&self, from: StateId, path: &[&str]) -> Option<(StateId, usize)> {
-        let first = (*path.first()?).to_owned();
-        let mut around = from;
-        let start = loop {
-            if let Some(child) = self.children.get(&(around, first.clone())) {
-                break *child;
-            }
-            let outline = &self.outlines[around as usize];
-            if outline.chart_root {
-                return None;
-            }
-            around = outline.parent?;
-        };
-        let (mut state, mut used) = (start, 1);
-        while let Some(name) = path.get(used) {
-            match self.children.get(&(state, (*name).to_owned())) {
-                Some(child)
-                    if self.outlines[*child as usize].instance == self.outlines[from as usize].instance =>
-                {
-                    state = *child;
-                    used += 1;
-                }
-                _ => break,
-            }
+    /// The channels that expressions read.
+    pub(super) fn into_channels(self) -> Vec<String> {
+        self.channels.into_inner()
+    }
+
+    /// Whether what might be meant is still looked for: a file with very many mistakes is not searched again and again.
+    pub(super) fn helps(&self) -> bool {
+        self.asked.get() < MAX_HELP
+    }
+
+    /// The names that can be looked up from `from`, nearest first, to suggest one.
+    pub(super) fn visible(&self, from: StateId) -> Vec<&str> {
+        if !self.helps() {
+            return Vec::new();
         }
-        Some((state, used))
-    }
-
-    /// The names that can be looked up from `from`, nearest first, to suggest one; a file with very many mistakes or
-    /// names is not searched again and again.
-    pub(crate) fn visible(&self, from: StateId) -> Vec<&str> {
-        let mut names = Vec::new();
         self.asked.set(self.asked.get() + 1);
-        if self.asked.get() > MAX_HELP {
-            return names;
-        }
-        let mut around = Some(from);
-        while let Some(state) = around {
-            let range = (state, String::new())..(state + 1, String::new());
-            let children = self.children.range(range).take(MAX_NAMES);
-            names.extend(children.map(|((_, name), _)| name.as_str()));
-            let outline = &self.outlines[state as usize];
-            around = if outline.chart_root { None } else { outline.parent };
-        }
-        names
+        self.tree.visible(from).flat_map(|state| self.tree.child_names(state, MAX_NAMES)).collect()
     }
 
     fn channel_number(&self, name: &str) -> Result<u32, Unresolved> {
@@ -105,7 +60,8 @@ impl Names<'_> {
                 Some(near) => format!("did you mean `{near}`?"),
                 None => format!("channels are: {}", self.schema.names().collect::<Vec<_>>().join(", ")),
             };
-            return Err(Unresolved { message: format!("there is no channel `{name}`"), help: Some(help) });
+            let message = format!("there is no channel `{name}`");
+            return Err(Unresolved { kind: Unknown::Channel, message, help: Some(help) });
         }
         let mut channels = self.channels.borrow_mut();
         let at = channels.iter().position(|c| c == name).unwrap_or_else(|| {
@@ -116,26 +72,40 @@ impl Names<'_> {
     }
 }
 
-/// The scope of one expression.
-pub(crate) struct Scope<'s, 'c> {
-    pub(crate) names: &'s Names<'c>,
-    pub(crate) state: StateId,
+/// Where an expression stands: its state, the event that it answers, the loops around it.
+#[derive(Clone, Debug)]
+pub(super) struct Site<'t> {
+    pub(super) state: StateId,
+    pub(super) source: u32,
     /// Loop variables, innermost last.
-    pub(crate) bound: &'s [(String, u32)],
+    pub(super) bound: Vec<(String, u32)>,
     /// The type of `event.data`, where the event is one that declares it.
-    pub(crate) event_data: Option<&'s Type>,
+    pub(super) event_data: Option<&'t Type>,
+}
+
+impl Site<'_> {
+    /// `span` in the site's file.
+    pub(super) fn place(&self, span: Span) -> Place {
+        Place { source: self.source, byte: number(span.start) }
+    }
+}
+
+/// The scope of one expression.
+pub(super) struct Scope<'s, 'c> {
+    pub(super) names: &'s Names<'c>,
+    pub(super) site: &'s Site<'s>,
 }
 
 fn unresolved<T>(message: String, help: Option<String>) -> Result<T, Unresolved> {
-    Err(Unresolved { message, help })
+    Err(Unresolved { kind: Unknown::Name, message, help })
 }
 
 impl Environment for Scope<'_, '_> {
     fn variable(&self, path: &[&str]) -> Result<Variable, Unresolved> {
         let names = self.names;
-        let instance = &names.instances[names.outlines[self.state as usize].instance as usize];
+        let instance = names.tree.instance(self.site.state);
         let found = |slot, ty, used| Ok(Variable { slot, ty, used });
-        if let Some((_, slot)) = self.bound.iter().rev().find(|(name, _)| name == path[0]) {
+        if let Some((_, slot)) = self.site.bound.iter().rev().find(|(name, _)| name == path[0]) {
             return found(Slot::Data(*slot), Type::Any, 1);
         }
         let declared = match path[0] {
@@ -158,7 +128,7 @@ impl Environment for Scope<'_, '_> {
         match (path[0], path.get(1)) {
             ("event", Some(&"name")) => return found(Slot::EventName, Type::String, 2),
             ("event", Some(&"data")) => {
-                return found(Slot::EventData, self.event_data.cloned().unwrap_or(Type::Any), 2);
+                return found(Slot::EventData, self.site.event_data.cloned().unwrap_or(Type::Any), 2);
             }
             ("event", _) => return unresolved("an event has `event.name` and `event.data`".into(), None),
             ("channels", Some(name)) => {
@@ -166,7 +136,10 @@ impl Environment for Scope<'_, '_> {
                 let ty = names.schema.get(name).cloned().unwrap_or(Type::Any);
                 return found(Slot::Channel(number), ty, 2);
             }
-            ("channels", None) => return unresolved("`channels` needs a name after it".into(), None),
+            ("channels", None) => {
+                let message = "`channels` needs a name after it".into();
+                return Err(Unresolved { kind: Unknown::Channel, message, help: None });
+            }
             _ => {}
         }
         self.output(path)
@@ -178,11 +151,15 @@ impl Environment for Scope<'_, '_> {
 
     fn state(&self, path: &str) -> Result<u32, Unresolved> {
         let parts: Vec<&str> = path.split('.').collect();
-        self.names.find(self.state, &parts).map_or_else(
+        self.names.tree.find(self.site.state, &parts).map_or_else(
             || {
-                let help =
-                    nearest(path, self.names.visible(self.state)).map(|n| format!("did you mean `{n}`?"));
-                unresolved(format!("there is no state `{path}` here"), help)
+                let help = nearest(path, self.names.visible(self.site.state))
+                    .map(|n| format!("did you mean `{n}`?"));
+                Err(Unresolved {
+                    kind: Unknown::State,
+                    message: format!("there is no state `{path}` here"),
+                    help,
+                })
             },
             Ok,
         )
@@ -192,18 +169,19 @@ impl Environment for Scope<'_, '_> {
 impl Scope<'_, '_> {
     fn output(&self, path: &[&str]) -> Result<Variable, Unresolved> {
         let names = self.names;
-        let Some((state, used)) = names.find_prefix(self.state, path) else {
+        let Some((state, used)) = names.tree.find_prefix(self.site.state, path) else {
             let known = ["inputs", "locals", "outputs", "event", "channels"];
-            let help = nearest(path[0], known.into_iter().chain(names.visible(self.state)))
+            let help = nearest(path[0], known.into_iter().chain(names.visible(self.site.state)))
                 .map(|near| format!("did you mean `{near}`?"));
             return unresolved(format!("there is no `{}` here", path[0]), help);
         };
-        let outputs = &names.outlines[state as usize].outputs;
+        let found = names.tree.state(state);
+        let outputs = &found.outputs;
         let shown = path[..used].join(".");
         let Some(name) = path.get(used) else {
             return unresolved(format!("`{shown}` is a state; its outputs are `{shown}.name`"), None);
         };
-        if let (true, Some((_, slot, ty))) = (names.outlines[state as usize].open, outputs.first()) {
+        if let (true, Some((_, slot, ty))) = (found.open(), outputs.first()) {
             return Ok(Variable { slot: Slot::Data(*slot), ty: ty.clone(), used });
         }
         match outputs.iter().find(|(output, ..)| output == name) {
@@ -222,12 +200,7 @@ impl Scope<'_, '_> {
 }
 
 /// Compiles an `if:` or `until:`, which is always an expression.
-pub(crate) fn condition(
-    node: &Node,
-    scope: &Scope<'_, '_>,
-    source: u32,
-    findings: &mut Findings,
-) -> Option<Code> {
+pub(super) fn condition(node: &Node, scope: &Scope<'_, '_>, findings: &mut Findings) -> Option<Code> {
     let text = match &node.value {
         Yaml::Bool(b) => b.to_string(),
         Yaml::String(s) => s.clone(),
@@ -241,7 +214,7 @@ pub(crate) fn condition(
         Ok([Piece::Expr { source, offset }]) => (source.clone(), *offset),
         _ => (text, 0),
     };
-    let code = expression(&inner, offset, node.span, scope, source, findings)?;
+    let code = expression(&inner, offset, node.span, scope, findings)?;
     match Type::Bool.fit(code.expr.ty()) {
         Fit::Yes | Fit::Perhaps => Some(code),
         _ => {
@@ -258,23 +231,19 @@ fn expression(
     offset: usize,
     span: Span,
     scope: &Scope<'_, '_>,
-    source: u32,
     findings: &mut Findings,
 ) -> Option<Code> {
     match Expr::compile(text, scope) {
-        Ok(expr) => {
-            let byte = u32::try_from(span.start).unwrap_or(u32::MAX);
-            Some(Code { expr, place: Place { source, byte } })
-        }
+        Ok(expr) => Some(Code { expr, place: scope.site.place(span) }),
         Err(error) => {
             let (start, end) = (offset + error.start, offset + error.end);
             let at = inner_span(&findings.source.text, text, offset, span, start, end);
             let code = match error.kind {
                 ExprErrorKind::Syntax => code::EXPRESSION,
                 ExprErrorKind::TooLarge => code::LIMIT,
-                ExprErrorKind::UnknownName if error.message.contains("channel") => code::CHANNEL,
-                ExprErrorKind::UnknownName if error.message.contains("state `") => code::STATE,
                 ExprErrorKind::UnknownName => code::VARIABLE,
+                ExprErrorKind::UnknownChannel => code::CHANNEL,
+                ExprErrorKind::UnknownState => code::STATE,
                 ExprErrorKind::UnknownFunction => code::FUNCTION,
                 ExprErrorKind::Type => code::TYPE,
                 ExprErrorKind::Unit => code::UNIT,
@@ -295,14 +264,8 @@ fn inner_span(file: &str, text: &str, offset: usize, span: Span, start: usize, e
 }
 
 /// Compiles a value: literals with expressions anywhere in them, held against the type that is declared.
-pub(crate) fn value(
-    node: &Node,
-    ty: &Type,
-    scope: &Scope<'_, '_>,
-    source: u32,
-    findings: &mut Findings,
-) -> Option<Term> {
-    let (term, found) = term(node, scope, source, findings)?;
+pub(super) fn value(node: &Node, ty: &Type, scope: &Scope<'_, '_>, findings: &mut Findings) -> Option<Term> {
+    let (term, found) = term(node, scope, findings)?;
     if let Term::Literal(literal) = term {
         return match ty.convert(literal) {
             Ok(value) => Some(Term::Literal(value)),
@@ -329,11 +292,11 @@ pub(crate) fn value(
     }
 }
 
-fn term(node: &Node, scope: &Scope<'_, '_>, source: u32, findings: &mut Findings) -> Option<(Term, Type)> {
+fn term(node: &Node, scope: &Scope<'_, '_>, findings: &mut Findings) -> Option<(Term, Type)> {
     match &node.value {
-        Yaml::String(text) => self::text(text, node.span, scope, source, findings),
+        Yaml::String(text) => self::text(text, node.span, scope, findings),
         Yaml::List(items) => {
-            let terms: Vec<_> = items.iter().map(|n| term(n, scope, source, findings)).collect();
+            let terms: Vec<_> = items.iter().map(|n| term(n, scope, findings)).collect();
             let terms: Vec<(Term, Type)> = terms.into_iter().collect::<Option<_>>()?;
             if terms.iter().all(|(t, _)| matches!(t, Term::Literal(_))) {
                 return Some((Term::Literal(super::read::literal(node).unescape()), Type::Any));
@@ -344,7 +307,7 @@ fn term(node: &Node, scope: &Scope<'_, '_>, source: u32, findings: &mut Findings
         Yaml::Map(entries) => {
             let mut terms = Vec::new();
             for (key, node) in entries {
-                terms.push((key.text.clone(), term(node, scope, source, findings)?.0));
+                terms.push((key.text.clone(), term(node, scope, findings)?.0));
             }
             if terms.iter().all(|(_, t)| matches!(t, Term::Literal(_))) {
                 return Some((Term::Literal(super::read::literal(node).unescape()), Type::Any));
@@ -356,13 +319,7 @@ fn term(node: &Node, scope: &Scope<'_, '_>, source: u32, findings: &mut Findings
 }
 
 /// Text with expressions in it; a text that is one expression keeps its type.
-fn text(
-    text: &str,
-    span: Span,
-    scope: &Scope<'_, '_>,
-    source: u32,
-    findings: &mut Findings,
-) -> Option<(Term, Type)> {
+fn text(text: &str, span: Span, scope: &Scope<'_, '_>, findings: &mut Findings) -> Option<(Term, Type)> {
     let pieces = match split(text) {
         Ok(pieces) => pieces,
         Err(error) => {
@@ -374,7 +331,7 @@ fn text(
         [] => Some((Term::Literal(Value::String(String::new())), Type::Any)),
         [Piece::Text(text)] => Some((Term::Literal(Value::String(text.clone())), Type::Any)),
         [Piece::Expr { source: inner, offset }] => {
-            let code = expression(inner, *offset, span, scope, source, findings)?;
+            let code = expression(inner, *offset, span, scope, findings)?;
             let ty = code.expr.ty().clone();
             Some((Term::Expr(code), ty))
         }
@@ -384,7 +341,7 @@ fn text(
                 parts.push(match piece {
                     Piece::Text(text) => Term::Literal(Value::String(text.clone())),
                     Piece::Expr { source: inner, offset } => {
-                        Term::Expr(expression(inner, *offset, span, scope, source, findings)?)
+                        Term::Expr(expression(inner, *offset, span, scope, findings)?)
                     }
                 });
             }

@@ -1,135 +1,321 @@
-//! Charts put into charts: every use of a chart becomes states and places for data of its own.
+//! Charts put into charts: every use of a chart becomes states and places for data of its own, in one tree. Names
+//! are looked up here; nothing that is written at a state is compiled yet.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_values::Type;
 
-use super::compile::{Compiler, Flat, number};
-use super::expressions::Outline;
-use super::finding::{Severity, code, suggest};
-use super::model::{self, Chart, Declaration};
+use super::catalog::Registry;
+use super::library::Library;
+use super::model::{self, Chart};
 use super::read::MAX_LEVELS;
 use super::yaml::Named;
-use crate::engine::program::{Instance, StateId, Variable};
-use crate::skill::{Limits, SkillManifest};
+use crate::finding::{Finding, Findings, Severity, Source, code, suggest};
+use crate::program::{Instance, StateId, Variable};
+use crate::skill::{Limits, Parameter, SkillManifest};
 
 /// Most states, those of the charts inside counted at each use.
 const MAX_STATES: usize = 200_000;
 
-impl<'l> Compiler<'l> {
-    pub(super) fn flatten_root(&mut self, root: &'l Arc<Chart>) {
-        let source = self.source(&root.source);
-        // State 0 stands for the run; the chart is its only child.
-        self.push(&root.root, source, None, 0, String::new(), Limits::default(), false);
-        self.names.outlines[0].outputs = Vec::new();
-        self.flats[0].chart = Some((root, 0));
-        let mut stack = vec![root.name.clone()];
-        self.flatten_chart(root, 0, Limits::default(), &mut stack);
-        self.last[0] = number(self.flats.len() - 1);
-    }
+/// A chart with the charts inside it, as one tree. States are numbered in the order of the file, parents before
+/// children; state 0 stands for the run.
+#[derive(Debug, Default)]
+pub(super) struct Tree<'l> {
+    pub(super) states: Vec<Flat<'l>>,
+    /// Children by parent and name.
+    children: BTreeMap<(StateId, String), StateId>,
+    pub(super) instances: Vec<Instance>,
+    pub(super) sources: Vec<Arc<Source>>,
+    /// How many places for data there are.
+    pub(super) slots: u32,
+}
 
-    #[expect(clippy::too_many_arguments, reason = "one row of a table")]
-    fn push(
-        &mut self,
-        model: &'l model::State,
-        source: u32,
-        parent: Option<StateId>,
+/// A state of a use of a chart.
+#[derive(Debug)]
+pub(super) struct Flat<'l> {
+    /// As it was written.
+    pub(super) model: &'l model::State,
+    pub(super) parent: Option<StateId>,
+    /// The last state inside it, itself when there is none.
+    pub(super) last: StateId,
+    pub(super) depth: u16,
+    pub(super) source: u32,
+    /// The use of a chart that it belongs to.
+    pub(super) instance: u32,
+    /// From the chart down; empty for the run and the outermost chart.
+    pub(super) path: String,
+    pub(super) limits: Limits,
+    /// Whether it is the inside of a `statechart:` state.
+    pub(super) chart_root: bool,
+    pub(super) inside: Inside<'l>,
+    /// What it gives with its outcome: name, place and type.
+    pub(super) outputs: Vec<(String, u32, Type)>,
+}
+
+/// What a state stands for, where that is found outside of its file.
+#[derive(Debug)]
+pub(super) enum Inside<'l> {
+    /// Nothing, or something that could not be found.
+    Nothing,
+    Skill(Arc<SkillManifest>),
+    Chart {
+        chart: &'l Chart,
         instance: u32,
-        path: String,
-        limits: Limits,
-        chart_root: bool,
-    ) -> StateId {
-        let id = number(self.flats.len());
-        let depth = parent.map_or(0, |p| self.flats[p as usize].depth + 1);
-        self.flats.push(Flat { model, source, depth, path, limits, chart: None, skill: None });
-        self.last.push(id);
-        let name = model.name.text.clone();
-        self.names.outlines.push(Outline {
-            name,
-            parent,
-            instance,
-            chart_root,
-            outputs: Vec::new(),
-            open: false,
-        });
-        id
+    },
+}
+
+impl Flat<'_> {
+    /// Its own name.
+    pub(super) fn name(&self) -> &str {
+        &self.model.name.text
     }
 
-    fn variables(&mut self, declarations: &[Declaration]) -> Vec<Variable> {
-        let one = |declaration: &Declaration| {
-            self.slots += 1;
-            Variable { declaration: declaration.clone(), slot: self.slots - 1 }
-        };
+    /// What its skill declares.
+    pub(super) fn manifest(&self) -> Option<&Arc<SkillManifest>> {
+        match &self.inside {
+            Inside::Skill(manifest) => Some(manifest),
+            _ => None,
+        }
+    }
+
+    /// Whether it gives more than is known: then its first output is a map of all.
+    pub(super) fn open(&self) -> bool {
+        self.manifest().is_some_and(|manifest| manifest.open)
+    }
+}
+
+pub(super) fn number(n: usize) -> u32 {
+    u32::try_from(n).unwrap_or(u32::MAX)
+}
+
+impl Tree<'_> {
+    pub(super) fn state(&self, state: StateId) -> &Flat<'_> {
+        &self.states[state as usize]
+    }
+
+    /// The states around `state`, itself first.
+    pub(super) fn outward(&self, state: StateId) -> impl Iterator<Item = StateId> + '_ {
+        std::iter::successors(Some(state), |s| self.state(*s).parent)
+    }
+
+    /// Whether `inner` is `outer` or inside it.
+    pub(super) fn within(&self, inner: StateId, outer: StateId) -> bool {
+        (outer..=self.state(outer).last).contains(&inner)
+    }
+
+    pub(super) fn instance(&self, state: StateId) -> &Instance {
+        &self.instances[self.state(state).instance as usize]
+    }
+
+    pub(super) fn is_history(&self, state: StateId) -> bool {
+        matches!(self.state(state).model.kind, model::Kind::History { .. })
+    }
+
+    /// Whether a state is a region of a parallel state.
+    pub(super) fn is_region(&self, state: StateId) -> bool {
+        let of = self.state(state);
+        let parallel = |p: StateId| matches!(self.state(p).model.kind, model::Kind::Parallel(_)) && p != 0;
+        !of.chart_root && of.parent.is_some_and(parallel)
+    }
+
+    /// A state by its path, looked up from `from` outward within its chart.
+    pub(super) fn find(&self, from: StateId, path: &[&str]) -> Option<StateId> {
+        self.find_prefix(from, path).filter(|(_, used)| *used == path.len()).map(|(state, _)| state)
+    }
+
+    /// The state that the first parts of a path name, and how many parts those are.
+    pub(super) fn find_prefix(&self, from: StateId, path: &[&str]) -> Option<(StateId, usize)> {
+        let first = (*path.first()?).to_owned();
+        let start = self.visible(from).find_map(|around| self.children.get(&(around, first.clone())))?;
+        let (mut state, mut used) = (*start, 1);
+        while let Some(name) = path.get(used) {
+            match self.children.get(&(state, (*name).to_owned())) {
+                Some(child) if self.state(*child).instance == self.state(from).instance => {
+                    (state, used) = (*child, used + 1);
+                }
+                _ => break,
+            }
+        }
+        Some((state, used))
+    }
+
+    /// The states whose children can be named at `from`: itself and those around it, up to its chart.
+    pub(super) fn visible(&self, from: StateId) -> impl Iterator<Item = StateId> + '_ {
+        std::iter::successors(Some(from), |s| {
+            let of = self.state(*s);
+            if of.chart_root { None } else { of.parent }
+        })
+    }
+
+    /// The names of the first children of a state.
+    pub(super) fn child_names(&self, of: StateId, most: usize) -> impl Iterator<Item = &str> {
+        let range = (of, String::new())..(of + 1, String::new());
+        self.children.range(range).take(most).map(|((_, name), _)| name.as_str())
+    }
+}
+
+/// Puts everything that `root` uses into one tree, and finds what is wrong with the names of skills and charts.
+pub(super) fn flatten<'l>(
+    root: &'l Chart,
+    library: &'l Library,
+    registry: &Registry,
+) -> (Tree<'l>, Vec<Finding>) {
+    let mut flattening = Flattening {
+        library,
+        registry,
+        tree: Tree::default(),
+        findings: Vec::new(),
+        stack: vec![root.name.clone()],
+        too_many: false,
+    };
+    flattening.run(root);
+    (flattening.tree, flattening.findings)
+}
+
+/// The tree as it grows.
+struct Flattening<'l, 'r> {
+    library: &'l Library,
+    registry: &'r Registry,
+    tree: Tree<'l>,
+    findings: Vec<Finding>,
+    /// The charts that are around, outermost first.
+    stack: Vec<String>,
+    too_many: bool,
+}
+
+impl<'l> Flattening<'l, '_> {
+    fn run(&mut self, root: &'l Chart) {
+        // State 0 stands for the run; the chart is its only child.
+        self.tree.states.push(Flat {
+            model: &root.root,
+            parent: None,
+            last: 0,
+            depth: 0,
+            source: 0,
+            instance: 0,
+            path: String::new(),
+            limits: Limits::default(),
+            chart_root: false,
+            inside: Inside::Chart { chart: root, instance: 0 },
+            outputs: Vec::new(),
+        });
+        self.chart(root, 0);
+        self.finish(0);
+    }
+
+    fn finding(
+        &mut self,
+        severity: Severity,
+        code: &'static str,
+        at: &Named,
+        message: String,
+        help: Option<String>,
+        source: u32,
+    ) {
+        let mut findings = Findings::new(Arc::clone(&self.tree.sources[source as usize]));
+        findings.add(severity, code, at.span, message, help);
+        self.findings.append(&mut findings.list);
+    }
+
+    fn error(&mut self, source: u32, code: &'static str, at: &Named, message: String, help: Option<String>) {
+        self.finding(Severity::Error, code, at, message, help, source);
+    }
+
+    fn source(&mut self, source: &Arc<Source>) -> u32 {
+        let sources = &mut self.tree.sources;
+        number(sources.iter().position(|s| Arc::ptr_eq(s, source)).unwrap_or_else(|| {
+            sources.push(Arc::clone(source));
+            sources.len() - 1
+        }))
+    }
+
+    fn slot(&mut self) -> u32 {
+        self.tree.slots += 1;
+        self.tree.slots - 1
+    }
+
+    fn variables(&mut self, declarations: &[Parameter]) -> Vec<Variable> {
+        let one = |declaration: &Parameter| Variable { declaration: declaration.clone(), slot: self.slot() };
         declarations.iter().map(one).collect()
     }
 
-    fn flatten_chart(&mut self, chart: &'l Chart, owner: StateId, limits: Limits, stack: &mut Vec<String>) {
-        let instance = number(self.names.instances.len());
-        let first_slot = self.slots;
+    /// Adds a state inside `parent`.
+    fn push(&mut self, model: &'l model::State, parent: StateId, chart: Option<(u32, u32)>) -> StateId {
+        let around = &self.tree.states[parent as usize];
+        let (source, instance) = chart.unwrap_or((around.source, around.instance));
+        let path = match (chart, around.path.as_str()) {
+            (Some(_), path) => path.to_owned(),
+            (None, "") => model.name.text.clone(),
+            (None, path) => format!("{path}.{}", model.name.text),
+        };
+        let id = number(self.tree.states.len());
+        let state = Flat {
+            model,
+            parent: Some(parent),
+            last: id,
+            depth: around.depth + 1,
+            source,
+            instance,
+            path,
+            limits: around.limits.tightened(model.limits),
+            chart_root: chart.is_some(),
+            inside: Inside::Nothing,
+            outputs: Vec::new(),
+        };
+        self.tree.states.push(state);
+        id
+    }
+
+    /// All that was added since `state` is inside it.
+    fn finish(&mut self, state: StateId) {
+        self.tree.states[state as usize].last = number(self.tree.states.len() - 1);
+    }
+
+    /// Adds a chart as the inside of `owner`.
+    fn chart(&mut self, chart: &'l Chart, owner: StateId) {
+        let instance = number(self.tree.instances.len());
+        let first_slot = self.tree.slots;
         let inputs = self.variables(&chart.inputs);
         let locals = self.variables(&chart.locals);
         let outputs = self.variables(&chart.outputs);
-        self.names.instances.push(Instance { owner, inputs, locals, outputs, first_slot, end_slot: 0 });
+        self.tree.instances.push(Instance { owner, inputs, locals, outputs, first_slot, end_slot: 0 });
         let source = self.source(&chart.source);
-        let path = self.flats[owner as usize].path.clone();
-        let path = if owner == 0 { String::new() } else { path };
-        let limits = limits.tightened(chart.root.limits);
-        let root = self.push(&chart.root, source, Some(owner), instance, path, limits, true);
-        self.flatten_children(root, &chart.root, instance, source, limits, stack);
+        let root = self.push(&chart.root, owner, Some((source, instance)));
+        self.children(root);
         self.finish(root);
-        self.names.instances[instance as usize].end_slot = self.slots;
+        self.tree.instances[instance as usize].end_slot = self.tree.slots;
     }
 
-    fn finish(&mut self, state: StateId) {
-        self.last[state as usize] = number(self.flats.len() - 1);
-    }
-
-    fn flatten_children(
-        &mut self,
-        parent: StateId,
-        model: &'l model::State,
-        instance: u32,
-        source: u32,
-        limits: Limits,
-        stack: &mut Vec<String>,
-    ) {
+    fn children(&mut self, parent: StateId) {
+        let Flat { model, source, depth, .. } = self.tree.states[parent as usize];
         for child in model.kind.children() {
-            if self.flats.len() >= MAX_STATES {
-                if !self.too_many {
-                    self.too_many = true;
+            if self.tree.states.len() >= MAX_STATES {
+                if !std::mem::replace(&mut self.too_many, true) {
                     let message = format!("the chart has more than {MAX_STATES} states");
                     self.error(source, code::LIMIT, &child.name, message, None);
                 }
                 return;
             }
-            if usize::from(self.flats[parent as usize].depth) > MAX_LEVELS + 2 {
+            if usize::from(depth) > MAX_LEVELS + 2 {
                 let message = format!("states are nested deeper than {MAX_LEVELS} levels");
                 self.error(source, code::LIMIT, &child.name, message, None);
                 return;
             }
-            let prefix = &self.flats[parent as usize].path;
+            let id = self.push(child, parent, None);
             let name = &child.name.text;
-            let path = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
-            let limits = limits.tightened(child.limits);
-            let id = self.push(child, source, Some(parent), instance, path, limits, false);
-            if self.names.children.insert((parent, name.clone()), id).is_some() {
+            if self.tree.children.insert((parent, name.clone()), id).is_some() {
                 let message = format!("there are two states `{name}` here");
                 self.error(source, code::DUPLICATE, &child.name, message, None);
             }
-            self.flatten_inside(id, child, source, limits, stack);
-            self.flatten_children(id, child, instance, source, limits, stack);
+            self.inside(id, child, source);
+            self.children(id);
             self.finish(id);
         }
     }
 
-    fn flatten_inside(
-        &mut self,
-        id: StateId,
-        model: &'l model::State,
-        source: u32,
-        limits: Limits,
-        stack: &mut Vec<String>,
-    ) {
+    /// Finds what a state stands for.
+    fn inside(&mut self, id: StateId, model: &'l model::State, source: u32) {
         match &model.kind {
             model::Kind::Skill(name) => {
                 let Some(manifest) = self.registry.manifest(&name.text).cloned() else {
@@ -145,21 +331,20 @@ impl<'l> Compiler<'l> {
             model::Kind::Chart(name) => {
                 // A chart that could not be read has its finding already.
                 let Some(chart) = self.library.charts.get(&name.text) else { return };
-                if stack.contains(&name.text) {
+                if self.stack.contains(&name.text) {
                     let message =
-                        format!("charts contain each other: {} -> {}", stack.join(" -> "), name.text);
+                        format!("charts contain each other: {} -> {}", self.stack.join(" -> "), name.text);
                     self.error(source, code::CYCLE, name, message, None);
                     return;
                 }
-                for output in &chart.outputs {
-                    let place = (output.name.clone(), self.slots, output.ty.clone());
-                    self.names.outlines[id as usize].outputs.push(place);
-                    self.slots += 1;
-                }
-                self.flats[id as usize].chart = Some((chart, number(self.names.instances.len())));
-                stack.push(name.text.clone());
-                self.flatten_chart(chart, id, limits, stack);
-                stack.pop();
+                let outputs: Vec<_> =
+                    chart.outputs.iter().map(|o| (o.name.clone(), self.slot(), o.ty.clone())).collect();
+                let state = &mut self.tree.states[id as usize];
+                state.outputs = outputs;
+                state.inside = Inside::Chart { chart, instance: number(self.tree.instances.len()) };
+                self.stack.push(name.text.clone());
+                self.chart(chart, id);
+                self.stack.pop();
             }
             model::Kind::Remote(name) => {
                 let manifest = self.offered(source, name);
@@ -185,9 +370,7 @@ impl<'l> Compiler<'l> {
             None => {
                 let message = format!("`{}` is not checked: its agent was not asked", name.text);
                 let help = Some("`--connect tcp/HOST:PORT` asks it".to_owned());
-                self.reporting(source, |_, findings| {
-                    findings.add(Severity::Warning, code::UNASKED, name.span, message, help);
-                });
+                self.finding(Severity::Warning, code::UNASKED, name, message, help, source);
             }
         }
         let mut manifest = SkillManifest::new(&name.text, "Something that another agent offers.");
@@ -197,22 +380,18 @@ impl<'l> Compiler<'l> {
 
     /// A state acts by a skill: places for what that gives. One that is not known yet gives a map of all.
     fn acts(&mut self, id: StateId, manifest: Arc<SkillManifest>) {
-        let outline = &mut self.names.outlines[id as usize];
-        outline.open = manifest.open;
+        let mut outputs = Vec::new();
         if manifest.open {
-            outline.outputs.push((String::new(), self.slots, Type::Any));
-            self.slots += 1;
+            outputs.push((String::new(), self.slot(), Type::Any));
         }
-        for output in &manifest.outputs {
-            outline.outputs.push((output.name.clone(), self.slots, output.ty.clone()));
-            self.slots += 1;
-        }
-        self.flats[id as usize].skill = Some(manifest);
+        outputs.extend(manifest.outputs.iter().map(|o| (o.name.clone(), self.slot(), o.ty.clone())));
+        let state = &mut self.tree.states[id as usize];
+        (state.outputs, state.inside) = (outputs, Inside::Skill(manifest));
     }
 }
 
 /// Whether a name has the form `agent/Name`.
-pub(super) fn is_remote_name(name: &str) -> bool {
+fn is_remote_name(name: &str) -> bool {
     let plain = |part: &str| {
         (1..=100).contains(&part.len())
             && part.chars().all(|c| c.is_alphanumeric() || c == '_' || c == '-' || c == '.')

@@ -5,10 +5,10 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::finding::{Finding, Findings, Source, Span, code, suggest};
 use super::model::{Chart, Kind, State};
 use super::read;
 use super::yaml::{self, MAX_BYTES, Named};
+use crate::finding::{Finding, Findings, Source, Span, code, suggest};
 
 /// A chart with all the charts that it names, as far as they could be read.
 #[derive(Clone, Debug)]

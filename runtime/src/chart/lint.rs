@@ -4,32 +4,34 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use super::compile::Flat;
-use super::early;
+use super::early::early;
 use super::expressions::{MAX_HELP, MAX_NAMES};
-use super::finding::{Finding, Findings, Severity, Span, code, suggest};
+use super::flatten::Tree;
 use super::library::Library;
 use super::model::{self, ActionKind};
-use crate::engine::program::{Kind, Program, StateId};
+use crate::finding::{Finding, Findings, Severity, Span, code, suggest};
+use crate::program::{Kind, Program, State, StateId};
 
-pub(crate) fn lint(program: &Program, flats: &[Flat<'_>], library: &Library, findings: &mut Vec<Finding>) {
-    let mut lint = Lint { program, flats, findings };
+/// What is wrong with a program as a whole. Where names of states are `unknown`, what cannot be reached is not known
+/// either.
+pub(super) fn lint(program: &Program, tree: &Tree<'_>, library: &Library, unknown: bool) -> Vec<Finding> {
+    let mut lint = Lint { program, tree, findings: Vec::new() };
     let scoped = lint.scoped();
     lint.unknown_events(&scoped, library);
     lint.unhandled(&scoped);
-    // Where a target is unknown, what cannot be reached is not known either.
-    if !lint.findings.iter().any(|f| f.code == code::STATE) {
+    if !unknown {
         lint.unreachable();
-        early::early(program, lint.findings);
+        lint.findings.extend(early(program));
     }
     lint.shadowed();
     lint.limbs();
+    lint.findings
 }
 
 struct Lint<'a, 'l> {
     program: &'a Program,
-    flats: &'a [Flat<'l>],
-    findings: &'a mut Vec<Finding>,
+    tree: &'a Tree<'l>,
+    findings: Vec<Finding>,
 }
 
 /// An outcome or a watch: the state it comes from, its name, and whether only that state's own transitions may
@@ -58,7 +60,7 @@ impl Lint<'_, '_> {
     }
 
     fn name_span(&self, state: StateId) -> Span {
-        self.flats[state as usize].model.name.span
+        self.tree.state(state).model.name.span
     }
 
     fn ids(&self) -> std::ops::Range<StateId> {
@@ -74,7 +76,7 @@ impl Lint<'_, '_> {
             let state = self.program.state(id);
             for watch in &state.watches {
                 let name = self.program.watches[*watch as usize].name;
-                add(id, self.program.tables.symbols.name(name), false, true);
+                add(id, self.program.symbols.name(name), false, true);
             }
             match &state.kind {
                 Kind::Skill { manifest } => {
@@ -88,7 +90,7 @@ impl Lint<'_, '_> {
                         parent = self.program.state(parent).parent.unwrap_or(0);
                     }
                     let region = self.program.state(parent).region;
-                    let outcome = self.program.tables.symbols.name(*outcome);
+                    let outcome = self.program.symbols.name(*outcome);
                     add(parent, outcome, region, false);
                     if region && let Some(parallel) = self.program.state(parent).parent {
                         // It ends when all its regions have; where one never does, nobody need handle it.
@@ -118,7 +120,7 @@ impl Lint<'_, '_> {
 
     fn unknown_events(&mut self, scoped: &[Scoped], library: &Library) {
         // What another agent raises is not known before it was asked.
-        let open = |state: &crate::engine::program::State| matches!(&state.kind, Kind::Skill { manifest } if manifest.open);
+        let open = |state: &State| matches!(&state.kind, Kind::Skill { manifest } if manifest.open);
         if self.program.states.iter().any(open) {
             return;
         }
@@ -146,7 +148,7 @@ impl Lint<'_, '_> {
         }
         let mut unknown = 0;
         for id in self.ids() {
-            let model = self.flats[id as usize].model;
+            let model = self.tree.state(id).model;
             for transition in &model.transitions {
                 let Some(event) = &transition.event else { continue };
                 let text = event.text.as_str();
@@ -180,8 +182,8 @@ impl Lint<'_, '_> {
             if s.state == 0 || s.own_only || s.name == "failure" {
                 continue;
             }
-            let tables = &self.program.tables;
-            let taken = tables.symbols.find(&s.name).is_some_and(|symbol| {
+            let Program { tables, symbols, .. } = self.program;
+            let taken = symbols.find(&s.name).is_some_and(|symbol| {
                 self.program.outward(s.state).any(|state| !tables.exact(state, symbol).is_empty())
             });
             if taken || !said.insert((s.state, s.name.as_str())) {
@@ -229,7 +231,7 @@ impl Lint<'_, '_> {
 
     fn shadowed(&mut self) {
         for id in self.ids() {
-            let model = self.flats[id as usize].model;
+            let model = self.tree.state(id).model;
             let lists = [&model.transitions, &model.always];
             for list in lists {
                 // Events that a transition without a condition takes; outcomes and watches are taken by name only.

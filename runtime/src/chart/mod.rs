@@ -1,14 +1,13 @@
 //! Charts as files: reading them, finding what is wrong with them, compiling them for the engine.
 //!
 //! [`load`] reads a file and the charts that it names, [`check`] finds everything that is wrong at once and,
-//! where nothing is, gives the [`Program`](crate::engine::Program) that the executor runs.
+//! where nothing is, gives the [`Program`](crate::program::Program) that the executor runs.
 
 mod actions;
 mod catalog;
 mod compile;
 mod early;
 mod expressions;
-mod finding;
 mod flatten;
 mod library;
 mod lint;
@@ -21,12 +20,11 @@ mod stack;
 mod targets;
 mod yaml;
 
+pub use crate::finding::{Finding, Severity, Source, Span, code};
 pub use catalog::{ChannelSchema, Refused, Registry};
 pub use compile::{Checked, check};
-pub(crate) use finding::suggest;
-pub use finding::{Finding, Severity, Source, Span, code};
 pub use library::{Library, load, load_text};
-pub use model::{Chart, Declaration};
+pub use model::Chart;
 pub use outline::{Outline, OutlineKind, OutlineState, OutlineTransition};
 pub(crate) use read::is_name;
 pub use schema::schema;

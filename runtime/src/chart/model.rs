@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_values::{Type, Value};
+use armarium_values::Type;
 
-use super::finding::{Source, Span};
 use super::yaml::{Named, Node};
-use crate::skill::Limits;
+use crate::finding::{Source, Span};
+use crate::skill::{Limits, Parameter};
 
 /// One chart file.
 #[derive(Debug)]
@@ -19,66 +19,14 @@ pub struct Chart {
     /// For people.
     pub description: String,
     /// What it takes.
-    pub inputs: Vec<Declaration>,
+    pub inputs: Vec<Parameter>,
     /// What it gives.
-    pub outputs: Vec<Declaration>,
+    pub outputs: Vec<Parameter>,
     /// What it remembers while it runs.
-    pub locals: Vec<Declaration>,
+    pub locals: Vec<Parameter>,
     pub(crate) events: Vec<(Named, Option<Type>)>,
     pub(crate) profiles: BTreeMap<String, Vec<(Named, Node)>>,
     pub(crate) root: State,
-}
-
-/// An input, an output or a local.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Declaration {
-    /// Its name.
-    pub name: String,
-    /// Its type, with the unit.
-    pub ty: Type,
-    /// Its value when none is given.
-    pub default: Option<Value>,
-    /// Smallest number that is allowed, SI.
-    pub minimum: Option<f64>,
-    /// Largest number that is allowed, SI.
-    pub maximum: Option<f64>,
-    /// For people.
-    pub description: String,
-    pub(crate) span: Span,
-}
-
-impl Declaration {
-    /// Whether a value is as declared already; false where only [`accept`](Self::accept) can tell.
-    pub(crate) fn holds(&self, value: &Value) -> bool {
-        let within = |x: f64| {
-            !x.is_nan() && self.minimum.is_none_or(|m| x >= m) && self.maximum.is_none_or(|m| x <= m)
-        };
-        match (&self.ty, value) {
-            (Type::Bool, Value::Bool(_)) | (Type::String, Value::String(_)) => true,
-            (Type::Int, Value::Int(i)) => within(*i as f64),
-            (Type::Float(_), Value::Float(x)) | (Type::Duration, Value::Duration(x)) => within(*x),
-            _ => false,
-        }
-    }
-
-    /// The value as declared: converted to the type and within the bounds; otherwise what is wrong with it.
-    ///
-    /// # Errors
-    /// One sentence for people.
-    pub fn accept(&self, value: Value) -> Result<Value, String> {
-        let value = self.ty.convert(value).map_err(|e| e.to_string())?;
-        let outside = value.as_f64().filter(|x| {
-            x.is_nan() || self.minimum.is_some_and(|m| *x < m) || self.maximum.is_some_and(|m| *x > m)
-        });
-        match outside {
-            None => Ok(value),
-            Some(x) => {
-                let bound = |b: Option<f64>| b.map_or("any".into(), |b| b.to_string());
-                let (low, high) = (bound(self.minimum), bound(self.maximum));
-                Err(format!("{x} is outside of the allowed range, {low} to {high}"))
-            }
-        }
-    }
 }
 
 #[derive(Debug)]

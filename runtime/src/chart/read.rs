@@ -5,10 +5,10 @@ use std::sync::Arc;
 
 use armarium_values::{Type, Unit, Value};
 
-use super::finding::{Findings, Span, code, suggest};
-use super::model::{Chart, Declaration, Kind};
+use super::model::{Chart, Kind};
 use super::yaml::{Named, Node, Yaml};
-use crate::skill::Limits;
+use crate::finding::{Findings, Span, code, suggest};
+use crate::skill::{Limits, Parameter};
 
 /// Deepest nesting of states.
 pub(crate) const MAX_LEVELS: usize = 60;
@@ -209,11 +209,7 @@ impl Reader<'_> {
         }
     }
 
-    fn profiles(
-        &mut self,
-        entries: &Entries,
-        inputs: &[Declaration],
-    ) -> BTreeMap<String, Vec<(Named, Node)>> {
+    fn profiles(&mut self, entries: &Entries, inputs: &[Parameter]) -> BTreeMap<String, Vec<(Named, Node)>> {
         let Some(profiles) = get(entries, "profiles") else { return BTreeMap::new() };
         let mut result = BTreeMap::new();
         for (name, node) in self.entries(profiles) {
@@ -226,8 +222,8 @@ impl Reader<'_> {
                         self.findings.error_help(code::INPUT, key.span, message, help);
                     }
                     Some(input) => {
-                        if let Err(message) = input.accept(literal(value)) {
-                            self.error(code::TYPE, value.span, message);
+                        if let Err(error) = input.accept(literal(value)) {
+                            self.error(code::TYPE, value.span, error.to_string());
                         }
                     }
                 }
@@ -237,12 +233,12 @@ impl Reader<'_> {
         result
     }
 
-    fn declarations(&mut self, entries: &Entries, key: &str) -> Vec<Declaration> {
+    fn declarations(&mut self, entries: &Entries, key: &str) -> Vec<Parameter> {
         let Some(node) = get(entries, key) else { return Vec::new() };
         self.entries(node).iter().map(|(name, node)| self.declaration(name, node)).collect()
     }
 
-    fn declaration(&mut self, name: &Named, node: &Node) -> Declaration {
+    fn declaration(&mut self, name: &Named, node: &Node) -> Parameter {
         self.name(name);
         let short;
         let entries = if let Yaml::String(_) = &node.value {
@@ -253,21 +249,14 @@ impl Reader<'_> {
         };
         let keys = ["type", "unit", "default", "minimum", "maximum", "description", "enum"];
         self.known(entries, &keys, "a declaration");
-        let mut result = Declaration {
-            name: name.text.clone(),
-            ty: self.declared_type(name, entries),
-            default: None,
-            minimum: None,
-            maximum: None,
-            description: self.words(entries, "description"),
-            span: name.span,
-        };
+        let ty = self.declared_type(name, entries);
+        let mut result = Parameter::new(&name.text, ty, &self.words(entries, "description"));
         result.minimum = self.bound(entries, "minimum", &result.ty);
         result.maximum = self.bound(entries, "maximum", &result.ty);
         if let Some(default) = get(entries, "default") {
             match result.accept(literal(default)) {
                 Ok(value) => result.default = Some(value),
-                Err(message) => self.error(code::TYPE, default.span, message),
+                Err(error) => self.error(code::TYPE, default.span, error.to_string()),
             }
         }
         result

@@ -1,9 +1,9 @@
 //! From the YAML tree to the model: states with their transitions, watches and actions.
 
-use super::finding::{Span, code, suggest};
 use super::model::{Action, ActionKind, Entry, Kind, Retry, State, Transition, Watch};
 use super::read::{Entries, MAX_LEVELS, Reader, get};
 use super::yaml::{Named, Node, Yaml};
+use crate::finding::{Span, code, suggest};
 
 pub(super) const STATE_KEYS: &[&str] = &[
     "description",

@@ -9,7 +9,7 @@ use futures::FutureExt;
 use futures::future::BoxFuture;
 
 use super::{ChannelSchema, Checked, Registry, check, load_text};
-use crate::engine::Program;
+use crate::program::Program;
 use crate::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 
 /// `Act` takes and gives numbers and ends as its input `end` says after its input `for`.
@@ -45,7 +45,9 @@ impl Skill for Act {
                     if end == "stuck" {
                         std::future::pending::<()>().await;
                     }
-                    tokio::time::sleep(Duration::from_secs_f64(late)).await;
+                    if late > 0.0 {
+                        tokio::time::sleep(Duration::from_secs_f64(late)).await;
+                    }
                     return Ok(Outcome::success());
                 }
                 () = over => {}
@@ -54,7 +56,7 @@ impl Skill for Act {
                 "failure" => Err(Failure::new("it did not work")),
                 "panic" => panic!("out of order"),
                 "ping" => {
-                    let _ = context.events.send(("ping".into(), force.into())).await;
+                    context.events.raise("ping", force.into());
                     context.cancel.cancelled().await;
                     Ok(Outcome::success())
                 }

@@ -312,3 +312,30 @@ fn very_many_mistakes_are_found_in_bounded_time() {
             .contains("E022")
     );
 }
+
+#[test]
+fn a_name_is_judged_by_what_it_was_looked_up_as_and_not_by_its_letters() {
+    for (expression, code) in [
+        ("channel_count > 1", "E018"),
+        ("locals.channel > 1", "E018"),
+        ("state_of_things == 1", "E018"),
+        ("channels.wrst.push[0] > 1.0", "E020"),
+        ("age('wrst') > 1.0", "E020"),
+        ("active('Nowhere')", "E010"),
+    ] {
+        let text = format!(
+            "statechart: T\ninitial: A\nstates: {{A: {{always: {{target: B, if: \"{expression}\"}}}}, B: {{}}}}\n"
+        );
+        let found = findings(&text, &BTreeMap::new());
+        assert!(found.contains(&format!("error[{code}]")), "{expression}: {found}");
+        assert_eq!(found.matches("error[").count(), 1, "{found}");
+    }
+}
+
+#[test]
+fn a_literal_out_of_bounds_is_found_at_load() {
+    let inner = "statechart: Inner\ninputs: {n: {type: int, maximum: 9}}\ninitial: A\nstates: {A: {}}\n";
+    let outer = "statechart: T\ninitial: A\nstates: {A: {statechart: Inner, with: {n: 10}}}\n";
+    let found = findings(outer, &BTreeMap::from([("inner.yaml", inner)]));
+    assert!(found.contains("E016]: 10 is outside of the allowed range, any to 9"), "{found}");
+}

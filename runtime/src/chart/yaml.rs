@@ -8,8 +8,8 @@ use serde::Deserialize;
 use serde::de::{Deserializer, Error, MapAccess, SeqAccess, Visitor};
 use serde_saphyr::{Location, Spanned};
 
-use super::finding::{Findings, Span, code};
 use super::stack::on_a_large_stack;
+use crate::finding::{Findings, Span, code};
 
 /// Largest file, bytes.
 pub(crate) const MAX_BYTES: usize = 10_000_000;

@@ -6,10 +6,9 @@ use armarium_values::Value;
 use armarium_values::expr::{MAX_PARTS, MAX_TEXT};
 
 use super::event::{Event, Origin};
-use super::program::{Action, Place, Program, Send, StateId, Term};
 use super::state::{TimerUse, Turn, View};
-use super::tables::ERROR_EXECUTION;
 use super::{Effect, Engine, TraceItem};
+use crate::program::{Action, ERROR_EXECUTION, Place, Program, Send, StateId, Term};
 
 /// What failed and where it was written.
 type Failed = (String, String);
@@ -111,7 +110,7 @@ impl Engine {
                 let value = if declaration.holds(&value) {
                     value
                 } else {
-                    let wrong = |message| (format!("`{variable}`: {message}"), turn.program.place(*place));
+                    let wrong = |error| (format!("`{variable}`: {error}"), turn.program.place(*place));
                     declaration.accept(value).map_err(wrong)?
                 };
                 turn.trace(|p| TraceItem::Assigned {

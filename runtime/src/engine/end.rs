@@ -5,10 +5,9 @@ use std::collections::BTreeMap;
 use armarium_values::Value;
 
 use super::event::{Event, Origin};
-use super::program::{Kind, Program, StateId};
 use super::state::Turn;
-use super::tables::{FAILURE, SUCCESS, Symbol};
 use super::{Effect, Engine, RunResult, TraceItem};
+use crate::program::{FAILURE, Kind, Program, SUCCESS, StateId, Symbol};
 use crate::skill::{SkillManifest, SkillResult};
 
 /// The reason and the chain in a failure's data.
@@ -49,7 +48,7 @@ impl Engine {
                     self.store.data[*slot as usize] = value;
                 }
                 // Declared outcomes have numbers.
-                let symbol = program.tables.symbols.find(&name).unwrap_or(SUCCESS);
+                let symbol = program.symbols.find(&name).unwrap_or(SUCCESS);
                 Event::new(symbol, Value::Map(outputs), origin)
             }
             Err(reason) => {

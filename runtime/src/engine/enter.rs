@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 use armarium_values::Value;
 
 use super::end::reason_and_chain;
-use super::program::{Action, Binding, Kind, Program, StateId};
 use super::state::{SkillRun, Timer, TimerUse, Turn};
 use super::step::duration;
 use super::{Effect, Engine, TraceItem};
+use crate::program::{Action, Binding, Kind, Program, StateId};
+use crate::skill::{Parameter, ParameterError};
 
 /// Values by name, or what failed and where.
 pub(super) type Given = Result<BTreeMap<String, Value>, (String, String)>;
@@ -255,19 +256,8 @@ impl Engine {
             }
             Kind::Chart { instance } => {
                 for variable in &program.instances[*instance as usize].inputs {
-                    let declaration = &variable.declaration;
-                    let value = values.remove(&declaration.name);
-                    let value = match value.map(|v| declaration.accept(v)) {
-                        Some(Ok(value)) => Some(value),
-                        Some(Err(message)) => {
-                            let message = format!("input `{}`: {message}", declaration.name);
-                            let place = program.place(of.place);
-                            self.with_failed(state, &message, &place, turn);
-                            None
-                        }
-                        None => declaration.default.clone(),
-                    };
-                    self.store.data[variable.slot as usize] = value;
+                    let Parameter { name, default, .. } = &variable.declaration;
+                    self.store.data[variable.slot as usize] = values.remove(name).or_else(|| default.clone());
                 }
             }
             _ => {}
@@ -378,11 +368,11 @@ impl Engine {
         let mut values = BTreeMap::new();
         for binding in bindings {
             let value = self.evaluate(&binding.term, turn)?;
-            let converted = binding.ty.convert(value);
-            let failed = |e: armarium_values::ConvertError| {
-                (format!("input `{}`: {e}", binding.name), self.program.place(binding.place))
+            let Binding { parameter, place, .. } = binding;
+            let failed = |error: ParameterError| {
+                (format!("input `{}`: {error}", parameter.name), self.program.place(*place))
             };
-            values.insert(binding.name.clone(), converted.map_err(failed)?);
+            values.insert(parameter.name.clone(), parameter.accept(value).map_err(failed)?);
         }
         Ok(values)
     }

@@ -4,8 +4,7 @@ use std::sync::Arc;
 
 use armarium_values::Value;
 
-use super::program::{Program, StateId};
-use super::tables::{FAILURE, Symbol, UNKNOWN};
+use crate::program::{FAILURE, Program, StateId, Symbol, UNKNOWN};
 
 /// What an event is, beyond its name.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,7 +56,7 @@ impl Event {
 
     /// An event for all active states, by its name.
     pub(super) fn named(program: &Program, name: &str, data: Value) -> Self {
-        if let Some(symbol) = program.tables.symbols.find(name) {
+        if let Some(symbol) = program.symbols.find(name) {
             return Self::new(symbol, data, Origin::Broadcast);
         }
         let rare = Rare { name: Some(name.into()), served: Vec::new() };
@@ -87,7 +86,7 @@ impl Event {
 
     pub(super) fn name<'e>(&'e self, program: &'e Program) -> &'e str {
         let other = self.rare.as_deref().and_then(|rare| rare.name.as_deref());
-        other.unwrap_or_else(|| program.tables.symbols.name(self.symbol))
+        other.unwrap_or_else(|| program.symbols.name(self.symbol))
     }
 
     /// The state that it belongs to and the entry that it was meant for.

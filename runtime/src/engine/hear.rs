@@ -5,10 +5,9 @@ use std::collections::BTreeMap;
 use armarium_values::Value;
 
 use super::event::{Event, Origin};
-use super::program::StateId;
 use super::state::{Extra, SkillRun, Step, Timer, TimerUse, Turn};
-use super::tables::{AFTER, RETRY};
 use super::{Engine, MAX_MICROSTEPS, MAX_QUEUE, TraceItem};
+use crate::program::{AFTER, RETRY, StateId};
 use crate::skill::SkillResult;
 
 impl Engine {
@@ -50,8 +49,8 @@ impl Engine {
     pub(super) fn timer(&mut self, timer: u64, turn: &mut Turn<'_>) {
         let Some(Timer { of, chain }) = self.timers.remove(&timer) else { return };
         if chain > MAX_MICROSTEPS {
-            let reason = format!("{MAX_MICROSTEPS} timers without any time between them");
-            return self.finish_with("failure".into(), Some(reason), Vec::new(), turn);
+            let what = format!("{MAX_MICROSTEPS} timers without any time between them");
+            return self.restless(&what, turn);
         }
         self.chain = chain;
         match of {

@@ -1,10 +1,9 @@
 //! What unbreakable states hold back: the transitions that would leave them from outside, until they have ended.
 
 use super::event::{Event, Origin};
-use super::program::{Program, StateId};
 use super::state::{Step, Turn};
-use super::tables::ERROR_QUEUE;
 use super::{Engine, MAX_HELD, TraceItem};
+use crate::program::{ERROR_QUEUE, Program, StateId};
 
 impl Engine {
     /// What unbreakable states held back is matched again.

@@ -4,38 +4,21 @@ use std::collections::BTreeMap;
 
 use armarium_values::Value;
 
-use super::InputError;
-use super::program::{Program, Variable};
+use crate::program::Program;
+use crate::skill::{self, InputError};
 
 pub(super) fn inputs(
     program: &Program,
     given: &BTreeMap<String, Value>,
     profile: Option<&str>,
-) -> Result<Vec<Value>, InputError> {
-    let variables = &program.instances[0].inputs;
-    let nothing = BTreeMap::new();
-    let profile = match profile {
-        None => &nothing,
-        Some(name) => program.profiles.get(name).ok_or_else(|| InputError::Profile {
+) -> Result<BTreeMap<String, Value>, InputError> {
+    let mut values = match profile {
+        None => BTreeMap::new(),
+        Some(name) => program.profiles.get(name).cloned().ok_or_else(|| InputError::Profile {
             name: name.to_owned(),
             known: program.profiles.keys().cloned().collect::<Vec<_>>().join(", "),
         })?,
     };
-    let names = || variables.iter().map(|v| v.declaration.name.as_str());
-    if let Some(name) = given.keys().find(|name| !names().any(|known| known == *name)) {
-        let help = crate::chart::suggest(name, names());
-        return Err(InputError::Unknown { name: name.clone(), help });
-    }
-    let one = |variable: &Variable| {
-        let name = &variable.declaration.name;
-        let value = given.get(name).or_else(|| profile.get(name)).cloned();
-        match value {
-            None => variable.declaration.default.clone().ok_or(InputError::Missing { name: name.clone() }),
-            Some(value) => variable
-                .declaration
-                .accept(value)
-                .map_err(|message| InputError::Value { name: name.clone(), message }),
-        }
-    };
-    variables.iter().map(one).collect()
+    values.extend(given.clone());
+    skill::inputs(program.instances[0].inputs.iter().map(|v| &v.declaration), values)
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use armarium_values::Value;
 use serde::{Deserialize, Serialize};
 
-use super::StateId;
+use crate::program::StateId;
 use crate::skill::{Limits, SkillResult};
 use crate::trace::TraceItem;
 
@@ -156,7 +156,7 @@ pub struct RunResult {
 
 /// What expressions read from outside of the engine.
 pub trait Sensors {
-    /// The newest value of a channel (its place in [`Program::channels`](super::Program::channels)), or the field that `path` names.
+    /// The newest value of a channel (its place in [`Program::channels`](crate::program::Program::channels)), or the field that `path` names.
     fn channel(&self, channel: u32, path: &[String]) -> Option<Value>;
     /// Seconds since it was published.
     fn age(&self, channel: u32) -> Option<f64>;
@@ -173,42 +173,6 @@ impl Sensors for NoSensors {
     fn age(&self, _: u32) -> Option<f64> {
         None
     }
-}
-
-/// An input that a chart cannot be started with.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum InputError {
-    /// No input of that name.
-    #[error("the chart has no input `{name}`{}", help.as_ref().map_or(String::new(), |h| format!("; {h}")))]
-    Unknown {
-        /// The name.
-        name: String,
-        /// What might be meant.
-        help: Option<String>,
-    },
-    /// The value does not fit.
-    #[error("input `{name}`: {message}")]
-    Value {
-        /// The name.
-        name: String,
-        /// What is wrong.
-        message: String,
-    },
-    /// An input without default was not given.
-    #[error("the chart needs the input `{name}`")]
-    Missing {
-        /// The name.
-        name: String,
-    },
-    /// No profile of that name.
-    #[error("the chart has no profile `{name}`; it has: {known}")]
-    Profile {
-        /// The name.
-        name: String,
-        /// The profiles that it has.
-        known: String,
-    },
 }
 
 /// What a watch sees now.

@@ -5,6 +5,7 @@
 //! actions and entries run. Start reading at [`Engine::handle`], then `select`, `step`, `act`.
 
 mod act;
+mod circle;
 mod end;
 mod enter;
 mod event;
@@ -17,23 +18,21 @@ mod select;
 mod state;
 mod step;
 
-pub(crate) mod program;
-pub(crate) mod tables;
-
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use armarium_values::Value;
 
-pub use interface::{Effect, Input, InputError, NoSensors, Observation, RunResult, Sensors};
-pub use program::{EventId, Program, StateId};
+pub(crate) use circle::{Circle, NEAR};
+pub use interface::{Effect, Input, NoSensors, Observation, RunResult, Sensors};
 pub use record::{InputRecord, Recording, Replaying, Seen};
 
+use crate::program::{Code, ERROR_CHANNEL, EventId, FAILURE, Instance, Program, StateId, Symbol, Variable};
+use crate::skill::InputError;
 use crate::trace::TraceItem;
 use event::{Event, Origin};
 use inputs::inputs;
 use state::{Pending, Run, Store, Timer, Turn, View};
-use tables::{ERROR_CHANNEL, FAILURE, Symbol};
 
 /// Microsteps without rest after which a run fails.
 pub const MAX_MICROSTEPS: u32 = 1000;
@@ -66,6 +65,10 @@ pub struct Engine {
     ready: BTreeSet<StateId>,
     next: u64,
     microsteps: u32,
+    /// Microsteps in answer to the input that is handled.
+    answer: u32,
+    /// Where it goes around when it comes near to one of the bounds.
+    circle: Circle,
     /// The newest failure, for finals that do not say why.
     last_failure: Option<(Value, StateId)>,
     /// The outermost chart has come to its end, with this outcome.
@@ -99,10 +102,10 @@ impl Engine {
         given: &BTreeMap<String, Value>,
         profile: Option<&str>,
     ) -> Result<Self, InputError> {
-        let inputs = inputs(&program, given, profile)?;
+        let mut inputs = inputs(&program, given, profile)?;
         let mut data = vec![None; program.slots as usize];
-        for (variable, value) in program.instances[0].inputs.iter().zip(inputs) {
-            data[variable.slot as usize] = Some(value);
+        for variable in &program.instances[0].inputs {
+            data[variable.slot as usize] = inputs.remove(&variable.declaration.name);
         }
         let runs = vec![Run::default(); program.states.len()];
         Ok(Self {
@@ -121,6 +124,8 @@ impl Engine {
             ready: BTreeSet::new(),
             next: 1,
             microsteps: 0,
+            answer: 0,
+            circle: Circle::default(),
             last_failure: None,
             ending: None,
             shown: Vec::new(),
@@ -161,6 +166,9 @@ impl Engine {
         let program = Arc::clone(&self.program);
         let mut turn = Turn { program: &program, sensors, out, tracing: self.tracing, actions: 0 };
         self.chain = 0;
+        if !matches!(input, Input::Timer { .. }) {
+            self.circle.clear();
+        }
         match input {
             Input::SkillEnded { activation, result } => self.skill_ended(activation, result, &mut turn),
             Input::SkillStuck { activation } => self.skill_stuck(activation, &mut turn),
@@ -201,6 +209,7 @@ impl Engine {
         let program = Arc::clone(&self.program);
         let mut turn = Turn { program: &program, sensors, out, tracing: self.tracing, actions: 0 };
         self.chain = 0;
+        self.circle.clear();
         let event = Event::new(event.0, data, Origin::Broadcast);
         if self.pending.is_none() && self.external.is_empty() {
             self.microsteps = 1;
@@ -216,7 +225,7 @@ impl Engine {
         let watch = &self.program.watches[watch as usize];
         let view = View { program: &self.program, store: &self.store, runs: &self.runs, sensors };
         let (mut error, mut blind) = (None, None);
-        let mut look = |code: &program::Code| {
+        let mut look = |code: &Code| {
             code.expr.look(&view).unwrap_or_else(|e| {
                 if e.nan || !e.absent {
                     let to = if e.nan { &mut blind } else { &mut error };
@@ -277,7 +286,7 @@ impl Engine {
     fn variables_of(
         &self,
         instance: usize,
-        which: fn(&program::Instance) -> &Vec<program::Variable>,
+        which: fn(&Instance) -> &Vec<Variable>,
     ) -> BTreeMap<String, Value> {
         let variables = which(&self.program.instances[instance]).iter();
         variables
@@ -292,24 +301,23 @@ impl Engine {
 
     /// The main loop of SCXML's appendix D: macrosteps until there is nothing to do or something to wait for.
     fn run(&mut self, turn: &mut Turn<'_>) {
-        let mut answer = 0;
+        self.answer = 0;
         while !self.finished && self.pending.is_none() {
             if self.microsteps >= MAX_MICROSTEPS {
                 return self.restless(&format!("{MAX_MICROSTEPS} microsteps without rest"), turn);
             }
-            if answer >= MAX_ANSWER {
-                let reason =
-                    format!("{MAX_ANSWER} microsteps without rest: it sends itself events without end");
-                return self.restless(&reason, turn);
+            if self.answer >= MAX_ANSWER {
+                let what = format!("{MAX_ANSWER} microsteps without rest, by events that it sends itself");
+                return self.restless(&what, turn);
             }
             self.microsteps += 1;
-            answer += 1;
+            self.answer += 1;
             if let Some((outcome, data)) = self.ending.take() {
                 let (reason, mut chain) = end::reason_and_chain(&data);
                 if outcome == FAILURE {
                     chain.push(turn.program.name.clone());
                 }
-                let outcome = turn.program.tables.symbols.name(outcome).to_owned();
+                let outcome = turn.program.symbols.name(outcome).to_owned();
                 self.finish_with(outcome, reason, chain, turn);
                 continue;
             }
@@ -331,10 +339,18 @@ impl Engine {
         self.show_configuration(turn);
     }
 
-    /// Ends a run that would never wait for anything.
-    fn restless(&mut self, reason: &str, turn: &mut Turn<'_>) {
+    /// Ends a run that would never wait for anything, and names the states that it goes around in.
+    fn restless(&mut self, what: &str, turn: &mut Turn<'_>) {
         self.microsteps = 0;
-        self.finish_with("failure".into(), Some(reason.to_owned()), Vec::new(), turn);
+        let reason = format!("{what}: {}", self.circle.names(turn.program));
+        self.finish_with("failure".into(), Some(reason), Vec::new(), turn);
+    }
+
+    /// Whether the run comes near to one of its bounds.
+    fn near_a_bound(&self) -> bool {
+        self.microsteps + NEAR > MAX_MICROSTEPS
+            || self.answer + NEAR > MAX_ANSWER
+            || self.chain + NEAR > MAX_MICROSTEPS
     }
 
     fn show_configuration(&mut self, turn: &mut Turn<'_>) {

@@ -6,9 +6,9 @@ use std::fmt::Write;
 use armarium_values::Value;
 use proptest::prelude::*;
 
-use super::program::Kind;
 use super::{Effect, Engine, Input, NoSensors, TraceItem};
 use crate::chart::testing::program;
+use crate::program::Kind;
 use crate::skill::{Failure, Outcome};
 
 /// The shape of a random state.

@@ -2,10 +2,9 @@
 //! nobody takes.
 
 use super::event::{Event, Origin};
-use super::program::{Pattern, Program, StateId};
 use super::state::{Step, Turn, View};
-use super::tables::{FAILURE, Symbol};
 use super::{Engine, TraceItem};
+use crate::program::{FAILURE, Pattern, Program, StateId, Symbol};
 
 /// What a selection looks for.
 #[derive(Clone, Copy)]

@@ -7,9 +7,8 @@ use armarium_values::Value;
 use armarium_values::expr::{MAX_PARTS, World};
 
 use super::event::Event;
-use super::program::{Program, StateId};
-use super::tables::Symbol;
 use super::{Effect, Sensors, TraceItem};
+use crate::program::{Program, StateId, Symbol};
 
 /// Most parts of what all variables together hold by assignment.
 const MAX_HELD_PARTS: usize = 20 * MAX_PARTS;

@@ -4,9 +4,9 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use super::enter::Entries;
-use super::program::{Kind, Pattern, Program, StateId};
 use super::state::{Pending, SkillRun, Step, Turn};
 use super::{Effect, Engine, TraceItem};
+use crate::program::{Kind, Pattern, Program, StateId};
 
 /// Longest time that a timer waits.
 const LONGEST_S: f64 = 1.0e9;
@@ -28,6 +28,11 @@ impl Engine {
     pub(super) fn begin(&mut self, step: Step, turn: &mut Turn<'_>) {
         if turn.tracing {
             self.trace_transitions(&step, turn);
+        }
+        if self.near_a_bound()
+            && let Step::Take(transitions) = &step
+        {
+            transitions.iter().for_each(|t| self.circle.note(turn.program.tables.jump(*t).source));
         }
         let exits = self.exits(&step, turn.program);
         let waiting = if self.skills.is_empty() && self.ready.is_empty() {

@@ -405,7 +405,8 @@ initial: A
 states: {A: {always: [B]}, B: {always: [A]}}
 ",
     );
-    assert!(d.said().ends_with("finished failure \"1000 microsteps without rest\""));
+    let said = d.said();
+    assert!(said.contains("finished failure \"1000 microsteps without rest: `A`, `B`\""), "{said}");
 }
 
 #[test]

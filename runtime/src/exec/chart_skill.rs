@@ -9,11 +9,11 @@ use futures::FutureExt as _;
 use futures::future::BoxFuture;
 use tokio::sync::watch;
 
-use super::{ExecOptions, Executor, Others, RunResult};
-use crate::chart::{Declaration, Registry};
-use crate::engine::Program;
-use crate::skill::{Failure, Outcome, Parameter, Skill, SkillContext, SkillManifest, SkillResult};
-use crate::trace::{TraceEvent, TraceItem, TraceSink};
+use super::{ExecOptions, Executor, Peers, RunResult, TraceSink};
+use crate::chart::Registry;
+use crate::program::Program;
+use crate::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use crate::trace::{TraceEvent, TraceItem};
 
 /// Stops the robot because the skill of this state is stuck.
 pub type Stop = Arc<dyn Fn(&str) + Send + Sync>;
@@ -27,7 +27,7 @@ pub struct ChartSkill {
     description: String,
     registry: Registry,
     stop: Stop,
-    others: Others,
+    others: Peers,
 }
 
 impl fmt::Debug for ChartSkill {
@@ -40,31 +40,22 @@ impl ChartSkill {
     /// A chart with the skills that it uses; `stop` is called when one of those does not return.
     #[must_use]
     pub fn new(program: Arc<Program>, description: &str, registry: Registry, stop: Stop) -> Self {
-        Self { program, description: description.to_owned(), registry, stop, others: Others::default() }
+        Self { program, description: description.to_owned(), registry, stop, others: Peers::default() }
     }
 
     /// The same chart among those of other agents: it sends them events, and hears what they send.
     #[must_use]
-    pub fn among(mut self, others: Others) -> Self {
+    pub fn among(mut self, others: Peers) -> Self {
         self.others = others;
         self
-    }
-}
-
-fn parameter(declaration: &Declaration) -> Parameter {
-    Parameter {
-        name: declaration.name.clone(),
-        ty: declaration.ty.clone(),
-        default: declaration.default.clone(),
-        description: declaration.description.clone(),
     }
 }
 
 impl Skill for ChartSkill {
     fn manifest(&self) -> SkillManifest {
         let mut manifest = SkillManifest::new(self.program.name(), &self.description);
-        manifest.inputs = self.program.inputs().map(parameter).collect();
-        manifest.outputs = self.program.outputs().map(parameter).collect();
+        manifest.inputs = self.program.inputs().cloned().collect();
+        manifest.outputs = self.program.outputs().cloned().collect();
         manifest.outcomes = self.program.outcomes();
         manifest.limbs = self.program.limbs();
         manifest.grace = self.program.grace() + ENDING;

@@ -1,36 +1,44 @@
-//! Runs a chart on tokio: skills as tasks, timers, watches, one bounded queue. The engine decides, this does.
+//! Runs a chart on tokio: skills as tasks, one bounded queue, tokio's clock. The engine decides, the agenda says what
+//! is due, this does it. What is due at an instant comes before what arrives at it, so that a flood of events delays no timer.
 //!
 //! On a current-thread runtime with a paused clock a run is repeatable bit for bit: ordered maps, biased
 //! selection, and nothing but tokio's clock.
 
 mod chart_skill;
-mod letters;
+mod following;
+mod remote_events;
+mod sink;
 mod skills;
 mod watchdog;
-mod watching;
 
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 use armarium_values::Value;
+use futures::future::BoxFuture;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
+use crate::activation::{Activation, Report, Start};
+use crate::agenda::Agenda;
 use crate::channels::Channels;
 use crate::chart::Registry;
-use crate::engine::{Effect, Engine, Input, InputError, InputRecord, Program, Recording, Sensors};
-use crate::skill::Limits;
-use crate::trace::{TraceEvent, TraceItem, TraceSink};
-use letters::Outbox;
+use crate::engine::{Effect, Engine, Input, InputRecord, Recording, Sensors};
+use crate::program::Program;
+use crate::skill::{Failure, InputError, Limits, Skill, SkillContext, SkillManifest, SkillResult};
+use crate::trace::{TraceEvent, TraceItem};
+use following::Following;
+use remote_events::Outbox;
 use skills::{Message, Running};
 use watchdog::Watchdog;
-use watching::Watching;
 
 pub use crate::engine::RunResult;
 pub use chart_skill::{ChartSkill, Stop};
-pub use letters::{Hearers, Letter, Others, Post};
+pub use remote_events::{Peers, RemoteEvent, Subscribers, Transport};
+pub use sink::TraceSink;
 
 /// Messages that may wait for the engine; skills that send more wait.
 const QUEUE: usize = 256;
@@ -53,7 +61,7 @@ pub struct ExecOptions {
     /// long time by the wall clock: stop the robot. In the second case it is called from another thread.
     pub on_stuck: Option<OnStuck>,
     /// The charts of other agents, and how events go to and fro.
-    pub others: Others,
+    pub others: Peers,
 }
 
 impl fmt::Debug for ExecOptions {
@@ -98,16 +106,17 @@ pub struct Executor {
     sink: Option<Box<dyn TraceSink>>,
     watchdog: Watchdog,
     outbox: Outbox,
-    hearers: Hearers,
+    subscribers: Subscribers,
     sender: mpsc::Sender<Message>,
     queue: mpsc::Receiver<Message>,
     stop: CancellationToken,
     reason: Arc<Mutex<Option<String>>>,
     running: BTreeMap<u64, Running>,
-    timers: BTreeMap<(Instant, u64, u64), ()>,
-    timer_keys: BTreeMap<u64, (Instant, u64, u64)>,
-    watching: Watching,
+    agenda: Agenda,
+    following: Following,
     began: Instant,
+    /// Time since the run began, at the turn that is taken.
+    now: Duration,
     result: Option<RunResult>,
 }
 
@@ -153,17 +162,17 @@ impl Executor {
             limits: options.limits,
             sink: options.sink,
             watchdog: Watchdog::new(options.on_stuck, sender.clone()),
-            outbox: Outbox::new(options.others.post, sender.clone()),
-            hearers: options.others.hearers,
+            outbox: Outbox::new(options.others.transport, sender.clone()),
+            subscribers: options.others.subscribers,
             sender,
             queue,
             stop: CancellationToken::new(),
             reason: Arc::new(Mutex::new(None)),
             running: BTreeMap::new(),
-            timers: BTreeMap::new(),
-            timer_keys: BTreeMap::new(),
-            watching: Watching::default(),
+            agenda: Agenda::default(),
+            following: Following::default(),
             began: Instant::now(),
+            now: Duration::ZERO,
             result: None,
         })
     }
@@ -172,7 +181,7 @@ impl Executor {
     /// `on_hang` is called with its state's path, from a thread of its own, after [`ExecOptions::on_stuck`]: where the
     /// skill blocks the thread that everything runs on, nothing else can go on, and the process should end.
     #[must_use]
-    pub fn hang_after(mut self, limit: std::time::Duration, on_hang: Option<OnStuck>) -> Self {
+    pub fn hang_after(mut self, limit: Duration, on_hang: Option<OnStuck>) -> Self {
         self.watchdog.set(limit, on_hang);
         self
     }
@@ -187,54 +196,89 @@ impl Executor {
     pub async fn run(mut self) -> RunResult {
         self.began = Instant::now();
         self.watchdog.start();
-        let seat = self.hearers.join(self.engine.program().name(), self.controller());
+        let subscription = self.subscribers.join(self.engine.program().name(), self.controller());
         self.turn(None);
         let mut stopping = false;
+        let stop = self.stop.clone();
         loop {
+            self.catch_up();
             if let Some(result) = self.result.take() {
-                drop(seat);
+                drop(subscription);
                 self.outbox.close().await;
                 return result;
             }
-            if self.sample_watches() {
-                continue;
-            }
-            let deadline = self.deadline();
-            let stop = self.stop.clone();
-            let turn = tokio::select! {
+            let deadline = self.agenda.next().and_then(|at| self.began.checked_add(at));
+            let message = tokio::select! {
                 biased;
-                () = stop.cancelled(), if !stopping => Turn::Stop,
-                Some(message) = self.queue.recv() => Turn::Message(message),
-                () = until(deadline), if deadline.is_some() => Turn::Time,
-                () = self.watching.changed(), if self.watching.observes() => Turn::Channels,
-            };
-            match turn {
-                Turn::Stop => {
+                () = stop.cancelled(), if !stopping => {
                     stopping = true;
                     let reason = self.reason.lock().unwrap_or_else(PoisonError::into_inner).clone();
-                    self.handle(Input::Stop { reason: reason.unwrap_or_default() });
+                    Message::Stopped { reason: reason.unwrap_or_default() }
                 }
-                Turn::Message(message) => self.message(message),
-                Turn::Time => self.time(),
-                Turn::Channels => {}
+                Some(message) = self.queue.recv() => message,
+                () = until(deadline), if deadline.is_some() => continue,
+                () = self.following.changed(), if !self.following.is_empty() => continue,
+            };
+            self.catch_up();
+            if self.result.is_none() {
+                self.message(message);
             }
+        }
+    }
+
+    /// Tells the engine everything that is due by now.
+    fn catch_up(&mut self) {
+        self.now = self.began.elapsed();
+        while self.result.is_none() {
+            for channel in self.following.take_changed() {
+                self.agenda.published(channel);
+            }
+            let program = Arc::clone(self.engine.program());
+            let hub = Hub { channels: &self.channels, names: program.channels() };
+            let Some(input) = self.agenda.due(&self.engine, &hub, self.now) else { return };
+            if let Input::SkillStuck { activation } = &input
+                && let Some(running) = self.running.remove(activation)
+            {
+                let state = program.path(running.state());
+                tracing::error!(state, "a skill did not return after it was cancelled");
+                self.watchdog.stuck(state);
+            }
+            self.turn(Some(input));
         }
     }
 
     fn message(&mut self, message: Message) {
         match message {
-            Message::Event { name, data } => self.handle(Input::Event { name, data }),
-            Message::Inside { state, leaves } => self.trace(TraceItem::Inside { state, leaves }),
-            Message::Hangs { reason } => self.handle(Input::Abort { reason }),
-            Message::Ended { activation, result } => {
-                self.running.remove(&activation);
-                self.handle(Input::SkillEnded { activation, result });
-            }
+            Message::Event { name, data } => self.turn(Some(Input::Event { name, data })),
+            Message::Skill { activation, report } => self.report(activation, report),
+            Message::Hangs { reason } => self.turn(Some(Input::Abort { reason })),
+            Message::Stopped { reason } => self.turn(Some(Input::Stop { reason })),
         }
     }
 
-    fn handle(&mut self, input: Input) {
-        self.turn(Some(input));
+    /// A skill tells something; what one tells that is taken for stuck is not heard any more.
+    fn report(&mut self, activation: u64, report: Report) {
+        let Some(state) = self.running.get(&activation).map(Running::state) else { return };
+        let path = || self.engine.program().path(state).to_owned();
+        match report {
+            Report::Event { name, data } => self.turn(Some(Input::Event { name, data })),
+            Report::Dropped { name, count } => {
+                let reason = format!("`{}` raised {count} more than may wait", path());
+                self.trace(TraceItem::Dropped { name, reason });
+            }
+            Report::Inside(leaves) => {
+                let state = path();
+                self.trace(TraceItem::Inside { state, leaves });
+            }
+            Report::Ended(result) => {
+                self.running.remove(&activation);
+                let restless = self.agenda.ended(activation, state, self.engine.program(), self.now);
+                self.turn(Some(Input::SkillEnded { activation, result }));
+                if restless.is_some() && self.result.is_none() {
+                    self.turn(restless);
+                }
+            }
+        }
     }
 
     /// One turn of the engine, its start where there is no input; for a sink, with what it was told and read.
@@ -242,123 +286,90 @@ impl Executor {
         let mut effects = Vec::new();
         let program = Arc::clone(self.engine.program());
         let hub = Hub { channels: &self.channels, names: program.channels() };
-        let Some(sink) = &mut self.sink else {
+        if let Some(sink) = &mut self.sink {
+            let sensors = Recording::new(&hub);
+            match input.clone() {
+                None => self.engine.start(&sensors, &mut effects),
+                Some(input) => self.engine.handle(input, &sensors, &mut effects),
+            }
+            sink.input(&InputRecord { at_ns: nanoseconds(self.now), input, seen: sensors.seen() });
+        } else {
             match input {
                 None => self.engine.start(&hub, &mut effects),
                 Some(input) => self.engine.handle(input, &hub, &mut effects),
             }
-            return self.apply(effects);
-        };
-        let sensors = Recording::new(&hub);
-        match input.clone() {
-            None => self.engine.start(&sensors, &mut effects),
-            Some(input) => self.engine.handle(input, &sensors, &mut effects),
         }
-        sink.input(&InputRecord { at_ns: nanoseconds(self.began), input, seen: sensors.seen() });
-        self.apply(effects);
-    }
-
-    fn deadline(&self) -> Option<Instant> {
-        let timer = self.timers.keys().next().map(|(at, ..)| *at);
-        let grace = self.running.values().filter_map(Running::deadline).min();
-        [timer, grace, self.watching.deadline()].into_iter().flatten().min()
-    }
-
-    /// Everything that is due now: stuck skills, then timers in their order. Watches are sampled anyway.
-    fn time(&mut self) {
-        let now = Instant::now();
-        let stuck = |running: &Running| running.deadline().is_some_and(|at| at <= now);
-        let stuck: Vec<u64> = self.running.iter().filter(|(_, r)| stuck(r)).map(|(a, _)| *a).collect();
-        for activation in stuck {
-            let Some(running) = self.running.remove(&activation) else { continue };
-            tracing::error!(state = running.state(), "a skill did not return after it was cancelled");
-            self.watchdog.stuck(running.state());
-            self.handle(Input::SkillStuck { activation });
-        }
-        while let Some((key, ())) = self.timers.first_key_value().filter(|((at, ..), ())| *at <= now) {
-            let key = *key;
-            self.timers.remove(&key);
-            self.timer_keys.remove(&key.2);
-            self.handle(Input::Timer { timer: key.2 });
-        }
-        self.watching.time(now);
-    }
-
-    /// Looks at the watches that may have changed. Gives whether one fired.
-    fn sample_watches(&mut self) -> bool {
-        let program = Arc::clone(self.engine.program());
-        let hub = Hub { channels: &self.channels, names: program.channels() };
-        let inputs = self.watching.sample(&self.engine, &hub, Instant::now());
-        let any = !inputs.is_empty();
-        inputs.into_iter().for_each(|input| self.handle(input));
-        any
-    }
-
-    fn apply(&mut self, effects: Vec<Effect>) {
-        self.watching.data_changed();
         for effect in effects {
-            match effect {
-                Effect::StartSkill { activation, state, skill, inputs, limits } => {
-                    let path = self.engine.program().path(state).to_owned();
-                    let limits = self.limits.tightened(limits);
-                    let Some(implementation) = self.registry.get(&skill).cloned() else {
-                        let reason = format!("there is no skill `{skill}` in this program");
-                        let result = Err(crate::skill::Failure::new(reason));
-                        self.running
-                            .insert(activation, Running::failed(path, activation, result, &self.sender));
-                        continue;
-                    };
-                    let start = skills::Start { activation, state: path, inputs, limits };
-                    let polls = self.watchdog.watch(activation, &start.state);
-                    let declared = self.registry.manifest(&skill).map_or_else(Vec::new, |m| m.events.clone());
-                    let channels = self.channels.clone();
-                    let running =
-                        Running::start(implementation, start, channels, &self.sender, declared, polls);
-                    self.running.insert(activation, running);
-                }
-                Effect::Cancel { activation, grace } => {
-                    if let Some(running) = self.running.get_mut(&activation) {
-                        running.cancel(Instant::now() + grace);
-                    }
-                }
-                Effect::StartTimer { timer, after, order } => {
-                    let key = (Instant::now() + after, order, timer);
-                    self.timers.insert(key, ());
-                    self.timer_keys.insert(timer, key);
-                }
-                Effect::CancelTimer { timer } => {
-                    if let Some(key) = self.timer_keys.remove(&timer) {
-                        self.timers.remove(&key);
-                    }
-                }
-                Effect::ArmWatch { watch, entry } => {
-                    self.watching.arm(watch, entry, self.engine.program(), &self.channels);
-                }
-                Effect::DisarmWatch { watch } => self.watching.disarm(watch),
-                Effect::Send { event, to, data } => self.outbox.send(Letter { to, event, data }),
-                Effect::Trace(item) => self.trace(item),
-                Effect::Finished(result) => self.result = Some(result),
+            if let Some(effect) = self.agenda.take(effect, &program, self.now) {
+                self.act(effect);
             }
+        }
+        self.agenda.turned();
+        self.following.follow(self.agenda.channels(), program.channels(), &self.channels);
+    }
+
+    /// Does what the engine wants done and the agenda does not do.
+    fn act(&mut self, effect: Effect) {
+        match effect {
+            Effect::StartSkill { activation, state, skill, inputs, limits } => {
+                let path = self.engine.program().path(state);
+                let declared = self.registry.manifest(&skill).map_or_else(Vec::new, |m| m.events.clone());
+                let implementation =
+                    self.registry.get(&skill).cloned().unwrap_or_else(|| Arc::new(Missing(skill)));
+                let cancel = CancellationToken::new();
+                let start = Start {
+                    state: path.to_owned(),
+                    inputs,
+                    limits: self.limits.tightened(limits),
+                    channels: self.channels.clone(),
+                    cancel: cancel.clone(),
+                };
+                let running = Running::start(
+                    (activation, state),
+                    Activation::new(implementation, declared, start),
+                    cancel,
+                    self.sender.clone(),
+                    self.watchdog.watch(activation, path),
+                );
+                self.running.insert(activation, running);
+            }
+            Effect::Cancel { activation, .. } => {
+                if let Some(running) = self.running.get(&activation) {
+                    running.cancel();
+                }
+            }
+            Effect::Send { event, to, data } => self.outbox.send(RemoteEvent { to, event, data }),
+            Effect::Trace(item) => self.trace(item),
+            Effect::Finished(result) => self.result = Some(result),
+            Effect::StartTimer { .. }
+            | Effect::CancelTimer { .. }
+            | Effect::ArmWatch { .. }
+            | Effect::DisarmWatch { .. } => {}
         }
     }
 
     fn trace(&mut self, item: TraceItem) {
         if let Some(sink) = &mut self.sink {
-            sink.record(&TraceEvent { at_ns: nanoseconds(self.began), item });
+            sink.record(&TraceEvent { at_ns: nanoseconds(self.now), item });
         }
     }
 }
 
-fn nanoseconds(since: Instant) -> u64 {
-    u64::try_from(Instant::now().duration_since(since).as_nanos()).unwrap_or(u64::MAX)
+fn nanoseconds(time: Duration) -> u64 {
+    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }
 
-/// What woke the executor.
-enum Turn {
-    Stop,
-    Message(Message),
-    Time,
-    Channels,
+/// Stands for a skill that this program does not have.
+struct Missing(String);
+
+impl Skill for Missing {
+    fn manifest(&self) -> SkillManifest {
+        SkillManifest::new(&self.0, "Is not part of this program.")
+    }
+    fn run(&self, _: SkillContext) -> BoxFuture<'static, SkillResult> {
+        let failure = Failure::new(format!("there is no skill `{}` in this program", self.0));
+        Box::pin(std::future::ready(Err(failure)))
+    }
 }
 
 async fn until(deadline: Option<Instant>) {
@@ -368,5 +379,7 @@ async fn until(deadline: Option<Instant>) {
     }
 }
 
+#[cfg(test)]
+mod agreement;
 #[cfg(test)]
 mod tests;

@@ -1,62 +1,33 @@
-//! A skill as a task: started, cancelled, its panic caught, its end always reported once.
-
-use std::any::Any;
-use std::collections::BTreeMap;
-use std::panic::AssertUnwindSafe;
-use std::sync::Arc;
+//! The skills of one run: each a task whose reports go into the run's queue.
 
 use armarium_values::Value;
-use futures::FutureExt;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::mpsc;
 use tokio::task::AbortHandle;
-use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 use super::watchdog::Polls;
-use crate::channels::Channels;
-use crate::skill::{Failure, Limits, Skill, SkillContext, SkillResult};
-
-/// Events of one skill that may wait.
-const EVENTS: usize = 64;
+use crate::activation::{Activation, Report};
+use crate::program::StateId;
 
 /// What reaches the executor's queue.
 #[derive(Debug)]
 pub(super) enum Message {
-    Ended {
-        activation: u64,
-        result: SkillResult,
-    },
-    Event {
-        name: String,
-        data: Value,
-    },
-    /// What is active inside a skill has changed.
-    Inside {
-        state: String,
-        leaves: Vec<String>,
-    },
+    /// An event from outside, or one that could not be delivered to another agent.
+    Event { name: String, data: Value },
+    /// A skill tells something.
+    Skill { activation: u64, report: Report },
     /// A skill has not yielded for too long.
-    Hangs {
-        reason: String,
-    },
-}
-
-/// What a skill is started with.
-#[derive(Debug)]
-pub(super) struct Start {
-    pub(super) activation: u64,
-    pub(super) state: String,
-    pub(super) inputs: BTreeMap<String, Value>,
-    pub(super) limits: Limits,
+    Hangs { reason: String },
+    /// Somebody ends the run.
+    Stopped { reason: String },
 }
 
 /// A skill that has been started. Dropping it cancels and aborts the task, if that still runs.
 #[derive(Debug)]
 pub(super) struct Running {
-    state: String,
+    state: StateId,
     cancel: CancellationToken,
     task: AbortHandle,
-    deadline: Option<Instant>,
 }
 
 impl Drop for Running {
@@ -67,120 +38,36 @@ impl Drop for Running {
 }
 
 impl Running {
+    /// Lets a skill act in a task of its own. `cancel` is the token that it was started with.
     pub(super) fn start(
-        skill: Arc<dyn Skill>,
-        start: Start,
-        channels: Channels,
-        queue: &mpsc::Sender<Message>,
-        declared: Vec<String>,
+        (number, state): (u64, StateId),
+        activation: Activation,
+        cancel: CancellationToken,
+        queue: mpsc::Sender<Message>,
         polls: Polls,
     ) -> Self {
-        let cancel = CancellationToken::new();
-        let (events, incoming) = mpsc::channel(EVENTS);
-        let (inside, within) = watch::channel(Vec::new());
-        let state = start.state.clone();
-        let context = SkillContext {
-            state: start.state,
-            inputs: start.inputs,
-            limits: start.limits,
-            cancel: cancel.clone(),
-            channels,
-            events,
-            inside,
-        };
-        let told = Told { incoming, within, declared };
-        let driving = Box::pin(drive(skill, context, told, start.activation, queue.clone()));
-        let task = tokio::spawn(polls.of(driving));
-        Self { state, cancel, task: task.abort_handle(), deadline: None }
+        let task = tokio::spawn(polls.of(Box::pin(drive(activation, number, queue))));
+        Self { state, cancel, task: task.abort_handle() }
     }
 
-    /// A skill that could not even be started.
-    pub(super) fn failed(
-        state: String,
-        activation: u64,
-        result: SkillResult,
-        queue: &mpsc::Sender<Message>,
-    ) -> Self {
-        let queue = queue.clone();
-        let task = tokio::spawn(async move {
-            report(&queue, Message::Ended { activation, result }).await;
-        });
-        Self { state, cancel: CancellationToken::new(), task: task.abort_handle(), deadline: None }
-    }
-
-    pub(super) fn cancel(&mut self, deadline: Instant) {
+    pub(super) fn cancel(&self) {
         self.cancel.cancel();
-        self.deadline.get_or_insert(deadline);
     }
 
-    /// When it counts as stuck; none while it is not cancelled.
-    pub(super) fn deadline(&self) -> Option<Instant> {
-        self.deadline
-    }
-
-    pub(super) fn state(&self) -> &str {
-        &self.state
+    pub(super) fn state(&self) -> StateId {
+        self.state
     }
 }
 
-async fn report(queue: &mpsc::Sender<Message>, message: Message) {
-    if queue.send(message).await.is_err() {
-        tracing::debug!("a skill ended after its run");
-    }
-}
-
-/// What a skill tells while it runs.
-struct Told {
-    incoming: mpsc::Receiver<(String, Value)>,
-    within: watch::Receiver<Vec<String>>,
-    /// Events that it may raise.
-    declared: Vec<String>,
-}
-
-async fn drive(
-    skill: Arc<dyn Skill>,
-    context: SkillContext,
-    told: Told,
-    activation: u64,
-    queue: mpsc::Sender<Message>,
-) {
-    let Told { mut incoming, mut within, declared } = told;
-    let state = context.state.clone();
-    let pass = |(name, data): (String, Value)| {
-        let known = declared.contains(&name);
-        if !known {
-            tracing::warn!(state, event = name, "a skill raised an event that it does not declare");
+async fn drive(mut activation: Activation, number: u64, queue: mpsc::Sender<Message>) {
+    loop {
+        let report = activation.next().await;
+        let ended = matches!(report, Report::Ended(_));
+        if queue.send(Message::Skill { activation: number, report }).await.is_err() {
+            tracing::debug!("a skill told something after its run");
         }
-        known.then_some(Message::Event { name, data })
-    };
-    let acting = AssertUnwindSafe(async { skill.run(context).await }).catch_unwind();
-    tokio::pin!(acting);
-    let result = loop {
-        tokio::select! {
-            biased;
-            Some(event) = incoming.recv() => {
-                if let Some(message) = pass(event) {
-                    report(&queue, message).await;
-                }
-            }
-            Ok(()) = within.changed() => {
-                let leaves = within.borrow_and_update().clone();
-                report(&queue, Message::Inside { state: state.clone(), leaves }).await;
-            }
-            result = &mut acting => break result,
-        }
-    };
-    while let Ok(event) = incoming.try_recv() {
-        if let Some(message) = pass(event) {
-            report(&queue, message).await;
+        if ended {
+            return;
         }
     }
-    let result = result.unwrap_or_else(|panic| Err(Failure::new(words(panic.as_ref()))));
-    report(&queue, Message::Ended { activation, result }).await;
-}
-
-fn words(panic: &(dyn Any + Send)) -> String {
-    let text = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
-    let text = text.or_else(|| panic.downcast_ref::<String>().cloned());
-    format!("the skill panicked: {}", text.as_deref().unwrap_or("no message"))
 }

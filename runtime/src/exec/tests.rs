@@ -354,3 +354,127 @@ states:
         assert_eq!((result.outcome.as_str(), &result.outputs["got"]), ("success", &Value::Float(n as f64)));
     }
 }
+
+/// A watch from A to B and one from B to A, on a condition that holds.
+const ROUND: &str = "
+statechart: T
+locals: {n: {type: int, default: 1}}
+initial: A
+states:
+  A: {watch: {w: \"locals.n > 0\"}, transitions: {w: B}}
+  B: {watch: {w: \"locals.n > 0\"}, transitions: {w: A}}
+";
+
+#[tokio::test]
+async fn watches_that_lead_to_each_other_end_the_run_by_the_real_clock() {
+    let (result, _) = run(ROUND).await;
+    assert_eq!(result.outcome, "failure");
+    assert_eq!(result.reason.as_deref(), Some("1000 firings of watches without rest: `A`, `B`"));
+}
+
+#[tokio::test(start_paused = true)]
+async fn skills_that_end_without_time_end_the_run() {
+    let (result, _) = run("
+statechart: T
+initial: A
+states:
+  A: {skill: Act, with: {end: success}, transitions: {success: B}}
+  B: {skill: Act, with: {end: success}, transitions: {success: A}}
+")
+    .await;
+    assert_eq!(result.outcome, "failure");
+    assert_eq!(result.reason.as_deref(), Some("10000 skills ended without any time between them: `A`, `B`"));
+}
+
+/// Raises events without end, as fast as the queue takes them.
+async fn flood(controller: Controller) {
+    loop {
+        while controller.raise("noise", Value::Null) {}
+        tokio::task::yield_now().await;
+    }
+}
+
+#[tokio::test]
+async fn a_flood_of_events_delays_no_timer_and_no_watch() {
+    let text = "
+statechart: T
+events: {noise: {}}
+initial: A
+states:
+  A: {after: {50ms: B}}
+  B: {watch: {fist: {if: \"channels.hand.gesture == 'fist'\", for: 50ms}}, transitions: {fist: Done}}
+  Done: {final: success}
+";
+    let channels = Channels::new();
+    channels.publish("hand", Value::record([("gesture", "fist".into())]));
+    let running = run_with(text, channels, |controller| Box::pin(flood(controller)));
+    let (result, _) = tokio::time::timeout(Duration::from_secs(20), running).await.expect("it ends");
+    assert_eq!(result.outcome, "success");
+}
+
+#[tokio::test]
+async fn a_flood_of_events_delays_no_stuck_skill() {
+    let text = "
+statechart: T
+events: {noise: {}}
+initial: A
+states:
+  A: {skill: Act, with: {end: stuck}, after: {20ms: B}}
+  B: {}
+";
+    let running = run_with(text, Channels::new(), |controller| Box::pin(flood(controller)));
+    let (result, _) = tokio::time::timeout(Duration::from_secs(20), running).await.expect("it ends");
+    assert_eq!(result.reason.as_deref(), Some("the skill of `A` did not return after it was cancelled"));
+}
+
+/// Raises events without ever giving them time to be taken.
+struct Chatter(u64);
+
+impl Skill for Chatter {
+    fn manifest(&self) -> SkillManifest {
+        SkillManifest::new("Chatter", "Raises many events at once.").event("word")
+    }
+    fn run(&self, context: SkillContext) -> BoxFuture<'static, SkillResult> {
+        (0..self.0).for_each(|_| context.events.raise("word", Value::Null));
+        Box::pin(std::future::ready(Ok(crate::skill::Outcome::success())))
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_event_over_the_bound_is_counted_and_dropped() {
+    let text = "
+statechart: T
+outputs: {heard: {type: int, default: 0}}
+initial: A
+states:
+  A:
+    skill: Chatter
+    transitions: {word: {do: [{assign: {outputs.heard: \"${outputs.heard + 1}\"}}]}, success: Done}
+  Done: {final: success}
+";
+    let bound = crate::skill::MAX_EVENTS as u64;
+    let mut registry = Registry::new();
+    registry.add(Arc::new(Chatter(bound + 12)));
+    let library = crate::chart::load_text("test.yaml", text, &[]);
+    let checked = crate::chart::check(&library, &registry, &crate::chart::ChannelSchema::new());
+    let dropped = Arc::new(Mutex::new(Vec::new()));
+    let seen = Arc::clone(&dropped);
+    let sink = move |event: &TraceEvent| {
+        if let TraceItem::Dropped { name, reason } = &event.item {
+            seen.lock().unwrap().push(format!("{name}: {reason}"));
+        }
+    };
+    let options = ExecOptions { sink: Some(Box::new(sink)), ..ExecOptions::default() };
+    let executor = Executor::new(checked.program.unwrap(), registry, Channels::new(), options).unwrap();
+    let result = executor.run().await;
+    assert_eq!(result.outputs["heard"], Value::Int(bound as i64));
+    assert_eq!(*dropped.lock().unwrap(), ["word: `A` raised 12 more than may wait"]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_skill_that_this_program_does_not_have_fails_its_state() {
+    let program = program("statechart: T\ninitial: A\nstates: {A: {skill: Act}}\n");
+    let executor = Executor::new(program, Registry::new(), Channels::new(), ExecOptions::default());
+    let result = executor.unwrap().run().await;
+    assert_eq!(result.reason.as_deref(), Some("there is no skill `Act` in this program"));
+}

@@ -1,5 +1,5 @@
-//! Watches by the wall clock that skills yield. The executor's own time may be virtual, and may stand still while a
-//! skill blocks its thread: only another thread sees that.
+//! Checks by the wall clock that each skill yields. The executor's time may be virtual, and it stands still while a skill
+//! blocks its thread. So a thread of its own checks it.
 //!
 //! It changes nothing in a run in which every skill yields.
 

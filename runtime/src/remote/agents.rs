@@ -16,7 +16,8 @@ use tokio::time::{Instant, sleep, timeout};
 
 use super::wire::{Cancel, Ended, Manifest, Start, Status, answered, packed};
 use super::{HELD, LEASE};
-use crate::chart::{Refused, Registry, suggest};
+use crate::chart::{Refused, Registry};
+use crate::finding::suggest;
 use crate::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
 
 /// Manifests that one question may bring.
@@ -187,6 +188,7 @@ impl Skill for Remote {
             version: self.manifest.version.clone(),
             agents,
             heard: Instant::now(),
+            dropped: 0,
         };
         Started(threads.spawn(call.run(context))).boxed()
     }
@@ -220,6 +222,8 @@ struct Call {
     version: String,
     /// When the agent was last heard of.
     heard: Instant,
+    /// Events that were dropped at the agent so far.
+    dropped: u64,
 }
 
 impl Call {
@@ -317,10 +321,14 @@ impl Call {
     }
 
     /// Passes on what is new; gives how it ended, once it has.
-    async fn told(&self, status: Status, seen: &mut u64, context: &SkillContext) -> Option<Ended> {
+    async fn told(&mut self, status: Status, seen: &mut u64, context: &SkillContext) -> Option<Ended> {
         for event in status.events.into_iter().filter(|e| e.revision > *seen) {
-            // The queue ends with the state; then nobody waits for the event.
-            let _ = context.events.send((event.name, event.data)).await.is_ok();
+            context.events.raise(&event.name, event.data);
+        }
+        if status.dropped > self.dropped {
+            let all = format!("events of {}/{}", self.agent, self.name);
+            context.events.dropped(&all, status.dropped - self.dropped);
+            self.dropped = status.dropped;
         }
         // A process that does not hold its answers back is not asked without a pause.
         if status.revision <= *seen && status.ended.is_none() {

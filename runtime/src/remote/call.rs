@@ -1,41 +1,27 @@
-//! One call that another agent has started here: the skill as it runs, what is to be told of it, and its lease.
+//! One call that another agent has started here: its activation, what its caller has to hear, and its lease.
 
-use std::collections::{BTreeMap, VecDeque};
-use std::panic::AssertUnwindSafe;
+use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use armarium_values::Value;
-use futures::FutureExt as _;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::watch;
 use tokio::time::{Instant, sleep_until, timeout};
 use tokio_util::sync::CancellationToken;
 
 use super::LEASE;
-use super::wire::{Ended, Manifest, RaisedEvent, Status};
-use crate::channels::Channels;
+use super::wire::{Ended, RaisedEvent, Status};
+use crate::activation::{Activation, Report};
 use crate::exec::Stop;
-use crate::skill::{Failure, Limits, Skill, SkillContext, SkillManifest, SkillResult};
+use crate::skill::{Failure, MAX_EVENTS};
 
-/// Events that wait for the caller; older ones are dropped.
-const EVENTS: usize = 256;
-
-/// What is to run.
-pub(super) struct Task {
-    pub(super) name: String,
-    pub(super) skill: Arc<dyn Skill>,
-    pub(super) manifest: SkillManifest,
-    pub(super) inputs: BTreeMap<String, Value>,
-    pub(super) limits: Limits,
-    pub(super) channels: Channels,
-    pub(super) stop: Stop,
-}
-
+/// What the caller has to hear.
 #[derive(Debug, Default)]
 struct State {
     revision: u64,
     leaves: Vec<String>,
     events: VecDeque<RaisedEvent>,
+    /// Events that came over a bound so far.
+    dropped: u64,
     ended: Option<Ended>,
 }
 
@@ -45,26 +31,15 @@ pub(super) struct Call {
     state: watch::Sender<State>,
     heard: Mutex<Instant>,
     cancel: CancellationToken,
-    reason: Mutex<Option<String>>,
 }
 
 impl Call {
-    /// Starts a task; gives the future that runs it to its end.
-    pub(super) fn start(task: Task) -> (Arc<Self>, impl Future<Output = ()> + Send) {
-        let call = Arc::new(Self {
-            state: watch::channel(State::default()).0,
-            heard: Mutex::new(Instant::now()),
-            cancel: CancellationToken::new(),
-            reason: Mutex::default(),
-        });
-        let running = Arc::clone(&call);
-        (call, async move { running.run(task).await })
+    /// A call that has just been asked for; `cancel` is the token that its skill is started with.
+    pub(super) fn new(cancel: CancellationToken) -> Self {
+        Self { state: watch::channel(State::default()).0, heard: Mutex::new(Instant::now()), cancel }
     }
 
-    pub(super) fn cancel(&self, reason: &str) {
-        let mut slot = self.reason.lock().unwrap_or_else(PoisonError::into_inner);
-        slot.get_or_insert_with(|| reason.chars().take(200).collect());
-        drop(slot);
+    pub(super) fn cancel(&self) {
         self.cancel.cancel();
     }
 
@@ -88,6 +63,7 @@ impl Call {
             revision: state.revision,
             leaves: state.leaves.clone(),
             events: state.events.iter().filter(|e| e.revision > seen).cloned().collect(),
+            dropped: state.dropped,
             ended: state.ended.clone(),
         }
     }
@@ -96,100 +72,57 @@ impl Call {
         *self.heard.lock().unwrap_or_else(PoisonError::into_inner) + LEASE
     }
 
-    async fn run(&self, task: Task) {
-        let (events, mut incoming) = mpsc::channel(64);
-        let (inside, mut within) = watch::channel(Vec::new());
-        let context = SkillContext {
-            state: task.name.clone(),
-            inputs: task.inputs,
-            limits: task.limits,
-            cancel: self.cancel.clone(),
-            channels: task.channels,
-            events,
-            inside,
-        };
-        let skill = task.skill;
-        let acting = AssertUnwindSafe(async move { skill.run(context).await }).catch_unwind();
-        tokio::pin!(acting);
+    /// Runs to the end. A call that nobody polls is cancelled; one that does not return within `grace` is stuck, and
+    /// `stop` is called with its name.
+    pub(super) async fn run(
+        self: Arc<Self>,
+        name: String,
+        mut activation: Activation,
+        grace: Duration,
+        stop: Stop,
+    ) {
         let mut deadline = None;
-        let result = loop {
+        let ended = loop {
             let (lease, until) = (self.lease(), deadline.unwrap_or_else(Instant::now));
             tokio::select! {
                 biased;
-                Some((name, data)) = incoming.recv() => self.raised(&task.manifest, name, data),
-                Ok(()) = within.changed() => self.tell(|state| state.leaves.clone_from(&within.borrow_and_update())),
-                result = &mut acting => break result,
-                () = self.cancel.cancelled(), if deadline.is_none() => {
-                    deadline = Some(Instant::now() + task.manifest.grace);
-                }
+                report = activation.next() => match report {
+                    Report::Ended(result) => break result,
+                    other => self.tell(other),
+                },
+                () = self.cancel.cancelled(), if deadline.is_none() => deadline = Some(Instant::now() + grace),
                 () = sleep_until(lease), if deadline.is_none() => {
                     // A poll may have come while this waited.
                     if self.lease() <= Instant::now() {
-                        tracing::warn!(call = %task.name, "its caller is gone: it is cancelled");
-                        self.cancel("its caller is gone");
+                        tracing::warn!(call = %name, "its caller is gone: it is cancelled");
+                        self.cancel();
                     }
                 }
                 () = sleep_until(until), if deadline.is_some() => {
-                    tracing::error!(call = %task.name, "it did not return after it was cancelled");
-                    (task.stop)(&task.name);
-                    break Ok(Err(Failure::new("it is stuck: it did not return after it was cancelled")));
+                    tracing::error!(call = %name, "it did not return after it was cancelled");
+                    stop(&name);
+                    break Err(Failure::new("it is stuck: it did not return after it was cancelled"));
                 }
             }
         };
-        while let Ok((name, data)) = incoming.try_recv() {
-            self.raised(&task.manifest, name, data);
-        }
-        let result: SkillResult =
-            result.unwrap_or_else(|_| Err(Failure::new("the skill panicked at the other agent")));
-        self.tell(|state| state.ended = Some(result.into()));
+        self.tell(Report::Ended(ended));
     }
 
-    fn tell(&self, change: impl FnOnce(&mut State)) {
+    fn tell(&self, report: Report) {
         self.state.send_modify(|state| {
             state.revision += 1;
-            change(state);
-        });
-    }
-
-    fn raised(&self, manifest: &SkillManifest, name: String, data: Value) {
-        if !manifest.events.contains(&name) {
-            tracing::warn!(event = name, "a skill raised an event that it does not declare");
-            return;
-        }
-        self.tell(|state| {
-            if state.events.len() >= EVENTS {
-                state.events.pop_front();
-                tracing::warn!("events wait for a caller that does not fetch them: the oldest is dropped");
-            }
-            let revision = state.revision;
-            state.events.push_back(RaisedEvent { revision, name, data });
-        });
-    }
-}
-
-impl Manifest {
-    /// The inputs as declared: converted, with defaults.
-    ///
-    /// # Errors
-    /// One sentence for people: an input that is unknown, missing, or of another type.
-    pub(super) fn checked(
-        &self,
-        mut given: BTreeMap<String, Value>,
-    ) -> Result<BTreeMap<String, Value>, String> {
-        let mut inputs = BTreeMap::new();
-        for parameter in &self.inputs {
-            let name = &parameter.name;
-            let value = match given.remove(name) {
-                Some(value) => parameter.ty.convert(value).map_err(|e| format!("the input `{name}`: {e}"))?,
-                None => {
-                    parameter.default.clone().ok_or_else(|| format!("the input `{name}` is not given"))?
+            match report {
+                Report::Event { name, data } => {
+                    if state.events.len() >= MAX_EVENTS {
+                        state.events.pop_front();
+                        state.dropped += 1;
+                    }
+                    state.events.push_back(RaisedEvent { revision: state.revision, name, data });
                 }
-            };
-            inputs.insert(name.clone(), value);
-        }
-        match given.keys().next() {
-            Some(unknown) => Err(format!("there is no input `{unknown}`")),
-            None => Ok(inputs),
-        }
+                Report::Dropped { count, .. } => state.dropped += count,
+                Report::Inside(leaves) => state.leaves = leaves,
+                Report::Ended(result) => state.ended = Some(result.into()),
+            }
+        });
     }
 }

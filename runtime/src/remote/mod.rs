@@ -11,12 +11,12 @@
 
 mod agents;
 mod call;
-mod letters;
+mod events;
 mod serve;
 pub mod wire;
 
 pub use agents::{Agents, Patience};
-pub use letters::hear;
+pub use events::hear;
 pub use serve::{Offer, Offers, ServeError, serve};
 
 use std::time::Duration;

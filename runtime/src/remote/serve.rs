@@ -7,13 +7,15 @@ use std::time::Duration;
 
 use armarium_bus::{Key, KeyError, Question, Session, SessionError, keys};
 use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
 
 use super::HELD;
-use super::call::{Call, Task};
+use super::call::Call;
 use super::wire::{Cancel, Manifest, Poll, Refusal, Start, Status, packed, unpacked};
+use crate::activation::{self, Activation};
 use crate::channels::Channels;
 use crate::exec::Stop;
-use crate::skill::Skill;
+use crate::skill::{self, Skill};
 
 /// Calls that run at once.
 const MOST_CALLS: usize = 64;
@@ -183,7 +185,8 @@ impl Server {
             "runtime/cancel" => match unpacked::<Cancel>(encoding, bytes) {
                 Ok(cancel) => {
                     let call = self.call(&cancel.call)?;
-                    call.cancel(&cancel.reason);
+                    tracing::debug!(call = cancel.call, reason = cancel.reason, "cancelled by its caller");
+                    call.cancel();
                     Ok(call.poll(0, Duration::ZERO).await)
                 }
                 Err(error) => Err(error),
@@ -207,7 +210,9 @@ impl Server {
                 "`{shown}` is version {here} now, and the caller's chart was checked with version {there}"
             ));
         }
-        let inputs = offer.manifest.checked(start.inputs.clone()).map_err(|e| format!("`{shown}`: {e}"))?;
+        let manifest = offer.skill.manifest();
+        let inputs = skill::inputs(manifest.inputs.iter(), start.inputs.clone())
+            .map_err(|error| format!("`{shown}`: {error}"))?;
         let mut calls = self.calls.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(call) = calls.get(&start.call) {
             // Asked twice because the first answer was lost.
@@ -217,16 +222,13 @@ impl Server {
             return Err(format!("`{}` runs {MOST_CALLS} calls already", self.offers.agent));
         }
         tracing::info!(call = %shown, caller = %start.caller, "started by another agent");
-        let task = Task {
-            name: shown,
-            skill: Arc::clone(&offer.skill),
-            manifest: offer.skill.manifest(),
-            inputs,
-            limits: start.limits(),
-            channels: self.offers.channels.clone(),
-            stop: Arc::clone(&self.offers.stop),
-        };
-        let (call, running) = Call::start(task);
+        let cancel = CancellationToken::new();
+        let call = Arc::new(Call::new(cancel.clone()));
+        let limits = start.limits();
+        let channels = self.offers.channels.clone();
+        let beginning = activation::Start { state: shown.clone(), inputs, limits, channels, cancel };
+        let activation = Activation::new(Arc::clone(&offer.skill), manifest.events, beginning);
+        let running = Arc::clone(&call).run(shown, activation, manifest.grace, Arc::clone(&self.offers.stop));
         calls.insert(start.call.clone(), Arc::clone(&call));
         let server = Arc::clone(self);
         tokio::spawn(async move {

@@ -19,7 +19,7 @@ use crate::trace::{TraceEvent, TraceItem};
 
 const DANCE: &str = "
 statechart: Dance
-inputs: {steps: {type: int}}
+inputs: {steps: {type: int, minimum: 1, maximum: 1000}}
 outputs: {danced: {type: int}}
 initial: Turning
 states:
@@ -145,6 +145,7 @@ async fn what_does_not_fit_is_said_at_load() {
         ("{remote: bob/Dnce, with: {steps: 1}}", "did you mean `Dance`"),
         ("{remote: bob/Dance, with: {steps: many}}", "expected int"),
         ("{remote: bob/Dance}", "needs the input `steps`"),
+        ("{remote: bob/Dance, with: {steps: 1001}}", "1001 is outside of the allowed range, 1 to 1000"),
         ("{remote: bob/Dance, with: {steps: 1, speed: 2}}", "no input `speed`"),
         ("{remote: carol/Dance, with: {steps: 1}}", "no agent `carol` answers"),
     ] {
@@ -235,7 +236,8 @@ async fn messages_of_another_version_are_named() {
     let (one, two) = pair().await;
     let skill = SkillManifest::new("Act", "Acts.").input("x", Type::Int, "Any.");
     let status =
-        packed(&Status { revision: 1, leaves: Vec::new(), events: Vec::new(), ended: None }).unwrap();
+        packed(&Status { revision: 1, leaves: Vec::new(), events: Vec::new(), dropped: 0, ended: None })
+            .unwrap();
     let newer = (status.0.replace(";v1", ";v7"), status.1);
     let told = BTreeMap::from([("runtime/start".to_owned(), newer)]);
     tokio::spawn(stranger(one, Manifest::of(&skill, "p"), told));

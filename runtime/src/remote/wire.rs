@@ -2,7 +2,7 @@
 //!
 //! All are questions on the key `{agent}/chart/{Name}`, told apart by the schema in the payload's encoding. A question
 //! without payload is answered by the [`Manifest`]; [`Start`], [`Poll`] and [`Cancel`] are answered by a [`Status`], or
-//! refused with a [`Refusal`]. An event for an agent's charts is [`Told`] on `{agent}/event` and answered by [`Heard`].
+//! refused with a [`Refusal`]. An event for an agent's charts is [`EventMessage`] on `{agent}/event` and answered by [`EventReceipt`].
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -55,9 +55,29 @@ pub struct WireParameter {
     /// Value of an input that is not given; none for one that must be given.
     #[serde(default)]
     pub default: Option<Value>,
+    /// Smallest number that is allowed, SI.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub minimum: Option<f64>,
+    /// Largest number that is allowed, SI.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub maximum: Option<f64>,
     /// For people.
     #[serde(default)]
     pub description: String,
+}
+
+impl From<&Parameter> for WireParameter {
+    fn from(parameter: &Parameter) -> Self {
+        let Parameter { name, ty, default, minimum, maximum, description } = parameter.clone();
+        Self { name, ty, default, minimum, maximum, description }
+    }
+}
+
+impl From<&WireParameter> for Parameter {
+    fn from(parameter: &WireParameter) -> Self {
+        let WireParameter { name, ty, default, minimum, maximum, description } = parameter.clone();
+        Self { name, ty, default, minimum, maximum, description }
+    }
 }
 
 /// Starts it.
@@ -112,6 +132,9 @@ pub struct Status {
     /// The events that were raised after the revision that the caller has seen.
     #[serde(default)]
     pub events: Vec<RaisedEvent>,
+    /// How many events were dropped so far because they came over a bound.
+    #[serde(default)]
+    pub dropped: u64,
     /// How it ended, once it has.
     #[serde(default)]
     pub ended: Option<Ended>,
@@ -143,9 +166,10 @@ pub struct Ended {
 
 /// Tells the charts of an agent an event.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Told {
+pub struct EventMessage {
     /// The sender's name for this event; never used twice.
-    pub letter: String,
+    #[serde(rename = "letter")]
+    pub id: String,
     /// Who sends it, for people.
     pub caller: String,
     /// The chart that is meant; all that run, where there is none.
@@ -159,7 +183,7 @@ pub struct Told {
 
 /// Who has heard an event.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Heard {
+pub struct EventReceipt {
     /// How many charts.
     pub charts: u32,
     /// The process that answers.
@@ -188,10 +212,10 @@ impl Payload for Cancel {
 impl Payload for Status {
     const SCHEMA: Schema = Schema::new("runtime/status", 1);
 }
-impl Payload for Told {
+impl Payload for EventMessage {
     const SCHEMA: Schema = Schema::new("runtime/event", 1);
 }
-impl Payload for Heard {
+impl Payload for EventReceipt {
     const SCHEMA: Schema = Schema::new("runtime/heard", 1);
 }
 impl Payload for Refusal {
@@ -238,19 +262,13 @@ impl Manifest {
     /// What a skill declares, as offered by a process.
     #[must_use]
     pub fn of(skill: &SkillManifest, instance: &str) -> Self {
-        let parameter = |p: &Parameter| WireParameter {
-            name: p.name.clone(),
-            ty: p.ty.clone(),
-            default: p.default.clone(),
-            description: p.description.clone(),
-        };
         let mut manifest = Self {
             name: skill.name.clone(),
             instance: String::new(),
             version: String::new(),
             description: skill.description.clone(),
-            inputs: skill.inputs.iter().map(parameter).collect(),
-            outputs: skill.outputs.iter().map(parameter).collect(),
+            inputs: skill.inputs.iter().map(WireParameter::from).collect(),
+            outputs: skill.outputs.iter().map(WireParameter::from).collect(),
             outcomes: skill.outcomes.clone(),
             events: skill.events.clone(),
             limbs: skill.limbs.clone(),
@@ -265,16 +283,10 @@ impl Manifest {
     /// What it declares to a chart that knows it as `name`.
     #[must_use]
     pub fn skill(&self, name: &str, beyond: Duration) -> SkillManifest {
-        let parameter = |p: &WireParameter| Parameter {
-            name: p.name.clone(),
-            ty: p.ty.clone(),
-            default: p.default.clone(),
-            description: p.description.clone(),
-        };
         let grace = Duration::try_from_secs_f64(self.grace_s).unwrap_or_default();
         let mut skill = SkillManifest::new(name, &self.description).grace(grace.min(MOST_GRACE) + beyond);
-        skill.inputs = self.inputs.iter().map(parameter).collect();
-        skill.outputs = self.outputs.iter().map(parameter).collect();
+        skill.inputs = self.inputs.iter().map(Parameter::from).collect();
+        skill.outputs = self.outputs.iter().map(Parameter::from).collect();
         skill.outcomes.clone_from(&self.outcomes);
         skill.events.clone_from(&self.events);
         let agent = name.split('/').next().unwrap_or_default();
@@ -340,6 +352,21 @@ mod tests {
         // The offset basis and one step of FNV-1a, from its published test vectors.
         assert_eq!(fingerprint(b""), "cbf29ce484222325");
         assert_eq!(fingerprint(b"a"), "af63dc4c8601ec8c");
+    }
+
+    #[test]
+    fn bounds_go_over_the_wire_and_fields_of_others_are_left_alone() {
+        let bounded =
+            Parameter { minimum: Some(1.0), maximum: Some(9.5), ..Parameter::new("x", Type::FLOAT, "") };
+        let mut skill = SkillManifest::new("S", "Acts.");
+        skill.inputs = vec![bounded.clone(), Parameter::new("y", Type::Int, "")];
+        let (encoding, bytes) = packed(&Manifest::of(&skill, "p")).unwrap();
+        let back: Manifest = unpacked(&encoding, &bytes).unwrap();
+        assert_eq!(back.skill("bob/S", Duration::ZERO).inputs, skill.inputs);
+        // What an agent says that knows no bounds, and more of something else.
+        let other = serde_json::json!({"name": "x", "type": bounded.ty, "colour": "green"});
+        let read: WireParameter = serde_json::from_value(other).unwrap();
+        assert_eq!(Parameter::from(&read), Parameter::new("x", Type::FLOAT, ""));
     }
 
     #[test]

@@ -2,8 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::engine::program::Pattern;
-use crate::engine::{Program, StateId};
+use crate::program::{Pattern, Program, StateId};
 use crate::trace::TraceItem;
 
 /// A transition as the trace tells it: source, event and target.

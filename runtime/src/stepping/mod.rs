@@ -2,24 +2,25 @@
 //!
 //! A [`Stepper`] is told events, outcomes of skills, firings of watches, values of channels, and how much time goes by;
 //! between them it shows what is active. Skills that are cancelled return at once. It is for looking at what a chart
-//! means, for conformance tests and for measuring the engine; `exec` is what runs charts.
+//! means, for conformance tests and for measuring the engine; `exec` is what runs charts. Both are driven by one `agenda`, so that
+//! a chart does here what it does there.
 
 mod coverage;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_values::Value;
 
-use crate::engine::{Effect, Engine, EventId, Input, InputError, Program, RunResult, Sensors, StateId};
-use crate::skill::{Failure, Outcome};
+use crate::agenda::Agenda;
+use crate::engine::{Effect, Engine, Input, RunResult, Sensors};
+use crate::finding::suggest;
+use crate::program::{EventId, Kind, Program, StateId};
+use crate::skill::{Failure, InputError, Outcome};
 use crate::trace::TraceItem;
 
 pub use coverage::{Coverage, Described};
-
-/// How often a watch that reads the age of a channel is looked at while time goes by.
-const AGE_TICK: Duration = Duration::from_millis(20);
 
 /// Something that a stepper was told and cannot do; the chart has not moved.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -81,14 +82,6 @@ pub struct Sent {
     pub data: Value,
 }
 
-/// An armed watch.
-#[derive(Clone, Copy, Debug)]
-struct Armed {
-    entry: u64,
-    since: Option<Duration>,
-    fired: bool,
-}
-
 /// What channels hold: their values and when they were published.
 #[derive(Debug, Default)]
 struct Board {
@@ -112,11 +105,10 @@ impl Sensors for Board {
 pub struct Stepper {
     engine: Engine,
     board: Board,
-    /// By time, then the engine's order, then number.
-    timers: BTreeSet<(Duration, u64, u64)>,
-    timer_keys: BTreeMap<u64, (Duration, u64)>,
+    agenda: Agenda,
     skills: BTreeMap<StateId, u64>,
-    watches: BTreeMap<u32, Armed>,
+    /// Skills that were cancelled and are about to return.
+    returning: VecDeque<(StateId, u64)>,
     /// How states are shown.
     labels: Vec<String>,
     /// States by their paths, and by how they are shown.
@@ -126,6 +118,9 @@ pub struct Stepper {
     coverage: Coverage,
     result: Option<RunResult>,
     effects: Vec<Effect>,
+    /// Everything that was traced, with its time.
+    #[cfg(test)]
+    pub(crate) trace: Vec<crate::trace::TraceEvent>,
 }
 
 impl Stepper {
@@ -143,10 +138,9 @@ impl Stepper {
         Ok(Self {
             engine: Engine::new(program, given, profile)?,
             board,
-            timers: BTreeSet::new(),
-            timer_keys: BTreeMap::new(),
+            agenda: Agenda::default(),
             skills: BTreeMap::new(),
-            watches: BTreeMap::new(),
+            returning: VecDeque::new(),
             labels,
             by_path,
             logs: Vec::new(),
@@ -154,6 +148,8 @@ impl Stepper {
             coverage: Coverage::default(),
             result: None,
             effects: Vec::new(),
+            #[cfg(test)]
+            trace: Vec::new(),
         })
     }
 
@@ -165,6 +161,7 @@ impl Stepper {
     /// Enters the chart's initial states.
     pub fn start(&mut self) {
         self.engine.start(&self.board, &mut self.effects);
+        self.turned();
         self.settle();
     }
 
@@ -176,6 +173,7 @@ impl Stepper {
     /// As [`Stepper::event`], for an event whose number is known (see [`Program::event`]).
     pub fn raise(&mut self, event: EventId, data: Value) {
         self.engine.raise(event, data, &self.board, &mut self.effects);
+        self.turned();
         self.settle();
     }
 
@@ -186,8 +184,7 @@ impl Stepper {
     /// [`StepError`] when there is no such state, or nothing in it that could report this.
     pub fn report(&mut self, state: &str, name: &str, data: Value) -> Result<(), StepError> {
         let id = self.find(state)?;
-        let input = if let Some(watch) = self.armed_watch(id, name) {
-            let entry = self.watches[&watch].entry;
+        let input = if let Some((watch, entry)) = self.armed_watch(id, name) {
             Input::Watch { watch, entry }
         } else if let Some(activation) = self.skills.remove(&id) {
             Input::SkillEnded { activation, result: result(name, data) }
@@ -203,7 +200,8 @@ impl Stepper {
         if let Some(at) = self.board.names.iter().position(|n| n == channel) {
             let at = u32::try_from(at).unwrap_or(u32::MAX);
             self.board.values.insert(at, (value, self.board.now));
-            self.look();
+            self.agenda.published(at);
+            self.settle();
         }
     }
 
@@ -212,17 +210,17 @@ impl Stepper {
         let end = self.board.now.saturating_add(by);
         while let Some(at) = self.next_instant().filter(|at| *at <= end) {
             self.board.now = at.max(self.board.now);
-            match self.timers.first().copied() {
-                Some(key) if key.0 <= self.board.now => {
-                    self.timers.remove(&key);
-                    self.timer_keys.remove(&key.2);
-                    self.tell(Input::Timer { timer: key.2 });
-                }
-                _ => self.look(),
-            }
+            self.settle();
         }
         self.board.now = end;
-        self.look();
+        self.settle();
+    }
+
+    /// When something happens next by itself: a timer runs out, or a watch may have held long enough. Time since the
+    /// start.
+    #[must_use]
+    pub fn next_instant(&self) -> Option<Duration> {
+        self.agenda.next()
     }
 
     /// Time since the start.
@@ -285,7 +283,7 @@ impl Stepper {
     pub fn running(&self) -> Vec<RunningSkill> {
         let program = self.engine.program();
         let name = |state: StateId| match &program.state(state).kind {
-            crate::engine::program::Kind::Skill { manifest } => manifest.name.clone(),
+            Kind::Skill { manifest } => manifest.name.clone(),
             _ => String::new(),
         };
         let one = |(state, activation): (&StateId, &u64)| RunningSkill {
@@ -302,130 +300,84 @@ impl Stepper {
             || self.labels.iter().position(|l| l == state).and_then(|at| StateId::try_from(at).ok());
         self.by_path.get(state).copied().or_else(by_label).ok_or_else(|| StepError::State {
             state: state.to_owned(),
-            help: crate::chart::suggest(state, self.labels.iter().map(String::as_str)),
+            help: suggest(state, self.labels.iter().map(String::as_str)),
         })
     }
 
-    fn armed_watch(&self, state: StateId, name: &str) -> Option<u32> {
+    /// The armed watch of that name, and the entry that it is armed with.
+    fn armed_watch(&self, state: StateId, name: &str) -> Option<(u32, u64)> {
         let program = self.engine.program();
-        let is = |watch: &&u32| {
-            let watch = &program.watches[**watch as usize];
-            watch.state == state && program.tables.symbols.name(watch.name) == name
-        };
-        self.watches.keys().find(is).copied()
+        let mut watches = program.state(state).watches.iter().copied();
+        let named = |watch: &u32| program.symbols.name(program.watches[*watch as usize].name) == name;
+        let watch = watches.find(named)?;
+        Some((watch, self.agenda.armed(watch)?))
     }
 
     fn tell(&mut self, input: Input) {
-        self.engine.handle(input, &self.board, &mut self.effects);
+        self.turn(input);
         self.settle();
     }
 
-    /// Does what the engine wants done, until nothing is left and no watch fires.
-    fn settle(&mut self) {
+    fn turn(&mut self, input: Input) {
+        self.engine.handle(input, &self.board, &mut self.effects);
+        self.turned();
+    }
+
+    /// Does what the engine wants done after a turn.
+    fn turned(&mut self) {
         if !self.effects.is_empty() {
-            self.apply();
-        }
-        if !self.watches.is_empty() {
-            self.look();
-        }
-    }
-
-    fn apply(&mut self) {
-        while !self.effects.is_empty() {
-            let mut inputs = Vec::new();
             for effect in std::mem::take(&mut self.effects) {
-                inputs.extend(self.effect(effect));
+                self.act(effect);
             }
-            for input in inputs {
-                self.engine.handle(input, &self.board, &mut self.effects);
+        }
+        self.agenda.turned();
+    }
+
+    /// Tells the engine what is due, until there is nothing; then cancelled skills return, one after the other.
+    fn settle(&mut self) {
+        while !self.agenda.is_empty() || !self.returning.is_empty() {
+            if let Some(input) = self.agenda.due(&self.engine, &self.board, self.board.now) {
+                self.turn(input);
+                continue;
+            }
+            let Some((state, activation)) = self.returning.pop_front() else { return };
+            let restless = self.agenda.ended(activation, state, self.engine.program(), self.board.now);
+            self.turn(Input::SkillEnded { activation, result: Ok(Outcome::success()) });
+            if let Some(restless) = restless {
+                self.turn(restless);
             }
         }
     }
 
-    /// Does one thing. Gives what the engine is to be told at once.
-    fn effect(&mut self, effect: Effect) -> Option<Input> {
-        match effect {
-            Effect::StartSkill { activation, state, .. } => {
+    fn act(&mut self, effect: Effect) {
+        #[cfg(test)]
+        if let Effect::Trace(item) = &effect {
+            let at_ns = u64::try_from(self.board.now.as_nanos()).unwrap_or(u64::MAX);
+            self.trace.push(crate::trace::TraceEvent { at_ns, item: item.clone() });
+        }
+        match self.agenda.take(effect, self.engine.program(), self.board.now) {
+            Some(Effect::StartSkill { activation, state, .. }) => {
                 self.skills.insert(state, activation);
             }
-            Effect::Cancel { activation, .. } => {
-                self.skills.retain(|_, a| *a != activation);
-                return Some(Input::SkillEnded { activation, result: Ok(Outcome::success()) });
-            }
-            Effect::StartTimer { timer, after, order } => {
-                let at = self.board.now.saturating_add(after);
-                self.timers.insert((at, order, timer));
-                self.timer_keys.insert(timer, (at, order));
-            }
-            Effect::CancelTimer { timer } => {
-                if let Some((at, order)) = self.timer_keys.remove(&timer) {
-                    self.timers.remove(&(at, order, timer));
+            Some(Effect::Cancel { activation, .. }) => {
+                let state = self.skills.iter().find(|(_, a)| **a == activation).map(|(state, _)| *state);
+                if let Some(state) = state {
+                    self.skills.remove(&state);
+                    self.returning.push_back((state, activation));
                 }
             }
-            Effect::ArmWatch { watch, entry } => {
-                self.watches.insert(watch, Armed { entry, since: None, fired: false });
-            }
-            Effect::DisarmWatch { watch } => {
-                self.watches.remove(&watch);
-            }
-            Effect::Send { event, to, data } => self.sent.push(Sent { event, to, data }),
-            Effect::Trace(TraceItem::Log { text, .. }) => self.logs.push(text),
-            Effect::Trace(item) => self.coverage.note(&item),
-            Effect::Finished(result) => self.result = Some(result),
+            Some(Effect::Send { event, to, data }) => self.sent.push(Sent { event, to, data }),
+            Some(Effect::Trace(TraceItem::Log { text, .. })) => self.logs.push(text),
+            Some(Effect::Trace(item)) => self.coverage.note(&item),
+            Some(Effect::Finished(result)) => self.result = Some(result),
+            Some(
+                Effect::StartTimer { .. }
+                | Effect::CancelTimer { .. }
+                | Effect::ArmWatch { .. }
+                | Effect::DisarmWatch { .. },
+            )
+            | None => {}
         }
-        None
-    }
-
-    // Watches.
-
-    /// When something happens next by itself: a timer runs out, or a watch may have held long enough. Time since the
-    /// start.
-    #[must_use]
-    pub fn next_instant(&self) -> Option<Duration> {
-        let timer = self.timers.first().map(|(at, ..)| *at);
-        let program = self.engine.program();
-        let watch = |(number, armed): (&u32, &Armed)| {
-            let watch = &program.watches[*number as usize];
-            let hold = Duration::try_from_secs_f64(watch.hold_s).unwrap_or(Duration::ZERO);
-            let over = armed.since.filter(|_| !armed.fired).map(|since| since.saturating_add(hold));
-            let ages = watch.condition.expr.reads().age;
-            let ages = ages || watch.until.as_ref().is_some_and(|u| u.expr.reads().age);
-            let tick = ages.then(|| self.board.now.saturating_add(AGE_TICK));
-            over.filter(|at| *at > self.board.now).into_iter().chain(tick).min()
-        };
-        timer.into_iter().chain(self.watches.iter().filter_map(watch).min()).min()
-    }
-
-    /// Looks at all armed watches, until none fires.
-    fn look(&mut self) {
-        // Each watch fires at most once for one state of the channels: `until` has to come between.
-        for _ in 0..=self.watches.len() {
-            let fired =
-                self.watches.keys().copied().collect::<Vec<_>>().into_iter().find_map(|w| self.sample(w));
-            let Some(input) = fired else { return };
-            self.engine.handle(input, &self.board, &mut self.effects);
-            self.apply();
-        }
-    }
-
-    fn sample(&mut self, watch: u32) -> Option<Input> {
-        let seen = self.engine.observe(watch, &self.board);
-        let hold_s = self.engine.program().watches[watch as usize].hold_s;
-        let hold = Duration::try_from_secs_f64(hold_s).unwrap_or(Duration::ZERO);
-        let (now, armed) = (self.board.now, self.watches.get_mut(&watch)?);
-        if armed.fired && seen.until {
-            (armed.fired, armed.since) = (false, None);
-        }
-        if !seen.holds {
-            armed.since = None;
-            return None;
-        }
-        let since = *armed.since.get_or_insert(now);
-        if armed.fired || now.saturating_sub(since) < hold {
-            return None;
-        }
-        armed.fired = true;
-        Some(Input::Watch { watch, entry: armed.entry })
     }
 }
 

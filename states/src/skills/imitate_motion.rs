@@ -54,10 +54,10 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             turned += progress.omega * dt / std::f64::consts::TAU;
         }
         if before < SETTLING && turned >= SETTLING {
-            raise(&context, STEADY);
+            context.events.raise(STEADY, Value::Null);
         }
         if before < wanted && turned >= wanted {
-            raise(&context, OVER);
+            context.events.raise(OVER, Value::Null);
             pace = 0.0;
         }
         if pace == 0.0 && wiper.pace() == 0.0 {
@@ -66,9 +66,3 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     }
 }
 
-/// Raises an event for whoever watches the run; nobody has to take it.
-fn raise(context: &SkillContext, event: &str) {
-    if context.events.try_send((event.to_owned(), Value::Null)).is_err() {
-        tracing::debug!("the event `{event}` found no place in the queue");
-    }
-}

@@ -7,7 +7,7 @@ use super::eval::{Macro, Node, Pos};
 use super::functions::{Function, TABLE, Takes};
 use super::typing::{arithmetic, article, comparison, comprehension, dotted, is_text, join, mismatch};
 use super::{
-    Environment, Expr, ExprError, ExprErrorKind as Kind, MAX_SOURCE, Reads, Slot, Unresolved, nearest,
+    Environment, Expr, ExprError, ExprErrorKind as Kind, MAX_SOURCE, Reads, Slot, Unknown, Unresolved, nearest,
 };
 use crate::types::{Fit, Type};
 use crate::unit::Unit;
@@ -126,8 +126,13 @@ impl Checker<'_> {
     }
 
     fn unresolved(&self, span: (usize, usize), unresolved: Unresolved) -> ExprError {
-        let Unresolved { message, help } = unresolved;
-        ExprError { kind: Kind::UnknownName, message, help, start: span.0, end: span.1 }
+        let Unresolved { kind, message, help } = unresolved;
+        let kind = match kind {
+            Unknown::Name => Kind::UnknownName,
+            Unknown::Channel => Kind::UnknownChannel,
+            Unknown::State => Kind::UnknownState,
+        };
+        ExprError { kind, message, help, start: span.0, end: span.1 }
     }
 
     pub(super) fn check(&mut self, expr: &IdedExpr) -> Checked {

@@ -53,9 +53,22 @@ pub struct Variable {
     pub used: usize,
 }
 
+/// What a name was looked up as.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unknown {
+    /// A variable, or a field of it.
+    Name,
+    /// A channel.
+    Channel,
+    /// A state.
+    State,
+}
+
 /// A name that stands for nothing.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Unresolved {
+    /// What it was looked up as.
+    pub kind: Unknown,
     /// What is wrong, one sentence.
     pub message: String,
     /// What to do about it.
@@ -90,6 +103,10 @@ pub enum ExprErrorKind {
     TooLarge,
     /// A name stands for nothing.
     UnknownName,
+    /// There is no such channel.
+    UnknownChannel,
+    /// There is no such state.
+    UnknownState,
     /// A function of that name and number of arguments does not exist.
     UnknownFunction,
     /// A value of another type is needed.

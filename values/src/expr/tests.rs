@@ -21,12 +21,13 @@ impl Environment for Fixture {
                 let message = format!("there is no `{}`", path.join("."));
                 let help =
                     nearest(path[0], self.0.iter().map(|(n, ..)| *n)).map(|n| format!("did you mean `{n}`?"));
-                Unresolved { message, help }
+                Unresolved { kind: Unknown::Name, message, help }
             },
         )
     }
     fn channel(&self, name: &str) -> Result<u32, Unresolved> {
-        if name == "wrist" { Ok(0) } else { Err(Unresolved { message: "no channel".into(), help: None }) }
+        let missing = || Unresolved { kind: Unknown::Channel, message: "no channel".into(), help: None };
+        (name == "wrist").then_some(0).ok_or_else(missing)
     }
     fn state(&self, _: &str) -> Result<u32, Unresolved> {
         Ok(3)
@@ -117,7 +118,7 @@ fn mistakes_are_found_at_load_with_their_place() {
         ("gesture == 'fits'", K::Type, "=="),
         ("norm(channels.wrist.pusk)", K::UnknownName, "."),
         ("nrm(items)", K::UnknownFunction, "("),
-        ("age('wirst') < 1", K::UnknownName, "'wirst'"),
+        ("age('wirst') < 1", K::UnknownChannel, "'wirst'"),
         ("1 +", K::Syntax, ""),
         ("x.y", K::Type, "."),
         ("gesture + 1", K::Type, "gesture"),

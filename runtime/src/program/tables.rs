@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::program::{Kind, Pattern, State, StateId, Transition};
+use super::{Kind, Pattern, State, StateId, Transition};
 
 /// Number of an event's name.
 pub(crate) type Symbol = u32;
@@ -101,7 +101,6 @@ pub(crate) struct Jump {
 /// See the module.
 #[derive(Debug, Default)]
 pub(crate) struct Tables {
-    pub(crate) symbols: Symbols,
     nodes: Vec<Node>,
     /// Event and transition, ordered by both within a state.
     on: Vec<(Symbol, u32)>,
@@ -114,9 +113,8 @@ fn at(list: &[u32]) -> u32 {
 }
 
 impl Tables {
-    pub(crate) fn new(symbols: Symbols, states: &[State], transitions: &[Transition]) -> Self {
+    pub(crate) fn new(symbols: &mut Symbols, states: &[State], transitions: &[Transition]) -> Self {
         let mut tables = Self {
-            symbols,
             nodes: Vec::with_capacity(states.len()),
             on: Vec::new(),
             lists: Vec::new(),
@@ -127,7 +125,7 @@ impl Tables {
             for t in &state.transitions {
                 match &transitions[*t as usize].pattern {
                     Pattern::Exact(name) => {
-                        let symbol = tables.symbols.intern(name);
+                        let symbol = symbols.intern(name);
                         tables.on.push((symbol, *t));
                     }
                     Pattern::Prefix(_) | Pattern::Any => tables.lists.push(*t),

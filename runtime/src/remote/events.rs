@@ -13,8 +13,8 @@ use tokio::time::{Instant, sleep, timeout};
 use super::LEASE;
 use super::agents::Agents;
 use super::serve::ServeError;
-use super::wire::{Heard, Refusal, Told, answered, packed, unpacked};
-use crate::exec::{Hearers, Letter, Post};
+use super::wire::{EventMessage, EventReceipt, Refusal, answered, packed, unpacked};
+use crate::exec::{RemoteEvent, Subscribers, Transport};
 
 /// Questions that may wait.
 const MOST_QUESTIONS: usize = 256;
@@ -26,30 +26,30 @@ const REMEMBERED: usize = 1024;
 /// Counts the events that this process has sent.
 static SENT: AtomicU64 = AtomicU64::new(0);
 
-impl Post for Agents {
-    fn deliver(&self, letter: Letter) -> BoxFuture<'static, Result<(), String>> {
+impl Transport for Agents {
+    fn deliver(&self, sent: RemoteEvent) -> BoxFuture<'static, Result<(), String>> {
         let agents = self.clone();
-        let task = self.threads.spawn(async move { agents.tell(letter).await });
+        let task = self.threads.spawn(async move { agents.tell(sent).await });
         async move { task.await.unwrap_or_else(|error| Err(format!("it was lost: {error}"))) }.boxed()
     }
 }
 
 impl Agents {
-    async fn tell(&self, letter: Letter) -> Result<(), String> {
-        let (agent, chart) = match letter.to.split_once('/') {
+    async fn tell(&self, sent: RemoteEvent) -> Result<(), String> {
+        let (agent, chart) = match sent.to.split_once('/') {
             Some((agent, chart)) => (agent, Some(chart.to_owned())),
-            None => (letter.to.as_str(), None),
+            None => (sent.to.as_str(), None),
         };
         let key = keys::event(agent).map_err(|e| e.to_string())?;
         let number = SENT.fetch_add(1, Ordering::Relaxed);
-        let told = Told {
-            letter: format!("{}-{number}", self.session.id()),
+        let message = EventMessage {
+            id: format!("{}-{number}", self.session.id()),
             caller: self.caller.clone(),
             chart: chart.clone(),
-            name: letter.event,
-            data: letter.data,
+            name: sent.event,
+            data: sent.data,
         };
-        let (encoding, bytes) = packed(&told)?;
+        let (encoding, bytes) = packed(&message)?;
         let until = Instant::now() + LEASE;
         loop {
             let left = until.saturating_duration_since(Instant::now());
@@ -60,7 +60,7 @@ impl Agents {
                 Ok(answers) => answers.map_err(|e| e.to_string())?,
                 Err(_) => Vec::new(),
             };
-            let heard: Result<Vec<Heard>, String> = answers.iter().filter_map(answered).collect();
+            let heard: Result<Vec<EventReceipt>, String> = answers.iter().filter_map(answered).collect();
             match heard?.as_slice() {
                 [] if left.is_zero() => return Err(format!("no agent `{agent}` answers")),
                 [] => sleep(AGAIN.min(left)).await,
@@ -88,27 +88,28 @@ fn nobody(agent: &str, chart: Option<&str>) -> String {
 ///
 /// # Errors
 /// [`ServeError`] when nothing can be heard.
-pub async fn hear(session: &Session, agent: &str, hearers: Hearers) -> Result<(), ServeError> {
+pub async fn hear(session: &Session, agent: &str, subscribers: Subscribers) -> Result<(), ServeError> {
     let key = keys::event(agent)?;
     let mut questions = session.answer(key.clone(), MOST_QUESTIONS).await?;
     let mut remembered: VecDeque<(String, u32)> = VecDeque::new();
     let instance = session.id();
     while let Some(question) = questions.next().await {
-        let heard = unpacked::<Told>(&question.encoding, &question.payload).and_then(|told| {
-            if let Some((_, charts)) = remembered.iter().find(|(letter, _)| *letter == told.letter) {
+        let heard = unpacked::<EventMessage>(&question.encoding, &question.payload).and_then(|message| {
+            if let Some((_, charts)) = remembered.iter().find(|(sent, _)| *sent == message.id) {
                 return Ok(*charts);
             }
-            tracing::debug!(event = %told.name, caller = %told.caller, "another agent sends an event");
-            let charts = hearers.raise(told.chart.as_deref(), &told.name, &told.data)?;
+            tracing::debug!(event = %message.name, caller = %message.caller, "another agent sends an event");
+            let charts = subscribers.raise(message.chart.as_deref(), &message.name, &message.data)?;
             if charts > 0 {
                 if remembered.len() >= REMEMBERED {
                     remembered.pop_front();
                 }
-                remembered.push_back((told.letter, charts));
+                remembered.push_back((message.id, charts));
             }
             Ok(charts)
         });
-        let sent = match heard.and_then(|charts| packed(&Heard { charts, instance: instance.clone() })) {
+        let sent = match heard.and_then(|charts| packed(&EventReceipt { charts, instance: instance.clone() }))
+        {
             Ok((encoding, bytes)) => question.reply(&key, &encoding, bytes).await,
             Err(reason) => match packed(&Refusal { reason }) {
                 Ok((encoding, bytes)) => question.refuse(&encoding, bytes).await,
@@ -134,7 +135,7 @@ mod tests {
     use crate::channels::Channels;
     use crate::chart::Registry;
     use crate::chart::testing::program;
-    use crate::exec::{ExecOptions, Executor, Others, RunResult};
+    use crate::exec::{ExecOptions, Executor, Peers, RunResult};
 
     async fn pair() -> (Session, Session) {
         let one = Session::open(&SessionConfig::default()).await.unwrap();
@@ -143,17 +144,17 @@ mod tests {
     }
 
     /// An agent that is called `name` and runs charts.
-    fn agent(session: &Session, name: &'static str) -> Others {
-        let others = Others {
-            post: Some(Arc::new(Agents::new(session.clone(), name, Handle::current()))),
-            hearers: Hearers::default(),
+    fn agent(session: &Session, name: &'static str) -> Peers {
+        let others = Peers {
+            transport: Some(Arc::new(Agents::new(session.clone(), name, Handle::current()))),
+            subscribers: Subscribers::default(),
         };
-        let (session, hearers) = (session.clone(), others.hearers.clone());
-        tokio::spawn(async move { hear(&session, name, hearers).await });
+        let (session, subscribers) = (session.clone(), others.subscribers.clone());
+        tokio::spawn(async move { hear(&session, name, subscribers).await });
         others
     }
 
-    fn run(others: &Others, chart: &str) -> impl Future<Output = RunResult> + use<> {
+    fn run(others: &Peers, chart: &str) -> impl Future<Output = RunResult> + use<> {
         let options = ExecOptions { others: others.clone(), ..ExecOptions::default() };
         Executor::new(program(chart), Registry::new(), Channels::new(), options).unwrap().run()
     }
@@ -260,20 +261,22 @@ states:
   Wrong: {final: failure}
 ";
         let listening = tokio::spawn(run(&bob, chart));
-        let told = |letter: &str, data: Value| Told {
-            letter: letter.into(),
+        let message = |id: &str, data: Value| EventMessage {
+            id: id.into(),
             caller: "a test".into(),
             chart: None,
             name: "count".into(),
             data: Value::record([("n", data)]),
         };
-        for told in [told("x-1", Value::Int(1)), told("x-1", Value::Int(1)), told("x-2", "many".into())] {
-            let (encoding, bytes) = packed(&told).unwrap();
+        for message in
+            [message("x-1", Value::Int(1)), message("x-1", Value::Int(1)), message("x-2", "many".into())]
+        {
+            let (encoding, bytes) = packed(&message).unwrap();
             // Until there is somebody who hears it.
             loop {
                 let question = Some((encoding.as_str(), bytes.clone()));
                 let answers = one.ask(keys::event("bob").unwrap(), "", question, 16, LEASE).await.unwrap();
-                match answers.iter().find_map(answered::<Heard>) {
+                match answers.iter().find_map(answered::<EventReceipt>) {
                     Some(Ok(heard)) if heard.charts == 1 => break,
                     _ => tokio::task::yield_now().await,
                 }

@@ -1,8 +1,11 @@
-//! A chart as tables: every name resolved to a number, every expression compiled. The engine runs this.
+//! A chart as tables: every name resolved to a number, every expression compiled. `chart` makes it, `engine` runs it;
+//! nothing here reads a file, and nothing here runs.
 //!
 //! States are numbered in the order of the file, parents before children, so that the states inside `s` are
 //! exactly `s + 1 ..= s.last`. State 0 stands for the run; its only child is the chart. Names of events are numbers
-//! as well; what selecting transitions needs lies side by side in [`Tables`](super::tables::Tables).
+//! as well; what selecting transitions needs lies side by side in [`Tables`].
+
+mod tables;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -12,9 +15,13 @@ use std::time::Duration;
 use armarium_values::expr::Expr;
 use armarium_values::{Type, Value};
 
-use super::tables::{Symbol, Tables};
-use crate::chart::{Declaration, Source};
-use crate::skill::{Limits, SkillManifest};
+use crate::finding::Source;
+use crate::skill::{Limits, Parameter, SkillManifest};
+
+pub(crate) use tables::{
+    AFTER, ERROR_CHANNEL, ERROR_EXECUTION, ERROR_QUEUE, FAILURE, RETRY, SUCCESS, Symbol, Symbols, Tables,
+    UNKNOWN,
+};
 
 /// Number of a state.
 pub type StateId = u32;
@@ -31,6 +38,7 @@ pub(crate) struct Place {
 }
 
 /// A compiled chart with everything inside it.
+#[derive(Default)]
 pub struct Program {
     pub(crate) name: String,
     pub(crate) sources: Vec<Arc<Source>>,
@@ -40,6 +48,8 @@ pub struct Program {
     pub(crate) instances: Vec<Instance>,
     pub(crate) channels: Vec<String>,
     pub(crate) slots: u32,
+    /// The names of events.
+    pub(crate) symbols: Symbols,
     pub(crate) tables: Tables,
     /// Inputs by profile, as written.
     pub(crate) profiles: BTreeMap<String, BTreeMap<String, Value>>,
@@ -54,21 +64,21 @@ impl fmt::Debug for Program {
 }
 
 /// A use of a chart: its own variables.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Instance {
     /// The state that the chart is the inside of.
     pub(crate) owner: StateId,
     pub(crate) inputs: Vec<Variable>,
     pub(crate) locals: Vec<Variable>,
     pub(crate) outputs: Vec<Variable>,
-    /// All places of data that belong to this use: variables, outputs of its states, loop variables.
+    /// All places of data that belong to this use and to those inside it: variables, and outputs of states.
     pub(crate) first_slot: u32,
     pub(crate) end_slot: u32,
 }
 
 #[derive(Clone, Debug)]
 pub(crate) struct Variable {
-    pub(crate) declaration: Declaration,
+    pub(crate) declaration: Parameter,
     pub(crate) slot: u32,
 }
 
@@ -206,15 +216,15 @@ pub(crate) enum Term {
 
 #[derive(Clone, Debug)]
 pub(crate) struct Binding {
-    pub(crate) name: String,
-    pub(crate) ty: Type,
+    /// What it is given to.
+    pub(crate) parameter: Parameter,
     pub(crate) term: Term,
     pub(crate) place: Place,
 }
 
 #[derive(Debug)]
 pub(crate) enum Action {
-    Assign { slot: u32, declaration: Arc<Declaration>, variable: String, term: Term, place: Place },
+    Assign { slot: u32, declaration: Arc<Parameter>, variable: String, term: Term, place: Place },
     Raise { event: Symbol, data: Option<Term>, place: Place },
     Send(Box<Send>),
     Cancel { id: String },
@@ -235,6 +245,18 @@ pub(crate) struct Send {
 }
 
 impl Program {
+    /// The same program with its transitions' domains and its tables, once all states are there.
+    pub(crate) fn linked(mut self) -> Self {
+        self.tables = Tables::new(&mut self.symbols, &self.states, &self.transitions);
+        for at in 0..self.transitions.len() {
+            let t = &self.transitions[at];
+            let domain = (!t.targets.is_empty()).then(|| self.domain(t.source, t.internal, &t.targets));
+            self.transitions[at].domain = domain;
+        }
+        self.tables.set_jumps(&self.transitions);
+        self
+    }
+
     /// The chart's name.
     #[must_use]
     pub fn name(&self) -> &str {
@@ -242,12 +264,12 @@ impl Program {
     }
 
     /// What the chart takes.
-    pub fn inputs(&self) -> impl Iterator<Item = &Declaration> {
+    pub fn inputs(&self) -> impl Iterator<Item = &Parameter> {
         self.instances[0].inputs.iter().map(|v| &v.declaration)
     }
 
     /// What the chart gives.
-    pub fn outputs(&self) -> impl Iterator<Item = &Declaration> {
+    pub fn outputs(&self) -> impl Iterator<Item = &Parameter> {
         self.instances[0].outputs.iter().map(|v| &v.declaration)
     }
 
@@ -272,7 +294,7 @@ impl Program {
             Kind::Composite { .. } => {
                 for child in &of.children {
                     if let Kind::Final { outcome } = self.state(*child).kind {
-                        outcomes.insert(self.tables.symbols.name(outcome).to_owned());
+                        outcomes.insert(self.symbols.name(outcome).to_owned());
                     }
                 }
             }
@@ -337,10 +359,10 @@ impl Program {
         state == 0 || self.states[state as usize].chart_root
     }
 
-    /// The event of that name, where the chart knows it: a number that [`Engine::raise`](super::Engine::raise) takes.
+    /// The event of that name, where the chart knows it: a number that `Engine::raise` takes.
     #[must_use]
     pub fn event(&self, name: &str) -> Option<EventId> {
-        self.tables.symbols.find(name).map(EventId)
+        self.symbols.find(name).map(EventId)
     }
 
     /// How many states there are, with those of the charts inside.

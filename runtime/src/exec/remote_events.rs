@@ -18,13 +18,13 @@ use super::skills::Message;
 /// Agents that one run sends to.
 const MOST_AGENTS: usize = 64;
 /// Events to one agent that may wait.
-const MOST_LETTERS: usize = 64;
+const MAX_WAITING: usize = 64;
 /// How long the end of a run waits for what it has sent.
 const LAST: Duration = Duration::from_secs(1);
 
 /// An event on its way to another agent.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Letter {
+pub struct RemoteEvent {
     /// The agent, or `agent/Chart`.
     pub to: String,
     /// The event's name.
@@ -34,62 +34,62 @@ pub struct Letter {
 }
 
 /// Takes events to other agents.
-pub trait Post: Send + Sync {
+pub trait Transport: Send + Sync {
     /// Delivers one event; those to one agent are given one after the other. An error is one sentence for people.
-    fn deliver(&self, letter: Letter) -> BoxFuture<'static, Result<(), String>>;
+    fn deliver(&self, sent: RemoteEvent) -> BoxFuture<'static, Result<(), String>>;
 }
 
 /// How a run and those of other agents tell each other events.
 #[derive(Clone, Default)]
-pub struct Others {
+pub struct Peers {
     /// Takes events to them; without it, sending is an error.
-    pub post: Option<Arc<dyn Post>>,
+    pub transport: Option<Arc<dyn Transport>>,
     /// Where what they send is heard.
-    pub hearers: Hearers,
+    pub subscribers: Subscribers,
 }
 
-impl fmt::Debug for Others {
+impl fmt::Debug for Peers {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Others").field("hearers", &self.hearers).finish_non_exhaustive()
+        f.debug_struct("Peers").field("subscribers", &self.subscribers).finish_non_exhaustive()
     }
 }
 
 /// The charts that run now and hear what other agents send; clones share the same charts.
 #[derive(Clone, Debug, Default)]
-pub struct Hearers(Arc<Mutex<Hall>>);
+pub struct Subscribers(Arc<Mutex<Runs>>);
 
 #[derive(Debug, Default)]
-struct Hall {
+struct Runs {
     next: u64,
     /// A chart's name and the way into its run.
-    seats: BTreeMap<u64, (String, Controller)>,
+    by_number: BTreeMap<u64, (String, Controller)>,
 }
 
-/// A run's place among the hearers, until it is dropped.
+/// A run's place among the subscribers, until it is dropped.
 #[derive(Debug)]
-pub(super) struct Seat {
-    hearers: Hearers,
+pub(super) struct Subscription {
+    subscribers: Subscribers,
     number: u64,
 }
 
-impl Drop for Seat {
+impl Drop for Subscription {
     fn drop(&mut self) {
-        self.hearers.hall(|hall| hall.seats.remove(&self.number));
+        self.subscribers.runs(|runs| runs.by_number.remove(&self.number));
     }
 }
 
-impl Hearers {
-    fn hall<T>(&self, with: impl FnOnce(&mut Hall) -> T) -> T {
+impl Subscribers {
+    fn runs<T>(&self, with: impl FnOnce(&mut Runs) -> T) -> T {
         with(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    pub(super) fn join(&self, chart: &str, controller: Controller) -> Seat {
-        let number = self.hall(|hall| {
-            hall.next += 1;
-            hall.seats.insert(hall.next, (chart.to_owned(), controller));
-            hall.next
+    pub(super) fn join(&self, chart: &str, controller: Controller) -> Subscription {
+        let number = self.runs(|runs| {
+            runs.next += 1;
+            runs.by_number.insert(runs.next, (chart.to_owned(), controller));
+            runs.next
         });
-        Seat { hearers: self.clone(), number }
+        Subscription { subscribers: self.clone(), number }
     }
 
     /// Raises an event in the charts that run, or in those of one name. Gives how many have heard it.
@@ -97,9 +97,9 @@ impl Hearers {
     /// # Errors
     /// One sentence for people, when a chart has no room for it.
     pub fn raise(&self, chart: Option<&str>, event: &str, data: &Value) -> Result<u32, String> {
-        self.hall(|hall| {
+        self.runs(|runs| {
             let mut heard = 0;
-            for (name, controller) in hall.seats.values() {
+            for (name, controller) in runs.by_number.values() {
                 if chart.is_some_and(|chart| chart != name) {
                     continue;
                 }
@@ -117,40 +117,40 @@ impl Hearers {
 
 /// What a run sends.
 pub(super) struct Outbox {
-    post: Option<Arc<dyn Post>>,
+    transport: Option<Arc<dyn Transport>>,
     /// The run's own queue: what cannot be delivered comes back as `error.communication`.
     queue: mpsc::Sender<Message>,
     /// A queue and its task by agent, so that a slow one holds up no other.
-    routes: BTreeMap<String, (mpsc::Sender<Letter>, JoinHandle<()>)>,
+    routes: BTreeMap<String, (mpsc::Sender<RemoteEvent>, JoinHandle<()>)>,
 }
 
 impl Outbox {
-    pub(super) fn new(post: Option<Arc<dyn Post>>, queue: mpsc::Sender<Message>) -> Self {
-        Self { post, queue, routes: BTreeMap::new() }
+    pub(super) fn new(transport: Option<Arc<dyn Transport>>, queue: mpsc::Sender<Message>) -> Self {
+        Self { transport, queue, routes: BTreeMap::new() }
     }
 
-    pub(super) fn send(&mut self, letter: Letter) {
-        let Some(post) = &self.post else {
-            return self.back(&letter, "this run has no connection to others");
+    pub(super) fn send(&mut self, sent: RemoteEvent) {
+        let Some(transport) = &self.transport else {
+            return self.back(&sent, "this run has no connection to others");
         };
-        let agent = letter.to.split('/').next().unwrap_or_default().to_owned();
+        let agent = sent.to.split('/').next().unwrap_or_default().to_owned();
         if !self.routes.contains_key(&agent) {
             if self.routes.len() >= MOST_AGENTS {
-                return self.back(&letter, "a run sends to no more than 64 agents");
+                return self.back(&sent, "a run sends to no more than 64 agents");
             }
-            let (sender, letters) = mpsc::channel(MOST_LETTERS);
-            let task = tokio::spawn(carry(Arc::clone(post), letters, self.queue.clone()));
+            let (sender, events) = mpsc::channel(MAX_WAITING);
+            let task = tokio::spawn(carry(Arc::clone(transport), events, self.queue.clone()));
             self.routes.insert(agent.clone(), (sender, task));
         }
         if let Some((route, _)) = self.routes.get(&agent)
-            && let Err(full) = route.try_send(letter)
+            && let Err(full) = route.try_send(sent)
         {
             self.back(&full.into_inner(), "too many events to it wait already");
         }
     }
 
-    fn back(&self, letter: &Letter, why: &str) {
-        if self.queue.try_send(undelivered(letter, why)).is_err() {
+    fn back(&self, sent: &RemoteEvent, why: &str) {
+        if self.queue.try_send(undelivered(sent, why)).is_err() {
             tracing::warn!("an event could not be sent, and the queue is full");
         }
     }
@@ -173,17 +173,21 @@ impl Drop for Outbox {
     }
 }
 
-async fn carry(post: Arc<dyn Post>, mut letters: mpsc::Receiver<Letter>, queue: mpsc::Sender<Message>) {
-    while let Some(letter) = letters.recv().await {
-        if let Err(why) = post.deliver(letter.clone()).await {
+async fn carry(
+    transport: Arc<dyn Transport>,
+    mut events: mpsc::Receiver<RemoteEvent>,
+    queue: mpsc::Sender<Message>,
+) {
+    while let Some(sent) = events.recv().await {
+        if let Err(why) = transport.deliver(sent.clone()).await {
             // The run may have ended; then nobody is left to be told.
-            let _ = queue.send(undelivered(&letter, &why)).await.is_ok();
+            let _ = queue.send(undelivered(&sent, &why)).await.is_ok();
         }
     }
 }
 
-fn undelivered(letter: &Letter, why: &str) -> Message {
-    let Letter { to, event, .. } = letter;
+fn undelivered(sent: &RemoteEvent, why: &str) -> Message {
+    let RemoteEvent { to, event, .. } = sent;
     let reason = format!("`{event}` cannot be sent to `{to}`: {why}");
     tracing::warn!("{reason}");
     let data = [("reason", reason.into()), ("event", event.as_str().into()), ("to", to.as_str().into())];

@@ -1,0 +1,31 @@
+//! The states that a run which never rests goes around in, so that its failure can name them.
+
+use crate::program::{Program, StateId};
+
+/// States that are named.
+const NAMED: usize = 8;
+/// So near to a bound, states are noted.
+pub(crate) const NEAR: u32 = 32;
+
+/// The newest states, each once.
+#[derive(Debug, Default)]
+pub(crate) struct Circle(Vec<StateId>);
+
+impl Circle {
+    pub(crate) fn clear(&mut self) {
+        self.0.clear();
+    }
+
+    pub(crate) fn note(&mut self, state: StateId) {
+        self.0.retain(|known| *known != state);
+        self.0.insert(0, state);
+        self.0.truncate(NAMED);
+    }
+
+    /// The paths of the states, in the file's order.
+    pub(crate) fn names(&self, program: &Program) -> String {
+        let mut states = self.0.clone();
+        states.sort_unstable();
+        states.iter().map(|state| format!("`{}`", program.path(*state))).collect::<Vec<_>>().join(", ")
+    }
+}
