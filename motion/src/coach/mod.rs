@@ -12,8 +12,7 @@
 use nalgebra::Vector3;
 
 use crate::error::{MotionError, positive, size, vector, within};
-use crate::path::PathResponse;
-use crate::pdmp::PeriodicDmp;
+use crate::periodic::{PathResponse, PeriodicDmp};
 
 mod config;
 mod meant;
@@ -308,9 +307,7 @@ impl Coach {
         let distance = shifted.norm();
         let bounded = shifted * (self.config.shift_limit / distance.max(self.config.shift_limit).max(1e-12));
         let centre = self.centre + bounded;
-        for d in 0..3 {
-            dmp.centre[d] = centre[d];
-        }
+        dmp.centre_mut()[..3].copy_from_slice(centre.as_slice());
         Ok(CoachReport { active: true, phase, displacement: bounded.dot(&direction) })
     }
 }
