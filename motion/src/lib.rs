@@ -4,9 +4,10 @@
 //! A step does not allocate. What comes from outside is checked: an operation that refuses its input says which
 //! value was wrong and leaves its state as it was.
 //!
-//! Where to start reading: `dmp/mod.rs` is the core that all primitives share, [`PeriodicDmp`] is what is executed, [`AdaptiveOscillator`] finds the rhythm of a
-//! demonstration, [`Imitation`] joins the two, [`Coach`] changes a motion while it runs,
-//! [`SurfaceAdaptation`] learns how it must move to keep a force, [`Motion`] is how it is kept.
+//! Where to start reading: `dmp/mod.rs` is the core that all primitives share, [`PeriodicDmp`] is what is executed,
+//! [`AdaptiveOscillator`] finds the rhythm of a demonstration, [`Imitation`] joins the two, [`Coach`] changes a motion while
+//! it runs, [`SurfaceAdaptation`] learns how it must move to keep a force, [`Motion`] is how it is kept.
+//! [`PeriodicOrientationDmp`] and [`DiscreteOrientationDmp`] are the primitives of orientations.
 //!
 //! Equation numbers refer to Petrič, Gams, Žlajpah, Ude and Morimoto, "Online approach for altering robot
 //! behaviors based on human in the loop coaching gestures", ICRA 2014, unless another paper is named.
@@ -16,6 +17,7 @@ mod coupling;
 mod discrete;
 mod discrete_periodic;
 mod dmp;
+mod edit;
 mod error;
 mod field;
 mod fourier;
@@ -36,7 +38,7 @@ mod surface_correction;
 mod synchronisation;
 mod touchdown;
 
-pub use coach::{Coach, CoachConfig, CoachInput, CoachReport};
+pub use coach::{Coach, CoachConfig, CoachInput, CoachReport, HandField};
 pub use coupling::{ObstacleAvoidance, joint_coupling};
 pub use discrete::{DiscreteDmp, DiscreteDmpConfig, DiscreteState};
 pub use discrete_periodic::{
@@ -44,6 +46,7 @@ pub use discrete_periodic::{
     differentiate,
 };
 pub use dmp::TimeSample;
+pub use edit::MotionEdit;
 pub use error::MotionError;
 pub use field::{
     CoachArm, CoachingCommand, PotentialField, SlowDown, nearer_hand, pulling_hand, pushing_hand,
