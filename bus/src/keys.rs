@@ -155,22 +155,6 @@ pub fn image_pattern(agent: Part<'_>, provider: Part<'_>) -> Result<KeyPattern, 
     pattern(&[agent, Some("image"), provider])
 }
 
-/// What an agent's robot senses.
-///
-/// # Errors
-/// [`KeyError`].
-pub fn robot_state(agent: &str) -> Result<Key, KeyError> {
-    key(&[agent, "robot", "state"])
-}
-
-/// What an agent's robot is commanded.
-///
-/// # Errors
-/// [`KeyError`].
-pub fn robot_command(agent: &str) -> Result<Key, KeyError> {
-    key(&[agent, "robot", "command"])
-}
-
 /// A chart or skill of an agent that others may start.
 ///
 /// # Errors
@@ -294,14 +278,13 @@ mod tests {
             memory("alice", "Motions", "learned", "wipe 1").unwrap().as_str(),
             "alice/memory/Motions/learned/wipe 1"
         );
-        assert_eq!(robot_state("alice").unwrap().as_str(), "alice/robot/state");
         assert_eq!(alive_pattern(None, Some("memory")).unwrap().as_str(), "*/alive/memory");
         assert_eq!(
             memory_pattern(Some("a"), Some("Motions"), None, None).unwrap().as_str(),
             "a/memory/Motions/*/*"
         );
         for bad in ["", "a/b", "**", "$*", "a#", "a?", "@alice", "tab\t"] {
-            assert!(robot_state(bad).is_err(), "{bad:?} is refused");
+            assert!(event(bad).is_err(), "{bad:?} is refused");
             assert!(alive_pattern(Some(bad), None).is_err(), "{bad:?} is refused in patterns");
         }
     }

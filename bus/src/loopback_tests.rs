@@ -30,7 +30,7 @@ async fn who_is_there_is_known_at_once() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_is_put_arrives_with_what_names_it() {
     let (one, two) = pair().await;
-    let key = keys::robot_state("alice").unwrap();
+    let key = keys::event("alice").unwrap();
     let mut heard = two.subscribe(key.clone(), 16).await.unwrap();
     // A subscription is known to the other side some time after it was declared: ask until it is.
     let message = loop {
@@ -40,7 +40,7 @@ async fn what_is_put_arrives_with_what_names_it() {
             break message.unwrap();
         }
     };
-    assert_eq!(message.key, "alice/robot/state");
+    assert_eq!(message.key, "alice/event");
     assert_eq!(message.encoding, "application/cbor;test;v1");
     assert_eq!(message.payload, [1, 2, 3]);
     assert!(message.sent_ns.unwrap() <= one.now_ns());

@@ -31,17 +31,10 @@ impl Default for PotentialField {
 }
 
 impl PotentialField {
-    /// Constants for a hand that waits up to about 0.2 m beside a wiping path: no preference for a direction of
-    /// motion (`beta` 0), because the path is coached in both directions of a line.
-    #[must_use]
-    pub fn wiping() -> Self {
-        Self { gamma: 1.0, eta: 60.0, r_m: 0.25, beta: 0.0 }
-    }
-
     /// s(distance) of (16), 0 to 1; `distance` m.
     #[must_use]
     pub fn reach(&self, distance: f64) -> f64 {
-        1.0 / (1.0 + (self.eta * (distance - self.r_m)).exp())
+        reach(self.eta, self.r_m, distance)
     }
 
     /// The size of C_y in (14), to be multiplied with the direction d: `o` is the coaching point and `x` the end
@@ -61,6 +54,11 @@ impl PotentialField {
         let angle = if cosine.is_finite() { cosine.clamp(-1.0, 1.0).acos() } else { FRAC_PI_2 };
         self.gamma * self.reach(distance) * (-self.beta.abs() * angle).exp()
     }
+}
+
+/// (16): 1 near the centre of the field, one half at `r_m`, 0 far from it.
+pub(crate) fn reach(eta: f64, r_m: f64, distance: f64) -> f64 {
+    1.0 / (1.0 + (eta * (distance - r_m)).exp())
 }
 
 /// One arm of the coach as a body tracker sees it, in the robot's base frame, m.

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 
 use crate::error::MotionError;
 use crate::oscillator::{AdaptiveOscillator, OscillatorConfig};
-use crate::pdmp::{PeriodicDmp, PeriodicDmpConfig};
+use crate::periodic::{PeriodicDmp, PeriodicDmpConfig};
 
 /// Longest piece of time that is learned as one sample, s.
 const LONGEST_SAMPLE: f64 = 0.01;
@@ -84,17 +84,14 @@ impl Imitation {
         self.learned = 0.0;
         self.best_unexplained = f64::INFINITY;
         self.next_keep = 1.0;
-        self.primitive.weights.fill(0.0);
-        let gain = self.primitive.config.initial_gain;
-        self.primitive.gain.fill(gain);
-        self.primitive.fresh = false;
+        self.primitive.forget();
     }
 
     /// Learns the piece of phase that has passed in the last `dt`.
     fn learn_back(&mut self, dt: f64) -> Result<(), MotionError> {
         let (phase, omega) = (self.oscillator.phase(), self.oscillator.omega());
         if self.learned == 0.0 {
-            for (d, g) in self.primitive.centre.iter_mut().enumerate() {
+            for (d, g) in self.primitive.centre_mut().iter_mut().enumerate() {
                 *g = self.oscillator.mean(d).unwrap_or(*g);
             }
         }
@@ -177,10 +174,7 @@ struct Kept {
 impl Kept {
     fn take_over(&mut self, primitive: &PeriodicDmp, hz: f64) {
         self.hz = Some(hz);
-        self.primitive.weights.copy_from_slice(&primitive.weights);
-        self.primitive.gain.copy_from_slice(&primitive.gain);
-        self.primitive.centre.copy_from_slice(&primitive.centre);
-        self.primitive.fresh = false;
+        self.primitive.take_over(primitive);
         self.primitive.sharpen();
     }
 }

@@ -6,8 +6,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::error::{MotionError, positive, size, vector};
-use crate::pdmp::PeriodicDmp;
-use crate::pdmp_learning::PhaseSample;
+use crate::orientation::PeriodicOrientationDmp;
+use crate::periodic::{PeriodicDmp, PhaseSample};
 use crate::surface_correction::SurfaceCorrection;
 
 /// One degree of freedom of a motion.
@@ -32,6 +32,7 @@ pub struct Motion {
     workspace_centre: Vec<f64>,
     learned_from: String,
     surface: Option<SurfaceCorrection>,
+    orientation: Option<PeriodicOrientationDmp>,
 }
 
 impl Motion {
@@ -58,6 +59,7 @@ impl Motion {
             workspace_centre,
             learned_from: String::new(),
             surface: None,
+            orientation: None,
         };
         motion.checked()
     }
@@ -106,6 +108,13 @@ impl Motion {
     #[must_use]
     pub fn with_surface(mut self, surface: Option<SurfaceCorrection>) -> Self {
         self.surface = surface;
+        self
+    }
+
+    /// The same with how the hand turns meanwhile, on the same phase.
+    #[must_use]
+    pub fn with_orientation(mut self, orientation: Option<PeriodicOrientationDmp>) -> Self {
+        self.orientation = orientation;
         self
     }
 
@@ -184,6 +193,12 @@ impl Motion {
     pub fn surface(&self) -> Option<&SurfaceCorrection> {
         self.surface.as_ref()
     }
+
+    /// How the hand turns, in [`frame`](Self::frame), if the motion says so; otherwise its orientation is the executor's.
+    #[must_use]
+    pub fn orientation(&self) -> Option<&PeriodicOrientationDmp> {
+        self.orientation.as_ref()
+    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -200,6 +215,8 @@ struct Saved {
     learned_from: String,
     #[serde(default)]
     surface: Option<SurfaceCorrection>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    orientation: Option<PeriodicOrientationDmp>,
 }
 
 impl From<Motion> for Saved {
@@ -214,6 +231,7 @@ impl From<Motion> for Saved {
             workspace_centre: m.workspace_centre,
             learned_from: m.learned_from,
             surface: m.surface,
+            orientation: m.orientation,
         }
     }
 }
@@ -232,6 +250,7 @@ impl TryFrom<Saved> for Motion {
             workspace_centre: s.workspace_centre,
             learned_from: s.learned_from,
             surface: s.surface,
+            orientation: s.orientation,
         };
         motion.checked()
     }
@@ -276,17 +295,16 @@ impl MotionSwitch {
     /// When `dt` is not positive or `running` is not of the size it was.
     pub fn step(&mut self, running: &mut PeriodicDmp, dt: f64) -> Result<bool, MotionError> {
         positive("dt", dt)?;
-        size("weights", self.weights.len(), running.weights.len())?;
-        size("dofs", self.centre.len(), running.centre.len())?;
+        size("weights", self.weights.len(), running.weights().len())?;
+        size("dofs", self.centre.len(), running.dofs())?;
         self.elapsed += dt;
         let done = self.elapsed >= 12.0 * self.time_constant;
         let share = if done { 1.0 } else { 1.0 - (-dt / self.time_constant).exp() };
-        approach(&mut running.weights, &self.weights, share);
-        approach(&mut running.centre, &self.centre, share);
-        let mut amplitude = [running.amplitude];
+        approach(running.weights_mut(), &self.weights, share);
+        approach(running.centre_mut(), &self.centre, share);
+        let mut amplitude = [running.amplitude()];
         approach(&mut amplitude, &[self.amplitude], share);
-        running.amplitude = amplitude[0];
-        running.fresh = false;
+        running.set_amplitude(amplitude[0])?;
         Ok(done)
     }
 }
@@ -345,6 +363,16 @@ mod tests {
             (loaded.primitive().steady_path(50).unwrap(), motion.primitive().steady_path(50).unwrap());
         assert!((0..50).all(|s| (0..3).all(|d| (a.y[s][d] - b.y[s][d]).abs() < 1e-12)));
         assert_eq!(loaded.surface(), motion.surface());
+        assert!(loaded.orientation().is_none() && !text.contains("orientation"), "as it was stored before");
+        let mut turning = PeriodicOrientationDmp::new(PeriodicDmpConfig::default()).unwrap();
+        let tilt = |k: i32| {
+            nalgebra::UnitQuaternion::from_euler_angles(0.2 * (0.0628 * f64::from(k)).sin(), 0.1, 0.0)
+        };
+        turning.learn_period(&(0..100).map(tilt).collect::<Vec<_>>()).unwrap();
+        let turning = motion.clone().with_orientation(Some(turning));
+        let again: Motion = serde_json::from_value(serde_json::to_value(&turning).unwrap()).unwrap();
+        let at = |m: &Motion| m.orientation().unwrap().steady_state(0.5).0;
+        assert!(at(&again).angle_to(&at(&turning)) < 1e-9);
         let next = loaded.next_version(primitive(25, 2), "a push").unwrap();
         assert_eq!((next.version(), next.name(), next.learned_from()), (2, "wipe", "a push"));
     }

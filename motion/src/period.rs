@@ -1,4 +1,4 @@
-//! The repeat period of a vector signal, from its recent past: where the signal is most like itself some time ago.
+//! The repeat period of a vector signal: the time shift at which its recent past is most like itself.
 //!
 //! All coordinates are compared together, so that a figure of eight repeats once a round although one of its
 //! coordinates repeats twice.
@@ -219,9 +219,9 @@ impl PeriodEstimator {
     }
 }
 
-/// The first dip that is about as deep as the deepest, as (lag between the samples, depth).
+/// The first minimum that is about as deep as the deepest, as (lag, interpolated between the samples; depth).
 fn first_dip(difference: &[f64], shortest: usize, longest: usize) -> Option<(f64, f64)> {
-    // Before the signal has once become unlike itself, small lags are no repeat.
+    // Small lags count as a repeat only after the difference has been large once.
     let apart = difference.iter().position(|d| *d > 0.5)?.max(shortest);
     let lags = apart..longest.min(difference.len() - 1);
     let deepest = lags.clone().map(|l| difference[l]).fold(f64::INFINITY, f64::min);

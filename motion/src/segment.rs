@@ -14,7 +14,7 @@ use crate::error::{MotionError, finite, positive, within};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SegmenterConfig {
-    /// The tool rests when it stays within `rest_radius` of a place for so long, s.
+    /// The tool rests when it stays within `rest_radius` of a place for this long, s.
     pub rest_time: f64,
     /// Root mean square distance from its mean that still is rest, m; must cover the noise.
     pub rest_radius: f64,
@@ -74,7 +74,7 @@ impl Swipe {
     }
 }
 
-/// Where a demonstration stands.
+/// The stage of a demonstration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DemonstrationStage {
@@ -95,7 +95,7 @@ pub enum DemonstrationStage {
 /// What is known of a demonstration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Demonstration {
-    /// Where it stands.
+    /// The stage.
     pub stage: DemonstrationStage,
     /// The swipe, once it is over.
     pub swipe: Option<Swipe>,
@@ -103,7 +103,7 @@ pub struct Demonstration {
     pub periodic_since: Option<f64>,
 }
 
-/// Tells the parts of a demonstration from one another, sample by sample.
+/// Divides a demonstration into its parts, sample by sample.
 #[derive(Debug, Clone)]
 pub struct DemonstrationSegmenter {
     config: SegmenterConfig,
@@ -123,7 +123,7 @@ struct Rest {
 const LONGEST_TRACK: usize = 4000;
 
 impl DemonstrationSegmenter {
-    /// A segmenter that has seen nothing.
+    /// A segmenter before its first sample.
     ///
     /// # Errors
     /// When a constant is not positive.
@@ -144,7 +144,7 @@ impl DemonstrationSegmenter {
         Ok(Self { config, recent: VecDeque::new(), known, rest: None, track: Vec::new() })
     }
 
-    /// Sees the tool at `point` (m) at `time` (s, increasing), and says what is known now.
+    /// Takes the position `point` (m) of the tool at `time` (s, increasing); returns what is known now.
     ///
     /// # Errors
     /// When a value is not finite or time does not go on; the sample is left out.

@@ -1,6 +1,6 @@
 //! Position-based visual servoing: from the pose of the hand and of its target, both as seen, to a twist.
 //!
-//! Knows no camera: who measures hand and target with the same camera gets rid of its mounting error.
+//! Knows no camera. When hand and target are measured with the same camera, its mounting error cancels.
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -17,7 +17,7 @@ pub struct ServoConfig {
     pub gain_near: f64,
     /// Error at which the gain is about halfway between, m (rotations count `radius` m a rad).
     pub gain_scale: f64,
-    /// Lever that makes metres of rotations, m.
+    /// Lever arm that converts rotations to metres, m.
     pub radius: f64,
     /// Speed limit, m/s.
     pub max_linear: f64,
@@ -27,11 +27,11 @@ pub struct ServoConfig {
     pub position_tolerance: f64,
     /// ... and turned by less than this, rad, ...
     pub rotation_tolerance: f64,
-    /// ... for so many observations in a row.
+    /// ... for this many observations in a row.
     pub hold_frames: u32,
-    /// Give up after so long, s.
+    /// Gives up after this long, s.
     pub timeout: f64,
-    /// The target is lost when it was not observed for so long, s.
+    /// The target is lost when it was not observed for this long, s.
     pub lost_after: f64,
     /// The servo diverges when the error has grown over its smallest by this factor (and 10 mm), in `hold_frames`
     /// observations in a row.
@@ -66,7 +66,7 @@ pub struct ServoObservation {
     pub target: Isometry3<f64>,
 }
 
-/// How the servo stands.
+/// The status of the servo.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ServoStatus {
     /// On its way.
@@ -92,7 +92,7 @@ pub struct ServoCommand {
     pub distance: f64,
     /// Angle to the target, rad.
     pub angle: f64,
-    /// How the servo stands; the velocities are zero unless it runs.
+    /// The status; the velocities are zero unless it runs.
     pub status: ServoStatus,
 }
 
@@ -111,7 +111,7 @@ pub struct PositionServo {
 }
 
 impl PositionServo {
-    /// A servo that has not seen anything yet.
+    /// A servo before its first observation.
     ///
     /// # Errors
     /// When a constant is not positive.
@@ -144,7 +144,7 @@ impl PositionServo {
     }
 
     /// `dt` s later: what was observed (nothing if hand or target were not seen), and the twist to command. Without
-    /// an observation the last command fades out, as it was steering by an older sight.
+    /// an observation the last command fades out, because it rests on an older one.
     ///
     /// # Errors
     /// When `dt` is not positive or a pose is not finite; nothing is changed.

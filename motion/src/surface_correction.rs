@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{MotionError, kernel_width, vector, within};
-use crate::kernels::PhaseKernels;
+use crate::periodic::PhaseKernels;
 
 /// `offset(phase)` along `normal`, m, as a sum of normalised kernels over the phase.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{MotionError, finite, positive, within};
 use crate::oscillator::{AdaptiveOscillator, OscillatorConfig};
-use crate::pdmp::{DmpState, PeriodicDmp};
+use crate::periodic::{DmpState, PeriodicDmp};
 
 /// How a primitive follows the oscillator.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

@@ -158,7 +158,7 @@ impl Touchdown {
             self.status = TouchdownStatus::NotReached;
             return 0.0;
         }
-        // A soft surface is pressed faster the longer it takes: stiffness is what the way so far has shown.
+        // A soft surface is pressed faster: its stiffness is estimated from the travel so far.
         let softer = (self.pressing / 0.5).clamp(1.0, 8.0);
         let rate = softer / (self.config.stiffness * self.config.press_time);
         (rate * error).clamp(-self.config.speed, self.config.speed)

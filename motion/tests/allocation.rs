@@ -3,8 +3,9 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 
 use armarium_motion::{
-    Coach, CoachConfig, CoachInput, FrictionConfig, FrictionModel, PeriodicDmp, PeriodicDmpConfig,
-    SurfaceAdaptation, SurfaceConfig, Touchdown, TouchdownConfig,
+    Coach, CoachConfig, CoachInput, DiscreteDmpConfig, DiscreteOrientationDmp, FrictionConfig, FrictionModel,
+    MotionEdit, PeriodicDmp, PeriodicDmpConfig, PeriodicOrientationDmp, SurfaceAdaptation, SurfaceConfig,
+    Touchdown, TouchdownConfig,
 };
 use nalgebra::Vector3;
 
@@ -41,6 +42,24 @@ fn steps_do_not_allocate() {
         dmp.step(0.001, 3.0).unwrap();
     });
     assert_eq!(n, 0, "coach");
+
+    let mut turning = PeriodicOrientationDmp::new(PeriodicDmpConfig::default()).unwrap();
+    let mut reaching = DiscreteOrientationDmp::new(DiscreteDmpConfig::default()).unwrap();
+    let n = allocations(|| {
+        turning.step(0.001, 3.0).unwrap();
+        reaching.step(0.001, 2.0).unwrap();
+    });
+    assert_eq!(n, 0, "orientations");
+
+    let (mut edit, before) = (MotionEdit::none(&dmp), dmp.clone());
+    let n = allocations(|| {
+        dmp.displace(0.3, 0.001, &[0.01; 3]).unwrap();
+        edit.add_difference(before.weights(), before.centre(), &dmp).unwrap();
+        edit.apply(&mut dmp).unwrap();
+        edit.clear();
+        dmp.set_weights(before.weights()).unwrap();
+    });
+    assert_eq!(n, 0, "edits");
 
     let mut surface = SurfaceAdaptation::new(SurfaceConfig::default()).unwrap();
     let mut phase = 0.0;

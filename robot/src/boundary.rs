@@ -37,7 +37,8 @@ pub struct Wrist {
 pub struct LeaseLimits {
     /// Largest compensated wrist force, N. Over it, the arm gives way and the lease is faulted.
     pub force_n: Option<f64>,
-    /// Largest TCP speed, m/s; faster commands are scaled down, direction kept.
+    /// Largest speed, m/s, of every TCP that the limb moves, whichever joints move it: faster commands are scaled down
+    /// together, direction kept.
     pub speed_m_s: Option<f64>,
 }
 
@@ -139,7 +140,7 @@ pub enum RobotError {
     },
 }
 
-/// A robot as skills see it. Implemented by the guarded robot in this process and by the proxy over Zenoh.
+/// A robot as skills see it.
 pub trait Robot: Send + Sync {
     /// Its description.
     fn model(&self) -> &Arc<crate::Model>;

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use nalgebra::Point3;
 
-use crate::{Fault, Kinematics, Lease, LeaseError, LeaseLimits, Robot, Sensed, newest};
+use crate::{Fault, Kinematics, Lease, LeaseError, LeaseLimits, LinkId, Model, Robot, Sensed, newest};
 
 /// A joint under this stands, rad/s (m/s).
 pub const STANDING: f64 = 0.01;
@@ -37,11 +37,21 @@ pub async fn check(robot: &Arc<dyn Robot>, limb: &str) -> Result<(), Violation> 
     probe.leases_are_exclusive()?;
     probe.commands_move_the_joints().await?;
     probe.lease_limits_bound_the_tcp_speed().await?;
+    probe.lease_limits_hold_whichever_joints_move_the_tcp().await?;
     probe.a_dropped_lease_brakes().await?;
     probe.a_silent_commander_is_faulted().await?;
     probe.nonsense_is_refused().await?;
     probe.a_panic_brakes().await?;
     probe.stop_is_final().await
+}
+
+/// Full speed of `joints`, each away from its nearer limit.
+fn full_speed(model: &Model, joints: &[usize], sensed: &Sensed) -> Vec<f64> {
+    let speed = |&j: &usize| {
+        let (joint, q) = (&model.joints()[j], sensed.position[j]);
+        if joint.upper - q >= q - joint.lower { joint.velocity } else { -joint.velocity }
+    };
+    joints.iter().map(speed).collect()
 }
 
 struct Probe<'a> {
@@ -80,16 +90,6 @@ impl<'a> Probe<'a> {
         }
     }
 
-    /// Full speed, each joint away from its nearer limit.
-    fn full_speed(&self, sensed: &Sensed) -> Vec<f64> {
-        let model = self.robot.model();
-        let speed = |&j: &usize| {
-            let (joint, q) = (&model.joints()[j], sensed.position[j]);
-            if joint.upper - q >= q - joint.lower { joint.velocity } else { -joint.velocity }
-        };
-        self.joints.iter().map(speed).collect()
-    }
-
     /// Commands `share` of full speed at each sample for `for_ns`; returns the last sample and the command.
     async fn run(
         &mut self,
@@ -98,7 +98,8 @@ impl<'a> Probe<'a> {
         for_ns: u64,
     ) -> Result<(Arc<Sensed>, Vec<f64>), Violation> {
         let start = self.sample().await?;
-        let command: Vec<f64> = self.full_speed(&start).iter().map(|v| share * v).collect();
+        let command: Vec<f64> =
+            full_speed(self.robot.model(), &self.joints, &start).iter().map(|v| share * v).collect();
         loop {
             if let Err(fault) = lease.command(&command) {
                 return self.broken(format!("a sound command was refused: {fault}"));
@@ -193,21 +194,66 @@ impl<'a> Probe<'a> {
 
     async fn lease_limits_bound_the_tcp_speed(&mut self) -> Result<(), Violation> {
         self.rule = "a lease's speed limit bounds the TCP's speed";
+        let Some(tcp) = self.robot.model().find_limb(self.limb).and_then(|limb| limb.tcp) else {
+            return Ok(());
+        };
+        self.bounds_the_tcp(tcp, &[self.limb.to_owned()]).await
+    }
+
+    /// With every limb that moves the TCP in one hand: none of them alone, and not their sum, is faster than the limit.
+    async fn lease_limits_hold_whichever_joints_move_the_tcp(&mut self) -> Result<(), Violation> {
+        self.rule = "a lease's speed limit bounds the TCP's speed, whichever joints of its holder move it";
         let model = Arc::clone(self.robot.model());
-        let Some(tcp) = model.find_limb(self.limb).and_then(|limb| limb.tcp) else { return Ok(()) };
-        let limit = 0.1;
-        let lease = self.lease(LeaseLimits { speed_m_s: Some(limit), ..LeaseLimits::default() })?;
-        let (now, _) = self.run(&lease, 1.0, 400_000_000).await?;
-        let mut kinematics = Kinematics::new(&model);
-        kinematics.update(&now.position);
-        let speed = kinematics.twist(tcp, &Point3::origin(), &now.velocity).linear.norm();
-        drop(lease);
-        self.stands().await?;
-        if speed > 1.2 * limit {
-            self.broken(format!("{speed:.3} m/s at a limit of {limit} m/s"))
-        } else {
-            Ok(())
+        let moves = |limb: &str, tcp: LinkId| model.limb(limb).iter().any(|&j| model.moves(j, tcp));
+        let tcps: Vec<LinkId> = model.limbs().values().filter_map(|limb| limb.tcp).collect();
+        for tcp in tcps.into_iter().filter(|&tcp| moves(self.limb, tcp)) {
+            let limbs: Vec<String> = model.limbs().keys().filter(|limb| moves(limb, tcp)).cloned().collect();
+            for limb in &limbs {
+                self.bounds_the_tcp(tcp, std::slice::from_ref(limb)).await?;
+            }
+            self.bounds_the_tcp(tcp, &limbs).await?;
         }
+        Ok(())
+    }
+
+    /// Commands full speed to all `limbs`, and looks at the speed of `tcp` in every sample.
+    async fn bounds_the_tcp(&mut self, tcp: LinkId, limbs: &[String]) -> Result<(), Violation> {
+        let limit = 0.1;
+        let limits = LeaseLimits { speed_m_s: Some(limit), ..LeaseLimits::default() };
+        let model = Arc::clone(self.robot.model());
+        let mut leases = Vec::new();
+        for limb in limbs {
+            match self.robot.lease(limb, "conformance", limits) {
+                Ok(lease) => leases.push((model.limb(limb).to_vec(), lease)),
+                Err(error) => return self.broken(format!("no lease of the free limb `{limb}`: {error}")),
+            }
+        }
+        let start = self.sample().await?;
+        let commands: Vec<Vec<f64>> =
+            leases.iter().map(|(joints, _)| full_speed(&model, joints, &start)).collect();
+        let mut kinematics = Kinematics::new(&model);
+        let mut fastest = 0.0_f64;
+        loop {
+            for ((_, lease), command) in leases.iter().zip(&commands) {
+                if let Err(fault) = lease.command(command) {
+                    return self.broken(format!("a sound command was refused: {fault}"));
+                }
+            }
+            let now = self.sample().await?;
+            kinematics.update(&now.position);
+            let speed = kinematics.twist(tcp, &Point3::origin(), &now.velocity).linear.norm();
+            fastest = fastest.max(speed);
+            if now.stamp_ns >= start.stamp_ns + 400_000_000 {
+                break;
+            }
+        }
+        drop(leases);
+        self.stands().await?;
+        if fastest > 1.2 * limit {
+            let limbs = limbs.join(" and ");
+            return self.broken(format!("{limbs} moved it at {fastest:.3} m/s with a limit of {limit} m/s"));
+        }
+        Ok(())
     }
 
     async fn a_dropped_lease_brakes(&mut self) -> Result<(), Violation> {

@@ -3,10 +3,11 @@
 //! For tests of skills and of the guard. [`ServoJoints`] is pure and stepped; [`DummyRobot`] steps it each millisecond of
 //! tokio's clock. There is no table and no object: forces come from whoever pushes.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use nalgebra::{Point3, Vector3};
+use parking_lot::Mutex;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::task::JoinHandle;
@@ -118,7 +119,7 @@ impl DummyRobot {
             loop {
                 tick.tick().await;
                 stamp_ns += 1_000_000;
-                let push = *pushed.lock().unwrap_or_else(PoisonError::into_inner);
+                let push = *pushed.lock();
                 joints.step(guard.step(stamp_ns, joints.sample()), &push, 1e-3);
             }
         });
@@ -131,9 +132,9 @@ impl DummyRobot {
         Arc::clone(&self.robot) as Arc<dyn Robot>
     }
 
-    /// Pushes the hand at its TCP with a force, root frame, N, until told otherwise.
+    /// Pushes the hand at its TCP with a force, root frame, N, until the next call.
     pub fn push(&self, force: Vector3<f64>) {
-        *self.push.lock().unwrap_or_else(PoisonError::into_inner) = force;
+        *self.push.lock() = force;
     }
 
     /// What was said since the last call, oldest first.

@@ -4,7 +4,7 @@
 
 use nalgebra::{Matrix6, Point3, Vector3, Vector6};
 
-use crate::lease::Desk;
+use crate::lease::LeaseTable;
 use crate::model::Limb;
 use crate::wrist::WristEstimator;
 use crate::{Fault, GuardConfig, Jacobian, Kinematics, Model, Sample, Wrist};
@@ -18,7 +18,7 @@ const YIELD_DAMPING: f64 = 0.05;
 #[derive(Debug)]
 pub(crate) struct Sensor {
     pub(crate) limb: Limb,
-    /// Which limbs move the hand, by their place on the desk.
+    /// Which limbs move the hand, by their place on the table.
     carriers: Vec<usize>,
     pub(crate) estimator: WristEstimator,
     raw: Option<(Vector3<f64>, Vector3<f64>)>,
@@ -61,37 +61,37 @@ impl Sensor {
         self.wrist = self.estimator.update(kinematics, &sample.velocity, raw, dt.max(1e-6));
     }
 
-    pub(crate) fn find_faults(&mut self, desk: &mut Desk, config: &GuardConfig, stamp_ns: u64) {
+    pub(crate) fn find_faults(&mut self, table: &mut LeaseTable, config: &GuardConfig, stamp_ns: u64) {
         if self.frozen {
             self.yielding = None;
             let frozen_ms = stamp_ns.saturating_sub(self.changed_ns) / 1_000_000;
-            self.fail(desk, &Fault::FrozenWrench { frozen_ms });
+            self.fail(table, &Fault::FrozenWrench { frozen_ms });
             return;
         }
         let force = self.wrist.force.norm();
-        let limit = self.limit(desk, config);
+        let limit = self.limit(table, config);
         self.yielding = match self.yielding {
-            _ if desk.stopped.is_some() => None,
+            _ if table.stopped.is_some() => None,
             Some((limit, worst)) if force > YIELD_UNTIL * limit => Some((limit, worst.max(force))),
             Some(_) => None,
             None => (force > limit).then_some((limit, force)),
         };
         if let Some((limit_n, force_n)) = self.yielding {
-            self.fail(desk, &Fault::Force { force_n, limit_n });
+            self.fail(table, &Fault::Force { force_n, limit_n });
         }
     }
 
     /// The tightest limit of those who move the hand, N.
-    fn limit(&self, desk: &Desk, config: &GuardConfig) -> f64 {
-        let of = |&i: &usize| desk.slots[i].held.as_ref().and_then(|held| held.limits.force_n);
+    fn limit(&self, table: &LeaseTable, config: &GuardConfig) -> f64 {
+        let of = |&i: &usize| table.slots[i].held.as_ref().and_then(|held| held.limits.force_n);
         self.carriers.iter().filter_map(of).fold(config.force_n, f64::min).max(0.0)
     }
 
     /// Faults every lease that moves the hand; a force fault keeps the largest force.
-    fn fail(&self, desk: &mut Desk, fault: &Fault) {
+    fn fail(&self, table: &mut LeaseTable, fault: &Fault) {
         for &i in &self.carriers {
-            desk.slots[i].fail(fault);
-            let held = desk.slots[i].held.as_mut();
+            table.slots[i].fail(fault);
+            let held = table.slots[i].held.as_mut();
             if let (Some(Some(Fault::Force { force_n: old, .. })), Fault::Force { force_n, .. }) =
                 (held.map(|h| &mut h.fault), fault)
             {

@@ -1,17 +1,19 @@
 //! The guard: stands between leases and the joints' drives. Pure and stepped; it has no clock, no task, no physics.
 //!
 //! Whoever drives the joints calls [`Guard::step`] with each sample (1 kHz) and applies the [`JointTargets`]. One step:
-//! compensate the wrist and publish the sample; find faults; take the newest command of each limb, or 0; scale it to the
-//! TCP and joint speed limits, keeping its direction; bound its change by the acceleration limits; stop softly before the
-//! joint limits; integrate it to a setpoint that stays near the measured position. Over the force limit the arm gives way.
+//! compensate the wrist and publish the sample; find faults; take the newest command of each limb, or 0; scale what moves a
+//! TCP together to the TCP and joint speed limits, keeping its direction, and bound its change by the acceleration limits
+//! (`bounds.rs`); stop each joint softly before its limits; integrate to a setpoint that stays near the measured position.
+//! Over the force limit the arm gives way.
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 
+use crate::bounds::VelocityBounds;
 use crate::force::Sensor;
-use crate::lease::{Desk, Shared};
+use crate::lease::{LeaseTable, Shared};
 use crate::{Fault, GuardedRobot, JointKind, Kinematics, Model, Sensed, Wrist};
 
 /// The guard's own limits; leases can only tighten them.
@@ -99,6 +101,7 @@ pub struct Guard {
     config: GuardConfig,
     kinematics: Kinematics,
     sensor: Option<Sensor>,
+    bounds: VelocityBounds,
     measured: Sample,
     desired: Vec<f64>,
     targets: JointTargets,
@@ -119,6 +122,7 @@ impl Guard {
             config,
             kinematics: Kinematics::new(&model),
             sensor: Sensor::of(&model),
+            bounds: VelocityBounds::new(&model),
             measured: Sample::resting(model.zero()),
             desired: vec![0.0; n],
             targets: JointTargets { position: model.zero(), velocity: vec![0.0; n] },
@@ -145,14 +149,15 @@ impl Guard {
     pub fn step(&mut self, stamp_ns: u64, sample: &Sample) -> &JointTargets {
         let dt = self.accept(stamp_ns, sample);
         let shared = Arc::clone(&self.shared);
-        let mut desk = shared.desk();
-        self.sense(&mut desk, stamp_ns, dt);
-        self.find_faults(&mut desk, stamp_ns);
-        self.take_commands(&desk);
-        drop(desk);
+        let mut table = shared.leases();
+        self.sense(&mut table, stamp_ns, dt);
+        self.find_faults(&mut table, stamp_ns);
+        self.take_commands(&table);
+        drop(table);
         self.give_way();
-        self.bound_tcp_speed();
-        self.accelerate(dt);
+        let Self { bounds, kinematics, desired, targets, .. } = self;
+        bounds.bound(&shared.model, kinematics, desired);
+        bounds.accelerate(&shared.model, desired, &mut targets.velocity, dt);
         self.integrate(dt);
         self.publish(stamp_ns);
         &self.targets
@@ -177,21 +182,21 @@ impl Guard {
         since.min(LONGEST_STEP_S)
     }
 
-    fn sense(&mut self, desk: &mut Desk, stamp_ns: u64, dt: f64) {
+    fn sense(&mut self, table: &mut LeaseTable, stamp_ns: u64, dt: f64) {
         let Some(sensor) = &mut self.sensor else { return };
-        if let Some((mass, center)) = desk.load.take() {
+        if let Some((mass, center)) = table.load.take() {
             sensor.estimator.set_load(mass, center);
         }
         sensor.sense(&self.kinematics, &self.measured, stamp_ns, dt);
         sensor.frozen = stamp_ns.saturating_sub(sensor.changed_ns) >= nanoseconds(self.config.frozen);
-        if std::mem::take(&mut desk.tare) {
+        if std::mem::take(&mut table.tare) {
             sensor.estimator.tare(&self.kinematics);
         }
     }
 
-    fn find_faults(&mut self, desk: &mut Desk, stamp_ns: u64) {
+    fn find_faults(&mut self, table: &mut LeaseTable, stamp_ns: u64) {
         let watchdog_ns = nanoseconds(self.config.watchdog);
-        for slot in &mut desk.slots {
+        for slot in &mut table.slots {
             let Some(held) = &mut slot.held else { continue };
             if held.seen.0 != held.sequence {
                 held.seen = (held.sequence, stamp_ns);
@@ -203,37 +208,20 @@ impl Guard {
             }
         }
         if let Some(sensor) = &mut self.sensor {
-            sensor.find_faults(desk, &self.config, stamp_ns);
+            sensor.find_faults(table, &self.config, stamp_ns);
         }
     }
 
-    /// The desired velocities: each limb's newest command, scaled to its limits; 0 for limbs without a sound lease.
-    fn take_commands(&mut self, desk: &Desk) {
+    /// The desired velocities: each limb's newest command; 0 for limbs without a sound lease.
+    fn take_commands(&mut self, table: &LeaseTable) {
         self.desired.fill(0.0);
-        for slot in &desk.slots {
-            let Some(held) = slot.held.as_ref().filter(|held| held.fault.is_none()) else { continue };
+        for slot in &table.slots {
+            let Some(held) = slot.sound() else { continue };
             for (&joint, &velocity) in slot.limb.joints.iter().zip(&held.velocities) {
                 self.desired[joint] = velocity;
             }
-            if let (Some(tcp), Some(limit)) = (slot.limb.tcp, held.limits.speed_m_s) {
-                let mut velocity = Vector3::zeros();
-                let point = Point3::from(self.kinematics.pose(tcp).translation.vector);
-                for &joint in &slot.limb.joints {
-                    velocity += self.kinematics.column(joint, tcp, &point).linear * self.desired[joint];
-                }
-                let scale = scale_to(limit.max(0.0), velocity.norm());
-                slot.limb.joints.iter().for_each(|&j| self.desired[j] *= scale);
-            }
-            self.bound_joint_speed(&slot.limb.joints);
         }
-    }
-
-    /// Scales the joints' velocities together until each is within its limit.
-    fn bound_joint_speed(&mut self, joints: &[usize]) {
-        let limits = self.shared.model.joints();
-        let scale =
-            joints.iter().map(|&j| scale_to(limits[j].velocity, self.desired[j].abs())).fold(1.0, f64::min);
-        joints.iter().for_each(|&j| self.desired[j] *= scale);
+        self.bounds.read(table, self.config.speed_m_s);
     }
 
     /// Moves the arm along the force while it is over the limit.
@@ -241,38 +229,6 @@ impl Guard {
         let Some(sensor) = &mut self.sensor else { return };
         let Some((limit, _)) = sensor.yielding else { return };
         sensor.yield_into(&self.kinematics, &self.config, limit, &mut self.desired);
-        let joints = sensor.limb.joints.clone();
-        self.bound_joint_speed(&joints);
-    }
-
-    fn bound_tcp_speed(&mut self) {
-        let model = Arc::clone(&self.shared.model);
-        for tcp in model.limbs().values().filter_map(|limb| limb.tcp) {
-            let speed = self.kinematics.twist(tcp, &Point3::origin(), &self.desired).linear.norm();
-            let scale = scale_to(self.config.speed_m_s, speed);
-            if scale < 1.0 {
-                for (joint, velocity) in self.desired.iter_mut().enumerate() {
-                    if model.moves(joint, tcp) {
-                        *velocity *= scale;
-                    }
-                }
-            }
-        }
-    }
-
-    /// Moves the targets' velocities towards the desired ones: each limb along a straight line in its joint space.
-    fn accelerate(&mut self, dt: f64) {
-        let model = Arc::clone(&self.shared.model);
-        for limb in model.limbs().values() {
-            let mut share = 1.0_f64;
-            for &j in &limb.joints {
-                let change = (self.desired[j] - self.targets.velocity[j]).abs();
-                share = share.min(scale_to(model.joints()[j].acceleration * dt, change));
-            }
-            for &j in &limb.joints {
-                self.targets.velocity[j] += share * (self.desired[j] - self.targets.velocity[j]);
-            }
-        }
     }
 
     /// Integrates the velocities, each joint stopping before its limits and staying near where it is measured.
@@ -308,11 +264,6 @@ impl Guard {
             wrist,
         }));
     }
-}
-
-/// The share of `value` that is within `limit`.
-fn scale_to(limit: f64, value: f64) -> f64 {
-    if value > limit { limit / value } else { 1.0 }
 }
 
 /// The largest speed from which a joint, one step of it later, can still brake within `distance`.

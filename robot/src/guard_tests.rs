@@ -108,6 +108,70 @@ fn accelerations_and_speeds_stay_within_the_limits() {
     }
 }
 
+/// Speed of a TCP, m/s, at which the guard's targets move it.
+fn target_speed(rig: &Rig, tcp: &str) -> f64 {
+    let tcp = rig.model.link(tcp).unwrap();
+    rig.joints.kinematics().twist(tcp, &Point3::origin(), &rig.guard.targets().velocity).linear.norm()
+}
+
+#[test]
+fn arm_and_torso_of_one_holder_are_scaled_together() {
+    let mut rig = Rig::new();
+    let limits = LeaseLimits { speed_m_s: Some(0.1), ..LeaseLimits::default() };
+    let torso = rig.robot.lease("torso", "test", limits).unwrap();
+    let arm = rig.robot.lease("right_arm", "test", limits).unwrap();
+    // Each joint away from its nearer limit, so that none has to stop.
+    let away = |limb: &str| -> Vec<f64> {
+        let speed = |(i, &j): (usize, &usize)| {
+            let (joint, q) = (&rig.model.joints()[j], rig.joints.sample().position[j]);
+            (0.3 + 0.05 * i as f64).copysign(joint.upper + joint.lower - 2.0 * q)
+        };
+        rig.model.limb(limb).iter().enumerate().map(speed).collect()
+    };
+    let commands = ["torso", "right_arm"].map(away);
+    for k in 0..150 {
+        torso.command(&commands[0]).unwrap();
+        arm.command(&commands[1]).unwrap();
+        rig.run(1, |_| Vector3::zeros());
+        let speed = target_speed(&rig, "tcp_right");
+        // The targets are one step of motion ahead of the joints that the bound was computed with.
+        assert!(speed < 0.1 * 1.03, "{speed} m/s after {k} ms");
+    }
+    let speed = target_speed(&rig, "tcp_right");
+    assert!(speed > 0.095, "{speed}");
+    let joints = ["torso", "right_arm"].map(|limb| rig.model.limb(limb).to_vec()).concat();
+    let velocity = &rig.guard.targets().velocity;
+    let factors: Vec<f64> =
+        joints.iter().zip(commands.concat()).map(|(&j, command)| velocity[j] / command).collect();
+    assert!(factors.iter().all(|f| (f / factors[0] - 1.0).abs() < 0.02), "{factors:?}");
+}
+
+#[test]
+fn the_torso_alone_is_bounded_by_the_hand_that_it_carries() {
+    let mut rig = Rig::new();
+    let limits = LeaseLimits { speed_m_s: Some(0.1), ..LeaseLimits::default() };
+    let torso = rig.robot.lease("torso", "test", limits).unwrap();
+    rig.command(&torso, &[0.0, 0.0, 0.9], 300);
+    let speed = target_speed(&rig, "tcp_right");
+    assert!(speed > 0.05 && speed < 0.1 * 1.03, "{speed}");
+}
+
+#[test]
+fn an_arm_of_another_holder_is_not_slowed() {
+    let mut rig = Rig::new();
+    let limits = LeaseLimits { speed_m_s: Some(0.02), ..LeaseLimits::default() };
+    let right = rig.robot.lease("right_arm", "one", limits).unwrap();
+    let left = rig.robot.lease("left_arm", "other", LeaseLimits::default()).unwrap();
+    for _ in 0..200 {
+        right.command(&[0.3; 7]).unwrap();
+        left.command(&[0.05; 7]).unwrap();
+        rig.run(1, |_| Vector3::zeros());
+    }
+    assert!(target_speed(&rig, "tcp_right") < 0.02 * 1.03);
+    let velocity = &rig.guard.targets().velocity;
+    assert!(rig.model.limb("left_arm").iter().all(|&j| (velocity[j] - 0.05).abs() < 1e-9));
+}
+
 #[test]
 fn a_joint_stops_softly_before_its_limit() {
     let mut rig = Rig::new();

@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::{Dynamics, GRAVITY, JointKind, Kinematics, Model, Shape, Twist, pose_error};
+use crate::{JointKind, Kinematics, Model, Shape, pose_error};
 
 fn armar3() -> Arc<Model> {
     Arc::new(Model::armar3())
@@ -145,79 +145,6 @@ fn jacobians_agree_with_finite_differences() {
             near(twist.linear, product.fixed_rows::<3>(0).into_owned().into(), 1e-12);
         }
     }
-}
-
-/// Potential and kinetic energy, J.
-fn energy(model: &Arc<Model>, q: &[f64], velocity: &[f64]) -> (f64, f64) {
-    let mut kinematics = Kinematics::new(model);
-    kinematics.update(q);
-    let (mut potential, mut kinetic) = (0.0, 0.0);
-    for (i, link) in model.links().iter().enumerate() {
-        let Some(body) = link.inertial else { continue };
-        let id = crate::LinkId(i);
-        let pose = kinematics.pose(id);
-        let Twist { linear, angular } = kinematics.twist(id, &body.center, velocity);
-        let local = pose.rotation.inverse() * angular;
-        potential -= body.mass * GRAVITY.dot(&(pose * body.center).coords);
-        kinetic += 0.5 * body.mass * linear.norm_squared() + 0.5 * local.dot(&(body.inertia * local));
-    }
-    (potential, kinetic)
-}
-
-#[test]
-fn gravity_torques_are_the_gradient_of_the_potential() {
-    let model = armar3();
-    let mut rng = ChaCha8Rng::seed_from_u64(11);
-    let mut dynamics = Dynamics::new(&model);
-    let still = vec![0.0; model.joints().len()];
-    for _ in 0..5 {
-        let q = random_q(&model, &mut rng);
-        let torque = dynamics.gravity(&q).to_vec();
-        for (j, torque) in torque.iter().enumerate() {
-            let at = |d: f64| {
-                let mut moved = q.clone();
-                moved[j] += d;
-                energy(&model, &moved, &still).0
-            };
-            let slope = (at(1e-5) - at(-1e-5)) / 2e-5;
-            assert!((slope - torque).abs() < 1e-5, "joint {j}: {slope} and {torque}");
-        }
-    }
-}
-
-#[test]
-fn inverse_dynamics_conserves_energy_and_has_a_symmetric_mass_matrix() {
-    let model = armar3();
-    let mut rng = ChaCha8Rng::seed_from_u64(13);
-    let mut dynamics = Dynamics::new(&model);
-    let n = model.joints().len();
-    let q = random_q(&model, &mut rng);
-    let mut any = |_: usize| rng.random_range(-1.0..1.0);
-    let velocity: Vec<f64> = (0..n).map(&mut any).collect();
-    let acceleration: Vec<f64> = (0..n).map(&mut any).collect();
-    let torque = dynamics.inverse(&q, &velocity, &acceleration).to_vec();
-    let power: f64 = torque.iter().zip(&velocity).map(|(t, v)| t * v).sum();
-    let total = |t: f64| {
-        let q: Vec<f64> = (0..n).map(|j| q[j] + velocity[j] * t + 0.5 * acceleration[j] * t * t).collect();
-        let v: Vec<f64> = (0..n).map(|j| velocity[j] + acceleration[j] * t).collect();
-        let (potential, kinetic) = energy(&model, &q, &v);
-        potential + kinetic
-    };
-    let rate = (total(1e-5) - total(-1e-5)) / 2e-5;
-    assert!((rate - power).abs() < 1e-5 * (1.0 + power.abs()), "{rate} W and {power} W");
-    let gravity = dynamics.gravity(&q).to_vec();
-    let still = vec![0.0; n];
-    let mut mass = nalgebra::DMatrix::zeros(n, n);
-    for j in 0..n {
-        let mut unit = still.clone();
-        unit[j] = 1.0;
-        let column = dynamics.inverse(&q, &still, &unit);
-        for i in 0..n {
-            mass[(i, j)] = column[i] - gravity[i];
-        }
-    }
-    assert!((&mass - mass.transpose()).norm() < 1e-9);
-    assert!(mass.cholesky().is_some(), "a mass matrix is positive definite");
 }
 
 #[test]

@@ -4,9 +4,10 @@
 
 use std::collections::VecDeque;
 use std::fmt;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use nalgebra::{Point3, Vector3};
+use parking_lot::{Mutex, MutexGuard};
 
 use crate::model::Limb;
 use crate::{Fault, LeaseError, LeaseLimits, Model, Robot, Sensed, Wrist, newest};
@@ -28,7 +29,7 @@ pub trait Commander: Send + Sync + fmt::Debug {
 /// The exclusive right to command one limb. Dropping it brakes the limb and releases it.
 ///
 /// The first command starts the watchdog: from then on the limb wants a command at least every 30 ms, unless the last
-/// one was zero everywhere (a limb that was told to stand stands).
+/// one was zero everywhere: a limb at rest needs no commands.
 #[derive(Debug)]
 #[must_use = "dropping a lease brakes the limb and releases it"]
 pub struct Lease(Box<dyn Commander>);
@@ -60,6 +61,8 @@ impl Lease {
 pub(crate) struct Held {
     id: u64,
     holder: String,
+    /// Leases of one holder have one number.
+    pub(crate) holder_number: u64,
     pub(crate) limits: LeaseLimits,
     pub(crate) velocities: Vec<f64>,
     /// Counts commands; 0 before the first.
@@ -76,6 +79,11 @@ pub(crate) struct Slot {
 }
 
 impl Slot {
+    /// Who holds it, unless it was taken from its commander.
+    pub(crate) fn sound(&self) -> Option<&Held> {
+        self.held.as_ref().filter(|held| held.fault.is_none())
+    }
+
     /// Takes the limb from its commander; the first reason stays.
     pub(crate) fn fail(&mut self, fault: &Fault) {
         if let Some(held) = &mut self.held {
@@ -85,7 +93,7 @@ impl Slot {
 }
 
 #[derive(Debug, Default)]
-pub(crate) struct Desk {
+pub(crate) struct LeaseTable {
     pub(crate) slots: Vec<Slot>,
     pub(crate) stopped: Option<String>,
     pub(crate) tare: bool,
@@ -99,7 +107,7 @@ pub(crate) struct Desk {
 pub(crate) struct Shared {
     pub(crate) model: Arc<Model>,
     pub(crate) sensed: newest::Sender<Arc<Sensed>>,
-    desk: Mutex<Desk>,
+    leases: Mutex<LeaseTable>,
 }
 
 impl Shared {
@@ -114,16 +122,20 @@ impl Shared {
             wrist: Wrist::default(),
         };
         let sensed = newest::Sender::new(Arc::new(first));
-        Self { model: Arc::clone(model), sensed, desk: Mutex::new(Desk { slots, ..Desk::default() }) }
+        Self {
+            model: Arc::clone(model),
+            sensed,
+            leases: Mutex::new(LeaseTable { slots, ..LeaseTable::default() }),
+        }
     }
 
-    /// A holder that panics leaves the desk consistent: no lock is held across foreign code.
-    pub(crate) fn desk(&self) -> MutexGuard<'_, Desk> {
-        self.desk.lock().unwrap_or_else(PoisonError::into_inner)
+    /// No lock is held across code that could panic.
+    pub(crate) fn leases(&self) -> MutexGuard<'_, LeaseTable> {
+        self.leases.lock()
     }
 
     pub(crate) fn take_utterances(&self) -> Vec<String> {
-        self.desk().utterances.drain(..).collect()
+        self.leases().utterances.drain(..).collect()
     }
 }
 
@@ -143,52 +155,60 @@ impl Robot for GuardedRobot {
     }
 
     fn lease(&self, limb: &str, holder: &str, limits: LeaseLimits) -> Result<Lease, LeaseError> {
-        let mut desk = self.shared.desk();
-        if let Some(reason) = &desk.stopped {
+        let mut table = self.shared.leases();
+        if let Some(reason) = &table.stopped {
             return Err(LeaseError::Stopped { reason: reason.clone() });
         }
-        let Some(index) = desk.slots.iter().position(|s| s.limb.name == limb) else {
-            let known = desk.slots.iter().map(|s| s.limb.name.as_str()).collect::<Vec<_>>().join(", ");
+        let Some(index) = table.slots.iter().position(|s| s.limb.name == limb) else {
+            let known = table.slots.iter().map(|s| s.limb.name.as_str()).collect::<Vec<_>>().join(", ");
             return Err(LeaseError::Unknown { limb: limb.to_owned(), known });
         };
-        if let Some(holder) = taken_by(&desk.slots, index) {
+        if let Some(holder) = taken_by(&table.slots, index) {
             return Err(LeaseError::Taken { limb: limb.to_owned(), holder });
         }
-        desk.next_id += 1;
-        let id = desk.next_id;
-        let velocities = vec![0.0; desk.slots[index].limb.joints.len()];
-        let holder = holder.to_owned();
-        desk.slots[index].held =
-            Some(Held { id, holder, limits, velocities, sequence: 0, seen: (0, 0), fault: None });
+        table.next_id += 1;
+        let id = table.next_id;
+        let known = table.slots.iter().filter_map(|slot| slot.held.as_ref());
+        let holder_number = known.filter(|held| held.holder == holder).map(|held| held.holder_number).next();
+        table.slots[index].held = Some(Held {
+            id,
+            holder: holder.to_owned(),
+            holder_number: holder_number.unwrap_or(id),
+            limits,
+            velocities: vec![0.0; table.slots[index].limb.joints.len()],
+            sequence: 0,
+            seen: (0, 0),
+            fault: None,
+        });
         Ok(Lease::new(Local { shared: Arc::clone(&self.shared), index, id }))
     }
 
     fn tare(&self) {
-        self.shared.desk().tare = true;
+        self.shared.leases().tare = true;
     }
 
     fn set_load(&self, mass_kg: f64, center_in_tcp: Point3<f64>) {
         if mass_kg.is_finite() && mass_kg >= 0.0 && center_in_tcp.iter().all(|c| c.is_finite()) {
-            self.shared.desk().load = Some((mass_kg, center_in_tcp));
+            self.shared.leases().load = Some((mass_kg, center_in_tcp));
         } else {
             tracing::warn!(mass_kg, "a load that is not physical was ignored");
         }
     }
 
     fn stop(&self, reason: &str) {
-        let mut desk = self.shared.desk();
-        let reason = desk.stopped.get_or_insert_with(|| reason.to_owned()).clone();
-        for slot in &mut desk.slots {
+        let mut table = self.shared.leases();
+        let reason = table.stopped.get_or_insert_with(|| reason.to_owned()).clone();
+        for slot in &mut table.slots {
             slot.fail(&Fault::Stopped { reason: reason.clone() });
         }
     }
 
     fn say(&self, utterance: &str) {
-        let mut desk = self.shared.desk();
-        if desk.utterances.len() == UTTERANCES {
-            desk.utterances.pop_front();
+        let mut table = self.shared.leases();
+        if table.utterances.len() == UTTERANCES {
+            table.utterances.pop_front();
         }
-        desk.utterances.push_back(utterance.to_owned());
+        table.utterances.push_back(utterance.to_owned());
     }
 }
 
@@ -210,10 +230,10 @@ struct Local {
 }
 
 impl Local {
-    /// Runs `f` on what the desk keeps for this lease, which lives as long as the lease.
+    /// Runs `f` on what the table keeps for this lease, which lives as long as the lease.
     fn with<T>(&self, f: impl FnOnce(&Limb, &mut Held) -> T) -> Option<T> {
-        let mut desk = self.shared.desk();
-        let slot = &mut desk.slots[self.index];
+        let mut table = self.shared.leases();
+        let slot = &mut table.slots[self.index];
         let held = slot.held.as_mut().filter(|held| held.id == self.id)?;
         Some(f(&slot.limb, held))
     }
@@ -253,8 +273,8 @@ fn bad_command(velocities: &[f64], limb: &Limb, joints: &[crate::Joint]) -> Opti
 
 impl Drop for Local {
     fn drop(&mut self) {
-        let mut desk = self.shared.desk();
-        let slot = &mut desk.slots[self.index];
+        let mut table = self.shared.leases();
+        let slot = &mut table.slots[self.index];
         if slot.held.as_ref().is_some_and(|held| held.id == self.id) {
             slot.held = None;
         }

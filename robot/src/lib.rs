@@ -1,7 +1,7 @@
-//! What a robot is: its description, kinematics and dynamics, and the boundary across which it is sensed and
+//! What a robot is: its description and kinematics, and the boundary across which it is sensed and
 //! commanded.
 //!
-//! - [`Model`]: joints, links, limbs, read from URDF. [`Kinematics`], [`Dynamics`]: poses, Jacobians, torques.
+//! - [`Model`]: joints, links, limbs, read from URDF. [`Kinematics`]: poses, Jacobians.
 //! - [`DifferentialIk`], [`solve_pose`]: from a twist or a pose of a link to joint velocities or positions.
 //! - [`postures`]: named arm and torso postures of ARMAR-III, with the numbers that chose them.
 //! - [`Robot`]: what skills hold. [`Lease`]: the exclusive right to command one limb.
@@ -11,10 +11,10 @@
 //! This room knows no skill, no chart and no physics engine.
 
 mod boundary;
+mod bounds;
 pub mod conformance;
 mod description;
 mod dummy;
-mod dynamics;
 mod force;
 mod gaze;
 mod guard;
@@ -29,7 +29,6 @@ mod wrist;
 
 pub use boundary::{Fault, LeaseError, LeaseLimits, Robot, RobotError, Sensed, Wrist};
 pub use dummy::{DummyRobot, ServoJoints};
-pub use dynamics::Dynamics;
 pub use gaze::Gaze;
 pub use guard::{Guard, GuardConfig, JointTargets, Sample};
 pub use ik::{DifferentialIk, IkConfig, IkStep};

@@ -4,8 +4,9 @@
 //! receivers in a random order; under virtual time that is the one thing that would make a run differ from the next.
 
 use std::pin::pin;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
+use parking_lot::Mutex;
 use tokio::sync::Notify;
 
 #[derive(Debug)]
@@ -19,13 +20,6 @@ struct State<T> {
     value: T,
     version: u64,
     closed: bool,
-}
-
-impl<T> Shared<T> {
-    fn state(&self) -> MutexGuard<'_, State<T>> {
-        // No holder leaves the state half changed: a value is replaced whole.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 /// Changes the value; there is one.
@@ -56,7 +50,7 @@ impl<T: Clone> Sender<T> {
 
     /// Replaces the value and wakes who waits.
     pub fn send(&self, value: T) {
-        let mut state = self.shared.state();
+        let mut state = self.shared.state.lock();
         state.value = value;
         state.version += 1;
         drop(state);
@@ -66,20 +60,20 @@ impl<T: Clone> Sender<T> {
     /// The value.
     #[must_use]
     pub fn borrow(&self) -> T {
-        self.shared.state().value.clone()
+        self.shared.state.lock().value.clone()
     }
 
     /// A receiver for which the present value is seen already.
     #[must_use]
     pub fn subscribe(&self) -> Receiver<T> {
-        let seen = self.shared.state().version;
+        let seen = self.shared.state.lock().version;
         Receiver { shared: Arc::clone(&self.shared), seen }
     }
 }
 
 impl<T> Drop for Sender<T> {
     fn drop(&mut self) {
-        self.shared.state().closed = true;
+        self.shared.state.lock().closed = true;
         self.shared.changed.notify_waiters();
     }
 }
@@ -94,12 +88,12 @@ impl<T: Clone> Receiver<T> {
     /// The value as it is now; whether it was seen stays as it is.
     #[must_use]
     pub fn borrow(&self) -> T {
-        self.shared.state().value.clone()
+        self.shared.state.lock().value.clone()
     }
 
     /// The value as it is now, which counts as seen from here on.
     pub fn borrow_and_update(&mut self) -> T {
-        let state = self.shared.state();
+        let state = self.shared.state.lock();
         self.seen = state.version;
         state.value.clone()
     }
@@ -114,7 +108,7 @@ impl<T: Clone> Receiver<T> {
             // Registered before the look, so that no change falls between the two.
             woken.as_mut().enable();
             let (version, closed) = {
-                let state = self.shared.state();
+                let state = self.shared.state.lock();
                 (state.version, state.closed)
             };
             if version != self.seen {
@@ -131,8 +125,6 @@ impl<T: Clone> Receiver<T> {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::{Arc, Mutex};
-
     use super::*;
 
     #[tokio::test(start_paused = true)]
@@ -144,7 +136,7 @@ mod tests {
             let (mut receiver, order) = (sender.subscribe(), Arc::clone(&order));
             tasks.push(tokio::spawn(async move {
                 while receiver.changed().await.is_ok() {
-                    order.lock().expect("no test panics with the lock").push(name);
+                    order.lock().push(name);
                 }
             }));
         }
@@ -157,7 +149,7 @@ mod tests {
         for task in tasks {
             task.await.expect("no waiter panics");
         }
-        let order = order.lock().expect("no test panics with the lock");
+        let order = order.lock();
         let expected: Vec<i32> = (0..50).flat_map(|_| 0..20).collect();
         assert_eq!(*order, expected);
     }

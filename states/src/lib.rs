@@ -21,6 +21,7 @@ mod motions;
 pub mod observers;
 mod prior;
 mod reach;
+mod running_motion;
 mod skills;
 mod wiper;
 

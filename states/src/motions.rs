@@ -1,18 +1,15 @@
-//! Motions in working memory: what skills share while they run is one versioned entity, never a copy.
+//! Motions in working memory: how they are found, read and written. A motion that runs is in `running_motion.rs`.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_memoryx::{Commit, EntityId, Memory, MemoryError, Snapshot};
+use armarium_memoryx::{Commit, EntityId, Memory, Snapshot};
 use armarium_motion::Motion;
 use armarium_runtime::skill::Failure;
 use armarium_values::Value;
 
 /// The core segment that holds motions.
 const SEGMENT: &str = "Motions";
-
-/// How often a change is tried again when another skill has changed the motion meanwhile.
-const TRIES: usize = 8;
 
 /// The motion in a snapshot.
 pub(crate) fn motion_of(snapshot: &Snapshot) -> Result<Motion, Failure> {
@@ -55,27 +52,8 @@ pub(crate) async fn store(
     Ok(())
 }
 
-/// Changes the newest version of a motion; tried again when another skill was faster.
-pub(crate) async fn change(
-    memory: &dyn Memory,
-    id: &EntityId,
-    stamp_ns: u64,
-    edit: impl Fn(Motion) -> Result<Motion, Failure> + Send + Sync,
-) -> Result<Motion, Failure> {
-    let mut last = None;
-    for _ in 0..TRIES {
-        let (motion, version) = load(memory, id).await?;
-        let changed = edit(motion)?;
-        match memory.commit(vec![commit(id, &changed, stamp_ns, Some(version))?]).await {
-            Ok(_) => return Ok(changed),
-            Err(conflict @ MemoryError::Conflict { .. }) => last = Some(conflict),
-            Err(error) => return Err(failed(error)),
-        }
-    }
-    Err(last.map_or_else(|| Failure::new("the motion could not be changed"), failed))
-}
-
-fn commit(
+/// The commit of a motion, refused unless `expected_version` is the newest.
+pub(crate) fn commit(
     id: &EntityId,
     motion: &Motion,
     stamp_ns: u64,

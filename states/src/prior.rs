@@ -1,7 +1,8 @@
 //! What skills read of prior knowledge: colour, size and mass of object classes.
 
-use armarium_memoryx::{Memory, ObjectClass};
+use armarium_memoryx::{EntityId, Memory, ObjectClass, Snapshot};
 use armarium_runtime::skill::Failure;
+use armarium_values::Value;
 
 use crate::motions::failed;
 
@@ -13,4 +14,43 @@ pub(crate) async fn object_class(memory: &dyn Memory, name: &str) -> Result<Obje
         Failure::new(format!("prior knowledge has no object `{name}`; it has {}", names.join(", ")))
     })?;
     ObjectClass::from_snapshot(found).map_err(failed)
+}
+
+/// The name of the class of an object in memory. It is an attribute: an object's own name may be another one.
+pub(crate) fn class_name(object: &Snapshot) -> Result<&str, Failure> {
+    let class = object.attribute("class").and_then(Value::as_str);
+    class.ok_or_else(|| Failure::new(format!("memory does not know what `{}` is", object.id)))
+}
+
+/// The class of an object in memory.
+pub(crate) async fn class_of(memory: &dyn Memory, object: &EntityId) -> Result<ObjectClass, Failure> {
+    let snapshot = memory.latest(object).await.map_err(failed)?;
+    object_class(memory, class_name(&snapshot)?).await
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use armarium_memoryx::{Commit, PriorKnowledge, WorkingMemory, tokio_clock};
+
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn an_object_is_of_its_class_whatever_its_name_is() {
+        let memory = WorkingMemory::new(tokio_clock());
+        let mut prior = PriorKnowledge::new();
+        prior.add(ObjectClass::new("sponge", [250, 200, 20], [0.1, 0.06, 0.03])).unwrap();
+        prior.put_into(&memory).unwrap();
+        let id = |name: &str| EntityId::new("ObjectInstances", "bob", name).unwrap();
+        let object = |name: &str, class: &str| {
+            Commit::new(id(name), 0, BTreeMap::from([("class".to_owned(), Value::from(class))]))
+        };
+        let objects = [("the yellow one", "sponge"), ("sponge", "brick")];
+        memory.commit(objects.map(|(name, class)| object(name, class)).to_vec()).await.unwrap();
+        let class = class_of(&memory, &id("the yellow one")).await.unwrap();
+        assert_eq!(class.color, [250, 200, 20]);
+        let reason = async |name: &str| class_of(&memory, &id(name)).await.err().unwrap().reason;
+        assert_eq!(reason("sponge").await, "prior knowledge has no object `brick`; it has sponge");
+    }
 }

@@ -1,24 +1,23 @@
 //! The loop under every skill that runs a motion: it integrates the primitive, and alone commands the arm.
 //!
-//! The motion itself stays in memory: whoever changes it there (a coach) changes what is executed from the next
-//! control step on. How fast the phase goes is the caller's; how the hand keeps to the surface is [`Height`]'s.
+//! It owns the motion while it runs; what others change of it comes as edits (see `running_motion.rs`) and is executed from
+//! the next control step on. The caller sets the pace, and the height of the hand over the path ([`Height`]).
 
 use std::f64::consts::TAU;
-use std::sync::Arc;
 
-use armarium_memoryx::{EntityId, Snapshot};
-use armarium_motion::{Motion, PeriodicDmp, StraightLine};
+use armarium_memoryx::EntityId;
+use armarium_motion::{Motion, PeriodicOrientationDmp, StraightLine, SurfaceCorrection};
 use armarium_robot::Sensed;
 use armarium_runtime::channels::Channels;
 use armarium_runtime::skill::{Failure, SkillContext};
 use armarium_values::Value;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
-use tokio::sync::broadcast;
 
 use crate::arm::{Arm, Senses};
 use crate::equipment::Equipment;
 use crate::inputs::{Inputs, as_pose};
-use crate::motions::{self, failed};
+use crate::motions::failed;
+use crate::running_motion::{MotionOwner, RunningMotions};
 
 /// The pace (share of the learned frequency) changes at most this fast, 1/s.
 const PACE_RATE: f64 = 1.5;
@@ -64,34 +63,34 @@ pub(crate) struct Progress {
 pub(crate) struct Wiper {
     pub(crate) arm: Arm,
     id: EntityId,
-    motion: Motion,
-    version: u64,
-    updates: broadcast::Receiver<Arc<Snapshot>>,
-    dmp: PeriodicDmp,
+    motion: MotionOwner,
+    /// Of the hand, where the motion has none.
     orientation: UnitQuaternion<f64>,
+    /// How the hand turns, if the motion says so.
+    turning: Option<PeriodicOrientationDmp>,
     pace: f64,
     channels: Channels,
 }
 
 impl Wiper {
-    /// Takes the arm and the newest version of the motion that the input `motion` refers to.
+    /// Takes the arm, and owns the motion that the input `motion` refers to.
     pub(crate) async fn take(
         equipment: &Equipment,
+        running: &RunningMotions,
         context: &SkillContext,
         orientation: UnitQuaternion<f64>,
     ) -> Result<Self, Failure> {
         let id = context.entity("motion")?;
-        let updates = equipment.memory.subscribe();
-        let (motion, version) = motions::load(&*equipment.memory, &id).await?;
-        let dmp = motion.primitive().clone();
+        let motion = running.own(&equipment.memory, &id).await?;
+        let turning = motion.motion().orientation().cloned();
         let arm = Arm::take(equipment, context)?;
         let channels = context.channels.clone();
-        Ok(Self { arm, id, motion, version, updates, dmp, orientation, pace: 0.0, channels })
+        Ok(Self { arm, id, motion, orientation, turning, pace: 0.0, channels })
     }
 
-    /// The motion as it was last read from memory.
+    /// The motion as it was when it began to run.
     pub(crate) fn motion(&self) -> &Motion {
-        &self.motion
+        self.motion.motion()
     }
 
     /// The address of the motion in memory.
@@ -99,9 +98,25 @@ impl Wiper {
         &self.id
     }
 
+    /// Lets go of the arm, which brakes, and writes what has changed of the motion into memory, with what was learned of
+    /// the surface.
+    pub(crate) async fn finish(
+        self,
+        surface: Option<&SurfaceCorrection>,
+        learned_from: Option<&str>,
+    ) -> Result<(), Failure> {
+        drop(self.arm);
+        self.motion.finish(surface, learned_from).await
+    }
+
+    /// Sets the height of the motion's centre, m.
+    pub(crate) fn set_height(&mut self, z: f64) -> Result<(), Failure> {
+        self.motion.set_height(z)
+    }
+
     /// The phase, rad.
     pub(crate) fn phase(&self) -> f64 {
-        self.dmp.phase()
+        self.motion.state().phase
     }
 
     /// The share of the learned frequency at which the motion runs now.
@@ -112,10 +127,13 @@ impl Wiper {
     /// Puts the primitive on its steady path where the path is nearest to the TCP, at rest.
     pub(crate) fn start_nearest(&mut self, sample: &Sensed) -> Result<(), Failure> {
         let tcp = self.arm.tcp(sample).translation.vector;
-        let path = self.motion.primitive().steady_path(256).map_err(failed)?;
+        let path = self.motion().primitive().steady_path(256).map_err(failed)?;
         let distance = |s: usize| (path.y[s][0] - tcp.x).hypot(path.y[s][1] - tcp.y);
         let nearest = (0..path.len()).min_by(|&a, &b| distance(a).total_cmp(&distance(b))).unwrap_or(0);
-        self.dmp.start_on_path(path.phase(nearest), self.motion.omega()).map_err(failed)?;
+        self.motion.start_on_path(path.phase(nearest))?;
+        if let Some(turning) = &mut self.turning {
+            turning.start_on_path(path.phase(nearest), self.motion.motion().omega()).map_err(failed)?;
+        }
         self.pace = 0.0;
         Ok(())
     }
@@ -142,43 +160,27 @@ impl Wiper {
         pace: f64,
         height: Height,
     ) -> Result<Progress, Failure> {
-        self.read_changes()?;
         let change = (pace - self.pace).clamp(-PACE_RATE * dt, PACE_RATE * dt);
         self.pace = (self.pace + change).clamp(0.0, 1.0);
-        let omega = self.motion.omega() * self.pace;
-        let state = self.dmp.step(dt, omega).map_err(failed)?;
-        let (phase, xd, yd) = (state.phase, state.yd[0], state.yd[1]);
+        let omega = self.motion().omega() * self.pace;
+        self.motion.step(dt, omega, sample.stamp_ns)?;
+        let angular = match &mut self.turning {
+            Some(turning) => turning.step(dt, omega).map_err(failed)?.angular_velocity,
+            None => Vector3::zeros(),
+        };
+        let state = self.motion.state();
+        let (phase, linear) = (state.phase, Vector3::new(state.yd[0], state.yd[1], height.rate));
         let goal = self.pose(height.z);
-        let error = self.arm.track(sample, &goal, Vector3::new(xd, yd, height.rate), Vector3::zeros())?;
+        let error = self.arm.track(sample, &goal, linear, angular)?;
         check_track(error)?;
         self.publish(sample, phase, omega);
         Ok(Progress { omega })
     }
 
     fn pose(&self, z: f64) -> Isometry3<f64> {
-        let y = self.dmp.state().y;
-        Isometry3::from_parts(Vector3::new(y[0], y[1], z).into(), self.orientation)
-    }
-
-    /// Takes over what others have changed of the motion in memory.
-    fn read_changes(&mut self) -> Result<(), Failure> {
-        let mut newest = None;
-        loop {
-            match self.updates.try_recv() {
-                Ok(snapshot) if snapshot.id == self.id && snapshot.version > self.version => {
-                    newest = Some(snapshot)
-                }
-                Ok(_) | Err(broadcast::error::TryRecvError::Lagged(_)) => {}
-                Err(_) => break,
-            }
-        }
-        if let Some(snapshot) = newest {
-            self.version = snapshot.version;
-            self.motion = motions::motion_of(&snapshot)?;
-            self.dmp.set_weights(self.motion.primitive().weights()).map_err(failed)?;
-            self.dmp.set_centre(self.motion.primitive().centre()).map_err(failed)?;
-        }
-        Ok(())
+        let y = self.motion.state().y;
+        let orientation = self.turning.as_ref().map_or(self.orientation, |t| t.state().orientation);
+        Isometry3::from_parts(Vector3::new(y[0], y[1], z).into(), orientation)
     }
 
     fn publish(&mut self, sample: &Sensed, phase: f64, omega: f64) {

@@ -3,14 +3,69 @@
 use serde::{Deserialize, Serialize};
 
 use crate::error::{MotionError, positive, vector, within};
-use crate::field::PotentialField;
+use crate::field::reach;
+
+/// How strongly a gesture acts at a distance from the hand: (14) and (16) without the angle of (15), because a wiping
+/// path is coached in both directions of a line.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "SavedField")]
+pub struct HandField {
+    /// Scale gamma, dimensionless.
+    pub gamma: f64,
+    /// Steepness eta of the edge of the field, 1/m.
+    pub eta: f64,
+    /// Distance r_m at which the field has half its strength, m.
+    pub r_m: f64,
+}
+
+impl Default for HandField {
+    /// For a hand that waits up to about 0.2 m beside the path.
+    fn default() -> Self {
+        Self { gamma: 1.0, eta: 60.0, r_m: 0.25 }
+    }
+}
+
+impl HandField {
+    /// The strength at `distance` m.
+    #[must_use]
+    pub fn strength(&self, distance: f64) -> f64 {
+        self.gamma * reach(self.eta, self.r_m, distance)
+    }
+}
+
+/// A stored field; earlier ones named the angle's constant, which never had an effect here.
+#[derive(Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct SavedField {
+    gamma: f64,
+    eta: f64,
+    r_m: f64,
+    beta: f64,
+}
+
+impl Default for SavedField {
+    fn default() -> Self {
+        let HandField { gamma, eta, r_m } = HandField::default();
+        Self { gamma, eta, r_m, beta: 0.0 }
+    }
+}
+
+impl TryFrom<SavedField> for HandField {
+    type Error = MotionError;
+
+    fn try_from(saved: SavedField) -> Result<Self, MotionError> {
+        let SavedField { gamma, eta, r_m, beta } = saved;
+        within("field.beta (a coach does not weigh the angle: leave it out or set it to 0)", beta, 0.0, 0.0)?;
+        Ok(Self { gamma, eta, r_m })
+    }
+}
 
 /// The constants of a [`Coach`](crate::Coach).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CoachConfig {
     /// The field of a hand; its `gamma` scales how far a gesture moves the path.
-    pub field: PotentialField,
+    pub field: HandField,
     /// Direction in which nothing may be coached (the surface normal), any length; all zero for none.
     pub normal: [f64; 3],
     /// How far a push moves the path in each pass, m/N.
@@ -40,7 +95,7 @@ pub struct CoachConfig {
 impl Default for CoachConfig {
     fn default() -> Self {
         Self {
-            field: PotentialField::wiping(),
+            field: HandField::default(),
             normal: [0.0, 0.0, 1.0],
             push_gain: 0.002,
             push_dead_band: 1.5,
@@ -74,8 +129,7 @@ impl CoachConfig {
         ] {
             within(what, value, 0.0, 1e6)?;
         }
-        let field = [self.field.gamma, self.field.eta, self.field.r_m, self.field.beta];
-        vector("field", 4, &field)?;
+        vector("field", 3, &[self.field.gamma, self.field.eta, self.field.r_m])?;
         vector("normal", 3, &self.normal)
     }
 }

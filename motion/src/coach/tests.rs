@@ -77,7 +77,7 @@ fn coached_with(
     input: impl Fn(f64, &PeriodicDmp) -> CoachInput,
 ) -> (PeriodicPath, PeriodicPath, PeriodicPath) {
     let mut coach = Coach::new(CoachConfig::default(), dmp).unwrap();
-    coach.hand_came_at(came);
+    coach.set_arrival(came);
     let before = dmp.steady_path(SAMPLES).unwrap();
     let omega = TAU * hz;
     dmp.start_on_path(start, omega).unwrap();
@@ -279,4 +279,15 @@ fn a_refused_step_changes_nothing() {
     assert!(coach.step(&mut other, DT, 3.0, CoachInput::Push { force: Vector3::x() }).is_err());
     assert_eq!(dmp.weights(), weights);
     assert!(Coach::new(CoachConfig::default(), &other).is_err());
+}
+
+#[test]
+fn a_stored_field_with_the_angle_that_never_acted_is_read_or_refused_with_what_to_do() {
+    let read = |text: &str| serde_json::from_str::<CoachConfig>(text);
+    let earlier = r#"{"field": {"gamma": 1.0, "eta": 60.0, "r_m": 0.25, "beta": 0.0}, "reach": 0.024}"#;
+    assert_eq!(read(earlier).unwrap(), CoachConfig::default());
+    let said = read(r#"{"field": {"beta": -2.5}}"#).unwrap_err().to_string();
+    assert!(said.contains("field.beta") && said.contains("leave it out"), "{said}");
+    let text = serde_json::to_string(&CoachConfig::default()).unwrap();
+    assert_eq!(read(&text).unwrap(), CoachConfig::default());
 }

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{DiscreteDmp, DiscreteDmpConfig};
-use crate::error::{MotionError, vector, within};
+use crate::error::{MotionError, vector};
 
 /// The saved form: everything that makes the movement, not the instant that it was saved in.
 #[derive(Serialize, Deserialize)]
@@ -20,12 +20,12 @@ pub(super) struct Saved {
 impl From<DiscreteDmp> for Saved {
     fn from(dmp: DiscreteDmp) -> Self {
         Self {
-            config: dmp.config,
+            goal: dmp.goal().to_vec(),
+            amplitude: dmp.amplitude(),
+            weights: dmp.weights().to_vec(),
+            gain: dmp.learner.gain,
             start: dmp.start,
-            goal: dmp.goal,
-            amplitude: dmp.amplitude,
-            weights: dmp.weights,
-            gain: dmp.gain,
+            config: dmp.config,
         }
     }
 }
@@ -36,12 +36,10 @@ impl TryFrom<Saved> for DiscreteDmp {
     fn try_from(saved: Saved) -> Result<Self, MotionError> {
         let mut dmp = Self::new(saved.config)?;
         vector("start", dmp.start.len(), &saved.start)?;
-        vector("gain", dmp.gain.len(), &saved.gain)?;
-        saved.gain.iter().try_for_each(|p| within("gain", *p, 0.0, f64::MAX))?;
         dmp.set_goal(&saved.goal)?;
         dmp.set_amplitude(saved.amplitude)?;
         dmp.set_weights(&saved.weights)?;
-        dmp.gain = saved.gain;
+        dmp.learner.set_gain(saved.gain)?;
         let rest = vec![0.0; saved.start.len()];
         dmp.begin(&saved.start, &rest, 1.0)?;
         dmp.start = saved.start;

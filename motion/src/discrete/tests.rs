@@ -1,7 +1,7 @@
 //! The discrete primitive against closed forms and properties.
 
 use super::*;
-use crate::discrete_learning::TimeSample;
+use crate::dmp::TimeSample;
 use crate::{ObstacleAvoidance, PotentialField};
 use nalgebra::{Vector2, Vector3};
 use proptest::prelude::*;

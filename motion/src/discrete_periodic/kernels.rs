@@ -3,15 +3,19 @@
 use std::f64::consts::PI;
 use std::ops::Range;
 
+use super::CanonicalRule;
 use super::DiscretePeriodicConfig;
 use super::phase::CanonicalSystem;
+use crate::dmp::{Activation, Canonical, TimeScale};
 use crate::error::{MotionError, finite};
-use crate::kernels::PhaseKernels;
+use crate::periodic::PhaseKernels;
 
 /// Both sets, blended by the radius.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct BlendedKernels {
     canonical: CanonicalSystem,
+    /// Frequency of the demonstration, rad/s.
+    omega: f64,
     periodic: PhaseKernels,
     /// Centres q of (7) in the phase plane, and their widths h.
     spiral: Vec<([f64; 2], f64)>,
@@ -19,8 +23,8 @@ pub(crate) struct BlendedKernels {
 }
 
 impl BlendedKernels {
-    /// For a discrete part of `turn` rad.
-    pub(super) fn new(config: &DiscretePeriodicConfig, turn: f64) -> Result<Self, MotionError> {
+    /// For a demonstration of `omega` rad/s with a discrete part of `turn` rad.
+    pub(super) fn new(config: &DiscretePeriodicConfig, omega: f64, turn: f64) -> Result<Self, MotionError> {
         let n = config.periodic_kernels;
         let width = config.periodic_width.unwrap_or(1.25 * n as f64);
         let phases = config.canonical.spiral(turn, config.discrete_kernels)?;
@@ -30,14 +34,11 @@ impl BlendedKernels {
         finite("kernel widths", &widths)?;
         Ok(Self {
             canonical: config.canonical.clone(),
+            omega,
             periodic: PhaseKernels::new(n, width),
             start_radius: phases.first().map_or(config.canonical.mu1, |(_, r)| *r),
             spiral: centres.into_iter().zip(widths).collect(),
         })
-    }
-
-    pub(super) fn len(&self) -> usize {
-        self.periodic.len() + self.spiral.len()
     }
 
     pub(super) fn start_radius(&self) -> f64 {
@@ -46,7 +47,7 @@ impl BlendedKernels {
 
     /// Writes the kernel values at a phase, divided by their sum, to `out`: first the periodic ones, then the discrete
     /// ones. Returns which of them are not 0; the others are left as they were. Does not allocate.
-    pub(super) fn evaluate(&self, phase: f64, radius: f64, out: &mut [f64]) -> Range<usize> {
+    fn evaluate(&self, phase: f64, radius: f64, out: &mut [f64]) -> Range<usize> {
         let n = self.periodic.len();
         let (b, a) = self.canonical.blend(radius);
         let (periodic, discrete) = out.split_at_mut(n);
@@ -83,6 +84,38 @@ impl BlendedKernels {
             sum += *o;
         }
         sum
+    }
+}
+
+/// The canonical system (3), (4): a phase that spirals onto a circle.
+impl Canonical for BlendedKernels {
+    /// The phase angle phi, rad, and the radius r.
+    type Phase = (f64, f64);
+
+    fn kernels(&self) -> usize {
+        self.periodic.len() + self.spiral.len()
+    }
+
+    fn advance(
+        &self,
+        (phase, radius): (f64, f64),
+        dt: f64,
+        scale: TimeScale,
+    ) -> Result<(f64, f64), MotionError> {
+        let advance = scale.advance(dt);
+        let turned = match self.canonical.rule {
+            CanonicalRule::Modified => advance,
+            CanonicalRule::Original => self.omega * dt,
+        };
+        let radius = self.canonical.advance(radius, turned);
+        let phase = phase + advance;
+        finite("phase", &[phase, radius])?;
+        Ok((phase, radius))
+    }
+
+    /// The values are normalised already: where the phase is far from every kernel their plain sum would be 0.
+    fn activate(&self, (phase, radius): (f64, f64), psi: &mut [f64]) -> Activation {
+        Activation { used: self.evaluate(phase, radius, psi), sum: 1.0, gate: 1.0 }
     }
 }
 

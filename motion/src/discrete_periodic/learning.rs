@@ -1,11 +1,9 @@
 //! How a [`DiscretePeriodicDmp`] learns: all weights of both kernel sets at once by regression, also those of the control
 //! signal.
 
-use nalgebra::{DMatrix, DVector};
-
 use super::DiscretePeriodicDmp;
-use crate::discrete_learning::TimeSample;
-use crate::error::{MotionError, finite, positive, vector, within};
+use crate::dmp::{Canonical, Cutoff, Ridge, TimeSample, TimeScale, check_time_samples};
+use crate::error::{MotionError, finite, positive, vector};
 
 impl DiscretePeriodicDmp {
     /// Learns the forcing term from one demonstration: the discrete part of
@@ -21,7 +19,7 @@ impl DiscretePeriodicDmp {
     /// (1) solved for f, least squares on (5) over both kernel sets with the ridge of the config.
     pub fn learn(&mut self, samples: &[TimeSample]) -> Result<(), MotionError> {
         let n = self.dofs();
-        check(samples, n)?;
+        check_time_samples(samples, n)?;
         let begin = samples[0].t;
         let periodic: Vec<&TimeSample> =
             samples.iter().filter(|s| s.t - begin >= self.duration - 1e-9).collect();
@@ -30,84 +28,41 @@ impl DiscretePeriodicDmp {
         }
         let mean = |d: usize| periodic.iter().map(|s| s.y[d]).sum::<f64>() / periodic.len() as f64;
         let centre: Vec<f64> = (0..n).map(mean).collect();
-        let omega = self.omega;
-        let (alpha, beta) = (self.config.alpha_z, self.config.beta_z);
-        let target = |s: &TimeSample, d: usize| {
-            s.ydd[d] / (omega * omega) - alpha * (beta * (centre[d] - s.y[d]) - s.yd[d] / omega)
+        let (scale, system) = (TimeScale::Frequency(self.omega), &self.dmp.transformation);
+        let row = |s: &TimeSample| -> Vec<f64> {
+            let target =
+                |d: usize| system.forcing(centre[d], s.y[d], scale.slope(s.yd[d]), scale.curvature(s.ydd[d]));
+            (0..n).map(target).collect()
         };
-        let targets: Vec<f64> =
-            samples.iter().flat_map(|s| (0..n).map(|d| target(s, d)).collect::<Vec<_>>()).collect();
-        let weights = self.regress(&self.phases_of(samples), &targets)?;
-        let slope: Vec<f64> = samples[0].yd.iter().map(|v| v / omega).collect();
-        self.weights = weights;
-        self.take_start(&samples[0].y, &slope, centre);
+        let targets: Vec<f64> = samples.iter().flat_map(row).collect();
+        let weights = self.regress(&self.phases_of(samples)?, &targets)?;
+        let slope: Vec<f64> = samples[0].yd.iter().map(|v| scale.slope(*v)).collect();
+        self.set_weights(&weights)?;
+        self.take_start(&samples[0].y, &slope, &centre);
         self.restart();
         Ok(())
     }
 
-    /// The phase (phi, r) at each sample.
-    fn phases_of(&self, samples: &[TimeSample]) -> Vec<(f64, f64)> {
+    /// The phase (phi, r) at each sample, at the demonstrated frequency.
+    fn phases_of(&self, samples: &[TimeSample]) -> Result<Vec<(f64, f64)>, MotionError> {
+        let scale = TimeScale::Frequency(self.omega);
         let mut phase = self.initial_phase();
         let mut last = samples.first().map_or(0.0, |s| s.t);
         let at = |s: &TimeSample| {
             if s.t > last {
-                phase = self.phase_after(phase, s.t - last);
+                phase = self.dmp.canonical.advance(phase, s.t - last, scale)?;
                 last = s.t;
             }
-            phase
+            Ok(phase)
         };
         samples.iter().map(at).collect()
     }
 
-    /// The phase (phi, r), `dt` s after the phase `from`, at the demonstrated frequency.
-    fn phase_after(&self, from: (f64, f64), dt: f64) -> (f64, f64) {
-        let turned = self.omega * dt;
-        (from.0 + turned, self.config.canonical.advance(from.1, turned))
-    }
-
-    /// The weights (degree of freedom by degree of freedom) with which the kernels meet `targets` (`dofs` values a phase)
-    /// best in the sense of least squares with a ridge.
+    /// The weights with which the kernels meet `targets` (`dofs` values a phase) best, with the ridge of the config.
     pub(crate) fn regress(&self, phases: &[(f64, f64)], targets: &[f64]) -> Result<Vec<f64>, MotionError> {
-        let (n, k) = (self.dofs(), self.kernels.len());
-        let mut normal: DMatrix<f64> = DMatrix::zeros(k, k);
-        let mut moment: DMatrix<f64> = DMatrix::zeros(k, n);
-        let mut psi: DVector<f64> = DVector::zeros(k);
-        for ((phi, r), target) in phases.iter().zip(targets.chunks_exact(n)) {
-            let used = self.kernels.evaluate(*phi, *r, psi.as_mut_slice());
-            for j in used.clone().filter(|j| psi[*j] > 1e-12) {
-                for i in used.clone().take_while(|i| *i <= j) {
-                    normal[(i, j)] += psi[i] * psi[j];
-                }
-                for (d, t) in target.iter().enumerate() {
-                    moment[(j, d)] += psi[j] * t;
-                }
-            }
-        }
-        for j in 0..k {
-            normal[(j, j)] += self.config.ridge;
-            for i in 0..j {
-                normal[(j, i)] = normal[(i, j)];
-            }
-        }
-        let degenerate =
-            MotionError::Degenerate { what: "samples", why: "they leave kernels open and there is no ridge" };
-        let solution = normal.cholesky().ok_or(degenerate)?.solve(&moment);
-        vector("weights", n * k, solution.as_slice())?;
-        Ok(solution.as_slice().to_vec())
+        let cutoff = Cutoff { first: 1e-12, second: 0.0 };
+        self.dmp.regress(phases.iter().copied(), targets, cutoff, Ridge::Absolute(self.config.ridge))
     }
-}
-
-fn check(samples: &[TimeSample], n: usize) -> Result<(), MotionError> {
-    if samples.len() < 2 {
-        return Err(MotionError::TooFew { what: "samples", needed: 2, got: samples.len() });
-    }
-    for s in samples {
-        within("t", s.t, -1e12, 1e12)?;
-        vector("y", n, &s.y)?;
-        vector("yd", n, &s.yd)?;
-        vector("ydd", n, &s.ydd)?;
-    }
-    samples.windows(2).try_for_each(|pair| positive("time between samples", pair[1].t - pair[0].t))
 }
 
 /// Samples with velocity and acceleration from `positions`, one every `dt` s from time 0: central differences of second

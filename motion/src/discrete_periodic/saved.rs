@@ -22,14 +22,14 @@ pub(super) struct Saved {
 impl From<DiscretePeriodicDmp> for Saved {
     fn from(dmp: DiscretePeriodicDmp) -> Self {
         Self {
-            config: dmp.config,
+            centre: dmp.centre().to_vec(),
+            weights: dmp.weights().to_vec(),
+            control_weights: dmp.control_weights().to_vec(),
             omega: dmp.omega,
             duration: dmp.duration,
-            centre: dmp.centre,
             start: dmp.start,
             start_slope: dmp.start_slope,
-            weights: dmp.weights,
-            control_weights: dmp.control_weights,
+            config: dmp.config,
         }
     }
 }
@@ -45,7 +45,7 @@ impl TryFrom<Saved> for DiscretePeriodicDmp {
         vector("start_slope", n, &saved.start_slope)?;
         dmp.set_weights(&saved.weights)?;
         dmp.set_control_weights(&saved.control_weights)?;
-        dmp.take_start(&saved.start, &saved.start_slope, saved.centre);
+        dmp.take_start(&saved.start, &saved.start_slope, &saved.centre);
         dmp.restart();
         Ok(dmp)
     }

@@ -1,21 +1,21 @@
-//! What the adaptive oscillator keeps of what it heard: whether its phase error lasts, how large and how fast the signal
-//! is, and means over whole periods.
+//! The statistics that the adaptive oscillator keeps of its signal: whether its phase error lasts, how large and how fast
+//! the signal is, and means over whole periods.
 
 use std::f64::consts::TAU;
 
-/// Whether the phase error is one that lasts: then the frequency is changing, and the loop opens up for it.
+/// Detects a lasting phase error: then the frequency is changing, and the loop's bandwidth grows.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Drift {
     /// Phase error, rad, and its square, smoothed over a period.
     mean: f64,
     square: f64,
-    /// What noise makes of the mean, rad, three standard deviations.
+    /// Three standard deviations of the mean under noise alone, rad.
     noise: f64,
 }
 
 impl Drift {
-    /// Adds the phase error `ahead` of the last `turned` rad and says from 0 to 1 how surely it lasts. What noise leaves in
-    /// the mean is none that does.
+    /// Adds the phase error `ahead` of the last `turned` rad; returns from 0 to 1 how certainly it lasts. A mean within the
+    /// noise counts as 0.
     pub(super) fn add(&mut self, ahead: f64, turned: f64) -> f64 {
         let share = 1.0 - (-turned / TAU).exp();
         self.mean += (ahead - self.mean) * share;
@@ -33,7 +33,7 @@ impl Drift {
 /// What the gains of [`super::OscillatorRule::Bare`] scale with.
 #[derive(Debug, Clone)]
 pub(super) struct Pace {
-    /// Running frequency, Hz, smoothed over a period: what swings within one must not swing the gains.
+    /// Running frequency, Hz, smoothed over a period, so that the gains do not follow its changes within one.
     pub(super) hz: f64,
     /// Largest magnitude of late.
     pub(super) peak: f64,

@@ -36,9 +36,12 @@ struct Result {
     fastest: f64,
 }
 
-/// `cycles` of adaptation, then 4 with the feedback off, on a simulated contact: arm lag, dead time, noise.
 fn run(bench: &Bench, config: SurfaceConfig, cycles: u32) -> Result {
-    let mut adaptation = SurfaceAdaptation::new(config.clone()).unwrap();
+    run_from(bench, SurfaceAdaptation::new(config).unwrap(), cycles).0
+}
+
+/// `cycles` of adaptation, then 4 with the feedback off, on a simulated contact: arm lag, dead time, noise.
+fn run_from(bench: &Bench, mut adaptation: SurfaceAdaptation, cycles: u32) -> (Result, SurfaceAdaptation) {
     let mut random = ChaCha8Rng::seed_from_u64(7);
     let noise = Normal::new(0.0, 0.3).unwrap();
     let omega = TAU * bench.hz;
@@ -74,13 +77,30 @@ fn run(bench: &Bench, config: SurfaceConfig, cycles: u32) -> Result {
         phase += speed * bench.dt;
         k += 1;
     }
-    Result {
+    let result = Result {
         rms: adaptation.rms().to_vec(),
         off: (off / off_count).sqrt(),
         worst_late,
         stiffness: adaptation.stiffness(),
         fastest,
-    }
+    };
+    (result, adaptation)
+}
+
+#[test]
+fn what_was_learned_before_holds_the_force_from_the_first_cycle_on() {
+    let (stiffness, force) = (2000.0, 8.0);
+    let start = tilted(0.0) - force / stiffness;
+    let bench = Bench { stiffness, dt: 0.001, hz: 0.5, force, height: tilted, lag: 0.02, dead: 0.01, start };
+    let (first, learned) = run_from(&bench, SurfaceAdaptation::new(SurfaceConfig::default()).unwrap(), 12);
+    let known = learned.correction().clone();
+    // The hand touches down elsewhere, with the tool held 5 mm higher.
+    let again =
+        Bench { start: start + 0.005 - known.offset(0.0), height: |phase| tilted(phase) + 0.005, ..bench };
+    let config = SurfaceConfig { stiffness, ..SurfaceConfig::default() };
+    let (second, _) = run_from(&again, SurfaceAdaptation::resume(config, known, 0.0).unwrap(), 4);
+    println!("first {:.2} with nothing known, {:.2} with what was learned", first.rms[0], second.rms[0]);
+    assert!(second.rms[0] < 0.5 * first.rms[0] && second.rms[1] < 0.85, "{:?}", second.rms);
 }
 
 #[test]

@@ -1,5 +1,5 @@
-//! When the coach's hand came to its place, in terms of the phase of the motion that was running then: a coach reaches
-//! for the pass that he means, so that where two passes lie side by side the moment tells what the place does not.
+//! The phase of the running motion at which the coach's hand came to rest. A coach reaches for the pass that he wants to
+//! change: where two passes lie side by side, the moment tells them apart and the place does not.
 
 use nalgebra::Vector3;
 
@@ -7,12 +7,12 @@ use nalgebra::Vector3;
 const SMOOTHING: f64 = 0.2;
 /// A hand this far from its smoothed place moves, m.
 const MOVES: f64 = 0.02;
-/// For so long a hand stands before it has come, s.
+/// How long a hand must stand before it has arrived, s.
 const STANDS: f64 = 0.3;
 /// A hand this far from where it stood, m, for [`ELSEWHERE_FOR`] has gone to another place.
 const ELSEWHERE: f64 = 0.06;
-/// See [`ELSEWHERE`]: s, and share of the motion's period. Longer than the robot's arm hides a part of the hand in
-/// passing.
+/// See [`ELSEWHERE`]: at least so many seconds, and at least this share of the motion's period. The robot's arm hides a
+/// part of the hand for a shorter time in passing.
 const ELSEWHERE_FOR: (f64, f64) = (1.0, 0.4);
 /// A hand that has not been seen for this long has gone, s.
 const GONE: f64 = 1.5;
@@ -22,7 +22,7 @@ const GONE: f64 = 1.5;
 pub(super) struct Arrival {
     smooth: Option<Vector3<f64>>,
     seen_ns: u64,
-    /// Whether the hand has been seen on its way: one that was there from the first came nobody knows when.
+    /// Whether the hand has been seen moving: when it arrived is unknown if it was at rest from the first sight on.
     moved: bool,
     /// Since when it stands (ns), and the phase then.
     stands: Option<(u64, Option<f64>)>,

@@ -1,5 +1,5 @@
 //! The coach's hand: found in the camera frames while somebody reads the channel `hand`, and kept in memory. While a
-//! motion runs, `came_at` is the phase (rad) at which the hand came to its place.
+//! motion runs, `came_at` is the phase (rad) at which the hand came to rest.
 
 use std::collections::BTreeMap;
 

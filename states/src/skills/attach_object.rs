@@ -1,4 +1,4 @@
-//! `AttachObject`: says in memory that the hand holds an object: from now on it moves with the hand, for this agent
+//! `AttachObject`: writes into memory that the hand holds an object: from now on it moves with the hand, for this agent
 //! and for everyone who follows it.
 //!
 //! Where the object sits in the hand follows from where it was, and where the hand was, when the hand closed. Whether it
@@ -9,13 +9,14 @@ use std::sync::Arc;
 
 use armarium_memoryx::updater::MotionModel;
 use armarium_memoryx::{Commit, EntityId};
-use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Frame, Type, Value, Vector};
 
 use crate::arm::{TCP, link};
 use crate::equipment::{self, Equipment};
 use crate::inputs::{Inputs, pose_value, reference};
 use crate::motions::failed;
+use crate::prior::class_name;
 
 /// The hand that holds.
 const HAND: &str = "right_hand";
@@ -36,15 +37,14 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let before = context.entity("object")?;
     let snapshot = equipment.memory.latest(&before).await.map_err(failed)?;
-    let class = snapshot.attribute("class").and_then(Value::as_str);
-    let class = class.ok_or_else(|| Failure::new(format!("memory does not know what `{before}` is")))?;
+    let class = class_name(&snapshot)?;
     // What memory says of its place by now may be of the object in the hand.
     let tcp_from_object = context.pose("tcp_at_grasp")?.inverse() * context.pose("pose")?;
 
     let sensed = equipment.robot.sensed().borrow();
     let model = equipment.robot.model();
     let now = model.link_pose(&sensed.position, link(model, TCP)?) * tcp_from_object;
-    // Hands of several agents are told apart by the agent's name in front.
+    // The agent's name in front distinguishes the hands of several agents.
     let hand = format!("{}/{HAND}", equipment.agent);
     let held = MotionModel::Hand { name: hand.clone(), offset: tcp_from_object.translation.vector.into() };
     let mut attributes = BTreeMap::from([

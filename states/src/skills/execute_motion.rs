@@ -1,7 +1,8 @@
-//! `ExecuteMotion`: the loop that integrates the learned motion and alone commands the arm, while others change the
-//! motion in memory. It keeps the force, goes on learning the surface, and slows down as the coach's hand comes near.
-//! It runs until it is cancelled.
+//! `ExecuteMotion`: the loop that integrates the learned motion and alone commands the arm, while coaches send it edits.
+//! It keeps the force, goes on learning the surface, and slows down as the coach's hand comes near. It runs until it is
+//! cancelled; then memory has the motion as it was changed, with what was learned of the surface.
 
+use std::convert::Infallible;
 use std::sync::Arc;
 
 use armarium_motion::{SlowDown, SurfaceAdaptation, SurfaceConfig};
@@ -12,6 +13,7 @@ use armarium_values::{Type, Unit, Value};
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
 use crate::motions::failed;
+use crate::running_motion::RunningMotions;
 use crate::wiper::{ContactWatch, GraspedTool, Height, Wiper};
 
 /// What the robot says when it begins, so that the coach may come.
@@ -19,12 +21,13 @@ const ANNOUNCEMENT: &str = "I am wiping now.";
 /// A sight of the coach's hand older than this does not slow the motion any more, s.
 const SIGHT_AGE: f64 = 0.5;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment, running: &RunningMotions) -> Arc<dyn Skill> {
+    let running = running.clone();
     let manifest = SkillManifest::new(
         "ExecuteMotion",
         "Wipes with a motion that was fitted to the surface, until it is cancelled.",
     )
-    .input("motion", Type::motion(), "The motion; changes to it in memory are executed at once.")
+    .input("motion", Type::motion(), "The motion; changes to it are executed at once.")
     .input("force", Type::quantity(Unit::N), "Desired normal force.")
     .input("grasp", Type::map(Type::Any), "How the tool was grasped.")
     .optional(
@@ -36,28 +39,42 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     .mark(Mark::at_start("wiping_started"))
     .limb("torso")
     .limb("right_arm");
-    equipment::skill(equipment, manifest, run)
+    equipment::skill(equipment, manifest, move |equipment, context| run(equipment, running.clone(), context))
 }
 
-async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+async fn run(equipment: Equipment, running: RunningMotions, context: SkillContext) -> SkillResult {
     let tool = GraspedTool::of(&context)?;
     let force = context.number("force")?;
-    let mut wiper = Wiper::take(&equipment, &context, tool.tcp.rotation).await?;
+    let mut wiper = Wiper::take(&equipment, &running, &context, tool.tcp.rotation).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let correction = wiper.motion().surface().cloned();
     let correction = correction.ok_or_else(|| {
         Failure::new("the motion has not been fitted to a surface; run ForceAdaptation first")
     })?;
+    wiper.start_nearest(&senses.newest())?;
     // The coach changes the motion, so that the stiffness cannot be found from cycle to cycle any more.
     let stiffness = context.number("stiffness")?;
     let config = SurfaceConfig { force, stiffness, identify: false, ..SurfaceConfig::default() };
-    let mut surface = SurfaceAdaptation::resume(config, correction).map_err(failed)?;
+    let mut surface = SurfaceAdaptation::resume(config, correction, wiper.phase()).map_err(failed)?;
+    equipment.robot.say(ANNOUNCEMENT);
+    let Err(end) = wipe(&context, &mut wiper, &mut senses, &mut surface).await;
+    // A loop that failed (a lost contact) has learned nothing of the surface that is worth keeping.
+    let learned = context.cancel.is_cancelled().then(|| surface.correction());
+    wiper.finish(learned, None).await?;
+    Err(end)
+}
+
+/// Wipes until it is cancelled or fails.
+async fn wipe(
+    context: &SkillContext,
+    wiper: &mut Wiper,
+    senses: &mut Senses,
+    surface: &mut SurfaceAdaptation,
+) -> Result<Infallible, Failure> {
     let z = wiper.motion().primitive().centre()[2];
     let slow_down = SlowDown::default();
     let mut contact = ContactWatch::default();
     let _frames_are_wanted = context.channels.demand("hand");
-    wiper.start_nearest(&senses.newest())?;
-    equipment.robot.say(ANNOUNCEMENT);
     let mut omega = 0.0;
     loop {
         let (sample, dt) = senses.next().await?;

@@ -1,17 +1,22 @@
 //! `ForceAdaptation`: lowers the tool until it touches, then learns, cycle by cycle, the motion towards the surface
-//! that keeps the desired force. Nobody told the robot the surface's height, tilt or bumps.
+//! that keeps the desired force. The robot does not know the surface's height, tilt or bumps beforehand. A motion that was
+//! fitted before begins from what was learned then.
 
 use std::sync::Arc;
 
-use armarium_motion::{SurfaceAdaptation, SurfaceConfig, Touchdown, TouchdownConfig, TouchdownStatus};
+use armarium_motion::{
+    MotionError, SurfaceAdaptation, SurfaceConfig, SurfaceCorrection, Touchdown, TouchdownConfig,
+    TouchdownStatus,
+};
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
 use crate::inputs::reference;
-use crate::motions::{self, failed};
+use crate::motions::failed;
 use crate::reach::required_speed;
+use crate::running_motion::RunningMotions;
 use crate::wiper::{ContactWatch, GraspedTool, Height, Wiper};
 
 /// Cycles before which the force does not count as settled.
@@ -19,7 +24,8 @@ const LEAST_CYCLES: u32 = 4;
 /// How far below the place where the tool stood at the grasp the surface may be, m.
 const DEEPEST: f64 = 0.05;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment, running: &RunningMotions) -> Arc<dyn Skill> {
+    let running = running.clone();
     let manifest = SkillManifest::new(
         "ForceAdaptation",
         "Lowers the tool until it touches, then learns the motion towards the surface that keeps the force.",
@@ -50,37 +56,69 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     )
     .limb("torso")
     .limb("right_arm");
-    equipment::skill(equipment, manifest, run)
+    equipment::skill(equipment, manifest, move |equipment, context| run(equipment, running.clone(), context))
 }
 
-async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+async fn run(equipment: Equipment, running: RunningMotions, context: SkillContext) -> SkillResult {
     let tool = GraspedTool::of(&context)?;
     let force = context.number("force")?;
-    let mut wiper = Wiper::take(&equipment, &context, tool.tcp.rotation).await?;
+    let mut wiper = Wiper::take(&equipment, &running, &context, tool.tcp.rotation).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     required_speed(&equipment, wiper.motion(), &tool.tcp, tool.standing_height())?;
 
     wiper.start_nearest(&senses.newest())?;
     wiper.approach(&mut senses, tool.standing_height() + context.number("hover")?, 0.2).await?;
     equipment.robot.tare();
-    let z = touch_down(&context, &mut wiper, &mut senses, force).await?;
-    let surface = learn(&context, &mut wiper, &mut senses, force, z).await?;
-
-    let correction = surface.correction().clone();
-    let stamp_ns = senses.newest().stamp_ns;
-    motions::change(&*equipment.memory, wiper.id(), stamp_ns, |motion| {
-        let mut primitive = motion.primitive().clone();
-        let centre = primitive.centre().to_vec();
-        primitive.set_centre(&[centre[0], centre[1], z]).map_err(failed)?;
-        let fitted = motion.next_version(primitive, "force adaptation").map_err(failed)?;
-        Ok(fitted.with_surface(Some(correction.clone())))
-    })
-    .await?;
+    let fitted = fit(&context, &mut wiper, &mut senses, force).await;
+    let reference = reference("Motion", wiper.id());
+    let surface = match fitted {
+        Ok(surface) => {
+            wiper.finish(Some(surface.correction()), Some("force adaptation")).await?;
+            surface
+        }
+        Err(failure) => {
+            // What coaches have changed meanwhile is kept.
+            wiper.finish(None, None).await?;
+            return Err(failure);
+        }
+    };
     Ok(Outcome::success()
-        .with("motion", reference("Motion", wiper.id()))
+        .with("motion", reference)
         .with("cycles", i64::from(surface.cycles()))
         .with("rms", surface.rms().last().copied().unwrap_or(f64::NAN))
         .with("stiffness", surface.stiffness()))
+}
+
+/// Touches down and learns the surface; the motion's height becomes that of its own path over the surface.
+async fn fit(
+    context: &SkillContext,
+    wiper: &mut Wiper,
+    senses: &mut Senses,
+    force: f64,
+) -> Result<SurfaceAdaptation, Failure> {
+    let touched = touch_down(context, wiper, senses, force).await?;
+    let config = SurfaceConfig { force, ..SurfaceConfig::default() };
+    let (surface, z) = begin(config, wiper.motion().surface(), touched, wiper.phase()).map_err(failed)?;
+    let surface = learn(context, wiper, senses, surface, z).await?;
+    wiper.set_height(z)?;
+    Ok(surface)
+}
+
+/// The adaptation that begins where the tool touches the surface at the height `touched` (m) and `phase`, from what is
+/// `known` of the surface; and the height to which its offsets are added.
+fn begin(
+    config: SurfaceConfig,
+    known: Option<&SurfaceCorrection>,
+    touched: f64,
+    phase: f64,
+) -> Result<(SurfaceAdaptation, f64), MotionError> {
+    match known {
+        Some(known) => {
+            let surface = SurfaceAdaptation::resume(config, known.clone(), phase)?;
+            Ok((surface, touched - known.offset(phase)))
+        }
+        None => Ok((SurfaceAdaptation::new(config)?, touched)),
+    }
 }
 
 /// Lowers the tool until the force is reached; returns the height of the TCP there, m.
@@ -122,13 +160,11 @@ async fn learn(
     context: &SkillContext,
     wiper: &mut Wiper,
     senses: &mut Senses,
-    force: f64,
+    mut surface: SurfaceAdaptation,
     z: f64,
 ) -> Result<SurfaceAdaptation, Failure> {
     let tolerance = context.number("tolerance")?;
     let most_cycles = context.number("cycles")?;
-    let config = SurfaceConfig { force, ..SurfaceConfig::default() };
-    let mut surface = SurfaceAdaptation::new(config).map_err(failed)?;
     let mut contact = ContactWatch::default();
     let mut omega = 0.0;
     loop {
@@ -150,5 +186,29 @@ async fn learn(
                 surface.rms().last().copied().unwrap_or(f64::NAN)
             )));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_motion_that_was_fitted_before_begins_from_what_was_learned() {
+        let weights = (0..36).map(|i| 1e-3 * f64::from(i % 7)).collect();
+        let known = SurfaceCorrection::new(weights, 90.0, [0.0, 0.0, 1.0]).unwrap();
+        let (phase, touched) = (1.3, 0.72);
+        let (mut surface, z) = begin(SurfaceConfig::default(), Some(&known), touched, phase).unwrap();
+        // The hand stays where it touches, and goes along the known surface from there.
+        let force = SurfaceConfig::default().force;
+        let first = surface.step(1e-3, phase, 0.0, force).unwrap();
+        assert!((z + first.offset - touched).abs() < 1e-9);
+        let mut later = first;
+        for k in 1..=400 {
+            later = surface.step(1e-3, phase + 0.003 * f64::from(k), 3.0, force).unwrap();
+        }
+        assert!((later.offset - known.offset(phase + 1.2)).abs() < 1e-4);
+        let (_, unknown) = begin(SurfaceConfig::default(), None, touched, phase).unwrap();
+        assert_eq!(unknown, touched);
     }
 }

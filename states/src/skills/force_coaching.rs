@@ -10,8 +10,10 @@ use nalgebra::Vector3;
 use crate::coaching::Coaching;
 use crate::equipment::{self, Equipment};
 use crate::inputs::as_vector;
+use crate::running_motion::RunningMotions;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment, running: &RunningMotions) -> Arc<dyn Skill> {
+    let running = running.clone();
     let manifest =
         SkillManifest::new("ForceCoaching", "Changes the running motion by the coach's pushes on the hand.")
             .input("motion", Type::motion(), "The running motion.")
@@ -24,28 +26,27 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
             )
             .optional("patience", Type::Duration, 4.0, "Ends when no push has been felt for this long.")
             .output("displacement", Type::FLOAT, "How far the path has moved where it moved most, m.");
-    equipment::skill(equipment, manifest, run)
+    equipment::skill(equipment, manifest, move |equipment, context| run(equipment, running.clone(), context))
 }
 
-async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+async fn run(equipment: Equipment, running: RunningMotions, context: SkillContext) -> SkillResult {
     let (threshold, patience) = (context.number("threshold")?, context.number("patience")?);
     let hold = context.number("hold")?;
-    let mut coaching = Coaching::begin(&equipment, &context).await?;
+    let mut coaching = Coaching::begin(&equipment, &running, &context)?;
     let _wrist_is_wanted = context.channels.demand("wrist");
     let mut displacement = 0.0_f64;
     let mut pushed_for = 0.0;
     loop {
-        let step = coaching.next().await?;
+        let dt = coaching.next().await?;
         let push = context.channels.newest("wrist").and_then(|s| s.value.get("push").and_then(as_vector));
         let force = push.unwrap_or_else(Vector3::zeros);
-        pushed_for = if force.norm() > threshold { pushed_for + step.dt() } else { 0.0 };
+        pushed_for = if force.norm() > threshold { pushed_for + dt } else { 0.0 };
         let input = if pushed_for > hold { CoachInput::Push { force } } else { CoachInput::None };
-        let report = coaching.apply(&step, input).await?;
+        let report = coaching.apply(dt, input)?;
         if report.active {
             displacement = displacement.max(report.displacement);
         }
         if coaching.idle() > patience {
-            coaching.keep().await?;
             return Ok(Outcome::success().with("displacement", displacement));
         }
     }

@@ -8,6 +8,7 @@ use armarium_values::{Type, Unit, Value};
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
 use crate::reach::required_speed;
+use crate::running_motion::RunningMotions;
 use crate::wiper::{GraspedTool, Height, Wiper};
 
 /// Raised when the motion has been at its full frequency for a while.
@@ -17,7 +18,8 @@ const OVER: &str = "imitation.over";
 /// The motion counts as steady after this part of a period at full frequency.
 const SETTLING: f64 = 0.5;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment, running: &RunningMotions) -> Arc<dyn Skill> {
+    let running = running.clone();
     let manifest =
         SkillManifest::new("ImitateMotion", "Performs a learned motion in free space over the table.")
             .input("motion", Type::motion(), "The motion.")
@@ -31,14 +33,14 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
             .mark(Mark::at_event(OVER, "adaptation_started"))
             .limb("torso")
             .limb("right_arm");
-    equipment::skill(equipment, manifest, run)
+    equipment::skill(equipment, manifest, move |equipment, context| run(equipment, running.clone(), context))
 }
 
-async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+async fn run(equipment: Equipment, running: RunningMotions, context: SkillContext) -> SkillResult {
     let tool = GraspedTool::of(&context)?;
     let periods = context.value("periods")?.as_int().unwrap_or(3).max(1);
     let z = tool.standing_height() + context.number("height")?;
-    let mut wiper = Wiper::take(&equipment, &context, tool.tcp.rotation).await?;
+    let mut wiper = Wiper::take(&equipment, &running, &context, tool.tcp.rotation).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     required_speed(&equipment, wiper.motion(), &tool.tcp, z)?;
     wiper.start_nearest(&senses.newest())?;
@@ -61,7 +63,9 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             pace = 0.0;
         }
         if pace == 0.0 && wiper.pace() == 0.0 {
-            return Ok(Outcome::success().with("frequency", wiper.motion().frequency_hz()));
+            let frequency = wiper.motion().frequency_hz();
+            wiper.finish(None, None).await?;
+            return Ok(Outcome::success().with("frequency", frequency));
         }
     }
 }

@@ -29,10 +29,12 @@ use std::sync::Arc;
 use armarium_runtime::skill::Skill;
 
 use crate::equipment::Equipment;
+use crate::running_motion::RunningMotions;
 
 /// Every skill of this room, working with `equipment`.
 #[must_use]
 pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
+    let running = &RunningMotions::default();
     vec![
         move_joints::skill(equipment),
         move_tcp::skill(equipment),
@@ -49,13 +51,13 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         verify_grasp::skill(equipment),
         attach_object::skill(equipment),
         movement_imitation::skill(equipment),
-        imitate_motion::skill(equipment),
+        imitate_motion::skill(equipment, running),
         recall_motion::skill(equipment),
         keep_motion::skill(equipment),
-        force_adaptation::skill(equipment),
-        execute_motion::skill(equipment),
-        force_coaching::skill(equipment),
-        vision_coaching::skill(equipment),
+        force_adaptation::skill(equipment, running),
+        execute_motion::skill(equipment, running),
+        force_coaching::skill(equipment, running),
+        vision_coaching::skill(equipment, running),
         watch_coach::skill(equipment),
     ]
 }

@@ -27,7 +27,7 @@ const REQUEST: &str = "Please show me how to wipe.";
 /// Points of the learned path that the motion is learned from again in its place.
 const POINTS: usize = 200;
 
-/// A motion whose middle is nearer than this to the workspace's was shown in the workspace, m.
+/// A motion whose middle is nearer than this to that of the workspace was demonstrated inside it, m.
 const SHOWN_IN_PLACE: f64 = 0.15;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
@@ -122,9 +122,9 @@ fn gone(last_seen: Option<f64>, time: f64) -> bool {
     last_seen.is_some_and(|t| time - t > 2.5)
 }
 
-/// The learned motion in the workspace that the swipe has shown, and level: how high the coach held the tool says
-/// nothing about the table. What was shown in the workspace stays where it was shown, for many periods tell its place
-/// better than two ends of a swipe; what was shown beside it is moved to its middle.
+/// The learned motion, placed in the workspace of the first swipe and made level, because the height at which the coach
+/// held the tool is not that of the table. A motion demonstrated inside the workspace keeps its place: many periods locate
+/// it better than the two ends of a swipe. One demonstrated beside the workspace is moved to its middle.
 fn place(learned: &PeriodicDmp, frequency_hz: f64, swipe: &Swipe) -> Result<PeriodicDmp, MotionError> {
     let middle: Point3<f64> = swipe.centre();
     let path = learned.steady_path(POINTS)?;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use armarium_robot::{LinkId, Model, PoseOptions, postures, solve_pose};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
-use armarium_values::{Type, Unit, Value};
+use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Point3, Vector3};
 use rand_chacha::ChaCha8Rng;
 
@@ -15,7 +15,7 @@ use crate::equipment::{self, Equipment};
 use crate::grasp::{PAD_WIDTH, tcp_at};
 use crate::inputs::{Inputs, as_pose, pose_value};
 use crate::motions::failed;
-use crate::prior::object_class;
+use crate::prior::{class_name, object_class};
 
 /// How far the hand may be turned against the object's sides, rad; the closing pads align the object. Each step
 /// costs margin.
@@ -51,8 +51,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let snapshot = equipment.memory.latest(&id).await.map_err(failed)?;
     let pose = snapshot.attribute("pose").and_then(as_pose);
     let object = pose.ok_or_else(|| Failure::new(format!("memory does not know where `{id}` is")))?;
-    let class = snapshot.attribute("class").and_then(Value::as_str);
-    let class = class.ok_or_else(|| Failure::new(format!("memory does not know what `{id}` is")))?;
+    let class = class_name(&snapshot)?;
     let [length, width, _] = object_class(&*equipment.memory, class).await?.size;
     let center = Point3::from(object.translation.vector);
     let yaw = object.rotation.euler_angles().2;

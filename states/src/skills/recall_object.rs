@@ -1,7 +1,7 @@
 //! `RecallObject`: where an object is, from memory: whoever saw it last, this agent or one that it follows.
 //!
-//! It looks at nothing. What an agent says in a frame of its own, because it is not known where it stands, is of no use
-//! here, and neither is a place from which a hand has taken the object since.
+//! It looks at nothing. It does not use poses in the frame of another agent whose own place is unknown, nor the place of an
+//! object that a hand has taken away since.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use crate::equipment::{self, Equipment};
 use crate::inputs::{as_pose, pose_value, reference};
 use crate::motions::failed;
 
-/// How often memory is asked, s.
+/// How often memory is queried, s.
 const ASK_EVERY: f64 = 0.1;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
@@ -51,7 +51,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
                 return Ok(Outcome::success()
                     .with("object", reference("Object", &snapshot.id))
                     .with("pose", pose_value(&pose))
-                    .with("told_by", teller(snapshot).unwrap_or(&equipment.agent)));
+                    .with("told_by", seen_by(snapshot).unwrap_or(&equipment.agent)));
             }
             Err(unknown) if waited > timeout => {
                 let why = unknown.explain(class, max_age);
@@ -91,11 +91,11 @@ impl Unknown {
 }
 
 /// The agent from whose memory it was taken; `None` for this agent's own.
-fn teller(snapshot: &Snapshot) -> Option<&str> {
+fn seen_by(snapshot: &Snapshot) -> Option<&str> {
     snapshot.attribute("origin")?.get("agent")?.as_str()
 }
 
-/// What speaks of the latest time among all that is known of a class at `now_ns`, and its pose in the root frame.
+/// The snapshot with the newest reference time among the objects of a class, at `now_ns`, and its pose in the root frame.
 fn newest<'k>(
     known: &'k [Arc<Snapshot>],
     class: &str,
@@ -152,9 +152,9 @@ mod tests {
     fn whoever_saw_it_last_is_believed() {
         let known = [sponge("alice.alice", 7, "root", 0.2, false), sponge("bob", 3, "root", 0.1, false)];
         let (found, pose) = newest(&known, "sponge", 9 * SECOND, 5.0).unwrap();
-        assert_eq!((teller(found), pose.translation.x), (Some("alice"), 0.2));
+        assert_eq!((seen_by(found), pose.translation.x), (Some("alice"), 0.2));
         let (found, _) = newest(&known[1..], "sponge", 4 * SECOND, 5.0).unwrap();
-        assert_eq!(teller(found), None);
+        assert_eq!(seen_by(found), None);
     }
 
     #[test]

@@ -15,7 +15,7 @@ use crate::grasp::GRASP_IN_TCP;
 use crate::hand::aperture;
 use crate::hand_eye::HandEye;
 use crate::inputs::{Inputs, pose_value};
-use crate::prior::object_class;
+use crate::prior::class_of;
 use crate::skills::weigh_hand::mean_force;
 
 const GRAVITY: f64 = 9.81;
@@ -44,7 +44,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let object = context.entity("object")?;
-    let class = object_class(&*equipment.memory, object.entity()).await?;
+    let class = class_of(&*equipment.memory, &object).await?;
     let mut arm = Arm::take(&equipment, &context)?;
     let mut senses = Senses::new(&*equipment.robot, &context);
 

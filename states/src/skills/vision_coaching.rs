@@ -12,40 +12,41 @@ use armarium_visionx::HandObservation;
 use crate::coaching::Coaching;
 use crate::equipment::{self, Equipment};
 use crate::inputs::as_vector;
+use crate::running_motion::RunningMotions;
 
-pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
+pub(crate) fn skill(equipment: &Equipment, running: &RunningMotions) -> Arc<dyn Skill> {
+    let running = running.clone();
     let manifest = SkillManifest::new("VisionCoaching", "Changes the running motion as the coach's gestures say: fist draws, two fingers push away, one finger moves all.")
         .input("motion", Type::motion(), "The running motion.")
         .optional("patience", Type::Duration, 0.8, "Ends when no such gesture has been seen for this long.")
         .output("displacement", Type::FLOAT, "How far the path has moved where it moved most, m.");
-    equipment::skill(equipment, manifest, run)
+    equipment::skill(equipment, manifest, move |equipment, context| run(equipment, running.clone(), context))
 }
 
-async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
+async fn run(equipment: Equipment, running: RunningMotions, context: SkillContext) -> SkillResult {
     let patience = context.number("patience")?;
-    let mut coaching = Coaching::begin(&equipment, &context).await?;
+    let mut coaching = Coaching::begin(&equipment, &running, &context)?;
     let _frames_are_wanted = context.channels.demand("hand");
     let mut displacement = 0.0_f64;
-    let mut steady = Steady::default();
+    let mut filter = GestureFilter::default();
     loop {
-        let step = coaching.next().await?;
+        let dt = coaching.next().await?;
         let seen = context.channels.newest("hand");
         let seen = seen.filter(|s| s.at.elapsed().as_secs_f64() < 0.3);
-        let input = steady.update(step.dt(), seen.map(|s| s.value));
-        coaching.hand_came_at(steady.hand.get("came_at").and_then(Value::as_f64));
-        let report = coaching.apply(&step, input).await?;
+        let input = filter.update(dt, seen.map(|s| s.value));
+        coaching.set_arrival(filter.hand.get("came_at").and_then(Value::as_f64));
+        let report = coaching.apply(dt, input)?;
         if report.active {
             displacement = displacement.max(report.displacement);
         }
         if coaching.idle() > patience {
-            coaching.keep().await?;
             return Ok(Outcome::success().with("displacement", displacement));
         }
     }
 }
 
-/// What a gesture asks of the motion, with the hand as it was seen last.
-fn ask(gesture: &str, hand: &Value) -> CoachInput {
+/// The coaching input of a gesture, with the hand as it was seen last.
+fn input_of(gesture: &str, hand: &Value) -> CoachInput {
     let vector = |name: &str| hand.get(name).and_then(as_vector);
     match (gesture, vector("position"), vector("direction")) {
         ("fist", Some(hand), _) => CoachInput::Attract { hand },
@@ -55,13 +56,12 @@ fn ask(gesture: &str, hand: &Value) -> CoachInput {
     }
 }
 
-/// What the coach means: the gesture that has been seen clearly for longest in the last seconds, and the hand as it was
-/// when it was seen so last.
+/// A filter for gestures: the one that was seen clearly for longest in the last seconds, with the hand's newest place in it.
 ///
-/// The robot's own arm passes between its eyes and the coach's hand in each cycle and hides a part of it; what is read
-/// of the rest is neither the gesture nor the place, and counts little.
-struct Steady {
-    meant: String,
+/// The robot's own arm passes between its eyes and the coach's hand in each cycle and hides a part of it. What is
+/// recognised of the visible rest has the wrong gesture and place, and counts little.
+struct GestureFilter {
+    gesture: String,
     hand: Value,
     /// For how long each gesture has been seen clearly, s; forgotten in time.
     seen: BTreeMap<String, f64>,
@@ -69,28 +69,28 @@ struct Steady {
     gone: f64,
 }
 
-impl Default for Steady {
+impl Default for GestureFilter {
     fn default() -> Self {
-        Self { meant: NONE.into(), hand: Value::Null, seen: BTreeMap::new(), gone: 0.0 }
+        Self { gesture: NONE.into(), hand: Value::Null, seen: BTreeMap::new(), gone: 0.0 }
     }
 }
 
 /// The channel's word for a frame without a hand.
 const NONE: &str = "none";
 
-impl Steady {
-    /// How long a gesture must be seen before it is meant, and a hand be gone before it is believed, s.
+impl GestureFilter {
+    /// How long a gesture must be seen before it is accepted, and a hand be out of sight before it has gone, s.
     const HOLD: f64 = 0.4;
-    /// The time constant of forgetting, s, and the most time that counts, s: a coach who changes the gesture is
-    /// understood after a second and a half.
+    /// The time constant of forgetting, s, and the most time that counts, s: a change of the gesture is accepted after
+    /// 1.5 s.
     const FORGET: f64 = 4.0;
     const MOST: f64 = 2.0;
-    /// How sure the eyes must be of a gesture for it to count, probability.
+    /// The least confidence with which a gesture counts, probability.
     const SURE: f64 = 0.6;
-    /// What a sight of a hand that is hidden in part counts for, share of one of a whole hand.
+    /// The weight of a partly hidden hand, as a share of that of a whole one.
     const HIDDEN_COUNTS: f64 = 0.1;
 
-    /// `dt` s later, with what is on the channel now: what the coach asks of the motion.
+    /// The coaching input, `dt` s later, from what is on the channel now.
     fn update(&mut self, dt: f64, hand: Option<Value>) -> CoachInput {
         let number = |name: &str| hand.as_ref().and_then(|h| h.get(name)).and_then(Value::as_f64);
         let seen = hand.as_ref().and_then(|h| h.get("gesture")).and_then(Value::as_str).unwrap_or(NONE);
@@ -99,7 +99,7 @@ impl Steady {
             if self.gone >= Self::HOLD {
                 *self = Self::default();
             }
-            return ask(&self.meant, &self.hand);
+            return input_of(&self.gesture, &self.hand);
         }
         self.gone = 0.0;
         let hidden = number("hidden").is_some_and(|share| share >= HandObservation::HIDDEN);
@@ -110,13 +110,13 @@ impl Steady {
             *time = (*time + counts * dt).min(Self::MOST);
             let longest = self.seen.iter().max_by(|a, b| a.1.total_cmp(b.1));
             if let Some((gesture, _)) = longest.filter(|(_, time)| **time >= Self::HOLD) {
-                self.meant.clone_from(gesture);
+                self.gesture.clone_from(gesture);
             }
         }
-        if seen == self.meant && (!hidden || self.hand == Value::Null) {
+        if seen == self.gesture && (!hidden || self.hand == Value::Null) {
             self.hand = hand.unwrap_or(Value::Null);
         }
-        ask(&self.meant, &self.hand)
+        input_of(&self.gesture, &self.hand)
     }
 }
 
@@ -132,10 +132,10 @@ mod tests {
             let position = Value::Vector(Vector::new(Frame::root(), &nalgebra::Vector3::new(x, 0.0, 0.0)));
             Some(Value::record([("gesture", Value::from(gesture)), ("position", position)]))
         };
-        let mut steady = Steady::default();
+        let mut filter = GestureFilter::default();
         let mut after = |seconds: f64, hand: Option<Value>| {
             let steps = (seconds * 1e3) as usize;
-            (0..steps).map(|_| steady.update(1e-3, hand.clone())).last()
+            (0..steps).map(|_| filter.update(1e-3, hand.clone())).last()
         };
         let fist = Some(CoachInput::Attract { hand: nalgebra::Vector3::new(0.3, 0.0, 0.0) });
         let with = |hand: Option<Value>, name: &str, value: f64| match hand {

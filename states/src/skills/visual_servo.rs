@@ -20,7 +20,7 @@ use crate::grasp::GRASP_IN_TCP;
 use crate::hand_eye::HandEye;
 use crate::inputs::{Inputs, as_pose, pose_value};
 use crate::motions::failed;
-use crate::prior::object_class;
+use crate::prior::{class_name, object_class};
 use crate::skills::calibrate_hand_eye::{HAND_MARKER, HAND_MARKER_COLOR, HAND_MARKER_DIAMETER};
 
 /// An object that is seen less than this (covered by the hand) does not move the target.
@@ -142,7 +142,7 @@ impl Sight {
         let snapshot = equipment.memory.latest(&id).await.map_err(failed)?;
         let pose = snapshot.attribute("pose").and_then(as_pose);
         let pose = pose.ok_or_else(|| Failure::new(format!("memory does not know where `{id}` is")))?;
-        let class = object_class(&*equipment.memory, id.entity()).await?;
+        let class = object_class(&*equipment.memory, class_name(&snapshot)?).await?;
         let calibration = equipment.images.calibration();
         let model = BoxModel { size: Vector3::from(class.size), color: ColorModel::from_rgb(class.color) };
         let settings = MarkerSettings::new(HAND_MARKER_COLOR).with_diameter(HAND_MARKER_DIAMETER);

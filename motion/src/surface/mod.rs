@@ -117,23 +117,29 @@ impl SurfaceAdaptation {
         config.validate()?;
         let width = 2.5 * config.kernels as f64;
         let correction = SurfaceCorrection::new(vec![0.0; config.kernels], width, config.normal)?;
-        Self::resume(config, correction)
+        Self::resume(config, correction, 0.0)
     }
 
-    /// Starts from a correction that was learned before; its kernels and normal replace those of `config`.
+    /// Starts from a correction that was learned before, at its offset for `phase` rad; its kernels and normal replace
+    /// those of `config`.
     ///
     /// # Errors
-    /// When a constant cannot be.
-    pub fn resume(config: SurfaceConfig, correction: SurfaceCorrection) -> Result<Self, MotionError> {
+    /// When a constant cannot be or the phase is not finite.
+    pub fn resume(
+        config: SurfaceConfig,
+        correction: SurfaceCorrection,
+        phase: f64,
+    ) -> Result<Self, MotionError> {
         config.validate()?;
+        finite("phase", &[phase])?;
         Ok(Self {
             psi: vec![0.0; correction.weights().len()],
+            offset: correction.offset(phase),
             correction,
             feedback: 0.0,
             feedback_on: true,
             learning_on: true,
             stiffness: config.stiffness,
-            offset: 0.0,
             smooth_error: 0.0,
             past: Past::default(),
             cycle: Cycle::default(),

@@ -1,19 +1,9 @@
-//! The constants of the periodic primitive, and how it is integrated.
+//! The constants of the periodic primitive.
 
 use serde::{Deserialize, Serialize};
 
+use crate::dmp::Integrator;
 use crate::error::{MotionError, constant, kernel_width, within};
-
-/// How the primitive is integrated.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Integrator {
-    /// Exact for the linear part, the forcing term averaged over the step: stable for every step width.
-    #[default]
-    Exact,
-    /// Explicit Euler as in the papers' experiments; refuses steps that are too wide to be stable.
-    Euler,
-}
 
 /// The constants of a [`PeriodicDmp`](crate::PeriodicDmp).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -1,16 +1,16 @@
-//! Which phase of the path a coach's hand means, and how far about it the path follows.
+//! Which phase of the path a coach's hand addresses, and how far about it the path follows.
 //!
-//! Pure functions. Where a path crosses itself or goes the same way back, place alone does not tell the passes apart:
-//! then it counts with which one the hand came.
+//! Pure functions. Where a path crosses itself or goes back the same way, the place does not tell the passes apart: then
+//! the phase at which the hand arrived decides.
 
 use std::f64::consts::{PI, TAU};
 
-/// How much a phase other than the one that the hand came with counts against it, in units of the way from the
-/// path's nearest point to its farthest.
-const CAME_WEIGHT: f64 = 2.0;
-/// A hand did not come for a phase at which the path is farther off than this share of that way.
+/// The cost of half a period between a phase and the hand's arrival, in units of the difference between the path's
+/// farthest and nearest distance.
+const ARRIVAL_WEIGHT: f64 = 2.0;
+/// An arrival is ignored where the path is farther from the hand than this share of that difference.
 const PLAUSIBLE: f64 = 0.75;
-/// The meaning of a hand that stands still stays within this far of what it was, rad.
+/// The phase that a standing hand addresses changes by at most this much, rad.
 const HELD: f64 = TAU / 8.0;
 
 /// The difference of two phases, -pi to pi.
@@ -18,15 +18,15 @@ fn apart(a: f64, b: f64) -> f64 {
     (a - b + PI).rem_euclid(TAU) - PI
 }
 
-/// The row of the path (`rows` of them, evenly over the period) that a hand means. `distance` is the hand's distance
-/// from the path at a row, m; `came` the phase at which it came to its place; `held` what it meant so far, rad.
+/// The row of the path (`rows` of them, evenly over the period) that a hand addresses. `distance` is the hand's distance
+/// from the path at a row, m; `arrival` the phase at which it came to rest; `held` the phase addressed so far, rad.
 ///
-/// It is the nearest row; with a plausible `came`, the one of the least sum of normalised distance and
-/// `1 - cos` of the phase from `came`.
-pub(super) fn row(
+/// It is the nearest row; with a plausible `arrival`, the one with the least sum of normalised distance and
+/// `1 - cos(phase - arrival)`.
+pub(super) fn addressed_row(
     rows: usize,
     distance: impl Fn(usize) -> f64,
-    came: Option<f64>,
+    arrival: Option<f64>,
     held: Option<f64>,
 ) -> usize {
     let (mut nearest, mut farthest) = (f64::INFINITY, 0.0_f64);
@@ -38,15 +38,16 @@ pub(super) fn row(
     let far = |row: usize| (distance(row) - nearest) / range;
     let phase = |row: usize| TAU * row as f64 / rows as f64;
     let row_of = |phase: f64| ((phase / TAU).rem_euclid(1.0) * rows as f64) as usize % rows.max(1);
-    let came = came.filter(|c| far(row_of(*c)) <= PLAUSIBLE);
-    let cost =
-        |row: usize| far(row) + came.map_or(0.0, |c| 0.5 * CAME_WEIGHT * (1.0 - (phase(row) - c).cos()));
+    let arrival = arrival.filter(|c| far(row_of(*c)) <= PLAUSIBLE);
+    let cost = |row: usize| {
+        far(row) + arrival.map_or(0.0, |c| 0.5 * ARRIVAL_WEIGHT * (1.0 - (phase(row) - c).cos()))
+    };
     let allowed = |row: &usize| held.is_none_or(|h| apart(phase(*row), h).abs() <= HELD);
     let best = (0..rows).filter(allowed).map(|row| (cost(row), row)).min_by(|a, b| a.0.total_cmp(&b.0));
     best.map_or(0, |(_, row)| row)
 }
 
-/// 1 at the phase that is meant, smoothly 0 from `half_width` on; both rad.
+/// 1 at the addressed phase, smoothly 0 from `half_width` on; both rad.
 pub(super) fn window(away: f64, half_width: f64) -> f64 {
     let u = apart(away, 0.0) / half_width;
     if u.abs() < 1.0 { (1.0 - u * u) * (1.0 - u * u) } else { 0.0 }
@@ -71,33 +72,33 @@ mod tests {
     }
 
     #[test]
-    fn on_a_circle_it_is_the_nearest_point_whenever_the_hand_came() {
+    fn on_a_circle_it_is_the_nearest_point_whenever_the_hand_arrived() {
         let circle = |p: f64| [0.05 * p.cos(), 0.05 * p.sin()];
-        for came in [None, Some(0.25 * TAU), Some(0.75 * TAU)] {
-            let row = row(ROWS, from(circle, [0.0, 0.15]), came, None);
-            assert!((turns(row) - 0.25).abs() < 0.006, "{came:?} {row}");
+        for arrival in [None, Some(0.25 * TAU), Some(0.75 * TAU)] {
+            let row = addressed_row(ROWS, from(circle, [0.0, 0.15]), arrival, None);
+            assert!((turns(row) - 0.25).abs() < 0.006, "{arrival:?} {row}");
         }
     }
 
     #[test]
-    fn of_two_passes_it_is_the_one_that_the_hand_came_with() {
+    fn of_two_passes_it_is_the_one_of_the_arrival() {
         let line = |p: f64| [0.05 * p.cos(), 0.03 * p.cos()];
         let eight = |p: f64| [0.05 * p.cos(), 0.03 * (2.0 * p).sin()];
-        for came in [0.25, 0.75] {
+        for arrival in [0.25, 0.75] {
             // Across the line's middle, and below the eight's crossing.
             let across = from(line, [0.06, -0.1]);
-            assert!((turns(row(ROWS, across, Some(came * TAU), None)) - came).abs() < 0.006);
+            assert!((turns(addressed_row(ROWS, across, Some(arrival * TAU), None)) - arrival).abs() < 0.006);
             let below = from(eight, [0.0, -0.12]);
-            assert!((turns(row(ROWS, below, Some(came * TAU), None)) - came).abs() < 0.1);
+            assert!((turns(addressed_row(ROWS, below, Some(arrival * TAU), None)) - arrival).abs() < 0.1);
         }
     }
 
     #[test]
-    fn what_a_standing_hand_means_does_not_jump() {
+    fn the_phase_of_a_standing_hand_does_not_jump() {
         let line = |p: f64| [0.05 * p.cos(), 0.0];
         let across = from(line, [0.0, 0.1]);
-        assert_eq!(row(ROWS, &across, None, Some(0.26 * TAU)), 50);
-        assert_eq!(row(ROWS, &across, None, Some(0.74 * TAU)), 150);
+        assert_eq!(addressed_row(ROWS, &across, None, Some(0.26 * TAU)), 50);
+        assert_eq!(addressed_row(ROWS, &across, None, Some(0.74 * TAU)), 150);
     }
 
     #[test]

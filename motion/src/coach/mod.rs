@@ -1,24 +1,31 @@
 //! Coaching of a running wiping motion in task space: attract (fist), repel (2-finger pointing), shift (1-finger
 //! pointing) and push (force). It changes the weights or the centre of the [`PeriodicDmp`] that is executed.
 //!
-//! It is the paper's rule (eqs. 10, 13-16) with three additions for a path of some centimetres. It works in metres
-//! of the path: the effect of the weights on the steady path is known exactly ([`PathResponse`]), so each event has
-//! a target and ends there instead of drifting. It is local in the phase: only phases near the one that the hand
-//! means ([`meant`]) are moved, so that of a doubled stroke or a crossing one pass moves and the other stays. And P
-//! of (9) is replaced by its fixed point, so that coaching does not depend on how long the motion was learned.
+//! It stands on the paper's coupling (eqs. 10, 13, 14, 16), for a path of some centimetres. What differs:
+//!
+//! - It works in metres of the path. The effect of the weights on the steady path is known exactly ([`PathResponse`]), so
+//!   each event has a target and ends there; the paper's coupling acts for as long as the hand is there.
+//! - P of (9) is replaced by its fixed point, so that coaching does not depend on how long the motion was learned.
+//! - The weights are credited by the lag of the path behind the forcing term ([`PeriodicDmp::lag`]).
+//! - It is local in the phase: only phases near the one that the hand addresses (`coach/phase.rs`) are moved, so that of a
+//!   doubled stroke or a crossing one pass moves and the other stays.
+//! - The field depends on the distance only, not on the angle of (15) ([`HandField`]).
+//! - A hand acts once it stands still, and its place is smoothed against the jitter of its tracking.
+//! - What one pass and one event may change is bounded, nothing is changed along the surface normal, small forces do
+//!   nothing, and a fist draws the path to a standoff before the hand.
+//! - Pointing with one finger shifts the centre; the paper has no such command.
 //!
 //! What it does not do: recognise gestures, or decide whether a force is a push (see [`crate::FrictionModel`]).
 
 use nalgebra::Vector3;
 
 use crate::error::{MotionError, positive, size, vector, within};
-use crate::path::PathResponse;
-use crate::pdmp::PeriodicDmp;
+use crate::periodic::{PathResponse, PeriodicDmp};
 
 mod config;
-mod meant;
+mod phase;
 
-pub use self::config::CoachConfig;
+pub use self::config::{CoachConfig, HandField};
 
 /// What the coach does at this moment; positions in the frame of the motion, m.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -53,7 +60,7 @@ pub enum CoachInput {
 pub struct CoachReport {
     /// Whether something is being coached now.
     pub active: bool,
-    /// The phase that is coached, rad: the one that the hand means, or the present one of a push.
+    /// The phase that is coached, rad: the one that the hand addresses, or the present one of a push.
     pub phase: f64,
     /// By how much the path at that phase has moved along the coached direction since the event began, m.
     pub displacement: f64,
@@ -80,10 +87,10 @@ pub struct Coach {
     centre: Vector3<f64>,
     path: Vec<Vector3<f64>>,
     hand: Option<Vector3<f64>>,
-    /// At which phase the hand came to its place, rad.
-    came: Option<f64>,
-    /// The phase that the hand means as long as it stands still, rad.
-    meant: Option<f64>,
+    /// The phase at which the hand came to rest, rad.
+    arrival: Option<f64>,
+    /// The phase that the hand addresses as long as it stands still, rad.
+    addressed: Option<f64>,
     /// For how long the hand has stood still, s.
     still: f64,
     /// Where it stands.
@@ -94,12 +101,12 @@ pub struct Coach {
 
 /// Time constant over which the jitter of a tracked hand is smoothed, s: three camera frames.
 const HAND_SMOOTHING: f64 = 0.2;
-/// A hand this far from where it was about [`HAND_SMOOTHING`] ago comes or goes: it does not coach yet or any more, m.
+/// A hand farther than this from its smoothed place is moving and does not coach, m.
 const HAND_MOVES: f64 = 0.02;
-/// For so long a hand stands still before it coaches, s.
+/// How long a hand must stand still before it coaches, s.
 const HAND_STANDS: f64 = 0.3;
-/// A hand that is seen elsewhere for longer than this has left its place, s; and for longer than this share of a period.
-/// The robot's own arm passes once in each period and hides a part of the hand.
+/// How long a hand must be seen elsewhere before it has left its place: at least so many seconds, and at least this share
+/// of a period, because the robot's own arm hides a part of the hand once in each period.
 const HAND_AWAY: (f64, f64) = (0.8, 0.4);
 
 impl Coach {
@@ -124,19 +131,19 @@ impl Coach {
             centre: Vector3::zeros(),
             path,
             hand: None,
-            came: None,
-            meant: None,
+            arrival: None,
+            addressed: None,
             still: 0.0,
             place: None,
             away: 0.0,
         })
     }
 
-    /// At which `phase` (rad) of the motion the hand of a gesture came to its place, if that was seen: a coach reaches
-    /// for the pass that he means, and of several that are about equally near to his hand this one is taken. Holds
-    /// until it is said anew; a phase that is not finite counts as not seen.
-    pub fn hand_came_at(&mut self, phase: Option<f64>) {
-        self.came = phase.filter(|p| p.is_finite());
+    /// Sets the `phase` (rad) of the motion at which the hand of a gesture came to rest, if that was seen. A coach reaches
+    /// for the pass that he wants to change: of several that are about equally near to his hand, this one is taken. Holds
+    /// until the next call; a phase that is not finite counts as not seen.
+    pub fn set_arrival(&mut self, phase: Option<f64>) {
+        self.arrival = phase.filter(|p| p.is_finite());
     }
 
     /// Applies what the coach does now to `dmp`, `dt` s after the last call; to be called before each
@@ -189,7 +196,7 @@ impl Coach {
     fn begin(&mut self, kind: Kind, dmp: &PeriodicDmp) {
         self.event = Some(kind);
         self.hand = None;
-        self.meant = None;
+        self.addressed = None;
         self.still = 0.0;
         self.place = None;
         self.away = 0.0;
@@ -246,21 +253,21 @@ impl Coach {
         sign: f64,
     ) -> Result<CoachReport, MotionError> {
         let Some(hand) = self.stands_at(hand, dt, omega) else {
-            self.meant = None;
+            self.addressed = None;
             return Ok(CoachReport { phase: dmp.phase(), ..CoachReport::default() });
         };
         let distance = |row: usize| self.in_surface(hand - self.path[row]).norm();
-        let row = meant::row(self.path.len(), distance, self.came, self.meant);
+        let row = phase::addressed_row(self.path.len(), distance, self.arrival, self.addressed);
         let (phase, nearest) = (self.response.phase(row), distance(row));
         let offset = hand - self.path[row];
-        self.meant = Some(phase);
+        self.addressed = Some(phase);
         let Some(towards) = self.in_surface(offset).try_normalize(1e-6) else {
             return Ok(CoachReport { phase, ..CoachReport::default() });
         };
         let direction = sign * towards;
         let goal = self.goal(nearest, offset.norm(), sign);
         let here = self.response.row(dmp.phase());
-        let wanted = goal * meant::window(dmp.phase() - phase, self.config.arc * std::f64::consts::TAU);
+        let wanted = goal * phase::window(dmp.phase() - phase, self.config.arc * std::f64::consts::TAU);
         let missing = wanted - self.moved(dmp, here).dot(&direction);
         // One pass makes up for what the time of a period allows, at most for all that is missing.
         let share = (std::f64::consts::TAU / (omega * self.config.time_constant)).min(1.0);
@@ -269,15 +276,15 @@ impl Coach {
         Ok(CoachReport { active: true, phase, displacement })
     }
 
-    /// How far the path shall move where the hand means it, m.
+    /// How far the path shall move at the addressed phase, m.
     fn goal(&self, in_surface: f64, distance: f64, sign: f64) -> f64 {
-        let strength = self.config.field.gamma * self.config.field.reach(distance);
+        let strength = self.config.field.strength(distance);
         let room = if sign > 0.0 { (in_surface - self.config.standoff).max(0.0) } else { f64::INFINITY };
         (self.config.reach * strength).min(room)
     }
 
-    /// Where the hand stands, if it does; m. It stays there while it is seen elsewhere for a moment: each time the robot
-    /// passes it, the robot's own arm hides a part of it.
+    /// Where the hand stands, m, if it does. A short sight of it elsewhere is ignored: the robot's own arm hides a part of the
+    /// hand each time it passes.
     fn stands_at(&mut self, hand: Vector3<f64>, dt: f64, omega: f64) -> Option<Vector3<f64>> {
         let share = 1.0 - (-dt / HAND_SMOOTHING).exp();
         let smooth = self.hand.map_or(hand, |old| old + (hand - old) * share);
@@ -288,7 +295,7 @@ impl Coach {
         let passage = HAND_AWAY.0.max(HAND_AWAY.1 * std::f64::consts::TAU / omega.max(0.3));
         if !there && (self.place.is_none() || self.away > passage) {
             self.place = (self.still >= HAND_STANDS).then_some(smooth);
-            self.meant = None;
+            self.addressed = None;
             self.away = 0.0;
         }
         self.place
@@ -308,9 +315,7 @@ impl Coach {
         let distance = shifted.norm();
         let bounded = shifted * (self.config.shift_limit / distance.max(self.config.shift_limit).max(1e-12));
         let centre = self.centre + bounded;
-        for d in 0..3 {
-            dmp.centre[d] = centre[d];
-        }
+        dmp.centre_mut()[..3].copy_from_slice(centre.as_slice());
         Ok(CoachReport { active: true, phase, displacement: bounded.dot(&direction) })
     }
 }

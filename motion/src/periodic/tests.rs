@@ -67,14 +67,14 @@ fn gain_reaches_its_fixed_point_and_its_cap() {
         dmp.learn(phase, 3.0, 0.005, &[0.0], &[0.0], &[0.0]).unwrap();
         phase += 0.015;
     }
-    let mean = dmp.gain.iter().sum::<f64>() / 25.0;
+    let mean = dmp.learner.gain.iter().sum::<f64>() / 25.0;
     let mut settled = dmp.clone();
     settled.settle_gain(0.005).unwrap();
-    assert!((settled.gain[0] / mean - 1.0).abs() < 0.01, "{} {mean}", settled.gain[0]);
+    assert!((settled.learner.gain[0] / mean - 1.0).abs() < 0.01, "{} {mean}", settled.learner.gain[0]);
     for _ in 0..200_000 {
         dmp.learn(0.0, 3.0, 0.01, &[0.0], &[0.0], &[0.0]).unwrap();
     }
-    assert_eq!(dmp.gain[12], 1.0);
+    assert_eq!(dmp.learner.gain[12], 1.0);
 }
 
 #[test]
@@ -201,4 +201,21 @@ proptest! {
             prop_assert!((s.y[0] - wave(s.phase)[0]).abs() < 1e-3);
         }
     }
+}
+
+#[test]
+fn a_step_that_is_refused_learns_nothing_and_the_coupling_waits() {
+    let mut dmp = PeriodicDmp::new(PeriodicDmpConfig::with_dofs(1)).unwrap();
+    dmp.set_weights(&[0.5; 25]).unwrap();
+    let mut undisturbed = dmp.clone();
+    dmp.couple(&[2.0]).unwrap();
+    undisturbed.couple(&[2.0]).unwrap();
+    dmp.dmp.transformation.put_slope(&[f64::MAX], &[-f64::MAX], TimeScale::Frequency(3.0));
+    assert!(matches!(dmp.step(0.1, 3.0), Err(MotionError::NotFinite { .. })));
+    assert_eq!(dmp.weights(), [0.5; 25]);
+    assert_eq!(dmp.learner.gain, undisturbed.learner.gain);
+    dmp.dmp.transformation.put_slope(&[0.0], &[0.0], TimeScale::Frequency(3.0));
+    assert_eq!(dmp.step(0.1, 3.0), undisturbed.step(0.1, 3.0));
+    assert_eq!(dmp.weights(), undisturbed.weights());
+    assert_ne!(dmp.weights(), [0.5; 25]);
 }

@@ -6,8 +6,9 @@ use std::f64::consts::TAU;
 use nalgebra::Matrix2;
 use serde::{Deserialize, Serialize};
 
+use super::PeriodicDmp;
+use crate::dmp::Transition;
 use crate::error::{MotionError, finite, within};
-use crate::pdmp::{PeriodicDmp, Transition};
 
 /// One period of n degrees of freedom, sampled evenly in the phase: sample `s` is at `2 pi s / samples`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -74,7 +75,7 @@ impl PeriodicDmp {
             let (mut y, mut z) = self.periodic_start(&forcing, n, d);
             for step in 0..fine {
                 if step % stride == 0 {
-                    path.y[step / stride][d] = self.centre[d] + y;
+                    path.y[step / stride][d] = self.centre()[d] + y;
                     path.dy[step / stride][d] = z;
                 }
                 (y, z) = self.phase_step(&forcing, n, d, step, y, z);
@@ -104,7 +105,7 @@ impl PeriodicDmp {
         for (s, row) in forcing.chunks_exact_mut(n).enumerate() {
             self.forcing_at(phase + TAU * s as f64 / fine as f64, row);
         }
-        let mut state = (self.centre.clone(), vec![0.0; n]);
+        let mut state = (self.centre().to_vec(), vec![0.0; n]);
         for d in 0..n {
             let (y, z) = self.periodic_start(&forcing, n, d);
             state.0[d] += y;
@@ -169,8 +170,8 @@ impl PathResponse {
     pub fn new(dmp: &PeriodicDmp) -> Result<Self, MotionError> {
         let kernels = dmp.kernels().len();
         let samples = 8 * kernels;
-        let mut single = PeriodicDmp::new(crate::PeriodicDmpConfig { dofs: 1, ..dmp.config().clone() })?;
-        single.weights[0] = 1.0;
+        let mut single = PeriodicDmp::new(super::PeriodicDmpConfig { dofs: 1, ..dmp.config().clone() })?;
+        single.weights_mut()[0] = 1.0;
         let path = single.steady_path(samples)?;
         let mut table = vec![0.0; samples * kernels];
         for s in 0..samples {

@@ -1,5 +1,5 @@
 //! Current-iteration iterative learning control (11)-(14) of a [`DiscretePeriodicDmp`]: from one epoch to the next the
-//! primitive learns the control signal that the feedback error asked for, until nothing is left to feed back.
+//! primitive learns the control signal that the feedback produced, until no error is left.
 //!
 //! An epoch is one discrete part and any number of periods. What the error is, is not decided here: [`FeedbackError`]
 //! makes one out of forces and velocities, in task or in joint space, but every signal will do whose sign says where to
@@ -90,7 +90,7 @@ impl LearningControl {
         self.phases.len()
     }
 
-    /// Hears the error `error` (one value a degree of freedom) at the phase of now, feeds `C e` into `dmp`'s next step at
+    /// Takes the error `error` (one value a degree of freedom) at the phase of now, feeds `C e` into `dmp`'s next step at
     /// `omega` rad/s, and remembers both. To be called before each [`DiscretePeriodicDmp::step`]. Does not allocate.
     ///
     /// # Errors

@@ -2,15 +2,17 @@
 //! decays. It takes the same two couplings as [`crate::PeriodicDmp`]: one that only perturbs (eq. 12) and one that the
 //! weights learn (eq. 13), with which point-to-point movements are coached from one execution to the next.
 //!
-//! Learning from data is in `discrete_learning`. What it is not: it does not blend into a periodic motion.
+//! Learning from data is in `learning.rs`. What it is not: it does not blend into a periodic motion.
+
+mod kernels;
+mod learning;
+mod saved;
 
 use serde::{Deserialize, Serialize};
 
-use crate::decay_kernels::DecayKernels;
-use crate::error::{LARGEST, MotionError, constant, finite, positive, vector, within};
-use crate::pdmp::Transition;
-
-mod saved;
+use self::kernels::DecayKernels;
+use crate::dmp::{CouplingLearner, Dmp, Integrator, TimeScale};
+use crate::error::{LARGEST, MotionError, constant, positive, vector, within};
 
 /// The constants of a [`DiscreteDmp`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -107,30 +109,10 @@ pub struct DiscreteState<'a> {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "saved::Saved", into = "saved::Saved")]
 pub struct DiscreteDmp {
-    pub(crate) config: DiscreteDmpConfig,
-    pub(crate) kernels: DecayKernels,
-    pub(crate) start: Vec<f64>,
-    pub(crate) goal: Vec<f64>,
-    pub(crate) amplitude: f64,
-    /// Degree of freedom by degree of freedom: `weights[d * kernels + i]`.
-    pub(crate) weights: Vec<f64>,
-    /// P of (9), one a kernel.
-    pub(crate) gain: Vec<f64>,
-    x: f64,
-    y: Vec<f64>,
-    z: Vec<f64>,
-    yd: Vec<f64>,
-    ydd: Vec<f64>,
-    perturbation: Vec<f64>,
-    coupling: Vec<f64>,
-    coupled: bool,
-    /// Kernel values and forcing term at the phase of now, valid while `fresh`.
-    pub(crate) psi: Vec<f64>,
-    forcing: Vec<f64>,
-    pub(crate) fresh: bool,
-    next_forcing: Vec<f64>,
-    next_y: Vec<f64>,
-    next_z: Vec<f64>,
+    config: DiscreteDmpConfig,
+    start: Vec<f64>,
+    dmp: Dmp<DecayKernels>,
+    learner: CouplingLearner,
 }
 
 impl DiscreteDmp {
@@ -141,29 +123,12 @@ impl DiscreteDmp {
     pub fn new(config: DiscreteDmpConfig) -> Result<Self, MotionError> {
         config.validate()?;
         let (n, k) = (config.dofs, config.kernels);
-        let zeros = || vec![0.0; n];
+        let kernels = DecayKernels::new(k, config.alpha_x);
         Ok(Self {
-            kernels: DecayKernels::new(k, config.alpha_x),
-            gain: vec![config.initial_gain; k],
+            dmp: Dmp::new(kernels, 1.0, n, config.alpha_z, config.beta_z),
+            learner: CouplingLearner::new(n, k, config.forgetting, config.initial_gain),
+            start: vec![0.0; n],
             config,
-            start: zeros(),
-            goal: zeros(),
-            amplitude: 1.0,
-            weights: vec![0.0; n * k],
-            x: 1.0,
-            y: zeros(),
-            z: zeros(),
-            yd: zeros(),
-            ydd: zeros(),
-            perturbation: zeros(),
-            coupling: zeros(),
-            coupled: false,
-            psi: vec![0.0; k],
-            forcing: zeros(),
-            fresh: false,
-            next_forcing: zeros(),
-            next_y: zeros(),
-            next_z: zeros(),
         })
     }
 
@@ -182,7 +147,7 @@ impl DiscreteDmp {
     /// All weights, degree of freedom by degree of freedom, N each.
     #[must_use]
     pub fn weights(&self) -> &[f64] {
-        &self.weights
+        self.dmp.weights()
     }
 
     /// Replaces all weights; the state stays.
@@ -190,10 +155,7 @@ impl DiscreteDmp {
     /// # Errors
     /// When their number is not `dofs * kernels` or one is not finite.
     pub fn set_weights(&mut self, weights: &[f64]) -> Result<(), MotionError> {
-        vector("weights", self.weights.len(), weights)?;
-        self.weights.copy_from_slice(weights);
-        self.fresh = false;
-        Ok(())
+        self.dmp.set_weights(0, "weights", weights)
     }
 
     /// Where the demonstration began, one value a degree of freedom.
@@ -205,7 +167,7 @@ impl DiscreteDmp {
     /// Where the movement ends, one value a degree of freedom.
     #[must_use]
     pub fn goal(&self) -> &[f64] {
-        &self.goal
+        &self.dmp.transformation.goal
     }
 
     /// Moves the goal, also while running; the position follows smoothly.
@@ -213,15 +175,15 @@ impl DiscreteDmp {
     /// # Errors
     /// When sizes differ or a value is not finite.
     pub fn set_goal(&mut self, goal: &[f64]) -> Result<(), MotionError> {
-        vector("goal", self.goal.len(), goal)?;
-        self.goal.copy_from_slice(goal);
+        vector("goal", self.dofs(), goal)?;
+        self.dmp.transformation.goal.copy_from_slice(goal);
         Ok(())
     }
 
     /// Amplitude factor r of (6), dimensionless.
     #[must_use]
     pub fn amplitude(&self) -> f64 {
-        self.amplitude
+        self.dmp.amplitude()
     }
 
     /// Scales the shape of the movement (not its goal).
@@ -229,10 +191,7 @@ impl DiscreteDmp {
     /// # Errors
     /// When the factor is not finite.
     pub fn set_amplitude(&mut self, amplitude: f64) -> Result<(), MotionError> {
-        vector("amplitude", 1, &[amplitude])?;
-        self.amplitude = amplitude;
-        self.fresh = false;
-        Ok(())
+        self.dmp.set_amplitude(amplitude)
     }
 
     /// Puts the primitive to its beginning at position `y` with velocity `yd` (unit / s), for a movement of `duration`
@@ -241,31 +200,32 @@ impl DiscreteDmp {
     /// # Errors
     /// When sizes differ, a value is not finite or `duration` is not positive; nothing is changed.
     pub fn begin(&mut self, y: &[f64], yd: &[f64], duration: f64) -> Result<(), MotionError> {
-        vector("y", self.y.len(), y)?;
-        vector("yd", self.y.len(), yd)?;
+        vector("y", self.dofs(), y)?;
+        vector("yd", self.dofs(), yd)?;
         constant("duration", duration)?;
-        self.x = 1.0;
-        self.y.copy_from_slice(y);
-        self.yd.copy_from_slice(yd);
-        for (z, v) in self.z.iter_mut().zip(yd) {
-            *z = v * duration;
-        }
-        self.perturbation.fill(0.0);
-        self.coupled = false;
-        self.fresh = false;
+        self.dmp.set_phase(1.0);
+        self.dmp.transformation.put(y, yd, TimeScale::Duration(duration));
+        self.dmp.transformation.perturbation.fill(0.0);
+        self.learner.uncouple();
         Ok(())
+    }
+
+    /// Puts position and velocity (unit / s), at the phase of now.
+    pub(crate) fn put(&mut self, y: &[f64], yd: &[f64], duration: f64) {
+        self.dmp.transformation.put(y, yd, TimeScale::Duration(duration));
     }
 
     /// The state after the last step.
     #[must_use]
     pub fn state(&self) -> DiscreteState<'_> {
-        DiscreteState { x: self.x, y: &self.y, yd: &self.yd, ydd: &self.ydd }
+        let state = &self.dmp.transformation;
+        DiscreteState { x: self.dmp.phase(), y: &state.y, yd: &state.yd, ydd: &state.ydd }
     }
 
     /// Which share of the duration has passed, 1 at its end and more after it.
     #[must_use]
     pub fn progress(&self) -> f64 {
-        -self.x.ln() / self.config.alpha_x
+        -self.dmp.phase().ln() / self.config.alpha_x
     }
 
     /// Adds `c` (one a degree of freedom) to (4) for the next step only: the movement gives way and comes back.
@@ -276,8 +236,8 @@ impl DiscreteDmp {
     /// # Source
     /// Eq. (12).
     pub fn perturb(&mut self, c: &[f64]) -> Result<(), MotionError> {
-        vector("perturbation", self.perturbation.len(), c)?;
-        self.perturbation.copy_from_slice(c);
+        vector("perturbation", self.dofs(), c)?;
+        self.dmp.transformation.perturbation.copy_from_slice(c);
         Ok(())
     }
 
@@ -289,78 +249,23 @@ impl DiscreteDmp {
     /// # Source
     /// Eqs. (9), (10), (13) with `x r` in place of r.
     pub fn couple(&mut self, c: &[f64]) -> Result<(), MotionError> {
-        vector("coupling", self.coupling.len(), c)?;
-        self.coupling.copy_from_slice(c);
-        self.coupled = true;
-        Ok(())
+        self.learner.couple(c)
     }
 
     /// Advances by `dt` s of a movement of `duration` s, which may change while it runs. After the duration the
     /// position goes on to the goal. Does not allocate.
     ///
     /// # Errors
-    /// When `dt` or `duration` is not positive or the result would not be finite; the state is unchanged.
+    /// When `dt` or `duration` is not positive or the result would not be finite. State and weights are unchanged, and a
+    /// coupling waits for the next step.
     pub fn step(&mut self, dt: f64, duration: f64) -> Result<DiscreteState<'_>, MotionError> {
         positive("dt", dt)?;
         constant("duration", duration)?;
-        let advance = dt / duration;
-        within("dt / duration", advance, 0.0, LARGEST)?;
-        self.refresh();
-        if self.coupled {
-            let coupling = std::mem::take(&mut self.coupling);
-            self.update_weights(dt, self.x, &coupling);
-            self.coupling = coupling;
-        }
-        // The floor keeps the kernels' arguments apart from 0, long after the end.
-        let x = (self.x * (-self.config.alpha_x * advance).exp()).max(1e-12);
-        self.evaluate_forcing(x);
-        self.fresh = false;
-        let (alpha, beta) = (self.config.alpha_z, self.config.beta_z);
-        let transition = Transition::new(alpha, beta, advance);
-        for d in 0..self.y.len() {
-            let forcing = 0.5 * (self.forcing[d] + self.next_forcing[d]) + self.perturbation[d];
-            let rest = self.goal[d] + forcing / (alpha * beta);
-            let (offset, z) = transition.apply(self.y[d] - rest, self.z[d]);
-            self.next_y[d] = rest + offset;
-            self.next_z[d] = z;
-        }
-        self.commit(x, duration)
-    }
-
-    fn commit(&mut self, x: f64, duration: f64) -> Result<DiscreteState<'_>, MotionError> {
-        let (alpha, beta) = (self.config.alpha_z, self.config.beta_z);
-        self.coupled = false;
-        finite("position", &self.next_y)?;
-        finite("velocity", &self.next_z)?;
-        std::mem::swap(&mut self.y, &mut self.next_y);
-        std::mem::swap(&mut self.z, &mut self.next_z);
-        std::mem::swap(&mut self.forcing, &mut self.next_forcing);
-        self.x = x;
-        self.fresh = true;
-        for d in 0..self.y.len() {
-            let pull = alpha * (beta * (self.goal[d] - self.y[d]) - self.z[d]);
-            self.yd[d] = self.z[d] / duration;
-            self.ydd[d] = (pull + self.forcing[d] + self.perturbation[d]) / (duration * duration);
-            self.perturbation[d] = 0.0;
-        }
+        within("dt / duration", dt / duration, 0.0, LARGEST)?;
+        let step =
+            |dmp: &mut Dmp<_>| dmp.step(dt, TimeScale::Duration(duration), Integrator::Exact, |_, _| 0.0);
+        self.learner.step(&mut self.dmp, dt, step)?;
         Ok(self.state())
-    }
-
-    /// Brings kernel values and forcing term up to date with phase, weights and amplitude.
-    fn refresh(&mut self) {
-        if !self.fresh {
-            self.evaluate_forcing(self.x);
-            std::mem::swap(&mut self.forcing, &mut self.next_forcing);
-            self.fresh = true;
-        }
-    }
-
-    fn evaluate_forcing(&mut self, x: f64) {
-        let sum = self.kernels.evaluate(x, &mut self.psi);
-        let scale = self.amplitude * x / sum;
-        for (f, w) in self.next_forcing.iter_mut().zip(self.weights.chunks_exact(self.psi.len())) {
-            *f = scale * w.iter().zip(&self.psi).map(|(w, p)| w * p).sum::<f64>();
-        }
     }
 }
 

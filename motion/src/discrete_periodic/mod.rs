@@ -3,7 +3,8 @@
 //!
 //! The phase starts far from its limit cycle, where the kernels of the discrete part lie along its spiral, and settles on
 //! the cycle, where only the phase angle and the periodic kernels are left. `discrete_periodic/phase.rs` is the canonical
-//! system, `kernels.rs` the two kernel sets, `learning.rs` the regression. A control signal on the same kernels is
+//! system, `kernels.rs` the two kernel sets, `learning.rs` the regression; the rest is `dmp/mod.rs`, with the control signal
+//! as a second kernel sum. A control signal on the same kernels is
 //! learned by [`crate::LearningControl`].
 //!
 //! Equation numbers refer to Gams, Ude and Morimoto, "Efficient synchronization of dual-arm humanoid robot movement
@@ -19,14 +20,13 @@ use std::f64::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{LARGEST, MotionError, finite, positive, vector, within};
-use crate::pdmp::Transition;
-
 pub use self::config::DiscretePeriodicConfig;
 use self::kernels::BlendedKernels;
 pub use self::learning::differentiate;
 pub use self::phase::{CanonicalRule, CanonicalSystem};
 use self::saved::Saved;
+use crate::dmp::{Canonical, Dmp, Integrator, TimeScale};
+use crate::error::{LARGEST, MotionError, positive, vector, within};
 
 /// What a step yields; the slices have one value a degree of freedom.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,38 +53,21 @@ pub struct DiscretePeriodicState<'a> {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Saved", into = "Saved")]
 pub struct DiscretePeriodicDmp {
-    pub(crate) config: DiscretePeriodicConfig,
-    pub(crate) kernels: BlendedKernels,
+    config: DiscretePeriodicConfig,
     /// Frequency and duration T of the demonstration.
     omega: f64,
     duration: f64,
-    start_radius: f64,
-    pub(crate) centre: Vec<f64>,
     start: Vec<f64>,
     /// Derivative after the phase at the start, unit / rad.
     start_slope: Vec<f64>,
-    /// Degree of freedom by degree of freedom, first the periodic kernels, then the discrete ones.
-    pub(crate) weights: Vec<f64>,
-    /// The same of (13), for the demonstrated frequency, unit / s.
-    control_weights: Vec<f64>,
-    phase: f64,
-    radius: f64,
-    y: Vec<f64>,
-    z: Vec<f64>,
-    yd: Vec<f64>,
-    ydd: Vec<f64>,
+    /// The weights of both sums: first the periodic kernels, then the discrete ones. Those of the control signal (13) are
+    /// for the demonstrated frequency, unit / s.
+    dmp: Dmp<BlendedKernels, 2>,
     correction: Vec<f64>,
-    /// Forcing term and control at (phase, radius), valid while `fresh`.
-    forcing: Vec<f64>,
-    control: Vec<f64>,
-    fresh: bool,
-    /// Normalised kernel values of the last evaluation.
-    psi: Vec<f64>,
-    next_forcing: Vec<f64>,
-    next_control: Vec<f64>,
-    next_y: Vec<f64>,
-    next_z: Vec<f64>,
 }
+
+/// Which kernel sum is the control signal.
+const CONTROL: usize = 1;
 
 impl DiscretePeriodicDmp {
     /// A primitive that stands still in 0, for a discrete part of `duration` s that flows into a motion of `omega` rad/s.
@@ -96,35 +79,16 @@ impl DiscretePeriodicDmp {
         config.validate()?;
         within("omega", omega, 1e-9, 1e9)?;
         within("omega * duration", omega * duration, 1e-6, 1e4)?;
-        let kernels = BlendedKernels::new(&config, omega * duration)?;
+        let kernels = BlendedKernels::new(&config, omega, omega * duration)?;
+        let phase = (-omega * duration, kernels.start_radius());
         let zeros = || vec![0.0; config.dofs];
-        let weights = vec![0.0; config.dofs * kernels.len()];
-        let start_radius = kernels.start_radius();
         Ok(Self {
-            psi: vec![0.0; kernels.len()],
-            control_weights: weights.clone(),
-            weights,
-            kernels,
             omega,
             duration,
-            start_radius,
-            centre: zeros(),
             start: zeros(),
             start_slope: zeros(),
-            phase: -omega * duration,
-            radius: start_radius,
-            y: zeros(),
-            z: zeros(),
-            yd: zeros(),
-            ydd: zeros(),
             correction: zeros(),
-            forcing: zeros(),
-            control: zeros(),
-            fresh: false,
-            next_forcing: zeros(),
-            next_control: zeros(),
-            next_y: zeros(),
-            next_z: zeros(),
+            dmp: Dmp::new(kernels, phase, config.dofs, config.alpha_z, config.beta_z),
             config,
         })
     }
@@ -156,19 +120,19 @@ impl DiscretePeriodicDmp {
     /// The phase (phi, r) from which every execution starts: rad, dimensionless.
     #[must_use]
     pub fn initial_phase(&self) -> (f64, f64) {
-        (-self.omega * self.duration, self.start_radius)
+        (-self.omega * self.duration, self.dmp.canonical.start_radius())
     }
 
     /// Kernels of both sets together: the weights a degree of freedom.
     #[must_use]
     pub fn kernels(&self) -> usize {
-        self.kernels.len()
+        self.dmp.canonical.kernels()
     }
 
     /// Weights of the forcing term (5): degree of freedom by degree of freedom, first the periodic kernels.
     #[must_use]
     pub fn weights(&self) -> &[f64] {
-        &self.weights
+        self.dmp.weights()
     }
 
     /// Replaces the weights of the forcing term; the state stays.
@@ -176,16 +140,13 @@ impl DiscretePeriodicDmp {
     /// # Errors
     /// When their number is not `dofs * kernels` or one is not finite.
     pub fn set_weights(&mut self, weights: &[f64]) -> Result<(), MotionError> {
-        vector("weights", self.weights.len(), weights)?;
-        self.weights.copy_from_slice(weights);
-        self.fresh = false;
-        Ok(())
+        self.dmp.set_weights(0, "weights", weights)
     }
 
     /// Weights of the control signal (13), unit / s at the demonstrated frequency, in the order of the others.
     #[must_use]
     pub fn control_weights(&self) -> &[f64] {
-        &self.control_weights
+        &self.dmp.sums[CONTROL].weights
     }
 
     /// Replaces the weights of the control signal; the state stays.
@@ -193,16 +154,13 @@ impl DiscretePeriodicDmp {
     /// # Errors
     /// When their number is not `dofs * kernels` or one is not finite.
     pub fn set_control_weights(&mut self, weights: &[f64]) -> Result<(), MotionError> {
-        vector("control weights", self.control_weights.len(), weights)?;
-        self.control_weights.copy_from_slice(weights);
-        self.fresh = false;
-        Ok(())
+        self.dmp.set_weights(CONTROL, "control weights", weights)
     }
 
     /// The goal g of (1), one a degree of freedom: the mean of the periodic part.
     #[must_use]
     pub fn centre(&self) -> &[f64] {
-        &self.centre
+        &self.dmp.transformation.goal
     }
 
     /// Moves the whole periodic motion, also while running; the position follows smoothly.
@@ -210,22 +168,17 @@ impl DiscretePeriodicDmp {
     /// # Errors
     /// When sizes differ or a value is not finite.
     pub fn set_centre(&mut self, centre: &[f64]) -> Result<(), MotionError> {
-        vector("centre", self.centre.len(), centre)?;
-        self.centre.copy_from_slice(centre);
+        vector("centre", self.dofs(), centre)?;
+        self.dmp.transformation.goal.copy_from_slice(centre);
         Ok(())
     }
 
     /// Puts phase, position and velocity to the start of the demonstration.
     pub fn restart(&mut self) {
-        (self.phase, self.radius) = self.initial_phase();
-        self.y.copy_from_slice(&self.start);
-        self.z.copy_from_slice(&self.start_slope);
-        for (v, z) in self.yd.iter_mut().zip(&self.z) {
-            *v = self.omega * z;
-        }
-        self.ydd.fill(0.0);
+        self.dmp.set_phase(self.initial_phase());
+        self.dmp.transformation.put_slope(&self.start, &self.start_slope, TimeScale::Frequency(self.omega));
+        self.dmp.transformation.ydd.fill(0.0);
         self.correction.fill(0.0);
-        self.fresh = false;
     }
 
     /// As [`restart`](Self::restart) from another position and velocity (unit / s), for a motion of `omega` rad/s.
@@ -233,34 +186,25 @@ impl DiscretePeriodicDmp {
     /// # Errors
     /// When sizes differ, a value is not finite or `omega` is not positive; nothing is changed.
     pub fn restart_from(&mut self, y: &[f64], yd: &[f64], omega: f64) -> Result<(), MotionError> {
-        vector("y", self.y.len(), y)?;
-        vector("yd", self.y.len(), yd)?;
+        vector("y", self.dofs(), y)?;
+        vector("yd", self.dofs(), yd)?;
         within("omega", omega, 1e-9, LARGEST)?;
         self.restart();
-        self.y.copy_from_slice(y);
-        self.yd.copy_from_slice(yd);
-        for (z, v) in self.z.iter_mut().zip(yd) {
-            *z = v / omega;
-        }
+        self.dmp.transformation.put(y, yd, TimeScale::Frequency(omega));
         Ok(())
     }
 
     /// The state after the last step.
     #[must_use]
     pub fn state(&self) -> DiscretePeriodicState<'_> {
-        DiscretePeriodicState {
-            phase: self.phase,
-            radius: self.radius,
-            y: &self.y,
-            yd: &self.yd,
-            ydd: &self.ydd,
-        }
+        let (state, (phase, radius)) = (&self.dmp.transformation, self.dmp.phase());
+        DiscretePeriodicState { phase, radius, y: &state.y, yd: &state.yd, ydd: &state.ydd }
     }
 
     /// Whether the phase is still in the discrete part.
     #[must_use]
     pub fn in_discrete_part(&self) -> bool {
-        self.phase < 0.0
+        self.dmp.phase().0 < 0.0
     }
 
     /// Writes the learned control signal (13) at the phase of now, unit / s, for a motion of `omega` rad/s. Does not allocate.
@@ -268,10 +212,10 @@ impl DiscretePeriodicDmp {
     /// # Errors
     /// When the size differs or `omega` is negative or not finite.
     pub fn control(&mut self, omega: f64, out: &mut [f64]) -> Result<(), MotionError> {
-        crate::error::size("control", self.control.len(), out.len())?;
+        crate::error::size("control", self.dofs(), out.len())?;
         within("omega", omega, 0.0, LARGEST)?;
-        self.refresh();
-        for (o, u) in out.iter_mut().zip(&self.control) {
+        self.dmp.refresh();
+        for (o, u) in out.iter_mut().zip(self.dmp.sums[CONTROL].now()) {
             *o = u * omega / self.omega;
         }
         Ok(())
@@ -302,90 +246,18 @@ impl DiscretePeriodicDmp {
         within("omega", omega, 0.0, LARGEST)?;
         within("omega * dt", omega * dt, 0.0, LARGEST)?;
         within("dt", dt, 0.0, LARGEST)?;
-        self.refresh();
-        let advance = omega * dt;
-        let turned = match self.config.canonical.rule {
-            CanonicalRule::Modified => advance,
-            CanonicalRule::Original => self.omega * dt,
-        };
-        let radius = self.config.canonical.advance(self.radius, turned);
-        let phase = self.phase + advance;
-        finite("phase", &[phase, radius])?;
-        self.evaluate(phase, radius);
-        let transition = Transition::new(self.config.alpha_z, self.config.beta_z, advance);
-        for d in 0..self.y.len() {
-            (self.next_y[d], self.next_z[d]) = self.advance_one(d, dt, omega, &transition);
-        }
-        finite("position", &self.next_y)?;
-        finite("velocity", &self.next_z)?;
-        self.commit(phase, radius, omega);
+        // What was learned of the control signal is for the demonstrated frequency.
+        let (correction, demonstrated) = (&self.correction, self.omega);
+        let input = |d: usize, learned: f64| learned * omega / demonstrated + correction[d];
+        self.dmp.step(dt, TimeScale::Frequency(omega), Integrator::Exact, input)?;
+        self.correction.fill(0.0);
         Ok(self.state())
     }
 
-    /// Position and z of degree of freedom `d` after the step: exact for forcing and control that are constant in it, and
-    /// of second order for what they change.
-    fn advance_one(&self, d: usize, dt: f64, omega: f64, transition: &Transition) -> (f64, f64) {
-        let (alpha, beta) = (self.config.alpha_z, self.config.beta_z);
-        let u = self.input(d, omega, 0.5 * (self.control[d] + self.next_control[d]));
-        if omega <= 0.0 {
-            return (self.y[d] + u * dt, self.z[d]);
-        }
-        let slope = u / omega;
-        let forcing = 0.5 * (self.forcing[d] + self.next_forcing[d]);
-        let rest = self.centre[d] + forcing / (alpha * beta) + slope / beta;
-        let (y, z) = transition.apply(self.y[d] - rest, self.z[d] + slope);
-        (rest + y, z - slope)
-    }
-
-    /// The whole control signal of degree of freedom `d`, unit / s, from what was learned of it at the demonstrated frequency.
-    fn input(&self, d: usize, omega: f64, learned: f64) -> f64 {
-        learned * omega / self.omega + self.correction[d]
-    }
-
-    fn commit(&mut self, phase: f64, radius: f64, omega: f64) {
-        let (alpha, beta) = (self.config.alpha_z, self.config.beta_z);
-        for d in 0..self.y.len() {
-            let pull = alpha * (beta * (self.centre[d] - self.next_y[d]) - self.next_z[d]);
-            self.yd[d] = omega * self.next_z[d] + self.input(d, omega, self.next_control[d]);
-            self.ydd[d] = omega * omega * (pull + self.next_forcing[d]);
-        }
-        std::mem::swap(&mut self.y, &mut self.next_y);
-        std::mem::swap(&mut self.z, &mut self.next_z);
-        std::mem::swap(&mut self.forcing, &mut self.next_forcing);
-        std::mem::swap(&mut self.control, &mut self.next_control);
-        self.correction.fill(0.0);
-        (self.phase, self.radius) = (phase, radius);
-        self.fresh = true;
-    }
-
-    /// Brings forcing term and control up to date with phase and weights.
-    fn refresh(&mut self) {
-        if !self.fresh {
-            self.evaluate(self.phase, self.radius);
-            std::mem::swap(&mut self.forcing, &mut self.next_forcing);
-            std::mem::swap(&mut self.control, &mut self.next_control);
-            self.fresh = true;
-        }
-    }
-
-    /// (5) and (13) at a phase into `next_forcing` and `next_control`.
-    fn evaluate(&mut self, phase: f64, radius: f64) {
-        let used = self.kernels.evaluate(phase, radius, &mut self.psi);
-        let k = self.psi.len();
-        for d in 0..self.next_forcing.len() {
-            let over = |weights: &[f64]| -> f64 {
-                let weights = &weights[d * k..(d + 1) * k];
-                self.psi[used.clone()].iter().zip(&weights[used.clone()]).map(|(p, w)| p * w).sum()
-            };
-            self.next_forcing[d] = over(&self.weights);
-            self.next_control[d] = over(&self.control_weights);
-        }
-    }
-
-    fn take_start(&mut self, y: &[f64], slope: &[f64], centre: Vec<f64>) {
+    fn take_start(&mut self, y: &[f64], slope: &[f64], centre: &[f64]) {
         self.start.copy_from_slice(y);
         self.start_slope.copy_from_slice(slope);
-        self.centre = centre;
+        self.dmp.transformation.goal.copy_from_slice(centre);
     }
 
     /// How long a whole execution with `periods` periods lasts at `omega` rad/s, s.

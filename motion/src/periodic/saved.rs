@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{PeriodicDmp, PeriodicDmpConfig};
-use crate::error::{MotionError, vector, within};
+use crate::error::MotionError;
 
 /// The saved form: everything that makes the motion, not the instant that it was saved in.
 #[derive(Serialize, Deserialize)]
@@ -19,11 +19,11 @@ pub(super) struct Saved {
 impl From<PeriodicDmp> for Saved {
     fn from(dmp: PeriodicDmp) -> Self {
         Self {
+            centre: dmp.centre().to_vec(),
+            amplitude: dmp.amplitude(),
+            weights: dmp.weights().to_vec(),
+            gain: dmp.learner.gain,
             config: dmp.config,
-            centre: dmp.centre,
-            amplitude: dmp.amplitude,
-            weights: dmp.weights,
-            gain: dmp.gain,
         }
     }
 }
@@ -36,11 +36,7 @@ impl TryFrom<Saved> for PeriodicDmp {
         dmp.set_centre(&saved.centre)?;
         dmp.set_amplitude(saved.amplitude)?;
         dmp.set_weights(&saved.weights)?;
-        vector("gain", dmp.gain.len(), &saved.gain)?;
-        for p in &saved.gain {
-            within("gain", *p, 0.0, f64::MAX)?;
-        }
-        dmp.gain = saved.gain;
+        dmp.learner.set_gain(saved.gain)?;
         dmp.start_on_path(0.0, 1.0)?;
         Ok(dmp)
     }

@@ -1,17 +1,29 @@
-//! The bell-shaped kernels over a phase that decays, on which the discrete primitive stands.
+//! The bell-shaped kernels over a phase that decays, and that phase.
+
+use crate::dmp::{Activation, Canonical, TimeScale};
+use crate::error::MotionError;
+
+/// The phase does not fall below this, so that its logarithm stays bounded long after the end.
+const SMALLEST: f64 = 1e-12;
 
 /// `exp(-(u - i)^2 / 0.8)` over `u = (N - 1) t / duration`, which is `-(N - 1) ln x / alpha_x`: equally wide and
 /// equally far from each other in time, the last one holding on after the end.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct DecayKernels {
     count: usize,
+    alpha_x: f64,
     per_log: f64,
 }
 
 impl DecayKernels {
     /// `count` of them, at least 2, for a phase that ends at `exp(-alpha_x)`.
     pub(crate) fn new(count: usize, alpha_x: f64) -> Self {
-        Self { count, per_log: (count - 1) as f64 / alpha_x }
+        Self { count, alpha_x, per_log: (count - 1) as f64 / alpha_x }
+    }
+
+    /// The phase at `t` s of a movement of `duration` s.
+    pub(super) fn phase_at(&self, t: f64, duration: f64) -> f64 {
+        (-self.alpha_x * t / duration).exp().max(SMALLEST)
     }
 
     /// Writes the kernel values at phase `x` to `out` and returns their sum, which is never 0.
@@ -26,6 +38,25 @@ impl DecayKernels {
             sum += *o;
         }
         sum
+    }
+}
+
+/// The canonical system `tau x' = -alpha_x x`.
+impl Canonical for DecayKernels {
+    /// 1 at the start, `exp(-alpha_x)` after the duration.
+    type Phase = f64;
+
+    fn kernels(&self) -> usize {
+        self.count
+    }
+
+    fn advance(&self, x: f64, dt: f64, scale: TimeScale) -> Result<f64, MotionError> {
+        Ok((x * (-self.alpha_x * scale.advance(dt)).exp()).max(SMALLEST))
+    }
+
+    /// The forcing term fades with the phase.
+    fn activate(&self, x: f64, psi: &mut [f64]) -> Activation {
+        Activation { used: 0..psi.len(), sum: self.evaluate(x, psi), gate: x }
     }
 }
 

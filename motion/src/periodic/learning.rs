@@ -3,8 +3,9 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::PeriodicDmp;
+use crate::dmp::{Cutoff, Ridge, TimeScale};
 use crate::error::{LARGEST, MotionError, finite, frequency, positive, vector, within};
-use crate::pdmp::PeriodicDmp;
 
 /// One sample of a demonstrated period, for batch learning; the slices have one value a degree of freedom.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,38 +47,8 @@ impl PeriodicDmp {
         vector("y", n, y)?;
         vector("yd", n, yd)?;
         vector("ydd", n, ydd)?;
-        self.fresh = false;
-        self.kernels.evaluate(phase, &mut self.psi);
-        self.update_gain(dt);
-        let (alpha, beta, r) = (self.config.alpha_z, self.config.beta_z, self.amplitude);
-        let k = self.kernels.len();
-        for (d, w) in self.weights.chunks_exact_mut(k).enumerate() {
-            let target = ydd[d] / (omega * omega) - alpha * (beta * (self.centre[d] - y[d]) - yd[d] / omega);
-            for ((w, psi), p) in w.iter_mut().zip(&self.psi).zip(&self.gain) {
-                *w += psi * p * r * (target - *w * r);
-            }
-        }
+        self.learner.learn(&mut self.dmp, phase, TimeScale::Frequency(omega), dt, [y, yd, ydd]);
         Ok(())
-    }
-
-    /// (9) at the kernel values in `psi`, in the form that needs no division by them.
-    fn update_gain(&mut self, dt: f64) {
-        let lambda = self.config.forgetting.powf(dt / 0.01);
-        let r2 = self.amplitude * self.amplitude;
-        for (p, psi) in self.gain.iter_mut().zip(&self.psi) {
-            *p = (*p / (lambda + *p * r2 * psi)).min(self.config.initial_gain);
-        }
-    }
-
-    /// (9), (10), (13) at the kernel values in `psi`.
-    pub(crate) fn update_weights(&mut self, dt: f64, coupling: &[f64]) {
-        self.update_gain(dt);
-        let k = self.kernels.len();
-        for (w, c) in self.weights.chunks_exact_mut(k).zip(coupling) {
-            for ((w, psi), p) in w.iter_mut().zip(&self.psi).zip(&self.gain) {
-                *w += psi * p * self.amplitude * c;
-            }
-        }
     }
 
     /// Moves the path near `phase` by `shift` (one a degree of freedom, in its unit) for each whole pass over it,
@@ -102,19 +73,11 @@ impl PeriodicDmp {
         finite("phase", &[phase])?;
         vector("advance", 1, &[advance])?;
         vector("shift", shift.len(), shift)?;
-        if self.amplitude == 0.0 {
-            return Err(MotionError::Degenerate { what: "amplitude", why: "0 hides every weight" });
-        }
+        self.dmp.check_amplitude()?;
         let scale = self.config.alpha_z * self.config.beta_z * advance
-            / (std::f64::consts::TAU * self.kernels.mean() * self.amplitude);
+            / (std::f64::consts::TAU * self.kernels().mean() * self.amplitude());
         shift.iter().try_for_each(|s| within("displacement", scale * s, -LARGEST, LARGEST))?;
-        self.fresh = false;
-        self.kernels.evaluate(phase - self.lag(), &mut self.psi);
-        for (w, s) in self.weights.chunks_exact_mut(self.kernels.len()).zip(shift) {
-            for (w, psi) in w.iter_mut().zip(&self.psi) {
-                *w += scale * psi * s;
-            }
-        }
+        self.dmp.add_to_weights(phase - self.lag(), scale, shift);
         Ok(())
     }
 
@@ -131,12 +94,10 @@ impl PeriodicDmp {
     /// When `dt` is not positive, or the amplitude is 0.
     pub fn settle_gain(&mut self, dt: f64) -> Result<(), MotionError> {
         positive("dt", dt)?;
-        if self.amplitude == 0.0 {
-            return Err(MotionError::Degenerate { what: "amplitude", why: "0 hides every weight" });
-        }
-        let forgotten = 1.0 - self.config.forgetting.powf(dt / 0.01);
-        let p = forgotten / (self.kernels.mean() * self.amplitude * self.amplitude);
-        self.gain.fill(p.min(self.config.initial_gain));
+        self.dmp.check_amplitude()?;
+        let r = self.amplitude();
+        let p = self.learner.forgotten(dt) / (self.kernels().mean() * r * r);
+        self.learner.settle(p);
         Ok(())
     }
 
@@ -146,12 +107,12 @@ impl PeriodicDmp {
     /// takes the mean of such means: of a first harmonic that 25 kernels have learned, 3 % are lost. Here the weights
     /// become those whose forcing term has the learned means about the kernels.
     pub fn sharpen(&mut self) {
-        let k = self.kernels.len();
+        let k = self.kernels().len();
         let fine = 16 * k;
         let mut psi = vec![0.0; k];
         let (mut mean, mut total) = (vec![0.0; k], 0.0);
         for s in 0..fine {
-            let sum = self.kernels.evaluate(std::f64::consts::TAU * s as f64 / fine as f64, &mut psi);
+            let sum = self.kernels().evaluate(std::f64::consts::TAU * s as f64 / fine as f64, &mut psi);
             let own = psi[0];
             total += own;
             mean.iter_mut().zip(&psi).for_each(|(m, psi)| *m += own * psi / sum);
@@ -159,12 +120,11 @@ impl PeriodicDmp {
         // All kernels are alike, so the means about kernel i are those about kernel 0, i places on.
         let overlap = DMatrix::from_fn(k, k, |i, j| mean[(j + k - i) % k] / total);
         let Some(factor) = overlap.cholesky() else { return };
-        for w in self.weights.chunks_exact_mut(k) {
+        for w in self.weights_mut().chunks_exact_mut(k) {
             let mut column = DVector::from_column_slice(w);
             factor.solve_mut(&mut column);
             w.copy_from_slice(column.as_slice());
         }
-        self.fresh = false;
     }
 
     /// Learns all weights at once from samples of one or more periods; the centre becomes their mean.
@@ -177,56 +137,23 @@ impl PeriodicDmp {
     /// Least squares on (6) with all kernels at once and a ridge of 1e-9 of the mean diagonal, instead of the
     /// kernel-wise regression of the papers: the path is then met to what the kernels can express.
     pub fn learn_batch(&mut self, samples: &[PhaseSample]) -> Result<(), MotionError> {
-        let (n, k) = (self.dofs(), self.kernels.len());
+        let n = self.dofs();
         check_samples(samples, n)?;
-        if self.amplitude == 0.0 {
-            return Err(MotionError::Degenerate { what: "amplitude", why: "0 hides every weight" });
-        }
+        self.dmp.check_amplitude()?;
         let centre: Vec<f64> =
             (0..n).map(|d| samples.iter().map(|s| s.y[d]).sum::<f64>() / samples.len() as f64).collect();
-        let (normal, moment) = self.normal_equations(samples, &centre);
-        let factor = normal
-            .cholesky()
-            .ok_or(MotionError::Degenerate { what: "samples", why: "their phases leave kernels open" })?;
-        let solution = factor.solve(&moment);
-        finite("weights", solution.as_slice())?;
-        self.weights.copy_from_slice(&solution.as_slice()[..n * k]);
-        self.centre = centre;
-        self.fresh = false;
+        let system = &self.dmp.transformation;
+        let row = |s: &PhaseSample| -> Vec<f64> {
+            (0..n).map(|d| system.forcing(centre[d], s.y[d], s.dy[d], s.ddy[d])).collect()
+        };
+        let targets: Vec<f64> = samples.iter().flat_map(row).collect();
+        let phases = samples.iter().map(|s| s.phase);
+        // Most kernels are far away: their part of the sum is below rounding.
+        let cutoff = Cutoff { first: 1e-9, second: 1e-9 };
+        let weights = self.dmp.regress(phases, &targets, cutoff, Ridge::Relative(1e-9))?;
+        self.weights_mut().copy_from_slice(&weights);
+        self.centre_mut().copy_from_slice(&centre);
         Ok(())
-    }
-
-    /// The normal matrix of the normalised kernels (ridge included) and the right-hand sides, one column a
-    /// degree of freedom.
-    fn normal_equations(&self, samples: &[PhaseSample], centre: &[f64]) -> (DMatrix<f64>, DMatrix<f64>) {
-        let (n, k) = (self.dofs(), self.kernels.len());
-        let (alpha, beta) = (self.config.alpha_z, self.config.beta_z);
-        let mut normal: DMatrix<f64> = DMatrix::zeros(k, k);
-        let mut moment = DMatrix::zeros(k, n);
-        let mut psi = DVector::zeros(k);
-        for s in samples {
-            let sum = self.kernels.evaluate(s.phase, psi.as_mut_slice());
-            psi *= self.amplitude / sum;
-            // Most kernels are far away: their part of the sum is below rounding.
-            let near: Vec<usize> = (0..k).filter(|i| psi[*i].abs() > 1e-9).collect();
-            for &i in &near {
-                for &j in near.iter().take_while(|j| **j <= i) {
-                    normal[(i, j)] += psi[i] * psi[j];
-                }
-                for d in 0..n {
-                    let target = s.ddy[d] - alpha * (beta * (centre[d] - s.y[d]) - s.dy[d]);
-                    moment[(i, d)] += psi[i] * target;
-                }
-            }
-        }
-        let ridge = 1e-9 * (normal.trace() / k as f64).max(f64::MIN_POSITIVE);
-        for i in 0..k {
-            normal[(i, i)] += ridge;
-            for j in 0..i {
-                normal[(j, i)] = normal[(i, j)];
-            }
-        }
-        (normal, moment)
     }
 }
 

@@ -1,9 +1,10 @@
-//! What of the tangential force at the wrist wiping itself explains, learned while wiping; the rest is a push.
+//! A model of the tangential force that wiping itself causes at the wrist, learned while wiping. The rest of the force is a
+//! push.
 //!
 //! Friction is Coulomb's with presliding: a bristle that bends with the motion up to its full deflection, so that a
-//! reversal does not look like a blow. The friction coefficient and a slow bias are found by recursive least squares;
-//! how the bristle bends (evenly up to its limit, as a sponge shears, or ever less, as Dahl has it) and over which
-//! length, by following several at once. While something else pushes, next to nothing is learned.
+//! reversal does not look like a blow. The friction coefficient and a slow bias are found by recursive least squares. How
+//! the bristle bends (in proportion to the way up to its limit, as a sponge shears, or exponentially, as Dahl's) and over
+//! which length is found by running several candidates side by side. During a push hardly anything is learned.
 
 use std::f64::consts::FRAC_PI_4;
 
@@ -20,9 +21,9 @@ pub struct FrictionConfig {
     pub mu: f64,
     /// Memory of coefficient and bias, s.
     pub memory: f64,
-    /// The model counts as learned after so much sliding, m.
+    /// The model counts as learned after this much sliding, m.
     pub learning_distance: f64,
-    /// Once learned, a larger residual is taken for a push and next to not learned from, N.
+    /// Once learned, a larger residual counts as a push and is hardly learned from, N.
     pub gate: f64,
     /// Time constant that smooths the residual, s.
     pub smoothing: f64,
@@ -34,10 +35,10 @@ impl Default for FrictionConfig {
     }
 }
 
-/// Presliding lengths that are followed, m.
+/// Presliding lengths of the candidates, m.
 const LENGTHS: [f64; 9] = [1e-4, 3e-4, 6e-4, 1e-3, 1.7e-3, 3e-3, 5e-3, 8e-3, 1.3e-2];
 
-/// The candidate by which the friction has turned when the motion has, at the latest: 3 mm, elastic.
+/// The candidate whose friction turns latest after the motion has turned: 3 mm, elastic.
 const TURNS_WITHIN: usize = 10;
 
 /// How a bristle bends.
@@ -64,7 +65,7 @@ struct Candidate {
     residual: Vector2<f64>,
 }
 
-/// Explains tangential force by wiping.
+/// Predicts the tangential force of wiping.
 #[derive(Debug, Clone)]
 pub struct FrictionModel {
     config: FrictionConfig,
@@ -75,7 +76,7 @@ pub struct FrictionModel {
 }
 
 impl FrictionModel {
-    /// A model that has learned nothing.
+    /// A model before its first sample.
     ///
     /// # Errors
     /// When a constant cannot be.
@@ -136,7 +137,7 @@ impl FrictionModel {
             candidate.bend(velocity, way);
             candidate.explain(normal, force);
         }
-        // What one of them explains is no push: none wins by calling more of the friction a push than the others.
+        // A force that any candidate explains is no push, so that no candidate gains by calling friction a push.
         let least = self.candidates.iter().map(|c| c.residual.norm()).fold(f64::INFINITY, f64::min);
         let pushed = self.learned() && least > self.config.gate;
         let unexplained = self.unexplained(normal, force);

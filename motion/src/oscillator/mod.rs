@@ -2,8 +2,8 @@
 //! signal of one or several coordinates, whatever its wave form.
 //!
 //! Three things go beyond the paper. The phase error is taken from the whole estimated signal (its derivative after
-//! the phase) instead of the fundamental of one coordinate, so that figures of eight and other weak fundamentals
-//! lock too. All gains scale with the running frequency and the signal's power, so that they settle in the same
+//! the phase) instead of the fundamental of one coordinate, so that figures of eight and other signals with a weak
+//! fundamental lock too. All gains scale with the running frequency and the signal's power, so that they settle in the same
 //! number of periods at any frequency and amplitude. And the start is estimated from the signal so far
 //! ([`PeriodEstimator`]). [`OscillatorRule::Paper`] is the bare rule, to compare.
 
@@ -31,13 +31,13 @@ pub struct AdaptiveOscillator {
     phase: f64,
     /// The loop's own frequency, rad/s.
     loop_omega: f64,
-    /// How fast the phase really goes, rad/s: the same and what the loop adds to the phase for long.
+    /// How fast the phase runs, rad/s: the loop's frequency plus the lasting part of its phase corrections.
     omega: f64,
     /// Phase passed since the oscillator runs, rad.
     passed: f64,
     elapsed: f64,
     drift: Drift,
-    /// Seconds until the past is looked at again.
+    /// Seconds until the past is evaluated again.
     until_look: f64,
     disagreements: u32,
     just_started: bool,
@@ -51,7 +51,7 @@ pub struct AdaptiveOscillator {
 }
 
 impl AdaptiveOscillator {
-    /// An oscillator that has heard nothing.
+    /// An oscillator before its first sample.
     ///
     /// # Errors
     /// When a constant cannot be.
@@ -90,14 +90,14 @@ impl AdaptiveOscillator {
         &self.config
     }
 
-    /// Hears the sample `v` (one value a coordinate), `dt` s after the one before. Between samples the phase runs
-    /// on by itself, so that slow and irregular sampling does no harm.
+    /// Takes the sample `v` (one value a coordinate), `dt` s after the one before. Between samples the phase runs
+    /// on by itself, so that the sampling may be slow and irregular.
     ///
     /// # Errors
     /// When `dt` is not positive or the sample does not fit; nothing is changed.
     ///
     /// # Source
-    /// Eqs. (1)-(3); how it differs is said at the top of the module.
+    /// Eqs. (1)-(3); the top of the module says how it differs.
     pub fn update(&mut self, dt: f64, v: &[f64]) -> Result<(), MotionError> {
         sample_time(dt)?;
         vector("signal", self.config.dims, v)?;
@@ -211,7 +211,7 @@ impl AdaptiveOscillator {
         (d < self.config.dims).then(|| self.series.weight(d, 0).0)
     }
 
-    /// (Re)starts from the past where that says something else than the running frequency.
+    /// (Re)starts from the past where its frequency differs from the running one.
     fn look_back(&mut self, dt: f64) {
         self.until_look -= dt;
         if self.until_look > 0.0 {
@@ -245,7 +245,7 @@ impl AdaptiveOscillator {
     fn start(&mut self, found: PeriodEstimate) {
         self.running = true;
         self.loop_omega = TAU / found.period;
-        // The dip of the difference is flat: the fit itself says more exactly where the period is.
+        // The minimum of the difference is flat: the residual of the fit locates the period more exactly.
         for reach in [0.03, 0.01] {
             let omega = self.loop_omega;
             let [slower, same, faster] = [1.0 - reach, 1.0, 1.0 + reach].map(|r| self.fit_past(omega * r));
@@ -330,13 +330,13 @@ impl AdaptiveOscillator {
         self.phase = (self.phase + drive).rem_euclid(TAU);
         self.loop_omega = (self.loop_omega + drive).clamp(1e-3, 1e3);
         self.omega = self.loop_omega;
-        // Faster than this the weights would swing over what is missed.
+        // A higher rate would make the weights overshoot the error.
         let rate = (learning * dt).min(1.0 / (2 * self.series.harmonics() + 1) as f64);
         self.series.learn_pinned(rate, &self.error, self.series.harmonics(), self.anchor);
         self.periods.residual(self.loop_omega * dt, missed, self.series.power());
     }
 
-    /// Keeps the statistics of what was heard.
+    /// Updates the statistics of the signal.
     fn note(&mut self, dt: f64) {
         self.elapsed += dt;
         if self.counted_from.is_none() && self.passed > 1.5 * TAU {

@@ -1,6 +1,9 @@
-//! The bell-shaped kernels over one period on which every periodic primitive stands (eq. 7).
+//! The bell-shaped kernels over one period (eq. 7), and the phase that goes round it.
 
 use std::f64::consts::TAU;
+
+use crate::dmp::{Activation, Canonical, TimeScale};
+use crate::error::MotionError;
 
 /// `n` equal kernels `exp(h (cos(phase - c_i) - 1))` with centres `c_i = 2 pi i / n`.
 #[derive(Debug, Clone, PartialEq)]
@@ -68,6 +71,24 @@ impl PhaseKernels {
         let samples = 2000;
         let value = |k: usize| (self.width * ((TAU * k as f64 / samples as f64).cos() - 1.0)).exp();
         (0..samples).map(value).sum::<f64>() / samples as f64
+    }
+}
+
+/// The canonical system of a rhythm (eq. 4's Omega): the phase goes round a circle.
+impl Canonical for PhaseKernels {
+    /// rad, in `0..2 pi`.
+    type Phase = f64;
+
+    fn kernels(&self) -> usize {
+        self.len()
+    }
+
+    fn advance(&self, phase: f64, dt: f64, scale: TimeScale) -> Result<f64, MotionError> {
+        Ok((phase + scale.advance(dt)).rem_euclid(TAU))
+    }
+
+    fn activate(&self, phase: f64, psi: &mut [f64]) -> Activation {
+        Activation { used: 0..psi.len(), sum: self.evaluate(phase, psi), gate: 1.0 }
     }
 }
 

@@ -1,0 +1,240 @@
+//! The transformation system of a primitive: a critically damped pull to the goal, driven by the forcing term. In the
+//! phase it is linear with constant coefficients, so that it is integrated exactly.
+//!
+//! It knows no kernel: the forcing term is handed in.
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{MotionError, finite};
+
+/// How a primitive is integrated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Integrator {
+    /// Exact for the linear part, the forcing term averaged over the step: stable for every step width.
+    #[default]
+    Exact,
+    /// Explicit Euler as in the papers' experiments; refuses steps that are too wide to be stable.
+    Euler,
+}
+
+/// How fast the phase runs: a periodic movement at a frequency, a discrete one over a duration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum TimeScale {
+    /// Omega, rad/s; not negative.
+    Frequency(f64),
+    /// `tau = 1 / Omega`, s; over zero.
+    Duration(f64),
+}
+
+impl TimeScale {
+    /// How far the phase goes in `dt` s: rad, or a share of the duration.
+    pub(crate) fn advance(self, dt: f64) -> f64 {
+        match self {
+            Self::Frequency(omega) => omega * dt,
+            Self::Duration(duration) => dt / duration,
+        }
+    }
+
+    /// Velocity (unit / s) from the derivative after the phase.
+    pub(crate) fn velocity(self, slope: f64) -> f64 {
+        match self {
+            Self::Frequency(omega) => omega * slope,
+            Self::Duration(duration) => slope / duration,
+        }
+    }
+
+    /// Acceleration (unit / s^2) from the second derivative after the phase.
+    pub(crate) fn acceleration(self, curvature: f64) -> f64 {
+        match self {
+            Self::Frequency(omega) => omega * omega * curvature,
+            Self::Duration(duration) => curvature / (duration * duration),
+        }
+    }
+
+    /// The derivative after the phase from a velocity (unit / s).
+    pub(crate) fn slope(self, velocity: f64) -> f64 {
+        match self {
+            Self::Frequency(omega) => velocity / omega,
+            Self::Duration(duration) => duration * velocity,
+        }
+    }
+
+    /// The second derivative after the phase from an acceleration (unit / s^2).
+    pub(crate) fn curvature(self, acceleration: f64) -> f64 {
+        match self {
+            Self::Frequency(omega) => acceleration / (omega * omega),
+            Self::Duration(duration) => duration * duration * acceleration,
+        }
+    }
+}
+
+/// State and constants of the transformation system; one value a degree of freedom.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Transformation {
+    alpha: f64,
+    beta: f64,
+    /// The goal, or the centre of a periodic movement.
+    pub(crate) goal: Vec<f64>,
+    pub(crate) y: Vec<f64>,
+    /// Derivative after the phase, without the velocity that is added to it.
+    pub(crate) z: Vec<f64>,
+    pub(crate) yd: Vec<f64>,
+    pub(crate) ydd: Vec<f64>,
+    /// Added to the forcing term in the next step only.
+    pub(crate) perturbation: Vec<f64>,
+    /// Where a step leads, until it is known to be finite.
+    next_y: Vec<f64>,
+    next_z: Vec<f64>,
+}
+
+impl Transformation {
+    pub(super) fn new(dofs: usize, alpha: f64, beta: f64) -> Self {
+        let zeros = || vec![0.0; dofs];
+        Self {
+            alpha,
+            beta,
+            goal: zeros(),
+            y: zeros(),
+            z: zeros(),
+            yd: zeros(),
+            ydd: zeros(),
+            perturbation: zeros(),
+            next_y: zeros(),
+            next_z: zeros(),
+        }
+    }
+
+    pub(crate) fn dofs(&self) -> usize {
+        self.y.len()
+    }
+
+    /// Puts the state to position `y` and velocity `yd` (unit / s); the sizes must be right.
+    pub(crate) fn put(&mut self, y: &[f64], yd: &[f64], scale: TimeScale) {
+        self.y.copy_from_slice(y);
+        self.yd.copy_from_slice(yd);
+        for (z, v) in self.z.iter_mut().zip(yd) {
+            *z = scale.slope(*v);
+        }
+    }
+
+    /// Puts the state to position `y` and derivative after the phase `z`; the sizes must be right.
+    pub(crate) fn put_slope(&mut self, y: &[f64], z: &[f64], scale: TimeScale) {
+        self.y.copy_from_slice(y);
+        self.z.copy_from_slice(z);
+        for (yd, z) in self.yd.iter_mut().zip(z) {
+            *yd = scale.velocity(*z);
+        }
+    }
+
+    /// The forcing term with which a movement passes `y` with derivatives `dy`, `ddy` after the phase, for a goal.
+    pub(crate) fn forcing(&self, goal: f64, y: f64, dy: f64, ddy: f64) -> f64 {
+        ddy - self.pull(goal, y, dy)
+    }
+
+    fn pull(&self, goal: f64, y: f64, z: f64) -> f64 {
+        self.alpha * (self.beta * (goal - y) - z)
+    }
+
+    /// State after `dt` s, exact for a forcing term and a velocity input that are constant in the step.
+    pub(super) fn advance_exactly(
+        &mut self,
+        dt: f64,
+        scale: TimeScale,
+        forcing: impl Fn(usize) -> f64,
+        input: impl Fn(usize) -> f64,
+    ) {
+        let advance = scale.advance(dt);
+        let transition = Transition::new(self.alpha, self.beta, advance);
+        for d in 0..self.dofs() {
+            let u = input(d);
+            if u != 0.0 && advance == 0.0 {
+                // The phase stands still: only the input moves.
+                (self.next_y[d], self.next_z[d]) = (self.y[d] + u * dt, self.z[d]);
+                continue;
+            }
+            let slope = if u == 0.0 { 0.0 } else { scale.slope(u) };
+            let forcing = forcing(d) + self.perturbation[d];
+            let rest = self.goal[d] + forcing / (self.alpha * self.beta) + slope / self.beta;
+            let (offset, z) = transition.apply(self.y[d] - rest, self.z[d] + slope);
+            (self.next_y[d], self.next_z[d]) = (rest + offset, z - slope);
+        }
+    }
+
+    /// State after `dt` s by Euler's rule.
+    pub(super) fn advance_by_euler(&mut self, dt: f64, scale: TimeScale, forcing: impl Fn(usize) -> f64) {
+        let advance = scale.advance(dt);
+        for d in 0..self.dofs() {
+            let pull = self.pull(self.goal[d], self.y[d], self.z[d]);
+            self.next_y[d] = self.y[d] + advance * self.z[d];
+            self.next_z[d] = self.z[d] + advance * (pull + forcing(d) + self.perturbation[d]);
+        }
+    }
+
+    /// Refuses a step that leads out of all numbers.
+    pub(super) fn check(&self) -> Result<(), MotionError> {
+        finite("position", &self.next_y)?;
+        finite("velocity", &self.next_z)
+    }
+
+    /// Takes the step; `forcing` and `input` are those at its end.
+    pub(super) fn commit(
+        &mut self,
+        scale: TimeScale,
+        forcing: impl Fn(usize) -> f64,
+        input: impl Fn(usize) -> f64,
+    ) {
+        std::mem::swap(&mut self.y, &mut self.next_y);
+        std::mem::swap(&mut self.z, &mut self.next_z);
+        for d in 0..self.y.len() {
+            let pull = self.pull(self.goal[d], self.y[d], self.z[d]);
+            self.yd[d] = scale.velocity(self.z[d]) + input(d);
+            self.ydd[d] = scale.acceleration(pull + forcing(d) + self.perturbation[d]);
+            self.perturbation[d] = 0.0;
+        }
+    }
+}
+
+/// The `alpha_z * omega * dt` from which on Euler's rule on (4), (5) does not decay any more (Jury's criterion on
+/// `l^2 - (2 - u) l + 1 - u + u^2 beta / alpha`): 4 where it is critically damped.
+pub(crate) fn widest_euler_step(alpha: f64, beta: f64) -> f64 {
+    let ratio = beta / alpha;
+    if 4.0 * ratio < 1.0 { 4.0 / (1.0 + (1.0 - 4.0 * ratio).sqrt()) } else { 1.0 / ratio }
+}
+
+/// The exact transition of `(y - rest, z)` over a piece of phase.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Transition {
+    yy: f64,
+    yz: f64,
+    zy: f64,
+    zz: f64,
+}
+
+impl Transition {
+    /// `exp(M advance)` of `M = [[0, 1], [-alpha beta, -alpha]]`, in its three cases.
+    pub(crate) fn new(alpha: f64, beta: f64, advance: f64) -> Self {
+        let half = 0.5 * alpha;
+        let stiffness = alpha * beta;
+        let squared = stiffness - half * half;
+        // exp(-half a) times cos and sin / rate, written so that nothing overflows for wide steps.
+        let (cosine, sine) = if squared > 1e-12 * stiffness {
+            let rate = squared.sqrt();
+            let decay = (-half * advance).exp();
+            (decay * (rate * advance).cos(), decay * (rate * advance).sin() / rate)
+        } else if squared < -1e-12 * stiffness {
+            let rate = (-squared).sqrt();
+            let slow = ((rate - half) * advance).exp();
+            let fast = ((-rate - half) * advance).exp();
+            (0.5 * (slow + fast), 0.5 * (slow - fast) / rate)
+        } else {
+            let decay = (-half * advance).exp();
+            (decay, decay * advance)
+        };
+        Self { yy: cosine + half * sine, yz: sine, zy: -stiffness * sine, zz: cosine - half * sine }
+    }
+
+    pub(crate) fn apply(&self, y: f64, z: f64) -> (f64, f64) {
+        (self.yy * y + self.yz * z, self.zy * y + self.zz * z)
+    }
+}

@@ -1,0 +1,121 @@
+//! Dynamic movement primitives of orientations, as unit quaternions: [`PeriodicOrientationDmp`] for a rhythm,
+//! [`DiscreteOrientationDmp`] for a turn to a goal.
+//!
+//! An orientation q is described by the rotation vector e that leads to it from the goal (or centre) g, in the frame in
+//! which both are given:
+//!
+//! ```text
+//! e = 2 log(q g*)          tau z' = alpha_z (beta_z (0 - e) - z) + f
+//! q = exp(e / 2) g         tau e' = z
+//! ```
+//!
+//! So the core of all primitives (`dmp/mod.rs`) integrates e, and all that is known of it (exact steps, steady paths,
+//! learning, couplings) holds for orientations too. The angular velocity is `J(e) e'` with the left Jacobian J of the
+//! rotations. The norm of q is 1 by construction.
+//!
+//! # Source
+//! Abu-Dakka, Saveriano and Peternel, "Periodic DMP formulation for quaternion trajectories", ICAR 2021 (the approach by
+//! projection onto the tangent space); the discrete form after Ude, Nemec, Petrič and Morimoto, "Orientation in Cartesian
+//! space dynamic movement primitives", ICRA 2014. Differs from the latter in: z is the derivative of e after the phase and
+//! not the angular velocity. For turns about one axis both are the same; otherwise they differ in second order of e.
+//!
+//! It moves no hand and knows no position: those are degrees of freedom of the other primitives.
+
+mod discrete;
+mod periodic;
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
+pub use self::discrete::DiscreteOrientationDmp;
+pub use self::periodic::PeriodicOrientationDmp;
+use crate::error::{MotionError, finite};
+
+/// What a step of an orientation yields, in the frame in which the demonstration was given.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OrientationState {
+    /// The orientation.
+    pub orientation: UnitQuaternion<f64>,
+    /// Angular velocity, rad/s.
+    pub angular_velocity: Vector3<f64>,
+}
+
+/// The orientation with its angular velocity, from the rotation vector `e` from `goal` and its derivative `ed`, rad/s.
+fn state_of(goal: &UnitQuaternion<f64>, e: &[f64], ed: &[f64]) -> OrientationState {
+    let (e, ed) = (Vector3::from_column_slice(e), Vector3::from_column_slice(ed));
+    OrientationState {
+        orientation: UnitQuaternion::from_scaled_axis(e) * goal,
+        angular_velocity: angular_velocity(&e, &ed),
+    }
+}
+
+/// `J(e) ed`: the angular velocity of `exp(e)` in the frame that stands still.
+fn angular_velocity(e: &Vector3<f64>, ed: &Vector3<f64>) -> Vector3<f64> {
+    let angle2 = e.norm_squared();
+    let angle = angle2.sqrt();
+    // Near 0 the quotients lose their digits; their series' next terms are below rounding there.
+    let (a, b) = if angle < 1e-4 {
+        (0.5 - angle2 / 24.0, 1.0 / 6.0 - angle2 / 120.0)
+    } else {
+        ((1.0 - angle.cos()) / angle2, (angle - angle.sin()) / (angle2 * angle))
+    };
+    let turned = e.cross(ed);
+    ed + a * turned + b * e.cross(&turned)
+}
+
+/// `J(e)^-1 omega`: the derivative of the rotation vector `e` at an angular velocity, rad/s.
+fn rotation_rate(e: &Vector3<f64>, omega: &Vector3<f64>) -> Vector3<f64> {
+    let angle2 = e.norm_squared();
+    let angle = angle2.sqrt();
+    let c = if angle < 1e-4 {
+        1.0 / 12.0 + angle2 / 720.0
+    } else {
+        (1.0 - 0.5 * angle * (0.5 * angle).cos() / (0.5 * angle).sin()) / angle2
+    };
+    let turned = e.cross(omega);
+    omega - 0.5 * turned + c * e.cross(&turned)
+}
+
+/// The rotation vector from `goal` to `q`: of all that lead there the one nearest to `near`; for `near` = 0 the shortest.
+fn rotation_vector(goal: &UnitQuaternion<f64>, q: &UnitQuaternion<f64>, near: &Vector3<f64>) -> Vector3<f64> {
+    let shortest = (q * goal.inverse()).scaled_axis();
+    // Whole turns about its own axis lead to the same orientation; without an axis those about the one of `near` do.
+    let Some(axis) = shortest.try_normalize(1e-12).or_else(|| near.try_normalize(1e-12)) else {
+        return shortest;
+    };
+    let turns = ((near - shortest).dot(&axis) / std::f64::consts::TAU).round();
+    shortest + axis * (std::f64::consts::TAU * turns)
+}
+
+/// The rotation vectors from `goal` to `orientations`, each the one nearest to that before it, beginning with `near`.
+fn rotation_vectors<'q>(
+    goal: &UnitQuaternion<f64>,
+    orientations: impl Iterator<Item = &'q UnitQuaternion<f64>>,
+    near: Vector3<f64>,
+) -> Vec<Vector3<f64>> {
+    orientations
+        .scan(near, |last, q| {
+            *last = rotation_vector(goal, q, last);
+            Some(*last)
+        })
+        .collect()
+}
+
+/// Refuses what is not finite.
+fn check_orientations(orientations: &[UnitQuaternion<f64>]) -> Result<(), MotionError> {
+    orientations.iter().try_for_each(|q| finite("orientation", q.coords.as_slice()))
+}
+
+/// A quaternion as it is stored: w, x, y, z.
+fn stored(q: &UnitQuaternion<f64>) -> [f64; 4] {
+    [q.w, q.i, q.j, q.k]
+}
+
+/// The unit quaternion that was stored as w, x, y, z.
+fn read([w, x, y, z]: [f64; 4]) -> Result<UnitQuaternion<f64>, MotionError> {
+    finite("orientation", &[w, x, y, z])?;
+    UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6)
+        .ok_or(MotionError::Degenerate { what: "orientation", why: "the quaternion has no length" })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,381 @@
+//! A motion while it runs. The skill that executes it owns it; others send it edits.
+//!
+//! - [`RunningMotions`]: the motions that run in this process, by their address in memory.
+//! - [`MotionOwner`]: what the executing skill holds. It takes the edits that were sent before each control step.
+//! - [`MotionEditor`]: what a coach holds. It sees the motion with all edits that were sent so far, and sends its own.
+//!
+//! Edits are differences ([`MotionEdit`]): they add up in any order, and none is lost. What waits for the owner is one sum,
+//! so that it takes no more room however many edits were sent. Versions are written into memory by a task beside the
+//! control loop. A version that somebody else writes there meanwhile becomes an edit too: its difference from the one
+//! before. The surface is learned by the owner alone: what others write of it while the motion runs is not taken.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Weak};
+use std::time::Duration;
+
+use armarium_memoryx::{EntityId, Memory, MemoryError, Snapshot};
+use armarium_motion::{DmpState, Motion, MotionEdit, MotionError, PeriodicDmp, SurfaceCorrection};
+use armarium_runtime::skill::Failure;
+use parking_lot::Mutex;
+use tokio::sync::{Notify, broadcast};
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
+
+use crate::motions::{self, failed};
+
+/// The least time between two versions in memory.
+const WRITE_EVERY: Duration = Duration::from_millis(20);
+/// How often a version is tried again when somebody else was faster.
+const TRIES: usize = 8;
+
+/// The motions that run in this process; clones share them.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct RunningMotions(Arc<Mutex<BTreeMap<EntityId, Weak<Shared>>>>);
+
+/// What owner, editors and recorder share of one motion.
+#[derive(Debug)]
+struct Shared {
+    state: Mutex<State>,
+    /// Woken by each edit.
+    edited: Arc<Notify>,
+}
+
+#[derive(Debug)]
+struct State {
+    /// The motion as it will run once the owner has taken all edits, at the phase of its last step.
+    view: PeriodicDmp,
+    /// rad/s
+    omega: f64,
+    /// The robot's time at the owner's last step.
+    stamp_ns: u64,
+    /// The sum of the edits that the owner has not taken yet.
+    pending: MotionEdit,
+    /// Whether the view has changed since it was last written to memory.
+    unwritten: bool,
+    /// Whether the execution has ended, so that no edit would be taken any more.
+    ended: bool,
+    /// Why a version that somebody else wrote cannot be taken.
+    refused: Option<Failure>,
+}
+
+impl State {
+    fn edit(&mut self, edit: &MotionEdit) -> Result<(), MotionError> {
+        edit.apply(&mut self.view)?;
+        self.pending.add(edit)
+    }
+}
+
+impl RunningMotions {
+    /// Makes the caller the owner of the newest version of a motion in memory.
+    ///
+    /// # Errors
+    /// When another skill runs the motion, or memory does not have it.
+    pub(crate) async fn own(&self, memory: &Arc<dyn Memory>, id: &EntityId) -> Result<MotionOwner, Failure> {
+        // Subscribed before the look, so that no version falls between the two.
+        let updates = memory.subscribe();
+        let (motion, version) = motions::load(&**memory, id).await?;
+        let dmp = motion.primitive().clone();
+        let state = State {
+            view: dmp.clone(),
+            omega: 0.0,
+            stamp_ns: 0,
+            pending: MotionEdit::none(&dmp),
+            unwritten: false,
+            ended: false,
+            refused: None,
+        };
+        let edited = Arc::new(Notify::new());
+        let shared = Arc::new(Shared { state: Mutex::new(state), edited: Arc::clone(&edited) });
+        {
+            let mut running = self.0.lock();
+            running.retain(|_, shared| shared.strong_count() > 0);
+            if running.contains_key(id) {
+                return Err(Failure::new(format!("the motion `{id}` is already being executed")));
+            }
+            running.insert(id.clone(), Arc::downgrade(&shared));
+        }
+        let stop = CancellationToken::new();
+        let recorder = Recorder {
+            memory: Arc::clone(memory),
+            id: id.clone(),
+            shared: Arc::downgrade(&shared),
+            written: motion.clone(),
+            version,
+        };
+        let task = tokio::spawn(recorder.follow(updates, edited, stop.clone()));
+        Ok(MotionOwner { shared, motion, dmp, recorder: Some(task), stop })
+    }
+
+    /// A way to edit a motion that runs.
+    ///
+    /// # Errors
+    /// When nobody in this process executes it.
+    pub(crate) fn edit(&self, id: &EntityId) -> Result<MotionEditor, Failure> {
+        let shared = self.0.lock().get(id).cloned().unwrap_or_default();
+        let view = shared.upgrade().ok_or_else(not_running)?.state.lock().view.clone();
+        let edit = MotionEdit::none(&view);
+        Ok(MotionEditor { shared, weights: view.weights().to_vec(), centre: view.centre().to_vec(), edit })
+    }
+}
+
+fn not_running() -> Failure {
+    Failure::new("no motion is running that could be coached")
+}
+
+/// The executing skill's motion.
+pub(crate) struct MotionOwner {
+    shared: Arc<Shared>,
+    motion: Motion,
+    dmp: PeriodicDmp,
+    recorder: Option<JoinHandle<Recorder>>,
+    stop: CancellationToken,
+}
+
+impl MotionOwner {
+    /// The motion as it was when it began to run.
+    pub(crate) fn motion(&self) -> &Motion {
+        &self.motion
+    }
+
+    /// The state of the primitive.
+    pub(crate) fn state(&self) -> DmpState<'_> {
+        self.dmp.state()
+    }
+
+    /// Puts the primitive onto its steady path at `phase` rad.
+    pub(crate) fn start_on_path(&mut self, phase: f64) -> Result<(), Failure> {
+        self.dmp.start_on_path(phase, self.motion.omega()).map_err(failed)?;
+        self.shared.state.lock().view.set_phase(phase).map_err(failed)
+    }
+
+    /// Takes the edits that were sent, and advances by `dt` s at `omega` rad/s; `stamp_ns` is the robot's time.
+    ///
+    /// # Errors
+    /// When the step is refused, or somebody wrote a version into memory that cannot be executed.
+    pub(crate) fn step(&mut self, dt: f64, omega: f64, stamp_ns: u64) -> Result<(), Failure> {
+        {
+            let mut state = self.shared.state.lock();
+            if let Some(failure) = state.refused.take() {
+                return Err(failure);
+            }
+            if !state.pending.is_empty() {
+                let State { view, pending, .. } = &mut *state;
+                pending.apply(&mut self.dmp).map_err(failed)?;
+                pending.clear();
+                // Sums of differences are off in the last bits: what runs is what counts.
+                view.set_weights(self.dmp.weights()).map_err(failed)?;
+                view.set_centre(self.dmp.centre()).map_err(failed)?;
+            }
+        }
+        let phase = self.dmp.step(dt, omega).map_err(failed)?.phase;
+        let mut state = self.shared.state.lock();
+        (state.omega, state.stamp_ns) = (omega, stamp_ns);
+        state.view.set_phase(phase).map_err(failed)
+    }
+
+    /// Sets the third coordinate of the centre, m.
+    pub(crate) fn set_height(&mut self, z: f64) -> Result<(), Failure> {
+        let mut state = self.shared.state.lock();
+        let mut raised = state.view.clone();
+        let mut centre = raised.centre().to_vec();
+        if let Some(height) = centre.get_mut(2) {
+            *height = z;
+        }
+        raised.set_centre(&centre).map_err(failed)?;
+        let edit = MotionEdit::between(&state.view, &raised).map_err(failed)?;
+        state.unwritten = true;
+        state.edit(&edit).map_err(failed)
+    }
+
+    /// Ends the execution: edits are refused from now on. Writes what has changed since the last version: the edits, and
+    /// what was learned of the surface; `learned_from` says from what, if not from coaching.
+    pub(crate) async fn finish(
+        mut self,
+        surface: Option<&SurfaceCorrection>,
+        learned_from: Option<&str>,
+    ) -> Result<(), Failure> {
+        self.shared.state.lock().ended = true;
+        self.stop.cancel();
+        let Some(task) = self.recorder.take() else { return Ok(()) };
+        let mut recorder = task.await.map_err(failed)?;
+        recorder.write(surface, learned_from).await
+    }
+}
+
+impl Drop for MotionOwner {
+    fn drop(&mut self) {
+        if let Some(task) = &self.recorder {
+            task.abort();
+        }
+    }
+}
+
+/// A coach's access to a motion that somebody else executes.
+#[derive(Debug)]
+pub(crate) struct MotionEditor {
+    shared: Weak<Shared>,
+    /// Scratch: the view before a change, and the change.
+    weights: Vec<f64>,
+    centre: Vec<f64>,
+    edit: MotionEdit,
+}
+
+impl MotionEditor {
+    /// The motion with all edits that were sent so far.
+    pub(crate) fn view(&self) -> Result<PeriodicDmp, Failure> {
+        Ok(self.shared.upgrade().ok_or_else(not_running)?.state.lock().view.clone())
+    }
+
+    /// Lets `change` act on the motion as it is now (with the frequency at which it runs, rad/s), and sends the owner what
+    /// has changed. `change` must be quick: the owner's control step waits for it.
+    ///
+    /// # Errors
+    /// When the motion does not run any more, or the change is refused.
+    pub(crate) fn edit<T>(
+        &mut self,
+        change: impl FnOnce(&mut PeriodicDmp, f64) -> Result<T, MotionError>,
+    ) -> Result<T, Failure> {
+        let shared = self.shared.upgrade().ok_or_else(not_running)?;
+        let mut state = shared.state.lock();
+        if state.ended {
+            return Err(not_running());
+        }
+        self.weights.copy_from_slice(state.view.weights());
+        self.centre.copy_from_slice(state.view.centre());
+        let omega = state.omega;
+        let result = change(&mut state.view, omega).map_err(failed)?;
+        self.edit.clear();
+        self.edit.add_difference(&self.weights, &self.centre, &state.view).map_err(failed)?;
+        // The view has the change already; the owner takes it before its next step.
+        if !self.edit.is_empty() {
+            state.pending.add(&self.edit).map_err(failed)?;
+            state.unwritten = true;
+            shared.edited.notify_one();
+        }
+        Ok(result)
+    }
+}
+
+/// Writes versions of a running motion into memory, and takes those of others.
+struct Recorder {
+    memory: Arc<dyn Memory>,
+    id: EntityId,
+    shared: Weak<Shared>,
+    /// The newest version in memory that is known here.
+    written: Motion,
+    version: u64,
+}
+
+impl Recorder {
+    /// Follows memory and the edits until it is stopped. Holds the motion only while it reads or writes it.
+    async fn follow(
+        mut self,
+        mut updates: broadcast::Receiver<Arc<Snapshot>>,
+        edited: Arc<Notify>,
+        stop: CancellationToken,
+    ) -> Self {
+        loop {
+            tokio::select! {
+                biased;
+                () = stop.cancelled() => return self,
+                update = updates.recv() => match update {
+                    Ok(snapshot) => self.take(&snapshot),
+                    Err(broadcast::error::RecvError::Lagged(_)) => {
+                        let caught_up = self.catch_up().await;
+                        self.log(caught_up);
+                    }
+                    Err(broadcast::error::RecvError::Closed) => {
+                        stop.cancelled().await;
+                        return self;
+                    }
+                },
+                () = edited.notified() => {
+                    let written = self.write(None, None).await;
+                    self.log(written);
+                    tokio::select! {
+                        biased;
+                        () = stop.cancelled() => return self,
+                        () = tokio::time::sleep(WRITE_EVERY) => {}
+                    }
+                }
+            }
+        }
+    }
+
+    fn log(&self, done: Result<(), Failure>) {
+        if let Err(failure) = done {
+            tracing::warn!("the motion `{}` and its versions in memory differ: {}", self.id, failure.reason);
+        }
+    }
+
+    /// Makes a version that somebody else has written an edit of the running motion.
+    fn take(&mut self, snapshot: &Snapshot) {
+        if snapshot.id != self.id || snapshot.version <= self.version {
+            return;
+        }
+        let Some(shared) = self.shared.upgrade() else { return };
+        let edit = motions::motion_of(snapshot).and_then(|motion| {
+            let edit = MotionEdit::between(self.written.primitive(), motion.primitive()).map_err(failed)?;
+            shared.state.lock().edit(&edit).map_err(failed)?;
+            Ok(motion)
+        });
+        match edit {
+            Ok(motion) => (self.written, self.version) = (motion, snapshot.version),
+            Err(failure) => shared.state.lock().refused = Some(failure),
+        }
+    }
+
+    /// Takes the newest version in memory.
+    async fn catch_up(&mut self) -> Result<(), Failure> {
+        let newest = self.memory.latest(&self.id).await.map_err(failed)?;
+        self.take(&newest);
+        Ok(())
+    }
+
+    /// Writes the motion with all edits as the next version, if something has changed. A version that somebody else has
+    /// written meanwhile is taken first.
+    async fn write(
+        &mut self,
+        surface: Option<&SurfaceCorrection>,
+        learned_from: Option<&str>,
+    ) -> Result<(), Failure> {
+        let Some(shared) = self.shared.upgrade() else { return Ok(()) };
+        for _ in 0..TRIES {
+            let (view, edited, stamp_ns) = {
+                let mut state = shared.state.lock();
+                (state.view.clone(), std::mem::take(&mut state.unwritten), state.stamp_ns)
+            };
+            if !edited && surface.is_none() {
+                return Ok(());
+            }
+            let before = if edited { "coaching" } else { self.written.learned_from() };
+            let next = self.written.next_version(view, learned_from.unwrap_or(before)).map_err(failed)?;
+            let next = match surface {
+                Some(surface) => next.with_surface(Some(surface.clone())),
+                None => next,
+            };
+            let commit = motions::commit(&self.id, &next, stamp_ns, Some(self.version))?;
+            match self.memory.commit(vec![commit]).await {
+                Ok(versions) => {
+                    self.version = versions.first().copied().unwrap_or(self.version);
+                    self.written = next;
+                    return Ok(());
+                }
+                Err(error) => {
+                    shared.state.lock().unwritten |= edited;
+                    if !matches!(error, MemoryError::Conflict { .. }) {
+                        return Err(failed(error));
+                    }
+                    self.catch_up().await?;
+                }
+            }
+        }
+        Err(Failure::new(format!(
+            "the motion `{}` is changed by others faster than it can be written",
+            self.id
+        )))
+    }
+}
+
+#[cfg(test)]
+mod tests;
