@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use armarium_bus::SessionError;
 use armarium_memoryx::MemoryError;
 use armarium_runtime::chart::Finding;
-use armarium_runtime::skill::InputError;
 use armarium_runtime::remote::ServeError;
+use armarium_runtime::skill::InputError;
 use armarium_simulator::{SimulationError, WorldError};
 use armarium_viewer::recorder::RecorderError;
 

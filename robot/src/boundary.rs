@@ -1,10 +1,7 @@
-//! The boundary between skills and a robot: what is sensed, who may command, and why a command is refused.
+//! What passes between skills and a robot: what is sensed, bounds of a lease, and why a command is refused. Plain data; the
+//! trait is [`Robot`](crate::Robot).
 
-use std::sync::Arc;
-
-use nalgebra::{Point3, Vector3};
-
-use crate::newest;
+use nalgebra::Vector3;
 
 /// Everything that the robot sensed at one instant. Joint arrays are in the order of the model's joints.
 #[derive(Clone, Debug, PartialEq)]
@@ -116,47 +113,4 @@ pub enum LeaseError {
         /// Why.
         reason: String,
     },
-}
-
-/// Errors of reading a robot's description.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum RobotError {
-    /// The description cannot be used.
-    #[error("robot description: {what}")]
-    Description {
-        /// What is wrong and where.
-        what: String,
-    },
-    /// A name that the description does not hold.
-    #[error("the robot has no {kind} `{name}`; it has {known}")]
-    Unknown {
-        /// Link, joint or limb.
-        kind: &'static str,
-        /// The name asked for.
-        name: String,
-        /// Comma-separated names.
-        known: String,
-    },
-}
-
-/// A robot as skills see it.
-pub trait Robot: Send + Sync {
-    /// Its description.
-    fn model(&self) -> &Arc<crate::Model>;
-    /// The newest sample, and a wake-up at each new one (1 kHz in the simulator).
-    fn sensed(&self) -> newest::Receiver<Arc<Sensed>>;
-    /// Takes the exclusive right to command a limb, until the lease is dropped.
-    ///
-    /// # Errors
-    /// [`LeaseError`] when the limb is taken or unknown, or the robot is stopped.
-    fn lease(&self, limb: &str, holder: &str, limits: LeaseLimits) -> Result<crate::Lease, LeaseError>;
-    /// Takes the present compensated wrist force as zero: call it when nothing touches the hand.
-    fn tare(&self);
-    /// Says what the hand holds, so that its weight is compensated: mass, kg, and centre in the TCP frame, m.
-    fn set_load(&self, mass_kg: f64, center_in_tcp: Point3<f64>);
-    /// Stops every limb for good; later leases are refused.
-    fn stop(&self, reason: &str);
-    /// Says something through the robot's loudspeaker; whoever stands there (the coach) hears it.
-    fn say(&self, utterance: &str);
 }

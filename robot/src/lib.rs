@@ -11,37 +11,35 @@
 //! This room knows no skill, no chart and no physics engine.
 
 mod boundary;
-mod bounds;
 pub mod conformance;
 mod description;
 mod dummy;
-mod force;
+mod error;
 mod gaze;
 mod guard;
 mod ik;
 mod kinematics;
-mod lease;
 mod model;
 pub mod newest;
 mod pose_ik;
 pub mod postures;
+mod seam;
 mod wrist;
 
-pub use boundary::{Fault, LeaseError, LeaseLimits, Robot, RobotError, Sensed, Wrist};
+pub use boundary::{Fault, LeaseError, LeaseLimits, Sensed, Wrist};
 pub use dummy::{DummyRobot, ServoJoints};
+pub use error::RobotError;
 pub use gaze::Gaze;
 pub use guard::{Guard, GuardConfig, JointTargets, Sample};
 pub use ik::{DifferentialIk, IkConfig, IkStep};
 pub use kinematics::{Jacobian, Kinematics, Twist};
-pub use lease::{Commander, GuardedRobot, Lease};
 pub use model::{
     Collision, GRAVITY, Inertial, Joint, JointKind, Limb, LimbSpec, Link, LinkId, Model, Shape, Visual,
 };
 pub use pose_ik::{IkError, PoseOptions, pose_error, solve_pose};
+pub use seam::{Commander, GuardedRobot, Lease, Robot};
 pub use wrist::load_mass;
 
-#[cfg(test)]
-mod guard_tests;
 #[cfg(test)]
 mod ik_tests;
 #[cfg(test)]

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Unit, Vector3};
 
-use crate::RobotError;
+use crate::error::RobotError;
 
 /// Standard gravity in the root frame (z up), m/s².
 pub const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);

@@ -69,4 +69,3 @@ async fn run(equipment: Equipment, running: RunningMotions, context: SkillContex
         }
     }
 }
-

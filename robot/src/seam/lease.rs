@@ -9,8 +9,9 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 use parking_lot::{Mutex, MutexGuard};
 
+use super::robot::Robot;
 use crate::model::Limb;
-use crate::{Fault, LeaseError, LeaseLimits, Model, Robot, Sensed, Wrist, newest};
+use crate::{Fault, LeaseError, LeaseLimits, Model, Sensed, Wrist, newest};
 
 /// Utterances kept until the driver takes them; older ones are dropped.
 const UTTERANCES: usize = 64;

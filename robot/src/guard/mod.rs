@@ -6,14 +6,19 @@
 //! (`bounds.rs`); stop each joint softly before its limits; integrate to a setpoint that stays near the measured position.
 //! Over the force limit the arm gives way.
 
+mod bounds;
+mod force;
+#[cfg(test)]
+mod tests;
+
 use std::sync::Arc;
 use std::time::Duration;
 
 use nalgebra::Vector3;
 
-use crate::bounds::VelocityBounds;
-use crate::force::Sensor;
-use crate::lease::{LeaseTable, Shared};
+use self::bounds::VelocityBounds;
+use self::force::Sensor;
+use crate::seam::lease::{LeaseTable, Shared};
 use crate::{Fault, GuardedRobot, JointKind, Kinematics, Model, Sensed, Wrist};
 
 /// The guard's own limits; leases can only tighten them.

@@ -4,10 +4,11 @@
 
 use nalgebra::{Matrix6, Point3, Vector3, Vector6};
 
-use crate::lease::LeaseTable;
+use super::{GuardConfig, Sample};
 use crate::model::Limb;
+use crate::seam::lease::LeaseTable;
 use crate::wrist::WristEstimator;
-use crate::{Fault, GuardConfig, Jacobian, Kinematics, Model, Sample, Wrist};
+use crate::{Fault, Jacobian, Kinematics, Model, Wrist};
 
 /// Once over its limit, the arm gives way until the force is under this share of it.
 const YIELD_UNTIL: f64 = 0.8;
@@ -16,22 +17,22 @@ const YIELD_DAMPING: f64 = 0.05;
 
 /// The wrist sensor of one limb and what the guard knows of it.
 #[derive(Debug)]
-pub(crate) struct Sensor {
-    pub(crate) limb: Limb,
+pub(super) struct Sensor {
+    pub(super) limb: Limb,
     /// Which limbs move the hand, by their place on the table.
     carriers: Vec<usize>,
-    pub(crate) estimator: WristEstimator,
+    pub(super) estimator: WristEstimator,
     raw: Option<(Vector3<f64>, Vector3<f64>)>,
-    pub(crate) changed_ns: u64,
-    pub(crate) frozen: bool,
-    pub(crate) wrist: Wrist,
+    pub(super) changed_ns: u64,
+    pub(super) frozen: bool,
+    pub(super) wrist: Wrist,
     /// While giving way: the limit that was exceeded and the largest force, N.
-    pub(crate) yielding: Option<(f64, f64)>,
+    pub(super) yielding: Option<(f64, f64)>,
     jacobian: Jacobian,
 }
 
 impl Sensor {
-    pub(crate) fn of(model: &Model) -> Option<Self> {
+    pub(super) fn of(model: &Model) -> Option<Self> {
         let (limb, sensor, tcp) =
             model.limbs().values().find_map(|limb| Some((limb, limb.sensor?, limb.tcp?)))?;
         let moves = |limb: &Limb| limb.joints.iter().any(|&j| model.moves(j, sensor));
@@ -50,7 +51,7 @@ impl Sensor {
     }
 
     /// Takes a raw sample; one that is not finite is none.
-    pub(crate) fn sense(&mut self, kinematics: &Kinematics, sample: &Sample, stamp_ns: u64, dt: f64) {
+    pub(super) fn sense(&mut self, kinematics: &Kinematics, sample: &Sample, stamp_ns: u64, dt: f64) {
         let raw = (sample.force_raw, sample.torque_raw);
         if !raw.0.iter().chain(&raw.1).all(|v| v.is_finite()) {
             return;
@@ -61,7 +62,7 @@ impl Sensor {
         self.wrist = self.estimator.update(kinematics, &sample.velocity, raw, dt.max(1e-6));
     }
 
-    pub(crate) fn find_faults(&mut self, table: &mut LeaseTable, config: &GuardConfig, stamp_ns: u64) {
+    pub(super) fn find_faults(&mut self, table: &mut LeaseTable, config: &GuardConfig, stamp_ns: u64) {
         if self.frozen {
             self.yielding = None;
             let frozen_ms = stamp_ns.saturating_sub(self.changed_ns) / 1_000_000;
@@ -101,7 +102,7 @@ impl Sensor {
     }
 
     /// Joint velocities that move the TCP along the force without turning it, by damped least squares.
-    pub(crate) fn yield_into(
+    pub(super) fn yield_into(
         &mut self,
         kinematics: &Kinematics,
         config: &GuardConfig,

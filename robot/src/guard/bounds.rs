@@ -5,7 +5,7 @@
 
 use nalgebra::Point3;
 
-use crate::lease::LeaseTable;
+use crate::seam::lease::LeaseTable;
 use crate::{Kinematics, LinkId, Model};
 
 /// A TCP and what moves it.
