@@ -35,7 +35,7 @@ pub(crate) fn clients() -> Arc<ShmClientStorage> {
 /// Lets go of all segments in which nobody holds a payload. The last process to do so removes a segment whose sender
 /// has gone.
 pub(crate) fn let_go() {
-    let mut attached = locked(&ATTACHED);
+    let mut attached = ATTACHED.lock();
     attached.retain(|segment| {
         let Some(segment) = segment.upgrade() else { return false };
         segment.let_go();
@@ -75,7 +75,7 @@ impl ShmClient for Client {
     fn attach(&self, id: SegmentID) -> zenoh::Result<Arc<dyn ShmSegment>> {
         let mapped = Mutex::new(Some(PosixShmClient.attach(id)?));
         let segment = Arc::new(Attached { id, mapped });
-        locked(&ATTACHED).push(Arc::downgrade(&segment));
+        ATTACHED.lock().push(Arc::downgrade(&segment));
         Ok(segment)
     }
 }

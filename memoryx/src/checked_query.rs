@@ -5,6 +5,7 @@ use std::cmp::Ordering;
 use std::sync::Arc;
 
 use crate::entity::{EntityId, Snapshot};
+use crate::error::MemoryError;
 use crate::filter::Filter;
 use crate::place::{Region, distance, place_of};
 use crate::query::{Query, Times};

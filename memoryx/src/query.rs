@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
-use crate::filter::Filter;
 use crate::place::Region;
 
 /// Which entities: each part is a name, a name with `*` for any characters, or any where none is given.

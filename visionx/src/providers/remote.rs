@@ -236,8 +236,12 @@ impl RemoteProvider {
         match state.stream.arrive(header.position(), 1) {
             Arrival::InOrder | Arrival::Again => {}
             Arrival::After(lost) if self.again => self.ask_again(lost, state).await,
-            Arrival::After(lost) => add(&self.statistics.missed, lost.count()),
-            Arrival::First => add(&self.statistics.lives, 1),
+            Arrival::After(lost) => {
+                add(&self.statistics.missed, lost.count());
+            }
+            Arrival::First => {
+                add(&self.statistics.lives, 1);
+            }
             Arrival::NewEpoch => {
                 add(&self.statistics.lives, 1);
                 self.compare_cameras();

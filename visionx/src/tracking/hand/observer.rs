@@ -9,7 +9,6 @@ use super::{Fingertip, Gesture, HandObservation};
 use crate::camera::StereoCalibration;
 use crate::components::largest_bounds;
 use crate::frame::StereoFrame;
-use crate::mask::{Mask, Region};
 use crate::tracking::{GestureRecognizer, SeenFinger};
 
 /// Finds a hand and its gesture in a stream of frames.
