@@ -89,8 +89,7 @@ struct Names(RefCell<Vec<Name>>);
 
 impl Environment for Names {
     fn variable(&self, path: &[&str]) -> Result<Variable, Unresolved> {
-        let missing =
-            || Unresolved { kind: Unknown::Name, message: "a name is missing".into(), help: None };
+        let missing = || Unresolved { kind: Unknown::Name, message: "a name is missing".into(), help: None };
         let (name, used) = Name::of(path).ok_or_else(missing)?;
         let ty = name.ty();
         let mut names = self.0.borrow_mut();

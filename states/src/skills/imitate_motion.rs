@@ -64,4 +64,3 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         }
     }
 }
-

@@ -7,7 +7,8 @@ use super::eval::{Macro, Node, Pos};
 use super::functions::{Function, TABLE, Takes};
 use super::typing::{arithmetic, article, comparison, comprehension, dotted, is_text, join, mismatch};
 use super::{
-    Environment, Expr, ExprError, ExprErrorKind as Kind, MAX_SOURCE, Reads, Slot, Unknown, Unresolved, nearest,
+    Environment, Expr, ExprError, ExprErrorKind as Kind, MAX_SOURCE, Reads, Slot, Unknown, Unresolved,
+    nearest,
 };
 use crate::types::{Fit, Type};
 use crate::unit::Unit;
