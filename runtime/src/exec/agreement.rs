@@ -141,8 +141,7 @@ fn executed(program: &Arc<Program>, script: &[(Duration, Outside)]) -> Vec<Trace
         });
         executor.run().await;
         controlling.abort();
-        let trace = trace.lock().unwrap().clone();
-        trace
+        trace.lock().unwrap().clone()
     })
 }
 
