@@ -4,7 +4,6 @@
 
 use armarium_host::Clock;
 use armarium_viewer::progress::Progress;
-use parking_lot::Mutex;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::time::FormatTime;
@@ -84,6 +83,8 @@ mod tests {
     use std::sync::Arc;
 
     use armarium_viewer::progress::Status;
+
+    use parking_lot::Mutex;
 
     use super::*;
 

@@ -6,7 +6,6 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::entity::{EntityId, Snapshot};
-use crate::error::MemoryError;
 use crate::place::Region;
 
 /// Which entities: each part is a name, a name with `*` for any characters, or any where none is given.
@@ -231,6 +230,7 @@ fn fits_stars(pattern: &str, name: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::error::MemoryError;
 
     #[test]
     fn stars_stand_for_any_characters() {

@@ -27,7 +27,7 @@ pub struct ChartSkill {
     description: String,
     registry: Registry,
     stop: Stop,
-    others: Peers,
+    peers: Peers,
 }
 
 impl fmt::Debug for ChartSkill {
@@ -40,13 +40,13 @@ impl ChartSkill {
     /// A chart with the skills that it uses; `stop` is called when one of those does not return.
     #[must_use]
     pub fn new(program: Arc<Program>, description: &str, registry: Registry, stop: Stop) -> Self {
-        Self { program, description: description.to_owned(), registry, stop, others: Peers::default() }
+        Self { program, description: description.to_owned(), registry, stop, peers: Peers::default() }
     }
 
     /// The same chart among those of other agents: it sends them events, and hears what they send.
     #[must_use]
-    pub fn among(mut self, others: Peers) -> Self {
-        self.others = others;
+    pub fn among(mut self, peers: Peers) -> Self {
+        self.peers = peers;
         self
     }
 }
@@ -70,7 +70,7 @@ impl Skill for ChartSkill {
             limits: context.limits,
             sink: Some(Box::new(Leaves(context.inside))),
             on_stuck: Some(Box::new(move |state| stop(state))),
-            others: self.others.clone(),
+            peers: self.peers.clone(),
         };
         let executor =
             Executor::new(Arc::clone(&self.program), self.registry.clone(), context.channels, options);

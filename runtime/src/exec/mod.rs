@@ -61,7 +61,7 @@ pub struct ExecOptions {
     /// long time by the wall clock: stop the robot. In the second case it is called from another thread.
     pub on_stuck: Option<OnStuck>,
     /// The charts of other agents, and how events go to and fro.
-    pub others: Peers,
+    pub peers: Peers,
 }
 
 impl fmt::Debug for ExecOptions {
@@ -162,8 +162,8 @@ impl Executor {
             limits: options.limits,
             sink: options.sink,
             watchdog: Watchdog::new(options.on_stuck, sender.clone()),
-            outbox: Outbox::new(options.others.transport, sender.clone()),
-            subscribers: options.others.subscribers,
+            outbox: Outbox::new(options.peers.transport, sender.clone()),
+            subscribers: options.peers.subscribers,
             sender,
             queue,
             stop: CancellationToken::new(),

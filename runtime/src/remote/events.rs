@@ -155,7 +155,7 @@ mod tests {
     }
 
     fn run(others: &Peers, chart: &str) -> impl Future<Output = RunResult> + use<> {
-        let options = ExecOptions { others: others.clone(), ..ExecOptions::default() };
+        let options = ExecOptions { peers: others.clone(), ..ExecOptions::default() };
         Executor::new(program(chart), Registry::new(), Channels::new(), options).unwrap().run()
     }
 

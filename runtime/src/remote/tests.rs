@@ -45,7 +45,7 @@ fn bob(session: &Session) -> JoinHandle<Result<(), ServeError>> {
 }
 
 /// Checks a chart with what other agents offer. Gives what is wrong, or the program with its skills.
-async fn checked(session: &Session, text: &str) -> Result<(Arc<crate::engine::Program>, Registry), String> {
+async fn checked(session: &Session, text: &str) -> Result<(Arc<crate::program::Program>, Registry), String> {
     let library = chart::load_text("t.yaml", text, &[]);
     let agents = Agents::new(session.clone(), "test", Handle::current());
     let mut registry = Registry::new();

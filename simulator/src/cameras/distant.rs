@@ -8,7 +8,6 @@ use std::sync::Arc;
 use armarium_robot::Model;
 use armarium_visionx::{StereoCalibration, StereoFrame};
 use nalgebra::Isometry3;
-use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 
 use super::{Eyes, View};
@@ -168,6 +167,8 @@ impl DistantCameras {
 
 #[cfg(test)]
 mod tests {
+
+    use parking_lot::Mutex;
 
     use super::*;
     use crate::simulation::{Options, Simulation};
