@@ -153,9 +153,13 @@ impl Transformation {
                 (self.next_y[d], self.next_z[d]) = (self.y[d] + u * dt, self.z[d]);
                 continue;
             }
-            let slope = if u == 0.0 { 0.0 } else { scale.slope(u) };
             let forcing = forcing(d) + self.perturbation[d];
-            let rest = self.goal[d] + forcing / (self.alpha * self.beta) + slope / self.beta;
+            let mut rest = self.goal[d] + forcing / (self.alpha * self.beta);
+            let mut slope = 0.0;
+            if u != 0.0 {
+                slope = scale.slope(u);
+                rest += slope / self.beta;
+            }
             let (offset, z) = transition.apply(self.y[d] - rest, self.z[d] + slope);
             (self.next_y[d], self.next_z[d]) = (rest + offset, z - slope);
         }

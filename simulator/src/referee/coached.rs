@@ -146,15 +146,17 @@ impl Run<'_> {
     /// The least ratio of the learned time for an eighth of the path to the time it took, between two times.
     fn slowest(&self, from: u64, to: u64, period_s: f64) -> Option<f64> {
         let mut tracker = PhaseTracker::new(self.path.clone());
+        // Velocities are means over so many records. Each record is tracked: the slowest eighth may be the last one before
+        // `to`, which a coarser grid of times would miss by up to its width.
         let stride = 5;
         let records = self.log.between(from.saturating_sub(ns(2.0 * period_s)), to);
         let mut track: Vec<(u64, f64)> = Vec::new();
-        for pair in records.windows(stride + 1).step_by(stride) {
-            let (a, b): (&Record, &Record) = (&pair[0], &pair[stride]);
-            let dt = (b.stamp_ns - a.stamp_ns) as f64 * 1e-9;
+        for pair in records.windows(stride + 1) {
+            let (a, last, b): (&Record, &Record, &Record) = (&pair[0], &pair[stride - 1], &pair[stride]);
+            let seconds = |from: &Record| (b.stamp_ns - from.stamp_ns) as f64 * 1e-9;
             let p = b.tcp.translation.vector;
-            let v = (p - a.tcp.translation.vector) / dt;
-            track.push((b.stamp_ns, tracker.update([p.x, p.y], [v.x, v.y], dt)));
+            let v = (p - a.tcp.translation.vector) / seconds(a);
+            track.push((b.stamp_ns, tracker.update([p.x, p.y], [v.x, v.y], seconds(last))));
         }
         let eighth = std::f64::consts::TAU / 8.0;
         let inside = track.partition_point(|(t, _)| *t < from);
