@@ -83,7 +83,6 @@ mod tests {
     use std::sync::Arc;
 
     use armarium_viewer::progress::Status;
-
     use parking_lot::Mutex;
 
     use super::*;
