@@ -336,6 +336,6 @@ mod tests {
         other.snapshot = Arc::new(Snapshot { instances: vec![instance], ..(*other.snapshot).clone() });
         let (json, page) = part(&[other], &world(), &truth(10)).unwrap();
         assert_eq!(json["rows"].as_array().map(Vec::len), Some(0));
-        assert!(matches!(&page.blocks[..], [Block::Table(table)] if table.rows.is_empty()));
+        assert!(matches!(page.blocks.last(), Some(Block::Table(table)) if table.rows.is_empty()));
     }
 }

@@ -144,6 +144,7 @@ pub fn read_inputs(
 ///
 /// # Errors
 /// [`HostError`] when the run cannot begin, in which case nothing has moved, or when its report cannot be written.
+#[expect(clippy::disallowed_methods, reason = "the report says how long the run took by the wall")]
 pub fn run(config: &RunConfig, console: &Arc<dyn Console>) -> Result<RunEnded, HostError> {
     let began = Instant::now();
     let mut world = WorldFile::of(&config.chart, config.world.as_deref()).map_err(HostError::World)?;

@@ -4,6 +4,7 @@
 //!
 //! `cargo bench -p armarium-runtime`, or with a part of a case's name after `--`.
 
+#![expect(clippy::disallowed_methods, reason = "it measures the machine")]
 #![expect(clippy::print_stdout, reason = "a benchmark shows what it measured")]
 
 use std::collections::BTreeMap;

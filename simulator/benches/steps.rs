@@ -1,4 +1,6 @@
 //! How many control steps a second the simulator makes without and with its cameras, in a busy world.
+
+#![expect(clippy::disallowed_methods, reason = "it measures the machine")]
 #![expect(clippy::print_stdout, reason = "a bench measures time and prints it")]
 
 use std::time::Instant;

@@ -101,3 +101,45 @@ fn every_library_is_used_and_its_choice_is_explained() {
     };
     assert_eq!(libraries.iter().filter(|name| !used(name)).collect::<Vec<_>>(), Vec::<&String>::new());
 }
+
+/// Rust files of the repository.
+fn sources() -> Vec<PathBuf> {
+    let mut folders = vec![repository::root()];
+    let mut files = Vec::new();
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(&folder).into_iter().flatten().flatten() {
+            let path = entry.path();
+            let name = entry.file_name();
+            if path.is_dir() && name != "target" && name != ".git" {
+                folders.push(path);
+            } else if path.extension().is_some_and(|e| e == "rs") {
+                files.push(path);
+            }
+        }
+    }
+    files
+}
+
+/// The lines on which a `select!` does not begin with `biased`.
+fn unbiased(text: &str) -> Vec<usize> {
+    let lines: Vec<&str> = text.lines().map(str::trim).collect();
+    let begins = |line: &str| line.contains(concat!("select", "! {")) && !line.starts_with("//");
+    let is_biased =
+        |i: usize| lines[i].contains("biased;") || lines.get(i + 1).is_some_and(|l| *l == "biased;");
+    (0..lines.len()).filter(|i| begins(lines[*i]) && !is_biased(*i)).map(|i| i + 1).collect()
+}
+
+/// `select!` draws its order at random unless it says `biased`; then one run would differ from the next.
+#[test]
+fn every_select_is_biased() {
+    let good = concat!("tokio::select", "! {\n    biased;\n}");
+    let bad = concat!("x\nselect", "! {\n    a = b => {}\n}");
+    assert_eq!((unbiased(good), unbiased(bad)), (Vec::new(), vec![2]));
+    let wrong: Vec<String> = sources()
+        .iter()
+        .flat_map(|file| {
+            unbiased(&read(file)).into_iter().map(move |line| format!("{}:{line}", file.display()))
+        })
+        .collect();
+    assert_eq!(wrong, Vec::<String>::new());
+}

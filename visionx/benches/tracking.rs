@@ -4,6 +4,7 @@
 //! The stereo frame is flat: a brown table with a hand, a green ball and a yellow box painted at their disparities. The
 //! photograph is one of those of the tests.
 
+#![expect(clippy::disallowed_methods, reason = "it measures the machine")]
 #![allow(clippy::print_stdout, reason = "a program for people")]
 
 use std::error::Error;

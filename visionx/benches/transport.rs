@@ -6,6 +6,7 @@
 //! measured at a frame each 2 ms (1 kHz leaves a busy machine no rest), throughput with four frames on the way. Raw and
 //! ours take turns, so that what else the machine does troubles both alike.
 
+#![expect(clippy::disallowed_methods, reason = "it measures the machine")]
 #![allow(clippy::print_stdout, clippy::unwrap_used, reason = "a program for people")]
 
 use std::sync::Arc;

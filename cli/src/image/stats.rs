@@ -1,7 +1,7 @@
 //! `armarium image stats`: how a provider's frames come.
 
 use std::io::Write;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use armarium_visionx::ImageError;
 use armarium_visionx::providers::ImageCoding;
@@ -9,6 +9,7 @@ use serde_json::json;
 
 use super::{Failure, StatsArgs, argument, source};
 use armarium_host::Connection;
+use tokio::time::Instant;
 
 /// Most sizes that are told.
 const MOST_SIZES: usize = 32;

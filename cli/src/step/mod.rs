@@ -116,6 +116,7 @@ fn drive(
 }
 
 /// Drives the list `repeat` times and says how long that took.
+#[expect(clippy::disallowed_methods, reason = "it measures the machine")]
 fn measure(
     args: &StepArgs,
     stepper: &mut Stepper,

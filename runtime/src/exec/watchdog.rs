@@ -73,6 +73,10 @@ impl Shared {
 }
 
 impl Watchdog {
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "it watches skills by the wall's clock, which goes on when a skill blocks the thread"
+    )]
     pub(super) fn new(on_stuck: Option<OnStuck>, queue: mpsc::Sender<Message>) -> Self {
         let shared = Shared {
             began: Instant::now(),
