@@ -102,7 +102,8 @@ const HOLD: f64 = 0.6;
 const LISTEN: f64 = 0.2;
 const DT: f64 = Carrying::DT;
 
-/// The result of an epoch: the referee's log from the start of the motion, and the joints' commands.
+/// The result of an epoch: the referee's figures and log from the start of the motion, the largest commanded joint
+/// speed, rad/s, and the smallest distance from a joint limit, rad.
 pub(super) struct Epoch {
     pub(super) figures: CarryingFigures,
     pub(super) log: Vec<CarryingRecord>,
