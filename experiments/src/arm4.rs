@@ -1,9 +1,9 @@
-//! The arms of the learning-control experiment: three joints in the shoulder (about y, x and z), one in the elbow (about
-//! y), two links that hang down along -z when all angles are 0.
+//! The arms of the learning-control experiment: three joints in the shoulder (about y, x and z), one in the elbow
+//! (about y), two links that hang down along -z when all angles are 0.
 
 use nalgebra::{Isometry3, Matrix3x4, Rotation3, Translation3, UnitQuaternion, Vector3, Vector4, Vector6};
 
-/// An arm by its shoulder and its links, m.
+/// An arm, given by its shoulder and its links, m.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Arm4 {
     pub(crate) shoulder: Vector3<f64>,
@@ -45,8 +45,8 @@ impl Arm4 {
         })
     }
 
-    /// Joint angles that put the hand to `x`, m, from `near` on, and pull to `posture` in the null space; `None` where the
-    /// arm does not reach.
+    /// Joint angles that move the hand to `x`, m, starting from `near` and attracted to `posture` in the null space;
+    /// `None` where the arm does not reach.
     pub(crate) fn inverse(
         &self,
         x: Vector3<f64>,
@@ -98,7 +98,7 @@ mod tests {
         let x = Vector3::new(0.35, 0.15, -0.2);
         let q = ARM.inverse(x, posture, posture).unwrap();
         assert!((ARM.hand(&q).translation.vector - x).norm() < 1e-10);
-        // What is left of the way to the posture cannot be gone without moving the hand: it is J^T of something.
+        // At the optimum the remaining distance to the posture has no null-space part: it is J^T of some vector.
         let columns = ARM.jacobian(&q).map(|c| Vector3::new(c[0], c[1], c[2]));
         let j = Matrix3x4::from_columns(&columns);
         let left = posture - q;

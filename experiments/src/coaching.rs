@@ -1,5 +1,5 @@
-//! The simulated experiment of Petrič et al. 2014, section III: a planar arm runs on a circle, and a coaching point
-//! changes its path while it runs (Figs 2 and 3), or follows it round (Fig. 4).
+//! The simulated experiment of Petrič et al. 2014, section III: a planar arm moves on a circle, and a coaching
+//! point changes its path (Figs 2 and 3) or follows the end effector (Fig. 4).
 
 use std::f64::consts::{FRAC_PI_4, PI, TAU};
 
@@ -13,7 +13,7 @@ use super::phase::{mean, over_period};
 use super::planar::{PlanarArm, Redundancy};
 use super::settings::settings;
 
-/// The sense in which the circle is run through.
+/// The direction of motion on the circle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Direction {
@@ -24,9 +24,9 @@ pub(crate) enum Direction {
 }
 
 settings! {
-    /// What the experiment is run with; lengths in m, angles in rad, times in s.
+    /// Settings; lengths in m, angles in rad, times in s.
     Coaching {
-        /// Coaching point, m; with `follow` it only says where the displacement is measured.
+        /// Coaching point, m; with `follow` only the place where the displacement is measured.
         o: [f64; 2] = [1.8, -0.6];
         /// Coaching direction, any length.
         d: [f64; 2] = [0.0, 1.0];
@@ -36,13 +36,13 @@ settings! {
         eta: f64 = 20.0;
         /// Reach of the field (16), m.
         rm: f64 = 0.35;
-        /// How the field fades with the angle (14), 1/rad; only its size counts.
+        /// Decay of the field with the angle (14), 1/rad; the sign is ignored.
         beta: f64 = -8.0 / PI;
-        /// The coaching point trails the end effector and pushes to the circle's centre (Fig. 4).
+        /// The coaching point trails the end effector and pushes towards the circle's centre (Fig. 4).
         follow: bool = false;
-        /// How far it trails then, m; negative leads.
+        /// Its distance behind the end effector, m; negative leads.
         trail: f64 = 0.2;
-        /// Sense of the circle: ccw or cw.
+        /// Direction of motion: ccw or cw.
         direction: Direction = Direction::Ccw;
         /// Centre of the demonstrated circle, m.
         center: [f64; 2] = [1.8, 0.2];
@@ -54,36 +54,36 @@ settings! {
         links: [f64; 3] = [1.0; 3];
         /// World angle of the last link, rad.
         psi: f64 = FRAC_PI_4;
-        /// Posture that the inverse kinematics stays next to instead, three angles, rad.
+        /// Posture near which the inverse kinematics stays instead, three angles, rad.
         posture: Option<[f64; 3]> = None;
         /// Kernels N of the primitive.
         kernels: usize = 25;
-        /// Their width h; 2.5 N if none.
+        /// Kernel width h; none for 2.5 N.
         h: Option<f64> = None;
         /// Constant of (4).
         alpha_z: f64 = 8.0;
         /// Constant of (4).
         beta_z: f64 = 2.0;
-        /// Forgetting factor of (9) for each 10 ms.
+        /// Forgetting factor of (9) per 10 ms.
         lambda: f64 = 0.9995;
         /// P(0) of (9).
         p0: f64 = 1.0;
-        /// w(0) of (10), of all weights.
+        /// w(0) of (10), for all weights.
         w0: f64 = 0.0;
         /// Step, s.
         dt: f64 = 0.01;
-        /// Cycles of learning before the run.
+        /// Learning cycles before the run.
         cycles: u32 = 40;
         /// Length of the run, s.
         seconds: f64 = 60.0;
-        /// When the coaching begins, s.
+        /// Start of the coaching, s.
         start: f64 = 5.0;
-        /// Farther from o than this is the far side, m.
+        /// Distance from o beyond which the path is on the far side, m.
         far: f64 = 0.8;
     }
 }
 
-/// What a run leaves: one entry a step.
+/// The log of a run, one entry per step.
 struct Log {
     q: Vec<Vector3<f64>>,
     x: Vec<Vector2<f64>>,
@@ -129,7 +129,7 @@ impl Coaching {
         TAU * self.frequency
     }
 
-    /// Steps of a period, rounded.
+    /// Steps per period, rounded.
     fn period(&self) -> usize {
         (1.0 / (self.frequency * self.dt)).round() as usize
     }
@@ -153,7 +153,7 @@ impl Coaching {
         Vector2::from(self.center)
     }
 
-    /// The primitive after `cycles` periods of the demonstration, at its start.
+    /// The primitive after `cycles` periods of the demonstration, at its start phase.
     fn learn(&self) -> Result<PeriodicDmp, ExperimentError> {
         let mut dmp = PeriodicDmp::new(PeriodicDmpConfig {
             kernels: self.kernels,
@@ -179,7 +179,7 @@ impl Coaching {
         Ok(dmp)
     }
 
-    /// Position, velocity and acceleration of the joints at each step: of one period, or of all of them where a period
+    /// Position, velocity and acceleration of the joints at each step: of one period, or of all periods when a period
     /// is not a whole number of steps.
     fn demonstration(&self) -> Result<Vec<[Vector3<f64>; 3]>, ExperimentError> {
         let (omega, h) = (self.omega(), 1e-3);
@@ -253,7 +253,7 @@ impl Coaching {
         over_period(log, end, 1.0 / (self.frequency * self.dt))
     }
 
-    /// Steps at which the compared periods end: the last one before the coaching, and the last of all.
+    /// The last steps of the compared periods: before the coaching, and at the end of the run.
     fn compared(&self) -> [f64; 2] {
         [self.first_coached() as f64, (self.seconds / self.dt).round()]
     }
@@ -284,7 +284,7 @@ impl Coaching {
         outcome
     }
 
-    /// Like the paper's figures: the path at the right time, the coupling, and the joints over time.
+    /// Plots as in the paper's figures: the path in selected periods, the coupling, and the joints over time.
     fn plot(&self, log: &Log) -> String {
         let [before, after] = self.compared();
         let closed = |end: f64| -> Vec<[f64; 2]> {

@@ -1,5 +1,6 @@
-//! A discrete movement that becomes periodic, in one primitive (Gams et al. 2015, II and Fig. 7): replayed as shown, and at
-//! another frequency with the original canonical system and the modified one, before and after an adaptation.
+//! A discrete movement that becomes periodic, in one primitive (Gams et al. 2015, II and Fig. 7): replayed as
+//! demonstrated, and at another frequency with the original and the modified canonical system, before and after an
+//! adaptation.
 
 use std::f64::consts::{PI, TAU};
 
@@ -13,7 +14,7 @@ use super::experiment::{Experiment, ExperimentError, Outcome, within};
 use super::settings::settings;
 
 settings! {
-    /// What the primitive is shown and how it is replayed.
+    /// Settings of the demonstration and of its replays.
     Dpdmp {
         /// Frequency Omega of the demonstration, rad/s.
         omega: f64 = 4.0 * PI;
@@ -21,11 +22,11 @@ settings! {
         omega_new: f64 = 2.0 * PI;
         /// Duration T of the discrete part, s.
         duration: f64 = 1.0;
-        /// Periods after it.
+        /// Periods after the discrete part.
         periods: f64 = 4.0;
         /// Step, s.
         dt: f64 = 0.001;
-        /// Centre c of y = c + A sin phi + B cos 2 phi, one value a degree of freedom.
+        /// Centre c of y = c + A sin phi + B cos 2 phi, one value per degree of freedom.
         center: [f64; 2] = [1.0, -0.5];
         /// A.
         a: [f64; 2] = [0.3, 0.2];
@@ -53,13 +54,13 @@ settings! {
         mu1: f64 = 1.2;
         /// Radius at which the transition begins.
         mu2: f64 = 1.4;
-        /// Centre of what the motion is adapted to.
+        /// Centre of the adapted motion.
         adapted_center: [f64; 2] = [1.1, -0.45];
-        /// Its A; B stays.
+        /// A of the adapted motion; B is unchanged.
         adapted_a: [f64; 2] = [0.4, 0.12];
         /// Epochs of the adaptation (11).
         epochs: u32 = 20;
-        /// Control per unit of error, 1/s; L and C are parts of it.
+        /// Control per unit of error, 1/s; multiplied by L and C.
         gain: f64 = 150.0;
         /// L of (11).
         l: f64 = 0.3;
@@ -68,7 +69,7 @@ settings! {
     }
 }
 
-/// The fifth-order polynomials from rest in 0 to the periodic part, and that.
+/// Fifth-order polynomials from rest at 0 to the periodic part, then the periodic part.
 struct Shape {
     omega: f64,
     duration: f64,
@@ -103,8 +104,8 @@ impl Shape {
     }
 }
 
-/// Position, velocity and acceleration `t` s after rest in 0, on the way to `end` at `duration` s: the fifth-order
-/// polynomial.
+/// Position, velocity and acceleration at `t` s of the fifth-order polynomial from rest at 0 to `end` at
+/// `duration` s.
 pub(super) fn rise(end: [f64; 3], duration: f64, t: f64) -> [f64; 3] {
     let s = t / duration;
     let [y, v, a] = [end[0], end[1] * duration, end[2] * duration * duration];
@@ -117,7 +118,7 @@ pub(super) fn rise(end: [f64; 3], duration: f64, t: f64) -> [f64; 3] {
     ]
 }
 
-/// A replay: positions and what they should have been, one entry a step.
+/// A replay: actual and reference positions, one entry per step.
 struct Replay {
     dt: f64,
     y: Vec<[f64; 2]>,
@@ -125,7 +126,7 @@ struct Replay {
 }
 
 impl Replay {
-    /// Root mean square error of each degree of freedom as a share of `range`.
+    /// Root mean square error of each degree of freedom, relative to `range`.
     fn error(&self, range: [f64; 2]) -> Vec<f64> {
         let square =
             |d: usize| self.y.iter().zip(&self.wanted).map(|(y, w)| (y[d] - w[d]).powi(2)).sum::<f64>();
@@ -202,7 +203,7 @@ impl Dpdmp {
         Shape { omega: self.omega, duration: self.duration, center, a, b: self.b }
     }
 
-    /// Steps of the demonstration.
+    /// Number of steps of the demonstration.
     fn steps(&self) -> usize {
         ((self.duration + TAU * self.periods / self.omega) / self.dt).round() as usize
     }
@@ -239,7 +240,7 @@ impl Dpdmp {
         Ok(dmp)
     }
 
-    /// One execution at `omega`, beside `shape` stretched in time.
+    /// One execution at `omega`, with `shape` stretched in time as its reference.
     fn replay(
         &self,
         dmp: &mut DiscretePeriodicDmp,
@@ -258,7 +259,7 @@ impl Dpdmp {
         Ok(replay)
     }
 
-    /// Learns the control signal that makes `shape` of the motion.
+    /// Learns the control signal that changes the motion to `shape`.
     fn adapt(&self, dmp: &mut DiscretePeriodicDmp, shape: &Shape) -> Result<(), ExperimentError> {
         let steps = self.steps();
         let config = LearningControlConfig { q: 1.0, l: self.l, c: self.c };
@@ -277,7 +278,8 @@ impl Dpdmp {
     }
 }
 
-/// Rows: original, modified and adapted; columns: the two degrees of freedom. The replays are in the order of the figures.
+/// Rows: original, modified and adapted; columns: the two degrees of freedom. The replays are in the order of the
+/// figures.
 fn plot(replays: &[Replay]) -> String {
     let panel = |d: usize, title: &str, shown: &[(usize, &str, u8)]| {
         let mut curves = Vec::new();

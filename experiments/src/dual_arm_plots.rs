@@ -27,7 +27,7 @@ impl DualArm {
         outcome.figure("diverged_in_epoch", diverged.map_or(serde_json::Value::Null, Into::into));
     }
 
-    /// The hands' heights over all epochs, what they are apart, and how both errors fall.
+    /// The hands' heights over all epochs, their difference, and the decrease of both errors.
     pub(super) fn plot(&self, before: &Epoch, epochs: &[Epoch]) -> String {
         let over_time = |epoch: &Epoch, of: &dyn Fn(&CarryingRecord) -> f64| -> Vec<[f64; 2]> {
             epoch.log.iter().enumerate().step_by(5).map(|(k, r)| [k as f64 * 1e-3, of(r)]).collect()

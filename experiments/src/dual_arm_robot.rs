@@ -1,4 +1,4 @@
-//! Both arms of ARMAR-III next to a posture: their inverse kinematics and the motions of the box task in their joints.
+//! Both arms of ARMAR-III: their inverse kinematics near a posture, and the joint motions of the box task.
 
 use std::sync::Arc;
 
@@ -14,12 +14,12 @@ pub(super) const JOINTS: usize = 7;
 /// Angles or speeds of an arm's joints, rad or rad/s.
 pub(super) type Joints = SVector<f64, JOINTS>;
 
-/// The right arm with its hand level before the body, fingers forward, the inner side of the hand to the middle.
+/// The right arm with its hand level in front of the body, fingers forward, palm towards the middle.
 const POSTURE: [f64; JOINTS] = [0.203, -0.021, 0.044, 0.315, -0.217, 0.114, 0.094];
 /// Signs by which the left arm's joints mirror it.
 const MIRROR: [f64; JOINTS] = [1.0, -1.0, -1.0, 1.0, -1.0, -1.0, 1.0];
 
-/// The arms, right and left, with the rest of the robot standing still.
+/// The right and the left arm; the rest of the robot stands still.
 pub(super) struct Arms {
     kinematics: Kinematics,
     tcps: [LinkId; 2],
@@ -44,31 +44,31 @@ impl Arms {
         self.kinematics.model()
     }
 
-    /// All joints of the robot, at 0 but the arms' at `q`, or their speeds.
+    /// All joints of the robot, or their speeds: the arms' at `q`, all others 0.
     pub(super) fn all(&self, q: &[Joints; 2]) -> Vec<f64> {
         let mut all = vec![0.0; self.model().joints().len()];
         self.write(q, &mut all);
         all
     }
 
-    /// Writes both arms' joints to where they belong among all.
+    /// Writes both arms' joints to their places in `all`.
     pub(super) fn write(&self, q: &[Joints; 2], all: &mut [f64]) {
         for (joints, q) in self.joints.iter().zip(q) {
             joints.iter().zip(q.iter()).for_each(|(j, q)| all[*j] = *q);
         }
     }
 
-    /// The joints of one arm among all.
+    /// The joints of one arm, from `all`.
     pub(super) fn of(&self, side: usize, all: &[f64]) -> Joints {
         Joints::from_fn(|i, _| all[self.joints[side][i]])
     }
 
-    /// Where the joints of all are believed to be.
+    /// Sets the estimated positions of all joints.
     pub(super) fn update(&mut self, all: &[f64]) {
         self.kinematics.update(all);
     }
 
-    /// Which way the hand of one arm is turned, after [`update`](Self::update).
+    /// Orientation of one arm's hand, after [`update`](Self::update).
     pub(super) fn rotation(&self, side: usize) -> UnitQuaternion<f64> {
         self.kinematics.pose(self.tcps[side]).rotation
     }
@@ -84,14 +84,14 @@ impl Arms {
         })
     }
 
-    /// The posture that an arm stays next to.
+    /// The posture near which an arm stays.
     pub(super) fn posture(side: usize) -> Joints {
         let mirror = |i: usize| if side == 0 { 1.0 } else { MIRROR[i] };
         Joints::from_fn(|i, _| mirror(i) * POSTURE[i])
     }
 
-    /// The joint angles nearest to the posture that put the TCP of one arm to `x` (root frame, m), the hand level with its
-    /// fingers forward; `near` is where the search begins.
+    /// The joint angles nearest to the posture that move the TCP of one arm to `x` (root frame, m), with the hand level
+    /// and its fingers forward; `near` is the start of the search.
     pub(super) fn inverse(
         &mut self,
         side: usize,
@@ -132,7 +132,7 @@ impl Arms {
         )))
     }
 
-    /// Distance of the joint that is nearest to its limit, rad; negative beyond it.
+    /// The smallest distance of a joint from its limit, rad; negative beyond the limit.
     pub(super) fn margin(&self, side: usize, q: &Joints) -> f64 {
         let joints = self.joints[side].iter().zip(q.iter());
         let margin = |(j, q): (&usize, &f64)| {

@@ -1,14 +1,14 @@
-//! What an experiment is: settings that know how to become figures and plots.
+//! The interface of an experiment: from settings to figures and plots.
 
 use armarium_motion::MotionError;
 use serde_json::{Map, Value};
 
 use super::settings::{self, Key, Settings};
 
-/// Figures under their names, and plots.
+/// Named figures, and plots.
 #[derive(Clone, Debug, Default)]
 pub struct Outcome {
-    /// What stands at the top level of the JSON; a figure that does not exist is `null`.
+    /// The top level of the JSON; a missing figure is `null`.
     pub figures: Map<String, Value>,
     /// File stem and SVG of each plot.
     pub plots: Vec<(String, String)>,
@@ -26,19 +26,19 @@ impl Outcome {
     }
 }
 
-/// Why there are no figures.
+/// Why an experiment gives no figures.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExperimentError {
-    /// A setting is not there, not of its type or outside of what it may be.
+    /// A setting is unknown, of the wrong type or out of range.
     #[error("{key}: {why}")]
     Setting {
         /// The setting.
         key: String,
-        /// What is wrong with it.
+        /// The reason.
         why: String,
     },
-    /// The settings are each possible, and together lead nowhere.
+    /// Each setting is valid, but their combination is not.
     #[error("{0}")]
     Failed(String),
 }
@@ -54,7 +54,7 @@ impl From<MotionError> for ExperimentError {
     }
 }
 
-/// Refuses a setting outside of `low..=high`.
+/// Returns an error for a setting outside of `low..=high`.
 pub(crate) fn within(key: &str, value: f64, low: f64, high: f64) -> Result<(), ExperimentError> {
     if (low..=high).contains(&value) {
         return Ok(());
@@ -62,7 +62,7 @@ pub(crate) fn within(key: &str, value: f64, low: f64, high: f64) -> Result<(), E
     Err(ExperimentError::Setting { key: key.to_owned(), why: outside(value, low, high) })
 }
 
-/// The numbers as they would be written as a setting.
+/// The numbers, formatted as in a setting.
 fn outside(value: f64, low: f64, high: f64) -> String {
     if low == f64::MIN_POSITIVE {
         return format!("{value:?} is not over zero");
@@ -72,28 +72,28 @@ fn outside(value: f64, low: f64, high: f64) -> String {
 
 /// An experiment of the papers.
 pub(crate) trait Experiment: Settings {
-    /// Its name on the command line and of its JSON.
+    /// Its name on the command line and in its JSON.
     const NAME: &'static str;
-    /// What it runs, in one line.
+    /// A one-line description.
     const ABOUT: &'static str;
-    /// What the library calls a setting that has another name here, and that name.
+    /// Settings that the library names differently: the library's name, and the name here.
     const ALIASES: &'static [(&'static str, &'static str)] = &[];
 
     /// Runs it.
     ///
     /// # Errors
-    /// [`ExperimentError`] when a setting is outside of what it may be, or the settings lead nowhere.
+    /// [`ExperimentError`] when a setting is out of range, or the settings do not fit together.
     fn run(&self) -> Result<Outcome, ExperimentError>;
 }
 
 type Run = fn(&[(String, String)]) -> Result<(Value, Outcome), ExperimentError>;
 
-/// An experiment in the list of them.
+/// An entry in the list of experiments.
 #[derive(Debug)]
 pub struct Entry {
-    /// By what it is asked for.
+    /// Its name on the command line.
     pub name: &'static str,
-    /// What it runs, in one line.
+    /// A one-line description.
     pub about: &'static str,
     /// Its settings.
     pub keys: Vec<Key>,
@@ -106,16 +106,16 @@ impl Entry {
         Self { name: E::NAME, about: E::ABOUT, keys: settings::keys::<E>(), run: run::<E> }
     }
 
-    /// Runs it with settings given as text. Gives all settings as they were used, and what came out.
+    /// Runs it with settings given as text. Returns all settings as they were used, and the outcome.
     ///
     /// # Errors
-    /// [`ExperimentError`] for a setting that does not exist or is not possible, and where the settings lead nowhere.
+    /// [`ExperimentError`] for an unknown or invalid setting, and when the settings do not fit together.
     pub fn run(&self, settings: &[(String, String)]) -> Result<(Value, Outcome), ExperimentError> {
         (self.run)(settings)
     }
 }
 
-/// Reads the settings and runs; returns them all as they were used, and what came out.
+/// Reads the settings and runs; returns all settings as they were used, and the outcome.
 fn run<E: Experiment>(given: &[(String, String)]) -> Result<(Value, Outcome), ExperimentError> {
     let experiment: E = settings::read(given)?;
     let inputs = serde_json::to_value(&experiment)

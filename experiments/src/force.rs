@@ -1,5 +1,5 @@
-//! Force adaptation after Gams et al. 2014 (T-RO): a wiping motion over a table that is tilted and has a bump learns
-//! the height that keeps the force, so well that it holds with the feedback turned off.
+//! Force adaptation after Gams et al. 2014 (T-RO): a wiping motion over a tilted table with a bump learns the height
+//! that keeps the contact force, accurately enough to keep it without feedback.
 
 use std::f64::consts::TAU;
 
@@ -13,54 +13,54 @@ use super::experiment::{Experiment, ExperimentError, Outcome, within};
 use super::settings::settings;
 
 settings! {
-    /// What the adaptation is run with.
+    /// Settings of the adaptation.
     Force {
         /// Stiffness of the contact, N/m.
         stiffness: f64 = 2000.0;
-        /// Force to be kept, N.
+        /// Desired force, N.
         force: f64 = 10.0;
         /// Cycles of adaptation.
         cycles: u32 = 16;
-        /// Cycles with the feedback off that follow.
+        /// Cycles without feedback that follow.
         off_cycles: u32 = 4;
-        /// Amplitudes of the wiping in x and y (which runs twice as fast), m.
+        /// Amplitudes of the wiping in x and y, m; y has twice the frequency.
         amplitude: [f64; 2] = [0.15, 0.1];
-        /// Phase by which y is ahead, rad.
+        /// Phase lead of y, rad.
         phase: f64 = 0.3;
         /// Slope of the table in x and y.
         tilt: [f64; 2] = [0.02, -0.03];
         /// Height of its bump, m.
         bump: f64 = 0.01;
-        /// Place of the bump, m.
+        /// Position of the bump, m.
         bump_at: [f64; 2] = [0.1, 0.05];
-        /// It falls as exp(-(squared distance) / this), m^2.
+        /// Its shape is exp(-(squared distance) / this), m^2.
         bump_width: f64 = 0.005;
         /// Frequency of the wiping, Hz.
         frequency: f64 = 0.5;
         /// Standard deviation of the measured force, N.
         noise: f64 = 0.2;
-        /// Height over the table at the start, m.
+        /// Height above the table at the start, m.
         start_height: f64 = 0.02;
         /// Step, s.
         dt: f64 = 0.005;
         /// Kernels over the phase.
         kernels: usize = 36;
-        /// First guess of the stiffness, N/m; it is identified from there.
+        /// Initial estimate of the stiffness, N/m; it is then identified.
         stiffness_guess: f64 = 4000.0;
         /// Bandwidth of the feedback, rad/s.
         bandwidth: f64 = 7.0;
-        /// The fastest that the height changes, m/s; the hand comes down with 0.3 of it.
+        /// Largest speed of the height, m/s; the hand approaches with 0.3 of it.
         max_speed: f64 = 0.12;
-        /// Share of what is missing that each cycle adds to what is learned.
+        /// Share of the remaining error that each cycle adds to the learned height.
         learning: f64 = 0.7;
-        /// Time from a command to its force, s; none for one step, which it is here.
+        /// Delay from a command to its force, s; none for one step, as in this simulation.
         delay: Option<f64> = None;
         /// Seed of the noise.
         seed: u64 = 1;
     }
 }
 
-/// One entry a step.
+/// The log, one entry per step.
 #[derive(Default)]
 struct Log {
     /// The force without noise, N.
@@ -104,7 +104,7 @@ impl Force {
         within("force", self.force, 0.01, 1000.0)
     }
 
-    /// Height of the table under the wiping motion at a phase, m.
+    /// Height of the table below the wiping motion at a phase, m.
     fn under(&self, phase: f64) -> f64 {
         let x = self.amplitude[0] * phase.sin();
         let y = self.amplitude[1] * (2.0 * phase + self.phase).sin();
@@ -152,7 +152,7 @@ impl Force {
         Ok((log, adaptation.stiffness()))
     }
 
-    /// Root mean square error of the force in each cycle, and over those with the feedback off, N.
+    /// Root mean square error of the force in each cycle, and over the cycles without feedback, N.
     fn rms(&self, log: &Log) -> (Vec<f64>, f64) {
         let rms = |forces: &[f64]| {
             (forces.iter().map(|f| (f - self.force).powi(2)).sum::<f64>() / forces.len() as f64).sqrt()

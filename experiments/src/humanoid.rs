@@ -1,8 +1,8 @@
 //! The robot experiment of Petrič et al. 2014, section IV, on the right arm of ARMAR-III: four times a coach changes a
-//! circle with his hands, pushing with the right and pulling with the left (Figs 6, 7 and 9).
+//! circle with hand gestures, pushing with the right hand and pulling with the left (Figs 6, 7 and 9).
 //!
-//! The arm moves in the simulator, with its noisy sensors and behind its guard; the figures are the referee's, of the true path
-//! of its hand.
+//! The arm moves in the simulator, with its noisy sensors and behind its guard. The referee computes the figures from
+//! the hand's true path.
 
 use std::f64::consts::{PI, TAU};
 
@@ -22,7 +22,7 @@ use super::phase::{mean, over_period};
 use super::settings::settings;
 
 settings! {
-    /// What the four modifications are run with; root frame: x right, y forward over the table, z up.
+    /// Settings of the four modifications; root frame: x right, y forward over the table, z up.
     HumanoidCoaching {
         /// Centre of the circle, m.
         center: [f64; 3] = [0.28, 0.53, 1.2];
@@ -36,11 +36,11 @@ settings! {
         eta: f64 = 60.0;
         /// Reach of the field (16), m.
         rm: f64 = 0.08;
-        /// How the field fades with the angle (14), 1/rad; only its size counts.
+        /// Decay of the field with the angle (14), 1/rad; the sign is ignored.
         beta: f64 = -10.0 / PI;
-        /// From the wrist to the coaching point (20), (21), m.
+        /// Distance from the wrist to the coaching point (20), (21), m.
         xi: f64 = 0.1;
-        /// From the circle out to the coaching point, m.
+        /// Distance of the coaching point outside of the circle, m.
         gap: f64 = 0.03;
         /// Kernels N of the primitive.
         kernels: usize = 25;
@@ -48,27 +48,27 @@ settings! {
         alpha_z: f64 = 8.0;
         /// Constant of (4).
         beta_z: f64 = 2.0;
-        /// Forgetting factor of (9) for each 10 ms.
+        /// Forgetting factor of (9) per 10 ms.
         lambda: f64 = 0.9995;
-        /// When the coach comes, s.
+        /// Start of the coaching, s.
         start: f64 = 5.0;
-        /// When he goes, s.
+        /// End of the coaching, s.
         stop: f64 = 50.0;
-        /// When the motion goes back to the one before, s.
+        /// Time at which the motion returns to the original one, s.
         back: f64 = 55.0;
         /// Length of a run, s.
         seconds: f64 = 65.0;
-        /// Images of the body tracker a second.
+        /// Frame rate of the body tracker, Hz.
         camera_rate: f64 = 30.0;
-        /// Standard deviation of a tracked wrist or elbow, m a coordinate.
+        /// Standard deviation of a tracked wrist or elbow, m per coordinate.
         noise: f64 = 0.005;
         /// Point pairs of the calibration.
         pairs: usize = 8;
-        /// Farther from the coaching point than this is the far side, m.
+        /// Distance from the coaching point beyond which the path is on the far side, m.
         far: f64 = 0.15;
-        /// In the simulator; false for joints that are where they shall be.
+        /// Runs in the simulator; false for ideal joints.
         physics: bool = true;
-        /// Seed of the noise of tracker and robot.
+        /// Seed of the tracker's and the robot's noise.
         seed: u64 = 1;
     }
 }
@@ -76,13 +76,13 @@ settings! {
 /// Time between entries of the log, s.
 const LOGGED: f64 = 0.01;
 
-/// What a run leaves, lists with one entry each [`LOGGED`].
+/// The log of a run; lists with one entry per [`LOGGED`].
 struct Log {
     modification: Modification,
     o: Vector3<f64>,
     q: Vec<Joints>,
     qd: Vec<Joints>,
-    /// Where the hand truly was, m, and where the primitive wanted it.
+    /// The hand's true position, m, and the primitive's desired one.
     x: Vec<Vector3<f64>>,
     wanted: Vec<Vector3<f64>>,
     coupling: Vec<f64>,
@@ -134,12 +134,12 @@ impl HumanoidCoaching {
         TAU * self.frequency
     }
 
-    /// Entries of the log in a period, not a whole number.
+    /// Log entries per period, not a whole number.
     fn period(&self) -> f64 {
         1.0 / (self.frequency * LOGGED)
     }
 
-    /// Places over the table, spread like the corners of a box.
+    /// Calibrates the tracker at positions over the table, spread like the corners of a box.
     fn calibrate(&self) -> Result<Tracker, ExperimentError> {
         let corner = |k: usize| {
             let sign = |bit: usize| if (k >> bit) & 1 == 0 { -1.0 } else { 1.0 };
@@ -150,7 +150,7 @@ impl HumanoidCoaching {
         Tracker::calibrated(&places, self.noise, ChaCha8Rng::seed_from_u64(self.seed))
     }
 
-    /// The circle in the plane of a modification, learned.
+    /// The learned circle in the plane of a modification.
     fn learn(&self, arm: &mut Arm, plane: [usize; 2]) -> Result<PeriodicDmp, ExperimentError> {
         let mut dmp = PeriodicDmp::new(PeriodicDmpConfig {
             kernels: self.kernels,
@@ -180,7 +180,8 @@ impl HumanoidCoaching {
             }
         };
         dmp.learn_batch(&(0..count).map(sample).collect::<Vec<_>>())?;
-        // As after a long demonstration: how strongly the coach is heard does not depend on it.
+        // Sets the gain as after a long demonstration, so that the coach's effect does not depend on the
+        // demonstration's length.
         dmp.settle_gain(DT)?;
         dmp.start_on_path(0.0, self.omega())?;
         Ok(dmp)
@@ -225,7 +226,7 @@ impl HumanoidCoaching {
         Ok(log)
     }
 
-    /// Hands what the coach wants to the weights; returns |C_y|.
+    /// Applies the coach's command to the weights; returns |C_y|.
     fn coach(
         &self,
         dmp: &mut PeriodicDmp,
@@ -244,7 +245,7 @@ impl HumanoidCoaching {
         Ok(strength)
     }
 
-    /// What the referee is asked: the period before the coach came against the last one before the motion goes back.
+    /// The periods that the referee compares: before the coaching, and the last one before the motion returns.
     fn compared(&self, log: &Log) -> Compared {
         Compared {
             period_s: 1.0 / self.frequency,
@@ -283,7 +284,7 @@ impl HumanoidCoaching {
         outcome
     }
 
-    /// Like Fig. 9: the four modifications, with what came in between.
+    /// As Fig. 9: the four modifications, with the intermediate paths.
     fn paths_plot(&self, logs: &[Log]) -> String {
         let panel = |log: &Log| {
             let axes = log.modification.plane();
@@ -315,10 +316,10 @@ impl HumanoidCoaching {
         picture("Four modifications of the arm's motion by the coach's hands", &rows)
     }
 
-    /// Like Fig. 7: the joints over time.
+    /// As Fig. 7: the joints over time.
     fn joints_plot(&self, log: &Log) -> String {
         let over_time = |i: usize| log.q.iter().enumerate().map(|(k, q)| [LOGGED * k as f64, q[i]]).collect();
-        // Said once; the lines go through all of them.
+        // Labels appear once; the lines cross all panels.
         let marks = |i: usize| {
             let named = [(self.start, "coach comes"), (self.stop, "goes"), (self.back, "back")];
             named.map(|(t, name)| (t, if i == 0 { name.to_owned() } else { String::new() })).to_vec()

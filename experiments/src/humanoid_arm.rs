@@ -1,5 +1,5 @@
-//! The right arm of ARMAR-III as the coached robot: its inverse kinematics next to a posture, and its execution in the
-//! simulator, behind the robot's guard, or, to compare, by ideal joints.
+//! The right arm of ARMAR-III as the coached robot: its inverse kinematics near a posture, and its execution in the
+//! simulator behind the robot's guard or, for comparison, with ideal joints.
 
 use std::sync::Arc;
 
@@ -16,12 +16,12 @@ pub(crate) const JOINTS: usize = 7;
 /// Angles or speeds of the arm's joints, rad or rad/s.
 pub(crate) type Joints = SVector<f64, JOINTS>;
 
-/// The arm with the rest of the robot standing still.
+/// The arm; the rest of the robot stands still.
 pub(crate) struct Arm {
     kinematics: Kinematics,
     tcp: LinkId,
     joints: [usize; JOINTS],
-    /// All joints of the robot; those of the arm are where it works best.
+    /// All joints of the robot, the arm's in its best working posture.
     rest: Vec<f64>,
 }
 
@@ -35,14 +35,14 @@ impl Arm {
         Ok(Self { rest: postures::wipe(&model), kinematics: Kinematics::new(&model), tcp, joints })
     }
 
-    /// All joints with the arm's at `q`.
+    /// All joints, with the arm's at `q`.
     fn all(&self, q: &Joints) -> Vec<f64> {
         let mut all = self.rest.clone();
         self.joints.iter().zip(q.iter()).for_each(|(j, q)| all[*j] = *q);
         all
     }
 
-    /// TCP (m) and the columns of its Jacobian (m/rad) for the arm's joints, root frame.
+    /// TCP position (m) and the columns of its Jacobian (m/rad) for the arm's joints, root frame.
     pub(crate) fn at(&mut self, q: &Joints) -> (Vector3<f64>, [Vector3<f64>; JOINTS]) {
         let all = self.all(q);
         self.kinematics.update(&all);
@@ -51,12 +51,12 @@ impl Arm {
         (x, columns)
     }
 
-    /// The arm's joints in the posture that everything stays next to.
+    /// The arm's joints in the preferred posture.
     pub(crate) fn posture(&self) -> Joints {
         Joints::from_fn(|i, _| self.rest[self.joints[i]])
     }
 
-    /// The joint angles nearest to `posture` that put the TCP to `x`, m; which way the hand points is left open.
+    /// The joint angles nearest to `posture` that move the TCP to `x`, m; the hand's orientation is free.
     pub(crate) fn inverse(&mut self, x: Vector3<f64>, posture: &Joints) -> Result<Joints, ExperimentError> {
         let mut q = *posture;
         for _ in 0..500 {
@@ -83,7 +83,7 @@ impl Arm {
         )))
     }
 
-    /// Distance of the joint that is nearest to its limit, rad; negative beyond it.
+    /// The smallest distance of a joint from its limit, rad; negative beyond the limit.
     pub(crate) fn margin(&self, q: &Joints) -> f64 {
         let model = self.kinematics.model();
         let margin = |(j, q): (&usize, &f64)| {
@@ -93,7 +93,7 @@ impl Arm {
         self.joints.iter().zip(q.iter()).map(margin).fold(f64::INFINITY, f64::min)
     }
 
-    /// The arm with its joints at `q`, ready to be driven; all that varies in the simulator is drawn from `seed`.
+    /// Starts the execution with the arm's joints at `q`; `seed` determines all randomness of the simulator.
     pub(crate) fn execution(
         &self,
         q: &Joints,
@@ -114,15 +114,15 @@ impl Arm {
     }
 }
 
-/// Who moves the arm.
+/// The executor of the arm's motion.
 pub(crate) enum Execution {
-    /// Joints that are where they shall be.
+    /// Ideal joints without tracking error.
     Ideal {
         /// Angles, rad.
         position: Joints,
         /// Speeds, rad/s.
         velocity: Joints,
-        /// Where the TCP was, each [`DT`].
+        /// Position of the TCP after each [`DT`].
         path: Vec<Vector3<f64>>,
     },
     /// The simulator: sensors, guard, servos, inertia, and the referee.
@@ -139,7 +139,7 @@ pub(crate) struct Simulated {
 
 /// Step of the execution, s.
 pub(crate) const DT: f64 = 0.001;
-/// How fast the commanded velocities make up for what a joint is behind, 1/s.
+/// Gain on the position error in the velocity command, 1/s.
 const FOLLOW: f64 = 15.0;
 
 impl Execution {
@@ -155,7 +155,7 @@ impl Execution {
             Self::Simulated(Simulated { simulation, robot, lease, joints }) => {
                 let here = robot.sensed().borrow();
                 let velocity = std::array::from_fn::<f64, JOINTS, _>(|i| {
-                    // Before the first step nothing is sensed yet.
+                    // Before the first step there is no sensor sample.
                     let behind = here.position.get(joints[i]).map_or(0.0, |at| q[i] - at);
                     let behind = if here.stamp_ns == 0 { 0.0 } else { behind };
                     qd[i] + FOLLOW * behind
@@ -167,7 +167,7 @@ impl Execution {
         }
     }
 
-    /// Positions (rad) and speeds (rad/s) as the joints report them; `None` before anything was sensed.
+    /// Measured joint positions (rad) and speeds (rad/s); `None` before the first sample.
     pub(crate) fn joints(&self) -> Option<(Joints, Joints)> {
         match self {
             Self::Ideal { position, velocity, .. } => Some((*position, *velocity)),
@@ -179,7 +179,7 @@ impl Execution {
         }
     }
 
-    /// Where the TCP truly was, m, root frame, each [`DT`] from the start: what the referee has seen.
+    /// True position of the TCP, m, root frame, after each [`DT`] from the start, as recorded by the referee.
     pub(crate) fn truth(&self) -> Vec<Vector3<f64>> {
         match self {
             Self::Ideal { path, .. } => path.clone(),
@@ -190,7 +190,7 @@ impl Execution {
         }
     }
 
-    /// The referee's judgement, or for ideal joints the same of their path.
+    /// The referee's judgement, or for ideal joints the same figures of their path.
     pub(crate) fn judge(&self, compared: &Compared) -> ModificationFigures {
         let figures = match self {
             Self::Ideal { path, .. } => of_path(path, compared),
@@ -202,7 +202,7 @@ impl Execution {
     }
 }
 
-/// The largest of all values, whatever their sign.
+/// The largest absolute value.
 pub(crate) fn largest(values: &[Joints]) -> f64 {
     values.iter().map(Joints::amax).fold(0.0, f64::max)
 }

@@ -1,5 +1,5 @@
-//! The coach of the humanoid: where his wrists and elbows are in each modification, and how a camera sees them that was
-//! calibrated to the robot with a handful of point pairs.
+//! The simulated coach of the humanoid: the positions of wrists and elbows in each modification, and their measurement
+//! by a camera that was calibrated to the robot with a few point pairs.
 
 use armarium_motion::{CoachArm, CoachingCommand, nearer_hand, rigid_fit};
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -29,7 +29,7 @@ impl Modification {
         }
     }
 
-    /// The two axes of the plane that the motion lies in: 0, 1, 2 for x, y, z of the root frame.
+    /// The two axes of the plane of the motion: 0, 1, 2 for x, y, z of the root frame.
     pub(crate) fn plane(self) -> [usize; 2] {
         match self {
             Self::PushXy | Self::PullXy => [0, 1],
@@ -41,12 +41,12 @@ impl Modification {
         matches!(self, Self::PushXy | Self::PushYz)
     }
 
-    /// From the motion's centre to the coach's hand: forward over the table, or up.
+    /// Direction from the motion's centre to the coach's hand: forward over the table, or up.
     pub(crate) fn outward(self) -> Vector3<f64> {
         Vector3::ith(self.plane()[1], 1.0)
     }
 
-    /// The way that the motion shall move.
+    /// The direction in which the motion should shift.
     pub(crate) fn way(self) -> Vector3<f64> {
         if self.pushes() { -self.outward() } else { self.outward() }
     }
@@ -63,7 +63,7 @@ pub(crate) struct Arms {
 const FOREARM: f64 = 0.26;
 
 impl Arms {
-    /// The hand of the modification points at `o` from `xi` m away; the other one is held back.
+    /// The modification's hand points at `o` from a distance of `xi` m; the other hand is held back.
     pub(crate) fn pointing(modification: Modification, o: Vector3<f64>, xi: f64) -> Self {
         let outward = modification.outward();
         let arm = |wrist: Vector3<f64>| CoachArm { wrist, elbow: wrist + FOREARM * outward };
@@ -86,14 +86,14 @@ pub(crate) struct Tracker {
 }
 
 impl Tracker {
-    /// Calibrates: the coach puts his hand to where the robot's is at `places` (root frame, m), and camera and robot
-    /// measure it.
+    /// Calibrates: the coach puts a hand at the position of the robot's hand, for all `places` (root frame, m);
+    /// camera and robot both measure it.
     pub(crate) fn calibrated(
         places: &[Vector3<f64>],
         noise: f64,
         mut rng: ChaCha8Rng,
     ) -> Result<Self, ExperimentError> {
-        // In front of the table, turned to the robot and looking down.
+        // In front of the table, facing the robot and looking down.
         let camera_from_root = Isometry3::new(Vector3::new(0.4, -0.7, 2.1), Vector3::new(-1.9, 0.5, 0.3));
         let seen: Vec<Point3<f64>> =
             places.iter().map(|p| camera_from_root * Point3::from(*p) + error(noise, &mut rng)).collect();
@@ -108,7 +108,7 @@ impl Tracker {
         })
     }
 
-    /// What the robot takes the coach's gesture for, with its end effector at `x`, m.
+    /// The robot's interpretation of the coach's gesture, with its end effector at `x`, m.
     pub(crate) fn command(&mut self, arms: &Arms, x: &Vector3<f64>, xi: f64) -> Option<CoachingCommand> {
         let right = self.seen(&arms.right);
         let left = self.seen(&arms.left);

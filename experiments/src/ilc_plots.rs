@@ -81,7 +81,7 @@ impl Ilc {
         vec![(self.duration, "periodic".to_owned())]
     }
 
-    /// Heights in all epochs and the error over them (Fig. 1).
+    /// Heights in all epochs, and the error over the epochs (Fig. 1).
     pub(super) fn plot_epochs(&self, learning: &Learning) -> String {
         let mut curves = vec![
             Curve::new("right", self.curve(learning.before.x.iter().map(|[right, _]| right.z)))
@@ -128,7 +128,7 @@ impl Ilc {
         )
     }
 
-    /// Joints of the left arm before and after, and of the right one (Figs 2, 3).
+    /// Joints of the left arm before and after learning, and of the right arm (Figs 2, 3).
     pub(super) fn plot_joints(&self, learning: &Learning) -> String {
         let joints = ["shoulder about y", "shoulder about x", "shoulder about z", "elbow"];
         let joint = |i: usize| {
@@ -146,7 +146,7 @@ impl Ilc {
         picture("Joints of both arms", &[row(0, 1), row(2, 3)])
     }
 
-    /// What the velocities in the feedback do, in the first epochs (Figs 5, 6).
+    /// The effect of the velocities in the feedback, in the first epochs (Figs 5, 6).
     pub(super) fn plot_feedback(&self, learning: &Learning, forces_only: &Learning) -> String {
         let of = |name: &str, index: usize, value: &dyn Fn(&Epoch, usize) -> f64| {
             let line = |epoch: &Epoch| self.curve((0..epoch.x.len()).map(|k| value(epoch, k)));

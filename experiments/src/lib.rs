@@ -1,9 +1,9 @@
-//! The experiments of the papers: each takes settings and gives figures and plots.
+//! The experiments of the papers: each takes settings and returns figures and plots.
 //!
-//! Each experiment is a file of its own: its settings with their defaults (`settings!`), and an
-//! [`Experiment`](experiment::Experiment) that turns them into figures and plots. A new one needs a line in [`all`]
-//! besides. The algorithms are those of `armarium-motion`; what stands here is the papers' set-up around them. This room
-//! prints nothing and knows no command line.
+//! Each experiment is a file: its settings with their defaults (`settings!`), and an
+//! [`Experiment`](experiment::Experiment) that computes figures and plots from them. A new experiment also needs a line
+//! in [`all`]. The algorithms are those of `armarium-motion`; this room contains only the papers' set-up around them.
+//! It prints nothing and knows no command line.
 
 mod arm4;
 mod coaching;
@@ -34,7 +34,7 @@ use serde_json::{Map, Value};
 pub use self::experiment::{Entry, ExperimentError, Outcome};
 pub use self::settings::Key;
 
-/// Every experiment that there is, in the order listed.
+/// All experiments, in the order listed.
 #[must_use]
 pub fn all() -> Vec<Entry> {
     vec![
@@ -49,8 +49,8 @@ pub fn all() -> Vec<Entry> {
     ]
 }
 
-/// Writes `NAME.json` with inputs and figures, and the plots, into a folder, which is made if it is not there. Gives the
-/// paths of the files.
+/// Writes `NAME.json` with inputs and figures, and the plots, into a folder, which is created if it does not exist.
+/// Returns the paths of the files.
 ///
 /// # Errors
 /// When a file cannot be written.

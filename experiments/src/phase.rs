@@ -1,9 +1,9 @@
-//! Periodic logs, compared phase by phase.
+//! Compares periodic logs phase by phase.
 
 use nalgebra::SVector;
 
-/// Values at equal phases from 0 on, one for each whole step of a period, out of the one period before the step `end`;
-/// between steps by interpolation. `period` is in steps and need not be whole; phase 0 is at step 0.
+/// Resamples the one period before the step `end` at equal phases from 0 on, one value per whole step of a period, by
+/// interpolation. `period` is in steps and need not be whole; phase 0 is at step 0.
 pub(crate) fn over_period<const N: usize>(
     log: &[SVector<f64, N>],
     end: f64,
@@ -13,7 +13,7 @@ pub(crate) fn over_period<const N: usize>(
     let value = |k: usize| {
         let (phase, begin) = (period * k as f64 / count as f64, end - period);
         let at = begin + (phase - begin).rem_euclid(period) + 1e-9;
-        // Rounding may put the end of the window where its beginning belongs.
+        // Rounding may put the end of the window at its beginning.
         let at = if at >= end { at - period } else { at }.max(0.0);
         let (i, part) = (at.floor() as usize, at.fract());
         let (a, b) = (log[i.min(log.len() - 1)], log[(i + 1).min(log.len() - 1)]);
@@ -22,7 +22,7 @@ pub(crate) fn over_period<const N: usize>(
     if log.is_empty() { Vec::new() } else { (0..count).map(value).collect() }
 }
 
-/// The mean; NaN of nothing.
+/// The mean; NaN for an empty iterator.
 pub(crate) fn mean(values: impl Iterator<Item = f64>) -> f64 {
     let (sum, count) = values.fold((0.0, 0.0), |(sum, count), v| (sum + v, count + 1.0));
     sum / count

@@ -1,19 +1,19 @@
-//! The planar arm of three revolute joints that the coaching paper simulates; its base is the origin.
+//! The planar arm with three revolute joints of the coaching paper; its base is the origin.
 
 use nalgebra::{Matrix2x3, Vector2, Vector3};
 
-/// An arm by the lengths of its links, m.
+/// An arm, given by the lengths of its links, m.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PlanarArm {
     pub(crate) links: [f64; 3],
 }
 
-/// How the third degree of freedom, which a point in the plane leaves open, is decided.
+/// Resolves the third degree of freedom, which a point in the plane leaves free.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Redundancy {
-    /// The last link stands at this angle in the world, rad; of the two elbows the one with q2 < 0.
+    /// The last link has this angle in the world, rad; of the two elbow solutions the one with q2 < 0.
     LastLink(f64),
-    /// The joint angles are those next to this posture, rad.
+    /// The joint angles nearest to this posture, rad.
     NearestTo(Vector3<f64>),
 }
 
@@ -23,7 +23,7 @@ fn angles(q: &Vector3<f64>) -> Vector3<f64> {
 }
 
 impl PlanarArm {
-    /// Where the end of the last link is, m, for joint angles `q`, rad.
+    /// The position of the last link's end, m, for joint angles `q`, rad.
     pub(crate) fn end(&self, q: &Vector3<f64>) -> Vector2<f64> {
         let link = |(a, l): (&f64, &f64)| Vector2::new(l * a.cos(), l * a.sin());
         angles(q).iter().zip(&self.links).map(link).sum()
@@ -38,7 +38,7 @@ impl PlanarArm {
         Matrix2x3::from_columns(&[column(0), column(1), column(2)])
     }
 
-    /// Joint angles that put the end to `x`, m; `None` where the arm does not reach.
+    /// Joint angles that move the end to `x`, m; `None` where the arm does not reach.
     pub(crate) fn inverse(&self, x: Vector2<f64>, redundancy: Redundancy) -> Option<Vector3<f64>> {
         match redundancy {
             Redundancy::LastLink(angle) => self.with_last_link(x, angle),
@@ -58,7 +58,8 @@ impl PlanarArm {
         Some(Vector3::new(q1, q2, angle - q1 - q2))
     }
 
-    /// Least `|q - posture|` with `end(q) = x`: each iteration solves the problem linearised at the last one.
+    /// Minimises `|q - posture|` under `end(q) = x`: each iteration solves the problem linearised at the last
+    /// one.
     fn nearest(&self, x: Vector2<f64>, posture: Vector3<f64>) -> Option<Vector3<f64>> {
         let mut q = posture;
         for _ in 0..2000 {
@@ -66,7 +67,7 @@ impl PlanarArm {
             let inverse = (j * j.transpose() + nalgebra::Matrix2::identity() * 1e-12).try_inverse()?;
             let away = q - posture;
             let step = -away + j.transpose() * inverse * (j * away + x - self.end(&q));
-            // Far away the linear problem is no guide: the step is kept short.
+            // Far away the linearisation is inaccurate, so the step is limited.
             q += step * (0.5 / step.norm()).min(0.7);
             if step.norm() < 1e-13 {
                 break;
@@ -101,7 +102,7 @@ mod tests {
         assert!((by_link.sum() - 0.7).abs() < 1e-12);
         let nearest = ARM.inverse(x, Redundancy::NearestTo(posture)).unwrap();
         assert!((ARM.end(&nearest) - x).norm() < 1e-9);
-        // What is left of the way to the posture would leave the point: it has no part in the null space.
+        // At the optimum the remaining distance to the posture has no part in the null space.
         let j = ARM.jacobian(&nearest);
         let null = j.row(0).transpose().cross(&j.row(1).transpose()).normalize();
         assert!(null.dot(&(nearest - posture)).abs() < 1e-9);

@@ -1,5 +1,5 @@
-//! Position-based visual servoing from a start pose to its target: how long it takes, how straight it goes, and what a
-//! camera that is turned on its mount or measures noisily does to it.
+//! Position-based visual servoing from a start pose to its target: duration, straightness, and the effect of a rotated
+//! camera mount or of measurement noise.
 
 use armarium_motion::{PositionServo, ServoConfig, ServoObservation, ServoStatus};
 use armarium_viewer::report::{Curve, Look, Panel, Row, picture};
@@ -12,7 +12,7 @@ use super::experiment::{Experiment, ExperimentError, Outcome, within};
 use super::settings::settings;
 
 settings! {
-    /// What the servo is run with.
+    /// Settings of the servo.
     Servo {
         /// Start pose relative to the target: x, y, z, m, then the rotation vector, deg.
         start: [f64; 6] = [0.15, -0.1, 0.25, 20.0, -30.0, 60.0];
@@ -24,30 +24,30 @@ settings! {
         lambda_scale: f64 = 0.05;
         /// Time between frames, s.
         dt: f64 = 0.04;
-        /// Standard deviation of what is measured, m for each coordinate and rad for each turn.
+        /// Standard deviation of the measurement, m per coordinate and rad per rotation.
         noise: f64 = 0.0;
-        /// By how much the camera is turned against what the robot believes, deg.
+        /// Rotation of the camera against its calibration, deg.
         hand_eye_error_deg: f64 = 0.0;
-        /// About which axis, any length.
+        /// Axis of this rotation, any length.
         hand_eye_axis: [f64; 3] = [0.0, 0.0, 1.0];
-        /// Speed limit, m/s; none for none. Both parts slow down together.
+        /// Speed limit, m/s; none for unlimited. Linear and angular speed are scaled down together.
         max_linear: Option<f64> = None;
-        /// Turning limit, rad/s; none for none.
+        /// Angular speed limit, rad/s; none for unlimited.
         max_angular: Option<f64> = None;
-        /// Converged when nearer, m.
+        /// Converged below this position error, m.
         tolerance_m: f64 = 5e-4;
-        /// Converged when turned by less, deg.
+        /// Converged below this angular error, deg.
         tolerance_deg: f64 = 0.5;
-        /// For so many frames in a row.
+        /// Converged after this many frames in a row.
         frames: u32 = 5;
-        /// Gives up after so long, s.
+        /// Stops after this time, s.
         timeout: f64 = 60.0;
         /// Seed of the noise.
         seed: u64 = 1;
     }
 }
 
-/// One frame: the true error and what was commanded.
+/// One frame: the true error and the command.
 struct Frame {
     t: f64,
     position: Vector3<f64>,
@@ -103,8 +103,8 @@ impl Servo {
         }
     }
 
-    /// Runs until the hand is at its target, in truth and not only as measured, or the servo gives up; the camera stands
-    /// still and sees both.
+    /// Runs until the true, not only the measured, hand pose is at the target, or the servo gives up. The camera stands
+    /// still and sees hand and target.
     fn servo(&self) -> Result<(Vec<Frame>, ServoStatus), ExperimentError> {
         let mut servo = PositionServo::new(self.config())?;
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
@@ -132,7 +132,7 @@ impl Servo {
             if command.status != ServoStatus::Running {
                 return Ok((frames, command.status));
             }
-            // The robot takes the camera's frame for its own.
+            // The robot assumes the calibrated camera frame.
             hand = Isometry3::from_parts(
                 Translation3::from(hand.translation.vector + command.linear * self.dt),
                 UnitQuaternion::from_scaled_axis(command.angular * self.dt) * hand.rotation,
@@ -149,7 +149,7 @@ impl Servo {
         let (Some(first), Some(last)) = (frames.first(), frames.last()) else { return outcome };
         let length: f64 = frames.windows(2).map(|w| (w[1].position - w[0].position).norm()).sum();
         let straight = (last.position - first.position).norm();
-        // Noise may make the servo believe that it is there.
+        // With noise the servo may report convergence too early.
         let there = self.reached(last.position.norm(), last.angle);
         let converged = status == ServoStatus::Converged && there;
         outcome.figure("converged_s", if converged { last.t } else { f64::NAN });
@@ -160,7 +160,7 @@ impl Servo {
         outcome
     }
 
-    /// What a measurement adds to the pose.
+    /// The measurement error of a pose.
     fn error(&self, rng: &mut ChaCha8Rng) -> Isometry3<f64> {
         let mut three = || -> Vector3<f64> {
             Vector3::from_fn(|_, _| {

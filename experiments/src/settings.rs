@@ -1,4 +1,4 @@
-//! The settings of an experiment: declared once with type, default and what they mean, read from `key=value`.
+//! The settings of an experiment: declared once with type, default and meaning, parsed from `key=value`.
 
 use armarium_values::expr::nearest;
 use serde::Serialize;
@@ -7,9 +7,9 @@ use serde_json::{Map, Value};
 
 use super::experiment::ExperimentError;
 
-/// The settings of an experiment; made by [`settings!`].
+/// The settings of an experiment; declared with [`settings!`].
 pub(crate) trait Settings: Default + Serialize + DeserializeOwned {
-    /// Each key, what it means with its unit, and its type as it is written.
+    /// Each key, its meaning with unit, and its Rust type as text.
     const KEYS: &'static [(&'static str, &'static str, &'static str)];
 }
 
@@ -33,14 +33,14 @@ macro_rules! settings {
 }
 pub(crate) use settings;
 
-/// A key as it is listed.
+/// A setting as listed.
 #[derive(Clone, Debug)]
 pub struct Key {
     /// Its name.
     pub name: &'static str,
-    /// What it is where nothing is given, as it would be written.
+    /// Its default value, as text.
     pub default: String,
-    /// What it means, with its unit.
+    /// Its meaning, with unit.
     pub doc: &'static str,
 }
 
@@ -73,10 +73,10 @@ fn shown(value: &Value) -> String {
     }
 }
 
-/// The defaults with what is given in their place.
+/// The defaults, overwritten by the given settings.
 ///
 /// # Errors
-/// [`ExperimentError::Setting`] for a key that is not there and for a value that is not of its type.
+/// [`ExperimentError::Setting`] for an unknown key and for a value of the wrong type.
 pub(crate) fn read<S: Settings>(given: &[(String, String)]) -> Result<S, ExperimentError> {
     let mut map = defaults::<S>();
     for (key, text) in given {
@@ -107,7 +107,7 @@ pub(crate) fn read<S: Settings>(given: &[(String, String)]) -> Result<S, Experim
         .map_err(|error| ExperimentError::Setting { key: "settings".into(), why: error.to_string() })
 }
 
-/// What a type takes, in words; nothing for a choice among names.
+/// The accepted values of a type, in words; `None` for a choice among names.
 fn needed(kind: &str) -> Option<String> {
     let numbers = |array: &str| -> Option<String> {
         let count = array.strip_prefix("[f64;")?.strip_suffix(']')?.trim();
@@ -125,7 +125,7 @@ fn needed(kind: &str) -> Option<String> {
     }
 }
 
-/// The names that may be chosen, out of what serde says of another.
+/// The allowed names, taken from serde's error message.
 fn choice(error: &str) -> String {
     match error.split_once("expected ") {
         Some((_, names)) => names.replace("one of ", ""),
@@ -133,7 +133,7 @@ fn choice(error: &str) -> String {
     }
 }
 
-/// A value of the kind that the default has; what does not read so stays text, which no number takes.
+/// Parses a value of the default's type. Invalid text stays a string, which no numeric field accepts.
 fn value(text: &str, default: &Value) -> Value {
     match default {
         Value::String(_) => text.into(),
@@ -150,7 +150,7 @@ fn value(text: &str, default: &Value) -> Value {
     }
 }
 
-/// A number without a fraction, also written as `1e3`; what is none stays text.
+/// An integer, also written as `1e3`; invalid text stays a string.
 fn whole(text: &str) -> Value {
     let exact = |v: &f64| v.fract() == 0.0 && (0.0..=9e15).contains(v);
     let number = text.parse::<u64>().ok().or_else(|| product(text).filter(exact).map(|v| v as u64));

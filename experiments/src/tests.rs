@@ -1,5 +1,5 @@
-//! The experiments against independent implementations and closed forms, and the documentation's pictures against what
-//! is drawn now.
+//! The experiments, compared with independent implementations and closed forms; and the documentation's pictures,
+//! compared with newly drawn ones.
 
 use std::path::Path;
 
@@ -33,7 +33,7 @@ fn each_experiment_says_what_it_is_and_what_its_settings_are() {
     }
 }
 
-/// An implementation of the design's settings in numpy, which shares nothing with this one, found these.
+/// An independent numpy implementation of the same settings gives these values.
 #[test]
 fn coaching_agrees_with_an_independent_implementation() {
     type Case<'a> = (&'a [(&'a str, &'a str)], [f64; 4]);
@@ -130,12 +130,12 @@ fn the_simulated_robot_follows_the_coached_motion() {
     assert!(lag.iter().all(|lag| *lag > 0.0 && *lag < 1e-3), "{lag:?}");
 }
 
-/// An experiment with its settings, and which of its plots is which picture of the documentation.
+/// An experiment with its settings, and the documentation's picture of each of its plots.
 struct Pictured {
     experiment: &'static str,
     settings: &'static [(&'static str, &'static str)],
     pictures: &'static [(&'static str, &'static str)],
-    /// What the page says of the figures.
+    /// The sentences about the figures in the documentation.
     said: fn(&Map<String, Value>) -> Vec<String>,
 }
 
@@ -288,7 +288,7 @@ fn the_documentation_shows_and_says_what_is_found_now() {
     }
 }
 
-/// Whether two pictures differ at most in the rounding of another machine's sines.
+/// Whether two pictures differ at most by the rounding of another machine's sine function.
 fn alike(a: &str, b: &str) -> bool {
     let numbers = |text: &str| -> Vec<f64> {
         text.split(|c: char| !c.is_ascii_digit() && c != '.' && c != '-')

@@ -1,12 +1,13 @@
-//! What people look at: the live progress line, the recording, the report.
+//! Output for people: the live progress line, the recording, the report.
 //!
-//! - [`recorder`]: `run.mcap`, everything that a run sensed and that the referee saw, for Foxglove and for programs.
+//! - [`recorder`]: `run.mcap`, all sensor data of a run and the referee's ground truth, for Foxglove and for
+//!   programs.
 //! - [`chart`]: a statechart as a picture, for papers and for other tools.
-//! - [`report`]: `report.html`, one file with every picture inside, and the judgement of a report's figures.
-//! - [`progress`]: one line that says what is happening now.
+//! - [`report`]: `report.html`, one file with all pictures embedded, and the judgement of a report's figures.
+//! - [`progress`]: one line with the current state of a run.
 //!
-//! This room is given plain values and draws them: it knows no simulator, reads no clock and never prints; the
-//! program hands it numbers and a place to write.
+//! This room draws plain values: it knows no simulator, reads no clock and never prints. The caller passes the
+//! numbers and a writer.
 
 pub mod chart;
 pub mod progress;

@@ -1,30 +1,30 @@
-//! One line that says what is happening: simulated time, active states, force, how fast it goes.
+//! A live progress line: simulated time, active states, force, speed factor.
 //!
-//! On a terminal the line is drawn over itself, and log lines appear above it; elsewhere a line is written now and
-//! then. The caller says what time it is and gives the place to write: this file reads no clock.
+//! On a terminal the line is redrawn in place and log lines appear above it; elsewhere a line is written from time
+//! to time. The caller passes the time and the writer: this file reads no clock.
 
 use std::io::{self, Write};
 use std::sync::Arc;
 
 use parking_lot::{Mutex, MutexGuard};
 
-/// What the line shows.
+/// The content of the line.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Status {
     /// Simulated time since the run's start, s.
     pub simulated_s: f64,
-    /// Time on the wall since the run's start, s.
+    /// Wall-clock time since the run's start, s.
     pub wall_s: f64,
-    /// Paths of the active states; inner ones say enough.
+    /// Paths of the active states; the innermost are enough.
     pub states: Vec<String>,
-    /// Contact force as the robot senses it, N.
+    /// Contact force as sensed by the robot, N.
     pub force_n: Option<f64>,
 }
 
 impl Status {
     /// The line without decoration.
     ///
-    /// The factor is simulated time over wall time: 2 is twice as fast as life.
+    /// The factor is simulated time over wall-clock time: 2 is twice real time.
     #[must_use]
     pub fn line(&self) -> String {
         let minutes = (self.simulated_s / 60.0).floor().max(0.0);
@@ -40,7 +40,8 @@ impl Status {
     }
 }
 
-/// Innermost states only, with what they share named once: `Wipe: Execution.Wiping | Coaching.Watching`.
+/// Innermost states only, with their common prefix written once: `Wipe: Execution.Wiping |
+/// Coaching.Watching`.
 fn states(paths: &[String]) -> String {
     let inner: Vec<&str> = paths
         .iter()
@@ -72,7 +73,7 @@ struct Inner {
     partial: Vec<u8>,
 }
 
-/// The live line; clones write to the same place.
+/// The live line; clones write to the same output.
 #[derive(Clone)]
 pub struct Progress {
     inner: Arc<Mutex<Inner>>,
@@ -84,15 +85,15 @@ impl std::fmt::Debug for Progress {
     }
 }
 
-/// Shortest time between two drawings on a terminal, s on the wall.
+/// Shortest time between two redraws on a terminal, s of wall-clock time.
 const REDRAW_S: f64 = 0.1;
-/// Simulated time between two lines elsewhere, s.
+/// Simulated time between two lines on other outputs, s.
 const LINE_S: f64 = 10.0;
-/// Back to the line's start, and erase it.
+/// Returns to the line's start and erases the line.
 const ERASE: &str = "\r\x1b[2K";
 
 impl Progress {
-    /// A line on `out`; `terminal` says whether it can be drawn over.
+    /// A line on `out`; `terminal`: whether it can be redrawn in place.
     #[must_use]
     pub fn new(out: Box<dyn Write + Send>, terminal: bool) -> Self {
         let inner = Inner {
@@ -110,13 +111,13 @@ impl Progress {
         self.inner.lock()
     }
 
-    /// Whether an update at this time would be shown: ask before gathering what costs something.
+    /// Whether an update at this time would be shown; check it before computing an expensive status.
     #[must_use]
     pub fn due(&self, simulated_s: f64, wall_s: f64) -> bool {
         self.inner().due(simulated_s, wall_s)
     }
 
-    /// Shows the status, unless the last was shown just before. A place that cannot be written to is ignored.
+    /// Shows the status, unless the last update was very recent. Write errors are ignored.
     pub fn update(&self, status: &Status) {
         let mut inner = self.inner();
         if inner.due(status.simulated_s, status.wall_s) {
@@ -131,7 +132,7 @@ impl Progress {
         drop(self.inner().print(line.as_bytes()));
     }
 
-    /// Ends the live line: what it said last stays on a line of its own.
+    /// Ends the live line; the final status remains on a line of its own.
     pub fn finish(&self, status: &Status) {
         let mut inner = self.inner();
         drop(inner.show(status.line()).and_then(|()| {
@@ -142,7 +143,7 @@ impl Progress {
     }
 }
 
-/// Lines written here (a log's, for instance) appear above the live line.
+/// Text written here (log lines, for instance) appears above the live line.
 impl Write for Progress {
     fn write(&mut self, data: &[u8]) -> io::Result<usize> {
         let mut inner = self.inner();
@@ -174,7 +175,7 @@ impl Inner {
         self.out.flush()
     }
 
-    /// Draws without wrapping, so that a narrow terminal cuts the line instead of breaking it.
+    /// Disables wrapping while drawing, so that a narrow terminal cuts the line.
     fn draw(&mut self, line: &str) -> io::Result<()> {
         write!(self.out, "{ERASE}\x1b[?7l{line}\x1b[?7h")
     }

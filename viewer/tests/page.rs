@@ -1,6 +1,6 @@
-//! The page of a made-up run: what is in it, what is left out, how large it is.
+//! The page of an artificial run: its content, what is omitted, its size.
 //!
-//! The pages are left in the build's folder for temporary files, to be looked at.
+//! The pages stay in the build's temporary folder, for visual inspection.
 
 use std::f64::consts::TAU;
 
@@ -56,7 +56,7 @@ fn signal(label: &str, end: f64, f: impl Fn(f64) -> f64) -> Series {
     Series { label: label.into(), t_s, y }
 }
 
-/// Something irregular that needs no random numbers.
+/// An irregular signal without random numbers.
 fn ripple(t: f64) -> f64 {
     (t * 91.7).sin() * (t * 37.1).cos() + 0.5 * (t * 211.3).sin()
 }
@@ -275,7 +275,7 @@ fn leave(name: &str, page: &str) {
         .expect("the build's folder can be written");
 }
 
-/// Every `<svg ...>` of the page is closed and every attribute quoted: an XML reader would take it.
+/// Every `<svg ...>` of the page is closed and every attribute quoted, so an XML reader accepts it.
 fn balanced(page: &str) {
     for tag in ["svg", "section", "table", "tr", "div", "figure", "main", "text", "rect"] {
         let opened = page.matches(&format!("<{tag} ")).count() + page.matches(&format!("<{tag}>")).count();

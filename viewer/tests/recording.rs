@@ -1,4 +1,4 @@
-//! What the recorder writes, read back by the MCAP library: every message, its time, its values; after a crash too.
+//! Reads the recorder's file back with the MCAP library: every message, its time, its values; also after a crash.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -18,7 +18,7 @@ fn tcp(i: u64) -> Isometry3<f64> {
     )
 }
 
-/// Records `n` ms of everything.
+/// Records `n` ms of every kind of message.
 fn record(path: &std::path::Path, n: u64) -> Recorder {
     let metadata = BTreeMap::from([("seed".to_owned(), "7".to_owned())]);
     let options = RecorderOptions { image_period_ns: 500 * MS, ..RecorderOptions::default() };
@@ -94,7 +94,7 @@ fn every_message_comes_back_with_its_time_and_values() {
     let position = pose.pose.and_then(|p| p.position).expect("a pose has a position");
     assert_eq!((*t, pose.frame_id.as_str()), (1234 * MS, "root"));
     let expected = tcp(1234).translation.vector;
-    // Poses lie on a grid of a micrometre, forces of contact on one of a millinewton.
+    // Poses are rounded to a micrometre, contact forces to a millinewton.
     assert!((Vector3::new(position.x, position.y, position.z) - expected).amax() < 0.5e-6);
 
     let (_, data) = &topics["/truth/contact"][100];
@@ -136,7 +136,7 @@ fn the_metadata_and_json_schemas_are_in_the_file() {
 fn a_crash_loses_at_most_the_last_moments() {
     let (_folder, path) = temp();
     let recorder = record(&path, 7000);
-    // What is in the file now is what a killed program leaves.
+    // The file now has the content that a killed program leaves.
     let on_disk = std::fs::metadata(&path).expect("the file exists").len();
     let topics = read(&path, Some(usize::try_from(on_disk).expect("it fits into memory")));
     assert!(topics["/truth/tcp"].len() >= 5000, "{} of 7000 poses", topics["/truth/tcp"].len());

@@ -53,7 +53,7 @@ fn eye(shift: f64, seed: u64) -> Result<Image, ImageError> {
     let camera = CALIBRATION.camera;
     let mut state = seed;
     let mut noise = || {
-        // A linear congruence is noise enough here.
+        // // Linear congruential noise is good enough here.
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
         (state >> 33) as f64 / f64::from(1u32 << 31) * 7.0 - 3.5
     };

@@ -1,10 +1,10 @@
-//! How long a frame takes from provider to processor, and how many pass in a second, beside raw Zenoh shared memory and
-//! a mere copy: `cargo bench -p armarium-visionx --bench transport`.
+//! The latency of a frame from provider to processor and the throughput in frames per second, beside raw Zenoh shared
+//! memory and a plain copy: `cargo bench -p armarium-visionx --bench transport`.
 //!
-//! Two sessions in one process, connected over TCP on loopback, shared memory on; an RGB image each time. Raw: allocate, copy the
-//! image in, put; receive. Ours: hand the frame to the provider's channel; receive it from a `RemoteProvider`. Latency is
-//! measured at a frame each 2 ms (1 kHz leaves a busy machine no rest), throughput with four frames on the way. Raw and
-//! ours take turns, so that what else the machine does troubles both alike.
+//! Two sessions in one process are connected over TCP on loopback, with shared memory; each message is one RGB image.
+//! Raw: allocate, copy the image in, put; receive. Ours: hand the frame to the provider's channel; receive it from a
+//! `RemoteProvider`. Latency is measured at one frame every 2 ms (1 kHz would saturate a busy machine), throughput with
+//! four frames in flight. Raw and ours alternate, so that other load on the machine affects both alike.
 
 #![expect(clippy::disallowed_methods, reason = "it measures the machine")]
 #![allow(clippy::print_stdout, clippy::unwrap_used, reason = "a program for people")]
@@ -140,7 +140,8 @@ async fn bench(one: &Session, two: &Session, (width, height): (u32, u32)) {
             raw.receive().await;
         }
         raw_rates.push(FRAMES as f64 / began.elapsed().as_secs_f64());
-        // The provider keeps the newest only: what reaches the processor counts, as it drains what comes.
+        // The provider keeps only the newest frame. The processor drains the queue, so the received frames
+        // are counted.
         let before = ours.reader.statistics().received();
         let began = Instant::now();
         let giving = async {

@@ -1,4 +1,5 @@
-//! Pictures of what was seen: masks, boxes, crosses, lines, and PNG files. For people; nothing measures on them.
+//! Draws results into images: masks, boxes, crosses, lines; and encodes PNG files. For people only; nothing
+//! measures on these images.
 
 use nalgebra::Point2;
 
@@ -17,7 +18,7 @@ pub enum EncodeError {
     Png(#[source] image::ImageError),
 }
 
-/// Sets a pixel; nothing happens outside of the image.
+/// Sets a pixel; does nothing outside of the image.
 pub fn pixel(image: &mut Image, x: i64, y: i64, color: [u8; 3]) {
     let (w, h) = (i64::from(image.width()), i64::from(image.height()));
     if x >= 0 && y >= 0 && x < w && y < h {
@@ -26,8 +27,7 @@ pub fn pixel(image: &mut Image, x: i64, y: i64, color: [u8; 3]) {
     }
 }
 
-/// Draws a straight line, one pixel wide. Parts outside of the image are left out; points that are not finite draw
-/// nothing.
+/// Draws a straight line, one pixel wide, clipped to the image. Draws nothing when a point is not finite.
 pub fn line(image: &mut Image, from: &Point2<f64>, to: &Point2<f64>, color: [u8; 3]) {
     let length = (to - from).amax();
     let limit = 4.0 * f64::from(image.width().max(image.height()));
@@ -72,7 +72,7 @@ pub fn region(image: &mut Image, region: &Region, color: [u8; 3]) {
     polygon(image, &corners, color);
 }
 
-/// Tints the pixels of a mask half way to a colour.
+/// Tints the pixels of a mask half way towards a colour.
 pub fn overlay(image: &mut Image, mask: &Mask, color: [u8; 3]) {
     let region = mask.region();
     for y in 0..mask.height() {

@@ -18,17 +18,17 @@ pub struct PinholeCamera {
     pub center: [f64; 2],
 }
 
-/// Two equal, parallel cameras: the right eye is `baseline` m along the left camera's x.
+/// Two identical, parallel cameras: the right camera stands `baseline` m along the left camera's x.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StereoCalibration {
     /// Intrinsics of each eye.
     pub camera: PinholeCamera,
-    /// Distance of the eyes, m.
+    /// Distance between the cameras, m.
     pub baseline: f64,
 }
 
 impl PinholeCamera {
-    /// Where a point (camera frame, m) appears, px; `None` behind or in the plane of the camera.
+    /// Projects a point (camera frame, m) to px; `None` for a point behind the camera or in its plane.
     #[must_use]
     pub fn project(&self, point: &Point3<f64>) -> Option<Point2<f64>> {
         (point.z > 1e-6).then(|| {
@@ -39,7 +39,8 @@ impl PinholeCamera {
         })
     }
 
-    /// Where an equal camera that stands `shift` m along this one's x sees the point (this camera's frame, m).
+    /// Projects the point (this camera's frame, m) into an identical camera that stands `shift` m along this
+    /// one's x.
     #[must_use]
     pub fn project_shifted(&self, point: &Point3<f64>, shift: f64) -> Option<Point2<f64>> {
         self.project(&Point3::new(point.x - shift, point.y, point.z))
@@ -53,7 +54,7 @@ impl PinholeCamera {
 }
 
 impl StereoCalibration {
-    /// Whether both images of a frame have the size that the calibration speaks of, and the numbers make a camera.
+    /// Whether both images have the calibration's size and the calibration's numbers describe a valid camera.
     #[must_use]
     pub fn fits(&self, frame: &StereoFrame) -> bool {
         let size = (self.camera.width, self.camera.height);

@@ -1,8 +1,8 @@
-//! Which pixels have an object's colour, whatever the shading.
+//! Classifies the pixels that have an object's colour, independent of shading.
 //!
 //! Shading by a white light scales a pixel's RGB vector and keeps its direction. A pixel has the colour when it lies
-//! in a cone about the reference's direction that is widened at its tip by the camera's noise, and its brightness is
-//! within the range that shading can explain. Colours without hue (white, grey, black) share one direction, so they
+//! in a cone about the reference's direction and its brightness is within the range that shading can explain. The
+//! camera's noise widens the cone at its tip. Colours without hue (white, grey, black) share one direction, so they
 //! are told apart by brightness instead. Gamma, coloured light and highlights are not modelled.
 
 use crate::frame::{Image, StereoFrame};
@@ -30,7 +30,7 @@ const NOISE_RADIUS: f32 = 5.0;
 const DARK: f32 = 30.0;
 
 impl ColorModel {
-    /// The model of things whose colour in full light is `reference` (RGB).
+    /// The model of an object whose colour in full light is `reference` (RGB).
     #[must_use]
     pub fn from_rgb(reference: [u8; 3]) -> Self {
         let v = reference.map(f32::from);
@@ -49,8 +49,8 @@ impl ColorModel {
         Self { reference, direction, tangent: half_angle.tan(), radius: NOISE_RADIUS, range }
     }
 
-    /// The same colour as it was seen: a narrower cone about the mean of `pixels` (RGB), as wide as they scatter. The
-    /// accepted brightness stays. Unchanged without usable pixels.
+    /// Adapts the model to the observed `pixels` (RGB): a cone about their mean, as wide as their scatter, never
+    /// wider than before. The accepted brightness range stays. Without usable pixels the model is unchanged.
     #[must_use]
     pub fn learned(&self, pixels: impl Iterator<Item = [u8; 3]> + Clone) -> Self {
         let bright = pixels.map(|p| p.map(f32::from)).filter(|p| norm(*p) > DARK);

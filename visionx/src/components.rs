@@ -132,12 +132,12 @@ fn join(parents: &mut [usize], i: usize, j: usize) {
     parents[high] = low;
 }
 
-/// The bounds of the largest component; empty where nothing is set.
+/// The bounds of the largest component; empty when the mask is empty.
 pub(crate) fn largest_bounds(mask: &Mask) -> Region {
     components(mask, 1).first().map_or_else(Region::default, |component| component.bounds)
 }
 
-/// Sets what is enclosed and has fewer than `most` pixels.
+/// Fills enclosed holes of fewer than `most` pixels.
 pub(crate) fn fill_holes(mask: &mut Mask, most: u32) {
     let region = mask.region();
     let mut outside = Mask::empty(region);
@@ -176,7 +176,7 @@ mod tests {
         assert_eq!(components(&mask, 2).len(), 1);
     }
 
-    /// Flood fill, the oracle.
+    /// Flood fill, as the oracle.
     fn flood(mask: &Mask) -> Vec<u32> {
         let (w, h) = (mask.width() as i64, mask.height() as i64);
         let mut left = mask.data().to_vec();

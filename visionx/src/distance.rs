@@ -6,11 +6,11 @@ use imageproc::distance_transform::euclidean_squared_distance_transform;
 
 use crate::mask::Mask;
 
-/// For each pixel of a mask that is set, the distance of the nearest that is not, px; 0 for the others. What lies
-/// outside of the mask's region counts as not set.
+/// For each set pixel of a mask, the distance to the nearest unset pixel, px; 0 for unset pixels. Pixels outside
+/// of the mask's region count as unset.
 pub(crate) fn inside(mask: &Mask) -> Vec<f32> {
     let (w, h) = (mask.width() as u32, mask.height() as u32);
-    // A frame of one pixel is the outside.
+    // A border of one pixel stands for the outside.
     let is_set = |x: u32, y: u32| {
         let within = x > 0 && y > 0 && x <= w && y <= h;
         within && mask.row(y as usize - 1)[x as usize - 1] != 0
@@ -20,7 +20,7 @@ pub(crate) fn inside(mask: &Mask) -> Vec<f32> {
     (0..h).flat_map(|y| (0..w).map(move |x| (x, y))).map(|(x, y)| at(x, y)).collect()
 }
 
-/// The distance of every pixel from the nearest that is set, px; infinite where none is.
+/// The distance of every pixel to the nearest set pixel, px; infinite when none is set.
 pub(crate) fn to_set(mask: &Mask) -> Vec<f32> {
     let (w, h) = (mask.width() as u32, mask.height() as u32);
     if mask.count() == 0 {
@@ -30,7 +30,7 @@ pub(crate) fn to_set(mask: &Mask) -> Vec<f32> {
     squared.pixels().map(|d| d.0[0].sqrt() as f32).collect()
 }
 
-/// The squared distance of every pixel from the nearest source.
+/// The squared distance of every pixel to the nearest source.
 fn squared_to_nearest(w: u32, h: u32, is_source: impl Fn(u32, u32) -> bool) -> Image<Luma<f64>> {
     // The transform measures from white pixels.
     let white = GrayImage::from_fn(w, h, |x, y| Luma([if is_source(x, y) { 255 } else { 0 }]));

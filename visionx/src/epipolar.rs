@@ -1,35 +1,35 @@
-//! Whether a stereo pair is as its calibration says: corners of the left image are found again in the right one.
+//! Checks whether a stereo pair fits its calibration: matches corners of the left image in the right one.
 //!
-//! In two equal, parallel cameras a thing is seen in the same row by both; and where there is a depth image, depth by
-//! triangulation is the depth that was measured. Nothing is calibrated anew here.
+//! Two identical, parallel cameras see a point in the same row. Where there is a depth image, the triangulated depth
+//! must equal the measured one. This module does not calibrate.
 
 use nalgebra::Point2;
 
 use crate::camera::StereoCalibration;
 use crate::frame::{Image, StereoFrame};
 
-/// Half the side of a patch that is compared, px.
+/// Half the side of a compared patch, px.
 const HALF: i64 = 5;
-/// How far from its row a corner is looked for, px.
+/// Largest searched distance of a match from the corner's row, px.
 const ROWS: i64 = 6;
-/// Corners are the best of squares with this side, px.
+/// Side of the squares, px. Each contributes its best corner.
 const GRID: i64 = 32;
 /// Least mean difference of grey levels across a corner, along its weaker direction.
 const LEAST_CONTRAST: f64 = 8.0;
-/// The best place has to be better than any other by this factor: repeated patterns say nothing.
+/// The best match must be better than any other by this factor; repeated patterns are ambiguous.
 const DISTINCT: f64 = 0.7;
 
-/// What a stereo pair shows of its calibration.
+/// Deviations of stereo pairs from their calibration.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct EpipolarCheck {
-    /// For each corner that was found again: how much lower it lies in the right image, px.
+    /// For each matched corner: how much lower it lies in the right image, px.
     pub rows_px: Vec<f64>,
-    /// For each of them with a measured depth: triangulated depth over measured depth.
+    /// For each matched corner with a measured depth: triangulated depth over measured depth.
     pub depth_ratio: Vec<f64>,
 }
 
 impl EpipolarCheck {
-    /// Looks at a frame.
+    /// Checks a frame.
     #[must_use]
     pub fn of(frame: &StereoFrame, calibration: &StereoCalibration) -> Self {
         let mut check = Self::default();
@@ -53,13 +53,13 @@ impl EpipolarCheck {
         check
     }
 
-    /// Adds what another frame showed.
+    /// Adds the results of another frame.
     pub fn add(&mut self, other: Self) {
         self.rows_px.extend(other.rows_px);
         self.depth_ratio.extend(other.depth_ratio);
     }
 
-    /// The median of values; `None` without any.
+    /// The median of the values; `None` when there are none.
     #[must_use]
     pub fn median(values: &[f64]) -> Option<f64> {
         let mut sorted = values.to_vec();
@@ -80,7 +80,7 @@ impl Gray {
         Self { width: i64::from(image.width()), height: i64::from(image.height()), data }
     }
 
-    /// Three times the grey level; inside only.
+    /// Three times the grey level, for places inside the image only.
     fn at(&self, x: i64, y: i64) -> i32 {
         self.data[(y * self.width + x) as usize]
     }
@@ -118,8 +118,8 @@ impl Gray {
         (half - difference.hypot(xy)).max(0.0) / 25.0
     }
 
-    /// Where a patch of this image is in `other`: in about the same row, not to the right; to fractions of a pixel along
-    /// both axes. `None` when it is there twice, or not.
+    /// Finds a patch of this image in `other`, in about the same row and not further right, with subpixel accuracy
+    /// along both axes. `None` when there is no match or more than one.
     fn find_in(&self, other: &Self, [x, y]: [i64; 2]) -> Option<Point2<f64>> {
         let cost = |u: i64, v: i64| {
             let mut sum = 0i64;
@@ -144,7 +144,7 @@ impl Gray {
         let elsewhere = costs.iter().filter(|(_, a, b)| (a - u).abs() > 2 || (b - v).abs() > 2);
         let second = elsewhere.map(|(c, _, _)| *c).min()?;
         let distinct = (least as f64) < DISTINCT * second as f64;
-        // At the border of what is looked through it may go on beyond.
+        // At the border of the search range the true minimum may lie beyond it.
         if !distinct || (v - y).abs() == ROWS || !inside(u - 1) || !inside(u + 1) {
             return None;
         }
@@ -170,7 +170,7 @@ mod tests {
         baseline: 0.1,
     };
 
-    /// A wall of random squares at 1 m: 25 px of disparity; the right eye stands `low` px too high.
+    /// A wall of random squares at 1 m, so the disparity is 25 px. The right camera stands `low` px too high.
     fn wall(low: i64) -> StereoFrame {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(4);
         let texture: Vec<u8> = (0..80 * 80).map(|_| rng.random_range(40..220)).collect();

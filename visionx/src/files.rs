@@ -1,5 +1,4 @@
-//! Images from files and folders of files. Nothing in a file can make it take more memory than a limit, or end the
-//! program.
+//! Reads images from files and folders. Memory is bounded, and no file can make the program panic.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Seek};
@@ -14,33 +13,33 @@ use crate::jpeg;
 pub const MOST_PIXELS: u64 = 128_000_000;
 /// Longest side of an image, px.
 const LONGEST: u32 = 32_768;
-/// Longest file, bytes.
+/// Largest file, bytes.
 const LONGEST_FILE: u64 = 512 << 20;
-/// Most memory that a decoder may take beside the pixels, bytes: what a file says of colours and in words goes into it.
+/// Memory limit of a decoder beside the pixels, bytes: for colour profiles and text in the file.
 const MOST_BESIDE: u64 = 32 << 20;
-/// Most memory that it may take for the pixels, bytes: 4 bytes a pixel and some more.
+/// Memory limit of a decoder for the pixels, bytes: 4 bytes a pixel and some reserve.
 const MOST_BYTES: u64 = 768 << 20;
-/// Bytes of a pixel at most: four channels of 16 bit.
+/// Most bytes per pixel: four channels of 16 bit.
 const WIDEST_PIXEL: u64 = 8;
-/// What a JPEG file begins with.
+/// The first bytes of a JPEG file.
 const JPEG: [u8; 2] = [0xFF, 0xD8];
-/// The endings of files that are images.
+/// File name extensions of images.
 const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];
 
-/// Why a file gives no image.
+/// Why a file is not a usable image.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FileError {
     /// It cannot be read.
     #[error("cannot be read: {0}")]
     Read(#[source] std::io::Error),
-    /// It is no PNG or JPEG image, or a broken one.
+    /// It is not a PNG or JPEG image, or it is damaged.
     #[error("is not a PNG or JPEG image that can be decoded: {}", .0.to_string().trim_end())]
     Decode(#[source] image::ImageError),
-    /// It is an image, and none of depth.
+    /// It is an image, but not a depth image.
     #[error("is no depth image: that is 16 bit gray, mm, as PNG, and this is {found}")]
     NotDepth {
-        /// What it is.
+        /// The kind of image found.
         found: String,
     },
     /// It is a JPEG image whose end is missing.
@@ -54,25 +53,25 @@ pub enum FileError {
         /// Height, px.
         height: u32,
     },
-    /// It is longer than any image of as many pixels needs to be.
+    /// The file is larger than any accepted image.
     #[error("is {bytes} bytes long; at most {LONGEST_FILE} are read")]
     TooLong {
         /// Its length, bytes.
         bytes: u64,
     },
-    /// There is no image in the folder.
+    /// The folder contains no image.
     #[error("there is no PNG or JPEG file in it")]
     Empty,
-    /// A file that describes cameras does not.
+    /// A file that should describe cameras does not.
     #[error("does not describe cameras: {what}")]
     Calibration {
-        /// Why not.
+        /// The reason.
         what: String,
     },
 }
 
-/// Reads a PNG or JPEG file, as the pixels are stored: an orientation that the file asks for is not applied. Transparency is
-/// left out, grey becomes RGB.
+/// Reads a PNG or JPEG file with the pixels as stored: the file's orientation tag is not applied. Transparency is
+/// dropped, grey becomes RGB.
 ///
 /// # Errors
 /// [`FileError`] when there is no such image or it is too large.
@@ -84,14 +83,14 @@ pub fn read_image(path: &Path) -> Result<Image, FileError> {
 /// Decodes the bytes of a PNG or JPEG file; see [`read_image`].
 ///
 /// # Errors
-/// [`FileError`] when they are no such image or it is too large.
+/// [`FileError`] when they are not such an image or it is too large.
 pub fn decode_image(bytes: &[u8]) -> Result<Image, FileError> {
     let size = size_of(Cursor::new(bytes))?;
     read(Cursor::new(bytes), size)
 }
 
-/// Reads a depth image: a PNG file of 16 bit gray, millimetres. Returns width and height, px, and two little-endian bytes a
-/// pixel.
+/// Reads a depth image: a PNG file of 16 bit gray, millimetres. Returns width and height, px, and two little-endian
+/// bytes per pixel.
 ///
 /// # Errors
 /// [`FileError`] when there is no such image or it is too large.
@@ -100,11 +99,11 @@ pub fn read_depth(path: &Path) -> Result<(u32, u32, Vec<u8>), FileError> {
     gray(open(path)?, size, true)
 }
 
-/// Decodes the bytes of a gray PNG or JPEG file: width and height, px, and a byte a pixel; or with `wide` of a depth image,
-/// see [`read_depth`].
+/// Decodes the bytes of a gray PNG or JPEG file to width and height, px, and one byte per pixel. With `wide` it decodes
+/// a depth image; see [`read_depth`].
 ///
 /// # Errors
-/// [`FileError`] when they are no such image or it is too large.
+/// [`FileError`] when they are not such an image or it is too large.
 pub fn decode_gray(bytes: &[u8], wide: bool) -> Result<(u32, u32, Vec<u8>), FileError> {
     let size = size_of(Cursor::new(bytes))?;
     gray(Cursor::new(bytes), size, wide)
@@ -117,14 +116,14 @@ fn gray<R: BufRead + Seek>(from: R, size: (u32, u32), wide: bool) -> Result<(u32
         DynamicImage::ImageLuma16(depth) if wide => {
             depth.into_raw().into_iter().flat_map(u16::to_le_bytes).collect()
         }
-        // Shades that were computed from colours are no distances.
+        // Grey levels computed from colours are not distances.
         other if wide => return Err(FileError::NotDepth { found: kind(&other) }),
         other => other.into_luma8().into_raw(),
     };
     Ok((width, height, bytes))
 }
 
-/// What an image is, in words.
+/// The kind of an image, for messages.
 fn kind(image: &DynamicImage) -> String {
     let color = image.color();
     let bits = color.bits_per_pixel() / u16::from(color.channel_count().max(1));
@@ -133,8 +132,8 @@ fn kind(image: &DynamicImage) -> String {
     format!("{bits} bit {what}{alpha}")
 }
 
-/// The images that paths name: files as they are, and of folders the images in them in the order of their names, without
-/// those that are hidden.
+/// Lists the images that `paths` name. A file stands for itself, a folder for the images in it, sorted by name, without
+/// hidden files.
 ///
 /// # Errors
 /// The path and [`FileError`] when a folder cannot be read or has no image.
@@ -172,7 +171,7 @@ fn open(path: &Path) -> Result<BufReader<File>, FileError> {
     if bytes > LONGEST_FILE { Err(FileError::TooLong { bytes }) } else { Ok(BufReader::new(file)) }
 }
 
-/// Width and height, px, of an image that is not too large; its pixels are not decoded.
+/// Width and height, px, of an image that is not too large; does not decode the pixels.
 ///
 /// # Errors
 /// [`FileError`] when there is no such image or it is too large.
@@ -185,7 +184,7 @@ pub(crate) fn size_of<R: BufRead + Seek>(from: R) -> Result<(u32, u32), FileErro
     Ok(size)
 }
 
-/// A decoder that takes no more memory than this.
+/// A decoder that takes at most `most_bytes` of memory.
 fn decoder<R: BufRead + Seek>(from: R, most_bytes: u64) -> Result<ImageReader<R>, FileError> {
     let mut reader = ImageReader::new(from).with_guessed_format().map_err(FileError::Read)?;
     let mut limits = Limits::no_limits();
@@ -200,7 +199,7 @@ fn read<R: BufRead + Seek>(from: R, size: (u32, u32)) -> Result<Image, FileError
     Image::from_rgb(width, height, rgb.into_raw()).map_err(|_| FileError::TooLarge { width, height })
 }
 
-/// Decodes an image of a size that was checked.
+/// Decodes an image whose size was checked before.
 fn decoded<R: BufRead + Seek>(mut from: R, (width, height): (u32, u32)) -> Result<DynamicImage, FileError> {
     let is_jpeg = from.fill_buf().map_err(FileError::Read)?.starts_with(&JPEG);
     if is_jpeg && !jpeg::is_whole(&mut from).map_err(FileError::Read)? {
@@ -234,12 +233,12 @@ mod tests {
         assert!(matches!(images_in(&[folder.path().join("empty")]), Err((_, FileError::Empty))));
     }
 
-    /// A PNG whose header promises a size that its data do not have.
+    /// A PNG whose header gives a size that its data do not have.
     fn promising(width: u32, height: u32) -> Vec<u8> {
         let mut bytes = png(&Image::from_rgb(1, 1, vec![7; 3]).unwrap()).unwrap();
         bytes[16..20].copy_from_slice(&width.to_be_bytes());
         bytes[20..24].copy_from_slice(&height.to_be_bytes());
-        // The header's checksum, so that only the size is wrong.
+        // Corrects the header's checksum, so that only the size is wrong.
         let mut crc = u32::MAX;
         for byte in &bytes[12..29] {
             crc ^= u32::from(*byte);
@@ -289,7 +288,7 @@ mod tests {
                 "cut at {end}: {error}"
             );
         }
-        // A camera may write more behind the image, and a thumbnail with an end of its own before it.
+        // A camera may append more data after the image. A thumbnail before it has an end marker of its own.
         let mut more = whole.clone();
         more.extend_from_slice(b"\xff\xd8\xff\xd9 and more");
         assert_eq!(decode_image(&more).unwrap(), image);

@@ -1,4 +1,4 @@
-//! Frames: stereo images with depth and the pose of the camera at their time.
+//! Stereo frames: two images with depth and the camera's pose at their time.
 
 use nalgebra::Isometry3;
 
@@ -10,7 +10,7 @@ pub struct Image {
     data: Vec<u8>,
 }
 
-/// A depth image: distance along the optical axis, m; 0 where nothing was seen.
+/// A depth image: distance along the optical axis, m; 0 where there is no measurement.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthImage {
     /// Width, px.
@@ -21,10 +21,10 @@ pub struct DepthImage {
     pub data: Vec<f32>,
 }
 
-/// One moment seen by both eyes.
+/// One stereo frame: both images were taken at the same time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StereoFrame {
-    /// When the shutter was open, since the provider's start, ns; the same clock as the robot's samples.
+    /// The time of the exposure since the provider's start, ns; the same clock as the robot's samples.
     pub stamp_ns: u64,
     /// Left eye.
     pub left: Image,
@@ -32,8 +32,8 @@ pub struct StereoFrame {
     pub right: Image,
     /// Depth registered to the left eye, where the provider has it.
     pub depth: Option<DepthImage>,
-    /// The left camera's pose in the robot's root frame as the robot believes it: from joint angles and
-    /// calibration. A wrong mounting is not in it.
+    /// The left camera's pose in the robot's root frame, computed from joint angles and calibration. An error
+    /// of the mounting is not included.
     pub root_from_left: Isometry3<f64>,
 }
 
@@ -41,7 +41,7 @@ pub struct StereoFrame {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ImageError {
-    /// The data do not fill the image.
+    /// The number of bytes does not fit the image's size.
     #[error("an image of {width} x {height} pixels needs {expected} bytes, not {actual}")]
     Size {
         /// Width, px.
@@ -53,13 +53,13 @@ pub enum ImageError {
         /// Bytes given.
         actual: usize,
     },
-    /// The provider has gone.
+    /// The provider is gone.
     #[error("the image provider `{provider}` has gone")]
     Gone {
         /// Its name.
         provider: String,
     },
-    /// One frame cannot be had, or used as what is asked for; others may.
+    /// One frame is unavailable or not of the requested kind; later frames may be.
     #[error("the image provider `{provider}` gave {what}")]
     Spoilt {
         /// Its name.
@@ -70,7 +70,7 @@ pub enum ImageError {
 }
 
 impl Image {
-    /// An image of raw RGB bytes.
+    /// Makes an image of raw RGB bytes.
     ///
     /// # Errors
     /// [`ImageError::Size`] unless there are `width * height * 3` bytes.
@@ -101,13 +101,13 @@ impl Image {
         &self.data
     }
 
-    /// All bytes, to draw into.
+    /// All bytes, for drawing.
     #[must_use]
     pub fn data_mut(&mut self) -> &mut [u8] {
         &mut self.data
     }
 
-    /// All bytes, given away.
+    /// All bytes, by value.
     #[must_use]
     pub fn into_data(self) -> Vec<u8> {
         self.data

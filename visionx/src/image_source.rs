@@ -1,4 +1,4 @@
-//! Who gives stereo frames to skills: the one trait between cameras and whoever looks through them.
+//! The trait through which skills get stereo frames.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use async_trait::async_trait;
 use crate::camera::StereoCalibration;
 use crate::frame::{ImageError, StereoFrame};
 
-/// A provider of stereo frames. Frames that nobody asks for are not made.
+/// A provider of stereo frames. It makes a frame only when a caller waits for one.
 #[async_trait]
 pub trait ImageSource: Send + Sync {
     /// Its name.

@@ -1,15 +1,15 @@
-//! JPEG files: pixels become one, and whether one is all there. Its decoder fills up with gray what is missing, which is good
-//! for looking at a photograph and bad for saying what is on it.
+//! Encodes JPEG files and checks that a JPEG file is complete. The decoder fills missing data with gray: good for
+//! looking at a photograph, bad for measuring in it.
 
 use std::io::{BufRead, ErrorKind, Read, Result, copy, sink};
 
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder, ImageError as CodingError};
 
-/// Quality where nothing is said, of 100.
+/// Default quality, of 100.
 pub const JPEG_QUALITY: u8 = 85;
 
-/// What a pixel of a JPEG file holds.
+/// The pixel format of a JPEG file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JpegPixel {
     /// One byte of brightness.
@@ -29,7 +29,7 @@ impl JpegPixel {
     }
 }
 
-/// Appends a JPEG file of rows of pixels, `width` by `height`, to `file`. `quality` is 1 to 100.
+/// Appends `width` by `height` pixels as a JPEG file to `file`. `quality` is 1 to 100.
 ///
 /// # Errors
 /// When the encoder fails, for instance because a side is longer than 65 535 pixels.
@@ -44,7 +44,7 @@ pub fn encode_jpeg(
         JpegPixel::Gray => ExtendedColorType::L8,
         JpegPixel::Rgb => ExtendedColorType::Rgb8,
     };
-    // The encoder takes a wrong length for a mistake of the program.
+    // The encoder panics on a wrong length.
     let wanted = u64::from(width) * u64::from(height) * pixel.bytes() as u64;
     if pixels.len() as u64 != wanted {
         let what = image::error::ParameterErrorKind::DimensionMismatch;
@@ -55,11 +55,11 @@ pub fn encode_jpeg(
 
 const END_OF_IMAGE: u8 = 0xD9;
 
-/// Whether the bytes go on to the marker that ends the image (ITU-T T.81, B.1.1.3), behind all of its scans. A thumbnail among the
-/// segments has an end of its own, which is not it.
+/// Whether the bytes reach the marker that ends the image (ITU-T T.81, B.1.1.3), after all of its scans. The end of a
+/// thumbnail inside a segment does not count.
 ///
 /// # Errors
-/// When they cannot be read.
+/// When the bytes cannot be read.
 pub(crate) fn is_whole(from: &mut impl BufRead) -> Result<bool> {
     match go_to_end(from) {
         Err(error) if error.kind() == ErrorKind::UnexpectedEof => Ok(false),
@@ -71,7 +71,7 @@ fn go_to_end(from: &mut impl BufRead) -> Result<()> {
     loop {
         match marker(from)? {
             END_OF_IMAGE => return Ok(()),
-            // Nothing belongs to the start of an image, a restart, and the one for private use.
+            // The start of an image, a restart and the private marker have no data.
             0x01 | 0xD0..=0xD8 => {}
             _ => {
                 let mut length = [0; 2];
@@ -83,8 +83,8 @@ fn go_to_end(from: &mut impl BufRead) -> Result<()> {
     }
 }
 
-/// The next marker. What lies before it is passed over: the coded data of a scan, in which a zero follows each byte that
-/// could be taken for one.
+/// Finds the next marker and skips what lies before it: the coded data of a scan. In this data a zero follows each byte
+/// that would look like a marker.
 fn marker(from: &mut impl BufRead) -> Result<u8> {
     loop {
         from.skip_until(0xFF)?;

@@ -1,15 +1,17 @@
 //! Images, camera models, providers and processors, tracking and gestures.
 //!
-//! - [`Image`], [`DepthImage`], [`StereoFrame`]: what trackers work on. [`ImageSource`]: who gives it to skills.
-//! - [`providers`]: frames of any format, from cameras, files, recordings and other processes, and how they are offered.
-//! - [`PinholeCamera`], [`StereoCalibration`]: from pixels to points; [`EpipolarCheck`]: whether they are right.
-//! - [`ColorModel`], [`Mask`], [`components`]: which pixels have a colour, and what connected things they form.
-//! - [`ColorMarkerObjectTracking`]: follows a thing of known colour. [`ObjectLocalizer`]: finds the pose of a box of
-//!   known colour and size. [`TabletopSegmentation`]: a table and what stands on it. [`HandObserver`]: finds a person's hand, its gesture and where it points.
+//! - [`Image`], [`DepthImage`], [`StereoFrame`]: the trackers' input. [`ImageSource`]: hands frames to skills.
+//! - [`providers`]: frames of any format from cameras, files, recordings and other processes, and how they are
+//!   published.
+//! - [`PinholeCamera`], [`StereoCalibration`]: from pixels to points; [`EpipolarCheck`]: checks a calibration.
+//! - [`ColorModel`], [`Mask`], [`components`]: colour segmentation and connected components.
+//! - [`ColorMarkerObjectTracking`]: tracks an object of known colour. [`ObjectLocalizer`]: the pose of a box of known
+//!   colour and size. [`TabletopSegmentation`]: a table and the objects on it. [`HandObserver`]: a person's hand, its
+//!   gesture and where it points.
 //! - [`tracking`]: fingertips in streams and in single photographs. [`files`]: images from files and folders.
-//! - [`ImageProcessor`], [`ResultSink`], [`run_processor`]: from streams of frames to a stream of results. [`StereoStep`]:
-//!   the trackers as such.
-//! - [`annotate`]: pictures of what was seen.
+//! - [`ImageProcessor`], [`ResultSink`], [`run_processor`]: from streams of frames to a stream of results.
+//!   [`StereoStep`]: a tracker as a processing step.
+//! - [`annotate`]: draws results into images.
 //!
 //! This room knows no robot and no memory: results are plain values in the camera's frame, or in the root frame
 //! through the pose that comes with the frame.

@@ -1,10 +1,10 @@
 //! The pose of a box of known colour and size that lies on a roughly level surface, by analysis by synthesis.
 //!
-//! Pairs of coloured components of both eyes give starting places. For each, the box's silhouette is projected into
-//! both eyes and its x, y, z and yaw are searched (all yaws coarsely, the best ones by a simplex, then Gauss and
-//! Newton on the distances of the coloured region's border from the silhouette). Pixels inside the silhouette that show
-//! the surroundings' colour speak against a pose; pixels that show anything else may belong to something in front of
-//! the box, and only lower the visible fraction. Roll and pitch are taken as zero in the root frame.
+//! Pairs of coloured components of both images give the starting points. For each, the box's silhouette is projected
+//! into both images and its x, y, z and yaw are searched: all yaws coarsely, the best ones by a simplex, then
+//! Gauss-Newton on the distances of the coloured region's border from the silhouette. Pixels inside the silhouette that
+//! have the surroundings' colour contradict a pose. Pixels of any other colour may belong to something in front of the
+//! box; they only lower the visible fraction. Roll and pitch are taken as zero in the root frame.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -18,7 +18,7 @@ use crate::mask::{Mask, Region};
 use crate::minimize::simplex;
 use crate::outline::{Outline, RowSums, border_points, box_outline};
 
-/// What is known of an object beforehand.
+/// Prior knowledge of an object.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BoxModel {
     /// Edge lengths along the box's own x, y, z, m. The box lies on a face normal to its z.
@@ -27,19 +27,19 @@ pub struct BoxModel {
     pub color: ColorModel,
 }
 
-/// Where an object is.
+/// The located object.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ObjectEstimate {
-    /// Pose of the box's centre in the root frame that the frame's `root_from_left` speaks of (as believed), z up.
-    /// The yaw lies within (-pi/2, pi/2]: a box looks the same after half a turn.
+    /// Pose of the box's centre in the root frame of the frame's `root_from_left` (as estimated), z up. The yaw
+    /// lies within (-pi/2, pi/2]: a box looks the same after half a turn.
     pub root_from_object: Isometry3<f64>,
     /// The box's yaw in the root frame, rad.
     pub yaw: f64,
     /// Covariance of x, y, z (m) in the root frame and yaw (rad).
     pub covariance: Matrix4<f64>,
-    /// Fraction of the silhouette that is seen, 0 to 1, mean of both eyes.
+    /// Visible fraction of the silhouette, 0 to 1, mean of both images.
     pub visible: f64,
-    /// Root mean square distance of the seen outline from the fitted one, px.
+    /// Root mean square distance of the visible outline from the fitted one, px.
     pub residual_px: f64,
     /// The fitted silhouette in the left image, px.
     pub outline_left: Vec<Point2<f64>>,
@@ -49,7 +49,7 @@ pub struct ObjectEstimate {
     pub stamp_ns: u64,
 }
 
-/// Finds a box of known colour and size in stereo frames. Keeps nothing from frame to frame.
+/// Finds a box of known colour and size in stereo frames. Keeps no state between frames.
 #[derive(Clone, Debug)]
 pub struct ObjectLocalizer {
     calibration: StereoCalibration,
@@ -59,18 +59,18 @@ pub struct ObjectLocalizer {
 /// x, y, z (root frame, m) and yaw (rad).
 type Pose4 = Vector4<f64>;
 
-/// What one eye shows of a candidate.
+/// The observation of a candidate in one image.
 struct Eye {
     object: RowSums,
     surroundings: RowSums,
     /// Pixels of the object's colour.
     area: f64,
-    /// Where the coloured region ends, px.
+    /// The border of the coloured region, px.
     border: Vec<Point2<f64>>,
     center: Point2<f64>,
 }
 
-/// A pose with what speaks for it.
+/// A pose and the quality of its fit.
 struct Fit {
     pose: Pose4,
     outlines: [Outline; 2],
@@ -107,8 +107,8 @@ impl ObjectLocalizer {
         self.localize_all(frame).into_iter().next()
     }
 
-    /// All things in the frame that fit, best seen first. Frames whose images do not have the calibration's size show
-    /// nothing.
+    /// All objects in the frame that fit, most visible first. Empty when the images do not have the calibration's
+    /// size.
     #[must_use]
     pub fn localize_all(&self, frame: &StereoFrame) -> Vec<ObjectEstimate> {
         let size = self.model.size;
@@ -138,7 +138,7 @@ impl ObjectLocalizer {
         distinct.into_iter().map(|fit| fit.estimate(frame.stamp_ns)).collect()
     }
 
-    /// Where a pair of components would be (root frame, m), and the box's largest radius there, px.
+    /// The position (root frame, m) of a pair of components, and the box's largest radius there, px.
     fn start(&self, l: &Component, r: &Component, frame: &StereoFrame) -> Option<(Point3<f64>, f64)> {
         let camera = &self.calibration.camera;
         let radius_m = 0.5 * self.model.size.norm();
@@ -150,7 +150,7 @@ impl ObjectLocalizer {
         plausible.then(|| (frame.root_from_left * point, radius_px))
     }
 
-    /// What an eye shows around a component: the component with the pieces near it, and the surroundings.
+    /// The observation around a component: the component with the pieces near it, and the surroundings.
     fn eye(seed: &Component, all: &[Component], image: &Image, radius_px: f64) -> Eye {
         let (w, h) = (image.width(), image.height());
         let border = (radius_px * 1.2).min(400.0) as u32 + 4;
@@ -194,7 +194,7 @@ impl ObjectLocalizer {
         Fit::judge(pose, outlines(&pose)?, covariance, eyes)
     }
 
-    /// The silhouettes in both eyes.
+    /// The silhouettes in both images.
     fn outlines(&self, pose: &Pose4, left_from_root: &Isometry3<f64>) -> Option<[Outline; 2]> {
         let left_from_box = left_from_root * isometry(pose);
         let (camera, size) = (&self.calibration.camera, &self.model.size);
@@ -202,8 +202,8 @@ impl ObjectLocalizer {
         Some([left, box_outline(camera, self.calibration.baseline, &left_from_box, size)?])
     }
 
-    /// Gauss and Newton on the border's distances from the outlines, with the points that lie on the outlines.
-    /// Returns the pose and its covariance.
+    /// Gauss-Newton on the border's distances from the outlines, with only the points that lie on the
+    /// outlines. Returns the pose and its covariance.
     fn refine(
         &self,
         start: Pose4,
@@ -230,7 +230,7 @@ impl ObjectLocalizer {
                     }
                 }
             }
-            // A weak prior on the start (3 cm, 20 degrees) keeps what the images leave open where it is.
+            // A weak prior on the start (3 cm, 20 degrees) holds what the images do not determine.
             let prior = Matrix4::from_diagonal(&Pose4::new(1e3, 1e3, 1e3, 8.0)) * BORDER_SIGMA_PX.powi(2);
             information = jtj + prior;
             let Some(step) = information.cholesky().map(|c| c.solve(&jtr)) else { break };
@@ -239,7 +239,8 @@ impl ObjectLocalizer {
                 break;
             }
         }
-        // Neighbouring border points err together, and the surface is not quite level: measured on rendered scenes.
+        // The factor was measured on rendered scenes: errors of neighbouring border points are correlated, and the
+        // surface is not quite level.
         let scale = 15.0 * BORDER_SIGMA_PX.powi(2);
         let covariance = information.try_inverse().map_or(Matrix4::identity(), |i| i * scale);
         (pose, covariance)
@@ -264,7 +265,7 @@ impl Fit {
                 }
             }
         }
-        // What is hidden may hide a mistake.
+        // The hidden part may hide an error.
         let hidden = (1.0 - visible).max(0.0) / visible.max(0.05);
         let inflate = 1.0 + 6.0 * (hidden - 0.1).max(0.0);
         (on > 0.0 && visible > 0.0).then(|| Self {
@@ -279,7 +280,7 @@ impl Fit {
         })
     }
 
-    /// Whether the pixels look like the object at all.
+    /// Whether the fit is good enough to accept the object.
     fn convinces(&self) -> bool {
         self.visible > 0.25
             && self.contradicted < 0.12
@@ -312,13 +313,13 @@ fn isometry(pose: &Pose4) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::new(pose.x, pose.y, pose.z), rotation)
 }
 
-/// The angle within (-pi/2, pi/2] that differs by half turns.
+/// The angle within (-pi/2, pi/2] that differs by whole half turns.
 fn half_turn(angle: f64) -> f64 {
     let a = angle.rem_euclid(PI);
     if a > FRAC_PI_2 { a - PI } else { a }
 }
 
-/// How badly silhouettes explain both eyes: coloured pixels outside, surroundings inside, a little for what is hidden,
+/// The cost of silhouettes in both images: coloured pixels outside, surroundings inside, a little for hidden pixels,
 /// and border points off the outline.
 fn silhouette_cost(outlines: &[Outline; 2], eyes: &[Eye; 2]) -> f64 {
     let mut cost = 0.0;
@@ -328,18 +329,18 @@ fn silhouette_cost(outlines: &[Outline; 2], eyes: &[Eye; 2]) -> f64 {
         let hidden = (area - object - surroundings).max(0.0);
         cost += (eye.area - object + surroundings + 0.1 * hidden) / eye.area.max(area);
         let reach = (0.1 * area.sqrt()).max(2.0);
-        // Every third border point says as much as all of them.
+        // Every third border point is enough.
         let off = |p: &Point2<f64>| (outline.signed_distance(p) / reach).powi(2).min(1.0);
         let points = eye.border.iter().step_by(3);
         cost += points.clone().map(off).sum::<f64>() / points.len().max(1) as f64;
-        // Far off, where nothing overlaps, the way back is still downhill.
+        // Far away, where nothing overlaps, the cost still decreases towards the object.
         let center = outline.signed_distance(&eye.center).max(0.0);
         cost += center / area.sqrt();
     }
     cost
 }
 
-/// The pixels that look like what surrounds the object: like the median colour of the mask's region without it.
+/// The pixels with the surroundings' colour: the median colour of the mask's region without the object.
 fn surroundings(image: &Image, object: &Mask) -> Mask {
     let region = object.region();
     let mut histograms = vec![[0u32; 256]; 3];

@@ -1,4 +1,4 @@
-//! Binary images, and rectangles in an image. What a mask means is its maker's business.
+//! Binary images, and rectangles in an image. The meaning of a mask is up to its maker.
 
 use serde::{Deserialize, Serialize};
 
@@ -26,8 +26,8 @@ pub struct Region {
     pub height: u32,
 }
 
-/// A binary image with its place in a larger image: pixel `(x, y)` of the mask is pixel
-/// `(region.x + x, region.y + y)` of the image that it was made from.
+/// A binary image that is a part of a larger image: pixel `(x, y)` of the mask is pixel `(region.x + x,
+/// region.y + y)` of the larger image.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mask {
     region: Region,
@@ -135,7 +135,7 @@ impl Mask {
         self.data[y as usize * self.width() + x as usize] != 0
     }
 
-    /// Sets the pixels of some runs, given in the coordinates of the image; those outside of the region are left out.
+    /// Sets the pixels of some runs, given in the coordinates of the image; skips those outside of the region.
     pub fn add(&mut self, runs: &[Run]) {
         let (region, w) = (self.region, self.width());
         for run in runs.iter().filter(|r| r.y >= region.y && r.y < region.y + region.height) {
@@ -152,7 +152,8 @@ impl Mask {
         self.data.iter().map(|&v| usize::from(v)).sum()
     }
 
-    /// Each pixel as five or more of the nine around it; those at the mask's border stay.
+    /// Majority filter: sets each pixel where five or more of the nine around it are set; pixels at the
+    /// mask's border stay.
     #[must_use]
     pub fn majority(&self) -> Self {
         let (w, h) = (self.width(), self.height());

@@ -14,14 +14,14 @@ pub(crate) struct Outline {
     edges: Vec<([f64; 2], f64)>,
 }
 
-/// Pixels of one kind in a part of an image, summed along rows, to be integrated over parts of rows.
+/// Pixels of one kind in a part of an image, as sums along rows; integrates over parts of rows.
 #[derive(Clone, Debug)]
 pub(crate) struct RowSums {
     region: Region,
     sums: Vec<u32>,
 }
 
-/// The silhouette of a box of edge lengths `size` (m) about its own origin. `shift`: how far the camera stands along
+/// The silhouette of a box of edge lengths `size` (m) about its own origin. `shift`: position of the camera along
 /// the left camera's x, m. `None` when a corner is not in front of the camera.
 pub(crate) fn box_outline(
     camera: &PinholeCamera,
@@ -89,7 +89,8 @@ impl Outline {
             / 2.0
     }
 
-    /// Distance from the outline, px, negative inside; outside of a corner the distance from the nearer edge's line.
+    /// Distance from the outline, px, negative inside. Outside of a corner it is the distance from the nearer edge's
+    /// line.
     pub(crate) fn signed_distance(&self, p: &Point2<f64>) -> f64 {
         self.edges.iter().map(|(n, c)| n[0] * p.x + n[1] * p.y - c).fold(f64::NEG_INFINITY, f64::max)
     }
@@ -101,7 +102,7 @@ impl Outline {
         })
     }
 
-    /// The columns between which the outline crosses the height `y`, px.
+    /// The columns where the outline crosses the height `y`, px.
     fn span(&self, y: f64) -> Option<(f64, f64)> {
         let (mut x0, mut x1) = (f64::MAX, f64::MIN);
         let n = self.corners.len();
@@ -115,7 +116,7 @@ impl Outline {
         (x0 < x1).then_some((x0, x1))
     }
 
-    /// How many pixels of each kind lie inside, with fractions at the border. It changes smoothly with the corners.
+    /// The number of pixels of each kind inside, with fractions at the border. Changes smoothly with the corners.
     pub(crate) fn integrate<const N: usize>(&self, kinds: [&RowSums; N]) -> [f64; N] {
         const LINES: i64 = 4;
         let [_, y0, _, y1] = self.bounds();
@@ -162,8 +163,8 @@ impl RowSums {
     }
 }
 
-/// The points half way between neighbouring pixels of which one is set, px. At the image's own border, given by its
-/// size, there are none, because nobody knows how the thing goes on.
+/// The points half way between neighbouring pixels of which only one is set, px. There are none at the border of
+/// the image (`width` x `height`), because what lies beyond it is unknown.
 pub(crate) fn border_points(mask: &Mask, width: u32, height: u32) -> Vec<Point2<f64>> {
     let region = mask.region();
     let (x0, y0) = (i64::from(region.x), i64::from(region.y));
@@ -215,7 +216,7 @@ mod tests {
         let mut mask = Mask::empty(Region { x: 2, y: 3, width: 20, height: 30 });
         mask.data_mut().fill(1);
         let sums = RowSums::of(&mask);
-        // Wholly inside the mask: the area. From x 2.25 to 10.25 and y 20.5 to 28.5.
+        // Fully inside the mask, so the result is the area. From x 2.25 to 10.25 and y 20.5 to 28.5.
         assert!((square(6.25, 24.5, 4.0).integrate([&sums])[0] - 64.0).abs() < 1e-9);
         // The mask's left border is at x = 1.5: half of the square is outside.
         assert!((square(1.5, 20.5, 4.0).integrate([&sums])[0] - 32.0).abs() < 1e-9);

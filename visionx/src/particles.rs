@@ -1,8 +1,8 @@
 //! A cloud of moving points: the particle filter under the marker tracking.
 //!
-//! Each particle is a position (m) and a velocity (m/s). The cloud is moved by random acceleration, thinned by the
-//! images' likelihood, and drawn towards a measured position by an ensemble Kalman update, which keeps the cloud's
-//! correlation of position and velocity. It knows nothing of images.
+//! Each particle is a position (m) and a velocity (m/s). The prediction adds random acceleration, the images'
+//! likelihood resamples the cloud, and an ensemble Kalman update draws it towards a measured position and keeps
+//! its correlation of position and velocity. It knows nothing of images.
 //!
 //! # Source
 //! Gordon, Salmond, Smith 1993 (bootstrap filter); Evensen 2003 (ensemble update with perturbed measurements).
@@ -60,7 +60,7 @@ impl Cloud {
         }
     }
 
-    /// Resamples by likelihood (systematic); a cloud that is impossible everywhere stays as it is.
+    /// Systematic resampling by likelihood; without effect when the likelihood is zero everywhere.
     pub(crate) fn resample(&mut self, likelihood: impl Fn(&Point3<f64>) -> f64, rng: &mut impl Rng) {
         let weights: Vec<f64> = self.particles.iter().map(|p| likelihood(&p.position).max(0.0)).collect();
         let total: f64 = weights.iter().sum();
@@ -119,7 +119,7 @@ impl Cloud {
     }
 }
 
-/// A matrix `s` with `s * s^T` equal to the covariance; zero for one that is not positive definite.
+/// A matrix `s` with `s * s^T` equal to the covariance; zero when it is not positive definite.
 fn square_root(covariance: &Matrix3<f64>) -> Matrix3<f64> {
     covariance.cholesky().map_or_else(Matrix3::zeros, |c| c.l())
 }

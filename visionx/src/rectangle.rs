@@ -4,7 +4,7 @@ use imageproc::geometry::min_area_rect;
 use imageproc::point::Point as Cell;
 use nalgebra::{Point2, Rotation2, Vector2};
 
-/// Farthest point that is looked at, cells.
+/// Largest coordinate, cells; farther points are clamped.
 const FARTHEST: f64 = 20_000.0;
 
 /// A rectangle in a plane.
@@ -17,9 +17,8 @@ pub(crate) struct Rectangle {
 }
 
 impl Rectangle {
-    /// The smallest rectangle around points; `None` without any. For the search they are rounded to `cell`, in the points'
-    /// unit, and those farther than 20 000 of them count as that far. A share of `strays` of the points is left out at each
-    /// of its sides.
+    /// The smallest rectangle around points; `None` when there are none. The search rounds them to `cell`, in the
+    /// points' unit, and clamps them at 20 000 cells. It leaves out a share `strays` of the points at each side.
     pub(crate) fn around(points: &[Point2<f64>], strays: f64, cell: f64) -> Option<Self> {
         let cell = |v: f64| (v / cell).clamp(-FARTHEST, FARTHEST).round() as i32;
         let cells: Vec<Cell<i32>> = points.iter().map(|p| Cell::new(cell(p.x), cell(p.y))).collect();
@@ -42,7 +41,7 @@ impl Rectangle {
         Some(Self { middle: Point2::from(middle), angle, size: [x.1 - x.0, y.1 - y.0] })
     }
 
-    /// Whether a point lies within it, or at most `beyond` from its sides.
+    /// Whether a point lies inside or at most `beyond` from the sides.
     pub(crate) fn holds(&self, point: &Point2<f64>, beyond: f64) -> bool {
         let local = Rotation2::new(-self.angle) * (point - self.middle);
         (0..2).all(|i| local[i].abs() <= self.size[i] / 2.0 + beyond)

@@ -1,4 +1,4 @@
-//! Pictures for this room's tests: balls, boxes and hands made of balls over a table, cast ray by ray for both eyes.
+//! Images for this room's tests: balls, boxes and hands made of balls over a table, ray cast for both cameras.
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -16,14 +16,14 @@ pub(crate) const CALIBRATION: StereoCalibration = StereoCalibration {
 pub(crate) const SKIN: [u8; 3] = [224, 172, 138];
 pub(crate) const TABLE: [u8; 3] = [150, 115, 80];
 
-/// A thing in the root frame.
+/// An object in the root frame.
 #[derive(Clone)]
 pub(crate) enum Thing {
     Ball { center: Point3<f64>, radius: f64, color: [u8; 3] },
     Block { root_from_block: Isometry3<f64>, size: Vector3<f64>, color: [u8; 3] },
 }
 
-/// The left eye as in a robot's head that looks down at a table.
+/// The left camera's pose in a robot's head that looks down at a table.
 pub(crate) fn root_from_left() -> Isometry3<f64> {
     let eye = Vector3::new(-0.0465, 0.245, 1.65);
     let z = (Vector3::new(0.25, 0.55, 0.95) - eye).normalize();
@@ -51,7 +51,7 @@ pub(crate) fn frame_with_depth(things: &[Thing], stamp_ns: u64, seed: u64) -> St
     StereoFrame { stamp_ns, left, right, depth: Some(depth), root_from_left }
 }
 
-/// Frames in which there is nothing to see: black, white, noise, and images of the wrong size.
+/// Frames with nothing to detect: black, white, noise, and images of the wrong size.
 pub(crate) fn empty_frames() -> Vec<StereoFrame> {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let mut images = vec![vec![0; 640 * 480 * 3], vec![255; 640 * 480 * 3]];
@@ -108,7 +108,7 @@ fn cast(
     (Image::from_rgb(camera.width, camera.height, data).unwrap(), depth)
 }
 
-/// The columns of a row in which a thing can be seen.
+/// The columns of a row in which an object can be visible.
 fn columns(thing: &Thing, camera_from_root: &Isometry3<f64>, y: f64) -> std::ops::Range<usize> {
     let camera = CALIBRATION.camera;
     let Thing::Ball { center, radius, .. } = thing else { return 0..camera.width as usize };
@@ -122,7 +122,7 @@ fn columns(thing: &Thing, camera_from_root: &Isometry3<f64>, y: f64) -> std::ops
 }
 
 impl Thing {
-    /// Depth, brightness and colour where a ray (camera frame, z = 1) meets the thing.
+    /// Depth, brightness and colour where a ray (camera frame, z = 1) hits the object.
     fn hit(&self, camera_from_root: &Isometry3<f64>, ray: &Vector3<f64>) -> Option<(f64, f64, [u8; 3])> {
         let light = camera_from_root * Vector3::new(-0.35, -0.3, 0.9).normalize();
         let shade = |normal: Vector3<f64>| 0.55 + 0.45 * normal.dot(&light).max(0.0);
@@ -153,9 +153,9 @@ impl Thing {
     }
 }
 
-/// A hand over the table that shows its palm or its back to the left eye. `roll`: direction of the fingers in the
-/// image, rad from the image's x. Fingers are rows of balls; returns also where the index finger points, in the left
-/// camera's frame.
+/// A hand over the table that shows its palm or its back to the left camera. `roll`: direction of the fingers in the
+/// image, rad from the image's x. Fingers are rows of balls. Also returns the direction of the index finger in the
+/// left camera's frame.
 pub(crate) fn hand(
     gesture: Gesture,
     center: Point3<f64>,

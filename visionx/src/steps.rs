@@ -1,5 +1,5 @@
-//! The trackers as processors: a [`StereoStep`] works on one provider of stereo pairs, and [`OfStereo`] makes an
-//! [`ImageProcessor`] of it.
+//! The trackers as processors: a [`StereoStep`] works on one provider of stereo pairs, and [`OfStereo`] turns it
+//! into an [`ImageProcessor`].
 
 use std::sync::Arc;
 
@@ -17,25 +17,25 @@ use crate::tracking::hand::HandObserver;
 pub trait StereoStep: Send {
     /// Its name.
     fn name(&self) -> &str;
-    /// What a frame lacks to be looked at, for people; `None`: nothing.
+    /// What a frame lacks for this step, as a message for people; `None` when it is complete.
     fn lacks(&self, frame: &Frame) -> Option<String> {
         let _ = frame;
         None
     }
-    /// What is seen in this frame.
+    /// Processes a frame.
     fn step(&mut self, frame: &StereoFrame) -> Finding;
-    /// Draws what was seen into the left image.
+    /// Draws the finding into the left image.
     fn draw(&self, image: &mut Image, finding: &Finding);
 }
 
-/// Makes an [`ImageProcessor`] of a [`StereoStep`].
+/// Turns a [`StereoStep`] into an [`ImageProcessor`].
 pub struct OfStereo<S> {
     step: S,
     pair: StereoPair,
 }
 
 impl<S: StereoStep> OfStereo<S> {
-    /// Looks at these pairs; `step` was made with their calibration.
+    /// A processor of these pairs; `step` was made with their calibration.
     pub fn new(step: S, pair: StereoPair) -> Self {
         Self { step, pair }
     }

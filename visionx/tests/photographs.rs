@@ -1,5 +1,5 @@
 //! Hands in photographs: three real ones, and rendered ones with the textures, shadows, blur, noise and compression of
-//! real ones; see `docs/vision.md`. And pictures without a hand, and pictures that are hardly pictures.
+//! real ones; see `docs/vision.md`. Also images without a hand, and images with hardly any content.
 
 use std::path::Path;
 
@@ -10,8 +10,8 @@ use nalgebra::Point2;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// A photograph: its file, what it shows, and where the index finger's last joint frame, a few millimetres inside of the
-/// finger's end, is.
+/// Each photograph: the image, its file, its gesture, and the frame of the index finger's last joint, which lies a few
+/// millimetres inside of the fingertip.
 fn photographs() -> Vec<(Image, String, Gesture, Point2<f64>)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/photographs");
     let truth = std::fs::read_to_string(folder.join("truth.txt")).expect("it is in the repository");
@@ -47,7 +47,7 @@ fn hands_are_found_and_three_of_four_gestures_are_right() {
     assert!(4 * right >= 3 * n, "{right} of {n}; {wrong:?}");
 }
 
-/// Real photographs (MIT licence, see `photographs/README.md`): what they show, and where the pointing finger ends.
+/// Real photographs (MIT licence, see `photographs/README.md`): file, gesture, and the end of the pointing finger.
 const REAL: [(&str, Gesture, Option<Point2<f64>>); 3] = [
     ("real_fist.jpg", Gesture::Fist, None),
     ("real_point_one.jpg", Gesture::PointOne, Some(Point2::new(214.0, 96.0))),
@@ -59,7 +59,7 @@ fn real(file: &str) -> Image {
     read_image(&folder.join(file)).expect("it is in the repository")
 }
 
-/// Asserts that the hand is seen for what it is, with its finger's end within 15 px of a picture of 480 x 640.
+/// Asserts the hand's gesture, and its fingertip within 15 px in an image of 480 x 640.
 fn assert_seen(image: &Image, gesture: Gesture, end: Option<Point2<f64>>, what: &str) {
     let hand = HandInPicture::find(image);
     assert!(hand.is_some(), "no hand in {what}");
@@ -82,14 +82,15 @@ fn real_hands_are_seen() {
     }
 }
 
-/// The picture with its colours times these factors, for other lamps.
+/// The image with its colours scaled by these factors, as under other lamps.
 fn lit(image: &Image, factors: [f64; 3]) -> Image {
     let color = |(i, v): (usize, &u8)| (f64::from(*v) * factors[i % 3]).min(255.0) as u8;
     let data = image.data().iter().enumerate().map(color).collect();
     Image::from_rgb(image.width(), image.height(), data).expect("it has the size")
 }
 
-/// The picture at half its size, in the middle of the lower edge of one of the old size; its outermost pixels go on.
+/// The image at half its size, centred at the lower edge of an image of the old size; its outermost pixels are
+/// repeated.
 fn smaller(image: &Image) -> Image {
     let (w, h) = (image.width(), image.height());
     let source = |x: u32, y: u32| {
@@ -115,7 +116,7 @@ fn real_hands_are_seen_in_other_light_and_smaller() {
     }
 }
 
-/// A wall with a slope of light, grain and noise.
+/// A wall with a gradient of light, grain and noise.
 fn wall(color: [f64; 3], planks: bool, seed: u64) -> Image {
     let (w, h) = (240u32, 320u32);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);

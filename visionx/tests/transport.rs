@@ -1,5 +1,5 @@
-//! Frames between two real Zenoh sessions on loopback: through shared memory, over the network, coded, lost and asked for
-//! again, of changing size, and broken.
+//! Frames between two real Zenoh sessions on loopback: through shared memory, over the network, compressed, lost and
+//! requested again, of changing size, and damaged.
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 use std::sync::Arc;
@@ -45,7 +45,7 @@ async fn connected(session: &Session, delivery: Delivery, coding: ImageCoding) -
     RemoteProvider::connect(session, "alice", "eyes", delivery, coding, WAIT).await.unwrap()
 }
 
-/// The next frame; the sender's frame is given again until the two know each other.
+/// The next frame; sends the frame again until the two sessions have found each other.
 async fn first(sender: &FrameSender, reader: &RemoteProvider, frame: &Frame) -> Arc<Frame> {
     loop {
         sender.send(frame.clone());
@@ -67,7 +67,7 @@ async fn frames_pass_through_shared_memory_or_the_network_with_their_sizes() {
         first(&sender, &reader, &frame(1, (64, 48))).await;
         for (value, size) in [(2, (640, 480)), (3, (1, 1)), (4, (1921, 1081)), (5, (7, 3))] {
             let sent = frame(value, size);
-            // Live frames may be dropped on a busy machine, the large ones on the network first.
+            // A busy machine may drop live frames, the large ones on the network first.
             let arriving = async {
                 loop {
                     let got = first(&sender, &reader, &sent).await;
@@ -106,7 +106,7 @@ async fn a_recorder_gets_all_frames_and_a_stalled_one_counts_what_it_missed() {
     let reader = connected(&two, Delivery::All { waiting: 100 }, ImageCoding::Raw).await;
     let stalled = connected(&two, Delivery::Newest, ImageCoding::Raw).await;
     let begin = first(&sender, &reader, &frame(0, (64, 48))).await.number;
-    // Slower than the provider hands them on, faster than anybody reads.
+    // Slower than the provider passes them on, faster than any reader takes them.
     let mut last = begin;
     for value in 1..=40 {
         sender.send(frame(value, (64, 48)));
@@ -116,7 +116,7 @@ async fn a_recorder_gets_all_frames_and_a_stalled_one_counts_what_it_missed() {
     let counts = reader.statistics();
     assert_eq!(counts.missed(), 0, "{counts:?}");
     assert_eq!(counts.received(), last - begin + 1);
-    // The last frames may be on their way to this reader still, but the first are gone.
+    // The last frames may still be on their way to this reader, but the first ones are dropped.
     let newest = async {
         let mut numbers = Vec::new();
         while numbers.last().is_none_or(|number| *number < last) {
@@ -141,7 +141,7 @@ async fn what_a_full_queue_pushed_out_is_asked_for_again() {
     while reader.newest().await.is_none_or(|frame| frame.number < begin) {
         tokio::task::yield_now().await;
     }
-    // Eight frames, each seen by the other reader, while this one stands still.
+    // Eight frames, each received by the other reader, while this reader does not read.
     for value in 1..=8 {
         sender.send(frame(value, (64, 48)));
         tokio::time::timeout(WAIT, watching.next()).await.unwrap().unwrap();
@@ -155,7 +155,7 @@ async fn what_a_full_queue_pushed_out_is_asked_for_again() {
     assert!(counts.again() >= 5 && counts.missed() == 0, "{counts:?}");
 }
 
-/// Answers questions about `alice/{name}` with a description whose rate is a whole number.
+/// Answers queries on `alice/{name}` with a description whose rate is an integer.
 async fn described(session: &Session, name: &str, encoding: &'static str) -> tokio::task::JoinHandle<()> {
     let key = keys::image("alice", name).unwrap();
     let said = r#"{"name": "other", "about": "", "frame_id": "", "rate_hz": 30, "images": []}"#;
@@ -200,7 +200,7 @@ async fn what_is_no_frame_is_counted_and_the_next_is_read() {
     let junk = one.bulk_sender(&key, "application/octet-stream;image/frame;v1").await.unwrap();
     junk.wanted().await;
     let attachments = [vec![], vec![0xff; 40], vec![0xa0], vec![0x9f; 100]];
-    // Messages of several senders come in any order, and on a busy machine not all of them.
+    // Messages of several senders arrive in any order, and on a busy machine some are lost.
     let counting = async {
         while reader.statistics().malformed() - before < 5 {
             for attachment in attachments.clone() {

@@ -1,9 +1,9 @@
-//! The box task of Gams et al. 2015 (Fig. 4, V) on both arms of ARMAR-III in the simulator's physics: the right arm lifts a box
-//! and shakes it as it was shown; the left one was shown too little and too late, and learns from epoch to epoch to follow
-//! from what its palm and the right one feel.
+//! The box task of Gams et al. 2015 (Fig. 4, V) on both arms of ARMAR-III in the simulator's physics. The right arm
+//! lifts a box and shakes it as demonstrated. The left arm's demonstration is too small and out of phase; from epoch to
+//! epoch it learns to follow, using the forces that both palms sense.
 //!
-//! Each epoch begins anew with the box on its table. The learner knows joints and palms as they are sensed; the figures
-//! are the referee's.
+//! Each epoch starts with the box on its table. The learner uses sensed joints and palm forces; the figures are
+//! computed by the referee.
 
 use std::f64::consts::TAU;
 
@@ -23,31 +23,32 @@ use super::experiment::{Experiment, ExperimentError, Outcome, within};
 use super::settings::settings;
 
 settings! {
-    /// What the arms carry and how the left one learns; root frame: x right, y forward, z up.
+    /// Settings of the box, the arms and the learning; root frame: x right, y forward, z up.
     DualArm {
         /// Mass of the box, kg.
         mass: f64 = 1.5;
         /// Its width between the hands, depth and height, m.
         size: [f64; 3] = [0.44, 0.3, 0.24];
-        /// Where its middle is at the start, m.
+        /// Centre of the box at the start, m.
         at: [f64; 3] = [0.0, 0.45, 1.02];
-        /// With how much the hands press on it, N.
+        /// Force of the hands on the box, N.
         squeeze: f64 = 60.0;
-        /// Stiffness of a hand's pad across, N/m.
+        /// Stiffness of a hand's pad in its normal direction, N/m.
         stiffness: f64 = 6000.0;
-        /// Stiffness of a hand's pad along, N/m.
+        /// Shear stiffness of a hand's pad, N/m.
         shear_stiffness: f64 = 2000.0;
-        /// Half the edges of a pad, along the fingers and up, m.
+        /// Half edge lengths of a pad, along the fingers and up, m.
         pad: [f64; 2] = [0.08, 0.09];
-        /// Friction of pad on box.
+        /// Friction coefficient between pad and box.
         friction: f64 = 0.9;
         /// K1 of (14).
         k1: f64 = 3.0;
-        /// What the parts of (10) count in it: forces along x, y, z, and moments about them, 1/m^2. A stiff box needs little.
+        /// Weights of the components in (10): forces along x, y, z, and moments about them, 1/m^2. A stiff box needs
+        /// small ones.
         weights: [f64; 6] = [0.1, 1.0, 1.0, 1.0, 1.0, 1.0];
-        /// K2 of (14); 0 leaves (10).
+        /// K2 of (14); 0 gives (10).
         k2: f64 = 1.0;
-        /// Cut-off frequency of the low-pass filter on what the palms feel, Hz.
+        /// Cut-off frequency of the low-pass filter on the palms' forces, Hz.
         filter: f64 = 20.0;
         /// Q of (11).
         q: f64 = 1.0;
@@ -63,15 +64,15 @@ settings! {
         periods: u32 = 3;
         /// Length of a period, s.
         period: f64 = 1.2;
-        /// How far the right hand lifts, m.
+        /// Height by which the right hand lifts, m.
         lift: f64 = 0.12;
-        /// Amplitude of its shaking, m.
+        /// Amplitude of the right hand's shaking, m.
         amplitude: f64 = 0.03;
-        /// How far the left hand was shown to lift, m.
+        /// Height in the left hand's demonstration, m.
         left_lift: f64 = 0.08;
-        /// Amplitude that it was shown, m.
+        /// Amplitude in the left hand's demonstration, m.
         left_amplitude: f64 = 0.015;
-        /// Phase that it was shown, rad.
+        /// Phase of the left hand's demonstration relative to the right hand's, rad.
         left_phase: f64 = 0.6;
         /// Constant of (1).
         alpha_z: f64 = 8.0;
@@ -81,27 +82,28 @@ settings! {
         n: usize = 25;
         /// Discrete kernels M.
         m: usize = 25;
-        /// Ridge of both regressions.
+        /// Ridge parameter of both regressions.
         ridge: f64 = 1e-8;
-        /// White noise of a palm's force sensor, N an axis; of its torque a twentieth, N m.
+        /// White noise of a palm's force sensor, N per axis; of its torque 1/20 of it, N m.
         noise: f64 = 0.3;
-        /// Standard deviation of its offset, N; what counts is the change since the grasp.
+        /// Standard deviation of the force sensor's offset, N; only changes since the grasp are used.
         bias: f64 = 1.0;
-        /// Seed of both.
+        /// Seed of noise and offset.
         seed: u64 = 1;
     }
 }
 
-/// How far from the box the hands wait, m.
+/// Distance of the waiting hands from the box, m.
 const WAIT: f64 = 0.03;
-/// How long the hands take to close, and hold before the motion begins, s.
+/// Durations of closing the hands, and of holding before the motion begins, s.
 const CLOSE: f64 = 0.8;
 const HOLD: f64 = 0.6;
-/// Over how long at the end of that the palms are read, s.
+/// Interval at the end of the holding over which the palms' forces are averaged, s.
 const LISTEN: f64 = 0.2;
 const DT: f64 = Carrying::DT;
 
-/// What an epoch leaves: the referee's log from the motion's beginning on, and what the joints were told.
+/// The result of an epoch: the referee's figures and log from the start of the motion, the largest commanded joint
+/// speed, rad/s, and the smallest distance from a joint limit, rad.
 pub(super) struct Epoch {
     pub(super) figures: CarryingFigures,
     pub(super) log: Vec<CarryingRecord>,
@@ -109,7 +111,7 @@ pub(super) struct Epoch {
     pub(super) margin: f64,
 }
 
-/// Both arms' motions as they were shown.
+/// The demonstrated motions of both arms.
 struct Shown {
     open: [Joints; 2],
     right: DiscretePeriodicDmp,
@@ -140,7 +142,7 @@ impl Experiment for DualArm {
                 .and_then(|epoch| Ok(control.finish(&mut shown.left).map(|()| epoch)?));
             match epoch {
                 Ok(epoch) => epochs.push(epoch),
-                // The gains are the user's: that they do not hold the motion is a result.
+                // The user sets the gains, so an unstable motion is a valid result.
                 Err(_) => {
                     diverged = Some(number);
                     break;
@@ -198,13 +200,13 @@ impl DualArm {
         CarriedBox { mass: self.mass, size: self.size, at: self.at, pad }
     }
 
-    /// Where a hand presses on the standing box, or waits beside it.
+    /// Position of a hand that presses on the resting box, or waits beside it.
     fn beside(&self, side: usize, gap: f64) -> Vector3<f64> {
         let out = self.size[0] / 2.0 + HAND_HALF + PadSpec::default().thickness + gap;
         Vector3::from(self.at) + Vector3::x() * if side == 0 { out } else { -out }
     }
 
-    /// How much higher than at the start a hand was shown to be, m.
+    /// Demonstrated height of a hand above its start, m.
     fn rise(&self, side: usize, t: f64) -> f64 {
         let (lift, amplitude, phase) = if side == 0 {
             (self.lift, self.amplitude, 0.0)
@@ -257,8 +259,8 @@ impl DualArm {
         Ok(dmp)
     }
 
-    /// The hands take the box; then one discrete part and its periods, with the feedback that `gains` make of what the palms
-    /// feel.
+    /// The hands grasp the box; then one discrete part and its periods, with feedback from the palms' forces by
+    /// `gains`.
     fn epoch(
         &self,
         arms: &mut Arms,
@@ -296,8 +298,8 @@ impl DualArm {
         Ok(Epoch { figures, log: referee.log().split_off(from), speed, margin })
     }
 
-    /// (14) with what both palms feel: by how much more than at the grasp the left hand would have to press along, and how
-    /// much faster the right one moves.
+    /// The error of (14): the internal force at the grasp minus the sensed one, and the velocity of the right hand
+    /// relative to the left.
     fn error(
         &self,
         scene: &Carrying,
@@ -320,8 +322,8 @@ impl DualArm {
         Ok(error)
     }
 
-    /// What the left hand exerts on the box against the right one: half the difference of force, N, and of moment about the
-    /// middle of the pad, N m. What both share, as weight and inertia of the box, is not in it.
+    /// The internal force of the left hand on the box against the right one: half the difference of forces, N, and of
+    /// moments about the centre of the pad, N m. Common parts, such as weight and inertia of the box, cancel.
     fn internal(&self, arms: &Arms, palms: &[PalmSensed; 2]) -> Vector6<f64> {
         let carried = self.carried();
         let at_pad = |side: usize| {
@@ -333,8 +335,8 @@ impl DualArm {
         (at_pad(0) - at_pad(1)) / 2.0
     }
 
-    /// The hands close on the box and hold; returns what the left hand then exerts. It is as it was sensed, with the sensors'
-    /// offset, which is in all that is felt later too.
+    /// The hands close on the box and hold; returns the left hand's internal force. The sensors' offset is included, as
+    /// in all later measurements.
     fn take(
         &self,
         scene: &mut Carrying,

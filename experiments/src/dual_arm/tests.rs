@@ -1,4 +1,4 @@
-//! The box task: learned, dropped, out of reach.
+//! Tests of the box task: learned, dropped, out of reach.
 
 use super::*;
 

@@ -1,5 +1,5 @@
-//! Two arms learn to carry a box together (Gams et al. 2015, III-V): the right one moves as it was shown, the left one
-//! learns from epoch to epoch to hold its distance, by current-iteration learning control with feedback-error learning.
+//! Two arms learn to carry a box together (Gams et al. 2015, III-V): the right arm moves as demonstrated; the left arm
+//! learns from epoch to epoch to keep the distance, by current-iteration learning control with feedback-error learning.
 
 use std::f64::consts::TAU;
 
@@ -15,7 +15,7 @@ use super::dpdmp::rise;
 use super::experiment::{Experiment, ExperimentError, Outcome, within};
 use super::settings::settings;
 
-/// Where the primitives and the learned control live.
+/// The space of the primitives and of the learned control.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Space {
@@ -26,15 +26,15 @@ pub(crate) enum Space {
 }
 
 settings! {
-    /// What the arms do and how the left one learns.
+    /// Settings of the arms and of the learning.
     Ilc {
-        /// Of the box between the hands, N/m.
+        /// Stiffness of the box between the hands, N/m.
         stiffness: f64 = 500.0;
         /// K1 of (14), joint space.
         k1: f64 = 0.3;
         /// K1 in task space.
         k1_task: f64 = 0.03;
-        /// K2 of (14); 0 leaves (10).
+        /// K2 of (14); 0 gives (10).
         k2: f64 = 1.0;
         /// Q of (11).
         q: f64 = 1.0;
@@ -44,11 +44,11 @@ settings! {
         c: f64 = 0.3;
         /// Epochs of learning.
         epochs: usize = 10;
-        /// joint or task.
+        /// Space of the learning: joint or task.
         space: Space = Space::Joint;
-        /// Feeds back moments and turning as well (joint space).
+        /// Feeds back moments and rotations as well (joint space).
         orientation: bool = false;
-        /// Of the box against turning, N m/rad.
+        /// Rotational stiffness of the box, N m/rad.
         turn_stiffness: f64 = 2.0;
         /// Duration T of the discrete part, s.
         duration: f64 = 1.0;
@@ -66,49 +66,49 @@ settings! {
         n: usize = 25;
         /// Discrete kernels M.
         m: usize = 25;
-        /// Ridge of both regressions.
+        /// Ridge parameter of both regressions.
         ridge: f64 = 1e-8;
         /// Links of the arms, m.
         links: [f64; 2] = [0.3, 0.3];
-        /// How far the shoulders are off the middle, m.
+        /// Distance of the shoulders from the middle, m.
         shoulder: f64 = 0.2;
-        /// How far the hands are in front and off the middle, m.
+        /// Distance of the hands in front, and from the middle, m.
         hand: [f64; 2] = [0.35, 0.15];
-        /// Height at which the hands start, m.
+        /// Height of the hands at the start, m.
         start: f64 = -0.25;
-        /// How far the right hand lifts, m.
+        /// Height by which the right hand lifts, m.
         lift: f64 = 0.15;
-        /// Amplitude of its oscillation, m.
+        /// Amplitude of the right hand's oscillation, m.
         amplitude: f64 = 0.04;
-        /// How far the left hand was shown to lift, m.
+        /// Height in the left hand's demonstration, m.
         left_lift: f64 = 0.08;
-        /// Amplitude that it was shown, m.
+        /// Amplitude in the left hand's demonstration, m.
         left_amplitude: f64 = 0.02;
-        /// Phase that it was shown, rad.
+        /// Phase of the left hand's demonstration relative to the right hand's, rad.
         left_phase: f64 = 0.6;
-        /// Posture of the left arm that the demonstration is pulled to, rad; the right arm's is its mirror image.
+        /// Posture that attracts the left arm's demonstration, rad; the right arm's is its mirror image.
         posture: [f64; 4] = [-0.6, -0.1, 0.3, -1.3];
     }
 }
 
-/// One epoch, an entry a step.
+/// The log of an epoch, one entry per step.
 #[derive(Default)]
 pub(super) struct Epoch {
     pub(super) left: Vec<Vector4<f64>>,
-    /// Hands, m, and their velocities, m/s: right, left.
+    /// Positions of the hands, m, and their velocities, m/s: right, left.
     pub(super) x: Vec<[Vector3<f64>; 2]>,
     pub(super) v: Vec<[Vector3<f64>; 2]>,
-    /// Angle between the hands against that of the start, rad.
+    /// Angle between the hands relative to the start, rad.
     pub(super) turned: Vec<f64>,
 }
 
-/// All epochs of one way of feeding back.
+/// All epochs with one kind of feedback.
 pub(super) struct Learning {
     /// Without learning and feedback.
     pub(super) before: Epoch,
     pub(super) epochs: Vec<Epoch>,
     pub(super) right: Vec<Vector4<f64>>,
-    /// The epoch in which the motion ran away, counted from 1.
+    /// The epoch in which the motion diverged, counted from 1.
     pub(super) diverged: Option<usize>,
 }
 
@@ -195,7 +195,7 @@ impl Ilc {
         self.start + z[0]
     }
 
-    /// Joint angles of the demonstration of one arm, one entry a step.
+    /// Joint angles of the demonstration of one arm, one entry per step.
     fn demonstrate(&self, side: f64) -> Result<Vec<Vector4<f64>>, ExperimentError> {
         let arm = self.arm(side);
         let [a, b, c, d] = self.posture;
@@ -262,7 +262,7 @@ impl Ilc {
                 .and_then(|epoch| control.finish(&mut left).map(|()| epoch));
             match epoch {
                 Ok(epoch) => learning.epochs.push(epoch),
-                // The gains are the user's: that they do not hold the motion is a result.
+                // The user sets the gains, so an unstable motion is a valid result.
                 Err(_) => {
                     learning.diverged = Some(number);
                     break;
@@ -281,7 +281,7 @@ impl Ilc {
         Ok(path)
     }
 
-    /// One discrete part and its periods, both arms together, with the feedback that `gains` make of the box's force.
+    /// One discrete part and its periods, both arms together, with feedback from the box's force by `gains`.
     fn epoch(
         &self,
         right: &mut DiscretePeriodicDmp,
@@ -329,7 +329,7 @@ impl Ilc {
         Hand::of(self.arm(-1.0), &Vector4::from_column_slice(state.y), &Vector4::from_column_slice(state.yd))
     }
 
-    /// The left hand; `near` becomes the joint angles.
+    /// The state of the left hand; updates `near` to its joint angles.
     fn left_hand(&self, left: &DiscretePeriodicDmp, near: &mut Vector4<f64>) -> Hand {
         let state = left.state();
         if self.space == Space::Joint {
@@ -337,7 +337,7 @@ impl Ilc {
             return Hand::of(self.arm(1.0), near, &Vector4::from_column_slice(state.yd));
         }
         let x = Vector3::from_column_slice(state.y);
-        // Where the arm does not reach, the angles stay; the motion of the hand is what is learned.
+        // Where the arm does not reach, the angles stay; only the hand's motion is learned.
         *near = self.arm(1.0).inverse(x, *near, *near).unwrap_or(*near);
         let mut hand = Hand::of(self.arm(1.0), near, &Vector4::zeros());
         hand.pose.translation.vector = x;
@@ -345,8 +345,8 @@ impl Ilc {
         hand
     }
 
-    /// `F_d - F_2` with moments (N, N m), how much faster the right hand moves and turns (m/s, rad/s), and by how much the
-    /// hands are turned against each other, rad. The box was grasped without force.
+    /// `F_d - F_2` with moments (N, N m), the velocity of the right hand relative to the left (m/s, rad/s), and the
+    /// rotation between the hands, rad. The box was grasped without force.
     fn box_between(
         &self,
         hands: &[Hand; 2],
@@ -362,11 +362,11 @@ impl Ilc {
     }
 }
 
-/// A hand that moves.
+/// The state of a moving hand.
 struct Hand {
     pose: Isometry3<f64>,
     columns: [Vector6<f64>; 4],
-    /// m/s, rad/s.
+    /// Linear and angular velocity, m/s, rad/s.
     twist: Vector6<f64>,
 }
 

@@ -1,4 +1,5 @@
-//! Learning from epoch to epoch against an independent implementation, in joint and task space and with moments.
+//! Learning from epoch to epoch, compared with an independent implementation: joint space, task space, and with
+//! moments.
 
 use super::*;
 

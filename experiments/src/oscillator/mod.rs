@@ -1,5 +1,5 @@
-//! The adaptive frequency oscillator with its adaptive Fourier series on signals of every kind: when it settles, how exactly
-//! and how quietly; with `basin` over all start frequencies, with and without an estimated start.
+//! The adaptive frequency oscillator with its adaptive Fourier series on several kinds of signals: settling time,
+//! accuracy and ripple; with `basin` over all start frequencies, with and without an estimated start.
 
 use std::f64::consts::TAU;
 
@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::experiment::{Experiment, ExperimentError, Outcome, within};
 use super::settings::settings;
 
-/// The wave form.
+/// The waveform.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Signal {
@@ -23,91 +23,92 @@ pub(crate) enum Signal {
     Harmonics3,
     /// A square wave.
     Square,
-    /// A sine about one half.
+    /// A sine with offset 0.5.
     Offset,
-    /// A sine and noise.
+    /// A sine with noise.
     Noise,
-    /// Two harmonics whose frequency steps.
+    /// Two harmonics with a frequency step.
     Step,
     /// A sine whose frequency rises slowly.
     Chirp,
-    /// The coordinate of a figure of eight that repeats twice a round, with some of the other one.
+    /// One coordinate of a figure of eight that repeats twice per round, mixed with the other coordinate.
     Eight,
-    /// A figure of eight in the plane, turned by 30 degrees: two coordinates.
+    /// A figure of eight in the plane, rotated by 30 degrees: two coordinates.
     Plane,
 }
 
-/// How phase and frequency follow the error.
+/// The update rule of phase and frequency.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Rule {
     /// `scaled` with an estimated start, `bare` without.
     Auto,
-    /// The phase error of the whole signal, in a loop whose gains scale.
+    /// The phase error of the whole signal, in a loop with scaled gains.
     Scaled,
-    /// The papers' equations with gains that scale.
+    /// The papers' equations with scaled gains.
     Bare,
     /// The papers' equations with fixed gains.
     Paper,
 }
 
 settings! {
-    /// What the oscillator is run with.
+    /// Settings of the oscillator.
     Oscillator {
         /// sine, harmonics3, square, offset, noise, step, chirp, eight or plane.
         signal: Signal = Signal::Sine;
         /// Fundamental frequency, Hz; step and chirp have their own.
         frequency: f64 = 1.3;
-        /// Factor on the whole signal.
+        /// Scale factor of the whole signal.
         amplitude: f64 = 1.0;
         /// Harmonics of the Fourier series.
         harmonics: usize = 10;
-        /// Frequency that the oscillator starts from, Hz.
+        /// Start frequency of the oscillator, Hz.
         initial: f64 = 1.0;
-        /// Whether the start is estimated from the signal so far.
+        /// Whether the start frequency is estimated from the signal so far.
         estimate: bool = true;
         /// auto (scaled with estimate, bare without), scaled, bare or paper.
         rule: Rule = Rule::Auto;
-        /// K of (1), (2): of the paper's rule as it is, of the bare one at 1.3 Hz for a signal between -1 and 1.
+        /// K of (1), (2): unscaled for the paper's rule; for the bare rule the value at 1.3 Hz for a signal
+        /// between -1 and 1.
         coupling: f64 = 15.0;
-        /// Learning gain of (3), 1/s: of the paper's rule as it is, of the bare one at 1.3 Hz.
+        /// Learning gain of (3), 1/s: unscaled for the paper's rule; for the bare rule the value at 1.3 Hz.
         learning: f64 = 2.0;
         /// Step, s.
         dt: f64 = 0.001;
         /// Length of the run, s.
         seconds: f64 = 60.0;
-        /// Standard deviation of the noise in the signal of that name.
+        /// Standard deviation of the noise in the signal `noise`.
         noise: f64 = 0.2;
-        /// Its seed.
+        /// Seed of the noise.
         seed: u64 = 1;
         /// Frequency before the step, Hz.
         step_from: f64 = 1.0;
         /// Frequency after the step, Hz.
         step_to: f64 = 1.6;
-        /// When it steps, s.
+        /// Time of the step, s.
         step_at: f64 = 30.0;
         /// Frequency before the chirp, Hz.
         chirp_from: f64 = 0.8;
         /// Frequency after the chirp, Hz.
         chirp_to: f64 = 1.6;
-        /// When the chirp begins, s.
+        /// Start of the chirp, s.
         chirp_begin: f64 = 10.0;
-        /// When it ends, s.
+        /// End of the chirp, s.
         chirp_end: f64 = 50.0;
-        /// Also settles the signal at 16 frequencies from 0.25 to 4 Hz, with and without an estimated start.
+        /// Also measures settling at 16 frequencies from 0.25 to 4 Hz, with and without an estimated start.
         basin: bool = false;
     }
 }
 
-/// A run, one entry a step.
+/// The log of a run, one entry per step.
 #[derive(Default)]
 struct Log {
     /// True phase, rad, not wrapped.
     phase: Vec<f64>,
-    /// First coordinate, and what the series makes of it.
+    /// First coordinate, and the series' approximation of it.
     value: Vec<f64>,
     series: Vec<f64>,
-    /// Frequency of the signal, and the running one, Hz.
+    /// Frequency of the signal, and its running estimate, Hz.
     truth: Vec<f64>,
     hz: Vec<f64>,
 }
@@ -244,8 +245,8 @@ impl Oscillator {
         outcome
     }
 
-    /// Error of the mean frequency and half the peak-to-peak of the running one over the last 10 s (or half the run), as
-    /// shares of the true frequency.
+    /// Error of the mean estimated frequency, and half its peak-to-peak variation, over the last 10 s (or half the
+    /// run), relative to the true frequency.
     fn at_the_end(&self, log: &Log) -> (f64, f64) {
         let n = log.hz.len();
         let count = ((10.0 / self.dt) as usize).clamp(1, n.div_ceil(2));
@@ -256,10 +257,10 @@ impl Oscillator {
         (error, 0.5 * (high - low))
     }
 
-    /// Settling times in periods over the frequency, with the start estimated and without.
+    /// Settling times in periods over the frequency, with and without an estimated start.
     fn sweep(&self, outcome: &mut Outcome) -> Result<(), ExperimentError> {
         let hz: Vec<f64> = (0..16).map(|i| 0.25 * 16.0_f64.powf(f64::from(i) / 15.0)).collect();
-        // These two have frequencies of their own.
+        // These two signals define their own frequencies.
         let own = matches!(self.signal, Signal::Step | Signal::Chirp);
         let signal = if own { Signal::Sine } else { self.signal };
         let periods = |estimate: bool, f: f64| -> Result<f64, ExperimentError> {
@@ -344,8 +345,8 @@ impl Oscillator {
     }
 }
 
-/// The first step in `from..to` from which on the mean of the running frequency over the true period that ends there
-/// stays within 1 % of the true mean, until `to`.
+/// The first step in `from..to` from which on, until `to`, the running frequency, averaged over the true period that
+/// ends there, stays within 1 % of the true mean.
 fn settle(log: &Log, from: usize, to: usize) -> Option<usize> {
     let (mut begin, mut heard, mut true_sum) = (from, 0.0, 0.0);
     let mut since = None;

@@ -1,4 +1,4 @@
-//! Where the oscillator settles with and without an estimated start, and what its settings may be.
+//! Settling of the oscillator with and without an estimated start, and the allowed settings.
 
 use super::*;
 

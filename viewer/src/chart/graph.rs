@@ -1,4 +1,4 @@
-//! What is drawn between the boxes of one level, and what is written into them.
+//! The arrows between the boxes of one level, and the text lines inside the boxes.
 
 use std::collections::BTreeMap;
 
@@ -6,7 +6,7 @@ use armarium_runtime::chart::{Outline, OutlineKind, OutlineTransition};
 
 use super::measure::cut;
 
-/// An arrow between two states that lie side by side.
+/// An arrow between two sibling states.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Arrow {
     pub(super) from: usize,
@@ -14,12 +14,12 @@ pub(super) struct Arrow {
     pub(super) label: Vec<String>,
 }
 
-/// A chart's transitions, sorted by where they are shown.
+/// A chart's transitions, by how they are shown.
 #[derive(Debug, Default)]
 pub(super) struct Graph {
-    /// Arrows by the state that they are inside of.
+    /// Arrows, by the state that contains them.
     pub(super) arrows: BTreeMap<usize, Vec<Arrow>>,
-    /// Lines to be written into states.
+    /// Text lines, by the state that shows them.
     pub(super) notes: BTreeMap<usize, Vec<String>>,
 }
 
@@ -53,7 +53,7 @@ impl Graph {
                 self.connect(outline, transition.source, *target, label);
             }
             targets => {
-                // Several states at once, or only the inside: one line tells it.
+                // A transition to several states, or an internal one, becomes one line of text.
                 let names: Vec<String> = targets.iter().map(|t| outline.path(*t)).collect();
                 let arrow = if transition.internal { "⇢" } else { "→" };
                 self.note(transition.source, &format!("{label} {arrow} {}", names.join(" + ")));
@@ -100,7 +100,7 @@ fn own_or_path(outline: &Outline, source: usize, target: usize) -> String {
     if source == target { "itself".into() } else { outline.path(target) }
 }
 
-/// A state and the states around it.
+/// A state and its ancestors, innermost first.
 fn outward(outline: &Outline, state: usize) -> Vec<usize> {
     std::iter::successors(Some(state), |s| outline.states[*s].parent).collect()
 }

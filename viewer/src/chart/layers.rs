@@ -1,11 +1,11 @@
-//! A layered drawing of boxes and arrows: boxes in ranks from top to bottom, labels in ranks between them, the order in
-//! each rank chosen so that few arrows cross, places chosen near what boxes are connected with.
+//! Layered layout of boxes and arrows: boxes in ranks from top to bottom, labels in ranks between them. The order in
+//! each rank keeps crossings few; the positions are close to those of connected boxes.
 //!
 //! # Source
-//! Sugiyama, Tagawa, Toda 1981; ranks of labels as in Gansner, Koutsofios, North, Vo 1993. Places within a rank are the
-//! least-squares places under the rank's order (pool adjacent violators).
+//! Sugiyama, Tagawa, Toda 1981; ranks of labels as in Gansner, Koutsofios, North, Vo 1993. Positions within a rank are
+//! the least-squares positions under the rank's order (pool adjacent violators).
 
-/// A box or a label before it has a place, px.
+/// The size of a box or label before placement, px.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Size {
     pub(super) width: f64,
@@ -20,16 +20,16 @@ pub(super) struct Link {
     pub(super) label: Size,
 }
 
-/// Where an arrow runs and where its label lies.
+/// The route of an arrow and the position of its label.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Route {
     /// Straight pieces from rank to rank: x, and y from top to bottom; from the source to the target.
     pub(super) points: Vec<(f64, f64)>,
-    /// Middle of the label.
+    /// Centre of the label.
     pub(super) label: (f64, f64),
 }
 
-/// A drawing: the upper left corners of the boxes, the arrows, and the size of the whole.
+/// A layout: the upper left corners of the boxes, the arrows, and the total size.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Drawing {
     pub(super) corners: Vec<(f64, f64)>,
@@ -41,12 +41,12 @@ pub(super) struct Drawing {
 const GAP: f64 = 26.0;
 /// Space between ranks, px.
 const RISE: f64 = 18.0;
-/// Rounds of looking for a better order.
+/// Iterations of the ordering.
 const SWEEPS: usize = 12;
-/// Rounds of moving boxes towards what they are connected with.
+/// Iterations of the positioning.
 const ROUNDS: usize = 40;
 
-/// What stands in a rank: a box, or the place where an arrow passes, with its label in one of them.
+/// An item of a rank: a box, or a point where an arrow passes, one of which holds its label.
 #[derive(Clone, Copy, Debug)]
 struct Item {
     size: Size,
@@ -55,20 +55,20 @@ struct Item {
 }
 
 struct Layers {
-    /// How many of the items are boxes; they come first.
+    /// Number of boxes; they are the first items.
     boxes: usize,
     items: Vec<Item>,
     ranks: Vec<Vec<usize>>,
     /// Neighbours in the rank above and below.
     above: Vec<Vec<usize>>,
     below: Vec<Vec<usize>>,
-    /// For each link the items that it runs through, from top to bottom, and whether it points up.
+    /// For each link its items from top to bottom, and whether it points up.
     chains: Vec<(Vec<usize>, bool)>,
     /// The item that holds each link's label.
     labels: Vec<usize>,
 }
 
-/// Draws boxes and links. Links from a box to itself are not drawn.
+/// Lays out boxes and links. Links from a box to itself are ignored.
 pub(super) fn draw(boxes: &[Size], links: &[Link]) -> Drawing {
     if boxes.is_empty() {
         return Drawing::default();
@@ -90,7 +90,7 @@ impl Layers {
             let (top, bottom) = if *down { (link.from, link.to) } else { (link.to, link.from) };
             let mut chain = vec![top];
             let (first, last) = (ranks[top] + 1, ranks[bottom]);
-            // The label stands near the source, where it is looked for.
+            // The label is near the source, where readers expect it.
             let at = if *down { first } else { last.saturating_sub(1).max(first) };
             for rank in first..last {
                 let passing = Size { width: 6.0, height: 0.0 };
@@ -131,7 +131,7 @@ impl Layers {
         }
     }
 
-    // Order.
+    // Ordering within the ranks.
 
     fn order(&mut self) {
         let mut best = (self.crossings(), self.ranks.clone());
@@ -160,7 +160,8 @@ impl Layers {
         place
     }
 
-    /// Sorts a rank by the mean place of the neighbours above (or below); what has none stays where it is.
+    /// Sorts a rank by the mean position of the neighbours above (or below); an item without neighbours keeps
+    /// its position.
     fn sort(&mut self, rank: usize, downward: bool, place: &[f64]) {
         let mut current = place.to_vec();
         for rank in &self.ranks {
@@ -187,7 +188,7 @@ impl Layers {
             for (at, item) in rank.iter().enumerate() {
                 ends.extend(self.below[*item].iter().map(|b| (at, place[*b] as usize)));
             }
-            // Pairs that cross, capped so that a very wide rank costs a bounded time.
+            // Counts crossing pairs; the cap bounds the time for a very wide rank.
             let ends = &ends[..ends.len().min(2000)];
             for (i, a) in ends.iter().enumerate() {
                 count += ends[i + 1..]
@@ -199,7 +200,7 @@ impl Layers {
         count
     }
 
-    // Places.
+    // Positions within the ranks.
 
     fn place(&mut self) {
         for rank in self.ranks.clone() {
@@ -221,7 +222,7 @@ impl Layers {
         self.items.iter_mut().for_each(|i| i.x -= left);
     }
 
-    /// Moves a rank's items towards the mean of their neighbours, in their order and without touching.
+    /// Moves a rank's items towards the mean of their neighbours, keeping their order and without overlap.
     fn pull(&mut self, rank: usize, round: usize) {
         let members = &self.ranks[rank];
         let mut offset = 0.0;
@@ -248,7 +249,7 @@ impl Layers {
         }
     }
 
-    /// Space below a rank: more where arrows go far to the side.
+    /// Space below a rank: more where arrows run far sideways.
     fn rise(&self, rank: &[usize]) -> f64 {
         let aside = |item: &usize| {
             let below = self.below[*item].iter().map(|b| (self.items[*b].x - self.items[*item].x).abs());
@@ -257,7 +258,7 @@ impl Layers {
         RISE + (rank.iter().map(aside).fold(0.0, f64::max) / 12.0).min(50.0)
     }
 
-    /// How much a piece of an arrow wants to be straight: most where it only passes.
+    /// Weight for keeping a segment of an arrow vertical: largest where it only passes.
     fn stiffness(&self, a: usize, b: usize) -> f64 {
         let passing = |item: usize| item >= self.boxes;
         match (passing(a), passing(b)) {
@@ -312,8 +313,8 @@ impl Layers {
         Drawing { corners: (0..boxes).map(corner).collect(), routes, size }
     }
 
-    /// Where links touch the lower side of their upper box and the upper side of their lower box: spread over the side
-    /// in the order of where they go.
+    /// The points where links leave the lower side of their upper box and enter the upper side of their lower box,
+    /// spread over the side in the order of their other ends.
     fn ports(&self, boxes: usize) -> Ports {
         let mut ports = Ports { bottom: vec![0.0; self.chains.len()], top: vec![0.0; self.chains.len()] };
         for at in 0..boxes {
@@ -349,12 +350,12 @@ struct Ports {
     top: Vec<f64>,
 }
 
-/// Which links point down, once those that close a circle are turned; found by a depth-first search in the given order.
+/// Which links point down, after those that close a cycle are reversed; by a depth-first search in the given order.
 fn downward(boxes: usize, links: &[Link]) -> Vec<bool> {
     let mut down = vec![true; links.len()];
     let mut out: Vec<Vec<usize>> = vec![Vec::new(); boxes];
     links.iter().enumerate().for_each(|(n, l)| out[l.from].push(n));
-    // 0 not seen, 1 on the way, 2 done.
+    // 0 unvisited, 1 on the current path, 2 done.
     let mut state = vec![0u8; boxes];
     for root in 0..boxes {
         let mut stack = vec![(root, 0)];
@@ -382,7 +383,7 @@ fn downward(boxes: usize, links: &[Link]) -> Vec<bool> {
     down
 }
 
-/// Ranks by the longest way from a box without links into it; boxes have even ranks, labels stand between.
+/// Ranks by the longest path from a box without incoming links; boxes have even ranks, labels lie between.
 fn ranks(boxes: usize, links: &[Link], down: &[bool]) -> Vec<usize> {
     let ends: Vec<(usize, usize)> = links
         .iter()
@@ -410,7 +411,7 @@ fn ranks(boxes: usize, links: &[Link], down: &[bool]) -> Vec<usize> {
     rank
 }
 
-/// The increasing sequence that is nearest to `(value, weight)` pairs in least squares.
+/// The increasing sequence nearest to `(value, weight)` pairs by least squares (isotonic regression).
 fn increasing(wanted: &[(f64, f64)]) -> Vec<f64> {
     let mut pools: Vec<(f64, f64, usize)> = Vec::new();
     for (value, weight) in wanted {

@@ -1,12 +1,12 @@
-//! How wide text is: from the widths of Helvetica's letters, a little more for fonts that take its place.
+//! Estimates the width of text from Helvetica's character widths, with a reserve for substitute fonts.
 
 /// Height of a line of text, px.
 pub(super) const LINE: f64 = 15.0;
 /// Size of the text, px.
 pub(super) const SIZE: f64 = 12.0;
-/// Longest line, in characters; longer ones are cut.
+/// Longest line, characters; longer lines are cut.
 const LONGEST: usize = 64;
-/// DejaVu Sans and Liberation Sans against Helvetica.
+/// Width of DejaVu Sans and Liberation Sans relative to Helvetica.
 const WIDER: f64 = 1.14;
 
 /// Width of a line, px.
@@ -23,7 +23,7 @@ pub(super) fn width(text: &str) -> f64 {
     text.chars().map(em).sum::<f64>() * SIZE * WIDER
 }
 
-/// A line that is not longer than any may be.
+/// Cuts a line to the longest allowed length.
 pub(super) fn cut(text: &str) -> String {
     let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
     if text.chars().count() <= LONGEST {

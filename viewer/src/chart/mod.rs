@@ -1,9 +1,9 @@
-//! A statechart as a picture: SVG with a layout of its own, and Mermaid and PlantUML for other tools.
+//! Draws a statechart: SVG with its own layout, and Mermaid and PlantUML for other tools.
 //!
-//! [`svg`] draws states as nested boxes and the transitions between them in layers. A transition is drawn where its
-//! source and its target lie side by side: between the boxes that hold them, with the inner names in its label. What
-//! leads nowhere else (without target, into the state itself or to what is around or inside it, or across regions) is
-//! written into the state. So no line crosses a box and no label lies on another. Nothing is read or written here.
+//! [`svg`] draws states as nested boxes and the transitions between them in layers. A transition is drawn between the
+//! two sibling boxes that contain its source and its target, with the inner names in its label. Other transitions
+//! (without a target, to the state itself, to an ancestor or descendant, or across regions) are written as text into
+//! the state. So no line crosses a box and no label overlaps another. This module reads and writes no files.
 
 mod graph;
 mod layers;

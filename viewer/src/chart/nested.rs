@@ -1,4 +1,4 @@
-//! Boxes in boxes: each state's inside is drawn first, then the state around it has its size.
+//! Nested boxes: each state's content is laid out first, and the state's box gets its size.
 
 use armarium_runtime::chart::{Outline, OutlineKind};
 
@@ -6,14 +6,14 @@ use super::graph::{Arrow, Graph};
 use super::layers::{Drawing, Link, Route, Size, draw};
 use super::measure::{LINE, width};
 
-/// Space between a box and what is in it, px.
+/// Space between a box and its content, px.
 const PAD: f64 = 14.0;
-/// Diameter of the dot where a composite is entered, px.
+/// Diameter of the dot at a composite's entry, px.
 pub(super) const DOT: f64 = 10.0;
-/// Diameter of a history, px.
+/// Diameter of a history symbol, px.
 const HISTORY: f64 = 28.0;
 
-/// A state with its place, in the coordinates of the whole picture once all are placed.
+/// A laid-out state; coordinates are relative to the whole picture once all are placed.
 #[derive(Clone, Debug)]
 pub(super) struct Placed {
     pub(super) state: usize,
@@ -21,18 +21,18 @@ pub(super) struct Placed {
     pub(super) y: f64,
     pub(super) size: Size,
     pub(super) title: String,
-    /// What it is, under the title; may be empty.
+    /// The kind of state, under the title; may be empty.
     pub(super) subtitle: String,
     pub(super) notes: Vec<String>,
     pub(super) inside: Vec<Placed>,
     pub(super) arrows: Vec<(Arrow, Route)>,
-    /// Where regions are parted: x of the line, y from, y to.
+    /// Lines between regions: x, start y, end y.
     pub(super) partings: Vec<(f64, f64, f64)>,
     /// The dot of the initial state.
     pub(super) dot: Option<(f64, f64)>,
 }
 
-/// Lays out a state with everything inside it; its corner is at the origin.
+/// Lays out a state with its descendants; its corner is at the origin.
 pub(super) fn lay_out(outline: &Outline, graph: &Graph, state: usize) -> Placed {
     let of = &outline.states[state];
     let mut placed = head(outline, graph, state);
@@ -47,7 +47,7 @@ pub(super) fn lay_out(outline: &Outline, graph: &Graph, state: usize) -> Placed 
     };
     placed.size.width = placed.size.width.max(inner.width + 2.0 * PAD);
     placed.size.height = top + inner.height + PAD;
-    // What is narrower than the title stands in the middle.
+    // Content narrower than the title is centred.
     let shift = (placed.size.width - inner.width) / 2.0 - PAD;
     if shift > 0.0 {
         placed.inside.iter_mut().for_each(|inner| move_by(inner, shift, 0.0));
@@ -56,7 +56,7 @@ pub(super) fn lay_out(outline: &Outline, graph: &Graph, state: usize) -> Placed 
     placed
 }
 
-/// A state without its inside.
+/// A state without its content.
 fn head(outline: &Outline, graph: &Graph, state: usize) -> Placed {
     let of = &outline.states[state];
     let subtitle = match &of.kind {
@@ -85,7 +85,7 @@ fn head(outline: &Outline, graph: &Graph, state: usize) -> Placed {
     Placed { state, x: 0.0, y: 0.0, size, title, subtitle, notes, inside, arrows, partings, dot: None }
 }
 
-/// Regions side by side, parted by lines.
+/// Regions side by side, separated by lines.
 fn regions(placed: &mut Placed, inside: Vec<Placed>, top: f64) -> Size {
     let height = inside.iter().map(|r| r.size.height).fold(0.0, f64::max);
     let mut x = PAD;
@@ -102,12 +102,12 @@ fn regions(placed: &mut Placed, inside: Vec<Placed>, top: f64) -> Size {
     Size { width: x - PAD, height }
 }
 
-/// States in layers, with the dot of the initial one.
+/// States in layers, with the dot of the initial state.
 fn states(outline: &Outline, graph: &Graph, placed: &mut Placed, inside: Vec<Placed>, top: f64) -> Size {
     let state = placed.state;
     let arrows = graph.arrows.get(&state).cloned().unwrap_or_default();
     let at = |child: usize| inside.iter().position(|p| p.state == child);
-    // The dot comes first, so that what it leads to stands on top.
+    // The dot comes first, so that the initial state is on top.
     let mut boxes = vec![Size { width: DOT, height: DOT }];
     boxes.extend(inside.iter().map(|p| p.size));
     let mut links = Vec::new();
@@ -155,7 +155,7 @@ fn label_size(arrow: &Arrow) -> Size {
     Size { width: widest + 10.0, height: arrow.label.len() as f64 * LINE }
 }
 
-/// Moves a state with everything inside it.
+/// Moves a state with its descendants.
 pub(super) fn move_by(placed: &mut Placed, dx: f64, dy: f64) {
     placed.x += dx;
     placed.y += dy;

@@ -25,14 +25,14 @@ pub fn plantuml(outline: &Outline) -> String {
     out
 }
 
-/// How a tool writes what differs.
+/// The syntax differences of a tool.
 struct Dialect {
     parting: &'static str,
     /// A stereotype after the name of a final or history state.
     end: &'static str,
     history: &'static str,
     deep: &'static str,
-    /// Characters that end a label.
+    /// Characters that are not allowed in a label.
     unsafe_in_label: &'static [char],
 }
 

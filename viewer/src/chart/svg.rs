@@ -1,4 +1,4 @@
-//! The picture as SVG: colours come from its own style sheet and follow light and dark.
+//! The chart as SVG. Its own style sheet follows the light and dark colour scheme.
 
 use std::fmt::Write as _;
 
@@ -9,7 +9,7 @@ use super::layers::Route;
 use super::measure::{LINE, SIZE};
 use super::nested::{DOT, Placed, lay_out, move_by};
 
-/// Space around the whole, px.
+/// Margin around the picture, px.
 const MARGIN: f64 = 12.0;
 
 const STYLE: &str = "\
@@ -24,7 +24,7 @@ text{font-family:'Helvetica Neue',Helvetica,Arial,'Liberation Sans','DejaVu Sans
 .arrow{fill:none;stroke:var(--line);stroke-width:1.2}.part{stroke:var(--line);stroke-dasharray:5 4}\
 .dot,.head{fill:var(--line)}";
 
-/// A chart as a picture of its own: nested boxes, layered arrows, labels that lie on nothing else.
+/// Draws a chart as a separate SVG file: nested boxes, layered arrows, labels without overlap.
 #[must_use]
 pub fn svg(outline: &Outline) -> String {
     let graph = Graph::of(outline);
@@ -104,7 +104,7 @@ fn texts(placed: &Placed, out: &mut String) {
     }
 }
 
-/// A line that is straight within ranks and bends between them.
+/// A line that is straight within ranks and curved between them.
 fn line(route: &Route, out: &mut String) {
     let Some((first, rest)) = route.points.split_first() else { return };
     let mut path = format!("M{:.1} {:.1}", first.0, first.1);
@@ -131,7 +131,7 @@ fn label(arrow: &Arrow, route: &Route, out: &mut String) {
     if arrow.label.is_empty() {
         return;
     }
-    // The line passes behind its own label.
+    // The line is drawn behind its own label.
     let width = arrow.label.iter().map(|l| super::measure::width(l)).fold(0.0, f64::max);
     let _ = writeln!(
         out,

@@ -1,4 +1,4 @@
-//! Pictures of charts: nothing overlaps, everything is in them.
+//! Charts as pictures: nothing overlaps, everything is included.
 
 use armarium_runtime::chart::{Outline, load_text};
 

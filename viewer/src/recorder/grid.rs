@@ -1,24 +1,24 @@
-//! The grids that recorded numbers lie on.
+//! Rounds recorded numbers to fixed grids.
 //!
-//! A recording at 1 kHz is mostly the last digits of measured numbers, which nothing compresses. So numbers are
-//! rounded to what is well below anything that a figure or a sensor tells: half its size a number, a fifth of it a
-//! recording. Nothing else is changed: no signal is filtered or thinned here.
+//! At 1 kHz most of a recording would be the noisy last digits of measured numbers, which do not compress.
+//! Rounding far below the resolution of figures and sensors halves the size of a number and saves a fifth of a
+//! recording. Signals are not filtered or decimated here.
 
 use nalgebra::{Isometry3, Quaternion, Translation3, Unit};
 
 use super::messages::{Contact, WrenchSample};
 
-/// Steps a metre of positions, and a unit of quaternions' components: about a micrometre.
+/// Steps per metre of positions, and per unit of quaternion components: about a micrometre.
 const POSE: f64 = (1 << 20) as f64;
-/// Steps a radian (or metre) of joint positions: 0.03 mrad, a seventh of the sensor's noise.
+/// Steps per radian (or metre) of joint positions: 0.03 mrad, a seventh of the sensor's noise.
 const JOINT: f64 = (1 << 15) as f64;
-/// Steps a rad/s (or m/s) of joint velocities: 0.5 mrad/s.
+/// Steps per rad/s (or m/s) of joint velocities: 0.5 mrad/s.
 const JOINT_VELOCITY: f64 = (1 << 11) as f64;
-/// Steps a newton of the wrist's forces; decimal, as they are written as text.
+/// Steps per newton of the wrist's forces; decimal, because they are written as text.
 const FORCE: f64 = 1e2;
-/// Steps a newton metre of the wrist's torques.
+/// Steps per newton metre of the wrist's torques.
 const TORQUE: f64 = 1e3;
-/// Steps a newton of the true contact force.
+/// Steps per newton of the true contact force.
 const CONTACT: f64 = 1e3;
 
 fn on(steps: f64, value: f64) -> f64 {

@@ -1,28 +1,28 @@
-//! What the recording's messages hold: Foxglove's where they exist, and JSON of our own with their schemas.
+//! The messages of a recording: Foxglove's schemas where they exist, otherwise JSON with our own schemas.
 
 use armarium_visionx::Image;
 use foxglove::messages as fg;
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
-/// The frame that poses are recorded in: x right, y forward, z up, origin on the floor.
+/// The coordinate frame of recorded poses: x right, y forward, z up, origin on the floor.
 pub(super) const ROOT: &str = "root";
 
-/// The true contact between sponge and table at one instant.
+/// The true contact between sponge and table at one time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Contact {
     /// Force along the table's normal, N; positive presses.
     pub normal_n: f64,
-    /// Size of the force in the table's plane, N.
+    /// Magnitude of the force in the table's plane, N.
     pub tangential_n: f64,
 }
 
-/// The wrist's force and torque at one instant.
+/// The wrist's force and torque at one time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct WrenchSample {
-    /// Force as the sensor gives it, in the sensor's frame, N.
+    /// Raw force of the sensor, in the sensor's frame, N.
     pub force_raw: [f64; 3],
-    /// Torque about the sensor's origin as the sensor gives it, in the sensor's frame, N m.
+    /// Raw torque of the sensor about its origin, in the sensor's frame, N m.
     pub torque_raw: [f64; 3],
     /// Force of the environment on the hand, compensated, in the root frame, N.
     pub force: [f64; 3],
@@ -30,16 +30,16 @@ pub struct WrenchSample {
     pub torque: [f64; 3],
 }
 
-/// How much a log line matters.
+/// The severity of a log line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum LogLevel {
-    /// For whoever looks for a fault.
+    /// Details for finding faults.
     Debug,
-    /// What happens.
+    /// Normal events.
     Info,
-    /// What may go wrong.
+    /// Possible problems.
     Warning,
-    /// What went wrong.
+    /// Errors.
     Error,
 }
 
@@ -71,7 +71,7 @@ pub(super) fn pose(root_from_thing: &Isometry3<f64>) -> fg::Pose {
     }
 }
 
-/// The part of a topic after its last slash: the frame of what the topic is about.
+/// The part of a topic after its last slash: the frame of the topic's subject.
 pub(super) fn frame_of(topic: &str) -> String {
     topic.rsplit('/').next().unwrap_or(topic).to_owned()
 }

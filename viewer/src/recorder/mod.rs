@@ -1,13 +1,13 @@
 //! `run.mcap`: a recording of a run that opens in Foxglove and Rerun and that any MCAP library reads.
 //!
-//! Poses, joints, images and log lines use Foxglove's protobuf schemas; contact, wrench and chart events are JSON
-//! with a schema in the file. Poses, joints and forces lie on grids finer than what any figure or sensor tells (see
-//! `grid`): the digits below are noise that no compression shrinks. Messages are gathered in compressed chunks that are written whole, at the latest
-//! every [`RecorderOptions::flush_period_ns`]: after a crash the file lacks its index, and readers that go through
-//! it from the front find all but the last moments.
+//! Poses, joints, images and log lines use Foxglove's protobuf schemas; contact, wrench and chart events are JSON with
+//! a schema in the file. Poses, joints and forces are rounded to grids finer than any figure or sensor resolves (see
+//! `grid`), because the digits below are noise that does not compress. Messages are collected in compressed chunks. A
+//! chunk is written as a whole, at the latest every [`RecorderOptions::flush_period_ns`]. After a crash the file lacks
+//! its index, but readers that read it sequentially get all except the last moments.
 //!
-//! The recorder keeps one chunk in memory and its index, whatever the run's length. It never reads a clock: the
-//! caller gives each message's time.
+//! The recorder keeps one chunk and its index in memory, whatever the run's length. It never reads a clock: the caller
+//! gives each message's time.
 
 mod grid;
 mod messages;
@@ -26,17 +26,16 @@ use serde::Serialize;
 
 pub use messages::{Contact, LogLevel, WrenchSample};
 
-/// How a recording is made.
+/// Options of a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecorderOptions {
-    /// Messages are written to the file at the latest after this much of the run's time, ns.
+    /// Longest time that a message stays in memory, ns of the run's time.
     pub flush_period_ns: u64,
-    /// Size of an uncompressed chunk, bytes: the recorder's memory, and what a reader has to unpack at once.
+    /// Size of an uncompressed chunk, bytes: the memory that the recorder needs, and a reader for unpacking.
     pub chunk_bytes: u64,
-    /// Poses are repeated on `/tf` for three-dimensional views with at least this much time between them, ns;
-    /// 0 repeats none.
+    /// Least time between poses repeated on `/tf` for 3D views, ns; 0 repeats none.
     pub transform_period_ns: u64,
-    /// Images of one topic are at least this far apart, ns; those between are not recorded.
+    /// Least time between recorded images of one topic, ns; images in between are dropped.
     pub image_period_ns: u64,
     /// Quality of JPEG images, 1 to 100.
     pub jpeg_quality: u8,
@@ -54,17 +53,17 @@ impl Default for RecorderOptions {
     }
 }
 
-/// How an image is stored.
+/// The encoding of images.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ImageCoding {
-    /// JPEG: small, costs a few milliseconds a frame of 640 by 480.
+    /// JPEG: small, costs a few milliseconds for an image of 640 by 480.
     #[default]
     Jpeg,
-    /// All bytes as they are: 921 600 a frame of 640 by 480.
+    /// Raw bytes: 921 600 for an image of 640 by 480.
     Raw,
 }
 
-/// Why a recording cannot be made or finished.
+/// Why a recording cannot be created or completed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecorderError {
@@ -73,14 +72,14 @@ pub enum RecorderError {
     Create {
         /// Its path.
         path: String,
-        /// What the system says.
+        /// The operating system's error.
         #[source]
         source: std::io::Error,
     },
     /// The file cannot be written.
     #[error("cannot write the recording")]
     Write {
-        /// What the writer says.
+        /// The writer's error.
         #[source]
         source: foxglove::FoxgloveError,
     },
@@ -89,7 +88,7 @@ pub enum RecorderError {
     Encode {
         /// The topic.
         topic: String,
-        /// What is wrong.
+        /// The reason.
         what: String,
     },
 }
@@ -116,8 +115,7 @@ struct ImageTopic {
     next_ns: u64,
 }
 
-/// A recording that is being written. Dropping it finishes the file; [`Recorder::finish`] also says whether that
-/// went well.
+/// A recording that is being written. Dropping it completes the file; [`Recorder::finish`] also returns errors.
 pub struct Recorder {
     options: RecorderOptions,
     context: Arc<Context>,
@@ -139,7 +137,7 @@ impl std::fmt::Debug for Recorder {
     }
 }
 
-/// Topics whose JSON messages have a schema of their own, in the order name, schema's name, schema.
+/// Topics whose JSON messages have their own schema: topic, schema name, schema.
 const JSON_SCHEMAS: [(&str, &str, &str); 6] = [
     ("/truth/contact", "armarium.Contact", messages::CONTACT_SCHEMA),
     ("/robot/wrench", "armarium.WrenchSample", messages::WRENCH_SCHEMA),
@@ -150,7 +148,7 @@ const JSON_SCHEMAS: [(&str, &str, &str); 6] = [
 ];
 
 impl Recorder {
-    /// Creates the file, replacing one that is there. `metadata` (seed, world, chart ...) is stored with it.
+    /// Creates the file; overwrites an existing one. `metadata` (seed, world, chart ...) is stored in it.
     ///
     /// # Errors
     /// [`RecorderError::Create`] when the file cannot be created, [`RecorderError::Write`] when it cannot be
@@ -171,7 +169,7 @@ impl Recorder {
         let file = File::create(path)
             .map_err(|source| RecorderError::Create { path: path.display().to_string(), source })?;
         let context = Context::new();
-        // Without seeking, a chunk is written whole: a crash never leaves one whose length is not known.
+        // Without seeking, a chunk is written as a whole: a crash never leaves a chunk of unknown length.
         let write = McapWriteOptions::new()
             .compression(Some(McapCompression::Zstd))
             .compression_level(1)
@@ -197,7 +195,7 @@ impl Recorder {
         })
     }
 
-    /// Records where something is: `root_from_thing`, m. The thing is named by the topic's last part.
+    /// Records the pose `root_from_thing`, m. The topic's last part names the object.
     pub fn pose(&mut self, topic: &str, t_ns: u64, root_from_thing: &Isometry3<f64>) {
         self.tick(t_ns);
         let pose = messages::pose(&grid::pose(root_from_thing));
@@ -235,7 +233,7 @@ impl Recorder {
     }
 
     /// Records positions (rad or m) and velocities (rad/s or m/s) of all joints on `/robot/joints`. The slices
-    /// are in one order; a value that is missing is not recorded.
+    /// have the same order; a missing value is not recorded.
     pub fn joints(&mut self, t_ns: u64, names: &[String], position: &[f64], velocity: &[f64]) {
         self.tick(t_ns);
         let joints = &mut self.joint_states.joints;
@@ -261,7 +259,7 @@ impl Recorder {
         self.json("/robot/wrench", t_ns, &grid::wrench(sample))
     }
 
-    /// Records something that happened in the chart on `/chart/events`: an object.
+    /// Records a chart event, a JSON object, on `/chart/events`.
     ///
     /// # Errors
     /// [`RecorderError::Encode`] when the message cannot be encoded.
@@ -269,7 +267,7 @@ impl Recorder {
         self.json("/chart/events", t_ns, event)
     }
 
-    /// Records a JSON message of any topic.
+    /// Records a JSON message on any topic.
     ///
     /// # Errors
     /// [`RecorderError::Encode`] when the message cannot be encoded.
@@ -298,14 +296,15 @@ impl Recorder {
         Ok(())
     }
 
-    /// Whether an image of this topic and time would be recorded: ask before making one only for the recording.
+    /// Whether an image of this topic and time would be recorded; check it before rendering an image only for
+    /// the recording.
     #[must_use]
     pub fn wants_image(&self, topic: &str, t_ns: u64) -> bool {
         self.images.get(topic).is_none_or(|image| t_ns >= image.next_ns)
     }
 
-    /// Records an image, unless the last one of this topic is nearer than
-    /// [`RecorderOptions::image_period_ns`]. The first image of a topic settles its coding.
+    /// Records an image, unless the last one of this topic is less than [`RecorderOptions::image_period_ns`]
+    /// ago. The first image of a topic determines the topic's encoding.
     ///
     /// # Errors
     /// [`RecorderError::Encode`] when JPEG cannot hold the image.
@@ -343,7 +342,7 @@ impl Recorder {
         Ok(())
     }
 
-    /// Records a line for people on `/log`; `source` is who says it, for instance a state's path.
+    /// Records a log line on `/log`; `source` names its origin, for instance a state's path.
     pub fn log(&mut self, t_ns: u64, level: LogLevel, source: &str, message: &str) {
         self.tick(t_ns);
         self.log.log_with_time(&messages::log(t_ns, level, source, message), t_ns);
@@ -367,7 +366,7 @@ impl Recorder {
     /// Writes the index and closes the file.
     ///
     /// # Errors
-    /// [`RecorderError::Write`] when the file, now or earlier, could not be written.
+    /// [`RecorderError::Write`] when writing failed, now or earlier.
     pub fn finish(self) -> Result<(), RecorderError> {
         let file = self.writer.close()?;
         file.into_inner()
@@ -375,7 +374,8 @@ impl Recorder {
             .map_err(|e| RecorderError::Write { source: foxglove::FoxgloveError::from(e.into_error()) })
     }
 
-    /// Writes what has gathered when it is time. Errors stay with the writer: [`Recorder::finish`] reports them.
+    /// Flushes the collected messages when it is time. Errors stay with the writer: [`Recorder::finish`] reports
+    /// them.
     fn tick(&mut self, t_ns: u64) {
         if t_ns >= self.next_flush_ns {
             self.next_flush_ns = t_ns.saturating_add(self.options.flush_period_ns);

@@ -1,4 +1,4 @@
-//! Axes: from values to pixels, round ticks, grid, labels, legend.
+//! Axes: mapping of values to pixels, round ticks, grid, labels, legend.
 
 use super::svg::{Anchor, Svg, text_width};
 
@@ -43,7 +43,7 @@ impl Axes {
         self
     }
 
-    /// Grid, ticks with their numbers, the frame, and the label of x below it.
+    /// Draws grid, ticks with numbers, the frame, and the x label below it.
     pub(super) fn draw(&self, svg: &mut Svg, x_label: &str) {
         for (tick, text) in ticks(self.x, (self.width / 80.0).clamp(3.0, 12.0) as usize) {
             let [px, _] = self.point(tick, self.y[0]);
@@ -87,7 +87,7 @@ pub(super) fn ticks(range: [f64; 2], count: usize) -> Vec<(f64, String)> {
         .collect()
 }
 
-/// The least range that holds all finite values, a little wider; around a single value, one unit.
+/// The smallest range that contains all finite values, slightly enlarged; one unit around a single value.
 pub(super) fn range_of(values: impl IntoIterator<Item = f64>, margin: f64) -> [f64; 2] {
     let (low, high) = values
         .into_iter()
@@ -101,7 +101,7 @@ pub(super) fn range_of(values: impl IntoIterator<Item = f64>, margin: f64) -> [f
     [low - extra, high + extra]
 }
 
-/// How an entry of the legend is drawn.
+/// The symbol of a legend entry.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Key {
     Line,

@@ -1,7 +1,7 @@
-//! Curves over any two axes, as a picture file of its own: what the reproduced experiments are shown with.
+//! Curves over any two axes as a separate SVG file, used for the reproduced experiments.
 //!
-//! The page's own plots are of runs and share its style sheet; a picture brings the part that it needs with it, so that
-//! it follows light and dark wherever it is shown.
+//! The plots of the page share its style sheet. A separate file embeds the part it needs, so that it follows the light
+//! and dark colour scheme wherever it is shown.
 
 use super::axes::{Axes, Key, legend, legend_height, range_of};
 use super::svg::{Anchor, Svg};
@@ -10,30 +10,30 @@ const STYLE: &str = include_str!("style.css");
 const WIDTH: f64 = 1000.0;
 const GAP: f64 = 14.0;
 
-/// How a curve is drawn.
+/// The style of a curve.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Look {
     /// In the next colour.
     #[default]
     Next,
-    /// In the colour of this number (1 to 6), so that the same thing looks the same in every panel.
+    /// In the colour of this number (1 to 6), so that the same quantity has the same colour in every panel.
     Colour(u8),
-    /// Dashed and grey: what was there before, what was demanded.
+    /// Dashed and grey: an earlier state, or a reference.
     Reference,
-    /// Thin and pale: one of many.
+    /// Thin and pale: one of many curves.
     Faint,
-    /// Single points in the colour of this number (1 to 6).
+    /// Separate points in the colour of this number (1 to 6).
     Dots(u8),
 }
 
-/// Points joined by a line, in the order given. One that is not finite interrupts the line.
+/// Points joined by a line, in the given order. A point that is not finite interrupts the line.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curve {
-    /// Its name in the legend; without a name it is not in the legend.
+    /// Its name in the legend; an empty name omits it from the legend.
     pub label: String,
     /// Points x, y.
     pub points: Vec<[f64; 2]>,
-    /// How it is drawn.
+    /// Its style.
     pub look: Look,
 }
 
@@ -44,17 +44,17 @@ pub struct Panel {
     pub x_label: String,
     /// The vertical axis with its unit.
     pub y_label: String,
-    /// The curves, later ones on top.
+    /// The curves; later ones are drawn on top.
     pub curves: Vec<Curve>,
-    /// Places on the horizontal axis, with their names.
+    /// Marked places on the horizontal axis, with their names.
     pub marks: Vec<(f64, String)>,
-    /// Whether a unit is as long across as up: for paths in space.
+    /// Whether both axes have the same scale: for paths in space.
     pub equal_units: bool,
-    /// Shown range of y, when it should not follow the data.
+    /// Range of y, if it should not follow the data.
     pub y_range: Option<[f64; 2]>,
 }
 
-/// Panels beside each other, equally wide.
+/// Panels side by side, of equal width.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Row {
     /// Height with labels and legend, px of a picture 1000 px wide.
@@ -70,14 +70,14 @@ impl Curve {
         Self { label: label.into(), points, look: Look::Next }
     }
 
-    /// The same, drawn so.
+    /// The same with this style.
     #[must_use]
     pub fn looking(self, look: Look) -> Self {
         Self { look, ..self }
     }
 }
 
-/// The rows as one SVG file. `title` is read out to who cannot see it.
+/// Draws the rows as one SVG file. `title` is for screen readers.
 #[must_use]
 pub fn picture(title: &str, rows: &[Row]) -> String {
     let height: f64 = rows.iter().map(|row| row.height + GAP).sum::<f64>() + GAP;
@@ -95,7 +95,7 @@ pub fn picture(title: &str, rows: &[Row]) -> String {
     picture.replacen('>', &format!("><style>{}</style>", style()), 1) + "\n"
 }
 
-/// The lines of the page's style sheet that a picture needs, and what only pictures have.
+/// The rules of the page's style sheet that a separate file needs, and its own rules.
 fn style() -> String {
     let own = ".plot text{font-family:system-ui,\"DejaVu Sans\",sans-serif}.plot .paper{fill:var(--card)}\
                .plot .faint{stroke:var(--soft);stroke-width:.7;opacity:.45}";
@@ -161,11 +161,12 @@ fn line(svg: &mut Svg, curve: &Curve, class: &str, axes: &Axes) {
     }
 }
 
-/// What a line may leave the curve by, in the picture's unit: less than a screen can show.
+/// Largest deviation of the simplified line from the curve, in the picture's unit; less than a screen
+/// resolves.
 const TOLERANCE: f64 = 0.12;
 
-/// The fewest of the points between which straight lines stay within [`TOLERANCE`] of all of them, peaks included
-/// (Douglas and Peucker 1973).
+/// A small subset of the points whose line stays within [`TOLERANCE`] of all points, peaks included (Douglas
+/// and Peucker 1973).
 fn simplified(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
     let mut keep = vec![false; points.len()];
     for end in [0, points.len().saturating_sub(1)] {
@@ -183,7 +184,7 @@ fn simplified(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
     points.iter().zip(keep).filter(|(_, keep)| *keep).map(|(p, _)| *p).collect()
 }
 
-/// From `p` to the straight line between `a` and `b`, its ends included.
+/// Distance of `p` from the line segment between `a` and `b`.
 fn distance(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
     let along = [b[0] - a[0], b[1] - a[1]];
     let from = [p[0] - a[0], p[1] - a[1]];

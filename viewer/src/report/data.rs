@@ -1,25 +1,25 @@
-//! What the page of a run shows: how it ended, what describes it, and sections in order.
+//! The content of a run's page: its outcome, its facts, and sections in order.
 
 use armarium_values::report::Section;
 use serde::{Deserialize, Serialize};
 
-/// All that the page shows. What is absent is not shown.
+/// The content of the page. Absent parts are not shown.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct ReportData {
     /// The page's title, usually the chart's name.
     pub title: String,
-    /// One sentence under it, usually the chart's description.
+    /// One sentence below it, usually the chart's description.
     pub subtitle: String,
-    /// `success`, or how else the run ended.
+    /// `success`, or the kind of failure.
     pub outcome: String,
-    /// Why, when it is not success.
+    /// The reason, unless it is success.
     pub reason: Option<String>,
-    /// The states that the failure came through, innermost first.
+    /// The states that the failure passed through, innermost first.
     pub failure_chain: Vec<ChainLink>,
-    /// What describes the run (seed, world, durations ...) in the order shown.
+    /// Facts about the run (seed, world, durations ...) in display order.
     pub facts: Vec<(String, String)>,
-    /// The rest, in order.
+    /// The sections, in display order.
     pub sections: Vec<Section>,
 }
 
@@ -28,6 +28,6 @@ pub struct ReportData {
 pub struct ChainLink {
     /// The state's path.
     pub state: String,
-    /// What it says, where it adds something.
+    /// Its reason, where it adds information.
     pub reason: Option<String>,
 }

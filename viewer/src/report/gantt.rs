@@ -1,4 +1,4 @@
-//! The states through time: one line a state, bars while it was active, regions under their parents.
+//! The states over time: one row per state, bars while it is active, regions below their parents.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use super::svg::{Anchor, Svg, fit};
 const ROW: f64 = 21.0;
 const MOST_ROWS: usize = 150;
 
-/// The picture as SVG; `time` is shown from its first to its second value, s.
+/// Draws the picture as SVG for the interval `time`, s.
 pub(super) fn draw(spans: &[StateSpan], time: [f64; 2]) -> String {
     let rows = rows(spans);
     let left = 250.0;
@@ -46,7 +46,7 @@ struct Row<'a> {
     colour: usize,
 }
 
-/// One row a state: parents before children, otherwise in order of first entry.
+/// One row per state: parents before children, otherwise in order of first entry.
 fn rows(spans: &[StateSpan]) -> Vec<Row<'_>> {
     let mut first: BTreeMap<&str, usize> = BTreeMap::new();
     for (i, span) in spans.iter().enumerate() {

@@ -1,7 +1,7 @@
-//! `report.html`: one file that says how a run went, with every picture inside; no script, nothing from elsewhere.
+//! `report.html`: one file that shows how a run went, with all pictures embedded; no scripts and no external resources.
 //!
-//! The program fills a [`ReportData`] with sections and calls [`render`]; what a section is, `armarium_values::report` says.
-//! Long signals are thinned to what a screen can show, so that the page stays small whatever the run's length.
+//! The program fills a [`ReportData`] with sections and calls [`render`]; `armarium_values::report` defines sections.
+//! Long signals are reduced to a screen's resolution, so that the page stays small whatever the run's length.
 
 mod axes;
 mod curves;

@@ -1,4 +1,4 @@
-//! The page: sections in order, each left out when it has nothing to show.
+//! The page: sections in order; empty sections are omitted.
 
 use std::fmt::Write as _;
 
@@ -31,7 +31,7 @@ pub fn render(data: &ReportData) -> String {
     page
 }
 
-/// The time that all plots show: from 0 to the last instant of any of them, s.
+/// The time axis of all plots: from 0 to the last time in any of them, s.
 fn time(data: &ReportData) -> [f64; 2] {
     let last = |plot: &TimePlot| plot.series.iter().filter_map(|s| s.t_s.last().copied()).fold(0.0, later);
     let end = |block: &Block| match block {
@@ -44,12 +44,12 @@ fn time(data: &ReportData) -> [f64; 2] {
     [0.0, if end > 0.0 { end } else { 1.0 }]
 }
 
-/// The later of two instants; one that is not a number is none.
+/// The later of two times; ignores NaN.
 fn later(a: f64, b: f64) -> f64 {
     if b.is_finite() { a.max(b) } else { a }
 }
 
-/// A section, or nothing where none of its blocks shows anything.
+/// A section; an empty string when none of its blocks has content.
 fn section(section: &Section, time: [f64; 2]) -> String {
     let body: String = section.blocks.iter().map(|shown| block(shown, time)).collect();
     if body.is_empty() {

@@ -1,4 +1,4 @@
-//! Something seen from above: areas, and lines over them. x to the right, y up, one scale for both.
+//! A top view: areas, and lines over them. x to the right, y up, equal scales.
 
 use armarium_values::report::{Cells, Path, PathStyle, Plan, Tone};
 use image::ImageEncoder as _;
@@ -8,7 +8,7 @@ use super::svg::{Anchor, Svg, data_uri};
 
 const WIDTH: f64 = 760.0;
 
-/// Axes with equal units, under a legend, whose height follows from what is shown.
+/// Axes with equal units below a legend; the height follows from the content.
 fn frame(x: [f64; 2], y: [f64; 2], entries: &[(String, String, Key)]) -> Axes {
     let left = 58.0;
     let width = WIDTH - left - 16.0;
@@ -17,7 +17,7 @@ fn frame(x: [f64; 2], y: [f64; 2], entries: &[(String, String, Key)]) -> Axes {
     Axes { left, top: 26.0 + keys, width, height, x, y }.with_equal_units()
 }
 
-/// The class of each path; lines and references of no colour of their own are numbered in order.
+/// The class of each path; lines and references without an own colour are numbered in order.
 fn classes(paths: &[Path]) -> Vec<String> {
     let mut lines = 0;
     let class = |path: &Path| match path.style {
@@ -32,7 +32,7 @@ fn classes(paths: &[Path]) -> Vec<String> {
     paths.iter().map(class).collect()
 }
 
-/// A plan as SVG; `None` when there is nothing to show.
+/// Draws a plan as SVG; `None` when it has no content.
 pub(super) fn draw(plan: &Plan) -> Option<String> {
     let cells = plan.cells.as_ref().and_then(Used::of);
     let [x, y] = match &cells {
@@ -43,7 +43,7 @@ pub(super) fn draw(plan: &Plan) -> Option<String> {
         }),
     };
     let paths: Vec<&Path> = plan.paths.iter().filter(|path| !path.points.is_empty()).collect();
-    // Areas that nothing was found in are not shown with the lines over them either.
+    // A plan whose areas are empty is not drawn, and neither are its lines.
     if cells.is_none() && (plan.cells.is_some() || paths.is_empty()) {
         return None;
     }
@@ -66,7 +66,7 @@ pub(super) fn draw(plan: &Plan) -> Option<String> {
         svg.image([left, top], [right - left, bottom - top], &data_uri("image/png", &used.png()?));
     }
     svg.clipped([axes.left, axes.top], [axes.width, axes.height], |svg| {
-        // What the others are compared with lies on top: its dashes let them through.
+        // References are drawn on top; the lines below stay visible between their dashes.
         let mut order = lines;
         order.sort_by_key(|(path, _)| path.style == PathStyle::Reference);
         for (path, class) in order {
@@ -83,7 +83,7 @@ pub(super) fn draw(plan: &Plan) -> Option<String> {
     Some(svg.finish("plan"))
 }
 
-/// Points at least half a pixel apart, the last one kept.
+/// Points at least half a pixel apart; the last point is kept.
 pub(super) fn thinned(points: impl Iterator<Item = [f64; 2]>) -> Vec<[f64; 2]> {
     let mut kept: Vec<[f64; 2]> = Vec::new();
     let mut last = None;
@@ -108,7 +108,7 @@ fn area_class(tone: Tone) -> &'static str {
     }
 }
 
-/// The cells of a plan that are something, and the rectangle around them.
+/// The cells of a plan with content, and their bounding rectangle.
 struct Used<'c> {
     cells: &'c Cells,
     columns: [usize; 2],

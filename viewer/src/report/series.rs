@@ -1,9 +1,9 @@
-//! Long signals as short lines: no more points than a screen can show, and no peak lost.
+//! Reduces long signals to a screen's resolution without losing peaks.
 
-/// A signal's line in pieces: each interrupted where a value is not finite. Times outside of `range` are left out.
+/// A signal's line in pieces, split where a value is not finite. Times outside of `range` are dropped.
 ///
-/// Of each of `buckets` equal intervals of time the first, least, largest and last value are kept, which draws the
-/// same picture as all of them.
+/// Each of `buckets` equal time intervals keeps its first, smallest, largest and last value, which draws the same
+/// picture as all values.
 ///
 /// # Source
 /// Jugel et al. 2014, "M4: A Visualization-Oriented Time Series Data Aggregation", section 4.

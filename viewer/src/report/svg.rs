@@ -1,9 +1,8 @@
-//! Writing SVG: shapes with classes, whose colours the page's style sheet decides, and nothing else.
+//! Writes SVG: shapes with classes. The page's style sheet sets the colours.
 
 use std::fmt::Write as _;
 
-/// A picture that grows by shapes; lengths are in its own pixels, y downwards. A shape with a coordinate that is not
-/// a finite number is left out.
+/// A picture in its own pixels, y downwards. Shapes with a coordinate that is not finite are omitted.
 pub(super) struct Svg {
     width: f64,
     height: f64,
@@ -11,7 +10,7 @@ pub(super) struct Svg {
     body: String,
 }
 
-/// Where a text stands relative to its point.
+/// The alignment of a text relative to its point.
 #[derive(Clone, Copy)]
 pub(super) enum Anchor {
     Start,
@@ -19,7 +18,7 @@ pub(super) enum Anchor {
     End,
 }
 
-/// Text as it may stand in HTML and SVG, in an attribute too.
+/// Escapes text for HTML and SVG, including attributes.
 pub(super) fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -40,12 +39,12 @@ fn drawable<const N: usize>(coordinates: [f64; N]) -> bool {
     coordinates.iter().all(|c| c.abs() < 1e7)
 }
 
-/// About how wide a text of the page's plots is, px: enough to keep texts apart.
+/// Approximate width of a text in the page's plots, px, to keep texts apart.
 pub(super) fn text_width(text: &str) -> f64 {
     text.chars().map(|c| if "iljtf.,:;|' ()".contains(c) { 4.2 } else { 7.4 }).sum()
 }
 
-/// A text cut to a width, px, with an ellipsis where something is missing.
+/// Cuts a text to a width, px, and marks the cut with an ellipsis.
 pub(super) fn fit(text: &str, width: f64) -> String {
     if text_width(text) <= width {
         return text.to_owned();
@@ -131,7 +130,7 @@ impl Svg {
         self.body.push_str(r#""/>"#);
     }
 
-    /// An image as a data URI, its pixels kept sharp.
+    /// An image as a data URI; pixels stay sharp when scaled.
     pub(super) fn image(&mut self, at: [f64; 2], size: [f64; 2], uri: &str) {
         let ([x, y], [w, h]) = (at, size);
         self.push(format_args!(
@@ -139,7 +138,7 @@ impl Svg {
         ));
     }
 
-    /// Draws what stays within a rectangle; coordinates stay the same.
+    /// Clips drawing to a rectangle; coordinates stay the same.
     pub(super) fn clipped(&mut self, at: [f64; 2], size: [f64; 2], draw: impl FnOnce(&mut Self)) {
         let ([x, y], [w, h]) = (at, size);
         self.push(format_args!(

@@ -1,4 +1,4 @@
-//! Signals over time, with the band that they should stay in, limits, and marked instants.
+//! Signals over time, with their target band, limits, and marked times.
 
 use armarium_values::report::TimePlot;
 
@@ -6,21 +6,21 @@ use super::axes::{Axes, Key, legend, legend_height, range_of};
 use super::series::pieces;
 use super::svg::{Anchor, Svg, fit, text_width};
 
-/// How large a plot is drawn.
+/// The size of a plot.
 #[derive(Clone, Copy)]
 pub(super) struct Size {
     pub(super) width: f64,
     pub(super) height: f64,
-    /// Whether it is one of many: title in the picture, no labels that repeat.
+    /// Whether it is one of several: title inside the picture, no repeated labels.
     pub(super) small: bool,
 }
 
-/// Over the page's whole width.
+/// The page's whole width.
 pub(super) const WIDE: Size = Size { width: 1000.0, height: 320.0, small: false };
-/// Two beside each other.
+/// Two side by side.
 pub(super) const SMALL: Size = Size { width: 490.0, height: 190.0, small: true };
 
-/// The plot as SVG.
+/// Draws the plot as SVG.
 pub(super) fn draw(plot: &TimePlot, time: [f64; 2], size: Size) -> String {
     let entries = entries(plot, size);
     let left = 58.0;
@@ -96,7 +96,7 @@ fn content(svg: &mut Svg, plot: &TimePlot, axes: &Axes) {
     }
 }
 
-/// A marked instant: where its line is, and its name with its place.
+/// A marked time: its line, and its name with a position.
 struct Mark {
     x: f64,
     name: String,
@@ -107,7 +107,8 @@ struct Mark {
 const MARK_LEVELS: usize = 3;
 const MARK_LINE: f64 = 16.0;
 
-/// Places the marks' names on up to three lines so that none covers another; one without a place keeps its line.
+/// Places the marks' names on up to three lines without overlap; a name without space is omitted, its line
+/// stays.
 fn place_marks(plot: &TimePlot, axes: &Axes) -> Vec<Mark> {
     let mut ends = [f64::NEG_INFINITY; MARK_LEVELS];
     let mut marks: Vec<Mark> = Vec::new();

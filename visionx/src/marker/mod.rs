@@ -1,10 +1,11 @@
-//! Follows a thing of known colour through stereo frames: segmentation by colour, a particle filter over both eyes,
+//! Tracks an object of known colour in stereo frames: segmentation by colour, a particle filter over both images,
 //! and triangulation of the two centroids.
 //!
-//! The cloud of particles says where the marker can be; the images' coloured pixels about each particle's projection
-//! thin it; the centroids of the coloured pixels near the cloud's mean give a measured point that corrects it. The
-//! less of the marker is seen, the less the centroids are trusted. The thing is taken for round: its centroid in the
-//! image is the projection of its centre. It does not measure orientation; see [`crate::ObjectLocalizer`].
+//! The cloud of particles represents the marker's possible positions. The coloured pixels around each particle's
+//! projection weight it. The centroids of the coloured pixels near the cloud's mean give a measured point that
+//! corrects the cloud; the less of the marker is visible, the less weight they get. The object is assumed to be
+//! round: its centroid in the image is the projection of its centre. Orientation is not measured; see
+//! [`crate::ObjectLocalizer`].
 
 mod sight;
 #[cfg(test)]
@@ -22,14 +23,14 @@ use crate::mask::Mask;
 use crate::particles::Cloud;
 use sight::{Counts, Sight, centroid, likelihood};
 
-/// What is known of a marker and of how it moves.
+/// Prior knowledge of a marker and of its motion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MarkerSettings {
     /// Its colour.
     pub color: ColorModel,
-    /// Its mean diameter, m, if known; otherwise it is learned while the marker is seen.
+    /// Its mean diameter, m; `None`: learned while the marker is visible.
     pub diameter_m: Option<f64>,
-    /// Distances along the optical axis at which it can be, m.
+    /// Range of its depth along the optical axis, m.
     pub depth_m: (f64, f64),
     /// Standard deviation of its acceleration, m/s^2.
     pub acceleration: f64,
@@ -37,7 +38,7 @@ pub struct MarkerSettings {
     pub particles: usize,
 }
 
-/// Where a marker is.
+/// The state of a marker.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MarkerEstimate {
     /// Its centre in the left camera's frame, m.
@@ -50,7 +51,7 @@ pub struct MarkerEstimate {
     pub left_px: Point2<f64>,
     /// Its centre in the right image, px.
     pub right_px: Point2<f64>,
-    /// Fraction of it that is seen, 0 to 1, of the eye that sees less.
+    /// Visible fraction, 0 to 1, of the image that shows less.
     pub visible: f64,
     /// The frame's stamp, ns.
     pub stamp_ns: u64,
@@ -63,9 +64,9 @@ pub struct ColorMarkerObjectTracking {
     settings: MarkerSettings,
     rng: ChaCha8Rng,
     track: Option<Track>,
-    /// Diameter of the disc of the same area as the marker's silhouette, m, as learned so far.
+    /// Diameter of a disc with the area of the marker's silhouette, m, as learned so far.
     diameter: Option<f64>,
-    /// The marker's colour as seen when the track began; other things of similar colour do not have it.
+    /// The marker's colour as observed when the track began, to reject other objects of similar colour.
     seen_color: Option<ColorModel>,
 }
 
@@ -74,17 +75,17 @@ struct Track {
     cloud: Cloud,
     root_from_left: Isometry3<f64>,
     stamp_ns: u64,
-    /// When a whole measurement was made last, ns.
+    /// Time of the last complete measurement, ns.
     measured_ns: u64,
 }
 
-/// A marker that is not measured for this long is lost, ns.
+/// A marker without a measurement for this long is lost, ns.
 const LOST_AFTER_NS: u64 = 500_000_000;
-/// Below this visible fraction an eye's centroid says nothing.
+/// Visible fraction below which an image's centroid is not used.
 const LEAST_VISIBLE: f64 = 0.12;
-/// Standard deviation of a centroid of a wholly visible marker, px; measured on rendered spheres.
+/// Standard deviation of a fully visible marker's centroid, px; measured on rendered spheres.
 const CENTROID_SIGMA_PX: f64 = 0.15;
-/// How near to its expected place a marker is taken for near, m.
+/// Scale of the distance from the expected position at which candidates are preferred, m.
 const NEAR: f64 = 0.08;
 /// Components smaller than this are noise, px.
 const LEAST_AREA: u32 = 12;
@@ -110,7 +111,7 @@ impl MarkerSettings {
 }
 
 impl ColorMarkerObjectTracking {
-    /// A tracker that has seen nothing yet. The same seed and frames give the same estimates.
+    /// A tracker without a track. The same seed and frames give the same estimates.
     #[must_use]
     pub fn new(calibration: StereoCalibration, settings: MarkerSettings, seed: u64) -> Self {
         let diameter = settings.diameter_m.filter(|d| *d > 0.0 && d.is_finite());
@@ -124,22 +125,22 @@ impl ColorMarkerObjectTracking {
         }
     }
 
-    /// The marker's diameter, m: as told, or as learned so far.
+    /// The marker's diameter, m: given, or learned so far.
     #[must_use]
     pub fn diameter_m(&self) -> Option<f64> {
         self.diameter
     }
 
-    /// Takes a frame; returns where the marker is, `None` while it is not seen.
+    /// Processes a frame; returns the marker's state, `None` while it is not visible.
     ///
-    /// Frames whose images do not have the calibration's size are taken for black. After half a second without a
-    /// measurement the marker is searched for anywhere again.
+    /// Images that do not have the calibration's size count as black. After half a second without a measurement
+    /// the whole image is searched again.
     pub fn update(&mut self, frame: &StereoFrame) -> Option<MarkerEstimate> {
         self.update_near(frame, None)
     }
 
-    /// As [`Self::update`], for a marker that should be at a `place` (left camera frame, m): where a track begins,
-    /// things of its colour are preferred the nearer they are to there, whatever else has that colour.
+    /// As [`Self::update`], for a marker expected at `place` (left camera frame, m): when a track begins,
+    /// candidates of its colour are preferred by their distance to that place.
     pub fn update_near(
         &mut self,
         frame: &StereoFrame,
@@ -165,13 +166,13 @@ impl ColorMarkerObjectTracking {
         None
     }
 
-    /// The pixels of both eyes that have the marker's colour.
+    /// The pixels of both images that have the marker's colour.
     fn masks(&self, frame: &StereoFrame) -> [Mask; 2] {
         let color = self.seen_color.as_ref().unwrap_or(&self.settings.color);
         [&frame.left, &frame.right].map(|image| color.segment(image))
     }
 
-    /// Moves the track to the frame's time and camera pose, or drops it where that makes no sense.
+    /// Predicts the track to the frame's time and camera pose, or drops it where that is impossible.
     fn predict(&mut self, frame: &StereoFrame) {
         let Some(track) = &mut self.track else { return };
         if frame.stamp_ns < track.stamp_ns || frame.stamp_ns - track.stamp_ns > 2 * LOST_AFTER_NS {
@@ -185,9 +186,9 @@ impl ColorMarkerObjectTracking {
         track.stamp_ns = frame.stamp_ns;
     }
 
-    /// Starts a track at the pair of coloured things that looks most like the marker.
+    /// Starts a track at the pair of coloured components that fits the marker best.
     fn acquire(&mut self, masks: &[Mask; 2], frame: &StereoFrame, place: Option<&Point3<f64>>) -> Option<()> {
-        // Far things keep a little, so that the one thing of the colour is found wherever it is.
+        // Distant candidates keep a small weight, so that a single candidate is found wherever it is.
         let nearness =
             |p: &Point3<f64>| place.map_or(1.0, |at| 1.0 / (1.0 + ((p - at).norm() / NEAR).powi(4)));
         let [left, right] = masks.each_ref().map(|m| components(m, LEAST_AREA));
@@ -214,7 +215,7 @@ impl ColorMarkerObjectTracking {
         Some(())
     }
 
-    /// Where a pair of components would be, how much it looks like the marker, and its diameter, m.
+    /// The position of a pair of components, how well it fits the marker, and its diameter, m.
     fn candidate(&self, l: &Component, r: &Component, image: &Image) -> Option<(Point3<f64>, f64, f64)> {
         let height = f64::from(l.bounds.height.max(r.bounds.height));
         let (small, large) = (f64::from(l.area.min(r.area)), f64::from(l.area.max(r.area)));
@@ -235,7 +236,7 @@ impl ColorMarkerObjectTracking {
         Some((point, size_fit * colour_fit, diameter))
     }
 
-    /// Corrects the track by the coloured pixels about it; `None` when there are none.
+    /// Corrects the track by the coloured pixels near it; `None` when there are none.
     fn follow(&mut self, masks: &[Mask; 2], frame: &StereoFrame) -> Option<MarkerEstimate> {
         let track = self.track.as_mut()?;
         let diameter = self.diameter?;
@@ -264,7 +265,7 @@ impl ColorMarkerObjectTracking {
         self.correct(&seen, visible, radius_px, frame.stamp_ns)
     }
 
-    /// The measurement from what both eyes have seen; with one eye only, a point on its ray.
+    /// The measurement from both images; with one image only, a point on its ray.
     fn correct(
         &mut self,
         seen: &[Option<Sight>; 2],
@@ -295,7 +296,8 @@ impl ColorMarkerObjectTracking {
             track.measured_ns = stamp_ns;
         }
         let (point, velocity) = track.cloud.mean();
-        // What is not a ball has its centroid beside its centre's projection, always to the same side.
+        // The centroid of an object that is no ball is offset from its centre's projection, always to the
+        // same side.
         let shape =
             if self.settings.diameter_m.is_some() { 0.01 } else { 0.03 } * self.diameter.unwrap_or(0.0);
         let covariance = track.cloud.covariance() + Matrix3::identity() * (shape * shape);
@@ -314,8 +316,8 @@ impl ColorMarkerObjectTracking {
         })
     }
 
-    /// Grows quickly to what is seen and shrinks slowly, because what hides a part of the marker goes away again. Only
-    /// slowly does it become much larger, because that may be another thing beside it.
+    /// Grows quickly and shrinks slowly, because an occlusion of the marker is temporary. A much larger size is
+    /// learned only slowly, because it may come from another object beside the marker.
     fn learn_diameter(&mut self, seen: &[Option<Sight>; 2], depth: f64) {
         let area = seen.iter().flatten().map(|s| s.area).fold(0.0, f64::max);
         let now = disc_diameter(area) * depth / self.calibration.camera.focal;
@@ -330,7 +332,7 @@ fn disc_diameter(area: f64) -> f64 {
     2.0 * (area / std::f64::consts::PI).sqrt()
 }
 
-/// A point on the ray of one eye at the predicted depth, with a covariance that is wide along the ray.
+/// A point on the ray of one camera at the predicted depth, with a covariance that is large along the ray.
 fn one_eye(
     calibration: &StereoCalibration,
     px: &Point2<f64>,

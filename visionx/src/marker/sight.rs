@@ -1,20 +1,20 @@
-//! One eye's sight of a marker: coloured pixels counted in rectangles, their likelihood under a place of the marker, and
-//! their centroid. It knows no track and no time.
+//! The measurement of a marker in one image: coloured pixels counted in rectangles, their likelihood for a position of
+//! the marker, and their centroid. It keeps no track and no time.
 
 use nalgebra::{Point2, Point3};
 
 use crate::camera::StereoCalibration;
 use crate::mask::{Mask, Region};
 
-/// The coloured pixels of one eye near the expected place.
+/// The coloured pixels of one image near the expected position.
 pub(super) struct Sight {
     /// Their centroid, px.
     pub(super) center: Point2<f64>,
-    /// How many.
+    /// Number of pixels.
     pub(super) area: f64,
 }
 
-/// One eye's coloured pixels, to be counted in rectangles.
+/// Summed coloured pixels of one image, for counting in rectangles.
 pub(super) struct Counts {
     width: i64,
     height: i64,
@@ -22,10 +22,10 @@ pub(super) struct Counts {
     sums: Vec<u32>,
 }
 
-/// What hides no more than this of a row of the marker is narrow, share of the radius in which its pixels are looked for.
+/// Widest occlusion of a row that counts as narrow, share of the search radius.
 const NARROW: f64 = 0.5;
 
-/// How likely the images are when the marker is at `point`: coloured inside its disc, and not around it.
+/// Likelihood of the images for a marker at `point`: coloured inside its disc, not coloured around it.
 pub(super) fn likelihood(
     point: &Point3<f64>,
     counts: &[Counts; 2],
@@ -36,7 +36,7 @@ pub(super) fn likelihood(
     for (eye, shift) in counts.iter().zip([0.0, calibration.baseline]) {
         let Some(at) = calibration.camera.project_shifted(point, shift) else { return 0.0 };
         let radius = 0.5 * diameter * calibration.camera.focal / point.z;
-        // The square inside the disc is full, the frame around the disc's square is empty.
+        // The square inside the disc should be full, the frame around the disc's square empty.
         let inner = eye.density(&at, 0.7 * radius);
         let (outer, square) = (eye.sum(&at, 1.5 * radius), eye.sum(&at, radius));
         let ring = (outer.0 - square.0) / (outer.1 - square.1).max(1.0);
@@ -61,8 +61,8 @@ pub(super) fn centroid(mask: &Mask, mut at: Point2<f64>, radius_px: f64) -> Opti
     sight
 }
 
-/// Centroid and area of the coloured pixels of a disc of `reach` px. What is not coloured between coloured pixels of a row
-/// is something narrow in front of the marker, such as its handle, and counts as the marker.
+/// Centroid and area of the coloured pixels in a disc of `reach` px. A narrow gap between coloured pixels of a row is
+/// something in front of the marker, such as its handle, and counts as the marker.
 fn disc_mean(mask: &Mask, at: &Point2<f64>, reach: f64) -> Option<Sight> {
     let region = mask.region();
     let (w, h) = (region.x + region.width, region.y + region.height);
@@ -113,7 +113,7 @@ impl Counts {
         Self { width: w as i64, height: h as i64, origin: (i64::from(region.x), i64::from(region.y)), sums }
     }
 
-    /// Coloured pixels in the square of half width `half` about `at`, and the square's pixels in all. Outside of
+    /// Number of coloured pixels, and of all pixels, in the square of half width `half` about `at`. Outside of
     /// the counted part nothing is coloured.
     fn sum(&self, at: &Point2<f64>, half: f64) -> (f64, f64) {
         let clip =

@@ -1,4 +1,4 @@
-//! The tracker on rendered things.
+//! Tests of the tracker on rendered objects.
 
 use super::*;
 use crate::scenes::{CALIBRATION, TABLE, Thing, empty_frames, frame, root_from_left, table};
@@ -9,7 +9,7 @@ fn ball(center: Point3<f64>, radius: f64, color: [u8; 3]) -> Thing {
     Thing::Ball { center, radius, color }
 }
 
-/// A tool on a circle, half a turn a second.
+/// A tool on a circle, half a turn per second.
 fn path(i: u64) -> Point3<f64> {
     let angle = std::f64::consts::PI * i as f64 / 15.0;
     Point3::new(0.28 + 0.06 * angle.sin(), 0.53 + 0.05 * angle.cos(), 1.05)

@@ -1,7 +1,6 @@
-//! From streams of frames to a stream of results: the processor, the sink that takes its results, and the loop that runs
-//! it.
+//! From streams of frames to a stream of results: the processor, the sink of its results, and the loop that runs it.
 //!
-//! Where frames come from is not known here: [`crate::providers`] does that.
+//! It does not know where frames come from; see [`crate::providers`].
 
 mod statistics;
 
@@ -22,53 +21,53 @@ use crate::tracking::hand::HandObservation;
 
 pub use statistics::ProcessorStatistics;
 
-/// What a processor saw of one thing in one frame.
+/// The finding of a processor in one frame.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Finding {
-    /// A marker of known colour; `None`: not seen.
+    /// A marker of known colour; `None`: not found.
     Marker(Option<MarkerEstimate>),
-    /// An object's pose; `None`: not seen.
+    /// An object's pose; `None`: not found.
     Object(Option<ObjectEstimate>),
     /// A person's hand; `None`: no hand.
     Hand(Option<HandObservation>),
-    /// A table with what stands on it; `None`: no table.
+    /// A table with its objects; `None`: no table.
     Tabletop(Option<Tabletop>),
-    /// The fingertips that are followed.
+    /// The tracked fingertips.
     Fingertips(Vec<TrackedFingertip>),
 }
 
-/// Which frame a finding speaks of, and who found it.
+/// The frame and the processor of a finding.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FindingSource {
     /// The processor's name.
     pub processor: String,
     /// The first provider's name.
     pub provider: String,
-    /// The first provider's frame's stamp, ns.
+    /// The stamp of the first provider's frame, ns.
     pub stamp_ns: u64,
 }
 
-/// A step from frames to results, one frame of each of its providers at a time. It may keep state from one to the next
-/// and does not wait for anything.
+/// A processing step: takes one frame of each of its providers and returns a result. It may keep state between steps
+/// and must not block.
 pub trait ImageProcessor: Send {
     /// Its name.
     fn name(&self) -> &str;
 
-    /// What is seen in these frames, one of each provider.
+    /// Processes these frames, one of each provider.
     ///
     /// # Errors
-    /// [`ImageError`] when they are not what it works on; the next may be.
+    /// [`ImageError`] when the frames do not suit this processor; later ones may.
     fn process(&mut self, frames: &[Arc<Frame>]) -> Result<Finding, ImageError>;
 
-    /// A picture of the frames with what was seen in them, for people; `None` when it draws none.
+    /// Draws the finding into a picture of the frames, for people; `None` when the processor draws nothing.
     fn annotated(&self, frames: &[Arc<Frame>], finding: &Finding) -> Option<Image> {
         let _ = (frames, finding);
         None
     }
 }
 
-/// Where results go: into a memory, a report, a recorder. It must not wait for slow readers.
+/// Receives results: a memory, a report, a recorder. It must not wait for slow readers.
 #[async_trait]
 pub trait ResultSink: Send + Sync {
     /// Takes the result of one frame. Returns whether more is wanted; `false` ends the loop.
@@ -78,27 +77,27 @@ pub trait ResultSink: Send + Sync {
 /// When a processor takes frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Trigger {
-    /// Each time the first provider has a new one, with the newest of the others.
+    /// On every new frame of the first provider, with the newest of the others.
     Next,
-    /// The newest of each, at this interval; no new ones, no step.
+    /// The newest of each, at this interval; without new frames no step.
     Every(Duration),
 }
 
-/// What a loop works with beside its processor.
+/// The inputs and outputs of a processor's loop.
 pub struct ProcessorLoop<'a> {
-    /// Who gives the frames. A processor that is too slow gets the newest.
+    /// The providers. A slow processor gets the newest frame.
     pub inputs: Vec<Arc<dyn ImageProvider>>,
-    /// When it takes them.
+    /// When it takes frames.
     pub trigger: Trigger,
-    /// Where results go.
+    /// The receiver of results.
     pub sink: &'a dyn ResultSink,
-    /// Where annotated images go, if anywhere.
+    /// The sender of annotated images, if any.
     pub annotated: Option<&'a FrameSender>,
-    /// What is counted.
+    /// The counters.
     pub statistics: &'a ProcessorStatistics,
 }
 
-/// Keeps the newest frame of a provider while a processor works.
+/// Keeps a provider's newest frame while the processor works.
 struct Newest {
     frame: Arc<Mutex<Option<Arc<Frame>>>>,
     task: tokio::task::JoinHandle<ImageError>,
@@ -134,7 +133,7 @@ impl Drop for Newest {
 /// Feeds frames to `processor` and its results to the sink, until the sink wants no more.
 ///
 /// # Errors
-/// [`ImageError::Gone`] when a provider has gone.
+/// [`ImageError::Gone`] when a provider is gone.
 pub async fn run_processor(
     processor: &mut dyn ImageProcessor,
     with: &ProcessorLoop<'_>,
@@ -168,7 +167,7 @@ pub async fn run_processor(
         };
         let received = Instant::now();
         let began = *began.get_or_insert(received);
-        // A number that is not larger belongs to the provider's next life.
+        // After a restart the provider counts from the beginning, so a number that is not larger is no gap.
         let missed = last.map_or(0, |last| frame.number.saturating_sub(last.saturating_add(1)));
         with.statistics.skipped.fetch_add(missed, Ordering::Relaxed);
         last = Some(frame.number);
@@ -177,7 +176,7 @@ pub async fn run_processor(
             frames.extend(other.get().await);
         }
         if frames.len() < with.inputs.len() {
-            // Another provider has not begun yet.
+            // Another provider has not sent a frame yet.
             with.statistics.skipped.fetch_add(1, Ordering::Relaxed);
             continue;
         }
@@ -189,7 +188,7 @@ pub async fn run_processor(
     }
 }
 
-/// One step; whether more is wanted.
+/// Runs one step; returns whether more is wanted.
 async fn step(
     processor: &mut dyn ImageProcessor,
     with: &ProcessorLoop<'_>,
@@ -220,7 +219,7 @@ async fn step(
     with.sink.take(&source, finding).await
 }
 
-/// An annotated image as a frame of its own.
+/// The annotated image as a frame.
 fn drawn(of: &Frame, image: Image) -> Frame {
     let size = (image.width(), image.height());
     let image = FrameImage::new("image", PixelFormat::Rgb8, size, image.into_data());

@@ -1,4 +1,4 @@
-//! What is counted while a processor runs.
+//! Counters of a running processor.
 
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -7,7 +7,7 @@ use tokio::time::{Duration, Instant};
 
 use crate::frame::ImageError;
 
-/// Counts of a processor's loop. All may be read at any time.
+/// Counters of a processor's loop. All may be read at any time.
 #[derive(Debug, Default)]
 pub struct ProcessorStatistics {
     frames: AtomicU64,
@@ -27,26 +27,26 @@ impl ProcessorStatistics {
         self.frames.load(Ordering::Relaxed)
     }
 
-    /// Frames of the first provider that were never looked at, by their numbers: the processor or the way to it was
-    /// too slow.
+    /// Frames of the first provider that were never processed: by the gaps in their numbers, because the
+    /// processor or the transport was too slow; and those before every other provider had sent a frame.
     #[must_use]
     pub fn skipped(&self) -> u64 {
         self.skipped.load(Ordering::Relaxed)
     }
 
-    /// Frames that were spoilt, or not what the processor works on.
+    /// Frames that were damaged or that do not suit the processor.
     #[must_use]
     pub fn unusable(&self) -> u64 {
         self.unusable.load(Ordering::Relaxed)
     }
 
-    /// What was wrong with the first of them, for people.
+    /// The error of the first such frame, for people.
     #[must_use]
     pub fn why_unusable(&self) -> Option<&str> {
         self.why_unusable.get().map(String::as_str)
     }
 
-    /// Results that were thrown away because the frame's memory was taken away meanwhile.
+    /// Results discarded because the frame's memory was overwritten meanwhile.
     #[must_use]
     pub fn torn(&self) -> u64 {
         self.torn.load(Ordering::Relaxed)
@@ -71,7 +71,7 @@ impl ProcessorStatistics {
         if span_s > 0.0 { self.frames().saturating_sub(1) as f64 / span_s } else { 0.0 }
     }
 
-    /// Counts a frame that cannot be used; what was wrong with the first is said.
+    /// Counts an unusable frame; logs the error of the first one.
     pub(super) fn count_unusable(&self, processor: &str, error: &ImageError) {
         self.unusable.fetch_add(1, Ordering::Relaxed);
         if self.why_unusable.set(error.to_string()).is_ok() {

@@ -8,7 +8,7 @@ use crate::steps::OfStereo;
 use crate::tracking::hand::HandObserver;
 use crate::{StereoCalibration, StereoFrame};
 
-/// Gives a frame each 66 ms, `frames` in all.
+/// Sends a frame every 66 ms, `frames` in all.
 struct Camera {
     frames: u64,
     given: AtomicU64,
@@ -84,7 +84,7 @@ async fn a_processor_runs_until_its_sink_has_enough_and_draws_what_it_saw() {
     assert_eq!((ended, counts.frames()), (Err(ImageError::Gone { provider: "camera".into() }), 2));
 }
 
-/// Takes anything.
+/// Accepts any frame.
 struct Look(Vec<Vec<u64>>);
 
 impl ImageProcessor for Look {
@@ -111,7 +111,7 @@ async fn several_providers_give_a_frame_each_and_polling_takes_the_newest() {
     assert_eq!(look.0, [[2], [3]]);
 }
 
-/// Gives pairs of these sizes, one after the other.
+/// Sends pairs of these sizes, one after the other.
 struct Sizes(Vec<(u32, u32)>, AtomicU64);
 
 #[async_trait]

@@ -1,5 +1,5 @@
-//! `calibration.yaml` beside image files: with what cameras they were taken, by role, and where the first of them was.
-//! Whatever is not understood in it is refused, so that a word that is misspelt is not a camera that is missing.
+//! `calibration.yaml` beside image files: the cameras that took them, by role, and the first camera's pose. Unknown
+//! keys are errors, so that a misspelt key does not silently drop a camera.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -12,15 +12,15 @@ use crate::files::FileError;
 
 /// Name of the file.
 pub(super) const CALIBRATION: &str = "calibration.yaml";
-/// A rotation's quaternion may be this far from length 1: people write few digits.
+/// Tolerance on the length of a rotation's quaternion, because people write few digits.
 const UNIT: f64 = 1e-3;
 
-/// What the file says.
+/// Content of the file.
 #[derive(Debug, Default)]
 pub(super) struct Calibration {
     /// The cameras by the role of their images.
     pub(super) cameras: BTreeMap<String, CameraModel>,
-    /// The first camera's pose in the robot's root frame, where it stands still.
+    /// The first camera's pose in the robot's root frame, if the camera does not move.
     pub(super) root_from_camera: Option<Isometry3<f64>>,
 }
 
@@ -66,10 +66,10 @@ impl From<Camera> for CameraModel {
 }
 
 impl Calibration {
-    /// What stands beside an image file; nothing when there is no such file.
+    /// Reads the calibration beside an image file; empty when there is no such file.
     ///
     /// # Errors
-    /// The calibration's path, and why it is none.
+    /// The calibration's path, and why it is not valid.
     pub(super) fn beside(image: &Path) -> Result<Self, (PathBuf, FileError)> {
         let path = image.with_file_name(CALIBRATION);
         if !path.exists() {
@@ -98,12 +98,12 @@ impl Calibration {
     }
 }
 
-/// The reader's words without the one that stands before them anyway.
+/// The parser's message without its leading `error: `.
 fn said(error: &str) -> String {
     error.strip_prefix("error: ").unwrap_or(error).to_owned()
 }
 
-/// The pose with a rotation of length 1.
+/// The pose with its rotation normalised.
 fn pose(read: Isometry3<f64>) -> Result<Isometry3<f64>, String> {
     let rotation = read.rotation.into_inner();
     let finite = read.translation.vector.iter().all(|v| v.is_finite());

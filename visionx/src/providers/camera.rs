@@ -1,6 +1,6 @@
-//! A camera on Linux (V4L2): what it gives as JPEG, YUYV or gray becomes RGB or gray frames. With the feature `camera`.
+//! A camera on Linux (V4L2): its JPEG, YUYV or gray images become RGB or gray frames. Needs the feature `camera`.
 //!
-//! The driver is waited for on a thread that tokio keeps for such; whoever reads gets the newest frame.
+//! A blocking thread of tokio waits for the driver; readers get the newest frame.
 
 use std::io;
 use std::path::Path;
@@ -18,14 +18,14 @@ use super::{Description, Frame, FrameImage, ImageDescription, ImageProvider, Pix
 use crate::files::decode_image;
 use crate::frame::ImageError;
 
-/// Gives what a camera sees.
+/// Provides the frames of a camera.
 #[derive(Debug)]
 pub struct CameraProvider {
     frames: FrameChannel,
     ends: Arc<AtomicBool>,
 }
 
-/// How a driver's bytes are read.
+/// The layout of the driver's bytes.
 #[derive(Clone, Copy, Debug)]
 struct Layout {
     coding: DriverFormat,
@@ -35,10 +35,10 @@ struct Layout {
 }
 
 impl CameraProvider {
-    /// Opens `/dev/videoN` at about the size that is asked for; the driver chooses the nearest that it has.
+    /// Opens `/dev/videoN` near the requested size; the driver chooses the nearest size that it has.
     ///
     /// # Errors
-    /// The driver's, or that it gives none of the formats that are understood.
+    /// The driver's error, or none of its formats is supported.
     pub fn open(device: &Path, name: &str, (width, height): (u32, u32)) -> io::Result<Self> {
         let camera = Device::open(device)?;
         let mut offered = Vec::new();
@@ -99,7 +99,7 @@ impl ImageProvider for CameraProvider {
     }
 }
 
-/// Hands on what the driver gives until nobody wants it, or the camera is gone; then readers are told.
+/// Passes on the driver's frames until there is no reader or the camera fails; then the provider ends.
 fn watch(mut stream: ReadStream, layout: Layout, to: &FrameSender, ends: &AtomicBool, device: &Path) {
     let began = Instant::now();
     while !ends.load(Ordering::Relaxed) && to.is_wanted() {
@@ -110,7 +110,7 @@ fn watch(mut stream: ReadStream, layout: Layout, to: &FrameSender, ends: &Atomic
                 let (frame_id, images) = ("camera".into(), vec![image]);
                 to.send(Frame { stamp_ns, frame_id, images, ..Frame::default() });
             }
-            // A picture that came broken; the next may be whole.
+            // A damaged image; the next may be intact.
             Ok(None) => {}
             Err(error) => {
                 tracing::warn!("{}: {error}", device.display());
@@ -160,7 +160,7 @@ mod tests {
     #[test]
     fn yuyv_becomes_rgb_and_short_buffers_nothing() {
         let layout = Layout { coding: DriverFormat::YUYV, width: 2, height: 2, bytes_per_line: 6 };
-        // White and black; then red as BT.601 has it, and padding at each row's end.
+        // White and black; then red as in BT.601, and padding at each row's end.
         let bytes = [235, 128, 16, 128, 0, 0, 81, 90, 81, 240];
         let image = layout.image(&bytes).unwrap();
         assert_eq!(image.bytes()[..6], [255, 255, 255, 0, 0, 0]);

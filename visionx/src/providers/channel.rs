@@ -1,6 +1,7 @@
-//! Frames that a program makes itself, such as annotated images, as a provider of its own.
+//! Frames that the program itself makes, such as annotated images, as a provider.
 //!
-//! Whoever makes them never waits: a reader that is busy gets the newest when it comes back, and knows what it missed.
+//! The sender never waits. A busy reader gets the newest frame when it reads again, and the count of the frames it
+//! missed.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -11,13 +12,13 @@ use tokio::sync::{Mutex, watch};
 use super::{Description, Frame, ImageProvider};
 use crate::frame::ImageError;
 
-/// Where frames are put in.
+/// The sending end.
 #[derive(Debug)]
 pub struct FrameSender {
     newest: watch::Sender<(u64, Option<Arc<Frame>>)>,
 }
 
-/// Where they come out; a clone is another reader.
+/// The receiving end; a clone is another reader.
 #[derive(Debug)]
 pub struct FrameChannel {
     description: Arc<Description>,
@@ -26,7 +27,7 @@ pub struct FrameChannel {
     missed: AtomicU64,
 }
 
-/// A provider of frames that are put in here.
+/// A sender and the provider of its frames.
 #[must_use]
 pub fn channel(description: Description) -> (FrameSender, FrameChannel) {
     let (newest, receiver) = watch::channel((0, None));
@@ -35,7 +36,7 @@ pub fn channel(description: Description) -> (FrameSender, FrameChannel) {
 }
 
 impl FrameSender {
-    /// Gives a frame to all readers. It gets the next number.
+    /// Sends a frame to all readers and gives it the next number.
     pub fn send(&self, mut frame: Frame) {
         self.newest.send_modify(|(count, newest)| {
             *count += 1;
@@ -65,7 +66,7 @@ impl FrameChannel {
         }
     }
 
-    /// How many frames came and went while this reader was busy.
+    /// The number of frames that this reader missed while it was busy.
     #[must_use]
     pub fn missed(&self) -> u64 {
         self.missed.load(Ordering::Relaxed)

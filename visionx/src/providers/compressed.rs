@@ -1,4 +1,4 @@
-//! The image in a message with the schema `foxglove.CompressedImage`; nothing else of it is read.
+//! Reads the image, and nothing else, of a message with the schema `foxglove.CompressedImage`.
 
 /// The field `data` (2) of a protobuf message, the encoding of `foxglove.CompressedImage`.
 pub(super) fn image_field(mut message: &[u8]) -> Option<&[u8]> {

@@ -1,4 +1,4 @@
-//! From the formats of cameras to RGB and to depth, and from frames to PNG or JPEG.
+//! Conversion of camera formats to RGB and to depth, and of frames to PNG or JPEG.
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder, ImageError as CodingError};
@@ -8,8 +8,8 @@ use super::wire::{Header, ImageCoding};
 use crate::frame::{DepthImage, Image};
 use crate::jpeg::{JPEG_QUALITY, JpegPixel, encode_jpeg};
 
-/// The image in RGB: gray and raw Bayer images too; depth and organised points as colours from near (red) to far (blue).
-/// `None` for a mere list of points.
+/// Converts the image to RGB. This includes gray and raw Bayer images; depth and organised point clouds are coloured
+/// from near (red) to far (blue). `None` for an unorganised point cloud.
 #[must_use]
 pub fn rgb_of(image: &FrameImage) -> Option<Image> {
     let (width, height) = (image.width(), image.height());
@@ -27,7 +27,7 @@ pub fn rgb_of(image: &FrameImage) -> Option<Image> {
     Image::from_rgb(width, height, data).ok()
 }
 
-/// The depth that an image holds: a depth image, or an organised cloud of points. Values that are none become 0.
+/// The depth of a depth image or of an organised point cloud. Invalid values become 0.
 #[must_use]
 pub fn depth_of(image: &FrameImage) -> Option<DepthImage> {
     let (width, height) = (image.width(), image.height());
@@ -51,8 +51,8 @@ fn words(bytes: &[u8]) -> impl Iterator<Item = u16> {
     bytes.chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]]))
 }
 
-/// Bilinear interpolation of a Bayer image: each colour is the mean of its pixels among the nine around. `red` is
-/// the first red pixel's place.
+/// Bilinear interpolation of a Bayer image: each colour is the mean of its pixels in the 3 x 3 neighbourhood.
+/// `red` is the position of the first red pixel.
 fn bayer(image: &FrameImage, red: [usize; 2]) -> Vec<u8> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     let bytes = image.bytes();
@@ -74,7 +74,7 @@ fn bayer(image: &FrameImage, red: [usize; 2]) -> Vec<u8> {
                     }
                 }
             }
-            // A picture of one pixel or row has not all colours: they are black.
+            // An image of one pixel or row lacks some colours; they become black.
             data.extend([0, 1, 2].map(|c| ((sums[c] + counts[c] / 2) / counts[c].max(1)) as u8));
         }
     }
@@ -108,8 +108,8 @@ pub fn jpeg(image: &Image) -> Result<Vec<u8>, CodingError> {
     Ok(bytes)
 }
 
-/// The frame's images as files, and the header that says so. Depth in metres is sent as millimetres in 16 bit, nearer
-/// than 65.5 m; a JPEG of a raw Bayer or depth image would spoil it, and is a PNG; points stay as they are.
+/// Encodes the frame's images as files, with the matching header. Depth in metres is sent as millimetres in 16 bit,
+/// up to 65.5 m. JPEG would corrupt raw Bayer and depth images, so these become PNG. Point clouds stay raw.
 ///
 /// # Errors
 /// When an encoder fails.
@@ -156,7 +156,7 @@ pub fn coded(
     Ok((header, bytes))
 }
 
-/// The bytes of a PNG file of a depth image, 16 bit gray, mm, as [`crate::files::read_depth`] reads it; `None` when it is no
+/// Encodes a depth image as PNG, 16 bit gray, mm, as [`crate::files::read_depth`] reads it; `None` when it is not a
 /// depth image.
 ///
 /// # Errors
@@ -170,7 +170,7 @@ pub fn depth_png(image: &FrameImage) -> Result<Option<Vec<u8>>, CodingError> {
     Ok(Some(bytes))
 }
 
-/// Depth in mm, 16 bit in the machine's order; 0 where there is none.
+/// Depth in mm, 16 bit in native byte order; 0 where there is none.
 fn native_mm(image: &FrameImage) -> Vec<u8> {
     if image.format() == PixelFormat::Depth16 {
         return words(image.bytes()).flat_map(u16::to_ne_bytes).collect();

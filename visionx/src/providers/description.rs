@@ -1,4 +1,4 @@
-//! What a provider says of itself: its images and the calibration of its cameras.
+//! The description of a provider: its images and the calibration of its cameras.
 
 use nalgebra::{Isometry3, Point2, Point3};
 use serde::{Deserialize, Serialize};
@@ -6,37 +6,37 @@ use serde::{Deserialize, Serialize};
 use super::frame::PixelFormat;
 use crate::camera::{PinholeCamera, StereoCalibration};
 
-/// What a provider gives.
+/// Describes a provider.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Description {
     /// The provider's name.
     pub name: String,
-    /// What it is, for people.
+    /// A description for people.
     pub about: String,
     /// Name of the coordinate frame of the first camera.
     pub frame_id: String,
-    /// Frames a second that it gives at most; `None` when that is not known.
+    /// Maximum frame rate, Hz; `None` when unknown.
     pub rate_hz: Option<f64>,
-    /// Its images, in the order of the frames. Sizes may change while it runs; each frame says its own.
+    /// Its images, in the order of the frames. Sizes may change at run time; each frame carries its own.
     pub images: Vec<ImageDescription>,
 }
 
 /// One image of a provider's frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ImageDescription {
-    /// Which it is.
+    /// Its role, such as `left` or `depth`.
     pub role: String,
-    /// How its bytes are to be read.
+    /// The pixel format.
     pub format: PixelFormat,
     /// Width, px.
     pub width: u32,
     /// Height, px.
     pub height: u32,
-    /// The camera that it was taken with; `None` when that is not known.
+    /// The camera that took it; `None` when unknown.
     pub camera: Option<CameraModel>,
 }
 
-/// A camera: a pinhole behind a lens that distorts.
+/// A camera: a pinhole with lens distortion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CameraModel {
     /// Focal lengths along x and y, px.
@@ -68,7 +68,7 @@ pub struct Distortion {
 }
 
 impl Distortion {
-    /// Where an ideal point of the image plane (at depth 1) appears.
+    /// Distorts an ideal point of the image plane (at depth 1).
     #[must_use]
     pub fn distort(&self, ideal: &Point2<f64>) -> Point2<f64> {
         let (x, y) = (ideal.x, ideal.y);
@@ -81,7 +81,7 @@ impl Distortion {
     }
 
     /// The ideal point that appears at `seen`, by fixed-point iteration; `None` where the model does not converge, far
-    /// outside of what the lens was calibrated for.
+    /// outside of the calibrated area.
     #[must_use]
     pub fn undistort(&self, seen: &Point2<f64>) -> Option<Point2<f64>> {
         let mut ideal = *seen;
@@ -111,7 +111,7 @@ impl CameraModel {
         }
     }
 
-    /// Where a point of the provider's coordinate frame (m) appears, px; `None` behind the camera.
+    /// Projects a point of the provider's coordinate frame (m) to px; `None` behind the camera.
     #[must_use]
     pub fn project(&self, point: &Point3<f64>) -> Option<Point2<f64>> {
         let p = self.reference_from_camera.inverse_transform_point(point);
@@ -133,7 +133,8 @@ impl CameraModel {
 }
 
 impl Description {
-    /// The description of what an [`ImageSource`](crate::ImageSource) gives: two eyes, and depth for the left.
+    /// The description of an [`ImageSource`](crate::ImageSource): left and right images, and depth for the
+    /// left.
     #[must_use]
     pub fn of_stereo(name: &str, frame_id: &str, calibration: &StereoCalibration) -> Self {
         let camera = &calibration.camera;
@@ -163,7 +164,7 @@ impl Description {
         self.images.iter().find(|image| image.role == role)
     }
 
-    /// The cameras of the roles `left` and `right`, whose images have one size.
+    /// The cameras of the roles `left` and `right`, and their common image size.
     ///
     /// # Errors
     /// What is missing.
@@ -184,10 +185,11 @@ impl Description {
         Ok((size, [left, right]))
     }
 
-    /// The calibration of two equal, parallel cameras without distortion in the roles `left` and `right`.
+    /// The calibration, if the roles `left` and `right` are two identical, parallel cameras without
+    /// distortion.
     ///
     /// # Errors
-    /// What keeps them from being such a pair.
+    /// Why they are not such a pair.
     pub fn stereo(&self) -> Result<StereoCalibration, String> {
         let ((width, height), [left, right]) = self.eyes()?;
         for (role, eye) in [("left", &left), ("right", &right)] {

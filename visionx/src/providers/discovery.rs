@@ -1,4 +1,4 @@
-//! Who offers images: the providers that answer, and what they say of themselves, also when that cannot be read.
+//! Finds the providers that answer, with their descriptions, including those that cannot be read.
 
 use std::time::Duration;
 
@@ -9,17 +9,17 @@ use super::Description;
 use super::lenient::decode_leniently;
 use super::offering::DESCRIPTION;
 
-/// Most providers that are listed.
+/// Most providers listed.
 const MOST_PROVIDERS: usize = 1024;
 
-/// Why there is no provider to read.
+/// Why a provider cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum RemoteError {
-    /// Nobody answers, or the session has ended.
+    /// No answer, or the session has ended.
     #[error(transparent)]
     Session(#[from] SessionError),
-    /// It answers, and cannot be understood.
+    /// Its answer cannot be decoded.
     #[error(
         "`{provider}` answers, but what it says of itself cannot be read (see docs/wire-images.md): {what}"
     )]
@@ -34,15 +34,16 @@ pub enum RemoteError {
 /// A provider that answers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoundProvider {
-    /// Who offers it.
+    /// The agent that publishes it.
     pub agent: String,
     /// Its name in the key.
     pub provider: String,
-    /// What it is; or why what it says of itself cannot be read.
+    /// Its description, or why the description cannot be read.
     pub description: Result<Description, String>,
 }
 
-/// The providers that answer within `wait`, by agent and name; also those that cannot be understood.
+/// The providers that answer within `wait`, sorted by agent and name, including those with unreadable
+/// descriptions.
 ///
 /// # Errors
 /// [`SessionError`].
@@ -60,7 +61,7 @@ pub async fn providers(
     Ok(found)
 }
 
-/// Who answers; a refusal is nobody.
+/// The provider of an answer; `None` for a refusal.
 fn found(answer: &Answer) -> Option<FoundProvider> {
     let Answer::Message(message) = answer else { return None };
     let mut parts = message.key.split('/');
@@ -69,7 +70,7 @@ fn found(answer: &Answer) -> Option<FoundProvider> {
     Some(FoundProvider { agent, provider, description })
 }
 
-/// The description in an answer; or why it is none.
+/// Decodes the description of an answer.
 fn description(encoding: &str, payload: &[u8]) -> Result<Description, String> {
     DESCRIPTION.check(encoding).map_err(|e| e.to_string())?;
     let description: Description = decode_leniently(payload, Bounds::default()).map_err(|e| e.to_string())?;
@@ -79,7 +80,7 @@ fn description(encoding: &str, payload: &[u8]) -> Result<Description, String> {
     }
 }
 
-/// Asks for the description until it comes.
+/// Queries the description until an answer arrives.
 pub(super) async fn describe(
     session: &Session,
     key: &Key,
@@ -88,10 +89,10 @@ pub(super) async fn describe(
 ) -> Result<Description, RemoteError> {
     let asking = async {
         loop {
-            // Whoever is not known yet is not asked: the next question may reach it.
+            // Zenoh may not know the provider yet; a later query may reach it.
             let answers = session.ask(key.clone(), "", None, 16, Duration::from_millis(500)).await?;
             let answered: Vec<_> = answers.iter().filter_map(found).map(|found| found.description).collect();
-            // Of several that answer on one key, one that is understood will do.
+            // Several providers may answer on one key; the first readable description is used.
             if let Some(answer) = answered.iter().find(|a| a.is_ok()).or(answered.first()) {
                 let unread = |what| RemoteError::Description { provider: name.to_owned(), what };
                 return answer.clone().map_err(unread);

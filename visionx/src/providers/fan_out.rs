@@ -9,8 +9,8 @@ use tokio::sync::Mutex;
 use super::{Description, Frame, ImageProvider};
 use crate::frame::ImageError;
 
-/// Several readers of one provider in one process. The provider is asked only while a reader waits, once for all that
-/// wait, and each reader gets the newest frame that it has not had; the ones that it missed are counted.
+/// Several readers of one provider in one process. The provider is read only while a reader waits, once for all
+/// waiting readers. Each reader gets the newest frame that it has not had; the frames it missed are counted.
 pub struct FanOut {
     provider: Arc<dyn ImageProvider>,
     newest: Mutex<(u64, Option<Arc<Frame>>)>,
@@ -30,7 +30,7 @@ impl FanOut {
         Arc::new(Self { provider, newest: Mutex::new((0, None)) })
     }
 
-    /// A new reader. Its first frame is one that is taken after this call.
+    /// A new reader. Its first frame is taken after this call.
     pub async fn subscribe(self: &Arc<Self>) -> Subscription {
         let seen = self.newest.lock().await.0;
         Subscription { shared: Arc::clone(self), seen: AtomicU64::new(seen), skipped: AtomicU64::new(0) }
@@ -38,7 +38,7 @@ impl FanOut {
 }
 
 impl Subscription {
-    /// How many frames came and went while this reader was busy.
+    /// The number of frames that this reader missed while it was busy.
     #[must_use]
     pub fn skipped(&self) -> u64 {
         self.skipped.load(Ordering::Relaxed)
@@ -51,8 +51,8 @@ impl ImageProvider for Subscription {
         self.shared.provider.description()
     }
 
-    /// The newest frame that this reader has not had, or else the next one. When a waiting reader is dropped, the
-    /// next one takes its place at the provider.
+    /// The newest frame that this reader has not had, or else the next one. When a reader is dropped while it
+    /// waits, another waiting reader takes over reading from the provider.
     async fn next(&self) -> Result<Arc<Frame>, ImageError> {
         let mut newest = self.shared.newest.lock().await;
         let seen = self.seen.load(Ordering::Relaxed);
@@ -74,7 +74,7 @@ mod tests {
     use super::*;
     use tokio::time::{Duration, sleep, timeout};
 
-    /// Gives a frame each 66 ms, `frames` in all.
+    /// Makes a frame every 66 ms, `frames` in all.
     struct Camera {
         frames: u64,
         given: AtomicU64,
@@ -122,7 +122,7 @@ mod tests {
         }
         assert_eq!(slow.next().await.unwrap().number, 3);
         assert_eq!((slow.skipped(), quick.skipped()), (3, 0));
-        // A reader that gives up waiting does not hold up the others.
+        // A reader that stops waiting does not block the others.
         let gave_up = timeout(Duration::from_millis(10), slow.next()).await;
         assert!(gave_up.is_err());
         assert_eq!(quick.next().await.unwrap().number, 4);

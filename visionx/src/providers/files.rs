@@ -1,5 +1,5 @@
-//! Images of files as a provider: each file a frame, or those whose names differ only in `_left`, `_right`, `_depth` one
-//! frame together. `calibration.yaml` beside them says what cameras they were taken with.
+//! Image files as a provider. Each file is a frame; files whose names differ only in `_left`, `_right`, `_depth` form
+//! one frame. `calibration.yaml` beside them describes the cameras.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -16,19 +16,19 @@ use super::{Frame, FrameImage, ImageProvider, PixelFormat};
 use crate::files::{FileError, images_in, read_depth, read_image};
 use crate::frame::ImageError;
 
-/// The roles that a file's name can end in.
+/// The roles that a file name can end in.
 const ROLES: [&str; 3] = ["left", "right", "depth"];
 
-/// How fast files or recordings are given.
+/// The playback of files or recordings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pace {
-    /// Times the original speed; `None`: as fast as they are asked for, none left out.
+    /// Speed relative to the original; `None`: as fast as the reader asks, without dropping frames.
     pub speed: Option<f64>,
-    /// Whether it begins again at the end.
+    /// Whether playback starts again at the end.
     pub repeat: bool,
 }
 
-/// Gives the images of files.
+/// Provides the images of files.
 #[derive(Debug)]
 pub struct FileProvider {
     description: Description,
@@ -40,11 +40,12 @@ pub struct FileProvider {
 }
 
 impl FileProvider {
-    /// The images of files and folders, in the order of their names, `rate_hz` frames a second at the original speed. The
-    /// description is that of the first frame.
+    /// Opens files and folders, sorted by name, at `rate_hz` frames per second at the original speed. The description
+    /// is that of the first frame.
     ///
     /// # Errors
-    /// The path and [`FileError`] when a folder has no images, the first cannot be read, or the calibration is none.
+    /// The path and [`FileError`] when a folder has no images, the first cannot be read, or the calibration is not
+    /// valid.
     pub async fn open(
         name: &str,
         paths: &[PathBuf],
@@ -115,7 +116,7 @@ impl ImageProvider for FileProvider {
     }
 }
 
-/// A time span that tokio's clock can hold.
+/// A duration that tokio's clock can hold.
 pub(super) fn seconds(s: f64) -> Duration {
     Duration::try_from_secs_f64(s.max(0.0))
         .unwrap_or(Duration::from_secs(86_400))
@@ -140,7 +141,7 @@ fn grouped(files: Vec<PathBuf>) -> Vec<BTreeMap<String, PathBuf>> {
     frames.into_iter().map(|(_, frame)| frame).collect()
 }
 
-/// Reads the files of a frame, off the threads that others wait on.
+/// Reads the files of a frame on a blocking thread.
 async fn read(files: BTreeMap<String, PathBuf>) -> Result<Vec<FrameImage>, (PathBuf, FileError)> {
     let task = tokio::task::spawn_blocking(move || {
         let order = |role: &str| ROLES.iter().position(|r| *r == role);

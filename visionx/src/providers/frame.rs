@@ -1,6 +1,6 @@
-//! One moment as a provider gives it: one or more images in any of the formats that cameras have.
+//! A provider's frame: one or more images of one moment, in any camera format.
 //!
-//! Nothing is converted here; [`super::convert`] does that for those who want RGB.
+//! Nothing is converted here; [`super::convert`] does that.
 
 use std::fmt;
 use std::sync::Arc;
@@ -14,12 +14,12 @@ use crate::frame::ImageError;
 pub const MOST_IMAGES: usize = 16;
 /// Longest name of a role or frame, bytes.
 pub(super) const LONGEST_NAME: usize = 200;
-/// Longest side of an image, px; the length of a list of points may be longer.
+/// Longest side of an image, px; a list of points may be longer.
 pub(super) const LONGEST_SIDE: u32 = 65_536;
 /// Most bytes of an image.
 pub(super) const MOST_BYTES: usize = 2 << 30;
 
-/// How the bytes of an image are to be read. Rows from the top, without padding; numbers are little-endian.
+/// The pixel format of an image. Rows from the top, without padding; numbers are little-endian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
@@ -36,26 +36,26 @@ pub enum PixelFormat {
     BayerGrbg8,
     /// The same; rows begin green, blue; red, green.
     BayerGbrg8,
-    /// Distance along the optical axis, m, 32-bit float; 0 where nothing was seen.
+    /// Distance along the optical axis, m, 32-bit float; 0 where there is no measurement.
     Depth32F,
-    /// Distance along the optical axis, mm, 16 bit; 0 where nothing was seen.
+    /// Distance along the optical axis, mm, 16 bit; 0 where there is no measurement.
     Depth16,
-    /// Points x, y, z in the camera's frame, m, 32-bit floats; NaN where nothing was seen. An organised cloud has the
-    /// camera's width and height, any other the height 1.
+    /// Points x, y, z in the camera's frame, m, 32-bit floats; NaN where there is no measurement. An organised cloud
+    /// has the camera's width and height, any other the height 1.
     Points32F,
 }
 
-/// What holds an image's bytes, such as a buffer in shared memory.
+/// The owner of an image's bytes, such as a buffer in shared memory.
 pub trait PixelOwner: Send + Sync {
     /// The bytes.
     fn bytes(&self) -> &[u8];
-    /// Whether what was read so far is what was given; false when memory that is shared was written anew meanwhile.
+    /// Whether the bytes read so far are valid; false when shared memory has been overwritten meanwhile.
     fn is_intact(&self) -> bool {
         true
     }
 }
 
-/// The bytes of one image; clones are the same bytes.
+/// The bytes of one image; clones share them.
 #[derive(Clone)]
 pub struct Pixels {
     owner: Arc<dyn PixelOwner>,
@@ -73,17 +73,17 @@ pub struct FrameImage {
     pixels: Pixels,
 }
 
-/// One moment: all images that belong to it.
+/// One frame: all images of one moment.
 #[derive(Clone, Debug, Default)]
 pub struct Frame {
-    /// Counts the provider's frames; what is missing in between was dropped on the way.
+    /// Consecutive number of the provider's frames; a gap means dropped frames.
     pub number: u64,
-    /// When the shutter was open, by the provider's clock, ns; the same clock as the robot's samples where there is a
+    /// The time of the exposure by the provider's clock, ns; the same clock as the robot's samples where there is a
     /// robot.
     pub stamp_ns: u64,
     /// Name of the coordinate frame that poses and points are in: that of the first camera.
     pub frame_id: String,
-    /// The first camera's pose in the robot's root frame as the robot believes it, where there is a robot.
+    /// The estimated pose of the first camera in the robot's root frame, where there is a robot.
     pub root_from_camera: Option<Isometry3<f64>>,
     /// The images; each role at most once.
     pub images: Vec<FrameImage>,
@@ -127,7 +127,7 @@ impl Pixels {
         (start <= end && end <= owner.bytes().len()).then_some(Self { owner, start, end })
     }
 
-    /// The bytes; empty when their owner has shrunk.
+    /// The bytes; empty when their owner has become smaller.
     #[must_use]
     pub fn bytes(&self) -> &[u8] {
         self.owner.bytes().get(self.start..self.end).unwrap_or_default()
@@ -159,7 +159,7 @@ impl fmt::Debug for Pixels {
 }
 
 impl FrameImage {
-    /// An image of raw bytes. `role` says which it is among the frame's: `left`, `right`, `depth`, `points`, `image`.
+    /// An image of raw bytes. `role` names it within the frame: `left`, `right`, `depth`, `points`, `image`.
     ///
     /// # Errors
     /// [`ImageError::Size`] unless the bytes are those of `width * height` pixels.
@@ -178,13 +178,13 @@ impl FrameImage {
         }
     }
 
-    /// Which image of its frame it is.
+    /// Its role within the frame.
     #[must_use]
     pub fn role(&self) -> &str {
         &self.role
     }
 
-    /// How its bytes are to be read.
+    /// The pixel format.
     #[must_use]
     pub fn format(&self) -> PixelFormat {
         self.format
@@ -202,7 +202,7 @@ impl FrameImage {
         self.height
     }
 
-    /// Its bytes, as the format says.
+    /// Its bytes, in the pixel format.
     #[must_use]
     pub fn bytes(&self) -> &[u8] {
         self.pixels.bytes()
@@ -222,15 +222,15 @@ impl Frame {
         self.images.iter().map(|image| image.bytes().len()).sum()
     }
 
-    /// Whether what was read so far is what the provider gave. A frame in shared memory may be taken away from a
-    /// reader that the system does not let run; whoever has worked on its pixels asks afterwards.
+    /// Whether the bytes read so far are what the provider sent. The sender may overwrite a frame in shared
+    /// memory when the reader is too slow. A reader must therefore check this after it has used the pixels.
     #[must_use]
     pub fn is_intact(&self) -> bool {
         self.images.iter().all(|image| image.pixels.is_intact())
     }
 }
 
-/// Two frames are equal when all they say is, wherever their bytes lie.
+/// Two frames are equal when their content is equal, wherever the bytes are stored.
 impl PartialEq for Frame {
     fn eq(&self, other: &Self) -> bool {
         let head = |f: &Self| (f.number, f.stamp_ns, f.root_from_camera);

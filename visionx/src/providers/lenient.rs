@@ -1,4 +1,5 @@
-//! CBOR of other programs: a whole number where a float is wanted, as many languages write 30.0, is that float.
+//! CBOR from other programs: an integer is accepted where a float is expected, because many languages write
+//! 30.0 as 30.
 
 use armarium_bus::codec::decode_within;
 use armarium_bus::{Bounds, CodecError};
@@ -7,13 +8,14 @@ use serde::de::DeserializeOwned;
 /// Decodes a value within bounds.
 ///
 /// # Errors
-/// [`CodecError`] when the bytes are no `T` either way; it speaks of what does not fit, whole numbers aside.
+/// [`CodecError`] when the bytes are no `T` either way. The error ignores integers in place of floats.
 pub(super) fn decode_leniently<T: DeserializeOwned>(bytes: &[u8], bounds: Bounds) -> Result<T, CodecError> {
     let strict = match decode_within(bytes, bounds) {
         Err(error @ CodecError::Content { .. }) => error,
         decided => return decided,
     };
-    // JSON's numbers become floats where floats are wanted. What JSON cannot say is as wrong as before.
+    // JSON converts integers to floats where floats are expected. A value that JSON cannot represent gives
+    // the strict error.
     let value: serde_json::Value = decode_within(bytes, bounds).map_err(|_| strict)?;
     serde_json::from_value(value).map_err(|e| CodecError::Content { what: e.to_string() })
 }

@@ -1,12 +1,12 @@
-//! Who gives frames, and how they reach those who look at them.
+//! Image providers, and the transport of their frames to readers.
 //!
-//! - [`Frame`]: one moment, of one or more images. [`Description`]: what a provider gives, and its calibration.
-//! - [`ImageProvider`]: who gives frames. [`StereoProvider`] makes one of an [`ImageSource`](crate::ImageSource), such as
-//!   the simulator's cameras, and [`StereoView`] the other way; [`FileProvider`] gives images of files,
-//!   [`RecordingProvider`] what was recorded, [`FrameSender`] what a program makes itself, `CameraProvider` (feature `camera`) what a camera sees, [`RemoteProvider`] what another
-//!   process offers.
-//! - [`FanOut`]: many readers of one provider. [`offer`]: to other processes. [`Recording`]: into a file.
-//! - [`wire`]: what a frame is on the network and in a recording.
+//! - [`Frame`]: one or more images of one moment. [`Description`]: a provider's images and calibration.
+//! - [`ImageProvider`]: the trait. [`StereoProvider`] makes one of an [`ImageSource`](crate::ImageSource), such as the
+//!   simulator's cameras, and [`StereoView`] does the reverse. [`FileProvider`] reads image files,
+//!   [`RecordingProvider`] recordings, [`FrameSender`] takes frames that the program makes, `CameraProvider` (feature
+//!   `camera`) reads a camera, [`RemoteProvider`] a provider of another process.
+//! - [`FanOut`]: many readers of one provider. [`offer`]: publishes to other processes. [`Recording`]: writes a file.
+//! - [`wire`]: the format of a frame on the network and in a recording.
 
 mod calibration;
 #[cfg(feature = "camera")]
@@ -51,15 +51,16 @@ pub use stereo::{StereoProvider, StereoView, frame_of};
 pub use wire::ImageCoding;
 pub use writing::Recording;
 
-/// Who gives frames. Frames that nobody asks for need not be made.
+/// A provider of frames. It need not make a frame that no caller waits for.
 #[async_trait]
 pub trait ImageProvider: Send + Sync {
-    /// What it gives, and its calibration.
+    /// Its images and their calibration.
     fn description(&self) -> Description;
 
     /// Waits for the next frame.
     ///
     /// # Errors
-    /// [`ImageError::Gone`] when no further frame will come. Anything else spoils one frame; the next may be good.
+    /// [`ImageError::Gone`] when no further frame will come. Any other error concerns one frame; the next may be
+    /// good.
     async fn next(&self) -> Result<Arc<Frame>, ImageError>;
 }

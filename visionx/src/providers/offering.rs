@@ -1,8 +1,9 @@
-//! Offers a provider to other processes.
+//! Publishes a provider to other processes.
 //!
-//! Frames go out on `{agent}/image/{provider}` while somebody listens, through shared memory on one machine; as PNG or
-//! JPEG on `.../png` and `.../jpeg`, made only when asked for. A question on the key is answered with the description; one with
-//! `lost=EPOCH:FROM:TO` with those of the last frames that are still there, for readers that want all.
+//! Frames are published on `{agent}/image/{provider}` while there is a subscriber, through shared memory on one
+//! machine; on `.../png` and `.../jpeg` they are encoded only while there is a subscriber. A query on the key returns
+//! the description. A query with `lost=EPOCH:FROM:TO` returns those of the last frames that are still kept, for readers
+//! that want all.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -22,16 +23,16 @@ use crate::frame::ImageError;
 
 /// The schema of a description.
 pub(super) const DESCRIPTION: armarium_bus::Schema = armarium_bus::Schema::new("image/description", 1);
-/// Frames that are kept for readers that missed some.
+/// Frames kept for readers that missed some.
 const KEPT: usize = 16;
-/// Most bytes that are kept for them.
+/// Limit of the kept frames, bytes.
 const KEPT_BYTES: usize = 64 << 20;
-/// Frames that could not be made of which each is told.
+/// The first so many failed frames are logged, each one.
 const TOLD: u64 = 10;
-/// Questions that wait to be answered.
+/// Capacity of the query queue.
 const WAITING: usize = 64;
 
-/// A provider that is offered, until this is dropped.
+/// A published provider; dropping this ends it.
 #[derive(Debug)]
 #[must_use = "the provider is offered until this is dropped"]
 pub struct Offered {
@@ -39,7 +40,7 @@ pub struct Offered {
     statistics: Arc<OfferedStatistics>,
 }
 
-/// Counts of an offered provider.
+/// Counts of a published provider.
 #[derive(Debug, Default)]
 pub struct OfferedStatistics {
     sent: AtomicU64,
@@ -48,19 +49,19 @@ pub struct OfferedStatistics {
 }
 
 impl OfferedStatistics {
-    /// Frames sent as they are.
+    /// Frames sent raw.
     #[must_use]
     pub fn sent(&self) -> u64 {
         self.sent.load(Ordering::Relaxed)
     }
 
-    /// Frames that the provider could not make.
+    /// Frames that the provider could not make or whose memory was reused before they were sent.
     #[must_use]
     pub fn spoilt(&self) -> u64 {
         self.spoilt.load(Ordering::Relaxed)
     }
 
-    /// Frames for which there was no room in shared memory; they went as copies.
+    /// Frames for which shared memory had no room; they were sent as copies.
     #[must_use]
     pub fn unshared(&self) -> u64 {
         self.unshared.load(Ordering::Relaxed)
@@ -77,7 +78,7 @@ impl Offered {
     /// Waits until the provider gives no more frames.
     pub async fn ended(&mut self) {
         if let Some(raw) = self.tasks.first_mut() {
-            // A task that was ended from outside has ended too.
+            // A task that was aborted has ended too.
             let _ = raw.await.is_ok();
         }
     }
@@ -89,7 +90,7 @@ impl Drop for Offered {
     }
 }
 
-/// What the tasks of an offered provider share.
+/// State shared by the tasks of a published provider.
 struct Offering {
     provider: Arc<dyn ImageProvider>,
     session: Session,
@@ -98,7 +99,7 @@ struct Offering {
     statistics: Arc<OfferedStatistics>,
 }
 
-/// Offers a provider as `{agent}/image/{its name}`.
+/// Publishes a provider as `{agent}/image/{its name}`.
 ///
 /// # Errors
 /// [`SessionError`] when the session has ended or the names cannot be part of a key.
@@ -133,7 +134,7 @@ pub async fn offer(
 }
 
 impl Offering {
-    /// The next frame; what is spoilt is counted and left out. `None` when there will be no more.
+    /// The next frame; errors are counted and skipped. `None` when there are no more frames.
     async fn next(&self, frames: &Subscription) -> Option<Arc<Frame>> {
         loop {
             match frames.next().await {
@@ -143,7 +144,7 @@ impl Offering {
                     if self.statistics.spoilt.fetch_add(1, Ordering::Relaxed) < TOLD {
                         tracing::warn!("{error}");
                     }
-                    // A provider that fails again and again does not keep the others from running.
+                    // A provider that fails repeatedly must not starve other tasks.
                     tokio::task::yield_now().await;
                 }
             }
@@ -161,7 +162,7 @@ impl Offering {
             let mut at = 0;
             for image in &frame.images {
                 let end = at + image.bytes().len();
-                // A frame whose memory was taken away meanwhile is not sent.
+                // A frame whose memory was reused meanwhile is not sent.
                 let Some(part) = slot.get_mut(at..end) else { break };
                 part.copy_from_slice(image.bytes());
                 at = end;

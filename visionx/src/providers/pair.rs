@@ -1,4 +1,4 @@
-//! From the frames of a provider to the stereo pairs that trackers work on.
+//! From a provider's frames to the stereo pairs that trackers use.
 
 use std::sync::Arc;
 
@@ -10,7 +10,7 @@ use crate::camera::StereoCalibration;
 use crate::frame::{ImageError, StereoFrame};
 use crate::providers::rectify::Rectification;
 
-/// What a provider's frames are as stereo pairs.
+/// Makes stereo pairs of a provider's frames.
 #[derive(Clone, Debug)]
 pub struct StereoPair {
     provider: String,
@@ -19,11 +19,11 @@ pub struct StereoPair {
 }
 
 impl StereoPair {
-    /// The pairs of the provider with this description. They are rectified when its eyes are distorted, unlike or not
-    /// parallel.
+    /// The pairs of the provider with this description. They are rectified when its cameras are distorted, differ or
+    /// are not parallel.
     ///
     /// # Errors
-    /// What keeps its images from being a pair.
+    /// Why its images are not a pair.
     pub fn of(description: &Description) -> Result<Self, String> {
         let provider = description.name.clone();
         if let Ok(calibration) = description.stereo() {
@@ -47,7 +47,8 @@ impl StereoPair {
         self.calibration
     }
 
-    /// From the axes of the pairs' left camera to those of the provider's: a rotation where pairs are rectified.
+    /// Rotation from the axes of the pairs' left camera to those of the provider's left camera; identity unless
+    /// rectified.
     #[must_use]
     pub fn left_from_pair(&self) -> UnitQuaternion<f64> {
         self.rectification.as_ref().map_or_else(UnitQuaternion::identity, |r| r.left_from_rectified())
@@ -56,7 +57,8 @@ impl StereoPair {
     /// The pair in a frame.
     ///
     /// # Errors
-    /// [`ImageError::Spoilt`] when an eye is missing, or has not the calibration's size: what is seen in it lies elsewhere.
+    /// [`ImageError::Spoilt`] when an image is missing or does not have the calibration's size, which would shift all
+    /// points.
     pub fn frame(&self, frame: &Frame) -> Result<StereoFrame, ImageError> {
         let stereo = stereo_frame(frame, &self.provider)?;
         if self.calibration.fits(&stereo) {
@@ -77,11 +79,12 @@ impl StereoPair {
     }
 }
 
-/// The stereo frame of a frame with the images `left` and `right`, and `depth` if there is one. A frame that does not
-/// say where its camera is has it at the root: whoever needs places in the root frame asks the frame first.
+/// The stereo frame of a frame with the images `left` and `right`, and `depth` if there is one. Without a camera pose
+/// in the frame the camera is taken to be at the root; check `root_from_camera` before using points in the root
+/// frame.
 ///
 /// # Errors
-/// [`ImageError::Spoilt`] when an eye is missing.
+/// [`ImageError::Spoilt`] when an image is missing.
 pub fn stereo_frame(frame: &Frame, provider: &str) -> Result<StereoFrame, ImageError> {
     let spoilt = |what: String| ImageError::Spoilt { provider: provider.into(), what };
     let eye = |role: &str| {

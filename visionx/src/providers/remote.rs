@@ -1,8 +1,8 @@
-//! A provider in another process, as this one sees it.
+//! A provider of another process, seen from this one.
 //!
-//! Frames come through shared memory where both processes can, otherwise over the network. A provider that is killed and
-//! started again goes on where its readers wait. What is missing between two frames is counted; a reader that wants all
-//! asks for it again.
+//! Frames come through shared memory where both processes support it, otherwise over the network. After a restart of
+//! the provider its readers continue. Gaps in the frame numbers are counted; a reader that wants all frames requests
+//! the missing ones again.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -23,22 +23,22 @@ use super::wire::{ENCODING, Header, ImageCoding, PACKED, WireError, unpack};
 use super::{Description, Frame, ImageProvider};
 use crate::frame::ImageError;
 
-/// After so long without frames, a provider is taken for gone: what it left behind is removed.
+/// A provider without frames for this long counts as gone, and its shared memory is removed.
 const QUIET: Duration = Duration::from_secs(5);
-/// How long missing frames are waited for.
+/// Timeout of a request for missing frames.
 const AGAIN: Duration = Duration::from_secs(1);
-/// Most frames that are asked for again at once.
+/// Most frames requested again at once.
 const MOST_AGAIN: usize = 64;
 
 /// Which frames a reader gets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Delivery {
-    /// The newest: for live use. Nothing waits but one frame.
+    /// The newest, for live use. The queue holds one frame.
     Newest,
-    /// All, as far as this many may wait: for recording. They are copied out of shared memory, and what was lost on the
-    /// way is asked for again.
+    /// All, up to the queue's capacity, for recording. They are copied out of shared memory, and lost frames are
+    /// requested again.
     All {
-        /// How many frames may wait.
+        /// Capacity of the queue, frames.
         waiting: usize,
     },
 }
@@ -58,13 +58,13 @@ pub struct RemoteProvider {
 
 #[derive(Default)]
 struct State {
-    /// How far the frames were heard.
+    /// Position in the stream of frames.
     stream: StreamReader,
-    /// What came after a gap, and what filled it.
+    /// Frames ready to be returned, including those requested again.
     ready: VecDeque<Arc<Frame>>,
     /// When the last frame came; `None` before the first.
     heard: Option<Instant>,
-    /// Whether the silence since then was noticed.
+    /// Whether the timeout since the last frame was already handled.
     quiet: bool,
 }
 
@@ -90,30 +90,30 @@ macro_rules! counts {
 
 impl RemoteStatistics {
     counts! {
-        /// Frames received, those that were asked for again included.
+        /// Frames received, including those requested again.
         received,
-        /// Frames that the provider numbered and that never came: it, the network or this reader was too slow.
+        /// Frames lost for good, by the gaps in their numbers: provider, network or this reader was too slow.
         missed,
-        /// Frames that came only when they were asked for again.
+        /// Frames received only after they were requested again.
         again,
-        /// Messages that are no frames.
+        /// Messages that are not valid frames.
         malformed,
-        /// How often the provider was seen to begin: 1, and 1 more for each new start.
+        /// How often the provider started, as seen from here: 1, plus 1 for each restart.
         lives,
-        /// Frames that came through shared memory.
+        /// Frames received through shared memory.
         shared,
-        /// Bytes of the frames received, as they came: of images that are coded, those of their files.
+        /// Bytes of the frames as received; for encoded images, the size of their files.
         bytes,
     }
 
-    /// Mean time from the sending of a frame to its being taken here, s; by both processes' wall clocks, so only on one
+    /// Mean latency from sending a frame to taking it here, s; by both processes' wall clocks, so valid only on one
     /// machine.
     #[must_use]
     pub fn mean_latency_s(&self) -> f64 {
         self.latency_ns.load(Ordering::Relaxed) as f64 * 1e-9 / self.received().max(1) as f64
     }
 
-    /// The longest such time, s.
+    /// The longest such latency, s.
     #[must_use]
     pub fn worst_latency_s(&self) -> f64 {
         self.worst_ns.load(Ordering::Relaxed) as f64 * 1e-9
@@ -131,10 +131,11 @@ impl PixelOwner for BulkBytes {
 }
 
 impl RemoteProvider {
-    /// Connects to `{agent}/image/{provider}` and waits at most `wait` until it answers.
+    /// Connects to `{agent}/image/{provider}` and waits at most `wait` for its answer.
     ///
     /// # Errors
-    /// [`SessionError::NoAnswer`] when it does not, [`RemoteError::Description`] when its answer cannot be read.
+    /// [`SessionError::NoAnswer`] without an answer, [`RemoteError::Description`] when the answer cannot be
+    /// read.
     pub async fn connect(
         session: &Session,
         agent: &str,
@@ -168,8 +169,8 @@ impl RemoteProvider {
         &self.statistics
     }
 
-    /// The newest frame if one has come since the last; does not wait. Whoever wants no frames for now asks every few
-    /// seconds all the same: the pixels of a provider that has gone are then let go.
+    /// The newest frame if there is a new one; does not wait. Callers that need no frames for now must still call
+    /// this every few seconds, because it frees the pixels of a provider that is gone.
     pub async fn newest(&self) -> Option<Arc<Frame>> {
         let mut state = self.state.lock().await;
         loop {
@@ -187,8 +188,8 @@ impl RemoteProvider {
         }
     }
 
-    /// Asks a provider that has begun anew for its description, and warns when its images are others than before: whoever
-    /// reads it goes by the old ones.
+    /// Queries the description of a restarted provider, and warns when its images changed, because readers still use
+    /// the old description.
     fn compare_cameras(&self) {
         let (session, key, name) = (self.session.clone(), self.key.clone(), self.name.clone());
         let before = Arc::clone(&self.description);
@@ -203,7 +204,7 @@ impl RemoteProvider {
         });
     }
 
-    /// Says, once a silence, that nothing comes.
+    /// Warns once that no frames arrive.
     fn tell_silence(&self, state: &mut State) {
         if std::mem::replace(&mut state.quiet, true) {
             return;
@@ -221,7 +222,7 @@ impl RemoteProvider {
         }
     }
 
-    /// Reads a message; what it gives is ready then.
+    /// Decodes a message and queues its frames.
     async fn take(&self, bulk: &Bulk, state: &mut State) {
         let (header, frame) = match read(bulk) {
             Ok(read) => read,
@@ -258,7 +259,7 @@ impl RemoteProvider {
         state.ready.push_back(Arc::new(frame));
     }
 
-    /// Asks for the frames that did not come; what cannot be had any more is missed.
+    /// Requests the lost frames again; those that are no longer kept count as missed.
     async fn ask_again(&self, lost: Lost, state: &mut State) {
         let asked = self.session.ask(self.key.clone(), &lost.to_string(), None, MOST_AGAIN, AGAIN).await;
         let mut found: Vec<Frame> = asked.unwrap_or_default().into_iter().filter_map(packed).collect();
@@ -281,7 +282,7 @@ impl ImageProvider for RemoteProvider {
         (*self.description).clone()
     }
 
-    /// Waits for as long as it takes: a provider may come back. A silence is said once, as a warning.
+    /// Waits without a limit, because a provider may come back. Warns once when no frames arrive.
     async fn next(&self) -> Result<Arc<Frame>, ImageError> {
         let mut state = self.state.lock().await;
         loop {
@@ -301,7 +302,7 @@ impl ImageProvider for RemoteProvider {
     }
 }
 
-/// Whoever was killed has left its shared memory behind.
+/// Removes the shared memory of processes that were killed.
 async fn sweep() {
     let _ = tokio::task::spawn_blocking(remove_orphans).await.is_ok();
 }

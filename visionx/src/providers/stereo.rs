@@ -1,4 +1,4 @@
-//! Between the frames of providers and the stereo frames that skills and trackers work with.
+//! Conversion between the frames of providers and the stereo frames that skills and trackers use.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -24,7 +24,7 @@ pub struct StereoView {
     unusable: AtomicU64,
 }
 
-/// One eye of a frame that is shared.
+/// One image of a shared frame.
 struct Eye {
     frame: Arc<StereoFrame>,
     right: bool,
@@ -37,7 +37,7 @@ impl PixelOwner for Eye {
 }
 
 impl StereoProvider {
-    /// A provider of what `source` gives; `frame_id` names the left camera's coordinate frame.
+    /// A provider of the frames of `source`; `frame_id` names the left camera's coordinate frame.
     #[must_use]
     pub fn new(source: Arc<dyn ImageSource>, frame_id: &str) -> Self {
         let description = Description::of_stereo(source.name(), frame_id, &source.calibration());
@@ -58,7 +58,7 @@ impl ImageProvider for StereoProvider {
     }
 }
 
-/// A stereo frame as a provider gives it. Pixels are not copied; depth is.
+/// Converts a stereo frame to a provider's frame. Pixels are not copied; depth is.
 ///
 /// # Errors
 /// [`ImageError::Size`] when an image is empty or larger than frames can be.
@@ -88,7 +88,7 @@ impl StereoView {
     /// The stereo pairs of a provider.
     ///
     /// # Errors
-    /// [`ImageError::Spoilt`] when it is not calibrated as a pair of equal, parallel cameras.
+    /// [`ImageError::Spoilt`] when it is not calibrated as a pair of identical, parallel cameras.
     pub fn new(provider: Arc<dyn ImageProvider>) -> Result<Self, ImageError> {
         let description = provider.description();
         let pair = StereoPair::of(&description);
@@ -96,7 +96,7 @@ impl StereoView {
         Ok(Self { provider, pair, unusable: AtomicU64::new(0) })
     }
 
-    /// Frames that were left out: they were spoilt, no pair of the calibration's size, or taken away while they were copied.
+    /// Frames that were skipped: damaged, not a pair of the calibration's size, or overwritten while they were copied.
     #[must_use]
     pub fn unusable(&self) -> u64 {
         self.unusable.load(Ordering::Relaxed)
@@ -113,7 +113,7 @@ impl ImageSource for StereoView {
         self.pair.calibration()
     }
 
-    /// A frame that is not a whole stereo pair is left out.
+    /// Skips a frame that is not a complete stereo pair.
     async fn next(&self) -> Result<Arc<StereoFrame>, ImageError> {
         loop {
             let frame = match self.provider.next().await {
@@ -126,7 +126,7 @@ impl ImageSource for StereoView {
                 return Ok(Arc::new(stereo));
             }
             self.unusable.fetch_add(1, Ordering::Relaxed);
-            // A provider that spoils frame after frame does not keep the others from running.
+            // A provider that fails repeatedly must not starve other tasks.
             tokio::task::yield_now().await;
         }
     }

@@ -13,9 +13,9 @@ use super::{Description, Frame};
 
 /// The encoding of messages with packed frames.
 const ENCODING: &str = "armarium-packed-frame";
-/// Bytes of a chunk: a crash costs the last.
+/// Bytes of a chunk. A crash loses at most the last chunk.
 const CHUNK: u64 = 4 << 20;
-/// Most bytes of the images of a frame: with its headers it is a record that is read again.
+/// Limit of a frame's images, bytes, so that the record with its headers is short enough to be read again.
 const LONGEST_FRAME: usize = LONGEST_RECORD - (64 << 10);
 
 /// A recording that is being written. Frames are compressed without loss.
@@ -27,7 +27,7 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Begins a recording; a file that is there is written anew.
+    /// Creates a recording; an existing file is overwritten.
     ///
     /// # Errors
     /// [`RecordingError`].
@@ -44,7 +44,7 @@ impl Recording {
         move |source| RecordingError::Write { path: path.clone(), source }
     }
 
-    /// Says what a provider gives; its frames may follow then.
+    /// Writes the description of a provider; must come before its frames.
     ///
     /// # Errors
     /// [`RecordingError`].
@@ -61,7 +61,7 @@ impl Recording {
         self.writer.write_metadata(&Metadata { name: DESCRIPTION.into(), metadata }).map_err(&failed)
     }
 
-    /// Writes a frame of a provider that was added.
+    /// Writes a frame of an added provider.
     ///
     /// # Errors
     /// [`RecordingError`].
@@ -75,7 +75,7 @@ impl Recording {
         let data = pack(frame, 0, 0).map_err(|e| RecordingError::Encode { what: e.to_string() })?;
         let header = MessageHeader {
             channel_id,
-            // Only for people; the frame has its own number.
+            // For viewers only; the frame carries its own number.
             sequence: frame.number as u32,
             log_time: frame.stamp_ns,
             publish_time: frame.stamp_ns,
@@ -85,13 +85,13 @@ impl Recording {
         Ok(())
     }
 
-    /// Frames written so far.
+    /// Number of frames written.
     #[must_use]
     pub fn frames(&self) -> u64 {
         self.frames
     }
 
-    /// Ends the recording.
+    /// Completes the recording.
     ///
     /// # Errors
     /// [`RecordingError`].

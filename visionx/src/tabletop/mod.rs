@@ -1,7 +1,7 @@
-//! The table and what stands on it, from a depth image: a level plane, and the things that rise from it.
+//! Finds the table and the objects on it in a depth image: a level plane, and what rises from it.
 //!
-//! Nothing is known of the things beforehand; a thing is the box around what is seen of it, down to the table. Those
-//! that the picture's border cuts, as an arm that reaches in, are left out. Without a depth image nothing is seen.
+//! No object models are needed: an object is the bounding box of its visible part, down to the table. Objects cut by
+//! the image's border, such as an arm that reaches in, are left out. Without a depth image nothing is found.
 
 use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector3};
 
@@ -15,65 +15,65 @@ mod plane;
 
 use plane::Plane;
 
-/// Points of a footprint are rounded to this for the search of the rectangle around them, m.
+/// Rounding of a footprint's points in the search of its smallest rectangle, m.
 const CELL: f64 = 0.0002;
-/// Depth is looked at on every so many pixels.
+/// Every so many pixels the depth is sampled.
 const STEP: u32 = 2;
-/// How far above the table things begin, and how high they may be, m.
+/// Lowest height of an object's points above the table, and its greatest height, m.
 const RISES: (f64, f64) = (0.010, 0.50);
-/// How far from the table's border a thing may stand, m.
+/// Largest distance of an object from the table's border, m.
 const OVERHANG: f64 = 0.02;
-/// A step in depth between neighbours at which another thing begins, m.
+/// Least step in depth between neighbours that separates two objects, m.
 const GAP: f32 = 0.02;
-/// Fewest points of a thing.
+/// Least number of points of an object.
 const LEAST_POINTS: usize = 30;
-/// The share of a thing's points that its height and its footprint leave out at each end, against stray depths.
+/// Share of an object's points that its height and footprint ignore at each end, against outliers in depth.
 const STRAYS: f64 = 0.01;
 
 /// A table, or another level surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TableEstimate {
-    /// Pose of the middle of what is seen of its surface in the root frame that the frame's `root_from_left` speaks
-    /// of; z is the surface's normal, upwards, x along the longer edge.
+    /// Pose of the centre of its visible surface in the root frame of the frame's `root_from_left`; z is the
+    /// surface's normal, upwards, x along the longer edge.
     pub root_from_table: Isometry3<f64>,
-    /// Lengths along x and y of what is seen of it, m.
+    /// Lengths of the visible surface along x and y, m.
     pub size: [f64; 2],
     /// Standard deviation of its points' distances from the plane, m.
     pub deviation: f64,
 }
 
-/// A thing on a table.
+/// An object on a table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TableObject {
-    /// Pose of the middle of the box around it in the same root frame; z is the table's normal, x along the longer edge.
+    /// Pose of its bounding box's centre in the same root frame; z is the table's normal, x along the longer edge.
     pub root_from_object: Isometry3<f64>,
     /// Edge lengths of that box, m.
     pub size: Vector3<f64>,
-    /// Covariance of its middle in the root frame, m²: the pixels' width at its distance on either side, and the
+    /// Covariance of its centre in the root frame, m²: the pixels' width at its distance on either side, and the
     /// table's deviation.
     pub covariance: Matrix3<f64>,
     /// Its mean colour, RGB.
     pub color: [u8; 3],
-    /// Around it in the left image.
+    /// Bounding box in the left image.
     pub bounding_box: Region,
 }
 
-/// What stands on a table.
+/// A table with its objects.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tabletop {
     /// The table.
     pub table: TableEstimate,
-    /// What stands on it, largest in the picture first.
+    /// The objects on it, largest in the image first.
     pub objects: Vec<TableObject>,
 }
 
-/// Finds tables and what stands on them in stereo frames with depth.
+/// Finds a table and the objects on it in stereo frames with depth.
 #[derive(Clone, Debug)]
 pub struct TabletopSegmentation {
     camera: PinholeCamera,
 }
 
-/// A point of the depth image: its place in the reduced image, and where it is in the root frame, m.
+/// A point of the depth image: its position in the reduced image, and in the root frame, m.
 struct Seen {
     place: usize,
     depth: f32,
@@ -81,14 +81,14 @@ struct Seen {
 }
 
 impl TabletopSegmentation {
-    /// For depth images of this camera.
+    /// A segmentation for depth images of this camera.
     #[must_use]
     pub fn new(camera: PinholeCamera) -> Self {
         Self { camera }
     }
 
-    /// What keeps a frame from being looked at: it does not say where its camera is, so that nothing has a place in the root
-    /// frame, or has no depth image of the camera's size. With what can be done, for people; `None`: nothing.
+    /// Why a frame cannot be used: it has no camera pose, so that points in the root frame are unknown, or no depth
+    /// image of the camera's size. A message with a remedy, for people; `None` when it can be used.
     #[must_use]
     pub fn lacks(&self, frame: &Frame) -> Option<String> {
         if frame.root_from_camera.is_none() {
@@ -118,8 +118,8 @@ impl TabletopSegmentation {
         })
     }
 
-    /// The table in a frame with what stands on it; `None` where there is no depth image of the camera's size, or no
-    /// level plane in it that is higher than a floor.
+    /// The table in a frame with its objects; `None` without a depth image of the camera's size, or without a level
+    /// plane above floor height.
     #[must_use]
     pub fn segment(&self, frame: &StereoFrame) -> Option<Tabletop> {
         let depth = frame.depth.as_ref()?;
@@ -159,7 +159,7 @@ impl TabletopSegmentation {
         places.filter_map(seen).collect()
     }
 
-    /// What rises from the table, a thing at a time: neighbours without a step in depth belong together.
+    /// The objects that rise from the table: neighbours without a step in depth belong together.
     fn things<'s>(
         &self,
         seen: &'s [Seen],

@@ -1,4 +1,4 @@
-//! The level plane that most points lie in, which is not the floor.
+//! Finds the level plane that contains the most points and is not the floor.
 
 use nalgebra::{Isometry3, Matrix3, Point2, Point3, Rotation3, SymmetricEigen, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -8,17 +8,17 @@ use crate::rectangle::Rectangle;
 
 /// Largest tilt of a level plane, rad.
 const LEVEL: f64 = 0.26;
-/// Height above the root frame's floor from which a plane is no floor, m.
+/// Least height of a plane above the root frame's floor, m.
 const NO_FLOOR: f64 = 0.3;
-/// How far from a plane its points may be while it is sought, m.
+/// Inlier distance during the search, m.
 const NEAR: f64 = 0.008;
-/// How many triples of points are tried.
+/// Number of random triples of points.
 const TRIES: usize = 300;
-/// Of how many points planes are judged.
+/// Number of points that score a plane.
 const JUDGES: usize = 2000;
 /// Least share of the points that lie in the plane.
 const LEAST_SHARE: f64 = 0.05;
-/// Points further off than this many deviations are not the plane's.
+/// Points farther away than this many standard deviations are outliers.
 const OUTLIER: f64 = 3.0;
 
 /// A plane with axes in it.
@@ -31,10 +31,10 @@ pub(super) struct Plane {
 }
 
 impl Plane {
-    /// The level plane that most of the points (root frame, m) lie in; `None` where there is none.
+    /// Finds the level plane that contains the most points (root frame, m); `None` where there is none.
     ///
     /// # Source
-    /// Fischler, Bolles 1981 (RANSAC), with a fixed seed; then total least squares on what is near.
+    /// Fischler, Bolles 1981 (RANSAC), with a fixed seed; then total least squares on the inliers.
     pub(super) fn level(points: &[Point3<f64>]) -> Option<Self> {
         if points.len() < 3 {
             return None;
@@ -74,17 +74,17 @@ impl Plane {
         Some(Self { middle: on_it, axes, deviation: (squares / f64::max(n, 1.0)).sqrt() })
     }
 
-    /// How far a point is above the plane, m.
+    /// A point's height above the plane, m.
     pub(super) fn above(&self, point: &Point3<f64>) -> f64 {
         (self.axes.inverse() * (point - self.middle)).z
     }
 
-    /// Where a point is along the plane's axes, m.
+    /// A point's coordinates along the plane's axes, m.
     pub(super) fn flat(&self, point: &Point3<f64>) -> Point2<f64> {
         Point2::from((self.axes.inverse() * (point - self.middle)).xy())
     }
 
-    /// The pose in the root frame of a rectangle's middle at a height above the plane, x along its longer edge.
+    /// The pose in the root frame of a rectangle's centre at a height above the plane, x along its longer edge.
     pub(super) fn pose(&self, rectangle: &Rectangle, height: f64) -> Isometry3<f64> {
         let middle = self.middle + self.axes * rectangle.middle.coords.push(height);
         let turned = self.axes * Rotation3::from_axis_angle(&Vector3::z_axis(), rectangle.angle);
@@ -98,7 +98,7 @@ fn upwards(normal: &Vector3<f64>) -> Option<Vector3<f64>> {
     (normal.z > LEVEL.cos()).then_some(normal)
 }
 
-/// The middle, the normal and the points' standard deviation of the plane that fits points best.
+/// The centroid, the normal and the points' standard deviation of the plane that fits the points best.
 fn least_squares(points: &[&Point3<f64>]) -> Option<(Point3<f64>, Vector3<f64>, f64)> {
     let n = points.len() as f64;
     if n < 3.0 {

@@ -1,4 +1,4 @@
-//! How fingertips move from frame to frame, learned from sequences: a second-order autoregressive model.
+//! The motion of fingertips from frame to frame, learned from sequences: a second-order autoregressive model.
 //!
 //! # Source
 //! Do, Asfour, Dillmann 2011 (AR(2) of fingertips); the fit is the conditional least squares of Lütkepohl 2005, 3.2.
@@ -6,8 +6,8 @@
 use nalgebra::{DMatrix, Matrix2, Point2, Vector2};
 use serde::{Deserialize, Serialize};
 
-/// `x(t) = A1 x(t-1) + A2 x(t-2) + d + e`, with `e` Gaussian: positions of one fingertip in normalised image
-/// coordinates (pixels from the principal point over the focal length), one step a frame.
+/// `x(t) = A1 x(t-1) + A2 x(t-2) + d + e` with Gaussian `e`: positions of one fingertip in normalised image
+/// coordinates (pixels from the principal point over the focal length), one step per frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FingerARModel {
     /// A1.
@@ -18,13 +18,13 @@ pub struct FingerARModel {
     pub offset: Vector2<f64>,
     /// Covariance of e.
     pub noise: Matrix2<f64>,
-    /// Frames a second of the sequences that it was learned from.
+    /// Frame rate of the training sequences, Hz.
     pub frame_rate_hz: f64,
-    /// How many steps it was learned from.
+    /// Number of training steps.
     pub samples: usize,
 }
 
-/// The model as it is written.
+/// The file format of the model.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Written {
@@ -36,25 +36,25 @@ struct Written {
     samples: usize,
 }
 
-/// Why there is no model.
+/// Why a model cannot be fitted or read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ArModelError {
-    /// Too few steps, or all alike.
+    /// Too few steps, or steps that are all alike.
     #[error("{samples} steps do not determine the model")]
     TooLittle {
         /// Steps given.
         samples: usize,
     },
-    /// It is not a model's file.
+    /// The file is not a model.
     #[error("the model cannot be read: {0}")]
     Yaml(String),
-    /// A number is not finite or the noise is no covariance.
+    /// A number is not finite, or the noise is not a covariance.
     #[error("the model's numbers make no sense")]
     Value,
 }
 
-/// The model that ships.
+/// The built-in model.
 const BUILT_IN: &str = include_str!("finger_ar2.yaml");
 
 impl Default for FingerARModel {
@@ -64,7 +64,8 @@ impl Default for FingerARModel {
 }
 
 impl FingerARModel {
-    /// A fingertip that stays where it is, but for noise of a standard deviation in normalised coordinates.
+    /// The model of a fingertip that stands still, with noise of a standard deviation in normalised
+    /// coordinates.
     #[must_use]
     pub fn random_walk(deviation: f64, frame_rate_hz: f64) -> Self {
         Self {
@@ -77,8 +78,8 @@ impl FingerARModel {
         }
     }
 
-    /// Learns the model by least squares from sequences of positions, one a frame; what is not finite breaks a
-    /// sequence.
+    /// Fits the model by least squares to sequences of positions, one per frame; a position that is not finite
+    /// splits a sequence.
     ///
     /// # Errors
     /// [`ArModelError::TooLittle`] when the steps do not determine the ten coefficients.
@@ -117,7 +118,7 @@ impl FingerARModel {
         })
     }
 
-    /// Where a fingertip is expected after `last` and, before that, `last_but_one`.
+    /// The expected position after `last` and, before it, `last_but_one`.
     #[must_use]
     pub fn predict(&self, last: &Point2<f64>, last_but_one: &Point2<f64>) -> Point2<f64> {
         Point2::from(
@@ -125,10 +126,10 @@ impl FingerARModel {
         )
     }
 
-    /// The model in a file.
+    /// Reads the model from a file's text.
     ///
     /// # Errors
-    /// [`ArModelError`] when the text is not such a file.
+    /// [`ArModelError`] when the text is not a valid model.
     pub fn from_yaml(text: &str) -> Result<Self, ArModelError> {
         let w: Written = serde_saphyr::from_str(text).map_err(|e| ArModelError::Yaml(e.to_string()))?;
         let matrix = |m: [[f64; 2]; 2]| Matrix2::new(m[0][0], m[0][1], m[1][0], m[1][1]);
@@ -146,7 +147,7 @@ impl FingerARModel {
         if usable { Ok(model) } else { Err(ArModelError::Value) }
     }
 
-    /// The text of the model's file.
+    /// Writes the model as a file's text.
     #[must_use]
     pub fn to_yaml(&self) -> String {
         let matrix =

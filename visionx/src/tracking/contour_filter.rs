@@ -1,10 +1,10 @@
-//! Up to five fingertips followed as the nodes of one contour, by a particle filter.
+//! Tracks up to five fingertips as the nodes of one contour with a particle filter.
 //!
-//! A particle is a whole contour: the places of all tips now and a frame ago. The contour is moved by the learned
-//! [`FingerARModel`], and its nodes are weighted by the frame's Hough candidates and by their distances from their
-//! neighbours on the contour, so that two nodes do not fall onto one finger. The nodes are weighted and drawn anew one
-//! after the other, because ten coordinates at once would need far more particles; a part of the draws of each node
-//! comes from the candidates themselves, so that a tip that was lost is found again.
+//! A particle is a whole contour: the positions of all tips in this frame and in the one before. The learned
+//! [`FingerARModel`] moves the contour. The frame's Hough candidates and the distances between neighbours on the
+//! contour weight its nodes, so that two nodes do not lock onto one finger. The nodes are weighted and resampled one
+//! after the other, because ten coordinates at once would need far more particles. Some samples of each node are drawn
+//! at the candidates, so that a lost tip is found again.
 //!
 //! # Source
 //! Do, Asfour, Dillmann 2011 (tips as contour nodes); MacCormick, Isard 2000 (node after node: partitioned sampling);
@@ -17,7 +17,7 @@ use rand_distr::StandardNormal;
 use super::ar_model::FingerARModel;
 use super::hough::TipCandidate;
 
-/// What the filter is told of the camera and the frame.
+/// The filter's input: camera and frame.
 #[derive(Clone, Copy, Debug)]
 pub struct FilterFrame<'a> {
     /// Focal length and principal point, px.
@@ -26,22 +26,22 @@ pub struct FilterFrame<'a> {
     pub center: [f64; 2],
     /// Radius of a fingertip, px.
     pub radius: f64,
-    /// Middle of the palm, px: tips are ordered around it.
+    /// Centre of the palm, px: tips are ordered around it.
     pub palm: Point2<f64>,
-    /// What may be tips.
+    /// The tip candidates of the frame.
     pub candidates: &'a [TipCandidate],
 }
 
 /// A node of the contour.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContourNode {
-    /// The same number for the same finger as long as it is followed.
+    /// Number of the finger, constant while it is tracked.
     pub id: u64,
-    /// The middle of the tip's rounding, px.
+    /// Centre of the circle fitted to the fingertip, px.
     pub px: Point2<f64>,
     /// Standard deviation of the particles, px.
     pub deviation: f64,
-    /// How many frames it has had no candidate.
+    /// Frames since its last candidate.
     pub unseen: u32,
 }
 
@@ -55,7 +55,7 @@ pub struct ParticleFilterFingerTracking {
     count: usize,
 }
 
-/// The places of all nodes, normalised image coordinates.
+/// Positions of all nodes, normalised image coordinates.
 #[derive(Clone, Debug, Default)]
 struct Contour {
     now: Vec<Point2<f64>>,
@@ -68,22 +68,22 @@ struct Node {
     unseen: u32,
 }
 
-/// Share of a node's draws that come from the candidates.
+/// Share of a node's samples that are drawn at the candidates.
 const FROM_IMAGE: f64 = 0.25;
-/// A candidate is a node's when it is this near, tip radii.
+/// Largest distance of a candidate from its node, tip radii.
 const NEAR: f64 = 2.5;
-/// Likelihood of a tip where no candidate is.
+/// Likelihood of a tip at a place without a candidate.
 const FLOOR: f64 = 0.02;
-/// Frames that a node is kept without a candidate while the hand is seen, and while it is not.
+/// Frames after which a node without a candidate is dropped: while the hand is seen, and while it is not.
 const KEPT: u32 = 3;
 const KEPT_BLIND: u32 = 12;
-/// Score from which a candidate starts a node.
+/// Least score of a candidate that starts a node.
 const START: f64 = 0.5;
 /// Most tips of a hand.
 const TIPS: usize = 5;
 
 impl ParticleFilterFingerTracking {
-    /// A filter of `count` particles that has seen nothing yet.
+    /// A filter of `count` particles without any tips.
     #[must_use]
     pub fn new(model: FingerARModel, count: usize) -> Self {
         Self {
@@ -95,12 +95,13 @@ impl ParticleFilterFingerTracking {
         }
     }
 
-    /// Forgets all tips.
+    /// Drops all tips.
     pub fn clear(&mut self) {
         *self = Self { next_id: self.next_id, ..Self::new(self.model, self.count) };
     }
 
-    /// Moves the contour through one frame in which no hand was seen. Returns how many tips are still followed.
+    /// Predicts the contour for a frame without a detected hand. Returns the number of tips that are still
+    /// tracked.
     pub fn predict(&mut self, rng: &mut impl Rng) -> usize {
         self.moved(rng);
         for i in (0..self.nodes.len()).rev() {
@@ -112,7 +113,7 @@ impl ParticleFilterFingerTracking {
         self.nodes.len()
     }
 
-    /// Moves the contour to a frame's tips.
+    /// Updates the contour with a frame's candidates.
     pub fn update(&mut self, frame: &FilterFrame<'_>, rng: &mut impl Rng) {
         self.moved(rng);
         for i in 0..self.nodes.len() {
@@ -122,7 +123,7 @@ impl ParticleFilterFingerTracking {
         self.start(frame, rng);
     }
 
-    /// The tips, in order around the palm, px of a camera.
+    /// The tips in order around the palm, px.
     #[must_use]
     pub fn nodes(&self, focal: f64, center: [f64; 2]) -> Vec<ContourNode> {
         let node = |(i, node): (usize, &Node)| {
@@ -154,7 +155,7 @@ impl ParticleFilterFingerTracking {
         }
     }
 
-    /// Draws anew by one node's likelihood.
+    /// Resamples by the likelihood of one node.
     fn weigh(&mut self, i: usize, frame: &FilterFrame<'_>, rng: &mut impl Rng) {
         let place =
             |c: &TipCandidate| Point2::from((c.center.coords - Vector2::from(frame.center)) / frame.focal);
@@ -217,7 +218,7 @@ impl ParticleFilterFingerTracking {
         self.particles = drawn;
     }
 
-    /// Counts the frames in which a node has had no candidate, and gives up those that have had none for long.
+    /// Counts the frames in which a node had no candidate, and drops nodes that had none for too long.
     fn count_unseen(&mut self, frame: &FilterFrame<'_>) {
         let nodes = self.nodes(frame.focal, frame.center);
         let mut taken = vec![usize::MAX; frame.candidates.len()];
@@ -250,7 +251,8 @@ impl ParticleFilterFingerTracking {
         }
     }
 
-    /// Starts nodes at candidates that no node has; a node that has lost its finger makes place for one.
+    /// Starts nodes at unassigned candidates; when all nodes are in use, one that lost its finger is
+    /// replaced.
     fn start(&mut self, frame: &FilterFrame<'_>, rng: &mut impl Rng) {
         for candidate in frame.candidates.iter().filter(|c| c.score >= START) {
             let nodes = self.nodes(frame.focal, frame.center);
@@ -306,7 +308,7 @@ mod tests {
         filter.nodes(515.0, [320.0, 240.0])
     }
 
-    /// Five tips, moving at a steady pace.
+    /// Five tips that move at constant speed.
     fn tips(t: f64) -> Vec<TipCandidate> {
         (0..5).map(|i| tip(220.0 + 35.0 * f64::from(i) + 6.0 * t, 180.0 + 3.0 * t)).collect()
     }

@@ -1,7 +1,7 @@
-//! The edge map of a hand: points on its outline with the direction into it.
+//! The edge map of a hand: points on its outline with the inward direction.
 //!
-//! The outline of a silhouette is whole pixels. Each of its points is moved along the normal to where the picture's
-//! colour is half way between inside and outside, so that circles fitted to the edges are good to a part of a pixel.
+//! A silhouette's outline has pixel resolution. Each of its points is moved along the normal to where the colour is
+//! half way between inside and outside, so that circles fitted to the edges have subpixel accuracy.
 
 use image::{ImageBuffer, Luma};
 use imageproc::filter::gaussian_blur_f32;
@@ -13,18 +13,18 @@ use crate::mask::Mask;
 /// A point of the outline.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Edge {
-    /// Where, px.
+    /// Position, px.
     pub at: Point2<f64>,
     /// Unit normal into the hand.
     pub inward: Vector2<f64>,
 }
 
-/// Blur of the silhouette before its normals are taken, px.
+/// Blur of the silhouette before its normals are computed, px.
 const BLUR: f32 = 1.5;
-/// How far along the normal the edge is sought, px.
+/// Search range of the edge along the normal, px.
 const SEARCH: f64 = 2.0;
 
-/// The edges of a silhouette in its picture. Where the silhouette ends at the picture's border there is no edge.
+/// The edges of a silhouette in its image. There is no edge where the silhouette ends at the image's border.
 #[must_use]
 pub fn edge_map(image: &Image, hand: &Mask) -> Vec<Edge> {
     let region = hand.region();
@@ -33,7 +33,7 @@ pub fn edge_map(image: &Image, hand: &Mask) -> Vec<Edge> {
     if w == 0 || h == 0 {
         return Vec::new();
     }
-    // A frame around the mask, so that a hand that fills it has a slope there.
+    // A border around the mask, so that a hand that fills the mask has a gradient there.
     const FRAME: u32 = 4;
     let level = |x: u32, y: u32| {
         let (x, y) = (i64::from(x) - i64::from(FRAME), i64::from(y) - i64::from(FRAME));
@@ -54,7 +54,7 @@ pub fn edge_map(image: &Image, hand: &Mask) -> Vec<Edge> {
             let (sx, sy) = (x + FRAME, y + FRAME);
             let slope = Vector2::new(at(sx + 1, sy) - at(sx - 1, sy), at(sx, sy + 1) - at(sx, sy - 1)) / 2.0;
             let Some(inward) = slope.try_normalize(1e-4) else { continue };
-            // The silhouette's own half level, about half a pixel outside of its outermost pixel.
+            // The level 0.5 of the blurred silhouette, about half a pixel outside of its outermost pixel.
             let half = Point2::new(px as f64, py as f64)
                 + inward * ((0.5 - at(sx, sy)) / slope.norm()).clamp(-1.5, 1.5);
             edges.push(Edge { at: refined(image, &half, &inward), inward });
@@ -63,7 +63,8 @@ pub fn edge_map(image: &Image, hand: &Mask) -> Vec<Edge> {
     edges
 }
 
-/// Where along the normal the colour is half way between inside and outside; the point itself where that is unclear.
+/// Finds where the colour along the normal is half way between inside and outside; returns `at` where that is
+/// unclear.
 fn refined(image: &Image, at: &Point2<f64>, inward: &Vector2<f64>) -> Point2<f64> {
     let color = |t: f64| bilinear(image, &(at + inward * t));
     let (outside, inside) = (color(-SEARCH - 0.5), color(SEARCH + 0.5));
@@ -113,7 +114,7 @@ pub(super) mod tests {
     use super::*;
     use crate::mask::Region;
 
-    /// A disc of a skin's colour before a wall, with smooth edges, and its silhouette of whole pixels.
+    /// A skin-coloured disc before a wall, with smooth edges, and its silhouette in whole pixels.
     pub(in crate::tracking) fn disc(x: f64, y: f64, r: f64) -> (Image, Mask) {
         let (w, h) = (80u32, 70u32);
         let mut data = Vec::new();

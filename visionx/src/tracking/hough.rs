@@ -1,4 +1,4 @@
-//! Fingertips as circles in an edge map, with a radius that follows the hand's distance.
+//! Detects fingertips as circles in an edge map, with a radius that depends on the hand's distance.
 //!
 //! # Source
 //! Do, Asfour, Dillmann 2011, "Particle filter-based fingertip tracking with circular Hough transform features"; the
@@ -17,24 +17,24 @@ use crate::mask::Region;
 pub struct AdaptiveHoughTransform {
     /// Radius of a fingertip, m.
     pub tip_radius: f64,
-    /// The distance whose radius in pixels is used at all distances, m; `None`: the radius follows the distance.
+    /// A distance whose radius in pixels is used at all distances, m; `None`: the radius follows the distance.
     pub fixed_depth: Option<f64>,
 }
 
 /// A circle that may be a fingertip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TipCandidate {
-    /// The middle of the tip's rounding, px.
+    /// Centre of the circle, px.
     pub center: Point2<f64>,
     /// Its radius, px.
     pub radius: f64,
-    /// Out of the finger, unit vector.
+    /// Direction out of the finger, unit vector.
     pub outward: Vector2<f64>,
-    /// How much it looks like a tip, 0 to 1: half a circle of edges, and none on the side of the finger.
+    /// Similarity to a tip, 0 to 1: edges on half of the circle, and none on the finger's side.
     pub score: f64,
 }
 
-/// The votes of a transform, and what came out.
+/// The votes of a transform.
 #[derive(Clone, Debug)]
 pub struct HoughVotes {
     region: Region,
@@ -42,9 +42,9 @@ pub struct HoughVotes {
     votes: ImageBuffer<Luma<f32>, Vec<f32>>,
 }
 
-/// Radii that are voted for, as shares of the expected one.
+/// Radii that get votes, relative to the expected one.
 const RADII: [f64; 5] = [0.80, 0.90, 1.0, 1.10, 1.20];
-/// Sectors of the circle in which edges are sought.
+/// Sectors of the circle in which edges are counted.
 const SECTORS: usize = 24;
 /// Least score of a candidate.
 const LEAST_SCORE: f64 = 0.35;
@@ -58,14 +58,14 @@ impl Default for AdaptiveHoughTransform {
 }
 
 impl AdaptiveHoughTransform {
-    /// The radius of a fingertip at a depth, px, seen with a focal length in px: `f R / Z`.
+    /// The radius of a fingertip at a depth, px, for a focal length in px: `f R / Z`.
     #[must_use]
     pub fn radius_px(&self, focal: f64, depth: f64) -> f64 {
         focal * self.tip_radius / self.fixed_depth.unwrap_or(depth).max(1e-3)
     }
 
-    /// Lets the edges vote for the middles of circles of a radius, px. `None` without edges or with a radius that is
-    /// no number of pixels.
+    /// Lets the edges vote for the centres of circles of a radius, px. `None` without edges or with an invalid
+    /// radius.
     #[must_use]
     pub fn votes(&self, edges: &[Edge], radius: f64) -> Option<HoughVotes> {
         if edges.is_empty() || !(LEAST_RADIUS..=200.0).contains(&radius) {
@@ -91,7 +91,7 @@ impl AdaptiveHoughTransform {
 }
 
 impl HoughVotes {
-    /// The votes at a place, 0 outside.
+    /// The votes at a pixel, 0 outside.
     fn at(&self, x: i64, y: i64) -> f64 {
         let (x, y) = (x - i64::from(self.region.x), y - i64::from(self.region.y));
         let inside =
@@ -99,7 +99,7 @@ impl HoughVotes {
         if inside { f64::from(self.votes.get_pixel(x as u32, y as u32).0[0]) } else { 0.0 }
     }
 
-    /// The circles that may be fingertips, best first: peaks of the votes whose edges make the end of a finger.
+    /// The circles that may be fingertips, best first: peaks of the votes whose edges form the end of a finger.
     #[must_use]
     pub fn candidates(&self, edges: &[Edge]) -> Vec<TipCandidate> {
         let mut found: Vec<TipCandidate> = self
@@ -118,7 +118,7 @@ impl HoughVotes {
         apart
     }
 
-    /// The votes' mean place around a point: one of Comaniciu's and Meer's mean-shift steps after another, px.
+    /// The mean position of the votes around a point, px, by repeated mean-shift steps (Comaniciu, Meer).
     #[must_use]
     pub fn mean_shift(&self, start: &Point2<f64>) -> Point2<f64> {
         let reach = 0.6 * self.radius;
@@ -147,11 +147,12 @@ impl HoughVotes {
         at
     }
 
-    /// Local maxima with a good part of the votes that half a circle gives.
+    /// Local maxima with a sufficient share of the votes of half a circle.
     fn peaks(&self) -> Vec<Point2<f64>> {
         let expected = std::f64::consts::PI * self.radius;
         let blur = (0.13 * self.radius).clamp(0.7, 3.0);
-        // All votes of one radius fall together in the blur's peak. Whole numbers have an order, as is asked for.
+        // All votes of one radius coincide in the blur's peak. Integers, because the peak search needs a total
+        // order.
         let whole = |votes: f64| (votes * 4096.0) as u32;
         let least = whole(0.22 * expected / (2.0 * std::f64::consts::PI * blur * blur));
         let (w, h) = self.votes.dimensions();
@@ -164,7 +165,7 @@ impl HoughVotes {
         suppressed.enumerate_pixels().filter_map(peak).collect()
     }
 
-    /// How much the edges around a place make the end of a finger.
+    /// Scores how well the edges around a place form the end of a finger.
     fn judged(&self, at: &Point2<f64>, edges: &[Edge]) -> Option<TipCandidate> {
         let mut sectors = [false; SECTORS];
         let (mut n, mut radius) = (0.0, 0.0);
@@ -191,7 +192,8 @@ impl HoughVotes {
     }
 }
 
-/// The length of the longest run of set sectors around the circle, one missing one bridged, and its middle.
+/// The length and the middle of the longest run of set sectors around the circle; a single missing sector is
+/// bridged.
 fn longest_arc(sectors: &[bool; SECTORS]) -> (usize, f64) {
     let set = |i: usize| {
         sectors[i % SECTORS] || (sectors[(i + SECTORS - 1) % SECTORS] && sectors[(i + 1) % SECTORS])
@@ -206,7 +208,7 @@ fn longest_arc(sectors: &[bool; SECTORS]) -> (usize, f64) {
     best
 }
 
-/// Adds one vote, shared among the four pixels around a place.
+/// Adds one vote, split among the four pixels around a place.
 fn splat(votes: &mut ImageBuffer<Luma<f32>, Vec<f32>>, x: f64, y: f64) {
     let (x0, y0) = (x.floor(), y.floor());
     if x0 < 0.0 || y0 < 0.0 || x0 + 1.0 >= f64::from(votes.width()) || y0 + 1.0 >= f64::from(votes.height()) {

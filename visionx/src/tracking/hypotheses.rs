@@ -1,8 +1,8 @@
-//! Ways to cut a picture into a hand and the rest: none is trusted, all are proposed.
+//! Proposes many segmentations of an image into hand and background; none is trusted by itself.
 //!
-//! A fixed box of skin colours fails in front of wood and of warm walls, and so does any one threshold. Therefore each
-//! of several colour axes is cut at its own best thresholds, and the scene's own colour clusters are put together in
-//! ones, twos and threes. [`super::likeness`] says which of the things that come out looks like a hand.
+//! A fixed range of skin colours fails in front of wood and of warm walls, and so does any single threshold. Therefore
+//! each of several colour axes is split at its own best thresholds, and the scene's colour clusters are combined in
+//! ones, twos and threes. [`super::likeness`] scores how much each resulting region looks like a hand.
 
 use std::collections::BTreeSet;
 
@@ -13,14 +13,14 @@ use crate::mask::{Mask, Region};
 
 /// Levels of a histogram.
 const LEVELS: usize = 64;
-/// How many colour clusters a scene is cut into, coarsely and finely.
+/// Number of colour clusters, coarse and fine.
 const CLUSTERS: [usize; 2] = [4, 6];
-/// Least share of the picture that a hand fills.
+/// Least share of the image that a hand fills.
 pub(super) const LEAST_SHARE: f64 = 0.012;
-/// Share of the picture under which a hole in a hand is filled.
+/// Largest hole in a hand that is filled, share of the image.
 const HOLE_SHARE: f64 = 0.01;
 
-/// The things that may be a hand, each alone in a mask of the whole picture; no two are the same.
+/// The regions that may be a hand, each alone in a mask of the whole image, without duplicates.
 pub(super) fn hypotheses(lab: &LabImage) -> Vec<Mask> {
     let mut cuts: Vec<Vec<bool>> = Vec::new();
     for axis in AXES {
@@ -42,11 +42,11 @@ pub(super) fn hypotheses(lab: &LabImage) -> Vec<Mask> {
     things
 }
 
-/// The colour axes: lightness, redness, yellowness; the last two without shading; hue.
+/// The colour axes: lightness, redness, yellowness; the last two independent of shading; hue.
 const AXES: [fn(&[f32; 3]) -> f32; 6] =
     [|c| c[0], |c| c[1], |c| c[2], |c| c[1] / (c[0] + 16.0), |c| c[2] / (c[0] + 16.0), |c| c[2].atan2(c[1])];
 
-/// The largest `most` connected things of a cut, smoothed and without small holes.
+/// The largest `most` components of a segmentation, smoothed and without small holes.
 pub(super) fn parts(lab: &LabImage, cut: &[bool], most: usize) -> Vec<Mask> {
     let region = Region::whole(lab.width as u32, lab.height as u32);
     let mut mask = Mask::empty(region);
@@ -63,7 +63,8 @@ pub(super) fn parts(lab: &LabImage, cut: &[bool], most: usize) -> Vec<Mask> {
     found.iter().take(most).map(alone).collect()
 }
 
-/// Cuts values at the two thresholds that separate three classes best, and proposes each class and each outer pair.
+/// Splits values at the two thresholds that separate three classes best, and proposes each class and each outer
+/// pair.
 fn by_thresholds(values: &[f32], cuts: &mut Vec<Vec<bool>>) {
     let (low, high) = range(values);
     if high - low < 1e-3 {
@@ -83,7 +84,7 @@ fn by_thresholds(values: &[f32], cuts: &mut Vec<Vec<bool>>) {
     propose(&|l| (lower..upper).contains(&l));
 }
 
-/// The range of values without the outermost half percent at each end.
+/// The range of values without the outermost 0.5 % at each end.
 fn range(values: &[f32]) -> (f32, f32) {
     let mut sorted: Vec<f32> = values.to_vec();
     sorted.sort_by(f32::total_cmp);
@@ -94,7 +95,7 @@ fn range(values: &[f32]) -> (f32, f32) {
     }
 }
 
-/// The weight and the first moment of the levels below each level.
+/// The cumulative weight and first moment below each level.
 fn cumulated(histogram: &[f64; LEVELS]) -> ([f64; LEVELS + 1], [f64; LEVELS + 1]) {
     let (mut weight, mut moment) = ([0.0; LEVELS + 1], [0.0; LEVELS + 1]);
     for (i, h) in histogram.iter().enumerate() {
@@ -104,7 +105,7 @@ fn cumulated(histogram: &[f64; LEVELS]) -> ([f64; LEVELS + 1], [f64; LEVELS + 1]
     (weight, moment)
 }
 
-/// The first level of the upper class (Otsu 1979): the variance between the classes is greatest.
+/// The first level of the upper class (Otsu 1979), which maximises the variance between the classes.
 fn otsu(histogram: &[f64; LEVELS]) -> usize {
     let sums = cumulated(histogram);
     let between = |t: &usize| spread(&sums, 0, *t) + spread(&sums, *t, LEVELS);
@@ -126,13 +127,13 @@ fn otsu_of_three(histogram: &[f64; LEVELS]) -> (usize, usize) {
     (best.0, best.1)
 }
 
-/// What a class of levels adds to the variance between classes, up to a constant.
+/// The contribution of a class of levels to the variance between classes, up to a constant.
 fn spread((weight, moment): &([f64; LEVELS + 1], [f64; LEVELS + 1]), from: usize, to: usize) -> f64 {
     let (w, m) = (weight[to] - weight[from], moment[to] - moment[from]);
     if w > 0.0 { m * m / w } else { 0.0 }
 }
 
-/// Proposes the colour clusters of a scene in ones, twos and threes.
+/// Proposes the scene's colour clusters in ones, twos and threes.
 fn by_clusters(lab: &LabImage, k: usize, cuts: &mut Vec<Vec<bool>>) {
     let Some(mixture) = Mixture::fit(&lab.data, k) else { return };
     let of: Vec<usize> = lab.data.iter().map(|c| mixture.part_of(c)).collect();

@@ -1,4 +1,4 @@
-//! Small pictures in CIELAB: where colours lie as far apart as people see them.
+//! Small images in CIELAB, where distances of colours match their perceived differences.
 //!
 //! # Source
 //! IEC 61966-2-1 (sRGB), CIE 15 (L*a*b*, white point D65).
@@ -8,19 +8,19 @@ use image::imageops::thumbnail;
 
 use crate::frame::Image;
 
-/// A picture in CIELAB, rows from the top.
+/// An image in CIELAB, rows from the top.
 #[derive(Clone, Debug)]
 pub(super) struct LabImage {
     pub(super) width: usize,
     pub(super) height: usize,
     /// L* 0 to 100, a*, b* about -100 to 100.
     pub(super) data: Vec<[f32; 3]>,
-    /// Pixels of the original a pixel here.
+    /// Pixels of the original per pixel here.
     pub(super) scale: f64,
 }
 
 impl LabImage {
-    /// The image with its longer side at most `longest` px; means of the pixels that fall together.
+    /// Reduces the image to a longer side of at most `longest` px by averaging.
     pub(super) fn of(image: &Image, longest: u32) -> Option<Self> {
         let (w, h) = (image.width(), image.height());
         let scale = (f64::from(w.max(h)) / f64::from(longest)).max(1.0);
@@ -33,7 +33,7 @@ impl LabImage {
         (width > 0 && height > 0).then_some(Self { width, height, data, scale })
     }
 
-    /// The colour at a pixel, the nearest one inside for those outside.
+    /// The colour at a pixel; outside of the image, that of the nearest pixel inside.
     pub(super) fn at(&self, x: i64, y: i64) -> [f32; 3] {
         let x = x.clamp(0, self.width as i64 - 1) as usize;
         let y = y.clamp(0, self.height as i64 - 1) as usize;
@@ -46,7 +46,7 @@ pub(super) fn apart(a: &[f32; 3], b: &[f32; 3]) -> f32 {
     (0..3).map(|i| (a[i] - b[i]) * (a[i] - b[i])).sum()
 }
 
-/// The light of each of the 256 levels of sRGB, 0 to 1.
+/// The linear intensity of each of the 256 levels of sRGB, 0 to 1.
 fn linear_levels() -> [f32; 256] {
     std::array::from_fn(|v| {
         let v = v as f32 / 255.0;

@@ -1,5 +1,5 @@
-//! How much a thing in a picture looks like a hand before anything is known of its distance: its outline lies on
-//! edges, it does not lie around the picture as a wall does, it has a palm, and its colour can be skin.
+//! Scores how much a region looks like a hand while its distance is unknown: its outline lies on edges, it does
+//! not surround the image as a wall does, it has a palm, and its colour can be skin.
 
 use nalgebra::Vector2;
 
@@ -8,28 +8,28 @@ use crate::mask::Mask;
 
 /// Distance from the outline at which colours inside and outside are compared, px.
 const REACH: f32 = 2.6;
-/// Difference of colours that is an edge for sure, CIELAB.
+/// Difference of colours that is certainly an edge, CIELAB.
 const CLEAR: f32 = 14.0;
-/// Area of a hand in a picture of it, share: middle and deviation of its logarithm.
+/// Share of the image that a hand fills: mean and standard deviation of its logarithm.
 const SHARE: (f64, f64) = (0.17, 0.75);
-/// Skin of all tones in white and in warm light: middle and deviations of redness and yellowness over lightness, and
-/// of hue, rad.
+/// Skin of all tones in white and in warm light: mean and standard deviation of redness and yellowness over
+/// lightness, and of hue, rad.
 const REDNESS: (f64, f64) = (0.20, 0.06);
 const YELLOWNESS: (f64, f64) = (0.24, 0.09);
 const HUE: (f64, f64) = (0.87, 0.28);
 
-/// What was seen of a thing.
+/// The features of a region.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Likeness {
-    /// How much its outline lies on edges, 0 to 1.
+    /// How well its outline lies on edges, 0 to 1.
     pub(super) edge: f64,
-    /// Share of the picture's border that it covers.
+    /// Share of the image's border that it covers.
     pub(super) border: f64,
-    /// How many of the picture's corners it covers.
+    /// Number of the image's corners that it covers.
     pub(super) corners: usize,
-    /// Share of the picture that it fills.
+    /// Share of the image that it fills.
     pub(super) share: f64,
-    /// Share of it that the largest disc inside fills.
+    /// Area of the largest disc inside, share of its own area.
     pub(super) palm: f64,
     /// Its mean colour.
     pub(super) color: [f32; 3],
@@ -38,7 +38,7 @@ pub(super) struct Likeness {
 }
 
 impl Likeness {
-    /// Looks at a thing in a picture; `None` for nothing.
+    /// Computes the features; `None` for an empty region.
     pub(super) fn of(lab: &LabImage, thing: &Mask) -> Option<Self> {
         let area = thing.count() as f64;
         if area < 1.0 {
@@ -61,12 +61,12 @@ impl Likeness {
         })
     }
 
-    /// The logarithm of how well it is a hand, up to a constant.
+    /// The log-likelihood of a hand, up to a constant.
     pub(super) fn score(&self) -> f64 {
         let off = |v: f64, (middle, deviation): (f64, f64)| ((v - middle) / deviation).powi(2);
         let size = off(self.share.ln(), (SHARE.0.ln(), SHARE.1));
         let skin = unlike_skin(&self.color);
-        // A hand is a palm with fingers and perhaps an arm; a ragged or a long thing is not.
+        // A hand is a palm with fingers and perhaps an arm. Ragged or long regions are not hands.
         let palm = off(self.palm.clamp(0.0, 1.0), (0.50, 0.17));
         10.0 * self.edge
             - 0.5 * size
@@ -78,12 +78,12 @@ impl Likeness {
     }
 }
 
-/// How far a colour is from those that skin can have, squared deviations.
+/// The distance of a colour from skin colours, squared deviations.
 pub(super) fn unlike_skin(color: &[f32; 3]) -> f64 {
     let off = |v: f64, (middle, deviation): (f64, f64)| ((v - middle) / deviation).powi(2);
-    // Deep shade and warm light saturate skin, but nothing makes it grey.
+    // Deep shade and warm light make skin more saturated, but nothing makes it grey.
     let light = f64::from(color[0]) + 16.0;
-    // A picture that is too bright bleaches it.
+    // Overexposure bleaches it.
     let bleached = ((124.0 - light) / 40.0).clamp(0.15, 1.0);
     let either =
         |v: f64, (m, d): (f64, f64)| off(v, (m * bleached, if v > m * bleached { 2.5 * d } else { d }));
@@ -92,7 +92,7 @@ pub(super) fn unlike_skin(color: &[f32; 3]) -> f64 {
     apart.min(12.0) + off(yellow.atan2(red), HUE).min(9.0)
 }
 
-/// The share of the picture's border that a thing covers, and how many corners.
+/// The share of the image's border that a region covers, and the number of corners.
 fn border(thing: &Mask) -> (f64, usize) {
     let (w, h) = (thing.width(), thing.height());
     let row = |y: usize| thing.row(y).iter().map(|&v| usize::from(v)).sum::<usize>();
@@ -103,8 +103,8 @@ fn border(thing: &Mask) -> (f64, usize) {
     (covered as f64 / (2 * (w + h)) as f64, count)
 }
 
-/// How much the outline lies on edges: the mean over the outline of how clearly the colours on its two sides differ,
-/// drawn down by its unclear parts.
+/// How well the outline lies on edges: the mean contrast between its two sides, lowered by its parts of low
+/// contrast.
 fn edge(lab: &LabImage, thing: &Mask) -> f64 {
     let (w, h) = (thing.width() as i64, thing.height() as i64);
     let (mut sum, mut unclear, mut n) = (0.0, 0.0, 0.0f64);
@@ -128,7 +128,7 @@ fn edge(lab: &LabImage, thing: &Mask) -> f64 {
     if n > 0.0 { (sum / n - 0.7 * unclear / n).max(0.0) } else { 0.0 }
 }
 
-/// The direction out of a thing at a pixel of its outline.
+/// The outward direction at a pixel of a region's outline.
 fn outward(thing: &Mask, x: i64, y: i64) -> Option<Vector2<f32>> {
     let mut sum = Vector2::zeros();
     for (dx, dy) in (-3i64..=3).flat_map(|dy| (-3i64..=3).map(move |dx| (dx, dy))) {

@@ -1,5 +1,5 @@
-//! Mixtures of Gaussians of colours, fitted by expectation maximisation. No randomness: it starts from the colours that
-//! lie farthest from each other.
+//! Gaussian mixtures of colours, fitted by expectation maximisation. Deterministic: the start is a farthest-first
+//! choice of colours.
 //!
 //! # Source
 //! Dempster, Laird, Rubin 1977 (EM); Gonzalez 1985 (farthest-first start).
@@ -22,19 +22,19 @@ struct Part {
     log_top: f32,
 }
 
-/// Least variance along any axis, squared units of CIELAB: below it, noise and rounding decide.
+/// Least variance along any axis, squared units of CIELAB; below it, noise and rounding dominate.
 const LEAST_VARIANCE: f32 = 2.0;
-/// Most colours that are looked at.
+/// Most colours used for the fit.
 const MOST_SAMPLES: usize = 3000;
 const ROUNDS: usize = 8;
 
 impl Mixture {
-    /// The mixture of at most `k` parts; `None` without colours.
+    /// Fits a mixture of at most `k` components; `None` without colours.
     pub(super) fn fit(colors: &[[f32; 3]], k: usize) -> Option<Self> {
         let stride = colors.len().div_ceil(MOST_SAMPLES).max(1);
         let samples: Vec<[f32; 3]> = colors.iter().copied().step_by(stride).collect();
         let mut of = assign(&samples, &farthest_first(&samples, k)?);
-        // A few rounds of k-means give EM a start that shading cannot upset.
+        // A few rounds of k-means give EM a start that is robust against shading.
         for _ in 0..4 {
             of = assign(&samples, &means(&samples, &of, k));
         }
@@ -57,7 +57,7 @@ impl Mixture {
         top + logs.map(|l| (l - top).exp()).sum::<f32>().ln()
     }
 
-    /// The parts whose means are wanted, and the others; `None` for a side without any.
+    /// The components whose means are `wanted`, and the others; `None` for an empty side.
     pub(super) fn divided(&self, wanted: impl Fn(&[f32; 3]) -> bool) -> (Option<Self>, Option<Self>) {
         let (yes, no): (Vec<Part>, Vec<Part>) =
             self.parts.iter().cloned().partition(|p| wanted(&[p.mean.x, p.mean.y, p.mean.z]));
@@ -65,12 +65,12 @@ impl Mixture {
         (some(yes), some(no))
     }
 
-    /// The means of the parts.
+    /// The means of the components.
     pub(super) fn means(&self) -> impl Iterator<Item = [f32; 3]> + '_ {
         self.parts.iter().map(|p| [p.mean.x, p.mean.y, p.mean.z])
     }
 
-    /// The most likely part of a colour.
+    /// The most likely component of a colour.
     pub(super) fn part_of(&self, color: &[f32; 3]) -> usize {
         let log = |i: &usize| self.parts[*i].log(color);
         (0..self.parts.len()).max_by(|a, b| log(a).total_cmp(&log(b))).unwrap_or(0)
@@ -115,7 +115,7 @@ fn farthest_first(samples: &[[f32; 3]], k: usize) -> Option<Vec<[f32; 3]>> {
     let mut distance: Vec<f32> = samples.iter().map(|s| apart(s, &middle)).collect();
     for _ in 1..k {
         let far = (0..samples.len()).max_by(|&a, &b| distance[a].total_cmp(&distance[b]))?;
-        // Half way to it from the middle: the farthest colours themselves are often specks.
+        // Half way to it from the mean: the farthest colours themselves are often outliers.
         let seed = std::array::from_fn(|i| 0.5 * (samples[far][i] + middle[i]));
         chosen.push(seed);
         for (d, s) in distance.iter_mut().zip(samples) {
@@ -133,7 +133,7 @@ fn assign(samples: &[[f32; 3]], centers: &[[f32; 3]]) -> Vec<usize> {
     samples.iter().map(nearest).collect()
 }
 
-/// The means of `k` groups; one without colours is at black.
+/// The means of `k` groups; black for an empty group.
 fn means(samples: &[[f32; 3]], of: &[usize], k: usize) -> Vec<[f32; 3]> {
     let mut sums = vec![([0.0f32; 3], 0.0f32); k];
     for (s, &o) in samples.iter().zip(of) {

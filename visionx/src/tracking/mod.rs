@@ -1,10 +1,10 @@
-//! Fingers in pictures and in sequences of them: the tracking classes.
+//! Tracks fingers in single images and in streams.
 //!
-//! - [`FingerTipTracking`]: the fingertips in a stream of stereo frames. It is made of [`edge_map`],
+//! - [`FingerTipTracking`]: the fingertips in a stream of stereo frames. It is built from [`edge_map`],
 //!   [`AdaptiveHoughTransform`], [`ParticleFilterFingerTracking`] and [`FingerARModel`].
-//! - [`HandInPicture`]: the hand, its fingertips and its gesture in one picture of an unknown camera, cut out by
+//! - [`HandInPicture`]: the hand, its fingertips and its gesture in one image of an unknown camera, segmented by
 //!   [`SkinSegmentation`].
-//! - [`GestureRecognizer`]: gestures as labelled patterns of fingers, from a file.
+//! - [`GestureRecognizer`]: recognises gestures by patterns of fingers from a file.
 
 mod ar_model;
 mod contour_filter;

@@ -1,7 +1,7 @@
-//! A hand in one picture of an unknown camera: its palm, its stretched fingers and its gesture.
+//! A hand in one image of an unknown camera: its palm, its stretched fingers and its gesture.
 //!
-//! The hand is cut out by [`SkinSegmentation`]. Its distance is not known, so its palm is taken for one of the usual
-//! size, and everything is measured against it.
+//! [`SkinSegmentation`] segments the hand. Its distance is unknown, so its palm is assumed to have a typical size,
+//! and all lengths are relative to it.
 
 use nalgebra::{Point2, Vector2};
 
@@ -14,31 +14,31 @@ use crate::mask::{Mask, Region};
 use crate::tracking::hand::Fingertip;
 use crate::tracking::hand::shape::{Finger, HandShape, hand_shape};
 
-/// Radius of the largest disc in a usual palm, m.
+/// Radius of the largest disc in a typical palm, m.
 const PALM: f64 = 0.040;
-/// How far the place that is given for a fingertip lies inside of the finger's measured end, m.
+/// Distance of the reported fingertip inside of the finger's measured end, m.
 const PAD: f64 = 0.0022;
-/// Nothing of a hand is farther from its palm's middle than this, palm radii; what is, is arm.
+/// Largest distance of a hand's pixel from the palm's centre, palm radii; farther pixels are arm.
 const REACH: f64 = 5.2;
 
-/// A hand seen in one picture.
+/// A hand in one image.
 #[derive(Clone, Debug)]
 pub struct HandInPicture {
     /// Its silhouette at the segmentation's resolution.
     pub segmentation: SkinSegmentation,
-    /// Around it in the picture.
+    /// Bounding box in the image.
     pub bounding_box: Region,
-    /// Centre of the palm, px of the picture.
+    /// Centre of the palm, px of the image.
     pub palm: Point2<f64>,
-    /// Radius of the largest disc in the palm, px of the picture.
+    /// Radius of the largest disc in the palm, px of the image.
     pub palm_radius: f64,
-    /// Stretched fingers in order around the palm, px of the picture.
+    /// Stretched fingers in order around the palm, px of the image.
     pub fingertips: Vec<Fingertip>,
     shape: HandShape,
 }
 
 impl HandInPicture {
-    /// The hand in a picture, `None` where there is none.
+    /// Finds the hand in an image, `None` where there is none.
     #[must_use]
     pub fn find(image: &Image) -> Option<Self> {
         let segmentation = SkinSegmentation::of(image)?;
@@ -63,26 +63,26 @@ impl HandInPicture {
         })
     }
 
-    /// What may be stretched fingers, for a [`super::GestureRecognizer`].
+    /// Possible stretched fingers, as input of a [`super::GestureRecognizer`].
     #[must_use]
     pub fn fingers(&self) -> Vec<SeenFinger> {
         self.shape.fingers.iter().map(|f| f.seen(self.shape.palm_radius)).collect()
     }
 }
 
-/// The shape of a silhouette, its palm taken for a usual one.
+/// The shape of a silhouette, assuming a typical palm.
 pub(super) fn measured(mask: &Mask) -> Option<HandShape> {
     let (palm, radius) = widest(mask)?;
     hand_shape(&near(mask, &palm, REACH * radius), PALM / radius)
 }
 
-/// The place of a finger's pad: a little inside of its end.
+/// The finger's pad, slightly inside of its end.
 fn inside_end(finger: &Finger, pixel_m: f64) -> Point2<f64> {
     let back = (finger.base - finger.tip).try_normalize(1e-9).unwrap_or_default();
     finger.tip + back * (PAD / pixel_m)
 }
 
-/// The middle and the radius of the widest part of a mask, px.
+/// The centre and the radius of the widest part of a mask, px.
 fn widest(mask: &Mask) -> Option<(Point2<f64>, f64)> {
     let distances = inside(mask);
     let (i, radius) = distances.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))?;
@@ -90,7 +90,7 @@ fn widest(mask: &Mask) -> Option<(Point2<f64>, f64)> {
     (*radius > 2.0).then_some((middle, f64::from(*radius)))
 }
 
-/// What of a mask of a whole picture lies within `reach` px of a point.
+/// The part of a mask within `reach` px of a point.
 fn near(mask: &Mask, middle: &Point2<f64>, reach: f64) -> Mask {
     let whole = mask.region();
     let (from, to) = (middle - Vector2::repeat(reach), middle + Vector2::repeat(reach));
@@ -105,7 +105,7 @@ fn near(mask: &Mask, middle: &Point2<f64>, reach: f64) -> Mask {
     part
 }
 
-/// A region of a reduced picture in the picture.
+/// Scales a region of a reduced image to the full image.
 fn enlarged(region: &Region, scale: f64, whole: &Region) -> Region {
     let [x0, y0] = [region.x, region.y].map(|v| f64::from(v) * scale);
     let [x1, y1] = [region.x + region.width, region.y + region.height].map(|v| f64::from(v) * scale - 1.0);

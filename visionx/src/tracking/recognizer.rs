@@ -1,14 +1,14 @@
-//! Gestures by comparing the fingers that are seen with labelled patterns, which a file may define.
+//! Recognises gestures by comparing the detected fingers with labelled patterns, which a file may define.
 
 use std::collections::BTreeMap;
 
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
-/// A finger as it is seen in a picture.
+/// A detected finger.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenFinger {
-    /// From where it leaves the palm to its end; only angles between them matter.
+    /// Direction from the palm to the fingertip; only angles between directions matter.
     pub direction: Vector2<f64>,
     /// Its length, palm radii.
     pub length: f64,
@@ -26,7 +26,7 @@ pub struct Expected {
     pub deviation: f64,
 }
 
-/// A configuration of stretched fingers that means a gesture.
+/// A configuration of stretched fingers with its gesture.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GesturePattern {
@@ -40,12 +40,12 @@ pub struct GesturePattern {
     /// Length of the longest finger, palm radii.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub length: Option<Expected>,
-    /// How often the pattern means this gesture, among patterns of as many fingers.
+    /// Prior probability that the pattern means this gesture, among patterns with as many fingers.
     #[serde(default = "one")]
     pub weight: f64,
 }
 
-/// Knows gestures by their patterns.
+/// Recognises gestures by their patterns.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GestureRecognizer {
@@ -56,7 +56,7 @@ pub struct GestureRecognizer {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PatternError {
-    /// It is not a file of patterns.
+    /// The file does not contain patterns.
     #[error("the gestures cannot be read: {0}")]
     Yaml(String),
     /// A number is out of range.
@@ -64,14 +64,14 @@ pub enum PatternError {
     Value {
         /// The pattern's name.
         name: String,
-        /// What is wrong.
+        /// The reason.
         what: &'static str,
     },
 }
 
 /// Least likelihood of a gesture that has a pattern.
 const FLOOR: f64 = 0.02;
-/// The patterns that ship.
+/// The built-in patterns.
 const BUILT_IN: &str = include_str!("gestures.yaml");
 const AT_A_SLANT: &str = include_str!("gestures_at_a_slant.yaml");
 
@@ -86,16 +86,16 @@ impl Default for GestureRecognizer {
 }
 
 impl GestureRecognizer {
-    /// A recogniser of hands that are seen from anywhere, whose pointing fingers may look short.
+    /// A recogniser for hands seen from any direction, where pointing fingers may look short.
     #[must_use]
     pub fn at_a_slant() -> Self {
         Self::from_yaml(AT_A_SLANT).expect("the patterns that ship are tested")
     }
 
-    /// A recogniser of the patterns in a file.
+    /// A recogniser with the patterns of a file.
     ///
     /// # Errors
-    /// [`PatternError`] when the text is not such a file, or a number makes no sense.
+    /// [`PatternError`] when the text is not such a file, or a number is invalid.
     pub fn from_yaml(text: &str) -> Result<Self, PatternError> {
         let read: Self = serde_saphyr::from_str(text).map_err(|e| PatternError::Yaml(e.to_string()))?;
         if read.gestures.is_empty() {
@@ -126,7 +126,7 @@ impl GestureRecognizer {
         &self.gestures
     }
 
-    /// The most likely gesture of what may be stretched fingers, and its probability.
+    /// The most likely gesture for these possible fingers, and its probability.
     #[must_use]
     pub fn recognize(&self, fingers: &[SeenFinger]) -> (String, f64) {
         let likelihoods = self.likelihoods(fingers);
@@ -159,7 +159,8 @@ impl GestureRecognizer {
     }
 }
 
-/// The probability of each number of stretched fingers (index; the last is seven), each being one on its own.
+/// The probability of each number of stretched fingers (index; the last is seven); the fingers are
+/// independent.
 fn count_distribution(fingers: &[SeenFinger]) -> [f64; 8] {
     let mut p = [0.0; 8];
     p[0] = 1.0;

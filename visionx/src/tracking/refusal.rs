@@ -1,9 +1,10 @@
-//! What looks like no hand: regions of a photograph that were cut out as one and that are, in one respect, farther from all
-//! hands of a collection than these are from each other.
+//! Rejects regions of a photograph that were segmented as a hand but are not one: in at least one feature they are
+//! farther from all hands of a collection than these are from each other.
 //!
 //! # Source
-//! Measured on 513 pictures of hands, three of them photographs and the others rendered, turned, scaled, recoloured or pasted on
-//! other pictures: the most extreme of them, in brackets below, and a fifth more. Boxes and balls are told from fists by hand.
+//! Measured on 513 images of hands. Three are photographs; the others are rendered, rotated, scaled, recoloured or
+//! pasted on other images. Each limit is the most extreme hand, in brackets below, and a fifth more. Boxes and balls
+//! have limits set by hand.
 
 use nalgebra::Point2;
 
@@ -12,11 +13,11 @@ use crate::distance::inside;
 use crate::mask::Mask;
 use crate::rectangle::Rectangle;
 
-/// Pixels are rounded to this for the search of the rectangle around them, px.
+/// Rounding of pixels in the search of the smallest rectangle, px.
 const CELL: f64 = 0.05;
-/// Share of the picture's border (hands: 0.25).
+/// Share of the image's border (hands: 0.25).
 const BORDER: f64 = 0.30;
-/// Share of the picture (0.45).
+/// Share of the image (0.45).
 const SHARE: f64 = 0.54;
 /// Squared perimeter over that of a disc of the same area (5.5).
 const RAGGED: f64 = 6.6;
@@ -24,16 +25,16 @@ const RAGGED: f64 = 6.6;
 const RECTANGLE: f64 = 0.93;
 /// Area of the largest disc inside over the area (0.75): a ball.
 const DISC: f64 = 0.86;
-/// Change of colour from pixel to pixel inside, CIELAB (2.8).
+/// Mean change of colour per pixel inside, CIELAB (2.8).
 const TEXTURE: f64 = 3.4;
-/// The same over that along the outline (0.48).
+/// The same relative to that along the outline (0.48).
 const BLURRED: f64 = 0.58;
-/// Deviation of a* or b*, as a part of L* + 16 (0.15).
+/// Standard deviation of a* or b*, relative to L* + 16 (0.15).
 const MOTLEY: f64 = 0.178;
-/// How deep inside texture is looked at, radii of the largest disc.
+/// Depth inside from which texture is measured, radii of the largest disc.
 const DEEP: f64 = 0.12;
 
-/// Whether what was cut out of a picture, a mask of all of it, is no hand.
+/// Whether a region segmented from an image, as a mask of the whole image, is not a hand.
 pub(super) fn is_no_hand(image: &LabImage, mask: &Mask) -> bool {
     let view = View { image, mask, width: image.width as i64, height: image.height as i64 };
     let pixels = view.pixels();
@@ -66,7 +67,7 @@ impl View<'_> {
         all.filter(|(x, y)| self.mask.contains(*x, *y)).collect()
     }
 
-    /// Whether there is something else beside a pixel of the region; the picture's border is nothing.
+    /// Whether a pixel outside of the region is adjacent; the image's border does not count.
     fn is_edge(&self, (x, y): (i64, i64)) -> bool {
         let beside = [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)];
         beside.into_iter().any(|(x, y)| {
@@ -74,7 +75,7 @@ impl View<'_> {
         })
     }
 
-    /// The share of the picture's border that is in the region.
+    /// The share of the image's border that is in the region.
     fn border(&self) -> f64 {
         let (right, bottom) = (self.width - 1, self.height - 1);
         let rows = (0..self.width).flat_map(|x| [(x, 0), (x, bottom)]);
@@ -87,7 +88,7 @@ impl View<'_> {
         held / all
     }
 
-    /// The larger deviation of a* and b* from their means, each as a part of the light.
+    /// The larger standard deviation of a* and b*, relative to the lightness.
     fn motley(&self, pixels: &[(i64, i64)]) -> f64 {
         let deviation = |channel: usize| {
             let of = |at: &(i64, i64)| {
@@ -101,7 +102,7 @@ impl View<'_> {
         deviation(1).max(deviation(2))
     }
 
-    /// Whether colours change inside as they do along an outline, or more than on skin.
+    /// Whether colours inside change as much as along an outline, or more than on skin.
     fn is_textured(&self, pixels: &[(i64, i64)], edge: &[(i64, i64)], radius: f64) -> bool {
         let depth = self.depth();
         let least = (DEEP * radius).floor().max(2.0) as u32;
@@ -115,7 +116,8 @@ impl View<'_> {
         within > TEXTURE || (!edge.is_empty() && within > BLURRED * mean(edge))
     }
 
-    /// How many steps of a pixel lead out of the region, beyond the picture not at all.
+    /// Distance to the outside of the region in steps of one pixel; the image's border does not count as
+    /// outside.
     fn depth(&self) -> Vec<u32> {
         let (w, h) = (self.width, self.height);
         let far = u32::try_from(w + h).unwrap_or(u32::MAX);
@@ -141,9 +143,9 @@ impl View<'_> {
         depth
     }
 
-    /// How much the colour changes at a pixel of the smoothed picture, a pixel.
+    /// The change of colour per pixel in the smoothed image.
     fn change(&self, (x, y): (i64, i64)) -> f64 {
-        // Sobel's differences of the picture smoothed by a Gaussian of one pixel, in one kernel along each axis.
+        // Sobel's differences of the image smoothed by a Gaussian of one pixel, in one kernel along each axis.
         const SMOOTH: [f32; 7] =
             [0.0625 / 4.0, 0.375 / 4.0, 0.9375 / 4.0, 1.25 / 4.0, 0.9375 / 4.0, 0.375 / 4.0, 0.0625 / 4.0];
         const SLOPE: [f32; 7] = [-0.03125, -0.125, -0.15625, 0.0, 0.15625, 0.125, 0.03125];
@@ -165,7 +167,7 @@ impl View<'_> {
 fn rectangle(pixels: &[(i64, i64)]) -> Option<f64> {
     let points: Vec<Point2<f64>> = pixels.iter().map(|(x, y)| Point2::new(*x as f64, *y as f64)).collect();
     let around = Rectangle::around(&points, 0.0, CELL)?;
-    // From the middles of the outermost pixels to their edges.
+    // From the centres of the outermost pixels to their edges.
     Some((around.size[0] + 1.0) * (around.size[1] + 1.0))
 }
 
@@ -175,7 +177,7 @@ mod tests {
     use crate::frame::Image;
     use crate::mask::Region;
 
-    /// A picture of `inside` where `holds`, of gray elsewhere, and the mask of it.
+    /// An image of `inside` where `holds`, of gray elsewhere, and the mask of it.
     fn picture(holds: impl Fn(i64, i64) -> bool, inside: impl Fn(i64, i64) -> [u8; 3]) -> (LabImage, Mask) {
         let (w, h) = (120, 160);
         let mut mask = Mask::empty(Region::whole(w, h));

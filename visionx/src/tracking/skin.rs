@@ -1,13 +1,13 @@
-//! Which pixels of one picture are the hand, adapted to the scene.
+//! Segments the hand in one image, adapted to the scene.
 //!
-//! Things that may be a hand are proposed at a low resolution, judged, and the best are cut out again by the colours
-//! that they and their surroundings have, first coarsely and then finely; the best of them is the hand. No camera
-//! model, no depth and no earlier picture is needed. Hands that have the very colour of what lies behind, or that fill
-//! less than a hundredth of the picture, are not found.
+//! Regions that may be a hand are proposed at a low resolution and scored. The best ones are segmented again by the
+//! colours of the region and of its surroundings, first coarsely and then finely; the best of them is the hand. No
+//! camera model, depth or earlier image is needed. Hands with exactly the background's colour, or that fill less than
+//! a hundredth of the image, are not found.
 //!
 //! # Source
-//! The cutting again follows Rother, Kolmogorov, Blake 2004 (GrabCut). Differs in: mean-field iterations in place of
-//! a graph cut.
+//! The second segmentation follows Rother, Kolmogorov, Blake 2004 (GrabCut). Differs in: mean-field iterations in
+//! place of a graph cut.
 
 use super::hypotheses::{hypotheses, parts};
 use super::lab::{LabImage, apart};
@@ -20,42 +20,42 @@ use crate::distance::inside;
 use crate::frame::Image;
 use crate::mask::{Mask, Region};
 
-/// The longer side of the picture where things are proposed and where the best is cut out, px.
+/// The image's longer side for the proposals, and for the final segmentation, px.
 const COARSE: u32 = 160;
 const FINE: u32 = 480;
-/// How many of the proposed things are cut out again.
+/// Number of proposals that are segmented again.
 const BEST: usize = 6;
-/// Share that two things must have in common to be the same.
+/// Overlap from which two regions are the same.
 const SAME: f64 = 0.8;
-/// Score from which a thing is a hand.
+/// Least score of a hand.
 const LEAST_SCORE: f64 = 2.0;
-/// What stretched fingers add to a score.
+/// Bonus of stretched fingers for the score.
 const FINGERS: f64 = 1.0;
-/// Radius of what is too thin to be a finger, share of the palm's.
+/// Radius below which something is too thin to be a finger, share of the palm's.
 const THREAD: f32 = 0.10;
-/// Gaussians of the hand and of the rest.
+/// Components of the colour mixtures of the hand and of the rest.
 const PARTS: (usize, usize) = (3, 5);
-/// By how much less than the best a part of the hand's colours may be like skin, squared deviations.
+/// A component of the hand's colours may be this much less like skin than the best one, squared deviations.
 const LESS_LIKE_SKIN: f64 = 5.0;
-/// How much a pixel follows its neighbours.
+/// Coupling of a pixel to its neighbours.
 const COUPLING: f32 = 0.9;
-/// Largest log-odds that colour gives a pixel, and that the earlier cut gives.
+/// Limits of the log-odds given by colour, and by the earlier segmentation.
 const MOST_ODDS: f32 = 6.0;
 const PRIOR_ODDS: f32 = 2.0;
 
-/// A hand cut out of a picture.
+/// A hand segmented from an image.
 #[derive(Clone, Debug)]
 pub struct SkinSegmentation {
-    /// The hand, at the picture's own resolution or lower.
+    /// The hand, at the image's own resolution or lower.
     pub mask: Mask,
-    /// Pixels of the picture a pixel of the mask.
+    /// Pixels of the image per pixel of the mask.
     pub scale: f64,
-    /// How much it looks like a hand, 0 to 1.
+    /// Confidence, 0 to 1.
     pub confidence: f64,
 }
 
 impl SkinSegmentation {
-    /// The hand in a picture, `None` where nothing looks like one.
+    /// Segments the hand in an image, `None` where nothing looks like one.
     #[must_use]
     pub fn of(image: &Image) -> Option<Self> {
         let coarse = LabImage::of(image, COARSE)?;
@@ -84,13 +84,13 @@ impl SkinSegmentation {
     }
 }
 
-/// The mask opened by a disc much thinner than a finger, its largest part.
+/// Opens the mask by a disc much thinner than a finger and keeps the largest component.
 fn without_threads(mask: Mask) -> Mask {
     let distances = inside(&mask);
     let least = THREAD * distances.iter().copied().fold(0.0, f32::max);
     let mut core = Mask::empty(mask.region());
     core.data_mut().iter_mut().zip(&distances).for_each(|(c, d)| *c = u8::from(*d <= least));
-    // Of what is not core, what is farther than the disc's radius from the core is thread.
+    // Outside of the core, pixels farther from it than the disc's radius are threads.
     let from_core = inside(&core);
     let mut opened = Mask::empty(mask.region());
     let kept = mask.data().iter().zip(&from_core).map(|(m, d)| u8::from(*m != 0 && *d < least + 0.5));
@@ -101,13 +101,13 @@ fn without_threads(mask: Mask) -> Mask {
     alone
 }
 
-/// What fingers add to the score of a thing.
+/// The bonus of fingers for a region's score.
 fn has_fingers(thing: &Mask) -> f64 {
     let stretched = measured(thing).map_or(0, |shape| shape.fingers.iter().filter(|f| f.score > 0.5).count());
     if (1..=5).contains(&stretched) { FINGERS } else { 0.0 }
 }
 
-/// The best things, best first, none nearly the same as another.
+/// The best regions, best first, without near duplicates.
 fn ranked(lab: &LabImage, things: Vec<Mask>) -> Vec<(Mask, f64)> {
     let mut scored: Vec<(Mask, f64)> =
         things.into_iter().filter_map(|t| Likeness::of(lab, &t).map(|l| (t, l.score()))).collect();
@@ -124,20 +124,20 @@ fn ranked(lab: &LabImage, things: Vec<Mask>) -> Vec<(Mask, f64)> {
     chosen
 }
 
-/// What two masks of one picture have in common, as a share of what either has.
+/// The intersection of two masks over their union.
 fn overlap(a: &Mask, b: &Mask) -> f64 {
     let pairs = a.data().iter().zip(b.data());
     let (both, either) = pairs.fold((0, 0), |(n, m), (a, b)| (n + (a & b) as usize, m + (a | b) as usize));
     both as f64 / (either as f64).max(1.0)
 }
 
-/// The thing cut out again: colours of it and of the rest, its place, and neighbours of like colour that go together.
+/// Segments the region again, by its colours and those of the rest, its position, and similarly coloured neighbours.
 fn cut_out(lab: &LabImage, thing: &Mask) -> Option<Mask> {
     let colors = |set: u8| -> Vec<[f32; 3]> {
         lab.data.iter().zip(thing.data()).filter(|(_, m)| **m == set).map(|(c, _)| *c).collect()
     };
     let (hand, rest) = (Mixture::fit(&colors(1), PARTS.0)?, Mixture::fit(&colors(0), PARTS.1)?);
-    // A sleeve or a shadow that has come along is told by its colour.
+    // A sleeve or a shadow inside the region is recognised by its colour.
     let most = hand.means().map(|m| unlike_skin(&m)).fold(f64::INFINITY, f64::min) + LESS_LIKE_SKIN;
     let (hand, other) = hand.divided(|color| unlike_skin(color) <= most);
     let hand = hand?;
@@ -160,7 +160,7 @@ fn cut_out(lab: &LabImage, thing: &Mask) -> Option<Mask> {
     parts(lab, &cut, 1).into_iter().next()
 }
 
-/// The mask as shares, blurred over a thirtieth of the picture.
+/// The mask as values 0 to 1, blurred over 1/30 of the image.
 fn smoothed(thing: &Mask, pixels: usize) -> Vec<f32> {
     let (w, h) = (thing.width(), thing.height());
     let radius = ((pixels as f64).sqrt() / 30.0).ceil() as usize;
@@ -187,7 +187,7 @@ fn box_blur(values: &[f32], w: usize, radius: usize) -> Vec<f32> {
     out
 }
 
-/// Two times the probability that each pixel is hand, less 1: neighbours of like colour draw each other along.
+/// Twice the probability that each pixel is hand, minus 1; neighbours of similar colour support each other.
 fn mean_field(lab: &LabImage, odds: &[f32]) -> Vec<f32> {
     let (w, h) = (lab.width, lab.height);
     let step = |i: usize, j: usize| apart(&lab.data[i], &lab.data[j]);
@@ -209,7 +209,7 @@ fn mean_field(lab: &LabImage, odds: &[f32]) -> Vec<f32> {
     shares
 }
 
-/// A mask in the size of a larger version of its picture.
+/// Scales a mask to the size of a larger version of its image.
 fn enlarge(mask: &Mask, lab: &LabImage) -> Mask {
     let mut large = Mask::empty(Region::whole(lab.width as u32, lab.height as u32));
     for y in 0..lab.height {

@@ -1,7 +1,7 @@
-//! The fingertips of a person's hand in a stream of frames.
+//! Tracks the fingertips of a person's hand in a stream of frames.
 //!
 //! The hand's silhouette gives an edge map, the edges give circles of a fingertip's radius at the hand's distance, and
-//! a particle filter follows them; each tip is then moved to the mean of the votes around it.
+//! a particle filter tracks them. Each tip is then moved to the mean of the votes around it.
 
 use nalgebra::{Point2, Point3};
 use rand::SeedableRng;
@@ -17,35 +17,35 @@ use crate::tracking::hand::candidates::{Hand, find_near_too};
 use crate::tracking::hand::depth::Ranging;
 use crate::tracking::hand::shape::Finger;
 
-/// How fingertips are tracked; the parts can be left out one by one, to see what each is good for.
+/// Parameters of the fingertip tracking. The parts can be switched off one by one, to measure their effect.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FingerTipSettings {
-    /// Circles of a fingertip's size.
+    /// The detector of circles of a fingertip's size.
     pub hough: AdaptiveHoughTransform,
-    /// How tips move.
+    /// The motion model of the tips.
     pub model: FingerARModel,
     /// Whether each tip is moved to the mean of the votes around it.
     pub mean_shift: bool,
-    /// Whether the particle filter follows the tips; otherwise each frame's candidates are taken as they are.
+    /// Whether the particle filter tracks the tips; otherwise each frame's candidates are used directly.
     pub filter: bool,
-    /// Particles.
+    /// Number of particles.
     pub particles: usize,
-    /// Of the filter's draws.
+    /// Seed of the filter.
     pub seed: u64,
 }
 
-/// A fingertip that is followed.
+/// A tracked fingertip.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrackedFingertip {
-    /// The same number for the same finger as long as it is followed; 0 without the filter.
+    /// Number of the finger, constant while it is tracked; 0 without the filter.
     pub id: u64,
-    /// The middle of the tip's rounding in the left image, px.
+    /// Centre of the circle fitted to the fingertip in the left image, px.
     pub px: Point2<f64>,
-    /// The radius of the rounding, px.
+    /// Radius of the circle, px.
     pub radius: f64,
-    /// The surface there in the left camera's frame, m, where it can be measured.
+    /// The surface point there in the left camera's frame, m, if it can be measured.
     pub in_left: Option<Point3<f64>>,
-    /// How much it looks like a tip, 0 to 1; lower while it is only predicted.
+    /// Similarity to a tip, 0 to 1; lower while it is only predicted.
     pub score: f64,
 }
 
@@ -60,11 +60,11 @@ pub struct FingerTipTracking {
     last: Option<(u64, f64)>,
 }
 
-/// After this long without a frame, what was seen before does not matter, ns.
+/// After this long without a frame the earlier state is discarded, ns.
 const FORGET_NS: u64 = 600_000_000;
-/// How far a candidate may be from the end of a finger of the silhouette, tip radii.
+/// Largest distance of a candidate from the end of a finger of the silhouette, tip radii.
 const AT_A_FINGER: f64 = 2.0;
-/// Least probability of a finger whose end is looked at.
+/// Least probability of a finger whose end is used.
 const LIKELY: f64 = 0.3;
 
 impl Default for FingerTipSettings {
@@ -81,7 +81,7 @@ impl Default for FingerTipSettings {
 }
 
 impl FingerTipTracking {
-    /// Tracking that has seen nothing yet.
+    /// A tracker without earlier frames.
     #[must_use]
     pub fn new(calibration: StereoCalibration, settings: FingerTipSettings) -> Self {
         Self {
@@ -94,8 +94,8 @@ impl FingerTipTracking {
         }
     }
 
-    /// Takes a frame; returns the fingertips in it in order around the palm. Tips that are hidden for a moment are
-    /// predicted. Frames whose images do not have the calibration's size show nothing.
+    /// Processes a frame; returns the fingertips in order around the palm. Tips that are hidden for a moment are
+    /// predicted. Empty when the images do not have the calibration's size.
     pub fn update(&mut self, frame: &StereoFrame) -> Vec<TrackedFingertip> {
         if !self.calibration.fits(frame) {
             return Vec::new();
@@ -145,7 +145,7 @@ impl FingerTipTracking {
         tips
     }
 
-    /// The hand is not seen: the tips go on as they have moved.
+    /// Without a hand in the frame the motion model predicts the tips.
     fn unseen(&mut self, frame: &StereoFrame) -> Vec<TrackedFingertip> {
         let Some((_, radius)) = self.last.filter(|_| self.settings.filter) else { return Vec::new() };
         if self.filter.predict(&mut self.rng) == 0 {
@@ -174,7 +174,7 @@ fn shift(tip: &mut TrackedFingertip, votes: &HoughVotes) {
     }
 }
 
-/// Whether a circle is the end of a finger of the silhouette and looks along it.
+/// Whether a circle is at the end of a finger of the silhouette and points along it.
 fn at_a_finger(candidate: &TipCandidate, fingers: &[Finger], radius: f64) -> bool {
     fingers.iter().filter(|f| f.score > LIKELY).any(|f| {
         let along = f.tip - f.base;

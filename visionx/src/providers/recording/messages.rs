@@ -1,4 +1,4 @@
-//! The messages with images in an MCAP file, read piece by piece. Nothing in the file is trusted.
+//! Reads the messages with images in an MCAP file piece by piece. Nothing in the file is trusted.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -16,7 +16,8 @@ use crate::files::decode_image;
 
 /// The schema of compressed images.
 const COMPRESSED: &str = "foxglove.CompressedImage";
-/// Longest record that is read, and message that is written, bytes: a chunk of a few kilobytes may promise any.
+/// Longest record read and longest message written, bytes. A compressed chunk of a few kilobytes may claim any
+/// size.
 pub(in crate::providers) const LONGEST_RECORD: usize = 512 << 20;
 
 /// The messages of a recording's image channels, one after the other.
@@ -25,7 +26,7 @@ pub(super) struct Messages {
     reader: LinearReader,
     schemas: BTreeMap<u16, String>,
     channels: BTreeMap<u16, (String, String)>,
-    /// What was said of providers so far, by their names.
+    /// The descriptions read so far, by provider.
     pub(super) descriptions: BTreeMap<String, Description>,
 }
 
@@ -55,7 +56,7 @@ impl Messages {
         while let Some(event) = self.reader.next_event() {
             let (opcode, data) = match event? {
                 LinearReadEvent::ReadRequest(wanted) => {
-                    // Not more at once than what a file of that length may have.
+                    // A corrupt length must not allocate more than this at once.
                     let read = self.file.read(self.reader.insert(wanted.min(1 << 20)))?;
                     self.reader.notify_read(read);
                     continue;

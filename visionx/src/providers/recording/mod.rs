@@ -1,9 +1,9 @@
 //! Frames in MCAP recordings as a provider; [`super::writing`] writes them.
 //!
-//! A recording of ours has a channel `/image/{provider}` of packed frames ([`super::wire`]) with the schema
-//! [`SCHEMA`], and the provider's description as metadata. Recordings of runs and of other programs are read too: a topic of compressed
-//! images (`foxglove.CompressedImage`, PNG or JPEG) is a provider whose frames have the image `image`. The file is read
-//! piece by piece and never held as a whole; nothing in it is trusted.
+//! Armarium's recordings have a channel `/image/{provider}` of packed frames ([`super::wire`]) with the schema
+//! [`SCHEMA`], and the provider's description as metadata. Recordings of runs and of other programs can be read too: a
+//! topic of compressed images (`foxglove.CompressedImage`, PNG or JPEG) is a provider whose frames have the image
+//! `image`. The file is read piece by piece, never loaded as a whole; nothing in it is trusted.
 
 mod messages;
 
@@ -26,24 +26,24 @@ pub(super) const SCHEMA: &str = "armarium.image.PackedFrame.v1";
 /// Name of the metadata records with descriptions.
 pub(super) const DESCRIPTION: &str = "image/description";
 
-/// Why there is no recording.
+/// Why a recording cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecordingError {
-    /// The file cannot be opened or made.
+    /// The file cannot be opened or created.
     #[error("{path}: {source}")]
     File {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         source: std::io::Error,
     },
-    /// It is no recording.
+    /// It is not a readable recording.
     #[error("{path}: is no recording that can be read: {source}")]
     Mcap {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         source: mcap::McapError,
     },
     /// It cannot be written.
@@ -51,28 +51,28 @@ pub enum RecordingError {
     Write {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         source: mcap::McapError,
     },
-    /// There are no images in it, or not those that are asked for.
+    /// It contains no images, or not the requested ones.
     #[error("{path}: has no images{of}; it has {has}")]
     Nothing {
         /// The file.
         path: PathBuf,
-        /// What was asked for.
+        /// The requested provider or topic.
         of: String,
-        /// What there is.
+        /// The available ones.
         has: String,
     },
     /// A frame or description cannot be encoded.
     #[error("a frame cannot be written: {what}")]
     Encode {
-        /// Why.
+        /// The reason.
         what: String,
     },
 }
 
-/// Gives the frames of a recording.
+/// Provides the frames of a recording.
 pub struct RecordingProvider {
     path: PathBuf,
     topic: String,
@@ -82,20 +82,20 @@ pub struct RecordingProvider {
 }
 
 struct Play {
-    /// The file, while there is more of it; taken while it is read.
+    /// The file; `None` while a message is being read, and at the end.
     messages: Option<Messages>,
     began: Option<Instant>,
     first_ns: u64,
-    /// Added to the stamps, so that they grow when the recording begins again.
+    /// Added to the stamps, so that they keep growing when playback starts again.
     shift_ns: u64,
     last_ns: u64,
     number: u64,
-    /// Messages since the file was begun.
+    /// Messages since playback last started.
     since_begin: u64,
 }
 
-/// What images a recording has: the providers' names or topics, how many frames each, and the first and last stamp, ns.
-/// The end of a recording that was cut off is missing.
+/// The images of a recording: by provider or topic the number of frames and the first and last stamp, ns. A truncated
+/// recording gives its frames up to the damage.
 ///
 /// # Errors
 /// [`RecordingError`].
@@ -119,7 +119,7 @@ pub fn recorded(path: &Path) -> Result<BTreeMap<String, (u64, u64, u64)>, Record
 }
 
 impl RecordingProvider {
-    /// The frames of a provider, or of a topic with compressed images, in a recording; of the first without a name.
+    /// Opens the frames of a provider, or of a topic with compressed images; without a name, of the first.
     ///
     /// # Errors
     /// [`RecordingError`] when it cannot be read or has no such images.
@@ -134,7 +134,7 @@ impl RecordingProvider {
         Ok(Self { path: path.into(), topic, description, pace, state: Mutex::new(play) })
     }
 
-    /// Reads the next message, off the threads that others wait on.
+    /// Reads the next message on a blocking thread.
     async fn message(&self, play: &mut Play) -> Option<Message> {
         loop {
             let mut messages = play.messages.take()?;
@@ -157,12 +157,12 @@ impl RecordingProvider {
                 play.since_begin += 1;
                 return Some(message);
             }
-            // A file from which nothing came since it was last begun will not give more.
+            // A file that gave no message since playback last started will give none again.
             if !self.pace.repeat || std::mem::take(&mut play.since_begin) == 0 {
                 return None;
             }
             play.messages = Messages::open(&self.path).ok();
-            // One mean interval between the last frame and the first again.
+            // The gap between the last frame and the first one of the next pass is one mean interval.
             let span = play.last_ns.saturating_sub(play.first_ns);
             let again_ns = play.last_ns.saturating_add(span / play.number.max(1));
             play.shift_ns = again_ns.saturating_sub(play.first_ns);
@@ -170,7 +170,7 @@ impl RecordingProvider {
     }
 }
 
-/// The topic and description of what is wanted.
+/// The topic and description of the requested images.
 fn find(path: &Path, wanted: Option<&str>) -> Result<(String, Description), RecordingError> {
     let mut messages = Messages::open(path)?;
     let mut has = BTreeMap::new();
@@ -198,7 +198,7 @@ fn find(path: &Path, wanted: Option<&str>) -> Result<(String, Description), Reco
     Err(RecordingError::Nothing { path: path.into(), of, has })
 }
 
-/// The description of what is only known by its first message.
+/// The description of a topic that is known only by its first message.
 fn describe(name: &str, first: Message) -> Description {
     let images = first.frame().map(|frame| frame.images).unwrap_or_default();
     let images = images.iter().map(|image| ImageDescription {

@@ -1,7 +1,7 @@
-//! Stereo pairs of cameras that are distorted, unlike or not quite parallel, as an equal, parallel pair without distortion
-//! would have seen them: both images are drawn again, each pixel from the place that a table says.
+//! Rectification: turns stereo pairs of cameras that are distorted, differ or are not quite parallel into the images of
+//! two identical, parallel cameras without distortion. A table gives the source of each pixel.
 //!
-//! Nothing is calibrated here; [`CameraModel`] says what the cameras are.
+//! This module does not calibrate; [`CameraModel`] describes the cameras.
 
 use nalgebra::{Matrix3, Point2, Rotation3, UnitQuaternion, Vector3};
 
@@ -9,17 +9,17 @@ use crate::camera::{PinholeCamera, StereoCalibration};
 use crate::frame::{DepthImage, Image, StereoFrame};
 use crate::providers::CameraModel;
 
-/// A pixel that shows nothing that the camera saw.
+/// Marks a pixel without a source.
 const NOTHING: u32 = u32::MAX;
-/// Cosine of the largest angle, 45 degrees, between an eye and the pair's common direction.
+/// Cosine of the largest angle, 45 degrees, between a camera and the pair's common direction.
 const LEAST_COSINE: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
-/// How a pair of cameras becomes an ideal one.
+/// The rectification of a pair of cameras.
 ///
 /// # Source
 /// A. Fusiello, E. Trucco, A. Verri, A compact algorithm for rectification of stereo pairs, Machine Vision and
-/// Applications 12 (2000); differs in: the old axis that the new one keeps close to is the mean of both eyes', and the
-/// principal point is chosen so that the images' middles stay in the middle.
+/// Applications 12 (2000); differs in: the old axis that the new one keeps close to is the mean of both cameras', and
+/// the principal point is chosen so that the images' centres stay in the centre.
 #[derive(Clone, Debug)]
 pub struct Rectification {
     calibration: StereoCalibration,
@@ -27,22 +27,22 @@ pub struct Rectification {
     eyes: [Vec<Source>; 2],
 }
 
-/// Where a pixel comes from.
+/// The source of a pixel.
 #[derive(Clone, Copy, Debug)]
 struct Source {
-    /// The upper left of the four pixels that it is mixed of; [`NOTHING`] beyond the image.
+    /// The upper left of the four source pixels; [`NOTHING`] outside of the image.
     at: u32,
-    /// How far to the next column and row, of 256.
+    /// Interpolation weights of the next column and row, of 256.
     part: [u16; 2],
     /// Depth in the rectified camera over depth in the old one.
     depth: f32,
 }
 
 impl Rectification {
-    /// The rectification of two eyes whose images are `width` x `height` px.
+    /// The rectification of two cameras whose images are `width` x `height` px.
     ///
     /// # Errors
-    /// What keeps them from being a pair.
+    /// Why they are not a pair.
     pub fn new(left: &CameraModel, right: &CameraModel, (width, height): (u32, u32)) -> Result<Self, String> {
         if width < 2 || height < 2 || width.max(height) > 1 << 15 {
             return Err(format!("images of {width} x {height} pixels are not rectified"));
@@ -66,20 +66,20 @@ impl Rectification {
         Ok(Self { calibration, left_from_rectified: turned[0], eyes })
     }
 
-    /// The ideal pair.
+    /// The calibration of the rectified pair.
     #[must_use]
     pub fn calibration(&self) -> StereoCalibration {
         self.calibration
     }
 
-    /// From the ideal left camera's axes to those of the left camera that there is; both stand at one place.
+    /// Rotation from the rectified left camera's axes to the real left camera's; both have the same origin.
     #[must_use]
     pub fn left_from_rectified(&self) -> UnitQuaternion<f64> {
         self.left_from_rectified
     }
 
-    /// The frame as the ideal pair would have seen it; black where the cameras did not look. `None` when an image has
-    /// another size. A depth image of another size than the left one is left out.
+    /// Rectifies the frame; black where the cameras saw nothing. `None` when an image has another size. A depth image
+    /// whose size is not the left image's is left out.
     #[must_use]
     pub fn rectify(&self, frame: &StereoFrame) -> Option<StereoFrame> {
         let [left, right] = &self.eyes;
@@ -102,7 +102,7 @@ impl Rectification {
         let mut data = vec![0; old.len()];
         for (pixel, source) in data.chunks_exact_mut(3).zip(sources) {
             let at = source.at as usize * 3;
-            // Two pixels beside each other in each of two rows; what shows nothing has none and stays black.
+            // Each row needs two adjacent pixels. [`NOTHING`] has none and stays black.
             let (Some(upper), Some(lower)) = (old.get(at..at + 6), old.get(at + row..at + row + 6)) else {
                 continue;
             };
@@ -111,14 +111,14 @@ impl Rectification {
             for (c, value) in pixel.iter_mut().enumerate() {
                 let four = [upper[c], upper[c + 3], lower[c], lower[c + 3]];
                 let sum: u32 = four.iter().zip(weights).map(|(v, weight)| u32::from(*v) * weight).sum();
-                // Of 65536; half is added so that it is rounded.
+                // Divides by 65536 with rounding.
                 *value = ((sum + (1 << 15)) >> 16) as u8;
             }
         }
         Image::from_rgb(width, height, data).ok()
     }
 
-    /// The nearest pixel: a mean of two depths lies on neither thing.
+    /// Uses the nearest pixel: the mean of two depths may lie on neither surface.
     fn depth(&self, depth: &DepthImage) -> Option<DepthImage> {
         let PinholeCamera { width, height, .. } = self.calibration.camera;
         if (depth.width, depth.height) != (width, height) || depth.data.len() != self.eyes[0].len() {
@@ -135,7 +135,7 @@ impl Rectification {
     }
 }
 
-/// The common axes of the ideal pair: x along the baseline, z close to where both eyes look.
+/// The common axes of the rectified pair: x along the baseline, z close to both viewing directions.
 fn axes(left: &CameraModel, right: &CameraModel) -> Result<UnitQuaternion<f64>, String> {
     let poses = [left, right].map(|eye| eye.reference_from_camera);
     let wrong =
@@ -156,7 +156,7 @@ fn axes(left: &CameraModel, right: &CameraModel) -> Result<UnitQuaternion<f64>, 
     Ok(UnitQuaternion::from_rotation_matrix(&rotation))
 }
 
-/// The direction, in the camera's axes, of what appears at `px`.
+/// The ray, in the camera's axes, of the pixel `px`.
 fn ray_of(camera: &CameraModel, px: &Point2<f64>) -> Result<Vector3<f64>, String> {
     let [fx, fy] = camera.focal;
     let seen = Point2::new((px.x - camera.center[0]) / fx, (px.y - camera.center[1]) / fy);
@@ -164,7 +164,7 @@ fn ray_of(camera: &CameraModel, px: &Point2<f64>) -> Result<Vector3<f64>, String
     ideal.map(|p| p.coords.push(1.0)).ok_or_else(|| "the distortion is beyond what its model can be".into())
 }
 
-/// Where each pixel of the ideal camera comes from.
+/// The source of each pixel of the rectified camera.
 fn table(
     eye: &CameraModel,
     camera_from_rectified: &UnitQuaternion<f64>,
@@ -183,7 +183,7 @@ fn table(
         if !px.iter().zip(last).all(|(p, last)| (0.0..=last).contains(p)) {
             return None;
         }
-        // The last column and row are mixed of those before them, with the whole weight.
+        // The last column and row take the pixels before them, with full weight.
         let corner = [0, 1].map(|i| px[i].floor().min(last[i] - 1.0));
         let part = [0, 1].map(|i| ((px[i] - corner[i]) * 256.0).round() as u16);
         let at = corner[1] as u32 * ideal.width + corner[0] as u32;
@@ -194,7 +194,7 @@ fn table(
     pixels.map(|(x, y)| source(x, y).unwrap_or(nothing)).collect()
 }
 
-/// Farthest from the axis, at depth 1, that the radial model still goes outwards: beyond, it would fold the picture back.
+/// The largest radius, at depth 1, up to which the radial model increases. Beyond, it would fold the image back.
 fn reach(eye: &CameraModel) -> f64 {
     let d = &eye.distortion;
     let slope = |r: f64| 1.0 + r * r * (3.0 * d.k1 + r * r * (5.0 * d.k2 + r * r * 7.0 * d.k3));

@@ -1,4 +1,4 @@
-//! A wall that is painted with noise, seen by eyes that are distorted and turned, each pixel by its own ray.
+//! A wall painted with noise, imaged by distorted and rotated cameras, ray by ray.
 
 use nalgebra::{Isometry3, Point3, Translation3};
 
@@ -22,7 +22,7 @@ fn eye(shift: Vector3<f64>, turn: Vector3<f64>, k1: f64, focal: [f64; 2]) -> Cam
     }
 }
 
-/// Two eyes that look inwards, one rolled and lower than the other, of unlike focal lengths.
+/// Two cameras that converge, one rolled and lower than the other, with different focal lengths.
 fn eyes() -> [CameraModel; 2] {
     let left = eye(Vector3::zeros(), Vector3::new(0.01, 0.03, -0.02), -0.24, [260.0, 262.0]);
     let right =
@@ -46,7 +46,7 @@ fn paint(x: f64, y: f64) -> f64 {
     upper * (1.0 - b) + lower * b
 }
 
-/// What is seen along a ray of the provider's frame, and how far along it the wall is.
+/// The brightness that a ray of the provider's frame hits, and the distance to the wall along it.
 fn wall(from: &Point3<f64>, ray: &Vector3<f64>) -> (u8, f64) {
     let t = (WALL - from.z) / ray.z;
     let at = from + ray * t;
@@ -84,7 +84,7 @@ fn the_ideal_pair_sees_what_its_own_rays_meet() {
     let offset = right.reference_from_camera.translation.vector;
     assert!((baseline - offset.norm()).abs() < 1e-12);
     let reference_from_rectified = left.reference_from_camera.rotation * rectification.left_from_rectified();
-    // The ideal right eye stands at the right camera.
+    // The rectified right camera is at the real one's position.
     assert!((reference_from_rectified * Vector3::x() * baseline - offset).norm() < 1e-12);
     for (eye, image) in [(&left, &rectified.left), (&right, &rectified.right)] {
         let from = Point3::from(eye.reference_from_camera.translation.vector);
@@ -106,7 +106,7 @@ fn the_ideal_pair_sees_what_its_own_rays_meet() {
             }
         }
         assert!(looked > SIZE.0 * SIZE.1 * 8 / 10, "most of the picture is kept: {looked}");
-        // Interpolation of a picture that was sampled once already.
+        // Error of interpolating an image that was sampled once before.
         assert!(off / f64::from(looked) < 4.0, "{} grey levels", off / f64::from(looked));
         // The nearest pixel is half a pixel off, on a wall that is nearly upright.
         assert!(depth_off < 2e-3, "{depth_off} m");
@@ -142,7 +142,7 @@ fn an_ideal_pair_stays_as_it_is() {
     let frame = seen();
     let rectified = rectification.rectify(&frame).unwrap();
     let same = rectified.left.data().iter().zip(frame.left.data()).filter(|(a, b)| a.abs_diff(**b) <= 1);
-    // A pixel at the border may fall outside by a rounding.
+    // Rounding may put a pixel at the border outside.
     assert!(same.count() > frame.left.data().len() * 98 / 100);
 }
 

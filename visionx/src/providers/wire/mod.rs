@@ -1,7 +1,7 @@
-//! What a frame is on the network and in a recording: a header, and the images' bytes one after the other.
+//! The format of a frame on the network and in a recording: a header, and the images' bytes one after the other.
 //!
-//! On the network the bytes are the payload and the header its attachment, so that pixels can stay where they are in
-//! shared memory. In a recording, and in the answer to a question, they are one [`pack`]ed message: the header's length as four bytes
+//! On the network the bytes are the payload and the header its attachment, so that pixels can stay in shared memory. In
+//! a recording, and in the answer to a query, they are one [`pack`]ed message: the header's length as four bytes
 //! (little-endian), the header, the bytes. The header is CBOR, a map by field name; `docs/wire-images.md` describes it.
 //! Nothing that is decoded here is trusted: a header that does not fit its bytes is an error.
 
@@ -24,36 +24,36 @@ pub const VERSION: u32 = 1;
 pub const ENCODING: &str = "application/octet-stream;image/frame;v1";
 /// The Zenoh encoding of a [`pack`]ed frame.
 pub const PACKED: &str = "application/octet-stream;image/packed-frame;v1";
-/// Most bytes that the coded images of a frame may have when they are decoded: they are made of far fewer.
+/// Limit of a frame's images after decoding, bytes; their encoded files are much smaller.
 const MOST_DECODED: usize = 512 << 20;
-/// What a header may cost.
+/// Limits of a header.
 const BOUNDS: Bounds = Bounds { bytes: 16 << 10, items: 1024, depth: 8 };
 
-/// How the bytes of an image are coded.
+/// The encoding of an image's bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ImageCoding {
-    /// As the format says.
+    /// Raw bytes in the pixel format.
     #[default]
     Raw,
-    /// A PNG file: RGB, gray, or gray of 16 bit, as the format has it.
+    /// A PNG file: RGB, gray, or 16 bit gray, depending on the pixel format.
     Png,
     /// A JPEG file: RGB or gray.
     Jpeg,
 }
 
-/// What is said of a frame beside its bytes.
+/// The header of a frame: all but its bytes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Header {
     /// Version of the header: [`VERSION`].
     pub version: u32,
-    /// Tells one life of a provider from the next: its numbers begin anew in each. Recordings of earlier versions call it
+    /// Distinguishes the runs of a provider; its numbers start again in each. Recordings of earlier versions call it
     /// `life`.
     #[serde(alias = "life")]
     pub epoch: u64,
-    /// Counts the provider's frames.
+    /// Consecutive number of the provider's frames.
     pub number: u64,
-    /// When the shutter was open, by the provider's clock, ns.
+    /// The time of the exposure by the provider's clock, ns.
     pub stamp_ns: u64,
     /// When the frame was sent, ns since 1970 by the sender's clock.
     pub sent_ns: u64,
@@ -65,31 +65,31 @@ pub struct Header {
     pub images: Vec<ImageHeader>,
 }
 
-/// What is said of one image.
+/// The header of one image.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ImageHeader {
-    /// Which image of the frame.
+    /// Its role within the frame.
     pub role: String,
-    /// How its pixels are to be read when they are decoded.
+    /// The pixel format after decoding.
     pub format: PixelFormat,
-    /// How its bytes are coded.
+    /// The encoding of its bytes.
     pub coding: ImageCoding,
     /// Width, px.
     pub width: u32,
     /// Height, px.
     pub height: u32,
-    /// How many bytes it has.
+    /// Its number of bytes.
     pub bytes: u64,
 }
 
-/// Why bytes are no frame.
+/// Why bytes are not a frame.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WireError {
-    /// The header is no CBOR map of the right fields.
+    /// The header is not a CBOR map with the required fields.
     #[error("the header cannot be read: {0}")]
     Header(#[from] CodecError),
-    /// A newer or older program sent it.
+    /// The sender's version is incompatible.
     #[error("the header has version {found}; this side understands version {VERSION}")]
     Version {
         /// The version found.
@@ -101,21 +101,21 @@ pub enum WireError {
         /// The encoding found.
         found: String,
     },
-    /// Too many images, two of one role, a name that is too long, or a pose that is none.
+    /// Too many images, two of one role, a name that is too long, or an invalid pose.
     #[error("the header says something that no frame can be: {what}")]
     Impossible {
-        /// What.
+        /// The reason.
         what: &'static str,
     },
-    /// Header and payload do not fit.
+    /// Header and payload do not match.
     #[error("the header speaks of {expected} bytes, and there are {actual}")]
     Length {
-        /// What the images need, bytes.
+        /// Bytes that the header requires.
         expected: u64,
-        /// What there is, bytes.
+        /// Bytes that were received.
         actual: u64,
     },
-    /// An image has not the bytes of its size.
+    /// The bytes of an image do not fit its size.
     #[error("the image `{role}`: {source}")]
     Image {
         /// Its role.
@@ -123,15 +123,15 @@ pub enum WireError {
         /// What is wrong.
         source: ImageError,
     },
-    /// A coded image cannot be decoded.
+    /// An encoded image cannot be decoded.
     #[error("the image `{role}` {source}")]
     Coded {
         /// Its role.
         role: String,
-        /// Why.
+        /// The reason.
         source: FileError,
     },
-    /// A coded image has another size or format than the header says.
+    /// The size or format of an encoded image differs from its header.
     #[error("the image `{role}` is not what its header says")]
     Other {
         /// Its role.
@@ -140,7 +140,7 @@ pub enum WireError {
 }
 
 impl Header {
-    /// The header of a frame whose images are sent as they are.
+    /// The header of a frame whose images are sent raw.
     #[must_use]
     pub fn raw(frame: &Frame, epoch: u64, sent_ns: u64) -> Self {
         let images = frame.images.iter().map(ImageHeader::raw).collect();
@@ -156,16 +156,16 @@ impl Header {
         }
     }
 
-    /// Where the frame stands in the provider's stream.
+    /// The frame's position in the provider's stream.
     #[must_use]
     pub fn position(&self) -> StreamPosition {
         StreamPosition { epoch: self.epoch, number: self.number }
     }
 
-    /// Its bytes.
+    /// Encodes the header.
     ///
     /// # Errors
-    /// [`WireError::Header`] does not happen with a header of ours.
+    /// [`WireError::Header`]; does not happen with a header made here.
     pub fn encode(&self) -> Result<Vec<u8>, WireError> {
         Ok(armarium_bus::encode(self)?)
     }
@@ -173,7 +173,7 @@ impl Header {
     /// Reads and checks a header.
     ///
     /// # Errors
-    /// [`WireError`] when it is none or says something impossible.
+    /// [`WireError`] when the bytes are not a valid header.
     pub fn decode(bytes: &[u8]) -> Result<Self, WireError> {
         let version: Versioned = decode_leniently(bytes, BOUNDS)?;
         if version.version != VERSION {
@@ -208,10 +208,10 @@ impl Header {
         Ok(())
     }
 
-    /// The frame of these bytes. Raw images stay where they are; coded ones are decoded.
+    /// Makes the frame of these bytes. Raw images are not copied; encoded ones are decoded.
     ///
     /// # Errors
-    /// [`WireError`] when the bytes are not those that the header speaks of.
+    /// [`WireError`] when the bytes do not match the header.
     pub fn frame(&self, owner: &Arc<dyn PixelOwner>) -> Result<Frame, WireError> {
         self.frame_at(owner, 0)
     }
@@ -227,7 +227,7 @@ impl Header {
         let mut at = start;
         let mut images = Vec::with_capacity(self.images.len());
         for image in &self.images {
-            // Not longer than what there is, as checked.
+            // At most the length of the data, as checked above.
             let end = at + usize::try_from(image.bytes).unwrap_or(usize::MAX - at);
             let part = Pixels::part(Arc::clone(owner), at, end);
             let part = part.ok_or(WireError::Length { expected, actual })?;
@@ -244,7 +244,7 @@ impl Header {
     }
 }
 
-/// What every version of the header has.
+/// The fields of every header version.
 #[derive(Deserialize)]
 struct Versioned {
     version: u32,
@@ -274,7 +274,7 @@ impl ImageHeader {
     fn decoded(&self, file: &[u8]) -> Result<Vec<u8>, WireError> {
         let coded = |source| WireError::Coded { role: self.role.clone(), source };
         let other = || WireError::Other { role: self.role.clone() };
-        // Before its pixels are decoded: the header's size is one that was checked.
+        // Before decoding the pixels: the header's size was checked, the file's must be equal.
         if size_of(Cursor::new(file)).map_err(coded)? != (self.width, self.height) {
             return Err(other());
         }
@@ -286,7 +286,7 @@ impl ImageHeader {
     }
 }
 
-/// A frame as one message, its images as they are.
+/// Packs a frame into one message, with raw images.
 ///
 /// # Errors
 /// As [`Header::encode`].
@@ -299,7 +299,7 @@ pub fn pack(frame: &Frame, epoch: u64, sent_ns: u64) -> Result<Vec<u8>, WireErro
     Ok(bytes)
 }
 
-/// The frame of a [`pack`]ed message, whose bytes it keeps, and its header.
+/// Unpacks a [`pack`]ed message to its header and frame. The frame keeps the message's bytes.
 ///
 /// # Errors
 /// [`WireError`].

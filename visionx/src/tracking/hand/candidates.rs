@@ -1,8 +1,8 @@
-//! Which of the skin-coloured things in a frame is a hand.
+//! Selects the hand among the skin-coloured regions of a frame.
 //!
-//! With a depth image, what stands out of the scenery is looked at alone, so that a table of a skin's colour does not
-//! matter. Without, things that both eyes see are compared, and a colour that fills more than a hand can is scenery.
-//! It knows nothing of what was seen before but the colour that it is told to prefer.
+//! With a depth image only regions that stand out of the background are considered, so that a skin-coloured table
+//! does not matter. Without one, regions seen by both cameras are compared, and a colour that covers more area than a
+//! hand can is background. It keeps no state between frames; the caller may pass a preferred colour.
 
 use super::relief::{LEAST_RELIEF, standing_out, surroundings};
 use super::shape::{HandShape, hand_shape};
@@ -12,65 +12,65 @@ use crate::components::{Component, components};
 use crate::frame::{DepthImage, StereoFrame};
 use crate::mask::{Mask, Region};
 
-/// Distances at which hands are looked for, m.
+/// Search range of a hand's distance, m.
 const DEPTHS: (f64, f64) = (0.2, 1.7);
-/// Areas that a hand can show, with a part of the arm, m^2.
+/// Area of a hand with a part of the arm, m^2.
 const AREAS: (f64, f64) = (18e-4, 400e-4);
-/// Area over which a thing of skin-like colour is scenery, m^2.
+/// Area above which a skin-coloured region is background, m^2.
 const SCENERY: f64 = 600e-4;
-/// Radii of the palm's largest disc, from the edge and with a large hand, m.
+/// Radius of the palm's largest disc, from a hand seen edge-on to a large hand, m.
 const PALM_RADII: (f64, f64) = (0.0145, 0.062);
 /// Fewest pixels at half resolution.
 const LEAST_PIXELS: u32 = 30;
-/// Up to this distance of what is nearest, that alone is looked at first, m; and how far behind it a hand may reach, m.
+/// Depth below which the nearest region is first searched alone, and the depth extent of a hand, m.
 const NEAR: f32 = 0.95;
 const HAND_LENGTH: f32 = 0.22;
-/// Candidates that are looked at closely.
+/// Number of candidates examined at full resolution.
 const LOOKED_AT: usize = 4;
-/// Log-chromaticities of light and dark skin in white light lie about here, and spread so far.
+/// Mean and spread of the log-chromaticities of light and dark skin in white light.
 const USUAL_SKIN: ([f32; 2], f64) = ([0.30, 0.25], 0.12);
-/// How far the skin of one hand strays from frame to frame.
+/// Spread of the skin colour of one hand from frame to frame.
 const SAME_SKIN: f64 = 0.06;
 
-/// A thing that has the colour, the size and the shape of a hand.
+/// A region with the colour, the size and the shape of a hand.
 pub(crate) struct Hand {
-    /// Its pixels in the left eye.
+    /// Its pixels in the left image.
     pub(crate) left: Mask,
-    /// Its pixels in the right eye, when it was found by both eyes.
+    /// Its pixels in the right image, when it was found with both cameras.
     pub(crate) right: Option<Mask>,
     /// Depth, m.
     pub(crate) z: f64,
-    /// Its shape in the left eye.
+    /// Its shape in the left image.
     pub(crate) shape: HandShape,
     /// Its colour: ln(R/G), ln(G/B).
     pub(crate) skin: [f32; 2],
-    /// Share of its outline in the left eye at which something nearer begins, 0 without a depth image.
+    /// Share of its outline in the left image where something nearer begins; 0 without a depth image.
     pub(crate) hidden: f64,
 }
 
-/// A thing of skin colour, with pixels at half resolution.
+/// A skin-coloured region, at half resolution.
 struct Candidate {
     label: u8,
     left: Component,
-    /// The thing in the other eye, where that was asked.
+    /// The same region in the right image, when stereo was used.
     right: Option<Component>,
     /// Depth, m.
     z: f64,
     score: f64,
 }
 
-/// One frame, and what hands are to be like in it.
+/// The search in one frame.
 struct Search<'a> {
     frame: &'a StereoFrame,
     calibration: &'a StereoCalibration,
     clusters: SkinClusters,
-    /// What stands out by depth.
+    /// The pixels that stand out by depth.
     out: Option<Mask>,
-    /// The colour that is preferred, and how far from it is far.
+    /// The preferred colour, and its spread.
     preferred: ([f32; 2], f64),
 }
 
-/// The thing that looks most like a hand. `skin`: the log-chromaticities of the hand in the last frames.
+/// Finds the region most similar to a hand. `skin`: the log-chromaticities of the hand in the last frames.
 pub(crate) fn find(
     frame: &StereoFrame,
     calibration: &StereoCalibration,
@@ -80,8 +80,7 @@ pub(crate) fn find(
     find_among(frame, calibration, skin, out)
 }
 
-/// As [`find`], for hands so near that they hide much of the scenery: what is nearest is looked at alone, where that
-/// gives a hand.
+/// As [`find`], for hands so near that they hide much of the background: first searches the nearest region alone.
 pub(crate) fn find_near_too(
     frame: &StereoFrame,
     calibration: &StereoCalibration,
@@ -93,8 +92,8 @@ pub(crate) fn find_near_too(
         .or_else(|| find(frame, calibration, skin))
 }
 
-/// The pixels that are at most a hand's length behind the nearest, when that is near and they are not most of the
-/// picture.
+/// The pixels at most a hand's length behind the nearest one; `None` when that is not near or they fill most of
+/// the image.
 fn nearest(depth: &DepthImage, camera: &PinholeCamera) -> Option<Mask> {
     let pixels = depth.width as usize * depth.height as usize;
     if (depth.width, depth.height) != (camera.width, camera.height) || depth.data.len() != pixels {
@@ -116,7 +115,7 @@ fn nearest(depth: &DepthImage, camera: &PinholeCamera) -> Option<Mask> {
     (mask.count() < pixels * 7 / 10).then_some(mask)
 }
 
-/// The hand among the pixels that stand out of a frame with depth.
+/// Finds the hand among the pixels `out` that stand out by depth; without a depth image, by stereo.
 fn find_among(
     frame: &StereoFrame,
     calibration: &StereoCalibration,
@@ -143,7 +142,7 @@ fn find_among(
 }
 
 impl Search<'_> {
-    /// The candidate in all its pixels, if its shape is a hand's.
+    /// Examines the candidate at full resolution; `None` if its shape is not a hand's.
     fn look_closely(&self, candidate: &Candidate) -> Option<Hand> {
         let size = (self.frame.left.width(), self.frame.left.height());
         let whole = |image, part: &Component, among| {
@@ -161,12 +160,12 @@ impl Search<'_> {
         (fits && stands_out).then_some(Hand { left, right, z: candidate.z, shape, skin, hidden })
     }
 
-    /// The area of a thing at a depth, m^2.
+    /// The area of a region at a depth, m^2.
     fn area(&self, thing: &Component, z: f64) -> f64 {
         4.0 * f64::from(thing.area) * (z / self.calibration.camera.focal).powi(2)
     }
 
-    /// The things of one colour that stand out and have a hand's size.
+    /// The regions of one colour that stand out and have a hand's size.
     fn by_depth(&self, left: &HalfImage, depth: &DepthImage, out: &Mask, label: u8) -> Vec<Candidate> {
         let things = components(&self.clusters.half_mask(left, label, Some(out)), LEAST_PIXELS);
         let candidate = |thing: &Component| {
@@ -179,12 +178,12 @@ impl Search<'_> {
         things.iter().take(6).filter_map(candidate).collect()
     }
 
-    /// The things of one colour that both eyes see with a hand's size; none if the colour is scenery.
+    /// The regions of one colour that both cameras see with a hand's size; none if the colour is background.
     fn by_both_eyes(&self, halves: &[HalfImage; 2], label: u8) -> Vec<Candidate> {
         let [left, right] = halves
             .each_ref()
             .map(|half| components(&self.clusters.half_mask(half, label, None), LEAST_PIXELS));
-        // Too large even at the nearest distance.
+        // Too large even at the smallest distance.
         if left.first().is_some_and(|c| self.area(c, DEPTHS.0) > SCENERY) {
             return Vec::new();
         }
@@ -205,7 +204,7 @@ impl Search<'_> {
         found
     }
 
-    /// The depth of a pair of components (half resolution), m, if they can be one thing.
+    /// The depth of a pair of components (half resolution), m, if they can be the same region.
     fn pair_depth(&self, l: &Component, r: &Component) -> Option<f64> {
         let (small, large) = (f64::from(l.area.min(r.area)), f64::from(l.area.max(r.area)));
         let height = f64::from(l.bounds.height.max(r.bounds.height));
@@ -216,8 +215,7 @@ impl Search<'_> {
         (disparity > 1.0).then(|| self.calibration.camera.focal * self.calibration.baseline / disparity)
     }
 
-    /// How much a thing looks like skin of a hand's size: its colour near the preferred one, its area (m^2) near that
-    /// of a hand.
+    /// How well a region fits a hand: its colour near the preferred one, its area (m^2) near a hand's.
     fn likeness(&self, label: u8, area: f64) -> f64 {
         let (peak, (middle, deviation)) = (self.clusters.peak(label), self.preferred);
         let apart = f64::from((peak[0] - middle[0]).hypot(peak[1] - middle[1])) / deviation;
@@ -226,26 +224,26 @@ impl Search<'_> {
     }
 }
 
-/// The median depth of a thing (half resolution), m; `None` where nothing was measured.
+/// The median depth of a region (half resolution), m; `None` without measurements.
 fn median_depth(thing: &Component, depth: &DepthImage) -> Option<f64> {
     let at = |x: u32, y: u32| depth.data.get(2 * y as usize * depth.width as usize + 2 * x as usize).copied();
     let pixels = thing.runs.iter().flat_map(|run| (run.x0..run.x1).filter_map(|x| at(x, run.y)));
     median(pixels.filter(|z| *z > 0.0).collect())
 }
 
-/// The middle one of some depths, m.
+/// The median of some depths, m.
 pub(crate) fn median(mut values: Vec<f32>) -> Option<f64> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1))
 }
 
-/// A region at half resolution in whole pixels, a little larger.
+/// A region at half resolution in full-resolution pixels, slightly enlarged.
 fn full(half: &Region, size: (u32, u32)) -> Region {
     let whole = Region { x: 2 * half.x, y: 2 * half.y, width: 2 * half.width, height: 2 * half.height };
     whole.grown(6, size.0, size.1)
 }
 
-/// The largest component alone.
+/// Keeps only the largest component.
 fn own_pixels(mask: &Mask) -> Mask {
     let mut own = Mask::empty(mask.region());
     if let Some(largest) = components(mask, 1).first() {

@@ -1,5 +1,5 @@
-//! Where a part of a hand is in space: by the depth image, or by its disparity, comparing its brightness and its
-//! silhouette in both eyes.
+//! Measures the 3D position of a part of a hand: by the depth image, or by its disparity, comparing brightness
+//! and silhouette in both images.
 
 use nalgebra::{Point2, Point3};
 
@@ -8,7 +8,7 @@ use crate::camera::StereoCalibration;
 use crate::frame::{DepthImage, Image, StereoFrame};
 use crate::mask::Mask;
 
-/// Measures the parts of one hand in one frame.
+/// Measures parts of one hand in one frame.
 pub(crate) struct Ranging<'a> {
     calibration: &'a StereoCalibration,
     left: View<'a>,
@@ -23,7 +23,7 @@ enum By<'a> {
 }
 
 impl<'a> Ranging<'a> {
-    /// For a hand; `None` when there is neither depth nor a second eye to measure with.
+    /// For a hand; `None` when there is neither a depth image nor a second image to measure with.
     pub(crate) fn of(
         frame: &'a StereoFrame,
         calibration: &'a StereoCalibration,
@@ -41,12 +41,13 @@ impl<'a> Ranging<'a> {
         Some(ranging)
     }
 
-    /// The middle of the visible surface of the palm at a pixel, left camera frame, m.
+    /// The centre of the palm's visible surface at a pixel, left camera frame, m.
     pub(crate) fn palm(&self, px: &Point2<f64>) -> Point3<f64> {
         Point3::from(self.calibration.camera.ray(px) * self.z)
     }
 
-    /// The surface of the hand's part within `radius` m of a pixel, at that pixel, left camera frame, m.
+    /// The surface point of the hand at a pixel, measured from the part within `radius` m of it, left camera
+    /// frame, m.
     pub(crate) fn point(&self, px: &Point2<f64>, radius: f64) -> Option<Point3<f64>> {
         self.point_by(px, px, radius)
     }
@@ -62,7 +63,7 @@ impl<'a> Ranging<'a> {
         Some(Point3::from(self.calibration.camera.ray(px) * z))
     }
 
-    /// The depth of the hand's part within `radius` m of a pixel, m, where a depth image measures it.
+    /// The depth of the hand's part within `radius` m of a pixel, m, if the depth image measures it.
     pub(crate) fn measured(&self, px: &Point2<f64>, radius: f64) -> Option<f64> {
         matches!(self.by, By::Depth(_)).then(|| self.depth(px, radius)).flatten()
     }
@@ -74,7 +75,7 @@ impl<'a> Ranging<'a> {
             By::Depth(depth) => depth_about(depth, self.left.hand, px, radius_px),
             By::Eyes(right) => {
                 let guess = focal * baseline / self.z;
-                // A hand's parts lie within a decimetre of its palm in depth.
+                // All parts of a hand lie within 0.1 m of its palm in depth.
                 let range = (0.1 * guess / self.z).ceil().clamp(3.0, 40.0) as i64 + 1;
                 let disparity = disparity(self.left, right, px, radius_px, guess, range)?;
                 (disparity > 0.1).then(|| focal * baseline / disparity)
@@ -99,18 +100,18 @@ fn depth_about(depth: &DepthImage, hand: &Mask, center: &Point2<f64>, radius: f6
     median(values)
 }
 
-/// One eye: its image, and the hand's pixels in it.
+/// One camera's image with the mask of the hand.
 #[derive(Clone, Copy)]
 struct View<'a> {
     image: &'a Image,
     hand: &'a Mask,
 }
 
-/// What one pixel costs at most, and what it costs to be hand in one eye and not in the other, grey levels.
+/// Highest cost of one pixel, and the cost of a pixel that is hand in one image only, grey levels.
 const MOST: f64 = 30.0;
 
-/// The disparity (px, positive: farther left in the right image) of what lies within `radius` px of `center` in the
-/// left eye, searched within `range` px of `guess`; to a fraction of a pixel. `None` when the best is at the end of
+/// The disparity (px, positive: farther left in the right image) of the part within `radius` px of `center` in the
+/// left image, searched within `range` px of `guess`, with subpixel accuracy. `None` when the best is at the end of
 /// the range or the part has too few pixels of the hand.
 fn disparity(
     left: View<'_>,
@@ -139,7 +140,7 @@ fn disparity(
     Some((middle - range + best as i64) as f64 + part)
 }
 
-/// The disc's pixels: column, row, whether it is hand, brightness.
+/// The disc's pixels: column, row, whether the pixel is hand, brightness.
 fn disc(view: View<'_>, center: &Point2<f64>, radius: f64) -> Vec<(i64, i64, bool, f64)> {
     let (cx, cy, r) = (center.x.round() as i64, center.y.round() as i64, radius.ceil() as i64);
     let mut pixels = Vec::new();

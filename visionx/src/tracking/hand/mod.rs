@@ -1,9 +1,9 @@
-//! A person's hand in stereo frames: where it is, what gesture it shows, where it points.
+//! A person's hand in stereo frames: its position, its gesture, its pointing direction.
 //!
-//! [`HandObserver`] goes from what stands out of the scenery (`relief`) and from colour (`skin`) to a silhouette of a
-//! hand's size at its distance (`candidates`), from there to a palm and stretched fingers (`shape`), to a gesture
-//! ([`crate::tracking::GestureRecognizer`]), and to points and directions (`depth`). Without a depth image both eyes take its place.
-//! One hand at a time; whose hand it is, it does not know.
+//! [`HandObserver`] combines regions that stand out by depth (`relief`) with colour (`skin`) to a silhouette of a
+//! hand's size at its distance (`candidates`), then finds the palm and stretched fingers (`shape`), the gesture
+//! ([`crate::tracking::GestureRecognizer`]), and points and directions (`depth`). Without a depth image it uses stereo.
+//! It finds one hand at a time and does not know whose.
 
 use std::fmt;
 
@@ -22,7 +22,7 @@ use crate::mask::Region;
 
 pub use observer::HandObserver;
 
-/// The gestures of coaching.
+/// The gestures used for coaching.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Gesture {
@@ -41,18 +41,18 @@ pub enum Gesture {
 pub struct Fingertip {
     /// In the left image, px.
     pub px: Point2<f64>,
-    /// In the left camera's frame, m, where both eyes see it.
+    /// In the left camera's frame, m, if both cameras see it.
     pub in_left: Option<Point3<f64>>,
-    /// How well it looks like a fingertip, 0 to 1.
+    /// How well it fits a fingertip, 0 to 1.
     pub score: f64,
 }
 
-/// A hand seen in one frame.
+/// A hand in one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HandObservation {
     /// The gesture, smoothed over the last frames.
     pub gesture: Gesture,
-    /// How much the gesture is trusted, 0 to 1.
+    /// Confidence of the gesture, 0 to 1.
     pub confidence: f64,
     /// Centre of the palm in the left camera's frame, m.
     pub palm_in_left: Point3<f64>,
@@ -64,19 +64,18 @@ pub struct HandObservation {
     pub pointing: Option<Vector3<f64>>,
     /// Stretched fingers, in order around the palm.
     pub fingertips: Vec<Fingertip>,
-    /// Share of the hand's outline at which something nearer begins that may hide a part of it, 0 to 1; 0 where there is
-    /// no depth image to tell, 1 where the hand reaches beyond the picture. While a hand is hidden, what was seen of it
-    /// before goes on.
+    /// Share of the hand's outline where something nearer begins that may hide a part of it, 0 to 1; 0 without a depth
+    /// image, 1 where the hand extends beyond the image. While a hand is hidden, its earlier state is kept.
     pub hidden: f64,
-    /// Around the hand in the left image.
+    /// Bounding box of the hand in the left image.
     pub bounding_box: Region,
     /// The frame's stamp, ns.
     pub stamp_ns: u64,
 }
 
 impl HandObservation {
-    /// The share of [`hidden`](Self::hidden) from which on a part of the hand is taken to be hidden; a sleeve that comes
-    /// towards the eyes makes up to 0.15. What is left of a hidden hand tells little of its gesture and of its place.
+    /// From this share of [`hidden`](Self::hidden) on, a part of the hand counts as hidden. A sleeve directed towards
+    /// the cameras gives up to 0.15. The rest of a hidden hand says little about its gesture and position.
     pub const HIDDEN: f64 = 0.16;
 }
 
@@ -95,7 +94,7 @@ impl Gesture {
         }
     }
 
-    /// The gesture of this name.
+    /// The gesture with this name.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|g| g.name() == name)

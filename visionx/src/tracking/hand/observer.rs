@@ -1,4 +1,4 @@
-//! From frames to a hand: measures the thing that is a hand, and smooths over time.
+//! From frames to a hand: measures the selected hand and smooths over time.
 
 use nalgebra::{Point2, Point3, Vector3};
 
@@ -20,7 +20,7 @@ pub struct HandObserver {
     near: bool,
 }
 
-/// What the last frames have shown.
+/// The state kept from the last frames.
 #[derive(Clone, Debug)]
 struct Memory {
     stamp_ns: u64,
@@ -28,57 +28,57 @@ struct Memory {
     belief: [f64; 4],
     /// The skin's log-chromaticities.
     skin: [f32; 2],
-    /// Where the hand pointed, in the root frame.
+    /// The pointing direction in the root frame.
     pointing: Option<Vector3<f64>>,
-    /// The palm when the hand was last seen whole.
+    /// The palm when the hand was last fully visible.
     palm: Option<Palm>,
 }
 
-/// A palm as it was seen whole.
+/// The palm of a fully visible hand.
 #[derive(Clone, Copy, Debug)]
 struct Palm {
     in_root: Point3<f64>,
     stamp_ns: u64,
-    /// Whether it was in the same place the time before.
+    /// Whether it had not moved since the frame before.
     stands: bool,
 }
 
-/// From a palm's surface to its middle, m.
+/// Distance from the palm's surface to its centre, m.
 const HALF_PALM: f64 = 0.014;
-/// How far about a place in a finger's end, and at its base, depth is measured, m.
+/// Radius around a place in a finger's end, and around its base, where depth is measured, m.
 const TIP_RADIUS: f64 = 0.012;
 const BASE_RADIUS: f64 = 0.018;
-/// Probability that a gesture goes on to the next frame. With [`FLOOR`], a change takes two clear frames.
+/// Probability that a gesture continues in the next frame. With [`FLOOR`], a change takes two clear frames.
 const STAY: f64 = 0.94;
 /// Least likelihood of a gesture in one frame.
 const FLOOR: f64 = 0.04;
-/// What a frame of a hidden hand counts for its gesture, share of a frame of a whole one. Not nothing: a hand that is
-/// never seen whole shows its gesture too, in a while.
+/// Weight of a frame with a hidden hand for the gesture, relative to a fully visible one. Not zero, so that a hand
+/// that is never fully visible still gets a gesture after some time.
 const HIDDEN_COUNTS: f64 = 0.03;
-/// A hidden hand that stood is taken to stand there for this long, ns, unless what is left of it is farther from there
-/// than this, m.
+/// A hidden hand that did not move keeps its palm for this long, ns, unless the visible rest is farther away than
+/// this, m.
 const SAME_PLACE: (u64, f64) = (1_200_000_000, 0.12);
-/// A palm that is within this of where it was in the frame before stands, m.
+/// A palm that moved less than this since the frame before counts as still, m.
 const STANDS: f64 = 0.012;
-/// After this long without a hand, what was seen before does not matter, ns.
+/// After this long without a hand the earlier state is discarded, ns.
 const FORGET_NS: u64 = 400_000_000;
 
 impl HandObserver {
-    /// An observer that has seen nothing yet.
+    /// An observer without earlier frames.
     #[must_use]
     pub fn new(calibration: StereoCalibration) -> Self {
         Self { calibration, recognizer: GestureRecognizer::at_a_slant(), memory: None, near: false }
     }
 
-    /// The same for scenes in which the hand may come so near, to about 0.3 m, that it hides much of the rest; it has
-    /// to be what is nearest there.
+    /// The same for scenes where the hand may come so near, to about 0.3 m, that it hides much of the rest. The hand
+    /// must then be the nearest object.
     #[must_use]
     pub fn with_near_hands(self) -> Self {
         Self { near: true, ..self }
     }
 
-    /// Takes a frame; returns the hand in it, `None` when there is none. Frames whose images do not have the
-    /// calibration's size show nothing.
+    /// Processes a frame; returns the hand in it, `None` when there is none or when the images do not have
+    /// the calibration's size.
     pub fn update(&mut self, frame: &StereoFrame) -> Option<HandObservation> {
         if !self.calibration.fits(frame) {
             return None;
@@ -97,7 +97,7 @@ impl HandObserver {
         let ranging = Ranging::of(frame, &calibration, hand)?;
         let surface = ranging.palm(&shape.palm);
         let seen_palm = surface + surface.coords.try_normalize(1e-6)? * HALF_PALM;
-        // What reaches beyond the picture is hidden too.
+        // A hand that extends beyond the image counts as hidden.
         let bounds = largest_bounds(&hand.left);
         let cut = !self.near && bounds.touches_border(frame.left.width(), frame.left.height());
         let hidden = if cut { 1.0 } else { hand.hidden };
@@ -147,7 +147,7 @@ impl HandObserver {
         })
     }
 
-    /// The palm as it is `seen` (root frame, m) when the hand is whole, as it was shortly before when a part is hidden.
+    /// The palm: as `seen` (root frame, m) when the hand is fully visible, as shortly before when a part is hidden.
     fn palm(&self, seen: Point3<f64>, whole: bool, stamp_ns: u64) -> Option<Palm> {
         let before = self.memory.as_ref().and_then(|m| m.palm);
         let near = |p: &Palm, reach: f64| (p.in_root - seen).norm() < reach;
@@ -159,14 +159,15 @@ impl HandObserver {
         before.filter(|p| p.stands && near(p, reach) && stamp_ns.saturating_sub(p.stamp_ns) < patience)
     }
 
-    /// The likelihood of each gesture by what this frame alone shows, in the order of [`Gesture::ALL`].
+    /// The likelihood of each gesture in this frame alone, in the order of [`Gesture::ALL`].
     fn likelihoods(&self, shape: &HandShape, fingers: &[Finger]) -> [f64; 4] {
         let seen: Vec<SeenFinger> = fingers.iter().map(|f| f.seen(shape.palm_radius)).collect();
         let by_name = self.recognizer.likelihoods(&seen);
         Gesture::ALL.map(|g| by_name.get(g.name()).copied().unwrap_or(0.0))
     }
 
-    /// The gestures' probabilities after one more frame that counts so much (0 to 1): a hidden Markov chain.
+    /// The gestures' probabilities after one more frame with the weight `counts` (0 to 1): a hidden Markov
+    /// model.
     fn believe(&self, likelihoods: &[f64; 4], counts: f64) -> [f64; 4] {
         let before = self.memory.as_ref().map_or([0.25; 4], |m| m.belief);
         let change = (1.0 - STAY) * counts;
@@ -179,7 +180,7 @@ impl HandObserver {
         belief.map(|b| b / sum)
     }
 
-    /// The direction with the last frames' mixed in; remembered while the hand goes on pointing.
+    /// Low-pass filters the direction; keeps the last one while the hand goes on pointing.
     fn smooth(&self, now: Option<Vector3<f64>>, points: bool, frame: &StereoFrame) -> Option<Vector3<f64>> {
         let before =
             self.memory.as_ref().and_then(|m| m.pointing).map(|p| frame.root_from_left.inverse() * p);
@@ -203,7 +204,8 @@ fn direction(ranging: &Ranging<'_>, fingers: &[&Finger]) -> Option<Vector3<f64>>
     sum.try_normalize(1e-6)
 }
 
-/// A finger with its length in space rather than across the line of sight, where the depth image tells.
+/// The finger with its true length instead of the length across the line of sight, if the depth image
+/// measures it.
 fn in_depth(finger: &Finger, ranging: &Ranging<'_>) -> Finger {
     let tip = ranging.measured(&inside_tip(finger), TIP_RADIUS);
     let base = ranging.measured(&finger.base, BASE_RADIUS);
@@ -211,7 +213,7 @@ fn in_depth(finger: &Finger, ranging: &Ranging<'_>) -> Finger {
     finger.reaching(rise)
 }
 
-/// A place a little inside of a finger's end, px.
+/// A point slightly inside of a finger's end, px.
 fn inside_tip(finger: &Finger) -> Point2<f64> {
     finger.tip + (finger.base - finger.tip) * (0.008 / finger.length.max(0.02))
 }
@@ -287,7 +289,7 @@ mod tests {
     #[test]
     fn what_is_left_of_a_hidden_hand_changes_neither_gesture_nor_place() {
         let (open, _) = scene(Gesture::PointTwo, 0.2, true, 0.1);
-        // Something nearer hides the fingers; what is left of the hand looks like a fist.
+        // Something nearer hides the fingers; the visible rest of the hand looks like a fist.
         let fingers = root_from_left() * (PLACE + Vector3::new(0.055, 0.02, -0.10));
         let arm = Thing::Block {
             root_from_block: Isometry3::from_parts(fingers.coords.into(), root_from_left().rotation),

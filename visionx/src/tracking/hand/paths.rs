@@ -1,9 +1,9 @@
-//! Distances in a grid of cells along paths that stay within a shape. Knows nothing of hands.
+//! Geodesic distances in a grid of cells, along paths inside a shape. Knows nothing of hands.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
 
-/// Steps to a cell's neighbours, columns and rows, and their lengths, fifths of a cell.
+/// Steps to a cell's neighbours (column, row), and their lengths, fifths of a cell.
 const STEPS: [(isize, isize, u32); 16] = [
     (1, 0, 5),
     (-1, 0, 5),
@@ -23,8 +23,9 @@ const STEPS: [(isize, isize, u32); 16] = [
     (-1, -2, 11),
 ];
 
-/// How far each cell is from the nearest of those `at_base`, along paths within `cells`, cells; what cannot be reached
-/// is left out. No cell lies in the two outermost columns of the grid. So the end of a bent finger is farther than its knuckle.
+/// The distance of each cell from the nearest `at_base`, along paths within `cells`, in cells; unreachable cells are
+/// left out. Thus the end of a bent finger is farther away than its knuckle. The two outermost columns of the grid must
+/// be empty.
 ///
 /// # Source
 /// Borgefors 1986: chamfer distances with steps of 5, 7 and 11 fifths, 2 % off at most; by Dijkstra's search.

@@ -1,10 +1,10 @@
-//! What stands out of the scenery, by depth: things that are narrower than what lies behind them.
+//! Finds what stands out of the background by depth: objects narrower than what lies behind them.
 //!
-//! The scenery is the grey-level closing of the depth image by a square that is wider than a hand: each pixel as near
-//! as the nearest placing of the square around it allows. A plane at any tilt is its own closing, so that a table,
-//! its tilt and its bumps stay scenery while a hand, an arm or a tool over it does not. What the square is too wide
-//! for but goes on in a large plane of the scenery, as a table's corner does, is scenery too (a reconstruction). It
-//! knows nothing of colour.
+//! The background is the grey-level closing of the depth image by a square that is wider than a hand: each pixel is
+//! as near as the nearest placement of the square over it allows. A tilted plane is its own closing, so a table with
+//! its tilt and bumps stays background, while a hand, an arm or a tool over it does not. A region that is too narrow
+//! for the square but continues a large plane of the background, such as a table's corner, is background too (a
+//! reconstruction). Colour is not used.
 
 use std::collections::VecDeque;
 
@@ -14,30 +14,30 @@ use crate::camera::PinholeCamera;
 use crate::frame::DepthImage;
 use crate::mask::{Mask, Region};
 
-/// Edge of the square, m, at the distance of the middle of the scene.
+/// Edge of the square, m, at the distance of the scene's middle.
 const SQUARE: f64 = 0.30;
-/// Edge of the square, share of the image's height, at most.
+/// Limit of the square's edge, share of the image's height.
 const LARGEST: f64 = 0.45;
-/// How much nearer than the scenery something is that stands out, m.
+/// Least distance in front of the background, m.
 const NEARER: f32 = 0.02;
-/// How far from a plane of the scenery its surface may be, m.
+/// Largest distance of a surface from its plane of the background, m.
 const FLAT: f32 = 0.010;
-/// A step in depth between neighbours of the coarse grid under which a surface goes on, m.
+/// A surface continues where neighbours of the coarse grid differ less than this in depth, m.
 const SMOOTH: f32 = 0.05;
-/// The share of the scene that a plane has at least, and how many planes there are at most.
+/// Least share of the scene that a plane covers, and the most planes.
 const LEAST_PLANE: f64 = 0.015;
 const MOST_PLANES: usize = 4;
-/// The scenery is sought on every so many pixels.
+/// Every so many pixels the background is computed.
 const STRIDE: usize = 4;
-/// Where nothing was measured, nothing is near, m.
+/// Depth of pixels without a measurement, m: far away.
 const NOWHERE: f32 = 100.0;
-/// Share of a hand's outline behind which the scene lies deeper, at least. A patch of a surface has none, save where
-/// the surface ends.
+/// Least share of a hand's outline where the scene behind is deeper. A patch of a surface has none, except at the
+/// surface's edge.
 pub(super) const LEAST_RELIEF: f64 = 0.3;
-/// Deeper or nearer by more than this, m.
+/// Least difference that counts as deeper or nearer, m.
 const STEP: f32 = 0.012;
 
-/// The pixels that stand out of the scenery; `None` unless the depth image is of the camera's size.
+/// The pixels in front of the background; `None` unless the depth image has the camera's size.
 pub(super) fn standing_out(depth: &DepthImage, camera: &PinholeCamera) -> Option<Mask> {
     let (w, h) = (depth.width as usize, depth.height as usize);
     if (depth.width, depth.height) != (camera.width, camera.height)
@@ -58,7 +58,7 @@ pub(super) fn standing_out(depth: &DepthImage, camera: &PinholeCamera) -> Option
     Some(mask)
 }
 
-/// Takes off a mask what goes on from outside of it in one plane.
+/// Removes from a mask what continues a plane outside of it.
 fn reconstruct(mask: &mut Mask, depth: &DepthImage, plane: &Plane) {
     let (w, n) = (depth.width as usize, depth.data.len());
     let around = |i: usize| {
@@ -77,11 +77,11 @@ fn reconstruct(mask: &mut Mask, depth: &DepthImage, plane: &Plane) {
     }
 }
 
-/// A plane in pixels: its inverse depth, 1/m, is affine there.
+/// A plane in pixel coordinates: its inverse depth, 1/m, is affine there.
 struct Plane(Vector3<f64>);
 
 impl Plane {
-    /// Through points `(x, y, inverse depth)`, by least squares, twice: the second time without those that are off.
+    /// Fits points `(x, y, inverse depth)` by least squares, twice: the second time without outliers.
     fn through(points: &[[f64; 3]]) -> Option<Self> {
         let first = Self::fit(points.iter())?;
         let near =
@@ -103,23 +103,23 @@ impl Plane {
         self.0.dot(&Vector3::new(x, y, 1.0))
     }
 
-    /// Depth in a pixel, m.
+    /// Depth at a pixel, m.
     fn depth(&self, x: usize, y: usize) -> f32 {
         (1.0 / self.inverse(x as f64, y as f64)) as f32
     }
 }
 
-/// How the scene lies about a thing: shares of its outline, 0 to 1.
+/// The depth around an object: shares of its outline, 0 to 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Surroundings {
-    /// Where the scene is deeper by [`STEP`] or more, or not measured: the thing ends there.
+    /// Where the scene is deeper by [`STEP`] or more, or not measured: the object ends there.
     pub(super) deeper: f64,
-    /// Where something is nearer by [`STEP`] or more: it may hide a part of the thing.
+    /// Where something is nearer by [`STEP`] or more: it may hide a part of the object.
     pub(super) nearer: f64,
 }
 
-/// What is about a mask. Along rows and columns, from inside the outline to outside of it; outlines at the image's
-/// border do not count. All zero without an outline.
+/// Compares depth on both sides of a mask's outline, along rows and columns; the image's border does not count.
+/// All zero without an outline.
 pub(super) fn surroundings(mask: &Mask, depth: &DepthImage) -> Surroundings {
     let at = |x: i64, y: i64| {
         let inside = x >= 0 && y >= 0 && x < i64::from(depth.width) && y < i64::from(depth.height);
@@ -141,7 +141,7 @@ pub(super) fn surroundings(mask: &Mask, depth: &DepthImage) -> Surroundings {
                     continue;
                 };
                 outline += 1;
-                // Nothing measured outside is nothing near.
+                // Pixels without a measurement count as far away.
                 deeper += usize::from(here > 0.0 && (there == 0.0 || there > here + STEP));
                 nearer += usize::from(here > 0.0 && there > 0.0 && there < here - STEP);
             }
@@ -172,7 +172,8 @@ impl Grid {
         *sorted.select_nth_unstable_by(middle, f32::total_cmp).1
     }
 
-    /// The closing by a square of `window` cells. Beyond the border the square may hang out: it sees nothing there.
+    /// The closing by a square of `window` cells. The square may extend beyond the border, where it ignores missing
+    /// cells.
     fn closed(&self, window: usize) -> Self {
         let widest = |grid: &Self| grid.rows(|row| sliding_max(row, window)).transposed();
         let dilated = widest(&widest(self));
@@ -230,7 +231,7 @@ impl Grid {
         surfaces.iter().take(MOST_PLANES).filter_map(|s| Plane::through(s)).collect()
     }
 
-    /// Sets each pixel of an image's row `y` by `test` of its column and of the depth here, interpolated.
+    /// Sets each pixel of an image's row `y` by `test` of its column and the interpolated depth of this grid.
     fn along_row(&self, y: usize, bits: &mut [u8], test: impl Fn(usize, f32) -> bool) {
         let height = self.data.len() / self.width;
         let split = |at: usize, n: usize| {
@@ -247,11 +248,11 @@ impl Grid {
     }
 }
 
-/// The largest of each `window` consecutive values, windows that hang out over the ends among them:
+/// The maximum of each `window` consecutive values, including windows that extend over the ends:
 /// `values.len() + window - 1` results.
 fn sliding_max(values: &[f32], window: usize) -> Vec<f32> {
     let mut result = Vec::with_capacity(values.len() + window - 1);
-    // Places of values that are larger than all after them.
+    // Indices of values that are larger than all later ones.
     let mut places: VecDeque<usize> = VecDeque::new();
     for end in 0..values.len() + window - 1 {
         if let Some(value) = values.get(end) {
@@ -293,7 +294,7 @@ mod tests {
         }
     }
 
-    /// The depth of a tilted plane in a pixel: 1/z is linear there.
+    /// The depth of a tilted plane at a pixel: 1/z is linear there.
     fn plane(x: u32, y: u32) -> f32 {
         1.0 / (1.0 + 0.002 * x as f32 + 0.006 * (120.0 - y as f32))
     }
@@ -310,7 +311,7 @@ mod tests {
         }
     }
 
-    /// A tilted plane that ends in a corner too narrow for the square, over a floor; and a bar that leans on it.
+    /// A tilted plane over a floor that ends in a corner too narrow for the square, and a bar that leans on it.
     fn corner(bar: bool) -> DepthImage {
         image(move |x, y| {
             let on_bar = bar && (100..110).contains(&x) && (40..90).contains(&y);

@@ -1,8 +1,8 @@
 //! The shape of a hand's silhouette: its palm and its stretched fingers.
 //!
 //! The silhouette is resampled to cells of fixed metric size, so that every length below is in cells of a real hand.
-//! Opening it by a disc that is a little wider than a finger leaves the palm; what the opening has taken away, if it is
-//! as long and as wide as a finger, is a finger. It knows nothing of colour, depth or gestures.
+//! Opening it by a disc that is slightly wider than a finger leaves the palm. What the opening removes is a finger if
+//! it is as long and as wide as one. Colour, depth and gestures are not used.
 
 use nalgebra::{Point2, Vector2};
 
@@ -16,13 +16,13 @@ use crate::tracking::SeenFinger;
 pub(crate) const CELL: f64 = 0.0015;
 /// Radius of the opening disc, m: wider than a finger (about 10 mm), narrower than a hand seen from its edge (14 mm).
 const OPENING: f64 = 0.0125;
-/// What the opening may miss at the palm's corners, m.
+/// Tolerance at the palm's corners, which the opening rounds off, m.
 const MARGIN: f64 = 0.002;
-/// How far the gap between two fingers must reach in from the nearer tip, m.
+/// Least depth of the gap between two fingers, from the nearer tip, m.
 const LEAST_GAP: f64 = 0.007;
-/// Holes up to this size are filled, m^2.
+/// Largest hole that is filled, m^2.
 const HOLE: f64 = 8e-5;
-/// Most cells along an edge; a silhouette that needs more is no hand.
+/// Most cells along an edge; a larger silhouette is not a hand.
 const MOST_CELLS: u32 = 330;
 
 /// A stretched finger in the image.
@@ -32,7 +32,7 @@ pub(crate) struct Finger {
     pub(crate) tip: Point2<f64>,
     /// Where it leaves the palm, px.
     pub(crate) base: Point2<f64>,
-    /// How far it stands out of the palm, m; across the line of sight unless its rise is known.
+    /// Length beyond the palm, m; measured across the line of sight unless its depth is known.
     pub(crate) length: f64,
     /// Mean width, m.
     pub(crate) width: f64,
@@ -40,7 +40,7 @@ pub(crate) struct Finger {
     pub(crate) score: f64,
 }
 
-/// What a silhouette looks like.
+/// The shape of a silhouette.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct HandShape {
     /// Centre of the palm, px.
@@ -49,26 +49,26 @@ pub(crate) struct HandShape {
     pub(crate) palm_radius: f64,
     /// Area of the silhouette, m^2.
     pub(crate) area: f64,
-    /// What may be fingers, in order of their angle about the palm.
+    /// Possible fingers, sorted by their angle about the palm.
     pub(crate) fingers: Vec<Finger>,
 }
 
 impl Finger {
-    /// As a recogniser of gestures sees it, on a hand whose palm has this radius, m.
+    /// As input of a gesture recogniser, for a hand with this palm radius, m.
     pub(crate) fn seen(&self, palm_radius: f64) -> SeenFinger {
         let length = self.length / palm_radius.max(1e-3);
         SeenFinger { direction: self.tip - self.base, length, score: self.score }
     }
 
-    /// The same finger when its tip is farther than its base by `rise` m along the line of sight, or nearer.
+    /// The same finger when its tip is `rise` m farther along the line of sight than its base, or nearer.
     pub(crate) fn reaching(&self, rise: f64) -> Self {
         let length = self.length.hypot(rise);
         Self { length, score: finger_score(length, self.width), ..self.clone() }
     }
 }
 
-/// The shape of a mask's largest component, when a pixel is `pixel_m` m wide at its distance. `None` when there is
-/// nothing or when it is far too large for a hand.
+/// The shape of a mask's largest component; a pixel is `pixel_m` m wide at its distance. `None` when the mask is
+/// empty or far too large for a hand.
 pub(crate) fn hand_shape(mask: &Mask, pixel_m: f64) -> Option<HandShape> {
     let grid = Grid::of(mask, CELL / pixel_m)?;
     let inside = inside(&grid.mask);
@@ -92,7 +92,7 @@ pub(crate) fn hand_shape(mask: &Mask, pixel_m: f64) -> Option<HandShape> {
 struct Grid {
     mask: Mask,
     origin: Vector2<f64>,
-    /// Pixels a cell.
+    /// Pixels per cell.
     step: f64,
 }
 
@@ -116,7 +116,7 @@ impl Grid {
         let largest = components(&grid.mask, 1).into_iter().next()?;
         grid.mask = Mask::empty(grid.mask.region());
         grid.mask.add(&largest.runs);
-        // A hole of fewer cells than this is filled.
+        // Fills holes of fewer cells than this.
         fill_holes(&mut grid.mask, (HOLE / (CELL * CELL)).ceil() as u32);
         Some(grid)
     }
@@ -126,8 +126,8 @@ impl Grid {
     }
 }
 
-/// The middle of the widest part, cells, and the radius of the disc that fits there. The middle is the mean of all
-/// places where nearly as large a disc fits.
+/// The centre of the widest part, cells, and the radius of the disc that fits there. The centre is the mean of all
+/// places where a nearly as large disc fits.
 fn largest_disc(mask: &Mask, inside: &[f32]) -> Option<(Point2<f64>, f64)> {
     let radius = inside.iter().copied().fold(0.0f32, f32::max);
     let (mut n, mut sum) = (0.0, Vector2::zeros());
@@ -140,21 +140,21 @@ fn largest_disc(mask: &Mask, inside: &[f32]) -> Option<(Point2<f64>, f64)> {
     (radius > 0.0).then(|| (Point2::from(sum / n), f64::from(radius)))
 }
 
-/// A part of the hand outside of the palm while it is flooded from its tips towards the palm.
+/// A part of the hand outside of the palm, flooded from its tip towards the palm.
 #[derive(Default)]
 struct Branch {
-    /// Cells in the order of flooding, the tip first, until the branch met another finger.
+    /// Cells in the order of flooding, the tip first, until the branch meets another finger.
     cells: Vec<usize>,
     /// Distance of its tip from the core, cells.
     top: f32,
-    /// Whether it has met another finger, so that cells that follow belong to both.
+    /// Whether it has met another finger; later cells then belong to both.
     met: bool,
-    /// The branch that this one has become a part of, without being a finger.
+    /// The branch that absorbed this one because it is not a finger.
     part_of: Option<usize>,
 }
 
-/// Floods what lies outside of the palm from far to near. A tip is a finger of its own if the flood has to come
-/// [`LEAST_GAP`] nearer to the palm until it meets a farther tip's.
+/// Floods the region outside of the palm from far to near. A tip is a separate finger if the flood must come
+/// [`LEAST_GAP`] nearer to the palm before it meets the flood of a farther tip.
 fn fingers(grid: &Grid, inside: &[f32], from_core: &[f32], palm: &Point2<f64>) -> Vec<Finger> {
     let reach = ((OPENING + MARGIN) / CELL) as f32;
     let outside = |i: &usize| grid.mask.data()[*i] != 0 && from_core[*i] > reach && from_core[*i].is_finite();
@@ -177,7 +177,7 @@ fn fingers(grid: &Grid, inside: &[f32], from_core: &[f32], palm: &Point2<f64>) -
 fn flood(order: &[usize], from_core: &[f32], width: usize) -> Vec<Branch> {
     let mut branches: Vec<Branch> = Vec::new();
     let mut of = vec![usize::MAX; from_core.len()];
-    // For each branch the one that floods on in its place.
+    // For each branch the one that continues its flood.
     let mut heirs: Vec<usize> = Vec::new();
     for &cell in order {
         let mut touched: Vec<usize> =
@@ -190,7 +190,7 @@ fn flood(order: &[usize], from_core: &[f32], width: usize) -> Vec<Branch> {
         touched.sort_unstable();
         touched.dedup();
         let level = from_core[cell];
-        // Branches are numbered from the farthest tip on.
+        // Branches are numbered from the farthest tip.
         let Some(&first) = touched.first() else {
             of[cell] = branches.len();
             heirs.push(branches.len());
@@ -241,7 +241,7 @@ fn measure(branch: &Branch, grid: &Grid, inside: &[f32], from_core: &[f32], reac
     };
     let is_end =
         |i: usize| along.get(&i).is_some_and(|d| *d > reached - 2.0) && (place(i) - end).norm() < 8.0;
-    // The widest disc in the finger's last four centimetres, without its rounding.
+    // The widest disc in the finger's last 4 cm, without the rounded tip.
     let widest = branch.cells.iter().filter(|&&i| from_core[i] > branch.top - (0.04 / CELL) as f32);
     let width = 2.0 * CELL * f64::from(widest.map(|&i| inside[i]).fold(0.0, f32::max));
     let length = f64::from((branch.top - bottom).max(reached) + bottom - reach) * CELL + MARGIN;
@@ -308,7 +308,7 @@ mod tests {
         let fingers: Vec<&Finger> = shape.fingers.iter().filter(|f| f.score > 0.5).collect();
         assert_eq!(fingers.len(), 1, "{shape:?}");
         assert!((fingers[0].tip - Point2::new(192.0, 97.0)).norm() < 5.0, "{:?}", fingers[0]);
-        // The shortest way through it cuts the corner of its joint.
+        // The shortest path inside it cuts the corner at its joint.
         assert!((fingers[0].length - 0.090).abs() < 0.008, "{:?}", fingers[0]);
     }
 

@@ -1,9 +1,9 @@
-//! Which pixels are skin, adapted to each scene.
+//! Classifies skin pixels, adapted to each scene.
 //!
-//! Colours that skin can have are many, and wooden tables, cardboard and warm walls have them too. So colour alone
-//! does not decide: the skin-like colours of a frame are split into the clusters that this scene shows, by the valleys
-//! of a histogram of log-chromaticities, which shading by a white light does not move. A cluster that fills more than
-//! a hand can is scenery; that decision needs the depth and is made by [`super::HandObserver`].
+//! Skin can have many colours, and wooden tables, cardboard and warm walls have them too, so colour alone does not
+//! decide. The skin-like colours of a frame are split into clusters at the valleys of a histogram of
+//! log-chromaticities, which shading by a white light does not change. A cluster that covers more area than a hand can
+//! is background; that decision needs the depth and is made by [`super::HandObserver`].
 
 use crate::frame::Image;
 use crate::mask::{Mask, Region};
@@ -12,15 +12,15 @@ use crate::mask::{Mask, Region};
 const BINS: usize = 40;
 /// Width of a bin.
 const BIN: f32 = 0.02;
-/// Range of ln(R/G) and of ln(G/B) that skin of any tone can have in white light; measured ranges of skin in
-/// photographs, widened. The second begins below zero for reddened skin.
+/// Ranges of ln(R/G) and of ln(G/B) for skin of any tone in white light: measured in photographs, then
+/// widened. The second begins below zero for reddened skin.
 const RED_OVER_GREEN: (f32, f32) = (0.07, 0.87);
 const GREEN_OVER_BLUE: (f32, f32) = (-0.06, 0.74);
 /// Darkest usable red.
 const DARK: u16 = 45;
 /// Fewest pixels (at half resolution) that make a cluster.
 const LEAST_PIXELS: f32 = 60.0;
-/// How many bins a cluster reaches beyond the colours that were seen.
+/// Bins by which a cluster is extended beyond the observed colours.
 const SPREAD: usize = 2;
 
 /// The skin-like colours of one frame, by cluster.
@@ -61,7 +61,7 @@ impl HalfImage {
         Self { width: w, height: h, data }
     }
 
-    /// Whether a pixel, by its place in the data, is one of these in the whole image.
+    /// Whether the pixel with index `i` is set in `among`, a mask of the full-resolution image.
     fn is_among(&self, i: usize, among: Option<&Mask>) -> bool {
         let (x, y) = ((i % self.width as usize) as i64, (i / self.width as usize) as i64);
         among.is_none_or(|m| m.contains(2 * x, 2 * y))
@@ -74,7 +74,7 @@ impl Logs {
         Self((0..=1020).map(log).collect())
     }
 
-    /// The bin of a colour given by sums of four pixels; `None` where no skin is.
+    /// The bin of a colour given by sums of four pixels; `None` outside of the skin range.
     #[inline]
     fn bin(&self, [r, g, b]: [u16; 3]) -> Option<usize> {
         let log = |v: u16| self.0[usize::from(v.min(1020))];
@@ -87,7 +87,7 @@ impl Logs {
 }
 
 impl SkinClusters {
-    /// The clusters of the skin-like colours in an image, or in its pixels `among` these.
+    /// The clusters of the skin-like colours in an image, optionally only in the pixels `among`.
     pub(super) fn find(image: &HalfImage, among: Option<&Mask>) -> Self {
         debug_assert!(((RED_OVER_GREEN.1 - RED_OVER_GREEN.0) / BIN).round() as usize == BINS);
         debug_assert!(((GREEN_OVER_BLUE.1 - GREEN_OVER_BLUE.0) / BIN).round() as usize == BINS);
@@ -115,12 +115,12 @@ impl SkinClusters {
         1..=self.peaks.len() as u8
     }
 
-    /// A cluster's middle: ln(R/G), ln(G/B).
+    /// A cluster's peak: ln(R/G), ln(G/B).
     pub(super) fn peak(&self, label: u8) -> [f32; 2] {
         self.peaks[usize::from(label) - 1]
     }
 
-    /// The pixels of a half image that have a cluster's colour, `among` these.
+    /// The pixels of a half-resolution image that have a cluster's colour, optionally only those `among`.
     pub(super) fn half_mask(&self, image: &HalfImage, label: u8, among: Option<&Mask>) -> Mask {
         let mut mask = Mask::empty(Region::whole(image.width, image.height));
         for (i, (m, p)) in mask.data_mut().iter_mut().zip(&image.data).enumerate() {
@@ -130,8 +130,8 @@ impl SkinClusters {
         mask
     }
 
-    /// The pixels of a part of an image that have a cluster's colour, each by the majority of its neighbourhood;
-    /// `among` these.
+    /// The pixels of a part of an image that have a cluster's colour, smoothed by a majority filter; optionally
+    /// only those `among`.
     pub(super) fn mask(&self, image: &Image, region: Region, label: u8, among: Option<&Mask>) -> Mask {
         let region = region.clipped(image.width(), image.height());
         let mut mask = Mask::empty(region);
@@ -149,14 +149,14 @@ impl SkinClusters {
     }
 }
 
-/// A pixel twice and its neighbours in the row once: less noise, no shift.
+/// A horizontal filter with weights 1, 2, 1: less noise, no shift.
 fn row_sum(image: &Image, x: u32, y: u32) -> [u16; 3] {
     let [left, middle, right] =
         [x.saturating_sub(1), x, (x + 1).min(image.width() - 1)].map(|x| image.pixel(x, y));
     std::array::from_fn(|i| u16::from(left[i]) + 2 * u16::from(middle[i]) + u16::from(right[i]))
 }
 
-/// Gives each bin without a label the lowest label of its neighbours, for colours that only noise makes.
+/// Gives each unlabelled bin the lowest label of its neighbours, for colours that arise from noise.
 fn spread(labels: &mut [u8]) {
     let before = labels.to_vec();
     for (bin, label) in labels.iter_mut().enumerate().filter(|(_, l)| **l == 0) {
@@ -164,15 +164,16 @@ fn spread(labels: &mut [u8]) {
     }
 }
 
-/// Splits a histogram at its valleys: bins in order of their counts join the hill that they touch; two hills that meet
-/// are one unless the valley is clearly lower than both tops, beyond chance. Returns labels and the bins of the tops.
+/// Splits a histogram at its valleys. Bins in order of their counts join the hill that they touch. Two hills that meet
+/// are merged unless the valley is significantly lower than both peaks. Returns labels and the bins of the peaks.
 ///
-/// The histogram is not smoothed: the camera's noise has done that, and a table's peak would drown a hand's beside it.
+/// The histogram is not smoothed: the camera's noise has smoothed it, and a table's peak would hide a hand's beside
+/// it.
 fn split(counts: &[f32]) -> (Vec<u8>, Vec<usize>) {
     let is_valley = |valley: f32, top: f32| valley < 0.6 * top && top - valley > 3.0 * top.sqrt();
     let mut order: Vec<usize> = (0..counts.len()).filter(|&i| counts[i] > 0.0).collect();
     order.sort_by(|&a, &b| counts[b].total_cmp(&counts[a]).then(a.cmp(&b)));
-    // For each hill its top, its pixels, and the hill that it has become part of.
+    // For each hill its peak, its pixels, and the hill that it was merged into.
     let mut hills: Vec<(usize, f32, usize)> = Vec::new();
     let mut of = vec![usize::MAX; counts.len()];
     let owner = |hills: &[(usize, f32, usize)], mut i: usize| {
@@ -186,7 +187,7 @@ fn split(counts: &[f32]) -> (Vec<u8>, Vec<usize>) {
             neighbours(bin).filter(|&n| of[n] != usize::MAX).map(|n| owner(&hills, of[n])).collect();
         touched.sort_unstable();
         touched.dedup();
-        // The highest hill gets the bin, because hills are numbered from the highest down.
+        // The highest hill gets the bin, because hills are numbered from the highest.
         let Some(&first) = touched.first() else {
             of[bin] = hills.len();
             hills.push((bin, counts[bin], hills.len()));
@@ -229,7 +230,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
     use rand_distr::StandardNormal;
 
-    /// A shaded picture: left half one colour, right half another, noise of two grey levels.
+    /// A shaded image: left half one colour, right half another, noise of two grey levels.
     fn picture(left: [u8; 3], right: [u8; 3]) -> Image {
         let (w, h) = (120u32, 80u32);
         let mut rng = ChaCha8Rng::seed_from_u64(2);
