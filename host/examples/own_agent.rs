@@ -2,6 +2,7 @@
 //!
 //! `cargo run --example own_agent -p armarium-host -- CHART` runs a chart that may use it. Without a chart it runs the one below.
 
+use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -62,6 +63,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let console: Arc<dyn Console> = Arc::new(Silent);
     let ended = run(&config, &console)?;
-    println!("{}; the report is {}", ended.result.outcome, config.report.join("report.html").display());
+    let report = config.report.join("report.html");
+    writeln!(std::io::stdout(), "{}; the report is {}", ended.result.outcome, report.display())?;
     Ok(())
 }

@@ -212,7 +212,7 @@ async fn act(
 /// Follows others for as long as the tasks live.
 fn follow_all(config: &AgentConfig, session: &Session, memory: &AgentMemory) -> JoinSet<()> {
     let mut tasks = JoinSet::new();
-    for other in config.follow.iter().cloned() {
+    for other in config.follow.clone() {
         let following = FollowingAgent {
             session: session.clone(),
             memory: Arc::clone(memory.memory()),

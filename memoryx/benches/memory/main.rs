@@ -4,7 +4,6 @@
 //!
 //! Rates say what a machine does that has other work as well; so the processor time of each item stands beside them.
 
-#![expect(clippy::disallowed_methods, reason = "it measures the machine")]
 #![allow(clippy::print_stdout, reason = "it prints figures")]
 
 use std::time::{Duration, Instant};
