@@ -1,4 +1,4 @@
-//! The fast path of evaluation: numbers, bools and strings in registers, without allocation. Where it gives no value
+//! The fast path of evaluation: numbers and bools in registers, without allocation. Where it gives no value
 //! (another type, an error, a channel), the evaluation in `eval` gives the result or the error.
 
 use super::eval::{Node, World};
