@@ -1,7 +1,7 @@
 //! The memory of one agent, put together: working memory on a long-term file, shared over Zenoh, following others.
 //!
-//! Every program opens an agent's memory here, also a run in virtual time. This file reads no command line
-//! and opens no session.
+//! Every program opens an agent's memory here, also a run in virtual time. This file reads no command line and opens
+//! no session.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -142,8 +142,8 @@ impl AgentMemory {
         Ok(Self { memory, kept, clock, server: None, inferences: Vec::new(), tasks: JoinSet::new() })
     }
 
-    /// Serves the memory over `session`, follows other agents, runs inferences and retention, as the
-    /// configuration says.
+    /// Serves the memory over `session`, follows other agents, runs inferences and retention, as the configuration
+    /// says.
     ///
     /// # Errors
     /// As [`MemoryServer::start`].

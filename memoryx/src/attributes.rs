@@ -1,7 +1,7 @@
 //! The attributes of an instance: values by name, stored compactly.
 //!
-//! A memory holds a million of these, most of them with one to five values. A sorted slice takes a tenth of
-//! the bytes of a tree. Attributes are immutable; [`Attributes::to_map`] returns a map that can be edited.
+//! A memory holds a million of these, most of them with one to five values. A sorted slice takes a tenth of the bytes
+//! of a tree. Attributes are immutable; [`Attributes::to_map`] returns a map that can be edited.
 
 use std::collections::BTreeMap;
 use std::fmt;

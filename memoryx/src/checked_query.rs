@@ -1,5 +1,5 @@
-//! A checked query, applied to the snapshots of one entity at a time: the one selection that every memory
-//! uses. It does not find the entities; each memory does that itself.
+//! A checked query, applied to the snapshots of one entity at a time: the one selection that every memory uses. It
+//! does not find the entities; each memory does that itself.
 
 use std::cmp::Ordering;
 use std::sync::Arc;
@@ -52,8 +52,7 @@ impl CheckedQuery<'_> {
         self.filter.is_none() && self.query.region.is_none() && self.query.arrived_since.is_none()
     }
 
-    /// Selects from the snapshots of one entity that [`Self::wants`]. Input and output are in order of
-    /// version.
+    /// Selects from the snapshots of one entity that [`Self::wants`]. Input and output are in order of version.
     #[must_use]
     pub fn select(&self, history: impl DoubleEndedIterator<Item = Arc<Snapshot>>) -> Vec<Arc<Snapshot>> {
         let query = self.query;
@@ -91,8 +90,7 @@ impl CheckedQuery<'_> {
         Selection { asked: self, found: Vec::new(), bytes: 0, left: LEFT, left_bytes: LEFT_BYTES }
     }
 
-    /// Completes the answer: sorts the nearest by distance and applies the bounds. `found`: in order of
-    /// address.
+    /// Completes the answer: sorts the nearest by distance and applies the bounds. `found`: in order of address.
     #[must_use]
     pub fn finish(&self, mut found: Vec<Arc<Snapshot>>) -> Vec<Arc<Snapshot>> {
         if let Some(Region::Nearest { to, count, .. }) = &self.query.region {
@@ -131,8 +129,7 @@ impl CheckedQuery<'_> {
             && self.filter.as_ref().is_none_or(|filter| filter.fits(snapshot))
     }
 
-    /// The snapshot with the latest referenced time among those for which `counts` is true, unless it is a
-    /// removal.
+    /// The snapshot with the latest referenced time among those for which `counts` is true, unless it is a removal.
     fn held(
         &self,
         history: impl Iterator<Item = Arc<Snapshot>>,
@@ -201,15 +198,14 @@ pub(crate) fn places(from: i64, to: i64, count: usize) -> std::ops::Range<usize>
     index(from)..index(to) + 1
 }
 
-/// The first and the last version between two positions in a history; negative positions count from the end.
-/// `at` gives the version at a position. `None` when the range is empty.
+/// The first and the last version between two positions in a history; negative positions count from the end. `at`
+/// gives the version at a position. `None` when the range is empty.
 pub(crate) fn versions_between<E>(
     from: i64,
     to: i64,
     at: impl Fn(i64) -> Result<Option<u64>, E>,
 ) -> Result<Option<(u64, u64)>, E> {
-    // A first position before the oldest means the oldest; a last position before the oldest means an empty
-    // range.
+    // A first position before the oldest means the oldest; a last position before the oldest means an empty range.
     let first = at(from)?.or((from < 0).then_some(0));
     let last = at(to)?.or((to >= 0).then_some(u64::MAX));
     Ok(first.zip(last))

@@ -1,8 +1,8 @@
-//! The memory model after MemoryX and its successor ArMem: memory / core segment / provider segment / entity
-//! / snapshot / instance. This file says what is stored and how it is committed, not where it is stored.
+//! The memory model after MemoryX and its successor ArMem: memory / core segment / provider segment / entity /
+//! snapshot / instance. This file says what is stored and how it is committed, not where it is stored.
 //!
-//! A snapshot without instances is a removal: histories and subscribers see it, `latest` and `segment` do
-//! not. A later commit brings the entity back with the next version.
+//! A snapshot without instances is a removal: histories and subscribers see it, `latest` and `segment` do not. A
+//! later commit brings the entity back with the next version.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -37,8 +37,8 @@ pub struct Instance {
     pub attributes: Attributes,
     /// Confidence, 0 to 1.
     pub confidence: f64,
-    /// Covariances of the attributes that have one, row by row, in the attribute's unit squared: one number
-    /// for a number, 3x3 for a vector or a point, 6x6 for a pose (position, then rotation vector, rad).
+    /// Covariances of the attributes that have one, row by row, in the attribute's unit squared: one number for a
+    /// number, 3x3 for a vector or a point, 6x6 for a pose (position, then rotation vector, rad).
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub covariance: BTreeMap<String, Vec<f64>>,
 }
@@ -69,8 +69,7 @@ pub struct Commit {
     pub referenced_ns: u64,
     /// The new state; empty removes the entity.
     pub instances: Vec<Instance>,
-    /// When given, the commit is refused unless this is the entity's newest version (0: the entity must not
-    /// exist).
+    /// When given, the commit is refused unless this is the entity's newest version (0: the entity must not exist).
     pub expected_version: Option<u64>,
 }
 

@@ -1,9 +1,8 @@
 //! CEL expressions over snapshots, for queries and observers.
 //!
-//! Names: `id`, `segment`, `provider`, `entity`, `version`, `confidence`, `referenced_s`, `sent_s`,
-//! `arrived_s`; any other name is an attribute of the hypothesis with the highest confidence
-//! (`attributes.NAME` where it has one of these names). An expression without a value, because an attribute
-//! is missing or has another type, does not match.
+//! Names: `id`, `segment`, `provider`, `entity`, `version`, `confidence`, `referenced_s`, `sent_s`, `arrived_s`; any
+//! other name is an attribute of the hypothesis with the highest confidence (`attributes.NAME` where it has one of
+//! these names). An expression without a value, because an attribute is missing or has another type, does not match.
 
 use std::cell::RefCell;
 

@@ -1,5 +1,4 @@
-//! A writer that sends nonsense, too much data or data from the future gets an error, and all others are
-//! served.
+//! A writer that sends nonsense, too much data or data from the future gets an error, and all others are served.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};

@@ -1,14 +1,13 @@
 //! MemoryX: working memory, long-term memory, prior knowledge and the observer.
 //!
-//! - [`Memory`]: the one interface, in process and over Zenoh; [`modify`] reads, changes and writes an
-//!   entity.
+//! - [`Memory`]: the one interface, in process and over Zenoh; [`modify`] reads, changes and writes an entity.
 //! - [`EntityId`], [`Snapshot`], [`Commit`]: the data model; [`Query`]: what can be asked.
 //! - [`WorkingMemory`]: what an agent knows now.
 //! - [`Follower`]: a subscription that reports its gaps.
 //! - [`PriorKnowledge`]: object classes and scenes, known before anything is seen.
 //! - [`MemoryServer`], [`RemoteMemory`]: a memory shared over Zenoh ([`wire`] has the messages).
-//! - [`Following`]: a copy of another agent's knowledge, in one's own frame; [`AgentMemory`]: all parts of an
-//!   agent's memory.
+//! - [`Following`]: a copy of another agent's knowledge, in one's own frame; [`AgentMemory`]: all parts of an agent's
+//!   memory.
 //! - [`updater`]: turns observations into entities: matching, fusion, motion models.
 //! - [`Observer`]: turns conditions on memory into events.
 //! - [`Inference`]: conclusions from memory, with confidence and provenance.

@@ -18,8 +18,8 @@ pub(crate) enum Line {
     Cut,
 }
 
-/// A proxy to an endpoint `tcp/...`. Returns its own endpoint, and the switch of its behaviour. Its buffers
-/// are small, so that a sender soon notices a pause.
+/// A proxy to an endpoint `tcp/...`. Returns its own endpoint, and the switch of its behaviour. Its buffers are
+/// small, so that a sender soon notices a pause.
 pub(crate) async fn line(to: &str) -> (String, watch::Sender<Line>) {
     let to: SocketAddr = to.strip_prefix("tcp/").unwrap().parse().unwrap();
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();

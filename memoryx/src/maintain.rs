@@ -10,9 +10,8 @@ use crate::working::WorkingMemory;
 /// Carries out a request. Blocks on the disk.
 ///
 /// # Errors
-/// [`MemoryError::Store`] when the disk or the file fails; [`MemoryError::Schema`] and
-/// [`MemoryError::Confidence`] for invalid snapshots; as [`WorkingMemory::commit_now`] when a named snapshot
-/// is loaded.
+/// [`MemoryError::Store`] when the disk or the file fails; [`MemoryError::Schema`] and [`MemoryError::Confidence`]
+/// for invalid snapshots; as [`WorkingMemory::commit_now`] when a named snapshot is loaded.
 pub fn carry_out(
     request: Maintain,
     store: Option<&LongTermMemory>,

@@ -1,7 +1,7 @@
 //! The trait that all memories implement, and read-modify-write on top of it.
 //!
-//! This file knows no implementation: [`crate::WorkingMemory`] and [`crate::RemoteMemory`] implement it,
-//! skills take an `Arc<dyn Memory>`.
+//! This file knows no implementation: [`crate::WorkingMemory`] and [`crate::RemoteMemory`] implement it, skills take
+//! an `Arc<dyn Memory>`.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -24,8 +24,8 @@ pub trait Memory: Send + Sync {
     ///
     /// # Errors
     /// [`MemoryError::Conflict`] when an expected version is not the newest; [`MemoryError::Schema`],
-    /// [`MemoryError::Confidence`], [`MemoryError::ReadOnly`] and [`MemoryError::Full`] when an update is
-    /// refused; [`MemoryError::Store`] and [`MemoryError::Remote`] when the memory cannot be reached.
+    /// [`MemoryError::Confidence`], [`MemoryError::ReadOnly`] and [`MemoryError::Full`] when an update is refused;
+    /// [`MemoryError::Store`] and [`MemoryError::Remote`] when the memory cannot be reached.
     async fn commit(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError>;
     /// The newest snapshot of an entity.
     ///
@@ -37,18 +37,17 @@ pub trait Memory: Send + Sync {
     /// # Errors
     /// [`MemoryError::Store`] when the memory cannot be read.
     async fn segment(&self, segment: &str) -> Result<Vec<Arc<Snapshot>>, MemoryError>;
-    /// The snapshots that match a query, ordered by address, then version; the nearest ones by distance.
-    /// [`pages`] reads a long answer piece by piece.
+    /// The snapshots that match a query, ordered by address, then version; the nearest ones by distance. [`pages`]
+    /// reads a long answer piece by piece.
     ///
     /// # Errors
-    /// [`MemoryError::Query`] when the query is invalid; [`MemoryError::Store`] when the memory cannot be
-    /// read.
+    /// [`MemoryError::Query`] when the query is invalid; [`MemoryError::Store`] when the memory cannot be read.
     async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError>;
     /// All later changes, those of each entity in order. A receiver that lags learns how many it missed;
     /// [`crate::Follower`] reports which, and reads them again where the memory still has them.
     fn subscribe(&self) -> broadcast::Receiver<Arc<Snapshot>>;
-    /// The arrival time, ns, before which subscribers have received everything. `None` where they receive all
-    /// changes in the order of arrival, so that each change gives this time itself.
+    /// The arrival time, ns, before which subscribers have received everything. `None` where they receive all changes
+    /// in the order of arrival, so that each change gives this time itself.
     fn told_until(&self) -> Option<u64> {
         None
     }
@@ -64,8 +63,8 @@ pub struct Pages {
     left: bool,
 }
 
-/// The answer to `query` in pieces of at most `size` snapshots. Commits meanwhile may appear in later pieces.
-/// No snapshot is returned twice, and none that stays is left out.
+/// The answer to `query` in pieces of at most `size` snapshots. Commits meanwhile may appear in later pieces. No
+/// snapshot is returned twice, and none that stays is left out.
 #[must_use]
 pub fn pages(query: Query, size: usize) -> Pages {
     let bytes = query.most_bytes.unwrap_or(PIECE_BYTES);
@@ -88,12 +87,12 @@ impl Pages {
     }
 }
 
-/// Reads an entity, lets `change` compute its new attributes, and commits them. If another writer was faster,
-/// it begins again. `change` gets `None` when there is no such entity, and may return `None` to change
-/// nothing. Returns the newest version (0: the entity does not exist).
+/// Reads an entity, lets `change` compute its new attributes, and commits them. If another writer was faster, it
+/// begins again. `change` gets `None` when there is no such entity, and may return `None` to change nothing. Returns
+/// the newest version (0: the entity does not exist).
 ///
-/// The first hypothesis keeps its confidence; other hypotheses are dropped. `referenced_ns`: the time that
-/// the new data describe.
+/// The first hypothesis keeps its confidence; other hypotheses are dropped. `referenced_ns`: the time that the new
+/// data describe.
 ///
 /// # Errors
 /// [`MemoryError::Conflict`] after many tries in a row; otherwise as [`Memory::commit`].

@@ -1,8 +1,8 @@
-//! The working memory observer: turns conditions on a memory into events, which the program forwards to
-//! charts and other receivers.
+//! The working memory observer: turns conditions on a memory into events, which the program forwards to charts and
+//! other receivers.
 //!
-//! An observer follows a memory through a [`Follower`], so that it sees every change once and in order, even
-//! after a lag. It only skips versions that the memory no longer has; [`Observer::missed`] counts them.
+//! An observer follows a memory through a [`Follower`], so that it sees every change once and in order, even after a
+//! lag. It only skips versions that the memory no longer has; [`Observer::missed`] counts them.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;

@@ -39,8 +39,8 @@ pub enum Region {
     },
 }
 
-/// The position of an entity, from `pose` or else `position`, m. `None` when it has neither, or a number is
-/// not finite.
+/// The position of an entity, from `pose` or else `position`, m. `None` when it has neither, or a number is not
+/// finite.
 #[must_use]
 pub fn place_of(snapshot: &Snapshot) -> Option<(&Frame, [f64; 3])> {
     let (frame, position) = match snapshot.attribute("pose").or_else(|| snapshot.attribute("position"))? {
@@ -66,8 +66,8 @@ impl Region {
         }
     }
 
-    /// Whether a snapshot's position is in the region; for [`Region::Nearest`], whether it has a position in
-    /// the frame.
+    /// Whether a snapshot's position is in the region; for [`Region::Nearest`], whether it has a position in the
+    /// frame.
     #[must_use]
     pub fn holds(&self, snapshot: &Snapshot) -> bool {
         let Some((frame, position)) = place_of(snapshot) else { return false };

@@ -1,5 +1,5 @@
-//! Queries to a memory. This file does not answer them: every memory selects with [`CheckedQuery`], so that a
-//! query means the same in process, on disk and over Zenoh.
+//! Queries to a memory. This file does not answer them: every memory selects with [`CheckedQuery`], so that a query
+//! means the same in process, on disk and over Zenoh.
 
 use std::sync::Arc;
 
@@ -35,8 +35,8 @@ pub enum Times {
     At(u64),
     /// The last snapshot strictly before this time, ns, unless that is a removal.
     Before(u64),
-    /// From the first position to the second in the history that is left, both included: 0 is the oldest, -1
-    /// the newest.
+    /// From the first position to the second in the history that is left, both included: 0 is the oldest, -1 the
+    /// newest.
     Index(i64, i64),
     /// From the first version to the second, both included; removals included.
     Versions(u64, u64),
@@ -197,8 +197,8 @@ impl Query {
         matches!(self.region, Some(Region::Nearest { .. }))
     }
 
-    /// Whether an answer has reached the query's bounds, so that there may be more: a query with
-    /// [`Self::after`] its last snapshot returns the rest.
+    /// Whether an answer has reached the query's bounds, so that there may be more: a query with [`Self::after`] its
+    /// last snapshot returns the rest.
     #[must_use]
     pub fn is_filled_by(&self, answer: &[Arc<Snapshot>]) -> bool {
         let is_long = |most: u64| {

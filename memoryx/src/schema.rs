@@ -1,5 +1,5 @@
-//! Typed core segments: the attributes of their entities, with types. Undeclared segments are not checked,
-//! nor are attributes that a schema does not name.
+//! Typed core segments: the attributes of their entities, with types. Undeclared segments are not checked, nor are
+//! attributes that a schema does not name.
 
 use std::collections::BTreeMap;
 
@@ -192,8 +192,7 @@ fn is_covariance(rows: &[f64], size: usize) -> bool {
     })
 }
 
-/// Whether a value contains a pose whose orientation is not a unit quaternion. The value must not be nested
-/// too deep.
+/// Whether a value contains a pose whose orientation is not a unit quaternion. The value must not be nested too deep.
 fn turns_nowhere(value: &Value) -> bool {
     match value {
         Value::Pose(pose) => {

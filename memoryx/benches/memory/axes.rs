@@ -1,6 +1,6 @@
 //! The four axes by which Peller-Konrad et al. (arXiv 2206.02241) compare memories: transfer, compression,
-//! reproduction, prediction. The scene has a standing cup and a cup on a circular path, both observed 30
-//! times a second for a minute, and a third cup that is left in one of three places each day.
+//! reproduction, prediction. The scene has a standing cup and a cup on a circular path, both observed 30 times a
+//! second for a minute, and a third cup that is left in one of three places each day.
 
 use std::sync::Arc;
 

@@ -1,5 +1,5 @@
-//! Images in long-term memory: noisy frames of 640x480 pixels, raw and as JPEG. Each must be durable before
-//! the next is due.
+//! Images in long-term memory: noisy frames of 640x480 pixels, raw and as JPEG. Each must be durable before the next
+//! is due.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -20,8 +20,7 @@ const BYTES: usize = WIDTH * HEIGHT * 3;
 /// Frames a second.
 const HZ: u32 = 30;
 
-/// A camera that sees a lit wall and a dark box, with noise of about four grey levels in each pixel of each
-/// frame.
+/// A camera that sees a lit wall and a dark box, with noise of about four grey levels in each pixel of each frame.
 struct Camera {
     scene: Vec<u8>,
     noise: Vec<i8>,

@@ -1,5 +1,5 @@
-//! Bytes on an agent's link to the router, and bytes of a snapshot in long-term memory. Neither depends on
-//! the machine.
+//! Bytes on an agent's link to the router, and bytes of a snapshot in long-term memory. Neither depends on the
+//! machine.
 
 use std::net::SocketAddr;
 use std::sync::Arc;

@@ -1,7 +1,7 @@
-//! How fast memory is: `cargo bench -p armarium-memoryx`. A bare map, a bare redb file and the bare session
-//! run beside it for comparison. Arguments select the parts whose names contain one of them: `working`,
-//! `store`, `durable`, `shared`, `scale`, `link`, `axes`, `minutes`. `minutes` (ten minutes of images in real
-//! time, 17 GB of disk) only runs when named.
+//! How fast memory is: `cargo bench -p armarium-memoryx`. A bare map, a bare redb file and the bare session run
+//! beside it for comparison. Arguments select the parts whose names contain one of them: `working`, `store`,
+//! `durable`, `shared`, `scale`, `link`, `axes`, `minutes`. `minutes` (ten minutes of images in real time, 17 GB of
+//! disk) only runs when named.
 //!
 //! Rates depend on the other load of the machine; so the processor time of each item is printed too.
 

@@ -1,5 +1,4 @@
-//! Many agents on one router: the cost of an update by the number of followers, and by the number of other
-//! agents.
+//! Many agents on one router: the cost of an update by the number of followers, and by the number of other agents.
 
 use std::sync::Arc;
 use std::time::Duration;

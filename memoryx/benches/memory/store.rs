@@ -116,8 +116,8 @@ fn small(folder: &Path) {
     scan(&store, "scan, 100 B");
 }
 
-/// Measures how long it takes to open a file that was not closed, and to load its newest snapshots into
-/// working memory.
+/// Measures how long it takes to open a file that was not closed, and to load its newest snapshots into working
+/// memory.
 fn starts(folder: &Path) {
     let path = folder.join("started.redb");
     let store = LongTermMemory::open(&path).expect("a file");

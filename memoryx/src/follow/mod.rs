@@ -1,10 +1,10 @@
-//! Following a memory without silent gaps: a subscription that reads missed changes again, and reports those
-//! that are lost.
+//! Following a memory without silent gaps: a subscription that reads missed changes again, and reports those that are
+//! lost.
 //!
-//! Every version of every entity is reported in order and once. When a version is missing, because the reader
-//! lagged or the network lost it, the follower queries the memory's history. Versions that the history no
-//! longer has become [`Change::Missed`]. A memory that was restarted without its versions counts from 1
-//! again; the follower then takes snapshots with a later arrival time as new, whatever their version.
+//! Every version of every entity is reported in order and once. When a version is missing, because the reader lagged
+//! or the network lost it, the follower queries the memory's history. Versions that the history no longer has become
+//! [`Change::Missed`]. A memory that was restarted without its versions counts from 1 again; the follower then takes
+//! snapshots with a later arrival time as new, whatever their version.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -51,8 +51,7 @@ impl LastSeen {
         Self { version: snapshot.version, arrived_ns: snapshot.arrived_ns }
     }
 
-    /// Whether a snapshot arrived later with a version that was already reported: the memory has restarted
-    /// its count.
+    /// Whether a snapshot arrived later with a version that was already reported: the memory has restarted its count.
     fn is_before_life_of(self, snapshot: &Snapshot) -> bool {
         snapshot.version <= self.version && snapshot.arrived_ns > self.arrived_ns
     }
@@ -75,8 +74,8 @@ pub struct Follower {
 }
 
 impl Follower {
-    /// Follows from now on. The present content counts as reported, and is returned: the newest snapshot of
-    /// each entity that has one.
+    /// Follows from now on. The present content counts as reported, and is returned: the newest snapshot of each
+    /// entity that has one.
     ///
     /// # Errors
     /// As [`Memory::query`].
@@ -99,8 +98,8 @@ impl Follower {
         Ok((follower, held.into_iter().filter(|s| !s.is_removed()).collect()))
     }
 
-    /// Follows changes only. If an entity's first change is not version 1, the follower reads the history
-    /// that is still held.
+    /// Follows changes only. If an entity's first change is not version 1, the follower reads the history that is
+    /// still held.
     #[must_use]
     pub fn from_start(memory: Arc<dyn Memory>, pattern: Pattern) -> Self {
         let changes = memory.subscribe();
@@ -116,9 +115,9 @@ impl Follower {
         }
     }
 
-    /// Continues from the snapshots that were reported before, by entity. Changes since then come first, from
-    /// the history, which is long-term memory's where working memory has forgotten. `since_ns`: everything
-    /// that arrived before was reported; 0 when unknown.
+    /// Continues from the snapshots that were reported before, by entity. Changes since then come first, from the
+    /// history, which is long-term memory's where working memory has forgotten. `since_ns`: everything that arrived
+    /// before was reported; 0 when unknown.
     ///
     /// # Errors
     /// As [`Memory::query`].
@@ -156,8 +155,8 @@ impl Follower {
         }
     }
 
-    /// Waits for the next change, and returns it with the changes that wait behind it, at most `most`; empty
-    /// when the memory has closed. Cancel-safe.
+    /// Waits for the next change, and returns it with the changes that wait behind it, at most `most`; empty when the
+    /// memory has closed. Cancel-safe.
     ///
     /// # Errors
     /// As [`Self::next`].
@@ -273,8 +272,8 @@ impl Follower {
         Ok(())
     }
 
-    /// Reports the snapshots of an answer in the order of their arrival. Returns the arrival time, ns, until
-    /// which the answer is certainly complete.
+    /// Reports the snapshots of an answer in the order of their arrival. Returns the arrival time, ns, until which
+    /// the answer is certainly complete.
     async fn read(&mut self, query: Query) -> Result<u64, MemoryError> {
         let mut pieces = pages(query.with_long_term(), PIECE);
         let mut until = None;
@@ -295,8 +294,8 @@ impl Follower {
         Ok(until.unwrap_or(0))
     }
 
-    /// If a snapshot is the first one after its memory restarted its count: finds the last version that the
-    /// memory had kept, from which it counts on.
+    /// If a snapshot is the first one after its memory restarted its count: finds the last version that the memory
+    /// had kept, from which it counts on.
     async fn begin_if_anew(&mut self, first: &Snapshot) -> Result<(), MemoryError> {
         if !self.told.get(&first.id).is_some_and(|told| told.is_before_life_of(first)) {
             return Ok(());
@@ -331,8 +330,8 @@ impl Follower {
     }
 }
 
-/// The arrival time, ns, until which an answer is certainly complete. A change that arrives while later
-/// pieces are read may belong into an earlier one: so only the first message counts.
+/// The arrival time, ns, until which an answer is certainly complete. A change that arrives while later pieces are
+/// read may belong into an earlier one: so only the first message counts.
 fn seen_until(first: &[Arc<Snapshot>]) -> u64 {
     let together = &first[..wire::in_one_answer(first)];
     together.iter().map(|snapshot| snapshot.arrived_ns).max().unwrap_or(0)

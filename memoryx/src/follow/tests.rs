@@ -95,8 +95,7 @@ async fn a_memory_that_begins_anew_is_followed_on() {
         };
         let told: Vec<_> = follower.drain(100).await.unwrap().into_iter().map(words).collect();
         assert_eq!(told.join(" "), expected);
-        // The same while subscribed: the first change after the restart has a version that was already
-        // reported.
+        // The same while subscribed: the first change after the restart has a version that was already reported.
         let later = Arc::new(Snapshot { version: 1, arrived_ns: 500, ..(*newest(&memory)).clone() });
         follower.take(later).await.unwrap();
         assert!(matches!(&follower.drain(9).await.unwrap()[..], [Change::New(s)] if s.arrived_ns == 500));

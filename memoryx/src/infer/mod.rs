@@ -1,16 +1,14 @@
-//! Inference: processes that read a memory, present and past, and write conclusions into it, with confidence
-//! and provenance.
+//! Inference: processes that read a memory, present and past, and write conclusions into it, with confidence and
+//! provenance.
 //!
-//! - [`Inference`]: the trait of such a process. It sees a [`Memory`], in this process or another agent's;
-//!   queries with `long_term` also reach what working memory has forgotten.
-//! - [`Attached`]: runs an inference whenever something that it watches has changed. [`conclude_once`]: one
-//!   round.
+//! - [`Inference`]: the trait of such a process. It sees a [`Memory`], in this process or another agent's; queries
+//!   with `long_term` also reach what working memory has forgotten.
+//! - [`Attached`]: runs an inference whenever something that it watches has changed. [`conclude_once`]: one round.
 //! - [`SpatialRelations`], [`UsualPlaces`]: the two built-in ones.
 //!
-//! Conclusions are in the provider segment with the inference's name. No one else should write there: a
-//! conclusion that no longer holds is removed. Every conclusion has the attributes `concluded_by` and
-//! `because`: the addresses and versions of its evidence. Other languages attach over Zenoh;
-//! `docs/wire-memory.md` has an example.
+//! Conclusions are in the provider segment with the inference's name. No one else should write there: a conclusion
+//! that no longer holds is removed. Every conclusion has the attributes `concluded_by` and `because`: the addresses
+//! and versions of its evidence. Other languages attach over Zenoh; `docs/wire-memory.md` has an example.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -154,8 +152,8 @@ fn say_the_same(a: &Instance, b: &Instance) -> bool {
 /// Runs one round of an inference, and makes memory hold exactly its conclusions.
 ///
 /// # Errors
-/// As [`Memory::query`] and [`Memory::commit`]; [`MemoryError::Name`] when a name of the inference is not
-/// valid in an address.
+/// As [`Memory::query`] and [`Memory::commit`]; [`MemoryError::Name`] when a name of the inference is not valid in an
+/// address.
 pub async fn conclude_once(
     memory: &dyn Memory,
     inference: &dyn Inference,
@@ -189,8 +187,7 @@ pub async fn conclude_once(
 }
 
 impl Attached {
-    /// Runs a round now, and another when something that the inference watches has changed. `clock` is the
-    /// memory's.
+    /// Runs a round now, and another when something that the inference watches has changed. `clock` is the memory's.
     #[must_use]
     pub fn start(memory: Arc<dyn Memory>, inference: Arc<dyn Inference>, clock: Clock) -> Self {
         let rounds = Arc::new(AtomicU64::new(0));

@@ -1,20 +1,17 @@
-//! Usual places: where an object of a class is likely found, learned from long-term memory's history of
-//! earlier days.
+//! Usual places: where an object of a class is likely found, learned from long-term memory's history of earlier days.
 //!
-//! 1. Every sighting of an object that was not carried counts until the object's next sighting, ten minutes
-//!    at most. The time spent in each cell of 5 cm is summed by class, frame and day.
+//! 1. Every sighting of an object that was not carried counts until the object's next sighting, ten minutes at most.
+//!    The time spent in each cell of 5 cm is summed by class, frame and day.
 //! 2. Days count equally: a day's times are divided by their sum, over all places of the class.
 //! 3. DP-means clusters the cells into places of 30 cm radius; the number of places results from it.
-//! 4. With `d_k` days' worth of time in place `k` of `K`, out of `D` days, the probability of the place is
-//!    `(d_k + 1/2) / (D + (K + 1)/2)`: a rest always remains for a new place, and a single day gives no
-//!    certainty.
+//! 4. With `d_k` days' worth of time in place `k` of `K`, out of `D` days, the probability of the place is `(d_k +
+//!    1/2) / (D + (K + 1)/2)`: a rest always remains for a new place, and a single day gives no certainty.
 //!
-//! Days are those of UTC. Today is not counted, so that today's observations can test the conclusions of the
-//! morning.
+//! Days are those of UTC. Today is not counted, so that today's observations can test the conclusions of the morning.
 //!
 //! # Source
-//! DP-means: Kulis and Jordan 2012, "Revisiting k-means: new algorithms via Bayesian nonparametrics",
-//! algorithm 1. The estimate: Krichevsky and Trofimov 1981, with one more outcome for a new place.
+//! DP-means: Kulis and Jordan 2012, "Revisiting k-means: new algorithms via Bayesian nonparametrics", algorithm 1.
+//! The estimate: Krichevsky and Trofimov 1981, with one more outcome for a new place.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;

@@ -1,11 +1,10 @@
-//! Spatial relations: which object is on, in, near or left of another, computed from their positions and
-//! sizes.
+//! Spatial relations: which object is on, in, near or left of another, computed from their positions and sizes.
 //!
-//! Each relation is a few conditions on differences of coordinates. Positions are normally distributed, so
-//! each condition has a probability. The product of these, times the lower confidence of the two objects, is
-//! the relation's confidence. Relations below one half are not written. Objects are boxes along the axes of
-//! their frame, which is the robot's root (x to its right, y forward, z up) or a frame like it. Objects in
-//! different frames are not compared.
+//! Each relation is a few conditions on differences of coordinates. Positions are normally distributed, so each
+//! condition has a probability. The product of these, times the lower confidence of the two objects, is the
+//! relation's confidence. Relations below one half are not written. Objects are boxes along the axes of their frame,
+//! which is the robot's root (x to its right, y forward, z up) or a frame like it. Objects in different frames are
+//! not compared.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -74,8 +73,7 @@ impl SpatialRelations {
         found
     }
 
-    /// The relations of two objects. "Near" is written once per pair, and not where one is in or on the
-    /// other.
+    /// The relations of two objects. "Near" is written once per pair, and not where one is in or on the other.
     fn of_two(&self, a: &Solid, b: &Solid) -> Vec<Conclusion> {
         let mut found = Vec::new();
         for (a, b) in [(a, b), (b, a)] {

@@ -1,5 +1,5 @@
-//! Objects as boxes along the axes of their frame, with the uncertainty of their positions, and the
-//! probability of a condition on two of them. Knows no relations.
+//! Objects as boxes along the axes of their frame, with the uncertainty of their positions, and the probability of a
+//! condition on two of them. Knows no relations.
 
 use armarium_values::{Frame, Value};
 
