@@ -4,8 +4,8 @@
 //!    The time spent in each cell of 5 cm is summed by class, frame and day.
 //! 2. Days count equally: a day's times are divided by their sum, over all places of the class.
 //! 3. DP-means clusters the cells into places of 30 cm radius; the number of places results from it.
-//! 4. With `d_k` days' worth of time in place `k` of `K`, out of `D` days, the probability of the place is `(d_k +
-//!    1/2) / (D + (K + 1)/2)`: a rest always remains for a new place, and a single day gives no certainty.
+//! 4. With `d_k` days' worth of time in place `k` of `K`, out of `D` days, the probability of the place is
+//!    `(d_k + 1/2) / (D + (K + 1)/2)`: a rest always remains for a new place, and a single day gives no certainty.
 //!
 //! Days are those of UTC. Today is not counted, so that today's observations can test the conclusions of the morning.
 //!

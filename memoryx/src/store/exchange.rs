@@ -1,5 +1,5 @@
-//! Export and import as JSON lines: one snapshot per line, as `{"id", "version", "referenced_ns", "sent_ns",
-//! "arrived_ns", "instances"}`, values with their kind (`{"float": 0.5}`).
+//! Export and import as JSON lines: one snapshot per line, as
+//! `{"id", "version", "referenced_ns", "sent_ns", "arrived_ns", "instances"}`, values with their kind (`{"float": 0.5}`).
 
 use std::io::{BufRead, Write};
 use std::sync::Arc;
