@@ -1,30 +1,30 @@
-//! Who may say and ask what: access rules for one agent, as Zenoh's `access_control` has them.
+//! Access rules for one agent, in the format of Zenoh's `access_control`.
 //!
-//! The rules stand at the agent whose they are and hold for every link to it. Who is on the other side of a link is told by
-//! the common name of the certificate that it shows, so they need [`crate::Tls`] with `mutual`. What no rule allows is denied:
-//! Zenoh drops it without a word, and a question that was denied has no answer.
+//! The rules are installed at the agent that they protect, and apply to each of its links. The common name of the
+//! certificate identifies the other side of a link, so the rules need [`crate::Tls`] with `mutual`. Everything
+//! without a rule is denied: Zenoh drops it silently, and a denied query has no answer.
 //!
-//! Rules see keys, not payloads: what a commit holds is checked by the memory, which knows the writer by the key that only
-//! he may ask (`keys::memory_by`).
+//! Rules see keys, not payloads. The memory checks what a commit contains; it knows the writer by the key, which only
+//! that writer may query (`keys::memory_by`).
 
 use serde_json::{Value as Json, json};
 
 use crate::keys::{KeyError, check_name};
 
-/// Whom an agent lets in. Names are common names of certificates, and the names of agents.
+/// The peers that an agent admits. Names are the common names of certificates, which are the names of agents.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Access {
-    /// The agent. Whoever shows its own certificate may do everything.
+    /// The agent. A peer with its own certificate may do everything.
     pub own: String,
-    /// Who may read its memory, and be followed by it.
+    /// Peers that may read its memory; the agent may follow theirs.
     pub readers: Vec<String>,
-    /// Who may write provider segments of his own name into its memory; they may read it too.
+    /// Peers that may write provider segments of their own name into its memory, and read it.
     pub writers: Vec<String>,
-    /// Who may start its charts and skills, and tell them events.
+    /// Peers that may start its charts and skills, and send them events.
     pub callers: Vec<String>,
 }
 
-/// One rule: its name, messages, directions (as this agent sees them) and keys.
+/// A rule: name, messages, directions (as this agent sees them) and keys.
 struct Rule {
     id: String,
     messages: &'static [&'static str],
@@ -32,9 +32,9 @@ struct Rule {
     keys: Vec<String>,
 }
 
-/// What somebody does who asks.
+/// The messages of a peer that queries or subscribes.
 const ASKS: &[&str] = &["query", "declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"];
-/// What somebody does who tells.
+/// The messages of a peer that publishes or answers.
 const TELLS: &[&str] = &["put", "delete", "reply", "declare_queryable", "liveliness_token"];
 const EVERYTHING: &[&str] = &[
     "put",
@@ -49,7 +49,7 @@ const EVERYTHING: &[&str] = &[
 ];
 
 impl Access {
-    /// Whether anybody but the agent itself is let in.
+    /// Whether any peer but the agent itself is admitted.
     #[must_use]
     pub fn is_for_others(&self) -> bool {
         !(self.readers.is_empty() && self.writers.is_empty() && self.callers.is_empty())
@@ -97,7 +97,7 @@ impl Access {
         }))
     }
 
-    /// What somebody else may do: tell and be asked about himself, and what his part in this agent's lists says.
+    /// The rules for one peer: publish and answer on its own keys, and what this agent's lists allow.
     fn of(&self, other: &str) -> Vec<Rule> {
         let own = &self.own;
         let is_in = |list: &[String]| list.iter().any(|name| name == other);

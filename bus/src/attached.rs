@@ -1,8 +1,8 @@
-//! The shared memory of other processes that this one looks into, and lets go of.
+//! Shared memory segments of other processes: attaches to them, and detaches when they are unused.
 //!
-//! Zenoh keeps every segment mapped that it ever read from, for as long as the session lives; the memory of a sender that
-//! was killed would stay with its reader. Here a segment is let go when nobody holds a payload in it, and mapped again
-//! should another one come. Zenoh's own bookkeeping of payloads (1.3 MB a sender) is not reached from here.
+//! Zenoh keeps every segment mapped that it ever read from, until the session ends; the memory of a killed sender
+//! would stay mapped at its reader. Here a segment is unmapped when no payload in it is in use, and mapped again when
+//! another arrives. Zenoh's own bookkeeping of payloads (1.3 MB per sender) cannot be freed from here.
 
 use std::sync::{Arc, Weak};
 
@@ -11,29 +11,28 @@ use zenoh::shm::{
     ChunkID, PosixShmClient, ProtocolID, SegmentID, ShmClient, ShmClientStorage, ShmSegment, WithProtocolID,
 };
 
-/// What sessions of this process are attached to.
+/// The segments that this process is attached to.
 static ATTACHED: Mutex<Vec<Weak<Attached>>> = Mutex::new(Vec::new());
 
 /// A sender's segment.
 #[derive(Debug)]
 struct Attached {
     id: SegmentID,
-    /// The segment, while it is mapped. Pointers into it are given out under the lock, to whoever holds the `Arc` around
-    /// this: without such a holder there are none.
+    /// The segment, while it is mapped. Pointers into it are handed out under the lock, and only to holders of the
+    /// `Arc` around this. Without such a holder no pointer exists.
     mapped: Mutex<Option<Arc<dyn ShmSegment>>>,
 }
 
-/// Attaches to segments so that they can be let go.
+/// Attaches to segments in a way that allows unmapping.
 #[derive(Debug)]
 struct Client;
 
-/// What a session reads shared memory with.
+/// The storage with which a session reads shared memory.
 pub(crate) fn clients() -> Arc<ShmClientStorage> {
     Arc::new(ShmClientStorage::builder().with_client(Arc::new(Client)).build())
 }
 
-/// Lets go of all segments in which nobody holds a payload. The last process to do so removes a segment whose sender
-/// has gone.
+/// Unmaps all segments without a payload in use. The last process to do so removes a segment whose sender has exited.
 pub(crate) fn let_go() {
     let mut attached = ATTACHED.lock();
     attached.retain(|segment| {
@@ -44,8 +43,8 @@ pub(crate) fn let_go() {
 }
 
 impl Attached {
-    /// Drops the mapping when the session's table is the only other holder. Whoever takes the segment from the table
-    /// meanwhile waits at the lock, and maps it again.
+    /// Drops the mapping if only the session's table holds this as well. A thread that takes the segment from the
+    /// table meanwhile waits at the lock, and maps it again.
     fn let_go(self: &Arc<Self>) {
         let mut mapped = self.mapped.lock();
         if Arc::strong_count(self) == 2 {

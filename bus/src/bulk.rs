@@ -1,9 +1,9 @@
-//! Large payloads, such as pixels: written once into shared memory, where readers on the same machine see them without
-//! another copy. A reader elsewhere gets the same message over the network: Zenoh knows which of the two a peer can do.
+//! Large payloads, such as pixels: written once into shared memory, where readers on the same machine see them
+//! without another copy. Other readers get the same message over the network; Zenoh selects the way for each peer.
 //!
-//! Every queue here keeps the newest: what does not fit pushes out the oldest, and is counted. Nothing here interprets
-//! payloads. A session does shared memory when [`SessionConfig::shared_memory`](crate::SessionConfig) says so, and a
-//! message passes through it when both sides' sessions do.
+//! Every queue here keeps the newest messages: when it is full, the oldest is dropped and counted. Payloads are not
+//! interpreted. A message goes through shared memory if both sides' sessions have it enabled
+//! ([`SessionConfig::shared_memory`](crate::SessionConfig)).
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -28,11 +28,11 @@ use crate::error::SessionError;
 use crate::keys::{Key, KeyPattern};
 use crate::session::Session;
 
-/// Payloads of the last size that a pool has room for.
+/// A new pool has room for so many payloads of the present size.
 const ROOM: usize = 8;
 /// Smallest pool, bytes.
 const LEAST_POOL: usize = 4 << 20;
-/// Largest pool, bytes; payloads that do not fit in go over the network.
+/// Largest pool, bytes; payloads that do not fit into it go over the network.
 const MOST_POOL: usize = 1 << 30;
 
 type Pool = ShmProvider<PosixShmProviderBackend>;
@@ -40,17 +40,17 @@ type Pool = ShmProvider<PosixShmProviderBackend>;
 /// Sends large payloads on one key.
 #[derive(Debug)]
 pub struct BulkSender {
-    /// Goes before the publisher that it listens to.
+    /// Dropped before the publisher on which it listens (order of fields).
     _listener: zenoh::matching::MatchingListener<()>,
     publisher: Publisher<'static>,
-    /// The pool, and the smaller one before it, in which readers may still look.
+    /// The pool, and the smaller one before it, which readers may still use.
     pools: Mutex<VecDeque<(usize, Pool)>>,
     unshared: AtomicU64,
     wanted: watch::Receiver<bool>,
     session: Session,
 }
 
-/// Where one payload is written: in shared memory, or in the process's own when there is no room.
+/// The buffer of one payload: in shared memory, or on the heap when the pool has no room.
 pub struct Slot {
     memory: Memory,
     length: usize,
@@ -61,24 +61,24 @@ enum Memory {
     Own(Vec<u8>),
 }
 
-/// A payload that has come, with what was attached to it.
+/// A received payload with its attachment.
 #[derive(Clone, Debug)]
 pub struct Bulk {
     /// The key it was put on, as Zenoh writes it.
     pub key: String,
-    /// What the payload is.
+    /// The payload's encoding.
     pub encoding: String,
-    /// What was attached to it.
+    /// The attachment.
     pub attachment: Vec<u8>,
     /// The payload.
     pub payload: BulkBytes,
 }
 
-/// A payload's bytes in one piece; clones are the same bytes.
+/// A payload's bytes in one piece; clones share the bytes.
 #[derive(Clone)]
 pub struct BulkBytes(ZBytes);
 
-/// The payloads that come on some keys, newest first to stay.
+/// Receives large payloads; its queue keeps the newest.
 #[derive(Debug)]
 pub struct BulkReader {
     queue: Arc<Queue>,
@@ -97,15 +97,15 @@ fn failed(error: impl fmt::Display) -> SessionError {
     SessionError::Zenoh { what: error.to_string() }
 }
 
-/// Removes the shared memory that processes left behind which were killed, and lets go of what this one still maps of
-/// it. It looks through all segments of the machine: for now and then.
+/// Removes the shared memory of killed processes, and unmaps what this process still maps of it. It scans all
+/// segments of the machine: call it rarely.
 pub fn remove_orphans() {
     attached::let_go();
     cleanup_orphaned_shm_segments();
 }
 
 impl Session {
-    /// Declares that large payloads will be sent on a key. What the network cannot take now is dropped.
+    /// Declares a publisher of large payloads on a key. Under congestion payloads are dropped.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
@@ -125,10 +125,10 @@ impl Session {
         Ok(BulkSender { publisher, pools, unshared, wanted, session: self.clone(), _listener: listener })
     }
 
-    /// Subscribes to large payloads. At most `capacity` wait to be read; further ones push out the oldest.
+    /// Subscribes to large payloads. At most `capacity` wait in the queue; when it is full, the oldest is dropped.
     ///
-    /// With `detached`, payloads are copied out of shared memory as they come: many may then wait without holding the
-    /// sender's pool. Without it they are only looked at where they are, and may have to be given up: see
+    /// With `detached`, payloads are copied out of shared memory as they arrive: many may then wait without holding
+    /// the sender's pool. Otherwise they stay in shared memory, and may become invalid there: see
     /// [`BulkBytes::is_intact`].
     ///
     /// # Errors
@@ -157,16 +157,16 @@ impl Session {
 }
 
 impl BulkSender {
-    /// Whether anybody listens.
+    /// Whether anyone subscribes.
     #[must_use]
     pub fn is_wanted(&self) -> bool {
         *self.wanted.borrow()
     }
 
-    /// Waits until somebody listens.
+    /// Waits until someone subscribes.
     pub async fn wanted(&self) {
         let mut wanted = self.wanted.clone();
-        // The other end lives as long as the listener.
+        // The sender of this channel lives as long as the listener.
         let _ = wanted.wait_for(|wanted| *wanted).await.is_ok();
     }
 
@@ -176,7 +176,7 @@ impl BulkSender {
         self.unshared.load(Ordering::Relaxed)
     }
 
-    /// Room for a payload of `length` bytes, in shared memory where there is any. Its content is arbitrary.
+    /// A buffer of `length` bytes, in shared memory if possible. Its initial content is arbitrary.
     #[must_use]
     pub fn slot(&self, length: usize) -> Slot {
         let shared = self.shared(length.max(1));
@@ -201,7 +201,7 @@ impl BulkSender {
         pool.alloc(length).with_policy::<GarbageCollect>().wait().ok()
     }
 
-    /// Sends a payload with something attached to it.
+    /// Sends a payload with an attachment.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
@@ -251,7 +251,7 @@ impl Bulk {
 }
 
 impl BulkBytes {
-    /// In one piece: a message that came in several is put together.
+    /// Joins a payload that arrived in several pieces.
     fn of(payload: &ZBytes, detached: bool) -> Self {
         let in_one_piece = payload.slices().nth(1).is_none();
         let shared = payload.as_shm().is_some();
@@ -261,15 +261,15 @@ impl BulkBytes {
         Self(ZBytes::from(payload.to_bytes().into_owned()))
     }
 
-    /// Whether the bytes lie in memory that the sender shares.
+    /// Whether the bytes are in the sender's shared memory.
     #[must_use]
     pub fn is_shared(&self) -> bool {
         self.0.as_shm().is_some()
     }
 
-    /// Whether what was read so far is what was sent. A reader that the system does not let run for a tenth of a second
-    /// loses its hold on shared memory, and the sender writes the next payload there; so it does when the sender has
-    /// gone. Whoever has looked at the bytes asks afterwards.
+    /// Whether all bytes read so far are those that were sent; to be called after reading. A reader that the system
+    /// suspends for a tenth of a second loses its hold on shared memory, and the sender writes the next payload
+    /// there. The same happens when the sender has exited.
     #[must_use]
     pub fn is_intact(&self) -> bool {
         self.0.as_shm().is_none_or(|buffer| buffer.is_valid())
@@ -290,7 +290,7 @@ impl fmt::Debug for BulkBytes {
 }
 
 impl Queue {
-    /// Never waits: this runs on the threads of Zenoh's links.
+    /// Never blocks: this runs on Zenoh's link threads.
     fn offer(&self, bulk: Bulk) {
         let mut waiting = self.waiting.lock();
         if waiting.len() >= self.capacity {
@@ -304,7 +304,7 @@ impl Queue {
 }
 
 impl BulkReader {
-    /// The next payload. It waits until there is one, however long that takes: a sender may come back.
+    /// Waits for the next payload, without a timeout, because a sender may come back.
     pub async fn next(&self) -> Bulk {
         loop {
             if let Some(bulk) = self.try_next() {
@@ -314,13 +314,13 @@ impl BulkReader {
         }
     }
 
-    /// The next payload if there is one already.
+    /// The next payload, if one is in the queue.
     #[must_use]
     pub fn try_next(&self) -> Option<Bulk> {
         self.queue.waiting.lock().pop_front()
     }
 
-    /// How many payloads were pushed out of the queue so far.
+    /// How many payloads were dropped from the queue so far.
     #[must_use]
     pub fn dropped(&self) -> u64 {
         self.queue.dropped.load(Ordering::Relaxed)

@@ -1,28 +1,28 @@
-//! The CBOR codec of everything that leaves a process.
+//! The CBOR codec for everything that leaves a process.
 //!
 //! Encoding is deterministic: definite lengths, shortest integers, floats always as 64 bits with their exact bits,
-//! fields in the order of their declaration and ordered maps in their order. Equal values give equal bytes, so that
-//! hashes of encodings can be compared. Structures are maps by field name and variants are `"name"` or
-//! `{"name": content}`, so that any CBOR library can read and write them.
+//! fields in the order of declaration, ordered maps in their order. Equal values give equal bytes, so that hashes of
+//! encodings can be compared. Structures are maps by field name and variants are `"name"` or `{"name": content}`, so
+//! that any CBOR library can read and write them.
 //!
-//! Decoding first walks over the bytes without recursion and without allocating, and refuses what is truncated, too
-//! big, too deep or followed by something; only then is anything built.
+//! Decoding first checks the bytes, without recursion or allocation. It refuses input that is truncated, too large,
+//! too deep or followed by more bytes. Only then does it build values.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// What decoding accepts.
+/// Limits of decoding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bounds {
     /// Longest encoding, bytes.
     pub bytes: usize,
-    /// Most items, containers and their members.
+    /// Most items; containers and their members count.
     pub items: usize,
     /// Deepest nesting of containers.
     pub depth: usize,
 }
 
-/// Deepest nesting that can be asked for.
+/// Upper limit of [`Bounds::depth`].
 const DEEPEST: usize = 128;
 
 impl Default for Bounds {
@@ -31,57 +31,57 @@ impl Default for Bounds {
     }
 }
 
-/// Why something cannot be encoded or decoded.
+/// Why encoding or decoding failed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CodecError {
-    /// A value that its own serialisation refuses.
+    /// The value's own serialisation failed.
     #[error("the value cannot be encoded: {what}")]
     Encode {
-        /// What it says.
+        /// Its message.
         what: String,
     },
-    /// More bytes than are accepted.
+    /// More bytes than the limit.
     #[error("{bytes} bytes are more than the {most} that are accepted")]
     TooLong {
-        /// How many there are.
+        /// The number of bytes.
         bytes: usize,
-        /// How many are accepted.
+        /// The limit.
         most: usize,
     },
     /// The encoding ends inside an item.
     #[error("the encoding ends too early")]
     Truncated,
-    /// More items than are accepted.
+    /// More items than the limit.
     #[error("more than {most} items")]
     TooMany {
-        /// How many are accepted.
+        /// The limit.
         most: usize,
     },
-    /// Containers inside containers beyond what is accepted.
+    /// Containers nested deeper than the limit.
     #[error("nested deeper than {most} levels, at byte {at}")]
     TooDeep {
-        /// How many levels are accepted.
+        /// The limit, levels.
         most: usize,
-        /// Where.
+        /// The position, bytes.
         at: usize,
     },
-    /// Bytes that are no CBOR, or CBOR of a kind that is not in use here.
+    /// Bytes that are not CBOR, or a kind of CBOR that is not used here.
     #[error("byte {at} starts no item that is understood here")]
     Malformed {
-        /// Where.
+        /// The position, bytes.
         at: usize,
     },
     /// Something follows the item.
     #[error("{bytes} bytes follow the encoded item")]
     Trailing {
-        /// How many.
+        /// The number of bytes.
         bytes: usize,
     },
-    /// An item that is not of the type that is wanted.
+    /// An item of another type than expected.
     #[error("the content does not fit: {what}")]
     Content {
-        /// What does not fit.
+        /// The difference.
         what: String,
     },
     /// An encoding that is not CBOR with a schema.
@@ -90,10 +90,10 @@ pub enum CodecError {
         /// The encoding.
         encoding: String,
     },
-    /// Another schema than the one that is wanted.
+    /// Another schema than expected.
     #[error("the payload is a `{found}`, not a `{expected}`")]
     OtherSchema {
-        /// The schema that is wanted.
+        /// The expected schema.
         expected: String,
         /// The schema found.
         found: String,
@@ -103,9 +103,9 @@ pub enum CodecError {
     OtherVersion {
         /// The schema.
         name: String,
-        /// The version that is understood.
+        /// The supported version.
         expected: u32,
-        /// The version found.
+        /// The received version.
         found: u32,
     },
 }
@@ -121,7 +121,7 @@ pub fn encode<T: Serialize + ?Sized>(value: &T) -> Result<Vec<u8>, CodecError> {
 /// Decodes a value within [`Bounds::default`].
 ///
 /// # Errors
-/// [`CodecError`] says what is wrong with the bytes, or that they are not a `T`.
+/// [`CodecError`] when the bytes are invalid, or are not a `T`.
 pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
     decode_within(bytes, Bounds::default())
 }
@@ -138,16 +138,16 @@ pub fn decode_within<T: DeserializeOwned>(bytes: &[u8], bounds: Bounds) -> Resul
     if used == bytes.len() { Ok(value) } else { Err(CodecError::Trailing { bytes: bytes.len() - used }) }
 }
 
-/// Whether the bytes are exactly one CBOR item within bounds. Strings are not checked for being UTF-8; decoding does.
+/// Checks that the bytes are exactly one CBOR item within bounds. Strings may be invalid UTF-8; decoding checks that.
 ///
 /// # Errors
-/// [`CodecError`] says what is wrong.
+/// [`CodecError`] with the reason.
 pub fn check(bytes: &[u8], bounds: Bounds) -> Result<(), CodecError> {
     if bytes.len() > bounds.bytes {
         return Err(CodecError::TooLong { bytes: bytes.len(), most: bounds.bytes });
     }
     let most = bounds.depth.min(DEEPEST);
-    // Items still to come in each open container; `None` where a break ends it.
+    // Items still expected in each open container; `None` where a break ends it.
     let mut open = [None; DEEPEST];
     let mut depth = 0;
     let (mut at, mut items) = (0, 0);
@@ -181,7 +181,7 @@ pub fn check(bytes: &[u8], bounds: Bounds) -> Result<(), CodecError> {
             }
             Some(_) => return Err(CodecError::TooDeep { most, at: start }),
         }
-        // One item has ended, and with it perhaps the containers around it.
+        // One item has ended, and perhaps the containers around it.
         loop {
             match depth.checked_sub(1).map(|inner| &mut open[inner]) {
                 None if at == bytes.len() => return Ok(()),
@@ -199,11 +199,11 @@ pub fn check(bytes: &[u8], bounds: Bounds) -> Result<(), CodecError> {
     }
 }
 
-/// What an item's first bytes say.
+/// The content of an item's head.
 enum Head {
     Scalar,
     Bytes(u64),
-    /// How many items belong to it; `None` up to a break.
+    /// The number of its items; `None` where a break ends it.
     Container(Option<u64>),
     Break,
 }

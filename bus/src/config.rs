@@ -1,54 +1,54 @@
-//! How a session connects and is secured. The default neither listens nor searches beyond this machine.
+//! How a session connects and is secured. By default it listens on this machine only, without discovery.
 
 use serde_json::{Value as Json, json};
 
 use crate::error::SessionError;
 
-/// What a session is on the network.
+/// The role of a session on the network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Mode {
-    /// Connects to its peers and lets them connect.
+    /// Connects to peers and accepts connections.
     #[default]
     Peer,
-    /// Connects to one router or peer and only speaks through it.
+    /// Connects to one router or peer, and communicates only through it.
     Client,
-    /// Passes on what others say to each other.
+    /// Forwards messages of others.
     Router,
 }
 
 /// Certificates of a TLS session; all are paths of PEM files.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Tls {
-    /// Whom it trusts.
+    /// The trusted certificate authority.
     pub root_ca: String,
-    /// What it shows.
+    /// The own certificate.
     pub certificate: String,
-    /// The private key of what it shows.
+    /// The private key of the own certificate.
     pub private_key: String,
-    /// Whether those who connect have to show a certificate too.
+    /// Whether peers that connect need a certificate too.
     pub mutual: bool,
 }
 
 /// How a session connects and is secured.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SessionConfig {
-    /// What it is on the network.
+    /// The role on the network.
     pub mode: Mode,
-    /// Where it listens, `tcp/127.0.0.1:0`; port 0 takes a free one.
+    /// Listening endpoints, `tcp/127.0.0.1:0`; port 0 selects a free one.
     pub listen: Vec<String>,
-    /// Whom it connects to, `tcp/127.0.0.1:7447`; it keeps trying.
+    /// Endpoints to connect to, `tcp/127.0.0.1:7447`; it retries forever.
     pub connect: Vec<String>,
     /// Whether addresses beyond this machine are accepted in `listen` and `connect`.
     pub off_loopback: bool,
-    /// Whether others are searched by multicast; only with `off_loopback`.
+    /// Whether peers are discovered by multicast; only with `off_loopback`.
     pub multicast: bool,
-    /// Whether peers tell each other of peers, and connect to those too.
+    /// Whether peers announce other peers, which are then connected too.
     pub gossip: bool,
     /// Whether large payloads go through shared memory on one machine.
     pub shared_memory: bool,
     /// Certificates for `tls/...` endpoints.
     pub tls: Option<Tls>,
-    /// Access rules as Zenoh's `access_control` has them: who may do what on which keys.
+    /// Access rules in the format of Zenoh's `access_control`.
     pub access_control: Option<Json>,
     /// Largest message that is received, bytes.
     pub largest_message: usize,
@@ -81,8 +81,8 @@ impl SessionConfig {
     /// Zenoh's configuration.
     ///
     /// # Errors
-    /// [`SessionError::OffLoopback`] when an address is beyond this machine without `off_loopback`;
-    /// [`SessionError::Config`] when Zenoh does not accept a value.
+    /// [`SessionError::OffLoopback`] when an address is off this machine without `off_loopback`;
+    /// [`SessionError::Config`] when Zenoh rejects a value.
     pub(crate) fn to_zenoh(&self) -> Result<zenoh::Config, SessionError> {
         if !self.off_loopback {
             if let Some(endpoint) = self.listen.iter().chain(&self.connect).find(|e| !is_loopback(e)) {

@@ -1,49 +1,49 @@
-//! Why a session cannot do something. Zenoh's own errors are text; here is where they become one.
+//! Errors of a session. Zenoh's errors are text; they are converted here.
 
-/// Why a session cannot do something.
+/// An error of a session.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SessionError {
-    /// A session needs threads of its own.
+    /// The tokio runtime is not multi-threaded.
     #[error("a session needs a multi-threaded tokio runtime")]
     Runtime,
-    /// An address beyond this machine.
+    /// An address off this machine.
     #[error("`{endpoint}` reaches beyond this machine, which has to be asked for")]
     OffLoopback {
         /// The address.
         endpoint: String,
     },
-    /// A setting that Zenoh does not accept.
+    /// A setting that Zenoh rejects.
     #[error("the session's configuration is not accepted: {what}")]
     Config {
-        /// The setting and what is said of it.
+        /// The setting and the reason.
         what: String,
     },
     /// Zenoh failed.
     #[error("Zenoh failed: {what}")]
     Zenoh {
-        /// What it says.
+        /// Its message.
         what: String,
     },
-    /// Nobody answered in time.
+    /// No answer within the timeout.
     #[error("nobody answered `{key}` within {seconds} s")]
     NoAnswer {
-        /// What was asked.
+        /// The queried key.
         key: String,
-        /// How long was waited, s.
+        /// The timeout, s.
         seconds: u64,
     },
-    /// More answers than were asked for.
+    /// More answers than the limit.
     #[error("`{key}` has more answers than the {most} that are accepted")]
     TooManyAnswers {
-        /// What was asked.
+        /// The queried key.
         key: String,
-        /// How many were accepted.
+        /// The limit.
         most: usize,
     },
 }
 
-/// Takes any of Zenoh's errors.
+/// Converts any of Zenoh's errors.
 pub(crate) fn failed(error: impl std::fmt::Display) -> SessionError {
     SessionError::Zenoh { what: error.to_string() }
 }

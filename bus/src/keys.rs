@@ -1,4 +1,4 @@
-//! The keys of everything on Zenoh, as checked types: a [`Key`] names one resource, a [`KeyPattern`] many.
+//! All keys on Zenoh, as checked types: a [`Key`] names one resource, a [`KeyPattern`] several.
 //!
 //! ```text
 //! {agent}/memory                                   queryable: commit
@@ -7,7 +7,6 @@
 //! {agent}/memory/{segment}/{provider}/{entity}     put = update, subscribe = observe, get = query
 //! {agent}/image/{provider}                         frames; queryable: what the provider gives
 //! {agent}/image/{provider}/{coding}                the same frames as PNG or JPEG
-//! {agent}/robot/state, {agent}/robot/command
 //! {agent}/chart/{Chart}                            queryable: start, cancel, outcome
 //! {agent}/event                                    queryable: an event for the charts that run there
 //! {agent}/trace/{run}                              the droppable stream for viewers
@@ -34,17 +33,17 @@ pub struct KeyError {
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Key(String);
 
-/// A key expression that stands for many keys.
+/// A key expression that matches several keys.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct KeyPattern(String);
 
-/// Part of a pattern: a name, or any where none is given.
+/// Part of a pattern: a name, or `None` for any.
 pub type Part<'a> = Option<&'a str>;
 
 /// The parts of an entity's key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MemoryParts<'a> {
-    /// Whose memory.
+    /// The agent.
     pub agent: &'a str,
     /// The core segment.
     pub segment: &'a str,
@@ -54,7 +53,7 @@ pub struct MemoryParts<'a> {
     pub entity: &'a str,
 }
 
-/// Whether `name` can be one part of a key.
+/// Checks that `name` can be one part of a key.
 ///
 /// # Errors
 /// [`KeyError`] when it cannot.
@@ -78,15 +77,15 @@ fn pattern(parts: &[Part<'_>]) -> Result<KeyPattern, KeyError> {
     Ok(KeyPattern(parts.iter().map(|part| part.unwrap_or("*")).collect::<Vec<_>>().join("/")))
 }
 
-/// Where commits go to that want an answer.
+/// The queryable for commits with an answer.
 ///
 /// # Errors
-/// [`KeyError`] when a name cannot be part of a key; so for all of these.
+/// [`KeyError`] when a name cannot be part of a key; the same for all functions here.
 pub fn memory_commit(agent: &str) -> Result<Key, KeyError> {
     key(&[agent, "memory"])
 }
 
-/// Where one writer's commits go to: access rules can let in him and nobody else.
+/// The queryable for one writer's commits: access rules can admit that writer only.
 ///
 /// # Errors
 /// [`KeyError`].
@@ -94,7 +93,7 @@ pub fn memory_by(agent: &str, writer: &str) -> Result<Key, KeyError> {
     key(&[agent, "memory", "by", writer])
 }
 
-/// Where the commits of all named writers go to.
+/// The queryables for the commits of all named writers.
 ///
 /// # Errors
 /// [`KeyError`].
@@ -102,7 +101,7 @@ pub fn memory_by_pattern(agent: &str) -> Result<KeyPattern, KeyError> {
     pattern(&[Some(agent), Some("memory"), Some("by"), None])
 }
 
-/// Where a memory tells its changes in their order.
+/// The key on which a memory publishes its changes in order.
 ///
 /// # Errors
 /// [`KeyError`].
@@ -147,7 +146,7 @@ pub fn image_coded(agent: &str, provider: &str, coding: &str) -> Result<Key, Key
     key(&[agent, "image", provider, coding])
 }
 
-/// The image providers that fit.
+/// Matching image providers.
 ///
 /// # Errors
 /// [`KeyError`].
@@ -163,7 +162,7 @@ pub fn chart(agent: &str, chart: &str) -> Result<Key, KeyError> {
     key(&[agent, "chart", chart])
 }
 
-/// Where an agent's charts are told events.
+/// The queryable for events to an agent's charts.
 ///
 /// # Errors
 /// [`KeyError`].
@@ -179,7 +178,7 @@ pub fn chart_pattern(agent: Part<'_>, chart: Part<'_>) -> Result<KeyPattern, Key
     pattern(&[agent, Some("chart"), chart])
 }
 
-/// What happens in a run, for viewers.
+/// The trace of a run, for viewers.
 ///
 /// # Errors
 /// [`KeyError`].
@@ -195,7 +194,7 @@ pub fn alive(agent: &str, service: &str) -> Result<Key, KeyError> {
     key(&[agent, "alive", service])
 }
 
-/// The liveliness tokens of the services that fit.
+/// The liveliness tokens of matching services.
 ///
 /// # Errors
 /// [`KeyError`].
@@ -204,21 +203,21 @@ pub fn alive_pattern(agent: Part<'_>, service: Part<'_>) -> Result<KeyPattern, K
 }
 
 impl Key {
-    /// A key that came from outside.
+    /// A key from outside.
     ///
     /// # Errors
-    /// [`KeyError`] names the first part that is no name.
+    /// [`KeyError`] with the first invalid part.
     pub fn parse(text: &str) -> Result<Self, KeyError> {
         key(&text.split('/').collect::<Vec<_>>())
     }
 
-    /// The key as Zenoh writes it.
+    /// The key as a Zenoh key expression.
     #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0
     }
 
-    /// The agent whose resource it is.
+    /// The agent that owns the resource.
     #[must_use]
     pub fn agent(&self) -> &str {
         self.0.split('/').next().unwrap_or_default()
@@ -243,7 +242,7 @@ impl Key {
 }
 
 impl KeyPattern {
-    /// The key expression as Zenoh writes it.
+    /// The pattern as a Zenoh key expression.
     #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0

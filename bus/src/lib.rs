@@ -1,14 +1,14 @@
-//! What agents speak over: the CBOR codec, the keys, and the Zenoh session with its security.
+//! Communication between agents: the CBOR codec, the keys, and the Zenoh session with its security.
 //!
-//! - [`codec`]: bytes from values and back, deterministic one way and hardened the other; [`Schema`] names what a
-//!   payload holds.
+//! - [`codec`]: values to bytes, deterministic, and back, hardened against bad input; [`Schema`] names the type of a
+//!   payload.
 //! - [`keys`]: every key, as a checked type.
 //! - [`bulk`]: large payloads through shared memory on one machine, over the network otherwise.
-//! - [`Access`]: who may say and ask what, as rules by certificate.
-//! - [`stream`]: numbers by which a reader notices what did not come, and asks for it again.
-//! - [`session`]: on loopback unless more is asked for; bounded queues that count what they drop.
+//! - [`Access`]: access rules by certificate.
+//! - [`stream`]: numbered messages, so that a reader notices gaps and can query the missing ones.
+//! - [`session`]: on loopback by default; bounded queues that count what they drop.
 //!
-//! This room knows no memory, robot, image or chart: it carries bytes for those that do.
+//! This room knows no memory, robot, image or chart: it transports bytes.
 
 mod access;
 mod attached;

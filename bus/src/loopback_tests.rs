@@ -1,4 +1,4 @@
-//! Two real sessions on loopback, on ports that were free.
+//! Two real sessions on loopback, on free ports.
 
 use std::time::Duration;
 
@@ -32,7 +32,7 @@ async fn what_is_put_arrives_with_what_names_it() {
     let (one, two) = pair().await;
     let key = keys::event("alice").unwrap();
     let mut heard = two.subscribe(key.clone(), 16).await.unwrap();
-    // A subscription is known to the other side some time after it was declared: ask until it is.
+    // The other side learns of a subscription with a delay: ask until it knows.
     let message = loop {
         one.put(&key, "application/cbor;test;v1", vec![1, 2, 3]).await.unwrap();
         let wait = tokio::time::timeout(std::time::Duration::from_millis(20), heard.next());
@@ -127,7 +127,7 @@ async fn bulk_between(shared: [bool; 2], capacity: usize, detached: bool) -> Vec
     let reader = two.bulk_reader(key, capacity, detached).await.unwrap();
     sender.wanted().await;
     let mut heard = Vec::new();
-    // Sizes that change, and one that no packet holds.
+    // Varying sizes, among them one larger than any packet.
     for length in [0usize, 1, 70_000, 3_000_000, 5, 9_000_000] {
         let mut slot = sender.slot(length);
         assert_eq!(slot.len(), length);
@@ -141,7 +141,7 @@ async fn bulk_between(shared: [bool; 2], capacity: usize, detached: bool) -> Vec
         heard.push(tokio::time::timeout(Duration::from_secs(20), reader.next()).await.unwrap());
     }
     if detached {
-        // What was copied out stays, whatever the sender does.
+        // Detached payloads stay valid, whatever the sender does.
         drop(sender);
         assert!(heard.iter().all(|bulk| bulk.payload.is_intact()));
     }
@@ -154,7 +154,7 @@ async fn large_payloads_arrive_whole_by_shared_memory_where_both_can() {
         let capacity = if detached { 8 } else { 1 };
         let heard = bulk_between(shared, capacity, detached).await;
         for (bulk, length) in heard.iter().zip([0usize, 1, 70_000, 3_000_000, 5, 9_000_000]) {
-            // An empty slot is sent as one byte: shared memory has no empty buffers.
+            // An empty payload is sent as one byte: shared memory has no empty buffers.
             let bytes = bulk.payload.as_ref();
             assert!(bytes.len() == length.max(1) || bytes.is_empty(), "{} of {length}", bytes.len());
             assert!(bytes.iter().all(|b| *b == length as u8) || length == 0);

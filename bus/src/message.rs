@@ -1,5 +1,5 @@
-//! What comes over a session: messages, questions and answers, and who appears and goes. Nothing here interprets
-//! payloads.
+//! What a session receives: messages, queries and answers, and services that start and stop. Payloads are not
+//! interpreted.
 
 use zenoh::bytes::Encoding;
 use zenoh::sample::{SampleKind, SourceInfo};
@@ -8,77 +8,77 @@ use crate::error::{SessionError, failed};
 use crate::keys::Key;
 use crate::queue::{Queue, Weigh};
 
-/// A payload with what names it.
+/// A payload with its metadata.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Message {
-    /// The key it was put on, as Zenoh writes it.
+    /// The key, as Zenoh writes it.
     pub key: String,
-    /// Whether the key was deleted; the payload is empty then.
+    /// Whether this is a deletion; the payload is empty then.
     pub deleted: bool,
-    /// What the payload is, `application/cbor;NAME;vN`.
+    /// The encoding, `application/cbor;NAME;vN`.
     pub encoding: String,
     /// The payload.
     pub payload: Vec<u8>,
-    /// When it was sent, ns since 1970 by the sender's clock, where the sender said so.
+    /// When it was sent, ns since 1970 by the sender's clock; `None` when the sender did not say.
     pub sent_ns: Option<u64>,
     /// The session that sent it, where known.
     pub sender: Option<String>,
 }
 
-/// An answer to a question.
+/// An answer to a query.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Answer {
-    /// What was asked for.
+    /// The result.
     Message(Message),
-    /// The other side refuses; its payload says why.
+    /// The other side refuses; the payload gives the reason.
     Refusal {
-        /// What the payload is.
+        /// The payload's encoding.
         encoding: String,
-        /// Why.
+        /// The reason.
         payload: Vec<u8>,
     },
 }
 
-/// What a subscription's queue holds: all that came, unless it was full.
+/// A subscription and its queue. When the queue is full, new messages are dropped.
 #[derive(Debug)]
 pub struct Subscription {
     pub(crate) queue: Queue<Message>,
     pub(crate) _declared: zenoh::pubsub::Subscriber<()>,
 }
 
-/// The questions that others ask on a key.
+/// The queries that arrive at a queryable.
 #[derive(Debug)]
 pub struct Questions {
     pub(crate) queue: Queue<Question>,
     pub(crate) _declared: zenoh::query::Queryable<()>,
 }
 
-/// A question of another session. It ends, for the asker too, when it is dropped.
+/// A query from another session. Dropping it ends it for the caller too.
 #[derive(Debug)]
 pub struct Question {
-    /// The key or key expression that was asked for.
+    /// The queried key or key expression.
     pub key: String,
-    /// What follows the `?`.
+    /// The part after the `?`.
     pub parameters: String,
     /// The payload's encoding; empty without one.
     pub encoding: String,
-    /// The payload that came with the question; empty without one.
+    /// The query's payload; empty without one.
     pub payload: Vec<u8>,
-    /// The session that asks, where it says so.
+    /// The session that sent it, if it says so.
     pub sender: Option<String>,
     query: zenoh::query::Query,
 }
 
-/// A service has appeared or gone.
+/// A service has started or stopped.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Liveliness {
     /// Its key.
     pub key: String,
-    /// Whether it is there.
+    /// Whether it runs.
     pub alive: bool,
 }
 
-/// The services that appear and go.
+/// The starts and stops of services.
 #[derive(Debug)]
 pub struct Roll {
     pub(crate) queue: Queue<Liveliness>,
@@ -91,12 +91,12 @@ impl Subscription {
         self.queue.next().await
     }
 
-    /// The next message if there is one already.
+    /// The next message, if one is in the queue.
     pub fn try_next(&mut self) -> Option<Message> {
         self.queue.try_next()
     }
 
-    /// How many messages have not fitted into the queue so far, by number or by bytes.
+    /// How many messages were dropped so far, because of their number or their bytes.
     #[must_use]
     pub fn dropped(&self) -> u64 {
         self.queue.dropped()
@@ -104,24 +104,24 @@ impl Subscription {
 }
 
 impl Roll {
-    /// The next service that has appeared or gone; `None` when the session has closed.
+    /// The next service that has started or stopped; `None` when the session has closed.
     pub async fn next(&mut self) -> Option<Liveliness> {
         self.queue.next().await
     }
 }
 
 impl Questions {
-    /// The next question; `None` when the session has closed.
+    /// The next query; `None` when the session has closed.
     pub async fn next(&mut self) -> Option<Question> {
         self.queue.next().await
     }
 
-    /// The next question if there is one already.
+    /// The next query, if one is in the queue.
     pub fn try_next(&mut self) -> Option<Question> {
         self.queue.try_next()
     }
 
-    /// How many questions have not fitted into the queue so far; they got no answer.
+    /// How many queries were dropped so far; they got no answer.
     #[must_use]
     pub fn dropped(&self) -> u64 {
         self.queue.dropped()
@@ -129,7 +129,7 @@ impl Questions {
 }
 
 impl Question {
-    /// One answer, of perhaps many, on a key that the question fits.
+    /// Sends an answer, of possibly several, on a key that matches the query.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
@@ -138,7 +138,7 @@ impl Question {
         reply.await.map_err(failed)
     }
 
-    /// Refuses, with a payload that says why.
+    /// Refuses the query; the payload gives the reason.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
@@ -174,7 +174,7 @@ impl Weigh for Liveliness {
     }
 }
 
-/// The session that something comes from, if it says so.
+/// The session that sent something, if it says so.
 fn source(info: Option<&SourceInfo>) -> Option<String> {
     info.map(|info| info.source_id().zid().to_string())
 }

@@ -1,17 +1,17 @@
-//! The queue between Zenoh's threads and ours: bounded in number and in bytes. Its writer never waits; what does not fit is
-//! dropped and counted.
+//! The queue from Zenoh's threads to the reader: bounded in items and in bytes. Writing never blocks; items that do
+//! not fit are dropped and counted.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
 use tokio::sync::mpsc;
 
-/// Most bytes that wait in one queue, beyond the one item that passes them.
+/// Most bytes in one queue; the item that exceeds them is still accepted.
 const MOST_BYTES: usize = 64 << 20;
 
-/// What has a size.
+/// An item with a size.
 pub(crate) trait Weigh {
-    /// How many bytes it holds.
+    /// Its size, bytes.
     fn bytes(&self) -> usize;
 }
 
@@ -21,14 +21,14 @@ struct Counts {
     dropped: AtomicU64,
 }
 
-/// The end that is written into.
+/// The writing end.
 #[derive(Debug)]
 pub(crate) struct Offer<T> {
     sender: mpsc::Sender<T>,
     counts: Arc<Counts>,
 }
 
-/// The end that is read.
+/// The reading end.
 #[derive(Debug)]
 pub(crate) struct Queue<T> {
     receiver: mpsc::Receiver<T>,
@@ -43,7 +43,7 @@ pub(crate) fn queue<T: Weigh>(capacity: usize) -> (Offer<T>, Queue<T>) {
 }
 
 impl<T: Weigh> Offer<T> {
-    /// Never waits: this runs on the threads of Zenoh's links.
+    /// Never blocks: this runs on Zenoh's link threads.
     pub(crate) fn offer(&self, item: T) {
         let bytes = item.bytes();
         let before = self.counts.waiting_bytes.fetch_add(bytes, Ordering::Relaxed);
@@ -55,19 +55,19 @@ impl<T: Weigh> Offer<T> {
 }
 
 impl<T: Weigh> Queue<T> {
-    /// The next item; `None` when the writer has gone.
+    /// The next item; `None` when the writer is gone.
     pub(crate) async fn next(&mut self) -> Option<T> {
         let item = self.receiver.recv().await;
         self.taken(item)
     }
 
-    /// The next item if there is one already.
+    /// The next item, if there is one.
     pub(crate) fn try_next(&mut self) -> Option<T> {
         let item = self.receiver.try_recv().ok();
         self.taken(item)
     }
 
-    /// How many items have not fitted so far.
+    /// How many items were dropped so far.
     pub(crate) fn dropped(&self) -> u64 {
         self.counts.dropped.load(Ordering::Relaxed)
     }

@@ -1,22 +1,22 @@
-//! What a payload is: a name and a version, told in the encoding that travels with it.
+//! The schema of a payload: a name and a version, sent as its encoding.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use crate::codec::CodecError;
 
-/// The name and version of what a payload holds.
+/// The name and version of a payload's type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Schema {
     /// The name, for instance `memoryx/entity`.
     pub name: &'static str,
-    /// Goes up with every change that an older reader would not understand.
+    /// Increases with every change that an older reader could not decode.
     pub version: u32,
 }
 
-/// Something that travels as a payload of its own.
+/// A type that is sent as a payload of its own.
 pub trait Payload: Serialize + DeserializeOwned {
-    /// What the encoding names.
+    /// The schema that the encoding names.
     const SCHEMA: Schema;
 }
 
@@ -33,7 +33,7 @@ impl Schema {
         format!("application/cbor;{};v{}", self.name, self.version)
     }
 
-    /// Whether an encoding names this schema in this version.
+    /// Checks that an encoding names this schema in this version.
     ///
     /// # Errors
     /// [`CodecError::NoSchema`], [`CodecError::OtherSchema`], [`CodecError::OtherVersion`].

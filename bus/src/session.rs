@@ -1,7 +1,7 @@
-//! The Zenoh session, thinly: put, get and subscribe with bounded queues, queryables, liveliness.
+//! A thin layer over the Zenoh session: put, get and subscribe with bounded queues, queryables, liveliness.
 //!
-//! Zenoh's callbacks run on its link threads, so ours only ever try to put something into a queue: what does not fit
-//! is dropped and counted, and the reader can see it. Nothing here interprets payloads.
+//! Zenoh's callbacks run on its link threads, so they only put items into a queue, without blocking: what does not
+//! fit is dropped and counted, and the reader can read the count. Payloads are not interpreted.
 //!
 //! A session needs a multi-threaded tokio runtime, and waits in real time.
 
@@ -23,23 +23,23 @@ pub use crate::message::{Answer, Liveliness, Message, Question, Questions, Roll,
 use crate::message::{nanoseconds, of_query, of_reply, of_sample};
 use crate::queue::queue;
 
-/// How long a question waits for its answers unless it says otherwise.
+/// Default timeout of a query.
 pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// A session; clones are the same session. It closes when the last clone and all that was declared on it are gone.
+/// A session; clones are the same session. It closes when the last clone and everything declared on it is dropped.
 #[derive(Clone, Debug)]
 pub struct Session {
     zenoh: zenoh::Session,
 }
 
-/// Says that a service is there, until it is dropped.
+/// Announces a service until it is dropped.
 #[derive(Debug)]
 #[must_use = "the service is gone when the token is dropped"]
 pub struct AliveToken {
     _declared: zenoh::liveliness::LivelinessToken,
 }
 
-/// Whether others subscribe to some keys.
+/// Whether other sessions subscribe to certain keys.
 #[derive(Debug)]
 pub struct Interest {
     there: Arc<AtomicBool>,
@@ -52,8 +52,8 @@ impl Session {
     ///
     /// # Errors
     /// [`SessionError::Runtime`] outside a multi-threaded tokio runtime; [`SessionError::OffLoopback`] and
-    /// [`SessionError::Config`] for a configuration that is not accepted; [`SessionError::Zenoh`] when Zenoh
-    /// cannot listen or connect.
+    /// [`SessionError::Config`] for an invalid configuration; [`SessionError::Zenoh`] when Zenoh cannot listen or
+    /// connect.
     pub async fn open(config: &SessionConfig) -> Result<Self, SessionError> {
         let flavor = Handle::try_current().map(|h| h.runtime_flavor());
         if !matches!(flavor, Ok(RuntimeFlavor::MultiThread)) {
@@ -67,7 +67,7 @@ impl Session {
         Ok(Self { zenoh })
     }
 
-    /// Where it listens, with the ports that were free: what others connect to.
+    /// The endpoints on which it listens, with their actual ports.
     pub async fn endpoints(&self) -> Vec<String> {
         self.zenoh.info().locators().await.iter().map(ToString::to_string).collect()
     }
@@ -78,14 +78,14 @@ impl Session {
         &self.zenoh
     }
 
-    /// The session's own name among all sessions.
+    /// The session's unique id.
     #[must_use]
     pub fn id(&self) -> String {
         self.zenoh.zid().to_string()
     }
 
-    /// Who sent something, for people: as the message says or, when it does not, the sessions that this one has a link
-    /// to, through one of which it came.
+    /// The sender of a message, for people. If the message does not name it, the sessions that this one is linked to:
+    /// the message came through one of them.
     pub async fn sender(&self, said: Option<&str>) -> String {
         if let Some(said) = said {
             return said.into();
@@ -95,14 +95,14 @@ impl Session {
         format!("one of those linked here: {}", linked.join(", "))
     }
 
-    /// The wall clock that messages are stamped with, ns since 1970; never the same twice.
+    /// The wall clock of message timestamps, ns since 1970; no value repeats.
     #[must_use]
     pub fn now_ns(&self) -> u64 {
         nanoseconds(&self.zenoh.new_timestamp())
     }
 
-    /// Puts a payload on a key, stamped with the time. It goes to whoever subscribes; nobody confirms it, and what
-    /// the network cannot take now is dropped.
+    /// Publishes a payload on a key, with a timestamp. There is no acknowledgement, and under congestion it is
+    /// dropped.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
@@ -110,7 +110,7 @@ impl Session {
         self.put_with(key, encoding, payload, CongestionControl::Drop).await
     }
 
-    /// [`Self::put`] that waits while the network cannot take more; not for control loops.
+    /// [`Self::put`] that blocks under congestion; not for control loops.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
@@ -129,7 +129,7 @@ impl Session {
         put.timestamp(self.zenoh.new_timestamp()).congestion_control(congestion).await.map_err(failed)
     }
 
-    /// Subscribes to keys with a queue for `capacity` messages. What this session puts comes back too.
+    /// Subscribes to keys with a queue for `capacity` messages. The session also receives its own puts.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
@@ -141,7 +141,7 @@ impl Session {
         self.subscribe_from(keys.into(), capacity, Locality::Any).await
     }
 
-    /// As [`Self::subscribe`], without what this session puts itself.
+    /// As [`Self::subscribe`], without the session's own puts.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
@@ -165,7 +165,7 @@ impl Session {
         Ok(Subscription { queue, _declared: declared.await.map_err(failed)? })
     }
 
-    /// Whether other sessions subscribe to any of these keys, now and from now on.
+    /// Observes whether other sessions subscribe to any of these keys, from now on.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
@@ -183,8 +183,8 @@ impl Session {
         Ok(Interest { there, _listener: listener, _publisher: publisher })
     }
 
-    /// Asks all who answer on a key or pattern, `parameters` after the `?`, at most `most` answers, within `timeout`.
-    /// No answer at all is an empty list.
+    /// Queries all queryables on a key or pattern, with `parameters` after the `?`, for at most `most` answers within
+    /// `timeout`. Without an answer the list is empty.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`]; [`SessionError::TooManyAnswers`].
@@ -223,7 +223,7 @@ impl Session {
         Ok(answers)
     }
 
-    /// Asks for one answer within [`ANSWER_TIMEOUT`].
+    /// Queries for one answer within [`ANSWER_TIMEOUT`].
     ///
     /// # Errors
     /// [`SessionError::NoAnswer`] when none came; otherwise as [`Self::ask`].
@@ -234,14 +234,13 @@ impl Session {
         payload: Option<(&str, Vec<u8>)>,
     ) -> Result<Answer, SessionError> {
         let answers = self.ask(key.clone(), parameters, payload, 64, ANSWER_TIMEOUT).await?;
-        // A refusal by whoever else answers does not count against an answer; a timeout is a refusal as well.
+        // An answer counts more than a refusal by another queryable; a timeout is a refusal as well.
         let is_message = |a: &&Answer| matches!(a, Answer::Message(_));
         let best = answers.iter().find(is_message).or(answers.first()).cloned();
         best.ok_or_else(|| SessionError::NoAnswer { key: key.to_string(), seconds: ANSWER_TIMEOUT.as_secs() })
     }
 
-    /// Answers questions on keys, with a queue for `capacity` of them; what does not fit ends at once without an
-    /// answer.
+    /// Declares a queryable with a queue for `capacity` queries; further ones end at once without an answer.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
@@ -256,7 +255,7 @@ impl Session {
         Ok(Questions { queue, _declared: declared.await.map_err(failed)? })
     }
 
-    /// Says that a service is there, under its key.
+    /// Announces a service under its key.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
@@ -265,7 +264,7 @@ impl Session {
         Ok(AliveToken { _declared: declared.await.map_err(failed)? })
     }
 
-    /// The services that are there and that appear or go from now on.
+    /// The services that run now, and those that start or stop later.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
@@ -280,7 +279,7 @@ impl Session {
         Ok(Roll { queue, _declared: declared.await.map_err(failed)? })
     }
 
-    /// Whether a service is there now, as far as the sessions linked here know and say within `timeout`.
+    /// Whether a service runs now, as far as the linked sessions answer within `timeout`.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
@@ -308,7 +307,7 @@ impl Session {
 }
 
 impl Interest {
-    /// Whether anybody does.
+    /// Whether there is such a subscriber now.
     #[must_use]
     pub fn is_there(&self) -> bool {
         self.there.load(Ordering::Relaxed)

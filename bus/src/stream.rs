@@ -1,25 +1,24 @@
-//! Numbered streams: a sender counts what it sends, and a reader notices what did not come.
+//! Numbered streams: a sender numbers its items, and a reader notices gaps.
 //!
-//! Zenoh drops what a congested link does not take. A sender therefore gives each item a number, which begins anew with each
-//! of its epochs, and a reader holds the numbers against each other ([`StreamReader`]). What is missing is asked for again
-//! where the sender still has it: of the sender itself ([`Lost`] is the question), or, as with a memory, of what lies behind
-//! it. This file sends nothing and knows no payload.
+//! Zenoh drops messages on a congested link. So a sender numbers its items, from 0 in each of its epochs, and a
+//! reader compares the numbers ([`StreamReader`]). Missing items are queried where they still exist: at the sender
+//! ([`Lost`] is the query's parameter) or, for a memory, in its store. This file sends nothing and knows no payload.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// Where an item, or the first of several in one message, stands in its stream.
+/// The position of an item, or of the first of several in one message, in its stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StreamPosition {
-    /// Tells one life of the sender from the next: numbers begin at 0 in each. The sender's time at its start, ns.
+    /// The sender's time at its start, ns: distinguishes its runs. Numbers begin at 0 in each epoch.
     pub epoch: u64,
     /// The item's number.
     pub number: u64,
 }
 
-/// Numbers what a sender sends.
+/// Numbers the items of a sender.
 #[derive(Clone, Copy, Debug)]
 pub struct StreamWriter {
     next: StreamPosition,
@@ -32,7 +31,7 @@ impl StreamWriter {
         Self { next: StreamPosition { epoch: now_ns, number: 0 } }
     }
 
-    /// The position of a message with `count` items; the next one follows them.
+    /// The position of a message with `count` items. Advances by `count`.
     pub fn advance(&mut self, count: usize) -> StreamPosition {
         let position = self.next;
         self.next.number = self.next.number.saturating_add(count as u64);
@@ -46,25 +45,25 @@ impl StreamWriter {
     }
 }
 
-/// Items of a stream that did not come: a question to their sender. Written as `lost=EPOCH:FROM:TO`.
+/// Missing items of a stream, as a query to their sender. Written as `lost=EPOCH:FROM:TO`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lost {
     /// The sender's epoch.
     pub epoch: u64,
-    /// The first of them.
+    /// The first missing number.
     pub from: u64,
-    /// The last of them.
+    /// The last missing number.
     pub to: u64,
 }
 
 impl Lost {
-    /// How many they are.
+    /// The number of missing items.
     #[must_use]
     pub fn count(&self) -> u64 {
         (self.to - self.from).saturating_add(1)
     }
 
-    /// Whether an item is one of them.
+    /// Whether an item is among them.
     #[must_use]
     pub fn contains(&self, position: StreamPosition) -> bool {
         position.epoch == self.epoch && (self.from..=self.to).contains(&position.number)
@@ -77,7 +76,7 @@ impl fmt::Display for Lost {
     }
 }
 
-/// Text that is no question for lost items.
+/// Text that is not a query for missing items.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("a question for lost items is written as lost=EPOCH:FROM:TO")]
 pub struct LostError;
@@ -93,29 +92,29 @@ impl FromStr for Lost {
     }
 }
 
-/// What a reader learns from the position of a message.
+/// What the position of a message means to a reader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Arrival {
-    /// It is the first that is heard. What the sender sent before may have been sent to nobody.
+    /// The first message received. Earlier ones may have been sent when there was no subscriber.
     First,
     /// Nothing is missing before it.
     InOrder,
-    /// These are missing before it.
+    /// These items are missing before it.
     After(Lost),
-    /// It was heard before, or comes late.
+    /// A repeated or late message.
     Again,
-    /// The sender has begun anew. What it sent last before that may be missing.
+    /// The sender has restarted. The last items of its previous epoch may be missing.
     NewEpoch,
 }
 
-/// Holds the numbers of a stream against each other.
+/// Compares the numbers of a stream.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StreamReader {
     next: Option<StreamPosition>,
 }
 
 impl StreamReader {
-    /// Takes note of a message with `count` items.
+    /// Records a message with `count` items.
     pub fn arrive(&mut self, position: StreamPosition, count: usize) -> Arrival {
         let StreamPosition { epoch, number } = position;
         let arrival = match self.next {

@@ -13,7 +13,7 @@ use crate::logging;
 use crate::memory::keep::KeepArgs;
 use crate::stopped::{stopped, stopped_or_input_ended};
 
-/// What `agent` takes.
+/// Arguments of `agent`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct AgentArgs {
     /// The name by which other agents call it.
@@ -22,35 +22,36 @@ pub(crate) struct AgentArgs {
     /// Charts to offer, or folders of charts. Skills are offered always.
     #[arg(value_name = "CHARTS")]
     pub(crate) offered: Vec<PathBuf>,
-    /// Folders where charts find other charts by name, besides their own.
+    /// Additional folders in which charts find other charts by name.
     #[arg(long, value_name = "DIR")]
     pub(crate) charts: Vec<PathBuf>,
     #[command(flatten)]
     pub(crate) connection: ConnectionArgs,
     #[command(flatten)]
     pub(crate) access: AccessArgs,
-    /// Images that another agent offers, as the agent's eyes. It has no robot then, only skills that move nothing, and
-    /// stands where the world says.
+    /// Images of another agent, used as the agent's eyes. The agent then has no robot, only skills that move nothing,
+    /// and its pose is the one in the world file.
     #[arg(long, value_name = "AGENT/PROVIDER")]
     pub(crate) eyes: Option<Eyes>,
-    /// A chart that the agent runs from the beginning; the agent ends with it.
+    /// A chart that the agent runs from the start; the agent ends with it.
     #[arg(long, value_name = "CHART")]
     pub(crate) run: Option<PathBuf>,
-    /// An agent whose memory is followed as soon as it is there: its `ObjectInstances` and `ObjectRelations`, or the core
-    /// segment that is named; may be repeated.
+    /// An agent whose memory is followed as soon as it is available: its `ObjectInstances` and `ObjectRelations`, or
+    /// the named core segment; may be repeated.
     #[arg(long, value_name = "AGENT[:SEGMENT]")]
     pub(crate) follow: Vec<Followee>,
-    /// End when the standard input does: for an agent that another process starts.
+    /// End when the standard input closes: for an agent that another process starts.
     #[arg(long)]
     pub(crate) while_input: bool,
     /// The simulated world that the agent's robot is in; the default kitchen if not given.
     #[arg(long, value_name = "FILE")]
     pub(crate) world: Option<PathBuf>,
-    /// Seeds everything that varies in the world.
+    /// Seed of all random variation in the world.
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
-    /// The file of long-term memory: what was learned and what others committed is there again when the agent is started
-    /// anew; what was seen can be asked for. One snapshot a second is kept of what is seen and learned, and all of the rest.
+    /// The file of long-term memory. What was learned and what others committed is loaded again at the next start;
+    /// what was seen can be queried. By default one snapshot a second is kept of what is seen and learned, and all of
+    /// the rest.
     #[arg(long, value_name = "FILE", default_value = "armarium-agent.redb")]
     pub(crate) store: PathBuf,
     #[command(flatten)]
@@ -60,8 +61,8 @@ pub(crate) struct AgentArgs {
     pub(crate) verbose: bool,
 }
 
-/// Offers until Ctrl-C. Returns the exit status: 0 when it was ended so, 1 when what it ran has failed, 2 when it could
-/// not begin.
+/// Serves until Ctrl-C. Returns the exit status: 0 when it was ended so, 1 when its chart has failed, 2 when it could
+/// not start.
 ///
 /// # Errors
 /// When `out` cannot be written.
@@ -96,7 +97,7 @@ fn config(args: &AgentArgs) -> Result<AgentConfig, String> {
     Ok(config)
 }
 
-/// Says how the agent's own chart ended; its exit status.
+/// Prints how the agent's own chart ended; returns the exit status.
 fn conclude(ended: &RunResult, out: &mut dyn Write) -> io::Result<u8> {
     let reason = ended.reason.as_deref().unwrap_or("no reason was given");
     let good = ended.outcome == "success";

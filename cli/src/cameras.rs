@@ -11,10 +11,10 @@ use crate::connection_args::{ConnectionArgs, explained};
 use crate::console::{Terminal, refuse};
 use crate::stopped::stopped;
 
-/// What `cameras` takes.
+/// Arguments of `cameras`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct CamerasArgs {
-    /// The name by which a run asks for them.
+    /// The name by which a run addresses them.
     #[arg(long)]
     pub(crate) name: String,
     /// The simulated world, the same as the run's; the default kitchen if not given.
@@ -27,7 +27,7 @@ pub(crate) struct CamerasArgs {
     pub(crate) connection: ConnectionArgs,
 }
 
-/// Draws what runs show, until Ctrl-C. Returns the exit status.
+/// Renders the scenes of runs until Ctrl-C. Returns the exit status.
 ///
 /// # Errors
 /// When `out` cannot be written.

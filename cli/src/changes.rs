@@ -1,18 +1,18 @@
-//! Doing something again whenever files change: for authors who keep a terminal beside their editor.
+//! Repeats work whenever files change, for authors with a terminal beside their editor.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
-/// How often the files are looked at.
+/// How often the files are checked.
 const EVERY: Duration = Duration::from_millis(250);
 
-/// When files changed last and how long they are.
+/// Modification time and length of files.
 type Stamps = BTreeMap<PathBuf, (Option<SystemTime>, u64)>;
 
-/// Does the work, and again whenever one of the files, or a YAML file beside them or in `folders`, changes. Ends only
-/// with the program, or when `out` cannot be written.
+/// Does the work now, and again whenever one of the files, or a YAML file beside them or in `folders`, changes. Ends
+/// only with the program, or when `out` cannot be written.
 ///
 /// # Errors
 /// When `out` cannot be written, or no runtime can be made.

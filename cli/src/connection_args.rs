@@ -1,16 +1,16 @@
-//! The options that say where other agents are, and who may do what.
+//! The options for connections to other agents, and for their access rights.
 
 use std::path::{Path, PathBuf};
 
 use armarium_bus::{Access, KeyError, Session, SessionConfig, SessionError, Tls};
 
-/// Where other agents are.
+/// Connections to other agents.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(crate) struct ConnectionArgs {
-    /// Where another agent listens, for instance `tcp/127.0.0.1:7447`; may be repeated.
+    /// Endpoint of another agent, for instance `tcp/127.0.0.1:7447`; may be repeated.
     #[arg(long, global = true, value_name = "ENDPOINT")]
     pub(crate) connect: Vec<String>,
-    /// Where to listen for other agents; a free port of this machine if not given.
+    /// Endpoint to listen on for other agents; a free port of this machine if not given.
     #[arg(long, global = true, value_name = "ENDPOINT")]
     pub(crate) listen: Vec<String>,
     /// Accept addresses beyond this machine.
@@ -19,7 +19,7 @@ pub(crate) struct ConnectionArgs {
     /// For endpoints `tls/...`: the certificate (PEM) of the authority that both sides trust.
     #[arg(long, global = true, value_name = "FILE", requires_all = ["certificate", "key"])]
     pub(crate) ca: Option<PathBuf>,
-    /// The certificate (PEM) that is shown; its common name is the agent's.
+    /// The own certificate (PEM); its common name is the agent's name.
     #[arg(long, global = true, value_name = "FILE", requires = "ca")]
     pub(crate) certificate: Option<PathBuf>,
     /// The private key (PEM) of the certificate.
@@ -27,22 +27,23 @@ pub(crate) struct ConnectionArgs {
     pub(crate) key: Option<PathBuf>,
 }
 
-/// Whom an agent lets in, by the common names of their certificates.
+/// The peers that an agent admits, by the common names of their certificates.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(crate) struct AccessArgs {
-    /// Somebody who may read this agent's memory; may be repeated. As soon as anybody is named, nobody else may do anything.
+    /// A peer that may read this agent's memory; may be repeated. As soon as any peer is named, all others are denied
+    /// everything.
     #[arg(long = "reader", value_name = "NAME", requires = "ca")]
     readers: Vec<String>,
-    /// Somebody who may read it, and write provider segments that are called as he is; may be repeated.
+    /// A peer that may read the memory, and write provider segments of its own name; may be repeated.
     #[arg(long = "writer", value_name = "NAME", requires = "ca")]
     writers: Vec<String>,
-    /// Somebody who may start this agent's charts and skills; may be repeated.
+    /// A peer that may start this agent's charts and skills; may be repeated.
     #[arg(long = "caller", value_name = "NAME", requires = "ca")]
     callers: Vec<String>,
 }
 
 impl AccessArgs {
-    /// Whom the agent `own` lets in; `None` when nobody is named, and everybody may do everything.
+    /// The peers that the agent `own` admits; `None` when none is named, and all may do everything.
     pub(crate) fn of(&self, own: &str) -> Option<Access> {
         let access = Access {
             own: own.into(),
@@ -55,7 +56,7 @@ impl AccessArgs {
 }
 
 impl ConnectionArgs {
-    /// Whether anything is said.
+    /// Whether any option is given.
     pub(crate) fn is_given(&self) -> bool {
         !self.connect.is_empty() || !self.listen.is_empty()
     }
@@ -63,7 +64,7 @@ impl ConnectionArgs {
     /// Opens a session on this runtime, with access rules if there are any.
     ///
     /// # Errors
-    /// As [`Session::open`]; [`explained`] makes a sentence for people of it.
+    /// As [`Session::open`]; [`explained`] makes a sentence for people from it.
     pub(crate) async fn session(&self, access: Option<&Access>) -> Result<Session, SessionError> {
         let mut config = self.config()?;
         let no_name = |error: KeyError| SessionError::Config { what: error.to_string() };
@@ -71,10 +72,10 @@ impl ConnectionArgs {
         Session::open(&config).await
     }
 
-    /// What is said, as the configuration of a session.
+    /// The options as the configuration of a session.
     ///
     /// # Errors
-    /// [`SessionError::Config`] for an endpoint that is none, and a file that is not there.
+    /// [`SessionError::Config`] for an invalid endpoint, or a missing file.
     pub(crate) fn config(&self) -> Result<SessionConfig, SessionError> {
         let mut config = SessionConfig::connected_to(&self.connect);
         if !self.listen.is_empty() {
@@ -88,7 +89,7 @@ impl ConnectionArgs {
         Ok(config)
     }
 
-    /// Says of an endpoint what Zenoh would say late or not at all.
+    /// Detects errors in an endpoint that Zenoh would report late or not at all.
     fn check(&self, endpoint: &str) -> Result<(), SessionError> {
         let protocol = endpoint.split_once('/').map(|(protocol, _)| protocol);
         let what = match protocol {
@@ -114,7 +115,7 @@ impl ConnectionArgs {
     }
 }
 
-/// The path of a file that is there.
+/// The path of an existing file.
 fn readable(file: &Path) -> Result<String, SessionError> {
     let path = file.display().to_string();
     match std::fs::File::open(file) {
@@ -123,7 +124,7 @@ fn readable(file: &Path) -> Result<String, SessionError> {
     }
 }
 
-/// What went wrong, and what to do about it.
+/// The error, and how to fix it.
 pub(crate) fn explained(error: &SessionError) -> String {
     match error {
         SessionError::OffLoopback { .. } => format!("{error}: --off-loopback"),

@@ -1,5 +1,4 @@
-//! How a run and an agent tell people how it goes: a line on the terminal that says how far it is, notes, and findings with
-//! their place.
+//! The terminal output of a run and an agent: a progress line, notes, and findings with their places.
 
 use std::io::{self, IsTerminal as _, Write};
 use std::process;
@@ -13,7 +12,7 @@ use crate::connection_args::explained;
 use crate::logging;
 use crate::render_findings::{Shown, render, summary};
 
-/// The terminal. Notes go to standard output, or to standard error where that shows the progress.
+/// The terminal. Notes go to standard output, or to standard error if that shows the progress.
 pub(crate) struct Terminal {
     progress: Progress,
     shows_progress: bool,
@@ -43,7 +42,7 @@ impl Console for Terminal {
             self.progress.print(text);
         } else {
             let mut out = io::stdout();
-            // Whoever does not read this is served all the same.
+            // A closed output does not stop the agent.
             let _ = writeln!(out, "{text}").and_then(|()| out.flush()).is_ok();
         }
     }
@@ -83,7 +82,7 @@ impl Console for Terminal {
     }
 }
 
-/// Says why nothing was done. Gives the exit status 2.
+/// Prints why nothing was done. Returns the exit status 2.
 ///
 /// # Errors
 /// When `out` cannot be written.
@@ -97,7 +96,7 @@ pub(crate) fn refuse(error: &HostError, out: &mut dyn Write) -> io::Result<u8> {
     Ok(2)
 }
 
-/// Shows findings with their places, and counts them.
+/// Prints findings with their places, and their number.
 ///
 /// # Errors
 /// When `out` cannot be written.

@@ -1,4 +1,5 @@
-//! `armarium graph CHART -o FILE`: the chart as a picture (SVG), or for Mermaid and PlantUML, by the file's ending.
+//! `armarium graph CHART -o FILE`: draws the chart as SVG, or writes it for Mermaid or PlantUML, by the file's
+//! ending.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -9,13 +10,13 @@ use armarium_viewer::chart::{mermaid, plantuml, svg};
 use crate::render_findings::Shown;
 use crate::{changes, console};
 
-/// What `graph` takes.
+/// Arguments of `graph`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct GraphArgs {
     /// The chart.
     #[arg(value_name = "CHART")]
     pub(crate) chart: PathBuf,
-    /// Where to write: `.svg`, `.mmd` (Mermaid) or `.puml` (PlantUML).
+    /// The output file: `.svg`, `.mmd` (Mermaid) or `.puml` (PlantUML).
     #[arg(short, long, value_name = "FILE")]
     pub(crate) output: PathBuf,
     /// Draw again whenever the chart changes.
@@ -23,8 +24,8 @@ pub(crate) struct GraphArgs {
     pub(crate) watch: bool,
 }
 
-/// Draws the chart, with `watch` again and again. Returns the exit status: 2 when the chart cannot be read or the file
-/// cannot be written.
+/// Draws the chart; with `watch`, after each change. Returns the exit status: 2 when the chart cannot be read or the
+/// file cannot be written.
 ///
 /// # Errors
 /// When `out` cannot be written.
@@ -40,7 +41,7 @@ fn draw(args: &GraphArgs, out: &mut dyn Write) -> io::Result<u8> {
         writeln!(out, "error: `{}` ends in neither .svg, .mmd nor .puml", args.output.display())?;
         return Ok(2);
     };
-    // The chart alone: what it names need not be there to be drawn.
+    // Only this chart is loaded: the charts and skills that it names need not exist.
     let library = chart::load(&args.chart, &[]);
     let Some(chart) = library.charts.get(&library.root) else {
         console::show(&library.findings.iter().map(Shown::from).collect::<Vec<_>>(), out)?;

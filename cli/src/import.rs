@@ -1,11 +1,11 @@
-//! `armarium import FILE`: a chart of another language as one of ours, printed.
+//! `armarium import FILE`: converts a chart of another language to ours, and prints it.
 
 use std::io::{self, Read as _, Write};
 use std::path::{Path, PathBuf};
 
 use armarium_runtime::import;
 
-/// What `import` takes.
+/// Arguments of `import`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ImportArgs {
     /// An SCXML document.
@@ -13,8 +13,8 @@ pub(crate) struct ImportArgs {
     pub(crate) file: PathBuf,
 }
 
-/// Writes the chart to `out`, and what cannot be carried over to `err`. Returns the exit status: 2 when something
-/// cannot.
+/// Writes the chart to `out`, and what cannot be converted to `err`. Returns the exit status: 2 if anything could not
+/// be converted.
 ///
 /// # Errors
 /// When `out` or `err` cannot be written.
@@ -42,7 +42,7 @@ pub(crate) fn run(args: &ImportArgs, out: &mut dyn Write, err: &mut dyn Write) -
     }
 }
 
-/// A file's text, as long as it is not longer than any document may be.
+/// A file's text, if it is not longer than any document may be.
 fn read(file: &Path) -> Result<String, String> {
     let mut bytes = Vec::new();
     let file = std::fs::File::open(file).map_err(|e| format!("the file cannot be read: {e}"))?;

@@ -1,6 +1,6 @@
-//! Where the rooms' log events go: to the terminal, above the progress line, with the simulated time before them.
+//! Log events of the rooms: printed to the terminal, above the progress line, with the simulated time.
 //!
-//! Warnings are shown; `-v` shows what happens too, and `RUST_LOG` decides instead where it is set.
+//! Warnings are shown; `-v` shows information too. `RUST_LOG`, if set, decides instead.
 
 use armarium_host::Clock;
 use armarium_viewer::progress::Progress;
@@ -8,10 +8,10 @@ use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::time::FormatTime;
 
-/// Zenoh warns whoever connects that his session does not gossip, which it is not to do.
+/// Zenoh warns about a session without gossip, which is intended here.
 const QUIET: &str = "zenoh::net::routing::hat=error";
 
-/// Tells the simulated time of an event.
+/// Prints the simulated time of an event.
 struct Simulated(Clock);
 
 impl FormatTime for Simulated {
@@ -20,7 +20,7 @@ impl FormatTime for Simulated {
     }
 }
 
-/// What is shown: `wanted` is the content of `RUST_LOG`, if there is any.
+/// The log filter; `wanted`: the content of `RUST_LOG`, if set.
 fn filter(wanted: Option<&str>, verbose: bool) -> Result<EnvFilter, String> {
     match wanted.filter(|text| !text.trim().is_empty()) {
         Some(text) => EnvFilter::try_new(text).map_err(|e| format!("RUST_LOG={text}: {e}")),
@@ -46,29 +46,30 @@ fn subscriber(
         .finish()
 }
 
-/// Whether `RUST_LOG` can be read.
+/// Checks that `RUST_LOG` can be parsed.
 ///
 /// # Errors
-/// What is wrong with it.
+/// The error in it.
 pub(crate) fn check_environment() -> Result<(), String> {
     filter(std::env::var("RUST_LOG").ok().as_deref(), false).map(drop)
 }
 
-/// From here on log events are shown; a second call in one process changes nothing.
+/// Installs the subscriber; a second call in one process changes nothing.
 ///
 /// # Errors
-/// When `RUST_LOG` cannot be read.
+/// When `RUST_LOG` cannot be parsed.
 pub(crate) fn install(progress: &Progress, clock: Clock, verbose: bool, colour: bool) -> Result<(), String> {
     let filter = filter(std::env::var("RUST_LOG").ok().as_deref(), verbose)?;
-    // A subscriber that is there already is a test's, or that of an embedding program.
+    // An existing subscriber is a test's, or that of an embedding program.
     drop(tracing::subscriber::set_global_default(subscriber(progress, clock, filter, colour)));
     Ok(())
 }
 
-/// From here on log events are shown on the standard error output, with the time of day: for a program that has no robot.
+/// Installs a subscriber that prints to the standard error output, with the time of day: for a program without a
+/// robot.
 ///
 /// # Errors
-/// When `RUST_LOG` cannot be read.
+/// When `RUST_LOG` cannot be parsed.
 pub(crate) fn install_dated() -> Result<(), String> {
     let filter = filter(std::env::var("RUST_LOG").ok().as_deref(), false)?;
     let dated =
@@ -101,7 +102,7 @@ mod tests {
         }
     }
 
-    /// What is written of a warning and a message under a filter, with a live line on a terminal.
+    /// The output of a warning and a message under a filter, with a progress line on a terminal.
     fn written(wanted: Option<&str>, verbose: bool) -> String {
         let page = Page::default();
         let progress = Progress::new(Box::new(page.clone()), true);

@@ -1,5 +1,6 @@
-//! The program `armarium`: arguments, printing, exit codes. Each subcommand is a file of its own; this one reads the command
-//! line and turns what they return into the exit status. What they start is in `host`, `experiments` and the other rooms.
+//! The program `armarium`: arguments, printing, exit codes. Each subcommand is a file of its own; this one reads the
+//! command line and converts results to the exit status. The work is done in `host`, `experiments` and the other
+//! rooms.
 
 mod agent;
 mod cameras;
@@ -56,27 +57,27 @@ enum Command {
     Run(run::RunArgs),
     /// Offer charts and skills to other agents.
     Agent(agent::AgentArgs),
-    /// The simulated cameras in a process of their own, for `run --cameras`; blind until a run connects.
+    /// Run the simulated cameras in a process of their own, for `run --cameras`; without images until a run connects.
     Cameras(cameras::CamerasArgs),
-    /// Find everything that is wrong with charts and worlds.
+    /// Find all errors in charts and worlds.
     Check(check::CheckArgs),
-    /// Drive a chart by hand or by a list of events, with no robot, under virtual time.
+    /// Drive a chart by hand or by a list of events, without a robot, in virtual time.
     Step(step::StepArgs),
-    /// Play the test cases of charts under virtual time.
+    /// Play the test cases of charts in virtual time.
     Test(test_cases::TestArgs),
     /// Feed a recorded run to the engine again and compare.
     Replay(replay::ReplayArgs),
     /// Draw a chart: SVG, Mermaid or PlantUML.
     Graph(graph::GraphArgs),
-    /// Make a chart of an SCXML document.
+    /// Convert an SCXML document to a chart.
     Import(import::ImportArgs),
-    /// Start a chart, a world and a test of one's own.
+    /// Create a chart, a world and a test to start from.
     New(new::NewArgs),
     /// Print the JSON schema of a kind of file.
     Schema(schema::SchemaArgs),
     /// Reproduce an experiment of the papers: figures as JSON, plots as SVG.
     Reproduce(reproduce::ReproduceArgs),
-    /// Look into the memory of agents, write, save, export and mend it.
+    /// Read, write, save, export and repair the memory of agents.
     Memory(memory::MemoryArgs),
     /// List, show, record, play and check providers of images.
     Image(image::ImageArgs),
@@ -109,7 +110,7 @@ fn main() -> ExitCode {
     };
     let status = match status {
         Ok(status) => status,
-        // Whoever reads the output has gone, as with `armarium skills | head`.
+        // The reader of the output has closed it, as with `armarium skills | head`.
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => 0,
         Err(error) => {
             let _ = writeln!(io::stderr(), "the output cannot be written: {error}");
@@ -119,7 +120,7 @@ fn main() -> ExitCode {
     ExitCode::from(status)
 }
 
-/// How findings are drawn here: in colour on a terminal.
+/// The style of findings: with colour on a terminal.
 fn style() -> check::Style {
     let colour = io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
     check::Style { colour, width: 100 }

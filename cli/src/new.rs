@@ -1,13 +1,13 @@
-//! `armarium new DIR`: a chart, a world and a test of one's own to start from. What is there is never overwritten.
+//! `armarium new DIR`: creates a chart, a world and a test to start from. Never overwrites a file.
 
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// What `new` takes.
+/// Arguments of `new`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct NewArgs {
-    /// The folder to write into; it is made where it does not exist.
+    /// The folder to write into; it is created if it does not exist.
     #[arg(value_name = "DIR")]
     pub(crate) dir: PathBuf,
 }
@@ -21,8 +21,8 @@ const FILES: [(&str, &str); 5] = [
     ("README.md", include_str!("template/README.md")),
 ];
 
-/// Writes the files and says what to do with them. Returns the exit status: 2 when one of the files exists or cannot
-/// be written, otherwise 0.
+/// Writes the files and prints what to do with them. Returns the exit status: 2 when one of the files exists or
+/// cannot be written, otherwise 0.
 ///
 /// # Errors
 /// When `out` cannot be written.

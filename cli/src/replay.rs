@@ -1,4 +1,4 @@
-//! `armarium replay RUN`: a recorded run is fed to the engine again and must pass through the same states.
+//! `armarium replay RUN`: feeds a recorded run to the engine again, which must pass through the same states.
 
 use std::io::{self, BufRead as _, Write};
 use std::path::PathBuf;
@@ -8,7 +8,7 @@ use armarium_values::Type;
 
 use crate::console;
 
-/// What `replay` takes.
+/// Arguments of `replay`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ReplayArgs {
     /// A record that `run --record FILE` wrote.
@@ -66,7 +66,7 @@ pub(crate) fn run(args: &ReplayArgs, out: &mut dyn Write) -> io::Result<u8> {
     Ok(0)
 }
 
-/// Shows the first difference, with the event at which it began.
+/// Prints the first difference, with the event at which it began.
 fn show_difference(turn: &ReplayedTurn, out: &mut dyn Write) -> io::Result<()> {
     let ReplayedTurn { number, at_s, expected, found, .. } = turn;
     let event = expected.iter().chain(found).find(|d| d.starts_with("event "));

@@ -1,4 +1,4 @@
-//! `armarium reproduce NAME`: runs an experiment of the papers and leaves its figures as JSON and its plots as SVG.
+//! `armarium reproduce NAME`: runs an experiment of the papers, and writes its figures as JSON and its plots as SVG.
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -6,17 +6,17 @@ use std::path::PathBuf;
 use armarium_experiments::{Entry, ExperimentError, Key, Outcome, all, save};
 use armarium_values::expr::nearest;
 
-/// What `reproduce` takes.
+/// Arguments of `reproduce`.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_long_help = long_listing())]
 pub(crate) struct ReproduceArgs {
-    /// The experiment; without it they are listed.
+    /// The experiment; without it all are listed.
     #[arg(value_name = "NAME")]
     pub(crate) name: Option<String>,
     /// A setting, for instance `gamma=50`, `o=1.8,-0.6` or `psi=pi/4`; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = split)]
     pub(crate) settings: Vec<(String, String)>,
-    /// Folder for NAME.json and the plots; made if it is not there.
+    /// Folder for NAME.json and the plots; created if it does not exist.
     #[arg(long, value_name = "DIR", default_value = "reproduced")]
     pub(crate) out: PathBuf,
 }
@@ -27,7 +27,7 @@ fn split(text: &str) -> Result<(String, String), String> {
     Ok((key.trim().to_owned(), value.trim().to_owned()))
 }
 
-/// Runs the experiment. Returns the exit status: 0, 1 when it fails, 2 when its name or a setting is wrong.
+/// Runs the experiment. Returns the exit status: 0, 1 when it fails, 2 when its name or a setting is invalid.
 ///
 /// # Errors
 /// When `out` or the files cannot be written.
@@ -57,7 +57,7 @@ pub(crate) fn run(args: &ReproduceArgs, out: &mut dyn Write) -> io::Result<u8> {
     }
 }
 
-/// The figures that are short enough for a terminal, and where the rest is.
+/// Prints the figures that are short enough for a terminal, and where the others are.
 fn summarise(name: &str, outcome: &Outcome, files: &[PathBuf], out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "{name}")?;
     for (figure, value) in &outcome.figures {

@@ -1,4 +1,4 @@
-//! `armarium run CHART`: checks the chart, runs it in the simulator, and leaves recording and report.
+//! `armarium run CHART`: checks the chart, runs it in the simulator, and writes recording and report.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use crate::connection_args::{ConnectionArgs, explained};
 use crate::console::{Terminal, refuse};
 use crate::logging;
 
-/// What `run` takes.
+/// Arguments of `run`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct RunArgs {
     /// The chart to run.
@@ -18,13 +18,13 @@ pub(crate) struct RunArgs {
     /// The simulated world; if not given, NAME.world.yaml beside the chart NAME.yaml, or else the default kitchen.
     #[arg(long, value_name = "FILE")]
     pub(crate) world: Option<PathBuf>,
-    /// Seeds everything that varies.
+    /// Seed of all random variation.
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
     /// Folder for report.json, report.html and run.mcap.
     #[arg(long, value_name = "DIR", default_value = "report")]
     pub(crate) report: PathBuf,
-    /// The long-term store that motions are kept in.
+    /// The long-term store of motions.
     #[arg(long, value_name = "FILE", default_value = "armarium.redb")]
     pub(crate) store: PathBuf,
     /// An input of the chart, for instance `contact_force=10` or `patience=30s`; may be repeated.
@@ -33,16 +33,16 @@ pub(crate) struct RunArgs {
     /// The chart's profile whose defaults are used.
     #[arg(long)]
     pub(crate) profile: Option<String>,
-    /// Folders where charts find other charts by name, besides their own.
+    /// Additional folders in which charts find other charts by name.
     #[arg(long, value_name = "DIR")]
     pub(crate) charts: Vec<PathBuf>,
-    /// As fast as the machine (`max`), or in real time (`1`). With other agents it is real time.
+    /// As fast as the machine (`max`), or in real time (`1`). With other agents it is always real time.
     #[arg(long, value_enum, default_value_t = Speed::Max)]
     pub(crate) speed: Speed,
     /// The name by which other agents can send events to this run.
     #[arg(long)]
     pub(crate) name: Option<String>,
-    /// Look through the cameras of `armarium cameras --name NAME`, in another process, with the same world and seed.
+    /// Use the cameras of `armarium cameras --name NAME`, in another process, with the same world and seed.
     #[arg(long, value_name = "NAME")]
     pub(crate) cameras: Option<String>,
     #[command(flatten)]
@@ -50,12 +50,12 @@ pub(crate) struct RunArgs {
     /// Record the run for `armarium replay`.
     #[arg(long, value_name = "FILE")]
     pub(crate) record: Option<PathBuf>,
-    /// Show what happens as lines of text.
+    /// Print events as lines of text.
     #[arg(short, long)]
     pub(crate) verbose: bool,
 }
 
-/// How fast simulated time goes.
+/// Speed of simulated time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum Speed {
     /// Virtual time: as fast as the machine, repeatable bit for bit.
@@ -70,8 +70,8 @@ pub(crate) fn parse_input(text: &str) -> Result<(String, String), String> {
     Ok((name.to_owned(), value.to_owned()))
 }
 
-/// Runs the chart; what is to be said goes to `out`. Returns the exit status: 0 success, 1 a run that failed, 2 a file
-/// or argument that is wrong.
+/// Runs the chart and prints to `out`. Returns the exit status: 0 success, 1 a failed run, 2 an invalid file or
+/// argument.
 ///
 /// # Errors
 /// When `out` or a report cannot be written.
@@ -105,7 +105,7 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
     }
 }
 
-/// Says how the run ended and where its report is.
+/// Prints how the run ended and where its report is.
 fn conclude(ended: &RunEnded, folder: &Path, out: &mut dyn Write) -> io::Result<u8> {
     for figure in &ended.figures {
         let Some(value) = figure.value else { continue };

@@ -1,10 +1,10 @@
-//! `armarium schema world|chart`: the JSON schemas that editors check and complete files with.
+//! `armarium schema world|chart`: prints the JSON schemas with which editors check and complete files.
 
 use std::io::{self, Write};
 
 use armarium_simulator::World;
 
-/// What `schema` takes.
+/// Arguments of `schema`.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(crate) struct SchemaArgs {
     /// Which schema.
@@ -12,7 +12,7 @@ pub(crate) struct SchemaArgs {
     pub(crate) of: SchemaOf,
 }
 
-/// What has a schema.
+/// The kinds of files with a schema.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum SchemaOf {
     /// A world file.
@@ -39,7 +39,7 @@ pub(crate) fn run(args: SchemaArgs, out: &mut dyn Write) -> io::Result<u8> {
 mod tests {
     use super::*;
 
-    /// The schema that is held beside the charts is the one that the program writes.
+    /// The schema stored beside the charts is the one that the program prints.
     #[test]
     fn the_schema_of_charts_is_fresh() {
         let mut out = Vec::new();

@@ -1,11 +1,11 @@
-//! `armarium skills`: what charts can use, with inputs, outputs, outcomes and limbs.
+//! `armarium skills`: prints the skills that charts can use, with inputs, outputs, outcomes and limbs.
 
 use std::io::{self, Write};
 
 use armarium_host::catalog;
 use armarium_runtime::skill::{Parameter, SkillManifest};
 
-/// What `skills` takes.
+/// Arguments of `skills`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct SkillsArgs {
     /// Only these skills.

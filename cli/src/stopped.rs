@@ -1,4 +1,4 @@
-//! Until when a program that serves others goes on: Ctrl-C, the system's request to end, the end of the standard input.
+//! When a serving program ends: at Ctrl-C, at the system's request, or at the end of the standard input.
 
 use std::io;
 
@@ -16,7 +16,7 @@ pub(crate) async fn stopped() {
     }
 }
 
-/// As [`stopped`], or for the end of the standard input.
+/// As [`stopped`], or at the end of the standard input.
 pub(crate) async fn stopped_or_input_ended() {
     tokio::select! {
         biased;
@@ -25,16 +25,16 @@ pub(crate) async fn stopped_or_input_ended() {
     }
 }
 
-/// Waits until nobody can write to the standard input any more.
+/// Waits until all writers of the standard input have closed it.
 #[expect(
     clippy::disallowed_methods,
     reason = "agents live in real time, and nothing can wait for this thread"
 )]
 async fn input_ended() {
-    // A thread of its own, which does not hold up the end of the program as one of the runtime's would.
+    // A plain thread, because a blocking task of the runtime would delay the end of the program.
     let (ended, waiting) = tokio::sync::oneshot::channel();
     std::thread::spawn(move || {
-        // What is said there is not for this program; an input that cannot be read has ended too.
+        // The content is ignored; a read error counts as the end.
         let _ = io::copy(&mut io::stdin().lock(), &mut io::sink()).is_ok();
         let _ = ended.send(()).is_ok();
     });

@@ -1,5 +1,5 @@
-//! Where the rooms' warnings go while a command works for people that has no robot and no clock: to standard error, a line each, with nothing before
-//! them but what they are. `RUST_LOG` shows more where it is set.
+//! The rooms' warnings during a command for people without robot and clock: printed to standard error, one line each,
+//! without a prefix. `RUST_LOG`, if set, can show more.
 
 use std::fmt;
 
@@ -9,10 +9,10 @@ use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
 use tracing_subscriber::registry::LookupSpan;
 
-/// What is shown where nobody says: what our own rooms warn of.
+/// The default filter: warnings of our own rooms.
 const SHOWN: &str = "off,armarium=warn";
 
-/// A line for people.
+/// Formats a line for people.
 struct Plain;
 
 impl<S, N> FormatEvent<S, N> for Plain
@@ -37,10 +37,10 @@ where
     }
 }
 
-/// From here on warnings are shown; a second call in one process changes nothing.
+/// Installs the subscriber; a second call in one process changes nothing.
 ///
 /// # Errors
-/// When `RUST_LOG` cannot be read.
+/// When `RUST_LOG` cannot be parsed.
 pub(crate) fn show() -> Result<(), String> {
     let wanted = std::env::var("RUST_LOG").unwrap_or_default();
     let wanted = if wanted.trim().is_empty() { SHOWN } else { &wanted };
@@ -51,7 +51,7 @@ pub(crate) fn show() -> Result<(), String> {
         .event_format(Plain)
         .with_writer(std::io::stderr)
         .finish();
-    // A subscriber that is there already is a test's.
+    // An existing subscriber is a test's.
     drop(tracing::subscriber::set_global_default(subscriber));
     Ok(())
 }

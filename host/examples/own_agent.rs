@@ -1,6 +1,7 @@
-//! An agent of one's own, with a skill that Armarium does not have: the robot greets whoever is named.
+//! A program of your own, with a skill that Armarium does not have: the robot greets a person by name.
 //!
-//! `cargo run --example own_agent -p armarium-host -- CHART` runs a chart that may use it. Without a chart it runs the one below.
+//! `cargo run --example own_agent -p armarium-host -- CHART` runs a chart that may use the skill; without a chart it
+//! runs the one below.
 
 use std::io::Write;
 use std::path::PathBuf;

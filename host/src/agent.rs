@@ -1,7 +1,7 @@
-//! An agent: it offers charts, skills, its memory and its cameras to other agents, and may run a chart of its own. It acts with a
-//! simulated robot, or only watches through images that another agent offers.
+//! An agent: offers charts, skills, its memory and its cameras to other agents, and may run a chart of its own. It
+//! has a simulated robot, or only receives images from another agent.
 //!
-//! A program of one's own begins here: [`AgentConfig::new`], a few fields, [`run_agent`].
+//! A program of your own starts here: [`AgentConfig::new`], a few fields, [`run_agent`].
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -27,42 +27,42 @@ use crate::error::HostError;
 use crate::remote_eyes::{self, Eyes};
 use crate::simulated::{SimulatedRobot, memory_of_agent, usual_policies};
 
-/// What an agent is, and what it offers.
+/// The configuration of an agent.
 #[derive(Clone)]
 pub struct AgentConfig {
     /// The name by which other agents call it.
     pub name: String,
-    /// Charts to offer, or folders of charts. Skills are offered always.
+    /// Charts to offer, or folders of charts. Skills are always offered.
     pub offered: Vec<PathBuf>,
-    /// Folders where charts find other charts by name, besides their own.
+    /// Additional folders in which charts find other charts by name.
     pub charts: Vec<PathBuf>,
-    /// A chart that the agent runs from the beginning; the agent ends with it.
+    /// A chart that the agent runs from the start; the agent ends with it.
     pub run: Option<PathBuf>,
-    /// The simulated world that the agent is in; the default kitchen if not given.
+    /// The simulated world of the agent; `None`: the default kitchen.
     pub world: Option<PathBuf>,
-    /// Seeds everything that varies in the world.
+    /// Seed of all random variation in the world.
     pub seed: u64,
-    /// Images that another agent offers, as the agent's eyes. It has no robot then, only skills that move nothing, and
-    /// stands where the world says.
+    /// Images of another agent, used as the agent's eyes. The agent then has no robot, only skills that move nothing,
+    /// and its pose is the one in the world file.
     pub eyes: Option<Eyes>,
-    /// Agents whose memory is followed as soon as they are there.
+    /// Agents whose memory is followed as soon as they are available.
     pub follow: Vec<Followee>,
     /// The file of long-term memory.
     pub store: PathBuf,
-    /// What of memory the file keeps.
+    /// What the file keeps of memory.
     pub policies: Policies,
-    /// How much of it.
+    /// How much the file keeps.
     pub retention: Retention,
     /// How other agents are reached.
     pub session: SessionConfig,
-    /// Whom it lets in; everybody, who may do everything, where nothing is said.
+    /// The peers that it admits; `None` admits all, with all rights.
     pub access: Option<Access>,
-    /// Skills of one's own, besides those that ship.
+    /// Additional skills.
     pub skills: Vec<SkillFactory>,
 }
 
 impl AgentConfig {
-    /// An agent with a simulated robot in the default kitchen, reached on this machine only.
+    /// An agent with a simulated robot in the default kitchen, reachable on this machine only.
     #[must_use]
     pub fn new(name: &str) -> Self {
         Self {
@@ -84,10 +84,10 @@ impl AgentConfig {
     }
 }
 
-/// Offers until `until` is ready, or until the agent's own chart has ended; then gives how the chart ended.
+/// Serves until `until` completes or the agent's own chart has ended; then returns the chart's result, if any.
 ///
 /// # Errors
-/// [`HostError`] when the agent cannot begin or cannot go on.
+/// [`HostError`] when the agent cannot start or cannot continue.
 pub fn run_agent(
     config: &AgentConfig,
     console: &dyn Console,
@@ -100,7 +100,7 @@ pub fn run_agent(
     }
     let connection = Connection::open(&session)?;
     let agents = connection.agents(&config.name);
-    // Simulation, skills and charts share the session's threads; one that is busy holds up no answer.
+    // Simulation, skills and charts share the session's threads; a busy one does not delay answers.
     connection.runtime().block_on(live(config, connection.session(), &agents, console, until))
 }
 
@@ -152,7 +152,7 @@ async fn live(
     Ok(ended)
 }
 
-/// Offers charts and skills, and runs the agent's own chart, until it is asked to end.
+/// Offers charts and skills, and runs the agent's own chart, until the agent is to end.
 async fn act(
     config: &AgentConfig,
     (session, agents): (&Session, &Agents),
@@ -209,7 +209,7 @@ async fn act(
     Ok(ended)
 }
 
-/// Follows others for as long as the tasks live.
+/// Follows other agents until the tasks are dropped.
 fn follow_all(config: &AgentConfig, session: &Session, memory: &AgentMemory) -> JoinSet<()> {
     let mut tasks = JoinSet::new();
     for other in config.follow.clone() {
@@ -242,7 +242,7 @@ fn execute(
     Ok(Executor::new(program, registry, channels.clone(), options)?)
 }
 
-/// A chart as a skill for others.
+/// A chart as a skill for other agents.
 fn offered(
     file: &Path,
     config: &AgentConfig,
@@ -255,7 +255,7 @@ fn offered(
     ChartSkill::new(program, description, registry.clone(), Arc::clone(stop))
 }
 
-/// A chart that is in order; warnings are said.
+/// Loads a chart without errors; reports its warnings.
 async fn load(
     file: &Path,
     config: &AgentConfig,
@@ -267,7 +267,7 @@ async fn load(
     catalog::runnable(checked, console)
 }
 
-/// The charts that are named, and those of the folders that are.
+/// The named chart files, and the charts in the named folders.
 fn chart_files(named: &[PathBuf]) -> Result<Vec<PathBuf>, HostError> {
     let mut files = Vec::new();
     for path in named {
@@ -287,14 +287,14 @@ fn chart_files(named: &[PathBuf]) -> Result<Vec<PathBuf>, HostError> {
     Ok(files)
 }
 
-/// Whether a file of a folder is a chart: YAML with the key `statechart` at its outermost level.
+/// Whether a file in a folder is a chart: YAML with the top-level key `statechart`.
 fn is_chart(file: &Path) -> bool {
     file.extension().is_some_and(|e| e == "yaml" || e == "yml")
         && std::fs::read_to_string(file)
             .is_ok_and(|text| text.lines().any(|line| line.starts_with("statechart:")))
 }
 
-/// Says what the agent offers and where it listens.
+/// Reports what the agent offers and where it listens.
 async fn introduce(
     config: &AgentConfig,
     session: &Session,

@@ -1,4 +1,4 @@
-//! What an agent acts with: a simulated robot, or only the images that another agent offers.
+//! The body of an agent: a simulated robot, or only the images of another agent.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -15,19 +15,19 @@ use crate::console::Clock;
 use crate::remote_eyes::RemoteEyes;
 use crate::simulated::SimulatedRobot;
 
-/// What an agent acts with.
+/// The body of an agent.
 pub(crate) struct Backend {
     pub(crate) equipment: Equipment,
     pub(crate) registry: Registry,
     pub(crate) clock: Clock,
-    /// Lives until the agent ends, or until there is nothing more to sense.
+    /// Runs until the agent ends, or until the sensors end.
     pub(crate) life: Pin<Box<dyn Future<Output = ()> + Send>>,
-    /// Whether it has what the observers observe.
+    /// Whether it has the inputs of the observers.
     pub(crate) observes: bool,
 }
 
 impl Backend {
-    /// The simulated robot with its senses.
+    /// The simulated robot with its sensors.
     pub(crate) fn simulated(robot: SimulatedRobot, simulation: Simulation, own: &[SkillFactory]) -> Self {
         let (handle, ending) = (robot.handle.clone(), EndOnDrop(robot.handle));
         Self {
@@ -42,7 +42,7 @@ impl Backend {
         }
     }
 
-    /// The images of another agent, and no limb: only skills that move nothing.
+    /// The images of another agent and no limbs: only skills that move nothing.
     pub(crate) fn eyes_only(
         name: &str,
         seed: u64,
@@ -72,7 +72,7 @@ impl Backend {
     }
 }
 
-/// Ends the simulation with the task that lives it.
+/// Ends the simulation when its task is dropped.
 struct EndOnDrop(Handle);
 
 impl Drop for EndOnDrop {

@@ -1,5 +1,5 @@
-//! The simulated cameras in a process of their own. A run sends what there is to see, and looks at the frames that come
-//! back; they are images of any provider then.
+//! The simulated cameras in a process of their own. A run sends the scene to it and receives the frames, like images
+//! of any other provider.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -18,21 +18,21 @@ use crate::connection::Connection;
 use crate::console::Console;
 use crate::error::HostError;
 
-/// What there is to see, on the network.
+/// The scene on the network.
 const SCENERY: Schema = Schema::new("simulator/scenery", 1);
-/// The part of the provider's key on which it is told.
+/// The part of the provider's key on which the scene is published.
 const SCENERY_KEY: &str = "scenery";
 /// How long a run waits for its cameras.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// The left camera's coordinate frame.
 const FRAME_ID: &str = "camera_left";
 
-/// Simulated cameras that another process shows its world.
+/// The configuration of the cameras process.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CamerasConfig {
-    /// The name by which a run asks for them.
+    /// The name by which a run addresses them.
     pub name: String,
-    /// The simulated world, the same as the run's; the default kitchen if not given.
+    /// The simulated world, the same as the run's; `None`: the default kitchen.
     pub world: Option<PathBuf>,
     /// The run's seed.
     pub seed: u64,
@@ -42,7 +42,7 @@ fn unusable(name: &str, why: impl ToString) -> HostError {
     HostError::Images { provider: name.to_owned(), why: why.to_string() }
 }
 
-/// Draws what runs show, for as long as it is waited for.
+/// Renders the scenes of runs; never returns without an error.
 ///
 /// # Errors
 /// [`HostError::World`], [`HostError::Images`] and [`HostError::Session`].
@@ -78,7 +78,7 @@ pub async fn serve_cameras(
             .and_then(|stereo| frame_of(&Arc::new(stereo), 0, FRAME_ID).map_err(|e| e.to_string()));
         match drawn {
             Ok(frame) => frames.send(frame),
-            // Once each: a run that shows another world does so at each frame.
+            // Once per error: a run with another world sends it with each frame.
             Err(error) if refused.as_ref() != Some(&error) => {
                 console.note(&format!("warning: {error}"));
                 refused = Some(error);
@@ -93,7 +93,7 @@ fn scenery_key(name: &str) -> Result<Key, HostError> {
     keys::image_coded(name, DistantCameras::name(), SCENERY_KEY).map_err(wrong)
 }
 
-/// Shows cameras in another process what there is to see; the newest, when they are slower than the world.
+/// Sends the scene to cameras in another process; if they are slower than the world, only the newest.
 pub(crate) struct RemoteScenery {
     newest: watch::Sender<Option<Scenery>>,
     wanted: Interest,
@@ -109,10 +109,10 @@ impl ScenerySink for RemoteScenery {
     }
 }
 
-/// The cameras `name`: where the world shows what there is to see, and the frames that come back.
+/// Connects to the cameras `name`: returns where the scene goes, and the frames.
 ///
 /// # Errors
-/// [`HostError::Images`] when they are not there or are no stereo pair.
+/// [`HostError::Images`] when they are absent or not a stereo pair.
 pub(crate) async fn connect(
     name: &str,
     connection: &Connection,

@@ -1,4 +1,4 @@
-//! What charts may name: skills and channels; and the check of a chart against them.
+//! The skills and channels that charts may name, and the check of a chart against them.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,13 +15,13 @@ use armarium_states::{Equipment, observers};
 use crate::console::Console;
 use crate::error::HostError;
 
-/// How long other agents may take to be there.
+/// How long to wait for other agents.
 const PATIENCE: Duration = Duration::from_secs(3);
 
-/// Makes a skill of one's own that works with the robot, the cameras and the memory that it is given.
+/// Constructs an additional skill from the robot, the cameras and the memory.
 pub type SkillFactory = Arc<dyn Fn(&Equipment) -> Arc<dyn Skill> + Send + Sync>;
 
-/// The skills that ship, and those of one's own, working with `equipment`.
+/// The built-in skills and the additional ones `own`, working with `equipment`.
 #[must_use]
 pub fn registry(equipment: &Equipment, own: &[SkillFactory]) -> Registry {
     let own = own.iter().map(|make| make(equipment));
@@ -34,7 +34,7 @@ pub fn channels() -> ChannelSchema {
     observers::channels().into_iter().fold(ChannelSchema::new(), |schema, (name, ty)| schema.with(&name, ty))
 }
 
-/// The skills that ship, on the default world: for whoever only wants to know what they declare.
+/// The built-in skills on the default world, for reading their declarations only.
 #[must_use]
 pub fn idle_registry() -> Registry {
     let Ok(simulation) = Simulation::new(&World::default(), 0, Options::default()) else {
@@ -50,22 +50,22 @@ pub fn idle_registry() -> Registry {
     registry(&equipment, &[])
 }
 
-/// Loads a chart with the charts that it names and checks it.
+/// Loads a chart with the charts that it names, and checks it.
 #[must_use]
 pub fn load(file: &Path, folders: &[PathBuf], registry: &Registry) -> Checked {
     chart::check(&chart::load(file, folders), registry, &channels())
 }
 
-/// Loads and checks a chart against the skills that ship, for whoever does not run it.
+/// Loads and checks a chart against the built-in skills, without running it.
 #[must_use]
 pub fn load_idle(file: &Path, folders: &[PathBuf]) -> Checked {
     load(file, folders, &idle_registry())
 }
 
-/// As [`load`], with what other agents offer.
+/// As [`load`], with the charts and skills that other agents offer.
 ///
 /// # Errors
-/// [`HostError::NotConnected`] where the chart names another agent and none can be asked.
+/// [`HostError::NotConnected`] when the chart names another agent and there is no session.
 pub async fn load_connected(
     file: &Path,
     folders: &[PathBuf],
@@ -82,10 +82,10 @@ pub async fn load_connected(
     Ok(chart::check(&library, registry, &channels()))
 }
 
-/// The program of a chart that is in order; what is doubtful is told.
+/// The program of a chart without errors; reports its warnings.
 ///
 /// # Errors
-/// [`HostError::Chart`] with all that is wrong.
+/// [`HostError::Chart`] with all errors.
 pub fn runnable(checked: Checked, console: &dyn Console) -> Result<Arc<Program>, HostError> {
     let is_wrong = checked.findings.iter().any(Finding::is_error);
     match checked.program {

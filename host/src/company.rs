@@ -1,7 +1,7 @@
-//! The other agents of a simulated world: their eyes are offered to them, their processes started and ended with the run,
-//! and memory is shared with them both ways.
+//! The other agents of a simulated world: offers them their cameras' images, starts and ends their processes with the
+//! run, and shares memory with them in both directions.
 //!
-//! Everything here runs on the threads of the session, in real time, beside the run.
+//! All of this runs on the session's threads, in real time, beside the run.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -31,31 +31,31 @@ use crate::frame_sampler::FrameSampler;
 use crate::memory_log::{self, Entry, MemoryLog};
 use crate::recording::SharedRecorder;
 
-/// How long an agent may take until its memory answers.
+/// How long to wait until an agent's memory answers.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// How long an agent may take to end.
+/// How long to wait until an agent ends.
 const GRACE: Duration = Duration::from_secs(5);
-/// How often it is looked whether a process still runs.
+/// How often the processes are checked.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// What is shared, and with whom.
+/// What is shared, and with which agents.
 pub(crate) struct Invitation {
     pub(crate) session: Session,
     pub(crate) world: World,
-    /// The world's file, from which the others read the same world.
+    /// The world file, from which the other agents read the same world.
     pub(crate) world_file: PathBuf,
     pub(crate) memory: Arc<WorkingMemory>,
     pub(crate) store: Arc<LongTermMemory>,
-    /// What the others see, by their names.
+    /// The images of the other agents, by agent name.
     pub(crate) eyes: Vec<(String, Arc<dyn ImageSource>)>,
-    /// Where the others' logs go.
+    /// The folder for the other agents' logs.
     pub(crate) folder: PathBuf,
-    /// The program `armarium`, which starts those who are not there yet.
+    /// The program `armarium`, which starts absent agents.
     pub(crate) program: Option<PathBuf>,
     pub(crate) clock: Handle,
 }
 
-/// What is left when they have gone: what the memories came to know, and some of what the others saw.
+/// What remains after they have ended: the log of the memories, and some of the other agents' images.
 #[derive(Default)]
 pub(crate) struct CompanyRecord {
     pub(crate) memory_log: Vec<Entry>,
@@ -63,7 +63,7 @@ pub(crate) struct CompanyRecord {
 }
 
 impl CompanyRecord {
-    /// Some of the others' images; `states_at` names what the robot did then.
+    /// Some of the other agents' images; `states_at` names the robot's states at that time.
     pub(crate) fn pictures(&self, states_at: &dyn Fn(u64) -> String) -> Vec<Picture> {
         let of = |(name, eyes): &(String, Arc<FrameSampler>)| {
             eyes.pictures(&|t_ns| format!("the eyes of {name}, in its own frame · {}", states_at(t_ns)))
@@ -72,7 +72,7 @@ impl CompanyRecord {
     }
 }
 
-/// The other agents, for as long as this lives.
+/// The other agents, until this is dropped.
 pub(crate) struct Company {
     processes: Arc<Mutex<Vec<Process>>>,
     memory_log: MemoryLog,
@@ -84,12 +84,12 @@ pub(crate) struct Company {
 }
 
 impl Company {
-    /// Shares the robot's memory, offers the others their eyes, starts those who are not there yet, and
-    /// follows all of them.
+    /// Shares the robot's memory, offers the other agents their images, starts the absent agents, and follows all of
+    /// them.
     ///
     /// # Errors
-    /// [`HostError::OtherAgent`] when one is not there and cannot be started; [`HostError::Memory`] and
-    /// [`HostError::Session`] when nothing can be shared.
+    /// [`HostError::OtherAgent`] when an agent is absent and cannot be started; [`HostError::Memory`] and
+    /// [`HostError::Session`] when sharing fails.
     pub(crate) async fn gather(invitation: Invitation) -> Result<Self, HostError> {
         let Invitation { session, world, memory, clock, .. } = &invitation;
         let own = &world.robot.name;
@@ -133,7 +133,7 @@ impl Company {
         })
     }
 
-    /// Stops a run when one of the processes that were started for it ends.
+    /// Stops a run when one of the started processes ends.
     pub(crate) fn watch(&self, run: Controller) -> impl Future<Output = ()> + use<> {
         let processes = Arc::clone(&self.processes);
         async move {
@@ -146,7 +146,7 @@ impl Company {
         }
     }
 
-    /// Ends the processes that were started; gives what is left.
+    /// Ends the started processes; returns what remains.
     pub(crate) async fn close(self) -> CompanyRecord {
         let processes = std::mem::take(&mut *self.processes.lock());
         for mut process in processes {
@@ -156,7 +156,7 @@ impl Company {
     }
 }
 
-/// Follows an agent who may just be starting.
+/// Follows an agent that may still be starting.
 async fn follow_started(
     invitation: &Invitation,
     agent: &str,
@@ -183,7 +183,7 @@ async fn follow_started(
     }
 }
 
-/// An agent's process, which ends when its standard input does, so that it never outlives this one.
+/// An agent's process. It ends when its standard input closes, so that it never outlives this process.
 struct Process {
     agent: String,
     child: Child,
@@ -229,7 +229,7 @@ impl Process {
         Ok(Self { agent: name.clone(), child, input, log })
     }
 
-    /// What is to be said when it has ended by itself.
+    /// A message when the process has ended by itself.
     fn ended(&mut self) -> Option<String> {
         let status = self.child.try_wait().ok().flatten()?;
         let said = std::fs::read_to_string(&self.log).unwrap_or_default();
@@ -238,7 +238,7 @@ impl Process {
         Some(format!("the agent `{agent}` has ended ({status}); the last it said in {log}: {last}"))
     }
 
-    /// Asks it to end, and makes it when it does not.
+    /// Asks the process to end, and kills it after a timeout.
     async fn end(&mut self) {
         drop(self.input.take());
         let deadline = Instant::now() + GRACE;
@@ -255,7 +255,7 @@ impl Process {
 impl Drop for Process {
     fn drop(&mut self) {
         if matches!(self.child.try_wait(), Ok(None)) {
-            // It may end at this very moment; it is waited for so that nothing of it is left.
+            // It may just be ending by itself; wait, so that no zombie is left.
             let _ = self.child.kill().and_then(|()| self.child.wait()).is_ok();
         }
     }

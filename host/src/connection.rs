@@ -1,7 +1,7 @@
-//! A session with other agents on threads of its own, and names that only one agent has.
+//! A session with other agents on its own threads, and agent names that are unique.
 //!
-//! Charts in virtual time run on one thread with a clock that stands; the network does not. So the session has a
-//! runtime beside.
+//! Charts in virtual time run on one thread with a paused clock, but the network runs in real time. So the session
+//! has a runtime of its own.
 
 use std::time::Duration;
 
@@ -11,10 +11,10 @@ use tokio::runtime::Runtime;
 
 use crate::error::HostError;
 
-/// How long another agent of the same name is looked for.
+/// How long to look for another agent with the same name.
 const PATIENCE: Duration = Duration::from_millis(500);
 
-/// A session on threads of its own; both end with it.
+/// A session on its own threads; dropping this closes both.
 #[derive(Debug)]
 pub struct Connection {
     session: Session,
@@ -25,7 +25,7 @@ impl Connection {
     /// Opens a session.
     ///
     /// # Errors
-    /// [`HostError::Session`] when the configuration is wrong or the network refuses.
+    /// [`HostError::Session`] when the configuration is invalid or the network fails.
     pub fn open(config: &SessionConfig) -> Result<Self, HostError> {
         let mut builder = tokio::runtime::Builder::new_multi_thread();
         let runtime = builder.worker_threads(2).enable_all().build()?;
@@ -39,13 +39,13 @@ impl Connection {
         &self.session
     }
 
-    /// The agents that are reached; `caller` is what they are told of who calls.
+    /// Access to other agents; they see `caller` as the name of the caller.
     #[must_use]
     pub fn agents(&self, caller: &str) -> Agents {
         Agents::new(self.session.clone(), caller, self.runtime().handle().clone())
     }
 
-    /// The threads of the session.
+    /// The session's runtime.
     #[must_use]
     pub fn runtime(&self) -> &Runtime {
         self.runtime.as_ref().expect("the runtime is only taken when the connection ends")
@@ -55,17 +55,17 @@ impl Connection {
 impl Drop for Connection {
     fn drop(&mut self) {
         if let Some(runtime) = self.runtime.take() {
-            // A session that cannot be closed ends with the process.
+            // If the session cannot be closed, it ends with the process.
             let _ = runtime.block_on(self.session.close()).is_ok();
             runtime.shutdown_background();
         }
     }
 }
 
-/// Takes an agent's name, unless another process has it; it is free again when what this gives is dropped.
+/// Reserves an agent's name, unless another process has it. Dropping the token frees the name.
 ///
 /// # Errors
-/// [`HostError::NameTaken`]; [`HostError::Session`] when the name is none, or the session has ended.
+/// [`HostError::NameTaken`]; [`HostError::Session`] when the name is invalid, or the session has ended.
 pub async fn take_name(session: &Session, name: &str) -> Result<AliveToken, HostError> {
     if is_there(session, name).await? {
         return Err(HostError::NameTaken { name: name.to_owned() });
@@ -74,10 +74,10 @@ pub async fn take_name(session: &Session, name: &str) -> Result<AliveToken, Host
     Ok(session.alive(&key).await?)
 }
 
-/// Whether an agent of that name is there.
+/// Whether an agent of that name is running.
 ///
 /// # Errors
-/// When the name is none, or the session has ended.
+/// When the name is invalid, or the session has ended.
 pub async fn is_there(session: &Session, name: &str) -> Result<bool, SessionError> {
     let pattern = keys::alive_pattern(Some(name), Some("agent")).map_err(|error| no_name(&error))?;
     session.is_alive(&pattern, PATIENCE).await

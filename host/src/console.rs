@@ -1,53 +1,53 @@
-//! Where a run and an agent tell people how it goes. The program `armarium` draws a line on the terminal; a program of one's own
-//! may say nothing ([`Silent`]) or draw what it likes.
+//! The output of a run or an agent for people. The program `armarium` draws a line on the terminal; a program of your
+//! own can stay silent ([`Silent`]) or draw something else.
 
 use std::sync::Arc;
 
 use armarium_runtime::chart::Finding;
 use armarium_viewer::progress::Status;
 
-/// Tells the time of the robot's world, ns.
+/// Returns the time of the robot's world, ns.
 pub type Clock = Arc<dyn Fn() -> u64 + Send + Sync>;
 
-/// Where a run and an agent tell people how it goes. Every call must return at once.
+/// The output of a run or an agent for people. Every call must return at once.
 pub trait Console: Send + Sync {
-    /// Something that whoever started it has to know: where it listens, what was not kept.
+    /// Information that the user needs: listening endpoints, data that was not kept.
     fn note(&self, text: &str) {
         let _ = text;
     }
 
-    /// Something that the chart did, as a line with the time.
+    /// An event of the chart, as a line with the time.
     fn happened(&self, line: &str) {
         let _ = line;
     }
 
-    /// How far it has come.
+    /// The progress.
     fn progress(&self, status: &Status) {
         let _ = status;
     }
 
-    /// It has come to its end.
+    /// The end of the run.
     fn finished(&self, status: &Status) {
         let _ = status;
     }
 
-    /// What is doubtful in a chart that runs all the same.
+    /// Warnings of a chart that runs nevertheless.
     fn warnings(&self, findings: &[Finding]) {
         let _ = findings;
     }
 
-    /// The skill of a state keeps the program's only thread to itself. The robot stands; nothing more can be done here.
+    /// The skill of a state blocks the program's only thread. The robot stands still; the run cannot continue.
     fn blocked(&self, state: &str) {
         let _ = state;
     }
 
-    /// From now on there is a world with this time.
+    /// From now on there is a world with this clock.
     fn world_begins(&self, clock: Clock) {
         let _ = clock;
     }
 }
 
-/// Says nothing.
+/// No output.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Silent;
 

@@ -1,4 +1,4 @@
-//! Why a run or an agent cannot begin, or cannot go on. Nothing has moved unless it says so.
+//! Why a run or an agent cannot start or continue. Nothing has moved, unless the error says so.
 
 use std::path::PathBuf;
 
@@ -10,7 +10,7 @@ use armarium_runtime::skill::InputError;
 use armarium_simulator::{SimulationError, WorldError};
 use armarium_viewer::recorder::RecorderError;
 
-/// Why a run or an agent cannot begin, or cannot go on.
+/// Why a run or an agent cannot start or continue.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum HostError {
@@ -25,30 +25,30 @@ pub enum HostError {
     UnknownAgent {
         /// The world.
         world: String,
-        /// Who is asked for.
+        /// The requested name.
         name: String,
-        /// Who there is.
+        /// The agents of the world.
         known: String,
     },
-    /// Robot and world do not fit.
+    /// Robot and world do not fit together.
     #[error("the world cannot be simulated: {0}")]
     Simulation(#[from] SimulationError),
-    /// Memory refuses.
+    /// The memory refuses.
     #[error("memory: {0}")]
     Memory(#[from] MemoryError),
-    /// The network refuses.
+    /// The network fails.
     #[error(transparent)]
     Session(#[from] SessionError),
-    /// Another process has the name.
+    /// Another process uses the name.
     #[error("there is an agent called `{name}` already: choose another --name")]
     NameTaken {
         /// The name.
         name: String,
     },
-    /// A chart needs another agent, and nothing says where it is.
+    /// A chart needs another agent, and there is no session.
     #[error("`{name}` is at another agent: give --connect tcp/HOST:PORT or --listen")]
     NotConnected {
-        /// What the chart names.
+        /// The name in the chart.
         name: String,
     },
     /// An input cannot be read.
@@ -56,9 +56,9 @@ pub enum HostError {
     Input {
         /// The input.
         name: String,
-        /// What was given.
+        /// The given text.
         text: String,
-        /// What is wrong with it.
+        /// The reason.
         why: String,
     },
     /// The inputs do not fit the chart.
@@ -67,11 +67,11 @@ pub enum HostError {
     /// A file or folder cannot be used.
     #[error("{what} `{path}`: {source}")]
     File {
-        /// What it is, and what was to be done with it.
+        /// The file's role, and the failed operation.
         what: &'static str,
-        /// Where it is.
+        /// Its path.
         path: PathBuf,
-        /// Why not.
+        /// The cause.
         source: std::io::Error,
     },
     /// The record of a run cannot be read.
@@ -81,27 +81,27 @@ pub enum HostError {
         path: PathBuf,
         /// Its line, from 1.
         line: usize,
-        /// What is wrong with it.
+        /// The reason.
         why: String,
     },
     /// The recording cannot be written.
     #[error("the recording cannot be written: {0}")]
     Recorder(#[from] RecorderError),
-    /// Images that are needed cannot be had.
+    /// Required images are not available.
     #[error("the images `{provider}` cannot be used: {why}")]
     Images {
-        /// Who offers them, or is to.
+        /// The provider.
         provider: String,
-        /// Why not.
+        /// The reason.
         why: String,
     },
     /// Another agent of the world cannot be started, or has ended.
     #[error("{0}")]
     OtherAgent(String),
-    /// What is offered to others cannot be offered.
+    /// A chart or skill cannot be offered to others.
     #[error(transparent)]
     Serve(#[from] ServeError),
-    /// The operating system refuses.
+    /// The operating system reports an error.
     #[error("{0}")]
     System(#[from] std::io::Error),
 }

@@ -1,8 +1,8 @@
-//! A few camera images of the run for the report, and what is seen in them.
+//! Samples a few camera images of the run for the report, and marks what is detected in them.
 //!
-//! The sampler stands between the cameras and the skills and keeps a frame every few seconds of those that are made
-//! anyway, and gives some to the recording; it never asks for one. Its pictures are marked with the same vision that the
-//! skills use, knowing what prior knowledge says of things: colour and size.
+//! The sampler is between the cameras and the skills. It keeps a frame every few seconds, and sends some to the
+//! recording; it never requests a frame itself. Its pictures are marked with the same detectors as the skills use,
+//! which know the colour and size of objects from prior knowledge.
 
 use std::sync::Arc;
 
@@ -20,16 +20,16 @@ use parking_lot::Mutex;
 
 use crate::recording::SharedRecorder;
 
-/// Frames are at least this far apart, ns.
+/// Least time between kept frames, ns.
 const APART_NS: u64 = 4_000_000_000;
-/// Frames that are kept; later ones replace every second one.
+/// Most kept frames; after that, later ones replace every second one.
 const MOST: usize = 24;
 /// Topic of the left eye in the recording.
 const TOPIC: &str = "/camera/left";
-/// Patches of the tool's colour with fewer pixels than this are not taken for it.
+/// Patches of the tool's colour with fewer pixels are ignored.
 const LEAST_PATCH: u32 = 150;
 
-/// Keeps some of the frames that pass.
+/// Keeps some of the frames that pass through.
 pub(crate) struct FrameSampler {
     cameras: Arc<dyn ImageSource>,
     kept: Mutex<Vec<Arc<StereoFrame>>>,
@@ -44,7 +44,7 @@ struct Known {
 }
 
 impl FrameSampler {
-    /// A sampler of what the cameras give.
+    /// A sampler between these cameras and their readers.
     pub(crate) fn of(cameras: Arc<dyn ImageSource>, world: &World, recorder: SharedRecorder) -> Self {
         let model = |size, color| BoxModel { size: Vector3::from(size), color: ColorModel::from_rgb(color) };
         let objects = world.objects.iter().map(|o| (o.name.clone(), model(o.size, o.color))).collect();
@@ -76,7 +76,7 @@ impl FrameSampler {
         kept.push(Arc::clone(frame));
     }
 
-    /// The pictures, with everything marked that is seen in them; `state_at` names what the robot did then.
+    /// The pictures with all detections marked; `state_at` names the robot's states at that time.
     pub(crate) fn pictures(&self, state_at: &dyn Fn(u64) -> String) -> Vec<Picture> {
         let calibration = self.cameras.calibration();
         let kept = self.kept.lock();

@@ -1,13 +1,13 @@
 //! An agent as a process: its connection, memory, robot, cameras and skills put together, the run of a chart, and the report.
 //!
-//! - [`run`]: a chart with the simulated robot, from its files to its report.
-//! - [`agent`]: what others reach: charts, skills, memory and cameras.
+//! - [`run`]: runs a chart with the simulated robot, from its files to its report.
+//! - [`agent`]: offers charts, skills, memory and cameras to others.
 //! - [`catalog`]: the skills and channels that charts may name.
-//! - [`cameras`]: simulated cameras in a process of their own. [`replay`]: a recorded run, played again.
-//! - [`Console`]: where all of them tell people how it goes.
+//! - [`cameras`]: simulated cameras in a process of their own. [`replay`]: replays a recorded run.
+//! - [`Console`]: the output for people.
 //!
-//! The program `armarium` reads a command line and starts what is here; a program of one's own does the same with skills of its
-//! own (see `examples/own_agent.rs`). This room prints nothing and reads no command line.
+//! The program `armarium` reads a command line and starts what is here; a program of your own does the same with its
+//! own skills (see `examples/own_agent.rs`). This room prints nothing and reads no command line.
 
 pub mod agent;
 mod backend;

@@ -1,7 +1,7 @@
-//! What the memories of several agents knew of one thing, and when: a log that is written while they run, and the
-//! report's part that is made of it.
+//! What the memories of several agents knew of one object, and when: a log that is written during the run, and the
+//! report section made from it.
 //!
-//! The log hears what each memory tells everybody; only the report sets it beside the referee's truth.
+//! The log subscribes to each memory's published changes; only the report compares it with the referee's truth.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -15,32 +15,32 @@ use nalgebra::{Isometry3, Point3};
 use parking_lot::Mutex;
 use serde_json::{Value as Json, json};
 
-/// Entries that a log has room for.
+/// Most entries of a log.
 const MOST: usize = 100_000;
-/// Places nearer to each other than this are one line of the report, m.
+/// Positions closer than this share a line of the report, m.
 const SAME_PLACE: f64 = 0.01;
-/// Distance of the plot's points in time, s.
+/// Time step of the plot, s.
 const PLOT_STEP: f64 = 0.05;
 
-/// What the section says of itself.
+/// The note of the section.
 const NOTE: &str = "What each agent's memory came to know, as it told others. Places are in the robot's root frame, set beside \
                     the simulator's truth of that moment; the plot takes what speaks of the latest time.";
 
-/// Something that a memory came to know.
+/// A change in a memory.
 #[derive(Clone, Debug)]
 pub(crate) struct Entry {
-    /// Whose memory.
+    /// The agent whose memory it is.
     pub(crate) agent: String,
-    /// When it was there, s of the run.
+    /// When it arrived, s of the run.
     pub(crate) at_s: f64,
-    /// What.
+    /// The change.
     pub(crate) snapshot: Arc<Snapshot>,
 }
 
-/// What memories came to know, in order.
+/// Changes in memories, in order.
 pub(crate) type MemoryLog = Arc<Mutex<Vec<Entry>>>;
 
-/// Writes down what a memory comes to know of objects and their relations, until it is gone.
+/// Logs a memory's changes of objects and their relations, until the memory closes.
 pub(crate) async fn keep(agent: String, memory: Arc<dyn Memory>, clock: Handle, log: MemoryLog) {
     let mut follower = Follower::from_start(memory, Pattern::any());
     loop {
@@ -61,7 +61,7 @@ pub(crate) async fn keep(agent: String, memory: Arc<dyn Memory>, clock: Handle, 
     }
 }
 
-/// The report's part on the thing that the world's robot wipes with, for programs and for people.
+/// The report's section on the tool that the world's robot wipes with, for programs and for people.
 pub(crate) fn part(log: &[Entry], world: &World, truth: &TruthLog) -> Option<(Json, Section)> {
     let subject = world.sponge()?.name.clone();
     let frames = Frames::of(world);
@@ -74,7 +74,7 @@ pub(crate) fn part(log: &[Entry], world: &World, truth: &TruthLog) -> Option<(Js
     Some((json!({"subject": subject, "rows": rows}), section))
 }
 
-/// Where the root frames of the agents are in the robot's.
+/// The agents' root frames in the robot's root frame.
 struct Frames(BTreeMap<String, Isometry3<f64>>);
 
 impl Frames {
@@ -83,7 +83,7 @@ impl Frames {
         Self(others.chain([(world.robot.name.clone(), Isometry3::identity())]).collect())
     }
 
-    /// A place as a memory says it, in the robot's root frame.
+    /// The position in a memory's snapshot, in the robot's root frame.
     fn place(&self, agent: &str, snapshot: &Snapshot) -> Option<Point3<f64>> {
         let (frame, place) = place_of(snapshot)?;
         let whose = match frame.0.strip_suffix("/root") {
@@ -95,7 +95,7 @@ impl Frames {
     }
 }
 
-/// An entry that speaks of the thing.
+/// An entry about the tool.
 struct Knowledge<'d> {
     agent: &'d str,
     at_s: f64,
@@ -158,14 +158,14 @@ fn sponge(truth: &TruthLog, t_s: f64) -> Option<Point3<f64>> {
     Some(Point3::from(pose.translation.vector))
 }
 
-/// What a memory heard once, or several times in a row.
+/// A change that a memory received once, or several times in a row.
 struct Heard<'k> {
     first: &'k Knowledge<'k>,
     until_s: f64,
     count: usize,
 }
 
-/// One row for what a memory heard again and again.
+/// One row for a change that a memory received repeatedly.
 fn table(known: &[Knowledge<'_>]) -> Table {
     let mut heard: Vec<Heard<'_>> = Vec::new();
     let mut last: BTreeMap<(&str, &str), usize> = BTreeMap::new();
@@ -194,7 +194,7 @@ impl Heard<'_> {
         } else {
             format!("{:.1}\u{a0}s", k.at_s)
         };
-        // What it is, an object or a relation, is plain from what it says.
+        // The core segment is omitted: the content shows whether it is an object or a relation.
         let entity = k.id.split_once('/').map_or(k.id, |(_, entity)| entity);
         let place =
             k.place.map(|p| Cell::Numbers { values: vec![p.x, p.y, p.z], unit: "m".into(), digits: 3 });
@@ -212,7 +212,7 @@ impl Heard<'_> {
     }
 }
 
-/// How far each agent's newest knowledge was from where the thing really was.
+/// The distance of each agent's newest position from the true one.
 fn distance(known: &[Knowledge<'_>], truth: &TruthLog) -> Option<TimePlot> {
     let end_s = truth.records.last()?.stamp_ns as f64 * 1e-9;
     let mut agents: Vec<&str> = known.iter().map(|k| k.agent).collect();
@@ -225,7 +225,7 @@ fn distance(known: &[Knowledge<'_>], truth: &TruthLog) -> Option<TimePlot> {
         for step in 0..=((end_s / PLOT_STEP) as u32) {
             let t = f64::from(step) * PLOT_STEP;
             while let Some(k) = heard.next_if(|k| k.at_s <= t) {
-                // What speaks of a later time counts, whoever said it.
+                // The entry with the latest observation time counts, whichever agent observed it.
                 newest = newest.filter(|n| n.seen_s > k.seen_s).or(Some(k));
             }
             let off = newest.and_then(|k| Some((k.place? - sponge(truth, t)?).norm() * 1e3));
@@ -280,7 +280,7 @@ mod tests {
         TruthLog { records: (0..=end_ms).map(record).collect(), ..TruthLog::default() }
     }
 
-    /// An entry: `at_s` in the memory of an agent, who saw it then.
+    /// An entry that arrived at `at_s` in an agent's memory, observed at that time.
     fn entry(agent: &str, id: &str, at_s: f64, place: [f64; 3], attached_to: Option<&str>) -> Entry {
         let pose = Pose::new("root".into(), &Isometry3::translation(place[0], place[1], place[2]));
         let mut attributes = BTreeMap::from([
@@ -305,7 +305,7 @@ mod tests {
     fn what_each_memory_knew_is_told_in_one_frame_and_held_against_the_truth() {
         let own = "ObjectInstances/alice/sponge";
         let log = [
-            // Alice stands opposite: her x points to the robot's left, her y towards it.
+            // Alice stands opposite: her x points to the robot's left, her y towards the robot.
             entry("alice", own, 0.5, [-0.3, 1.5, 1.01], None),
             entry("alice", own, 0.7, [-0.301, 1.5, 1.01], None),
             entry("bob", "ObjectInstances/alice.alice/sponge", 0.7, [0.3, 0.5, 1.02], None),

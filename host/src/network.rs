@@ -1,4 +1,4 @@
-//! How a run reaches other agents, and how they reach it.
+//! How a run reaches other agents, and how they reach the run.
 
 use std::sync::Arc;
 
@@ -10,21 +10,21 @@ use crate::connection::{Connection, take_name};
 use crate::console::Console;
 use crate::error::HostError;
 
-/// How a run reaches other agents; nothing where it needs none.
+/// How a run reaches other agents; empty if it needs none.
 #[derive(Default)]
 pub(crate) struct Network {
     pub(crate) connection: Option<Connection>,
     pub(crate) agents: Option<Agents>,
     pub(crate) peers: Peers,
-    /// Keeps the run's name.
+    /// Reserves the run's name.
     _name: Option<AliveToken>,
 }
 
 impl Network {
-    /// Opens a session. With a name, the run hears what other agents send to it, on the session's threads.
+    /// Opens a session. With a name, the run receives events from other agents, on the session's threads.
     ///
     /// # Errors
-    /// [`HostError::NameTaken`]; [`HostError::Session`] when the network refuses.
+    /// [`HostError::NameTaken`]; [`HostError::Session`] when the network fails.
     pub(crate) fn open(
         config: &SessionConfig,
         name: Option<&str>,

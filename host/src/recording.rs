@@ -1,7 +1,7 @@
-//! Writing the run down while it happens: the recording, the digest that says whether two runs are the same, and the
-//! few camera images that the report shows.
+//! Records a run while it happens: the recording, the digest that shows whether two runs are identical, and a few
+//! camera images for the report.
 //!
-//! The referee's view of the truth goes into the recording beside what the robot sensed; nothing flows back.
+//! The recording has the referee's truth beside what the robot sensed; nothing flows back.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -17,7 +17,7 @@ use serde::Serialize;
 use sha2::{Digest as _, Sha256};
 use tokio::task::JoinHandle;
 
-/// A recorder that several tasks of one thread write to.
+/// A recorder that several tasks on one thread write to.
 pub(crate) type SharedRecorder = Arc<Mutex<Option<Recorder>>>;
 
 /// SHA-256 over the canonical CBOR of all engine events, configurations and joint commands.
@@ -27,9 +27,9 @@ pub(crate) struct RunDigest {
 }
 
 impl RunDigest {
-    /// Adds something that happened.
+    /// Adds an event.
     pub(crate) fn add(&self, what: &impl Serialize) {
-        // Only values that CBOR cannot hold fail; they are then no part of the digest in any run.
+        // Encoding fails only for values that CBOR cannot hold; these are missing from the digest of every run.
         if let Ok(bytes) = codec::encode(what) {
             self.state.lock().update(&bytes);
         }
@@ -91,8 +91,8 @@ impl TruthTopics {
     }
 }
 
-/// Stores with the recording what the run was made of: the chart's text, and the whole world, defaults included, as a
-/// file that `--world` reads.
+/// Stores the sources of the run in the recording: the chart's text, and the whole world with its defaults, as a file
+/// that `--world` reads.
 ///
 /// # Errors
 /// When the recording cannot be written.
@@ -101,7 +101,7 @@ pub(crate) fn attach_sources(
     chart: &Path,
     world: &World,
 ) -> Result<(), RecorderError> {
-    // The chart was read a moment ago; one that has gone since is run all the same.
+    // The chart was read a moment ago; if it has been deleted since, the run continues.
     if let Ok(text) = std::fs::read(chart) {
         recorder.attach("chart.yaml", "application/yaml", &text)?;
     }
@@ -110,7 +110,7 @@ pub(crate) fn attach_sources(
     recorder.attach("world.json", "application/json", format!("{world:#}").as_bytes())
 }
 
-/// Takes away what is null: world files leave out what there is none of, but for a coach who never demonstrates.
+/// Removes nulls: world files omit absent things, except a coach who never demonstrates.
 fn omit_nulls(value: &mut serde_json::Value) {
     match value {
         serde_json::Value::Object(map) => {
@@ -122,7 +122,7 @@ fn omit_nulls(value: &mut serde_json::Value) {
     }
 }
 
-/// Writes what the robot senses into the recording, until the robot is gone.
+/// Writes what the robot senses into the recording, until the robot stops.
 pub(crate) fn record_robot(robot: &Arc<dyn Robot>, recorder: SharedRecorder) -> JoinHandle<()> {
     let names = joint_names(robot.model());
     let mut sensed = robot.sensed();

@@ -1,6 +1,6 @@
-//! An agent who only watches: its eyes are images that another agent offers, and it has no limb that it could move.
+//! An agent that only watches: it receives images from another agent, and has no limbs.
 //!
-//! Its time is that of the images, so that two agents of one simulated world have one time.
+//! Its clock is the images' time, so that two agents of one simulated world share one time.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -17,15 +17,15 @@ use tokio::sync::watch;
 
 use crate::error::HostError;
 
-/// How long one look for the images takes before it is said that they are not there.
+/// How long one search for the images takes before their absence is reported.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Where images come from: `AGENT/PROVIDER`.
+/// The source of images: `AGENT/PROVIDER`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Eyes {
-    /// Who offers them.
+    /// The agent that offers them.
     pub agent: String,
-    /// Under which name.
+    /// The provider's name.
     pub provider: String,
 }
 
@@ -47,10 +47,10 @@ impl std::str::FromStr for Eyes {
     }
 }
 
-/// What the world says of the agent of that name.
+/// The world file's entry for an agent.
 ///
 /// # Errors
-/// [`HostError::UnknownAgent`] when it says nothing.
+/// [`HostError::UnknownAgent`] when there is none.
 pub(crate) fn agent_of<'w>(world: &'w World, name: &str) -> Result<&'w AgentSpec, HostError> {
     world.agents.iter().find(|agent| agent.name == name).ok_or_else(|| {
         let known: Vec<&str> = world.agents.iter().map(|agent| agent.name.as_str()).collect();
@@ -59,10 +59,10 @@ pub(crate) fn agent_of<'w>(world: &'w World, name: &str) -> Result<&'w AgentSpec
     })
 }
 
-/// The images, as soon as somebody offers them; as long as nobody does, `say` is told so now and then.
+/// Waits until the images are offered; meanwhile calls `say` from time to time.
 ///
 /// # Errors
-/// When they are no stereo pair, or the session has ended.
+/// When they are not a stereo pair, or the session has ended.
 pub(crate) async fn open(
     session: &Session,
     eyes: &Eyes,
@@ -86,7 +86,7 @@ pub(crate) async fn open(
     }
 }
 
-/// The eyes of an agent whose robot stands still.
+/// The eyes of an agent whose robot does not move.
 pub(crate) struct RemoteEyes {
     pub(crate) robot: Arc<dyn Robot>,
     pub(crate) images: Arc<dyn ImageSource>,
@@ -97,7 +97,7 @@ pub(crate) struct RemoteEyes {
 }
 
 impl RemoteEyes {
-    /// Eyes that look through `view`; `now_ns` gets the time of the newest image.
+    /// Eyes with the images of `view`; `now_ns` gets the time of the newest image.
     pub(crate) fn new(view: Arc<StereoView>, now_ns: Arc<AtomicU64>) -> Self {
         let (guard, robot) = Guard::new(Arc::new(Model::armar3()), GuardConfig::default());
         let (newest, receiver) = watch::channel(None);
@@ -106,7 +106,7 @@ impl RemoteEyes {
         Self { robot, images, guard, view, newest, now_ns }
     }
 
-    /// Passes images on, and lets the robot sense with each, until there are no more.
+    /// Passes images on, and publishes a sensor sample with each, until the images end.
     pub(crate) async fn live(mut self) {
         let sample = Sample::resting(postures::home(&Arc::new(Model::armar3())));
         while let Ok(frame) = self.view.next().await {
@@ -118,7 +118,7 @@ impl RemoteEyes {
     }
 }
 
-/// The images for any number of readers.
+/// Shares the images among any number of readers.
 struct SharedImages {
     name: String,
     calibration: StereoCalibration,

@@ -1,8 +1,8 @@
-//! A recorded run is fed to the engine again and must pass through the same states.
+//! Feeds a recorded run to the engine again, which must pass through the same states.
 //!
-//! A record is JSON lines: first the chart with its inputs, then each turn of the engine with what it was told, what its
-//! expressions read, and what it did. [`TurnRecorder`] writes them, [`Replay`] holds the engine against them. Values are
-//! not compared: states, transitions and events are.
+//! A record is JSON lines: first the chart with its inputs, then each turn of the engine with its input, the values
+//! that its expressions read, and its effects. [`TurnRecorder`] writes records, [`Replay`] compares the engine with
+//! them. States, transitions and events are compared, values are not.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -18,16 +18,16 @@ use serde::{Deserialize, Serialize};
 use crate::catalog;
 use crate::error::HostError;
 
-/// What was run: the first line of a record.
+/// The source of a run: the first line of a record.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunSource {
     /// The chart's file.
     pub chart: PathBuf,
-    /// Folders of other charts.
+    /// Additional folders of charts.
     pub charts: Vec<PathBuf>,
-    /// The inputs that were given.
+    /// The given inputs.
     pub inputs: BTreeMap<String, Value>,
-    /// The profile that was chosen.
+    /// The selected profile.
     pub profile: Option<String>,
 }
 
@@ -38,7 +38,7 @@ struct Turn {
     did: Vec<String>,
 }
 
-/// A sink that writes a record beside what another sink does.
+/// A sink that writes a record and passes everything to another sink.
 pub struct TurnRecorder {
     inner: Box<dyn TraceSink>,
     file: BufWriter<File>,
@@ -47,7 +47,7 @@ pub struct TurnRecorder {
 }
 
 impl TurnRecorder {
-    /// Begins a record.
+    /// Starts a record.
     ///
     /// # Errors
     /// When the file cannot be written.
@@ -97,7 +97,7 @@ impl Drop for TurnRecorder {
     }
 }
 
-/// What of a trace is compared, in words.
+/// The compared part of a trace item, as text.
 fn in_words(item: &TraceItem) -> Option<String> {
     Some(match item {
         TraceItem::Event { name, from: Some(from), .. } => format!("event {name} from {from}"),
@@ -113,30 +113,30 @@ fn in_words(item: &TraceItem) -> Option<String> {
     })
 }
 
-/// A turn that was played again.
+/// A replayed turn.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReplayedTurn {
     /// Its number, from 1.
     pub number: usize,
-    /// When it was, s of the run.
+    /// Its time, s of the run.
     pub at_s: f64,
-    /// What the run did, in words.
+    /// The recorded effects, as text.
     pub expected: Vec<String>,
-    /// What the engine does now.
+    /// The engine's effects now.
     pub found: Vec<String>,
-    /// The innermost states that are active after it, when they have changed.
+    /// The innermost active states after it, if they have changed.
     pub active: Option<Vec<String>>,
 }
 
 impl ReplayedTurn {
-    /// Whether the engine does what the run did.
+    /// Whether the engine behaves as recorded.
     #[must_use]
     pub fn is_same(&self) -> bool {
         self.expected == self.found
     }
 }
 
-/// A record that is played again: an iterator over its turns.
+/// Replays a record: an iterator over its turns.
 pub struct Replay {
     engine: Engine,
     lines: io::Lines<BufReader<File>>,
@@ -146,11 +146,11 @@ pub struct Replay {
 }
 
 impl Replay {
-    /// Opens a record, and the chart that it is of.
+    /// Opens a record and its chart.
     ///
     /// # Errors
-    /// [`HostError::File`] and [`HostError::Record`] when it cannot be read; [`HostError::Chart`] when its chart is not in
-    /// order any more; [`HostError::Inputs`] when the chart does not take the run's inputs any more.
+    /// [`HostError::File`] and [`HostError::Record`] when the record cannot be read; [`HostError::Chart`] when its
+    /// chart has errors now; [`HostError::Inputs`] when the chart no longer accepts the run's inputs.
     pub fn open(path: &Path) -> Result<Self, HostError> {
         let unreadable =
             |source| HostError::File { what: "the record cannot be read:", path: path.to_owned(), source };
@@ -212,7 +212,7 @@ mod tests {
         fn record(&mut self, _: &TraceEvent) {}
     }
 
-    /// Records a run of the chart in a folder: it is told to go when the wrist feels a push.
+    /// Records a run of the chart in a folder; a push on the wrist makes it go.
     async fn record(folder: &Path) -> PathBuf {
         let (chart, file) = (folder.join("c.yaml"), folder.join("run.jsonl"));
         std::fs::write(&chart, CHART).expect("the folder can be written");

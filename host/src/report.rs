@@ -1,5 +1,5 @@
-//! The report of a run: `report.json` for programs, `report.html` for people. What it says of the world was measured by
-//! the referee.
+//! The report of a run: `report.json` for programs, `report.html` for people. Its statements about the world are the
+//! referee's measurements.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -14,7 +14,7 @@ use serde_json::{Value as Json, json};
 use crate::memory_log::{self, Entry};
 use crate::run_log::RunLog;
 
-/// What a report is written from.
+/// The data of a report.
 pub(crate) struct Case<'r> {
     pub(crate) chart: &'r str,
     pub(crate) world: &'r World,
@@ -27,11 +27,11 @@ pub(crate) struct Case<'r> {
     pub(crate) log: &'r RunLog,
     pub(crate) pictures: Vec<Picture>,
     pub(crate) joints: Vec<TimePlot>,
-    /// What the memories of the agents knew; empty where there is one agent.
+    /// The log of the agents' memories; empty if there is only one agent.
     pub(crate) memory_log: &'r [Entry],
 }
 
-/// The figures of the run, by the names that reports share.
+/// The figures of the run, by the names that all reports use.
 pub(crate) fn figures(case: &Case<'_>) -> Json {
     let measured = serde_json::to_value(case.referee.report()).unwrap_or_else(|_| json!({}));
     let mut report = json!({
@@ -52,7 +52,7 @@ pub(crate) fn figures(case: &Case<'_>) -> Json {
     report
 }
 
-/// Writes both reports into `folder`. Gives the figures as `report.json` has them, and those that something is asked of.
+/// Writes both reports into `folder`. Returns the figures of `report.json`, and the figures with a requirement.
 ///
 /// # Errors
 /// When a file cannot be written.
@@ -105,7 +105,7 @@ fn page(case: Case<'_>, mut judged: Vec<Section>, memories: Option<Section>) -> 
     }
 }
 
-/// Joint angles of the moving limbs, gathered while the robot runs.
+/// Joint angles of the moving limbs, collected during the run.
 #[derive(Debug, Default)]
 pub(crate) struct JointLog {
     times: Vec<f64>,
@@ -113,7 +113,7 @@ pub(crate) struct JointLog {
 }
 
 impl JointLog {
-    /// One sample of the joints `chosen`.
+    /// Adds a sample of the joints `chosen`.
     pub(crate) fn add(&mut self, t_s: f64, position: &[f64], chosen: &[usize]) {
         self.times.push(t_s);
         for &joint in chosen {
@@ -121,7 +121,7 @@ impl JointLog {
         }
     }
 
-    /// A plot a joint, with its limits.
+    /// One plot per joint, with its limits.
     pub(crate) fn plots(&self, model: &armarium_robot::Model) -> Vec<TimePlot> {
         let plot = |(joint, y): (&usize, &Vec<f64>)| {
             let described = &model.joints()[*joint];

@@ -1,4 +1,4 @@
-//! A run of a chart with the simulated robot, from its files to its report. [`run`] goes through the phases one after the
+//! A run of a chart with the simulated robot, from its files to its report. [`run`] executes the phases one after the
 //! other; each is a function below it.
 
 use std::collections::BTreeMap;
@@ -39,46 +39,46 @@ use crate::side_tasks;
 use crate::simulated::{SimulatedRobot, memory_of_run};
 use crate::world_file::WorldFile;
 
-/// How long by the wall clock a skill may keep the program's thread to itself.
+/// How long, in real time, a skill may block the program's thread.
 const HANGS: Duration = Duration::from_secs(10);
 
-/// What is run, and where.
+/// The configuration of a run.
 #[derive(Clone)]
 pub struct RunConfig {
     /// The chart.
     pub chart: PathBuf,
-    /// Folders where charts find other charts by name, besides their own.
+    /// Additional folders in which charts find other charts by name.
     pub charts: Vec<PathBuf>,
-    /// The simulated world; if not given, `NAME.world.yaml` beside the chart `NAME.yaml`, or else the default kitchen.
+    /// The simulated world; `None`: `NAME.world.yaml` beside the chart `NAME.yaml`, or else the default kitchen.
     pub world: Option<PathBuf>,
-    /// Seeds everything that varies.
+    /// Seed of all random variation.
     pub seed: u64,
-    /// Inputs of the chart, as they are written: `("patience", "30s")`.
+    /// Inputs of the chart as text: `("patience", "30s")`.
     pub inputs: Vec<(String, String)>,
     /// The chart's profile whose defaults are used.
     pub profile: Option<String>,
     /// Folder for `report.json`, `report.html` and `run.mcap`.
     pub report: PathBuf,
-    /// The long-term store that motions are kept in.
+    /// The long-term store of motions.
     pub store: PathBuf,
-    /// A file that the engine's turns are recorded in, for [`replay`](crate::replay::Replay).
+    /// The record of the engine's turns, for [`replay`](crate::replay::Replay).
     pub record: Option<PathBuf>,
-    /// Whether time goes as on the wall. With other agents it always does.
+    /// Whether time is real. With other agents it always is.
     pub real_time: bool,
     /// The name by which other agents can send events to this run.
     pub name: Option<String>,
     /// The name of cameras in another process, which show the same world with the same seed.
     pub cameras: Option<String>,
-    /// How other agents are reached; where a run needs them and nothing is said, on this machine.
+    /// How other agents are reached; if they are needed and this is `None`, on this machine.
     pub session: Option<SessionConfig>,
-    /// The program `armarium`, which starts the world's other agents; without it they have to be there.
+    /// The program `armarium`, which starts the world's other agents; without it they must be running.
     pub program: Option<PathBuf>,
-    /// Skills of one's own, besides those that ship.
+    /// Additional skills.
     pub skills: Vec<SkillFactory>,
 }
 
 impl RunConfig {
-    /// A run of the chart in virtual time, which leaves `report/` and `armarium.redb`.
+    /// A run of the chart in virtual time, which writes `report/` and `armarium.redb`.
     #[must_use]
     pub fn new(chart: impl Into<PathBuf>) -> Self {
         Self {
@@ -100,7 +100,7 @@ impl RunConfig {
         }
     }
 
-    /// How other agents are reached, if they are at all.
+    /// How other agents are reached, if at all.
     fn session(&self, world: &World, named: bool) -> Option<SessionConfig> {
         let sees_or_shows_images = self.cameras.is_some() || !world.agents.is_empty();
         if self.session.is_none() && !named && !sees_or_shows_images {
@@ -116,17 +116,17 @@ impl RunConfig {
 pub struct RunEnded {
     /// Outcome and reason.
     pub result: RunResult,
-    /// What `report.json` says.
+    /// The content of `report.json`.
     pub report: serde_json::Value,
-    /// The figures that referees measured, and what is asked of them.
+    /// The figures that referees measured, with their requirements.
     pub figures: Vec<Figure>,
 }
 
-/// The given inputs as values of the types that the chart declares; what the chart does not have stays text and is
-/// refused when the run is made, with a suggestion.
+/// Converts the given inputs to the types that the chart declares. Inputs that the chart does not have stay text;
+/// creating the run refuses them, with a suggestion.
 ///
 /// # Errors
-/// [`HostError::Input`] for text that is no value of the input's type.
+/// [`HostError::Input`] for text that is not a value of the input's type.
 pub fn read_inputs(
     given: &[(String, String)],
     program: &Program,
@@ -140,10 +140,11 @@ pub fn read_inputs(
     given.iter().map(read).collect()
 }
 
-/// Checks the chart, runs it in the simulator, and leaves recording and report. Ctrl-C ends the run with a report too.
+/// Checks the chart, runs it in the simulator, and writes recording and report. Ctrl-C ends the run, also with a
+/// report.
 ///
 /// # Errors
-/// [`HostError`] when the run cannot begin, in which case nothing has moved, or when its report cannot be written.
+/// [`HostError`] when the run cannot start, in which case nothing has moved, or when its report cannot be written.
 #[expect(clippy::disallowed_methods, reason = "the report says how long the run took by the wall")]
 pub fn run(config: &RunConfig, console: &Arc<dyn Console>) -> Result<RunEnded, HostError> {
     let began = Instant::now();
@@ -205,7 +206,7 @@ async fn perform(
     stage.report(config, &chart, &world.world, (result, began), (&logger.log, &joints, &company), console)
 }
 
-/// What a chart is run on: the robot in its world, its memory, and what writes the run down.
+/// What a chart runs with: the robot in its world, its memory, and the recorders.
 struct Stage {
     memory: AgentMemory,
     robot: SimulatedRobot,
@@ -240,7 +241,7 @@ impl Stage {
         Ok((Self { memory, robot, frames, recorder, digest }, simulation))
     }
 
-    /// Brings in the world's other agents, on the connection's threads.
+    /// Starts and connects the world's other agents, on the connection's threads.
     async fn gather_company(
         &self,
         config: &RunConfig,
@@ -303,7 +304,7 @@ impl Stage {
             peers: network.peers.clone(),
         };
         let executor = Executor::new(program, registry, channels.clone(), options)?;
-        // Robot and skills share one thread here: where a skill blocks it, no report can be written any more.
+        // Robot and skills share one thread here: if a skill blocks it, no report can be written.
         let console = Arc::clone(console);
         Ok(executor.hang_after(HANGS, Some(Box::new(move |state| console.blocked(state)))))
     }
@@ -320,7 +321,7 @@ impl Stage {
         Ok(())
     }
 
-    /// What goes on beside the chart.
+    /// The tasks beside the chart.
     fn side_tasks(
         &self,
         executor: &Executor,
@@ -391,7 +392,7 @@ impl Stage {
     }
 }
 
-/// The program of a chart that is in order, and the skills that it is run with.
+/// The program of a chart without errors, and the skills that it runs with.
 async fn load(
     config: &RunConfig,
     stage: &Stage,
@@ -404,7 +405,7 @@ async fn load(
     Ok((catalog::runnable(checked, console)?, registry))
 }
 
-/// The sink of a run, with a record beside it where one is asked for.
+/// The sink of a run, with a record if one is requested.
 fn recorded(
     config: &RunConfig,
     inputs: BTreeMap<String, Value>,

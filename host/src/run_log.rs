@@ -1,5 +1,5 @@
-//! The log of a run: what the chart did and when, for the progress line, the report, the recording and the digest. Marks that
-//! skills declare go to the referee.
+//! The log of a run: the chart's events with their times, for the progress line, the report, the recording and the
+//! digest. Marks that skills declare go to the referee.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -17,17 +17,17 @@ use parking_lot::Mutex;
 use crate::console::Console;
 use crate::recording::{RunDigest, SharedRecorder};
 
-/// Lines of the log that the report shows.
+/// Lines of the log in the report.
 const LOG_LINES: usize = 200;
 
-/// What is known of the run so far.
+/// The state of the run so far.
 #[derive(Debug, Default)]
 pub(crate) struct RunLog {
-    /// The states through time.
+    /// The states over time.
     pub(crate) states: Vec<StateSpan>,
-    /// What is active now.
+    /// The present status.
     pub(crate) status: RunStatus,
-    /// The last lines.
+    /// The newest lines.
     pub(crate) lines: Vec<String>,
     /// The running skills by activation.
     running: BTreeMap<u64, Running>,
@@ -49,7 +49,7 @@ impl RunLog {
     }
 }
 
-/// A trace sink that writes the log and passes everything on; clones write the same log.
+/// A trace sink that writes the log and passes everything on; clones write to the same log.
 #[derive(Clone)]
 pub(crate) struct RunLogger {
     pub(crate) log: Arc<Mutex<RunLog>>,
@@ -144,7 +144,7 @@ impl RunLogger {
         log.lines.push(line);
     }
 
-    /// Gives the referee, and the recording, the marks of a running skill at this point of its life.
+    /// Passes a skill's marks at this point of its activation to the referee and the recording.
     fn mark(&self, running: &Running, at: &MarkTime, outputs: &BTreeMap<String, Value>, t_ns: u64) {
         let Some(marks) = self.marks.get(&running.skill) else { return };
         for mark in marks.iter().filter(|mark| mark.at == *at) {

@@ -1,4 +1,5 @@
-//! What goes on beside a run's chart: what is seen and moved is noted for the report, the progress is shown, Ctrl-C is heard.
+//! Tasks beside a run's chart: they record observations and motion for the report, show the progress, and handle
+//! Ctrl-C.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -14,7 +15,7 @@ use crate::recording::SharedRecorder;
 use crate::report::JointLog;
 use crate::run_log::RunLog;
 
-/// Passes on to the referee what vision took each frame's hand for, and records it.
+/// Passes the gesture that vision recognises in each frame to the referee, and records it.
 pub(crate) async fn watch_gestures(
     memory: Arc<armarium_memoryx::WorkingMemory>,
     referee: armarium_simulator::Referee,
@@ -39,11 +40,11 @@ pub(crate) async fn watch_gestures(
     }
 }
 
-/// Keeps the joint angles of torso and arm for the report, 20 times a second.
+/// Records the joint angles of torso and arm for the report, 20 times a second.
 pub(crate) async fn log_joints(robot: Arc<dyn armarium_robot::Robot>, log: Arc<Mutex<JointLog>>) {
     let chosen = armarium_robot::postures::reaching_joints(robot.model());
     let mut sensed = robot.sensed();
-    // Before the first sample nothing is sensed.
+    // There is no sensor value before the first sample.
     let begun = sensed.changed().await;
     let mut tick = tokio::time::interval(Duration::from_millis(50));
     while begun.is_ok() {
@@ -72,7 +73,7 @@ pub(crate) async fn show_progress(
     }
 }
 
-/// Ctrl-C stops the robot first: every skill is cancelled and has returned before the report is written.
+/// Ctrl-C stops the robot first: all skills are cancelled and have returned before the report is written.
 pub(crate) async fn stop_on_signal(controller: Controller) {
     if tokio::signal::ctrl_c().await.is_ok() {
         controller.stop("stopped by Ctrl-C");

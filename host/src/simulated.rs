@@ -1,4 +1,4 @@
-//! A simulated robot in its world, with what skills work with; and what such an agent knows and keeps.
+//! A simulated robot in its world with the skills' equipment; and what such an agent knows and keeps.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -18,27 +18,27 @@ use crate::error::HostError;
 const COACH_TOOL: &str = "coach_tool";
 /// Size of the tool that the coach demonstrates with, m.
 const COACH_TOOL_SIZE: [f64; 3] = [0.08, 0.08, 0.08];
-/// Core segment of what was learned.
+/// Core segment of learned motions.
 const MOTIONS: &str = "Motions";
-/// Core segments of what is seen of a world.
+/// Core segments of perceived data.
 const SEEN: [&str; 6] =
     ["ObjectInstances", "ObjectRelations", "AgentInstances", "EnvironmentModels", "HumanHands", "HumanPoses"];
 
 /// A simulated robot. Its [`Simulation`] is to be spawned.
 pub struct SimulatedRobot {
-    /// Judges by the simulator's truth.
+    /// Judges with the simulator's truth.
     pub referee: Referee,
-    /// Tells the time of the world, and ends it.
+    /// Gives the world's time, and ends the world.
     pub handle: Handle,
-    /// What skills work with.
+    /// The skills' equipment.
     pub equipment: Equipment,
 }
 
 impl SimulatedRobot {
-    /// Puts the robot into its world. With `scenery`, its cameras are in another process.
+    /// Places the robot into its world. With `scenery`, its cameras are in another process.
     ///
     /// # Errors
-    /// [`HostError::Simulation`] when the robot and the world do not fit.
+    /// [`HostError::Simulation`] when robot and world do not fit together.
     pub fn new(
         world: &World,
         seed: u64,
@@ -60,7 +60,7 @@ impl SimulatedRobot {
     }
 }
 
-/// The memory of a run: prior knowledge of the world's things, and the motions that the store holds.
+/// The memory of a run: prior knowledge of the world's objects, and the motions in the store.
 ///
 /// # Errors
 /// [`HostError::Memory`] when the store cannot be used.
@@ -73,11 +73,11 @@ pub fn memory_of_run(world: &World, store: &Path) -> Result<AgentMemory, HostErr
     Ok(AgentMemory::open(&config, armarium_memoryx::tokio_clock())?)
 }
 
-/// How the memory of an agent is put together that others write to: what they and it commit is kept and is there again after
-/// a start. What was seen stays in the store only, since the simulated world begins anew.
+/// The memory configuration of an agent that others write to. All commits are stored and loaded again at the start,
+/// except perceived data: these stay in the store only, because the simulated world begins anew.
 ///
 /// # Errors
-/// [`HostError::Memory`] when prior knowledge does not fit.
+/// [`HostError::Memory`] when prior knowledge is invalid.
 pub fn memory_of_agent(
     name: &str,
     world: &World,
@@ -91,7 +91,8 @@ pub fn memory_of_agent(
     Ok(config)
 }
 
-/// What an agent keeps where nothing is said: of what is seen and learned one snapshot a second, and all of the rest.
+/// The default policies: one snapshot per second of perceived and learned data, object classes when they change, and
+/// everything else.
 #[must_use]
 pub fn usual_policies() -> Policies {
     let thinned = SEEN.into_iter().chain([MOTIONS]);
@@ -99,8 +100,8 @@ pub fn usual_policies() -> Policies {
     thinned.fold(usual, |policies, segment| policies.with(segment, Policy::AtMost { hz: 1.0 }))
 }
 
-/// What the robot knows beforehand of things: name, colour, size and mass, never where they are. Of those that this
-/// world describes, and of the usual ones, so that one that is not there can be looked for.
+/// Prior knowledge of objects: name, colour, size and mass, never the position. It has the objects of this world and
+/// the usual ones, so that the robot can also look for an object that is absent.
 fn prior_knowledge(world: &World) -> Result<PriorKnowledge, MemoryError> {
     let mut prior = PriorKnowledge::new();
     let usual = World::default().objects;

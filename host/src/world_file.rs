@@ -1,23 +1,23 @@
-//! Which world a chart runs in: the one that is given, else the one beside the chart, else the default kitchen.
+//! Selects the world of a chart: the given one, else the one beside the chart, else the default kitchen.
 
 use std::path::{Path, PathBuf};
 
 use armarium_simulator::{World, WorldError};
 
-/// A world, and the file that it is from.
+/// A world and its file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WorldFile {
     /// The world.
     pub world: World,
-    /// None for the default kitchen.
+    /// `None` for the default kitchen.
     pub file: Option<PathBuf>,
 }
 
 impl WorldFile {
-    /// The world of `given`, else of `NAME.world.yaml` beside the chart `NAME.yaml` where there is one.
+    /// The world of `given`, else of `NAME.world.yaml` beside the chart `NAME.yaml` if there is one.
     ///
     /// # Errors
-    /// Everything that is wrong with the file.
+    /// All errors of the file.
     pub fn of(chart: &Path, given: Option<&Path>) -> Result<Self, Vec<WorldError>> {
         let beside = Some(chart.with_extension("world.yaml")).filter(|file| file.is_file());
         let file = given.map(Path::to_owned).or(beside);
@@ -25,8 +25,8 @@ impl WorldFile {
         Ok(Self { world, file })
     }
 
-    /// The name by which other agents call the run: the one that is asked for, else the robot's where the world has other
-    /// agents. There, both are one.
+    /// The name by which other agents address the run: the requested one, else the robot's if the world has other
+    /// agents. Then both are the same.
     pub fn called(&mut self, asked: Option<&str>) -> Option<String> {
         if self.world.agents.is_empty() {
             return asked.map(str::to_owned);

@@ -1,6 +1,7 @@
 //! The memory of one agent, put together: working memory on a long-term file, shared over Zenoh, following others.
 //!
-//! Every program opens an agent's memory here, a run in virtual time too. It reads no command line and opens no session.
+//! Every program opens an agent's memory here, also a run in virtual time. This file reads no command line and opens
+//! no session.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -22,7 +23,7 @@ use crate::working::{Backing, Clock, Limits, WorkingMemory};
 
 /// How often long-term memory forgets what is old or too much.
 const RETAIN_EVERY: Duration = Duration::from_secs(60);
-/// How long to wait before an agent that is not there is looked for again.
+/// How long to wait before connecting again to an agent that is absent.
 const AGAIN: Duration = Duration::from_secs(1);
 
 /// How an agent's memory is put together.
@@ -30,28 +31,28 @@ const AGAIN: Duration = Duration::from_secs(1);
 pub struct AgentConfig {
     /// The agent.
     pub name: String,
-    /// The file of long-term memory; none is kept where none is given.
+    /// The file of long-term memory; `None` keeps nothing.
     pub store: Option<PathBuf>,
-    /// What of working memory is kept; it is durable when a commit is acknowledged.
+    /// What long-term memory keeps of working memory; it is on disk when a commit is acknowledged.
     pub policies: Policies,
-    /// What of it is in working memory again after a start; all of it can be asked for.
+    /// Which part of long-term memory is loaded into working memory at the start; queries reach all of it.
     pub restored: Restored,
     /// How much is kept.
     pub retention: Retention,
     /// How much working memory holds.
     pub limits: Limits,
-    /// Whom it follows.
+    /// The agents that it follows.
     pub follow: Vec<FollowSettings>,
-    /// What is known before anything is seen.
+    /// Prior knowledge.
     pub prior: PriorKnowledge,
-    /// What concludes something from its memory.
+    /// The inferences that run on its memory.
     pub infer: Vec<Arc<dyn Inference>>,
-    /// Whether only named writers may write, each his own provider segments.
+    /// Whether only named writers may write, each only into their own provider segments.
     pub guarded: bool,
 }
 
 impl AgentConfig {
-    /// An agent that keeps nothing and follows nobody.
+    /// An agent without long-term memory that follows no one.
     #[must_use]
     pub fn new(name: &str) -> Self {
         Self {
@@ -76,12 +77,12 @@ impl AgentConfig {
     }
 }
 
-/// Which core segments of the file are in working memory again after a start.
+/// Which core segments of the file are loaded into working memory at the start.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Restored {
     /// All of them.
     All,
-    /// These.
+    /// Only these.
     Only(Vec<String>),
     /// All but these.
     AllBut(Vec<String>),
@@ -98,7 +99,7 @@ impl Restored {
     }
 }
 
-/// An agent's memory. It is shared with others after [`Self::share`], for as long as this lives.
+/// An agent's memory. After [`Self::share`] others can use it, until this is dropped.
 pub struct AgentMemory {
     memory: Arc<WorkingMemory>,
     kept: Option<Arc<Consolidator>>,
@@ -115,7 +116,7 @@ impl fmt::Debug for AgentMemory {
 }
 
 impl AgentMemory {
-    /// Opens the file, whose folder is made if it is not there, and restores what was known. Nothing is shared yet.
+    /// Opens the file, creating its folder if needed, and restores its content. Nothing is shared yet.
     ///
     /// # Errors
     /// [`MemoryError::Store`] when the file cannot be used; as [`WorkingMemory::commit_now`] for prior knowledge.
@@ -141,8 +142,8 @@ impl AgentMemory {
         Ok(Self { memory, kept, clock, server: None, inferences: Vec::new(), tasks: JoinSet::new() })
     }
 
-    /// Lets others read and write it over `session`, follows the others, draws conclusions and forgets what is old: all that
-    /// the configuration says.
+    /// Serves the memory over `session`, follows other agents, runs inferences and retention, as the configuration
+    /// says.
     ///
     /// # Errors
     /// As [`MemoryServer::start`].
@@ -165,7 +166,7 @@ impl AgentMemory {
         Ok(())
     }
 
-    /// Opens and shares in one. Times are those of the session: ns since 1970.
+    /// [`Self::open`], then [`Self::share`]. Times are the session's: ns since 1970.
     ///
     /// # Errors
     /// As [`Self::open`] and [`Self::share`].
@@ -176,19 +177,19 @@ impl AgentMemory {
         Ok(agent)
     }
 
-    /// What it knows now.
+    /// The working memory.
     #[must_use]
     pub fn memory(&self) -> &Arc<WorkingMemory> {
         &self.memory
     }
 
-    /// What it keeps.
+    /// The long-term memory, if the agent has one.
     #[must_use]
     pub fn store(&self) -> Option<&Arc<LongTermMemory>> {
         self.kept.as_ref().map(|kept| kept.store())
     }
 
-    /// Writes what policies have held back so far.
+    /// Writes the snapshots that policies have held back so far.
     ///
     /// # Errors
     /// [`MemoryError::Store`] when the file cannot be written.
@@ -200,7 +201,7 @@ impl AgentMemory {
     }
 }
 
-/// Follows an agent, who may not be there yet.
+/// Follows an agent that may not be there yet.
 async fn follow(session: Session, memory: Arc<WorkingMemory>, settings: FollowSettings) {
     loop {
         match RemoteMemory::connect(&session, &settings.agent).await {
@@ -217,8 +218,7 @@ async fn follow(session: Session, memory: Arc<WorkingMemory>, settings: FollowSe
     }
 }
 
-/// Has long-term memory forget what is too old or too much, every minute, for as long as it is waited for; the time is
-/// `memory`'s.
+/// Applies retention to long-term memory every minute, by `memory`'s clock. It never returns.
 async fn keep_within(store: Arc<LongTermMemory>, memory: Arc<WorkingMemory>, retention: Retention) {
     while retention != Retention::default() {
         tokio::time::sleep(RETAIN_EVERY).await;

@@ -1,7 +1,7 @@
-//! The attributes of an instance: values by name, in little room.
+//! The attributes of an instance: values by name, stored compactly.
 //!
-//! A memory holds a million of these, most of them with one to five values: a sorted slice takes a tenth of what a
-//! tree takes. They are made once and not changed; [`Attributes::to_map`] gives a map to work with.
+//! A memory holds a million of these, most of them with one to five values. A sorted slice takes a tenth of the bytes
+//! of a tree. Attributes are immutable; [`Attributes::to_map`] returns a map that can be edited.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -10,7 +10,7 @@ use armarium_values::Value;
 use serde::de::{MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Values by name, ordered by name. Travels as a map.
+/// Values by name, ordered by name. Serialised as a map.
 #[derive(Clone, Default, PartialEq)]
 pub struct Attributes(Box<[(Box<str>, Value)]>);
 
@@ -39,13 +39,13 @@ impl Attributes {
         self.0.is_empty()
     }
 
-    /// The same as a map, to be worked with.
+    /// A copy as a map.
     #[must_use]
     pub fn to_map(&self) -> BTreeMap<String, Value> {
         self.iter().map(|(name, value)| (name.to_owned(), value.clone())).collect()
     }
 
-    /// The same attributes with one more or another value.
+    /// A copy with one value added or replaced.
     #[must_use]
     pub fn with(&self, name: &str, value: Value) -> Self {
         let mut map = self.to_map();
@@ -53,7 +53,7 @@ impl Attributes {
         map.into()
     }
 
-    /// From pairs in any order; of two with one name the later counts.
+    /// From pairs in any order; the later of two with one name wins.
     pub(crate) fn from_pairs(mut pairs: Vec<(Box<str>, Value)>) -> Self {
         if !pairs.is_sorted_by(|a, b| a.0 < b.0) {
             let map: BTreeMap<Box<str>, Value> = pairs.into_iter().collect();

@@ -1,5 +1,5 @@
-//! A question that was checked, put to the snapshots of one entity after the other: the one function by which every
-//! memory answers. Finds no entities; those are each memory's own.
+//! A checked query, applied to the snapshots of one entity at a time: the one selection that every memory uses. It
+//! does not find the entities; each memory does that itself.
 
 use std::cmp::Ordering;
 use std::sync::Arc;
@@ -10,11 +10,11 @@ use crate::filter::Filter;
 use crate::place::{Region, distance, place_of};
 use crate::query::{Query, Times};
 
-/// Snapshots, and bytes of them, among which the nearest are looked for before the others are forgotten.
+/// Limits of a nearest-first selection: after so many snapshots, or bytes of them, only the nearest are kept.
 const LEFT: usize = 1024;
 const LEFT_BYTES: u64 = 16 << 20;
 
-/// A question that was checked.
+/// A checked query.
 #[derive(Clone, Debug)]
 pub struct CheckedQuery<'q> {
     pub(crate) query: &'q Query,
@@ -22,10 +22,10 @@ pub struct CheckedQuery<'q> {
 }
 
 impl Query {
-    /// Checks the question.
+    /// Checks the query.
     ///
     /// # Errors
-    /// [`MemoryError::Query`] when its expression or region is none.
+    /// [`MemoryError::Query`] when its filter or region is invalid.
     pub fn check(&self) -> Result<CheckedQuery<'_>, MemoryError> {
         self.region.as_ref().map_or(Ok(()), Region::check)?;
         let filter = self.filter.as_deref().map(Filter::compile).transpose()?;
@@ -34,7 +34,7 @@ impl Query {
 }
 
 impl CheckedQuery<'_> {
-    /// The question.
+    /// The query.
     #[must_use]
     pub fn query(&self) -> &Query {
         self.query
@@ -46,13 +46,13 @@ impl CheckedQuery<'_> {
         self.query.pattern.matches(id) && self.query.after.as_ref().is_none_or(|after| after.id <= *id)
     }
 
-    /// Whether which snapshots it takes follows from their versions and the times that they speak of.
+    /// Whether the selection depends only on versions and referenced times.
     #[must_use]
     pub fn is_plain(&self) -> bool {
         self.filter.is_none() && self.query.region.is_none() && self.query.arrived_since.is_none()
     }
 
-    /// What the question takes of one wanted entity's snapshots, given and returned in order of version.
+    /// Selects from the snapshots of one entity that [`Self::wants`]. Input and output are in order of version.
     #[must_use]
     pub fn select(&self, history: impl DoubleEndedIterator<Item = Arc<Snapshot>>) -> Vec<Arc<Snapshot>> {
         let query = self.query;
@@ -85,18 +85,18 @@ impl CheckedQuery<'_> {
         }
     }
 
-    /// An answer with nothing in it yet.
+    /// An empty answer.
     pub(crate) fn answer(&self) -> Selection<'_> {
         Selection { asked: self, found: Vec::new(), bytes: 0, left: LEFT, left_bytes: LEFT_BYTES }
     }
 
-    /// Makes the answer of what was taken of all entities, in order of address.
+    /// Completes the answer: sorts the nearest by distance and applies the bounds. `found`: in order of address.
     #[must_use]
     pub fn finish(&self, mut found: Vec<Arc<Snapshot>>) -> Vec<Arc<Snapshot>> {
         if let Some(Region::Nearest { to, count, .. }) = &self.query.region {
             let far = |s: &Snapshot| place_of(s).map_or(f64::INFINITY, |(_, place)| distance(to, &place));
             let mut placed: Vec<(f64, Arc<Snapshot>)> = found.into_iter().map(|s| (far(&s), s)).collect();
-            // Those equally far keep the order of their addresses.
+            // The sort is stable: equal distances keep the order of addresses.
             placed.sort_by(|a, b| a.0.total_cmp(&b.0));
             placed.truncate(*count);
             found = placed.into_iter().map(|(_, s)| s).collect();
@@ -113,12 +113,12 @@ impl CheckedQuery<'_> {
         found
     }
 
-    /// Whether a snapshot may be told where one of an entity is asked for.
+    /// Whether a snapshot may be the answer where the query takes one per entity.
     fn is_told(&self, snapshot: &Snapshot) -> bool {
         self.query.removed || !snapshot.is_removed()
     }
 
-    /// Whether a snapshot that the times have chosen is asked for.
+    /// Whether a snapshot that `times` selects passes all other conditions.
     pub(crate) fn fits(&self, snapshot: &Snapshot) -> bool {
         let query = self.query;
         query.arrived_since.is_none_or(|since| snapshot.arrived_ns >= since)
@@ -129,7 +129,7 @@ impl CheckedQuery<'_> {
             && self.filter.as_ref().is_none_or(|filter| filter.fits(snapshot))
     }
 
-    /// The snapshot with the latest referenced time among those that count, unless it says that the entity is gone.
+    /// The snapshot with the latest referenced time among those for which `counts` is true, unless it is a removal.
     fn held(
         &self,
         history: impl Iterator<Item = Arc<Snapshot>>,
@@ -140,13 +140,13 @@ impl CheckedQuery<'_> {
     }
 }
 
-/// What was found so far, in the order of the answer.
+/// The answer so far, in its order.
 pub(crate) struct Selection<'a> {
     asked: &'a CheckedQuery<'a>,
     found: Vec<Arc<Snapshot>>,
-    /// Of `found`, where the question bounds them.
+    /// Bytes of `found`; counted only when the query bounds them.
     bytes: u64,
-    /// How many more may be found, and how many bytes of them, before those that are not among the nearest are forgotten.
+    /// How many more snapshots, and bytes of them, may be added before only the nearest are kept.
     left: usize,
     left_bytes: u64,
 }
@@ -163,7 +163,7 @@ impl Selection<'_> {
         self.found.push(snapshot);
         if self.left == 0 || self.left_bytes == 0 {
             self.found = self.asked.finish(std::mem::take(&mut self.found));
-            // As many again, so that sorting costs little of each.
+            // As many again, so that the cost of sorting per snapshot stays small.
             self.left = self.found.len().max(LEFT);
             self.left_bytes = self.found.iter().map(|s| s.bytes()).sum::<u64>().max(LEFT_BYTES);
         }
@@ -173,7 +173,7 @@ impl Selection<'_> {
         snapshots.into_iter().for_each(|snapshot| self.push(snapshot));
     }
 
-    /// Whether as much was found as is asked for, so that nothing that comes later need be looked at.
+    /// Whether the answer has reached the query's bounds, so that later snapshots need not be read.
     pub(crate) fn is_full(&self) -> bool {
         let query = self.asked.query;
         !query.is_nearest()
@@ -186,7 +186,7 @@ impl Selection<'_> {
     }
 }
 
-/// The places from one to another among `count`, negative ones counted from the end.
+/// Converts two positions, both included, to a range in a list of `count`; negative ones count from the end.
 pub(crate) fn places(from: i64, to: i64, count: usize) -> std::ops::Range<usize> {
     let count = i64::try_from(count).unwrap_or(i64::MAX);
     let place = |i: i64| if i < 0 { count.saturating_add(i) } else { i };
@@ -198,14 +198,14 @@ pub(crate) fn places(from: i64, to: i64, count: usize) -> std::ops::Range<usize>
     index(from)..index(to) + 1
 }
 
-/// The first and the last version from one place in a history to another, negative ones counted from the end, where `at`
-/// gives the version in a place; `None` where there is none between them.
+/// The first and the last version between two positions in a history; negative positions count from the end. `at`
+/// gives the version at a position. `None` when the range is empty.
 pub(crate) fn versions_between<E>(
     from: i64,
     to: i64,
     at: impl Fn(i64) -> Result<Option<u64>, E>,
 ) -> Result<Option<(u64, u64)>, E> {
-    // What is before the beginning is the beginning for the first place, and nothing for the last one.
+    // A first position before the oldest means the oldest; a last position before the oldest means an empty range.
     let first = at(from)?.or((from < 0).then_some(0));
     let last = at(to)?.or((to >= 0).then_some(u64::MAX));
     Ok(first.zip(last))
@@ -219,7 +219,7 @@ mod tests {
     use crate::entity::Instance;
     use crate::query::Pattern;
 
-    /// Versions 1.. with these referenced times; a negative time says gone at that time.
+    /// Versions from 1 with these referenced times; a negative time is a removal at that time.
     fn history(times: &[i64]) -> Vec<Arc<Snapshot>> {
         let snapshot = |(i, t): (usize, &i64)| {
             Arc::new(Snapshot {

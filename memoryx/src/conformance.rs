@@ -1,9 +1,9 @@
-//! What every memory does, whatever is behind it: one suite for memory in process and over Zenoh.
+//! What every memory must do, whatever its implementation: one suite for memory in process and over Zenoh.
 //!
 //! ```ignore
 //! conformance::check(&*memory).await?;
 //! ```
-//! The memory has to be empty in the core segment `Conformance`, and to be used by nobody else there meanwhile.
+//! The core segment `Conformance` must be empty, and have no other user during the check.
 
 use std::collections::BTreeMap;
 use std::fmt::Debug;
@@ -23,7 +23,7 @@ pub const SEGMENT: &str = "Conformance";
 /// Runs the whole suite.
 ///
 /// # Errors
-/// What the memory did other than it should, in words.
+/// A description of the first difference from the expected behaviour.
 pub async fn check(memory: &dyn Memory) -> Result<(), String> {
     what_is_committed_is_there(memory).await?;
     a_commit_is_whole_or_nothing(memory).await?;

@@ -1,8 +1,8 @@
 //! The memory model after MemoryX and its successor ArMem: memory / core segment / provider segment / entity /
-//! snapshot / instance. What is kept, and how it gets in; not where it is kept.
+//! snapshot / instance. This file says what is stored and how it is committed, not where it is stored.
 //!
-//! A snapshot without instances says that the entity is gone: it is found in histories and by subscribers, but not
-//! by `latest` or `segment`. A later commit brings the entity back under the next version.
+//! A snapshot without instances is a removal: histories and subscribers see it, `latest` and `segment` do not. A
+//! later commit brings the entity back with the next version.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -30,15 +30,15 @@ pub struct EntityId {
     entity_at: u16,
 }
 
-/// What is known of an entity at one time, by one hypothesis.
+/// One hypothesis about an entity at one time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Instance {
     /// Attributes by name.
     pub attributes: Attributes,
-    /// How far it is trusted, 0 to 1.
+    /// Confidence, 0 to 1.
     pub confidence: f64,
-    /// Covariances of the attributes that have one, rows one after the other, in the attribute's unit squared: one
-    /// number for a number, 3x3 for a vector or a point, 6x6 for a pose (position, then rotation vector, rad).
+    /// Covariances of the attributes that have one, row by row, in the attribute's unit squared: one number for a
+    /// number, 3x3 for a vector or a point, 6x6 for a pose (position, then rotation vector, rad).
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub covariance: BTreeMap<String, Vec<f64>>,
 }
@@ -46,30 +46,30 @@ pub struct Instance {
 /// The state of an entity at one time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Snapshot {
-    /// Whose.
+    /// The entity.
     pub id: EntityId,
     /// Counts the entity's snapshots from 1.
     pub version: u64,
-    /// The time that the data speak of, ns.
+    /// The time that the data describe, ns.
     pub referenced_ns: u64,
     /// When it was sent, ns.
     pub sent_ns: u64,
-    /// When it arrived in this memory, ns.
+    /// When this memory received it, ns.
     pub arrived_ns: u64,
-    /// One or more hypotheses, most trusted first; none when the entity is gone.
+    /// One or more hypotheses, the highest confidence first; empty when the entity was removed.
     pub instances: Vec<Instance>,
 }
 
 /// An update of one entity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Commit {
-    /// Which entity.
+    /// The entity.
     pub id: EntityId,
-    /// The time that the data speak of, ns.
+    /// The time that the data describe, ns.
     pub referenced_ns: u64,
-    /// The new state; none removes the entity.
+    /// The new state; empty removes the entity.
     pub instances: Vec<Instance>,
-    /// When given, the commit is refused unless this is the entity's newest version (0: it must not exist).
+    /// When given, the commit is refused unless this is the entity's newest version (0: the entity must not exist).
     pub expected_version: Option<u64>,
 }
 
@@ -77,7 +77,7 @@ impl EntityId {
     /// An address.
     ///
     /// # Errors
-    /// [`MemoryError::Name`] when a part cannot be part of an address.
+    /// [`MemoryError::Name`] when a part is not a valid name.
     pub fn new(segment: &str, provider: &str, entity: &str) -> Result<Self, MemoryError> {
         for name in [segment, provider, entity] {
             check_name(name)?;
@@ -85,7 +85,7 @@ impl EntityId {
         Ok(Self::of_path(format!("{segment}/{provider}/{entity}").into(), segment.len(), provider.len()))
     }
 
-    /// The address that a path of checked names is, by the lengths of the first two.
+    /// The address of a path of checked names, given the lengths of the first two.
     fn of_path(path: Arc<str>, segment: usize, provider: usize) -> Self {
         let position = |n: usize| u16::try_from(n).expect("three names of at most 200 bytes");
         Self { path, provider_at: position(segment + 1), entity_at: position(segment + provider + 2) }
@@ -115,14 +115,14 @@ impl EntityId {
         &self.path
     }
 
-    /// A reference to the entity as charts pass it around; `kind` is for instance `Motion` or `Object`.
+    /// A reference to the entity for charts; `kind` is for instance `Motion` or `Object`.
     #[must_use]
     pub fn reference(&self, kind: &str) -> Reference {
         Reference { kind: kind.into(), id: self.as_str().into() }
     }
 }
 
-/// Whether `name` can be one part of an address.
+/// Checks that `name` can be one part of an address.
 ///
 /// # Errors
 /// [`MemoryError::Name`] when it cannot.
@@ -144,7 +144,7 @@ impl Hash for EntityId {
 
 impl Ord for EntityId {
     fn cmp(&self, other: &Self) -> Ordering {
-        // Where the parts are equally long, the slashes are in the same places and do not count.
+        // When the parts have equal lengths, the slashes are at the same positions and need no comparison.
         if (self.provider_at, self.entity_at) == (other.provider_at, other.entity_at) {
             return self.path.cmp(&other.path);
         }
@@ -173,7 +173,7 @@ impl FromStr for EntityId {
         let Some(names) = parts else {
             return Err(MemoryError::Name { name: path.chars().take(LONGEST_NAME).collect() });
         };
-        // A third slash is one in the entity's name, which no name may hold.
+        // A third slash would belong to the entity's name, where it is not allowed.
         names.iter().try_for_each(|name| check_name(name))?;
         Ok(Self::of_path(path.into(), names[0].len(), names[1].len()))
     }
@@ -226,7 +226,7 @@ impl fmt::Debug for EntityId {
 }
 
 impl Instance {
-    /// A fully trusted instance.
+    /// An instance with confidence 1.
     #[must_use]
     pub fn new(attributes: impl Into<Attributes>) -> Self {
         Self { attributes: attributes.into(), confidence: 1.0, covariance: BTreeMap::new() }
@@ -239,7 +239,7 @@ impl Instance {
         self
     }
 
-    /// The same instance with the covariance of one of its attributes, rows one after the other.
+    /// The same instance with the covariance of one of its attributes, row by row.
     #[must_use]
     pub fn with_covariance(mut self, attribute: &str, covariance: Vec<f64>) -> Self {
         self.covariance.insert(attribute.into(), covariance);
@@ -248,26 +248,26 @@ impl Instance {
 }
 
 impl Commit {
-    /// One fully trusted hypothesis, whatever the entity's version is.
+    /// One hypothesis with confidence 1 and no expected version.
     #[must_use]
     pub fn new(id: EntityId, referenced_ns: u64, attributes: impl Into<Attributes>) -> Self {
         Self { id, referenced_ns, instances: vec![Instance::new(attributes)], expected_version: None }
     }
 
-    /// The entity is gone since `referenced_ns`.
+    /// Removes the entity, as of `referenced_ns`.
     #[must_use]
     pub fn removal(id: EntityId, referenced_ns: u64) -> Self {
         Self { id, referenced_ns, instances: Vec::new(), expected_version: None }
     }
 
-    /// The same commit, refused unless `version` is the entity's newest (0: it must not exist).
+    /// The same commit, refused unless `version` is the entity's newest (0: the entity must not exist).
     #[must_use]
     pub fn expecting(mut self, version: u64) -> Self {
         self.expected_version = Some(version);
         self
     }
 
-    /// The same commit with another confidence, 0 to 1, of its most trusted hypothesis.
+    /// The same commit with another confidence, 0 to 1, for its first hypothesis.
     #[must_use]
     pub fn with_confidence(mut self, confidence: f64) -> Self {
         if let Some(instance) = self.instances.first_mut() {
@@ -278,19 +278,19 @@ impl Commit {
 }
 
 impl Snapshot {
-    /// The most trusted hypothesis, unless the entity is gone.
+    /// The hypothesis with the highest confidence; `None` for a removal.
     #[must_use]
     pub fn instance(&self) -> Option<&Instance> {
         self.instances.first()
     }
 
-    /// An attribute of the most trusted hypothesis.
+    /// An attribute of the hypothesis with the highest confidence.
     #[must_use]
     pub fn attribute(&self, name: &str) -> Option<&Value> {
         self.instance()?.attributes.get(name)
     }
 
-    /// Whether the snapshot says that the entity is gone.
+    /// Whether this snapshot is a removal.
     #[must_use]
     pub fn is_removed(&self) -> bool {
         self.instances.is_empty()

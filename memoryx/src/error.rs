@@ -1,6 +1,6 @@
 //! Why a memory refuses: one enum for every memory, in process, on disk and over Zenoh.
 //!
-//! The enum is itself a payload: a refusal travels back to a remote writer as what it is.
+//! The enum is itself a payload, so that a remote writer receives the refusal unchanged.
 
 use serde::{Deserialize, Serialize};
 
@@ -24,14 +24,14 @@ pub enum MemoryError {
         /// The address.
         id: String,
     },
-    /// Somebody else changed the entity first.
+    /// Another writer changed the entity first.
     #[error("`{id}` is at version {actual}, not {expected}: somebody else has changed it")]
     Conflict {
         /// The address.
         id: String,
-        /// What the writer expected.
+        /// The version that the writer expected.
         expected: u64,
-        /// What it is.
+        /// The newest version.
         actual: u64,
     },
     /// The data do not fit the core segment's schema.
@@ -50,24 +50,24 @@ pub enum MemoryError {
         /// The address.
         id: String,
     },
-    /// The provider segment is prior knowledge.
+    /// The provider segment is prior knowledge, which is read-only.
     #[error("`{id}` cannot be written: the provider segment is read-only")]
     ReadOnly {
         /// The address.
         id: String,
     },
-    /// The memory lets only certain writers write, and each only his own provider segments.
+    /// The memory accepts only certain writers, and each only in their own provider segments.
     #[error(
         "`{writer}` may not write `{id}`: this memory has access rules, and lets a writer who says his name write provider segments \
          that are called as he is, or begin with his name and a dot, and the agent itself everything"
     )]
     Forbidden {
-        /// The address, or what else was asked for.
+        /// The address, or the other thing that was requested.
         id: String,
-        /// The writer, as far as he is known.
+        /// The writer, as far as known.
         writer: String,
     },
-    /// The memory has as many entities as it may have, of all writers or of this one.
+    /// The memory has reached its maximum of entities, of all writers or of this one.
     #[error(
         "`{id}` does not fit: the memory holds its maximum of {entities} entities, of all writers or of this one"
     )]
@@ -77,13 +77,13 @@ pub enum MemoryError {
         /// The maximum.
         entities: u64,
     },
-    /// A question that cannot be asked.
+    /// An invalid query.
     #[error("the query cannot be answered: {what}")]
     Query {
         /// What is wrong with it.
         what: String,
     },
-    /// Data that speak of a time that is not yet.
+    /// Data for a time too far in the future.
     #[error("`{id}` speaks of a time {ahead_s} s from now, which this memory does not take")]
     Future {
         /// The address.
@@ -91,25 +91,25 @@ pub enum MemoryError {
         /// How far ahead, s.
         ahead_s: u64,
     },
-    /// More in one commit, or one entity, than the memory takes.
+    /// A commit or an entity that is larger than the memory accepts.
     #[error(
         "`{id}` does not fit: it takes {bytes} bytes, and at most {most} are held of all writers or of this one"
     )]
     TooLarge {
         /// The address.
         id: String,
-        /// How many it takes, about.
+        /// Its size, about.
         bytes: u64,
-        /// How many are taken.
+        /// The limit.
         most: u64,
     },
-    /// The store under the memory failed.
+    /// The store behind the memory failed.
     #[error("the memory's store failed: {what}")]
     Store {
         /// What happened.
         what: String,
     },
-    /// The memory of another agent could not be reached, or said something that is not understood.
+    /// The memory of another agent could not be reached, or sent something that cannot be decoded.
     #[error("the memory of `{agent}` cannot be used: {what}")]
     Remote {
         /// The agent.

@@ -1,8 +1,8 @@
 //! CEL expressions over snapshots, for queries and observers.
 //!
-//! Names: `id`, `segment`, `provider`, `entity`, `version`, `confidence`, `referenced_s`, `sent_s`, `arrived_s`; any other
-//! name is an attribute of the most trusted instance (`attributes.NAME` where it has one of these names). An
-//! expression that has no value, because an attribute is missing or of another type, does not fit.
+//! Names: `id`, `segment`, `provider`, `entity`, `version`, `confidence`, `referenced_s`, `sent_s`, `arrived_s`; any
+//! other name is an attribute of the hypothesis with the highest confidence (`attributes.NAME` where it has one of
+//! these names). An expression without a value, because an attribute is missing or has another type, does not match.
 
 use std::cell::RefCell;
 
@@ -46,7 +46,7 @@ impl Name {
         ("arrived_s", Self::Arrived),
     ];
 
-    /// What a dotted name begins with, and how many of its parts that takes.
+    /// The name at the start of a dotted path, and how many of its parts belong to it.
     fn of(path: &[&str]) -> Option<(Self, usize)> {
         match path {
             ["attributes", name, ..] => Some((Self::Attribute((*name).to_owned()), 2)),
@@ -67,7 +67,7 @@ impl Name {
         }
     }
 
-    /// What it holds besides attributes.
+    /// The values that are not attributes.
     fn value(&self, snapshot: &Snapshot) -> Option<Value> {
         let seconds = |ns: u64| Value::Float(ns as f64 * 1e-9);
         Some(match self {
@@ -152,7 +152,7 @@ impl Filter {
     /// Checks an expression.
     ///
     /// # Errors
-    /// [`MemoryError::Query`] when it is no CEL, or certainly not a truth value.
+    /// [`MemoryError::Query`] when it is not valid CEL, or cannot be a boolean.
     pub fn compile(source: &str) -> Result<Self, MemoryError> {
         let wrong =
             |what: String| MemoryError::Query { what: format!("the filter `{}`: {what}", short(source)) };
@@ -164,7 +164,7 @@ impl Filter {
         Ok(Self { expression, names: names.0.into_inner() })
     }
 
-    /// Whether a snapshot fits.
+    /// Whether a snapshot matches.
     #[must_use]
     pub fn fits(&self, snapshot: &Snapshot) -> bool {
         let own = self.names.iter().map(|name| name.value(snapshot)).collect();

@@ -1,4 +1,4 @@
-//! Whoever sends nonsense, too much or from the future is told so, and everyone else is served.
+//! A writer that sends nonsense, too much data or data from the future gets an error, and all others are served.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -61,7 +61,7 @@ fn nobody_takes_the_room_of_others() {
         let data = Value::Bytes(vec![0; bytes]);
         Commit::new(EntityId::new("Things", provider, name).unwrap(), 0, [("data", data)])
     };
-    // A provider segment and those that begin with its name and a dot are of one owner.
+    // A provider segment and the segments named after it with a dot have one owner.
     let many = |provider: &str, count: usize| {
         (0..count).map(|i| of(provider, &format!("e{i}"), 0)).collect::<Vec<_>>()
     };
@@ -73,7 +73,7 @@ fn nobody_takes_the_room_of_others() {
     assert_eq!(memory.len(), 25);
     assert!(memory.commit_now(many("carol", 25)).is_ok(), "there is room for others");
 
-    // Bytes: what pushes as much out as it brings is taken for ever.
+    // Bytes: an update that frees as much as it adds is always accepted.
     for _ in 0..5 {
         memory.commit_now(vec![of("dave", "image", 4000)]).unwrap();
     }
@@ -86,7 +86,7 @@ fn nobody_takes_the_room_of_others() {
     assert!(memory.commit_now(vec![of("erin", "image", 4000)]).is_ok());
 }
 
-/// Counts how often it is asked to keep something.
+/// Counts how often it is asked to store something.
 #[derive(Default)]
 struct Counting(AtomicUsize);
 

@@ -1,16 +1,17 @@
 //! MemoryX: working memory, long-term memory, prior knowledge and the observer.
 //!
-//! - [`Memory`]: the one interface, in process and over Zenoh; [`modify`] changes an entity by what it is.
-//! - [`EntityId`], [`Snapshot`], [`Commit`]: what is kept and how it gets in; [`Query`]: what can be asked.
+//! - [`Memory`]: the one interface, in process and over Zenoh; [`modify`] reads, changes and writes an entity.
+//! - [`EntityId`], [`Snapshot`], [`Commit`]: the data model; [`Query`]: what can be asked.
 //! - [`WorkingMemory`]: what an agent knows now.
-//! - [`Follower`]: a subscription that says what it missed.
-//! - [`PriorKnowledge`]: object classes and scenes, known before one is seen.
-//! - [`MemoryServer`], [`RemoteMemory`]: a memory shared over Zenoh ([`wire`] says how).
-//! - [`Following`]: what another agent knows, in one's own frame; [`AgentMemory`]: all of it, put together.
-//! - [`updater`]: observations become entities: matching, fusion, motion models.
-//! - [`Observer`]: conditions on memory that become events.
-//! - [`Inference`]: what is concluded from all of it, with confidence and provenance.
-//! - [`LongTermMemory`]: what is kept on disk; [`Consolidator`] decides what.
+//! - [`Follower`]: a subscription that reports its gaps.
+//! - [`PriorKnowledge`]: object classes and scenes, known before anything is seen.
+//! - [`MemoryServer`], [`RemoteMemory`]: a memory shared over Zenoh ([`wire`] has the messages).
+//! - [`Following`]: a copy of another agent's knowledge, in one's own frame; [`AgentMemory`]: all parts of an agent's
+//!   memory.
+//! - [`updater`]: turns observations into entities: matching, fusion, motion models.
+//! - [`Observer`]: turns conditions on memory into events.
+//! - [`Inference`]: conclusions from memory, with confidence and provenance.
+//! - [`LongTermMemory`]: storage on disk; [`Consolidator`] decides what is stored.
 //!
 //! This room knows no robot and no image.
 

@@ -1,4 +1,4 @@
-//! A line between two sessions of a test, which can be held up or cut.
+//! A TCP proxy between two sessions of a test, which can be paused or cut.
 
 use std::net::SocketAddr;
 
@@ -7,19 +7,19 @@ use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{TcpListener, TcpSocket, TcpStream};
 use tokio::sync::watch;
 
-/// What a line does.
+/// The proxy's behaviour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Line {
-    /// Passes on what comes.
+    /// Forwards all data.
     Open,
-    /// Takes nothing and loses nothing.
+    /// Reads nothing and loses nothing.
     Held,
-    /// Is no line.
+    /// Closes the connection.
     Cut,
 }
 
-/// A line to an endpoint `tcp/...`: its own endpoint, and what says what it does. It remembers little, so that who sends soon
-/// feels that it is held.
+/// A proxy to an endpoint `tcp/...`. Returns its own endpoint, and the switch of its behaviour. Its buffers are
+/// small, so that a sender soon notices a pause.
 pub(crate) async fn line(to: &str) -> (String, watch::Sender<Line>) {
     let to: SocketAddr = to.strip_prefix("tcp/").unwrap().parse().unwrap();
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();

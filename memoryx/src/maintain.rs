@@ -1,4 +1,4 @@
-//! Maintenance of a long-term memory: what [`crate::wire::Maintain`] asks for, carried out.
+//! Maintenance of a long-term memory: carries out the requests of [`crate::wire::Maintain`].
 
 use std::collections::BTreeMap;
 
@@ -7,11 +7,11 @@ use crate::store::{LongTermMemory, Retention};
 use crate::wire::{Maintain, Report};
 use crate::working::WorkingMemory;
 
-/// Carries out a request. Blocks for the disk.
+/// Carries out a request. Blocks on the disk.
 ///
 /// # Errors
-/// [`MemoryError::Store`] when the disk or the file fails; [`MemoryError::Schema`] and [`MemoryError::Confidence`] for
-/// snapshots that no memory would have taken; as [`WorkingMemory::commit_now`] when a named snapshot is loaded.
+/// [`MemoryError::Store`] when the disk or the file fails; [`MemoryError::Schema`] and [`MemoryError::Confidence`]
+/// for invalid snapshots; as [`WorkingMemory::commit_now`] when a named snapshot is loaded.
 pub fn carry_out(
     request: Maintain,
     store: Option<&LongTermMemory>,

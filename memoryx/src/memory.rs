@@ -1,6 +1,6 @@
-//! The trait through which all memories are used, and read-modify-write on top of it.
+//! The trait that all memories implement, and read-modify-write on top of it.
 //!
-//! Knows of no particular memory: [`crate::WorkingMemory`] and [`crate::RemoteMemory`] implement it, skills take
+//! This file knows no implementation: [`crate::WorkingMemory`] and [`crate::RemoteMemory`] implement it, skills take
 //! an `Arc<dyn Memory>`.
 
 use std::collections::BTreeMap;
@@ -14,7 +14,7 @@ use crate::entity::{Commit, EntityId, Instance, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Cursor, Query};
 
-/// How often [`modify`] begins again before it reports the conflict.
+/// How often [`modify`] tries before it reports the conflict.
 const MODIFY_TRIES: u32 = 64;
 
 /// A memory as skills and processes see it: in this process, on disk, or another agent's.
@@ -24,8 +24,8 @@ pub trait Memory: Send + Sync {
     ///
     /// # Errors
     /// [`MemoryError::Conflict`] when an expected version is not the newest; [`MemoryError::Schema`],
-    /// [`MemoryError::Confidence`], [`MemoryError::ReadOnly`] and [`MemoryError::Full`] when an update cannot
-    /// be taken; [`MemoryError::Store`] and [`MemoryError::Remote`] when the memory cannot be reached.
+    /// [`MemoryError::Confidence`], [`MemoryError::ReadOnly`] and [`MemoryError::Full`] when an update is refused;
+    /// [`MemoryError::Store`] and [`MemoryError::Remote`] when the memory cannot be reached.
     async fn commit(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError>;
     /// The newest snapshot of an entity.
     ///
@@ -37,17 +37,17 @@ pub trait Memory: Send + Sync {
     /// # Errors
     /// [`MemoryError::Store`] when the memory cannot be read.
     async fn segment(&self, segment: &str) -> Result<Vec<Arc<Snapshot>>, MemoryError>;
-    /// What a query asks for, ordered by address, then version; the nearest ones by distance. [`pages`] asks for a
-    /// long answer piece by piece.
+    /// The snapshots that match a query, ordered by address, then version; the nearest ones by distance. [`pages`]
+    /// reads a long answer piece by piece.
     ///
     /// # Errors
-    /// [`MemoryError::Query`] when the question is none; [`MemoryError::Store`] when the memory cannot be read.
+    /// [`MemoryError::Query`] when the query is invalid; [`MemoryError::Store`] when the memory cannot be read.
     async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError>;
-    /// All later changes; of each entity in order. A reader that falls behind is told how many it missed; [`crate::Follower`]
-    /// says which, and reads them again where the memory still has them.
+    /// All later changes, those of each entity in order. A receiver that lags learns how many it missed;
+    /// [`crate::Follower`] reports which, and reads them again where the memory still has them.
     fn subscribe(&self) -> broadcast::Receiver<Arc<Snapshot>>;
-    /// Subscribers were given everything that arrived before then, ns; `None` where they get all changes in the order of
-    /// their arrival, so that each says this of those before it.
+    /// The arrival time, ns, before which subscribers have received everything. `None` where they receive all changes
+    /// in the order of arrival, so that each change gives this time itself.
     fn told_until(&self) -> Option<u64> {
         None
     }
@@ -56,16 +56,15 @@ pub trait Memory: Send + Sync {
 /// Most bytes of snapshots in a piece, about.
 const PIECE_BYTES: u64 = 16 << 20;
 
-/// The pieces of a long answer: at most `size` snapshots each, and no more bytes than a process can do with, until all
-/// were given.
+/// Reads a long answer in pieces of at most `size` snapshots and a bounded number of bytes.
 #[derive(Clone, Debug)]
 pub struct Pages {
     query: Query,
     left: bool,
 }
 
-/// The answer to `query` in pieces of at most `size` snapshots. What is committed meanwhile may be in later pieces;
-/// nothing is there twice, and nothing that stays is left out.
+/// The answer to `query` in pieces of at most `size` snapshots. Commits meanwhile may appear in later pieces. No
+/// snapshot is returned twice, and none that stays is left out.
 #[must_use]
 pub fn pages(query: Query, size: usize) -> Pages {
     let bytes = query.most_bytes.unwrap_or(PIECE_BYTES);
@@ -76,7 +75,7 @@ impl Pages {
     /// The next piece; `None` after the last one.
     ///
     /// # Errors
-    /// As [`Memory::query`]; the same piece is asked for again next.
+    /// As [`Memory::query`]; the next call repeats the failed piece.
     pub async fn next(&mut self, memory: &dyn Memory) -> Result<Option<Vec<Arc<Snapshot>>>, MemoryError> {
         if !self.left {
             return Ok(None);
@@ -88,12 +87,12 @@ impl Pages {
     }
 }
 
-/// Changes an entity by what it is now: reads it, lets `change` make the new attributes, and commits them unless
-/// somebody else was faster, in which case it begins again. `change` sees `None` when there is no such entity, and
-/// may give `None` to leave everything as it is. Returns the version that holds now (0: there is none).
+/// Reads an entity, lets `change` compute its new attributes, and commits them. If another writer was faster, it
+/// begins again. `change` gets `None` when there is no such entity, and may return `None` to change nothing. Returns
+/// the newest version (0: the entity does not exist).
 ///
 /// The first hypothesis keeps its confidence; other hypotheses are dropped. `referenced_ns`: the time that the new
-/// data speak of.
+/// data describe.
 ///
 /// # Errors
 /// [`MemoryError::Conflict`] after many tries in a row; otherwise as [`Memory::commit`].

@@ -1,8 +1,8 @@
-//! The working memory observer: conditions on what a memory holds become events, which the program forwards to
-//! charts, or to whoever asks.
+//! The working memory observer: turns conditions on a memory into events, which the program forwards to charts and
+//! other receivers.
 //!
-//! An observer follows a memory through a [`Follower`], so that it tells every change once, in order, also after it
-//! has lagged. Only versions that the memory no longer has are passed over; [`Observer::missed`] counts them.
+//! An observer follows a memory through a [`Follower`], so that it sees every change once and in order, even after a
+//! lag. It only skips versions that the memory no longer has; [`Observer::missed`] counts them.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -17,21 +17,21 @@ use crate::memory::Memory;
 use crate::place::{distance, place_of};
 use crate::query::Pattern;
 
-/// When an observed entity makes an event.
+/// When an observed entity causes an event.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Condition {
-    /// It is new, or has come back.
+    /// It is new, or exists again after a removal.
     Created,
     /// It has a new snapshot, the first one included.
     Updated,
-    /// It is gone.
+    /// It was removed.
     Removed,
-    /// It is at another place than at the last such event, or than where it was first seen.
+    /// It has moved since the last such event, or since its first position.
     Moved {
-        /// How far, m.
+        /// The least distance, m.
         by: f64,
     },
-    /// A CEL expression over its snapshot (see [`Filter`]) has become true.
+    /// A CEL expression over its snapshot (see [`Filter`]) becomes true.
     Holds {
         /// The expression.
         expression: String,
@@ -41,9 +41,9 @@ pub enum Condition {
 /// An event of an observer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MemoryEvent {
-    /// The name that the condition was given.
+    /// The name of the condition.
     pub name: String,
-    /// The snapshot that made it true.
+    /// The snapshot that fulfilled it.
     pub snapshot: Arc<Snapshot>,
 }
 
@@ -51,7 +51,7 @@ pub struct MemoryEvent {
 pub struct Observer {
     follower: Follower,
     conditions: Vec<Watched>,
-    /// Whether each entity is there now.
+    /// Whether each entity exists now.
     there: BTreeMap<EntityId, bool>,
     ready: VecDeque<MemoryEvent>,
     missed: u64,
@@ -62,7 +62,7 @@ struct Watched {
     pattern: Pattern,
     condition: Condition,
     filter: Option<Filter>,
-    /// Where each entity was at its last event.
+    /// The position of each entity at its last event.
     places: BTreeMap<EntityId, Place>,
     /// The entities for which the expression holds.
     held: BTreeSet<EntityId>,
@@ -75,7 +75,7 @@ struct Place {
 }
 
 impl Observer {
-    /// Observes a memory from now on; what it holds already makes no events.
+    /// Observes a memory from now on; its present content causes no events.
     ///
     /// # Errors
     /// As [`Memory::query`].
@@ -85,10 +85,10 @@ impl Observer {
         Ok(Self { follower, conditions: Vec::new(), there, ready: VecDeque::new(), missed: 0 })
     }
 
-    /// Adds a condition on what `pattern` fits; its events have this name.
+    /// Adds a condition on the entities of `pattern`; its events have this name.
     ///
     /// # Errors
-    /// [`MemoryError::Query`] when its expression or distance is none.
+    /// [`MemoryError::Query`] when its expression or distance is invalid.
     pub fn when(mut self, name: &str, pattern: Pattern, condition: Condition) -> Result<Self, MemoryError> {
         let filter = match &condition {
             Condition::Holds { expression } => Some(Filter::compile(expression)?),
@@ -102,7 +102,7 @@ impl Observer {
         Ok(self)
     }
 
-    /// The next event; `None` when the memory has gone. Dropping the future loses nothing.
+    /// The next event; `None` when the memory has closed. Cancel-safe: dropping the future loses nothing.
     ///
     /// # Errors
     /// As [`Memory::query`].
@@ -119,7 +119,7 @@ impl Observer {
         }
     }
 
-    /// Gives each event to `act`, until the memory has gone.
+    /// Passes each event to `act`, until the memory closes.
     ///
     /// # Errors
     /// As [`Memory::query`].
@@ -130,7 +130,7 @@ impl Observer {
         Ok(())
     }
 
-    /// How many snapshots the memory no longer had when the observer came to them.
+    /// How many snapshots the memory had forgotten before the observer read them.
     #[must_use]
     pub fn missed(&self) -> u64 {
         self.missed
@@ -166,7 +166,7 @@ impl Watched {
             Condition::Removed => !is_there && was_there,
             Condition::Moved { by } => {
                 let Some(now) = place(snapshot) else {
-                    // Gone, or without a place: it begins anew when it has one.
+                    // Removed, or without a position: the next position is the new start.
                     self.places.remove(&snapshot.id);
                     return false;
                 };
@@ -178,7 +178,7 @@ impl Watched {
                         }
                         moved
                     }
-                    // Places in two frames cannot be compared here.
+                    // Positions in two frames cannot be compared here.
                     _ => {
                         self.places.insert(snapshot.id.clone(), now);
                         false

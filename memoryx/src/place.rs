@@ -1,4 +1,4 @@
-//! Where things are: the place of a snapshot, and regions that queries ask for.
+//! Where objects are: the position of a snapshot, and regions for queries.
 
 use armarium_values::{Frame, Value};
 use serde::{Deserialize, Serialize};
@@ -6,11 +6,11 @@ use serde::{Deserialize, Serialize};
 use crate::entity::Snapshot;
 use crate::error::MemoryError;
 
-/// A region of space, in one frame. Entities whose place is known in another frame are not in it.
+/// A region of space, in one frame. It contains no entity whose position is known in another frame only.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Region {
-    /// Inside a box along the frame's axes, its faces included.
+    /// A box along the frame's axes, faces included.
     Box {
         /// The frame of the corners.
         frame: Frame,
@@ -19,7 +19,7 @@ pub enum Region {
         /// The largest x, y and z, m.
         max: [f64; 3],
     },
-    /// Not further away than a radius.
+    /// A ball.
     Within {
         /// The frame of the centre.
         frame: Frame,
@@ -28,7 +28,7 @@ pub enum Region {
         /// The radius, m.
         radius: f64,
     },
-    /// The nearest ones, nearest first.
+    /// The nearest ones, ordered by distance.
     Nearest {
         /// The frame of the point.
         frame: Frame,
@@ -39,7 +39,8 @@ pub enum Region {
     },
 }
 
-/// Where an entity is: its `pose`, or else its `position`, m. `None` when it has neither, or a number is not finite.
+/// The position of an entity, from `pose` or else `position`, m. `None` when it has neither, or a number is not
+/// finite.
 #[must_use]
 pub fn place_of(snapshot: &Snapshot) -> Option<(&Frame, [f64; 3])> {
     let (frame, position) = match snapshot.attribute("pose").or_else(|| snapshot.attribute("position"))? {
@@ -57,7 +58,7 @@ pub fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
 }
 
 impl Region {
-    /// The frame that it is in.
+    /// The region's frame.
     #[must_use]
     pub fn frame(&self) -> &Frame {
         match self {
@@ -65,7 +66,8 @@ impl Region {
         }
     }
 
-    /// Whether a snapshot's place is in the region; for the nearest ones, whether it has a place that can be compared.
+    /// Whether a snapshot's position is in the region; for [`Region::Nearest`], whether it has a position in the
+    /// frame.
     #[must_use]
     pub fn holds(&self, snapshot: &Snapshot) -> bool {
         let Some((frame, position)) = place_of(snapshot) else { return false };
@@ -77,10 +79,10 @@ impl Region {
             }
     }
 
-    /// Whether its numbers can be used.
+    /// Checks the numbers.
     ///
     /// # Errors
-    /// [`MemoryError::Query`] when one is not finite, or nothing could be inside.
+    /// [`MemoryError::Query`] when one is not finite, or the region is empty.
     pub fn check(&self) -> Result<(), MemoryError> {
         let wrong = |what: &str| Err(MemoryError::Query { what: format!("the region {what}") });
         let finite = |numbers: &[f64]| numbers.iter().all(|n| n.is_finite());

@@ -1,5 +1,5 @@
-//! What can be asked of a memory. It answers nothing: every memory selects with [`CheckedQuery`], so that in process, on disk and
-//! over Zenoh a query means the same.
+//! Queries to a memory. This file does not answer them: every memory selects with [`CheckedQuery`], so that a query
+//! means the same in process, on disk and over Zenoh.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::entity::{EntityId, Snapshot};
 use crate::place::Region;
 
-/// Which entities: each part is a name, a name with `*` for any characters, or any where none is given.
+/// Which entities: each part is a name, a name with `*` for any characters, or `None` for any.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Pattern {
@@ -20,28 +20,29 @@ pub struct Pattern {
     pub entity: Option<String>,
 }
 
-/// Which of an entity's snapshots. Times are the ones that the data speak of (`referenced_ns`).
+/// Which of an entity's snapshots. Times are those that the data describe (`referenced_ns`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Times {
-    /// The newest version, unless the entity is gone.
+    /// The newest version, unless it is a removal.
     #[default]
     Latest,
-    /// All that the memory still has, also that the entity was gone.
+    /// All that the memory still has, removals included.
     All,
-    /// From the first time to the second, both included, ns; also that the entity was gone.
+    /// From the first time to the second, both included, ns; removals included.
     Between(u64, u64),
-    /// What held at this time, ns: the last at or before it, unless the entity was gone then.
+    /// The state at this time, ns: the last snapshot at or before it, unless that is a removal.
     At(u64),
-    /// The last strictly before this time, ns, unless the entity was gone then.
+    /// The last snapshot strictly before this time, ns, unless that is a removal.
     Before(u64),
-    /// From the first place to the second in what the memory still has, both included: 0 is the oldest, -1 the newest.
+    /// From the first position to the second in the history that is left, both included: 0 is the oldest, -1 the
+    /// newest.
     Index(i64, i64),
-    /// From the first version to the second, both included; also that the entity was gone.
+    /// From the first version to the second, both included; removals included.
     Versions(u64, u64),
 }
 
-/// A place in the order of an answer.
+/// A position in the order of an answer.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Cursor {
     /// The entity.
@@ -50,7 +51,7 @@ pub struct Cursor {
     pub version: u64,
 }
 
-/// A question to a memory. What it asks for besides the pattern and the times is applied in the order of the fields.
+/// A query to a memory. The conditions after `pattern` and `times` are applied in the order of the fields.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Query {
@@ -58,23 +59,23 @@ pub struct Query {
     pub pattern: Pattern,
     /// Which of their snapshots.
     pub times: Times,
-    /// Only what arrived in this memory at this time or later, ns.
+    /// Only snapshots that arrived in this memory at this time or later, ns.
     pub arrived_since: Option<u64>,
-    /// Only what a CEL expression is true for; see [`Filter`].
+    /// Only snapshots for which a CEL expression is true; see [`Filter`].
     pub filter: Option<String>,
-    /// Only what is there.
+    /// Only snapshots in this region.
     pub region: Option<Region>,
-    /// At most this many of each entity, the newest versions.
+    /// At most this many snapshots of each entity, the newest versions.
     pub limit: Option<usize>,
-    /// Only what comes after this in the answer.
+    /// Only snapshots after this position in the answer.
     pub after: Option<Cursor>,
     /// At most this many snapshots in all, the first ones.
     pub most: Option<usize>,
-    /// At most about this many bytes of snapshots in all, the first ones; the one that reaches it is the last.
+    /// At most about this many bytes of snapshots in all; the snapshot that reaches the limit is the last.
     pub most_bytes: Option<u64>,
-    /// Whether the newest, or what held at a time, is told also when it says that the entity is gone.
+    /// Whether the times that select one snapshot (`Latest`, `At`, `Before`) may return a removal.
     pub removed: bool,
-    /// Whether to look into long-term memory too, where working memory has forgotten.
+    /// Whether to include long-term memory, where working memory has forgotten.
     pub long_term: bool,
 }
 
@@ -115,7 +116,7 @@ impl Pattern {
         self
     }
 
-    /// The one entity that it can fit, if it names one.
+    /// The one entity that it can match, if it names one.
     #[must_use]
     pub fn exact(&self) -> Option<EntityId> {
         let (Some(s), Some(p), Some(e)) = (self.exact_segment(), &self.provider, &self.entity) else {
@@ -124,13 +125,13 @@ impl Pattern {
         EntityId::new(s, p, e).ok()
     }
 
-    /// The one core segment that it can fit, if it names one.
+    /// The one core segment that it can match, if it names one.
     #[must_use]
     pub fn exact_segment(&self) -> Option<&str> {
         self.segment.as_deref().filter(|name| !name.contains('*'))
     }
 
-    /// Whether an address fits.
+    /// Whether an address matches.
     #[must_use]
     pub fn matches(&self, id: &EntityId) -> bool {
         let fits = |wanted: &Option<String>, name: &str| {
@@ -143,61 +144,61 @@ impl Pattern {
 }
 
 impl Query {
-    /// The newest snapshots of what a pattern fits.
+    /// The newest snapshots of the entities that match.
     #[must_use]
     pub fn latest(pattern: Pattern) -> Self {
         Self { pattern, ..Self::default() }
     }
 
-    /// Everything the memory has of what a pattern fits.
+    /// All snapshots that the memory has of the entities that match.
     #[must_use]
     pub fn history(pattern: Pattern) -> Self {
         Self { pattern, times: Times::All, ..Self::default() }
     }
 
-    /// The same question about other times.
+    /// The same query for other times.
     #[must_use]
     pub fn times(mut self, times: Times) -> Self {
         self.times = times;
         self
     }
 
-    /// The same question, for at most `n` snapshots of each entity.
+    /// The same query, for at most `n` snapshots of each entity.
     #[must_use]
     pub fn limit(mut self, n: usize) -> Self {
         self.limit = Some(n);
         self
     }
 
-    /// The same question, for what a CEL expression is true for.
+    /// The same query, for snapshots for which a CEL expression is true.
     #[must_use]
     pub fn filter(mut self, expression: &str) -> Self {
         self.filter = Some(expression.into());
         self
     }
 
-    /// The same question, for what is in a region.
+    /// The same query, for snapshots in a region.
     #[must_use]
     pub fn region(mut self, region: Region) -> Self {
         self.region = Some(region);
         self
     }
 
-    /// The same question, to working memory and long-term memory together.
+    /// The same query, to working memory and long-term memory together.
     #[must_use]
     pub fn with_long_term(mut self) -> Self {
         self.long_term = true;
         self
     }
 
-    /// Whether it asks for the nearest ones, which are ordered by distance.
+    /// Whether it asks for the nearest entities; its answer is ordered by distance.
     #[must_use]
     pub fn is_nearest(&self) -> bool {
         matches!(self.region, Some(Region::Nearest { .. }))
     }
 
-    /// Whether an answer is as long as this question lets it be, so that there may be more: to be asked for
-    /// with [`Self::after`] its last one.
+    /// Whether an answer has reached the query's bounds, so that there may be more: a query with [`Self::after`] its
+    /// last snapshot returns the rest.
     #[must_use]
     pub fn is_filled_by(&self, answer: &[Arc<Snapshot>]) -> bool {
         let is_long = |most: u64| {
@@ -212,7 +213,7 @@ impl Query {
     }
 }
 
-/// Whether a name fits a pattern with `*` for any characters, in time linear in both.
+/// Whether a name matches a pattern with `*` for any characters. Time is linear in both.
 fn fits_stars(pattern: &str, name: &str) -> bool {
     let mut pieces = pattern.split('*');
     let Some(mut rest) = name.strip_prefix(pieces.next().unwrap_or_default()) else { return false };

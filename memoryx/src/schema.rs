@@ -1,5 +1,5 @@
-//! Typed core segments: which attributes their entities have, of which type. Segments that nobody declared are
-//! free, and so are attributes that a schema does not name.
+//! Typed core segments: the attributes of their entities, with types. Undeclared segments are not checked, nor are
+//! attributes that a schema does not name.
 
 use std::collections::BTreeMap;
 
@@ -8,9 +8,9 @@ use armarium_values::{Type, Unit, Value};
 use crate::entity::{EntityId, Instance};
 use crate::error::MemoryError;
 
-/// Deepest nesting of an attribute's value; the codec reads back what is not deeper.
+/// Deepest nesting of an attribute's value; the codec can read this back.
 const DEEPEST: usize = 16;
-/// How far from 1 the norm of a unit quaternion may be: numbers that were written with three digits.
+/// Largest deviation of a unit quaternion's norm from 1: enough for numbers written with three digits.
 const UNIT: f64 = 1e-3;
 
 /// One attribute of a typed core segment.
@@ -18,15 +18,15 @@ const UNIT: f64 = 1e-3;
 pub struct Attribute {
     /// Its name.
     pub name: String,
-    /// Its type; a whole number may stand where a `Float` is declared.
+    /// Its type; an integer is accepted where a `Float` is declared.
     pub ty: Type,
-    /// Whether every instance has it.
+    /// Whether every instance must have it.
     pub required: bool,
     /// One sentence for people, with frame and unit.
     pub description: String,
 }
 
-/// What the entities of a core segment look like.
+/// The schema of a core segment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SegmentSchema {
     /// The core segment's name.
@@ -44,13 +44,13 @@ impl SegmentSchema {
         Self { segment: segment.into(), description: description.into(), attributes: Vec::new() }
     }
 
-    /// The same schema with one more attribute that every instance has.
+    /// The same schema with one more mandatory attribute.
     #[must_use]
     pub fn required(self, name: &str, ty: Type, description: &str) -> Self {
         self.attribute(name, ty, true, description)
     }
 
-    /// The same schema with one more attribute that an instance may have.
+    /// The same schema with one more optional attribute.
     #[must_use]
     pub fn optional(self, name: &str, ty: Type, description: &str) -> Self {
         self.attribute(name, ty, false, description)
@@ -64,7 +64,7 @@ impl SegmentSchema {
     /// Checks one instance.
     ///
     /// # Errors
-    /// [`MemoryError::Schema`] names the first attribute that does not fit.
+    /// [`MemoryError::Schema`] with the first attribute that does not fit.
     pub fn check(&self, id: &EntityId, instance: &Instance) -> Result<(), MemoryError> {
         for attribute in &self.attributes {
             let wrong = match instance.attributes.get(&attribute.name) {
@@ -83,7 +83,7 @@ impl SegmentSchema {
     }
 }
 
-/// Where inside an attribute, and what is wrong there.
+/// A place inside an attribute, and the error there.
 struct Misfit {
     path: String,
     what: String,
@@ -141,7 +141,7 @@ fn misfit(ty: &Type, value: &Value) -> Option<Misfit> {
     }
 }
 
-/// Checks what every instance has to keep, whatever its segment: confidence, depth, covariances.
+/// Checks what holds for every instance in any segment: confidence, depth, covariances.
 ///
 /// # Errors
 /// [`MemoryError::Confidence`], [`MemoryError::Schema`].
@@ -176,7 +176,7 @@ pub(crate) fn check_form(id: &EntityId, instance: &Instance) -> Result<(), Memor
     Ok(())
 }
 
-/// Whether these are the rows of a symmetric matrix whose 1x1 and 2x2 principal minors are not negative.
+/// Whether `rows` is a symmetric matrix whose 1x1 and 2x2 principal minors are not negative.
 fn is_covariance(rows: &[f64], size: usize) -> bool {
     if rows.len() != size * size || rows.iter().any(|x| !x.is_finite()) {
         return false;
@@ -192,7 +192,7 @@ fn is_covariance(rows: &[f64], size: usize) -> bool {
     })
 }
 
-/// Whether there is a pose in a value, which is not nested too deep, whose orientation is no unit quaternion.
+/// Whether a value contains a pose whose orientation is not a unit quaternion. The value must not be nested too deep.
 fn turns_nowhere(value: &Value) -> bool {
     match value {
         Value::Pose(pose) => {
@@ -205,7 +205,7 @@ fn turns_nowhere(value: &Value) -> bool {
     }
 }
 
-/// Whether a value is nested so deep that it could not be stored or sent.
+/// Whether a value is nested too deep to be stored or sent.
 pub(crate) fn too_deep(value: &Value) -> bool {
     fn deeper(value: &Value, left: usize) -> bool {
         left == 0

@@ -1,4 +1,4 @@
-//! What memories say to each other over Zenoh: payloads, their schemas, and the parameters of a get.
+//! The messages of memories over Zenoh: payloads, their schemas, and the parameters of a get.
 //!
 //! | where | payload | answer |
 //! |---|---|---|
@@ -26,10 +26,10 @@ use crate::query::{Pattern, Query, Times};
 
 /// Most snapshots in one answer.
 pub(crate) const MOST_SNAPSHOTS: usize = 8192;
-/// Most bytes of snapshots in one message, about; a single larger one travels alone.
+/// Most bytes of snapshots in one message, about; a single larger one is sent alone.
 pub(crate) const MOST_BYTES: u64 = 4 << 20;
 
-/// Updates that are taken together or not at all.
+/// Updates that are committed all or none.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CommitRequest {
     /// The updates.
@@ -38,7 +38,7 @@ pub struct CommitRequest {
     pub sent_ns: u64,
 }
 
-/// The versions that a commit has made, in order.
+/// The versions that a commit has created, in order.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Versions(pub Vec<u64>);
@@ -48,25 +48,26 @@ pub struct Versions(pub Vec<u64>);
 pub struct Snapshots {
     /// The snapshots.
     pub snapshots: Vec<Arc<Snapshot>>,
-    /// Whether there are more, to be asked for with `after` the last of these.
+    /// Whether there are more; a query with `after` the last of these returns them.
     pub more: bool,
 }
 
-/// Changes of a memory, in their order; when nothing has changed for a while, none, and how many there were.
+/// Changes of a memory, in order. An idle memory sends an empty list, with the number of changes so far.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Changes {
-    /// When the memory began to tell, ns: the count begins anew with it.
+    /// When the publisher started, ns; the count begins at 0 with it.
     pub epoch: u64,
-    /// How many changes were told before these.
+    /// How many changes were published before these.
     pub first: u64,
-    /// What arrived in the memory before then was told with these or before them, ns; 0 when that is not known.
+    /// Everything that arrived in the memory before this time was published with these changes or before, ns; 0 when
+    /// unknown.
     #[serde(default)]
     pub until_ns: u64,
-    /// The changes; perhaps none.
+    /// The changes; may be empty.
     pub snapshots: Vec<Arc<Snapshot>>,
 }
 
-/// What is to be done with an agent's long-term memory.
+/// A maintenance request for an agent's long-term memory.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Maintain {
@@ -74,45 +75,45 @@ pub enum Maintain {
     Stats,
     /// Read and check everything.
     Verify,
-    /// Give free space back.
+    /// Return free space to the file system.
     Compact,
-    /// Keep working memory under a name.
+    /// Store working memory under a name.
     Save {
         /// The name.
         name: String,
     },
-    /// Make working memory hold again what a name holds.
+    /// Restore the named content in working memory.
     Load {
         /// The name.
         name: String,
     },
-    /// Forget a name.
+    /// Forget a named snapshot.
     Forget {
         /// The name.
         name: String,
     },
     /// List the names.
     Names,
-    /// Forget what is old or too much.
+    /// Apply retention.
     Retain {
         /// How long snapshots are kept, ns.
         age_ns: Option<u64>,
         /// Most bytes.
         bytes: Option<u64>,
     },
-    /// Keep snapshots with their versions, as an import does.
+    /// Store snapshots with their versions, as an import does.
     Keep {
         /// The snapshots.
         snapshots: Vec<Arc<Snapshot>>,
     },
 }
 
-/// What was done.
+/// The result of maintenance.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// Numbers by name.
     pub counts: BTreeMap<String, u64>,
-    /// What is to be said besides: damages, names.
+    /// Messages: damages, names.
     pub words: Vec<String>,
 }
 
@@ -147,7 +148,7 @@ impl Payload for MemoryError {
     const SCHEMA: Schema = Schema::new("memoryx/error", 1);
 }
 
-/// How many of the first snapshots travel in one message; at least one.
+/// How many snapshots from the start fit into one message; at least one.
 pub(crate) fn in_one_answer(snapshots: &[Arc<Snapshot>]) -> usize {
     let mut bytes = 0;
     let fits = snapshots.iter().take(MOST_SNAPSHOTS).take_while(|snapshot| {
@@ -157,7 +158,7 @@ pub(crate) fn in_one_answer(snapshots: &[Arc<Snapshot>]) -> usize {
     fits.count().max(1).min(snapshots.len())
 }
 
-/// A payload of the type that its encoding names.
+/// Decodes a payload of the type that its encoding names.
 pub(crate) fn open<T: Payload>(encoding: &str, payload: &[u8]) -> Result<T, CodecError> {
     T::SCHEMA.check(encoding)?;
     armarium_bus::decode(payload)
@@ -166,7 +167,7 @@ pub(crate) fn open<T: Payload>(encoding: &str, payload: &[u8]) -> Result<T, Code
 /// The encoding and the bytes of a payload.
 ///
 /// # Errors
-/// [`CodecError::TooLong`] for more than the other side would open: it is said here, where somebody can do something about it.
+/// [`CodecError::TooLong`] when the receiver would refuse the size: the sender can still react here.
 pub(crate) fn seal<T: Payload>(content: &T) -> Result<(String, Vec<u8>), CodecError> {
     let (bytes, most) = (armarium_bus::encode(content)?, Bounds::default().bytes);
     if bytes.len() > most {
@@ -180,12 +181,12 @@ pub(crate) fn entity_key(agent: &str, snapshot: &Snapshot) -> Result<Key, armari
     keys::memory(agent, snapshot.id.segment(), snapshot.id.provider(), snapshot.id.entity())
 }
 
-/// All entities of an agent's memory.
+/// The keys of all entities of an agent's memory.
 pub(crate) fn every_entity(agent: &str) -> Result<KeyPattern, armarium_bus::KeyError> {
     keys::memory_pattern(Some(agent), None, None, None)
 }
 
-/// The query that a get on entities means.
+/// The query of a get on entities.
 pub(crate) fn query_of_get(key: &str, parameters: &str) -> Result<Query, String> {
     let parts: Vec<&str> = key.split('/').collect();
     let [_, "memory", segment, provider, entity] = parts[..] else {

@@ -1,4 +1,4 @@
-//! Working memory and its followers, beyond what the conformance suite asks of every memory.
+//! Working memory and its followers, beyond what the conformance suite tests of every memory.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -116,7 +116,7 @@ async fn a_follower_resumes_where_it_was() {
     assert!(follower.told_all());
 }
 
-/// What a test does to both memories.
+/// An operation of the test on both memories.
 #[derive(Clone, Debug)]
 enum Act {
     Commit(Vec<(u8, bool, Option<u64>)>),
@@ -130,8 +130,8 @@ fn acts() -> impl Strategy<Value = Vec<Act>> {
 }
 
 proptest! {
-    /// Against a plain map from names to versions: the same commits are taken and refused, and a follower with a
-    /// short backlog tells or misses every version exactly once.
+    /// Compared with a plain map from names to versions: both accept and refuse the same commits, and a follower with
+    /// a short backlog reports each version exactly once, as new or missed.
     #[test]
     fn commits_and_followers_agree_with_a_plain_map(acts in acts()) {
         let limits = Limits { history: 2, backlog: 4, ..Limits::default() };
@@ -186,7 +186,7 @@ proptest! {
     }
 }
 
-/// Who makes and removes names without end does not fill the memory, and nothing else is touched.
+/// Creating and removing names without end does not fill the memory, and changes nothing else.
 #[test]
 fn names_that_are_gone_are_free_again() {
     let time = std::sync::atomic::AtomicU64::new(0);

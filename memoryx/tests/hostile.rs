@@ -1,5 +1,5 @@
-//! Strangers who send nonsense, too much, or never read what they asked for, beside others who are served: over real
-//! sessions, with the memory of the whole process measured. One after the other, since they measure the same process.
+//! Hostile clients send nonsense or too much, or never read their answers, beside normal clients: over real sessions,
+//! with the memory of the whole process measured. The tests run one at a time, because they measure the same process.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
@@ -20,7 +20,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::sync::broadcast::error::RecvError;
 
-/// Held by the test that runs.
+/// Locked by the running test.
 static ALONE: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
 
 const COMMIT: &str = "application/cbor;memoryx/commit;v1";
@@ -51,7 +51,7 @@ async fn connected(far: &Session) -> Session {
     Session::open(&SessionConfig::connected_to(&far.endpoints().await)).await.unwrap()
 }
 
-/// A changed copy of bytes: flipped, cut, doubled, or all new.
+/// A mutated copy of bytes: flipped, truncated, repeated, or all random.
 fn mutated(valid: &[u8], random: &mut ChaCha8Rng) -> Vec<u8> {
     let mut bytes = valid.to_vec();
     for _ in 0..random.random_range(1..4) {
@@ -120,7 +120,7 @@ async fn nonsense_on_every_key_is_answered_and_ends_nothing() {
     let linked = said.names().into_iter().find(|name| name.starts_with("one of those linked here: "));
     assert!(linked.is_some_and(|ids| ids.contains(&stranger.id())), "or through whom it came");
 
-    // Gets by key, with what is no parameter, and too many kinds of it.
+    // Gets by key, with invalid parameters and with too many.
     let parameters = [
         "index=9,9",
         "from=18446744073709551615;to=0",
@@ -140,7 +140,7 @@ async fn nonsense_on_every_key_is_answered_and_ends_nothing() {
         assert!(!matches!(&answer, Err(armarium_bus::SessionError::Zenoh { .. })), "{text}: {answer:?}");
     }
 
-    // Puts, which nobody answers: on the keys of entities, and on the key on which alice herself tells her changes.
+    // Puts, which have no answer: on the keys of entities, and on the key on which Alice publishes her changes.
     let told = keys::memory_changes("alice").unwrap();
     let put = encode(&full).unwrap();
     for round in 0..600 {
@@ -195,7 +195,7 @@ async fn a_million_names_fill_one_share_and_no_more() {
     }
     assert_eq!((full, memory.len()), (995, 5010));
 
-    // The same put on a key each, which nobody answers.
+    // One put on each of many keys, without answers.
     for n in 0..1_000_000_u32 {
         let key = Key::parse(&format!("alice/memory/Things/keys/e{n}")).unwrap();
         let payload = encode(&update("keys", &format!("e{n}"), 8)).unwrap();
@@ -218,7 +218,7 @@ async fn who_never_reads_or_sends_too_much_costs_the_others_nothing() {
     let (far, memory) = alice(Limits { history: 4, backlog: 256, ..Limits::default() }).await;
     let _server = MemoryServer::start(&far, "alice", Arc::clone(&memory)).await.unwrap();
 
-    // The link of the first subscriber ends in a function that does not return.
+    // The first subscriber's callback never returns.
     let lazy = connected(&far).await;
     let (release, stuck) = mpsc::channel::<()>();
     let stuck = Mutex::new(stuck);
@@ -253,7 +253,7 @@ async fn who_never_reads_or_sends_too_much_costs_the_others_nothing() {
     let grown = resident_mb() - before;
     assert!(grown < 150.0, "{grown} MB are held of the 200 MB that one did not read");
 
-    // The same one asks for everything, many times, and takes no answer; others are answered in time.
+    // The same client queries everything, many times, and takes no answer; others are answered in time.
     let all = "alice/memory/Things/*/*?history";
     let asked = (0..40).map(|_| lazy.zenoh().get(all).callback(|_| {}).timeout(Duration::from_secs(20)));
     for get in asked {
@@ -266,14 +266,14 @@ async fn who_never_reads_or_sends_too_much_costs_the_others_nothing() {
     let grown = resident_mb() - before;
     assert!(grown < 150.0, "{grown} MB are held of the 160 MB of answers");
 
-    // A message beyond what is received: its sender is not answered, others are.
+    // A message larger than the limit: its sender gets no answer, others do.
     let rude = connected(&far).await;
     let key = keys::memory_commit("alice").unwrap();
     let refused = rude.ask_one(&key, "", Some((COMMIT, vec![0; 100 << 20])));
     let (refused, served) = tokio::join!(refused, carol.commit(vec![update("carol", "cup", 1)]));
     assert!(!matches!(refused, Ok(Answer::Message(_))), "100 MB are refused");
     assert!(served.is_ok(), "{served:?}");
-    // Our own side says so before anything is sent.
+    // Our own client reports the error before it sends anything.
     let large = carol.commit(vec![update("carol", "cup", 100 << 20)]).await.unwrap_err().to_string();
     assert!(large.contains("67108864") && large.contains("alice"), "{large}");
     assert!(carol.commit(vec![update("carol", "cup", 1)]).await.is_ok());
@@ -281,11 +281,11 @@ async fn who_never_reads_or_sends_too_much_costs_the_others_nothing() {
     never.undeclare().await.unwrap();
 }
 
-/// What the crate has logged: the senders of what was refused, and how many lines.
+/// The crate's log output: the senders of refused messages, and the number of lines.
 #[derive(Clone, Default)]
 struct Said(Arc<Mutex<(Vec<String>, usize)>>);
 
-/// Listens to the log from the first call on.
+/// Captures the log from the first call on.
 fn said() -> Said {
     static SAID: OnceLock<Said> = OnceLock::new();
     let said = SAID.get_or_init(|| {

@@ -1,4 +1,5 @@
-//! Mutual TLS and access rules over real sessions: who is let in, as what, and what everybody else is told.
+//! Mutual TLS and access rules over real sessions: which clients get in, with which rights, and which errors the
+//! others get.
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
@@ -13,7 +14,7 @@ use armarium_memoryx::{
 use armarium_values::Value;
 use rcgen::{BasicConstraints, CertificateParams, DnType, IsCa, Issuer, KeyPair};
 
-/// An authority that signs certificates into a folder.
+/// A certificate authority with its folder.
 struct Authority<'f> {
     folder: &'f Path,
     issuer: Issuer<'static, KeyPair>,
@@ -29,7 +30,7 @@ impl<'f> Authority<'f> {
         Self { folder, issuer: Issuer::new(params, key) }
     }
 
-    /// The certificate of somebody on this machine.
+    /// A certificate for a name on this machine.
     fn tls(&self, name: &str) -> Tls {
         let mut params = CertificateParams::new(vec!["127.0.0.1".to_owned()]).unwrap();
         params.distinguished_name.push(DnType::CommonName, name);
@@ -84,7 +85,7 @@ async fn an_agent_writes_only_its_own_segments_and_a_stranger_reads_nothing() {
         Session::open(&config).await
     };
 
-    // A writer writes what is called as he is, sees his own changes, and is told when it is not his.
+    // A writer writes segments of his own name, sees his changes, and is refused for other segments.
     let session = open(authority.tls("bob")).await.unwrap();
     let bob = RemoteMemory::connect_as(&session, "alice", "bob").await.unwrap();
     let mut changes = bob.subscribe();
@@ -102,21 +103,21 @@ async fn an_agent_writes_only_its_own_segments_and_a_stranger_reads_nothing() {
     let kept = bob.maintain(&Maintain::Compact).await;
     assert!(matches!(kept, Err(MemoryError::Forbidden { .. })), "{kept:?}");
 
-    // Nobody asks under another's name: there is no answer, which is an error.
+    // A client cannot use another's name: there is no answer, which is an error.
     let as_alice = RemoteMemory::connect_as(&session, "alice", "alice").await;
     assert!(matches!(as_alice, Err(MemoryError::Remote { .. })), "{as_alice:?}");
 
-    // A reader reads, and is told that he may not write.
+    // A reader reads, and his write is refused.
     let session = open(authority.tls("carol")).await.unwrap();
     let carol = RemoteMemory::connect(&session, "alice").await.unwrap();
     assert_eq!(everything(&carol).await, 3);
     let refused = carol.commit(commit("carol", "cup")).await;
     assert!(matches!(refused, Err(MemoryError::Forbidden { .. })), "{refused:?}");
-    // A name of his own does not make a writer of him.
+    // A name of his own does not make him a writer.
     let as_writer = RemoteMemory::connect_as(&session, "alice", "carol").await;
     assert!(matches!(as_writer, Err(MemoryError::Remote { .. })), "{as_writer:?}");
 
-    // A stranger with a good certificate reads nothing, and one of another authority does not even connect.
+    // A stranger with a valid certificate reads nothing; one of another authority cannot even connect.
     let session = open(authority.tls("mallory")).await.unwrap();
     let stranger = RemoteMemory::connect(&session, "alice").await;
     assert!(matches!(stranger, Err(MemoryError::Remote { .. })), "{stranger:?}");

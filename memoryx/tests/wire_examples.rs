@@ -1,7 +1,7 @@
 //! The Python examples of `docs/wire-memory.md`, run against an agent.
 //!
-//! They need a Python with `eclipse-zenoh` and `cbor2`; the variable `ARMARIUM_PYTHON` names its program. Without it this
-//! test says that it did not run them.
+//! They need a Python with `eclipse-zenoh` and `cbor2`; the variable `ARMARIUM_PYTHON` names its program. Without it
+//! this test prints that it did not run them.
 
 use std::path::Path;
 use std::process::Command;
@@ -9,7 +9,7 @@ use std::process::Command;
 use armarium_bus::{Session, SessionConfig};
 use armarium_memoryx::{AgentConfig, AgentMemory};
 
-/// The blocks of Python, one after the other.
+/// The Python blocks of the page, joined.
 fn examples(page: &str) -> String {
     let mut code = String::new();
     let mut inside = false;

@@ -76,8 +76,8 @@ impl Pose {
         Self { frame, position: [t.x, t.y, t.z], orientation: [q.x, q.y, q.z, q.w] }
     }
 
-    /// The pose as an isometry that maps coordinates of the posed thing into `frame`. A quaternion that is
-    /// not of unit length is normalised; one of length zero or not finite becomes the identity.
+    /// The pose as an isometry that maps coordinates of the posed body into `frame`. A quaternion that is not of unit
+    /// length is normalised; one of length zero or not finite becomes the identity.
     #[must_use]
     pub fn isometry(&self) -> Isometry3<f64> {
         let [x, y, z, w] = self.orientation;

@@ -1,5 +1,5 @@
-//! What flows between skills, memory and agents: self-describing typed values with units and frames,
-//! their schemas, CEL expressions over them, and reports as plain data.
+//! The data that skills, memory and agents exchange: self-describing typed values with units and frames, their
+//! schemas, CEL expressions over them, and reports as plain data.
 //!
 //! This room knows no robot, no clock and no network. Start with [`Value`] and [`Type`].
 

@@ -1,18 +1,18 @@
-//! A report as plain data: sections of blocks. Who measured something supplies a section and does not know who draws it; a
-//! page, a document and a terminal draw the same blocks.
+//! A report as plain data: sections of blocks. The code that measures supplies a section without knowing how it is
+//! drawn; a page, a document and a terminal draw the same blocks.
 //!
 //! Lengths are in metres, times in seconds, in the frames that a block's labels name.
 
 use serde::{Deserialize, Serialize};
 
-/// A part of a report with a title of its own.
+/// A part of a report with its own title.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Section {
     /// Its heading.
     pub title: String,
-    /// One sentence under it; may be empty.
+    /// One sentence below the heading; may be empty.
     pub note: String,
-    /// What it shows, from top to bottom.
+    /// Its content, from top to bottom.
     pub blocks: Vec<Block>,
 }
 
@@ -32,32 +32,32 @@ impl Section {
     }
 }
 
-/// Something that a section shows. A block without content is not shown.
+/// Content of a section. An empty block is not shown.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Block {
-    /// Measured values and what is asked of them.
+    /// Measured values with their requirements.
     Figures(Vec<Figure>),
     /// Signals over the time of the run.
     Plot(TimePlot),
     /// Many plots over the time of the run, drawn small beside each other.
     SmallPlots(Vec<TimePlot>),
-    /// Something seen from above.
+    /// A view from above.
     Plan(Plan),
     /// States through time.
     Gantt(Vec<StateSpan>),
     /// Rows and columns.
     Table(Table),
-    /// How often something was taken for something else.
+    /// A confusion matrix.
     Confusion(Confusion),
     /// Pictures with captions.
     Pictures(Vec<Picture>),
-    /// Lines of text as they are.
+    /// Preformatted lines of text.
     Lines(Vec<String>),
 }
 
-/// What is asked of a value.
+/// The requirement on a value.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Requirement {
@@ -67,30 +67,29 @@ pub enum Requirement {
     AtLeast(f64),
     /// Between these two.
     Between(f64, f64),
-    /// Nothing: it is shown, not judged.
+    /// No requirement: the value is shown, not judged.
     Shown,
 }
 
-/// A measured value and what is asked of it.
+/// A measured value with its requirement.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Figure {
-    /// What it belongs to: `Grasp`, `Force` ...
+    /// Its group: `Grasp`, `Force` ...
     pub group: String,
     /// What was measured.
     pub name: String,
-    /// The value, in the unit; `None` when the run did not come so far.
+    /// The value, in the unit; `None` when the run ended before the measurement.
     pub value: Option<f64>,
-    /// Its unit as shown; empty for a number without one.
+    /// Its unit as text; empty for a number without unit.
     pub unit: String,
-    /// What is asked of it.
+    /// Its requirement.
     pub requirement: Requirement,
     /// Digits after the point.
     pub digits: usize,
 }
 
 impl Figure {
-    /// Whether the value is as required; `None` when nothing is required. A missing value, or one that is not a
-    /// number, is not.
+    /// Whether the value meets its requirement; `None` when there is none. A missing value or a NaN fails.
     #[must_use]
     pub fn passed(&self) -> Option<bool> {
         let good = |test: &dyn Fn(f64) -> bool| Some(self.value.is_some_and(test));
@@ -107,23 +106,23 @@ impl Figure {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct TimePlot {
-    /// What is drawn.
+    /// Its title.
     pub title: String,
     /// The vertical axis with its unit: `Normal force, N`.
     pub y_label: String,
     /// The signals.
     pub series: Vec<Series>,
-    /// Where the signal should be.
+    /// The desired range of the signal.
     pub band: Option<Band>,
-    /// Limits: values that must not be passed, with their names.
+    /// Limits that the signal must not exceed, with their names.
     pub limits: Vec<(f64, String)>,
-    /// Instants, s, with their names.
+    /// Marked times, s, with their names.
     pub marks: Vec<(f64, String)>,
-    /// Shown range of values, when it should not follow the data.
+    /// The shown range of values; `None` follows the data.
     pub y_range: Option<[f64; 2]>,
 }
 
-/// One signal. Times ascend; the two are of one length. NaN interrupts the line.
+/// One signal. Times ascend; both lists have the same length. NaN interrupts the line.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Series {
     /// Its name in the legend.
@@ -134,26 +133,26 @@ pub struct Series {
     pub y: Vec<f64>,
 }
 
-/// Where a signal should be, for part of the time or all of it.
+/// The desired range of a signal, for a part of the time or all of it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Band {
     /// The desired value.
     pub value: f64,
-    /// How far from it is still good.
+    /// The accepted deviation.
     pub tolerance: f64,
     /// Its name in the legend.
     pub label: String,
-    /// From when, s.
+    /// Start, s; `None`: from the beginning.
     pub from_s: Option<f64>,
-    /// Until when, s.
+    /// End, s; `None`: to the end.
     pub to_s: Option<f64>,
 }
 
-/// Something seen from above: x to the right, y up, one scale for both.
+/// A view from above: x to the right, y up, the same scale for both.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Plan {
-    /// What is drawn.
+    /// Its title.
     pub title: String,
     /// The horizontal axis with its unit.
     pub x_label: String,
@@ -180,27 +179,27 @@ pub struct Path {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PathStyle {
-    /// In a colour of its own, with a dot where it begins.
+    /// In its own colour, with a dot at the start.
     #[default]
     Line,
-    /// Dashed, on top of the others: what they are compared with.
+    /// Dashed, on top of the others: the reference for a comparison.
     Reference,
-    /// Thin: for orientation, such as the table's edge. The plan need not show all of it.
+    /// Thin, for orientation, such as the table's edge. It may extend beyond the plan.
     Outline,
-    /// Over areas.
+    /// On top of the areas.
     Overlay,
 }
 
 /// A grid of cells of several kinds.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Cells {
-    /// Where the first cell's outer corner is (least x and y), m.
+    /// The outer corner of the first cell (least x and y), m.
     pub origin: [f64; 2],
     /// A cell's side, m.
     pub cell_m: f64,
     /// Cells along x.
     pub columns: usize,
-    /// The names of the kinds, for the legend, with their tones; kind 0 is nothing and has none.
+    /// The names of the kinds for the legend, with their tones; kind 0 is empty and has none.
     pub kinds: Vec<(String, Tone)>,
     /// The kind of each cell: rows along y, from the least y; each has `columns` cells.
     pub cells: Vec<u8>,
@@ -214,38 +213,38 @@ impl Cells {
     }
 }
 
-/// What something coloured means.
+/// The meaning of a colour.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Tone {
-    /// As it should be.
+    /// As desired.
     Good,
-    /// As it should not be.
+    /// Not as desired.
     Bad,
     /// Neither.
     #[default]
     Neutral,
 }
 
-/// One stay in one state.
+/// One activation of a state.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StateSpan {
     /// The state's path from the root, parts separated by dots: `Wipe.Coaching.Watching`.
     pub path: String,
     /// Entry, s of the run.
     pub from_s: f64,
-    /// Exit, s of the run; `None` when it was still active at the end.
+    /// Exit, s of the run; `None` when it was active at the end.
     pub to_s: Option<f64>,
-    /// How it ended, where it reported that: `success`, `failure` ...
+    /// Its outcome, if it reported one: `success`, `failure` ...
     pub outcome: Option<String>,
 }
 
 /// Rows and columns.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Table {
-    /// The headings; a column of numbers is aligned to the right.
+    /// The columns; columns of numbers are aligned to the right.
     pub columns: Vec<Column>,
-    /// The rows, each with a cell a column.
+    /// The rows, each with one cell per column.
     pub rows: Vec<Vec<Cell>>,
 }
 
@@ -259,7 +258,7 @@ pub struct Column {
 }
 
 impl Table {
-    /// A table with a column of text for each title, and one of numbers where the title begins with `#`.
+    /// A table with one text column per title; titles that begin with `#` are columns of numbers.
     #[must_use]
     pub fn new(titles: &[&str]) -> Self {
         let column = |title: &&str| match title.strip_prefix('#') {
@@ -274,17 +273,17 @@ impl Table {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Cell {
-    /// There is nothing to say.
+    /// No content.
     Absent,
     /// Text.
     Text(String),
-    /// A name out of a file or a program.
+    /// A name from a file or a program, shown as code.
     Code(String),
-    /// Numbers of one unit, with digits after the point.
+    /// Numbers with a common unit and precision.
     Numbers {
-        /// One, or the components of a vector.
+        /// One number, or the components of a vector.
         values: Vec<f64>,
-        /// Their unit as shown; may be empty.
+        /// Their unit as text; may be empty.
         unit: String,
         /// Digits after the point.
         digits: usize,
@@ -298,26 +297,26 @@ impl Cell {
         Self::Numbers { values: vec![value], unit: unit.into(), digits }
     }
 
-    /// A number with its unit, where there is one.
+    /// A number with its unit, or an empty cell.
     #[must_use]
     pub fn optional(value: Option<f64>, unit: &str, digits: usize) -> Self {
         value.map_or(Self::Absent, |value| Self::number(value, unit, digits))
     }
 }
 
-/// How often something was taken for something else.
+/// A confusion matrix: true classes against recognised classes.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Confusion {
-    /// What there may be, in the order of the columns.
+    /// The recognised classes, in the order of the columns.
     pub names: Vec<String>,
-    /// What there was, and how often it was taken for each of the names.
+    /// The true classes, each with its counts per recognised class.
     pub rows: Vec<(String, Vec<u32>)>,
 }
 
 /// A picture, as PNG or JPEG.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Picture {
-    /// What is to be seen, and when.
+    /// What the picture shows, and when.
     pub caption: String,
     /// The encoded image.
     pub data: Vec<u8>,

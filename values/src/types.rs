@@ -1,5 +1,4 @@
-//! Declared types: what inputs, outputs, locals, channel fields and event data are said to be, and the
-//! conversion of a literal to what was declared.
+//! Declared types of inputs, outputs, locals, channel fields and event data, and the conversion of literals to them.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -15,15 +14,15 @@ use crate::value::{Reference, Value};
 pub enum Type {
     /// Any value; checked only when it is used.
     Any,
-    /// A truth value.
+    /// A bool.
     Bool,
-    /// A whole number.
+    /// An integer.
     Int,
-    /// A number, SI; its unit where one is declared.
+    /// A number in SI, with its unit if declared.
     Float(Option<Unit>),
     /// Text.
     String,
-    /// A span of time, s.
+    /// A duration, s.
     Duration,
     /// Opaque bytes.
     Bytes,
@@ -45,12 +44,12 @@ pub enum Type {
     Reference(String),
 }
 
-/// How well a value of one type fits where another is declared.
+/// How well a value of one type fits a declared type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fit {
     /// Always, possibly after conversion.
     Yes,
-    /// Only known when it runs.
+    /// Known only at run time.
     Perhaps,
     /// Never, because the units are of different kinds.
     OtherUnit,
@@ -78,13 +77,13 @@ pub enum ConvertError {
         /// The unit found.
         found: String,
     },
-    /// What follows the number is not a unit.
+    /// The text after the number is not a unit.
     #[error(transparent)]
     UnknownUnit(#[from] crate::unit::UnknownUnit),
-    /// The word is not one of the enum's.
+    /// The word is not a value of the enum.
     #[error("`{found}` is not one of {}", expected.join(", "))]
     NotInEnum {
-        /// The words that the enum has.
+        /// The enum's values.
         expected: Vec<String>,
         /// The word found.
         found: String,
@@ -137,8 +136,8 @@ impl Type {
         Self::Reference("Object".into())
     }
 
-    /// Parses a type as charts write it: `float`, `list<float>`, `map<string>`, `Pose`, `Motion` ...
-    /// `declared` resolves names that the chart itself declares. `None` for a name that nobody knows.
+    /// Parses a type as charts write it: `float`, `list<float>`, `map<string>`, `Pose`, `Motion` ... `declared`
+    /// resolves the names that the chart itself declares. `None` for an unknown name.
     pub fn parse(text: &str, declared: &dyn Fn(&str) -> Option<Self>) -> Option<Self> {
         Self::parse_nested(text.trim(), declared, 8)
     }
@@ -170,7 +169,7 @@ impl Type {
         })
     }
 
-    /// Whether a value of type `from` may stand where `self` is declared.
+    /// Whether a value of type `from` is accepted where `self` is declared.
     #[must_use]
     pub fn fit(&self, from: &Self) -> Fit {
         match (self, from) {
@@ -204,10 +203,11 @@ impl Type {
         }
     }
 
-    /// The value as this type: numbers are promoted, quantities in text converted to SI, names made references.
+    /// Converts the value to this type: promotes numbers, converts quantities in text to SI, and turns names into
+    /// references.
     ///
     /// # Errors
-    /// [`ConvertError`] says what was expected and what was found.
+    /// [`ConvertError`] with the expected and the actual type.
     pub fn convert(&self, value: Value) -> Result<Value, ConvertError> {
         match (self, value) {
             (Self::Any, v) => Ok(v),
@@ -256,10 +256,10 @@ impl Type {
         }
     }
 
-    /// The value that a text on a command line stands for: `true`, `8 N`, `[1, 2]`, a word.
+    /// Parses a value from a command line: `true`, `8 N`, `[1, 2]`, a word.
     ///
     /// # Errors
-    /// [`ConvertError`] says what was expected and what was found.
+    /// [`ConvertError`] with the expected and the actual type.
     pub fn read(&self, text: &str) -> Result<Value, ConvertError> {
         let json = || serde_json::from_str(text).ok().map(|json| Value::from_json(&json));
         let value = match self {

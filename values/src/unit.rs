@@ -1,5 +1,5 @@
-//! Physical units: symbols are parsed once, values are kept in SI. Angles count as a kind of their own, so
-//! that `deg/s` and `Hz` are told apart.
+//! Physical units: symbols are parsed once, values are kept in SI. The radian counts as a base unit, so that `deg/s`
+//! and `Hz` are different.
 
 use std::fmt;
 
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 #[serde(transparent)]
 pub struct Unit([i8; 4]);
 
-/// Why a unit symbol was refused.
+/// An unknown unit symbol.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{symbol}` is not a unit that is known here; units look like `N`, `mm`, `m/s`, `deg/s`, `N/m`")]
 pub struct UnknownUnit {
@@ -18,7 +18,7 @@ pub struct UnknownUnit {
     pub symbol: String,
 }
 
-/// Symbols with their unit and the factor that converts a number in it to SI.
+/// Symbols with their unit and the factor to SI.
 const ATOMS: &[(&str, [i8; 4], f64)] = &[
     ("m", [1, 0, 0, 0], 1.0),
     ("km", [1, 0, 0, 0], 1e3),
@@ -52,7 +52,7 @@ const ATOMS: &[(&str, [i8; 4], f64)] = &[
     ("%", [0, 0, 0, 0], 1e-2),
 ];
 
-/// How units are written back, the most usual symbol of each.
+/// The symbol with which each unit is printed.
 const NAMES: &[([i8; 4], &str)] = &[
     ([0, 0, 0, 0], "1"),
     ([1, 0, 0, 0], "m"),
@@ -95,10 +95,10 @@ impl Unit {
     /// Newton per metre.
     pub const N_M: Self = Self([0, 1, -2, 0]);
 
-    /// Parses a symbol such as `N`, `mm`, `m/s^2` or `N m`; gives the SI unit and the factor to it.
+    /// Parses a symbol such as `N`, `mm`, `m/s^2` or `N m`; returns the SI unit and the factor to it.
     ///
     /// # Errors
-    /// [`UnknownUnit`] when a part of the symbol is not known.
+    /// [`UnknownUnit`] when a part of the symbol is unknown.
     pub fn parse(symbol: &str) -> Result<(Self, f64), UnknownUnit> {
         let unknown = || UnknownUnit { symbol: symbol.trim().to_owned() };
         let (mut dims, mut factor) = ([0_i8; 4], 1.0);
@@ -128,13 +128,13 @@ impl Unit {
         if any && sign > 0 { Ok((Self(dims), factor)) } else { Err(unknown()) }
     }
 
-    /// The unit of a product, where it is told apart; angles make it unknown (an arc is a length).
+    /// The unit of a product, if it is determined; with angles it is not (an arc is a length).
     #[must_use]
     pub fn times(self, other: Self) -> Option<Self> {
         self.combine(other, 1)
     }
 
-    /// The unit of a quotient, where it is told apart.
+    /// The unit of a quotient, if it is determined.
     #[must_use]
     pub fn per(self, other: Self) -> Option<Self> {
         self.combine(other, -1)
@@ -182,11 +182,11 @@ impl fmt::Display for Unit {
     }
 }
 
-/// Parses a number with a unit, such as `40 N`, `0.4 m/s` or `100ms`, and converts it to SI. `None` when the
-/// text does not begin with a number; a number alone has no unit.
+/// Parses a number with a unit, such as `40 N`, `0.4 m/s` or `100ms`, and converts it to SI. `None` when the text
+/// does not begin with a number; a number alone has no unit.
 ///
 /// # Errors
-/// [`UnknownUnit`] when there is a number but what follows is no unit.
+/// [`UnknownUnit`] when a number is followed by text that is not a unit.
 pub fn parse_quantity(text: &str) -> Option<Result<(f64, Option<Unit>), UnknownUnit>> {
     let text = text.trim();
     let number_end = number_prefix(text)?;
@@ -198,7 +198,7 @@ pub fn parse_quantity(text: &str) -> Option<Result<(f64, Option<Unit>), UnknownU
     Some(Unit::parse(symbol).map(|(unit, factor)| (number * factor, Some(unit))))
 }
 
-/// The length of the longest prefix that reads as a decimal number.
+/// The length of the longest prefix that is a decimal number.
 fn number_prefix(text: &str) -> Option<usize> {
     let bytes = text.as_bytes();
     let digits = |mut i: usize| {

@@ -1,4 +1,4 @@
-//! The self-describing value: what charts compute with, skills take and return, and memory keeps.
+//! The self-describing value that charts compute with, skills take and return, and memory stores.
 
 use std::collections::BTreeMap;
 
@@ -13,15 +13,15 @@ pub enum Value {
     /// No value.
     #[default]
     Null,
-    /// A truth value.
+    /// A bool.
     Bool(bool),
-    /// A whole number.
+    /// An integer.
     Int(i64),
     /// A number, SI.
     Float(#[serde(with = "number")] f64),
     /// Text.
     String(String),
-    /// A span of time, s.
+    /// A duration, s.
     Duration(#[serde(with = "number")] f64),
     /// Opaque bytes.
     Bytes(#[serde(with = "bytes")] Vec<u8>),
@@ -35,11 +35,11 @@ pub enum Value {
     Pose(Pose),
     /// A wrench with its frame.
     Wrench(Wrench),
-    /// A named, versioned entity in working memory.
+    /// A reference to a named, versioned entity in working memory.
     Reference(Reference),
 }
 
-/// Numbers in formats without NaN and infinity, such as JSON, where these become words.
+/// Serialises numbers; in formats without NaN and infinity, such as JSON, these become words.
 mod number {
     use serde::{Deserialize, Deserializer, Serializer};
 
@@ -69,14 +69,14 @@ mod number {
     }
 }
 
-/// Bytes as such in binary formats, and as a list of numbers in formats for people; both are read in both.
+/// Serialises bytes: as bytes in binary formats, as a list of numbers in text formats. Reading accepts both.
 mod bytes {
     use std::fmt;
 
     use serde::de::{SeqAccess, Visitor};
     use serde::{Deserializer, Serialize, Serializer};
 
-    /// Room that is made before the bytes of a list have been seen.
+    /// Capacity that is reserved before the bytes of a list have been read.
     const ROOM: usize = 4096;
 
     pub(super) fn serialize<S: Serializer>(bytes: &Vec<u8>, serializer: S) -> Result<S::Ok, S::Error> {
@@ -114,12 +114,12 @@ mod bytes {
     }
 
     pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<u8>, D::Error> {
-        // A self-describing format says itself which of the two it holds.
+        // A self-describing format tells which of the two it holds.
         deserializer.deserialize_any(Bytes)
     }
 }
 
-/// A reference to an entity in working memory; who holds it sees the entity change.
+/// A reference to an entity in working memory; the entity may change while the reference is held.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Reference {
     /// The type of the entity, for instance `Motion` or `Object`.
@@ -128,16 +128,16 @@ pub struct Reference {
     pub id: String,
 }
 
-/// Bytes of text that count as a part.
+/// Bytes of text that count as one part.
 const PART: usize = 64;
 
-/// A text in parts.
+/// The size of a text in parts.
 pub(crate) fn text_parts(text: &str) -> usize {
     1 + text.len() / PART
 }
 
 impl Value {
-    /// What it takes to hold it: one for each value in it, and one for every 64 bytes of text.
+    /// The size of the value in parts: one for each value in it, and one for every 64 bytes of text.
     #[must_use]
     pub fn parts(&self) -> usize {
         match self {
@@ -151,7 +151,7 @@ impl Value {
         }
     }
 
-    /// Whether lists and maps stand inside one another in more than `levels` levels.
+    /// Whether lists and maps are nested deeper than `levels`.
     #[must_use]
     pub fn deeper_than(&self, levels: usize) -> bool {
         let below = |value: &Self| levels == 0 || value.deeper_than(levels - 1);
@@ -181,7 +181,7 @@ impl Value {
         }
     }
 
-    /// The truth value in a `Bool`.
+    /// The bool in a `Bool`.
     #[must_use]
     pub fn as_bool(&self) -> Option<bool> {
         match self {
@@ -201,7 +201,7 @@ impl Value {
         }
     }
 
-    /// The whole number in an `Int`.
+    /// The integer in an `Int`.
     #[must_use]
     pub fn as_int(&self) -> Option<i64> {
         match self {
@@ -247,7 +247,7 @@ impl Value {
         Self::Map(fields.into_iter().map(|(name, value)| (name.to_owned(), value)).collect())
     }
 
-    /// A few words about the value for messages: its type, and itself where it is short.
+    /// A short description for messages: the type, and the value if it is short.
     #[must_use]
     pub fn describe(&self) -> String {
         match self {
@@ -268,7 +268,7 @@ impl Value {
         }
     }
 
-    /// The value as plain JSON for people and reports; what is not finite becomes `null`, and types are not kept.
+    /// The value as plain JSON for people and reports; non-finite numbers become `null`, and types are lost.
     #[must_use]
     pub fn to_json(&self) -> serde_json::Value {
         use serde_json::{Value as Json, json};
@@ -290,7 +290,7 @@ impl Value {
         }
     }
 
-    /// A value from JSON: whole numbers become `Int`, other numbers `Float`.
+    /// A value from JSON: integers become `Int`, other numbers `Float`.
     #[must_use]
     pub fn from_json(json: &serde_json::Value) -> Self {
         use serde_json::Value as Json;

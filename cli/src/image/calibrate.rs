@@ -1,4 +1,4 @@
-//! `armarium image calibrate-check`: what a stereo provider's images say of its calibration.
+//! `armarium image calibrate-check`: checks a stereo provider's calibration with its images.
 
 use std::io::Write;
 
@@ -8,14 +8,14 @@ use serde_json::json;
 use super::{CalibrateArgs, Failure, failed, source};
 use armarium_host::Connection;
 
-/// Rows may differ by this much, px, as the median.
+/// Largest accepted row difference, px, median.
 const ROWS_PX: f64 = 0.5;
-/// Depth may be off by this share, as the median.
+/// Largest accepted relative depth error, median.
 const DEPTH: f64 = 0.02;
-/// Fewer corners than this say nothing.
+/// Least number of corners for a result.
 const LEAST: usize = 30;
 
-/// Looks at some frames; a calibration that is wrong is a failure.
+/// Checks some frames; a wrong calibration is a failure.
 pub(super) async fn run(
     args: &CalibrateArgs,
     connection: &Connection,

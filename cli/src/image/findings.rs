@@ -1,5 +1,5 @@
-//! What a processor has found, as a line of JSON and as what a memory takes of it. It knows neither the processors nor the
-//! memory's whereabouts.
+//! Converts a processor's findings to lines of JSON and to observations for a memory. It knows neither the processors
+//! nor the memory.
 
 use std::collections::BTreeMap;
 
@@ -10,12 +10,13 @@ use armarium_visionx::{Finding, FindingSource, TableObject, Tabletop};
 use nalgebra::{Isometry3, Matrix3, Vector3};
 use serde_json::{Value as Json, json};
 
-/// Variance of a palm's place along each axis, m²: the observer gives none, and the palm's middle is known to about 1 cm.
+/// Variance of a palm's position along each axis, m²: the observer gives none, and the palm's centre is known to
+/// about 1 cm.
 const PALM: f64 = 1e-4;
-/// How far a thing on a table that was seen once is trusted.
+/// Confidence of an object on a table after one observation.
 const THING: f64 = 0.8;
 
-/// The line of JSON that tells a finding.
+/// A finding as a line of JSON.
 pub(super) fn line(source: &FindingSource, finding: &Finding) -> Json {
     let mut line = json!({"provider": source.provider, "stamp_ns": source.stamp_ns});
     line[source.processor.as_str()] = match finding {
@@ -56,7 +57,8 @@ fn pose(pose: &Isometry3<f64>) -> [f64; 6] {
     [p.x, p.y, p.z, roll, pitch, yaw]
 }
 
-/// What a finding says of places; nothing was seen without one. Those that are in a camera's frame are so in `frame_id`.
+/// The observations of positions in a finding; empty without one. Those in a camera's frame have the frame
+/// `frame_id`.
 pub(super) fn observations(source: &FindingSource, finding: &Finding, frame_id: &str) -> Vec<Observation> {
     let observed =
         |class: &str, frame: &str, position: &Vector3<f64>, covariance: &Matrix3<f64>| Observation {
@@ -104,10 +106,10 @@ fn attributes_of(object: &TableObject) -> BTreeMap<String, Value> {
     ])
 }
 
-/// The surroundings that a finding tells of: a table, as `EnvironmentModels/{processor}/table`.
+/// The fixed objects in a finding: a table, as `EnvironmentModels/{processor}/table`.
 ///
 /// # Errors
-/// [`MemoryError::Name`] when the processor's name cannot be part of an address.
+/// [`MemoryError::Name`] when the processor's name is not valid in an address.
 pub(super) fn surroundings(source: &FindingSource, finding: &Finding) -> Result<Option<Commit>, MemoryError> {
     let Finding::Tabletop(Some(Tabletop { table, .. })) = finding else { return Ok(None) };
     let id = EntityId::new("EnvironmentModels", &source.processor, "table")?;

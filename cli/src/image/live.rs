@@ -1,5 +1,5 @@
-//! `armarium image process`: a processor on a provider. What it finds goes out as lines of JSON and, through the updater,
-//! into a memory; what it draws is a provider of its own.
+//! `armarium image process`: runs a processor on a provider. Its findings go out as lines of JSON and, through the
+//! updater, into a memory; its annotated images become a provider.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -28,16 +28,16 @@ use parking_lot::Mutex;
 /// Findings that may wait to be printed and committed.
 const WAITING: usize = 64;
 
-/// What is looked for.
+/// What to look for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum Look {
     /// A hand and its gesture.
     Hand,
     /// The fingertips of a hand, followed.
     Fingertips,
-    /// A thing of one colour.
+    /// An object of one colour.
     Marker,
-    /// A table and what stands on it, by depth; the provider has to say where its camera is.
+    /// A table and the objects on it, by depth; the provider must give the camera's pose.
     Tabletop,
 }
 
@@ -59,13 +59,13 @@ impl Look {
     }
 }
 
-/// Hands findings on; the processor never waits for the printer or the memory.
+/// Passes findings on; the processor never waits for the printer or the memory.
 struct HandOn {
     to: Mutex<Option<mpsc::Sender<(FindingSource, Finding)>>>,
     dropped: AtomicU64,
     taken: AtomicBool,
     left: Mutex<Option<u64>>,
-    /// From the axes that findings are in to those of the provider's left camera.
+    /// The rotation from the findings' axes to those of the provider's left camera.
     camera_from_pair: UnitQuaternion<f64>,
 }
 
@@ -80,7 +80,7 @@ impl ResultSink for HandOn {
             Err(mpsc::error::TrySendError::Full(_)) => {
                 self.dropped.fetch_add(1, Ordering::Relaxed);
             }
-            // Whoever printed or committed has ended.
+            // The receiver has ended.
             Err(mpsc::error::TrySendError::Closed(_)) => return false,
         }
         let mut left = self.left.lock();
@@ -89,7 +89,7 @@ impl ResultSink for HandOn {
     }
 }
 
-/// Places of pairs that were rectified, in the provider's left camera.
+/// Converts the positions of rectified pairs to the provider's left camera.
 fn turned(mut finding: Finding, camera_from_pair: &UnitQuaternion<f64>) -> Finding {
     match &mut finding {
         Finding::Hand(Some(hand)) => hand.palm_in_left = camera_from_pair * hand.palm_in_left,
@@ -103,7 +103,7 @@ fn turned(mut finding: Finding, camera_from_pair: &UnitQuaternion<f64>) -> Findi
     finding
 }
 
-/// Processes until the provider ends, enough frames were looked at, or Ctrl-C.
+/// Processes until the provider ends, the number of frames is reached, or Ctrl-C.
 pub(super) async fn run(
     args: &ProcessArgs,
     connection: &Connection,
@@ -152,7 +152,7 @@ pub(super) async fn run(
     };
     let processing = async {
         let ended = run_processor(&mut *processor, &with).await;
-        // No further finding comes: what waits is told, and that ends too.
+        // No more findings come: close the queue, so that the receiver ends after the last one.
         sink.to.lock().take();
         match ended {
             Ok(()) | Err(ImageError::Gone { .. }) => Ok(()),
@@ -185,7 +185,7 @@ pub(super) async fn run(
     }
 }
 
-/// Prints findings and commits them, until there are no more.
+/// Prints and commits findings, until there are no more.
 async fn tell(
     mut told: mpsc::Receiver<(FindingSource, Finding)>,
     remembers: Option<(Arc<RemoteMemory>, Updater)>,

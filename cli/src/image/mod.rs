@@ -1,5 +1,5 @@
-//! `armarium image`: providers of images, those that other processes offer and those that are files: list them, look at
-//! them, record and play them, count and check.
+//! `armarium image`: lists, shows, records, plays, measures and checks providers of images, from other processes or
+//! from files.
 
 mod calibrate;
 mod findings;
@@ -23,10 +23,10 @@ use serde_json::json;
 use crate::connection_args::{ConnectionArgs, explained};
 use crate::console;
 
-/// How long providers are listened for.
+/// How long to wait for providers to appear.
 const LISTENED: Duration = Duration::from_secs(2);
 
-/// What `image` takes.
+/// Arguments of `image`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct ImageArgs {
     #[command(subcommand)]
@@ -43,9 +43,9 @@ enum ImageCommand {
     Record(RecordArgs),
     /// Offer a recording, or images of files, as a provider.
     Play(PlayArgs),
-    /// Count a provider's frames: rate, latency, size, what is lost.
+    /// Measure a provider's frames: rate, latency, size, losses.
     Stats(StatsArgs),
-    /// Compare a stereo provider's calibration with what its images show.
+    /// Check a stereo provider's calibration with its images.
     CalibrateCheck(CalibrateArgs),
     /// Run a processor on a provider: results as lines of JSON, into a memory, and as an annotated provider.
     Process(ProcessArgs),
@@ -53,14 +53,14 @@ enum ImageCommand {
 
 #[derive(Clone, Debug, clap::Args)]
 struct LsArgs {
-    /// One line of JSON a provider.
+    /// One line of JSON per provider.
     #[arg(long)]
     json: bool,
     #[command(flatten)]
     connection: ConnectionArgs,
 }
 
-/// Where frames come from.
+/// The source of frames.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct SourceArgs {
     /// `AGENT/PROVIDER`, or a recording, an image file or a folder of images.
@@ -77,16 +77,16 @@ pub(crate) struct SourceArgs {
 pub(crate) struct ViewArgs {
     #[command(flatten)]
     pub(crate) source: SourceArgs,
-    /// Write each image as a PNG file into this folder, in place of showing a page; depth as 16 bit gray, mm.
+    /// Write each image as a PNG file into this folder, instead of showing a page; depth as 16 bit gray, mm.
     #[arg(long, value_name = "DIR")]
     pub(crate) png: Option<PathBuf>,
     /// How many frames to write.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(crate) frames: u64,
-    /// Where the page is; a free port if not given.
+    /// Port of the page; a free port if not given.
     #[arg(long, value_name = "PORT", default_value_t = 0)]
     pub(crate) port: u16,
-    /// Have the images sent as JPEG, for a thin link.
+    /// Receive the images as JPEG, for a slow link.
     #[arg(long)]
     pub(crate) jpeg: bool,
 }
@@ -99,13 +99,13 @@ pub(crate) struct RecordArgs {
     /// The recording.
     #[arg(short, long, value_name = "FILE")]
     pub(crate) output: PathBuf,
-    /// Replace the recording if it is there already.
+    /// Replace an existing recording.
     #[arg(long)]
     pub(crate) force: bool,
-    /// End after so many seconds; otherwise with Ctrl-C.
+    /// End after this many seconds; otherwise with Ctrl-C.
     #[arg(long, value_name = "S")]
     pub(crate) seconds: Option<f64>,
-    /// End after so many frames.
+    /// End after this many frames.
     #[arg(long, value_name = "N")]
     pub(crate) frames: Option<u64>,
     #[command(flatten)]
@@ -120,19 +120,19 @@ pub(crate) struct PlayArgs {
     /// The agent that offers it.
     #[arg(long, default_value = "player")]
     pub(crate) name: String,
-    /// The provider's name, for images of files.
+    /// The provider's name, for image files.
     #[arg(long, value_name = "NAME", default_value = "files")]
     pub(crate) provider: String,
     /// The provider or topic in a recording; the first if not given.
     #[arg(long, value_name = "NAME")]
     pub(crate) topic: Option<String>,
-    /// Times the original speed.
+    /// Speed, relative to the original.
     #[arg(long, value_name = "X", default_value_t = 1.0)]
     pub(crate) speed: f64,
-    /// Begin again at the end.
+    /// Repeat from the beginning.
     #[arg(long = "loop")]
     pub(crate) repeat: bool,
-    /// Frames a second of images of files.
+    /// Frames per second of image files.
     #[arg(long, value_name = "HZ", default_value_t = 30.0)]
     pub(crate) rate: f64,
     #[command(flatten)]
@@ -143,7 +143,7 @@ pub(crate) struct PlayArgs {
 pub(crate) struct StatsArgs {
     #[command(flatten)]
     pub(crate) source: SourceArgs,
-    /// How long to count, s.
+    /// How long to measure, s.
     #[arg(long, value_name = "S", default_value_t = 5.0)]
     pub(crate) seconds: f64,
     /// One line of JSON.
@@ -155,7 +155,7 @@ pub(crate) struct StatsArgs {
 pub(crate) struct CalibrateArgs {
     #[command(flatten)]
     pub(crate) source: SourceArgs,
-    /// How many frames to look at.
+    /// How many frames to check.
     #[arg(long, value_name = "N", default_value_t = 10)]
     pub(crate) frames: u64,
     /// One line of JSON.
@@ -173,29 +173,30 @@ pub(crate) struct ProcessArgs {
     /// The marker's colour in full light.
     #[arg(long, value_name = "R,G,B", default_value = "40,170,60", value_parser = crate::vision::color)]
     pub(crate) color: [u8; 3],
-    /// Write what is found into the memory of this agent.
+    /// Write the findings into the memory of this agent.
     #[arg(long, value_name = "AGENT")]
     pub(crate) memory: Option<String>,
-    /// Offer the annotated images as a provider of this agent, called after the processor.
+    /// Offer the annotated images as a provider of this agent, named after the processor.
     #[arg(long, value_name = "AGENT")]
     pub(crate) offer: Option<String>,
-    /// Take the newest frame at this rate, in place of each.
+    /// Process the newest frame at this rate, Hz, instead of each frame.
     #[arg(long, value_name = "HZ")]
     pub(crate) rate: Option<f64>,
-    /// End after so many frames.
+    /// End after this many frames.
     #[arg(long, value_name = "N")]
     pub(crate) frames: Option<u64>,
 }
 
 /// Why a command fails.
 pub(crate) enum Failure {
-    /// An argument or file is wrong: exit status 2.
+    /// An argument or file is invalid: exit status 2.
     Argument(String),
-    /// It could not be done: exit status 1.
+    /// The operation failed: exit status 1.
     Failed(String),
 }
 
-/// Does what is asked. Returns the exit status: 0 success, 1 it could not be done, 2 an argument or file is wrong.
+/// Executes the command. Returns the exit status: 0 success, 1 the operation failed, 2 an argument or file is
+/// invalid.
 ///
 /// # Errors
 /// When `out` or `err` cannot be written.
@@ -249,12 +250,12 @@ impl From<io::Error> for Failure {
     }
 }
 
-/// A failure that an argument is to blame for.
+/// A failure caused by an argument.
 pub(crate) fn argument(error: impl std::fmt::Display) -> Failure {
     Failure::Argument(error.to_string())
 }
 
-/// A failure that no argument is to blame for.
+/// A failure not caused by an argument.
 pub(crate) fn failed(error: impl std::fmt::Display) -> Failure {
     Failure::Failed(error.to_string())
 }
@@ -288,7 +289,7 @@ async fn list(args: &LsArgs, connection: &Connection, out: &mut dyn Write) -> Re
         for image in &description.images {
             let calibrated = if image.camera.is_some() { "calibrated" } else { "not calibrated" };
             let (role, width, height) = (&image.role, image.width, image.height);
-            // As documents and JSON have it.
+            // The name that documents and JSON use.
             let format = json!(image.format);
             let format = format.as_str().unwrap_or_default();
             writeln!(out, "  {role}: {width} x {height}, {format}, {calibrated}")?;

@@ -1,5 +1,6 @@
-//! A page on this machine that shows a provider live: the images of each frame side by side, as JPEG, newest first. It
-//! answers `GET` of `/` and of `/frame`, which waits for the next frame; nothing else, and nobody beyond this machine.
+//! A page on this machine that shows a provider live: the images of each frame side by side, as JPEG, the newest
+//! frame only. It answers `GET` of `/` and of `/frame`, which waits for the next frame, and only requests from this
+//! machine.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -16,22 +17,22 @@ use super::source::Source;
 use super::{Failure, failed};
 use crate::stopped::stopped;
 
-/// Longest request that is read, bytes.
+/// Longest accepted request, bytes.
 const LONGEST: usize = 8192;
-/// How long a browser may take to ask, and a frame to come.
+/// How long a browser may take to send a request, and a frame to arrive.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// How often a frame that no browser wants is taken all the same.
+/// How often a frame is taken even if no browser requests it.
 const UNSEEN: Duration = Duration::from_secs(5);
-/// Browsers at a time.
+/// Most browsers at a time.
 const MOST: usize = 16;
 /// Most pixels of a picture.
 const MOST_PIXELS: u64 = 64_000_000;
-/// The page: it asks for the next frame when the last has come.
+/// The page: it requests the next frame when it has received the last.
 const PAGE: &str = include_str!("page.html");
 
 type Newest = watch::Receiver<(u64, Arc<Vec<u8>>)>;
 
-/// Shows the page until Ctrl-C, also when the provider has ended: its last frame can still be looked at.
+/// Shows the page until Ctrl-C. After the provider has ended, the page keeps its last frame.
 pub(super) async fn show(source: Source, port: u16, out: &mut dyn Write) -> Result<(), Failure> {
     let listener = TcpListener::bind(("127.0.0.1", port)).await;
     let listener = listener.map_err(|e| failed(format!("the page cannot be at port {port}: {e}")))?;
@@ -48,7 +49,7 @@ pub(super) async fn show(source: Source, port: u16, out: &mut dyn Write) -> Resu
             let Ok(place) = Arc::clone(&places).acquire_owned().await else { return };
             let (newest, want) = (newest.clone(), want.clone());
             tokio::spawn(async move {
-                // A browser that goes away in the middle harms nobody.
+                // A browser that disconnects early is not an error.
                 let _ = tokio::time::timeout(PATIENCE * 2, answer(stream, newest, want)).await.is_ok();
                 drop(place);
             });
@@ -63,9 +64,9 @@ pub(super) async fn show(source: Source, port: u16, out: &mut dyn Write) -> Resu
     Ok(())
 }
 
-/// Keeps the newest frame as a picture, made when a browser has seen the last and wants another. While none does, the frame
-/// of another process that waits is made one every few seconds: it would otherwise hold the memory of a provider that has
-/// gone.
+/// Keeps the newest frame as a picture. It encodes a frame when a browser has received the last and requests another.
+/// Without requests it still encodes one every few seconds, because a waiting frame would hold the shared memory of a
+/// provider that has ended.
 async fn pull(
     source: Source,
     to: watch::Sender<(u64, Arc<Vec<u8>>)>,
@@ -86,7 +87,7 @@ async fn pull(
         match next {
             Ok(frame) => {
                 let make = move || (picture(&frame), frame.is_intact());
-                // A frame that was taken away meanwhile is no picture of anything.
+                // A frame that was overwritten meanwhile is not shown.
                 let Ok((made, true)) = tokio::task::spawn_blocking(make).await else { continue };
                 if let Some(picture) = made {
                     count += 1;
@@ -101,8 +102,8 @@ async fn pull(
     }
 }
 
-/// The images of a frame side by side; `None` where there is nothing to see, or too much: a wide image beside a high one
-/// makes a picture that is far larger than both.
+/// The images of a frame side by side; `None` if there is none, or if the picture is too large: a wide image beside a
+/// high one gives a picture far larger than both.
 fn picture(frame: &Frame) -> Option<Vec<u8>> {
     let images: Vec<Image> = frame.images.iter().filter_map(rgb_of).collect();
     let height = images.iter().map(Image::height).max()?;
@@ -136,7 +137,7 @@ async fn answer(
     match path {
         "/" => respond(&mut stream, "200 OK", "text/html; charset=utf-8", PAGE.as_bytes()).await,
         "/frame" => {
-            // A page of an earlier run counts from there: it has seen none of these.
+            // The number of a page from an earlier run is not valid here: it has seen none of these frames.
             let seen: u64 = seen.parse().unwrap_or(0);
             let seen = if seen > newest.borrow().0 { 0 } else { seen };
             want.send_modify(|wanted| *wanted = (*wanted).max(Some(seen)));
@@ -171,7 +172,7 @@ async fn request(stream: &mut TcpStream) -> std::io::Result<Option<String>> {
     Ok(path_of(&String::from_utf8_lossy(&bytes)))
 }
 
-/// Another site must not read the pictures through the browser: the request has to name this machine.
+/// Other sites must not read the pictures through the browser: the request must name this machine.
 fn path_of(request: &str) -> Option<String> {
     let mut lines = request.split("\r\n");
     let path = lines.next()?.strip_prefix("GET ")?.split(' ').next()?.to_owned();

@@ -1,4 +1,4 @@
-//! `armarium image play`: a recording or files as a provider.
+//! `armarium image play`: offers a recording or files as a provider.
 
 use std::io::Write;
 

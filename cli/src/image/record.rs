@@ -1,4 +1,4 @@
-//! `armarium image record`: providers into an MCAP file.
+//! `armarium image record`: records providers into an MCAP file.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -17,7 +17,7 @@ use armarium_host::Connection;
 /// Frames of one provider that may wait to be written.
 const WAITING: usize = 64;
 
-/// Records until enough is there, or Ctrl-C.
+/// Records until the requested length, or Ctrl-C.
 pub(super) async fn run(
     args: &RecordArgs,
     connection: &Connection,
@@ -37,13 +37,13 @@ pub(super) async fn run(
         let provider = Arc::new(source::remote(name, connection, all, ImageCoding::Raw).await?);
         let mut described = provider.description();
         if named.iter().any(|other| other.name == described.name) {
-            // Two agents may call theirs the same.
+            // Providers of two agents may have the same name.
             described.name = name.replace('/', "_");
         }
         providers.push(provider);
         named.push(described);
     }
-    // Only now: a recording that is there stays when a provider is not.
+    // Only now: an existing recording must stay when a provider is missing.
     let mut recording = Recording::create(&args.output).map_err(argument)?;
     for (provider, described) in providers.iter().zip(named) {
         recording.add_provider(&described).map_err(failed)?;
@@ -76,7 +76,7 @@ pub(super) async fn run(
     Ok(())
 }
 
-/// Hands on the frames of one provider; where they cannot be written fast enough, they wait at the reader.
+/// Passes on the frames of one provider; if writing is too slow, they wait at the reader.
 async fn read(provider: Arc<RemoteProvider>, name: String, to: mpsc::Sender<(String, Arc<Frame>)>) {
     loop {
         let frame = match provider.next().await {

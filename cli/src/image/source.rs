@@ -1,4 +1,4 @@
-//! What is named on the command line as a provider.
+//! Opens the provider that the command line names.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -13,21 +13,21 @@ use armarium_visionx::providers::{
 use super::{Failure, SourceArgs, argument, failed};
 use armarium_host::Connection;
 
-/// How long a provider is waited for.
+/// How long to wait for a provider.
 const WAIT: Duration = Duration::from_secs(10);
-/// What ends so is meant as a file.
+/// Endings that mark a file.
 const ENDINGS: [&str; 4] = ["mcap", "png", "jpg", "jpeg"];
-/// Frames a second of image files.
+/// Frames per second of image files.
 const RATE_HZ: f64 = 30.0;
 
-/// A provider, and the other process's side of it where there is one.
+/// A provider, with its remote end if it is in another process.
 pub(super) struct Source {
     pub(super) provider: Arc<dyn ImageProvider>,
     pub(super) remote: Option<Arc<RemoteProvider>>,
 }
 
-/// Opens what the arguments name. Files are given at `speed` times their own, or without one as fast as they are asked
-/// for.
+/// Opens the provider that the arguments name. Files are played at `speed` times their own; with `None` as fast as
+/// they are read.
 pub(super) async fn open(
     args: &SourceArgs,
     connection: &Connection,
@@ -45,7 +45,7 @@ pub(super) async fn open(
     Ok(Source { provider: Arc::clone(&remote) as Arc<dyn ImageProvider>, remote: Some(remote) })
 }
 
-/// As [`open`], the newest frames of what must be a stereo pair; with its description and the pairs.
+/// As [`open`], for the newest frames of a stereo pair; returns its description and the pairs.
 pub(super) async fn open_pair(
     args: &SourceArgs,
     connection: &Connection,
@@ -116,7 +116,7 @@ pub(super) async fn file(
     Ok(Arc::new(provider.map_err(|(path, e)| argument(format!("{}: {e}", path.display())))?))
 }
 
-/// Size that cameras are asked for, px.
+/// Requested size of camera images, px.
 #[cfg(feature = "camera")]
 const CAMERA: (u32, u32) = (640, 480);
 

@@ -1,4 +1,4 @@
-//! `armarium image stats`: how a provider's frames come.
+//! `armarium image stats`: measures a provider's frames.
 
 use std::io::Write;
 use std::time::Duration;
@@ -11,10 +11,10 @@ use super::{Failure, StatsArgs, argument, source};
 use armarium_host::Connection;
 use tokio::time::Instant;
 
-/// Most sizes that are told.
+/// Most sizes that are printed.
 const MOST_SIZES: usize = 32;
 
-/// Counts for a while.
+/// Measures for a while.
 pub(super) async fn run(
     args: &StatsArgs,
     connection: &Connection,
@@ -43,7 +43,7 @@ pub(super) async fn run(
             }
         }
     };
-    // Either the time is up, or the provider has ended.
+    // Ends with the time or with the provider.
     let _ = tokio::time::timeout(span, counting).await.is_ok();
     let elapsed_s =
         first.zip(last).map_or(0.0, |(first, last): (Instant, Instant)| (last - first).as_secs_f64());
@@ -54,7 +54,7 @@ pub(super) async fn run(
     });
     if let Some(remote) = &source.remote {
         let counts = remote.statistics();
-        // As they came over the link, and not as they are decoded.
+        // The size on the link, not the decoded size.
         said["bytes_per_frame"] = (counts.bytes() / counts.received().max(1)).into();
         said["missed"] = counts.missed().into();
         said["malformed"] = counts.malformed().into();

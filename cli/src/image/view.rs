@@ -1,4 +1,4 @@
-//! `armarium image view`: a provider in a browser page, or as PNG files.
+//! `armarium image view`: shows a provider in a browser page, or writes PNG files.
 
 use std::io::Write;
 use std::path::Path;
@@ -11,14 +11,14 @@ use armarium_visionx::providers::{Frame, ImageCoding};
 use super::{Failure, ViewArgs, argument, failed, page, source};
 use armarium_host::Connection;
 
-/// Shows the page until Ctrl-C, or writes as many frames as are asked for.
+/// Shows the page until Ctrl-C, or writes the requested number of frames.
 pub(super) async fn run(
     args: &ViewArgs,
     connection: &Connection,
     out: &mut dyn Write,
 ) -> Result<(), Failure> {
     let coding = if args.jpeg { ImageCoding::Jpeg } else { ImageCoding::Raw };
-    // A page shows files as they were taken; of what is written as PNG none waits.
+    // The page plays files at their own speed; writing PNG files needs no waiting.
     let speed = args.png.is_none().then_some(1.0);
     let source = source::open(&args.source, connection, coding, speed).await?;
     let Some(folder) = &args.png else {
@@ -47,15 +47,15 @@ pub(super) async fn run(
     }
 }
 
-/// Writes the images of a frame; how many there are.
+/// Writes the images of a frame; returns their number.
 fn write(folder: &Path, frame: &Frame, out: &mut dyn Write) -> Result<u64, Failure> {
     let mut written = 0;
     for image in &frame.images {
-        // A role may come from another process: it names no folder.
+        // A role may come from another process, and must not name a folder.
         let role: String = image.role().chars().map(|c| if c.is_alphanumeric() { c } else { '_' }).collect();
         let (name, bytes) = match (depth_png(image).map_err(failed)?, rgb_of(image)) {
             (Some(depth), _) => (role, depth),
-            // Colours of points under this name would be taken for distances.
+            // A colour picture with this name would be taken for distances.
             (None, Some(picture)) if role == "depth" => {
                 (format!("{role}_colors"), png(&picture).map_err(failed)?)
             }

@@ -1,5 +1,5 @@
-//! What of a memory is kept, as the command line says it: `SEGMENT=POLICY[,jpeg[:QUALITY]]`. The rooms of images and of
-//! memory do not know each other; here is where an image in memory becomes a JPEG file.
+//! Parses what of a memory is kept: `SEGMENT=POLICY[,jpeg[:QUALITY]]`. The rooms of images and of memory do not know
+//! each other; this file encodes images in memory as JPEG files.
 
 use std::collections::BTreeMap;
 
@@ -10,14 +10,15 @@ use armarium_visionx::{JPEG_QUALITY, JpegPixel, encode_jpeg};
 /// What a file keeps, and for how long.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(crate) struct KeepArgs {
-    /// What of a core segment the file keeps: `everything`, `nothing`, `on-change`, `at-most:HZ` or `named:NAME+NAME`; with `,jpeg` or
-    /// `,jpeg:QUALITY` its images become JPEG files there. The segment `*` is all that are not named. May be repeated.
+    /// What the file keeps of a core segment: `everything`, `nothing`, `on-change`, `at-most:HZ` or
+    /// `named:NAME+NAME`; with `,jpeg` or `,jpeg:QUALITY` its images are stored as JPEG files. The segment `*` is all
+    /// others. May be repeated.
     #[arg(long, value_name = "SEGMENT=POLICY")]
     keep: Vec<String>,
-    /// How long the file keeps snapshots, days; for ever if not given. The newest of each entity stays.
+    /// How long the file keeps snapshots, days; unlimited if not given. The newest of each entity stays.
     #[arg(long, value_name = "DAYS", allow_negative_numbers = true)]
     days: Option<f64>,
-    /// Most megabytes that the file keeps. The newest of each entity stays.
+    /// Most megabytes in the file. The newest of each entity stays.
     #[arg(long, value_name = "MB", allow_negative_numbers = true)]
     megabytes: Option<f64>,
 }
@@ -33,18 +34,18 @@ impl KeepArgs {
         given.into_iter().find(|(_, is_given)| *is_given).map(|(name, _)| name)
     }
 
-    /// What is kept: as the options say, or else as `usual`.
+    /// The policies from the options; without them `usual`.
     pub(crate) fn policies(&self, usual: Policies) -> Result<Policies, String> {
         policies(usual, &self.keep)
     }
 
-    /// For how long.
+    /// The retention from the options.
     pub(crate) fn retention(&self) -> Result<Retention, String> {
         retention(self.days, self.megabytes)
     }
 }
 
-/// How much is kept, from days and megabytes.
+/// The retention, from days and megabytes.
 pub(super) fn retention(days: Option<f64>, megabytes: Option<f64>) -> Result<Retention, String> {
     let scaled = |number: Option<f64>, unit: f64, what: &str| match number {
         Some(n) if !n.is_finite() || n < 0.0 => Err(format!("{what} cannot be {n}")),
@@ -99,7 +100,7 @@ fn policy(word: &str) -> Result<Policy, String> {
     }
 }
 
-/// The coding that a word says, if it says one.
+/// The coding that a word names, if any.
 fn coding(word: &str) -> Result<Option<Coding>, String> {
     let (name, value) = word.split_once(':').unwrap_or((word, ""));
     if name != "jpeg" {
@@ -112,13 +113,13 @@ fn coding(word: &str) -> Result<Option<Coding>, String> {
     }
 }
 
-/// Images as JPEG files; everything else as it is.
+/// Encodes images as JPEG files; leaves everything else unchanged.
 fn jpeg(quality: u8) -> Coding {
     Coding::new(&format!("jpeg:{quality}"), move |value| as_jpeg(value, quality))
 }
 
-/// An image in memory is a map of `width`, `height`, `format` (`rgb8` or `gray8`), `coding` (`raw`) and `data`: the words of
-/// images on the network.
+/// An image in memory is a map of `width`, `height`, `format` (`rgb8` or `gray8`), `coding` (`raw`) and `data`, as
+/// for images on the network.
 fn as_jpeg(value: &Value, quality: u8) -> Option<Value> {
     let Value::Map(fields) = value else { return None };
     let (Value::Bytes(data), Value::String(coding)) = (fields.get("data")?, fields.get("coding")?) else {

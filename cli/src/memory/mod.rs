@@ -1,8 +1,8 @@
-//! `armarium memory`: what agents know and keep: looked at, written, followed, saved and mended.
+//! `armarium memory`: reads, writes, follows, saves and repairs the memory of agents.
 //!
-//! Each command works on the memory of a running agent (`--agent`, over Zenoh) or on a long-term file that nobody has
-//! open (`--store`). This file reads the command line; [`reach`] finds the memory, [`work`] does the work, [`show`]
-//! prints.
+//! Each command works on the memory of a running agent (`--agent`, over Zenoh) or on a long-term file that no process
+//! has open (`--store`). This file reads the command line; [`reach`] finds the memory, [`work`] does the work,
+//! [`show`] prints.
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -18,17 +18,17 @@ mod serve;
 mod show;
 mod work;
 
-/// The name of a memory that was given none.
+/// The name of a memory without a given name.
 const LOCAL: &str = "local";
 
-/// What `memory` takes.
+/// Arguments of `memory`.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct MemoryArgs {
     /// The agent whose memory it is.
     #[arg(long, global = true, default_value = LOCAL, value_name = "NAME")]
     agent: String,
-    /// Who asks, as his certificate says: a memory with access rules takes commits only from whom it knows, into provider
-    /// segments with his name.
+    /// The name of the writer, as in its certificate: a memory with access rules accepts commits only from known
+    /// writers, into provider segments with their names.
     #[arg(long = "as", global = true, value_name = "NAME")]
     writer: Option<String>,
     #[command(flatten)]
@@ -36,7 +36,7 @@ pub(crate) struct MemoryArgs {
     /// A long-term file instead of a running agent.
     #[arg(long, global = true, value_name = "FILE")]
     store: Option<PathBuf>,
-    /// Print JSON, one object a line, instead of tables.
+    /// Print JSON, one object per line, instead of tables.
     #[arg(long, global = true)]
     json: bool,
     #[command(subcommand)]
@@ -44,7 +44,7 @@ pub(crate) struct MemoryArgs {
 }
 
 impl MemoryArgs {
-    /// Whether all that is said is of use where a file is named, which nobody has open.
+    /// Checks that no option needs a running agent, when a file is named.
     fn only_a_file(&self) -> Result<(), Failure> {
         let wrong = if matches!(self.command, MemoryCommand::Watch(_)) {
             "watch: a file that no agent has open does not change"
@@ -69,26 +69,27 @@ enum MemoryCommand {
     Put(PutArgs),
     /// Show changes as they come.
     Watch(WatchArgs),
-    /// Ask by pattern, time, place and expression.
+    /// Query by pattern, time, place and expression.
     Query(QueryArgs),
-    /// Keep the whole working memory under a name, and load it back.
+    /// Store the whole working memory under a name, and load it back.
     Snapshot(SnapshotArgs),
     /// Write snapshots as JSON lines.
     Export(ExportArgs),
-    /// Keep snapshots of JSON lines, with their versions; a file named by `--store` is made if it is not there.
+    /// Store the snapshots of JSON lines, with their versions; a file named by `--store` is created if it does not
+    /// exist.
     Import {
         /// The file; `-` is standard input.
         file: PathBuf,
     },
-    /// Join what is scattered and give free space back.
+    /// Join fragmented data and return free space.
     Compact,
     /// Read everything and check it.
     Verify,
     /// Count entities, snapshots and bytes.
     Stats,
-    /// Forget what is old or too much.
+    /// Remove what is too old or too much.
     Retain(RetainArgs),
-    /// Conclude from memory once: how things stand to each other, or where they usually are.
+    /// Draw conclusions from memory once: spatial relations between objects, or their usual places.
     Infer {
         /// What to conclude.
         what: Inferences,
@@ -97,10 +98,10 @@ enum MemoryCommand {
     Serve(serve::ServeArgs),
 }
 
-/// The inferences that ship.
+/// The built-in inferences.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum Inferences {
-    /// What is on, in, near or left of what.
+    /// Which object is on, in, near or left of which.
     SpatialRelations,
     /// Where objects are likely found, from all earlier days.
     UsualPlaces,
@@ -115,7 +116,7 @@ impl Inferences {
     }
 }
 
-/// Which entities: `SEGMENT/PROVIDER/ENTITY`, each with `*` for anything; missing parts are anything.
+/// Which entities: `SEGMENT/PROVIDER/ENTITY`, each with `*` for anything; missing parts match anything.
 #[derive(Clone, Debug, Args)]
 struct PatternArg {
     /// For instance `ObjectInstances` or `ObjectInstances/*/cup*`.
@@ -127,13 +128,13 @@ struct PatternArg {
 struct GetArgs {
     /// The address, `SEGMENT/PROVIDER/ENTITY`.
     id: String,
-    /// All versions that are still there, long-term memory included.
+    /// All versions that still exist, long-term memory included.
     #[arg(long)]
     history: bool,
-    /// What held at this time, ns since 1970.
+    /// The state at this time, ns since 1970.
     #[arg(long, value_name = "NS", conflicts_with = "history")]
     at: Option<u64>,
-    /// What held just before this time, ns since 1970.
+    /// The state just before this time, ns since 1970.
     #[arg(long, value_name = "NS", conflicts_with_all = ["history", "at"])]
     before: Option<u64>,
     /// The newest N of them.
@@ -148,16 +149,16 @@ struct PutArgs {
     /// An attribute: plain JSON or text, or `{"vector": {"frame": "root", "components": [0, 0, 1]}}`.
     #[arg(long = "set", value_name = "NAME=VALUE")]
     set: Vec<String>,
-    /// How far it is trusted, 0 to 1.
+    /// Confidence, 0 to 1.
     #[arg(long, default_value_t = 1.0)]
     confidence: f64,
-    /// Refuse unless this is the newest version; 0: it must not exist.
+    /// Refuse unless this is the newest version; 0: the entity must not exist.
     #[arg(long, value_name = "VERSION")]
     expect: Option<u64>,
-    /// The time that the data speak of, ns since 1970; now if not given.
+    /// The time that the data describe, ns since 1970; now if not given.
     #[arg(long, value_name = "NS")]
     time: Option<u64>,
-    /// The entity is gone.
+    /// Remove the entity.
     #[arg(long, conflicts_with = "set")]
     remove: bool,
 }
@@ -166,7 +167,7 @@ struct PutArgs {
 struct WatchArgs {
     #[command(flatten)]
     pattern: PatternArg,
-    /// Only what a CEL expression is true for.
+    /// Only snapshots for which a CEL expression is true.
     #[arg(long, value_name = "CEL")]
     filter: Option<String>,
     /// End after this many changes.
@@ -178,25 +179,25 @@ struct WatchArgs {
 struct QueryArgs {
     #[command(flatten)]
     pattern: PatternArg,
-    /// Only what a CEL expression is true for: `class == 'cup' && position.z > 0.8`.
+    /// Only snapshots for which a CEL expression is true: `class == 'cup' && position.z > 0.8`.
     #[arg(long, value_name = "CEL")]
     filter: Option<String>,
     /// All versions instead of the newest.
     #[arg(long)]
     history: bool,
-    /// Versions that speak of this time or later, ns since 1970.
+    /// Versions that describe this time or later, ns since 1970.
     #[arg(long, value_name = "NS")]
     from: Option<u64>,
-    /// Versions that speak of this time or earlier, ns since 1970.
+    /// Versions that describe this time or earlier, ns since 1970.
     #[arg(long, value_name = "NS")]
     to: Option<u64>,
-    /// What held at this time, ns since 1970.
+    /// The state at this time, ns since 1970.
     #[arg(long, value_name = "NS", conflicts_with_all = ["history", "from", "to"])]
     at: Option<u64>,
-    /// What held just before this time, ns since 1970.
+    /// The state just before this time, ns since 1970.
     #[arg(long, value_name = "NS", conflicts_with_all = ["history", "from", "to", "at"])]
     before: Option<u64>,
-    /// Look into long-term memory too.
+    /// Include long-term memory.
     #[arg(long)]
     long_term: bool,
     /// The nearest to this point, m.
@@ -230,12 +231,12 @@ struct SnapshotArgs {
 
 #[derive(Clone, Debug, Subcommand)]
 enum SnapshotCommand {
-    /// Keep working memory under a name.
+    /// Store working memory under a name.
     Save {
         /// The name.
         name: String,
     },
-    /// Make working memory hold again what a name holds.
+    /// Restore the named content in working memory.
     Load {
         /// The name.
         name: String,
@@ -272,7 +273,7 @@ struct RetainArgs {
 pub(crate) enum Failure {
     /// The memory refuses or cannot be reached: status 1.
     Refused(String),
-    /// An argument is wrong: status 2.
+    /// An argument is invalid: status 2.
     Argument(String),
     /// The output cannot be written.
     Output(io::Error),
@@ -327,14 +328,14 @@ impl From<armarium_memoryx::StoreError> for Failure {
     }
 }
 
-/// Carries out a command. Returns the exit status: 0 when it was done, 1 when the memory refused or is damaged, 2 for a
-/// wrong argument.
+/// Executes a command. Returns the exit status: 0 when it was done, 1 when the memory refused or is damaged, 2 for an
+/// invalid argument.
 ///
 /// # Errors
 /// When `out` cannot be written.
 pub(crate) fn run(args: &MemoryArgs, out: &mut dyn Write, errors: &mut dyn Write) -> io::Result<u8> {
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
-    // What runs for long says when.
+    // A server prints the time of each log line.
     let serves = matches!(args.command, MemoryCommand::Serve(_));
     let done = match if serves { logging::install_dated() } else { warnings::show() } {
         Ok(()) => runtime.block_on(work::carry_out(args, out)),
@@ -346,7 +347,7 @@ pub(crate) fn run(args: &MemoryArgs, out: &mut dyn Write, errors: &mut dyn Write
         Err(Failure::Refused(what)) => writeln!(errors, "error: {what}").map(|()| 1)?,
         Err(Failure::Argument(what)) => writeln!(errors, "error: {what}").map(|()| 2)?,
     };
-    // Whatever still waits for the network ends with the program.
+    // Tasks that still wait for the network end with the program.
     runtime.shutdown_background();
     Ok(status)
 }

@@ -1,4 +1,4 @@
-//! The memory that a command works on: that of a running agent, or a file.
+//! The memory that a command works on: a running agent's, or a file.
 
 use std::sync::Arc;
 
@@ -11,9 +11,9 @@ use armarium_memoryx::{
 
 use super::{Failure, MemoryArgs, MemoryCommand};
 
-/// Where an agent listens that was told nothing else.
+/// Default listening endpoint of an agent.
 pub(super) const USUAL_ENDPOINT: &str = "tcp/127.0.0.1:7447";
-/// Snapshots that are asked for at once.
+/// Snapshots per query.
 const PIECE: usize = 4096;
 
 /// The memory that a command works on.
@@ -23,7 +23,7 @@ pub(super) enum Reached {
 }
 
 impl Reached {
-    /// Opens what the arguments name.
+    /// Opens the memory that the arguments name.
     pub(super) async fn open(args: &MemoryArgs) -> Result<Self, Failure> {
         if let Some(file) = &args.store {
             args.only_a_file()?;
@@ -57,7 +57,7 @@ impl Reached {
         Ok(Self::Agent { remote, session })
     }
 
-    /// What is asked.
+    /// The memory.
     pub(super) fn memory(&self) -> &dyn Memory {
         match self {
             Self::Agent { remote, .. } => remote,
@@ -73,14 +73,14 @@ impl Reached {
         }
     }
 
-    /// All that a question asks for, piece by piece.
+    /// Reads all snapshots of a query, piece by piece.
     pub(super) async fn each(
         &self,
         query: Query,
         mut act: impl FnMut(&Snapshot) -> Result<(), Failure>,
     ) -> Result<u64, Failure> {
         let mut count = 0;
-        // The nearest ones have an order of their own, and a bounded answer is one piece.
+        // The nearest are ordered by distance, and a bounded answer is one piece.
         if query.is_nearest() || query.most.is_some() {
             for snapshot in self.memory().query(&query).await? {
                 act(&snapshot)?;
@@ -98,7 +98,7 @@ impl Reached {
         Ok(count)
     }
 
-    /// Has long-term memory maintained.
+    /// Requests maintenance of long-term memory.
     pub(super) async fn maintain(&self, request: Maintain) -> Result<Report, Failure> {
         match self {
             Self::Agent { remote, .. } => Ok(remote.maintain(&request).await?),
@@ -107,7 +107,7 @@ impl Reached {
     }
 }
 
-/// A working memory on a file, with what it kept last. Its clock is the machine's.
+/// A working memory on a file, with its newest snapshots. Its clock is the machine's.
 fn opened(store: &Arc<LongTermMemory>) -> Result<WorkingMemory, Failure> {
     let backing = Arc::clone(store) as Arc<dyn armarium_memoryx::Backing>;
     let memory = WorkingMemory::new(Arc::new(wall_clock_ns)).with_backing(backing);

@@ -1,4 +1,4 @@
-//! `armarium memory serve`: the memory of an agent as a process of its own.
+//! `armarium memory serve`: runs the memory of an agent as a process of its own.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -20,13 +20,13 @@ pub(super) struct ServeArgs {
     name: String,
     #[command(flatten)]
     access: AccessArgs,
-    /// A folder of prior knowledge: object classes and scenes, a YAML file each.
+    /// A folder of prior knowledge: object classes and scenes, one YAML file each.
     #[arg(long, value_name = "DIR")]
     prior: Option<PathBuf>,
-    /// Conclude something whenever memory has changed; may be repeated.
+    /// Draw conclusions whenever memory has changed; may be repeated.
     #[arg(long, value_name = "WHAT")]
     infer: Vec<Inferences>,
-    /// What to follow of others, `AGENT` or `AGENT:SEGMENT`; may be repeated.
+    /// Another agent's knowledge to follow, `AGENT` or `AGENT:SEGMENT`; may be repeated.
     #[arg(long, value_name = "AGENT[:SEGMENT]")]
     follow: Vec<String>,
     /// Fuse followed objects into this provider segment of `ObjectInstances`.
@@ -81,7 +81,7 @@ pub(super) async fn serve(args: &MemoryArgs, serve: &ServeArgs, out: &mut dyn Wr
     out.flush()?;
     tokio::signal::ctrl_c().await?;
     drop(agent);
-    // A session that cannot be closed ends with the process.
+    // If the session cannot be closed, it ends with the process.
     let _ = session.close().await.is_ok();
     Ok(0)
 }

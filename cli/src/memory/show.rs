@@ -1,4 +1,4 @@
-//! How memory is printed: tables for people, one JSON object a line for programs.
+//! Prints memory: tables for people, one JSON object per line for programs.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -12,7 +12,7 @@ use super::Failure;
 /// Longest text of attributes in a row, characters.
 const WIDE: usize = 72;
 
-/// Prints in one of two ways.
+/// Prints in one of the two formats.
 pub(super) struct Shown {
     json: bool,
     rows: u64,
@@ -46,12 +46,12 @@ impl Shown {
         Ok(())
     }
 
-    /// How many rows there were.
+    /// Prints the number of rows.
     pub(super) fn end(&self, count: u64, what: &str, out: &mut dyn Write) -> Result<(), Failure> {
         if self.json { Ok(()) } else { Ok(writeln!(out, "{count} {what}")?) }
     }
 
-    /// One snapshot with everything that is known of it.
+    /// One snapshot with all its data.
     pub(super) fn whole(&self, snapshot: &Snapshot, out: &mut dyn Write) -> Result<(), Failure> {
         if self.json {
             return Ok(writeln!(out, "{}", json_of(snapshot))?);
@@ -90,7 +90,7 @@ impl Shown {
         Ok(())
     }
 
-    /// Changes that came faster than they could be printed.
+    /// Prints how many changes were lost because printing was too slow.
     pub(super) fn lagged(&self, count: u64, out: &mut dyn Write) -> Result<(), Failure> {
         if self.json {
             return Ok(writeln!(out, "{}", json!({ "missed": count }))?);
@@ -125,12 +125,12 @@ fn brief<'a>(attributes: impl Iterator<Item = (&'a str, &'a Value)>) -> String {
     attributes.map(|(name, value)| format!("{name}={}", plain(value))).collect::<Vec<_>>().join(" ")
 }
 
-/// A value in few words.
+/// A short form of a value.
 fn plain(value: &Value) -> String {
     let rounded = |numbers: &[f64]| numbers.iter().map(|n| format!("{n:.4}")).collect::<Vec<_>>().join(", ");
     match value {
         Value::Bytes(bytes) => format!("{} bytes", bytes.len()),
-        // An image, for instance: nobody reads its bytes.
+        // An image, for instance: its bytes are not printed.
         Value::Map(fields) if fields.values().any(|field| matches!(field, Value::Bytes(_))) => {
             let fields = fields.iter().map(|(name, field)| format!("{name}: {}", plain(field)));
             format!("{{{}}}", fields.collect::<Vec<_>>().join(", "))
@@ -152,7 +152,7 @@ fn cut(text: &str) -> String {
     short
 }
 
-/// A time, ns since 1970, as UTC. Times of a clock that began elsewhere are seconds.
+/// A time, ns since 1970, as UTC. Times of a clock with another epoch are printed in seconds.
 fn utc(ns: u64) -> String {
     let (seconds, milliseconds) = (ns / 1_000_000_000, ns / 1_000_000 % 1000);
     if seconds < 86_400 * 365 {

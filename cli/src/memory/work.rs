@@ -1,4 +1,4 @@
-//! What each command does.
+//! Executes the commands.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -18,7 +18,7 @@ use super::{
     keep, serve,
 };
 
-/// Snapshots that are imported at once.
+/// Snapshots per import request.
 const BATCH: usize = 1000;
 
 pub(super) async fn carry_out(args: &MemoryArgs, out: &mut dyn Write) -> Result<u8, Failure> {
@@ -141,7 +141,7 @@ async fn put(reached: &Reached, put: &PutArgs) -> Result<u64, Failure> {
     Ok(reached.memory().commit(vec![commit]).await?.first().copied().unwrap_or(0))
 }
 
-/// An address of a command line.
+/// An address from the command line.
 fn id(text: &str) -> Result<EntityId, Failure> {
     match text.split('/').collect::<Vec<_>>()[..] {
         [segment, provider, entity] => Ok(EntityId::new(segment, provider, entity)?),
@@ -149,7 +149,7 @@ fn id(text: &str) -> Result<EntityId, Failure> {
     }
 }
 
-/// The failure of a writer who may not know that he has to say his name.
+/// Adds a hint for writers that did not give their name.
 fn explained(failure: Failure, args: &MemoryArgs) -> Failure {
     match failure {
         Failure::Refused(what) if args.writer.is_none() && what.contains("access rules") => {
@@ -159,7 +159,7 @@ fn explained(failure: Failure, args: &MemoryArgs) -> Failure {
     }
 }
 
-/// Kinds of values that stand for themselves in an object with one field.
+/// Kinds of values that are recognised as an object with one field.
 const KINDS: [&str; 12] = [
     "bool",
     "int",
@@ -175,7 +175,7 @@ const KINDS: [&str; 12] = [
     "reference",
 ];
 
-/// A value of a command line: with its kind, as plain JSON, or else as text.
+/// A value from the command line: with its kind, as plain JSON, or else as text.
 fn value(name: &str, text: &str) -> Result<Value, Failure> {
     let json = match serde_json::from_str::<serde_json::Value>(text) {
         Ok(json) => json,
@@ -262,7 +262,7 @@ async fn export(reached: &Reached, export: &ExportArgs, out: &mut dyn Write) -> 
         None => out,
     };
     if let Reached::File { store, .. } = reached {
-        // Past what is damaged, to the last that is not.
+        // Continues past damaged parts.
         store.export(&pattern, &mut &mut *to)?;
         return Ok(());
     }

@@ -1,4 +1,4 @@
-//! Driving a chart by hand: what is active is shown, and a line is asked for.
+//! Drives a chart by hand: shows the active states, and asks for a line.
 
 use std::io::{self, BufRead, Write};
 use std::time::Duration;
@@ -6,7 +6,7 @@ use std::time::Duration;
 use armarium_runtime::stepping::Stepper;
 use armarium_values::{Type, Value};
 
-/// What can be typed.
+/// The help text.
 const HELP: &str = "\
   NAME [JSON]           raise an event, perhaps with data
   NAME@STATE [JSON]     the outcome of the state's skill, or its watch
@@ -15,7 +15,7 @@ const HELP: &str = "\
   vars                  show locals and outputs
   quit                  leave";
 
-/// Asks for lines until there are no more, the person leaves or the run has ended.
+/// Asks for lines until the input or the run ends, or the user quits.
 pub(super) fn run(mut stepper: Stepper, input: &mut dyn BufRead, out: &mut dyn Write) -> io::Result<()> {
     stepper.start();
     writeln!(out, "{HELP}")?;

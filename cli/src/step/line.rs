@@ -1,4 +1,4 @@
-//! One JSON line in, one out.
+//! Reads and writes the JSON lines of `step`.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -9,10 +9,10 @@ use armarium_runtime::stepping::{Sent, Stepper};
 use armarium_values::Value;
 use serde::{Deserialize, Serialize};
 
-/// Longest time that one line lets go by, ms: about 30 years.
+/// Longest time that one line can let pass, ms: about 30 years.
 const LONGEST_MS: f64 = 1.0e12;
 
-/// What a line says, as it is written.
+/// A line as it is written.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Written {
@@ -25,7 +25,7 @@ struct Written {
     after_ms: Option<f64>,
 }
 
-/// What a line tells the chart.
+/// The input of a line to the chart.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Told {
     after: Duration,
@@ -34,7 +34,7 @@ pub(super) struct Told {
 
 #[derive(Clone, Debug, PartialEq)]
 enum What {
-    /// With the chart's number for it, once that has been looked up.
+    /// With the chart's number of the event, once it was looked up.
     Event {
         name: String,
         data: Value,
@@ -61,7 +61,7 @@ impl Told {
         self
     }
 
-    /// What the line is called in the answer.
+    /// The line's name in the answer.
     pub(super) fn name(&self) -> &str {
         match &self.what {
             What::Event { name, .. } | What::Report { name, .. } => name,
@@ -71,7 +71,7 @@ impl Told {
     }
 }
 
-/// Reads a line; nothing for an empty one.
+/// Reads a line; `None` for an empty one.
 ///
 /// # Errors
 /// One sentence for people.
@@ -101,7 +101,7 @@ pub(super) fn read(text: &str) -> Result<Option<Told>, String> {
     Ok(Some(Told { after: Duration::from_secs_f64(after_ms / 1000.0), what }))
 }
 
-/// Tells the chart what a line says. An outcome that nobody waits for is only a warning: as in a run, it is dropped.
+/// Passes a line's input to the chart. An outcome of an inactive state is only a warning: as in a run, it is dropped.
 pub(super) fn tell(stepper: &mut Stepper, told: &Told, number: usize, err: &mut dyn Write) -> io::Result<()> {
     if !told.after.is_zero() {
         stepper.advance(told.after);
@@ -120,7 +120,7 @@ pub(super) fn tell(stepper: &mut Stepper, told: &Told, number: usize, err: &mut 
     Ok(())
 }
 
-/// What is active after an event.
+/// The active states after an event.
 #[derive(Serialize)]
 struct Answer<'a> {
     event: Option<&'a str>,
@@ -146,7 +146,7 @@ fn letter(sent: &Sent) -> serde_json::Value {
     serde_json::json!({"event": sent.event, "to": sent.to, "data": sent.data.to_json()})
 }
 
-/// Writes what is active after `event`; before any, that is null.
+/// Writes the active states after `event`; before the first event it is null.
 pub(super) fn write(stepper: &mut Stepper, event: &str, out: &mut dyn Write) -> io::Result<()> {
     let snapshot = stepper.snapshot();
     let log = stepper.take_logs();
@@ -175,7 +175,7 @@ struct Figures {
     locals: BTreeMap<String, serde_json::Value>,
 }
 
-/// Writes how fast the chart was driven and where it has come to.
+/// Writes the speed and the final states.
 pub(super) fn write_figures(
     stepper: &Stepper,
     events: u64,

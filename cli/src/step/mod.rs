@@ -1,6 +1,6 @@
-//! `armarium step CHART`: drives a chart with no robot under virtual time, by JSON lines or by hand at a terminal.
+//! `armarium step CHART`: drives a chart without a robot in virtual time, by JSON lines or by hand at a terminal.
 //!
-//! `line` reads what comes in and writes what goes out, `interactive` is for people.
+//! `line` reads and writes JSON lines, `interactive` is for people.
 
 mod interactive;
 mod line;
@@ -19,7 +19,7 @@ use crate::render_findings::Shown;
 use crate::run::parse_input;
 use armarium_host::{catalog, run::read_inputs};
 
-/// What `step` takes.
+/// Arguments of `step`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct StepArgs {
     /// The chart.
@@ -35,32 +35,32 @@ pub(crate) struct StepArgs {
     /// channel's value is `{"channel": "hand", "value": ..}`. `-` reads them from standard input.
     #[arg(long, value_name = "FILE")]
     pub(crate) events: Option<PathBuf>,
-    /// Folders where charts find other charts by name, besides their own.
+    /// Additional folders in which charts find other charts by name.
     #[arg(long, value_name = "DIR")]
     pub(crate) charts: Vec<PathBuf>,
     /// Ask for events at the terminal.
     #[arg(long, conflicts_with_all = ["events", "repeat", "quiet"])]
     pub(crate) interactive: bool,
-    /// Drive the list of events so many times.
+    /// Drive the list of events this many times.
     #[arg(long, value_name = "N", default_value_t = 1, requires = "events")]
     pub(crate) repeat: u64,
-    /// Print one line at the end, with the time that it took.
+    /// Print only one line at the end, with the time taken.
     #[arg(long, requires = "events")]
     pub(crate) quiet: bool,
 }
 
-/// Why a chart cannot be driven on.
+/// Why driving a chart stopped.
 #[derive(Debug, thiserror::Error)]
 enum Stopped {
-    /// What is wrong with the file or an argument; it is shown.
+    /// The error in a file or an argument, to be printed.
     #[error("{0}")]
     Wrong(String),
     #[error(transparent)]
     Io(#[from] io::Error),
 }
 
-/// Drives the chart; results go to `out`, what is wrong to `err`. Returns the exit status: 2 when a file, an argument or
-/// an event is wrong, otherwise 0.
+/// Drives the chart; results go to `out`, errors to `err`. Returns the exit status: 2 when a file, an argument or an
+/// event is invalid, otherwise 0.
 ///
 /// # Errors
 /// When `out` or `err` cannot be written.
@@ -115,7 +115,7 @@ fn drive(
     Ok(())
 }
 
-/// Drives the list `repeat` times and says how long that took.
+/// Drives the list `repeat` times and prints the time taken.
 #[expect(clippy::disallowed_methods, reason = "it measures the machine")]
 fn measure(
     args: &StepArgs,

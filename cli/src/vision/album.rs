@@ -1,5 +1,5 @@
-//! The folder of annotated images: which file each gets. What an earlier look has left there is replaced, but none of the
-//! images that are looked at, and no annotated image by another one.
+//! The folder of annotated images: the output file of each image. Output of an earlier call is replaced, but never an
+//! input image, nor the annotated image of another input.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -9,21 +9,21 @@ use armarium_visionx::{Image, annotate};
 
 use super::AnnotateArgs;
 
-/// Where annotated images go, if anywhere.
+/// Where annotated images are written, if anywhere.
 #[derive(Debug, Default)]
 pub(super) struct Album {
     folder: Option<PathBuf>,
-    /// The places of images that are known beforehand.
+    /// The output files of the images that are known beforehand.
     planned: BTreeMap<PathBuf, PathBuf>,
-    /// All places that were given away.
+    /// All output files assigned so far.
     taken: BTreeSet<PathBuf>,
 }
 
 impl Album {
-    /// The places of these images: `NAME.png`, and `NAME_2.png` for another of the same name.
+    /// Plans the output files of these images: `NAME.png`, and `NAME_2.png` for another of the same name.
     ///
     /// # Errors
-    /// When the folder is a file, or one of the places is; one sentence for people.
+    /// When the folder is a file, or an output file is one of the input images; one sentence for people.
     pub(super) fn of(args: &AnnotateArgs, images: &[PathBuf]) -> Result<Self, String> {
         let Some(folder) = &args.annotate else { return Ok(Self::default()) };
         if folder.exists() && !folder.is_dir() {
@@ -48,7 +48,7 @@ impl Album {
         Ok(album)
     }
 
-    /// A place that no other image has.
+    /// An output file that no other image has.
     fn place(&mut self, folder: &Path, name: &str) -> PathBuf {
         let mut path = folder.join(format!("{name}.png"));
         let mut number = 2u64;
@@ -59,17 +59,17 @@ impl Album {
         path
     }
 
-    /// Writes an annotated image, if annotated images are wanted: to the place of its file, or for a message of a recording
-    /// to one after its name.
+    /// Writes an annotated image, if requested: to its planned file, or for a message of a recording to one with the
+    /// message's name.
     ///
     /// # Errors
-    /// Why it cannot be written, with the file; for people.
+    /// The reason and the file; for people.
     pub(super) fn keep(&mut self, name: &str, image: &Image) -> Result<(), String> {
         let Some(folder) = self.folder.clone() else { return Ok(()) };
         let path = match self.planned.get(Path::new(name)) {
             Some(path) => path.clone(),
             None => {
-                // What stands in a recording names no folder.
+                // A name from a recording must not name a folder.
                 let plain = |c: char| if c.is_alphanumeric() || c == '.' || c == '-' { c } else { '_' };
                 let name: String = name.chars().map(plain).collect();
                 self.place(&folder, &name)

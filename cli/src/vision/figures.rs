@@ -1,5 +1,5 @@
-//! `armarium vision figures`: how well fingertips are tracked and gestures are known in the simulator, and what each
-//! part of the tracking does for it.
+//! `armarium vision figures`: the quality of fingertip tracking and gesture recognition in the simulator, and the
+//! effect of each part of the tracking.
 
 use std::io::{self, Write};
 
@@ -11,12 +11,12 @@ use armarium_visionx::tracking::{
 use super::FiguresArgs;
 use super::staged::{BACKGROUNDS, CALIBRATION, CHANGES, RATE_HZ, Stage, TrueTip, Truth, blackout};
 
-/// The frames, of each three seconds, in which nothing can be seen.
+/// The frames without visibility, in each three seconds.
 const BLACKOUT: std::ops::Range<u64> = 75..80;
 const PERIOD: u64 = 90;
-/// Frames in which a tip must be found again.
+/// Frames within which a tip must be found again.
 const AGAIN: u64 = 10;
-/// A tip farther from its track than this is lost, px, and tip radii that are added.
+/// A tip counts as lost farther from its track than this, px, plus this many tip radii.
 const LOST: (f64, f64) = (4.0, 1.5);
 /// The distance whose radius is used at all distances in the row without the adaptive radius, m.
 const FIXED_DEPTH: f64 = 0.6;
@@ -29,27 +29,27 @@ struct Variant {
     settings: FingerTipSettings,
 }
 
-/// How well one variant did.
+/// The result of one variant.
 #[derive(Debug, Default)]
 struct Score {
-    /// Distances of tips that can be seen from the nearest track, px; infinite for those that are lost.
+    /// Distances of visible tips from the nearest track, px; infinite for lost tips.
     errors: Vec<f64>,
     lost: usize,
-    /// Tracks where no tip is, and all tracks.
+    /// Tracks without a tip, and all tracks.
     false_tracks: usize,
     tracks: usize,
-    /// Distances from the nearest track at the end of each blackout, px; without a track infinite.
+    /// Distances from the nearest track at the end of each blackout, px; infinite without a track.
     blind: Vec<f64>,
-    /// Frames until all tips were there again after each blackout.
+    /// Frames after each blackout until all tips were tracked again.
     again: Vec<u64>,
 }
 
-/// How well gestures are known.
+/// The quality of gesture recognition.
 #[derive(Debug, Default)]
 struct Gestures {
     steady: usize,
     right: usize,
-    /// Frames from the end of a change until it was noticed.
+    /// Frames from the end of a change of gesture until it was recognised.
     noticed: Vec<u64>,
 }
 

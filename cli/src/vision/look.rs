@@ -1,4 +1,4 @@
-//! Single images: a hand, its gesture and fingertips, its pixels; a thing of a colour.
+//! Single images: a hand with its gesture, fingertips and pixels; an object of one colour.
 
 use std::fs;
 use std::io::{self, Write};
@@ -13,10 +13,10 @@ use super::LookArgs;
 use super::album::Album;
 use super::report::{ErrorLine, HandLine, MarkerLine, MarkerPlace, SkinLine, Tip, json, rounded};
 
-/// What is sought.
+/// What to search for.
 #[derive(Clone, Debug)]
 pub(super) enum Seek {
-    /// The hand, its fingertips, and which of these gestures it makes.
+    /// The hand, its fingertips, and its gesture among these.
     Gesture(GestureRecognizer),
     Skin,
     Marker([u8; 3]),
@@ -26,7 +26,8 @@ pub(super) enum Seek {
 const LEAST_MARKER: u32 = 12;
 const DRAWN: [u8; 3] = [255, 40, 200];
 
-/// Looks at each image. Returns 2 when one cannot be used or the annotated ones have no place, 1 when an annotated image cannot be written.
+/// Analyses each image. Returns 2 when one is unusable or has no output file, 1 when an annotated image cannot be
+/// written.
 pub(super) fn run(args: &LookArgs, seek: &Seek, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
     let files = match images_in(&args.images) {
         Ok(files) => files,
@@ -59,7 +60,7 @@ pub(super) fn run(args: &LookArgs, seek: &Seek, out: &mut dyn Write, err: &mut d
     Ok(status)
 }
 
-/// The recogniser of a file's patterns, or of those that ship.
+/// The recogniser with the patterns of a file, or with the built-in ones.
 pub(super) fn recognizer(patterns: Option<&Path>) -> Result<GestureRecognizer, String> {
     let Some(path) = patterns else { return Ok(GestureRecognizer::default()) };
     let shown = path.display();
@@ -72,7 +73,7 @@ pub(super) fn refuse(message: &str, err: &mut dyn Write) -> io::Result<u8> {
     Ok(2)
 }
 
-/// Prints what is seen and draws it into the image.
+/// Prints the detections and draws them into the image.
 fn look(file: &str, image: &mut Image, seek: &Seek, as_json: bool, out: &mut dyn Write) -> io::Result<()> {
     let recognizer = match seek {
         Seek::Marker(color) => return marker(file, image, *color, as_json, out),
@@ -87,7 +88,7 @@ fn look(file: &str, image: &mut Image, seek: &Seek, as_json: bool, out: &mut dyn
     if as_json { json(&line, out) } else { line.text(out) }
 }
 
-/// What is said of a hand.
+/// The line about a hand.
 pub(super) fn hand_line(
     file: &str,
     hand: Option<&HandInPicture>,
@@ -150,7 +151,7 @@ fn draw(image: &mut Image, hand: &HandInPicture) {
     }
 }
 
-/// Darkens what is not the hand.
+/// Darkens all pixels outside the hand.
 fn draw_silhouette(image: &mut Image, hand: &HandInPicture) {
     let scale = hand.segmentation.scale;
     let (w, h) = (image.width(), image.height());
@@ -189,7 +190,7 @@ fn marker(
     }
 }
 
-/// A colour of the command line.
+/// A colour from the command line.
 pub(crate) fn color(text: &str) -> Result<[u8; 3], String> {
     let wrong = || "three numbers from 0 to 255, as in 40,170,60".to_owned();
     let parts: Vec<u8> =
@@ -197,7 +198,7 @@ pub(crate) fn color(text: &str) -> Result<[u8; 3], String> {
     parts.try_into().map_err(|_| wrong())
 }
 
-/// A place in an image as the tracks draw it.
+/// Draws a mark at a position.
 pub(super) fn mark(image: &mut Image, at: &Point2<f64>, radius: f64) {
     annotate::circle(image, at, radius.max(3.0), [255, 255, 0]);
     annotate::cross(image, at, 3.0, [255, 255, 0]);

@@ -1,5 +1,5 @@
-//! `armarium vision`: what the vision of the project sees in images that are given as files. Each image stands alone and
-//! needs neither depth nor calibration; `track` takes images as a sequence.
+//! `armarium vision`: applies the project's vision to image files. Each image is analysed alone, without depth or
+//! calibration; `track` takes images as a sequence.
 
 mod album;
 mod figures;
@@ -16,7 +16,7 @@ use std::path::PathBuf;
 use armarium_visionx::tracking::GestureRecognizer;
 pub(crate) use look::color;
 
-/// What `vision` takes.
+/// Arguments of `vision`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct VisionArgs {
     #[command(subcommand)]
@@ -29,19 +29,19 @@ enum VisionCommand {
     Gesture(GestureArgs),
     /// The fingertips of the hand in each image.
     Fingertips(LookArgs),
-    /// The largest thing of a colour in each image.
+    /// The largest object of a colour in each image.
     Marker(MarkerArgs),
-    /// Which pixels of each image are the hand.
+    /// The pixels of the hand in each image.
     Skin(LookArgs),
     /// The fingertips in a sequence: a folder of images in the order of their names, or a recording.
     Track(TrackArgs),
     /// Learn how fingertips move from sequences, and save the model.
     Train(TrainArgs),
-    /// Track simulated hands with parts of the tracking left out, and print how well it goes.
+    /// Track simulated hands with parts of the tracking left out, and print the quality.
     Figures(FiguresArgs),
 }
 
-/// Images, and how to tell what is in them.
+/// Images, and how to print the results.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct LookArgs {
     /// PNG or JPEG files, or folders of them.
@@ -49,30 +49,30 @@ pub(crate) struct LookArgs {
     pub(crate) images: Vec<PathBuf>,
     #[command(flatten)]
     pub(crate) annotate: AnnotateArgs,
-    /// One line of JSON an image.
+    /// One line of JSON per image.
     #[arg(long)]
     pub(crate) json: bool,
 }
 
-/// Where annotated images go.
+/// The output of annotated images.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(crate) struct AnnotateArgs {
-    /// Write each image with what was seen in it into this folder, as PNG; the images that are looked at are never replaced.
+    /// Write each image with its detections into this folder, as PNG; input images are never replaced.
     #[arg(long, value_name = "DIR")]
     pub(crate) annotate: Option<PathBuf>,
 }
 
-/// Images, and what gestures are.
+/// Images, and the definition of gestures.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct GestureArgs {
     #[command(flatten)]
     pub(crate) look: LookArgs,
-    /// A YAML file of labelled finger patterns in place of the ones that ship.
+    /// A YAML file of labelled finger patterns instead of the built-in ones.
     #[arg(long, value_name = "FILE")]
     pub(crate) patterns: Option<PathBuf>,
 }
 
-/// Images, and the colour that is sought.
+/// Images, and the colour to search for.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct MarkerArgs {
     #[command(flatten)]
@@ -88,35 +88,35 @@ pub(crate) struct TrackArgs {
     /// A folder of PNG or JPEG files, or a recording (MCAP) with compressed images.
     #[arg(value_name = "FOLDER|RECORDING")]
     pub(crate) folder: PathBuf,
-    /// The recording's topic; the first one with images where nothing is said.
+    /// The recording's topic; the first one with images if not given.
     #[arg(long, value_name = "TOPIC")]
     pub(crate) topic: Option<String>,
     #[command(flatten)]
     pub(crate) annotate: AnnotateArgs,
-    /// One line of JSON an image.
+    /// One line of JSON per image.
     #[arg(long)]
     pub(crate) json: bool,
-    /// Focal length, px; 1.2 times the longer side where nothing is said.
+    /// Focal length, px; 1.2 times the longer side if not given.
     #[arg(long, value_name = "PX", value_parser = positive)]
     pub(crate) focal: Option<f64>,
-    /// A model of the motion in place of the one that ships.
+    /// A motion model instead of the built-in one.
     #[arg(long, value_name = "FILE")]
     pub(crate) model: Option<PathBuf>,
 }
 
-/// What is learned from.
+/// The data to learn from.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct TrainArgs {
-    /// Folders of images or recordings, one a sequence; none with --simulated.
+    /// Folders of images or recordings, one per sequence; none with --simulated.
     #[arg(value_name = "FOLDER|RECORDING", required_unless_present = "simulated")]
     pub(crate) folders: Vec<PathBuf>,
-    /// Where the model goes.
+    /// The output file of the model.
     #[arg(short, long, value_name = "FILE")]
     pub(crate) output: PathBuf,
-    /// Images a second of the sequences.
+    /// Images per second of the sequences.
     #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = positive)]
     pub(crate) rate: f64,
-    /// Focal length, px; 1.2 times the longer side where nothing is said.
+    /// Focal length, px; 1.2 times the longer side if not given.
     #[arg(long, value_name = "PX", value_parser = positive)]
     pub(crate) focal: Option<f64>,
     /// Learn from this many simulated sequences as well.
@@ -124,28 +124,28 @@ pub(crate) struct TrainArgs {
     pub(crate) simulated: Option<u64>,
 }
 
-/// How much is simulated.
+/// The amount of simulation.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(crate) struct FiguresArgs {
-    /// Seeds, each before three backgrounds.
+    /// Number of seeds; each is used with three backgrounds.
     #[arg(long, value_name = "N", default_value_t = 10)]
     pub(crate) seeds: u64,
-    /// Frames of a sequence.
+    /// Frames per sequence.
     #[arg(long, value_name = "N", default_value_t = 120)]
     pub(crate) frames: u64,
-    /// The whole tracking alone, without the table of what its parts do.
+    /// Only the complete tracking, without the table of its parts.
     #[arg(long)]
     pub(crate) whole: bool,
 }
 
-/// A number of the command line that is greater than 0.
+/// A number from the command line that must be greater than 0.
 fn positive(text: &str) -> Result<f64, String> {
     let number: f64 = text.parse().map_err(|_| "this is no number".to_owned())?;
     let fits = number.is_finite() && number > 0.0;
     fits.then_some(number).ok_or_else(|| "give a number greater than 0".to_owned())
 }
 
-/// Does what is asked. Returns the exit status: 1 when something cannot be written, 2 when a file cannot be used.
+/// Executes the command. Returns the exit status: 1 when something cannot be written, 2 when a file cannot be used.
 ///
 /// # Errors
 /// When `out` or `err` cannot be written.

@@ -1,4 +1,4 @@
-//! What was seen in an image, as a line of JSON or of text.
+//! The detections in an image, as a line of JSON or of text.
 
 use std::io::{self, Write};
 
@@ -34,24 +34,24 @@ pub(super) struct HandLine {
     pub(super) fingertips: Vec<Tip>,
 }
 
-/// The part of an image that is hand.
+/// The pixels of the hand in an image.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct SkinLine {
     pub(super) file: String,
     pub(super) confidence: f64,
     pub(super) hand: Option<Rectangle>,
-    /// Share of the image.
+    /// Fraction of the image.
     pub(super) share: f64,
 }
 
-/// A thing of a colour; without one, `marker` is null.
+/// An object of one colour; without one, `marker` is null.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct MarkerLine {
     pub(super) file: String,
     pub(super) marker: Option<MarkerPlace>,
 }
 
-/// Where a thing of a colour is, px of the file.
+/// The place of an object of one colour, px of the file.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct MarkerPlace {
     pub(super) x: f64,
@@ -60,7 +60,7 @@ pub(super) struct MarkerPlace {
     pub(super) bounds: Rectangle,
 }
 
-/// A file that gives no image.
+/// A file that is not a readable image.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct ErrorLine {
     pub(super) file: String,
@@ -73,7 +73,7 @@ impl From<Region> for Rectangle {
     }
 }
 
-/// To a tenth of a pixel, a hundredth of a score.
+/// Rounds: pixels to a tenth, scores to a hundredth.
 pub(super) fn rounded(value: f64, digits: i32) -> f64 {
     let scale = 10f64.powi(digits);
     (value * scale).round() / scale

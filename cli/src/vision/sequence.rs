@@ -8,17 +8,17 @@ use armarium_visionx::providers::{Frame, ImageProvider, Pace, RecordingProvider}
 use armarium_visionx::{Image, ImageError};
 use tokio::runtime::Runtime;
 
-/// The images of a sequence, none decoded yet.
+/// The images of a sequence, decoded one at a time.
 pub(super) enum Sequence {
     Files(Vec<PathBuf>),
     Recording { path: PathBuf, topic: Option<String>, runtime: Runtime },
 }
 
-/// An image of a sequence and its name; or why it is none.
+/// The name of an image, and the image or the error.
 pub(super) type Step = (String, Result<Image, String>);
 
 impl Sequence {
-    /// The sequence in a folder, or of one provider or topic of a recording: the one that is named, or the first.
+    /// The sequence in a folder, or that of a provider or topic in a recording: the named one, or the first.
     pub(super) fn open(path: &Path, topic: Option<&str>) -> Result<Self, String> {
         if path.is_dir() {
             let files = images_in(&[path.to_owned()]).map_err(|(p, e)| format!("{}: {e}", p.display()))?;
@@ -40,7 +40,7 @@ impl Sequence {
         Ok(sequence)
     }
 
-    /// The files of a folder; a recording has none.
+    /// The files of a folder; empty for a recording.
     pub(super) fn files(&self) -> &[PathBuf] {
         match self {
             Self::Files(files) => files,
@@ -55,7 +55,7 @@ impl Sequence {
         opened.map(Some).map_err(|e| e.to_string())
     }
 
-    /// Hands each image to `take`, in order, until it says that it wants no more.
+    /// Passes each image to `take`, in order, until it returns false.
     pub(super) fn each(&self, mut take: impl FnMut(Step) -> bool) -> Result<(), String> {
         match self {
             Self::Files(files) => {

@@ -1,7 +1,7 @@
-//! Simulated hands that turn and move before a stereo camera, and the truth of their fingertips.
+//! Simulated hands that move before a stereo camera, with the true positions of their fingertips.
 //!
-//! A hand is 0.3 to 1.0 m away, moves with at most 0.5 m/s, turns, and changes its gesture every second. The camera is
-//! the robot's: 640 x 480, with noise and with a depth image. The truth is for measuring alone.
+//! A hand is 0.3 to 1.0 m away, moves with at most 0.5 m/s, rotates, and changes its gesture every second. The camera
+//! is the robot's: 640 x 480, with noise and a depth image. The truth is used for measuring only.
 
 use std::f64::consts::TAU;
 
@@ -17,9 +17,9 @@ pub(super) const CALIBRATION: StereoCalibration = StereoCalibration {
     camera: PinholeCamera { width: 640, height: 480, focal: 515.0, center: [319.5, 239.5] },
     baseline: 0.093,
 };
-/// Frames a second.
+/// Frames per second.
 pub(super) const RATE_HZ: f64 = 30.0;
-/// Frames that a gesture lasts, and of these the ones in which the hand changes to it.
+/// Frames per gesture, and among them those in which the hand changes to it.
 pub(super) const STAYS: u64 = 30;
 pub(super) const CHANGES: u64 = 6;
 /// How many backgrounds there are.
@@ -31,18 +31,18 @@ const FASTEST: f64 = 0.5;
 /// Nearest and farthest distance, m.
 const DISTANCES: (f64, f64) = (0.3, 1.0);
 
-/// A fingertip that can be seen.
+/// A visible fingertip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct TrueTip {
-    /// 0 the thumb, 4 the little finger.
+    /// Finger: 0 is the thumb, 4 the little finger.
     pub(super) finger: usize,
-    /// The middle of its rounding in the left image, px.
+    /// The centre of its round end in the left image, px.
     pub(super) px: Point2<f64>,
-    /// The radius of the rounding, px.
+    /// The radius of its round end, px.
     pub(super) radius: f64,
 }
 
-/// What is true in one frame.
+/// The truth of one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Truth {
     pub(super) gesture: Gesture,
@@ -65,8 +65,8 @@ pub(super) struct Stage {
 }
 
 impl Stage {
-    /// A stage of `seed`, before one of the three backgrounds: a brown wall, one of a skin's colour, a pale one with
-    /// things before it.
+    /// A stage of `seed`, with one of the three backgrounds: a brown wall, a skin-coloured one, a pale one with
+    /// objects before it.
     pub(super) fn new(seed: u64, background: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed * BACKGROUNDS + background);
         let camera = CALIBRATION.camera;
@@ -98,9 +98,9 @@ impl Stage {
     fn hand(&self, t: f64) -> Isometry3<f64> {
         let wave = |i: usize| self.waves[i][0] * (self.waves[i][1] * t + self.waves[i][2]).sin();
         let z = (DISTANCES.0 + DISTANCES.1) / 2.0 + wave(2);
-        // Nearer, the picture is narrower.
+        // The closer the hand, the narrower the field of view.
         let room = ((z - 0.25) / 0.4).clamp(0.1, 1.0);
-        // Fingers up in the picture, the back or the palm to the camera.
+        // Fingers point up in the image, the back or the palm to the camera.
         let base = axes(self.back);
         let roll = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), wave(3));
         let tilt = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), wave(4));
@@ -108,7 +108,7 @@ impl Stage {
         Isometry3::from_parts(place, roll * tilt * base)
     }
 
-    /// The time at a frame: the motion is slowed where it would be too fast.
+    /// The time of a frame: the motion is slowed where it would be too fast.
     fn time(&self, frame: u64) -> f64 {
         let mut fastest: f64 = 0.0;
         for k in 0..400 {
@@ -127,7 +127,7 @@ impl Stage {
         (HandPose::blend(&HandPose::of(before), &HandPose::of(now), share), now)
     }
 
-    /// A frame and what is true in it.
+    /// A frame with its truth.
     pub(super) fn frame(&self, number: u64) -> (StereoFrame, Truth) {
         let left_from_hand = self.hand(self.time(number));
         let (pose, gesture) = self.pose(number);
@@ -166,7 +166,7 @@ impl Stage {
     }
 }
 
-/// A frame in which nothing can be seen.
+/// A frame without visible content.
 pub(super) fn blackout(frame: &StereoFrame) -> StereoFrame {
     let black = |i: &Image| {
         Image::from_rgb(i.width(), i.height(), vec![0; i.data().len()]).unwrap_or_else(|_| i.clone())
@@ -174,7 +174,8 @@ pub(super) fn blackout(frame: &StereoFrame) -> StereoFrame {
     StereoFrame { left: black(&frame.left), right: black(&frame.right), depth: None, ..frame.clone() }
 }
 
-/// The hand's axes in a camera's: its z up in the picture, its x (out of the palm) to the camera or away.
+/// The hand's axes in the camera frame: its z points up in the image, its x (out of the palm) to the camera or away
+/// from it.
 fn axes(back: bool) -> UnitQuaternion<f64> {
     let z = -Vector3::y();
     let x = if back { Vector3::z() } else { -Vector3::z() };
@@ -199,7 +200,7 @@ fn named(gesture: HandGesture) -> Gesture {
     }
 }
 
-/// What stands behind the hand.
+/// The background objects.
 fn scenery(background: u64, camera: &Viewpoint) -> Vec<Shape> {
     let at = |x: f64, y: f64, z: f64| camera.scene_from_camera * Isometry3::translation(x, y, z);
     let wall = |color| Shape {

@@ -1,4 +1,4 @@
-//! A sequence of images of an unknown camera: the fingertips of one hand, followed from image to image.
+//! A sequence of images from an unknown camera: tracks the fingertips of one hand from image to image.
 
 use std::fs;
 use std::io::{self, Write};
@@ -19,14 +19,14 @@ use super::look::{hand_line, mark, refuse};
 use super::report::{ErrorLine, HandLine, Tip, json, rounded};
 use super::sequence::Sequence;
 
-/// Particles; an image takes far longer to look at than they do.
+/// Number of particles; analysing an image takes far longer than they do.
 const PARTICLES: usize = 300;
 /// Radius of a fingertip, palm radii.
 const TIP: f64 = 0.2;
-/// Focal length of a camera that nobody has measured, longer sides of its image.
+/// Default focal length, relative to the longer side of the image.
 const USUAL_FOCAL: f64 = 1.2;
 
-/// Follows fingertips through images of one camera.
+/// Tracks fingertips through the images of one camera.
 pub(super) struct Follower {
     filter: ParticleFilterFingerTracking,
     rng: ChaCha8Rng,
@@ -35,10 +35,10 @@ pub(super) struct Follower {
     size: Option<(u32, u32)>,
 }
 
-/// What was seen in one image of a sequence.
+/// The detections in one image of a sequence.
 pub(super) struct Seen {
     pub(super) hand: Option<HandInPicture>,
-    /// The tips that are followed, px.
+    /// The tracked tips, px.
     pub(super) nodes: Vec<ContourNode>,
     /// Focal length and principal point, px.
     pub(super) focal: f64,
@@ -51,8 +51,8 @@ impl Follower {
         Self { filter, rng: ChaCha8Rng::seed_from_u64(1), focal, size: None }
     }
 
-    /// Takes the next image. Tips are not followed into an image of another size, where they would be elsewhere, nor out of
-    /// the picture.
+    /// Processes the next image. Tracking restarts when the image size changes, because positions would not
+    /// correspond. Tips that leave the image are dropped.
     pub(super) fn update(&mut self, image: &Image) -> Seen {
         let size = (image.width(), image.height());
         if self.size.replace(size).is_some_and(|last| last != size) {
@@ -83,8 +83,8 @@ impl Follower {
     }
 }
 
-/// Tracks and prints. Returns 2 when the sequence or an image of it cannot be used, 1 when an annotated image cannot be
-/// written.
+/// Tracks and prints. Returns 2 when the sequence or one of its images cannot be used, 1 when an annotated image
+/// cannot be written.
 pub(super) fn run(args: &TrackArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
     let model = match model(args.model.as_deref()) {
         Ok(model) => model,
@@ -121,7 +121,7 @@ pub(super) fn run(args: &TrackArgs, out: &mut dyn Write, err: &mut dyn Write) ->
     }
 }
 
-/// The model in a file, or the one that ships.
+/// The model in a file, or the built-in one.
 pub(super) fn model(path: Option<&Path>) -> Result<FingerARModel, String> {
     let Some(path) = path else { return Ok(FingerARModel::default()) };
     let text = fs::read_to_string(path).map_err(|e| format!("{}: {e}", path.display()))?;

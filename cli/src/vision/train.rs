@@ -1,4 +1,4 @@
-//! Learning how fingertips move: from sequences of images, where the tips are found and linked, and from simulated
+//! Learns how fingertips move: from sequences of images, in which tips are found and linked, and from simulated
 //! hands, whose tips are known.
 
 use std::collections::BTreeMap;
@@ -15,14 +15,14 @@ use super::sequence::Sequence;
 use super::staged::{BACKGROUNDS, CALIBRATION, RATE_HZ, Stage};
 use super::track::Follower;
 
-/// Frames of a simulated sequence, and the first seed: those of `figures` begin at 0.
+/// Frames per simulated sequence, and the first seed: the seeds of `figures` begin at 0.
 const FRAMES: u64 = 120;
 const FIRST_SEED: u64 = 1_000;
 
-/// Where one finger's tip was, frame by frame, normalised; not finite where it was not seen.
+/// The positions of one fingertip, frame by frame, normalised; not finite where it was not seen.
 type Path2 = Vec<Point2<f64>>;
 
-/// Learns and saves. Returns 2 when there is nothing to learn from, 1 when the model cannot be written.
+/// Learns and saves. Returns 2 when there is no data to learn from, 1 when the model cannot be written.
 pub(super) fn run(args: &TrainArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
     let mut paths = Vec::new();
     for folder in &args.folders {
@@ -68,7 +68,7 @@ fn seen(path: &Path, args: &TrainArgs) -> Result<Vec<Path2>, String> {
         let Ok(image) = image else { return true };
         let seen = follower.update(&image);
         for node in seen.nodes.iter().filter(|n| n.unseen == 0) {
-            // The candidate itself and not the filter's mean, which would teach the filter its own smoothing.
+            // The candidate itself, not the filter's mean: the mean would teach the filter its own smoothing.
             let tips = seen.hand.iter().flat_map(|h| &h.fingertips).map(|t| t.px);
             let own = tips.min_by(|a, b| (a - node.px).norm().total_cmp(&(b - node.px).norm()));
             if let Some(px) = own {

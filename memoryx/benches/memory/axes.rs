@@ -1,6 +1,6 @@
-//! The four axes by which Peller-Konrad et al. (arXiv 2206.02241) compare memories: transfer, compression, reproduction,
-//! prediction. One scene: a cup that stands and one that goes round, both seen 30 times a second for a minute; and a cup that is
-//! left in one of three places each day.
+//! The four axes by which Peller-Konrad et al. (arXiv 2206.02241) compare memories: transfer, compression,
+//! reproduction, prediction. The scene has a standing cup and a cup on a circular path, both observed 30 times a
+//! second for a minute, and a third cup that is left in one of three places each day.
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ use super::{Meter, say};
 const HZ: u64 = 30;
 const SECONDS: u64 = 60;
 const DAY_NS: u64 = 86_400_000_000_000;
-/// Where the cup is left, and how often, of ten days.
+/// Where the cup is left, and on how many of ten days.
 const PLACES: [([f64; 3], u32); 3] = [([1.0, 0.5, 1.2], 6), ([-1.0, 0.5, 0.9], 3), ([0.0, 2.0, 0.8], 1)];
 
 fn cup(name: &str, at: [f64; 3], time_ns: u64) -> Commit {
@@ -27,7 +27,7 @@ fn cup(name: &str, at: [f64; 3], time_ns: u64) -> Commit {
     Commit::new(id, time_ns, [("class", Value::from("cup")), ("position", position.into())])
 }
 
-/// Once round a circle of 0.2 m in ten seconds: 0.126 m/s.
+/// A circle of 0.2 m radius, once in ten seconds: 0.126 m/s.
 fn round(time_ns: u64) -> [f64; 3] {
     let angle = time_ns as f64 * 1e-9 * std::f64::consts::TAU / 10.0;
     [0.2 * angle.cos(), 0.6 + 0.2 * angle.sin(), 0.85]
@@ -85,7 +85,7 @@ fn by_policy(name: &str, policy: Policy) {
     say(&format!("reproduction, {name}: largest"), most * 1000.0, "mm", "");
 }
 
-/// Each day the most probable place is guessed before the cup is looked for.
+/// Guesses the most probable place each day, before the cup is looked for.
 async fn prediction() {
     let memory =
         WorkingMemory::new(Arc::new(|| 0)).with_limits(Limits { history: 10_000, ..Limits::default() });

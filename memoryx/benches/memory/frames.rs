@@ -1,4 +1,5 @@
-//! Images in long-term memory: noisy frames of 640x480 pixels, each durable before the next is due, as they are and as JPEG.
+//! Images in long-term memory: noisy frames of 640x480 pixels, raw and as JPEG. Each must be durable before the next
+//! is due.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -19,7 +20,7 @@ const BYTES: usize = WIDTH * HEIGHT * 3;
 /// Frames a second.
 const HZ: u32 = 30;
 
-/// A camera that looks at a lit wall and a dark box, with noise of about four grey levels in each pixel of each frame.
+/// A camera that sees a lit wall and a dark box, with noise of about four grey levels in each pixel of each frame.
 struct Camera {
     scene: Vec<u8>,
     noise: Vec<i8>,
@@ -66,7 +67,7 @@ fn policies(coded: bool) -> Policies {
     if coded { policies.coded("Images", Coding::new("jpeg:85", jpeg)) } else { policies }
 }
 
-/// Commits frames durably and says how it went; one every thirtieth of a second where `paced`.
+/// Commits frames durably and prints the figures; `paced`: one frame every thirtieth of a second.
 #[allow(clippy::disallowed_methods, reason = "figures are of the wall clock")]
 fn take(path: PathBuf, count: u64, coded: bool, paced: bool) {
     let what = if coded { "JPEG" } else { "raw" };
@@ -82,7 +83,7 @@ fn take(path: PathBuf, count: u64, coded: bool, paced: bool) {
         let due = period * u32::try_from(number).unwrap_or(u32::MAX);
         match due.checked_sub(start.elapsed()).filter(|_| paced) {
             Some(early) => std::thread::sleep(early),
-            // The next one was there before this one was taken.
+            // The next frame was due before this one was stored.
             None => late += u64::from(paced && start.elapsed() > due + period),
         }
         let pixels = Value::Bytes(camera.frame(number as usize));
@@ -110,7 +111,7 @@ fn take(path: PathBuf, count: u64, coded: bool, paced: bool) {
     say("  kept a frame", stats.bytes as f64 / count as f64 / 1e3, "kB", "");
     say("  resident set", resident_mb(), "MB", "");
     if !paced {
-        // A copy of a file that is open is what a process leaves that is killed.
+        // A copy of an open file stands for the file of a killed process.
         let killed = path.with_extension("killed");
         std::fs::copy(&path, &killed).expect("room");
         let gb = std::fs::metadata(&killed).map_or(0, |file| file.len()) as f64 / 1e9;
@@ -124,7 +125,7 @@ fn take(path: PathBuf, count: u64, coded: bool, paced: bool) {
     opened(&path, count, coded);
 }
 
-/// Opens what was kept, and reads one frame out of its middle.
+/// Opens the stored file, and reads one frame from its middle.
 fn opened(path: &Path, count: u64, coded: bool) {
     let start = Meter::start();
     let store = LongTermMemory::open(path).expect("a file");
@@ -156,12 +157,12 @@ pub(super) fn as_fast_as_they_go(folder: &Path) {
     for coded in [false, true] {
         let path = folder.join(if coded { "jpeg.redb" } else { "raw.redb" });
         take(path.clone(), 60 * u64::from(HZ), coded, false);
-        // Two gigabytes are not kept for the rest of the run.
+        // Free the two gigabytes before the next part.
         let _ = std::fs::remove_file(path);
     }
 }
 
-/// Ten minutes at 30 frames a second: with the word `raw` or `jpeg` of one kind only.
+/// Ten minutes at 30 frames a second; the word `raw` or `jpeg` selects one kind.
 pub(super) fn ten_minutes(wanted: &[String]) {
     for coded in [false, true] {
         let name = if coded { "jpeg" } else { "raw" };

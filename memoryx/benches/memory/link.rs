@@ -1,5 +1,5 @@
-//! What goes over an agent's line to the router, and what a snapshot takes in long-term memory: bytes, which do not depend
-//! on the machine.
+//! Bytes on an agent's link to the router, and bytes of a snapshot in long-term memory. Neither depends on the
+//! machine.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -16,12 +16,12 @@ use tokio::task::JoinSet;
 use super::scale::{Agent, agent, client, following, router, told};
 use super::{commit, say};
 
-/// Until what is on its way has arrived, and quiet memories have said so.
+/// Until messages in flight have arrived, and idle memories have published their number of changes.
 const SETTLED: Duration = Duration::from_millis(400);
-/// How long is looked at agents that do nothing.
+/// How long idle agents are measured.
 const IDLE: Duration = Duration::from_secs(10);
 
-/// A line to a router that counts its bytes.
+/// A TCP proxy to a router that counts its bytes.
 struct Line {
     endpoint: String,
     up: Arc<AtomicU64>,
@@ -45,7 +45,7 @@ impl Line {
         Self { endpoint, up, down, _tasks: tasks }
     }
 
-    /// Bytes that went to the router and came from it since the last call.
+    /// Bytes to the router and from it since the last call.
     fn bytes(&self) -> (f64, f64) {
         let taken = |count: &AtomicU64| count.swap(0, Ordering::Relaxed) as f64;
         (taken(&self.up), taken(&self.down))
@@ -115,7 +115,7 @@ pub(super) async fn link() {
     stands_by.say("link: a second of nothing", IDLE.as_secs());
 }
 
-/// What a snapshot of 100 B takes in long-term memory.
+/// Measures what a snapshot of 100 B takes in long-term memory.
 fn kept() {
     let folder = tempfile::tempdir().expect("a folder");
     for together in [1, 100] {

@@ -1,8 +1,9 @@
-//! How fast memory is, with a bare map, a bare redb file and the bare session in the same run for scale:
-//! `cargo bench -p armarium-memoryx`. Words pick the parts whose names hold one: `working`, `store`, `durable`, `shared`,
-//! `scale`, `link`, `axes`; and `minutes`, which is only run when it is named: ten minutes of images in real time, 17 GB of disk.
+//! How fast memory is: `cargo bench -p armarium-memoryx`. A bare map, a bare redb file and the bare session run
+//! beside it for comparison. Arguments select the parts whose names contain one of them: `working`, `store`,
+//! `durable`, `shared`, `scale`, `link`, `axes`, `minutes`. `minutes` (ten minutes of images in real time, 17 GB of
+//! disk) only runs when named.
 //!
-//! Rates say what a machine does that has other work as well; so the processor time of each item stands beside them.
+//! Rates depend on the other load of the machine; so the processor time of each item is printed too.
 
 #![allow(clippy::print_stdout, reason = "it prints figures")]
 
@@ -36,7 +37,7 @@ fn say(what: &str, figure: f64, unit: &str, asked: &str) {
     println!("{what:<62} {figure:>12.2} {unit:<10} {asked}");
 }
 
-/// A kilobyte-figure of this process's status, MB.
+/// A field in kB of this process's status, in MB.
 fn resident_mb() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:")).unwrap_or("0");
@@ -51,7 +52,7 @@ fn processor_s() -> f64 {
     ticks.sum::<f64>() / 100.0
 }
 
-/// Wall-clock and processor time since it was made.
+/// Wall-clock and processor time since construction.
 struct Meter {
     start: Instant,
     processor_s: f64,
@@ -60,7 +61,7 @@ struct Meter {
 impl Meter {
     #[allow(clippy::disallowed_methods, reason = "figures are of the wall clock")]
     fn start() -> Self {
-        // The clock is read last: what came before takes longer than what some meters measure.
+        // The clock is read last: reading the processor time takes longer than some measurements.
         Self { processor_s: processor_s(), start: Instant::now() }
     }
 
@@ -72,7 +73,7 @@ impl Meter {
         (processor_s() - self.processor_s) * 1e6
     }
 
-    /// Prints how many there were a second, and what each took of the processors. Returns the rate.
+    /// Prints the rate and the processor time of each item. Returns the rate, 1/s.
     fn say(&self, what: &str, count: u64, asked: &str) -> f64 {
         let rate = count as f64 / self.elapsed().as_secs_f64();
         let each_us = self.processor_us() / count as f64;

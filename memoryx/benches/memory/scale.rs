@@ -1,4 +1,4 @@
-//! Many agents through one router: what an update costs by how many follow it, and by how many others are there.
+//! Many agents on one router: the cost of an update by the number of followers, and by the number of other agents.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,11 +11,11 @@ use super::{Meter, commit, resident_mb, say};
 
 /// Entities of each agent.
 const ENTITIES: u64 = 1000;
-/// Updates that are measured where this many travel together.
+/// How many updates are committed together, and how many are measured in all.
 const UPDATES: [(u64, u64); 2] = [(1, 2000), (100, 50_000)];
-/// How many follow.
+/// Numbers of followers.
 const FOLLOWERS: [usize; 4] = [0, 1, 4, 9];
-/// How long is looked at agents that do nothing.
+/// How long idle agents are measured.
 const IDLE: Duration = Duration::from_secs(5);
 
 /// An agent with its memory on a session of its own.
@@ -66,7 +66,7 @@ pub(super) fn client(endpoints: &[String]) -> SessionConfig {
     SessionConfig { mode: Mode::Client, ..SessionConfig::connected_to(endpoints) }
 }
 
-/// Agents on a router, with what a session and what a memory takes.
+/// Starts agents on a router, and prints what a session and a memory take.
 async fn started(router: &Session, count: usize) -> Vec<Agent> {
     let config = client(&router.endpoints().await);
     let (before, start) = (resident_mb(), Meter::start());
@@ -96,7 +96,7 @@ pub(super) async fn agent(session: Session, name: String) -> Agent {
     Agent { name, session, memory, _server: server }
 }
 
-/// The memory of one agent as some others see it.
+/// One agent's memory as some other agents see it.
 pub(super) async fn following(by: impl IntoIterator<Item = &Agent>, agent: &str) -> Vec<RemoteMemory> {
     let mut remotes = Vec::new();
     for follower in by {
@@ -105,7 +105,7 @@ pub(super) async fn following(by: impl IntoIterator<Item = &Agent>, agent: &str)
     remotes
 }
 
-/// Updates of an agent, the next ones when all have heard the last ones.
+/// Commits updates of an agent; the next ones follow when all followers have received the last ones.
 pub(super) async fn told(agent: &Agent, remotes: &[RemoteMemory], together: u64, updates: u64) {
     let mut listening: Vec<_> = remotes.iter().map(Memory::subscribe).collect();
     for g in 0..updates / together {
@@ -114,19 +114,19 @@ pub(super) async fn told(agent: &Agent, remotes: &[RemoteMemory], together: u64,
             hear(changes, together).await;
         }
         if remotes.is_empty() && (g * together).is_multiple_of(500) {
-            // Nobody is waited for: slowly enough that none is overtaken before it could be told.
+            // Without followers: slow enough that each update is published before the next.
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
     }
 }
 
-/// One commit of an agent, which goes on after the first `told` updates.
+/// One commit of an agent, after the first `told` updates.
 fn tell(agent: &Agent, told: u64, together: u64) {
     let updates = (0..together).map(|i| commit((told + i) % ENTITIES, 100));
     agent.memory.commit_now(updates.collect()).expect("it fits");
 }
 
-/// What agents cost that do nothing.
+/// Measures the cost of idle agents.
 async fn idle(count: usize) {
     let start = Meter::start();
     tokio::time::sleep(IDLE).await;
@@ -134,7 +134,7 @@ async fn idle(count: usize) {
     say(&format!("an agent that does nothing, of {count}"), each, "us/s", "of processors");
 }
 
-/// Everybody follows one other, and all tell at once.
+/// Each agent follows the next one, and all commit at once.
 async fn ring(agents: &[Agent]) {
     let count = agents.len();
     let start = Meter::start();
@@ -160,7 +160,7 @@ async fn ring(agents: &[Agent]) {
     start.say(&what, rounds * together * count as u64, "");
 }
 
-/// The slope of the line through the points whose squared errors are least.
+/// The slope of the least-squares line through the points.
 fn slope(points: &[(f64, f64)]) -> f64 {
     let count = points.len() as f64;
     let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / count;

@@ -12,9 +12,9 @@ use tokio::task::JoinSet;
 
 use super::{Meter, commit, id, median, say};
 
-/// Questions and messages whose latency is measured.
+/// Queries and messages whose latency is measured.
 const TIMES: u64 = 2000;
-/// Updates that are sent as fast as they go.
+/// Updates that are sent as fast as possible.
 const UPDATES: u64 = 400_000;
 
 pub(super) async fn shared() {
@@ -32,7 +32,7 @@ pub(super) async fn shared() {
     rates(&memory, &remote).await;
 }
 
-/// How many updates go through in a second, each way.
+/// Measures updates per second, in each direction.
 async fn rates(memory: &Arc<WorkingMemory>, remote: &RemoteMemory) {
     let mut changes = remote.subscribe();
     let start = Meter::start();
@@ -68,7 +68,7 @@ pub(super) async fn hear(changes: &mut Receiver<Arc<Snapshot>>, count: u64) {
     }
 }
 
-/// Until exactly this version is told, however much came before it.
+/// Waits for exactly this version, whatever comes before it.
 async fn hear_version(changes: &mut Receiver<Arc<Snapshot>>, of: &EntityId, version: u64) {
     while let Ok(snapshot) = changes.recv().await {
         if snapshot.version == version && snapshot.id == *of {
@@ -77,7 +77,7 @@ async fn hear_version(changes: &mut Receiver<Arc<Snapshot>>, of: &EntityId, vers
     }
 }
 
-/// One of each after the other, again and again, so that all see the same machine.
+/// Measures one of each kind in turn, again and again, so that all see the same load of the machine.
 async fn latencies(memory: &WorkingMemory, remote: &RemoteMemory, bare: &mut Bare) {
     let mut changes = remote.subscribe();
     let mut times: [Vec<Duration>; 5] = std::array::from_fn(|_| Vec::new());
@@ -110,7 +110,7 @@ async fn latencies(memory: &WorkingMemory, remote: &RemoteMemory, bare: &mut Bar
     say("  times the bare get", taken / get, "", "");
 }
 
-/// What an update costs to write and to read, without a network.
+/// Measures encoding and decoding of an update, without a network.
 fn codec() {
     let memory = WorkingMemory::new(Arc::new(|| 0));
     let updates: Vec<_> = (0..1000).map(|n| commit(n, 100)).collect();
@@ -134,14 +134,14 @@ fn round_trip<T: Payload>(what: &str, thousand: &T) {
     start.say(&format!("{what} of 100 B each: read"), 50_000, "");
 }
 
-/// The bare session: what Zenoh takes for a put and for a get without memory.
+/// The bare session: the cost of a Zenoh put and get without memory.
 struct Bare {
     near: Session,
     far: Session,
     put_on: Key,
     ask_on: Key,
     heard: Subscription,
-    /// How many were put: the number in the newest one.
+    /// Number of puts so far; the newest message holds it.
     puts: u64,
     _answering: JoinSet<()>,
 }
@@ -161,7 +161,7 @@ impl Bare {
         });
         let (near, far) = (near.clone(), far.clone());
         let mut bare = Self { near, far, put_on, ask_on, heard, puts: 0, _answering: answering };
-        // Until the other side knows of the declarations.
+        // Wait until the other side knows the declarations.
         while bare.heard.try_next().is_none() {
             bare.send().await;
             tokio::task::yield_now().await;
@@ -170,7 +170,7 @@ impl Bare {
         bare
     }
 
-    /// Puts 100 B with the next number in front.
+    /// Puts 100 B that begin with the next number.
     async fn send(&mut self) {
         self.puts += 1;
         let mut payload = vec![0; 100];
@@ -178,7 +178,7 @@ impl Bare {
         self.far.put(&self.put_on, "x", payload).await.expect("a session");
     }
 
-    /// How long a put takes until that very message has arrived.
+    /// Measures the time from a put until that message has arrived.
     async fn put(&mut self) -> Duration {
         let start = Meter::start();
         self.send().await;

@@ -12,7 +12,7 @@ use redb::{Database, TableDefinition};
 use super::{Meter, commit, id, median, say};
 
 const BARE: TableDefinition<'_, (u64, u64), &[u8]> = TableDefinition::new("bare");
-/// Snapshots that are kept in a part.
+/// Snapshots that one part stores.
 const KEPT: u64 = 100_000;
 
 fn snapshot(entity: u64, version: u64, bytes: usize) -> Arc<Snapshot> {
@@ -53,7 +53,7 @@ fn one_by_one(folder: &Path) {
     let bare = Database::create(folder.join("bare.redb")).expect("a file");
     let store = LongTermMemory::open(&folder.join("ours.redb")).expect("a file");
     let (mut raw, mut ours) = (Vec::new(), Vec::new());
-    // One after the other, so that both see the same disk.
+    // In turn, so that both see the same disk.
     for version in 1..=300 {
         let start = Meter::start();
         put_bare(&bare, [(0, version)].into_iter());
@@ -116,7 +116,8 @@ fn small(folder: &Path) {
     scan(&store, "scan, 100 B");
 }
 
-/// How long it takes until a file that is not closed can be used again, and until working memory holds the newest of it.
+/// Measures how long it takes to open a file that was not closed, and to load its newest snapshots into working
+/// memory.
 fn starts(folder: &Path) {
     let path = folder.join("started.redb");
     let store = LongTermMemory::open(&path).expect("a file");
@@ -124,7 +125,7 @@ fn starts(folder: &Path) {
         let group: Vec<_> = (0..1000).map(|i| snapshot(i, g + 1, 1000)).collect();
         store.persist(&group).expect("a disk");
     }
-    // A copy of a file that is open is what a process leaves that is killed.
+    // A copy of an open file stands for the file of a killed process.
     let killed = folder.join("killed.redb");
     std::fs::copy(&path, &killed).expect("room");
     drop(store);

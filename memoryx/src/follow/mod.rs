@@ -1,9 +1,10 @@
-//! Following a memory without silent gaps: a subscription that reads again what it missed, and says what it could
-//! not.
+//! Following a memory without silent gaps: a subscription that reads missed changes again, and reports those that are
+//! lost.
 //!
-//! Every version of every entity is told in order and once. Where a version is missing, because the reader lagged
-//! or the network lost it, the memory's history is asked; what that no longer has becomes [`Change::Missed`]. A memory that
-//! was started again and has not kept its versions counts them anew: what arrived later is new, whatever its number.
+//! Every version of every entity is reported in order and once. When a version is missing, because the reader lagged
+//! or the network lost it, the follower queries the memory's history. Versions that the history no longer has become
+//! [`Change::Missed`]. A memory that was restarted without its versions counts from 1 again; the follower then takes
+//! snapshots with a later arrival time as new, whatever their version.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -17,17 +18,17 @@ use crate::memory::{Memory, pages};
 use crate::query::{Pattern, Query, Times};
 use crate::wire;
 
-/// Snapshots that are asked for at once.
+/// Snapshots per query.
 const PIECE: usize = 4096;
 
-/// What a follower tells.
+/// What a follower reports.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Change {
     /// An entity has a new snapshot.
     New(Arc<Snapshot>),
     /// Versions of an entity that the memory no longer has.
     Missed {
-        /// Whose.
+        /// The entity.
         id: EntityId,
         /// The first of them.
         from: u64,
@@ -36,7 +37,7 @@ pub enum Change {
     },
 }
 
-/// What was told last of an entity.
+/// The last reported snapshot of an entity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LastSeen {
     /// Its version.
@@ -50,31 +51,31 @@ impl LastSeen {
         Self { version: snapshot.version, arrived_ns: snapshot.arrived_ns }
     }
 
-    /// Whether a snapshot has come later under a version that was told: the memory has begun to count anew.
+    /// Whether a snapshot arrived later with a version that was already reported: the memory has restarted its count.
     fn is_before_life_of(self, snapshot: &Snapshot) -> bool {
         snapshot.version <= self.version && snapshot.arrived_ns > self.arrived_ns
     }
 }
 
-/// A subscription to what a pattern fits, without silent gaps.
+/// A subscription to the entities of a pattern, without silent gaps.
 pub struct Follower {
     memory: Arc<dyn Memory>,
     pattern: Pattern,
     changes: broadcast::Receiver<Arc<Snapshot>>,
-    /// What was told last of each entity.
+    /// The last reported snapshot of each entity.
     told: IndexMap<EntityId, LastSeen>,
-    /// What arrived before was received, ns.
+    /// Every change that arrived before this time was received, ns.
     since_ns: u64,
-    /// What arrived before was told, ns.
+    /// Every change that arrived before this time was reported, ns.
     told_until: u64,
-    /// Something was missed that was not read again yet.
+    /// A gap was noticed and not yet read again.
     behind: bool,
     ready: VecDeque<Change>,
 }
 
 impl Follower {
-    /// Follows from now on. What the memory holds already counts as told, and is returned: the newest snapshot
-    /// of each entity that has one.
+    /// Follows from now on. The present content counts as reported, and is returned: the newest snapshot of each
+    /// entity that has one.
     ///
     /// # Errors
     /// As [`Memory::query`].
@@ -97,7 +98,8 @@ impl Follower {
         Ok((follower, held.into_iter().filter(|s| !s.is_removed()).collect()))
     }
 
-    /// Follows changes only; the first one of an entity that is not version 1 brings the history that is still held.
+    /// Follows changes only. If an entity's first change is not version 1, the follower reads the history that is
+    /// still held.
     #[must_use]
     pub fn from_start(memory: Arc<dyn Memory>, pattern: Pattern) -> Self {
         let changes = memory.subscribe();
@@ -113,9 +115,9 @@ impl Follower {
         }
     }
 
-    /// Follows on from what was told before, by entity: what has changed since comes first, from the history, which is
-    /// long-term memory's where working memory has forgotten. `since_ns`: what arrived before was told; 0 when that is
-    /// not known.
+    /// Continues from the snapshots that were reported before, by entity. Changes since then come first, from the
+    /// history, which is long-term memory's where working memory has forgotten. `since_ns`: everything that arrived
+    /// before was reported; 0 when unknown.
     ///
     /// # Errors
     /// As [`Memory::query`].
@@ -131,10 +133,10 @@ impl Follower {
         Ok(follower)
     }
 
-    /// The next change; `None` when the memory has gone. Dropping the future loses nothing.
+    /// The next change; `None` when the memory has closed. Cancel-safe: dropping the future loses nothing.
     ///
     /// # Errors
-    /// As [`Memory::query`]; the same versions are asked for again by the next call that finds them missing.
+    /// As [`Memory::query`]; the next call that notices the gap queries it again.
     pub async fn next(&mut self) -> Result<Option<Change>, MemoryError> {
         loop {
             if let Some(change) = self.ready.pop_front() {
@@ -153,8 +155,8 @@ impl Follower {
         }
     }
 
-    /// The next change and those that wait behind it, at most `most` but one; nothing when the memory has gone. Dropping
-    /// the future loses nothing.
+    /// Waits for the next change, and returns it with the changes that wait behind it, at most `most`; empty when the
+    /// memory has closed. Cancel-safe.
     ///
     /// # Errors
     /// As [`Self::next`].
@@ -164,7 +166,7 @@ impl Follower {
         self.drain(most.max(1)).await
     }
 
-    /// What can be told without waiting for a change, about `most` of it.
+    /// The changes that are available without waiting, at most `most`.
     ///
     /// # Errors
     /// As [`Self::next`].
@@ -192,14 +194,14 @@ impl Follower {
         }
     }
 
-    /// Takes back what was told last, to tell it again first.
+    /// Puts back the changes that were returned last; the next call returns them again.
     pub fn give_back(&mut self, changes: Vec<Change>) {
         for change in changes.into_iter().rev() {
             self.ready.push_front(change);
         }
     }
 
-    /// Whether everything that has happened was told.
+    /// Whether all changes so far were reported.
     #[must_use]
     pub fn told_all(&self) -> bool {
         self.ready.is_empty() && self.changes.is_empty() && !self.behind
@@ -210,7 +212,7 @@ impl Follower {
         if self.pattern.matches(&snapshot.id) {
             self.take(snapshot).await?;
         }
-        // What the memory says is asked for first: what it tells meanwhile waits, and is seen to wait.
+        // Ask the memory first: a change that arrives meanwhile is in the queue, where `is_empty` sees it.
         let until = match self.memory.told_until() {
             None => arrived_ns,
             Some(until) if self.changes.is_empty() => until,
@@ -231,10 +233,10 @@ impl Follower {
         };
         let begins = known.is_some_and(|told| told.is_before_life_of(&snapshot));
         if begins || snapshot.version > known.map_or(0, |told| told.version) + 1 {
-            // Until they are read: nobody may wait for that to its end.
+            // Set until the read ends, because the caller may drop this future before.
             self.behind = true;
             if known.is_some() {
-                // Where one is missing, others are, and one question brings them all.
+                // One gap rarely comes alone, and one query closes all.
                 self.read_since(self.since_ns).await?;
             }
             self.begin_if_anew(&snapshot).await?;
@@ -249,17 +251,17 @@ impl Follower {
         Ok(())
     }
 
-    /// Reads what the memory has and was not told, from the last moment on at which nothing was missing.
+    /// Reads all unreported snapshots since the last time without a gap.
     ///
     /// # Errors
-    /// As [`Memory::query`]; nothing is forgotten then.
+    /// As [`Memory::query`]; the gap is still remembered then.
     pub async fn catch_up(&mut self) -> Result<(), MemoryError> {
         self.read_since(self.since_ns).await?;
         self.behind = false;
         Ok(())
     }
 
-    /// After a gap: whatever the memory has that arrived at a time or later, ns, and was not told.
+    /// After a gap: reads all unreported snapshots that arrived at `since_ns` or later.
     ///
     /// # Errors
     /// As [`Memory::query`].
@@ -270,8 +272,8 @@ impl Follower {
         Ok(())
     }
 
-    /// Tells what an answer holds, in the order in which it arrived. Returns until when, by arrival, ns, it certainly holds
-    /// everything that was asked for.
+    /// Reports the snapshots of an answer in the order of their arrival. Returns the arrival time, ns, until which
+    /// the answer is certainly complete.
     async fn read(&mut self, query: Query) -> Result<u64, MemoryError> {
         let mut pieces = pages(query.with_long_term(), PIECE);
         let mut until = None;
@@ -279,7 +281,7 @@ impl Follower {
         while let Some(piece) = pieces.next(&*self.memory).await? {
             until.get_or_insert_with(|| seen_until(&piece));
             for snapshot in piece {
-                // No version comes before an earlier one, whatever the clock did.
+                // Versions of one entity stay in order, whatever the clock did.
                 let before = found.last().filter(|(_, last)| last.id == snapshot.id).map_or(0, |last| last.0);
                 found.push((snapshot.arrived_ns.max(before), snapshot));
             }
@@ -292,8 +294,8 @@ impl Follower {
         Ok(until.unwrap_or(0))
     }
 
-    /// Where a snapshot is the first one that has come since its memory began to count anew: finds the version from which it
-    /// counts, the last one that it had kept.
+    /// If a snapshot is the first one after its memory restarted its count: finds the last version that the memory
+    /// had kept, from which it counts on.
     async fn begin_if_anew(&mut self, first: &Snapshot) -> Result<(), MemoryError> {
         if !self.told.get(&first.id).is_some_and(|told| told.is_before_life_of(first)) {
             return Ok(());
@@ -307,7 +309,7 @@ impl Follower {
         Ok(())
     }
 
-    /// Tells a snapshot unless it was told, and first what is missing before it.
+    /// Reports a snapshot unless it was reported, and before it the gap, if there is one.
     fn tell(&mut self, snapshot: Arc<Snapshot>) {
         let told = self.told.entry(snapshot.id.clone()).or_default();
         if snapshot.version <= told.version {
@@ -321,15 +323,15 @@ impl Follower {
         self.ready.push_back(Change::New(snapshot));
     }
 
-    /// What arrived in the memory before was told, ns.
+    /// Every change that arrived before this time was reported, ns.
     #[must_use]
     pub fn told_until(&self) -> u64 {
         self.told_until
     }
 }
 
-/// Until when, by arrival, ns, the first piece of an answer and those after it certainly hold everything. What arrives
-/// while the later ones are read may belong into one that was read before: so only the first answer counts.
+/// The arrival time, ns, until which an answer is certainly complete. A change that arrives while later pieces are
+/// read may belong into an earlier one: so only the first message counts.
 fn seen_until(first: &[Arc<Snapshot>]) -> u64 {
     let together = &first[..wire::in_one_answer(first)];
     together.iter().map(|snapshot| snapshot.arrived_ns).max().unwrap_or(0)

@@ -1,4 +1,4 @@
-//! A follower of a memory that changes while it is read.
+//! A follower of a memory that changes during a read.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -10,7 +10,7 @@ use super::*;
 use crate::entity::Commit;
 use crate::working::{Limits, WorkingMemory};
 
-/// A memory that changes after each of the first questions.
+/// A memory that changes after each of the first queries.
 struct Busy {
     memory: WorkingMemory,
     after: Mutex<VecDeque<Vec<Commit>>>,
@@ -47,7 +47,7 @@ fn update(entity: usize) -> Commit {
     Commit::new(id, 1, [("value", Value::Int(1))])
 }
 
-/// What changes in a part that was read already, while a later part is read, and is overtaken in the queue as well.
+/// A change in a part that was already read, while a later part is read; the queue overflows too.
 #[tokio::test]
 async fn what_changes_while_it_is_read_is_not_missed() {
     let time = AtomicU64::new(0);
@@ -75,7 +75,7 @@ async fn what_changes_while_it_is_read_is_not_missed() {
     assert_eq!(told, newest);
 }
 
-/// A memory that was started again and kept nothing counts from 1: what it says now is new.
+/// A memory that restarted without its versions counts from 1: its snapshots are new.
 #[tokio::test]
 async fn a_memory_that_begins_anew_is_followed_on() {
     for (history, expected) in [(32, "1 2 3 4"), (2, "missed 1-1 2 3 4")] {
@@ -95,7 +95,7 @@ async fn a_memory_that_begins_anew_is_followed_on() {
         };
         let told: Vec<_> = follower.drain(100).await.unwrap().into_iter().map(words).collect();
         assert_eq!(told.join(" "), expected);
-        // And while it listens: the next life's first change has a version that was told.
+        // The same while subscribed: the first change after the restart has a version that was already reported.
         let later = Arc::new(Snapshot { version: 1, arrived_ns: 500, ..(*newest(&memory)).clone() });
         follower.take(later).await.unwrap();
         assert!(matches!(&follower.drain(9).await.unwrap()[..], [Change::New(s)] if s.arrived_ns == 500));

@@ -1,14 +1,14 @@
-//! Inference: processes that attach to memory, read what it holds and kept, and write what they conclude, with confidence and
+//! Inference: processes that read a memory, present and past, and write conclusions into it, with confidence and
 //! provenance.
 //!
-//! - [`Inference`]: what such a process is. It sees a [`Memory`], in this process or another agent's, and asks it with
-//!   `long_term` for what working memory has forgotten.
-//! - [`Attached`]: runs one whenever something that it watches has changed. [`conclude_once`]: one round.
-//! - [`SpatialRelations`], [`UsualPlaces`]: the two that ship.
+//! - [`Inference`]: the trait of such a process. It sees a [`Memory`], in this process or another agent's; queries
+//!   with `long_term` also reach what working memory has forgotten.
+//! - [`Attached`]: runs an inference whenever something that it watches has changed. [`conclude_once`]: one round.
+//! - [`SpatialRelations`], [`UsualPlaces`]: the two built-in ones.
 //!
-//! Conclusions live in the provider segment with the inference's name, and nobody else should write there: what is no longer
-//! concluded is removed. Every conclusion has the attributes `concluded_by` and `because`: the addresses and versions that it
-//! rests on. Other languages attach over Zenoh; `docs/wire-memory.md` has an example.
+//! Conclusions are in the provider segment with the inference's name. No one else should write there: a conclusion
+//! that no longer holds is removed. Every conclusion has the attributes `concluded_by` and `because`: the addresses
+//! and versions of its evidence. Other languages attach over Zenoh; `docs/wire-memory.md` has an example.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -36,47 +36,47 @@ mod solid;
 pub use places::{USUAL_PLACES, UsualPlaces};
 pub use relations::{OBJECT_RELATIONS, SpatialRelations};
 
-/// Conclusions that are committed together.
+/// Conclusions per commit.
 const TOGETHER: usize = 1000;
-/// Most pieces of evidence that are named.
+/// Most pieces of evidence that a conclusion names.
 const EVIDENCE: usize = 16;
-/// A conclusion whose confidence has changed by less is not written again.
+/// A conclusion whose confidence changes by less is not written again.
 const SAME_CONFIDENCE: f64 = 0.02;
-/// Longest name that is made of others, bytes.
+/// Longest name that [`joined`] makes, bytes.
 const LONGEST_NAME: usize = 160;
 
-/// A process that concludes something from memory.
+/// A process that draws conclusions from memory.
 #[async_trait]
 pub trait Inference: fmt::Debug + Send + Sync {
     /// Its name: the provider segment of its conclusions.
     fn name(&self) -> &str;
-    /// What of memory makes it conclude anew when it changes.
+    /// Changes of these entities start a new round.
     fn watches(&self) -> Vec<Pattern>;
     /// The shortest time between two rounds.
     fn pause(&self) -> Duration;
-    /// All that it concludes now. `now_ns`: the memory's time.
+    /// All present conclusions. `now_ns`: the memory's time.
     ///
     /// # Errors
     /// As [`Memory::query`].
     async fn conclude(&self, memory: &dyn Memory, now_ns: u64) -> Result<Vec<Conclusion>, MemoryError>;
 }
 
-/// Something that was concluded.
+/// A conclusion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Conclusion {
-    /// The core segment that it belongs into.
+    /// Its core segment.
     pub segment: String,
-    /// The name of its entity; [`joined`] makes one of other names.
+    /// The name of its entity; [`joined`] makes one of several names.
     pub entity: String,
-    /// What is concluded.
+    /// Its attributes.
     pub attributes: BTreeMap<String, Value>,
     /// Covariances of attributes, as in an [`Instance`].
     pub covariance: BTreeMap<String, Vec<f64>>,
-    /// How far it is trusted, 0 to 1.
+    /// Confidence, 0 to 1.
     pub confidence: f64,
-    /// The time that it speaks of, ns.
+    /// The time that it describes, ns.
     pub referenced_ns: u64,
-    /// The entities and versions that it rests on.
+    /// The entities and versions of its evidence.
     pub because: Vec<(EntityId, u64)>,
 }
 
@@ -85,20 +85,20 @@ pub struct Conclusion {
 pub struct Round {
     /// Conclusions that hold now.
     pub concluded: u64,
-    /// Those of them that are new or have changed.
+    /// Conclusions among them that are new or have changed.
     pub written: u64,
-    /// Those that no longer hold.
+    /// Conclusions that no longer hold.
     pub removed: u64,
 }
 
-/// An inference that runs for as long as this lives.
+/// An inference that runs until this is dropped.
 #[derive(Debug)]
 pub struct Attached {
     rounds: Arc<AtomicU64>,
     _tasks: JoinSet<()>,
 }
 
-/// A name made of other names; one that would be too long is cut and made unmistakable by a hash.
+/// Joins names to one name; a name that would be too long is cut, and a hash makes it unique.
 #[must_use]
 pub fn joined(names: &[&str]) -> String {
     let whole = names.join("-");
@@ -137,7 +137,7 @@ impl Conclusion {
     }
 }
 
-/// Whether two instances say the same, apart from what they rest on.
+/// Whether two instances are equal, apart from their evidence.
 fn say_the_same(a: &Instance, b: &Instance) -> bool {
     let without = |attributes: &Attributes| {
         let mut map = attributes.to_map();
@@ -149,10 +149,11 @@ fn say_the_same(a: &Instance, b: &Instance) -> bool {
         && a.covariance == b.covariance
 }
 
-/// Has an inference conclude once, and makes memory hold exactly what it concludes.
+/// Runs one round of an inference, and makes memory hold exactly its conclusions.
 ///
 /// # Errors
-/// As [`Memory::query`] and [`Memory::commit`]; [`MemoryError::Name`] when a name of the inference cannot be part of an address.
+/// As [`Memory::query`] and [`Memory::commit`]; [`MemoryError::Name`] when a name of the inference is not valid in an
+/// address.
 pub async fn conclude_once(
     memory: &dyn Memory,
     inference: &dyn Inference,
@@ -186,7 +187,7 @@ pub async fn conclude_once(
 }
 
 impl Attached {
-    /// Concludes now, and again when something that the inference watches has changed. `clock` is the memory's.
+    /// Runs a round now, and another when something that the inference watches has changed. `clock` is the memory's.
     #[must_use]
     pub fn start(memory: Arc<dyn Memory>, inference: Arc<dyn Inference>, clock: Clock) -> Self {
         let rounds = Arc::new(AtomicU64::new(0));
@@ -195,7 +196,7 @@ impl Attached {
         Self { rounds, _tasks: tasks }
     }
 
-    /// How many rounds have ended, failed ones included.
+    /// How many rounds have ended, with or without an error.
     #[must_use]
     pub fn rounds(&self) -> u64 {
         self.rounds.load(Ordering::Relaxed)
@@ -208,7 +209,7 @@ async fn run(memory: Arc<dyn Memory>, inference: Arc<dyn Inference>, clock: Cloc
         s.id.provider() != inference.name() && patterns.iter().any(|pattern| pattern.matches(&s.id))
     };
     loop {
-        // What changes from here on is looked at in this round or makes another.
+        // Subscribe before reading: a change during this round starts another.
         let mut changes = memory.subscribe();
         if let Err(error) = conclude_once(&*memory, &*inference, clock()).await {
             tracing::warn!(%error, inference = inference.name(), "nothing could be concluded");

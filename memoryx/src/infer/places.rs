@@ -1,17 +1,17 @@
-//! Usual places: where an object of a class is likely found, learned from what long-term memory kept of all earlier days.
+//! Usual places: where an object of a class is likely found, learned from long-term memory's history of earlier days.
 //!
-//! 1. Every sighting of an object that nobody carried counts as long as nothing else was seen of it, ten minutes at most. The
-//!    time spent in each cell of 5 cm is summed up by class, frame and day.
-//! 2. Days count alike: a day's times are divided by their sum, over all places of the class.
-//! 3. Cells are clustered by DP-means, so that a place is what lies within 30 cm; the number of places follows.
+//! 1. Every sighting of an object that was not carried counts until the object's next sighting, ten minutes at most.
+//!    The time spent in each cell of 5 cm is summed by class, frame and day.
+//! 2. Days count equally: a day's times are divided by their sum, over all places of the class.
+//! 3. DP-means clusters the cells into places of 30 cm radius; the number of places results from it.
 //! 4. With `d_k` days' worth of time in place `k` of `K`, out of `D` days, the probability of the place is
-//!    `(d_k + 1/2) / (D + (K + 1)/2)`: there is always a rest for somewhere new, and one day makes nobody certain.
+//!    `(d_k + 1/2) / (D + (K + 1)/2)`: a rest always remains for a new place, and a single day gives no certainty.
 //!
-//! Days are those of UTC. Today does not count yet: so what was concluded in the morning can be tested against the day.
+//! Days are those of UTC. Today is not counted, so that today's observations can test the conclusions of the morning.
 //!
 //! # Source
-//! DP-means: Kulis and Jordan 2012, "Revisiting k-means: new algorithms via Bayesian nonparametrics", algorithm 1. The
-//! estimate: Krichevsky and Trofimov 1981, with one outcome for what was not seen.
+//! DP-means: Kulis and Jordan 2012, "Revisiting k-means: new algorithms via Bayesian nonparametrics", algorithm 1.
+//! The estimate: Krichevsky and Trofimov 1981, with one more outcome for a new place.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -31,19 +31,19 @@ use crate::updater::OBJECT_INSTANCES;
 
 /// The core segment of usual places.
 pub const USUAL_PLACES: &str = "UsualPlaces";
-/// Snapshots that are read at once.
+/// Snapshots per query.
 const PIECE: usize = 4096;
 /// A day, ns.
 const DAY_NS: u64 = 86_400_000_000_000;
-/// How long a sighting counts at most, and at least, s.
+/// The longest and the shortest time that a sighting counts, s.
 const COUNTS_S: (f64, f64) = (600.0, 1.0);
 /// The side of a cell, m.
 const CELL: f64 = 0.05;
-/// How far from its centre a place reaches, m.
+/// Radius of a place, m.
 const REACH: f64 = 0.3;
-/// Most rounds of clustering; each lessens the cost, and it ends where nothing changes.
+/// Most rounds of clustering; each lowers the cost, and clustering ends when nothing changes.
 const ROUNDS: usize = 100;
-/// Cells beyond this distance from the origin are no places, m.
+/// Cells farther from the origin are ignored, m.
 const FAR: f64 = 1e6;
 
 /// Concludes [`USUAL_PLACES`] from the history of `ObjectInstances`.
@@ -58,19 +58,19 @@ impl Default for UsualPlaces {
     }
 }
 
-/// What was seen in a cell.
+/// The sightings in a cell.
 #[derive(Clone, Debug, Default)]
 struct Cell {
     seconds: f64,
-    /// The sum of the places, each times its seconds, m s.
+    /// The sum of the positions, each weighted with its seconds, m s.
     places: Vector3<f64>,
     sightings: u64,
     last_ns: u64,
-    /// The newest versions that were seen there.
+    /// The newest version of each entity that was seen there.
     who: BTreeMap<EntityId, u64>,
 }
 
-/// A cell of one day with its share of the day.
+/// A cell of one day with its fraction of the day's time.
 struct Share<'s> {
     cell: &'s Cell,
     place: Vector3<f64>,
@@ -84,12 +84,12 @@ struct Seen {
     cells: BTreeMap<(u64, [i64; 3]), Cell>,
 }
 
-/// All that was seen, by class and frame.
+/// All sightings, by class and frame.
 #[derive(Default)]
 struct Sightings(BTreeMap<(String, String), Seen>);
 
 impl Sightings {
-    /// Counts a snapshot of a day before today that held until the next one of its entity, ns.
+    /// Counts a snapshot of a day before today, which held until the next one of its entity at `until_ns`.
     fn count(&mut self, snapshot: &Snapshot, until_ns: u64, today_ns: u64) {
         let text = |name: &str| snapshot.attribute(name).and_then(Value::as_str);
         let carried = text("motion_model").is_some_and(|model| model != "static");
@@ -112,7 +112,7 @@ impl Sightings {
 }
 
 impl Seen {
-    /// The cells with their shares of their days, the largest first.
+    /// The cells with their fractions of their days, the largest first.
     fn shares(&self) -> Vec<Share<'_>> {
         let mut days: BTreeMap<u64, f64> = BTreeMap::new();
         for ((day, _), cell) in &self.cells {
@@ -128,7 +128,7 @@ impl Seen {
     }
 }
 
-/// The place of each share, by DP-means.
+/// Clusters the cells into places by DP-means.
 fn clustered<'s>(shares: &'s [Share<'s>]) -> Vec<Vec<&'s Share<'s>>> {
     let mut centres: Vec<Vector3<f64>> = Vec::new();
     let mut of: Vec<usize> = vec![usize::MAX; shares.len()];
@@ -173,7 +173,7 @@ fn mean(members: &[&Share<'_>]) -> Option<Vector3<f64>> {
     (!members.is_empty()).then(|| sum / weight(members))
 }
 
-/// The covariance of a place, m², rows one after the other: of the cells, and of what lies within a cell.
+/// The covariance of a place, m², row by row: the spread of its cells, and the spread within a cell.
 fn covariance(members: &[&Share<'_>], mean: &Vector3<f64>) -> Vec<f64> {
     let within = Matrix3::identity() * (CELL * CELL / 12.0);
     let of = |share: &&Share<'_>| (share.place - mean) * (share.place - mean).transpose() * share.weight;
@@ -181,7 +181,7 @@ fn covariance(members: &[&Share<'_>], mean: &Vector3<f64>) -> Vec<f64> {
     rows.as_slice().to_vec()
 }
 
-/// What was seen in a place: the newest version of each entity.
+/// The evidence of a place: the newest version of each entity.
 fn because(members: &[&Share<'_>]) -> Vec<(EntityId, u64)> {
     let mut newest: BTreeMap<&EntityId, u64> = BTreeMap::new();
     for (id, version) in members.iter().flat_map(|share| &share.cell.who) {
@@ -244,7 +244,7 @@ impl Inference for UsualPlaces {
         let today_ns = now_ns / DAY_NS * DAY_NS;
         let mut sightings = Sightings::default();
         let mut last: Option<Arc<Snapshot>> = None;
-        // The history of one entity after the other, each in order of version.
+        // The histories of the entities, one after the other, each in order of version.
         let mut pieces = pages(Query::history(Pattern::segment(OBJECT_INSTANCES)).with_long_term(), PIECE);
         while let Some(piece) = pieces.next(memory).await? {
             for next in piece {

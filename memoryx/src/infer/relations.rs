@@ -1,9 +1,10 @@
-//! Spatial relations: which thing is on, in, near or left of which other, from where they are and how large they are.
+//! Spatial relations: which object is on, in, near or left of another, computed from their positions and sizes.
 //!
-//! Each relation is a few conditions on differences of coordinates. With normally distributed places each condition has a
-//! probability; their product, times the lower confidence of the two things, is the relation's confidence. Relations below
-//! one half are not concluded. Things are taken as boxes along the axes of their frame, which is the robot's root (x to its
-//! right, y forward, z up) or one like it; things in different frames are not compared.
+//! Each relation is a few conditions on differences of coordinates. Positions are normally distributed, so each
+//! condition has a probability. The product of these, times the lower confidence of the two objects, is the
+//! relation's confidence. Relations below one half are not written. Objects are boxes along the axes of their frame,
+//! which is the robot's root (x to its right, y forward, z up) or a frame like it. Objects in different frames are
+//! not compared.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -22,7 +23,7 @@ use crate::updater::OBJECT_INSTANCES;
 
 /// The core segment of relations.
 pub const OBJECT_RELATIONS: &str = "ObjectRelations";
-/// The core segment of tables, walls and other places.
+/// The core segment of tables, walls and other fixed objects.
 const ENVIRONMENT: &str = "EnvironmentModels";
 const X: usize = 0;
 const Y: usize = 1;
@@ -32,13 +33,13 @@ const Z: usize = 2;
 #[derive(Clone, Debug)]
 pub struct SpatialRelations {
     name: String,
-    /// Largest gap between a thing and what it stands on, m.
+    /// Largest gap between an object and its support, m.
     pub touching: f64,
-    /// Largest gap between things that are near each other, m.
+    /// Largest gap between objects that are near each other, m.
     pub near: f64,
-    /// Largest gap between a thing and what it is left of, m.
+    /// Largest gap for "left of", m.
     pub beside: f64,
-    /// Least confidence that is concluded.
+    /// Lowest confidence that is written.
     pub least: f64,
 }
 
@@ -49,13 +50,13 @@ impl Default for SpatialRelations {
 }
 
 impl SpatialRelations {
-    /// With a name of its own, for several of them in one memory.
+    /// With another name, so that one memory can have several.
     #[must_use]
     pub fn named(name: &str) -> Self {
         Self { name: name.into(), ..Self::default() }
     }
 
-    /// All relations among things. Only those are compared whose boxes come within reach of each other along x.
+    /// All relations among the objects. Only boxes within reach of each other along x are compared.
     fn relations(&self, mut solids: Vec<Solid>) -> Vec<Conclusion> {
         solids.sort_by(|a, b| a.least(X).total_cmp(&b.least(X)).then_with(|| a.id.cmp(&b.id)));
         let unsure = 6.0 * solids.iter().map(|s| s.variance[X]).fold(0.0, f64::max).sqrt();
@@ -63,7 +64,7 @@ impl SpatialRelations {
         let mut found = Vec::new();
         for (i, a) in solids.iter().enumerate() {
             for b in solids[i + 1..].iter().take_while(|b| b.least(X) <= a.most(X) + reach) {
-                // One thing that two providers tell of stands in no relation to itself.
+                // The same object from two providers has no relation to itself.
                 if a.frame == b.frame && (a.class != b.class || a.id.entity() != b.id.entity()) {
                     found.extend(self.of_two(a, b));
                 }
@@ -72,7 +73,7 @@ impl SpatialRelations {
         found
     }
 
-    /// The relations of two things. That they are near each other is said once, and not of what is in or on the other.
+    /// The relations of two objects. "Near" is written once per pair, and not where one is in or on the other.
     fn of_two(&self, a: &Solid, b: &Solid) -> Vec<Conclusion> {
         let mut found = Vec::new();
         for (a, b) in [(a, b), (b, a)] {
@@ -89,7 +90,7 @@ impl SpatialRelations {
         found
     }
 
-    /// The underside of `a` is at the top of `b`, and the centre of `a` is over `b`.
+    /// The underside of `a` is at the top of `b`, and the centre of `a` is above `b`.
     fn probability_on(&self, a: &Solid, b: &Solid) -> f64 {
         if a.half.is_none() || b.half.is_none() {
             return 0.0;
@@ -108,7 +109,7 @@ impl SpatialRelations {
             .product()
     }
 
-    /// All of `a` is to the left of all of `b`, not far away, and beside it rather than behind or above it.
+    /// All of `a` is left of all of `b`, within reach, and not behind, before or above it.
     fn probability_left(&self, a: &Solid, b: &Solid) -> f64 {
         let gap = between(b.least(X) - a.most(X), a.sigma(b, X), 0.0, self.beside);
         let beside = |axis: usize| {
@@ -118,7 +119,7 @@ impl SpatialRelations {
         gap * beside(Y) * beside(Z)
     }
 
-    /// That `a` stands in a relation to `b`, when it is sure enough.
+    /// The relation of `a` to `b`, if its confidence is high enough.
     fn conclusion(&self, a: &Solid, b: &Solid, relation: &str, probability: f64) -> Option<Conclusion> {
         let confidence = (probability * a.confidence.min(b.confidence)).clamp(0.0, 1.0);
         if confidence < self.least {
@@ -147,12 +148,12 @@ fn over(a: &Solid, b: &Solid, axis: usize) -> f64 {
     between(a.centre[axis], a.sigma(b, axis), b.least(axis), b.most(axis))
 }
 
-/// Half of both extents together.
+/// Half the sum of both extents.
 fn halves(a: &Solid, b: &Solid, axis: usize) -> f64 {
     a.half.map_or(0.0, |half| half[axis]) + b.half.map_or(0.0, |half| half[axis])
 }
 
-/// The centre of `a` is within `b`, and `a` is the smaller.
+/// The centre of `a` is inside `b`, and `a` is smaller.
 fn probability_in(a: &Solid, b: &Solid) -> f64 {
     if a.half.is_none() || b.half.is_none() || a.volume() >= b.volume() {
         return 0.0;
@@ -160,7 +161,7 @@ fn probability_in(a: &Solid, b: &Solid) -> f64 {
     (0..3).map(|axis| over(a, b, axis)).product()
 }
 
-/// The extent that a snapshot says, or else its class.
+/// The extent in the snapshot, or else that of its class.
 fn size_of(snapshot: &Snapshot, classes: &BTreeMap<String, [f64; 3]>) -> Option<[f64; 3]> {
     let own = snapshot.attribute("size").and_then(Value::as_vector3);
     let size = own.or_else(|| classes.get(snapshot.attribute("class")?.as_str()?).copied());

@@ -1,15 +1,15 @@
-//! Things as boxes along the axes of their frame, with how sure their places are, and how probable it is that something
-//! about two of them holds. Knows nothing of relations.
+//! Objects as boxes along the axes of their frame, with the uncertainty of their positions, and the probability of a
+//! condition on two of them. Knows no relations.
 
 use armarium_values::{Frame, Value};
 
 use crate::entity::{EntityId, Snapshot};
 use crate::place::place_of;
 
-/// The standard deviation of a place that says nothing of its own, and the least of any, m.
+/// The standard deviation of a position without covariance, and the lowest of any, m.
 const LEAST_SIGMA: f64 = 0.005;
 
-/// A thing.
+/// An object.
 #[derive(Clone, Debug)]
 pub(super) struct Solid {
     pub(super) id: EntityId,
@@ -19,7 +19,7 @@ pub(super) struct Solid {
     pub(super) frame: Frame,
     /// Centre, m.
     pub(super) centre: [f64; 3],
-    /// Half of the extent along the frame's axes, m; none where the size is not known.
+    /// Half of the extent along the frame's axes, m; `None` where the size is unknown.
     pub(super) half: Option<[f64; 3]>,
     /// Variance of the centre along each axis, m².
     pub(super) variance: [f64; 3],
@@ -27,7 +27,7 @@ pub(super) struct Solid {
 }
 
 impl Solid {
-    /// The thing that a snapshot describes; `size`: its extent along its own axes, m. `None` when it has no place.
+    /// The object of a snapshot; `size`: its extent along its own axes, m. `None` when it has no position.
     pub(super) fn new(snapshot: &Snapshot, size: Option<[f64; 3]>) -> Option<Self> {
         let (frame, centre) = place_of(snapshot)?;
         let instance = snapshot.instance()?;
@@ -56,13 +56,13 @@ impl Solid {
         self.half.map_or(0.0, |half| half.iter().map(|h| 2.0 * h).product())
     }
 
-    /// The standard deviation of the difference of two places along an axis, m.
+    /// The standard deviation of the difference of two positions along an axis, m.
     pub(super) fn sigma(&self, other: &Self, axis: usize) -> f64 {
         (self.variance[axis] + other.variance[axis]).sqrt()
     }
 }
 
-/// Half of the box along the frame's axes that encloses the turned one.
+/// Half of the axis-aligned box that encloses the rotated one.
 fn half_of(snapshot: &Snapshot, size: [f64; 3]) -> [f64; 3] {
     let half = size.map(|length| length.abs() / 2.0);
     let Some(Value::Pose(pose)) = snapshot.attribute("pose") else { return half };
@@ -81,7 +81,7 @@ fn variance_of(snapshot: &Snapshot) -> [f64; 3] {
     std::array::from_fn(|axis| at(axis).max(least))
 }
 
-/// The probability that a normally distributed number with mean `mean` is between two others.
+/// The probability that a normally distributed number lies between `low` and `high`.
 pub(super) fn between(mean: f64, sigma: f64, low: f64, high: f64) -> f64 {
     (below((high - mean) / sigma) - below((low - mean) / sigma)).max(0.0)
 }

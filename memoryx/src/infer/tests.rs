@@ -1,4 +1,4 @@
-//! Inference on small scenes and short histories, against what follows from geometry and counting.
+//! Inference on small scenes and short histories, compared with results from geometry and counting.
 
 use armarium_values::{Frame, Pose, Vector};
 use nalgebra::{Isometry3, Vector3};
@@ -74,7 +74,7 @@ async fn relations_follow_from_geometry() {
             "table near cup_3"
         ]
     );
-    // The gap is as sure as 2 cm are against two places of 5 mm each: 2 Phi(2.83) - 1.
+    // A gap of at most 2 cm between two positions with 5 mm standard deviation each: 2 Phi(2.83) - 1.
     assert!((said["cup on table"] - 0.995_32).abs() < 1e-4, "{said:?}");
 }
 
@@ -130,7 +130,7 @@ async fn usual_places_are_learned_from_all_earlier_days() {
     let folder = tempfile::tempdir().unwrap();
     let store = Arc::new(LongTermMemory::open(&folder.path().join("days.redb")).unwrap());
     let kept = Consolidator::new(Arc::clone(&store), Policies::all(Policy::Everything));
-    // Working memory has forgotten all but the last sighting.
+    // Working memory holds the last sighting only.
     let limits = Limits { history: 1, ..Limits::default() };
     let memory = WorkingMemory::new(Arc::new(|| 1)).with_limits(limits).with_backing(Arc::new(kept));
     let hour = 3_600_000_000_000;
@@ -149,7 +149,7 @@ async fn usual_places_are_learned_from_all_earlier_days() {
     assert_eq!(round, Round { concluded: 2, written: 2, removed: 0 });
     let found = memory.segment(USUAL_PLACES).await.unwrap();
     let chances: Vec<f64> = found.iter().map(|s| s.instance().unwrap().confidence).collect();
-    // 3.5 of 4 days, half a day, and half a place for somewhere new.
+    // 3.5 of 4 days, half a day, and half a place as the rest for a new one.
     assert!((chances[0] - 4.0 / 5.5).abs() < 1e-12 && (chances[1] - 1.0 / 5.5).abs() < 1e-12, "{chances:?}");
     let Some(Value::Vector(place)) = found[0].attribute("position") else { panic!("no place") };
     assert!(crate::place::distance(&place.components, &[1.0132, 0.5, 1.2]) < 2e-3, "{place:?}");
@@ -157,7 +157,7 @@ async fn usual_places_are_learned_from_all_earlier_days() {
     assert_eq!(found[0].attribute("sightings"), Some(&Value::Int(14)));
     assert_eq!(found[1].attribute("last_seen_ns"), Some(&Value::Int((4 * DAY_NS + 3 * hour) as i64)));
 
-    // What is carried is in no place.
+    // A carried object is in no place.
     let mut carried = shelf(6, 0);
     carried.instances[0].attributes = carried.instances[0].attributes.with("motion_model", "hand".into());
     memory.commit_now(vec![carried]).unwrap();
@@ -181,7 +181,7 @@ async fn an_attached_inference_concludes_when_something_changes() {
         .unwrap();
     rounds(2).await;
     assert_eq!(memory.segment(OBJECT_RELATIONS).await.unwrap().len(), 1);
-    // Its own conclusions do not make it conclude.
+    // Its own conclusions do not start a round.
     tokio::time::sleep(Duration::from_secs(60)).await;
     assert_eq!(attached.rounds(), 2);
 }

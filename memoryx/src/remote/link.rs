@@ -1,5 +1,5 @@
-//! The link to another agent's memory: the questions that can be asked, and the changes as they come, gaps and all, until
-//! they are put in order.
+//! The link to another agent's memory: queries and commits, and the incoming changes, before gaps are filled and
+//! order is restored.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -20,29 +20,29 @@ use crate::query::{Cursor, Pattern, Query};
 use crate::server::unreachable_memory;
 use crate::wire::{self, Changes, CommitRequest, Snapshots, Versions};
 
-/// How often a memory that does not answer is asked when connecting.
+/// How often connecting tries a memory that does not answer.
 const TRIES: u32 = 5;
-/// How long to wait before a memory that did not answer is asked again for what was missed.
+/// How long to wait before missed changes are queried again from a memory that did not answer.
 const RETRY: Duration = Duration::from_millis(500);
-/// Changes that wait to be put in order before more messages are opened.
+/// Changes in `raw` above which no further message is decoded.
 const BEHIND: usize = 8192;
 /// Changes that are put in order at once.
 const TOGETHER: usize = 1024;
 
-/// The questions that can be asked, and the changes as they come, gaps and all.
+/// Queries and commits to the other memory, and its changes as they arrive, with gaps.
 #[derive(Debug)]
 pub(super) struct Link {
     pub(super) session: Session,
     pub(super) agent: String,
-    /// The key that is asked.
+    /// The key of its queryable.
     pub(super) questions: Key,
     pub(super) raw: broadcast::Sender<Arc<Snapshot>>,
     pub(super) stream: Mutex<Stream>,
-    /// Something was lost, or may have been.
+    /// Notified when something was lost, or may have been.
     pub(super) lost: Notify,
-    /// The follower has taken something out of `raw`.
+    /// Notified when the follower has taken a change out of `raw`.
     pub(super) taken: Notify,
-    /// What arrived in the other memory before then was passed on to subscribers, ns.
+    /// Subscribers have received everything that arrived in the other memory before this time, ns.
     pub(super) passed_until: AtomicU64,
 }
 
@@ -65,7 +65,7 @@ impl Link {
         while let Some(message) = messages.next().await {
             match wire::open::<Changes>(&message.encoding, &message.payload) {
                 Ok(changes) => {
-                    // What waits longer waits in the queue of messages, which counts what it drops.
+                    // Further messages wait in the subscription's queue, which counts what it drops.
                     while self.raw.len() > BEHIND {
                         self.taken.notified().await;
                     }
@@ -85,19 +85,19 @@ impl Link {
         }
     }
 
-    /// Puts changes into `raw`. Returns whether something before them is missing. Whoever sees how far the stream is whole
-    /// finds all of it there.
+    /// Puts changes into `raw`. Returns whether a gap precedes them. The lock on `stream` covers both, so that a
+    /// reader of `whole_until` finds all of those changes in `raw`.
     fn take(&self, changes: Changes) -> bool {
         let mut stream = self.stream();
         let is_missing = stream.hear(&changes);
         for snapshot in changes.snapshots {
-            // Nobody listening is no error.
+            // Having no receiver is not an error.
             let _ = self.raw.send(snapshot);
         }
         is_missing
     }
 
-    /// Something may have been lost: what was whole until now has to be looked at again.
+    /// Something may have been lost: schedules a new read from the last time without a gap.
     pub(super) fn lose(&self) {
         self.stream().lose();
         self.lost.notify_one();
@@ -107,11 +107,11 @@ impl Link {
         self.stream.lock()
     }
 
-    /// Reads what was lost. What is lost meanwhile is read by the next call.
+    /// Reads what was lost. Losses during the read are left to the next call.
     async fn catch_up(&self, follower: &mut Follower) -> Result<(), MemoryError> {
         let gaps = self.stream().gaps();
-        // From what was taken out of `raw`, not from what was heard: what still waits there comes later, and its versions
-        // before those that are read now must not be taken for lost.
+        // Start from what was taken out of `raw`, not from what was received: changes that still wait in `raw` come
+        // later, and the versions before them must not count as lost.
         follower.catch_up().await?;
         self.stream().close_gap(gaps);
         Ok(())
@@ -149,7 +149,7 @@ impl Link {
                 }
                 Err(error) => {
                     tracing::warn!(%error, "what was missed could not be asked for");
-                    // The memory is away; it is asked again when it is back, and now and then.
+                    // The memory is away: try again after a while, and when it is back.
                     tokio::time::sleep(RETRY).await;
                     self.lost.notify_one();
                 }
@@ -232,8 +232,8 @@ impl Memory for Link {
         self.raw.subscribe()
     }
 
-    /// The follower asks after each change that it has taken, also after those that tell nothing new and that
-    /// [`Self::tell`] therefore never sees: so [`Self::hear`] learns here that there is room.
+    /// The follower calls this after each change that it takes, even if it then reports nothing and [`Self::tell`]
+    /// does not see it. So this is where [`Self::hear`] is notified that `raw` has room.
     fn told_until(&self) -> Option<u64> {
         self.taken.notify_one();
         Some(self.stream().whole_until())

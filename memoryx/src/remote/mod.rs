@@ -1,8 +1,8 @@
-//! Another agent's memory, over Zenoh: the same trait, with an answer to every commit.
+//! Another agent's memory over Zenoh, with the same trait. Every commit is answered.
 //!
-//! Subscribers hear every change once and in order: a gap in an entity's versions, a queue that was too short and a
-//! memory that was away for a while all make this side ask for what it has missed. What the other side no longer
-//! has shows as a gap in the versions, which a [`crate::Follower`] reports.
+//! Subscribers receive every change once and in order. A gap in an entity's versions, an overflown queue and a memory
+//! that was away all make this side query what it missed. What the other side no longer has shows as a gap in the
+//! versions, which a [`crate::Follower`] reports.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -19,9 +19,9 @@ use crate::query::Query;
 use crate::server::unreachable_memory;
 use crate::wire::{self, Maintain, Report};
 
-/// Messages that wait to be looked at, and changes that a subscriber may lag behind.
+/// Messages that wait to be decoded, and changes that a subscriber may lag behind.
 const QUEUE: usize = 4096;
-/// Changes that wait to be put in order; more than two full messages of them.
+/// Changes that wait to be put in order; room for more than two full messages.
 const RAW: usize = 16_384;
 
 mod link;
@@ -39,17 +39,17 @@ pub struct RemoteMemory {
 }
 
 impl RemoteMemory {
-    /// Connects to the memory of `agent`, which has to answer.
+    /// Connects to the memory of `agent`, which must answer.
     ///
     /// # Errors
-    /// [`MemoryError::Name`] when the agent's name cannot be part of a key; [`MemoryError::Remote`] when nobody
-    /// answers or Zenoh fails.
+    /// [`MemoryError::Name`] when the agent's name cannot be part of a key; [`MemoryError::Remote`] when the memory
+    /// does not answer or Zenoh fails.
     pub async fn connect(session: &Session, agent: &str) -> Result<Self, MemoryError> {
         let key = keys::memory_commit(agent).map_err(|error| MemoryError::Name { name: error.name })?;
         Self::connect_on(session, agent, key).await
     }
 
-    /// [`Self::connect`] as a writer who says who he is, to a memory that takes commits of certain writers only.
+    /// [`Self::connect`] as a named writer, to a memory that accepts commits of certain writers only.
     ///
     /// # Errors
     /// As [`Self::connect`].
@@ -58,7 +58,7 @@ impl RemoteMemory {
         Self::connect_on(session, agent, key).await
     }
 
-    /// `questions`: the key that is asked.
+    /// `questions`: the key of the queryable.
     async fn connect_on(session: &Session, agent: &str, questions: Key) -> Result<Self, MemoryError> {
         let named = |error: armarium_bus::KeyError| MemoryError::Name { name: error.name };
         let failed = |error: SessionError| unreachable_memory(agent, &error.to_string());
@@ -82,7 +82,7 @@ impl RemoteMemory {
         let mut tasks = JoinSet::new();
         tasks.spawn(Arc::clone(&link).hear(messages));
         tasks.spawn(Arc::clone(&link).watch(roll));
-        // An answer says that the other side knows of the subscription: declarations travel before questions.
+        // An answer proves that the other side knows the subscription: declarations arrive before queries.
         let follower = link.first_answer().await?;
         link.stream().begin(follower.told_until());
         tasks.spawn(Arc::clone(&link).tell(follower, changes.clone()));
@@ -91,10 +91,10 @@ impl RemoteMemory {
 }
 
 impl RemoteMemory {
-    /// Has the agent do something with its long-term memory.
+    /// Asks the agent for maintenance of its long-term memory.
     ///
     /// # Errors
-    /// [`MemoryError::Store`] when it has none, or it fails; [`MemoryError::Remote`].
+    /// [`MemoryError::Store`] when it has none or the store fails; [`MemoryError::Remote`].
     pub async fn maintain(&self, request: &Maintain) -> Result<Report, MemoryError> {
         let failed = |error: armarium_bus::CodecError| self.link.failed(&error.to_string());
         let (encoding, payload) = wire::seal(request).map_err(failed)?;

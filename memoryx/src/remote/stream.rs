@@ -1,16 +1,17 @@
-//! Until when, by arrival, the stream of changes was heard whole. Knows positions and times, no snapshots.
+//! The arrival time until which the stream of changes was received without a gap. Knows positions and times, no
+//! snapshots.
 
 use armarium_bus::stream::{Arrival, StreamPosition, StreamReader};
 
 use crate::wire::Changes;
 
-/// How far the stream of changes was heard.
+/// How far the stream of changes was received.
 #[derive(Debug, Default)]
 pub(super) struct Stream {
     reader: StreamReader,
-    /// What arrived in the other memory before then was heard, ns.
+    /// Everything that arrived in the other memory before this time was received, ns.
     whole_until: u64,
-    /// The same, but for what was lost.
+    /// The same, if gaps are ignored.
     heard_until: u64,
     /// Gaps so far, and how many of them were closed.
     gaps: u64,
@@ -18,18 +19,18 @@ pub(super) struct Stream {
 }
 
 impl Stream {
-    /// What arrived until then is known, ns.
+    /// Everything that arrived until then is known, ns.
     pub(super) fn begin(&mut self, until: u64) {
         self.whole_until = self.whole_until.max(until);
         self.heard_until = self.heard_until.max(until);
     }
 
-    /// Takes note of a message of changes, which may hold none. Returns whether something before it is missing.
+    /// Records a message of changes, which may be empty. Returns whether a gap precedes it.
     pub(super) fn hear(&mut self, changes: &Changes) -> bool {
         let position = StreamPosition { epoch: changes.epoch, number: changes.first };
         let follows = match self.reader.arrive(position, changes.snapshots.len()) {
             Arrival::InOrder | Arrival::Again => true,
-            // What was told before the first message that arrives may have been told to nobody.
+            // Changes before the first message may have been published when there was no subscriber.
             Arrival::First => changes.first == 0,
             Arrival::After(_) | Arrival::NewEpoch => false,
         };
@@ -48,17 +49,17 @@ impl Stream {
         self.gaps += 1;
     }
 
-    /// What arrived in the other memory before then was heard, ns.
+    /// Everything that arrived in the other memory before this time was received, ns.
     pub(super) fn whole_until(&self) -> u64 {
         self.whole_until
     }
 
-    /// Gaps so far: reading what was lost closes those that were there when it began.
+    /// Gaps so far. A read closes the gaps that existed when it began.
     pub(super) fn gaps(&self) -> u64 {
         self.gaps
     }
 
-    /// What was lost up to these gaps has been read.
+    /// Records that all changes lost up to this number of gaps have been read.
     pub(super) fn close_gap(&mut self, gaps: u64) {
         self.closed = gaps;
         if self.gaps == gaps {
@@ -98,10 +99,10 @@ mod tests {
             (message(1, 0, 12, &[12, 11]), false, 12),
             (message(1, 2, 12, &[]), false, 12),
             (message(1, 2, 13, &[15]), false, 13),
-            // The last ones were lost, and nothing came after them but their number.
+            // The last changes were lost, and only their number came after them.
             (message(1, 5, 15, &[]), true, 13),
             (message(1, 5, 16, &[16]), false, 13),
-            // The memory has begun anew.
+            // The memory was restarted.
             (message(2, 0, 17, &[17]), true, 13),
         ] {
             assert_eq!(stream.hear(&told), is_missing, "{told:?}");

@@ -72,7 +72,7 @@ async fn what_was_missed_is_asked_for() {
     for i in 0..5 {
         pair.memory.commit_now(vec![commit("a", i)]).unwrap();
     }
-    // Somebody who repeats old news, or tells nonsense, changes nothing.
+    // Repeated and nonsensical changes have no effect.
     let known = pair.memory.latest_now(&commit("a", 0).id).unwrap();
     let (encoding, payload) =
         wire::seal(&Changes { epoch: 7, first: 9, until_ns: 0, snapshots: vec![known] }).unwrap();
@@ -90,7 +90,7 @@ async fn what_was_missed_is_asked_for() {
     assert_eq!(heard, expected);
 }
 
-/// Until this version of the only entity is heard: which ones were, in their order.
+/// Waits for this version of the only entity. Returns all versions received, in order.
 async fn heard_until(changes: &mut broadcast::Receiver<Arc<Snapshot>>, last: u64) -> Vec<u64> {
     let mut heard = Vec::new();
     while heard.last() != Some(&last) {
@@ -99,8 +99,8 @@ async fn heard_until(changes: &mut broadcast::Receiver<Arc<Snapshot>>, last: u64
     heard
 }
 
-/// What a line that takes nothing has lost is all there soon after it takes something again, the last one too, although
-/// nothing changes any more.
+/// After a pause of the connection, everything lost in it arrives soon, including the last changes, although no
+/// further change follows them.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_last_changes_are_not_missed() {
     let pair = pair().await;
@@ -115,7 +115,7 @@ async fn the_last_changes_are_not_missed() {
     }
     let (mut beside, mut behind) = (pair.remote.subscribe(), behind.subscribe());
     state.send(Line::Held).unwrap();
-    // Several times as much as the buffers on the way hold.
+    // Several times the size of the buffers on the way.
     let (count, large) = (24, 1 << 20);
     for i in 1..=count {
         let id = commit("a", 0).id;
@@ -123,13 +123,13 @@ async fn the_last_changes_are_not_missed() {
         pair.memory.commit_now(vec![update]).unwrap();
     }
     assert_eq!(heard_until(&mut beside, count).await, (1..=count).collect::<Vec<_>>());
-    // Messages go onto a line one after the other: when this one has been refused, the last change was.
+    // Messages are sent one after the other: once this probe was dropped, the last change was too.
     pair.far.put(&probe, "x", Vec::new()).await.unwrap();
     state.send(Line::Open).unwrap();
     assert_eq!(heard_until(&mut behind, count).await, (1..=count).collect::<Vec<_>>());
 }
 
-/// Faster than anybody follows: nothing is lost all the same, nor told twice.
+/// Changes faster than anyone can follow: none is lost, and none is reported twice.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_is_flooded_arrives_whole() {
     let far = Session::open(&SessionConfig::default()).await.unwrap();

@@ -1,5 +1,5 @@
-//! Questions to a shared memory: queries, gets by key and maintenance, answered beside each other and beside commits, in
-//! parts, and in a room that has an end.
+//! Queries, gets by key and maintenance of a shared memory: answered in parallel, beside commits, in parts, and
+//! within a memory budget.
 
 use std::sync::Arc;
 
@@ -14,12 +14,12 @@ use crate::maintain;
 use crate::query::{Cursor, Query};
 use crate::wire::{self, MOST_BYTES, MOST_SNAPSHOTS, Maintain, Snapshots};
 
-/// What a question takes of the room at least, kB: so that fewer wait at once than there are threads that may wait.
+/// Least budget of a query, kB. It bounds the waiting queries to less than the number of blocking threads.
 const QUERY_KB: u32 = 256;
 
 impl Shared {
-    /// Room for a question to wait for its turn beside the others, so that commits never wait for queries; when there is
-    /// none, whoever asks is told so.
+    /// Reserves budget for a query to wait beside the others, so that commits never wait for queries. When none is
+    /// left, the caller gets an error.
     pub(super) async fn room_for(&self, question: &Question) -> Option<OwnedSemaphorePermit> {
         let kb = u32::try_from(question.payload.len() / 1024).unwrap_or(ROOM_KB);
         let wanted = kb.saturating_add(QUERY_KB).min(ROOM_KB);
@@ -31,13 +31,13 @@ impl Shared {
         room
     }
 
-    /// The turn of one that waits.
+    /// Waits for one of the slots in which queries are answered.
     async fn turn(&self) -> Option<OwnedSemaphorePermit> {
         Arc::clone(&self.queries).acquire_owned().await.ok()
     }
 
-    /// Answers a query or maintenance when it is its turn. Its turn ends before it is sent: how long that takes is up to
-    /// who asked.
+    /// Answers a query or maintenance when a slot is free. The slot is freed before the answer is sent, because the
+    /// caller decides how long that takes.
     pub(super) async fn answer_aside(self, question: Question, room: OwnedSemaphorePermit) {
         let turn = self.turn().await;
         let answering = tokio::task::spawn_blocking(move || {
@@ -46,11 +46,11 @@ impl Shared {
             self.send_all(vec![(question, answer)]);
             drop(room);
         });
-        // It does not panic, and nobody takes it back.
+        // The task neither panics nor is cancelled.
         let _ = answering.await.is_ok();
     }
 
-    /// A query or maintenance, by its encoding.
+    /// Answers a query or maintenance, depending on its encoding.
     fn answer(&self, question: &Question) -> Result<(String, Vec<u8>), MemoryError> {
         let (encoding, payload) = (question.encoding.as_str(), question.payload.as_slice());
         let sealed = if encoding.starts_with("application/cbor;memoryx/maintain;") {
@@ -67,7 +67,7 @@ impl Shared {
         sealed.map_err(|e| self.not_understood(&e))
     }
 
-    /// As much of an answer as travels at once.
+    /// As much of an answer as fits into one message.
     fn piece(&self, mut query: Query) -> Result<Snapshots, MemoryError> {
         query.most = Some(query.most.unwrap_or(usize::MAX).min(MOST_SNAPSHOTS));
         query.most_bytes = Some(query.most_bytes.unwrap_or(u64::MAX).min(MOST_BYTES));
@@ -76,7 +76,7 @@ impl Shared {
         let fits = wire::in_one_answer(&snapshots);
         let cut = fits < snapshots.len();
         snapshots.truncate(fits);
-        // The nearest ones have an order of their own, in which nobody can go on.
+        // The nearest are ordered by distance, so a cursor cannot continue such an answer.
         Ok(Snapshots { snapshots, more: (full || cut) && !query.is_nearest() })
     }
 
@@ -94,7 +94,7 @@ impl Shared {
         }
     }
 
-    /// Answers part by part, so that no more of a long answer is in memory at once.
+    /// Answers in parts, so that only one part of a long answer is in memory.
     async fn answer_get(&self, question: &Question) -> Result<(), SessionError> {
         let query = wire::query_of_get(&question.key, &question.parameters);
         let mut query = match query {

@@ -1,11 +1,11 @@
-//! Shares a working memory over Zenoh: answers commits and queries, takes updates, and tells every change.
+//! Shares a working memory over Zenoh: answers commits and queries, takes updates, and publishes every change.
 //!
-//! What is told goes through a [`Follower`], so that a network that is slow for a while loses nothing that the
-//! memory still has; changes that wait together travel together. Nobody who does not read holds the others up: what
-//! a link does not take is dropped there, and its reader sees the gap and asks again, by the next message or, when
-//! nothing more changes, by the number of changes that a quiet memory tells. Commits that wait together are
-//! made durable together. What others send is checked like any commit; what is not understood is refused or, where
-//! nobody waits for an answer, logged with its sender.
+//! Changes go through a [`Follower`]: a network that is slow for a while loses nothing that the memory still has.
+//! Changes that wait together are sent together. A slow reader does not block the others: Zenoh drops what its link
+//! does not take. The reader sees the gap in the next message or, when nothing more changes, in the number of changes
+//! that an idle memory publishes, and queries the rest. Commits that wait together are made durable together. What
+//! others send is checked like any commit. What cannot be decoded is refused or, where the sender expects no answer,
+//! logged with its sender.
 
 use std::sync::Arc;
 
@@ -30,18 +30,18 @@ mod refusals;
 use publish::ChangePublisher;
 use refusals::{Refusals, is_senders_fault};
 
-/// Questions and updates that wait to be looked at.
+/// Queries and updates that wait to be decoded.
 const QUEUE: usize = 1024;
 /// Commits that are made durable together.
 const GROUP: usize = 256;
-/// Bytes of requests that are opened together, beyond the one that passes them.
+/// Bytes of requests that are decoded together, beyond the request that exceeds them.
 const GROUP_BYTES: usize = 8 << 20;
-/// Queries that are answered side by side.
+/// Queries that are answered in parallel.
 const QUERIES: usize = 8;
-/// Room for questions that wait or are answered, kB.
+/// Budget for queries that wait or are being answered, kB.
 const ROOM_KB: u32 = 64 << 10;
 
-/// A memory that is shared for as long as this lives.
+/// A memory that is shared until this is dropped.
 #[derive(Debug)]
 pub struct MemoryServer {
     _alive: AliveToken,
@@ -49,7 +49,7 @@ pub struct MemoryServer {
 }
 
 impl MemoryServer {
-    /// Shares a memory as that of `agent`.
+    /// Shares a memory as the memory of `agent`.
     ///
     /// # Errors
     /// [`MemoryError::Name`] when the agent's name cannot be part of a key; [`MemoryError::Remote`] when Zenoh fails.
@@ -61,7 +61,7 @@ impl MemoryServer {
         Self::start_with(session, agent, memory, None).await
     }
 
-    /// [`Self::start`], with a long-term memory that others may ask to be maintained.
+    /// [`Self::start`], with a long-term memory whose maintenance others may request.
     ///
     /// # Errors
     /// As [`Self::start`].
@@ -74,9 +74,9 @@ impl MemoryServer {
         Self::start_guarded(session, agent, memory, store, false).await
     }
 
-    /// [`Self::start_with`], where `guarded` says that only named writers may write, each his own provider segments, and only
-    /// the agent itself may have long-term memory maintained. That a writer is who he says is up to the session's rules
-    /// ([`armarium_bus::Access`]).
+    /// [`Self::start_with`]; with `guarded`, only named writers may write, each only into their own provider
+    /// segments, and only the agent itself may request maintenance of long-term memory. The session's rules
+    /// ([`armarium_bus::Access`]) guarantee the writer's name.
     ///
     /// # Errors
     /// As [`Self::start`].
@@ -128,7 +128,7 @@ pub(crate) fn unreachable_memory(agent: &str, what: &str) -> MemoryError {
     MemoryError::Remote { agent: agent.into(), what: what.into() }
 }
 
-/// The encoding and the bytes of an answer, or why there is none.
+/// The encoding and the bytes of an answer, or the refusal.
 type Response = Result<(String, Vec<u8>), MemoryError>;
 
 #[derive(Clone)]
@@ -168,7 +168,7 @@ impl Shared {
         }
     }
 
-    /// Commits what is understood and permitted; what is to be said to whom.
+    /// Commits the requests that are valid and permitted. Returns the answer to each.
     fn answer_commits(&self, questions: Vec<Question>) -> Vec<(Question, Response)> {
         let (mut understood, mut commits, mut answers) = (Vec::new(), Vec::new(), Vec::new());
         for question in questions {
@@ -194,8 +194,8 @@ impl Shared {
         answers
     }
 
-    /// Sends answers, on a thread that may wait: a link that takes nothing holds whoever sends up until Zenoh gives it up,
-    /// and nobody else waits for that.
+    /// Sends answers on a thread that may block: a link that takes nothing blocks its sender until Zenoh gives the
+    /// link up. Nothing else waits for that.
     fn send_all(&self, answers: Vec<(Question, Response)>) {
         let runtime = tokio::runtime::Handle::current();
         for (question, answer) in answers {
@@ -204,7 +204,7 @@ impl Shared {
     }
 
     async fn send(&self, question: &Question, answer: Response) {
-        // Who asks all memories at once is answered on this one's key.
+        // A query to all memories at once is answered on this memory's own key.
         let key = Key::parse(&question.key).or_else(|_| keys::memory_commit(&self.agent));
         let key = key.map_err(|error| MemoryError::Name { name: error.name });
         let sent = match (answer, key) {
@@ -214,7 +214,7 @@ impl Shared {
         log_failure(sent);
     }
 
-    /// The writer that a question's key names.
+    /// The writer named in a query's key.
     fn writer<'q>(&self, question: &'q Question) -> Option<&'q str> {
         match question.key.split('/').collect::<Vec<_>>()[..] {
             [_, "memory", "by", writer] => Some(writer),
@@ -222,7 +222,7 @@ impl Shared {
         }
     }
 
-    /// The request, if whoever makes it may write all of it.
+    /// The request, if its writer may write all of it.
     fn permitted(&self, question: &Question, request: CommitRequest) -> Result<CommitRequest, MemoryError> {
         let is_own = |writer: &str, provider: &str| {
             writer == self.agent
@@ -239,7 +239,7 @@ impl Shared {
         }
     }
 
-    /// Does what may wait for a disk, where there is one.
+    /// Runs a function that may block on a disk, if there is one.
     fn waiting_for_disk<T>(&self, act: impl FnOnce() -> T) -> T {
         if self.memory.has_backing() { tokio::task::block_in_place(act) } else { act() }
     }
@@ -248,7 +248,7 @@ impl Shared {
         unreachable_memory(&self.agent, &error.to_string())
     }
 
-    /// Tells whoever asks why not, and the log who it was.
+    /// Sends the refusal to the caller, and logs the sender.
     async fn refuse(&self, question: &Question, error: &MemoryError) -> Result<(), SessionError> {
         if is_senders_fault(error) {
             let said = self.writer(question).or(question.sender.as_deref());
@@ -267,7 +267,7 @@ impl Shared {
                 let sender = self.session.sender(message.sender.as_deref()).await;
                 self.refusals.note(&sender, &message.key, &error);
             }
-            // Each time that it has doubled: a flood is not logged one by one.
+            // Logged whenever the count has doubled, so that a flood gives few lines.
             if updates.dropped() > 2 * dropped {
                 dropped = updates.dropped();
                 tracing::warn!(dropped, "updates came faster than they could be taken");

@@ -1,5 +1,5 @@
-//! Tells a memory's changes as they come, and when nothing more comes, how many there were: so whoever has missed the last
-//! ones learns it soon. Answers nobody.
+//! Publishes a memory's changes and, when there are no more, their number: so a reader that missed the last ones soon
+//! notices. Answers no queries.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -13,25 +13,25 @@ use crate::error::MemoryError;
 use crate::follow::{Change, Follower};
 use crate::wire::{self, Changes};
 
-/// Changes that are told together.
+/// Most changes in one round.
 const TOGETHER: usize = 2048;
-/// After how long without changes their number is told. It is told again after twice as long, and so on: a line that takes
-/// nothing for a while delays it, and a memory in which nothing happens ever more rarely says so.
+/// Time without changes after which their number is published; then again after twice the time, and so on. So a
+/// paused connection only delays it, and an idle memory publishes ever more rarely.
 const QUIET: Duration = Duration::from_millis(80);
-/// How long to wait before a memory that could not be read is read again.
+/// How long to wait before a failed read of the memory is repeated.
 const RETRY: Duration = Duration::from_millis(500);
 
-/// Publishes what a follower hears.
+/// Publishes what a follower reports.
 pub(super) struct ChangePublisher {
     session: Session,
     agent: String,
     key: Key,
     stream: StreamWriter,
-    /// What arrived before was told, ns.
+    /// Everything that arrived before this time was published, ns.
     until_ns: u64,
-    /// Those who know nothing of [`Changes`].
+    /// Subscribers to single entities, which do not read [`Changes`].
     each: Interest,
-    /// While this is declared, nothing goes to a router behind which nobody follows.
+    /// While this is declared, Zenoh sends nothing to a router without followers behind it.
     _followers: Interest,
 }
 
@@ -52,14 +52,14 @@ impl ChangePublisher {
         })
     }
 
-    /// Until the memory has gone.
+    /// Runs until the memory closes.
     pub(super) async fn publish(mut self, mut follower: Follower) {
         let mut quiet = QUIET;
         loop {
             let changes = tokio::select! {
                 biased;
                 changes = follower.some(TOGETHER) => changes,
-                // Where nothing was told, nothing was missed.
+                // If nothing was published, nothing was missed.
                 () = tokio::time::sleep(quiet), if self.stream.sent() > 0 => {
                     self.publish_together(Vec::new(), self.until_ns).await;
                     quiet = quiet.saturating_mul(2);
@@ -83,8 +83,8 @@ impl ChangePublisher {
         }
     }
 
-    /// Tells changes in as many messages as it takes; none at all in one, which says how many there were before.
-    /// What arrived before `until_ns` is told with the last of them.
+    /// Publishes changes in as many messages as needed. An empty list gives one message with the number of changes
+    /// before it. Everything that arrived before `until_ns` is contained up to the last message.
     async fn publish_together(&mut self, mut news: Vec<Arc<Snapshot>>, until_ns: u64) {
         loop {
             let rest = news.split_off(wire::in_one_answer(&news));
@@ -104,7 +104,7 @@ impl ChangePublisher {
         }
     }
 
-    /// Tells changes on the keys of their entities.
+    /// Publishes changes on the keys of their entities.
     async fn publish_each(&self, news: &[Arc<Snapshot>]) {
         for snapshot in news {
             let (Ok(key), Ok((encoding, payload))) =

@@ -1,5 +1,5 @@
-//! What is refused is logged with who sent it, and a flood of it does not become a flood of log lines: a few of
-//! each sender are written in a second, and the others counted.
+//! Logs refusals with their sender. A flood of refusals does not become a flood of log lines: a few per sender and
+//! second are written, the others are counted.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -9,14 +9,14 @@ use tokio::time::Instant;
 
 use crate::error::MemoryError;
 
-/// Refusals of one sender that are logged one by one in a second.
+/// Refusals per sender and second that are logged individually.
 const LOGGED: u32 = 3;
-/// Senders whose refusals are logged in a second.
+/// Senders per second whose refusals are logged.
 const SENDERS: usize = 16;
-/// How long they are counted together.
+/// The period over which refusals are counted.
 const WINDOW: Duration = Duration::from_secs(1);
 
-/// What was refused lately.
+/// The refusals of the present period.
 #[derive(Debug, Default)]
 pub(super) struct Refusals(Mutex<Lately>);
 
@@ -28,7 +28,7 @@ struct Lately {
 }
 
 impl Refusals {
-    /// Logs that something of `sender` on `key` was refused, unless that has been logged often enough.
+    /// Logs that something of `sender` on `key` was refused, unless the limit is reached.
     pub(super) fn note(&self, sender: &str, key: &str, error: &MemoryError) {
         let mut lately = self.0.lock();
         let now = Instant::now();
@@ -49,8 +49,8 @@ impl Refusals {
     }
 }
 
-/// Whether whoever is told this error has done something wrong, or at least more than the memory takes; what happens
-/// among those who work together is not worth a line.
+/// Whether an error is the sender's fault, or at least exceeds what the memory accepts. Conflicts among cooperating
+/// writers are not logged.
 pub(super) fn is_senders_fault(error: &MemoryError) -> bool {
     !matches!(
         error,

@@ -1,4 +1,5 @@
-//! Following an agent: where the agents stand first, so that all the rest arrives in one's own frame; then what it sees.
+//! Following an agent: first the agents' poses, so that the rest can be converted to one's own frame; then what the
+//! agent sees.
 //!
 //! Start at [`FollowingAgent`].
 
@@ -18,17 +19,17 @@ use crate::query::Pattern;
 use crate::remote::RemoteMemory;
 use crate::working::WorkingMemory;
 
-/// Core segment of where agents stand.
+/// Core segment of the agents' poses.
 const AGENTS: &str = "AgentInstances";
-/// What of another agent is followed where nothing is said.
+/// Core segments that are followed by default.
 const USUAL: [&str; 2] = ["ObjectInstances", "ObjectRelations"];
-/// How long it may take until the other says where it stands.
+/// How long to wait for the pose of the other agent.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// How long to wait before an agent that is not there is looked for again.
+/// How long to wait before connecting again to an agent that is absent.
 const RETRY: Duration = Duration::from_millis(500);
 
-/// Whose memory is followed, and which core segment of it; objects and their relations where none is named. Written as
-/// `AGENT` or `AGENT:SEGMENT`.
+/// Which agent is followed, and which core segment; by default objects and their relations. Written as `AGENT` or
+/// `AGENT:SEGMENT`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Followee {
     /// The agent.
@@ -53,21 +54,21 @@ impl FromStr for Followee {
 }
 
 impl From<&str> for Followee {
-    /// All that is usually followed of an agent.
+    /// The default core segments of an agent.
     fn from(agent: &str) -> Self {
         Self { agent: agent.into(), segment: None }
     }
 }
 
-/// Follows an agent for as long as it lives.
+/// Follows an agent until this is dropped.
 #[derive(Debug)]
 pub struct FollowedAgent {
-    /// The other's own memory.
+    /// The other agent's own memory.
     pub remote: Arc<RemoteMemory>,
     followings: Vec<Following>,
 }
 
-/// Says in memory where an agent's root frame is in the world frame.
+/// The update that states the pose of an agent's root frame in the world frame.
 ///
 /// # Errors
 /// [`MemoryError::Name`] when the name cannot be part of an address.
@@ -79,9 +80,9 @@ pub fn agent_stands(agent: &str, world_from_root: &Isometry3<f64>) -> Result<Com
 /// The agent `own`, whose memory follows others.
 #[derive(Clone, Debug)]
 pub struct FollowingAgent {
-    /// Over which the others are reached.
+    /// The session on which the others are reached.
     pub session: Session,
-    /// What learns from the others.
+    /// The memory that the followed knowledge is written to.
     pub memory: Arc<WorkingMemory>,
     /// The agent's name.
     pub own: String,
@@ -91,7 +92,7 @@ impl FollowingAgent {
     /// Follows an agent from now on.
     ///
     /// # Errors
-    /// [`MemoryError::Remote`] when nobody answers under that name, or it does not say where it stands.
+    /// [`MemoryError::Remote`] when no memory answers under that name, or the agent does not publish its pose.
     pub async fn follow(&self, other: &Followee) -> Result<FollowedAgent, MemoryError> {
         let mut followed = self.begin(&other.agent).await?;
         if !self.place_is_known(&other.agent).await {
@@ -102,8 +103,8 @@ impl FollowingAgent {
         Ok(followed)
     }
 
-    /// As [`Self::follow`], of an agent who may not be there yet. Where it does not say where it stands, things are known in
-    /// its own frame.
+    /// As [`Self::follow`], for an agent that may not be there yet. If it does not publish its pose, its objects are
+    /// kept in its own frame.
     pub async fn follow_when_there(&self, other: &Followee) -> FollowedAgent {
         loop {
             match self.try_follow(other).await {
@@ -128,7 +129,7 @@ impl FollowingAgent {
         Ok(followed)
     }
 
-    /// Follows where agents stand.
+    /// Follows the agents' poses.
     async fn begin(&self, agent: &str) -> Result<FollowedAgent, MemoryError> {
         let remote = Arc::new(RemoteMemory::connect(&self.session, agent).await?);
         let mut followed = FollowedAgent { remote, followings: Vec::new() };
@@ -159,12 +160,12 @@ impl FollowingAgent {
         Ok(())
     }
 
-    /// Whether it is known, or soon is, where the other stands.
+    /// Waits for the other agent's pose; false when it does not come in time.
     async fn place_is_known(&self, other: &str) -> bool {
         let mut changes = self.memory.subscribe();
         let known = async {
             while own_from_other(&self.memory, &self.own, other).is_none() {
-                // A reader that lags looks again as well.
+                // A lagging receiver checks again as well.
                 let _ = changes.recv().await.is_ok();
             }
         };

@@ -1,8 +1,8 @@
-//! From another agent's frame into one's own, by where the two stand.
+//! Transforms from another agent's frame into one's own, by the poses of the two agents.
 //!
-//! An agent's poses are in `root`, its own root frame, or in [`WORLD`], which all agents share. Where agents stand is in
-//! `AgentInstances`, in an entity with the agent's name, as `pose` in the world frame. When one of the two places is
-//! not known, frames get the agent's name in front (`alice/root`), so that nobody takes them for their own.
+//! An agent's poses are in `root`, its own root frame, or in [`WORLD`], which all agents share. `AgentInstances` has
+//! an entity with the agent's name, whose `pose` is in the world frame. If one of the two poses is unknown, the
+//! agent's name is put before the frame (`alice/root`), so that no reader takes it for its own.
 
 use std::collections::BTreeMap;
 
@@ -18,10 +18,10 @@ use crate::working::WorkingMemory;
 pub const WORLD: &str = "world";
 /// The core segment of agents.
 const AGENTS: &str = "AgentInstances";
-/// Attributes whose vectors are directions: turned, not moved.
+/// Attributes whose vectors are directions: rotated, not translated.
 const FREE: [&str; 6] = ["velocity", "direction", "force", "axis", "normal", "acceleration"];
 
-/// Where another agent's root frame is in one's own, as far as memory knows where both stand.
+/// The pose of another agent's root frame in one's own, if memory has both agents' poses.
 #[must_use]
 pub fn own_from_other(memory: &WorkingMemory, own: &str, other: &str) -> Option<Isometry3<f64>> {
     let world_from = |agent: &str| {
@@ -38,8 +38,8 @@ pub fn own_from_other(memory: &WorkingMemory, own: &str, other: &str) -> Option<
     Some(world_from(own)?.inverse() * world_from(other)?)
 }
 
-/// The instance as it is in one's own frame: poses, points, directions and wrenches in `root` are transformed with their
-/// covariances, those in the world frame stay, those in other frames get the agent's name in front.
+/// The instance in one's own frame. Poses, points, directions and wrenches in `root` are transformed with their
+/// covariances; those in the world frame stay; other frames get the agent's name as prefix.
 #[must_use]
 pub fn transformed(instance: &Instance, agent: &str, own_from_other: Option<&Isometry3<f64>>) -> Instance {
     let change = Change { agent, own_from_other };
@@ -66,7 +66,7 @@ fn frame_of(value: &Value) -> Option<&Frame> {
     }
 }
 
-/// `R P R'` for each block of three rows and columns.
+/// Rotates covariances: `R P R'` for each block of three rows and columns.
 fn turned(rows: &[f64], rotation: &UnitQuaternion<f64>) -> Vec<f64> {
     let size = match rows.len() {
         9 => 3,
@@ -80,7 +80,7 @@ fn turned(rows: &[f64], rotation: &UnitQuaternion<f64>) -> Vec<f64> {
         by.view_mut((block, block), (3, 3)).copy_from(matrix.matrix());
     }
     let turned = &by * covariance * by.transpose();
-    // Rounding must not make it unsymmetric.
+    // Remove the asymmetry that rounding causes.
     let turned = (&turned + turned.transpose()) * 0.5;
     turned.transpose().as_slice().to_vec()
 }
@@ -91,7 +91,7 @@ struct Change<'a> {
 }
 
 impl Change<'_> {
-    /// The transform of what is in a frame, if it is to be transformed.
+    /// The transform for values in a frame, if they are to be transformed.
     fn of(&self, frame: &Frame) -> Option<&Isometry3<f64>> {
         self.own_from_other.filter(|_| frame.0 == "root")
     }
@@ -122,7 +122,7 @@ impl Change<'_> {
             Value::Wrench(w) => {
                 let (force, torque) = (Vector3::from(w.force), Vector3::from(w.torque));
                 let (force, torque) = match self.of(&w.frame) {
-                    // About the new origin: the torque gets the moment of the force.
+                    // About the new origin: the torque includes the moment of the force.
                     Some(by) => {
                         let force = by.rotation * force;
                         (force, by.rotation * torque + by.translation.vector.cross(&force))

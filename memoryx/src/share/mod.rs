@@ -1,10 +1,10 @@
-//! Following another agent's memory: what it knows is here as well, as the provider segment `{agent}.{provider}`, in this
-//! agent's frame, with the attribute `origin` that says whose it is.
+//! Following another agent's memory: copies its knowledge into the provider segment `{agent}.{provider}`, in this
+//! agent's frame, with the attribute `origin` that names the source.
 //!
-//! Every version is taken once and in order. After a cut the other memory is asked for what came since, out of its
-//! long-term memory where its working memory has forgotten; what is nowhere any more is a gap: the next snapshot's
-//! `origin.missed` counts the versions, and [`Following::missed`] all of them. What has itself been followed is not
-//! followed on.
+//! Every version is copied once and in order. After a disconnection the other memory is queried for the changes
+//! since, from its long-term memory where its working memory has forgotten. Versions that are gone become a gap: the
+//! next snapshot's `origin.missed` counts them, and [`Following::missed`] counts all. Copies of a third agent's
+//! knowledge are not copied again.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -29,29 +29,29 @@ pub use frames::{WORLD, own_from_other, transformed};
 
 /// Changes that are committed together.
 const TOGETHER: usize = 256;
-/// Snapshots of one's own that are looked at together.
+/// Snapshots of the own memory per query.
 const PIECE: usize = 4096;
-/// What is followed may have been committed here in another order than it arrived there, when this agent ended: what
-/// arrived so long before the last of it is asked for again, ns.
+/// Before a restart, changes may have been committed here in another order than they arrived there. So a query after
+/// it overlaps the last copied arrival time by this much, ns.
 const DISORDER_NS: u64 = 10_000_000_000;
-/// How long to wait before a memory that refuses for a while is tried again.
+/// How long to wait before a memory that refuses for the moment is tried again.
 const RETRY: std::time::Duration = std::time::Duration::from_millis(500);
 
-/// What is followed, and how.
+/// Which agent is followed, and how.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FollowSettings {
     /// This agent.
     pub own: String,
-    /// Whose memory is followed.
+    /// The agent whose memory is followed.
     pub agent: String,
-    /// What of it.
+    /// The entities that are followed.
     pub pattern: Pattern,
-    /// Whether objects with a place are also fused into this provider segment of `ObjectInstances`, as observations; kept
-    /// apart where none is given.
+    /// If given, objects with a position are also fused into this provider segment of `ObjectInstances`, as
+    /// observations.
     pub fuse_into: Option<String>,
 }
 
-/// Follows for as long as it lives.
+/// Follows until this is dropped.
 #[derive(Debug)]
 pub struct Following {
     missed: Arc<AtomicU64>,
@@ -60,10 +60,10 @@ pub struct Following {
 }
 
 impl Following {
-    /// Goes on following `other` from what `memory` has of it already.
+    /// Continues to follow `other` from what `memory` already has of it.
     ///
     /// # Errors
-    /// [`MemoryError::Name`] when an agent's name is none; as [`Memory::query`].
+    /// [`MemoryError::Name`] when an agent's name is invalid; as [`Memory::query`].
     pub async fn start(
         other: Arc<dyn Memory>,
         memory: Arc<WorkingMemory>,
@@ -83,28 +83,29 @@ impl Following {
         Ok(Self { missed, taken, _tasks: tasks })
     }
 
-    /// Versions that nobody has any more, so far.
+    /// How many versions were lost so far.
     #[must_use]
     pub fn missed(&self) -> u64 {
         self.missed.load(Ordering::Relaxed)
     }
 
-    /// Versions that were taken so far.
+    /// How many versions were copied so far.
     #[must_use]
     pub fn taken(&self) -> u64 {
         self.taken.load(Ordering::Relaxed)
     }
 }
 
-/// The address that another agent's entity has here.
+/// The address of another agent's entity in this memory.
 ///
 /// # Errors
-/// [`MemoryError::Name`] when the names are too long together.
+/// [`MemoryError::Name`] when the combined names are too long.
 pub fn followed_id(agent: &str, id: &EntityId) -> Result<EntityId, MemoryError> {
     EntityId::new(id.segment(), &format!("{agent}.{}", id.provider()), id.entity())
 }
 
-/// What is here of another memory: what was told last of each of its entities, and until when everything was, ns.
+/// What this memory has of another: the last copied snapshot of each entity, and the arrival time until which all
+/// were copied, ns.
 async fn known(
     memory: &WorkingMemory,
     settings: &FollowSettings,
@@ -113,7 +114,7 @@ async fn known(
     let pattern = Pattern::any().of_provider(&format!("{prefix}*"));
     let mut told: BTreeMap<EntityId, LastSeen> = BTreeMap::new();
     let mut until_ns = 0;
-    // A removal has no attributes: it is the version after the one before it, which arrived there no later than here.
+    // A removal has no attributes. It is the version after its predecessor, and arrived there no later than here.
     let mut pieces = pages(Query::history(pattern).limit(2).with_long_term(), PIECE);
     while let Some(piece) = pieces.next(memory).await? {
         for snapshot in piece {
@@ -183,7 +184,7 @@ impl Task {
         let updates: Vec<Commit> =
             translated.filter_map(|update| note(update, &self.settings.agent)).collect();
         if self.memory.commit(updates.clone()).await.is_err() {
-            // One that is refused does not take the others with it; a disk that fails is waited for.
+            // A refused update does not affect the others; after a disk failure, wait and try again.
             for update in updates {
                 while let Err(error) = self.memory.commit(vec![update.clone()]).await {
                     tracing::warn!(%error, agent = self.settings.agent, "what is followed was refused");
@@ -203,7 +204,7 @@ impl Task {
         self.taken.fetch_add(count, Ordering::Relaxed);
     }
 
-    /// An update of this memory that says the same in this agent's frame.
+    /// The update of this memory for a followed snapshot, in this agent's frame.
     fn translated(&self, snapshot: &Snapshot, missed: u64) -> Result<Commit, MemoryError> {
         let number = |n: u64| Value::Int(i64::try_from(n).unwrap_or(i64::MAX));
         let mut origin = vec![

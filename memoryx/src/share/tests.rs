@@ -1,4 +1,4 @@
-//! Following over real sessions: frames, a cut that heals, gaps that are said.
+//! Following over real sessions: frames, a disconnection, reported gaps.
 
 use armarium_bus::{Session, SessionConfig};
 use armarium_values::{Frame, Pose, Vector};
@@ -46,11 +46,11 @@ async fn until(mut holds: impl FnMut() -> bool) {
     }
 }
 
-/// Waits until the data here speak of a time.
+/// Waits until the data here describe a certain time.
 async fn arrived(memory: &WorkingMemory, id: &EntityId, time: u64) {
     let mut changes = memory.subscribe();
     while memory.latest_now(id).map_or(true, |s| s.referenced_ns < time) {
-        // A lagging receiver looks again as well.
+        // A lagging receiver checks again as well.
         let _ = changes.recv().await;
     }
 }
@@ -70,7 +70,7 @@ async fn what_is_followed_is_in_ones_own_frame_with_its_origin() {
     let following = Following::start(other, Arc::clone(&bob), settings(Some("scene"))).await.unwrap();
     until(|| following.taken() == 1).await;
     let found = bob.latest_now(&"ObjectInstances/alice.vision/cup".parse().unwrap()).unwrap();
-    // Alice's x points along Bob's y, from one metre before him.
+    // Alice stands one metre along Bob's x axis, and her x axis is parallel to his y axis.
     let Some(Value::Vector(position)) = found.attribute("position") else { panic!("no position") };
     assert!(close(position.components, [1.0, 0.3, 1.0]), "{position:?}");
     assert_eq!(position.frame, Frame::root());
@@ -84,7 +84,7 @@ async fn what_is_followed_is_in_ones_own_frame_with_its_origin() {
     let fused = bob.latest_now(&"ObjectInstances/scene/cup".parse().unwrap()).unwrap();
     assert!(fused.attribute("position") == Some(&Value::Vector(position.clone())));
 
-    // Bob is not told again what he has, also after he has begun anew.
+    // Bob receives nothing twice, even after a restart.
     drop(following);
     alice.commit_now(vec![cup(6, 0.4)]).unwrap();
     let other = Arc::<WorkingMemory>::clone(&alice);
@@ -161,7 +161,7 @@ async fn after_a_cut_both_sides_are_equal() {
     commit(0, 50);
     arrived(&bob, &id, 49).await;
     state.send(Line::Cut).unwrap();
-    // As much as a minute brings at 1000 a second: far more than working memory remembers.
+    // A minute at 1000 updates a second: far more than working memory keeps.
     commit(50, 60_000);
     state.send(Line::Open).unwrap();
     arrived(&bob, &id, 59_999).await;

@@ -1,5 +1,5 @@
-//! How values are coded on their way into long-term memory, with loss where that is wanted: images as JPEG files, for
-//! instance. Knows no code itself: whoever knows both images and memory gives the function.
+//! How values are encoded on their way into long-term memory, possibly with loss: images as JPEG files, for instance.
+//! It knows no codec: a room that knows both images and memory supplies the function.
 
 use std::fmt;
 use std::sync::Arc;
@@ -9,11 +9,11 @@ use armarium_values::Value;
 use crate::attributes::Attributes;
 use crate::entity::{Instance, Snapshot};
 
-/// Codes one attribute; `None` leaves it as it is.
+/// Encodes one attribute; `None` leaves it unchanged.
 type Code = Arc<dyn Fn(&Value) -> Option<Value> + Send + Sync>;
 
-/// A way to code attributes before they are kept. Working memory holds them as they came; what comes back out of
-/// long-term memory is coded.
+/// A codec for attributes in long-term memory. Working memory holds them unchanged; what is read from long-term
+/// memory is encoded.
 #[derive(Clone)]
 pub struct Coding {
     name: String,
@@ -21,13 +21,13 @@ pub struct Coding {
 }
 
 impl Coding {
-    /// `code` gives what an attribute is kept as, or `None` for what it leaves as it is. The same value has to become the
-    /// same bytes every time.
+    /// `code` returns the stored form of an attribute, or `None` to leave it unchanged. Equal values must give equal
+    /// bytes every time.
     pub fn new(name: &str, code: impl Fn(&Value) -> Option<Value> + Send + Sync + 'static) -> Self {
         Self { name: name.into(), code: Arc::new(code) }
     }
 
-    /// The snapshot as it is kept.
+    /// The snapshot as it is stored.
     pub(super) fn of(&self, snapshot: &Arc<Snapshot>) -> Arc<Snapshot> {
         let mut is_changed = false;
         let mut coded = |(name, value): (&str, &Value)| {
@@ -44,7 +44,7 @@ impl Coding {
         if !is_changed {
             return Arc::clone(snapshot);
         }
-        // Field by field: to copy the whole would copy what is replaced.
+        // Field by field, because a clone of the whole would copy the values that are replaced.
         Arc::new(Snapshot {
             id: snapshot.id.clone(),
             version: snapshot.version,
@@ -56,7 +56,7 @@ impl Coding {
     }
 }
 
-/// Codings are told apart by their names.
+/// Codings are compared by name.
 impl PartialEq for Coding {
     fn eq(&self, other: &Self) -> bool {
         self.name == other.name

@@ -1,8 +1,8 @@
-//! Consolidation: which changes of working memory become long-term memory, by a policy for each core segment.
+//! Consolidation: which changes of working memory are stored in long-term memory, by one policy per core segment.
 //!
-//! Two ways to run it. As the [`Backing`] of a working memory, what the policies choose is on the disk before a commit
-//! is acknowledged. Or beside it, from a [`Follower`]: commits do not wait for the disk, and what was acknowledged
-//! reaches it a little later; nothing is left out without being counted.
+//! It runs in two ways. As the [`Backing`] of a working memory, it writes the selected changes to disk before a
+//! commit is acknowledged. Or it runs beside the memory, from a [`Follower`]: commits do not wait for the disk,
+//! acknowledged changes reach it a little later, and every lost change is counted.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
@@ -17,21 +17,21 @@ use crate::follow::{Change, Follower};
 use crate::store::{Coding, LongTermMemory, StoreError};
 use crate::working::{Backing, Kept};
 
-/// Changes that are kept in one transaction.
+/// Changes per transaction.
 const BATCH: usize = 4096;
-/// How long to wait before a disk that has failed is tried again.
+/// How long to wait after a disk failure before the next try.
 const RETRY: Duration = Duration::from_secs(1);
 
-/// What of a core segment is kept.
+/// Which snapshots of a core segment are stored.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Policy {
-    /// Nothing.
+    /// None.
     Nothing,
     /// Every snapshot.
     Everything,
-    /// Snapshots whose instances differ from the last one kept.
+    /// Snapshots whose instances differ from the last stored one.
     OnChange,
-    /// At most this many snapshots a second of each entity, by the time that they speak of; and the last one.
+    /// At most this many snapshots per second of each entity, by their referenced time; and the last one.
     AtMost {
         /// How many, Hz.
         hz: f64,
@@ -43,16 +43,16 @@ pub enum Policy {
 /// The policies of all core segments.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Policies {
-    /// Of core segments that have none of their own.
+    /// For core segments without their own policy.
     pub default: Policy,
     /// By core segment.
     pub by_segment: BTreeMap<String, Policy>,
-    /// How attributes are coded before they are kept, by core segment; as they are where nothing is said.
+    /// How attributes are encoded in long-term memory, by core segment; unchanged where there is no entry.
     pub codings: BTreeMap<String, Coding>,
 }
 
 impl Default for Policies {
-    /// Motions whole, what is known of object classes when it changes, and one snapshot a second of the rest.
+    /// All motions, object classes when they change, and one snapshot per second of the rest.
     fn default() -> Self {
         let own = [("Motions", Policy::Everything), ("ObjectClasses", Policy::OnChange)];
         Self {
@@ -64,7 +64,7 @@ impl Default for Policies {
 }
 
 impl Policies {
-    /// One policy for everything.
+    /// One policy for all core segments.
     #[must_use]
     pub fn all(policy: Policy) -> Self {
         Self { default: policy, by_segment: BTreeMap::new(), codings: BTreeMap::new() }
@@ -84,7 +84,7 @@ impl Policies {
         self
     }
 
-    /// A snapshot as it is kept.
+    /// A snapshot as it is stored.
     fn as_kept(&self, snapshot: &Arc<Snapshot>) -> Arc<Snapshot> {
         let coding = self.codings.get(snapshot.id.segment());
         coding.map_or_else(|| Arc::clone(snapshot), |coding| coding.of(snapshot))
@@ -95,23 +95,23 @@ impl Policies {
     }
 }
 
-/// What a step of consolidation has done.
+/// The result of one step of consolidation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Step {
-    /// Snapshots that were kept.
+    /// Snapshots that were stored.
     pub kept: u64,
-    /// Snapshots that working memory no longer had when it was asked for them.
+    /// Snapshots that working memory had forgotten before they were read.
     pub missed: u64,
 }
 
-/// The snapshot of an entity that was kept last, and a newer one that may still have to be.
+/// The last stored snapshot of an entity, and a newer one that may still have to be stored.
 #[derive(Clone, Debug, Default)]
 struct Last {
     kept: Option<Arc<Snapshot>>,
     pending: Option<Arc<Snapshot>>,
 }
 
-/// Carries working memory over into long-term memory.
+/// Writes changes of working memory to long-term memory.
 #[derive(Debug)]
 pub struct Consolidator {
     store: Arc<LongTermMemory>,
@@ -120,22 +120,22 @@ pub struct Consolidator {
 }
 
 impl Consolidator {
-    /// Into `store`, as the policies say.
+    /// A consolidator that writes to `store`, as the policies say.
     #[must_use]
     pub fn new(store: Arc<LongTermMemory>, policies: Policies) -> Self {
         Self { store, policies, last: Mutex::default() }
     }
 
-    /// Where it keeps things.
+    /// The store that it writes to.
     #[must_use]
     pub fn store(&self) -> &Arc<LongTermMemory> {
         &self.store
     }
 
-    /// Keeps those of these snapshots that the policies choose; on the disk when it returns. Returns how many.
+    /// Stores those of the snapshots that the policies select; they are on disk when this returns. Returns how many.
     ///
     /// # Errors
-    /// As [`LongTermMemory::persist`]; none is kept then, and the same snapshots can be given again.
+    /// As [`LongTermMemory::persist`]; then none is stored, and the same snapshots can be given again.
     pub fn consolidate(&self, snapshots: &[Arc<Snapshot>]) -> Result<u64, StoreError> {
         let mut last = self.last.lock();
         let mut changed: BTreeMap<EntityId, Last> = BTreeMap::new();
@@ -167,10 +167,10 @@ impl Consolidator {
         Ok(chosen.len() as u64)
     }
 
-    /// Keeps the last snapshots that a rate has held back: to be called at the end. Returns how many.
+    /// Stores the last snapshots that a rate has held back; to be called at the end. Returns how many.
     ///
     /// # Errors
-    /// As [`LongTermMemory::persist`]; they are still held back then.
+    /// As [`LongTermMemory::persist`]; then they are still held back.
     pub fn flush(&self) -> Result<u64, StoreError> {
         let mut last = self.last.lock();
         let rated = |id: &EntityId| matches!(self.policies.of(id.segment()), Policy::AtMost { .. });
@@ -184,10 +184,11 @@ impl Consolidator {
         Ok(held.len() as u64)
     }
 
-    /// Keeps what a follower can tell without waiting. To be called again until nothing was told.
+    /// Stores the changes that a follower returns without waiting. To be called until there are none.
     ///
     /// # Errors
-    /// [`MemoryError::Store`] when the disk fails: the follower tells the same again. As [`Follower::next`].
+    /// [`MemoryError::Store`] when the disk fails: the follower then returns the same changes again. As
+    /// [`Follower::next`].
     pub async fn step(&self, follower: &mut Follower) -> Result<Step, MemoryError> {
         let changes = follower.drain(BATCH).await?;
         let mut step = Step::default();
@@ -208,11 +209,11 @@ impl Consolidator {
         Ok(step)
     }
 
-    /// Keeps what a follower tells until `stop` is ready, then what is left, and [flushes](Self::flush). A disk that
-    /// fails is tried again; meanwhile the follower lags within its bounds, and what it misses is counted.
+    /// Stores a follower's changes until `stop` completes, then the rest, and [flushes](Self::flush). After a disk
+    /// failure it tries again; meanwhile the follower lags within its bounds, and lost changes are counted.
     ///
     /// # Errors
-    /// When what is left cannot be kept at the end.
+    /// When the rest cannot be stored at the end.
     pub async fn follow(
         &self,
         mut follower: Follower,
@@ -274,7 +275,7 @@ impl Policy {
         }
     }
 
-    /// Whether every snapshot that it does not ignore is kept, whatever was kept before.
+    /// Whether the policy selects every snapshot of an entity, independent of earlier ones.
     fn keeps_all(&self) -> bool {
         matches!(self, Self::Everything | Self::Named(_))
     }
@@ -284,7 +285,7 @@ impl Policy {
         match self {
             Self::Nothing | Self::Everything | Self::Named(_) => self.keeps_all(),
             Self::OnChange => kept.instances != snapshot.instances,
-            // A removal is never held back, and a clock that has begun anew begins a new count.
+            // A removal is never held back. When the clock has gone back, counting starts again.
             Self::AtMost { hz } => {
                 let passed = snapshot.referenced_ns.checked_sub(kept.referenced_ns);
                 snapshot.is_removed() || passed.is_none_or(|ns| ns as f64 * 1e-9 * hz >= 1.0)
@@ -308,7 +309,7 @@ impl Backing for Consolidator {
     }
 }
 
-/// A backing that only numbers: for a working memory whose changes are kept beside it, by [`Consolidator::follow`].
+/// A backing that only supplies version numbers: for a working memory that [`Consolidator::follow`] stores.
 #[derive(Debug)]
 pub struct Numbering(pub Arc<LongTermMemory>);
 

@@ -1,8 +1,8 @@
-//! Why long-term memory refuses, in words for whoever has the file.
+//! Errors of long-term memory, worded for the user who owns the file.
 
 use crate::error::MemoryError;
 
-/// Why long-term memory refuses.
+/// An error of long-term memory.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum StoreError {
@@ -12,15 +12,15 @@ pub enum StoreError {
         /// The file.
         path: String,
     },
-    /// The file is not a long-term memory, or its beginning is destroyed.
+    /// The file is not a long-term memory, or its header is damaged.
     #[error("`{path}` is no long-term memory: {what}")]
     NotAStore {
         /// The file.
         path: String,
-        /// What is said of it.
+        /// The reason.
         what: String,
     },
-    /// The file is of another format.
+    /// The file has another format.
     #[error(
         "`{path}` is of format {found}; this program reads and writes format {supported}: use another file, or the \
          program that wrote it"
@@ -39,7 +39,7 @@ pub enum StoreError {
         /// The file.
         path: String,
     },
-    /// Something on the disk is not what was written.
+    /// Data on the disk differ from what was written.
     #[error("long-term memory `{path}` is damaged: {what}")]
     Damaged {
         /// The file.
@@ -47,15 +47,15 @@ pub enum StoreError {
         /// What is damaged.
         what: String,
     },
-    /// The operating system refuses.
+    /// The operating system reports an error.
     #[error("long-term memory `{path}` cannot be used: {what}")]
     Failed {
         /// The file.
         path: String,
-        /// What it says.
+        /// The system's message.
         what: String,
     },
-    /// Another snapshot has the version already.
+    /// Another snapshot already has this version.
     #[error("long-term memory has another version {version} of `{id}` already")]
     Version {
         /// The entity.
@@ -63,29 +63,29 @@ pub enum StoreError {
         /// The version.
         version: u64,
     },
-    /// What cannot be a name.
+    /// An invalid name of a snapshot.
     #[error(
         "`{name}` cannot be the name of a snapshot: names have 1 to 200 bytes and no `/`, `*`, `#`, `?` or `$`"
     )]
     Name {
-        /// It.
+        /// The name.
         name: String,
     },
-    /// There is no named snapshot of that name.
+    /// There is no named snapshot with this name.
     #[error("long-term memory has no snapshot named `{name}`")]
     NoSuchName {
         /// The name.
         name: String,
     },
-    /// A line that is no snapshot, at import.
+    /// At import: a line that is not a snapshot.
     #[error("line {line} cannot be imported: {what}")]
     Import {
-        /// Counted from 1.
+        /// The line number, from 1.
         line: u64,
         /// What is wrong with it.
         what: String,
     },
-    /// A question that cannot be asked.
+    /// An invalid query.
     #[error("the query cannot be answered: {what}")]
     Query {
         /// What is wrong with it.

@@ -1,5 +1,5 @@
-//! Export and import as JSON lines: one snapshot a line, as `{"id", "version", "referenced_ns", "sent_ns", "arrived_ns",
-//! "instances"}`, values with their kind (`{"float": 0.5}`).
+//! Export and import as JSON lines: one snapshot per line, as
+//! `{"id", "version", "referenced_ns", "sent_ns", "arrived_ns", "instances"}`, values with their kind (`{"float": 0.5}`).
 
 use std::io::{BufRead, Write};
 use std::sync::Arc;
@@ -9,16 +9,16 @@ use crate::entity::Snapshot;
 use crate::error::MemoryError;
 use crate::query::Pattern;
 
-/// Snapshots that are imported in one transaction.
+/// Snapshots per transaction of an import.
 const BATCH: usize = 1000;
-/// Longest line that is read, bytes.
+/// Longest accepted line, bytes.
 const LONGEST: u64 = 256 << 20;
 
-/// Highest version that is kept from elsewhere: nobody counts so far.
+/// Highest version accepted from elsewhere: no real count reaches it.
 const HIGHEST_VERSION: u64 = 1 << 62;
 
 impl Snapshot {
-    /// Whether a version that comes from elsewhere is one that a memory could have given.
+    /// Checks that a version from elsewhere is one that a memory could have assigned.
     pub(crate) fn check_version(&self) -> Result<(), MemoryError> {
         if (1..=HIGHEST_VERSION).contains(&self.version) {
             return Ok(());
@@ -26,7 +26,7 @@ impl Snapshot {
         Err(MemoryError::Store { what: format!("`{}` cannot have version {}", self.id, self.version) })
     }
 
-    /// Whether a snapshot that comes from elsewhere is one that a memory without typed segments could have made.
+    /// Checks that a snapshot from elsewhere is one that a memory without typed segments could hold.
     fn check_kept(&self) -> Result<(), MemoryError> {
         self.check_version()?;
         self.instances.iter().try_for_each(|instance| crate::schema::check_form(&self.id, instance))
@@ -34,11 +34,11 @@ impl Snapshot {
 }
 
 impl LongTermMemory {
-    /// Writes what a pattern fits, ordered by the time it came. Returns how many lines.
+    /// Writes the snapshots of matching entities, ordered by arrival. Returns the number of lines.
     ///
     /// # Errors
-    /// [`StoreError::Failed`] when `to` cannot be written; [`StoreError::Damaged`] when some of it is damaged: all that is
-    /// intact was written then.
+    /// [`StoreError::Failed`] when `to` cannot be written; [`StoreError::Damaged`] when a part is damaged: everything
+    /// intact has then been written.
     pub fn export(&self, pattern: &Pattern, to: &mut impl Write) -> Result<u64, StoreError> {
         let (mut count, mut damages, mut first) = (0_u64, 0_u64, None);
         let mut failure = None;
@@ -75,11 +75,11 @@ impl LongTermMemory {
         }
     }
 
-    /// Keeps what lines hold. Those that are there already are passed over. Returns how many were new.
+    /// Stores the snapshots of all lines, skipping those already stored. Returns how many were new.
     ///
     /// # Errors
-    /// [`StoreError::Import`] with the line that is wrong; [`StoreError::Version`] when another snapshot has its version.
-    /// Lines before the last full thousand are kept then.
+    /// [`StoreError::Import`] with the invalid line; [`StoreError::Version`] when another snapshot has the same
+    /// version. Lines before the last full thousand remain stored then.
     pub fn import(&self, from: &mut impl BufRead) -> Result<u64, StoreError> {
         let (mut line, mut number, mut new) = (Vec::new(), 0, 0);
         let mut batch = Vec::with_capacity(BATCH);

@@ -1,4 +1,4 @@
-//! Long-term memory on media that fail: a crash at every write, a full disk, cut and flipped files, kill -9.
+//! Long-term memory on failing media: a crash at every write, a full disk, truncated and corrupted files, kill -9.
 
 use std::io;
 use std::io::BufRead;
@@ -14,23 +14,23 @@ use redb::StorageBackend;
 use super::tests::snapshot;
 use super::*;
 
-/// A medium that loses power: what was not synced may be there or not, piece by piece.
+/// A medium that loses power: each unsynced write may be there, missing, or there in part.
 #[derive(Clone, Debug, Default)]
 struct Medium(Arc<Mutex<Disk>>);
 
 #[derive(Debug, Default)]
 struct Disk {
-    /// What a reader sees.
+    /// What a reader sees now.
     seen: Vec<u8>,
-    /// What survives for certain.
+    /// What certainly survives.
     synced: Vec<u8>,
     /// Writes since the last sync.
     loose: Vec<(u64, Vec<u8>)>,
     /// Syncs so far.
     syncs: u64,
-    /// Changes that still work.
+    /// Number of changes that still succeed.
     left: Option<u64>,
-    /// What the changes after that report.
+    /// Whether the changes after that report a full disk.
     full: bool,
 }
 
@@ -60,7 +60,7 @@ impl Medium {
         (disk.left, disk.full) = (changes, full);
     }
 
-    /// The power comes back: each loose write is there, in part, or not.
+    /// Restores power: each unsynced write is there, there in part, or missing.
     fn recover(&self, random: &mut ChaCha8Rng) {
         let mut disk = self.0.lock();
         let mut bytes = std::mem::take(&mut disk.synced);
@@ -119,7 +119,7 @@ impl StorageBackend for Medium {
     }
 }
 
-/// Keeps versions one after the other until the medium fails; the last version that was acknowledged.
+/// Stores versions one after the other until the medium fails. Returns the last acknowledged version.
 fn keep_until_failure(medium: &Medium, from: u64, to: u64) -> u64 {
     let Ok(store) = medium.store() else { return from - 1 };
     for version in from..=to {
@@ -134,7 +134,7 @@ fn check_kept(medium: &Medium, acknowledged: u64) {
     let store = medium.store().unwrap();
     let kept = store.query(&Query::history(Pattern::any())).unwrap();
     let versions: Vec<u64> = kept.iter().map(|s| s.version).collect();
-    // The one that was being kept may be there, whole.
+    // The version that was being stored may be there; then it is complete.
     assert!(versions.len() as u64 >= acknowledged && versions.len() as u64 <= acknowledged + 1);
     assert_eq!(versions, (1..=versions.len() as u64).collect::<Vec<_>>());
     let verified = store.verify().unwrap();
@@ -143,7 +143,7 @@ fn check_kept(medium: &Medium, acknowledged: u64) {
 
 #[test]
 fn a_crash_at_any_write_loses_nothing_acknowledged() {
-    // Until none is left at which it has not crashed.
+    // Until the test runs through without a crash.
     for changes in 0.. {
         let mut random = ChaCha8Rng::seed_from_u64(changes);
         let medium = Medium::default();
@@ -183,7 +183,7 @@ fn a_crash_while_the_file_is_made_leaves_one_that_can_be_made() {
         medium.recover(&mut random);
         match medium.store() {
             Ok(_) => check_kept(&medium, acknowledged),
-            // Such a file lies beside its place, and is made again.
+            // The incomplete file is beside its final path, and is created again.
             Err(error) => {
                 assert_eq!(acknowledged, 0, "{error}");
                 assert!(
@@ -249,7 +249,7 @@ fn a_cut_file_is_an_error() {
     }
 }
 
-/// What is intact is taken out of a damaged file, and that it is not all is said.
+/// Export writes the intact snapshots of a damaged file, and reports that others are missing.
 #[test]
 fn what_is_intact_is_exported_past_what_is_damaged() {
     let folder = tempfile::tempdir().unwrap();
@@ -257,7 +257,7 @@ fn what_is_intact_is_exported_past_what_is_damaged() {
     let mut whole = Vec::new();
     let count = LongTermMemory::open(&path).unwrap().export(&Pattern::any(), &mut whole).unwrap();
     let mut bytes = std::fs::read(&path).unwrap();
-    // In the content of a record in the middle: its own checksum tells.
+    // The damage is in the content of a record in the middle: the record's checksum detects it.
     let name = b"value";
     let places: Vec<_> =
         bytes.windows(name.len()).enumerate().filter(|(_, w)| w == name).map(|(i, _)| i).collect();
@@ -295,7 +295,7 @@ fn a_flipped_bit_is_found_or_harmless() {
             Ok((verified, store.query(&Query::history(Pattern::any()))))
         });
         match verified {
-            // Free space, or a part of which redb keeps two: then everything is there.
+            // Free space, or a part that redb holds twice: then nothing is lost.
             Ok((verified, kept)) if verified.is_intact() => {
                 assert_eq!(kept.unwrap(), expected, "bit at {at}")
             }
@@ -340,10 +340,10 @@ fn other_files_are_refused_and_left_alone() {
     }
 }
 
-/// The variable that makes [`the_process_that_is_killed`] one.
+/// The variable that turns [`the_process_that_is_killed`] into the child process.
 const CHILD: &str = "ARMARIUM_TEST_STORE";
 
-/// Keeps versions and says which were acknowledged, when it is started by the next test.
+/// Stores versions and prints the acknowledged ones, when the next test starts it.
 #[test]
 fn the_process_that_is_killed() {
     let Ok(path) = std::env::var(CHILD) else { return };

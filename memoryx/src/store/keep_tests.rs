@@ -28,7 +28,7 @@ fn all(store: &LongTermMemory) -> Vec<Arc<Snapshot>> {
     store.query(&Query::history(Pattern::any())).unwrap()
 }
 
-/// Every kind of value, nested, with covariances.
+/// All kinds of values, nested, with covariances.
 fn everything() -> Arc<Snapshot> {
     let frame = Frame::root();
     let vector = Vector { frame: frame.clone(), components: [1.0, -2.0, 0.5] };
@@ -83,7 +83,7 @@ fn no_bytes_of_a_record_panic() {
         for value in [0, 1, 7, 0x7f, 0x80, 0xff] {
             let mut changed = bytes.clone();
             changed[at] = value;
-            // The checksum finds it; behind the checksum nothing may panic either.
+            // The checksum detects it; the decoder must not panic without the checksum either.
             let _ = record::head(&changed);
             let head = record::Head { length: changed.len(), number: 0, version: 1 };
             let _ = record::decode(&everything.id, head, &changed, &none);
@@ -114,7 +114,7 @@ fn large_values_are_kept_once_and_go_with_their_last_use() {
 #[test]
 fn retention_is_by_age_and_by_room() {
     let (_folder, _, store) = store();
-    // A chunk for each commit; arrival is two later than the time.
+    // One chunk per commit; each arrives 2 ns after its referenced time.
     for time in 0..100 {
         store.persist(&[snapshot("S/p/e", time + 1, time, 0)]).unwrap();
     }
@@ -130,7 +130,7 @@ fn retention_is_by_age_and_by_room() {
     assert_eq!(all(&store).last().unwrap().id.entity(), "old", "the newest of each entity stays");
     assert!(store.verify().unwrap().is_intact());
     assert_eq!(store.retain(Retention::default(), 102), Ok(Dropped::default()));
-    // What is dropped is a gap, and the count goes on.
+    // Dropped versions become a gap, and the count continues.
     store.persist(&[snapshot("S/p/e", 101, 200, 0)]).unwrap();
     assert_eq!(store.newest(&"S/p/e".parse().unwrap()).unwrap().unwrap().version, 101);
 }
@@ -147,7 +147,7 @@ fn working_memory_comes_back_under_its_name() {
     assert_eq!(store.save_named("morning", &memory), Ok(2));
     memory.commit_now(vec![commit("a", 7), commit("c", 3)]).unwrap();
     assert_eq!(store.save_named("noon", &memory), Ok(3));
-    // Retention spares what a name holds.
+    // Retention keeps what a named snapshot contains.
     store.retain(Retention { age_ns: Some(0), bytes: Some(0) }, u64::MAX).unwrap();
     drop(store);
     let store = LongTermMemory::open(&path).unwrap();
@@ -233,7 +233,7 @@ fn what_is_coded_is_kept_so_and_nothing_contradicts_it() {
     assert_eq!(kept[0].attribute("n"), Some(&Value::Int(1)), "what is not coded stays");
     assert!(store.stats().unwrap().bytes < 110_000);
 
-    // The whole of working memory under a name, and the same snapshots once more: what is kept stays.
+    // Working memory under a name, then the same snapshots again: what is stored stays as it is.
     assert_eq!(store.save_named("now", &memory), Ok(2));
     assert_eq!(bytes(&store.named("now").unwrap()[0]), 50_000);
     let again = Consolidator::new(Arc::clone(&store), coded());
@@ -271,7 +271,7 @@ fn what_no_memory_would_have_taken_is_not_kept_from_elsewhere() {
     assert_eq!(store.stats().unwrap().snapshots, 0);
 }
 
-/// What does not fit a typed core segment is refused; a file of a program that knew no such segment is opened all the same.
+/// Data that violate a typed core segment are not loaded, but a file of a program without that segment still opens.
 #[test]
 fn what_does_not_fit_stops_no_start() {
     let (_folder, path, store) = store();
@@ -288,7 +288,7 @@ fn what_does_not_fit_stops_no_start() {
     assert_eq!(store.segments(), Ok(vec!["ObjectInstances".into(), "S".into()]));
 }
 
-/// What is said of a memory without a file.
+/// The errors and counts of a memory without a file.
 #[test]
 fn a_memory_without_a_file_counts_what_it_holds_and_says_what_it_lacks() {
     let memory = WorkingMemory::new(Arc::new(|| 1));

@@ -1,14 +1,14 @@
 //! Long-term memory: what an agent keeps on disk, in one redb file that survives a crash at any moment.
 //!
-//! What [`LongTermMemory::persist`] has returned for is on the disk, synced; what it has not returned for is there
-//! whole or not at all. It does not decide what is worth keeping (see [`crate::Consolidator`]) and keeps no copy in
-//! working memory. All functions block for the disk.
+//! Everything for which [`LongTermMemory::persist`] has returned is synced to disk. A call that has not returned is
+//! stored completely or not at all. This module does not decide what is worth storing (see [`crate::Consolidator`])
+//! and does not cache snapshots. All functions block on the disk.
 //!
 //! # The file, format 2
 //!
-//! A redb file of file format 3. Snapshots lie in the order in which they came, in chunks; an index finds them by entity
-//! and version. So keeping a group costs little more than writing its bytes, and reading everything is reading
-//! the chunks.
+//! A redb file of file format 3. Snapshots are stored in chunks, in the order of arrival; an index finds them by
+//! entity and version. So storing a group costs little more than writing its bytes, and reading everything means
+//! reading the chunks.
 //!
 //! | table | key | value |
 //! |---|---|---|
@@ -20,15 +20,16 @@
 //! | `blob_uses` | SHA-256 of the content | how many records name it (`u64`) |
 //! | `named` | name (text) | a named snapshot of working memory: the time it was taken, then entity numbers and versions (`u64` each) |
 //!
-//! A record: its length (`u32`), CRC-32 (IEEE, `u32`) of what follows, the entity's number, the version, referenced_ns, sent_ns,
-//! arrived_ns (`u64` each), the number of instances, and for each the confidence (`f64`), the attributes and the covariances. All
-//! numbers little-endian, counts and lengths as LEB128; a value is a byte that says its kind, then its content (`record.rs`
-//! has the list). Names hold no control characters, so that a zero byte ends them without doubt. One transaction
-//! changes all tables, so they never disagree.
+//! A record: its length (`u32`), CRC-32 (IEEE, `u32`) of the rest, the entity's number, the version, referenced_ns,
+//! sent_ns, arrived_ns (`u64` each), the number of instances, and for each the confidence (`f64`), the attributes and
+//! the covariances. All numbers are little-endian, counts and lengths LEB128; a value is a byte for its kind, then
+//! its content (`record.rs` has the list). Names hold no control characters, so a zero byte ends them unambiguously.
+//! One transaction changes all tables, so they are always consistent.
 //!
-//! # What is relied on
-//! A sync that returns has written; a write that is not synced may be there in part, or not; nobody else writes
-//! into the file (it is locked). redb makes the newest complete transaction the valid one by its own checksums.
+//! # Assumptions about the medium
+//! A sync that has returned has written its data. A write that was not synced may be there, missing, or there in
+//! part. No other process writes to the file (it is locked). redb selects the newest complete transaction by its own
+//! checksums.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -87,10 +88,10 @@ const BLOBS: TableDefinition<'_, &[u8], &[u8]> = TableDefinition::new("blobs");
 const BLOB_USES: TableDefinition<'_, &[u8], u64> = TableDefinition::new("blob_uses");
 const NAMED: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("named");
 
-/// Where a record is: chunk, offset, length, and the time that its data speak of.
+/// Where a record is: chunk, offset, length, and its referenced time, ns.
 type Row = (u64, u32, u32, u64);
 
-/// How much a long-term memory holds.
+/// The size of a long-term memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StoreStats {
     /// Entities.
@@ -110,19 +111,19 @@ pub struct LongTermMemory {
     path: Option<PathBuf>,
     name: String,
     opener: Opener,
-    /// None after a failure: the next use opens the file again, which brings it back to its last commit.
+    /// `None` after a failure: the next use opens the file again, which restores the last commit.
     database: RwLock<Option<Database>>,
-    /// What is known of entities without reading; held by the one who writes.
+    /// Cached facts about entities; locked by the writer.
     memo: Mutex<Memo>,
 }
 
 impl LongTermMemory {
-    /// Opens the file, or makes it. A new file is made beside its place and moved there when it is whole, so that a
-    /// crash leaves none or all of it.
+    /// Opens the file, or creates it. A new file is created under a temporary name and renamed when complete, so that
+    /// a crash leaves no incomplete file at `path`.
     ///
     /// # Errors
     /// [`StoreError::Locked`] when it is open elsewhere; [`StoreError::NotAStore`], [`StoreError::Format`] and
-    /// [`StoreError::Damaged`] for a file that cannot be used, which is left as it is; [`StoreError::Failed`].
+    /// [`StoreError::Damaged`] for a file that cannot be used, which is not changed; [`StoreError::Failed`].
     pub fn open(path: &Path) -> Result<Self, StoreError> {
         let name = path.display().to_string();
         let failed = |e: std::io::Error| StoreError::Failed { path: name.clone(), what: e.to_string() };
@@ -158,7 +159,7 @@ impl LongTermMemory {
         Ok(store)
     }
 
-    /// The newest version of an entity, also when it says that the entity is gone; `None` when nothing was kept.
+    /// The newest version of an entity, removals included; `None` when nothing is stored.
     ///
     /// # Errors
     /// [`StoreError::Damaged`] and others when it cannot be read.
@@ -167,9 +168,9 @@ impl LongTermMemory {
         Ok(self.query(&query)?.pop())
     }
 
-    /// Puts the newest snapshots of what a pattern fits back into working memory, with their versions. Returns how
-    /// many that memory did not have. What it does not take, because it does not fit or there is no room, is left where it is,
-    /// and the log says so.
+    /// Loads the newest snapshots of matching entities into working memory, with their versions. Returns how many of
+    /// them that memory did not have. Snapshots that it refuses, because they are invalid or it is full, stay in the
+    /// file only, with a log line.
     ///
     /// # Errors
     /// [`MemoryError::Store`] when they cannot be read.
@@ -196,7 +197,7 @@ impl LongTermMemory {
         Ok(restored)
     }
 
-    /// How much it holds.
+    /// Its size.
     ///
     /// # Errors
     /// When it cannot be read.
@@ -216,8 +217,8 @@ impl LongTermMemory {
         })
     }
 
-    /// Joins small chunks and gives free space back to the file system. Returns whether the file has changed. Waits
-    /// until nobody else uses it.
+    /// Joins small chunks and returns free space to the file system. Returns whether the file has changed. Waits
+    /// until it has the database for itself.
     ///
     /// # Errors
     /// When the disk fails; nothing is lost then.

@@ -1,4 +1,4 @@
-//! Named snapshots of the whole working memory, which load back.
+//! Named snapshots of the whole working memory, which can be loaded again.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use crate::error::MemoryError;
 use crate::query::{Pattern, Query};
 use crate::working::WorkingMemory;
 
-/// A named snapshot's entry in the list.
+/// The list entry of a named snapshot.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Named {
     /// Its name.
@@ -23,22 +23,22 @@ pub struct Named {
 }
 
 impl LongTermMemory {
-    /// Keeps what working memory holds now under a name, durably; an older snapshot of that name is replaced. What it
-    /// holds is kept until [`Self::forget_named`]. Returns how many entities it holds.
+    /// Stores the present content of working memory under a name, durably; it replaces an older snapshot of that
+    /// name. The content is kept until [`Self::forget_named`]. Returns the number of entities.
     ///
     /// # Errors
-    /// [`StoreError::Name`] for what cannot be a name; as [`Self::persist`].
+    /// [`StoreError::Name`] for an invalid name; as [`Self::persist`].
     pub fn save_named(&self, name: &str, memory: &WorkingMemory) -> Result<usize, StoreError> {
         check_name(name).map_err(|_| StoreError::Name { name: short(name) })?;
         let held = memory
             .query_now(&Query::latest(Pattern::any()))
             .map_err(|e| StoreError::Query { what: e.to_string() })?;
         let taken_ns = memory.now_ns();
-        // The list is written after what it names: a crash between the two leaves the older list.
+        // The list is written after its content: a crash in between leaves the older list.
         self.write(|writer, memo| {
             let mut new = false;
             for snapshot in &held {
-                // What is kept already may be coded, and stays so.
+                // A snapshot that is already stored may be encoded, and stays so.
                 if !writer.holds(&snapshot.id, snapshot.version, memo)? {
                     new |= writer.add(snapshot, memo)?;
                 }
@@ -57,7 +57,7 @@ impl LongTermMemory {
         Ok(held.len())
     }
 
-    /// What a named snapshot holds, ordered by address.
+    /// The content of a named snapshot, ordered by address.
     ///
     /// # Errors
     /// [`StoreError::NoSuchName`]; [`StoreError::Damaged`] and others when it cannot be read.
@@ -83,9 +83,9 @@ impl LongTermMemory {
         })
     }
 
-    /// Makes working memory hold again what a named snapshot holds: entities that differ get its data as a new version,
-    /// and those that it does not have are removed, so that nobody's count of versions goes back. Read-only segments
-    /// stay as they are. Returns how many entities were changed.
+    /// Restores the content of a named snapshot in working memory: entities that differ get its data as a new
+    /// version, and entities that it does not contain are removed, so that no version count goes back. Read-only
+    /// segments stay unchanged. Returns how many entities were changed.
     ///
     /// # Errors
     /// As [`Self::named`] and [`crate::Memory::commit`]; nothing is changed then.
@@ -124,7 +124,7 @@ impl LongTermMemory {
         })
     }
 
-    /// Forgets a named snapshot; what it alone holds goes with the next [`Self::retain`].
+    /// Forgets a named snapshot; the next [`Self::retain`] frees what no other one contains.
     ///
     /// # Errors
     /// [`StoreError::NoSuchName`]; when the disk fails.
@@ -136,7 +136,7 @@ impl LongTermMemory {
         if was { Ok(()) } else { Err(no_such(name)) }
     }
 
-    /// Everything that named snapshots hold.
+    /// The content of all named snapshots, by entity number and version.
     pub(super) fn pinned(&self) -> Result<BTreeSet<(u64, u64)>, StoreError> {
         Ok(self.lists(|_, list| entries(list).collect::<Vec<_>>())?.into_iter().flatten().collect())
     }

@@ -1,5 +1,5 @@
-//! Opening the file, using it together, and what its failures mean: after one, only opening it again brings back a
-//! database that can be used. Holds nothing itself.
+//! Opening the file, sharing it among readers and writers, and the meaning of its errors. After an error, a usable
+//! database comes back only by opening the file again.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -8,7 +8,7 @@ use redb::{Database, ReadableDatabase};
 use super::{BLOB_USES, BLOBS, CHUNKS, ENTITIES, FORMAT, INDEX, LongTermMemory, META, NAMED, StoreError};
 
 impl LongTermMemory {
-    /// Uses the database together with others; opens it again first if it has failed.
+    /// Uses the database with shared access; opens it again first if it has failed.
     pub(super) fn with<T>(
         &self,
         act: impl FnOnce(&Database) -> Result<T, StoreError>,
@@ -30,7 +30,7 @@ impl LongTermMemory {
         result
     }
 
-    /// Uses the database while nobody else does.
+    /// Uses the database with exclusive access.
     pub(super) fn with_alone<T>(
         &self,
         act: impl FnOnce(&mut Database) -> Result<T, StoreError>,
@@ -46,7 +46,7 @@ impl LongTermMemory {
         result
     }
 
-    /// After a failure only opening the file again brings a database back that can be used.
+    /// Drops the database after a failure, so that the next use opens the file again.
     fn close_after<T>(&self, result: &Result<T, StoreError>) {
         if let Err(StoreError::Full { .. } | StoreError::Failed { .. } | StoreError::Damaged { .. }) = result
         {
@@ -54,7 +54,7 @@ impl LongTermMemory {
         }
     }
 
-    /// Closing writes too, and so it can fail; what was acknowledged does not depend on it.
+    /// Closes the file. This writes too, and so it can fail; acknowledged data do not depend on it.
     pub(super) fn close(&self) {
         let mut open = self.database.write();
         let closing = open.take();
@@ -119,7 +119,7 @@ impl LongTermMemory {
         write.commit().map_err(|e| fault(e.into()))
     }
 
-    /// redb answers some damages of a file with a panic: here it is an error like others.
+    /// Turns panics into errors: redb panics on some damaged files.
     fn contained<T>(&self, act: impl FnOnce() -> Result<T, StoreError>) -> Result<T, StoreError> {
         catch_unwind(AssertUnwindSafe(act)).unwrap_or_else(|panic| {
             let what = panic.downcast_ref::<String>().map(String::as_str);
@@ -136,7 +136,7 @@ impl LongTermMemory {
         StoreError::Failed { path: self.name.clone(), what: what.into() }
     }
 
-    /// What an error at opening means to the user.
+    /// The user's error for a redb error at opening.
     fn opening(&self, error: redb::DatabaseError) -> StoreError {
         let path = self.name.clone();
         match error {
@@ -158,7 +158,7 @@ impl LongTermMemory {
         }
     }
 
-    /// What an error in use means to the user.
+    /// The user's error for a redb error during use.
     pub(super) fn fault(&self, error: impl Into<redb::Error>) -> StoreError {
         let path = self.name.clone();
         match error.into() {

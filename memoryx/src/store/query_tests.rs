@@ -1,4 +1,4 @@
-//! Queries of long-term memory, and of both memories together, against working memory that forgets nothing.
+//! Queries to long-term memory, and to both memories together, compared with a working memory that forgets nothing.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -68,7 +68,7 @@ fn queries() -> impl Strategy<Value = Query> {
     )
 }
 
-/// What happened to an entity at a time: it was somewhere, or gone.
+/// An update of an entity: it was somewhere, or was removed.
 fn update((name, time, there): (u8, u64, bool)) -> Commit {
     let id: EntityId = format!("S/p/e{name}").parse().unwrap();
     if !there {
@@ -79,7 +79,7 @@ fn update((name, time, there): (u8, u64, bool)) -> Commit {
     Commit::new(id, time, BTreeMap::from([("position".to_owned(), position)]))
 }
 
-/// A store that is never asked for more than a part.
+/// A memory that queries its store in small parts.
 struct InParts {
     store: Arc<LongTermMemory>,
     most: usize,
@@ -118,7 +118,7 @@ impl Kept for InParts {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
-    /// Working memory that forgets nothing is the oracle of the queries on disk.
+    /// A working memory that forgets nothing is the oracle for queries on disk.
     #[test]
     fn queries_mean_the_same_on_disk(history in histories(), queries in proptest::collection::vec(queries(), 8)) {
         let (_folder, _, store) = store();
@@ -143,7 +143,7 @@ proptest! {
         prop_assert!(store.verify().unwrap().is_intact());
     }
 
-    /// Piece by piece, of any size, is the same as at once.
+    /// Reading in pieces of any size gives the same as one read.
     #[test]
     fn pieces_make_up_the_whole(history in histories(), query in queries(), size in 1usize..5, bytes in 0u64..900) {
         let (_folder, _, store) = store();

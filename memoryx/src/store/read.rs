@@ -1,4 +1,4 @@
-//! Queries on long-term memory: no more of the file is read than the answer needs.
+//! Queries to long-term memory: they read no more of the file than the answer needs.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -14,21 +14,21 @@ use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Pattern, Query, Times};
 
-/// No version.
+/// An empty range of versions.
 const NONE: (u64, u64) = (1, 0);
 
-/// Where records are found, in one transaction.
+/// Reads records within one transaction.
 pub(super) struct Reader<'s> {
     store: &'s LongTermMemory,
     pub(super) index: ReadOnlyTable<(u64, u64), Row>,
     pub(super) chunks: ReadOnlyTable<u64, &'static [u8]>,
     blobs: ReadOnlyTable<&'static [u8], &'static [u8]>,
     entities: ReadOnlyTable<&'static [u8], (u64, bool)>,
-    /// The chunk that was read last.
+    /// The last chunk read.
     last: RefCell<Option<(u64, Chunk)>>,
 }
 
-/// The bytes of a chunk, for as long as they are looked at.
+/// The bytes of a chunk, while in use.
 type Chunk = AccessGuard<'static, &'static [u8]>;
 
 /// An entity in the file.
@@ -61,7 +61,7 @@ impl<'s> Reader<'s> {
         Ok(held.map(|(number, ordered)| Entity { id: id.clone(), number, ordered }))
     }
 
-    /// Gives the entities that a pattern fits to `act`, in order of address, until it says that it is enough.
+    /// Passes the matching entities to `act`, in order of address, until it returns that this is enough.
     pub(super) fn entities(
         &self,
         pattern: &Pattern,
@@ -87,7 +87,7 @@ impl<'s> Reader<'s> {
         Ok(())
     }
 
-    /// The newest version of an entity, and where it is.
+    /// The newest version of an entity, and its row.
     pub(super) fn newest(&self, number: u64) -> Result<Option<(u64, Row)>, StoreError> {
         self.one(self.index.range((number, 0)..=(number, u64::MAX)).map(|mut rows| rows.next_back()))
     }
@@ -100,7 +100,7 @@ impl<'s> Reader<'s> {
         Ok(row.map(|(key, row)| (key.value().1, row.value())))
     }
 
-    /// The snapshot in a place.
+    /// The snapshot at a row.
     pub(super) fn snapshot(&self, id: &EntityId, row: Row) -> Result<Arc<Snapshot>, StoreError> {
         let decoded = self.with_record(row, |bytes| {
             let head = record::head(bytes)?;
@@ -109,7 +109,7 @@ impl<'s> Reader<'s> {
         decoded.map(Arc::new).map_err(|what| self.store.damaged(what))
     }
 
-    /// Gives the bytes in a place to `act`.
+    /// Passes the bytes at a row to `act`.
     fn with_record<T>(&self, row: Row, act: impl FnOnce(&[u8]) -> T) -> Result<T, StoreError> {
         let missing = || self.store.damaged(format!("a record in chunk {} is missing", row.0));
         let mut last = self.last.borrow_mut();
@@ -127,7 +127,7 @@ impl<'s> Reader<'s> {
         found.map(|v| v.value().to_vec()).ok_or_else(|| "a large value of it is missing".into())
     }
 
-    /// Adds what a question takes of one entity, without reading more of its history than that.
+    /// Adds a query's selection from one entity. Reads no more of its history than needed.
     fn select(
         &self,
         asked: &CheckedQuery<'_>,
@@ -165,7 +165,7 @@ impl<'s> Reader<'s> {
         Ok(())
     }
 
-    /// The first and the last version of an entity between which all are that a question takes.
+    /// The first and the last version of an entity that a query can select.
     fn bounds(&self, asked: &CheckedQuery<'_>, entity: &Entity) -> Result<(u64, u64), StoreError> {
         let query = asked.query();
         let after = query.after.as_ref().filter(|after| after.id == entity.id);
@@ -174,14 +174,14 @@ impl<'s> Reader<'s> {
             Times::Index(from, to) => {
                 versions_between(from, to, |place| self.at(entity, place))?.unwrap_or(NONE)
             }
-            // An answer that goes on in an entity is beyond what arrived earlier.
+            // A continued answer is already past the versions that arrived earlier.
             _ if after.is_some() => (0, u64::MAX),
             _ => (query.arrived_since.map_or(Ok(0), |since| self.arrived(entity.number, since))?, u64::MAX),
         };
         Ok((after.map_or(from, |after| from.max(after.version.saturating_add(1))), to))
     }
 
-    /// The version in a place of an entity's history, negative ones counted from the end.
+    /// The version at a position in an entity's history; negative positions count from the end.
     fn at(&self, entity: &Entity, place: i64) -> Result<Option<u64>, StoreError> {
         let mut rows = self.rows(entity, (0, u64::MAX))?;
         let index = |place: i64| usize::try_from(place).unwrap_or(usize::MAX);
@@ -194,8 +194,8 @@ impl<'s> Reader<'s> {
         self.index.range(from..=(entity.number, to)).map_err(|e| self.store.fault(e))
     }
 
-    /// Gives the versions from one to another that a question about several takes of an entity to `act`, in their order
-    /// or backwards, until it says that this is enough. No data are read unless the question is about them.
+    /// Passes the selected versions in a range to `act`, in order or backwards, until it returns that this is enough.
+    /// Data are read only when the query depends on them.
     fn choose(
         &self,
         asked: &CheckedQuery<'_>,
@@ -224,7 +224,7 @@ impl<'s> Reader<'s> {
         Ok(())
     }
 
-    /// The first version that arrived at a time or later, by bisection: versions arrive in their order.
+    /// The first version that arrived at a time or later, by bisection: versions arrive in order.
     fn arrived(&self, number: u64, since: u64) -> Result<u64, StoreError> {
         let fault = |e: redb::StorageError| self.store.fault(e);
         let (mut low, mut high) = (0, self.newest(number)?.map_or(0, |(version, _)| version + 1));
@@ -242,7 +242,8 @@ impl<'s> Reader<'s> {
         Ok(low)
     }
 
-    /// The row with the latest time among those that count; `counts` holds up to some time and not after it.
+    /// The row with the latest referenced time among those for which `counts` is true. `counts` is true up to some
+    /// time, and false after it.
     fn held(&self, entity: &Entity, counts: impl Fn(u64) -> bool) -> Result<Option<(u64, Row)>, StoreError> {
         if !entity.ordered {
             let mut rows = self.rows(entity, (0, u64::MAX))?;
@@ -260,7 +261,7 @@ impl<'s> Reader<'s> {
                 self.index.range((entity.number, 0)..=(entity.number, version)).map(|mut r| r.next_back()),
             )
         };
-        // Bisection over versions: some may be missing, so each step looks at the last one there is.
+        // Bisection over versions: some may be missing, so each step uses the last existing one.
         let (mut low, mut high, mut best) = (0, newest, None);
         while low <= high {
             let middle = low + (high - low) / 2;
@@ -289,10 +290,10 @@ type Rows = redb::Range<'static, (u64, u64), Row>;
 type Found = Result<(AccessGuard<'static, (u64, u64)>, AccessGuard<'static, Row>), redb::StorageError>;
 
 impl LongTermMemory {
-    /// What a query asks for: the same as [`crate::Memory::query`], of everything that is kept.
+    /// Answers a query over everything stored, as [`crate::Memory::query`].
     ///
     /// # Errors
-    /// [`StoreError::Damaged`] and others when it cannot be read; [`StoreError::Query`] when the question is none.
+    /// [`StoreError::Damaged`] and others when it cannot be read; [`StoreError::Query`] when the query is invalid.
     pub fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, StoreError> {
         let asked = query.check().map_err(no_question)?;
         self.read(|reader| {
@@ -307,7 +308,7 @@ impl LongTermMemory {
         })
     }
 
-    /// The core segments of which something is kept, in their order.
+    /// The core segments with stored snapshots, in order.
     ///
     /// # Errors
     /// [`StoreError::Damaged`] and others when it cannot be read.
@@ -340,8 +341,8 @@ impl LongTermMemory {
         })
     }
 
-    /// Gives every snapshot to `act`, in about the order in which they came, until it gives `false`. Reads the file from
-    /// its beginning to its end, which is faster than any query for as much.
+    /// Passes every snapshot to `act`, in about the order of arrival, until it returns `false`. Reads the file
+    /// sequentially, which is faster than any query for the same amount.
     ///
     /// # Errors
     /// [`StoreError::Damaged`] and others when it cannot be read.
@@ -357,7 +358,7 @@ impl LongTermMemory {
         damage.map_or(Ok(()), |what| Err(self.damaged(what)))
     }
 
-    /// As [`Self::scan`], past what is damaged: `act` is told of each place what is wrong there.
+    /// As [`Self::scan`], but continues after damage: `act` also gets a description of each damaged place.
     ///
     /// # Errors
     /// When the file cannot be read at all.
@@ -379,7 +380,7 @@ impl LongTermMemory {
                             let blobs = |hash: &_| reader.blob(hash);
                             (id.and_then(|id| record::decode(id, head, rest, &blobs)), head.length)
                         }
-                        // Where a record's length is wrong too, what follows it in the chunk cannot be found.
+                        // If the record's length is damaged too, the following records of its chunk cannot be found.
                         Err(what) => (Err(what), record::length(rest).unwrap_or(rest.len())),
                     };
                     if !act(snapshot) {

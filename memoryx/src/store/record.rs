@@ -1,4 +1,4 @@
-//! The bytes of keys and records; the page of [`super`] describes them.
+//! The byte format of keys and records, which the page of [`super`] describes.
 
 use std::collections::BTreeMap;
 
@@ -11,9 +11,9 @@ use crate::query::Pattern;
 
 /// Bytes before a record's content: length, checksum, entity, version.
 pub(super) const HEAD: usize = 24;
-/// Bytes from which on a value is kept once by its content.
+/// Values of at least this many bytes are stored once, by their content.
 pub(super) const BLOB_FROM: usize = 16 << 10;
-/// Deepest nesting that is read back; more than memory takes.
+/// Deepest nesting that can be read; more than memory accepts.
 const DEEPEST: usize = 32;
 
 /// The name of a blob: SHA-256 of its bytes.
@@ -28,7 +28,7 @@ pub(super) fn entity_key(id: &EntityId) -> Vec<u8> {
     key
 }
 
-/// Keys of entities that a pattern can fit: from the first, included, to the second, excluded.
+/// The range of keys of the entities that a pattern can match: the start is included, the end excluded.
 pub(super) fn entity_range(pattern: &Pattern) -> (Vec<u8>, Option<Vec<u8>>) {
     let mut from = Vec::new();
     for name in [&pattern.segment, &pattern.provider, &pattern.entity] {
@@ -41,7 +41,7 @@ pub(super) fn entity_range(pattern: &Pattern) -> (Vec<u8>, Option<Vec<u8>>) {
     (from, end.map(|()| to))
 }
 
-/// The entity of a key of the table of entities.
+/// The entity of a key in the table `entities`.
 pub(super) fn entity_of(key: &[u8]) -> Result<EntityId, String> {
     let unreadable = || format!("a key is no address: {}", key.escape_ascii());
     let key = key.strip_suffix(&[0]).ok_or_else(unreadable)?;
@@ -52,7 +52,7 @@ pub(super) fn entity_of(key: &[u8]) -> Result<EntityId, String> {
     }
 }
 
-/// Appends the record of a snapshot; `blobs` gets the large values that it names.
+/// Appends the record of a snapshot; the large values that it refers to go to `blobs`.
 pub(super) fn append<'s>(
     to: &mut Vec<u8>,
     number: u64,
@@ -177,7 +177,7 @@ fn put_value<'s>(to: &mut Vec<u8>, value: &'s Value, blobs: &mut Vec<(Hash, &'s 
     }
 }
 
-/// What stands before a record's content.
+/// The header before a record's content.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Head {
     pub(super) length: usize,
@@ -185,7 +185,7 @@ pub(super) struct Head {
     pub(super) version: u64,
 }
 
-/// The head of the record that bytes begin with, checked against its checksum.
+/// The header of the record at the start of `bytes`, checked with its checksum.
 pub(super) fn head(bytes: &[u8]) -> Result<Head, String> {
     let mut cursor = Cursor { rest: bytes };
     let (length, sum) = (cursor.u32()? as usize, cursor.u32()?);
@@ -197,13 +197,13 @@ pub(super) fn head(bytes: &[u8]) -> Result<Head, String> {
     Ok(Head { length, number, version })
 }
 
-/// The length that a record says of itself, if another record can follow there.
+/// The length that a record states, if another record can follow at that place.
 pub(super) fn length(bytes: &[u8]) -> Option<usize> {
     let length = Cursor { rest: bytes }.u32().ok()? as usize;
     (HEAD..=bytes.len()).contains(&length).then_some(length)
 }
 
-/// Where blobs are found.
+/// Looks up blobs.
 pub(super) type Blobs<'b> = &'b dyn Fn(&Hash) -> Result<Vec<u8>, String>;
 
 /// The snapshot of a record whose [`head`] was read.
@@ -219,14 +219,14 @@ pub(super) fn decode(id: &EntityId, head: Head, bytes: &[u8], blobs: Blobs<'_>) 
     }
 }
 
-/// The time that a record's data speak of and the time it arrived, ns.
+/// The referenced time and the arrival time of a record, ns.
 pub(super) fn times(bytes: &[u8]) -> Result<(u64, u64), String> {
     let mut cursor = Cursor { rest: bytes.get(HEAD..).ok_or("a record is too short")? };
     let (referenced, _, arrived) = (cursor.u64()?, cursor.u64()?, cursor.u64()?);
     Ok((referenced, arrived))
 }
 
-/// The blobs that a record names.
+/// The blobs that a record refers to.
 pub(super) fn blobs_of(bytes: &[u8], head: Head) -> Result<Vec<Hash>, String> {
     let found = std::cell::RefCell::new(Vec::new());
     let note = |hash: &Hash| {
@@ -275,7 +275,7 @@ impl<'b> Cursor<'b> {
         Ok(numbers)
     }
 
-    /// A count of things that take at least a byte each.
+    /// A count of items that take at least one byte each.
     fn count(&mut self) -> Result<usize, String> {
         let mut count = 0_u64;
         for shift in (0..64).step_by(7) {

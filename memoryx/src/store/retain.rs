@@ -1,7 +1,7 @@
-//! Retention: what long-term memory forgets by age and by room, and the joining of small chunks.
+//! Retention: what long-term memory forgets by age and size, and the joining of small chunks.
 //!
-//! The newest snapshot of each entity stays, and so does what a named snapshot holds. What was forgotten shows to
-//! followers as a gap in the versions.
+//! The newest snapshot of each entity is kept, and so is the content of named snapshots. Followers see forgotten
+//! snapshots as a gap in the versions.
 
 use std::collections::BTreeSet;
 
@@ -10,12 +10,12 @@ use redb::{ReadableTable, ReadableTableMetadata};
 use super::write::Writer;
 use super::{LongTermMemory, StoreError, record};
 
-/// Chunks that are worked on in one transaction.
+/// Chunks per transaction.
 const BATCH: usize = 256;
 /// A chunk below this many bytes is joined with others.
 const SMALL: usize = 32_000;
 
-/// How much is kept.
+/// How much is kept. `None` is unlimited.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Retention {
     /// How long after their arrival snapshots are kept, ns.
@@ -24,7 +24,7 @@ pub struct Retention {
     pub bytes: Option<u64>,
 }
 
-/// What retention has forgotten.
+/// What retention has removed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Dropped {
     /// Snapshots.
@@ -34,11 +34,11 @@ pub struct Dropped {
 }
 
 impl LongTermMemory {
-    /// Forgets what is older than the age, at `now_ns`, and the oldest until what is left fits. The file shrinks with
-    /// the next [`Self::compact`]; until then the room is used again.
+    /// Removes what is older than the age, at `now_ns`, and then the oldest until the rest fits. The next
+    /// [`Self::compact`] shrinks the file; until then the free space is reused.
     ///
     /// # Errors
-    /// When the disk fails; what was forgotten until then stays forgotten.
+    /// When the disk fails; snapshots removed before that stay removed.
     pub fn retain(&self, retention: Retention, now_ns: u64) -> Result<Dropped, StoreError> {
         let pinned = self.pinned()?;
         let before = retention.age_ns.map_or(0, |age| now_ns.saturating_sub(age));
@@ -58,7 +58,7 @@ impl LongTermMemory {
         })
     }
 
-    /// Joins small chunks, in their order. Returns whether there were any.
+    /// Joins small chunks, in order. Returns whether there were any.
     pub(super) fn join_chunks(&self) -> Result<bool, StoreError> {
         let last = self.write(|writer, _| Ok((writer.totals.next_chunk, false)))?;
         let mut joined = false;
@@ -83,7 +83,7 @@ impl LongTermMemory {
     }
 }
 
-/// Forgets in at most [`BATCH`] chunks from one to another, the second excluded. Returns where to go on.
+/// Removes snapshots in at most [`BATCH`] chunks of a range, whose end is excluded. Returns where to continue.
 fn forget_some(
     store: &LongTermMemory,
     writer: &mut Writer<'_>,
@@ -126,7 +126,7 @@ fn forget_some(
     Ok(numbers.last().filter(|_| numbers.len() == BATCH).map(|n| n + 1))
 }
 
-/// Up to [`BATCH`] small chunks from one to another, and where to go on.
+/// Up to [`BATCH`] small chunks of a range, and where to continue.
 fn small_chunks(
     store: &LongTermMemory,
     writer: &Writer<'_>,
@@ -151,7 +151,7 @@ fn small_chunks(
     Ok((small, None))
 }
 
-/// Gives the records of a chunk to `act`, one after the other.
+/// Passes the records of a chunk to `act`, one after the other.
 fn each_record(
     store: &LongTermMemory,
     bytes: &[u8],

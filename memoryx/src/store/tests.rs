@@ -1,4 +1,4 @@
-//! Long-term memory as it is used: kept, asked, loaded back, consolidated.
+//! Long-term memory in normal use: store, query, load, consolidate.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -180,7 +180,7 @@ fn compaction_keeps_everything() {
     assert_eq!(store.verify().unwrap().intact, 1999);
 }
 
-/// What speaks of a far future must not hide what comes after it.
+/// A snapshot with a referenced time far in the future must not hide later ones.
 #[test]
 fn a_time_from_the_future_hides_nothing_that_comes_later() {
     let now = 1_000_000_000_000_u64;

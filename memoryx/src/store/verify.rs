@@ -9,17 +9,17 @@ use super::read::Reader;
 use super::record::{self, Hash};
 use super::{BLOB_USES, BLOBS, LongTermMemory, META, StoreError, Totals};
 
-/// Damages that a verification lists one by one.
+/// Damages that a verification lists individually.
 const LISTED: usize = 100;
 
-/// What a verification has found.
+/// The result of a verification.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Verification {
-    /// Snapshots that were read and are as they were written.
+    /// Snapshots that are as they were written.
     pub intact: u64,
-    /// Snapshots and index entries that are not.
+    /// Snapshots and index entries that are damaged.
     pub damaged: u64,
-    /// The first of them in words.
+    /// Descriptions of the first of them.
     pub damages: Vec<String>,
 }
 
@@ -39,8 +39,9 @@ impl Verification {
 }
 
 impl LongTermMemory {
-    /// Reads everything and checks it: redb's own checksums, each record's checksum and content, the large values'
-    /// hashes, and that the indices agree. Waits until nobody else uses the memory. Changes nothing that is intact.
+    /// Reads and checks everything: redb's own checksums, each record's checksum and content, the hashes of large
+    /// values, and the consistency of the indices. Waits until it has the database for itself. Changes nothing that
+    /// is intact.
     ///
     /// # Errors
     /// When the file cannot be read at all.

@@ -1,4 +1,4 @@
-//! Keeping snapshots: one transaction for a group, whose records lie one after the other in chunks.
+//! Storing snapshots: one transaction per group, whose records are written one after the other into chunks.
 
 use std::sync::Arc;
 
@@ -9,26 +9,26 @@ use super::record::{self, Hash};
 use super::{BLOB_USES, BLOBS, CHUNKS, ENTITIES, INDEX, LongTermMemory, META, NAMED, Row, StoreError};
 use crate::entity::{EntityId, Snapshot};
 
-/// Most bytes of a chunk of several records: with its overhead it fills a page of 64 kB.
+/// Most bytes of a chunk with several records: with its overhead it fills a page of 64 kB.
 const CHUNK: usize = 65_000;
-/// Most entities of which the newest version is remembered without asking the file.
+/// Most entities in the cache.
 const REMEMBERED: usize = 100_000;
 
-/// What is known of an entity without reading.
+/// Cached facts about an entity.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Known {
     pub(super) number: u64,
     /// 0 when nothing is kept.
     pub(super) newest: u64,
     pub(super) newest_referenced_ns: u64,
-    /// Whether later versions never speak of earlier times.
+    /// Whether referenced times never decrease from version to version.
     pub(super) ordered: bool,
 }
 
-/// The entities that were written lately.
+/// The entities that were written recently.
 pub(super) type Memo = IndexMap<EntityId, Known>;
 
-/// The numbers that the table `meta` keeps.
+/// The numbers in the table `meta`.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Totals {
     pub(super) next_entity: u64,
@@ -100,7 +100,7 @@ impl<'t> Writer<'t> {
         open().map_err(|e| store.fault(e))
     }
 
-    /// What is known of an entity; it gets a number if it has none.
+    /// The facts about an entity; a new entity gets a number.
     fn know(&mut self, id: &EntityId, memo: &Memo) -> Result<Known, StoreError> {
         if let Some(known) = self.known.get(id).or_else(|| memo.get(id)) {
             return Ok(*known);
@@ -120,19 +120,19 @@ impl<'t> Writer<'t> {
         Ok(Known { number, newest, newest_referenced_ns: referenced, ordered })
     }
 
-    /// The number of an entity and of nothing else.
+    /// The number of an entity, unique in the file.
     pub(super) fn number(&mut self, id: &EntityId, memo: &Memo) -> Result<u64, StoreError> {
         Ok(self.know(id, memo)?.number)
     }
 
-    /// Whether a version of an entity is there.
+    /// Whether a version of an entity is stored.
     pub(super) fn holds(&mut self, id: &EntityId, version: u64, memo: &Memo) -> Result<bool, StoreError> {
         let number = self.know(id, memo)?.number;
         let row = self.index.get((number, version)).map_err(|e| self.store.fault(e))?;
         Ok(row.is_some())
     }
 
-    /// Adds a snapshot unless it is there. Returns whether it is new.
+    /// Adds a snapshot unless it is already stored. Returns whether it is new.
     pub(super) fn add(&mut self, snapshot: &Snapshot, memo: &Memo) -> Result<bool, StoreError> {
         let mut known = self.know(&snapshot.id, memo)?;
         let store = self.store;
@@ -173,7 +173,7 @@ impl<'t> Writer<'t> {
         Ok(true)
     }
 
-    /// Writes where the last `length` bytes of the open chunk are.
+    /// Adds the last `length` bytes of the open chunk to the index.
     fn note(
         &mut self,
         number: u64,
@@ -210,7 +210,7 @@ impl<'t> Writer<'t> {
         Ok(())
     }
 
-    /// The bytes of a record that is in a chunk, or in the one that is being filled.
+    /// The bytes of a record in a stored chunk, or in the open one.
     fn record(&self, row: Row) -> Result<Vec<u8>, StoreError> {
         let range = row.1 as usize..row.1 as usize + row.2 as usize;
         let missing = || self.store.damaged(format!("a record in chunk {} is missing", row.0));
@@ -233,7 +233,7 @@ impl<'t> Writer<'t> {
         Ok(())
     }
 
-    /// Forgets a record, and the blobs that nothing else names.
+    /// Removes a record, and the blobs that no other record refers to.
     pub(super) fn forget(&mut self, bytes: &[u8], head: record::Head) -> Result<(), StoreError> {
         let store = self.store;
         let fault = |e: redb::StorageError| store.fault(e);
@@ -252,7 +252,7 @@ impl<'t> Writer<'t> {
         Ok(())
     }
 
-    /// Puts a list under a name, or takes it out. Returns whether there was one.
+    /// Stores a list under a name, or removes it. Returns whether the name existed.
     pub(super) fn name(&mut self, name: &str, list: Option<&[u8]>) -> Result<bool, StoreError> {
         let store = self.store;
         let was = match list {
@@ -262,7 +262,7 @@ impl<'t> Writer<'t> {
         Ok(was)
     }
 
-    /// Takes a chunk out.
+    /// Removes a chunk and returns its bytes.
     pub(super) fn take_chunk(&mut self, chunk: u64) -> Result<Vec<u8>, StoreError> {
         let taken = self.chunks.remove(chunk).map_err(|e| self.store.fault(e))?;
         let bytes = taken.map(|v| v.value().to_vec()).unwrap_or_default();
@@ -270,7 +270,7 @@ impl<'t> Writer<'t> {
         Ok(bytes)
     }
 
-    /// Ends the last chunk and writes the totals; returns what was learned of entities.
+    /// Writes the last chunk and the totals; returns the facts learned about entities.
     pub(super) fn finish(mut self) -> Result<Memo, StoreError> {
         self.close_chunk()?;
         self.totals.write(&mut self.meta).map_err(|e| self.store.fault(e))?;
@@ -279,12 +279,12 @@ impl<'t> Writer<'t> {
 }
 
 impl LongTermMemory {
-    /// Keeps snapshots, all or none; on the disk when this returns. Snapshots that are there already stay as they
-    /// are. Returns how many are new.
+    /// Stores snapshots, all or none; they are on disk when this returns. Snapshots that are already stored stay
+    /// unchanged. Returns how many are new.
     ///
     /// # Errors
-    /// [`StoreError::Version`] when another snapshot has that version; [`StoreError::Full`] and others when the disk
-    /// fails.
+    /// [`StoreError::Version`] when another snapshot has the same version; [`StoreError::Full`] and others when the
+    /// disk fails.
     pub fn persist(&self, snapshots: &[Arc<Snapshot>]) -> Result<usize, StoreError> {
         if snapshots.is_empty() {
             return Ok(0);
@@ -298,7 +298,7 @@ impl LongTermMemory {
         })
     }
 
-    /// Changes the file in one transaction, unless `act` says that nothing was changed.
+    /// Changes the file in one transaction, unless `act` returns that nothing has changed.
     pub(super) fn write<T>(
         &self,
         act: impl FnOnce(&mut Writer<'_>, &Memo) -> Result<(T, bool), StoreError>,

@@ -1,10 +1,10 @@
-//! The assignment problem: rows to columns, each column once, at the least sum of costs.
+//! The assignment problem: assigns each row to one column, each column at most once, with the least sum of costs.
 
-/// What stands for a pair that cannot be: more than any sum of real costs.
+/// The cost of an impossible pair: more than any sum of real costs.
 const NEVER: f64 = 1e12;
 
-/// The column of each row, for at least as many columns as rows. A cost that is not finite says that the pair cannot
-/// be; where nothing else is left, such a pair may still be assigned.
+/// Returns the column of each row. There must be at least as many columns as rows. A cost that is not finite marks an
+/// impossible pair; such a pair may still be assigned if nothing else is left.
 ///
 /// # Source
 /// Kuhn 1955, Munkres 1957, with potentials and shortest augmenting paths: O(rows² columns).
@@ -16,7 +16,7 @@ pub fn assign(costs: &[Vec<f64>]) -> Vec<usize> {
     }
     let cost =
         |row: usize, column: usize| Some(costs[row][column]).filter(|c| c.is_finite()).unwrap_or(NEVER);
-    // Column 0 stands for none; `row_of` counts rows from 1.
+    // Column 0 means none; `row_of` counts rows from 1.
     let (mut of_row, mut of_column) = (vec![0.0; rows + 1], vec![0.0; columns + 1]);
     let mut row_of = vec![0_usize; columns + 1];
     for row in 1..=rows {
@@ -67,7 +67,7 @@ mod tests {
 
     use super::*;
 
-    /// All ways to assign, one after the other.
+    /// The least cost, by trying all assignments.
     fn least(costs: &[Vec<f64>], row: usize, used: &mut Vec<bool>) -> f64 {
         if row == costs.len() {
             return 0.0;

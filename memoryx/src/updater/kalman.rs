@@ -1,8 +1,8 @@
-//! The Kalman filter of a place: prediction adds uncertainty, an observation takes some away.
+//! The Kalman filter of a position: prediction adds uncertainty, an observation removes some.
 
 use nalgebra::{Cholesky, Matrix3, Vector3};
 
-/// A place with its covariance.
+/// A position with its covariance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gaussian {
     mean: Vector3<f64>,
@@ -10,8 +10,8 @@ pub struct Gaussian {
 }
 
 impl Gaussian {
-    /// A place, m, with its covariance, m². `None` unless all numbers are finite and the covariance is symmetric and
-    /// positive definite.
+    /// A position, m, with its covariance, m². `None` unless all numbers are finite and the covariance is symmetric
+    /// and positive definite.
     #[must_use]
     pub fn new(mean: Vector3<f64>, covariance: Matrix3<f64>) -> Option<Self> {
         let finite = mean.iter().chain(covariance.iter()).all(|x| x.is_finite());
@@ -21,7 +21,7 @@ impl Gaussian {
         (symmetric && definite).then_some(Self { mean, covariance })
     }
 
-    /// The place, m.
+    /// The position, m.
     #[must_use]
     pub fn mean(&self) -> Vector3<f64> {
         self.mean
@@ -33,14 +33,14 @@ impl Gaussian {
         self.covariance
     }
 
-    /// The same place, less sure by `variance`, m², along each axis.
+    /// The same position with the variance along each axis increased by `variance`, m².
     #[must_use]
     pub fn spread(&self, variance: f64) -> Self {
         Self { mean: self.mean, covariance: self.covariance + Matrix3::identity() * variance }
     }
 
-    /// The squared Mahalanobis distance of two independent estimates of one place: chi-squared with 3 degrees of freedom
-    /// when they are of one thing.
+    /// The squared Mahalanobis distance of two independent estimates: chi-squared with 3 degrees of freedom if both
+    /// are of one object.
     #[must_use]
     pub fn distance_squared(&self, other: &Self) -> Option<f64> {
         let innovation = other.mean - self.mean;
@@ -48,8 +48,8 @@ impl Gaussian {
         Some(innovation.dot(&decomposed.solve(&innovation)))
     }
 
-    /// What follows from two independent estimates of one place: the Kalman update with the observation matrix I, its
-    /// covariance in Joseph's form, which stays symmetric and positive.
+    /// Fuses two independent estimates of one position: the Kalman update with observation matrix I; the covariance
+    /// in Joseph's form stays symmetric and positive.
     ///
     /// # Source
     /// Bar-Shalom, Li, Kirubarajan 2001, eqs. (5.2.3-11) to (5.2.3-18).
@@ -65,7 +65,8 @@ impl Gaussian {
     }
 }
 
-/// How far something is trusted after one more independent observation of it, each 0 to 1; never more than 0.999.
+/// The confidence after one more independent observation; all are 0 to 1. It grows to 0.999 at most, unless one of
+/// the two is higher already.
 #[must_use]
 pub fn fuse_confidence(before: f64, observed: f64) -> f64 {
     (1.0 - (1.0 - before) * (1.0 - observed)).min(before.max(observed).max(0.999)).clamp(0.0, 1.0)
@@ -87,7 +88,7 @@ mod tests {
     }
 
     proptest! {
-        /// Against the information form: inverses add.
+        /// Compared with the information form: inverse covariances add.
         #[test]
         fn fusion_adds_information(a in proptest::array::uniform6(-1.0..1.0), b in proptest::array::uniform6(-1.0..1.0)) {
             let gaussian = |n: [f64; 6]| {

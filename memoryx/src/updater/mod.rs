@@ -1,12 +1,12 @@
-//! The updater: what perception observes becomes entities. Observations are matched to the entities that they can be
-//! of, fused with what is known of these, and committed together.
+//! The updater: turns observations of perception into entities. It matches observations to known entities, fuses
+//! them, and commits the result together.
 //!
 //! 1. Each known entity of the class is predicted to the time of the observation ([`MotionModel`]).
-//! 2. Observations and entities are assigned to each other so that the sum of their squared Mahalanobis distances is
-//!    least; what no entity fits within the gate is new.
-//! 3. The place is fused by a Kalman filter; a new entity is enriched with what prior knowledge says of its class.
+//! 2. Observations and entities are assigned to each other with the least sum of squared Mahalanobis distances; an
+//!    observation without an entity inside the gate becomes a new entity.
+//! 3. A Kalman filter fuses the position; a new entity gets the prior knowledge of its class.
 //!
-//! It sees no image and no robot: where hands are, a [`Carriers`] says.
+//! It sees no image and no robot: a [`Carriers`] supplies the poses of hands.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -28,37 +28,37 @@ pub use assignment::assign;
 pub use kalman::{Gaussian, fuse_confidence};
 pub use motion::{Carriers, MotionModel, NoCarriers, predict};
 
-/// The core segment of what is observed.
+/// The core segment of observed objects.
 pub const OBJECT_INSTANCES: &str = "ObjectInstances";
-/// How often an update begins again when somebody else was faster.
+/// How often an update tries again after a conflict with another writer.
 const TRIES: u32 = 8;
 
-/// Something that was observed at a place.
+/// An object observed at a position.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Observation {
-    /// The class of the thing.
+    /// The class of the object.
     pub class: String,
-    /// When, ns.
+    /// The time of the observation, ns.
     pub stamp_ns: u64,
-    /// Where its centre is, m.
+    /// The position of its centre, m.
     pub position: Vector,
-    /// Covariance of the position, m², rows one after the other.
+    /// Covariance of the position, m², row by row.
     pub covariance: [f64; 9],
-    /// How far the observation is trusted, 0 to 1.
+    /// Confidence, 0 to 1.
     pub confidence: f64,
-    /// What else was seen of it.
+    /// Other observed attributes.
     pub attributes: BTreeMap<String, Value>,
 }
 
-/// How observations become entities.
+/// Settings of the updater.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Largest squared Mahalanobis distance of an observation from its entity; 11.34 lets 99 % of the true ones through
-    /// (chi-squared with 3 degrees of freedom).
+    /// Gate: the largest squared Mahalanobis distance of an observation from its entity. 11.34 accepts 99 % of the
+    /// true pairs (chi-squared with 3 degrees of freedom).
     pub gate: f64,
-    /// How fast the place of something that stands grows unsure, m²/s along each axis.
+    /// Growth of the position's variance of an object at rest, m²/s along each axis.
     pub drift: f64,
-    /// The same of something that is carried: grasps slip.
+    /// The same for a carried object, because grasps slip.
     pub carried_drift: f64,
 }
 
@@ -68,13 +68,13 @@ impl Default for Settings {
     }
 }
 
-/// What an observation is of.
+/// The entity of an observation.
 struct Match<'h> {
-    /// Its place among the observations.
+    /// The index of the observation.
     observation: usize,
-    /// The entity; none when it is new.
+    /// The entity; `None` when it is new.
     entity: Option<&'h Arc<Snapshot>>,
-    /// Where that entity was expected.
+    /// The predicted position of that entity.
     predicted: Option<Gaussian>,
 }
 
@@ -90,7 +90,7 @@ impl Updater {
     /// An updater of `ObjectInstances/{provider}`.
     ///
     /// # Errors
-    /// [`MemoryError::Name`] when the provider's name cannot be part of an address.
+    /// [`MemoryError::Name`] when the provider's name is not valid in an address.
     pub fn new(memory: Arc<dyn Memory>, provider: &str) -> Result<Self, MemoryError> {
         check_name(provider)?;
         let carriers = Arc::new(NoCarriers);
@@ -104,17 +104,17 @@ impl Updater {
         self
     }
 
-    /// The same updater, that asks `carriers` where hands are.
+    /// The same updater, which gets the poses of hands from `carriers`.
     #[must_use]
     pub fn with_carriers(mut self, carriers: Arc<dyn Carriers>) -> Self {
         self.carriers = carriers;
         self
     }
 
-    /// Takes what was observed together, all or nothing. Returns the entity and its version for each observation.
+    /// Writes observations made together, all or none. Returns the entity and its version for each observation.
     ///
     /// # Errors
-    /// [`MemoryError::Schema`] when an observation's covariance is none; as [`Memory::commit`].
+    /// [`MemoryError::Schema`] when an observation's covariance is invalid; as [`Memory::commit`].
     pub async fn update(&self, observations: &[Observation]) -> Result<Vec<(EntityId, u64)>, MemoryError> {
         let mut tries = 0;
         loop {
@@ -164,7 +164,7 @@ impl Updater {
         Ok(updates.into_iter().flatten().collect())
     }
 
-    /// The entity of each observation of one class, with what is predicted of its place.
+    /// Matches the observations of one class to entities, with the entities' predicted positions.
     fn match_class<'h>(
         &self,
         observations: &[Observation],
@@ -185,7 +185,7 @@ impl Updater {
                 row.push(cost.filter(|d| *d <= self.settings.gate).unwrap_or(f64::INFINITY));
                 predicted.push(prior);
             }
-            // Being new costs as much as lying on the gate.
+            // A new entity costs as much as a distance equal to the gate.
             row.extend((0..seen.len()).map(|_| self.settings.gate));
             costs.push(row);
         }
@@ -234,7 +234,7 @@ impl Updater {
     }
 }
 
-/// What prior knowledge says of a class: size, colour, mass, and where it says so.
+/// The prior knowledge of a class: size, colour, mass, and its source.
 #[must_use]
 pub fn enrichment(class: &str, classes: &[Arc<Snapshot>]) -> BTreeMap<String, Value> {
     let Some(known) = classes.iter().find(|s| s.id.entity() == class) else { return BTreeMap::new() };
@@ -265,7 +265,7 @@ fn place(
     let position = Vector::new(observation.position.frame.clone(), &place.mean());
     attributes.insert("class".into(), observation.class.clone().into());
     attributes.insert("position".into(), position.into());
-    // A pose that was known has moved along with the position.
+    // A known pose moves with the position.
     if let Some(Value::Pose(pose)) = attributes.get_mut("pose") {
         pose.position = place.mean().into();
     }
@@ -275,7 +275,7 @@ fn place(
     Commit { id, referenced_ns: observation.stamp_ns, instances, expected_version: None }
 }
 
-/// `class`, or `class_2`, `class_3` ... when that is taken.
+/// `class`, or `class_2`, `class_3` ... if that name is taken.
 fn free_name(class: &str, taken: &[String]) -> String {
     let is_free = |name: &String| !taken.contains(name);
     let numbered = (2..).map(|n: u64| format!("{class}_{n}"));

@@ -1,4 +1,4 @@
-//! Motion models: where an entity is expected between two observations.
+//! Motion models: the expected position of an entity between two observations.
 //!
 //! Attributes of the entity: `motion_model` (`static`, `hand` or `object`), `attached_to` (the hand's name or the other
 //! entity's address) and `offset` (its centre in the carrier's frame, m).
@@ -13,15 +13,15 @@ use super::kalman::Gaussian;
 use crate::entity::{Instance, Snapshot};
 use crate::place::place_of;
 
-/// How far variances are trusted that nobody gave: 1 cm along each axis, m².
+/// The variance of a position without covariance: 1 cm along each axis, squared, m².
 const UNKNOWN: f64 = 1e-4;
-/// Carriers that are carried themselves, one on the other.
+/// Longest chain of carriers that are carried themselves.
 const DEEPEST: usize = 8;
 
-/// How an entity moves while nobody sees it.
+/// How an entity moves between observations.
 #[derive(Clone, Debug, PartialEq)]
 pub enum MotionModel {
-    /// It stays where it is.
+    /// It does not move.
     Static,
     /// It moves with a hand of the robot.
     Hand {
@@ -39,13 +39,13 @@ pub enum MotionModel {
     },
 }
 
-/// Who knows where hands are.
+/// Supplies the poses of hands.
 pub trait Carriers: Send + Sync {
-    /// The pose of a hand at a time, m; `None` when it is not known.
+    /// The pose of a hand at a time, m; `None` when unknown.
     fn hand(&self, name: &str, at_ns: u64) -> Option<Pose>;
 }
 
-/// Nobody knows.
+/// Knows no hands.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoCarriers;
 
@@ -56,7 +56,7 @@ impl Carriers for NoCarriers {
 }
 
 impl MotionModel {
-    /// The model that an instance names; one that names none, or not completely, stands still.
+    /// The model named in an instance; static when none is named, or when its attributes are incomplete.
     #[must_use]
     pub fn of(instance: &Instance) -> Self {
         let text = |name: &str| instance.attributes.get(name).and_then(Value::as_str).map(str::to_owned);
@@ -86,9 +86,9 @@ impl MotionModel {
     }
 }
 
-/// Where an entity is expected at a time, with the frame: by its motion model, growing less sure with the time since it was
-/// observed. `held`: the newest snapshots of the entities that may carry it, ordered by address. `None` when it has
-/// no place. A carrier whose place is not known leaves the entity where it was seen.
+/// The expected position of an entity at a time, with its frame, by its motion model. The variance grows with the
+/// time since the last observation. `held`: the newest snapshots of the entities that may carry it, ordered by
+/// address. `None` when it has no position. If the carrier's position is unknown, the entity stays where it was seen.
 #[must_use]
 pub fn predict(
     snapshot: &Snapshot,

@@ -1,4 +1,4 @@
-//! The updater against closed forms: what is matched, fused, predicted and enriched.
+//! The updater compared with closed forms: matching, fusion, prediction and enrichment.
 
 use armarium_values::Pose;
 use rand::SeedableRng;
@@ -47,7 +47,7 @@ async fn observations_find_their_entities_whatever_their_order() {
     let second =
         updater.update(&[cup(0.1, 0.51, 0.0), cup(0.1, 0.01, 0.0), cup(0.1, 2.0, 2.0)]).await.unwrap();
     assert_eq!(names(&second), [("cup_2", 2), ("cup", 2), ("cup_3", 1)]);
-    // Between two cups: each gets the one that makes both fit.
+    // Between two cups: the assignment gives each observation the cup that makes both fit.
     let third = updater.update(&[cup(0.2, 0.02, 0.0), cup(0.2, 0.03, 0.0)]).await.unwrap();
     assert_eq!(names(&third), [("cup", 3), ("cup_4", 1)]);
 }
@@ -76,7 +76,7 @@ async fn noise_becomes_as_small_as_it_can() {
     let memory = memory();
     let updater = updater(&memory).with_settings(Settings { drift: 0.0, gate: 40.0, ..Settings::default() });
     let mut random = ChaCha8Rng::seed_from_u64(3);
-    // A sum of twelve uniform numbers less six has variance one.
+    // The sum of twelve uniform numbers, less six, has variance one.
     let mut noise = || (0..12).map(|_| random.random_range(0.0..1.0)).sum::<f64>() - 6.0;
     for i in 0..100 {
         let at = (0.3 + noise() * VARIANCE.sqrt(), noise() * VARIANCE.sqrt());
@@ -122,7 +122,7 @@ async fn what_is_carried_moves_with_its_carrier() {
     // The hand is at x = 2 and turned: the offset along its x points along y.
     assert!((place.mean() - Vector3::new(2.0, 0.1, 1.0)).norm() < 1e-12, "{place:?}");
     assert!((place.covariance()[(0, 0)] - VARIANCE - 2.0 * settings.carried_drift).abs() < 1e-12);
-    // Seen where the hand has carried it, it is the same cup; a plate on it goes along.
+    // A cup seen where the hand has carried it is the same cup; a plate on it moves along.
     let seen = updater.update(&[cup(2.0, 2.0, 0.11)]).await.unwrap();
     assert_eq!(names(&seen), [("cup", 3)]);
     let on = MotionModel::Object { id: id.to_string(), offset: [0.0, 0.0, 0.1] };

@@ -1,5 +1,5 @@
-//! How commits get in: who commits takes along what waits, numbers it, has the backing keep it in one go, and makes it
-//! visible. Nobody sees a snapshot that the backing has not kept.
+//! How commits are made: the committing thread takes all waiting requests, numbers them, has the backing store them
+//! together, and makes them visible. No reader sees a snapshot that the backing has not stored.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -13,7 +13,7 @@ use crate::entity::{Commit, EntityId, Instance, Snapshot};
 use crate::error::MemoryError;
 use crate::schema::check_form;
 
-/// Updates that belong together, on their way.
+/// Updates that are committed all or none, in the queue.
 pub(super) struct Request {
     pub(super) updates: Vec<Commit>,
     pub(super) sent_ns: u64,
@@ -24,16 +24,16 @@ pub(super) struct Request {
 /// The versions that a commit has made.
 pub(super) type CommitResult = Result<Vec<u64>, MemoryError>;
 
-/// The newest version of an entity, and whether it says that the entity is gone.
+/// The newest version of an entity, and whether it is a removal.
 type Newest = (u64, bool);
 
-/// What a group of commits has numbered so far, beyond what the memory holds.
+/// Versions and sizes of a group of commits, which the memory does not hold yet.
 #[derive(Default)]
 pub(super) struct Numbered {
     newest: IndexMap<EntityId, Newest>,
-    /// What it takes that the memory does not hold yet.
+    /// Capacity that the group takes.
     all: Taken,
-    /// The same by owner, where room is divided.
+    /// The same by owner, if capacity is divided.
     by_owner: BTreeMap<String, Taken>,
 }
 
@@ -42,7 +42,7 @@ impl Numbered {
         self.by_owner.get(owner).copied().unwrap_or_default()
     }
 
-    /// Counts what is to be put in.
+    /// Counts a snapshot of the group.
     pub(super) fn take(&mut self, owner: Option<&str>, more: Taken) {
         self.all = self.all + more;
         if let Some(owner) = owner {
@@ -62,15 +62,15 @@ impl WorkingMemory {
         answer.expect("whoever takes a request from the queue answers it")
     }
 
-    /// Commits all that waits. When this returns, what waited before it was called has its answer: from here, or from
-    /// whoever was committing meanwhile.
+    /// Commits all waiting requests. When this returns, every request that waited before the call is answered, by
+    /// this thread or by the one that was committing.
     pub(super) fn commit_waiting(&self) {
         let mut last_arrival = self.committing.lock();
         let requests = std::mem::take(&mut *self.waiting.lock());
         if requests.is_empty() {
             return;
         }
-        // Arrivals are in order even where the clock is not.
+        // Arrival times never go back, even if the clock does.
         *last_arrival = self.now_ns().max(*last_arrival);
         self.commit_together(requests, *last_arrival);
     }
@@ -107,8 +107,8 @@ impl WorkingMemory {
         }
     }
 
-    /// Checks updates and makes numbered snapshots of them, which nobody sees yet. When they are refused, `numbered`
-    /// and `group` are as they were.
+    /// Checks updates and makes numbered snapshots of them, not yet visible. After an error `numbered` and `group`
+    /// are unchanged.
     fn number(
         &self,
         updates: Vec<Commit>,
@@ -148,7 +148,7 @@ impl WorkingMemory {
         refused
     }
 
-    /// One numbered snapshot, and what was numbered of its entity before.
+    /// One numbered snapshot; `numbered` gives the entity's earlier version in this group.
     fn number_one(
         &self,
         update: Commit,
@@ -213,9 +213,8 @@ impl WorkingMemory {
         }
     }
 
-    /// How many bytes a snapshot adds, where there is room for it: in the whole memory, and in the share of its owner
-    /// where one is given. What it pushes out of its entity's history makes room for it, and that an entity is gone is
-    /// always taken.
+    /// How many bytes a snapshot adds, if there is capacity in the whole memory and in its owner's share, if given.
+    /// The snapshot that drops out of the entity's history counts as freed. A removal is always accepted.
     pub(super) fn check_room(
         &self,
         state: &State,
@@ -238,7 +237,7 @@ impl WorkingMemory {
                 return Err(MemoryError::Full { id: id.to_string(), entities: most.entities as u64 });
             }
             if held.bytes + bytes > most.bytes && !is_gone {
-                // Of several updates of an entity at once, only the first makes room.
+                // Of several updates of an entity in one group, only the first frees a snapshot.
                 let is_first = !numbered.newest.contains_key(id);
                 let freed = if is_first { state.freed(id, self.limits.history) } else { 0 };
                 added = bytes.saturating_sub(freed);
@@ -250,12 +249,12 @@ impl WorkingMemory {
         Ok(added)
     }
 
-    /// Makes snapshots visible, and tells the subscribers in the same order.
+    /// Makes snapshots visible, and sends them to subscribers in the same order.
     pub(super) fn put_in(&self, snapshots: Vec<Arc<Snapshot>>) {
         let mut state = self.state.write();
         for snapshot in snapshots {
             state.put_in(&snapshot, self.limits.history);
-            // Nobody listening is no error.
+            // Having no receiver is not an error.
             let _ = self.changes.send(snapshot);
         }
         state.forget_gone();

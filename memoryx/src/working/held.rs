@@ -1,4 +1,5 @@
-//! What a working memory holds: histories found by address in constant time, and in the order of addresses.
+//! The content of a working memory: histories, found by address in constant time, and iterated in the order of
+//! addresses.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::mem::size_of;
@@ -11,37 +12,37 @@ use indexmap::IndexMap;
 use crate::checked_query::{CheckedQuery, Selection};
 use crate::entity::{EntityId, Instance, Snapshot};
 
-/// What one allocation takes beyond its content, bytes, about.
+/// Overhead of one allocation, bytes, about.
 const ALLOCATION: usize = 16;
-/// Changes of which it is remembered when they arrived and whose they were.
+/// Number of recent changes whose arrival time and entity are remembered.
 const ARRIVALS: usize = 1 << 17;
 
-/// How many entities have to be gone at least before they are forgotten, and how long they have been then, ns: whoever
-/// follows has heard of it.
+/// Removed entities are forgotten when at least this many exist; only those that were removed at least this long ago,
+/// ns, so that followers have seen the removal.
 const CROWD: usize = 4096;
 const GONE_NS: u64 = 60_000_000_000;
 
 #[derive(Default)]
 pub(super) struct State {
-    /// By address. Places stay until [`State::forget_gone`].
+    /// By address. Positions are stable until [`State::forget_gone`].
     histories: IndexMap<EntityId, History>,
-    /// The places of the addresses of each core segment.
+    /// The positions of each core segment's addresses.
     segments: BTreeMap<String, BTreeMap<EntityId, usize>>,
     pub(super) read_only: BTreeSet<(String, String)>,
     bytes: u64,
-    /// What is held, by owner.
+    /// What each owner takes.
     taken: BTreeMap<String, Taken>,
-    /// The newest changes in their order: when they arrived, ns, and the places of their entities. So who has missed a
-    /// few of them costs no more than those.
+    /// The newest changes in order: arrival time, ns, and position of the entity. So a reader that missed a few
+    /// changes finds exactly those.
     arrivals: VecDeque<(u64, usize)>,
-    /// When the newest change arrived that is in `arrivals` no more, ns.
+    /// The arrival time of the newest change that was dropped from `arrivals`, ns.
     forgotten_until: u64,
-    /// How many entities are gone, and with how many of them those that have long been are forgotten.
+    /// The number of removed entities, and the number of them at which the next [`State::forget_gone`] runs.
     gone: usize,
     crowded: usize,
 }
 
-/// A part of a memory's room.
+/// A part of a memory's capacity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Taken {
     pub(super) entities: usize,
@@ -56,12 +57,12 @@ impl Add for Taken {
     }
 }
 
-/// Whose a provider segment is: its name up to the first dot.
+/// The owner of an entity's provider segment: the segment's name up to the first dot.
 pub(super) fn owner(id: &EntityId) -> &str {
     id.provider().split('.').next().unwrap_or_default()
 }
 
-/// What is held of one entity. The newest snapshot is all that most questions look at.
+/// The snapshots of one entity. Most queries need the newest only.
 struct History {
     newest: Arc<Snapshot>,
     older: VecDeque<Arc<Snapshot>>,
@@ -87,7 +88,7 @@ impl State {
         self.taken.get(owner).copied().unwrap_or_default()
     }
 
-    /// How many bytes the next snapshot of an entity pushes out, where `keep` are held.
+    /// How many bytes the next snapshot of an entity drops from its history, if `keep` snapshots are held.
     pub(super) fn freed(&self, id: &EntityId, keep: usize) -> u64 {
         let Some(history) = self.histories.get(id) else { return 0 };
         let is_full = history.older.len() + 1 >= keep;
@@ -104,7 +105,7 @@ impl State {
             && self.read_only.iter().any(|(s, p)| s == id.segment() && p == id.provider())
     }
 
-    /// What a question takes of what is held, in order of address, then version.
+    /// A query's answer, in order of address, then version.
     pub(super) fn select(&self, asked: &CheckedQuery<'_>) -> Vec<Arc<Snapshot>> {
         let mut answer = asked.answer();
         if let Some(id) = asked.query().pattern.exact() {
@@ -123,7 +124,7 @@ impl State {
         answer.finish()
     }
 
-    /// The versions that a question takes of one entity, whatever its bounds in all.
+    /// The versions of one entity that a query selects, ignoring the bounds of the whole answer.
     pub(super) fn versions(&self, asked: &CheckedQuery<'_>, id: &EntityId) -> Vec<u64> {
         let history = self.histories.get(id).into_iter();
         history.flat_map(|history| asked.select(history.iter())).map(|snapshot| snapshot.version).collect()
@@ -143,7 +144,7 @@ impl State {
         }
     }
 
-    /// Adds what a question takes of one entity, unless the answer is full: then it says so.
+    /// Adds a query's selection from one entity to `answer`. Returns false when the answer was full already.
     fn add(&self, asked: &CheckedQuery<'_>, id: &EntityId, place: usize, answer: &mut Selection<'_>) -> bool {
         if answer.is_full() {
             return false;
@@ -154,8 +155,8 @@ impl State {
         true
     }
 
-    /// The entities of which something arrived when the question asks for it, in order of address; `None` when that is
-    /// not asked for or not remembered.
+    /// The entities that changed since the query's `arrived_since`, in order of address; `None` when the query has
+    /// none, or the changes since then are no longer remembered.
     fn arrived(&self, asked: &CheckedQuery<'_>) -> Option<BTreeMap<&EntityId, usize>> {
         let since = asked.query().arrived_since.filter(|since| *since > self.forgotten_until)?;
         let first = self.arrivals.partition_point(|(arrived_ns, _)| *arrived_ns < since);
@@ -198,13 +199,13 @@ impl State {
             let forgotten = self.arrivals.pop_front();
             self.forgotten_until = forgotten.map_or(0, |(arrived_ns, _)| arrived_ns);
         }
-        // What is put back from a store may have arrived long ago; a time after the last one keeps the order.
+        // A snapshot from a store may have arrived long ago; taking the last arrival time keeps the order.
         let last = self.arrivals.back().map_or(0, |(arrived_ns, _)| *arrived_ns);
         self.arrivals.push_back((snapshot.arrived_ns.max(last), place));
     }
 
-    /// Forgets entities that have long been gone, when there are many: their names are free again, and their versions are
-    /// counted on by whatever keeps them, or anew.
+    /// Forgets entities that were removed long ago, when there are many. Their names are free again; their version
+    /// count continues if the backing has it, and restarts otherwise.
     pub(super) fn forget_gone(&mut self) {
         if self.gone < self.crowded.max(CROWD).max(self.histories.len() / 8) {
             return;
@@ -256,13 +257,13 @@ impl State {
 }
 
 impl Snapshot {
-    /// How many bytes it takes in memory, about.
+    /// Its size in memory, bytes, about.
     pub(crate) fn bytes(&self) -> u64 {
         bytes_of(&self.id, &self.instances)
     }
 }
 
-/// How many bytes a snapshot takes, about.
+/// The size of a snapshot in memory, bytes, about.
 pub(super) fn bytes_of(id: &EntityId, instances: &[Instance]) -> u64 {
     let of_attribute = |(name, value): (&str, &Value)| {
         size_of::<(Box<str>, Value)>() + name.len() + ALLOCATION + outside(value)
@@ -279,7 +280,7 @@ pub(super) fn bytes_of(id: &EntityId, instances: &[Instance]) -> u64 {
     (bytes + instances.iter().map(of_instance).sum::<usize>()) as u64
 }
 
-/// What a value takes besides itself, bytes, about.
+/// The heap size of a value, bytes, about.
 fn outside(value: &Value) -> usize {
     match value {
         Value::Null | Value::Bool(_) | Value::Int(_) | Value::Float(_) | Value::Duration(_) => 0,

@@ -1,5 +1,5 @@
-//! Questions to working memory and long-term memory together: both are asked for all that could decide the answer, in
-//! parts, so that no more is in memory at once than a part and the answer.
+//! Queries to working memory and long-term memory together. Both are asked for everything that can decide the answer,
+//! in parts, so that only one part and the answer are in memory.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -18,14 +18,14 @@ const PART_BYTES: u64 = 16 << 20;
 /// Snapshots by entity and version.
 type Known = BTreeMap<EntityId, BTreeMap<u64, Arc<Snapshot>>>;
 
-/// What is held, and what was ever kept.
+/// Working memory and everything that was ever stored.
 pub(super) struct MergedView<'m> {
     pub(super) memory: &'m WorkingMemory,
     pub(super) kept: &'m dyn Kept,
 }
 
 impl MergedView<'_> {
-    /// What a question asks for.
+    /// Answers a query.
     pub(super) fn ask(&self, asked: &CheckedQuery<'_>) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         let query = asked.query();
         let mut answer = asked.answer();
@@ -38,7 +38,8 @@ impl MergedView<'_> {
         Ok(answer.finish())
     }
 
-    /// Adds what follows from each snapshot or, where one of an entity is asked for, from the newest ones of both.
+    /// Adds the selection from each snapshot; for queries of one snapshot per entity, from the newest one of both
+    /// memories.
     fn add(&self, asked: &CheckedQuery<'_>, answer: &mut Selection<'_>) -> Result<(), MemoryError> {
         let mut wide = wider(asked.query(), self.memory.part);
         loop {
@@ -53,12 +54,12 @@ impl MergedView<'_> {
         }
     }
 
-    /// A part of what both know, and where it ends if there is more.
+    /// A part of both memories' content, and its end if there is more.
     fn part(&self, wide: &Query) -> Result<(Known, Option<Cursor>), MemoryError> {
         let recalled = self.kept.recall(wide)?;
         let held = self.memory.read().select(&wide.check()?);
         let cut = [&recalled, &held].into_iter().filter(|part| wide.is_filled_by(part));
-        // Beyond the end of a part that was cut not everything is known: that is asked for again.
+        // Past the end of a truncated part not everything is known: the next part begins there.
         let end = cut.filter_map(|part| part.last()).map(|last| place(last, wide)).min();
         let mut known = Known::new();
         for snapshot in recalled.into_iter().chain(held) {
@@ -69,7 +70,7 @@ impl MergedView<'_> {
         Ok((known, end.map(|(id, version)| Cursor { id, version })))
     }
 
-    /// Adds what follows from places in a history, entity by entity.
+    /// Adds the selection entity by entity, for queries that count snapshots.
     fn add_entities(&self, asked: &CheckedQuery<'_>, answer: &mut Selection<'_>) -> Result<(), MemoryError> {
         let query = asked.query();
         if let Some(id) = query.pattern.exact() {
@@ -92,7 +93,7 @@ impl MergedView<'_> {
         }
     }
 
-    /// Finds the versions between which all are that are asked for, and adds those.
+    /// Finds the range of versions that contains the selection, and adds it.
     fn add_entity(
         &self,
         asked: &CheckedQuery<'_>,
@@ -112,7 +113,7 @@ impl MergedView<'_> {
         }
         let one = CheckedQuery { query: &query, filter: asked.filter.clone() };
         let Some(limit) = asked.query().limit else { return self.add(&one, answer) };
-        // Where there are fewer, all are asked for.
+        // If there are fewer, all are selected.
         let Some(first) = self.nth(&one, id, limit.saturating_sub(1), true)? else {
             return self.add(&one, answer);
         };
@@ -121,7 +122,8 @@ impl MergedView<'_> {
         self.add(&CheckedQuery { query: &query, filter: asked.filter.clone() }, answer)
     }
 
-    /// The `n`th of the versions of an entity that a question chooses, from 0, from the first one or backwards.
+    /// The `n`th version of an entity that a query selects, from 0, counted from the first or backwards from the
+    /// last.
     fn nth(
         &self,
         asked: &CheckedQuery<'_>,
@@ -155,17 +157,18 @@ impl MergedView<'_> {
     }
 }
 
-/// Where a snapshot stands among the parts: where one of an entity is asked for, entities are not divided.
+/// The position of a snapshot in the order of parts. For queries of one snapshot per entity, parts do not divide
+/// entities.
 fn place(snapshot: &Snapshot, query: &Query) -> (EntityId, u64) {
     (snapshot.id.clone(), if is_one(query.times) { u64::MAX } else { snapshot.version })
 }
 
-/// Whether at most one snapshot of each entity is asked for.
+/// Whether a query selects at most one snapshot per entity.
 fn is_one(times: Times) -> bool {
     matches!(times, Times::Latest | Times::At(_) | Times::Before(_))
 }
 
-/// What two memories are asked for when the answer is taken of what they know together: all that could decide it.
+/// The query that both memories get, so that their answers together decide `query`.
 fn wider(query: &Query, part: usize) -> Query {
     let is_one = is_one(query.times);
     let most = query.most.filter(|_| !is_one && !query.is_nearest());

@@ -1,12 +1,12 @@
-//! Working memory: what an agent knows now, in this process, with a bounded history of each entity.
+//! Working memory: an agent's present knowledge, in this process, with a bounded history of each entity.
 //!
-//! - The clock is passed in ([`Clock`]); arrival times come from it and from nowhere else.
-//! - Typed core segments are checked, others are free ([`SegmentSchema`]).
-//! - A [`Backing`] makes commits durable before they are acknowledged, and keeps the version numbers of entities
-//!   that this memory has not seen yet.
-//! - Writers wait for each other; those who wait together are made durable together, by one write of the backing. A
-//!   reader waits only while the new snapshots are put in, never for the backing.
-//! - What it holds is bounded: entities, history, bytes, how far ahead data may speak.
+//! - The clock is passed in ([`Clock`]); arrival times come only from it.
+//! - Typed core segments are checked, others are not ([`SegmentSchema`]).
+//! - A [`Backing`] makes commits durable before they are acknowledged, and knows the version numbers of entities that
+//!   this memory does not hold.
+//! - Writers wait for each other; those that wait together are made durable by one write of the backing. Readers wait
+//!   only while new snapshots are inserted, never for the backing.
+//! - Its content is bounded: entities, history, bytes, and how far in the future data may be.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -30,20 +30,20 @@ use held::{State, Taken};
 use merged_view::MergedView;
 use parking_lot::{Mutex, RwLock};
 
-/// Tells the time, ns since an epoch that the whole memory shares.
+/// Returns the time, ns since an epoch that the whole memory shares.
 pub type Clock = Arc<dyn Fn() -> u64 + Send + Sync>;
 
-/// The time since this call on tokio's clock, ns: virtual time where that clock is paused.
+/// A clock that counts from this call on tokio's clock, ns: virtual time where that clock is paused.
 #[must_use]
 pub fn tokio_clock() -> Clock {
     let start = tokio::time::Instant::now();
     Arc::new(move || u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX))
 }
 
-/// How much a working memory holds.
+/// The capacity of a working memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Newest snapshots kept of each entity; at least 1.
+    /// Newest snapshots that are kept of each entity; at least 1.
     pub history: usize,
     /// Most entities.
     pub entities: usize,
@@ -51,10 +51,10 @@ pub struct Limits {
     pub backlog: usize,
     /// Most bytes of all snapshots together, about.
     pub bytes: u64,
-    /// How far ahead of this memory's clock data may speak, ns; any time where none is given.
+    /// How far in the future of this memory's clock data may be, ns; `None`: no limit.
     pub ahead_ns: Option<u64>,
-    /// Into how many shares entities and bytes are divided: whoever owns a provider segment, which is its name up to the
-    /// first dot, takes one of them at most, so that there is room for others. 1: nobody is held back.
+    /// Into how many shares entities and bytes are divided. The owner of provider segments, which is their name up to
+    /// the first dot, gets one share at most, so that capacity remains for others. 1: no owner is limited.
     pub shares: u32,
 }
 
@@ -65,44 +65,46 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// Of a memory that others write to: no time that is more than a minute ahead, and a quarter of it for an owner at most.
+    /// For a memory that others write to: data at most a minute in the future, and a quarter of the capacity per
+    /// owner.
     #[must_use]
     pub fn of_agent() -> Self {
         Self { ahead_ns: Some(60_000_000_000), shares: 4, ..Self::default() }
     }
 }
 
-/// What stands behind a working memory: it is asked before a commit is acknowledged.
+/// The storage behind a working memory, which is called before a commit is acknowledged.
 pub trait Backing: Send + Sync {
-    /// The newest version that was ever given to an entity that is not in working memory; 0 if there was none.
+    /// The newest version ever assigned to an entity that is not in working memory; 0 if there is none.
     ///
     /// # Errors
-    /// [`MemoryError::Store`] when that cannot be found out.
+    /// [`MemoryError::Store`] when it cannot be read.
     fn last_version(&self, id: &EntityId) -> Result<u64, MemoryError>;
 
-    /// Takes the snapshots of one commit, all or none, before it is acknowledged or seen by anybody. May block
-    /// for a write to disk.
+    /// Stores the snapshots of a commit, all or none, before the commit is acknowledged or visible. May block for a
+    /// write to disk.
     ///
     /// # Errors
-    /// [`MemoryError::Store`] when they cannot be taken; the commit is then refused.
+    /// [`MemoryError::Store`] when they cannot be stored; the commit is then refused.
     fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError>;
 
-    /// What it has taken so far, where that can be asked.
+    /// Its content, if that can be queried.
     fn kept(&self) -> Option<&dyn Kept> {
         None
     }
 }
 
-/// All that a [`Backing`] was ever given.
+/// Everything that a [`Backing`] was ever given.
 pub trait Kept {
-    /// What a query asks for.
+    /// Answers a query.
     ///
     /// # Errors
     /// [`MemoryError::Store`] when it cannot be read; [`MemoryError::Query`].
     fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError>;
 
-    /// Gives the versions that a query chooses of the one entity that its pattern names, whatever its bounds, to `act`, in
-    /// their order or `backwards`, until it says that this is enough. The query is not about one time.
+    /// Passes the versions that a query selects from the one entity of its pattern to `act`, in order or `backwards`,
+    /// until `act` returns that this is enough. Ignores the query's bounds. The query must not be about a single
+    /// time.
     ///
     /// # Errors
     /// As [`Self::recall`].
@@ -120,12 +122,12 @@ pub struct WorkingMemory {
     limits: Limits,
     schemas: BTreeMap<String, SegmentSchema>,
     backing: Option<Arc<dyn Backing>>,
-    /// Most snapshots that the backing is asked for at once.
+    /// Most snapshots in one query to the backing.
     part: usize,
     changes: broadcast::Sender<Arc<Snapshot>>,
-    /// Commits that wait for the one who commits.
+    /// Commits that wait for the committing thread.
     waiting: Mutex<Vec<Request>>,
-    /// Held by the one who commits, over the backing's answer; the time of the last arrival, ns.
+    /// Locked by the committing thread, also during the backing's write; the last arrival time, ns.
     committing: Mutex<u64>,
     state: RwLock<State>,
 }
@@ -148,7 +150,7 @@ impl WorkingMemory {
         }
     }
 
-    /// The same memory with other limits. To be called before anybody subscribes.
+    /// The same memory with other limits. To be called before anyone subscribes.
     #[must_use]
     pub fn with_limits(mut self, limits: Limits) -> Self {
         self.limits = Limits { history: limits.history.max(1), shares: limits.shares.max(1), ..limits };
@@ -163,14 +165,14 @@ impl WorkingMemory {
         self
     }
 
-    /// The same memory on something that keeps its commits.
+    /// The same memory with storage behind it.
     #[must_use]
     pub fn with_backing(mut self, backing: Arc<dyn Backing>) -> Self {
         self.backing = Some(backing);
         self
     }
 
-    /// The same memory, which asks its backing in smaller parts.
+    /// The same memory, which queries its backing in smaller parts.
     #[cfg(test)]
     pub(crate) fn in_parts_of(mut self, part: usize) -> Self {
         self.part = part;
@@ -189,31 +191,31 @@ impl WorkingMemory {
         (self.clock)()
     }
 
-    /// Whether something keeps its commits, so that they may take as long as a disk does.
+    /// Whether a backing stores its commits, so that they may take as long as a disk.
     #[must_use]
     pub fn has_backing(&self) -> bool {
         self.backing.is_some()
     }
 
-    /// How many entities it holds, the removed ones included.
+    /// How many entities it holds, removed ones included.
     #[must_use]
     pub fn len(&self) -> usize {
         self.read().len()
     }
 
-    /// How many bytes its snapshots take, about.
+    /// The size of its snapshots, bytes, about.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         self.read().bytes()
     }
 
-    /// Whether it holds nothing.
+    /// Whether it is empty.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// [`Memory::commit`] without a task: blocks only as long as the backing does.
+    /// [`Memory::commit`] without async: blocks only as long as the backing does.
     ///
     /// # Errors
     /// As [`Memory::commit`].
@@ -230,7 +232,7 @@ impl WorkingMemory {
         self.write(updates, sent_ns, false)
     }
 
-    /// Several commits at once: each is taken or refused for itself, and those that are taken are made durable
+    /// Several commits at once: each is accepted or refused individually, and the accepted ones are made durable
     /// together.
     pub fn commit_group(&self, commits: Vec<(Vec<Commit>, u64)>) -> Vec<Result<Vec<u64>, MemoryError>> {
         let answers: Vec<_> = commits.iter().map(|_| Arc::new(Mutex::new(None))).collect();
@@ -250,7 +252,7 @@ impl WorkingMemory {
         answers.into_iter().map(taken).collect()
     }
 
-    /// Makes a provider segment read-only for everybody: prior knowledge.
+    /// Makes a provider segment read-only: prior knowledge.
     pub fn protect(&self, segment: &str, provider: &str) {
         let mut state = self.state.write();
         state.read_only.insert((segment.into(), provider.into()));
@@ -262,24 +264,24 @@ impl WorkingMemory {
         self.read().is_read_only(id)
     }
 
-    /// Commits into read-only provider segments too.
+    /// Commits, also into read-only provider segments.
     pub(crate) fn commit_prior(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError> {
         let now = self.now_ns();
         self.write(updates, now, true)
     }
 
-    /// Whether a snapshot that comes from elsewhere, with its version, is one that this memory could have made.
+    /// Checks that a snapshot with its version, which comes from elsewhere, is valid in this memory.
     ///
     /// # Errors
-    /// [`MemoryError::Store`] for its version; [`MemoryError::Schema`] and [`MemoryError::Confidence`].
+    /// [`MemoryError::Store`] for an invalid version; [`MemoryError::Schema`] and [`MemoryError::Confidence`].
     pub fn check_kept(&self, snapshot: &Snapshot) -> Result<(), MemoryError> {
         snapshot.check_version()?;
         self.check(&snapshot.id, &snapshot.instances)
     }
 
-    /// Puts back what a store has kept, with its versions and times; what this memory knows as new or newer stays, and
-    /// what it would not take is left out: that is in the store only. Returns how many snapshots were put back, and why
-    /// the first one was left out. The backing is not asked: it is where they come from.
+    /// Inserts snapshots from a store, with their versions and times. Entities that this memory has in the same or a
+    /// newer version stay; invalid snapshots are left out, and remain in the store only. Returns how many were
+    /// inserted, and why the first one was left out. The backing is not called, because it is the source.
     pub fn restore(&self, snapshots: Vec<Arc<Snapshot>>) -> (usize, Option<MemoryError>) {
         let _one_writer = self.committing.lock();
         let state = self.read();
@@ -308,7 +310,7 @@ impl WorkingMemory {
         (count, refused)
     }
 
-    /// [`Memory::latest`] without a task.
+    /// [`Memory::latest`] without async.
     ///
     /// # Errors
     /// [`MemoryError::NotFound`] when there is none.
@@ -317,7 +319,7 @@ impl WorkingMemory {
         found.ok_or_else(|| MemoryError::NotFound { id: id.to_string() })
     }
 
-    /// [`Memory::query`] without a task.
+    /// [`Memory::query`] without async.
     ///
     /// # Errors
     /// As [`Memory::query`].

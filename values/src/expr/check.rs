@@ -1,4 +1,4 @@
-//! From CEL's syntax tree to ours: names resolved, types and units checked, mistakes placed.
+//! From CEL's syntax tree to our own: resolves names, checks types and units, and locates errors.
 
 use cel::IdedExpr;
 use cel::common::ast::{CallExpr, EntryExpr, Expr as Cel, LiteralValue, SelectExpr, SourceInfo};
@@ -13,9 +13,9 @@ use super::{
 use crate::types::{Fit, Type};
 use crate::unit::Unit;
 
-/// Deepest nesting of an expression; deeper ones would need much of the stack to evaluate and to drop.
+/// Deepest nesting of an expression; evaluating and dropping deeper ones would need much stack.
 const MAX_DEPTH: usize = 200;
-/// Most comprehensions inside one another.
+/// Deepest nesting of comprehensions.
 const MAX_COMPREHENSIONS: usize = 3;
 
 pub(super) fn compile(source: &str, environment: &dyn Environment) -> Result<Expr, ExprError> {
@@ -25,7 +25,7 @@ pub(super) fn compile(source: &str, environment: &dyn Environment) -> Result<Exp
     if source.trim().is_empty() {
         return Err(whole(source, Kind::Syntax, "there is no expression here".into()));
     }
-    // An environment without macros leaves `list.all(x, p)` as the call that was written.
+    // An environment without macros leaves `list.all(x, p)` as an ordinary call.
     let parser = cel::Env::default().parser().enable_optional_syntax(false);
     let (tree, places) = parser.parse_with_source_info(source).map_err(|e| syntax(source, &e))?;
     let mut checker = Checker {
@@ -41,7 +41,7 @@ pub(super) fn compile(source: &str, environment: &dyn Environment) -> Result<Exp
     checker.reads.channels.dedup();
     checker.reads.slots.sort_unstable();
     checker.reads.slots.dedup();
-    // Channels hold records and lists: what reads one is not for the quick way.
+    // Channels hold records and lists, so the fast path does not read them.
     let scalar = matches!(ty, Type::Bool | Type::Int | Type::Float(_) | Type::Duration);
     let quick = scalar && checker.reads.channels.is_empty();
     Ok(Expr { source: source.to_owned(), ty, reads: checker.reads, quick, root })
@@ -86,7 +86,7 @@ pub(super) struct Checker<'a> {
     source: &'a str,
     places: &'a SourceInfo,
     environment: &'a dyn Environment,
-    /// Variables of the comprehensions around, outermost first.
+    /// Variables of the enclosing comprehensions, outermost first.
     bound: Vec<(String, Type)>,
     reads: Reads,
     depth: usize,
@@ -110,7 +110,7 @@ impl Checker<'_> {
         Pos { start: u16::try_from(start).unwrap_or(0), end: u16::try_from(end).unwrap_or(0) }
     }
 
-    /// From the first byte of `of` to the end of the token `id`: a dotted name as it was written.
+    /// From the first byte of `of` to the end of the token `id`: the source text of a dotted name.
     fn range(&self, of: &IdedExpr, id: u64) -> (usize, usize) {
         let mut first = of;
         while let Cel::Select(select) = &first.expr {
@@ -196,7 +196,7 @@ impl Checker<'_> {
         })
     }
 
-    /// A dotted name: a comprehension's variable, or a variable of the environment, and fields of it.
+    /// A dotted name: a comprehension's variable or a variable of the environment, and a path of fields in it.
     fn path(&mut self, expr: &IdedExpr) -> Checked {
         let Some((names, ids)) = dotted(expr) else {
             let Cel::Select(select) = &expr.expr else {

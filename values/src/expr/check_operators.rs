@@ -1,4 +1,4 @@
-//! Checking operators: numbers with their units, comparisons of what can be equal.
+//! Checks operators: units of numbers, and comparisons between comparable types.
 
 use cel::IdedExpr;
 

@@ -1,4 +1,4 @@
-//! The tree that a checked expression becomes, and its evaluation. Scalars are computed without allocation.
+//! The tree of a checked expression, and its evaluation. Scalars are computed without allocation.
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -9,12 +9,12 @@ use super::{MAX_ITEMS, MAX_PARTS};
 use crate::Value;
 use crate::value::text_parts;
 
-/// What names hold while an expression is evaluated.
+/// Supplies the values of names during an evaluation.
 pub trait World {
-    /// The value at a numbered place; `None` when it has none yet.
+    /// The value in a numbered slot; `None` when it has none yet.
     fn data(&self, slot: u32) -> Option<&Value>;
-    /// The newest value of a channel, or of the field of it that `path` names; `None` when it was never
-    /// published or lacks the field.
+    /// The newest value of a channel, or of its field `path`; `None` when the channel was never published or lacks
+    /// the field.
     fn channel(&self, channel: u32, path: &[String]) -> Option<Value>;
     /// Seconds since a channel was published; `None` when it never was.
     fn age(&self, channel: u32) -> Option<f64>;
@@ -26,15 +26,15 @@ pub trait World {
     fn active(&self, state: u32) -> bool;
 }
 
-/// Why an expression has no value.
+/// Why an evaluation failed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{message}")]
 pub struct EvalError {
     /// What happened, one sentence.
     pub message: String,
-    /// Bytes of the source that it happened at.
+    /// Start in the source, bytes.
     pub start: usize,
-    /// End of the bytes, exclusive.
+    /// End in the source, bytes, exclusive.
     pub end: usize,
     /// Whether the cause is a channel without a value or a number that is NaN.
     pub absent: bool,
@@ -42,7 +42,7 @@ pub struct EvalError {
     pub nan: bool,
 }
 
-/// A place in the source, bytes.
+/// A range in the source, bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Pos {
     pub(super) start: u16,
@@ -102,7 +102,7 @@ pub(super) enum Node {
     Macro(Macro, Box<(Node, Node)>, Pos),
 }
 
-/// A value on its way: scalars by copy, the rest borrowed where possible.
+/// An intermediate value: scalars by copy, others borrowed where possible.
 #[derive(Clone, Debug)]
 pub(super) enum Val<'v> {
     Null,
@@ -163,7 +163,7 @@ impl<'v> Val<'v> {
         }
     }
 
-    /// The value where it is not a scalar.
+    /// The value, unless it is a scalar.
     pub(super) fn as_value(&self) -> Option<&Value> {
         match self {
             Self::Ref(v) => Some(v),
@@ -188,7 +188,7 @@ struct Evaluation<'v, W: ?Sized> {
     /// A NaN from a channel counts as absent.
     observing: bool,
     items: Cell<u32>,
-    /// Parts of lists and maps that were put together.
+    /// Parts of the lists and maps built so far.
     parts: Cell<usize>,
 }
 
@@ -209,7 +209,7 @@ impl<'v, W: World + ?Sized> Evaluation<'v, W> {
 }
 
 impl<W: World + ?Sized> Evaluation<'_, W> {
-    /// A value that becomes part of a larger one.
+    /// Counts and converts a value that becomes part of a larger one.
     fn part(&self, value: Val<'_>, pos: Pos) -> Result<Value> {
         let parts = match &value {
             Val::Ref(value) => value.parts(),

@@ -1,4 +1,5 @@
-//! The functions of expressions, as one table: name, numbers of arguments, result. Their meaning is here too.
+//! The functions of expressions as one table: name, number of arguments, result type. Their implementation is here
+//! too.
 
 use super::eval::Val;
 use crate::Value;
@@ -76,7 +77,7 @@ pub(super) const TABLE: &[(&str, Function, usize, usize)] = &[
     ("Object", F::Object, 1, 1),
 ];
 
-/// What a function takes, for the checker.
+/// The argument types of a function, for the checker.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Takes {
     Numbers,
@@ -120,7 +121,7 @@ impl Function {
         }
     }
 
-    /// The value, or what is wrong with the arguments.
+    /// The result, or an error message about the arguments.
     pub(super) fn call<'v>(self, a: &[Val<'v>]) -> Result<Val<'v>, String> {
         let number =
             |i: usize| a[i].number().ok_or_else(|| format!("expected a number, found {}", a[i].describe()));
@@ -269,7 +270,7 @@ fn to_float(value: &Val<'_>) -> Result<f64, String> {
     }
 }
 
-/// The value as people read it; maps and lists as JSON.
+/// The value as text for people; maps and lists as JSON.
 pub(super) fn to_text(value: &Val<'_>) -> String {
     match value {
         Val::Null => "null".into(),

@@ -1,8 +1,9 @@
-//! Expressions: CEL text, checked against declared types at load, and a compact tree that is evaluated.
+//! Expressions: CEL text, checked against declared types at load time and compiled to a compact tree, which is
+//! evaluated.
 //!
-//! The crate `cel` only parses. What a name means is asked of an [`Environment`] once, at load; what it holds is
-//! asked of a [`World`] each time. Inside expressions durations are seconds and whole numbers are promoted to
-//! floats where a float is met. Nothing here knows states, channels or files beyond their numbers.
+//! The crate `cel` only parses. An [`Environment`] resolves names once, at load time; a [`World`] supplies their
+//! values at each evaluation. Inside expressions durations are seconds, and integers are promoted to floats where
+//! needed. This module knows states and channels by their numbers only, and no files.
 
 mod check;
 mod check_operators;
@@ -20,19 +21,19 @@ use crate::Value;
 use crate::types::Type;
 use scalar::Scalar;
 
-/// Longest expression that is parsed, bytes: the parser's stack is not ours.
+/// Longest expression that is parsed, bytes: it bounds the stack use of the external parser.
 pub const MAX_SOURCE: usize = 4096;
-/// Most list items that all comprehensions of one evaluation together may visit.
+/// Most list items that all comprehensions of one evaluation visit together.
 pub const MAX_ITEMS: u32 = 10_000;
-/// Most parts ([`Value::parts`]) of what one evaluation puts together.
+/// Most parts ([`Value::parts`]) of all values that one evaluation builds.
 pub const MAX_PARTS: usize = 100_000;
-/// Longest text that an evaluation puts together, bytes.
+/// Longest text that an evaluation builds, bytes.
 pub const MAX_TEXT: usize = 1_000_000;
 
 /// Where a name's value is found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Slot {
-    /// A numbered place for inputs, locals, outputs.
+    /// A numbered slot for inputs, locals, outputs.
     Data(u32),
     /// The newest value of a channel.
     Channel(u32),
@@ -42,18 +43,18 @@ pub enum Slot {
     EventData,
 }
 
-/// What a dotted name stands for.
+/// A resolved dotted name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Variable {
     /// Where its value is.
     pub slot: Slot,
     /// Its declared type.
     pub ty: Type,
-    /// How many parts of the dotted name were used up; what is left are fields of the value.
+    /// How many parts of the dotted name are the variable; the rest are fields of its value.
     pub used: usize,
 }
 
-/// What a name was looked up as.
+/// The kind of name that was looked up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unknown {
     /// A variable, or a field of it.
@@ -64,23 +65,23 @@ pub enum Unknown {
     State,
 }
 
-/// A name that stands for nothing.
+/// A name that cannot be resolved.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Unresolved {
-    /// What it was looked up as.
+    /// The kind of name that was looked up.
     pub kind: Unknown,
-    /// What is wrong, one sentence.
+    /// The problem, one sentence.
     pub message: String,
-    /// What to do about it.
+    /// How to fix it.
     pub help: Option<String>,
 }
 
-/// What names mean where an expression stands.
+/// Resolves the names in an expression.
 pub trait Environment {
-    /// The variable that the first parts of a dotted name stand for.
+    /// The variable that the first parts of a dotted name denote.
     ///
     /// # Errors
-    /// [`Unresolved`] when nothing of that name is in scope.
+    /// [`Unresolved`] when no such name is in scope.
     fn variable(&self, path: &[&str]) -> Result<Variable, Unresolved>;
     /// The number of a channel.
     ///
@@ -94,53 +95,53 @@ pub trait Environment {
     fn state(&self, path: &str) -> Result<u32, Unresolved>;
 }
 
-/// What kind of mistake an expression has.
+/// The kind of an error in an expression.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExprErrorKind {
     /// It is not CEL.
     Syntax,
-    /// It is longer or deeper than is allowed.
+    /// It is longer or deeper than the limit.
     TooLarge,
-    /// A name stands for nothing.
+    /// An unknown name.
     UnknownName,
     /// There is no such channel.
     UnknownChannel,
     /// There is no such state.
     UnknownState,
-    /// A function of that name and number of arguments does not exist.
+    /// No function has this name and number of arguments.
     UnknownFunction,
-    /// A value of another type is needed.
+    /// A value of the wrong type.
     Type,
-    /// A value in another unit is needed.
+    /// A value in a unit of the wrong kind.
     Unit,
 }
 
-/// A mistake found at load.
+/// An error found at load time.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{message}")]
 pub struct ExprError {
-    /// What kind of mistake.
+    /// The kind of error.
     pub kind: ExprErrorKind,
-    /// What is wrong, one sentence.
+    /// The problem, one sentence.
     pub message: String,
-    /// What to do about it.
+    /// How to fix it.
     pub help: Option<String>,
-    /// Bytes of the source that the mistake is about.
+    /// Start in the source, bytes.
     pub start: usize,
-    /// End of the bytes, exclusive.
+    /// End in the source, bytes, exclusive.
     pub end: usize,
 }
 
-/// What an expression reads, so that watches know when to look again.
+/// What an expression reads; it says when a watch must be evaluated again.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Reads {
     /// Channels, each once, in order.
     pub channels: Vec<u32>,
-    /// Whether it reads the age of a channel, so that it changes with time alone.
+    /// Whether it reads the age of a channel, so that its value changes with time alone.
     pub age: bool,
     /// Whether it reads data or states of the chart.
     pub data: bool,
-    /// The numbered places that it reads, each once, in order.
+    /// The numbered slots that it reads, each once, in order.
     pub slots: Vec<u32>,
     /// Whether it reads the event.
     pub event: bool,
@@ -152,7 +153,7 @@ pub struct Expr {
     source: String,
     ty: Type,
     reads: Reads,
-    /// Whether it may have a value that fits into registers.
+    /// Whether the fast path may be able to evaluate it.
     quick: bool,
     root: eval::Node,
 }
@@ -161,12 +162,12 @@ impl Expr {
     /// Parses and checks `source`.
     ///
     /// # Errors
-    /// [`ExprError`] with the place of the first mistake.
+    /// [`ExprError`] with the place of the first error.
     pub fn compile(source: &str, environment: &dyn Environment) -> Result<Self, ExprError> {
         check::compile(source, environment)
     }
 
-    /// The text it was compiled from.
+    /// The source text.
     #[must_use]
     pub fn source(&self) -> &str {
         &self.source
@@ -184,10 +185,10 @@ impl Expr {
         &self.reads
     }
 
-    /// Its value now.
+    /// Evaluates the expression.
     ///
     /// # Errors
-    /// [`EvalError`] with the place, for instance a value that is not there yet or a division by zero.
+    /// [`EvalError`] with the place, for instance for a missing value or a division by zero.
     pub fn evaluate<W: World + ?Sized>(&self, world: &W) -> Result<Value, EvalError> {
         if self.quick {
             match scalar::scalar(&self.root, world) {
@@ -200,7 +201,7 @@ impl Expr {
         self.interpret(world)
     }
 
-    /// As [`evaluate`](Self::evaluate), the long way: what the quick way is held against.
+    /// As [`evaluate`](Self::evaluate), without the fast path: the reference for its tests.
     ///
     /// # Errors
     /// [`EvalError`] with the place.
@@ -208,7 +209,7 @@ impl Expr {
         eval::evaluate(&self.root, world)
     }
 
-    /// Its truth now; anything but a bool is an error.
+    /// Evaluates a condition; a value that is not a bool is an error.
     ///
     /// # Errors
     /// [`EvalError`] with the place.
@@ -221,7 +222,7 @@ impl Expr {
         eval::test(&self.root, world, false)
     }
 
-    /// Its truth now, where a channel that was never published or a number that is NaN makes it false.
+    /// Evaluates a condition; a channel that was never published, or a NaN, makes it false.
     ///
     /// # Errors
     /// [`EvalError`] with the place, for every other failure.
@@ -232,16 +233,16 @@ impl Expr {
         }
     }
 
-    /// Its truth now, for an observer that wants to know why nothing can be said.
+    /// Evaluates a condition, for an observer that needs the reason of a failure.
     ///
     /// # Errors
-    /// [`EvalError`] with the place; `absent` where a channel was never published, and `nan` where its number is NaN.
+    /// [`EvalError`] with the place; `absent` when a channel was never published, and `nan` when its number is NaN.
     pub fn look<W: World + ?Sized>(&self, world: &W) -> Result<bool, EvalError> {
         eval::test(&self.root, world, true)
     }
 }
 
-/// The candidate nearest to a misspelt name, if one is near enough to be meant.
+/// The candidate most similar to a misspelt name, if one is similar enough.
 #[must_use]
 pub fn nearest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let limit = (name.chars().count() / 3).max(1);

@@ -1,4 +1,4 @@
-//! Operators on values while an expression is evaluated.
+//! Operators on values at evaluation.
 
 use std::cmp::Ordering;
 
@@ -28,7 +28,7 @@ pub(super) enum Comparison {
 }
 
 impl Comparison {
-    /// Whether it holds for two values of this order; numbers that are NaN have none.
+    /// Whether the comparison is true for two values in this order; NaN has no order.
     #[inline]
     pub(super) fn holds(self, order: Option<Ordering>) -> bool {
         match self {
@@ -64,7 +64,7 @@ pub(super) fn field<'v>(of: Val<'v>, name: &str, pos: Pos) -> Result<Val<'v>> {
     }
 }
 
-/// The named part of a geometric value or a reference.
+/// A named component of a geometric value or a reference.
 pub(super) fn part(value: &Value, name: &str) -> Option<Value> {
     let axis = |v: [f64; 3]| match name {
         "x" => Some(Value::Float(v[0])),

@@ -1,5 +1,5 @@
-//! The quick way through an expression: numbers, truth values and words in registers, without allocation. Where it
-//! does not lead to a value (another type, an error, a channel), the evaluation in `eval` says what there is.
+//! The fast path of evaluation: numbers and bools in registers, without allocation. Where it gives no value
+//! (another type, an error, a channel), the evaluation in `eval` gives the result or the error.
 
 use super::eval::{Node, World};
 use super::functions::Function as F;
@@ -30,7 +30,7 @@ impl Scalar {
     }
 }
 
-/// The value, if the quick way leads to one.
+/// The value, if the fast path can compute it.
 pub(super) fn scalar<W: World + ?Sized>(node: &Node, world: &W) -> Option<Scalar> {
     Some(match node {
         Node::Bool(b) => Bool(*b),

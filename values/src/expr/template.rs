@@ -1,4 +1,4 @@
-//! Text with `${...}` in it: split into literal text and expressions, without looking inside these.
+//! Text with `${...}` in it: split into literal text and expressions, without parsing these.
 
 /// A part of a text.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -54,7 +54,7 @@ pub fn split(text: &str) -> Result<Vec<Piece>, TemplateError> {
     Ok(pieces)
 }
 
-/// The byte of the brace that closes an expression; braces in strings and of map literals are passed over.
+/// The byte of the brace that closes an expression; skips braces in strings and of map literals.
 fn closing(text: &str) -> Option<usize> {
     let (mut depth, mut quote, mut escaped) = (0_usize, None, false);
     for (at, c) in text.char_indices() {

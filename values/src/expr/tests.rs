@@ -186,8 +186,8 @@ fn comprehensions_are_bounded() {
 }
 
 mod agreement {
-    //! The quick way and the long way of an expression agree; and both agree with the interpreter of the crate `cel`
-    //! where that has a value of the same kind.
+    //! The fast path and the full evaluation agree; and both agree with the interpreter of the crate `cel` where that
+    //! gives a value of the same kind.
 
     use proptest::prelude::*;
 
@@ -236,7 +236,7 @@ mod agreement {
         fixture
     }
 
-    /// What the crate's interpreter says, where it has a value.
+    /// The result of the crate's interpreter, if it has one.
     fn oracle(source: &str, n: i64, big: i64, flag: bool) -> Option<cel::Value> {
         let program = cel::Program::compile(source).ok()?;
         let mut context = cel::Context::default();
@@ -267,7 +267,8 @@ mod agreement {
             let value = expr.evaluate(&world);
             prop_assert_eq!(&value, &expr.interpret(&world), "{}", source);
             prop_assert_eq!(value.clone(), expr.test(&world).map(Value::Bool), "{}", source);
-            // Its `&&` and `||` look at both sides before they fail: only where ours has a value must they agree.
+            // Its `&&` and `||` evaluate both sides before they fail: the results must agree only where ours has a
+            // value.
             if let (Some(cel::Value::Bool(expected)), Ok(value)) = (oracle(&source, n, big, flag), value) {
                 prop_assert_eq!(value, Value::Bool(expected), "{}", source);
             }

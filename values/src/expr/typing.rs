@@ -1,4 +1,4 @@
-//! What the checker knows without a place: which operator a name is, how types go together, how they are called.
+//! The checker's rules that need no source place: names of operators, compatibility of types, names of types.
 
 use cel::IdedExpr;
 use cel::common::ast::Expr as Cel;
@@ -66,7 +66,7 @@ pub(super) fn is_text(ty: &Type) -> bool {
     matches!(ty, Type::String | Type::Enum(_))
 }
 
-/// The type of a value that is of one type or the other.
+/// The common type of two alternatives.
 pub(super) fn join(a: &Type, b: &Type) -> Type {
     match (a, b) {
         (a, b) if a == b => a.clone(),
