@@ -3,8 +3,7 @@
 //! | channel | fields | rate |
 //! |---|---|---|
 //! | `wrist` | `force`, `push`: lists of three (N, root frame); `normal`: N; `friction`: coefficient | 200 Hz |
-//! | `hand` | `gesture`, `confidence`, `position` (m), `direction`, `distance` (m, to the TCP), `hidden` (share of
-//! the outline) | each frame, while the channel has a reader |
+//! | `hand` | `gesture`, `confidence`, `position` (m), `direction`, `distance` (m, to the TCP), `hidden` (share of the outline) | each frame, while the channel has a reader |
 //! | `motion` | `phase` (rad), `frequency` (Hz), `position` (m), `velocity` (m/s), `normal_force` (N) | each control step of a running motion |
 
 mod arrival;
