@@ -8,7 +8,8 @@ use std::f64::consts::{PI, TAU};
 /// The cost of half a period between a phase and the hand's arrival, in units of the difference between the path's
 /// farthest and nearest distance.
 const ARRIVAL_WEIGHT: f64 = 2.0;
-/// An arrival phase is ignored if the path there is farther from the hand than this share of that difference.
+/// An arrival phase is ignored if the path is farther from the hand there than the nearest row by more than this share
+/// of that difference.
 const PLAUSIBLE: f64 = 0.75;
 /// The phase that a standing hand addresses changes by at most this much, rad.
 const HELD: f64 = TAU / 8.0;
