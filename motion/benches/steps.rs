@@ -1,4 +1,4 @@
-//! How long the steps take: `cargo bench -p armarium-motion`.
+//! The duration of control steps: `cargo bench -p armarium-motion`.
 
 #![allow(clippy::unwrap_used, missing_docs, reason = "a bench that cannot go on says where")]
 

@@ -1,7 +1,7 @@
-//! Couplings of a primitive with the space around it: from task space to joints, and around obstacles.
+//! Couplings of a primitive with its environment: from task space to joints, and around obstacles.
 //!
-//! Where they are applied decides what they do: through [`crate::PeriodicDmp::perturb`] (12) the motion gives way and
-//! comes back, through [`crate::PeriodicDmp::couple`] (13) the weights learn it. The coaching field itself is
+//! Their effect depends on where they are applied: with [`crate::PeriodicDmp::perturb`] (12) the motion yields and
+//! returns, with [`crate::PeriodicDmp::couple`] (13) the weights learn the change. The coaching field itself is
 //! [`crate::PotentialField`].
 
 use nalgebra::{SMatrix, SVector, Vector3};
@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{MotionError, finite, size, vector, within};
 
-/// Writes `J^+ task` to `joints`: a coupling in task space (M values) as one of the joints. `columns` are those of the
-/// Jacobian, one a joint. With `damping` (in the Jacobian's unit; 0 is the plain pseudoinverse) the answer stays
-/// bounded near singular postures. Does not allocate.
+/// Converts a coupling in task space (M values) to one in joint space: writes `J^+ task` to `joints`. `columns` are
+/// those of the Jacobian, one per joint. With `damping` (in the Jacobian's unit; 0 is the plain pseudoinverse) the
+/// result stays bounded near singular postures. Does not allocate.
 ///
 /// # Errors
 /// When sizes differ, a value is not finite, or the Jacobian has lost its rank and `damping` is 0; `joints` is then
@@ -33,7 +33,7 @@ pub fn joint_coupling<const M: usize>(
     }
     let square: SMatrix<f64, M, M> = columns.iter().map(|c| c * c.transpose()).sum();
     let square = square + SMatrix::identity() * (damping * damping);
-    // Below this the smallest direction is rounding: what it answered would be noise.
+    // Below this, the smallest direction is rounding error, and the result would be noise.
     let floor = 1e-13 * square.trace();
     let decomposed = square.cholesky().filter(|c| c.l_dirty().diagonal().iter().all(|l| l * l > floor));
     let Some(decomposed) = decomposed else {
@@ -47,15 +47,15 @@ pub fn joint_coupling<const M: usize>(
     Ok(())
 }
 
-/// A point that the motion goes around, by turning its velocity away.
+/// Avoids an obstacle point by rotating the motion's velocity away from it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ObstacleAvoidance {
     /// Strength gamma, 1/s.
     pub gamma: f64,
-    /// How fast the effect fades with the angle between motion and obstacle, 1/rad.
+    /// How fast the effect decreases with the angle between motion and obstacle, 1/rad.
     pub beta: f64,
-    /// Distance over which it fades, m; infinite for none, as in the paper.
+    /// Distance over which it decreases, m; infinite for no decrease, as in the paper.
     pub reach: f64,
 }
 
@@ -67,13 +67,15 @@ impl Default for ObstacleAvoidance {
 }
 
 impl ObstacleAvoidance {
-    /// The acceleration (m/s^2) that turns an end effector at `x` (m) with velocity `v` (m/s) around the obstacle at
-    /// `o` (m). It stands at right angles to `v`, in the plane of `v` and `o - x`; zero where there is no such plane. Divide
-    /// by `omega^2` (or multiply by `tau^2`) for [`crate::PeriodicDmp::perturb`] ([`crate::DiscreteDmp::perturb`]).
+    /// The acceleration (m/s^2) that turns an end effector at `x` (m) with velocity `v` (m/s) around the obstacle
+    /// at `o` (m). It is perpendicular to `v`, in the plane of `v` and `o - x`; zero if there is no such plane.
+    /// Divide by `omega^2` (or multiply by `tau^2`) for [`crate::PeriodicDmp::perturb`]
+    /// ([`crate::DiscreteDmp::perturb`]).
     ///
     /// # Source
     /// Hoffmann, Pastor, Park and Schaal, "Biologically-inspired dynamical systems for movement generation", ICRA
-    /// 2009: `gamma R v phi exp(-beta phi)` with R a quarter turn about `(o - x) x v`; differs in: `exp(-|o - x| / reach)`.
+    /// 2009: `gamma R v phi exp(-beta phi)` with R a rotation by 90 degrees about `(o - x) x v`; differs in:
+    /// `exp(-|o - x| / reach)`.
     #[must_use]
     pub fn coupling(&self, o: &Vector3<f64>, x: &Vector3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
         let towards = o - x;

@@ -1,12 +1,12 @@
-//! A change of a primitive as differences of its weights and its centre. Differences add up in any order, so that what
-//! several coaches change at the same time is all kept.
+//! A change of a primitive, as differences of its weights and its centre. Differences add up in any order, so that
+//! simultaneous changes by several coaches are all kept.
 //!
-//! It does not say why something was changed, and it carries neither state nor constants.
+//! It contains neither the reason of a change nor state nor constants.
 
 use crate::error::{MotionError, size};
 use crate::periodic::PeriodicDmp;
 
-/// What to add to weights and centre of a [`PeriodicDmp`].
+/// Differences to add to weights and centre of a [`PeriodicDmp`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct MotionEdit {
     weights: Vec<f64>,
@@ -15,23 +15,23 @@ pub struct MotionEdit {
 }
 
 impl MotionEdit {
-    /// No change, for primitives of the size of `dmp`.
+    /// An empty change, for primitives of the size of `dmp`.
     #[must_use]
     pub fn none(dmp: &PeriodicDmp) -> Self {
         Self { weights: vec![0.0; dmp.weights().len()], centre: vec![0.0; dmp.dofs()], empty: true }
     }
 
-    /// What leads from `before` to `after`.
+    /// The change from `before` to `after`.
     ///
     /// # Errors
-    /// [`MotionError::Size`] when the two have another number of weights or degrees of freedom.
+    /// [`MotionError::Size`] when the two differ in the number of weights or degrees of freedom.
     pub fn between(before: &PeriodicDmp, after: &PeriodicDmp) -> Result<Self, MotionError> {
         let mut edit = Self::none(before);
         edit.add_difference(before.weights(), before.centre(), after)?;
         Ok(edit)
     }
 
-    /// Adds what leads from `weights` and `centre` to those of `after`. Does not allocate.
+    /// Adds the change from `weights` and `centre` to those of `after`. Does not allocate.
     ///
     /// # Errors
     /// [`MotionError::Size`] when sizes differ; nothing is changed then.
@@ -68,20 +68,20 @@ impl MotionEdit {
         Ok(())
     }
 
-    /// Whether there is nothing to change.
+    /// Whether all differences are zero.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.empty
     }
 
-    /// Becomes no change. Does not allocate.
+    /// Sets all differences to zero. Does not allocate.
     pub fn clear(&mut self) {
         self.weights.fill(0.0);
         self.centre.fill(0.0);
         self.empty = true;
     }
 
-    /// Changes `dmp`; its state stays, so that the position does not jump. Does not allocate.
+    /// Applies the change to `dmp`. Its state is unchanged, so that the position does not jump. Does not allocate.
     ///
     /// # Errors
     /// [`MotionError::Size`] when sizes differ; nothing is changed then.

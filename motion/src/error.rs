@@ -1,18 +1,17 @@
-//! What can be wrong with the numbers that are handed in. Every operation of this crate that fails leaves
-//! its state as it was.
+//! Errors of invalid input. Every operation of this crate that fails leaves its state unchanged.
 
 /// Why an operation refused its input. `what` names the argument.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum MotionError {
-    /// A slice has another length than the primitive needs.
+    /// A slice has the wrong length.
     #[error("{what}: {expected} values needed, {got} given")]
     Size {
         /// The argument.
         what: &'static str,
-        /// The length that was needed.
+        /// The required length.
         expected: usize,
-        /// The length that was given.
+        /// The given length.
         got: usize,
     },
     /// A number is NaN or infinite, or a result would be.
@@ -21,12 +20,12 @@ pub enum MotionError {
         /// The argument or result.
         what: &'static str,
     },
-    /// A number lies outside of what it may be; the bounds belong to the allowed range unless the doc says otherwise.
+    /// A number is outside its allowed range; the bounds are allowed unless the doc says otherwise.
     #[error("{what} = {value:?} {}", beyond(*.value, *.low, *.high))]
     OutOfRange {
         /// The argument.
         what: &'static str,
-        /// What was given.
+        /// The given value.
         value: f64,
         /// The smallest allowed value.
         low: f64,
@@ -38,12 +37,12 @@ pub enum MotionError {
     TooFew {
         /// What there is too little of.
         what: &'static str,
-        /// The smallest number that works.
+        /// The smallest sufficient number.
         needed: usize,
-        /// The number given.
+        /// The given number.
         got: usize,
     },
-    /// The data do not determine the answer (points on one line, a constant signal).
+    /// The data do not determine the result (points on one line, a constant signal).
     #[error("{what} does not determine the answer: {why}")]
     Degenerate {
         /// The data.
@@ -53,7 +52,7 @@ pub enum MotionError {
     },
 }
 
-/// How the number lies, seen from its range.
+/// Describes the position of a number relative to its range.
 fn beyond(value: f64, low: f64, high: f64) -> String {
     if low == f64::MIN_POSITIVE && value < low {
         "is not over zero".to_owned()
@@ -70,16 +69,16 @@ pub(crate) fn finite(what: &'static str, values: &[f64]) -> Result<(), MotionErr
     if values.iter().all(|v| v.is_finite()) { Ok(()) } else { Err(MotionError::NotFinite { what }) }
 }
 
-/// The largest magnitude that is taken for a number of this world; beyond it products would overflow.
+/// The largest accepted magnitude; with larger numbers, products would overflow.
 pub(crate) const LARGEST: f64 = 1e60;
 
-/// Right length, all finite and none absurdly large.
+/// Checks the length, and that all values are finite and not larger than [`LARGEST`].
 pub(crate) fn vector(what: &'static str, expected: usize, values: &[f64]) -> Result<(), MotionError> {
     size(what, expected, values.len())?;
     values.iter().try_for_each(|v| within(what, *v, -LARGEST, LARGEST))
 }
 
-/// Finite and within `low..=high`.
+/// Checks that a value is finite and within `low..=high`.
 pub(crate) fn within(what: &'static str, value: f64, low: f64, high: f64) -> Result<(), MotionError> {
     finite(what, &[value])?;
     if (low..=high).contains(&value) {
@@ -89,29 +88,30 @@ pub(crate) fn within(what: &'static str, value: f64, low: f64, high: f64) -> Res
     }
 }
 
-/// A constant of a linear system such as alpha_z or a gain such as P(0): over zero, and not so large that its products with
-/// what is allowed elsewhere would overflow.
+/// Checks a constant of a linear system such as alpha_z, or a gain such as P(0): positive, and small enough that
+/// products with other allowed values do not overflow.
 pub(crate) fn constant(what: &'static str, value: f64) -> Result<(), MotionError> {
     within(what, value, 1e-9, 1e9)
 }
 
-/// The time between two samples of a signal: over zero and at most 1e6 s, after which nothing is left to follow.
+/// Checks the time between two samples of a signal: positive and at most 1e6 s, after which a signal cannot be
+/// followed.
 pub(crate) fn sample_time(value: f64) -> Result<(), MotionError> {
     within("dt", value, f64::MIN_POSITIVE, 1e6)
 }
 
-/// A frequency, rad/s, that something is divided by.
+/// Checks a frequency, rad/s, that is used as divisor.
 pub(crate) fn frequency(what: &'static str, value: f64) -> Result<(), MotionError> {
     within(what, value, 1e-9, LARGEST)
 }
 
-/// The width h of `count` kernels about one period: over zero, and not so narrow that there would be no kernel between
+/// Checks the width h of `count` kernels over one period: positive, and not so narrow that there is a gap between
 /// two centres.
 pub(crate) fn kernel_width(what: &'static str, value: f64, count: usize) -> Result<(), MotionError> {
     within(what, value, 1e-9, 100.0 * (count * count) as f64)
 }
 
-/// Finite and over zero.
+/// Checks that a value is finite and positive.
 pub(crate) fn positive(what: &'static str, value: f64) -> Result<(), MotionError> {
     within(what, value, f64::MIN_POSITIVE, f64::MAX)
 }

@@ -1,8 +1,8 @@
-//! The coaching field of the paper: how a gesture in space becomes a coupling term (eqs. 14-16), and the
-//! two-handed gesture interface of its second experiment (eqs. 18-21).
+//! The coaching field of the paper: converts a gesture in space to a coupling term (eqs. 14-16), and the two-handed
+//! gesture interface of its second experiment (eqs. 18-21).
 //!
-//! Pure functions of positions; who applies the coupling to a primitive is [`crate::Coach`] for the wiping motion, or
-//! the caller through [`crate::PeriodicDmp::couple`] (in joint space after a Jacobian pseudoinverse, eq. 17).
+//! Pure functions of positions. [`crate::Coach`] applies the coupling to the wiping motion; other callers use
+//! [`crate::PeriodicDmp::couple`] (in joint space after a Jacobian pseudoinverse, eq. 17).
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -19,12 +19,13 @@ pub struct PotentialField {
     pub eta: f64,
     /// Distance r_m at which the field has half its strength, m.
     pub r_m: f64,
-    /// How fast the field fades with the angle between motion and coaching point, 1/rad; only its size counts.
+    /// How fast the field decreases with the angle between motion and coaching point, 1/rad; only its magnitude
+    /// counts.
     pub beta: f64,
 }
 
 impl Default for PotentialField {
-    /// The paper's constants of the planar arm with links of 1 m (section III).
+    /// The paper's constants for the planar arm with links of 1 m (section III).
     fn default() -> Self {
         Self { gamma: 100.0, eta: 20.0, r_m: 0.35, beta: -8.0 / std::f64::consts::PI }
     }
@@ -37,7 +38,7 @@ impl PotentialField {
         reach(self.eta, self.r_m, distance)
     }
 
-    /// The size of C_y in (14), to be multiplied with the direction d: `o` is the coaching point and `x` the end
+    /// The magnitude of C_y in (14), to be multiplied by the direction d. `o` is the coaching point and `x` the end
     /// effector, m, `v` its velocity, m/s, all of the same dimension.
     ///
     /// # Source
@@ -61,7 +62,7 @@ pub(crate) fn reach(eta: f64, r_m: f64, distance: f64) -> f64 {
     1.0 / (1.0 + (eta * (distance - r_m)).exp())
 }
 
-/// One arm of the coach as a body tracker sees it, in the robot's base frame, m.
+/// One arm of the coach from a body tracker, in the robot's base frame, m.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CoachArm {
     /// The wrist.
@@ -70,7 +71,7 @@ pub struct CoachArm {
     pub elbow: Vector3<f64>,
 }
 
-/// Where the field of a gesture is centred and where it points.
+/// Centre and direction of a gesture's field.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CoachingCommand {
     /// Centre o, m.
@@ -79,7 +80,7 @@ pub struct CoachingCommand {
     pub d: Vector3<f64>,
 }
 
-/// The right hand pushes away from the coach: `distance` is xi_R, m. Nothing if wrist and elbow coincide.
+/// The right hand pushes away from the coach: `distance` is xi_R, m. `None` if wrist and elbow coincide.
 ///
 /// # Source
 /// Eqs. (18), (20).
@@ -89,7 +90,7 @@ pub fn pushing_hand(arm: &CoachArm, distance: f64) -> Option<CoachingCommand> {
     Some(CoachingCommand { o: arm.wrist + distance * d, d })
 }
 
-/// The left hand pulls towards the coach: `distance` is xi_L, m. Nothing if wrist and elbow coincide.
+/// The left hand pulls towards the coach: `distance` is xi_L, m. `None` if wrist and elbow coincide.
 ///
 /// # Source
 /// Eqs. (19), (21).
@@ -114,13 +115,13 @@ pub fn nearer_hand(
     }
 }
 
-/// How the motion slows down as the coach's hand comes near.
+/// Slows the motion down as the coach's hand comes near.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SlowDown {
-    /// At this distance and below, m, the motion is slowest.
+    /// At this distance or less, m, the motion is slowest.
     pub near: f64,
-    /// From this distance on, m, the motion is as fast as learned.
+    /// From this distance on, m, the motion has the learned speed.
     pub far: f64,
     /// The frequency at `near` as a share of the learned one, 0 to 1.
     pub slowest: f64,
@@ -133,7 +134,7 @@ impl Default for SlowDown {
 }
 
 impl SlowDown {
-    /// The factor on the frequency at `distance` m between hand and end effector, smooth, 1 when there is no hand
+    /// The factor on the frequency for a hand `distance` m from the end effector: smooth, and 1 without a hand
     /// (infinite or NaN).
     #[must_use]
     pub fn factor(&self, distance: f64) -> f64 {

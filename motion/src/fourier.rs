@@ -48,9 +48,9 @@ impl FourierSeries {
         }
     }
 
-    /// The value of every coordinate at `phase`, which later calls of [`learn`](Self::learn) refer to, and the
-    /// derivative after the phase with each harmonic divided by its number: a phase detector that steep edges do
-    /// not make narrow.
+    /// The value of every coordinate at `phase`, to which later calls of [`learn`](Self::learn) refer. Also the
+    /// derivative with respect to the phase, with each harmonic divided by its number: a phase detector that steep
+    /// edges do not make narrow.
     pub(crate) fn evaluate(&mut self, phase: f64, value: &mut [f64], slope: &mut [f64]) {
         self.tabulate(phase);
         for d in 0..self.dims {
@@ -65,7 +65,7 @@ impl FourierSeries {
         }
     }
 
-    /// Value, first and second derivative after the phase, for learning from.
+    /// Value, first and second derivative with respect to the phase, as learning data.
     pub(crate) fn triplet(&self, phase: f64, y: &mut [f64], dy: &mut [f64], ddy: &mut [f64]) {
         for d in 0..self.dims {
             (y[d], dy[d], ddy[d]) = (0.0, 0.0, 0.0);
@@ -83,8 +83,8 @@ impl FourierSeries {
         }
     }
 
-    /// Gradient step by `rate` on the errors at the phase of the last evaluation, for harmonics up to `highest`.
-    /// `pinned` is the coordinate whose first sine weight stays 0, so that the phase is defined.
+    /// Gradient step with `rate` on the errors at the last evaluated phase, for harmonics up to `highest`. The
+    /// first sine weight of the coordinate `pinned` stays 0, so that the phase is defined.
     pub(crate) fn learn_pinned(&mut self, rate: f64, error: &[f64], highest: usize, pinned: usize) {
         for (d, error) in error.iter().enumerate().take(self.dims) {
             let base = d * (self.harmonics + 1);
@@ -98,8 +98,8 @@ impl FourierSeries {
         }
     }
 
-    /// The same step without its part that would shift the whole signal in phase: an error of the phase is the
-    /// phase's to correct, and while it is, the coordinates keep their phases relative to each other.
+    /// The same step without the part that would shift the whole signal in phase: phase errors are corrected by the
+    /// phase itself, and meanwhile the coordinates keep their relative phases.
     pub(crate) fn learn(&mut self, rate: f64, error: &[f64], highest: usize) {
         let highest = self.harmonics.min(highest);
         let (mut along, mut norm) = (0.0, 0.0);
@@ -123,8 +123,8 @@ impl FourierSeries {
         }
     }
 
-    /// Mean product of the derivative after the phase and the detector of [`evaluate`](Self::evaluate): what a phase
-    /// error of 1 rad yields.
+    /// Mean product of the derivative with respect to the phase and the detector of [`evaluate`](Self::evaluate):
+    /// the response to a phase error of 1 rad.
     pub(crate) fn slope_power(&self) -> f64 {
         let mut power = 0.0;
         for d in 0..self.dims {
@@ -157,7 +157,7 @@ impl FourierSeries {
         (0..self.dims).max_by(|x, y| strength(x).total_cmp(&strength(y))).unwrap_or(0)
     }
 
-    /// Moves the origin of the phase to where the fundamental of coordinate `d` is largest, and returns the shift:
+    /// Moves the origin of the phase to the maximum of the fundamental of coordinate `d`, and returns the shift:
     /// new phase = old phase - shift.
     pub(crate) fn anchor(&mut self, d: usize) -> f64 {
         let (a, b) = self.weight(d, 1);
@@ -175,8 +175,8 @@ impl FourierSeries {
         shift
     }
 
-    /// Fits the weights up to `highest` (at most [`FITTED`]) to samples `(phase, values)` by least squares with a small
-    /// ridge, and returns the sum of squares that is left (infinite if there is no fit). Does not allocate.
+    /// Fits the weights up to `highest` (at most [`FITTED`]) to samples `(phase, values)` by least squares with a
+    /// small ridge. Returns the remaining sum of squares (infinite if there is no fit). Does not allocate.
     pub(crate) fn fit<'a>(
         &mut self,
         highest: usize,
@@ -229,7 +229,7 @@ impl FourierSeries {
     }
 }
 
-/// Harmonics that a fit takes at most: few periods say no more.
+/// Largest number of harmonics in a fit; a few periods do not determine more.
 pub(crate) const FITTED: usize = 5;
 const TERMS: usize = 2 * FITTED + 1;
 type Terms = SVector<f64, TERMS>;

@@ -1,5 +1,5 @@
-//! The two-layered imitation system: an adaptive oscillator finds phase and frequency of what is demonstrated, and a
-//! periodic primitive anchored to its phase learns the motion online.
+//! The two-layered imitation system: an adaptive oscillator finds phase and frequency of the demonstration, and a
+//! periodic primitive on the oscillator's phase learns the motion online.
 
 use std::f64::consts::TAU;
 
@@ -7,13 +7,14 @@ use crate::error::MotionError;
 use crate::oscillator::{AdaptiveOscillator, OscillatorConfig};
 use crate::periodic::{PeriodicDmp, PeriodicDmpConfig};
 
-/// Longest piece of time that is learned as one sample, s.
+/// Longest time that is learned as one sample, s.
 const LONGEST_SAMPLE: f64 = 0.01;
 
 /// Learns a periodic motion from samples of its position, at any sample rate.
 ///
-/// The primitive learns from the oscillator's Fourier series and not from the samples: position, velocity and
-/// acceleration on the phase, smooth although a camera sees only some noisy positions a period.
+/// The primitive learns from the oscillator's Fourier series and not from the samples. The series gives position,
+/// velocity and acceleration as smooth functions of the phase, even if a camera sees only a few noisy positions per
+/// period.
 #[derive(Debug, Clone)]
 pub struct Imitation {
     oscillator: AdaptiveOscillator,
@@ -22,7 +23,7 @@ pub struct Imitation {
     starts: u32,
     learned: f64,
     best_unexplained: f64,
-    /// What was learned at the end of the last period, while that is not known to be the demonstration's last.
+    /// The result at the end of the last period, kept back until the next period confirms it.
     pending: Kept,
     kept: Kept,
     next_keep: f64,
@@ -33,7 +34,7 @@ impl Imitation {
     /// For a signal of `oscillator.dims` coordinates.
     ///
     /// # Errors
-    /// When a constant cannot be, or the two have different numbers of coordinates.
+    /// When a constant is invalid, or the two have different numbers of coordinates.
     pub fn new(oscillator: OscillatorConfig, primitive: PeriodicDmpConfig) -> Result<Self, MotionError> {
         crate::error::size("dofs", oscillator.dims, primitive.dofs)?;
         let zeros = vec![0.0; primitive.dofs];
@@ -60,7 +61,7 @@ impl Imitation {
         Self::new(OscillatorConfig::with_dims(dofs), PeriodicDmpConfig::with_dofs(dofs))
     }
 
-    /// Sees the position `point`, `dt` s after the one before; samples that are missing are simply left out.
+    /// Processes the position `point`, `dt` s after the previous one. Missing samples are simply left out.
     ///
     /// # Errors
     /// As [`AdaptiveOscillator::update`].
@@ -77,7 +78,7 @@ impl Imitation {
         Ok(())
     }
 
-    /// A new start defines the phase anew: what was learned on the old one means nothing.
+    /// A restart defines the phase anew, which invalidates what was learned before.
     fn forget(&mut self) {
         self.starts = self.oscillator.starts();
         self.learning = false;
@@ -87,7 +88,7 @@ impl Imitation {
         self.primitive.forget();
     }
 
-    /// Learns the piece of phase that has passed in the last `dt`.
+    /// Learns the part of the phase that has passed in the last `dt`.
     fn learn_back(&mut self, dt: f64) -> Result<(), MotionError> {
         let (phase, omega) = (self.oscillator.phase(), self.oscillator.omega());
         if self.learned == 0.0 {
@@ -95,7 +96,7 @@ impl Imitation {
                 *g = self.oscillator.mean(d).unwrap_or(*g);
             }
         }
-        // A gap longer than a period teaches no more than a period.
+        // A gap longer than a period gives no more information than a period.
         let dt = dt.min(TAU / omega);
         let pieces = (dt / LONGEST_SAMPLE).ceil().max(1.0);
         let step = dt / pieces;
@@ -111,8 +112,8 @@ impl Imitation {
         Ok(())
     }
 
-    /// Keeps what was learned at the end of a period once the next one was like the ones before it too, so that a
-    /// demonstration may end without notice.
+    /// Accepts the result of a period once the next one was similar too, so that a demonstration may end at any
+    /// time.
     fn keep(&mut self) {
         if self.periods() < self.next_keep {
             return;
@@ -137,8 +138,8 @@ impl Imitation {
         &self.oscillator
     }
 
-    /// The primitive as learned so far; empty while [`learning`](Self::learning) is false. Clone it to run it:
-    /// its phase is the oscillator's.
+    /// The primitive as learned so far; empty while [`learning`](Self::learning) is false. Clone it to run it: its
+    /// phase is the oscillator's.
     #[must_use]
     pub fn primitive(&self) -> &PeriodicDmp {
         &self.primitive
@@ -156,15 +157,15 @@ impl Imitation {
         self.learned / TAU
     }
 
-    /// The result: the primitive and its frequency, Hz, as of the last period that was followed by another one like
-    /// it. Nothing before two periods were learned.
+    /// The result: the primitive and its frequency, Hz, from the last period that was followed by a similar one.
+    /// `None` before two periods were learned.
     #[must_use]
     pub fn result(&self) -> Option<(&PeriodicDmp, f64)> {
         self.kept.hz.map(|hz| (&self.kept.primitive, hz))
     }
 }
 
-/// A copy of what was learned; without a frequency it means nothing.
+/// A copy of the learned primitive with its frequency; invalid without a frequency.
 #[derive(Debug, Clone)]
 struct Kept {
     primitive: PeriodicDmp,

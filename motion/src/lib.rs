@@ -1,13 +1,14 @@
-//! Movement primitives and control laws: numbers in, numbers out.
+//! Movement primitives and control laws: numerical input, numerical output.
 //!
-//! Pure mathematics on `nalgebra`. Nothing here knows a robot, a thread, a file or a clock; time enters as `dt`.
-//! A step does not allocate. What comes from outside is checked: an operation that refuses its input says which
-//! value was wrong and leaves its state as it was.
+//! Pure mathematics on `nalgebra`, without robots, threads, files or clocks; time enters as `dt`. A step does not
+//! allocate. Input is checked: an operation that refuses its input names the invalid value and leaves its state
+//! unchanged.
 //!
-//! Where to start reading: `dmp/mod.rs` is the core that all primitives share, [`PeriodicDmp`] is what is executed,
-//! [`AdaptiveOscillator`] finds the rhythm of a demonstration, [`Imitation`] joins the two, [`Coach`] changes a motion while
-//! it runs, [`SurfaceAdaptation`] learns how it must move to keep a force, [`Motion`] is how it is kept.
-//! [`PeriodicOrientationDmp`] and [`DiscreteOrientationDmp`] are the primitives of orientations.
+//! Where to start reading: `dmp/mod.rs` is the core that all primitives share, and [`PeriodicDmp`] is the primitive
+//! that is executed. [`AdaptiveOscillator`] finds the frequency of a demonstration, [`Imitation`] combines the two,
+//! [`Coach`] changes a running motion, [`SurfaceAdaptation`] learns the motion that keeps a force, and [`Motion`]
+//! is the stored form. [`PeriodicOrientationDmp`] and [`DiscreteOrientationDmp`] are the primitives of
+//! orientations.
 //!
 //! Equation numbers refer to Petrič, Gams, Žlajpah, Ude and Morimoto, "Online approach for altering robot
 //! behaviors based on human in the loop coaching gestures", ICRA 2014, unless another paper is named.

@@ -1,7 +1,7 @@
-//! A motion as skills and memory share it: named, versioned, with units, and what it was learned from.
+//! A motion as skills and memory share it: name, version, units, and the source from which it was learned.
 //!
-//! A loaded motion is whole: sizes and values are checked, so that executing it cannot fail for its content. Going
-//! from one version to another while it runs is [`MotionSwitch`].
+//! A loaded motion is complete: sizes and values are checked, so that its execution cannot fail because of its
+//! content. [`MotionSwitch`] changes a running motion from one version to another.
 
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +19,7 @@ pub struct MotionDof {
     pub unit: String,
 }
 
-/// A periodic motion that was learned.
+/// A learned periodic motion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Saved", into = "Saved")]
 pub struct Motion {
@@ -37,7 +37,7 @@ pub struct Motion {
 
 impl Motion {
     /// Version 1 of the motion `name`: `primitive` at `frequency_hz`, its `dofs` in `frame`. The centre of the
-    /// workspace is the primitive's centre until [`with_workspace_centre`](Self::with_workspace_centre) says otherwise.
+    /// workspace is the primitive's centre, unless [`with_workspace_centre`](Self::with_workspace_centre) sets it.
     ///
     /// # Errors
     /// When the name is empty, the number of `dofs` is not that of the primitive, or the frequency not positive.
@@ -88,7 +88,7 @@ impl Motion {
         Ok(self)
     }
 
-    /// The same with a centre of the workspace, one value a degree of freedom.
+    /// The same with a centre of the workspace, one value per degree of freedom.
     ///
     /// # Errors
     /// When sizes differ or a value is not finite.
@@ -97,28 +97,28 @@ impl Motion {
         self.checked()
     }
 
-    /// The same with what it was learned from, in words.
+    /// The same with the source from which it was learned, as text.
     #[must_use]
     pub fn with_learned_from(mut self, learned_from: impl Into<String>) -> Self {
         self.learned_from = learned_from.into();
         self
     }
 
-    /// The same with the motion towards the surface that keeps the force.
+    /// The same with the correction along the surface normal that keeps the force.
     #[must_use]
     pub fn with_surface(mut self, surface: Option<SurfaceCorrection>) -> Self {
         self.surface = surface;
         self
     }
 
-    /// The same with how the hand turns meanwhile, on the same phase.
+    /// The same with the orientation of the hand, on the same phase.
     #[must_use]
     pub fn with_orientation(mut self, orientation: Option<PeriodicOrientationDmp>) -> Self {
         self.orientation = orientation;
         self
     }
 
-    /// The next version: another primitive of the same degrees of freedom, for the reason `learned_from`.
+    /// The next version: another primitive of the same degrees of freedom, with the source `learned_from`.
     ///
     /// # Errors
     /// When the degrees of freedom differ.
@@ -152,19 +152,19 @@ impl Motion {
         &self.dofs
     }
 
-    /// The frame that positions are given in.
+    /// The frame of its positions.
     #[must_use]
     pub fn frame(&self) -> &str {
         &self.frame
     }
 
-    /// How often it repeats, Hz.
+    /// Its frequency, Hz.
     #[must_use]
     pub fn frequency_hz(&self) -> f64 {
         self.frequency_hz
     }
 
-    /// How often it repeats, rad/s.
+    /// Its frequency, rad/s.
     #[must_use]
     pub fn omega(&self) -> f64 {
         std::f64::consts::TAU * self.frequency_hz
@@ -176,25 +176,26 @@ impl Motion {
         &self.primitive
     }
 
-    /// The centre of the workspace that the coach gave, one value a degree of freedom.
+    /// The centre of the workspace that the coach gave, one value per degree of freedom.
     #[must_use]
     pub fn workspace_centre(&self) -> &[f64] {
         &self.workspace_centre
     }
 
-    /// What it was learned from.
+    /// The source from which it was learned.
     #[must_use]
     pub fn learned_from(&self) -> &str {
         &self.learned_from
     }
 
-    /// The motion towards the surface that keeps the force, if it was learned.
+    /// The correction along the surface normal that keeps the force, if it was learned.
     #[must_use]
     pub fn surface(&self) -> Option<&SurfaceCorrection> {
         self.surface.as_ref()
     }
 
-    /// How the hand turns, in [`frame`](Self::frame), if the motion says so; otherwise its orientation is the executor's.
+    /// The orientation of the hand, in [`frame`](Self::frame), if the motion has one; otherwise the executor
+    /// chooses it.
     #[must_use]
     pub fn orientation(&self) -> Option<&PeriodicOrientationDmp> {
         self.orientation.as_ref()
@@ -256,9 +257,9 @@ impl TryFrom<Saved> for Motion {
     }
 }
 
-/// Leads a running primitive over to another version of its motion. Weights, centre and amplitude approach the
-/// other version's exponentially and are put to it exactly after twelve time constants; position and velocity stay
-/// continuous.
+/// Changes a running primitive to another version of its motion. Weights, centre and amplitude approach those of
+/// the other version exponentially and are set to them exactly after twelve time constants. Position and velocity
+/// stay continuous.
 #[derive(Debug, Clone)]
 pub struct MotionSwitch {
     weights: Vec<f64>,
@@ -269,8 +270,8 @@ pub struct MotionSwitch {
 }
 
 impl MotionSwitch {
-    /// From `running` to `target` with `time_constant` s. A target with other kernels or constants is fitted with
-    /// those of the running one.
+    /// A switch from `running` to `target` with `time_constant` s. If the target has other kernels or constants,
+    /// its path is fitted with those of the running primitive.
     ///
     /// # Errors
     /// When the degrees of freedom differ or the time constant is not positive.
@@ -288,11 +289,11 @@ impl MotionSwitch {
         })
     }
 
-    /// Leads `running` on by `dt` s, to be called before each step of it; returns whether the switch is complete.
-    /// Does not allocate.
+    /// Advances the switch of `running` by `dt` s. To be called before each step of `running`; returns whether the
+    /// switch is complete. Does not allocate.
     ///
     /// # Errors
-    /// When `dt` is not positive or `running` is not of the size it was.
+    /// When `dt` is not positive or the size of `running` has changed.
     pub fn step(&mut self, running: &mut PeriodicDmp, dt: f64) -> Result<bool, MotionError> {
         positive("dt", dt)?;
         size("weights", self.weights.len(), running.weights().len())?;
@@ -309,7 +310,7 @@ impl MotionSwitch {
     }
 }
 
-/// Goes `share` of the way to the target, exactly there for 1.
+/// Moves the values by `share` of the way to the target; 1 sets them exactly.
 fn approach(values: &mut [f64], target: &[f64], share: f64) {
     for (v, t) in values.iter_mut().zip(target) {
         *v = if share >= 1.0 { *t } else { *v + (t - *v) * share };
@@ -358,7 +359,7 @@ mod tests {
             .with_surface(Some(surface));
         let text = serde_json::to_string(&motion).unwrap();
         let loaded: Motion = serde_json::from_str(&text).unwrap();
-        // JSON's numbers may be off by the last bit.
+        // JSON numbers may differ in the last bit.
         let (a, b) =
             (loaded.primitive().steady_path(50).unwrap(), motion.primitive().steady_path(50).unwrap());
         assert!((0..50).all(|s| (0..3).all(|d| (a.y[s][d] - b.y[s][d]).abs() < 1e-12)));

@@ -1,11 +1,11 @@
-//! The repeat period of a vector signal: the time shift at which its recent past is most like itself.
+//! The repeat period of a vector signal: the time shift for which its recent past is most similar to itself.
 //!
-//! All coordinates are compared together, so that a figure of eight repeats once a round although one of its
+//! All coordinates are compared together, so that a figure of eight repeats once per round although one of its
 //! coordinates repeats twice.
 
 use crate::error::{MotionError, positive, vector, within};
 
-/// The recent past of an n-dimensional signal on an even time grid, in a ring.
+/// The recent past of an n-dimensional signal on a uniform time grid, in a ring buffer.
 #[derive(Debug, Clone)]
 pub(crate) struct History {
     dims: usize,
@@ -55,7 +55,7 @@ impl History {
         self.overhang
     }
 
-    /// Adds the sample `v`, `dt` s after the one before, interpolated linearly onto the grid.
+    /// Adds the sample `v`, `dt` s after the previous one, interpolated linearly onto the grid.
     pub(crate) fn push(&mut self, dt: f64, v: &[f64]) {
         if !self.started {
             self.started = true;
@@ -64,7 +64,7 @@ impl History {
             self.store(1.0, v);
             return;
         }
-        // Longer gaps than the history would only fill it with one straight line.
+        // A gap longer than the history would only fill it with one straight line.
         let dt = dt.min(self.grid * self.capacity as f64);
         let mut reached = self.grid - self.overhang;
         while reached <= dt {
@@ -112,12 +112,12 @@ impl History {
 pub struct PeriodEstimate {
     /// The period, s.
     pub period: f64,
-    /// Mean squared difference over one period, as a share of what unrelated samples would have: 0 repeats
-    /// exactly, 1 not at all.
+    /// Mean squared difference over one period, relative to that of unrelated samples: 0 for exact repetition, 1
+    /// for none.
     pub difference: f64,
 }
 
-/// Finds the repeat period of a vector signal that comes in sample by sample.
+/// Finds the repeat period of a vector signal, sample by sample.
 #[derive(Debug, Clone)]
 pub struct PeriodEstimator {
     history: History,
@@ -128,10 +128,12 @@ pub struct PeriodEstimator {
 }
 
 impl PeriodEstimator {
-    /// For a signal of `dims` coordinates and periods from `shortest` to `longest` s; remembers 2.5 of the longest.
+    /// For a signal of `dims` coordinates and periods from `shortest` to `longest` s; keeps a history of 2.5 times
+    /// the longest.
     ///
     /// # Errors
-    /// When a bound is not positive or the longest is not over the shortest, or over 1000 times it.
+    /// When a bound is not positive, or the longest is not greater than the shortest or more than 1000 times as
+    /// great.
     pub fn new(dims: usize, shortest: f64, longest: f64) -> Result<Self, MotionError> {
         within("dims", dims as f64, 1.0, 64.0)?;
         positive("shortest period", shortest)?;
@@ -142,7 +144,7 @@ impl PeriodEstimator {
         Ok(Self { history, shortest, longest, unrolled, difference })
     }
 
-    /// Adds a sample, `dt` s after the one before.
+    /// Adds a sample, `dt` s after the previous one.
     ///
     /// # Errors
     /// When `dt` is not positive or the sample does not fit; it is not added.
@@ -157,13 +159,13 @@ impl PeriodEstimator {
         &self.history
     }
 
-    /// Forgets everything.
+    /// Clears the history.
     pub fn clear(&mut self) {
         self.history.clear();
     }
 
-    /// The repeat period of the signal so far, if it repeats: it must have been seen for 1.75 periods. Several spans
-    /// of the past are tried, so that what came before the periodic part does not count for long.
+    /// The repeat period of the signal so far, if it repeats; at least 1.75 periods must have been seen. Several
+    /// spans of the past are tried, so that the time before the periodic part does not count for long.
     ///
     /// # Source
     /// The normalised difference function of de Cheveigné and Kawahara's YIN (2002), summed over the coordinates.
@@ -175,7 +177,7 @@ impl PeriodEstimator {
                 continue;
             }
             let found = self.estimate_over(count.min(self.history.len));
-            // A longer past is better evidence unless a shorter one repeats clearly better.
+            // A longer past is better evidence, unless a shorter one repeats clearly better.
             best = match (best, found) {
                 (Some(b), Some(f)) if f.difference < 0.6 * b.difference - 0.02 => Some(f),
                 (None, found) => found,
@@ -185,7 +187,7 @@ impl PeriodEstimator {
         best
     }
 
-    /// The estimate from the newest `span` s alone.
+    /// The estimate from the newest `span` s only.
     pub fn estimate_recent(&mut self, span: f64) -> Option<PeriodEstimate> {
         let count = (span / self.history.grid) as usize + 1;
         self.estimate_over(count.min(self.history.len))
@@ -219,9 +221,9 @@ impl PeriodEstimator {
     }
 }
 
-/// The first minimum that is about as deep as the deepest, as (lag, interpolated between the samples; depth).
+/// The first minimum that is about as deep as the deepest: (lag, interpolated between the samples; depth).
 fn first_dip(difference: &[f64], shortest: usize, longest: usize) -> Option<(f64, f64)> {
-    // Small lags count as a repeat only after the difference has been large once.
+    // A small lag counts as a repetition only after the difference has been large.
     let apart = difference.iter().position(|d| *d > 0.5)?.max(shortest);
     let lags = apart..longest.min(difference.len() - 1);
     let deepest = lags.clone().map(|l| difference[l]).fold(f64::INFINITY, f64::min);

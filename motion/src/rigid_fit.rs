@@ -1,33 +1,33 @@
-//! The rigid transform that maps one set of points onto another in the least-squares sense: the calibration of a
+//! The rigid transform that maps one set of points onto another in the least-squares sense, for calibrating a
 //! camera to a robot from pairs of points.
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use crate::error::{MotionError, finite, size};
 
-/// A fitted transform and how far it can be trusted.
+/// A fitted transform and its accuracy.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RigidFit {
     /// `target = target_from_source * source`.
     pub target_from_source: Isometry3<f64>,
-    /// Root mean square distance of the mapped points, m.
+    /// RMS distance between the mapped points and their targets, m.
     pub rms: f64,
-    /// The largest distance of a mapped point, m.
+    /// The largest of these distances, m.
     pub worst: f64,
-    /// Spread of the points along their principal axes, m, largest first (root mean square).
+    /// Spread of the points along their principal axes, m, largest first (RMS).
     pub spread: [f64; 3],
-    /// Standard deviation that the residuals imply for a turn about the worst-determined axis, rad.
+    /// Standard deviation of the rotation about the worst-determined axis, from the residuals, rad.
     pub angle_sigma: f64,
 }
 
 /// Fits `target ~ R source + t` to pairs of points, m.
 ///
 /// # Errors
-/// [`MotionError::TooFew`] for less than three pairs, [`MotionError::Degenerate`] when the points lie (nearly) on one
-/// line, so that a turn about it is free; sizes and values that do not fit.
+/// [`MotionError::TooFew`] for fewer than three pairs, [`MotionError::Degenerate`] when the points lie (nearly) on
+/// one line, so that the rotation about it is free; also for sizes that differ and values that are not finite.
 ///
 /// # Source
-/// Arun, Huang and Blostein 1987, by the singular value decomposition; a reflection is turned into the nearest
+/// Arun, Huang and Blostein 1987, by the singular value decomposition; a reflection is replaced by the nearest
 /// rotation.
 pub fn rigid_fit(source: &[Point3<f64>], target: &[Point3<f64>]) -> Result<RigidFit, MotionError> {
     size("target points", source.len(), target.len())?;
@@ -57,7 +57,7 @@ pub fn rigid_fit(source: &[Point3<f64>], target: &[Point3<f64>]) -> Result<Rigid
         |(s, t): (&Point3<f64>, &Point3<f64>)| (rotation * s.coords + translation - t.coords).norm();
     let squares: f64 = source.iter().zip(target).map(|p| residual(p).powi(2)).sum();
     let worst = source.iter().zip(target).map(residual).fold(0.0, f64::max);
-    // A turn about the longest axis moves the points only by their spread across it.
+    // A rotation about the longest axis moves the points only in proportion to their spread across it.
     let freedom = (3.0 * n - 6.0).max(1.0);
     let across = (spread[1].powi(2) + spread[2].powi(2)).sqrt();
     Ok(RigidFit {
@@ -83,7 +83,7 @@ fn nearest_rotation(cross: &Matrix3<f64>) -> Result<Rotation3<f64>, MotionError>
     let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
         return Err(MotionError::Degenerate { what: "points", why: "their decomposition fails" });
     };
-    // The sign goes to the smallest singular value, wherever the decomposition has put it.
+    // The sign belongs to the smallest singular value, wherever it is in the decomposition.
     let smallest = svd.singular_values.imin();
     let mut signs = Vector3::repeat(1.0);
     signs[smallest] = (u.determinant() * v_t.determinant()).signum();

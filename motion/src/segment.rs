@@ -1,7 +1,7 @@
-//! The parts of a demonstration: rest, the first swipe that gives the workspace, and the periodic part after it.
+//! Segments a demonstration: rest, the first swipe, which defines the workspace, and the periodic part after it.
 //!
-//! Works on the positions of the tool as they are tracked: noisy, at the camera's rate, with samples missing. It does
-//! not look for the rhythm; that is [`crate::AdaptiveOscillator`]'s.
+//! Works on tracked positions of the tool: noisy, at the camera's rate, with missing samples. It does not estimate
+//! the frequency; [`crate::AdaptiveOscillator`] does.
 
 use std::collections::VecDeque;
 
@@ -16,7 +16,7 @@ use crate::error::{MotionError, finite, positive, within};
 pub struct SegmenterConfig {
     /// The tool rests when it stays within `rest_radius` of a place for this long, s.
     pub rest_time: f64,
-    /// Root mean square distance from its mean that still is rest, m; must cover the noise.
+    /// Largest RMS distance from the mean that still counts as rest, m; must cover the noise.
     pub rest_radius: f64,
     /// How far from rest a motion begins, m.
     pub departure: f64,
@@ -26,9 +26,10 @@ pub struct SegmenterConfig {
     pub crookedness: f64,
     /// How far the tool must come back for the swipe to be over, m.
     pub return_distance: f64,
-    /// The demonstration has ended when the tool rests for so long, s; longer than a slow motion takes to turn round.
+    /// The demonstration has ended when the tool rests for this long, s; longer than a slow motion takes to
+    /// reverse.
     pub end_time: f64,
-    /// A longer time without a sample starts anew, s.
+    /// A gap between samples longer than this restarts the segmentation, s.
     pub longest_gap: f64,
 }
 
@@ -86,20 +87,20 @@ pub enum DemonstrationStage {
     Swiping,
     /// The swipe is over; the periodic part may begin.
     Swiped,
-    /// The periodic part goes on.
+    /// The periodic part is in progress.
     Periodic,
     /// The tool rests again: the demonstration is over.
     Ended,
 }
 
-/// What is known of a demonstration.
+/// The segmentation of a demonstration so far.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Demonstration {
     /// The stage.
     pub stage: DemonstrationStage,
     /// The swipe, once it is over.
     pub swipe: Option<Swipe>,
-    /// From when on the tool moves periodically (with the way there), s.
+    /// When the periodic movement began (including the way to it), s.
     pub periodic_since: Option<f64>,
 }
 
@@ -119,7 +120,7 @@ struct Rest {
     until: f64,
 }
 
-/// The longest swipe that is remembered, in samples; longer ones are not swipes.
+/// Largest number of samples of a swipe; longer tracks are not swipes.
 const LONGEST_TRACK: usize = 4000;
 
 impl DemonstrationSegmenter {
@@ -144,10 +145,10 @@ impl DemonstrationSegmenter {
         Ok(Self { config, recent: VecDeque::new(), known, rest: None, track: Vec::new() })
     }
 
-    /// Takes the position `point` (m) of the tool at `time` (s, increasing); returns what is known now.
+    /// Processes the position `point` (m) of the tool at `time` (s, increasing); returns the segmentation so far.
     ///
     /// # Errors
-    /// When a value is not finite or time does not go on; the sample is left out.
+    /// When a value is not finite or the time does not increase; the sample is ignored.
     pub fn observe(&mut self, time: f64, point: Point3<f64>) -> Result<Demonstration, MotionError> {
         finite("time", &[time])?;
         finite("point", point.coords.as_slice())?;
@@ -173,7 +174,7 @@ impl DemonstrationSegmenter {
         Ok(self.known)
     }
 
-    /// What is known now.
+    /// The segmentation so far.
     #[must_use]
     pub fn known(&self) -> Demonstration {
         self.known
@@ -210,7 +211,7 @@ impl DemonstrationSegmenter {
     fn at_rest(&mut self, time: f64, point: Point3<f64>, resting: Option<Point3<f64>>) {
         let Some(rest) = &mut self.rest else { return };
         if let Some(place) = resting {
-            // The place follows slowly, so that the beginning of the motion does not pull it along.
+            // The place follows slowly, so that the beginning of the motion does not move it.
             let near = (place - rest.place).norm() < self.config.departure;
             rest.place = if near { rest.place + (place - rest.place) * 0.2 } else { place };
             rest.until = time;
@@ -251,7 +252,7 @@ impl DemonstrationSegmenter {
     /// The swipe on the track, if it is long and straight enough.
     fn swipe(&self, rest: Rest) -> Option<Swipe> {
         let distance = |p: &Point3<f64>| (p - rest.place).norm();
-        // The farthest samples together: one alone would carry its noise.
+        // The farthest samples are averaged, as a single one contains its noise.
         let farthest = self.track.iter().map(|(_, p)| distance(p)).fold(0.0, f64::max);
         let late: Vec<_> = self.track.iter().filter(|(_, p)| farthest - distance(p) < 0.012).collect();
         let sum = late.iter().map(|(_, p)| p.coords).sum::<nalgebra::Vector3<f64>>();
@@ -296,13 +297,13 @@ impl DemonstrationSegmenter {
         (n > 0).then(|| Point3::from(sum / n as f64))
     }
 
-    /// The mean place of the last `span` s if the tool has rested there.
+    /// The mean position over the last `span` s, if the tool has rested there.
     fn resting(&self, span: f64) -> Option<Point3<f64>> {
         let now = self.recent.back()?.0;
         let within = || self.recent.iter().filter(move |(t, _)| now - t <= span);
         let n = within().count() as f64;
         let covered = now - within().next()?.0;
-        // A sample may be missing at the beginning.
+        // A sample may be missing at the beginning of the span.
         if n < 4.0 || covered < span - 0.15 {
             return None;
         }

@@ -1,6 +1,6 @@
-//! Position-based visual servoing: from the pose of the hand and of its target, both as seen, to a twist.
+//! Position-based visual servoing: from the observed poses of the hand and of its target to a twist.
 //!
-//! Knows no camera. When hand and target are measured with the same camera, its mounting error cancels.
+//! Independent of the camera. If hand and target are measured with the same camera, its mounting error cancels.
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -13,28 +13,28 @@ use crate::error::{MotionError, finite, positive, vector, within};
 pub struct ServoConfig {
     /// Gain lambda far from the target, 1/s.
     pub gain_far: f64,
-    /// Gain lambda at the target, 1/s; more than far, so that the end does not creep.
+    /// Gain lambda at the target, 1/s; larger than far away, so that the end is not slow.
     pub gain_near: f64,
-    /// Error at which the gain is about halfway between, m (rotations count `radius` m a rad).
+    /// Error at which the gain is about halfway between, m (rotations count `radius` m per rad).
     pub gain_scale: f64,
     /// Lever arm that converts rotations to metres, m.
     pub radius: f64,
     /// Speed limit, m/s.
     pub max_linear: f64,
-    /// Turning limit, rad/s.
+    /// Limit of the angular velocity, rad/s.
     pub max_angular: f64,
-    /// Converged when nearer than this, m, ...
+    /// Converged when the distance is less than this, m, ...
     pub position_tolerance: f64,
-    /// ... and turned by less than this, rad, ...
+    /// ... and the angle is less than this, rad, ...
     pub rotation_tolerance: f64,
     /// ... for this many observations in a row.
     pub hold_frames: u32,
     /// Gives up after this long, s.
     pub timeout: f64,
-    /// The target is lost when it was not observed for this long, s.
+    /// The target counts as lost when it was not observed for this long, s.
     pub lost_after: f64,
-    /// The servo diverges when the error has grown over its smallest by this factor (and 10 mm), in `hold_frames`
-    /// observations in a row.
+    /// The servo diverges when the error has exceeded its minimum by this factor (and by 10 mm) in `hold_frames`
+    /// consecutive observations.
     pub divergence: f64,
 }
 
@@ -57,7 +57,7 @@ impl Default for ServoConfig {
     }
 }
 
-/// Hand and target as seen together, in one frame.
+/// Hand and target observed together, in one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ServoObservation {
     /// The pose of the hand's TCP.
@@ -69,15 +69,15 @@ pub struct ServoObservation {
 /// The status of the servo.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ServoStatus {
-    /// On its way.
+    /// Moving to the target.
     Running,
-    /// There, and held for the wanted number of observations.
+    /// At the target for the required number of observations.
     Converged,
-    /// It took too long.
+    /// The timeout has passed.
     TimedOut,
-    /// Hand or target were not seen for too long.
+    /// Hand or target were not observed for too long.
     Lost,
-    /// The error grows: a wrong frame, or something holds the hand.
+    /// The error grows: a frame is wrong, or something holds the hand.
     Diverged,
 }
 
@@ -92,12 +92,12 @@ pub struct ServoCommand {
     pub distance: f64,
     /// Angle to the target, rad.
     pub angle: f64,
-    /// The status; the velocities are zero unless it runs.
+    /// The status; the velocities are zero unless it is running.
     pub status: ServoStatus,
 }
 
-/// `v = -lambda t`, `omega = -lambda theta u`, with t and theta u of the hand relative to the target: the TCP moves
-/// on a straight line, also when its speed is limited, since both parts are scaled together.
+/// `v = -lambda t`, `omega = -lambda theta u`, with t and theta u of the hand relative to the target. The TCP moves
+/// on a straight line even when its speed is limited, since both parts are scaled together.
 #[derive(Debug, Clone)]
 pub struct PositionServo {
     config: ServoConfig,
@@ -143,8 +143,8 @@ impl PositionServo {
         })
     }
 
-    /// `dt` s later: what was observed (nothing if hand or target were not seen), and the twist to command. Without
-    /// an observation the last command fades out, because it rests on an older one.
+    /// Advances by `dt` s. Returns the twist for the observation (`None` if hand or target were not observed).
+    /// Without an observation the last command decays, as it is based on an older one.
     ///
     /// # Errors
     /// When `dt` is not positive or a pose is not finite; nothing is changed.
@@ -211,7 +211,7 @@ impl PositionServo {
         }
     }
 
-    /// The rotation vector; near a half turn, where noise flips its sign, it keeps to the side it began with.
+    /// The rotation vector. Near half a turn, where noise flips its sign, it keeps its initial direction.
     fn steady_turn(&mut self, rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
         let mut turn = rotation.scaled_axis();
         let angle = turn.norm();

@@ -1,19 +1,19 @@
-//! A straight line from one pose to another, at a speed that rises and falls smoothly: the movement of a hand that is not
-//! learned. It plans no way around anything.
+//! A straight line from one pose to another, with a speed that rises and falls smoothly, for movements of the hand
+//! that are not learned. It does not avoid obstacles.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use crate::MotionError;
 use crate::error::{finite, positive, sample_time};
 
-/// How fast the pose turns at most, rad/s.
+/// Limit of the angular velocity, rad/s.
 const TURNING: f64 = 0.5;
-/// The shortest time that a line takes, s.
+/// Shortest duration of a line, s.
 const SHORTEST: f64 = 0.2;
-/// The quintic's fastest moment over its mean speed.
+/// Ratio of the quintic's peak speed to its mean speed.
 const PEAK: f64 = 1.875;
 
-/// Where a line is and how it moves.
+/// Pose and velocity on a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinePoint {
     /// The pose, in the frame of both ends.
@@ -24,8 +24,8 @@ pub struct LinePoint {
     pub angular: Vector3<f64>,
 }
 
-/// A line from one pose to another, travelled in a quintic of time, so that velocity and acceleration begin and end at
-/// zero (the trajectory of least jerk, Flash and Hogan 1985); it turns about one axis.
+/// A line from one pose to another, with a quintic time law, so that velocity and acceleration begin and end at
+/// zero (minimum jerk, Flash and Hogan 1985). The rotation is about one axis.
 #[derive(Clone, Debug)]
 pub struct StraightLine {
     from: Isometry3<f64>,
@@ -36,7 +36,7 @@ pub struct StraightLine {
 }
 
 impl StraightLine {
-    /// A line between two poses in one frame that is at most `speed` m/s fast, and turns at 0.5 rad/s at most.
+    /// A line between two poses in one frame, with at most `speed` m/s and at most 0.5 rad/s.
     ///
     /// # Errors
     /// [`MotionError`] for poses that are not finite and a speed that is not positive.
@@ -52,16 +52,16 @@ impl StraightLine {
         Ok(Self { from, travel, turn, duration: duration.max(SHORTEST), time: 0.0 })
     }
 
-    /// How long the line takes, s.
+    /// Duration of the line, s.
     #[must_use]
     pub fn duration(&self) -> f64 {
         self.duration
     }
 
-    /// `dt` s further; past its end it rests there.
+    /// Advances by `dt` s; after its end the line rests there.
     ///
     /// # Errors
-    /// [`MotionError`] for a time that is not positive and finite; the line is then where it was.
+    /// [`MotionError`] for a time that is not positive and finite; the line is then unchanged.
     pub fn step(&mut self, dt: f64) -> Result<LinePoint, MotionError> {
         sample_time(dt)?;
         self.time += dt;

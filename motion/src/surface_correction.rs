@@ -1,5 +1,5 @@
-//! A learned motion along a surface normal, as a function of the phase: what wiping adds to a motion so that the
-//! force holds. How it is learned is in [`crate::SurfaceAdaptation`].
+//! A learned offset along a surface normal, as a function of the phase: wiping adds it to a motion to keep the
+//! force. [`crate::SurfaceAdaptation`] learns it.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -21,7 +21,7 @@ impl SurfaceCorrection {
     /// the motion's frame. A positive offset leads away from the surface.
     ///
     /// # Errors
-    /// When there are less than two weights, a value is not finite or the normal is zero.
+    /// When there are fewer than two weights, a value is not finite or the normal is zero.
     pub fn new(weights: Vec<f64>, width: f64, normal: [f64; 3]) -> Result<Self, MotionError> {
         within("weights of the surface correction", weights.len() as f64, 2.0, 4096.0)?;
         vector("weights of the surface correction", weights.len(), &weights)?;
@@ -39,7 +39,7 @@ impl SurfaceCorrection {
         self.normal
     }
 
-    /// The weights, m, one a kernel.
+    /// The weights, m, one per kernel.
     #[must_use]
     pub fn weights(&self) -> &[f64] {
         &self.weights
@@ -57,7 +57,7 @@ impl SurfaceCorrection {
         self.offset_and_slope(phase).0
     }
 
-    /// The offset (m) and its derivative after the phase (m/rad) at `phase` rad. Does not allocate.
+    /// The offset (m) and its derivative with respect to the phase (m/rad) at `phase` rad. Does not allocate.
     #[must_use]
     pub fn offset_and_slope(&self, phase: f64) -> (f64, f64) {
         let n = self.weights.len() as f64;

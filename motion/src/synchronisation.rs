@@ -1,7 +1,7 @@
-//! A learned trajectory that follows the rhythm of any periodic signal: the two-layer system of both papers, with the
-//! adaptive oscillator as its first layer and a periodic primitive as its second.
+//! A learned trajectory that follows the phase and frequency of any periodic signal: the two-layer system of both
+//! papers, with the adaptive oscillator as its first layer and a periodic primitive as its second.
 //!
-//! It learns no trajectory; that is [`crate::Imitation`]'s.
+//! It does not learn the trajectory; [`crate::Imitation`] does.
 
 use std::f64::consts::{PI, TAU};
 
@@ -15,11 +15,11 @@ use crate::periodic::{DmpState, PeriodicDmp};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SynchronisationConfig {
-    /// By how much the primitive's phase is ahead of the signal's, rad.
+    /// Lead of the primitive's phase over the signal's, rad.
     pub lead: f64,
-    /// How fast a phase difference is made up, as a share of the frequency per rad.
+    /// Rate at which a phase difference is corrected, as a share of the frequency per rad.
     pub gain: f64,
-    /// The primitive runs at most so many times as fast as the signal while it catches up, and never backwards.
+    /// Upper bound on the primitive's speed relative to the signal's while it catches up; it never runs backwards.
     pub fastest: f64,
 }
 
@@ -29,11 +29,11 @@ impl Default for SynchronisationConfig {
     }
 }
 
-/// A primitive whose phase and frequency are those of a signal.
+/// A primitive with the phase and frequency of a signal.
 ///
 /// # Source
-/// Petrič et al. 2014, section II, and Gams et al. 2009; differs in: the primitive does not take over the oscillator's
-/// phase but runs after it with a bounded speed, so that position and velocity stay smooth while the oscillator locks,
+/// Petrič et al. 2014, section II, and Gams et al. 2009; differs in: the primitive does not copy the oscillator's
+/// phase but follows it with a bounded speed, so that position and velocity stay smooth while the oscillator locks,
 /// relocks or follows a step.
 #[derive(Debug, Clone)]
 pub struct Synchronisation {
@@ -43,10 +43,11 @@ pub struct Synchronisation {
 }
 
 impl Synchronisation {
-    /// Lets `primitive` follow signals for an oscillator of this configuration; until that runs, the primitive stands.
+    /// Lets `primitive` follow signals, with an oscillator of this configuration. The primitive rests until the
+    /// oscillator runs.
     ///
     /// # Errors
-    /// Names the constant that cannot be.
+    /// Names the invalid constant.
     pub fn new(
         config: SynchronisationConfig,
         oscillator: OscillatorConfig,
@@ -58,7 +59,8 @@ impl Synchronisation {
         Ok(Self { config, oscillator: AdaptiveOscillator::new(oscillator)?, primitive })
     }
 
-    /// Hears the sample `signal` (one value a coordinate), `dt` s after the one before, and moves the primitive on.
+    /// Processes the sample `signal` (one value per coordinate), `dt` s after the previous one, and advances the
+    /// primitive.
     ///
     /// # Errors
     /// As [`AdaptiveOscillator::update`] and [`PeriodicDmp::step`]; a refused sample changes nothing.
@@ -70,7 +72,7 @@ impl Synchronisation {
             return self.primitive.step(dt, 0.0);
         }
         let omega = self.oscillator.omega();
-        // Where the oscillator will be after this step is where the primitive is to be then.
+        // The primitive should be where the oscillator will be after this step.
         let behind =
             wrapped(self.oscillator.phase() + self.config.lead - self.primitive.phase() - omega * dt);
         let faster = (self.config.gain * omega * dt).min(1.0) * behind / dt;
@@ -78,7 +80,7 @@ impl Synchronisation {
         self.primitive.step(dt, omega)
     }
 
-    /// By how much the primitive's phase is behind where it should be, rad, in -pi..pi.
+    /// How far the primitive's phase lags its reference, rad, in -pi..pi.
     #[must_use]
     pub fn behind(&self) -> f64 {
         wrapped(self.oscillator.phase() + self.config.lead - self.primitive.phase())
@@ -96,13 +98,13 @@ impl Synchronisation {
         &self.primitive
     }
 
-    /// The primitive, to be coached, modulated or perturbed while it runs.
+    /// The primitive, for coaching, modulation or perturbation while it runs.
     pub fn primitive_mut(&mut self) -> &mut PeriodicDmp {
         &mut self.primitive
     }
 }
 
-/// The angle in -pi..pi.
+/// Wraps an angle to -pi..pi.
 fn wrapped(angle: f64) -> f64 {
     (angle + PI).rem_euclid(TAU) - PI
 }

@@ -1,5 +1,5 @@
-//! Getting into contact: lower until the surface is felt, then press up to the desired force, with little overshoot
-//! on a surface of unknown stiffness.
+//! Makes contact: lowers the hand until the force shows contact, then increases it to the desired force, with
+//! little overshoot on a surface of unknown stiffness.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,23 +11,24 @@ use crate::error::{MotionError, positive, within};
 pub struct TouchdownConfig {
     /// Desired normal force, N.
     pub force: f64,
-    /// Speed of the approach, m/s. The force rises by stiffness times speed times delay before anything can be done.
+    /// Speed of the approach, m/s. Before the controller can react, the force rises by stiffness times speed times
+    /// delay.
     pub speed: f64,
-    /// Force that is contact, N; over noise and bias.
+    /// Force that counts as contact, N; above noise and bias.
     pub contact_force: f64,
-    /// For so long the force must be over it, s.
+    /// How long the force must exceed it, s.
     pub contact_time: f64,
-    /// The stiffest contact that is expected, N/m.
+    /// The highest expected contact stiffness, N/m.
     pub stiffness: f64,
     /// Time constant of pressing, s, at that stiffness.
     pub press_time: f64,
     /// The force is reached when it stays within this share of the desired one ...
     pub tolerance: f64,
-    /// ... for so long, s.
+    /// ... for this long, s.
     pub hold_time: f64,
-    /// The farthest way down, m.
+    /// Largest distance down, m.
     pub farthest: f64,
-    /// The longest that pressing may take, s.
+    /// Longest duration of pressing, s.
     pub longest_press: f64,
 }
 
@@ -48,22 +49,22 @@ impl Default for TouchdownConfig {
     }
 }
 
-/// How a touchdown stands.
+/// The status of a touchdown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TouchdownStatus {
-    /// On the way down.
+    /// Moving down.
     Approaching,
-    /// In contact, on the way to the force.
+    /// In contact, increasing the force.
     Pressing,
     /// The force is reached and held.
     Done,
-    /// There was no surface on the allowed way.
+    /// There was no surface within the allowed distance.
     NoSurface,
     /// The contact was made, but the force was not reached in time.
     NotReached,
 }
 
-/// Lowers the hand onto a surface.
+/// Lowers the hand to a surface.
 #[derive(Debug, Clone)]
 pub struct Touchdown {
     config: TouchdownConfig,
@@ -78,7 +79,7 @@ pub struct Touchdown {
 }
 
 impl Touchdown {
-    /// Above the surface, before the first step.
+    /// A touchdown above the surface, before its first step.
     ///
     /// # Errors
     /// When a constant is not positive.
@@ -110,8 +111,8 @@ impl Touchdown {
         })
     }
 
-    /// `dt` s later, with the measured normal force `force` (N, pressing is positive): the velocity along the outward
-    /// normal to command, m/s (negative is down), 0 once it has ended.
+    /// Advances by `dt` s with the measured normal force `force` (N, pressing is positive). Returns the velocity
+    /// along the outward normal to command, m/s (negative is down), and 0 once it has ended.
     ///
     /// # Errors
     /// When `dt` is not positive or the force not finite; nothing is changed.
@@ -130,7 +131,7 @@ impl Touchdown {
 
     fn approach(&mut self, dt: f64, force: f64) -> f64 {
         self.over = if force > self.config.contact_force { self.over + dt } else { 0.0 };
-        // A hard blow needs no second sample.
+        // A hard contact needs no second sample.
         if self.over > self.config.contact_time || force > 0.6 * self.config.force + self.config.contact_force
         {
             self.status = TouchdownStatus::Pressing;
@@ -158,25 +159,25 @@ impl Touchdown {
             self.status = TouchdownStatus::NotReached;
             return 0.0;
         }
-        // A soft surface is pressed faster: its stiffness is estimated from the travel so far.
+        // On a soft surface the motion is faster: the stiffness is estimated from the travel so far.
         let softer = (self.pressing / 0.5).clamp(1.0, 8.0);
         let rate = softer / (self.config.stiffness * self.config.press_time);
         (rate * error).clamp(-self.config.speed, self.config.speed)
     }
 
-    /// How the touchdown stands.
+    /// The status of the touchdown.
     #[must_use]
     pub fn status(&self) -> TouchdownStatus {
         self.status
     }
 
-    /// How far down it has gone since the first step, m.
+    /// Distance down since the first step, m.
     #[must_use]
     pub fn depth(&self) -> f64 {
         self.depth
     }
 
-    /// The stiffness that the way from contact to now shows, N/m, once it was pressed by a measurable way.
+    /// The stiffness computed from the travel since contact, N/m, once that is measurable.
     #[must_use]
     pub fn stiffness(&self) -> Option<f64> {
         let way = self.depth - self.contact_depth;

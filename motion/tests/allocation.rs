@@ -1,4 +1,4 @@
-//! No control step allocates: counted by an allocator that counts.
+//! No control step allocates: checked by a counting allocator.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 

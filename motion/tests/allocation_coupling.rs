@@ -1,4 +1,4 @@
-//! Nothing that a coached point-to-point movement or a servo does in a step allocates.
+//! Steps of coached point-to-point movements and of servos do not allocate.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 

@@ -1,5 +1,5 @@
-//! Nothing that follows a rhythm, runs a discrete-periodic movement or learns its control allocates in a step, also not when
-//! the oscillator starts.
+//! Steps that follow a periodic signal, run a discrete-periodic movement or learn its control do not allocate, even
+//! when the oscillator starts.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 

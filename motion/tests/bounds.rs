@@ -1,5 +1,5 @@
-//! Whatever is finite leaves every primitive and law finite and within its limits, and what cannot be is refused by name and
-//! changes nothing.
+//! For any finite input, every primitive and law stays finite and within its limits. Invalid input is refused by
+//! name and changes nothing.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 
@@ -13,7 +13,7 @@ use armarium_motion::{
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
-/// Numbers of every size and sign, 0 and the largest among them.
+/// Numbers of every magnitude and sign, including 0 and the largest.
 fn any_number() -> impl Strategy<Value = f64> {
     prop_oneof![
         3 => -10.0..10.0_f64,
@@ -159,7 +159,7 @@ proptest! {
     }
 }
 
-/// That `act` is refused with `error`, and leaves `state` as it was.
+/// Checks that `act` is refused with `error` and leaves `state` unchanged.
 fn refused<S: std::fmt::Debug, T: std::fmt::Debug + PartialEq>(
     state: &mut S,
     error: &MotionError,
@@ -185,7 +185,7 @@ fn not_positive(value: f64) -> MotionError {
     MotionError::OutOfRange { what: "dt", value, low: f64::MIN_POSITIVE, high: f64::MAX }
 }
 
-/// Of signals, whose samples may not be too far apart either.
+/// The error for signals, whose samples may not be too far apart either.
 fn no_sample_time(value: f64) -> MotionError {
     MotionError::OutOfRange { what: "dt", value, low: f64::MIN_POSITIVE, high: 1e6 }
 }

@@ -42,7 +42,7 @@ struct Outcome {
     coupling: Vec<f64>,
 }
 
-/// 40 cycles of learning, then 60 s of running that are coached from 5 s on by `o(x, v)` along `d(x, v)`.
+/// 40 cycles of learning, then 60 s of execution, coached from 5 s on by `o(x, v)` along `d(x, v)`.
 fn run(
     sense: f64,
     field: PotentialField,

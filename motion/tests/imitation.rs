@@ -1,4 +1,4 @@
-//! A coach's whole demonstration, as a camera would see it: rest, swipe, periodic part; noisy, jittery, at 15 Hz.
+//! A whole demonstration of a coach, as seen by a camera: rest, swipe, periodic part; noisy, jittery, at 15 Hz.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 

@@ -1,5 +1,5 @@
-//! What must not change when time, size, phase or frame do, and that nothing jumps when a constant changes while a primitive
-//! runs; for every primitive and law of the crate.
+//! Properties that must not change with time, size, phase or frame; and nothing jumps when a constant changes while
+//! a primitive runs. For every primitive and law of the crate.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 
@@ -41,7 +41,7 @@ fn reach(scale: f64) -> DiscreteDmp {
     dmp
 }
 
-/// A step of 1 s to a first harmonic of 1 Hz.
+/// A step of 1 s, followed by a first harmonic of 1 Hz.
 fn walk(scale: f64) -> DiscretePeriodicDmp {
     let height = |t: f64| {
         let s = t.min(1.0);
@@ -89,7 +89,7 @@ fn what_was_shown_larger_is_done_larger() {
     }
 }
 
-/// How far position and velocity of the first degree of freedom go in the step in which `change` comes.
+/// Change of position and velocity of the first degree of freedom in the step in which `change` is applied.
 fn jump(change: impl FnOnce(&mut PeriodicDmp), omega: f64) -> (f64, f64) {
     let mut dmp = circle(1.0);
     let dt = 1e-6;
@@ -143,7 +143,7 @@ fn goals_durations_and_controls_change_without_a_jump_too() {
     assert!((after.y[0] - before).abs() < 1e-4, "{before} {}", after.y[0]);
 }
 
-/// Phase (less that of the signal) and frequency, Hz, of an oscillator that hears a wave of 1.1 Hz for 20 s.
+/// Phase (minus that of the signal) and frequency, Hz, of an oscillator after 20 s of a wave of 1.1 Hz.
 fn listened(amplitude: f64, start: f64, offset: f64) -> (f64, f64) {
     let mut oscillator = AdaptiveOscillator::new(OscillatorConfig::default()).unwrap();
     let mut phase = start;
@@ -176,7 +176,7 @@ fn a_gesture_moves_the_path_by_the_same_at_every_pace_and_nothing_jumps() {
         dmp.start_on_path(0.0, omega).unwrap();
         let mut last = dmp.state().y.to_vec();
         for k in 0..(60.0 / dt) as usize {
-            // Comes and goes: the hand is there for a while only.
+            // The hand is present for a limited time.
             let hand = Vector3::new(0.25, 0.0, 0.0);
             let input = if k > 100 { CoachInput::Attract { hand } } else { CoachInput::None };
             coach.step(&mut dmp, dt, omega, input).unwrap();
@@ -231,7 +231,8 @@ fn learning_control_is_linear_in_its_errors() {
     assert!(one.iter().zip(&four).all(|(a, b)| (4.0 * a - b).abs() < 1e-9 * (1.0 + b.abs())));
 }
 
-/// Offsets of 5 cycles over a wavy table that feels `stiff` N/m, everything `pace` times as fast and `ahead` rad on.
+/// Offsets of 5 cycles over a wavy table of `stiff` N/m, with everything `pace` times as fast and `ahead` rad
+/// later.
 fn wiped(stiff: f64, force: f64, pace: f64, ahead: f64) -> Vec<f64> {
     let config = SurfaceConfig {
         force,

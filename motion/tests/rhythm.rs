@@ -44,7 +44,7 @@ fn follow(
         .collect()
 }
 
-/// From when on the one-period mean stays within 1 %, s; nothing if it never does.
+/// The time from which on the one-period mean stays within 1 %, s; `None` if it never does.
 fn settled(omega: &[f64], f: f64) -> Option<f64> {
     let window = (1.0 / f / DT).round() as usize;
     let mut sum: f64 = omega[..window].iter().sum();

@@ -1,10 +1,11 @@
-//! Where the right hand can wipe: searches torso postures and hand orientations for reach, margin and speed.
+//! Finds where the right hand can wipe: searches torso postures and hand orientations for reach, margin and speed.
 //!
-//! `cargo run --release -p armarium-robot --example workspace -- HEIGHT REACH [FIVE ANGLES]` prints the search from which `postures.rs` was
-//! chosen (HEIGHT of the TCP, m; REACH about the centre, m), or
-//! rates the given torso pitch, roll, yaw and hand pitch and yaw (rad). It climbs from random torso postures and hand orientations:
-//! the arm's pose is solved at the centre from several seeds, and from there at the corners of a box, as a controller that
-//! comes from the centre finds them. The figure is the TCP's speed in its worst direction at the worst of these points.
+//! `cargo run --release -p armarium-robot --example workspace -- HEIGHT REACH [FIVE ANGLES]` prints the search from
+//! which `postures.rs` was chosen (HEIGHT of the TCP, m; REACH about the centre, m), or rates the given torso
+//! pitch, roll and yaw and hand pitch and yaw (rad). The search climbs from random torso postures and hand
+//! orientations. It solves the arm's pose at the centre from several seeds. From there it solves the corners of a
+//! box, as a controller that starts at the centre would reach them. The rating is the TCP's speed in its worst
+//! direction at the worst of these points.
 #![allow(clippy::print_stdout, reason = "an example prints its result")]
 
 use std::sync::Arc;
@@ -17,7 +18,8 @@ use nalgebra::{Isometry3, Translation3, Vector3, Vector6};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// The largest TCP speed, m/s, in the worst of ten directions with the orientation held and every joint within 1 rad/s.
+/// The largest TCP speed, m/s, in the worst of ten directions, with constant orientation and every joint within 1
+/// rad/s.
 fn worst_speed(jacobian: &Jacobian) -> f64 {
     let gram = jacobian * jacobian.transpose();
     let Some(inverse) = gram.try_inverse() else { return 0.0 };
@@ -136,8 +138,8 @@ impl Search {
         elbow.is_some_and(|z| z >= target.translation.z - 0.02)
     }
 
-    /// As [`rate`](Self::rate), for arm and torso together and table heights 0.05 m up and down: the speed that
-    /// [`DifferentialIk`] makes of a fast twist in its worst direction.
+    /// As [`rate`](Self::rate), for arm and torso together and for tables up to 0.05 m higher and lower: the TCP
+    /// speed that [`DifferentialIk`] reaches for a fast twist in its worst direction.
     fn rate_ten(&mut self, choice: &Choice, seeds: usize, near: Option<&[f64]>, floor: f64) -> Option<Found> {
         let ten: Vec<usize> = self.model.limb("torso").iter().chain(&self.arm).copied().collect();
         let mut ik = DifferentialIk::new(&self.model, self.tcp, &ten, IkConfig::default());
@@ -249,8 +251,8 @@ impl Search {
         Some(best)
     }
 
-    /// The highest frequency, Hz, at which a circle of `radius` (m) about the centre and `offset` is followed with every
-    /// joint within its limits, and the least distance of a joint to its limits, rad.
+    /// The highest frequency, Hz, at which the TCP follows a circle of `radius` (m) about the centre plus `offset`
+    /// with every joint within its limits. Also the least distance of a joint to its limits, rad.
     fn circle(
         &self,
         found: &Found,
@@ -336,8 +338,8 @@ impl Search {
     }
 }
 
-/// For each place of the TCP, the hand yaws (degrees, palm level) in reach of the arm alone with the torso of the wiping
-/// posture, and of arm and torso.
+/// For each place of the TCP, the reachable hand yaws (degrees, palm level): with the arm alone and the torso in
+/// the wiping posture, and with arm and torso.
 fn map(search: &mut Search) {
     let model = Arc::clone(&search.model);
     let start = postures::wipe(&model);

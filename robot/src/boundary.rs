@@ -1,9 +1,9 @@
-//! What passes between skills and a robot: what is sensed, bounds of a lease, and why a command is refused. Plain data; the
-//! trait is [`Robot`](crate::Robot).
+//! The data between skills and a robot: samples of the sensors, limits of a lease, and why a command is refused.
+//! The trait is [`Robot`](crate::Robot).
 
 use nalgebra::Vector3;
 
-/// Everything that the robot sensed at one instant. Joint arrays are in the order of the model's joints.
+/// A sample of all the robot's sensors. Joint arrays are in the order of the model's joints.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sensed {
     /// Time of the sample since the robot's start, ns.
@@ -16,7 +16,7 @@ pub struct Sensed {
     pub force_raw: Vector3<f64>,
     /// Torque about the sensor's origin, raw, in the sensor's frame, N m.
     pub torque_raw: Vector3<f64>,
-    /// The same, compensated.
+    /// The wrist's force and torque, compensated.
     pub wrist: Wrist,
 }
 
@@ -29,13 +29,13 @@ pub struct Wrist {
     pub torque: Vector3<f64>,
 }
 
-/// Bounds that a lease asks for; the robot's own limits bound them in turn.
+/// Limits that a lease requests; the robot's own limits apply as well.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LeaseLimits {
-    /// Largest compensated wrist force, N. Over it, the arm gives way and the lease is faulted.
+    /// Largest compensated wrist force, N. Above it, the arm yields and the lease gets a fault.
     pub force_n: Option<f64>,
-    /// Largest speed, m/s, of every TCP that the limb moves, whichever joints move it: faster commands are scaled down
-    /// together, direction kept.
+    /// Largest speed, m/s, of every TCP that the limb moves, whichever joints move it. Faster commands are scaled
+    /// down together, which keeps their direction.
     pub speed_m_s: Option<f64>,
 }
 
@@ -43,10 +43,10 @@ pub struct LeaseLimits {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Fault {
-    /// The wrist force exceeded the limit; the arm gave way along the force.
+    /// The wrist force exceeded the limit; the arm yielded along the force.
     #[error("the wrist force reached {force_n:.0} N, over its limit of {limit_n:.0} N; the arm gave way")]
     Force {
-        /// Largest force seen, N.
+        /// Largest measured force, N.
         force_n: f64,
         /// The limit in force, N.
         limit_n: f64,
@@ -54,13 +54,13 @@ pub enum Fault {
     /// No fresh command within the watchdog's time.
     #[error("no command for {silent_ms} ms; the arm was braked")]
     Watchdog {
-        /// How long nothing came, ms.
+        /// Time without a command, ms.
         silent_ms: u64,
     },
-    /// The wrist sensor repeats the same sample: it is broken or its connection is.
+    /// The wrist sensor repeats the same sample: the sensor or its connection is broken.
     #[error("the wrist sensor has not changed for {frozen_ms} ms; check the sensor and its cable")]
     FrozenWrench {
-        /// How long it has been the same, ms.
+        /// How long it has not changed, ms.
         frozen_ms: u64,
     },
     /// A command was NaN or infinite.
@@ -69,17 +69,17 @@ pub enum Fault {
         /// The first such joint.
         joint: String,
     },
-    /// A command held another number of velocities than the limb has joints.
+    /// A command has a different number of velocities than the limb has joints.
     #[error("a command for the limb `{limb}` held {got} velocities, it has {expected} joints")]
     WrongLength {
-        /// The limb commanded.
+        /// The commanded limb.
         limb: String,
-        /// How many joints it has.
+        /// Number of its joints.
         expected: usize,
-        /// How many velocities came.
+        /// Number of velocities in the command.
         got: usize,
     },
-    /// The robot was stopped for good.
+    /// The robot was stopped permanently.
     #[error("the robot is stopped: {reason}")]
     Stopped {
         /// Why.
@@ -87,27 +87,27 @@ pub enum Fault {
     },
 }
 
-/// Why a lease was not given.
+/// Why a lease was refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum LeaseError {
-    /// Somebody else commands the limb.
+    /// Another holder commands the limb.
     #[error("the limb `{limb}` is commanded by `{holder}`")]
     Taken {
-        /// The limb asked for.
+        /// The requested limb.
         limb: String,
-        /// Who holds it.
+        /// The current holder.
         holder: String,
     },
     /// The robot has no such limb.
     #[error("the robot has no limb `{limb}`; it has {known}")]
     Unknown {
-        /// The limb asked for.
+        /// The requested limb.
         limb: String,
         /// Comma-separated names.
         known: String,
     },
-    /// The robot has been stopped for good (emergency stop).
+    /// The robot has been stopped permanently (emergency stop).
     #[error("the robot is stopped: {reason}")]
     Stopped {
         /// Why.

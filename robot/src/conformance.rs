@@ -1,7 +1,8 @@
-//! What every driver of a robot must do, whatever moves its joints; a driver's test calls [`check`].
+//! The rules that every robot driver must follow, whatever moves its joints. A driver's test calls [`check`].
 //!
-//! It needs the robot running (a task that steps the guard, or a real robot) and tokio's clock; it moves the limb by some
-//! tenths of a radian and ends with the robot stopped for good. It looks at nothing but the [`Robot`] trait.
+//! The robot must be running (a task that steps the guard, or a real robot), with tokio's clock. The check moves
+//! the limb by a few tenths of a radian and ends with the robot stopped permanently. It uses only the [`Robot`]
+//! trait.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -11,9 +12,9 @@ use nalgebra::Point3;
 
 use crate::{Fault, Kinematics, Lease, LeaseError, LeaseLimits, LinkId, Model, Robot, Sensed, newest};
 
-/// A joint under this stands, rad/s (m/s).
+/// A joint slower than this stands still, rad/s (m/s).
 pub const STANDING: f64 = 0.01;
-/// Time to stand in, ns, after which every joint of the limb must stand.
+/// Time within which every joint of the limb must stand still, ns.
 pub const STANDING_WITHIN_NS: u64 = 200_000_000;
 /// Over how long a speed is averaged, ns. The guard bounds what is commanded; a drive that is stepped to its speed overshoots
 /// for some 30 ms (by 28 % in the simulator).
@@ -31,7 +32,7 @@ pub struct Violation {
     pub what: String,
 }
 
-/// Checks one limb of a running robot that stands and that nobody commands.
+/// Checks one limb of a running robot that stands still and that nothing commands.
 ///
 /// # Errors
 /// The first [`Violation`].
@@ -63,7 +64,7 @@ struct Probe<'a> {
     limb: &'a str,
     joints: Vec<usize>,
     sensed: newest::Receiver<Arc<Sensed>>,
-    /// The rule that is checked now.
+    /// The rule that is being checked.
     rule: &'static str,
 }
 
@@ -94,7 +95,7 @@ impl<'a> Probe<'a> {
         }
     }
 
-    /// Commands `share` of full speed at each sample for `for_ns`; returns the last sample and the command.
+    /// Commands `share` of full speed at each sample for `for_ns`. Returns the last sample and the command.
     async fn run(
         &mut self,
         lease: &Lease,
@@ -115,7 +116,7 @@ impl<'a> Probe<'a> {
         }
     }
 
-    /// After `STANDING_WITHIN_NS` the limb stands, and goes on standing as long again.
+    /// After `STANDING_WITHIN_NS` the limb stands still, and continues to do so for the same time.
     async fn stands(&mut self) -> Result<(), Violation> {
         let start = self.sample().await?.stamp_ns;
         loop {
@@ -204,7 +205,7 @@ impl<'a> Probe<'a> {
         self.bounds_the_tcp(tcp, &[self.limb.to_owned()]).await
     }
 
-    /// With every limb that moves the TCP in one hand: none of them alone, and not their sum, is faster than the limit.
+    /// One holder commands every limb that moves the TCP: neither a single limb nor all together exceed the limit.
     async fn lease_limits_hold_whichever_joints_move_the_tcp(&mut self) -> Result<(), Violation> {
         self.rule = "a lease's speed limit bounds the TCP's speed, whichever joints of its holder move it";
         let model = Arc::clone(self.robot.model());

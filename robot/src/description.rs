@@ -1,8 +1,8 @@
 //! Reads a robot's description from URDF (up to version 1.2, whose `<limit>` has an acceleration) into a [`Model`].
 //!
-//! It reads links, primitives with their colours, inertials and revolute, continuous, prismatic and fixed joints.
-//! Meshes are left out (the room draws and touches primitives only); joints of other kinds, mimic joints, loops,
-//! several roots and numbers that are not finite are refused.
+//! It reads links, primitives with their colours, inertials, and revolute, continuous, prismatic and fixed joints.
+//! Meshes are left out (this project draws and collides primitives only). Joints of other kinds, mimic joints,
+//! loops, several roots and numbers that are not finite are refused.
 
 use std::collections::BTreeMap;
 
@@ -28,10 +28,10 @@ impl Model {
             .expect("the embedded description is sound")
     }
 
-    /// A robot from URDF text, without limbs; name them with [`Model::with_limbs`].
+    /// Reads a robot from URDF text, without limbs; add them with [`Model::with_limbs`].
     ///
     /// # Errors
-    /// [`RobotError::Description`] says what is wrong with which link or joint.
+    /// [`RobotError::Description`] names the link or joint and what is wrong with it.
     pub fn from_urdf(text: &str) -> Result<Self, RobotError> {
         let robot = urdf_rs::read_from_string(text).map_err(|e| fault(format!("cannot read URDF: {e}")))?;
         Reader::new(&robot)?.read()
@@ -73,7 +73,7 @@ fn armar3_limbs() -> Vec<LimbSpec> {
     ]
 }
 
-/// The URDF tree while it is walked.
+/// The URDF tree during the walk.
 struct Reader<'a> {
     robot: &'a urdf_rs::Robot,
     links: BTreeMap<&'a str, &'a urdf_rs::Link>,
@@ -181,7 +181,7 @@ impl<'a> Reader<'a> {
         Ok(visuals)
     }
 
-    /// A material's own colour, or that of the robot's material of its name; grey when neither says one.
+    /// A material's own colour, else that of the robot's material with its name, else grey.
     fn color(&self, material: Option<&urdf_rs::Material>) -> [u8; 3] {
         let named = |m: &urdf_rs::Material| {
             self.robot

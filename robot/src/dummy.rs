@@ -1,7 +1,9 @@
-//! A robot without physics: joints that follow their targets, and a wrist that reads what the hand weighs and is pushed.
+//! A robot without physics: joints that follow their targets, and a wrist that measures the hand's weight and
+//! pushes on it.
 //!
-//! For tests of skills and of the guard. [`ServoJoints`] is pure and stepped; [`DummyRobot`] steps it each millisecond of
-//! tokio's clock. There is no table and no object: forces come from whoever pushes.
+//! For tests of skills and of the guard. [`ServoJoints`] is pure and stepped; [`DummyRobot`] steps it each
+//! millisecond of tokio's clock. There is no table and no object: all forces come from calls of
+//! [`DummyRobot::push`].
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -18,10 +20,10 @@ use crate::{Guard, GuardConfig, GuardedRobot, JointTargets, Kinematics, Model, R
 
 /// Bandwidth of the joints' servos, rad/s; critically damped.
 const SERVO: f64 = 100.0;
-/// Amplitude of the wrench's noise, N and N m: enough that no two samples are the same.
+/// Amplitude of the wrench's noise, N and N m: large enough that no two samples are equal.
 const NOISE: f64 = 1e-3;
 
-/// Joints that follow position and velocity targets as critically damped servos, whatever pushes them.
+/// Joints that follow position and velocity targets as critically damped servos, unaffected by forces.
 #[derive(Clone, Debug)]
 pub struct ServoJoints {
     sample: Sample,
@@ -32,7 +34,7 @@ pub struct ServoJoints {
 }
 
 impl ServoJoints {
-    /// At rest at `q` (all joints, rad or m; missing values are 0). `seed` draws the wrench's noise.
+    /// Joints at rest at `q` (all joints, rad or m; missing values are 0). `seed` determines the wrench's noise.
     #[must_use]
     pub fn new(model: &Arc<Model>, q: &[f64], seed: u64) -> Self {
         let mut position = model.zero();
@@ -52,7 +54,7 @@ impl ServoJoints {
         joints
     }
 
-    /// What the joints and the wrist report now.
+    /// The present sample of joints and wrist.
     #[must_use]
     pub fn sample(&self) -> &Sample {
         &self.sample
@@ -75,7 +77,7 @@ impl ServoJoints {
         self.sense(push, dt);
     }
 
-    /// Makes the wrist report what it reported at `earlier`: a broken sensor.
+    /// Repeats the wrench of `earlier`, like a broken sensor.
     pub fn repeat_wrench(&mut self, earlier: &Self) {
         self.sample.force_raw = earlier.sample.force_raw;
         self.sample.torque_raw = earlier.sample.torque_raw;
@@ -137,7 +139,7 @@ impl DummyRobot {
         *self.push.lock() = force;
     }
 
-    /// What was said since the last call, oldest first.
+    /// The robot's utterances since the last call, oldest first.
     #[must_use]
     pub fn take_utterances(&self) -> Vec<String> {
         self.robot.shared.take_utterances()

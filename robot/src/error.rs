@@ -10,12 +10,12 @@ pub enum RobotError {
         /// What is wrong and where.
         what: String,
     },
-    /// A name that the description does not hold.
+    /// A name that the description does not contain.
     #[error("the robot has no {kind} `{name}`; it has {known}")]
     Unknown {
         /// Link, joint or limb.
         kind: &'static str,
-        /// The name asked for.
+        /// The requested name.
         name: String,
         /// Comma-separated names.
         known: String,

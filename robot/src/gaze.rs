@@ -1,5 +1,5 @@
-//! Turning the head so that the cameras look at a point, with a level horizon as far as the neck allows. The eyes stay
-//! parallel. It moves nothing itself.
+//! Turns the head so that the cameras look at a point, with a horizon as level as the neck allows. The cameras stay
+//! parallel. This module computes joint positions and does not command the robot.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::{IkError, Kinematics, LinkId, Model, RobotError};
 
-/// What the gaze is made of: the two cameras (optical axis z, image's right x) and the joints that turn them.
+/// The parts of the gaze: the two cameras (optical axis z, image's right x) and the joints that turn them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gaze {
     left: LinkId,
@@ -18,15 +18,16 @@ pub struct Gaze {
 
 const ITERATIONS: usize = 100;
 const DAMPING: f64 = 0.02;
-/// Weight of a level horizon against the direction.
+/// Weight of a level horizon relative to the direction.
 const LEVEL: f64 = 0.2;
-/// An axis this far from the point, rad, looks at it.
+/// The gaze is on the point when the angle between the axis and the point is less than this, rad.
 const TOLERANCE: f64 = 2e-3;
 /// Largest change of a joint in one iteration, rad.
 const LARGEST_CHANGE: f64 = 0.2;
 
 impl Gaze {
-    /// The gaze by the links `camera_left`, `camera_right` and the limb `head`; joints that turn one camera alone are eyes.
+    /// Uses the links `camera_left` and `camera_right` and the limb `head`. Joints that turn only one camera are
+    /// eye joints.
     ///
     /// # Errors
     /// [`RobotError::Unknown`] when the robot has no such links.
@@ -37,17 +38,17 @@ impl Gaze {
         Ok(Self { left, right, joints, eyes })
     }
 
-    /// All joints `q` with the head turned so that the point between the cameras looks at `point` (root frame, m).
+    /// All joints `q`, with the head turned so that the point between the cameras looks at `point` (root frame, m).
     ///
     /// # Errors
-    /// [`IkError`] with the angle that remains when the head cannot turn so far.
+    /// [`IkError`] with the remaining angle if the head cannot turn that far.
     pub fn look_at(&self, model: &Arc<Model>, q: &[f64], point: &Point3<f64>) -> Result<Vec<f64>, IkError> {
         let mut q = q.to_vec();
         q.resize(model.joints().len(), 0.0);
         self.eyes.iter().for_each(|&j| q[j] = 0.0);
         let mut kinematics = Kinematics::new(model);
         for level in [true, false] {
-            // Where the neck cannot have both, the direction comes before the horizon.
+            // Where the neck cannot reach both, the direction has priority over the horizon.
             for _ in 0..ITERATIONS {
                 kinematics.update(&q);
                 if !self.improve(&kinematics, &mut q, point, level) {
@@ -63,7 +64,7 @@ impl Gaze {
         Err(IkError { link, position_error_m: 0.0, orientation_error_rad: angle, nearest: q })
     }
 
-    /// By how much the gaze is off the point (root frame, m) with all joints at `q`, rad.
+    /// The angle between the gaze and the point (root frame, m), with all joints at `q`, rad.
     #[must_use]
     pub fn angle(&self, model: &Arc<Model>, q: &[f64], point: &Point3<f64>) -> f64 {
         let mut kinematics = Kinematics::new(model);
@@ -82,11 +83,12 @@ impl Gaze {
         across.try_normalize(1e-12).map_or_else(Vector3::zeros, |turn| turn * angle)
     }
 
-    /// One damped step; a joint at its limit leaves the turn to the others. Whether anything is left to do.
+    /// One damped step. A joint at its limit leaves the rotation to the others. Returns whether there was anything
+    /// to improve.
     fn improve(&self, kinematics: &Kinematics, q: &mut [f64], point: &Point3<f64>, level: bool) -> bool {
         let left = kinematics.pose(self.left).rotation;
         let (axis, side) = (left * Vector3::z(), left * Vector3::x());
-        // Turning by r about the optical axis lifts the image's right side by r times the lift of its top.
+        // A rotation by r about the optical axis lifts the image's right axis by r times the z of `axis x side`.
         let weight = if level { LEVEL } else { 0.0 };
         let roll = -weight * side.z * axis.cross(&side).z.signum();
         let error = self.off(kinematics, point) + axis * roll;

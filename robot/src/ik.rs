@@ -1,9 +1,9 @@
 //! Differential inverse kinematics: from a twist of a link to joint velocities, by damped least squares.
 //!
-//! The task is `S (J dq - v) = 0` with row weights `S`. Each singular direction of `S J` is damped by its own singular
-//! value only (so that a good direction is followed exactly beside a bad one); what the task leaves free draws the joints
-//! towards a posture; a joint at its limit is taken out and the others solve the task again; at last the whole velocity
-//! is scaled to the joint speed limits, so that the direction stays.
+//! The task is `S (J dq - v) = 0` with row weights `S`. Each singular direction of `S J` is damped by its own
+//! singular value only, so that a well-conditioned direction is followed exactly beside an ill-conditioned one. The
+//! null space of the task pulls the joints towards a posture. A joint at its limit is blocked, and the others solve
+//! the task again. Finally the whole velocity is scaled to the joint speed limits, which keeps its direction.
 
 use std::sync::Arc;
 
@@ -11,26 +11,28 @@ use nalgebra::{Matrix6, Point3, Vector3, Vector6};
 
 use crate::{Jacobian, Kinematics, LinkId, Model, Twist};
 
-/// How [`DifferentialIk`] weighs and bounds.
+/// Weights and bounds of [`DifferentialIk`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IkConfig {
-    /// Weights of linear x, y, z: which errors count when not all can vanish. In the link's frame; 0 frees an axis.
+    /// Weights of linear x, y, z: which errors count when not all can vanish. In the link's frame; 0 leaves an axis
+    /// free.
     pub linear_weight: Vector3<f64>,
-    /// Weights of angular x, y, z (m/rad), likewise: `(1, 1, 0) * 0.3` leaves the turn about the link's z free.
+    /// Weights of angular x, y, z (m/rad), likewise: `(1, 1, 0) * 0.3` leaves the rotation about the link's z free.
     pub angular_weight: Vector3<f64>,
-    /// Singular values of the weighted Jacobian under this are damped.
+    /// Singular values of the weighted Jacobian below this are damped.
     pub singular: f64,
     /// Damping at a singular value of 0.
     pub damping: f64,
-    /// Pull towards the posture, 1/s.
+    /// Gain of the pull towards the posture, 1/s.
     pub posture_gain: f64,
-    /// Share of a joint's largest speed that the pull may use.
+    /// Largest share of a joint's speed limit that this pull may use.
     pub posture_share: f64,
     /// Distance to keep from joint limits, rad (m).
     pub margin: f64,
-    /// Time in which a joint may use up its distance to the margin, s.
+    /// Time constant with which a joint may approach its margin: its speed is the remaining distance over this
+    /// time, s.
     pub limit_time_s: f64,
-    /// Share of the joint speed limits to use.
+    /// Share of the joint speed limits that is used.
     pub speed_share: f64,
 }
 
@@ -50,7 +52,7 @@ impl Default for IkConfig {
     }
 }
 
-/// Bisections of the scale to which a twist that is too fast is brought.
+/// Number of bisections to find the scale of a twist that is too fast.
 const SCALE_HALVINGS: usize = 5;
 
 /// The joint velocities of one step.
@@ -58,15 +60,17 @@ const SCALE_HALVINGS: usize = 5;
 pub struct IkStep<'a> {
     /// Velocities of the chosen joints, rad/s (m/s), in their order.
     pub velocities: &'a [f64],
-    /// Share of the twist that the joint speed limits leave, in `0..=1`; under 1 the motion is slower than asked.
+    /// The share of the twist that respects the joint speed limits, in `0..=1`; below 1 the motion is slower than
+    /// requested.
     pub scale: f64,
-    /// What part of the (scaled) twist stays undone, weighted, m/s: 0 away from singularities and joint limits.
+    /// The part of the (scaled) twist that is not achieved, weighted, m/s: 0 away from singularities and joint
+    /// limits.
     pub residual: f64,
-    /// Smallest singular value of the weighted Jacobian, of the axes that are not free.
+    /// Smallest singular value of the weighted Jacobian over the axes that are not free.
     pub singular: f64,
 }
 
-/// Solves one link's velocity with some of the joints. Allocates only in [`new`](Self::new).
+/// Solves the velocity of one link with some of the joints. Allocates only in [`new`](Self::new).
 #[derive(Clone, Debug)]
 pub struct DifferentialIk {
     kinematics: Kinematics,
@@ -119,14 +123,14 @@ impl DifferentialIk {
         self.config = config;
     }
 
-    /// The joint velocities that move the link's origin with `twist` (root frame) at the configuration `q` (all joints
-    /// of the model). `posture`, if given, holds positions of the chosen joints to which the free motion is drawn.
+    /// The joint velocities that move the link's origin with `twist` (root frame) at the configuration `q` (all
+    /// joints of the model). The null space pulls the chosen joints towards `posture`, if given.
     ///
     /// A twist that is not finite yields velocities of 0 and a scale of 0.
     ///
     /// # Source
-    /// Chiaverini 1997 (damping), Flacco et al. 2012 (joints at their limits; differs in: the rest is the least-squares
-    /// best when the task cannot be met, so that the arm slides along its limits instead of standing).
+    /// Chiaverini 1997 (damping), Flacco et al. 2012 (joints at their limits; differs in: if the task cannot be
+    /// met, it takes the least-squares solution, so that the arm slides along its limits instead of standing).
     pub fn step(&mut self, q: &[f64], twist: &Twist, posture: Option<&[f64]>) -> IkStep<'_> {
         self.velocity.fill(0.0);
         if !twist.linear.iter().chain(&twist.angular).all(|v| v.is_finite()) {
@@ -148,7 +152,7 @@ impl DifferentialIk {
         IkStep { velocities: &self.velocity, scale, residual, singular }
     }
 
-    /// Fills the weighted Jacobian, in the link's frame, and returns the weighted twist.
+    /// Computes the weighted Jacobian, in the link's frame, and returns the weighted twist.
     fn weigh(&mut self, twist: &Twist) -> Vector6<f64> {
         self.kinematics.jacobian_into(self.link, &Point3::origin(), &self.joints, &mut self.jacobian);
         let link_from_root = self.kinematics.pose(self.link).rotation.inverse();
@@ -164,7 +168,7 @@ impl DifferentialIk {
         weigh(twist.linear, twist.angular)
     }
 
-    /// The velocity towards the posture, bounded.
+    /// Computes the bounded velocity towards the posture.
     fn draw(&mut self, q: &[f64], posture: Option<&[f64]>) {
         let joints = self.kinematics.model().joints();
         for (i, &j) in self.joints.iter().enumerate() {
@@ -175,13 +179,13 @@ impl DifferentialIk {
         }
     }
 
-    /// Solves the task with the joints that are not blocked; blocked ones keep their velocity. Returns the smallest
-    /// singular value over the axes that count.
+    /// Solves the task with the joints that are not blocked; blocked joints keep their velocity. Returns the
+    /// smallest singular value over the axes that count.
     fn solve(&mut self, task: &Vector6<f64>) -> f64 {
         self.solve_from(task, true)
     }
 
-    /// Solves with the least change from the pull towards the posture, or else from the present velocity.
+    /// Solves with the least change from the velocity towards the posture, or else from the present velocity.
     fn solve_from(&mut self, task: &Vector6<f64>, pull: bool) -> f64 {
         for i in 0..self.joints.len() {
             if pull && !self.blocked[i] {
@@ -223,14 +227,15 @@ impl DifferentialIk {
         smallest
     }
 
-    /// Blocks the joint that runs over its position limit the most, at the speed that it may have. Whether there was one.
+    /// Blocks the joint that exceeds its position bound the most, at the speed that it may have. Returns whether
+    /// there was one.
     fn block(&mut self, q: &[f64]) -> bool {
         let joints = self.kinematics.model().joints();
         let mut worst: Option<(usize, f64, f64)> = None;
         for (i, &j) in self.joints.iter().enumerate().filter(|(i, _)| !self.blocked[*i]) {
             let now = q.get(j).copied().unwrap_or(0.0);
             let speed = |distance: f64| distance / self.config.limit_time_s;
-            // A joint beyond its margin is not driven back by force, only not further out.
+            // A joint beyond its margin is not driven back; it only may not move further out.
             let up = speed((joints[j].upper - self.config.margin - now).max(0.0));
             let down = speed((now - joints[j].lower - self.config.margin).max(0.0));
             let allowed = self.velocity[i].clamp(-down, up);
@@ -245,14 +250,14 @@ impl DifferentialIk {
         true
     }
 
-    /// Brings the joints within their speed limits: by what the task leaves free as far as that goes, and by scaling the
-    /// whole motion for the rest. Returns the scale.
+    /// Brings the joints within their speed limits: by the null space as far as possible, else by scaling the whole
+    /// motion. Returns the scale.
     fn bound_speed(&mut self, task: &Vector6<f64>) -> f64 {
         let Some((_, excess)) = self.excess() else { return 1.0 };
         self.saved.copy_from_slice(&self.velocity);
         self.saved_blocked.copy_from_slice(&self.blocked);
         let missed = (self.product(&self.velocity) - task).norm() + 1e-3 * task.norm();
-        // Scaled by 1 / excess it fits for certain; the largest scale that fits is between that and 1.
+        // A scale of 1 / excess always fits; the largest scale that fits is between that and 1.
         let (mut fits, mut fails) = (1.0 / excess, 1.0);
         if self.relieve(task, 1.0, missed) {
             return 1.0;
@@ -267,7 +272,7 @@ impl DifferentialIk {
         fits
     }
 
-    /// Takes the saved solution, scaled.
+    /// Restores the saved solution, scaled.
     fn restart(&mut self, scale: f64) {
         for (velocity, saved) in self.velocity.iter_mut().zip(&self.saved) {
             *velocity = scale * saved;
@@ -275,8 +280,8 @@ impl DifferentialIk {
         self.blocked.copy_from_slice(&self.saved_blocked);
     }
 
-    /// Whether the saved solution, scaled, can be brought within the speed limits: joints that are too fast run at their
-    /// limit and the others make up for them, missing the scaled task by no more than `missed` of it.
+    /// Whether the saved solution, scaled, can be brought within the speed limits: joints that are too fast are set
+    /// to their limit and the others compensate, with an error of at most `missed` of the scaled task.
     fn relieve(&mut self, task: &Vector6<f64>, scale: f64, missed: f64) -> bool {
         self.restart(scale);
         let scaled = task * scale;
@@ -295,7 +300,7 @@ impl DifferentialIk {
         false
     }
 
-    /// The joint that exceeds its speed limit the most, and by which factor; none when all are within.
+    /// The joint that exceeds its speed limit the most, and the factor; `None` if all are within their limits.
     fn excess(&self) -> Option<(usize, f64)> {
         let joints = self.kinematics.model().joints();
         let share =

@@ -1,4 +1,4 @@
-//! Inverse kinematics against forward kinematics.
+//! Inverse kinematics checked by forward kinematics.
 
 use std::sync::Arc;
 
@@ -49,7 +49,7 @@ fn a_free_turn_reaches_more() {
     let (model, tcp, joints) = arm();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let goal = inside(&model, &joints, 0.6, &mut rng);
-    // The same place, turned by half a turn about the link's x: only with that turn free in reach.
+    // The same position, rotated by half a turn about the link's x: reachable only if that rotation is free.
     let target = model.link_pose(&goal, tcp)
         * nalgebra::UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
     let options = PoseOptions { orient: [false, true, true], ..PoseOptions::default() };
@@ -69,7 +69,7 @@ fn a_pose_out_of_reach_says_how_far() {
     );
     let options = PoseOptions::default();
     let error = solve_pose(&model, tcp, &joints, &target, &model.zero(), &options, &mut rng).unwrap_err();
-    // Shoulder to TCP is at most 0.75 m; the target is 1.9 m off.
+    // From shoulder to TCP there are at most 0.75 m; the target is 1.9 m away.
     assert!(error.position_error_m > 1.0 && error.position_error_m < 1.5, "{error}");
     assert!(error.to_string().contains("tcp_right"));
     let nan = Isometry3::translation(f64::NAN, 0.0, 0.0);
@@ -95,7 +95,7 @@ fn a_step_makes_the_twist_and_the_posture_does_not_disturb_it() {
         }
         if singular > 0.06 {
             let made = ik.kinematics().twist(tcp, &nalgebra::Point3::origin(), &all);
-            // The angular rows weigh 0.3.
+            // The angular rows have the weight 0.3.
             assert!(residual < 1e-9 || scale < 1.0 || residual < 2e-3 * twist.linear.norm(), "{residual}");
             assert!((made.linear - twist.linear * scale).norm() <= residual + 1e-9);
             assert!((made.angular - twist.angular * scale).norm() <= residual / 0.3 + 1e-9);

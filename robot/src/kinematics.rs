@@ -1,7 +1,8 @@
 //! Forward kinematics and Jacobians of all links at one joint configuration. Allocates only in [`Kinematics::new`].
 //!
-//! A point `p` on a link moves with `v = sum_j a_j x (p - o_j) qd_j` over the turning joints that carry the link, and
-//! `a_j qd_j` over the sliding ones, where `o_j` is the joint's origin and `a_j` its axis, both in the root frame.
+//! A point `p` on a link moves with `v = sum_j a_j x (p - o_j) qd_j` over the revolute joints that move the link,
+//! and `a_j qd_j` over the prismatic ones, where `o_j` is the joint's origin and `a_j` its axis, both in the root
+//! frame.
 
 use std::sync::Arc;
 
@@ -31,7 +32,7 @@ pub struct Kinematics {
 }
 
 impl Kinematics {
-    /// At the configuration [`Model::zero`].
+    /// The poses at the configuration [`Model::zero`].
     #[must_use]
     pub fn new(model: &Arc<Model>) -> Self {
         let n = model.joints().len();
@@ -45,7 +46,7 @@ impl Kinematics {
         kinematics
     }
 
-    /// The robot that it belongs to.
+    /// The robot's model.
     #[must_use]
     pub fn model(&self) -> &Arc<Model> {
         &self.model
@@ -86,13 +87,13 @@ impl Kinematics {
         &self.axis[joint]
     }
 
-    /// The origin of a joint's frame in the root frame, m (of a sliding joint, where it is at 0).
+    /// The origin of a joint's frame in the root frame, m (for a prismatic joint: at position 0).
     #[must_use]
     pub fn origin(&self, joint: usize) -> &Point3<f64> {
         &self.origin[joint]
     }
 
-    /// What one joint at 1 rad/s (m/s) does to the point `p`, given in the root frame, of `link`.
+    /// The velocity of the point `p` (in the root frame) of `link` when the joint moves at 1 rad/s (m/s).
     #[must_use]
     pub fn column(&self, joint: usize, link: LinkId, p: &Point3<f64>) -> Twist {
         if !self.model.moves(joint, link) {
@@ -105,7 +106,8 @@ impl Kinematics {
         }
     }
 
-    /// Writes the Jacobian of the point `point_in_link` (m) for `joints` into `out`, which has as many columns.
+    /// Writes the Jacobian of the point `point_in_link` (m) for `joints` into `out`, which has one column per
+    /// joint.
     pub fn jacobian_into(
         &self,
         link: LinkId,

@@ -1,4 +1,4 @@
-//! The description against the published test vectors, and Jacobians and torques against finite differences.
+//! Tests the description against the published test vectors, and Jacobians and torques against finite differences.
 
 use std::sync::Arc;
 
@@ -76,7 +76,7 @@ fn single_joints_move_the_tcp_as_published() {
 
 #[test]
 fn the_left_arm_mirrors_the_right() {
-    // Mirrored axes turn the other way for shoulder 2, upperarm and underarm, whose limits are mirrored too.
+    // Mirrored axes have the opposite sense for shoulder 2, upperarm and underarm; their limits are mirrored too.
     let model = armar3();
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let signs = [1.0, -1.0, -1.0, 1.0, -1.0, -1.0, 1.0];

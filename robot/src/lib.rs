@@ -1,14 +1,13 @@
-//! What a robot is: its description and kinematics, and the boundary across which it is sensed and
-//! commanded.
+//! What a robot is: its description, its kinematics, and the interface by which skills sense and command it.
 //!
 //! - [`Model`]: joints, links, limbs, read from URDF. [`Kinematics`]: poses, Jacobians.
 //! - [`DifferentialIk`], [`solve_pose`]: from a twist or a pose of a link to joint velocities or positions.
 //! - [`postures`]: named arm and torso postures of ARMAR-III, with the numbers that chose them.
-//! - [`Robot`]: what skills hold. [`Lease`]: the exclusive right to command one limb.
-//! - [`Guard`]: stands between leases and the joints; limits, watchdog, force limit. Pure and stepped.
-//! - [`DummyRobot`], [`conformance`]: ideal joints for tests, and what every driver's test calls.
+//! - [`Robot`]: the interface for skills. [`Lease`]: the exclusive right to command one limb.
+//! - [`Guard`]: the safety layer between leases and joints: limits, watchdog, force limit. Pure and stepped.
+//! - [`DummyRobot`], [`conformance`]: ideal joints for tests, and the checks that every driver's test calls.
 //!
-//! This room knows no skill, no chart and no physics engine.
+//! This room does not know skills, charts or a physics engine.
 
 mod boundary;
 pub mod conformance;

@@ -1,7 +1,7 @@
-//! The robot's description in memory: links, joints, limbs. Immutable once read; no state, no algorithm.
+//! The robot's description in memory: links, joints, limbs. Immutable after reading; no state, no algorithms.
 //!
-//! Links stand in an order in which a parent comes before its children; joints (only those that move) in the order of
-//! the description's depth-first walk. Every joint array of this room is in that order. Start at [`Model::armar3`].
+//! Links are in an order in which parents come before children. Joints (only those that move) are in the order of
+//! the description's depth-first walk, and so is every joint array of this room. Start at [`Model::armar3`].
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use crate::error::RobotError;
 /// Standard gravity in the root frame (z up), m/s².
 pub const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 
-/// Which link of a [`Model`]; the index into [`Model::links`].
+/// Identifies a link of a [`Model`]: an index into [`Model::links`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LinkId(pub(crate) usize);
 
@@ -29,14 +29,14 @@ impl LinkId {
 pub enum Shape {
     /// A box.
     Box {
-        /// Whole edge lengths along x, y, z, m.
+        /// Edge lengths along x, y, z, m.
         size: Vector3<f64>,
     },
     /// A cylinder about z.
     Cylinder {
         /// Radius, m.
         radius: f64,
-        /// Whole length along z, m.
+        /// Length along z, m.
         length: f64,
     },
     /// A sphere.
@@ -46,23 +46,23 @@ pub enum Shape {
     },
 }
 
-/// What a camera sees of a link.
+/// A visible part of a link.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Visual {
     /// The primitive.
     pub shape: Shape,
-    /// Where the shape's frame is in the link's.
+    /// The shape's pose in the link's frame.
     pub link_from_shape: Isometry3<f64>,
     /// Colour: red, green, blue.
     pub color: [u8; 3],
 }
 
-/// What touches of a link.
+/// A collision part of a link.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Collision {
     /// The primitive.
     pub shape: Shape,
-    /// Where the shape's frame is in the link's.
+    /// The shape's pose in the link's frame.
     pub link_from_shape: Isometry3<f64>,
 }
 
@@ -82,26 +82,26 @@ pub struct Inertial {
 pub struct Link {
     /// Its name.
     pub name: String,
-    /// The link it hangs on; none for the root.
+    /// Its parent link; `None` for the root.
     pub parent: Option<LinkId>,
-    /// The joint that moves it against its parent; none for the root and for fixed links.
+    /// The joint between it and its parent; `None` for the root and for fixed links.
     pub joint: Option<usize>,
     /// Its pose in the parent's frame with the joint at 0.
     pub parent_from_link: Isometry3<f64>,
-    /// Its mass; none for pure frames.
+    /// Its mass; `None` for pure frames.
     pub inertial: Option<Inertial>,
-    /// What cameras see.
+    /// Its visible parts.
     pub visuals: Vec<Visual>,
-    /// What touches.
+    /// Its collision parts.
     pub collisions: Vec<Collision>,
 }
 
 /// How a joint moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JointKind {
-    /// Turns about its axis; positions are rad.
+    /// Rotates about its axis; positions in rad.
     Revolute,
-    /// Slides along its axis; positions are m.
+    /// Slides along its axis; positions in m.
     Prismatic,
 }
 
@@ -110,11 +110,11 @@ pub enum JointKind {
 pub struct Joint {
     /// Its name.
     pub name: String,
-    /// Turning or sliding.
+    /// Revolute or prismatic.
     pub kind: JointKind,
-    /// The link it moves.
+    /// The link that it moves.
     pub link: LinkId,
-    /// Its axis in the frame of the link that it moves (and, at 0, of its origin).
+    /// Its axis in the frame of the link that it moves. At position 0 this is also the joint's frame.
     pub axis: Unit<Vector3<f64>>,
     /// Lower limit, rad (m); `-inf` for a joint without limits.
     pub lower: f64,
@@ -128,20 +128,20 @@ pub struct Joint {
     pub effort: f64,
 }
 
-/// A group of joints that is commanded as one.
+/// A group of joints that is commanded together.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Limb {
     /// Its name.
     pub name: String,
-    /// Its joints, indices into [`Model::joints`], in the order of its commands.
+    /// Its joints as indices into [`Model::joints`], in the order of its commands.
     pub joints: Vec<usize>,
-    /// The link that it carries and whose speed is limited.
+    /// The link at its end whose speed is limited.
     pub tcp: Option<LinkId>,
-    /// The link of the force/torque sensor in it.
+    /// The link of its force/torque sensor.
     pub sensor: Option<LinkId>,
 }
 
-/// A limb by names, as a configuration file would give it.
+/// A limb by names, as in a configuration file.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LimbSpec {
@@ -149,10 +149,10 @@ pub struct LimbSpec {
     pub name: String,
     /// Names of its joints, in the order of its commands.
     pub joints: Vec<String>,
-    /// The link that it carries.
+    /// The link at its end.
     #[serde(default)]
     pub tcp: Option<String>,
-    /// The link of the force/torque sensor in it.
+    /// The link of its force/torque sensor.
     #[serde(default)]
     pub sensor: Option<String>,
 }
@@ -195,8 +195,8 @@ impl Model {
         &self.limbs
     }
 
-    /// The joints of a limb in the order of its commands; empty when there is no such limb
-    /// (see [`find_limb`](Self::find_limb) to tell).
+    /// The joints of a limb in the order of its commands; empty if there is no such limb (use
+    /// [`find_limb`](Self::find_limb) to distinguish).
     #[must_use]
     pub fn limb(&self, name: &str) -> &[usize] {
         self.limbs.get(name).map_or(&[], |limb| &limb.joints)
@@ -214,7 +214,7 @@ impl Model {
         self.link_ids.get(name).copied()
     }
 
-    /// A link by its name, or an error that lists what there is.
+    /// A link by its name, or an error that lists all links.
     ///
     /// # Errors
     /// [`RobotError::Unknown`] when there is no such link.
@@ -228,7 +228,7 @@ impl Model {
         self.joint_ids.get(name).copied()
     }
 
-    /// A joint's index by its name, or an error that lists what there is.
+    /// A joint's index by its name, or an error that lists all joints.
     ///
     /// # Errors
     /// [`RobotError::Unknown`] when there is no such joint.
@@ -248,7 +248,7 @@ impl Model {
         self.supporting[link.0].contains(&joint)
     }
 
-    /// The links that hang on `link`, itself included, parents before children.
+    /// `link` and all links attached to it, parents before children.
     pub fn subtree(&self, link: LinkId) -> impl Iterator<Item = LinkId> + '_ {
         let mut inside = vec![false; self.links.len()];
         (link.0..self.links.len()).filter_map(move |i| {
@@ -261,7 +261,7 @@ impl Model {
     ///
     /// # Errors
     /// [`RobotError::Unknown`] when a joint or link is not in the description; [`RobotError::Description`] when a
-    /// limb has no joints or one twice.
+    /// limb has no joints or has one twice.
     pub fn with_limbs(mut self, limbs: &[LimbSpec]) -> Result<Self, RobotError> {
         for spec in limbs {
             let joints = spec.joints.iter().map(|j| self.require_joint(j)).collect::<Result<Vec<_>, _>>()?;

@@ -1,7 +1,7 @@
-//! The newest value of something that changes, and a wake-up at each change.
+//! A channel for the newest value, which wakes its receivers at each change.
 //!
-//! Those who wait are woken in the order in which they began to wait. `tokio::sync::watch` does the same but wakes its
-//! receivers in a random order; under virtual time that is the one thing that would make a run differ from the next.
+//! Receivers are woken in the order in which they began to wait. `tokio::sync::watch` does the same but wakes its
+//! receivers in a random order; under virtual time, this alone would make two runs differ.
 
 use std::pin::pin;
 use std::sync::Arc;
@@ -22,13 +22,13 @@ struct State<T> {
     closed: bool,
 }
 
-/// Changes the value; there is one.
+/// Sets the value; there is only one sender.
 #[derive(Debug)]
 pub struct Sender<T> {
     shared: Arc<Shared<T>>,
 }
 
-/// Sees the newest value; clones see the same.
+/// Reads the newest value; clones read the same value.
 #[derive(Debug)]
 pub struct Receiver<T> {
     shared: Arc<Shared<T>>,
@@ -41,14 +41,14 @@ pub struct Receiver<T> {
 pub struct Closed;
 
 impl<T: Clone> Sender<T> {
-    /// A value before its first change.
+    /// A channel with its first value.
     #[must_use]
     pub fn new(value: T) -> Self {
         let state = Mutex::new(State { value, version: 0, closed: false });
         Self { shared: Arc::new(Shared { state, changed: Notify::new() }) }
     }
 
-    /// Replaces the value and wakes who waits.
+    /// Replaces the value and wakes the waiting receivers.
     pub fn send(&self, value: T) {
         let mut state = self.shared.state.lock();
         state.value = value;
@@ -57,13 +57,13 @@ impl<T: Clone> Sender<T> {
         self.shared.changed.notify_waiters();
     }
 
-    /// The value.
+    /// The present value.
     #[must_use]
     pub fn borrow(&self) -> T {
         self.shared.state.lock().value.clone()
     }
 
-    /// A receiver for which the present value is seen already.
+    /// A receiver that counts the present value as seen.
     #[must_use]
     pub fn subscribe(&self) -> Receiver<T> {
         let seen = self.shared.state.lock().version;
@@ -85,27 +85,27 @@ impl<T> Clone for Receiver<T> {
 }
 
 impl<T: Clone> Receiver<T> {
-    /// The value as it is now; whether it was seen stays as it is.
+    /// The present value, without marking it as seen.
     #[must_use]
     pub fn borrow(&self) -> T {
         self.shared.state.lock().value.clone()
     }
 
-    /// The value as it is now, which counts as seen from here on.
+    /// The present value, marked as seen.
     pub fn borrow_and_update(&mut self) -> T {
         let state = self.shared.state.lock();
         self.seen = state.version;
         state.value.clone()
     }
 
-    /// Waits until there is a value that has not been seen.
+    /// Waits until there is a value that was not seen.
     ///
     /// # Errors
-    /// [`Closed`] when there will be none any more.
+    /// [`Closed`] when the sender is gone.
     pub async fn changed(&mut self) -> Result<(), Closed> {
         loop {
             let mut woken = pin!(self.shared.changed.notified());
-            // Registered before the look, so that no change falls between the two.
+            // Registered before the check, so that no change is missed in between.
             woken.as_mut().enable();
             let (version, closed) = {
                 let state = self.shared.state.lock();

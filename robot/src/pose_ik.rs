@@ -1,6 +1,7 @@
-//! Inverse kinematics of a whole pose: is it within reach, and with which joints.
+//! Inverse kinematics of a whole pose: whether it is reachable, and with which joint positions.
 //!
-//! Levenberg-Marquardt from a seed, with restarts from random configurations. It knows no obstacles and plans no path.
+//! Levenberg-Marquardt from a seed, with restarts from random configurations. It ignores obstacles and plans no
+//! path.
 
 use std::sync::Arc;
 
@@ -9,14 +10,14 @@ use rand::{Rng, RngExt};
 
 use crate::{Jacobian, Kinematics, LinkId, Model, Twist};
 
-/// When a pose counts as reached, and how hard to try.
+/// When a pose counts as reached, and how long to search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseOptions {
     /// Largest position error, m.
     pub position_tolerance: f64,
     /// Largest orientation error, rad.
     pub orientation_tolerance: f64,
-    /// Which turns count, about the link's x, y, z; the others are free.
+    /// Which rotations count, about the link's x, y, z; the others are free.
     pub orient: [bool; 3],
     /// Distance to keep from joint limits, rad (m).
     pub margin: f64,
@@ -39,7 +40,7 @@ impl Default for PoseOptions {
     }
 }
 
-/// The pose is out of reach (or was not found): how far the nearest configuration is.
+/// The pose is unreachable (or no solution was found); gives the error of the nearest configuration.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
     "`{link}` cannot reach the pose: {:.0} mm and {:.1} degrees remain",
@@ -47,11 +48,11 @@ impl Default for PoseOptions {
     orientation_error_rad.to_degrees()
 )]
 pub struct IkError {
-    /// The link that was to reach it.
+    /// The link that should reach it.
     pub link: String,
-    /// Distance that remains, m.
+    /// Remaining distance, m.
     pub position_error_m: f64,
-    /// Angle that remains, of the turns that count, rad.
+    /// Remaining angle of the rotations that count, rad.
     pub orientation_error_rad: f64,
     /// The nearest configuration of all joints, rad (m).
     pub nearest: Vec<f64>,
@@ -64,8 +65,8 @@ const LARGEST_CHANGE: f64 = 0.4;
 /// Range of starts for joints without limits, rad.
 const UNBOUNDED: f64 = std::f64::consts::PI;
 
-/// The difference `to - from` of two poses in the root frame: m, and the rotation vector that leads from one to the other,
-/// rad. Times a gain, it is the twist that leads there.
+/// The difference `to - from` of two poses in the root frame: m, and the rotation vector from one to the other,
+/// rad. Times a gain, it is a twist that moves towards `to`.
 #[must_use]
 pub fn pose_error(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Twist {
     Twist {
@@ -74,8 +75,8 @@ pub fn pose_error(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Twist {
     }
 }
 
-/// Finds positions of `joints` for which `link` is at `root_from_target`; the other joints stay as in `seed` (all joints of
-/// the model). Returns all joints; the solution from the seed is preferred.
+/// Finds positions of `joints` for which `link` is at `root_from_target`; the other joints stay as in `seed` (all
+/// joints of the model). Returns all joints. The search from the seed comes first.
 ///
 /// # Errors
 /// [`IkError`] with the smallest error that was found.
@@ -164,7 +165,7 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// Iterates until the error no longer shrinks; returns the position and orientation errors, m and rad.
+    /// Iterates until the error no longer decreases. Returns the position and orientation errors, m and rad.
     fn descend(&mut self, q: &mut [f64], target: &Isometry3<f64>) -> (f64, f64) {
         let mut errors = (f64::INFINITY, f64::INFINITY);
         for _ in 0..self.options.iterations {
@@ -180,7 +181,7 @@ impl<'a> Solver<'a> {
         errors
     }
 
-    /// The pose error in the link's frame, m and rad, without the turns that are free.
+    /// The pose error in the link's frame, m and rad, without the free rotations.
     fn error(&self, target: &Isometry3<f64>) -> Vector6<f64> {
         let link_from_target = self.kinematics.pose(self.link).inverse() * target;
         let linear = link_from_target.translation.vector;
@@ -233,7 +234,7 @@ impl<'a> Solver<'a> {
         true
     }
 
-    /// Takes out a joint that stands at its limit and would leave it.
+    /// Blocks a joint that is at its limit and would exceed it.
     fn block(&mut self, q: &[f64]) -> bool {
         for (i, &j) in self.joints.iter().enumerate() {
             let (lower, upper) = self.range(j);
@@ -248,15 +249,15 @@ impl<'a> Solver<'a> {
     }
 }
 
-/// The rotation vector of `rotation`, or, when the turn about one axis alone is free, the shortest turn that brings that
-/// axis where it belongs.
+/// The rotation vector of `rotation`. If the rotation about one axis is free, the shortest rotation that aligns
+/// that axis.
 fn turn(rotation: &UnitQuaternion<f64>, orient: [bool; 3]) -> Vector3<f64> {
     let mut free = (0..3).filter(|&axis| !orient[axis]);
     match (free.next(), free.next()) {
         (Some(axis), None) => {
             let here = Vector3::ith_axis(axis);
             let there = rotation * here;
-            // Opposite axes: any turn by pi about an axis across.
+            // Opposite axes: any rotation by pi about a perpendicular axis.
             let across = Unit::new_normalize(Vector3::ith((axis + 1) % 3, 1.0));
             UnitQuaternion::rotation_between_axis(&here, &Unit::new_unchecked(there.into_inner()))
                 .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&across, std::f64::consts::PI))

@@ -1,4 +1,4 @@
-//! The named postures are what their docs say.
+//! The named postures have the properties that their docs state.
 
 use std::sync::Arc;
 

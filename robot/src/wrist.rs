@@ -1,30 +1,32 @@
-//! The wrist's force/torque sensor, compensated: what the environment does to the hand.
+//! The compensated wrist force/torque sensor: the force and torque of the environment on the hand.
 //!
-//! The hand (every link that hangs on the sensor, and the load in it) obeys Newton and Euler. With `f` and `t` the force
-//! and torque that the hand exerts on the sensor, `m`, `c`, `I` its mass, centre (from the sensor's origin) and inertia,
-//! and `a_c`, `w`, `al` its motion, the environment's share, in the root frame and about the sensor's origin, is
+//! The hand (every link beyond the sensor, and its load) obeys the Newton-Euler equations. `f` and `t` are the
+//! force and torque that the hand exerts on the sensor; `m`, `c`, `I` are its mass, centre (from the sensor's
+//! origin) and inertia; `a_c`, `w`, `al` are the acceleration of its centre, its angular velocity and its angular
+//! acceleration. The environment's share, in the root frame and about the sensor's origin, is
 //!
 //! ```text
 //! f_env = f + m (a_c - g)
 //! t_env = t + c x m (a_c - g) + I al + w x I w
 //! ```
 //!
-//! The acceleration is the difference of the velocities that the joint sensors report; it and the force pass through the
-//! same low-pass (two equal poles, together -3 dB at 39 Hz, delay 5 ms), so that they stay in step. Fingers are taken
-//! as standing still in the hand. It knows nothing of friction or contact: what remains is the environment's.
+//! The acceleration is the difference of the velocities that the joint sensors report. It and the force pass
+//! through the same low-pass (two equal poles, together -3 dB at 39 Hz, delay 5 ms), so that they stay synchronous.
+//! The fingers are assumed not to move in the hand. Friction and contact are not modelled: everything that remains
+//! counts as the environment's.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::model::GRAVITY;
 use crate::{Kinematics, LinkId, Model, Twist, Wrist};
 
-/// Each of the two poles of the low-pass, Hz.
+/// Frequency of each of the two poles of the low-pass, Hz.
 const POLE_HZ: f64 = 60.0;
-/// Samples that a tare averages: the last 0.1 s at 1 kHz.
+/// Number of samples that a tare averages: the last 0.1 s at 1 kHz.
 const TARE_SAMPLES: usize = 100;
 
-/// The mass of what was taken into the hand, kg, from the compensated wrist force before and after, at the same posture
-/// and at rest, while the load is not yet set (see [`Robot::set_load`](crate::Robot::set_load)).
+/// The mass of a grasped object, kg, from the compensated wrist force before and after the grasp, in the same
+/// posture and at rest, while the load is not yet set (see [`Robot::set_load`](crate::Robot::set_load)).
 #[must_use]
 pub fn load_mass(before: &Wrist, after: &Wrist) -> f64 {
     (after.force - before.force).dot(&GRAVITY) / GRAVITY.norm_squared()
@@ -56,13 +58,13 @@ impl Pair {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Body {
     pub(crate) mass: f64,
-    /// From the sensor's origin to the centre of mass, m.
+    /// Vector from the sensor's origin to the centre of mass, m.
     pub(crate) center: Vector3<f64>,
-    /// About the centre of mass, kg m².
+    /// Inertia about the centre of mass, kg m².
     inertia: Matrix3<f64>,
 }
 
-/// Which links make up the hand, and what it holds.
+/// The links of the hand and its load.
 #[derive(Clone, Debug)]
 pub(crate) struct Hand {
     sensor: LinkId,
@@ -103,8 +105,8 @@ impl Hand {
         body
     }
 
-    /// The force and torque that the hand exerts on the sensor, in the sensor's frame, about its origin, when the
-    /// environment pushes it at the TCP with `force` (root frame) and it moves so. For drivers that have no physics.
+    /// The force and torque of the hand on the sensor, in the sensor's frame, about its origin, for the given
+    /// motion and the environment's `force` at the TCP (root frame). For drivers without physics.
     pub(crate) fn reaction(
         &self,
         kinematics: &Kinematics,
@@ -125,7 +127,7 @@ fn steiner(mass: f64, c: &Vector3<f64>) -> Matrix3<f64> {
     mass * (Matrix3::identity() * c.norm_squared() - c * c.transpose())
 }
 
-/// `m (a_c - g)` and the torque about the sensor's origin that goes with it.
+/// `m (a_c - g)`, and its torque about the sensor's origin.
 fn inertial_load(body: &Body, angular: &Vector3<f64>, acceleration: &Twist) -> Pair {
     let (w, al, c) = (angular, &acceleration.angular, &body.center);
     let at_center = acceleration.linear + al.cross(c) + w.cross(&w.cross(c));
@@ -142,7 +144,7 @@ pub(crate) struct WristEstimator {
     bias: Pair,
     recent: Vec<Pair>,
     next: usize,
-    /// The low-pass' two poles, root frame; none before the first sample.
+    /// The two poles of the low-pass, root frame; `None` before the first sample.
     poles: Option<[Pair; 2]>,
 }
 
@@ -158,7 +160,8 @@ impl WristEstimator {
         }
     }
 
-    /// Takes the next raw sample at the configuration of `kinematics`; `velocity` of all joints, `dt` s since the last.
+    /// Processes the next raw sample at the configuration of `kinematics`; `velocity` of all joints, `dt` s since
+    /// the last sample.
     pub(crate) fn update(
         &mut self,
         kinematics: &Kinematics,
@@ -215,7 +218,7 @@ impl WristEstimator {
         }
     }
 
-    /// What the hand holds; a mass of 0 is nothing. Samples from before do not count for a tare.
+    /// Sets the load of the hand; a mass of 0 means no load. Samples taken before it do not count for a tare.
     pub(crate) fn set_load(&mut self, mass: f64, center_in_tcp: Point3<f64>) {
         self.hand.load = (mass > 0.0).then_some((mass, center_in_tcp));
         self.recent.clear();

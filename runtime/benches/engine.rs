@@ -1,8 +1,8 @@
-//! How fast the engine is, on one core: events a second on a chart of two states with two leaves each, the time to
-//! load a chart of 100 000 states, the cost of an event in small and large charts, and the way of an event through the
-//! executor to a leaf that starts.
+//! How fast the engine is on one core: events per second on a chart of two states with two leaves each, the time to
+//! load a chart of 100 000 states, the cost of an event in small and large charts, and the latency from an event
+//! through the executor to the start of a leaf's skill.
 //!
-//! `cargo bench -p armarium-runtime`, or with a part of a case's name after `--`.
+//! Run with `cargo bench -p armarium-runtime`. A part of a case's name after `--` selects cases.
 
 #![expect(clippy::disallowed_methods, reason = "it measures the machine")]
 #![expect(clippy::print_stdout, reason = "a benchmark shows what it measured")]
@@ -51,7 +51,7 @@ fn alternating(expressions: bool) -> String {
     )
 }
 
-/// Many states in a ring, and beside them a part that alternates.
+/// A ring of many states, beside a part that alternates between two states.
 fn wide(states: usize) -> String {
     let mut text = String::from("statechart: Wide\nevents: {next: {}, turn: {}}\nparallel:\n");
     text += "  P: {initial: A, states: {A: {transitions: {next: B}}, B: {transitions: {next: A}}}}\n";
@@ -62,7 +62,7 @@ fn wide(states: usize) -> String {
     text
 }
 
-/// Runs `count` events of the list again and again without anybody listening; events a second.
+/// Sends the events of the list `count` times in a loop, without tracing. Returns events per second.
 fn drive(program: &Arc<Program>, events: &[EventId], count: u32) -> Result<f64, String> {
     let mut engine = Engine::new(Arc::clone(program), &BTreeMap::new(), None).map_err(|e| e.to_string())?;
     engine.set_tracing(false);
@@ -76,7 +76,7 @@ fn drive(program: &Arc<Program>, events: &[EventId], count: u32) -> Result<f64, 
     Ok(f64::from(count) / began.elapsed().as_secs_f64())
 }
 
-/// The best of several short rounds: what the machine does when nobody else uses it.
+/// The best of several short rounds, to leave out disturbance by other processes.
 fn best(rounds: usize, mut measure: impl FnMut() -> Result<f64, String>) -> Result<f64, String> {
     (0..rounds).try_fold(0.0_f64, |best, _| Ok(best.max(measure()?)))
 }
@@ -113,7 +113,7 @@ fn size() -> Result<(), String> {
     Ok(())
 }
 
-/// Only loads and checks, so that the memory of the process can be looked at.
+/// Only loads and checks a chart, to measure the memory of the process.
 fn load() -> Result<(), String> {
     let text = wide(100_000);
     let began = Instant::now();
@@ -126,7 +126,7 @@ fn load() -> Result<(), String> {
     Ok(())
 }
 
-/// Says when it was started.
+/// Records the times at which it is started.
 struct Mark(Arc<Mutex<Vec<Instant>>>);
 
 impl Skill for Mark {
@@ -147,7 +147,7 @@ impl Skill for Mark {
     }
 }
 
-/// From an event that is raised to the skill of the leaf that it enters, through the executor.
+/// Latency from a raised event to the start of the skill of the leaf that it enters, through the executor.
 async fn latency() -> Result<(), String> {
     let marks = Arc::new(Mutex::new(Vec::new()));
     let registry: Registry = [Arc::new(Mark(Arc::clone(&marks))) as Arc<dyn Skill>].into_iter().collect();

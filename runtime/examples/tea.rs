@@ -1,4 +1,4 @@
-//! A chart without a robot: a kettle heats water while somebody chooses a tea, in virtual time.
+//! A chart without a robot: a kettle heats water while the user chooses a tea, in virtual time.
 //!
 //! `cargo run --example tea -p armarium-runtime`
 
@@ -46,7 +46,7 @@ states:
   Failed: {final: failure}
 "#;
 
-/// Heats one degree a second and publishes how warm the water is.
+/// Heats by one degree per second and publishes the water's temperature.
 struct Heat;
 
 impl Skill for Heat {

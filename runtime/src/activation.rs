@@ -1,5 +1,6 @@
-//! One start of a skill, at whichever agent it runs: its context, its panic caught, its events held against what it
-//! declares, its end told once. Who started it decides about cancelling, and what it takes for stuck.
+//! One execution of a skill, at whichever agent it runs. It gives the skill its context, catches its panics, drops
+//! events that the manifest does not declare, and reports the end exactly once. The caller decides about cancelling
+//! and about when a skill counts as stuck.
 
 use std::any::Any;
 use std::collections::BTreeMap;
@@ -15,10 +16,10 @@ use tokio_util::sync::CancellationToken;
 use crate::channels::Channels;
 use crate::skill::{EventQueue, Failure, Limits, Skill, SkillContext, SkillResult, events};
 
-/// What a skill is started with.
+/// The arguments of a skill's start.
 #[derive(Debug)]
 pub(crate) struct Start {
-    /// Path of the state that runs it, or what else people know it by.
+    /// Path of the state that runs the skill, or the name that a remote caller knows it by.
     pub(crate) state: String,
     pub(crate) inputs: BTreeMap<String, Value>,
     pub(crate) limits: Limits,
@@ -26,16 +27,16 @@ pub(crate) struct Start {
     pub(crate) cancel: CancellationToken,
 }
 
-/// What a running skill tells.
+/// A report of a running skill.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Report {
-    /// It raises an event.
+    /// The skill raised an event.
     Event { name: String, data: Value },
-    /// Events of this name came over the bound.
+    /// Events of this name were dropped because the queue was full.
     Dropped { name: String, count: u64 },
-    /// What is active inside it.
+    /// The active states inside the skill.
     Inside(Vec<String>),
-    /// How it ended; nothing comes after this.
+    /// How the skill ended; the last report.
     Ended(SkillResult),
 }
 
@@ -51,8 +52,8 @@ pub(crate) struct Activation {
 }
 
 impl Activation {
-    /// Prepares a skill; it begins when it is asked for its reports.
-    /// `declared` are the events that it may raise.
+    /// Prepares a skill; it begins at the first call of [`next`](Self::next). `declared` are the events that it may
+    /// raise.
     pub(crate) fn new(skill: Arc<dyn Skill>, declared: Vec<String>, start: Start) -> Self {
         let (raising, events) = events();
         let (telling, inside) = watch::channel(Vec::new());
@@ -70,7 +71,7 @@ impl Activation {
         Self { state, declared, acting, events, inside, result: None }
     }
 
-    /// Lets the skill act until it tells something. Nothing is lost when this is dropped before it is ready.
+    /// Runs the skill until its next report. Cancel-safe: no report is lost when this future is dropped.
     pub(crate) async fn next(&mut self) -> Report {
         loop {
             if let Some(event) = self.events.take() {
@@ -104,7 +105,7 @@ impl Activation {
         }
     }
 
-    /// An event that the skill declares; others are not passed on.
+    /// The report of an event that the skill declares; other events are dropped.
     fn declared(&self, (name, data): (String, Value)) -> Option<Report> {
         if !self.declared.contains(&name) {
             tracing::warn!(

@@ -1,7 +1,8 @@
-//! Named channels: the newest value that an observer has published, with its time, and whether anyone reads it.
+//! Named channels: each holds the newest value that an observer has published, with its time, and counts its
+//! readers.
 //!
-//! Observers publish, watches and skills read. A channel keeps only the newest sample: a slow reader misses
-//! samples and never holds up the publisher. Observers whose work costs something look at [`Channels::wanted`].
+//! Observers publish; watches and skills read. A channel keeps only the newest sample: a slow reader misses samples
+//! and never delays the publisher. Observers with costly computations check [`Channels::wanted`] first.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
@@ -26,13 +27,13 @@ struct Channel {
     wanted: watch::Sender<usize>,
 }
 
-/// The hub; clones share the same channels.
+/// The set of channels; clones share the same channels.
 #[derive(Clone, Debug, Default)]
 pub struct Channels {
     by_name: Arc<Mutex<BTreeMap<String, Arc<Channel>>>>,
 }
 
-/// Says that somebody reads a channel, until it is dropped.
+/// Marks a channel as read until it is dropped.
 #[derive(Debug)]
 pub struct Demand {
     channel: Arc<Channel>,
@@ -45,7 +46,7 @@ impl Drop for Demand {
 }
 
 impl Channels {
-    /// A hub without channels.
+    /// An empty set of channels.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
@@ -58,19 +59,19 @@ impl Channels {
         }))
     }
 
-    /// Publishes a value now; it replaces the one before.
+    /// Publishes a value now; it replaces the previous one.
     pub fn publish(&self, name: &str, value: Value) {
         let sample = Sample { value, at: Instant::now() };
         self.channel(name).newest.send_replace(Some(sample));
     }
 
-    /// The newest sample, if there is one.
+    /// The newest sample, if any.
     #[must_use]
     pub fn newest(&self, name: &str) -> Option<Sample> {
         self.channel(name).newest.borrow().clone()
     }
 
-    /// The newest value, or the field of it that `path` names; only that is copied.
+    /// The newest value, or the field of it at `path`. Only the returned part is copied.
     #[must_use]
     pub fn field(&self, name: &str, path: &[String]) -> Option<Value> {
         let channel = self.channel(name);
@@ -82,7 +83,7 @@ impl Channels {
         Some(value.clone())
     }
 
-    /// How long ago a channel was published; `None` when it never was.
+    /// Time since the last publication; `None` if nothing was published yet.
     #[must_use]
     pub fn age(&self, name: &str) -> Option<Duration> {
         self.channel(name).newest.borrow().as_ref().map(|sample| sample.at.elapsed())
@@ -94,7 +95,7 @@ impl Channels {
         self.channel(name).newest.subscribe()
     }
 
-    /// Says that the caller reads this channel for as long as it keeps the returned token.
+    /// Registers the caller as a reader for as long as it keeps the returned token.
     #[must_use = "the demand ends when the token is dropped"]
     pub fn demand(&self, name: &str) -> Demand {
         let channel = self.channel(name);
@@ -102,7 +103,7 @@ impl Channels {
         Demand { channel }
     }
 
-    /// How many readers a channel has; an observer sleeps on it while there are none.
+    /// The number of readers of a channel. An observer sleeps on it while there are none.
     #[must_use]
     pub fn wanted(&self, name: &str) -> watch::Receiver<usize> {
         self.channel(name).wanted.subscribe()

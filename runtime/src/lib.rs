@@ -1,18 +1,18 @@
-//! Statecharts: written in YAML, checked at load, run by a pure engine and an executor that starts skills.
+//! Statecharts: written in YAML, checked at load, run by a pure engine, and by an executor that starts skills.
 //!
 //! - [`program`]: a chart as tables, ready to run;
-//! - [`chart`]: reading a chart, finding what is wrong with it, compiling it to a program;
-//! - [`engine`]: the pure interpreter of programs, event in, effects out;
-//! - [`import`]: charts that were written in SCXML;
-//! - [`stepping`]: a chart driven by hand under virtual time;
-//! - [`agenda`]: what is due and when, over a time that is handed in: timers, watches, graces;
+//! - [`chart`]: reads a chart, reports its errors, compiles it to a program;
+//! - [`engine`]: the pure interpreter of programs: inputs in, effects out;
+//! - [`import`]: converts charts from SCXML;
+//! - [`stepping`]: drives a chart by hand under virtual time;
+//! - [`agenda`]: what is due and when: timers, watches, deadlines of cancelled skills; the time is passed in;
 //! - [`exec`]: runs charts on tokio: skills, the clock, the channels;
 //! - `remote`, with the feature of that name: charts and skills of other agents, over Zenoh;
 //! - [`trace`]: what happened in a run;
-//! - [`skill`]: what a leaf of a chart is, and what it is given while it runs;
-//! - [`channels`]: what observers publish and watches read.
+//! - [`skill`]: what a leaf of a chart runs, and its context while it runs;
+//! - [`channels`]: values that observers publish and watches read.
 //!
-//! This room knows no robot and no memory; and no network without the feature `remote`.
+//! This room does not know robots or memory, nor the network without the feature `remote`.
 
 mod activation;
 pub mod agenda;

@@ -1,4 +1,4 @@
-//! What a skill is: a manifest that says what it takes, gives and commands, and a future that acts.
+//! What a skill is: a manifest that declares its inputs, outputs and limbs, and a future that acts.
 //!
 //! A skill is started with checked inputs, reports one outcome, and returns soon after it has been cancelled.
 
@@ -15,29 +15,29 @@ use tokio_util::sync::CancellationToken;
 use crate::channels::Channels;
 use crate::finding::suggest;
 
-/// What a skill declares about itself; the checker, the editor's schema and `armarium skills` use it.
+/// What a skill declares about itself; used by the checker, the editor's schema and `armarium skills`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SkillManifest {
     /// The name that charts use.
     pub name: String,
     /// One or two sentences for people.
     pub description: String,
-    /// What it takes.
+    /// Its inputs.
     pub inputs: Vec<Parameter>,
-    /// What it gives with its outcome.
+    /// Its outputs, with its outcome.
     pub outputs: Vec<Parameter>,
     /// Outcomes beyond `success` and `failure`.
     pub outcomes: Vec<String>,
     /// Events that it raises while it runs.
     pub events: Vec<String>,
-    /// What whoever judges a run is told of it.
+    /// Marks for the referee of a run.
     pub marks: Vec<Mark>,
     /// Limbs that it commands; two regions that can command one limb at the same time are an error at load.
     pub limbs: Vec<String>,
     /// How long it may take to return after a cancel.
     pub grace: Duration,
-    /// Whether it takes and gives more than is declared here: so does what another agent offers, as long as that agent
-    /// has not been asked.
+    /// Whether it may have more inputs and outputs than declared here, as for a skill of another agent that has not
+    /// been queried yet.
     pub open: bool,
 }
 
@@ -58,19 +58,19 @@ pub struct Parameter {
     pub description: String,
 }
 
-/// Something that whoever judges a run must know: that a skill has reached a point, with some of its numbers. It has no
-/// effect on the run.
+/// A point in a run that a referee must know: a skill has reached it, with some of its numbers. It has no effect on
+/// the run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mark {
-    /// What judges know it by.
+    /// The name that referees use.
     pub name: String,
-    /// When it is given.
+    /// When the mark is set.
     pub at: MarkTime,
-    /// Numbers that go with it: the name in the mark, and where the number comes from.
+    /// Its numbers: the name in the mark, and where the number comes from.
     pub numbers: Vec<(String, MarkNumber)>,
 }
 
-/// When a mark is given.
+/// When a mark is set.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum MarkTime {
     /// When the skill begins.
@@ -81,7 +81,7 @@ pub enum MarkTime {
     Event(String),
 }
 
-/// Where a number of a mark comes from. A mark at the start or at an event knows inputs only.
+/// Where a number of a mark comes from. A mark at the start or at an event can use inputs only.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum MarkNumber {
     /// The input of this name.
@@ -91,19 +91,19 @@ pub enum MarkNumber {
 }
 
 impl Mark {
-    /// A mark that is given when the skill begins.
+    /// A mark that is set when the skill begins.
     #[must_use]
     pub fn at_start(name: &str) -> Self {
         Self { name: name.into(), at: MarkTime::Start, numbers: Vec::new() }
     }
 
-    /// A mark that is given when the skill ends with `success`.
+    /// A mark that is set when the skill ends with `success`.
     #[must_use]
     pub fn at_success(name: &str) -> Self {
         Self { at: MarkTime::Success, ..Self::at_start(name) }
     }
 
-    /// A mark that is given when the skill raises `event`.
+    /// A mark that is set when the skill raises `event`.
     #[must_use]
     pub fn at_event(event: &str, name: &str) -> Self {
         Self { at: MarkTime::Event(event.into()), ..Self::at_start(name) }
@@ -123,7 +123,7 @@ impl Mark {
         self
     }
 
-    /// The numbers of one run of the skill; those that are none or not there are left out.
+    /// The numbers of one run of the skill. Values that are absent or no numbers are left out.
     #[must_use]
     pub fn numbers_of(
         &self,
@@ -138,7 +138,7 @@ impl Mark {
     }
 }
 
-/// Why a parameter does not take a value.
+/// Why a parameter refuses a value.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ParameterError {
@@ -161,7 +161,7 @@ fn bound(bound: Option<f64>) -> String {
     bound.map_or_else(|| "any".into(), |bound| bound.to_string())
 }
 
-/// Inputs that a skill or chart cannot be started with.
+/// Why a skill or chart cannot be started with the given inputs.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum InputError {
@@ -197,7 +197,7 @@ pub enum InputError {
     },
 }
 
-/// What is given to these parameters, as declared: converted, within the bounds, with defaults.
+/// Checks the given values against the parameters: converts them, checks the bounds, adds defaults.
 ///
 /// # Errors
 /// [`InputError`] for a value that is unknown, missing, of another type, or out of bounds.
@@ -234,7 +234,7 @@ impl Parameter {
         !x.is_nan() && self.minimum.is_none_or(|m| x >= m) && self.maximum.is_none_or(|m| x <= m)
     }
 
-    /// Whether a value is as declared already; false where only [`accept`](Self::accept) can tell.
+    /// Whether a value already has exactly the declared form. If false, [`accept`](Self::accept) decides.
     pub(crate) fn holds(&self, value: &Value) -> bool {
         match (&self.ty, value) {
             (Type::Bool, Value::Bool(_)) | (Type::String, Value::String(_)) => true,
@@ -244,7 +244,7 @@ impl Parameter {
         }
     }
 
-    /// The value as declared: converted to the type, and within the bounds.
+    /// The value, converted to the declared type and checked against the bounds.
     ///
     /// # Errors
     /// [`ParameterError`] when it is of another type, or out of bounds.
@@ -311,7 +311,7 @@ impl SkillManifest {
         self
     }
 
-    /// Adds a mark that the skill gives.
+    /// Adds a mark that the skill sets.
     #[must_use]
     pub fn mark(mut self, mark: Mark) -> Self {
         self.marks.push(mark);
@@ -363,7 +363,7 @@ impl Outcome {
     }
 }
 
-/// Why a skill failed, in words for the person at the robot.
+/// Why a skill failed, in words for the operator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[error("{reason}")]
 pub struct Failure {
@@ -391,7 +391,7 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// Both bounds together: of each the smaller.
+    /// The tighter of both bounds, each by itself.
     #[must_use]
     pub fn tightened(self, inner: Self) -> Self {
         let least = |a: Option<f64>, b: Option<f64>| match (a, b) {
@@ -405,7 +405,7 @@ impl Limits {
     }
 }
 
-/// Events of one skill that may wait.
+/// Largest number of events of one skill that wait.
 pub const MAX_EVENTS: usize = 256;
 
 /// Raises events of a running skill into its chart, in their order.
@@ -415,12 +415,12 @@ pub struct Events {
     dropped: Dropped,
 }
 
-/// How many events came over the bound, by name.
+/// Number of events that were dropped because the queue was full, by name.
 type Dropped = Arc<Mutex<BTreeMap<String, u64>>>;
 
 impl Events {
-    /// Raises one of the manifest's events. It does not wait: an event over the bound ([`MAX_EVENTS`]) is dropped and
-    /// counted, and the trace of the run says how many were.
+    /// Raises one of the manifest's events without waiting. If [`MAX_EVENTS`] already wait, the event is dropped
+    /// and counted, and the trace of the run reports the count.
     pub fn raise(&self, name: &str, data: Value) {
         if let Err(mpsc::error::TrySendError::Full((name, _))) = self.queue.try_send((name.to_owned(), data))
         {
@@ -428,21 +428,21 @@ impl Events {
         }
     }
 
-    /// Counts events that were dropped before they came here.
+    /// Counts events that were dropped elsewhere.
     pub(crate) fn dropped(&self, name: &str, count: u64) {
         let mut dropped = self.dropped.lock().unwrap_or_else(PoisonError::into_inner);
         *dropped.entry(name.to_owned()).or_default() += count;
     }
 }
 
-/// The other end of [`Events`].
+/// The receiving end of [`Events`].
 #[derive(Debug)]
 pub(crate) struct EventQueue {
     queue: mpsc::Receiver<(String, Value)>,
     dropped: Dropped,
 }
 
-/// A way for events, and its end.
+/// A bounded queue of events: its sender and its receiver.
 pub(crate) fn events() -> (Events, EventQueue) {
     let (sender, queue) = mpsc::channel(MAX_EVENTS);
     let dropped = Dropped::default();
@@ -450,39 +450,39 @@ pub(crate) fn events() -> (Events, EventQueue) {
 }
 
 impl EventQueue {
-    /// The next event, if one waits.
+    /// The next event, if one is waiting.
     pub(crate) fn take(&mut self) -> Option<(String, Value)> {
         self.queue.try_recv().ok()
     }
 
-    /// The next event; none once nobody can raise one.
+    /// The next event; `None` once all senders are gone.
     pub(crate) async fn next(&mut self) -> Option<(String, Value)> {
         self.queue.recv().await
     }
 
-    /// Events of one name that were dropped since this was asked last.
+    /// The number of events of one name that were dropped since the last call.
     pub(crate) fn take_dropped(&mut self) -> Option<(String, u64)> {
         self.dropped.lock().unwrap_or_else(PoisonError::into_inner).pop_first()
     }
 }
 
-/// What a running skill is given.
+/// The context of a running skill.
 #[derive(Clone, Debug)]
 pub struct SkillContext {
     /// Path of the state that runs it, for messages and the trace.
     pub state: String,
-    /// Inputs, each present and of its declared type.
+    /// Inputs, complete and of their declared types.
     pub inputs: BTreeMap<String, Value>,
     /// Bounds from the chart.
     pub limits: Limits,
     /// Cancelled when the state is left; the skill then stops what it does and returns.
     pub cancel: CancellationToken,
-    /// What observers publish; skills may publish there as well.
+    /// The channels that observers publish on; skills may publish as well.
     pub channels: Channels,
     /// Raises the manifest's events into the chart.
     pub events: Events,
-    /// The states that are active inside the skill, where it has some: those of a chart that another agent runs. They
-    /// are shown in the trace; only the newest counts.
+    /// The active states inside the skill, if it has any: those of a chart that another agent runs. They appear in
+    /// the trace; only the newest value counts.
     pub inside: tokio::sync::watch::Sender<Vec<String>>,
 }
 
@@ -498,7 +498,7 @@ impl SkillContext {
     /// An input that is a finite number, SI.
     ///
     /// # Errors
-    /// When it is none.
+    /// When it is not a finite number.
     pub fn number(&self, name: &str) -> Result<f64, Failure> {
         let value = self.value(name)?;
         value.as_f64().filter(|n| n.is_finite()).ok_or_else(|| wrong(name, "a finite number", value))
@@ -507,7 +507,7 @@ impl SkillContext {
     /// An input that is text.
     ///
     /// # Errors
-    /// When it is none.
+    /// When it is not text.
     pub fn text(&self, name: &str) -> Result<&str, Failure> {
         let value = self.value(name)?;
         value.as_str().ok_or_else(|| wrong(name, "text", value))
@@ -518,9 +518,9 @@ fn wrong(name: &str, expected: &str, found: &Value) -> Failure {
     Failure::new(format!("the input `{name}` should be {expected}, but is {}", found.describe()))
 }
 
-/// An action that a leaf state performs.
+/// The action of a leaf state.
 pub trait Skill: Send + Sync + 'static {
-    /// What it declares about itself.
+    /// What the skill declares about itself.
     fn manifest(&self) -> SkillManifest;
     /// Acts until it has an outcome or is cancelled. A cancelled skill's result is ignored.
     fn run(&self, context: SkillContext) -> BoxFuture<'static, SkillResult>;

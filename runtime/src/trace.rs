@@ -1,4 +1,4 @@
-//! What happened in a run, as data: for recordings, progress lines, viewers and hashes.
+//! The events of a run as data: for recordings, progress lines, viewers and hashes.
 //!
 //! The engine emits [`TraceItem`]s, the executor adds the virtual time.
 
@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use armarium_values::Value;
 use serde::{Deserialize, Serialize};
 
-/// One thing that happened, and when.
+/// A trace item and its time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TraceEvent {
     /// Virtual time since the run began, ns.
@@ -16,7 +16,7 @@ pub struct TraceEvent {
     pub item: TraceItem,
 }
 
-/// One thing that happened. States are given by their path in the chart.
+/// An item of the trace. States are given by their path in the chart.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "what", rename_all = "snake_case")]
 pub enum TraceItem {
@@ -31,41 +31,41 @@ pub enum TraceItem {
     Event {
         /// Its name.
         name: String,
-        /// The state that it belongs to; none for events that all states see.
+        /// The state that it belongs to; `None` for events that all states see.
         from: Option<String>,
-        /// What came with it.
+        /// Its data.
         data: Value,
     },
-    /// An event belonged to a state that has been left meanwhile, or came over a bound.
+    /// An event was dropped: its state has been left meanwhile, or a queue was full.
     Dropped {
         /// Its name.
         name: String,
         /// Why it was dropped.
         reason: String,
     },
-    /// An event waits for an unbreakable state to end.
+    /// An event is held back until an unbreakable state ends.
     Held {
         /// Its name.
         name: String,
         /// The unbreakable state.
         state: String,
     },
-    /// An event goes to another agent.
+    /// An event was sent to another agent.
     Sent {
         /// Its name.
         name: String,
         /// The agent, or `agent/Chart`.
         to: String,
-        /// What comes with it.
+        /// Its data.
         data: Value,
     },
-    /// A transition was chosen.
+    /// A transition was taken.
     Transition {
         /// The state that it is written at.
         source: String,
-        /// The event that took it; none for `always`.
+        /// The event that triggered it; `None` for `always`.
         event: Option<String>,
-        /// Where it goes; none for a transition that leaves no state.
+        /// Its target; `None` for a transition that leaves no state.
         target: Option<String>,
     },
     /// States wait for their skills to return before they are left.
@@ -83,20 +83,20 @@ pub enum TraceItem {
         /// The state.
         state: String,
     },
-    /// A state has ended and nobody handled its outcome; it stays active.
+    /// A state has ended and no transition took its outcome; it stays active.
     Done {
         /// The state.
         state: String,
         /// Its outcome.
         outcome: String,
     },
-    /// A state is tried again.
+    /// A state is retried.
     Retry {
         /// The state.
         state: String,
-        /// Which try this is, counted from 1 for the first repetition.
+        /// Number of this retry, from 1.
         attempt: u32,
-        /// Why the try before failed.
+        /// Why the previous attempt failed.
         reason: String,
     },
     /// The active states changed.
@@ -112,17 +112,17 @@ pub enum TraceItem {
         state: String,
         /// The skill.
         skill: String,
-        /// What it was given.
+        /// Its inputs.
         inputs: BTreeMap<String, Value>,
     },
-    /// What is active inside a state that another agent runs.
+    /// The active states inside a state that another agent runs.
     Inside {
         /// The state.
         state: String,
         /// The innermost active states there.
         leaves: Vec<String>,
     },
-    /// A skill was told to stop.
+    /// A skill was cancelled.
     SkillCancelled {
         /// Number of its start.
         activation: u64,
@@ -135,7 +135,7 @@ pub enum TraceItem {
         activation: u64,
         /// The state.
         state: String,
-        /// Its outcome; `cancelled` when it was told to stop before.
+        /// Its outcome; `cancelled` if it was cancelled before.
         outcome: String,
         /// The reason of a failure.
         reason: Option<String>,
@@ -144,12 +144,12 @@ pub enum TraceItem {
     },
     /// A variable was assigned.
     Assigned {
-        /// Its name, with the chart's path where it is not the outermost.
+        /// Its name, prefixed with the chart's path unless that is the outermost.
         variable: String,
         /// Its new value.
         value: Value,
     },
-    /// The action `log`.
+    /// The action `log` ran.
     Log {
         /// The state.
         state: String,
@@ -169,28 +169,28 @@ pub enum TraceItem {
         outcome: String,
         /// The reason of an outcome other than success.
         reason: Option<String>,
-        /// The states that a failure came through.
+        /// The states that a failure passed through.
         chain: Vec<String>,
-        /// What the chart gave.
+        /// The chart's outputs.
         outputs: BTreeMap<String, Value>,
     },
 }
 
-/// Follows a trace and knows what is active now, for a progress line.
+/// Follows a trace and keeps the active states, for a progress line.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RunStatus {
     /// The innermost active states, in the chart's order.
     pub leaves: Vec<String>,
     /// The states that wait for their skills to return.
     pub leaving: BTreeSet<String>,
-    /// What is active inside states that other agents run.
+    /// The active states inside states that other agents run.
     pub inside: BTreeMap<String, Vec<String>>,
     /// The outcome, once the run has ended.
     pub outcome: Option<String>,
 }
 
 impl RunStatus {
-    /// Takes one more event into account.
+    /// Applies one more trace event.
     pub fn update(&mut self, event: &TraceEvent) {
         match &event.item {
             TraceItem::Configuration { leaves } => self.leaves.clone_from(leaves),
@@ -210,13 +210,13 @@ impl RunStatus {
         }
     }
 
-    /// The active states in one line, with those of other agents in brackets behind theirs.
+    /// The active states in one line, with those of other agents in brackets after their state.
     #[must_use]
     pub fn line(&self) -> String {
         self.shown().join(" | ")
     }
 
-    /// The innermost active states, each with what is active inside at another agent.
+    /// The innermost active states, each with the active states inside it at another agent.
     #[must_use]
     pub fn shown(&self) -> Vec<String> {
         let one = |leaf: &String| match self.inside.get(leaf).filter(|inside| !inside.is_empty()) {

@@ -1,4 +1,4 @@
-//! A chart that runs for a long time takes no more memory than at its beginning.
+//! A chart that runs for a long time uses no more memory than at the beginning.
 
 use std::collections::BTreeMap;
 

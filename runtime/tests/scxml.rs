@@ -1,5 +1,5 @@
-//! Features of SCXML, one document each: raised events, blocks, delays, history, parallel states, names. Written from
-//! the recommendation; each must come to rest in the final state `pass`.
+//! Features of SCXML, one document each: raised events, blocks, delays, history, parallel states, names. Written
+//! from the recommendation; each document must end in the final state `pass`.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use std::collections::BTreeMap;
@@ -9,7 +9,7 @@ use armarium_runtime::chart::{ChannelSchema, Registry, check, load_text};
 use armarium_runtime::import;
 use armarium_runtime::stepping::Stepper;
 
-/// Name, the document's `initial`, and what it holds beside the final states `pass` and `fail`.
+/// Name, the document's `initial`, and its content besides the final states `pass` and `fail`.
 #[rustfmt::skip]
 const DOCUMENTS: &[(&str, &str, &str)] = &[
     ("raise_order", "s", "<state id='s'><onentry><raise event='foo'/><raise event='bar'/></onentry><transition event='foo' target='t'/><transition event='*' target='fail'/></state><state id='t'><transition event='bar' target='pass'/><transition event='*' target='fail'/></state>"),

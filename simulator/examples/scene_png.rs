@@ -1,7 +1,7 @@
-//! Draws a table with a sponge, the robot and the coach's hand in every gesture as the robot's left eye sees them, and
-//! says how fast: `cargo run --release -p armarium-simulator --example scene_png -- DIRECTORY`.
+//! Draws a table with a sponge, the robot and the coach's hand in every gesture, as seen by the robot's left eye,
+//! and prints the time per picture: `cargo run --release -p armarium-simulator --example scene_png -- DIRECTORY`.
 //!
-//! The PNG files are written without compression, so that nothing but the renderer is needed.
+//! The PNG files are written without compression, so that the example needs only the renderer.
 
 #![expect(clippy::disallowed_methods, reason = "it measures the machine")]
 

@@ -1,8 +1,9 @@
-//! Both arms and a box between their hands: the [physics](crate::physics::carrying), what the robot senses of it, and a referee
-//! who alone knows the truth.
+//! Both arms and a box between their hands: the [physics](crate::physics::carrying), the robot's sensors, and a
+//! referee that alone knows the truth.
 //!
-//! A scene for experiments that are stepped by hand, a millisecond at a time; there is no clock, guard, coach or camera.
-//! The robot senses its joints, and at each palm the force and torque between hand and pad with noise and offset.
+//! A scene for experiments that are stepped by hand, one millisecond at a time. It has no clock, guard, coach or
+//! camera. The robot senses its joints, and at each palm the force and torque between hand and pad, with noise and
+//! offset.
 
 use std::sync::Arc;
 
@@ -18,8 +19,8 @@ use crate::physics::pad::PadReaction;
 use crate::physics::{DT, PlantError};
 use crate::world::NoiseSpec;
 
-/// What one palm feels: force (N) and torque about the TCP (N m) of the box on the hand, root frame, with the sensor's noise
-/// and offset.
+/// The sensor values of one palm: force (N) and torque about the TCP (N m) of the box on the hand, root frame, with
+/// the sensor's noise and offset.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PalmSensed {
     /// Force, N.
@@ -28,48 +29,48 @@ pub struct PalmSensed {
     pub torque: Vector3<f64>,
 }
 
-/// One millisecond of the truth.
+/// The true state at one millisecond.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CarryingRecord {
     /// Poses of the TCPs, right and left.
     pub tcps: Sides<Isometry3<f64>>,
     /// Pose of the box's middle.
     pub carried: Isometry3<f64>,
-    /// What the box did to the hands.
+    /// Forces of the box on the hands.
     pub reactions: Sides<PadReaction>,
 }
 
 impl CarryingRecord {
-    /// From the right TCP to the left one, root frame, m.
+    /// Vector from the right TCP to the left one, root frame, m.
     #[must_use]
     pub fn apart(&self) -> Vector3<f64> {
         self.tcps[1].translation.vector - self.tcps[0].translation.vector
     }
 
-    /// The force with which the left hand presses on the box against the right one, N, root frame: half the difference of
-    /// both hands' forces. The box's weight and inertia, which they share, are not in it.
+    /// The force with which the left hand presses on the box against the right one, N, root frame: half the
+    /// difference of both hands' forces. It excludes the box's weight and inertia, which both hands share.
     #[must_use]
     pub fn internal_force(&self) -> Vector3<f64> {
         (self.reactions[0].force - self.reactions[1].force) / 2.0
     }
 }
 
-/// What the referee finds over a stretch of time, against how it was at its beginning.
+/// The referee's figures over a stretch of time, relative to its first entry.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct CarryingFigures {
-    /// Root mean square of how far the hands' distance, a vector, is from the one at the beginning, m.
+    /// RMS deviation of the vector between the hands from its initial value, m.
     pub distance_rms_m: f64,
-    /// Root mean square of how far the force between the hands is from the one at the beginning, N.
+    /// RMS deviation of the force between the hands from its initial value, N.
     pub force_rms_n: f64,
     /// The largest tilt of the box, rad.
     pub tilt_rad: f64,
-    /// How far the box has slipped in the right hand in the end, m.
+    /// How far the box has slipped in the right hand by the end, m.
     pub slipped_m: f64,
     /// Share of the time in which both hands pressed on the box.
     pub held: f64,
 }
 
-/// Who judges; clones are the same referee. It tells the robot nothing.
+/// The referee; clones share the same log. It tells the robot nothing.
 #[derive(Clone, Debug, Default)]
 pub struct CarryingReferee {
     log: Arc<Mutex<Vec<CarryingRecord>>>,
@@ -80,32 +81,32 @@ impl CarryingReferee {
         self.log.lock()
     }
 
-    /// Milliseconds that are logged.
+    /// Number of logged milliseconds.
     #[must_use]
     pub fn len(&self) -> usize {
         self.lock().len()
     }
 
-    /// Whether nothing has happened yet.
+    /// Whether nothing has been logged yet.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// A copy of the log, for plots: one entry a millisecond.
+    /// A copy of the log, for plots: one entry per millisecond.
     #[must_use]
     pub fn log(&self) -> Vec<CarryingRecord> {
         self.lock().clone()
     }
 
-    /// The figures from the millisecond `from` to the end; `None` when nothing was logged there.
+    /// The figures from millisecond `from` to the end; `None` if nothing was logged there.
     #[must_use]
     pub fn judge(&self, from: usize) -> Option<CarryingFigures> {
         self.lock().get(from..).and_then(figures)
     }
 }
 
-/// The figures of a log, against its first entry.
+/// The figures of a log, relative to its first entry.
 #[must_use]
 pub fn figures(log: &[CarryingRecord]) -> Option<CarryingFigures> {
     let (first, last) = (log.first()?, log.last()?);
@@ -133,7 +134,8 @@ pub struct Carrying {
 }
 
 impl Carrying {
-    /// The robot in the posture `start` (all the model's joints, rad or m), the box on its table; noise is drawn from `seed`.
+    /// Builds the scene with the robot in the posture `start` (all the model's joints, rad or m) and the box on its
+    /// table. `seed` determines the noise.
     ///
     /// # Errors
     /// [`PlantError`] when the robot lacks an arm or a TCP.
@@ -153,31 +155,32 @@ impl Carrying {
         Ok(scene)
     }
 
-    /// Joint positions as they are sensed, rad or m.
+    /// Sensed joint positions, rad or m.
     #[must_use]
     pub fn position(&self) -> &[f64] {
         self.plant.position()
     }
 
-    /// Joint velocities as they are sensed, rad/s or m/s.
+    /// Sensed joint velocities, rad/s or m/s.
     #[must_use]
     pub fn velocity(&self) -> &[f64] {
         self.plant.velocity()
     }
 
-    /// What the palms feel, right and left.
+    /// The sensor values of the palms, right and left.
     #[must_use]
     pub fn palms(&self) -> &Sides<PalmSensed> {
         &self.sensed
     }
 
-    /// Who judges.
+    /// The referee of this scene.
     #[must_use]
     pub fn referee(&self) -> CarryingReferee {
         self.referee.clone()
     }
 
-    /// One millisecond: the joints are driven to `position` with `velocity`, all joints of the model.
+    /// Advances by one millisecond. The joints are driven to `position` with `velocity`, for all joints of the
+    /// model.
     pub fn step(&mut self, position: &[f64], velocity: &[f64]) {
         self.plant.step(position, velocity);
         self.sense();
@@ -198,7 +201,7 @@ impl Carrying {
     }
 }
 
-/// A random force of this standard deviation on each axis, N, and a torque of a twentieth, N m.
+/// A random force with standard deviation `deviation` on each axis, N, and a torque with a twentieth of it, N m.
 fn drawn(deviation: f64, rng: &mut ChaCha8Rng) -> PalmSensed {
     let mut vector = |scale: f64| {
         Vector3::from_fn(|_, _| {

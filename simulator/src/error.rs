@@ -6,16 +6,16 @@ use crate::physics::PlantError;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SimulationError {
-    /// The physics refused.
+    /// The physics could not be built.
     #[error(transparent)]
     Plant(#[from] PlantError),
     /// The robot has no camera.
     #[error("the robot's description has no link `camera_left`")]
     Camera,
-    /// The starting posture has not one position a joint.
+    /// The start posture does not have one position per joint.
     #[error("a starting posture needs {expected} finite joint positions")]
     Start {
-        /// Joints of the model.
+        /// Number of joints of the model.
         expected: usize,
     },
 }

@@ -1,22 +1,22 @@
-//! The soft underside of an object: a bed of springs with friction on the table.
+//! The soft underside of an object: a grid of springs, with friction, on the table.
 //!
-//! An elastic (Winkler) foundation: the underside is a grid of cells, each an independent spring and damper along the
-//! table's normal and a bristle along its surface that sticks until Coulomb's limit and then slips (the
-//! stick-slip of Dahl's and LuGre's models without their rate effects). It gives force, moment and local pressure. It
-//! does not know who holds the object; sides and top have no springs.
+//! An elastic (Winkler) foundation: the underside is a grid of cells. Each cell has an independent spring and
+//! damper along the table's normal, and a bristle along its surface that sticks up to Coulomb's limit and then
+//! slips (the stick-slip of Dahl's and LuGre's models without their rate effects). The result is force, moment and
+//! local pressure. It does not depend on what holds the object. The sides and the top have no springs.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use crate::table::{DirtGrid, TableTop};
 use crate::world::ObjectSpec;
 
-/// Edge that cells are near to, m.
+/// Approximate edge of a cell, m.
 const CELL: f64 = 0.01;
 /// Part of critical damping (of the free object) along the normal and along the surface.
 const DAMPING_RATIO: f64 = 0.6;
-/// Shear stiffness over normal stiffness: 8 N at friction 0.5 stick until 1 mm on the default sponge.
+/// Ratio of shear stiffness to normal stiffness: 8 N at friction 0.5 stick up to 1 mm on the default sponge.
 const SHEAR_RATIO: f64 = 2.0;
-/// The force on the whole underside, pressing evenly, at which it begins to clean, N: more than 2, less than 5.
+/// The evenly distributed force on the whole underside at which it begins to clean, N: more than 2, less than 5.
 pub const CLEANING_FORCE: f64 = 2.5;
 
 /// The underside of one object.
@@ -28,12 +28,12 @@ pub struct ElasticFoundation {
     damping: f64,
     shear_stiffness: f64,
     shear_damping: f64,
-    /// Stretch of each cell's bristle, root frame, m; `None` without contact.
+    /// Deflection of each cell's bristle, root frame, m; `None` without contact.
     bristles: Vec<Option<Vector3<f64>>>,
 }
 
-/// How an object moves: pose of its frame (its middle), velocity of its middle, m/s, and angular velocity, rad/s,
-/// root frame.
+/// The motion of an object: pose of its frame (its middle), velocity of its middle, m/s, and angular velocity,
+/// rad/s, root frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Motion {
     /// Pose of the object.
@@ -44,7 +44,7 @@ pub struct Motion {
     pub angular: Vector3<f64>,
 }
 
-/// What the table does to the object.
+/// Force and torque of the table on the object.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FoundationReaction {
     /// Force, root frame, N.
@@ -58,7 +58,7 @@ pub struct FoundationReaction {
 }
 
 impl ElasticFoundation {
-    /// The underside of an object of half edges `size / 2`.
+    /// The underside of an object with half edges `size / 2`.
     #[must_use]
     pub fn new(object: &ObjectSpec) -> Self {
         let half = Vector3::from(object.size) / 2.0;
@@ -89,7 +89,7 @@ impl ElasticFoundation {
         Point3::new(place(0, column), place(1, row), -self.half.z)
     }
 
-    /// Whether any cell could touch: the object's sphere reaches the table's plane.
+    /// Whether a cell could touch: the object's bounding sphere reaches the table's plane.
     fn is_near(&self, table: &TableTop, pose: &Isometry3<f64>) -> bool {
         let local = table.root_from_top().inverse_transform_point(&Point3::from(pose.translation.vector));
         local.z < self.half.norm() + 0.03
@@ -124,7 +124,7 @@ impl ElasticFoundation {
         total
     }
 
-    /// Stretches a cell's bristle by the slip and returns its force, never over `limit` N.
+    /// Deflects a cell's bristle by the slip and returns its force, at most `limit` N.
     fn friction(
         &mut self,
         cell: usize,
@@ -146,14 +146,14 @@ impl ElasticFoundation {
         force
     }
 
-    /// Depth of a cell at which it begins to clean, m: [`CLEANING_FORCE`] spread over the whole underside.
+    /// Compression of a cell at which it begins to clean, m: [`CLEANING_FORCE`] spread over the whole underside.
     #[must_use]
     pub fn cleaning_depth(&self) -> f64 {
         CLEANING_FORCE / (self.stiffness * self.bristles.len() as f64)
     }
 
-    /// Marks what the object wipes where it is: cells of the grid that lie under a cell of the underside whose
-    /// elastic pressure is over the threshold. Returns whether any was new.
+    /// Marks the cells that the object wipes: cells of the grid under a cell of the underside whose elastic
+    /// pressure is over the threshold. Returns whether any was new.
     pub fn wipe(&self, table: &TableTop, pose: &Isometry3<f64>, dirt: &mut DirtGrid) -> bool {
         let threshold = self.cleaning_depth();
         let presses: Vec<bool> = (0..self.bristles.len())
@@ -244,8 +244,8 @@ mod tests {
         assert!(rest.friction.x < -2.0 && rest.friction.norm() <= 4.0 + 1e-9);
     }
 
-    /// A free object on an inclined table stays when the slope is under the friction, and else slides with
-    /// `g (sin a - mu cos a)`.
+    /// A free object on an inclined table stays if the slope is less than the friction, and else slides with `g
+    /// (sin a - mu cos a)`.
     #[test]
     fn the_slope_decides() {
         for (mu, slides) in [(0.30, false), (0.20, true)] {

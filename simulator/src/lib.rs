@@ -1,12 +1,12 @@
-//! The robot, table, sponge, coach and cameras, in physics; and a referee that alone knows the truth.
+//! Physics of the robot, table, sponge and coach, the cameras, and a referee that alone knows the truth.
 //!
 //! - [`world`]: the world file. [`Simulation`]: everything together, stepped by tokio's clock.
 //! - [`physics`]: Rapier, grip and wrist sensor; on [`table`] and [`foundation`], the soft underside of objects.
 //! - [`coach`]: the person who demonstrates and coaches. [`cameras`], [`render`]: what the robot sees.
-//! - [`carrying`]: both arms and a box between their hands, an experiment beside the wiping.
-//! - [`truth`]: what is true, for recorder and [`referee`]; skills never see it.
+//! - [`carrying`]: both arms and a box between their hands, an experiment besides the wiping.
+//! - [`truth`]: the true state, for recorder and [`referee`]; skills never see it.
 //!
-//! This room knows no skill, no chart and no memory.
+//! This room does not know skills, charts or memory.
 
 pub mod cameras;
 pub mod carrying;

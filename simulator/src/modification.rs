@@ -1,13 +1,13 @@
-//! How much a coach has changed a periodic motion, judged on the referee's log: the true path of the hand in two periods,
-//! compared phase by phase.
+//! How much a coach has changed a periodic motion, computed from the referee's log: the true path of the hand in
+//! two periods, compared phase by phase.
 //!
-//! Pure geometry on the [`TruthLog`]; nobody else's figures enter.
+//! Pure geometry on the [`TruthLog`]; it uses no other figures.
 
 use nalgebra::Vector3;
 
 use crate::referee::TruthLog;
 
-/// What is compared.
+/// The two periods to compare, and where.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Compared {
     /// Length of a period, s; phases count from the log's beginning.
@@ -18,29 +18,29 @@ pub struct Compared {
     pub after_s: f64,
     /// The place that the coach points to, root frame, m.
     pub place: Vector3<f64>,
-    /// The way that the motion shall move there, a unit vector.
+    /// The direction in which the motion shall move there, a unit vector.
     pub way: Vector3<f64>,
-    /// Phases whose place was farther from that than this before are the far side, m.
+    /// A phase is on the far side if its point was farther from the place than this, m.
     pub far_m: f64,
 }
 
-/// What came out.
+/// The resulting figures.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct ModificationFigures {
-    /// Displacement along the way at the phase that was nearest to the place, m.
+    /// Displacement along `way`, at the phase whose point was nearest to the place, m.
     pub displacement_m: f64,
     /// Root mean square displacement on the far side, m; NaN when there is none.
     pub far_side_rms_m: f64,
 }
 
-/// The figures of a log; `None` when it does not hold both periods.
+/// The figures of a log; `None` if it does not contain both periods.
 #[must_use]
 pub fn modification(log: &TruthLog, compared: &Compared) -> Option<ModificationFigures> {
     let path: Vec<_> = log.records.iter().map(|r| r.tcp.translation.vector).collect();
     of_path(&path, compared)
 }
 
-/// The same of a path with a point each millisecond.
+/// The same for a path with one point per millisecond.
 #[must_use]
 pub fn of_path(path: &[Vector3<f64>], compared: &Compared) -> Option<ModificationFigures> {
     let before = period(path, compared.before_s, compared.period_s)?;
@@ -57,13 +57,13 @@ pub fn of_path(path: &[Vector3<f64>], compared: &Compared) -> Option<Modificatio
     })
 }
 
-/// The period of a path (a point each millisecond) that ends at `end_s`, at equal phases from 0 on, one for each whole
-/// millisecond; phase 0 is where the path begins. `None` when the path does not hold it.
+/// The period of a path (one point per millisecond) that ends at `end_s`: points at equal phases from 0 on, one per
+/// whole millisecond. Phase 0 is the path's first point. `None` if the path does not contain the period.
 #[must_use]
 pub fn period(path: &[Vector3<f64>], end_s: f64, period_s: f64) -> Option<Vec<Vector3<f64>>> {
     let (end, length) = (end_s * 1e3, period_s * 1e3);
     let count = length.round();
-    // Also false for NaN.
+    // This is also false for NaN.
     let fits = count >= 2.0 && end - length > -1e-6 && end.ceil() < path.len() as f64;
     if !fits {
         return None;

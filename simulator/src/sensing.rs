@@ -1,4 +1,4 @@
-//! From what is true to what the robot senses: noise, bias and drift, seeded; and sensors that are broken.
+//! From the true to the sensed state: noise, bias and drift, determined by the seed; and broken sensors.
 
 use nalgebra::Vector3;
 use rand::RngExt;
@@ -29,7 +29,7 @@ pub(crate) struct Sensors {
 }
 
 impl Sensors {
-    /// Draws bias and drift; `sliding` says which joints slide.
+    /// Draws bias and drift; `sliding` tells for each joint whether it slides.
     pub(crate) fn new(noise: &NoiseSpec, faults: &Faults, sliding: Vec<bool>, mut rng: ChaCha8Rng) -> Self {
         let share = |axis: usize| if axis < 3 { 1.0 } else { TORQUE_SHARE };
         let bias = std::array::from_fn(|axis| {
@@ -40,7 +40,7 @@ impl Sensors {
         Self { noise: noise.clone(), faults: faults.clone(), sliding, bias, drift, rng, frozen: None }
     }
 
-    /// One sample at `t` s of the true state into `sample`.
+    /// Writes one sample of the true state at `t` s to `sample`, with the sensors' errors.
     pub(crate) fn sense(
         &mut self,
         t: f64,

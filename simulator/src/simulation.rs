@@ -1,7 +1,7 @@
-//! The whole simulator: one step a millisecond of sensing, guarding, physics, coach and cameras.
+//! The whole simulator: each step of one millisecond does sensing, guard, physics, coach and cameras.
 //!
-//! [`Simulation::new`] builds a world; [`Simulation::run`] steps it by tokio's clock until its [`Handle`] stops
-//! it: under a paused clock as fast as the machine, else in real time. Spawn it on a current-thread runtime beside the
+//! [`Simulation::new`] builds a world; [`Simulation::run`] steps it by tokio's clock until its [`Handle`] stops it:
+//! under a paused clock as fast as possible, else in real time. Spawn it on a current-thread runtime beside the
 //! program. [`Simulation::step`] is for tests and benches that need no clock.
 
 use std::sync::Arc;
@@ -27,25 +27,26 @@ use crate::world::{Disturbance, Milestone, World};
 
 /// One step, ns.
 const STEP_NS: u64 = 1_000_000;
-/// The same.
+/// One step, as a duration.
 const STEP: Duration = Duration::from_nanos(STEP_NS);
-/// Steps over more than this are not made up for: the guard would take the silence of those who command for their end.
+/// A delay longer than this is not caught up: otherwise the guard would take the silence of the commanders for
+/// their end.
 const LONGEST_DELAY: Duration = Duration::from_millis(10);
 
-/// What may be chosen beside world and seed.
+/// Options besides world and seed.
 #[derive(Default)]
 pub struct Options {
-    /// Who else looks at the truth.
+    /// Further receivers of the truth.
     pub truth_sinks: Vec<Box<dyn TruthSink>>,
-    /// Joint positions at the start, rad (m), in the model's order; the home posture if not given.
+    /// Joint positions at the start, rad (m), in the model's order; by default the home posture.
     pub start: Option<Vec<f64>>,
     /// The guard's limits.
     pub guard: GuardConfig,
-    /// Cameras in another process; those here give no frames then.
+    /// Receiver of the scenery for cameras in another process; the cameras here then give no frames.
     pub scenery: Option<Box<dyn ScenerySink>>,
 }
 
-/// Ends a simulation and tells its time; clones are the same handle.
+/// Stops a simulation and reads its time; clones are the same handle.
 #[derive(Clone, Debug, Default)]
 pub struct Handle {
     shared: Arc<Shared>,
@@ -58,7 +59,7 @@ struct Shared {
 }
 
 impl Handle {
-    /// Asks the simulation to end with its next step.
+    /// Requests the simulation to end with its next step.
     pub fn stop(&self) {
         self.shared.stop.store(true, Ordering::Relaxed);
     }
@@ -75,7 +76,7 @@ pub struct Simulation {
     robot: Arc<dyn Robot>,
     guard: Guard,
     plant: Plant,
-    /// Where the links truly are, and those of the right arm that the coach sees: wrist and elbow.
+    /// True poses of the links; also for the wrist and elbow of the right arm, which the coach sees.
     kinematics: Kinematics,
     arm: [Option<LinkId>; 2],
     sensors: Sensors,
@@ -102,10 +103,10 @@ pub struct Simulation {
 }
 
 impl Simulation {
-    /// Builds a world; everything that varies is drawn from `seed`.
+    /// Builds a world; `seed` determines everything random.
     ///
     /// # Errors
-    /// [`SimulationError`] when robot and world do not fit together.
+    /// [`SimulationError`] when the robot does not fit the world.
     pub fn new(world: &World, seed: u64, options: Options) -> Result<Self, SimulationError> {
         let model = Arc::new(Model::armar3());
         let start = options.start.unwrap_or_else(|| home(&model));
@@ -174,7 +175,7 @@ impl Simulation {
         source
     }
 
-    /// The eyes of the world's other agents, by their names; poses are in each agent's own root frame.
+    /// The cameras of the world's other agents, by agent name. Poses are in each agent's own root frame.
     #[must_use]
     pub fn agents(&self) -> Vec<(String, Arc<dyn ImageSource>)> {
         let eyes = |agent: &AgentEyes| {
@@ -184,33 +185,33 @@ impl Simulation {
         self.agents.iter().map(eyes).collect()
     }
 
-    /// Who judges.
+    /// The referee of this run.
     #[must_use]
     pub fn referee(&self) -> Referee {
         self.referee.clone()
     }
 
-    /// Ends the simulation and tells its time.
+    /// A handle to stop the simulation and to read its time.
     #[must_use]
     pub fn handle(&self) -> Handle {
         self.handle.clone()
     }
 
-    /// What was true in the last step; for tests.
+    /// The true state in the last step; for tests.
     #[must_use]
     pub fn truth(&self) -> &TruthSample {
         &self.truth
     }
 
-    /// Which cells of the table have been wiped.
+    /// The wiped cells of the table.
     #[must_use]
     pub fn wiped(&self) -> &DirtGrid {
         &self.dirt
     }
 
-    /// Steps once a millisecond of tokio's clock until the handle stops it; then no more frames come. Where real time
-    /// runs away, those who command get their turn between the steps that are made up for, and of a long delay nothing is
-    /// made up for: simulated time stays behind.
+    /// Steps once per millisecond of tokio's clock until the handle stops it; after that no more frames come. If
+    /// real time is ahead, the steps are caught up, and the commanders run between them. A long delay is not caught
+    /// up: simulated time then stays behind.
     pub async fn run(mut self) {
         let mut tick = tokio::time::interval(STEP);
         while !self.handle.shared.stop.load(Ordering::Relaxed) {
@@ -264,7 +265,7 @@ impl Simulation {
         }
     }
 
-    /// The coach hears what the robot says.
+    /// Passes the robot's utterances to the coach.
     fn listen(&mut self, stamp_ns: u64, t: f64) {
         for utterance in self.guard.take_utterances() {
             tracing::info!(utterance, "the robot says");
@@ -277,7 +278,7 @@ impl Simulation {
         }
     }
 
-    /// Forces from outside: the coach's and those of accidents.
+    /// Computes the external forces: the coach's and those of accidents.
     fn act(&mut self, t: f64) {
         let arm = self.seen_arm();
         let state = *self.coach.step(t, &arm, 1e-3);
@@ -315,7 +316,7 @@ impl Simulation {
         SeenArm { tcp, velocity: self.plant.tcp_velocity(), wrist, elbow }
     }
 
-    /// Gathers what is true and tells those who may know.
+    /// Collects the true state and passes it to the truth sinks.
     fn tell(&mut self, stamp_ns: u64) {
         let held = self.sponge.is_some() && self.plant.held() == self.sponge;
         let before = self.truth.held;
@@ -348,7 +349,7 @@ impl Simulation {
         }
     }
 
-    /// Draws the frames that are due and wanted: the robot's, and those of other agents.
+    /// Draws the frames that are due and wanted: the robot's and those of other agents.
     fn show(&mut self, stamp_ns: u64, t: f64) {
         let elsewhere = self.scenery.as_ref().is_some_and(|scenery| scenery.is_wanted());
         let own = self.eyes.due(t, elsewhere);
@@ -408,7 +409,7 @@ fn copy(into: &mut Vec<f64>, from: &[f64]) {
     into.extend_from_slice(from);
 }
 
-/// The posture in which the robot waits: the right arm out to its side, clear of table and cameras, the hand half open.
+/// The robot's home posture: the right arm at its side, clear of table and cameras, the hand half open.
 fn home(model: &Model) -> Vec<f64> {
     let mut q = model.zero();
     for (joint, at) in [("shoulder_2_r", 1.0), ("finger_left_r", 0.03), ("finger_right_r", 0.03)] {

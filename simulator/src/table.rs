@@ -1,7 +1,7 @@
 //! The table: a tilted plane with bumps, and the dirt on it.
 //!
 //! The table's frame has its origin in the middle of the top, z along the top's normal; bumps rise along that normal.
-//! This file knows heights and dirt, not forces.
+//! This file computes heights and dirt, not forces.
 
 use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
@@ -12,7 +12,7 @@ use crate::world::TableSpec;
 pub const THICKNESS: f64 = 0.03;
 /// Edge of a cell of the dirt grid, m.
 pub const DIRT_CELL: f64 = 0.0025;
-/// The table's wiped cells are marked every so many steps; the referee does the same.
+/// The table's wiped cells are marked every this many steps; the referee uses the same interval.
 pub(crate) const WIPE_EVERY: u64 = 5;
 
 /// The top of the table.
@@ -91,7 +91,7 @@ impl TableTop {
         Unit::new_unchecked(self.root_from_top * Vector3::z())
     }
 
-    /// Height of the plane without bumps over a place in the root frame, m; not bounded by the table's edges.
+    /// Height of the plane without bumps at a place in the root frame, m; also beyond the table's edges.
     #[must_use]
     pub fn plane_height(&self, x: f64, y: f64) -> f64 {
         let n = self.plane_normal();
@@ -99,7 +99,7 @@ impl TableTop {
         c.z - (n.x * (x - c.x) + n.y * (y - c.y)) / n.z
     }
 
-    /// The surface at a point of the root frame; `None` beside the table and below its top's thickness.
+    /// The surface at a point of the root frame; `None` beside the table and below the underside of its top.
     #[must_use]
     pub fn surface(&self, point: &Point3<f64>) -> Option<SurfacePoint> {
         let p = self.root_from_top.inverse_transform_point(point);
@@ -123,7 +123,7 @@ impl TableTop {
     }
 }
 
-/// Which cells of a grid over the table have been wiped.
+/// The wiped cells of a grid over the table.
 ///
 /// Cells are squares of [`DIRT_CELL`], x fastest, from the corner (-half x, -half y) of the table's frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -135,7 +135,7 @@ pub struct DirtGrid {
 }
 
 impl DirtGrid {
-    /// A grid over a table, nothing marked.
+    /// A grid over a table without marked cells.
     #[must_use]
     pub fn new(table: &TableTop) -> Self {
         let half = table.half();
@@ -167,7 +167,7 @@ impl DirtGrid {
         &self.marked
     }
 
-    /// Marks the cells within `radius` of `center` (table frame, m) whose centres pass the test; returns whether
+    /// Marks the cells within `radius` of `center` (table frame, m) whose centres pass the test. Returns whether
     /// any was new.
     pub fn mark(&mut self, center: [f64; 2], radius: f64, mut test: impl FnMut(f64, f64) -> bool) -> bool {
         let range = |k: usize, count: usize| {
@@ -191,7 +191,7 @@ impl DirtGrid {
         new
     }
 
-    /// Marks cells by their places in [`Self::cells`]; those that are none are passed over.
+    /// Marks cells by their indices in [`Self::cells`]; invalid indices are ignored.
     pub fn mark_cells(&mut self, cells: &[u32]) {
         for cell in cells {
             if let Some(marked) = usize::try_from(*cell).ok().and_then(|at| self.marked.get_mut(at)) {
@@ -200,7 +200,7 @@ impl DirtGrid {
         }
     }
 
-    /// The part of this grid's marked cells that `other` has marked too; `None` when nothing is marked.
+    /// The share of this grid's marked cells that `other` has marked too; `None` if none is marked.
     #[must_use]
     pub fn covered_by(&self, other: &Self) -> Option<f64> {
         let total = self.marked.iter().filter(|m| **m).count();
@@ -249,7 +249,7 @@ mod tests {
         let t = table([1.0, 2.0], vec![Bump { at: [0.3, 0.5], height: 0.005, radius: 0.05 }]);
         let p = Point3::new(0.32, 0.51, 0.952);
         let h = 1e-6;
-        // The level sets of (rise - z) have the surface's normal as their gradient's direction.
+        // The gradient of the level sets of (rise - z) has the direction of the surface's normal.
         let depth = |d: Vector3<f64>| {
             let s = t.surface(&(p + d)).unwrap();
             s.depth / (t.root_from_top.inverse() * s.normal).z

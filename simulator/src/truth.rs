@@ -1,4 +1,4 @@
-//! What is true at an instant, and who may look: the recorder, the referee and a digest. Skills never do.
+//! The true state at an instant, and its receivers: the recorder, the referee and a digest. Skills never see it.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use serde::Serialize;
 use crate::coach::{ActionEvent, CoachState};
 use crate::world::{Gesture, Milestone};
 
-/// Everything that is true at one control step.
+/// The true state at one control step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TruthSample {
     /// Time since the robot's start, ns; the same as that of the sensed sample and of frames.
@@ -18,9 +18,9 @@ pub struct TruthSample {
     pub position: Vec<f64>,
     /// Joint velocities, rad/s (m/s).
     pub velocity: Vec<f64>,
-    /// Positions that the joints are commanded to take, rad (m).
+    /// Commanded joint positions, rad (m).
     pub command_position: Vec<f64>,
-    /// Velocities that the joints are commanded to take, rad/s (m/s).
+    /// Commanded joint velocities, rad/s (m/s).
     pub command_velocity: Vec<f64>,
     /// Pose of the right TCP in the root frame.
     pub tcp: Isometry3<f64>,
@@ -32,7 +32,7 @@ pub struct TruthSample {
     pub sponge: Option<Isometry3<f64>>,
     /// Whether the hand holds the sponge.
     pub held: bool,
-    /// What the coach does.
+    /// The coach's state.
     pub coach: CoachState,
     /// Force of the hand on the wrist sensor, sensor's frame, without noise and bias, N.
     pub wrist_force: Vector3<f64>,
@@ -49,29 +49,29 @@ pub struct Contact {
     pub tangential: Vector3<f64>,
 }
 
-/// What is true of a rendered pair of images. In the recording: `/truth/hand`.
+/// The truth about a rendered pair of images. In the recording: `/truth/hand`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FrameTruth {
-    /// When the shutter was open, ns.
+    /// Time of exposure, ns.
     pub stamp_ns: u64,
-    /// What the coach's hand shows, if there is one.
+    /// The gesture of the coach's hand, if the hand is there.
     pub gesture: Option<Gesture>,
-    /// How long it has shown it, s; without a hand, how long there has been none.
+    /// How long the gesture has been shown, s; without a hand, how long there has been none.
     pub since_s: f64,
     /// Whether the whole hand is in both images and nothing hides it.
     pub visible: bool,
 }
 
-/// Something that happened. In the recording: `/truth/events`.
+/// An event. In the recording: `/truth/events`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "what", content = "detail", rename_all = "snake_case")]
 pub enum TruthEvent {
     /// The robot said something.
     Said {
-        /// What.
+        /// The utterance.
         utterance: String,
     },
-    /// The coach began or ended something.
+    /// An event of the coach.
     Coach(ActionEvent),
     /// A milestone was reached for the first time.
     Reached(Milestone),
@@ -79,21 +79,21 @@ pub enum TruthEvent {
     Held(bool),
 }
 
-/// Who looks at the truth, in the simulator's own thread: it must return at once.
+/// Receives the truth, in the simulator's own thread; it must return at once.
 pub trait TruthSink: Send {
-    /// Every control step.
+    /// Called at every control step.
     fn sample(&mut self, sample: &TruthSample);
-    /// Every rendered frame.
+    /// Called for every rendered frame.
     fn frame(&mut self, frame: &FrameTruth) {
         let _ = frame;
     }
-    /// Everything that happens, with its time, ns.
+    /// Called for every event, with its time, ns.
     fn event(&mut self, stamp_ns: u64, event: &TruthEvent) {
         let _ = (stamp_ns, event);
     }
 }
 
-/// A digest of all samples: two runs are the same run if and (almost surely) only if their digests are equal.
+/// A digest of all samples: equal runs have equal digests, and different runs almost surely have different ones.
 ///
 /// FNV-1a over the bits of every number; not cryptographic.
 #[derive(Clone, Debug)]
@@ -108,7 +108,7 @@ impl Default for TruthDigest {
 }
 
 impl TruthDigest {
-    /// The digest of what has been seen so far.
+    /// The digest so far.
     #[must_use]
     pub fn value(&self) -> u64 {
         *self.state.lock()

@@ -1,4 +1,4 @@
-//! The simulator as a whole, from outside: repeatable, in virtual time, safe.
+//! The whole simulator, from outside: repeatable, in virtual time, safe.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use std::sync::Arc;
@@ -58,7 +58,7 @@ impl TruthSink for Speeds {
     }
 }
 
-/// From full speed, in free space, the arm stands 200 ms after its commander has gone, or has become silent.
+/// From full speed in free space, the arm stands 200 ms after its commander has gone or become silent.
 #[test]
 fn the_arm_stands_when_its_commander_goes() {
     for silent in [false, true] {
@@ -88,7 +88,7 @@ fn the_arm_stands_when_its_commander_goes() {
     }
 }
 
-/// What the skills see of the wrist is the push and nothing of weight, bias and motion.
+/// The compensated wrist force that skills see is the push only, without weight, bias and motion.
 #[test]
 fn the_compensated_wrist_reads_a_push() {
     let mut world = World::default();
@@ -153,7 +153,7 @@ async fn frames_come_at_their_rate_to_those_who_wait() {
     assert!(images.next().await.is_err());
 }
 
-/// What every driver of a robot must do, with real physics under it.
+/// The conformance suite for robot drivers, with real physics.
 #[tokio::test(start_paused = true)]
 async fn the_simulated_robot_conforms() {
     for limb in ["right_arm", "left_arm", "torso", "head"] {
@@ -166,7 +166,7 @@ async fn the_simulated_robot_conforms() {
     }
 }
 
-/// Against 80 N the arm gives way along the force, and then stands.
+/// Against 80 N the arm yields along the force, and then stands.
 #[test]
 fn the_arm_gives_way_to_a_strong_push() {
     let mut world = World::default();

@@ -1,4 +1,5 @@
-//! The physics of the task, end to end: a hand that knows the truth takes the sponge, presses, wipes and is pushed.
+//! The physics of the task, end to end: a hand that knows the truth grasps the sponge, presses, wipes and is
+//! pushed.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use std::f64::consts::TAU;
@@ -60,7 +61,7 @@ impl Hand {
         self.simulation.step();
     }
 
-    /// Goes to a pose at up to 0.2 m/s; returns how far it has stayed away, m.
+    /// Moves to a pose at up to 0.2 m/s; returns the remaining distance, m.
     fn go(&mut self, goal: &Isometry3<f64>, seconds: f64, fingers: f64) -> f64 {
         for _ in 0..(seconds * 1e3) as u32 {
             let tcp = self.simulation.truth().tcp;
@@ -78,7 +79,7 @@ fn towards(from: &Isometry3<f64>, to: &Isometry3<f64>, fastest: f64) -> Twist {
     Twist { linear: cap(linear, fastest), angular: cap(angular, 0.6) }
 }
 
-/// The palm down, the pads along the sponge's long sides.
+/// A pose with the palm down and the pads along the sponge's long sides.
 fn above(sponge: &Isometry3<f64>, lift: f64, yaw: f64) -> Isometry3<f64> {
     let x = Vector3::new(0.0, 0.0, -1.0);
     let z = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw) * Vector3::y();
@@ -115,7 +116,7 @@ fn the_sponge_is_taken_pressed_and_wiped_with() {
     hand.go(&above(&grasp, 0.0, 0.0), 2.0, -0.05);
     assert!(hand.simulation.truth().held && hand.force() == 0.0);
 
-    // Down, then a circle at 8 N by a plain integrating force control on the true force.
+    // Down, then a circle at 8 N by a plain integrating force controller on the true force.
     let referee = hand.simulation.referee();
     referee.mark(Mark::AdaptationStarted, hand.now());
     let center = grasp.translation.vector;
@@ -148,7 +149,8 @@ fn the_sponge_is_taken_pressed_and_wiped_with() {
     assert!(force.rms_error_n < 2.0 && force.contact_lost_s == 0.0, "{force:?}");
     let friction = hand.simulation.truth().contact.tangential.norm();
     assert!((friction / hand.force() - 0.5).abs() < 0.05, "{friction}");
-    // The compensated wrist feels the table through sponge and grip (no tare: bias and drift remain).
+    // The compensated wrist force includes the table's force through sponge and grip (no tare: bias and drift
+    // remain).
     let sensed = hand.robot.sensed().borrow().wrist.force;
     let contact = hand.simulation.truth().contact;
     let true_force = contact.tangential + Vector3::z() * contact.normal;
@@ -176,7 +178,7 @@ fn a_knock_takes_the_sponge_out_of_the_hand() {
     assert!(lost);
 }
 
-/// The softest, stiffest, lightest and heaviest objects that a world may have lie still.
+/// The softest, stiffest, lightest and heaviest objects that a world allows lie still.
 #[test]
 fn extreme_objects_lie_still() {
     for (mass, stiffness, size) in [
@@ -205,8 +207,8 @@ fn extreme_objects_lie_still() {
     }
 }
 
-/// Pressing on the table and sliding, a joint at full speed: when the commander becomes silent every joint stands
-/// 200 ms later, and the sponge is still held.
+/// While pressing on the table and sliding, with a joint at full speed, the commander becomes silent: every joint
+/// stands 200 ms later, and the sponge is still held.
 #[test]
 fn from_full_speed_in_contact_the_arm_stands_too() {
     for way in [1.0, -1.0] {
@@ -227,7 +229,7 @@ fn from_full_speed_in_contact_the_arm_stands_too() {
             assert!(speed < 2.0, "the arm has become no faster than {} rad/s", hand.fastest_joint());
         }
         assert!(hand.force() > 2.0, "not in contact any more: {} N", hand.force());
-        // The last command holds for the 30 ms of the watchdog.
+        // The watchdog keeps the last command for 30 ms.
         (0..230).for_each(|_| hand.simulation.step());
         for _ in 0..200 {
             hand.simulation.step();

@@ -1,7 +1,8 @@
-//! The right arm with the torso under a skill's command: sense, then command, at the rate of the robot's samples.
+//! The right arm and the torso under a skill's command: sense, then command, at the rate of the robot's samples.
 //!
-//! It holds both leases for as long as it lives and turns wanted TCP poses and twists into joint velocities; the torso
-//! helps because the arm alone is slow and narrow over a table (see [`postures`]). It plans nothing.
+//! It holds both leases for as long as it lives, and converts desired TCP poses and twists to joint velocities. The
+//! torso is used because the arm alone is slow and has little reach over a table (see [`postures`]). It plans
+//! nothing.
 
 use std::sync::Arc;
 
@@ -18,7 +19,7 @@ use crate::equipment::Equipment;
 /// Gain of the TCP's position and orientation error, 1/s.
 const TRACKING_GAIN: f64 = 12.0;
 
-/// The newest samples of the robot, one after the other, until the skill is cancelled.
+/// Delivers the newest samples of the robot until the skill is cancelled.
 pub(crate) struct Senses {
     sensed: newest::Receiver<Arc<Sensed>>,
     cancel: CancellationToken,
@@ -30,7 +31,7 @@ impl Senses {
         Self { sensed: robot.sensed(), cancel: context.cancel.clone(), last_ns: None }
     }
 
-    /// Waits for the next sample; gives it with the time since the one before, s.
+    /// Waits for the next sample; returns it with the time since the previous one, s.
     pub(crate) async fn next(&mut self) -> Result<(Arc<Sensed>, f64), Failure> {
         tokio::select! {
             biased;
@@ -53,9 +54,9 @@ impl Senses {
 
 /// The arm that skills command.
 pub(crate) const ARM: &str = "right_arm";
-/// The torso, which moves with it.
+/// The torso, which moves together with the arm.
 pub(crate) const TORSO: &str = "torso";
-/// Its tool centre point.
+/// The arm's tool centre point.
 pub(crate) const TCP: &str = "tcp_right";
 
 /// A link of the robot, by name.
@@ -67,18 +68,18 @@ pub(crate) fn link(model: &Model, name: &str) -> Result<LinkId, Failure> {
 pub(crate) struct Arm {
     torso: Lease,
     arm: Lease,
-    /// How many of the joints are the torso's; they come first.
+    /// Number of torso joints; they come first.
     torso_joints: usize,
     model: Arc<Model>,
     tcp: LinkId,
     ik: DifferentialIk,
     kinematics: Kinematics,
-    /// The posture that the free motion is drawn to, rad.
+    /// The posture towards which the null space pulls, rad.
     posture: Vec<f64>,
 }
 
 impl Arm {
-    /// Takes the right arm and the torso for the skill in `context`.
+    /// Leases the right arm and the torso for the skill in `context`.
     pub(crate) fn take(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
         let torso = lease(equipment, context, TORSO)?;
         let arm = lease(equipment, context, ARM)?;
@@ -104,8 +105,8 @@ impl Arm {
         self.kinematics.twist(self.tcp, &Point3::origin(), &sample.velocity).linear
     }
 
-    /// Moves the TCP towards `target` (root frame), with the twist that the target itself has: m/s, rad/s. Returns how
-    /// far the TCP is from it, m.
+    /// Moves the TCP towards `target` (root frame); the twist is the target's own velocity, m/s and rad/s. Returns
+    /// the distance of the TCP from the target, m.
     pub(crate) fn track(
         &mut self,
         sample: &Sensed,
@@ -133,13 +134,13 @@ impl Arm {
         commanded.map_err(|fault| Failure::new(fault.to_string()))
     }
 
-    /// Holds still.
+    /// Holds the arm still.
     pub(crate) fn hold(&mut self, sample: &Sensed) -> Result<(), Failure> {
         self.twist(sample, Vector3::zeros(), Vector3::zeros())
     }
 }
 
-/// The exclusive right to a limb, with the chart's limits.
+/// Leases a limb, with the chart's limits.
 pub(crate) fn lease(equipment: &Equipment, context: &SkillContext, limb: &str) -> Result<Lease, Failure> {
     let limits = LeaseLimits { force_n: context.limits.force_n, speed_m_s: context.limits.speed_m_s };
     equipment.robot.lease(limb, &context.state, limits).map_err(|e| Failure::new(e.to_string()))

@@ -1,6 +1,7 @@
-//! What force and vision coaching share: the coaching law acts on the motion that runs, in step with the robot's samples.
+//! Shared by force and vision coaching: applies the coaching law to the running motion, in step with the robot's
+//! samples.
 //!
-//! It holds no motion of its own: each change is sent to the skill that executes it (see `running_motion.rs`).
+//! It does not own the motion: each change is sent to the skill that executes it (see `running_motion.rs`).
 
 use armarium_motion::{Coach, CoachConfig, CoachInput, CoachReport};
 use armarium_runtime::skill::{Failure, SkillContext};
@@ -11,12 +12,12 @@ use crate::inputs::Inputs;
 use crate::motions::failed;
 use crate::running_motion::{MotionEditor, RunningMotions};
 
-/// A coach at work on the motion that runs.
+/// A coach that changes the running motion.
 pub(crate) struct Coaching {
     senses: Senses,
     motion: MotionEditor,
     coach: Coach,
-    /// Since the coach last did something, s.
+    /// Time since the coach's last action, s.
     idle: f64,
 }
 
@@ -32,24 +33,24 @@ impl Coaching {
         Ok(Self { senses: Senses::new(&*equipment.robot, context), motion, coach, idle: 0.0 })
     }
 
-    /// Waits for the robot's next sample; the time since the one before, s.
+    /// Waits for the robot's next sample; returns the time since the previous one, s.
     pub(crate) async fn next(&mut self) -> Result<f64, Failure> {
         Ok(self.senses.next().await?.1)
     }
 
-    /// At which phase (rad) the hand that is seen came to rest, if that was seen.
+    /// Sets the phase (rad) at which the visible hand came to rest, if that was observed.
     pub(crate) fn set_arrival(&mut self, phase: Option<f64>) {
         self.coach.set_arrival(phase);
     }
 
-    /// Lets the coach act on the motion for the `dt` s since the sample before.
+    /// Applies the coach's input to the motion for the `dt` s since the previous sample.
     pub(crate) fn apply(&mut self, dt: f64, input: CoachInput) -> Result<CoachReport, Failure> {
         self.idle = if input == CoachInput::None { self.idle + dt } else { 0.0 };
         let coach = &mut self.coach;
         self.motion.edit(|motion, omega| coach.step(motion, dt, omega, input))
     }
 
-    /// For how long the coach has done nothing, s.
+    /// Time since the coach's last action, s.
     pub(crate) fn idle(&self) -> f64 {
         self.idle
     }

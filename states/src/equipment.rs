@@ -1,4 +1,4 @@
-//! What skills work with, and the adapter that makes a skill of a manifest and an asynchronous function.
+//! The resources of skills, and an adapter that makes a skill from a manifest and an asynchronous function.
 
 use std::future::Future;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use futures::future::BoxFuture;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
-/// The traits that skills talk to. Clones share the same robot, cameras and memory.
+/// The resources that skills use, as traits. Clones share the same robot, cameras and memory.
 #[derive(Clone)]
 pub struct Equipment {
     /// The robot.
@@ -20,20 +20,20 @@ pub struct Equipment {
     pub images: Arc<dyn ImageSource>,
     /// The agent's memory.
     pub memory: Arc<dyn Memory>,
-    /// The agent's name: the provider under which its skills write to memory.
+    /// The agent's name, which is the provider of the entities that its skills write to memory.
     pub agent: String,
-    /// Seeds the random numbers of tracking.
+    /// Seed of the random numbers of tracking.
     pub seed: u64,
 }
 
 impl Equipment {
-    /// Random numbers that are the same in every run with the same seed.
+    /// A random generator that gives the same numbers in every run with the same seed.
     pub(crate) fn random(&self) -> ChaCha8Rng {
         ChaCha8Rng::seed_from_u64(self.seed)
     }
 }
 
-/// A skill that is a manifest and a function.
+/// A skill made of a manifest and a function.
 struct FunctionSkill<F> {
     manifest: SkillManifest,
     equipment: Equipment,
@@ -54,7 +54,7 @@ where
     }
 }
 
-/// The skill that declares `manifest` and does `act`.
+/// A skill that declares `manifest` and runs `act`.
 pub(crate) fn skill<F, A>(equipment: &Equipment, manifest: SkillManifest, act: F) -> Arc<dyn Skill>
 where
     F: Fn(Equipment, SkillContext) -> A + Send + Sync + 'static,

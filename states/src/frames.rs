@@ -1,6 +1,6 @@
-//! The newest camera frame for a skill that also commands at the robot's rate.
+//! The newest camera frame, for a skill that also commands at the robot's rate.
 //!
-//! A task waits for frames, so that the skill never does; it ends with the skill.
+//! A task waits for frames, so that the skill does not have to; it ends with the skill.
 
 use std::sync::Arc;
 
@@ -13,19 +13,19 @@ use crate::hand_eye::HandEye;
 
 type Newest = Option<Result<Arc<StereoFrame>, ImageError>>;
 
-/// A subscription to a camera; while it lives, frames are made.
+/// A subscription to a camera; frames are produced while it lives.
 pub(crate) struct Frames {
     newest: watch::Receiver<Newest>,
     task: JoinHandle<()>,
 }
 
 impl Frames {
-    /// The frames as they come, with the camera's pose as the robot believes it.
+    /// The frames as they arrive, with the camera pose that the robot assumes.
     pub(crate) fn of(images: &Arc<dyn ImageSource>) -> Self {
         Self::mapped(images, |frame| frame)
     }
 
-    /// The frames with the camera where it really is.
+    /// The frames with the corrected camera pose.
     pub(crate) fn corrected(images: &Arc<dyn ImageSource>, hand_eye: HandEye) -> Self {
         Self::mapped(images, move |frame| hand_eye.corrected(&frame))
     }
@@ -48,7 +48,7 @@ impl Frames {
         Self { newest, task }
     }
 
-    /// The frame that has come since the last call, if one has.
+    /// The frame that arrived since the last call, if any.
     pub(crate) fn new_frame(&mut self) -> Result<Option<Arc<StereoFrame>>, Failure> {
         if !self.newest.has_changed().unwrap_or(false) {
             return Ok(None);

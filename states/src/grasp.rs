@@ -9,7 +9,7 @@ pub(crate) const GRASP_IN_TCP: Vector3<f64> = Vector3::new(0.08, 0.0, 0.0);
 /// Width of a finger pad across the closing direction, m.
 pub(crate) const PAD_WIDTH: f64 = 0.05;
 
-/// The TCP pose that grasps an object at `center` (root frame) with a level palm of that yaw.
+/// The TCP pose that grasps an object at `center` (root frame) with a level palm at the given yaw.
 pub(crate) fn tcp_at(center: &Point3<f64>, yaw: f64) -> Isometry3<f64> {
     let rotation = palm_down(yaw, 0.0);
     Isometry3::from_parts((center.coords - rotation * GRASP_IN_TCP).into(), rotation)

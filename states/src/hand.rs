@@ -8,7 +8,7 @@ use armarium_runtime::skill::{Failure, SkillContext};
 use crate::arm::lease;
 use crate::equipment::Equipment;
 
-/// The hand with its lease.
+/// The right hand with its lease.
 pub(crate) struct Hand {
     lease: Lease,
     model: Arc<Model>,
@@ -18,7 +18,7 @@ pub(crate) struct Hand {
 const CENTRING_GAIN: f64 = 5.0;
 
 impl Hand {
-    /// Takes the right hand for the skill in `context`.
+    /// Leases the right hand for the skill in `context`.
     pub(crate) fn take(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
         let lease = lease(equipment, context, "right_hand")?;
         Ok(Self { lease, model: Arc::clone(equipment.robot.model()) })
@@ -29,7 +29,7 @@ impl Hand {
         aperture(&self.model, sample)
     }
 
-    /// Speed at which the aperture grows, m/s.
+    /// Rate at which the aperture grows, m/s.
     pub(crate) fn opening_speed(&self, sample: &Sensed) -> f64 {
         joints(&self.model).iter().map(|&j| sample.velocity[j]).sum()
     }

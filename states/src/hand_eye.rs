@@ -1,9 +1,9 @@
-//! The hand-eye correction: where the cameras really are on the head.
+//! The hand-eye correction: the true pose of the cameras on the head.
 //!
-//! The head's kinematics give a believed camera pose; a wrong mounting of some degrees and millimetres moves
-//! everything that is seen by centimetres. The robot finds the mounting by looking at the marker on its own hand,
-//! and keeps it in memory, where every skill that uses the cameras finds it. It is kept in the camera's own frame,
-//! for it turns with the head.
+//! The head's kinematics give an assumed camera pose. A mounting error of a few degrees and millimetres displaces
+//! everything that is seen by centimetres. The robot determines the mounting by looking at the marker on its own
+//! hand, and stores it in memory, where every skill that uses the cameras finds it. It is expressed in the camera's
+//! own frame, because it turns with the head.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -22,19 +22,19 @@ const ENTITY: &str = "hand_eye";
 /// The frame in which the mounting is given.
 const CAMERA: &str = "camera_left_believed";
 
-/// `believed_from_left`: the left camera's pose seen from where the robot believes it to be.
+/// `believed_from_left`: the left camera's true pose in the frame of its assumed pose.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct HandEye {
     believed_from_left: Isometry3<f64>,
 }
 
 impl HandEye {
-    /// The correction by that mounting.
+    /// The correction for this mounting.
     pub(crate) fn new(believed_from_left: Isometry3<f64>) -> Self {
         Self { believed_from_left }
     }
 
-    /// The newest correction in memory; none has been found yet: the identity.
+    /// The newest correction in memory; the identity if there is none.
     pub(crate) async fn load(memory: &dyn Memory, agent: &str) -> Result<Self, Failure> {
         match memory.latest(&address(agent)?).await {
             Ok(snapshot) => {
@@ -52,7 +52,7 @@ impl HandEye {
         }
     }
 
-    /// Puts the correction into memory.
+    /// Writes the correction to memory.
     pub(crate) async fn store(
         &self,
         memory: &dyn Memory,
@@ -72,7 +72,7 @@ impl HandEye {
         Ok(())
     }
 
-    /// The frame with the camera where it really was, in the arm's root frame.
+    /// The frame with the corrected camera pose, in the arm's root frame.
     pub(crate) fn corrected(&self, frame: &StereoFrame) -> Arc<StereoFrame> {
         let root_from_left = frame.root_from_left * self.believed_from_left;
         Arc::new(StereoFrame { root_from_left, ..frame.clone() })

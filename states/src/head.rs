@@ -1,5 +1,5 @@
-//! The head under a skill's command: it turns until the eyes look at a point, and follows a point that moves. Both eyes
-//! stay parallel, as the stereo calibration holds only there. It holds the lease for as long as it lives.
+//! The head under a skill's command: it turns until the cameras look at a point, and follows a moving point. Both
+//! cameras stay parallel, as the stereo calibration holds only then. It holds the lease for as long as it lives.
 
 use std::sync::Arc;
 
@@ -10,11 +10,11 @@ use nalgebra::Point3;
 use crate::arm::lease;
 use crate::equipment::Equipment;
 
-/// The limb.
+/// The limb's name.
 pub(crate) const HEAD: &str = "head";
 /// Gain of the joints' error, 1/s.
 const GAIN: f64 = 4.0;
-/// Where the joints should be is found anew this often, s: the torso under the head may move.
+/// Interval at which the joint goal is recomputed, s, because the torso under the head may move.
 const RENEWAL: f64 = 0.1;
 
 /// The head that a skill commands.
@@ -22,12 +22,12 @@ pub(crate) struct Head {
     lease: Lease,
     model: Arc<Model>,
     gaze: Gaze,
-    /// Where all joints should be, rad, and how long ago that was found, s.
+    /// The goal of all joints, rad, and its age, s.
     goal: Option<(Vec<f64>, f64)>,
 }
 
 impl Head {
-    /// Takes the head for the skill in `context`.
+    /// Leases the head for the skill in `context`.
     pub(crate) fn take(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
         let lease = lease(equipment, context, HEAD)?;
         let model = Arc::clone(equipment.robot.model());
@@ -35,8 +35,8 @@ impl Head {
         Ok(Self { lease, model, gaze, goal: None })
     }
 
-    /// Turns towards `point` (root frame, m), each joint at `speed` rad/s at most, `dt` s after the last time; as near as
-    /// the neck can. Returns by how much the gaze is off now, rad.
+    /// Turns towards `point` (root frame, m) for `dt` s, each joint with at most `speed` rad/s, as close as the
+    /// neck can. Returns the remaining angle of the gaze, rad.
     pub(crate) fn look(
         &mut self,
         sample: &Sensed,

@@ -1,15 +1,15 @@
-//! Reading a skill's checked inputs as Rust types, and its values back.
+//! Converts a skill's checked inputs to Rust types, and results back to values.
 
 use armarium_memoryx::EntityId;
 use armarium_runtime::skill::{Failure, SkillContext};
 use armarium_values::{Pose, Reference, Value};
 use nalgebra::{Isometry3, Point3, Vector3};
 
-/// Inputs of the robot's and the memory's types, beside those that [`SkillContext`] gives itself.
+/// Typed inputs of the robot and the memory, in addition to those of [`SkillContext`].
 pub(crate) trait Inputs {
     /// A pose in the root frame.
     fn pose(&self, name: &str) -> Result<Isometry3<f64>, Failure>;
-    /// The address that a reference holds.
+    /// The memory address in a reference.
     fn entity(&self, name: &str) -> Result<EntityId, Failure>;
 }
 

@@ -1,12 +1,12 @@
-//! The skills that charts are written with: each one a thin state around an algorithm of `motion`, `visionx` or
-//! `robot`, and the observers that turn what is sensed into channels.
+//! The skills for charts: each one is a thin layer over an algorithm of `motion`, `visionx` or `robot`. Also the
+//! observers, which publish sensor data on channels.
 //!
 //! - [`skills()`]: all of them; a new skill is one file in `skills/` and one line there.
 //! - [`observers`]: the wrist and the coach's hand as channels.
-//! - [`Equipment`]: what skills work with: traits only, so that the same chart runs against the simulator, another
-//!   process or a real robot.
+//! - [`Equipment`]: the resources of skills, as traits only, so that the same chart runs with the simulator,
+//!   another process or a real robot.
 //!
-//! A skill never sees the simulator: what it knows, it sensed.
+//! A skill never accesses the simulator: it knows only what it senses.
 
 mod arm;
 mod coaching;

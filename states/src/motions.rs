@@ -1,4 +1,4 @@
-//! Motions in working memory: how they are found, read and written. A motion that runs is in `running_motion.rs`.
+//! Finds, reads and writes motions in working memory. A running motion is in `running_motion.rs`.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use armarium_values::Value;
 /// The core segment that holds motions.
 const SEGMENT: &str = "Motions";
 
-/// The motion in a snapshot.
+/// Reads the motion of a snapshot.
 pub(crate) fn motion_of(snapshot: &Snapshot) -> Result<Motion, Failure> {
     let value = snapshot.attribute("motion");
     let value = value.ok_or_else(|| Failure::new(format!("the entity `{}` holds no motion", snapshot.id)))?;
@@ -25,7 +25,7 @@ pub(crate) async fn load(memory: &dyn Memory, id: &EntityId) -> Result<(Motion, 
     Ok((motion_of(&snapshot)?, snapshot.version))
 }
 
-/// The newest motion of that name, whoever has learned it.
+/// The newest motion of that name, from any agent.
 pub(crate) async fn find(memory: &dyn Memory, name: &str) -> Result<Arc<Snapshot>, Failure> {
     let known = memory.segment(SEGMENT).await.map_err(failed)?;
     let newest = known.iter().filter(|s| s.id.entity() == name).max_by_key(|s| s.arrived_ns);
@@ -72,7 +72,7 @@ pub(crate) fn commit(
     Ok(Commit { expected_version, ..commit })
 }
 
-/// What another room refused, as a skill's failure.
+/// Converts an error of another room to a skill's failure.
 pub(crate) fn failed(error: impl std::fmt::Display) -> Failure {
     Failure::new(error.to_string())
 }

@@ -1,4 +1,4 @@
-//! What skills read of prior knowledge: colour, size and mass of object classes.
+//! Prior knowledge for skills: colour, size and mass of object classes.
 
 use armarium_memoryx::{EntityId, Memory, ObjectClass, Snapshot};
 use armarium_runtime::skill::Failure;
@@ -16,7 +16,7 @@ pub(crate) async fn object_class(memory: &dyn Memory, name: &str) -> Result<Obje
     ObjectClass::from_snapshot(found).map_err(failed)
 }
 
-/// The name of the class of an object in memory. It is an attribute: an object's own name may be another one.
+/// The class name of an object in memory. It is an attribute, because an object's own name may differ from it.
 pub(crate) fn class_name(object: &Snapshot) -> Result<&str, Failure> {
     let class = object.attribute("class").and_then(Value::as_str);
     class.ok_or_else(|| Failure::new(format!("memory does not know what `{}` is", object.id)))

@@ -1,4 +1,4 @@
-//! Whether the arm can perform a motion: each point within reach, each joint within its speed.
+//! Whether the arm can perform a motion: each point within reach, each joint within its speed limit.
 
 use armarium_motion::Motion;
 use armarium_robot::{PoseOptions, postures, solve_pose};
@@ -8,14 +8,14 @@ use nalgebra::{Isometry3, Vector3};
 use crate::arm::{TCP, link};
 use crate::equipment::Equipment;
 
-/// Points of the path that are tried.
+/// Number of points of the path that are checked.
 const POINTS: usize = 48;
 
-/// The largest share of a joint's speed limit that `motion` needs at its frequency, with the TCP at height `z` m and
-/// oriented like `tcp`.
+/// The largest share of a joint's speed limit that `motion` needs at its frequency, with the TCP at height `z` m
+/// and with the orientation of `tcp`.
 ///
 /// # Errors
-/// When a point is out of reach, or a joint would have to be faster than it can.
+/// When a point is out of reach, or a joint would exceed its speed limit.
 pub(crate) fn required_speed(
     equipment: &Equipment,
     motion: &Motion,

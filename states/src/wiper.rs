@@ -1,7 +1,8 @@
-//! The loop under every skill that runs a motion: it integrates the primitive, and alone commands the arm.
+//! The loop under every skill that runs a motion: it integrates the primitive and is the only one to command the
+//! arm.
 //!
-//! It owns the motion while it runs; what others change of it comes as edits (see `running_motion.rs`) and is executed from
-//! the next control step on. The caller sets the pace, and the height of the hand over the path ([`Height`]).
+//! It owns the motion while it runs. Changes by others arrive as edits (see `running_motion.rs`) and are executed
+//! from the next control step on. The caller sets the pace, and the height of the hand over the path ([`Height`]).
 
 use std::f64::consts::TAU;
 
@@ -19,12 +20,12 @@ use crate::inputs::{Inputs, as_pose};
 use crate::motions::failed;
 use crate::running_motion::{MotionOwner, RunningMotions};
 
-/// The pace (share of the learned frequency) changes at most this fast, 1/s.
+/// Largest rate of change of the pace (share of the learned frequency), 1/s.
 const PACE_RATE: f64 = 1.5;
-/// An arm this far behind its reference cannot follow the motion, m.
+/// An arm that is this far behind its reference cannot follow the motion, m.
 const LOST_TRACK: f64 = 0.06;
 
-/// How the tool was grasped, as the grasping chart reports it.
+/// The grasp of the tool, as reported by the grasping chart.
 pub(crate) struct GraspedTool {
     /// `root_from_tcp` when the hand closed: the tool then stood on the table.
     pub(crate) tcp: Isometry3<f64>,
@@ -39,7 +40,7 @@ impl GraspedTool {
         Ok(Self { tcp })
     }
 
-    /// Height of the TCP at which the tool stands on the table, as far as it was seen at the grasp, m.
+    /// Height of the TCP at which the tool stands on the table, from the grasp, m.
     pub(crate) fn standing_height(&self) -> f64 {
         self.tcp.translation.z
     }
@@ -52,10 +53,10 @@ pub(crate) struct Height {
     pub(crate) rate: f64,
 }
 
-/// Where the motion is after a step.
+/// The state of the motion after a step.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Progress {
-    /// rad/s
+    /// Present frequency, rad/s.
     pub(crate) omega: f64,
 }
 
@@ -64,16 +65,16 @@ pub(crate) struct Wiper {
     pub(crate) arm: Arm,
     id: EntityId,
     motion: MotionOwner,
-    /// Of the hand, where the motion has none.
+    /// The hand's orientation, if the motion has none.
     orientation: UnitQuaternion<f64>,
-    /// How the hand turns, if the motion says so.
+    /// The hand's rotation, if the motion has one.
     turning: Option<PeriodicOrientationDmp>,
     pace: f64,
     channels: Channels,
 }
 
 impl Wiper {
-    /// Takes the arm, and owns the motion that the input `motion` refers to.
+    /// Leases the arm, and takes ownership of the motion that the input `motion` refers to.
     pub(crate) async fn take(
         equipment: &Equipment,
         running: &RunningMotions,
@@ -98,8 +99,7 @@ impl Wiper {
         &self.id
     }
 
-    /// Lets go of the arm, which brakes, and writes what has changed of the motion into memory, with what was learned of
-    /// the surface.
+    /// Releases the arm, which brakes, and writes the changes of the motion to memory, with the learned surface.
     pub(crate) async fn finish(
         self,
         surface: Option<&SurfaceCorrection>,
@@ -119,12 +119,12 @@ impl Wiper {
         self.motion.state().phase
     }
 
-    /// The share of the learned frequency at which the motion runs now.
+    /// The present share of the learned frequency.
     pub(crate) fn pace(&self) -> f64 {
         self.pace
     }
 
-    /// Puts the primitive on its steady path where the path is nearest to the TCP, at rest.
+    /// Sets the primitive to the point of its steady path that is nearest to the TCP, at rest.
     pub(crate) fn start_nearest(&mut self, sample: &Sensed) -> Result<(), Failure> {
         let tcp = self.arm.tcp(sample).translation.vector;
         let path = self.motion().primitive().steady_path(256).map_err(failed)?;
@@ -138,7 +138,7 @@ impl Wiper {
         Ok(())
     }
 
-    /// Brings the TCP on a straight line over the present point of the path, at height `z` m.
+    /// Moves the TCP on a straight line to the present point of the path, at height `z` m.
     pub(crate) async fn approach(&mut self, senses: &mut Senses, z: f64, speed: f64) -> Result<(), Failure> {
         let goal = self.pose(z);
         let mut line = StraightLine::new(self.arm.tcp(&senses.newest()), goal, speed).map_err(failed)?;
@@ -151,8 +151,8 @@ impl Wiper {
         Ok(())
     }
 
-    /// One control step of `dt` s: the phase goes on at `pace` times the learned frequency (approached smoothly), the
-    /// TCP follows the path at `height`.
+    /// One control step of `dt` s: the phase advances at `pace` times the learned frequency (approached smoothly),
+    /// and the TCP follows the path at `height`.
     pub(crate) fn step(
         &mut self,
         sample: &Sensed,
@@ -199,20 +199,20 @@ impl Wiper {
     }
 }
 
-/// Watches whether the tool still touches the surface.
+/// Monitors whether the tool still touches the surface.
 #[derive(Default)]
 pub(crate) struct ContactWatch {
-    /// For how long nothing was felt, s.
+    /// How long there has been no contact, s.
     lost_for: f64,
 }
 
 impl ContactWatch {
-    /// Less force than this is no contact, N.
+    /// A force below this is no contact, N.
     const LEAST_FORCE: f64 = 0.4;
-    /// A contact may be lost for this long, s.
+    /// Longest tolerated loss of contact, s.
     const PATIENCE: f64 = 1.5;
 
-    /// `dt` s later, with the normal force, N.
+    /// To be called after each `dt` s with the normal force, N.
     pub(crate) fn check(&mut self, dt: f64, force: f64) -> Result<(), Failure> {
         self.lost_for = if force < Self::LEAST_FORCE { self.lost_for + dt } else { 0.0 };
         if self.lost_for > Self::PATIENCE {

@@ -1,7 +1,7 @@
-//! A run as `run.mcap` tells it, read by code of its own: what an outsider with any MCAP library can do.
+//! Reads a run from `run.mcap` with independent code, as anyone with an MCAP library could.
 //!
-//! [`read`] gives the truth, the marks and what vision saw; the referee's pure functions compute the figures again from
-//! them, and [`disagreements`] holds those against a report. Nothing here reads `report.json` to find out anything.
+//! [`read`] gives the truth, the marks and the vision results. The referee's pure functions recompute the figures
+//! from them, and [`disagreements`] compares those with a report. Reading never uses `report.json`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,7 +14,7 @@ use armarium_simulator::{Mark, World};
 use nalgebra::{Isometry3, Quaternion, Translation3, Unit};
 use serde_json::Value;
 
-/// What a recording tells.
+/// The contents of a recording.
 #[derive(Debug)]
 pub struct Recorded {
     /// The world, from its attachment.
@@ -23,12 +23,12 @@ pub struct Recorded {
     pub log: TruthLog,
     /// When the parts of the scenario began and ended, from the chart's events.
     pub marks: Vec<(u64, Mark)>,
-    /// What vision took the hand for, by the frame's time, ns.
+    /// Gestures that vision recognised, by the frame's time, ns.
     pub seen: Vec<(u64, Option<String>)>,
 }
 
 impl Recorded {
-    /// The figures, computed again.
+    /// The recomputed figures.
     #[must_use]
     pub fn figures(&self) -> RefereeReport {
         figures::compute(&self.world, &self.log, &self.marks, &self.seen)
@@ -102,7 +102,7 @@ enum Content<'a> {
     Other,
 }
 
-/// The fields of a protobuf message, as far as it is whole.
+/// The fields of a protobuf message, up to the first damaged one.
 fn fields(mut data: &[u8]) -> Vec<(u64, Content<'_>)> {
     let mut found = Vec::new();
     while let Some((key, rest)) = varint(data) {
@@ -149,7 +149,7 @@ fn inner(data: &[u8], number: u64) -> Option<&[u8]> {
     })
 }
 
-/// Fields 1 to `N` as numbers; a field that is not there is 0.
+/// Fields 1 to `N` as numbers; a missing field is 0.
 fn numbers<const N: usize>(data: &[u8]) -> [f64; N] {
     let mut numbers = [0.0; N];
     for (n, content) in fields(data) {
@@ -213,14 +213,14 @@ fn action(json: &Value) -> Option<ActionEvent> {
     })
 }
 
-/// A mark that a skill gave.
+/// A mark set by a skill.
 fn mark(message: &Value) -> Option<Mark> {
     let numbers = message["numbers"].as_object()?.iter();
     let numbers = numbers.filter_map(|(name, value)| Some((name.clone(), value.as_f64()?))).collect();
     Mark::named(message["mark"].as_str()?, &numbers)
 }
 
-/// Where a report and the figures computed again differ by more than the recording's grids explain.
+/// Figures whose values in a report and in the recomputation differ by more than the recording's rounding explains.
 #[must_use]
 pub fn disagreements(report: &Value, again: &RefereeReport) -> Vec<String> {
     let mut found = Vec::new();
@@ -231,8 +231,8 @@ pub fn disagreements(report: &Value, again: &RefereeReport) -> Vec<String> {
     found
 }
 
-/// How far two values of a figure may be apart: positions lie on a grid of a micrometre, forces of a millinewton, and a
-/// threshold may be passed a step earlier.
+/// Tolerance of a figure: positions are rounded to a micrometre and forces to a millinewton, and a threshold may be
+/// passed one step earlier.
 fn tolerance(name: &str) -> f64 {
     match name {
         "wiped_fraction" | "slowed_to" | "contact_lost_s" => 2e-3,

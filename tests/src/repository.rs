@@ -1,4 +1,4 @@
-//! What cargo says about the workspace, and where its files are.
+//! The workspace as cargo sees it, and the location of its files.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -9,15 +9,15 @@ use serde_json::Value;
 /// One member of the workspace.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Room {
-    /// Its name without the project's.
+    /// Its name without the project's prefix.
     pub name: String,
-    /// Packages that it uses, for itself and for building.
+    /// Its dependencies, with build dependencies.
     pub uses: BTreeSet<String>,
-    /// Packages that its tests use.
+    /// Its dev-dependencies.
     pub tests_use: BTreeSet<String>,
-    /// What its manifest says that it is.
+    /// The description in its manifest.
     pub description: String,
-    /// Its manifest.
+    /// Path of its manifest.
     pub manifest: PathBuf,
 }
 
@@ -29,7 +29,7 @@ pub fn root() -> PathBuf {
         .expect("the crate lies in the repository")
 }
 
-/// All members, as cargo reads them.
+/// All members, from cargo's metadata.
 pub fn rooms() -> Vec<Room> {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let output = Command::new(cargo)

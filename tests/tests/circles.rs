@@ -1,7 +1,7 @@
-//! Inside a room modules form no circles: whoever reads one module need not have read the others that use it.
+//! The modules inside a room have no cyclic dependencies, so that a module can be read without those that use it.
 //!
-//! Counted are the top-level modules of each crate and their `crate::` paths, also those that `lib.rs` gives a shorter name;
-//! without `lib.rs`, `main.rs` and tests.
+//! The test looks at the top-level modules of each crate and their `crate::` paths, including names that `lib.rs`
+//! re-exports. It leaves out `lib.rs`, `main.rs` and tests.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -23,7 +23,7 @@ fn word(text: &str) -> &str {
     &text[..end]
 }
 
-/// The first names of all `crate::` paths, those in braces too.
+/// The first names of all `crate::` paths, including those in braces.
 fn crate_paths(code: &str) -> BTreeSet<&str> {
     let mut names = BTreeSet::new();
     for rest in code.split("crate::").skip(1) {
@@ -51,7 +51,7 @@ fn crate_paths(code: &str) -> BTreeSet<&str> {
     names
 }
 
-/// What `lib.rs` declares: its modules without those of tests, and the names that it takes out of them.
+/// The declarations in `lib.rs`: its modules without test modules, and the names that it re-exports from them.
 #[derive(Default)]
 struct Root<'t> {
     modules: BTreeSet<&'t str>,
@@ -98,7 +98,7 @@ fn files(folder: &Path, found: &mut Vec<std::path::PathBuf>) {
     }
 }
 
-/// Which top-level module names which, by the files of a crate (path under `src`, text).
+/// Which top-level module uses which, from the files of a crate (path under `src`, text).
 fn arrows(root: &str, files: &[(String, String)]) -> BTreeMap<String, BTreeSet<String>> {
     let root = Root::of(root);
     let mut arrows: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
@@ -114,7 +114,7 @@ fn arrows(root: &str, files: &[(String, String)]) -> BTreeMap<String, BTreeSet<S
     arrows
 }
 
-/// Modules that come back to themselves, each with the way.
+/// Modules on a cycle, each with its path.
 fn circles(arrows: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
     let mut found = Vec::new();
     for start in arrows.keys() {

@@ -1,5 +1,5 @@
-//! The public SCXML suites: each case is imported, and driven under virtual time through the configurations that it
-//! expects. The cases are read from a folder beside the repository, or from the one that `SCXML_SUITE` names.
+//! The public SCXML suites: each case is imported and driven under virtual time through its expected
+//! configurations. The cases are read from a folder beside the repository, or from the folder in `SCXML_SUITE`.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use armarium_tests::repository;
 use armarium_values::Value;
 use serde_json::Value as Json;
 
-/// The folder of the suites, where there is one.
+/// The folder of the suites, if there is one.
 fn suite() -> Option<PathBuf> {
     let folder = std::env::var_os("SCXML_SUITE").map(PathBuf::from);
     let folder = folder.unwrap_or_else(|| repository::root().join("../shared/conformance/scxml"));
@@ -32,7 +32,7 @@ fn cases(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// The leaves that are active, by their SCXML ids, sorted.
+/// The active leaves, by their SCXML ids, sorted.
 fn configuration(stepper: &Stepper, imported: &Imported) -> Vec<String> {
     let own = |name: String| imported.renamed.get(&name).cloned().unwrap_or(name);
     let mut ids: Vec<String> = stepper.snapshot().configuration.into_iter().map(own).collect();

@@ -1,5 +1,5 @@
-//! Every rule of the check by one wrong chart and its good twin: `golden/CODE-what.bad.yaml` and `.good.yaml`. What is
-//! said of all the wrong ones stands in `golden/findings.txt`; `GOLDEN=write` writes it anew.
+//! Tests every rule of the check by one bad chart and its good twin: `golden/CODE-what.bad.yaml` and `.good.yaml`.
+//! The findings of all bad charts are in `golden/findings.txt`; `GOLDEN=write` rewrites it.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use armarium_values::{Type, Unit};
 use futures::FutureExt as _;
 use futures::future::BoxFuture;
 
-/// A skill that does nothing but declare.
+/// A skill that has only a manifest.
 struct Declared(SkillManifest);
 
 impl Skill for Declared {
@@ -33,7 +33,7 @@ fn registry() -> Registry {
     let says = SkillManifest::new("Says", "Says something.").output("said", Type::String, "What it said.");
     let skills = [act, arm, needs, says].into_iter().map(|m| Arc::new(Declared(m)) as Arc<dyn Skill>);
     let mut registry: Registry = skills.collect();
-    // What the agent bob offers, and what it was asked for in vain.
+    // The offers of the agent bob, and a query that it refused.
     let dance = SkillManifest::new("bob/Dance", "Dances.").input("steps", Type::Int, "How many.");
     registry.add_remote(Arc::new(Declared(dance)));
     let reason = "`bob` does not offer `Dnce`".to_owned();
@@ -45,7 +45,7 @@ fn folder() -> PathBuf {
     repository::root().join("tests/golden")
 }
 
-/// The findings about a file, one a line, with paths as they are from the folder.
+/// The findings of a file, one per line, with paths relative to the folder.
 fn findings(file: &Path) -> Vec<String> {
     let wrist = Type::record([("push", Type::list(Type::quantity(Unit::N)))]);
     let channels = ChannelSchema::new().with("wrist", wrist);
@@ -87,10 +87,10 @@ fn a_wrong_chart_is_found_by_its_rule_and_its_good_twin_is_in_order() {
     assert_eq!(said, std::fs::read_to_string(&kept).unwrap_or_default(), "GOLDEN=write writes it anew");
 }
 
-/// Codes without a golden case, each with where it is tested.
+/// Codes without a golden case, and where they are tested.
 const ELSEWHERE: [&str; 4] = [
     "E001", // a file that cannot be read: the loader's tests
-    "E008", // names that are there twice: YAML's own error comes first
+    "E008", // names that occur twice: YAML's own error comes first
     "E009", // too many levels or states: the loader's tests build them
     "E025", // forms that a build does not run: `remote` without its feature
 ];

@@ -1,13 +1,14 @@
-//! The real dependencies between the rooms, and on crates from outside, against the tables of what is allowed.
+//! Checks the actual dependencies between the rooms, and on external crates, against tables of what is allowed.
 //!
-//! A new arrow is a decision: it changes a table here, and the page that explains it (`ARCHITECTURE.md`).
+//! A new dependency between rooms is a decision: it changes a table here, and the page that explains it
+//! (`ARCHITECTURE.md`).
 
 use std::collections::BTreeSet;
 
 use armarium_tests::repository::{self, Room};
 
-/// Each room, and what it may use; `ALL` is every room further up. The rooms stand in order: an arrow goes only to a room
-/// further up.
+/// Each room, and the rooms that it may use; `ALL` stands for every room above it in the table. A room may only use
+/// rooms above it in the table.
 const ALLOWED: [(&str, &[&str]); 14] = [
     ("values", &[]),
     ("bus", &["values"]),
@@ -25,17 +26,17 @@ const ALLOWED: [(&str, &[&str]); 14] = [
     ("tests", ALL),
 ];
 
-/// Every room further up.
+/// Every room above in the table.
 const ALL: &[&str] = &["*"];
 
-/// What a room's own tests may use beyond that.
+/// Further rooms that a room's own tests may use.
 const ALLOWED_IN_TESTS: [(&str, &[&str]); 2] = [
-    // A skill is tried on the simulated robot: the tests see the truth, the skill does not.
+    // Skills are tested on the simulated robot: the tests see the truth, the skill does not.
     ("states", &["simulator"]),
     ("viewer", &["simulator"]),
 ];
 
-/// Crates from outside that only some rooms may use, each with the reason.
+/// External crates that only some rooms may use, each with the reason.
 const CONFINED: [(&str, &[&str], &str); 9] = [
     ("zenoh", &["bus"], "the network is known to one room; the others see traits"),
     ("rapier3d-f64", &["simulator"], "its vectors differ from ours: they are converted in one place"),
@@ -48,7 +49,7 @@ const CONFINED: [(&str, &[&str], &str); 9] = [
     ("urdf-rs", &["robot"], "descriptions become a model in one place"),
 ];
 
-/// Rooms that know no task and no clock: tokio is not theirs.
+/// Rooms without tasks and clocks: they may not use tokio.
 const PURE: [&str; 2] = ["values", "motion"];
 
 fn allowed(room: &str) -> Vec<&'static str> {

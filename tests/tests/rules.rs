@@ -1,4 +1,4 @@
-//! Rules of the repository that no compiler holds: manifests, links, files that must be there.
+//! Rules of the repository that no compiler checks: manifests, links, required files.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ fn manuals() -> Vec<PathBuf> {
     top.into_iter().chain(in_docs).filter(|path| path.extension().is_some_and(|e| e == "md")).collect()
 }
 
-/// Targets of Markdown links that lead to files, without their anchors.
+/// Targets of Markdown links to files, without their anchors.
 fn links(text: &str) -> Vec<&str> {
     text.split("](")
         .skip(1)
@@ -65,7 +65,7 @@ fn the_licences_lie_beside_the_readme() {
     }
 }
 
-/// What the check of every change runs is what the README tells people to run.
+/// The check of every change runs the commands that the README gives.
 #[test]
 fn the_check_runs_the_commands_of_the_readme() {
     let root = repository::root();
@@ -76,7 +76,7 @@ fn the_check_runs_the_commands_of_the_readme() {
     }
 }
 
-/// The names of the libraries from outside in the workspace's manifest.
+/// The names of the external libraries in the workspace's manifest.
 fn libraries(manifest: &str) -> BTreeSet<String> {
     let table = manifest.split("[workspace.dependencies]").nth(1).unwrap_or_default();
     let lines = table.lines().take_while(|line| !line.starts_with('['));

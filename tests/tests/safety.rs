@@ -1,5 +1,5 @@
-//! A chart's skill moves the simulated arm at full joint speed and ends, is cancelled, panics or hangs: each time the
-//! robot stands within 200 ms, and the chart says what happened.
+//! A chart's skill moves the simulated arm at full joint speed and ends, is cancelled, panics or hangs. Each time
+//! the robot stands still within 200 ms, and the chart reports what happened.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use std::collections::BTreeMap;
@@ -17,9 +17,9 @@ use armarium_values::{Type, Value};
 use futures::FutureExt;
 use futures::future::BoxFuture;
 
-/// Under this a joint stands, rad/s (m/s).
+/// A joint slower than this stands still, rad/s (m/s).
 const STANDING: f64 = 0.01;
-/// Time in which every joint must stand, ns.
+/// Time within which every joint must stand still, ns.
 const WITHIN_NS: u64 = 200_000_000;
 
 const CHART: &str = r#"
@@ -37,10 +37,10 @@ states:
   Failed: {final: failure}
 "#;
 
-/// Moves the right arm at full speed for 400 ms, then ends the way it is told to.
+/// Moves the right arm at full speed for 400 ms, then ends as configured.
 struct MoveAtFullSpeed {
     robot: Arc<dyn Robot>,
-    /// When the last command was given, ns.
+    /// Time of the last command, ns.
     commanded_ns: Arc<Mutex<u64>>,
 }
 
@@ -100,7 +100,7 @@ impl TruthSink for Speeds {
     }
 }
 
-/// Runs the chart; the result, the time of the last command and the speeds.
+/// Runs the chart. Returns the result, the time of the last command and the speeds.
 async fn run(ending: &str) -> (RunResult, u64, Vec<(u64, f64)>) {
     let speeds = Speeds::default();
     let options = Options { truth_sinks: vec![Box::new(speeds.clone())], ..Options::default() };

@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use crate::error::{MotionError, positive, vector, within};
 use crate::field::reach;
 
-/// How strongly a gesture acts at a distance from the hand: (14) and (16) without the angle of (15), because a wiping
-/// path is coached in both directions of a line.
+/// The strength of a gesture as a function of its distance from the path: (14) and (16) without the angle of (15),
+/// because a wiping path is coached in both directions along a line.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "SavedField")]
 pub struct HandField {
@@ -19,7 +19,7 @@ pub struct HandField {
 }
 
 impl Default for HandField {
-    /// For a hand that waits up to about 0.2 m beside the path.
+    /// For a hand that stands up to about 0.2 m beside the path.
     fn default() -> Self {
         Self { gamma: 1.0, eta: 60.0, r_m: 0.25 }
     }
@@ -33,7 +33,7 @@ impl HandField {
     }
 }
 
-/// A stored field; earlier ones named the angle's constant, which never had an effect here.
+/// A stored field. Earlier files also have the constant of the angle, which never had an effect here.
 #[derive(Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct SavedField {
@@ -66,29 +66,29 @@ impl TryFrom<SavedField> for HandField {
 pub struct CoachConfig {
     /// The field of a hand; its `gamma` scales how far a gesture moves the path.
     pub field: HandField,
-    /// Direction in which nothing may be coached (the surface normal), any length; all zero for none.
+    /// Direction in which the motion must not be changed (the surface normal), any length; all zero for none.
     pub normal: [f64; 3],
-    /// How far a push moves the path in each pass, m/N.
+    /// How far a push moves the path per pass, m/N.
     pub push_gain: f64,
-    /// Force that does nothing, N.
+    /// A force below this has no effect, N.
     pub push_dead_band: f64,
-    /// The most that one pass moves the path however strong the push, m.
+    /// Upper bound on the change per pass by a push of any strength, m.
     pub push_pass_limit: f64,
-    /// The most that pushes of one event move the path, m.
+    /// Upper bound on the change by the pushes of one event, m.
     pub push_limit: f64,
-    /// How near to the hand a fist draws the path at most, m.
+    /// A fist attracts the path at most to this distance from the hand, m.
     pub standoff: f64,
-    /// The most that one fist or 2-finger gesture moves the path, m.
+    /// Upper bound on the change by one fist or 2-finger gesture, m.
     pub reach: f64,
     /// Time constant of a gesture, s.
     pub time_constant: f64,
-    /// Which part of the path a hand holds: up to this far from the phase that it means, share of a period.
+    /// The part of the path that a gesture moves: up to this far from the addressed phase, share of a period.
     pub arc: f64,
     /// Speed of a shift, m/s.
     pub shift_speed: f64,
-    /// The most that one shift moves the motion, m.
+    /// Upper bound on the displacement by one shift, m.
     pub shift_limit: f64,
-    /// An event is over when the coach has done nothing for this long, s; then limits count anew.
+    /// An event ends when the coach has been inactive for this long, s; the limits then start anew.
     pub pause: f64,
 }
 

@@ -1,18 +1,20 @@
 //! Coaching of a running wiping motion in task space: attract (fist), repel (2-finger pointing), shift (1-finger
 //! pointing) and push (force). It changes the weights or the centre of the [`PeriodicDmp`] that is executed.
 //!
-//! It stands on the paper's coupling (eqs. 10, 13, 14, 16), for a path of some centimetres. What differs:
+//! It is based on the paper's coupling (eqs. 10, 13, 14, 16), for a path of some centimetres. Differences:
 //!
-//! - It works in metres of the path. The effect of the weights on the steady path is known exactly ([`PathResponse`]), so
-//!   each event has a target and ends there; the paper's coupling acts for as long as the hand is there.
-//! - P of (9) is replaced by its fixed point, so that coaching does not depend on how long the motion was learned.
-//! - The weights are credited by the lag of the path behind the forcing term ([`PeriodicDmp::lag`]).
-//! - It is local in the phase: only phases near the one that the hand addresses (`coach/phase.rs`) are moved, so that of a
-//!   doubled stroke or a crossing one pass moves and the other stays.
+//! - It works in metres of the path. The effect of the weights on the steady path is known exactly
+//!   ([`PathResponse`]), so each event has a target and ends there. The paper's coupling acts for as long as the
+//!   hand is present.
+//! - P of (9) is replaced by its fixed point, so that coaching does not depend on how long the motion was learned
+//!   before.
+//! - The kernels are selected earlier by the lag of the path behind the forcing term ([`PeriodicDmp::lag`]).
+//! - It is local in the phase: only phases near the one that the hand addresses (`coach/phase.rs`) are moved. So of
+//!   a doubled stroke or a crossing, one pass moves and the other does not.
 //! - The field depends on the distance only, not on the angle of (15) ([`HandField`]).
-//! - A hand acts once it stands still, and its place is smoothed against the jitter of its tracking.
-//! - What one pass and one event may change is bounded, nothing is changed along the surface normal, small forces do
-//!   nothing, and a fist draws the path to a standoff before the hand.
+//! - A hand acts only while it stands still, and its position is smoothed against the jitter of tracking.
+//! - The change per pass and per event is bounded, nothing is changed along the surface normal, small forces have
+//!   no effect, and a fist attracts the path to a standoff before the hand.
 //! - Pointing with one finger shifts the centre; the paper has no such command.
 //!
 //! What it does not do: recognise gestures, or decide whether a force is a push (see [`crate::FrictionModel`]).
@@ -27,7 +29,7 @@ mod phase;
 
 pub use self::config::{CoachConfig, HandField};
 
-/// What the coach does at this moment; positions in the frame of the motion, m.
+/// The coach's present action; positions in the frame of the motion, m.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum CoachInput {
     /// Nothing: the motion stays as it is.
@@ -38,31 +40,31 @@ pub enum CoachInput {
         /// The force beyond what wiping explains, N.
         force: Vector3<f64>,
     },
-    /// Holds a fist beside the path: the near part comes towards it.
+    /// A fist beside the path: the near part moves towards the hand.
     Attract {
         /// The hand.
         hand: Vector3<f64>,
     },
-    /// Points with two fingers: the near part goes away from the hand.
+    /// Two fingers: the near part moves away from the hand.
     Repel {
         /// The hand.
         hand: Vector3<f64>,
     },
-    /// Points with one finger: the whole motion goes along `direction` (any length).
+    /// One finger: the whole motion moves along `direction` (any length).
     Shift {
-        /// Where to.
+        /// Direction of the shift.
         direction: Vector3<f64>,
     },
 }
 
-/// What the coach has done to the motion so far in this event.
+/// The effect of the coach on the motion in the present event.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct CoachReport {
-    /// Whether something is being coached now.
+    /// Whether the motion is being coached now.
     pub active: bool,
-    /// The phase that is coached, rad: the one that the hand addresses, or the present one of a push.
+    /// The coached phase, rad: the one that the hand addresses, or the present one for a push.
     pub phase: f64,
-    /// By how much the path at that phase has moved along the coached direction since the event began, m.
+    /// Displacement of the path at that phase along the coached direction since the event began, m.
     pub displacement: f64,
 }
 
@@ -74,7 +76,7 @@ enum Kind {
     Shift,
 }
 
-/// Changes a running motion as its coach wants it. One coach belongs to one primitive.
+/// Changes a running motion by the coach's input. One coach belongs to one primitive.
 #[derive(Debug, Clone)]
 pub struct Coach {
     config: CoachConfig,
@@ -89,31 +91,31 @@ pub struct Coach {
     hand: Option<Vector3<f64>>,
     /// The phase at which the hand came to rest, rad.
     arrival: Option<f64>,
-    /// The phase that the hand addresses as long as it stands still, rad.
+    /// The phase that the hand addresses while it stands still, rad.
     addressed: Option<f64>,
-    /// For how long the hand has stood still, s.
+    /// How long the hand has stood still, s.
     still: f64,
-    /// Where it stands.
+    /// The position at which it stands.
     place: Option<Vector3<f64>>,
-    /// For how long it has been seen elsewhere than at its place, s.
+    /// How long it has been detected elsewhere, s.
     away: f64,
 }
 
 /// Time constant over which the jitter of a tracked hand is smoothed, s: three camera frames.
 const HAND_SMOOTHING: f64 = 0.2;
-/// A hand farther than this from its smoothed place is moving and does not coach, m.
+/// A hand farther than this from its smoothed position is moving and has no effect, m.
 const HAND_MOVES: f64 = 0.02;
 /// How long a hand must stand still before it coaches, s.
 const HAND_STANDS: f64 = 0.3;
-/// How long a hand must be seen elsewhere before it has left its place: at least so many seconds, and at least this share
-/// of a period, because the robot's own arm hides a part of the hand once in each period.
+/// How long a hand must be detected elsewhere before it has left its place: the least time, s, and the least share
+/// of a period. The robot's own arm hides a part of the hand once in each period.
 const HAND_AWAY: (f64, f64) = (0.8, 0.4);
 
 impl Coach {
     /// A coach for `dmp`, whose first three degrees of freedom are x, y, z in metres.
     ///
     /// # Errors
-    /// When the primitive has less than three degrees of freedom or a constant cannot be.
+    /// When the primitive has fewer than three degrees of freedom or a constant is invalid.
     pub fn new(config: CoachConfig, dmp: &PeriodicDmp) -> Result<Self, MotionError> {
         config.validate()?;
         if dmp.dofs() < 3 {
@@ -139,19 +141,20 @@ impl Coach {
         })
     }
 
-    /// Sets the `phase` (rad) of the motion at which the hand of a gesture came to rest, if that was seen. A coach reaches
-    /// for the pass that he wants to change: of several that are about equally near to his hand, this one is taken. Holds
-    /// until the next call; a phase that is not finite counts as not seen.
+    /// Sets the `phase` (rad) of the motion at which the hand of a gesture came to rest, if it was observed. A
+    /// coach times his hand to the pass that he wants to change: of several passes at about the same distance from
+    /// the hand, this one is taken. The value holds until the next call; a phase that is not finite means that none
+    /// was observed.
     pub fn set_arrival(&mut self, phase: Option<f64>) {
         self.arrival = phase.filter(|p| p.is_finite());
     }
 
-    /// Applies what the coach does now to `dmp`, `dt` s after the last call; to be called before each
-    /// [`PeriodicDmp::step`] of the same `dt` and `omega` (rad/s). Does not allocate.
+    /// Applies the coach's input to `dmp`, `dt` s after the last call. To be called before each
+    /// [`PeriodicDmp::step`] with the same `dt` and `omega` (rad/s). Does not allocate.
     ///
     /// # Errors
-    /// When the primitive is not of the size the coach was made for, a value is not finite, `dt` is not positive or
-    /// `omega` negative; nothing is changed.
+    /// When the primitive differs in size from the coach's, a value is not finite, `dt` is not positive or `omega`
+    /// is negative. Nothing is changed then.
     pub fn step(
         &mut self,
         dmp: &mut PeriodicDmp,
@@ -192,7 +195,7 @@ impl Coach {
         }
     }
 
-    /// Remembers how the motion was, so that the event's effect can be measured and bounded.
+    /// Records the motion at the start of an event, so that the effect can be measured and bounded.
     fn begin(&mut self, kind: Kind, dmp: &PeriodicDmp) {
         self.event = Some(kind);
         self.hand = None;
@@ -209,7 +212,7 @@ impl Coach {
         }
     }
 
-    /// By how much the steady path at table row `row` has moved since the event began.
+    /// Displacement of the steady path at table row `row` since the event began.
     fn moved(&self, dmp: &PeriodicDmp, row: usize) -> Vector3<f64> {
         let k = dmp.kernels().len();
         let at = |d: usize| {
@@ -269,22 +272,22 @@ impl Coach {
         let here = self.response.row(dmp.phase());
         let wanted = goal * phase::window(dmp.phase() - phase, self.config.arc * std::f64::consts::TAU);
         let missing = wanted - self.moved(dmp, here).dot(&direction);
-        // One pass makes up for what the time of a period allows, at most for all that is missing.
+        // One pass corrects the share that corresponds to the time of one period, at most all of it.
         let share = (std::f64::consts::TAU / (omega * self.config.time_constant)).min(1.0);
         displace(dmp, dmp.phase(), omega * dt, &(direction * (missing * share)))?;
         let displacement = self.moved(dmp, row).dot(&direction);
         Ok(CoachReport { active: true, phase, displacement })
     }
 
-    /// How far the path shall move at the addressed phase, m.
+    /// The desired displacement of the path at the addressed phase, m.
     fn goal(&self, in_surface: f64, distance: f64, sign: f64) -> f64 {
         let strength = self.config.field.strength(distance);
         let room = if sign > 0.0 { (in_surface - self.config.standoff).max(0.0) } else { f64::INFINITY };
         (self.config.reach * strength).min(room)
     }
 
-    /// Where the hand stands, m, if it does. A short sight of it elsewhere is ignored: the robot's own arm hides a part of the
-    /// hand each time it passes.
+    /// The position at which the hand stands, m, if it does. Short detections elsewhere are ignored: the robot's
+    /// own arm hides a part of the hand each time it passes.
     fn stands_at(&mut self, hand: Vector3<f64>, dt: f64, omega: f64) -> Option<Vector3<f64>> {
         let share = 1.0 - (-dt / HAND_SMOOTHING).exp();
         let smooth = self.hand.map_or(hand, |old| old + (hand - old) * share);
@@ -324,8 +327,8 @@ fn centre_of(dmp: &PeriodicDmp) -> Vector3<f64> {
     Vector3::new(dmp.centre()[0], dmp.centre()[1], dmp.centre()[2])
 }
 
-/// [`PeriodicDmp::displace`] of the first three degrees of freedom. A step that leaps over a whole kernel moves it as one pass
-/// would.
+/// [`PeriodicDmp::displace`] for the first three degrees of freedom. A step that skips a whole kernel moves it as
+/// one pass would.
 fn displace(
     dmp: &mut PeriodicDmp,
     phase: f64,

@@ -1,14 +1,15 @@
-//! Which phase of the path a coach's hand addresses, and how far about it the path follows.
+//! Finds the phase of the path that a coach's hand addresses, and the range of phases around it that moves.
 //!
-//! Pure functions. Where a path crosses itself or goes back the same way, the place does not tell the passes apart: then
-//! the phase at which the hand arrived decides.
+//! Pure functions. Where a path crosses itself or returns on the same line, the position does not distinguish the
+//! passes: there, the phase at which the hand arrived decides.
 
 use std::f64::consts::{PI, TAU};
 
 /// The cost of half a period between a phase and the hand's arrival, in units of the difference between the path's
 /// farthest and nearest distance.
 const ARRIVAL_WEIGHT: f64 = 2.0;
-/// An arrival is ignored where the path is farther from the hand than this share of that difference.
+/// An arrival phase is ignored if the path is farther from the hand there than the nearest row by more than this share
+/// of that difference.
 const PLAUSIBLE: f64 = 0.75;
 /// The phase that a standing hand addresses changes by at most this much, rad.
 const HELD: f64 = TAU / 8.0;
@@ -18,8 +19,9 @@ fn apart(a: f64, b: f64) -> f64 {
     (a - b + PI).rem_euclid(TAU) - PI
 }
 
-/// The row of the path (`rows` of them, evenly over the period) that a hand addresses. `distance` is the hand's distance
-/// from the path at a row, m; `arrival` the phase at which it came to rest; `held` the phase addressed so far, rad.
+/// The row of the path (`rows` of them, evenly over the period) that a hand addresses. `distance` is the hand's
+/// distance from the path at a row, m; `arrival` is the phase at which the hand came to rest; `held` is the phase
+/// addressed so far, rad.
 ///
 /// It is the nearest row; with a plausible `arrival`, the one with the least sum of normalised distance and
 /// `1 - cos(phase - arrival)`.
@@ -47,7 +49,7 @@ pub(super) fn addressed_row(
     best.map_or(0, |(_, row)| row)
 }
 
-/// 1 at the addressed phase, smoothly 0 from `half_width` on; both rad.
+/// 1 at the addressed phase, decreasing smoothly to 0 at `half_width`; both rad.
 pub(super) fn window(away: f64, half_width: f64) -> f64 {
     let u = apart(away, 0.0) / half_width;
     if u.abs() < 1.0 { (1.0 - u * u) * (1.0 - u * u) } else { 0.0 }
@@ -85,7 +87,7 @@ mod tests {
         let line = |p: f64| [0.05 * p.cos(), 0.03 * p.cos()];
         let eight = |p: f64| [0.05 * p.cos(), 0.03 * (2.0 * p).sin()];
         for arrival in [0.25, 0.75] {
-            // Across the line's middle, and below the eight's crossing.
+            // Beside the line's middle, and below the eight's crossing.
             let across = from(line, [0.06, -0.1]);
             assert!((turns(addressed_row(ROWS, across, Some(arrival * TAU), None)) - arrival).abs() < 0.006);
             let below = from(eight, [0.0, -0.12]);

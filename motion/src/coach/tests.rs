@@ -56,7 +56,7 @@ fn change(before: &PeriodicPath, after: &PeriodicPath, phase: f64) -> Change {
     Change { at_phase: point(after, phase) - point(before, phase), far_rms: f64::sqrt(sum / count) }
 }
 
-/// Runs `seconds` (or until the coach has gone) with `input(phase passed, dmp)`, then two idle cycles.
+/// Runs `seconds` (or until the coach has gone) with `input(phase passed, dmp)`, then two cycles without input.
 fn coached(
     dmp: &mut PeriodicDmp,
     hz: f64,
@@ -67,7 +67,7 @@ fn coached(
     coached_with(dmp, hz, seconds, start, None, input)
 }
 
-/// As [`coached`], by a hand that came to its place at the phase `came`.
+/// As [`coached`], for a hand that arrived at the phase `came`.
 fn coached_with(
     dmp: &mut PeriodicDmp,
     hz: f64,
@@ -112,7 +112,8 @@ fn pushes_move_the_path_where_and_whither_they_push() {
                                 let (before, after, later) =
                                     coached(&mut dmp, hz, cycles / hz, 0.3, |passed, _| {
                                         let away = (passed / TAU - phase + 0.5).rem_euclid(1.0) - 0.5;
-                                        // Rises and falls like a hand's push; what is too little to be one is not felt.
+                                        // Rises and falls like a hand's push; forces below the threshold are not
+                                        // passed on.
                                         let felt = force
                                             * (TAU / 4.0 * (away.abs() / half_arc).min(1.0)).cos().powi(2);
                                         if felt > 4.0 {

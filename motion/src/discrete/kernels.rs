@@ -1,13 +1,13 @@
-//! The bell-shaped kernels over a phase that decays, and that phase.
+//! The bell-shaped kernels over a decaying phase, and the phase itself.
 
 use crate::dmp::{Activation, Canonical, TimeScale};
 use crate::error::MotionError;
 
-/// The phase does not fall below this, so that its logarithm stays bounded long after the end.
+/// Lower bound of the phase, so that its logarithm stays bounded long after the end.
 const SMALLEST: f64 = 1e-12;
 
-/// `exp(-(u - i)^2 / 0.8)` over `u = (N - 1) t / duration`, which is `-(N - 1) ln x / alpha_x`: equally wide and
-/// equally far from each other in time, the last one holding on after the end.
+/// `exp(-(u - i)^2 / 0.8)` over `u = (N - 1) t / duration`, which is `-(N - 1) ln x / alpha_x`. The kernels have
+/// equal widths and distances in time; the last one continues after the end.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct DecayKernels {
     count: usize,
@@ -16,7 +16,7 @@ pub(crate) struct DecayKernels {
 }
 
 impl DecayKernels {
-    /// `count` of them, at least 2, for a phase that ends at `exp(-alpha_x)`.
+    /// `count` kernels, at least 2, for a phase that ends at `exp(-alpha_x)`.
     pub(crate) fn new(count: usize, alpha_x: f64) -> Self {
         Self { count, alpha_x, per_log: (count - 1) as f64 / alpha_x }
     }
@@ -33,7 +33,7 @@ impl DecayKernels {
         let mut sum = 0.0;
         for (i, o) in out.iter_mut().enumerate() {
             let away = u - i as f64;
-            // Farther away it is under 1e-19 of the nearest one.
+            // Farther away, the value is under 1e-19 of the nearest kernel's.
             *o = if away.abs() < 6.0 { (-away * away / 0.8).exp() } else { 0.0 };
             sum += *o;
         }
@@ -54,7 +54,7 @@ impl Canonical for DecayKernels {
         Ok((x * (-self.alpha_x * scale.advance(dt)).exp()).max(SMALLEST))
     }
 
-    /// The forcing term fades with the phase.
+    /// The gate is the phase: the forcing term decays with it.
     fn activate(&self, x: f64, psi: &mut [f64]) -> Activation {
         Activation { used: 0..psi.len(), sum: self.evaluate(x, psi), gate: x }
     }

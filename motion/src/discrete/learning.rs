@@ -1,13 +1,13 @@
-//! How a [`DiscreteDmp`] learns: sample by sample, from a coupling term, or all at once by regression.
+//! Learning of a [`DiscreteDmp`]: sample by sample, from a coupling term, or all at once by regression.
 
 use super::DiscreteDmp;
 use crate::dmp::{Cutoff, Ridge, TimeSample, TimeScale, check_time_samples};
 use crate::error::{MotionError, constant, positive, vector, within};
 
 impl DiscreteDmp {
-    /// Learns from one sample: `y`, `yd` (unit/s), `ydd` (unit/s^2) at `t` s of a demonstration of `duration` s whose
-    /// goal is set, `dt` s after the sample before. The state that [`step`](Self::step) integrates is not touched.
-    /// Does not allocate.
+    /// Learns from one sample: `y`, `yd` (unit/s), `ydd` (unit/s^2) at `t` s of a demonstration of `duration` s,
+    /// `dt` s after the previous sample. The goal must be set before. The state that [`step`](Self::step)
+    /// integrates is not changed. Does not allocate.
     ///
     /// # Errors
     /// When sizes differ, a value is not finite, `t` is negative, or `dt` or `duration` not positive; nothing is
@@ -37,12 +37,12 @@ impl DiscreteDmp {
         Ok(())
     }
 
-    /// Learns all weights at once from the samples of one movement, which lasts from the first to the last of them;
-    /// start and goal become its ends, and the state is put to the start. Returns its duration, s.
+    /// Learns all weights at once from the samples of one movement, which lasts from the first to the last sample.
+    /// Start and goal become its ends, and the state is set to the start. Returns the duration, s.
     ///
     /// # Errors
-    /// [`MotionError::TooFew`] for less than two samples; when sizes differ, a value is not finite or time does not go
-    /// on. An amplitude of 0 cannot be learned.
+    /// [`MotionError::TooFew`] for fewer than two samples; also when sizes differ, a value is not finite or the
+    /// times do not increase. An amplitude of 0 cannot be learned.
     ///
     /// # Source
     /// Least squares on (6) with all kernels at once and a ridge of 1e-9 of the mean diagonal.

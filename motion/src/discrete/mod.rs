@@ -1,8 +1,8 @@
-//! The discrete dynamic movement primitive of n degrees of freedom: from where it starts to a goal, on a phase that
-//! decays. It takes the same two couplings as [`crate::PeriodicDmp`]: one that only perturbs (eq. 12) and one that the
-//! weights learn (eq. 13), with which point-to-point movements are coached from one execution to the next.
+//! The discrete dynamic movement primitive with n degrees of freedom: from a start to a goal, on a decaying phase.
+//! It takes the same two couplings as [`crate::PeriodicDmp`]: one that only perturbs (eq. 12) and one that the
+//! weights learn (eq. 13), by which point-to-point movements are coached from one execution to the next.
 //!
-//! Learning from data is in `learning.rs`. What it is not: it does not blend into a periodic motion.
+//! Learning from data is in `learning.rs`. Blending into a periodic motion is not part of it.
 
 mod kernels;
 mod learning;
@@ -20,17 +20,17 @@ use crate::error::{LARGEST, MotionError, constant, positive, vector, within};
 pub struct DiscreteDmpConfig {
     /// Degrees of freedom n, at least 1.
     pub dofs: usize,
-    /// Kernels N a degree of freedom, at least 2.
+    /// Kernels N per degree of freedom, at least 2.
     pub kernels: usize,
-    /// How fast the phase decays: it ends at `exp(-alpha_x)`. Small enough that the end can still be shaped.
+    /// Decay rate of the phase, which ends at `exp(-alpha_x)`. It is small enough that the end can still be shaped.
     pub alpha_x: f64,
     /// Stiffness constant of (4), for one duration.
     pub alpha_z: f64,
     /// Damping constant of (4); `alpha_z / 4` makes it critically damped.
     pub beta_z: f64,
-    /// Forgetting factor lambda of (9) for each 10 ms of learning, in (0, 1].
+    /// Forgetting factor lambda of (9) per 10 ms of learning, in (0, 1].
     pub forgetting: f64,
-    /// P(0) of (9), which is also the most that P may grow to where a kernel is not visited.
+    /// P(0) of (9), and the upper bound to which P grows for a kernel that is not visited.
     pub initial_gain: f64,
 }
 
@@ -66,7 +66,7 @@ impl DiscreteDmpConfig {
     }
 }
 
-/// What a step yields; the slices have one value a degree of freedom.
+/// The result of a step; the slices have one value per degree of freedom.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DiscreteState<'a> {
     /// Phase, 1 at the start and `exp(-alpha_x)` after the duration.
@@ -90,7 +90,7 @@ pub struct DiscreteState<'a> {
 /// ```
 /// use armarium_motion::{DiscreteDmp, DiscreteDmpConfig, TimeSample};
 ///
-/// // From 0 to 1 m in 2 s as half a cosine, seen at 50 Hz.
+/// // From 0 to 1 m in 2 s as half a cosine, sampled at 50 Hz.
 /// let w = std::f64::consts::FRAC_PI_2;
 /// let sample = |k: i32| {
 ///     let (t, (sin, cos)) = (f64::from(k) * 0.02, (w * f64::from(k) * 0.02).sin_cos());
@@ -119,7 +119,7 @@ impl DiscreteDmp {
     /// A primitive at rest at its goal 0: all weights 0, amplitude 1.
     ///
     /// # Errors
-    /// [`MotionError::OutOfRange`] or [`MotionError::NotFinite`] names the constant that cannot be.
+    /// [`MotionError::OutOfRange`] or [`MotionError::NotFinite`] names the invalid constant.
     pub fn new(config: DiscreteDmpConfig) -> Result<Self, MotionError> {
         config.validate()?;
         let (n, k) = (config.dofs, config.kernels);
@@ -150,7 +150,7 @@ impl DiscreteDmp {
         self.dmp.weights()
     }
 
-    /// Replaces all weights; the state stays.
+    /// Replaces all weights; the state is unchanged.
     ///
     /// # Errors
     /// When their number is not `dofs * kernels` or one is not finite.
@@ -158,19 +158,19 @@ impl DiscreteDmp {
         self.dmp.set_weights(0, "weights", weights)
     }
 
-    /// Where the demonstration began, one value a degree of freedom.
+    /// The start of the demonstration, one value per degree of freedom.
     #[must_use]
     pub fn demonstrated_start(&self) -> &[f64] {
         &self.start
     }
 
-    /// Where the movement ends, one value a degree of freedom.
+    /// The goal, one value per degree of freedom.
     #[must_use]
     pub fn goal(&self) -> &[f64] {
         &self.dmp.transformation.goal
     }
 
-    /// Moves the goal, also while running; the position follows smoothly.
+    /// Sets the goal, also while running; the position follows smoothly.
     ///
     /// # Errors
     /// When sizes differ or a value is not finite.
@@ -194,8 +194,8 @@ impl DiscreteDmp {
         self.dmp.set_amplitude(amplitude)
     }
 
-    /// Puts the primitive to its beginning at position `y` with velocity `yd` (unit / s), for a movement of `duration`
-    /// s. What was learned stays.
+    /// Sets the state to the start of a movement of `duration` s, at position `y` with velocity `yd` (unit / s).
+    /// The weights are kept.
     ///
     /// # Errors
     /// When sizes differ, a value is not finite or `duration` is not positive; nothing is changed.
@@ -210,7 +210,7 @@ impl DiscreteDmp {
         Ok(())
     }
 
-    /// Puts position and velocity (unit / s), at the phase of now.
+    /// Sets position and velocity (unit / s) at the present phase.
     pub(crate) fn put(&mut self, y: &[f64], yd: &[f64], duration: f64) {
         self.dmp.transformation.put(y, yd, TimeScale::Duration(duration));
     }
@@ -222,13 +222,13 @@ impl DiscreteDmp {
         DiscreteState { x: self.dmp.phase(), y: &state.y, yd: &state.yd, ydd: &state.ydd }
     }
 
-    /// Which share of the duration has passed, 1 at its end and more after it.
+    /// The share of the duration that has passed; 1 at the end and more after it.
     #[must_use]
     pub fn progress(&self) -> f64 {
         -self.dmp.phase().ln() / self.config.alpha_x
     }
 
-    /// Adds `c` (one a degree of freedom) to (4) for the next step only: the movement gives way and comes back.
+    /// Adds `c` (one per degree of freedom) to (4) for the next step only: the movement yields and returns.
     ///
     /// # Errors
     /// When sizes differ or a value is not finite.
@@ -241,7 +241,7 @@ impl DiscreteDmp {
         Ok(())
     }
 
-    /// Hands the coupling term `c` to the weights in the next step: the next executions keep it.
+    /// Lets the weights learn the coupling term `c` in the next step: later executions keep the change.
     ///
     /// # Errors
     /// When sizes differ or a value is not finite.
@@ -252,12 +252,12 @@ impl DiscreteDmp {
         self.learner.couple(c)
     }
 
-    /// Advances by `dt` s of a movement of `duration` s, which may change while it runs. After the duration the
-    /// position goes on to the goal. Does not allocate.
+    /// Advances by `dt` s of a movement of `duration` s, which may change while running. After the duration the
+    /// position continues to approach the goal. Does not allocate.
     ///
     /// # Errors
-    /// When `dt` or `duration` is not positive or the result would not be finite. State and weights are unchanged, and a
-    /// coupling waits for the next step.
+    /// When `dt` or `duration` is not positive or the result would not be finite. State and weights are then
+    /// unchanged, and a pending coupling waits for the next step.
     pub fn step(&mut self, dt: f64, duration: f64) -> Result<DiscreteState<'_>, MotionError> {
         positive("dt", dt)?;
         constant("duration", duration)?;

@@ -1,11 +1,11 @@
-//! How a discrete primitive is kept in a file.
+//! The file format of a discrete primitive.
 
 use serde::{Deserialize, Serialize};
 
 use super::{DiscreteDmp, DiscreteDmpConfig};
 use crate::error::{MotionError, vector};
 
-/// The saved form: everything that makes the movement, not the instant that it was saved in.
+/// The saved form: everything that defines the movement, without its present state.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Saved {

@@ -1,4 +1,4 @@
-//! The discrete primitive against closed forms and properties.
+//! Tests the discrete primitive against closed forms and properties.
 
 use super::*;
 use crate::dmp::TimeSample;

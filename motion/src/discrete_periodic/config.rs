@@ -15,7 +15,7 @@ pub struct DiscretePeriodicConfig {
     pub discrete_kernels: usize,
     /// Kernels of the periodic part, at least 2.
     pub periodic_kernels: usize,
-    /// Width l of (6), dimensionless; 1.25 times their number if absent.
+    /// Width l of (6), dimensionless; by default 1.25 times the number of kernels.
     pub periodic_width: Option<f64>,
     /// Stiffness constant of (1), 1 per rad of phase.
     pub alpha_z: f64,

@@ -1,4 +1,4 @@
-//! The two kernel sets of (5): one round the limit cycle (6), one along the spiral that leads to it (7).
+//! The two kernel sets of (5): one around the limit cycle (6), one along the spiral that leads to it (7).
 
 use std::f64::consts::PI;
 use std::ops::Range;
@@ -45,8 +45,8 @@ impl BlendedKernels {
         self.start_radius
     }
 
-    /// Writes the kernel values at a phase, divided by their sum, to `out`: first the periodic ones, then the discrete
-    /// ones. Returns which of them are not 0; the others are left as they were. Does not allocate.
+    /// Writes the kernel values at a phase, divided by their sum, to `out`: first the periodic, then the discrete
+    /// ones. Returns the range of those that are not 0; the others are not written. Does not allocate.
     fn evaluate(&self, phase: f64, radius: f64, out: &mut [f64]) -> Range<usize> {
         let n = self.periodic.len();
         let (b, a) = self.canonical.blend(radius);
@@ -65,8 +65,8 @@ impl BlendedKernels {
         used
     }
 
-    /// (7) times `a`; if the set is `alone` relative to its largest value, so that the sum is never 0 however far the
-    /// phase is from every centre.
+    /// Writes (7) times `a`. If the discrete set is used `alone`, its values are relative to the largest one, so
+    /// that their sum is never 0, however far the phase is from every centre.
     fn along_spiral(&self, phase: f64, radius: f64, a: f64, alone: bool, out: &mut [f64]) -> f64 {
         let (sin, cos) = phase.sin_cos();
         let here = [radius * cos, radius * sin];
@@ -79,7 +79,7 @@ impl BlendedKernels {
         let mut sum = 0.0;
         for o in out.iter_mut() {
             let exponent = *o - offset;
-            // Beyond this a value is below rounding of the largest.
+            // Beyond this, a value is below the rounding error of the largest.
             *o = if exponent > 60.0 { 0.0 } else { a * (-exponent).exp() };
             sum += *o;
         }
@@ -113,7 +113,7 @@ impl Canonical for BlendedKernels {
         Ok((phase, radius))
     }
 
-    /// The values are normalised already: where the phase is far from every kernel their plain sum would be 0.
+    /// The values are normalised already: far from every kernel their plain sum would be 0.
     fn activate(&self, (phase, radius): (f64, f64), psi: &mut [f64]) -> Activation {
         Activation { used: self.evaluate(phase, radius, psi), sum: 1.0, gate: 1.0 }
     }

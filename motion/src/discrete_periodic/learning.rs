@@ -1,5 +1,5 @@
-//! How a [`DiscretePeriodicDmp`] learns: all weights of both kernel sets at once by regression, also those of the control
-//! signal.
+//! Learning of a [`DiscretePeriodicDmp`]: all weights of both kernel sets at once by regression, also those of the
+//! control signal.
 
 use super::DiscretePeriodicDmp;
 use crate::dmp::{Canonical, Cutoff, Ridge, TimeSample, TimeScale, check_time_samples};
@@ -7,13 +7,13 @@ use crate::error::{MotionError, finite, positive, vector};
 
 impl DiscretePeriodicDmp {
     /// Learns the forcing term from one demonstration: the discrete part of
-    /// [`demonstrated_duration`](Self::demonstrated_duration) s and then at least a part of a period, at the frequency that
-    /// the primitive was made for. The start becomes that of the demonstration, the goal g the mean of its periodic part,
-    /// and the state is put to the start; the control signal is kept.
+    /// [`demonstrated_duration`](Self::demonstrated_duration) s, followed by at least a part of a period, at the
+    /// frequency for which the primitive was made. The start becomes that of the demonstration, the goal g the mean
+    /// of its periodic part, and the state is set to the start. The control signal is kept.
     ///
     /// # Errors
-    /// [`MotionError::TooFew`] for less than two samples or none in the periodic part; when sizes differ, a value is not
-    /// finite or time does not go on. Nothing is changed then.
+    /// [`MotionError::TooFew`] for fewer than two samples or none in the periodic part; also when sizes differ, a
+    /// value is not finite or the times do not increase. Nothing is changed then.
     ///
     /// # Source
     /// (1) solved for f, least squares on (5) over both kernel sets with the ridge of the config.
@@ -58,18 +58,19 @@ impl DiscretePeriodicDmp {
         samples.iter().map(at).collect()
     }
 
-    /// The weights with which the kernels meet `targets` (`dofs` values a phase) best, with the ridge of the config.
+    /// The weights for which the kernel sum fits `targets` best (`dofs` values per phase), with the ridge of the
+    /// config.
     pub(crate) fn regress(&self, phases: &[(f64, f64)], targets: &[f64]) -> Result<Vec<f64>, MotionError> {
         let cutoff = Cutoff { first: 1e-12, second: 0.0 };
         self.dmp.regress(phases.iter().copied(), targets, cutoff, Ridge::Absolute(self.config.ridge))
     }
 }
 
-/// Samples with velocity and acceleration from `positions`, one every `dt` s from time 0: central differences of second
-/// order, one-sided ones at the ends.
+/// Samples with velocity and acceleration from `positions`, one every `dt` s from time 0: second-order central
+/// differences, one-sided at the ends.
 ///
 /// # Errors
-/// [`MotionError::TooFew`] for less than four positions; when sizes differ, a value is not finite or `dt` not positive.
+/// [`MotionError::TooFew`] for fewer than four positions; when sizes differ, a value is not finite or `dt` not positive.
 pub fn differentiate(dt: f64, positions: &[Vec<f64>]) -> Result<Vec<TimeSample>, MotionError> {
     positive("dt", dt)?;
     let Some(n) = positions.first().map(Vec::len).filter(|_| positions.len() >= 4) else {

@@ -1,11 +1,11 @@
-//! The discrete-periodic primitive: an initial transient movement that flows into a periodic one, in a single system of n
-//! degrees of freedom on one phase (r, phi).
+//! The discrete-periodic primitive: an initial transient movement that continues as a periodic one, in a single
+//! system with n degrees of freedom on one phase (r, phi).
 //!
-//! The phase starts far from its limit cycle, where the kernels of the discrete part lie along its spiral, and settles on
-//! the cycle, where only the phase angle and the periodic kernels are left. `discrete_periodic/phase.rs` is the canonical
-//! system, `kernels.rs` the two kernel sets, `learning.rs` the regression; the rest is `dmp/mod.rs`, with the control signal
-//! as a second kernel sum. A control signal on the same kernels is
-//! learned by [`crate::LearningControl`].
+//! The phase starts far from its limit cycle, on a spiral that carries the kernels of the discrete part. It
+//! converges to the cycle, where only the phase angle and the periodic kernels matter. `discrete_periodic/phase.rs`
+//! is the canonical system, `kernels.rs` the two kernel sets, `learning.rs` the regression; the rest is
+//! `dmp/mod.rs`, with the control signal as a second kernel sum. [`crate::LearningControl`] learns a control signal
+//! on the same kernels.
 //!
 //! Equation numbers refer to Gams, Ude and Morimoto, "Efficient synchronization of dual-arm humanoid robot movement
 //! primitives", IROS 2015.
@@ -28,12 +28,13 @@ use self::saved::Saved;
 use crate::dmp::{Canonical, Dmp, Integrator, TimeScale};
 use crate::error::{LARGEST, MotionError, positive, vector, within};
 
-/// What a step yields; the slices have one value a degree of freedom.
+/// The result of a step; the slices have one value per degree of freedom.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DiscretePeriodicState<'a> {
-    /// Phase angle phi, rad; from `-omega T` over 0, where the periodic part begins, on and on.
+    /// Phase angle phi, rad: it starts at `-omega T`, the periodic part begins at 0, and it increases without
+    /// bound.
     pub phase: f64,
-    /// Distance r of the phase from the centre of its limit cycle, dimensionless; it falls to mu.
+    /// Distance r of the phase from the centre of its limit cycle, dimensionless; it decreases to mu.
     pub radius: f64,
     /// Position, in the unit of the degree of freedom.
     pub y: &'a [f64],
@@ -43,13 +44,13 @@ pub struct DiscretePeriodicState<'a> {
     pub ydd: &'a [f64],
 }
 
-/// A movement of n degrees of freedom that begins discretely and becomes periodic.
+/// A movement of n degrees of freedom that begins as a discrete one and becomes periodic.
 ///
 /// # Source
-/// Gams et al. 2015, (1)-(9), (12), (13). Differs in: (1), (2) are integrated exactly for a forcing term that is constant
-/// over a step; (5) is evaluated so that it is defined however far the phase is from every kernel, where the quotient as
-/// printed becomes 0/0; the control signal of (12) is scaled with the frequency, so that what was adapted at one
-/// frequency holds at every other.
+/// Gams et al. 2015, (1)-(9), (12), (13). Differs in: (1), (2) are integrated exactly for a forcing term that is
+/// constant over a step; (5) is evaluated such that it is defined however far the phase is from every kernel, where
+/// the printed quotient becomes 0/0; the control signal of (12) is scaled with the frequency, so that a signal
+/// adapted at one frequency holds at every other.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Saved", into = "Saved")]
 pub struct DiscretePeriodicDmp {
@@ -58,7 +59,7 @@ pub struct DiscretePeriodicDmp {
     omega: f64,
     duration: f64,
     start: Vec<f64>,
-    /// Derivative after the phase at the start, unit / rad.
+    /// Derivative with respect to the phase at the start, unit / rad.
     start_slope: Vec<f64>,
     /// The weights of both sums: first the periodic kernels, then the discrete ones. Those of the control signal (13) are
     /// for the demonstrated frequency, unit / s.
@@ -70,11 +71,11 @@ pub struct DiscretePeriodicDmp {
 const CONTROL: usize = 1;
 
 impl DiscretePeriodicDmp {
-    /// A primitive that stands still in 0, for a discrete part of `duration` s that flows into a motion of `omega` rad/s.
-    /// Its start phase comes from integrating (3), (4) back from (mu1, 0) for that time.
+    /// A primitive at rest at 0, for a discrete part of `duration` s that continues as a motion of `omega` rad/s.
+    /// Its start phase is found by integrating (3), (4) back from (mu1, 0) over that time.
     ///
     /// # Errors
-    /// Names the constant that cannot be; [`MotionError::NotFinite`] when the phase runs away on its way back.
+    /// Names the invalid constant; [`MotionError::NotFinite`] when the phase diverges while integrating back.
     pub fn new(config: DiscretePeriodicConfig, omega: f64, duration: f64) -> Result<Self, MotionError> {
         config.validate()?;
         within("omega", omega, 1e-9, 1e9)?;
@@ -123,7 +124,7 @@ impl DiscretePeriodicDmp {
         (-self.omega * self.duration, self.dmp.canonical.start_radius())
     }
 
-    /// Kernels of both sets together: the weights a degree of freedom.
+    /// Number of kernels of both sets together: the weights per degree of freedom.
     #[must_use]
     pub fn kernels(&self) -> usize {
         self.dmp.canonical.kernels()
@@ -135,7 +136,7 @@ impl DiscretePeriodicDmp {
         self.dmp.weights()
     }
 
-    /// Replaces the weights of the forcing term; the state stays.
+    /// Replaces the weights of the forcing term; the state is unchanged.
     ///
     /// # Errors
     /// When their number is not `dofs * kernels` or one is not finite.
@@ -149,7 +150,7 @@ impl DiscretePeriodicDmp {
         &self.dmp.sums[CONTROL].weights
     }
 
-    /// Replaces the weights of the control signal; the state stays.
+    /// Replaces the weights of the control signal; the state is unchanged.
     ///
     /// # Errors
     /// When their number is not `dofs * kernels` or one is not finite.
@@ -157,7 +158,7 @@ impl DiscretePeriodicDmp {
         self.dmp.set_weights(CONTROL, "control weights", weights)
     }
 
-    /// The goal g of (1), one a degree of freedom: the mean of the periodic part.
+    /// The goal g of (1), one per degree of freedom: the mean of the periodic part.
     #[must_use]
     pub fn centre(&self) -> &[f64] {
         &self.dmp.transformation.goal
@@ -173,7 +174,7 @@ impl DiscretePeriodicDmp {
         Ok(())
     }
 
-    /// Puts phase, position and velocity to the start of the demonstration.
+    /// Sets phase, position and velocity to the start of the demonstration.
     pub fn restart(&mut self) {
         self.dmp.set_phase(self.initial_phase());
         self.dmp.transformation.put_slope(&self.start, &self.start_slope, TimeScale::Frequency(self.omega));
@@ -207,7 +208,8 @@ impl DiscretePeriodicDmp {
         self.dmp.phase().0 < 0.0
     }
 
-    /// Writes the learned control signal (13) at the phase of now, unit / s, for a motion of `omega` rad/s. Does not allocate.
+    /// Writes the learned control signal (13) at the present phase, unit / s, for a motion of `omega` rad/s. Does
+    /// not allocate.
     ///
     /// # Errors
     /// When the size differs or `omega` is negative or not finite.
@@ -221,7 +223,8 @@ impl DiscretePeriodicDmp {
         Ok(())
     }
 
-    /// Adds the velocity `u` (unit / s, one a degree of freedom) to (2) in the next step, beside the learned control.
+    /// Adds the velocity `u` (unit / s, one per degree of freedom) to (2) in the next step, in addition to the
+    /// learned control.
     ///
     /// # Errors
     /// When sizes differ or a value is not finite.
@@ -246,7 +249,7 @@ impl DiscretePeriodicDmp {
         within("omega", omega, 0.0, LARGEST)?;
         within("omega * dt", omega * dt, 0.0, LARGEST)?;
         within("dt", dt, 0.0, LARGEST)?;
-        // What was learned of the control signal is for the demonstrated frequency.
+        // The learned control signal is for the demonstrated frequency.
         let (correction, demonstrated) = (&self.correction, self.omega);
         let input = |d: usize, learned: f64| learned * omega / demonstrated + correction[d];
         self.dmp.step(dt, TimeScale::Frequency(omega), Integrator::Exact, input)?;
@@ -260,7 +263,7 @@ impl DiscretePeriodicDmp {
         self.dmp.transformation.goal.copy_from_slice(centre);
     }
 
-    /// How long a whole execution with `periods` periods lasts at `omega` rad/s, s.
+    /// Duration of a whole execution with `periods` periods at `omega` rad/s, s.
     #[must_use]
     pub fn length(&self, periods: f64, omega: f64) -> f64 {
         (self.omega * self.duration + TAU * periods) / omega

@@ -4,15 +4,15 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{MotionError, finite, within};
 
-/// How fast the radius settles when the movement runs at another frequency than the demonstrated one.
+/// How fast the radius converges when the movement runs at another frequency than the demonstrated one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CanonicalRule {
     /// (4): in proportion to the frequency, so that the whole movement scales in time.
     #[default]
     Modified,
-    /// As Ernesti, Righetti, Do, Asfour and Schaal (Humanoids 2012) have it: at the speed of the demonstration whatever the
-    /// frequency is, so that the phase leaves the spiral that was learned.
+    /// As in Ernesti, Righetti, Do, Asfour and Schaal (Humanoids 2012): at the speed of the demonstration at every
+    /// frequency, so that the phase leaves the learned spiral.
     Original,
 }
 
@@ -32,7 +32,7 @@ pub struct CanonicalSystem {
     pub mu1: f64,
     /// Radius mu2, over mu1, at which the transition begins.
     pub mu2: f64,
-    /// What happens at another frequency than the demonstrated one.
+    /// The rule for other frequencies than the demonstrated one.
     pub rule: CanonicalRule,
 }
 
@@ -50,9 +50,9 @@ impl Default for CanonicalSystem {
     }
 }
 
-/// Widest step of the phase, rad, that is integrated at once.
+/// Largest phase step, rad, that is integrated at once.
 const STEP: f64 = 0.02;
-/// After so much phase the radius has arrived, whatever it was.
+/// After this phase, rad, any radius has converged.
 const SETTLED: f64 = 1e4;
 
 impl CanonicalSystem {
@@ -71,7 +71,7 @@ impl CanonicalSystem {
     }
 
     fn pieces(&self, turned: f64) -> f64 {
-        // Near the cycle the deviation decays with this rate; the step stays well inside of what the rule follows.
+        // Near the cycle the deviation decays at this rate; the step stays well within the stability of the rule.
         let rate = self.eta * self.alpha * self.mu.powf(self.alpha + self.beta - 1.0);
         (turned.abs() / (STEP / rate.max(1.0))).ceil().max(1.0)
     }
@@ -81,7 +81,7 @@ impl CanonicalSystem {
         (radius + turned * self.slope(middle)).max(1e-9)
     }
 
-    /// The radius after the phase has turned by `turned` rad (not negative), by the midpoint rule.
+    /// The radius after the phase has advanced by `turned` rad (not negative), by the midpoint rule.
     pub(super) fn advance(&self, radius: f64, turned: f64) -> f64 {
         if turned > SETTLED {
             return self.mu;
@@ -90,10 +90,10 @@ impl CanonicalSystem {
         (0..pieces as usize).fold(radius, |radius, _| self.midpoint(radius, turned / pieces))
     }
 
-    /// The phases (phi, r) at `count` equal parts of the way from `turn` rad before (mu1, 0) to there, by integrating back.
+    /// The phases (phi, r) at `count` equal steps from `turn` rad before (mu1, 0) up to it, by integrating back.
     ///
     /// # Errors
-    /// [`MotionError::NotFinite`] when the radius runs away.
+    /// [`MotionError::NotFinite`] when the radius diverges.
     pub(super) fn spiral(&self, turn: f64, count: usize) -> Result<Vec<(f64, f64)>, MotionError> {
         let piece = turn / (count - 1) as f64;
         let pieces = self.pieces(piece);
@@ -102,7 +102,7 @@ impl CanonicalSystem {
         for i in 1..count {
             for _ in 0..pieces as usize {
                 radius = self.midpoint(radius, -piece / pieces);
-                // A radius beyond this has no kernels that could still be told apart.
+                // Beyond this radius, the kernels cannot be distinguished any more.
                 if !(radius.is_finite() && radius < 1e12) {
                     return Err(MotionError::NotFinite { what: "initial radius" });
                 }

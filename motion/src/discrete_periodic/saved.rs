@@ -1,11 +1,11 @@
-//! How a discrete-periodic primitive is kept.
+//! The file format of a discrete-periodic primitive.
 
 use serde::{Deserialize, Serialize};
 
 use super::{DiscretePeriodicConfig, DiscretePeriodicDmp};
 use crate::error::{MotionError, vector};
 
-/// The saved form: everything that makes the movement, not the instant that it was saved in.
+/// The saved form: everything that defines the movement, without its present state.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Saved {

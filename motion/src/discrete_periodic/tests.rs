@@ -1,4 +1,4 @@
-//! The discrete-periodic primitive against its demonstration, closed forms and properties.
+//! Tests the discrete-periodic primitive against its demonstration, closed forms and properties.
 
 use super::*;
 use crate::TimeSample;
@@ -171,7 +171,7 @@ fn it_is_saved_and_read_back() {
     dmp.restart();
     let text = serde_json::to_string(&dmp).unwrap();
     let mut read: DiscretePeriodicDmp = serde_json::from_str(&text).unwrap();
-    // The text reader may be off by the last digit.
+    // The text format may change the last digit.
     for _ in 0..200 {
         let (a, b) = (read.step(0.01, 3.0).unwrap(), dmp.step(0.01, 3.0).unwrap());
         assert!((a.y[0] - b.y[0]).abs() < 1e-9 && (a.yd[1] - b.yd[1]).abs() < 1e-9);
@@ -187,7 +187,7 @@ fn derivatives_of_a_cubic_are_met() {
     for (k, s) in differentiate(0.1, &positions).unwrap().iter().enumerate() {
         let t = 0.1 * k as f64;
         assert!((s.ydd[0] - (3.0 * t - 4.0)).abs() < 1e-9);
-        // The error of second order: a sixth (a third at the ends) of dt^2 times the third derivative.
+        // The second-order error: a sixth (a third at the ends) of dt^2 times the third derivative.
         assert!((s.yd[0] - (1.0 - 4.0 * t + 1.5 * t * t)).abs() < 1.01e-2);
     }
     for (dt, positions) in [(0.0, positions.clone()), (f64::NAN, positions.clone()), (0.1, Vec::new())] {
@@ -268,7 +268,7 @@ fn amplitudes_scale() {
     }
 }
 
-/// Both systems, learned once.
+/// The canonical systems with both rules, learned once.
 fn both() -> [DiscretePeriodicDmp; 2] {
     static LEARNED: LazyLock<[DiscretePeriodicDmp; 2]> =
         LazyLock::new(|| [CanonicalRule::Modified, CanonicalRule::Original].map(learned));

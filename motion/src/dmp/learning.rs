@@ -1,12 +1,12 @@
-//! How the weights of a primitive are learned: sample by sample by recursive least squares with forgetting (eqs. 8-11),
-//! from a coupling term (eq. 13), or all at once by ridge regression.
+//! Learning of a primitive's weights: sample by sample by recursive least squares with forgetting (eqs. 8-11), from
+//! a coupling term (eq. 13), or all at once by ridge regression.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::{Canonical, Dmp, TimeScale};
 use crate::error::{MotionError, finite, positive, vector, within};
 
-/// One sample of a demonstrated movement, for batch learning; the slices have one value a degree of freedom.
+/// One sample of a demonstrated movement, for batch learning; the slices have one value per degree of freedom.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TimeSample {
     /// Time since the start, s.
@@ -19,7 +19,7 @@ pub struct TimeSample {
     pub ydd: Vec<f64>,
 }
 
-/// At least two samples of `dofs` finite values whose time goes on.
+/// Checks that there are at least two samples of `dofs` finite values with increasing times.
 pub(crate) fn check_time_samples(samples: &[TimeSample], dofs: usize) -> Result<(), MotionError> {
     if samples.len() < 2 {
         return Err(MotionError::TooFew { what: "samples", needed: 2, got: samples.len() });
@@ -33,17 +33,17 @@ pub(crate) fn check_time_samples(samples: &[TimeSample], dofs: usize) -> Result<
     samples.windows(2).try_for_each(|pair| positive("time between samples", pair[1].t - pair[0].t))
 }
 
-/// Recursive least squares over the kernels, with a coupling term that waits for the next step.
+/// Recursive least squares over the kernels, with a pending coupling term for the next step.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct CouplingLearner {
-    /// Forgetting factor lambda for each 10 ms.
+    /// Forgetting factor lambda per 10 ms.
     forgetting: f64,
     initial_gain: f64,
-    /// P of (9), one a kernel. It is common to all degrees of freedom because (9) does not depend on the data.
+    /// P of (9), one per kernel. All degrees of freedom share it because (9) does not depend on the data.
     pub(crate) gain: Vec<f64>,
     coupling: Vec<f64>,
     coupled: bool,
-    /// Weights and gain before the coupling that is being learned, for a step that is refused.
+    /// Weights and gain before the pending coupling is learned, to restore them if the step is refused.
     weights_before: Vec<f64>,
     gain_before: Vec<f64>,
 }
@@ -61,12 +61,12 @@ impl CouplingLearner {
         }
     }
 
-    /// Puts P to what it was before anything was learned.
+    /// Resets P to its initial value.
     pub(crate) fn forget(&mut self) {
         self.gain.fill(self.initial_gain);
     }
 
-    /// Takes over a stored P.
+    /// Sets P from a stored primitive.
     pub(crate) fn set_gain(&mut self, gain: Vec<f64>) -> Result<(), MotionError> {
         vector("gain", self.gain.len(), &gain)?;
         gain.iter().try_for_each(|p| within("gain", *p, 0.0, f64::MAX))?;
@@ -74,12 +74,12 @@ impl CouplingLearner {
         Ok(())
     }
 
-    /// The share of what was learned that is forgotten in `dt` s.
+    /// The share of the learned information that is forgotten in `dt` s.
     pub(crate) fn forgotten(&self, dt: f64) -> f64 {
         1.0 - self.forgetting.powf(dt / 0.01)
     }
 
-    /// Puts P of every kernel to `p`, at most to P(0).
+    /// Sets P of every kernel to `p`, limited to P(0).
     pub(crate) fn settle(&mut self, p: f64) {
         self.gain.fill(p.min(self.initial_gain));
     }
@@ -92,12 +92,12 @@ impl CouplingLearner {
         Ok(())
     }
 
-    /// Drops a coupling term that waits.
+    /// Drops the pending coupling term.
     pub(crate) fn uncouple(&mut self) {
         self.coupled = false;
     }
 
-    /// (9) at the kernel values `psi` with the factor `r` of the forcing term, in the form that needs no division by them.
+    /// (9) for the kernel values `psi` with the factor `r` of the forcing term, in a form without division by them.
     fn update_gain(&mut self, dt: f64, r: f64, psi: &[f64]) {
         let lambda = self.forgetting.powf(dt / 0.01);
         let r2 = r * r;
@@ -106,8 +106,8 @@ impl CouplingLearner {
         }
     }
 
-    /// (8)-(11) for one sample, `dt` s after the one before: position `y`, velocity `yd` and acceleration `ydd` at `phase`.
-    /// The inputs must have been checked. Does not allocate.
+    /// (8)-(11) for one sample, `dt` s after the previous one: position `y`, velocity `yd` and acceleration `ydd`
+    /// at `phase`. The inputs must have been checked. Does not allocate.
     pub(crate) fn learn<C: Canonical, const SUMS: usize>(
         &mut self,
         dmp: &mut Dmp<C, SUMS>,
@@ -129,8 +129,8 @@ impl CouplingLearner {
         }
     }
 
-    /// Lets the weights learn the coupling term that waits, by (9), (10), (13), and then does `step`. A step that is
-    /// refused leaves weights, gain and coupling as they were. Does not allocate.
+    /// Lets the weights learn the pending coupling term by (9), (10), (13), and then runs `step`. A refused step
+    /// leaves weights, gain and coupling unchanged. Does not allocate.
     pub(crate) fn step<C: Canonical, const SUMS: usize>(
         &mut self,
         dmp: &mut Dmp<C, SUMS>,
@@ -161,7 +161,7 @@ impl CouplingLearner {
     }
 }
 
-/// What keeps a regression determined where the samples leave kernels open.
+/// Regularisation of a regression, for kernels that the samples do not determine.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Ridge {
     /// In squared kernel values.
@@ -170,8 +170,8 @@ pub(crate) enum Ridge {
     Relative(f64),
 }
 
-/// Kernel values that a regression leaves out as too small: of the products of two kernels' values, those whose larger
-/// index is at most `first` or whose smaller index is at most `second`.
+/// Thresholds for small kernel values in a regression. The product of kernels `i >= j` is used only if the value of
+/// `i` is over `first` and that of `j` is over `second`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cutoff {
     pub(crate) first: f64,
@@ -179,8 +179,8 @@ pub(crate) struct Cutoff {
 }
 
 impl<C: Canonical, const SUMS: usize> Dmp<C, SUMS> {
-    /// The weights (degree of freedom by degree of freedom) with which a kernel sum meets `targets` (one row of `dofs`
-    /// values a phase) best in the sense of least squares with a ridge.
+    /// The weights (degree of freedom by degree of freedom) for which a kernel sum fits `targets` (one row of
+    /// `dofs` values per phase) best in the least-squares sense, with a ridge.
     pub(crate) fn regress(
         &self,
         phases: impl Iterator<Item = C::Phase>,
@@ -213,7 +213,7 @@ impl<C: Canonical, const SUMS: usize> Dmp<C, SUMS> {
         for i in 0..k {
             normal[(i, i)] += ridge;
         }
-        // The decomposition reads the lower triangle only.
+        // The decomposition uses the lower triangle only.
         let open = MotionError::Degenerate { what: "samples", why: "they leave kernels open" };
         let solution = normal.cholesky().ok_or(open)?.solve(&moment);
         finite("weights", solution.as_slice())?;

@@ -1,5 +1,5 @@
-//! The core that every dynamic movement primitive of this crate shares: one canonical system ([`Canonical`]), one
-//! transformation system ([`Transformation`]), one forcing term ([`KernelSum`]) and one way to learn it (`learning.rs`).
+//! The core that all dynamic movement primitives of this crate share: a canonical system ([`Canonical`]), a
+//! transformation system ([`Transformation`]), a forcing term ([`KernelSum`]) and its learning (`learning.rs`).
 //!
 //! With the time scale `tau = 1 / Omega`, per degree of freedom:
 //!
@@ -9,9 +9,9 @@
 //! f = r s(phase) sum_i w_i psi_i(phase) / sum_i psi_i(phase)    the forcing term
 //! ```
 //!
-//! Which phase there is, how it advances, its kernels psi and the gate s are the canonical system's: a circle for the
-//! periodic primitive, a decay for the discrete one, a spiral onto a circle for the discrete-periodic one. The core knows
-//! no goal of its own, no demonstration and no file: those belong to the primitives.
+//! The canonical system defines the phase, its advance, its kernels psi and the gate s: a circle for the periodic
+//! primitive, a decay for the discrete one, a spiral onto a circle for the discrete-periodic one. Goals,
+//! demonstrations and file formats belong to the primitives, not to the core.
 
 mod learning;
 mod transformation;
@@ -25,7 +25,7 @@ pub(crate) use self::learning::{CouplingLearner, Cutoff, Ridge, check_time_sampl
 pub use self::transformation::Integrator;
 pub(crate) use self::transformation::{TimeScale, Transformation, Transition, widest_euler_step};
 
-/// A canonical system: the phase that a primitive has in place of time, and the kernels that lie over it.
+/// A canonical system: the phase of a primitive, which replaces time, and the kernels over it.
 pub(crate) trait Canonical {
     /// The phase.
     type Phase: Copy;
@@ -36,27 +36,27 @@ pub(crate) trait Canonical {
     /// The phase, `dt` s after `phase`. Does not allocate.
     fn advance(&self, phase: Self::Phase, dt: f64, scale: TimeScale) -> Result<Self::Phase, MotionError>;
 
-    /// Writes the kernel values at `phase` to `psi`, one a kernel. Does not allocate.
+    /// Writes the kernel values at `phase` to `psi`, one per kernel. Does not allocate.
     fn activate(&self, phase: Self::Phase, psi: &mut [f64]) -> Activation;
 }
 
-/// What the kernels amount to at a phase.
+/// The kernel values at a phase.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Activation {
     /// The kernels whose values were written; all others are 0.
     pub(crate) used: Range<usize>,
     /// The sum of their values.
     pub(crate) sum: f64,
-    /// The gate s by which the phase scales the forcing term.
+    /// The gate s, by which the phase scales the forcing term.
     pub(crate) gate: f64,
 }
 
-/// A weighted sum of normalised kernels, one a degree of freedom: a forcing term, or a learned control signal.
+/// A weighted sum of normalised kernels, one per degree of freedom: a forcing term, or a learned control signal.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct KernelSum {
     /// Degree of freedom by degree of freedom: `weights[d * kernels + i]`.
     pub(crate) weights: Vec<f64>,
-    /// Its value at the present phase, and at the one that is stepped to.
+    /// Its value at the present phase, and at the next one during a step.
     now: Vec<f64>,
     next: Vec<f64>,
 }
@@ -72,7 +72,7 @@ impl KernelSum {
     }
 }
 
-/// Writes the sums of `weights` over kernels with the values `psi` to `out`, one value a degree of freedom.
+/// Writes the sums of `weights` over kernels with the values `psi` to `out`, one value per degree of freedom.
 fn weighted(weights: &[f64], psi: &[f64], used: &Range<usize>, scale: f64, out: &mut [f64]) {
     let psi_used = &psi[used.clone()];
     for (o, w) in out.iter_mut().zip(weights.chunks_exact(psi.len())) {
@@ -88,14 +88,14 @@ pub(crate) struct Dmp<C: Canonical, const SUMS: usize = 1> {
     pub(crate) transformation: Transformation,
     pub(crate) sums: [KernelSum; SUMS],
     amplitude: f64,
-    /// Kernel values of the last evaluation; they and the sums belong to `phase` while `fresh`.
+    /// Kernel values of the last evaluation. If `fresh`, they and the sums belong to `phase`.
     psi: Vec<f64>,
     active: Activation,
     fresh: bool,
 }
 
 impl<C: Canonical, const SUMS: usize> Dmp<C, SUMS> {
-    /// At rest in 0 at `phase`, all weights 0, amplitude 1.
+    /// A primitive at rest at 0 and at `phase`, with all weights 0 and amplitude 1.
     pub(crate) fn new(canonical: C, phase: C::Phase, dofs: usize, alpha_z: f64, beta_z: f64) -> Self {
         let kernels = canonical.kernels();
         Self {
@@ -124,7 +124,7 @@ impl<C: Canonical, const SUMS: usize> Dmp<C, SUMS> {
         &self.sums[0].weights
     }
 
-    /// The same, to be changed.
+    /// Mutable access to the weights of the forcing term.
     pub(crate) fn weights_mut(&mut self) -> &mut [f64] {
         self.fresh = false;
         &mut self.sums[0].weights
@@ -154,7 +154,7 @@ impl<C: Canonical, const SUMS: usize> Dmp<C, SUMS> {
         Ok(())
     }
 
-    /// Refuses an amplitude of 0, which hides every weight.
+    /// Refuses an amplitude of 0, for which weights have no effect.
     pub(crate) fn check_amplitude(&self) -> Result<(), MotionError> {
         if self.amplitude == 0.0 {
             return Err(MotionError::Degenerate { what: "amplitude", why: "0 hides every weight" });
@@ -162,7 +162,7 @@ impl<C: Canonical, const SUMS: usize> Dmp<C, SUMS> {
         Ok(())
     }
 
-    /// Brings the kernel sums up to date with phase, weights and amplitude.
+    /// Recomputes the kernel sums if phase, weights or amplitude have changed.
     pub(crate) fn refresh(&mut self) {
         if !self.fresh {
             self.evaluate(self.phase);
@@ -170,7 +170,7 @@ impl<C: Canonical, const SUMS: usize> Dmp<C, SUMS> {
         }
     }
 
-    /// The kernel sums at `phase` into `next`.
+    /// Evaluates the kernel sums at `phase` into `next`.
     fn evaluate(&mut self, phase: C::Phase) {
         self.fresh = false;
         self.active = self.canonical.activate(phase, &mut self.psi);
@@ -187,8 +187,9 @@ impl<C: Canonical, const SUMS: usize> Dmp<C, SUMS> {
         self.fresh = true;
     }
 
-    /// Advances phase and state by `dt` s. `input` says the velocity u of a degree of freedom (unit / s) from the value of
-    /// the second kernel sum. Does not allocate; a refused step leaves phase, state and weights as they were.
+    /// Advances phase and state by `dt` s. `input` returns the velocity u of a degree of freedom (unit / s) from
+    /// the value of the second kernel sum. Does not allocate; a refused step leaves phase, state and weights
+    /// unchanged.
     pub(crate) fn step(
         &mut self,
         dt: f64,
@@ -221,8 +222,8 @@ impl<C: Canonical, const SUMS: usize> Dmp<C, SUMS> {
         Ok(())
     }
 
-    /// Adds `scale psi_i(phase) shift_d` to each weight of the forcing term; `shift` may have less values than there are
-    /// degrees of freedom. Does not allocate.
+    /// Adds `scale psi_i(phase) shift_d` to each weight of the forcing term; `shift` may have fewer values than
+    /// there are degrees of freedom. Does not allocate.
     pub(crate) fn add_to_weights(&mut self, phase: C::Phase, scale: f64, shift: &[f64]) {
         self.fresh = false;
         self.active = self.canonical.activate(phase, &mut self.psi);
@@ -233,7 +234,7 @@ impl<C: Canonical, const SUMS: usize> Dmp<C, SUMS> {
         }
     }
 
-    /// Writes the forcing term at any phase to `out`, one value a degree of freedom. Allocates.
+    /// Writes the forcing term at any phase to `out`, one value per degree of freedom. Allocates.
     pub(crate) fn forcing_at(&self, phase: C::Phase, out: &mut [f64]) {
         let mut psi = vec![0.0; self.psi.len()];
         let active = self.canonical.activate(phase, &mut psi);

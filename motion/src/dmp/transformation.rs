@@ -1,20 +1,20 @@
-//! The transformation system of a primitive: a critically damped pull to the goal, driven by the forcing term. In the
-//! phase it is linear with constant coefficients, so that it is integrated exactly.
+//! The transformation system of a primitive: a critically damped spring to the goal, driven by the forcing term. As
+//! a function of the phase it is linear with constant coefficients, and is therefore integrated exactly.
 //!
-//! It knows no kernel: the forcing term is handed in.
+//! It does not know the kernels: the forcing term is passed in.
 
 use serde::{Deserialize, Serialize};
 
 use crate::error::{MotionError, finite};
 
-/// How a primitive is integrated.
+/// The integration method of a primitive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Integrator {
-    /// Exact for the linear part, the forcing term averaged over the step: stable for every step width.
+    /// Exact for the linear part, with the mean forcing term over the step; stable for every step size.
     #[default]
     Exact,
-    /// Explicit Euler as in the papers' experiments; refuses steps that are too wide to be stable.
+    /// Explicit Euler as in the papers' experiments; refuses steps that are too large to be stable.
     Euler,
 }
 
@@ -23,12 +23,12 @@ pub enum Integrator {
 pub(crate) enum TimeScale {
     /// Omega, rad/s; not negative.
     Frequency(f64),
-    /// `tau = 1 / Omega`, s; over zero.
+    /// `tau = 1 / Omega`, s; positive.
     Duration(f64),
 }
 
 impl TimeScale {
-    /// How far the phase goes in `dt` s: rad, or a share of the duration.
+    /// Advance of the phase in `dt` s: rad, or a share of the duration.
     pub(crate) fn advance(self, dt: f64) -> f64 {
         match self {
             Self::Frequency(omega) => omega * dt,
@@ -36,7 +36,7 @@ impl TimeScale {
         }
     }
 
-    /// Velocity (unit / s) from the derivative after the phase.
+    /// Velocity (unit / s) from the derivative with respect to the phase.
     pub(crate) fn velocity(self, slope: f64) -> f64 {
         match self {
             Self::Frequency(omega) => omega * slope,
@@ -44,7 +44,7 @@ impl TimeScale {
         }
     }
 
-    /// Acceleration (unit / s^2) from the second derivative after the phase.
+    /// Acceleration (unit / s^2) from the second derivative with respect to the phase.
     pub(crate) fn acceleration(self, curvature: f64) -> f64 {
         match self {
             Self::Frequency(omega) => omega * omega * curvature,
@@ -52,7 +52,7 @@ impl TimeScale {
         }
     }
 
-    /// The derivative after the phase from a velocity (unit / s).
+    /// The derivative with respect to the phase from a velocity (unit / s).
     pub(crate) fn slope(self, velocity: f64) -> f64 {
         match self {
             Self::Frequency(omega) => velocity / omega,
@@ -60,7 +60,7 @@ impl TimeScale {
         }
     }
 
-    /// The second derivative after the phase from an acceleration (unit / s^2).
+    /// The second derivative with respect to the phase from an acceleration (unit / s^2).
     pub(crate) fn curvature(self, acceleration: f64) -> f64 {
         match self {
             Self::Frequency(omega) => acceleration / (omega * omega),
@@ -69,7 +69,7 @@ impl TimeScale {
     }
 }
 
-/// State and constants of the transformation system; one value a degree of freedom.
+/// State and constants of the transformation system; one value per degree of freedom.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Transformation {
     alpha: f64,
@@ -77,13 +77,13 @@ pub(crate) struct Transformation {
     /// The goal, or the centre of a periodic movement.
     pub(crate) goal: Vec<f64>,
     pub(crate) y: Vec<f64>,
-    /// Derivative after the phase, without the velocity that is added to it.
+    /// Derivative with respect to the phase, without the added velocity.
     pub(crate) z: Vec<f64>,
     pub(crate) yd: Vec<f64>,
     pub(crate) ydd: Vec<f64>,
     /// Added to the forcing term in the next step only.
     pub(crate) perturbation: Vec<f64>,
-    /// Where a step leads, until it is known to be finite.
+    /// The state after the step, until it is known to be finite.
     next_y: Vec<f64>,
     next_z: Vec<f64>,
 }
@@ -109,7 +109,7 @@ impl Transformation {
         self.y.len()
     }
 
-    /// Puts the state to position `y` and velocity `yd` (unit / s); the sizes must be right.
+    /// Sets the state to position `y` and velocity `yd` (unit / s); the sizes must match.
     pub(crate) fn put(&mut self, y: &[f64], yd: &[f64], scale: TimeScale) {
         self.y.copy_from_slice(y);
         self.yd.copy_from_slice(yd);
@@ -118,7 +118,7 @@ impl Transformation {
         }
     }
 
-    /// Puts the state to position `y` and derivative after the phase `z`; the sizes must be right.
+    /// Sets the state to position `y` and derivative `z` with respect to the phase; the sizes must match.
     pub(crate) fn put_slope(&mut self, y: &[f64], z: &[f64], scale: TimeScale) {
         self.y.copy_from_slice(y);
         self.z.copy_from_slice(z);
@@ -127,7 +127,8 @@ impl Transformation {
         }
     }
 
-    /// The forcing term with which a movement passes `y` with derivatives `dy`, `ddy` after the phase, for a goal.
+    /// The forcing term for which the movement has position `y` and derivatives `dy`, `ddy` with respect to the
+    /// phase, for a given goal.
     pub(crate) fn forcing(&self, goal: f64, y: f64, dy: f64, ddy: f64) -> f64 {
         ddy - self.pull(goal, y, dy)
     }
@@ -136,7 +137,7 @@ impl Transformation {
         self.alpha * (self.beta * (goal - y) - z)
     }
 
-    /// State after `dt` s, exact for a forcing term and a velocity input that are constant in the step.
+    /// State after `dt` s, exact for a forcing term and a velocity input that are constant over the step.
     pub(super) fn advance_exactly(
         &mut self,
         dt: f64,
@@ -149,7 +150,7 @@ impl Transformation {
         for d in 0..self.dofs() {
             let u = input(d);
             if u != 0.0 && advance == 0.0 {
-                // The phase stands still: only the input moves.
+                // The phase stands still: only the input moves the state.
                 (self.next_y[d], self.next_z[d]) = (self.y[d] + u * dt, self.z[d]);
                 continue;
             }
@@ -175,13 +176,13 @@ impl Transformation {
         }
     }
 
-    /// Refuses a step that leads out of all numbers.
+    /// Refuses a step whose result is not finite.
     pub(super) fn check(&self) -> Result<(), MotionError> {
         finite("position", &self.next_y)?;
         finite("velocity", &self.next_z)
     }
 
-    /// Takes the step; `forcing` and `input` are those at its end.
+    /// Accepts the step; `forcing` and `input` are the values at its end.
     pub(super) fn commit(
         &mut self,
         scale: TimeScale,
@@ -199,14 +200,14 @@ impl Transformation {
     }
 }
 
-/// The `alpha_z * omega * dt` from which on Euler's rule on (4), (5) does not decay any more (Jury's criterion on
-/// `l^2 - (2 - u) l + 1 - u + u^2 beta / alpha`): 4 where it is critically damped.
+/// The value of `alpha_z * omega * dt` from which Euler's rule on (4), (5) is no longer stable (Jury's criterion on
+/// `l^2 - (2 - u) l + 1 - u + u^2 beta / alpha`): 4 for critical damping.
 pub(crate) fn widest_euler_step(alpha: f64, beta: f64) -> f64 {
     let ratio = beta / alpha;
     if 4.0 * ratio < 1.0 { 4.0 / (1.0 + (1.0 - 4.0 * ratio).sqrt()) } else { 1.0 / ratio }
 }
 
-/// The exact transition of `(y - rest, z)` over a piece of phase.
+/// The exact transition of `(y - rest, z)` over a phase step.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Transition {
     yy: f64,

@@ -1,10 +1,11 @@
-//! A model of the tangential force that wiping itself causes at the wrist, learned while wiping. The rest of the force is a
-//! push.
+//! A model of the tangential force at the wrist that wiping itself causes, learned while wiping. The rest of the
+//! force is a push.
 //!
-//! Friction is Coulomb's with presliding: a bristle that bends with the motion up to its full deflection, so that a
-//! reversal does not look like a blow. The friction coefficient and a slow bias are found by recursive least squares. How
-//! the bristle bends (in proportion to the way up to its limit, as a sponge shears, or exponentially, as Dahl's) and over
-//! which length is found by running several candidates side by side. During a push hardly anything is learned.
+//! Friction is Coulomb's with presliding: a bristle bends with the motion up to its full deflection, so that a
+//! reversal does not look like a hit. Recursive least squares estimate the friction coefficient and a slow bias.
+//! The bending law (in proportion to the displacement up to its limit, as a sponge shears, or exponentially, as
+//! Dahl's) and the presliding length are selected from several candidates that run in parallel. During a push the
+//! model learns hardly anything.
 
 use std::f64::consts::FRAC_PI_4;
 
@@ -19,11 +20,11 @@ use crate::error::{MotionError, finite, positive, within};
 pub struct FrictionConfig {
     /// First guess of the friction coefficient.
     pub mu: f64,
-    /// Memory of coefficient and bias, s.
+    /// Time constant of coefficient and bias, s.
     pub memory: f64,
     /// The model counts as learned after this much sliding, m.
     pub learning_distance: f64,
-    /// Once learned, a larger residual counts as a push and is hardly learned from, N.
+    /// After learning, a residual larger than this counts as a push and is hardly learned from, N.
     pub gate: f64,
     /// Time constant that smooths the residual, s.
     pub smoothing: f64,
@@ -38,24 +39,24 @@ impl Default for FrictionConfig {
 /// Presliding lengths of the candidates, m.
 const LENGTHS: [f64; 9] = [1e-4, 3e-4, 6e-4, 1e-3, 1.7e-3, 3e-3, 5e-3, 8e-3, 1.3e-2];
 
-/// The candidate whose friction turns latest after the motion has turned: 3 mm, elastic.
+/// Index of the candidate that bounds how late the friction reverses after the motion: 3 mm, elastic.
 const TURNS_WITHIN: usize = 10;
 
-/// How a bristle bends.
+/// The bending law of a bristle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Bend {
-    /// In proportion to the way, up to its limit.
+    /// In proportion to the displacement, up to its limit.
     Elastic,
     /// Towards its limit exponentially (Dahl).
     Dahl,
 }
 
-/// One presliding length with its own estimate.
+/// One presliding length and bending law with its own estimate.
 #[derive(Debug, Clone, Copy)]
 struct Candidate {
     length: f64,
     bend: Bend,
-    /// Deflection of the bristle, at most 1 long, along the motion.
+    /// Deflection of the bristle, of length 1 at most, along the motion.
     bristle: Vector2<f64>,
     /// mu and the bias, N.
     estimate: Vector3<f64>,
@@ -79,7 +80,7 @@ impl FrictionModel {
     /// A model before its first sample.
     ///
     /// # Errors
-    /// When a constant cannot be.
+    /// When a constant is invalid.
     pub fn new(config: FrictionConfig) -> Result<Self, MotionError> {
         within("mu", config.mu, 0.0, 10.0)?;
         for (what, value) in [
@@ -108,9 +109,9 @@ impl FrictionModel {
         })
     }
 
-    /// `dt` s later: normal force `normal` (N, pressing is positive), velocity of the hand along the surface (m/s) and
-    /// the force on the hand along the surface (N), in the same two axes. Returns the push: what friction and bias do
-    /// not explain, smoothed, N. Does not allocate.
+    /// Advances by `dt` s with the normal force `normal` (N, pressing is positive), the velocity of the hand along
+    /// the surface (m/s) and the force on the hand along the surface (N), in the same two axes. Returns the push:
+    /// the smoothed force that friction and bias do not explain, N. Does not allocate.
     ///
     /// # Errors
     /// When `dt` is not positive or a value is not finite; nothing is changed.
@@ -137,7 +138,8 @@ impl FrictionModel {
             candidate.bend(velocity, way);
             candidate.explain(normal, force);
         }
-        // A force that any candidate explains is no push, so that no candidate gains by calling friction a push.
+        // A force that any candidate explains is no push, so that no candidate has an advantage from treating
+        // friction as a push.
         let least = self.candidates.iter().map(|c| c.residual.norm()).fold(f64::INFINITY, f64::min);
         let pushed = self.learned() && least > self.config.gate;
         let unexplained = self.unexplained(normal, force);
@@ -160,9 +162,9 @@ impl FrictionModel {
         }
     }
 
-    /// The force less the nearest that wiping may explain: the friction of each candidate that explains wiping about as
-    /// well as the best one, and, where the motion turns, whatever lies between the friction before and after the turn.
-    /// There the tool, which hangs from the hand, turns sooner or later than the hand.
+    /// The difference between the force and the nearest force that wiping may explain: the friction of each
+    /// candidate that is about as good as the best one, and, during a reversal, any value between the friction
+    /// before and after it. There the tool, which hangs from the hand, reverses earlier or later than the hand.
     fn unexplained(&self, normal: f64, force: Vector2<f64>) -> Vector2<f64> {
         let best = &self.candidates[self.best];
         let plausible = |c: &&Candidate| c.square <= 1.7 * best.square + 0.02;
@@ -174,12 +176,12 @@ impl FrictionModel {
         let turn = Turn { before: -late.bristle * limit, after: -self.candidates[0].bristle * limit };
         let force = force - Vector2::new(best.estimate.y, best.estimate.z);
         let turning = force - turn.nearest(force);
-        // A contact of a longer presliding turns as the candidates do.
+        // A contact with a longer presliding length reverses as the candidates do.
         let sharp = self.best < TURNS_WITHIN + 2;
         if sharp && turning.norm_squared() < single.norm_squared() { turning } else { single }
     }
 
-    /// The push as of the last step, N.
+    /// The push at the last step, N.
     #[must_use]
     pub fn push(&self) -> [f64; 2] {
         self.smooth.into()
@@ -191,7 +193,7 @@ impl FrictionModel {
         self.candidates[self.best].estimate.x
     }
 
-    /// The presliding length, m: over which way a reversal turns the friction.
+    /// The presliding length, m: the distance over which a reversal changes the friction.
     #[must_use]
     pub fn presliding(&self) -> f64 {
         self.candidates[self.best].length
@@ -203,13 +205,13 @@ impl FrictionModel {
         [self.candidates[self.best].estimate.y, self.candidates[self.best].estimate.z]
     }
 
-    /// Whether the hand has slid far enough for the model to be trusted.
+    /// Whether the hand has slid far enough for the model to be reliable.
     #[must_use]
     pub fn learned(&self) -> bool {
         self.slid >= self.config.learning_distance
     }
 
-    /// How much of the force stays unexplained while nothing pushes, N (root mean square, noise included).
+    /// The unexplained force without a push, N (RMS, noise included).
     #[must_use]
     pub fn uncertainty(&self) -> f64 {
         self.candidates[self.best].square.sqrt()
@@ -221,7 +223,7 @@ fn initial_covariance() -> Matrix3<f64> {
 }
 
 impl Candidate {
-    /// Bends the bristle by a step of `way` m, exactly for constant velocity.
+    /// Bends the bristle by a displacement of `way` m; exact for constant velocity.
     fn bend(&mut self, velocity: Vector2<f64>, way: f64) {
         let Some(direction) = velocity.try_normalize(1e-12) else { return };
         match self.bend {
@@ -240,7 +242,7 @@ impl Candidate {
         self.residual = force + self.bristle * (self.estimate.x * normal) - bias;
     }
 
-    /// How well it explains what is no push.
+    /// Updates how well it explains the force without pushes.
     fn score(&mut self, config: &FrictionConfig, dt: f64, pushed: bool) {
         let trust = if pushed { 0.01 } else { 1.0 };
         let share = 1.0 - (-trust * dt / (0.3 * config.memory)).exp();
@@ -263,7 +265,7 @@ impl Candidate {
             self.least_squares(&row, value, trust * dt / 0.001);
         }
         self.covariance /= forgetting;
-        // Directions that are not excited keep what is known of them.
+        // Directions that are not excited keep their present estimate.
         for i in 0..3 {
             let most = initial_covariance()[(i, i)];
             if self.covariance[(i, i)] > most {
@@ -277,7 +279,7 @@ impl Candidate {
         self.estimate.x = self.estimate.x.clamp(0.0, 3.0);
     }
 
-    /// One row of recursive least squares with weight `weight`; the noise of a sample is taken as 1 N.
+    /// One row of recursive least squares with weight `weight`; the noise of a sample is assumed to be 1 N.
     fn least_squares(&mut self, row: &RowVector3<f64>, value: f64, weight: f64) {
         let spread = self.covariance * row.transpose();
         let gain = spread / (1.0 / weight + (row * spread).x);
@@ -287,15 +289,15 @@ impl Candidate {
     }
 }
 
-/// Friction that turns from one direction to another, N.
+/// Friction that changes from one direction to another, N.
 struct Turn {
     before: Vector2<f64>,
     after: Vector2<f64>,
 }
 
 impl Turn {
-    /// The friction nearest to `force` that may occur on the way: its direction between the two, its size from that of
-    /// their mean (a straight reversal goes through zero) to the larger one's.
+    /// The nearest value to `force` that may occur during the change: its direction is between the two, its
+    /// magnitude between that of their mean (a straight reversal goes through zero) and that of the larger one.
     fn nearest(&self, force: Vector2<f64>) -> Vector2<f64> {
         let least = 0.5 * (self.before + self.after).norm();
         let most = self.before.norm().max(self.after.norm());
@@ -305,7 +307,7 @@ impl Turn {
             return force.try_normalize(1e-9).map_or_else(Vector2::zeros, |u| u * size);
         };
         let half = middle.dot(&wing).clamp(-1.0, 1.0).acos();
-        // The further it turns, the less is known on which side it does.
+        // The larger the change of direction, the less is known about the side over which it goes.
         let half = half + 3.0 * (half - FRAC_PI_4).max(0.0);
         let angle = middle.perp(&force).atan2(middle.dot(&force)).clamp(-half, half);
         let (sin, cos) = angle.sin_cos();

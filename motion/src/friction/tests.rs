@@ -1,4 +1,4 @@
-//! The friction model against bristles that slide, pushes and noise.
+//! Tests the friction model with sliding bristles, pushes and noise.
 
 use super::*;
 use rand::SeedableRng;
@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 use std::f64::consts::TAU;
 
-/// A spring of `stiffness` N/m between hand and table that slides at Coulomb's limit: another law than Dahl's.
+/// A spring of `stiffness` N/m between hand and table that slides at Coulomb's limit: a different law from Dahl's.
 struct Bristle {
     stiffness: f64,
     mu: f64,
@@ -31,7 +31,7 @@ struct Outcome {
     pushed: Vector2<f64>,
 }
 
-/// 30 s of wiping; from 20 s on a push of 12 N along y in a fifth of each cycle if `push`.
+/// 30 s of wiping. If `push`, from 20 s on there is a push of 12 N along y in a fifth of each cycle.
 fn wipe(mu: f64, normal: f64, stiffness: f64, line: bool, hz: f64, push: bool) -> Outcome {
     let mut model = FrictionModel::new(FrictionConfig::default()).unwrap();
     let mut bristle = Bristle { stiffness, mu, stretch: Vector2::zeros() };

@@ -1,9 +1,10 @@
-//! Current-iteration iterative learning control (11)-(14) of a [`DiscretePeriodicDmp`]: from one epoch to the next the
-//! primitive learns the control signal that the feedback produced, until no error is left.
+//! Current-iteration iterative learning control (11)-(14) of a [`DiscretePeriodicDmp`]: from one epoch to the next,
+//! the primitive learns the control signal of the feedback, until no error is left.
 //!
-//! An epoch is one discrete part and any number of periods. What the error is, is not decided here: [`FeedbackError`]
-//! makes one out of forces and velocities, in task or in joint space, but every signal will do whose sign says where to
-//! go. Equation numbers refer to Gams, Ude and Morimoto 2015, as in [`crate::DiscretePeriodicDmp`].
+//! An epoch is one discrete part and any number of periods. The definition of the error is not part of it:
+//! [`FeedbackError`] computes one from forces and velocities, in task or in joint space, but any signal can be used
+//! whose sign gives the direction of correction. Equation numbers refer to Gams, Ude and Morimoto 2015, as in
+//! [`crate::DiscretePeriodicDmp`].
 
 use nalgebra::SVector;
 use serde::{Deserialize, Serialize};
@@ -16,7 +17,7 @@ use crate::error::{LARGEST, MotionError, size, vector, within};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LearningControlConfig {
-    /// Q, dimensionless: below 1 it forgets, which makes it robust and leaves an error.
+    /// Q, dimensionless: below 1 it forgets, which gives robustness and leaves an error.
     pub q: f64,
     /// L, unit / s of control per unit of error: how much of the last epoch's error is learned.
     pub l: f64,
@@ -33,15 +34,15 @@ impl Default for LearningControlConfig {
 /// Learns the control signal of a primitive from epoch to epoch.
 ///
 /// # Source
-/// (11): `u_{j+1}(k) = Q (u_j(k) + L e_j(k+1)) + C e_{j+1}(k)`, u_j being the whole last signal with its feedback; the
-/// feedforward part is kept as weights (13), all periods of an epoch together. The error of the sample after the last
-/// is taken to be the last one's.
+/// (11): `u_{j+1}(k) = Q (u_j(k) + L e_j(k+1)) + C e_{j+1}(k)`, where u_j is the whole last signal with its
+/// feedback. The feedforward part is stored as weights (13), for all periods of an epoch together. The error after
+/// the last sample is assumed to equal that of the last sample.
 #[derive(Debug, Clone)]
 pub struct LearningControl {
     config: LearningControlConfig,
     dofs: usize,
     capacity: usize,
-    /// The epoch that runs: phases, and control signals and errors at the demonstrated frequency.
+    /// The current epoch: phases, and control signals and errors at the demonstrated frequency.
     phases: Vec<(f64, f64)>,
     control: Vec<f64>,
     error: Vec<f64>,
@@ -53,7 +54,7 @@ impl LearningControl {
     /// For primitives of `dofs` degrees of freedom and epochs of at most `samples` steps.
     ///
     /// # Errors
-    /// Names the constant that cannot be.
+    /// Names the invalid constant.
     pub fn new(config: LearningControlConfig, dofs: usize, samples: usize) -> Result<Self, MotionError> {
         within("q", config.q, 0.0, 1.0)?;
         within("l", config.l, -1e6, 1e6)?;
@@ -84,18 +85,19 @@ impl LearningControl {
         self.epochs
     }
 
-    /// Steps recorded in the epoch that runs.
+    /// Number of steps recorded in the current epoch.
     #[must_use]
     pub fn samples(&self) -> usize {
         self.phases.len()
     }
 
-    /// Takes the error `error` (one value a degree of freedom) at the phase of now, feeds `C e` into `dmp`'s next step at
-    /// `omega` rad/s, and remembers both. To be called before each [`DiscretePeriodicDmp::step`]. Does not allocate.
+    /// Processes the error `error` (one value per degree of freedom) at the present phase: feeds `C e` into `dmp`'s
+    /// next step at `omega` rad/s, and records both. To be called before each [`DiscretePeriodicDmp::step`]. Does
+    /// not allocate.
     ///
     /// # Errors
-    /// When sizes differ, a value is not finite, `omega` is not positive or the epoch is longer than was said; nothing is
-    /// changed.
+    /// When sizes differ, a value is not finite, `omega` is not positive or the epoch exceeds its maximal length;
+    /// nothing is changed.
     ///
     /// # Source
     /// The feedback term of (11), and (12).
@@ -127,11 +129,11 @@ impl LearningControl {
     }
 
     /// Ends the epoch: the primitive's control signal becomes the feedforward term of the next one. The primitive's
-    /// state stays where it is; [`DiscretePeriodicDmp::restart`] begins the next epoch.
+    /// state is unchanged; [`DiscretePeriodicDmp::restart`] begins the next epoch.
     ///
     /// # Errors
-    /// [`MotionError::TooFew`] for less than two steps; [`MotionError::NotFinite`] or [`MotionError::OutOfRange`] when the
-    /// signal has run away. The primitive is not changed then, and the epoch goes on.
+    /// [`MotionError::TooFew`] for fewer than two steps; [`MotionError::NotFinite`] or [`MotionError::OutOfRange`]
+    /// when the signal has diverged. The primitive is not changed then, and the epoch continues.
     ///
     /// # Source
     /// The feedforward term of (11), and (13).
@@ -151,7 +153,7 @@ impl LearningControl {
         Ok(())
     }
 
-    /// Forgets the epoch that runs, as after a disturbance that is not to be learned.
+    /// Discards the current epoch, for example after a disturbance that must not be learned.
     pub fn abandon(&mut self) {
         self.phases.clear();
         self.control.clear();
@@ -159,18 +161,20 @@ impl LearningControl {
     }
 }
 
-/// The feedback error of an arm that moves an object together with another one, in the velocity unit of the primitive.
+/// The feedback error of an arm that moves an object together with another arm, in the velocity unit of the
+/// primitive.
 ///
-/// The force that the second arm exerts on the object goes in as `F_d - F_2`: an arm that lags is dragged by the object
-/// and exerts a force against the motion, and the error points forward.
+/// The force of the second arm on the object enters as `F_d - F_2`: an arm that lags is dragged by the object and
+/// exerts a force against the motion, so the error points forward.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FeedbackError {
     /// K1: unit / s per N (in task space), 1 / (N m s) on joint torques.
     pub k1: f64,
-    /// K2, dimensionless; with 0 it is (10) alone. Times C of (11) it must stay below 1.
+    /// K2, dimensionless; 0 gives (10) alone. Its product with C of (11) must stay below 1.
     pub k2: f64,
-    /// Damping of the pseudoinverse, in the unit of the Jacobian; needed where there are fewer joints than coordinates.
+    /// Damping of the pseudoinverse, in the unit of the Jacobian; needed if there are fewer joints than
+    /// coordinates.
     pub damping: f64,
 }
 
@@ -181,8 +185,8 @@ impl Default for FeedbackError {
 }
 
 impl FeedbackError {
-    /// The error in task space, written to `out`: `wrench` is `F_d - F_2` (N, N m), `twist` is how much faster the other arm
-    /// is, `v_1 - v_2` (m/s, rad/s). Does not allocate.
+    /// The error in task space, written to `out`: `wrench` is `F_d - F_2` (N, N m), `twist` is the velocity of the
+    /// other arm relative to this one, `v_1 - v_2` (m/s, rad/s). Does not allocate.
     ///
     /// # Errors
     /// When sizes differ or a value is not finite; `out` is unchanged.
@@ -198,11 +202,12 @@ impl FeedbackError {
         Ok(())
     }
 
-    /// The error in joint space, written to `out` (one value a joint); `columns` are those of the second arm's Jacobian,
-    /// one a joint, in the D coordinates of `wrench` and `twist` (3 for forces, 6 with moments). Does not allocate.
+    /// The error in joint space, written to `out` (one value per joint). `columns` are those of the second arm's
+    /// Jacobian, one per joint, in the D coordinates of `wrench` and `twist` (3 for forces, 6 with moments). Does
+    /// not allocate.
     ///
     /// # Errors
-    /// When sizes differ, a value is not finite, or the posture is singular and `damping` 0; `out` is unchanged.
+    /// When sizes differ, a value is not finite, or the posture is singular and `damping` is 0; `out` is unchanged.
     ///
     /// # Source
     /// (14): `K1 J^T (F_d - F_2) + K2 J^+ (v_1 - v_2)`, with the pseudoinverse in its second term.

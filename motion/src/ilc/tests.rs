@@ -1,4 +1,4 @@
-//! What is learned from epoch to epoch, against models whose answer is known.
+//! Learning from epoch to epoch, on models with a known result.
 
 use super::*;
 use crate::{DiscretePeriodicConfig, TimeSample};
@@ -130,7 +130,7 @@ fn the_joint_error_is_the_transpose_on_forces_and_the_pseudoinverse_on_velocitie
     gains.in_joint_space(&columns, &Vector2::zeros(), &velocity, &mut e).unwrap();
     let reached: Vector2<f64> = columns.iter().zip(e).map(|(c, e)| c * e).sum();
     assert!((reached - 0.5 * velocity).norm() < 1e-12);
-    // Six coordinates and two joints: with damping the answer is the least-squares one.
+    // Six coordinates and two joints: with damping the result is the least-squares one.
     let tall = [nalgebra::Vector6::ith(0, 1.0), nalgebra::Vector6::ith(1, 2.0)];
     let damped = FeedbackError { damping: 1e-4, ..gains };
     let mut e = [0.0; 2];

@@ -1,4 +1,4 @@
-//! The turn of an orientation to a goal.
+//! The movement of an orientation to a goal.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -11,12 +11,12 @@ use crate::discrete::{DiscreteDmp, DiscreteDmpConfig};
 use crate::discrete_periodic::differentiate;
 use crate::error::{MotionError, constant};
 
-/// A movement of an orientation to a goal; the equations are in the module's first lines.
+/// A movement of an orientation to a goal; the equations are in the documentation of the module `orientation`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Saved", into = "Saved")]
 pub struct DiscreteOrientationDmp {
     goal: UnitQuaternion<f64>,
-    /// Of the rotation vector from the goal, rad; its own goal is 0.
+    /// The primitive of the rotation vector from the goal, rad; its own goal is 0.
     primitive: DiscreteDmp,
 }
 
@@ -30,12 +30,12 @@ impl DiscreteOrientationDmp {
         Ok(Self { goal: UnitQuaternion::identity(), primitive })
     }
 
-    /// Learns from `orientations`, one every `dt` s; the last one becomes the goal, and the state is put to the first.
-    /// Returns the duration, s. Turns of more than half a circle are followed.
+    /// Learns from `orientations`, one every `dt` s. The last one becomes the goal, and the state is set to the
+    /// first one. Returns the duration, s. Rotations of more than half a turn are followed.
     ///
     /// # Errors
-    /// [`MotionError::TooFew`] for less than four orientations; when a value is not finite or `dt` not positive. Nothing is
-    /// changed then.
+    /// [`MotionError::TooFew`] for fewer than four orientations; also when a value is not finite or `dt` is not
+    /// positive. Nothing is changed then.
     pub fn learn(&mut self, dt: f64, orientations: &[UnitQuaternion<f64>]) -> Result<f64, MotionError> {
         check_orientations(orientations)?;
         let Some(goal) = orientations.last().copied() else {
@@ -55,14 +55,14 @@ impl DiscreteOrientationDmp {
         &self.primitive
     }
 
-    /// Where the movement ends.
+    /// The goal orientation.
     #[must_use]
     pub fn goal(&self) -> UnitQuaternion<f64> {
         self.goal
     }
 
-    /// Turns the goal while the movement runs: orientation and angular velocity follow smoothly, on the shortest way to
-    /// the new goal. `duration` s is that of the movement.
+    /// Rotates the goal while the movement runs: orientation and angular velocity follow smoothly, by the shortest
+    /// rotation to the new goal. `duration` s is that of the movement.
     ///
     /// # Errors
     /// When a value is not finite or `duration` is not positive; nothing is changed.
@@ -77,8 +77,8 @@ impl DiscreteOrientationDmp {
         Ok(())
     }
 
-    /// Puts the primitive to its beginning at an orientation, at rest, for a movement of `duration` s. It turns the way
-    /// of the demonstration, and without one the shortest.
+    /// Sets the state to the start of a movement of `duration` s, at an orientation and at rest. It rotates in the
+    /// direction of the demonstration; without one, in the shortest direction.
     ///
     /// # Errors
     /// When a value is not finite or `duration` is not positive; nothing is changed.
@@ -89,7 +89,7 @@ impl DiscreteOrientationDmp {
         self.primitive.begin(e.as_slice(), &[0.0; 3], duration)
     }
 
-    /// Which share of the duration has passed, 1 at its end and more after it.
+    /// The share of the duration that has passed; 1 at the end and more after it.
     #[must_use]
     pub fn progress(&self) -> f64 {
         self.primitive.progress()
@@ -102,8 +102,8 @@ impl DiscreteOrientationDmp {
         state_of(&self.goal, state.y, state.yd)
     }
 
-    /// Advances by `dt` s of a movement of `duration` s. After the duration the orientation goes on to the goal. Does not
-    /// allocate.
+    /// Advances by `dt` s of a movement of `duration` s. After the duration the orientation continues to approach
+    /// the goal. Does not allocate.
     ///
     /// # Errors
     /// As [`DiscreteDmp::step`]; the state is unchanged.

@@ -1,25 +1,26 @@
-//! Dynamic movement primitives of orientations, as unit quaternions: [`PeriodicOrientationDmp`] for a rhythm,
-//! [`DiscreteOrientationDmp`] for a turn to a goal.
+//! Dynamic movement primitives of orientations, as unit quaternions: [`PeriodicOrientationDmp`] for periodic
+//! movements, [`DiscreteOrientationDmp`] for a movement to a goal.
 //!
-//! An orientation q is described by the rotation vector e that leads to it from the goal (or centre) g, in the frame in
-//! which both are given:
+//! An orientation q is described by the rotation vector e from the goal (or centre) g to q, in the frame in which
+//! both are given:
 //!
 //! ```text
 //! e = 2 log(q g*)          tau z' = alpha_z (beta_z (0 - e) - z) + f
 //! q = exp(e / 2) g         tau e' = z
 //! ```
 //!
-//! So the core of all primitives (`dmp/mod.rs`) integrates e, and all that is known of it (exact steps, steady paths,
-//! learning, couplings) holds for orientations too. The angular velocity is `J(e) e'` with the left Jacobian J of the
+//! So the core of all primitives (`dmp/mod.rs`) integrates e, and all its properties (exact steps, steady paths,
+//! learning, couplings) hold for orientations too. The angular velocity is `J(e) e'` with the left Jacobian J of
 //! rotations. The norm of q is 1 by construction.
 //!
 //! # Source
-//! Abu-Dakka, Saveriano and Peternel, "Periodic DMP formulation for quaternion trajectories", ICAR 2021 (the approach by
-//! projection onto the tangent space); the discrete form after Ude, Nemec, Petrič and Morimoto, "Orientation in Cartesian
-//! space dynamic movement primitives", ICRA 2014. Differs from the latter in: z is the derivative of e after the phase and
-//! not the angular velocity. For turns about one axis both are the same; otherwise they differ in second order of e.
+//! Abu-Dakka, Saveriano and Peternel, "Periodic DMP formulation for quaternion trajectories", ICAR 2021 (the
+//! approach by projection onto the tangent space); the discrete form after Ude, Nemec, Petrič and Morimoto,
+//! "Orientation in Cartesian space dynamic movement primitives", ICRA 2014. Differs from the latter in: z is the
+//! derivative of e with respect to the phase and not the angular velocity. For rotations about one axis both are
+//! the same; otherwise they differ in second order of e.
 //!
-//! It moves no hand and knows no position: those are degrees of freedom of the other primitives.
+//! Positions are not part of it: they are degrees of freedom of the other primitives.
 
 mod discrete;
 mod periodic;
@@ -30,7 +31,7 @@ pub use self::discrete::DiscreteOrientationDmp;
 pub use self::periodic::PeriodicOrientationDmp;
 use crate::error::{MotionError, finite};
 
-/// What a step of an orientation yields, in the frame in which the demonstration was given.
+/// The result of a step of an orientation, in the frame of the demonstration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OrientationState {
     /// The orientation.
@@ -48,11 +49,11 @@ fn state_of(goal: &UnitQuaternion<f64>, e: &[f64], ed: &[f64]) -> OrientationSta
     }
 }
 
-/// `J(e) ed`: the angular velocity of `exp(e)` in the frame that stands still.
+/// `J(e) ed`: the angular velocity of `exp(e)` in the fixed frame.
 fn angular_velocity(e: &Vector3<f64>, ed: &Vector3<f64>) -> Vector3<f64> {
     let angle2 = e.norm_squared();
     let angle = angle2.sqrt();
-    // Near 0 the quotients lose their digits; their series' next terms are below rounding there.
+    // Near 0 the quotients lose precision; the next terms of their series are below rounding there.
     let (a, b) = if angle < 1e-4 {
         (0.5 - angle2 / 24.0, 1.0 / 6.0 - angle2 / 120.0)
     } else {
@@ -75,10 +76,12 @@ fn rotation_rate(e: &Vector3<f64>, omega: &Vector3<f64>) -> Vector3<f64> {
     omega - 0.5 * turned + c * e.cross(&turned)
 }
 
-/// The rotation vector from `goal` to `q`: of all that lead there the one nearest to `near`; for `near` = 0 the shortest.
+/// The rotation vector from `goal` to `q`: of all equivalent ones, the one nearest to `near`; for `near` = 0 the
+/// shortest.
 fn rotation_vector(goal: &UnitQuaternion<f64>, q: &UnitQuaternion<f64>, near: &Vector3<f64>) -> Vector3<f64> {
     let shortest = (q * goal.inverse()).scaled_axis();
-    // Whole turns about its own axis lead to the same orientation; without an axis those about the one of `near` do.
+    // Additional full turns about its own axis lead to the same orientation; without an axis, those about that of
+    // `near`.
     let Some(axis) = shortest.try_normalize(1e-12).or_else(|| near.try_normalize(1e-12)) else {
         return shortest;
     };
@@ -86,7 +89,8 @@ fn rotation_vector(goal: &UnitQuaternion<f64>, q: &UnitQuaternion<f64>, near: &V
     shortest + axis * (std::f64::consts::TAU * turns)
 }
 
-/// The rotation vectors from `goal` to `orientations`, each the one nearest to that before it, beginning with `near`.
+/// The rotation vectors from `goal` to `orientations`, each the one nearest to the previous one, starting with
+/// `near`.
 fn rotation_vectors<'q>(
     goal: &UnitQuaternion<f64>,
     orientations: impl Iterator<Item = &'q UnitQuaternion<f64>>,
@@ -100,7 +104,7 @@ fn rotation_vectors<'q>(
         .collect()
 }
 
-/// Refuses what is not finite.
+/// Refuses values that are not finite.
 fn check_orientations(orientations: &[UnitQuaternion<f64>]) -> Result<(), MotionError> {
     orientations.iter().try_for_each(|q| finite("orientation", q.coords.as_slice()))
 }
@@ -110,7 +114,7 @@ fn stored(q: &UnitQuaternion<f64>) -> [f64; 4] {
     [q.w, q.i, q.j, q.k]
 }
 
-/// The unit quaternion that was stored as w, x, y, z.
+/// A unit quaternion from its stored form w, x, y, z.
 fn read([w, x, y, z]: [f64; 4]) -> Result<UnitQuaternion<f64>, MotionError> {
     finite("orientation", &[w, x, y, z])?;
     UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6)

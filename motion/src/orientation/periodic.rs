@@ -1,4 +1,4 @@
-//! The rhythm of an orientation about a centre.
+//! The periodic movement of an orientation about a centre.
 
 use std::f64::consts::TAU;
 
@@ -12,22 +12,22 @@ use super::{
 use crate::error::{MotionError, frequency};
 use crate::periodic::{PeriodicDmp, PeriodicDmpConfig, PhaseSample};
 
-/// A periodic movement of an orientation; the equations are in the module's first lines.
+/// A periodic movement of an orientation; the equations are in the documentation of the module `orientation`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Saved", into = "Saved")]
 pub struct PeriodicOrientationDmp {
     centre: UnitQuaternion<f64>,
-    /// Of the rotation vector from the centre, rad.
+    /// The primitive of the rotation vector from the centre, rad.
     primitive: PeriodicDmp,
 }
 
-/// The fewest orientations of a period that can be learned.
+/// The smallest number of orientations per period that can be learned.
 const LEAST_SAMPLES: usize = 8;
-/// The mean orientation is found when it moves by less than this, rad.
+/// The mean orientation has converged when it changes by less than this, rad.
 const MEAN_FOUND: f64 = 1e-12;
 
 impl PeriodicOrientationDmp {
-    /// A primitive that stands still in the identity. The number of degrees of freedom in `config` is not used.
+    /// A primitive at rest at the identity. The number of degrees of freedom in `config` is not used.
     ///
     /// # Errors
     /// As [`PeriodicDmp::new`].
@@ -36,11 +36,11 @@ impl PeriodicOrientationDmp {
         Ok(Self { centre: UnitQuaternion::identity(), primitive })
     }
 
-    /// Learns from `orientations` that lie evenly over one period; the centre becomes their mean.
+    /// Learns from `orientations` that are evenly spaced over one period; the centre becomes their mean.
     ///
     /// # Errors
-    /// [`MotionError::TooFew`] for less than 8 orientations; [`MotionError::Degenerate`] when they turn on and on in one
-    /// direction, so that no centre has them all about it. Nothing is changed then.
+    /// [`MotionError::TooFew`] for fewer than 8 orientations; [`MotionError::Degenerate`] when they rotate by full
+    /// turns in one direction, so that they have no centre. Nothing is changed then.
     pub fn learn_period(&mut self, orientations: &[UnitQuaternion<f64>]) -> Result<(), MotionError> {
         let n = orientations.len();
         if n < LEAST_SAMPLES {
@@ -52,7 +52,7 @@ impl PeriodicOrientationDmp {
         let at = |s: usize, offset: usize| e[(s + offset) % n];
         let samples: Vec<PhaseSample> = (0..n)
             .map(|s| {
-                // Central differences of fourth order, round the period.
+                // Fourth-order central differences, around the period.
                 let [b2, b1, a1, a2] = [at(s, n - 2), at(s, n - 1), at(s, 1), at(s, 2)];
                 let dy = (b2 - a2 + 8.0 * (a1 - b1)) / (12.0 * h);
                 let ddy = (16.0 * (b1 + a1) - 30.0 * e[s] - b2 - a2) / (12.0 * h * h);
@@ -71,13 +71,14 @@ impl PeriodicOrientationDmp {
         &self.primitive
     }
 
-    /// The orientation about which the movement goes.
+    /// The centre of the movement.
     #[must_use]
     pub fn centre(&self) -> UnitQuaternion<f64> {
         self.centre
     }
 
-    /// Turns the whole movement; orientation and angular velocity follow smoothly. `omega` rad/s is how fast it runs.
+    /// Rotates the whole movement; orientation and angular velocity follow smoothly. `omega` is its frequency,
+    /// rad/s.
     ///
     /// # Errors
     /// When a value is not finite or `omega` is not positive.
@@ -91,7 +92,7 @@ impl PeriodicOrientationDmp {
         Ok(())
     }
 
-    /// Scales the movement about its centre, 1 as learned.
+    /// Scales the movement about its centre; 1 is as learned.
     ///
     /// # Errors
     /// When the factor is not finite.
@@ -116,7 +117,7 @@ impl PeriodicOrientationDmp {
         self.primitive.reset(phase, e.as_slice(), ed.as_slice(), omega)
     }
 
-    /// Puts the state onto the steady path at `phase` rad, for a movement of `omega` rad/s: no transient follows.
+    /// Sets the state to the steady path at `phase` rad, for a movement of `omega` rad/s: there is no transient.
     ///
     /// # Errors
     /// When a value is not finite or `omega` not positive.
@@ -125,7 +126,8 @@ impl PeriodicOrientationDmp {
         self.primitive.start_on_path(phase, omega)
     }
 
-    /// The orientation on the steady path at `phase` rad, with its derivative after the phase as an axis times rad/rad.
+    /// The orientation on the steady path at `phase` rad, and its derivative with respect to the phase as a
+    /// rotation vector, rad/rad.
     #[must_use]
     pub fn steady_state(&self, phase: f64) -> (UnitQuaternion<f64>, Vector3<f64>) {
         let (e, de) = self.primitive.steady_state(phase);
@@ -150,7 +152,7 @@ impl PeriodicOrientationDmp {
     }
 }
 
-/// The mean of orientations on a closed way (Karcher's), and the rotation vectors from it to them.
+/// The mean of orientations on a closed path (Karcher's), and the rotation vectors from it to them.
 fn about_their_mean(
     orientations: &[UnitQuaternion<f64>],
 ) -> Result<(UnitQuaternion<f64>, Vec<Vector3<f64>>), MotionError> {

@@ -1,4 +1,5 @@
-//! Orientations against closed forms: turns about one axis, unit norm, invariance, the shortest way, the goal.
+//! Tests orientations against closed forms: rotations about one axis, unit norm, invariance, the shortest way, the
+//! goal.
 
 use std::f64::consts::{PI, TAU};
 
@@ -16,14 +17,14 @@ fn quintic(s: f64) -> (f64, f64) {
     (s * s * s * (10.0 + s * (6.0 * s - 15.0)), 30.0 * s * s * (1.0 - s) * (1.0 - s))
 }
 
-/// Orientations at 200 Hz of a turn of 2 s about `axis` by `angle` rad, from `start`.
+/// Orientations at 200 Hz of a rotation of 2 s about `axis` by `angle` rad, from `start`.
 fn turn(start: UnitQuaternion<f64>, axis: Vector3<f64>, angle: f64) -> Vec<UnitQuaternion<f64>> {
     let at =
         |k: i32| UnitQuaternion::from_scaled_axis(axis * (angle * quintic(f64::from(k) / 400.0).0)) * start;
     (0..=400).map(at).collect()
 }
 
-/// A rocking about two axes, evenly over one period.
+/// A rocking motion about two axes, evenly sampled over one period.
 fn rocking(centre: UnitQuaternion<f64>, size: f64) -> Vec<UnitQuaternion<f64>> {
     (0..400)
         .map(|k| {
@@ -45,7 +46,7 @@ fn periodic() -> PeriodicOrientationDmp {
 fn a_turn_about_one_axis_is_reproduced_with_its_angular_velocity() {
     let axis = Vector3::new(1.0, 2.0, -2.0) / 3.0;
     let start = rotation(0.3, -0.4, 0.5);
-    // Also by more than half a circle: the way of the demonstration is kept.
+    // Also by more than half a turn: the direction of the demonstration is kept.
     for angle in [1.2, 4.5] {
         let shown = turn(start, axis, angle);
         let mut dmp = discrete();
@@ -87,7 +88,7 @@ fn without_a_demonstration_it_turns_the_shortest_way() {
     let mut dmp = discrete();
     let start = rotation(0.0, 0.0, 1.5 * PI);
     dmp.begin(&start, 1.0).unwrap();
-    // 270 degrees one way are 90 degrees the other way, and q and -q are one orientation.
+    // 270 degrees in one direction are 90 degrees in the other, and q and -q are the same orientation.
     let mut turned = 0.0;
     for _ in 0..3000 {
         turned += dmp.step(0.001, 1.0).unwrap().angular_velocity.z * 0.001;
@@ -191,7 +192,7 @@ fn both_survive_saving() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// Seen from another frame, the same movement is the same movement; its norm is 1 whatever it is.
+    /// The movement does not depend on the frame; its norm is always 1.
     #[test]
     fn the_frame_does_not_matter_and_the_norm_is_one(
         frame in prop::array::uniform3(-2.0..2.0_f64), size in 0.1..1.2_f64, dt in 1e-4..0.05_f64

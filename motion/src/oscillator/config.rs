@@ -1,4 +1,4 @@
-//! The constants of the adaptive oscillator, and the rules that it may follow.
+//! The constants of the adaptive oscillator, and its rules.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,7 +8,7 @@ use crate::error::{MotionError, constant, within};
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OscillatorRule {
-    /// Along the derivative of the estimated signal, all gains scaled.
+    /// By the derivative of the estimated signal, with all gains scaled.
     #[default]
     Scaled,
     /// (1), (2) as printed, on the coordinate with the strongest fundamental: `-K e sin(phase)`.
@@ -18,7 +18,7 @@ pub enum OscillatorRule {
         /// Learning rate of the weights in (3), 1/s.
         learning: f64,
     },
-    /// (1)-(3) with gains in proportion to the running frequency and to one over the size of the signal.
+    /// (1)-(3) with gains proportional to the running frequency and to the inverse of the signal's amplitude.
     Bare {
         /// Coupling constant K at 1 Hz, for a signal between -1 and 1.
         coupling: f64,
@@ -33,21 +33,21 @@ pub enum OscillatorRule {
 pub struct OscillatorConfig {
     /// Coordinates of the signal.
     pub dims: usize,
-    /// Harmonics m of (3); those that the sample rate cannot show are left alone.
+    /// Harmonics m of (3); those that the sample rate cannot resolve are not learned.
     pub harmonics: usize,
     /// How phase and frequency follow the error.
     pub rule: OscillatorRule,
-    /// Whether the start is estimated from the signal so far.
+    /// Whether the initial phase and frequency are estimated from the signal so far.
     pub estimate: bool,
-    /// Frequency to start from without an estimate, Hz.
+    /// Initial frequency without an estimate, Hz.
     pub initial_hz: f64,
-    /// Lowest frequency that is looked for, Hz.
+    /// Lower bound of the frequency search, Hz.
     pub lowest_hz: f64,
-    /// Highest frequency that is looked for, Hz.
+    /// Upper bound of the frequency search, Hz.
     pub highest_hz: f64,
     /// Natural frequency of the loop that corrects phase and frequency, as a share of the running frequency.
     pub bandwidth: f64,
-    /// Over how many periods the weights average once settled.
+    /// Number of periods over which the weights average, once settled.
     pub memory: f64,
 }
 

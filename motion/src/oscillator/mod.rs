@@ -1,11 +1,11 @@
-//! The adaptive frequency oscillator with an adaptive Fourier series (eqs. 1-3): phase and frequency of a periodic
-//! signal of one or several coordinates, whatever its wave form.
+//! The adaptive frequency oscillator with an adaptive Fourier series (eqs. 1-3): it finds phase and frequency of a
+//! periodic signal of one or several coordinates, with any wave form.
 //!
-//! Three things go beyond the paper. The phase error is taken from the whole estimated signal (its derivative after
-//! the phase) instead of the fundamental of one coordinate, so that figures of eight and other signals with a weak
-//! fundamental lock too. All gains scale with the running frequency and the signal's power, so that they settle in the same
-//! number of periods at any frequency and amplitude. And the start is estimated from the signal so far
-//! ([`PeriodEstimator`]). [`OscillatorRule::Paper`] is the bare rule, to compare.
+//! Three things go beyond the paper. The phase error is computed from the whole estimated signal (its derivative
+//! with respect to the phase) instead of the fundamental of one coordinate, so that figures of eight and other
+//! signals with a weak fundamental lock too. All gains scale with the running frequency and the signal's power, so
+//! that they settle in the same number of periods at any frequency and amplitude. The initial values are estimated
+//! from the signal so far ([`PeriodEstimator`]). [`OscillatorRule::Paper`] is the paper's rule, for comparison.
 
 mod config;
 mod statistics;
@@ -19,7 +19,7 @@ use crate::period::{PeriodEstimate, PeriodEstimator};
 pub use self::config::{OscillatorConfig, OscillatorRule};
 use self::statistics::{Drift, Pace, PeriodMeans};
 
-/// Finds and follows phase, frequency and wave form of a periodic signal.
+/// Estimates and tracks phase, frequency and wave form of a periodic signal.
 #[derive(Debug, Clone)]
 pub struct AdaptiveOscillator {
     config: OscillatorConfig,
@@ -29,21 +29,21 @@ pub struct AdaptiveOscillator {
     anchor: usize,
     running: bool,
     phase: f64,
-    /// The loop's own frequency, rad/s.
+    /// The frequency of the loop, rad/s.
     loop_omega: f64,
-    /// How fast the phase runs, rad/s: the loop's frequency plus the lasting part of its phase corrections.
+    /// Rate of the phase, rad/s: the loop's frequency plus the lasting part of its phase corrections.
     omega: f64,
-    /// Phase passed since the oscillator runs, rad.
+    /// Phase passed since the oscillator started, rad.
     passed: f64,
     elapsed: f64,
     drift: Drift,
-    /// Seconds until the past is evaluated again.
+    /// Time until the past is evaluated again, s.
     until_look: f64,
     disagreements: u32,
     just_started: bool,
     starts: u32,
     periods: PeriodMeans,
-    /// Phase passed and time from which on the mean frequency counts.
+    /// Phase passed and time at which the mean frequency starts to count.
     counted_from: Option<(f64, f64)>,
     value: Vec<f64>,
     slope: Vec<f64>,
@@ -54,7 +54,7 @@ impl AdaptiveOscillator {
     /// An oscillator before its first sample.
     ///
     /// # Errors
-    /// When a constant cannot be.
+    /// When a constant is invalid.
     pub fn new(config: OscillatorConfig) -> Result<Self, MotionError> {
         config.validate()?;
         let estimator = PeriodEstimator::new(config.dims, 1.0 / config.highest_hz, 1.0 / config.lowest_hz)?;
@@ -90,14 +90,14 @@ impl AdaptiveOscillator {
         &self.config
     }
 
-    /// Takes the sample `v` (one value a coordinate), `dt` s after the one before. Between samples the phase runs
-    /// on by itself, so that the sampling may be slow and irregular.
+    /// Processes the sample `v` (one value per coordinate), `dt` s after the previous one. Between samples the
+    /// phase advances by itself, so that the sampling may be slow and irregular.
     ///
     /// # Errors
     /// When `dt` is not positive or the sample does not fit; nothing is changed.
     ///
     /// # Source
-    /// Eqs. (1)-(3); the top of the module says how it differs.
+    /// Eqs. (1)-(3); the module's documentation lists the differences.
     pub fn update(&mut self, dt: f64, v: &[f64]) -> Result<(), MotionError> {
         sample_time(dt)?;
         vector("signal", self.config.dims, v)?;
@@ -120,42 +120,43 @@ impl AdaptiveOscillator {
         Ok(())
     }
 
-    /// The phase now, rad, in `0..2 pi`; 0 where the fundamental of the leading coordinate was largest at the start.
+    /// The present phase, rad, in `0..2 pi`; 0 is where the fundamental of the leading coordinate was largest at
+    /// the start.
     #[must_use]
     pub fn phase(&self) -> f64 {
         self.phase
     }
 
-    /// The running frequency Omega, rad/s: with [`OscillatorRule::Scaled`] that at which the phase really goes, which the
-    /// loop's own one only follows while the signal's frequency changes.
+    /// The running frequency Omega, rad/s. With [`OscillatorRule::Scaled`] it is the actual rate of the phase,
+    /// which the loop's own frequency follows with a delay while the signal's frequency changes.
     #[must_use]
     pub fn omega(&self) -> f64 {
         self.omega
     }
 
-    /// The running frequency, Hz: of the repeat of the whole signal.
+    /// The running frequency, Hz: the repeat frequency of the whole signal.
     #[must_use]
     pub fn frequency_hz(&self) -> f64 {
         self.omega / TAU
     }
 
-    /// The mean frequency, Hz, of all periods but the first one and a half after the oscillator locked, in which the
-    /// phase may still find its place in the wave form. Steadier than the running one, since neither noise nor a
-    /// coach's uneven pace adds up in it; nothing before four periods.
+    /// The mean frequency, Hz, without the first one and a half periods after the oscillator locked, in which the
+    /// phase may still adjust to the wave form. It is steadier than the running frequency, because noise and a
+    /// coach's uneven pace average out. `None` before four periods.
     #[must_use]
     pub fn mean_frequency_hz(&self) -> Option<f64> {
         let (phase, time) = self.counted_from?;
         (self.passed > 4.0 * TAU).then(|| (self.passed - phase) / (self.elapsed - time) / TAU)
     }
 
-    /// Whether the signal is being followed: with `estimate` only after it has repeated once.
+    /// Whether the oscillator follows the signal; with `estimate`, only after the signal has repeated once.
     #[must_use]
     pub fn running(&self) -> bool {
         self.running
     }
 
-    /// Whether the frequency has become steady: the means of the last two periods agree within 2 %, and the series
-    /// explains most of the signal.
+    /// Whether the frequency is steady: the means of the last two periods agree within 2 %, and the series explains
+    /// most of the signal.
     #[must_use]
     pub fn settled(&self) -> bool {
         self.running && self.periods.steady(0.02) && self.periods.unexplained < 0.5
@@ -173,23 +174,24 @@ impl AdaptiveOscillator {
         self.starts
     }
 
-    /// Which share of the signal's power the series did not explain in the last whole period; 1 before there was one.
+    /// The share of the signal's power that the series did not explain in the last whole period; 1 before the first
+    /// one.
     #[must_use]
     pub fn unexplained(&self) -> f64 {
         self.periods.unexplained
     }
 
-    /// The coordinate whose fundamental leads the phase.
+    /// The coordinate whose fundamental defines the phase.
     #[must_use]
     pub fn leading(&self) -> usize {
         self.anchor
     }
 
-    /// Writes the estimated signal and its first and second derivative after the phase (unit/rad, unit/rad^2) at
-    /// `phase` rad. Does not allocate.
+    /// Writes the estimated signal and its first and second derivative with respect to the phase (unit/rad,
+    /// unit/rad^2) at `phase` rad. Does not allocate.
     ///
     /// # Errors
-    /// When a slice has not one value a coordinate or the phase is not finite.
+    /// When a slice does not have one value per coordinate or the phase is not finite.
     pub fn signal(
         &self,
         phase: f64,
@@ -205,13 +207,14 @@ impl AdaptiveOscillator {
         Ok(())
     }
 
-    /// The mean of coordinate `d` over the period, or nothing if there is no such coordinate.
+    /// The mean of coordinate `d` over the period, or `None` if there is no such coordinate.
     #[must_use]
     pub fn mean(&self, d: usize) -> Option<f64> {
         (d < self.config.dims).then(|| self.series.weight(d, 0).0)
     }
 
-    /// (Re)starts from the past where its frequency differs from the running one.
+    /// Estimates the frequency from the recent past. Starts with the first estimate, and restarts after three in a row that
+    /// differ from the running one.
     fn look_back(&mut self, dt: f64) {
         self.until_look -= dt;
         if self.until_look > 0.0 {
@@ -241,11 +244,11 @@ impl AdaptiveOscillator {
         }
     }
 
-    /// Fits the series to the last periods at the estimated frequency, so that the loop starts in lock.
+    /// Fits the series to the last periods at the estimated frequency, so that the loop starts locked.
     fn start(&mut self, found: PeriodEstimate) {
         self.running = true;
         self.loop_omega = TAU / found.period;
-        // The minimum of the difference is flat: the residual of the fit locates the period more exactly.
+        // The minimum of the difference is flat; the residual of the fit locates the period more precisely.
         for reach in [0.03, 0.01] {
             let omega = self.loop_omega;
             let [slower, same, faster] = [1.0 - reach, 1.0, 1.0 + reach].map(|r| self.fit_past(omega * r));
@@ -268,7 +271,7 @@ impl AdaptiveOscillator {
         self.until_look = found.period;
     }
 
-    /// Fits the series to the past two periods of `omega` rad/s, at phase 0 now; returns what is left of them.
+    /// Fits the series to the last two periods at `omega` rad/s, with phase 0 now; returns the residual.
     fn fit_past(&mut self, omega: f64) -> f64 {
         let history = self.estimator.history();
         let (grid, overhang) = (history.grid(), history.overhang());
@@ -284,7 +287,7 @@ impl AdaptiveOscillator {
     }
 
     fn follow(&mut self, dt: f64, v: &[f64]) {
-        // A start has already put the phase to that of this sample.
+        // A start has already set the phase for this sample.
         if !std::mem::take(&mut self.just_started) {
             self.advance(dt);
         }
@@ -297,7 +300,8 @@ impl AdaptiveOscillator {
         }
         let power = self.series.slope_power();
         let ahead = if power > 1e-300 { (along / power).clamp(-1.0, 1.0) } else { 0.0 };
-        // A critically damped loop; wide in the first periods, then narrow, and wide again for what changes.
+        // A critically damped loop: its bandwidth is wide in the first periods, then narrow, and wide again for
+        // changes.
         let age = (self.passed / TAU).max(0.0);
         let turned = self.loop_omega * dt;
         let drifting = self.drift.add(ahead, turned);

@@ -1,5 +1,5 @@
-//! The statistics that the adaptive oscillator keeps of its signal: whether its phase error lasts, how large and how fast
-//! the signal is, and means over whole periods.
+//! The signal statistics of the adaptive oscillator: whether its phase error lasts, the signal's amplitude and
+//! frequency, and means over whole periods.
 
 use std::f64::consts::TAU;
 
@@ -14,8 +14,8 @@ pub(super) struct Drift {
 }
 
 impl Drift {
-    /// Adds the phase error `ahead` of the last `turned` rad; returns from 0 to 1 how certainly it lasts. A mean within the
-    /// noise counts as 0.
+    /// Adds the phase error `ahead` of the last `turned` rad. Returns the certainty that it lasts, 0 to 1. A mean
+    /// within the noise counts as 0.
     pub(super) fn add(&mut self, ahead: f64, turned: f64) -> f64 {
         let share = 1.0 - (-turned / TAU).exp();
         self.mean += (ahead - self.mean) * share;
@@ -24,18 +24,18 @@ impl Drift {
         ((self.lasting().abs() - 0.05) / 0.12).clamp(0.0, 1.0)
     }
 
-    /// The phase error that lasts, rad.
+    /// The lasting phase error, rad.
     pub(super) fn lasting(&self) -> f64 {
         self.mean - self.mean.clamp(-self.noise, self.noise)
     }
 }
 
-/// What the gains of [`super::OscillatorRule::Bare`] scale with.
+/// The quantities that scale the gains of [`super::OscillatorRule::Bare`].
 #[derive(Debug, Clone)]
 pub(super) struct Pace {
     /// Running frequency, Hz, smoothed over a period, so that the gains do not follow its changes within one.
     pub(super) hz: f64,
-    /// Largest magnitude of late.
+    /// Largest recent magnitude.
     pub(super) peak: f64,
 }
 

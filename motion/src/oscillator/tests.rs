@@ -1,11 +1,11 @@
-//! Which signals it settles on, and how fast.
+//! On which signals the oscillator settles, and how fast.
 
 use super::*;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 
-/// From when on the one-period mean of Omega stays within 1 %, in periods.
+/// The time from which on the one-period mean of Omega stays within 1 %, in periods.
 fn settles_after(config: OscillatorConfig, f: f64, dt: f64, signal: impl Fn(f64, f64) -> Vec<f64>) -> f64 {
     let mut osc = AdaptiveOscillator::new(config).unwrap();
     let mut noise = ChaCha8Rng::seed_from_u64(3);
@@ -110,7 +110,7 @@ fn a_refused_sample_changes_nothing() {
 
 #[test]
 fn coordinates_keep_their_phases_while_the_frequency_is_found() {
-    // The first periods are slower, as a coach's are: the phase runs behind until the frequency is found.
+    // The first periods are slower, like a coach's: the phase lags until the frequency is found.
     let (mut osc, dt) = (AdaptiveOscillator::new(OscillatorConfig::with_dims(2)).unwrap(), 1.0 / 15.0);
     let mut phase = 0.0_f64;
     for k in 0..450 {

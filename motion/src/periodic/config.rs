@@ -11,17 +11,17 @@ use crate::error::{MotionError, constant, kernel_width, within};
 pub struct PeriodicDmpConfig {
     /// Degrees of freedom n, at least 1.
     pub dofs: usize,
-    /// Kernels N a degree of freedom, at least 2; 25 in the papers.
+    /// Kernels N per degree of freedom, at least 2; 25 in the papers.
     pub kernels: usize,
-    /// Kernel width h of (7), dimensionless; `2.5 N` if absent.
+    /// Kernel width h of (7), dimensionless; by default `2.5 N`.
     pub width: Option<f64>,
     /// Stiffness constant of (4), 1 per rad of phase.
     pub alpha_z: f64,
     /// Damping constant of (4); `alpha_z / 4` makes it critically damped.
     pub beta_z: f64,
-    /// Forgetting factor lambda of (9) for each 10 ms of learning, in (0, 1].
+    /// Forgetting factor lambda of (9) per 10 ms of learning, in (0, 1].
     pub forgetting: f64,
-    /// P(0) of (9), which is also the most that P may grow to where a kernel is not visited.
+    /// P(0) of (9), and the upper bound to which P grows for a kernel that is not visited.
     pub initial_gain: f64,
     /// How (4), (5) are integrated.
     pub integrator: Integrator,

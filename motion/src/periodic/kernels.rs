@@ -1,4 +1,4 @@
-//! The bell-shaped kernels over one period (eq. 7), and the phase that goes round it.
+//! The bell-shaped kernels over one period (eq. 7), and the periodic phase.
 
 use std::f64::consts::TAU;
 
@@ -47,7 +47,7 @@ impl PhaseKernels {
         self.width
     }
 
-    /// The mean of one kernel over the period: the share of samples that a uniform sweep gives it.
+    /// The mean of one kernel over the period: its share of the samples in a uniform sweep.
     #[must_use]
     pub fn mean(&self) -> f64 {
         self.mean
@@ -58,7 +58,7 @@ impl PhaseKernels {
         let (sin, cos) = phase.sin_cos();
         let mut sum = 0.0;
         for ((o, c), s) in out.iter_mut().zip(&self.cos_centre).zip(&self.sin_centre) {
-            // cos(phase - c_i), expanded so that one sine and cosine serve all kernels.
+            // cos(phase - c_i), expanded so that all kernels share one sine and cosine.
             let value = (self.width * (cos * c + sin * s - 1.0)).exp();
             *o = value;
             sum += value;
@@ -74,9 +74,9 @@ impl PhaseKernels {
     }
 }
 
-/// The canonical system of a rhythm (eq. 4's Omega): the phase goes round a circle.
+/// The canonical system of a periodic movement (eq. 4's Omega): the phase moves on a circle.
 impl Canonical for PhaseKernels {
-    /// rad, in `0..2 pi`.
+    /// The phase, rad, in `0..2 pi`.
     type Phase = f64;
 
     fn kernels(&self) -> usize {

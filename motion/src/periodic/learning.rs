@@ -1,5 +1,5 @@
-//! How the weights of a [`PeriodicDmp`] come from data: online by recursive least squares with forgetting
-//! (eqs. 8-11), or all at once by regression. The displacement rule of coaching in metres is here too.
+//! Learning of a [`PeriodicDmp`]'s weights: online by recursive least squares with forgetting (eqs. 8-11), or all
+//! at once by regression. Also the displacement rule for coaching in metres.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -7,22 +7,22 @@ use super::PeriodicDmp;
 use crate::dmp::{Cutoff, Ridge, TimeScale};
 use crate::error::{LARGEST, MotionError, finite, frequency, positive, vector, within};
 
-/// One sample of a demonstrated period, for batch learning; the slices have one value a degree of freedom.
+/// One sample of a demonstrated period, for batch learning; the slices have one value per degree of freedom.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhaseSample {
     /// Phase, rad.
     pub phase: f64,
     /// Position.
     pub y: Vec<f64>,
-    /// Derivative after the phase: velocity / omega, unit / rad.
+    /// Derivative with respect to the phase: velocity / omega, unit / rad.
     pub dy: Vec<f64>,
-    /// Second derivative after the phase: acceleration / omega^2, unit / rad^2.
+    /// Second derivative with respect to the phase: acceleration / omega^2, unit / rad^2.
     pub ddy: Vec<f64>,
 }
 
 impl PeriodicDmp {
     /// Learns from one sample: `y`, `yd` (unit/s), `ydd` (unit/s^2) at `phase` rad of a demonstration of `omega`
-    /// rad/s, `dt` s after the one before. The state that [`step`](Self::step) integrates is not touched. Does
+    /// rad/s, `dt` s after the previous one. The state that [`step`](Self::step) integrates is not changed. Does
     /// not allocate.
     ///
     /// # Errors
@@ -30,7 +30,7 @@ impl PeriodicDmp {
     ///
     /// # Source
     /// Eqs. (8)-(11); differs in: lambda holds for 10 ms and is scaled with `dt`, and P stays at most at its
-    /// initial value, so that a kernel that was not visited for long does not learn from noise.
+    /// initial value, so that a kernel that was not visited for a long time does not learn from noise.
     pub fn learn(
         &mut self,
         phase: f64,
@@ -51,10 +51,10 @@ impl PeriodicDmp {
         Ok(())
     }
 
-    /// Moves the path near `phase` by `shift` (one a degree of freedom, in its unit) for each whole pass over it,
+    /// Moves the path near `phase` by `shift` (one per degree of freedom, in its unit) for each whole pass over it,
     /// of which `advance` rad pass now. This is (10) and (13) with P at the fixed point of (9), in units of the
-    /// path: `C = alpha_z beta_z shift`. The kernels are credited [`lag`](Self::lag) earlier, so that the path
-    /// moves where the coach is and not behind.
+    /// path: `C = alpha_z beta_z shift`. The kernels are selected [`lag`](Self::lag) earlier, so that the path
+    /// moves at the coach's phase and not behind it.
     ///
     /// # Errors
     /// When sizes differ or a value is not finite; an amplitude of 0 cannot be coached.
@@ -63,7 +63,7 @@ impl PeriodicDmp {
         self.displace_some(phase, advance, shift)
     }
 
-    /// [`displace`](Self::displace) of the first degrees of freedom only.
+    /// As [`displace`](Self::displace), for the first degrees of freedom only.
     pub(crate) fn displace_some(
         &mut self,
         phase: f64,
@@ -81,14 +81,14 @@ impl PeriodicDmp {
         Ok(())
     }
 
-    /// By how much phase (rad) the path follows the forcing term: the group delay `1 / beta_z` of (4), (5).
+    /// The lag (rad) of the path behind the forcing term: the group delay `1 / beta_z` of (4), (5).
     #[must_use]
     pub fn lag(&self) -> f64 {
         1.0 / self.config.beta_z
     }
 
-    /// Puts P to the fixed point that (9) reaches in a long uniform sweep with steps of `dt` s, as if the motion
-    /// had been learned for long: how strongly a coupling is learned then no longer depends on the past.
+    /// Sets P to the fixed point that (9) reaches in a long uniform sweep with steps of `dt` s, as if the motion
+    /// had been learned for a long time. The learning rate of a coupling then no longer depends on the past.
     ///
     /// # Errors
     /// When `dt` is not positive, or the amplitude is 0.
@@ -101,11 +101,12 @@ impl PeriodicDmp {
         Ok(())
     }
 
-    /// Takes the overlap of the kernels out of weights that [`learn`](Self::learn) has found, and only once.
+    /// Removes the effect of overlapping kernels from weights that [`learn`](Self::learn) has found; to be called
+    /// only once.
     ///
-    /// (8)-(10) regress each kernel by itself, so a weight is the mean of the forcing term about its kernel, and (6)
-    /// takes the mean of such means: of a first harmonic that 25 kernels have learned, 3 % are lost. Here the weights
-    /// become those whose forcing term has the learned means about the kernels.
+    /// (8)-(10) regress each kernel by itself, so a weight is the mean of the forcing term around its kernel, and
+    /// (6) averages these means again: 25 kernels lose 3 % of a first harmonic. Here the weights become those whose
+    /// forcing term has the learned means around the kernels.
     pub fn sharpen(&mut self) {
         let k = self.kernels().len();
         let fine = 16 * k;
@@ -117,7 +118,7 @@ impl PeriodicDmp {
             total += own;
             mean.iter_mut().zip(&psi).for_each(|(m, psi)| *m += own * psi / sum);
         }
-        // All kernels are alike, so the means about kernel i are those about kernel 0, i places on.
+        // All kernels are equal, so the means around kernel i are those around kernel 0, shifted by i.
         let overlap = DMatrix::from_fn(k, k, |i, j| mean[(j + k - i) % k] / total);
         let Some(factor) = overlap.cholesky() else { return };
         for w in self.weights_mut().chunks_exact_mut(k) {
@@ -130,12 +131,12 @@ impl PeriodicDmp {
     /// Learns all weights at once from samples of one or more periods; the centre becomes their mean.
     ///
     /// # Errors
-    /// [`MotionError::TooFew`] for less than two samples; sizes and values as in [`learn`](Self::learn). An
+    /// [`MotionError::TooFew`] for fewer than two samples; sizes and values as in [`learn`](Self::learn). An
     /// amplitude of 0 cannot be learned.
     ///
     /// # Source
     /// Least squares on (6) with all kernels at once and a ridge of 1e-9 of the mean diagonal, instead of the
-    /// kernel-wise regression of the papers: the path is then met to what the kernels can express.
+    /// kernel-wise regression of the papers. The path then fits as closely as the kernels allow.
     pub fn learn_batch(&mut self, samples: &[PhaseSample]) -> Result<(), MotionError> {
         let n = self.dofs();
         check_samples(samples, n)?;
@@ -148,7 +149,7 @@ impl PeriodicDmp {
         };
         let targets: Vec<f64> = samples.iter().flat_map(row).collect();
         let phases = samples.iter().map(|s| s.phase);
-        // Most kernels are far away: their part of the sum is below rounding.
+        // Most kernels are far away: their contribution is below rounding.
         let cutoff = Cutoff { first: 1e-9, second: 1e-9 };
         let weights = self.dmp.regress(phases, &targets, cutoff, Ridge::Relative(1e-9))?;
         self.weights_mut().copy_from_slice(&weights);

@@ -1,10 +1,10 @@
 //! The periodic dynamic movement primitive of n degrees of freedom on one phase (eqs. 4-11), with the two
 //! kinds of coupling: one that only perturbs (eq. 12) and one that the weights learn (eq. 13).
 //!
-//! What it is not: it does not find the frequency (see [`crate::AdaptiveOscillator`]) and knows no space: the
-//! degrees of freedom may be joints or coordinates. Learning from data is in `learning.rs`, the path that
-//! the weights stand for in `path.rs`, the equations in `dmp/mod.rs`. In the phase the system is linear and independent of
-//! the frequency: `y'' + alpha_z y' + alpha_z beta_z (y - g) = f`; the integration is exact in that.
+//! It does not find the frequency (see [`crate::AdaptiveOscillator`]), and it does not depend on a space: the
+//! degrees of freedom may be joints or coordinates. Learning from data is in `learning.rs`, the path of the weights
+//! in `path.rs`, the equations in `dmp/mod.rs`. As a function of the phase the system is linear and independent of
+//! the frequency: `y'' + alpha_z y' + alpha_z beta_z (y - g) = f`; this is integrated exactly.
 
 mod config;
 mod kernels;
@@ -24,7 +24,7 @@ pub use crate::dmp::Integrator;
 use crate::dmp::{CouplingLearner, Dmp, TimeScale, widest_euler_step};
 use crate::error::{LARGEST, MotionError, finite, frequency, positive, vector, within};
 
-/// What a step yields; the slices have one value a degree of freedom.
+/// The result of a step; the slices have one value per degree of freedom.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DmpState<'a> {
     /// Phase, rad, in `0..2 pi`.
@@ -40,8 +40,8 @@ pub struct DmpState<'a> {
 /// A periodic movement of n degrees of freedom on one phase.
 ///
 /// # Source
-/// Petrič et al. 2014, eqs. (4)-(13); the weights are per degree of freedom, P is common to all of them because
-/// (9) does not depend on the data.
+/// Petrič et al. 2014, eqs. (4)-(13). Each degree of freedom has its own weights; all share P because (9) does not
+/// depend on the data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "saved::Saved", into = "saved::Saved")]
 pub struct PeriodicDmp {
@@ -51,10 +51,10 @@ pub struct PeriodicDmp {
 }
 
 impl PeriodicDmp {
-    /// A primitive at rest in 0 that stands still: all weights 0, amplitude 1.
+    /// A primitive at rest at 0: all weights 0, amplitude 1.
     ///
     /// # Errors
-    /// [`MotionError::OutOfRange`] or [`MotionError::NotFinite`] names the constant that cannot be.
+    /// [`MotionError::OutOfRange`] or [`MotionError::NotFinite`] names the invalid constant.
     pub fn new(config: PeriodicDmpConfig) -> Result<Self, MotionError> {
         config.validate()?;
         let (n, k) = (config.dofs, config.kernels);
@@ -84,7 +84,7 @@ impl PeriodicDmp {
         &self.dmp.canonical
     }
 
-    /// The weights of degree of freedom `dof` (one a kernel), or nothing if there is no such degree.
+    /// The weights of degree of freedom `dof` (one per kernel), or `None` if there is no such degree.
     #[must_use]
     pub fn weights_of(&self, dof: usize) -> Option<&[f64]> {
         self.weights().chunks_exact(self.kernels().len()).nth(dof)
@@ -96,7 +96,7 @@ impl PeriodicDmp {
         self.dmp.weights()
     }
 
-    /// Replaces all weights; the state stays, so that the position does not jump.
+    /// Replaces all weights; the state is unchanged, so that the position does not jump.
     ///
     /// # Errors
     /// When the number of weights is not `dofs * kernels` or one of them is not finite.
@@ -104,7 +104,7 @@ impl PeriodicDmp {
         self.dmp.set_weights(0, "weights", weights)
     }
 
-    /// Centre of oscillation g, one a degree of freedom.
+    /// Centre of oscillation g, one per degree of freedom.
     #[must_use]
     pub fn centre(&self) -> &[f64] {
         &self.dmp.transformation.goal
@@ -140,7 +140,7 @@ impl PeriodicDmp {
         self.dmp.phase()
     }
 
-    /// Sets the phase, as an oscillator that leads this primitive does; the position does not jump.
+    /// Sets the phase, for a primitive that follows an oscillator; the position does not jump.
     ///
     /// # Errors
     /// When the phase is not finite.
@@ -170,7 +170,7 @@ impl PeriodicDmp {
         Ok(())
     }
 
-    /// Adds `c` (one a degree of freedom) to (4) for the next step only: the motion gives way and comes back.
+    /// Adds `c` (one per degree of freedom) to (4) for the next step only: the motion yields and returns.
     ///
     /// # Errors
     /// When sizes differ or a value is not finite.
@@ -183,9 +183,9 @@ impl PeriodicDmp {
         Ok(())
     }
 
-    /// Hands the coupling term `c` to the weights in the next step, at the phase of now: the motion keeps it.
-    /// P of (9) moves on in such a step too, so a coach that stays calls this in each step, with zeros where
-    /// his field ends.
+    /// Lets the weights learn the coupling term `c` in the next step, at the present phase: the motion keeps the
+    /// change. P of (9) is updated in such a step too. So a coach that stays present calls this in each step, with
+    /// zeros outside his field.
     ///
     /// # Errors
     /// When sizes differ or a value is not finite.
@@ -200,8 +200,8 @@ impl PeriodicDmp {
     /// Does not allocate.
     ///
     /// # Errors
-    /// When `dt` is not positive, `omega` is negative, the Euler step is too wide to be stable, or the result
-    /// would not be finite. State and weights are unchanged, and a coupling waits for the next step.
+    /// When `dt` is not positive, `omega` is negative, the Euler step is too large to be stable, or the result
+    /// would not be finite. State and weights are then unchanged, and a pending coupling waits for the next step.
     ///
     /// # Source
     /// Eqs. (4)-(7).
@@ -222,28 +222,28 @@ impl PeriodicDmp {
 }
 
 impl PeriodicDmp {
-    /// The weights, to be changed.
+    /// Mutable access to the weights.
     pub(crate) fn weights_mut(&mut self) -> &mut [f64] {
         self.dmp.weights_mut()
     }
 
-    /// The centre, to be changed.
+    /// Mutable access to the centre.
     pub(crate) fn centre_mut(&mut self) -> &mut [f64] {
         &mut self.dmp.transformation.goal
     }
 
-    /// Writes the forcing term (6) at any phase (rad) to `out`, one value a degree of freedom. Allocates.
+    /// Writes the forcing term (6) at any phase (rad) to `out`, one value per degree of freedom. Allocates.
     pub(crate) fn forcing_at(&self, phase: f64, out: &mut [f64]) {
         self.dmp.forcing_at(phase, out);
     }
 
-    /// Forgets what was learned: weights and P.
+    /// Resets weights and P.
     pub(crate) fn forget(&mut self) {
         self.weights_mut().fill(0.0);
         self.learner.forget();
     }
 
-    /// Takes over weights, centre and P of a primitive of the same size.
+    /// Copies weights, centre and P from a primitive of the same size.
     pub(crate) fn take_over(&mut self, other: &Self) {
         self.weights_mut().copy_from_slice(other.weights());
         self.centre_mut().copy_from_slice(other.centre());

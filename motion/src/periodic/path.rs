@@ -1,5 +1,5 @@
-//! The path that a set of weights stands for: the steady periodic solution of eqs. (4)-(7), without running
-//! the primitive and without its transient.
+//! The path that belongs to a set of weights: the steady periodic solution of eqs. (4)-(7), without running the
+//! primitive and without its transient.
 
 use std::f64::consts::TAU;
 
@@ -13,9 +13,9 @@ use crate::error::{MotionError, finite, within};
 /// One period of n degrees of freedom, sampled evenly in the phase: sample `s` is at `2 pi s / samples`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PeriodicPath {
-    /// Positions, one row of n values a sample.
+    /// Positions, one row of n values per sample.
     pub y: Vec<Vec<f64>>,
-    /// Derivatives after the phase (velocity / omega), unit / rad; one row a sample.
+    /// Derivatives with respect to the phase (velocity / omega), unit / rad; one row per sample.
     pub dy: Vec<Vec<f64>>,
 }
 
@@ -38,14 +38,14 @@ impl PeriodicPath {
         TAU * s as f64 / self.len().max(1) as f64
     }
 
-    /// The mean position, one value a degree of freedom.
+    /// The mean position, one value per degree of freedom.
     #[must_use]
     pub fn mean(&self) -> Vec<f64> {
         let n = self.y.first().map_or(0, Vec::len);
         (0..n).map(|d| self.y.iter().map(|y| y[d]).sum::<f64>() / self.len() as f64).collect()
     }
 
-    /// Half of peak to peak, one value a degree of freedom.
+    /// Half of peak to peak, one value per degree of freedom.
     #[must_use]
     pub fn half_range(&self) -> Vec<f64> {
         let n = self.y.first().map_or(0, Vec::len);
@@ -65,7 +65,8 @@ impl PeriodicDmp {
     /// [`MotionError::OutOfRange`] for another number of samples.
     pub fn steady_path(&self, samples: usize) -> Result<PeriodicPath, MotionError> {
         within("samples", samples as f64, 4.0, 100_000.0)?;
-        // Fine enough that the trapezoid rule on the forcing term is far below a micrometre on a metre.
+        // Fine enough that the error of the trapezoid rule on the forcing term is far below a micrometre on a
+        // metre.
         let fine = 800_usize.div_ceil(samples) * samples;
         let stride = fine / samples;
         let n = self.dofs();
@@ -84,7 +85,7 @@ impl PeriodicDmp {
         Ok(path)
     }
 
-    /// Puts the state onto the steady path at `phase` rad, for a motion of `omega` rad/s: no transient follows.
+    /// Sets the state to the steady path at `phase` rad, for a motion of `omega` rad/s: there is no transient.
     ///
     /// # Errors
     /// When the phase or `omega` is not finite.
@@ -96,7 +97,7 @@ impl PeriodicDmp {
         Ok(())
     }
 
-    /// Position and derivative after the phase on the steady path at `phase` rad.
+    /// Position and derivative with respect to the phase on the steady path at `phase` rad.
     #[must_use]
     pub fn steady_state(&self, phase: f64) -> (Vec<f64>, Vec<f64>) {
         let n = self.dofs();
@@ -133,7 +134,7 @@ impl PeriodicDmp {
         (y + rest, z)
     }
 
-    /// The state (relative to the centre) that comes back to itself after the period: `(I - A) x = b`.
+    /// The state (relative to the centre) that returns to itself after the period: `(I - A) x = b`.
     fn periodic_start(&self, forcing: &[f64], n: usize, d: usize) -> (f64, f64) {
         let fine = forcing.len() / n - 1;
         let (mut y, mut z) = (0.0, 0.0);
@@ -151,9 +152,8 @@ impl PeriodicDmp {
     }
 }
 
-/// How the steady path answers to the weights: `y(phase) - g = r sum_i R(phase - c_i) w_i`, the same curve for
-/// every kernel, tabulated once. Reading it does not allocate, so a coach can ask in every step where the path
-/// will be.
+/// The response of the steady path to the weights: `y(phase) - g = r sum_i R(phase - c_i) w_i`, with the same curve
+/// for every kernel, tabulated once. Reading does not allocate, so a coach can use it in every step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PathResponse {
     samples: usize,
@@ -176,7 +176,7 @@ impl PathResponse {
         let mut table = vec![0.0; samples * kernels];
         for s in 0..samples {
             for i in 0..kernels {
-                // Kernel i is kernel 0 shifted by 8 samples a kernel.
+                // Kernel i is kernel 0 shifted by 8 i samples.
                 table[s * kernels + i] = path.y[(s + samples - 8 * i) % samples][0];
             }
         }
@@ -195,7 +195,7 @@ impl PathResponse {
         TAU * s as f64 / self.samples as f64
     }
 
-    /// What `weights` (one a kernel) make of the path at table row `s`, for amplitude 1 and centre 0.
+    /// The path at table row `s` for `weights` (one per kernel), amplitude 1 and centre 0.
     #[must_use]
     pub fn at_row(&self, s: usize, weights: &[f64]) -> f64 {
         let s = s % self.samples;
@@ -203,7 +203,7 @@ impl PathResponse {
         row.iter().zip(weights).map(|(r, w)| r * w).sum()
     }
 
-    /// The table row next to `phase` rad.
+    /// The table row nearest to `phase` rad.
     #[must_use]
     pub fn row(&self, phase: f64) -> usize {
         let turns = (phase / TAU).rem_euclid(1.0);

@@ -1,11 +1,11 @@
-//! What is saved of a periodic primitive, and its checks when it is read back.
+//! The file format of a periodic primitive, and the checks when it is read.
 
 use serde::{Deserialize, Serialize};
 
 use super::{PeriodicDmp, PeriodicDmpConfig};
 use crate::error::MotionError;
 
-/// The saved form: everything that makes the motion, not the instant that it was saved in.
+/// The saved form: everything that defines the motion, without its present state.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Saved {

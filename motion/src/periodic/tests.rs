@@ -1,10 +1,10 @@
-//! Learning, integration, modulation and what is refused.
+//! Learning, integration, modulation and refused input.
 
 use super::*;
 use crate::PhaseSample;
 use proptest::prelude::*;
 
-/// y = 0.2 + sin p + 0.3 cos 2p and its derivatives after the phase.
+/// y = 0.2 + sin p + 0.3 cos 2p and its derivatives with respect to the phase.
 fn wave(p: f64) -> [f64; 3] {
     let (s, c) = p.sin_cos();
     let (s2, c2) = (2.0 * p).sin_cos();
@@ -30,7 +30,7 @@ fn batch_learning_meets_the_wave() {
     assert!((dmp.centre()[0] - 0.2).abs() < 1e-12);
     let path = dmp.steady_path(100).unwrap();
     let error = (0..100).map(|s| (path.y[s][0] - wave(path.phase(s))[0]).abs()).fold(0.0, f64::max);
-    // What 25 kernels cannot express of an amplitude of 1.3.
+    // The part that 25 kernels cannot express, for an amplitude of 1.3.
     assert!(error < 5e-4, "{error}");
 }
 
@@ -49,7 +49,7 @@ fn online_learning_meets_the_wave_at_any_sample_time() {
             let path = dmp.steady_path(100).unwrap();
             let error =
                 (0..100).map(|s| (path.y[s][0] - wave(path.phase(s))[0]).powi(2)).sum::<f64>().sqrt() / 10.0;
-            // The local regression smooths: some percent of the second harmonic are lost.
+            // The local regression smooths: a few percent of the second harmonic are lost.
             assert!(error < 0.04, "{dt} {omega}: {error}");
             dmp.sharpen();
             let path = dmp.steady_path(100).unwrap();

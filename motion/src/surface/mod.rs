@@ -1,13 +1,13 @@
 //! Force adaptation: learns, as a function of the phase, the motion along a surface normal that keeps a desired
-//! force, on a surface that nobody described (after Gams et al., "Coupling movement primitives", T-RO 2014).
+//! force, on an unknown surface (after Gams et al., "Coupling movement primitives", T-RO 2014).
 //!
-//! Feedback and learning work side by side. The feedback integrates the force error. What is learned is what the
-//! feedback would have to do without delay: error and feedback together are exactly what the learned motion lacks, so
-//! each cycle takes away the same share of it at every frequency. The force that is measured now belongs to the
-//! phase of some milliseconds ago and is credited there. How stiff the contact is, is found from one cycle to the next
-//! at equal phases, where the surface is the same and only the motion has changed.
+//! Feedback and learning work in parallel. The feedback integrates the force error. Learning adds what the feedback
+//! would do without delay: error and feedback together are exactly what the learned motion lacks, so each cycle
+//! removes the same share of it at every frequency. The present force belongs to the phase of some milliseconds
+//! ago, and is assigned to that phase. The contact stiffness is estimated from one cycle to the next at equal
+//! phases, where the surface is the same and only the motion has changed.
 //!
-//! It moves nothing and knows no pose: force in, offset out. Getting into contact is [`crate::Touchdown`]'s.
+//! Input is a force, output an offset; it knows no pose and moves nothing. [`crate::Touchdown`] makes the contact.
 
 use std::f64::consts::TAU;
 
@@ -24,20 +24,21 @@ pub struct SurfaceConfig {
     pub force: f64,
     /// Kernels over the phase.
     pub kernels: usize,
-    /// First guess of the contact stiffness, N/m; too high is slow, too low by more than 3 may oscillate.
+    /// First guess of the contact stiffness, N/m. Too high slows learning down; too low by more than a factor of 3
+    /// may oscillate.
     pub stiffness: f64,
-    /// Whether the stiffness is found from one cycle to the next. It needs a motion along the surface that does not
-    /// change: where somebody changes it, other places of the surface look like a contact without stiffness.
+    /// Whether the stiffness is estimated from one cycle to the next. This needs an unchanged motion along the
+    /// surface: if it is changed, other places of the surface look like a contact without stiffness.
     pub identify: bool,
     /// Bandwidth of the feedback, rad/s.
     pub bandwidth: f64,
     /// Time from a command to its effect in the measured force, s.
     pub delay: f64,
-    /// Share of what is missing that each cycle adds to the learned motion, 0 to 1.
+    /// Share of the missing correction that each cycle adds to the learned motion, 0 to 1.
     pub learning: f64,
-    /// The fastest that the offset moves, m/s.
+    /// Largest speed of the offset, m/s.
     pub max_speed: f64,
-    /// The farthest that feedback and learned motion may lead, m.
+    /// Largest offset by feedback and learned motion, m.
     pub max_offset: f64,
     /// Outward surface normal in the motion's frame, any length.
     pub normal: [f64; 3],
@@ -77,7 +78,7 @@ impl SurfaceConfig {
     }
 }
 
-/// What to add to the motion now.
+/// The correction to add to the motion now.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct SurfaceCommand {
     /// Offset along the outward normal, m: negative presses harder.
@@ -105,14 +106,14 @@ pub struct SurfaceAdaptation {
     cycles: u32,
 }
 
-/// Cycles whose error is remembered.
+/// Number of cycles whose error is kept.
 const REMEMBERED: usize = 256;
 
 impl SurfaceAdaptation {
-    /// Starts with nothing learned, at offset 0: where the hand touches the surface.
+    /// Starts without a learned correction, at offset 0: the height at which the hand touches the surface.
     ///
     /// # Errors
-    /// When a constant cannot be.
+    /// When a constant is invalid.
     pub fn new(config: SurfaceConfig) -> Result<Self, MotionError> {
         config.validate()?;
         let width = 2.5 * config.kernels as f64;
@@ -120,11 +121,11 @@ impl SurfaceAdaptation {
         Self::resume(config, correction, 0.0)
     }
 
-    /// Starts from a correction that was learned before, at its offset for `phase` rad; its kernels and normal replace
-    /// those of `config`.
+    /// Starts from a stored correction, at its offset for `phase` rad; its kernels and normal replace those of
+    /// `config`.
     ///
     /// # Errors
-    /// When a constant cannot be or the phase is not finite.
+    /// When a constant is invalid or the phase is not finite.
     pub fn resume(
         config: SurfaceConfig,
         correction: SurfaceCorrection,
@@ -150,8 +151,8 @@ impl SurfaceAdaptation {
         })
     }
 
-    /// `dt` s later, at `phase` rad of a motion of `omega` rad/s, with the measured normal force `force` (N, pressing
-    /// is positive): the offset to command. Does not allocate.
+    /// Advances by `dt` s, at `phase` rad of a motion of `omega` rad/s, with the measured normal force `force` (N,
+    /// pressing is positive). Returns the offset to command. Does not allocate.
     ///
     /// # Errors
     /// When `dt` is not positive, `omega` negative or a value not finite; nothing is changed.
@@ -174,7 +175,7 @@ impl SurfaceAdaptation {
             self.learn(credited, omega * dt, error);
         }
         if self.feedback_on {
-            // Bounded, so that a lost contact is not searched for faster than it may be hit.
+            // Bounded, so that after a lost contact the surface is not approached faster than it may be touched.
             let limit = 0.3 * self.config.max_speed;
             let rate = (self.config.bandwidth * error / self.stiffness).clamp(-limit, limit);
             let bound = self.config.max_offset;
@@ -185,14 +186,14 @@ impl SurfaceAdaptation {
         Ok(command)
     }
 
-    /// Credits the kernels of the phase that the force belongs to with what the learned motion lacks there.
+    /// Updates the kernels of the phase that the force belongs to with what the learned motion lacks there.
     fn learn(&mut self, credited: f64, advance: f64, error: f64) {
         let kernels = self.correction.kernels();
         kernels.evaluate(credited, &mut self.psi);
         let missing = error / self.stiffness + self.past.at(self.config.delay);
         let scale = self.config.learning * advance / (TAU * kernels.mean());
         let bound = self.config.max_offset;
-        // A single blow must not teach more than the speed limit could follow.
+        // A single hit must not change the motion by more than the speed limit could follow.
         let missing = missing.clamp(-0.25 * bound, 0.25 * bound);
         for (w, psi) in self.correction.weights.iter_mut().zip(&self.psi) {
             *w = (*w + (scale * psi).min(1.0) * missing).clamp(-bound, bound);
@@ -226,37 +227,38 @@ impl SurfaceAdaptation {
         }
     }
 
-    /// Root mean square force error of each whole cycle so far, N, the newest last (256 at most).
+    /// RMS force error of each whole cycle so far, N, the newest last (256 at most).
     #[must_use]
     pub fn rms(&self) -> &[f64] {
         &self.rms
     }
 
-    /// Whole cycles so far.
+    /// Number of whole cycles so far.
     #[must_use]
     pub fn cycles(&self) -> u32 {
         self.cycles
     }
 
-    /// Whether the force error of the last two cycles was within `tolerance` N (root mean square, noise included).
+    /// Whether the RMS force error of the last two cycles was within `tolerance` N (noise included).
     #[must_use]
     pub fn settled(&self, tolerance: f64) -> bool {
         self.rms.len() >= 2 && self.rms.iter().rev().take(2).all(|rms| *rms <= tolerance)
     }
 
-    /// The stiffness that the contact has by what was seen, N/m.
+    /// The estimated contact stiffness, N/m.
     #[must_use]
     pub fn stiffness(&self) -> f64 {
         self.stiffness
     }
 
-    /// By which factor the motion should go slower while the force is far off, 0.4 to 1.
+    /// Factor by which the motion should slow down while the force error is large, 0.4 to 1.
     #[must_use]
     pub fn pace(&self) -> f64 {
         (1.3 - self.smooth_error.abs() / self.config.force).clamp(0.4, 1.0)
     }
 
-    /// Turns the feedback on or off; what it has added so far goes into the learned motion, so that nothing jumps.
+    /// Turns the feedback on or off. Its present sum is moved to the learned motion, so that the offset does not
+    /// jump.
     pub fn set_feedback(&mut self, on: bool) {
         if !on {
             for w in &mut self.correction.weights {
@@ -273,14 +275,14 @@ impl SurfaceAdaptation {
         self.learning_on = on;
     }
 
-    /// What was learned so far.
+    /// The correction learned so far.
     #[must_use]
     pub fn correction(&self) -> &SurfaceCorrection {
         &self.correction
     }
 }
 
-/// The feedback of the last moments, so that it can be read as of the delay ago.
+/// The recent feedback, so that its value one delay ago can be read.
 #[derive(Debug, Clone)]
 struct Past {
     values: [f64; 128],
@@ -311,7 +313,7 @@ impl Past {
     }
 }
 
-/// Sums over the running cycle.
+/// Sums over the current cycle.
 #[derive(Debug, Clone, Copy, Default)]
 struct Cycle {
     turned: f64,
@@ -327,10 +329,10 @@ impl Cycle {
     }
 }
 
-/// Root mean square change of the offset from one cycle to the next under which nothing is read from it, m; or 3 % of
-/// how far the contact gives way, if that is more.
+/// Least RMS change of the offset from one cycle to the next from which the stiffness is estimated, m; or 3 % of
+/// the deflection of the contact, if that is more.
 const SMALLEST_CHANGE: f64 = 1e-4;
-/// Places over the phase at which two cycles are compared.
+/// Number of phases at which two cycles are compared.
 const BINS: usize = 48;
 
 /// Force and offset over the phase, of this cycle and the last one.
@@ -369,7 +371,8 @@ impl StiffnessEstimate {
         let mean = |sum: &[[f64; BINS]; 2], count: &[[f64; BINS]; 2], cycle: usize, bin: usize| {
             (count[cycle][bin] > 0.0).then(|| sum[cycle][bin] / count[cycle][bin])
         };
-        // The old estimate counts like 48 differences of 0.1 mm, against noise when nothing changes any more.
+        // The old estimate has the weight of 48 differences of 0.1 mm, against noise when the motion no longer
+        // changes.
         let prior = BINS as f64 * 1e-8;
         let (mut products, mut squares) = (0.0, 0.0);
         for bin in 0..BINS {
@@ -387,7 +390,8 @@ impl StiffnessEstimate {
             sums[1] = sums[0];
             sums[0] = [0.0; BINS];
         }
-        // What has hardly moved has moved with the noise of the force itself, which looks like no stiffness at all.
+        // A very small change is caused by the noise of the force itself, which looks like a contact without
+        // stiffness.
         let smallest = SMALLEST_CHANGE.max(0.03 * force / old);
         if squares < BINS as f64 * smallest * smallest {
             return old;

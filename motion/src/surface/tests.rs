@@ -51,7 +51,7 @@ fn run_from(bench: &Bench, mut adaptation: SurfaceAdaptation, cycles: u32) -> (R
     let (mut off, mut off_count, mut worst_late, mut fastest) = (0.0, 0.0, 0.0_f64, 0.0_f64);
     let mut k = 0;
     while adaptation.cycles() < cycles + 4 {
-        // The hand follows what was commanded some time ago, with a lag, along the surface as well.
+        // The hand follows the command of some time ago, with a lag, along the surface as well.
         let (old_offset, old_phase) = commands[k % (dead + 1)];
         let share = 1.0 - (-bench.dt / bench.lag).exp();
         z += share * (bench.start + old_offset - z);

@@ -1,32 +1,32 @@
-//! The guard's bounds on velocities: of the joints, of the TCPs, and of how fast velocities change.
+//! The guard's bounds on the velocities of joints and TCPs, and on the acceleration of joints.
 //!
-//! Limbs that one holder commands, or that move one TCP at the same time, form a motion: all its joints are scaled by one
-//! factor, so that every TCP keeps its direction, whichever joints move it. Pure; it decides no command.
+//! Limbs with one holder, or that move the same TCP at the same time, form a motion. All its joints are scaled by
+//! one factor, so that every TCP keeps its direction, whichever joints move it. Pure; it only limits commands.
 
 use nalgebra::Point3;
 
 use crate::seam::lease::LeaseTable;
 use crate::{Kinematics, LinkId, Model};
 
-/// A TCP and what moves it.
+/// A TCP and the limbs that move it.
 #[derive(Debug)]
 struct Tcp {
     link: LinkId,
-    /// The limbs of which a joint moves it, by their place in the lease table.
+    /// The limbs with a joint that moves it, as indices into the lease table.
     carriers: Vec<usize>,
     /// Its bound in this step, m/s.
     limit: f64,
 }
 
-/// Which limbs are scaled together, and by how much.
+/// Which limbs are scaled together, and by which factor.
 #[derive(Debug)]
 pub(crate) struct VelocityBounds {
     /// The joints of each limb, in the lease table's order.
     limbs: Vec<Vec<usize>>,
     tcps: Vec<Tcp>,
-    /// Who commands each limb in this step: leases of one holder have one number.
+    /// The holder number of each limb in this step; leases of one holder have the same number.
     holders: Vec<Option<u64>>,
-    /// The motion that each limb belongs to in this step: limbs of equal numbers are scaled together.
+    /// The motion of each limb in this step; limbs with the same number are scaled together.
     motions: Vec<usize>,
     /// The factor of each limb.
     factors: Vec<f64>,
@@ -50,7 +50,7 @@ impl VelocityBounds {
         }
     }
 
-    /// Reads who commands what, and the bounds of the leases; `speed_m_s` bounds every TCP.
+    /// Reads the holders and the limits of the leases; `speed_m_s` limits every TCP.
     pub(crate) fn read(&mut self, table: &LeaseTable, speed_m_s: f64) {
         for (holder, slot) in self.holders.iter_mut().zip(&table.slots) {
             *holder = slot.sound().map(|held| held.holder_number);
@@ -80,8 +80,8 @@ impl VelocityBounds {
         self.scale(desired);
     }
 
-    /// Moves `velocity` towards `desired` for `dt` s within the joints' accelerations: each motion along a straight line in
-    /// the space of its joints, so that a TCP that is within its bound at both ends is so between them.
+    /// Moves `velocity` towards `desired` for `dt` s within the joints' accelerations. Each motion follows a
+    /// straight line in joint space, so that a TCP that is within its bound at both ends is so in between.
     pub(crate) fn accelerate(&mut self, model: &Model, desired: &[f64], velocity: &mut [f64], dt: f64) {
         let joints = model.joints();
         for (factor, limb) in self.factors.iter_mut().zip(&self.limbs) {
@@ -96,7 +96,7 @@ impl VelocityBounds {
         }
     }
 
-    /// Limbs form one motion when one holder commands them and each carries a TCP, or when they move one TCP.
+    /// Limbs form one motion if they have the same holder and each moves a TCP, or if they move the same TCP.
     fn find_motions(&mut self, desired: &[f64]) {
         let Self { limbs, tcps, holders, motions, .. } = self;
         let moving = |i: usize| limbs[i].iter().any(|&j| desired[j] != 0.0);
@@ -120,13 +120,13 @@ impl VelocityBounds {
         }
     }
 
-    /// Gives all limbs of a motion the least of their factors.
+    /// Sets the factor of all limbs of a motion to their smallest one.
     fn share_factors(&mut self) {
         for i in 0..self.factors.len() {
             let mine = self.motions[i];
             let same = self.motions.iter().zip(&self.factors).filter(|(motion, _)| **motion == mine);
             let shared = least(same.map(|(_, factor)| *factor));
-            // Every limb of the motion finds the same least value, before and after this one was set to it.
+            // Every limb of the motion finds the same minimum, whether or not this factor was set already.
             self.factors[i] = shared;
         }
     }
@@ -139,7 +139,7 @@ impl VelocityBounds {
     }
 }
 
-/// The share of `value` that is within `limit`.
+/// The factor that brings `value` within `limit`.
 fn scale_to(limit: f64, value: f64) -> f64 {
     if value > limit { limit / value } else { 1.0 }
 }

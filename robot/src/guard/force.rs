@@ -1,6 +1,6 @@
-//! The guard's part that feels: one wrist sensor, its faults, and how the arm gives way to a force.
+//! The guard's force handling: one wrist sensor, its faults, and how the arm yields to a force.
 //!
-//! It decides; [`Guard`](crate::Guard) moves. The compensation itself is in `wrist.rs`.
+//! It computes velocities; [`Guard`](crate::Guard) applies them. The compensation itself is in `wrist.rs`.
 
 use nalgebra::{Matrix6, Point3, Vector3, Vector6};
 
@@ -10,23 +10,23 @@ use crate::seam::lease::LeaseTable;
 use crate::wrist::WristEstimator;
 use crate::{Fault, Jacobian, Kinematics, Model, Wrist};
 
-/// Once over its limit, the arm gives way until the force is under this share of it.
+/// Once over its limit, the arm yields until the force is less than this share of it.
 const YIELD_UNTIL: f64 = 0.8;
-/// Damping of the motion with which the arm gives way.
+/// Damping of the yielding motion's least squares.
 const YIELD_DAMPING: f64 = 0.05;
 
-/// The wrist sensor of one limb and what the guard knows of it.
+/// The wrist sensor of one limb and its status.
 #[derive(Debug)]
 pub(super) struct Sensor {
     pub(super) limb: Limb,
-    /// Which limbs move the hand, by their place on the table.
+    /// The limbs that move the hand, as indices into the lease table.
     carriers: Vec<usize>,
     pub(super) estimator: WristEstimator,
     raw: Option<(Vector3<f64>, Vector3<f64>)>,
     pub(super) changed_ns: u64,
     pub(super) frozen: bool,
     pub(super) wrist: Wrist,
-    /// While giving way: the limit that was exceeded and the largest force, N.
+    /// While yielding: the limit that was exceeded and the largest force, N.
     pub(super) yielding: Option<(f64, f64)>,
     jacobian: Jacobian,
 }
@@ -50,7 +50,7 @@ impl Sensor {
         })
     }
 
-    /// Takes a raw sample; one that is not finite is none.
+    /// Processes a raw sample; a sample that is not finite is ignored.
     pub(super) fn sense(&mut self, kinematics: &Kinematics, sample: &Sample, stamp_ns: u64, dt: f64) {
         let raw = (sample.force_raw, sample.torque_raw);
         if !raw.0.iter().chain(&raw.1).all(|v| v.is_finite()) {
@@ -82,13 +82,13 @@ impl Sensor {
         }
     }
 
-    /// The tightest limit of those who move the hand, N.
+    /// The smallest force limit of the leases that move the hand, N.
     fn limit(&self, table: &LeaseTable, config: &GuardConfig) -> f64 {
         let of = |&i: &usize| table.slots[i].held.as_ref().and_then(|held| held.limits.force_n);
         self.carriers.iter().filter_map(of).fold(config.force_n, f64::min).max(0.0)
     }
 
-    /// Faults every lease that moves the hand; a force fault keeps the largest force.
+    /// Sets the fault of every lease that moves the hand; a force fault keeps the largest force.
     fn fail(&self, table: &mut LeaseTable, fault: &Fault) {
         for &i in &self.carriers {
             table.slots[i].fail(fault);

@@ -1,10 +1,11 @@
-//! The guard: stands between leases and the joints' drives. Pure and stepped; it has no clock, no task, no physics.
+//! The guard: the safety layer between leases and the joints' drives. Pure and stepped; it has no clock, task or
+//! physics.
 //!
-//! Whoever drives the joints calls [`Guard::step`] with each sample (1 kHz) and applies the [`JointTargets`]. One step:
-//! compensate the wrist and publish the sample; find faults; take the newest command of each limb, or 0; scale what moves a
-//! TCP together to the TCP and joint speed limits, keeping its direction, and bound its change by the acceleration limits
-//! (`bounds.rs`); stop each joint softly before its limits; integrate to a setpoint that stays near the measured position.
-//! Over the force limit the arm gives way.
+//! The driver of the joints calls [`Guard::step`] with each sample (1 kHz) and applies the [`JointTargets`]. One
+//! step does the following. It compensates the wrist and publishes the sample. It detects faults. It takes the
+//! newest command of each limb, or 0. It scales joints that move a TCP together to the TCP and joint speed limits,
+//! keeping the direction, and limits the acceleration (`bounds.rs`). It stops each joint softly before its limits.
+//! It integrates to a setpoint that stays near the measured position. Above the force limit the arm yields.
 
 mod bounds;
 mod force;
@@ -24,7 +25,7 @@ use crate::{Fault, GuardedRobot, JointKind, Kinematics, Model, Sensed, Wrist};
 /// The guard's own limits; leases can only tighten them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GuardConfig {
-    /// Longest time without a fresh command of a limb that moves.
+    /// Longest time without a new command for a moving limb.
     pub watchdog: Duration,
     /// Largest compensated wrist force, N.
     pub force_n: f64,
@@ -32,15 +33,16 @@ pub struct GuardConfig {
     pub speed_m_s: f64,
     /// How long the raw wrist sample may stay bit-identical.
     pub frozen: Duration,
-    /// How far a turning joint's setpoint may be from its measured position, rad: bounds the torque in contact.
+    /// Largest distance of a revolute joint's setpoint from its measured position, rad: limits the torque in
+    /// contact.
     pub window_rad: f64,
-    /// The same for a sliding joint, m: with the drive's stiffness, this is the grip's force.
+    /// The same for a prismatic joint, m: with the drive's stiffness, this determines the grip's force.
     pub window_m: f64,
-    /// Distance from its limits at which a turning joint stops, rad.
+    /// Distance from its limits at which a revolute joint stops, rad.
     pub margin_rad: f64,
-    /// How fast the arm gives way for each newton over what it yields to, m/s/N.
+    /// Yielding speed per newton of force above the threshold, m/s/N.
     pub yield_gain: f64,
-    /// How fast it gives way at most, m/s.
+    /// Largest yielding speed, m/s.
     pub yield_speed_m_s: f64,
 }
 
@@ -60,10 +62,10 @@ impl Default for GuardConfig {
     }
 }
 
-/// Longest step that is integrated, s: a driver that paused does not leap.
+/// Longest step that is integrated, s, so that the setpoints do not jump after a pause of the driver.
 const LONGEST_STEP_S: f64 = 0.02;
 
-/// What the joints and the wrist sensor report at one instant, raw.
+/// A raw sample of the joints and the wrist sensor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sample {
     /// Joint positions in the model's order, rad (m).
@@ -90,7 +92,7 @@ impl Sample {
     }
 }
 
-/// What the joints' drives have to follow, in the model's order.
+/// The targets of the joints' drives, in the model's order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JointTargets {
     /// Positions, rad (m).
@@ -99,7 +101,7 @@ pub struct JointTargets {
     pub velocity: Vec<f64>,
 }
 
-/// Stands between leases and the joints.
+/// The guard of one robot; see the module.
 #[derive(Debug)]
 pub struct Guard {
     shared: Arc<Shared>,
@@ -114,9 +116,9 @@ pub struct Guard {
 }
 
 impl Guard {
-    /// A guard and the robot behind it. The joints hold where the first sample finds them.
+    /// A guard and the robot that it protects. The joints hold the position of the first sample.
     ///
-    /// The first limb (by name) that has both a sensor and a TCP is the one whose wrist is sensed.
+    /// The compensated wrist is that of the first limb (by name) that has both a sensor and a TCP.
     #[must_use]
     pub fn new(model: Arc<Model>, config: GuardConfig) -> (Self, Arc<GuardedRobot>) {
         let shared = Arc::new(Shared::new(&model));
@@ -142,15 +144,16 @@ impl Guard {
         &self.targets
     }
 
-    /// What was said through the robot's loudspeaker since the last call, oldest first.
+    /// The robot's utterances since the last call, oldest first.
     pub fn take_utterances(&mut self) -> Vec<String> {
         self.shared.take_utterances()
     }
 
-    /// Takes a sample at `stamp_ns` since the robot's start, publishes it, and says what the drives have to follow.
+    /// Processes a sample taken at `stamp_ns` since the robot's start, publishes it, and returns the targets of the
+    /// drives.
     ///
-    /// A sample that is not finite or of the wrong length is not believed: the one before stands in for it, and a wrist
-    /// that goes on so counts as frozen. Allocates the published sample only.
+    /// A sample that is not finite or of the wrong length is replaced by the previous one; if this continues, the
+    /// wrist sensor counts as frozen. Allocates only the published sample.
     pub fn step(&mut self, stamp_ns: u64, sample: &Sample) -> &JointTargets {
         let dt = self.accept(stamp_ns, sample);
         let shared = Arc::clone(&self.shared);
@@ -217,7 +220,7 @@ impl Guard {
         }
     }
 
-    /// The desired velocities: each limb's newest command; 0 for limbs without a sound lease.
+    /// The desired velocities: each limb's newest command, or 0 for limbs without a lease that is free of faults.
     fn take_commands(&mut self, table: &LeaseTable) {
         self.desired.fill(0.0);
         for slot in &table.slots {
@@ -229,14 +232,14 @@ impl Guard {
         self.bounds.read(table, self.config.speed_m_s);
     }
 
-    /// Moves the arm along the force while it is over the limit.
+    /// Moves the arm along the force while the force is over the limit.
     fn give_way(&mut self) {
         let Some(sensor) = &mut self.sensor else { return };
         let Some((limit, _)) = sensor.yielding else { return };
         sensor.yield_into(&self.kinematics, &self.config, limit, &mut self.desired);
     }
 
-    /// Integrates the velocities, each joint stopping before its limits and staying near where it is measured.
+    /// Integrates the velocities. Each joint stops before its limits and stays near its measured position.
     fn integrate(&mut self, dt: f64) {
         let Self { config, measured, targets, shared, .. } = self;
         for (j, joint) in shared.model.joints().iter().enumerate() {
@@ -251,7 +254,8 @@ impl Guard {
             let wanted = *position + *velocity * dt;
             *position = wanted.clamp(measured.position[j] - window, measured.position[j] + window);
             if (wanted - *position) * *velocity > 0.0 {
-                // The joint does not follow: slow down as if braking, so that it starts gently when it is free.
+                // The joint does not follow: reduce its velocity as if braking, so that it starts gently when it is
+                // free again.
                 let loss = (2.0 * joint.acceleration * dt).min(velocity.abs());
                 *velocity -= loss.copysign(*velocity);
             }
@@ -271,7 +275,7 @@ impl Guard {
     }
 }
 
-/// The largest speed from which a joint, one step of it later, can still brake within `distance`.
+/// The largest speed from which a joint can brake within `distance` after one more step at that speed.
 fn stopping_speed(distance: f64, acceleration: f64, dt: f64) -> f64 {
     acceleration * ((dt * dt + 2.0 * distance.max(0.0) / acceleration).sqrt() - dt)
 }

@@ -1,4 +1,4 @@
-//! The guard over servo joints, stepped without a clock: limits, faults, forces.
+//! The guard with servo joints, stepped without a clock: limits, faults, forces.
 
 use std::sync::Arc;
 
@@ -34,7 +34,7 @@ impl Rig {
         self.robot.lease(limb, "test", LeaseLimits::default()).unwrap()
     }
 
-    /// Steps `ms` times; `push` says the force at the TCP.
+    /// Steps `ms` times; `push` returns the force at the TCP.
     fn run(&mut self, ms: u64, mut push: impl FnMut(Point3<f64>) -> Vector3<f64>) {
         let tcp = self.model.link("tcp_right").unwrap();
         for _ in 0..ms {
@@ -44,7 +44,7 @@ impl Rig {
             let before = self.joints.clone();
             self.joints.step(&targets, &push(at), 1e-3);
             if self.frozen {
-                // The joints go on; the wrench repeats itself.
+                // The joints continue; the wrench is repeated.
                 self.joints.repeat_wrench(&before);
             }
         }
@@ -108,7 +108,7 @@ fn accelerations_and_speeds_stay_within_the_limits() {
     }
 }
 
-/// Speed of a TCP, m/s, at which the guard's targets move it.
+/// Speed of a TCP that the guard's targets command, m/s.
 fn target_speed(rig: &Rig, tcp: &str) -> f64 {
     let tcp = rig.model.link(tcp).unwrap();
     rig.joints.kinematics().twist(tcp, &Point3::origin(), &rig.guard.targets().velocity).linear.norm()
@@ -120,7 +120,7 @@ fn arm_and_torso_of_one_holder_are_scaled_together() {
     let limits = LeaseLimits { speed_m_s: Some(0.1), ..LeaseLimits::default() };
     let torso = rig.robot.lease("torso", "test", limits).unwrap();
     let arm = rig.robot.lease("right_arm", "test", limits).unwrap();
-    // Each joint away from its nearer limit, so that none has to stop.
+    // Each joint moves away from its nearer limit, so that none has to stop.
     let away = |limb: &str| -> Vec<f64> {
         let speed = |(i, &j): (usize, &usize)| {
             let (joint, q) = (&rig.model.joints()[j], rig.joints.sample().position[j]);
@@ -134,7 +134,7 @@ fn arm_and_torso_of_one_holder_are_scaled_together() {
         arm.command(&commands[1]).unwrap();
         rig.run(1, |_| Vector3::zeros());
         let speed = target_speed(&rig, "tcp_right");
-        // The targets are one step of motion ahead of the joints that the bound was computed with.
+        // The targets are one step ahead of the joint positions for which the bound was computed.
         assert!(speed < 0.1 * 1.03, "{speed} m/s after {k} ms");
     }
     let speed = target_speed(&rig, "tcp_right");
@@ -221,7 +221,7 @@ fn the_wrist_reads_a_push_and_no_motion_of_its_own() {
         rig.run(1, |_| Vector3::zeros());
         most = most.max(rig.wrist().force.norm());
     }
-    // The hand of 1 kg accelerates by up to 8 m/s².
+    // The hand of 1 kg accelerates at up to 8 m/s².
     assert!(most < 0.5, "its own motion reads as {most} N");
 }
 

@@ -1,6 +1,7 @@
-//! Leases: who commands which limb, the newest command of each, and why a commander lost its limb.
+//! Leases: which holder commands which limb, the newest command of each, and faults.
 //!
-//! This file holds what skills and the guard share; it moves nothing. The guard reads it once a control step.
+//! This file holds the data that skills and the guard share; it does not move the robot. The guard reads it once
+//! per control step.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -13,24 +14,24 @@ use super::robot::Robot;
 use crate::model::Limb;
 use crate::{Fault, LeaseError, LeaseLimits, Model, Sensed, Wrist, newest};
 
-/// Utterances kept until the driver takes them; older ones are dropped.
+/// Number of utterances kept until the driver takes them; older ones are dropped.
 const UTTERANCES: usize = 64;
 
-/// How a lease reaches its robot: in this process or over a network. Dropping it releases the limb.
+/// Carries a lease's commands to its robot: in this process or over a network. Dropping it releases the limb.
 pub trait Commander: Send + Sync + fmt::Debug {
     /// Sets the joint velocities, rad/s (m/s), in the limb's order.
     ///
     /// # Errors
-    /// The [`Fault`] for which the limb was taken away.
+    /// The [`Fault`] for which the limb was taken from its commander.
     fn command(&self, velocities: &[f64]) -> Result<(), Fault>;
-    /// Why the limb was taken away, if it was.
+    /// The fault for which the limb was taken from its commander, if any.
     fn fault(&self) -> Option<Fault>;
 }
 
 /// The exclusive right to command one limb. Dropping it brakes the limb and releases it.
 ///
-/// The first command starts the watchdog: from then on the limb wants a command at least every 30 ms, unless the last
-/// one was zero everywhere: a limb at rest needs no commands.
+/// The first command starts the watchdog: from then on the limb needs a command at least every 30 ms, unless all
+/// velocities of the last one were zero. A limb at rest needs no commands.
 #[derive(Debug)]
 #[must_use = "dropping a lease brakes the limb and releases it"]
 pub struct Lease(Box<dyn Commander>);
@@ -41,34 +42,35 @@ impl Lease {
         Self(Box::new(commander))
     }
 
-    /// Sets the limb's joint velocities, rad/s (m/s), in limb order; they hold until the next command.
+    /// Sets the limb's joint velocities, rad/s (m/s), in limb order; they apply until the next command.
     ///
     /// # Errors
-    /// The [`Fault`] for which the limb was taken away; a command that is not finite or has the wrong length is such
-    /// a fault. After it, every further command fails with the same fault and the limb stands.
+    /// The [`Fault`] for which the limb was taken from its commander. A command that is not finite or has the wrong
+    /// length is such a fault. After a fault, every further command fails with the same fault and the limb stands
+    /// still.
     pub fn command(&self, velocities: &[f64]) -> Result<(), Fault> {
         self.0.command(velocities)
     }
 
-    /// Why the limb was taken away, if it was.
+    /// The fault for which the limb was taken from its commander, if any.
     #[must_use]
     pub fn fault(&self) -> Option<Fault> {
         self.0.fault()
     }
 }
 
-/// Who holds a limb, and the newest command.
+/// The holder of a limb, and the newest command.
 #[derive(Debug)]
 pub(crate) struct Held {
     id: u64,
     holder: String,
-    /// Leases of one holder have one number.
+    /// Leases of one holder have the same number.
     pub(crate) holder_number: u64,
     pub(crate) limits: LeaseLimits,
     pub(crate) velocities: Vec<f64>,
-    /// Counts commands; 0 before the first.
+    /// Number of commands so far.
     pub(crate) sequence: u64,
-    /// The guard's: the sequence that it saw last, and when, ns.
+    /// For the guard: the last sequence that it has seen, and when, ns.
     pub(crate) seen: (u64, u64),
     pub(crate) fault: Option<Fault>,
 }
@@ -80,12 +82,12 @@ pub(crate) struct Slot {
 }
 
 impl Slot {
-    /// Who holds it, unless it was taken from its commander.
+    /// The holder's entry, unless it has a fault.
     pub(crate) fn sound(&self) -> Option<&Held> {
         self.held.as_ref().filter(|held| held.fault.is_none())
     }
 
-    /// Takes the limb from its commander; the first reason stays.
+    /// Sets the fault that takes the limb from its commander; the first fault stays.
     pub(crate) fn fail(&mut self, fault: &Fault) {
         if let Some(held) = &mut self.held {
             held.fault.get_or_insert_with(|| fault.clone());
@@ -103,7 +105,7 @@ pub(crate) struct LeaseTable {
     next_id: u64,
 }
 
-/// What the guard and its robot share.
+/// The data that the guard and its robot share.
 #[derive(Debug)]
 pub(crate) struct Shared {
     pub(crate) model: Arc<Model>,
@@ -231,7 +233,7 @@ struct Local {
 }
 
 impl Local {
-    /// Runs `f` on what the table keeps for this lease, which lives as long as the lease.
+    /// Runs `f` on this lease's entry in the table, which lives as long as the lease.
     fn with<T>(&self, f: impl FnOnce(&Limb, &mut Held) -> T) -> Option<T> {
         let mut table = self.shared.leases();
         let slot = &mut table.slots[self.index];

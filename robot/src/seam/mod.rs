@@ -1,5 +1,6 @@
-//! The seam above the guard: the robot as skills see it, and the leases through which they command it. The guard reads the
-//! commands out of the [`LeaseTable`](lease::LeaseTable); it lies below and knows no skill.
+//! The interface above the guard: the robot as skills see it, and the leases by which they command it. The guard
+//! reads the commands from the [`LeaseTable`](lease::LeaseTable); it is below this interface and does not know
+//! skills.
 
 pub(crate) mod lease;
 mod robot;

@@ -1,4 +1,5 @@
-//! One watch's memory: since when its condition holds, and whether it has fired and waits for its `until`.
+//! The edge detector of one watch: since when its condition holds, and whether it has fired and waits for its
+//! `until`.
 
 use std::time::Duration;
 
@@ -10,8 +11,9 @@ pub(super) struct Edge {
 }
 
 impl Edge {
-    /// One sample at `now`. Gives whether the watch fires: the condition has held for `hold`, it was false (or
-    /// `until` was true) since it fired last; true at the first sample counts as a rise.
+    /// Takes one sample at `now` and returns whether the watch fires. It fires when the condition has held for
+    /// `hold`, and was false (or `until` was true) since the last firing. A condition that is true at the first
+    /// sample counts as a rise.
     pub(super) fn sample(&mut self, now: Duration, holds: bool, until: bool, hold: Duration) -> bool {
         if self.fired && until {
             (self.fired, self.since) = (false, None);
@@ -28,7 +30,7 @@ impl Edge {
         true
     }
 
-    /// When the hold is over, if it runs.
+    /// When the hold time ends, if it is running.
     pub(super) fn deadline(&self, hold: Duration) -> Option<Duration> {
         self.since.filter(|_| !self.fired).map(|since| since.saturating_add(hold))
     }

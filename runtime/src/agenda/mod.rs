@@ -1,12 +1,13 @@
-//! What is due, and when: timers, armed watches, and the graces of cancelled skills.
+//! What is due, and when: timers, armed watches, and the deadlines of cancelled skills.
 //!
-//! It is pure: it knows no clock, no task and no channel, only times since the run's start that are handed in. Whoever
-//! drives an engine hands over each effect ([`Agenda::take`]) and each turn's end ([`Agenda::turned`]), says which
-//! channels have new values ([`Agenda::published`]), tells the engine what is due until nothing is ([`Agenda::due`]), and
-//! looks again at [`Agenda::next`]. The executor and the stepper are such drivers; so a chart means the same in both.
+//! The agenda is pure: it has no clock, no task and no channel. All times are passed in and count from the run's
+//! start. The driver of an engine passes each effect to [`Agenda::take`], calls [`Agenda::turned`] after each turn,
+//! and reports new channel values with [`Agenda::published`]. It then passes the inputs from [`Agenda::due`] to the
+//! engine until there are no more, and waits until [`Agenda::next`]. The executor and the stepper both work this
+//! way, so that a chart behaves the same in both.
 //!
-//! Of what is due at one instant, stuck skills come first, then timers in their order, then watches in the file's.
-//! All of it comes before what arrives at that instant from outside.
+//! Order at one instant: first stuck skills, then timers in their order, then watches in the file's order, and last
+//! what arrives from outside at that instant.
 
 mod edge;
 
@@ -19,49 +20,49 @@ use crate::engine::{Circle, Effect, Engine, Input, NEAR, Sensors};
 use crate::program::{Program, StateId};
 use edge::Edge;
 
-/// How often a condition that reads the age of a channel is looked at while nothing is published.
+/// Sampling period of a condition that reads the age of a channel, while nothing is published.
 const AGE_TICK: Duration = Duration::from_millis(20);
-/// Firings and failures of watches without rest, after which a run fails.
+/// A run fails after this many firings and failures of watches without rest.
 pub const MAX_FIRINGS: u32 = 1000;
-/// Ends of skills at one instant, after which a run fails.
+/// A run fails after this many ends of skills at one instant.
 pub const MAX_ENDS: u32 = 10_000;
 
 /// See the module.
 #[derive(Debug, Default)]
 pub struct Agenda {
-    /// By time, then the engine's order, then number.
+    /// Sorted by time, then by the engine's order, then by number.
     timers: BTreeSet<(Duration, u64, u64)>,
     timer_keys: BTreeMap<u64, (Duration, u64)>,
-    /// When cancelled skills count as stuck, by activation.
+    /// Deadline by activation, after which a cancelled skill counts as stuck.
     graces: BTreeMap<u64, Duration>,
     armed: BTreeMap<u32, Armed>,
     /// How many armed watches read a channel.
     readers: BTreeMap<u32, usize>,
-    /// What watches have seen, still to be told.
+    /// Inputs from watches that the engine has not received yet.
     seen: VecDeque<Input>,
     firings: Repeats,
-    /// Whether watches never came to rest: the run ends, and they are not looked at any more.
+    /// Whether the watches never came to rest. The run then ends, and watches are not sampled any more.
     restless: bool,
     ends: Repeats,
-    /// When `ends` were counted.
+    /// The instant that `ends` counts for.
     ends_at: Duration,
 }
 
-/// A watch that is observed.
+/// A watch that is being sampled.
 #[derive(Debug)]
 struct Armed {
     entry: u64,
     edge: Edge,
     hold: Duration,
     reads: Reads,
-    /// Something that it reads may have changed.
+    /// Whether a value that it reads may have changed since the last sample.
     dirty: bool,
     failed: bool,
     blind: bool,
     next_tick: Option<Duration>,
 }
 
-/// Things that happen again and again without rest.
+/// Counts repeated occurrences without rest, with the states that they occur in.
 #[derive(Debug, Default)]
 struct Repeats {
     count: u32,
@@ -74,7 +75,7 @@ impl Repeats {
         self.circle.clear();
     }
 
-    /// Counts one more, in `state`. Gives the states' names once there are more than `most`.
+    /// Counts one occurrence in `state`. Returns the states' names once the count exceeds `most`.
     fn add(&mut self, state: StateId, most: u32, program: &Program) -> Option<String> {
         self.count += 1;
         if self.count + NEAR > most {
@@ -85,13 +86,13 @@ impl Repeats {
 }
 
 impl Agenda {
-    /// Whether nothing is waited for.
+    /// Whether nothing is pending.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.timers.is_empty() && self.armed.is_empty() && self.seen.is_empty() && self.graces.is_empty()
     }
 
-    /// Takes note of an effect at `now`. Gives back what the driver has to do itself.
+    /// Registers an effect at `now`. Returns the effects that the driver has to carry out itself.
     #[must_use]
     pub fn take(&mut self, effect: Effect, program: &Program, now: Duration) -> Option<Effect> {
         match effect {
@@ -116,19 +117,19 @@ impl Agenda {
         None
     }
 
-    /// The engine has had a turn: the chart's data and states may have changed.
+    /// To be called after each turn of the engine: the chart's data and states may have changed.
     pub fn turned(&mut self) {
         self.armed.values_mut().filter(|a| a.reads.data).for_each(|a| a.dirty = true);
     }
 
-    /// A channel has a new value.
+    /// To be called when a channel has a new value.
     pub fn published(&mut self, channel: u32) {
         let readers = self.armed.values_mut().filter(|a| a.reads.channels.contains(&channel));
         readers.for_each(|a| a.dirty = true);
     }
 
-    /// A skill has returned. Gives what the engine is to be told instead where skills end again and again without any
-    /// time going by.
+    /// To be called when a skill has returned. Returns the input that fails the run when more than [`MAX_ENDS`]
+    /// skills ended at this instant.
     #[must_use]
     pub fn ended(
         &mut self,
@@ -148,7 +149,7 @@ impl Agenda {
         })
     }
 
-    /// The entry that a watch is armed with.
+    /// The state entry that a watch was armed in, if it is armed.
     #[must_use]
     pub fn armed(&self, watch: u32) -> Option<u64> {
         self.armed.get(&watch).map(|armed| armed.entry)
@@ -159,7 +160,7 @@ impl Agenda {
         self.readers.keys().copied()
     }
 
-    /// When something may be due next, if time alone passes.
+    /// When the next item may be due, if only time passes.
     #[must_use]
     pub fn next(&self) -> Option<Duration> {
         let timer = self.timers.first().map(|(at, ..)| *at);
@@ -168,7 +169,7 @@ impl Agenda {
         [timer, grace, watch].into_iter().flatten().min()
     }
 
-    /// What the engine is to be told next at `now`; the driver tells it, and asks again until there is nothing.
+    /// The next input for the engine at `now`. The driver calls this until it returns `None`.
     pub fn due(&mut self, engine: &Engine, sensors: &dyn Sensors, now: Duration) -> Option<Input> {
         if let Some(input) = self.seen.pop_front() {
             return Some(input);
@@ -197,7 +198,7 @@ impl Agenda {
         input
     }
 
-    /// Looks at all watches that may have changed. Gives the names of their states where they never rest.
+    /// Samples all watches that may have changed. Returns the names of their states if they never come to rest.
     fn look(&mut self, engine: &Engine, sensors: &dyn Sensors, now: Duration) -> Option<String> {
         for (number, armed) in &mut self.armed {
             if !armed.dirty && armed.next().is_none_or(|at| at > now) {
@@ -248,12 +249,12 @@ impl Agenda {
 }
 
 impl Armed {
-    /// When it has to be looked at although nothing that it reads has changed.
+    /// When the next sample is due, even if nothing that the watch reads has changed.
     fn next(&self) -> Option<Duration> {
         [self.edge.deadline(self.hold), self.next_tick].into_iter().flatten().min()
     }
 
-    /// One sample; adds what the engine is to be told.
+    /// Takes one sample and appends the resulting inputs for the engine.
     fn look(
         &mut self,
         watch: u32,

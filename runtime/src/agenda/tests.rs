@@ -1,4 +1,4 @@
-//! Runs that never rest end, with the names of the states that they go around in; and what fails in a watch is told.
+//! Runs that never rest fail and name the states that they cycle through; failures of watches are reported.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -15,7 +15,7 @@ fn stepper(text: &str) -> Stepper {
     stepper
 }
 
-/// The reason for which the run has failed.
+/// The reason why the run failed.
 fn failed(stepper: &Stepper) -> &str {
     let result = stepper.result().expect("the run has ended");
     assert_eq!(result.outcome, "failure");

@@ -1,4 +1,4 @@
-//! Actions and values: what a chart's author wrote, run.
+//! Runs actions and evaluates values of a chart.
 
 use std::collections::BTreeMap;
 
@@ -10,16 +10,16 @@ use super::state::{TimerUse, Turn, View};
 use super::{Effect, Engine, TraceItem};
 use crate::program::{Action, ERROR_EXECUTION, Place, Program, Send, StateId, Term};
 
-/// What failed and where it was written.
+/// The message of an error and the place in the file.
 type Failed = (String, String);
 
-/// Most items that a `foreach` visits.
+/// Largest number of items that a `foreach` visits.
 const MAX_ITEMS: usize = 10_000;
-/// Deepest nesting of lists and maps that an expression may give.
+/// Deepest nesting of lists and maps that an expression may return.
 const MAX_LEVELS: usize = 60;
-/// Most actions in answer to one input: `foreach` in `foreach`.
+/// Largest number of actions per input; nested `foreach` can multiply them.
 const MAX_ACTIONS: u32 = 100_000;
-/// Most parts of what the events that wait carry.
+/// Largest number of parts that the data of all waiting events may have together.
 const MAX_CARRIED: usize = 10 * MAX_PARTS;
 
 impl Engine {
@@ -70,7 +70,8 @@ impl Engine {
         }
     }
 
-    /// A value inside a list or map. What expressions make of it has a bound; what is written in the file has the file's.
+    /// A value inside a list or map. Values made by expressions are bounded here; literals are bounded by the
+    /// file's size.
     fn part(&self, term: &Term, parts: &mut usize, turn: &Turn<'_>) -> Result<Value, Failed> {
         let value = self.evaluate(term, turn)?;
         if let Term::Expr(code) = term {
@@ -83,7 +84,7 @@ impl Engine {
         Ok(value)
     }
 
-    /// Runs actions in order; one that fails raises `error.execution` and ends this list.
+    /// Runs actions in order. An action that fails raises `error.execution` and ends this list.
     pub(super) fn act(&mut self, actions: &[Action], state: StateId, turn: &mut Turn<'_>) -> bool {
         for action in actions {
             match self.act_one(action, state, turn) {
@@ -211,7 +212,7 @@ impl Engine {
         Ok(())
     }
 
-    /// Whether there is room for what an event carries.
+    /// Whether there is room for the data of an event.
     pub(super) fn can_carry(&self, event: &Event) -> bool {
         if event.parts() == 0 {
             return true;
@@ -224,7 +225,7 @@ impl Engine {
         waiting.map(Event::parts).sum::<usize>() + event.parts() <= MAX_CARRIED
     }
 
-    /// An event that was sent goes its way: to this chart, or to another agent.
+    /// Routes a sent event: to this chart, or to another agent.
     pub(super) fn post(&mut self, event: Event, to: Option<String>, turn: &mut Turn<'_>) {
         let Some(to) = to else { return self.queue(event, turn) };
         let name = event.name(turn.program).to_owned();
@@ -233,7 +234,7 @@ impl Engine {
         turn.out.push(Effect::Send { event: name, to, data });
     }
 
-    /// An expression failed: `error.execution`, unless that is what is being handled.
+    /// Raises `error.execution` for a failed expression, unless that event is the one being handled.
     pub(super) fn error(&mut self, state: StateId, message: &str, place: Place, turn: &mut Turn<'_>) {
         let place = turn.program.place(place);
         self.error_at(state, message, place, turn);
@@ -250,7 +251,7 @@ impl Engine {
     }
 }
 
-/// A variable's name, with the state's chart where that is not the outermost.
+/// A variable's name, prefixed with the state's chart unless that is the outermost.
 fn shown(program: &Program, state: StateId, variable: &str) -> String {
     let owner = program.outward(state).find(|s| program.state(*s).chart_root);
     match owner.and_then(|root| program.tables.parent(root)) {

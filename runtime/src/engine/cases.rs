@@ -1,4 +1,4 @@
-//! The cases of the language that had to be decided once, each under its name, and the forms that SCXML has.
+//! Cases where the language had to choose one meaning, each under its name, and the forms that SCXML has.
 
 use armarium_values::Value;
 
@@ -23,7 +23,7 @@ fn outcome_timer_or_watch_of_a_state_that_has_been_left_is_dropped_and_seen() {
     d.said();
     let (activation, entry) = (d.skills["A"], d.armed[&0]);
     assert_eq!(d.event("out"), "cancel A");
-    // All of these arrive while the state waits to be left.
+    // All of these arrive while the state is waiting to be left.
     let (timer, _) = d.timers.pop_first().unwrap();
     d.input(Input::Timer { timer });
     d.input(Input::Watch { watch: 0, entry });
@@ -75,7 +75,7 @@ states:
     );
     d.said();
     let right = d.skills["P.R.C"];
-    // Both end in one instant; the first outcome leads out of the parallel state before the second is taken.
+    // Both end at one instant. The first outcome leaves the parallel state before the second is taken.
     assert_eq!(d.end("P.L.A", "success"), "-P.L.A; +P.L.B; cancel P.R.C");
     d.input(Input::SkillEnded { activation: right, result: Ok(Outcome::named("blocked")) });
     assert_eq!(d.said(), "-P.R.C; -P.R; -P.L.B; -P.L; -P; +Q");

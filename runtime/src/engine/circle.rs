@@ -1,13 +1,13 @@
-//! The states that a run which never rests goes around in, so that its failure can name them.
+//! Records the states that a run without rest cycles through, so that its failure can name them.
 
 use crate::program::{Program, StateId};
 
-/// States that are named.
+/// How many states a failure names.
 const NAMED: usize = 8;
-/// So near to a bound, states are noted.
+/// States are recorded when the count is this close to a bound.
 pub(crate) const NEAR: u32 = 32;
 
-/// The newest states, each once.
+/// The most recent states, each once.
 #[derive(Debug, Default)]
 pub(crate) struct Circle(Vec<StateId>);
 

@@ -10,7 +10,7 @@ use super::{Effect, Engine, RunResult, TraceItem};
 use crate::program::{FAILURE, Kind, Program, SUCCESS, StateId, Symbol};
 use crate::skill::{SkillManifest, SkillResult};
 
-/// The reason and the chain in a failure's data.
+/// The reason and the chain of states from a failure's data.
 pub(super) fn reason_and_chain(data: &Value) -> (Option<String>, Vec<String>) {
     let reason = data.get("reason").and_then(Value::as_str).map(str::to_owned);
     let chain = data.get("chain").and_then(Value::as_list).unwrap_or(&[]);
@@ -58,7 +58,7 @@ impl Engine {
         }
     }
 
-    /// A state fails for a reason of the engine's.
+    /// Raises the failure of a state for a reason of the engine's own.
     pub(super) fn push_failure(&mut self, state: StateId, data: Value, program: &Program) {
         let data = with_link(data, program.path(state));
         let origin = Origin::Outcome { state, entry: self.runs[state as usize].entry, region_end: false };
@@ -74,7 +74,7 @@ impl Engine {
         self.report(parent, outcome, data, turn.program);
     }
 
-    /// What a final state tells: its `with`, and for a failure why it came to that.
+    /// The data of a final state: its `with`, and for a failure the reason and the chain.
     fn final_data(&mut self, state: StateId, outcome: Symbol, turn: &mut Turn<'_>) -> Value {
         let program = turn.program;
         let mut fields = match self.bindings(&program.state(state).with, turn) {
@@ -103,7 +103,8 @@ impl Engine {
         Value::Map(fields)
     }
 
-    /// A state has come to its end by itself: `done.state` for all, its outcome for itself and its surroundings.
+    /// A state has ended by itself: raises `done.state` for all states, and the outcome for the state and those
+    /// around it.
     fn report(&mut self, state: StateId, outcome: Symbol, data: Value, program: &Program) {
         let of = program.state(state);
         if let (true, Some(owner)) = (of.chart_root, of.parent) {
@@ -116,7 +117,7 @@ impl Engine {
         self.internal.push_back(Event::new(of.done, data, Origin::Broadcast));
     }
 
-    /// The chart inside a state has ended: its outputs become the state's, its outcome the state's.
+    /// The chart inside a state has ended: its outputs and its outcome become the state's.
     fn chart_ended(&mut self, owner: StateId, outcome: Symbol, mut data: Value, program: &Program) {
         if owner == 0 {
             self.ending.get_or_insert((outcome, data));
@@ -139,7 +140,8 @@ impl Engine {
         self.report(owner, outcome, data, program);
     }
 
-    /// Nobody handled a state's outcome: it stays, marked done. Regions that are done end their parallel state.
+    /// No transition takes a state's outcome: the state stays active, marked as done. A parallel state ends when
+    /// all its regions are done.
     pub(super) fn mark_done(&mut self, state: StateId, event: &Event, turn: &mut Turn<'_>) {
         let program = turn.program;
         self.extra(state).done = Some(event.symbol);
@@ -187,7 +189,7 @@ impl Engine {
     }
 }
 
-/// A skill's outcome and outputs held against its manifest; otherwise why it failed.
+/// Checks a skill's outcome and outputs against its manifest. Returns the failure if they do not match.
 fn checked(
     declared: &SkillManifest,
     result: SkillResult,

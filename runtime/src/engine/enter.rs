@@ -1,4 +1,4 @@
-//! Entering states: which ones a target stands for, what they are given, what starts with them; trying again.
+//! Entering states: which states a target stands for, their inputs, the start of their skills, and retries.
 
 use std::collections::BTreeMap;
 
@@ -11,27 +11,27 @@ use super::{Effect, Engine, TraceItem};
 use crate::program::{Action, Binding, Kind, Program, StateId};
 use crate::skill::{Parameter, ParameterError};
 
-/// Values by name, or what failed and where.
+/// Values by name, or the message and place of an error.
 pub(super) type Given = Result<BTreeMap<String, Value>, (String, String)>;
 
-/// What a microstep enters, and what transitions give to their targets.
+/// The states that a microstep enters, and the values that transitions give to their targets.
 #[derive(Default)]
 pub(super) struct Entries {
-    /// Targets, each with the state inside of which everything is entered.
+    /// Each target with the state inside which everything is entered (the domain).
     pub(super) targets: Vec<(StateId, StateId)>,
     pub(super) given: Vec<(StateId, Given)>,
 }
 
-/// Actions of `initial` and of a history's `default`, run when the state around has been entered.
+/// Actions of `initial` and of a history's `default`; they run when the parent state has been entered.
 type Defaults<'p> = Vec<(StateId, &'p [Action])>;
 
 impl Engine {
-    /// Enters the run: state 0, the chart, and its initial states.
+    /// Enters state 0 (the run), the chart, and its initial states.
     pub(super) fn enter_run(&mut self, turn: &mut Turn<'_>) {
         self.enter_all(Entries { targets: vec![(0, StateId::MAX)], given: Vec::new() }, turn);
     }
 
-    /// What a target stands for: itself, or what a history remembers, or that history's default.
+    /// The states that a target stands for: itself, or a history's remembered states, or the history's default.
     pub(super) fn effective(&self, target: StateId, program: &Program) -> Vec<StateId> {
         match &program.state(target).kind {
             Kind::History { default, .. } => match self.remembered.get(&target) {
@@ -42,7 +42,7 @@ impl Engine {
         }
     }
 
-    /// SCXML's computeEntrySet: all that is meant first, then what is entered by default with it.
+    /// SCXML's computeEntrySet: first all targets, then the states that are entered by default with them.
     pub(super) fn enter_all(&mut self, entries: Entries, turn: &mut Turn<'_>) {
         let mut plan = std::mem::take(&mut self.entries);
         let mut defaults = Defaults::new();
@@ -55,7 +55,7 @@ impl Engine {
         self.enter_plan(plan, &defaults, entries.given, turn);
     }
 
-    /// Enters what is inside a state that is active.
+    /// Enters the inside of an active state.
     fn enter_inside(&mut self, state: StateId, turn: &mut Turn<'_>) {
         let mut plan = std::mem::take(&mut self.entries);
         let mut defaults = Defaults::new();
@@ -78,7 +78,7 @@ impl Engine {
         }
     }
 
-    /// Plans a target and the states around it up to `domain`.
+    /// Adds a target and the states around it, up to `domain`, to the plan.
     fn plan_target<'p>(
         &mut self,
         target: StateId,
@@ -118,7 +118,7 @@ impl Engine {
         }
     }
 
-    /// Adds what is entered by default inside the states that are planned, from number `from` on.
+    /// Adds the states that are entered by default inside the planned states, from number `from` on.
     fn plan_inside<'p>(
         &mut self,
         mut from: usize,
@@ -170,7 +170,7 @@ impl Engine {
         self.entries = plan;
     }
 
-    /// Enters one plain state without anything inside.
+    /// Enters one plain state that contains no states.
     pub(super) fn enter_leaf(&mut self, state: StateId, turn: &mut Turn<'_>) {
         let at = self.configuration.partition_point(|s| *s < state);
         self.configuration.insert(at, state);
@@ -218,7 +218,7 @@ impl Engine {
         }
     }
 
-    /// Evaluates `with` and makes the skill ready, or fills the inputs of the chart inside.
+    /// Evaluates `with`. Then prepares the skill, or sets the inputs of the chart inside.
     fn give_inputs(&mut self, state: StateId, given: Option<Given>, turn: &mut Turn<'_>) {
         let program = turn.program;
         let of = program.state(state);
@@ -271,7 +271,7 @@ impl Engine {
         self.push_failure(state, data, turn.program);
     }
 
-    /// Forgets everything that a use of a chart knew.
+    /// Clears all data of one use of a chart.
     fn reset_instance(&mut self, instance: u32, program: &Program) {
         let of = &program.instances[instance as usize];
         for slot in of.first_slot..of.end_slot {
@@ -316,7 +316,7 @@ impl Engine {
         timer
     }
 
-    /// Starts the skills of states that were entered and are still there.
+    /// Starts the skills of the states that were entered and are still active.
     pub(super) fn start_ready(&mut self, turn: &mut Turn<'_>) {
         for state in std::mem::take(&mut self.ready) {
             let SkillRun::Ready(inputs) = std::mem::take(&mut self.extra(state).skill) else { continue };
@@ -336,7 +336,7 @@ impl Engine {
         }
     }
 
-    // Trying again.
+    // Retries.
 
     pub(super) fn restart(&mut self, state: StateId, turn: &mut Turn<'_>) {
         let (_, wait_s) = turn.program.state(state).retry.unwrap_or((0, 0.0));
@@ -356,7 +356,7 @@ impl Engine {
         }
     }
 
-    /// Starts the inside of a state that is active.
+    /// Restarts the inside of an active state.
     pub(super) fn begin_again(&mut self, state: StateId, turn: &mut Turn<'_>) {
         self.extra(state).waiting = false;
         self.give_inputs(state, None, turn);

@@ -1,4 +1,4 @@
-//! Events as the engine keeps them: where they come from, who may take them, and the queues that they wait in.
+//! Events inside the engine: their origin, the states that may take them, and the queues in which they wait.
 
 use std::sync::Arc;
 
@@ -6,28 +6,28 @@ use armarium_values::Value;
 
 use crate::program::{FAILURE, Program, StateId, Symbol, UNKNOWN};
 
-/// What an event is, beyond its name.
+/// The origin of an event.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Origin {
     /// All active states see it.
     Broadcast,
     /// An expression failed in this state.
     Error(StateId),
-    /// The state reported its outcome; `region_end` when it is a region that came to a final state of its own.
+    /// A state reported its outcome. `region_end`: a region reached a final state of its own.
     Outcome { state: StateId, entry: u64, region_end: bool },
     /// A watch of the state fired.
     Watch { state: StateId, entry: u64 },
-    /// A timer of the state ran out; it takes this transition only.
+    /// A timer of the state expired; the event can take this transition only.
     After { state: StateId, entry: u64, transition: u32 },
-    /// The state's wait before its next try is over.
+    /// The state's wait before its next retry is over.
     Retry { state: StateId, entry: u64 },
 }
 
-/// Small, as it is moved often: what most events do not have is behind a pointer.
+/// Kept small, as events are moved often: rare fields are behind a pointer.
 #[derive(Clone, Debug)]
 pub(super) struct Event {
     pub(super) symbol: Symbol,
-    /// What its data take, where those are more than a scalar.
+    /// The number of parts of its data; 0 for a scalar.
     parts: u32,
     pub(super) origin: Origin,
     data: Option<Box<Value>>,
@@ -36,9 +36,10 @@ pub(super) struct Event {
 
 #[derive(Clone, Debug, Default)]
 struct Rare {
-    /// The name, where the chart does not know it.
+    /// The name, if the chart does not know it.
     name: Option<Arc<str>>,
-    /// What an event that was held back has already moved: states inside do not see it again.
+    /// For an event that was held back: the states inside which it was already handled. It is not offered there
+    /// again.
     served: Vec<StateId>,
 }
 
@@ -68,12 +69,12 @@ impl Event {
         self.data.as_deref().unwrap_or(&NULL)
     }
 
-    /// What its data take, in parts; nothing for a scalar.
+    /// The number of parts of its data; 0 for a scalar.
     pub(super) fn parts(&self) -> usize {
         self.parts as usize
     }
 
-    /// The states that have had it; they are forgotten.
+    /// Takes the list of states that already handled the event.
     pub(super) fn take_served(&mut self) -> Vec<StateId> {
         self.rare.as_deref_mut().map_or_else(Vec::new, |rare| std::mem::take(&mut rare.served))
     }
@@ -89,7 +90,7 @@ impl Event {
         other.unwrap_or_else(|| program.symbols.name(self.symbol))
     }
 
-    /// The state that it belongs to and the entry that it was meant for.
+    /// The state that the event belongs to, and the entry of that state that it was meant for.
     pub(super) fn scope(&self) -> Option<(StateId, u64)> {
         match self.origin {
             Origin::Broadcast | Origin::Error(_) => None,

@@ -1,4 +1,4 @@
-//! What reaches a run from outside becomes events: timers that ran out, skills that returned or are stuck, a stop.
+//! Turns inputs from outside into events: expired timers, returned or stuck skills, a stop.
 
 use std::collections::BTreeMap;
 
@@ -11,7 +11,7 @@ use crate::program::{AFTER, RETRY, StateId};
 use crate::skill::SkillResult;
 
 impl Engine {
-    /// What only few states need, made where it is not there yet.
+    /// The rarely needed data of a state, created on first use.
     pub(super) fn extra(&mut self, state: StateId) -> &mut Extra {
         self.runs[state as usize].extra.get_or_insert_default()
     }
@@ -20,7 +20,8 @@ impl Engine {
         self.runs[state as usize].extra.as_deref()
     }
 
-    /// An event from outside. One whose data is not as its chart declares is not heard; `error.communication` says so.
+    /// An event from outside. If its data do not have the type that the chart declares, it is dropped and
+    /// `error.communication` is raised.
     pub(super) fn event(&mut self, name: &str, data: Value, turn: &mut Turn<'_>) {
         let program = turn.program;
         let converted = match program.event_types.get(name) {
@@ -88,7 +89,7 @@ impl Engine {
         }
     }
 
-    /// A skill that was cancelled is gone.
+    /// A cancelled skill has returned.
     pub(super) fn returned(&mut self, activation: u64, turn: &mut Turn<'_>) {
         if let Some(pending) = &mut self.pending {
             pending.waiting.remove(&activation);

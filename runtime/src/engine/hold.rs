@@ -1,4 +1,4 @@
-//! What unbreakable states hold back: the transitions that would leave them from outside, until they have ended.
+//! Unbreakable states hold back transitions that would leave them from outside, until they have ended.
 
 use super::event::{Event, Origin};
 use super::state::{Step, Turn};
@@ -6,13 +6,13 @@ use super::{Engine, MAX_HELD, TraceItem};
 use crate::program::{ERROR_QUEUE, Program, StateId};
 
 impl Engine {
-    /// What unbreakable states held back is matched again.
+    /// Queues the held events again, so that they are matched anew.
     pub(super) fn release_held(&mut self) {
         self.internal.extend(self.held.drain(..));
     }
 
-    /// Begins what may begin. A transition that would leave an unbreakable state is held whole with its event;
-    /// others that the event takes, in disjoint regions, are not.
+    /// Begins the part of a step that may begin. If a transition would leave an unbreakable state, it is held
+    /// together with its event. Transitions for the same event in other regions are not held.
     pub(super) fn begin_unless_held(&mut self, step: Step, turn: &mut Turn<'_>) {
         if self.unbreakable == 0 {
             return self.begin(step, turn);
@@ -38,7 +38,7 @@ impl Engine {
         }
     }
 
-    /// Holds the event that is being processed; what `free` transitions move has had it.
+    /// Holds the current event. It is not offered again to the states that the `free` transitions leave.
     fn hold_current(&mut self, holder: StateId, source: StateId, free: &[u32], turn: &mut Turn<'_>) {
         let Some(mut event) = self.store.event.clone() else { return };
         let moved =
@@ -47,9 +47,10 @@ impl Engine {
         self.hold(event, holder, source, turn);
     }
 
-    /// Keeps an event until the unbreakable state `holder` has ended. `source` is where it would have acted.
+    /// Keeps an event until the unbreakable state `holder` has ended. `source` is the state where it would have
+    /// acted.
     pub(super) fn hold(&mut self, event: Event, holder: StateId, source: StateId, turn: &mut Turn<'_>) {
-        // A failure is never swallowed; there is at most one a state.
+        // A failure is never dropped; there is at most one per state.
         if self.held.len() < MAX_HELD || event.is_failure() {
             turn.trace(|p| TraceItem::Held {
                 name: event.name(p).to_owned(),
@@ -76,7 +77,7 @@ impl Engine {
         self.unbreakable_inside(self.domain(transition, program)?, source, program)
     }
 
-    /// An active unbreakable state inside `domain` that has not ended and that `source` is not part of.
+    /// An active unbreakable state inside `domain` that has not ended and does not contain `source`.
     pub(super) fn unbreakable_inside(
         &self,
         domain: StateId,

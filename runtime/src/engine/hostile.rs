@@ -1,4 +1,4 @@
-//! Charts that would never rest, or take ever more memory: each is stopped, in bounded time and memory.
+//! Charts that would never rest or use ever more memory: each one is stopped, in bounded time and memory.
 
 use super::tests::Drive;
 use super::{MAX_ANSWER, MAX_MICROSTEPS};
@@ -34,7 +34,7 @@ fn timers_without_time_between_them_fail_the_run() {
         let reason = format!("{MAX_MICROSTEPS} timers without any time between them");
         assert!(said.contains(&reason), "{said}");
     }
-    // Time between them is no loop, however short.
+    // Transitions with time between them are no endless loop, however short the time.
     let mut d = chart("states: {A: {after: {0.000001ms: A}}}\n");
     for _ in 0..2 * MAX_MICROSTEPS {
         d.timer();

@@ -1,4 +1,4 @@
-//! What a chart is started with: given values, then the profile's, then the defaults.
+//! The inputs of a chart: given values, then the profile's, then the defaults.
 
 use std::collections::BTreeMap;
 

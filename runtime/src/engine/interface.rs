@@ -1,4 +1,4 @@
-//! What the engine is told and what it wants done: data only.
+//! The engine's inputs and effects: data only.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -10,7 +10,7 @@ use crate::program::StateId;
 use crate::skill::{Limits, SkillResult};
 use crate::trace::TraceItem;
 
-/// What the engine is told.
+/// An input of the engine.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "input", rename_all = "snake_case")]
 pub enum Input {
@@ -42,21 +42,21 @@ pub enum Input {
     Watch {
         /// Its number.
         watch: u32,
-        /// The entry of the state that it was armed with.
+        /// The entry of the state that it was armed in.
         entry: u64,
     },
     /// An expression of a watch failed.
     WatchFailed {
         /// Its number.
         watch: u32,
-        /// The entry of the state that it was armed with.
+        /// The entry of the state that it was armed in.
         entry: u64,
         /// What happened.
         message: String,
         /// `file:line:column`.
         place: String,
     },
-    /// A watch reads a number that is NaN: it is false, and `error.channel` says so.
+    /// A watch reads a number that is NaN: its condition counts as false, and `error.channel` is raised.
     WatchBlind {
         /// Its number.
         watch: u32,
@@ -70,14 +70,14 @@ pub enum Input {
         /// Why.
         reason: String,
     },
-    /// Something outside makes going on impossible: as `Stop`, but the run ends as `failure`.
+    /// An external cause makes it impossible to continue: as `Stop`, but the run ends as `failure`.
     Abort {
         /// Why.
         reason: String,
     },
 }
 
-/// What the engine wants done.
+/// An effect: something for the driver to carry out.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Effect {
     /// Start a skill.
@@ -93,35 +93,35 @@ pub enum Effect {
         /// Bounds from the chart.
         limits: Limits,
     },
-    /// Tell a skill to stop; it is then reported as ended, or as stuck.
+    /// Tell a skill to stop. The driver then reports it as ended or as stuck.
     Cancel {
         /// Number of its start.
         activation: u64,
         /// How long it may take.
         grace: Duration,
     },
-    /// Report `timer` after a time. Of timers that run out at one instant, those of lower `order` come first.
+    /// Start a timer. Of timers that expire at one instant, those with lower `order` are reported first.
     StartTimer {
         /// Its number.
         timer: u64,
-        /// After how long.
+        /// Its duration.
         after: Duration,
         /// Inner states first, then the order in the file.
         order: u64,
     },
-    /// Forget a timer.
+    /// Cancel a timer.
     CancelTimer {
         /// Its number.
         timer: u64,
     },
-    /// Begin to observe a watch.
+    /// Begin to sample a watch.
     ArmWatch {
         /// Its number.
         watch: u32,
-        /// The entry of its state, to be reported with it.
+        /// The entry of its state; it is reported with the watch.
         entry: u64,
     },
-    /// Stop observing a watch.
+    /// Stop sampling a watch.
     DisarmWatch {
         /// Its number.
         watch: u32,
@@ -135,9 +135,9 @@ pub enum Effect {
         /// What comes with it.
         data: Value,
     },
-    /// Something worth seeing.
+    /// An item for the trace.
     Trace(TraceItem),
-    /// The run has ended; nothing comes after this.
+    /// The run has ended; the last effect.
     Finished(RunResult),
 }
 
@@ -146,19 +146,20 @@ pub enum Effect {
 pub struct RunResult {
     /// The chart's outcome: `success`, `failure`, one of its own, or `stopped`.
     pub outcome: String,
-    /// Why, for an outcome other than success where it is known.
+    /// The reason of an outcome other than success, where it is known.
     pub reason: Option<String>,
     /// The states that a failure came through, from the inside out.
     pub chain: Vec<String>,
-    /// What the chart gave.
+    /// The chart's outputs.
     pub outputs: BTreeMap<String, Value>,
 }
 
-/// What expressions read from outside of the engine.
+/// Values that expressions read from outside the engine.
 pub trait Sensors {
-    /// The newest value of a channel (its place in [`Program::channels`](crate::program::Program::channels)), or the field that `path` names.
+    /// The newest value of a channel, or the field of it at `path`. `channel` is an index into
+    /// [`Program::channels`](crate::program::Program::channels).
     fn channel(&self, channel: u32, path: &[String]) -> Option<Value>;
-    /// Seconds since it was published.
+    /// Seconds since the channel was published.
     fn age(&self, channel: u32) -> Option<f64>;
 }
 
@@ -175,7 +176,7 @@ impl Sensors for NoSensors {
     }
 }
 
-/// What a watch sees now.
+/// One sample of a watch.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Observation {
     /// The condition.
@@ -184,6 +185,6 @@ pub struct Observation {
     pub until: bool,
     /// An expression that failed, and where it was written.
     pub error: Option<(String, String)>,
-    /// A number that is NaN, so that nothing can be said, and where it is read.
+    /// A number that is NaN, so that the condition is undefined, and where it is read.
     pub blind: Option<(String, String)>,
 }

@@ -1,8 +1,9 @@
-//! The interpreter: a function from (state, input) to (state, effects). It knows no clock, no randomness, no task.
+//! The interpreter: a function from (state, input) to (state, effects). It has no clock, no random source and no
+//! tasks.
 //!
-//! The algorithm is SCXML's (appendix D) with one difference: leaving is orderly. A transition first cancels the
-//! skills of all states that are left and waits until they have returned; only then exit actions, transition
-//! actions and entries run. Start reading at [`Engine::handle`], then `select`, `step`, `act`.
+//! The algorithm is SCXML's (appendix D) with one difference: states are left in an orderly way. A transition first
+//! cancels the skills of all states that it leaves, and waits until they have returned. Only then do exit actions,
+//! transition actions and entries run. Start reading at [`Engine::handle`], then `select`, `step`, `act`.
 
 mod act;
 mod circle;
@@ -34,13 +35,14 @@ use event::{Event, Origin};
 use inputs::inputs;
 use state::{Pending, Run, Store, Timer, Turn, View};
 
-/// Microsteps without rest after which a run fails.
+/// A run fails after this many microsteps without rest.
 pub const MAX_MICROSTEPS: u32 = 1000;
-/// Events that may wait while states are left; more are dropped, and seen in the trace.
+/// Largest number of events that wait while states are being left. Further events are dropped; the trace shows it.
 pub const MAX_QUEUE: usize = 1024;
-/// Microsteps in answer to one input after which a run fails: those of events that the chart sends itself are counted.
+/// A run fails after this many microsteps in answer to one input. Events that the chart sends to itself count as
+/// well.
 pub const MAX_ANSWER: u32 = 20_000;
-/// Events that unbreakable states may hold back.
+/// Largest number of events that unbreakable states may hold back.
 pub const MAX_HELD: usize = 64;
 
 /// One run of a chart.
@@ -51,32 +53,32 @@ pub struct Engine {
     runs: Vec<Run>,
     /// Active states, in the file's order.
     configuration: Vec<StateId>,
-    /// What histories remember.
+    /// The states that each history remembers.
     remembered: BTreeMap<StateId, Vec<StateId>>,
     internal: VecDeque<Event>,
     external: VecDeque<Event>,
     held: VecDeque<Event>,
     timers: BTreeMap<u64, Timer>,
-    /// Of the timer that is being handled.
+    /// `Timer::chain` of the timer that is being handled.
     chain: u32,
-    /// The states of skills that run.
+    /// The state of each running skill, by activation.
     skills: BTreeMap<u64, StateId>,
     pending: Option<Pending>,
     ready: BTreeSet<StateId>,
     next: u64,
     microsteps: u32,
-    /// Microsteps in answer to the input that is handled.
+    /// Microsteps so far in answer to the current input.
     answer: u32,
-    /// Where it goes around when it comes near to one of the bounds.
+    /// The states that the run cycles through when it is close to one of the bounds.
     circle: Circle,
-    /// The newest failure, for finals that do not say why.
+    /// The newest failure, for final states that give no reason.
     last_failure: Option<(Value, StateId)>,
-    /// The outermost chart has come to its end, with this outcome.
+    /// The outcome of the outermost chart, once it has ended.
     ending: Option<(Symbol, Value)>,
     shown: Vec<StateId>,
     /// The innermost states that were active when the run came to its end.
     ended_in: Vec<StateId>,
-    /// Whether states were entered or left since the configuration was shown.
+    /// Whether states were entered or left since the last `Configuration` trace item.
     moved: bool,
     tracing: bool,
     finished: bool,
@@ -84,9 +86,9 @@ pub struct Engine {
     eager: u32,
     /// How many active states are unbreakable.
     unbreakable: u32,
-    /// Counts selections.
+    /// Number of the current selection.
     selection: u32,
-    /// Kept for their memory.
+    /// Buffers that are reused to avoid allocation.
     enabled: Vec<u32>,
     exits: Vec<StateId>,
     entries: Vec<StateId>,
@@ -142,8 +144,7 @@ impl Engine {
         })
     }
 
-    /// Whether what happens is told as [`Effect::Trace`]. It is unless this says otherwise; an engine that nobody
-    /// listens to is several times faster.
+    /// Whether the engine emits [`Effect::Trace`]; the default is true. Without tracing it is several times faster.
     pub fn set_tracing(&mut self, on: bool) {
         self.tracing = on;
     }
@@ -158,7 +159,7 @@ impl Engine {
         self.run(&mut turn);
     }
 
-    /// Takes one input, runs to completion, and appends what is to be done to `out`.
+    /// Takes one input, runs to completion, and appends the effects to `out`.
     pub fn handle(&mut self, input: Input, sensors: &dyn Sensors, out: &mut Vec<Effect>) {
         if self.finished {
             return;
@@ -201,7 +202,7 @@ impl Engine {
         self.run(&mut turn);
     }
 
-    /// As [`Input::Event`], for an event whose number is known: nothing is looked up or allocated.
+    /// As [`Input::Event`], for an event whose number is known: no lookup and no allocation.
     pub fn raise(&mut self, event: EventId, data: Value, sensors: &dyn Sensors, out: &mut Vec<Effect>) {
         if self.finished {
             return;
@@ -220,7 +221,8 @@ impl Engine {
         self.run(&mut turn);
     }
 
-    /// Whether the condition of a watch holds now, and whether its `until` (or the condition's end) does.
+    /// Samples a watch: whether its condition holds now, and whether it may fire again (`until`, or the condition's
+    /// end).
     pub fn observe(&self, watch: u32, sensors: &dyn Sensors) -> Observation {
         let watch = &self.program.watches[watch as usize];
         let view = View { program: &self.program, store: &self.store, runs: &self.runs, sensors };
@@ -239,7 +241,7 @@ impl Engine {
         Observation { holds, until, error, blind }
     }
 
-    /// The program that runs.
+    /// The program that this engine runs.
     #[must_use]
     pub fn program(&self) -> &Arc<Program> {
         &self.program
@@ -259,7 +261,7 @@ impl Engine {
         &self.configuration
     }
 
-    /// The innermost states that were active when the run came to its end, before they were left; empty until then.
+    /// The innermost states that were active when the run ended, before they were left; empty until then.
     #[must_use]
     pub fn ended_in(&self) -> &[StateId] {
         &self.ended_in
@@ -299,7 +301,8 @@ impl Engine {
         self.next - 1
     }
 
-    /// The main loop of SCXML's appendix D: macrosteps until there is nothing to do or something to wait for.
+    /// The main loop of SCXML's appendix D: runs macrosteps until there is nothing left to do or a skill has to
+    /// return.
     fn run(&mut self, turn: &mut Turn<'_>) {
         self.answer = 0;
         while !self.finished && self.pending.is_none() {
@@ -339,14 +342,14 @@ impl Engine {
         self.show_configuration(turn);
     }
 
-    /// Ends a run that would never wait for anything, and names the states that it goes around in.
+    /// Fails a run that would never come to rest, and names the states that it cycles through.
     fn restless(&mut self, what: &str, turn: &mut Turn<'_>) {
         self.microsteps = 0;
         let reason = format!("{what}: {}", self.circle.names(turn.program));
         self.finish_with("failure".into(), Some(reason), Vec::new(), turn);
     }
 
-    /// Whether the run comes near to one of its bounds.
+    /// Whether the run is close to one of its bounds.
     fn near_a_bound(&self) -> bool {
         self.microsteps + NEAR > MAX_MICROSTEPS
             || self.answer + NEAR > MAX_ANSWER

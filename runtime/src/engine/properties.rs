@@ -33,7 +33,7 @@ fn shape() -> impl Strategy<Value = Shape> {
     })
 }
 
-/// Writes a state as YAML in flow form; `picks` chooses targets.
+/// Writes a state as YAML in flow style; `picks` chooses targets.
 fn write(shape: &Shape, path: &str, paths: &[String], picks: &mut dyn FnMut() -> usize, out: &mut String) {
     let children = |shapes: &[Shape], picks: &mut dyn FnMut() -> usize, out: &mut String| {
         for (i, s) in shapes.iter().enumerate() {
@@ -61,7 +61,7 @@ fn write(shape: &Shape, path: &str, paths: &[String], picks: &mut dyn FnMut() ->
             out.push_str("}, ");
         }
         Shape::Parallel(shapes) => {
-            // Regions that are final states themselves are not written.
+            // Regions that are themselves final states are left out.
             let regions: Vec<Shape> = shapes
                 .iter()
                 .map(|s| if matches!(s, Shape::Final) { Shape::Leaf } else { s.clone() })
@@ -115,7 +115,8 @@ fn chart(shapes: &[Shape], numbers: &[usize]) -> String {
     text + "}\n"
 }
 
-/// One child of each active composite, all regions of each active parallel state, no state without its parent.
+/// Checks the configuration: one child of each active composite, all regions of each active parallel state, no
+/// state without its parent.
 fn legal(engine: &Engine) -> Result<(), String> {
     let active: BTreeSet<u32> = engine.configuration().iter().copied().collect();
     for id in &active {
@@ -200,8 +201,8 @@ proptest! {
         }
     }
 
-    /// A run that is recorded, written as JSON and read again goes through the same states with the same effects;
-    /// and nobody listening changes nothing but that nothing is told.
+    /// A run that is recorded, written as JSON and read back goes through the same states with the same effects.
+    /// Turning tracing off only removes the trace.
     #[test]
     fn a_replay_equals_its_run(
         shapes in prop::collection::vec(shape(), 1..4),

@@ -1,7 +1,7 @@
-//! What a turn of the engine read from its sensors, kept beside its input, so that the turn can be run again.
+//! Records what the engine read from its sensors in each turn, beside the input, so that the turn can be replayed.
 //!
-//! The engine is a function of its inputs and of what its expressions read: a run that is fed the same inputs, and for
-//! each the same readings in the same order, goes through the same states.
+//! The engine is a function of its inputs and of the values that its expressions read. With the same inputs, and
+//! for each the same readings in the same order, it goes through the same states.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -15,26 +15,26 @@ use super::{Effect, Engine, Input, Sensors};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Seen {
-    /// A channel's value, or a field of it; none when there was none.
+    /// The value of a channel or of a field of it; `None` if there was none.
     Channel(Option<Value>),
-    /// Seconds since a channel was published; none when it never was.
+    /// Seconds since a channel was published; `None` if it never was.
     Age(Option<f64>),
 }
 
-/// One turn of a run: what the engine was told, and what it read.
+/// One turn of a run: the engine's input and its sensor readings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct InputRecord {
     /// Virtual time since the run began, ns.
     pub at_ns: u64,
-    /// What it was told; none for the start.
+    /// The input; `None` for the start.
     pub input: Option<Input>,
-    /// What its expressions read, in order.
+    /// The values that expressions read, in order.
     pub seen: Vec<Seen>,
 }
 
 impl Engine {
-    /// Runs a recorded turn again. An engine that is given all turns of a run, begun with the same inputs of the chart,
-    /// goes through the same states and gives the same effects.
+    /// Replays a recorded turn. An engine with the same chart inputs that replays all turns of a run goes through
+    /// the same states and gives the same effects.
     pub fn replay(&mut self, turn: &InputRecord, out: &mut Vec<Effect>) {
         let sensors = Replaying::new(turn.seen.iter().cloned());
         match &turn.input {
@@ -44,7 +44,7 @@ impl Engine {
     }
 }
 
-/// Sensors that keep what was read from others.
+/// Sensors that forward to others and record every reading.
 pub struct Recording<'s> {
     inner: &'s dyn Sensors,
     seen: RefCell<Vec<Seen>>,
@@ -57,13 +57,13 @@ impl std::fmt::Debug for Recording<'_> {
 }
 
 impl<'s> Recording<'s> {
-    /// Reads from `inner`.
+    /// Records what is read from `inner`.
     #[must_use]
     pub fn new(inner: &'s dyn Sensors) -> Self {
         Self { inner, seen: RefCell::new(Vec::new()) }
     }
 
-    /// What was read, in order.
+    /// The readings, in order.
     #[must_use]
     pub fn seen(self) -> Vec<Seen> {
         self.seen.into_inner()
@@ -83,14 +83,14 @@ impl Sensors for Recording<'_> {
     }
 }
 
-/// Sensors that give what was read before, in the same order; nothing once that is used up.
+/// Sensors that return recorded readings in the same order, and nothing after the last one.
 #[derive(Debug, Default)]
 pub struct Replaying {
     seen: RefCell<VecDeque<Seen>>,
 }
 
 impl Replaying {
-    /// Gives these readings.
+    /// Sensors that return these readings.
     #[must_use]
     pub fn new(seen: impl IntoIterator<Item = Seen>) -> Self {
         Self { seen: RefCell::new(seen.into_iter().collect()) }

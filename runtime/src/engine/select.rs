@@ -1,22 +1,22 @@
-//! Which transitions an event takes: inner states first, then the order in the file; and what happens to events that
-//! nobody takes.
+//! Selects the transitions that an event takes: inner states first, then the order in the file. Also handles events
+//! that no transition takes.
 
 use super::event::{Event, Origin};
 use super::state::{Step, Turn, View};
 use super::{Engine, TraceItem};
 use crate::program::{FAILURE, Pattern, Program, StateId, Symbol};
 
-/// What a selection looks for.
+/// The trigger of a selection.
 #[derive(Clone, Copy)]
 enum By {
-    /// Transitions that an event takes.
+    /// An event.
     Event(Symbol),
-    /// Eventless transitions.
+    /// No event: eventless transitions.
     Nothing,
 }
 
 impl Engine {
-    /// Takes one event: chooses transitions, or does with it what happens to events that nobody takes.
+    /// Handles one event: selects transitions, or applies the rule for events that no transition takes.
     pub(super) fn dispatch(&mut self, event: Event, turn: &mut Turn<'_>) {
         if let Some((state, entry)) = event.scope() {
             let run = &self.runs[state as usize];
@@ -64,7 +64,7 @@ impl Engine {
         }
     }
 
-    /// Remembers what an outcome tells. Gives whether an unbreakable state has ended by itself.
+    /// Records an outcome. Returns whether an unbreakable state has ended by itself.
     fn note_outcome(&mut self, event: &Event, program: &Program) -> bool {
         let Origin::Outcome { state, .. } = event.origin else { return false };
         if event.is_failure() {
@@ -77,8 +77,8 @@ impl Engine {
         unbreakable
     }
 
-    /// Transitions of the state that an event belongs to, then of the states around it. A failure is first tried
-    /// again by states that have tries left.
+    /// Searches the transitions of the state that an event belongs to, then of the states around it. A failure
+    /// first restarts a state with retries left.
     fn select_outward(
         &mut self,
         symbol: Symbol,
@@ -87,8 +87,8 @@ impl Engine {
         turn: &mut Turn<'_>,
     ) -> Option<Step> {
         let failure = symbol == FAILURE && matches!(origin, Origin::Outcome { .. });
-        // A region's own end is not its surroundings' business: the parallel state ends when all regions have.
-        // Only a failure that did not come from a final state of the region goes outward.
+        // The end of a region is not offered to the states around it: the parallel state ends when all its regions
+        // have ended. Only a failure that did not come from a final state of the region goes outward.
         let own_only = match origin {
             Origin::Outcome { region_end, .. } => turn.program.state(from).region && (region_end || !failure),
             _ => false,
@@ -118,7 +118,7 @@ impl Engine {
     fn unhandled(&mut self, origin: Origin, turn: &mut Turn<'_>) {
         match origin {
             Origin::Error(state) => {
-                // The state that it came from may have been left by what failed.
+                // The failed action may itself have left the state that the error came from.
                 let here = turn.program.outward(state).find(|s| self.runs[*s as usize].active);
                 let data = self.store.event.as_ref().map(|e| e.data().clone()).unwrap_or_default();
                 self.push_failure(here.unwrap_or(0), data, turn.program);
@@ -149,7 +149,7 @@ impl Engine {
         self.finish_with("failure".into(), reason, chain, turn);
     }
 
-    /// SCXML's selectEventlessTransitions, taken at once. Gives whether there were any.
+    /// SCXML's selectEventlessTransitions, taken at once. Returns whether there were any.
     pub(super) fn take_always(&mut self, turn: &mut Turn<'_>) -> bool {
         let mut taken = self.select(By::Nothing, &[], turn);
         if self.unbreakable > 0 {
@@ -163,7 +163,7 @@ impl Engine {
         true
     }
 
-    /// SCXML's selectTransitions, for states that are not inside one of `served`.
+    /// SCXML's selectTransitions, for the states that are not inside one of `served`.
     fn select(&mut self, by: By, served: &[StateId], turn: &mut Turn<'_>) -> Vec<u32> {
         let tables = &turn.program.tables;
         let mut enabled = std::mem::take(&mut self.enabled);
@@ -178,7 +178,7 @@ impl Engine {
             }
             let mut around = Some(leaf);
             while let Some(state) = around {
-                // From here outward an earlier leaf has looked already, and found the same.
+                // From here outward, an earlier leaf has already searched, with the same result.
                 if std::mem::replace(&mut self.runs[state as usize].seen, selection) == selection {
                     break;
                 }
@@ -201,7 +201,7 @@ impl Engine {
         self.selection
     }
 
-    /// The first transition of a state, in the file's order, that fits and whose guard holds.
+    /// The first transition of a state, in the file's order, that matches and whose guard holds.
     fn first_enabled(&mut self, state: StateId, by: By, turn: &mut Turn<'_>) -> Option<u32> {
         let program = turn.program;
         let By::Event(symbol) = by else {
@@ -215,7 +215,7 @@ impl Engine {
         let (mut exact, mut wild) =
             (exact.iter().map(|(_, t)| *t).peekable(), wild.iter().copied().peekable());
         loop {
-            // Numbers grow in the file's order.
+            // Transition numbers increase in the file's order.
             let next_is_exact = match (exact.peek(), wild.peek()) {
                 (Some(a), Some(b)) => a < b,
                 (a, _) => a.is_some(),
@@ -232,8 +232,8 @@ impl Engine {
         self.store.event.as_ref().is_some_and(|event| pattern.matches(event.name(program)))
     }
 
-    /// SCXML's removeConflictingTransitions: of two that leave the same states, the inner one wins, else the
-    /// earlier one.
+    /// SCXML's removeConflictingTransitions: of two transitions that leave the same states, the inner one wins,
+    /// else the earlier one.
     fn without_conflicts(&self, enabled: &[u32], program: &Program) -> Vec<u32> {
         let mut kept: Vec<u32> = Vec::new();
         for candidate in enabled.iter().copied() {
@@ -256,7 +256,8 @@ impl Engine {
         kept
     }
 
-    /// Whether a transition's guard holds; one that fails is false and raises `error.execution`.
+    /// Whether a transition's guard holds. A guard that fails to evaluate counts as false and raises
+    /// `error.execution`.
     #[inline]
     pub(super) fn guard(&mut self, transition: u32, turn: &mut Turn<'_>) -> bool {
         if !turn.program.tables.jump(transition).guarded {

@@ -1,5 +1,5 @@
-//! What a run consists of: what each state is doing, the microstep that is pending, the variables, and the view that
-//! expressions have of all that.
+//! The data of a run: the status of each state, the pending microstep, the variables, and the view that expressions
+//! have of them.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,47 +10,47 @@ use super::event::Event;
 use super::{Effect, Sensors, TraceItem};
 use crate::program::{Program, StateId, Symbol};
 
-/// Most parts of what all variables together hold by assignment.
+/// Largest number of parts that all assigned variables may hold together.
 const MAX_HELD_PARTS: usize = 20 * MAX_PARTS;
 
-/// What a state's skill is doing.
+/// The status of a state's skill.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) enum SkillRun {
     #[default]
     None,
-    /// Entered; starts when the macrostep is over.
+    /// The state was entered; the skill starts at the end of the macrostep.
     Ready(BTreeMap<String, Value>),
     Running(u64),
     Cancelling(u64),
 }
 
-/// What a state is doing; reset when it is entered.
+/// The status of a state; reset when the state is entered.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Run {
-    /// Counts entries of all states: tells one stay in a state from another.
+    /// Number of this entry, counted over all states. It distinguishes one stay in a state from another.
     pub(super) entry: u64,
-    /// What few states need.
+    /// Data that few states need.
     pub(super) extra: Option<Box<Extra>>,
-    /// The newest selection that has looked at it.
+    /// Number of the newest selection that has looked at this state.
     pub(super) seen: u32,
-    /// The newest entry that has planned a state inside it.
+    /// Number of the newest entry that has planned a state inside this one.
     pub(super) filled: u32,
     pub(super) active: bool,
 }
 
-/// What a state with a skill, timers, tries or an outcome is doing.
+/// The status of a state with a skill, timers, retries or an outcome.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Extra {
     pub(super) skill: SkillRun,
-    /// Its outcome, once nobody handled it.
+    /// Its outcome, if no transition took it.
     pub(super) done: Option<Symbol>,
     /// Whether it has reported its outcome, for unbreakable states.
     pub(super) ended: bool,
     pub(super) retries: u32,
-    /// Waits before it is tried again; nothing inside it is active.
+    /// Whether it waits before its next retry; nothing inside it is active then.
     pub(super) waiting: bool,
     pub(super) timers: Vec<u64>,
-    /// What the transition that entered it gave, for further tries.
+    /// The values from the transition that entered it, for further retries.
     pub(super) given: BTreeMap<String, Value>,
     /// For a parallel state: the first outcome of a region that is not success.
     pub(super) first_other: Option<(Symbol, Value)>,
@@ -60,7 +60,7 @@ pub(super) struct Extra {
 #[derive(Clone, Debug)]
 pub(super) struct Timer {
     pub(super) of: TimerUse,
-    /// How many timers of no time have run out one after the other until this one, itself counted.
+    /// How many timers of zero duration have expired in a row up to this one, which is included.
     pub(super) chain: u32,
 }
 
@@ -71,11 +71,11 @@ pub(super) enum TimerUse {
     Send { id: Option<String>, event: Event, to: Option<String> },
 }
 
-/// What a microstep does once all skills that it leaves have returned.
+/// A microstep; it is carried out once all skills that it leaves have returned.
 #[derive(Clone, Debug)]
 pub(super) enum Step {
     Take(Vec<u32>),
-    /// Try the inside of a state again.
+    /// Restarts the inside of a state.
     Restart(StateId),
     Finish {
         outcome: String,
@@ -98,14 +98,14 @@ pub(super) struct Pending {
 pub(super) struct Store {
     pub(super) data: Vec<Option<Value>>,
     pub(super) event: Option<Event>,
-    /// Parts of the assigned values that are more than a scalar, by their place.
+    /// Number of parts of each assigned value that is not a scalar, by slot.
     pub(super) parts: BTreeMap<u32, usize>,
-    /// All those together.
+    /// Their sum.
     pub(super) held: usize,
 }
 
 impl Store {
-    /// Sets a variable. Gives false, and changes nothing, when all together would hold too much.
+    /// Sets a variable. Returns false, and changes nothing, if all variables together would hold too much.
     pub(super) fn assign(&mut self, slot: u32, value: Value) -> bool {
         let parts = match &value {
             Value::List(_) | Value::Map(_) | Value::String(_) | Value::Bytes(_) => value.parts(),
@@ -128,7 +128,7 @@ impl Store {
     }
 }
 
-/// The engine's variables, states and sensors together, as expressions see them.
+/// The engine's variables, states and sensors, as expressions see them.
 pub(super) struct View<'v> {
     pub(super) program: &'v Program,
     pub(super) store: &'v Store,
@@ -158,18 +158,18 @@ impl World for View<'_> {
     }
 }
 
-/// What one call works with.
+/// The context of one call of the engine.
 pub(super) struct Turn<'t> {
     pub(super) program: &'t Program,
     pub(super) sensors: &'t dyn Sensors,
     pub(super) out: &'t mut Vec<Effect>,
     pub(super) tracing: bool,
-    /// Actions that were run.
+    /// Number of actions run so far.
     pub(super) actions: u32,
 }
 
 impl<'t> Turn<'t> {
-    /// Tells what happens; nothing is put together when nobody listens.
+    /// Emits a trace item. The item is not built when tracing is off.
     #[inline]
     pub(super) fn trace(&mut self, item: impl FnOnce(&'t Program) -> TraceItem) {
         if self.tracing {

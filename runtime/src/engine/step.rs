@@ -1,4 +1,5 @@
-//! One microstep: cancel what is left, wait until it has returned, then leave, act and enter.
+//! One microstep: cancel the skills of the states to leave, wait until they have returned, then leave, act and
+//! enter.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -8,10 +9,10 @@ use super::state::{Pending, SkillRun, Step, Turn};
 use super::{Effect, Engine, TraceItem};
 use crate::program::{Kind, Pattern, Program, StateId};
 
-/// Longest time that a timer waits.
+/// Longest duration of a timer, s.
 const LONGEST_S: f64 = 1.0e9;
 
-/// Shortest time that a timer waits, unless it waits for none.
+/// Shortest duration of a timer other than zero, s.
 const SHORTEST_S: f64 = 1.0e-6;
 
 /// A finite, non-negative number of seconds as a duration.
@@ -24,7 +25,7 @@ pub(super) fn duration(seconds: f64) -> Duration {
 }
 
 impl Engine {
-    /// Begins a microstep: cancels the skills of all states that it leaves, and completes it where there are none.
+    /// Begins a microstep: cancels the skills of all states that it leaves. Completes it at once if there are none.
     pub(super) fn begin(&mut self, step: Step, turn: &mut Turn<'_>) {
         if turn.tracing {
             self.trace_transitions(&step, turn);
@@ -67,7 +68,7 @@ impl Engine {
         }
     }
 
-    /// Ends the run, whatever is being done: everything is left, once all skills have returned.
+    /// Ends the run in any situation: leaves all states once all skills have returned.
     pub(super) fn finish_with(
         &mut self,
         outcome: String,
@@ -77,12 +78,12 @@ impl Engine {
     ) {
         self.show_configuration(turn);
         self.ended_in = self.leaves();
-        // What was pending is given up; its cancelled skills are still waited for, as their states are active.
+        // The pending microstep is dropped. Its cancelled skills are still waited for, as their states are active.
         self.pending = None;
         self.begin(Step::Finish { outcome, reason, chain }, turn);
     }
 
-    /// What a transition leaves and enters is inside this state.
+    /// The state inside which a transition leaves and enters states.
     pub(super) fn domain(&self, transition: u32, program: &Program) -> Option<StateId> {
         let jump = program.tables.jump(transition);
         if !jump.historic {
@@ -94,7 +95,7 @@ impl Engine {
         Some(program.domain(t.source, t.internal, &targets))
     }
 
-    /// Where the active states inside `domain` lie in the configuration.
+    /// The index range of the configuration with the active states inside `domain`.
     pub(super) fn inside(&self, domain: StateId, program: &Program) -> (usize, usize) {
         let last = program.tables.last(domain);
         let from = self.configuration.partition_point(|s| *s <= domain);
@@ -122,7 +123,7 @@ impl Engine {
         exits
     }
 
-    /// Cancels the skills of these states; gives those that have to return.
+    /// Cancels the skills of these states. Returns the activations that have to return.
     fn cancel(&mut self, states: &[StateId], turn: &mut Turn<'_>) -> BTreeSet<u64> {
         let mut waiting = BTreeSet::new();
         for state in states {
@@ -154,7 +155,7 @@ impl Engine {
         waiting
     }
 
-    /// Goes on with the microstep that is pending, once all skills that it leaves have returned.
+    /// Continues the pending microstep once all skills that it leaves have returned.
     pub(super) fn complete_if_returned(&mut self, turn: &mut Turn<'_>) {
         if let Some(pending) = self.pending.take_if(|p| p.waiting.is_empty()) {
             self.complete(pending.step, pending.exits, turn);
@@ -177,7 +178,7 @@ impl Engine {
     fn take(&mut self, transitions: &[u32], turn: &mut Turn<'_>) {
         let program = turn.program;
         if let [t] = transitions {
-            // By far the most transitions: one, that stays or goes to a state beside that needs nothing.
+            // By far the most common case: one transition that stays, or goes to a plain state beside its source.
             let jump = program.tables.jump(*t);
             if jump.simple {
                 if jump.acts {
@@ -192,7 +193,8 @@ impl Engine {
         let mut entries = Entries::default();
         for number in transitions {
             let t = &program.transitions[*number as usize];
-            // What a transition gives is evaluated before its actions change anything that it reads.
+            // The values that a transition gives are evaluated before its actions change the variables that they
+            // read.
             let given = (!t.with.is_empty()).then(|| self.bindings(&t.with, turn));
             self.act(&t.actions, t.source, turn);
             let Some(domain) = self.domain(*number, program) else { continue };
@@ -206,7 +208,7 @@ impl Engine {
 
     // Leaving.
 
-    /// Leaves states, inner ones first; histories remember them before.
+    /// Leaves states, inner ones first; histories record their states before that.
     fn leave(&mut self, exits: &[StateId], turn: &mut Turn<'_>) {
         if exits.is_empty() {
             return;
@@ -229,14 +231,14 @@ impl Engine {
         }
     }
 
-    /// Histories of a state that is left remember what is active now.
+    /// The histories of a state that is left record the active states.
     fn remember(&mut self, state: StateId, program: &Program) {
         for history in &program.state(state).histories {
             let Kind::History { deep, .. } = &program.state(*history).kind else { continue };
             let (from, to) = self.inside(state, program);
             let inside = self.configuration[from..to].iter().copied();
             let states: Vec<StateId> = if *deep {
-                // Leaves of this chart; the inside of another chart is not remembered.
+                // Leaves of this chart only; the inside of another chart is not recorded.
                 let foreign = |s: StateId| {
                     program.outward(s).take_while(|a| *a != state).any(|a| program.state(a).chart_root)
                 };

@@ -5,7 +5,7 @@ use super::*;
 use crate::chart::testing::program;
 use crate::skill::{Failure, Outcome};
 
-/// Drives an engine by hand and keeps what it did as text, one line a thing.
+/// Drives an engine by hand and logs its effects as text, one line per effect.
 pub(super) struct Drive {
     pub(super) engine: Engine,
     log: String,
@@ -112,7 +112,7 @@ impl Drive {
         self.said()
     }
 
-    /// What was done since the last call, in one line.
+    /// The log since the last call, in one line.
     pub(super) fn said(&mut self) -> String {
         std::mem::take(&mut self.log).trim_end().replace('\n', "; ")
     }
@@ -250,7 +250,7 @@ fn outcomes_of_states_that_have_been_left_are_dropped() {
     let mut d = Drive::new(NESTED);
     d.said();
     let activation = d.skills["P.L.L1"];
-    // The skill has ended, but the event that leaves it is before its outcome in the queue.
+    // The skill has ended, but the event that leaves the state is before the outcome in the queue.
     let mut out = Vec::new();
     d.engine.handle(Input::Event { name: "out".into(), data: Value::Null }, &NoSensors, &mut out);
     d.take(out);

@@ -1,4 +1,5 @@
-//! Random charts under random events, channels and skills: executor and stepper give the same trace, with the same times.
+//! Random charts with random events, channels and skills: executor and stepper give the same trace, with the same
+//! times.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
@@ -12,7 +13,7 @@ use super::*;
 use crate::chart::testing::{program, registry};
 use crate::stepping::Stepper;
 
-/// Numbers that decide what a chart looks like.
+/// A list of numbers that determines a random chart.
 struct Picks<'n> {
     numbers: &'n [usize],
     at: usize,
@@ -21,7 +22,7 @@ struct Picks<'n> {
 impl Picks<'_> {
     fn below(&mut self, bound: usize) -> usize {
         self.at += 1;
-        // The position counts too, so that a short list does not repeat itself.
+        // The position is added, so that a short list does not repeat itself.
         (self.numbers[self.at % self.numbers.len()] + self.at / self.numbers.len()) % bound
     }
 }
@@ -53,7 +54,8 @@ fn chart(picks: &mut Picks<'_>) -> String {
 }
 
 fn one_state(states: &[&str], picks: &mut Picks<'_>) -> String {
-    // What cancels a skill again and again takes some time, as the way to the end of such a run is long.
+    // A loop that keeps cancelling skills gets a minimum duration; without it such a run takes very long to reach
+    // its bound.
     let mut least = 0;
     let mut parts = vec!["enter: [{assign: {locals.n: \"${(locals.n + 1) % 60}\"}}]".to_owned()];
     let mut events = vec!["a", "b"];
@@ -85,7 +87,7 @@ fn one_state(states: &[&str], picks: &mut Picks<'_>) -> String {
     format!("{{{}}}", parts.join(", "))
 }
 
-/// Something that comes from outside.
+/// An event from outside.
 #[derive(Clone, Copy, Debug)]
 enum Outside {
     Event(&'static str),
@@ -110,7 +112,7 @@ fn published(what: Outside) -> Option<(&'static str, Value)> {
     }
 }
 
-/// How long a run is looked at after the last that comes from outside.
+/// How long a run is compared after the last event from outside.
 const AFTER: Duration = Duration::from_millis(400);
 
 fn executed(program: &Arc<Program>, script: &[(Duration, Outside)]) -> Vec<TraceEvent> {
@@ -145,7 +147,7 @@ fn executed(program: &Arc<Program>, script: &[(Duration, Outside)]) -> Vec<Trace
     })
 }
 
-/// The same by the stepper; nothing where two things come at one instant, as then their order is nobody's promise.
+/// The same run by the stepper. `None` if two events fall on one instant, as their order is then not defined.
 fn stepped(program: &Arc<Program>, script: &[(Duration, Outside)]) -> Option<Vec<TraceEvent>> {
     let mut stepper = Stepper::new(Arc::clone(program), &BTreeMap::new(), None).unwrap();
     let mut endings: BTreeMap<Duration, (u64, String, String)> = BTreeMap::new();
@@ -179,7 +181,8 @@ fn stepped(program: &Arc<Program>, script: &[(Duration, Outside)]) -> Option<Vec
         } else if let Some(what) = outside.remove(&first) {
             match (what, what.and_then(published)) {
                 (None, _) => {
-                    // Outcomes that are told from outside are not counted here, and so the end would come a little later.
+                    // The stepper does not count outcomes that are reported from outside, so its run would end
+                    // slightly later.
                     let reason = stepper.result().and_then(|result| result.reason.as_deref());
                     let restless = reason.is_some_and(|reason| reason.contains("skills ended"));
                     return (!restless).then(|| std::mem::take(&mut stepper.trace));
@@ -192,7 +195,7 @@ fn stepped(program: &Arc<Program>, script: &[(Duration, Outside)]) -> Option<Vec
     }
 }
 
-/// Looks up how and when skills that were started end.
+/// Looks up when and how the started skills end.
 fn plan(
     stepper: &Stepper,
     known: &mut BTreeSet<u64>,
@@ -214,7 +217,7 @@ fn plan(
         }
         let takes = Duration::from_secs_f64(started["for"].as_f64().unwrap_or(0.0));
         let took = endings.insert(stepper.now() + takes, (running.activation, running.path, end));
-        // One that has been left meanwhile does not end any more.
+        // A skill whose state has been left meanwhile no longer ends.
         if took.is_some_and(|(other, ..)| stepper.running().iter().any(|r| r.activation == other)) {
             return None;
         }
@@ -222,8 +225,8 @@ fn plan(
     Some(())
 }
 
-/// The trace as text. Skills that were cancelled together and return at one instant are put in one order: in the
-/// executor a skill that has not begun yet returns before one that waits.
+/// The trace as text. Skills that were cancelled together and return at one instant are sorted: in the executor, a
+/// skill that has not started yet returns before one that waits.
 fn lines(trace: &[TraceEvent], until_ns: u64) -> Vec<String> {
     let returned =
         |item: &TraceItem| matches!(item, TraceItem::SkillEnded { outcome, .. } if outcome == "cancelled");

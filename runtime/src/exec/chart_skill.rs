@@ -1,5 +1,5 @@
-//! A chart as a skill: whoever starts it gives its inputs and gets its outcome and outputs, and a cancel ends it in
-//! order. So other agents start charts as they start skills.
+//! A chart as a skill: the caller gives its inputs and gets its outcome and outputs; a cancel ends it in order.
+//! Other agents start charts this way.
 
 use std::fmt;
 use std::sync::Arc;
@@ -18,10 +18,10 @@ use crate::trace::{TraceEvent, TraceItem};
 /// Stops the robot because the skill of this state is stuck.
 pub type Stop = Arc<dyn Fn(&str) + Send + Sync>;
 
-/// What the chart itself needs to end, beside its skills.
+/// Time that the chart itself needs to end, in addition to its skills.
 const ENDING: Duration = Duration::from_millis(500);
 
-/// A chart that is started like a skill.
+/// A chart that can be started like a skill.
 pub struct ChartSkill {
     program: Arc<Program>,
     description: String,
@@ -37,13 +37,13 @@ impl fmt::Debug for ChartSkill {
 }
 
 impl ChartSkill {
-    /// A chart with the skills that it uses; `stop` is called when one of those does not return.
+    /// Wraps a chart with the skills that it uses; `stop` is called when one of them does not return.
     #[must_use]
     pub fn new(program: Arc<Program>, description: &str, registry: Registry, stop: Stop) -> Self {
         Self { program, description: description.to_owned(), registry, stop, peers: Peers::default() }
     }
 
-    /// The same chart among those of other agents: it sends them events, and hears what they send.
+    /// Connects the chart with other agents: it sends them events and receives theirs.
     #[must_use]
     pub fn among(mut self, peers: Peers) -> Self {
         self.peers = peers;
@@ -107,7 +107,7 @@ fn ended(result: RunResult) -> SkillResult {
     Err(Failure::new(reason + &through))
 }
 
-/// Tells what is active.
+/// Publishes the active states.
 struct Leaves(watch::Sender<Vec<String>>);
 
 impl TraceSink for Leaves {

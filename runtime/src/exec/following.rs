@@ -1,4 +1,4 @@
-//! The channels that armed watches read: followed as long as one does, so that observers publish them.
+//! Subscribes to the channels that armed watches read, so that observers publish them.
 
 use std::collections::BTreeMap;
 
@@ -18,7 +18,7 @@ struct Followed {
 pub(super) struct Following(BTreeMap<u32, Followed>);
 
 impl Following {
-    /// Follows these channels and no others. `names` are the program's.
+    /// Follows exactly these channels. `names` are the program's.
     pub(super) fn follow(
         &mut self,
         wanted: impl Iterator<Item = u32> + Clone,
@@ -44,7 +44,7 @@ impl Following {
         self.0.is_empty()
     }
 
-    /// The channels that have a new value since this was asked last.
+    /// The channels that have a new value since the last call.
     pub(super) fn take_changed(&mut self) -> Vec<u32> {
         let mut changed = Vec::new();
         for (channel, followed) in &mut self.0 {
@@ -61,7 +61,7 @@ impl Following {
         let waits = self.0.values_mut().map(|followed| {
             Box::pin(async {
                 if followed.receiver.changed().await.is_err() {
-                    // The hub is kept alive by the demand; were it gone, nothing would be published any more.
+                    // The demand keeps the channel alive. If it were gone, nothing would be published any more.
                     std::future::pending::<()>().await;
                 }
                 followed.receiver.mark_changed();

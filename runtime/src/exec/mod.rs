@@ -1,8 +1,9 @@
-//! Runs a chart on tokio: skills as tasks, one bounded queue, tokio's clock. The engine decides, the agenda says what
-//! is due, this does it. What is due at an instant comes before what arrives at it, so that a flood of events delays no timer.
+//! Runs a chart on tokio: skills as tasks, one bounded queue, tokio's clock. The engine decides, the agenda says
+//! what is due, and this module carries it out. Items due at an instant come before messages that arrive at it, so
+//! that a flood of events delays no timer.
 //!
-//! On a current-thread runtime with a paused clock a run is repeatable bit for bit: ordered maps, biased
-//! selection, and nothing but tokio's clock.
+//! On a current-thread runtime with a paused clock, a run is repeatable bit for bit: it uses ordered maps, biased
+//! selection, and only tokio's clock.
 
 mod chart_skill;
 mod following;
@@ -40,7 +41,7 @@ pub use chart_skill::{ChartSkill, Stop};
 pub use remote_events::{Peers, RemoteEvent, Subscribers, Transport};
 pub use sink::TraceSink;
 
-/// Messages that may wait for the engine; skills that send more wait.
+/// Largest number of messages in the engine's queue; senders wait when it is full.
 const QUEUE: usize = 256;
 
 /// Called with the path of a state whose skill is stuck.
@@ -53,14 +54,14 @@ pub struct ExecOptions {
     pub inputs: BTreeMap<String, Value>,
     /// The profile whose defaults are used.
     pub profile: Option<String>,
-    /// Bounds on every skill, beside the chart's own.
+    /// Bounds on every skill, in addition to the chart's own.
     pub limits: Limits,
-    /// Takes what happens.
+    /// Receives the trace.
     pub sink: Option<Box<dyn TraceSink>>,
     /// Called at once with a state's path when its skill does not return within its grace, or has not yielded for a
-    /// long time by the wall clock: stop the robot. In the second case it is called from another thread.
+    /// long time by the wall clock; it must stop the robot. In the second case it is called from another thread.
     pub on_stuck: Option<OnStuck>,
-    /// The charts of other agents, and how events go to and fro.
+    /// The charts of other agents, and how events are exchanged with them.
     pub peers: Peers,
 }
 
@@ -73,7 +74,7 @@ impl fmt::Debug for ExecOptions {
     }
 }
 
-/// Reaches into a run from outside.
+/// Controls a run from outside.
 #[derive(Clone, Debug)]
 pub struct Controller {
     queue: mpsc::Sender<Message>,
@@ -90,14 +91,14 @@ impl Controller {
         self.stop.cancel();
     }
 
-    /// Raises an event that all active states see. Gives false when the queue is full or the run has ended.
+    /// Raises an event that all active states see. Returns false if the queue is full or the run has ended.
     #[must_use = "an event that the queue had no room for was not raised"]
     pub fn raise(&self, name: impl Into<String>, data: Value) -> bool {
         self.queue.try_send(Message::Event { name: name.into(), data }).is_ok()
     }
 }
 
-/// A chart that is about to run.
+/// A chart that is ready to run.
 pub struct Executor {
     engine: Engine,
     registry: Registry,
@@ -115,7 +116,7 @@ pub struct Executor {
     agenda: Agenda,
     following: Following,
     began: Instant,
-    /// Time since the run began, at the turn that is taken.
+    /// Time since the run began, at the current turn.
     now: Duration,
     result: Option<RunResult>,
 }
@@ -177,16 +178,17 @@ impl Executor {
         })
     }
 
-    /// Sets after how long by the wall clock a skill that does not yield is taken to hang; without this, 10 s. Then
-    /// `on_hang` is called with its state's path, from a thread of its own, after [`ExecOptions::on_stuck`]: where the
-    /// skill blocks the thread that everything runs on, nothing else can go on, and the process should end.
+    /// Sets how long, by the wall clock, a skill may run without yielding before it counts as hanging; the default
+    /// is 10 s. `on_hang` is then called with its state's path, from a separate thread, after
+    /// [`ExecOptions::on_stuck`]. If the skill blocks the thread that everything runs on, nothing else can
+    /// continue, and the process should end.
     #[must_use]
     pub fn hang_after(mut self, limit: Duration, on_hang: Option<OnStuck>) -> Self {
         self.watchdog.set(limit, on_hang);
         self
     }
 
-    /// A handle that reaches into the run.
+    /// A handle that controls the run.
     #[must_use]
     pub fn controller(&self) -> Controller {
         Controller { queue: self.sender.clone(), stop: self.stop.clone(), reason: Arc::clone(&self.reason) }
@@ -226,7 +228,7 @@ impl Executor {
         }
     }
 
-    /// Tells the engine everything that is due by now.
+    /// Passes everything that is due by now to the engine.
     fn catch_up(&mut self) {
         self.now = self.began.elapsed();
         while self.result.is_none() {
@@ -256,7 +258,7 @@ impl Executor {
         }
     }
 
-    /// A skill tells something; what one tells that is taken for stuck is not heard any more.
+    /// Handles a skill's report. Reports of a skill that counts as stuck are ignored.
     fn report(&mut self, activation: u64, report: Report) {
         let Some(state) = self.running.get(&activation).map(Running::state) else { return };
         let path = || self.engine.program().path(state).to_owned();
@@ -281,7 +283,7 @@ impl Executor {
         }
     }
 
-    /// One turn of the engine, its start where there is no input; for a sink, with what it was told and read.
+    /// One turn of the engine; `None` is its start. A sink also receives the input and the sensor readings.
     fn turn(&mut self, input: Option<Input>) {
         let mut effects = Vec::new();
         let program = Arc::clone(self.engine.program());
@@ -308,7 +310,7 @@ impl Executor {
         self.following.follow(self.agenda.channels(), program.channels(), &self.channels);
     }
 
-    /// Does what the engine wants done and the agenda does not do.
+    /// Carries out the effects that the agenda does not handle.
     fn act(&mut self, effect: Effect) {
         match effect {
             Effect::StartSkill { activation, state, skill, inputs, limits } => {
@@ -359,7 +361,7 @@ fn nanoseconds(time: Duration) -> u64 {
     u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }
 
-/// Stands for a skill that this program does not have.
+/// A placeholder for a skill that this program does not have.
 struct Missing(String);
 
 impl Skill for Missing {

@@ -1,5 +1,5 @@
-//! Events between the charts of agents: what a run sends leaves in its order, and what others send is raised in the
-//! charts that run here. How events travel is a [`Post`]; this knows no network.
+//! Events between the charts of agents: a run's events are sent in order, and events from others are raised in the
+//! charts that run here. A [`Transport`] carries the events; this module does not know the network.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -15,11 +15,11 @@ use tokio::time::timeout;
 use super::Controller;
 use super::skills::Message;
 
-/// Agents that one run sends to.
+/// Largest number of agents that one run sends to.
 const MOST_AGENTS: usize = 64;
-/// Events to one agent that may wait.
+/// Largest number of events that wait for one agent.
 const MAX_WAITING: usize = 64;
-/// How long the end of a run waits for what it has sent.
+/// How long the end of a run waits for the delivery of its events.
 const LAST: Duration = Duration::from_secs(1);
 
 /// An event on its way to another agent.
@@ -29,22 +29,23 @@ pub struct RemoteEvent {
     pub to: String,
     /// The event's name.
     pub event: String,
-    /// What comes with it.
+    /// Its data.
     pub data: Value,
 }
 
-/// Takes events to other agents.
+/// Delivers events to other agents.
 pub trait Transport: Send + Sync {
-    /// Delivers one event; those to one agent are given one after the other. An error is one sentence for people.
+    /// Delivers one event. Events for one agent are passed one after the other. The error is one sentence for the
+    /// user.
     fn deliver(&self, sent: RemoteEvent) -> BoxFuture<'static, Result<(), String>>;
 }
 
-/// How a run and those of other agents tell each other events.
+/// The connection of a run to those of other agents.
 #[derive(Clone, Default)]
 pub struct Peers {
-    /// Takes events to them; without it, sending is an error.
+    /// Delivers events to them; without it, sending is an error.
     pub transport: Option<Arc<dyn Transport>>,
-    /// Where what they send is heard.
+    /// Receives their events.
     pub subscribers: Subscribers,
 }
 
@@ -54,18 +55,18 @@ impl fmt::Debug for Peers {
     }
 }
 
-/// The charts that run now and hear what other agents send; clones share the same charts.
+/// The running charts that receive events from other agents; clones share the same charts.
 #[derive(Clone, Debug, Default)]
 pub struct Subscribers(Arc<Mutex<Runs>>);
 
 #[derive(Debug, Default)]
 struct Runs {
     next: u64,
-    /// A chart's name and the way into its run.
+    /// The chart's name and the controller of its run.
     by_number: BTreeMap<u64, (String, Controller)>,
 }
 
-/// A run's place among the subscribers, until it is dropped.
+/// The entry of a run among the subscribers, until it is dropped.
 #[derive(Debug)]
 pub(super) struct Subscription {
     subscribers: Subscribers,
@@ -92,10 +93,10 @@ impl Subscribers {
         Subscription { subscribers: self.clone(), number }
     }
 
-    /// Raises an event in the charts that run, or in those of one name. Gives how many have heard it.
+    /// Raises an event in the running charts, or only in those of one name. Returns how many charts received it.
     ///
     /// # Errors
-    /// One sentence for people, when a chart has no room for it.
+    /// One sentence for the user, when the queue of a chart is full.
     pub fn raise(&self, chart: Option<&str>, event: &str, data: &Value) -> Result<u32, String> {
         self.runs(|runs| {
             let mut heard = 0;
@@ -115,12 +116,12 @@ impl Subscribers {
     }
 }
 
-/// What a run sends.
+/// The events that a run sends.
 pub(super) struct Outbox {
     transport: Option<Arc<dyn Transport>>,
-    /// The run's own queue: what cannot be delivered comes back as `error.communication`.
+    /// The run's own queue: an event that cannot be delivered comes back as `error.communication`.
     queue: mpsc::Sender<Message>,
-    /// A queue and its task by agent, so that a slow one holds up no other.
+    /// A queue and its task per agent, so that a slow agent does not delay the others.
     routes: BTreeMap<String, (mpsc::Sender<RemoteEvent>, JoinHandle<()>)>,
 }
 
@@ -155,7 +156,7 @@ impl Outbox {
         }
     }
 
-    /// Waits until what was sent has been delivered, for a while.
+    /// Waits, for a limited time, until the sent events have been delivered.
     pub(super) async fn close(&mut self) {
         if self.routes.is_empty() {
             return;
@@ -180,7 +181,7 @@ async fn carry(
 ) {
     while let Some(sent) = events.recv().await {
         if let Err(why) = transport.deliver(sent.clone()).await {
-            // The run may have ended; then nobody is left to be told.
+            // If the run has ended, there is no receiver for this message.
             let _ = queue.send(undelivered(&sent, &why)).await.is_ok();
         }
     }

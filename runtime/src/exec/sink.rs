@@ -1,14 +1,14 @@
-//! Who takes the trace of a run while it runs: recordings, progress lines, viewers.
+//! Receivers of a run's trace: recordings, progress lines, viewers.
 
 use crate::engine::InputRecord;
 use crate::trace::TraceEvent;
 
-/// Takes what happened, in order. Called in the middle of a run: it must return at once.
+/// Receives trace events in order. It is called in the middle of a run and must return at once.
 pub trait TraceSink: Send {
-    /// One thing happened.
+    /// Called for each trace event.
     fn record(&mut self, event: &TraceEvent);
-    /// The engine was told something; what came of it is recorded next. All these, in order, make a run that can be
-    /// replayed.
+    /// Called for each input of the engine, before the trace events that it causes. All inputs, in order, are
+    /// enough to replay the run.
     fn input(&mut self, _turn: &InputRecord) {}
 }
 

@@ -1,4 +1,4 @@
-//! The skills of one run: each a task whose reports go into the run's queue.
+//! The skills of one run: each is a task whose reports go into the run's queue.
 
 use armarium_values::Value;
 use tokio::sync::mpsc;
@@ -9,20 +9,20 @@ use super::watchdog::Polls;
 use crate::activation::{Activation, Report};
 use crate::program::StateId;
 
-/// What reaches the executor's queue.
+/// A message in the executor's queue.
 #[derive(Debug)]
 pub(super) enum Message {
-    /// An event from outside, or one that could not be delivered to another agent.
+    /// An event from outside, or the error for one that could not be delivered to another agent.
     Event { name: String, data: Value },
-    /// A skill tells something.
+    /// A report of a skill.
     Skill { activation: u64, report: Report },
     /// A skill has not yielded for too long.
     Hangs { reason: String },
-    /// Somebody ends the run.
+    /// A request to end the run.
     Stopped { reason: String },
 }
 
-/// A skill that has been started. Dropping it cancels and aborts the task, if that still runs.
+/// A running skill. Dropping it cancels the skill and aborts its task.
 #[derive(Debug)]
 pub(super) struct Running {
     state: StateId,
@@ -38,7 +38,7 @@ impl Drop for Running {
 }
 
 impl Running {
-    /// Lets a skill act in a task of its own. `cancel` is the token that it was started with.
+    /// Starts a skill in a task of its own. `cancel` is the token in its context.
     pub(super) fn start(
         (number, state): (u64, StateId),
         activation: Activation,

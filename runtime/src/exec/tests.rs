@@ -4,7 +4,7 @@ use std::time::Duration;
 use super::*;
 use crate::chart::testing::{program, registry};
 
-/// Runs a chart under virtual time; gives the result and the trace, one line a thing, with times in ms.
+/// Runs a chart under virtual time. Returns the result and the trace, one line per item, with times in ms.
 async fn run_with(
     text: &str,
     channels: Channels,
@@ -275,7 +275,7 @@ async fn a_skill_that_does_not_yield_is_seen_by_the_wall_clock() {
     assert_eq!(result.reason.as_deref(), Some("the skill of `A` has not yielded for 0.02 s"));
 }
 
-/// Keeps what the engine was told and what came of it.
+/// Keeps the engine's inputs and the trace.
 #[derive(Clone, Default)]
 struct Record(Arc<Mutex<(Vec<InputRecord>, Vec<TraceItem>)>>);
 
@@ -386,7 +386,7 @@ states:
     assert_eq!(result.reason.as_deref(), Some("10000 skills ended without any time between them: `A`, `B`"));
 }
 
-/// Raises events without end, as fast as the queue takes them.
+/// Raises events without end, as fast as the queue accepts them.
 async fn flood(controller: Controller) {
     loop {
         while controller.raise("noise", Value::Null) {}
@@ -427,7 +427,7 @@ states:
     assert_eq!(result.reason.as_deref(), Some("the skill of `A` did not return after it was cancelled"));
 }
 
-/// Raises events without ever giving them time to be taken.
+/// Raises events without yielding, so that they cannot be taken meanwhile.
 struct Chatter(u64);
 
 impl Skill for Chatter {

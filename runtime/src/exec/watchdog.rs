@@ -1,7 +1,7 @@
-//! Checks by the wall clock that each skill yields. The executor's time may be virtual, and it stands still while a skill
-//! blocks its thread. So a thread of its own checks it.
+//! Checks by the wall clock that each skill yields. The executor's time may be virtual, and it stands still while a
+//! skill blocks its thread. Therefore the check runs on its own thread.
 //!
-//! It changes nothing in a run in which every skill yields.
+//! It does not affect a run in which every skill yields.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -16,7 +16,7 @@ use tokio::sync::mpsc;
 use super::OnStuck;
 use super::skills::Message;
 
-/// After how long a skill that does not yield is taken to hang, unless something else is asked for.
+/// How long a skill may run without yielding before it counts as hanging, by default.
 const HANGS: Duration = Duration::from_secs(10);
 
 /// When a skill's poll began, ns since the watchdog was made; 0 between polls.
@@ -37,7 +37,7 @@ pub(super) struct Watchdog {
     on_hang: Option<OnStuck>,
 }
 
-/// The polls of one skill; ends with it.
+/// Monitors the polls of one skill; removed when dropped.
 pub(super) struct Polls {
     activation: u64,
     since: Since,
@@ -92,7 +92,7 @@ impl Watchdog {
         (self.limit, self.on_hang) = (limit.max(Duration::from_millis(1)), on_hang);
     }
 
-    /// Begins to watch, on a thread of its own that ends with the watchdog.
+    /// Starts the thread, which ends with the watchdog.
     pub(super) fn start(&mut self) {
         let shared = Arc::clone(&self.shared);
         let (queue, limit, on_hang) = (self.queue.clone(), self.limit, self.on_hang.take());
@@ -102,7 +102,7 @@ impl Watchdog {
         }
     }
 
-    /// A state's skill is stuck: whoever stops the robot is told.
+    /// Reports the skill of a state as stuck, to the callback that stops the robot.
     pub(super) fn stuck(&self, state: &str) {
         if let Some(on_stuck) = locked(&self.shared.on_stuck).as_mut() {
             on_stuck(state);
@@ -137,7 +137,7 @@ fn watch(shared: &Shared, queue: &mpsc::Sender<Message>, limit: Duration, on_han
         if let Some(on_stuck) = locked(&shared.on_stuck).as_mut() {
             on_stuck(&state);
         }
-        // Where the executor has a thread of its own it can still end the run in order.
+        // If the executor runs on another thread than the skill, it can still end the run in order.
         if queue.try_send(Message::Hangs { reason }).is_err() {
             tracing::error!(state, "the run could not be told");
         }
@@ -149,7 +149,7 @@ fn watch(shared: &Shared, queue: &mpsc::Sender<Message>, limit: Duration, on_han
 }
 
 impl Polls {
-    /// The same future, each poll of it watched.
+    /// Wraps a future so that each of its polls is monitored.
     pub(super) fn of<F: Future + Unpin>(self, future: F) -> Watched<F> {
         Watched { future, polls: self }
     }

@@ -1,7 +1,8 @@
-//! One expression: the part of ECMAScript that needs no data model, as CEL.
+//! Converts one expression: the part of ECMAScript that needs no data model, to CEL.
 //!
-//! Literals, `In('id')`, `_event.name`, `_event.data.x`, `_name`, `_sessionid`, `!`, `&&`, `||`, comparison and the
-//! joining of texts. What is made of literals only is computed here, by ECMAScript's rules.
+//! Supported: literals, `In('id')`, `_event.name`, `_event.data.x`, `_name`, `_sessionid`, `!`, `&&`, `||`,
+//! comparison and the concatenation of texts. Expressions of literals only are computed here, by ECMAScript's
+//! rules.
 
 use super::yaml::cel_string;
 
@@ -10,14 +11,14 @@ const MAX_DEPTH: usize = 40;
 /// Longest expression, bytes.
 const MAX_LEN: usize = 4096;
 
-/// What an expression stands for.
+/// A parsed expression.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Expr {
     Null,
     Bool(bool),
     Number(f64),
     Text(String),
-    /// Is this state active?
+    /// Whether this state is active.
     In(String),
     /// `event.name`, `event.data.x`.
     Event(String),
@@ -25,7 +26,7 @@ pub(super) enum Expr {
     Binary(&'static str, Box<Expr>, Box<Expr>),
 }
 
-/// What an expression may name.
+/// The names that an expression may use.
 pub(super) struct Scope<'s> {
     /// The chart's name: SCXML's `_name`, and the id of its only session.
     pub(super) chart: &'s str,
@@ -34,7 +35,7 @@ pub(super) struct Scope<'s> {
 }
 
 impl Expr {
-    /// Whether it is one of ECMAScript's true values, for literals.
+    /// For a literal: whether ECMAScript treats it as true.
     pub(super) fn truth(&self) -> Option<bool> {
         match self {
             Self::Null => Some(false),
@@ -45,7 +46,7 @@ impl Expr {
         }
     }
 
-    /// A literal as the text that ECMAScript makes of it.
+    /// For a literal: its text by ECMAScript's conversion.
     pub(super) fn words(&self) -> Option<String> {
         match self {
             Self::Null => Some("null".into()),
@@ -56,7 +57,7 @@ impl Expr {
         }
     }
 
-    /// The expression in CEL.
+    /// The expression as CEL.
     pub(super) fn cel(&self) -> String {
         match self {
             Self::Null => "null".into(),
@@ -82,10 +83,10 @@ impl Expr {
     }
 }
 
-/// Reads an expression.
+/// Parses an expression.
 ///
 /// # Errors
-/// One sentence for people.
+/// One sentence for the user.
 pub(super) fn parse(text: &str, scope: &Scope<'_>) -> Result<Expr, String> {
     let refused = |why: String| format!("the expression `{}` cannot be carried over: {why}", text.trim());
     if text.len() > MAX_LEN {
@@ -152,7 +153,7 @@ fn tokens(text: &str) -> Result<Vec<Token>, String> {
     Ok(result)
 }
 
-/// A quoted text and how many bytes it takes.
+/// A quoted text and its length in bytes, with the quotes.
 fn quoted(text: &str, quote: char) -> Result<(String, usize), String> {
     let mut result = String::new();
     let mut chars = text.char_indices().skip(1);

@@ -1,4 +1,4 @@
-//! Names: SCXML's ids as names that the language allows, each of them once.
+//! Maps SCXML's ids to unique names that the language allows.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -16,7 +16,7 @@ impl Names {
     /// Names for all states; `fallback` for the chart where the document has no name.
     pub(super) fn of(document: &Document, fallback: &str) -> Self {
         let mut taken: BTreeSet<String> = BTreeSet::new();
-        // What is allowed keeps its name; only then others are given names beside them.
+        // Allowed ids keep their names. Only then do the other ids get names, different from those.
         let ids = document.states.iter().filter_map(|s| s.id.as_ref());
         taken.extend(ids.filter(|id| is_name(id)).cloned());
         let mut by_id = BTreeMap::new();
@@ -47,7 +47,7 @@ impl Names {
         self.by_id.get(id).copied()
     }
 
-    /// The shortest way to write `state` from `from`.
+    /// The shortest path from `from` to `state`.
     pub(super) fn path(&self, document: &Document, from: Index, state: Index) -> String {
         let around: BTreeSet<Index> = ancestors(document, from).collect();
         let mut parts = Vec::new();
@@ -61,7 +61,7 @@ impl Names {
         parts.join(".")
     }
 
-    /// SCXML's ids by the names that stand for them, where they differ.
+    /// SCXML's ids by the names that replace them, where the two differ.
     pub(super) fn renamed(&self, document: &Document) -> BTreeMap<String, String> {
         let named = document.states.iter().zip(&self.names);
         let differ =
@@ -84,7 +84,7 @@ fn word(kind: Kind) -> &'static str {
     }
 }
 
-/// A name made of an id: what is not allowed in it becomes `_`.
+/// A name made from an id: characters that are not allowed become `_`.
 fn allowed(id: &str) -> String {
     let mut name: String = id.chars().map(|c| if c.is_alphanumeric() { c } else { '_' }).collect();
     if !name.starts_with(|c: char| c.is_alphabetic() || c == '_') {

@@ -1,4 +1,4 @@
-//! Documents as charts: what is written, and what is refused.
+//! Conversion of documents: the written chart, and what is refused.
 
 use std::collections::BTreeMap;
 
@@ -30,7 +30,7 @@ fn stepper(inside: &str) -> Stepper {
     stepper
 }
 
-/// The leaves after each event.
+/// The active leaves after each event.
 fn leaves(inside: &str, events: &[&str]) -> Vec<String> {
     let mut stepper = stepper(inside);
     let mut result = vec![stepper.snapshot().configuration.join(" ")];
@@ -232,14 +232,14 @@ fn what_tools_leave_beside_the_states_is_named_and_left_out() {
         "{}",
         imported.yaml
     );
-    // What would have to be done, or read from elsewhere, is an error.
+    // Foreign content that would have to be executed, or read from elsewhere, is an error.
     let wrong = "<state xmlns:q='http://q'><onentry><q:do/></onentry></state>\
         <x:include xmlns:x='http://www.w3.org/2001/XInclude' href='b.scxml'/>";
     assert_eq!(refused(wrong).len(), 2);
 }
 
-/// The states that SCXML's rules lead to, where implementations are known to go astray; after the assertions of the
-/// W3C's report plan.
+/// The states that SCXML's rules lead to, in cases where implementations are known to fail. After the assertions of
+/// the W3C's report plan.
 #[test]
 fn documents_go_where_the_standard_says() {
     for (what, document, expected) in [

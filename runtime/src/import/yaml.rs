@@ -1,6 +1,6 @@
-//! Scalars as YAML and CEL: quoted where they could be read as something else.
+//! Scalars in YAML and CEL, quoted where they could be read as another type.
 
-/// Whether a text can stand as it is: a word that is neither a number, a bool nor nothing.
+/// Whether a text can be written without quotes: a word that YAML does not read as a number, a bool or null.
 fn plain(text: &str) -> bool {
     const WORDS: [&str; 8] = ["true", "false", "null", "yes", "no", "on", "off", "y"];
     let lower = text.to_ascii_lowercase();
@@ -33,12 +33,12 @@ pub(super) fn quoted(text: &str) -> String {
     result
 }
 
-/// A text that is meant as it stands: `${` is no expression in it.
+/// A literal text: `${` in it does not begin an expression.
 pub(super) fn literal(text: &str) -> String {
     scalar(&text.replace("${", "$${"))
 }
 
-/// JSON as YAML on one line; texts are meant as they stand.
+/// JSON as YAML on one line; its texts are literal.
 pub(super) fn json(value: &serde_json::Value) -> String {
     use serde_json::Value as Json;
     match value {
@@ -68,7 +68,7 @@ pub(super) fn cel_string(text: &str) -> String {
     result
 }
 
-/// A text in a comment: one line of it.
+/// One line of a text, for a comment.
 pub(super) fn comment(text: &str) -> String {
     text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(200).collect()
 }

@@ -1,9 +1,9 @@
-//! A chart as tables: every name resolved to a number, every expression compiled. `chart` makes it, `engine` runs it;
-//! nothing here reads a file, and nothing here runs.
+//! A chart as tables: every name is resolved to a number, every expression is compiled. `chart` builds a program
+//! and `engine` runs it. This module reads no files and runs nothing.
 //!
-//! States are numbered in the order of the file, parents before children, so that the states inside `s` are
-//! exactly `s + 1 ..= s.last`. State 0 stands for the run; its only child is the chart. Names of events are numbers
-//! as well; what selecting transitions needs lies side by side in [`Tables`].
+//! States are numbered in the order of the file, parents before children, so that the states inside `s` are exactly
+//! `s + 1 ..= s.last`. State 0 stands for the run; its only child is the chart. Names of events are numbers as
+//! well. The data that selecting transitions needs are stored side by side in [`Tables`].
 
 mod tables;
 
@@ -51,9 +51,9 @@ pub struct Program {
     /// The names of events.
     pub(crate) symbols: Symbols,
     pub(crate) tables: Tables,
-    /// Inputs by profile, as written.
+    /// Input values by profile, as written.
     pub(crate) profiles: BTreeMap<String, BTreeMap<String, Value>>,
-    /// What comes with the events that declare it.
+    /// The data types of the events that declare one.
     pub(crate) event_types: BTreeMap<String, Type>,
 }
 
@@ -63,15 +63,15 @@ impl fmt::Debug for Program {
     }
 }
 
-/// A use of a chart: its own variables.
+/// One use of a chart, with its own variables.
 #[derive(Clone, Debug)]
 pub(crate) struct Instance {
-    /// The state that the chart is the inside of.
+    /// The state that contains the chart.
     pub(crate) owner: StateId,
     pub(crate) inputs: Vec<Variable>,
     pub(crate) locals: Vec<Variable>,
     pub(crate) outputs: Vec<Variable>,
-    /// All places of data that belong to this use and to those inside it: variables, and outputs of states.
+    /// The slots of this use and of those inside it: variables, and outputs of states.
     pub(crate) first_slot: u32,
     pub(crate) end_slot: u32,
 }
@@ -88,7 +88,7 @@ pub(crate) enum Kind {
     Skill {
         manifest: Arc<SkillManifest>,
     },
-    /// Another chart as this state's inside: one child.
+    /// Another chart inside this state, as its only child.
     Chart {
         instance: u32,
     },
@@ -105,7 +105,7 @@ pub(crate) enum Kind {
     },
 }
 
-/// What is entered by default, and what is done then.
+/// The states that are entered by default, and the actions that run then.
 #[derive(Debug, Default)]
 pub(crate) struct Entry {
     pub(crate) targets: Vec<StateId>,
@@ -115,18 +115,18 @@ pub(crate) struct Entry {
 pub(crate) struct State {
     /// Its own name.
     pub(crate) name: String,
-    /// From the chart down; the outermost chart itself has its own name.
+    /// Path from the chart down; the outermost chart's path is its own name.
     pub(crate) path: String,
     pub(crate) kind: Kind,
     pub(crate) parent: Option<StateId>,
-    /// The last state inside it, itself when there is none.
+    /// The last state inside it, or itself if there is none.
     pub(crate) last: StateId,
     pub(crate) depth: u16,
     pub(crate) children: Vec<StateId>,
     pub(crate) histories: Vec<StateId>,
     /// Whether it is a region of a parallel state.
     pub(crate) region: bool,
-    /// Whether it is the inside of a `statechart:` state, and so shares its path.
+    /// Whether it is the root of the chart inside a `statechart:` state, whose path it shares.
     pub(crate) chart_root: bool,
     pub(crate) transitions: Vec<u32>,
     pub(crate) always: Vec<u32>,
@@ -138,17 +138,17 @@ pub(crate) struct State {
     pub(crate) retry: Option<(u32, f64)>,
     pub(crate) limits: Limits,
     pub(crate) unbreakable: bool,
-    /// Places of what it gives with its outcome.
+    /// Slots of its outputs.
     pub(crate) outputs: Vec<(String, u32)>,
     /// The event `done.state.NAME`.
     pub(crate) done: Symbol,
     pub(crate) place: Place,
 }
 
-/// Which events a transition takes.
+/// The events that a transition takes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Pattern {
-    /// `always`, or `after`: taken by its own timer.
+    /// No event: `always`, or `after`, which its own timer takes.
     None,
     Exact(Arc<str>),
     /// `error.*`: the tokens before the star.
@@ -157,7 +157,7 @@ pub(crate) enum Pattern {
 }
 
 impl Pattern {
-    /// Whether an event that all states see is meant.
+    /// Whether it matches an event that all states see.
     pub(crate) fn matches(&self, name: &str) -> bool {
         match self {
             Self::None => false,
@@ -176,13 +176,13 @@ pub(crate) struct Transition {
     pub(crate) pattern: Pattern,
     pub(crate) delay: Option<Term>,
     pub(crate) guard: Option<Code>,
-    /// None: the actions run and no state is left.
+    /// Empty: the actions run and no state is left.
     pub(crate) targets: Vec<StateId>,
-    /// Whether the source is not left when all targets are inside it (SCXML's `type="internal"`).
+    /// Whether the source stays active when all targets are inside it (SCXML's `type="internal"`).
     pub(crate) internal: bool,
-    /// What is left and entered is inside this state; none for a transition without target.
+    /// The state inside which states are left and entered; `None` for a transition without target.
     pub(crate) domain: Option<StateId>,
-    /// Whether a target is a history, so that the domain depends on what it remembers.
+    /// Whether a target is a history, so that the domain depends on the states that it remembers.
     pub(crate) historic: bool,
     pub(crate) actions: Vec<Action>,
     pub(crate) with: Vec<Binding>,
@@ -204,7 +204,7 @@ pub(crate) struct Code {
     pub(crate) place: Place,
 }
 
-/// A value to be computed: a literal, an expression, or text, lists and maps with expressions in them.
+/// A value to compute: a literal, an expression, or a text, list or map that contains expressions.
 #[derive(Clone, Debug)]
 pub(crate) enum Term {
     Literal(Value),
@@ -216,7 +216,7 @@ pub(crate) enum Term {
 
 #[derive(Clone, Debug)]
 pub(crate) struct Binding {
-    /// What it is given to.
+    /// The parameter that the value is for.
     pub(crate) parameter: Parameter,
     pub(crate) term: Term,
     pub(crate) place: Place,
@@ -245,7 +245,7 @@ pub(crate) struct Send {
 }
 
 impl Program {
-    /// The same program with its transitions' domains and its tables, once all states are there.
+    /// The same program with its transitions' domains and its tables. To be called once all states exist.
     pub(crate) fn linked(mut self) -> Self {
         self.tables = Tables::new(&mut self.symbols, &self.states, &self.transitions);
         for at in 0..self.transitions.len() {
@@ -263,12 +263,12 @@ impl Program {
         &self.name
     }
 
-    /// What the chart takes.
+    /// The chart's inputs.
     pub fn inputs(&self) -> impl Iterator<Item = &Parameter> {
         self.instances[0].inputs.iter().map(|v| &v.declaration)
     }
 
-    /// What the chart gives.
+    /// The chart's outputs.
     pub fn outputs(&self) -> impl Iterator<Item = &Parameter> {
         self.instances[0].outputs.iter().map(|v| &v.declaration)
     }
@@ -283,7 +283,7 @@ impl Program {
         outcomes.into_iter().collect()
     }
 
-    /// The outcomes of a state that its own inside gives it.
+    /// Collects the outcomes that the inside of a state can give it.
     fn outcomes_of(&self, state: StateId, outcomes: &mut BTreeSet<String>) {
         let of = self.state(state);
         match &of.kind {
@@ -302,7 +302,7 @@ impl Program {
         }
     }
 
-    /// The longest time that a skill of the chart may take to return after a cancel.
+    /// The longest grace of the chart's skills: how long they may take to return after a cancel.
     #[must_use]
     pub fn grace(&self) -> Duration {
         let grace = |state: &State| match &state.kind {
@@ -312,7 +312,7 @@ impl Program {
         self.states.iter().filter_map(grace).max().unwrap_or_default()
     }
 
-    /// The limbs that skills of the chart command, in their order.
+    /// The limbs that skills of the chart command, in alphabetical order.
     #[must_use]
     pub fn limbs(&self) -> Vec<String> {
         let mut limbs = BTreeSet::new();
@@ -324,7 +324,7 @@ impl Program {
         limbs.into_iter().collect()
     }
 
-    /// The channels that expressions read; their numbers are their places here.
+    /// The channels that expressions read; a channel's number is its index here.
     #[must_use]
     pub fn channels(&self) -> &[String] {
         &self.channels
@@ -353,25 +353,25 @@ impl Program {
         self.states.get(state as usize)?.parent
     }
 
-    /// Whether a state is only the inside of another: the run's, or the root of a chart, which has its user's path.
+    /// Whether a state is a root: the run, or the root of a chart, which shares the path of the state around it.
     #[must_use]
     pub fn is_root(&self, state: StateId) -> bool {
         state == 0 || self.states[state as usize].chart_root
     }
 
-    /// The event of that name, where the chart knows it: a number that `Engine::raise` takes.
+    /// The number of an event that the chart knows, for `Engine::raise`.
     #[must_use]
     pub fn event(&self, name: &str) -> Option<EventId> {
         self.symbols.find(name).map(EventId)
     }
 
-    /// How many states there are, with those of the charts inside.
+    /// The number of states, with those of the charts inside.
     #[must_use]
     pub fn len(&self) -> usize {
         self.states.len()
     }
 
-    /// Whether there is no state; a program always has one.
+    /// False for every compiled program: it has at least one state.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.states.is_empty()
@@ -390,17 +390,17 @@ impl Program {
         self.sources.get(place.source as usize).map_or_else(String::new, |s| s.place(place.byte as usize))
     }
 
-    /// The states around `state`, itself first.
+    /// `state` and the states around it, from the inside out.
     pub(crate) fn outward(&self, state: StateId) -> impl Iterator<Item = StateId> + '_ {
         std::iter::successors(Some(state), |s| self.tables.parent(*s))
     }
 
-    /// Whether exactly one state inside is active while it is.
+    /// Whether exactly one of its child states is active while it is active.
     pub(crate) fn compound(&self, state: StateId) -> bool {
         matches!(self.state(state).kind, Kind::Composite { .. } | Kind::Chart { .. })
     }
 
-    /// SCXML's getTransitionDomain: what is inside of it is left and entered by a transition to `targets`.
+    /// SCXML's getTransitionDomain: a transition to `targets` leaves and enters only states inside it.
     pub(crate) fn domain(&self, source: StateId, internal: bool, targets: &[StateId]) -> StateId {
         let around = |s: StateId| targets.iter().all(|t| *t != s && self.within(*t, s));
         if internal && self.compound(source) && around(source) {

@@ -1,5 +1,6 @@
-//! What the engine looks at for every event, side by side: names of events as numbers, the tree of states, and for
-//! each state the transitions by event. A lookup costs the logarithm of one state's events, whatever the chart's size.
+//! The data that the engine needs for every event, stored side by side: event names as numbers, the tree of states,
+//! and each state's transitions by event. A lookup costs the logarithm of the number of one state's events,
+//! whatever the chart's size.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -9,7 +10,7 @@ use super::{Kind, Pattern, State, StateId, Transition};
 /// Number of an event's name.
 pub(crate) type Symbol = u32;
 
-/// The name of no event that the chart knows.
+/// Stands for every name that the chart does not know.
 pub(crate) const UNKNOWN: Symbol = u32::MAX;
 pub(crate) const FAILURE: Symbol = 0;
 pub(crate) const SUCCESS: Symbol = 1;
@@ -18,7 +19,7 @@ pub(crate) const ERROR_QUEUE: Symbol = 3;
 pub(crate) const AFTER: Symbol = 4;
 pub(crate) const RETRY: Symbol = 5;
 pub(crate) const ERROR_CHANNEL: Symbol = 6;
-/// The names that every program knows, by their numbers.
+/// The names that every program knows; the index is the number.
 const FIXED: [&str; 7] =
     ["failure", "success", "error.execution", "error.queue", "after", "retry", "error.channel"];
 
@@ -40,7 +41,7 @@ impl Default for Symbols {
 }
 
 impl Symbols {
-    /// The number of a name, a new one where it is not known.
+    /// The number of a name; a new name gets a new number.
     pub(crate) fn intern(&mut self, name: &str) -> Symbol {
         if let Some(known) = self.numbers.get(name) {
             return *known;
@@ -56,16 +57,16 @@ impl Symbols {
         self.numbers.get(name).copied()
     }
 
-    /// The name of a number that was given out.
+    /// The name of a number.
     pub(crate) fn name(&self, symbol: Symbol) -> &str {
         self.names.get(symbol as usize).map_or("", |name| &**name)
     }
 }
 
-/// A run of entries in a list.
+/// First index and end of a range of entries in a list.
 type Span = (u32, u32);
 
-/// One state, as selecting, leaving and entering see it.
+/// The data of one state for selecting, leaving and entering.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Node {
     parent: StateId,
@@ -76,25 +77,25 @@ pub(crate) struct Node {
     wild: Span,
     /// Eventless transitions, in [`Tables::lists`].
     always: Span,
-    /// Entering and leaving it does nothing but that.
+    /// Entering and leaving it has no other effect.
     pub(crate) plain: bool,
     /// A plain state with nothing inside.
     pub(crate) leaf: bool,
 }
 
-/// One transition, as taking it sees it.
+/// The data of one transition for taking it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Jump {
     pub(crate) source: StateId,
-    /// What is left and entered is inside this state; [`StateId::MAX`] for a transition without target.
+    /// States are left and entered inside this state; [`StateId::MAX`] for a transition without target.
     pub(crate) domain: StateId,
-    /// Where a simple transition goes; [`StateId::MAX`] where it stays.
+    /// The target of a simple transition; [`StateId::MAX`] if it stays.
     pub(crate) target: StateId,
     pub(crate) guarded: bool,
     pub(crate) acts: bool,
-    /// Whether the domain depends on what a history remembers.
+    /// Whether the domain depends on the states that a history remembers.
     pub(crate) historic: bool,
-    /// It stays, or goes to a plain leaf beside what it leaves, and gives nothing.
+    /// It stays, or goes to a plain leaf beside its source, and gives no values.
     pub(crate) simple: bool,
 }
 
@@ -102,7 +103,7 @@ pub(crate) struct Jump {
 #[derive(Debug, Default)]
 pub(crate) struct Tables {
     nodes: Vec<Node>,
-    /// Event and transition, ordered by both within a state.
+    /// Event and transition number, sorted by both within a state.
     on: Vec<(Symbol, u32)>,
     lists: Vec<u32>,
     jumps: Vec<Jump>,
@@ -150,7 +151,7 @@ impl Tables {
         tables
     }
 
-    /// Takes up transitions whose domains are known.
+    /// Adds the transitions, whose domains must be known.
     pub(crate) fn set_jumps(&mut self, transitions: &[Transition]) {
         let jump = |t: &Transition| {
             let domain = t.domain.unwrap_or(StateId::MAX);

@@ -1,4 +1,4 @@
-//! What other agents offer: asked for before a chart is checked, and started when a state of it is entered.
+//! Skills and charts of other agents: looked up before a chart is checked, started when a state is entered.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::pin::Pin;
@@ -20,38 +20,38 @@ use crate::chart::{Refused, Registry};
 use crate::finding::suggest;
 use crate::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
 
-/// Manifests that one question may bring.
+/// Largest number of manifests per query.
 const MOST_MANIFESTS: usize = 4096;
-/// Between questions that found nobody.
+/// Pause between queries while nobody answers.
 const AGAIN: Duration = Duration::from_millis(20);
-/// What a remote state needs to return beyond the grace of what it runs: the cancel's way, or a lease that runs out.
+/// Additional grace of a remote state: time for the cancel to arrive, or for a lease to expire.
 const BEYOND: Duration = Duration::from_millis(1000);
 
-/// Counts the calls of this process.
+/// Number of calls made by this process.
 static CALLS: AtomicU64 = AtomicU64::new(0);
 
-/// How long agents that are not there yet are waited for.
+/// How long to wait for agents that are not there yet.
 pub type Patience = Duration;
 
-/// The agents that a session reaches.
+/// The agents that can be reached through a session.
 #[derive(Clone, Debug)]
 pub struct Agents {
     pub(super) session: Session,
     pub(super) caller: String,
-    /// Where calls run: not where charts do, so that a busy chart does not look like a lost agent.
+    /// The runtime for calls. Charts run on another one, so that a busy chart does not look like a lost agent.
     pub(super) threads: Handle,
 }
 
 impl Agents {
-    /// The agents that `session` reaches; `caller` is what they are told of who calls. Calls run on `threads`, a
-    /// runtime in real time.
+    /// Access to the agents that `session` reaches. `caller` is the name that they see as caller. Calls run on
+    /// `threads`, a runtime in real time.
     #[must_use]
     pub fn new(session: Session, caller: &str, threads: Handle) -> Self {
         Self { session, caller: caller.to_owned(), threads }
     }
 
-    /// Asks for what charts call `agent/Name`, and notes in the registry what is there and why something cannot be
-    /// used. Agents that do not answer yet are asked again until `patience` is over.
+    /// Queries the `agent/Name` that charts use, and enters in the registry what exists and why something cannot be
+    /// used. Agents that do not answer are queried again until `patience` has passed.
     pub async fn resolve(&self, names: &BTreeSet<String>, patience: Patience, registry: &mut Registry) {
         let deadline = Instant::now() + patience;
         let mut waiting: BTreeSet<&String> = names.iter().collect();
@@ -85,7 +85,7 @@ impl Agents {
         }
     }
 
-    /// What an agent offers, all of it or under one name; what cannot be read is told in words.
+    /// The manifests of an agent: all, or those under one name. A manifest that cannot be read is an error message.
     async fn offered(&self, agent: &str, name: Option<&str>) -> Vec<Result<Manifest, String>> {
         let Ok(pattern) = keys::chart_pattern(Some(agent), name) else { return Vec::new() };
         match self.session.ask(pattern, "", None, MOST_MANIFESTS, LEASE).await {
@@ -94,7 +94,7 @@ impl Agents {
         }
     }
 
-    /// Asks on a key of an agent; `None` when nobody answers in time.
+    /// Queries a key of an agent; `None` if there is no answer in time.
     async fn ask<P: Payload>(
         &self,
         agent: &str,
@@ -111,17 +111,17 @@ impl Agents {
             Err(error) => return Some(Err(error)),
         };
         let asked = self.session.ask(key, "", Some((&encoding, bytes)), 16, within);
-        // Zenoh keeps the time as well, but not where its own threads are held up.
+        // Zenoh has a timeout as well, but it is late when Zenoh's own threads are delayed.
         let answers = timeout(within, asked).await.ok()?.ok()?;
         answers.iter().find_map(answered)
     }
 }
 
-/// Why something is not there.
+/// Why something cannot be used.
 enum Missing {
-    /// It may come.
+    /// It does not exist yet, but may appear.
     Absent(Refused),
-    /// It is there, and cannot be used.
+    /// It exists, but cannot be used.
     Wrong(Refused),
 }
 
@@ -129,7 +129,7 @@ fn refused(reason: String, help: impl Into<String>) -> Refused {
     Refused { reason, help: Some(help.into()) }
 }
 
-/// The one manifest of that name.
+/// The only manifest of that name.
 fn chosen(agent: &str, wanted: &str, offered: &[Result<Manifest, String>]) -> Result<Manifest, Missing> {
     if offered.is_empty() {
         let help = format!(
@@ -163,7 +163,7 @@ fn chosen(agent: &str, wanted: &str, offered: &[Result<Manifest, String>]) -> Re
     }
 }
 
-/// Something that another agent offers, as a skill of this process.
+/// A skill or chart of another agent, as a skill of this process.
 struct Remote {
     agents: Agents,
     name: String,
@@ -179,7 +179,7 @@ impl Skill for Remote {
         let agents = self.agents.clone();
         let threads = agents.threads.clone();
         let (agent, name) = self.name.split_once('/').unwrap_or_default();
-        // The session's name is no other process's, the number no other call's of this one.
+        // The session id is unique among processes, the number is unique within this one.
         let number = CALLS.fetch_add(1, Ordering::Relaxed);
         let call = Call {
             agent: agent.to_owned(),
@@ -194,7 +194,7 @@ impl Skill for Remote {
     }
 }
 
-/// A call that ends when nobody waits for it any more.
+/// A running call; dropping it aborts the call.
 struct Started(JoinHandle<SkillResult>);
 
 impl Future for Started {
@@ -212,7 +212,7 @@ impl Drop for Started {
     }
 }
 
-/// A call at another agent.
+/// A call to another agent.
 struct Call {
     agents: Agents,
     agent: String,
@@ -220,9 +220,9 @@ struct Call {
     id: String,
     /// The version that the chart was checked with.
     version: String,
-    /// When the agent was last heard of.
+    /// When the agent last answered.
     heard: Instant,
-    /// Events that were dropped at the agent so far.
+    /// Events that the agent has dropped so far.
     dropped: u64,
 }
 
@@ -260,7 +260,7 @@ impl Call {
         }
     }
 
-    /// Of the lease, what is left.
+    /// Remaining time of the lease.
     fn left(&self) -> Duration {
         LEASE.saturating_sub(self.heard.elapsed())
     }
@@ -307,7 +307,7 @@ impl Call {
         }
     }
 
-    /// Passes a cancel on; the polls after it wait for the end.
+    /// Sends the cancel; further polls then wait for the end.
     async fn cancel(&mut self, state: &str) {
         let cancel = Cancel { call: self.id.clone(), reason: format!("`{state}` is left") };
         while !self.left().is_zero() {
@@ -320,7 +320,7 @@ impl Call {
         }
     }
 
-    /// Passes on what is new; gives how it ended, once it has.
+    /// Passes on what is new in a status. Returns how the call ended, once it has.
     async fn told(&mut self, status: Status, seen: &mut u64, context: &SkillContext) -> Option<Ended> {
         for event in status.events.into_iter().filter(|e| e.revision > *seen) {
             context.events.raise(&event.name, event.data);
@@ -330,7 +330,7 @@ impl Call {
             context.events.dropped(&all, status.dropped - self.dropped);
             self.dropped = status.dropped;
         }
-        // A process that does not hold its answers back is not asked without a pause.
+        // If a process answers at once instead of waiting for news, pause before the next poll.
         if status.revision <= *seen && status.ended.is_none() {
             sleep(AGAIN).await;
         }

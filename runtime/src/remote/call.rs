@@ -1,4 +1,4 @@
-//! One call that another agent has started here: its activation, what its caller has to hear, and its lease.
+//! One call that another agent has started here: its activation, its state for the caller, and its lease.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,13 +14,13 @@ use crate::activation::{Activation, Report};
 use crate::exec::Stop;
 use crate::skill::{Failure, MAX_EVENTS};
 
-/// What the caller has to hear.
+/// The state of the call that the caller polls.
 #[derive(Debug, Default)]
 struct State {
     revision: u64,
     leaves: Vec<String>,
     events: VecDeque<RaisedEvent>,
-    /// Events that came over a bound so far.
+    /// Events that were dropped so far because the queue was full.
     dropped: u64,
     ended: Option<Ended>,
 }
@@ -34,7 +34,7 @@ pub(super) struct Call {
 }
 
 impl Call {
-    /// A call that has just been asked for; `cancel` is the token that its skill is started with.
+    /// A new call; `cancel` is the token in its skill's context.
     pub(super) fn new(cancel: CancellationToken) -> Self {
         Self { state: watch::channel(State::default()).0, heard: Mutex::new(Instant::now()), cancel }
     }
@@ -47,12 +47,12 @@ impl Call {
         self.state.borrow().ended.is_some()
     }
 
-    /// The caller is there; what is new to it, perhaps after a while.
+    /// Renews the lease and returns what is new to the caller. Waits up to `wait` if nothing is.
     pub(super) async fn poll(&self, seen: u64, wait: Duration) -> Status {
         *self.heard.lock().unwrap_or_else(PoisonError::into_inner) = Instant::now();
         let mut changes = self.state.subscribe();
         let news = changes.wait_for(|state| state.revision > seen || state.ended.is_some());
-        // Nothing new within the time is an answer too.
+        // After a timeout the status is returned unchanged.
         let _ = timeout(wait, news).await.is_ok();
         self.status(seen)
     }
@@ -72,8 +72,8 @@ impl Call {
         *self.heard.lock().unwrap_or_else(PoisonError::into_inner) + LEASE
     }
 
-    /// Runs to the end. A call that nobody polls is cancelled; one that does not return within `grace` is stuck, and
-    /// `stop` is called with its name.
+    /// Runs the skill to its end. Cancels it if the caller stops polling. If it then does not return within
+    /// `grace`, it is stuck, and `stop` is called with its name.
     pub(super) async fn run(
         self: Arc<Self>,
         name: String,
@@ -92,7 +92,7 @@ impl Call {
                 },
                 () = self.cancel.cancelled(), if deadline.is_none() => deadline = Some(Instant::now() + grace),
                 () = sleep_until(lease), if deadline.is_none() => {
-                    // A poll may have come while this waited.
+                    // A poll may have renewed the lease meanwhile.
                     if self.lease() <= Instant::now() {
                         tracing::warn!(call = %name, "its caller is gone: it is cancelled");
                         self.cancel();

@@ -1,5 +1,5 @@
-//! Events from charts to the charts of other agents, over Zenoh: a question on `{agent}/event`, answered by how many
-//! charts have heard it.
+//! Events from charts to the charts of other agents, over Zenoh: a query on `{agent}/event`, answered by the number
+//! of charts that received the event.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -16,14 +16,14 @@ use super::serve::ServeError;
 use super::wire::{EventMessage, EventReceipt, Refusal, answered, packed, unpacked};
 use crate::exec::{RemoteEvent, Subscribers, Transport};
 
-/// Questions that may wait.
+/// Largest number of waiting queries.
 const MOST_QUESTIONS: usize = 256;
-/// Between questions that found nobody.
+/// Pause between queries while nobody answers.
 const AGAIN: Duration = Duration::from_millis(20);
-/// Events whose names are remembered, so that one that comes twice is heard once.
+/// Number of received events that are remembered, so that an event that arrives twice is raised once.
 const REMEMBERED: usize = 1024;
 
-/// Counts the events that this process has sent.
+/// Number of events that this process has sent.
 static SENT: AtomicU64 = AtomicU64::new(0);
 
 impl Transport for Agents {
@@ -55,7 +55,7 @@ impl Agents {
             let left = until.saturating_duration_since(Instant::now());
             let question = Some((encoding.as_str(), bytes.clone()));
             let asked = self.session.ask(key.clone(), "", question, 16, left);
-            // Zenoh keeps the time as well, but not where its own threads are held up.
+            // Zenoh has a timeout as well, but it is late when Zenoh's own threads are delayed.
             let answers = match timeout(left, asked).await {
                 Ok(answers) => answers.map_err(|e| e.to_string())?,
                 Err(_) => Vec::new(),
@@ -84,10 +84,10 @@ fn nobody(agent: &str, chart: Option<&str>) -> String {
     }
 }
 
-/// Raises what other agents send to `agent` in the charts that hear it, until the session closes.
+/// Raises events from other agents to `agent` in the subscribed charts, until the session closes.
 ///
 /// # Errors
-/// [`ServeError`] when nothing can be heard.
+/// [`ServeError`] when the key cannot be served.
 pub async fn hear(session: &Session, agent: &str, subscribers: Subscribers) -> Result<(), ServeError> {
     let key = keys::event(agent)?;
     let mut questions = session.answer(key.clone(), MOST_QUESTIONS).await?;
@@ -143,7 +143,7 @@ mod tests {
         (one, two)
     }
 
-    /// An agent that is called `name` and runs charts.
+    /// An agent named `name` that runs charts.
     fn agent(session: &Session, name: &'static str) -> Peers {
         let others = Peers {
             transport: Some(Arc::new(Agents::new(session.clone(), name, Handle::current()))),
@@ -180,7 +180,7 @@ states:
         let (one, two) = pair().await;
         let (alice, bob) = (agent(&one, "alice"), agent(&two, "bob"));
         let listening = tokio::spawn(run(&bob, BOB));
-        // Bob may not listen yet: then it is tried again.
+        // If Bob does not listen yet, the delivery is retried.
         let result = run(
             &alice,
             "
@@ -272,7 +272,7 @@ states:
             [message("x-1", Value::Int(1)), message("x-1", Value::Int(1)), message("x-2", "many".into())]
         {
             let (encoding, bytes) = packed(&message).unwrap();
-            // Until there is somebody who hears it.
+            // Until a chart receives it.
             loop {
                 let question = Some((encoding.as_str(), bytes.clone()));
                 let answers = one.ask(keys::event("bob").unwrap(), "", question, 16, LEASE).await.unwrap();

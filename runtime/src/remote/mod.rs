@@ -1,13 +1,14 @@
-//! Charts and skills of other agents: what one process offers, another starts as a state of its own chart.
+//! Charts and skills of other agents: one process offers them, another starts them as a state of its own chart.
 //!
-//! - [`wire`]: the messages, as `docs/wire.md` explains them to other languages;
+//! - [`wire`]: the messages; `docs/wire.md` explains them for other languages;
 //! - [`serve()`] offers skills (charts are skills here, see [`ChartSkill`](crate::exec::ChartSkill));
-//! - [`Agents`] asks others what they offer, and starts it; it also takes events to their charts, which [`hear()`] them.
+//! - [`Agents`] queries what other agents offer, and starts it. It also sends events to their charts, which receive
+//!   them through [`hear()`].
 //!
-//! Whoever starts something polls it; the polls are the lease for both sides. A side that has not heard of the other
-//! for [`LEASE`] takes it for lost: the caller's state fails, and what was started is cancelled.
+//! The caller polls what it has started; each poll renews the lease for both sides. A side that has not heard from
+//! the other for [`LEASE`] considers it lost: the caller's state fails, and the called skill is cancelled.
 //!
-//! All this happens in real time, whatever clock the charts run by.
+//! All this happens in real time, whatever clock the charts use.
 
 mod agents;
 mod call;
@@ -21,9 +22,9 @@ pub use serve::{Offer, Offers, ServeError, serve};
 
 use std::time::Duration;
 
-/// How long a side may be silent before it is taken for lost.
+/// How long a side may be silent before it counts as lost.
 pub const LEASE: Duration = Duration::from_millis(500);
-/// How long an answer to a poll may be held back, waiting for something to tell.
+/// How long the answer to a poll may be delayed while there is nothing new.
 const HELD: Duration = Duration::from_millis(100);
 
 #[cfg(test)]

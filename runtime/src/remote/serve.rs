@@ -1,4 +1,5 @@
-//! Offers skills to other agents: answers their questions, runs what they start, cancels what nobody polls.
+//! Offers skills to other agents: answers queries, runs the skills that are started, cancels calls that nobody
+//! polls.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -17,9 +18,9 @@ use crate::channels::Channels;
 use crate::exec::Stop;
 use crate::skill::{self, Skill};
 
-/// Calls that run at once.
+/// Largest number of calls at a time.
 const MOST_CALLS: usize = 64;
-/// Questions that are answered at once; more get no answer.
+/// Largest number of queries that are answered at a time; more get no answer.
 const MOST_QUESTIONS: usize = 256;
 /// How long the result of a call is kept for its caller.
 const KEPT: Duration = Duration::from_secs(10);
@@ -31,10 +32,10 @@ pub enum ServeError {
     /// A name that cannot be part of a key.
     #[error(transparent)]
     Key(#[from] KeyError),
-    /// The network.
+    /// The network failed.
     #[error(transparent)]
     Session(#[from] SessionError),
-    /// Two things of one name.
+    /// Two offers have the same name.
     #[error("`{name}` would be offered twice: a chart and a skill, or two charts, have this name")]
     Twice {
         /// The name.
@@ -49,7 +50,7 @@ pub struct Offer {
     key: Key,
 }
 
-/// What an agent offers.
+/// The skills and charts that an agent offers.
 pub struct Offers {
     agent: String,
     offers: BTreeMap<String, Arc<Offer>>,
@@ -100,8 +101,8 @@ struct Server {
     calls: Mutex<BTreeMap<String, Arc<Call>>>,
 }
 
-/// Answers questions until the session closes. The calls run on the runtime that this is awaited on; dropping the
-/// future leaves them to end by themselves, within the lease.
+/// Answers queries until the session closes. Calls run on the runtime on which this future is awaited. If it is
+/// dropped, they end by themselves when their lease expires.
 ///
 /// # Errors
 /// [`ServeError`] when nothing can be offered.
@@ -146,7 +147,7 @@ impl Server {
         }
     }
 
-    /// Tells what is offered under the names that are asked for.
+    /// Answers with the manifests of the names in the query.
     async fn declare(&self, question: &Question) {
         let wanted = question.key.rsplit('/').next().unwrap_or_default();
         for (name, offer) in &self.offers.offers {
@@ -160,7 +161,7 @@ impl Server {
         }
     }
 
-    /// What a question about a call is answered; nothing where another process is meant.
+    /// The answer to a message about a call; `None` if the message is for another process.
     async fn status(
         self: &Arc<Self>,
         offer: &Arc<Offer>,
@@ -215,7 +216,7 @@ impl Server {
             .map_err(|error| format!("`{shown}`: {error}"))?;
         let mut calls = self.calls.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(call) = calls.get(&start.call) {
-            // Asked twice because the first answer was lost.
+            // The caller repeats a start when the first answer was lost.
             return Ok(call.status(0));
         }
         if calls.values().filter(|call| !call.has_ended()).count() >= MOST_CALLS {

@@ -44,7 +44,7 @@ fn bob(session: &Session) -> JoinHandle<Result<(), ServeError>> {
     tokio::spawn(async move { serve(&session, offers).await })
 }
 
-/// Checks a chart with what other agents offer. Gives what is wrong, or the program with its skills.
+/// Checks a chart with what other agents offer. Returns the program with its skills, or the findings.
 async fn checked(session: &Session, text: &str) -> Result<(Arc<crate::program::Program>, Registry), String> {
     let library = chart::load_text("t.yaml", text, &[]);
     let agents = Agents::new(session.clone(), "test", Handle::current());
@@ -55,7 +55,7 @@ async fn checked(session: &Session, text: &str) -> Result<(Arc<crate::program::P
     checked.program.map(|program| (program, registry)).ok_or(said.join("\n"))
 }
 
-/// Runs a chart; gives its result and what was traced: entered states, insides and ends of skills.
+/// Runs a chart. Returns its result and a part of the trace: entered states, insides and ends of skills.
 async fn run(session: &Session, text: &str) -> (RunResult, Vec<String>) {
     let (program, registry) = checked(session, text).await.expect("the chart is in order");
     let told = Arc::new(Mutex::new(Vec::new()));
@@ -162,7 +162,7 @@ async fn two_agents_of_one_name_are_named() {
     assert!(checked(&two, chart).await.is_ok());
     let three = Session::open(&SessionConfig::connected_to(&two.endpoints().await)).await.unwrap();
     let _impostor = bob(&three);
-    // The other is seen as soon as the network knows it.
+    // The other agent appears as soon as the network knows it.
     let found = loop {
         if let Err(found) = checked(&two, chart).await {
             break found;
@@ -171,7 +171,7 @@ async fn two_agents_of_one_name_are_named() {
     assert!(found.contains("two agents are called `bob` and offer `Act`"), "{found}");
 }
 
-/// Options of a run that tells when a skill is started.
+/// Options of a run that reports the start of each skill.
 fn telling_starts() -> (ExecOptions, tokio::sync::mpsc::UnboundedReceiver<()>) {
     let (started, starts) = tokio::sync::mpsc::unbounded_channel();
     let sink = move |event: &TraceEvent| {

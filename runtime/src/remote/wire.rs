@@ -1,8 +1,9 @@
 //! The messages between the agent that starts a skill and the one that offers it.
 //!
-//! All are questions on the key `{agent}/chart/{Name}`, told apart by the schema in the payload's encoding. A question
-//! without payload is answered by the [`Manifest`]; [`Start`], [`Poll`] and [`Cancel`] are answered by a [`Status`], or
-//! refused with a [`Refusal`]. An event for an agent's charts is [`EventMessage`] on `{agent}/event` and answered by [`EventReceipt`].
+//! All are queries on the key `{agent}/chart/{Name}`; the schema in the payload's encoding tells them apart. A
+//! query without payload is answered by the [`Manifest`]; [`Start`], [`Poll`] and [`Cancel`] are answered by a
+//! [`Status`], or refused with a [`Refusal`]. [`EventMessage`] carries an event to an agent's charts, on
+//! `{agent}/event`, and is answered by [`EventReceipt`].
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -18,17 +19,17 @@ use crate::skill::{Failure, Limits, Outcome, Parameter, SkillManifest, SkillResu
 pub struct Manifest {
     /// The name, without the agent's.
     pub name: String,
-    /// The process that offers it: another one each time that an agent is started.
+    /// Id of the process that offers it; a new one each time an agent is started.
     pub instance: String,
-    /// Names what is declared here; it changes when anything of that changes.
+    /// Fingerprint of this manifest; it changes when anything in it changes.
     pub version: String,
     /// For people.
     #[serde(default)]
     pub description: String,
-    /// What it takes.
+    /// Inputs.
     #[serde(default)]
     pub inputs: Vec<WireParameter>,
-    /// What it gives with its outcome.
+    /// Outputs with its outcome.
     #[serde(default)]
     pub outputs: Vec<WireParameter>,
     /// Outcomes beyond `success` and `failure`.
@@ -37,7 +38,7 @@ pub struct Manifest {
     /// Events that it raises while it runs.
     #[serde(default)]
     pub events: Vec<String>,
-    /// Limbs that it commands: of the agent that offers it.
+    /// Limbs that it commands; limbs of the agent that offers it.
     #[serde(default)]
     pub limbs: Vec<String>,
     /// How long it may take to return after a cancel, s.
@@ -52,7 +53,7 @@ pub struct WireParameter {
     /// Its type.
     #[serde(rename = "type")]
     pub ty: Type,
-    /// Value of an input that is not given; none for one that must be given.
+    /// Value of an input that is not given; `None` for a required input.
     #[serde(default)]
     pub default: Option<Value>,
     /// Smallest number that is allowed, SI.
@@ -80,12 +81,12 @@ impl From<&WireParameter> for Parameter {
     }
 }
 
-/// Starts it.
+/// Starts a skill or chart.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Start {
-    /// The caller's name for this call; never used twice.
+    /// The caller's unique id of this call.
     pub call: String,
-    /// The process that is meant, from the manifest. Another one does not answer.
+    /// Id of the process that is addressed, from the manifest. Other processes do not answer.
     pub instance: String,
     /// The version that the caller has checked its chart against.
     pub version: String,
@@ -101,38 +102,38 @@ pub struct Start {
     pub speed_m_s: Option<f64>,
 }
 
-/// Asks for what is new, and says that the caller is there.
+/// Asks for what is new, and renews the caller's lease.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Poll {
-    /// Which call.
+    /// Id of the call.
     pub call: String,
-    /// The newest revision that the caller has.
+    /// The newest revision that the caller has received.
     pub seen: u64,
-    /// How long the answer may be held back while nothing is new, s.
+    /// How long the answer may be delayed while nothing is new, s.
     pub wait_s: f64,
 }
 
-/// Tells it to stop. It is polled further until it has ended.
+/// Cancels a call. The caller continues to poll until the call has ended.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Cancel {
-    /// Which call.
+    /// Id of the call.
     pub call: String,
     /// Why, for people.
     pub reason: String,
 }
 
-/// How a call stands.
+/// The state of a call.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Status {
-    /// Grows with everything that happens.
+    /// Increases with each change.
     pub revision: u64,
     /// The innermost active states of a chart, in its order.
     #[serde(default)]
     pub leaves: Vec<String>,
-    /// The events that were raised after the revision that the caller has seen.
+    /// The events that were raised after the revision that the caller has received.
     #[serde(default)]
     pub events: Vec<RaisedEvent>,
-    /// How many events were dropped so far because they came over a bound.
+    /// Number of events dropped so far because the queue was full.
     #[serde(default)]
     pub dropped: u64,
     /// How it ended, once it has.
@@ -143,7 +144,7 @@ pub struct Status {
 /// An event that a skill has raised.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RaisedEvent {
-    /// The revision that it made.
+    /// The revision in which it was raised.
     pub revision: u64,
     /// Its name.
     pub name: String,
@@ -164,15 +165,15 @@ pub struct Ended {
     pub outputs: BTreeMap<String, Value>,
 }
 
-/// Tells the charts of an agent an event.
+/// Sends an event to the charts of an agent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EventMessage {
-    /// The sender's name for this event; never used twice.
+    /// The sender's unique id of this event.
     #[serde(rename = "letter")]
     pub id: String,
     /// Who sends it, for people.
     pub caller: String,
-    /// The chart that is meant; all that run, where there is none.
+    /// The chart that receives it; `None` for all running charts.
     #[serde(default)]
     pub chart: Option<String>,
     /// The event's name.
@@ -181,19 +182,19 @@ pub struct EventMessage {
     pub data: Value,
 }
 
-/// Who has heard an event.
+/// The receipt of an event.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EventReceipt {
-    /// How many charts.
+    /// How many charts received it.
     pub charts: u32,
     /// The process that answers.
     pub instance: String,
 }
 
-/// Why a question is refused.
+/// Why a query is refused.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Refusal {
-    /// One sentence for people.
+    /// One sentence for the user.
     pub reason: String,
 }
 
@@ -222,28 +223,29 @@ impl Payload for Refusal {
     const SCHEMA: Schema = Schema::new("runtime/refusal", 1);
 }
 
-/// Longest message that is read, bytes, and how it may be nested.
+/// Bounds of a message that is read: size in bytes, number of items, depth of nesting.
 const BOUNDS: codec::Bounds = codec::Bounds { bytes: 4 << 20, items: 200_000, depth: 40 };
 
-/// A message with the encoding that names it.
+/// Encodes a message. Returns the encoding, which names the schema, and the bytes.
 ///
 /// # Errors
-/// What the codec says.
+/// The codec's error.
 pub fn packed<P: Payload>(message: &P) -> Result<(String, Vec<u8>), String> {
     let bytes = codec::encode(message).map_err(|e| e.to_string())?;
     Ok((P::SCHEMA.encoding(), bytes))
 }
 
-/// A message of the wanted schema.
+/// Decodes a message of the expected schema.
 ///
 /// # Errors
-/// What the codec says: another schema, another version, or bytes that are no such message.
+/// The codec's error: another schema, another version, or invalid bytes.
 pub fn unpacked<P: Payload>(encoding: &str, bytes: &[u8]) -> Result<P, String> {
     P::SCHEMA.check(encoding).map_err(|e| e.to_string())?;
     codec::decode_within(bytes, BOUNDS).map_err(|e| e.to_string())
 }
 
-/// What an answer says: the message, or why there is none. `None` when it is only Zenoh's word that nobody answered.
+/// Reads an answer: the message, or why there is none. `None` if it only says that nobody answered (an error of
+/// Zenoh's own).
 #[must_use]
 pub fn answered<P: Payload>(answer: &Answer) -> Option<Result<P, String>> {
     match answer {
@@ -259,7 +261,7 @@ pub fn answered<P: Payload>(answer: &Answer) -> Option<Result<P, String>> {
 }
 
 impl Manifest {
-    /// What a skill declares, as offered by a process.
+    /// The manifest of a skill that a process offers.
     #[must_use]
     pub fn of(skill: &SkillManifest, instance: &str) -> Self {
         let mut manifest = Self {
@@ -274,13 +276,13 @@ impl Manifest {
             limbs: skill.limbs.clone(),
             grace_s: skill.grace.as_secs_f64(),
         };
-        // What CBOR cannot hold cannot be offered either; that is found when the manifest is sent.
+        // If CBOR cannot encode it, it cannot be offered either; sending the manifest then reports the error.
         manifest.version = fingerprint(&codec::encode(&manifest).unwrap_or_default());
         instance.clone_into(&mut manifest.instance);
         manifest
     }
 
-    /// What it declares to a chart that knows it as `name`.
+    /// The skill's manifest in a chart that calls it `name`. `beyond` is added to the grace.
     #[must_use]
     pub fn skill(&self, name: &str, beyond: Duration) -> SkillManifest {
         let grace = Duration::try_from_secs_f64(self.grace_s).unwrap_or_default();
@@ -295,10 +297,10 @@ impl Manifest {
     }
 }
 
-/// A longer grace than this is not believed.
+/// Upper bound on the grace in a received manifest.
 const MOST_GRACE: Duration = Duration::from_secs(60);
 
-/// FNV-1a with 64 bits, as hexadecimal digits: tells versions apart, and protects from nothing.
+/// FNV-1a with 64 bits, as hexadecimal digits. It distinguishes versions and is no protection against tampering.
 fn fingerprint(bytes: &[u8]) -> String {
     let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3);
     format!("{:016x}", bytes.iter().fold(0xcbf2_9ce4_8422_2325, step))
@@ -363,7 +365,7 @@ mod tests {
         let (encoding, bytes) = packed(&Manifest::of(&skill, "p")).unwrap();
         let back: Manifest = unpacked(&encoding, &bytes).unwrap();
         assert_eq!(back.skill("bob/S", Duration::ZERO).inputs, skill.inputs);
-        // What an agent says that knows no bounds, and more of something else.
+        // A parameter from an agent that knows no bounds and has an additional field.
         let other = serde_json::json!({"name": "x", "type": bounded.ty, "colour": "green"});
         let read: WireParameter = serde_json::from_value(other).unwrap();
         assert_eq!(Parameter::from(&read), Parameter::new("x", Type::FLOAT, ""));

@@ -1,11 +1,11 @@
-//! Which transitions of a chart have been taken, for the table of those that no test takes.
+//! Records which transitions of a chart have been taken, to list those that no test takes.
 
 use std::collections::BTreeSet;
 
 use crate::program::{Pattern, Program, StateId};
 use crate::trace::TraceItem;
 
-/// A transition as the trace tells it: source, event and target.
+/// A transition as in the trace: source, event and target.
 type Seen = (String, Option<String>, Option<String>);
 
 /// The transitions that were taken in one or several runs of a program.
@@ -14,35 +14,34 @@ pub struct Coverage {
     seen: BTreeSet<Seen>,
 }
 
-/// A transition of a program, in words.
+/// A transition of a program, as text.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Described {
     /// Path of the state that it is written at.
     pub source: String,
     /// Its event, `after` or `always`.
     pub event: String,
-    /// Where it goes; empty when no state is left.
+    /// Its target; empty when no state is left.
     pub target: String,
     /// Whether it has a condition.
     pub guarded: bool,
 }
 
 impl Coverage {
-    /// Takes note of what happened.
+    /// Records a trace item.
     pub(super) fn note(&mut self, item: &TraceItem) {
         if let TraceItem::Transition { source, event, target } = item {
             self.seen.insert((source.clone(), event.clone(), target.clone()));
         }
     }
 
-    /// The same with what another has seen.
+    /// Adds the transitions of another coverage.
     pub fn extend(&mut self, other: Self) {
         self.seen.extend(other.seen);
     }
 
-    /// The transitions of a chart in the order of the file, and whether each was taken; those of the charts inside are
-    /// not its own. Of transitions that differ
-    /// only by their condition or actions, all count as taken when one was.
+    /// The transitions of a chart in the order of the file, and whether each was taken. Transitions of the charts
+    /// inside are not included. Transitions that differ only by their condition or actions count as taken together.
     #[must_use]
     pub fn of(&self, program: &Program) -> Vec<(Described, bool)> {
         let inner =

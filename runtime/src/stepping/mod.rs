@@ -1,9 +1,9 @@
 //! A chart driven by hand under virtual time: no skill runs, no robot moves, nothing waits.
 //!
-//! A [`Stepper`] is told events, outcomes of skills, firings of watches, values of channels, and how much time goes by;
-//! between them it shows what is active. Skills that are cancelled return at once. It is for looking at what a chart
-//! means, for conformance tests and for measuring the engine; `exec` is what runs charts. Both are driven by one `agenda`, so that
-//! a chart does here what it does there.
+//! The caller of a [`Stepper`] gives it events, outcomes of skills, firings of watches, values of channels, and the
+//! time that passes. In between, it shows what is active. Cancelled skills return at once. It serves to explore a
+//! chart, for conformance tests and for measuring the engine; `exec` runs charts with real skills. Both use the
+//! same `agenda`, so that a chart behaves the same.
 
 mod coverage;
 
@@ -22,7 +22,7 @@ use crate::trace::TraceItem;
 
 pub use coverage::{Coverage, Described};
 
-/// Something that a stepper was told and cannot do; the chart has not moved.
+/// A call that the stepper cannot carry out; the chart is unchanged.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum StepError {
@@ -31,10 +31,10 @@ pub enum StepError {
     State {
         /// The name or path.
         state: String,
-        /// What might be meant.
+        /// A similar name.
         help: Option<String>,
     },
-    /// The state is not active, or has neither a skill that runs nor such a watch.
+    /// The state is not active, or has neither a running skill nor a watch of that name.
     #[error("`{state}` has no skill that runs and no armed watch `{name}`: `{name}` is dropped")]
     NotExpected {
         /// The state.
@@ -44,13 +44,13 @@ pub enum StepError {
     },
 }
 
-/// What is active, and what the chart knows.
+/// The active states and the chart's data.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Snapshot {
-    /// The innermost active states, sorted: the bare name where it is unique in the chart, else the path. After the
-    /// end of the run, those at its end.
+    /// The innermost active states, sorted. Each is given by its bare name if that is unique in the chart, else by
+    /// its path. After the end of the run: those at its end.
     pub configuration: Vec<String>,
-    /// All active states, likewise.
+    /// All active states, in the same form.
     pub states: Vec<String>,
     /// The locals of the outermost chart that have a value.
     pub locals: BTreeMap<String, Value>,
@@ -58,12 +58,12 @@ pub struct Snapshot {
     pub outputs: BTreeMap<String, Value>,
 }
 
-/// A skill that runs.
+/// A running skill.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RunningSkill {
     /// Number of its start in the run.
     pub activation: u64,
-    /// The state that runs it, as it is shown: its bare name where that is unique.
+    /// The state that runs it, as displayed: its bare name if that is unique.
     pub state: String,
     /// The state's path.
     pub path: String,
@@ -71,18 +71,18 @@ pub struct RunningSkill {
     pub skill: String,
 }
 
-/// An event that went to another agent.
+/// An event that was sent to another agent.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sent {
     /// Its name.
     pub event: String,
     /// The agent, or `agent/Chart`.
     pub to: String,
-    /// What came with it.
+    /// Its data.
     pub data: Value,
 }
 
-/// What channels hold: their values and when they were published.
+/// The newest values of channels and when they were published.
 #[derive(Debug, Default)]
 struct Board {
     names: Vec<String>,
@@ -107,18 +107,18 @@ pub struct Stepper {
     board: Board,
     agenda: Agenda,
     skills: BTreeMap<StateId, u64>,
-    /// Skills that were cancelled and are about to return.
+    /// Skills that were cancelled and return next.
     returning: VecDeque<(StateId, u64)>,
-    /// How states are shown.
+    /// The displayed name of each state.
     labels: Vec<String>,
-    /// States by their paths, and by how they are shown.
+    /// States by path and by displayed name.
     by_path: BTreeMap<String, StateId>,
     logs: Vec<String>,
     sent: Vec<Sent>,
     coverage: Coverage,
     result: Option<RunResult>,
     effects: Vec<Effect>,
-    /// Everything that was traced, with its time.
+    /// The whole trace, with times.
     #[cfg(test)]
     pub(crate) trace: Vec<crate::trace::TraceEvent>,
 }
@@ -153,7 +153,7 @@ impl Stepper {
         })
     }
 
-    /// Nothing is told of what happens but what is active: for measuring.
+    /// Turns the trace off, for measuring. The active states can still be read.
     pub fn keep_quiet(&mut self) {
         self.engine.set_tracing(false);
     }
@@ -165,7 +165,7 @@ impl Stepper {
         self.settle();
     }
 
-    /// An event that all active states see.
+    /// Raises an event that all active states see.
     pub fn event(&mut self, name: &str, data: Value) {
         self.tell(Input::Event { name: name.to_owned(), data });
     }
@@ -177,11 +177,11 @@ impl Stepper {
         self.settle();
     }
 
-    /// A skill's outcome, or the firing of a watch, of a state that is given by its path or unique name. Data are the
-    /// outputs, or `reason` with a failure.
+    /// Reports a skill's outcome or the firing of a watch, for a state given by its path or unique name. `data` are
+    /// the outputs, or a map with `reason` for a failure.
     ///
     /// # Errors
-    /// [`StepError`] when there is no such state, or nothing in it that could report this.
+    /// [`StepError`] when there is no such state, or when it has no such skill or watch.
     pub fn report(&mut self, state: &str, name: &str, data: Value) -> Result<(), StepError> {
         let id = self.find(state)?;
         let input = if let Some((watch, entry)) = self.armed_watch(id, name) {
@@ -195,7 +195,7 @@ impl Stepper {
         Ok(())
     }
 
-    /// A value is published on a channel. Channels that no expression reads are ignored.
+    /// Publishes a value on a channel. Channels that no expression reads are ignored.
     pub fn publish(&mut self, channel: &str, value: Value) {
         if let Some(at) = self.board.names.iter().position(|n| n == channel) {
             let at = u32::try_from(at).unwrap_or(u32::MAX);
@@ -205,7 +205,7 @@ impl Stepper {
         }
     }
 
-    /// Lets time go by: timers run out and watches hold.
+    /// Advances the time: timers expire and watches hold.
     pub fn advance(&mut self, by: Duration) {
         let end = self.board.now.saturating_add(by);
         while let Some(at) = self.next_instant().filter(|at| *at <= end) {
@@ -216,8 +216,8 @@ impl Stepper {
         self.settle();
     }
 
-    /// When something happens next by itself: a timer runs out, or a watch may have held long enough. Time since the
-    /// start.
+    /// When something happens next by itself, as time since the start: a timer expires, or a watch may have held
+    /// long enough.
     #[must_use]
     pub fn next_instant(&self) -> Option<Duration> {
         self.agenda.next()
@@ -235,12 +235,13 @@ impl Stepper {
         self.result.as_ref()
     }
 
-    /// What the action `log` has said since this was asked last.
+    /// The output of the action `log` since the last call.
     pub fn take_logs(&mut self) -> Vec<String> {
         std::mem::take(&mut self.logs)
     }
 
-    /// What was sent to other agents since this was asked last. They are not here, and are taken to have heard it.
+    /// The events sent to other agents since the last call. The stepper has no other agents and treats all events
+    /// as delivered.
     pub fn take_sent(&mut self) -> Vec<Sent> {
         std::mem::take(&mut self.sent)
     }
@@ -257,7 +258,7 @@ impl Stepper {
         if self.result.is_some() { self.engine.ended_in().to_vec() } else { self.engine.leaves() }
     }
 
-    /// What is active, and what the chart knows.
+    /// The active states and the chart's data.
     #[must_use]
     pub fn snapshot(&self) -> Snapshot {
         let leaves = self.leaves();
@@ -278,7 +279,7 @@ impl Stepper {
         &self.coverage
     }
 
-    /// The skills that run, in the chart's order.
+    /// The running skills, in the chart's order.
     #[must_use]
     pub fn running(&self) -> Vec<RunningSkill> {
         let program = self.engine.program();
@@ -304,7 +305,7 @@ impl Stepper {
         })
     }
 
-    /// The armed watch of that name, and the entry that it is armed with.
+    /// The armed watch of that name, and the state entry that it was armed in.
     fn armed_watch(&self, state: StateId, name: &str) -> Option<(u32, u64)> {
         let program = self.engine.program();
         let mut watches = program.state(state).watches.iter().copied();
@@ -323,7 +324,7 @@ impl Stepper {
         self.turned();
     }
 
-    /// Does what the engine wants done after a turn.
+    /// Carries out the engine's effects after a turn.
     fn turned(&mut self) {
         if !self.effects.is_empty() {
             for effect in std::mem::take(&mut self.effects) {
@@ -333,7 +334,7 @@ impl Stepper {
         self.agenda.turned();
     }
 
-    /// Tells the engine what is due, until there is nothing; then cancelled skills return, one after the other.
+    /// Passes what is due to the engine until nothing is left. Then cancelled skills return, one after the other.
     fn settle(&mut self) {
         while !self.agenda.is_empty() || !self.returning.is_empty() {
             if let Some(input) = self.agenda.due(&self.engine, &self.board, self.board.now) {
@@ -394,7 +395,7 @@ fn result(name: &str, data: Value) -> crate::skill::SkillResult {
     Ok(Outcome { name: name.to_owned(), outputs })
 }
 
-/// How states are shown, by number; and states by path and by how they are shown.
+/// The displayed name of each state, by number; and states by path and by displayed name.
 fn labels(program: &Program) -> (Vec<String>, BTreeMap<String, StateId>) {
     let count = StateId::try_from(program.len()).unwrap_or(StateId::MAX);
     let own = |id: &StateId| !program.is_root(*id);

@@ -1,6 +1,6 @@
-//! The eyes of other agents: fixed stereo pairs like the robot's, each in its agent's own root frame.
+//! The cameras of other agents: fixed stereo pairs like the robot's, each in its agent's own root frame.
 //!
-//! They see the scene that the robot sees, and are drawn only when a frame is due and somebody waits for it.
+//! They see the same scene as the robot. A frame is drawn only when it is due and a reader waits for it.
 
 use std::sync::Arc;
 
@@ -23,7 +23,7 @@ pub(crate) struct AgentEyes {
 }
 
 impl AgentEyes {
-    /// `noise`: standard deviation of each pixel's channels; `seed` draws it.
+    /// `noise`: standard deviation of each pixel's channels; `seed` determines the noise.
     pub(crate) fn new(agent: &AgentSpec, calibration: StereoCalibration, noise: f64, seed: u64) -> Self {
         let scene_from_left = agent.root_from_left(calibration.baseline);
         Self {
@@ -45,7 +45,7 @@ impl AgentEyes {
         &self.source
     }
 
-    /// Whether a frame is due at `t` s and somebody waits for it.
+    /// Whether a frame is due at `t` s and a reader waits for it.
     pub(crate) fn due(&mut self, t: f64) -> bool {
         if t + 1e-9 < self.next_frame as f64 * self.period_s {
             return false;
@@ -68,7 +68,7 @@ impl AgentEyes {
 }
 
 impl Eyes {
-    /// Hands out what these agents see of what the robot sees.
+    /// Draws the view of the scene from these agents' cameras and publishes the frames.
     pub(crate) fn draw_for<'a>(&mut self, agents: impl Iterator<Item = &'a AgentEyes>, view: &View<'_>) {
         self.truth.update(view.true_position);
         let scene = self.scene(view);

@@ -1,7 +1,8 @@
-//! Cameras in another process than the world: the world sends what there is to see, and the cameras draw it.
+//! Cameras in another process than the world: the world sends the state of the scene, and the cameras draw it.
 //!
-//! A [`Scenery`] is the world's side, [`DistantCameras`] the cameras'. Both are made of the same world and seed; the images
-//! are the same, bit for bit, as if the cameras were in the world's process. The referee looks for itself.
+//! The world sends a [`Scenery`]; [`DistantCameras`] draw it. Both sides must use the same world and seed. The
+//! images are then identical, bit for bit, to those of cameras in the world's process. The referee renders its own
+//! images.
 
 use std::sync::Arc;
 
@@ -16,18 +17,18 @@ use crate::error::SimulationError;
 use crate::table::{DirtGrid, TableTop};
 use crate::world::{Gesture, World};
 
-/// What there is to see at a frame.
+/// The state of the scene at one frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scenery {
-    /// Which world it is of: its name and the run's seed.
+    /// The world's name and the run's seed.
     pub world: (String, u64),
-    /// Counts the frames that were due, drawn or not.
+    /// Number of the frame; counts all frames that were due, drawn or not.
     pub frame: u64,
-    /// When, ns.
+    /// Time of the frame, ns.
     pub stamp_ns: u64,
-    /// Joint positions as they are, rad (m), in the model's order.
+    /// True joint positions, rad (m), in the model's order.
     pub true_position: Vec<f64>,
-    /// The same as the robot senses them.
+    /// Joint positions as the robot senses them.
     pub sensed_position: Vec<f64>,
     /// Poses of the objects, in the world's order, root frame.
     pub objects: Vec<Isometry3<f64>>,
@@ -35,15 +36,15 @@ pub struct Scenery {
     pub tool: Option<Isometry3<f64>>,
     /// Pose and gesture of the coach's hand while it is shown.
     pub hand: Option<(Isometry3<f64>, Gesture)>,
-    /// The table's cells that have been wiped.
+    /// Indices of the table's cells that have been wiped.
     pub wiped: Vec<u32>,
 }
 
-/// Who takes what there is to see; it must not wait.
+/// Receives sceneries; it must not block.
 pub trait ScenerySink: Send {
     /// Whether a frame is wanted now.
     fn is_wanted(&self) -> bool;
-    /// Takes what there is to see.
+    /// Receives a scenery.
     fn show(&mut self, scenery: Scenery);
 }
 
@@ -51,12 +52,12 @@ pub trait ScenerySink: Send {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SceneryError {
-    /// It is of another world, or of another seed.
+    /// It belongs to another world or another seed.
     #[error(
         "what there is to see is of the world `{name}` with seed {seed}; the cameras have `{own_name}` with seed {own_seed}"
     )]
     World {
-        /// The world that is shown.
+        /// The world that the scenery belongs to.
         name: String,
         /// Its seed.
         seed: u64,
@@ -65,7 +66,7 @@ pub enum SceneryError {
         /// Its seed.
         own_seed: u64,
     },
-    /// It has not the joints of the robot or the objects of the world, or numbers that are none.
+    /// The number of joints or objects does not match, or a number is not finite.
     #[error("what there is to see does not fit the robot and the world's objects")]
     Shape,
 }
@@ -114,7 +115,7 @@ impl DistantCameras {
         })
     }
 
-    /// The name of what they give.
+    /// The name of the image source.
     #[must_use]
     pub fn name() -> &'static str {
         super::SimulatedCameras::NAME
@@ -126,10 +127,10 @@ impl DistantCameras {
         self.eyes.source.calibration
     }
 
-    /// Draws what there is to see, with the sensors' noise and faults.
+    /// Draws a scenery, with the sensors' noise and faults.
     ///
     /// # Errors
-    /// [`SceneryError`] when it is not of these cameras' world.
+    /// [`SceneryError`] when it does not fit these cameras' world.
     pub fn draw(&mut self, scenery: &Scenery) -> Result<StereoFrame, SceneryError> {
         if scenery.world != self.world {
             let ((name, seed), (own_name, own_seed)) = (scenery.world.clone(), self.world.clone());

@@ -1,5 +1,5 @@
-//! Whether the coach's gestures are seen right over tables of other colours: the real cameras, coach and observer, over
-//! a robot whose hand is carried along the path by kinematics alone.
+//! Recognition of the coach's gestures over tables of other colours: the real cameras, coach and observer, with a
+//! robot whose hand is moved along the path by kinematics alone.
 
 use std::collections::BTreeMap;
 
@@ -13,23 +13,23 @@ use crate::coach::{Coach, CoachPath, SeenArm};
 use crate::render::hand::SKIN;
 use crate::world::{CoachingAction, CoachingStep, Show};
 
-/// Least time that a gesture (or no hand) lasts before a frame counts, s; the referee's.
+/// How long a gesture (or no hand) must have lasted before a frame counts, s; the same as the referee's.
 const STEADY_S: f64 = 0.3;
 /// Height of the TCP over the table's plane while it wipes, m.
 const TCP_HEIGHT: f64 = 0.10;
-/// How long each gesture stays, s.
+/// Duration of each gesture, s.
 const STAYS_S: f64 = 1.0;
 /// The step of arm and coach, s.
 const STEP_S: f64 = 0.005;
 
-/// What was seen, by what was shown; `None` is no hand.
+/// Recognised gestures, by the gesture that was shown; `None` is no hand.
 #[derive(Debug, Default)]
 struct Score {
     confusion: BTreeMap<(Option<Gesture>, Option<Seen>), usize>,
 }
 
 impl Score {
-    /// The share of frames of these that were seen right.
+    /// The share of the selected frames with the right result.
     fn share(&self, keep: impl Fn(Option<Gesture>) -> bool) -> f64 {
         let count = |right: bool| -> usize {
             let chosen = self.confusion.iter().filter(|((shown, _), _)| keep(*shown));
@@ -38,7 +38,7 @@ impl Score {
         count(true) as f64 / count(false).max(1) as f64
     }
 
-    /// Gestures seen right, with as many frames without a hand as with one.
+    /// Share of frames with the right result, with as many frames without a hand as with one.
     fn accuracy(&self) -> f64 {
         0.5 * (self.share(|g| g.is_some()) + self.share(|g| g.is_none()))
     }
@@ -102,7 +102,7 @@ fn world(table: [u8; 3]) -> World {
     world
 }
 
-/// Watches the coach while a hand comes and waits, and for a moment after each has gone.
+/// Observes the coach while a hand comes and stays, and for a moment after each has gone.
 fn watch(world: &World, seed: u64) -> Score {
     let model = Arc::new(Model::armar3());
     let table = TableTop::new(&world.table);
@@ -152,7 +152,7 @@ fn watch(world: &World, seed: u64) -> Score {
     score
 }
 
-/// Fifteen times a second.
+/// Whether a frame is due: fifteen times per second.
 fn eyes_open(t: f64) -> bool {
     (t * 15.0 + 1e-6).fract() < 15.0 * STEP_S
 }

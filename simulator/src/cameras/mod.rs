@@ -1,7 +1,7 @@
-//! The stereo pair on the robot's head: builds the scene, draws both eyes, adds noise, and hands frames out.
+//! The stereo pair on the robot's head: builds the scene, draws both images, adds noise, and publishes the frames.
 //!
-//! A frame is drawn only when it is due and somebody waits for it. The robot believes its cameras to be where its
-//! joint angles say; the true camera stands off by the world's mounting error.
+//! A frame is drawn only when it is due and a reader waits for it. The robot computes its cameras' pose from its
+//! joint angles; the true pose differs by the world's mounting error.
 
 mod agents;
 mod distant;
@@ -35,9 +35,9 @@ pub use distant::{DistantCameras, Scenery, SceneryError, ScenerySink};
 pub const TOOL_HALF: Vector3<f64> = Vector3::new(0.045, 0.03, 0.02);
 /// Colour of dirt.
 const DIRT: [u8; 3] = [104, 92, 84];
-/// How far around the workspace's middle the table is dirty to the eye, m.
+/// Radius around the middle of the workspace in which the table is visibly dirty, m.
 const DIRTY_RADIUS: f64 = 0.22;
-/// Something that is nearer to the camera than the hand by more than this hides it, m.
+/// Something is in front of the hand if it is nearer to the camera by more than this, m.
 const HIDES: f32 = 0.002;
 
 /// The provider of the simulated frames.
@@ -55,7 +55,7 @@ struct Feed {
     gone: bool,
 }
 
-/// Counts one waiting reader while it lives.
+/// Counts one waiting reader until it is dropped.
 struct Waiting<'a>(&'a AtomicUsize);
 
 impl Drop for Waiting<'_> {
@@ -80,7 +80,7 @@ impl SimulatedCameras {
         self.newest.send(Feed { frame: Some(Arc::new(frame)), ..self.newest.borrow() });
     }
 
-    /// No frame will come any more; those who wait are told.
+    /// Wakes all waiting readers: no further frame will come.
     pub(crate) fn close(&self) {
         self.newest.send(Feed { gone: true, ..self.newest.borrow() });
     }
@@ -116,19 +116,19 @@ impl ImageSource for SimulatedCameras {
     }
 }
 
-/// What there is to see at a frame.
+/// The state of the scene at one frame.
 pub(crate) struct View<'a> {
     pub(crate) stamp_ns: u64,
     pub(crate) true_position: &'a [f64],
     pub(crate) sensed_position: &'a [f64],
     pub(crate) objects: &'a [Isometry3<f64>],
     pub(crate) coach: &'a CoachState,
-    /// How long there has been no hand, s.
+    /// Time since the last hand was visible, s.
     pub(crate) without_hand_s: f64,
     pub(crate) wiped: &'a DirtGrid,
 }
 
-/// The cameras' side of the simulator.
+/// The simulator's side of the cameras.
 pub(crate) struct Eyes {
     source: Arc<SimulatedCameras>,
     period_s: f64,
@@ -151,7 +151,7 @@ pub(crate) struct Eyes {
 }
 
 impl Eyes {
-    /// The cameras of a world; `None` when the model has no link `camera_left`.
+    /// Builds the cameras of a world; `None` if the model has no link `camera_left`.
     pub(crate) fn new(model: &Arc<Model>, world: &World, table: &TableTop, seed: u64) -> Option<Self> {
         let left = model.link("camera_left")?;
         let spec = &world.camera;
@@ -195,13 +195,13 @@ impl Eyes {
         &self.source
     }
 
-    /// Where the robot looks from in a posture, m, root frame.
+    /// Position of the robot's cameras in a posture, m, root frame.
     pub(crate) fn viewpoint(&mut self, position: &[f64]) -> Point3<f64> {
         self.truth.update(position);
         self.truth.pose(self.left).translation.vector.into()
     }
 
-    /// Whether a frame is due at `t` s and somebody waits for it, here or elsewhere.
+    /// Whether a frame is due at `t` s and a reader waits for it, here or in another process.
     pub(crate) fn due(&mut self, t: f64, elsewhere: bool) -> bool {
         if t + 1e-9 < self.next_frame as f64 * self.period_s {
             return false;
@@ -210,7 +210,7 @@ impl Eyes {
         elsewhere || self.source.wanted()
     }
 
-    /// Draws a frame, hands it out and says what is true of it.
+    /// Draws a frame and publishes it. Returns the truth about it.
     pub(crate) fn draw(&mut self, view: &View<'_>) -> FrameTruth {
         let (drawn, truth) = self.paint(view);
         let frame = self.sensed(view.stamp_ns, drawn);
@@ -218,12 +218,12 @@ impl Eyes {
         truth
     }
 
-    /// Counts the frames that were due.
+    /// Number of frames that were due.
     pub(crate) fn frame(&self) -> u64 {
         self.next_frame
     }
 
-    /// What both eyes see, and what is true of it.
+    /// Renders both images, without noise. Also returns the truth about them.
     pub(crate) fn paint(&mut self, view: &View<'_>) -> ([Rendering; 2], FrameTruth) {
         self.truth.update(view.true_position);
         self.belief.update(view.sensed_position);
@@ -246,7 +246,7 @@ impl Eyes {
         (drawn, truth)
     }
 
-    /// What the sensors make of it, with their noise and faults.
+    /// Adds the sensors' noise and faults.
     fn sensed(&mut self, stamp_ns: u64, drawn: [Rendering; 2]) -> StereoFrame {
         let [Rendering { image: mut left, depth }, Rendering { image: mut right, .. }] = drawn;
         let frame = self.next_frame;
@@ -297,7 +297,7 @@ impl Eyes {
         Scene::new(shapes)
     }
 
-    /// Takes the dirt off where the table has been wiped.
+    /// Removes the dirt where the table has been wiped.
     fn clean(&mut self, wiped: &DirtGrid) {
         let stale = wiped.cells().iter().zip(&self.dirt.cells).any(|(w, d)| *w && *d > 0);
         if stale {
@@ -327,15 +327,15 @@ fn shown(gesture: Gesture) -> HandGesture {
     }
 }
 
-/// Whether the whole hand, from its wrist to its fingertips, is in a picture and nothing hides more than a hundredth
-/// of it: `alone` is the picture of the hand and its wrist alone. What the sleeve covers is not the hand.
+/// Whether the whole hand, from its wrist to its fingertips, is in the picture and at most a hundredth of it is
+/// hidden. `alone` is a picture of the hand and its wrist only. What the sleeve covers does not count as the hand.
 fn whole(hand: &HandShown, viewpoint: &Viewpoint, picture: &Rendering, alone: &Rendering) -> bool {
     let camera_from_hand = viewpoint.scene_from_camera.inverse() * hand.root_from_hand;
     let camera = &viewpoint.camera;
     let (mut farthest, mut wrist) = (0.0f32, f64::MAX);
     let inside = landmarks(&HandPose::of(shown(hand.gesture))).iter().all(|(point, radius)| {
         let p = camera_from_hand * point;
-        // Behind the hand lies the floor; towards the arm from the wrist, the forearm.
+        // Behind the hand there is the floor; beyond the wrist towards the arm, the forearm.
         farthest = farthest.max((p.z + radius) as f32);
         wrist = wrist.min(point.z - radius);
         camera.project(&p).is_some_and(|pixel| {
@@ -344,7 +344,8 @@ fn whole(hand: &HandShown, viewpoint: &Viewpoint, picture: &Rendering, alone: &R
             within(pixel.x, camera.width) && within(pixel.y, camera.height)
         })
     });
-    // Where a seen point is along the hand: the third row of the hand's pose in the camera, for the ray at depth 1.
+    // Coordinate of a seen point along the hand: the third row of the hand's pose in the camera, for the ray at
+    // depth 1.
     let hand_from_camera = camera_from_hand.inverse();
     let along = hand_from_camera.rotation.to_rotation_matrix().matrix().row(2).transpose();
     let ray = |i: usize| {
@@ -401,7 +402,7 @@ fn tool(pose: &Isometry3<f64>, color: [u8; 3]) -> [Shape; 2] {
     ]
 }
 
-/// Dirt about the workspace: spots of changing strength, seeded.
+/// Dirt around the workspace: spots of random strength, determined by the seed.
 fn blotches(world: &World, table: &TableTop, seed: u64) -> DirtTexture {
     use rand::{RngExt, SeedableRng};
     let grid = DirtGrid::new(table);

@@ -1,25 +1,26 @@
-//! How high the coach holds his hand where the robot's arm passes: nobody leaves his hand where an arm runs through it.
+//! How far the coach lifts his hand to keep it clear of the robot's arm as it passes.
 //!
-//! Geometry of a hand that stands and of the arm as it was seen through a cycle; it decides nothing else.
+//! Geometry of a standing hand, and of the arm as it was seen through one cycle. It makes no other decisions.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::SeenArm;
 
-/// Nearer than this to the axis of the arm the hand is in the arm, m: half the arm, half the hand and a little.
+/// The hand touches the arm if it is nearer to the arm's axis than this, m: half the arm, half the hand and a
+/// margin.
 const CLEAR: f64 = 0.065;
-/// The coach lets himself be brushed in passing: only where the arm is in his hand for more than this share of a cycle
-/// does he lift it, and then until it is there for no more than this.
+/// The arm may touch the hand for a part of each cycle. If it does so for more than the first share of a cycle, the
+/// coach lifts his hand until the share is at most the second.
 const BRUSHED: (f64, f64) = (0.4, 0.1);
-/// Steps in which he lifts it, m, and how many at most.
+/// Height of a lifting step, m, and the largest number of steps.
 const STEP: f64 = 0.01;
 const STEPS: u32 = 10;
-/// From the palm to the wrist and to the fingertips, along the fingers, m.
+/// Distances from the palm to the wrist and to the fingertips, along the fingers, m.
 const HAND: [f64; 2] = [-0.08, 0.15];
-/// Points of the hand that are held against the arm.
+/// Number of intervals at whose ends the hand's distance to the arm is computed.
 const SAMPLES: u32 = 6;
 
-/// How far a hand that would stand at `hand` has to be lifted over the arm, m.
+/// How far a hand at `hand` has to be lifted over the arm, m.
 pub(super) fn lift(hand: &Isometry3<f64>, cycle: &[Option<SeenArm>]) -> f64 {
     let within = |lift: f64| {
         let seen = cycle.iter().flatten();
@@ -43,7 +44,7 @@ fn meets(hand: &Isometry3<f64>, lift: f64, arm: &SeenArm) -> bool {
     })
 }
 
-/// From a point to a line segment, m.
+/// Distance from a point to a line segment, m.
 fn distance(point: &Point3<f64>, [from, to]: &[Point3<f64>; 2]) -> f64 {
     let (along, there) = (to - from, point - from);
     let share = (along.dot(&there) / along.norm_squared().max(1e-12)).clamp(0.0, 1.0);

@@ -1,9 +1,9 @@
-//! What the coach does while the robot wipes: one action after the other, from the world file.
+//! The coach's actions while the robot wipes: one after the other, from the world file.
 //!
-//! A push follows the robot's hand: its force rises and falls smoothly with the phase. A gesture stands beside the
-//! path as the robot executed it last: it comes from its side and goes there again, showing the same gesture all
-//! the while, turned towards the robot's cameras. It reaches for the pass that is meant: it comes to its place as the
-//! robot's hand comes to that phase.
+//! A push acts on the robot's hand; its force rises and falls smoothly with the phase. A gesture is shown beside
+//! the path as the robot executed it last. The hand comes from one side and returns there; it shows the same
+//! gesture all the time and is turned towards the robot's cameras. It times its approach: it arrives when the
+//! robot's hand comes to the coached phase.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -15,23 +15,23 @@ use super::path::{CoachPath, PhaseTracker};
 use super::{CoachState, SeenArm};
 use crate::world::{CoachSpec, CoachingAction, CoachingStep, Gesture, Push, Show};
 
-/// How long the hand takes to come and to go, s.
+/// Time that the hand needs to come and to go, s.
 const COME: f64 = 1.0;
-/// It comes at most by this factor faster or slower than that, to be there in time.
+/// The hand may come faster or slower by at most this factor, to arrive in time.
 const HURRY: f64 = 1.7;
-/// The robot slows down as the hand comes: what it then does of the way that it would have done.
+/// The robot slows down as the hand comes: the share of the path that it still covers meanwhile.
 const SLOWED: f64 = 0.75;
-/// The coach waits at most so many periods for the pass that he means.
+/// The coach waits at most this many periods for the right pass.
 const WAIT: f64 = 2.0;
-/// How far it comes from, m.
+/// Length of the hand's way, m.
 const DISTANCE: f64 = 0.35;
-/// Places on the path that the coach remembers.
+/// Number of places on the path that the coach remembers.
 const BINS: usize = 64;
 /// A push is given up after this many times its cycles.
 const PATIENCE: f64 = 4.0;
 /// The tracker's step, s.
 const TRACK_DT: f64 = 0.005;
-/// Where the forearm had rather be, so that it hides neither the path nor the robot's arm: far and left.
+/// Preferred direction of the forearm, in which it hides neither the path nor the robot's arm: far and left.
 const FOREARM: Vector3<f64> = Vector3::new(-0.6, 0.8, 0.0);
 
 /// The coach's bare hand.
@@ -39,11 +39,11 @@ const FOREARM: Vector3<f64> = Vector3::new(-0.6, 0.8, 0.0);
 pub struct HandShown {
     /// Pose of the hand: origin in the palm's middle, z along the fingers, x out of the palm, y to the thumb.
     pub root_from_hand: Isometry3<f64>,
-    /// What it shows.
+    /// The gesture.
     pub gesture: Gesture,
-    /// How long it has shown it, s.
+    /// How long it has been shown, s.
     pub shown_s: f64,
-    /// Whether it stands beside the path (and is not coming or going).
+    /// Whether the hand stands beside the path (rather than coming or going).
     pub in_place: bool,
 }
 
@@ -61,29 +61,29 @@ pub enum ActionKind {
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EventKind {
-    /// The coach's hand appears, or pushes for the first time.
+    /// The coach's hand appears, or the first push begins.
     Began,
-    /// The hand stands where it wanted to.
+    /// The hand has reached its place.
     Arrived {
-        /// Where the palm is, root frame, m.
+        /// Position of the palm, root frame, m.
         palm: [f64; 3],
     },
     /// The hand begins to go.
     Leaves,
-    /// The coach has gone.
+    /// The hand has gone, or the push is over.
     Ended,
 }
 
-/// Something began or ended.
+/// The begin or end of a part of an action.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct ActionEvent {
-    /// Which step of the world's coaching, from 0.
+    /// Index of the step of the world's coaching, from 0.
     pub step: usize,
     /// Its kind.
     pub kind: ActionKind,
     /// What happened.
     pub event: EventKind,
-    /// When, s of the robot's time.
+    /// Time, s of the robot's clock.
     pub t: f64,
 }
 
@@ -100,7 +100,7 @@ struct Showing {
     since: f64,
     place: Isometry3<f64>,
     away: Vector3<f64>,
-    /// Share of its way here, 0 to 1.
+    /// Share of its way that it has covered, 0 to 1.
     come: f64,
     arrived: Option<f64>,
     leaves: Option<f64>,
@@ -188,8 +188,8 @@ impl Coaching {
         }
     }
 
-    /// Whether a hand that sets out now, `elapsed` s after wiping began, is there when the robot comes to the phase that
-    /// is meant. A push waits for its phase by itself.
+    /// Whether a hand that sets out now, `elapsed` s after wiping began, arrives when the robot comes to the
+    /// coached phase. A push waits for its phase by itself.
     fn in_time(&self, step: &CoachingStep, elapsed: f64) -> bool {
         let CoachingAction::Show(show) = &step.action else { return true };
         let Some(cycles) = self.until(show.phase) else { return true };
@@ -233,7 +233,7 @@ impl Coaching {
         let Some(phase) = state.phase else { return };
         let off = phase - push.phase;
         let near = (off - off.round()).abs() / push.arc;
-        // A push starts where the arc begins, so that each cycle's is whole.
+        // A push starts only near the beginning of the arc, so that it is complete in each cycle.
         let now_inside = near < 1.0 && (*inside || near > 0.6);
         let patience = PATIENCE * f64::from(push.cycles) / self.path.frequency();
         let over = t - *from > patience || (gone && !now_inside);
@@ -289,18 +289,18 @@ impl Coaching {
         }
     }
 
-    /// How fast the hand comes, share of its way per s: what is left of it in the time that the robot needs to the
-    /// phase that is meant, within [`HURRY`].
+    /// Speed of the approaching hand, as share of its way per s: the rest of its way in the time that the robot
+    /// needs to the coached phase, limited by [`HURRY`].
     fn approach_rate(&self, phase: f64) -> f64 {
         let Activity::Showing(hand) = &self.activity else { return 0.0 };
         let Some(cycles) = self.until(phase) else { return 1.0 / COME };
-        // Just missed is no reason to wait for the next pass.
+        // If the phase was just missed, do not wait for the next pass.
         let left = if cycles > 0.8 { 0.0 } else { cycles / self.tracker.frequency().max(1e-3) };
         ((1.0 - hand.come) / left.max(1e-3)).clamp(1.0 / (HURRY * COME), HURRY / COME)
     }
 
-    /// Where the hand waits: beside the path as it was executed last, the palm turned to the cameras, and over the robot's
-    /// arm where that would be in the hand most of the time.
+    /// Where the hand stands: beside the path as executed last, the palm turned to the cameras. It is lifted if the
+    /// robot's arm would otherwise touch it for most of a cycle (see [`lift`]).
     fn place(&self, show: &Show) -> Isometry3<f64> {
         let palm = self.path_point(show.phase) + Vector3::from(show.offset);
         let view = (self.camera.coords - palm).try_normalize(1e-6).unwrap_or_else(Vector3::z);
@@ -312,7 +312,7 @@ impl Coaching {
         Translation3::from(Vector3::z() * lift(&beside, &self.seen)) * beside
     }
 
-    /// The executed path at a phase, or the coach's own with the height of what was executed.
+    /// The executed path at a phase; without one, the coach's own path at the executed height.
     fn path_point(&self, phase: f64) -> Vector3<f64> {
         let bin = (phase.rem_euclid(1.0) * BINS as f64) as usize % BINS;
         let seen = (0..4).find_map(|d| self.seen[(bin + d) % BINS].or(self.seen[(bin + BINS - d) % BINS]));
@@ -325,7 +325,7 @@ impl Coaching {
     }
 }
 
-/// The direction across both the offset and the view, so that neither fingers nor forearm reach over the path.
+/// The direction perpendicular to the offset and the view, so that neither fingers nor forearm reach over the path.
 fn across(offset: &Vector3<f64>, view: &Vector3<f64>) -> Vector3<f64> {
     let along = view
         .cross(offset)
@@ -355,7 +355,7 @@ mod tests {
 
     const DT: f64 = 1e-3;
 
-    /// Lets an ideal hand wipe the coach's own path and returns what the coach did, ms by ms.
+    /// Moves an ideal hand along the coach's own path. Returns the coach's state at each ms, and the events.
     fn wipe(spec: &CoachSpec, seconds: f64) -> (Vec<CoachState>, Vec<ActionEvent>) {
         let path = CoachPath::new(&Demonstration::default());
         let mut coaching = Coaching::new(spec, path.clone(), Point3::new(0.0, 0.24, 1.65));

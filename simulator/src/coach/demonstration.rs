@@ -1,6 +1,6 @@
-//! How the coach shows the motion: comes, swipes across the workspace, wipes in the air, goes.
+//! How the coach demonstrates the motion: the tool comes, swipes across the workspace, wipes in the air, and goes.
 //!
-//! A function from the time since the start to the tool's pose; all unsteadiness is drawn at the beginning.
+//! A function from the time since the start to the tool's pose. All random deviations are drawn at the start.
 
 use std::f64::consts::TAU;
 
@@ -10,19 +10,19 @@ use rand::Rng;
 use super::path::{CoachPath, Wobble};
 use crate::world::Demonstration;
 
-/// How long the tool takes to come and to go, s.
+/// Time in which the tool comes and goes, s.
 const COME: f64 = 1.5;
-/// How long it rests before the swipe, s.
+/// Rest before the swipe, s.
 const REST: f64 = 0.8;
-/// How long it rests after the swipe, s.
+/// Rest after the swipe, s.
 const PAUSE: f64 = 0.6;
-/// How long it takes to the start of the periodic path, s.
+/// Time to move to the start of the periodic path, s.
 const GO: f64 = 1.0;
-/// How long the periodic motion takes to full speed and to rest, s.
+/// Time in which the periodic motion reaches full speed, and in which it comes to rest, s.
 const RAMP: f64 = 0.5;
 /// Mean speed of the swipe, m/s.
 const SWIPE_SPEED: f64 = 0.10;
-/// From where the tool comes, seen from where it goes, m.
+/// Where the tool comes from and goes to, relative to the path, m.
 const AWAY: Vector3<f64> = Vector3::new(0.0, 0.40, 0.15);
 
 /// A demonstration that has begun.
@@ -40,7 +40,7 @@ pub struct Performance {
     yaw_wobble: Wobble,
 }
 
-/// What the coach does at a time of the performance.
+/// The coach's state at a time of the performance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shown {
     /// Pose of the tool's middle.
@@ -50,7 +50,7 @@ pub struct Shown {
 }
 
 impl Performance {
-    /// Draws the unsteadiness of one performance over a table whose height is `table_height`, m.
+    /// Draws the random deviations of one performance over a table of height `table_height`, m.
     pub fn new(demonstration: &Demonstration, table_height: f64, rng: &mut impl Rng) -> Self {
         let height = table_height + demonstration.height;
         let at = |p: [f64; 2]| Vector3::new(p[0], p[1], height);
@@ -69,7 +69,7 @@ impl Performance {
         }
     }
 
-    /// How long it takes, s.
+    /// Its duration, s.
     #[must_use]
     pub fn duration(&self) -> f64 {
         self.periodic_start() + self.periodic_s + COME
@@ -81,7 +81,7 @@ impl Performance {
         COME + REST + self.swipe_s + PAUSE + GO
     }
 
-    /// What is shown `t` s after the start; `None` before and after.
+    /// The state `t` s after the start; `None` before the start and after the end.
     #[must_use]
     pub fn at(&self, t: f64) -> Option<Shown> {
         if !(0.0..=self.duration()).contains(&t) {
@@ -100,7 +100,7 @@ impl Performance {
         Some(Shown { root_from_tool, theta })
     }
 
-    /// Where a steady hand would be, and the phase.
+    /// Position and phase without random deviations.
     fn steady(&self, t: f64) -> (Vector3<f64>, Option<f64>) {
         let on_path = |theta: f64| {
             let p = self.path.point(theta);
@@ -127,8 +127,8 @@ impl Performance {
         (end + AWAY * minimum_jerk((t - self.periodic_s) / COME), None)
     }
 
-    /// The phase `t` s after the start of the periodic part: constant speed between two ramps, unsteady by the
-    /// jitter.
+    /// The phase `t` s after the start of the periodic part: constant speed between two ramps, with the jitter
+    /// added.
     fn theta(&self, t: f64) -> f64 {
         let ramped = |t: f64| if t < RAMP { t * t / (2.0 * RAMP) } else { t - RAMP / 2.0 };
         let rest = self.periodic_s - t;
@@ -138,7 +138,7 @@ impl Performance {
     }
 }
 
-/// Flash and Hogan's minimum-jerk course from 0 to 1.
+/// Flash and Hogan's minimum-jerk profile from 0 to 1.
 #[must_use]
 pub(crate) fn minimum_jerk(s: f64) -> f64 {
     let s = s.clamp(0.0, 1.0);

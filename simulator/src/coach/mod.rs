@@ -1,7 +1,9 @@
-//! The coach: a person who shows the motion when asked, then changes it by pushing the robot's hand and by gestures.
+//! The coach: a person who demonstrates the motion when asked, then changes it by pushing the robot's hand and by
+//! gestures.
 //!
-//! The coach hears what the robot says, sees the robot's arm (where it truly is) and acts on its hand by force; the hand and
-//! the tool are seen by the cameras and have no physics. Stepped every millisecond, seeded.
+//! The coach hears what the robot says, sees the robot's arm at its true pose, and pushes its hand by a force. The
+//! coach's hand and tool are visible to the cameras but have no physics. The coach is stepped every millisecond and
+//! seeded.
 
 mod clearance;
 mod coaching;
@@ -18,7 +20,7 @@ pub use path::{CoachPath, PhaseTracker, Wobble, wrap};
 use crate::world::{CoachSpec, Demonstration};
 use coaching::Coaching;
 
-/// What the coach does at an instant.
+/// The coach's state at an instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CoachState {
     /// Pose of the tool's middle, while it is shown.
@@ -27,11 +29,11 @@ pub struct CoachState {
     pub hand: Option<HandShown>,
     /// Force on the robot's hand at the TCP, root frame, N.
     pub push: Vector3<f64>,
-    /// Where on the coach's path the robot's hand is while it wipes, 0 to 1.
+    /// Phase of the robot's hand on the coach's path while it wipes, 0 to 1.
     pub phase: Option<f64>,
 }
 
-/// What the coach sees of the arm that wipes, root frame.
+/// The wiping arm as the coach sees it, root frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SeenArm {
     /// The TCP, m.
@@ -56,7 +58,7 @@ pub struct Coach {
 }
 
 impl Coach {
-    /// The coach of a world; `camera` is where the robot looks from, m: gestures are shown to it.
+    /// The coach of a world. `camera` is the position of the robot's cameras, m, to which gestures are shown.
     #[must_use]
     pub fn new(spec: &CoachSpec, table_height: f64, camera: Point3<f64>, rng: ChaCha8Rng) -> Self {
         let path = CoachPath::new(&spec.demonstration.clone().unwrap_or_default());
@@ -70,7 +72,8 @@ impl Coach {
         }
     }
 
-    /// Hears the robot: "show me" starts a demonstration (unless one is under way), "wiping" starts the coaching.
+    /// Processes an utterance of the robot: "show me" starts a demonstration (unless one is running), "wiping"
+    /// starts the coaching.
     pub fn hear(&mut self, utterance: &str, t: f64) {
         let words = utterance.to_lowercase();
         if words.contains("show me") {
@@ -98,12 +101,12 @@ impl Coach {
         &self.state
     }
 
-    /// What began or ended since the last call.
+    /// The events since the last call.
     pub fn take_events(&mut self) -> Vec<ActionEvent> {
         self.coaching.take_events()
     }
 
-    /// Whether everything that the coach had planned is done.
+    /// Whether all planned actions are done.
     #[must_use]
     pub fn is_done(&self, t: f64) -> bool {
         self.coaching.is_done(t)

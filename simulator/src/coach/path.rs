@@ -1,6 +1,6 @@
-//! The coach's path, the unsteadiness of a hand, and where on the path somebody is.
+//! The coach's path, the unsteadiness of a hand, and a tracker for the phase of a motion along the path.
 //!
-//! Closed formulas and one tracker; it knows no time of day and no robot.
+//! Closed formulas and one tracker; independent of clock and robot.
 
 use std::f64::consts::{PI, TAU};
 
@@ -64,7 +64,7 @@ impl CoachPath {
         self.half
     }
 
-    /// Periods of the whole path a second, Hz.
+    /// Repetitions of the whole path per second, Hz.
     #[must_use]
     pub fn frequency(&self) -> f64 {
         self.frequency
@@ -110,10 +110,11 @@ impl Wobble {
 /// Samples of the path that the tracker compares with.
 const SAMPLES: usize = 180;
 
-/// Where on the coach's path somebody is who moves along something like it.
+/// Tracks the phase of a motion along the coach's path, or along a similar one.
 ///
-/// The nearest point in position and direction of motion, with a preference for going on as before; so that crossings
-/// (eight) and doubled strokes (line) are told apart. The path may be shifted: the tracker follows its middle slowly.
+/// It takes the nearest point in position and direction of motion, and prefers to continue from the last one. This
+/// distinguishes the branches of crossings (eight) and doubled strokes (line). The path may be shifted: the tracker
+/// follows its middle slowly.
 #[derive(Clone, Debug)]
 pub struct PhaseTracker {
     path: CoachPath,
@@ -130,7 +131,7 @@ impl PhaseTracker {
         Self { path, shift: [0.0; 2], theta: None, omega }
     }
 
-    /// The unwrapped phase, rad; it only grows while the motion goes forward.
+    /// The unwrapped phase, rad; it increases while the motion goes forward.
     #[must_use]
     pub fn theta(&self) -> Option<f64> {
         self.theta
@@ -142,7 +143,7 @@ impl PhaseTracker {
         self.theta.map(|t| (t / TAU).rem_euclid(1.0))
     }
 
-    /// How fast the phase goes, cycles/s, smoothed over 0.3 s.
+    /// Rate of the phase, cycles/s, smoothed over 0.3 s.
     #[must_use]
     pub fn frequency(&self) -> f64 {
         self.omega / TAU

@@ -1,15 +1,15 @@
-//! Which links of the robot move together: a model's tree, reduced to the bodies that the physics moves.
+//! Which links of the robot move together: reduces a model's tree to the bodies of the physics.
 //!
-//! The torso, the right arm and the right hand have dynamics. Links that hang on them by fixed joints, and those
-//! of head and left arm (which follow their set points ideally), are lumped into the body that carries them, in
-//! the robot's starting posture. Pure bookkeeping; nothing here steps.
+//! The torso, the right arm and the right hand have dynamics. Links attached to them by fixed joints, and those of
+//! head and left arm (which follow their set points exactly), are lumped into the body that carries them, in the
+//! robot's start posture. This module only computes the bodies and does not step them.
 
 use armarium_robot::{JointKind, Kinematics, LinkId, Model, Shape};
 use nalgebra::{Isometry3, Matrix3, Point3, Unit, Vector3};
 
 /// Limbs whose joints have dynamics.
 const DYNAMIC_LIMBS: [&str; 3] = ["torso", "right_arm", "right_hand"];
-/// Limbs whose bodies touch the world.
+/// Limbs whose bodies have contacts.
 const TOUCHING_LIMBS: [&str; 2] = ["right_arm", "right_hand"];
 
 /// Mass, centre and inertia about the centre, in one frame.
@@ -44,23 +44,23 @@ fn steiner(mass: f64, c: &Vector3<f64>) -> Matrix3<f64> {
     (Matrix3::identity() * c.norm_squared() - c * c.transpose()) * mass
 }
 
-/// One body that the physics moves, with the joint that moves it; its frame is that of the link that the joint moves.
+/// One body of the physics with its joint. Its frame is that of the link that the joint moves.
 #[derive(Clone, Debug)]
 pub(super) struct Lump {
-    /// The body it hangs on; none hangs on the room.
+    /// The parent body; `None` if it is attached to the room.
     pub(super) parent: Option<usize>,
-    /// The joint, an index into the model's.
+    /// Index of the joint in the model.
     pub(super) joint: usize,
     pub(super) kind: JointKind,
     pub(super) axis: Unit<Vector3<f64>>,
     /// Pose in the parent body's frame (the room's, for the first) with the joint at 0.
     pub(super) parent_from_body: Isometry3<f64>,
     pub(super) mass: Mass,
-    /// What touches: shape, pose in the body's frame.
+    /// Collision shapes, with their poses in the body's frame.
     pub(super) collisions: Vec<(Shape, Isometry3<f64>)>,
 }
 
-/// The part of the robot beyond the wrist sensor that is not one of the lumps by itself.
+/// The part of the robot beyond the wrist sensor that does not have a lump of its own.
 #[derive(Clone, Debug)]
 pub(super) struct Wrist {
     /// The lump that carries sensor and palm.
@@ -71,7 +71,7 @@ pub(super) struct Wrist {
     pub(super) body_from_tcp: Isometry3<f64>,
     /// Mass beyond the sensor that moves with the lump, in the lump's frame.
     pub(super) palm: Mass,
-    /// Lumps that hang on the palm: the fingers.
+    /// Lumps attached to the palm: the fingers.
     pub(super) fingers: Vec<usize>,
 }
 
@@ -79,15 +79,15 @@ pub(super) struct Wrist {
 #[derive(Clone, Debug)]
 pub(super) struct Assembly {
     pub(super) lumps: Vec<Lump>,
-    /// Joints that have no dynamics, indices into the model's.
+    /// Joints without dynamics, as indices into the model's.
     pub(super) ideal: Vec<usize>,
     pub(super) wrist: Wrist,
-    /// For every link of the model: the lump that carries it, if one does, and its pose in that.
+    /// For every link of the model: the lump that carries it, if any, and its pose in that lump.
     links: Vec<(Option<usize>, Isometry3<f64>)>,
 }
 
 impl Assembly {
-    /// Takes a model apart; `start` is the posture in which ideal limbs are weighed.
+    /// Splits a model into bodies. `start` is the posture in which the masses of ideal limbs are added.
     ///
     /// # Errors
     /// The name of a link or limb that the simulator needs and the model lacks.
@@ -95,7 +95,7 @@ impl Assembly {
         Self::moving(kinematics, start, &DYNAMIC_LIMBS, &TOUCHING_LIMBS)
     }
 
-    /// The same with `dynamic` limbs that move by physics, of which the `touching` ones have shapes that touch.
+    /// The same with `dynamic` limbs that the physics moves; of those, the `touching` ones have collision shapes.
     ///
     /// # Errors
     /// As [`Assembly::new`].
@@ -171,14 +171,14 @@ impl Assembly {
         Ok(Self { lumps, ideal, wrist, links: carrier.into_iter().zip(carrier_from_link).collect() })
     }
 
-    /// The lump that carries a link, and the link's pose in it; `None` for links that stand still.
+    /// The lump that carries a link, and the link's pose in it; `None` for links that do not move.
     pub(super) fn carrier(&self, link: LinkId) -> Option<(usize, Isometry3<f64>)> {
         let (lump, pose) = self.links.get(link.index())?;
         Some(((*lump)?, *pose))
     }
 }
 
-/// For every link, whether it hangs on the sensor.
+/// For every link, whether it is attached beyond the sensor.
 fn beyond_sensor(model: &Model, sensor: LinkId) -> Vec<bool> {
     let mut beyond = vec![false; model.links().len()];
     for link in model.subtree(sensor) {
@@ -187,12 +187,12 @@ fn beyond_sensor(model: &Model, sensor: LinkId) -> Vec<bool> {
     beyond
 }
 
-/// What a joint adds between its link's place at 0 and at `q`.
+/// The relative motion of a joint's link between positions 0 and `q`.
 fn moved(model: &Model, joint: usize, q: f64) -> Isometry3<f64> {
     joint_motion(model.joints()[joint].kind, &model.joints()[joint].axis, q)
 }
 
-/// The motion of a joint about or along an axis.
+/// The motion of a joint: a rotation about its axis or a translation along it.
 pub(super) fn joint_motion(kind: JointKind, axis: &Unit<Vector3<f64>>, q: f64) -> Isometry3<f64> {
     match kind {
         JointKind::Revolute => Isometry3::rotation(axis.into_inner() * q),

@@ -1,4 +1,4 @@
-//! Puts a world's room, objects and robot into Rapier, once, at the start. It steps nothing.
+//! Builds a world's room, objects and robot in Rapier, once, at the start. It does not step them.
 
 use armarium_robot::{JointKind, Model, Shape};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
@@ -22,7 +22,7 @@ fn groups(of: rapier::Group, with: rapier::Group) -> rapier::InteractionGroups {
     rapier::InteractionGroups::new(of, with, rapier::InteractionTestMode::And)
 }
 
-/// Nothing but gravity and the way in which it is stepped.
+/// An empty room: gravity and the parameters of integration.
 pub(super) fn empty_room() -> rapier::PhysicsWorld {
     let mut physics = rapier::PhysicsWorld::new();
     physics.gravity = rapier::Vector::new(0.0, 0.0, -GRAVITY);
@@ -53,7 +53,7 @@ pub(super) fn add_object(physics: &mut rapier::PhysicsWorld, table: &TableTop, s
     let half = *bed.half();
     let [x, y] = spec.at;
     let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), spec.yaw_deg.to_radians());
-    // It lies where its weight has pressed it in.
+    // The object starts as deep as its weight presses it in.
     let sink = spec.mass * GRAVITY / spec.stiffness;
     let surface = Point3::new(x, y, table.plane_height(x, y));
     let middle = surface + table.plane_normal().into_inner() * (half.z - sink);
@@ -128,7 +128,7 @@ fn lump_body(lump: &Lump, pose: &Isometry3<f64>) -> rapier::RigidBodyBuilder {
         .can_sleep(false)
 }
 
-/// Both frames' x along the joint's axis; the coordinate is 0 in the starting posture.
+/// In both frames x is the joint's axis. The coordinate is 0 in the start posture.
 fn joint_of(lump: &Lump, parent_from_start: &Isometry3<f64>) -> rapier::GenericJoint {
     let to_axis = UnitQuaternion::rotation_between(&Vector3::x(), &lump.axis)
         .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI));
@@ -143,7 +143,8 @@ fn joint_of(lump: &Lump, parent_from_start: &Isometry3<f64>) -> rapier::GenericJ
         .build()
 }
 
-/// Gains by what the joint carries: the torso's are stiffest, the wrist's softest; all settle in about 10 ms.
+/// Gains according to the load of the joint: highest for the torso, lowest for the wrist; all settle in about 10
+/// ms.
 fn servo(lump: &Lump, effort: f64) -> Servo {
     let stiffness = match lump.kind {
         JointKind::Prismatic => 8e3,
@@ -155,7 +156,7 @@ fn servo(lump: &Lump, effort: f64) -> Servo {
     Servo { stiffness, damping: 0.01 * stiffness, effort }
 }
 
-/// Motors' reflected inertia, kg m^2 (kg); Rapier's own damping is taken away, the servo has its own.
+/// Sets the motors' reflected inertia, kg m^2 (kg), and removes Rapier's own damping, as the servo has its own.
 fn set_rotors(physics: &mut rapier::PhysicsWorld, bodies: &[Body]) {
     for body in bodies {
         let Some((multibody, id)) = physics.multibody_joints.get_mut(body.joint) else { continue };

@@ -1,9 +1,9 @@
-//! Two arms and a box: both arms of the robot in physics, with a soft pad on the inner side of each hand, and a box that
-//! stands on a table until they take it between them.
+//! Two arms and a box: both arms of the robot in physics, with a soft pad on the inner side of each hand, and a box
+//! that stands on a table until the arms lift it between their hands.
 //!
-//! Torso and both arms are one multibody with the servos of the [`Plant`](super::Plant); the box is free. Nothing ties it to
-//! the hands but the pads' pressure and friction (see [`pad`](super::pad)), so it can slip and be dropped. There is no
-//! clock, no noise and no guard here; [`carrying`](crate::carrying) adds sensors and the referee.
+//! Torso and both arms are one multibody with the servos of the [`Plant`](super::Plant); the box is free. Only the
+//! pads' pressure and friction connect it to the hands (see [`pad`](super::pad)), so it can slip and fall. There is
+//! no clock, noise or guard here; [`carrying`](crate::carrying) adds sensors and the referee.
 
 use std::sync::Arc;
 
@@ -47,8 +47,8 @@ impl Default for CarriedBox {
 }
 
 impl CarriedBox {
-    /// The middle of a pad's outer face (0 right, 1 left) in the frame of its TCP, m. The hands' y points to the robot's left in
-    /// both: it is the inner side of the right one, and the outer of the left.
+    /// The middle of a pad's outer face (side 0 right, 1 left) in the frame of its TCP, m. In both hands, y points
+    /// to the robot's left: to the inner side of the right hand, and to the outer side of the left hand.
     #[must_use]
     pub fn pad_middle(&self, side: usize) -> Point3<f64> {
         let inner = if side == 0 { 1.0 } else { -1.0 };
@@ -56,7 +56,7 @@ impl CarriedBox {
     }
 }
 
-/// The right and the left one of something.
+/// A pair of values, right and left.
 pub type Sides<T> = [T; 2];
 
 /// Names of limbs and TCPs, right and left.
@@ -83,7 +83,8 @@ pub struct CarryingPlant {
 }
 
 impl CarryingPlant {
-    /// The robot in the posture `start` (positions of all the model's joints, rad or m) and the box on its table.
+    /// Builds the robot in the posture `start` (positions of all the model's joints, rad or m) and the box on its
+    /// table.
     ///
     /// # Errors
     /// [`PlantError`] when the robot lacks an arm or a TCP.
@@ -151,13 +152,13 @@ impl CarryingPlant {
             .map(|h| convert::to_pose(self.physics.bodies[h.palm].position()) * h.palm_from_tcp)
     }
 
-    /// What the box did to the hands in the last step, right and left; torques about the TCPs.
+    /// The forces of the box on the hands in the last step, right and left; torques about the TCPs.
     #[must_use]
     pub fn reactions(&self) -> Sides<PadReaction> {
         self.hands.each_ref().map(|h| h.reaction)
     }
 
-    /// Advances everything by [`DT`]: servo targets are positions and velocities of all joints.
+    /// Advances by [`DT`]. The servo targets are positions and velocities of all joints.
     pub fn step(&mut self, position: &[f64], velocity: &[f64]) {
         let now = (&self.position[..], &self.velocity[..]);
         drives::set_targets(&mut self.physics, &self.bodies, now, (position, velocity));
@@ -170,7 +171,7 @@ impl CarryingPlant {
         }
     }
 
-    /// The pads' forces on hands and box.
+    /// Applies the pads' forces to hands and box.
     fn press(&mut self) {
         let carried = moving(&self.physics.bodies[self.carried], &Isometry3::identity());
         let bodies = &mut self.physics.bodies;
@@ -215,7 +216,7 @@ fn add_box(physics: &mut rapier::PhysicsWorld, spec: &CarriedBox, half: &Vector3
     handle
 }
 
-/// A body, or a frame fixed in it.
+/// The motion of a body, or of a frame fixed in it.
 fn moving(body: &rapier::RigidBody, body_from_frame: &Isometry3<f64>) -> Moving {
     let pose = convert::to_pose(body.position()) * body_from_frame;
     let angular = convert::to_vector(body.angvel());

@@ -1,4 +1,4 @@
-//! The one place where nalgebra's types (everywhere else) and glam's (Rapier) meet.
+//! Conversions between nalgebra's types (used everywhere else) and glam's (used by Rapier).
 
 use nalgebra::{Isometry3, Matrix3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use rapier3d_f64::math::{Matrix, Pose, Rotation, Vector};

@@ -1,7 +1,7 @@
 //! The joints' servos: set points in, positions and velocities out.
 //!
-//! Every joint is a stiff spring and damper about its set point that feeds the set velocity forward, integrated
-//! implicitly by the solver, its force bounded by the joint's effort.
+//! Every joint is a stiff spring and damper about its set point, with feed-forward of the set velocity. The solver
+//! integrates it implicitly; its force is limited by the joint's effort.
 
 use armarium_robot::JointKind;
 use rapier3d_f64::prelude as rapier;
@@ -28,8 +28,8 @@ pub(super) struct Body {
     pub(super) servo: Servo,
 }
 
-/// Sets every servo's spring so that, with its damper, it pulls to the set point and feeds the velocity forward; `now` and
-/// `targets` are positions and velocities of all the model's joints.
+/// Sets the spring of every servo such that, with its damper, it pulls to the set point and feeds the velocity
+/// forward. `now` and `targets` are positions and velocities of all the model's joints.
 pub(super) fn set_targets(
     physics: &mut rapier::PhysicsWorld,
     bodies: &[Body],
@@ -64,7 +64,7 @@ pub(super) fn read(
     }
 }
 
-/// The coordinate of a joint among the six of a multibody's joint: both frames' x is the joint's axis.
+/// Index of a joint's coordinate among the six of a multibody joint: in both frames x is the joint's axis.
 fn axis_of(kind: JointKind) -> usize {
     match kind {
         JointKind::Revolute => 3,

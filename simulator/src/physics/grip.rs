@@ -1,10 +1,11 @@
 //! When the hand holds an object.
 //!
-//! The object is held while **both** finger pads press on it: then it is joined to the palm. The joint ends when a
-//! pad has pressed less than [`HOLDING_FORCE`] for [`PATIENCE`], or when the load that the hand carries exceeds
-//! what the pads' friction can: force `F` and torque `T` (about the object's middle) with
-//! `(F / Fc)^2 + (T / (Fc r))^2 > 1`, `Fc = ` [`PAD_FRICTION`] times the sum of both
-//! pads' normal forces, `r = ` [`CONTACT_RADIUS`]. With 40 N a pad that is 72 N and 2.2 N m. So an object can be missed,
+//! The grip begins while **both** finger pads press on an object: the object is then joined to the palm. It ends
+//! when a pad has pressed less than [`HOLDING_FORCE`] for [`PATIENCE`], or when the load exceeds the friction of
+//! the pads: force `F` and torque `T` (about the object's middle) with `(F / Fc)^2 + (T / (Fc r))^2 > 1`, where
+//! `Fc` is [`PAD_FRICTION`] times the sum of both pads' normal forces and `r = ` [`CONTACT_RADIUS`]. With 40 N per
+//! pad, this is 72 N and 2.2 N m. So an object can be missed, dropped and knocked out of the hand. This file
+//! decides; [`Plant`](super::plant::Plant) makes and breaks the joint.
 //! dropped and knocked out of the hand. This file decides; [`Plant`](super::plant::Plant) makes and breaks the joint.
 
 use nalgebra::Vector3;
@@ -13,16 +14,16 @@ use super::plant::PAD_FRICTION;
 
 /// Normal force of a pad that counts as pressing, N.
 pub const HOLDING_FORCE: f64 = 1.0;
-/// How long a pad may press less before the object is dropped, s.
+/// How long a pad may press less before the grip ends, s.
 pub const PATIENCE: f64 = 0.02;
 /// Radius of the friction patch of a pad, m.
 pub const CONTACT_RADIUS: f64 = 0.03;
-/// Time constant of the load that is judged, s: shorter peaks are carried by the pads' elasticity.
+/// Time constant of the load's low-pass filter, s: the pads' elasticity absorbs shorter peaks.
 pub const LOAD_TIME: f64 = 0.005;
-/// How long nothing is taken after something slipped, s.
+/// How long no object can be gripped after a slip, s.
 pub const SLIP_PAUSE: f64 = 0.3;
 
-/// How a pad presses on an object.
+/// The pressure of a pad on an object.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct PadPress {
     pub(super) touches: bool,
@@ -37,7 +38,7 @@ pub(super) struct Load {
     pub(super) torque: Vector3<f64>,
 }
 
-/// Whether something is held, and since when it is not held well.
+/// Whether an object is held, and since when a pad presses too little.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Grip {
     held: Option<usize>,
@@ -51,7 +52,7 @@ impl Grip {
         self.held
     }
 
-    /// Judges one step: `presses` are those of all pads on each object, `load` that of the held one.
+    /// Advances by one step. `presses` are those of all pads on each object, `load` is that of the held object.
     pub(super) fn step(&mut self, presses: &[Vec<PadPress>], load: Option<Load>, dt: f64) {
         self.pause_s = (self.pause_s - dt).max(0.0);
         let Some(held) = self.held else {

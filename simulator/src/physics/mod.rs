@@ -1,6 +1,6 @@
-//! The physics: Rapier, the bed of springs under objects, the grip and the wrist sensor.
+//! The physics: Rapier, the springs under objects, the grip and the wrist sensor.
 //!
-//! Start with [`Plant`]. This module knows no clock, no noise and no coach.
+//! Start with [`Plant`]. This module has no clock, noise or coach.
 
 mod assembly;
 mod build;

@@ -1,9 +1,9 @@
 //! A soft pad between a hand and a side of a box: springs across it, bristles along it.
 //!
-//! The pad is a grid of points on the hand. Each one that the box has pressed in is a spring and damper across the box's
-//! side and a bristle along it that sticks until Coulomb's limit and then slips, like the cells of a
-//! [`ElasticFoundation`](crate::foundation::ElasticFoundation). A pad only pushes: a box that is not pressed on from both sides falls. It does not know
-//! which hand it is on.
+//! The pad is a grid of points on the hand. Each point that the box has pressed in has a spring and damper across
+//! the box's side, and a bristle along it that sticks up to Coulomb's limit and then slips, like the cells of an
+//! [`ElasticFoundation`](crate::foundation::ElasticFoundation). A pad can only push: a box that is not pressed from
+//! both sides falls. The pad does not depend on the hand that it is on.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::plant::PAD_FRICTION;
 
-/// Points along each edge.
+/// Number of points along each edge.
 const POINTS: usize = 3;
 /// Part of critical damping of the box on its pads.
 const DAMPING_RATIO: f64 = 0.2;
@@ -70,7 +70,7 @@ pub struct PadReaction {
     pub torque: Vector3<f64>,
     /// Sum of the normal forces, N.
     pub normal: f64,
-    /// Points that slip.
+    /// Number of points that slip.
     pub slipping: usize,
 }
 
@@ -78,11 +78,11 @@ pub struct PadReaction {
 #[derive(Clone, Debug)]
 pub struct Pad {
     spec: PadSpec,
-    /// Damping across and along, of one point, N s/m.
+    /// Damping across and along the side, of one point, N s/m.
     damping: [f64; 2],
     /// Points in the hand's frame, m.
     points: Vec<Point3<f64>>,
-    /// Stretch of each point's bristle, box frame, m; `None` without contact.
+    /// Deflection of each point's bristle, box frame, m; `None` without contact.
     bristles: Vec<Option<Vector3<f64>>>,
 }
 
@@ -99,8 +99,8 @@ impl Pad {
         Self { spec, damping, bristles: vec![None; points.len()], points }
     }
 
-    /// Advances the bristles by `dt` s. `half` are the box's half edges, m; the pad is on the side that `outward`, a unit
-    /// vector along an axis of the box's frame, points to.
+    /// Advances the bristles by `dt` s. `half` are the box's half edges, m. The pad is on the side in the direction
+    /// `outward`, a unit vector along an axis of the box's frame.
     pub fn step(
         &mut self,
         hand: &Moving,
@@ -205,7 +205,7 @@ mod tests {
         let mut hand = at(0.19, 0.0, 0.0);
         hand.pose.rotation = nalgebra::UnitQuaternion::from_euler_angles(0.0, 0.0, 0.05);
         let pressed = step(&mut pad, hand);
-        // Points at y = +-0.05, three each: 6 k (0.05)^2 theta against the turn.
+        // Points at y = +-0.05, three each: 6 k (0.05)^2 theta against the rotation.
         let expected = -6.0 * 4000.0 / 9.0 * 0.05 * 0.05 * 0.05;
         assert!((pressed.torque.z - expected).abs() < 0.03 * expected.abs(), "{pressed:?}");
     }

@@ -1,14 +1,15 @@
 //! Robot, table and objects as Rapier bodies, stepped at 1 kHz.
 //!
 //! - The torso, right arm and right hand are one multibody in reduced coordinates. Every joint has a servo: a stiff
-//!   spring and damper about the set point that feeds the set velocity forward, integrated implicitly, its force bounded
-//!   by the joint's effort. The servo carries the robot's own weight by its nominal model; as that model is exact, the
-//!   two cancel and gravity is left off these bodies (loads and contacts are felt in full).
-//! - Head and left arm follow their set points ideally.
-//! - Objects are free boxes on a [`ElasticFoundation`] of springs; Rapier keeps them off the fingers, and a thin core keeps
-//!   them from falling through the table when they lie on their side.
+//!   spring and damper about the set point, with feed-forward of the set velocity. It is integrated implicitly, and
+//!   its force is limited by the joint's effort. The servo compensates the robot's own weight by its nominal model.
+//!   As that model is exact, the two cancel and gravity is left out for these bodies (loads and contacts act in
+//!   full).
+//! - Head and left arm follow their set points exactly.
+//! - Objects are free boxes on an [`ElasticFoundation`] of springs. Rapier handles their contacts with the fingers,
+//!   and a thin core keeps them from falling through the table when they lie on their side.
 //! - An object is held by a fixed joint that exists only while both finger pads press on it (see [`grip`](super::grip)).
-//! - The wrist sensor is exact here (see [`wrench`](super::wrench)); noise is added where it is sensed.
+//! - The wrist sensor is exact here (see [`wrench`](super::wrench)); noise is added in the sensing.
 
 use std::sync::Arc;
 
@@ -39,13 +40,13 @@ pub enum PlantError {
     /// The robot lacks something that the simulator needs.
     #[error("the robot's description lacks the {what}")]
     Missing {
-        /// What.
+        /// The missing part.
         what: &'static str,
     },
-    /// The physics refused a joint.
+    /// The physics rejected a joint.
     #[error("the joint `{joint}` does not fit into the robot's tree")]
     Joint {
-        /// Which.
+        /// The joint's name.
         joint: String,
     },
 }
@@ -160,31 +161,32 @@ impl Plant {
         self.objects.get(index).map(|o| convert::to_pose(self.physics.bodies[o.handle].position()))
     }
 
-    /// An object's underside.
+    /// The springs under an object.
     #[must_use]
     pub fn bed(&self, index: usize) -> Option<&ElasticFoundation> {
         self.objects.get(index).map(|o| &o.bed)
     }
 
-    /// What the table did to an object in the last step.
+    /// The force of the table on an object in the last step.
     #[must_use]
     pub fn reaction(&self, index: usize) -> Option<&FoundationReaction> {
         self.objects.get(index).map(|o| &o.reaction)
     }
 
-    /// The object that the hand holds.
+    /// Index of the object that the hand holds.
     #[must_use]
     pub fn held(&self) -> Option<usize> {
         self.grip.held()
     }
 
-    /// Force and torque of the hand on the wrist sensor in its frame, without noise, N and N m, of the last step.
+    /// Force and torque of the hand on the wrist sensor in the last step, in the sensor's frame, without noise, N
+    /// and N m.
     #[must_use]
     pub fn wrist(&self) -> (Vector3<f64>, Vector3<f64>) {
         self.wrench.reading()
     }
 
-    /// Advances everything by [`DT`]: servo targets are positions and velocities of all joints.
+    /// Advances by [`DT`]. The servo targets are positions and velocities of all joints.
     pub fn step(&mut self, position: &[f64], velocity: &[f64], external: &External) {
         let now = (&self.position[..], &self.velocity[..]);
         drives::set_targets(&mut self.physics, &self.bodies, now, (position, velocity));
@@ -262,7 +264,7 @@ impl Plant {
         self.physics.multibody_joints.insert(self.palm, handle, joint, true);
     }
 
-    /// How a pad presses on an object.
+    /// The pressure of a pad on an object.
     fn press(&self, pad: ColliderHandle, object: ColliderHandle) -> PadPress {
         let Some(pair) = self.physics.narrow_phase.contact_pair(pad, object) else {
             return PadPress::default();
@@ -272,7 +274,7 @@ impl Plant {
         PadPress { touches: pair.has_any_active_contact(), force: impulse / DT }
     }
 
-    /// Puts an object somewhere else, at rest.
+    /// Moves an object to another pose, at rest.
     pub fn place(&mut self, index: usize, root_from_object: &Isometry3<f64>) {
         if let Some(object) = self.objects.get(index) {
             let body = &mut self.physics.bodies[object.handle];
@@ -320,8 +322,8 @@ impl Plant {
         );
     }
 
-    /// Force and torque about the room's origin of Rapier's contacts between what hangs on the wrist sensor and
-    /// everything else.
+    /// Force and torque, about the room's origin, of Rapier's contacts between the bodies beyond the wrist sensor
+    /// and everything else.
     fn contacts_from_outside(&self, held: Option<usize>) -> (Vector3<f64>, Vector3<f64>) {
         let inside = |handle: Option<RigidBodyHandle>| {
             handle.is_some_and(|h| {

@@ -1,4 +1,4 @@
-//! Pins of the physics: closed forms that the plant as a whole must reproduce.
+//! Tests of the physics against closed forms that the whole plant must reproduce.
 
 use std::sync::Arc;
 
@@ -76,7 +76,7 @@ fn a_hanging_hand_reads_its_weight() {
     let pose = sensor_pose(&model, &plant);
     let weight = hand_mass(&model) * GRAVITY;
     assert!((pose.rotation * force + Vector3::z() * weight).norm() < 1e-6, "{force}");
-    // The torque is the weight at the lever of the hand's centre of mass.
+    // The torque is the weight times the lever arm of the hand's centre of mass.
     let mut kinematics = Kinematics::new(&model);
     kinematics.update(plant.position());
     let mut expected = Vector3::zeros();

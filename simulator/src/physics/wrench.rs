@@ -1,8 +1,8 @@
-//! What an ideal six-axis sensor in the wrist reads: the reaction that the motion of hand and load demands.
+//! The ideal reading of a six-axis sensor in the wrist, computed from the motion of hand and load.
 //!
-//! Momentum balance of everything that hangs on the sensor (palm, fingers, the held object), in finite differences of the
-//! simulated motion: the sensor carries `dP/dt - weight - forces from outside`, and the hand exerts the
-//! opposite on it. Exact for the motion that was simulated, whatever the solver did inside. Noise is not added here.
+//! Momentum balance of everything beyond the sensor (palm, fingers, the held object), by finite differences of the
+//! simulated motion: the sensor exerts `dP/dt - weight - external forces`, and the hand exerts the opposite on the
+//! sensor. It is exact for the simulated motion, whatever the solver does internally. Noise is not added here.
 
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use rapier3d_f64::prelude::RigidBody;
@@ -13,7 +13,7 @@ use super::grip::Load;
 use super::plant::DT;
 use crate::world::GRAVITY;
 
-/// Momentum of a body about the room's origin, and where its weight acts.
+/// Momentum of a body about the room's origin, and the point at which its weight acts.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Momentum {
     linear: Vector3<f64>,
@@ -61,7 +61,8 @@ impl Momentum {
         Self { linear, angular: center.cross(&linear) + spin, mass, center }
     }
 
-    /// Rate of change since `before`, less the weight: the force and the torque about the room's origin of all else.
+    /// Rate of change since `before`, minus the weight: the sum of all other forces, and their torque about the
+    /// room's origin.
     fn demand(&self, before: &Self) -> (Vector3<f64>, Vector3<f64>) {
         let weight = Vector3::new(0.0, 0.0, -GRAVITY * self.mass);
         let force = (self.linear - before.linear) / DT - weight;
@@ -105,8 +106,8 @@ impl WristWrench {
         self.objects_before.copy_from_slice(objects);
     }
 
-    /// What the hand exerts on an object that it holds: `outside` are all other forces but the weight, with their
-    /// torque about the object's middle.
+    /// The force and torque that the hand exerts on a held object. `outside` is the sum of all other forces except
+    /// the weight, with their torque about the object's middle.
     pub(super) fn load(
         &self,
         object: usize,
@@ -120,7 +121,8 @@ impl WristWrench {
         Load { force, torque: torque - now.center.cross(&force) }
     }
 
-    /// Takes the motion of a step and the forces from outside in it (torque about the room's origin).
+    /// Updates the reading from the motion of a step and the external forces in it (torque about the room's
+    /// origin).
     pub(super) fn update(
         &mut self,
         palm: &RigidBody,

@@ -1,11 +1,12 @@
-//! What is asked of a wiping run's figures: one table from a report's JSON to values with their requirements.
+//! The requirements on a wiping run's figures: one table from a report's JSON to values with their requirements.
 //!
-//! The page shows the judgement, and the repository's own check uses the same table, so that they cannot disagree.
+//! The report page and the repository's own check use the same table, so that they cannot disagree.
 
 use armarium_values::report::{Figure, Requirement};
 use serde_json::Value;
 
-/// A row of the table: where the value is in the report, how it is shown (unit, factor, digits), what is asked.
+/// A row of the table: where the value is in the report, how it is displayed (unit, factor, digits), and its
+/// requirement.
 type Row = (&'static str, &'static str, &'static str, &'static str, f64, usize, Requirement);
 
 use Requirement::{AtLeast, AtMost, Shown};
@@ -23,8 +24,8 @@ const ROWS: [Row; 10] = [
     ("Gestures", "right", "/gestures/accuracy", "%", 1e2, 1, AtLeast(90.0)),
 ];
 
-/// Values of a run's report (`report.json`), with what is asked of them, in the order shown. Sections that the
-/// report does not have, or holds as null, give no figures: nothing was coached in a chart that only wipes.
+/// Values of a run's report (`report.json`) with their requirements, in the order of display. Sections that the
+/// report lacks, or that are null, give no figures: for example coaching, in a chart that only wipes.
 #[must_use]
 pub fn asked(report: &Value) -> Vec<Figure> {
     let mut figures = Vec::new();
@@ -56,7 +57,7 @@ fn figure(
     Figure { group: group.into(), name: name.into(), value, unit: unit.into(), requirement, digits }
 }
 
-/// The learned frequency against the demonstrated one, when the report knows that.
+/// The learned frequency against the demonstrated one, if the report has it.
 fn frequency_error(report: &Value) -> Option<Figure> {
     let learned = report.pointer("/imitation/frequency_hz").and_then(Value::as_f64)?;
     let shown = report.pointer("/imitation/demonstrated_frequency_hz").and_then(Value::as_f64)?;
@@ -76,7 +77,7 @@ fn coaching(report: &Value) -> Vec<Figure> {
     items.iter().enumerate().flat_map(|(i, item)| coaching_of_one(i, item)).collect()
 }
 
-/// What a coaching is called in the report.
+/// The name of a coaching action in the report.
 fn coaching_kind(item: &Value) -> &str {
     ["kind", "gesture"].iter().find_map(|key| item.get(key)?.as_str()).unwrap_or("push")
 }

@@ -1,4 +1,4 @@
-//! What each of the coach's actions changed: executed paths before and after it, in phase with each other.
+//! What each of the coach's actions changed: compares executed paths before and after it, aligned in phase.
 
 use nalgebra::Vector3;
 
@@ -10,7 +10,7 @@ use super::report::CoachingFigures;
 use crate::coach::{ActionKind, EventKind, PhaseTracker};
 use crate::world::{CoachingAction, Gesture};
 
-/// How long the motion takes to its own speed after its start and after the coach has gone, s.
+/// Time that the motion needs to reach its own speed, after its start and after the coach has gone, s.
 const RECOVERY_S: f64 = 1.0;
 
 /// One period of the motion before all coaching, and the newest period in phase with it.
@@ -27,9 +27,9 @@ impl Run<'_> {
         began.filter_map(|e| self.action(e.step, e.kind, ns(e.t), &mut uncoached)).collect()
     }
 
-    /// What one action changed. The coach's phases are found on the motion as it was before all coaching (`uncoached`,
-    /// filled in by the first action), which later periods are in phase with: a path that was pushed aside does not lie
-    /// at its phases any more.
+    /// What one action changed. The coach's phases are located on the motion before all coaching (`uncoached`, set
+    /// by the first action), and later periods are aligned with it. A path that was pushed aside could not be used,
+    /// as its points no longer lie at their phases.
     fn action(
         &self,
         step: usize,
@@ -105,15 +105,17 @@ impl Run<'_> {
         Some(figures)
     }
 
-    /// The mean of the last two periods before `began` (of one, when there is no time for two), and their length, s.
-    /// Looked for since the motion has its own speed again: after its start and after the coach was there last.
+    /// The mean of the last two periods before `began` (of one, if there is no time for two), and their length, s.
+    /// Only the time since the motion reached its own speed counts: after its start and after the coach was last
+    /// there.
     fn before(&self, began: u64) -> Option<(Period, f64)> {
         let started = self.marked(|m| *m == Mark::WipingStarted).map_or(0, |(at, _)| at);
         let ends = self.log.coach.iter().filter(|e| e.event == EventKind::Ended).map(|e| ns(e.t));
         let disturbed = ends.filter(|t| *t < began).max().unwrap_or(0).max(started);
         let from = (disturbed + ns(RECOVERY_S)).max(began.saturating_sub(ns(12.0)));
         let path = positions(self.log.between(from.min(began), began));
-        // Too short to show its period: then the period is the coach's, and the last one counts although disturbed.
+        // Too short to determine its period: then the coach's period is used, and the last period counts although
+        // disturbed.
         let period_s = repeat_period(&path).unwrap_or(1.0 / self.path.frequency());
         let whole = began.saturating_sub(ns(1.02 * period_s)).max(started);
         let path = if path.len() as f64 > 1.02e3 * period_s {
@@ -128,14 +130,14 @@ impl Run<'_> {
         Some((of(2).or_else(|| of(1))?, period_s))
     }
 
-    /// When the coach acts next after `ended`, or the end of the run.
+    /// The start of the coach's next action after `ended`, or the end of the run.
     fn next_action(&self, ended: u64) -> u64 {
         let begins = self.log.coach.iter().filter(|e| e.event == EventKind::Began).map(|e| ns(e.t));
         begins.filter(|t| *t >= ended).min().unwrap_or(self.end_ns())
     }
 
-    /// The period from `from` on (earlier when it would reach past `until`), in phase with `before`. Its own length
-    /// is measured over what follows.
+    /// The period from `from` on (earlier if it would end after `until`), aligned with `before`. Its own length is
+    /// measured over what follows.
     fn after(&self, from: u64, until: u64, period_s: f64, before: &Period) -> Option<Period> {
         let from = from.min(until.saturating_sub(ns(1.02 * period_s)));
         let path = positions(self.log.between(from, (from + ns(2.5 * period_s)).min(until)));
@@ -143,11 +145,11 @@ impl Run<'_> {
         mean_period(&path, own, 1).map(|period| aligned(before, &period))
     }
 
-    /// The least ratio of the learned time for an eighth of the path to the time it took, between two times.
+    /// The minimum, between two times, of the learned time for an eighth of the path over the time that it took.
     fn slowest(&self, from: u64, to: u64, period_s: f64) -> Option<f64> {
         let mut tracker = PhaseTracker::new(self.path.clone());
-        // Velocities are means over so many records. Each record is tracked: the slowest eighth may be the last one before
-        // `to`, which a coarser grid of times would miss by up to its width.
+        // Velocities are means over this many records. Every record is tracked: the slowest eighth may be the last
+        // one before `to`, which a coarser grid of times would miss by up to its width.
         let stride = 5;
         let records = self.log.between(from.saturating_sub(ns(2.0 * period_s)), to);
         let mut track: Vec<(u64, f64)> = Vec::new();
@@ -170,8 +172,8 @@ impl Run<'_> {
     }
 }
 
-/// When the phase passes `theta`, ns, between the samples of a track (ns, rad): a figure made of such times is as continuous
-/// as the motion, whatever the samples' grid.
+/// The time when the phase passes `theta`, ns, interpolated between the samples of a track (ns, rad). So figures
+/// from these times vary continuously with the motion, independent of the sampling grid.
 fn reached(track: &[(u64, f64)], theta: f64) -> Option<f64> {
     let at = track.iter().position(|(_, phase)| *phase >= theta)?;
     let (after, above) = track[at];
@@ -186,7 +188,7 @@ fn name(kind: ActionKind) -> &'static str {
     }
 }
 
-/// The shift at a phase: the mean over a thirty-second of the period about it.
+/// The shift at a phase: the mean over a thirty-second of the period around it.
 fn shift_at(before: &Period, after: &Period, index: usize) -> Vector3<f64> {
     let reach = POINTS / 64;
     let around = (0..=2 * reach).map(|k| (index + POINTS + k - reach) % POINTS);

@@ -1,7 +1,8 @@
-//! The report's figures, as a pure function of world, log, marks and what vision saw.
+//! The report's figures, as a pure function of world, log, marks and vision results.
 //!
-//! Raw 1 kHz truth, unfiltered. Where the definition leaves something open, the function that computes the
-//! figure says what is done. Grasp, imitation and force are here; coaching, gestures and wiping have files of their own.
+//! They use the raw 1 kHz truth, unfiltered. Where the definition of a figure leaves a choice, the function that
+//! computes it documents it. Grasp, imitation and force are here; coaching, gestures and wiping have files of their
+//! own.
 
 use nalgebra::Vector3;
 
@@ -14,13 +15,13 @@ use super::wiped::WipedCells;
 use crate::coach::{CoachPath, EventKind};
 use crate::world::{Gesture, World};
 
-/// Distance from TCP to the middle of a nominally grasped object along the TCP's x, m: `grasp_right`.
+/// Distance from the TCP to the middle of a nominally grasped object along the TCP's x, m: `grasp_right`.
 const GRASP_OFFSET: f64 = 0.08;
-/// Under this normal force, contact is lost, N.
+/// Contact counts as lost below this normal force, N.
 const LOST_N: f64 = 0.2;
-/// How long after the first touch its peak is looked for, s.
+/// Window after the first touch in which its peak is searched, s.
 const TOUCHDOWN_S: f64 = 0.5;
-/// Cycles over which the force is judged.
+/// Number of cycles over which the force is judged.
 const FORCE_CYCLES: f64 = 5.0;
 
 /// Computes all figures.
@@ -42,7 +43,7 @@ pub fn compute(
     }
 }
 
-/// Which cells of the table were to be cleaned and which were; `None` before adaptation has ended.
+/// The cells of the table that had to be cleaned, and those that were; `None` before adaptation has ended.
 #[must_use]
 pub fn wiped(world: &World, log: &TruthLog, marks: &[(u64, Mark)]) -> Option<WipedCells> {
     Run::new(world, log, marks).wiped()
@@ -63,7 +64,7 @@ impl<'a> Run<'a> {
 }
 
 impl Run<'_> {
-    /// The last mark that passes.
+    /// The last mark for which `test` is true.
     pub(super) fn marked(&self, test: impl Fn(&Mark) -> bool) -> Option<(u64, Mark)> {
         self.marks.iter().rev().find(|(_, m)| test(m)).copied()
     }
@@ -86,8 +87,8 @@ impl Run<'_> {
         Some(GraspFigures { position_error_m: off.norm() })
     }
 
-    /// From the steady part of the free-space motion (from [`Mark::FreeSpaceSteady`], else from the end of learning) until
-    /// adaptation starts. The path is one whole period, the last one.
+    /// From the steady part of the free-space motion (from [`Mark::FreeSpaceSteady`], else from the end of
+    /// learning) until adaptation starts. The path is the last whole period.
     fn imitation(&self) -> Option<ImitationFigures> {
         let (learned, _) = self.marked(|m| *m == Mark::LearningEnded)?;
         let steady = self.marked(|m| *m == Mark::FreeSpaceSteady).map_or(learned, |(at, _)| at);
@@ -107,7 +108,7 @@ impl Run<'_> {
         })
     }
 
-    /// Five periods of the executed motion from the end of adaptation, or as far as the coach lets it be.
+    /// Five periods of the executed motion from the end of adaptation, or fewer if the coach acts before.
     fn force(&self) -> Option<ForceFigures> {
         let (ended, mark) = self.marked(|m| matches!(m, Mark::AdaptationEnded { .. }))?;
         let Mark::AdaptationEnded { desired_n, cycles } = mark else { return None };
@@ -162,7 +163,8 @@ mod tests {
     use super::*;
     use crate::coach::{ActionEvent, ActionKind, wrap};
 
-    /// A run that performs the coach's path perfectly at `force(t)` N, shifted along y by `shift(t, phase)`, with the
+    /// A run that performs the coach's path perfectly with `force(t)` N, shifted along y by `shift(t, phase)`, with
+    /// the sponge level and nominal in the hand.
     /// sponge level and nominal in the hand.
     fn run(seconds: f64, force: impl Fn(f64) -> f64, shift: impl Fn(f64, f64) -> f64) -> (World, TruthLog) {
         let mut world = World::default();
@@ -227,7 +229,7 @@ mod tests {
         assert!((force.rms_error_n - 2f64.sqrt()).abs() < 1e-3 && (force.max_n - 10.0).abs() < 1e-3);
     }
 
-    /// The path is pushed out by 30 mm about phase 0.25 from 20 s on, of which 24 mm are left after 30 s.
+    /// The path is pushed out by 30 mm about phase 0.25 from 20 s on; 24 mm remain after 30 s.
     #[test]
     fn a_local_shift_is_measured_where_it_is() {
         let bump = |t: f64, phase: f64| {

@@ -1,4 +1,4 @@
-//! How often vision saw right what the coach's hand showed.
+//! How often vision recognised the coach's gestures correctly.
 
 use std::collections::BTreeMap;
 
@@ -7,10 +7,10 @@ use super::log::TruthLog;
 use super::report::GestureFigures;
 use crate::truth::FrameTruth;
 
-/// Least time that a gesture (or no hand) lasts before a frame counts, s.
+/// How long a gesture (or no hand) must have lasted before a frame counts, s.
 const STEADY_S: f64 = 0.3;
 
-/// Frames between the first and the last that vision looked at. A frame that it passed over counts as nothing seen.
+/// All frames between the first and the last that vision processed. A skipped frame counts as nothing recognised.
 pub(super) fn gestures(log: &TruthLog, seen: &[(u64, Option<String>)]) -> Option<GestureFigures> {
     let answers: BTreeMap<u64, Option<&str>> = seen.iter().map(|(t, l)| (*t, l.as_deref())).collect();
     let (first, _) = answers.first_key_value()?;

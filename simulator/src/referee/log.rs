@@ -1,13 +1,13 @@
-//! What the referee remembers of a run: the part of the truth that figures need, once a millisecond, bounded.
+//! The referee's log of a run: the part of the truth that the figures need, once per millisecond, bounded.
 
 use nalgebra::{Isometry3, Vector3};
 
 use crate::coach::ActionEvent;
 use crate::truth::{FrameTruth, TruthEvent, TruthSample};
 
-/// Samples that are kept: 20 minutes. Later ones are dropped, and the log says so.
+/// Largest number of samples: 20 minutes. Later ones are dropped, and `truncated` is set.
 const MOST_SAMPLES: usize = 1_200_000;
-/// Frames and gestures that are kept.
+/// Largest number of frames and gestures.
 pub(super) const MOST_FRAMES: usize = 100_000;
 
 /// One millisecond. In the recording: `/truth/tcp`, `/truth/contact` and `/truth/sponge`.
@@ -17,7 +17,7 @@ pub struct Record {
     pub stamp_ns: u64,
     /// Pose of the right TCP in the root frame.
     pub tcp: Isometry3<f64>,
-    /// Pose of the sponge's middle, where there is one.
+    /// Pose of the sponge's middle, if there is a sponge.
     pub sponge: Option<Isometry3<f64>>,
     /// Normal force of the table on the sponge, N.
     pub normal: f64,
@@ -30,13 +30,13 @@ pub struct Record {
 /// The log of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TruthLog {
-    /// One a millisecond, in order of time.
+    /// One per millisecond, in order of time.
     pub records: Vec<Record>,
-    /// What the coach did.
+    /// The coach's events.
     pub coach: Vec<ActionEvent>,
-    /// What was true of every rendered frame.
+    /// The truth about every rendered frame.
     pub frames: Vec<FrameTruth>,
-    /// Whether something did not fit.
+    /// Whether entries were dropped because the log was full.
     pub truncated: bool,
 }
 

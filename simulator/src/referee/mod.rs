@@ -1,7 +1,8 @@
-//! The referee: sees the truth, hears from the program when its phases begin and end, and judges.
+//! The referee: sees the truth, receives marks when the program's phases begin and end, and judges.
 //!
-//! It keeps a bounded log ([`TruthLog`]) and computes every figure from it by a pure function ([`figures::compute`]), so
-//! that whoever has a recording can compute them again. It never tells the robot anything.
+//! It keeps a bounded log ([`TruthLog`]) and computes every figure from it by a pure function
+//! ([`figures::compute`]), so that the figures can be recomputed from a recording. It never tells the robot
+//! anything.
 
 mod asked;
 mod coached;
@@ -29,23 +30,23 @@ use parking_lot::{Mutex, MutexGuard};
 use crate::truth::{FrameTruth, TruthEvent, TruthSample};
 use crate::world::World;
 
-/// What skills tell the referee about their progress, by the marks of their manifests. Of a kind that comes several times, the last counts.
+/// The progress of skills, from the marks in their manifests. If a mark is set several times, the last one counts.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Mark {
-    /// The hand has ended closing and the program believes that it holds the object.
+    /// The hand has finished closing, and the program assumes that it holds the object.
     GraspClosed,
-    /// Learning from the demonstration has ended; the robot performs the motion in free space from here on.
+    /// Learning from the demonstration has ended; from here on the robot performs the motion in free space.
     LearningEnded,
-    /// The motion in free space has settled: a steady period or more follows.
+    /// The motion in free space has settled: at least one steady period follows.
     FreeSpaceSteady,
     /// The robot leaves free space: it begins to lower the sponge.
     AdaptationStarted,
     /// Force adaptation has ended.
     AdaptationEnded {
-        /// The force that was asked for, N.
+        /// The desired force, N.
         desired_n: f64,
-        /// Cycles that it took.
+        /// Number of cycles that it took.
         cycles: u32,
     },
     /// The background motion runs and the coach may act.
@@ -53,7 +54,7 @@ pub enum Mark {
 }
 
 impl Mark {
-    /// The mark of that name with its numbers, as a skill declares it; `None` for one that this referee does not know.
+    /// The mark of that name with its numbers, as a skill declares it; `None` if this referee does not know it.
     #[must_use]
     pub fn named(name: &str, numbers: &BTreeMap<String, f64>) -> Option<Self> {
         let number = |name: &str| numbers.get(name).copied().unwrap_or_default();
@@ -71,7 +72,7 @@ impl Mark {
     }
 }
 
-/// A handle on the referee; clones are the same referee.
+/// A handle to the referee; clones share the same referee.
 #[derive(Clone, Debug)]
 pub struct Referee {
     shared: Arc<Mutex<Notes>>,
@@ -86,7 +87,7 @@ struct Notes {
 }
 
 impl Referee {
-    /// A referee of a world.
+    /// The referee of a world.
     #[must_use]
     pub fn new(world: &World) -> Self {
         let notes =
@@ -98,7 +99,7 @@ impl Referee {
         self.shared.lock()
     }
 
-    /// The program reached something at `stamp_ns` of the robot's time.
+    /// Records a mark of the program at `stamp_ns` of the robot's time.
     pub fn mark(&self, mark: Mark, stamp_ns: u64) {
         let mut notes = self.notes();
         if notes.marks.len() < 10_000 {
@@ -106,8 +107,8 @@ impl Referee {
         }
     }
 
-    /// What the program's vision took the coach's hand in the frame of `stamp_ns` for: `fist`, `point_one`,
-    /// `point_two`, `open_hand`, or none. Call it for every frame that was looked at.
+    /// Records what the program's vision recognised in the frame of `stamp_ns`: `fist`, `point_one`, `point_two`,
+    /// `open_hand`, or `None` for no hand. To be called for every frame that was processed.
     pub fn gesture_seen(&self, stamp_ns: u64, label: Option<&str>) {
         let mut notes = self.notes();
         if notes.seen.len() < log::MOST_FRAMES {
@@ -115,14 +116,15 @@ impl Referee {
         }
     }
 
-    /// All figures as far as the run has come; sections without data are absent.
+    /// All figures so far; sections without data are absent.
     #[must_use]
     pub fn report(&self) -> RefereeReport {
         let notes = self.notes();
         figures::compute(&notes.world, &notes.log, &notes.marks, &notes.seen)
     }
 
-    /// What a report shows of the run, the figures with what is asked of them first. Sections without data are empty.
+    /// The report's sections about the run; the figures with their requirements come first. Sections without data
+    /// are empty.
     #[must_use]
     pub fn sections(&self) -> Vec<Section> {
         let notes = self.notes();
@@ -131,14 +133,14 @@ impl Referee {
         sections::sections(&notes.world, &notes.log, &notes.marks, &report, cells.as_ref())
     }
 
-    /// Which cells of the table were to be cleaned and which were; `None` before adaptation has ended.
+    /// The cells of the table that had to be cleaned, and those that were; `None` before adaptation has ended.
     #[must_use]
     pub fn wiped(&self) -> Option<WipedCells> {
         let notes = self.notes();
         figures::wiped(&notes.world, &notes.log, &notes.marks)
     }
 
-    /// A copy of everything that was logged, for plots.
+    /// A copy of the whole log, for plots.
     #[must_use]
     pub fn log(&self) -> TruthLog {
         self.notes().log.clone()

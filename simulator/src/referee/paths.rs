@@ -1,6 +1,6 @@
-//! Periodic paths: their period, one mean period of them, and how one is aligned with another.
+//! Periodic paths: their period, the mean of several periods, and alignment in phase.
 //!
-//! Pure geometry on positions sampled once a millisecond. No filtering.
+//! Pure geometry on positions sampled once per millisecond. No filtering.
 
 use std::f64::consts::TAU;
 
@@ -9,20 +9,20 @@ use nalgebra::Vector3;
 use super::log::Record;
 use crate::coach::CoachPath;
 
-/// Points that a period is resampled to.
+/// Number of points to which a period is resampled.
 pub(super) const POINTS: usize = 256;
 /// Seconds between records.
 const DT: f64 = 1e-3;
 
-/// One period, uniformly in time.
+/// One period, sampled uniformly in time.
 pub(super) type Period = [Vector3<f64>; POINTS];
 
 pub(super) fn positions(records: &[Record]) -> Vec<Vector3<f64>> {
     records.iter().map(|r| r.tcp.translation.vector).collect()
 }
 
-/// The repeat period of a path, s: the shortest time after which the whole path returns to itself. `None` when it
-/// does not repeat at least once within the samples (one a millisecond).
+/// The repeat period of a path, s: the shortest time after which the whole path returns to itself. `None` if it
+/// does not repeat at least once within the samples (one per millisecond).
 pub(super) fn repeat_period(path: &[Vector3<f64>]) -> Option<f64> {
     const STRIDE: usize = 10;
     if path.len() < 200 {
@@ -33,7 +33,7 @@ pub(super) fn repeat_period(path: &[Vector3<f64>]) -> Option<f64> {
     if variance < 1e-8 {
         return None;
     }
-    // Mean squared distance to itself `lag` samples later; 2 x variance for unrelated points.
+    // Mean squared distance to itself `lag` samples later; twice the variance for unrelated points.
     let distance = |lag: usize, stride: usize| {
         let pairs = path.len() - lag;
         let sum: f64 = (0..pairs).step_by(stride).map(|i| (path[i] - path[i + lag]).norm_squared()).sum();
@@ -55,7 +55,7 @@ pub(super) fn repeat_period(path: &[Vector3<f64>]) -> Option<f64> {
             _ => {}
         }
     }
-    // What still comes nearer at the end of the search returns later than that.
+    // If the distance still decreases at the end of the search, the period is longer than that.
     let (_, coarse) = candidate.filter(|(_, lag)| lag + 2 * STRIDE < most)?;
     let lags = coarse.saturating_sub(2 * STRIDE)..(coarse + 2 * STRIDE).min(path.len() - 100);
     let (best, at) = lags.map(|lag| (distance(lag, 1), lag)).min_by(|a, b| a.0.total_cmp(&b.0))?;
@@ -65,7 +65,7 @@ pub(super) fn repeat_period(path: &[Vector3<f64>]) -> Option<f64> {
     Some((at as f64 + shift.clamp(-0.5, 0.5)) * DT)
 }
 
-/// The mean of the first `count` periods of `period_s`, uniformly in time; `None` when the path is shorter.
+/// The mean of the first `count` periods of `period_s`, sampled uniformly in time; `None` if the path is shorter.
 pub(super) fn mean_period(path: &[Vector3<f64>], period_s: f64, count: usize) -> Option<Period> {
     let samples = period_s / DT;
     if count == 0 || samples < 2.0 || (path.len() as f64) < samples * count as f64 + 1.0 {
@@ -84,14 +84,14 @@ pub(super) fn mean_period(path: &[Vector3<f64>], period_s: f64, count: usize) ->
     Some(mean)
 }
 
-/// `b`, turned so that it is in phase with `a`: the least distance of their velocities. A part that has changed must not
-/// pull the rest out of phase, so that differences count by their size, not its square, and a motion that has moved as
-/// a whole is compared as if it had not.
+/// `b`, shifted in phase to match `a`, by the least distance of their velocities. Distances count by their size,
+/// not by their square, so that a changed part does not pull the rest out of phase. Velocities are used so that a
+/// motion that was moved as a whole is compared as if it had not been moved.
 pub(super) fn aligned(a: &Period, b: &Period) -> Period {
     let (va, vb) = (velocity(a), velocity(b));
     let cost = |shift: usize| (0..POINTS).map(|i| (va[i] - vb[(i + shift) % POINTS]).norm()).sum::<f64>();
     let shift = (0..POINTS).min_by(|x, y| cost(*x).total_cmp(&cost(*y))).unwrap_or(0);
-    // Between points: least squares, each difference divided by its size, some times.
+    // Phase between points: iteratively reweighted least squares, each difference divided by its size.
     let usual = (va.iter().map(Vector3::norm_squared).sum::<f64>() / POINTS as f64).sqrt().max(1e-12);
     let mut shift = shift as f64;
     for _ in 0..8 {
@@ -108,20 +108,20 @@ pub(super) fn aligned(a: &Period, b: &Period) -> Period {
     std::array::from_fn(|i| between(b, i as f64 + shift))
 }
 
-/// A period at a point's number, which may lie between points and beyond the ends.
+/// A period at a point index, which may lie between points and beyond the ends.
 fn between(period: &Period, at: f64) -> Vector3<f64> {
     let (low, part) = (at.floor().rem_euclid(POINTS as f64) as usize % POINTS, at - at.floor());
     period[low] * (1.0 - part) + period[(low + 1) % POINTS] * part
 }
 
-/// The way between the points about each point, m.
+/// The difference between the neighbours of each point, m.
 fn velocity(period: &Period) -> Period {
     const REACH: usize = POINTS / 64;
     std::array::from_fn(|i| period[(i + REACH) % POINTS] - period[(i + POINTS - REACH) % POINTS])
 }
 
-/// Root mean square distance of one period to the coach's path, minimised over the phase alone. Horizontal place
-/// against the coach's; height against the period's own mean height, as the coach's path is level.
+/// RMS distance of one period to the coach's path, minimised over the phase only. Horizontally relative to the
+/// coach's path; vertically relative to the period's own mean height, as the coach's path is level.
 pub(super) fn distance_to_coach(period: &Period, path: &CoachPath) -> f64 {
     let height = period.iter().map(|p| p.z).sum::<f64>() / POINTS as f64;
     let rms = |phase: f64| {
@@ -141,7 +141,7 @@ pub(super) fn distance_to_coach(period: &Period, path: &CoachPath) -> f64 {
     (-10..=10).map(|i| rms(best + f64::from(i) * step / 10.0)).fold(f64::INFINITY, f64::min)
 }
 
-/// The point of a period that is at the coach's `phase` (0 to 1): nearest in place and direction.
+/// The index of the point at the coach's `phase` (0 to 1): nearest in position and direction.
 pub(super) fn index_of_phase(period: &Period, path: &CoachPath, phase: f64) -> usize {
     let theta = TAU * phase;
     let (p, d) = (path.point(theta), path.tangent(theta));
@@ -219,7 +219,7 @@ mod tests {
         assert!(apart(&a, &aligned(&a, &b)) < 5e-5);
     }
 
-    /// Root mean square distance of two periods.
+    /// RMS distance of two periods.
     fn apart(a: &Period, b: &Period) -> f64 {
         let sum: f64 = a.iter().zip(b).map(|(a, b)| (a - b).norm_squared()).sum();
         (sum / POINTS as f64).sqrt()

@@ -1,10 +1,10 @@
-//! What the referee reports: figures by the names that `report.json` uses. A figure whose data are missing is absent.
+//! The referee's report: figures with the names that `report.json` uses. A figure whose data are missing is absent.
 
 use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-/// What the referee found. Names are the report's.
+/// The referee's figures; the field names are those of the report.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct RefereeReport {
     /// The grasp.
@@ -17,7 +17,7 @@ pub struct RefereeReport {
     pub wiped_fraction: Option<f64>,
     /// What coaching changed, one entry for each of the coach's actions that took place.
     pub coaching: Vec<CoachingFigures>,
-    /// How often gestures were seen right.
+    /// How often gestures were recognised correctly.
     pub gestures: Option<GestureFigures>,
 }
 
@@ -42,15 +42,15 @@ pub struct ImitationFigures {
 /// The normal force between sponge and table over the first 5 cycles after adaptation.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ForceFigures {
-    /// What was asked for, N.
+    /// The desired force, N.
     pub desired_n: f64,
     /// Its mean, N.
     pub mean_n: f64,
-    /// Root mean square difference from what was asked for, N.
+    /// RMS difference from the desired force, N.
     pub rms_error_n: f64,
     /// Its maximum, N.
     pub max_n: f64,
-    /// For how long it was under 0.2 N, s.
+    /// Total time under 0.2 N, s.
     pub contact_lost_s: f64,
     /// Its maximum in the half second after the first touch, N.
     pub touchdown_max_n: f64,
@@ -58,11 +58,11 @@ pub struct ForceFigures {
     pub cycles: u32,
 }
 
-/// What one action of the coach changed. Figures that its kind does not have, or whose time had not come when the run
-/// ended, are absent.
+/// What one action of the coach changed. Figures that its kind does not have, or that were not complete when the
+/// run ended, are absent.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CoachingFigures {
-    /// Which step of the world's coaching, from 0.
+    /// Index of the step of the world's coaching, from 0.
     pub step: usize,
     /// `push`, `fist`, `point_one`, `point_two` or `open_hand`.
     pub kind: &'static str,
@@ -70,7 +70,7 @@ pub struct CoachingFigures {
     pub at_s: f64,
     /// The coached phase, 0 to 1.
     pub phase: f64,
-    /// Unit vector of the intended shift, root frame; none for the open hand.
+    /// Unit vector of the intended shift, root frame; `None` for the open hand.
     pub direction: Option<[f64; 3]>,
     /// Signed shift of the executed path at the coached phase along the direction, m.
     pub displacement_m: Option<f64>,
@@ -78,19 +78,19 @@ pub struct CoachingFigures {
     pub direction_error_deg: Option<f64>,
     /// The same shift two cycles after the coach has gone, m.
     pub retained_m: Option<f64>,
-    /// Root mean square shift of phases more than a quarter period away, m; not for `point_one`.
+    /// RMS shift of the phases more than a quarter period away, m; not for `point_one`.
     pub far_side_rms_m: Option<f64>,
-    /// Lowest frequency over the learned one while the hand was near; none for pushes.
+    /// Lowest frequency while the hand was near, over the learned one; `None` for pushes.
     pub slowed_to: Option<f64>,
 }
 
-/// How often gestures were seen right.
+/// How often gestures were recognised correctly.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct GestureFigures {
-    /// Frames that count: with a hand, and as many without.
+    /// Number of frames that count: with a hand, and as many without.
     pub frames: usize,
-    /// Part of them that was seen right.
+    /// Share of them that was recognised correctly.
     pub accuracy: f64,
-    /// What was seen, by what was shown; `none` is no hand.
+    /// Recognised gestures, by the gesture that was shown; `none` is no hand.
     pub confusion: BTreeMap<String, BTreeMap<String, u32>>,
 }

@@ -1,7 +1,7 @@
-//! What the report of a wiping run shows of the truth: figures with what is asked of them, paths over the table, the contact
-//! force, the wiped area, and what coaching did.
+//! The report's sections about the truth of a wiping run: figures with their requirements, paths over the table,
+//! the contact force, the wiped area, and the effect of coaching.
 //!
-//! Nothing is computed here that is judged; see [`super::figures`] for that.
+//! Nothing that is judged is computed here; see [`super::figures`] for that.
 
 use std::collections::BTreeSet;
 
@@ -15,9 +15,9 @@ use crate::coach::{ActionEvent, ActionKind, CoachPath, EventKind};
 use crate::table::DIRT_CELL;
 use crate::world::World;
 
-/// Every how many milliseconds a path is drawn.
+/// Interval of the drawn points of a path, ms.
 const STRIDE: usize = 10;
-/// How far from the ideal path the coach's tool counts as on it, over the path's half width.
+/// The coach's tool counts as on the ideal path up to this distance, over the path's half width.
 const NEAR: f64 = 0.4;
 
 const SECOND: u64 = 1_000_000_000;
@@ -26,7 +26,7 @@ fn seconds(ns: u64) -> f64 {
     ns as f64 * 1e-9
 }
 
-/// The last mark that passes, ns.
+/// The time of the last mark for which `test` is true, ns.
 fn time_of(marks: &[(u64, Mark)], test: impl Fn(&Mark) -> bool) -> Option<u64> {
     marks.iter().rev().find(|(_, mark)| test(mark)).map(|(t, _)| *t)
 }
@@ -35,7 +35,7 @@ fn ended_adapting(marks: &[(u64, Mark)]) -> Option<u64> {
     time_of(marks, |m| matches!(m, Mark::AdaptationEnded { .. }))
 }
 
-/// What an action is called: `push`, `fist` ...
+/// The name of an action: `push`, `fist` ...
 fn name(action: &ActionEvent) -> String {
     let said = match action.kind {
         ActionKind::Push => Ok("push".into()),
@@ -48,8 +48,8 @@ fn actions(log: &TruthLog, event: EventKind) -> impl Iterator<Item = &ActionEven
     log.coach.iter().filter(move |e| e.event == event)
 }
 
-/// The coach's path, the one performed in free space, the one wiped, and the one after each of the coach's actions;
-/// a period each, the coach's with all its periods.
+/// The coach's path, the one performed in free space, the one wiped, and the one after each of the coach's actions.
+/// Each is one period, except that the coach's path has all its periods.
 fn paths(world: &World, log: &TruthLog, marks: &[(u64, Mark)]) -> Vec<Path> {
     let Some(shown) = &world.coach.demonstration else { return Vec::new() };
     let end = log.records.last().map_or(0, |r| r.stamp_ns);
@@ -71,7 +71,7 @@ fn paths(world: &World, log: &TruthLog, marks: &[(u64, Mark)]) -> Vec<Path> {
         add("performed in free space".into(), PathStyle::Line, performed(steady, steady + period));
     }
     let Some(adapted) = ended_adapting(marks) else { return paths };
-    // The last moment of wiping: what comes after is lifting the sponge.
+    // The end of wiping; after it the sponge is lifted.
     let over = log.records.iter().rev().find(|r| r.normal > 1.0).map_or(end, |r| r.stamp_ns);
     let over = over.saturating_sub(SECOND / 2);
     let begins: Vec<u64> = actions(log, EventKind::Began).map(|e| (e.t * 1e9) as u64).collect();
@@ -86,7 +86,8 @@ fn paths(world: &World, log: &TruthLog, marks: &[(u64, Mark)]) -> Vec<Path> {
     paths
 }
 
-/// The periodic part of a demonstration, without coming, swiping and going: the longest stretch near the ideal path.
+/// The periodic part of a demonstration, without coming, swiping and going: the longest stretch near the ideal
+/// path.
 fn demonstrated(path: &CoachPath, records: &[Record]) -> Vec<[f64; 2]> {
     let ideal: Vec<[f64; 2]> =
         (0..180).map(|i| path.point(std::f64::consts::TAU * f64::from(i) / 180.0)).collect();
@@ -99,7 +100,7 @@ fn demonstrated(path: &CoachPath, records: &[Record]) -> Vec<[f64; 2]> {
     stretches.max_by_key(|s| s.len()).unwrap_or_default().iter().copied().flatten().collect()
 }
 
-/// The true contact force from touching down on, and when the coach came.
+/// The true contact force from touchdown on, and the times at which the coach acted.
 fn force(log: &TruthLog, marks: &[(u64, Mark)]) -> Option<TimePlot> {
     let from = time_of(marks, |m| *m == Mark::AdaptationStarted)?;
     let wanted = marks.iter().rev().find_map(|(t, mark)| match mark {
@@ -129,7 +130,7 @@ fn force(log: &TruthLog, marks: &[(u64, Mark)]) -> Option<TimePlot> {
     })
 }
 
-/// What the sponge cleaned, and the hand's path until the coach acted. The table's tilt of a few degrees is not drawn.
+/// The cleaned area, and the hand's path until the coach acted. The table's tilt of a few degrees is not drawn.
 fn wiped(world: &World, log: &TruthLog, marks: &[(u64, Mark)], cells: &WipedCells) -> Option<Plan> {
     let adapted = ended_adapting(marks)?;
     let until = actions(log, EventKind::Began).next().map_or(u64::MAX, |e| (e.t * 1e9) as u64);
@@ -176,7 +177,7 @@ fn plan(title: &str, paths: Vec<Path>) -> Plan {
     }
 }
 
-/// A row for each of the coach's actions.
+/// One row for each of the coach's actions.
 fn coaching(report: &RefereeReport) -> Table {
     let titles = ["Coach", "#At", "#Moved the motion", "#Kept", "#Far side, RMS", "#Slowed to"];
     let mut table = Table::new(&titles);
@@ -198,7 +199,7 @@ fn coaching(report: &RefereeReport) -> Table {
     table
 }
 
-/// What each gesture was taken for; no hand at all comes last.
+/// The confusion matrix of the gestures; no hand comes last.
 fn confusion(report: &RefereeReport) -> Confusion {
     let Some(gestures) = &report.gestures else { return Confusion::default() };
     let order = |name: &String| (name == "none", name.clone());

@@ -1,4 +1,4 @@
-//! What the sponge cleaned: cells of the table under its pressing underside.
+//! The area that the sponge cleaned: cells of the table under its pressed underside.
 
 use std::f64::consts::TAU;
 
@@ -11,18 +11,18 @@ use crate::table::{DirtGrid, TableTop};
 /// Cells of the table, all in one grid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WipedCells {
-    /// What the sponge's footprint sweeps with the TCP on the coach's path.
+    /// Cells that the sponge's footprint sweeps with the TCP on the coach's path.
     pub swept: DirtGrid,
-    /// What was cleaned before the coach first acted.
+    /// Cells that were cleaned before the coach first acted.
     pub cleaned: DirtGrid,
-    /// What was cleaned in the whole run.
+    /// Cells that were cleaned in the whole run.
     pub cleaned_in_the_end: DirtGrid,
 }
 
 impl Run<'_> {
     /// The footprint is that of the sponge as the hand holds it (its place and yaw in the hand at the end of
-    /// adaptation), with the TCP on the coach's path. Cells count as cleaned by the elastic pressure of the sponge's true
-    /// poses, every 5 ms.
+    /// adaptation), with the TCP on the coach's path. Cells count as cleaned by the elastic pressure at the
+    /// sponge's true poses, every 5 ms.
     pub(super) fn wiped(&self) -> Option<WipedCells> {
         let (ended, _) = self.marked(|m| matches!(m, Mark::AdaptationEnded { .. }))?;
         let spec = self.world.sponge()?;

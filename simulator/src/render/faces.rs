@@ -1,4 +1,4 @@
-//! Plane faces: cuboids from outside, and the room from inside.
+//! Plane faces: cuboids seen from outside, and the room seen from inside.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
@@ -6,25 +6,25 @@ use super::raster::{Bounds, Canvas, Form, Line, Row, Span};
 use super::scene::Background;
 use super::shading::{Light, MOTTLING, Shades};
 
-/// Faces seen more edge-on than this (distance of the camera from their plane, m) are not drawn.
+/// A face is not drawn if the camera's distance from its plane is less than this, m.
 const EDGE_ON: f64 = 1e-9;
-/// How much mottling changes the brightness of floor and walls.
+/// Relative change of brightness of floor and walls by mottling.
 const ROOM_MOTTLING: f32 = 0.12;
 /// Edge of a floor tile, m.
 const TILE: f32 = 0.5;
-/// Half the width of the joint between tiles, over a tile's edge.
+/// Half the width of the joint between tiles, as a share of a tile's edge.
 const JOINT: f32 = 0.012;
 
 /// A convex four-sided face in the camera frame.
 pub(super) struct Face {
     corners: [Point3<f64>; 4],
-    /// Form vector of 1/depth: its dot product with a ray.
+    /// Vector that gives 1/depth: its dot product with a ray.
     nearness: Vector3<f64>,
     /// Unit normal towards the viewer's side.
     normal: Vector3<f64>,
 }
 
-/// The camera as seen from a shape: turns depths into the shape's coordinates.
+/// The camera in a shape's frame; it converts depths to the shape's coordinates.
 pub(super) struct Local {
     eye: Vector3<f64>,
     axes: [Vector3<f64>; 3],
@@ -45,7 +45,7 @@ impl Local {
         Self { eye, axes }
     }
 
-    /// Counted from the first pixel of a run.
+    /// The same for a run of pixels from `first` on.
     pub(super) fn run(&self, row: &Row, first: usize) -> LocalRun {
         let along = self.axes.map(|axis| row.form(&axis).line(first));
         LocalRun { eye: [self.eye.x as f32, self.eye.y as f32, self.eye.z as f32], along }
@@ -59,7 +59,7 @@ impl LocalRun {
         self.eye[axis] + t * self.along[axis].at(k)
     }
 
-    /// At which depth the ray has coordinate 2 equal to `z`.
+    /// The depth at which the ray has coordinate 2 equal to `z`.
     #[inline(always)]
     pub(super) fn depth_of_height(&self, k: f32, z: f32) -> f32 {
         (z - self.eye[2]) / self.along[2].at(k)
@@ -94,17 +94,17 @@ impl Face {
         light.on(&self.normal)
     }
 
-    /// Form of 1/depth.
+    /// 1/depth along a row.
     pub(super) fn nearness(&self, row: &Row) -> Form {
         row.form(&self.nearness)
     }
 
-    /// Where it can appear.
+    /// The rectangle of pixels in which it can appear.
     pub(super) fn bounds(&self, canvas: &Canvas) -> Option<Bounds> {
         canvas.hull(&self.corners)
     }
 
-    /// The half-spaces through the camera and each edge whose intersection holds the face.
+    /// The half-spaces through the camera and each edge; the face lies in their intersection.
     pub(super) fn edges(&self) -> [Vector3<f64>; 4] {
         let middle = self.corners.iter().fold(Vector3::zeros(), |sum, c| sum + c.coords);
         std::array::from_fn(|i| {
@@ -113,7 +113,8 @@ impl Face {
         })
     }
 
-    /// Draws the face; `paint` makes what colours a row's run of pixels from its row and first column.
+    /// Draws the face. `paint` makes the colouring function for a row's run of pixels from the row and the first
+    /// column.
     pub(super) fn draw<P: Fn(f32, f32) -> [u8; 3]>(
         &self,
         canvas: &mut Canvas,
@@ -167,7 +168,7 @@ pub(super) fn room(canvas: &mut Canvas, camera_from_scene: &Isometry3<f64>, back
                 move |k, near| floor_tile(floor, local.at(0, k, 1.0 / near), local.at(1, k, 1.0 / near))
             });
         } else {
-            // Walls differ a little in brightness, so that the room's edges can be seen.
+            // Walls differ slightly in brightness, so that the room's edges are visible.
             let base = 0.9 + 0.04 * side.0 as f32 + 0.02 * side.1 as f32;
             face.draw(canvas, |row, first| {
                 let local = local.run(row, first);

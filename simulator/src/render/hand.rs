@@ -1,8 +1,8 @@
 //! The coach's hand: five jointed fingers that show gestures, and a sleeved forearm.
 //!
-//! It is a right hand. Hand frame: origin at the middle of the palm, z along the straight fingers, x out of the palm
-//! (the side to which fingers bend), y to the side of the thumb. Measures are those of a grown hand: palm 85 x 90 x 28
-//! mm, middle finger 94 mm over its knuckle and with its tip 102.
+//! It is a right hand. Hand frame: origin at the middle of the palm, z along the straight fingers, x out of the
+//! palm (the side to which fingers bend), y to the side of the thumb. The measures are those of an adult: palm 85 x
+//! 90 x 28 mm, middle finger 94 mm over its knuckle, 102 mm with its tip.
 
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
@@ -13,7 +13,7 @@ pub const SKIN: [u8; 3] = [224, 172, 138];
 /// Colour of the sleeve, RGB.
 pub const SLEEVE: [u8; 3] = [84, 102, 134];
 
-/// What the coach's hand says.
+/// The gesture of the coach's hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum HandGesture {
     /// All fingers closed.
@@ -43,7 +43,7 @@ struct Finger {
     lengths: [f64; 3],
     /// Radii of its phalanges, m.
     radii: [f64; 3],
-    /// Its part in the spread.
+    /// Its share of the spread.
     spread: f64,
 }
 
@@ -112,7 +112,7 @@ impl HandPose {
         Self { flexion, spread }
     }
 
-    /// The pose on the way from one to another: `a` at `t` = 0, `b` at 1; `t` is kept within.
+    /// Interpolates between two poses: `a` at `t` = 0, `b` at 1; `t` is clamped.
     #[must_use]
     pub fn blend(a: &Self, b: &Self, t: f64) -> Self {
         let t = t.clamp(0.0, 1.0);
@@ -147,8 +147,8 @@ pub fn hand_shapes(pose: &HandPose, scene_from_hand: &Isometry3<f64>) -> Vec<Sha
     shapes
 }
 
-/// The middles of the roundings of the fingertips in the hand frame, m, from thumb to little finger; the very tips are
-/// one [`tip_radius`] farther.
+/// The centres of the rounded fingertips in the hand frame, m, from thumb to little finger. The fingers end one
+/// [`tip_radius`] farther.
 #[must_use]
 pub fn fingertips(pose: &HandPose) -> [Point3<f64>; 5] {
     let last = |segments: Vec<Segment>| segments.last().map_or_else(Point3::origin, |segment| segment.to);
@@ -167,8 +167,8 @@ pub fn tip_radius(finger: usize) -> f64 {
     }
 }
 
-/// Balls (middle in the hand frame and radius, m) whose hull holds the hand without its forearm: what has to be inside
-/// a picture for the whole hand to be.
+/// Balls (centre in the hand frame and radius, m) whose convex hull contains the hand without its forearm. The
+/// whole hand is in a picture if all of them are.
 #[must_use]
 pub fn landmarks(pose: &HandPose) -> Vec<(Point3<f64>, f64)> {
     let fingers = FINGERS.iter().enumerate().flat_map(|(i, finger)| finger_segments(finger, i, pose));
@@ -178,7 +178,7 @@ pub fn landmarks(pose: &HandPose) -> Vec<(Point3<f64>, f64)> {
 
 fn finger_segments(finger: &Finger, index: usize, pose: &HandPose) -> Vec<Segment> {
     let flexion = pose.flexion[index + 1];
-    // Bent fingers come together.
+    // Bent fingers are less spread.
     let spread = pose.spread * finger.spread * (1.0 - flexion).max(0.0);
     let straight = Vector3::new(0.0, spread.sin(), spread.cos());
     let mut angle = 0.0;
@@ -195,7 +195,7 @@ fn thumb(pose: &HandPose) -> Vec<Segment> {
     })
 }
 
-/// Three phalanges, each in its direction from the end of the last.
+/// Three phalanges, each in its direction from the end of the previous one.
 fn chain(finger: &Finger, mut direction: impl FnMut(usize) -> Vector3<f64>) -> Vec<Segment> {
     let mut from = Point3::from(finger.knuckle);
     let phalanx = |joint: usize| {
@@ -217,7 +217,7 @@ fn palm() -> Vec<Segment> {
     CARPALS.iter().zip(&FINGERS).map(bone).collect()
 }
 
-/// What fills the furrows between the metacarpals.
+/// The body that fills the gaps between the metacarpals.
 fn palm_core(scene_from_hand: &Isometry3<f64>) -> Shape {
     let half = Vector3::new(0.0128, 0.0235, 0.042);
     Shape { geometry: Geometry::Box { half }, scene_from_shape: *scene_from_hand, color: SKIN }
@@ -241,7 +241,7 @@ fn forearm(scene_from_hand: &Isometry3<f64>) -> Vec<Shape> {
 impl Segment {
     fn shape(&self, color: [u8; 3], scene_from_hand: &Isometry3<f64>) -> Shape {
         let along = self.to - self.from;
-        // The opposite of z needs an axis to turn about; any across will do.
+        // A rotation to the opposite of z needs an axis; any perpendicular one will do.
         let turn = Rotation3::rotation_between(&Vector3::z(), &along)
             .unwrap_or_else(|| Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
         let middle = Translation3::from(self.from.coords + along / 2.0);
@@ -254,7 +254,7 @@ impl Segment {
     }
 }
 
-/// A colour scaled by `brightness` with a share `redness` taken from green and blue.
+/// A colour scaled by `brightness`; green and blue are reduced by the share `redness`.
 fn tinted(color: [u8; 3], brightness: f64, redness: f64) -> [u8; 3] {
     let [r, g, b] = color.map(f64::from);
     let cold = brightness * (1.0 - redness);

@@ -1,11 +1,12 @@
-//! The simulated cameras: a software renderer of a few solids, in colour and depth.
+//! The simulated cameras: a software renderer for simple solids, in colour and depth.
 //!
 //! [`render`] draws a [`Scene`] from a [`Viewpoint`]; [`render_pair`] draws both eyes side by side.
-//! [`SensorNoise`] is what the chip adds. [`hand`] is the coach's hand, [`robot`] the robot.
+//! [`SensorNoise`] adds the sensor's noise. [`hand`] is the coach's hand, [`robot`] the robot.
 //!
-//! It knows no physics, no time and no randomness of its own: the same scene gives the same bytes. It does not draw
-//! glass, mirrors or light from other objects, and it does not smooth edges: a pixel is what its centre's ray meets
-//! first, so that both eyes agree to a fraction of a pixel. Start reading at [`render`], then `raster`.
+//! The renderer has no physics, no time and no random source: the same scene gives the same bytes. It does not draw
+//! glass, mirrors or light from other objects, and it does not smooth edges: a pixel shows what the ray through its
+//! centre meets first, so that both cameras agree to a fraction of a pixel. Start reading at [`render`], then
+//! `raster`.
 
 mod faces;
 pub mod hand;
@@ -28,21 +29,21 @@ pub use scene::{Background, Bump, DirtTexture, Geometry, Rendering, Scene, Shape
 use shading::{Light, Shades};
 use shadow::Shadow;
 
-/// Pixels of the largest picture.
+/// Number of pixels of the largest picture.
 const MOST_PIXELS: u64 = 1 << 27;
 
 /// Draws a scene as a camera sees it.
 ///
-/// Depth is along the optical axis, m. A camera of no pixels, or whose pose or intrinsics are not finite, sees an
-/// empty picture; so does one outside of the room that looks away from everything. A camera of more than 2^27 pixels
-/// sees nothing: its picture has no pixels. Shapes whose size or pose is not
-/// finite are left out, as is whatever is nearer than 1 cm or behind the camera.
+/// Depth is along the optical axis, m. The picture is empty if the camera has no pixels, if its pose or intrinsics
+/// are not finite, or if it is outside the room and looks away from everything. For a camera of more than 2^27
+/// pixels, the picture has no pixels. Shapes with a size or pose that is not finite are left out, as is everything
+/// nearer than 1 cm or behind the camera.
 #[must_use]
 pub fn render(scene: &Scene, viewpoint: &Viewpoint) -> Rendering {
     draw(scene, &shadows(scene), viewpoint)
 }
 
-/// Draws a scene from two viewpoints, each on a thread of its own; the results are those of [`render`].
+/// Draws a scene from two viewpoints, each on its own thread. The results are the same as those of [`render`].
 #[must_use]
 pub fn render_pair(scene: &Scene, [left, right]: &[Viewpoint; 2]) -> [Rendering; 2] {
     let shadows = shadows(scene);
@@ -80,7 +81,8 @@ fn draw(scene: &Scene, shadows: &[Option<Shadow>], viewpoint: &Viewpoint) -> Ren
     canvas.finish()
 }
 
-/// The shapes that can be drawn, the nearest first so that little is painted over; tabletops, being large, last.
+/// The shapes that can be drawn: the nearest first, so that few pixels are painted twice; tabletops last, as they
+/// are large.
 fn nearest_first(scene: &Scene, camera_from_scene: &Isometry3<f64>) -> Vec<usize> {
     let key = |index: &usize| {
         let shape = &scene.shapes[*index];
@@ -126,7 +128,7 @@ fn draw_shape(
     }
 }
 
-/// How far a form reaches from its middle, m.
+/// Largest distance of a form's points from its centre, m.
 fn reach(geometry: &Geometry) -> f64 {
     match geometry {
         Geometry::Box { half } | Geometry::Tabletop { half, .. } => half.norm(),

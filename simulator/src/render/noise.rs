@@ -1,18 +1,20 @@
-//! The noise of a camera's chip: independent in every pixel and channel, the same again for the same seed and frame.
+//! The noise of a camera's sensor: independent in every pixel and channel, and the same for the same seed and
+//! frame.
 //!
-//! Drawing a million Gaussian numbers a frame costs more than rendering it. So they are drawn once, into a tile, and
-//! every stretch of a picture adds a piece of the tile from a random place, as it is or negated.
+//! Drawing a million Gaussian numbers per frame costs more than rendering it. So they are drawn once, into a tile.
+//! Every stretch of a picture adds a piece of the tile from a random position, unchanged or negated.
 
 use armarium_visionx::Image;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Bytes of a picture that share one random place in the tile.
+/// Number of bytes of a picture that share one random position in the tile.
 const STRETCH: usize = 640;
-/// Places to begin at.
+/// Number of start positions in the tile.
 const PLACES: usize = 1 << 16;
-/// Below this deviation, rounding to whole grey levels would lose the noise; it becomes single rare steps.
+/// Below this deviation, rounding to whole grey levels would remove the noise. Rare steps of one level are used
+/// instead.
 const COARSE: f64 = 0.7;
 
 /// Additive Gaussian noise, rounded to whole grey levels.
@@ -23,7 +25,8 @@ pub struct SensorNoise {
 }
 
 impl SensorNoise {
-    /// Noise of a standard deviation `sigma`, grey levels a channel; none if that is not positive and finite.
+    /// Noise with standard deviation `sigma`, in grey levels per channel; no noise if that is not positive and
+    /// finite.
     #[must_use]
     pub fn new(sigma: f64, seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -33,7 +36,7 @@ impl SensorNoise {
         Self { seed, tile }
     }
 
-    /// Adds the noise of one frame of one eye (or any other numbering of cameras).
+    /// Adds the noise of one frame of one camera. `eye` is the camera's number.
     pub fn apply(&self, image: &mut Image, frame: u64, eye: u64) {
         if self.tile.is_empty() {
             return;
@@ -51,7 +54,7 @@ impl SensorNoise {
     }
 }
 
-/// One draw. Rounding adds a variance of 1/12 to wide noise, which is taken off beforehand.
+/// One random level. For wide noise, the variance of 1/12 that rounding adds is subtracted beforehand.
 fn level(sigma: f64, random: &mut ChaCha8Rng) -> i16 {
     if sigma < COARSE {
         let draw: f64 = random.random::<f64>() * 2.0 - 1.0;
@@ -85,7 +88,7 @@ mod tests {
         for sigma in [0.2, 0.5, 1.0, 2.0, 6.0] {
             let data = noisy(&SensorNoise::new(sigma, 3), 7, 0);
             let mean = data.iter().sum::<f64>() / data.len() as f64;
-            // The tile has 66 000 independent values: 1 % is about four standard errors of their deviation.
+            // The tile has 66 000 independent values: 1 % is about four standard errors of the deviation.
             assert!(mean.abs() < 0.02 * sigma, "{sigma}: mean {mean}");
             let deviation = mean_product(&data, &data).sqrt();
             assert!((deviation / sigma - 1.0).abs() < 0.02, "{sigma}: deviation {deviation}");

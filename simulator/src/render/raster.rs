@@ -1,18 +1,18 @@
-//! The canvas and its scan lines: which pixels of a row a form covers, and who is nearest in each.
+//! The canvas and its scan lines: which pixels of a row a form covers, and which form is nearest in each pixel.
 //!
-//! A pixel (u, v) looks along d = ((u - cx)/f, (v - cy)/f, 1) in the camera frame, so that the distance along a ray is
-//! the depth. Every dot product with d is linear in u along a row: a [`Form`]. The z-buffer keeps 1/depth, which is
-//! linear in u on a plane; 0 is "nothing seen".
+//! A pixel (u, v) looks along d = ((u - cx)/f, (v - cy)/f, 1) in the camera frame, so that the distance along a ray
+//! is the depth. Every dot product with d is linear in u along a row: a [`Form`]. The z-buffer holds 1/depth, which
+//! is linear in u on a plane; 0 means that nothing is visible.
 
 use armarium_visionx::{DepthImage, Image, PinholeCamera};
 use nalgebra::{Point3, Vector3};
 
 use super::scene::Rendering;
 
-/// Nothing nearer than this to the camera is drawn, m.
+/// Smallest depth that is drawn, m.
 pub(super) const NEAR: f64 = 0.01;
 const NEARNESS_LIMIT: f32 = (1.0 / NEAR) as f32;
-/// Pixels evaluated together, so that the compiler can use vector instructions.
+/// Number of pixels evaluated together, for vector instructions.
 const CHUNK: usize = 16;
 
 /// Colours and inverse depths of one picture.
@@ -29,13 +29,13 @@ pub(super) struct Canvas {
 pub(super) struct Row {
     /// Its index, px.
     pub(super) v: usize,
-    /// Its direction: y component of every ray through it.
+    /// The y component of all its rays.
     pub(super) y: f64,
     inverse_focal: f64,
     center_u: f64,
 }
 
-/// A function `slope * u + at_zero` of the column along one row.
+/// A linear function `slope * u + at_zero` of the column along one row.
 #[derive(Clone, Copy)]
 pub(super) struct Form {
     slope: f64,
@@ -49,7 +49,7 @@ pub(super) struct Line {
     slope: f32,
 }
 
-/// Columns from `low` to `high`, both included; empty where `low > high`.
+/// Columns from `low` to `high`, inclusive; empty if `low > high`.
 #[derive(Clone, Copy)]
 pub(super) struct Span {
     low: f64,
@@ -63,7 +63,7 @@ pub(super) struct Bounds {
     v: [usize; 2],
 }
 
-/// Directions over the optical axis (x/z or y/z) from the first to the second.
+/// Range of directions relative to the optical axis: x/z or y/z.
 type Extent = [f64; 2];
 
 impl Form {
@@ -88,7 +88,7 @@ impl Row {
         Form { slope, at_zero: n.y * self.y + n.z - slope * self.center_u }
     }
 
-    /// The column that looks along `x` (over the optical axis).
+    /// The column of the direction `x`, relative to the optical axis.
     pub(super) fn column(&self, x: f64) -> f64 {
         x / self.inverse_focal + self.center_u
     }
@@ -124,7 +124,7 @@ impl Span {
         Self { low: self.low.max(other.low), high: self.high.min(other.high) }
     }
 
-    /// First and last pixel whose centre lies in it.
+    /// First and last pixel whose centre lies in the span.
     pub(super) fn pixels(self) -> Option<(usize, usize)> {
         let (low, high) = (self.low.max(0.0).ceil(), self.high.floor());
         (low <= high).then_some((low as usize, high as usize))
@@ -132,7 +132,7 @@ impl Span {
 }
 
 impl Bounds {
-    /// The smallest rectangle that holds both.
+    /// The smallest rectangle that contains both.
     pub(super) fn union(self, other: Self) -> Self {
         let join = |a: [usize; 2], b: [usize; 2]| [a[0].min(b[0]), a[1].max(b[1])];
         Self { u: join(self.u, other.u), v: join(self.v, other.v) }
@@ -152,7 +152,7 @@ impl Canvas {
         Self { camera, width, height, color: vec![color; pixels], nearness: vec![0.0; pixels] }
     }
 
-    /// The pictures.
+    /// The finished pictures.
     pub(super) fn finish(self) -> Rendering {
         let (width, height) = (self.camera.width, self.camera.height);
         let mut data = self.nearness;
@@ -181,13 +181,13 @@ impl Canvas {
         (last[0]..=last[1]).map(move |v| Row { v, y: first.y + v as f64 * step, ..first })
     }
 
-    /// All of it.
+    /// The whole canvas.
     pub(super) fn bounds(&self) -> Option<Bounds> {
         let (right, bottom) = (self.width.checked_sub(1)?, self.height.checked_sub(1)?);
         Some(Bounds { u: [0, right], v: [0, bottom] })
     }
 
-    /// Where a ball (centre in the camera frame) can appear.
+    /// The rectangle in which a ball (centre in the camera frame) can appear.
     pub(super) fn ball(&self, center: &Vector3<f64>, radius: f64) -> Option<Bounds> {
         if center.z + radius < NEAR {
             return None;
@@ -195,7 +195,7 @@ impl Canvas {
         self.window(extent(center.x, center.z, radius), extent(center.y, center.z, radius))
     }
 
-    /// Where the convex hull of some points (camera frame) can appear.
+    /// The rectangle in which the convex hull of some points (camera frame) can appear.
     pub(super) fn hull(&self, points: &[Point3<f64>]) -> Option<Bounds> {
         if points.iter().all(|p| p.z < NEAR) {
             return None;
@@ -212,7 +212,7 @@ impl Canvas {
         self.window(span(|p| p.x / p.z), span(|p| p.y / p.z))
     }
 
-    /// The pixels between two directions a side, one pixel wider so that rounding loses none.
+    /// The pixels between two directions on each axis, widened by one pixel against rounding.
     fn window(&self, x: Extent, y: Extent) -> Option<Bounds> {
         let pixels = |extent: Extent, center: f64, size: usize| {
             let low = (extent[0] * self.camera.focal + center - 1.0).max(0.0);
@@ -224,10 +224,11 @@ impl Canvas {
         Some(Bounds { u, v })
     }
 
-    /// Draws a run of pixels of row `v`, where it is nearer than what is there.
+    /// Draws a run of pixels of row `v`, where it is nearer than what was drawn before.
     ///
-    /// `sample(k)` says, `k` pixels after the first, 1/depth (anything not positive draws nothing) and one more
-    /// number for `paint(k, nearness, number)`, which gives the colour and is asked for visible pixels only.
+    /// `sample(k)` returns 1/depth, `k` pixels after the first (nothing is drawn unless it is positive), and one
+    /// more number for `paint(k, nearness, number)`. `paint` returns the colour and is called for visible pixels
+    /// only.
     #[inline(always)]
     pub(super) fn fill(
         &mut self,
@@ -260,7 +261,7 @@ impl Canvas {
     }
 }
 
-/// Between which directions a circle in the plane of one image axis and the optical axis lies.
+/// The range of directions in which a circle appears that lies in the plane of one image axis and the optical axis.
 fn extent(across: f64, along: f64, radius: f64) -> Extent {
     let squared = along * along - radius * radius;
     if along <= radius || squared <= 0.0 {

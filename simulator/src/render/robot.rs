@@ -1,4 +1,4 @@
-//! What cameras see of a robot: the visuals of its description at a configuration.
+//! The shapes of a robot: the visuals of its description in a configuration.
 
 use armarium_robot::{Kinematics, Shape as Primitive, Visual};
 use nalgebra::Isometry3;

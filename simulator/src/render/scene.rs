@@ -1,7 +1,7 @@
-//! What can be drawn: shapes, the room around them, and where the camera stands.
+//! What can be drawn: shapes, the room around them, and the camera's pose.
 //!
-//! Plain data without behaviour, so that the physics can write a scene a frame and forget it. Scene frame: z up,
-//! floor at z = 0. All lengths m.
+//! Plain data without behaviour, so that the physics can build a scene for each frame. Scene frame: z up, floor at
+//! z = 0. All lengths in m.
 
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ use nalgebra::{Isometry3, Vector3};
 pub struct Shape {
     /// Its form, centred on the shape's own frame.
     pub geometry: Geometry,
-    /// Where it is.
+    /// Its pose.
     pub scene_from_shape: Isometry3<f64>,
     /// Its colour in full light, RGB.
     pub color: [u8; 3],
@@ -50,21 +50,21 @@ pub enum Geometry {
     Tabletop {
         /// Half its edges, m.
         half: Vector3<f64>,
-        /// Rises of the upper face.
+        /// Bumps of the upper face.
         bumps: Arc<[Bump]>,
-        /// What lies on it, if anything.
+        /// The dirt on it, if any.
         dirt: Option<Arc<DirtTexture>>,
     },
 }
 
-/// A smooth round rise of a tabletop: `height (1 - r^2/radius^2)^2` within `radius`.
+/// A smooth round bump of a tabletop: `height (1 - r^2/radius^2)^2` within `radius`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bump {
     /// Its middle in the tabletop's frame, m.
     pub at: [f64; 2],
     /// Its height, m.
     pub height: f64,
-    /// Where it ends, m.
+    /// Its radius, m.
     pub radius: f64,
 }
 
@@ -75,7 +75,7 @@ pub struct DirtTexture {
     pub columns: usize,
     /// Cells along y.
     pub rows: usize,
-    /// How dirty each cell is, 0 clean to 255; x fastest, from the corner (-half.x, -half.y). Missing ones are clean.
+    /// Dirt of each cell, 0 (clean) to 255; x fastest, from the corner (-half.x, -half.y). Missing cells are clean.
     pub cells: Vec<u8>,
     /// The colour of dirt, RGB.
     pub color: [u8; 3],
@@ -94,18 +94,18 @@ pub struct Background {
     pub wall: [u8; 3],
 }
 
-/// Everything that can be seen at one instant.
+/// Everything that is visible at one instant.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
     /// The solids, in any order.
     pub shapes: Vec<Shape>,
     /// The room.
     pub background: Background,
-    /// The direction towards the light, of any length; zero means light from everywhere.
+    /// The direction towards the light, of any length; zero means light from all directions.
     pub light: Vector3<f64>,
 }
 
-/// A camera and where it stands. Camera frame: z along the optical axis, x right, y down.
+/// A camera and its pose. Camera frame: z along the optical axis, x right, y down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Viewpoint {
     /// The camera's pose.
@@ -114,23 +114,23 @@ pub struct Viewpoint {
     pub camera: PinholeCamera,
 }
 
-/// What a camera saw.
+/// The pictures of a camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rendering {
     /// The colours, without sensor noise.
     pub image: Image,
-    /// Distance along the optical axis, m; 0 where nothing is.
+    /// Distance along the optical axis, m; 0 where nothing is visible.
     pub depth: DepthImage,
 }
 
 impl Bump {
-    /// The rise at a point of the tabletop's frame, m.
+    /// The height of the bump at a point of the tabletop's frame, m.
     #[must_use]
     pub fn height_at(&self, x: f64, y: f64) -> f64 {
         self.height * self.falloff(x, y).powi(2)
     }
 
-    /// The slope of the rise along x and y at a point of the tabletop's frame.
+    /// The slope of the bump along x and y at a point of the tabletop's frame.
     #[must_use]
     pub fn slope_at(&self, x: f64, y: f64) -> [f64; 2] {
         let k = -4.0 * self.height * self.falloff(x, y) / (self.radius * self.radius);
@@ -150,7 +150,7 @@ impl DirtTexture {
         Self { columns, rows, cells: vec![0; columns.saturating_mul(rows)], color }
     }
 
-    /// The amount of dirt in a cell; outside of the grid there is none.
+    /// The amount of dirt in a cell; 0 outside the grid.
     #[must_use]
     pub fn cell(&self, column: usize, row: usize) -> u8 {
         if column >= self.columns || row >= self.rows {
@@ -181,8 +181,8 @@ impl Scene {
 }
 
 impl Viewpoint {
-    /// A camera at `eye` whose axis goes through `target` and whose x is level in the scene; looking straight up or
-    /// down, its x is the scene's x.
+    /// A camera at `eye` whose axis goes through `target` and whose x is horizontal in the scene. If it looks
+    /// straight up or down, its x is the scene's x.
     #[must_use]
     pub fn look_at(camera: PinholeCamera, eye: Vector3<f64>, target: Vector3<f64>) -> Self {
         let z = (target - eye).try_normalize(1e-9).unwrap_or_else(Vector3::y);

@@ -1,7 +1,7 @@
 //! Light and colour: Lambert's law with soft, directional light, and the mottling of large faces.
 //!
-//! Light scales a colour and never changes its hue. Brightness indexes a table of 256 shades a shape, so that a pixel
-//! costs one look-up.
+//! Light scales a colour and never changes its hue. Brightness is an index into a table of 256 shades per shape, so
+//! that a pixel costs one look-up.
 
 use std::sync::LazyLock;
 
@@ -9,15 +9,15 @@ use nalgebra::{Isometry3, Vector3};
 
 /// Brightness of a face that gets no direct light.
 const AMBIENT: f32 = 0.45;
-/// How far the light reaches round a body: 0 is a point of light, larger is softer.
+/// How far the light reaches around a body: 0 is a point light, larger values are softer.
 const SOFTNESS: f32 = 0.25;
-/// The shade index of full light; the shades above it serve mottling.
+/// The shade index of full light; the shades above it are for mottling.
 const FULL: f32 = 240.0;
 
 /// The direction towards the light in the camera frame.
 #[derive(Clone, Copy)]
 pub(super) struct Light {
-    /// Unit vector, or zero for light from everywhere.
+    /// Unit vector, or zero for light from all directions.
     pub(super) toward: Vector3<f64>,
 }
 
@@ -41,7 +41,7 @@ pub(super) fn brightness(cosine: f32) -> f32 {
     AMBIENT + (1.0 - AMBIENT) * lit
 }
 
-/// One colour at every brightness.
+/// One colour at all brightness levels.
 pub(super) struct Shades([[u8; 3]; 256]);
 
 impl Shades {
@@ -61,7 +61,7 @@ impl Shades {
     }
 }
 
-/// A mixture of two colours; `amount` of 255 is all `b`.
+/// A mixture of two colours; an `amount` of 255 gives `b`.
 #[inline(always)]
 pub(super) fn mix(a: [u8; 3], b: [u8; 3], amount: u8) -> [u8; 3] {
     let (t, s) = (u32::from(amount), 255 - u32::from(amount));
@@ -76,7 +76,7 @@ pub(super) struct Mottling {
 /// Texels along each side of [`Mottling`]; a power of two.
 const TEXELS: usize = 256;
 
-/// The one mottling that all faces share, made of fixed numbers.
+/// The mottling that all faces share, made from fixed numbers.
 pub(super) static MOTTLING: LazyLock<Mottling> = LazyLock::new(Mottling::new);
 
 impl Mottling {
@@ -91,7 +91,7 @@ impl Mottling {
         Self { values: (0..TEXELS * TEXELS).map(value).collect() }
     }
 
-    /// The value at a point, in texels; about -1 to 1, mostly within a half.
+    /// The value at a point, in texels: between about -1 and 1, mostly within 0.5.
     #[inline(always)]
     pub(super) fn at(&self, x: f32, y: f32) -> f32 {
         let (column, row) = (x as i32 as usize % TEXELS, y as i32 as usize % TEXELS);
@@ -113,7 +113,7 @@ fn lattice_noise(x: usize, y: usize, cell: usize) -> f32 {
     lower * (1.0 - t) + upper * t
 }
 
-/// A fixed scattering of whole numbers over -1..1 (the finalizer of SplitMix64).
+/// A fixed pseudo-random map from whole numbers to -1..1 (the finalizer of SplitMix64).
 fn scatter(index: usize) -> f32 {
     let mut z = (index as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);

@@ -1,6 +1,7 @@
-//! Soft shadows on tabletops: the outline of each shape thrown along the light, blurred with its height.
+//! Soft shadows on tabletops: the outline of each shape, projected along the light and blurred with its height.
 //!
-//! A map of a few thousand cells a tabletop, made once a scene for all eyes. Shadows on other shapes are not drawn.
+//! A map of a few thousand cells per tabletop, computed once per scene for all cameras. Shadows on other shapes are
+//! not drawn.
 
 use nalgebra::{Isometry3, Point2, Point3, Vector3};
 
@@ -8,25 +9,25 @@ use super::scene::{Geometry, Scene, Shape};
 
 /// Edge of a cell, m.
 const CELL: f64 = 0.01;
-/// Most cells along a side; a larger table gets larger cells.
+/// Largest number of cells along a side; a larger table gets larger cells.
 const MOST_CELLS: usize = 256;
-/// How much light a shape that touches takes.
+/// The share of light that a shape blocks when it touches the table.
 const DARKEST: f64 = 0.38;
-/// At this height over the table a shape takes half of that, m.
+/// Height over the table at which a shape blocks half of that, m.
 const FADING: f64 = 0.25;
-/// Half the width of the blurred border of a shape that touches, m, and what it grows by a metre of height.
+/// Half the width of the blurred border for a shape that touches the table, m, and its growth per metre of height.
 const BLUR: [f64; 2] = [0.008, 0.25];
-/// Shapes higher than this over the table throw none, m.
+/// Shapes higher than this over the table cast no shadow, m.
 const HIGHEST: f64 = 0.8;
 
 /// How much of the light reaches each part of a tabletop.
 pub(super) struct Shadow {
     columns: usize,
     rows: usize,
-    /// Corner of the table, m.
+    /// Half the edges of the table, m.
     half: [f32; 2],
     cells_per_metre: [f32; 2],
-    /// Light that arrives at the corners of the cells, 0 to 1.
+    /// Light at the corners of the cells, 0 to 1.
     light: Vec<f32>,
 }
 
@@ -39,7 +40,7 @@ enum Outline {
 }
 
 impl Shadow {
-    /// The shadow on the tabletop at `table` of all the others.
+    /// The shadow of all other shapes on the tabletop at index `table`.
     pub(super) fn on(scene: &Scene, table: usize) -> Self {
         let Some(shape) = scene.shapes.get(table) else { return Self::none(&Vector3::zeros()) };
         let Geometry::Tabletop { half, .. } = &shape.geometry else { return Self::none(&Vector3::zeros()) };
@@ -66,7 +67,7 @@ impl Shadow {
         Self { columns, rows, half: [half.x as f32, half.y as f32], cells_per_metre, light }
     }
 
-    /// The light that arrives at a point of the table, 0 to 1, interpolated.
+    /// The light at a point of the table, 0 to 1, interpolated.
     #[inline(always)]
     pub(super) fn light_at(&self, x: f32, y: f32) -> f32 {
         let u = ((x + self.half[0]) * self.cells_per_metre[0]).max(0.0);
@@ -80,7 +81,7 @@ impl Shadow {
         (a[0] * (1.0 - s) + a[1] * s) * (1.0 - t) + (b[0] * (1.0 - s) + b[1] * s) * t
     }
 
-    /// Darkens what lies behind one shape.
+    /// Adds the shadow of one shape.
     fn throw(&mut self, shape: &Shape, table_from_shape: &Isometry3<f64>, slant: &Vector3<f64>, top: f64) {
         let Some((outline, height)) = outline(&shape.geometry, table_from_shape, slant, top) else { return };
         if !(0.0..HIGHEST).contains(&height) {
@@ -101,7 +102,7 @@ impl Shadow {
         }
     }
 
-    /// First and last corner of cells that an outline reaches.
+    /// First and last corner of the cells that an outline covers.
     fn cells(&self, outline: &Outline, margin: f64) -> Option<[[usize; 2]; 2]> {
         let [low, high] = outline.bounds();
         let index = |value: f64, axis: usize, size: usize, round: fn(f64) -> f64| {
@@ -121,7 +122,7 @@ impl Shadow {
     }
 }
 
-/// What a shape's shadow looks like on the plane z = `top`, and how high the shape's lowest point is over it.
+/// The outline of a shape's shadow on the plane z = `top`, and the height of the shape's lowest point over it.
 fn outline(
     geometry: &Geometry,
     table_from_shape: &Isometry3<f64>,
@@ -174,7 +175,7 @@ impl Outline {
         }
     }
 
-    /// Lower and upper corner of the rectangle about it.
+    /// Lower and upper corner of its bounding rectangle.
     fn bounds(&self) -> [Point2<f64>; 2] {
         let (points, margin): (&[Point2<f64>], f64) = match self {
             Self::Stroke { from, to, radius } => (&[*from, *to], *radius),

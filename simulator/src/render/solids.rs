@@ -5,10 +5,10 @@ use nalgebra::{Isometry3, Vector3};
 use super::raster::{Bounds, Canvas, Row, Span};
 use super::shading::{Light, Shades, brightness};
 
-/// Rays whose direction across the axis is shorter than this (squared) do not meet a cylinder's side.
+/// A ray does not meet a cylinder's side if its direction across the axis is shorter than this (squared).
 const PARALLEL: f32 = 1e-12;
 
-/// How far a capsule's ends reach under its side, in radii, so that no gap shows between them.
+/// How far a capsule's ends reach under its side, in radii, so that there is no visible gap.
 const OVERLAP: f32 = 0.01;
 
 /// Draws a ball with its centre in the camera frame.
@@ -46,8 +46,8 @@ struct Ball<'a> {
 
 /// One row of a ball.
 ///
-/// With d the ray and c the centre, the discriminant (d.c)^2 - |d|^2 power is `a x^2 + 2 b x + c` in the ray's x; it is
-/// written about its vertex, where single precision suffices.
+/// With the ray d and the centre c, the discriminant (d.c)^2 - |d|^2 power is `a x^2 + 2 b x + c` in the ray's x.
+/// It is written about its vertex, where single precision suffices.
 fn ball_row(canvas: &mut Canvas, row: Row, bounds: Bounds, ball: &Ball<'_>) {
     let Ball { center, outward, radius, power, light, shades } = *ball;
     let along = row.y * center.y + center.z;
@@ -75,7 +75,7 @@ fn ball_row(canvas: &mut Canvas, row: Row, bounds: Bounds, ball: &Ball<'_>) {
         |k| {
             let x = x.at(k);
             let offset = x - origin;
-            // Negative where the ray misses; the root is then not a number, and nothing is drawn.
+            // Negative where the ray misses; the root is then NaN, and nothing is drawn.
             let discriminant = (a * offset + linear) * offset + constant;
             let squared = rest + x * x;
             let reach = toward.at(k) - discriminant.sqrt();
@@ -93,7 +93,7 @@ pub(super) struct Axial {
     pub(super) radius: f64,
     /// Half the length along z, m.
     pub(super) half_length: f64,
-    /// Where it is.
+    /// Its pose.
     pub(super) camera_from_shape: Isometry3<f64>,
 }
 
@@ -120,7 +120,7 @@ impl Axial {
         self.camera_from_shape.translation.vector + axis * (sign * self.half_length)
     }
 
-    /// The camera in the shape's frame.
+    /// The camera's position in the shape's frame.
     fn eye(&self) -> Vector3<f64> {
         -(self.camera_from_shape.rotation.inverse() * self.camera_from_shape.translation.vector)
     }
@@ -130,7 +130,7 @@ impl Axial {
         [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| self.camera_from_shape.rotation * axis)
     }
 
-    /// Where the balls about both ends can appear.
+    /// The rectangle in which the balls about both ends can appear.
     fn bounds(&self, canvas: &Canvas) -> Option<Bounds> {
         let ends = [-1.0, 1.0].map(|sign| self.end(sign));
         if ends.iter().any(|end| end.z < self.radius) && ends.iter().any(|end| end.z > -self.radius) {
@@ -142,7 +142,7 @@ impl Axial {
         }
     }
 
-    /// When one end is outside of the picture: the box about the body.
+    /// For a body with one end outside the picture: the bounds of the box around it.
     fn partial(&self, canvas: &Canvas) -> Option<Bounds> {
         let (r, h) = (self.radius, self.half_length + self.radius);
         let corners: [_; 8] = std::array::from_fn(|i| {
@@ -153,7 +153,7 @@ impl Axial {
     }
 }
 
-/// Draws the side of a cylinder: where the ray enters the endless cylinder, between its ends.
+/// Draws the side of a cylinder: where the ray enters the infinite cylinder, between its ends.
 fn side(canvas: &mut Canvas, body: &Axial, light: Light, shades: &Shades) {
     let eye = body.eye();
     let distance = eye.xy().norm();
@@ -162,7 +162,7 @@ fn side(canvas: &mut Canvas, body: &Axial, light: Light, shades: &Shades) {
     }
     let Some(bounds) = body.bounds(canvas) else { return };
     let [ax, ay, az] = body.axes();
-    // The rays that meet the endless cylinder in front of the eye lie between its two tangent planes.
+    // The rays that meet the infinite cylinder in front of the camera lie between its two tangent planes.
     let inward = -(ax * eye.x + ay * eye.y) / distance;
     let across = (ax * eye.y - ay * eye.x) / distance;
     let (sine, cosine) = (body.radius / distance, (1.0 - (body.radius / distance).powi(2)).sqrt());

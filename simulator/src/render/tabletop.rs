@@ -8,28 +8,28 @@ use super::scene::{Bump, DirtTexture};
 use super::shading::{Light, MOTTLING, Shades, brightness, mix};
 use super::shadow::Shadow;
 
-/// How much the grain changes the brightness.
+/// Relative change of brightness by the grain.
 const GRAIN: f32 = 0.10;
-/// Texels of mottling a metre across and along the grain.
+/// Texels of mottling per metre, across and along the grain.
 const GRAIN_SCALE: [f32; 2] = [90.0, 500.0];
-/// Corrections of the depth of a bump; each one leaves slope/tan(elevation) of the error.
+/// Number of iterations for the depth of a bump; each one leaves slope/tan(elevation) of the error.
 const BUMP_STEPS: usize = 4;
 
 /// A tabletop in the camera frame, ready to draw.
 pub(super) struct Tabletop<'a> {
-    /// Where it is.
+    /// Its pose.
     pub(super) camera_from_shape: Isometry3<f64>,
     /// Half its edges, m.
     pub(super) half: Vector3<f64>,
-    /// Rises of the upper face.
+    /// Bumps of the upper face.
     pub(super) bumps: &'a [Bump],
-    /// What lies on it.
+    /// The dirt on it.
     pub(super) dirt: Option<&'a DirtTexture>,
-    /// What keeps the light from it.
+    /// The shadow on it.
     pub(super) shadow: &'a Shadow,
 }
 
-/// The colours of one face.
+/// The colours of the upper face.
 struct Surface<'a> {
     half: [f32; 2],
     shades: &'a Shades,
@@ -104,7 +104,7 @@ impl Bump {
     }
 }
 
-/// Draws the surroundings of one bump, risen.
+/// Draws the area around one bump, with its height.
 fn bump_patch(canvas: &mut Canvas, table: &Tabletop<'_>, bump: &Bump, surface: &Surface<'_>, light: Light) {
     let top = table.half.z;
     let corner = |x: f64, y: f64, z: f64| {
@@ -135,12 +135,12 @@ fn bump_patch(canvas: &mut Canvas, table: &Tabletop<'_>, bump: &Bump, surface: &
     }
 }
 
-/// The uneven face in single precision.
+/// The uneven face, in single precision.
 struct Relief<'a> {
     bumps: &'a [Bump],
     half: [f32; 2],
     top: f32,
-    /// The light in the tabletop's frame.
+    /// Direction towards the light in the tabletop's frame.
     light: [f32; 3],
 }
 
@@ -161,7 +161,7 @@ impl<'a> Relief<'a> {
             as f32
     }
 
-    /// Depth and height (0 outside of the face) where a ray meets the face, by fixed-point iteration.
+    /// Depth and height (0 outside the face) where a ray meets the face, by fixed-point iteration.
     fn meet(&self, local: &LocalRun, k: f32) -> (f32, f32) {
         let mut t = local.depth_of_height(k, self.top);
         let mut height = 0.0;

@@ -30,7 +30,7 @@ fn ball(center: [f64; 3], radius: f64, color: [u8; 3]) -> Shape {
     )
 }
 
-/// A scene in a room so large that depth tells it from the shapes.
+/// A scene in a room so large that shapes can be recognised by their depth.
 fn scene(shapes: Vec<Shape>) -> Scene {
     let mut scene = Scene::new(shapes);
     scene.background.lower = Vector3::repeat(-50.0);
@@ -81,7 +81,7 @@ fn disparity_is_focal_length_times_baseline_over_depth() {
         let [a, b] = render_pair(&scene, &[left, left.shifted_right(baseline)]);
         let (a, b) = (centroid(&a), centroid(&b));
         let expected = CAMERA.focal * baseline / z;
-        // Whole pixels blur a centroid by about 0.3 px over the root of the rows: 0.06 px here.
+        // Whole pixels disturb a centroid by about 0.3 px over the root of the number of rows: 0.06 px here.
         assert!((a.x - b.x - expected).abs() < 0.2, "{} for {expected}", a.x - b.x);
         assert!((a.y - b.y).abs() < 0.1, "rows of parallel cameras agree");
     }
@@ -239,7 +239,7 @@ fn a_bump_rises_by_its_height_and_dirt_and_shadow_darken() {
     assert!(under[2] + 10 < away[2], "{under:?} {away:?}");
 }
 
-/// The ray of a pixel in the scene's frame; its length along the optical axis is 1.
+/// The ray of a pixel in the scene's frame; its component along the optical axis is 1.
 fn ray(viewpoint: &Viewpoint, u: usize, v: usize) -> Vector3<f64> {
     let camera = viewpoint.camera;
     let x = (u as f64 - camera.center[0]) / camera.focal;
@@ -257,13 +257,13 @@ fn arbitrary_shape(random: &mut ChaCha8Rng) -> Shape {
     };
     let mut number = || random.random_range(-1.0..1.0);
     let turn = UnitQuaternion::from_euler_angles(number() * 3.1, number() * 3.1, number() * 3.1);
-    // Some are beside, about and behind the camera.
+    // Some are beside, around and behind the camera.
     let place = Translation3::new(number(), number() + 0.7, number() * 0.8);
     shape(geometry, Isometry3::from_parts(place, turn), random.random())
 }
 
-/// Depth where a ray from the origin enters a shape from outside, by another way than the renderer's: slabs, and
-/// quadratic equations in the shape's frame.
+/// Depth where a ray from the origin enters a shape from outside. Computed in another way than by the renderer:
+/// slabs, and quadratic equations in the shape's frame.
 fn entry(shape: &Shape, ray: &Vector3<f64>) -> Option<f64> {
     let eye = shape.scene_from_shape.inverse_transform_point(&Point3::origin());
     let d = shape.scene_from_shape.inverse_transform_vector(ray);
@@ -313,7 +313,7 @@ fn agrees_with_a_plain_ray_caster() {
         let seen = render(&scene, &viewpoint);
         for (u, v) in (0..240).step_by(3).flat_map(|v| (0..320).step_by(3).map(move |u| (u, v))) {
             let ray = ray(&viewpoint, u, v);
-            // The renderer leaves out what is within 1 cm; so do the rays that would meet it.
+            // The renderer leaves out what is nearer than 1 cm; this skips the rays that would meet it.
             let hits: Vec<f64> = scene.shapes.iter().filter_map(|shape| entry(shape, &ray)).collect();
             let Some(expected) = hits.into_iter().filter(|t| *t > 0.0101).reduce(f64::min) else { continue };
             covered += 1;
@@ -322,6 +322,6 @@ fn agrees_with_a_plain_ray_caster() {
         }
     }
     assert!(covered > 80_000, "{covered}");
-    // Grazing rays and borders fall one way or the other in single precision.
+    // Grazing rays and borders may differ in single precision.
     assert!(differing * 5_000 < covered, "{differing} of {covered}");
 }

@@ -1,40 +1,41 @@
-//! The phase of the running motion at which the coach's hand came to rest. A coach reaches for the pass that he wants to
-//! change: where two passes lie side by side, the moment tells them apart and the place does not.
+//! Finds the phase of the running motion at which the coach's hand came to rest. A coach times his hand to the pass
+//! that he wants to change: where two passes lie side by side, the time distinguishes them and the place does not.
 
 use nalgebra::Vector3;
 
 /// Time constant over which the jitter of the tracked hand is smoothed, s.
 const SMOOTHING: f64 = 0.2;
-/// A hand this far from its smoothed place moves, m.
+/// The hand is moving when it is this far from its smoothed position, m.
 const MOVES: f64 = 0.02;
-/// How long a hand must stand before it has arrived, s.
+/// How long a hand must rest before it has arrived, s.
 const STANDS: f64 = 0.3;
-/// A hand this far from where it stood, m, for [`ELSEWHERE_FOR`] has gone to another place.
+/// A hand that is this far from its resting place, m, for [`ELSEWHERE_FOR`], has moved to another place.
 const ELSEWHERE: f64 = 0.06;
-/// See [`ELSEWHERE`]: at least so many seconds, and at least this share of the motion's period. The robot's arm hides a
-/// part of the hand for a shorter time in passing.
+/// See [`ELSEWHERE`]: the least time, s, and the least share of the motion's period. The robot's arm hides a part
+/// of the hand for a shorter time as it passes.
 const ELSEWHERE_FOR: (f64, f64) = (1.0, 0.4);
-/// A hand that has not been seen for this long has gone, s.
+/// A hand that has not been seen for this long is gone, s.
 const GONE: f64 = 1.5;
 
-/// Follows one hand.
+/// Tracks one hand.
 #[derive(Debug, Default)]
 pub(super) struct Arrival {
     smooth: Option<Vector3<f64>>,
     seen_ns: u64,
-    /// Whether the hand has been seen moving: when it arrived is unknown if it was at rest from the first sight on.
+    /// Whether the hand has been seen moving. If it was at rest when first seen, its time of arrival is unknown.
     moved: bool,
-    /// Since when it stands (ns), and the phase then.
+    /// Since when it rests (ns), and the phase at that time.
     stands: Option<(u64, Option<f64>)>,
-    /// Where it has come to, and the phase then.
+    /// The place where it has arrived, and the phase at that time.
     place: Option<(Vector3<f64>, Option<f64>)>,
-    /// Since when it is elsewhere than at `place`, ns.
+    /// Since when it is away from `place`, ns.
     elsewhere: Option<u64>,
 }
 
 impl Arrival {
-    /// A frame of the time `stamp_ns` with the palm at `palm` (root frame, m) while the motion was at a phase (rad) and had
-    /// a frequency (Hz). Returns the phase at which the hand came to where it is, if it was seen to come.
+    /// Processes a frame of time `stamp_ns` with the palm at `palm` (root frame, m), at the motion's phase (rad)
+    /// and frequency (Hz). Returns the phase at which the hand arrived at its present place, if its arrival was
+    /// seen.
     pub(super) fn update(
         &mut self,
         stamp_ns: u64,
@@ -65,7 +66,7 @@ impl Arrival {
         self.place.and_then(|(_, phase)| phase)
     }
 
-    /// Forgets the place when the hand has been elsewhere for `patience` s.
+    /// Clears the place when the hand has been elsewhere for `patience` s.
     fn leave(&mut self, now: u64, at: &Vector3<f64>, patience: f64) {
         let Some((place, _)) = self.place else { return };
         if (at - place).norm() < ELSEWHERE {
@@ -100,7 +101,7 @@ fn seconds(from_ns: u64, to_ns: u64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Frames at 15 Hz of a hand at `x(t)` m while the phase is `2 t`; the answer after each.
+    /// Frames at 15 Hz of a hand at `x(t)` m while the phase is `2 t`. Returns the result after each frame.
     fn watch(seconds: f64, x: impl Fn(f64) -> Option<f64>) -> Vec<Option<f64>> {
         let mut arrival = Arrival::default();
         let frames = 0..(seconds * 15.0) as u64;
@@ -113,7 +114,7 @@ mod tests {
             .collect()
     }
 
-    /// 0.35 m away at first, in place 1 s later.
+    /// The hand is 0.35 m away at first, and in place 1 s later.
     fn coming(t: f64) -> f64 {
         let s = t.clamp(0.0, 1.0);
         0.35 * (1.0 - s * s * s * (10.0 + s * (6.0 * s - 15.0)))

@@ -1,5 +1,5 @@
-//! The coach's hand: found in the camera frames while somebody reads the channel `hand`, and kept in memory. While a
-//! motion runs, `came_at` is the phase (rad) at which the hand came to rest.
+//! The coach's hand: detected in the camera frames while the channel `hand` has a reader, and written to memory.
+//! While a motion runs, `came_at` is the phase (rad) at which the hand came to rest.
 
 use std::collections::BTreeMap;
 
@@ -15,7 +15,7 @@ use crate::hand_eye::HandEye;
 use crate::inputs::as_vector;
 use crate::observers::arrival::Arrival;
 
-/// Publishes `hand` for each frame while it is wanted.
+/// Publishes `hand` for each frame while the channel has a reader.
 pub(super) async fn observe(equipment: Equipment, channels: Channels) {
     let mut wanted = channels.wanted("hand");
     let mut observer = HandObserver::new(equipment.images.calibration());
@@ -44,7 +44,7 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
     }
 }
 
-/// What was seen, in the root frame; the gesture `none` without a hand.
+/// The detection in the root frame; the gesture is `none` without a hand.
 fn describe(equipment: &Equipment, frame: &StereoFrame, seen: Option<&HandObservation>) -> Value {
     let Some(seen) = seen else {
         return Value::record([("gesture", Value::from("none")), ("confidence", Value::Float(1.0))]);
@@ -64,7 +64,7 @@ fn describe(equipment: &Equipment, frame: &StereoFrame, seen: Option<&HandObserv
     ])
 }
 
-/// Writes the sight to the memory's `HumanHands`; a memory that refuses does not stop the observer.
+/// Writes the detection to the memory's `HumanHands`. A failed write does not stop the observer.
 async fn remember(equipment: &Equipment, frame: &StereoFrame, value: &Value, confidence: f64) {
     let Ok(id) = EntityId::new("HumanHands", &equipment.agent, "coach") else { return };
     let attributes = match value {

@@ -1,9 +1,9 @@
-//! Observers: tasks that turn what is sensed into channels, which charts watch and skills read.
+//! Observers: tasks that publish sensor data on channels, which charts watch and skills read.
 //!
 //! | channel | fields | rate |
 //! |---|---|---|
 //! | `wrist` | `force`, `push`: lists of three (N, root frame); `normal`: N; `friction`: coefficient | 200 Hz |
-//! | `hand` | `gesture`, `confidence`, `position` (m), `direction`, `distance` (m, to the TCP), `hidden` (share of the outline) | each frame, while somebody reads it |
+//! | `hand` | `gesture`, `confidence`, `position` (m), `direction`, `distance` (m, to the TCP), `hidden` (share of the outline) | each frame, while the channel has a reader |
 //! | `motion` | `phase` (rad), `frequency` (Hz), `position` (m), `velocity` (m/s), `normal_force` (N) | each control step of a running motion |
 
 mod arrival;
@@ -57,7 +57,7 @@ pub fn channels() -> BTreeMap<String, Type> {
     ])
 }
 
-/// Starts the observers; they end when their handles are aborted or what they observe is gone.
+/// Starts the observers. They end when their handles are aborted or their source closes.
 pub fn start(equipment: &Equipment, channels: &Channels) -> Vec<JoinHandle<()>> {
     vec![
         tokio::spawn(wrist::observe(equipment.clone(), channels.clone())),

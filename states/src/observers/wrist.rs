@@ -1,5 +1,5 @@
-//! The wrist: the force on the hand, and what of it is a push: the part along the surface that friction does not
-//! explain. A push along the surface's normal cannot be told from the surface by one wrist sensor.
+//! The wrist: the force on the hand, and the push: the part along the surface that friction does not explain. With
+//! one wrist sensor, a push along the surface's normal cannot be distinguished from the surface's force.
 
 use armarium_motion::{FrictionConfig, FrictionModel};
 use armarium_robot::Kinematics;
@@ -13,7 +13,7 @@ use crate::equipment::Equipment;
 /// Samples of the robot for each one that is published: 200 Hz at 1 kHz.
 const EVERY: u32 = 5;
 
-/// Publishes `wrist`, and learns the friction of wiping whoever reads it.
+/// Publishes `wrist`, and estimates the friction of wiping, whether or not the channel has readers.
 pub(super) async fn observe(equipment: Equipment, channels: Channels) {
     let model = equipment.robot.model();
     let (Ok(mut friction), Some(tcp)) = (FrictionModel::new(FrictionConfig::default()), model.link(TCP))
@@ -31,7 +31,7 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
         let velocity = kinematics.twist(tcp, &Point3::origin(), &sample.velocity).linear;
         let force = sample.wrist.force;
         let push = friction.step(dt, force.z, [velocity.x, velocity.y], [force.x, force.y]);
-        // A sample that cannot be used (the first one, or one that is not finite) leaves the last push standing.
+        // An unusable sample (the first one, or one that is not finite) keeps the previous push.
         let push = push.unwrap_or_else(|_| friction.push());
         count += 1;
         if count % EVERY == 0 {

@@ -1,13 +1,13 @@
-//! A motion while it runs. The skill that executes it owns it; others send it edits.
+//! A motion while it runs. The skill that executes it owns it; other skills send it edits.
 //!
-//! - [`RunningMotions`]: the motions that run in this process, by their address in memory.
-//! - [`MotionOwner`]: what the executing skill holds. It takes the edits that were sent before each control step.
-//! - [`MotionEditor`]: what a coach holds. It sees the motion with all edits that were sent so far, and sends its own.
+//! - [`RunningMotions`]: the running motions of this process, by their address in memory.
+//! - [`MotionOwner`]: for the executing skill. Before each control step, it applies the edits that were sent.
+//! - [`MotionEditor`]: for a coach. It sees the motion with all edits sent so far, and sends its own.
 //!
-//! Edits are differences ([`MotionEdit`]): they add up in any order, and none is lost. What waits for the owner is one sum,
-//! so that it takes no more room however many edits were sent. Versions are written into memory by a task beside the
-//! control loop. A version that somebody else writes there meanwhile becomes an edit too: its difference from the one
-//! before. The surface is learned by the owner alone: what others write of it while the motion runs is not taken.
+//! Edits are differences ([`MotionEdit`]): they add up in any order, and none is lost. Pending edits are kept as
+//! one sum, so that they need constant memory. A task beside the control loop writes versions to memory. A version
+//! that another writer stores there meanwhile becomes an edit too: its difference from the previous version. Only
+//! the owner learns the surface: surface values from other writers are ignored while the motion runs.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Weak};
@@ -25,36 +25,37 @@ use crate::motions::{self, failed};
 
 /// The least time between two versions in memory.
 const WRITE_EVERY: Duration = Duration::from_millis(20);
-/// How often a version is tried again when somebody else was faster.
+/// How often writing a version is retried when another writer was faster.
 const TRIES: usize = 8;
 
-/// The motions that run in this process; clones share them.
+/// The running motions of this process; clones share them.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct RunningMotions(Arc<Mutex<BTreeMap<EntityId, Weak<Shared>>>>);
 
-/// What owner, editors and recorder share of one motion.
+/// The data that owner, editors and recorder of one motion share.
 #[derive(Debug)]
 struct Shared {
     state: Mutex<State>,
-    /// Woken by each edit.
+    /// Notified at each edit.
     edited: Arc<Notify>,
 }
 
 #[derive(Debug)]
 struct State {
-    /// The motion as it will run once the owner has taken all edits, at the phase of its last step.
+    /// The motion with all edits, including those that the owner has not applied yet, at the phase of its last
+    /// step.
     view: PeriodicDmp,
-    /// rad/s
+    /// Present frequency, rad/s.
     omega: f64,
-    /// The robot's time at the owner's last step.
+    /// The robot's time at the owner's last step, ns.
     stamp_ns: u64,
-    /// The sum of the edits that the owner has not taken yet.
+    /// The sum of the edits that the owner has not applied yet.
     pending: MotionEdit,
     /// Whether the view has changed since it was last written to memory.
     unwritten: bool,
-    /// Whether the execution has ended, so that no edit would be taken any more.
+    /// Whether the execution has ended, so that edits are refused.
     ended: bool,
-    /// Why a version that somebody else wrote cannot be taken.
+    /// Why a version of another writer cannot be applied.
     refused: Option<Failure>,
 }
 
@@ -66,12 +67,12 @@ impl State {
 }
 
 impl RunningMotions {
-    /// Makes the caller the owner of the newest version of a motion in memory.
+    /// Makes the caller the owner of a motion, in its newest version in memory.
     ///
     /// # Errors
-    /// When another skill runs the motion, or memory does not have it.
+    /// When another skill runs the motion, or it is not in memory.
     pub(crate) async fn own(&self, memory: &Arc<dyn Memory>, id: &EntityId) -> Result<MotionOwner, Failure> {
-        // Subscribed before the look, so that no version falls between the two.
+        // Subscribed before reading, so that no version is missed in between.
         let updates = memory.subscribe();
         let (motion, version) = motions::load(&**memory, id).await?;
         let dmp = motion.primitive().clone();
@@ -106,10 +107,10 @@ impl RunningMotions {
         Ok(MotionOwner { shared, motion, dmp, recorder: Some(task), stop })
     }
 
-    /// A way to edit a motion that runs.
+    /// Access to edit a running motion.
     ///
     /// # Errors
-    /// When nobody in this process executes it.
+    /// When no skill in this process executes it.
     pub(crate) fn edit(&self, id: &EntityId) -> Result<MotionEditor, Failure> {
         let shared = self.0.lock().get(id).cloned().unwrap_or_default();
         let view = shared.upgrade().ok_or_else(not_running)?.state.lock().view.clone();
@@ -122,7 +123,7 @@ fn not_running() -> Failure {
     Failure::new("no motion is running that could be coached")
 }
 
-/// The executing skill's motion.
+/// The motion of the executing skill.
 pub(crate) struct MotionOwner {
     shared: Arc<Shared>,
     motion: Motion,
@@ -142,16 +143,16 @@ impl MotionOwner {
         self.dmp.state()
     }
 
-    /// Puts the primitive onto its steady path at `phase` rad.
+    /// Sets the primitive to its steady path at `phase` rad.
     pub(crate) fn start_on_path(&mut self, phase: f64) -> Result<(), Failure> {
         self.dmp.start_on_path(phase, self.motion.omega()).map_err(failed)?;
         self.shared.state.lock().view.set_phase(phase).map_err(failed)
     }
 
-    /// Takes the edits that were sent, and advances by `dt` s at `omega` rad/s; `stamp_ns` is the robot's time.
+    /// Applies the pending edits, and advances by `dt` s at `omega` rad/s. `stamp_ns` is the robot's time.
     ///
     /// # Errors
-    /// When the step is refused, or somebody wrote a version into memory that cannot be executed.
+    /// When the step is refused, or another writer stored a version that cannot be executed.
     pub(crate) fn step(&mut self, dt: f64, omega: f64, stamp_ns: u64) -> Result<(), Failure> {
         {
             let mut state = self.shared.state.lock();
@@ -162,7 +163,7 @@ impl MotionOwner {
                 let State { view, pending, .. } = &mut *state;
                 pending.apply(&mut self.dmp).map_err(failed)?;
                 pending.clear();
-                // Sums of differences are off in the last bits: what runs is what counts.
+                // Sums of differences have rounding errors: the running weights are the reference.
                 view.set_weights(self.dmp.weights()).map_err(failed)?;
                 view.set_centre(self.dmp.centre()).map_err(failed)?;
             }
@@ -187,8 +188,8 @@ impl MotionOwner {
         state.edit(&edit).map_err(failed)
     }
 
-    /// Ends the execution: edits are refused from now on. Writes what has changed since the last version: the edits, and
-    /// what was learned of the surface; `learned_from` says from what, if not from coaching.
+    /// Ends the execution; edits are refused from now on. Writes what has changed since the last version: the
+    /// edits, and the learned surface. `learned_from` names the source of learning, if it was not coaching.
     pub(crate) async fn finish(
         mut self,
         surface: Option<&SurfaceCorrection>,
@@ -210,27 +211,27 @@ impl Drop for MotionOwner {
     }
 }
 
-/// A coach's access to a motion that somebody else executes.
+/// A coach's access to a motion that another skill executes.
 #[derive(Debug)]
 pub(crate) struct MotionEditor {
     shared: Weak<Shared>,
-    /// Scratch: the view before a change, and the change.
+    /// Buffers: the view before a change, and the change.
     weights: Vec<f64>,
     centre: Vec<f64>,
     edit: MotionEdit,
 }
 
 impl MotionEditor {
-    /// The motion with all edits that were sent so far.
+    /// The motion with all edits sent so far.
     pub(crate) fn view(&self) -> Result<PeriodicDmp, Failure> {
         Ok(self.shared.upgrade().ok_or_else(not_running)?.state.lock().view.clone())
     }
 
-    /// Lets `change` act on the motion as it is now (with the frequency at which it runs, rad/s), and sends the owner what
-    /// has changed. `change` must be quick: the owner's control step waits for it.
+    /// Applies `change` to the present motion (with its present frequency, rad/s), and sends the difference to the
+    /// owner. `change` must be quick: the owner's control step waits for it.
     ///
     /// # Errors
-    /// When the motion does not run any more, or the change is refused.
+    /// When the motion no longer runs, or the change is refused.
     pub(crate) fn edit<T>(
         &mut self,
         change: impl FnOnce(&mut PeriodicDmp, f64) -> Result<T, MotionError>,
@@ -246,7 +247,7 @@ impl MotionEditor {
         let result = change(&mut state.view, omega).map_err(failed)?;
         self.edit.clear();
         self.edit.add_difference(&self.weights, &self.centre, &state.view).map_err(failed)?;
-        // The view has the change already; the owner takes it before its next step.
+        // The view contains the change already; the owner applies it before its next step.
         if !self.edit.is_empty() {
             state.pending.add(&self.edit).map_err(failed)?;
             state.unwritten = true;
@@ -256,7 +257,7 @@ impl MotionEditor {
     }
 }
 
-/// Writes versions of a running motion into memory, and takes those of others.
+/// Writes versions of a running motion to memory, and applies those of other writers.
 struct Recorder {
     memory: Arc<dyn Memory>,
     id: EntityId,
@@ -267,7 +268,8 @@ struct Recorder {
 }
 
 impl Recorder {
-    /// Follows memory and the edits until it is stopped. Holds the motion only while it reads or writes it.
+    /// Processes memory updates and edits until it is stopped. It locks the motion only while it reads or writes
+    /// it.
     async fn follow(
         mut self,
         mut updates: broadcast::Receiver<Arc<Snapshot>>,
@@ -308,7 +310,7 @@ impl Recorder {
         }
     }
 
-    /// Makes a version that somebody else has written an edit of the running motion.
+    /// Converts a version of another writer to an edit of the running motion.
     fn take(&mut self, snapshot: &Snapshot) {
         if snapshot.id != self.id || snapshot.version <= self.version {
             return;
@@ -325,15 +327,15 @@ impl Recorder {
         }
     }
 
-    /// Takes the newest version in memory.
+    /// Applies the newest version in memory.
     async fn catch_up(&mut self) -> Result<(), Failure> {
         let newest = self.memory.latest(&self.id).await.map_err(failed)?;
         self.take(&newest);
         Ok(())
     }
 
-    /// Writes the motion with all edits as the next version, if something has changed. A version that somebody else has
-    /// written meanwhile is taken first.
+    /// Writes the motion with all edits as the next version, if it has changed. A version that another writer
+    /// stored meanwhile is applied first.
     async fn write(
         &mut self,
         surface: Option<&SurfaceCorrection>,

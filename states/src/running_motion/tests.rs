@@ -1,4 +1,4 @@
-//! Owner, editors and memory: no edit is lost, whoever sends it, and the last version in memory is what ran.
+//! Owner, editors and memory: no edit is lost, from any source, and the last version in memory is the one that ran.
 
 use std::f64::consts::TAU;
 
@@ -28,7 +28,7 @@ async fn latest(memory: &Arc<dyn Memory>, id: &EntityId) -> Motion {
     motions::load(&**memory, id).await.unwrap().0
 }
 
-/// Somebody else's change of the motion in memory: the first weight by `difference`.
+/// Another writer's change of the motion in memory: adds `difference` to the first weight.
 async fn write_elsewhere(memory: &Arc<dyn Memory>, id: &EntityId, difference: f64) {
     let (motion, version) = motions::load(&**memory, id).await.unwrap();
     let mut primitive = motion.primitive().clone();
@@ -125,7 +125,7 @@ async fn what_was_learned_of_the_surface_is_kept() {
     assert_eq!(kept.surface(), Some(&surface));
     assert_eq!((kept.version(), kept.learned_from()), (2, "force adaptation"));
     assert!((kept.primitive().centre()[2] - 0.75).abs() < 1e-12);
-    // Nothing new: no version.
+    // Nothing has changed: no new version.
     running.own(&memory, &id).await.unwrap().finish(None, None).await.unwrap();
     assert_eq!(latest(&memory, &id).await.version(), 2);
 }
@@ -141,7 +141,7 @@ async fn a_motion_has_one_owner_and_none_after_it_has_ended() {
     let mut editor = running.edit(&id).unwrap();
     owner.finish(None, None).await.unwrap();
     assert!(editor.edit(|_, _| Ok(())).is_err());
-    // One that is dropped without a word is free at once as well.
+    // An owner that is dropped without `finish` releases the motion as well.
     drop(running.own(&memory, &id).await.unwrap());
     drop(running.own(&memory, &id).await.unwrap());
 }

@@ -1,8 +1,8 @@
-//! `AttachObject`: writes into memory that the hand holds an object: from now on it moves with the hand, for this agent
-//! and for everyone who follows it.
+//! `AttachObject`: records in memory that the hand holds an object. From then on the object moves with the hand,
+//! for this agent and for all agents that follow its memory.
 //!
-//! Where the object sits in the hand follows from where it was, and where the hand was, when the hand closed. Whether it
-//! is held at all, `VerifyGrasp` says.
+//! The object's pose in the hand is computed from the poses of object and hand when the hand closed. `VerifyGrasp`
+//! checks whether it is held at all.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -18,7 +18,7 @@ use crate::inputs::{Inputs, pose_value, reference};
 use crate::motions::failed;
 use crate::prior::class_name;
 
-/// The hand that holds.
+/// The name of the hand.
 const HAND: &str = "right_hand";
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
@@ -38,13 +38,13 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let before = context.entity("object")?;
     let snapshot = equipment.memory.latest(&before).await.map_err(failed)?;
     let class = class_name(&snapshot)?;
-    // What memory says of its place by now may be of the object in the hand.
+    // The pose in memory may by now be that of the object in the hand, so the inputs are used.
     let tcp_from_object = context.pose("tcp_at_grasp")?.inverse() * context.pose("pose")?;
 
     let sensed = equipment.robot.sensed().borrow();
     let model = equipment.robot.model();
     let now = model.link_pose(&sensed.position, link(model, TCP)?) * tcp_from_object;
-    // The agent's name in front distinguishes the hands of several agents.
+    // The agent's name as prefix distinguishes the hands of several agents.
     let hand = format!("{}/{HAND}", equipment.agent);
     let held = MotionModel::Hand { name: hand.clone(), offset: tcp_from_object.translation.vector.into() };
     let mut attributes = BTreeMap::from([

@@ -1,8 +1,7 @@
-//! `CalibrateHandEye`: finds where the cameras really look by watching the marker on the robot's own hand.
+//! `CalibrateHandEye`: finds the true pose of the cameras by observing the marker on the robot's own hand.
 //!
-//! The hand goes to some places over the table; the places where the marker is seen by the camera and those where it
-//! would be if the camera were where the robot believes it to be give the mounting (least squares of two point sets,
-//! Arun et al.).
+//! The hand moves to several places over the table. At each one, the marker's position is measured by the camera,
+//! and computed for the assumed camera pose. Both point sets give the mounting (least squares, Arun et al.).
 
 use std::sync::Arc;
 
@@ -101,7 +100,7 @@ async fn go(arm: &mut Arm, senses: &mut Senses, tcp: Isometry3<f64>) -> Result<(
     Ok(())
 }
 
-/// Watches the marker on the robot's hand.
+/// Observes the marker on the robot's hand.
 struct MarkerWatcher {
     marker: LinkId,
     frames: Frames,
@@ -119,8 +118,8 @@ impl MarkerWatcher {
         })
     }
 
-    /// The mean of some frames with the hand at rest: where the marker is in the left camera's frame, as seen and as
-    /// arm and head say.
+    /// The marker's position in the left camera's frame, as seen and as computed from the joints of arm and head;
+    /// the mean of several frames with the hand at rest.
     async fn look(
         &mut self,
         equipment: &Equipment,
@@ -145,7 +144,7 @@ impl MarkerWatcher {
     }
 }
 
-/// The ball on the back of the right hand by which it is seen.
+/// The ball on the back of the right hand that serves as marker.
 pub(crate) const HAND_MARKER: &str = "hand_marker_right";
 /// Its colour, RGB.
 pub(crate) const HAND_MARKER_COLOR: [u8; 3] = [200, 30, 160];

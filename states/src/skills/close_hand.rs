@@ -1,4 +1,4 @@
-//! `CloseHand`: closes the right hand until both pads are stopped by what is between them.
+//! `CloseHand`: closes the right hand until an object stops both pads.
 
 use std::sync::Arc;
 

@@ -1,6 +1,6 @@
-//! `ExecuteMotion`: the loop that integrates the learned motion and alone commands the arm, while coaches send it edits.
-//! It keeps the force, goes on learning the surface, and slows down as the coach's hand comes near. It runs until it is
-//! cancelled; then memory has the motion as it was changed, with what was learned of the surface.
+//! `ExecuteMotion`: the loop that integrates the learned motion. It alone commands the arm; coaches send it edits.
+//! It controls the force, continues to learn the surface, and slows down when the coach's hand comes near. It runs
+//! until it is cancelled, and then stores the changed motion in memory, with the learned surface.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -16,9 +16,9 @@ use crate::motions::failed;
 use crate::running_motion::RunningMotions;
 use crate::wiper::{ContactWatch, GraspedTool, Height, Wiper};
 
-/// What the robot says when it begins, so that the coach may come.
+/// The robot's announcement at the start, so that the coach may come.
 const ANNOUNCEMENT: &str = "I am wiping now.";
-/// A sight of the coach's hand older than this does not slow the motion any more, s.
+/// A detection of the coach's hand older than this does not slow the motion any more, s.
 const SIGHT_AGE: f64 = 0.5;
 
 pub(crate) fn skill(equipment: &Equipment, running: &RunningMotions) -> Arc<dyn Skill> {
@@ -52,13 +52,13 @@ async fn run(equipment: Equipment, running: RunningMotions, context: SkillContex
         Failure::new("the motion has not been fitted to a surface; run ForceAdaptation first")
     })?;
     wiper.start_nearest(&senses.newest())?;
-    // The coach changes the motion, so that the stiffness cannot be found from cycle to cycle any more.
+    // The coach changes the motion, so the stiffness cannot be estimated from cycle to cycle any more.
     let stiffness = context.number("stiffness")?;
     let config = SurfaceConfig { force, stiffness, identify: false, ..SurfaceConfig::default() };
     let mut surface = SurfaceAdaptation::resume(config, correction, wiper.phase()).map_err(failed)?;
     equipment.robot.say(ANNOUNCEMENT);
     let Err(end) = wipe(&context, &mut wiper, &mut senses, &mut surface).await;
-    // A loop that failed (a lost contact) has learned nothing of the surface that is worth keeping.
+    // After a failure (a lost contact), the learned surface is not worth keeping.
     let learned = context.cancel.is_cancelled().then(|| surface.correction());
     wiper.finish(learned, None).await?;
     Err(end)
@@ -87,7 +87,7 @@ async fn wipe(
     }
 }
 
-/// Distance of the coach's hand from the TCP, m; infinite when no hand is seen.
+/// Distance of the coach's hand from the TCP, m; infinite when no hand is detected.
 fn distance_of_hand(channels: &Channels) -> f64 {
     let seen = channels.newest("hand").filter(|s| s.at.elapsed().as_secs_f64() < SIGHT_AGE);
     seen.and_then(|s| s.value.get("distance").and_then(Value::as_f64)).unwrap_or(f64::INFINITY)

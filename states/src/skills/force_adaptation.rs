@@ -1,6 +1,6 @@
-//! `ForceAdaptation`: lowers the tool until it touches, then learns, cycle by cycle, the motion towards the surface
-//! that keeps the desired force. The robot does not know the surface's height, tilt or bumps beforehand. A motion that was
-//! fitted before begins from what was learned then.
+//! `ForceAdaptation`: lowers the tool until it touches, then learns, cycle by cycle, the motion along the surface
+//! that keeps the desired force. The robot does not know the surface's height, tilt or bumps beforehand. If the
+//! motion was fitted before, learning starts from the stored surface.
 
 use std::sync::Arc;
 
@@ -19,9 +19,9 @@ use crate::reach::required_speed;
 use crate::running_motion::RunningMotions;
 use crate::wiper::{ContactWatch, GraspedTool, Height, Wiper};
 
-/// Cycles before which the force does not count as settled.
+/// Least number of cycles before the force can count as settled.
 const LEAST_CYCLES: u32 = 4;
-/// How far below the place where the tool stood at the grasp the surface may be, m.
+/// How far the surface may be below the tool's height at the grasp, m.
 const DEEPEST: f64 = 0.05;
 
 pub(crate) fn skill(equipment: &Equipment, running: &RunningMotions) -> Arc<dyn Skill> {
@@ -77,7 +77,7 @@ async fn run(equipment: Equipment, running: RunningMotions, context: SkillContex
             surface
         }
         Err(failure) => {
-            // What coaches have changed meanwhile is kept.
+            // Changes by coaches meanwhile are kept.
             wiper.finish(None, None).await?;
             return Err(failure);
         }
@@ -89,7 +89,7 @@ async fn run(equipment: Equipment, running: RunningMotions, context: SkillContex
         .with("stiffness", surface.stiffness()))
 }
 
-/// Touches down and learns the surface; the motion's height becomes that of its own path over the surface.
+/// Touches down and learns the surface; the motion's height becomes that of its path over the surface.
 async fn fit(
     context: &SkillContext,
     wiper: &mut Wiper,
@@ -104,8 +104,8 @@ async fn fit(
     Ok(surface)
 }
 
-/// The adaptation that begins where the tool touches the surface at the height `touched` (m) and `phase`, from what is
-/// `known` of the surface; and the height to which its offsets are added.
+/// The adaptation at the start, where the tool touches the surface at the height `touched` (m) and `phase`,
+/// initialised with the `known` surface. Also returns the height to which its offsets are added.
 fn begin(
     config: SurfaceConfig,
     known: Option<&SurfaceCorrection>,
@@ -121,7 +121,7 @@ fn begin(
     }
 }
 
-/// Lowers the tool until the force is reached; returns the height of the TCP there, m.
+/// Lowers the tool until the force is reached; returns the TCP's height there, m.
 async fn touch_down(
     context: &SkillContext,
     wiper: &mut Wiper,
@@ -155,7 +155,7 @@ async fn touch_down(
     }
 }
 
-/// Runs the motion and learns the surface until the force stays within tolerance, then brakes, still pressing.
+/// Runs the motion and learns the surface until the force stays within tolerance. Then brakes while still pressing.
 async fn learn(
     context: &SkillContext,
     wiper: &mut Wiper,
@@ -199,7 +199,7 @@ mod tests {
         let known = SurfaceCorrection::new(weights, 90.0, [0.0, 0.0, 1.0]).unwrap();
         let (phase, touched) = (1.3, 0.72);
         let (mut surface, z) = begin(SurfaceConfig::default(), Some(&known), touched, phase).unwrap();
-        // The hand stays where it touches, and goes along the known surface from there.
+        // The hand keeps its contact height, and follows the known surface from there.
         let force = SurfaceConfig::default().force;
         let first = surface.step(1e-3, phase, 0.0, force).unwrap();
         assert!((z + first.offset - touched).abs() < 1e-9);

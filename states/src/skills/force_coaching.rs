@@ -1,4 +1,4 @@
-//! `ForceCoaching`: the coach's pushes on the hand change the running motion where they were felt.
+//! `ForceCoaching`: the coach's pushes on the hand change the running motion at the phases where they act.
 
 use std::sync::Arc;
 

@@ -13,9 +13,9 @@ use crate::wiper::{GraspedTool, Height, Wiper};
 
 /// Raised when the motion has been at its full frequency for a while.
 const STEADY: &str = "imitation.steady";
-/// Raised when the last whole period is over, before the hand comes to rest.
+/// Raised at the end of the last whole period, before the hand comes to rest.
 const OVER: &str = "imitation.over";
-/// The motion counts as steady after this part of a period at full frequency.
+/// The motion counts as steady after this share of a period at full frequency.
 const SETTLING: f64 = 0.5;
 
 pub(crate) fn skill(equipment: &Equipment, running: &RunningMotions) -> Arc<dyn Skill> {
@@ -50,7 +50,7 @@ async fn run(equipment: Equipment, running: RunningMotions, context: SkillContex
     loop {
         let (sample, dt) = senses.next().await?;
         let progress = wiper.step(&sample, dt, pace, Height { z, rate: 0.0 })?;
-        // The periods count from the moment when the motion has its full frequency.
+        // Periods are counted from the moment at which the motion has its full frequency.
         let before = turned;
         if wiper.pace() >= 1.0 {
             turned += progress.omega * dt / std::f64::consts::TAU;

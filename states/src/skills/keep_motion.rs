@@ -1,6 +1,6 @@
-//! `KeepMotion`: keeps the newest version of a motion in memory under a name.
+//! `KeepMotion`: stores the newest version of a motion in memory under a name.
 //!
-//! The long-term store follows the memory's `Motions` segment; this skill does not know it.
+//! The long-term store follows the memory's `Motions` segment; this skill does not access it.
 
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! `LocateObject`: finds an object of prior knowledge by its colour and size in the stereo images.
+//! `LocateObject`: finds an object of prior knowledge in the stereo images by its colour and size.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -17,7 +17,7 @@ use crate::inputs::{pose_value, reference};
 use crate::motions::failed;
 use crate::prior::object_class;
 
-/// Good sights that are averaged.
+/// Number of good detections that are averaged.
 const SIGHTS: usize = 5;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
@@ -68,8 +68,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     Ok(Outcome::success().with("object", reference("Object", &id)).with("pose", pose_value(&pose)))
 }
 
-/// The median of each coordinate; the yaw is taken relative to the first sight, as a box looks the same after half
-/// a turn.
+/// The median of each coordinate. The yaw is taken relative to the first detection, as a box looks the same after
+/// half a turn.
 fn median(sights: &[ObjectEstimate]) -> Isometry3<f64> {
     let middle = |value: &dyn Fn(&ObjectEstimate) -> f64| {
         let mut values: Vec<f64> = sights.iter().map(value).collect();

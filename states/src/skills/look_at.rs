@@ -1,4 +1,4 @@
-//! `LookAt`: turns the head until the eyes look at a point.
+//! `LookAt`: turns the head until the cameras look at a point.
 
 use std::sync::Arc;
 

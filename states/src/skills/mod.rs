@@ -31,7 +31,7 @@ use armarium_runtime::skill::Skill;
 use crate::equipment::Equipment;
 use crate::running_motion::RunningMotions;
 
-/// Every skill of this room, working with `equipment`.
+/// All skills of this room, with their `equipment`.
 #[must_use]
 pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
     let running = &RunningMotions::default();

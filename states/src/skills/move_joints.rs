@@ -10,7 +10,7 @@ use armarium_values::{Type, Unit};
 use crate::arm::{ARM, Senses, lease};
 use crate::equipment::{self, Equipment};
 
-/// The share of each joint's limit that is used.
+/// The share of each joint's speed limit that is used.
 const SHARE: f64 = 0.8;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
@@ -49,7 +49,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     loop {
         let (sample, dt) = senses.next().await?;
         elapsed += dt;
-        // All joints arrive together: the slowest sets the pace, braking included.
+        // All joints arrive together: the slowest one determines the speed, including braking.
         let error = |joint: usize| goal[joint] - sample.position[joint];
         let moved = || arm_joints.iter().chain(torso_joints).copied();
         let worst = moved().map(|j| error(j).abs()).fold(0.0, f64::max);
@@ -73,7 +73,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     }
 }
 
-/// The wanted position of every joint of the robot; joints that are not named stay where they are.
+/// The goal position of every joint of the robot; joints that are not named keep their position.
 fn goal(equipment: &Equipment, context: &SkillContext) -> Result<Vec<f64>, Failure> {
     let model = equipment.robot.model();
     let mut goal = equipment.robot.sensed().borrow().position.clone();

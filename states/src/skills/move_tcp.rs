@@ -48,15 +48,15 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 
 /// When a pose counts as reached.
 pub(crate) struct Reached {
-    /// m
+    /// Largest distance, m.
     pub(crate) position: f64,
-    /// rad
+    /// Largest angle, rad.
     pub(crate) angle: f64,
-    /// Longest time that it may take, s.
+    /// Timeout, s.
     pub(crate) timeout: f64,
 }
 
-/// Moves the TCP to `target` (root frame) on a straight line at `speed`, m/s; the outcome says where it is then.
+/// Moves the TCP to `target` (root frame) on a straight line at `speed`, m/s. The outcome contains the final pose.
 pub(crate) async fn move_to(
     arm: &mut Arm,
     senses: &mut Senses,
@@ -74,7 +74,7 @@ pub(crate) async fn move_to(
         let tcp = arm.tcp(&sample);
         let distance = (target.translation.vector - tcp.translation.vector).norm();
         let angle = target.rotation.angle_to(&tcp.rotation);
-        // The last bit is taken at rest, so that the next skill starts from a still hand.
+        // It must end at rest, so that the next skill starts with a still hand.
         if line.rested(0.15) && distance < reached.position && angle < reached.angle {
             return Ok(Outcome::success().with("tcp", pose_value(&tcp)));
         }

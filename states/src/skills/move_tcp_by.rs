@@ -1,4 +1,4 @@
-//! `MoveTcpBy`: moves the right hand's TCP by an offset, without turning it.
+//! `MoveTcpBy`: moves the right hand's TCP by an offset, without rotation.
 
 use std::sync::Arc;
 

@@ -1,7 +1,8 @@
-//! `MovementImitation`: watches the coach's tool and learns the periodic motion that it shows.
+//! `MovementImitation`: observes the coach's tool and learns the demonstrated periodic motion.
 //!
-//! The tool is followed by its colour. Its first swipe gives the workspace; from the periodic part an adaptive
-//! oscillator finds the frequency while a periodic movement primitive learns the motion online. Nothing moves here.
+//! The tool is tracked by its colour. Its first swipe defines the workspace. From the periodic part, an adaptive
+//! oscillator estimates the frequency while a periodic movement primitive learns the motion online. The robot does
+//! not move.
 
 use std::sync::Arc;
 
@@ -22,12 +23,12 @@ use crate::inputs::reference;
 use crate::motions::{self, failed};
 use crate::prior::object_class;
 
-/// What the robot says to ask for a demonstration.
+/// The robot's request for a demonstration.
 const REQUEST: &str = "Please show me how to wipe.";
-/// Points of the learned path that the motion is learned from again in its place.
+/// Number of points of the learned path from which the placed motion is learned again.
 const POINTS: usize = 200;
 
-/// A motion whose middle is nearer than this to that of the workspace was demonstrated inside it, m.
+/// A motion was demonstrated inside the workspace if its centre is nearer to the workspace's centre than this, m.
 const SHOWN_IN_PLACE: f64 = 0.15;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
@@ -64,7 +65,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     Ok(Outcome::success().with("motion", reference("Motion", &id)).with("frequency", frequency_hz))
 }
 
-/// What was seen of a demonstration.
+/// What was observed of a demonstration.
 struct Seen {
     swipe: Swipe,
     imitation: Imitation,
@@ -117,14 +118,14 @@ async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<Seen, Fa
     }
 }
 
-/// Whether the tool has been out of sight since long before `time`, s.
+/// Whether the tool was last seen long before `time`, s.
 fn gone(last_seen: Option<f64>, time: f64) -> bool {
     last_seen.is_some_and(|t| time - t > 2.5)
 }
 
-/// The learned motion, placed in the workspace of the first swipe and made level, because the height at which the coach
-/// held the tool is not that of the table. A motion demonstrated inside the workspace keeps its place: many periods locate
-/// it better than the two ends of a swipe. One demonstrated beside the workspace is moved to its middle.
+/// The learned motion, placed in the workspace of the first swipe and made level, because the coach does not hold
+/// the tool at the table's height. A motion demonstrated inside the workspace keeps its place: many periods locate
+/// it better than the two ends of a swipe. Otherwise the motion is moved to the centre of the workspace.
 fn place(learned: &PeriodicDmp, frequency_hz: f64, swipe: &Swipe) -> Result<PeriodicDmp, MotionError> {
     let middle: Point3<f64> = swipe.centre();
     let path = learned.steady_path(POINTS)?;

@@ -1,5 +1,5 @@
-//! `PlanGrasp`: chooses how to grasp an object from above: which way the level hand is turned, so that the arm keeps
-//! the most margin to its joint limits.
+//! `PlanGrasp`: chooses a grasp of an object from above: the yaw of the level hand for which the arm has the most
+//! margin to its joint limits.
 
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
@@ -17,14 +17,14 @@ use crate::inputs::{Inputs, as_pose, pose_value};
 use crate::motions::failed;
 use crate::prior::{class_name, object_class};
 
-/// How far the hand may be turned against the object's sides, rad; the closing pads align the object. Each step
-/// costs margin.
+/// Possible rotations of the hand against the object's sides, rad; the closing pads align the object. Each radian
+/// costs [`MISALIGNMENT_COST`].
 const MISALIGNMENTS: [f64; 7] = [0.0, 0.14, -0.14, 0.28, -0.28, 0.42, -0.42];
-/// Margin (rad) that one radian of misalignment must bring.
+/// Additional margin (rad) that one radian of misalignment must bring.
 const MISALIGNMENT_COST: f64 = 1.0;
-/// Less margin than this to any joint limit is no grasp, rad.
+/// A grasp with less margin than this to a joint limit is rejected, rad.
 const LEAST_MARGIN: f64 = 0.03;
-/// Room that each open pad needs beside the object on its way down, m: more than servoing may be off.
+/// Clearance of each open pad beside the object on its way down, m: more than the error of servoing.
 const CLEARANCE: f64 = 0.01;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
@@ -102,14 +102,15 @@ fn widest_opening(model: &Model) -> f64 {
     model.limb("right_hand").iter().map(|&j| model.joints()[j].upper).sum()
 }
 
-/// Distance that the pads' inner faces need to pass an object that is `across` m wide between them and turned by
-/// `misalignment`: the side comes nearest to a pad at the pad's edge.
+/// The distance between the pads that lets them pass an object that is `across` m wide between them and rotated by
+/// `misalignment`. The object's side comes nearest to a pad at the pad's edge.
 fn needed_opening(across: f64, misalignment: f64) -> f64 {
     let (sin, cos) = misalignment.abs().sin_cos();
     (across + PAD_WIDTH * sin) / cos
 }
 
-/// A grasp with its score, or how far it is out of reach, m; 0 where only a joint limit is too near.
+/// A grasp with its score; else its distance from the reachable space, m, which is 0 if only a joint limit is too
+/// near.
 fn candidate(
     model: &Arc<Model>,
     tcp: LinkId,
@@ -147,7 +148,7 @@ mod tests {
         assert!((needed_opening(0.07, 0.0) - 0.07).abs() < 1e-12);
         let turned = needed_opening(0.1, -0.42);
         assert!((turned - needed_opening(0.1, 0.42)).abs() < 1e-12);
-        // The far edge of the pad meets the side 25 mm tan 0.42 further out than the pad's middle does.
+        // At the far edge of the pad, the side is 25 mm tan 0.42 further out than at the pad's middle.
         assert!((turned / 2.0 - (0.05 / 0.42f64.cos() + 0.025 * 0.42f64.tan())).abs() < 1e-12);
     }
 

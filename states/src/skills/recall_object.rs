@@ -1,7 +1,8 @@
-//! `RecallObject`: where an object is, from memory: whoever saw it last, this agent or one that it follows.
+//! `RecallObject`: reads an object's pose from memory: the newest detection by this agent or by one that it
+//! follows.
 //!
-//! It looks at nothing. It does not use poses in the frame of another agent whose own place is unknown, nor the place of an
-//! object that a hand has taken away since.
+//! It does not use the cameras. It ignores poses in the frame of another agent whose own pose is unknown, and the
+//! pose of an object that a hand has taken away since.
 
 use std::sync::Arc;
 
@@ -15,7 +16,7 @@ use crate::equipment::{self, Equipment};
 use crate::inputs::{as_pose, pose_value, reference};
 use crate::motions::failed;
 
-/// How often memory is queried, s.
+/// Interval of the memory queries, s.
 const ASK_EVERY: f64 = 0.1;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
@@ -62,7 +63,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     }
 }
 
-/// Why memory does not say where an object is.
+/// Why memory has no usable pose of an object.
 #[derive(Debug, PartialEq)]
 enum Unknown {
     Never,
@@ -90,7 +91,7 @@ impl Unknown {
     }
 }
 
-/// The agent from whose memory it was taken; `None` for this agent's own.
+/// The agent from whose memory it came; `None` for this agent's own.
 fn seen_by(snapshot: &Snapshot) -> Option<&str> {
     snapshot.attribute("origin")?.get("agent")?.as_str()
 }

@@ -1,4 +1,4 @@
-//! `VerifyGrasp`: whether the hand holds the object: by its aperture, by sight and by weight.
+//! `VerifyGrasp`: checks that the hand holds the object: by aperture, vision and weight.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -19,15 +19,15 @@ use crate::prior::class_of;
 use crate::skills::weigh_hand::mean_force;
 
 const GRAVITY: f64 = 9.81;
-/// An aperture below this holds nothing, m.
+/// A hand with an aperture below this holds nothing, m.
 const LEAST_APERTURE: f64 = 0.02;
-/// The object must be seen within this distance of its place in the hand, m.
+/// Largest distance of the detected object from its place in the hand, m.
 const IN_HAND: f64 = 0.08;
-/// What is seen farther than this from the height at which the object stood does not lie on the table, m.
+/// A detection farther than this from the height at which the object stood is not on the table, m.
 const ON_TABLE: f64 = 0.1;
-/// The least share of the expected weight that must be felt.
+/// The least share of the expected weight that must be measured.
 const LEAST_WEIGHT_SHARE: f64 = 0.4;
-/// The least weight that counts when prior knowledge does not know the object's mass, N.
+/// The least weight if prior knowledge does not contain the object's mass, N.
 const LEAST_WEIGHT: f64 = 0.4;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
@@ -78,15 +78,15 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     Ok(Outcome::success().with("mass", mass).with("grasp", Value::Map(grasp)))
 }
 
-/// What was seen of the object.
+/// The detections of the object.
 struct Sight {
-    /// Its least distance from its place in the hand, m; infinite when it was not seen.
+    /// The least distance from its place in the hand, m; infinite if it was not detected.
     nearest: f64,
 }
 
 impl Sight {
-    /// An object that is seen must be in the hand. One that is not seen may be hidden by the hand that holds it:
-    /// then its known weight must do.
+    /// A detected object must be in the hand. An object that is not detected may be hidden by the hand that holds
+    /// it: then its known weight is sufficient.
     fn judge(&self, name: &str, weight_is_known: bool) -> Result<(), Failure> {
         if self.nearest < IN_HAND {
             return Ok(());
@@ -103,8 +103,9 @@ impl Sight {
     }
 }
 
-/// Looks for the object's colour in the hand, and elsewhere for an object that stayed behind where it stood at the
-/// height `stood`, m. What is seen over or under the table is the arm, or two parts of the object taken for one.
+/// Looks for the object's colour in the hand, and elsewhere for an object that was left behind at the height
+/// `stood`, m. Detections above or below the table's height are ignored: they are the arm, or two parts of the
+/// object matched as one.
 async fn look(
     equipment: &Equipment,
     arm: &mut Arm,

@@ -45,7 +45,7 @@ async fn run(equipment: Equipment, running: RunningMotions, context: SkillContex
     }
 }
 
-/// The coaching input of a gesture, with the hand as it was seen last.
+/// The coaching input for a gesture, with the newest detection of the hand.
 fn input_of(gesture: &str, hand: &Value) -> CoachInput {
     let vector = |name: &str| hand.get(name).and_then(as_vector);
     match (gesture, vector("position"), vector("direction")) {
@@ -56,16 +56,17 @@ fn input_of(gesture: &str, hand: &Value) -> CoachInput {
     }
 }
 
-/// A filter for gestures: the one that was seen clearly for longest in the last seconds, with the hand's newest place in it.
+/// Filters gestures: selects the gesture that was clearly visible for longest in the last seconds, with the newest
+/// detection of the hand.
 ///
-/// The robot's own arm passes between its eyes and the coach's hand in each cycle and hides a part of it. What is
-/// recognised of the visible rest has the wrong gesture and place, and counts little.
+/// The robot's own arm passes between its cameras and the coach's hand in each cycle and hides a part of it.
+/// Detections of the visible rest have a wrong gesture and place, and get little weight.
 struct GestureFilter {
     gesture: String,
     hand: Value,
-    /// For how long each gesture has been seen clearly, s; forgotten in time.
+    /// How long each gesture has been clearly visible, s; decays over time.
     seen: BTreeMap<String, f64>,
-    /// For how long there has been no hand, s.
+    /// How long there has been no hand, s.
     gone: f64,
 }
 
@@ -75,22 +76,23 @@ impl Default for GestureFilter {
     }
 }
 
-/// The channel's word for a frame without a hand.
+/// The channel's value for a frame without a hand.
 const NONE: &str = "none";
 
 impl GestureFilter {
-    /// How long a gesture must be seen before it is accepted, and a hand be out of sight before it has gone, s.
+    /// How long a gesture must be visible before it is accepted, and how long a hand must be out of sight before it
+    /// is gone, s.
     const HOLD: f64 = 0.4;
-    /// The time constant of forgetting, s, and the most time that counts, s: a change of the gesture is accepted after
-    /// 1.5 s.
+    /// The time constant of the decay, s, and the largest accumulated time, s. A change of the gesture is accepted
+    /// after 1.5 s.
     const FORGET: f64 = 4.0;
     const MOST: f64 = 2.0;
-    /// The least confidence with which a gesture counts, probability.
+    /// The least confidence of a gesture that counts, as a probability.
     const SURE: f64 = 0.6;
-    /// The weight of a partly hidden hand, as a share of that of a whole one.
+    /// The weight of a partly hidden hand, relative to a fully visible one.
     const HIDDEN_COUNTS: f64 = 0.1;
 
-    /// The coaching input, `dt` s later, from what is on the channel now.
+    /// The coaching input after `dt` s, from the present value of the channel.
     fn update(&mut self, dt: f64, hand: Option<Value>) -> CoachInput {
         let number = |name: &str| hand.as_ref().and_then(|h| h.get(name)).and_then(Value::as_f64);
         let seen = hand.as_ref().and_then(|h| h.get("gesture")).and_then(Value::as_str).unwrap_or(NONE);

@@ -1,7 +1,7 @@
-//! `VisualServoTowardsTargetPose`: brings the hand to a grasp of an object by looking at both.
+//! `VisualServoTowardsTargetPose`: moves the hand to a grasp of an object by observing both.
 //!
-//! Hand and object are seen by the same cameras and the error is taken from both, so that a wrong mounting of the
-//! cameras cancels. The hand comes from above: first over the object, then down.
+//! Hand and object are seen by the same cameras, and the error is computed from both, so that an error of the
+//! cameras' mounting cancels. The hand comes from above: first over the object, then down.
 
 use std::sync::Arc;
 
@@ -23,13 +23,13 @@ use crate::motions::failed;
 use crate::prior::{class_name, object_class};
 use crate::skills::calibrate_hand_eye::{HAND_MARKER, HAND_MARKER_COLOR, HAND_MARKER_DIAMETER};
 
-/// An object that is seen less than this (covered by the hand) does not move the target.
+/// An object of which a smaller share than this is visible (the hand covers it) does not move the target.
 const WELL_VISIBLE: f64 = 0.8;
-/// The share of a new sight in the remembered target.
+/// The weight of a new detection in the filtered target.
 const SIGHT_SHARE: f64 = 0.2;
-/// Sights further than this from the remembered target are taken for something else, m.
+/// A detection further than this from the filtered target is rejected, m.
 const PLAUSIBLE: f64 = 0.06;
-/// A force this large on the way down means that the hand stands on something, N.
+/// A force of this size on the way down means that the hand has hit something, N.
 const STOPPING_FORCE: f64 = 12.0;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
@@ -66,7 +66,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     Ok(Outcome::success().with("tcp", pose_value(&tcp)).with("seen_error", distance))
 }
 
-/// Servoes to `above` m over the grasp; returns the distance that is left, as seen.
+/// Servoes to `above` m over the grasp; returns the remaining distance, as seen.
 async fn servo(
     equipment: &Equipment,
     context: &SkillContext,
@@ -125,7 +125,7 @@ fn explain(status: ServoStatus, distance: f64) -> String {
     }
 }
 
-/// What the cameras see of hand and object.
+/// The detections of hand and object.
 struct Sight {
     frames: Frames,
     hand: ColorMarkerObjectTracking,
@@ -156,9 +156,10 @@ impl Sight {
         })
     }
 
-    /// Hand and target as seen in one frame; `None` while the hand's marker is not seen.
+    /// Hand and target as seen in one frame; `None` if the hand's marker is not visible.
     ///
-    /// `tcp` and `marker` are where the arm says they are; the marker's sight says by how much that is off as seen.
+    /// `tcp` and `marker` are the poses from forward kinematics; the detected marker gives the visual offset from
+    /// them.
     fn observe(
         &mut self,
         frame: &StereoFrame,

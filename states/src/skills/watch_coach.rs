@@ -1,4 +1,4 @@
-//! `WatchCoach`: keeps the motion and the coach's hand in view, until it is cancelled.
+//! `WatchCoach`: keeps the motion and the coach's hand in the cameras' view until it is cancelled.
 
 use std::sync::Arc;
 
@@ -13,11 +13,11 @@ use crate::head::{HEAD, Head};
 use crate::inputs::{Inputs, as_vector};
 use crate::motions;
 
-/// Largest speed of a joint, rad/s: slow, so that what is seen meanwhile is seen well.
+/// Largest speed of a joint, rad/s: slow, so that images stay usable meanwhile.
 const SPEED: f64 = 0.3;
-/// Time constant with which the gaze follows what there is to see, s.
+/// Time constant with which the gaze follows its target, s.
 const CALM: f64 = 0.5;
-/// A hand that has not been seen for this long has gone, s. The robot's arm hides it in passing.
+/// A hand that has not been seen for this long is gone, s. The robot's arm hides it while passing.
 const GONE: f64 = 1.5;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
@@ -47,16 +47,16 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     }
 }
 
-/// Where the coach's hand was seen last.
+/// Where the coach's hand was last seen.
 #[derive(Default)]
 struct Sight {
     hand: Option<Vector3<f64>>,
-    /// How long ago, s.
+    /// Age of the detection, s.
     age: f64,
 }
 
 impl Sight {
-    /// `dt` s later: the place of the hand (root frame, m), while there is one.
+    /// After `dt` s: the position of the hand (root frame, m), if there is one.
     fn update(&mut self, dt: f64, channels: &Channels) -> Option<Vector3<f64>> {
         let seen = channels.newest("hand").filter(|s| s.at.elapsed().as_secs_f64() < GONE);
         let place = seen.and_then(|s| s.value.get("position").and_then(as_vector));

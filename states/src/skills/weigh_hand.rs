@@ -1,4 +1,4 @@
-//! `WeighHand`: takes the wrist's force as zero, with the hand as it is now.
+//! `WeighHand`: takes the wrist force of the hand in its present state as zero.
 
 use std::sync::Arc;
 

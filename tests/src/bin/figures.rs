@@ -1,7 +1,7 @@
-//! Judges a run by the folder that it left: exit status 0 when the run succeeded, every figure of `report.json` is as it
-//! must be, and `run.mcap` gives the same figures when they are computed again from it alone.
+//! Judges a run by its output folder. The exit status is 0 if the run succeeded, every figure of `report.json`
+//! meets its requirement, and recomputing the figures from `run.mcap` alone gives the same values.
 //!
-//! Speed is not judged: it says more about the machine than about the change.
+//! Speed is not judged: it depends more on the machine than on a change.
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -12,7 +12,7 @@ use armarium_tests::recorded;
 use armarium_values::report::Figure;
 use serde_json::Value;
 
-/// What every report of the whole scenario holds.
+/// Sections in every report of the whole scenario.
 const SECTIONS: [&str; 12] = [
     "grasp",
     "imitation",
@@ -28,7 +28,7 @@ const SECTIONS: [&str; 12] = [
     "trace_sha256",
 ];
 
-/// Figures that the whole scenario has, whatever else it has.
+/// Figures that every run of the whole scenario must have.
 const NEEDED: [&str; 8] = [
     "position error",
     "frequency error",

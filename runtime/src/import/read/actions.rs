@@ -1,10 +1,10 @@
-//! Executable content: what states and transitions do, as it was written.
+//! Reads executable content: the actions of states and transitions, as written.
 
 use roxmltree::Node;
 
 use super::{Action, Code, Content, Payload, Reader, Send, words};
 
-/// Deepest nesting of `<if>`: each `elseif` becomes a level of the chart's text.
+/// Deepest nesting of `<if>`: each `elseif` becomes a nesting level in the chart's text.
 const MAX_IFS: usize = 20;
 /// Deepest nesting of JSON.
 const MAX_JSON: usize = 20;
@@ -81,7 +81,7 @@ impl<'x> Reader<'x, '_> {
         }))
     }
 
-    /// What a `<send>` or a `<donedata>` gives.
+    /// The data of a `<send>` or a `<donedata>`.
     pub(super) fn data(&mut self, node: Node<'x, 'x>, inside: &str) -> Payload {
         let mut data = Payload::default();
         for child in node.children() {
@@ -101,7 +101,7 @@ impl<'x> Reader<'x, '_> {
         data
     }
 
-    /// One value: an expression, JSON, or a text with its white space made single spaces.
+    /// One value: an expression, JSON, or a text in which white space becomes single spaces.
     fn content(&mut self, node: Node<'x, 'x>) -> Option<Content> {
         if node.children().any(|child| child.is_element()) {
             self.error(node, "`<content>` with elements cannot be carried over: XML is no value here");
@@ -148,7 +148,7 @@ impl<'x> Reader<'x, '_> {
     }
 }
 
-/// Whether lists and maps stand inside one another in more than `levels` levels.
+/// Whether lists and maps are nested in more than `levels` levels.
 fn deeper(value: &serde_json::Value, levels: usize) -> bool {
     let below = |value: &serde_json::Value| levels == 0 || deeper(value, levels - 1);
     match value {

@@ -1,4 +1,4 @@
-//! From XML to a tree of states: SCXML's structure, with expressions and targets as they were written.
+//! Reads XML into a tree of states: SCXML's structure, with expressions and targets as written.
 
 mod actions;
 
@@ -8,9 +8,9 @@ use super::{ImportError, MAX_BYTES};
 
 const NAMESPACE: &str = "http://www.w3.org/2005/07/scxml";
 const XINCLUDE: &str = "http://www.w3.org/2001/XInclude";
-/// Deepest nesting of elements; 60 levels of states are within it.
+/// Deepest nesting of elements; enough for 60 levels of states.
 const MAX_DEPTH: usize = 150;
-/// Most elements and texts.
+/// Largest number of elements and texts.
 const MAX_NODES: u32 = 4_000_000;
 
 /// Number of a state in [`Document::states`].
@@ -21,7 +21,7 @@ pub(super) type Index = usize;
 pub(super) struct Document {
     pub(super) name: Option<String>,
     pub(super) states: Vec<State>,
-    /// What tools have left in the document beside SCXML: elements with their lines.
+    /// Elements with foreign names that tools have added to the document, with their lines.
     pub(super) foreign: Vec<(u32, String)>,
 }
 
@@ -43,13 +43,13 @@ pub(super) struct State {
     pub(super) kind: Kind,
     pub(super) parent: Option<Index>,
     pub(super) children: Vec<Index>,
-    /// Where it is entered by default, or a history's default.
+    /// The target that is entered by default, or a history's default.
     pub(super) initial: Option<Entry>,
     pub(super) transitions: Vec<Transition>,
-    /// Each `<onentry>` is a block of its own: an error ends only its block.
+    /// Each `<onentry>` is its own block: an error ends only its block.
     pub(super) enter: Vec<Vec<Action>>,
     pub(super) exit: Vec<Vec<Action>>,
-    /// What a final state tells, with expressions.
+    /// The data of a final state, with expressions.
     pub(super) data: Vec<(String, Code)>,
 }
 
@@ -70,7 +70,7 @@ pub(super) struct Entry {
 #[derive(Debug)]
 pub(super) struct Transition {
     pub(super) line: u32,
-    /// Event descriptors without their `.*`; none for a transition without event.
+    /// Event descriptors without their `.*`; empty for an eventless transition.
     pub(super) events: Vec<String>,
     pub(super) condition: Option<Code>,
     pub(super) targets: Vec<String>,
@@ -87,7 +87,7 @@ pub(super) enum Action {
     If(Vec<(Option<Code>, Vec<Action>)>),
 }
 
-/// Text that is written down, or given by an expression.
+/// A literal text, or an expression that gives one.
 #[derive(Debug)]
 pub(super) enum Text {
     Plain(String),
@@ -105,7 +105,7 @@ pub(super) struct Send {
     pub(super) data: Payload,
 }
 
-/// What goes with an event: named values, or one value.
+/// The data of an event: named values, or one value.
 #[derive(Debug, Default)]
 pub(super) struct Payload {
     pub(super) fields: Vec<(String, Code)>,
@@ -115,11 +115,11 @@ pub(super) struct Payload {
 #[derive(Debug)]
 pub(super) enum Content {
     Expr(Code),
-    /// JSON, or a text.
+    /// JSON or a text.
     Written(serde_json::Value),
 }
 
-/// Reads a document. What cannot be carried over is added to `errors`.
+/// Reads a document and appends what cannot be converted to `errors`.
 pub(super) fn document(text: &str, errors: &mut Vec<ImportError>) -> Option<Document> {
     if text.len() > MAX_BYTES {
         let message = format!("the document has more than {} MB", MAX_BYTES / 1_000_000);
@@ -128,7 +128,7 @@ pub(super) fn document(text: &str, errors: &mut Vec<ImportError>) -> Option<Docu
     }
     let options = ParsingOptions { allow_dtd: false, nodes_limit: MAX_NODES, ..ParsingOptions::default() };
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
-    // White space before the declaration is a mistake that many tools forgive.
+    // White space before the XML declaration is an error that many tools accept.
     let lead = text.len() - text.trim_start().len();
     let xml = match Xml::parse_with_options(&text[lead..], options) {
         Ok(xml) => xml,
@@ -161,7 +161,7 @@ impl<'x> Reader<'x, '_> {
         self.errors.push(ImportError { line, message: message.into() });
     }
 
-    /// The name of an element of SCXML's, or an error and nothing.
+    /// The name of an SCXML element. For any other element, adds an error and returns `None`.
     fn element(&mut self, node: Node<'x, 'x>) -> Option<&'x str> {
         if !node.is_element() {
             let text = node.text().unwrap_or("").trim();
@@ -180,7 +180,8 @@ impl<'x> Reader<'x, '_> {
         Some(tag.name())
     }
 
-    /// As [`Self::element`], where other elements only say something to the tools that wrote them.
+    /// As [`Self::element`], but elements with foreign names are only noted; they concern the tools that wrote
+    /// them.
     fn element_or_foreign(&mut self, node: Node<'x, 'x>) -> Option<&'x str> {
         let space = node.tag_name().namespace();
         if node.is_element() && space.is_some_and(|space| space != NAMESPACE && space != XINCLUDE) {
@@ -212,7 +213,7 @@ impl<'x> Reader<'x, '_> {
         Some(Code { line: self.line(node), text })
     }
 
-    /// An attribute, or the one that holds an expression for it.
+    /// An attribute, or its `expr` form.
     fn text(&mut self, node: Node<'x, 'x>, plain: &str, expr: &str) -> Option<Text> {
         match (node.attribute(plain), self.code(node, expr)) {
             (Some(_), Some(_)) => {
@@ -376,7 +377,7 @@ fn words(text: &str) -> Vec<String> {
     text.split_whitespace().map(str::to_owned).collect()
 }
 
-/// An event descriptor without what SCXML says does not matter: a `.*` or `.` at its end.
+/// An event descriptor without a final `.*` or `.`, which have no meaning in SCXML.
 fn descriptor(text: &str) -> String {
     let text = text.strip_suffix(".*").unwrap_or(text);
     text.strip_suffix('.').unwrap_or(text).to_owned()

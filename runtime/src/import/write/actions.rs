@@ -1,11 +1,12 @@
-//! Executable content as actions of the language; what cannot be sent becomes the error event that SCXML names.
+//! Writes executable content as actions of the language. What cannot be sent becomes the error event that SCXML
+//! names.
 
 use super::{Writer, value_of};
 use crate::import::read::{Action, Code, Content, Index, Send};
 use crate::import::yaml::{comment, json, quoted, scalar};
 
 impl Writer<'_> {
-    /// One block: what follows an action that fails for certain is left out, as SCXML does not do it.
+    /// Writes one block. Actions after one that always fails are left out, as SCXML does not run them.
     pub(super) fn actions(&mut self, at: Index, actions: &[Action], indent: usize) {
         for action in actions {
             match action {
@@ -46,7 +47,7 @@ impl Writer<'_> {
     fn choice(&mut self, at: Index, branches: &[(Option<Code>, Vec<Action>)], indent: usize) {
         let Some(((condition, actions), rest)) = branches.split_first() else { return };
         let Some(condition) = condition else {
-            // `else`: its actions stand where they are.
+            // `else`: its actions are written in place.
             return self.actions(at, actions, indent);
         };
         let Some(condition) = self.expression(at, condition) else { return };
@@ -59,7 +60,7 @@ impl Writer<'_> {
         }
     }
 
-    /// A key with a list that `items` writes, or an empty one.
+    /// Writes a key with a list that `items` writes, or an empty list.
     fn list(&mut self, key: &str, indent: usize, items: impl FnOnce(&mut Self)) {
         let before = self.out.len();
         self.line(indent, &format!("{key}:"));
@@ -71,7 +72,7 @@ impl Writer<'_> {
         }
     }
 
-    /// Gives whether the actions after it are done.
+    /// Returns whether the actions after it are run.
     fn send(&mut self, at: Index, send: &Send, indent: usize) -> bool {
         let Some(event) = self.text(at, &send.event) else { return true };
         let event = self.event(event.trim());
@@ -125,11 +126,11 @@ impl Writer<'_> {
     }
 }
 
-/// Where a `<send>` goes.
+/// The destination of a `<send>`.
 enum Delivery {
     External,
     Internal,
-    /// SCXML says which error event takes its place.
+    /// It cannot be sent: the error event that SCXML raises instead.
     Error(&'static str, String),
 }
 

@@ -1,4 +1,4 @@
-//! From the tree to the chart's text: names and paths resolved, transitions grouped by their events.
+//! Writes the tree as the chart's text: names and paths resolved, transitions grouped by their events.
 
 mod actions;
 
@@ -10,10 +10,10 @@ use super::names::{Names, ancestors};
 use super::read::{Code, Document, Entry, Index, Kind, State, Text, Transition};
 use super::yaml::{cel_string, comment, literal, quoted, scalar};
 
-/// The events of SCXML's own that a chart need not declare.
+/// SCXML's own events, which a chart need not declare.
 const KNOWN: [&str; 2] = ["error.execution", "error.communication"];
 
-/// Writes the chart. What cannot be carried over is added to `errors`.
+/// Writes the chart. What cannot be converted is appended to `errors`.
 pub(super) fn chart(document: &Document, names: &Names, errors: &mut Vec<ImportError>) -> String {
     let mut writer = Writer { document, names, errors, out: String::new() };
     writer.chart();
@@ -60,7 +60,7 @@ impl Writer<'_> {
         self.inside(0, 0);
     }
 
-    /// Ids that stand for two states.
+    /// Reports ids that are used for two states.
     fn twice(&mut self) {
         let mut seen = BTreeSet::new();
         let states = self.document.states.iter();
@@ -72,8 +72,8 @@ impl Writer<'_> {
         }
     }
 
-    /// The events that transitions name: those from outside have to be declared, and the document does not say
-    /// which those are.
+    /// The events that transitions name. Those from outside have to be declared, but the document does not say
+    /// which they are.
     fn events(&self) -> BTreeSet<String> {
         let transitions = self.document.states.iter().flat_map(|s| &s.transitions);
         let named = transitions.flat_map(|t| &t.events).filter(|e| *e != "*");
@@ -90,7 +90,7 @@ impl Writer<'_> {
         state.map_or_else(|| event.to_owned(), |s| format!("done.state.{}", self.names.name(s)))
     }
 
-    /// Everything of a state but its name.
+    /// Writes everything of a state but its name.
     fn inside(&mut self, at: Index, indent: usize) {
         let state = &self.document.states[at];
         let inner: Vec<Index> = state.children.clone();
@@ -252,7 +252,7 @@ impl Writer<'_> {
         }
     }
 
-    /// Whether a transition leaves its own state alone: SCXML asks for a composite and targets inside.
+    /// Whether a transition is internal: SCXML requires a composite source and all targets inside it.
     fn internal(&self, at: Index, transition: &Transition) -> bool {
         let inside = |id: &String| {
             self.names.find(id).is_some_and(|s| ancestors(self.document, s).skip(1).any(|a| a == at))
@@ -263,7 +263,7 @@ impl Writer<'_> {
             && transition.targets.iter().all(inside)
     }
 
-    /// One item of a list of transitions. `event` is a guard on the event's name.
+    /// One item of a list of transitions. `event` adds a guard on the event's name.
     fn transition(&mut self, at: Index, transition: &Transition, event: Option<&str>, indent: usize) {
         let mut parts = Vec::new();
         if !transition.targets.is_empty() {
@@ -325,14 +325,16 @@ impl Writer<'_> {
     }
 }
 
-/// The transitions of one pattern, in the document's order, each perhaps with the event that its guard asks for.
+/// The transitions of one pattern, in the document's order, each with the event name that its guard requires, if
+/// any.
 struct Group<'t> {
     pattern: String,
     transitions: Vec<(&'t Transition, Option<String>)>,
 }
 
-/// Transitions by pattern. A chart tries patterns in the order of the file, so a pattern that comes again after an
-/// overlapping one would be tried too early: then all stand under `*`, with guards on the event's name.
+/// Groups transitions by pattern. A chart tries patterns in the order of the file, so a pattern that appears again
+/// after an overlapping one would be tried too early. In that case all transitions are written under `*`, with
+/// guards on the event's name.
 fn groups(transitions: &[Transition]) -> Vec<Group<'_>> {
     let mut groups: Vec<Group<'_>> = Vec::new();
     for transition in transitions {
@@ -362,7 +364,7 @@ fn overlap(a: &str, b: &str) -> bool {
     a == "*" || b == "*" || inside(a, b) || inside(b, a)
 }
 
-/// The guard that an event has a name, or one that begins with its tokens.
+/// A guard that is true for this event name and for names that begin with its tokens.
 fn named(event: &str) -> String {
     let (exact, prefix) = (cel_string(event), cel_string(&format!("{event}.")));
     format!("(event.name == {exact} || event.name.startsWith({prefix}))")
