@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use armarium_runtime::chart::{self, Outline};
 use armarium_viewer::chart::{mermaid, plantuml, svg};
 
-use crate::render_findings::Shown;
 use crate::{changes, console};
 
 /// What `graph` takes.
@@ -43,7 +42,7 @@ fn draw(args: &GraphArgs, out: &mut dyn Write) -> io::Result<u8> {
     // The chart alone: what it names need not be there to be drawn.
     let library = chart::load(&args.chart, &[]);
     let Some(chart) = library.charts.get(&library.root) else {
-        console::show(&library.findings.iter().map(Shown::from).collect::<Vec<_>>(), out)?;
+        console::show(&library.findings, out)?;
         return Ok(2);
     };
     match std::fs::write(&args.output, render(&Outline::of(chart))) {

@@ -146,7 +146,7 @@ pub fn read_inputs(
 /// [`HostError`] when the run cannot begin, in which case nothing has moved, or when its report cannot be written.
 pub fn run(config: &RunConfig, console: &Arc<dyn Console>) -> Result<RunEnded, HostError> {
     let began = Instant::now();
-    let mut world = WorldFile::of(&config.chart, config.world.as_deref()).map_err(HostError::World)?;
+    let mut world = WorldFile::of(&config.chart, config.world.as_deref()).map_err(HostError::Findings)?;
     let name = world.called(config.name.as_deref());
     let network = match config.session(&world.world, name.is_some()) {
         Some(session) => Network::open(&session, name.as_deref(), &**console)?,

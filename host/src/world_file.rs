@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use armarium_simulator::{World, WorldError};
+use armarium_simulator::World;
+use armarium_source::Finding;
 
 /// A world, and the file that it is from.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,7 +19,7 @@ impl WorldFile {
     ///
     /// # Errors
     /// Everything that is wrong with the file.
-    pub fn of(chart: &Path, given: Option<&Path>) -> Result<Self, Vec<WorldError>> {
+    pub fn of(chart: &Path, given: Option<&Path>) -> Result<Self, Vec<Finding>> {
         let beside = Some(chart.with_extension("world.yaml")).filter(|file| file.is_file());
         let file = given.map(Path::to_owned).or(beside);
         let world = file.as_deref().map_or_else(|| Ok(World::default()), World::load)?;

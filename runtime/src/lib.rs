@@ -5,6 +5,7 @@
 //! - [`engine`]: the pure interpreter of programs, event in, effects out;
 //! - [`import`]: charts that were written in SCXML;
 //! - [`stepping`]: a chart driven by hand under virtual time;
+//! - [`test_cases`]: cases beside a chart, played by stepping;
 //! - [`agenda`]: what is due and when, over a time that is handed in: timers, watches, graces;
 //! - [`exec`]: runs charts on tokio: skills, the clock, the channels;
 //! - `remote`, with the feature of that name: charts and skills of other agents, over Zenoh;
@@ -20,11 +21,11 @@ pub mod channels;
 pub mod chart;
 pub mod engine;
 pub mod exec;
-mod finding;
 pub mod import;
 pub mod program;
 #[cfg(feature = "remote")]
 pub mod remote;
 pub mod skill;
 pub mod stepping;
+pub mod test_cases;
 pub mod trace;
