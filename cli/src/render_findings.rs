@@ -8,6 +8,11 @@ use miette::{
     NamedSource, SourceCode, SourceSpan, SpanContents,
 };
 
+/// Findings one a line, for messages of another kind.
+pub(crate) fn lines(findings: &[Finding]) -> String {
+    findings.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n")
+}
+
 /// How many findings are rendered; the others are counted.
 const MOST: usize = 50;
 

@@ -36,10 +36,9 @@ impl Source {
     /// A finding about the file as a whole.
     pub fn read(path: &Path) -> Result<Arc<Self>, Box<Finding>> {
         let refuse = |message: String, help: &str| {
-            let mut findings = Findings::new(Arc::new(Self::new(path, "")));
             let help = (!help.is_empty()).then(|| help.to_owned());
-            findings.error_help(code::FILE, Span::default(), message, help);
-            Box::new(findings.list.remove(0))
+            let source = Arc::new(Self::new(path, ""));
+            Box::new(Finding::error(source, code::FILE, Span::default(), message, help))
         };
         let mut bytes = Vec::new();
         std::fs::File::open(path)
@@ -113,6 +112,18 @@ pub struct Finding {
 }
 
 impl Finding {
+    /// An error.
+    #[must_use]
+    pub fn error(
+        source: Arc<Source>,
+        code: &'static str,
+        span: Span,
+        message: impl Into<String>,
+        help: Option<String>,
+    ) -> Self {
+        Self { severity: Severity::Error, code, source, span, message: message.into(), help }
+    }
+
     /// Line and column, both from 1.
     #[must_use]
     pub fn position(&self) -> (usize, usize) {

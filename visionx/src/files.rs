@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::path::{Path, PathBuf};
 
+use armarium_source::Finding;
 use image::{DynamicImage, ImageReader, Limits};
 
 use crate::frame::Image;
@@ -64,10 +65,10 @@ pub enum FileError {
     #[error("there is no PNG or JPEG file in it")]
     Empty,
     /// A file that describes cameras does not.
-    #[error("does not describe cameras: {what}")]
+    #[error("does not describe cameras: {}", findings.first().map_or_else(String::new, ToString::to_string))]
     Calibration {
-        /// Why not.
-        what: String,
+        /// Everything that is wrong with it.
+        findings: Vec<Finding>,
     },
 }
 
