@@ -4,9 +4,11 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use armarium_host::catalog;
+use armarium_runtime::test_cases::TestFile;
 use armarium_simulator::World;
+use armarium_source::{Finding, Source};
 
-use crate::render_findings::{Severity, Shown, any_error, render, summary};
+use crate::render_findings::{render, summary};
 
 /// What `check` takes.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -42,7 +44,7 @@ pub(crate) struct Style {
 pub(crate) fn run(
     args: &CheckArgs,
     style: Style,
-    check_chart: &dyn Fn(&Path, &[PathBuf]) -> Vec<Shown>,
+    check_chart: &dyn Fn(&Path, &[PathBuf]) -> Vec<Finding>,
     out: &mut dyn Write,
 ) -> io::Result<u8> {
     if args.watch {
@@ -56,7 +58,7 @@ pub(crate) fn run(
 fn once(
     args: &CheckArgs,
     style: Style,
-    check_chart: &dyn Fn(&Path, &[PathBuf]) -> Vec<Shown>,
+    check_chart: &dyn Fn(&Path, &[PathBuf]) -> Vec<Finding>,
     out: &mut dyn Write,
 ) -> io::Result<u8> {
     let mut findings = Vec::new();
@@ -73,73 +75,58 @@ fn once(
         write!(out, "{}", render(&findings, style.colour, style.width))?;
         writeln!(out, "{}", summary(&findings))?;
     }
-    Ok(if any_error(&findings) { 2 } else { 0 })
+    Ok(if findings.iter().any(Finding::is_error) { 2 } else { 0 })
 }
 
 fn check_file(
     file: &Path,
     charts: &[PathBuf],
-    check_chart: &dyn Fn(&Path, &[PathBuf]) -> Vec<Shown>,
-) -> Vec<Shown> {
-    match std::fs::read(file) {
-        Err(error) => vec![unreadable(file, &error)],
-        Ok(text) if is_world(&text) => match World::load(file) {
-            Ok(_) => Vec::new(),
-            Err(errors) => errors.iter().map(Shown::from).collect(),
-        },
-        Ok(text) if is_cases(&text) => crate::test_cases::read(file)
-            .err()
-            .map(|message| Shown {
-                message,
-                help: String::new(),
-                code: "test::form".into(),
-                ..unreadable(file, &io::Error::other(""))
-            })
-            .into_iter()
-            .collect(),
-        Ok(_) => check_chart(file, charts),
-    }
+    check_chart: &dyn Fn(&Path, &[PathBuf]) -> Vec<Finding>,
+) -> Vec<Finding> {
+    let text = match Source::read(file) {
+        Ok(source) => source,
+        Err(finding) => return vec![*finding],
+    };
+    let read = if is_world(&text.text) {
+        World::load(file).map(drop)
+    } else if is_cases(&text.text) {
+        TestFile::read(text).map(drop)
+    } else {
+        return check_chart(file, charts);
+    };
+    read.err().unwrap_or_default()
 }
 
 /// Everything that is wrong with a chart, against the skills that ship.
-pub(crate) fn check_chart(file: &Path, folders: &[PathBuf]) -> Vec<Shown> {
-    catalog::load_idle(file, folders).findings.iter().map(Shown::from).collect()
+pub(crate) fn check_chart(file: &Path, folders: &[PathBuf]) -> Vec<Finding> {
+    catalog::load_idle(file, folders).findings
 }
 
 /// Whether a file says that it is a world: it has the key `world` and not the key `statechart` at its outermost level.
-fn is_world(text: &[u8]) -> bool {
+fn is_world(text: &str) -> bool {
     has_key(text, "world:") && !has_key(text, "statechart:")
 }
 
 /// Whether a file holds test cases of a chart.
-fn is_cases(text: &[u8]) -> bool {
+fn is_cases(text: &str) -> bool {
     has_key(text, "test:") && !has_key(text, "statechart:")
 }
 
-fn has_key(text: &[u8], key: &str) -> bool {
-    text.split(|byte| *byte == b'\n').any(|line| line.starts_with(key.as_bytes()))
-}
-
-fn unreadable(file: &Path, error: &io::Error) -> Shown {
-    Shown {
-        severity: Severity::Error,
-        code: "file::unreadable".into(),
-        file: file.to_owned(),
-        line: 0,
-        column: 0,
-        span: (0, 0),
-        message: format!("cannot be read: {error}"),
-        help: "is the path right?".into(),
-    }
+fn has_key(text: &str, key: &str) -> bool {
+    text.lines().any(|line| line.starts_with(key))
 }
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
+    use armarium_source::{Findings, Severity, Span, code};
+
     use super::*;
 
     const PLAIN: Style = Style { colour: false, width: 100 };
 
-    fn check(files: &[&Path], json: bool, chart: &dyn Fn(&Path, &[PathBuf]) -> Vec<Shown>) -> (u8, String) {
+    fn check(files: &[&Path], json: bool, chart: &dyn Fn(&Path, &[PathBuf]) -> Vec<Finding>) -> (u8, String) {
         let files = files.iter().map(|file| file.to_path_buf()).collect();
         let mut out = Vec::new();
         let status = run(&CheckArgs { files, json, ..Default::default() }, PLAIN, chart, &mut out);
@@ -148,16 +135,16 @@ mod tests {
 
     #[test]
     fn a_world_is_told_from_a_chart() {
-        assert!(is_world(b"# a comment\nworld: kitchen\n"));
-        assert!(!is_world(b"statechart: A\ninputs:\n  world: {type: string}\n"));
-        assert!(!is_world(b"statechart: A\nworld: odd\n"));
+        assert!(is_world("# a comment\nworld: kitchen\n"));
+        assert!(!is_world("statechart: A\ninputs:\n  world: {type: string}\n"));
+        assert!(!is_world("statechart: A\nworld: odd\n"));
     }
 
     #[test]
     fn a_file_that_is_not_there_is_an_error_of_its_own() {
         let (status, text) = check(&[Path::new("nowhere.yaml")], false, &|_, _| Vec::new());
         assert_eq!(status, 2);
-        assert!(text.contains("nowhere.yaml") && text.contains("file::unreadable"), "{text}");
+        assert!(text.contains("nowhere.yaml") && text.contains("E001"), "{text}");
     }
 
     #[test]
@@ -166,7 +153,9 @@ mod tests {
         let file = folder.path().join("a.yaml");
         std::fs::write(&file, "statechart: A\n").expect("the folder can be written");
         let warn = |file: &Path, _: &[PathBuf]| {
-            vec![Shown { severity: Severity::Warning, ..unreadable(file, &io::Error::other("odd")) }]
+            let mut findings = Findings::new(Arc::new(Source::new(file, "")));
+            findings.add(Severity::Warning, code::UNUSED, Span::default(), "odd", None);
+            findings.list
         };
         assert_eq!(check(&[&file], false, &warn).0, 0);
         assert_eq!(check(&[&file], false, &|_, _| Vec::new()), (0, "the file is in order\n".to_owned()));
@@ -183,5 +172,15 @@ mod tests {
         let (status, text) = check(&[&file], false, &|_, _| Vec::new());
         assert_eq!(status, 2);
         assert!(text.contains("w.yaml:2:1") && text.contains("tabel"), "{text}");
+    }
+    #[test]
+    fn what_is_wrong_with_test_cases_is_found_in_its_line() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let file = folder.path().join("a.test.yaml");
+        std::fs::write(&file, "test: a.yaml\ncases:\n- case: one\n  steps: [{afer: 2s}]\n")
+            .expect("it can be written");
+        let (status, text) = check(&[&file], false, &|_, _| Vec::new());
+        assert_eq!(status, 2);
+        assert!(text.contains("a.test.yaml:4:12") && text.contains("did you mean `after`?"), "{text}");
     }
 }

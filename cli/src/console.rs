@@ -5,12 +5,12 @@ use std::process;
 use std::sync::Arc;
 
 use armarium_host::{Clock, Console, HostError};
-use armarium_runtime::chart::Finding;
+use armarium_source::Finding;
 use armarium_viewer::progress::{Progress, Status};
 
 use crate::connection_args::explained;
 use crate::logging;
-use crate::render_findings::{Shown, render, summary};
+use crate::render_findings::{render, summary};
 
 /// The terminal. Notes go to standard output, or to standard error if that shows the progress.
 pub(crate) struct Terminal {
@@ -62,10 +62,9 @@ impl Console for Terminal {
     }
 
     fn warnings(&self, findings: &[Finding]) {
-        let shown: Vec<Shown> = findings.iter().map(Shown::from).collect();
-        self.note(render(&shown, self.colour(), 100).trim_end_matches('\n'));
+        self.note(render(findings, self.colour(), 100).trim_end_matches('\n'));
         if self.shows_progress {
-            self.note(&summary(&shown));
+            self.note(&summary(findings));
         }
     }
 
@@ -88,8 +87,7 @@ impl Console for Terminal {
 /// When `out` cannot be written.
 pub(crate) fn refuse(error: &HostError, out: &mut dyn Write) -> io::Result<u8> {
     match error {
-        HostError::Chart(findings) => show(&findings.iter().map(Shown::from).collect::<Vec<_>>(), out)?,
-        HostError::World(errors) => show(&errors.iter().map(Shown::from).collect::<Vec<_>>(), out)?,
+        HostError::Findings(findings) => show(findings, out)?,
         HostError::Session(error) => writeln!(out, "error: {}", explained(error))?,
         error => writeln!(out, "error: {error}")?,
     }
@@ -100,7 +98,7 @@ pub(crate) fn refuse(error: &HostError, out: &mut dyn Write) -> io::Result<u8> {
 ///
 /// # Errors
 /// When `out` cannot be written.
-pub(crate) fn show(findings: &[Shown], out: &mut dyn Write) -> io::Result<()> {
+pub(crate) fn show(findings: &[Finding], out: &mut dyn Write) -> io::Result<()> {
     let colour = io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
     write!(out, "{}", render(findings, colour, 100))?;
     writeln!(out, "{}", summary(findings))

@@ -7,7 +7,6 @@ use std::path::{Path, PathBuf};
 use armarium_runtime::chart::{self, Outline};
 use armarium_viewer::chart::{mermaid, plantuml, svg};
 
-use crate::render_findings::Shown;
 use crate::{changes, console};
 
 /// Arguments of `graph`.
@@ -44,7 +43,7 @@ fn draw(args: &GraphArgs, out: &mut dyn Write) -> io::Result<u8> {
     // Only this chart is loaded: the charts and skills that it names need not exist.
     let library = chart::load(&args.chart, &[]);
     let Some(chart) = library.charts.get(&library.root) else {
-        console::show(&library.findings.iter().map(Shown::from).collect::<Vec<_>>(), out)?;
+        console::show(&library.findings, out)?;
         return Ok(2);
     };
     match std::fs::write(&args.output, render(&Outline::of(chart))) {

@@ -1,99 +1,29 @@
-//! What is wrong with a file, for people and for programs: the text under a caret with code and help, or JSON.
-//!
-//! Rooms give findings as data of their own; [`Shown`] is what the program makes of any of them. Nothing is printed
-//! here.
+//! What is wrong with a file, for people: the text under a caret, with code and help. Nothing is printed here.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use armarium_runtime::chart::Finding;
-use armarium_simulator::WorldError;
+use armarium_source::Finding;
 use miette::{
     Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, MietteError, MietteSpanContents,
     NamedSource, SourceCode, SourceSpan, SpanContents,
 };
-use serde::Serialize;
 
-/// How much a finding matters.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub(crate) enum Severity {
-    /// The file cannot be used.
-    Error,
-    /// The file can be used, but probably does not say what is meant.
-    Warning,
-}
-
-/// One finding with its place.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub(crate) struct Shown {
-    /// How much it matters.
-    pub(crate) severity: Severity,
-    /// A stable code, for instance `world::unknown_key`.
-    pub(crate) code: String,
-    /// The file.
-    pub(crate) file: PathBuf,
-    /// Line from 1; 0 when the file as a whole is meant.
-    pub(crate) line: usize,
-    /// Column from 1, in characters.
-    pub(crate) column: usize,
-    /// Byte offset and length in the file's text.
-    pub(crate) span: (usize, usize),
-    /// What is wrong.
-    pub(crate) message: String,
-    /// What to do about it; may be empty.
-    pub(crate) help: String,
-}
-
-impl From<&WorldError> for Shown {
-    fn from(error: &WorldError) -> Self {
-        Self {
-            severity: Severity::Error,
-            code: error.code.to_owned(),
-            file: error.file.clone(),
-            line: error.line,
-            column: error.column,
-            span: error.span,
-            message: error.message.clone(),
-            help: error.help.clone(),
-        }
-    }
-}
-
-impl From<&Finding> for Shown {
-    fn from(finding: &Finding) -> Self {
-        let (line, column) = finding.position();
-        // A finding about a file without text is about the file as a whole.
-        let whole = finding.source.text.is_empty();
-        Self {
-            severity: if finding.is_error() { Severity::Error } else { Severity::Warning },
-            code: finding.code.to_owned(),
-            file: finding.source.path.clone(),
-            line: if whole { 0 } else { line },
-            column: if whole { 0 } else { column },
-            span: (finding.span.start, finding.span.end.saturating_sub(finding.span.start)),
-            message: finding.message.clone(),
-            help: finding.help.clone().unwrap_or_default(),
-        }
-    }
+/// Findings one a line, for messages of another kind.
+pub(crate) fn lines(findings: &[Finding]) -> String {
+    findings.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n")
 }
 
 /// How many findings are rendered; the others are counted.
 const MOST: usize = 50;
 
-/// Findings as text for a terminal, `width` columns wide, each with its line of the file; files are read once.
-pub(crate) fn render(findings: &[Shown], colour: bool, width: usize) -> String {
+/// Findings as text for a terminal, `width` columns wide, each with its line of the file.
+pub(crate) fn render(findings: &[Finding], colour: bool, width: usize) -> String {
     let theme = if colour { GraphicalTheme::unicode() } else { GraphicalTheme::unicode_nocolor() };
     let handler = GraphicalReportHandler::new_themed(theme).with_links(false).with_width(width.max(40));
-    let mut sources: BTreeMap<&Path, Option<Arc<str>>> = BTreeMap::new();
     let mut out = String::new();
     for finding in findings.iter().take(MOST) {
-        let read = || std::fs::read_to_string(&finding.file).ok().map(Into::into);
-        let text = sources.entry(&finding.file).or_insert_with(read).clone();
-        let diagnostic = Rendered::new(finding, text);
-        if handler.render_report(&mut out, &diagnostic).is_err() {
-            out.push_str(&plain(finding));
+        if handler.render_report(&mut out, &Rendered::new(finding)).is_err() {
+            out.push_str(&format!("{finding}\n"));
         }
         out.push('\n');
     }
@@ -139,22 +69,11 @@ fn shortened(text: &str, (start, length): (usize, usize)) -> Option<(String, (us
     Some((short, place))
 }
 
-/// A finding on one line.
-fn plain(finding: &Shown) -> String {
-    let Shown { file, line, column, message, .. } = finding;
-    format!("{}:{line}:{column}: {message}\n", file.display())
-}
-
 /// `3 errors, 1 warning`.
-pub(crate) fn summary(findings: &[Shown]) -> String {
-    let count = |severity| findings.iter().filter(|finding| finding.severity == severity).count();
+pub(crate) fn summary(findings: &[Finding]) -> String {
+    let errors = findings.iter().filter(|finding| finding.is_error()).count();
     let plural = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
-    format!("{}, {}", plural(count(Severity::Error), "error"), plural(count(Severity::Warning), "warning"))
-}
-
-/// Whether a run is out of the question.
-pub(crate) fn any_error(findings: &[Shown]) -> bool {
-    findings.iter().any(|finding| finding.severity == Severity::Error)
+    format!("{}, {}", plural(errors, "error"), plural(findings.len() - errors, "warning"))
 }
 
 /// A file's text, or what is left of it where its lines are very long.
@@ -184,28 +103,31 @@ impl SourceCode for Cut {
     }
 }
 
-/// A finding with the text that it points into.
+/// A finding with the text that it points into, unless it is about the file as a whole.
 #[derive(Debug)]
 struct Rendered<'a> {
-    finding: &'a Shown,
+    finding: &'a Finding,
     source: Option<Cut>,
+    /// First byte and length in the text that is shown.
     span: (usize, usize),
 }
 
 impl<'a> Rendered<'a> {
-    fn new(finding: &'a Shown, text: Option<Arc<str>>) -> Self {
-        let mut span = finding.span;
-        let source = text.filter(|text| finding.line > 0 && span.0 <= text.len()).map(|text| {
+    fn new(finding: &'a Finding) -> Self {
+        let whole = &finding.source.text;
+        let mut span = (finding.span.start, finding.span.end.saturating_sub(finding.span.start));
+        let shown = !finding.is_about_the_file() && whole.is_char_boundary(span.0);
+        let source = shown.then(|| {
             let column = |text: &str, at: usize| at - text[..at].rfind('\n').map_or(0, |line| line + 1);
-            let (text, columns) = match shortened(&text, span) {
-                None => (text, 0),
+            let (text, columns) = match shortened(whole, span) {
+                None => (whole.as_str().into(), 0),
                 Some((short, place)) => {
-                    let lost = column(&text, span.0).saturating_sub(column(&short, place.0));
+                    let lost = column(whole, span.0).saturating_sub(column(&short, place.0));
                     span = place;
                     (short.into(), lost)
                 }
             };
-            Cut { text: NamedSource::new(finding.file.display().to_string(), text), columns }
+            Cut { text: NamedSource::new(finding.source.path.display().to_string(), text), columns }
         });
         Self { finding, source, span }
     }
@@ -215,7 +137,7 @@ impl std::fmt::Display for Rendered<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self.source {
             Some(_) => f.write_str(&self.finding.message),
-            None => write!(f, "{}: {}", self.finding.file.display(), self.finding.message),
+            None => write!(f, "{}: {}", self.finding.source.path.display(), self.finding.message),
         }
     }
 }
@@ -224,18 +146,15 @@ impl std::error::Error for Rendered<'_> {}
 
 impl Diagnostic for Rendered<'_> {
     fn code<'a>(&'a self) -> Option<Box<dyn std::fmt::Display + 'a>> {
-        Some(Box::new(&self.finding.code))
+        Some(Box::new(self.finding.code))
     }
 
     fn severity(&self) -> Option<miette::Severity> {
-        Some(match self.finding.severity {
-            Severity::Error => miette::Severity::Error,
-            Severity::Warning => miette::Severity::Warning,
-        })
+        Some(if self.finding.is_error() { miette::Severity::Error } else { miette::Severity::Warning })
     }
 
     fn help<'a>(&'a self) -> Option<Box<dyn std::fmt::Display + 'a>> {
-        (!self.finding.help.is_empty()).then(|| Box::new(&self.finding.help) as Box<dyn std::fmt::Display>)
+        self.finding.help.as_ref().map(|help| Box::new(help) as Box<dyn std::fmt::Display>)
     }
 
     fn source_code(&self) -> Option<&dyn SourceCode> {
@@ -252,30 +171,25 @@ impl Diagnostic for Rendered<'_> {
 
 #[cfg(test)]
 mod tests {
+    use armarium_source::{Severity, Source, Span, code};
+
     use super::*;
 
-    fn finding(file: &Path, line: usize, span: (usize, usize)) -> Shown {
-        Shown {
+    fn finding(text: &str, (start, length): (usize, usize)) -> Finding {
+        Finding {
             severity: Severity::Error,
-            code: "chart::unknown_skill".into(),
-            file: file.to_owned(),
-            line,
-            column: 10,
-            span,
+            code: code::SKILL,
+            source: Arc::new(Source::new("a.yaml", text)),
+            span: Span { start, end: start + length },
             message: "there is no skill `MoveJonts`".into(),
-            help: "did you mean `MoveJoints`?".into(),
+            help: Some("did you mean `MoveJoints`?".into()),
         }
     }
 
     #[test]
     fn a_finding_has_file_line_column_caret_code_and_help() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let file = folder.path().join("a.yaml");
-        std::fs::write(&file, "states:\n  A: {skill: MoveJonts}\n").expect("the folder can be written");
-        let text = render(&[finding(&file, 2, (21, 9))], false, 200);
-        for part in
-            ["a.yaml:2:14", "chart::unknown_skill", "no skill `MoveJonts`", "did you mean `MoveJoints`?"]
-        {
+        let text = render(&[finding("states:\n  A: {skill: MoveJonts}\n", (21, 9))], false, 200);
+        for part in ["a.yaml:2:14", "E012", "no skill `MoveJonts`", "did you mean `MoveJoints`?"] {
             assert!(text.contains(part), "{part} in\n{text}");
         }
         let marked = text.lines().skip_while(|line| !line.contains("{skill: MoveJonts}")).nth(1);
@@ -284,24 +198,17 @@ mod tests {
 
     #[test]
     fn a_place_outside_of_the_file_and_a_missing_file_are_still_said() {
-        let missing = Path::new("nowhere.yaml");
-        let text = render(&[finding(missing, 2, (3, 4)), finding(missing, 0, (0, 0))], false, 80);
-        assert_eq!(text.matches("nowhere.yaml").count(), 2, "{text}");
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let file = folder.path().join("a.yaml");
-        std::fs::write(&file, "é\n").expect("the folder can be written");
+        let text = render(&[finding("", (3, 4)), finding("", (0, 0))], false, 80);
+        assert_eq!(text.matches("a.yaml").count(), 2, "{text}");
         for span in [(0, 1), (1, 1), (3, 0), (3, 900), (900, 1)] {
-            assert!(render(&[finding(&file, 1, span)], true, 80).contains("MoveJonts"), "{span:?}");
+            assert!(render(&[finding("é\n", span)], true, 80).contains("MoveJonts"), "{span:?}");
         }
     }
 
     #[test]
     fn a_very_long_line_is_cut_and_its_place_kept() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let file = folder.path().join("a.yaml");
         let line = format!("{}MoveJonts{}", "é".repeat(1000), "y".repeat(1000));
-        std::fs::write(&file, format!("a\n{line}\n{line}\n")).expect("the folder can be written");
-        let text = render(&[finding(&file, 2, (2002, 9))], false, 200);
+        let text = render(&[finding(&format!("a\n{line}\n{line}\n"), (2002, 9))], false, 200);
         assert!(text.contains("a.yaml:2:") && text.lines().all(|line| line.chars().count() < 260), "{text}");
         let at = |mark: &str| text.lines().position(|line| line.contains(mark)).expect(mark);
         let marked = text.lines().nth(at("éMoveJonts") + 1).expect("there is a line for the caret");
@@ -310,7 +217,7 @@ mod tests {
 
     #[test]
     fn many_findings_are_counted() {
-        let many = vec![finding(Path::new("x"), 0, (0, 0)); 60];
+        let many = vec![finding("", (0, 0)); 60];
         assert!(render(&many, false, 80).ends_with("... and 10 more\n"));
         assert_eq!(summary(&many), "60 errors, 0 warnings");
         assert_eq!(summary(&many[..1]), "1 error, 0 warnings");

@@ -114,7 +114,7 @@ async fn live(
     let mut until = std::pin::pin!(until);
     let _name = take_name(session, &config.name).await?;
     let world = config.world.as_deref().map_or_else(|| Ok(World::default()), World::load);
-    let world = world.map_err(HostError::World)?;
+    let world = world.map_err(HostError::Findings)?;
     let mut kept = memory_of_agent(&config.name, &world, &config.store, config.policies.clone())?;
     kept.retention = config.retention;
     kept.guarded = config.access.is_some();

@@ -45,14 +45,14 @@ fn unusable(name: &str, why: impl ToString) -> HostError {
 /// Renders the scenes of runs; never returns without an error.
 ///
 /// # Errors
-/// [`HostError::World`], [`HostError::Images`] and [`HostError::Session`].
+/// [`HostError::Findings`], [`HostError::Images`] and [`HostError::Session`].
 pub async fn serve_cameras(
     config: &CamerasConfig,
     session: &Session,
     console: &dyn Console,
 ) -> Result<(), HostError> {
     let world = config.world.as_deref().map_or_else(|| Ok(World::default()), World::load);
-    let world = world.map_err(HostError::World)?;
+    let world = world.map_err(HostError::Findings)?;
     let name = &config.name;
     let mut cameras = DistantCameras::new(&world, config.seed).map_err(|error| unusable(name, error))?;
     let described = Description::of_stereo(DistantCameras::name(), FRAME_ID, &cameras.calibration());

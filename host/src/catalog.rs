@@ -5,11 +5,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_memoryx::{Memory, WorkingMemory, tokio_clock};
-use armarium_runtime::chart::{self, ChannelSchema, Checked, Finding, Registry};
+use armarium_runtime::chart::{self, ChannelSchema, Checked, Registry};
 use armarium_runtime::program::Program;
 use armarium_runtime::remote::Agents;
 use armarium_runtime::skill::Skill;
 use armarium_simulator::{Options, Simulation, World};
+use armarium_source::Finding;
 use armarium_states::{Equipment, observers};
 
 use crate::console::Console;
@@ -85,7 +86,7 @@ pub async fn load_connected(
 /// The program of a chart without errors; reports its warnings.
 ///
 /// # Errors
-/// [`HostError::Chart`] with all errors.
+/// [`HostError::Findings`] with all that is wrong.
 pub fn runnable(checked: Checked, console: &dyn Console) -> Result<Arc<Program>, HostError> {
     let is_wrong = checked.findings.iter().any(Finding::is_error);
     match checked.program {
@@ -95,6 +96,6 @@ pub fn runnable(checked: Checked, console: &dyn Console) -> Result<Arc<Program>,
             }
             Ok(program)
         }
-        _ => Err(HostError::Chart(checked.findings)),
+        _ => Err(HostError::Findings(checked.findings)),
     }
 }

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use armarium_runtime::chart::Finding;
+use armarium_source::Finding;
 use armarium_viewer::progress::Status;
 
 /// Returns the time of the robot's world, ns.

@@ -4,22 +4,19 @@ use std::path::PathBuf;
 
 use armarium_bus::SessionError;
 use armarium_memoryx::MemoryError;
-use armarium_runtime::chart::Finding;
 use armarium_runtime::remote::ServeError;
 use armarium_runtime::skill::InputError;
-use armarium_simulator::{SimulationError, WorldError};
+use armarium_simulator::SimulationError;
+use armarium_source::Finding;
 use armarium_viewer::recorder::RecorderError;
 
 /// Why a run or an agent cannot start or continue.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum HostError {
-    /// The chart has errors.
-    #[error("the chart has errors: {}", .0.iter().find(|f| f.is_error()).map_or_else(String::new, ToString::to_string))]
-    Chart(Vec<Finding>),
-    /// The world file has errors.
-    #[error("the world has errors: {}", .0.first().map_or_else(String::new, ToString::to_string))]
-    World(Vec<WorldError>),
+    /// A chart, world or other file has errors.
+    #[error("{}", .0.iter().find(|f| f.is_error()).map_or_else(String::new, ToString::to_string))]
+    Findings(Vec<Finding>),
     /// The world has no agent of that name.
     #[error("the world `{world}` has no agent `{name}` (it has {known}); give its file with --world")]
     UnknownAgent {

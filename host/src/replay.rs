@@ -149,8 +149,8 @@ impl Replay {
     /// Opens a record and its chart.
     ///
     /// # Errors
-    /// [`HostError::File`] and [`HostError::Record`] when the record cannot be read; [`HostError::Chart`] when its
-    /// chart has errors now; [`HostError::Inputs`] when the chart no longer accepts the run's inputs.
+    /// [`HostError::File`] and [`HostError::Record`] when it cannot be read; [`HostError::Findings`] when its chart is not in
+    /// order any more; [`HostError::Inputs`] when the chart does not take the run's inputs any more.
     pub fn open(path: &Path) -> Result<Self, HostError> {
         let unreadable =
             |source| HostError::File { what: "the record cannot be read:", path: path.to_owned(), source };
@@ -160,7 +160,7 @@ impl Replay {
         let source: RunSource = serde_json::from_str(&first)
             .map_err(|error| no_record(format!("this is not the record of a run: {error}")))?;
         let checked = catalog::load_idle(&source.chart, &source.charts);
-        let program = checked.program.ok_or(HostError::Chart(checked.findings))?;
+        let program = checked.program.ok_or(HostError::Findings(checked.findings))?;
         let engine = Engine::new(program, &source.inputs, source.profile.as_deref())?;
         Ok(Self { engine, lines, path: path.to_owned(), number: 0, effects: Vec::new() })
     }

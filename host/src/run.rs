@@ -148,7 +148,7 @@ pub fn read_inputs(
 #[expect(clippy::disallowed_methods, reason = "the report says how long the run took by the wall")]
 pub fn run(config: &RunConfig, console: &Arc<dyn Console>) -> Result<RunEnded, HostError> {
     let began = Instant::now();
-    let mut world = WorldFile::of(&config.chart, config.world.as_deref()).map_err(HostError::World)?;
+    let mut world = WorldFile::of(&config.chart, config.world.as_deref()).map_err(HostError::Findings)?;
     let name = world.called(config.name.as_deref());
     let network = match config.session(&world.world, name.is_some()) {
         Some(session) => Network::open(&session, name.as_deref(), &**console)?,

@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use armarium_simulator::{World, WorldError};
+use armarium_simulator::World;
+use armarium_source::Finding;
 
 /// A world and its file.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,8 +18,8 @@ impl WorldFile {
     /// The world of `given`, else of `NAME.world.yaml` beside the chart `NAME.yaml` if there is one.
     ///
     /// # Errors
-    /// All errors of the file.
-    pub fn of(chart: &Path, given: Option<&Path>) -> Result<Self, Vec<WorldError>> {
+    /// Everything that is wrong with the file.
+    pub fn of(chart: &Path, given: Option<&Path>) -> Result<Self, Vec<Finding>> {
         let beside = Some(chart.with_extension("world.yaml")).filter(|file| file.is_file());
         let file = given.map(Path::to_owned).or(beside);
         let world = file.as_deref().map_or_else(|| Ok(World::default()), World::load)?;

@@ -5,6 +5,7 @@
 //! - [`engine`]: the pure interpreter of programs: inputs in, effects out;
 //! - [`import`]: converts charts from SCXML;
 //! - [`stepping`]: drives a chart by hand under virtual time;
+//! - [`test_cases`]: plays the cases beside a chart by stepping;
 //! - [`agenda`]: what is due and when: timers, watches, deadlines of cancelled skills; the time is passed in;
 //! - [`exec`]: runs charts on tokio: skills, the clock, the channels;
 //! - `remote`, with the feature of that name: charts and skills of other agents, over Zenoh;
@@ -20,11 +21,11 @@ pub mod channels;
 pub mod chart;
 pub mod engine;
 pub mod exec;
-mod finding;
 pub mod import;
 pub mod program;
 #[cfg(feature = "remote")]
 pub mod remote;
 pub mod skill;
 pub mod stepping;
+pub mod test_cases;
 pub mod trace;

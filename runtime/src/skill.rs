@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use armarium_source::suggest;
 use armarium_values::{ConvertError, Type, Value};
 use futures::future::BoxFuture;
 use serde::{Deserialize, Serialize};
@@ -13,7 +14,6 @@ use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use crate::channels::Channels;
-use crate::finding::suggest;
 
 /// What a skill declares about itself; used by the checker, the editor's schema and `armarium skills`.
 #[derive(Clone, Debug, PartialEq)]

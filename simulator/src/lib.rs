@@ -27,4 +27,4 @@ pub use error::SimulationError;
 pub use referee::{Mark, Referee, RefereeReport};
 pub use simulation::{Handle, Options, Simulation};
 pub use truth::{TruthDigest, TruthEvent, TruthSample, TruthSink};
-pub use world::{World, WorldError};
+pub use world::World;

@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::path::{Path, PathBuf};
 
+use armarium_source::Finding;
 use image::{DynamicImage, ImageReader, Limits};
 
 use crate::frame::Image;
@@ -62,11 +63,11 @@ pub enum FileError {
     /// The folder contains no image.
     #[error("there is no PNG or JPEG file in it")]
     Empty,
-    /// A file that should describe cameras does not.
-    #[error("does not describe cameras: {what}")]
+    /// A file that describes cameras does not.
+    #[error("does not describe cameras: {}", findings.first().map_or_else(String::new, ToString::to_string))]
     Calibration {
-        /// The reason.
-        what: String,
+        /// Everything that is wrong with it.
+        findings: Vec<Finding>,
     },
 }
 

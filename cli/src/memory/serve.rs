@@ -11,6 +11,7 @@ use clap::Args;
 use super::reach::USUAL_ENDPOINT;
 use super::{Failure, Inferences, LOCAL, MemoryArgs, keep};
 use crate::connection_args::AccessArgs;
+use crate::render_findings::lines;
 use armarium_host::connection::take_name;
 
 #[derive(Clone, Debug, Args)]
@@ -55,7 +56,9 @@ pub(super) async fn serve(args: &MemoryArgs, serve: &ServeArgs, out: &mut dyn Wr
     config.guarded = access.is_some();
     config.infer = serve.infer.iter().map(|what| what.inference()).collect();
     if let Some(folder) = &serve.prior {
-        config.prior = PriorKnowledge::load(folder).map_err(|error| Failure::Argument(error.to_string()))?;
+        config.prior = PriorKnowledge::load(folder).map_err(|findings| {
+            Failure::Argument(format!("prior knowledge cannot be used:\n{}", lines(&findings)))
+        })?;
     }
     config.policies = serve.kept.policies(Policies::all(Policy::Everything)).map_err(Failure::Argument)?;
     if let (Some(option), None) = (serve.kept.given(), &args.store) {

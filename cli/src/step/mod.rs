@@ -15,7 +15,6 @@ use armarium_runtime::program::Program;
 use armarium_runtime::stepping::Stepper;
 
 use crate::console;
-use crate::render_findings::Shown;
 use crate::run::parse_input;
 use armarium_host::{catalog, run::read_inputs};
 
@@ -67,7 +66,7 @@ enum Stopped {
 pub(crate) fn run(args: &StepArgs, out: &mut dyn Write, err: &mut dyn Write) -> io::Result<u8> {
     let checked = catalog::load_idle(&args.chart, &args.charts);
     let Some(program) = checked.program else {
-        return console::show(&checked.findings.iter().map(Shown::from).collect::<Vec<_>>(), err).map(|()| 2);
+        return console::show(&checked.findings, err).map(|()| 2);
     };
     match drive(args, &program, out, err) {
         Ok(()) => Ok(0),

@@ -1,9 +1,9 @@
 //! Single images: a hand with its gesture, fingertips and pixels; an object of one colour.
 
-use std::fs;
 use std::io::{self, Write};
 use std::path::Path;
 
+use armarium_source::Source;
 use armarium_visionx::files::{images_in, read_image};
 use armarium_visionx::tracking::{GestureRecognizer, HandInPicture};
 use armarium_visionx::{ColorModel, Image, Region, annotate, components};
@@ -12,6 +12,7 @@ use nalgebra::Point2;
 use super::LookArgs;
 use super::album::Album;
 use super::report::{ErrorLine, HandLine, MarkerLine, MarkerPlace, SkinLine, Tip, json, rounded};
+use crate::render_findings::lines;
 
 /// What to search for.
 #[derive(Clone, Debug)]
@@ -63,9 +64,8 @@ pub(super) fn run(args: &LookArgs, seek: &Seek, out: &mut dyn Write, err: &mut d
 /// The recogniser with the patterns of a file, or with the built-in ones.
 pub(super) fn recognizer(patterns: Option<&Path>) -> Result<GestureRecognizer, String> {
     let Some(path) = patterns else { return Ok(GestureRecognizer::default()) };
-    let shown = path.display();
-    let text = fs::read_to_string(path).map_err(|e| format!("{shown}: {e}"))?;
-    GestureRecognizer::from_yaml(&text).map_err(|e| format!("{shown}: {e}"))
+    let source = Source::read(path).map_err(|finding| finding.to_string())?;
+    GestureRecognizer::read(source).map_err(|findings| lines(&findings))
 }
 
 pub(super) fn refuse(message: &str, err: &mut dyn Write) -> io::Result<u8> {
@@ -207,6 +207,8 @@ pub(super) fn mark(image: &mut Image, at: &Point2<f64>, radius: f64) {
 #[cfg(test)]
 mod tests {
     use super::super::AnnotateArgs;
+    use std::fs;
+
     use super::*;
 
     fn looked(args: LookArgs, seek: &Seek) -> (u8, String, String) {

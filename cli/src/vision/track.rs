@@ -1,9 +1,9 @@
 //! A sequence of images from an unknown camera: tracks the fingertips of one hand from image to image.
 
-use std::fs;
 use std::io::{self, Write};
 use std::path::Path;
 
+use armarium_source::Source;
 use armarium_visionx::tracking::{
     ContourNode, FilterFrame, FingerARModel, GestureRecognizer, HandInPicture, ParticleFilterFingerTracking,
     TipCandidate,
@@ -18,6 +18,7 @@ use super::album::Album;
 use super::look::{hand_line, mark, refuse};
 use super::report::{ErrorLine, HandLine, Tip, json, rounded};
 use super::sequence::Sequence;
+use crate::render_findings::lines;
 
 /// Number of particles; analysing an image takes far longer than they do.
 const PARTICLES: usize = 300;
@@ -124,8 +125,8 @@ pub(super) fn run(args: &TrackArgs, out: &mut dyn Write, err: &mut dyn Write) ->
 /// The model in a file, or the built-in one.
 pub(super) fn model(path: Option<&Path>) -> Result<FingerARModel, String> {
     let Some(path) = path else { return Ok(FingerARModel::default()) };
-    let text = fs::read_to_string(path).map_err(|e| format!("{}: {e}", path.display()))?;
-    FingerARModel::from_yaml(&text).map_err(|e| format!("{}: {e}", path.display()))
+    let source = Source::read(path).map_err(|finding| finding.to_string())?;
+    FingerARModel::read(source).map_err(|findings| lines(&findings))
 }
 
 fn complain(

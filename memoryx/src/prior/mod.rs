@@ -10,7 +10,10 @@
 
 use std::collections::BTreeMap;
 
+use armarium_source::yaml::Node;
+use armarium_source::{Field, Findings, Rule};
 use armarium_values::{Frame, Pose, Value};
+use serde::Serialize;
 
 use crate::attributes::Attributes;
 use crate::entity::{Commit, EntityId, Snapshot, check_name};
@@ -31,7 +34,8 @@ pub const PRIOR: &str = "prior";
 pub const OBJECT_FRAME: &str = "object";
 
 /// How an object of a class is found in images.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Recognition {
     /// By the colour of its surface, segmented in both eyes.
@@ -95,6 +99,25 @@ impl Recognition {
     }
 }
 
+impl Field for Recognition {
+    fn read(&mut self, node: &Node, _: &Rule, findings: &mut Findings) {
+        armarium_source::word(self, &Self::NAMES, node, findings);
+    }
+    fn schema(_: &Rule) -> serde_json::Value {
+        serde_json::json!({"enum": Self::NAMES.map(|(name, _)| name)})
+    }
+}
+
+/// What is impossible about an object class.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{field}: {what}")]
+pub struct Impossible {
+    /// The key that files use.
+    pub field: &'static str,
+    /// What is wrong with it.
+    pub what: String,
+}
+
 impl ObjectClass {
     /// A class that is found by its colour, with nothing else known. `size`: extent along x, y and z, m.
     #[must_use]
@@ -120,26 +143,33 @@ impl ObjectClass {
     /// Says what is impossible about the class, if anything is.
     ///
     /// # Errors
-    /// The field and what is wrong with it.
-    pub fn check(&self) -> Result<(), (&'static str, String)> {
+    /// The key that files use, and what is wrong with it.
+    pub fn check(&self) -> Result<(), Impossible> {
+        let impossible = |field, what| Err(Impossible { field, what });
         let possible = |x: f64, most: f64| x.is_finite() && x > 0.0 && x <= most;
         if let Err(error) = check_name(&self.name) {
-            return Err(("object", error.to_string()));
+            return impossible("object", error.to_string());
         }
         if !self.size.iter().all(|x| possible(*x, 10.0)) {
-            return Err(("size", format!("{:?} m are not three lengths over 0 and up to 10 m", self.size)));
+            return impossible(
+                "size",
+                format!("{:?} m are not three lengths over 0 and up to 10 m", self.size),
+            );
         }
         if let Some(mass) = self.mass.filter(|m| !possible(*m, 1000.0)) {
-            return Err(("mass", format!("{mass} kg is not over 0 and up to 1000 kg")));
+            return impossible("mass", format!("{mass} kg is not over 0 and up to 1000 kg"));
         }
         for (i, grasp) in self.grasps.iter().enumerate() {
             let numbers = grasp.pose.position.iter().chain(&grasp.pose.orientation);
             let lengths = grasp.approach.iter().chain(&grasp.aperture);
             if !numbers.chain(lengths).all(|x| x.is_finite()) {
-                return Err(("grasps", format!("grasp `{}` has a number that is not finite", grasp.name)));
+                return impossible(
+                    "grasps",
+                    format!("grasp `{}` has a number that is not finite", grasp.name),
+                );
             }
             if self.grasps[..i].iter().any(|other| other.name == grasp.name) {
-                return Err(("grasps", format!("two grasps are named `{}`", grasp.name)));
+                return impossible("grasps", format!("two grasps are named `{}`", grasp.name));
             }
         }
         Ok(())
@@ -179,7 +209,7 @@ impl ObjectClass {
             recognition: method.ok_or_else(|| missing("recognition", "the name of a method"))?,
             grasps: grasps.ok_or_else(|| missing("grasps", "a list of grasps with name and pose"))?,
         };
-        class.check().map_err(|(attribute, what)| wrong(attribute, what))?;
+        class.check().map_err(|Impossible { field, what }| wrong(field, what))?;
         Ok(class)
     }
 
@@ -256,9 +286,9 @@ impl PriorKnowledge {
     /// # Errors
     /// [`MemoryError::Schema`] when it is impossible.
     pub fn add(&mut self, class: ObjectClass) -> Result<(), MemoryError> {
-        class.check().map_err(|(attribute, what)| MemoryError::Schema {
+        class.check().map_err(|Impossible { field, what }| MemoryError::Schema {
             id: format!("{OBJECT_CLASSES}/{PRIOR}/{}", class.name),
-            attribute: attribute.into(),
+            attribute: field.into(),
             what,
         })?;
         self.classes.insert(class.name.clone(), class);
@@ -366,7 +396,7 @@ mod tests {
             (ObjectClass { name: "a/b".into(), ..base() }, "object"),
             (ObjectClass { grasps: [base().grasps, base().grasps].concat(), ..base() }, "grasps"),
         ] {
-            assert_eq!(class.check().unwrap_err().0, field);
+            assert_eq!(class.check().unwrap_err().field, field);
             assert!(PriorKnowledge::new().add(class).is_err());
         }
     }

@@ -13,15 +13,15 @@
 //! `frame` is `root` if not given. A scene is no belief about now: [`Scene::commits`] makes one of it.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::sync::Arc;
 
+use armarium_source::yaml::Node;
+use armarium_source::{Finding, Findings, Rule, Source, code, form, read_node};
 use armarium_values::{Frame, Pose, Value};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
-use schemars::JsonSchema;
-use serde::Deserialize;
-use serde_saphyr::Spanned;
 
-use super::file::{Finding, finding, place};
+use super::PriorKnowledge;
+use super::file::duplicate;
 use crate::entity::{Commit, EntityId, check_name};
 use crate::error::MemoryError;
 
@@ -52,76 +52,81 @@ pub struct Scene {
     pub things: Vec<Placed>,
 }
 
-/// A scene as a file says it.
-#[derive(Debug, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-#[schemars(title = "Scene of prior knowledge")]
-struct SceneFile {
-    /// The scene's name.
-    #[schemars(with = "String")]
-    scene: Spanned<String>,
-    /// A sentence for people.
-    #[serde(default)]
-    description: String,
-    /// The frame of all poses.
-    #[serde(default = "root")]
-    frame: String,
-    /// Things of known classes.
-    #[serde(default)]
-    objects: Vec<ObjectFile>,
-    /// Tables, walls and other places.
-    #[serde(default)]
-    environment: Vec<EnvironmentFile>,
+form! {
+    /// A scene as a file says it.
+    struct SceneFile: "a scene" {
+        /// The scene's name.
+        scene: String;
+        /// A sentence for people.
+        description: String = String::new();
+        /// The frame of all poses.
+        frame: String = Frame::root().0;
+        /// Things of known classes.
+        objects: Vec<ObjectFile> = Vec::new();
+        /// Tables, walls and other places.
+        environment: Vec<EnvironmentFile> = Vec::new();
+    }
 }
 
-/// A thing of a known class as a file says it.
-#[derive(Debug, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-struct ObjectFile {
-    /// Its name in the scene.
-    #[schemars(with = "String")]
-    name: Spanned<String>,
-    /// The name of its class, which another file of the folder has.
-    #[schemars(with = "String")]
-    class: Spanned<String>,
-    /// Its centre, m.
-    position: [f64; 3],
-    /// Roll, pitch and yaw about the frame's fixed x, y and z, degrees.
-    #[serde(default)]
-    rpy_deg: [f64; 3],
+form! {
+    /// A thing of a known class as a file says it.
+    struct ObjectFile: "an object of a scene" {
+        /// Its name in the scene.
+        name: String;
+        /// The name of its class, which another file of the folder has.
+        class: String;
+        /// Its centre, m.
+        position: [f64; 3], Rule::unit("m");
+        /// Roll, pitch and yaw about the frame's fixed x, y and z, degrees.
+        rpy_deg: [f64; 3] = [0.0; 3], Rule::unit("deg");
+    }
 }
 
-/// A part of the environment as a file says it.
-#[derive(Debug, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-struct EnvironmentFile {
-    /// Its name in the scene.
-    #[schemars(with = "String")]
-    name: Spanned<String>,
-    /// Its centre, m.
-    position: [f64; 3],
-    /// Roll, pitch and yaw about the frame's fixed x, y and z, degrees.
-    #[serde(default)]
-    rpy_deg: [f64; 3],
-    /// Extent along its own x, y and z, m.
-    size: [f64; 3],
+form! {
+    /// A part of the environment as a file says it.
+    struct EnvironmentFile: "a part of the environment" {
+        /// Its name in the scene.
+        name: String;
+        /// Its centre, m.
+        position: [f64; 3], Rule::unit("m");
+        /// Roll, pitch and yaw about the frame's fixed x, y and z, degrees.
+        rpy_deg: [f64; 3] = [0.0; 3], Rule::unit("deg");
+        /// Extent along its own x, y and z, m.
+        size: [f64; 3], Rule::unit("m");
+    }
 }
 
-fn root() -> String {
-    Frame::root().0
-}
-
-/// The JSON schema of a file.
+/// The JSON schema of a scene's file.
 #[must_use]
 pub fn schema() -> serde_json::Value {
-    schemars::schema_for!(SceneFile).to_value()
+    armarium_source::schema::<SceneFile>()
 }
 
-/// A scene that was read, with the places of its name and of the classes that it names.
-pub(super) struct Read {
-    pub(super) scene: Scene,
-    pub(super) place: Option<(u64, u64)>,
-    pub(super) classes: Vec<(String, Option<(u64, u64)>)>,
+/// What is impossible about a thing of a scene.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SceneError {
+    /// Its name cannot be part of an address.
+    #[error(transparent)]
+    Name(#[from] MemoryError),
+    /// Another one has its name.
+    #[error("two things are named `{name}`")]
+    Twice {
+        /// The name.
+        name: String,
+    },
+    /// A number is not finite.
+    #[error("`{name}` has a number that is not finite")]
+    NotFinite {
+        /// The thing.
+        name: String,
+    },
+    /// Its size is none.
+    #[error("`{name}` has a size that is not three lengths over 0 m")]
+    Size {
+        /// The thing.
+        name: String,
+    },
 }
 
 /// Whether a file is one of a scene: its outermost level has the key `scene`.
@@ -129,32 +134,42 @@ pub(super) fn is_scene(text: &str) -> bool {
     text.lines().any(|line| line.starts_with("scene:"))
 }
 
-/// The scene in a file.
-pub(super) fn parse(file: &Path, text: &str) -> Result<Read, Finding> {
-    let options = serde_saphyr::options! { strict_booleans: true, with_snippet: false };
-    let parsed: SceneFile = serde_saphyr::from_str_with_options(text, options).map_err(|error| {
-        let place = error.location().map(|at| (at.line(), at.column()));
-        Finding { place, ..finding(file, "prior.syntax", error.to_string()) }
-    })?;
-    let wrong =
-        |at: Option<(u64, u64)>, what: String| Finding { place: at, ..finding(file, "prior.value", what) };
-    check_name(&parsed.scene.value).map_err(|e| wrong(place(&parsed.scene), format!("scene: {e}")))?;
-    let mut scene =
-        Scene { name: parsed.scene.value.clone(), description: parsed.description, things: Vec::new() };
-    let mut classes = Vec::new();
-    for object in &parsed.objects {
-        classes.push((object.class.value.clone(), place(&object.class)));
-        let class = Some(object.class.value.clone());
-        let pose = pose(&parsed.frame, object.position, object.rpy_deg);
-        let thing = Placed { name: object.name.value.clone(), class, pose, size: None };
-        scene.add(thing).map_err(|what| wrong(place(&object.name), what))?;
+/// The scene in a file, whose classes are known and whose name is new.
+///
+/// # Errors
+/// Everything that is wrong with it.
+pub(super) fn read(source: Arc<Source>, known: &PriorKnowledge) -> Result<Scene, Vec<Finding>> {
+    let (file, root) = read_node::<SceneFile>(Arc::clone(&source))?;
+    let mut findings = Findings::new(source);
+    let name = root.place("scene");
+    if let Err(error) = check_name(&file.scene) {
+        findings.error(code::NAME, name, format!("scene: {error}"));
     }
-    for part in &parsed.environment {
-        let pose = pose(&parsed.frame, part.position, part.rpy_deg);
-        let thing = Placed { name: part.name.value.clone(), class: None, pose, size: Some(part.size) };
-        scene.add(thing).map_err(|what| wrong(place(&part.name), what))?;
+    if known.scene(&file.scene).is_some() {
+        findings.list.push(duplicate(Arc::clone(&findings.source), name, &file.scene));
     }
-    Ok(Read { scene, place: place(&parsed.scene), classes })
+    let mut scene = Scene { name: file.scene, description: file.description, things: Vec::new() };
+    let nodes = |list: &str| root.get(list).map_or(&[][..], Node::items);
+    let objects = file.objects.into_iter().map(|o| (o.name, Some(o.class), o.position, o.rpy_deg, None));
+    let parts = file.environment.into_iter().map(|p| (p.name, None, p.position, p.rpy_deg, Some(p.size)));
+    let nodes = nodes("objects").iter().chain(nodes("environment"));
+    for ((name, class, position, rpy_deg, size), node) in objects.chain(parts).zip(nodes) {
+        if let Some(class) = class.as_deref().filter(|class| known.class(class).is_none()) {
+            let help = Some("a file of the same folder has to describe it: `object: NAME` ...".into());
+            let message = format!("there is no object class `{class}`");
+            findings.error_help(code::REFERENCE, node.place("class"), message, help);
+        }
+        let pose = pose(&file.frame, position, rpy_deg);
+        if let Err(error) = scene.add(Placed { name, class, pose, size }) {
+            let code = match error {
+                SceneError::Name(_) => code::NAME,
+                SceneError::Twice { .. } => code::DUPLICATE,
+                _ => code::VALUE,
+            };
+            findings.error(code, node.place("name"), error.to_string());
+        }
+    }
+    if findings.list.is_empty() { Ok(scene) } else { Err(findings.list) }
 }
 
 fn pose(frame: &str, position: [f64; 3], rpy_deg: [f64; 3]) -> Pose {
@@ -168,17 +183,18 @@ impl Scene {
     ///
     /// # Errors
     /// What is impossible about it.
-    pub fn add(&mut self, thing: Placed) -> Result<(), String> {
-        check_name(&thing.name).map_err(|error| error.to_string())?;
+    pub fn add(&mut self, thing: Placed) -> Result<(), SceneError> {
+        check_name(&thing.name)?;
+        let name = || thing.name.clone();
         if self.things.iter().any(|other| other.name == thing.name) {
-            return Err(format!("two things are named `{}`", thing.name));
+            return Err(SceneError::Twice { name: name() });
         }
         let numbers = thing.pose.position.iter().chain(&thing.pose.orientation);
         if !numbers.chain(thing.size.iter().flatten()).all(|x| x.is_finite()) {
-            return Err(format!("`{}` has a number that is not finite", thing.name));
+            return Err(SceneError::NotFinite { name: name() });
         }
         if thing.size.is_some_and(|size| size.iter().any(|x| *x <= 0.0)) {
-            return Err(format!("`{}` has a size that is not three lengths over 0 m", thing.name));
+            return Err(SceneError::Size { name: name() });
         }
         self.things.push(thing);
         Ok(())
@@ -230,10 +246,7 @@ impl Placed {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use super::*;
-    use crate::prior::PriorKnowledge;
     use crate::working::WorkingMemory;
 
     const BREAKFAST: &str = "\
@@ -250,7 +263,7 @@ environment:
         let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
         write("a_scene.yaml", scene);
         write("cup.yaml", "object: cup\ncolor: [40, 170, 60]\nsize: [0.08, 0.08, 0.1]\n");
-        PriorKnowledge::load(folder.path()).map_err(|error| error.findings)
+        PriorKnowledge::load(folder.path())
     }
 
     #[test]
@@ -278,16 +291,16 @@ environment:
     #[test]
     fn problems_are_named_with_their_place() {
         let cases = [
-            ("class: cup", "class: mug", "prior.class", Some((4, 24))),
-            ("name: table", "name: cup", "prior.value", Some((6, 12))),
-            ("1.6, 0.8", "1.6, -0.8", "prior.value", Some((6, 12))),
-            ("name: cup", "name: a/b", "prior.value", Some((4, 12))),
-            ("scene: breakfast", "scene: 'a*'", "prior.value", Some((1, 8))),
-            ("rpy_deg", "angles", "prior.syntax", Some((4, 57))),
+            ("class: cup", "class: mug", code::REFERENCE, (4, 24)),
+            ("name: table", "name: cup", code::DUPLICATE, (6, 12)),
+            ("1.6, 0.8", "1.6, -0.8", code::VALUE, (6, 12)),
+            ("name: cup", "name: a/b", code::NAME, (4, 12)),
+            ("scene: breakfast", "scene: 'a*'", code::NAME, (1, 8)),
+            ("rpy_deg", "angles", code::KEY, (4, 57)),
         ];
         for (from, to, code, place) in cases {
             let findings = loaded(&BREAKFAST.replacen(from, to, 1)).unwrap_err();
-            let found: Vec<_> = findings.iter().map(|f| (f.code, f.place)).collect();
+            let found: Vec<_> = findings.iter().map(|f| (f.code, f.position())).collect();
             assert_eq!(found, [(code, place)], "{to}: {findings:?}");
         }
     }

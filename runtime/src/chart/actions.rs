@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
+use armarium_source::yaml::{Named, Node};
+use armarium_source::{code, suggest};
 use armarium_values::Type;
 
 use super::compile::Compiler;
 use super::expressions::Site;
 use super::model::{self, ActionKind};
-use super::yaml::{Named, Node};
-use crate::finding::{code, suggest};
 use crate::program::{Action, Pattern, Send, StateId, Term, Transition};
 
 impl<'t> Compiler<'t> {

@@ -4,6 +4,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+use armarium_source::on_a_large_stack;
+use armarium_source::yaml::{Named, Node};
+use armarium_source::{Finding, Findings, code, suggest};
 use armarium_values::{Type, Value};
 
 use super::catalog::{ChannelSchema, Registry};
@@ -12,10 +15,6 @@ use super::flatten::{Inside, Tree, flatten, number};
 use super::library::Library;
 use super::lint::lint;
 use super::model::{self, Chart};
-use super::read::literal;
-use super::stack::on_a_large_stack;
-use super::yaml::{Named, Node};
-use crate::finding::{Finding, Findings, code, suggest};
 use crate::program::{
     Binding, Code, Entry, Kind, Place, Program, State, StateId, Symbols, Term, Transition, Watch,
 };
@@ -349,7 +348,7 @@ fn event_types(library: &Library) -> BTreeMap<String, Type> {
 
 fn profiles(root: &Chart) -> BTreeMap<String, BTreeMap<String, Value>> {
     let values = |entries: &Vec<(Named, Node)>| {
-        entries.iter().map(|(name, node)| (name.text.clone(), literal(node))).collect()
+        entries.iter().map(|(name, node)| (name.text.clone(), node.literal())).collect()
     };
     root.profiles.iter().map(|(name, entries)| (name.clone(), values(entries))).collect()
 }

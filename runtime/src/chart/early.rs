@@ -7,7 +7,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::finding::{Finding, Findings, Span, code};
+use armarium_source::{Finding, Findings, Span, code};
+
 use crate::program::{Action, Binding, Code, Kind, Program, State, StateId, Term};
 
 /// States that all searches together may visit; after that nothing more is proven.

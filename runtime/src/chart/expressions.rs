@@ -3,6 +3,8 @@
 
 use std::cell::{Cell, RefCell};
 
+use armarium_source::yaml::{Node, Yaml};
+use armarium_source::{Findings, Span, code};
 use armarium_values::expr::{
     Environment, Expr, ExprErrorKind, Piece, Slot, Unknown, Unresolved, Variable, nearest, split,
 };
@@ -10,8 +12,6 @@ use armarium_values::{Fit, Type, Value};
 
 use super::catalog::ChannelSchema;
 use super::flatten::{Tree, number};
-use super::yaml::{Node, Yaml};
-use crate::finding::{Findings, Span, code};
 use crate::program::{Code, Place, StateId, Term};
 
 /// Mistakes for which the nearest name is looked for.
@@ -299,7 +299,7 @@ fn term(node: &Node, scope: &Scope<'_, '_>, findings: &mut Findings) -> Option<(
             let terms: Vec<_> = items.iter().map(|n| term(n, scope, findings)).collect();
             let terms: Vec<(Term, Type)> = terms.into_iter().collect::<Option<_>>()?;
             if terms.iter().all(|(t, _)| matches!(t, Term::Literal(_))) {
-                return Some((Term::Literal(super::read::literal(node).unescape()), Type::Any));
+                return Some((Term::Literal(node.literal().unescape()), Type::Any));
             }
             let list = terms.into_iter().map(|(t, _)| t).collect();
             Some((Term::List(list), Type::list(Type::Any)))
@@ -310,11 +310,11 @@ fn term(node: &Node, scope: &Scope<'_, '_>, findings: &mut Findings) -> Option<(
                 terms.push((key.text.clone(), term(node, scope, findings)?.0));
             }
             if terms.iter().all(|(_, t)| matches!(t, Term::Literal(_))) {
-                return Some((Term::Literal(super::read::literal(node).unescape()), Type::Any));
+                return Some((Term::Literal(node.literal().unescape()), Type::Any));
             }
             Some((Term::Map(terms), Type::map(Type::Any)))
         }
-        _ => Some((Term::Literal(super::read::literal(node)), Type::Any)),
+        _ => Some((Term::Literal(node.literal()), Type::Any)),
     }
 }
 

@@ -4,14 +4,14 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use armarium_source::yaml::Named;
+use armarium_source::{Finding, Findings, Severity, Source, code, suggest};
 use armarium_values::Type;
 
 use super::catalog::Registry;
 use super::library::Library;
 use super::model::{self, Chart};
 use super::read::MAX_LEVELS;
-use super::yaml::Named;
-use crate::finding::{Finding, Findings, Severity, Source, code, suggest};
 use crate::program::{Instance, StateId, Variable};
 use crate::skill::{Limits, Parameter, SkillManifest};
 

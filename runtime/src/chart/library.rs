@@ -5,10 +5,11 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use armarium_source::yaml::{self, Named};
+use armarium_source::{Finding, Findings, Source, code, suggest};
+
 use super::model::{Chart, Kind, State};
 use super::read;
-use super::yaml::{self, MAX_BYTES, Named};
-use crate::finding::{Finding, Findings, Source, Span, code, suggest};
 
 /// A chart with all the charts that it names, as far as they could be read.
 #[derive(Clone, Debug)]
@@ -25,13 +26,13 @@ pub struct Library {
 #[must_use]
 pub fn load(path: &Path, search_dirs: &[PathBuf]) -> Library {
     let mut library = Library { root: String::new(), charts: BTreeMap::new(), findings: Vec::new() };
-    let (source, error) = read_source(path);
-    if let Some(message) = error {
-        let mut findings = Findings::new(source);
-        findings.error(code::FILE, Span { start: 0, end: 0 }, message);
-        library.findings = findings.list;
-        return library;
-    }
+    let source = match Source::read(path) {
+        Ok(source) => source,
+        Err(finding) => {
+            library.findings.push(*finding);
+            return library;
+        }
+    };
     let folder = path.parent().map_or_else(PathBuf::new, Path::to_path_buf);
     let mut folders = vec![folder];
     folders.extend(search_dirs.iter().cloned());
@@ -45,34 +46,6 @@ pub fn load_text(name: &str, text: &str, search_dirs: &[PathBuf]) -> Library {
     let mut library = Library { root: String::new(), charts: BTreeMap::new(), findings: Vec::new() };
     library.add_root(Arc::new(Source::new(name, text)), search_dirs);
     library
-}
-
-fn read_source(path: &Path) -> (Arc<Source>, Option<String>) {
-    let empty = || Arc::new(Source::new(path, ""));
-    let mut bytes = Vec::new();
-    let read =
-        std::fs::File::open(path).and_then(|file| file.take(MAX_BYTES as u64 + 1).read_to_end(&mut bytes));
-    if let Err(error) = read {
-        return (empty(), Some(format!("the file cannot be read: {error}")));
-    }
-    if bytes.len() > MAX_BYTES {
-        return (empty(), Some(too_large()));
-    }
-    match String::from_utf8(bytes) {
-        Ok(text) => (Arc::new(Source::new(path, text)), None),
-        Err(error) => {
-            let utf16 = matches!(error.as_bytes(), [0xff, 0xfe, ..] | [0xfe, 0xff, ..]);
-            let what = if utf16 { "UTF-16" } else { "not UTF-8 text" };
-            let at = error.utf8_error().valid_up_to();
-            (empty(), Some(format!("the file is {what} (byte {at}): save it as UTF-8")))
-        }
-    }
-}
-
-/// What is said of a file over the limit.
-pub(super) fn too_large() -> String {
-    let limit = MAX_BYTES / 1_000_000;
-    format!("the file has more than {limit} MB: use `statechart:` for parts in files of their own")
 }
 
 fn parse(source: Arc<Source>) -> (Option<Chart>, Vec<Finding>) {
@@ -132,17 +105,18 @@ impl Library {
                 findings.error_help(code::CHART, name.span, message, Some(help));
                 None
             }
-            [one] => {
-                let (source, error) = read_source(one);
-                if let Some(message) = error {
-                    findings.error(code::FILE, name.span, format!("{}: {message}", one.display()));
+            [one] => match Source::read(one) {
+                Err(finding) => {
+                    let message = format!("{}: {}", one.display(), finding.message);
+                    findings.error_help(code::FILE, name.span, message, finding.help);
                     None
-                } else {
+                }
+                Ok(source) => {
                     let (chart, list) = parse(source);
                     self.findings.extend(list);
                     chart.map(Arc::new)
                 }
-            }
+            },
             [one, two, ..] => {
                 let message =
                     format!("two charts are called `{}`: {} and {}", name.text, one.display(), two.display());

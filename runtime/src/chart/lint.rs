@@ -4,12 +4,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+use armarium_source::{Finding, Findings, Severity, Span, code, suggest};
+
 use super::early::early;
 use super::expressions::{MAX_HELP, MAX_NAMES};
 use super::flatten::Tree;
 use super::library::Library;
 use super::model::{self, ActionKind};
-use crate::finding::{Finding, Findings, Severity, Span, code, suggest};
 use crate::program::{Kind, Program, State, StateId};
 
 /// What is wrong with a program as a whole. Where names of states are `unknown`, what cannot be reached is not known

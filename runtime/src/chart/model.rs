@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use armarium_source::yaml::{Named, Node};
+use armarium_source::{Source, Span};
 use armarium_values::Type;
 
-use super::yaml::{Named, Node};
-use crate::finding::{Source, Span};
 use crate::skill::{Limits, Parameter};
 
 /// One chart file.

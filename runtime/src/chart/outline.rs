@@ -1,8 +1,9 @@
 //! A chart as a picture needs it: its states with what is written at them, its transitions between them. Names that
 //! stand for nothing are left out; finding them is the check's business.
 
+use armarium_source::yaml::{Node, Yaml};
+
 use super::model::{self, Action, ActionKind, Chart, Kind, State};
-use super::yaml::{Node, Yaml};
 
 /// A chart's states and transitions; state 0 is the chart itself.
 #[derive(Clone, Debug, PartialEq)]
@@ -212,6 +213,6 @@ fn text(node: &Node) -> String {
             Some(inner) => inner.trim().to_owned(),
             None => s.clone(),
         },
-        _ => super::read::literal(node).to_json().to_string(),
+        _ => node.literal().to_json().to_string(),
     }
 }

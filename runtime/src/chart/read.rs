@@ -3,36 +3,17 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_values::{Type, Unit, Value};
+use armarium_source::yaml::{Entries, Named, Node, Yaml};
+use armarium_source::{Findings, Key, Span, code, suggest};
+use armarium_values::{Type, Unit};
 
+use super::forms;
 use super::model::{Chart, Kind};
-use super::yaml::{Named, Node, Yaml};
-use crate::finding::{Findings, Span, code, suggest};
 use crate::skill::{Limits, Parameter};
 
 /// Deepest nesting of states.
 pub(crate) const MAX_LEVELS: usize = 60;
 
-pub(super) const CHART_KEYS: &[&str] = &[
-    "statechart",
-    "description",
-    "inputs",
-    "outputs",
-    "locals",
-    "types",
-    "events",
-    "profiles",
-    "limits",
-    "initial",
-    "states",
-    "parallel",
-    "enter",
-    "exit",
-    "watch",
-    "after",
-    "always",
-    "transitions",
-];
 const RESERVED: &[&str] = &[
     "inputs",
     "locals",
@@ -83,8 +64,6 @@ pub(super) struct Reader<'f> {
     types: BTreeMap<String, Type>,
 }
 
-pub(super) type Entries = [(Named, Node)];
-
 pub(super) fn get<'n>(entries: &'n Entries, key: &str) -> Option<&'n Node> {
     entries.iter().find(|(k, _)| k.text == key).map(|(_, v)| v)
 }
@@ -95,28 +74,15 @@ impl Reader<'_> {
     }
 
     pub(super) fn form(&mut self, node: &Node, expected: &str) {
-        let message = format!("{expected} is needed here, not {}", node.value.describe());
-        self.error(code::FORM, node.span, message);
+        self.findings.form(node, expected);
     }
 
     pub(super) fn entries<'n>(&mut self, node: &'n Node) -> &'n Entries {
-        match &node.value {
-            Yaml::Map(entries) => entries,
-            Yaml::Null => &[],
-            _ => {
-                self.form(node, "a map");
-                &[]
-            }
-        }
+        self.findings.entries(node)
     }
 
-    pub(super) fn known(&mut self, entries: &Entries, keys: &[&str], of: &str) {
-        for (key, _) in entries.iter().filter(|(key, _)| !keys.contains(&key.text.as_str())) {
-            let help = suggest(&key.text, keys.iter().copied())
-                .unwrap_or_else(|| format!("{of} has the keys {}", keys.join(", ")));
-            let message = format!("{of} has no key `{}`", key.text);
-            self.findings.error_help(code::KEY, key.span, message, Some(help));
-        }
+    pub(super) fn known(&mut self, entries: &Entries, keys: &[Key], called: &str) {
+        self.findings.known(entries, keys, called);
     }
 
     pub(super) fn text(&mut self, node: &Node) -> Option<Named> {
@@ -147,7 +113,7 @@ impl Reader<'_> {
             self.form(node, "a chart (a map with the key `statechart`)");
             return None;
         };
-        self.known(entries, CHART_KEYS, "a chart");
+        self.known(entries, forms::CHART, "a chart");
         let Some(name) = get(entries, "statechart").and_then(|n| self.text(n)) else {
             if get(entries, "statechart").is_none() {
                 self.error(code::MISSING_KEY, node.span, "a chart begins with `statechart: Name`");
@@ -178,7 +144,7 @@ impl Reader<'_> {
             let mut data = None;
             if !matches!(node.value, Yaml::Null) {
                 let form = self.entries(node);
-                self.known(form, &["data", "description"], "an event");
+                self.known(form, forms::EVENT, "an event");
                 data = get(form, "data").map(|fields| {
                     let fields = self.entries(fields).iter();
                     let one = |(name, node): &(Named, Node)| {
@@ -198,7 +164,7 @@ impl Reader<'_> {
         for (key, node) in self.entries(types) {
             self.name(key);
             let form = self.entries(node);
-            self.known(form, &["enum", "description"], "a type");
+            self.known(form, forms::TYPE, "a type");
             let words = get(form, "enum").map(|n| &n.value);
             let Some(Yaml::List(items)) = words else {
                 self.error(code::FORM, node.span, "a type is declared as `{enum: [word, ...]}`");
@@ -222,7 +188,7 @@ impl Reader<'_> {
                         self.findings.error_help(code::INPUT, key.span, message, help);
                     }
                     Some(input) => {
-                        if let Err(error) = input.accept(literal(value)) {
+                        if let Err(error) = input.accept(value.literal()) {
                             self.error(code::TYPE, value.span, error.to_string());
                         }
                     }
@@ -247,14 +213,13 @@ impl Reader<'_> {
         } else {
             self.entries(node)
         };
-        let keys = ["type", "unit", "default", "minimum", "maximum", "description", "enum"];
-        self.known(entries, &keys, "a declaration");
+        self.known(entries, forms::DECLARATION, "a declaration");
         let ty = self.declared_type(name, entries);
         let mut result = Parameter::new(&name.text, ty, &self.words(entries, "description"));
         result.minimum = self.bound(entries, "minimum", &result.ty);
         result.maximum = self.bound(entries, "maximum", &result.ty);
         if let Some(default) = get(entries, "default") {
-            match result.accept(literal(default)) {
+            match result.accept(default.literal()) {
                 Ok(value) => result.default = Some(value),
                 Err(error) => self.error(code::TYPE, default.span, error.to_string()),
             }
@@ -315,7 +280,7 @@ impl Reader<'_> {
 
     fn bound(&mut self, entries: &Entries, key: &str, ty: &Type) -> Option<f64> {
         let node = get(entries, key)?;
-        match ty.convert(literal(node)) {
+        match ty.convert(node.literal()) {
             Ok(value) => value.as_f64(),
             Err(error) => {
                 self.error(code::TYPE, node.span, error.to_string());
@@ -325,7 +290,7 @@ impl Reader<'_> {
     }
 
     pub(super) fn duration(&mut self, node: &Node) -> Option<f64> {
-        match Type::Duration.convert(literal(node)) {
+        match Type::Duration.convert(node.literal()) {
             Ok(value) => value.as_f64().filter(|s| s.is_finite() && *s >= 0.0).or_else(|| {
                 self.error(code::TYPE, node.span, "a duration is not negative");
                 None
@@ -340,10 +305,10 @@ impl Reader<'_> {
     pub(super) fn limits(&mut self, entries: &Entries) -> Limits {
         let Some(node) = get(entries, "limits") else { return Limits::default() };
         let entries = self.entries(node);
-        self.known(entries, &["force", "speed"], "`limits`");
+        self.known(entries, forms::LIMITS, "`limits`");
         let mut quantity = |key: &str, unit: Unit| {
             let node = get(entries, key)?;
-            let value = Type::quantity(unit).convert(literal(node));
+            let value = Type::quantity(unit).convert(node.literal());
             match value.map(|v| v.as_f64()) {
                 Ok(Some(v)) if v > 0.0 && v.is_finite() => Some(v),
                 Ok(_) => {
@@ -357,18 +322,5 @@ impl Reader<'_> {
             }
         };
         Limits { force_n: quantity("force", Unit::N), speed_m_s: quantity("speed", Unit::M_S) }
-    }
-}
-
-/// A YAML value as a literal; `${` is not looked at.
-pub(crate) fn literal(node: &Node) -> Value {
-    match &node.value {
-        Yaml::Null => Value::Null,
-        Yaml::Bool(b) => Value::Bool(*b),
-        Yaml::Int(i) => Value::Int(*i),
-        Yaml::Float(f) => Value::Float(*f),
-        Yaml::String(s) => Value::String(s.clone()),
-        Yaml::List(items) => Value::List(items.iter().map(literal).collect()),
-        Yaml::Map(entries) => Value::Map(entries.iter().map(|(k, v)| (k.text.clone(), literal(v))).collect()),
     }
 }

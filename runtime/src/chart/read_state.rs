@@ -1,33 +1,15 @@
 //! From the YAML tree to the model: states with their transitions, watches and actions.
 
-use super::model::{Action, ActionKind, Entry, Kind, Retry, State, Transition, Watch};
-use super::read::{Entries, MAX_LEVELS, Reader, get};
-use super::yaml::{Named, Node, Yaml};
-use crate::finding::{Span, code, suggest};
+use armarium_source::yaml::{Entries, Named, Node, Yaml};
+use armarium_source::{Span, code, suggest};
 
-pub(super) const STATE_KEYS: &[&str] = &[
-    "description",
-    "skill",
-    "statechart",
-    "remote",
-    "states",
-    "initial",
-    "parallel",
-    "final",
-    "history",
-    "default",
-    "with",
-    "enter",
-    "exit",
-    "watch",
-    "after",
-    "always",
-    "transitions",
-    "retry",
-    "limits",
-    "unbreakable",
-];
-pub(super) const ACTIONS: [&str; 7] = ["assign", "raise", "send", "cancel", "log", "if", "foreach"];
+use super::forms;
+use super::model::{Action, ActionKind, Entry, Kind, Retry, State, Transition, Watch};
+use super::read::{MAX_LEVELS, Reader, get};
+
+fn actions() -> Vec<&'static str> {
+    forms::ACTIONS.iter().map(|key| key.name).collect()
+}
 
 impl Reader<'_> {
     pub(super) fn state(
@@ -44,7 +26,7 @@ impl Reader<'_> {
         }
         if !root {
             self.name(&name);
-            self.known(entries, STATE_KEYS, "a state");
+            self.known(entries, forms::STATE, "a state");
         }
         let kind = self.kind(&name, span, entries, level, root);
         let unbreakable = self.flag(entries, "unbreakable");
@@ -127,7 +109,7 @@ impl Reader<'_> {
         let Yaml::Map(entries) = &node.value else {
             return Entry { targets: self.targets(node), actions: Vec::new() };
         };
-        self.known(entries, &["target", "do"], "an initial transition");
+        self.known(entries, forms::ENTRY, "an initial transition");
         let Some(target) = get(entries, "target") else {
             self.error(code::MISSING_KEY, node.span, "a `target` is needed here");
             return Entry::default();
@@ -159,7 +141,7 @@ impl Reader<'_> {
     fn retry(&mut self, entries: &Entries) -> Option<Retry> {
         let node = get(entries, "retry")?;
         let entries = self.entries(node);
-        self.known(entries, &["times", "wait"], "`retry`");
+        self.known(entries, forms::RETRY, "`retry`");
         let times = match get(entries, "times").map(|n| (&n.value, n.span)) {
             Some((Yaml::Int(n), _)) if (0..=1_000_000).contains(n) => u32::try_from(*n).unwrap_or(0),
             Some((_, span)) => {
@@ -184,7 +166,7 @@ impl Reader<'_> {
             } else {
                 self.entries(node)
             };
-            self.known(form, &["if", "for", "until"], "a watch");
+            self.known(form, forms::WATCH, "a watch");
             let Some(condition) = get(form, "if") else {
                 self.error(code::MISSING_KEY, name.span, "a watch needs `if: condition`");
                 continue;
@@ -203,11 +185,7 @@ impl Reader<'_> {
             Yaml::List(items) => {
                 for item in items {
                     let form = self.entries(item);
-                    self.known(
-                        form,
-                        &["for", "if", "target", "do", "with", "internal"],
-                        "a timed transition",
-                    );
+                    self.known(form, forms::TIMED_TRANSITION, "a timed transition");
                     let Some(delay) = get(form, "for") else {
                         self.error(code::MISSING_KEY, item.span, "a timed transition needs `for: duration`");
                         continue;
@@ -237,7 +215,7 @@ impl Reader<'_> {
         if let Yaml::List(items) = &node.value {
             for item in items {
                 let form = self.entries(item);
-                self.known(form, &["event", "target", "internal", "do", "if", "with"], "a transition");
+                self.known(form, forms::EVENT_TRANSITION, "a transition");
                 match get(form, "event").map(|n| self.text(n)) {
                     Some(Some(event)) => {
                         self.event_name(&event);
@@ -290,7 +268,7 @@ impl Reader<'_> {
             return result;
         };
         if !checked {
-            self.known(entries, &["target", "if", "do", "with", "internal"], "a transition");
+            self.known(entries, forms::TRANSITION, "a transition");
         }
         result.targets = get(entries, "target").map_or_else(Vec::new, |n| self.targets(n));
         result.internal = self.flag(entries, "internal");
@@ -315,7 +293,7 @@ impl Reader<'_> {
             return None;
         };
         let [(key, value)] = entries.as_slice() else {
-            let message = format!("an action has one key, of {}", ACTIONS.join(", "));
+            let message = format!("an action has one key, of {}", actions().join(", "));
             self.error(code::FORM, node.span, message);
             return None;
         };
@@ -327,7 +305,7 @@ impl Reader<'_> {
             "log" => ActionKind::Log(value.clone()),
             "if" => {
                 let form = self.entries(value);
-                self.known(form, &["cond", "then", "else"], "`if`");
+                self.known(form, forms::IF, "`if`");
                 let Some(condition) = get(form, "cond").cloned() else {
                     self.error(code::MISSING_KEY, value.span, "`if` needs `cond`");
                     return None;
@@ -337,7 +315,7 @@ impl Reader<'_> {
             }
             "foreach" => {
                 let form = self.entries(value);
-                self.known(form, &["in", "as", "do"], "`foreach`");
+                self.known(form, forms::FOREACH, "`foreach`");
                 let (items, variable) = (get(form, "in"), get(form, "as").and_then(|n| self.text(n)));
                 let (Some(items), Some(variable)) = (items.cloned(), variable) else {
                     self.error(code::MISSING_KEY, value.span, "`foreach` needs `in` and `as`");
@@ -348,7 +326,7 @@ impl Reader<'_> {
             }
             other => {
                 let help =
-                    suggest(other, ACTIONS).unwrap_or_else(|| format!("actions: {}", ACTIONS.join(", ")));
+                    suggest(other, actions()).unwrap_or_else(|| format!("actions: {}", actions().join(", ")));
                 let message = format!("there is no action `{other}`");
                 self.findings.error_help(code::KEY, key.span, message, Some(help));
                 return None;
@@ -362,7 +340,7 @@ impl Reader<'_> {
             return Some(ActionKind::Raise { event: self.text(value)?, data: None });
         }
         let form = self.entries(value);
-        self.known(form, &["event", "data"], "`raise`");
+        self.known(form, forms::RAISE, "`raise`");
         let event = get(form, "event").and_then(|n| self.text(n));
         let Some(event) = event else {
             self.error(code::MISSING_KEY, value.span, "`raise` needs `event`");
@@ -377,7 +355,7 @@ impl Reader<'_> {
             return Some(ActionKind::Send { event, to: None, data: None, delay: None, id: None });
         }
         let form = self.entries(value);
-        self.known(form, &["event", "to", "data", "delay", "id"], "`send`");
+        self.known(form, forms::SEND, "`send`");
         let event = get(form, "event").and_then(|n| self.text(n));
         let Some(event) = event else {
             self.error(code::MISSING_KEY, value.span, "`send` needs `event`");

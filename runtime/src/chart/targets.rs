@@ -1,10 +1,11 @@
 //! The names of states that transitions, `initial` and histories lead to, resolved.
 
+use armarium_source::yaml::Named;
+use armarium_source::{code, suggest};
+
 use super::compile::Compiler;
 use super::expressions::{self, Site};
 use super::model;
-use super::yaml::Named;
-use crate::finding::{code, suggest};
 use crate::program::StateId;
 
 impl Compiler<'_> {

@@ -12,10 +12,10 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
+use armarium_source::Source;
 use armarium_values::expr::Expr;
 use armarium_values::{Type, Value};
 
-use crate::finding::Source;
 use crate::skill::{Limits, Parameter, SkillManifest};
 
 pub(crate) use tables::{

@@ -8,6 +8,7 @@ use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
 use armarium_bus::{Payload, Session, keys};
+use armarium_source::suggest;
 use futures::FutureExt as _;
 use futures::future::BoxFuture;
 use tokio::runtime::Handle;
@@ -17,7 +18,6 @@ use tokio::time::{Instant, sleep, timeout};
 use super::wire::{Cancel, Ended, Manifest, Start, Status, answered, packed};
 use super::{HELD, LEASE};
 use crate::chart::{Refused, Registry};
-use crate::finding::suggest;
 use crate::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
 
 /// Largest number of manifests per query.

@@ -291,6 +291,6 @@ fn what_charts_want_of_others_is_listed() {
     assert_eq!(library.remote_names(), BTreeSet::from(["bob/X".to_owned(), "carol/Y".to_owned()]));
     let checked = chart::check(&library, &Registry::new(), &ChannelSchema::new());
     let codes: Vec<&str> = checked.findings.iter().map(|f| f.code).collect();
-    assert_eq!(codes[0], chart::code::UNASKED, "nobody was asked: a warning");
+    assert_eq!(codes[0], armarium_source::code::UNASKED, "nobody was asked: a warning");
     assert!(checked.program.is_some(), "it can be stepped and tested");
 }

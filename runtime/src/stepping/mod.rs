@@ -11,11 +11,11 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
+use armarium_source::suggest;
 use armarium_values::Value;
 
 use crate::agenda::Agenda;
 use crate::engine::{Effect, Engine, Input, RunResult, Sensors};
-use crate::finding::suggest;
 use crate::program::{EventId, Kind, Program, StateId};
 use crate::skill::{Failure, InputError, Outcome};
 use crate::trace::TraceItem;

@@ -11,8 +11,6 @@ use armarium_robot::{Kinematics, Model};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::RigidBodyHandle;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 use super::assembly::Assembly;
 use super::build::{add_robot, empty_room};
@@ -27,8 +25,7 @@ const PALM_MIDDLE: f64 = -0.03;
 pub const HAND_HALF: f64 = 0.05;
 
 /// The box and what it stands on.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CarriedBox {
     /// Mass, kg.
     pub mass: f64,

@@ -6,8 +6,6 @@
 //! both sides falls. The pad does not depend on the hand that it is on.
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 use super::plant::PAD_FRICTION;
 
@@ -17,8 +15,7 @@ const POINTS: usize = 3;
 const DAMPING_RATIO: f64 = 0.2;
 
 /// How a pad feels.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PadSpec {
     /// Stiffness of the whole pad across the box's side, N/m.
     pub stiffness: f64,

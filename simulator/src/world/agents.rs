@@ -2,50 +2,40 @@
 //!
 //! The agents themselves are processes of their own; of them the simulator has only the cameras.
 
+use armarium_source::yaml::Node;
+use armarium_source::{Findings, Rule, form};
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
-use schemars::JsonSchema;
-use serde::Serialize;
 
-/// Another agent who looks at the scene with a stereo pair like the robot's.
-#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct AgentSpec {
-    /// Its name, by which other agents call it.
-    pub name: String,
-    /// The middle between its eyes, m.
-    pub at: [f64; 3],
-    /// What it looks at, m.
-    pub looks_at: [f64; 3],
-    /// Frames a second.
-    #[serde(default = "default_rate")]
-    #[schemars(range(min = 1.0, max = 120.0))]
-    pub rate: f64,
-    /// The chart that its process runs, a file beside the world's; without one, the process is started by hand.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub runs: Option<String>,
+use super::{COLOR, check_agent_name, within};
+
+form! {
+    /// Another agent who looks at the scene with a stereo pair like the robot's.
+    pub struct AgentSpec: "an agent", check Self::has_a_name {
+        /// Its name, by which other agents call it.
+        pub name: String, Rule::NAME;
+        /// The middle between its eyes, m.
+        pub at: [f64; 3] = [0.0, 1.4, 1.5], within(5.0);
+        /// What it looks at, m; the middle of the table where nothing is said.
+        pub looks_at: [f64; 3] = [0.25, 0.60, 0.95], within(5.0);
+        /// Frames a second.
+        pub rate: f64 = 5.0, Rule::number("Hz", 1.0, 120.0);
+        /// The chart that its process runs, a file beside the world's; without one, the process is started by hand.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub runs: Option<String> = None, Rule::NAME;
+    }
 }
 
-pub(super) fn default_rate() -> f64 {
-    5.0
-}
-
-/// An opaque board that hides what is behind it from all cameras. Nothing collides with it.
-#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct CoverSpec {
-    /// Its middle, m.
-    pub at: [f64; 3],
-    /// Width, depth and height, m.
-    pub size: [f64; 3],
-    /// Rotation about the vertical, degrees.
-    pub yaw_deg: f64,
-    /// Colour, RGB.
-    pub color: [u8; 3],
-}
-
-impl Default for CoverSpec {
-    fn default() -> Self {
-        Self { at: [0.0, 0.4, 1.2], size: [0.4, 0.01, 0.3], yaw_deg: 0.0, color: [110, 112, 118] }
+form! {
+    /// An opaque board that hides what is behind it from all cameras. Nothing collides with it.
+    pub struct CoverSpec: "a cover" {
+        /// Its middle, m.
+        pub at: [f64; 3] = [0.0, 0.4, 1.2], within(5.0);
+        /// Width, depth and height, m.
+        pub size: [f64; 3] = [0.4, 0.01, 0.3], Rule::number("m", 0.001, 3.0);
+        /// Rotation about the vertical, degrees.
+        pub yaw_deg: f64 = 0.0, Rule::degrees(361.0, "yaw");
+        /// Colour, RGB.
+        pub color: [u8; 3] = [110, 112, 118], COLOR;
     }
 }
 
@@ -58,6 +48,10 @@ impl CoverSpec {
 }
 
 impl AgentSpec {
+    fn has_a_name(&self, node: &Node, findings: &mut Findings) {
+        check_agent_name(&self.name, node, findings);
+    }
+
     /// The agent's own root frame in the robot's: on the floor below its eyes, y towards what it looks at, z up.
     #[must_use]
     pub fn root_from_agent(&self) -> Isometry3<f64> {

@@ -3,9 +3,11 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use nalgebra::{Isometry3, UnitQuaternion};
-use serde::Deserialize;
+use armarium_source::yaml::Node;
+use armarium_source::{Finding, Findings, Rule, Source, code, form};
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 
 use super::description::{CameraModel, Distortion};
 use crate::files::FileError;
@@ -24,33 +26,71 @@ pub(super) struct Calibration {
     pub(super) root_from_camera: Option<Isometry3<f64>>,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct File {
-    left: Option<Camera>,
-    right: Option<Camera>,
-    depth: Option<Camera>,
-    image: Option<Camera>,
-    root_from_camera: Option<Isometry3<f64>>,
+form! {
+    struct File: "a file of calibration" {
+        left: Option<Camera> = None;
+        right: Option<Camera> = None;
+        depth: Option<Camera> = None;
+        image: Option<Camera> = None;
+        /// The first camera's pose in the robot's root frame.
+        root_from_camera: Option<Pose> = None;
+    }
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Camera {
-    focal: [f64; 2],
-    center: [f64; 2],
-    distortion: Lens,
-    reference_from_camera: Isometry3<f64>,
+form! {
+    struct Camera: "a camera", check Self::is_usable {
+        /// Focal lengths along x and y, px.
+        focal: [f64; 2], Rule::unit("px");
+        /// Principal point, px.
+        center: [f64; 2], Rule::unit("px");
+        distortion: Lens;
+        /// Its pose in the provider's coordinate frame.
+        reference_from_camera: Pose;
+    }
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Lens {
-    k1: f64,
-    k2: f64,
-    p1: f64,
-    p2: f64,
-    k3: f64,
+form! {
+    struct Lens: "a distortion" {
+        k1: f64;
+        k2: f64;
+        p1: f64;
+        p2: f64;
+        k3: f64;
+    }
+}
+
+form! {
+    struct Pose: "a pose", check Self::is_a_pose {
+        /// A unit quaternion x, y, z, w.
+        rotation: [f64; 4];
+        /// m.
+        translation: [f64; 3], Rule::unit("m");
+    }
+}
+
+impl Camera {
+    fn is_usable(&self, node: &Node, findings: &mut Findings) {
+        if !CameraModel::from(self.clone()).is_usable() {
+            findings.error(code::VALUE, node.place("focal"), "this is no camera: focal lengths are positive");
+        }
+    }
+}
+
+impl Pose {
+    fn is_a_pose(&self, node: &Node, findings: &mut Findings) {
+        if (Quaternion::from(self.rotation).norm() - 1.0).abs() >= UNIT {
+            let message = "this is no pose: a translation, m, and a unit quaternion x, y, z, w";
+            findings.error(code::VALUE, node.place("rotation"), message);
+        }
+    }
+}
+
+/// The pose with a rotation of length 1.
+impl From<Pose> for Isometry3<f64> {
+    fn from(pose: Pose) -> Self {
+        let rotation = UnitQuaternion::new_normalize(Quaternion::from(pose.rotation));
+        Self::from_parts(Translation3::from(pose.translation), rotation)
+    }
 }
 
 impl From<Camera> for CameraModel {
@@ -60,7 +100,7 @@ impl From<Camera> for CameraModel {
             focal: camera.focal,
             center: camera.center,
             distortion: Distortion { k1, k2, p1, p2, k3 },
-            reference_from_camera: camera.reference_from_camera,
+            reference_from_camera: camera.reference_from_camera.into(),
         }
     }
 }
@@ -75,50 +115,26 @@ impl Calibration {
         if !path.exists() {
             return Ok(Self::default());
         }
-        let text = std::fs::read_to_string(&path).map_err(|e| (path.clone(), FileError::Read(e)))?;
-        Self::from_yaml(&text).map_err(|what| (path, FileError::Calibration { what }))
+        let source = Source::read(&path).map_err(|finding| vec![*finding]);
+        source.and_then(Self::read).map_err(|findings| (path, FileError::Calibration { findings }))
     }
 
-    fn from_yaml(text: &str) -> Result<Self, String> {
-        let file: File = serde_saphyr::from_str(text).map_err(|e| said(&e.to_string()))?;
+    fn read(source: Arc<Source>) -> Result<Self, Vec<Finding>> {
+        let file: File = armarium_source::read(source)?;
         let roles =
             [("left", file.left), ("right", file.right), ("depth", file.depth), ("image", file.image)];
-        let mut cameras = BTreeMap::new();
-        for (role, camera) in roles {
-            let Some(camera) = camera.map(CameraModel::from) else { continue };
-            if !camera.is_usable() {
-                return Err(format!(
-                    "`{role}` is no camera: focal lengths are positive and all numbers finite"
-                ));
-            }
-            cameras.insert(role.to_owned(), camera);
-        }
-        let root_from_camera = file.root_from_camera.map(pose).transpose()?;
-        Ok(Self { cameras, root_from_camera })
+        let cameras = roles.into_iter().filter_map(|(role, camera)| Some((role.to_owned(), camera?.into())));
+        Ok(Self { cameras: cameras.collect(), root_from_camera: file.root_from_camera.map(Isometry3::from) })
     }
-}
-
-/// The parser's message without its leading `error: `.
-fn said(error: &str) -> String {
-    error.strip_prefix("error: ").unwrap_or(error).to_owned()
-}
-
-/// The pose with its rotation normalised.
-fn pose(read: Isometry3<f64>) -> Result<Isometry3<f64>, String> {
-    let rotation = read.rotation.into_inner();
-    let finite = read.translation.vector.iter().all(|v| v.is_finite());
-    let unit = (rotation.norm() - 1.0).abs() < UNIT;
-    if !(finite && unit) {
-        return Err(
-            "`root_from_camera` is no pose: a translation, m, and a unit quaternion x, y, z, w".into()
-        );
-    }
-    Ok(Isometry3::from_parts(read.translation, UnitQuaternion::new_normalize(rotation)))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn read(text: &str) -> Result<Calibration, Vec<Finding>> {
+        Calibration::read(Arc::new(Source::new(CALIBRATION, text)))
+    }
 
     const LEFT: &str = "left: {focal: [515, 515], center: [320, 240], distortion: {k1: 0, k2: 0, p1: 0, p2: 0, k3: 0}, \
                         reference_from_camera: {rotation: [0, 0, 0, 1], translation: [0, 0, 0]}}\n";
@@ -128,12 +144,12 @@ mod tests {
         let text = format!(
             "{LEFT}root_from_camera: {{rotation: [-0.7071, 0, 0, 0.7071], translation: [0, 0, 1.5]}}\n"
         );
-        let read = Calibration::from_yaml(&text).unwrap();
-        assert_eq!(read.cameras.keys().collect::<Vec<_>>(), ["left"]);
-        let pose = read.root_from_camera.unwrap();
+        let found = read(&text).unwrap();
+        assert_eq!(found.cameras.keys().collect::<Vec<_>>(), ["left"]);
+        let pose = found.root_from_camera.unwrap();
         assert_eq!(pose.translation.vector.z, 1.5);
         assert!((pose.rotation.into_inner().norm() - 1.0).abs() < 1e-12);
-        assert!(Calibration::from_yaml(LEFT).unwrap().root_from_camera.is_none());
+        assert!(read(LEFT).unwrap().root_from_camera.is_none());
     }
 
     #[test]
@@ -142,15 +158,11 @@ mod tests {
             ("left:", "rigth:", "rigth"),
             ("center", "middle", "middle"),
             ("k3: 0", "k3: 0, k4: 0", "k4"),
-            ("515, 515", "-515, 515", "`left` is no camera"),
-            (
-                "left:",
-                "root_from_camera: {rotation: [0, 0, 0, 2], translation: [0, 0, 0]}\nleft:",
-                "root_from_camera",
-            ),
+            ("515, 515", "-515, 515", "this is no camera"),
+            ("left:", "root_from_camera: {rotation: [0, 0, 0, 2], translation: [0, 0, 0]}\nleft:", "no pose"),
         ] {
-            let error = Calibration::from_yaml(&LEFT.replace(from, to)).unwrap_err();
-            assert!(error.contains(word), "{word}: {error}");
+            let error = read(&LEFT.replace(from, to)).unwrap_err()[0].to_string();
+            assert!(error.contains(word) && error.starts_with("calibration.yaml:1:"), "{word}: {error}");
         }
     }
 }

@@ -187,7 +187,7 @@ mod tests {
         }
         std::fs::write(folder.path().join("2.png"), b"broken").unwrap();
         let camera = CameraModel::ideal(&crate::scenes::CALIBRATION.camera, 0.0);
-        let text = serde_saphyr::to_string(&BTreeMap::from([("left", camera)])).unwrap();
+        let text = serde_json::to_string(&BTreeMap::from([("left", camera)])).unwrap();
         std::fs::write(folder.path().join(CALIBRATION), text).unwrap();
         let provider = FileProvider::open("files", &[folder.path().into()], 10.0, ALL).await.unwrap();
         let described = provider.description();

@@ -3,8 +3,11 @@
 //! # Source
 //! Do, Asfour, Dillmann 2011 (AR(2) of fingertips); the fit is the conditional least squares of Lütkepohl 2005, 3.2.
 
+use std::sync::Arc;
+
+use armarium_source::yaml::Node;
+use armarium_source::{Finding, Findings, Source, code, form};
 use nalgebra::{DMatrix, Matrix2, Point2, Vector2};
-use serde::{Deserialize, Serialize};
 
 /// `x(t) = A1 x(t-1) + A2 x(t-2) + d + e` with Gaussian `e`: positions of one fingertip in normalised image
 /// coordinates (pixels from the principal point over the focal length), one step per frame.
@@ -24,16 +27,16 @@ pub struct FingerARModel {
     pub samples: usize,
 }
 
-/// The file format of the model.
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Written {
-    frame_rate_hz: f64,
-    from_last: [[f64; 2]; 2],
-    from_last_but_one: [[f64; 2]; 2],
-    offset: [f64; 2],
-    noise: [[f64; 2]; 2],
-    samples: usize,
+form! {
+    /// The model as it is written.
+    struct Written: "a model of fingertips", check Self::is_usable {
+        frame_rate_hz: f64;
+        from_last: [[f64; 2]; 2];
+        from_last_but_one: [[f64; 2]; 2];
+        offset: [f64; 2];
+        noise: [[f64; 2]; 2];
+        samples: usize;
+    }
 }
 
 /// Why a model cannot be fitted or read.
@@ -46,12 +49,6 @@ pub enum ArModelError {
         /// Steps given.
         samples: usize,
     },
-    /// The file is not a model.
-    #[error("the model cannot be read: {0}")]
-    Yaml(String),
-    /// A number is not finite, or the noise is not a covariance.
-    #[error("the model's numbers make no sense")]
-    Value,
 }
 
 /// The built-in model.
@@ -59,7 +56,23 @@ const BUILT_IN: &str = include_str!("finger_ar2.yaml");
 
 impl Default for FingerARModel {
     fn default() -> Self {
-        Self::from_yaml(BUILT_IN).expect("the model that ships is tested")
+        Self::read(Arc::new(Source::new("finger_ar2.yaml", BUILT_IN)))
+            .expect("the model that ships is tested")
+    }
+}
+
+fn matrix(m: [[f64; 2]; 2]) -> Matrix2<f64> {
+    Matrix2::new(m[0][0], m[0][1], m[1][0], m[1][1])
+}
+
+impl Written {
+    fn is_usable(&self, node: &Node, findings: &mut Findings) {
+        if matrix(self.noise).cholesky().is_none() {
+            findings.error(code::VALUE, node.place("noise"), "the noise is no covariance");
+        }
+        if self.frame_rate_hz <= 0.0 {
+            findings.error(code::VALUE, node.place("frame_rate_hz"), "the frame rate must be positive");
+        }
     }
 }
 
@@ -129,22 +142,17 @@ impl FingerARModel {
     /// Reads the model from a file's text.
     ///
     /// # Errors
-    /// [`ArModelError`] when the text is not a valid model.
-    pub fn from_yaml(text: &str) -> Result<Self, ArModelError> {
-        let w: Written = serde_saphyr::from_str(text).map_err(|e| ArModelError::Yaml(e.to_string()))?;
-        let matrix = |m: [[f64; 2]; 2]| Matrix2::new(m[0][0], m[0][1], m[1][0], m[1][1]);
-        let model = Self {
+    /// Everything that is wrong with it.
+    pub fn read(source: Arc<Source>) -> Result<Self, Vec<Finding>> {
+        let w: Written = armarium_source::read(source)?;
+        Ok(Self {
             from_last: matrix(w.from_last),
             from_last_but_one: matrix(w.from_last_but_one),
             offset: Vector2::from(w.offset),
             noise: matrix(w.noise),
             frame_rate_hz: w.frame_rate_hz,
             samples: w.samples,
-        };
-        let numbers = [model.from_last, model.from_last_but_one, model.noise];
-        let finite = numbers.iter().all(|m| m.amax().is_finite()) && model.offset.amax().is_finite();
-        let usable = finite && model.noise.cholesky().is_some() && model.frame_rate_hz > 0.0;
-        if usable { Ok(model) } else { Err(ArModelError::Value) }
+        })
     }
 
     /// Writes the model as a file's text.
@@ -169,6 +177,10 @@ impl FingerARModel {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn read(text: &str) -> Result<FingerARModel, Vec<Finding>> {
+        FingerARModel::read(Arc::new(Source::new("model.yaml", text)))
+    }
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::StandardNormal;
@@ -195,7 +207,7 @@ mod tests {
         assert!((found.from_last - truth.from_last).amax() < 0.03, "{found:?}");
         assert!((found.from_last_but_one - truth.from_last_but_one).amax() < 0.03);
         assert!((found.noise - truth.noise).amax() < 0.05 * truth.noise.amax());
-        let again = FingerARModel::from_yaml(&found.to_yaml()).unwrap();
+        let again = read(&found.to_yaml()).unwrap();
         assert_eq!(again, found);
     }
 
@@ -206,7 +218,7 @@ mod tests {
         for text in
             ["", "from_last: 3", &FingerARModel::default().to_yaml().replace("noise: [[", "noise: [[-")]
         {
-            assert!(FingerARModel::from_yaml(text).is_err(), "{text}");
+            assert!(read(text).is_err(), "{text}");
         }
     }
 }

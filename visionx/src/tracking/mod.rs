@@ -26,6 +26,6 @@ pub use contour_filter::{ContourNode, FilterFrame, ParticleFilterFingerTracking}
 pub use edges::{Edge, edge_map};
 pub use hough::{AdaptiveHoughTransform, HoughVotes, TipCandidate};
 pub use photograph::HandInPicture;
-pub use recognizer::{Expected, GesturePattern, GestureRecognizer, PatternError, SeenFinger};
+pub use recognizer::{Expected, GesturePattern, GestureRecognizer, SeenFinger};
 pub use skin::SkinSegmentation;
 pub use tips::{FingerTipSettings, FingerTipTracking, TrackedFingertip};

@@ -1,9 +1,11 @@
 //! Recognises gestures by comparing the detected fingers with labelled patterns, which a file may define.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
+use armarium_source::yaml::Node;
+use armarium_source::{Finding, Findings, Rule, Source, code, form};
 use nalgebra::Vector2;
-use serde::{Deserialize, Serialize};
 
 /// A detected finger.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,57 +18,67 @@ pub struct SeenFinger {
     pub score: f64,
 }
 
-/// A mean and a standard deviation.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Expected {
-    /// Mean.
-    pub mean: f64,
-    /// Standard deviation, positive.
-    pub deviation: f64,
+form! {
+    /// A mean and a standard deviation.
+    #[derive(Copy)]
+    pub struct Expected: "what is expected", check Self::is_possible {
+        /// Mean.
+        pub mean: f64;
+        /// Standard deviation, positive.
+        pub deviation: f64;
+    }
 }
 
-/// A configuration of stretched fingers with its gesture.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct GesturePattern {
-    /// The gesture's name.
-    pub name: String,
-    /// Number of stretched fingers; 5 stands for five and more.
-    pub fingers: usize,
-    /// Angle between the outermost fingers, rad.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub span: Option<Expected>,
-    /// Length of the longest finger, palm radii.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub length: Option<Expected>,
-    /// Prior probability that the pattern means this gesture, among patterns with as many fingers.
-    #[serde(default = "one")]
-    pub weight: f64,
+form! {
+    /// A configuration of stretched fingers that means a gesture.
+    pub struct GesturePattern: "a pattern of a gesture", check Self::is_possible {
+        /// The gesture's name.
+        pub name: String, Rule::NAME;
+        /// Number of stretched fingers; 5 stands for five and more.
+        pub fingers: usize, Rule::number("", 0.0, 5.0);
+        /// Angle between the outermost fingers, rad.
+        pub span: Option<Expected> = None;
+        /// Length of the longest finger, palm radii.
+        pub length: Option<Expected> = None;
+        /// How often the pattern means this gesture, among patterns of as many fingers.
+        pub weight: f64 = 1.0;
+    }
 }
 
-/// Recognises gestures by their patterns.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+form! {
+    struct PatternFile: "a file of gestures", check Self::is_possible {
+        gestures: Vec<GesturePattern>;
+    }
+}
+
+impl Expected {
+    fn is_possible(&self, node: &Node, findings: &mut Findings) {
+        if self.deviation <= 0.0 {
+            findings.error(code::VALUE, node.place("deviation"), "the deviation must be positive");
+        }
+    }
+}
+
+impl GesturePattern {
+    fn is_possible(&self, node: &Node, findings: &mut Findings) {
+        if self.weight <= 0.0 {
+            findings.error(code::VALUE, node.place("weight"), "the weight must be positive");
+        }
+    }
+}
+
+impl PatternFile {
+    fn is_possible(&self, node: &Node, findings: &mut Findings) {
+        if self.gestures.is_empty() {
+            findings.error(code::VALUE, node.place("gestures"), "there is no gesture");
+        }
+    }
+}
+
+/// Knows gestures by their patterns.
+#[derive(Clone, Debug, PartialEq)]
 pub struct GestureRecognizer {
     gestures: Vec<GesturePattern>,
-}
-
-/// Why patterns cannot be used.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum PatternError {
-    /// The file does not contain patterns.
-    #[error("the gestures cannot be read: {0}")]
-    Yaml(String),
-    /// A number is out of range.
-    #[error("gesture `{name}`: {what}")]
-    Value {
-        /// The pattern's name.
-        name: String,
-        /// The reason.
-        what: &'static str,
-    },
 }
 
 /// Least likelihood of a gesture that has a pattern.
@@ -75,49 +87,29 @@ const FLOOR: f64 = 0.02;
 const BUILT_IN: &str = include_str!("gestures.yaml");
 const AT_A_SLANT: &str = include_str!("gestures_at_a_slant.yaml");
 
-fn one() -> f64 {
-    1.0
-}
-
 impl Default for GestureRecognizer {
     fn default() -> Self {
-        Self::from_yaml(BUILT_IN).expect("the patterns that ship are tested")
+        Self::shipped(BUILT_IN)
     }
 }
 
 impl GestureRecognizer {
-    /// A recogniser for hands seen from any direction, where pointing fingers may look short.
+    fn shipped(text: &str) -> Self {
+        Self::read(Arc::new(Source::new("gestures", text))).expect("the patterns that ship are tested")
+    }
+
+    /// A recogniser of hands that are seen from anywhere, whose pointing fingers may look short.
     #[must_use]
     pub fn at_a_slant() -> Self {
-        Self::from_yaml(AT_A_SLANT).expect("the patterns that ship are tested")
+        Self::shipped(AT_A_SLANT)
     }
 
     /// A recogniser with the patterns of a file.
     ///
     /// # Errors
-    /// [`PatternError`] when the text is not such a file, or a number is invalid.
-    pub fn from_yaml(text: &str) -> Result<Self, PatternError> {
-        let read: Self = serde_saphyr::from_str(text).map_err(|e| PatternError::Yaml(e.to_string()))?;
-        if read.gestures.is_empty() {
-            return Err(PatternError::Yaml("there is no gesture".into()));
-        }
-        for pattern in &read.gestures {
-            let wrong = |what| Err(PatternError::Value { name: pattern.name.clone(), what });
-            let expected = [pattern.span, pattern.length].into_iter().flatten();
-            if pattern.name.is_empty() || pattern.fingers > 5 {
-                return wrong("a pattern has a name and 0 to 5 fingers");
-            }
-            if !(pattern.weight > 0.0 && pattern.weight.is_finite()) {
-                return wrong("the weight must be positive");
-            }
-            if expected
-                .into_iter()
-                .any(|e| !(e.mean.is_finite() && e.deviation > 0.0 && e.deviation.is_finite()))
-            {
-                return wrong("mean and deviation must be finite, the deviation positive");
-            }
-        }
-        Ok(read)
+    /// Everything that is wrong with the file.
+    pub fn read(source: Arc<Source>) -> Result<Self, Vec<Finding>> {
+        armarium_source::read(source).map(|file: PatternFile| Self { gestures: file.gestures })
     }
 
     /// The patterns.
@@ -177,6 +169,10 @@ fn count_distribution(fingers: &[SeenFinger]) -> [f64; 8] {
 mod tests {
     use super::*;
 
+    fn read(text: &str) -> Result<GestureRecognizer, Vec<Finding>> {
+        GestureRecognizer::read(Arc::new(Source::new("gestures.yaml", text)))
+    }
+
     fn seen(angle: f64, score: f64) -> SeenFinger {
         SeenFinger { direction: Vector2::new(angle.sin(), -angle.cos()), length: 2.0, score }
     }
@@ -225,7 +221,7 @@ mod tests {
 
     #[test]
     fn a_file_can_teach_another_gesture() {
-        let taught = GestureRecognizer::from_yaml(
+        let taught = read(
             "gestures:\n  - {name: stop, fingers: 5}\n  - {name: hook, fingers: 1, length: {mean: 1.0, deviation: 0.3}}\n  \
              - {name: point, fingers: 1, length: {mean: 2.2, deviation: 0.4}}\n",
         )
@@ -247,7 +243,7 @@ mod tests {
             "gestures:\n  - {name: a, fingers: 2, colour: red}",
             "a: [",
         ] {
-            assert!(GestureRecognizer::from_yaml(text).is_err(), "{text}");
+            assert!(read(text).is_err(), "{text}");
         }
     }
 }

@@ -4,15 +4,19 @@
 
 use std::fmt;
 
+use armarium_values::Value;
 use serde::Deserialize;
 use serde::de::{Deserializer, Error, MapAccess, SeqAccess, Visitor};
-use serde_saphyr::{Location, Spanned};
+use serde_saphyr::budget::BudgetBreach;
+use serde_saphyr::granit_parser::ErrorKind;
+use serde_saphyr::{ExternalMessageSource, Location, Spanned};
 
-use super::stack::on_a_large_stack;
-use crate::finding::{Findings, Span, code};
+use crate::code;
+use crate::finding::{Findings, Span};
+use crate::stack::on_a_large_stack;
 
 /// Largest file, bytes.
-pub(crate) const MAX_BYTES: usize = 10_000_000;
+pub const MAX_BYTES: usize = 10_000_000;
 /// Deepest nesting of YAML; 60 levels of states are within it.
 const MAX_DEPTH: usize = 190;
 /// Most nodes: 200 000 states of ten nodes.
@@ -20,31 +24,90 @@ const MAX_NODES: usize = 4_000_000;
 
 /// A value with its place.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Node {
-    pub(crate) span: Span,
-    pub(crate) value: Yaml,
+pub struct Node {
+    /// Where it stands; of a map, its first key.
+    pub span: Span,
+    /// What it is.
+    pub value: Yaml,
 }
 
 /// A name with its place.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Named {
-    pub(crate) span: Span,
-    pub(crate) text: String,
+pub struct Named {
+    /// Where it stands.
+    pub span: Span,
+    /// The name.
+    pub text: String,
 }
 
+/// The entries of a map, in the order of the file.
+pub type Entries = [(Named, Node)];
+
+/// What a node is.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Yaml {
+pub enum Yaml {
+    /// `null`, `~` or nothing.
     Null,
+    /// `true` or `false`.
     Bool(bool),
+    /// A whole number.
     Int(i64),
+    /// Another number.
     Float(f64),
+    /// Text.
     String(String),
+    /// A list.
     List(Vec<Node>),
+    /// A map; no key is there twice.
     Map(Vec<(Named, Node)>),
 }
 
+impl Node {
+    /// The node under a key of a map.
+    #[must_use]
+    pub fn get(&self, key: &str) -> Option<&Self> {
+        match &self.value {
+            Yaml::Map(entries) => entries.iter().find(|(k, _)| k.text == key).map(|(_, node)| node),
+            _ => None,
+        }
+    }
+
+    /// The place of what stands under a key; of the node itself where the key is not there.
+    #[must_use]
+    pub fn place(&self, key: &str) -> Span {
+        self.get(key).unwrap_or(self).span
+    }
+
+    /// The items of a list.
+    #[must_use]
+    pub fn items(&self) -> &[Self] {
+        match &self.value {
+            Yaml::List(items) => items,
+            _ => &[],
+        }
+    }
+
+    /// The node as a literal; `${` is not looked at.
+    #[must_use]
+    pub fn literal(&self) -> Value {
+        match &self.value {
+            Yaml::Null => Value::Null,
+            Yaml::Bool(b) => Value::Bool(*b),
+            Yaml::Int(i) => Value::Int(*i),
+            Yaml::Float(f) => Value::Float(*f),
+            Yaml::String(s) => Value::String(s.clone()),
+            Yaml::List(items) => Value::List(items.iter().map(Self::literal).collect()),
+            Yaml::Map(entries) => {
+                Value::Map(entries.iter().map(|(k, v)| (k.text.clone(), v.literal())).collect())
+            }
+        }
+    }
+}
+
 impl Yaml {
-    pub(crate) fn describe(&self) -> &'static str {
+    /// What it is, for messages.
+    #[must_use]
+    pub fn describe(&self) -> &'static str {
         match self {
             Self::Null => "nothing",
             Self::Bool(_) => "a bool",
@@ -132,12 +195,12 @@ impl<'de> Visitor<'de> for YamlVisitor {
 }
 
 /// Parses a file's text. What is wrong is added to `findings`.
-pub(crate) fn parse(findings: &mut Findings) -> Option<Node> {
+pub fn parse(findings: &mut Findings) -> Option<Node> {
     let source = std::sync::Arc::clone(&findings.source);
     let everything = Span { start: 0, end: 1 };
     if source.text.len() > MAX_BYTES {
-        let message = super::library::too_large();
-        findings.error(code::FILE, everything, message);
+        let (message, help) = too_large();
+        findings.error_help(code::FILE, everything, message, Some(help.into()));
         return None;
     }
     let parsed = on_a_large_stack(|| {
@@ -176,6 +239,11 @@ fn place(location: Location, text: &str) -> Span {
     Span { start: start + column, end: start + column + 1 }
 }
 
+/// What is said of a file over the limit, and what to do about it.
+pub(crate) fn too_large() -> (String, &'static str) {
+    (format!("the file has more than {} MB", MAX_BYTES / 1_000_000), "put parts of it in files of their own")
+}
+
 /// What is wrong with the form of a file, and what can be done about it.
 fn explained(error: &serde_saphyr::Error) -> (String, Option<String>) {
     use serde_saphyr::Error as E;
@@ -186,28 +254,47 @@ fn explained(error: &serde_saphyr::Error) -> (String, Option<String>) {
             let message = format!("the key `{key}` is there twice");
             return (message, Some("remove one of them, or give it another name".into()));
         }
-        E::MultipleDocuments { .. } => {
-            ("a second document begins here", "a file holds one chart: write the other in a file of its own")
-        }
+        E::MultipleDocuments { .. } => (
+            "a second document begins here",
+            "a file holds one document: write the other in a file of its own",
+        ),
         E::NonFiniteFloat { .. } => ("this is no finite number", "write a number, or a text in quotes"),
         E::AliasReplayLimitExceeded { .. }
         | E::AliasExpansionLimitExceeded { .. }
         | E::AliasReplayStackDepthExceeded { .. } => aliases,
+        E::Budget { breach, .. } => match breach {
+            BudgetBreach::Depth { .. } => deep,
+            BudgetBreach::Aliases { .. }
+            | BudgetBreach::Anchors { .. }
+            | BudgetBreach::AliasAnchorRatio { .. } => aliases,
+            _ => ("it has too many parts", "put parts of it in files of their own"),
+        },
         other => {
-            let text = other.to_string();
-            let first = text.lines().next().unwrap_or("").trim_start_matches("error: ");
-            // The place is said by the finding.
-            let first = first.split(" at line ").next().unwrap_or(first).to_owned();
-            if first.contains("recursion limit") || first.contains("Depth {") {
+            let parser = match other {
+                E::ExternalMessage { source, .. } => match source.as_ref() {
+                    ExternalMessageSource::Parser(error) => Some(error.kind()),
+                    _ => None,
+                },
+                _ => None,
+            };
+            let tab = matches!(
+                parser,
+                Some(
+                    ErrorKind::TabNotAllowed
+                        | ErrorKind::TabInBlockIndentation
+                        | ErrorKind::TabAtBlockScalarStart
+                        | ErrorKind::TabInIndentation
+                        | ErrorKind::TabInPlainScalar
+                )
+            );
+            if matches!(parser, Some(ErrorKind::RecursionLimitExceeded)) {
                 deep
-            } else if first.contains("budget breached") && first.contains("nchor") {
-                aliases
-            } else if first.contains("budget breached") {
-                ("it has too many parts", "use `statechart:` for parts in files of their own")
-            } else if first.contains("tab") {
-                return (first, Some("indent with spaces".into()));
             } else {
-                return (first, None);
+                let text = other.to_string();
+                let first = text.lines().next().unwrap_or("").trim_start_matches("error: ");
+                // The place is said by the finding.
+                let first = first.split(" at line ").next().unwrap_or(first).to_owned();
+                return (first, tab.then(|| "indent with spaces".into()));
             }
         }
     };

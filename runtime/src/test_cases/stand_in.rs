@@ -2,28 +2,33 @@
 
 use std::collections::BTreeMap;
 
-use armarium_values::{Frame, Pose, Reference, Type, Value, Vector, Wrench};
+use armarium_values::{ConvertError, Frame, Pose, Reference, Type, Value, Vector, Wrench};
 use serde_json::Value as Json;
+
+/// Why a script's value is none of the declared type.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum StandInError {
+    /// A part of it is missing or is another thing.
+    #[error(transparent)]
+    Part(#[from] serde_json::Error),
+    /// It is of another type.
+    #[error(transparent)]
+    Type(#[from] ConvertError),
+}
 
 /// A script's value as the declared type; poses, vectors and wrenches are maps of their parts.
 ///
 /// # Errors
-/// One sentence for people.
-pub(super) fn read(ty: &Type, json: &Json) -> Result<Value, String> {
-    let part = |e: serde_json::Error| e.to_string();
+/// [`StandInError`] when it is none of that type.
+pub(super) fn read(ty: &Type, json: &Json) -> Result<Value, StandInError> {
     let value = match (ty, json) {
-        (Type::Pose, Json::Object(_)) => {
-            Value::Pose(serde_json::from_value::<Pose>(json.clone()).map_err(part)?)
-        }
-        (Type::Vector, Json::Object(_)) => {
-            Value::Vector(serde_json::from_value::<Vector>(json.clone()).map_err(part)?)
-        }
-        (Type::Wrench, Json::Object(_)) => {
-            Value::Wrench(serde_json::from_value::<Wrench>(json.clone()).map_err(part)?)
-        }
+        (Type::Pose, Json::Object(_)) => Value::Pose(serde_json::from_value::<Pose>(json.clone())?),
+        (Type::Vector, Json::Object(_)) => Value::Vector(serde_json::from_value::<Vector>(json.clone())?),
+        (Type::Wrench, Json::Object(_)) => Value::Wrench(serde_json::from_value::<Wrench>(json.clone())?),
         _ => Value::from_json(json),
     };
-    ty.convert(value).map_err(|e| e.to_string())
+    Ok(ty.convert(value)?)
 }
 
 /// Some value of a type: nothing, none, at the origin; a reference to something that is called `name`.

@@ -1,11 +1,5 @@
 //! `armarium test FILE...`: cases in YAML beside a chart, played under virtual time, and a table of the transitions that
 //! no case takes.
-//!
-//! `case` is the form of a file, `play` plays one case, `stand_in` makes values for what a script leaves out.
-
-mod case;
-mod play;
-mod stand_in;
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -15,11 +9,11 @@ use std::sync::Arc;
 use armarium_runtime::chart::Registry;
 use armarium_runtime::program::Program;
 use armarium_runtime::stepping::{Coverage, Described};
+use armarium_runtime::test_cases::TestFile;
+use armarium_source::{Finding, Source};
 
 use crate::console;
-use crate::render_findings::Shown;
 use armarium_host::catalog;
-pub(crate) use case::TestFile;
 
 /// What `test` takes.
 #[derive(Clone, Debug, clap::Args)]
@@ -52,8 +46,8 @@ pub(crate) fn run(args: &TestArgs, out: &mut dyn Write) -> io::Result<u8> {
     let (mut passed, mut failed, mut wrong) = (0, 0, false);
     for file in &args.files {
         match read(file) {
-            Err(message) => {
-                writeln!(out, "error: {}: {message}", file.display())?;
+            Err(findings) => {
+                console::show(&findings, out)?;
                 wrong = true;
             }
             Ok(cases) => {
@@ -62,8 +56,7 @@ pub(crate) fn run(args: &TestArgs, out: &mut dyn Write) -> io::Result<u8> {
                     continue;
                 };
                 for case in &cases.cases {
-                    let mut coverage = Coverage::default();
-                    let result = play::play(&of.program, &registry, &cases.skills, case, &mut coverage);
+                    let (coverage, result) = cases.play(case, &of.program, &registry);
                     of.coverage.extend(coverage);
                     match result {
                         Ok(()) => {
@@ -87,13 +80,8 @@ pub(crate) fn run(args: &TestArgs, out: &mut dyn Write) -> io::Result<u8> {
     Ok(if wrong { 2 } else { u8::from(failed > 0 || (args.complete && untaken > 0)) })
 }
 
-/// Reads a file of test cases.
-///
-/// # Errors
-/// What is wrong, for people.
-pub(crate) fn read(file: &Path) -> Result<TestFile, String> {
-    let text = std::fs::read_to_string(file).map_err(|e| format!("cannot be read: {e}"))?;
-    case::parse(&text)
+fn read(file: &Path) -> Result<TestFile, Vec<Finding>> {
+    TestFile::read(Source::read(file).map_err(|finding| vec![*finding])?)
 }
 
 /// The chart that a file tests; what is wrong with it is shown.
@@ -109,7 +97,7 @@ fn load<'t>(
     if !tested.contains_key(&chart) {
         let checked = catalog::load(&chart, &args.charts, registry);
         let Some(program) = checked.program else {
-            console::show(&checked.findings.iter().map(Shown::from).collect::<Vec<_>>(), out)?;
+            console::show(&checked.findings, out)?;
             return Ok(None);
         };
         tested.insert(chart.clone(), Tested { program, coverage: Coverage::default() });
@@ -197,7 +185,6 @@ states:
             ("{expect: {active: [Wait]}}", "step 1: active: [\"Move\"] instead of [\"Wait\"]"),
             ("{expect: {outcome: success}}", "the run has not ended"),
             ("{event: go, from: Nowhere}", "no state `Nowhere`"),
-            ("{event: go, channel: wrist}", "one thing"),
             ("{expect: {log: x}}", "`x` was not said"),
             ("{expect: {locals: {m: 1}}}", "locals.m: nothing instead of 1"),
         ] {
@@ -215,6 +202,9 @@ states:
     fn a_file_that_is_wrong_is_told_from_a_case_that_fails() {
         assert_eq!(test("test: nowhere.yaml\ncases: []\n", false).0, 2);
         assert_eq!(test("test: c.yaml\ncases: []\nskils: {}\n", false).0, 2);
+        let (status, text) =
+            test("test: c.yaml\ncases: [{case: a, steps: [{event: go, channel: wrist}]}]\n", false);
+        assert!(status == 2 && text.contains("one thing") && text.contains("c.test.yaml:2:"), "{text}");
         assert_eq!(test("test: c.yaml\ncases: []\n", false).0, 0);
         assert_eq!(test("test: c.yaml\ncases: []\n", true).0, 1);
     }

@@ -5,7 +5,7 @@
 const STACK: usize = 64 << 20;
 
 /// Does `work` on a large stack, and waits for it.
-pub(super) fn on_a_large_stack<T: Send>(work: impl Fn() -> T + Sync) -> T {
+pub fn on_a_large_stack<T: Send>(work: impl Fn() -> T + Sync) -> T {
     let done = std::thread::scope(|scope| {
         let thread = std::thread::Builder::new().stack_size(STACK).spawn_scoped(scope, &work).ok()?;
         Some(thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))

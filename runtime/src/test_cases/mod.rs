@@ -1,0 +1,150 @@
+//! Cases in YAML beside a chart, played under virtual time: how skills end, what happens, and what is expected.
+//!
+//! [`TestFile::read`] reads a file, [`TestFile::play`] plays one of its cases. No skill runs and nothing is printed here.
+
+mod play;
+mod stand_in;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use armarium_source::yaml::{Node, Yaml};
+use armarium_source::{Field, Finding, Findings, Rule, Source, code, form};
+use serde::Serialize;
+use serde_json::{Value as Json, json};
+
+pub use play::CaseError;
+pub use stand_in::StandInError;
+
+form! {
+    /// A file of test cases.
+    pub struct TestFile: "a file of test cases" {
+        /// The chart, relative to this file.
+        pub test: String;
+        /// How skills end, by the skill's name or by the state, unless a case says otherwise.
+        pub skills: BTreeMap<String, Script> = BTreeMap::new();
+        /// The cases.
+        pub cases: Vec<Case>;
+    }
+}
+
+form! {
+    /// One case.
+    pub struct Case: "a case" {
+        /// What it shows.
+        pub case: String;
+        /// Inputs of the chart.
+        pub given: BTreeMap<String, Json> = BTreeMap::new();
+        /// The profile of the chart's inputs.
+        pub profile: Option<String> = None;
+        /// How skills end in this case.
+        pub skills: BTreeMap<String, Script> = BTreeMap::new();
+        /// What happens, in this order.
+        pub steps: Vec<Step> = Vec::new();
+    }
+}
+
+/// How a skill ends: one way after the other, the last of which stays.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Script(Vec<Ending>);
+
+form! {
+    /// How a skill ends once.
+    pub struct Ending: "an ending" {
+        /// Its outcome; `never` is one that does not come.
+        pub outcome: String = "success".into();
+        /// How long it takes, s.
+        pub after: f64 = 0.0, Rule::number("s", 0.0, 1e9);
+        /// What it gives.
+        pub outputs: BTreeMap<String, Json> = BTreeMap::new();
+        /// Why it fails.
+        pub reason: Option<String> = None;
+    }
+}
+
+form! {
+    /// One step: time goes by, then one thing happens, then something is expected.
+    pub struct Step: "a step", check Self::does_one_thing {
+        /// How much time goes by, s.
+        pub after: f64 = 0.0, Rule::number("s", 0.0, 1e9);
+        /// An event; with `from`, an outcome or a watch of that state.
+        pub event: Option<String> = None;
+        /// The state that it comes from.
+        pub from: Option<String> = None;
+        /// What comes with the event.
+        pub data: Json = Json::Null;
+        /// A channel that has a new value.
+        pub channel: Option<String> = None;
+        /// The channel's value.
+        pub value: Json = Json::Null;
+        /// What is expected then.
+        pub expect: Option<Expect> = None;
+    }
+}
+
+form! {
+    /// What is expected; what is left out is not looked at.
+    pub struct Expect: "`expect`" {
+        /// All innermost active states.
+        pub active: Option<Vec<String>> = None;
+        /// Locals of the chart.
+        pub locals: BTreeMap<String, Json> = BTreeMap::new();
+        /// Outputs of the chart.
+        pub outputs: BTreeMap<String, Json> = BTreeMap::new();
+        /// How the run has ended.
+        pub outcome: Option<String> = None;
+        /// A part of the reason.
+        pub reason: Option<String> = None;
+        /// A part of what was logged since the last step that looked at it.
+        pub log: Option<String> = None;
+        /// An event that was sent to another agent since the last step that looked at it.
+        pub sent: Option<String> = None;
+    }
+}
+
+impl TestFile {
+    /// Reads a file of test cases.
+    ///
+    /// # Errors
+    /// Everything that is wrong with it.
+    pub fn read(source: Arc<Source>) -> Result<Self, Vec<Finding>> {
+        armarium_source::read(source)
+    }
+}
+
+impl Script {
+    /// How the skill ends when it is started for the `n`th time, from 0.
+    fn ending(&self, n: usize) -> Ending {
+        self.0.get(n).or(self.0.last()).cloned().unwrap_or_default()
+    }
+}
+
+/// An outcome, a map with more about it, or a list of these.
+impl Field for Script {
+    fn read(&mut self, node: &Node, rule: &Rule, findings: &mut Findings) {
+        let one = std::slice::from_ref(node);
+        let endings = if let Yaml::List(items) = &node.value { items } else { one };
+        self.0 = vec![Ending::default(); endings.len()];
+        for (ending, node) in self.0.iter_mut().zip(endings) {
+            match &node.value {
+                Yaml::String(outcome) => ending.outcome.clone_from(outcome),
+                Yaml::Map(_) => ending.read(node, rule, findings),
+                _ => findings.form(node, "an outcome, or a map with more about it,"),
+            }
+        }
+    }
+    fn schema(rule: &Rule) -> Json {
+        let one = json!({"anyOf": [{"type": "string"}, Ending::schema(rule)]});
+        json!({"anyOf": [one, {"type": "array", "items": one}]})
+    }
+}
+
+impl Step {
+    fn does_one_thing(&self, node: &Node, findings: &mut Findings) {
+        let alone = self.channel.is_none() || (self.event.is_none() && self.from.is_none());
+        if !alone || (self.from.is_some() && self.event.is_none()) {
+            let message = "a step does one thing: `event`, perhaps with `from`, or `channel`";
+            findings.error(code::FORM, node.span, message);
+        }
+    }
+}
