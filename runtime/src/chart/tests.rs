@@ -1,5 +1,7 @@
 use std::collections::BTreeMap;
 
+use armarium_source::code;
+
 use super::testing::{findings, program};
 use super::*;
 
