@@ -83,14 +83,14 @@ fn check_file(
     charts: &[PathBuf],
     check_chart: &dyn Fn(&Path, &[PathBuf]) -> Vec<Finding>,
 ) -> Vec<Finding> {
-    let text = match Source::read(file) {
+    let source = match Source::read(file) {
         Ok(source) => source,
         Err(finding) => return vec![*finding],
     };
-    let read = if is_world(&text.text) {
-        World::load(file).map(drop)
-    } else if is_cases(&text.text) {
-        TestFile::read(text).map(drop)
+    let read = if is_world(&source.text) {
+        armarium_source::read::<World>(source).map(drop)
+    } else if is_cases(&source.text) {
+        TestFile::read(source).map(drop)
     } else {
         return check_chart(file, charts);
     };

@@ -1,7 +1,9 @@
-//! `armarium schema world|chart`: the JSON schemas that editors check and complete files with.
+//! `armarium schema world|chart|test|object|scene`: the JSON schemas that editors check and complete files with.
 
 use std::io::{self, Write};
 
+use armarium_memoryx::prior;
+use armarium_runtime::test_cases::TestFile;
 use armarium_simulator::World;
 
 /// What `schema` takes.
@@ -19,6 +21,12 @@ pub(crate) enum SchemaOf {
     World,
     /// A chart.
     Chart,
+    /// Test cases of a chart.
+    Test,
+    /// An object class of prior knowledge.
+    Object,
+    /// A scene of prior knowledge.
+    Scene,
 }
 
 /// Writes the schema. Returns the exit status 0.
@@ -27,8 +35,11 @@ pub(crate) enum SchemaOf {
 /// When `out` cannot be written.
 pub(crate) fn run(args: SchemaArgs, out: &mut dyn Write) -> io::Result<u8> {
     let schema = match args.of {
-        SchemaOf::World => serde_json::to_value(World::schema())?,
+        SchemaOf::World => World::schema(),
         SchemaOf::Chart => armarium_runtime::chart::schema(&armarium_host::catalog::idle_registry()),
+        SchemaOf::Test => armarium_source::schema::<TestFile>(),
+        SchemaOf::Object => prior::file::schema(),
+        SchemaOf::Scene => prior::scene::schema(),
     };
     serde_json::to_writer_pretty(&mut *out, &schema)?;
     writeln!(out)?;
