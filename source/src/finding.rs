@@ -8,7 +8,9 @@ use std::sync::Arc;
 use serde::ser::{Serialize, SerializeStruct as _, Serializer};
 
 use crate::code;
-use crate::yaml::{MAX_BYTES, Node, too_large};
+
+/// Largest file, bytes.
+pub(crate) const MAX_BYTES: usize = 10_000_000;
 
 /// A file's text, kept so that findings can show it.
 #[derive(Debug, PartialEq, Eq)]
@@ -203,15 +205,6 @@ impl Findings {
         self.add(Severity::Error, code, span, message, None);
     }
 
-    /// Adds an error about the form of a value: `expected` is needed there.
-    pub fn form(&mut self, node: &Node, expected: &str) {
-        self.error(
-            code::FORM,
-            node.span,
-            format!("{expected} is needed here, not {}", node.value.describe()),
-        );
-    }
-
     /// Adds an error with what to do about it.
     pub fn error_help(
         &mut self,
@@ -228,4 +221,9 @@ impl Findings {
 #[must_use]
 pub fn suggest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<String> {
     armarium_values::expr::nearest(name, candidates).map(|near| format!("did you mean `{near}`?"))
+}
+
+/// What is said of a file over the limit, and what to do about it.
+pub(crate) fn too_large() -> (String, &'static str) {
+    (format!("the file has more than {} MB", MAX_BYTES / 1_000_000), "put parts of it in files of their own")
 }

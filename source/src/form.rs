@@ -53,6 +53,15 @@ pub trait Form: Field + Default + Serialize {
 }
 
 impl Findings {
+    /// Adds an error about the form of a value: `expected` is needed there.
+    pub fn form(&mut self, node: &Node, expected: &str) {
+        self.error(
+            code::FORM,
+            node.span,
+            format!("{expected} is needed here, not {}", node.value.describe()),
+        );
+    }
+
     /// The entries of a map; none, with a finding, where the node is another thing.
     pub fn entries<'n>(&mut self, node: &'n Node) -> &'n Entries {
         match &node.value {

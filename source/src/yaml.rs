@@ -12,11 +12,9 @@ use serde_saphyr::granit_parser::ErrorKind;
 use serde_saphyr::{ExternalMessageSource, Location, Spanned};
 
 use crate::code;
-use crate::finding::{Findings, Span};
+use crate::finding::{Findings, MAX_BYTES, Span, too_large};
 use crate::stack::on_a_large_stack;
 
-/// Largest file, bytes.
-pub const MAX_BYTES: usize = 10_000_000;
 /// Deepest nesting of YAML; 60 levels of states are within it.
 const MAX_DEPTH: usize = 190;
 /// Most nodes: 200 000 states of ten nodes.
@@ -237,11 +235,6 @@ fn place(location: Location, text: &str) -> Span {
     let here = text[start..].lines().next().unwrap_or("");
     let column: usize = here.chars().take(before(location.column())).map(char::len_utf8).sum();
     Span { start: start + column, end: start + column + 1 }
-}
-
-/// What is said of a file over the limit, and what to do about it.
-pub(crate) fn too_large() -> (String, &'static str) {
-    (format!("the file has more than {} MB", MAX_BYTES / 1_000_000), "put parts of it in files of their own")
 }
 
 /// What is wrong with the form of a file, and what can be done about it.
