@@ -242,7 +242,11 @@ fn explained(error: &serde_saphyr::Error) -> (String, Option<String>) {
     use serde_saphyr::Error as E;
     let deep = ("this is nested too deep", "states may be nested 60 levels deep");
     let aliases = ("its aliases make it too large", "write out what they stand for, or use fewer of them");
-    let (message, help) = match error.without_snippet() {
+    let mut error = error.without_snippet();
+    while let E::AliasError { error: inner, .. } = error {
+        error = inner.without_snippet();
+    }
+    let (message, help) = match error {
         E::DuplicateMappingKey { key: Some(key), .. } => {
             let message = format!("the key `{key}` is there twice");
             return (message, Some("remove one of them, or give it another name".into()));
@@ -259,6 +263,8 @@ fn explained(error: &serde_saphyr::Error) -> (String, Option<String>) {
             BudgetBreach::Depth { .. } => deep,
             BudgetBreach::Aliases { .. }
             | BudgetBreach::Anchors { .. }
+            | BudgetBreach::RecordedAnchorEvents { .. }
+            | BudgetBreach::RecordedAnchorBytes { .. }
             | BudgetBreach::AliasAnchorRatio { .. } => aliases,
             _ => ("it has too many parts", "put parts of it in files of their own"),
         },
