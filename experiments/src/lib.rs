@@ -1,7 +1,7 @@
 //! The experiments of the papers: each takes settings and returns figures and plots.
 //!
 //! Each experiment is a file: its settings with their defaults (`settings!`), and an
-//! [`Experiment`](experiment::Experiment) that computes figures and plots from them. A new experiment also needs a line
+//! `Experiment` that computes figures and plots from them. A new experiment also needs a line
 //! in [`all`]. The algorithms are those of `armarium-motion`; this room contains only the papers' set-up around them.
 //! It prints nothing and knows no command line.
 

@@ -1,6 +1,6 @@
 //! An agent as a process: its connection, memory, robot, cameras and skills put together, the run of a chart, and the report.
 //!
-//! - [`run`]: runs a chart with the simulated robot, from its files to its report.
+//! - [`run()`]: runs a chart with the simulated robot, from its files to its report.
 //! - [`agent`]: offers charts, skills, memory and cameras to others.
 //! - [`catalog`]: the skills and channels that charts may name.
 //! - [`cameras`]: simulated cameras in a process of their own. [`replay`]: replays a recorded run.

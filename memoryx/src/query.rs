@@ -61,7 +61,7 @@ pub struct Query {
     pub times: Times,
     /// Only snapshots that arrived in this memory at this time or later, ns.
     pub arrived_since: Option<u64>,
-    /// Only snapshots for which a CEL expression is true; see [`Filter`].
+    /// Only snapshots for which a CEL expression is true; see [`Filter`](crate::Filter).
     pub filter: Option<String>,
     /// Only snapshots in this region.
     pub region: Option<Region>,

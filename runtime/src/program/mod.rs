@@ -3,7 +3,7 @@
 //!
 //! States are numbered in the order of the file, parents before children, so that the states inside `s` are exactly
 //! `s + 1 ..= s.last`. State 0 stands for the run; its only child is the chart. Names of events are numbers as
-//! well. The data that selecting transitions needs are stored side by side in [`Tables`].
+//! well. The data that selecting transitions needs are stored side by side in `Tables`.
 
 mod tables;
 
