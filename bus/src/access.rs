@@ -27,30 +27,18 @@ pub struct Access {
 /// A rule: name, messages, directions (as this agent sees them) and keys.
 struct Rule {
     id: String,
-    messages: &'static [&'static str],
+    messages: Vec<&'static str>,
     flow: &'static str,
     keys: Vec<String>,
 }
 
 /// The messages of a peer that queries or subscribes.
-const ASKS: &[&str] = &["query", "declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"];
+const QUERYING: &[&str] =
+    &["query", "declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"];
 /// The messages of a peer that publishes or answers.
-const TELLS: &[&str] = &["put", "delete", "reply", "declare_queryable", "liveliness_token"];
-const EVERYTHING: &[&str] = &[
-    "put",
-    "delete",
-    "reply",
-    "declare_queryable",
-    "liveliness_token",
-    "query",
-    "declare_subscriber",
-    "declare_liveliness_subscriber",
-    "liveliness_query",
-];
-
+const PUBLISHING: &[&str] = &["put", "delete", "reply", "declare_queryable", "liveliness_token"];
 impl Access {
     /// Whether any peer but the agent itself is admitted.
-    #[must_use]
     pub fn is_for_others(&self) -> bool {
         !(self.readers.is_empty() && self.writers.is_empty() && self.callers.is_empty())
     }
@@ -62,8 +50,11 @@ impl Access {
     pub fn rules(&self) -> Result<Json, KeyError> {
         let own = self.own.as_str();
         check_name(own)?;
-        let mut rules = vec![rule(own, "everything", EVERYTHING, "ingress", ["**".into()])];
-        rules.push(rule(own, "everything_back", EVERYTHING, "egress", ["**".into()]));
+        let everything = [PUBLISHING, QUERYING].concat();
+        let mut rules = vec![
+            rule(own, "everything", &everything, "ingress", ["**".into()]),
+            rule(own, "everything_back", &everything, "egress", ["**".into()]),
+        ];
         let mut subjects = vec![own];
         for other in self.readers.iter().chain(&self.writers).chain(&self.callers) {
             if subjects.contains(&other.as_str()) {
@@ -103,8 +94,8 @@ impl Access {
         let is_in = |list: &[String]| list.iter().any(|name| name == other);
         let himself = || [format!("{other}/**")];
         let mut rules = vec![
-            rule(other, "tells", TELLS, "ingress", himself()),
-            rule(other, "is_asked", ASKS, "egress", himself()),
+            rule(other, "tells", PUBLISHING, "ingress", himself()),
+            rule(other, "is_asked", QUERYING, "egress", himself()),
         ];
         if is_in(&self.readers) || is_in(&self.writers) {
             let asked = [
@@ -113,18 +104,18 @@ impl Access {
                 format!("{own}/memory/*/*/*"),
                 format!("{own}/alive/*"),
             ];
-            rules.push(rule(other, "reads", ASKS, "ingress", asked));
+            rules.push(rule(other, "reads", QUERYING, "ingress", asked));
             let told = [format!("{own}/memory/**"), format!("{own}/alive/*")];
-            rules.push(rule(other, "is_told", TELLS, "egress", told));
+            rules.push(rule(other, "is_told", PUBLISHING, "egress", told));
         }
         if is_in(&self.writers) {
-            rules.push(rule(other, "commits", ASKS, "ingress", [format!("{own}/memory/by/{other}")]));
+            rules.push(rule(other, "commits", QUERYING, "ingress", [format!("{own}/memory/by/{other}")]));
             rules.push(rule(other, "writes", &["put"], "ingress", [format!("{own}/memory/*/{other}/*")]));
         }
         if is_in(&self.callers) {
             let charts = || [format!("{own}/chart/*"), format!("{own}/event"), format!("{own}/alive/*")];
-            rules.push(rule(other, "calls", ASKS, "ingress", charts()));
-            rules.push(rule(other, "is_answered", TELLS, "egress", charts()));
+            rules.push(rule(other, "calls", QUERYING, "ingress", charts()));
+            rules.push(rule(other, "is_answered", PUBLISHING, "egress", charts()));
         }
         rules
     }
@@ -133,11 +124,11 @@ impl Access {
 fn rule(
     subject: &str,
     name: &str,
-    messages: &'static [&'static str],
+    messages: &[&'static str],
     flow: &'static str,
     keys: impl Into<Vec<String>>,
 ) -> Rule {
-    Rule { id: format!("{subject} {name}"), messages, flow, keys: keys.into() }
+    Rule { id: format!("{subject} {name}"), messages: messages.to_vec(), flow, keys: keys.into() }
 }
 
 #[cfg(test)]

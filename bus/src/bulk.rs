@@ -23,17 +23,17 @@ use zenoh::shm::{
     cleanup_orphaned_shm_segments,
 };
 
-use crate::attached;
-use crate::error::SessionError;
+use crate::error::{SessionError, failed};
 use crate::keys::{Key, KeyPattern};
-use crate::session::Session;
+use crate::segments;
+use crate::session::{Boxed, Session};
 
 /// A new pool has room for so many payloads of the present size.
-const ROOM: usize = 8;
+const PAYLOADS_PER_POOL: usize = 8;
 /// Smallest pool, bytes.
-const LEAST_POOL: usize = 4 << 20;
+const MIN_POOL_BYTES: usize = 4 << 20;
 /// Largest pool, bytes; payloads that do not fit into it go over the network.
-const MOST_POOL: usize = 1 << 30;
+const MAX_POOL_BYTES: usize = 1 << 30;
 
 type Pool = ShmProvider<PosixShmProviderBackend>;
 
@@ -51,12 +51,12 @@ pub struct BulkSender {
 }
 
 /// The buffer of one payload: in shared memory, or on the heap when the pool has no room.
-pub struct Slot {
-    memory: Memory,
+pub struct BulkBuffer {
+    memory: BufferMemory,
     length: usize,
 }
 
-enum Memory {
+enum BufferMemory {
     Shared(ZShmMut),
     Own(Vec<u8>),
 }
@@ -81,26 +81,22 @@ pub struct BulkBytes(ZBytes);
 /// Receives large payloads; its queue keeps the newest.
 #[derive(Debug)]
 pub struct BulkReader {
-    queue: Arc<Queue>,
+    queue: Arc<NewestQueue>,
     _declared: Subscriber<()>,
 }
 
 #[derive(Debug)]
-struct Queue {
+struct NewestQueue {
     waiting: Mutex<VecDeque<Bulk>>,
     capacity: usize,
     arrived: Notify,
     dropped: AtomicU64,
 }
 
-fn failed(error: impl fmt::Display) -> SessionError {
-    SessionError::Zenoh { what: error.to_string() }
-}
-
 /// Removes the shared memory of killed processes, and unmaps what this process still maps of it. It scans all
 /// segments of the machine: call it rarely.
 pub fn remove_orphans() {
-    attached::let_go();
+    segments::unmap_unused();
     cleanup_orphaned_shm_segments();
 }
 
@@ -109,7 +105,11 @@ impl Session {
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
-    pub async fn bulk_sender(&self, key: &Key, encoding: &str) -> Result<BulkSender, SessionError> {
+    pub fn bulk_sender<'a>(&'a self, key: &'a Key, encoding: &'a str) -> Boxed<'a, BulkSender> {
+        Box::pin(self.bulk_sender_on(key, encoding))
+    }
+
+    async fn bulk_sender_on(&self, key: &Key, encoding: &str) -> Result<BulkSender, SessionError> {
         let publisher = self.zenoh().declare_publisher(key.as_str().to_owned());
         let publisher = publisher.encoding(Encoding::from(encoding)).express(true);
         let publisher = publisher.congestion_control(CongestionControl::Drop).await.map_err(failed)?;
@@ -133,32 +133,35 @@ impl Session {
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
-    pub async fn bulk_reader(
+    pub fn bulk_reader(
         &self,
         keys: impl Into<KeyPattern>,
         capacity: usize,
         detached: bool,
-    ) -> Result<BulkReader, SessionError> {
-        let queue = Arc::new(Queue {
+    ) -> Boxed<'_, BulkReader> {
+        self.bulk_reader_of(&keys.into(), capacity, detached)
+    }
+
+    fn bulk_reader_of(&self, keys: &KeyPattern, capacity: usize, detached: bool) -> Boxed<'_, BulkReader> {
+        let queue = Arc::new(NewestQueue {
             waiting: Mutex::new(VecDeque::new()),
             capacity: capacity.max(1),
             arrived: Notify::new(),
             dropped: AtomicU64::new(0),
         });
         let offered = Arc::clone(&queue);
-        let declared = self.zenoh().declare_subscriber(keys.into().as_str().to_owned());
+        let declared = self.zenoh().declare_subscriber(keys.as_str().to_owned());
         let declared = declared.callback(move |sample| {
             if sample.kind() == SampleKind::Put {
                 offered.offer(Bulk::of(&sample, detached));
             }
         });
-        Ok(BulkReader { queue, _declared: declared.await.map_err(failed)? })
+        Box::pin(async move { Ok(BulkReader { queue, _declared: declared.await.map_err(failed)? }) })
     }
 }
 
 impl BulkSender {
     /// Whether anyone subscribes.
-    #[must_use]
     pub fn is_wanted(&self) -> bool {
         *self.wanted.borrow()
     }
@@ -171,24 +174,22 @@ impl BulkSender {
     }
 
     /// How many payloads did not fit into shared memory, because readers held it, and were sent as copies.
-    #[must_use]
     pub fn unshared(&self) -> u64 {
         self.unshared.load(Ordering::Relaxed)
     }
 
     /// A buffer of `length` bytes, in shared memory if possible. Its initial content is arbitrary.
-    #[must_use]
-    pub fn slot(&self, length: usize) -> Slot {
+    pub fn slot(&self, length: usize) -> BulkBuffer {
         let shared = self.shared(length.max(1));
         if shared.is_none() {
             self.unshared.fetch_add(1, Ordering::Relaxed);
         }
-        let memory = shared.map_or_else(|| Memory::Own(vec![0; length]), Memory::Shared);
-        Slot { memory, length }
+        let memory = shared.map_or_else(|| BufferMemory::Own(vec![0; length]), BufferMemory::Shared);
+        BulkBuffer { memory, length }
     }
 
     fn shared(&self, length: usize) -> Option<ZShmMut> {
-        let wanted = length.saturating_mul(ROOM).clamp(LEAST_POOL, MOST_POOL);
+        let wanted = length.saturating_mul(PAYLOADS_PER_POOL).clamp(MIN_POOL_BYTES, MAX_POOL_BYTES);
         let mut pools = self.pools.lock();
         if pools.back().is_none_or(|(size, _)| *size < wanted) {
             let made = ShmProviderBuilder::default_backend(wanted).wait();
@@ -205,40 +206,41 @@ impl BulkSender {
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
-    pub async fn send(&self, slot: Slot, attachment: Vec<u8>) -> Result<(), SessionError> {
+    pub fn send(&self, slot: BulkBuffer, attachment: Vec<u8>) -> Boxed<'_, ()> {
         let payload = match slot.memory {
-            Memory::Shared(buffer) => ZBytes::from(buffer),
-            Memory::Own(bytes) => ZBytes::from(bytes),
+            BufferMemory::Shared(buffer) => ZBytes::from(buffer),
+            BufferMemory::Own(bytes) => ZBytes::from(bytes),
         };
         let put = self.publisher.put(payload).attachment(attachment);
-        put.timestamp(self.session.zenoh().new_timestamp()).await.map_err(failed)
+        let put = put.timestamp(self.session.zenoh().new_timestamp());
+        Box::pin(async move { put.await.map_err(failed) })
     }
 }
 
-impl Deref for Slot {
+impl Deref for BulkBuffer {
     type Target = [u8];
 
     fn deref(&self) -> &[u8] {
         match &self.memory {
-            Memory::Shared(buffer) => &buffer[..self.length],
-            Memory::Own(bytes) => bytes,
+            BufferMemory::Shared(buffer) => &buffer[..self.length],
+            BufferMemory::Own(bytes) => bytes,
         }
     }
 }
 
-impl DerefMut for Slot {
+impl DerefMut for BulkBuffer {
     fn deref_mut(&mut self) -> &mut [u8] {
         match &mut self.memory {
-            Memory::Shared(buffer) => &mut buffer[..self.length],
-            Memory::Own(bytes) => bytes,
+            BufferMemory::Shared(buffer) => &mut buffer[..self.length],
+            BufferMemory::Own(bytes) => bytes,
         }
     }
 }
 
-impl fmt::Debug for Slot {
+impl fmt::Debug for BulkBuffer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let shared = matches!(self.memory, Memory::Shared(_));
-        f.debug_struct("Slot").field("length", &self.length).field("shared", &shared).finish()
+        let shared = matches!(self.memory, BufferMemory::Shared(_));
+        f.debug_struct("BulkBuffer").field("length", &self.length).field("shared", &shared).finish()
     }
 }
 
@@ -262,7 +264,6 @@ impl BulkBytes {
     }
 
     /// Whether the bytes are in the sender's shared memory.
-    #[must_use]
     pub fn is_shared(&self) -> bool {
         self.0.as_shm().is_some()
     }
@@ -270,7 +271,6 @@ impl BulkBytes {
     /// Whether all bytes read so far are those that were sent; to be called after reading. A reader that the system
     /// suspends for a tenth of a second loses its hold on shared memory, and the sender writes the next payload
     /// there. The same happens when the sender has exited.
-    #[must_use]
     pub fn is_intact(&self) -> bool {
         self.0.as_shm().is_none_or(|buffer| buffer.is_valid())
     }
@@ -289,7 +289,7 @@ impl fmt::Debug for BulkBytes {
     }
 }
 
-impl Queue {
+impl NewestQueue {
     /// Never blocks: this runs on Zenoh's link threads.
     fn offer(&self, bulk: Bulk) {
         let mut waiting = self.waiting.lock();
@@ -315,13 +315,11 @@ impl BulkReader {
     }
 
     /// The next payload, if one is in the queue.
-    #[must_use]
     pub fn try_next(&self) -> Option<Bulk> {
         self.queue.waiting.lock().pop_front()
     }
 
     /// How many payloads were dropped from the queue so far.
-    #[must_use]
     pub fn dropped(&self) -> u64 {
         self.queue.dropped.load(Ordering::Relaxed)
     }

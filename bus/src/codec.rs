@@ -23,7 +23,7 @@ pub struct Bounds {
 }
 
 /// Upper limit of [`Bounds::depth`].
-const DEEPEST: usize = 128;
+const MAX_DEPTH: usize = 128;
 
 impl Default for Bounds {
     fn default() -> Self {
@@ -146,9 +146,9 @@ pub fn check(bytes: &[u8], bounds: Bounds) -> Result<(), CodecError> {
     if bytes.len() > bounds.bytes {
         return Err(CodecError::TooLong { bytes: bytes.len(), most: bounds.bytes });
     }
-    let most = bounds.depth.min(DEEPEST);
+    let most = bounds.depth.min(MAX_DEPTH);
     // Items still expected in each open container; `None` where a break ends it.
-    let mut open = [None; DEEPEST];
+    let mut open = [None; MAX_DEPTH];
     let mut depth = 0;
     let (mut at, mut items) = (0, 0);
     loop {

@@ -73,7 +73,6 @@ impl Default for SessionConfig {
 
 impl SessionConfig {
     /// The default, connected to these endpoints.
-    #[must_use]
     pub fn connected_to(endpoints: &[String]) -> Self {
         Self { connect: endpoints.to_vec(), ..Self::default() }
     }

@@ -27,7 +27,7 @@ pub enum SessionError {
     },
     /// No answer within the timeout.
     #[error("nobody answered `{key}` within {seconds} s")]
-    NoAnswer {
+    NoReply {
         /// The queried key.
         key: String,
         /// The timeout, s.
@@ -35,12 +35,18 @@ pub enum SessionError {
     },
     /// More answers than the limit.
     #[error("`{key}` has more answers than the {most} that are accepted")]
-    TooManyAnswers {
+    TooManyReplies {
         /// The queried key.
         key: String,
         /// The limit.
         most: usize,
     },
+}
+
+impl From<crate::KeyError> for SessionError {
+    fn from(error: crate::KeyError) -> Self {
+        Self::Config { what: error.to_string() }
+    }
 }
 
 /// Converts any of Zenoh's errors.

@@ -16,7 +16,7 @@
 use std::fmt;
 
 /// Longest name in a key, bytes.
-const LONGEST_NAME: usize = 200;
+const MAX_NAME_BYTES: usize = 200;
 
 /// A name that cannot be part of a key.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -40,19 +40,6 @@ pub struct KeyPattern(String);
 /// Part of a pattern: a name, or `None` for any.
 pub type Part<'a> = Option<&'a str>;
 
-/// The parts of an entity's key.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct MemoryParts<'a> {
-    /// The agent.
-    pub agent: &'a str,
-    /// The core segment.
-    pub segment: &'a str,
-    /// The provider segment.
-    pub provider: &'a str,
-    /// The entity.
-    pub entity: &'a str,
-}
-
 /// Checks that `name` can be one part of a key.
 ///
 /// # Errors
@@ -60,7 +47,7 @@ pub struct MemoryParts<'a> {
 pub fn check_name(name: &str) -> Result<(), KeyError> {
     let forbidden = |byte: u8| matches!(byte, b'/' | b'*' | b'#' | b'?' | b'$') || byte.is_ascii_control();
     let bad = name.is_empty()
-        || name.len() > LONGEST_NAME
+        || name.len() > MAX_NAME_BYTES
         || name.starts_with('@')
         || name.bytes().any(forbidden)
         || (!name.is_ascii() && name.chars().any(char::is_control));
@@ -212,38 +199,23 @@ impl Key {
     }
 
     /// The key as a Zenoh key expression.
-    #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0
     }
 
     /// The agent that owns the resource.
-    #[must_use]
     pub fn agent(&self) -> &str {
         self.0.split('/').next().unwrap_or_default()
     }
 
     /// The last part: entity, provider, chart, run or service.
-    #[must_use]
     pub fn name(&self) -> &str {
         self.0.rsplit('/').next().unwrap_or_default()
-    }
-
-    /// The parts of an entity's key; `None` for other keys.
-    #[must_use]
-    pub fn memory_parts(&self) -> Option<MemoryParts<'_>> {
-        match self.0.split('/').collect::<Vec<_>>()[..] {
-            [agent, "memory", segment, provider, entity] => {
-                Some(MemoryParts { agent, segment, provider, entity })
-            }
-            _ => None,
-        }
     }
 }
 
 impl KeyPattern {
     /// The pattern as a Zenoh key expression.
-    #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0
     }
@@ -293,9 +265,8 @@ mod tests {
         for name in ["a", "-", "ä ö", "a.b", "a@b", "x_1", &"n".repeat(200)] {
             let key = memory(name, name, name, name).unwrap();
             assert!(zenoh::key_expr::KeyExpr::new(key.as_str()).is_ok(), "{name:?}");
-            assert_eq!(Key::parse(key.as_str()).unwrap().memory_parts().unwrap().entity, name);
+            assert_eq!(Key::parse(key.as_str()), Ok(key));
         }
         assert!(Key::parse("a//b").is_err());
-        assert_eq!(Key::parse("a/robot/state").unwrap().memory_parts(), None);
     }
 }

@@ -11,7 +11,6 @@
 //! This room knows no memory, robot, image or chart: it transports bytes.
 
 mod access;
-mod attached;
 pub mod bulk;
 pub mod codec;
 mod config;
@@ -20,6 +19,7 @@ pub mod keys;
 mod message;
 mod queue;
 mod schema;
+mod segments;
 pub mod session;
 pub mod stream;
 
@@ -29,8 +29,8 @@ pub use error::SessionError;
 pub use keys::{Key, KeyError, KeyPattern};
 pub use schema::{Payload, Schema};
 pub use session::{
-    AliveToken, Answer, Interest, Liveliness, Message, Mode, Question, Questions, Roll, Session,
-    SessionConfig, Subscription, Tls,
+    AliveToken, Boxed, IncomingQuery, Interest, Liveliness, LivelinessSubscription, Message, Mode, Queryable,
+    Reply, Session, SessionConfig, Subscription, Tls,
 };
 
 #[cfg(test)]

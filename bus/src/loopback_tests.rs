@@ -5,7 +5,7 @@ use std::time::Duration;
 use crate::bulk::Bulk;
 use crate::error::SessionError;
 use crate::keys::{self, KeyPattern};
-use crate::session::{ANSWER_TIMEOUT, Answer, Session, SessionConfig};
+use crate::session::{REPLY_TIMEOUT, Reply, Session, SessionConfig};
 
 async fn pair() -> (Session, Session) {
     let one = Session::open(&SessionConfig::default()).await.unwrap();
@@ -51,7 +51,7 @@ async fn what_is_put_arrives_with_what_names_it() {
 async fn questions_are_answered_refused_or_unanswered() {
     let (one, two) = pair().await;
     let key = keys::memory_commit("alice").unwrap();
-    let mut questions = one.answer(key.clone(), 16).await.unwrap();
+    let mut questions = one.declare_queryable(key.clone(), 16).await.unwrap();
     tokio::spawn(async move {
         while let Some(question) = questions.next().await {
             let reply_key = keys::memory_commit("alice").unwrap();
@@ -66,7 +66,7 @@ async fn questions_are_answered_refused_or_unanswered() {
         }
     });
     let answers = loop {
-        let asked = two.ask(key.clone(), "twice", Some(("e", vec![7])), 8, ANSWER_TIMEOUT).await.unwrap();
+        let asked = two.query(key.clone(), "twice", Some(("e", vec![7])), 8, REPLY_TIMEOUT).await.unwrap();
         if !asked.is_empty() {
             break asked;
         }
@@ -74,16 +74,16 @@ async fn questions_are_answered_refused_or_unanswered() {
     let payloads: Vec<Vec<u8>> = answers
         .into_iter()
         .map(|answer| match answer {
-            Answer::Message(message) => message.payload,
-            Answer::Refusal { .. } => vec![255],
+            Reply::Message(message) => message.payload,
+            Reply::Refusal { .. } => vec![255],
         })
         .collect();
     assert_eq!(payloads, [vec![7], vec![]], "both answers on one key arrive");
-    let refusal = two.ask_one(&key, "no", None).await.unwrap();
-    assert_eq!(refusal, Answer::Refusal { encoding: "why".into(), payload: vec![9] });
-    assert!(matches!(two.ask_one(&key, "silence", None).await, Err(SessionError::NoAnswer { .. })));
-    let too_many = two.ask(key.clone(), "twice", None, 1, ANSWER_TIMEOUT).await;
-    assert!(matches!(too_many, Err(SessionError::TooManyAnswers { most: 1, .. })));
+    let refusal = two.query_one(&key, "no", None).await.unwrap();
+    assert_eq!(refusal, Reply::Refusal { encoding: "why".into(), payload: vec![9] });
+    assert!(matches!(two.query_one(&key, "silence", None).await, Err(SessionError::NoReply { .. })));
+    let too_many = two.query(key.clone(), "twice", None, 1, REPLY_TIMEOUT).await;
+    assert!(matches!(too_many, Err(SessionError::TooManyReplies { most: 1, .. })));
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

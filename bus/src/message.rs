@@ -1,12 +1,17 @@
 //! What a session receives: messages, queries and answers, and services that start and stop. Payloads are not
 //! interpreted.
 
+use std::pin::Pin;
+
 use zenoh::bytes::Encoding;
 use zenoh::sample::{SampleKind, SourceInfo};
 
 use crate::error::{SessionError, failed};
 use crate::keys::Key;
-use crate::queue::{Queue, Weigh};
+use crate::queue::Receiver;
+
+/// A future of the session. Its type is hidden, so that those who wait for it are not compiled with Zenoh inside.
+pub type Boxed<'a, T> = Pin<Box<dyn Future<Output = Result<T, SessionError>> + Send + 'a>>;
 
 /// A payload with its metadata.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -27,7 +32,7 @@ pub struct Message {
 
 /// An answer to a query.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Answer {
+pub enum Reply {
     /// The result.
     Message(Message),
     /// The other side refuses; the payload gives the reason.
@@ -40,22 +45,17 @@ pub enum Answer {
 }
 
 /// A subscription and its queue. When the queue is full, new messages are dropped.
-#[derive(Debug)]
-pub struct Subscription {
-    pub(crate) queue: Queue<Message>,
-    pub(crate) _declared: zenoh::pubsub::Subscriber<()>,
-}
+pub type Subscription = Receiver<Message>;
 
 /// The queries that arrive at a queryable.
-#[derive(Debug)]
-pub struct Questions {
-    pub(crate) queue: Queue<Question>,
-    pub(crate) _declared: zenoh::query::Queryable<()>,
-}
+pub type Queryable = Receiver<IncomingQuery>;
+
+/// The starts and stops of services.
+pub type LivelinessSubscription = Receiver<Liveliness>;
 
 /// A query from another session. Dropping it ends it for the caller too.
 #[derive(Debug)]
-pub struct Question {
+pub struct IncomingQuery {
     /// The queried key or key expression.
     pub key: String,
     /// The part after the `?`.
@@ -78,99 +78,23 @@ pub struct Liveliness {
     pub alive: bool,
 }
 
-/// The starts and stops of services.
-#[derive(Debug)]
-pub struct Roll {
-    pub(crate) queue: Queue<Liveliness>,
-    pub(crate) _declared: zenoh::pubsub::Subscriber<()>,
-}
-
-impl Subscription {
-    /// The next message; `None` when the session has closed.
-    pub async fn next(&mut self) -> Option<Message> {
-        self.queue.next().await
-    }
-
-    /// The next message, if one is in the queue.
-    pub fn try_next(&mut self) -> Option<Message> {
-        self.queue.try_next()
-    }
-
-    /// How many messages were dropped so far, because of their number or their bytes.
-    #[must_use]
-    pub fn dropped(&self) -> u64 {
-        self.queue.dropped()
-    }
-}
-
-impl Roll {
-    /// The next service that has started or stopped; `None` when the session has closed.
-    pub async fn next(&mut self) -> Option<Liveliness> {
-        self.queue.next().await
-    }
-}
-
-impl Questions {
-    /// The next query; `None` when the session has closed.
-    pub async fn next(&mut self) -> Option<Question> {
-        self.queue.next().await
-    }
-
-    /// The next query, if one is in the queue.
-    pub fn try_next(&mut self) -> Option<Question> {
-        self.queue.try_next()
-    }
-
-    /// How many queries were dropped so far; they got no answer.
-    #[must_use]
-    pub fn dropped(&self) -> u64 {
-        self.queue.dropped()
-    }
-}
-
-impl Question {
+impl IncomingQuery {
     /// Sends an answer, of possibly several, on a key that matches the query.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
-    pub async fn reply(&self, key: &Key, encoding: &str, payload: Vec<u8>) -> Result<(), SessionError> {
+    pub fn reply<'a>(&'a self, key: &'a Key, encoding: &str, payload: Vec<u8>) -> Boxed<'a, ()> {
         let reply = self.query.reply(key.as_str(), payload).encoding(Encoding::from(encoding));
-        reply.await.map_err(failed)
+        Box::pin(async move { reply.await.map_err(failed) })
     }
 
     /// Refuses the query; the payload gives the reason.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
-    pub async fn refuse(&self, encoding: &str, payload: Vec<u8>) -> Result<(), SessionError> {
-        self.query.reply_err(payload).encoding(Encoding::from(encoding)).await.map_err(failed)
-    }
-}
-
-impl Weigh for Message {
-    fn bytes(&self) -> usize {
-        self.key.len() + self.payload.len()
-    }
-}
-
-impl Weigh for Question {
-    fn bytes(&self) -> usize {
-        self.parameters.len() + self.payload.len()
-    }
-}
-
-impl Weigh for Answer {
-    fn bytes(&self) -> usize {
-        match self {
-            Self::Message(message) => message.bytes(),
-            Self::Refusal { payload, .. } => payload.len(),
-        }
-    }
-}
-
-impl Weigh for Liveliness {
-    fn bytes(&self) -> usize {
-        self.key.len()
+    pub fn refuse(&self, encoding: &str, payload: Vec<u8>) -> Boxed<'_, ()> {
+        let refusal = self.query.reply_err(payload).encoding(Encoding::from(encoding));
+        Box::pin(async move { refusal.await.map_err(failed) })
     }
 }
 
@@ -191,18 +115,18 @@ pub(crate) fn of_sample(sample: &zenoh::sample::Sample) -> Message {
     }
 }
 
-pub(crate) fn of_reply(reply: &zenoh::query::Reply) -> Answer {
+pub(crate) fn of_reply(reply: &zenoh::query::Reply) -> Reply {
     match reply.result() {
-        Ok(sample) => Answer::Message(of_sample(sample)),
-        Err(error) => Answer::Refusal {
+        Ok(sample) => Reply::Message(of_sample(sample)),
+        Err(error) => Reply::Refusal {
             encoding: error.encoding().to_string(),
             payload: error.payload().to_bytes().into_owned(),
         },
     }
 }
 
-pub(crate) fn of_query(query: zenoh::query::Query) -> Question {
-    Question {
+pub(crate) fn of_query(query: zenoh::query::Query) -> IncomingQuery {
+    IncomingQuery {
         key: query.key_expr().to_string(),
         parameters: query.parameters().to_string(),
         sender: source(query.source_info()),

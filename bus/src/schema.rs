@@ -20,15 +20,23 @@ pub trait Payload: Serialize + DeserializeOwned {
     const SCHEMA: Schema;
 }
 
+/// Implements [`Payload`] for types: `payloads! { Type: "room/name", version; ... }`.
+#[macro_export]
+macro_rules! payloads {
+    ($($type:ty: $name:literal, $version:literal;)+) => {
+        $(impl $crate::Payload for $type {
+            const SCHEMA: $crate::Schema = $crate::Schema::new($name, $version);
+        })+
+    };
+}
+
 impl Schema {
     /// A schema.
-    #[must_use]
     pub const fn new(name: &'static str, version: u32) -> Self {
         Self { name, version }
     }
 
     /// The encoding that names the schema, `application/cbor;memoryx/entity;v1`.
-    #[must_use]
     pub fn encoding(&self) -> String {
         format!("application/cbor;{};v{}", self.name, self.version)
     }

@@ -5,6 +5,8 @@
 //!
 //! A session needs a multi-threaded tokio runtime, and waits in real time.
 
+use std::fmt;
+use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -15,21 +17,40 @@ use zenoh::qos::CongestionControl;
 use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::sample::{Locality, SampleKind, SourceInfo};
 
-use crate::attached;
 pub use crate::config::{Mode, SessionConfig, Tls};
 use crate::error::{SessionError, failed};
 use crate::keys::{Key, KeyPattern};
-pub use crate::message::{Answer, Liveliness, Message, Question, Questions, Roll, Subscription};
+pub use crate::message::{
+    Boxed, IncomingQuery, Liveliness, LivelinessSubscription, Message, Queryable, Reply, Subscription,
+};
 use crate::message::{nanoseconds, of_query, of_reply, of_sample};
 use crate::queue::queue;
+use crate::segments;
 
 /// Default timeout of a query.
-pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
+pub const REPLY_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// A session; clones are the same session. It closes when the last clone and everything declared on it is dropped.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Session {
-    zenoh: zenoh::Session,
+    // Behind a trait, as the futures below are: otherwise each function that holds a session while it waits makes the compiler
+    // prove anew that all of Zenoh is `Send`, which took a third of the memory room's build.
+    zenoh: Arc<dyn AsRef<zenoh::Session> + Send + Sync>,
+}
+
+/// Zenoh's session as [`Session`] holds it.
+struct Opened(zenoh::Session);
+
+impl AsRef<zenoh::Session> for Opened {
+    fn as_ref(&self) -> &zenoh::Session {
+        &self.0
+    }
+}
+
+impl fmt::Debug for Session {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Session").field("id", &self.id()).finish()
+    }
 }
 
 /// Announces a service until it is dropped.
@@ -54,51 +75,58 @@ impl Session {
     /// [`SessionError::Runtime`] outside a multi-threaded tokio runtime; [`SessionError::OffLoopback`] and
     /// [`SessionError::Config`] for an invalid configuration; [`SessionError::Zenoh`] when Zenoh cannot listen or
     /// connect.
-    pub async fn open(config: &SessionConfig) -> Result<Self, SessionError> {
+    pub fn open(config: &SessionConfig) -> Boxed<'_, Self> {
+        Box::pin(Self::opened(config))
+    }
+
+    async fn opened(config: &SessionConfig) -> Result<Self, SessionError> {
         let flavor = Handle::try_current().map(|h| h.runtime_flavor());
         if !matches!(flavor, Ok(RuntimeFlavor::MultiThread)) {
             return Err(SessionError::Runtime);
         }
         let mut opening = zenoh::open(config.to_zenoh()?);
         if config.shared_memory {
-            opening = opening.with_shm_clients(attached::clients());
+            opening = opening.with_shm_clients(segments::clients());
         }
         let zenoh = opening.await.map_err(failed)?;
-        Ok(Self { zenoh })
+        Ok(Self { zenoh: Arc::new(Opened(zenoh)) })
     }
 
     /// The endpoints on which it listens, with their actual ports.
-    pub async fn endpoints(&self) -> Vec<String> {
-        self.zenoh.info().locators().await.iter().map(ToString::to_string).collect()
+    pub fn endpoints(&self) -> Pin<Box<dyn Future<Output = Vec<String>> + Send + '_>> {
+        Box::pin(async { self.zenoh().info().locators().await.iter().map(ToString::to_string).collect() })
     }
 
     /// Zenoh's own session, for payloads that stay in its buffers.
-    #[must_use]
     pub fn zenoh(&self) -> &zenoh::Session {
-        &self.zenoh
+        (*self.zenoh).as_ref()
     }
 
     /// The session's unique id.
-    #[must_use]
     pub fn id(&self) -> String {
-        self.zenoh.zid().to_string()
+        self.zenoh().zid().to_string()
     }
 
     /// The sender of a message, for people. If the message does not name it, the sessions that this one is linked to:
     /// the message came through one of them.
     pub async fn sender(&self, said: Option<&str>) -> String {
-        if let Some(said) = said {
-            return said.into();
+        match said {
+            Some(said) => said.into(),
+            None => format!("one of those linked here: {}", self.linked().await.join(", ")),
         }
-        let linked = self.zenoh.info().transports().await;
-        let linked: Vec<_> = linked.map(|transport| transport.zid().to_string()).collect();
-        format!("one of those linked here: {}", linked.join(", "))
+    }
+
+    /// The ids of the sessions that this one is linked to.
+    fn linked(&self) -> Pin<Box<dyn Future<Output = Vec<String>> + Send + '_>> {
+        Box::pin(async {
+            let linked = self.zenoh().info().transports().await;
+            linked.map(|transport| transport.zid().to_string()).collect()
+        })
     }
 
     /// The wall clock of message timestamps, ns since 1970; no value repeats.
-    #[must_use]
     pub fn now_ns(&self) -> u64 {
-        nanoseconds(&self.zenoh.new_timestamp())
+        nanoseconds(&self.zenoh().new_timestamp())
     }
 
     /// Publishes a payload on a key, with a timestamp. There is no acknowledgement, and under congestion it is
@@ -118,15 +146,16 @@ impl Session {
         self.put_with(key, encoding, payload, CongestionControl::Block).await
     }
 
-    async fn put_with(
-        &self,
-        key: &Key,
-        encoding: &str,
+    fn put_with<'a>(
+        &'a self,
+        key: &'a Key,
+        encoding: &'a str,
         payload: Vec<u8>,
         congestion: CongestionControl,
-    ) -> Result<(), SessionError> {
-        let put = self.zenoh.put(key.as_str(), payload).encoding(Encoding::from(encoding));
-        put.timestamp(self.zenoh.new_timestamp()).congestion_control(congestion).await.map_err(failed)
+    ) -> Boxed<'a, ()> {
+        let put = self.zenoh().put(key.as_str(), payload).encoding(Encoding::from(encoding));
+        let put = put.timestamp(self.zenoh().new_timestamp()).congestion_control(congestion);
+        Box::pin(async move { put.await.map_err(failed) })
     }
 
     /// Subscribes to keys with a queue for `capacity` messages. The session also receives its own puts.
@@ -153,26 +182,27 @@ impl Session {
         self.subscribe_from(keys.into(), capacity, Locality::Remote).await
     }
 
-    async fn subscribe_from(
-        &self,
-        keys: KeyPattern,
-        capacity: usize,
-        origin: Locality,
-    ) -> Result<Subscription, SessionError> {
-        let (offer, queue) = queue(capacity);
-        let declared = self.zenoh.declare_subscriber(keys.as_str().to_owned()).allowed_origin(origin);
-        let declared = declared.callback(move |sample| offer.offer(of_sample(&sample)));
-        Ok(Subscription { queue, _declared: declared.await.map_err(failed)? })
+    fn subscribe_from(&self, keys: KeyPattern, capacity: usize, origin: Locality) -> Boxed<'_, Subscription> {
+        let (sender, messages) = queue(capacity);
+        let declared = self.zenoh().declare_subscriber(keys.as_str().to_owned()).allowed_origin(origin);
+        let declared = declared.callback(move |sample| {
+            let message = of_sample(&sample);
+            sender.send(message.key.len() + message.payload.len(), message);
+        });
+        Box::pin(async move { Ok(messages.declared(declared.await.map_err(failed)?)) })
     }
 
     /// Observes whether other sessions subscribe to any of these keys, from now on.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
-    pub async fn interest(&self, keys: &KeyPattern) -> Result<Interest, SessionError> {
-        let publisher = self.zenoh.declare_publisher(keys.as_str().to_owned());
-        let publisher =
-            publisher.allowed_destination(zenoh::sample::Locality::Remote).await.map_err(failed)?;
+    pub fn interest<'a>(&'a self, keys: &'a KeyPattern) -> Boxed<'a, Interest> {
+        Box::pin(self.interest_in(keys))
+    }
+
+    async fn interest_in(&self, keys: &KeyPattern) -> Result<Interest, SessionError> {
+        let publisher = self.zenoh().declare_publisher(keys.as_str().to_owned());
+        let publisher = publisher.allowed_destination(Locality::Remote).await.map_err(failed)?;
         let there = Arc::new(AtomicBool::new(false));
         let told = Arc::clone(&there);
         let listener = publisher.matching_listener();
@@ -187,129 +217,154 @@ impl Session {
     /// `timeout`. Without an answer the list is empty.
     ///
     /// # Errors
-    /// [`SessionError::Zenoh`]; [`SessionError::TooManyAnswers`].
-    pub async fn ask(
+    /// [`SessionError::Zenoh`]; [`SessionError::TooManyReplies`].
+    pub fn query(
         &self,
         keys: impl Into<KeyPattern>,
         parameters: &str,
         payload: Option<(&str, Vec<u8>)>,
         most: usize,
         timeout: Duration,
-    ) -> Result<Vec<Answer>, SessionError> {
-        let keys = keys.into();
+    ) -> Boxed<'_, Vec<Reply>> {
+        self.query_keys(keys.into(), parameters, payload, most, timeout)
+    }
+
+    fn query_keys(
+        &self,
+        keys: KeyPattern,
+        parameters: &str,
+        payload: Option<(&str, Vec<u8>)>,
+        most: usize,
+        timeout: Duration,
+    ) -> Boxed<'_, Vec<Reply>> {
         let selector = if parameters.is_empty() { keys.to_string() } else { format!("{keys}?{parameters}") };
-        let (offer, mut queue) = queue(most);
+        let (sender, mut replies) = queue(most);
         let mut get = self
-            .zenoh
+            .zenoh()
             .get(selector)
             .target(QueryTarget::All)
             .consolidation(ConsolidationMode::None)
-            .source_info(SourceInfo::new(self.zenoh.id(), 0))
+            .source_info(SourceInfo::new(self.zenoh().id(), 0))
             .timeout(timeout);
         if let Some((encoding, payload)) = payload {
             get = get.payload(payload).encoding(Encoding::from(encoding));
         }
-        get.callback(move |reply| offer.offer(of_reply(&reply))).await.map_err(failed)?;
-        let mut answers = Vec::new();
-        while let Some(answer) = queue.next().await {
-            answers.push(answer);
-            if answers.len() > most {
-                break;
+        let callback = move |reply| {
+            let reply = of_reply(&reply);
+            let (Reply::Message(Message { payload, .. }) | Reply::Refusal { payload, .. }) = &reply;
+            sender.send(payload.len(), reply);
+        };
+        let get = get.callback(callback);
+        Box::pin(async move {
+            get.await.map_err(failed)?;
+            let mut answers = Vec::new();
+            while let Some(answer) = replies.next().await {
+                answers.push(answer);
+                if answers.len() > most {
+                    break;
+                }
             }
-        }
-        if queue.dropped() > 0 || answers.len() > most {
-            return Err(SessionError::TooManyAnswers { key: keys.to_string(), most });
-        }
-        Ok(answers)
+            if replies.dropped() > 0 || answers.len() > most {
+                return Err(SessionError::TooManyReplies { key: keys.to_string(), most });
+            }
+            Ok(answers)
+        })
     }
 
-    /// Queries for one answer within [`ANSWER_TIMEOUT`].
+    /// Queries for one answer within [`REPLY_TIMEOUT`].
     ///
     /// # Errors
-    /// [`SessionError::NoAnswer`] when none came; otherwise as [`Self::ask`].
-    pub async fn ask_one(
+    /// [`SessionError::NoReply`] when none came; otherwise as [`Self::query`].
+    pub async fn query_one(
         &self,
         key: &Key,
         parameters: &str,
         payload: Option<(&str, Vec<u8>)>,
-    ) -> Result<Answer, SessionError> {
-        let answers = self.ask(key.clone(), parameters, payload, 64, ANSWER_TIMEOUT).await?;
+    ) -> Result<Reply, SessionError> {
+        let answers = self.query(key.clone(), parameters, payload, 64, REPLY_TIMEOUT).await?;
         // An answer counts more than a refusal by another queryable; a timeout is a refusal as well.
-        let is_message = |a: &&Answer| matches!(a, Answer::Message(_));
+        let is_message = |a: &&Reply| matches!(a, Reply::Message(_));
         let best = answers.iter().find(is_message).or(answers.first()).cloned();
-        best.ok_or_else(|| SessionError::NoAnswer { key: key.to_string(), seconds: ANSWER_TIMEOUT.as_secs() })
+        best.ok_or_else(|| SessionError::NoReply { key: key.to_string(), seconds: REPLY_TIMEOUT.as_secs() })
     }
 
     /// Declares a queryable with a queue for `capacity` queries; further ones end at once without an answer.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
-    pub async fn answer(
-        &self,
-        keys: impl Into<KeyPattern>,
-        capacity: usize,
-    ) -> Result<Questions, SessionError> {
-        let (offer, queue) = queue(capacity);
-        let declared = self.zenoh.declare_queryable(keys.into().as_str().to_owned());
-        let declared = declared.callback(move |query| offer.offer(of_query(query)));
-        Ok(Questions { queue, _declared: declared.await.map_err(failed)? })
+    pub fn declare_queryable(&self, keys: impl Into<KeyPattern>, capacity: usize) -> Boxed<'_, Queryable> {
+        self.declare_queryable_on(&keys.into(), capacity)
+    }
+
+    fn declare_queryable_on(&self, keys: &KeyPattern, capacity: usize) -> Boxed<'_, Queryable> {
+        let (sender, queries) = queue(capacity);
+        let declared = self.zenoh().declare_queryable(keys.as_str().to_owned());
+        let declared = declared.callback(move |query| {
+            let query = of_query(query);
+            sender.send(query.parameters.len() + query.payload.len(), query);
+        });
+        Box::pin(async move { Ok(queries.declared(declared.await.map_err(failed)?)) })
     }
 
     /// Announces a service under its key.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
-    pub async fn alive(&self, key: &Key) -> Result<AliveToken, SessionError> {
-        let declared = self.zenoh.liveliness().declare_token(key.as_str().to_owned());
-        Ok(AliveToken { _declared: declared.await.map_err(failed)? })
+    pub fn alive(&self, key: &Key) -> Boxed<'_, AliveToken> {
+        let declared = self.zenoh().liveliness().declare_token(key.as_str().to_owned());
+        Box::pin(async move { Ok(AliveToken { _declared: declared.await.map_err(failed)? }) })
     }
 
     /// The services that run now, and those that start or stop later.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
-    pub async fn watch_alive(&self, keys: &KeyPattern, capacity: usize) -> Result<Roll, SessionError> {
-        let (offer, queue) = queue(capacity);
+    pub fn watch_alive(&self, keys: &KeyPattern, capacity: usize) -> Boxed<'_, LivelinessSubscription> {
+        let (sender, services) = queue(capacity);
         let seen = move |sample: zenoh::sample::Sample| {
-            let alive = sample.kind() == SampleKind::Put;
-            offer.offer(Liveliness { key: sample.key_expr().to_string(), alive });
+            let (key, alive) = (sample.key_expr().to_string(), sample.kind() == SampleKind::Put);
+            sender.send(key.len(), Liveliness { key, alive });
         };
-        let liveliness = self.zenoh.liveliness();
+        let liveliness = self.zenoh().liveliness();
         let declared = liveliness.declare_subscriber(keys.as_str().to_owned()).history(true).callback(seen);
-        Ok(Roll { queue, _declared: declared.await.map_err(failed)? })
+        Box::pin(async move { Ok(services.declared(declared.await.map_err(failed)?)) })
     }
 
     /// Whether a service runs now, as far as the linked sessions answer within `timeout`.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
-    pub async fn is_alive(&self, keys: &KeyPattern, timeout: Duration) -> Result<bool, SessionError> {
-        let (offer, mut queue) = queue(16);
-        let get = self.zenoh.liveliness().get(keys.as_str().to_owned()).timeout(timeout);
-        get.callback(move |reply| offer.offer(of_reply(&reply))).await.map_err(failed)?;
-        while let Some(answer) = queue.next().await {
-            if matches!(answer, Answer::Message(_)) {
-                return Ok(true);
+    pub fn is_alive(&self, keys: &KeyPattern, timeout: Duration) -> Boxed<'_, bool> {
+        let (sender, mut alive) = queue(16);
+        let get = self.zenoh().liveliness().get(keys.as_str().to_owned()).timeout(timeout);
+        let callback = move |reply: zenoh::query::Reply| {
+            if reply.result().is_ok() {
+                sender.send(0, ());
             }
-        }
-        Ok(false)
+        };
+        let get = get.callback(callback);
+        Box::pin(async move {
+            get.await.map_err(failed)?;
+            Ok(alive.next().await.is_some())
+        })
     }
 
     /// Closes the session for all clones.
     ///
     /// # Errors
     /// [`SessionError::Zenoh`].
-    pub async fn close(&self) -> Result<(), SessionError> {
-        let closed = self.zenoh.close().await.map_err(failed);
-        attached::let_go();
-        closed
+    pub fn close(&self) -> Boxed<'_, ()> {
+        Box::pin(async {
+            let closed = self.zenoh().close().await.map_err(failed);
+            segments::unmap_unused();
+            closed
+        })
     }
 }
 
 impl Interest {
     /// Whether there is such a subscriber now.
-    #[must_use]
-    pub fn is_there(&self) -> bool {
+    pub fn has_subscribers(&self) -> bool {
         self.there.load(Ordering::Relaxed)
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Zenoh drops messages on a congested link. So a sender numbers its items, from 0 in each of its epochs, and a
 //! reader compares the numbers ([`StreamReader`]). Missing items are queried where they still exist: at the sender
-//! ([`Lost`] is the query's parameter) or, for a memory, in its store. This file sends nothing and knows no payload.
+//! ([`LostItems`] is the query's parameter) or, for a memory, in its store. This file sends nothing and knows no payload.
 
 use std::fmt;
 use std::str::FromStr;
@@ -26,7 +26,6 @@ pub struct StreamWriter {
 
 impl StreamWriter {
     /// A stream that begins now.
-    #[must_use]
     pub fn new(now_ns: u64) -> Self {
         Self { next: StreamPosition { epoch: now_ns, number: 0 } }
     }
@@ -39,7 +38,6 @@ impl StreamWriter {
     }
 
     /// How many items were sent.
-    #[must_use]
     pub fn sent(&self) -> u64 {
         self.next.number
     }
@@ -47,7 +45,7 @@ impl StreamWriter {
 
 /// Missing items of a stream, as a query to their sender. Written as `lost=EPOCH:FROM:TO`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Lost {
+pub struct LostItems {
     /// The sender's epoch.
     pub epoch: u64,
     /// The first missing number.
@@ -56,21 +54,19 @@ pub struct Lost {
     pub to: u64,
 }
 
-impl Lost {
+impl LostItems {
     /// The number of missing items.
-    #[must_use]
     pub fn count(&self) -> u64 {
         (self.to - self.from).saturating_add(1)
     }
 
     /// Whether an item is among them.
-    #[must_use]
     pub fn contains(&self, position: StreamPosition) -> bool {
         position.epoch == self.epoch && (self.from..=self.to).contains(&position.number)
     }
 }
 
-impl fmt::Display for Lost {
+impl fmt::Display for LostItems {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "lost={}:{}:{}", self.epoch, self.from, self.to)
     }
@@ -79,16 +75,16 @@ impl fmt::Display for Lost {
 /// Text that is not a query for missing items.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("a question for lost items is written as lost=EPOCH:FROM:TO")]
-pub struct LostError;
+pub struct LostItemsError;
 
-impl FromStr for Lost {
-    type Err = LostError;
+impl FromStr for LostItems {
+    type Err = LostItemsError;
 
-    fn from_str(text: &str) -> Result<Self, LostError> {
-        let mut numbers = text.strip_prefix("lost=").ok_or(LostError)?.split(':').map(str::parse);
-        let mut next = || numbers.next().and_then(Result::ok).ok_or(LostError);
+    fn from_str(text: &str) -> Result<Self, LostItemsError> {
+        let mut numbers = text.strip_prefix("lost=").ok_or(LostItemsError)?.split(':').map(str::parse);
+        let mut next = || numbers.next().and_then(Result::ok).ok_or(LostItemsError);
         let lost = Self { epoch: next()?, from: next()?, to: next()? };
-        if numbers.next().is_some() || lost.from > lost.to { Err(LostError) } else { Ok(lost) }
+        if numbers.next().is_some() || lost.from > lost.to { Err(LostItemsError) } else { Ok(lost) }
     }
 }
 
@@ -100,7 +96,7 @@ pub enum Arrival {
     /// Nothing is missing before it.
     InOrder,
     /// These items are missing before it.
-    After(Lost),
+    After(LostItems),
     /// A repeated or late message.
     Again,
     /// The sender has restarted. The last items of its previous epoch may be missing.
@@ -122,7 +118,7 @@ impl StreamReader {
             Some(next) if next.epoch != epoch => Arrival::NewEpoch,
             Some(next) if next.number == number => Arrival::InOrder,
             Some(next) if next.number > number => Arrival::Again,
-            Some(next) => Arrival::After(Lost { epoch, from: next.number, to: number - 1 }),
+            Some(next) => Arrival::After(LostItems { epoch, from: next.number, to: number - 1 }),
         };
         let after = StreamPosition { epoch, number: number.saturating_add(count as u64) };
         if arrival != Arrival::Again {
@@ -148,26 +144,26 @@ mod tests {
         assert_eq!(reader.arrive(at(7, 3), 2), Arrival::First);
         assert_eq!(reader.arrive(at(7, 5), 0), Arrival::InOrder);
         assert_eq!(reader.arrive(at(7, 5), 1), Arrival::InOrder);
-        let lost = Lost { epoch: 7, from: 6, to: 8 };
+        let lost = LostItems { epoch: 7, from: 6, to: 8 };
         assert_eq!((reader.arrive(at(7, 9), 1), lost.count()), (Arrival::After(lost), 3));
         assert_eq!(reader.arrive(at(7, 6), 1), Arrival::Again);
         assert_eq!(reader.arrive(at(7, 10), 1), Arrival::InOrder, "what came late changes nothing");
         assert_eq!(reader.arrive(at(8, 4), 1), Arrival::NewEpoch);
         assert_eq!(
             reader.arrive(at(8, u64::MAX), 9),
-            Arrival::After(Lost { epoch: 8, from: 5, to: u64::MAX - 1 })
+            Arrival::After(LostItems { epoch: 8, from: 5, to: u64::MAX - 1 })
         );
         assert!(lost.contains(at(7, 8)) && !lost.contains(at(7, 9)) && !lost.contains(at(8, 8)));
     }
 
     #[test]
     fn a_question_for_lost_items_is_written_and_read() {
-        let lost = Lost { epoch: 7, from: 1, to: 3 };
+        let lost = LostItems { epoch: 7, from: 1, to: 3 };
         assert_eq!(lost.to_string().parse(), Ok(lost));
         for wrong in
             ["", "lost=", "lost=1:2", "lost=1:2:x", "lost=1:2:3:4", "1:2:3", "lost=-1:2:3", "lost=1:3:2"]
         {
-            assert_eq!(wrong.parse::<Lost>(), Err(LostError), "{wrong}");
+            assert_eq!(wrong.parse::<LostItems>(), Err(LostItemsError), "{wrong}");
         }
     }
 }

@@ -99,9 +99,7 @@ fn config(args: &AgentArgs) -> Result<AgentConfig, String> {
 
 /// Prints how the agent's own chart ended; returns the exit status.
 fn conclude(ended: &RunResult, out: &mut dyn Write) -> io::Result<u8> {
-    let reason = ended.reason.as_deref().unwrap_or("no reason was given");
-    let good = ended.outcome == "success";
-    let line = if good { "success".to_owned() } else { format!("{}: {reason}", ended.outcome) };
-    writeln!(out, "the chart has ended: {line}")?;
-    Ok(u8::from(!good))
+    let reason = ended.reason.as_ref().map_or(String::new(), |reason| format!(": {reason}"));
+    writeln!(out, "the chart has ended: {}{reason}", ended.outcome)?;
+    Ok(u8::from(ended.outcome != "success"))
 }

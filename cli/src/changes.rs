@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 /// How often the files are checked.
-const EVERY: Duration = Duration::from_millis(250);
+const POLL_INTERVAL: Duration = Duration::from_millis(250);
 
 /// Modification time and length of files.
 type Stamps = BTreeMap<PathBuf, (Option<SystemTime>, u64)>;
@@ -30,7 +30,7 @@ pub(crate) fn follow(
         out.flush()?;
         runtime.block_on(async {
             while stamps(files, folders) == before {
-                tokio::time::sleep(EVERY).await;
+                tokio::time::sleep(POLL_INTERVAL).await;
             }
         });
     }

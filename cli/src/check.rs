@@ -1,24 +1,25 @@
-//! `armarium check FILE...`: everything that is wrong with charts and worlds, before anything moves.
+//! `armarium check FILE...`: everything that is wrong with charts, worlds, test cases and prior knowledge, before anything moves.
 
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use armarium_host::catalog;
-use armarium_runtime::test_cases::TestFile;
-use armarium_simulator::World;
-use armarium_source::{Finding, Source};
+use armarium_editor::Catalog;
+use armarium_source::{Disk, Finding};
 
 use crate::render_findings::{render, summary};
 
 /// What `check` takes.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(crate) struct CheckArgs {
-    /// Charts and worlds; which one a file is, it says itself.
+    /// Charts, worlds, test cases, object classes and scenes; which one a file is, it says itself.
     #[arg(required = true, value_name = "FILE")]
     pub(crate) files: Vec<PathBuf>,
     /// Folders where charts find other charts by name, besides their own.
     #[arg(long, value_name = "DIR")]
     pub(crate) charts: Vec<PathBuf>,
+    /// Worlds whose objects charts may name, besides those beside the chart.
+    #[arg(long = "world", value_name = "FILE")]
+    pub(crate) worlds: Vec<PathBuf>,
     /// Write the findings as JSON.
     #[arg(long)]
     pub(crate) json: bool,
@@ -36,34 +37,21 @@ pub(crate) struct Style {
     pub(crate) width: usize,
 }
 
-/// Checks all files and writes what is found. `check_chart` is given a chart's file and the folders of others.
-/// Returns the exit status: 2 when there is an error, otherwise 0.
+/// Checks all files against the skills and channels of `catalog`, and writes what is found. Returns the exit status: 2 when there is an error, otherwise 0.
 ///
 /// # Errors
 /// When `out` cannot be written.
-pub(crate) fn run(
-    args: &CheckArgs,
-    style: Style,
-    check_chart: &dyn Fn(&Path, &[PathBuf]) -> Vec<Finding>,
-    out: &mut dyn Write,
-) -> io::Result<u8> {
+pub(crate) fn run(args: &CheckArgs, style: Style, catalog: &Catalog, out: &mut dyn Write) -> io::Result<u8> {
     if args.watch {
-        return crate::changes::follow(&args.files, &args.charts, out, |out| {
-            once(args, style, check_chart, out)
-        });
+        return crate::changes::follow(&args.files, &args.charts, out, |out| once(args, style, catalog, out));
     }
-    once(args, style, check_chart, out)
+    once(args, style, catalog, out)
 }
 
-fn once(
-    args: &CheckArgs,
-    style: Style,
-    check_chart: &dyn Fn(&Path, &[PathBuf]) -> Vec<Finding>,
-    out: &mut dyn Write,
-) -> io::Result<u8> {
+fn once(args: &CheckArgs, style: Style, catalog: &Catalog, out: &mut dyn Write) -> io::Result<u8> {
     let mut findings = Vec::new();
     for file in &args.files {
-        findings.extend(check_file(file, &args.charts, check_chart));
+        findings.extend(armarium_editor::check(file, &args.charts, &Disk, catalog).findings);
     }
     if args.json {
         serde_json::to_writer_pretty(&mut *out, &findings)?;
@@ -78,109 +66,84 @@ fn once(
     Ok(if findings.iter().any(Finding::is_error) { 2 } else { 0 })
 }
 
-fn check_file(
-    file: &Path,
-    charts: &[PathBuf],
-    check_chart: &dyn Fn(&Path, &[PathBuf]) -> Vec<Finding>,
-) -> Vec<Finding> {
-    let source = match Source::read(file) {
-        Ok(source) => source,
-        Err(finding) => return vec![*finding],
-    };
-    let read = if is_world(&source.text) {
-        armarium_source::read::<World>(source).map(drop)
-    } else if is_cases(&source.text) {
-        TestFile::read(source).map(drop)
-    } else {
-        return check_chart(file, charts);
-    };
-    read.err().unwrap_or_default()
-}
-
-/// Everything that is wrong with a chart, against the skills that ship.
-pub(crate) fn check_chart(file: &Path, folders: &[PathBuf]) -> Vec<Finding> {
-    catalog::load_idle(file, folders).findings
-}
-
-/// Whether a file says that it is a world: it has the key `world` and not the key `statechart` at its outermost level.
-fn is_world(text: &str) -> bool {
-    has_key(text, "world:") && !has_key(text, "statechart:")
-}
-
-/// Whether a file holds test cases of a chart.
-fn is_cases(text: &str) -> bool {
-    has_key(text, "test:") && !has_key(text, "statechart:")
-}
-
-fn has_key(text: &str, key: &str) -> bool {
-    text.lines().any(|line| line.starts_with(key))
-}
-
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
+    use std::path::Path;
 
-    use armarium_source::{Findings, Severity, Span, code};
+    use armarium_runtime::chart::{ChannelSchema, Registry};
 
     use super::*;
 
     const PLAIN: Style = Style { colour: false, width: 100 };
 
-    fn check(files: &[&Path], json: bool, chart: &dyn Fn(&Path, &[PathBuf]) -> Vec<Finding>) -> (u8, String) {
+    fn check(files: &[&Path], json: bool) -> (u8, String) {
+        let nothing = Catalog { registry: Registry::new(), channels: ChannelSchema::new() };
         let files = files.iter().map(|file| file.to_path_buf()).collect();
         let mut out = Vec::new();
-        let status = run(&CheckArgs { files, json, ..Default::default() }, PLAIN, chart, &mut out);
+        let status = run(&CheckArgs { files, json, ..Default::default() }, PLAIN, &nothing, &mut out);
         (status.expect("memory can be written"), String::from_utf8(out).expect("text is UTF-8"))
     }
 
-    #[test]
-    fn a_world_is_told_from_a_chart() {
-        assert!(is_world("# a comment\nworld: kitchen\n"));
-        assert!(!is_world("statechart: A\ninputs:\n  world: {type: string}\n"));
-        assert!(!is_world("statechart: A\nworld: odd\n"));
+    /// A file with this text, in a folder of its own.
+    fn file(name: &str, text: &str) -> (tempfile::TempDir, PathBuf) {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let file = folder.path().join(name);
+        std::fs::write(&file, text).expect("the folder can be written");
+        (folder, file)
     }
 
     #[test]
     fn a_file_that_is_not_there_is_an_error_of_its_own() {
-        let (status, text) = check(&[Path::new("nowhere.yaml")], false, &|_, _| Vec::new());
+        let (status, text) = check(&[Path::new("nowhere.yaml")], false);
         assert_eq!(status, 2);
         assert!(text.contains("nowhere.yaml") && text.contains("E001"), "{text}");
     }
 
     #[test]
     fn warnings_do_not_change_the_exit_status_and_errors_do() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let file = folder.path().join("a.yaml");
-        std::fs::write(&file, "statechart: A\n").expect("the folder can be written");
-        let warn = |file: &Path, _: &[PathBuf]| {
-            let mut findings = Findings::new(Arc::new(Source::new(file, "")));
-            findings.add(Severity::Warning, code::UNUSED, Span::default(), "odd", None);
-            findings.list
-        };
-        assert_eq!(check(&[&file], false, &warn).0, 0);
-        assert_eq!(check(&[&file], false, &|_, _| Vec::new()), (0, "the file is in order\n".to_owned()));
-        let (status, json) = check(&[&file], true, &warn);
+        let (_folder, fine) = file("a.yaml", "statechart: A\ninitial: B\nstates: {B: {final: success}}\n");
+        assert_eq!(check(&[&fine], false), (0, "the file is in order\n".to_owned()));
+        let (_folder, odd) = file("a.yaml", "statechart: A\ninitial: B\nstates: {B: {}, C: {}}\n");
+        assert_eq!(check(&[&odd], false).0, 0);
+        let (status, json) = check(&[&odd], true);
         let json: serde_json::Value = serde_json::from_str(&json).expect("it is JSON");
         assert_eq!((status, json[0]["severity"].as_str()), (0, Some("warning")));
     }
 
     #[test]
     fn a_wrong_world_is_found_with_its_place() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let file = folder.path().join("w.yaml");
-        std::fs::write(&file, "world: w\ntabel: {height: 0.9}\n").expect("the folder can be written");
-        let (status, text) = check(&[&file], false, &|_, _| Vec::new());
+        let (_folder, file) = file("w.yaml", "world: w\ntabel: {height: 0.9}\n");
+        let (status, text) = check(&[&file], false);
         assert_eq!(status, 2);
         assert!(text.contains("w.yaml:2:1") && text.contains("tabel"), "{text}");
     }
+
     #[test]
     fn what_is_wrong_with_test_cases_is_found_in_its_line() {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let file = folder.path().join("a.test.yaml");
-        std::fs::write(&file, "test: a.yaml\ncases:\n- case: one\n  steps: [{afer: 2s}]\n")
-            .expect("it can be written");
-        let (status, text) = check(&[&file], false, &|_, _| Vec::new());
+        let (_folder, file) =
+            file("a.test.yaml", "test: a.yaml\ncases:\n- case: one\n  steps: [{afer: 2s}]\n");
+        let (status, text) = check(&[&file], false);
         assert_eq!(status, 2);
         assert!(text.contains("a.test.yaml:4:12") && text.contains("did you mean `after`?"), "{text}");
+    }
+
+    #[test]
+    fn an_edit_that_puts_it_right_is_in_the_json() {
+        let (_folder, file) = file("w.yaml", "world: w\ntabel: {height: 0.9}\n");
+        let (_, json) = check(&[&file], true);
+        let json: serde_json::Value = serde_json::from_str(&json).expect("it is JSON");
+        assert_eq!(json[0]["edits"], serde_json::json!([{"span": [9, 5], "text": "table"}]));
+    }
+
+    #[test]
+    fn prior_knowledge_is_checked_with_the_files_beside_it() {
+        let (folder, scene) =
+            file("s.yaml", "scene: s\nobjects:\n- {name: a, class: cup, position: [0, 0, 0]}\n");
+        let (status, text) = check(&[&scene], false);
+        assert!(status == 2 && text.contains("E029"), "{text}");
+        let class = folder.path().join("cup.yaml");
+        std::fs::write(&class, "object: cup\ncolor: [1, 2, 3]\nsize: [0.1, 0.1, 0.1]\n")
+            .expect("it can be written");
+        assert_eq!(check(&[&scene, &class], false), (0, "all files are in order\n".to_owned()));
     }
 }

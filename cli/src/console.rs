@@ -81,6 +81,32 @@ impl Console for Terminal {
     }
 }
 
+/// A run for programs: each item of its trace is a line of JSON on standard output; notes go to standard error.
+pub(crate) struct JsonLines;
+
+impl Console for JsonLines {
+    fn note(&self, text: &str) {
+        // A closed output does not stop the run.
+        let _ = writeln!(io::stderr(), "{text}").is_ok();
+    }
+
+    fn traced(&self, event: &serde_json::Value) {
+        let mut out = io::stdout().lock();
+        let _ = writeln!(out, "{event}").and_then(|()| out.flush()).is_ok();
+    }
+
+    fn warnings(&self, findings: &[Finding]) {
+        self.note(render(findings, false, 100).trim_end_matches('\n'));
+    }
+
+    fn blocked(&self, state: &str) {
+        self.note(&format!(
+            "the skill of `{state}` blocks the program; the robot stands, no report is written"
+        ));
+        process::exit(1);
+    }
+}
+
 /// Prints why nothing was done. Returns the exit status 2.
 ///
 /// # Errors

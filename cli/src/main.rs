@@ -5,13 +5,18 @@
 mod agent;
 mod cameras;
 mod changes;
+mod channels;
+mod charts;
 mod check;
 mod connection_args;
 mod console;
+mod fmt;
 mod graph;
 mod image;
 mod import;
+mod junit;
 mod logging;
+mod lsp;
 mod memory;
 mod new;
 mod render_findings;
@@ -19,6 +24,7 @@ mod replay;
 mod reproduce;
 mod run;
 mod schema;
+mod send;
 mod skills;
 mod step;
 mod stopped;
@@ -59,15 +65,19 @@ enum Command {
     Agent(agent::AgentArgs),
     /// Run the simulated cameras in a process of their own, for `run --cameras`; without images until a run connects.
     Cameras(cameras::CamerasArgs),
-    /// Find all errors in charts and worlds.
+    /// Find all errors in charts, worlds, test cases and prior knowledge.
     Check(check::CheckArgs),
+    /// Give files their form: two spaces a level, lines of readable length.
+    Fmt(fmt::FmtArgs),
+    /// Serve an editor: errors as you type, completion, rename, quick fixes (docs/editors.md).
+    Lsp(lsp::LspArgs),
     /// Drive a chart by hand or by a list of events, without a robot, in virtual time.
     Step(step::StepArgs),
     /// Play the test cases of charts in virtual time.
     Test(test_cases::TestArgs),
     /// Feed a recorded run to the engine again and compare.
     Replay(replay::ReplayArgs),
-    /// Draw a chart: SVG, Mermaid or PlantUML.
+    /// Draw a chart: SVG, PNG, DOT, Mermaid, PlantUML or JSON.
     Graph(graph::GraphArgs),
     /// Convert an SCXML document to a chart.
     Import(import::ImportArgs),
@@ -81,7 +91,11 @@ enum Command {
     Memory(memory::MemoryArgs),
     /// List, show, record, play and check providers of images.
     Image(image::ImageArgs),
-    /// List the skills that charts can use.
+    /// Send an event to a chart that runs at another agent.
+    Send(send::SendArgs),
+    /// List the channels that charts can watch, with who publishes and who reads them.
+    Channels(channels::ChannelsArgs),
+    /// List the skills and charts that charts can use.
     Skills(skills::SkillsArgs),
     /// Look for hands, gestures, fingertips and markers in images.
     Vision(vision::VisionArgs),
@@ -94,7 +108,12 @@ fn main() -> ExitCode {
         Command::Run(args) => run::run(args, &mut io::stderr()),
         Command::Agent(args) => agent::run(args, &mut out),
         Command::Cameras(args) => cameras::run(args, &mut out),
-        Command::Check(args) => check::run(args, style(), &check::check_chart, &mut out),
+        Command::Check(args) => match lsp::known(&args.worlds) {
+            Ok(known) => check::run(args, style(), &known, &mut out),
+            Err(findings) => console::show(&findings, &mut out).map(|()| 2),
+        },
+        Command::Fmt(args) => fmt::run(args, &mut out),
+        Command::Lsp(args) => lsp::run(args, &mut io::stderr()),
         Command::Step(args) => step::run(args, &mut out, &mut io::stderr()),
         Command::Test(args) => test_cases::run(args, &mut out),
         Command::Replay(args) => replay::run(args, &mut out),
@@ -105,6 +124,8 @@ fn main() -> ExitCode {
         Command::Reproduce(args) => reproduce::run(args, &mut out),
         Command::Memory(args) => memory::run(args, &mut out, &mut io::stderr()),
         Command::Image(args) => image::run(args, &mut out, &mut io::stderr()),
+        Command::Send(args) => send::run(args, &mut out),
+        Command::Channels(args) => channels::run(args, &mut out),
         Command::Skills(args) => skills::run(args, &mut out),
         Command::Vision(args) => vision::run(args, &mut out, &mut io::stderr()),
     };

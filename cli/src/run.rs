@@ -1,12 +1,16 @@
 //! `armarium run CHART`: checks the chart, runs it in the simulator, and writes recording and report.
 
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
 
-use armarium_host::{RunConfig, RunEnded};
+use armarium_host::{Console, RunConfig, RunEnded};
+use armarium_values::Type;
+use serde_json::json;
 
 use crate::connection_args::{ConnectionArgs, explained};
-use crate::console::{Terminal, refuse};
+use crate::console::{JsonLines, Terminal, refuse};
 use crate::logging;
 
 /// Arguments of `run`.
@@ -21,9 +25,19 @@ pub(crate) struct RunArgs {
     /// Seed of all random variation.
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
-    /// Folder for report.json, report.html and run.mcap.
+    /// Folder for report.json, report.html and run.mcap. If it holds a report already, or another run writes to it, `DIR-2`,
+    /// `DIR-3` ... is used.
     #[arg(long, value_name = "DIR", default_value = "report")]
     pub(crate) report: PathBuf,
+    /// Overwrite a report that is there already.
+    #[arg(long)]
+    pub(crate) force: bool,
+    /// Stop the run after this time of the robot, for instance `10min`.
+    #[arg(long = "for", value_name = "TIME", value_parser = read_time)]
+    pub(crate) longest: Option<Duration>,
+    /// End the recording when it has this size, for instance `2GB`; the run goes on.
+    #[arg(long = "most", value_name = "SIZE", value_parser = read_size)]
+    pub(crate) largest_recording: Option<u64>,
     /// The long-term store of motions.
     #[arg(long, value_name = "FILE", default_value = "armarium.redb")]
     pub(crate) store: PathBuf,
@@ -53,6 +67,9 @@ pub(crate) struct RunArgs {
     /// Print events as lines of text.
     #[arg(short, long)]
     pub(crate) verbose: bool,
+    /// Print each item of the trace as a line of JSON, and at last a line with the outcome and the report's folder.
+    #[arg(long, conflicts_with = "verbose")]
+    pub(crate) json: bool,
 }
 
 /// Speed of simulated time.
@@ -68,6 +85,27 @@ pub(crate) enum Speed {
 pub(crate) fn parse_input(text: &str) -> Result<(String, String), String> {
     let (name, value) = text.split_once('=').ok_or("write it as INPUT=VALUE")?;
     Ok((name.to_owned(), value.to_owned()))
+}
+
+fn read_time(text: &str) -> Result<Duration, String> {
+    let seconds = Type::Duration.read(text).map_err(|error| error.to_string())?.as_f64().unwrap_or(0.0);
+    Duration::try_from_secs_f64(seconds)
+        .ok()
+        .filter(|time| !time.is_zero())
+        .ok_or_else(|| "a time greater than 0 is needed, for instance `10min`".to_owned())
+}
+
+fn read_size(text: &str) -> Result<u64, String> {
+    const UNITS: [(&str, u64); 4] = [("kB", 1_000), ("MB", 1_000_000), ("GB", 1_000_000_000), ("B", 1)];
+    let text = text.trim();
+    let (number, factor) = UNITS
+        .iter()
+        .find_map(|(unit, factor)| Some((text.strip_suffix(unit)?, *factor)))
+        .unwrap_or((text, 1));
+    let number = number.trim().parse::<f64>().ok().filter(|n| n.is_finite() && *n > 0.0);
+    number
+        .map(|n| (n * factor as f64) as u64)
+        .ok_or_else(|| "a size is written like `500MB` or `2GB`".to_owned())
 }
 
 /// Runs the chart and prints to `out`. Returns the exit status: 0 success, 1 a failed run, 2 an invalid file or
@@ -90,6 +128,7 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
         inputs: args.inputs.clone(),
         profile: args.profile.clone(),
         report: args.report.clone(),
+        keep_reports: !args.force,
         store: args.store.clone(),
         record: args.record.clone(),
         real_time: args.speed == Speed::RealTime,
@@ -97,16 +136,26 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
         cameras: args.cameras.clone(),
         session,
         program: std::env::current_exe().ok(),
+        longest: args.longest,
+        largest_recording: args.largest_recording,
         ..RunConfig::new(&args.chart)
     };
-    match armarium_host::run(&config, &Terminal::with_progress(args.verbose)) {
-        Ok(ended) => conclude(&ended, &args.report, out),
+    let console: Arc<dyn Console> =
+        if args.json { Arc::new(JsonLines) } else { Terminal::with_progress(args.verbose) };
+    match armarium_host::run(&config, &console) {
+        Ok(ended) if args.json => {
+            let result = &ended.result;
+            let line = json!({"outcome": result.outcome, "reason": result.reason, "report": ended.folder});
+            writeln!(io::stdout(), "{line}")?;
+            Ok(u8::from(result.outcome != "success" || !ended.recorded))
+        }
+        Ok(ended) => conclude(&ended, out),
         Err(error) => refuse(&error, out),
     }
 }
 
 /// Prints how the run ended and where its report is.
-fn conclude(ended: &RunEnded, folder: &Path, out: &mut dyn Write) -> io::Result<u8> {
+fn conclude(ended: &RunEnded, out: &mut dyn Write) -> io::Result<u8> {
     for figure in &ended.figures {
         let Some(value) = figure.value else { continue };
         let mark = match figure.passed() {
@@ -117,13 +166,13 @@ fn conclude(ended: &RunEnded, folder: &Path, out: &mut dyn Write) -> io::Result<
         let (group, name, unit, digits) = (&figure.group, &figure.name, &figure.unit, figure.digits);
         writeln!(out, "  {mark} {group}: {name} {value:.digits$} {unit}")?;
     }
-    let result = &ended.result;
+    let (result, folder) = (&ended.result, &ended.folder);
     if result.outcome == "success" {
         writeln!(out, "success; the report is {}", folder.join("report.html").display())?;
-        return Ok(0);
+        return Ok(u8::from(!ended.recorded));
     }
-    let reason = result.reason.as_deref().unwrap_or("no reason was given");
-    writeln!(out, "{}: {reason}", result.outcome)?;
+    let reason = result.reason.as_ref().map_or(String::new(), |reason| format!(": {reason}"));
+    writeln!(out, "{}{reason}", result.outcome)?;
     if !result.chain.is_empty() {
         writeln!(out, "  through {}", result.chain.join(" < "))?;
     }

@@ -2,9 +2,7 @@
 
 use std::io::{self, Write};
 
-use armarium_memoryx::prior;
-use armarium_runtime::test_cases::TestFile;
-use armarium_simulator::World;
+use armarium_editor::Kind;
 
 /// Arguments of `schema`.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -34,13 +32,14 @@ pub(crate) enum SchemaOf {
 /// # Errors
 /// When `out` cannot be written.
 pub(crate) fn run(args: SchemaArgs, out: &mut dyn Write) -> io::Result<u8> {
-    let schema = match args.of {
-        SchemaOf::World => World::schema(),
-        SchemaOf::Chart => armarium_runtime::chart::schema(&armarium_host::catalog::idle_registry()),
-        SchemaOf::Test => armarium_source::schema::<TestFile>(),
-        SchemaOf::Object => prior::file::schema(),
-        SchemaOf::Scene => prior::scene::schema(),
+    let kind = match args.of {
+        SchemaOf::World => Kind::World,
+        SchemaOf::Chart => Kind::Chart,
+        SchemaOf::Test => Kind::Test,
+        SchemaOf::Object => Kind::Object,
+        SchemaOf::Scene => Kind::Scene,
     };
+    let schema = kind.schema(&armarium_host::catalog::idle_registry());
     serde_json::to_writer_pretty(&mut *out, &schema)?;
     writeln!(out)?;
     Ok(0)

@@ -1,42 +1,119 @@
-//! `armarium skills`: prints the skills that charts can use, with inputs, outputs, outcomes and limbs.
+//! `armarium skills`: prints the skills and charts that charts can use, with inputs, outputs, outcomes, channels and limbs.
 
 use std::io::{self, Write};
+use std::path::PathBuf;
 
 use armarium_host::catalog;
+use armarium_runtime::chart::Chart;
 use armarium_runtime::skill::{Parameter, SkillManifest};
+use armarium_values::Value;
+use serde_json::{Value as Json, json};
+
+use crate::charts::{missing, within_reach};
 
 /// Arguments of `skills`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct SkillsArgs {
-    /// Only these skills.
+    /// Only these skills and charts.
     #[arg(value_name = "NAME")]
     pub(crate) names: Vec<String>,
+    /// Folders with charts, besides the current one.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) charts: Vec<PathBuf>,
+    /// Print JSON.
+    #[arg(long)]
+    pub(crate) json: bool,
 }
 
-/// Writes the manifests. Returns the exit status: 2 when a name is unknown.
+/// A skill, or a chart seen from outside.
+struct Listed<'l> {
+    manifest: SkillManifest,
+    chart: Option<&'l Chart>,
+}
+
+/// Writes the skills, then the charts. Returns the exit status: 2 when a name or a folder is unknown.
 ///
 /// # Errors
 /// When `out` cannot be written.
 pub(crate) fn run(args: &SkillsArgs, out: &mut dyn Write) -> io::Result<u8> {
-    let registry = catalog::idle_registry();
-    if let Some(unknown) = args.names.iter().find(|name| registry.manifest(name).is_none()) {
-        writeln!(out, "there is no skill `{unknown}`; `armarium skills` lists them")?;
+    if let Some(folder) = missing(&args.charts) {
+        return writeln!(out, "error: there is no folder `{}`", folder.display()).map(|()| 2);
+    }
+    let (registry, charts) = (catalog::idle_registry(), within_reach(&args.charts));
+    let skills = registry.manifests().map(|manifest| Listed { manifest: manifest.clone(), chart: None });
+    let read = charts.read.iter().map(|(chart, _)| Listed { manifest: chart.manifest(), chart: Some(chart) });
+    let mut list: Vec<Listed<'_>> = skills.chain(read).collect();
+    if let Some(unknown) = args.names.iter().find(|name| list.iter().all(|l| l.manifest.name != **name)) {
+        writeln!(out, "there is no skill or chart `{unknown}`; `armarium skills` lists them")?;
         return Ok(2);
     }
-    for manifest in registry.manifests() {
-        if args.names.is_empty() || args.names.contains(&manifest.name) {
-            describe(manifest, out)?;
-        }
+    list.retain(|listed| args.names.is_empty() || args.names.contains(&listed.manifest.name));
+    if args.json {
+        let list: Vec<Json> = list.iter().map(as_json).collect();
+        serde_json::to_writer_pretty(&mut *out, &list)?;
+        return writeln!(out).map(|()| 0);
+    }
+    list.iter().try_for_each(|listed| describe(listed, out))?;
+    for file in charts.unreadable.iter().filter(|_| args.names.is_empty()) {
+        let file = file.display();
+        writeln!(out, "{file} is no chart as it is: `armarium check {file}` says why")?;
     }
     Ok(0)
 }
 
-fn describe(manifest: &SkillManifest, out: &mut dyn Write) -> io::Result<()> {
-    writeln!(out, "{}\n    {}", manifest.name, manifest.description)?;
+fn as_json(Listed { manifest, chart }: &Listed<'_>) -> Json {
+    let parameter = |parameter: &Parameter| {
+        json!({
+            "name": parameter.name,
+            "type": parameter.ty.to_string(),
+            "description": parameter.description,
+            "default": parameter.default.as_ref().map(Value::to_json),
+            "minimum": parameter.minimum,
+            "maximum": parameter.maximum,
+            "names": parameter.names,
+        })
+    };
+    let outcomes = ["success", "failure"].into_iter().chain(manifest.outcomes.iter().map(String::as_str));
+    let mut json = json!({
+        "kind": if chart.is_some() { "chart" } else { "skill" },
+        "name": manifest.name,
+        "description": manifest.description.trim(),
+        "inputs": manifest.inputs.iter().map(parameter).collect::<Vec<_>>(),
+        "outputs": manifest.outputs.iter().map(parameter).collect::<Vec<_>>(),
+        "outcomes": outcomes.collect::<Vec<_>>(),
+        "events": manifest.events,
+        "reads": manifest.reads,
+        "publishes": manifest.publishes,
+        "limbs": manifest.limbs,
+    });
+    if let Some(chart) = chart {
+        json["file"] = json!(chart.source.path);
+        json["takes_events"] = json!(chart.events().map(|(event, _)| event).collect::<Vec<_>>());
+    }
+    json
+}
+
+fn describe(Listed { manifest, chart }: &Listed<'_>, out: &mut dyn Write) -> io::Result<()> {
+    match chart {
+        Some(chart) => writeln!(out, "{}  (chart, {})", manifest.name, chart.source.path.display())?,
+        None => writeln!(out, "{}", manifest.name)?,
+    }
+    let description = manifest.description.split_whitespace().collect::<Vec<_>>().join(" ");
+    if !description.is_empty() {
+        writeln!(out, "    {description}")?;
+    }
     parameters("takes", &manifest.inputs, out)?;
     parameters("gives", &manifest.outputs, out)?;
-    let lists =
-        [("outcomes", &manifest.outcomes), ("events", &manifest.events), ("commands", &manifest.limbs)];
+    let taken: Vec<String> =
+        chart.iter().flat_map(|chart| chart.events()).map(|(event, _)| event.to_owned()).collect();
+    let lists = [
+        ("outcomes", &manifest.outcomes),
+        ("events", &manifest.events),
+        ("takes the events", &taken),
+        ("reads", &manifest.reads),
+        ("publishes", &manifest.publishes),
+        ("commands", &manifest.limbs),
+    ];
     for (title, names) in lists.into_iter().filter(|(_, names)| !names.is_empty()) {
         writeln!(out, "    {title}: {}", names.join(", "))?;
     }

@@ -5,15 +5,17 @@ use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
+use armarium_host::catalog;
 use armarium_runtime::chart::Registry;
 use armarium_runtime::program::Program;
 use armarium_runtime::stepping::{Coverage, Described};
 use armarium_runtime::test_cases::TestFile;
-use armarium_source::{Finding, Source};
+use armarium_source::{Disk, Finding, Source};
 
 use crate::console;
-use armarium_host::catalog;
+use crate::junit::{self, Case, Suite, Verdict};
 
 /// What `test` takes.
 #[derive(Clone, Debug, clap::Args)]
@@ -27,7 +29,13 @@ pub(crate) struct TestArgs {
     /// Fail when a transition is not taken by any case.
     #[arg(long)]
     pub(crate) complete: bool,
+    /// Also write the results as JUnit XML, for CI systems.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) junit: Option<PathBuf>,
 }
+
+/// A chart, and the charts inside it that are stood in for.
+type Key = (PathBuf, Vec<String>);
 
 /// A chart that was tested: its program and what the cases of all files took of it.
 struct Tested {
@@ -42,71 +50,113 @@ struct Tested {
 /// When `out` cannot be written.
 pub(crate) fn run(args: &TestArgs, out: &mut dyn Write) -> io::Result<u8> {
     let registry = catalog::idle_registry();
-    let mut tested: BTreeMap<PathBuf, Tested> = BTreeMap::new();
-    let (mut passed, mut failed, mut wrong) = (0, 0, false);
+    let mut tested: BTreeMap<Key, Tested> = BTreeMap::new();
+    let mut suites = Vec::new();
     for file in &args.files {
-        match read(file) {
-            Err(findings) => {
-                console::show(&findings, out)?;
-                wrong = true;
-            }
-            Ok(cases) => {
-                let Some(of) = load(file, &cases, args, &registry, &mut tested, out)? else {
-                    wrong = true;
-                    continue;
-                };
-                for case in &cases.cases {
-                    let (coverage, result) = cases.play(case, &of.program, &registry);
-                    of.coverage.extend(coverage);
-                    match result {
-                        Ok(()) => {
-                            passed += 1;
-                            writeln!(out, "ok    {}: {}", file.display(), case.case)?;
-                        }
-                        Err(message) => {
-                            failed += 1;
-                            writeln!(out, "NO    {}: {}\n      {message}", file.display(), case.case)?;
-                        }
-                    }
-                }
-            }
+        suites.push(suite(file, args, &registry, &mut tested, out)?);
+    }
+    let count = |is: fn(&Verdict) -> bool| suites.iter().map(|suite| suite.count(is)).sum::<usize>();
+    let passed = count(|verdict| *verdict == Verdict::Passed);
+    let failed = count(|verdict| matches!(verdict, Verdict::Failed(_)));
+    let wrong = count(|verdict| matches!(verdict, Verdict::Error(_))) > 0;
+    let mut incomplete = false;
+    for ((chart, _), tested) in &tested {
+        let untaken = table(chart, tested, out)?;
+        incomplete |= !untaken.is_empty();
+        if args.complete {
+            suites.push(completeness(chart, &untaken));
         }
     }
-    let mut untaken = 0;
-    for (chart, tested) in &tested {
-        untaken += table(chart, tested, out)?;
-    }
     writeln!(out, "{passed} passed, {failed} failed")?;
-    Ok(if wrong { 2 } else { u8::from(failed > 0 || (args.complete && untaken > 0)) })
+    if let Some(file) = &args.junit
+        && let Err(error) = junit::write(file, &suites)
+    {
+        writeln!(out, "error: the results cannot be written to `{}`: {error}", file.display())?;
+        return Ok(2);
+    }
+    Ok(if wrong { 2 } else { u8::from(failed > 0 || (args.complete && incomplete)) })
 }
 
-fn read(file: &Path) -> Result<TestFile, Vec<Finding>> {
-    TestFile::read(Source::read(file).map_err(|finding| vec![*finding])?)
-}
-
-/// The chart that a file tests; what is wrong with it is shown.
-fn load<'t>(
+/// Plays the cases of a file. Where the file or its chart is wrong, the findings stand for its cases.
+fn suite(
     file: &Path,
-    cases: &TestFile,
     args: &TestArgs,
     registry: &Registry,
-    tested: &'t mut BTreeMap<PathBuf, Tested>,
+    tested: &mut BTreeMap<Key, Tested>,
     out: &mut dyn Write,
-) -> io::Result<Option<&'t mut Tested>> {
-    let chart = file.parent().unwrap_or(Path::new("")).join(&cases.test);
-    if !tested.contains_key(&chart) {
-        let checked = catalog::load(&chart, &args.charts, registry);
-        let Some(program) = checked.program else {
-            console::show(&checked.findings, out)?;
-            return Ok(None);
+) -> io::Result<Suite> {
+    let mut suite = Suite { file: file.display().to_string(), cases: Vec::new() };
+    let (cases, of) = match load(file, args, registry, tested) {
+        Ok(loaded) => loaded,
+        Err(findings) => {
+            console::show(&findings, out)?;
+            let lines: Vec<String> = findings.iter().map(ToString::to_string).collect();
+            let verdict = Verdict::Error(lines.join("\n"));
+            suite.cases.push(Case { name: "the file is in order".into(), took: Duration::ZERO, verdict });
+            return Ok(suite);
+        }
+    };
+    for case in &cases.cases {
+        let (took, (coverage, result)) = timed(|| cases.play(case, &of.program));
+        of.coverage.extend(coverage);
+        let verdict = match result {
+            Ok(()) => {
+                writeln!(out, "ok    {}: {}", file.display(), case.case)?;
+                Verdict::Passed
+            }
+            Err(error) => {
+                writeln!(out, "NO    {}: {}\n      {error}", file.display(), case.case)?;
+                Verdict::Failed(error.to_string())
+            }
         };
-        tested.insert(chart.clone(), Tested { program, coverage: Coverage::default() });
+        suite.cases.push(Case { name: case.case.clone(), took, verdict });
     }
-    Ok(tested.get_mut(&chart))
+    Ok(suite)
 }
 
-/// Writes what no case takes. Returns how many transitions that are.
-fn table(chart: &Path, tested: &Tested, out: &mut dyn Write) -> io::Result<usize> {
+#[expect(clippy::disallowed_methods, reason = "the results say how long a case took by the wall")]
+fn timed<T>(work: impl FnOnce() -> T) -> (Duration, T) {
+    let began = Instant::now();
+    let result = work();
+    (began.elapsed(), result)
+}
+
+/// The cases of a file, and the chart that it tests; or everything that is wrong with them.
+fn load<'t>(
+    file: &Path,
+    args: &TestArgs,
+    registry: &Registry,
+    tested: &'t mut BTreeMap<Key, Tested>,
+) -> Result<(TestFile, &'t mut Tested), Vec<Finding>> {
+    let source = Source::read(file).map_err(|finding| vec![*finding])?;
+    let cases = TestFile::read(Arc::clone(&source))?;
+    let chart = file.parent().unwrap_or(Path::new("")).join(&cases.test);
+    let key = (chart, cases.charts.keys().cloned().collect::<Vec<_>>());
+    if !tested.contains_key(&key) {
+        let program = cases.program(&source, &args.charts, &Disk, registry, &catalog::channels())?;
+        tested.insert(key.clone(), Tested { program, coverage: Coverage::default() });
+    }
+    let of = tested.get_mut(&key).expect("it was inserted above");
+    let findings = TestFile::check(source, &of.program, registry);
+    if findings.is_empty() { Ok((cases, of)) } else { Err(findings) }
+}
+
+/// Whether the cases take every transition, as a result of its own.
+fn completeness(chart: &Path, untaken: &[String]) -> Suite {
+    let verdict = match untaken {
+        [] => Verdict::Passed,
+        untaken => Verdict::Failed(format!(
+            "{} transitions are not taken by any case\n{}",
+            untaken.len(),
+            untaken.join("\n")
+        )),
+    };
+    let case = Case { name: "every transition is taken".into(), took: Duration::ZERO, verdict };
+    Suite { file: chart.display().to_string(), cases: vec![case] }
+}
+
+/// Writes what no case takes, and returns it, one line a transition.
+fn table(chart: &Path, tested: &Tested, out: &mut dyn Write) -> io::Result<Vec<String>> {
     let all = tested.coverage.of(&tested.program);
     let untaken: Vec<&Described> = all.iter().filter(|(_, taken)| !taken).map(|(t, _)| t).collect();
     writeln!(
@@ -117,12 +167,14 @@ fn table(chart: &Path, tested: &Tested, out: &mut dyn Write) -> io::Result<usize
         all.len()
     )?;
     let widest = untaken.iter().map(|t| t.source.chars().count()).max().unwrap_or(0);
+    let mut lines = Vec::new();
     for Described { source, event, target, guarded } in &untaken {
         let target = if target.is_empty() { "(stays)" } else { target };
         let event = if *guarded { format!("{event} [if]") } else { event.clone() };
         writeln!(out, "  not taken: {source:widest$}  {event:20} -> {target}")?;
+        lines.push(format!("{source}: {event} -> {target}"));
     }
-    Ok(untaken.len())
+    Ok(lines)
 }
 
 #[cfg(test)]
@@ -148,14 +200,66 @@ states:
 ";
 
     fn test(cases: &str, complete: bool) -> (u8, String) {
+        let (status, text, _) = results(cases, complete);
+        (status, text)
+    }
+
+    /// The exit status, what is printed, and the results for CI.
+    fn results(cases: &str, complete: bool) -> (u8, String, String) {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let file = folder.path().join("c.test.yaml");
         std::fs::write(folder.path().join("c.yaml"), CHART).expect("the folder can be written");
         std::fs::write(&file, cases).expect("the folder can be written");
         let mut out = Vec::new();
-        let args = TestArgs { files: vec![file], charts: Vec::new(), complete };
+        let junit = Some(folder.path().join("out/results.xml"));
+        let args = TestArgs { files: vec![file], charts: Vec::new(), complete, junit };
         let status = run(&args, &mut out).expect("memory can be written");
-        (status, String::from_utf8(out).expect("text is UTF-8"))
+        let junit = std::fs::read_to_string(folder.path().join("out/results.xml")).expect("it was written");
+        let junit = junit.replace(&format!("{}/", folder.path().display()), "");
+        (status, String::from_utf8(out).expect("text is UTF-8"), junit)
+    }
+
+    #[test]
+    fn ci_gets_every_case_findings_and_what_is_not_taken() {
+        let (status, _, xml) = results(
+            "test: c.yaml\nskills: {MoveJoints: never}\ncases:\n- case: it <works>\n  steps: [{expect: {active: [Move]}}]\n\
+             - case: it does not\n  steps: [{expect: {outcome: success}}]\n",
+            true,
+        );
+        assert_eq!(status, 1);
+        for part in [
+            "<testsuites name=\"armarium test\" tests=\"3\" failures=\"2\" errors=\"0\"",
+            "<testcase name=\"it &lt;works&gt;\" classname=\"c\" file=\"c.test.yaml\"",
+            "<failure message=\"step 1: the run has not ended",
+            "<testcase name=\"every transition is taken\" classname=\"c\" file=\"c.yaml\"",
+            "6 transitions are not taken by any case&#10;Move: success -&gt; Wait&#10;",
+        ] {
+            assert!(xml.contains(part), "{part}: {xml}");
+        }
+        for cases in [
+            "test: c.yaml\ncases:\n- case: a\n  given: {postur: home}\n",
+            "test: nowhere.yaml\ncases: []\n",
+            "test: [",
+        ] {
+            let (status, _, xml) = results(cases, false);
+            assert_eq!(status, 2);
+            assert!(xml.contains("tests=\"1\" failures=\"0\" errors=\"1\""), "{xml}");
+            assert!(xml.contains("<error message=\"") && xml.contains(": error[E0"), "{xml}");
+        }
+    }
+
+    #[test]
+    fn results_that_cannot_be_written_are_an_error() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        std::fs::write(folder.path().join("c.yaml"), CHART).expect("the folder can be written");
+        let file = folder.path().join("c.test.yaml");
+        std::fs::write(&file, "test: c.yaml\ncases: []\n").expect("the folder can be written");
+        let junit = Some(folder.path().to_owned());
+        let args = TestArgs { files: vec![file], charts: Vec::new(), complete: false, junit };
+        let mut out = Vec::new();
+        assert_eq!(run(&args, &mut out).expect("memory can be written"), 2);
+        let text = String::from_utf8(out).expect("text is UTF-8");
+        assert!(text.contains("error: the results cannot be written to"), "{text}");
     }
 
     #[test]
@@ -184,9 +288,8 @@ states:
         for (step, part) in [
             ("{expect: {active: [Wait]}}", "step 1: active: [\"Move\"] instead of [\"Wait\"]"),
             ("{expect: {outcome: success}}", "the run has not ended"),
-            ("{event: go, from: Nowhere}", "no state `Nowhere`"),
             ("{expect: {log: x}}", "`x` was not said"),
-            ("{expect: {locals: {m: 1}}}", "locals.m: nothing instead of 1"),
+            ("{expect: {outputs: {n: 1}}}", "outputs.n: nothing instead of 1"),
         ] {
             let (status, text) = test(
                 &format!(
@@ -196,6 +299,63 @@ states:
             );
             assert!(status == 1 && text.contains(part), "{step}: {text}");
         }
+    }
+
+    #[test]
+    fn what_a_file_names_is_held_against_the_chart() {
+        for (case, message) in [
+            ("steps: [{event: go, from: Nowhere}]", "there is no state `Nowhere`"),
+            ("steps: [{event: gone}]", "the chart takes no event `gone`"),
+            ("steps: [{event: pushd, from: Wait}]", "outcome or watch of `Wait` called `pushd`"),
+            ("steps: [{channel: wirst, value: {push: [1]}}]", "there is no channel `wirst`"),
+            ("steps: [{channel: wrist, value: {psh: [1]}}]", "there is no field `psh`"),
+            ("steps: [{channel: wrist, value: {push: far}}]", "error[E016]"),
+            ("steps: [{expect: {locals: {m: 1}}}]", "there is no local `m`"),
+            ("steps: [{expect: {active: [Waits]}}]", "did you mean `Wait`?"),
+            ("steps: [{expect: {outcome: won}}]", "outcome of the chart called `won`"),
+            ("given: {postur: home}", "there is no input `postur`"),
+            ("profile: fast", "there is no profile `fast`"),
+            ("skills: {MoveJonts: never}", "did you mean `MoveJoints`?"),
+            ("skills: {OpenHand: never}", "the chart does not use the skill `OpenHand`"),
+            ("skills: {Move: blocked}", "there is no outcome `blocked`"),
+        ] {
+            let (status, text) = test(&format!("test: c.yaml\ncases:\n- case: a\n  {case}\n"), false);
+            assert!(status == 2 && text.contains(message) && text.contains("c.test.yaml:"), "{case}: {text}");
+        }
+    }
+
+    #[test]
+    fn charts_inside_can_be_stood_in_for() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let write = |name: &str, text: &str| {
+            std::fs::write(folder.path().join(name), text).expect("the folder can be written");
+        };
+        write(
+            "Inner.yaml",
+            "statechart: Inner\noutputs: {n: {type: int, default: 1}}\ninitial: A\nstates:\n  A: {after: {1s: Tired}}\n  Tired: {final: tired}\n",
+        );
+        write(
+            "outer.yaml",
+            "statechart: Outer\ninitial: In\nstates:\n  In: {statechart: Inner, after: {10s: Failed}, transitions: {tired: Done}}\n  Done: {final: success}\n  Failed: {final: failure}\n",
+        );
+        let cases = |charts: &str| {
+            write(
+                "outer.test.yaml",
+                &format!(
+                    "test: outer.yaml\ncharts: {{{charts}}}\ncases:\n- case: a\n  steps: [{{expect: {{outcome: success}}}}]\n"
+                ),
+            );
+            let files = vec![folder.path().join("outer.test.yaml")];
+            let mut out = Vec::new();
+            let args = TestArgs { files, charts: Vec::new(), complete: false, junit: None };
+            let status = run(&args, &mut out).expect("memory can be written");
+            (status, String::from_utf8(out).expect("text is UTF-8"))
+        };
+        assert_eq!(cases("Inner: tired").0, 0);
+        assert_eq!(cases("Inner: {outcome: tired, outputs: {n: 7}}").0, 0);
+        assert_eq!(cases("").0, 1, "the chart inside takes a second");
+        let (status, text) = cases("Iner: tired");
+        assert!(status == 2 && text.contains("stands in for `Iner`"), "{text}");
     }
 
     #[test]

@@ -10,7 +10,7 @@ use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
 use tracing_subscriber::registry::LookupSpan;
 
 /// The default filter: warnings of our own rooms.
-const SHOWN: &str = "off,armarium=warn";
+const DEFAULT_FILTER: &str = "off,armarium=warn";
 
 /// Formats a line for people.
 struct Plain;
@@ -43,7 +43,7 @@ where
 /// When `RUST_LOG` cannot be parsed.
 pub(crate) fn show() -> Result<(), String> {
     let wanted = std::env::var("RUST_LOG").unwrap_or_default();
-    let wanted = if wanted.trim().is_empty() { SHOWN } else { &wanted };
+    let wanted = if wanted.trim().is_empty() { DEFAULT_FILTER } else { &wanted };
     let filter = EnvFilter::try_new(wanted).map_err(|e| format!("RUST_LOG={wanted}: {e}"))?;
     let subscriber = tracing_subscriber::fmt()
         .with_env_filter(filter)

@@ -12,9 +12,9 @@ use armarium_bus::{Session, SessionConfig};
 use armarium_visionx::annotate::png;
 use armarium_visionx::providers::convert::depth_png;
 use armarium_visionx::providers::{
-    Delivery, FrameImage, ImageCoding, ImageProvider, PixelFormat, RemoteProvider,
+    Delivery, ImageCoding, ImageProvider, PixelFormat, RawImage, RemoteProvider,
 };
-use armarium_visionx::{Image, files};
+use armarium_visionx::{RgbImage, files};
 
 const WAIT: Duration = Duration::from_secs(60);
 
@@ -64,7 +64,7 @@ fn said(output: &Output) -> String {
 /// Three flat pictures.
 fn pictures(folder: &Path) {
     for (name, value) in [("a.png", 10u8), ("b.png", 20), ("c.png", 30)] {
-        let image = Image::from_rgb(64, 48, vec![value; 64 * 48 * 3]).unwrap();
+        let image = RgbImage::from_rgb(64, 48, vec![value; 64 * 48 * 3]).unwrap();
         std::fs::write(folder.join(name), png(&image).unwrap()).unwrap();
     }
 }
@@ -138,9 +138,9 @@ fn what_is_wrong_is_said() {
 fn depth_is_written_so_that_it_can_be_played_and_a_table_needs_its_place() {
     let folder = tempfile::tempdir().unwrap();
     let metres: Vec<u8> = [0.5f32, 0.0, 1.234, 4.5].iter().flat_map(|z| z.to_le_bytes()).collect();
-    let depth = FrameImage::new("depth", PixelFormat::Depth32F, (2, 2), metres).unwrap();
+    let depth = RawImage::new("depth", PixelFormat::Depth32F, (2, 2), metres).unwrap();
     let depth = depth_png(&depth).unwrap().unwrap();
-    let left = png(&Image::from_rgb(2, 2, vec![9; 12]).unwrap()).unwrap();
+    let left = png(&RgbImage::from_rgb(2, 2, vec![9; 12]).unwrap()).unwrap();
     for (name, bytes) in [("0_left", &left), ("0_right", &left), ("0_depth", &depth)] {
         std::fs::write(folder.path().join(format!("{name}.png")), bytes).unwrap();
     }
@@ -179,7 +179,7 @@ fn pairs(folder: &Path) -> (u64, u64) {
             if value == 7 { (noise >> 24) as u8 } else { value }
         };
         let image =
-            Image::from_rgb(size.0, size.1, (0..size.0 * size.1 * 3).map(|_| pixel()).collect()).unwrap();
+            RgbImage::from_rgb(size.0, size.1, (0..size.0 * size.1 * 3).map(|_| pixel()).collect()).unwrap();
         std::fs::write(folder.join(name), png(&image).unwrap()).unwrap();
     };
     for (i, size) in sizes.into_iter().enumerate() {
@@ -259,7 +259,7 @@ async fn a_provider_that_is_killed_and_started_again_is_seen_again_and_leaves_no
     for _ in 0..3 {
         tokio::time::timeout(WAIT, reader.next()).await.unwrap().unwrap();
     }
-    assert!(reader.statistics().shared() > 0);
+    assert!(reader.statistics().shared.get() > 0);
     let mut left = BTreeSet::new();
     for life in 2..=4 {
         let mapped = segments(playing.child.id());
@@ -268,7 +268,7 @@ async fn a_provider_that_is_killed_and_started_again_is_seen_again_and_leaves_no
         playing.child.kill().unwrap();
         playing.child.wait().unwrap();
         (playing, _) = play(&[files, "--name", "carol", "--loop", "--rate", "50", "--listen", &endpoint]);
-        while reader.statistics().lives() < life {
+        while reader.statistics().lives.get() < life {
             tokio::time::timeout(WAIT, reader.next()).await.expect("the reader goes on").unwrap();
         }
         let held: Vec<&PathBuf> = left.iter().filter(|segment| holds_frames(segment)).collect();

@@ -81,9 +81,9 @@ fn what_new_writes_is_in_order_runs_and_repeats() {
     let here = folder.path();
     assert_eq!(status(&armarium(here, &["new", "mine"])), 0);
     assert_eq!(status(&armarium(here, &["new", "mine"])), 2, "nothing is overwritten");
-    assert_eq!(status(&armarium(here, &["check", "mine/chart.yaml", "mine/world.yaml"])), 0);
+    assert_eq!(status(&armarium(here, &["check", "mine/chart.yaml", "mine/chart.world.yaml"])), 0);
     let run = |name: &str| {
-        let args = ["run", "mine/chart.yaml", "--world", "mine/world.yaml", "--report", name, "--seed", "7"];
+        let args = ["run", "mine/chart.yaml", "--report", name, "--seed", "7"];
         let output = armarium(here, &args);
         assert_eq!(status(&output), 0, "{}", said(&output));
         report(&here.join(name))
@@ -117,4 +117,74 @@ fn skills_are_listed_and_unknown_ones_refused() {
     assert_eq!(status(&output), 0);
     assert!(said(&output).contains("takes target: Pose"), "{}", said(&output));
     assert_eq!(status(&armarium(&repository(), &["skills", "Fly"])), 2);
+}
+
+/// A folder with a chart that declares a channel, one that uses it, and one that cannot be read.
+fn charts() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let write = |name: &str, text: &str| {
+        std::fs::write(folder.path().join(name), text).expect("it can be written");
+    };
+    write(
+        "dock.yaml",
+        "statechart: Dock\ndescription: >\n  Drives to\n  the dock.\ninputs: {speed: {type: float, unit: m/s, default: 0.2, description: How fast.}}\n\
+         outputs: {volts: {type: float, unit: V}}\nevents: {go: {}}\n\
+         channels: {battery: {description: The accumulator., type: {volts: {type: float, unit: V, description: at rest}}}}\n\
+         initial: A\nstates:\n  A: {watch: {full: \"channels.battery.volts > 12.0\"}, transitions: {go: Done, full: Full}}\n\
+         \x20 Full: {final: full}\n  Done: {final: success}\n",
+    );
+    write("broken.yaml", "statechart: Broken\nstates: [\n");
+    std::fs::create_dir(folder.path().join("more")).expect("it can be made");
+    write(
+        "more/see.yaml",
+        "statechart: See\ninitial: A\nstates:\n  A: {after: {1s: B}}\n  B: {final: success}\n",
+    );
+    folder
+}
+
+#[test]
+fn charts_within_reach_are_listed_beside_the_skills() {
+    let folder = charts();
+    let output = armarium(folder.path(), &["skills", "Dock"]);
+    let expected = "Dock  (chart, ./dock.yaml)\n    Drives to the dock.\n    takes speed: float in m/s = 0.2  How fast.\n    \
+                    gives volts: float in V  \n    outcomes: full\n    takes the events: go\n\n";
+    assert_eq!((status(&output), said(&output).as_str()), (0, expected));
+    assert!(said(&armarium(folder.path(), &["skills"])).contains("./broken.yaml is no chart as it is"));
+    let output = armarium(folder.path(), &["skills", "Dock", "See", "MoveTcp", "--json", "--charts", "more"]);
+    let json: Value = serde_json::from_slice(&output.stdout).expect("it is JSON");
+    let kinds: Vec<_> =
+        json.as_array().expect("a list").iter().map(|one| (&one["kind"], &one["name"])).collect();
+    assert_eq!(
+        format!("{kinds:?}"),
+        r#"[(String("skill"), String("MoveTcp")), (String("chart"), String("Dock")), (String("chart"), String("See"))]"#
+    );
+    assert_eq!(json[1]["outcomes"], serde_json::json!(["success", "failure", "full"]));
+    assert_eq!((&json[1]["inputs"][0]["name"], &json[1]["file"]), (&"speed".into(), &"./dock.yaml".into()));
+    let output = armarium(folder.path(), &["skills", "See"]);
+    assert_eq!(status(&output), 2, "it is in another folder");
+    assert_eq!(status(&armarium(folder.path(), &["skills", "--charts", "nowhere"])), 2);
+}
+
+#[test]
+fn channels_are_listed_with_who_publishes_and_who_reads_them() {
+    let folder = charts();
+    let output = armarium(folder.path(), &["channels"]);
+    let text = said(&output);
+    assert_eq!(status(&output), 0);
+    for part in [
+        "battery\n    The accumulator.\n    channels.battery.volts: float in V  at rest\n    declared by: Dock\n    read by: chart Dock\n",
+        "published by: ExecuteMotion, ForceAdaptation, ImitateMotion\n    read by: observer of `hand`\n",
+        "channels.wrist.push: list<float in N>",
+        "published by: observer of `hand`\n    read by: ExecuteMotion, VisionCoaching, WatchCoach\n",
+    ] {
+        assert!(text.contains(part), "{part}\n{text}");
+    }
+    let json: Value =
+        serde_json::from_slice(&armarium(folder.path(), &["channels", "--json"]).stdout).expect("it is JSON");
+    let battery = &json.as_array().expect("a list")[0];
+    assert_eq!(
+        (&battery["name"], &battery["fields"][0]["unit"], &battery["read_by"][0]),
+        (&"battery".into(), &"V".into(), &"chart Dock".into())
+    );
+    assert_eq!(status(&armarium(folder.path(), &["channels", "--charts", "nowhere"])), 2);
 }

@@ -251,28 +251,28 @@ fn the_memory_of_an_agent_is_read_and_written_and_survives_its_end() {
     assert!(status == Some(0) && said.contains("cup"), "{said}");
 }
 
-#[test]
-fn an_agent_that_is_killed_is_lost_within_a_second() {
-    let folder = folder(WAITING);
-    let (bob, endpoint) = agent(folder.path());
-    let mut main = run(folder.path(), &endpoint);
+/// Checks that the run notices within a second that `lose` has taken its agent away. `endpoint` is where the run reaches it.
+fn is_lost(folder: &Path, endpoint: &str, lose: impl FnOnce()) {
+    let mut main = run(folder, endpoint);
     main.wait_for("inside, Waiting");
-    bob.signal("KILL");
+    lose();
     let (status, said) = main.end();
     assert_eq!(status, Some(1), "{said}");
     assert!(silence(&said) < 1.0, "{said}");
 }
 
 #[test]
+fn an_agent_that_is_killed_is_lost_within_a_second() {
+    let folder = folder(WAITING);
+    let (bob, endpoint) = agent(folder.path());
+    is_lost(folder.path(), &endpoint, || bob.signal("KILL"));
+}
+
+#[test]
 fn an_agent_that_is_stopped_is_lost_within_a_second_and_ends_what_it_ran_when_it_goes_on() {
     let folder = folder(WAITING);
     let (mut bob, endpoint) = agent(folder.path());
-    let mut main = run(folder.path(), &endpoint);
-    main.wait_for("inside, Waiting");
-    bob.signal("STOP");
-    let (status, said) = main.end();
-    assert_eq!(status, Some(1), "{said}");
-    assert!(silence(&said) < 1.0, "{said}");
+    is_lost(folder.path(), &endpoint, || bob.signal("STOP"));
     bob.signal("CONT");
     bob.wait_for("its caller is gone");
 }
@@ -282,12 +282,7 @@ fn an_agent_that_is_cut_off_is_lost_within_a_second_on_both_sides() {
     let folder = folder(WAITING);
     let (mut bob, endpoint) = agent(folder.path());
     let cable = Cable::to(endpoint.trim_start_matches("tcp/"));
-    let mut main = run(folder.path(), &cable.endpoint);
-    main.wait_for("inside, Waiting");
-    cable.cut.store(true, Ordering::SeqCst);
-    let (status, said) = main.end();
-    assert_eq!(status, Some(1), "{said}");
-    assert!(silence(&said) < 1.0, "{said}");
+    is_lost(folder.path(), &cable.endpoint, || cable.cut.store(true, Ordering::SeqCst));
     bob.wait_for("its caller is gone");
 }
 

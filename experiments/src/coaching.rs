@@ -4,14 +4,14 @@
 use std::f64::consts::{FRAC_PI_4, PI, TAU};
 
 use armarium_motion::{Integrator, PeriodicDmp, PeriodicDmpConfig, PotentialField, joint_coupling};
-use armarium_viewer::report::{Curve, Look, Panel, Row, picture};
+use armarium_viewer::report::{Curve, Look, Panel, PanelRow, picture};
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::experiment::{Experiment, ExperimentError, Outcome, within};
+use super::experiment::{Experiment, ExperimentError, Outcome, panel, within};
 use super::phase::{mean, over_period};
 use super::planar::{PlanarArm, Redundancy};
-use super::settings::settings;
+use super::settings::{Setting, Settings as _, settings};
 
 /// The direction of motion on the circle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -23,17 +23,19 @@ pub(crate) enum Direction {
     Cw,
 }
 
+impl Setting for Direction {}
+
 settings! {
     /// Settings; lengths in m, angles in rad, times in s.
     Coaching {
         /// Coaching point, m; with `follow` only the place where the displacement is measured.
-        o: [f64; 2] = [1.8, -0.6];
+        o: [f64; 2] = [1.8, -0.6], -1e3..=1e3;
         /// Coaching direction, any length.
         d: [f64; 2] = [0.0, 1.0];
         /// Scale of the coupling (14).
-        gamma: f64 = 100.0;
+        gamma: f64 = 100.0, -1e6..=1e6;
         /// Steepness of the field's edge (16), 1/m.
-        eta: f64 = 20.0;
+        eta: f64 = 20.0, 0.0..=1e6;
         /// Reach of the field (16), m.
         rm: f64 = 0.35;
         /// Decay of the field with the angle (14), 1/rad; the sign is ignored.
@@ -45,15 +47,15 @@ settings! {
         /// Direction of motion: ccw or cw.
         direction: Direction = Direction::Ccw;
         /// Centre of the demonstrated circle, m.
-        center: [f64; 2] = [1.8, 0.2];
+        center: [f64; 2] = [1.8, 0.2], -1e3..=1e3;
         /// Radius of the demonstrated circle, m.
-        radius: f64 = 0.7;
+        radius: f64 = 0.7, 1e-3..=100.0;
         /// Its frequency, Hz.
         frequency: f64 = 0.5;
         /// Lengths of the links, m.
-        links: [f64; 3] = [1.0; 3];
+        links: [f64; 3] = [1.0; 3], 1e-3..=100.0;
         /// World angle of the last link, rad.
-        psi: f64 = FRAC_PI_4;
+        psi: f64 = FRAC_PI_4, -1e3..=1e3;
         /// Posture near which the inverse kinematics stays instead, three angles, rad.
         posture: Option<[f64; 3]> = None;
         /// Kernels N of the primitive.
@@ -69,11 +71,11 @@ settings! {
         /// P(0) of (9).
         p0: f64 = 1.0;
         /// w(0) of (10), for all weights.
-        w0: f64 = 0.0;
+        w0: f64 = 0.0, -1e6..=1e6;
         /// Step, s.
-        dt: f64 = 0.01;
+        dt: f64 = 0.01, 1e-4..=0.1;
         /// Learning cycles before the run.
-        cycles: u32 = 40;
+        cycles: u32 = 40, 1.0..=1000.0;
         /// Length of the run, s.
         seconds: f64 = 60.0;
         /// Start of the coaching, s.
@@ -84,7 +86,7 @@ settings! {
 }
 
 /// The log of a run, one entry per step.
-struct Log {
+struct CoachingLog {
     q: Vec<Vector3<f64>>,
     x: Vec<Vector2<f64>>,
     /// |C_y| of (14).
@@ -109,20 +111,11 @@ impl Experiment for Coaching {
 
 impl Coaching {
     fn check(&self) -> Result<(), ExperimentError> {
-        within("dt", self.dt, 1e-4, 0.1)?;
+        self.check_ranges()?;
         within("frequency", self.frequency, 0.01, 0.125 / self.dt)?;
-        within("radius", self.radius, 1e-3, 100.0)?;
-        self.center.iter().try_for_each(|x| within("center", *x, -1e3, 1e3))?;
-        self.o.iter().try_for_each(|x| within("o", *x, -1e3, 1e3))?;
-        within("w0", self.w0, -1e6, 1e6)?;
-        within("psi", self.psi, -1e3, 1e3)?;
-        within("cycles", f64::from(self.cycles), 1.0, 1000.0)?;
         within("start", self.start, 1.0 / self.frequency, 600.0)?;
         within("seconds", self.seconds, self.start + 1.0 / self.frequency, 3600.0)?;
-        within("d", self.d[0].hypot(self.d[1]), 1e-9, 1e9)?;
-        within("gamma", self.gamma, -1e6, 1e6)?;
-        within("eta", self.eta, 0.0, 1e6)?;
-        self.links.iter().try_for_each(|l| within("links", *l, 1e-3, 100.0))
+        within("d", self.d[0].hypot(self.d[1]), 1e-9, 1e9)
     }
 
     fn omega(&self) -> f64 {
@@ -202,10 +195,10 @@ impl Coaching {
         Ok(samples)
     }
 
-    fn execute(&self, dmp: &mut PeriodicDmp) -> Result<Log, ExperimentError> {
+    fn execute(&self, dmp: &mut PeriodicDmp) -> Result<CoachingLog, ExperimentError> {
         let steps = (self.seconds / self.dt).round() as usize;
         let begin = self.first_coached();
-        let mut log = Log { q: Vec::new(), x: Vec::new(), coupling: Vec::new() };
+        let mut log = CoachingLog { q: Vec::new(), x: Vec::new(), coupling: Vec::new() };
         let mut coupling = [0.0; 3];
         for k in 0..steps {
             let q = Vector3::from_column_slice(dmp.state().y);
@@ -258,7 +251,7 @@ impl Coaching {
         [self.first_coached() as f64, (self.seconds / self.dt).round()]
     }
 
-    fn figures(&self, log: &Log) -> Outcome {
+    fn figures(&self, log: &CoachingLog) -> Outcome {
         let [before, after] = self.compared();
         let (x, y) = (self.over_period(&log.x, before), self.over_period(&log.x, after));
         let (p, q) = (self.over_period(&log.q, before), self.over_period(&log.q, after));
@@ -285,7 +278,7 @@ impl Coaching {
     }
 
     /// Plots as in the paper's figures: the path in selected periods, the coupling, and the joints over time.
-    fn plot(&self, log: &Log) -> String {
+    fn plot(&self, log: &CoachingLog) -> String {
         let [before, after] = self.compared();
         let closed = |end: f64| -> Vec<[f64; 2]> {
             let mut points: Vec<[f64; 2]> =
@@ -308,25 +301,16 @@ impl Coaching {
         let time = |k: usize| self.dt * k as f64;
         let series = |value: &dyn Fn(usize) -> f64| (0..log.q.len()).map(|k| [time(k), value(k)]).collect();
         let over_time = |y_label: &str, points: Vec<[f64; 2]>, colour: u8, mark: &str| Panel {
-            x_label: "time, s".into(),
-            y_label: y_label.into(),
-            curves: vec![Curve::new("", points).looking(Look::Colour(colour))],
             marks: vec![(self.start, mark.to_owned())],
-            ..Panel::default()
+            ..panel("time, s", y_label, vec![Curve::new("", points).looking(Look::Colour(colour))])
         };
-        let path = Panel {
-            x_label: "x, m".into(),
-            y_label: "y, m".into(),
-            curves: paths,
-            equal_units: true,
-            ..Panel::default()
-        };
+        let path = Panel { equal_units: true, ..panel("x, m", "y, m", paths) };
         let coupling = over_time("|C_y|", series(&|k| log.coupling[k]), 2, "coaching");
         let joint = |i: usize| {
             let label = format!("q{}, rad", i + 1);
-            Row { height: 170.0, panels: vec![over_time(&label, series(&|k| log.q[k][i]), 1, "")] }
+            PanelRow { height: 170.0, panels: vec![over_time(&label, series(&|k| log.q[k][i]), 1, "")] }
         };
-        let top = Row { height: 470.0, panels: vec![path, coupling] };
+        let top = PanelRow { height: 470.0, panels: vec![path, coupling] };
         picture("A circle coached while it runs", &[top, joint(0), joint(1), joint(2)])
     }
 }

@@ -8,30 +8,30 @@ use armarium_motion::{
     CanonicalRule, CanonicalSystem, DiscretePeriodicConfig, DiscretePeriodicDmp, LearningControl,
     LearningControlConfig, TimeSample,
 };
-use armarium_viewer::report::{Curve, Look, Panel, Row, picture};
+use armarium_viewer::report::{Curve, Look, PanelRow, picture};
 
-use super::experiment::{Experiment, ExperimentError, Outcome, within};
-use super::settings::settings;
+use super::experiment::{Experiment, ExperimentError, Outcome, panel, within};
+use super::settings::{Settings as _, settings};
 
 settings! {
     /// Settings of the demonstration and of its replays.
     Dpdmp {
         /// Frequency Omega of the demonstration, rad/s.
-        omega: f64 = 4.0 * PI;
+        omega: f64 = 4.0 * PI, 0.01..=1000.0;
         /// Frequency of the second replay, rad/s.
-        omega_new: f64 = 2.0 * PI;
+        omega_new: f64 = 2.0 * PI, 0.01..=1000.0;
         /// Duration T of the discrete part, s.
-        duration: f64 = 1.0;
+        duration: f64 = 1.0, 0.01..=100.0;
         /// Periods after the discrete part.
-        periods: f64 = 4.0;
+        periods: f64 = 4.0, 0.5..=100.0;
         /// Step, s.
-        dt: f64 = 0.001;
+        dt: f64 = 0.001, 1e-5..=0.1;
         /// Centre c of y = c + A sin phi + B cos 2 phi, one value per degree of freedom.
-        center: [f64; 2] = [1.0, -0.5];
+        center: [f64; 2] = [1.0, -0.5], -1e6..=1e6;
         /// A.
-        a: [f64; 2] = [0.3, 0.2];
+        a: [f64; 2] = [0.3, 0.2], -1e6..=1e6;
         /// B.
-        b: [f64; 2] = [0.1, -0.08];
+        b: [f64; 2] = [0.1, -0.08], -1e6..=1e6;
         /// Constant of (1).
         alpha_z: f64 = 48.0;
         /// Constant of (1).
@@ -55,13 +55,13 @@ settings! {
         /// Radius at which the transition begins.
         mu2: f64 = 1.4;
         /// Centre of the adapted motion.
-        adapted_center: [f64; 2] = [1.1, -0.45];
+        adapted_center: [f64; 2] = [1.1, -0.45], -1e6..=1e6;
         /// A of the adapted motion; B is unchanged.
-        adapted_a: [f64; 2] = [0.4, 0.12];
+        adapted_a: [f64; 2] = [0.4, 0.12], -1e6..=1e6;
         /// Epochs of the adaptation (11).
-        epochs: u32 = 20;
+        epochs: u32 = 20, 1.0..=1000.0;
         /// Control per unit of error, 1/s; multiplied by L and C.
-        gain: f64 = 150.0;
+        gain: f64 = 150.0, -1e6..=1e6;
         /// L of (11).
         l: f64 = 0.3;
         /// C of (11).
@@ -70,7 +70,7 @@ settings! {
 }
 
 /// Fifth-order polynomials from rest at 0 to the periodic part, then the periodic part.
-struct Shape {
+struct Demonstration {
     omega: f64,
     duration: f64,
     center: [f64; 2],
@@ -78,7 +78,7 @@ struct Shape {
     b: [f64; 2],
 }
 
-impl Shape {
+impl Demonstration {
     /// Position, velocity and acceleration of degree of freedom `d` in the periodic part, `t` s after its start.
     fn periodic(&self, d: usize, t: f64) -> [f64; 3] {
         let (w, p) = (self.omega, self.omega * t);
@@ -179,28 +179,13 @@ impl Experiment for Dpdmp {
 
 impl Dpdmp {
     fn check(&self) -> Result<(), ExperimentError> {
-        within("omega", self.omega, 0.01, 1000.0)?;
-        within("omega_new", self.omega_new, 0.01, 1000.0)?;
-        within("duration", self.duration, 0.01, 100.0)?;
-        within("periods", self.periods, 0.5, 100.0)?;
-        within("dt", self.dt, 1e-5, 0.1)?;
+        self.check_ranges()?;
         let longest = (self.omega * self.duration + TAU * self.periods) / self.omega.min(self.omega_new);
-        within("steps of a replay", longest / self.dt, 10.0, 2e6)?;
-        for (key, values) in [
-            ("center", self.center),
-            ("a", self.a),
-            ("b", self.b),
-            ("adapted_center", self.adapted_center),
-            ("adapted_a", self.adapted_a),
-        ] {
-            values.iter().try_for_each(|v| within(key, *v, -1e6, 1e6))?;
-        }
-        within("gain", self.gain, -1e6, 1e6)?;
-        within("epochs", f64::from(self.epochs), 1.0, 1000.0)
+        within("steps of a replay", longest / self.dt, 10.0, 2e6)
     }
 
-    fn shape(&self, center: [f64; 2], a: [f64; 2]) -> Shape {
-        Shape { omega: self.omega, duration: self.duration, center, a, b: self.b }
+    fn shape(&self, center: [f64; 2], a: [f64; 2]) -> Demonstration {
+        Demonstration { omega: self.omega, duration: self.duration, center, a, b: self.b }
     }
 
     /// Number of steps of the demonstration.
@@ -208,14 +193,18 @@ impl Dpdmp {
         ((self.duration + TAU * self.periods / self.omega) / self.dt).round() as usize
     }
 
-    fn range(&self, shape: &Shape) -> [f64; 2] {
+    fn range(&self, shape: &Demonstration) -> [f64; 2] {
         [0, 1].map(|d| {
             let values = || (0..=self.steps()).map(|k| shape.at(d, self.dt * k as f64)[0]);
             values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)
         })
     }
 
-    fn learn(&self, rule: CanonicalRule, shape: &Shape) -> Result<DiscretePeriodicDmp, ExperimentError> {
+    fn learn(
+        &self,
+        rule: CanonicalRule,
+        shape: &Demonstration,
+    ) -> Result<DiscretePeriodicDmp, ExperimentError> {
         let canonical = CanonicalSystem {
             eta: self.eta,
             alpha: self.alpha,
@@ -245,7 +234,7 @@ impl Dpdmp {
         &self,
         dmp: &mut DiscretePeriodicDmp,
         omega: f64,
-        shape: &Shape,
+        shape: &Demonstration,
     ) -> Result<Replay, ExperimentError> {
         dmp.restart();
         let steps = (dmp.length(self.periods, omega) / self.dt).round() as usize;
@@ -260,7 +249,7 @@ impl Dpdmp {
     }
 
     /// Learns the control signal that changes the motion to `shape`.
-    fn adapt(&self, dmp: &mut DiscretePeriodicDmp, shape: &Shape) -> Result<(), ExperimentError> {
+    fn adapt(&self, dmp: &mut DiscretePeriodicDmp, shape: &Demonstration) -> Result<(), ExperimentError> {
         let steps = self.steps();
         let config = LearningControlConfig { q: 1.0, l: self.l, c: self.c };
         let mut learning = LearningControl::new(config, 2, steps)?;
@@ -281,7 +270,7 @@ impl Dpdmp {
 /// Rows: original, modified and adapted; columns: the two degrees of freedom. The replays are in the order of the
 /// figures.
 fn plot(replays: &[Replay]) -> String {
-    let panel = |d: usize, title: &str, shown: &[(usize, &str, u8)]| {
+    let of_dof = |d: usize, title: &str, shown: &[(usize, &str, u8)]| {
         let mut curves = Vec::new();
         if let Some((last, _, _)) = shown.last() {
             let replay = &replays[*last];
@@ -293,16 +282,11 @@ fn plot(replays: &[Replay]) -> String {
             let replay = &replays[*i];
             Curve::new(*name, replay.curve(&replay.y, d)).looking(Look::Colour(*colour))
         }));
-        Panel {
-            x_label: "time, s".into(),
-            y_label: format!("y{} ({title})", d + 1),
-            curves,
-            ..Panel::default()
-        }
+        panel("time, s", format!("y{} ({title})", d + 1), curves)
     };
-    let row = |title: &str, shown: &[(usize, &str, u8)]| Row {
+    let row = |title: &str, shown: &[(usize, &str, u8)]| PanelRow {
         height: 270.0,
-        panels: vec![panel(0, title, shown), panel(1, title, shown)],
+        panels: vec![of_dof(0, title, shown), of_dof(1, title, shown)],
     };
     picture(
         "A discrete-periodic movement at another frequency",

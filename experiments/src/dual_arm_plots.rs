@@ -1,10 +1,10 @@
 //! Figures and plots of the box task.
 
 use armarium_simulator::carrying::CarryingRecord;
-use armarium_viewer::report::{Curve, Look, Panel, Row, picture};
+use armarium_viewer::report::{Curve, Look, Panel, PanelRow, picture};
 
 use super::dual_arm::{DualArm, Epoch};
-use super::experiment::Outcome;
+use super::experiment::{Outcome, panel};
 
 impl DualArm {
     pub(super) fn figures(
@@ -29,23 +29,22 @@ impl DualArm {
 
     /// The hands' heights over all epochs, their difference, and the decrease of both errors.
     pub(super) fn plot(&self, before: &Epoch, epochs: &[Epoch]) -> String {
-        let over_time = |epoch: &Epoch, of: &dyn Fn(&CarryingRecord) -> f64| -> Vec<[f64; 2]> {
+        let samples = |epoch: &Epoch, of: &dyn Fn(&CarryingRecord) -> f64| -> Vec<[f64; 2]> {
             epoch.log.iter().enumerate().step_by(5).map(|(k, r)| [k as f64 * 1e-3, of(r)]).collect()
         };
         let height = |side: usize| move |r: &CarryingRecord| r.tcps[side].translation.vector.z;
-        let mut heights = vec![Curve::new("right", over_time(before, &height(0))).looking(Look::Reference)];
-        heights.extend(epochs.iter().map(|e| Curve::new("", over_time(e, &height(1))).looking(Look::Faint)));
-        heights.push(Curve::new("left, before", over_time(before, &height(1))).looking(Look::Colour(1)));
+        let mut heights = vec![Curve::new("right", samples(before, &height(0))).looking(Look::Reference)];
+        heights.extend(epochs.iter().map(|e| Curve::new("", samples(e, &height(1))).looking(Look::Faint)));
+        heights.push(Curve::new("left, before", samples(before, &height(1))).looking(Look::Colour(1)));
         let mut boxes = Vec::new();
         if let (Some(first), Some(last)) = (epochs.first(), epochs.last()) {
-            heights
-                .push(Curve::new("left, last epoch", over_time(last, &height(1))).looking(Look::Colour(2)));
+            heights.push(Curve::new("left, last epoch", samples(last, &height(1))).looking(Look::Colour(2)));
             let tilt =
                 |r: &CarryingRecord| (r.carried.rotation * nalgebra::Vector3::x()).z.asin().to_degrees();
             for (name, epoch, colour) in
                 [("before", before, 1), ("epoch 1", first, 3), ("last epoch", last, 2)]
             {
-                boxes.push(Curve::new(name, over_time(epoch, &tilt)).looking(Look::Colour(colour)));
+                boxes.push(Curve::new(name, samples(epoch, &tilt)).looking(Look::Colour(colour)));
             }
         }
         let mark = || vec![(self.duration, "periodic".to_owned())];
@@ -57,20 +56,14 @@ impl DualArm {
             line("distance, mm", 1, &|e| e.figures.distance_rms_m * 1e3),
             line("force, N", 3, &|e| e.figures.force_rms_n),
         ];
-        let panel = |x: &str, y: &str, curves, marks| Panel {
-            x_label: x.into(),
-            y_label: y.into(),
-            curves,
-            marks,
-            ..Panel::default()
-        };
-        let row = |height, panel| Row { height, panels: vec![panel] };
+        let over_time = |y: &str, curves| Panel { marks: mark(), ..panel("time, s", y, curves) };
+        let row = |height, panel| PanelRow { height, panels: vec![panel] };
         picture(
             "Two arms learn to carry a box",
             &[
-                row(300.0, panel("time, s", "height of the hands, m", heights, mark())),
-                row(220.0, panel("time, s", "tilt of the box, degrees", boxes, mark())),
-                row(240.0, panel("epoch", "log10 of the RMS error", falls, Vec::new())),
+                row(300.0, over_time("height of the hands, m", heights)),
+                row(220.0, over_time("tilt of the box, degrees", boxes)),
+                row(240.0, panel("epoch", "log10 of the RMS error", falls)),
             ],
         )
     }

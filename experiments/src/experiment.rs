@@ -1,6 +1,7 @@
 //! The interface of an experiment: from settings to figures and plots.
 
 use armarium_motion::MotionError;
+use armarium_viewer::report::{Curve, Panel};
 use serde_json::{Map, Value};
 
 use super::settings::{self, Key, Settings};
@@ -68,6 +69,11 @@ fn outside(value: f64, low: f64, high: f64) -> String {
         return format!("{value:?} is not over zero");
     }
     format!("{value:?} is outside of {low:?} to {high:?}")
+}
+
+/// A panel with these axes.
+pub(crate) fn panel(x_label: impl Into<String>, y_label: impl Into<String>, curves: Vec<Curve>) -> Panel {
+    Panel { x_label: x_label.into(), y_label: y_label.into(), curves, ..Panel::default() }
 }
 
 /// An experiment of the papers.

@@ -4,49 +4,49 @@
 use std::f64::consts::TAU;
 
 use armarium_motion::{SurfaceAdaptation, SurfaceConfig};
-use armarium_viewer::report::{Curve, Look, Panel, Row, picture};
+use armarium_viewer::report::{Curve, Look, Panel, PanelRow, picture};
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
-use super::experiment::{Experiment, ExperimentError, Outcome, within};
-use super::settings::settings;
+use super::experiment::{Experiment, ExperimentError, Outcome, panel, within};
+use super::settings::{Settings as _, settings};
 
 settings! {
     /// Settings of the adaptation.
     Force {
         /// Stiffness of the contact, N/m.
-        stiffness: f64 = 2000.0;
+        stiffness: f64 = 2000.0, 10.0..=1e6;
         /// Desired force, N.
-        force: f64 = 10.0;
+        force: f64 = 10.0, 0.01..=1000.0;
         /// Cycles of adaptation.
-        cycles: u32 = 16;
+        cycles: u32 = 16, 1.0..=500.0;
         /// Cycles without feedback that follow.
-        off_cycles: u32 = 4;
+        off_cycles: u32 = 4, 1.0..=500.0;
         /// Amplitudes of the wiping in x and y, m; y has twice the frequency.
-        amplitude: [f64; 2] = [0.15, 0.1];
+        amplitude: [f64; 2] = [0.15, 0.1], -10.0..=10.0;
         /// Phase lead of y, rad.
-        phase: f64 = 0.3;
+        phase: f64 = 0.3, -1e3..=1e3;
         /// Slope of the table in x and y.
-        tilt: [f64; 2] = [0.02, -0.03];
+        tilt: [f64; 2] = [0.02, -0.03], -10.0..=10.0;
         /// Height of its bump, m.
-        bump: f64 = 0.01;
+        bump: f64 = 0.01, -1.0..=1.0;
         /// Position of the bump, m.
-        bump_at: [f64; 2] = [0.1, 0.05];
+        bump_at: [f64; 2] = [0.1, 0.05], -1e3..=1e3;
         /// Its shape is exp(-(squared distance) / this), m^2.
-        bump_width: f64 = 0.005;
+        bump_width: f64 = 0.005, 1e-9..=1e9;
         /// Frequency of the wiping, Hz.
         frequency: f64 = 0.5;
         /// Standard deviation of the measured force, N.
-        noise: f64 = 0.2;
+        noise: f64 = 0.2, 0.0..=100.0;
         /// Height above the table at the start, m.
-        start_height: f64 = 0.02;
+        start_height: f64 = 0.02, -0.05..=0.05;
         /// Step, s.
-        dt: f64 = 0.005;
+        dt: f64 = 0.005, 1e-4..=0.05;
         /// Kernels over the phase.
         kernels: usize = 36;
         /// Initial estimate of the stiffness, N/m; it is then identified.
-        stiffness_guess: f64 = 4000.0;
+        stiffness_guess: f64 = 4000.0, 10.0..=1e6;
         /// Bandwidth of the feedback, rad/s.
         bandwidth: f64 = 7.0;
         /// Largest speed of the height, m/s; the hand approaches with 0.3 of it.
@@ -62,7 +62,7 @@ settings! {
 
 /// The log, one entry per step.
 #[derive(Default)]
-struct Log {
+struct ForceLog {
     /// The force without noise, N.
     force: Vec<f64>,
     height: Vec<f64>,
@@ -87,25 +87,12 @@ impl Experiment for Force {
 
 impl Force {
     fn check(&self) -> Result<(), ExperimentError> {
-        within("dt", self.dt, 1e-4, 0.05)?;
-        within("frequency", self.frequency, 0.01, 0.02 / self.dt)?;
-        within("cycles", f64::from(self.cycles), 1.0, 500.0)?;
-        within("off_cycles", f64::from(self.off_cycles), 1.0, 500.0)?;
-        within("stiffness", self.stiffness, 10.0, 1e6)?;
-        within("stiffness_guess", self.stiffness_guess, 10.0, 1e6)?;
-        self.amplitude.iter().try_for_each(|a| within("amplitude", *a, -10.0, 10.0))?;
-        self.tilt.iter().try_for_each(|t| within("tilt", *t, -10.0, 10.0))?;
-        self.bump_at.iter().try_for_each(|b| within("bump_at", *b, -1e3, 1e3))?;
-        within("phase", self.phase, -1e3, 1e3)?;
-        within("bump", self.bump, -1.0, 1.0)?;
-        within("noise", self.noise, 0.0, 100.0)?;
-        within("start_height", self.start_height, -0.05, 0.05)?;
-        within("bump_width", self.bump_width, 1e-9, 1e9)?;
-        within("force", self.force, 0.01, 1000.0)
+        self.check_ranges()?;
+        within("frequency", self.frequency, 0.01, 0.02 / self.dt)
     }
 
     /// Height of the table below the wiping motion at a phase, m.
-    fn under(&self, phase: f64) -> f64 {
+    fn table_height(&self, phase: f64) -> f64 {
         let x = self.amplitude[0] * phase.sin();
         let y = self.amplitude[1] * (2.0 * phase + self.phase).sin();
         let from_bump = (x - self.bump_at[0]).powi(2) + (y - self.bump_at[1]).powi(2);
@@ -129,12 +116,12 @@ impl Force {
         }
     }
 
-    fn wipe(&self) -> Result<(Log, f64), ExperimentError> {
+    fn wipe(&self) -> Result<(ForceLog, f64), ExperimentError> {
         let mut adaptation = SurfaceAdaptation::new(self.config())?;
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         let (period, omega) = (self.period(), TAU * self.frequency);
-        let base = self.under(0.0) + self.start_height;
-        let mut log = Log::default();
+        let base = self.table_height(0.0) + self.start_height;
+        let mut log = ForceLog::default();
         let mut height = base;
         for k in 0..(self.cycles + self.off_cycles) as usize * period {
             if k == self.cycles as usize * period {
@@ -142,7 +129,7 @@ impl Force {
                 adaptation.set_learning(false);
             }
             let phase = omega * self.dt * k as f64;
-            let force = (self.stiffness * (self.under(phase) - height)).max(0.0);
+            let force = (self.stiffness * (self.table_height(phase) - height)).max(0.0);
             log.force.push(force);
             log.height.push(height);
             let noise: f64 = StandardNormal.sample(&mut rng);
@@ -153,7 +140,7 @@ impl Force {
     }
 
     /// Root mean square error of the force in each cycle, and over the cycles without feedback, N.
-    fn rms(&self, log: &Log) -> (Vec<f64>, f64) {
+    fn rms(&self, log: &ForceLog) -> (Vec<f64>, f64) {
         let rms = |forces: &[f64]| {
             (forces.iter().map(|f| (f - self.force).powi(2)).sum::<f64>() / forces.len() as f64).sqrt()
         };
@@ -161,41 +148,37 @@ impl Force {
         (log.force.chunks(self.period()).map(rms).collect(), rms(off))
     }
 
-    fn plot(&self, log: &Log, rms: &[f64]) -> String {
+    fn plot(&self, log: &ForceLog, rms: &[f64]) -> String {
         let time = |k: usize| self.dt * k as f64;
         let off = (self.dt * (self.cycles as usize * self.period()) as f64, "feedback off".to_owned());
         let over_time = |values: &[f64]| values.iter().enumerate().map(|(k, v)| [time(k), *v]).collect();
         let surface: Vec<f64> =
-            (0..log.height.len()).map(|k| self.under(TAU * self.frequency * time(k)) * 1e3).collect();
+            (0..log.height.len()).map(|k| self.table_height(TAU * self.frequency * time(k)) * 1e3).collect();
         let height: Vec<f64> = log.height.iter().map(|h| h * 1e3).collect();
         let force = Panel {
-            x_label: "time, s".into(),
-            y_label: "force, N".into(),
-            curves: vec![Curve::new("", over_time(&log.force))],
             marks: vec![off.clone()],
-            ..Panel::default()
+            ..panel("time, s", "force, N", vec![Curve::new("", over_time(&log.force))])
         };
         let heights = Panel {
-            x_label: "time, s".into(),
-            y_label: "height, mm".into(),
-            curves: vec![
-                Curve::new("table under the hand", over_time(&surface)).looking(Look::Reference),
-                Curve::new("hand", over_time(&height)).looking(Look::Colour(1)),
-            ],
             marks: vec![off],
-            ..Panel::default()
+            ..panel(
+                "time, s",
+                "height, mm",
+                vec![
+                    Curve::new("table under the hand", over_time(&surface)).looking(Look::Reference),
+                    Curve::new("hand", over_time(&height)).looking(Look::Colour(1)),
+                ],
+            )
         };
         let cycles = Panel {
-            x_label: "cycle".into(),
-            y_label: "log10 of the RMS force error, N".into(),
-            curves: vec![Curve::new(
-                "",
-                rms.iter().zip(1..).map(|(r, n)| [f64::from(n), r.log10()]).collect(),
-            )],
             marks: vec![(f64::from(self.cycles) + 0.5, "feedback off".into())],
-            ..Panel::default()
+            ..panel(
+                "cycle",
+                "log10 of the RMS force error, N",
+                vec![Curve::new("", rms.iter().zip(1..).map(|(r, n)| [f64::from(n), r.log10()]).collect())],
+            )
         };
-        let row = |panel| Row { height: 260.0, panels: vec![panel] };
+        let row = |panel| PanelRow { height: 260.0, panels: vec![panel] };
         picture("Force over an unknown table", &[row(force), row(heights), row(cycles)])
     }
 }

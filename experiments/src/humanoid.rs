@@ -10,16 +10,16 @@ use armarium_motion::{
     CoachingCommand, PeriodicDmp, PeriodicDmpConfig, PhaseSample, PotentialField, joint_coupling,
 };
 use armarium_simulator::modification::{Compared, ModificationFigures};
-use armarium_viewer::report::{Curve, Look, Panel, Row, picture};
+use armarium_viewer::report::{Curve, Look, Panel, PanelRow, picture};
 use nalgebra::Vector3;
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
-use super::experiment::{Experiment, ExperimentError, Outcome, within};
+use super::experiment::{Experiment, ExperimentError, Outcome, panel, within};
 use super::humanoid_arm::{Arm, DT, JOINTS, Joints, largest};
 use super::humanoid_coach::{Arms, Modification, Tracker};
 use super::phase::{mean, over_period};
-use super::settings::settings;
+use super::settings::{Settings as _, settings};
 
 settings! {
     /// Settings of the four modifications; root frame: x right, y forward over the table, z up.
@@ -27,19 +27,19 @@ settings! {
         /// Centre of the circle, m.
         center: [f64; 3] = [0.28, 0.53, 1.2];
         /// Its radius, m.
-        radius: f64 = 0.1;
+        radius: f64 = 0.1, 1e-3..=0.3;
         /// Its frequency, Hz.
-        frequency: f64 = 0.2;
+        frequency: f64 = 0.2, 0.05..=1.0;
         /// Scale of the coupling (14).
-        gamma: f64 = 10.0;
+        gamma: f64 = 10.0, 0.0..=1e6;
         /// Steepness of the field's edge (16), 1/m.
-        eta: f64 = 60.0;
+        eta: f64 = 60.0, 0.0..=1e6;
         /// Reach of the field (16), m.
         rm: f64 = 0.08;
         /// Decay of the field with the angle (14), 1/rad; the sign is ignored.
         beta: f64 = -10.0 / PI;
         /// Distance from the wrist to the coaching point (20), (21), m.
-        xi: f64 = 0.1;
+        xi: f64 = 0.1, 0.0..=1.0;
         /// Distance of the coaching point outside of the circle, m.
         gap: f64 = 0.03;
         /// Kernels N of the primitive.
@@ -59,11 +59,11 @@ settings! {
         /// Length of a run, s.
         seconds: f64 = 65.0;
         /// Frame rate of the body tracker, Hz.
-        camera_rate: f64 = 30.0;
+        camera_rate: f64 = 30.0, 1.0..=1000.0;
         /// Standard deviation of a tracked wrist or elbow, m per coordinate.
-        noise: f64 = 0.005;
+        noise: f64 = 0.005, 0.0..=0.1;
         /// Point pairs of the calibration.
-        pairs: usize = 8;
+        pairs: usize = 8, 4.0..=1000.0;
         /// Distance from the coaching point beyond which the path is on the far side, m.
         far: f64 = 0.15;
         /// Runs in the simulator; false for ideal joints.
@@ -74,10 +74,10 @@ settings! {
 }
 
 /// Time between entries of the log, s.
-const LOGGED: f64 = 0.01;
+const LOG_INTERVAL: f64 = 0.01;
 
-/// The log of a run; lists with one entry per [`LOGGED`].
-struct Log {
+/// The log of a run; lists with one entry per [`LOG_INTERVAL`].
+struct RunLog {
     modification: Modification,
     o: Vector3<f64>,
     q: Vec<Joints>,
@@ -112,18 +112,11 @@ impl Experiment for HumanoidCoaching {
 
 impl HumanoidCoaching {
     fn check(&self) -> Result<(), ExperimentError> {
-        within("radius", self.radius, 1e-3, 0.3)?;
-        within("frequency", self.frequency, 0.05, 1.0)?;
+        self.check_ranges()?;
         within("start", self.start, 1.0 / self.frequency, 600.0)?;
         within("stop", self.stop, self.start + 1.0 / self.frequency, 600.0)?;
         within("back", self.back, self.stop, 600.0)?;
-        within("seconds", self.seconds, self.back, 600.0)?;
-        within("gamma", self.gamma, 0.0, 1e6)?;
-        within("eta", self.eta, 0.0, 1e6)?;
-        within("camera_rate", self.camera_rate, 1.0, 1000.0)?;
-        within("noise", self.noise, 0.0, 0.1)?;
-        within("xi", self.xi, 0.0, 1.0)?;
-        within("pairs", self.pairs as f64, 4.0, 1000.0)
+        within("seconds", self.seconds, self.back, 600.0)
     }
 
     fn centre(&self) -> Vector3<f64> {
@@ -134,9 +127,9 @@ impl HumanoidCoaching {
         TAU * self.frequency
     }
 
-    /// Log entries per period, not a whole number.
+    /// RunLog entries per period, not a whole number.
     fn period(&self) -> f64 {
-        1.0 / (self.frequency * LOGGED)
+        1.0 / (self.frequency * LOG_INTERVAL)
     }
 
     /// Calibrates the tracker at positions over the table, spread like the corners of a box.
@@ -192,7 +185,7 @@ impl HumanoidCoaching {
         arm: &mut Arm,
         tracker: &mut Tracker,
         modification: Modification,
-    ) -> Result<Log, ExperimentError> {
+    ) -> Result<RunLog, ExperimentError> {
         let mut dmp = self.learn(arm, modification.plane())?;
         let original = dmp.weights().to_vec();
         let o = self.centre() + (self.radius + self.gap) * modification.outward();
@@ -201,7 +194,7 @@ impl HumanoidCoaching {
         let mut execution = arm.execution(&start_q, self.physics, self.seed)?;
         let (start, stop, back) = (step_of(self.start), step_of(self.stop), step_of(self.back));
         let image = (1.0 / (self.camera_rate * DT)).round().max(1.0) as usize;
-        let mut log = Log::new(modification, o);
+        let mut log = RunLog::new(modification, o);
         let mut command = None;
         for k in 0..=step_of(self.seconds) {
             let (q, qd) = execution.joints().unwrap_or((start_q, Joints::zeros()));
@@ -214,14 +207,14 @@ impl HumanoidCoaching {
                 dmp.set_weights(&original)?;
             }
             let strength = self.coach(&mut dmp, command, x, &columns, &qd)?;
-            if k.is_multiple_of(step_of(LOGGED)) {
+            if k.is_multiple_of(step_of(LOG_INTERVAL)) {
                 let wanted = arm.at(&Joints::from_column_slice(dmp.state().y)).0;
                 log.note(q, qd, wanted, strength);
             }
             let state = dmp.step(DT, self.omega())?;
             execution.drive(arm, state.y, state.yd)?;
         }
-        log.x = execution.truth().into_iter().step_by(step_of(LOGGED)).collect();
+        log.x = execution.truth().into_iter().step_by(step_of(LOG_INTERVAL)).collect();
         log.judged = execution.judge(&self.compared(&log));
         Ok(log)
     }
@@ -246,7 +239,7 @@ impl HumanoidCoaching {
     }
 
     /// The periods that the referee compares: before the coaching, and the last one before the motion returns.
-    fn compared(&self, log: &Log) -> Compared {
+    fn compared(&self, log: &RunLog) -> Compared {
         Compared {
             period_s: 1.0 / self.frequency,
             before_s: self.start,
@@ -257,44 +250,45 @@ impl HumanoidCoaching {
         }
     }
 
-    fn figures(&self, arm: &Arm, tracker: &Tracker, logs: &[Log]) -> Outcome {
+    fn figures(&self, arm: &Arm, tracker: &Tracker, logs: &[RunLog]) -> Outcome {
         let mut outcome = Outcome::default();
-        let each = |of: &dyn Fn(&Log) -> f64| logs.iter().map(of).collect::<Vec<f64>>();
+        let each = |of: &dyn Fn(&RunLog) -> f64| logs.iter().map(of).collect::<Vec<f64>>();
         let names: Vec<_> = logs.iter().map(|log| log.modification.name()).collect();
         outcome.figure("modifications", names);
         outcome.figure("displacement_m", each(&|log| log.judged.displacement_m));
         outcome.figure("far_side_rms_m", each(&|log| log.judged.far_side_rms_m));
-        let begin = (self.start / LOGGED).round() as usize;
-        let end = (self.stop / LOGGED).round() as usize;
+        let begin = (self.start / LOG_INTERVAL).round() as usize;
+        let end = (self.stop / LOG_INTERVAL).round() as usize;
         let count = self.period().round() as usize;
-        let over = |log: &Log, from: usize| mean(log.coupling[from..].iter().take(count).copied());
+        let over = |log: &RunLog, from: usize| mean(log.coupling[from..].iter().take(count).copied());
         outcome.figure("coupling_mean_first", each(&|log| over(log, begin)));
         outcome.figure("coupling_mean_last", each(&|log| over(log, end - count)));
-        let settled = (1.0 / LOGGED) as usize;
-        let lag = |log: &Log| log.x.iter().zip(&log.wanted).map(|(x, w)| (x - w).norm_squared()).collect();
-        let rms = |log: &Log| -> f64 {
+        let settled = (1.0 / LOG_INTERVAL) as usize;
+        let lag = |log: &RunLog| log.x.iter().zip(&log.wanted).map(|(x, w)| (x - w).norm_squared()).collect();
+        let rms = |log: &RunLog| -> f64 {
             let squares: Vec<f64> = lag(log);
             mean(squares[settled.min(squares.len())..].iter().copied()).sqrt()
         };
         outcome.figure("tracking_rms_m", each(&rms));
         outcome.figure("joint_speed_rad_s", each(&|log| largest(&log.qd)));
-        let margin = |log: &Log| log.q.iter().map(|q| arm.margin(q)).fold(f64::INFINITY, f64::min);
+        let margin = |log: &RunLog| log.q.iter().map(|q| arm.margin(q)).fold(f64::INFINITY, f64::min);
         outcome.figure("joint_margin_rad", each(&margin));
         outcome.figure("calibration_rms_m", tracker.calibration_rms);
         outcome
     }
 
     /// As Fig. 9: the four modifications, with the intermediate paths.
-    fn paths_plot(&self, logs: &[Log]) -> String {
-        let panel = |log: &Log| {
+    fn paths_plot(&self, logs: &[RunLog]) -> String {
+        let path = |log: &RunLog| {
             let axes = log.modification.plane();
             let project = |p: &Vector3<f64>| [p[axes[0]], p[axes[1]]];
             let closed = |end: f64| {
-                let path = over_period(&log.x, end / LOGGED, self.period());
+                let path = over_period(&log.x, end / LOG_INTERVAL, self.period());
                 path.iter().chain(path.first()).map(project).collect::<Vec<_>>()
             };
             let between = |i: u32| {
-                let steps = [i, i + 1].map(|i| (self.start / LOGGED + self.period() * f64::from(i)) as usize);
+                let steps =
+                    [i, i + 1].map(|i| (self.start / LOG_INTERVAL + self.period() * f64::from(i)) as usize);
                 let path = log.x.get(steps[0]..=steps[1])?;
                 Some(Curve::new("", path.iter().map(project).collect()).looking(Look::Faint))
             };
@@ -304,39 +298,42 @@ impl HumanoidCoaching {
             curves.push(Curve::new(log.modification.name(), closed(self.back)).looking(Look::Colour(3)));
             curves.push(Curve::new("coaching point", vec![project(&log.o)]).looking(Look::Dots(2)));
             Panel {
-                x_label: format!("{}, m", ["x", "y", "z"][axes[0]]),
-                y_label: format!("{}, m", ["x", "y", "z"][axes[1]]),
-                curves,
                 equal_units: true,
-                ..Panel::default()
+                ..panel(
+                    format!("{}, m", ["x", "y", "z"][axes[0]]),
+                    format!("{}, m", ["x", "y", "z"][axes[1]]),
+                    curves,
+                )
             }
         };
-        let row = |logs: &[Log]| Row { height: 420.0, panels: logs.iter().map(panel).collect() };
+        let row = |logs: &[RunLog]| PanelRow { height: 420.0, panels: logs.iter().map(path).collect() };
         let rows: Vec<_> = logs.chunks(2).map(row).collect();
         picture("Four modifications of the arm's motion by the coach's hands", &rows)
     }
 
     /// As Fig. 7: the joints over time.
-    fn joints_plot(&self, log: &Log) -> String {
-        let over_time = |i: usize| log.q.iter().enumerate().map(|(k, q)| [LOGGED * k as f64, q[i]]).collect();
+    fn joints_plot(&self, log: &RunLog) -> String {
+        let over_time =
+            |i: usize| log.q.iter().enumerate().map(|(k, q)| [LOG_INTERVAL * k as f64, q[i]]).collect();
         // Labels appear once; the lines cross all panels.
         let marks = |i: usize| {
             let named = [(self.start, "coach comes"), (self.stop, "goes"), (self.back, "back")];
             named.map(|(t, name)| (t, if i == 0 { name.to_owned() } else { String::new() })).to_vec()
         };
-        let panel = |i: usize| Panel {
-            x_label: if i + 1 == JOINTS { "time, s".into() } else { String::new() },
-            y_label: format!("q{}, rad", i + 1),
-            curves: vec![Curve::new("", over_time(i)).looking(Look::Colour(1))],
+        let joint = |i: usize| Panel {
             marks: marks(i),
-            ..Panel::default()
+            ..panel(
+                if i + 1 == JOINTS { "time, s".into() } else { String::new() },
+                format!("q{}, rad", i + 1),
+                vec![Curve::new("", over_time(i)).looking(Look::Colour(1))],
+            )
         };
-        let rows: Vec<_> = (0..JOINTS).map(|i| Row { height: 130.0, panels: vec![panel(i)] }).collect();
+        let rows: Vec<_> = (0..JOINTS).map(|i| PanelRow { height: 130.0, panels: vec![joint(i)] }).collect();
         picture("Joints of the arm while its motion is pulled", &rows)
     }
 }
 
-impl Log {
+impl RunLog {
     fn new(modification: Modification, o: Vector3<f64>) -> Self {
         let (q, qd, x, wanted, coupling, judged) = Default::default();
         Self { modification, o, q, qd, x, wanted, coupling, judged }

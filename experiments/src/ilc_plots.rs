@@ -1,9 +1,9 @@
 //! Figures and plots of the learning-control experiment.
 
-use armarium_viewer::report::{Curve, Look, Panel, Row, picture};
+use armarium_viewer::report::{Curve, Look, Panel, PanelRow, picture};
 use nalgebra::{Vector3, Vector4};
 
-use super::experiment::Outcome;
+use super::experiment::{Outcome, panel};
 use super::ilc::{Epoch, Ilc, Learning};
 
 fn rms(values: impl ExactSizeIterator<Item = f64>) -> f64 {
@@ -92,7 +92,7 @@ impl Ilc {
         if let Some(last) = learning.epochs.last() {
             curves.push(Curve::new("left, last epoch", self.left_z(last)).looking(Look::Colour(2)));
         }
-        let heights = panel("time, s", "height, m", curves, self.mark());
+        let heights = self.over_time("height, m", curves);
         let mut end_to_end = Vec::new();
         let whole = self.dt * self.steps() as f64;
         for (i, epoch) in learning.epochs.iter().enumerate() {
@@ -100,12 +100,7 @@ impl Ilc {
             end_to_end.extend(error.iter().map(|[t, e]| [t + whole * i as f64, *e]));
             end_to_end.push([f64::NAN; 2]);
         }
-        let error = panel(
-            "time over all epochs, s",
-            "height error, mm",
-            vec![Curve::new("", end_to_end)],
-            Vec::new(),
-        );
+        let error = panel("time over all epochs, s", "height error, mm", vec![Curve::new("", end_to_end)]);
         let line = |label: &str, colour: u8, of: &dyn Fn(&Epoch) -> f64| {
             let points =
                 learning.epochs.iter().zip(1..).map(|(e, n)| [f64::from(n), of(e).log10()]).collect();
@@ -119,9 +114,8 @@ impl Ilc {
                 line("height, discrete part", 2, &|e| self.discrete_z_rms(e)),
                 line("velocity", 3, &|e| self.velocity_rms(e)),
             ],
-            Vec::new(),
         );
-        let row = |panel, height| Row { height, panels: vec![panel] };
+        let row = |panel, height| PanelRow { height, panels: vec![panel] };
         picture(
             "The left arm learns to follow the right one",
             &[row(heights, 300.0), row(error, 240.0), row(falls, 260.0)],
@@ -140,9 +134,9 @@ impl Ilc {
             if let Some(last) = learning.epochs.last() {
                 curves.push(Curve::new("left, last epoch", of(&last.left)).looking(Look::Colour(2)));
             }
-            panel("time, s", &format!("{}, rad", joints[i]), curves, self.mark())
+            self.over_time(&format!("{}, rad", joints[i]), curves)
         };
-        let row = |a: usize, b: usize| Row { height: 280.0, panels: vec![joint(a), joint(b)] };
+        let row = |a: usize, b: usize| PanelRow { height: 280.0, panels: vec![joint(a), joint(b)] };
         picture("Joints of both arms", &[row(0, 1), row(2, 3)])
     }
 
@@ -163,9 +157,9 @@ impl Ilc {
                     curves.push(Curve::new(label, line(epoch)).looking(Look::Colour(colour)));
                 }
             }
-            panel("time, s", &format!("{name}, epoch {}", index + 1), curves, self.mark())
+            self.over_time(&format!("{name}, epoch {}", index + 1), curves)
         };
-        let row = |index: usize| Row {
+        let row = |index: usize| PanelRow {
             height: 270.0,
             panels: vec![
                 of("velocity, m/s", index, &|e, k| e.v[k][1].z),
@@ -174,8 +168,8 @@ impl Ilc {
         };
         picture("Forces and velocities in the feedback", &[row(0), row(1), row(2)])
     }
-}
 
-fn panel(x: &str, y: &str, curves: Vec<Curve>, marks: Vec<(f64, String)>) -> Panel {
-    Panel { x_label: x.into(), y_label: y.into(), curves, marks, ..Panel::default() }
+    fn over_time(&self, y_label: &str, curves: Vec<Curve>) -> Panel {
+        Panel { marks: self.mark(), ..panel("time, s", y_label, curves) }
+    }
 }

@@ -35,7 +35,6 @@ pub use self::experiment::{Entry, ExperimentError, Outcome};
 pub use self::settings::Key;
 
 /// All experiments, in the order listed.
-#[must_use]
 pub fn all() -> Vec<Entry> {
     vec![
         Entry::of::<coaching::Coaching>(),

@@ -2,14 +2,14 @@
 //! camera mount or of measurement noise.
 
 use armarium_motion::{PositionServo, ServoConfig, ServoObservation, ServoStatus};
-use armarium_viewer::report::{Curve, Look, Panel, Row, picture};
+use armarium_viewer::report::{Curve, Look, PanelRow, picture};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
-use super::experiment::{Experiment, ExperimentError, Outcome, within};
-use super::settings::settings;
+use super::experiment::{Experiment, ExperimentError, Outcome, panel, within};
+use super::settings::{Settings as _, settings};
 
 settings! {
     /// Settings of the servo.
@@ -23,11 +23,11 @@ settings! {
         /// Error at which the adaptive gain is halfway, m.
         lambda_scale: f64 = 0.05;
         /// Time between frames, s.
-        dt: f64 = 0.04;
+        dt: f64 = 0.04, 1e-4..=1.0;
         /// Standard deviation of the measurement, m per coordinate and rad per rotation.
-        noise: f64 = 0.0;
+        noise: f64 = 0.0, 0.0..=1.0;
         /// Rotation of the camera against its calibration, deg.
-        hand_eye_error_deg: f64 = 0.0;
+        hand_eye_error_deg: f64 = 0.0, -180.0..=180.0;
         /// Axis of this rotation, any length.
         hand_eye_axis: [f64; 3] = [0.0, 0.0, 1.0];
         /// Speed limit, m/s; none for unlimited. Linear and angular speed are scaled down together.
@@ -76,14 +76,12 @@ impl Experiment for Servo {
 
 impl Servo {
     fn check(&self) -> Result<(), ExperimentError> {
-        within("dt", self.dt, 1e-4, 1.0)?;
+        self.check_ranges()?;
         within("lambda", self.lambda, 1e-3, 1.9 / self.dt)?;
         within("lambda_near", self.lambda_near.unwrap_or(self.lambda), 1e-3, 1.9 / self.dt)?;
         let [x, y, z, a, b, c] = self.start;
         [x, y, z].iter().try_for_each(|v| within("start", *v, -1e3, 1e3))?;
         [a, b, c].iter().try_for_each(|v| within("start", *v, -360.0, 360.0))?;
-        within("noise", self.noise, 0.0, 1.0)?;
-        within("hand_eye_error_deg", self.hand_eye_error_deg, -180.0, 180.0)?;
         within("hand_eye_axis", Vector3::from(self.hand_eye_axis).norm(), 1e-9, 1e9)?;
         within("timeout", self.timeout, self.dt, 1e5 * self.dt)
     }
@@ -182,17 +180,11 @@ fn plot(frames: &[Frame]) -> String {
     let line = |label: &str, value: &dyn Fn(&Frame) -> f64, colour: u8| {
         Curve::new(label, over_time(value)).looking(Look::Colour(colour))
     };
-    let panel = |x: &str, y: &str, curves: Vec<Curve>| Panel {
-        x_label: x.into(),
-        y_label: y.into(),
-        curves,
-        ..Panel::default()
-    };
     let path = |axis: usize, colour: u8| {
         let points = frames.iter().map(|f| [f.position.x, f.position[axis]]).collect();
         Curve::new(["x", "y", "z"][axis], points).looking(Look::Colour(colour))
     };
-    let errors = Row {
+    let errors = PanelRow {
         height: 300.0,
         panels: vec![
             panel("time, s", "distance, m", vec![line("", &|f| f.position.norm(), 1)]),
@@ -202,10 +194,11 @@ fn plot(frames: &[Frame]) -> String {
     let twist = |i: usize| ["x", "y", "z"][i];
     let linear: Vec<Curve> = (0..3).map(|i| line(twist(i), &|f| f.linear[i], i as u8 + 1)).collect();
     let angular: Vec<Curve> = (0..3).map(|i| line(twist(i), &|f| f.angular[i], i as u8 + 1)).collect();
-    let commands = Row {
+    let commands = PanelRow {
         height: 300.0,
         panels: vec![panel("time, s", "velocity, m/s", linear), panel("time, s", "turning, rad/s", angular)],
     };
-    let paths = Row { height: 300.0, panels: vec![panel("x, m", "path, m", vec![path(1, 1), path(2, 2)])] };
+    let paths =
+        PanelRow { height: 300.0, panels: vec![panel("x, m", "path, m", vec![path(1, 1), path(2, 2)])] };
     picture("Visual servoing", &[errors, commands, paths])
 }

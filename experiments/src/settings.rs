@@ -2,20 +2,29 @@
 
 use armarium_values::expr::nearest;
 use serde::Serialize;
-use serde::de::DeserializeOwned;
+use serde::de::{DeserializeOwned, IntoDeserializer as _};
 use serde_json::{Map, Value};
 
 use super::experiment::ExperimentError;
 
 /// The settings of an experiment; declared with [`settings!`].
 pub(crate) trait Settings: Default + Serialize + DeserializeOwned {
-    /// Each key, its meaning with unit, and its Rust type as text.
-    const KEYS: &'static [(&'static str, &'static str, &'static str)];
+    /// Each key, and its meaning with unit.
+    const KEYS: &'static [(&'static str, &'static str)];
+
+    /// What the setting `key` takes, in words.
+    fn needed(key: &str) -> String;
+
+    /// Refuses the first setting that is outside its range.
+    fn check_ranges(&self) -> Result<(), ExperimentError>;
 }
 
-/// Declares a struct of settings: `/// meaning, unit` and `key: type = default;` for each.
+/// Declares a struct of settings: `/// meaning, unit` and `key: type = default, range;` for each. The range of a number,
+/// or of each number of a list, may be left out.
 macro_rules! settings {
-    ($(#[$about:meta])* $name:ident { $( $(#[doc = $doc:literal])+ $key:ident: $ty:ty = $default:expr; )* }) => {
+    ($(#[$about:meta])* $name:ident {
+        $( $(#[doc = $doc:literal])+ $key:ident: $ty:ty = $default:expr $(, $range:expr)?; )*
+    }) => {
         $(#[$about])*
         #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
         #[serde(deny_unknown_fields)]
@@ -26,12 +35,111 @@ macro_rules! settings {
             }
         }
         impl $crate::settings::Settings for $name {
-            const KEYS: &'static [(&'static str, &'static str, &'static str)] =
-                &[$( (stringify!($key), concat!($($doc),+), stringify!($ty)), )*];
+            const KEYS: &'static [(&'static str, &'static str)] =
+                &[$( (stringify!($key), concat!($($doc),+)), )*];
+
+            fn needed(key: &str) -> String {
+                match key {
+                    $( stringify!($key) => <$ty as $crate::settings::Setting>::needed(), )*
+                    _ => String::new(),
+                }
+            }
+
+            fn check_ranges(&self) -> Result<(), $crate::experiment::ExperimentError> {
+                $( $(
+                    for number in $crate::settings::Setting::numbers(&self.$key) {
+                        $crate::experiment::within(stringify!($key), number, *$range.start(), *$range.end())?;
+                    }
+                )? )*
+                Ok(())
+            }
         }
     };
 }
 pub(crate) use settings;
+
+/// The type of a setting. The default is that of a choice among names.
+pub(crate) trait Setting {
+    /// The accepted values, in words.
+    fn needed() -> String
+    where
+        Self: DeserializeOwned,
+    {
+        let Expected(names) = match Self::deserialize("".into_deserializer()) {
+            Err(expected) => expected,
+            Ok(_) => Expected(&[]),
+        };
+        let names: Vec<String> = names.iter().map(|name| format!("`{name}`")).collect();
+        names.join(if names.len() == 2 { " or " } else { ", " })
+    }
+
+    /// Its numbers.
+    fn numbers(&self) -> Vec<f64> {
+        Vec::new()
+    }
+}
+
+/// The names of which serde expected one.
+#[derive(Debug, thiserror::Error)]
+#[error("one of these names is needed: {0:?}")]
+struct Expected(&'static [&'static str]);
+
+impl serde::de::Error for Expected {
+    fn custom<T: std::fmt::Display>(_: T) -> Self {
+        Self(&[])
+    }
+
+    fn unknown_variant(_: &str, expected: &'static [&'static str]) -> Self {
+        Self(expected)
+    }
+}
+
+macro_rules! numbers {
+    ($($ty:ty: $needed:expr;)*) => { $(
+        impl Setting for $ty {
+            fn needed() -> String {
+                $needed.into()
+            }
+
+            fn numbers(&self) -> Vec<f64> {
+                vec![*self as f64]
+            }
+        }
+    )* };
+}
+
+numbers! {
+    f64: "a finite number";
+    u32: format!("a whole number from 0 to {}", u32::MAX);
+    u64: "a whole number, 0 or more";
+    usize: "a whole number, 0 or more";
+}
+
+impl Setting for bool {
+    fn needed() -> String {
+        "true or false".into()
+    }
+}
+
+impl<const N: usize> Setting for [f64; N] {
+    fn needed() -> String {
+        format!("a list of {N} finite numbers, written with commas")
+    }
+
+    fn numbers(&self) -> Vec<f64> {
+        self.to_vec()
+    }
+}
+
+impl<T: Setting + DeserializeOwned> Setting for Option<T> {
+    fn needed() -> String {
+        T::needed() + ", or none"
+    }
+
+    fn numbers(&self) -> Vec<f64> {
+        self.as_ref().map_or_else(Vec::new, T::numbers)
+    }
+}
 
 /// A setting as listed.
 #[derive(Clone, Debug)]
@@ -49,7 +157,7 @@ pub(crate) fn keys<S: Settings>() -> Vec<Key> {
     let defaults = defaults::<S>();
     S::KEYS
         .iter()
-        .map(|(name, doc, _)| Key {
+        .map(|(name, doc)| Key {
             name,
             default: defaults.get(*name).map_or_else(String::new, shown),
             doc: doc.trim(),
@@ -81,7 +189,7 @@ pub(crate) fn read<S: Settings>(given: &[(String, String)]) -> Result<S, Experim
     let mut map = defaults::<S>();
     for (key, text) in given {
         let Some(default) = map.get(key) else {
-            let names = S::KEYS.iter().map(|(name, _, _)| *name);
+            let names = S::KEYS.iter().map(|(name, _)| *name);
             let why = nearest(key, names.clone()).map_or_else(
                 || format!("no such setting; there are {}", names.collect::<Vec<_>>().join(", ")),
                 |name| format!("no such setting; did you mean `{name}`?"),
@@ -91,46 +199,15 @@ pub(crate) fn read<S: Settings>(given: &[(String, String)]) -> Result<S, Experim
         let value = value(text, default);
         let mut alone = defaults::<S>();
         alone.insert(key.clone(), value.clone());
-        if let Err(error) = serde_json::from_value::<S>(Value::Object(alone)) {
-            let kind = S::KEYS.iter().find(|(name, _, _)| name == key).map_or("", |(_, _, kind)| kind);
-            let needed = needed(kind).unwrap_or_else(|| choice(&error.to_string()));
-            let why = if text.is_empty() {
-                format!("must be {needed}")
-            } else {
-                format!("must be {needed}, not `{text}`")
-            };
+        if serde_json::from_value::<S>(Value::Object(alone)).is_err() {
+            let given = if text.is_empty() { String::new() } else { format!(", not `{text}`") };
+            let why = format!("must be {}{given}", S::needed(key));
             return Err(ExperimentError::Setting { key: key.clone(), why });
         }
         map.insert(key.clone(), value);
     }
     serde_json::from_value(Value::Object(map))
         .map_err(|error| ExperimentError::Setting { key: "settings".into(), why: error.to_string() })
-}
-
-/// The accepted values of a type, in words; `None` for a choice among names.
-fn needed(kind: &str) -> Option<String> {
-    let numbers = |array: &str| -> Option<String> {
-        let count = array.strip_prefix("[f64;")?.strip_suffix(']')?.trim();
-        Some(format!("a list of {count} finite numbers, written with commas"))
-    };
-    match kind {
-        "f64" => Some("a finite number".into()),
-        "u32" => Some(format!("a whole number from 0 to {}", u32::MAX)),
-        "u64" | "usize" => Some("a whole number, 0 or more".into()),
-        "bool" => Some("true or false".into()),
-        _ => match kind.strip_prefix("Option<").and_then(|rest| rest.strip_suffix('>')) {
-            Some(inner) => needed(inner.trim()).map(|inner| format!("{inner}, or none")),
-            None => numbers(kind),
-        },
-    }
-}
-
-/// The allowed names, taken from serde's error message.
-fn choice(error: &str) -> String {
-    match error.split_once("expected ") {
-        Some((_, names)) => names.replace("one of ", ""),
-        None => "another value".into(),
-    }
 }
 
 /// Parses a value of the default's type. Invalid text stays a string, which no numeric field accepts.
@@ -193,7 +270,7 @@ mod tests {
 
     settings! {
         /// Some settings.
-        Some3 {
+        Mixed {
             /// A number, m.
             gain: f64 = 2.0;
             /// A point, m.
@@ -218,7 +295,9 @@ mod tests {
         Right,
     }
 
-    fn of(given: &[(&str, &str)]) -> Result<Some3, String> {
+    impl Setting for Way {}
+
+    fn of(given: &[(&str, &str)]) -> Result<Mixed, String> {
         let given: Vec<_> = given.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();
         read(&given).map_err(|e| e.to_string())
     }
@@ -230,7 +309,7 @@ mod tests {
         assert_eq!(read.gain, -8.0 / std::f64::consts::PI);
         assert_eq!((read.point, read.on, read.cycles, read.posture), ([1.8, -0.6], true, 7, None));
         assert_eq!(of(&[("posture", "-0.5,0.6,0.6")]).unwrap().posture, Some([-0.5, 0.6, 0.6]));
-        assert_eq!(of(&[("posture", "none")]).unwrap(), Some3::default());
+        assert_eq!(of(&[("posture", "none")]).unwrap(), Mixed::default());
         assert_eq!(of(&[("gain", "3")]).unwrap().gain, 3.0);
         assert_eq!(of(&[("cycles", "1e1")]).unwrap().cycles, 10);
         assert_eq!(of(&[("count", "7.0"), ("way", "right")]).unwrap().count, 7);
@@ -258,7 +337,7 @@ mod tests {
 
     #[test]
     fn keys_are_listed_with_their_defaults() {
-        let keys = keys::<Some3>();
+        let keys = keys::<Mixed>();
         let listed: Vec<_> = keys.iter().map(|k| format!("{}={} {}", k.name, k.default, k.doc)).collect();
         assert_eq!(listed[1], "point=1.0,2.0 A point, m.");
         assert_eq!(listed[3], "posture=none Perhaps a posture, rad.");

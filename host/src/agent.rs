@@ -7,12 +7,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use armarium_bus::{Access, KeyError, Session, SessionConfig, SessionError};
-use armarium_memoryx::{AgentMemory, Followee, FollowingAgent, Policies, Retention, agent_stands};
+use armarium_memoryx::{AgentMemory, Followee, FollowingAgent, Policies, Retention, agent_pose_update};
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::{self, Registry};
 use armarium_runtime::exec::{ChartSkill, ExecOptions, Executor, Peers, RunResult, Stop};
 use armarium_runtime::program::Program;
-use armarium_runtime::remote::{Agents, Offers, hear, serve};
+use armarium_runtime::remote::{Agents, Offers, receive_events, serve};
 use armarium_runtime::skill::Limits;
 use armarium_simulator::World;
 use armarium_states::observers;
@@ -24,6 +24,7 @@ use crate::catalog::{self, SkillFactory};
 use crate::connection::{Connection, take_name};
 use crate::console::Console;
 use crate::error::HostError;
+use crate::names::Names;
 use crate::remote_eyes::{self, Eyes};
 use crate::simulated::{SimulatedRobot, memory_of_agent, usual_policies};
 
@@ -63,7 +64,6 @@ pub struct AgentConfig {
 
 impl AgentConfig {
     /// An agent with a simulated robot in the default kitchen, reachable on this machine only.
-    #[must_use]
     pub fn new(name: &str) -> Self {
         Self {
             name: name.into(),
@@ -124,7 +124,7 @@ async fn live(
         None => Some(SimulatedRobot::new(&world, config.seed, memory.memory(), Vec::new(), None)?),
         Some(_) => {
             let root_from_agent = remote_eyes::agent_of(&world, &config.name)?.root_from_agent();
-            memory.memory().commit_now(vec![agent_stands(&config.name, &root_from_agent)?])?;
+            memory.memory().commit_now(vec![agent_pose_update(&config.name, &root_from_agent)?])?;
             None
         }
     };
@@ -160,7 +160,8 @@ async fn act(
     until: impl Future<Output = ()>,
     console: &dyn Console,
 ) -> Result<Option<RunResult>, HostError> {
-    let Backend { equipment, mut registry, life, observes, .. } = backend;
+    let Backend { equipment, registry, life, observes, .. } = backend;
+    let mut registry = registry.with_names(Arc::new(Names::Agent));
     let channels = Channels::new();
     let robot = Arc::clone(&equipment.robot);
     let stop: Stop =
@@ -173,7 +174,7 @@ async fn act(
         let program = load(&file, config, &mut registry, agents, console).await?;
         charts.push(program.name().to_owned());
         let skill = offered(&file, config, program, &registry, &stop);
-        offers.add(Arc::new(skill.among(peers.clone())))?;
+        offers.add(Arc::new(skill.with_peers(peers.clone())))?;
     }
     let skills: Vec<String> = registry.manifests().map(|m| m.name.clone()).collect();
     for skill in skills.iter().filter_map(|name| registry.get(name)) {
@@ -201,7 +202,7 @@ async fn act(
         () = until => None,
         ended = own => Some(ended),
         ended = serve(session, offers) => ended.map(|()| None)?,
-        ended = hear(session, &config.name, peers.subscribers) => ended.map(|()| None)?,
+        ended = receive_events(session, &config.name, peers.subscribers) => ended.map(|()| None)?,
     };
     equipment.robot.stop("the agent ends");
     tasks.push(life);

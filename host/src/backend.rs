@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use armarium_memoryx::{Memory, WorkingMemory};
 use armarium_runtime::chart::Registry;
 use armarium_simulator::{Handle, Simulation};
-use armarium_states::Equipment;
+use armarium_states::{Equipment, RunningMotions};
 use armarium_visionx::providers::StereoView;
 
 use crate::catalog::{self, SkillFactory};
@@ -58,6 +58,7 @@ impl Backend {
             memory: Arc::<WorkingMemory>::clone(memory) as Arc<dyn Memory>,
             agent: name.to_owned(),
             seed,
+            motions: RunningMotions::default(),
         };
         let registry = catalog::registry(&equipment, own);
         let still = registry.manifests().filter(|manifest| manifest.limbs.is_empty());

@@ -23,7 +23,7 @@ const SCENERY: Schema = Schema::new("simulator/scenery", 1);
 /// The part of the provider's key on which the scene is published.
 const SCENERY_KEY: &str = "scenery";
 /// How long a run waits for its cameras.
-const PATIENCE: Duration = Duration::from_secs(10);
+const CAMERA_TIMEOUT: Duration = Duration::from_secs(10);
 /// The left camera's coordinate frame.
 const FRAME_ID: &str = "camera_left";
 
@@ -101,7 +101,7 @@ pub(crate) struct RemoteScenery {
 
 impl ScenerySink for RemoteScenery {
     fn is_wanted(&self) -> bool {
-        self.wanted.is_there()
+        self.wanted.has_subscribers()
     }
 
     fn show(&mut self, scenery: Scenery) {
@@ -121,7 +121,8 @@ pub(crate) async fn connect(
     let key = scenery_key(name)?;
     let wanted = session.interest(&key.clone().into()).await?;
     let (camera, delivery) = (DistantCameras::name(), Delivery::Newest);
-    let provider = RemoteProvider::connect(session, name, camera, delivery, ImageCoding::Raw, PATIENCE).await;
+    let provider =
+        RemoteProvider::connect(session, name, camera, delivery, ImageCoding::Raw, CAMERA_TIMEOUT).await;
     let provider = provider.map_err(|error| unusable(name, error))?;
     let view = StereoView::new(Arc::new(provider)).map_err(|error| unusable(name, error))?;
     let (newest, mut scenery) = watch::channel(None::<Scenery>);

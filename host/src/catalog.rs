@@ -11,32 +11,30 @@ use armarium_runtime::remote::Agents;
 use armarium_runtime::skill::Skill;
 use armarium_simulator::{Options, Simulation, World};
 use armarium_source::Finding;
-use armarium_states::{Equipment, observers};
+use armarium_states::{Equipment, RunningMotions, observers};
 
 use crate::console::Console;
 use crate::error::HostError;
+use crate::names::Names;
 
 /// How long to wait for other agents.
-const PATIENCE: Duration = Duration::from_secs(3);
+const AGENT_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// Constructs an additional skill from the robot, the cameras and the memory.
 pub type SkillFactory = Arc<dyn Fn(&Equipment) -> Arc<dyn Skill> + Send + Sync>;
 
 /// The built-in skills and the additional ones `own`, working with `equipment`.
-#[must_use]
 pub fn registry(equipment: &Equipment, own: &[SkillFactory]) -> Registry {
     let own = own.iter().map(|make| make(equipment));
     armarium_states::skills(equipment).into_iter().chain(own).collect()
 }
 
 /// The channels that observers and skills publish.
-#[must_use]
 pub fn channels() -> ChannelSchema {
-    observers::channels().into_iter().fold(ChannelSchema::new(), |schema, (name, ty)| schema.with(&name, ty))
+    observers::channels()
 }
 
 /// The built-in skills on the default world, for reading their declarations only.
-#[must_use]
 pub fn idle_registry() -> Registry {
     let Ok(simulation) = Simulation::new(&World::default(), 0, Options::default()) else {
         return Registry::new();
@@ -47,18 +45,23 @@ pub fn idle_registry() -> Registry {
         memory: Arc::new(WorkingMemory::new(tokio_clock())) as Arc<dyn Memory>,
         agent: "local".into(),
         seed: 0,
+        motions: RunningMotions::default(),
     };
     registry(&equipment, &[])
 }
 
+/// As [`idle_registry`], with the names that exist before a run: postures of the robot, and object classes of the default
+/// world, of `worlds`, and of the worlds beside a chart.
+pub fn checking_registry(worlds: &[World]) -> Registry {
+    idle_registry().with_names(Arc::new(Names::of_check(worlds)))
+}
+
 /// Loads a chart with the charts that it names, and checks it.
-#[must_use]
 pub fn load(file: &Path, folders: &[PathBuf], registry: &Registry) -> Checked {
     chart::check(&chart::load(file, folders), registry, &channels())
 }
 
 /// Loads and checks a chart against the built-in skills, without running it.
-#[must_use]
 pub fn load_idle(file: &Path, folders: &[PathBuf]) -> Checked {
     load(file, folders, &idle_registry())
 }
@@ -76,7 +79,7 @@ pub async fn load_connected(
     let library = chart::load(file, folders);
     let names = library.remote_names();
     match (agents, names.first()) {
-        (Some(agents), _) => agents.resolve(&names, PATIENCE, registry).await,
+        (Some(agents), _) => agents.resolve(&names, AGENT_TIMEOUT, registry).await,
         (None, Some(name)) => return Err(HostError::NotConnected { name: name.clone() }),
         (None, None) => {}
     }

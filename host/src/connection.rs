@@ -12,7 +12,7 @@ use tokio::runtime::Runtime;
 use crate::error::HostError;
 
 /// How long to look for another agent with the same name.
-const PATIENCE: Duration = Duration::from_millis(500);
+const NAME_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// A session on its own threads; dropping this closes both.
 #[derive(Debug)]
@@ -34,19 +34,16 @@ impl Connection {
     }
 
     /// The session.
-    #[must_use]
     pub fn session(&self) -> &Session {
         &self.session
     }
 
     /// Access to other agents; they see `caller` as the name of the caller.
-    #[must_use]
     pub fn agents(&self, caller: &str) -> Agents {
         Agents::new(self.session.clone(), caller, self.runtime().handle().clone())
     }
 
     /// The session's runtime.
-    #[must_use]
     pub fn runtime(&self) -> &Runtime {
         self.runtime.as_ref().expect("the runtime is only taken when the connection ends")
     }
@@ -80,7 +77,7 @@ pub async fn take_name(session: &Session, name: &str) -> Result<AliveToken, Host
 /// When the name is invalid, or the session has ended.
 pub async fn is_there(session: &Session, name: &str) -> Result<bool, SessionError> {
     let pattern = keys::alive_pattern(Some(name), Some("agent")).map_err(|error| no_name(&error))?;
-    session.is_alive(&pattern, PATIENCE).await
+    session.is_alive(&pattern, NAME_TIMEOUT).await
 }
 
 fn no_name(error: &keys::KeyError) -> SessionError {

@@ -21,6 +21,11 @@ pub trait Console: Send + Sync {
         let _ = line;
     }
 
+    /// An item of the run's trace, for programs: `at_ns` and `item` of a [`TraceEvent`](armarium_runtime::trace::TraceEvent).
+    fn traced(&self, event: &serde_json::Value) {
+        let _ = event;
+    }
+
     /// The progress.
     fn progress(&self, status: &Status) {
         let _ = status;

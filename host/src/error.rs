@@ -71,6 +71,12 @@ pub enum HostError {
         /// The cause.
         source: std::io::Error,
     },
+    /// Another run writes to the folder.
+    #[error("another run writes its report to `{path}`: wait for its end, or give another --report")]
+    ReportInUse {
+        /// The folder.
+        path: PathBuf,
+    },
     /// The record of a run cannot be read.
     #[error("{}, line {line}: {why}", path.display())]
     Record {

@@ -11,8 +11,8 @@ use armarium_values::report::Picture;
 use armarium_viewer::recorder::ImageCoding;
 use armarium_visionx::providers::convert::jpeg;
 use armarium_visionx::{
-    BoxModel, ColorModel, HandObserver, Image, ImageError, ImageSource, ObjectLocalizer, StereoCalibration,
-    StereoFrame, annotate, components,
+    BoxModel, ColorModel, HandObserver, ImageError, ImageSource, ObjectLocalizer, RgbImage,
+    StereoCalibration, StereoFrame, annotate, components,
 };
 use async_trait::async_trait;
 use nalgebra::Vector3;
@@ -21,24 +21,24 @@ use parking_lot::Mutex;
 use crate::recording::SharedRecorder;
 
 /// Least time between kept frames, ns.
-const APART_NS: u64 = 4_000_000_000;
+const MIN_INTERVAL_NS: u64 = 4_000_000_000;
 /// Most kept frames; after that, later ones replace every second one.
-const MOST: usize = 24;
+const MAX_FRAMES: usize = 24;
 /// Topic of the left eye in the recording.
 const TOPIC: &str = "/camera/left";
 /// Patches of the tool's colour with fewer pixels are ignored.
-const LEAST_PATCH: u32 = 150;
+const MIN_PATCH: u32 = 150;
 
 /// Keeps some of the frames that pass through.
 pub(crate) struct FrameSampler {
     cameras: Arc<dyn ImageSource>,
     kept: Mutex<Vec<Arc<StereoFrame>>>,
-    known: Known,
+    known: SearchTargets,
     recorder: SharedRecorder,
 }
 
 /// What the pictures are searched for.
-struct Known {
+struct SearchTargets {
     objects: Vec<(String, BoxModel)>,
     tool: ColorModel,
 }
@@ -48,25 +48,21 @@ impl FrameSampler {
     pub(crate) fn of(cameras: Arc<dyn ImageSource>, world: &World, recorder: SharedRecorder) -> Self {
         let model = |size, color| BoxModel { size: Vector3::from(size), color: ColorModel::from_rgb(color) };
         let objects = world.objects.iter().map(|o| (o.name.clone(), model(o.size, o.color))).collect();
-        let known = Known { objects, tool: ColorModel::from_rgb(world.coach.tool.color) };
+        let known = SearchTargets { objects, tool: ColorModel::from_rgb(world.coach.tool.color) };
         Self { cameras, kept: Mutex::new(Vec::new()), known, recorder }
     }
 
     fn record(&self, frame: &StereoFrame) {
-        if let Some(recorder) = self.recorder.lock().as_mut()
-            && let Err(error) = recorder.image(TOPIC, frame.stamp_ns, &frame.left, ImageCoding::Jpeg)
-        {
-            tracing::warn!("a camera image was not recorded: {error}");
-        }
+        self.recorder.write(|recorder| recorder.image(TOPIC, frame.stamp_ns, &frame.left, ImageCoding::Jpeg));
     }
 
     fn look(&self, frame: &Arc<StereoFrame>) {
         let mut kept = self.kept.lock();
-        let due = kept.last().is_none_or(|last| frame.stamp_ns >= last.stamp_ns + APART_NS);
+        let due = kept.last().is_none_or(|last| frame.stamp_ns >= last.stamp_ns + MIN_INTERVAL_NS);
         if !due {
             return;
         }
-        if kept.len() >= MOST {
+        if kept.len() >= MAX_FRAMES {
             let mut even = false;
             kept.retain(|_| {
                 even = !even;
@@ -84,14 +80,14 @@ impl FrameSampler {
     }
 }
 
-impl Known {
+impl SearchTargets {
     fn picture(
         &self,
         calibration: StereoCalibration,
         frame: &StereoFrame,
         state_at: &dyn Fn(u64) -> String,
     ) -> Option<Picture> {
-        let mut image: Image = frame.left.clone();
+        let mut image: RgbImage = frame.left.clone();
         let mut seen = Vec::new();
         for (name, model) in &self.objects {
             let Some(found) = ObjectLocalizer::new(calibration, model.clone()).localize(frame) else {
@@ -101,7 +97,7 @@ impl Known {
             let at = found.root_from_object.translation.vector;
             seen.push(format!("{name} at ({:.2}, {:.2}, {:.2}) m", at.x, at.y, at.z));
         }
-        if let Some(patch) = components(&self.tool.segment(&frame.left), LEAST_PATCH).first() {
+        if let Some(patch) = components(&self.tool.segment(&frame.left), MIN_PATCH).first() {
             annotate::region(&mut image, &patch.bounds, [0, 255, 0]);
             seen.push("the coach's tool".to_owned());
         }

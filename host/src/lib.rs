@@ -4,6 +4,7 @@
 //! - [`agent`]: offers charts, skills, memory and cameras to others.
 //! - [`catalog`]: the skills and channels that charts may name.
 //! - [`cameras`]: simulated cameras in a process of their own. [`replay`]: replays a recorded run.
+//! - [`mod@bench`]: one skill under test, in a few lines.
 //! - [`Console`]: the output for people.
 //!
 //! The program `armarium` reads a command line and starts what is here; a program of your own does the same with its
@@ -11,19 +12,22 @@
 
 pub mod agent;
 mod backend;
+pub mod bench;
 pub mod cameras;
 pub mod catalog;
-mod company;
 pub mod connection;
 mod console;
 mod error;
 mod frame_sampler;
 mod memory_log;
+mod names;
 mod network;
+mod other_agents;
 mod recording;
 mod remote_eyes;
 pub mod replay;
 mod report;
+mod report_folder;
 pub mod run;
 mod run_log;
 mod side_tasks;

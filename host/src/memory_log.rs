@@ -16,7 +16,7 @@ use parking_lot::Mutex;
 use serde_json::{Value as Json, json};
 
 /// Most entries of a log.
-const MOST: usize = 100_000;
+const MAX_ENTRIES: usize = 100_000;
 /// Positions closer than this share a line of the report, m.
 const SAME_PLACE: f64 = 0.01;
 /// Time step of the plot, s.
@@ -28,7 +28,7 @@ const NOTE: &str = "What each agent's memory came to know, as it told others. Pl
 
 /// A change in a memory.
 #[derive(Clone, Debug)]
-pub(crate) struct Entry {
+pub(crate) struct LoggedChange {
     /// The agent whose memory it is.
     pub(crate) agent: String,
     /// When it arrived, s of the run.
@@ -38,7 +38,7 @@ pub(crate) struct Entry {
 }
 
 /// Changes in memories, in order.
-pub(crate) type MemoryLog = Arc<Mutex<Vec<Entry>>>;
+pub(crate) type MemoryLog = Arc<Mutex<Vec<LoggedChange>>>;
 
 /// Logs a memory's changes of objects and their relations, until the memory closes.
 pub(crate) async fn keep(agent: String, memory: Arc<dyn Memory>, clock: Handle, log: MemoryLog) {
@@ -49,21 +49,29 @@ pub(crate) async fn keep(agent: String, memory: Arc<dyn Memory>, clock: Handle, 
             Ok(Some(Change::Missed { .. })) => continue,
             Ok(None) => return,
             Err(error) => {
-                tracing::warn!("the report's part on the memory of `{agent}` ends here: {error}");
+                tracing::warn!("the report's section on the memory of `{agent}` ends here: {error}");
                 return;
             }
         };
         let at_s = clock.now_ns() as f64 * 1e-9;
         let mut log = log.lock();
-        if ["ObjectInstances", "ObjectRelations"].contains(&snapshot.id.segment()) && log.len() < MOST {
-            log.push(Entry { agent: agent.clone(), at_s, snapshot });
+        if ["ObjectInstances", "ObjectRelations"].contains(&snapshot.id.segment()) && log.len() < MAX_ENTRIES
+        {
+            log.push(LoggedChange { agent: agent.clone(), at_s, snapshot });
         }
     }
 }
 
-/// The report's section on the tool that the world's robot wipes with, for programs and for people.
-pub(crate) fn part(log: &[Entry], world: &World, truth: &TruthLog) -> Option<(Json, Section)> {
-    let subject = world.sponge()?.name.clone();
+/// The report's section on the object that the robot grasped, by its index in the world's `objects`, for programs and for people.
+pub(crate) fn section(
+    log: &[LoggedChange],
+    world: &World,
+    object: Option<usize>,
+    truth: &TruthLog,
+) -> Option<(Json, Section)> {
+    let object = object.or_else(|| world.first_object())?;
+    let subject = world.objects.get(object)?.name.clone();
+    let truth = &Truth { log: truth, object };
     let frames = Frames::of(world);
     let known: Vec<Knowledge> =
         log.iter().filter_map(|e| Knowledge::of(e, &subject, &frames, truth)).collect();
@@ -95,7 +103,7 @@ impl Frames {
     }
 }
 
-/// An entry about the tool.
+/// An entry about the object.
 struct Knowledge<'d> {
     agent: &'d str,
     at_s: f64,
@@ -109,7 +117,7 @@ struct Knowledge<'d> {
 }
 
 impl<'d> Knowledge<'d> {
-    fn of(entry: &'d Entry, subject: &str, frames: &Frames, truth: &TruthLog) -> Option<Self> {
+    fn of(entry: &'d LoggedChange, subject: &str, frames: &Frames, truth: &Truth<'_>) -> Option<Self> {
         let snapshot = &*entry.snapshot;
         let text = |name: &str| snapshot.attribute(name).and_then(Value::as_str);
         let says = if text("class") == Some(subject) {
@@ -120,7 +128,7 @@ impl<'d> Knowledge<'d> {
             format!("{subject} {} {}", text("relation")?, text("object")?)
         };
         let place = frames.place(&entry.agent, snapshot);
-        let error_m = place.and_then(|place| Some((place - sponge(truth, entry.at_s)?).norm()));
+        let error_m = place.and_then(|place| Some((place - truth.place(entry.at_s)?).norm()));
         Some(Self {
             agent: &entry.agent,
             at_s: entry.at_s,
@@ -153,13 +161,21 @@ impl<'d> Knowledge<'d> {
     }
 }
 
-fn sponge(truth: &TruthLog, t_s: f64) -> Option<Point3<f64>> {
-    let pose = truth.at((t_s.max(0.0) * 1e9) as u64)?.sponge?;
-    Some(Point3::from(pose.translation.vector))
+/// Where the object truly is.
+struct Truth<'t> {
+    log: &'t TruthLog,
+    object: usize,
+}
+
+impl Truth<'_> {
+    fn place(&self, t_s: f64) -> Option<Point3<f64>> {
+        let pose = self.log.object_at(self.object, (t_s.max(0.0) * 1e9) as u64)?;
+        Some(Point3::from(pose.translation.vector))
+    }
 }
 
 /// A change that a memory received once, or several times in a row.
-struct Heard<'k> {
+struct RepeatedChange<'k> {
     first: &'k Knowledge<'k>,
     until_s: f64,
     count: usize,
@@ -167,7 +183,7 @@ struct Heard<'k> {
 
 /// One row for a change that a memory received repeatedly.
 fn table(known: &[Knowledge<'_>]) -> Table {
-    let mut heard: Vec<Heard<'_>> = Vec::new();
+    let mut heard: Vec<RepeatedChange<'_>> = Vec::new();
     let mut last: BTreeMap<(&str, &str), usize> = BTreeMap::new();
     for k in known {
         let same = last.get(&(k.agent, k.id)).and_then(|&at| heard.get_mut(at)).filter(|heard| {
@@ -179,14 +195,14 @@ fn table(known: &[Knowledge<'_>]) -> Table {
             continue;
         }
         last.insert((k.agent, k.id), heard.len());
-        heard.push(Heard { first: k, until_s: k.at_s, count: 1 });
+        heard.push(RepeatedChange { first: k, until_s: k.at_s, count: 1 });
     }
     let titles =
         ["Memory of", "#When", "#Times", "Entity", "Found by", "Says", "#At x, y, z", "#Trusted", "#Off by"];
-    Table { rows: heard.iter().map(Heard::row).collect(), ..Table::new(&titles) }
+    Table { rows: heard.iter().map(RepeatedChange::row).collect(), ..Table::new(&titles) }
 }
 
-impl Heard<'_> {
+impl RepeatedChange<'_> {
     fn row(&self) -> Vec<Cell> {
         let k = self.first;
         let when = if self.count > 1 {
@@ -213,8 +229,8 @@ impl Heard<'_> {
 }
 
 /// The distance of each agent's newest position from the true one.
-fn distance(known: &[Knowledge<'_>], truth: &TruthLog) -> Option<TimePlot> {
-    let end_s = truth.records.last()?.stamp_ns as f64 * 1e-9;
+fn distance(known: &[Knowledge<'_>], truth: &Truth<'_>) -> Option<TimePlot> {
+    let end_s = truth.log.records.last()?.stamp_ns as f64 * 1e-9;
     let mut agents: Vec<&str> = known.iter().map(|k| k.agent).collect();
     agents.sort_unstable();
     agents.dedup();
@@ -228,7 +244,7 @@ fn distance(known: &[Knowledge<'_>], truth: &TruthLog) -> Option<TimePlot> {
                 // The entry with the latest observation time counts, whichever agent observed it.
                 newest = newest.filter(|n| n.seen_s > k.seen_s).or(Some(k));
             }
-            let off = newest.and_then(|k| Some((k.place? - sponge(truth, t)?).norm() * 1e3));
+            let off = newest.and_then(|k| Some((k.place? - truth.place(t)?).norm() * 1e3));
             t_s.push(t);
             y.push(off.unwrap_or(f64::NAN));
         }
@@ -272,7 +288,7 @@ mod tests {
         let record = |ms: u64| Record {
             stamp_ns: ms * 1_000_000,
             tcp: Isometry3::identity(),
-            sponge: Some(Isometry3::translation(0.3, 0.5, 1.0)),
+            object: Some((0, Isometry3::translation(0.3, 0.5, 1.0))),
             normal: 0.0,
             tangential: 0.0,
             tool: None,
@@ -281,7 +297,7 @@ mod tests {
     }
 
     /// An entry that arrived at `at_s` in an agent's memory, observed at that time.
-    fn entry(agent: &str, id: &str, at_s: f64, place: [f64; 3], attached_to: Option<&str>) -> Entry {
+    fn entry(agent: &str, id: &str, at_s: f64, place: [f64; 3], attached_to: Option<&str>) -> LoggedChange {
         let pose = Pose::new("root".into(), &Isometry3::translation(place[0], place[1], place[2]));
         let mut attributes = BTreeMap::from([
             ("class".to_owned(), Value::from("sponge")),
@@ -298,7 +314,7 @@ mod tests {
             arrived_ns: 0,
             instances: vec![Instance::new(attributes)],
         };
-        Entry { agent: agent.into(), at_s, snapshot: Arc::new(snapshot) }
+        LoggedChange { agent: agent.into(), at_s, snapshot: Arc::new(snapshot) }
     }
 
     #[test]
@@ -311,7 +327,7 @@ mod tests {
             entry("bob", "ObjectInstances/alice.alice/sponge", 0.7, [0.3, 0.5, 1.02], None),
             entry("alice", "ObjectInstances/bob.bob/sponge", 1.2, [-0.3, 1.5, 1.0], Some("bob/right_hand")),
         ];
-        let (json, page) = part(&log, &world(), &truth(2000)).unwrap();
+        let (json, page) = section(&log, &world(), None, &truth(2000)).unwrap();
         let rows = json["rows"].as_array().unwrap();
         assert!((rows[0]["error_m"].as_f64().unwrap() - 0.01).abs() < 1e-9, "{json}");
         assert!((rows[2]["error_m"].as_f64().unwrap() - 0.02).abs() < 1e-9, "{json}");
@@ -334,7 +350,7 @@ mod tests {
         let mut other = entry("bob", "ObjectInstances/bob/cup", 0.5, [0.0; 3], None);
         let instance = Instance::new([("class", Value::from("cup"))]);
         other.snapshot = Arc::new(Snapshot { instances: vec![instance], ..(*other.snapshot).clone() });
-        let (json, page) = part(&[other], &world(), &truth(10)).unwrap();
+        let (json, page) = section(&[other], &world(), Some(0), &truth(10)).unwrap();
         assert_eq!(json["rows"].as_array().map(Vec::len), Some(0));
         assert!(matches!(page.blocks.last(), Some(Block::Table(table)) if table.rows.is_empty()));
     }

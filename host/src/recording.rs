@@ -17,8 +17,57 @@ use serde::Serialize;
 use sha2::{Digest as _, Sha256};
 use tokio::task::JoinHandle;
 
-/// A recorder that several tasks on one thread write to.
-pub(crate) type SharedRecorder = Arc<Mutex<Option<Recorder>>>;
+/// The recording of a run, which several tasks write to; clones are the same recording. A write that fails, or one over
+/// the limit, ends it with one warning. The run goes on.
+#[derive(Clone, Default)]
+pub(crate) struct SharedRecorder(Arc<Mutex<Recording>>);
+
+#[derive(Default)]
+struct Recording {
+    recorder: Option<Recorder>,
+    /// Whether it ended because it could not be written.
+    failed: bool,
+}
+
+impl SharedRecorder {
+    /// Begins the recording.
+    pub(crate) fn begin(&self, recorder: Recorder) {
+        self.0.lock().recorder = Some(recorder);
+    }
+
+    /// Writes to it, while there is one.
+    pub(crate) fn write(&self, write: impl FnOnce(&mut Recorder) -> Result<(), RecorderError>) {
+        let mut recording = self.0.lock();
+        let Some(recorder) = recording.recorder.as_mut() else { return };
+        if let Err(error) = write(recorder) {
+            tracing::warn!("the recording ends here: {error}");
+            *recording = Recording { recorder: None, failed: true };
+        }
+    }
+
+    /// Ends it before the run does, and says why.
+    pub(crate) fn end(&self, why: &str) {
+        let ended = self.0.lock().recorder.take();
+        if let Some(recorder) = ended {
+            match recorder.finish() {
+                Ok(()) => tracing::warn!("the recording ends here: {why}"),
+                Err(error) => tracing::warn!("the recording ends here: {why}; {error}"),
+            }
+        }
+    }
+
+    /// Ends it. Returns whether all of it was written.
+    pub(crate) fn finish(&self) -> bool {
+        let mut recording = self.0.lock();
+        if let Some(recorder) = recording.recorder.take()
+            && let Err(error) = recorder.finish()
+        {
+            tracing::warn!("the end of the recording is missing: {error}");
+            recording.failed = true;
+        }
+        !recording.failed
+    }
+}
 
 /// SHA-256 over the canonical CBOR of all engine events, configurations and joint commands.
 #[derive(Clone, Default)]
@@ -53,41 +102,29 @@ pub(crate) struct TruthTopics(pub(crate) SharedRecorder);
 
 impl TruthSink for TruthTopics {
     fn sample(&mut self, sample: &TruthSample) {
-        let mut shared = self.0.lock();
-        let Some(recorder) = shared.as_mut() else { return };
         let t = sample.stamp_ns;
-        recorder.pose("/truth/tcp", t, &sample.tcp);
-        if let Some(sponge) = &sample.sponge {
-            recorder.pose("/truth/sponge", t, sponge);
-        }
-        let coach = sample.coach.hand.as_ref().map(|hand| hand.root_from_hand).or(sample.coach.tool);
-        if let Some(coach) = coach {
-            let coach: Isometry3<f64> = coach;
-            recorder.pose("/truth/coach", t, &coach);
-        }
-        let contact =
-            Contact { normal_n: sample.contact.normal, tangential_n: sample.contact.tangential.norm() };
-        if let Err(error) = recorder.contact(t, &contact) {
-            tracing::warn!("the contact was not recorded: {error}");
-        }
+        self.0.write(|recorder| {
+            recorder.pose("/truth/tcp", t, &sample.tcp);
+            if let Some((_, object)) = &sample.object_pose() {
+                recorder.pose("/truth/sponge", t, object);
+            }
+            let coach = sample.coach.hand.as_ref().map(|hand| hand.root_from_hand).or(sample.coach.tool);
+            if let Some(coach) = coach {
+                let coach: Isometry3<f64> = coach;
+                recorder.pose("/truth/coach", t, &coach);
+            }
+            let contact =
+                Contact { normal_n: sample.contact.normal, tangential_n: sample.contact.tangential.norm() };
+            recorder.contact(t, &contact)
+        });
     }
 
     fn frame(&mut self, frame: &FrameTruth) {
-        self.json("/truth/hand", frame.stamp_ns, frame);
+        self.0.write(|recorder| recorder.json("/truth/hand", frame.stamp_ns, frame));
     }
 
     fn event(&mut self, stamp_ns: u64, event: &TruthEvent) {
-        self.json("/truth/events", stamp_ns, event);
-    }
-}
-
-impl TruthTopics {
-    fn json(&self, topic: &str, stamp_ns: u64, message: &impl Serialize) {
-        if let Some(Err(error)) =
-            self.0.lock().as_mut().map(|recorder| recorder.json(topic, stamp_ns, message))
-        {
-            tracing::warn!("the truth was not recorded: {error}");
-        }
+        self.0.write(|recorder| recorder.json("/truth/events", stamp_ns, event));
     }
 }
 
@@ -129,18 +166,16 @@ pub(crate) fn record_robot(robot: &Arc<dyn Robot>, recorder: SharedRecorder) -> 
     tokio::spawn(async move {
         while sensed.changed().await.is_ok() {
             let sample = Arc::clone(&sensed.borrow_and_update());
-            let mut shared = recorder.lock();
-            let Some(recorder) = shared.as_mut() else { return };
-            recorder.joints(sample.stamp_ns, &names, &sample.position, &sample.velocity);
             let wrench = WrenchSample {
                 force_raw: sample.force_raw.into(),
                 torque_raw: sample.torque_raw.into(),
                 force: sample.wrist.force.into(),
                 torque: sample.wrist.torque.into(),
             };
-            if let Err(error) = recorder.wrench(sample.stamp_ns, &wrench) {
-                tracing::warn!("the wrench was not recorded: {error}");
-            }
+            recorder.write(|recorder| {
+                recorder.joints(sample.stamp_ns, &names, &sample.position, &sample.velocity);
+                recorder.wrench(sample.stamp_ns, &wrench)
+            });
         }
     })
 }

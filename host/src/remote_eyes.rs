@@ -18,7 +18,7 @@ use tokio::sync::watch;
 use crate::error::HostError;
 
 /// How long one search for the images takes before their absence is reported.
-const PATIENCE: Duration = Duration::from_secs(10);
+const SEARCH_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// The source of images: `AGENT/PROVIDER`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -72,13 +72,13 @@ pub(crate) async fn open(
         let (agent, name) = (&eyes.agent, &eyes.provider);
         let unusable = |why: String| HostError::Images { provider: format!("{agent}/{name}"), why };
         let connected =
-            RemoteProvider::connect(session, agent, name, Delivery::Newest, ImageCoding::Raw, PATIENCE);
+            RemoteProvider::connect(session, agent, name, Delivery::Newest, ImageCoding::Raw, SEARCH_TIMEOUT);
         match connected.await {
             Ok(provider) => {
                 let view = StereoView::new(Arc::new(provider));
                 return view.map(Arc::new).map_err(|e| unusable(e.to_string()));
             }
-            Err(RemoteError::Session(SessionError::NoAnswer { .. })) => {
+            Err(RemoteError::Session(SessionError::NoReply { .. })) => {
                 say(&format!("waiting for the images `{agent}/{name}`"))
             }
             Err(error) => return Err(unusable(error.to_string())),

@@ -76,7 +76,7 @@ impl TurnRecorder {
 impl TraceSink for TurnRecorder {
     fn record(&mut self, event: &TraceEvent) {
         if let Some(turn) = &mut self.turn {
-            turn.did.extend(in_words(&event.item));
+            turn.did.extend(describe(&event.item));
         }
         self.inner.record(event);
     }
@@ -98,7 +98,7 @@ impl Drop for TurnRecorder {
 }
 
 /// The compared part of a trace item, as text.
-fn in_words(item: &TraceItem) -> Option<String> {
+fn describe(item: &TraceItem) -> Option<String> {
     Some(match item {
         TraceItem::Event { name, from: Some(from), .. } => format!("event {name} from {from}"),
         TraceItem::Event { name, from: None, .. } => format!("event {name}"),
@@ -130,7 +130,6 @@ pub struct ReplayedTurn {
 
 impl ReplayedTurn {
     /// Whether the engine behaves as recorded.
-    #[must_use]
     pub fn is_same(&self) -> bool {
         self.expected == self.found
     }
@@ -177,7 +176,7 @@ impl Replay {
             Effect::Trace(item) => Some(item),
             _ => None,
         });
-        let found = items.clone().filter_map(in_words).collect();
+        let found = items.clone().filter_map(describe).collect();
         let active = items.rev().find_map(|item| match item {
             TraceItem::Configuration { leaves } => Some(leaves.clone()),
             _ => None,

@@ -7,11 +7,12 @@ use std::path::Path;
 
 use armarium_runtime::exec::RunResult;
 use armarium_simulator::{Referee, World};
+use armarium_values::Value;
 use armarium_values::report::{Block, Figure, Picture, Section, Series, TimePlot};
 use armarium_viewer::report::{self, ChainLink, ReportData};
 use serde_json::{Value as Json, json};
 
-use crate::memory_log::{self, Entry};
+use crate::memory_log::{self, LoggedChange};
 use crate::run_log::RunLog;
 
 /// The data of a report.
@@ -19,6 +20,7 @@ pub(crate) struct Case<'r> {
     pub(crate) chart: &'r str,
     pub(crate) world: &'r World,
     pub(crate) seed: u64,
+    pub(crate) profile: Option<&'r str>,
     pub(crate) result: &'r RunResult,
     pub(crate) simulated_s: f64,
     pub(crate) wall_s: f64,
@@ -28,7 +30,7 @@ pub(crate) struct Case<'r> {
     pub(crate) pictures: Vec<Picture>,
     pub(crate) joints: Vec<TimePlot>,
     /// The log of the agents' memories; empty if there is only one agent.
-    pub(crate) memory_log: &'r [Entry],
+    pub(crate) memory_log: &'r [LoggedChange],
 }
 
 /// The figures of the run, by the names that all reports use.
@@ -38,6 +40,10 @@ pub(crate) fn figures(case: &Case<'_>) -> Json {
         "chart": case.chart,
         "world": case.world.name,
         "seed": case.seed,
+        "profile": case.profile,
+        "inputs": values(&case.log.inputs),
+        "outputs": values(&case.result.outputs),
+        "log": case.log.written,
         "outcome": case.result.outcome,
         "reason": case.result.reason,
         "chain": case.result.chain,
@@ -52,6 +58,19 @@ pub(crate) fn figures(case: &Case<'_>) -> Json {
     report
 }
 
+/// `force = 8.0, long = 60.0`, cut where it is long.
+fn listed(values: &BTreeMap<String, Value>) -> String {
+    let one = |(name, value): (&String, &Value)| {
+        let text: String = value.to_json().to_string().chars().take(60).collect();
+        format!("{name} = {text}")
+    };
+    values.iter().map(one).collect::<Vec<_>>().join(", ")
+}
+
+fn values(values: &BTreeMap<String, Value>) -> Json {
+    values.iter().map(|(name, value)| (name.clone(), value.to_json())).collect()
+}
+
 /// Writes both reports into `folder`. Returns the figures of `report.json`, and the figures with a requirement.
 ///
 /// # Errors
@@ -59,7 +78,14 @@ pub(crate) fn figures(case: &Case<'_>) -> Json {
 pub(crate) fn write(folder: &Path, case: Case<'_>) -> io::Result<(Json, Vec<Figure>)> {
     let mut figures = figures(&case);
     let memories = (!case.memory_log.is_empty())
-        .then(|| memory_log::part(case.memory_log, case.world, &case.referee.log()))
+        .then(|| {
+            memory_log::section(
+                case.memory_log,
+                case.world,
+                case.referee.judged_object(),
+                &case.referee.log(),
+            )
+        })
         .flatten();
     let (json, memories) = memories.unzip();
     if let (Json::Object(report), Some(json)) = (&mut figures, json) {
@@ -95,12 +121,18 @@ fn page(case: Case<'_>, mut judged: Vec<Section>, memories: Option<Section>) -> 
             .iter()
             .map(|s| ChainLink { state: s.clone(), reason: None })
             .collect(),
-        facts: vec![
-            ("simulated".into(), minutes(case.simulated_s)),
-            ("on the wall".into(), minutes(case.wall_s)),
-            ("real time factor".into(), format!("{:.2}", case.simulated_s / case.wall_s.max(1e-9))),
-            ("trace".into(), case.trace_sha256.chars().take(16).collect()),
-        ],
+        facts: [("inputs", &case.log.inputs), ("outputs", &case.result.outputs)]
+            .into_iter()
+            .filter(|(_, values)| !values.is_empty())
+            .map(|(title, values)| (title.to_owned(), listed(values)))
+            .chain(case.profile.map(|profile| ("profile".to_owned(), profile.to_owned())))
+            .chain([
+                ("simulated".into(), minutes(case.simulated_s)),
+                ("on the wall".into(), minutes(case.wall_s)),
+                ("real time factor".into(), format!("{:.2}", case.simulated_s / case.wall_s.max(1e-9))),
+                ("trace".into(), case.trace_sha256.chars().take(16).collect()),
+            ])
+            .collect(),
         sections,
     }
 }

@@ -2,7 +2,7 @@
 //! other; each is a function below it.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -15,6 +15,7 @@ use armarium_runtime::program::Program;
 use armarium_runtime::skill::Limits;
 use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{Simulation, TruthSink, World};
+use armarium_source::suggest;
 use armarium_states::observers;
 use armarium_values::Value;
 use armarium_values::report::Figure;
@@ -26,21 +27,23 @@ use tokio::task::JoinHandle;
 
 use crate::cameras;
 use crate::catalog::{self, SkillFactory};
-use crate::company::{Company, CompanyRecord, Invitation};
 use crate::console::Console;
 use crate::error::HostError;
 use crate::frame_sampler::FrameSampler;
+use crate::names::Names;
 use crate::network::Network;
+use crate::other_agents::{OtherAgents, OtherAgentsRecord, Sharing};
 use crate::recording::{RunDigest, SharedRecorder, TruthTopics, attach_sources, record_robot};
 use crate::replay::{RunSource, TurnRecorder};
 use crate::report::{self, Case, JointLog};
+use crate::report_folder::ReportFolder;
 use crate::run_log::{self, RunLog, RunLogger};
 use crate::side_tasks;
 use crate::simulated::{SimulatedRobot, memory_of_run};
 use crate::world_file::WorldFile;
 
 /// How long, in real time, a skill may block the program's thread.
-const HANGS: Duration = Duration::from_secs(10);
+const HANG_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// The configuration of a run.
 #[derive(Clone)]
@@ -59,6 +62,9 @@ pub struct RunConfig {
     pub profile: Option<String>,
     /// Folder for `report.json`, `report.html` and `run.mcap`.
     pub report: PathBuf,
+    /// Whether a folder that holds a report, or that another run writes to, is left alone, and the first of `DIR-2`, `DIR-3`
+    /// ... that is free is used.
+    pub keep_reports: bool,
     /// The long-term store of motions.
     pub store: PathBuf,
     /// The record of the engine's turns, for [`replay`](crate::replay::Replay).
@@ -75,11 +81,14 @@ pub struct RunConfig {
     pub program: Option<PathBuf>,
     /// Additional skills.
     pub skills: Vec<SkillFactory>,
+    /// The longest time of the robot after which the run is stopped.
+    pub longest: Option<Duration>,
+    /// The most bytes that the recording may have.
+    pub largest_recording: Option<u64>,
 }
 
 impl RunConfig {
     /// A run of the chart in virtual time, which writes `report/` and `armarium.redb`.
-    #[must_use]
     pub fn new(chart: impl Into<PathBuf>) -> Self {
         Self {
             chart: chart.into(),
@@ -89,6 +98,7 @@ impl RunConfig {
             inputs: Vec::new(),
             profile: None,
             report: "report".into(),
+            keep_reports: false,
             store: "armarium.redb".into(),
             record: None,
             real_time: false,
@@ -97,6 +107,8 @@ impl RunConfig {
             session: None,
             program: None,
             skills: Vec::new(),
+            longest: None,
+            largest_recording: None,
         }
     }
 
@@ -120,6 +132,10 @@ pub struct RunEnded {
     pub report: serde_json::Value,
     /// The figures that referees measured, with their requirements.
     pub figures: Vec<Figure>,
+    /// Whether the recording was written to its end.
+    pub recorded: bool,
+    /// The folder with the report.
+    pub folder: PathBuf,
 }
 
 /// Converts the given inputs to the types that the chart declares. Inputs that the chart does not have stay text;
@@ -138,6 +154,26 @@ pub fn read_inputs(
         value.map(|value| (name.clone(), value)).map_err(|error| wrong(error.to_string()))
     };
     given.iter().map(read).collect()
+}
+
+/// Refuses names that do not exist, where it is known before the run which do.
+fn known_names(
+    inputs: &BTreeMap<String, Value>,
+    program: &Program,
+    registry: &Registry,
+    chart: &Path,
+) -> Result<(), HostError> {
+    for input in program.inputs() {
+        let given = inputs.get(&input.name).and_then(Value::as_str).filter(|text| !text.is_empty());
+        if let (Some(kind), Some(text)) = (input.names, given)
+            && let Err(unknown) = registry.known_name(kind, text, chart)
+        {
+            let near = suggest(text, unknown.known.iter().map(String::as_str));
+            let why = near.map_or_else(|| unknown.to_string(), |near| format!("{unknown}; {near}"));
+            return Err(HostError::Input { name: input.name.clone(), text: text.to_owned(), why });
+        }
+    }
+    Ok(())
 }
 
 /// Checks the chart, runs it in the simulator, and writes recording and report. Ctrl-C ends the run, also with a
@@ -167,15 +203,17 @@ async fn perform(
     began: Instant,
 ) -> Result<RunEnded, HostError> {
     let (stage, simulation) = Stage::set(config, &world.world, network).await?;
-    let (program, registry) = load(config, &stage, network, &**console).await?;
-    std::fs::create_dir_all(&config.report).map_err(|source| HostError::File {
-        what: "the report's folder cannot be made:",
-        path: config.report.clone(),
-        source,
-    })?;
+    let (program, registry) = load(config, &stage, &world.world, network, &**console).await?;
+    network.explain_events(&program, &**console);
+    let folder = ReportFolder::take(&config.report, config.keep_reports)?;
+    let config = &RunConfig { report: folder.path.clone(), ..config.clone() };
+    match &world.file {
+        Some(file) => console.note(&format!("the world is {}", file.display())),
+        None => console.note("the world is the default kitchen"),
+    }
     let handle = stage.robot.handle.clone();
     console.world_begins(Arc::new(move || handle.now_ns()));
-    let company = stage.gather_company(config, world, network, &simulation).await?;
+    let others = stage.start_other_agents(config, world, network, &simulation).await?;
     let chart = program.name().to_owned();
     let logger = stage.logger(&registry, console);
     let channels = Channels::new();
@@ -184,14 +222,21 @@ async fn perform(
 
     let joints = Arc::new(Mutex::new(JointLog::default()));
     let mut tasks = stage.side_tasks(&executor, &logger, &joints, console, began);
+    tasks.extend(
+        config.longest.map(|longest| tokio::spawn(side_tasks::stop_after(longest, executor.controller()))),
+    );
+    tasks.extend(config.largest_recording.map(|most| {
+        let file = config.report.join("run.mcap");
+        tokio::spawn(side_tasks::bound_recording(file, most, stage.recorder.clone()))
+    }));
     tasks.extend(observers::start(&stage.robot.equipment, &channels));
-    tasks.extend(company.as_ref().map(|company| tokio::spawn(company.watch(executor.controller()))));
+    tasks.extend(others.as_ref().map(|others| tokio::spawn(others.watch(executor.controller()))));
     let world_task = tokio::spawn(simulation.run());
     let result = executor.run().await;
 
-    let company = match company {
-        Some(company) => company.close().await,
-        None => CompanyRecord::default(),
+    let others = match others {
+        Some(others) => others.close().await,
+        None => OtherAgentsRecord::default(),
     };
     stage.robot.equipment.robot.stop("the run has ended");
     stage.robot.handle.stop();
@@ -200,10 +245,15 @@ async fn perform(
     if let Err(error) = stage.memory.flush() {
         console.note(&format!("warning: what was learned was not kept: {error}"));
     }
-    if let Some(recorder) = stage.recorder.lock().take() {
-        recorder.finish()?;
-    }
-    stage.report(config, &chart, &world.world, (result, began), (&logger.log, &joints, &company), console)
+    let recorded = stage.recorder.finish();
+    stage.report(
+        config,
+        &chart,
+        &world.world,
+        (result, began, recorded),
+        (&logger.log, &joints, &others),
+        console,
+    )
 }
 
 /// What a chart runs with: the robot in its world, its memory, and the recorders.
@@ -224,7 +274,7 @@ impl Stage {
         let recorder = SharedRecorder::default();
         let digest = RunDigest::default();
         let sinks: Vec<Box<dyn TruthSink>> =
-            vec![Box::new(digest.clone()), Box::new(TruthTopics(Arc::clone(&recorder)))];
+            vec![Box::new(digest.clone()), Box::new(TruthTopics(recorder.clone()))];
         let (scenery, cameras) = match (&config.cameras, &network.connection) {
             (Some(name), Some(connection)) => {
                 let (scenery, cameras) = cameras::connect(name, connection).await?;
@@ -236,26 +286,26 @@ impl Stage {
         let (mut robot, simulation) =
             SimulatedRobot::new(world, config.seed, memory.memory(), sinks, scenery)?;
         let cameras = cameras.unwrap_or_else(|| Arc::clone(&robot.equipment.images));
-        let frames = Arc::new(FrameSampler::of(cameras, world, Arc::clone(&recorder)));
+        let frames = Arc::new(FrameSampler::of(cameras, world, recorder.clone()));
         robot.equipment.images = Arc::clone(&frames) as Arc<dyn ImageSource>;
         Ok((Self { memory, robot, frames, recorder, digest }, simulation))
     }
 
     /// Starts and connects the world's other agents, on the connection's threads.
-    async fn gather_company(
+    async fn start_other_agents(
         &self,
         config: &RunConfig,
         world: &WorldFile,
         network: &Network,
         simulation: &Simulation,
-    ) -> Result<Option<Company>, HostError> {
+    ) -> Result<Option<OtherAgents>, HostError> {
         let (Some(connection), Some(world_file)) = (&network.connection, &world.file) else {
             return Ok(None);
         };
         let Some(store) = self.memory.store().filter(|_| !world.world.agents.is_empty()) else {
             return Ok(None);
         };
-        let invitation = Invitation {
+        let sharing = Sharing {
             session: connection.session().clone(),
             world: world.world.clone(),
             world_file: world_file.clone(),
@@ -266,15 +316,15 @@ impl Stage {
             program: config.program.clone(),
             clock: self.robot.handle.clone(),
         };
-        let gathered = connection.runtime().spawn(Company::gather(invitation)).await;
-        gathered.map_err(|error| HostError::OtherAgent(error.to_string()))?.map(Some)
+        let started = connection.runtime().spawn(OtherAgents::start(sharing)).await;
+        started.map_err(|error| HostError::OtherAgent(error.to_string()))?.map(Some)
     }
 
     fn logger(&self, registry: &Registry, console: &Arc<dyn Console>) -> RunLogger {
         RunLogger {
             log: Arc::new(Mutex::new(RunLog::default())),
             digest: self.digest.clone(),
-            recorder: Arc::clone(&self.recorder),
+            recorder: self.recorder.clone(),
             referee: self.robot.referee.clone(),
             clock: self.robot.handle.clone(),
             console: Arc::clone(console),
@@ -293,6 +343,7 @@ impl Stage {
     ) -> Result<Executor, HostError> {
         let robot = Arc::clone(&self.robot.equipment.robot);
         let inputs = read_inputs(&config.inputs, &program)?;
+        known_names(&inputs, &program, &registry, &config.chart)?;
         let options = ExecOptions {
             inputs: inputs.clone(),
             profile: config.profile.clone(),
@@ -302,11 +353,12 @@ impl Stage {
                 robot.stop(&format!("the skill of `{state}` does not return"));
             })),
             peers: network.peers.clone(),
+            closed: !network.listens(),
         };
         let executor = Executor::new(program, registry, channels.clone(), options)?;
         // Robot and skills share one thread here: if a skill blocks it, no report can be written.
         let console = Arc::clone(console);
-        Ok(executor.hang_after(HANGS, Some(Box::new(move |state| console.blocked(state)))))
+        Ok(executor.hang_after(HANG_TIMEOUT, Some(Box::new(move |state| console.blocked(state)))))
     }
 
     fn open_recording(&self, config: &RunConfig, chart: &str, world: &World) -> Result<(), HostError> {
@@ -317,7 +369,7 @@ impl Stage {
         ]);
         let mut opened = Recorder::create(&config.report.join("run.mcap"), metadata)?;
         attach_sources(&mut opened, &config.chart, world)?;
-        *self.recorder.lock() = Some(opened);
+        self.recorder.begin(opened);
         Ok(())
     }
 
@@ -332,11 +384,11 @@ impl Stage {
     ) -> Vec<JoinHandle<()>> {
         let robot = &self.robot.equipment.robot;
         vec![
-            record_robot(robot, Arc::clone(&self.recorder)),
+            record_robot(robot, self.recorder.clone()),
             tokio::spawn(side_tasks::watch_gestures(
                 Arc::clone(self.memory.memory()),
                 self.robot.referee.clone(),
-                Arc::clone(&self.recorder),
+                self.recorder.clone(),
             )),
             tokio::spawn(side_tasks::log_joints(Arc::clone(robot), Arc::clone(joints))),
             tokio::spawn(side_tasks::stop_on_signal(executor.controller())),
@@ -354,8 +406,8 @@ impl Stage {
         config: &RunConfig,
         chart: &str,
         world: &World,
-        (result, began): (RunResult, Instant),
-        (log, joints, company): (&Mutex<RunLog>, &Mutex<JointLog>, &CompanyRecord),
+        (result, began, recorded): (RunResult, Instant, bool),
+        (log, joints, others): (&Mutex<RunLog>, &Mutex<JointLog>, &OtherAgentsRecord),
         console: &Arc<dyn Console>,
     ) -> Result<RunEnded, HostError> {
         let simulated_s = self.robot.handle.now_ns() as f64 * 1e-9;
@@ -368,11 +420,12 @@ impl Stage {
         });
         let states_at = |t_ns: u64| log.states_at(t_ns as f64 * 1e-9);
         let mut pictures = self.frames.pictures(&states_at);
-        pictures.extend(company.pictures(&states_at));
+        pictures.extend(others.pictures(&states_at));
         let case = Case {
             chart,
             world,
             seed: config.seed,
+            profile: config.profile.as_deref(),
             result: &result,
             simulated_s,
             wall_s: began.elapsed().as_secs_f64(),
@@ -381,14 +434,14 @@ impl Stage {
             log: &log,
             pictures,
             joints: joints.lock().plots(self.robot.equipment.robot.model()),
-            memory_log: &company.memory_log,
+            memory_log: &others.memory_log,
         };
         let (report, figures) = report::write(&config.report, case).map_err(|source| HostError::File {
             what: "the report cannot be written to",
             path: config.report.clone(),
             source,
         })?;
-        Ok(RunEnded { result, report, figures })
+        Ok(RunEnded { result, report, figures, recorded, folder: config.report.clone() })
     }
 }
 
@@ -396,10 +449,12 @@ impl Stage {
 async fn load(
     config: &RunConfig,
     stage: &Stage,
+    world: &World,
     network: &Network,
     console: &dyn Console,
 ) -> Result<(Arc<Program>, Registry), HostError> {
-    let mut registry = catalog::registry(&stage.robot.equipment, &config.skills);
+    let names = Arc::new(Names::of_run(world));
+    let mut registry = catalog::registry(&stage.robot.equipment, &config.skills).with_names(names);
     let agents = network.agents.as_ref();
     let checked = catalog::load_connected(&config.chart, &config.charts, &mut registry, agents).await?;
     Ok((catalog::runnable(checked, console)?, registry))

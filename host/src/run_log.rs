@@ -29,6 +29,10 @@ pub(crate) struct RunLog {
     pub(crate) status: RunStatus,
     /// The newest lines.
     pub(crate) lines: Vec<String>,
+    /// What the chart's `log` actions wrote, the newest lines.
+    pub(crate) written: Vec<String>,
+    /// The inputs that the chart began with.
+    pub(crate) inputs: BTreeMap<String, Value>,
     /// The running skills by activation.
     running: BTreeMap<u64, Running>,
 }
@@ -72,11 +76,9 @@ impl TraceSink for RunLogger {
     fn record(&mut self, event: &TraceEvent) {
         self.digest.add(event);
         let t_ns = self.clock.now_ns();
-        if let Some(recorder) = self.recorder.lock().as_mut() {
-            let written = serde_json::to_value(event).map(|json| recorder.event(t_ns, &json));
-            if !matches!(written, Ok(Ok(()))) {
-                tracing::warn!("an event of the chart was not recorded");
-            }
+        if let Ok(json) = serde_json::to_value(event) {
+            self.recorder.write(|recorder| recorder.event(t_ns, &json));
+            self.console.traced(&json);
         }
         let mut log = self.log.lock();
         log.status.update(event);
@@ -115,14 +117,33 @@ impl RunLogger {
                     self.mark(&running, &MarkTime::Success, outputs, t_ns);
                 }
             }
-            TraceItem::Event { name, .. } => {
+            TraceItem::Started { inputs, .. } => log.inputs.clone_from(inputs),
+            TraceItem::Dropped { name, reason } => {
+                self.say(log, t_s, name, &format!("this event is dropped: {reason}"));
+            }
+            TraceItem::Transition { source, event, target } => {
+                let event = event.as_deref().unwrap_or("no event");
+                let line =
+                    format!("{t_s:8.2} s  {source}: {event} -> {}", target.as_deref().unwrap_or("stays"));
+                self.console.happened(&line);
+            }
+            TraceItem::Event { name, from, .. } => {
+                if from.is_none() {
+                    self.console.happened(&format!("{t_s:8.2} s  event {name}"));
+                }
                 let at = MarkTime::Event(name.clone());
                 log.running.values().for_each(|running| self.mark(running, &at, &BTreeMap::new(), t_ns));
             }
             TraceItem::Inside { state, leaves } if !leaves.is_empty() => {
                 self.say(log, t_s, state, &format!("inside, {}", leaves.join(" | ")));
             }
-            TraceItem::Log { state, text } => self.say(log, t_s, state, text),
+            TraceItem::Log { state, text } => {
+                self.say(log, t_s, state, text);
+                if log.written.len() >= LOG_LINES {
+                    log.written.remove(0);
+                }
+                log.written.push(format!("{t_s:.2} s {state}: {text}"));
+            }
             TraceItem::Sent { name, to, .. } => self.say(log, t_s, to, &format!("is sent {name}")),
             TraceItem::Error { message, place } => self.say(log, t_s, place, message),
             TraceItem::Retry { state, attempt, reason } => {
@@ -135,9 +156,10 @@ impl RunLogger {
     fn say(&self, log: &mut RunLog, t_s: f64, who: &str, what: &str) {
         let line = format!("{t_s:8.2} s  {who}: {what}");
         self.console.happened(&line);
-        if let Some(recorder) = self.recorder.lock().as_mut() {
+        self.recorder.write(|recorder| {
             recorder.log((t_s * 1e9) as u64, LogLevel::Info, who, what);
-        }
+            Ok(())
+        });
         if log.lines.len() >= LOG_LINES {
             log.lines.remove(0);
         }
@@ -153,11 +175,7 @@ impl RunLogger {
                 self.referee.mark(known, t_ns);
             }
             let written = serde_json::json!({"mark": mark.name, "numbers": numbers});
-            if let Some(Err(error)) =
-                self.recorder.lock().as_mut().map(|recorder| recorder.json("/truth/marks", t_ns, &written))
-            {
-                tracing::warn!("a mark was not recorded: {error}");
-            }
+            self.recorder.write(|recorder| recorder.json("/truth/marks", t_ns, &written));
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Tasks beside a run's chart: they record observations and motion for the report, show the progress, and handle
 //! Ctrl-C.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -28,10 +29,8 @@ pub(crate) async fn watch_gestures(
                 let gesture = snapshot.attribute("gesture").and_then(Value::as_str);
                 referee.gesture_seen(snapshot.referenced_ns, gesture.filter(|g| *g != "none"));
                 let seen = snapshot.instance().map(|i| Value::Map(i.attributes.to_map()).to_json());
-                if let (Some(recorder), Some(seen)) = (recorder.lock().as_mut(), seen)
-                    && recorder.json("/vision/hand", snapshot.referenced_ns, &seen).is_err()
-                {
-                    tracing::warn!("what was seen of the hand was not recorded");
+                if let Some(seen) = seen {
+                    recorder.write(|recorder| recorder.json("/vision/hand", snapshot.referenced_ns, &seen));
                 }
             }
             Ok(_) | Err(tokio::sync::broadcast::error::RecvError::Lagged(_)) => {}
@@ -67,7 +66,7 @@ pub(crate) async fn show_progress(
         console.progress(&Status {
             simulated_s: sample.stamp_ns as f64 * 1e-9,
             wall_s: began.elapsed().as_secs_f64(),
-            states: log.lock().status.shown(),
+            states: log.lock().status.lines(),
             force_n: Some(sample.wrist.force.norm()),
         });
     }
@@ -77,5 +76,22 @@ pub(crate) async fn show_progress(
 pub(crate) async fn stop_on_signal(controller: Controller) {
     if tokio::signal::ctrl_c().await.is_ok() {
         controller.stop("stopped by Ctrl-C");
+    }
+}
+
+/// Ends the run after a time of the robot.
+pub(crate) async fn stop_after(longest: Duration, controller: Controller) {
+    tokio::time::sleep(longest).await;
+    controller.stop(format!("the run was to last {} s at most", longest.as_secs_f64()));
+}
+
+/// Ends the recording when its file has `most` bytes.
+pub(crate) async fn bound_recording(file: PathBuf, most: u64, recorder: SharedRecorder) {
+    let mut tick = tokio::time::interval(Duration::from_millis(100));
+    loop {
+        tick.tick().await;
+        if std::fs::metadata(&file).is_ok_and(|metadata| metadata.len() >= most) {
+            return recorder.end(&format!("its file has the {most} bytes that it may have"));
+        }
     }
 }

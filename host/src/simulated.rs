@@ -10,7 +10,7 @@ use armarium_memoryx::{
 use armarium_robot::{Model, postures};
 use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{Handle, Options, Referee, Simulation, TruthSink, World};
-use armarium_states::Equipment;
+use armarium_states::{Equipment, RunningMotions};
 
 use crate::error::HostError;
 
@@ -21,7 +21,7 @@ const COACH_TOOL_SIZE: [f64; 3] = [0.08, 0.08, 0.08];
 /// Core segment of learned motions.
 const MOTIONS: &str = "Motions";
 /// Core segments of perceived data.
-const SEEN: [&str; 6] =
+const PERCEIVED: [&str; 6] =
     ["ObjectInstances", "ObjectRelations", "AgentInstances", "EnvironmentModels", "HumanHands", "HumanPoses"];
 
 /// A simulated robot. Its [`Simulation`] is to be spawned.
@@ -55,20 +55,33 @@ impl SimulatedRobot {
             memory: Arc::<WorkingMemory>::clone(memory),
             agent: world.robot.name.clone(),
             seed,
+            motions: RunningMotions::default(),
         };
         Ok((Self { referee: simulation.referee(), handle: simulation.handle(), equipment }, simulation))
     }
 }
 
-/// The memory of a run: prior knowledge of the world's objects, and the motions in the store.
+/// The memory of a run: prior knowledge of the world's objects, and the motions in the store, which other runs may use at the
+/// same time.
 ///
 /// # Errors
 /// [`HostError::Memory`] when the store cannot be used.
 pub fn memory_of_run(world: &World, store: &Path) -> Result<AgentMemory, HostError> {
     let mut config = AgentConfig::new(&world.robot.name).with_store(store);
+    config.shared = true;
     config.policies = Policies::all(Policy::Nothing).with(MOTIONS, Policy::AtMost { hz: 1.0 });
     config.restored = Restored::Only(vec![MOTIONS.to_owned()]);
     config.limits = Limits::default();
+    config.prior = prior_knowledge(world)?;
+    Ok(AgentMemory::open(&config, armarium_memoryx::tokio_clock())?)
+}
+
+/// The memory of a test: prior knowledge of the world's objects, and nothing kept.
+///
+/// # Errors
+/// [`HostError::Memory`] when prior knowledge is invalid.
+pub(crate) fn memory_without_store(world: &World) -> Result<AgentMemory, HostError> {
+    let mut config = AgentConfig::new(&world.robot.name);
     config.prior = prior_knowledge(world)?;
     Ok(AgentMemory::open(&config, armarium_memoryx::tokio_clock())?)
 }
@@ -86,23 +99,22 @@ pub fn memory_of_agent(
 ) -> Result<AgentConfig, HostError> {
     let mut config = AgentConfig::new(name).with_store(store);
     config.policies = policies;
-    config.restored = Restored::AllBut(SEEN.map(str::to_owned).to_vec());
+    config.restored = Restored::AllBut(PERCEIVED.map(str::to_owned).to_vec());
     config.prior = prior_knowledge(world)?;
     Ok(config)
 }
 
 /// The default policies: one snapshot per second of perceived and learned data, object classes when they change, and
 /// everything else.
-#[must_use]
 pub fn usual_policies() -> Policies {
-    let thinned = SEEN.into_iter().chain([MOTIONS]);
+    let thinned = PERCEIVED.into_iter().chain([MOTIONS]);
     let usual = Policies::all(Policy::Everything).with("ObjectClasses", Policy::OnChange);
     thinned.fold(usual, |policies, segment| policies.with(segment, Policy::AtMost { hz: 1.0 }))
 }
 
 /// Prior knowledge of objects: name, colour, size and mass, never the position. It has the objects of this world and
 /// the usual ones, so that the robot can also look for an object that is absent.
-fn prior_knowledge(world: &World) -> Result<PriorKnowledge, MemoryError> {
+pub(crate) fn prior_knowledge(world: &World) -> Result<PriorKnowledge, MemoryError> {
     let mut prior = PriorKnowledge::new();
     let usual = World::default().objects;
     let missing = usual.iter().filter(|u| world.objects.iter().all(|o| o.name != u.name));

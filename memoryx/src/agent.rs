@@ -12,19 +12,19 @@ use armarium_bus::Session;
 use tokio::task::JoinSet;
 
 use crate::error::MemoryError;
-use crate::infer::{Attached, Inference};
+use crate::infer::{Inference, RunningInference};
 use crate::prior::PriorKnowledge;
 use crate::query::Pattern;
 use crate::remote::RemoteMemory;
-use crate::server::MemoryServer;
+use crate::server::{MemoryServer, ServerOptions};
 use crate::share::{FollowSettings, Following};
 use crate::store::{Consolidator, LongTermMemory, Policies, Policy, Retention};
 use crate::working::{Backing, Clock, Limits, WorkingMemory};
 
 /// How often long-term memory forgets what is old or too much.
-const RETAIN_EVERY: Duration = Duration::from_secs(60);
+const RETENTION_INTERVAL: Duration = Duration::from_secs(60);
 /// How long to wait before connecting again to an agent that is absent.
-const AGAIN: Duration = Duration::from_secs(1);
+const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
 /// How an agent's memory is put together.
 #[derive(Clone, Debug)]
@@ -33,6 +33,8 @@ pub struct AgentConfig {
     pub name: String,
     /// The file of long-term memory; `None` keeps nothing.
     pub store: Option<PathBuf>,
+    /// Whether other processes use the file at the same time; otherwise it is locked for as long as the agent lives.
+    pub shared: bool,
     /// What long-term memory keeps of working memory; it is on disk when a commit is acknowledged.
     pub policies: Policies,
     /// Which part of long-term memory is loaded into working memory at the start; queries reach all of it.
@@ -53,11 +55,11 @@ pub struct AgentConfig {
 
 impl AgentConfig {
     /// An agent without long-term memory that follows no one.
-    #[must_use]
     pub fn new(name: &str) -> Self {
         Self {
             name: name.into(),
             store: None,
+            shared: false,
             policies: Policies::all(Policy::Everything),
             restored: Restored::All,
             retention: Retention::default(),
@@ -105,7 +107,7 @@ pub struct AgentMemory {
     kept: Option<Arc<Consolidator>>,
     clock: Clock,
     server: Option<MemoryServer>,
-    inferences: Vec<Attached>,
+    inferences: Vec<RunningInference>,
     tasks: JoinSet<()>,
 }
 
@@ -116,7 +118,7 @@ impl fmt::Debug for AgentMemory {
 }
 
 impl AgentMemory {
-    /// Opens the file, creating its folder if needed, and restores its content. Nothing is shared yet.
+    /// Opens the file and restores its content. Nothing is shared yet.
     ///
     /// # Errors
     /// [`MemoryError::Store`] when the file cannot be used; as [`WorkingMemory::commit_now`] for prior knowledge.
@@ -124,12 +126,8 @@ impl AgentMemory {
         let mut memory = WorkingMemory::new(Arc::clone(&clock)).with_limits(config.limits);
         let mut kept = None;
         if let Some(file) = &config.store {
-            if let Some(folder) = file.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-                std::fs::create_dir_all(folder).map_err(|error| MemoryError::Store {
-                    what: format!("the folder `{}` cannot be made: {error}", folder.display()),
-                })?;
-            }
-            let store = Arc::new(LongTermMemory::open(file)?);
+            let open = if config.shared { LongTermMemory::open_shared } else { LongTermMemory::open };
+            let store = Arc::new(open(file)?);
             let consolidator = Arc::new(Consolidator::new(Arc::clone(&store), config.policies.clone()));
             memory = memory.with_backing(Arc::clone(&consolidator) as Arc<dyn Backing>);
             for segment in store.segments()?.iter().filter(|segment| config.restored.has(segment)) {
@@ -149,12 +147,11 @@ impl AgentMemory {
     /// As [`MemoryServer::start`].
     pub async fn share(&mut self, session: &Session, config: &AgentConfig) -> Result<(), MemoryError> {
         let (shared, store) = (Arc::clone(&self.memory), self.store().cloned());
-        let server =
-            MemoryServer::start_guarded(session, &config.name, shared, store.clone(), config.guarded).await?;
-        self.server = Some(server);
+        let options = ServerOptions { store: store.clone(), guarded: config.guarded };
+        self.server = Some(MemoryServer::start_with(session, &config.name, shared, options).await?);
         for inference in &config.infer {
             let memory = Arc::<WorkingMemory>::clone(&self.memory);
-            let attached = Attached::start(memory, Arc::clone(inference), Arc::clone(&self.clock));
+            let attached = RunningInference::start(memory, Arc::clone(inference), Arc::clone(&self.clock));
             self.inferences.push(attached);
         }
         for settings in &config.follow {
@@ -178,13 +175,11 @@ impl AgentMemory {
     }
 
     /// The working memory.
-    #[must_use]
     pub fn memory(&self) -> &Arc<WorkingMemory> {
         &self.memory
     }
 
     /// The long-term memory, if the agent has one.
-    #[must_use]
     pub fn store(&self) -> Option<&Arc<LongTermMemory>> {
         self.kept.as_ref().map(|kept| kept.store())
     }
@@ -214,14 +209,14 @@ async fn follow(session: Session, memory: Arc<WorkingMemory>, settings: FollowSe
             }
             Err(error) => tracing::info!(%error, agent = settings.agent, "waiting for a memory to follow"),
         }
-        tokio::time::sleep(AGAIN).await;
+        tokio::time::sleep(RETRY_INTERVAL).await;
     }
 }
 
 /// Applies retention to long-term memory every minute, by `memory`'s clock. It never returns.
 async fn keep_within(store: Arc<LongTermMemory>, memory: Arc<WorkingMemory>, retention: Retention) {
-    while retention != Retention::default() {
-        tokio::time::sleep(RETAIN_EVERY).await;
+    loop {
+        tokio::time::sleep(RETENTION_INTERVAL).await;
         let (store, now_ns) = (Arc::clone(&store), memory.now_ns());
         match tokio::task::spawn_blocking(move || store.retain(retention, now_ns)).await {
             Ok(Ok(dropped)) if dropped.snapshots > 0 => {

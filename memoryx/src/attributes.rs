@@ -16,7 +16,6 @@ pub struct Attributes(Box<[(Box<str>, Value)]>);
 
 impl Attributes {
     /// The value of that name.
-    #[must_use]
     pub fn get(&self, name: &str) -> Option<&Value> {
         let at = self.0.binary_search_by(|(n, _)| (**n).cmp(name)).ok()?;
         self.0.get(at).map(|(_, value)| value)
@@ -28,25 +27,21 @@ impl Attributes {
     }
 
     /// How many there are.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.0.len()
     }
 
     /// Whether there are none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
     /// A copy as a map.
-    #[must_use]
     pub fn to_map(&self) -> BTreeMap<String, Value> {
         self.iter().map(|(name, value)| (name.to_owned(), value.clone())).collect()
     }
 
     /// A copy with one value added or replaced.
-    #[must_use]
     pub fn with(&self, name: &str, value: Value) -> Self {
         let mut map = self.to_map();
         map.insert(name.to_owned(), value);

@@ -11,8 +11,8 @@ use crate::place::{Region, distance, place_of};
 use crate::query::{Query, Times};
 
 /// Limits of a nearest-first selection: after so many snapshots, or bytes of them, only the nearest are kept.
-const LEFT: usize = 1024;
-const LEFT_BYTES: u64 = 16 << 20;
+const MIN_NEAREST: usize = 1024;
+const MIN_NEAREST_BYTES: u64 = 16 << 20;
 
 /// A checked query.
 #[derive(Clone, Debug)]
@@ -35,25 +35,21 @@ impl Query {
 
 impl CheckedQuery<'_> {
     /// The query.
-    #[must_use]
     pub fn query(&self) -> &Query {
         self.query
     }
 
     /// Whether an entity can be in the answer.
-    #[must_use]
     pub fn wants(&self, id: &EntityId) -> bool {
         self.query.pattern.matches(id) && self.query.after.as_ref().is_none_or(|after| after.id <= *id)
     }
 
     /// Whether the selection depends only on versions and referenced times.
-    #[must_use]
     pub fn is_plain(&self) -> bool {
         self.filter.is_none() && self.query.region.is_none() && self.query.arrived_since.is_none()
     }
 
     /// Selects from the snapshots of one entity that [`Self::wants`]. Input and output are in order of version.
-    #[must_use]
     pub fn select(&self, history: impl DoubleEndedIterator<Item = Arc<Snapshot>>) -> Vec<Arc<Snapshot>> {
         let query = self.query;
         let limit = query.limit.unwrap_or(usize::MAX);
@@ -66,7 +62,7 @@ impl CheckedQuery<'_> {
         match query.times {
             _ if limit == 0 => Vec::new(),
             Times::Latest => {
-                let newest = history.next_back().filter(|s| self.is_told(s) && self.fits(s));
+                let newest = history.next_back().filter(|s| self.may_answer(s) && self.fits(s));
                 newest.into_iter().collect()
             }
             Times::All => newest(&mut history.rev()),
@@ -78,20 +74,32 @@ impl CheckedQuery<'_> {
             }
             Times::Index(from, to) => {
                 let held: Vec<_> = history.collect();
-                newest(&mut held.get(places(from, to, held.len())).unwrap_or_default().iter().rev().cloned())
+                newest(
+                    &mut held
+                        .get(index_range(from, to, held.len()))
+                        .unwrap_or_default()
+                        .iter()
+                        .rev()
+                        .cloned(),
+                )
             }
-            Times::At(time) => self.held(history, |s| s.referenced_ns <= time),
-            Times::Before(time) => self.held(history, |s| s.referenced_ns < time),
+            Times::At(time) => self.state_at(history, |s| s.referenced_ns <= time),
+            Times::Before(time) => self.state_at(history, |s| s.referenced_ns < time),
         }
     }
 
     /// An empty answer.
     pub(crate) fn answer(&self) -> Selection<'_> {
-        Selection { asked: self, found: Vec::new(), bytes: 0, left: LEFT, left_bytes: LEFT_BYTES }
+        Selection {
+            asked: self,
+            found: Vec::new(),
+            bytes: 0,
+            left: MIN_NEAREST,
+            left_bytes: MIN_NEAREST_BYTES,
+        }
     }
 
     /// Completes the answer: sorts the nearest by distance and applies the bounds. `found`: in order of address.
-    #[must_use]
     pub fn finish(&self, mut found: Vec<Arc<Snapshot>>) -> Vec<Arc<Snapshot>> {
         if let Some(Region::Nearest { to, count, .. }) = &self.query.region {
             let far = |s: &Snapshot| place_of(s).map_or(f64::INFINITY, |(_, place)| distance(to, &place));
@@ -114,7 +122,7 @@ impl CheckedQuery<'_> {
     }
 
     /// Whether a snapshot may be the answer where the query takes one per entity.
-    fn is_told(&self, snapshot: &Snapshot) -> bool {
+    fn may_answer(&self, snapshot: &Snapshot) -> bool {
         self.query.removed || !snapshot.is_removed()
     }
 
@@ -130,13 +138,13 @@ impl CheckedQuery<'_> {
     }
 
     /// The snapshot with the latest referenced time among those for which `counts` is true, unless it is a removal.
-    fn held(
+    fn state_at(
         &self,
         history: impl Iterator<Item = Arc<Snapshot>>,
         counts: impl Fn(&Snapshot) -> bool,
     ) -> Vec<Arc<Snapshot>> {
         let held = history.filter(|s| counts(s)).max_by_key(|s| (s.referenced_ns, s.version));
-        held.filter(|s| self.is_told(s) && self.fits(s)).into_iter().collect()
+        held.filter(|s| self.may_answer(s) && self.fits(s)).into_iter().collect()
     }
 }
 
@@ -164,8 +172,8 @@ impl Selection<'_> {
         if self.left == 0 || self.left_bytes == 0 {
             self.found = self.asked.finish(std::mem::take(&mut self.found));
             // As many again, so that the cost of sorting per snapshot stays small.
-            self.left = self.found.len().max(LEFT);
-            self.left_bytes = self.found.iter().map(|s| s.bytes()).sum::<u64>().max(LEFT_BYTES);
+            self.left = self.found.len().max(MIN_NEAREST);
+            self.left_bytes = self.found.iter().map(|s| s.bytes()).sum::<u64>().max(MIN_NEAREST_BYTES);
         }
     }
 
@@ -187,7 +195,7 @@ impl Selection<'_> {
 }
 
 /// Converts two positions, both included, to a range in a list of `count`; negative ones count from the end.
-pub(crate) fn places(from: i64, to: i64, count: usize) -> std::ops::Range<usize> {
+pub(crate) fn index_range(from: i64, to: i64, count: usize) -> std::ops::Range<usize> {
     let count = i64::try_from(count).unwrap_or(i64::MAX);
     let place = |i: i64| if i < 0 { count.saturating_add(i) } else { i };
     let (from, to) = (place(from).max(0), place(to).min(count - 1));

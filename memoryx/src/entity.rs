@@ -19,7 +19,7 @@ use crate::attributes::Attributes;
 use crate::error::MemoryError;
 
 /// Longest name in an address, bytes.
-const LONGEST_NAME: usize = 200;
+const MAX_NAME_BYTES: usize = 200;
 
 /// The address of an entity: `core segment / provider / entity`, each a name without `/`, `*`, `#`, `?`, `$`.
 /// Ordered by core segment, then provider, then entity. Cheap to clone.
@@ -92,31 +92,26 @@ impl EntityId {
     }
 
     /// The core segment.
-    #[must_use]
     pub fn segment(&self) -> &str {
         &self.path[..usize::from(self.provider_at) - 1]
     }
 
     /// The provider segment.
-    #[must_use]
     pub fn provider(&self) -> &str {
         &self.path[usize::from(self.provider_at)..usize::from(self.entity_at) - 1]
     }
 
     /// The entity's own name.
-    #[must_use]
     pub fn entity(&self) -> &str {
         &self.path[usize::from(self.entity_at)..]
     }
 
     /// The whole address, `segment/provider/entity`.
-    #[must_use]
     pub fn as_str(&self) -> &str {
         &self.path
     }
 
     /// A reference to the entity for charts; `kind` is for instance `Motion` or `Object`.
-    #[must_use]
     pub fn reference(&self, kind: &str) -> Reference {
         Reference { kind: kind.into(), id: self.as_str().into() }
     }
@@ -127,7 +122,7 @@ impl EntityId {
 /// # Errors
 /// [`MemoryError::Name`] when it cannot.
 pub fn check_name(name: &str) -> Result<(), MemoryError> {
-    armarium_bus::keys::check_name(name).map_err(|error| MemoryError::Name { name: error.name })
+    Ok(armarium_bus::keys::check_name(name)?)
 }
 
 impl PartialEq for EntityId {
@@ -171,7 +166,7 @@ impl FromStr for EntityId {
             Some([segment, provider, entity])
         });
         let Some(names) = parts else {
-            return Err(MemoryError::Name { name: path.chars().take(LONGEST_NAME).collect() });
+            return Err(MemoryError::Name { name: path.chars().take(MAX_NAME_BYTES).collect() });
         };
         // A third slash would belong to the entity's name, where it is not allowed.
         names.iter().try_for_each(|name| check_name(name))?;
@@ -227,7 +222,6 @@ impl fmt::Debug for EntityId {
 
 impl Instance {
     /// An instance with confidence 1.
-    #[must_use]
     pub fn new(attributes: impl Into<Attributes>) -> Self {
         Self { attributes: attributes.into(), confidence: 1.0, covariance: BTreeMap::new() }
     }
@@ -249,13 +243,11 @@ impl Instance {
 
 impl Commit {
     /// One hypothesis with confidence 1 and no expected version.
-    #[must_use]
     pub fn new(id: EntityId, referenced_ns: u64, attributes: impl Into<Attributes>) -> Self {
         Self { id, referenced_ns, instances: vec![Instance::new(attributes)], expected_version: None }
     }
 
     /// Removes the entity, as of `referenced_ns`.
-    #[must_use]
     pub fn removal(id: EntityId, referenced_ns: u64) -> Self {
         Self { id, referenced_ns, instances: Vec::new(), expected_version: None }
     }
@@ -279,19 +271,16 @@ impl Commit {
 
 impl Snapshot {
     /// The hypothesis with the highest confidence; `None` for a removal.
-    #[must_use]
     pub fn instance(&self) -> Option<&Instance> {
         self.instances.first()
     }
 
     /// An attribute of the hypothesis with the highest confidence.
-    #[must_use]
     pub fn attribute(&self, name: &str) -> Option<&Value> {
         self.instance()?.attributes.get(name)
     }
 
     /// Whether this snapshot is a removal.
-    #[must_use]
     pub fn is_removed(&self) -> bool {
         self.instances.is_empty()
     }

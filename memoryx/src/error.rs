@@ -4,6 +4,12 @@
 
 use serde::{Deserialize, Serialize};
 
+impl From<armarium_bus::KeyError> for MemoryError {
+    fn from(error: armarium_bus::KeyError) -> Self {
+        Self::Name { name: error.name }
+    }
+}
+
 /// Why a memory refused.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 #[serde(rename_all = "snake_case")]

@@ -6,7 +6,7 @@
 
 use std::cell::RefCell;
 
-use armarium_values::expr::{Environment, Expr, Slot, Unknown, Unresolved, Variable, World};
+use armarium_values::expr::{Environment, EvalContext, Expr, Slot, Unknown, Unresolved, Variable};
 use armarium_values::{Type, Value};
 
 use crate::entity::Snapshot;
@@ -34,7 +34,7 @@ enum Name {
 }
 
 impl Name {
-    const OWN: [(&'static str, Self); 9] = [
+    const BUILT_IN: [(&'static str, Self); 9] = [
         ("id", Self::Id),
         ("segment", Self::Segment),
         ("provider", Self::Provider),
@@ -51,7 +51,7 @@ impl Name {
         match path {
             ["attributes", name, ..] => Some((Self::Attribute((*name).to_owned()), 2)),
             [name, ..] => {
-                let own = Self::OWN.into_iter().find(|(n, _)| n == name).map(|(_, own)| own);
+                let own = Self::BUILT_IN.into_iter().find(|(n, _)| n == name).map(|(_, own)| own);
                 Some((own.unwrap_or_else(|| Self::Attribute((*name).to_owned())), 1))
             }
             [] => None,
@@ -89,7 +89,7 @@ struct Names(RefCell<Vec<Name>>);
 
 impl Environment for Names {
     fn variable(&self, path: &[&str]) -> Result<Variable, Unresolved> {
-        let missing = || Unresolved { kind: Unknown::Name, message: "a name is missing".into(), help: None };
+        let missing = || Unresolved::new(Unknown::Name, "a name is missing".into(), None, None);
         let (name, used) = Name::of(path).ok_or_else(missing)?;
         let ty = name.ty();
         let mut names = self.0.borrow_mut();
@@ -103,22 +103,22 @@ impl Environment for Names {
 
     fn channel(&self, name: &str) -> Result<u32, Unresolved> {
         let message = format!("`{name}` is a channel, and memory has none");
-        Err(Unresolved { kind: Unknown::Channel, message, help: None })
+        Err(Unresolved::new(Unknown::Channel, message, None, None))
     }
 
     fn state(&self, path: &str) -> Result<u32, Unresolved> {
         let message = format!("`{path}` is a state, and memory has none");
-        Err(Unresolved { kind: Unknown::State, message, help: None })
+        Err(Unresolved::new(Unknown::State, message, None, None))
     }
 }
 
-struct Seen<'a> {
+struct SnapshotContext<'a> {
     filter: &'a Filter,
     snapshot: &'a Snapshot,
     own: Vec<Option<Value>>,
 }
 
-impl World for Seen<'_> {
+impl EvalContext for SnapshotContext<'_> {
     fn data(&self, slot: u32) -> Option<&Value> {
         let at = usize::try_from(slot).ok()?;
         match self.filter.names.get(at)? {
@@ -165,10 +165,9 @@ impl Filter {
     }
 
     /// Whether a snapshot matches.
-    #[must_use]
     pub fn fits(&self, snapshot: &Snapshot) -> bool {
         let own = self.names.iter().map(|name| name.value(snapshot)).collect();
-        self.expression.test(&Seen { filter: self, snapshot, own }).unwrap_or(false)
+        self.expression.test(&SnapshotContext { filter: self, snapshot, own }).unwrap_or(false)
     }
 }
 

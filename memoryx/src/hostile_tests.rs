@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use armarium_bus::session::Answer;
+use armarium_bus::session::Reply;
 use armarium_bus::{Session, SessionConfig, keys};
 use armarium_values::Value;
 
@@ -36,8 +36,8 @@ async fn nonsense_is_refused_in_words_and_others_are_served() {
         ("application/cbor;memoryx/query;v1".to_owned(), b"\x01".to_vec(), "does not fit"),
         ("application/cbor;memoryx/maintain;v1".to_owned(), b"\x66verify".to_vec(), "--store"),
     ] {
-        let answer = near.ask_one(&key, "", Some((&encoding, payload))).await.unwrap();
-        let Answer::Refusal { encoding, payload } = answer else { panic!("{words}: was taken") };
+        let answer = near.query_one(&key, "", Some((&encoding, payload))).await.unwrap();
+        let Reply::Refusal { encoding, payload } = answer else { panic!("{words}: was taken") };
         let error = wire::open::<MemoryError>(&encoding, &payload).unwrap().to_string();
         assert!(error.contains(words), "{error} does not say: {words}");
     }

@@ -18,7 +18,6 @@
 mod agent;
 mod attributes;
 mod checked_query;
-pub mod conformance;
 mod entity;
 mod error;
 mod filter;
@@ -46,7 +45,7 @@ pub use entity::{Commit, EntityId, Instance, Snapshot, check_name};
 pub use error::MemoryError;
 pub use filter::Filter;
 pub use follow::{Change, Follower, LastSeen};
-pub use infer::{Attached, Conclusion, Inference, SpatialRelations, UsualPlaces};
+pub use infer::{Conclusion, Inference, RunningInference, SpatialRelations, UsualPlaces};
 pub use memory::{Memory, Pages, modify, pages};
 pub use observer::{Condition, MemoryEvent, Observer};
 pub use place::{Region, distance, place_of};
@@ -54,17 +53,19 @@ pub use prior::{GraspPose, ObjectClass, PriorKnowledge, Recognition};
 pub use query::{Cursor, Pattern, Query, Times};
 pub use remote::RemoteMemory;
 pub use schema::{Attribute, SegmentSchema, core_segments};
-pub use server::MemoryServer;
-pub use share::{FollowSettings, FollowedAgent, Followee, Following, FollowingAgent, agent_stands};
+pub use server::{MemoryServer, ServerOptions};
+pub use share::{FollowSettings, FollowedAgent, Followee, Following, FollowingAgent, agent_pose_update};
 pub use store::{
-    Coding, Consolidator, Dropped, LongTermMemory, Named, Numbering, Policies, Policy, Retention, Step,
-    StoreError, StoreStats, Verification,
+    Coding, Consolidator, Dropped, LongTermMemory, NamedSnapshot, Policies, Policy, Retention, StoreError,
+    StoreStats, Verification,
 };
-pub use working::{Backing, Clock, Kept, Limits, WorkingMemory, tokio_clock};
+pub use working::{Archive, Backing, Clock, Limits, WorkingMemory, tokio_clock};
 
+#[cfg(test)]
+mod conformance_tests;
 #[cfg(test)]
 mod hostile_tests;
 #[cfg(test)]
-mod line;
+mod proxy;
 #[cfg(test)]
 mod working_tests;

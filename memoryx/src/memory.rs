@@ -12,10 +12,10 @@ use tokio::sync::broadcast;
 
 use crate::entity::{Commit, EntityId, Instance, Snapshot};
 use crate::error::MemoryError;
-use crate::query::{Cursor, Query};
+use crate::query::{Cursor, Pattern, Query};
 
 /// How often [`modify`] tries before it reports the conflict.
-const MODIFY_TRIES: u32 = 64;
+const MAX_TRIES: u32 = 64;
 
 /// A memory as skills and processes see it: in this process, on disk, or another agent's.
 #[async_trait]
@@ -31,12 +31,17 @@ pub trait Memory: Send + Sync {
     ///
     /// # Errors
     /// [`MemoryError::NotFound`] when there is none.
-    async fn latest(&self, id: &EntityId) -> Result<Arc<Snapshot>, MemoryError>;
+    async fn latest(&self, id: &EntityId) -> Result<Arc<Snapshot>, MemoryError> {
+        let found = self.query(&Query::latest(Pattern::entity(id))).await?.pop();
+        found.ok_or_else(|| MemoryError::NotFound { id: id.to_string() })
+    }
     /// The newest snapshots of all entities of a core segment, ordered by address.
     ///
     /// # Errors
     /// [`MemoryError::Store`] when the memory cannot be read.
-    async fn segment(&self, segment: &str) -> Result<Vec<Arc<Snapshot>>, MemoryError>;
+    async fn segment(&self, segment: &str) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
+        self.query(&Query::latest(Pattern::segment(segment))).await
+    }
     /// The snapshots that match a query, ordered by address, then version; the nearest ones by distance. [`pages`]
     /// reads a long answer piece by piece.
     ///
@@ -48,13 +53,13 @@ pub trait Memory: Send + Sync {
     fn subscribe(&self) -> broadcast::Receiver<Arc<Snapshot>>;
     /// The arrival time, ns, before which subscribers have received everything. `None` where they receive all changes
     /// in the order of arrival, so that each change gives this time itself.
-    fn told_until(&self) -> Option<u64> {
+    fn complete_until(&self) -> Option<u64> {
         None
     }
 }
 
 /// Most bytes of snapshots in a piece, about.
-const PIECE_BYTES: u64 = 16 << 20;
+const MAX_PAGE_BYTES: u64 = 16 << 20;
 
 /// Reads a long answer in pieces of at most `size` snapshots and a bounded number of bytes.
 #[derive(Clone, Debug)]
@@ -65,9 +70,8 @@ pub struct Pages {
 
 /// The answer to `query` in pieces of at most `size` snapshots. Commits meanwhile may appear in later pieces. No
 /// snapshot is returned twice, and none that stays is left out.
-#[must_use]
 pub fn pages(query: Query, size: usize) -> Pages {
-    let bytes = query.most_bytes.unwrap_or(PIECE_BYTES);
+    let bytes = query.most_bytes.unwrap_or(MAX_PAGE_BYTES);
     Pages { query: Query { most: Some(size.max(1)), most_bytes: Some(bytes), ..query }, left: true }
 }
 
@@ -124,7 +128,7 @@ where
         tries += 1;
         match memory.commit(vec![update]).await {
             Ok(versions) => return Ok(versions.first().copied().unwrap_or(version + 1)),
-            Err(MemoryError::Conflict { .. }) if tries < MODIFY_TRIES => tokio::task::yield_now().await,
+            Err(MemoryError::Conflict { .. }) if tries < MAX_TRIES => tokio::task::yield_now().await,
             Err(error) => return Err(error),
         }
     }

@@ -50,26 +50,26 @@ pub struct MemoryEvent {
 /// Turns changes of a memory into events.
 pub struct Observer {
     follower: Follower,
-    conditions: Vec<Watched>,
+    conditions: Vec<WatchedCondition>,
     /// Whether each entity exists now.
     there: BTreeMap<EntityId, bool>,
     ready: VecDeque<MemoryEvent>,
     missed: u64,
 }
 
-struct Watched {
+struct WatchedCondition {
     name: String,
     pattern: Pattern,
     condition: Condition,
     filter: Option<Filter>,
     /// The position of each entity at its last event.
-    places: BTreeMap<EntityId, Place>,
+    places: BTreeMap<EntityId, FramedPosition>,
     /// The entities for which the expression holds.
     held: BTreeSet<EntityId>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
-struct Place {
+struct FramedPosition {
     frame: Frame,
     position: [f64; 3],
 }
@@ -98,7 +98,14 @@ impl Observer {
             _ => None,
         };
         let (places, held) = (BTreeMap::new(), BTreeSet::new());
-        self.conditions.push(Watched { name: name.into(), pattern, condition, filter, places, held });
+        self.conditions.push(WatchedCondition {
+            name: name.into(),
+            pattern,
+            condition,
+            filter,
+            places,
+            held,
+        });
         Ok(self)
     }
 
@@ -131,7 +138,6 @@ impl Observer {
     }
 
     /// How many snapshots the memory had forgotten before the observer read them.
-    #[must_use]
     pub fn missed(&self) -> u64 {
         self.missed
     }
@@ -148,7 +154,7 @@ impl Observer {
     }
 }
 
-impl Watched {
+impl WatchedCondition {
     fn fires(&mut self, snapshot: &Snapshot, was_there: bool) -> bool {
         let is_there = !snapshot.is_removed();
         match &self.condition {
@@ -189,8 +195,8 @@ impl Watched {
     }
 }
 
-fn place(snapshot: &Snapshot) -> Option<Place> {
-    place_of(snapshot).map(|(frame, position)| Place { frame: frame.clone(), position })
+fn place(snapshot: &Snapshot) -> Option<FramedPosition> {
+    place_of(snapshot).map(|(frame, position)| FramedPosition { frame: frame.clone(), position })
 }
 
 #[cfg(test)]

@@ -41,7 +41,6 @@ pub enum Region {
 
 /// The position of an entity, from `pose` or else `position`, m. `None` when it has neither, or a number is not
 /// finite.
-#[must_use]
 pub fn place_of(snapshot: &Snapshot) -> Option<(&Frame, [f64; 3])> {
     let (frame, position) = match snapshot.attribute("pose").or_else(|| snapshot.attribute("position"))? {
         Value::Pose(pose) => (&pose.frame, pose.position),
@@ -52,14 +51,12 @@ pub fn place_of(snapshot: &Snapshot) -> Option<(&Frame, [f64; 3])> {
 }
 
 /// The distance of two points, m.
-#[must_use]
 pub fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
 impl Region {
     /// The region's frame.
-    #[must_use]
     pub fn frame(&self) -> &Frame {
         match self {
             Self::Box { frame, .. } | Self::Within { frame, .. } | Self::Nearest { frame, .. } => frame,
@@ -68,7 +65,6 @@ impl Region {
 
     /// Whether a snapshot's position is in the region; for [`Region::Nearest`], whether it has a position in the
     /// frame.
-    #[must_use]
     pub fn holds(&self, snapshot: &Snapshot) -> bool {
         let Some((frame, position)) = place_of(snapshot) else { return false };
         frame == self.frame()

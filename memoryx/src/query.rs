@@ -81,19 +81,16 @@ pub struct Query {
 
 impl Pattern {
     /// Every entity.
-    #[must_use]
     pub fn any() -> Self {
         Self::default()
     }
 
     /// Every entity of a core segment.
-    #[must_use]
     pub fn segment(segment: &str) -> Self {
         Self { segment: Some(segment.into()), ..Self::default() }
     }
 
     /// One entity.
-    #[must_use]
     pub fn entity(id: &EntityId) -> Self {
         Self {
             segment: Some(id.segment().into()),
@@ -117,7 +114,6 @@ impl Pattern {
     }
 
     /// The one entity that it can match, if it names one.
-    #[must_use]
     pub fn exact(&self) -> Option<EntityId> {
         let (Some(s), Some(p), Some(e)) = (self.exact_segment(), &self.provider, &self.entity) else {
             return None;
@@ -126,13 +122,11 @@ impl Pattern {
     }
 
     /// The one core segment that it can match, if it names one.
-    #[must_use]
     pub fn exact_segment(&self) -> Option<&str> {
         self.segment.as_deref().filter(|name| !name.contains('*'))
     }
 
     /// Whether an address matches.
-    #[must_use]
     pub fn matches(&self, id: &EntityId) -> bool {
         let fits = |wanted: &Option<String>, name: &str| {
             wanted.as_ref().is_none_or(|w| if w.contains('*') { fits_stars(w, name) } else { w == name })
@@ -145,13 +139,11 @@ impl Pattern {
 
 impl Query {
     /// The newest snapshots of the entities that match.
-    #[must_use]
     pub fn latest(pattern: Pattern) -> Self {
         Self { pattern, ..Self::default() }
     }
 
     /// All snapshots that the memory has of the entities that match.
-    #[must_use]
     pub fn history(pattern: Pattern) -> Self {
         Self { pattern, times: Times::All, ..Self::default() }
     }
@@ -192,14 +184,12 @@ impl Query {
     }
 
     /// Whether it asks for the nearest entities; its answer is ordered by distance.
-    #[must_use]
     pub fn is_nearest(&self) -> bool {
         matches!(self.region, Some(Region::Nearest { .. }))
     }
 
     /// Whether an answer has reached the query's bounds, so that there may be more: a query with [`Self::after`] its
     /// last snapshot returns the rest.
-    #[must_use]
     pub fn is_filled_by(&self, answer: &[Arc<Snapshot>]) -> bool {
         let is_long = |most: u64| {
             let mut bytes = 0;

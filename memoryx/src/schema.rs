@@ -9,9 +9,9 @@ use crate::entity::{EntityId, Instance};
 use crate::error::MemoryError;
 
 /// Deepest nesting of an attribute's value; the codec can read this back.
-const DEEPEST: usize = 16;
+const MAX_DEPTH: usize = 16;
 /// Largest deviation of a unit quaternion's norm from 1: enough for numbers written with three digits.
-const UNIT: f64 = 1e-3;
+const UNIT_NORM_TOLERANCE: f64 = 1e-3;
 
 /// One attribute of a typed core segment.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,7 +39,6 @@ pub struct SegmentSchema {
 
 impl SegmentSchema {
     /// A core segment without checked attributes.
-    #[must_use]
     pub fn new(segment: &str, description: &str) -> Self {
         Self { segment: segment.into(), description: description.into(), attributes: Vec::new() }
     }
@@ -128,9 +127,8 @@ fn misfit(ty: &Type, value: &Value) -> Option<Misfit> {
             .then(|| Misfit::here(format!("is `{word}`, not one of {}", words.join(", ")))),
         (Type::Vector, Value::Vector(v)) => finite(&v.components),
         (Type::Pose, Value::Pose(p)) => {
-            let length = p.orientation.iter().map(|q| q * q).sum::<f64>().sqrt();
             finite(&p.position).or_else(|| finite(&p.orientation)).or_else(|| {
-                ((length - 1.0).abs() > 1e-3)
+                (!is_unit(&p.orientation))
                     .then(|| Misfit::here("has an orientation that is not a unit quaternion".into()))
             })
         }
@@ -155,7 +153,7 @@ pub(crate) fn check_form(id: &EntityId, instance: &Instance) -> Result<(), Memor
     if let Some((name, _)) = instance.attributes.iter().find(|(_, value)| too_deep(value)) {
         return refused(name, "is nested too deep");
     }
-    if let Some((name, _)) = instance.attributes.iter().find(|(_, value)| turns_nowhere(value)) {
+    if let Some((name, _)) = instance.attributes.iter().find(|(_, value)| has_bad_orientation(value)) {
         return refused(name, "has a pose whose orientation is no unit quaternion");
     }
     for (name, covariance) in &instance.covariance {
@@ -192,15 +190,17 @@ fn is_covariance(rows: &[f64], size: usize) -> bool {
     })
 }
 
+fn is_unit(quaternion: &[f64; 4]) -> bool {
+    let norm = quaternion.iter().map(|x| x * x).sum::<f64>().sqrt();
+    (norm - 1.0).abs() <= UNIT_NORM_TOLERANCE
+}
+
 /// Whether a value contains a pose whose orientation is not a unit quaternion. The value must not be nested too deep.
-fn turns_nowhere(value: &Value) -> bool {
+fn has_bad_orientation(value: &Value) -> bool {
     match value {
-        Value::Pose(pose) => {
-            let norm = pose.orientation.iter().map(|x| x * x).sum::<f64>().sqrt();
-            norm.is_nan() || (norm - 1.0).abs() > UNIT
-        }
-        Value::List(items) => items.iter().any(turns_nowhere),
-        Value::Map(fields) => fields.values().any(turns_nowhere),
+        Value::Pose(pose) => !is_unit(&pose.orientation),
+        Value::List(items) => items.iter().any(has_bad_orientation),
+        Value::Map(fields) => fields.values().any(has_bad_orientation),
         _ => false,
     }
 }
@@ -215,11 +215,10 @@ pub(crate) fn too_deep(value: &Value) -> bool {
                 _ => false,
             }
     }
-    deeper(value, DEEPEST)
+    deeper(value, MAX_DEPTH)
 }
 
 /// The typed core segments that every working memory has, by name.
-#[must_use]
 pub fn core_segments() -> BTreeMap<String, SegmentSchema> {
     let numbers = || Type::list(Type::FLOAT);
     let metres = || Type::quantity(Unit::M);
@@ -348,7 +347,7 @@ mod tests {
     #[test]
     fn depth_is_bounded() {
         let nested = |n| (0..n).fold(Value::Null, |v, _| Value::List(vec![v]));
-        assert!(!too_deep(&nested(DEEPEST - 1)));
-        assert!(too_deep(&nested(DEEPEST)));
+        assert!(!too_deep(&nested(MAX_DEPTH - 1)));
+        assert!(too_deep(&nested(MAX_DEPTH)));
     }
 }

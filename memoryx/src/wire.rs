@@ -17,7 +17,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use armarium_bus::{Bounds, CodecError, Key, KeyPattern, Payload, Schema, keys};
+use armarium_bus::{Bounds, CodecError, Key, KeyPattern, Payload, keys};
 use serde::{Deserialize, Serialize};
 
 use crate::entity::{Commit, Snapshot};
@@ -25,9 +25,9 @@ use crate::error::MemoryError;
 use crate::query::{Pattern, Query, Times};
 
 /// Most snapshots in one answer.
-pub(crate) const MOST_SNAPSHOTS: usize = 8192;
+pub(crate) const MAX_SNAPSHOTS: usize = 8192;
 /// Most bytes of snapshots in one message, about; a single larger one is sent alone.
-pub(crate) const MOST_BYTES: u64 = 4 << 20;
+pub(crate) const MAX_BYTES: u64 = 4 << 20;
 
 /// Updates that are committed all or none.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -117,43 +117,25 @@ pub struct Report {
     pub words: Vec<String>,
 }
 
-impl Payload for CommitRequest {
-    const SCHEMA: Schema = Schema::new("memoryx/commit", 1);
-}
-impl Payload for Versions {
-    const SCHEMA: Schema = Schema::new("memoryx/versions", 1);
-}
-impl Payload for Query {
-    const SCHEMA: Schema = Schema::new("memoryx/query", 1);
-}
-impl Payload for Snapshots {
-    const SCHEMA: Schema = Schema::new("memoryx/snapshots", 2);
-}
-impl Payload for Changes {
-    const SCHEMA: Schema = Schema::new("memoryx/changes", 1);
-}
-impl Payload for Maintain {
-    const SCHEMA: Schema = Schema::new("memoryx/maintain", 1);
-}
-impl Payload for Report {
-    const SCHEMA: Schema = Schema::new("memoryx/report", 1);
-}
-impl Payload for Snapshot {
-    const SCHEMA: Schema = Schema::new("memoryx/entity", 1);
-}
-impl Payload for Commit {
-    const SCHEMA: Schema = Schema::new("memoryx/update", 1);
-}
-impl Payload for MemoryError {
-    const SCHEMA: Schema = Schema::new("memoryx/error", 1);
+armarium_bus::payloads! {
+    CommitRequest: "memoryx/commit", 1;
+    Versions: "memoryx/versions", 1;
+    Query: "memoryx/query", 1;
+    Snapshots: "memoryx/snapshots", 2;
+    Changes: "memoryx/changes", 1;
+    Maintain: "memoryx/maintain", 1;
+    Report: "memoryx/report", 1;
+    Snapshot: "memoryx/entity", 1;
+    Commit: "memoryx/update", 1;
+    MemoryError: "memoryx/error", 1;
 }
 
 /// How many snapshots from the start fit into one message; at least one.
 pub(crate) fn in_one_answer(snapshots: &[Arc<Snapshot>]) -> usize {
     let mut bytes = 0;
-    let fits = snapshots.iter().take(MOST_SNAPSHOTS).take_while(|snapshot| {
+    let fits = snapshots.iter().take(MAX_SNAPSHOTS).take_while(|snapshot| {
         bytes += snapshot.bytes();
-        bytes <= MOST_BYTES
+        bytes <= MAX_BYTES
     });
     fits.count().max(1).min(snapshots.len())
 }
@@ -187,10 +169,11 @@ pub(crate) fn every_entity(agent: &str) -> Result<KeyPattern, armarium_bus::KeyE
 }
 
 /// The query of a get on entities.
-pub(crate) fn query_of_get(key: &str, parameters: &str) -> Result<Query, String> {
+pub(crate) fn query_of_get(key: &str, parameters: &str) -> Result<Query, MemoryError> {
+    let wrong = |what: String| MemoryError::Query { what };
     let parts: Vec<&str> = key.split('/').collect();
     let [_, "memory", segment, provider, entity] = parts[..] else {
-        return Err(format!("`{key}` is no key of entities"));
+        return Err(wrong(format!("`{key}` is no key of entities")));
     };
     let part = |name: &str| (name != "*" && name != "**").then(|| name.to_owned());
     let pattern = Pattern { segment: part(segment), provider: part(provider), entity: part(entity) };
@@ -198,15 +181,17 @@ pub(crate) fn query_of_get(key: &str, parameters: &str) -> Result<Query, String>
     let (mut from, mut to) = (None, None);
     for parameter in parameters.split(';').filter(|p| !p.is_empty()) {
         let (name, value) = parameter.split_once('=').unwrap_or((parameter, ""));
-        let number = || value.parse::<u64>().map_err(|_| format!("`{parameter}` needs a whole number"));
+        let number =
+            || value.parse::<u64>().map_err(|_| wrong(format!("`{parameter}` needs a whole number")));
         match name {
             "latest" => query.times = Times::Latest,
             "history" => query.times = Times::All,
             "at" => query.times = Times::At(number()?),
             "index" => {
                 let (first, last) = value.split_once(',').unwrap_or((value, value));
-                let place =
-                    |n: &str| n.parse::<i64>().map_err(|_| format!("`{parameter}` needs whole numbers"));
+                let place = |n: &str| {
+                    n.parse::<i64>().map_err(|_| wrong(format!("`{parameter}` needs whole numbers")))
+                };
                 query.times = Times::Index(place(first)?, place(last)?);
             }
             "filter" => query.filter = Some(value.to_owned()),
@@ -215,7 +200,7 @@ pub(crate) fn query_of_get(key: &str, parameters: &str) -> Result<Query, String>
             "from" => from = Some(number()?),
             "to" => to = Some(number()?),
             "limit" => query.limit = Some(usize::try_from(number()?).unwrap_or(usize::MAX)),
-            _ => return Err(format!("`{name}` is no parameter of a get on memory")),
+            _ => return Err(wrong(format!("`{name}` is no parameter of a get on memory"))),
         }
     }
     if from.is_some() || to.is_some() {

@@ -9,7 +9,8 @@ use std::sync::Arc;
 use armarium_bus::{Access, Session, SessionConfig, Tls};
 use armarium_memoryx::wire::Maintain;
 use armarium_memoryx::{
-    Commit, EntityId, Memory, MemoryError, MemoryServer, Pattern, Query, RemoteMemory, WorkingMemory,
+    Commit, EntityId, Memory, MemoryError, MemoryServer, Pattern, Query, RemoteMemory, ServerOptions,
+    WorkingMemory,
 };
 use armarium_values::Value;
 use rcgen::{BasicConstraints, CertificateParams, DnType, IsCa, Issuer, KeyPair};
@@ -78,7 +79,8 @@ async fn an_agent_writes_only_its_own_segments_and_a_stranger_reads_nothing() {
     let memory = Arc::new(WorkingMemory::new(Arc::new(|| 1)));
     memory.commit_now(commit("alice", "cup")).unwrap();
     let shared = Arc::clone(&memory);
-    let _server = MemoryServer::start_guarded(&far, "alice", shared, None, true).await.unwrap();
+    let options = ServerOptions { guarded: true, store: None };
+    let _server = MemoryServer::start_with(&far, "alice", shared, options).await.unwrap();
     let endpoints = far.endpoints().await;
     let open = async |tls: Tls| {
         let config = SessionConfig { tls: Some(tls), ..SessionConfig::connected_to(&endpoints) };

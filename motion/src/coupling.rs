@@ -5,7 +5,6 @@
 //! [`crate::PotentialField`].
 
 use nalgebra::{SMatrix, SVector, Vector3};
-use serde::{Deserialize, Serialize};
 
 use crate::error::{MotionError, finite, size, vector, within};
 
@@ -47,22 +46,18 @@ pub fn joint_coupling<const M: usize>(
     Ok(())
 }
 
-/// Avoids an obstacle point by rotating the motion's velocity away from it.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ObstacleAvoidance {
-    /// Strength gamma, 1/s.
-    pub gamma: f64,
-    /// How fast the effect decreases with the angle between motion and obstacle, 1/rad.
-    pub beta: f64,
-    /// Distance over which it decreases, m; infinite for no decrease, as in the paper.
-    pub reach: f64,
-}
-
-impl Default for ObstacleAvoidance {
-    /// Hoffmann's constants.
-    fn default() -> Self {
-        Self { gamma: 1000.0, beta: 20.0 / std::f64::consts::PI, reach: f64::INFINITY }
+constants! {
+    /// Avoids an obstacle point by rotating the motion's velocity away from it.
+    ///
+    /// The defaults are Hoffmann's constants.
+    #[derive(Copy)]
+    pub struct ObstacleAvoidance {
+        /// Strength gamma, 1/s.
+        gamma: f64 = 1000.0;
+        /// How fast the effect decreases with the angle between motion and obstacle, 1/rad.
+        beta: f64 = 20.0 / std::f64::consts::PI;
+        /// Distance over which it decreases, m; infinite for no decrease, as in the paper.
+        reach: f64 = f64::INFINITY;
     }
 }
 
@@ -76,7 +71,6 @@ impl ObstacleAvoidance {
     /// Hoffmann, Pastor, Park and Schaal, "Biologically-inspired dynamical systems for movement generation", ICRA
     /// 2009: `gamma R v phi exp(-beta phi)` with R a rotation by 90 degrees about `(o - x) x v`; differs in:
     /// `exp(-|o - x| / reach)`.
-    #[must_use]
     pub fn coupling(&self, o: &Vector3<f64>, x: &Vector3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
         let towards = o - x;
         let axis = towards.cross(v);

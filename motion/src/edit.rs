@@ -16,7 +16,6 @@ pub struct MotionEdit {
 
 impl MotionEdit {
     /// An empty change, for primitives of the size of `dmp`.
-    #[must_use]
     pub fn none(dmp: &PeriodicDmp) -> Self {
         Self { weights: vec![0.0; dmp.weights().len()], centre: vec![0.0; dmp.dofs()], empty: true }
     }
@@ -69,7 +68,6 @@ impl MotionEdit {
     }
 
     /// Whether all differences are zero.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.empty
     }

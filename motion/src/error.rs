@@ -70,12 +70,12 @@ pub(crate) fn finite(what: &'static str, values: &[f64]) -> Result<(), MotionErr
 }
 
 /// The largest accepted magnitude; with larger numbers, products would overflow.
-pub(crate) const LARGEST: f64 = 1e60;
+pub(crate) const MAX_MAGNITUDE: f64 = 1e60;
 
-/// Checks the length, and that all values are finite and not larger than [`LARGEST`].
+/// Checks the length, and that all values are finite and not larger than [`MAX_MAGNITUDE`].
 pub(crate) fn vector(what: &'static str, expected: usize, values: &[f64]) -> Result<(), MotionError> {
     size(what, expected, values.len())?;
-    values.iter().try_for_each(|v| within(what, *v, -LARGEST, LARGEST))
+    values.iter().try_for_each(|v| within(what, *v, -MAX_MAGNITUDE, MAX_MAGNITUDE))
 }
 
 /// Checks that a value is finite and within `low..=high`.
@@ -102,7 +102,7 @@ pub(crate) fn sample_time(value: f64) -> Result<(), MotionError> {
 
 /// Checks a frequency, rad/s, that is used as divisor.
 pub(crate) fn frequency(what: &'static str, value: f64) -> Result<(), MotionError> {
-    within(what, value, 1e-9, LARGEST)
+    within(what, value, 1e-9, MAX_MAGNITUDE)
 }
 
 /// Checks the width h of `count` kernels over one period: positive, and not so narrow that there is a gap between

@@ -7,33 +7,27 @@
 use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::Vector3;
-use serde::{Deserialize, Serialize};
 
-/// The constants of (14)-(16).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct PotentialField {
-    /// Scale gamma of the coupling.
-    pub gamma: f64,
-    /// Steepness eta of the edge of the field, 1/m.
-    pub eta: f64,
-    /// Distance r_m at which the field has half its strength, m.
-    pub r_m: f64,
-    /// How fast the field decreases with the angle between motion and coaching point, 1/rad; only its magnitude
-    /// counts.
-    pub beta: f64,
-}
-
-impl Default for PotentialField {
-    /// The paper's constants for the planar arm with links of 1 m (section III).
-    fn default() -> Self {
-        Self { gamma: 100.0, eta: 20.0, r_m: 0.35, beta: -8.0 / std::f64::consts::PI }
+constants! {
+    /// The constants of (14)-(16).
+    ///
+    /// The defaults are the paper's constants for the planar arm with links of 1 m (section III).
+    #[derive(Copy)]
+    pub struct PotentialField {
+        /// Scale gamma of the coupling.
+        gamma: f64 = 100.0;
+        /// Steepness eta of the edge of the field, 1/m.
+        eta: f64 = 20.0;
+        /// Distance r_m at which the field has half its strength, m.
+        r_m: f64 = 0.35;
+        /// How fast the field decreases with the angle between motion and coaching point, 1/rad; only its magnitude
+        /// counts.
+        beta: f64 = -8.0 / std::f64::consts::PI;
     }
 }
 
 impl PotentialField {
     /// s(distance) of (16), 0 to 1; `distance` m.
-    #[must_use]
     pub fn reach(&self, distance: f64) -> f64 {
         reach(self.eta, self.r_m, distance)
     }
@@ -44,7 +38,6 @@ impl PotentialField {
     /// # Source
     /// (14)-(16); differs in: the exponent is `-|beta| phi`, since with the printed negative beta the field would
     /// grow behind the hand; and where (15) is 0/0 (`o = x` or `v = 0`) the angle is pi/2.
-    #[must_use]
     pub fn strength(&self, o: &[f64], x: &[f64], v: &[f64]) -> f64 {
         let offset = |i: usize| o[i] - x[i];
         let n = o.len().min(x.len()).min(v.len());
@@ -84,7 +77,6 @@ pub struct CoachingCommand {
 ///
 /// # Source
 /// Eqs. (18), (20).
-#[must_use]
 pub fn pushing_hand(arm: &CoachArm, distance: f64) -> Option<CoachingCommand> {
     let d = (arm.wrist - arm.elbow).try_normalize(1e-9)?;
     Some(CoachingCommand { o: arm.wrist + distance * d, d })
@@ -94,14 +86,12 @@ pub fn pushing_hand(arm: &CoachArm, distance: f64) -> Option<CoachingCommand> {
 ///
 /// # Source
 /// Eqs. (19), (21).
-#[must_use]
 pub fn pulling_hand(arm: &CoachArm, distance: f64) -> Option<CoachingCommand> {
     let d = (arm.elbow - arm.wrist).try_normalize(1e-9)?;
     Some(CoachingCommand { o: arm.wrist - distance * d, d })
 }
 
 /// The command of the hand whose wrist is nearer to the end effector at `x` (m): the right pushes, the left pulls.
-#[must_use]
 pub fn nearer_hand(
     right: &CoachArm,
     left: &CoachArm,
@@ -115,28 +105,22 @@ pub fn nearer_hand(
     }
 }
 
-/// Slows the motion down as the coach's hand comes near.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct SlowDown {
-    /// At this distance or less, m, the motion is slowest.
-    pub near: f64,
-    /// From this distance on, m, the motion has the learned speed.
-    pub far: f64,
-    /// The frequency at `near` as a share of the learned one, 0 to 1.
-    pub slowest: f64,
-}
-
-impl Default for SlowDown {
-    fn default() -> Self {
-        Self { near: 0.20, far: 0.40, slowest: 0.55 }
+constants! {
+    /// Slows the motion down as the coach's hand comes near.
+    #[derive(Copy)]
+    pub struct SlowDown {
+        /// At this distance or less, m, the motion is slowest.
+        near: f64 = 0.20;
+        /// From this distance on, m, the motion has the learned speed.
+        far: f64 = 0.40;
+        /// The frequency at `near` as a share of the learned one, 0 to 1.
+        slowest: f64 = 0.55;
     }
 }
 
 impl SlowDown {
     /// The factor on the frequency for a hand `distance` m from the end effector: smooth, and 1 without a hand
     /// (infinite or NaN).
-    #[must_use]
     pub fn factor(&self, distance: f64) -> f64 {
         if !distance.is_finite() {
             return 1.0;

@@ -8,7 +8,7 @@ use crate::oscillator::{AdaptiveOscillator, OscillatorConfig};
 use crate::periodic::{PeriodicDmp, PeriodicDmpConfig};
 
 /// Longest time that is learned as one sample, s.
-const LONGEST_SAMPLE: f64 = 0.01;
+const MAX_SAMPLE_TIME: f64 = 0.01;
 
 /// Learns a periodic motion from samples of its position, at any sample rate.
 ///
@@ -24,8 +24,8 @@ pub struct Imitation {
     learned: f64,
     best_unexplained: f64,
     /// The result at the end of the last period, kept back until the next period confirms it.
-    pending: Kept,
-    kept: Kept,
+    pending: PeriodResult,
+    kept: PeriodResult,
     next_keep: f64,
     scratch: [Vec<f64>; 3],
 }
@@ -45,8 +45,8 @@ impl Imitation {
             starts: 0,
             learned: 0.0,
             best_unexplained: f64::INFINITY,
-            pending: Kept { primitive: dmp.clone(), hz: None },
-            kept: Kept { primitive: dmp.clone(), hz: None },
+            pending: PeriodResult { primitive: dmp.clone(), hz: None },
+            kept: PeriodResult { primitive: dmp.clone(), hz: None },
             next_keep: 1.0,
             scratch: [zeros.clone(), zeros.clone(), zeros],
             primitive: dmp,
@@ -98,7 +98,7 @@ impl Imitation {
         }
         // A gap longer than a period gives no more information than a period.
         let dt = dt.min(TAU / omega);
-        let pieces = (dt / LONGEST_SAMPLE).ceil().max(1.0);
+        let pieces = (dt / MAX_SAMPLE_TIME).ceil().max(1.0);
         let step = dt / pieces;
         let [y, dy, ddy] = &mut self.scratch;
         for k in (0..pieces as usize).rev() {
@@ -133,33 +133,28 @@ impl Imitation {
     }
 
     /// The oscillator.
-    #[must_use]
     pub fn oscillator(&self) -> &AdaptiveOscillator {
         &self.oscillator
     }
 
     /// The primitive as learned so far; empty while [`learning`](Self::learning) is false. Clone it to run it: its
     /// phase is the oscillator's.
-    #[must_use]
     pub fn primitive(&self) -> &PeriodicDmp {
         &self.primitive
     }
 
     /// Whether the frequency has settled, so that the motion is being learned.
-    #[must_use]
     pub fn learning(&self) -> bool {
         self.learning
     }
 
     /// Periods learned so far.
-    #[must_use]
     pub fn periods(&self) -> f64 {
         self.learned / TAU
     }
 
     /// The result: the primitive and its frequency, Hz, from the last period that was followed by a similar one.
     /// `None` before two periods were learned.
-    #[must_use]
     pub fn result(&self) -> Option<(&PeriodicDmp, f64)> {
         self.kept.hz.map(|hz| (&self.kept.primitive, hz))
     }
@@ -167,12 +162,12 @@ impl Imitation {
 
 /// A copy of the learned primitive with its frequency; invalid without a frequency.
 #[derive(Debug, Clone)]
-struct Kept {
+struct PeriodResult {
     primitive: PeriodicDmp,
     hz: Option<f64>,
 }
 
-impl Kept {
+impl PeriodResult {
     fn take_over(&mut self, primitive: &PeriodicDmp, hz: f64) {
         self.hz = Some(hz);
         self.primitive.take_over(primitive);

@@ -13,11 +13,15 @@
 //! Equation numbers refer to Petrič, Gams, Žlajpah, Ude and Morimoto, "Online approach for altering robot
 //! behaviors based on human in the loop coaching gestures", ICRA 2014, unless another paper is named.
 
+#[macro_use]
+mod constants;
+#[macro_use]
+mod dmp;
+
 mod coach;
 mod coupling;
 mod discrete;
 mod discrete_periodic;
-mod dmp;
 mod edit;
 mod error;
 mod field;

@@ -21,8 +21,13 @@ pub struct MotionDof {
 
 /// A learned periodic motion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Saved", into = "Saved")]
-pub struct Motion {
+#[serde(try_from = "MotionFields")]
+pub struct Motion(MotionFields);
+
+/// What a motion is made of, as it is stored.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MotionFields {
     name: String,
     version: u32,
     dofs: Vec<MotionDof>,
@@ -30,14 +35,25 @@ pub struct Motion {
     frequency_hz: f64,
     primitive: PeriodicDmp,
     workspace_centre: Vec<f64>,
+    #[serde(default)]
     learned_from: String,
+    #[serde(default)]
     surface: Option<SurfaceCorrection>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     orientation: Option<PeriodicOrientationDmp>,
+}
+
+impl TryFrom<MotionFields> for Motion {
+    type Error = MotionError;
+
+    fn try_from(fields: MotionFields) -> Result<Self, MotionError> {
+        Self(fields).checked()
+    }
 }
 
 impl Motion {
     /// Version 1 of the motion `name`: `primitive` at `frequency_hz`, its `dofs` in `frame`. The centre of the
-    /// workspace is the primitive's centre, unless [`with_workspace_centre`](Self::with_workspace_centre) sets it.
+    /// workspace is the primitive's centre.
     ///
     /// # Errors
     /// When the name is empty, the number of `dofs` is not that of the primitive, or the frequency not positive.
@@ -49,7 +65,7 @@ impl Motion {
         primitive: PeriodicDmp,
     ) -> Result<Self, MotionError> {
         let workspace_centre = primitive.centre().to_vec();
-        let motion = Self {
+        let motion = Self(MotionFields {
             name: name.into(),
             version: 1,
             dofs,
@@ -60,7 +76,7 @@ impl Motion {
             learned_from: String::new(),
             surface: None,
             orientation: None,
-        };
+        });
         motion.checked()
     }
 
@@ -79,42 +95,33 @@ impl Motion {
     }
 
     fn checked(self) -> Result<Self, MotionError> {
-        if self.name.is_empty() {
+        if self.0.name.is_empty() {
             return Err(MotionError::Degenerate { what: "name", why: "it is empty" });
         }
-        positive("frequency_hz", self.frequency_hz)?;
-        size("dofs", self.primitive.dofs(), self.dofs.len())?;
-        vector("workspace_centre", self.primitive.dofs(), &self.workspace_centre)?;
+        positive("frequency_hz", self.0.frequency_hz)?;
+        size("dofs", self.0.primitive.dofs(), self.0.dofs.len())?;
+        vector("workspace_centre", self.0.primitive.dofs(), &self.0.workspace_centre)?;
         Ok(self)
-    }
-
-    /// The same with a centre of the workspace, one value per degree of freedom.
-    ///
-    /// # Errors
-    /// When sizes differ or a value is not finite.
-    pub fn with_workspace_centre(mut self, centre: &[f64]) -> Result<Self, MotionError> {
-        self.workspace_centre = centre.to_vec();
-        self.checked()
     }
 
     /// The same with the source from which it was learned, as text.
     #[must_use]
     pub fn with_learned_from(mut self, learned_from: impl Into<String>) -> Self {
-        self.learned_from = learned_from.into();
+        self.0.learned_from = learned_from.into();
         self
     }
 
     /// The same with the correction along the surface normal that keeps the force.
     #[must_use]
     pub fn with_surface(mut self, surface: Option<SurfaceCorrection>) -> Self {
-        self.surface = surface;
+        self.0.surface = surface;
         self
     }
 
     /// The same with the orientation of the hand, on the same phase.
     #[must_use]
     pub fn with_orientation(mut self, orientation: Option<PeriodicOrientationDmp>) -> Self {
-        self.orientation = orientation;
+        self.0.orientation = orientation;
         self
     }
 
@@ -128,132 +135,66 @@ impl Motion {
         learned_from: impl Into<String>,
     ) -> Result<Self, MotionError> {
         let mut next = self.clone();
-        next.version = self.version.saturating_add(1);
-        next.primitive = primitive;
-        next.learned_from = learned_from.into();
+        next.0.version = self.0.version.saturating_add(1);
+        next.0.primitive = primitive;
+        next.0.learned_from = learned_from.into();
         next.checked()
     }
 
     /// The name.
-    #[must_use]
     pub fn name(&self) -> &str {
-        &self.name
+        &self.0.name
     }
 
     /// The version, from 1.
-    #[must_use]
     pub fn version(&self) -> u32 {
-        self.version
+        self.0.version
     }
 
     /// The degrees of freedom, in the primitive's order.
-    #[must_use]
     pub fn dofs(&self) -> &[MotionDof] {
-        &self.dofs
+        &self.0.dofs
     }
 
     /// The frame of its positions.
-    #[must_use]
     pub fn frame(&self) -> &str {
-        &self.frame
+        &self.0.frame
     }
 
     /// Its frequency, Hz.
-    #[must_use]
     pub fn frequency_hz(&self) -> f64 {
-        self.frequency_hz
+        self.0.frequency_hz
     }
 
     /// Its frequency, rad/s.
-    #[must_use]
     pub fn omega(&self) -> f64 {
-        std::f64::consts::TAU * self.frequency_hz
+        std::f64::consts::TAU * self.0.frequency_hz
     }
 
     /// The primitive; clone it to run it.
-    #[must_use]
     pub fn primitive(&self) -> &PeriodicDmp {
-        &self.primitive
+        &self.0.primitive
     }
 
     /// The centre of the workspace that the coach gave, one value per degree of freedom.
-    #[must_use]
     pub fn workspace_centre(&self) -> &[f64] {
-        &self.workspace_centre
+        &self.0.workspace_centre
     }
 
     /// The source from which it was learned.
-    #[must_use]
     pub fn learned_from(&self) -> &str {
-        &self.learned_from
+        &self.0.learned_from
     }
 
     /// The correction along the surface normal that keeps the force, if it was learned.
-    #[must_use]
     pub fn surface(&self) -> Option<&SurfaceCorrection> {
-        self.surface.as_ref()
+        self.0.surface.as_ref()
     }
 
     /// The orientation of the hand, in [`frame`](Self::frame), if the motion has one; otherwise the executor
     /// chooses it.
-    #[must_use]
     pub fn orientation(&self) -> Option<&PeriodicOrientationDmp> {
-        self.orientation.as_ref()
-    }
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Saved {
-    name: String,
-    version: u32,
-    dofs: Vec<MotionDof>,
-    frame: String,
-    frequency_hz: f64,
-    primitive: PeriodicDmp,
-    workspace_centre: Vec<f64>,
-    #[serde(default)]
-    learned_from: String,
-    #[serde(default)]
-    surface: Option<SurfaceCorrection>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    orientation: Option<PeriodicOrientationDmp>,
-}
-
-impl From<Motion> for Saved {
-    fn from(m: Motion) -> Self {
-        Self {
-            name: m.name,
-            version: m.version,
-            dofs: m.dofs,
-            frame: m.frame,
-            frequency_hz: m.frequency_hz,
-            primitive: m.primitive,
-            workspace_centre: m.workspace_centre,
-            learned_from: m.learned_from,
-            surface: m.surface,
-            orientation: m.orientation,
-        }
-    }
-}
-
-impl TryFrom<Saved> for Motion {
-    type Error = MotionError;
-
-    fn try_from(s: Saved) -> Result<Self, MotionError> {
-        let motion = Self {
-            name: s.name,
-            version: s.version,
-            dofs: s.dofs,
-            frame: s.frame,
-            frequency_hz: s.frequency_hz,
-            primitive: s.primitive,
-            workspace_centre: s.workspace_centre,
-            learned_from: s.learned_from,
-            surface: s.surface,
-            orientation: s.orientation,
-        };
-        motion.checked()
+        self.0.orientation.as_ref()
     }
 }
 

@@ -8,43 +8,29 @@ use std::collections::VecDeque;
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
-use crate::error::{MotionError, finite, positive, within};
+use crate::constants::POSITIVE;
+use crate::error::{MotionError, finite, within};
 
-/// The constants of a [`DemonstrationSegmenter`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct SegmenterConfig {
-    /// The tool rests when it stays within `rest_radius` of a place for this long, s.
-    pub rest_time: f64,
-    /// Largest RMS distance from the mean that still counts as rest, m; must cover the noise.
-    pub rest_radius: f64,
-    /// How far from rest a motion begins, m.
-    pub departure: f64,
-    /// The shortest swipe, m.
-    pub shortest_swipe: f64,
-    /// The largest deviation from a straight line, as a share of the swipe's length.
-    pub crookedness: f64,
-    /// How far the tool must come back for the swipe to be over, m.
-    pub return_distance: f64,
-    /// The demonstration has ended when the tool rests for this long, s; longer than a slow motion takes to
-    /// reverse.
-    pub end_time: f64,
-    /// A gap between samples longer than this restarts the segmentation, s.
-    pub longest_gap: f64,
-}
-
-impl Default for SegmenterConfig {
-    fn default() -> Self {
-        Self {
-            rest_time: 0.35,
-            rest_radius: 0.012,
-            departure: 0.03,
-            shortest_swipe: 0.06,
-            crookedness: 0.35,
-            return_distance: 0.025,
-            end_time: 2.2,
-            longest_gap: 1.5,
-        }
+constants! {
+    /// The constants of a [`DemonstrationSegmenter`].
+    pub struct SegmenterConfig {
+        /// The tool rests when it stays within `rest_radius` of a place for this long, s.
+        rest_time: f64 = 0.35, POSITIVE;
+        /// Largest RMS distance from the mean that still counts as rest, m; must cover the noise.
+        rest_radius: f64 = 0.012, POSITIVE;
+        /// How far from rest a motion begins, m.
+        departure: f64 = 0.03, POSITIVE;
+        /// The shortest swipe, m.
+        shortest_swipe: f64 = 0.06, POSITIVE;
+        /// The largest deviation from a straight line, as a share of the swipe's length.
+        crookedness: f64 = 0.35, POSITIVE;
+        /// How far the tool must come back for the swipe to be over, m.
+        return_distance: f64 = 0.025, POSITIVE;
+        /// The demonstration has ended when the tool rests for this long, s; longer than a slow motion takes to
+        /// reverse.
+        end_time: f64 = 2.2, POSITIVE;
+        /// A gap between samples longer than this restarts the segmentation, s.
+        longest_gap: f64 = 1.5, POSITIVE;
     }
 }
 
@@ -63,13 +49,11 @@ pub struct Swipe {
 
 impl Swipe {
     /// The centre of the workspace, m.
-    #[must_use]
     pub fn centre(&self) -> Point3<f64> {
         nalgebra::center(&self.start, &self.end)
     }
 
     /// Width (x), depth (y) and height (z) of the workspace, m: start and end are opposite corners.
-    #[must_use]
     pub fn size(&self) -> nalgebra::Vector3<f64> {
         (self.end - self.start).abs()
     }
@@ -121,7 +105,7 @@ struct Rest {
 }
 
 /// Largest number of samples of a swipe; longer tracks are not swipes.
-const LONGEST_TRACK: usize = 4000;
+const MAX_TRACK: usize = 4000;
 
 impl DemonstrationSegmenter {
     /// A segmenter before its first sample.
@@ -129,18 +113,7 @@ impl DemonstrationSegmenter {
     /// # Errors
     /// When a constant is not positive.
     pub fn new(config: SegmenterConfig) -> Result<Self, MotionError> {
-        for (what, value) in [
-            ("rest_time", config.rest_time),
-            ("rest_radius", config.rest_radius),
-            ("departure", config.departure),
-            ("shortest_swipe", config.shortest_swipe),
-            ("crookedness", config.crookedness),
-            ("return_distance", config.return_distance),
-            ("end_time", config.end_time),
-            ("longest_gap", config.longest_gap),
-        ] {
-            positive(what, value)?;
-        }
+        config.check_ranges()?;
         let known = Demonstration { stage: DemonstrationStage::Waiting, swipe: None, periodic_since: None };
         Ok(Self { config, recent: VecDeque::new(), known, rest: None, track: Vec::new() })
     }
@@ -175,7 +148,6 @@ impl DemonstrationSegmenter {
     }
 
     /// The segmentation so far.
-    #[must_use]
     pub fn known(&self) -> Demonstration {
         self.known
     }
@@ -231,7 +203,7 @@ impl DemonstrationSegmenter {
         let (Some(rest), Some(now)) = (self.rest, self.smooth()) else { return };
         let farthest = self.track.iter().map(|(_, p)| (p - rest.place).norm()).fold(0.0, f64::max);
         let back = farthest - (now - rest.place).norm() > self.config.return_distance;
-        if resting.is_none() && !back && self.track.len() < LONGEST_TRACK {
+        if resting.is_none() && !back && self.track.len() < MAX_TRACK {
             return;
         }
         match self.swipe(rest) {

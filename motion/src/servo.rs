@@ -3,57 +3,38 @@
 //! Independent of the camera. If hand and target are measured with the same camera, its mounting error cancels.
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
-use serde::{Deserialize, Serialize};
 
-use crate::error::{MotionError, finite, positive, vector, within};
+use crate::constants::POSITIVE;
+use crate::error::{MotionError, finite, positive, vector};
 
-/// The constants of a [`PositionServo`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ServoConfig {
-    /// Gain lambda far from the target, 1/s.
-    pub gain_far: f64,
-    /// Gain lambda at the target, 1/s; larger than far away, so that the end is not slow.
-    pub gain_near: f64,
-    /// Error at which the gain is about halfway between, m (rotations count `radius` m per rad).
-    pub gain_scale: f64,
-    /// Lever arm that converts rotations to metres, m.
-    pub radius: f64,
-    /// Speed limit, m/s.
-    pub max_linear: f64,
-    /// Limit of the angular velocity, rad/s.
-    pub max_angular: f64,
-    /// Converged when the distance is less than this, m, ...
-    pub position_tolerance: f64,
-    /// ... and the angle is less than this, rad, ...
-    pub rotation_tolerance: f64,
-    /// ... for this many observations in a row.
-    pub hold_frames: u32,
-    /// Gives up after this long, s.
-    pub timeout: f64,
-    /// The target counts as lost when it was not observed for this long, s.
-    pub lost_after: f64,
-    /// The servo diverges when the error has exceeded its minimum by this factor (and by 10 mm) in `hold_frames`
-    /// consecutive observations.
-    pub divergence: f64,
-}
-
-impl Default for ServoConfig {
-    fn default() -> Self {
-        Self {
-            gain_far: 1.0,
-            gain_near: 2.5,
-            gain_scale: 0.05,
-            radius: 0.1,
-            max_linear: 0.15,
-            max_angular: 0.6,
-            position_tolerance: 0.005,
-            rotation_tolerance: 0.05,
-            hold_frames: 5,
-            timeout: 20.0,
-            lost_after: 1.0,
-            divergence: 2.0,
-        }
+constants! {
+    /// The constants of a [`PositionServo`].
+    pub struct ServoConfig {
+        /// Gain lambda far from the target, 1/s.
+        gain_far: f64 = 1.0, POSITIVE;
+        /// Gain lambda at the target, 1/s; larger than far away, so that the end is not slow.
+        gain_near: f64 = 2.5, POSITIVE;
+        /// Error at which the gain is about halfway between, m (rotations count `radius` m per rad).
+        gain_scale: f64 = 0.05, POSITIVE;
+        /// Lever arm that converts rotations to metres, m.
+        radius: f64 = 0.1, POSITIVE;
+        /// Speed limit, m/s.
+        max_linear: f64 = 0.15, POSITIVE;
+        /// Limit of the angular velocity, rad/s.
+        max_angular: f64 = 0.6, POSITIVE;
+        /// Converged when the distance is less than this, m, ...
+        position_tolerance: f64 = 0.005, POSITIVE;
+        /// ... and the angle is less than this, rad, ...
+        rotation_tolerance: f64 = 0.05, POSITIVE;
+        /// ... for this many observations in a row.
+        hold_frames: u32 = 5;
+        /// Gives up after this long, s.
+        timeout: f64 = 20.0, POSITIVE;
+        /// The target counts as lost when it was not observed for this long, s.
+        lost_after: f64 = 1.0, POSITIVE;
+        /// The servo diverges when the error has exceeded its minimum by this factor (and by 10 mm) in `hold_frames`
+        /// consecutive observations.
+        divergence: f64 = 2.0, 1.0..=1e9;
     }
 }
 
@@ -116,21 +97,7 @@ impl PositionServo {
     /// # Errors
     /// When a constant is not positive.
     pub fn new(config: ServoConfig) -> Result<Self, MotionError> {
-        for (what, value) in [
-            ("gain_far", config.gain_far),
-            ("gain_near", config.gain_near),
-            ("gain_scale", config.gain_scale),
-            ("radius", config.radius),
-            ("max_linear", config.max_linear),
-            ("max_angular", config.max_angular),
-            ("position_tolerance", config.position_tolerance),
-            ("rotation_tolerance", config.rotation_tolerance),
-            ("timeout", config.timeout),
-            ("lost_after", config.lost_after),
-        ] {
-            positive(what, value)?;
-        }
-        within("divergence", config.divergence, 1.0, 1e9)?;
+        config.check_ranges()?;
         Ok(Self {
             config,
             elapsed: 0.0,
@@ -318,14 +285,5 @@ mod tests {
         assert_eq!(run(&|k| (k < 10).then(|| away(0.2))), Some((ServoStatus::Lost, 0.0)));
         assert_eq!(run(&|k| Some(away(0.1 + 0.01 * f64::from(k)))), Some((ServoStatus::Diverged, 0.0)));
         assert_eq!(run(&|_| Some(away(0.001))), Some((ServoStatus::Converged, 0.0)));
-    }
-
-    #[test]
-    fn what_is_not_finite_is_refused() {
-        let mut servo = PositionServo::new(ServoConfig::default()).unwrap();
-        let bad =
-            ServoObservation { hand: pose([f64::NAN, 0.0, 0.0], [0.0; 3]), target: Isometry3::identity() };
-        assert_eq!(servo.step(0.04, Some(&bad)), Err(MotionError::NotFinite { what: "pose" }));
-        assert!(servo.step(0.0, None).is_err());
     }
 }

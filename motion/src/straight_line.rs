@@ -7,9 +7,9 @@ use crate::MotionError;
 use crate::error::{finite, positive, sample_time};
 
 /// Limit of the angular velocity, rad/s.
-const TURNING: f64 = 0.5;
+const MAX_ANGULAR_VELOCITY: f64 = 0.5;
 /// Shortest duration of a line, s.
-const SHORTEST: f64 = 0.2;
+const MIN_DURATION: f64 = 0.2;
 /// Ratio of the quintic's peak speed to its mean speed.
 const PEAK: f64 = 1.875;
 
@@ -48,12 +48,11 @@ impl StraightLine {
         }
         let travel = to.translation.vector - from.translation.vector;
         let turn = (to.rotation * from.rotation.inverse()).scaled_axis();
-        let duration = PEAK * (travel.norm() / speed).max(turn.norm() / TURNING);
-        Ok(Self { from, travel, turn, duration: duration.max(SHORTEST), time: 0.0 })
+        let duration = PEAK * (travel.norm() / speed).max(turn.norm() / MAX_ANGULAR_VELOCITY);
+        Ok(Self { from, travel, turn, duration: duration.max(MIN_DURATION), time: 0.0 })
     }
 
     /// Duration of the line, s.
-    #[must_use]
     pub fn duration(&self) -> f64 {
         self.duration
     }
@@ -78,7 +77,6 @@ impl StraightLine {
     }
 
     /// Whether the line has been at its end for `seconds`.
-    #[must_use]
     pub fn rested(&self, seconds: f64) -> bool {
         self.time >= self.duration + seconds
     }

@@ -9,7 +9,7 @@ use crate::periodic::PhaseKernels;
 
 /// `offset(phase)` along `normal`, m, as a sum of normalised kernels over the phase.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Saved", into = "Saved")]
+#[serde(try_from = "SavedCorrection", into = "SavedCorrection")]
 pub struct SurfaceCorrection {
     kernels: PhaseKernels,
     pub(crate) weights: Vec<f64>,
@@ -34,31 +34,26 @@ impl SurfaceCorrection {
     }
 
     /// Outward surface normal, a unit vector in the motion's frame.
-    #[must_use]
     pub fn normal(&self) -> Vector3<f64> {
         self.normal
     }
 
     /// The weights, m, one per kernel.
-    #[must_use]
     pub fn weights(&self) -> &[f64] {
         &self.weights
     }
 
     /// The kernels.
-    #[must_use]
     pub fn kernels(&self) -> &PhaseKernels {
         &self.kernels
     }
 
     /// The offset (m, outward) at `phase` rad. Does not allocate.
-    #[must_use]
     pub fn offset(&self, phase: f64) -> f64 {
         self.offset_and_slope(phase).0
     }
 
     /// The offset (m) and its derivative with respect to the phase (m/rad) at `phase` rad. Does not allocate.
-    #[must_use]
     pub fn offset_and_slope(&self, phase: f64) -> (f64, f64) {
         let n = self.weights.len() as f64;
         let (mut sum, mut weighted, mut slope_sum, mut slope_weighted) = (0.0, 0.0, 0.0, 0.0);
@@ -78,22 +73,22 @@ impl SurfaceCorrection {
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Saved {
+struct SavedCorrection {
     weights: Vec<f64>,
     width: f64,
     normal: [f64; 3],
 }
 
-impl From<SurfaceCorrection> for Saved {
+impl From<SurfaceCorrection> for SavedCorrection {
     fn from(c: SurfaceCorrection) -> Self {
         Self { width: c.kernels.width(), weights: c.weights, normal: c.normal.into() }
     }
 }
 
-impl TryFrom<Saved> for SurfaceCorrection {
+impl TryFrom<SavedCorrection> for SurfaceCorrection {
     type Error = MotionError;
 
-    fn try_from(s: Saved) -> Result<Self, MotionError> {
+    fn try_from(s: SavedCorrection) -> Result<Self, MotionError> {
         Self::new(s.weights, s.width, s.normal)
     }
 }

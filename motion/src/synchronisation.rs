@@ -5,27 +5,20 @@
 
 use std::f64::consts::{PI, TAU};
 
-use serde::{Deserialize, Serialize};
-
-use crate::error::{MotionError, finite, positive, within};
+use crate::error::{MotionError, positive, within};
 use crate::oscillator::{AdaptiveOscillator, OscillatorConfig};
 use crate::periodic::{DmpState, PeriodicDmp};
 
-/// How a primitive follows the oscillator.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct SynchronisationConfig {
-    /// Lead of the primitive's phase over the signal's, rad.
-    pub lead: f64,
-    /// Rate at which a phase difference is corrected, as a share of the frequency per rad.
-    pub gain: f64,
-    /// Upper bound on the primitive's speed relative to the signal's while it catches up; it never runs backwards.
-    pub fastest: f64,
-}
-
-impl Default for SynchronisationConfig {
-    fn default() -> Self {
-        Self { lead: 0.0, gain: 0.5, fastest: 2.0 }
+constants! {
+    /// How a primitive follows the oscillator.
+    #[derive(Copy)]
+    pub struct SynchronisationConfig {
+        /// Lead of the primitive's phase over the signal's, rad.
+        lead: f64 = 0.0, f64::MIN..=f64::MAX;
+        /// Rate at which a phase difference is corrected, as a share of the frequency per rad.
+        gain: f64 = 0.5, 1e-6..=100.0;
+        /// Upper bound on the primitive's speed relative to the signal's while it catches up; it never runs backwards.
+        fastest: f64 = 2.0, 1.0..=100.0;
     }
 }
 
@@ -53,9 +46,7 @@ impl Synchronisation {
         oscillator: OscillatorConfig,
         primitive: PeriodicDmp,
     ) -> Result<Self, MotionError> {
-        finite("lead", &[config.lead])?;
-        within("gain", config.gain, 1e-6, 100.0)?;
-        within("fastest", config.fastest, 1.0, 100.0)?;
+        config.check_ranges()?;
         Ok(Self { config, oscillator: AdaptiveOscillator::new(oscillator)?, primitive })
     }
 
@@ -81,26 +72,18 @@ impl Synchronisation {
     }
 
     /// How far the primitive's phase lags its reference, rad, in -pi..pi.
-    #[must_use]
     pub fn behind(&self) -> f64 {
         wrapped(self.oscillator.phase() + self.config.lead - self.primitive.phase())
     }
 
     /// The oscillator.
-    #[must_use]
     pub fn oscillator(&self) -> &AdaptiveOscillator {
         &self.oscillator
     }
 
     /// The primitive.
-    #[must_use]
     pub fn primitive(&self) -> &PeriodicDmp {
         &self.primitive
-    }
-
-    /// The primitive, for coaching, modulation or perturbation while it runs.
-    pub fn primitive_mut(&mut self) -> &mut PeriodicDmp {
-        &mut self.primitive
     }
 }
 

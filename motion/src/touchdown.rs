@@ -1,51 +1,33 @@
 //! Makes contact: lowers the hand until the force shows contact, then increases it to the desired force, with
 //! little overshoot on a surface of unknown stiffness.
 
-use serde::{Deserialize, Serialize};
-
+use crate::constants::POSITIVE;
 use crate::error::{MotionError, positive, within};
 
-/// The constants of a [`Touchdown`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct TouchdownConfig {
-    /// Desired normal force, N.
-    pub force: f64,
-    /// Speed of the approach, m/s. Before the controller can react, the force rises by stiffness times speed times
-    /// delay.
-    pub speed: f64,
-    /// Force that counts as contact, N; above noise and bias.
-    pub contact_force: f64,
-    /// How long the force must exceed it, s.
-    pub contact_time: f64,
-    /// The highest expected contact stiffness, N/m.
-    pub stiffness: f64,
-    /// Time constant of pressing, s, at that stiffness.
-    pub press_time: f64,
-    /// The force is reached when it stays within this share of the desired one ...
-    pub tolerance: f64,
-    /// ... for this long, s.
-    pub hold_time: f64,
-    /// Largest distance down, m.
-    pub farthest: f64,
-    /// Longest duration of pressing, s.
-    pub longest_press: f64,
-}
-
-impl Default for TouchdownConfig {
-    fn default() -> Self {
-        Self {
-            force: 8.0,
-            speed: 0.03,
-            contact_force: 1.5,
-            contact_time: 0.004,
-            stiffness: 8000.0,
-            press_time: 0.12,
-            tolerance: 0.15,
-            hold_time: 0.15,
-            farthest: 0.3,
-            longest_press: 6.0,
-        }
+constants! {
+    /// The constants of a [`Touchdown`].
+    pub struct TouchdownConfig {
+        /// Desired normal force, N.
+        force: f64 = 8.0, POSITIVE;
+        /// Speed of the approach, m/s. Before the controller can react, the force rises by stiffness times speed times
+        /// delay.
+        speed: f64 = 0.03, POSITIVE;
+        /// Force that counts as contact, N; above noise and bias.
+        contact_force: f64 = 1.5, POSITIVE;
+        /// How long the force must exceed it, s.
+        contact_time: f64 = 0.004, 0.0..=1.0;
+        /// The highest expected contact stiffness, N/m.
+        stiffness: f64 = 8000.0, POSITIVE;
+        /// Time constant of pressing, s, at that stiffness.
+        press_time: f64 = 0.12, POSITIVE;
+        /// The force is reached when it stays within this share of the desired one ...
+        tolerance: f64 = 0.15, POSITIVE;
+        /// ... for this long, s.
+        hold_time: f64 = 0.15, 0.0..=60.0;
+        /// Largest distance down, m.
+        farthest: f64 = 0.3, POSITIVE;
+        /// Longest duration of pressing, s.
+        longest_press: f64 = 6.0, POSITIVE;
     }
 }
 
@@ -84,20 +66,7 @@ impl Touchdown {
     /// # Errors
     /// When a constant is not positive.
     pub fn new(config: TouchdownConfig) -> Result<Self, MotionError> {
-        for (what, value) in [
-            ("force", config.force),
-            ("speed", config.speed),
-            ("contact_force", config.contact_force),
-            ("stiffness", config.stiffness),
-            ("press_time", config.press_time),
-            ("tolerance", config.tolerance),
-            ("farthest", config.farthest),
-            ("longest_press", config.longest_press),
-        ] {
-            positive(what, value)?;
-        }
-        within("contact_time", config.contact_time, 0.0, 1.0)?;
-        within("hold_time", config.hold_time, 0.0, 60.0)?;
+        config.check_ranges()?;
         Ok(Self {
             config,
             status: TouchdownStatus::Approaching,
@@ -166,19 +135,16 @@ impl Touchdown {
     }
 
     /// The status of the touchdown.
-    #[must_use]
     pub fn status(&self) -> TouchdownStatus {
         self.status
     }
 
     /// Distance down since the first step, m.
-    #[must_use]
     pub fn depth(&self) -> f64 {
         self.depth
     }
 
     /// The stiffness computed from the travel since contact, N/m, once that is measurable.
-    #[must_use]
     pub fn stiffness(&self) -> Option<f64> {
         let way = self.depth - self.contact_depth;
         (self.status == TouchdownStatus::Done && way > 2e-4).then(|| {

@@ -93,7 +93,6 @@ proptest! {
         let mut both = Synchronisation::new(SynchronisationConfig::default(), config, primitive).unwrap();
         for n in inputs {
             let _ = oscillator.update(n[0], &n[1..]);
-            let _ = both.primitive_mut().couple(&n[1..]);
             let _ = both.step(n[0], &n[1..]);
             let [mut y, mut dy, mut ddy] = [[0.0]; 3];
             oscillator.signal(oscillator.phase(), &mut y, &mut dy, &mut ddy).unwrap();
@@ -242,6 +241,8 @@ fn laws_of_control_say_what_was_wrong() {
     refused(&mut oscillator, &infinite("dt"), |o| o.update(f64::INFINITY, &[0.0]));
     refused(&mut surface, &infinite("force"), |s| s.step(0.01, 0.0, 3.0, f64::NAN));
     refused(&mut surface, &infinite("phase"), |s| s.step(0.01, f64::INFINITY, 3.0, 1.0));
+    let backwards = MotionError::OutOfRange { what: "omega", value: -3.0, low: 0.0, high: 1e4 };
+    refused(&mut surface, &backwards, |s| s.step(0.01, 0.0, -3.0, 1.0));
     let hand = Isometry3::translation(f64::NAN, 0.0, 0.0);
     let seen = ServoObservation { hand, target: Isometry3::identity() };
     refused(&mut servo, &infinite("pose"), |s| s.step(0.01, Some(&seen)));

@@ -70,6 +70,9 @@ type Choice = [f64; 5];
 const RANGE: [(f64, f64); 5] = [(-0.6, 0.1), (-0.5, 0.6), (-0.75, 0.75), (-0.4, 0.6), (-0.5, 1.6)];
 const CENTER: [f64; 2] = [0.28, 0.53];
 
+/// How a choice is rated; see [`Search::climb`].
+type Rate = fn(&mut Search, &Choice, usize, Option<&[f64]>, f64) -> Option<Evaluated>;
+
 struct Search {
     model: Arc<Model>,
     kinematics: Kinematics,
@@ -83,7 +86,7 @@ struct Search {
 
 /// A choice, its figure (m/s) and the whole configuration at the centre.
 #[derive(Clone, Debug)]
-struct Found {
+struct Evaluated {
     choice: Choice,
     speed: f64,
     center: Vec<f64>,
@@ -103,19 +106,26 @@ impl Search {
         Some((worst_speed(&self.kinematics.jacobian(self.tcp, &self.arm)), q))
     }
 
-    fn rate(&mut self, choice: &Choice, seeds: usize, near: Option<&[f64]>) -> Option<Found> {
-        let mut best: Option<Found> = None;
+    /// The torso as chosen; the arm as in `near`, else at random.
+    fn seed(&mut self, choice: &Choice, near: Option<&[f64]>) -> Vec<f64> {
+        let mut seed = near.map_or_else(|| self.model.zero(), <[f64]>::to_vec);
+        for (&j, v) in self.model.limb("torso").iter().zip(choice) {
+            seed[j] = *v;
+        }
+        if near.is_none() {
+            for &j in &self.arm {
+                let joint = &self.model.joints()[j];
+                seed[j] = self.rng.random_range(joint.lower..joint.upper);
+            }
+        }
+        seed
+    }
+
+    /// The rating for the arm alone; `None` when it is not above `floor`.
+    fn rate(&mut self, choice: &Choice, seeds: usize, near: Option<&[f64]>, floor: f64) -> Option<Evaluated> {
+        let mut best: Option<Evaluated> = None;
         for k in 0..seeds {
-            let mut seed = near.filter(|_| k == 0).map_or_else(|| self.model.zero(), <[f64]>::to_vec);
-            for (&j, v) in self.model.limb("torso").iter().zip(choice) {
-                seed[j] = *v;
-            }
-            if k > 0 || near.is_none() {
-                for &j in &self.arm {
-                    let joint = &self.model.joints()[j];
-                    seed[j] = self.rng.random_range(joint.lower..joint.upper);
-                }
-            }
+            let seed = self.seed(choice, near.filter(|_| k == 0));
             let Some((mut worst, center)) = self.solve(choice, [0.0; 3], &seed) else { continue };
             for corner in 0..8_u8 {
                 let sign = |bit: u8| if (corner >> bit) & 1 == 1 { 1.0 } else { -1.0 };
@@ -125,8 +135,8 @@ impl Search {
                     break;
                 }
             }
-            if worst > best.as_ref().map_or(0.0, |found| found.speed) {
-                best = Some(Found { choice: *choice, speed: worst, center });
+            if worst > best.as_ref().map_or(floor, |found| found.speed) {
+                best = Some(Evaluated { choice: *choice, speed: worst, center });
             }
         }
         best
@@ -140,22 +150,19 @@ impl Search {
 
     /// As [`rate`](Self::rate), for arm and torso together and for tables up to 0.05 m higher and lower: the TCP
     /// speed that [`DifferentialIk`] reaches for a fast twist in its worst direction.
-    fn rate_ten(&mut self, choice: &Choice, seeds: usize, near: Option<&[f64]>, floor: f64) -> Option<Found> {
+    fn rate_ten(
+        &mut self,
+        choice: &Choice,
+        seeds: usize,
+        near: Option<&[f64]>,
+        floor: f64,
+    ) -> Option<Evaluated> {
         let ten: Vec<usize> = self.model.limb("torso").iter().chain(&self.arm).copied().collect();
         let mut ik = DifferentialIk::new(&self.model, self.tcp, &ten, IkConfig::default());
         let options = PoseOptions { margin: 0.06, restarts: 0, iterations: 40, ..PoseOptions::default() };
-        let mut best: Option<Found> = None;
+        let mut best: Option<Evaluated> = None;
         for k in 0..seeds {
-            let mut seed = near.filter(|_| k == 0).map_or_else(|| self.model.zero(), <[f64]>::to_vec);
-            for (&j, v) in self.model.limb("torso").iter().zip(choice) {
-                seed[j] = *v;
-            }
-            if k > 0 || near.is_none() {
-                for &j in &self.arm {
-                    let joint = &self.model.joints()[j];
-                    seed[j] = self.rng.random_range(joint.lower..joint.upper);
-                }
-            }
+            let seed = self.seed(choice, near.filter(|_| k == 0));
             let Some((_, center)) = self.solve(choice, [0.0; 3], &seed) else { continue };
             let mut worst = f64::INFINITY;
             for point in 0..15_u8 {
@@ -163,15 +170,9 @@ impl Search {
                 let z = 0.05 * (f64::from(point / 5) - 1.0);
                 let offset = if point % 5 == 4 { [0.0, 0.0, z] } else { [sign(0), sign(1), z] };
                 let target = self.target(choice, offset);
-                let speed = match solve_pose(
-                    &self.model,
-                    self.tcp,
-                    &ten,
-                    &target,
-                    &center,
-                    &options,
-                    &mut self.rng,
-                ) {
+                let solved =
+                    solve_pose(&self.model, self.tcp, &ten, &target, &center, &options, &mut self.rng);
+                let speed = match solved {
                     Ok(q) if self.clears_the_table(&q, &target) => ten_speed(&mut ik, &q),
                     _ => 0.0,
                 };
@@ -181,35 +182,10 @@ impl Search {
                 }
             }
             if worst > best.as_ref().map_or(floor, |found| found.speed) {
-                best = Some(Found { choice: *choice, speed: worst, center });
+                best = Some(Evaluated { choice: *choice, speed: worst, center });
             }
         }
         best
-    }
-
-    fn climb_ten(&mut self, starts: usize, steps: usize) -> Option<Found> {
-        let mut best: Option<Found> = None;
-        for _ in 0..starts {
-            let choice = self.random();
-            let floor = best.as_ref().map_or(0.0, |b| b.speed);
-            best = self.rate_ten(&choice, 4, None, floor).or(best);
-        }
-        let mut best = best?;
-        for step in 0..steps {
-            #[expect(clippy::cast_precision_loss, reason = "small counts")]
-            let size = 0.3 * (1.0 - step as f64 / steps as f64) + 0.01;
-            let mut choice = best.choice;
-            for i in 0..5 {
-                if self.fixed[i].is_none() {
-                    choice[i] =
-                        (choice[i] + self.rng.random_range(-size..size)).clamp(RANGE[i].0, RANGE[i].1);
-                }
-            }
-            let near = best.center.clone();
-            let floor = best.speed;
-            best = self.rate_ten(&choice, 2, Some(&near), floor).unwrap_or(best);
-        }
-        Some(best)
     }
 
     fn random(&mut self) -> Choice {
@@ -220,33 +196,24 @@ impl Search {
         choice
     }
 
-    fn climb(&mut self, starts: usize, steps: usize) -> Option<Found> {
-        let mut best: Option<Found> = None;
+    /// Climbs from the best of `starts` random choices in `steps` ever smaller steps. `rate` gets a choice, a number of
+    /// seeds, a configuration near which the arm is, and the speed that has to be exceeded.
+    fn climb(&mut self, (starts, steps): (u32, u32), seeds: (usize, usize), rate: Rate) -> Option<Evaluated> {
+        let mut best: Option<Evaluated> = None;
         for _ in 0..starts {
             let choice = self.random();
-            if let Some(found) = self.rate(&choice, 8, None)
-                && found.speed > best.as_ref().map_or(0.0, |b| b.speed)
-            {
-                best = Some(found);
-            }
+            let floor = best.as_ref().map_or(0.0, |b| b.speed);
+            best = rate(self, &choice, seeds.0, None, floor).or(best);
         }
         let mut best = best?;
         for step in 0..steps {
-            #[expect(clippy::cast_precision_loss, reason = "small counts")]
-            let size = 0.3 * (1.0 - step as f64 / steps as f64) + 0.01;
+            let size = 0.3 * (1.0 - f64::from(step) / f64::from(steps)) + 0.01;
             let mut choice = best.choice;
-            for i in 0..5 {
-                if self.fixed[i].is_none() {
-                    choice[i] =
-                        (choice[i] + self.rng.random_range(-size..size)).clamp(RANGE[i].0, RANGE[i].1);
-                }
+            for i in (0..5).filter(|i| self.fixed[*i].is_none()) {
+                choice[i] = (choice[i] + self.rng.random_range(-size..size)).clamp(RANGE[i].0, RANGE[i].1);
             }
             let near = best.center.clone();
-            if let Some(found) = self.rate(&choice, 3, Some(&near))
-                && found.speed > best.speed
-            {
-                best = found;
-            }
+            best = rate(self, &choice, seeds.1, Some(&near), best.speed).unwrap_or(best);
         }
         Some(best)
     }
@@ -255,7 +222,7 @@ impl Search {
     /// with every joint within its limits. Also the least distance of a joint to its limits, rad.
     fn circle(
         &self,
-        found: &Found,
+        found: &Evaluated,
         joints: &[usize],
         config: &IkConfig,
         radius: f64,
@@ -274,7 +241,7 @@ impl Search {
 
     fn follows(
         &self,
-        found: &Found,
+        found: &Evaluated,
         joints: &[usize],
         config: &IkConfig,
         radius: f64,
@@ -311,7 +278,7 @@ impl Search {
         Some(margin)
     }
 
-    fn report(&self, name: &str, found: Option<&Found>) {
+    fn report(&self, name: &str, found: Option<&Evaluated>) {
         let Some(found) = found else { return println!("{name}: none reaches every point") };
         let degrees = found.choice.map(|c| c.to_degrees().round());
         let choice = found.choice.map(|c| (c * 1e3).round() / 1e3);
@@ -394,7 +361,7 @@ fn main() {
     if std::env::args().nth(1).is_some_and(|a| a == "torso") {
         for hand_pitch in [Some(0.0), None] {
             search.fixed = [None, None, None, hand_pitch, None];
-            let found = search.climb_ten(400, 400);
+            let found = search.climb((400, 400), (4, 2), Search::rate_ten);
             search.report("arm and torso", found.as_ref());
         }
         return;
@@ -407,18 +374,15 @@ fn main() {
         let found = search.rate_ten(&choice, 50, Some(&near), 0.0);
         return search.report("given", found.as_ref());
     }
-    let found = search.climb(600, 600);
-    search.report("free", found.as_ref());
-    search.fixed = [None, None, None, Some(0.0), None];
-    let found = search.climb(600, 600);
-    search.report("level palm", found.as_ref());
-    search.fixed = [None, Some(0.0), Some(0.0), Some(0.0), None];
-    let found = search.climb(600, 600);
-    search.report("level palm, lean only", found.as_ref());
-    search.fixed = [Some(0.0), Some(0.0), None, None, None];
-    let found = search.climb(600, 600);
-    search.report("upright torso, yaw only", found.as_ref());
-    search.fixed = [Some(0.0), Some(0.0), Some(0.0), Some(0.0), None];
-    let found = search.climb(600, 600);
-    search.report("upright torso, level palm", found.as_ref());
+    for (name, fixed) in [
+        ("free", [None; 5]),
+        ("level palm", [None, None, None, Some(0.0), None]),
+        ("level palm, lean only", [None, Some(0.0), Some(0.0), Some(0.0), None]),
+        ("upright torso, yaw only", [Some(0.0), Some(0.0), None, None, None]),
+        ("upright torso, level palm", [Some(0.0), Some(0.0), Some(0.0), Some(0.0), None]),
+    ] {
+        search.fixed = fixed;
+        let found = search.climb((600, 600), (8, 3), Search::rate);
+        search.report(name, found.as_ref());
+    }
 }

@@ -10,7 +10,7 @@ use nalgebra::{Isometry3, Matrix3, Point3, Translation3, Unit, UnitQuaternion, V
 
 use crate::RobotError;
 use crate::model::{
-    Collision, Inertial, Joint, JointKind, LimbSpec, Link, LinkId, Model, Shape, Visual, unknown,
+    Collision, Inertial, Joint, JointKind, LimbSpec, Link, LinkId, Model, Primitive, Visual, unknown,
 };
 
 const ARMAR3: &str = include_str!("../description/armar3.urdf");
@@ -20,7 +20,6 @@ const DEFAULT_ACCELERATION: f64 = 10.0;
 
 impl Model {
     /// ARMAR-III's upper body: limbs `torso`, `head`, `right_arm`, `left_arm`, `right_hand`.
-    #[must_use]
     #[expect(clippy::missing_panics_doc, reason = "the embedded description is read by a test")]
     pub fn armar3() -> Self {
         Self::from_urdf(ARMAR3)
@@ -238,17 +237,17 @@ fn pose(origin: &urdf_rs::Pose, of: &str) -> Result<Isometry3<f64>, RobotError> 
     Ok(Isometry3::from_parts(Translation3::from(Vector3::from(xyz)), rotation))
 }
 
-fn shape(geometry: &urdf_rs::Geometry, of: &str) -> Result<Option<Shape>, RobotError> {
+fn shape(geometry: &urdf_rs::Geometry, of: &str) -> Result<Option<Primitive>, RobotError> {
     let shape = match *geometry {
-        urdf_rs::Geometry::Box { size } => Shape::Box { size: Vector3::from(size.0) },
-        urdf_rs::Geometry::Cylinder { radius, length } => Shape::Cylinder { radius, length },
-        urdf_rs::Geometry::Sphere { radius } => Shape::Sphere { radius },
+        urdf_rs::Geometry::Box { size } => Primitive::Box { size: Vector3::from(size.0) },
+        urdf_rs::Geometry::Cylinder { radius, length } => Primitive::Cylinder { radius, length },
+        urdf_rs::Geometry::Sphere { radius } => Primitive::Sphere { radius },
         urdf_rs::Geometry::Capsule { .. } | urdf_rs::Geometry::Mesh { .. } => return Ok(None),
     };
     let sizes = match shape {
-        Shape::Box { size } => [size.x, size.y, size.z],
-        Shape::Cylinder { radius, length } => [radius, radius, length],
-        Shape::Sphere { radius } => [radius; 3],
+        Primitive::Box { size } => [size.x, size.y, size.z],
+        Primitive::Cylinder { radius, length } => [radius, radius, length],
+        Primitive::Sphere { radius } => [radius; 3],
     };
     if sizes.iter().any(|s| !(s.is_finite() && *s > 0.0)) {
         return Err(fault(format!("a shape of the link `{of}` has a size that is not a length")));

@@ -15,7 +15,7 @@ use rand_chacha::ChaCha8Rng;
 use tokio::task::JoinHandle;
 use tokio::time::MissedTickBehavior;
 
-use crate::wrist::Hand;
+use crate::wrist::LoadedHand;
 use crate::{Guard, GuardConfig, GuardedRobot, JointTargets, Kinematics, Model, Robot, Sample, Twist};
 
 /// Bandwidth of the joints' servos, rad/s; critically damped.
@@ -28,21 +28,20 @@ const NOISE: f64 = 1e-3;
 pub struct ServoJoints {
     sample: Sample,
     kinematics: Kinematics,
-    hand: Option<(Hand, crate::LinkId)>,
+    hand: Option<(LoadedHand, crate::LinkId)>,
     before: Option<Twist>,
     rng: ChaCha8Rng,
 }
 
 impl ServoJoints {
     /// Joints at rest at `q` (all joints, rad or m; missing values are 0). `seed` determines the wrench's noise.
-    #[must_use]
     pub fn new(model: &Arc<Model>, q: &[f64], seed: u64) -> Self {
         let mut position = model.zero();
         position.iter_mut().zip(q).for_each(|(to, from)| *to = *from);
         let hand = model
             .limbs()
             .values()
-            .find_map(|limb| Some((Hand::new(model, limb.sensor?, limb.tcp?), limb.sensor?)));
+            .find_map(|limb| Some((LoadedHand::new(model, limb.sensor?, limb.tcp?), limb.sensor?)));
         let mut joints = Self {
             sample: Sample::resting(position),
             kinematics: Kinematics::new(model),
@@ -55,13 +54,11 @@ impl ServoJoints {
     }
 
     /// The present sample of joints and wrist.
-    #[must_use]
     pub fn sample(&self) -> &Sample {
         &self.sample
     }
 
     /// The kinematics at the present configuration.
-    #[must_use]
     pub fn kinematics(&self) -> &Kinematics {
         &self.kinematics
     }
@@ -108,7 +105,6 @@ pub struct DummyRobot {
 
 impl DummyRobot {
     /// Starts a robot at rest at `q` (all joints; missing values are 0) in the current tokio runtime.
-    #[must_use]
     pub fn start(model: Arc<Model>, q: &[f64]) -> Self {
         let mut joints = ServoJoints::new(&model, q, 0);
         let (mut guard, robot) = Guard::new(model, GuardConfig::default());
@@ -129,7 +125,6 @@ impl DummyRobot {
     }
 
     /// The robot as skills see it.
-    #[must_use]
     pub fn robot(&self) -> Arc<dyn Robot> {
         Arc::clone(&self.robot) as Arc<dyn Robot>
     }
@@ -140,7 +135,6 @@ impl DummyRobot {
     }
 
     /// The robot's utterances since the last call, oldest first.
-    #[must_use]
     pub fn take_utterances(&self) -> Vec<String> {
         self.robot.shared.take_utterances()
     }

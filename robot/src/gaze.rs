@@ -23,7 +23,7 @@ const LEVEL: f64 = 0.2;
 /// The gaze is on the point when the angle between the axis and the point is less than this, rad.
 const TOLERANCE: f64 = 2e-3;
 /// Largest change of a joint in one iteration, rad.
-const LARGEST_CHANGE: f64 = 0.2;
+const MAX_CHANGE: f64 = 0.2;
 
 impl Gaze {
     /// Uses the links `camera_left` and `camera_right` and the limb `head`. Joints that turn only one camera are
@@ -65,7 +65,6 @@ impl Gaze {
     }
 
     /// The angle between the gaze and the point (root frame, m), with all joints at `q`, rad.
-    #[must_use]
     pub fn angle(&self, model: &Arc<Model>, q: &[f64], point: &Point3<f64>) -> f64 {
         let mut kinematics = Kinematics::new(model);
         kinematics.update(q);
@@ -115,7 +114,7 @@ impl Gaze {
                 continue;
             }
             for &j in &free {
-                let change = column(j).dot(&solved).clamp(-LARGEST_CHANGE, LARGEST_CHANGE);
+                let change = column(j).dot(&solved).clamp(-MAX_CHANGE, MAX_CHANGE);
                 q[j] = (q[j] + change).max(joints[j].lower).min(joints[j].upper);
             }
             return true;

@@ -88,7 +88,6 @@ pub struct DifferentialIk {
 
 impl DifferentialIk {
     /// Moves `link` with `joints` (indices into the model's joints: a limb's, or a limb's and the torso's).
-    #[must_use]
     pub fn new(model: &Arc<Model>, link: LinkId, joints: &[usize], config: IkConfig) -> Self {
         let n = joints.len();
         Self {
@@ -107,20 +106,13 @@ impl DifferentialIk {
     }
 
     /// The kinematics at the configuration of the last step.
-    #[must_use]
     pub fn kinematics(&self) -> &Kinematics {
         &self.kinematics
     }
 
     /// The joints that it moves.
-    #[must_use]
     pub fn joints(&self) -> &[usize] {
         &self.joints
-    }
-
-    /// Replaces the weights and bounds.
-    pub fn set_config(&mut self, config: IkConfig) {
-        self.config = config;
     }
 
     /// The joint velocities that move the link's origin with `twist` (root frame) at the configuration `q` (all

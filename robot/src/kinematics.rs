@@ -33,7 +33,6 @@ pub struct Kinematics {
 
 impl Kinematics {
     /// The poses at the configuration [`Model::zero`].
-    #[must_use]
     pub fn new(model: &Arc<Model>) -> Self {
         let n = model.joints().len();
         let mut kinematics = Self {
@@ -47,7 +46,6 @@ impl Kinematics {
     }
 
     /// The robot's model.
-    #[must_use]
     pub fn model(&self) -> &Arc<Model> {
         &self.model
     }
@@ -76,25 +74,21 @@ impl Kinematics {
     }
 
     /// The pose of a link: maps its coordinates into the root frame.
-    #[must_use]
     pub fn pose(&self, link: LinkId) -> &Isometry3<f64> {
         &self.root_from_link[link.0]
     }
 
     /// The axis of a joint in the root frame.
-    #[must_use]
     pub fn axis(&self, joint: usize) -> &Vector3<f64> {
         &self.axis[joint]
     }
 
     /// The origin of a joint's frame in the root frame, m (for a prismatic joint: at position 0).
-    #[must_use]
     pub fn origin(&self, joint: usize) -> &Point3<f64> {
         &self.origin[joint]
     }
 
     /// The velocity of the point `p` (in the root frame) of `link` when the joint moves at 1 rad/s (m/s).
-    #[must_use]
     pub fn column(&self, joint: usize, link: LinkId, p: &Point3<f64>) -> Twist {
         if !self.model.moves(joint, link) {
             return Twist::default();
@@ -124,7 +118,6 @@ impl Kinematics {
     }
 
     /// The Jacobian of a link's origin for `joints`; allocates.
-    #[must_use]
     pub fn jacobian(&self, link: LinkId, joints: &[usize]) -> Jacobian {
         let mut out = Jacobian::zeros(joints.len());
         self.jacobian_into(link, &Point3::origin(), joints, &mut out);
@@ -133,7 +126,6 @@ impl Kinematics {
 
     /// The velocity of the point `point_in_link` (m) of `link` when the joints move with `velocity`, rad/s (m/s);
     /// missing values are read as 0.
-    #[must_use]
     pub fn twist(&self, link: LinkId, point_in_link: &Point3<f64>, velocity: &[f64]) -> Twist {
         let p = self.pose(link) * point_in_link;
         let mut sum = Twist::default();
@@ -149,7 +141,6 @@ impl Kinematics {
 
 impl Model {
     /// The pose of a link at `q` in the root frame; for many links or many calls use [`Kinematics`].
-    #[must_use]
     pub fn link_pose(&self, q: &[f64], link: LinkId) -> Isometry3<f64> {
         let mut root_from_link = Isometry3::identity();
         let mut next = Some(link);

@@ -33,7 +33,7 @@ pub use guard::{Guard, GuardConfig, JointTargets, Sample};
 pub use ik::{DifferentialIk, IkConfig, IkStep};
 pub use kinematics::{Jacobian, Kinematics, Twist};
 pub use model::{
-    Collision, GRAVITY, Inertial, Joint, JointKind, Limb, LimbSpec, Link, LinkId, Model, Shape, Visual,
+    Collision, GRAVITY, Inertial, Joint, JointKind, Limb, LimbSpec, Link, LinkId, Model, Primitive, Visual,
 };
 pub use pose_ik::{IkError, PoseOptions, pose_error, solve_pose};
 pub use seam::{Commander, GuardedRobot, Lease, Robot};

@@ -26,7 +26,7 @@ impl LinkId {
 
 /// A primitive, centred on its own frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Shape {
+pub enum Primitive {
     /// A box.
     Box {
         /// Edge lengths along x, y, z, m.
@@ -50,7 +50,7 @@ pub enum Shape {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Visual {
     /// The primitive.
-    pub shape: Shape,
+    pub shape: Primitive,
     /// The shape's pose in the link's frame.
     pub link_from_shape: Isometry3<f64>,
     /// Colour: red, green, blue.
@@ -61,7 +61,7 @@ pub struct Visual {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Collision {
     /// The primitive.
-    pub shape: Shape,
+    pub shape: Primitive,
     /// The shape's pose in the link's frame.
     pub link_from_shape: Isometry3<f64>,
 }
@@ -172,44 +172,37 @@ pub struct Model {
 
 impl Model {
     /// The robot's name.
-    #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
     /// All links, parents before children.
-    #[must_use]
     pub fn links(&self) -> &[Link] {
         &self.links
     }
 
     /// All joints that move; every joint array is in this order.
-    #[must_use]
     pub fn joints(&self) -> &[Joint] {
         &self.joints
     }
 
     /// All limbs by name.
-    #[must_use]
     pub fn limbs(&self) -> &BTreeMap<String, Limb> {
         &self.limbs
     }
 
     /// The joints of a limb in the order of its commands; empty if there is no such limb (use
     /// [`find_limb`](Self::find_limb) to distinguish).
-    #[must_use]
     pub fn limb(&self, name: &str) -> &[usize] {
         self.limbs.get(name).map_or(&[], |limb| &limb.joints)
     }
 
     /// A limb by its name.
-    #[must_use]
     pub fn find_limb(&self, name: &str) -> Option<&Limb> {
         self.limbs.get(name)
     }
 
     /// A link by its name.
-    #[must_use]
     pub fn link(&self, name: &str) -> Option<LinkId> {
         self.link_ids.get(name).copied()
     }
@@ -223,7 +216,6 @@ impl Model {
     }
 
     /// A joint's index by its name.
-    #[must_use]
     pub fn joint(&self, name: &str) -> Option<usize> {
         self.joint_ids.get(name).copied()
     }
@@ -237,13 +229,11 @@ impl Model {
     }
 
     /// All joints at 0, or at the limit nearest to it.
-    #[must_use]
     pub fn zero(&self) -> Vec<f64> {
         self.joints.iter().map(|j| 0.0_f64.max(j.lower).min(j.upper)).collect()
     }
 
     /// Whether moving `joint` moves `link`.
-    #[must_use]
     pub fn moves(&self, joint: usize, link: LinkId) -> bool {
         self.supporting[link.0].contains(&joint)
     }

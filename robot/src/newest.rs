@@ -10,13 +10,13 @@ use parking_lot::Mutex;
 use tokio::sync::Notify;
 
 #[derive(Debug)]
-struct Shared<T> {
-    state: Mutex<State<T>>,
+struct Channel<T> {
+    state: Mutex<Newest<T>>,
     changed: Notify,
 }
 
 #[derive(Debug)]
-struct State<T> {
+struct Newest<T> {
     value: T,
     version: u64,
     closed: bool,
@@ -25,13 +25,13 @@ struct State<T> {
 /// Sets the value; there is only one sender.
 #[derive(Debug)]
 pub struct Sender<T> {
-    shared: Arc<Shared<T>>,
+    shared: Arc<Channel<T>>,
 }
 
 /// Reads the newest value; clones read the same value.
 #[derive(Debug)]
 pub struct Receiver<T> {
-    shared: Arc<Shared<T>>,
+    shared: Arc<Channel<T>>,
     seen: u64,
 }
 
@@ -42,10 +42,9 @@ pub struct Closed;
 
 impl<T: Clone> Sender<T> {
     /// A channel with its first value.
-    #[must_use]
     pub fn new(value: T) -> Self {
-        let state = Mutex::new(State { value, version: 0, closed: false });
-        Self { shared: Arc::new(Shared { state, changed: Notify::new() }) }
+        let state = Mutex::new(Newest { value, version: 0, closed: false });
+        Self { shared: Arc::new(Channel { state, changed: Notify::new() }) }
     }
 
     /// Replaces the value and wakes the waiting receivers.
@@ -58,13 +57,11 @@ impl<T: Clone> Sender<T> {
     }
 
     /// The present value.
-    #[must_use]
     pub fn borrow(&self) -> T {
         self.shared.state.lock().value.clone()
     }
 
     /// A receiver that counts the present value as seen.
-    #[must_use]
     pub fn subscribe(&self) -> Receiver<T> {
         let seen = self.shared.state.lock().version;
         Receiver { shared: Arc::clone(&self.shared), seen }
@@ -86,7 +83,6 @@ impl<T> Clone for Receiver<T> {
 
 impl<T: Clone> Receiver<T> {
     /// The present value, without marking it as seen.
-    #[must_use]
     pub fn borrow(&self) -> T {
         self.shared.state.lock().value.clone()
     }

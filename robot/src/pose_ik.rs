@@ -61,13 +61,12 @@ pub struct IkError {
 /// Weight of orientation against position while iterating, m/rad.
 const ORIENTATION_WEIGHT: f64 = 0.3;
 /// Largest change of a joint in one iteration, rad (m).
-const LARGEST_CHANGE: f64 = 0.4;
+const MAX_CHANGE: f64 = 0.4;
 /// Range of starts for joints without limits, rad.
 const UNBOUNDED: f64 = std::f64::consts::PI;
 
 /// The difference `to - from` of two poses in the root frame: m, and the rotation vector from one to the other,
 /// rad. Times a gain, it is a twist that moves towards `to`.
-#[must_use]
 pub fn pose_error(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Twist {
     Twist {
         linear: to.translation.vector - from.translation.vector,
@@ -213,7 +212,7 @@ impl<'a> Solver<'a> {
         self.blocked.fill(false);
         while self.solve(&task) && self.block(q) {}
         let most = self.change.iter().fold(0.0_f64, |most, c| most.max(c.abs()));
-        let scale = if most > LARGEST_CHANGE { LARGEST_CHANGE / most } else { 1.0 };
+        let scale = if most > MAX_CHANGE { MAX_CHANGE / most } else { 1.0 };
         for (&j, change) in self.joints.iter().zip(&self.change) {
             q[j] += scale * change;
         }

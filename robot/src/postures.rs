@@ -44,7 +44,6 @@ const OPEN: f64 = 0.06;
 
 /// The orientation of a TCP (root from TCP) whose fingers point `yaw` rad to the left of forward, with the palm
 /// down and the fingertips lowered by `pitch` rad.
-#[must_use]
 pub fn palm_down(yaw: f64, pitch: f64) -> UnitQuaternion<f64> {
     let level = Matrix3::new(0.0, -1.0, 0.0, 0.0, 0.0, 1.0, -1.0, 0.0, 0.0);
     let level = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(level));
@@ -55,7 +54,6 @@ pub fn palm_down(yaw: f64, pitch: f64) -> UnitQuaternion<f64> {
 
 /// The right arm out to the side, where it does not hide the table from the cameras; hand open. A straight line in
 /// joint space leads to [`wipe`] without touching a table up to 0.95 m high.
-#[must_use]
 pub fn home(model: &Arc<Model>) -> Vec<f64> {
     posture(model, &HOME_ARM)
 }
@@ -63,13 +61,14 @@ pub fn home(model: &Arc<Model>) -> Vec<f64> {
 /// The right hand over the table at [`WIPE_TCP`], palm level; hand open. It is the null-space posture of
 /// [`DifferentialIk`](crate::DifferentialIk) over [`reaching_joints`], and the seed of
 /// [`solve_pose`](crate::solve_pose).
-#[must_use]
 pub fn wipe(model: &Arc<Model>) -> Vec<f64> {
     posture(model, &WIPE_ARM)
 }
 
-/// A posture by its name, `home` or `wipe`.
-#[must_use]
+/// The names of the postures.
+pub const NAMES: [&str; 2] = ["home", "wipe"];
+
+/// A posture by its name, one of [`NAMES`].
 pub fn named(model: &Arc<Model>, name: &str) -> Option<Vec<f64>> {
     match name {
         "home" => Some(home(model)),
@@ -79,7 +78,6 @@ pub fn named(model: &Arc<Model>, name: &str) -> Option<Vec<f64>> {
 }
 
 /// The ten joints that move the right hand: `torso`, then `right_arm`.
-#[must_use]
 pub fn reaching_joints(model: &Model) -> Vec<usize> {
     model.limb("torso").iter().chain(model.limb("right_arm")).copied().collect()
 }

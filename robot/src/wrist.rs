@@ -27,7 +27,6 @@ const TARE_SAMPLES: usize = 100;
 
 /// The mass of a grasped object, kg, from the compensated wrist force before and after the grasp, in the same
 /// posture and at rest, while the load is not yet set (see [`Robot::set_load`](crate::Robot::set_load)).
-#[must_use]
 pub fn load_mass(before: &Wrist, after: &Wrist) -> f64 {
     (after.force - before.force).dot(&GRAVITY) / GRAVITY.norm_squared()
 }
@@ -66,14 +65,14 @@ pub(crate) struct Body {
 
 /// The links of the hand and its load.
 #[derive(Clone, Debug)]
-pub(crate) struct Hand {
+pub(crate) struct LoadedHand {
     sensor: LinkId,
     tcp: LinkId,
     links: Vec<LinkId>,
     load: Option<(f64, Point3<f64>)>,
 }
 
-impl Hand {
+impl LoadedHand {
     pub(crate) fn new(model: &Model, sensor: LinkId, tcp: LinkId) -> Self {
         let links = model.subtree(sensor).filter(|l| model.links()[l.0].inertial.is_some()).collect();
         Self { sensor, tcp, links, load: None }
@@ -138,7 +137,7 @@ fn inertial_load(body: &Body, angular: &Vector3<f64>, acceleration: &Twist) -> P
 /// Compensates one sensor; stepped with each sample. Allocates only in [`new`](Self::new).
 #[derive(Clone, Debug)]
 pub(crate) struct WristEstimator {
-    hand: Hand,
+    hand: LoadedHand,
     previous: Option<Twist>,
     /// In the sensor's frame.
     bias: Pair,
@@ -151,7 +150,7 @@ pub(crate) struct WristEstimator {
 impl WristEstimator {
     pub(crate) fn new(model: &Model, sensor: LinkId, tcp: LinkId) -> Self {
         Self {
-            hand: Hand::new(model, sensor, tcp),
+            hand: LoadedHand::new(model, sensor, tcp),
             previous: None,
             bias: Pair::default(),
             recent: Vec::with_capacity(TARE_SAMPLES),

@@ -47,7 +47,6 @@ impl Drop for Demand {
 
 impl Channels {
     /// An empty set of channels.
-    #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
@@ -66,13 +65,11 @@ impl Channels {
     }
 
     /// The newest sample, if any.
-    #[must_use]
     pub fn newest(&self, name: &str) -> Option<Sample> {
         self.channel(name).newest.borrow().clone()
     }
 
     /// The newest value, or the field of it at `path`. Only the returned part is copied.
-    #[must_use]
     pub fn field(&self, name: &str, path: &[String]) -> Option<Value> {
         let channel = self.channel(name);
         let newest = channel.newest.borrow();
@@ -84,13 +81,11 @@ impl Channels {
     }
 
     /// Time since the last publication; `None` if nothing was published yet.
-    #[must_use]
     pub fn age(&self, name: &str) -> Option<Duration> {
         self.channel(name).newest.borrow().as_ref().map(|sample| sample.at.elapsed())
     }
 
     /// A receiver that wakes at each new sample.
-    #[must_use]
     pub fn subscribe(&self, name: &str) -> watch::Receiver<Option<Sample>> {
         self.channel(name).newest.subscribe()
     }
@@ -104,7 +99,6 @@ impl Channels {
     }
 
     /// The number of readers of a channel. An observer sleeps on it while there are none.
-    #[must_use]
     pub fn wanted(&self, name: &str) -> watch::Receiver<usize> {
         self.channel(name).wanted.subscribe()
     }

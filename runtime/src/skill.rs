@@ -3,11 +3,12 @@
 //! A skill is started with checked inputs, reports one outcome, and returns soon after it has been cancelled.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use armarium_source::suggest;
-use armarium_values::{ConvertError, Type, Value};
+use armarium_values::{ConvertError, Type, Unit, Value};
 use futures::future::BoxFuture;
 use serde::{Deserialize, Serialize};
 use tokio::sync::mpsc;
@@ -32,6 +33,10 @@ pub struct SkillManifest {
     pub events: Vec<String>,
     /// Marks for the referee of a run.
     pub marks: Vec<Mark>,
+    /// Channels that it reads.
+    pub reads: Vec<String>,
+    /// Channels that it publishes.
+    pub publishes: Vec<String>,
     /// Limbs that it commands; two regions that can command one limb at the same time are an error at load.
     pub limbs: Vec<String>,
     /// How long it may take to return after a cancel.
@@ -54,8 +59,30 @@ pub struct Parameter {
     pub minimum: Option<f64>,
     /// Largest number that is allowed, SI.
     pub maximum: Option<f64>,
+    /// What names its values are, where they are names that are known before a run.
+    pub names: Option<NameKind>,
     /// One sentence for people.
     pub description: String,
+}
+
+/// A kind of names that are known before a run. What the names are, the host of the skills knows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum NameKind {
+    /// A posture of the robot.
+    Posture,
+    /// A class of objects in prior knowledge.
+    ObjectClass,
+}
+
+impl fmt::Display for NameKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Posture => "posture",
+            Self::ObjectClass => "object class",
+        })
+    }
 }
 
 /// A point in a run that a referee must know: a skill has reached it, with some of its numbers. It has no effect on
@@ -92,19 +119,16 @@ pub enum MarkNumber {
 
 impl Mark {
     /// A mark that is set when the skill begins.
-    #[must_use]
     pub fn at_start(name: &str) -> Self {
         Self { name: name.into(), at: MarkTime::Start, numbers: Vec::new() }
     }
 
     /// A mark that is set when the skill ends with `success`.
-    #[must_use]
     pub fn at_success(name: &str) -> Self {
         Self { at: MarkTime::Success, ..Self::at_start(name) }
     }
 
     /// A mark that is set when the skill raises `event`.
-    #[must_use]
     pub fn at_event(event: &str, name: &str) -> Self {
         Self { at: MarkTime::Event(event.into()), ..Self::at_start(name) }
     }
@@ -124,7 +148,6 @@ impl Mark {
     }
 
     /// The numbers of one run of the skill. Values that are absent or no numbers are left out.
-    #[must_use]
     pub fn numbers_of(
         &self,
         inputs: &BTreeMap<String, Value>,
@@ -224,10 +247,42 @@ pub(crate) fn inputs<'p>(
 
 impl Parameter {
     /// A parameter without default and bounds.
-    #[must_use]
     pub fn new(name: &str, ty: Type, description: &str) -> Self {
         let (name, description) = (name.into(), description.into());
-        Self { name, ty, default: None, minimum: None, maximum: None, description }
+        Self { name, ty, default: None, minimum: None, maximum: None, names: None, description }
+    }
+
+    /// A value that it takes, as it is written in a file: the default, or something of its type. None where only an
+    /// expression gives one.
+    #[must_use]
+    pub fn example(&self) -> Option<String> {
+        let number =
+            self.minimum.or(self.maximum).map_or(0.0, |bound| if self.allows(0.0) { 0.0 } else { bound });
+        let value = match &self.ty {
+            _ if self.default.is_some() => self.default.clone()?,
+            Type::Bool => Value::Bool(false),
+            Type::Int => Value::Int(number as i64),
+            Type::Float(Some(unit)) if *unit != Unit::ONE => return Some(format!("{number} {unit}")),
+            Type::Float(_) => Value::Float(number),
+            Type::Duration => return Some(format!("{number} s")),
+            Type::String | Type::Any => Value::String(String::new()),
+            Type::Reference(kind) => Value::String(kind.to_lowercase()),
+            Type::Enum(words) => Value::String(words.first()?.clone()),
+            Type::List(_) => Value::List(Vec::new()),
+            Type::Map(_) => Value::Map(BTreeMap::new()),
+            _ => return None,
+        };
+        self.accept(value.clone()).ok()?;
+        match value {
+            Value::Reference(reference) => Some(reference.id),
+            Value::String(word)
+                if !word.is_empty() && word.chars().all(|c| c.is_alphanumeric() || c == '_') =>
+            {
+                Some(word)
+            }
+            Value::Duration(seconds) => Some(format!("{seconds} s")),
+            value => Some(value.to_json().to_string()),
+        }
     }
 
     fn allows(&self, x: f64) -> bool {
@@ -258,8 +313,7 @@ impl Parameter {
 }
 
 impl SkillManifest {
-    /// A skill without inputs, outputs, further outcomes, events or limbs, and with a grace of 1 s.
-    #[must_use]
+    /// A skill without inputs, outputs, further outcomes, events, channels or limbs, and with a grace of 1 s.
     pub fn new(name: &str, description: &str) -> Self {
         Self {
             name: name.into(),
@@ -269,6 +323,8 @@ impl SkillManifest {
             outcomes: Vec::new(),
             events: Vec::new(),
             marks: Vec::new(),
+            reads: Vec::new(),
+            publishes: Vec::new(),
             limbs: Vec::new(),
             grace: Duration::from_secs(1),
             open: false,
@@ -287,6 +343,13 @@ impl SkillManifest {
     pub fn optional(mut self, name: &str, ty: Type, default: impl Into<Value>, description: &str) -> Self {
         let default = Some(default.into());
         self.inputs.push(Parameter { default, ..Parameter::new(name, ty, description) });
+        self
+    }
+
+    /// Says that the values of the input that was added last are names that are known before a run.
+    #[must_use]
+    pub fn names(mut self, kind: NameKind) -> Self {
+        self.inputs.iter_mut().last().into_iter().for_each(|input| input.names = Some(kind));
         self
     }
 
@@ -318,6 +381,20 @@ impl SkillManifest {
         self
     }
 
+    /// Adds a channel that the skill reads.
+    #[must_use]
+    pub fn reads(mut self, channel: &str) -> Self {
+        self.reads.push(channel.into());
+        self
+    }
+
+    /// Adds a channel that the skill publishes: one that ships, or one that charts declare under `channels:`.
+    #[must_use]
+    pub fn publishes(mut self, channel: &str) -> Self {
+        self.publishes.push(channel.into());
+        self
+    }
+
     /// Adds a limb that the skill commands.
     #[must_use]
     pub fn limb(mut self, name: &str) -> Self {
@@ -344,13 +421,11 @@ pub struct Outcome {
 
 impl Outcome {
     /// The outcome `success` without outputs.
-    #[must_use]
     pub fn success() -> Self {
         Self { name: "success".into(), outputs: BTreeMap::new() }
     }
 
     /// An outcome that the manifest declares, without outputs.
-    #[must_use]
     pub fn named(name: &str) -> Self {
         Self { name: name.into(), outputs: BTreeMap::new() }
     }

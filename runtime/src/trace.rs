@@ -211,14 +211,12 @@ impl RunStatus {
     }
 
     /// The active states in one line, with those of other agents in brackets after their state.
-    #[must_use]
     pub fn line(&self) -> String {
-        self.shown().join(" | ")
+        self.lines().join(" | ")
     }
 
     /// The innermost active states, each with the active states inside it at another agent.
-    #[must_use]
-    pub fn shown(&self) -> Vec<String> {
+    pub fn lines(&self) -> Vec<String> {
         let one = |leaf: &String| match self.inside.get(leaf).filter(|inside| !inside.is_empty()) {
             Some(inside) => format!("{leaf} [{}]", inside.join(" | ")),
             None => leaf.clone(),

@@ -1,7 +1,5 @@
 //! Draws a table with a sponge, the robot and the coach's hand in every gesture, as seen by the robot's left eye,
 //! and prints the time per picture: `cargo run --release -p armarium-simulator --example scene_png -- DIRECTORY`.
-//!
-//! The PNG files are written without compression, so that the example needs only the renderer.
 
 #![expect(clippy::disallowed_methods, reason = "it measures the machine")]
 
@@ -11,12 +9,12 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use armarium_robot::{Kinematics, Model};
-use armarium_simulator::render::hand::{HandGesture, coach_hand};
+use armarium_simulator::render::hand::{HandPose, hand_shapes};
 use armarium_simulator::render::robot::robot_shapes;
 use armarium_simulator::render::{
     Bump, DirtTexture, Geometry, Scene, SensorNoise, Shape, Viewpoint, render, render_pair,
 };
-use armarium_visionx::{Image, PinholeCamera};
+use armarium_visionx::{Gesture, PinholeCamera, annotate};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 const CAMERA: PinholeCamera = PinholeCamera { width: 640, height: 480, focal: 515.0, center: [319.5, 239.5] };
@@ -33,29 +31,22 @@ fn main() -> std::io::Result<()> {
     });
     let noise = SensorNoise::new(2.0, 1);
 
-    let gestures = [HandGesture::Fist, HandGesture::OpenHand, HandGesture::PointOne, HandGesture::PointTwo];
-    for (number, gesture) in gestures.into_iter().enumerate() {
-        let scene = Scene::new(
-            table()
-                .into_iter()
-                .chain(robot_shapes(&robot, &Isometry3::identity()))
-                .chain(hand(gesture))
-                .collect(),
-        );
+    let scene = |gesture| {
+        let shapes = [table(), robot_shapes(&robot, &Isometry3::identity()), hand(gesture)];
+        Scene::new(shapes.concat())
+    };
+    for (number, gesture) in Gesture::ALL.into_iter().enumerate() {
+        let scene = scene(gesture);
         let [mut seen, mut other] = render_pair(&scene, &[left, right]);
         noise.apply(&mut seen.image, number as u64, 0);
         noise.apply(&mut other.image, number as u64, 1);
-        write_png(&directory.join(format!("scene_{gesture:?}_left.png")), &seen.image)?;
-        write_png(&directory.join(format!("scene_{gesture:?}_right.png")), &other.image)?;
+        for (eye, image) in [("left", &seen.image), ("right", &other.image)] {
+            let png = annotate::png(image).map_err(std::io::Error::other)?;
+            std::fs::write(directory.join(format!("scene_{gesture:?}_{eye}.png")), png)?;
+        }
     }
 
-    let scene = Scene::new(
-        table()
-            .into_iter()
-            .chain(robot_shapes(&robot, &Isometry3::identity()))
-            .chain(hand(HandGesture::OpenHand))
-            .collect(),
-    );
+    let scene = scene(Gesture::OpenHand);
     let began = Instant::now();
     for frame in 0..ROUNDS {
         let mut seen = render(&scene, &left);
@@ -129,51 +120,8 @@ fn looking_down() -> Kinematics {
 }
 
 /// The hand over the far side of the table, its back up, pointing at the robot.
-fn hand(gesture: HandGesture) -> Vec<Shape> {
+fn hand(gesture: Gesture) -> Vec<Shape> {
     let axes = Matrix3::from_columns(&[-Vector3::z(), Vector3::x(), -Vector3::y()]);
     let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
-    coach_hand(gesture, &Isometry3::from_parts(Translation3::new(0.12, 0.66, 1.06), turn))
-}
-
-/// Writes an image as an uncompressed PNG file (RFC 2083, stored blocks of RFC 1951).
-fn write_png(path: &Path, image: &Image) -> std::io::Result<()> {
-    let mut rows = Vec::new();
-    for row in image.data().chunks(image.width() as usize * 3) {
-        rows.push(0);
-        rows.extend_from_slice(row);
-    }
-    let mut stream = vec![0x78, 0x01];
-    let blocks = rows.chunks(0xFFFF).count();
-    for (i, block) in rows.chunks(0xFFFF).enumerate() {
-        stream.push(u8::from(i + 1 == blocks));
-        stream.extend_from_slice(&(block.len() as u16).to_le_bytes());
-        stream.extend_from_slice(&(!(block.len() as u16)).to_le_bytes());
-        stream.extend_from_slice(block);
-    }
-    let (a, b) = rows.iter().fold((1_u32, 0_u32), |(a, b), &byte| {
-        let a = (a + u32::from(byte)) % 65521;
-        (a, (b + a) % 65521)
-    });
-    stream.extend_from_slice(&(b << 16 | a).to_be_bytes());
-
-    let mut file = std::fs::File::create(path)?;
-    file.write_all(b"\x89PNG\r\n\x1a\n")?;
-    let mut header = Vec::new();
-    header.extend_from_slice(&image.width().to_be_bytes());
-    header.extend_from_slice(&image.height().to_be_bytes());
-    header.extend_from_slice(&[8, 2, 0, 0, 0]);
-    for (name, data) in [(b"IHDR", header), (b"IDAT", stream), (b"IEND", Vec::new())] {
-        let body = [&name[..], &data[..]].concat();
-        file.write_all(&(data.len() as u32).to_be_bytes())?;
-        file.write_all(&body)?;
-        file.write_all(&checksum(&body).to_be_bytes())?;
-    }
-    Ok(())
-}
-
-/// CRC-32 of a PNG chunk.
-fn checksum(data: &[u8]) -> u32 {
-    !data.iter().fold(!0_u32, |crc, &byte| {
-        (0..8).fold(crc ^ u32::from(byte), |c, _| if c & 1 == 1 { 0xEDB8_8320 ^ (c >> 1) } else { c >> 1 })
-    })
+    hand_shapes(&HandPose::of(gesture), &Isometry3::from_parts(Translation3::new(0.12, 0.66, 1.06), turn))
 }

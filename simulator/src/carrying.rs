@@ -42,14 +42,12 @@ pub struct CarryingRecord {
 
 impl CarryingRecord {
     /// Vector from the right TCP to the left one, root frame, m.
-    #[must_use]
     pub fn apart(&self) -> Vector3<f64> {
         self.tcps[1].translation.vector - self.tcps[0].translation.vector
     }
 
     /// The force with which the left hand presses on the box against the right one, N, root frame: half the
     /// difference of both hands' forces. It excludes the box's weight and inertia, which both hands share.
-    #[must_use]
     pub fn internal_force(&self) -> Vector3<f64> {
         (self.reactions[0].force - self.reactions[1].force) / 2.0
     }
@@ -82,32 +80,27 @@ impl CarryingReferee {
     }
 
     /// Number of logged milliseconds.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.lock().len()
     }
 
     /// Whether nothing has been logged yet.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
     /// A copy of the log, for plots: one entry per millisecond.
-    #[must_use]
     pub fn log(&self) -> Vec<CarryingRecord> {
         self.lock().clone()
     }
 
     /// The figures from millisecond `from` to the end; `None` if nothing was logged there.
-    #[must_use]
     pub fn judge(&self, from: usize) -> Option<CarryingFigures> {
         self.lock().get(from..).and_then(figures)
     }
 }
 
 /// The figures of a log, relative to its first entry.
-#[must_use]
 pub fn figures(log: &[CarryingRecord]) -> Option<CarryingFigures> {
     let (first, last) = (log.first()?, log.last()?);
     let mean = |of: &dyn Fn(&CarryingRecord) -> f64| log.iter().map(of).sum::<f64>() / log.len() as f64;
@@ -156,25 +149,21 @@ impl Carrying {
     }
 
     /// Sensed joint positions, rad or m.
-    #[must_use]
     pub fn position(&self) -> &[f64] {
         self.plant.position()
     }
 
     /// Sensed joint velocities, rad/s or m/s.
-    #[must_use]
     pub fn velocity(&self) -> &[f64] {
         self.plant.velocity()
     }
 
     /// The sensor values of the palms, right and left.
-    #[must_use]
     pub fn palms(&self) -> &Sides<PalmSensed> {
         &self.sensed
     }
 
     /// The referee of this scene.
-    #[must_use]
     pub fn referee(&self) -> CarryingReferee {
         self.referee.clone()
     }

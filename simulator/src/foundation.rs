@@ -59,7 +59,6 @@ pub struct FoundationReaction {
 
 impl ElasticFoundation {
     /// The underside of an object with half edges `size / 2`.
-    #[must_use]
     pub fn new(object: &ObjectSpec) -> Self {
         let half = Vector3::from(object.size) / 2.0;
         let counts = [object.size[0], object.size[1]].map(|s| ((s / CELL).round() as usize).clamp(2, 20));
@@ -77,7 +76,6 @@ impl ElasticFoundation {
     }
 
     /// Half the object's edges, m.
-    #[must_use]
     pub fn half(&self) -> &Vector3<f64> {
         &self.half
     }
@@ -147,7 +145,6 @@ impl ElasticFoundation {
     }
 
     /// Compression of a cell at which it begins to clean, m: [`CLEANING_FORCE`] spread over the whole underside.
-    #[must_use]
     pub fn cleaning_depth(&self) -> f64 {
         CLEANING_FORCE / (self.stiffness * self.bristles.len() as f64)
     }

@@ -34,14 +34,12 @@ pub struct ModificationFigures {
 }
 
 /// The figures of a log; `None` if it does not contain both periods.
-#[must_use]
 pub fn modification(log: &TruthLog, compared: &Compared) -> Option<ModificationFigures> {
     let path: Vec<_> = log.records.iter().map(|r| r.tcp.translation.vector).collect();
     of_path(&path, compared)
 }
 
 /// The same for a path with one point per millisecond.
-#[must_use]
 pub fn of_path(path: &[Vector3<f64>], compared: &Compared) -> Option<ModificationFigures> {
     let before = period(path, compared.before_s, compared.period_s)?;
     let after = period(path, compared.after_s, compared.period_s)?;
@@ -59,7 +57,6 @@ pub fn of_path(path: &[Vector3<f64>], compared: &Compared) -> Option<Modificatio
 
 /// The period of a path (one point per millisecond) that ends at `end_s`: points at equal phases from 0 on, one per
 /// whole millisecond. Phase 0 is the path's first point. `None` if the path does not contain the period.
-#[must_use]
 pub fn period(path: &[Vector3<f64>], end_s: f64, period_s: f64) -> Option<Vec<Vector3<f64>>> {
     let (end, length) = (end_s * 1e3, period_s * 1e3);
     let count = length.round();

@@ -14,7 +14,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::cameras::{AgentEyes, Eyes, Scenery, ScenerySink, SimulatedCameras, View};
+use crate::cameras::{AgentEyes, Eyes, SceneState, Scenery, ScenerySink, SimulatedCameras};
 use crate::coach::{Coach, SeenArm};
 use crate::error::SimulationError;
 use crate::physics::{External, Plant};
@@ -31,7 +31,7 @@ const STEP_NS: u64 = 1_000_000;
 const STEP: Duration = Duration::from_nanos(STEP_NS);
 /// A delay longer than this is not caught up: otherwise the guard would take the silence of the commanders for
 /// their end.
-const LONGEST_DELAY: Duration = Duration::from_millis(10);
+const MAX_DELAY: Duration = Duration::from_millis(10);
 
 /// Options besides world and seed.
 #[derive(Default)]
@@ -49,11 +49,11 @@ pub struct Options {
 /// Stops a simulation and reads its time; clones are the same handle.
 #[derive(Clone, Debug, Default)]
 pub struct Handle {
-    shared: Arc<Shared>,
+    shared: Arc<HandleState>,
 }
 
 #[derive(Debug, Default)]
-struct Shared {
+struct HandleState {
     stop: AtomicBool,
     now_ns: AtomicU64,
 }
@@ -65,7 +65,6 @@ impl Handle {
     }
 
     /// Simulated time since the robot's start, ns.
-    #[must_use]
     pub fn now_ns(&self) -> u64 {
         self.shared.now_ns.load(Ordering::Relaxed)
     }
@@ -90,7 +89,8 @@ pub struct Simulation {
     handle: Handle,
     disturbances: Vec<Disturbance>,
     object_names: Vec<String>,
-    sponge: Option<usize>,
+    /// The object in question, see [`TruthSample::object`].
+    object: Option<usize>,
     grasped_at: Option<f64>,
     wiping_at: Option<f64>,
     hand_gone_at: f64,
@@ -129,7 +129,6 @@ impl Simulation {
         });
         let sliding = model.joints().iter().map(|j| j.kind == JointKind::Prismatic).collect();
         let (guard, robot) = Guard::new(Arc::clone(&model), options.guard);
-        let sponge = world.sponge().and_then(|s| world.objects.iter().position(|o| o.name == s.name));
         let external =
             External { hand: Vector3::zeros(), objects: vec![Vector3::zeros(); world.objects.len()] };
         Ok(Self {
@@ -148,7 +147,7 @@ impl Simulation {
             handle: Handle::default(),
             disturbances: world.disturbances.clone(),
             object_names: world.objects.iter().map(|o| o.name.clone()).collect(),
-            sponge,
+            object: world.first_object(),
             grasped_at: None,
             wiping_at: None,
             hand_gone_at: 0.0,
@@ -163,20 +162,17 @@ impl Simulation {
     }
 
     /// The robot, behind its guard.
-    #[must_use]
     pub fn robot(&self) -> Arc<dyn Robot> {
         Arc::clone(&self.robot)
     }
 
     /// The cameras on its head.
-    #[must_use]
     pub fn images(&self) -> Arc<dyn ImageSource> {
         let source: Arc<SimulatedCameras> = Arc::clone(self.eyes.source());
         source
     }
 
     /// The cameras of the world's other agents, by agent name. Poses are in each agent's own root frame.
-    #[must_use]
     pub fn agents(&self) -> Vec<(String, Arc<dyn ImageSource>)> {
         let eyes = |agent: &AgentEyes| {
             let source: Arc<SimulatedCameras> = Arc::clone(agent.source());
@@ -186,25 +182,21 @@ impl Simulation {
     }
 
     /// The referee of this run.
-    #[must_use]
     pub fn referee(&self) -> Referee {
         self.referee.clone()
     }
 
     /// A handle to stop the simulation and to read its time.
-    #[must_use]
     pub fn handle(&self) -> Handle {
         self.handle.clone()
     }
 
     /// The true state in the last step; for tests.
-    #[must_use]
     pub fn truth(&self) -> &TruthSample {
         &self.truth
     }
 
     /// The wiped cells of the table.
-    #[must_use]
     pub fn wiped(&self) -> &DirtGrid {
         &self.dirt
     }
@@ -217,7 +209,7 @@ impl Simulation {
         while !self.handle.shared.stop.load(Ordering::Relaxed) {
             let due = tick.tick().await;
             let late = due.elapsed();
-            if late > LONGEST_DELAY {
+            if late > MAX_DELAY {
                 tick.reset();
             }
             if late > STEP {
@@ -236,7 +228,7 @@ impl Simulation {
     pub fn step(&mut self) {
         let stamp_ns = self.steps * STEP_NS;
         let t = self.t();
-        self.listen(stamp_ns, t);
+        self.pass_utterances_to_coach(stamp_ns, t);
         self.sensors.sense(
             t,
             self.plant.position(),
@@ -247,9 +239,9 @@ impl Simulation {
         let targets = self.guard.step(stamp_ns, &self.sample);
         self.targets.position.copy_from_slice(&targets.position);
         self.targets.velocity.copy_from_slice(&targets.velocity);
-        self.act(t);
-        self.tell(stamp_ns);
-        self.show(stamp_ns, t);
+        self.apply_external_forces(t);
+        self.publish_truth(stamp_ns);
+        self.draw_frames(stamp_ns, t);
         if self.steps.is_multiple_of(WIPE_EVERY) {
             self.wipe();
         }
@@ -266,7 +258,7 @@ impl Simulation {
     }
 
     /// Passes the robot's utterances to the coach.
-    fn listen(&mut self, stamp_ns: u64, t: f64) {
+    fn pass_utterances_to_coach(&mut self, stamp_ns: u64, t: f64) {
         for utterance in self.guard.take_utterances() {
             tracing::info!(utterance, "the robot says");
             self.coach.hear(&utterance, t);
@@ -279,7 +271,7 @@ impl Simulation {
     }
 
     /// Computes the external forces: the coach's and those of accidents.
-    fn act(&mut self, t: f64) {
+    fn apply_external_forces(&mut self, t: f64) {
         let arm = self.seen_arm();
         let state = *self.coach.step(t, &arm, 1e-3);
         if state.hand.is_some() {
@@ -317,9 +309,11 @@ impl Simulation {
     }
 
     /// Collects the true state and passes it to the truth sinks.
-    fn tell(&mut self, stamp_ns: u64) {
-        let held = self.sponge.is_some() && self.plant.held() == self.sponge;
-        let before = self.truth.held;
+    fn publish_truth(&mut self, stamp_ns: u64) {
+        let held = self.plant.held();
+        let taken = held.filter(|_| held != self.object || !self.truth.held);
+        self.object = held.or(self.object);
+        let (before, held) = (self.truth.held, held.is_some());
         let truth = &mut self.truth;
         truth.stamp_ns = stamp_ns;
         copy(&mut truth.position, self.plant.position());
@@ -329,8 +323,11 @@ impl Simulation {
         truth.tcp = self.plant.tcp();
         truth.tcp_velocity = self.plant.tcp_velocity();
         truth.held = held;
-        truth.sponge = self.sponge.and_then(|s| self.plant.object(s));
-        let reaction = self.sponge.and_then(|s| self.plant.reaction(s)).copied().unwrap_or_default();
+        truth.object = self.object;
+        truth.objects.clear();
+        truth.objects.extend((0..self.object_names.len()).filter_map(|object| self.plant.object(object)));
+        let reaction =
+            self.object.and_then(|object| self.plant.reaction(object)).copied().unwrap_or_default();
         truth.contact = Contact { normal: reaction.normal, tangential: reaction.friction };
         (truth.wrist_force, truth.wrist_torque) = self.plant.wrist();
         self.referee.sample(&self.truth);
@@ -339,6 +336,9 @@ impl Simulation {
         }
         for event in self.coach.take_events() {
             self.event(stamp_ns, &TruthEvent::Coach(event));
+        }
+        if let Some(name) = taken.and_then(|object| self.object_names.get(object)).cloned() {
+            self.event(stamp_ns, &TruthEvent::Grasped(name));
         }
         if held != before {
             self.event(stamp_ns, &TruthEvent::Held(held));
@@ -350,7 +350,7 @@ impl Simulation {
     }
 
     /// Draws the frames that are due and wanted: the robot's and those of other agents.
-    fn show(&mut self, stamp_ns: u64, t: f64) {
+    fn draw_frames(&mut self, stamp_ns: u64, t: f64) {
         let elsewhere = self.scenery.as_ref().is_some_and(|scenery| scenery.is_wanted());
         let own = self.eyes.due(t, elsewhere);
         let due: Vec<bool> = self.agents.iter_mut().map(|agent| agent.due(t)).collect();
@@ -360,7 +360,7 @@ impl Simulation {
         }
         let objects: Vec<Isometry3<f64>> =
             (0..self.object_names.len()).filter_map(|i| self.plant.object(i)).collect();
-        let view = View {
+        let view = SceneState {
             stamp_ns,
             true_position: self.plant.position(),
             sensed_position: &self.sample.position,
@@ -387,12 +387,13 @@ impl Simulation {
     }
 
     fn wipe(&mut self) {
-        let Some(index) = self.sponge else { return };
         if self.truth.contact.normal <= 0.0 {
             return;
         }
-        if let (Some(pose), Some(bed)) = (self.truth.sponge, self.plant.bed(index)) {
-            bed.wipe(self.plant.table(), &pose, &mut self.dirt);
+        if let Some((object, pose)) = self.truth.object_pose()
+            && let Some(foundation) = self.plant.foundation(object)
+        {
+            foundation.wipe(self.plant.table(), &pose, &mut self.dirt);
         }
     }
 }

@@ -35,7 +35,6 @@ pub struct SurfacePoint {
 
 impl TableTop {
     /// The table of a world.
-    #[must_use]
     pub fn new(spec: &TableSpec) -> Self {
         let [tilt_x, tilt_y] = spec.tilt_deg.map(f64::to_radians);
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), tilt_y)
@@ -62,37 +61,31 @@ impl TableTop {
     }
 
     /// The pose of the table's frame in the root frame.
-    #[must_use]
     pub fn root_from_top(&self) -> &Isometry3<f64> {
         &self.root_from_top
     }
 
     /// Half its width and depth, m.
-    #[must_use]
     pub fn half(&self) -> [f64; 2] {
         self.half
     }
 
     /// Its bumps, in its own frame.
-    #[must_use]
     pub fn bumps(&self) -> &[render::Bump] {
         &self.bumps
     }
 
     /// Coulomb friction of sponge on table.
-    #[must_use]
     pub fn friction(&self) -> f64 {
         self.friction
     }
 
     /// The unit normal of its plane, root frame.
-    #[must_use]
     pub fn plane_normal(&self) -> Unit<Vector3<f64>> {
         Unit::new_unchecked(self.root_from_top * Vector3::z())
     }
 
     /// Height of the plane without bumps at a place in the root frame, m; also beyond the table's edges.
-    #[must_use]
     pub fn plane_height(&self, x: f64, y: f64) -> f64 {
         let n = self.plane_normal();
         let c = self.root_from_top.translation.vector;
@@ -100,7 +93,6 @@ impl TableTop {
     }
 
     /// The surface at a point of the root frame; `None` beside the table and below the underside of its top.
-    #[must_use]
     pub fn surface(&self, point: &Point3<f64>) -> Option<SurfacePoint> {
         let p = self.root_from_top.inverse_transform_point(point);
         if p.x.abs() > self.half[0] || p.y.abs() > self.half[1] {
@@ -136,7 +128,6 @@ pub struct DirtGrid {
 
 impl DirtGrid {
     /// A grid over a table without marked cells.
-    #[must_use]
     pub fn new(table: &TableTop) -> Self {
         let half = table.half();
         let [columns, rows] = half.map(|h| ((2.0 * h / DIRT_CELL).ceil() as usize).max(1));
@@ -144,25 +135,16 @@ impl DirtGrid {
     }
 
     /// Cells along x.
-    #[must_use]
     pub fn columns(&self) -> usize {
         self.columns
     }
 
     /// Cells along y.
-    #[must_use]
     pub fn rows(&self) -> usize {
         self.rows
     }
 
-    /// Whether a cell is marked.
-    #[must_use]
-    pub fn is_marked(&self, column: usize, row: usize) -> bool {
-        column < self.columns && row < self.rows && self.marked[row * self.columns + column]
-    }
-
     /// All cells, x fastest.
-    #[must_use]
     pub fn cells(&self) -> &[bool] {
         &self.marked
     }
@@ -201,7 +183,6 @@ impl DirtGrid {
     }
 
     /// The share of this grid's marked cells that `other` has marked too; `None` if none is marked.
-    #[must_use]
     pub fn covered_by(&self, other: &Self) -> Option<f64> {
         let total = self.marked.iter().filter(|m| **m).count();
         let both = self.marked.iter().zip(&other.marked).filter(|(a, b)| **a && **b).count();

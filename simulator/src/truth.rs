@@ -26,11 +26,14 @@ pub struct TruthSample {
     pub tcp: Isometry3<f64>,
     /// Velocity of the right TCP, root frame, m/s.
     pub tcp_velocity: Vector3<f64>,
-    /// The table's force on the sponge.
+    /// The table's force on the object in question.
     pub contact: Contact,
-    /// Pose of the sponge's middle in the root frame; `None` in a world without one.
-    pub sponge: Option<Isometry3<f64>>,
-    /// Whether the hand holds the sponge.
+    /// The object in question, by its index in the world's `objects`: the one that the hand holds, or held last; before the
+    /// first grasp, the one named `sponge`, else the first. `None` in a world without objects.
+    pub object: Option<usize>,
+    /// Poses of the middles of all objects in the root frame, in the world's order.
+    pub objects: Vec<Isometry3<f64>>,
+    /// Whether the hand holds the object in question.
     pub held: bool,
     /// The coach's state.
     pub coach: CoachState,
@@ -40,7 +43,15 @@ pub struct TruthSample {
     pub wrist_torque: Vector3<f64>,
 }
 
-/// The table's force on the sponge.
+impl TruthSample {
+    /// The object in question and the pose of its middle.
+    pub fn object_pose(&self) -> Option<(usize, Isometry3<f64>)> {
+        let object = self.object?;
+        Some((object, *self.objects.get(object)?))
+    }
+}
+
+/// The table's force on an object.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Contact {
     /// Normal force, N.
@@ -75,7 +86,9 @@ pub enum TruthEvent {
     Coach(ActionEvent),
     /// A milestone was reached for the first time.
     Reached(Milestone),
-    /// The hand took or lost the sponge.
+    /// The hand took an object, by its name. From now on it is the object in question.
+    Grasped(String),
+    /// The hand took or lost an object.
     Held(bool),
 }
 
@@ -109,7 +122,6 @@ impl Default for TruthDigest {
 
 impl TruthDigest {
     /// The digest so far.
-    #[must_use]
     pub fn value(&self) -> u64 {
         *self.state.lock()
     }
@@ -131,7 +143,8 @@ impl TruthSink for TruthDigest {
         for v in [s.contact.tangential, s.wrist_force, s.wrist_torque, s.coach.push] {
             v.iter().copied().for_each(&mut eat);
         }
-        for pose in [s.sponge, s.coach.tool, s.coach.hand.map(|h| h.root_from_hand)].into_iter().flatten() {
+        let object = s.object_pose().map(|(_, pose)| pose);
+        for pose in [object, s.coach.tool, s.coach.hand.map(|h| h.root_from_hand)].into_iter().flatten() {
             pose.translation.vector.iter().copied().for_each(&mut eat);
         }
     }

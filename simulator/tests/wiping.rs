@@ -6,12 +6,12 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use armarium_robot::{DifferentialIk, IkConfig, Lease, LeaseLimits, LinkId, Robot, Twist};
-use armarium_simulator::world::Disturbance;
+use armarium_simulator::world::{Disturbance, ObjectSpec};
 use armarium_simulator::{Mark, Options, Simulation, World};
-use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector2, Vector3};
 
 /// Moves the right hand of a simulation with knowledge of the truth.
-struct Hand {
+struct TruthfulHand {
     simulation: Simulation,
     robot: Arc<dyn Robot>,
     arm: Lease,
@@ -21,7 +21,7 @@ struct Hand {
     tcp: LinkId,
 }
 
-impl Hand {
+impl TruthfulHand {
     fn new(world: &World, seed: u64) -> Self {
         let simulation = Simulation::new(world, seed, Options::default()).unwrap();
         let robot = simulation.robot();
@@ -95,12 +95,16 @@ fn world() -> World {
     world
 }
 
-fn grasped(world: &World) -> (Hand, Isometry3<f64>) {
-    let mut hand = Hand::new(world, 3);
+fn grasped(world: &World) -> (TruthfulHand, Isometry3<f64>) {
+    grasped_object(world, 0)
+}
+
+fn grasped_object(world: &World, object: usize) -> (TruthfulHand, Isometry3<f64>) {
+    let mut hand = TruthfulHand::new(world, 3);
     hand.step(&Twist::default(), 0.0);
-    let sponge = hand.simulation.truth().sponge.unwrap();
-    assert!(hand.go(&above(&sponge, 0.12, 0.0), 6.0, 0.05) < 0.01);
-    let grasp = above(&sponge, 0.0, 0.0);
+    let object = hand.simulation.truth().objects[object];
+    assert!(hand.go(&above(&object, 0.12, 0.0), 6.0, 0.05) < 0.01);
+    let grasp = above(&object, 0.0, 0.0);
     assert!(hand.go(&grasp, 3.0, 0.0) < 0.005);
     hand.go(&grasp, 1.5, -0.05);
     assert!(hand.simulation.truth().held);
@@ -161,6 +165,36 @@ fn the_sponge_is_taken_pressed_and_wiped_with() {
     assert!(point.z.is_finite() && hand.tcp.index() > 0);
 }
 
+/// The sponge lies aside; a brick is grasped where it used to lie.
+#[test]
+fn what_was_grasped_is_judged_whatever_its_name_is() {
+    let mut world = world();
+    let brick = ObjectSpec { name: "brick".into(), ..world.objects[0].clone() };
+    let [x, y] = world.objects[0].at;
+    world.objects[0].at = [x - 0.25, y + 0.2];
+    world.objects.push(brick);
+    let (mut hand, grasp) = grasped_object(&world, 1);
+    let referee = hand.simulation.referee();
+    hand.go(&above(&grasp, 0.0, 0.0), 1.0, -0.05);
+    referee.mark(Mark::AdaptationEnded { desired_n: 8.0, cycles: 2 }, hand.now());
+    hand.go(&above(&grasp, 0.02, 0.0), 1.0, -0.05);
+    assert_eq!(referee.judged_object(), Some(1));
+    let report = referee.report();
+    let judged = report.grasp.as_ref().unwrap();
+    assert!(judged.object == "brick" && judged.position_error_m < 0.01, "{judged:?}");
+    assert!(report.wiped_fraction.is_some_and(|fraction| fraction < 0.5), "{report:?}");
+    assert!(referee.sections().iter().any(|section| section.note.contains("What the brick cleaned")));
+    // Before and after the grasp it is known where both are.
+    let log = referee.log();
+    let place = |object: usize, t: u64| log.object_at(object, t).unwrap().translation.vector;
+    let (early, late) = (1_000_000_000, hand.now() - 1_000_000);
+    assert!((place(1, early).xy() - Vector2::new(x, y)).norm() < 0.01, "{}", place(1, early));
+    for t in [early, late] {
+        assert!((place(0, t).xy() - Vector2::new(x - 0.25, y + 0.2)).norm() < 0.01, "{}", place(0, t));
+    }
+    assert!(place(1, late).z > place(1, early).z + 0.01);
+}
+
 #[test]
 fn a_knock_takes_the_sponge_out_of_the_hand() {
     let mut world = world();
@@ -196,11 +230,11 @@ fn extreme_objects_lie_still() {
         for _ in 0..2000 {
             simulation.step();
         }
-        let before = simulation.truth().sponge.unwrap().translation.vector;
+        let before = simulation.truth().object_pose().unwrap().1.translation.vector;
         for _ in 0..1000 {
             simulation.step();
         }
-        let moved = simulation.truth().sponge.unwrap().translation.vector - before;
+        let moved = simulation.truth().object_pose().unwrap().1.translation.vector - before;
         assert!(moved.norm() < 1e-4, "{mass} {stiffness} {size:?} {moved}");
         let weight = mass * 9.81;
         assert!((simulation.truth().contact.normal / weight - 1.0).abs() < 0.02);

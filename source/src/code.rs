@@ -67,6 +67,8 @@ codes! {
     VALUE = "E028";
     /// The name of a thing that does not exist: an object, a class.
     REFERENCE = "E029";
+    /// Transitions that are taken again and again without time between them.
+    RESTLESS = "E030";
     /// An outcome that nobody handles.
     UNHANDLED = "W101";
     /// A state that cannot be reached.
@@ -77,4 +79,12 @@ codes! {
     UNUSED = "W104";
     /// A chart or skill of another agent that was not asked.
     UNASKED = "W105";
+    /// An end that is waited for and cannot come.
+    ENDLESS = "W106";
+    /// An output that nothing sets.
+    UNSET = "W107";
+    /// An event that is raised and that nobody takes.
+    UNHEARD = "W108";
+    /// A value that looks like something else: a forgotten `${}`, a time without unit.
+    SUSPICIOUS = "W109";
 }

@@ -54,25 +54,21 @@ impl Rule {
     pub const OR_NONE: Self = Self { none: true, ..Self::ANY };
 
     /// Numbers from `min` to `max` in a unit.
-    #[must_use]
     pub const fn number(unit: &'static str, min: f64, max: f64) -> Self {
         Self { unit, bare: unit, min, max, ..Self::ANY }
     }
 
     /// Finite numbers in a unit.
-    #[must_use]
     pub const fn unit(unit: &'static str) -> Self {
         Self::number(unit, f64::NEG_INFINITY, f64::INFINITY)
     }
 
     /// Angles in degrees, up to `max` either way; under the key `radians` they may be written in rad.
-    #[must_use]
     pub const fn degrees(max: f64, radians: &'static str) -> Self {
         Self { radians: Some(radians), ..Self::number("deg", -max, max) }
     }
 
     /// At most so many items.
-    #[must_use]
     pub const fn most(most: usize) -> Self {
         Self { most, ..Self::ANY }
     }
@@ -337,8 +333,11 @@ pub fn word<T: Copy>(into: &mut T, words: &[(&str, T)], node: &Node, findings: &
         Some((_, value)) => *into = *value,
         None => {
             let near = suggest(text, names()).map_or_else(String::new, |near| format!("{near} "));
-            let help = format!("{near}known are: {}", known());
-            findings.error_help(code::VALUE, node.span, format!("`{text}` is not known here"), Some(help));
+            let message = format!("`{text}` is not known here");
+            findings.unknown(code::VALUE, (node.span, text), message, names(), None);
+            if let Some(finding) = findings.list.last_mut() {
+                finding.help = Some(format!("{near}known are: {}", known()));
+            }
         }
     }
 }

@@ -2,36 +2,20 @@
 
 use std::fmt;
 use std::io::Read as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use serde::ser::{Serialize, SerializeStruct as _, Serializer};
 
 use crate::code;
+use crate::remedy::{Edit, Remedy};
+use crate::span::Span;
+use crate::text::Source;
 
 /// Largest file, bytes.
 pub(crate) const MAX_BYTES: usize = 10_000_000;
 
-/// A file's text, kept so that findings can show it.
-#[derive(Debug, PartialEq, Eq)]
-pub struct Source {
-    /// Where it was read from.
-    pub path: PathBuf,
-    /// Its text.
-    pub text: String,
-    lines: Vec<usize>,
-}
-
 impl Source {
-    /// A text and where it came from.
-    #[must_use]
-    pub fn new(path: impl Into<PathBuf>, text: impl Into<String>) -> Self {
-        let text = text.into();
-        let starts = text.bytes().enumerate().filter(|(_, b)| *b == b'\n').map(|(i, _)| i + 1);
-        let lines = std::iter::once(0).chain(starts).collect();
-        Self { path: path.into(), text, lines }
-    }
-
     /// Reads a file of UTF-8 text, 10 MB at most.
     ///
     /// # Errors
@@ -60,31 +44,6 @@ impl Source {
             }
         }
     }
-
-    /// Line and column of a byte, both from 1; columns count characters.
-    #[must_use]
-    pub fn position(&self, byte: usize) -> (usize, usize) {
-        let line = self.lines.partition_point(|start| *start <= byte).max(1);
-        let start = self.lines[line - 1];
-        let before = self.text.get(start..byte.min(self.text.len())).unwrap_or("");
-        (line, before.chars().count() + 1)
-    }
-
-    /// `file:line:column` of a byte.
-    #[must_use]
-    pub fn place(&self, byte: usize) -> String {
-        let (line, column) = self.position(byte);
-        format!("{}:{line}:{column}", self.path.display())
-    }
-}
-
-/// A range of bytes in a source.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Span {
-    /// First byte.
-    pub start: usize,
-    /// End, exclusive.
-    pub end: usize,
 }
 
 /// How bad a finding is.
@@ -111,11 +70,12 @@ pub struct Finding {
     pub message: String,
     /// What to do about it.
     pub help: Option<String>,
+    /// The same as data, where a program can do it.
+    pub remedy: Option<Remedy>,
 }
 
 impl Finding {
     /// An error.
-    #[must_use]
     pub fn error(
         source: Arc<Source>,
         code: &'static str,
@@ -123,23 +83,26 @@ impl Finding {
         message: impl Into<String>,
         help: Option<String>,
     ) -> Self {
-        Self { severity: Severity::Error, code, source, span, message: message.into(), help }
+        Self { severity: Severity::Error, code, source, span, message: message.into(), help, remedy: None }
+    }
+
+    /// The edits that put it right, in the order of the text; none where a person has to decide.
+    #[must_use]
+    pub fn edits(&self) -> Vec<Edit> {
+        self.remedy.as_ref().map_or_else(Vec::new, |remedy| remedy.edits(&self.source))
     }
 
     /// Line and column, both from 1.
-    #[must_use]
     pub fn position(&self) -> (usize, usize) {
         self.source.position(self.span.start)
     }
 
     /// Whether it keeps the file from being used.
-    #[must_use]
     pub fn is_error(&self) -> bool {
         self.severity == Severity::Error
     }
 
     /// Whether no place in the file is meant: its text is not there.
-    #[must_use]
     pub fn is_about_the_file(&self) -> bool {
         self.source.text.is_empty()
     }
@@ -154,19 +117,22 @@ impl fmt::Display for Finding {
 }
 
 /// For programs: `severity`, `code`, `file`, `line`, `column` (0 where the file as a whole is meant), `span` (first byte and
-/// length), `message` and `help`.
+/// length), `message`, `help`, and `edits` that put it right, each with its `span` and the `text` that stands there then.
 impl Serialize for Finding {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let (line, column) = if self.is_about_the_file() { (0, 0) } else { self.position() };
-        let mut fields = serializer.serialize_struct("Finding", 8)?;
+        let mut fields = serializer.serialize_struct("Finding", 9)?;
         fields.serialize_field("severity", if self.is_error() { "error" } else { "warning" })?;
         fields.serialize_field("code", self.code)?;
         fields.serialize_field("file", &self.source.path)?;
         fields.serialize_field("line", &line)?;
         fields.serialize_field("column", &column)?;
-        fields.serialize_field("span", &(self.span.start, self.span.end.saturating_sub(self.span.start)))?;
+        let span = |span: Span| (span.start, span.end.saturating_sub(span.start));
+        let edit = |edit: &Edit| serde_json::json!({"span": span(edit.span), "text": edit.text});
+        fields.serialize_field("span", &span(self.span))?;
         fields.serialize_field("message", &self.message)?;
         fields.serialize_field("help", self.help.as_deref().unwrap_or(""))?;
+        fields.serialize_field("edits", &self.edits().iter().map(edit).collect::<Vec<_>>())?;
         fields.end()
     }
 }
@@ -182,7 +148,6 @@ pub struct Findings {
 
 impl Findings {
     /// None yet.
-    #[must_use]
     pub fn new(source: Arc<Source>) -> Self {
         Self { source, list: Vec::new() }
     }
@@ -197,7 +162,31 @@ impl Findings {
         help: Option<String>,
     ) {
         let source = Arc::clone(&self.source);
-        self.list.push(Finding { severity, code, source, span, message: message.into(), help });
+        self.list.push(Finding { severity, code, source, span, message: message.into(), help, remedy: None });
+    }
+
+    /// Says how the finding that was added last is put right.
+    pub fn remedy(&mut self, remedy: Remedy) {
+        if let Some(finding) = self.list.last_mut() {
+            finding.remedy = Some(remedy);
+        }
+    }
+
+    /// Adds an error about a name that stands for nothing. If one of `known` is near, the help proposes it and an edit
+    /// puts it there; otherwise `help` is the help.
+    pub fn unknown<'a>(
+        &mut self,
+        code: &'static str,
+        at: (Span, &str),
+        message: impl Into<String>,
+        known: impl IntoIterator<Item = &'a str>,
+        help: Option<String>,
+    ) {
+        let near = armarium_values::expr::nearest(at.1, known);
+        self.error_help(code, at.0, message, near.map(proposed).or(help));
+        if let Some(near) = near {
+            self.remedy(Remedy::replace(at.0, near));
+        }
     }
 
     /// Adds an error.
@@ -218,9 +207,12 @@ impl Findings {
 }
 
 /// `did you mean ...?`, where a candidate is near.
-#[must_use]
 pub fn suggest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<String> {
-    armarium_values::expr::nearest(name, candidates).map(|near| format!("did you mean `{near}`?"))
+    armarium_values::expr::nearest(name, candidates).map(proposed)
+}
+
+fn proposed(near: &str) -> String {
+    format!("did you mean `{near}`?")
 }
 
 /// What is said of a file over the limit, and what to do about it.

@@ -7,7 +7,9 @@ use serde_json::{Map, Value as Json, json};
 
 use crate::code;
 use crate::field::Field;
-use crate::finding::{Finding, Findings, Source, Span, suggest};
+use crate::finding::{Finding, Findings};
+use crate::span::Span;
+use crate::text::Source;
 use crate::yaml::{self, Entries, Node, Yaml};
 
 /// A key of a section.
@@ -25,7 +27,6 @@ pub struct Key {
 
 impl Key {
     /// A key that may be left out.
-    #[must_use]
     pub const fn new(name: &'static str, doc: &'static str, schema: fn() -> Json) -> Self {
         Self { name, doc, required: false, schema }
     }
@@ -76,13 +77,25 @@ impl Findings {
 
     /// Adds a finding for each key that a form does not have.
     pub fn known(&mut self, entries: &Entries, keys: &[Key], called: &str) {
+        self.known_or(entries, keys, called, |_| None);
+    }
+
+    /// As [`Findings::known`]; `meant` knows words of other languages, and what they are here.
+    pub fn known_or(
+        &mut self,
+        entries: &Entries,
+        keys: &[Key],
+        called: &str,
+        meant: impl Fn(&str) -> Option<&'static str>,
+    ) {
         let names = || keys.iter().map(|key| key.name);
         for (key, _) in entries.iter().filter(|(key, _)| !names().any(|name| name == key.text)) {
-            let help = suggest(&key.text, names()).unwrap_or_else(|| {
-                format!("{called} has the keys {}", names().collect::<Vec<_>>().join(", "))
-            });
+            let help = format!("{called} has the keys {}", names().collect::<Vec<_>>().join(", "));
             let message = format!("{called} has no key `{}`", key.text);
-            self.error_help(code::KEY, key.span, message, Some(help));
+            match meant(&key.text) {
+                Some(meant) => self.error_help(code::KEY, key.span, message, Some(meant.to_owned())),
+                None => self.unknown(code::KEY, (key.span, &key.text), message, names(), Some(help)),
+            }
         }
     }
 }
@@ -118,10 +131,24 @@ pub fn read<F: Form>(source: Arc<Source>) -> Result<F, Vec<Finding>> {
 /// # Errors
 /// Everything that is wrong with it, in the order of the text.
 pub fn read_node<F: Form>(source: Arc<Source>) -> Result<(F, Node), Vec<Finding>> {
+    if source.text.trim().is_empty() {
+        let mut findings = Findings::new(source);
+        let message = format!("the file is empty: {} has the keys {}", F::CALLED, names_of::<F>());
+        findings.error(code::FILE, Span { start: 0, end: 1 }, message);
+        return Err(findings.list);
+    }
     let blank = source.text.lines().all(|line| line.trim().is_empty() || line.trim_start().starts_with('#'));
     let mut findings = Findings::new(source);
     let nothing = Node { span: Span { start: 0, end: 1 }, value: Yaml::Null };
     let node = if blank { Some(nothing) } else { yaml::parse(&mut findings) };
+    if let Some(node) = &node
+        && node.get("statechart").is_some()
+        && !F::keys().iter().any(|key| key.name == "statechart")
+    {
+        let message = format!("this is a chart, where {} is needed", F::CALLED);
+        findings.error(code::FORM, node.place("statechart"), message);
+        return Err(findings.list);
+    }
     let read = node.map(|node| {
         let mut form = F::default();
         set(&mut form, &node, &mut findings);
@@ -136,8 +163,12 @@ pub fn read_node<F: Form>(source: Arc<Source>) -> Result<(F, Node), Vec<Finding>
     }
 }
 
+/// The keys of a form, for messages.
+fn names_of<F: Form>() -> String {
+    F::keys().iter().map(|key| key.name).collect::<Vec<_>>().join(", ")
+}
+
 /// The JSON Schema of a map with these keys and no others.
-#[must_use]
 pub fn object(keys: &[Key]) -> Json {
     let mut properties = Map::new();
     for key in keys {
@@ -156,7 +187,6 @@ pub fn object(keys: &[Key]) -> Json {
 }
 
 /// The JSON Schema of a form, with its defaults.
-#[must_use]
 pub fn schema<F: Form>() -> Json {
     let keys = F::keys();
     let mut schema = object(&keys);

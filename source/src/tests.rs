@@ -73,7 +73,7 @@ fn everything_that_is_wrong_is_found_with_its_code_and_place() {
         ("name: a\nbooks: [{}, {pages: 1.5}]\n", "2:21 E028 "),
         ("name: a\nbooks: [{}, {}, {}, {}]\n", "2:8 E009 "),
         ("name: a\nheight: 2.5\nlean_deg: 6\n", "3:11 E028 "),
-        ("name: [\n", "1:7 E002 "),
+        ("name: [\n", "1:7 E002 add the missing `]`"),
         ("[1]\n", "1:1 E004 "),
     ] {
         let findings = shelf(text).unwrap_err();

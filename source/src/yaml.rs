@@ -12,8 +12,12 @@ use serde_saphyr::granit_parser::ErrorKind;
 use serde_saphyr::{ExternalMessageSource, Location, Spanned};
 
 use crate::code;
-use crate::finding::{Findings, MAX_BYTES, Span, too_large};
+use crate::finding::{Findings, MAX_BYTES, too_large};
+use crate::remedy::{Edit, Remedy};
+use crate::span::Span;
 use crate::stack::on_a_large_stack;
+use crate::text::Source;
+use crate::yaml_errors::slip_near;
 
 /// Deepest nesting of YAML; 60 levels of states are within it.
 const MAX_DEPTH: usize = 190;
@@ -62,7 +66,6 @@ pub enum Yaml {
 
 impl Node {
     /// The node under a key of a map.
-    #[must_use]
     pub fn get(&self, key: &str) -> Option<&Self> {
         match &self.value {
             Yaml::Map(entries) => entries.iter().find(|(k, _)| k.text == key).map(|(_, node)| node),
@@ -71,13 +74,11 @@ impl Node {
     }
 
     /// The place of what stands under a key; of the node itself where the key is not there.
-    #[must_use]
     pub fn place(&self, key: &str) -> Span {
         self.get(key).unwrap_or(self).span
     }
 
     /// The items of a list.
-    #[must_use]
     pub fn items(&self) -> &[Self] {
         match &self.value {
             Yaml::List(items) => items,
@@ -86,7 +87,6 @@ impl Node {
     }
 
     /// The node as a literal; `${` is not looked at.
-    #[must_use]
     pub fn literal(&self) -> Value {
         match &self.value {
             Yaml::Null => Value::Null,
@@ -104,7 +104,6 @@ impl Node {
 
 impl Yaml {
     /// What it is, for messages.
-    #[must_use]
     pub fn describe(&self) -> &'static str {
         match self {
             Self::Null => "nothing",
@@ -217,8 +216,19 @@ pub fn parse(findings: &mut Findings) -> Option<Node> {
         Ok(node) => Some(node),
         Err(error) => {
             let at = error.location().map_or(everything, |location| place(location, &source.text));
-            let (message, help) = explained(&error);
-            findings.error_help(code::YAML, at, format!("this cannot be read as YAML: {message}"), help);
+            let said = match explained(&error, at) {
+                Explained::Said(message, help, remedy) => (at, message, help, remedy),
+                Explained::Syntax(message) => match slip_near(&source.text, at.start) {
+                    Some(slip) => (slip.span, slip.message, Some(slip.help), None),
+                    None => (at, format!("this cannot be read as YAML: {message}"), None, None),
+                },
+            };
+            findings.error_help(code::YAML, said.0, said.1, said.2);
+            let remedy =
+                unquoted_expressions(&source, at.start).or_else(|| spaces_for_tabs(said.0, &source.text));
+            if let Some(remedy) = said.3.or(remedy) {
+                findings.remedy(remedy);
+            }
             None
         }
     }
@@ -237,8 +247,15 @@ fn place(location: Location, text: &str) -> Span {
     Span { start: start + column, end: start + column + 1 }
 }
 
-/// What is wrong with the form of a file, and what can be done about it.
-fn explained(error: &serde_saphyr::Error) -> (String, Option<String>) {
+/// What the parser says of a file that it cannot read.
+enum Explained {
+    /// What is wrong, and what can be done about it, in words and as data.
+    Said(String, Option<String>, Option<Remedy>),
+    /// That it is no YAML, in the parser's words.
+    Syntax(String),
+}
+
+fn explained(error: &serde_saphyr::Error, at: Span) -> Explained {
     use serde_saphyr::Error as E;
     let deep = ("this is nested too deep", "states may be nested 60 levels deep");
     let aliases = ("its aliases make it too large", "write out what they stand for, or use fewer of them");
@@ -249,7 +266,8 @@ fn explained(error: &serde_saphyr::Error) -> (String, Option<String>) {
     let (message, help) = match error {
         E::DuplicateMappingKey { key: Some(key), .. } => {
             let message = format!("the key `{key}` is there twice");
-            return (message, Some("remove one of them, or give it another name".into()));
+            let help = "remove one of them, or give it another name".to_owned();
+            return Explained::Said(message, Some(help), Some(Remedy::Remove(at)));
         }
         E::MultipleDocuments { .. } => (
             "a second document begins here",
@@ -276,26 +294,53 @@ fn explained(error: &serde_saphyr::Error) -> (String, Option<String>) {
                 },
                 _ => None,
             };
-            let tab = matches!(
-                parser,
-                Some(
-                    ErrorKind::TabNotAllowed
-                        | ErrorKind::TabInBlockIndentation
-                        | ErrorKind::TabAtBlockScalarStart
-                        | ErrorKind::TabInIndentation
-                        | ErrorKind::TabInPlainScalar
-                )
-            );
             if matches!(parser, Some(ErrorKind::RecursionLimitExceeded)) {
                 deep
             } else {
-                let text = other.to_string();
-                let first = text.lines().next().unwrap_or("").trim_start_matches("error: ");
+                let said = other.to_string();
+                let first = said.lines().next().unwrap_or("").trim_start_matches("error: ");
                 // The place is said by the finding.
                 let first = first.split(" at line ").next().unwrap_or(first).to_owned();
-                return (first, tab.then(|| "indent with spaces".into()));
+                return Explained::Syntax(first);
             }
         }
     };
-    (message.to_owned(), Some(help.to_owned()))
+    Explained::Said(message.to_owned(), Some(help.to_owned()), None)
+}
+
+/// Two spaces for each tab before the text of a line.
+fn spaces_for_tabs(at: Span, text: &str) -> Option<Remedy> {
+    let start = text.get(..at.start)?.rfind('\n').map_or(0, |newline| newline + 1);
+    let indent = text[start..].find(|c| c != ' ' && c != '\t').unwrap_or(0);
+    let span = Span { start, end: start + indent };
+    let before = &text[span.start..span.end];
+    before.contains('\t').then(|| Remedy::replace(span, before.replace('\t', "  ")))
+}
+
+/// Quotes for the values of a line that are expressions without them.
+fn unquoted_expressions(source: &Source, at: usize) -> Option<Remedy> {
+    let text = &source.text;
+    let start = text.get(..at)?.rfind('\n').map_or(0, |newline| newline + 1);
+    let end = text[start..].find('\n').map_or(text.len(), |newline| start + newline);
+    let layout = source.layout();
+    let quoted =
+        |at: usize| layout.texts.iter().chain(&layout.comments).any(|t| (t.start..t.end).contains(&at));
+    let mut edits = Vec::new();
+    for (found, _) in text[start..end].match_indices("${") {
+        let from = start + found;
+        let begins = text[start..from].trim_end().ends_with([':', ',', '[', '{']);
+        if quoted(from) || !begins {
+            continue;
+        }
+        let to = from + text[from..end].find('}')? + 1;
+        let inner = &text[from..to];
+        let ends = text[to..end].trim_start();
+        let quote = if inner.contains('"') { "'" } else { "\"" };
+        if inner.contains(quote) || !(ends.is_empty() || ends.starts_with([',', '}', ']', '#'])) {
+            return None;
+        }
+        let edit = |at| Edit { span: Span { start: at, end: at }, text: quote.to_owned() };
+        edits.extend([edit(from), edit(to)]);
+    }
+    (!edits.is_empty()).then_some(Remedy::Replace(edits))
 }

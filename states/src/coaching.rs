@@ -10,7 +10,7 @@ use crate::arm::Senses;
 use crate::equipment::Equipment;
 use crate::inputs::Inputs;
 use crate::motions::failed;
-use crate::running_motion::{MotionEditor, RunningMotions};
+use crate::running_motion::MotionEditor;
 
 /// A coach that changes the running motion.
 pub(crate) struct Coaching {
@@ -23,12 +23,8 @@ pub(crate) struct Coaching {
 
 impl Coaching {
     /// Coaches the running motion that the input `motion` refers to.
-    pub(crate) fn begin(
-        equipment: &Equipment,
-        running: &RunningMotions,
-        context: &SkillContext,
-    ) -> Result<Self, Failure> {
-        let motion = running.edit(&context.entity("motion")?)?;
+    pub(crate) fn begin(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
+        let motion = equipment.motions.edit(&context.entity("motion")?)?;
         let coach = Coach::new(CoachConfig::default(), &motion.view()?).map_err(failed)?;
         Ok(Self { senses: Senses::new(&*equipment.robot, context), motion, coach, idle: 0.0 })
     }

@@ -11,7 +11,9 @@ use futures::future::BoxFuture;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
-/// The resources that skills use, as traits. Clones share the same robot, cameras and memory.
+use crate::running_motion::RunningMotions;
+
+/// The resources that skills use, as traits. Clones share the same robot, cameras, memory and running motions.
 #[derive(Clone)]
 pub struct Equipment {
     /// The robot.
@@ -24,6 +26,8 @@ pub struct Equipment {
     pub agent: String,
     /// Seed of the random numbers of tracking.
     pub seed: u64,
+    /// The motions that its skills run now.
+    pub motions: RunningMotions,
 }
 
 impl Equipment {

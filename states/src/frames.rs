@@ -11,11 +11,11 @@ use tokio::task::JoinHandle;
 
 use crate::hand_eye::HandEye;
 
-type Newest = Option<Result<Arc<StereoFrame>, ImageError>>;
+type LatestFrame = Option<Result<Arc<StereoFrame>, ImageError>>;
 
 /// A subscription to a camera; frames are produced while it lives.
 pub(crate) struct Frames {
-    newest: watch::Receiver<Newest>,
+    newest: watch::Receiver<LatestFrame>,
     task: JoinHandle<()>,
 }
 

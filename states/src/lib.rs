@@ -26,4 +26,5 @@ mod skills;
 mod wiper;
 
 pub use equipment::Equipment;
+pub use running_motion::RunningMotions;
 pub use skills::skills;

@@ -18,7 +18,7 @@ use crate::arm::{Arm, Senses};
 use crate::equipment::Equipment;
 use crate::inputs::{Inputs, as_pose};
 use crate::motions::failed;
-use crate::running_motion::{MotionOwner, RunningMotions};
+use crate::running_motion::MotionOwner;
 
 /// Largest rate of change of the pace (share of the learned frequency), 1/s.
 const PACE_RATE: f64 = 1.5;
@@ -77,12 +77,11 @@ impl Wiper {
     /// Leases the arm, and takes ownership of the motion that the input `motion` refers to.
     pub(crate) async fn take(
         equipment: &Equipment,
-        running: &RunningMotions,
         context: &SkillContext,
         orientation: UnitQuaternion<f64>,
     ) -> Result<Self, Failure> {
         let id = context.entity("motion")?;
-        let motion = running.own(&equipment.memory, &id).await?;
+        let motion = equipment.motions.own(&equipment.memory, &id).await?;
         let turning = motion.motion().orientation().cloned();
         let arm = Arm::take(equipment, context)?;
         let channels = context.channels.clone();
@@ -208,14 +207,14 @@ pub(crate) struct ContactWatch {
 
 impl ContactWatch {
     /// A force below this is no contact, N.
-    const LEAST_FORCE: f64 = 0.4;
+    const MIN_FORCE: f64 = 0.4;
     /// Longest tolerated loss of contact, s.
-    const PATIENCE: f64 = 1.5;
+    const CONTACT_TIMEOUT: f64 = 1.5;
 
     /// To be called after each `dt` s with the normal force, N.
     pub(crate) fn check(&mut self, dt: f64, force: f64) -> Result<(), Failure> {
-        self.lost_for = if force < Self::LEAST_FORCE { self.lost_for + dt } else { 0.0 };
-        if self.lost_for > Self::PATIENCE {
+        self.lost_for = if force < Self::MIN_FORCE { self.lost_for + dt } else { 0.0 };
+        if self.lost_for > Self::CONTACT_TIMEOUT {
             return Err(Failure::new(
                 "the tool has not touched the table for a while: is it still in the hand, and is there a table below?",
             ));

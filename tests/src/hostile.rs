@@ -2,12 +2,16 @@
 //! fuzzing has found.
 
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use armarium_editor::lsp_types::{Position, Range, TextDocumentContentChangeEvent, Uri};
+use armarium_editor::{Catalog, Kind, Workspace};
 use armarium_runtime::chart::{ChannelSchema, Registry, check, load_text};
 use armarium_runtime::engine::{Effect, Engine, Input, NoSensors};
 use armarium_runtime::import;
-use armarium_values::expr::{Environment, Expr, Slot, Unknown, Unresolved, Variable, World};
+use armarium_source::{Files, Finding, Source};
+use armarium_values::expr::{Environment, EvalContext, Expr, Slot, Unknown, Unresolved, Variable};
 use armarium_values::{Type, Value};
 use armarium_visionx::providers::PixelOwner;
 use armarium_visionx::providers::convert::{depth_of, rgb_of};
@@ -84,8 +88,7 @@ struct Fixture(Vec<(&'static str, Type, Option<Value>)>);
 impl Environment for Fixture {
     fn variable(&self, path: &[&str]) -> Result<Variable, Unresolved> {
         let at = self.0.iter().position(|(name, ..)| path.first() == Some(name));
-        let unknown =
-            || Unresolved { kind: Unknown::Name, message: "there is no such name".into(), help: None };
+        let unknown = || Unresolved::new(Unknown::Name, "there is no such name".into(), None, None);
         let at = at.ok_or_else(unknown)?;
         Ok(Variable { slot: Slot::Data(at as u32), ty: self.0[at].1.clone(), used: 1 })
     }
@@ -97,7 +100,7 @@ impl Environment for Fixture {
     }
 }
 
-impl World for Fixture {
+impl EvalContext for Fixture {
     fn data(&self, slot: u32) -> Option<&Value> {
         self.0.get(slot as usize)?.2.as_ref()
     }
@@ -138,5 +141,66 @@ pub fn frame(bytes: &[u8]) {
     if let Ok(header) = Header::decode(said) {
         let owner: Arc<dyn PixelOwner> = Arc::new(payload.to_vec());
         let _ = header.frame(&owner);
+    }
+}
+
+/// A folder with one file.
+struct OneFile(Arc<Source>);
+
+impl Files for OneFile {
+    fn read(&self, path: &Path) -> Result<Arc<Source>, Box<Finding>> {
+        if *path == self.0.path { Ok(Arc::clone(&self.0)) } else { Source::read(path) }
+    }
+    fn head(&self, path: &Path) -> Option<String> {
+        (*path == self.0.path).then(|| self.0.text.clone())
+    }
+    fn list(&self, _: &Path) -> Vec<PathBuf> {
+        vec![self.0.path.clone()]
+    }
+}
+
+/// Any text as a chart in an editor, and edits of it: after each the editor finds what a check of the same text finds, and
+/// answers whatever it is asked. The first line of the input says where the edits are and what they put there.
+///
+/// # Panics
+/// Where the code under test is wrong.
+pub fn edits(text: &str) {
+    let (script, text) = text.split_once('\n').unwrap_or(("", text));
+    let Ok(uri) = "file:///fuzz/fuzz.yaml".parse::<Uri>() else { return };
+    let nothing = || Catalog { registry: Registry::new(), channels: ChannelSchema::new() };
+    let mut workspace = Workspace::new(nothing(), &[]);
+    workspace.open(uri.clone(), 0, text.to_owned());
+    let mut text = text.to_owned();
+    let mut numbers = script.bytes().map(u32::from);
+    let mut version = 0;
+    while let (Some(line), Some(column), Some(length)) = (numbers.next(), numbers.next(), numbers.next()) {
+        const PUT: [&str; 12] =
+            ["", " ", "\n", "  ", "- ", ": ", "{", "}", "\"", "${inputs.", "😀é", "states:\n  A: {}\n"];
+        version += 1;
+        let start = Position::new(line % 40, column % 60);
+        let end = Position::new(start.line + length % 3, column % 60 + length % 7);
+        let put = PUT[(line + column + length) as usize % PUT.len()];
+        let range = Some(Range::new(start, end));
+        let change = TextDocumentContentChangeEvent { range, range_length: None, text: put.to_owned() };
+        workspace.change(&uri, version, vec![change]);
+        if let Some(now) = workspace.text(&uri) {
+            text = now.to_owned();
+        }
+        let found = workspace.findings(&uri);
+        if Kind::of(&text).is_some() {
+            let file = OneFile(Arc::new(Source::new("/fuzz/fuzz.yaml", text.as_str())));
+            let checked = armarium_editor::check(&file.0.path, &[], &file, &nothing()).findings;
+            assert_eq!(found, checked, "{text}");
+        }
+        let _ = (workspace.completion(&uri, start, true), workspace.hover(&uri, start));
+        let _ = (workspace.definition(&uri, start), workspace.find_references(&uri, start, true));
+        let _ = (workspace.symbols(&uri), workspace.folding(&uri), workspace.lenses(&uri));
+        let _ =
+            (workspace.hints(&uri, Range::new(start, end)), workspace.fixes(&uri, Range::new(start, end)));
+        let _ = workspace.rename(&uri, start, "other");
+    }
+    if let Ok(formatted) = armarium_editor::format(Path::new("fuzz.yaml"), &text) {
+        let again = armarium_editor::format(Path::new("fuzz.yaml"), &formatted);
+        assert_eq!(again.as_deref(), Ok(formatted.as_str()));
     }
 }

@@ -29,7 +29,6 @@ pub struct Recorded {
 
 impl Recorded {
     /// The recomputed figures.
-    #[must_use]
     pub fn figures(&self) -> RefereeReport {
         figures::compute(&self.world, &self.log, &self.marks, &self.seen)
     }
@@ -42,6 +41,7 @@ impl Recorded {
 pub fn read(path: &Path) -> Result<Recorded, String> {
     let data = std::fs::read(path).map_err(|e| format!("{}: {e}", path.display()))?;
     let mut steps: BTreeMap<u64, Step> = BTreeMap::new();
+    let mut grasped: BTreeMap<u64, String> = BTreeMap::new();
     let mut recorded =
         Recorded { world: world(&data)?, log: TruthLog::default(), marks: Vec::new(), seen: Vec::new() };
     for message in mcap::MessageStream::new(&data).map_err(|e| e.to_string())? {
@@ -50,7 +50,7 @@ pub fn read(path: &Path) -> Result<Recorded, String> {
         let json = || serde_json::from_slice::<Value>(&message.data).map_err(|e| e.to_string());
         match message.channel.topic.as_str() {
             "/truth/tcp" => steps.entry(t).or_default().tcp = pose(&message.data),
-            "/truth/sponge" => steps.entry(t).or_default().sponge = pose(&message.data),
+            "/truth/sponge" => steps.entry(t).or_default().object = pose(&message.data),
             "/truth/contact" => {
                 let contact = json()?;
                 let step = steps.entry(t).or_default();
@@ -58,7 +58,11 @@ pub fn read(path: &Path) -> Result<Recorded, String> {
                 step.tangential = contact["tangential_n"].as_f64();
             }
             "/truth/hand" => recorded.log.frames.extend(frame(&json()?)),
-            "/truth/events" => recorded.log.coach.extend(action(&json()?)),
+            "/truth/events" => {
+                let event = json()?;
+                grasped.extend(name_of_grasped(&event).map(|name| (t, name)));
+                recorded.log.coach.extend(action(&event));
+            }
             "/truth/marks" => recorded.marks.extend(mark(&json()?).map(|mark| (t, mark))),
             "/vision/hand" => {
                 let seen = json()?["gesture"].as_str().filter(|g| *g != "none").map(str::to_owned);
@@ -67,7 +71,12 @@ pub fn read(path: &Path) -> Result<Recorded, String> {
             _ => {}
         }
     }
-    recorded.log.records = steps.into_iter().filter_map(|(t, step)| step.record(t)).collect();
+    let world = &recorded.world;
+    let object = |t: u64| match grasped.range(..=t).next_back() {
+        Some((_, name)) => world.objects.iter().position(|object| object.name == *name),
+        None => world.first_object(),
+    };
+    recorded.log.records = steps.into_iter().filter_map(|(t, step)| step.record(t, object(t))).collect();
     Ok(recorded)
 }
 
@@ -83,15 +92,16 @@ fn world(data: &[u8]) -> Result<World, String> {
 #[derive(Default)]
 struct Step {
     tcp: Option<Isometry3<f64>>,
-    sponge: Option<Isometry3<f64>>,
+    object: Option<Isometry3<f64>>,
     normal: Option<f64>,
     tangential: Option<f64>,
 }
 
 impl Step {
-    fn record(self, stamp_ns: u64) -> Option<Record> {
+    fn record(self, stamp_ns: u64, object: Option<usize>) -> Option<Record> {
         let (normal, tangential) = (self.normal?, self.tangential?);
-        Some(Record { stamp_ns, tcp: self.tcp?, sponge: self.sponge, normal, tangential, tool: None })
+        let object = object.zip(self.object);
+        Some(Record { stamp_ns, tcp: self.tcp?, object, normal, tangential, tool: None })
     }
 }
 
@@ -190,6 +200,11 @@ fn frame(json: &Value) -> Option<FrameTruth> {
     })
 }
 
+/// The object that the hand took.
+fn name_of_grasped(json: &Value) -> Option<String> {
+    Some(json.get("detail").filter(|_| json["what"] == "grasped")?.as_str()?.to_owned())
+}
+
 fn action(json: &Value) -> Option<ActionEvent> {
     let detail = json.get("detail").filter(|_| json["what"] == "coach")?;
     let kind = match detail["kind"]["gesture"].as_str() {
@@ -221,7 +236,6 @@ fn mark(message: &Value) -> Option<Mark> {
 }
 
 /// Figures whose values in a report and in the recomputation differ by more than the recording's rounding explains.
-#[must_use]
 pub fn disagreements(report: &Value, again: &RefereeReport) -> Vec<String> {
     let mut found = Vec::new();
     let again = serde_json::to_value(again).unwrap_or_default();

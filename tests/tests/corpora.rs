@@ -36,6 +36,11 @@ fn charts() {
 }
 
 #[test]
+fn edits() {
+    each("edits", text(hostile::edits));
+}
+
+#[test]
 fn expressions() {
     each("expressions", text(hostile::expression));
 }

@@ -10,7 +10,6 @@ pub struct Frame(pub String);
 
 impl Frame {
     /// The robot's root frame: x right, y forward, z up, origin on the floor.
-    #[must_use]
     pub fn root() -> Self {
         Self("root".into())
     }
@@ -55,13 +54,11 @@ pub struct Wrench {
 
 impl Vector {
     /// A vector with its frame.
-    #[must_use]
     pub fn new(frame: Frame, v: &Vector3<f64>) -> Self {
         Self { frame, components: [v.x, v.y, v.z] }
     }
 
     /// The components as a nalgebra vector.
-    #[must_use]
     pub fn vector(&self) -> Vector3<f64> {
         Vector3::from(self.components)
     }
@@ -69,7 +66,6 @@ impl Vector {
 
 impl Pose {
     /// A pose with its frame.
-    #[must_use]
     pub fn new(frame: Frame, pose: &Isometry3<f64>) -> Self {
         let t = pose.translation.vector;
         let q = pose.rotation.coords;
@@ -78,7 +74,6 @@ impl Pose {
 
     /// The pose as an isometry that maps coordinates of the posed body into `frame`. A quaternion that is not of unit
     /// length is normalised; one of length zero or not finite becomes the identity.
-    #[must_use]
     pub fn isometry(&self) -> Isometry3<f64> {
         let [x, y, z, w] = self.orientation;
         let q = Quaternion::new(w, x, y, z);

@@ -12,5 +12,5 @@ mod value;
 
 pub use geometry::{Frame, Pose, Vector, Wrench};
 pub use types::{ConvertError, Fit, Type};
-pub use unit::{Unit, UnknownUnit, parse_quantity};
+pub use unit::{Unit, UnitExponents, UnknownUnit, parse_quantity};
 pub use value::{Reference, Value};

@@ -18,7 +18,6 @@ pub struct Section {
 
 impl Section {
     /// A section with these blocks.
-    #[must_use]
     pub fn new(title: &str, note: &str, blocks: Vec<Block>) -> Self {
         Self { title: title.into(), note: note.into(), blocks }
     }
@@ -90,7 +89,6 @@ pub struct Figure {
 
 impl Figure {
     /// Whether the value meets its requirement; `None` when there is none. A missing value or a NaN fails.
-    #[must_use]
     pub fn passed(&self) -> Option<bool> {
         let good = |test: &dyn Fn(f64) -> bool| Some(self.value.is_some_and(test));
         match self.requirement {
@@ -207,7 +205,6 @@ pub struct Cells {
 
 impl Cells {
     /// Rows along y.
-    #[must_use]
     pub fn rows(&self) -> usize {
         self.cells.len().checked_div(self.columns).unwrap_or(0)
     }
@@ -259,7 +256,6 @@ pub struct Column {
 
 impl Table {
     /// A table with one text column per title; titles that begin with `#` are columns of numbers.
-    #[must_use]
     pub fn new(titles: &[&str]) -> Self {
         let column = |title: &&str| match title.strip_prefix('#') {
             Some(title) => Column { title: title.into(), is_number: true },
@@ -292,13 +288,11 @@ pub enum Cell {
 
 impl Cell {
     /// A number with its unit.
-    #[must_use]
     pub fn number(value: f64, unit: &str, digits: usize) -> Self {
         Self::Numbers { values: vec![value], unit: unit.into(), digits }
     }
 
     /// A number with its unit, or an empty cell.
-    #[must_use]
     pub fn optional(value: Option<f64>, unit: &str, digits: usize) -> Self {
         value.map_or(Self::Absent, |value| Self::number(value, unit, digits))
     }

@@ -95,43 +95,36 @@ impl Type {
     pub const FLOAT: Self = Self::Float(None);
 
     /// A number in `unit`, for instance `Type::quantity(Unit::N)`.
-    #[must_use]
     pub fn quantity(unit: Unit) -> Self {
         Self::Float(Some(unit))
     }
 
     /// A list of `element`.
-    #[must_use]
     pub fn list(element: Self) -> Self {
         Self::List(Box::new(element))
     }
 
     /// A map whose values are all `element`.
-    #[must_use]
     pub fn map(element: Self) -> Self {
         Self::Map(Box::new(element))
     }
 
     /// Named fields.
-    #[must_use]
     pub fn record<const N: usize>(fields: [(&str, Self); N]) -> Self {
         Self::Record(fields.into_iter().map(|(name, ty)| (name.to_owned(), ty)).collect())
     }
 
     /// One of these words.
-    #[must_use]
     pub fn one_of<const N: usize>(words: [&str; N]) -> Self {
         Self::Enum(words.iter().map(|w| (*w).to_owned()).collect())
     }
 
     /// A reference to a motion.
-    #[must_use]
     pub fn motion() -> Self {
         Self::Reference("Motion".into())
     }
 
     /// A reference to an object.
-    #[must_use]
     pub fn object() -> Self {
         Self::Reference("Object".into())
     }
@@ -169,8 +162,51 @@ impl Type {
         })
     }
 
-    /// Whether a value of type `from` is accepted where `self` is declared.
+    /// The names of the types that charts write, besides those that they declare.
+    pub const NAMES: &[&str] = &[
+        "bool",
+        "int",
+        "float",
+        "string",
+        "duration",
+        "any",
+        "list<float>",
+        "map<float>",
+        "Vector",
+        "Pose",
+        "Wrench",
+        "Motion",
+        "Object",
+    ];
+
+    /// The fields that values of this type have, with their types; none where they are not known or there are none.
     #[must_use]
+    pub fn fields(&self) -> Vec<(&str, Self)> {
+        let metres = || Self::quantity(Unit::M);
+        match self {
+            Self::Record(fields) => fields.iter().map(|(name, ty)| (name.as_str(), ty.clone())).collect(),
+            Self::Vector => {
+                vec![("x", Self::FLOAT), ("y", Self::FLOAT), ("z", Self::FLOAT), ("frame", Self::String)]
+            }
+            Self::Pose => vec![
+                ("position", Self::list(metres())),
+                ("orientation", Self::list(Self::FLOAT)),
+                ("frame", Self::String),
+                ("x", metres()),
+                ("y", metres()),
+                ("z", metres()),
+            ],
+            Self::Wrench => vec![
+                ("force", Self::list(Self::quantity(Unit::N))),
+                ("torque", Self::list(Self::quantity(Unit::NM))),
+                ("frame", Self::String),
+            ],
+            Self::Reference(_) => vec![("kind", Self::String), ("id", Self::String)],
+            _ => Vec::new(),
+        }
+    }
+
+    /// Whether a value of type `from` is accepted where `self` is declared.
     pub fn fit(&self, from: &Self) -> Fit {
         match (self, from) {
             (Self::Any, _) => Fit::Yes,

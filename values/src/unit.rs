@@ -5,10 +5,39 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// A coherent SI unit, as exponents of metre, kilogram, second and radian.
+/// A coherent SI unit, as exponents of metre, kilogram, second, radian and ampere.
+///
+/// Written as a list of these numbers; the last one is left out where it is 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct Unit([i8; 4]);
+#[serde(into = "Vec<i8>", try_from = "Vec<i8>")]
+pub struct Unit([i8; 5]);
+
+impl From<Unit> for Vec<i8> {
+    fn from(unit: Unit) -> Self {
+        let used = if unit.0[4] == 0 { 4 } else { 5 };
+        unit.0[..used].to_vec()
+    }
+}
+
+/// A list of exponents that is no unit.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a unit is the exponents of m, kg, s, rad and A: 4 or 5 numbers, not {found}")]
+pub struct UnitExponents {
+    /// How many numbers there are.
+    pub found: usize,
+}
+
+impl TryFrom<Vec<i8>> for Unit {
+    type Error = UnitExponents;
+
+    fn try_from(exponents: Vec<i8>) -> Result<Self, UnitExponents> {
+        match exponents[..] {
+            [m, kg, s, rad] => Ok(Self([m, kg, s, rad, 0])),
+            [m, kg, s, rad, a] => Ok(Self([m, kg, s, rad, a])),
+            _ => Err(UnitExponents { found: exponents.len() }),
+        }
+    }
+}
 
 /// An unknown unit symbol.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -19,81 +48,94 @@ pub struct UnknownUnit {
 }
 
 /// Symbols with their unit and the factor to SI.
-const ATOMS: &[(&str, [i8; 4], f64)] = &[
-    ("m", [1, 0, 0, 0], 1.0),
-    ("km", [1, 0, 0, 0], 1e3),
-    ("cm", [1, 0, 0, 0], 1e-2),
-    ("mm", [1, 0, 0, 0], 1e-3),
-    ("um", [1, 0, 0, 0], 1e-6),
-    ("µm", [1, 0, 0, 0], 1e-6),
-    ("kg", [0, 1, 0, 0], 1.0),
-    ("g", [0, 1, 0, 0], 1e-3),
-    ("s", [0, 0, 1, 0], 1.0),
-    ("ms", [0, 0, 1, 0], 1e-3),
-    ("us", [0, 0, 1, 0], 1e-6),
-    ("µs", [0, 0, 1, 0], 1e-6),
-    ("min", [0, 0, 1, 0], 60.0),
-    ("h", [0, 0, 1, 0], 3600.0),
-    ("rad", [0, 0, 0, 1], 1.0),
-    ("mrad", [0, 0, 0, 1], 1e-3),
-    ("deg", [0, 0, 0, 1], std::f64::consts::PI / 180.0),
-    ("°", [0, 0, 0, 1], std::f64::consts::PI / 180.0),
-    ("Hz", [0, 0, -1, 0], 1.0),
-    ("kHz", [0, 0, -1, 0], 1e3),
-    ("N", [1, 1, -2, 0], 1.0),
-    ("mN", [1, 1, -2, 0], 1e-3),
-    ("kN", [1, 1, -2, 0], 1e3),
-    ("Nm", [2, 1, -2, 0], 1.0),
-    ("J", [2, 1, -2, 0], 1.0),
-    ("W", [2, 1, -3, 0], 1.0),
-    ("Pa", [-1, 1, -2, 0], 1.0),
-    ("kPa", [-1, 1, -2, 0], 1e3),
-    ("1", [0, 0, 0, 0], 1.0),
-    ("%", [0, 0, 0, 0], 1e-2),
+const ATOMS: &[(&str, [i8; 5], f64)] = &[
+    ("m", [1, 0, 0, 0, 0], 1.0),
+    ("km", [1, 0, 0, 0, 0], 1e3),
+    ("cm", [1, 0, 0, 0, 0], 1e-2),
+    ("mm", [1, 0, 0, 0, 0], 1e-3),
+    ("um", [1, 0, 0, 0, 0], 1e-6),
+    ("µm", [1, 0, 0, 0, 0], 1e-6),
+    ("kg", [0, 1, 0, 0, 0], 1.0),
+    ("g", [0, 1, 0, 0, 0], 1e-3),
+    ("s", [0, 0, 1, 0, 0], 1.0),
+    ("ms", [0, 0, 1, 0, 0], 1e-3),
+    ("us", [0, 0, 1, 0, 0], 1e-6),
+    ("µs", [0, 0, 1, 0, 0], 1e-6),
+    ("min", [0, 0, 1, 0, 0], 60.0),
+    ("h", [0, 0, 1, 0, 0], 3600.0),
+    ("rad", [0, 0, 0, 1, 0], 1.0),
+    ("mrad", [0, 0, 0, 1, 0], 1e-3),
+    ("deg", [0, 0, 0, 1, 0], std::f64::consts::PI / 180.0),
+    ("°", [0, 0, 0, 1, 0], std::f64::consts::PI / 180.0),
+    ("Hz", [0, 0, -1, 0, 0], 1.0),
+    ("kHz", [0, 0, -1, 0, 0], 1e3),
+    ("N", [1, 1, -2, 0, 0], 1.0),
+    ("mN", [1, 1, -2, 0, 0], 1e-3),
+    ("kN", [1, 1, -2, 0, 0], 1e3),
+    ("Nm", [2, 1, -2, 0, 0], 1.0),
+    ("J", [2, 1, -2, 0, 0], 1.0),
+    ("W", [2, 1, -3, 0, 0], 1.0),
+    ("V", [2, 1, -3, 0, -1], 1.0),
+    ("mV", [2, 1, -3, 0, -1], 1e-3),
+    ("A", [0, 0, 0, 0, 1], 1.0),
+    ("mA", [0, 0, 0, 0, 1], 1e-3),
+    ("Ah", [0, 0, 1, 0, 1], 3600.0),
+    ("mAh", [0, 0, 1, 0, 1], 3.6),
+    ("Pa", [-1, 1, -2, 0, 0], 1.0),
+    ("kPa", [-1, 1, -2, 0, 0], 1e3),
+    ("1", [0, 0, 0, 0, 0], 1.0),
+    ("%", [0, 0, 0, 0, 0], 1e-2),
 ];
 
 /// The symbol with which each unit is printed.
-const NAMES: &[([i8; 4], &str)] = &[
-    ([0, 0, 0, 0], "1"),
-    ([1, 0, 0, 0], "m"),
-    ([0, 1, 0, 0], "kg"),
-    ([0, 0, 1, 0], "s"),
-    ([0, 0, 0, 1], "rad"),
-    ([0, 0, -1, 0], "Hz"),
-    ([1, 0, -1, 0], "m/s"),
-    ([1, 0, -2, 0], "m/s^2"),
-    ([0, 0, -1, 1], "rad/s"),
-    ([1, 1, -2, 0], "N"),
-    ([2, 1, -2, 0], "N m"),
-    ([0, 1, -2, 0], "N/m"),
-    ([0, 1, -1, 0], "N s/m"),
-    ([2, 1, -3, 0], "W"),
-    ([-1, 1, -2, 0], "Pa"),
+const NAMES: &[([i8; 5], &str)] = &[
+    ([0, 0, 0, 0, 0], "1"),
+    ([1, 0, 0, 0, 0], "m"),
+    ([0, 1, 0, 0, 0], "kg"),
+    ([0, 0, 1, 0, 0], "s"),
+    ([0, 0, 0, 1, 0], "rad"),
+    ([0, 0, -1, 0, 0], "Hz"),
+    ([1, 0, -1, 0, 0], "m/s"),
+    ([1, 0, -2, 0, 0], "m/s^2"),
+    ([0, 0, -1, 1, 0], "rad/s"),
+    ([1, 1, -2, 0, 0], "N"),
+    ([2, 1, -2, 0, 0], "N m"),
+    ([0, 1, -2, 0, 0], "N/m"),
+    ([0, 1, -1, 0, 0], "N s/m"),
+    ([2, 1, -3, 0, 0], "W"),
+    ([2, 1, -3, 0, -1], "V"),
+    ([0, 0, 0, 0, 1], "A"),
+    ([-1, 1, -2, 0, 0], "Pa"),
 ];
 
 impl Unit {
     /// No unit: a ratio or a count.
-    pub const ONE: Self = Self([0, 0, 0, 0]);
+    pub const ONE: Self = Self([0, 0, 0, 0, 0]);
     /// Metre.
-    pub const M: Self = Self([1, 0, 0, 0]);
+    pub const M: Self = Self([1, 0, 0, 0, 0]);
     /// Kilogram.
-    pub const KG: Self = Self([0, 1, 0, 0]);
+    pub const KG: Self = Self([0, 1, 0, 0, 0]);
     /// Second.
-    pub const S: Self = Self([0, 0, 1, 0]);
+    pub const S: Self = Self([0, 0, 1, 0, 0]);
     /// Radian.
-    pub const RAD: Self = Self([0, 0, 0, 1]);
+    pub const RAD: Self = Self([0, 0, 0, 1, 0]);
+    /// Radians a second.
+    pub const RAD_S: Self = Self([0, 0, -1, 1, 0]);
     /// Hertz.
-    pub const HZ: Self = Self([0, 0, -1, 0]);
+    pub const HZ: Self = Self([0, 0, -1, 0, 0]);
     /// Metre per second.
-    pub const M_S: Self = Self([1, 0, -1, 0]);
-    /// Radian per second.
-    pub const RAD_S: Self = Self([0, 0, -1, 1]);
+    pub const M_S: Self = Self([1, 0, -1, 0, 0]);
     /// Newton.
-    pub const N: Self = Self([1, 1, -2, 0]);
+    pub const N: Self = Self([1, 1, -2, 0, 0]);
     /// Newton metre.
-    pub const NM: Self = Self([2, 1, -2, 0]);
+    pub const NM: Self = Self([2, 1, -2, 0, 0]);
     /// Newton per metre.
-    pub const N_M: Self = Self([0, 1, -2, 0]);
+    pub const N_M: Self = Self([0, 1, -2, 0, 0]);
+
+    /// The symbols of single units; products and quotients of them are units, too.
+    pub fn symbols() -> impl Iterator<Item = &'static str> {
+        ATOMS.iter().map(|(symbol, ..)| *symbol)
+    }
 
     /// Parses a symbol such as `N`, `mm`, `m/s^2` or `N m`; returns the SI unit and the factor to it.
     ///
@@ -101,7 +143,7 @@ impl Unit {
     /// [`UnknownUnit`] when a part of the symbol is unknown.
     pub fn parse(symbol: &str) -> Result<(Self, f64), UnknownUnit> {
         let unknown = || UnknownUnit { symbol: symbol.trim().to_owned() };
-        let (mut dims, mut factor) = ([0_i8; 4], 1.0);
+        let (mut dims, mut factor) = ([0_i8; 5], 1.0);
         let (mut sign, mut atom, mut any) = (1_i32, String::new(), false);
         for c in symbol.trim().chars().chain(std::iter::once(' ')) {
             if !matches!(c, '/' | '*' | '·' | ' ') {
@@ -152,7 +194,7 @@ impl Unit {
     }
 }
 
-fn parse_atom(text: &str) -> Option<([i8; 4], f64, i32)> {
+fn parse_atom(text: &str) -> Option<([i8; 5], f64, i32)> {
     let (symbol, power) = if let Some((symbol, power)) = text.split_once('^') {
         (symbol, power.parse::<i32>().ok().filter(|p| (-9..=9).contains(p))?)
     } else if let Some(symbol) = text.strip_suffix('²') {
@@ -171,7 +213,7 @@ impl fmt::Display for Unit {
             return f.write_str(name);
         }
         let mut first = true;
-        for (name, power) in ["m", "kg", "s", "rad"].iter().zip(self.0).filter(|(_, p)| *p != 0) {
+        for (name, power) in ["m", "kg", "s", "rad", "A"].iter().zip(self.0).filter(|(_, p)| *p != 0) {
             if !first {
                 f.write_str(" ")?;
             }
@@ -247,12 +289,25 @@ mod tests {
             ("9.81 m/s^2", 9.81, "m/s^2"),
             ("2 N/mm", 2000.0, "N/m"),
             ("3 N m", 3.0, "N m"),
+            ("11.8 V", 11.8, "V"),
+            ("2 V A", 2.0, "W"),
+            ("500 mAh", 1800.0, "s A"),
             ("7", 7.0, ""),
         ] {
             let (got, got_unit) = si(text);
             assert!((got - value).abs() <= 1e-12 * value.abs(), "{text}: {got}");
             assert_eq!(got_unit, unit, "{text}");
         }
+    }
+
+    #[test]
+    fn a_unit_is_written_with_the_exponents_that_it_needs() {
+        for (symbol, written) in [("N", "[1,1,-2,0]"), ("rad/s", "[0,0,-1,1]"), ("V", "[2,1,-3,0,-1]")] {
+            let (unit, _) = Unit::parse(symbol).unwrap();
+            assert_eq!(serde_json::to_string(&unit).unwrap(), written);
+            assert_eq!(serde_json::from_str::<Unit>(written).unwrap(), unit);
+        }
+        assert!(serde_json::from_str::<Unit>("[1,2,3]").is_err());
     }
 
     #[test]

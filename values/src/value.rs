@@ -77,7 +77,7 @@ mod bytes {
     use serde::{Deserializer, Serialize, Serializer};
 
     /// Capacity that is reserved before the bytes of a list have been read.
-    const ROOM: usize = 4096;
+    const MAX_RESERVED: usize = 4096;
 
     pub(super) fn serialize<S: Serializer>(bytes: &Vec<u8>, serializer: S) -> Result<S::Ok, S::Error> {
         if serializer.is_human_readable() {
@@ -105,7 +105,7 @@ mod bytes {
         }
 
         fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<Vec<u8>, A::Error> {
-            let mut bytes = Vec::with_capacity(items.size_hint().unwrap_or(0).min(ROOM));
+            let mut bytes = Vec::with_capacity(items.size_hint().unwrap_or(0).min(MAX_RESERVED));
             while let Some(byte) = items.next_element()? {
                 bytes.push(byte);
             }
@@ -129,20 +129,19 @@ pub struct Reference {
 }
 
 /// Bytes of text that count as one part.
-const PART: usize = 64;
+const BYTES_PER_PART: usize = 64;
 
 /// The size of a text in parts.
 pub(crate) fn text_parts(text: &str) -> usize {
-    1 + text.len() / PART
+    1 + text.len() / BYTES_PER_PART
 }
 
 impl Value {
     /// The size of the value in parts: one for each value in it, and one for every 64 bytes of text.
-    #[must_use]
     pub fn parts(&self) -> usize {
         match self {
             Self::String(text) => text_parts(text),
-            Self::Bytes(bytes) => 1 + bytes.len() / PART,
+            Self::Bytes(bytes) => 1 + bytes.len() / BYTES_PER_PART,
             Self::List(items) => items.iter().map(Self::parts).sum::<usize>() + 1,
             Self::Map(fields) => {
                 fields.iter().map(|(name, value)| text_parts(name) + value.parts()).sum::<usize>() + 1
@@ -152,7 +151,6 @@ impl Value {
     }
 
     /// Whether lists and maps are nested deeper than `levels`.
-    #[must_use]
     pub fn deeper_than(&self, levels: usize) -> bool {
         let below = |value: &Self| levels == 0 || value.deeper_than(levels - 1);
         match self {
@@ -163,7 +161,6 @@ impl Value {
     }
 
     /// The number in an `Int`, `Float` or `Duration`.
-    #[must_use]
     pub fn as_f64(&self) -> Option<f64> {
         match self {
             Self::Int(i) => Some(*i as f64),
@@ -173,7 +170,6 @@ impl Value {
     }
 
     /// The text in a `String`.
-    #[must_use]
     pub fn as_str(&self) -> Option<&str> {
         match self {
             Self::String(s) => Some(s),
@@ -181,19 +177,7 @@ impl Value {
         }
     }
 
-    /// The bool in a `Bool`.
-    #[must_use]
-    pub fn as_bool(&self) -> Option<bool> {
-        match self {
-            Self::Bool(b) => Some(*b),
-            _ => None,
-        }
-    }
-}
-
-impl Value {
     /// The items of a `List`.
-    #[must_use]
     pub fn as_list(&self) -> Option<&[Self]> {
         match self {
             Self::List(items) => Some(items),
@@ -202,7 +186,6 @@ impl Value {
     }
 
     /// The integer in an `Int`.
-    #[must_use]
     pub fn as_int(&self) -> Option<i64> {
         match self {
             Self::Int(i) => Some(*i),
@@ -211,7 +194,6 @@ impl Value {
     }
 
     /// The reference in a `Reference`.
-    #[must_use]
     pub fn as_reference(&self) -> Option<&Reference> {
         match self {
             Self::Reference(r) => Some(r),
@@ -220,7 +202,6 @@ impl Value {
     }
 
     /// The field `name` of a `Map`.
-    #[must_use]
     pub fn get(&self, name: &str) -> Option<&Self> {
         match self {
             Self::Map(fields) => fields.get(name),
@@ -229,7 +210,6 @@ impl Value {
     }
 
     /// Three numbers, from a `Vector` or a `List` of three.
-    #[must_use]
     pub fn as_vector3(&self) -> Option<[f64; 3]> {
         match self {
             Self::Vector(v) => Some(v.components),
@@ -242,13 +222,11 @@ impl Value {
     }
 
     /// A map from named fields.
-    #[must_use]
     pub fn record<const N: usize>(fields: [(&str, Self); N]) -> Self {
         Self::Map(fields.into_iter().map(|(name, value)| (name.to_owned(), value)).collect())
     }
 
     /// A short description for messages: the type, and the value if it is short.
-    #[must_use]
     pub fn describe(&self) -> String {
         match self {
             Self::Null => "nothing".into(),
@@ -269,7 +247,6 @@ impl Value {
     }
 
     /// The value as plain JSON for people and reports; non-finite numbers become `null`, and types are lost.
-    #[must_use]
     pub fn to_json(&self) -> serde_json::Value {
         use serde_json::{Value as Json, json};
         match self {
@@ -291,7 +268,6 @@ impl Value {
     }
 
     /// A value from JSON: integers become `Int`, other numbers `Float`.
-    #[must_use]
     pub fn from_json(json: &serde_json::Value) -> Self {
         use serde_json::Value as Json;
         match json {
@@ -309,64 +285,41 @@ impl Value {
     }
 }
 
-impl From<bool> for Value {
-    fn from(v: bool) -> Self {
-        Self::Bool(v)
-    }
+macro_rules! from {
+    ($($variant:ident($ty:ty);)*) => { $(
+        impl From<$ty> for Value {
+            fn from(value: $ty) -> Self {
+                Self::$variant(value)
+            }
+        }
+    )* };
 }
-impl From<i64> for Value {
-    fn from(v: i64) -> Self {
-        Self::Int(v)
-    }
+
+from! {
+    Bool(bool);
+    Int(i64);
+    Float(f64);
+    String(String);
+    List(Vec<Value>);
+    Vector(Vector);
+    Pose(Pose);
+    Wrench(Wrench);
+    Reference(Reference);
 }
-impl From<f64> for Value {
-    fn from(v: f64) -> Self {
-        Self::Float(v)
-    }
-}
+
 impl From<&str> for Value {
-    fn from(v: &str) -> Self {
-        Self::String(v.into())
-    }
-}
-impl From<String> for Value {
-    fn from(v: String) -> Self {
-        Self::String(v)
+    fn from(text: &str) -> Self {
+        Self::String(text.into())
     }
 }
 impl From<Vec<f64>> for Value {
-    fn from(v: Vec<f64>) -> Self {
-        Self::List(v.into_iter().map(Self::Float).collect())
+    fn from(numbers: Vec<f64>) -> Self {
+        Self::List(numbers.into_iter().map(Self::Float).collect())
     }
 }
 impl From<[f64; 3]> for Value {
-    fn from(v: [f64; 3]) -> Self {
-        Self::List(v.into_iter().map(Self::Float).collect())
-    }
-}
-impl From<Vec<Value>> for Value {
-    fn from(v: Vec<Value>) -> Self {
-        Self::List(v)
-    }
-}
-impl From<Vector> for Value {
-    fn from(v: Vector) -> Self {
-        Self::Vector(v)
-    }
-}
-impl From<Pose> for Value {
-    fn from(v: Pose) -> Self {
-        Self::Pose(v)
-    }
-}
-impl From<Wrench> for Value {
-    fn from(v: Wrench) -> Self {
-        Self::Wrench(v)
-    }
-}
-impl From<Reference> for Value {
-    fn from(v: Reference) -> Self {
-        Self::Reference(v)
+    fn from(numbers: [f64; 3]) -> Self {
+        numbers.to_vec().into()
     }
 }
 

@@ -10,6 +10,7 @@
 //! numbers and a writer.
 
 pub mod chart;
+mod markup;
 pub mod progress;
 pub mod recorder;
 pub mod report;

@@ -25,7 +25,6 @@ impl Status {
     /// The line without decoration.
     ///
     /// The factor is simulated time over wall-clock time: 2 is twice real time.
-    #[must_use]
     pub fn line(&self) -> String {
         let minutes = (self.simulated_s / 60.0).floor().max(0.0);
         let seconds = self.simulated_s - 60.0 * minutes;
@@ -94,7 +93,6 @@ const ERASE: &str = "\r\x1b[2K";
 
 impl Progress {
     /// A line on `out`; `terminal`: whether it can be redrawn in place.
-    #[must_use]
     pub fn new(out: Box<dyn Write + Send>, terminal: bool) -> Self {
         let inner = Inner {
             out,
@@ -112,7 +110,6 @@ impl Progress {
     }
 
     /// Whether an update at this time would be shown; check it before computing an expensive status.
-    #[must_use]
     pub fn due(&self, simulated_s: f64, wall_s: f64) -> bool {
         self.inner().due(simulated_s, wall_s)
     }

@@ -9,7 +9,7 @@ use armarium_values::report::{
     Series, StateSpan, Table, TimePlot, Tone,
 };
 use armarium_viewer::report::{ChainLink, ReportData, render};
-use armarium_visionx::Image;
+use armarium_visionx::RgbImage;
 use armarium_visionx::providers::convert::jpeg;
 
 fn span(path: &str, from_s: f64, to_s: f64, outcome: Option<&str>) -> StateSpan {
@@ -146,7 +146,7 @@ fn picture(caption: &str) -> Picture {
             }
         })
         .collect();
-    let image = Image::from_rgb(width, height, data).expect("the size fits");
+    let image = RgbImage::from_rgb(width, height, data).expect("the size fits");
     let data = jpeg(&image).expect("a small image encodes");
     Picture { caption: caption.into(), data, media_type: "image/jpeg".into() }
 }

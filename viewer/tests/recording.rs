@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use armarium_viewer::recorder::{Contact, ImageCoding, LogLevel, Recorder, RecorderOptions, WrenchSample};
-use armarium_visionx::Image;
+use armarium_visionx::RgbImage;
 use foxglove::{Decode, messages as fg};
 use nalgebra::{Isometry3, Vector3};
 
@@ -24,7 +24,7 @@ fn record(path: &std::path::Path, n: u64) -> Recorder {
     let options = RecorderOptions { image_period_ns: 500 * MS, ..RecorderOptions::default() };
     let mut recorder = Recorder::create_with(path, metadata, options).expect("the folder can be written");
     let names: Vec<String> = (0..17).map(|i| format!("Joint {i}")).collect();
-    let grey = Image::from_rgb(64, 48, vec![90; 64 * 48 * 3]).expect("the size fits");
+    let grey = RgbImage::from_rgb(64, 48, vec![90; 64 * 48 * 3]).expect("the size fits");
     for i in 0..n {
         let (t, x) = (i * MS, (i as f64 * 0.013).sin());
         recorder.pose("/truth/tcp", t, &tcp(i));

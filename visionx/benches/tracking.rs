@@ -14,8 +14,8 @@ use std::time::Instant;
 use armarium_visionx::files::read_image;
 use armarium_visionx::tracking::{FingerTipSettings, FingerTipTracking, HandInPicture};
 use armarium_visionx::{
-    BoxModel, ColorMarkerObjectTracking, ColorModel, HandObserver, Image, ImageError, MarkerSettings,
-    ObjectLocalizer, PinholeCamera, StereoCalibration, StereoFrame,
+    BoxModel, ColorMarkerObjectTracking, ColorModel, HandObserver, ImageError, MarkerSettings,
+    ObjectLocalizer, PinholeCamera, RgbImage, StereoCalibration, StereoFrame,
 };
 use nalgebra::{Isometry3, Point2, Vector2, Vector3};
 
@@ -49,7 +49,7 @@ fn paint(at: Vector2<f64>) -> [f64; 3] {
     }
 }
 
-fn eye(shift: f64, seed: u64) -> Result<Image, ImageError> {
+fn eye(shift: f64, seed: u64) -> Result<RgbImage, ImageError> {
     let camera = CALIBRATION.camera;
     let mut state = seed;
     let mut noise = || {
@@ -65,7 +65,7 @@ fn eye(shift: f64, seed: u64) -> Result<Image, ImageError> {
             data.extend(color.map(|c| (c + noise()).round() as u8));
         }
     }
-    Image::from_rgb(camera.width, camera.height, data)
+    RgbImage::from_rgb(camera.width, camera.height, data)
 }
 
 fn measure(name: &str, of: &str, mut step: impl FnMut(u32) -> bool) {

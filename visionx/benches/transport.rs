@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 use armarium_bus::{Session, SessionConfig};
 use armarium_visionx::providers::{
-    Delivery, Description, Frame, FrameImage, FrameSender, ImageCoding, ImageProvider, PixelFormat,
+    Delivery, Description, FrameSender, ImageCoding, ImageProvider, PixelFormat, RawFrame, RawImage,
     RemoteProvider, channel, offer,
 };
 use zenoh::Wait;
@@ -53,7 +53,7 @@ struct Ours {
 }
 
 impl Ours {
-    fn send(&self, frame: &Frame) {
+    fn send(&self, frame: &RawFrame) {
         self.sender.send(frame.clone());
     }
 }
@@ -76,7 +76,7 @@ async fn raw(one: &Session, two: &Session, bytes: usize) -> Raw {
     Raw { pool, publisher, subscriber }
 }
 
-async fn ours(one: &Session, two: &Session, frame: &Frame) -> Ours {
+async fn ours(one: &Session, two: &Session, frame: &RawFrame) -> Ours {
     let name = format!("eyes{}", frame.bytes());
     let (sender, provider) = channel(Description { name: name.clone(), ..Description::default() });
     let offered = offer(one, "bench", Arc::new(provider)).await.unwrap();
@@ -98,8 +98,8 @@ fn median(mut times: Vec<f64>) -> f64 {
 
 async fn bench(one: &Session, two: &Session, (width, height): (u32, u32)) {
     let pixels: Vec<u8> = (0..width * height * 3).map(|i| i as u8).collect();
-    let image = FrameImage::new("left", PixelFormat::Rgb8, (width, height), pixels.clone()).unwrap();
-    let frame = Frame { images: vec![image], ..Frame::default() };
+    let image = RawImage::new("left", PixelFormat::Rgb8, (width, height), pixels.clone()).unwrap();
+    let frame = RawFrame { images: vec![image], ..RawFrame::default() };
     let (raw, ours) = (raw(one, two, pixels.len()).await, ours(one, two, &frame).await);
     let mut into = vec![0u8; pixels.len()];
     let (mut copies, mut raws, mut provided) = (Vec::new(), Vec::new(), Vec::new());
@@ -142,7 +142,7 @@ async fn bench(one: &Session, two: &Session, (width, height): (u32, u32)) {
         raw_rates.push(FRAMES as f64 / began.elapsed().as_secs_f64());
         // The provider keeps only the newest frame. The processor drains the queue, so the received frames
         // are counted.
-        let before = ours.reader.statistics().received();
+        let before = ours.reader.statistics().received.get();
         let began = Instant::now();
         let giving = async {
             while began.elapsed() < Duration::from_millis(400) {
@@ -155,7 +155,7 @@ async fn bench(one: &Session, two: &Session, (width, height): (u32, u32)) {
         };
         let taking = tokio::time::timeout(Duration::from_millis(400), taking);
         let _ = tokio::join!(giving, taking).1.is_ok();
-        let received = ours.reader.statistics().received() - before;
+        let received = ours.reader.statistics().received.get() - before;
         our_rates.push(received as f64 / 0.4);
     }
     println!("| {width} x {height} | memcpy | raw Zenoh shared memory | provider to processor |");

@@ -3,10 +3,10 @@
 
 use nalgebra::Point2;
 
-use crate::frame::Image;
+use crate::frame::RgbImage;
 use crate::localizer::ObjectEstimate;
 use crate::marker::MarkerEstimate;
-use crate::mask::{Mask, Region};
+use crate::mask::Region;
 use crate::tracking::hand::HandObservation;
 
 /// Why a picture could not be encoded.
@@ -19,7 +19,7 @@ pub enum EncodeError {
 }
 
 /// Sets a pixel; does nothing outside of the image.
-pub fn pixel(image: &mut Image, x: i64, y: i64, color: [u8; 3]) {
+pub fn pixel(image: &mut RgbImage, x: i64, y: i64, color: [u8; 3]) {
     let (w, h) = (i64::from(image.width()), i64::from(image.height()));
     if x >= 0 && y >= 0 && x < w && y < h {
         let i = (y * w + x) as usize * 3;
@@ -28,7 +28,7 @@ pub fn pixel(image: &mut Image, x: i64, y: i64, color: [u8; 3]) {
 }
 
 /// Draws a straight line, one pixel wide, clipped to the image. Draws nothing when a point is not finite.
-pub fn line(image: &mut Image, from: &Point2<f64>, to: &Point2<f64>, color: [u8; 3]) {
+pub fn line(image: &mut RgbImage, from: &Point2<f64>, to: &Point2<f64>, color: [u8; 3]) {
     let length = (to - from).amax();
     let limit = 4.0 * f64::from(image.width().max(image.height()));
     if !from.coords.amax().is_finite() || !length.is_finite() || length > limit {
@@ -42,20 +42,20 @@ pub fn line(image: &mut Image, from: &Point2<f64>, to: &Point2<f64>, color: [u8;
 }
 
 /// Draws a closed polygon.
-pub fn polygon(image: &mut Image, corners: &[Point2<f64>], color: [u8; 3]) {
+pub fn polygon(image: &mut RgbImage, corners: &[Point2<f64>], color: [u8; 3]) {
     for (i, corner) in corners.iter().enumerate() {
         line(image, corner, &corners[(i + 1) % corners.len()], color);
     }
 }
 
 /// Draws an upright cross with arms of `arm` px.
-pub fn cross(image: &mut Image, at: &Point2<f64>, arm: f64, color: [u8; 3]) {
+pub fn cross(image: &mut RgbImage, at: &Point2<f64>, arm: f64, color: [u8; 3]) {
     line(image, &Point2::new(at.x - arm, at.y), &Point2::new(at.x + arm, at.y), color);
     line(image, &Point2::new(at.x, at.y - arm), &Point2::new(at.x, at.y + arm), color);
 }
 
 /// Draws a circle.
-pub fn circle(image: &mut Image, center: &Point2<f64>, radius: f64, color: [u8; 3]) {
+pub fn circle(image: &mut RgbImage, center: &Point2<f64>, radius: f64, color: [u8; 3]) {
     let n = 48;
     let corners: Vec<_> = (0..n)
         .map(|i| f64::from(i) * std::f64::consts::TAU / f64::from(n))
@@ -65,41 +65,26 @@ pub fn circle(image: &mut Image, center: &Point2<f64>, radius: f64, color: [u8; 
 }
 
 /// Draws the border of a region.
-pub fn region(image: &mut Image, region: &Region, color: [u8; 3]) {
+pub fn region(image: &mut RgbImage, region: &Region, color: [u8; 3]) {
     let (x0, y0) = (f64::from(region.x), f64::from(region.y));
     let (x1, y1) = (x0 + f64::from(region.width) - 1.0, y0 + f64::from(region.height) - 1.0);
     let corners = [Point2::new(x0, y0), Point2::new(x1, y0), Point2::new(x1, y1), Point2::new(x0, y1)];
     polygon(image, &corners, color);
 }
 
-/// Tints the pixels of a mask half way towards a colour.
-pub fn overlay(image: &mut Image, mask: &Mask, color: [u8; 3]) {
-    let region = mask.region();
-    for y in 0..mask.height() {
-        for x in 0..mask.width() {
-            let (px, py) = (region.x + x as u32, region.y + y as u32);
-            if mask.row(y)[x] != 0 {
-                let old = image.pixel(px, py);
-                let mixed = std::array::from_fn(|i| ((u16::from(old[i]) + u16::from(color[i])) / 2) as u8);
-                pixel(image, i64::from(px), i64::from(py), mixed);
-            }
-        }
-    }
-}
-
 /// Draws a tracked marker into the left image: a green cross in a circle.
-pub fn marker(image: &mut Image, marker: &MarkerEstimate) {
+pub fn marker(image: &mut RgbImage, marker: &MarkerEstimate) {
     cross(image, &marker.left_px, 9.0, [0, 255, 0]);
     circle(image, &marker.left_px, 12.0, [0, 255, 0]);
 }
 
 /// Draws a located object's outline into the left image.
-pub fn object(image: &mut Image, object: &ObjectEstimate) {
+pub fn object(image: &mut RgbImage, object: &ObjectEstimate) {
     polygon(image, &object.outline_left, [255, 0, 255]);
 }
 
 /// Draws a hand into the left image: its box, palm, fingertips and where it points.
-pub fn hand(image: &mut Image, hand: &HandObservation) {
+pub fn hand(image: &mut RgbImage, hand: &HandObservation) {
     region(image, &hand.bounding_box, [0, 255, 255]);
     circle(image, &hand.palm_px, hand.palm_radius_px, [255, 255, 0]);
     for tip in &hand.fingertips {
@@ -112,7 +97,7 @@ pub fn hand(image: &mut Image, hand: &HandObservation) {
 ///
 /// # Errors
 /// [`EncodeError::Png`] when the encoder refuses, as for an image without pixels.
-pub fn png(image: &Image) -> Result<Vec<u8>, EncodeError> {
+pub fn png(image: &RgbImage) -> Result<Vec<u8>, EncodeError> {
     let mut bytes = std::io::Cursor::new(Vec::new());
     let (width, height) = (image.width(), image.height());
     image::write_buffer_with_format(
@@ -131,8 +116,8 @@ pub fn png(image: &Image) -> Result<Vec<u8>, EncodeError> {
 mod tests {
     use super::*;
 
-    fn black(width: u32, height: u32) -> Image {
-        Image::from_rgb(width, height, vec![0; (width * height * 3) as usize]).unwrap()
+    fn black(width: u32, height: u32) -> RgbImage {
+        RgbImage::from_rgb(width, height, vec![0; (width * height * 3) as usize]).unwrap()
     }
 
     #[test]

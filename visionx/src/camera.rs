@@ -29,7 +29,6 @@ pub struct StereoCalibration {
 
 impl PinholeCamera {
     /// Projects a point (camera frame, m) to px; `None` for a point behind the camera or in its plane.
-    #[must_use]
     pub fn project(&self, point: &Point3<f64>) -> Option<Point2<f64>> {
         (point.z > 1e-6).then(|| {
             Point2::new(
@@ -41,13 +40,11 @@ impl PinholeCamera {
 
     /// Projects the point (this camera's frame, m) into an identical camera that stands `shift` m along this
     /// one's x.
-    #[must_use]
     pub fn project_shifted(&self, point: &Point3<f64>, shift: f64) -> Option<Point2<f64>> {
         self.project(&Point3::new(point.x - shift, point.y, point.z))
     }
 
     /// The direction of a pixel's ray, scaled so that its z is 1.
-    #[must_use]
     pub fn ray(&self, px: &Point2<f64>) -> Vector3<f64> {
         Vector3::new((px.x - self.center[0]) / self.focal, (px.y - self.center[1]) / self.focal, 1.0)
     }
@@ -55,7 +52,6 @@ impl PinholeCamera {
 
 impl StereoCalibration {
     /// Whether both images have the calibration's size and the calibration's numbers describe a valid camera.
-    #[must_use]
     pub fn fits(&self, frame: &StereoFrame) -> bool {
         let size = (self.camera.width, self.camera.height);
         let usable = self.camera.focal > 0.0 && self.baseline > 0.0;
@@ -64,7 +60,6 @@ impl StereoCalibration {
 
     /// Covariance (left camera frame, m^2) of a triangulated point whose two pixels have standard deviations
     /// `sigma_px` (left, right), px, the same along x and y. First order, for a point in front of the camera.
-    #[must_use]
     pub fn covariance(&self, point: &Point3<f64>, sigma_px: [f64; 2]) -> Matrix3<f64> {
         let scale = point.z / self.camera.focal;
         let [l, r] = sigma_px.map(|s| s * s);
@@ -78,7 +73,6 @@ impl StereoCalibration {
     }
 
     /// The point (left camera frame, m) seen at `left` and `right`, px; `None` without positive disparity.
-    #[must_use]
     pub fn triangulate(&self, left: &Point2<f64>, right: &Point2<f64>) -> Option<Point3<f64>> {
         let disparity = left.x - right.x;
         (disparity > 0.1).then(|| {

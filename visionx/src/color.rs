@@ -5,7 +5,7 @@
 //! camera's noise widens the cone at its tip. Colours without hue (white, grey, black) share one direction, so they
 //! are told apart by brightness instead. Gamma, coloured light and highlights are not modelled.
 
-use crate::frame::{Image, StereoFrame};
+use crate::frame::{RgbImage, StereoFrame};
 use crate::mask::{Mask, Region};
 
 /// The colour of an object.
@@ -31,7 +31,6 @@ const DARK: f32 = 30.0;
 
 impl ColorModel {
     /// The model of an object whose colour in full light is `reference` (RGB).
-    #[must_use]
     pub fn from_rgb(reference: [u8; 3]) -> Self {
         let v = reference.map(f32::from);
         let length = norm(v);
@@ -51,7 +50,6 @@ impl ColorModel {
 
     /// Adapts the model to the observed `pixels` (RGB): a cone about their mean, as wide as their scatter, never
     /// wider than before. The accepted brightness range stays. Without usable pixels the model is unchanged.
-    #[must_use]
     pub fn learned(&self, pixels: impl Iterator<Item = [u8; 3]> + Clone) -> Self {
         let bright = pixels.map(|p| p.map(f32::from)).filter(|p| norm(*p) > DARK);
         let mut sum = [0.0f32; 3];
@@ -72,19 +70,16 @@ impl ColorModel {
     }
 
     /// The colour in full light that the model was made from.
-    #[must_use]
     pub fn reference(&self) -> [u8; 3] {
         self.reference
     }
 
     /// Whether a pixel has the colour.
-    #[must_use]
     pub fn matches(&self, rgb: [u8; 3]) -> bool {
         self.accepts(f32::from(rgb[0]), f32::from(rgb[1]), f32::from(rgb[2]))
     }
 
     /// The angle between a colour (RGB, any length) and the reference, rad; a right angle for black.
-    #[must_use]
     pub fn angle(&self, rgb: [f64; 3]) -> f64 {
         let v = rgb.map(|c| c as f32);
         let length = norm(v);
@@ -96,20 +91,17 @@ impl ColorModel {
     }
 
     /// All pixels of the image that have the colour.
-    #[must_use]
-    pub fn segment(&self, image: &Image) -> Mask {
+    pub fn segment(&self, image: &RgbImage) -> Mask {
         self.segment_region(image, Region::whole(image.width(), image.height()))
     }
 
     /// How many pixels of each eye (left, right) have the colour.
-    #[must_use]
     pub fn counts(&self, frame: &StereoFrame) -> [usize; 2] {
         [self.segment(&frame.left).count(), self.segment(&frame.right).count()]
     }
 
     /// The pixels of a part of the image that have the colour; the part is clipped to the image.
-    #[must_use]
-    pub fn segment_region(&self, image: &Image, region: Region) -> Mask {
+    pub fn segment_region(&self, image: &RgbImage, region: Region) -> Mask {
         let region = region.clipped(image.width(), image.height());
         let mut mask = Mask::empty(region);
         if region.area() == 0 {
@@ -207,7 +199,7 @@ mod tests {
 
     #[test]
     fn a_region_is_a_part_of_the_whole() {
-        let mut image = Image::from_rgb(8, 6, vec![0; 8 * 6 * 3]).unwrap();
+        let mut image = RgbImage::from_rgb(8, 6, vec![0; 8 * 6 * 3]).unwrap();
         for (x, y) in [(2, 1), (3, 1), (7, 5)] {
             let i = (y * 8 + x) * 3;
             image.data_mut()[i..i + 3].copy_from_slice(&[220, 30, 200]);

@@ -20,7 +20,6 @@ pub struct Component {
 }
 
 /// The connected components of at least `min_area` pixels, largest first (of equals, the topmost leftmost).
-#[must_use]
 pub fn components(mask: &Mask, min_area: u32) -> Vec<Component> {
     let runs = runs_of(mask);
     let parents = link(&runs);
@@ -72,7 +71,6 @@ impl Component {
     }
 
     /// The component alone, as a mask of its bounds grown by `border` and clipped to `width` x `height`.
-    #[must_use]
     pub fn mask(&self, border: u32, width: u32, height: u32) -> Mask {
         let mut mask = Mask::empty(self.bounds.grown(border, width, height));
         mask.add(&self.runs);

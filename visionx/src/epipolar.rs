@@ -6,7 +6,7 @@
 use nalgebra::Point2;
 
 use crate::camera::StereoCalibration;
-use crate::frame::{Image, StereoFrame};
+use crate::frame::{RgbImage, StereoFrame};
 
 /// Half the side of a compared patch, px.
 const HALF: i64 = 5;
@@ -15,7 +15,7 @@ const ROWS: i64 = 6;
 /// Side of the squares, px. Each contributes its best corner.
 const GRID: i64 = 32;
 /// Least mean difference of grey levels across a corner, along its weaker direction.
-const LEAST_CONTRAST: f64 = 8.0;
+const MIN_CONTRAST: f64 = 8.0;
 /// The best match must be better than any other by this factor; repeated patterns are ambiguous.
 const DISTINCT: f64 = 0.7;
 
@@ -30,7 +30,6 @@ pub struct EpipolarCheck {
 
 impl EpipolarCheck {
     /// Checks a frame.
-    #[must_use]
     pub fn of(frame: &StereoFrame, calibration: &StereoCalibration) -> Self {
         let mut check = Self::default();
         if !calibration.fits(frame) {
@@ -60,7 +59,6 @@ impl EpipolarCheck {
     }
 
     /// The median of the values; `None` when there are none.
-    #[must_use]
     pub fn median(values: &[f64]) -> Option<f64> {
         let mut sorted = values.to_vec();
         sorted.sort_by(f64::total_cmp);
@@ -75,7 +73,7 @@ struct Gray {
 }
 
 impl Gray {
-    fn of(image: &Image) -> Self {
+    fn of(image: &RgbImage) -> Self {
         let data = image.data().chunks_exact(3).map(|p| p.iter().map(|v| i32::from(*v)).sum()).collect();
         Self { width: i64::from(image.width()), height: i64::from(image.height()), data }
     }
@@ -98,7 +96,7 @@ impl Gray {
                 });
                 let scored = places.step_by(2).map(|at| (self.cornerness(at), at));
                 let best = scored.max_by(|a, b| a.0.total_cmp(&b.0));
-                corners.extend(best.filter(|(score, _)| score.sqrt() > LEAST_CONTRAST).map(|(_, at)| at));
+                corners.extend(best.filter(|(score, _)| score.sqrt() > MIN_CONTRAST).map(|(_, at)| at));
             }
         }
         corners
@@ -178,7 +176,7 @@ mod tests {
             let level = |x: i64, y: i64| texture[((y + 20 - low) / 6 * 80 + (x + 20 + shift) / 6) as usize];
             let data =
                 (0..240).flat_map(|y| (0..320).flat_map(move |x| [level(x, y); 3])).collect::<Vec<u8>>();
-            Image::from_rgb(320, 240, data).unwrap()
+            RgbImage::from_rgb(320, 240, data).unwrap()
         };
         StereoFrame {
             stamp_ns: 0,
@@ -207,7 +205,7 @@ mod tests {
     #[test]
     fn flat_and_small_pictures_show_nothing() {
         let eye = |level, (width, height)| {
-            Image::from_rgb(width, height, vec![level; (width * height * 3) as usize]).unwrap()
+            RgbImage::from_rgb(width, height, vec![level; (width * height * 3) as usize]).unwrap()
         };
         for (level, size) in [(0, (320, 240)), (255, (320, 240)), (90, (1, 1))] {
             let (left, right) = (eye(level, size), eye(level, size));

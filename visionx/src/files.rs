@@ -7,21 +7,21 @@ use std::path::{Path, PathBuf};
 use armarium_source::Finding;
 use image::{DynamicImage, ImageReader, Limits};
 
-use crate::frame::Image;
+use crate::frame::RgbImage;
 use crate::jpeg;
 
 /// Most pixels of an image.
-pub const MOST_PIXELS: u64 = 128_000_000;
+pub const MAX_PIXELS: u64 = 128_000_000;
 /// Longest side of an image, px.
-const LONGEST: u32 = 32_768;
+const MAX_SIDE: u32 = 32_768;
 /// Largest file, bytes.
-const LONGEST_FILE: u64 = 512 << 20;
+const MAX_FILE_BYTES: u64 = 512 << 20;
 /// Memory limit of a decoder beside the pixels, bytes: for colour profiles and text in the file.
-const MOST_BESIDE: u64 = 32 << 20;
+const MAX_METADATA_BYTES: u64 = 32 << 20;
 /// Memory limit of a decoder for the pixels, bytes: 4 bytes a pixel and some reserve.
-const MOST_BYTES: u64 = 768 << 20;
+const MAX_PIXEL_BYTES: u64 = 768 << 20;
 /// Most bytes per pixel: four channels of 16 bit.
-const WIDEST_PIXEL: u64 = 8;
+const MAX_BYTES_PER_PIXEL: u64 = 8;
 /// The first bytes of a JPEG file.
 const JPEG: [u8; 2] = [0xFF, 0xD8];
 /// File name extensions of images.
@@ -47,7 +47,7 @@ pub enum FileError {
     #[error("is a JPEG image that is cut short: its end is missing; copy it again from where it came")]
     CutShort,
     /// It has too many pixels, or a side that is too long.
-    #[error("{width} x {height} pixels are more than {MOST_PIXELS}, or a side is longer than {LONGEST}")]
+    #[error("{width} x {height} pixels are more than {MAX_PIXELS}, or a side is longer than {MAX_SIDE}")]
     TooLarge {
         /// Width, px.
         width: u32,
@@ -55,7 +55,7 @@ pub enum FileError {
         height: u32,
     },
     /// The file is larger than any accepted image.
-    #[error("is {bytes} bytes long; at most {LONGEST_FILE} are read")]
+    #[error("is {bytes} bytes long; at most {MAX_FILE_BYTES} are read")]
     TooLong {
         /// Its length, bytes.
         bytes: u64,
@@ -76,7 +76,7 @@ pub enum FileError {
 ///
 /// # Errors
 /// [`FileError`] when there is no such image or it is too large.
-pub fn read_image(path: &Path) -> Result<Image, FileError> {
+pub fn read_image(path: &Path) -> Result<RgbImage, FileError> {
     let size = size_of(open(path)?)?;
     read(open(path)?, size)
 }
@@ -85,7 +85,7 @@ pub fn read_image(path: &Path) -> Result<Image, FileError> {
 ///
 /// # Errors
 /// [`FileError`] when they are not such an image or it is too large.
-pub fn decode_image(bytes: &[u8]) -> Result<Image, FileError> {
+pub fn decode_image(bytes: &[u8]) -> Result<RgbImage, FileError> {
     let size = size_of(Cursor::new(bytes))?;
     read(Cursor::new(bytes), size)
 }
@@ -169,7 +169,7 @@ fn folder(path: &Path) -> Result<Vec<PathBuf>, FileError> {
 fn open(path: &Path) -> Result<BufReader<File>, FileError> {
     let file = File::open(path).map_err(FileError::Read)?;
     let bytes = file.metadata().map_err(FileError::Read)?.len();
-    if bytes > LONGEST_FILE { Err(FileError::TooLong { bytes }) } else { Ok(BufReader::new(file)) }
+    if bytes > MAX_FILE_BYTES { Err(FileError::TooLong { bytes }) } else { Ok(BufReader::new(file)) }
 }
 
 /// Width and height, px, of an image that is not too large; does not decode the pixels.
@@ -177,9 +177,9 @@ fn open(path: &Path) -> Result<BufReader<File>, FileError> {
 /// # Errors
 /// [`FileError`] when there is no such image or it is too large.
 pub(crate) fn size_of<R: BufRead + Seek>(from: R) -> Result<(u32, u32), FileError> {
-    let size = decoder(from, MOST_BESIDE)?.into_dimensions().map_err(FileError::Decode)?;
+    let size = decoder(from, MAX_METADATA_BYTES)?.into_dimensions().map_err(FileError::Decode)?;
     let (width, height) = size;
-    if u64::from(width) * u64::from(height) > MOST_PIXELS || width.max(height) > LONGEST {
+    if u64::from(width) * u64::from(height) > MAX_PIXELS || width.max(height) > MAX_SIDE {
         return Err(FileError::TooLarge { width, height });
     }
     Ok(size)
@@ -194,10 +194,10 @@ fn decoder<R: BufRead + Seek>(from: R, most_bytes: u64) -> Result<ImageReader<R>
     Ok(reader)
 }
 
-fn read<R: BufRead + Seek>(from: R, size: (u32, u32)) -> Result<Image, FileError> {
+fn read<R: BufRead + Seek>(from: R, size: (u32, u32)) -> Result<RgbImage, FileError> {
     let rgb = decoded(from, size)?.into_rgb8();
     let (width, height) = (rgb.width(), rgb.height());
-    Image::from_rgb(width, height, rgb.into_raw()).map_err(|_| FileError::TooLarge { width, height })
+    RgbImage::from_rgb(width, height, rgb.into_raw()).map_err(|_| FileError::TooLarge { width, height })
 }
 
 /// Decodes an image whose size was checked before.
@@ -208,7 +208,7 @@ fn decoded<R: BufRead + Seek>(mut from: R, (width, height): (u32, u32)) -> Resul
     }
     from.rewind().map_err(FileError::Read)?;
     let pixels = u64::from(width) * u64::from(height);
-    let most_bytes = (pixels * WIDEST_PIXEL + MOST_BESIDE).min(MOST_BYTES);
+    let most_bytes = (pixels * MAX_BYTES_PER_PIXEL + MAX_METADATA_BYTES).min(MAX_PIXEL_BYTES);
     decoder(from, most_bytes)?.decode().map_err(FileError::Decode)
 }
 
@@ -220,7 +220,7 @@ mod tests {
     #[test]
     fn a_file_is_read_as_it_was_written_and_a_folder_in_order() {
         let folder = tempfile::tempdir().unwrap();
-        let image = Image::from_rgb(3, 2, (0..18).collect()).unwrap();
+        let image = RgbImage::from_rgb(3, 2, (0..18).collect()).unwrap();
         for name in ["b.png", "a.PNG", "c.txt", "._a.PNG"] {
             std::fs::write(folder.path().join(name), png(&image).unwrap()).unwrap();
         }
@@ -236,7 +236,7 @@ mod tests {
 
     /// A PNG whose header gives a size that its data do not have.
     fn promising(width: u32, height: u32) -> Vec<u8> {
-        let mut bytes = png(&Image::from_rgb(1, 1, vec![7; 3]).unwrap()).unwrap();
+        let mut bytes = png(&RgbImage::from_rgb(1, 1, vec![7; 3]).unwrap()).unwrap();
         bytes[16..20].copy_from_slice(&width.to_be_bytes());
         bytes[20..24].copy_from_slice(&height.to_be_bytes());
         // Corrects the header's checksum, so that only the size is wrong.
@@ -256,7 +256,7 @@ mod tests {
         assert!(decode_image(&promising(u32::MAX, u32::MAX)).is_err());
         assert!(decode_image(&promising(0, 10)).is_err());
         assert!(decode_image(&promising(9000, 9000)).is_err());
-        let whole = png(&Image::from_rgb(8, 8, vec![99; 192]).unwrap()).unwrap();
+        let whole = png(&RgbImage::from_rgb(8, 8, vec![99; 192]).unwrap()).unwrap();
         for end in 0..whole.len() - 13 {
             assert!(decode_image(&whole[..end]).is_err(), "cut at {end}");
         }
@@ -271,7 +271,7 @@ mod tests {
         DynamicImage::ImageLuma16(gray(1234)).save(&file).unwrap();
         let (width, height, bytes) = read_depth(&file).unwrap();
         assert_eq!((width, height, bytes), (3, 2, [210, 4].repeat(6)));
-        std::fs::write(&file, png(&Image::from_rgb(1, 1, vec![7; 3]).unwrap()).unwrap()).unwrap();
+        std::fs::write(&file, png(&RgbImage::from_rgb(1, 1, vec![7; 3]).unwrap()).unwrap()).unwrap();
         let error = read_depth(&file).unwrap_err().to_string();
         assert!(error.contains("16 bit gray") && error.ends_with("8 bit in colours"), "{error}");
     }

@@ -1,10 +1,11 @@
-//! Stereo frames: two images with depth and the camera's pose at their time.
+//! Stereo frames, which trackers work on: two decoded images with depth and the camera's pose at their time. Providers
+//! give [`RawFrame`](crate::providers::RawFrame)s, whose pixels are in the camera's own format.
 
 use nalgebra::Isometry3;
 
-/// An RGB image, 8 bit a channel, rows from the top, three bytes a pixel.
+/// A decoded image: RGB, 8 bit a channel, rows from the top, three bytes a pixel.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Image {
+pub struct RgbImage {
     width: u32,
     height: u32,
     data: Vec<u8>,
@@ -27,9 +28,9 @@ pub struct StereoFrame {
     /// The time of the exposure since the provider's start, ns; the same clock as the robot's samples.
     pub stamp_ns: u64,
     /// Left eye.
-    pub left: Image,
+    pub left: RgbImage,
     /// Right eye.
-    pub right: Image,
+    pub right: RgbImage,
     /// Depth registered to the left eye, where the provider has it.
     pub depth: Option<DepthImage>,
     /// The left camera's pose in the robot's root frame, computed from joint angles and calibration. An error
@@ -69,7 +70,7 @@ pub enum ImageError {
     },
 }
 
-impl Image {
+impl RgbImage {
     /// Makes an image of raw RGB bytes.
     ///
     /// # Errors
@@ -84,19 +85,16 @@ impl Image {
     }
 
     /// Width, px.
-    #[must_use]
     pub fn width(&self) -> u32 {
         self.width
     }
 
     /// Height, px.
-    #[must_use]
     pub fn height(&self) -> u32 {
         self.height
     }
 
     /// All bytes, RGB, rows from the top.
-    #[must_use]
     pub fn data(&self) -> &[u8] {
         &self.data
     }
@@ -114,7 +112,6 @@ impl Image {
     }
 
     /// The colour at a pixel; black outside of the image.
-    #[must_use]
     pub fn pixel(&self, x: u32, y: u32) -> [u8; 3] {
         if x >= self.width || y >= self.height {
             return [0; 3];

@@ -1,6 +1,6 @@
 //! Images, camera models, providers and processors, tracking and gestures.
 //!
-//! - [`Image`], [`DepthImage`], [`StereoFrame`]: the trackers' input. [`ImageSource`]: hands frames to skills.
+//! - [`RgbImage`], [`DepthImage`], [`StereoFrame`]: the trackers' input. [`ImageSource`]: hands frames to skills.
 //! - [`providers`]: frames of any format from cameras, files, recordings and other processes, and how they are
 //!   published.
 //! - [`PinholeCamera`], [`StereoCalibration`]: from pixels to points; [`EpipolarCheck`]: checks a calibration.
@@ -20,6 +20,7 @@ pub mod annotate;
 mod camera;
 mod color;
 mod components;
+mod counter;
 mod distance;
 mod epipolar;
 pub mod files;
@@ -44,8 +45,9 @@ pub mod tracking;
 pub use camera::{PinholeCamera, StereoCalibration};
 pub use color::ColorModel;
 pub use components::{Component, components};
+pub use counter::{Counter, Latency};
 pub use epipolar::EpipolarCheck;
-pub use frame::{DepthImage, Image, ImageError, StereoFrame};
+pub use frame::{DepthImage, ImageError, RgbImage, StereoFrame};
 pub use image_source::ImageSource;
 pub use jpeg::{JPEG_QUALITY, JpegPixel, encode_jpeg};
 pub use localizer::{BoxModel, ObjectEstimate, ObjectLocalizer};

@@ -13,7 +13,7 @@ use nalgebra::{Isometry3, Matrix4, Point2, Point3, Translation3, UnitQuaternion,
 use crate::camera::StereoCalibration;
 use crate::color::ColorModel;
 use crate::components::{Component, components};
-use crate::frame::{Image, StereoFrame};
+use crate::frame::{RgbImage, StereoFrame};
 use crate::mask::{Mask, Region};
 use crate::minimize::simplex;
 use crate::outline::{Outline, RowSums, border_points, box_outline};
@@ -86,7 +86,7 @@ struct Fit {
 }
 
 /// Components smaller than this are noise, px.
-const LEAST_AREA: u32 = 40;
+const MIN_AREA: u32 = 40;
 /// Coarse yaws over half a turn.
 const YAWS: usize = 24;
 /// Border points farther than this from the outline belong to something else, px.
@@ -96,20 +96,17 @@ const BORDER_SIGMA_PX: f64 = 0.35;
 
 impl ObjectLocalizer {
     /// A localizer for one kind of object.
-    #[must_use]
     pub fn new(calibration: StereoCalibration, model: BoxModel) -> Self {
         Self { calibration, model }
     }
 
     /// The best fit, or `None` when nothing in the frame fits the object's colour, shape and size.
-    #[must_use]
     pub fn localize(&self, frame: &StereoFrame) -> Option<ObjectEstimate> {
         self.localize_all(frame).into_iter().next()
     }
 
     /// All objects in the frame that fit, most visible first. Empty when the images do not have the calibration's
     /// size.
-    #[must_use]
     pub fn localize_all(&self, frame: &StereoFrame) -> Vec<ObjectEstimate> {
         let size = self.model.size;
         if !self.calibration.fits(frame) || size.min() <= 1e-3 || size.max() >= 2.0 || !size.sum().is_finite()
@@ -117,7 +114,7 @@ impl ObjectLocalizer {
             return Vec::new();
         }
         let masks = [&frame.left, &frame.right].map(|image| self.model.color.segment(image));
-        let [left, right] = masks.each_ref().map(|m| components(m, LEAST_AREA));
+        let [left, right] = masks.each_ref().map(|m| components(m, MIN_AREA));
         let mut fits: Vec<Fit> = Vec::new();
         for l in left.iter().take(4) {
             for r in right.iter().take(4) {
@@ -151,7 +148,7 @@ impl ObjectLocalizer {
     }
 
     /// The observation around a component: the component with the pieces near it, and the surroundings.
-    fn eye(seed: &Component, all: &[Component], image: &Image, radius_px: f64) -> Eye {
+    fn eye(seed: &Component, all: &[Component], image: &RgbImage, radius_px: f64) -> Eye {
         let (w, h) = (image.width(), image.height());
         let border = (radius_px * 1.2).min(400.0) as u32 + 4;
         let mut object = seed.mask(border, w, h);
@@ -341,7 +338,7 @@ fn silhouette_cost(outlines: &[Outline; 2], eyes: &[Eye; 2]) -> f64 {
 }
 
 /// The pixels with the surroundings' colour: the median colour of the mask's region without the object.
-fn surroundings(image: &Image, object: &Mask) -> Mask {
+fn surroundings(image: &RgbImage, object: &Mask) -> Mask {
     let region = object.region();
     let mut histograms = vec![[0u32; 256]; 3];
     let mut total = 0u32;

@@ -36,14 +36,12 @@ pub struct Mask {
 
 impl Region {
     /// The whole of an image.
-    #[must_use]
     pub fn whole(width: u32, height: u32) -> Self {
         Self { x: 0, y: 0, width, height }
     }
 
     /// The smallest region in an image of `width` x `height` that holds all pixels from `(x0, y0)` to `(x1, y1)`,
     /// inclusive; empty when there are none. Coordinates may be anything, even not finite.
-    #[must_use]
     pub fn spanning(x0: f64, y0: f64, x1: f64, y1: f64, width: u32, height: u32) -> Self {
         // A cast from f64 to u32 saturates and takes NaN to 0.
         let clip = |v: f64, end: u32| (v.max(0.0) as u32).min(end);
@@ -53,7 +51,6 @@ impl Region {
     }
 
     /// This region with `border` more pixels on each side, clipped to an image of `width` x `height`.
-    #[must_use]
     pub fn grown(&self, border: u32, width: u32, height: u32) -> Self {
         let x = self.x.saturating_sub(border);
         let y = self.y.saturating_sub(border);
@@ -63,19 +60,16 @@ impl Region {
     }
 
     /// The part of this region inside an image of `width` x `height`.
-    #[must_use]
     pub fn clipped(&self, width: u32, height: u32) -> Self {
         self.grown(0, width, height)
     }
 
     /// Number of pixels.
-    #[must_use]
     pub fn area(&self) -> usize {
         self.width as usize * self.height as usize
     }
 
     /// Whether the region touches the border of an image of `width` x `height`.
-    #[must_use]
     pub fn touches_border(&self, width: u32, height: u32) -> bool {
         self.x == 0 || self.y == 0 || self.x + self.width >= width || self.y + self.height >= height
     }
@@ -83,31 +77,26 @@ impl Region {
 
 impl Mask {
     /// A mask with nothing set.
-    #[must_use]
     pub fn empty(region: Region) -> Self {
         Self { region, data: vec![0; region.area()] }
     }
 
     /// Where the mask lies in its image.
-    #[must_use]
     pub fn region(&self) -> Region {
         self.region
     }
 
     /// Width of the mask, px.
-    #[must_use]
     pub fn width(&self) -> usize {
         self.region.width as usize
     }
 
     /// Height of the mask, px.
-    #[must_use]
     pub fn height(&self) -> usize {
         self.region.height as usize
     }
 
     /// The pixels, 0 or 1, rows from the top.
-    #[must_use]
     pub fn data(&self) -> &[u8] {
         &self.data
     }
@@ -119,14 +108,12 @@ impl Mask {
     }
 
     /// One row of the mask, counted from the mask's own top.
-    #[must_use]
     pub fn row(&self, y: usize) -> &[u8] {
         let w = self.width();
         &self.data[y * w..(y + 1) * w]
     }
 
     /// Whether the pixel `(x, y)` of the *image* is set; false outside of the mask's region.
-    #[must_use]
     pub fn contains(&self, x: i64, y: i64) -> bool {
         let (x, y) = (x - i64::from(self.region.x), y - i64::from(self.region.y));
         if x < 0 || y < 0 || x >= i64::from(self.region.width) || y >= i64::from(self.region.height) {
@@ -147,14 +134,12 @@ impl Mask {
     }
 
     /// How many pixels are set.
-    #[must_use]
     pub fn count(&self) -> usize {
         self.data.iter().map(|&v| usize::from(v)).sum()
     }
 
     /// Majority filter: sets each pixel where five or more of the nine around it are set; pixels at the
     /// mask's border stay.
-    #[must_use]
     pub fn majority(&self) -> Self {
         let (w, h) = (self.width(), self.height());
         let mut result = self.clone();

@@ -63,24 +63,7 @@ impl Cloud {
     /// Systematic resampling by likelihood; without effect when the likelihood is zero everywhere.
     pub(crate) fn resample(&mut self, likelihood: impl Fn(&Point3<f64>) -> f64, rng: &mut impl Rng) {
         let weights: Vec<f64> = self.particles.iter().map(|p| likelihood(&p.position).max(0.0)).collect();
-        let total: f64 = weights.iter().sum();
-        if !(total.is_finite() && total > 0.0) {
-            return;
-        }
-        let step = total / self.particles.len() as f64;
-        let mut target = rng.random::<f64>() * step;
-        let mut reached = weights[0];
-        let mut i = 0;
-        let mut drawn = Vec::with_capacity(self.particles.len());
-        for _ in 0..self.particles.len() {
-            while reached < target && i + 1 < weights.len() {
-                i += 1;
-                reached += weights[i];
-            }
-            drawn.push(self.particles[i]);
-            target += step;
-        }
-        self.particles = drawn;
+        resample(&mut self.particles, &weights, rng);
     }
 
     /// Draws the cloud towards a measured position with the given covariance, m^2.
@@ -117,6 +100,29 @@ impl Cloud {
         let n = self.particles.len().max(2) as f64 - 1.0;
         self.particles.iter().map(|p| p.position - mean).map(|d| d * d.transpose() / n).sum()
     }
+}
+
+/// Systematic resampling by weight, of as many as there are; without effect when the weights have no finite, positive sum.
+///
+/// # Source
+/// Kitagawa 1996, appendix.
+pub(crate) fn resample<T: Clone>(particles: &mut Vec<T>, weights: &[f64], rng: &mut impl Rng) {
+    let total: f64 = weights.iter().sum();
+    if !(total.is_finite() && total > 0.0) {
+        return;
+    }
+    let step = total / weights.len() as f64;
+    let (mut target, mut reached, mut i) = (rng.random::<f64>() * step, weights[0], 0);
+    let mut drawn = Vec::with_capacity(weights.len());
+    for _ in 0..weights.len() {
+        while reached < target && i + 1 < weights.len() {
+            i += 1;
+            reached += weights[i];
+        }
+        drawn.push(particles[i].clone());
+        target += step;
+    }
+    *particles = drawn;
 }
 
 /// A matrix `s` with `s * s^T` equal to the covariance; zero when it is not positive definite.

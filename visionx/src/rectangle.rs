@@ -5,7 +5,7 @@ use imageproc::point::Point as Cell;
 use nalgebra::{Point2, Rotation2, Vector2};
 
 /// Largest coordinate, cells; farther points are clamped.
-const FARTHEST: f64 = 20_000.0;
+const MAX_COORDINATE: f64 = 20_000.0;
 
 /// A rectangle in a plane.
 pub(crate) struct Rectangle {
@@ -20,7 +20,7 @@ impl Rectangle {
     /// The smallest rectangle around points; `None` when there are none. The search rounds them to `cell`, in the
     /// points' unit, and clamps them at 20 000 cells. It leaves out a share `strays` of the points at each side.
     pub(crate) fn around(points: &[Point2<f64>], strays: f64, cell: f64) -> Option<Self> {
-        let cell = |v: f64| (v / cell).clamp(-FARTHEST, FARTHEST).round() as i32;
+        let cell = |v: f64| (v / cell).clamp(-MAX_COORDINATE, MAX_COORDINATE).round() as i32;
         let cells: Vec<Cell<i32>> = points.iter().map(|p| Cell::new(cell(p.x), cell(p.y))).collect();
         if cells.is_empty() {
             return None;

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use crate::camera::{PinholeCamera, StereoCalibration};
-use crate::frame::{DepthImage, Image, StereoFrame};
+use crate::frame::{DepthImage, RgbImage, StereoFrame};
 use crate::tracking::hand::Gesture;
 
 pub(crate) const CALIBRATION: StereoCalibration = StereoCalibration {
@@ -56,7 +56,7 @@ pub(crate) fn empty_frames() -> Vec<StereoFrame> {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let mut images = vec![vec![0; 640 * 480 * 3], vec![255; 640 * 480 * 3]];
     images.push((0..640 * 480 * 3).map(|_| rng.random()).collect());
-    let image = |w, h, data: Vec<u8>| Image::from_rgb(w, h, data).unwrap();
+    let image = |w, h, data: Vec<u8>| RgbImage::from_rgb(w, h, data).unwrap();
     let mut eyes: Vec<_> = images.into_iter().map(|data| image(640, 480, data)).collect();
     eyes.push(image(1, 1, vec![200, 150, 120]));
     eyes.push(image(0, 0, vec![]));
@@ -78,7 +78,7 @@ fn cast(
     root_from_left: &Isometry3<f64>,
     shift: f64,
     rng: &mut ChaCha8Rng,
-) -> (Image, DepthImage) {
+) -> (RgbImage, DepthImage) {
     let camera = CALIBRATION.camera;
     let root_from_camera = root_from_left * Isometry3::translation(shift, 0.0, 0.0);
     let (w, h) = (camera.width as usize, camera.height as usize);
@@ -105,7 +105,7 @@ fn cast(
         height: camera.height,
         data: depths.into_iter().map(measured).collect(),
     };
-    (Image::from_rgb(camera.width, camera.height, data).unwrap(), depth)
+    (RgbImage::from_rgb(camera.width, camera.height, data).unwrap(), depth)
 }
 
 /// The columns of a row in which an object can be visible.

@@ -4,11 +4,11 @@
 use std::sync::Arc;
 
 use crate::annotate;
-use crate::frame::{Image, ImageError, StereoFrame};
+use crate::frame::{ImageError, RgbImage, StereoFrame};
 use crate::localizer::ObjectLocalizer;
 use crate::marker::ColorMarkerObjectTracking;
 use crate::processor::{Finding, ImageProcessor};
-use crate::providers::{Frame, StereoPair};
+use crate::providers::{RawFrame, StereoPair};
 use crate::tabletop::TabletopSegmentation;
 use crate::tracking::FingerTipTracking;
 use crate::tracking::hand::HandObserver;
@@ -18,14 +18,12 @@ pub trait StereoStep: Send {
     /// Its name.
     fn name(&self) -> &str;
     /// What a frame lacks for this step, as a message for people; `None` when it is complete.
-    fn lacks(&self, frame: &Frame) -> Option<String> {
+    fn missing_input(&self, frame: &RawFrame) -> Option<String> {
         let _ = frame;
         None
     }
     /// Processes a frame.
     fn step(&mut self, frame: &StereoFrame) -> Finding;
-    /// Draws the finding into the left image.
-    fn draw(&self, image: &mut Image, finding: &Finding);
 }
 
 /// Turns a [`StereoStep`] into an [`ImageProcessor`].
@@ -46,20 +44,38 @@ impl<S: StereoStep> ImageProcessor for OfStereo<S> {
         self.step.name()
     }
 
-    fn process(&mut self, frames: &[Arc<Frame>]) -> Result<Finding, ImageError> {
+    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Finding, ImageError> {
         let [frame, ..] = frames else {
             return Err(ImageError::Spoilt { provider: self.name().into(), what: "no frame".into() });
         };
-        if let Some(what) = self.step.lacks(frame) {
+        if let Some(what) = self.step.missing_input(frame) {
             return Err(ImageError::Spoilt { provider: self.pair.provider().into(), what });
         }
         Ok(self.step.step(&self.pair.frame(frame)?))
     }
 
-    fn annotated(&self, frames: &[Arc<Frame>], finding: &Finding) -> Option<Image> {
+    fn annotated(&self, frames: &[Arc<RawFrame>], finding: &Finding) -> Option<RgbImage> {
         let mut image = self.pair.frame(frames.first()?).ok()?.left;
-        self.step.draw(&mut image, finding);
+        finding.draw(&mut image);
         Some(image)
+    }
+}
+
+impl Finding {
+    /// Draws the finding into the left image.
+    pub fn draw(&self, image: &mut RgbImage) {
+        match self {
+            Self::Marker(marker) => marker.iter().for_each(|marker| annotate::marker(image, marker)),
+            Self::Object(object) => object.iter().for_each(|object| annotate::object(image, object)),
+            Self::Hand(hand) => hand.iter().for_each(|hand| annotate::hand(image, hand)),
+            Self::Tabletop(seen) => {
+                let objects = seen.iter().flat_map(|seen| &seen.objects);
+                objects.for_each(|o| annotate::region(image, &o.bounding_box, [255, 0, 255]));
+            }
+            Self::Fingertips(tips) => {
+                tips.iter().for_each(|tip| annotate::circle(image, &tip.px, tip.radius, [255, 0, 255]));
+            }
+        }
     }
 }
 
@@ -71,12 +87,6 @@ impl StereoStep for ColorMarkerObjectTracking {
     fn step(&mut self, frame: &StereoFrame) -> Finding {
         Finding::Marker(self.update(frame))
     }
-
-    fn draw(&self, image: &mut Image, finding: &Finding) {
-        if let Finding::Marker(Some(marker)) = finding {
-            annotate::marker(image, marker);
-        }
-    }
 }
 
 impl StereoStep for ObjectLocalizer {
@@ -87,12 +97,6 @@ impl StereoStep for ObjectLocalizer {
     fn step(&mut self, frame: &StereoFrame) -> Finding {
         Finding::Object(self.localize(frame))
     }
-
-    fn draw(&self, image: &mut Image, finding: &Finding) {
-        if let Finding::Object(Some(object)) = finding {
-            annotate::object(image, object);
-        }
-    }
 }
 
 impl StereoStep for TabletopSegmentation {
@@ -100,18 +104,12 @@ impl StereoStep for TabletopSegmentation {
         "tabletop"
     }
 
-    fn lacks(&self, frame: &Frame) -> Option<String> {
-        self.lacks(frame)
+    fn missing_input(&self, frame: &RawFrame) -> Option<String> {
+        self.missing_input(frame)
     }
 
     fn step(&mut self, frame: &StereoFrame) -> Finding {
         Finding::Tabletop(self.segment(frame))
-    }
-
-    fn draw(&self, image: &mut Image, finding: &Finding) {
-        if let Finding::Tabletop(Some(seen)) = finding {
-            seen.objects.iter().for_each(|o| annotate::region(image, &o.bounding_box, [255, 0, 255]));
-        }
     }
 }
 
@@ -123,12 +121,6 @@ impl StereoStep for HandObserver {
     fn step(&mut self, frame: &StereoFrame) -> Finding {
         Finding::Hand(self.update(frame))
     }
-
-    fn draw(&self, image: &mut Image, finding: &Finding) {
-        if let Finding::Hand(Some(hand)) = finding {
-            annotate::hand(image, hand);
-        }
-    }
 }
 
 impl StereoStep for FingerTipTracking {
@@ -138,13 +130,5 @@ impl StereoStep for FingerTipTracking {
 
     fn step(&mut self, frame: &StereoFrame) -> Finding {
         Finding::Fingertips(self.update(frame))
-    }
-
-    fn draw(&self, image: &mut Image, finding: &Finding) {
-        if let Finding::Fingertips(tips) = finding {
-            for tip in tips {
-                annotate::circle(image, &tip.px, tip.radius, [255, 0, 255]);
-            }
-        }
     }
 }

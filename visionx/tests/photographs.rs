@@ -5,14 +5,14 @@ use std::path::Path;
 
 use armarium_visionx::files::read_image;
 use armarium_visionx::tracking::{GestureRecognizer, HandInPicture};
-use armarium_visionx::{Gesture, Image};
+use armarium_visionx::{Gesture, RgbImage};
 use nalgebra::Point2;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// Each photograph: the image, its file, its gesture, and the frame of the index finger's last joint, which lies a few
 /// millimetres inside of the fingertip.
-fn photographs() -> Vec<(Image, String, Gesture, Point2<f64>)> {
+fn photographs() -> Vec<(RgbImage, String, Gesture, Point2<f64>)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/photographs");
     let truth = std::fs::read_to_string(folder.join("truth.txt")).expect("it is in the repository");
     let one = |line: &str| {
@@ -54,13 +54,13 @@ const REAL: [(&str, Gesture, Option<Point2<f64>>); 3] = [
     ("real_bent_point_one.jpg", Gesture::PointOne, Some(Point2::new(337.0, 216.0))),
 ];
 
-fn real(file: &str) -> Image {
+fn real(file: &str) -> RgbImage {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/photographs");
     read_image(&folder.join(file)).expect("it is in the repository")
 }
 
 /// Asserts the hand's gesture, and its fingertip within 15 px in an image of 480 x 640.
-fn assert_seen(image: &Image, gesture: Gesture, end: Option<Point2<f64>>, what: &str) {
+fn assert_seen(image: &RgbImage, gesture: Gesture, end: Option<Point2<f64>>, what: &str) {
     let hand = HandInPicture::find(image);
     assert!(hand.is_some(), "no hand in {what}");
     let Some(hand) = hand else { return };
@@ -83,15 +83,15 @@ fn real_hands_are_seen() {
 }
 
 /// The image with its colours scaled by these factors, as under other lamps.
-fn lit(image: &Image, factors: [f64; 3]) -> Image {
+fn lit(image: &RgbImage, factors: [f64; 3]) -> RgbImage {
     let color = |(i, v): (usize, &u8)| (f64::from(*v) * factors[i % 3]).min(255.0) as u8;
     let data = image.data().iter().enumerate().map(color).collect();
-    Image::from_rgb(image.width(), image.height(), data).expect("it has the size")
+    RgbImage::from_rgb(image.width(), image.height(), data).expect("it has the size")
 }
 
 /// The image at half its size, centred at the lower edge of an image of the old size; its outermost pixels are
 /// repeated.
-fn smaller(image: &Image) -> Image {
+fn smaller(image: &RgbImage) -> RgbImage {
     let (w, h) = (image.width(), image.height());
     let source = |x: u32, y: u32| {
         let column = (2 * x).saturating_sub(w / 2).min(w - 1);
@@ -100,7 +100,7 @@ fn smaller(image: &Image) -> Image {
         image.data()[at..at + 3].to_vec()
     };
     let data = (0..h).flat_map(|y| (0..w).map(move |x| (x, y))).flat_map(|(x, y)| source(x, y)).collect();
-    Image::from_rgb(w, h, data).expect("it has the size")
+    RgbImage::from_rgb(w, h, data).expect("it has the size")
 }
 
 #[test]
@@ -117,7 +117,7 @@ fn real_hands_are_seen_in_other_light_and_smaller() {
 }
 
 /// A wall with a gradient of light, grain and noise.
-fn wall(color: [f64; 3], planks: bool, seed: u64) -> Image {
+fn wall(color: [f64; 3], planks: bool, seed: u64) -> RgbImage {
     let (w, h) = (240u32, 320u32);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut data = Vec::new();
@@ -130,7 +130,7 @@ fn wall(color: [f64; 3], planks: bool, seed: u64) -> Image {
             data.extend(color.map(|c| (c * light * plank * grain + noise).clamp(0.0, 255.0) as u8));
         }
     }
-    Image::from_rgb(w, h, data).expect("it has the size")
+    RgbImage::from_rgb(w, h, data).expect("it has the size")
 }
 
 #[test]
@@ -152,7 +152,7 @@ fn what_is_hardly_a_picture_has_no_hand_and_ends_nothing() {
         let bytes = (w * h * 3) as usize;
         let noise: Vec<u8> = (0..bytes).map(|_| rng.random()).collect();
         for data in [vec![0; bytes], vec![255; bytes], noise] {
-            assert!(HandInPicture::find(&Image::from_rgb(w, h, data).unwrap()).is_none(), "{w} x {h}");
+            assert!(HandInPicture::find(&RgbImage::from_rgb(w, h, data).unwrap()).is_none(), "{w} x {h}");
         }
     }
 }

@@ -13,7 +13,7 @@ const ROWS_PX: f64 = 0.5;
 /// Largest accepted relative depth error, median.
 const DEPTH: f64 = 0.02;
 /// Least number of corners for a result.
-const LEAST: usize = 30;
+const MIN_CORNERS: usize = 30;
 
 /// Checks some frames; a wrong calibration is a failure.
 pub(super) async fn run(
@@ -40,10 +40,10 @@ pub(super) async fn run(
         let away: Vec<f64> = check.rows_px.iter().map(|row| (row - middle).abs()).collect();
         EpipolarCheck::median(&away)
     });
-    let depth = EpipolarCheck::median(&check.depth_ratio).filter(|_| check.depth_ratio.len() >= LEAST);
+    let depth = EpipolarCheck::median(&check.depth_ratio).filter(|_| check.depth_ratio.len() >= MIN_CORNERS);
     let verdict = match rows {
         None => "nothing to see",
-        Some(_) if corners < LEAST => "too little to see",
+        Some(_) if corners < MIN_CORNERS => "too little to see",
         Some(rows) if rows.abs() > ROWS_PX => "the eyes do not see in the same rows",
         Some(_) if depth.is_some_and(|ratio| (ratio - 1.0).abs() > DEPTH) => {
             "focal length or baseline do not fit the depth image"

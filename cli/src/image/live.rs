@@ -26,7 +26,7 @@ use armarium_host::Connection;
 use parking_lot::Mutex;
 
 /// Findings that may wait to be printed and committed.
-const WAITING: usize = 64;
+const MAX_QUEUED: usize = 64;
 
 /// What to look for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -135,7 +135,7 @@ pub(super) async fn run(
         None => None,
     };
     let statistics = ProcessorStatistics::default();
-    let (to, told) = mpsc::channel(WAITING);
+    let (to, told) = mpsc::channel(MAX_QUEUED);
     let sink = HandOn {
         to: Mutex::new(Some(to)),
         dropped: AtomicU64::new(0),
@@ -169,10 +169,10 @@ pub(super) async fn run(
         ended = both => ended,
     };
     let counts = json!({
-        "frames": statistics.frames(), "skipped": statistics.skipped(), "unusable": statistics.unusable(),
-        "torn": statistics.torn(), "not_told": sink.dropped.load(Ordering::Relaxed),
-        "frames_per_s": statistics.rate_hz(), "latency_mean_ms": statistics.mean_latency_s() * 1e3,
-        "latency_worst_ms": statistics.worst_latency_s() * 1e3,
+        "frames": statistics.frames.get(), "skipped": statistics.skipped.get(), "unusable": statistics.unusable.get(),
+        "torn": statistics.torn.get(), "not_told": sink.dropped.load(Ordering::Relaxed),
+        "frames_per_s": statistics.rate_hz(), "latency_mean_ms": statistics.latency.mean_s() * 1e3,
+        "latency_worst_ms": statistics.latency.worst_s() * 1e3,
     });
     writeln!(out, "{counts}")?;
     ended?;

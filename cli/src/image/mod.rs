@@ -24,7 +24,7 @@ use crate::connection_args::{ConnectionArgs, explained};
 use crate::console;
 
 /// How long to wait for providers to appear.
-const LISTENED: Duration = Duration::from_secs(2);
+const DISCOVERY_TIME: Duration = Duration::from_secs(2);
 
 /// Arguments of `image`.
 #[derive(Clone, Debug, clap::Args)]
@@ -261,7 +261,7 @@ pub(crate) fn failed(error: impl std::fmt::Display) -> Failure {
 }
 
 async fn list(args: &LsArgs, connection: &Connection, out: &mut dyn Write) -> Result<(), Failure> {
-    let found = providers(connection.session(), None, None, LISTENED).await.map_err(failed)?;
+    let found = providers(connection.session(), None, None, DISCOVERY_TIME).await.map_err(failed)?;
     if found.is_empty() && !args.json {
         let hint =
             if args.connection.connect.is_empty() { "; say where they are with --connect" } else { "" };
@@ -272,7 +272,8 @@ async fn list(args: &LsArgs, connection: &Connection, out: &mut dyn Write) -> Re
             Ok(description) => description,
             Err(what) => {
                 if args.json {
-                    let line = json!({"agent": agent, "provider": {"name": provider}, "error": what});
+                    let line =
+                        json!({"agent": agent, "provider": {"name": provider}, "error": what.to_string()});
                     writeln!(out, "{line}")?;
                 } else {
                     writeln!(out, "{agent}/{provider}: cannot be read (see docs/wire-images.md): {what}")?;

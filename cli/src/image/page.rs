@@ -6,9 +6,9 @@ use std::io::Write;
 use std::sync::Arc;
 use std::time::Duration;
 
-use armarium_visionx::providers::Frame;
+use armarium_visionx::providers::RawFrame;
 use armarium_visionx::providers::convert::{jpeg, rgb_of};
-use armarium_visionx::{Image, ImageError};
+use armarium_visionx::{ImageError, RgbImage};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Semaphore, watch};
@@ -18,19 +18,19 @@ use super::{Failure, failed};
 use crate::stopped::stopped;
 
 /// Longest accepted request, bytes.
-const LONGEST: usize = 8192;
+const MAX_REQUEST: usize = 8192;
 /// How long a browser may take to send a request, and a frame to arrive.
-const PATIENCE: Duration = Duration::from_secs(10);
+const TIMEOUT: Duration = Duration::from_secs(10);
 /// How often a frame is taken even if no browser requests it.
-const UNSEEN: Duration = Duration::from_secs(5);
+const IDLE_INTERVAL: Duration = Duration::from_secs(5);
 /// Most browsers at a time.
-const MOST: usize = 16;
+const MAX_BROWSERS: usize = 16;
 /// Most pixels of a picture.
-const MOST_PIXELS: u64 = 64_000_000;
+const MAX_PIXELS: u64 = 64_000_000;
 /// The page: it requests the next frame when it has received the last.
 const PAGE: &str = include_str!("page.html");
 
-type Newest = watch::Receiver<(u64, Arc<Vec<u8>>)>;
+type LatestJpeg = watch::Receiver<(u64, Arc<Vec<u8>>)>;
 
 /// Shows the page until Ctrl-C. After the provider has ended, the page keeps its last frame.
 pub(super) async fn show(source: Source, port: u16, out: &mut dyn Write) -> Result<(), Failure> {
@@ -42,7 +42,7 @@ pub(super) async fn show(source: Source, port: u16, out: &mut dyn Write) -> Resu
     let (sender, newest) = watch::channel((0, Arc::new(Vec::new())));
     let (want, wanted) = watch::channel(None);
     let pulling = tokio::spawn(pull(source, sender, wanted));
-    let places = Arc::new(Semaphore::new(MOST));
+    let places = Arc::new(Semaphore::new(MAX_BROWSERS));
     let serving = async {
         loop {
             let Ok((stream, _)) = listener.accept().await else { continue };
@@ -50,7 +50,7 @@ pub(super) async fn show(source: Source, port: u16, out: &mut dyn Write) -> Resu
             let (newest, want) = (newest.clone(), want.clone());
             tokio::spawn(async move {
                 // A browser that disconnects early is not an error.
-                let _ = tokio::time::timeout(PATIENCE * 2, answer(stream, newest, want)).await.is_ok();
+                let _ = tokio::time::timeout(TIMEOUT * 2, answer(stream, newest, want)).await.is_ok();
                 drop(place);
             });
         }
@@ -75,7 +75,7 @@ async fn pull(
     let (mut count, mut told) = (0, false);
     loop {
         let want = wanted.wait_for(|seen| seen.is_some_and(|seen| seen >= count));
-        let next = match tokio::time::timeout(UNSEEN, want).await.map(|want| want.is_ok()) {
+        let next = match tokio::time::timeout(IDLE_INTERVAL, want).await.map(|want| want.is_ok()) {
             Ok(true) => source.provider.next().await,
             Ok(false) => return,
             Err(_) => {
@@ -104,11 +104,11 @@ async fn pull(
 
 /// The images of a frame side by side; `None` if there is none, or if the picture is too large: a wide image beside a
 /// high one gives a picture far larger than both.
-fn picture(frame: &Frame) -> Option<Vec<u8>> {
-    let images: Vec<Image> = frame.images.iter().filter_map(rgb_of).collect();
-    let height = images.iter().map(Image::height).max()?;
+fn picture(frame: &RawFrame) -> Option<Vec<u8>> {
+    let images: Vec<RgbImage> = frame.images.iter().filter_map(rgb_of).collect();
+    let height = images.iter().map(RgbImage::height).max()?;
     let width = images.iter().try_fold(0u32, |sum, image| sum.checked_add(image.width()))?;
-    if u64::from(width) * u64::from(height) > MOST_PIXELS {
+    if u64::from(width) * u64::from(height) > MAX_PIXELS {
         return None;
     }
     let mut data = Vec::with_capacity(width as usize * height as usize * 3);
@@ -122,12 +122,12 @@ fn picture(frame: &Frame) -> Option<Vec<u8>> {
             }
         }
     }
-    jpeg(&Image::from_rgb(width, height, data).ok()?).ok()
+    jpeg(&RgbImage::from_rgb(width, height, data).ok()?).ok()
 }
 
 async fn answer(
     mut stream: TcpStream,
-    mut newest: Newest,
+    mut newest: LatestJpeg,
     want: watch::Sender<Option<u64>>,
 ) -> std::io::Result<()> {
     let Some(path) = request(&mut stream).await? else {
@@ -142,7 +142,7 @@ async fn answer(
             let seen = if seen > newest.borrow().0 { 0 } else { seen };
             want.send_modify(|wanted| *wanted = (*wanted).max(Some(seen)));
             let next = newest.wait_for(|(count, _)| *count > seen);
-            let found = match tokio::time::timeout(PATIENCE, next).await {
+            let found = match tokio::time::timeout(TIMEOUT, next).await {
                 Ok(Ok(found)) => Ok(found.clone()),
                 Ok(Err(_)) => Err("410 Gone"),
                 Err(_) => Err("204 No Content"),
@@ -165,7 +165,7 @@ async fn request(stream: &mut TcpStream) -> std::io::Result<Option<String>> {
     while !bytes.windows(4).any(|end| end == b"\r\n\r\n") {
         let read = stream.read(&mut piece).await?;
         bytes.extend(&piece[..read]);
-        if read == 0 || bytes.len() > LONGEST {
+        if read == 0 || bytes.len() > MAX_REQUEST {
             return Ok(None);
         }
     }
@@ -199,7 +199,7 @@ async fn respond(stream: &mut TcpStream, status: &str, kind: &str, body: &[u8]) 
 mod tests {
     use super::*;
     use armarium_visionx::files::decode_image;
-    use armarium_visionx::providers::{FrameImage, PixelFormat};
+    use armarium_visionx::providers::{PixelFormat, RawImage};
 
     #[test]
     fn only_requests_to_this_machine_are_answered() {
@@ -216,26 +216,26 @@ mod tests {
     #[test]
     fn images_of_a_frame_stand_side_by_side_whatever_their_size() {
         let image = |role: &str, format, size: (u32, u32), bytes| {
-            FrameImage::new(role, format, size, vec![200u8; bytes]).expect("the bytes fit")
+            RawImage::new(role, format, size, vec![200u8; bytes]).expect("the bytes fit")
         };
-        let frame = Frame {
+        let frame = RawFrame {
             images: vec![
                 image("left", PixelFormat::Rgb8, (40, 30), 3600),
                 image("points", PixelFormat::Points32F, (2, 1), 24),
                 image("gray", PixelFormat::Gray8, (10, 20), 200),
             ],
-            ..Frame::default()
+            ..RawFrame::default()
         };
         let shown = decode_image(&picture(&frame).expect("there are pictures")).expect("it is a JPEG");
         assert_eq!((shown.width(), shown.height()), (50, 30));
         assert!(shown.pixel(45, 25)[0] < 40 && shown.pixel(45, 5)[0] > 160);
-        assert!(picture(&Frame::default()).is_none());
-        let bars = Frame {
+        assert!(picture(&RawFrame::default()).is_none());
+        let bars = RawFrame {
             images: vec![
                 image("wide", PixelFormat::Gray8, (65_000, 1), 65_000),
                 image("high", PixelFormat::Gray8, (1, 65_000), 65_000),
             ],
-            ..Frame::default()
+            ..RawFrame::default()
         };
         assert!(picture(&bars).is_none(), "130 kB are not shown as 12 GB");
     }

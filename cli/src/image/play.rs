@@ -33,6 +33,6 @@ pub(super) async fn run(
         () = offered.ended() => {}
     }
     let counts = offered.statistics();
-    writeln!(out, "{} frames sent, {} spoilt", counts.sent(), counts.spoilt())?;
+    writeln!(out, "{} frames sent, {} spoilt", counts.sent.get(), counts.spoilt.get())?;
     Ok(())
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use armarium_visionx::ImageError;
 use armarium_visionx::providers::{
-    Delivery, Description, Frame, ImageCoding, ImageProvider, Recording, RemoteProvider,
+    Delivery, Description, ImageCoding, ImageProvider, RawFrame, Recording, RemoteProvider,
 };
 use tokio::sync::mpsc;
 
@@ -15,7 +15,7 @@ use crate::stopped::stopped;
 use armarium_host::Connection;
 
 /// Frames of one provider that may wait to be written.
-const WAITING: usize = 64;
+const MAX_QUEUED: usize = 64;
 
 /// Records until the requested length, or Ctrl-C.
 pub(super) async fn run(
@@ -29,11 +29,11 @@ pub(super) async fn run(
             "{shown}: is there already and is left as it is; give another file, or --force to replace it"
         )));
     }
-    let (sender, mut frames) = mpsc::channel::<(String, Arc<Frame>)>(WAITING);
+    let (sender, mut frames) = mpsc::channel::<(String, Arc<RawFrame>)>(MAX_QUEUED);
     let (mut providers, mut reading): (Vec<Arc<RemoteProvider>>, Vec<_>) = (Vec::new(), Vec::new());
     let mut named: Vec<Description> = Vec::new();
     for name in &args.providers {
-        let all = Delivery::All { waiting: WAITING };
+        let all = Delivery::All { waiting: MAX_QUEUED };
         let provider = Arc::new(source::remote(name, connection, all, ImageCoding::Raw).await?);
         let mut described = provider.description();
         if named.iter().any(|other| other.name == described.name) {
@@ -70,14 +70,14 @@ pub(super) async fn run(
     let count = recording.frames();
     recording.finish().map_err(failed)?;
     let (missed, again) = providers.iter().fold((0, 0), |(missed, again), provider| {
-        (missed + provider.statistics().missed(), again + provider.statistics().again())
+        (missed + provider.statistics().missed.get(), again + provider.statistics().again.get())
     });
     writeln!(out, "{count} frames, {missed} missed, {again} asked for again")?;
     Ok(())
 }
 
 /// Passes on the frames of one provider; if writing is too slow, they wait at the reader.
-async fn read(provider: Arc<RemoteProvider>, name: String, to: mpsc::Sender<(String, Arc<Frame>)>) {
+async fn read(provider: Arc<RemoteProvider>, name: String, to: mpsc::Sender<(String, Arc<RawFrame>)>) {
     loop {
         let frame = match provider.next().await {
             Ok(frame) => frame,

@@ -14,7 +14,7 @@ use super::{Failure, SourceArgs, argument, failed};
 use armarium_host::Connection;
 
 /// How long to wait for a provider.
-const WAIT: Duration = Duration::from_secs(10);
+const PROVIDER_TIMEOUT: Duration = Duration::from_secs(10);
 /// Endings that mark a file.
 const ENDINGS: [&str; 4] = ["mcap", "png", "jpg", "jpeg"];
 /// Frames per second of image files.
@@ -78,9 +78,10 @@ pub(super) async fn remote(
         return Err(argument(format!("there is no file `{name}`, and it is no AGENT/PROVIDER")));
     };
     let connected =
-        RemoteProvider::connect(connection.session(), agent, provider, delivery, coding, WAIT).await;
+        RemoteProvider::connect(connection.session(), agent, provider, delivery, coding, PROVIDER_TIMEOUT)
+            .await;
     connected.map_err(|error| match error {
-        RemoteError::Session(SessionError::NoAnswer { .. }) => {
+        RemoteError::Session(SessionError::NoReply { .. }) => {
             failed(format!("{error}; `armarium image ls` lists the providers that can be reached"))
         }
         error => failed(error),

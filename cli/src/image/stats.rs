@@ -12,7 +12,7 @@ use armarium_host::Connection;
 use tokio::time::Instant;
 
 /// Most sizes that are printed.
-const MOST_SIZES: usize = 32;
+const MAX_SIZES: usize = 32;
 
 /// Measures for a while.
 pub(super) async fn run(
@@ -34,7 +34,7 @@ pub(super) async fn run(
                     first = first.or(last);
                     let size: Vec<(u32, u32)> =
                         frame.images.iter().map(|i| (i.width(), i.height())).collect();
-                    if sizes.len() < MOST_SIZES && !sizes.contains(&size) {
+                    if sizes.len() < MAX_SIZES && !sizes.contains(&size) {
                         sizes.push(size);
                     }
                 }
@@ -55,13 +55,13 @@ pub(super) async fn run(
     if let Some(remote) = &source.remote {
         let counts = remote.statistics();
         // The size on the link, not the decoded size.
-        said["bytes_per_frame"] = (counts.bytes() / counts.received().max(1)).into();
-        said["missed"] = counts.missed().into();
-        said["malformed"] = counts.malformed().into();
-        said["provider_starts"] = counts.lives().into();
-        said["through_shared_memory"] = counts.shared().into();
-        said["latency_mean_ms"] = (counts.mean_latency_s() * 1e3).into();
-        said["latency_worst_ms"] = (counts.worst_latency_s() * 1e3).into();
+        said["bytes_per_frame"] = (counts.bytes.get() / counts.received.get().max(1)).into();
+        said["missed"] = counts.missed.get().into();
+        said["malformed"] = counts.malformed.get().into();
+        said["provider_starts"] = counts.lives.get().into();
+        said["through_shared_memory"] = counts.shared.get().into();
+        said["latency_mean_ms"] = (counts.latency.mean_s() * 1e3).into();
+        said["latency_worst_ms"] = (counts.latency.worst_s() * 1e3).into();
     }
     if args.json {
         writeln!(out, "{said}")?;

@@ -6,7 +6,7 @@ use std::path::Path;
 use armarium_visionx::ImageError;
 use armarium_visionx::annotate::png;
 use armarium_visionx::providers::convert::{depth_png, rgb_of};
-use armarium_visionx::providers::{Frame, ImageCoding};
+use armarium_visionx::providers::{ImageCoding, RawFrame};
 
 use super::{Failure, ViewArgs, argument, failed, page, source};
 use armarium_host::Connection;
@@ -48,7 +48,7 @@ pub(super) async fn run(
 }
 
 /// Writes the images of a frame; returns their number.
-fn write(folder: &Path, frame: &Frame, out: &mut dyn Write) -> Result<u64, Failure> {
+fn write(folder: &Path, frame: &RawFrame, out: &mut dyn Write) -> Result<u64, Failure> {
     let mut written = 0;
     for image in &frame.images {
         // A role may come from another process, and must not name a folder.

@@ -14,7 +14,7 @@ use super::{Failure, MemoryArgs, MemoryCommand};
 /// Default listening endpoint of an agent.
 pub(super) const USUAL_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 /// Snapshots per query.
-const PIECE: usize = 4096;
+const MAX_SNAPSHOTS_PER_QUERY: usize = 4096;
 
 /// The memory that a command works on.
 pub(super) enum Reached {
@@ -88,7 +88,7 @@ impl Reached {
             }
             return Ok(count);
         }
-        let mut pieces = pages(query, PIECE);
+        let mut pieces = pages(query, MAX_SNAPSHOTS_PER_QUERY);
         while let Some(piece) = pieces.next(self.memory()).await? {
             for snapshot in piece {
                 act(&snapshot)?;

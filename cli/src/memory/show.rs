@@ -10,15 +10,15 @@ use serde_json::{Value as Json, json};
 use super::Failure;
 
 /// Longest text of attributes in a row, characters.
-const WIDE: usize = 72;
+const MAX_WIDTH: usize = 72;
 
 /// Prints in one of the two formats.
-pub(super) struct Shown {
+pub(super) struct Printer {
     json: bool,
     rows: u64,
 }
 
-impl Shown {
+impl Printer {
     pub(super) fn new(json: bool) -> Self {
         Self { json, rows: 0 }
     }
@@ -144,10 +144,10 @@ fn plain(value: &Value) -> String {
 }
 
 fn cut(text: &str) -> String {
-    if text.chars().count() <= WIDE {
+    if text.chars().count() <= MAX_WIDTH {
         return text.to_owned();
     }
-    let mut short: String = text.chars().take(WIDE - 1).collect();
+    let mut short: String = text.chars().take(MAX_WIDTH - 1).collect();
     short.push('…');
     short
 }

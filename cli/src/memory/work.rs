@@ -7,12 +7,14 @@ use std::path::Path;
 use std::sync::Arc;
 
 use armarium_memoryx::wire::{Maintain, Report};
-use armarium_memoryx::{Commit, EntityId, Filter, Instance, Pattern, Query, Region, Snapshot, Times, infer};
+use armarium_memoryx::{
+    Commit, EntityId, Filter, Instance, MemoryError, Pattern, Query, Region, Snapshot, Times, infer,
+};
 use armarium_values::{Frame, Value};
 use tokio::sync::broadcast::error::RecvError;
 
 use super::reach::Reached;
-use super::show::Shown;
+use super::show::Printer;
 use super::{
     ExportArgs, Failure, GetArgs, MemoryArgs, MemoryCommand, PutArgs, QueryArgs, SnapshotCommand, WatchArgs,
     keep, serve,
@@ -26,7 +28,7 @@ pub(super) async fn carry_out(args: &MemoryArgs, out: &mut dyn Write) -> Result<
         return serve::serve(args, command, out).await;
     }
     let reached = Reached::open(args).await?;
-    let mut shown = Shown::new(args.json);
+    let mut shown = Printer::new(args.json);
     match &args.command {
         MemoryCommand::Ls(of) => {
             let query = Query::latest(pattern(&of.pattern)?);
@@ -35,7 +37,7 @@ pub(super) async fn carry_out(args: &MemoryArgs, out: &mut dyn Write) -> Result<
         }
         MemoryCommand::Get(get) => return self::get(&reached, get, &shown, out).await,
         MemoryCommand::Put(put) => {
-            let version = self::put(&reached, put).await.map_err(|failure| explained(failure, args))?;
+            let version = self::put(&reached, put, args).await?;
             shown.counts(&[("version".to_owned(), version)].into(), out)?;
         }
         MemoryCommand::Watch(watch) => self::watch(&reached, watch, &mut shown, out).await?,
@@ -86,7 +88,7 @@ fn request(command: &MemoryCommand) -> Result<Maintain, Failure> {
     })
 }
 
-fn report_of(report: &Report, shown: &Shown, out: &mut dyn Write) -> Result<u8, Failure> {
+fn report_of(report: &Report, shown: &Printer, out: &mut dyn Write) -> Result<u8, Failure> {
     shown.counts(&report.counts, out)?;
     let damaged = report.counts.get("damaged").is_some_and(|count| *count > 0);
     if damaged {
@@ -106,7 +108,7 @@ fn pattern(text: &str) -> Result<Pattern, Failure> {
     Ok(Pattern { segment: part(0), provider: part(1), entity: part(2) })
 }
 
-async fn get(reached: &Reached, get: &GetArgs, shown: &Shown, out: &mut dyn Write) -> Result<u8, Failure> {
+async fn get(reached: &Reached, get: &GetArgs, shown: &Printer, out: &mut dyn Write) -> Result<u8, Failure> {
     let id = id(&get.id)?;
     let times = match (get.at, get.before) {
         (Some(at), _) => Times::At(at),
@@ -124,7 +126,7 @@ async fn get(reached: &Reached, get: &GetArgs, shown: &Shown, out: &mut dyn Writ
     Ok(0)
 }
 
-async fn put(reached: &Reached, put: &PutArgs) -> Result<u64, Failure> {
+async fn put(reached: &Reached, put: &PutArgs, args: &MemoryArgs) -> Result<u64, Failure> {
     let id = id(&put.id)?;
     let mut attributes = BTreeMap::new();
     for set in &put.set {
@@ -138,7 +140,13 @@ async fn put(reached: &Reached, put: &PutArgs) -> Result<u64, Failure> {
         if put.remove { Vec::new() } else { vec![Instance::new(attributes).with_confidence(put.confidence)] };
     let referenced_ns = put.time.unwrap_or_else(|| reached.now_ns());
     let commit = Commit { id, referenced_ns, instances, expected_version: put.expect };
-    Ok(reached.memory().commit(vec![commit]).await?.first().copied().unwrap_or(0))
+    match reached.memory().commit(vec![commit]).await {
+        Ok(versions) => Ok(versions.first().copied().unwrap_or(0)),
+        Err(error @ MemoryError::Forbidden { .. }) if args.writer.is_none() => {
+            Err(Failure::Refused(format!("{error}: say who you are with --as NAME")))
+        }
+        Err(error) => Err(error.into()),
+    }
 }
 
 /// An address from the command line.
@@ -146,16 +154,6 @@ fn id(text: &str) -> Result<EntityId, Failure> {
     match text.split('/').collect::<Vec<_>>()[..] {
         [segment, provider, entity] => Ok(EntityId::new(segment, provider, entity)?),
         _ => Err(Failure::Argument(format!("`{text}` is not SEGMENT/PROVIDER/ENTITY"))),
-    }
-}
-
-/// Adds a hint for writers that did not give their name.
-fn explained(failure: Failure, args: &MemoryArgs) -> Failure {
-    match failure {
-        Failure::Refused(what) if args.writer.is_none() && what.contains("access rules") => {
-            Failure::Refused(format!("{what}: say who you are with --as NAME"))
-        }
-        failure => failure,
     }
 }
 
@@ -192,7 +190,7 @@ fn value(name: &str, text: &str) -> Result<Value, Failure> {
 async fn watch(
     reached: &Reached,
     watch: &WatchArgs,
-    shown: &mut Shown,
+    shown: &mut Printer,
     out: &mut dyn Write,
 ) -> Result<(), Failure> {
     let pattern = pattern(&watch.pattern.pattern)?;

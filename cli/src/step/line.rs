@@ -10,12 +10,12 @@ use armarium_values::Value;
 use serde::{Deserialize, Serialize};
 
 /// Longest time that one line can let pass, ms: about 30 years.
-const LONGEST_MS: f64 = 1.0e12;
+const MAX_AFTER_MS: f64 = 1.0e12;
 
 /// A line as it is written.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Written {
+struct RawLine {
     name: Option<String>,
     #[serde(default)]
     data: serde_json::Value,
@@ -27,13 +27,13 @@ struct Written {
 
 /// The input of a line to the chart.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Told {
+pub(super) struct InputLine {
     after: Duration,
-    what: What,
+    what: LineInput,
 }
 
 #[derive(Clone, Debug, PartialEq)]
-enum What {
+enum LineInput {
     /// With the chart's number of the event, once it was looked up.
     Event {
         name: String,
@@ -52,21 +52,31 @@ enum What {
     Nothing,
 }
 
-impl Told {
+impl InputLine {
     /// The same with the event's number, so that it is not looked up each time.
     pub(super) fn looked_up(mut self, program: &Program) -> Self {
-        if let What::Event { name, number, .. } = &mut self.what {
+        if let LineInput::Event { name, number, .. } = &mut self.what {
             *number = program.event(name);
         }
         self
     }
 
+    /// The event, if the line is only an event that the chart knows, and no time goes by.
+    pub(super) fn as_event(&self) -> Option<(EventId, Value)> {
+        match &self.what {
+            LineInput::Event { number: Some(number), data, .. } if self.after.is_zero() => {
+                Some((*number, data.clone()))
+            }
+            _ => None,
+        }
+    }
+
     /// The line's name in the answer.
     pub(super) fn name(&self) -> &str {
         match &self.what {
-            What::Event { name, .. } | What::Report { name, .. } => name,
-            What::Publish { channel, .. } => channel,
-            What::Nothing => "",
+            LineInput::Event { name, .. } | LineInput::Report { name, .. } => name,
+            LineInput::Publish { channel, .. } => channel,
+            LineInput::Nothing => "",
         }
     }
 }
@@ -75,47 +85,52 @@ impl Told {
 ///
 /// # Errors
 /// One sentence for people.
-pub(super) fn read(text: &str) -> Result<Option<Told>, String> {
+pub(super) fn read(text: &str) -> Result<Option<InputLine>, String> {
     if text.trim().is_empty() {
         return Ok(None);
     }
-    let written: Written = serde_json::from_str(text).map_err(|e| e.to_string())?;
+    let written: RawLine = serde_json::from_str(text).map_err(|e| e.to_string())?;
     let after_ms = written.after_ms.unwrap_or(0.0);
-    if !(0.0..=LONGEST_MS).contains(&after_ms) {
-        return Err(format!("`after_ms` is a time from 0 to {LONGEST_MS}, not {after_ms}"));
+    if !(0.0..=MAX_AFTER_MS).contains(&after_ms) {
+        return Err(format!("`after_ms` is a time from 0 to {MAX_AFTER_MS}, not {after_ms}"));
     }
     let data = Value::from_json(&written.data);
     let what = match (written.name, written.from, written.channel, written.value) {
-        (Some(name), None, None, None) => What::Event { name, data, number: None },
-        (Some(name), Some(from), None, None) => What::Report { from, name, data },
+        (Some(name), None, None, None) => LineInput::Event { name, data, number: None },
+        (Some(name), Some(from), None, None) => LineInput::Report { from, name, data },
         (None, None, Some(channel), Some(value)) => {
-            What::Publish { channel, value: Value::from_json(&value) }
+            LineInput::Publish { channel, value: Value::from_json(&value) }
         }
-        (None, None, None, None) if written.after_ms.is_some() => What::Nothing,
+        (None, None, None, None) if written.after_ms.is_some() => LineInput::Nothing,
         _ => {
             let message =
                 "a line has `name`, perhaps with `from` and `data`; or `channel` and `value`; or `after_ms`";
             return Err(message.into());
         }
     };
-    Ok(Some(Told { after: Duration::from_secs_f64(after_ms / 1000.0), what }))
+    Ok(Some(InputLine { after: Duration::from_secs_f64(after_ms / 1000.0), what }))
 }
 
 /// Passes a line's input to the chart. An outcome of an inactive state is only a warning: as in a run, it is dropped.
-pub(super) fn tell(stepper: &mut Stepper, told: &Told, number: usize, err: &mut dyn Write) -> io::Result<()> {
-    if !told.after.is_zero() {
-        stepper.advance(told.after);
+pub(super) fn apply(
+    stepper: &mut Stepper,
+    input: &InputLine,
+    number: usize,
+    err: &mut dyn Write,
+) -> io::Result<()> {
+    if !input.after.is_zero() {
+        stepper.advance(input.after);
     }
-    match &told.what {
-        What::Event { number: Some(number), data, .. } => stepper.raise(*number, data.clone()),
-        What::Event { name, data, .. } => stepper.event(name, data.clone()),
-        What::Report { from, name, data } => {
+    match &input.what {
+        LineInput::Event { number: Some(number), data, .. } => stepper.raise(*number, data.clone()),
+        LineInput::Event { name, data, .. } => stepper.event(name, data.clone()),
+        LineInput::Report { from, name, data } => {
             if let Err(error) = stepper.report(from, name, data.clone()) {
                 writeln!(err, "warning: line {number} of the events: {error}")?;
             }
         }
-        What::Publish { channel, value } => stepper.publish(channel, value.clone()),
-        What::Nothing => {}
+        LineInput::Publish { channel, value } => stepper.publish(channel, value.clone()),
+        LineInput::Nothing => {}
     }
     Ok(())
 }
@@ -142,7 +157,7 @@ fn json(values: BTreeMap<String, Value>) -> BTreeMap<String, serde_json::Value> 
     values.into_iter().map(|(name, value)| (name, value.to_json())).collect()
 }
 
-fn letter(sent: &Sent) -> serde_json::Value {
+fn sent_json(sent: &Sent) -> serde_json::Value {
     serde_json::json!({"event": sent.event, "to": sent.to, "data": sent.data.to_json()})
 }
 
@@ -157,7 +172,7 @@ pub(super) fn write(stepper: &mut Stepper, event: &str, out: &mut dyn Write) -> 
         locals: json(snapshot.locals),
         outputs: json(snapshot.outputs),
         log,
-        sent: stepper.take_sent().iter().map(letter).collect(),
+        sent: stepper.take_sent().iter().map(sent_json).collect(),
         outcome: stepper.result().map(|r| r.outcome.as_str()),
         reason: stepper.result().and_then(|r| r.reason.as_deref()),
     };
@@ -200,15 +215,15 @@ mod tests {
 
     #[test]
     fn a_line_is_an_event_an_outcome_a_channel_or_time() {
-        let what = |text: &str| read(text).map(|told| told.map(|t| t.what));
+        let what = |text: &str| read(text).map(|input| input.map(|t| t.what));
         assert_eq!(what("  \n"), Ok(None));
-        let event = What::Event { name: "t".into(), data: Value::Int(1), number: None };
+        let event = LineInput::Event { name: "t".into(), data: Value::Int(1), number: None };
         assert_eq!(what(r#"{"name": "t", "data": 1}"#), Ok(Some(event)));
-        let report = What::Report { from: "A.B".into(), name: "success".into(), data: Value::Null };
+        let report = LineInput::Report { from: "A.B".into(), name: "success".into(), data: Value::Null };
         assert_eq!(what(r#"{"name": "success", "from": "A.B"}"#), Ok(Some(report)));
-        let publish = What::Publish { channel: "hand".into(), value: Value::Bool(true) };
+        let publish = LineInput::Publish { channel: "hand".into(), value: Value::Bool(true) };
         assert_eq!(what(r#"{"channel": "hand", "value": true}"#), Ok(Some(publish)));
-        assert_eq!(what(r#"{"after_ms": 5}"#), Ok(Some(What::Nothing)));
+        assert_eq!(what(r#"{"after_ms": 5}"#), Ok(Some(LineInput::Nothing)));
     }
 
     #[test]

@@ -96,9 +96,9 @@ fn drive(
     if args.repeat == 1 {
         // Each line is answered before the next is read, so that a program can drive a chart through pipes.
         return each_line(events, |number, text| {
-            if let Some(told) = line::read(text).map_err(|e| wrong(number, &e))? {
-                line::tell(&mut stepper, &told, number, err)?;
-                line::write(&mut stepper, told.name(), out)?;
+            if let Some(input) = line::read(text).map_err(|e| wrong(number, &e))? {
+                line::apply(&mut stepper, &input, number, err)?;
+                line::write(&mut stepper, input.name(), out)?;
                 out.flush()?;
             }
             Ok(())
@@ -106,9 +106,9 @@ fn drive(
     }
     let list = read_all(events)?;
     for _ in 0..args.repeat {
-        for (number, told) in &list {
-            line::tell(&mut stepper, told, *number, err)?;
-            line::write(&mut stepper, told.name(), out)?;
+        for (number, input) in &list {
+            line::apply(&mut stepper, input, *number, err)?;
+            line::write(&mut stepper, input.name(), out)?;
         }
     }
     Ok(())
@@ -124,13 +124,18 @@ fn measure(
 ) -> Result<(), Stopped> {
     let mut list = args.events.as_ref().map_or_else(|| Ok(Vec::new()), read_all)?;
     let program = Arc::clone(stepper.engine().program());
-    list = list.into_iter().map(|(number, told)| (number, told.looked_up(&program))).collect();
+    list = list.into_iter().map(|(number, input)| (number, input.looked_up(&program))).collect();
     stepper.keep_quiet();
     stepper.start();
     let began = Instant::now();
-    for _ in 0..args.repeat {
-        for (number, told) in &list {
-            line::tell(stepper, told, *number, err)?;
+    match list.iter().map(|(_, input)| input.as_event()).collect::<Option<Vec<_>>>() {
+        Some(events) => stepper.repeat(&events, args.repeat),
+        None => {
+            for _ in 0..args.repeat {
+                for (number, input) in &list {
+                    line::apply(stepper, input, *number, err)?;
+                }
+            }
         }
     }
     let seconds = began.elapsed().as_secs_f64();
@@ -139,10 +144,10 @@ fn measure(
     Ok(())
 }
 
-fn read_all(events: &PathBuf) -> Result<Vec<(usize, line::Told)>, Stopped> {
+fn read_all(events: &PathBuf) -> Result<Vec<(usize, line::InputLine)>, Stopped> {
     let mut list = Vec::new();
     each_line(events, |number, text| {
-        list.extend(line::read(text).map_err(|e| wrong(number, &e))?.map(|told| (number, told)));
+        list.extend(line::read(text).map_err(|e| wrong(number, &e))?.map(|input| (number, input)));
         Ok(())
     })?;
     Ok(list)

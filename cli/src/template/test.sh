@@ -3,7 +3,7 @@
 set -eu
 cd "$(dirname "$0")"
 armarium=${ARMARIUM:-armarium}
-"$armarium" check chart.yaml chart.test.yaml world.yaml
+"$armarium" check chart.yaml chart.test.yaml chart.world.yaml
 "$armarium" test --complete chart.test.yaml
-"$armarium" run chart.yaml --world world.yaml --report report
+"$armarium" run chart.yaml --report report
 echo "passed; report/report.html says how it went"

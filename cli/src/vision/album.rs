@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use armarium_visionx::{Image, annotate};
+use armarium_visionx::{RgbImage, annotate};
 
 use super::AnnotateArgs;
 
@@ -64,7 +64,7 @@ impl Album {
     ///
     /// # Errors
     /// The reason and the file; for people.
-    pub(super) fn keep(&mut self, name: &str, image: &Image) -> Result<(), String> {
+    pub(super) fn keep(&mut self, name: &str, image: &RgbImage) -> Result<(), String> {
         let Some(folder) = self.folder.clone() else { return Ok(()) };
         let path = match self.planned.get(Path::new(name)) {
             Some(path) => path.clone(),
@@ -93,7 +93,7 @@ mod tests {
     fn no_image_is_replaced_and_no_annotated_one_by_another() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let at = |name: &str| folder.path().join(name);
-        let image = Image::from_rgb(1, 1, vec![1; 3]).expect("it has the size");
+        let image = RgbImage::from_rgb(1, 1, vec![1; 3]).expect("it has the size");
         fs::create_dir(at("other")).expect("it can be made");
         let images = [at("a.png"), at("a.jpg"), at("other/a.png")];
         images.iter().for_each(|image| fs::write(image, b"mine").expect("it can be written"));

@@ -15,7 +15,7 @@ use super::staged::{BACKGROUNDS, CALIBRATION, CHANGES, RATE_HZ, Stage, TrueTip, 
 const BLACKOUT: std::ops::Range<u64> = 75..80;
 const PERIOD: u64 = 90;
 /// Frames within which a tip must be found again.
-const AGAIN: u64 = 10;
+const MAX_FRAMES_LOST: u64 = 10;
 /// A tip counts as lost farther from its track than this, px, plus this many tip radii.
 const LOST: (f64, f64) = (4.0, 1.5);
 /// The distance whose radius is used at all distances in the row without the adaptive radius, m.
@@ -126,7 +126,7 @@ fn play(stage: &Stage, frames: u64, variants: &[Variant], scores: &mut [Score], 
             if let Some(frames) = waiting {
                 *frames += 1;
                 let there = truth.tips.iter().all(|t| nearest(&tips, t).is_some());
-                if there || *frames >= 2 * AGAIN {
+                if there || *frames >= 2 * MAX_FRAMES_LOST {
                     score.again.push(*frames);
                     *waiting = None;
                 } else {
@@ -138,7 +138,7 @@ fn play(stage: &Stage, frames: u64, variants: &[Variant], scores: &mut [Score], 
             }
         }
         let seen = observer.update(&frame).map(|h| h.gesture);
-        if dark || !truth.whole || (BLACKOUT.end..BLACKOUT.end + AGAIN).contains(&in_period) {
+        if dark || !truth.whole || (BLACKOUT.end..BLACKOUT.end + MAX_FRAMES_LOST).contains(&in_period) {
             continue;
         }
         gestures.count(number, &truth, seen == Some(truth.gesture), &mut noticed);

@@ -6,7 +6,7 @@ use std::path::Path;
 use armarium_source::Source;
 use armarium_visionx::files::{images_in, read_image};
 use armarium_visionx::tracking::{GestureRecognizer, HandInPicture};
-use armarium_visionx::{ColorModel, Image, Region, annotate, components};
+use armarium_visionx::{ColorModel, Region, RgbImage, annotate, components};
 use nalgebra::Point2;
 
 use super::LookArgs;
@@ -24,7 +24,7 @@ pub(super) enum Seek {
 }
 
 /// Fewest pixels of a marker.
-const LEAST_MARKER: u32 = 12;
+const MIN_MARKER: u32 = 12;
 const DRAWN: [u8; 3] = [255, 40, 200];
 
 /// Analyses each image. Returns 2 when one is unusable or has no output file, 1 when an annotated image cannot be
@@ -74,7 +74,7 @@ pub(super) fn refuse(message: &str, err: &mut dyn Write) -> io::Result<u8> {
 }
 
 /// Prints the detections and draws them into the image.
-fn look(file: &str, image: &mut Image, seek: &Seek, as_json: bool, out: &mut dyn Write) -> io::Result<()> {
+fn look(file: &str, image: &mut RgbImage, seek: &Seek, as_json: bool, out: &mut dyn Write) -> io::Result<()> {
     let recognizer = match seek {
         Seek::Marker(color) => return marker(file, image, *color, as_json, out),
         Seek::Skin => return skin(file, image, as_json, out),
@@ -114,7 +114,7 @@ pub(super) fn hand_line(
     }
 }
 
-fn skin(file: &str, image: &mut Image, as_json: bool, out: &mut dyn Write) -> io::Result<()> {
+fn skin(file: &str, image: &mut RgbImage, as_json: bool, out: &mut dyn Write) -> io::Result<()> {
     let hand = HandInPicture::find(image);
     let line = skin_line(file, hand.as_ref(), image);
     if let Some(hand) = &hand {
@@ -126,7 +126,7 @@ fn skin(file: &str, image: &mut Image, as_json: bool, out: &mut dyn Write) -> io
     }
 }
 
-fn skin_line(file: &str, hand: Option<&HandInPicture>, image: &Image) -> SkinLine {
+fn skin_line(file: &str, hand: Option<&HandInPicture>, image: &RgbImage) -> SkinLine {
     let share = |h: &HandInPicture| {
         let pixels = f64::from(image.width()) * f64::from(image.height());
         h.segmentation.mask.count() as f64 * h.segmentation.scale.powi(2) / pixels
@@ -139,7 +139,7 @@ fn skin_line(file: &str, hand: Option<&HandInPicture>, image: &Image) -> SkinLin
     }
 }
 
-fn draw(image: &mut Image, hand: &HandInPicture) {
+fn draw(image: &mut RgbImage, hand: &HandInPicture) {
     draw_silhouette(image, hand);
     annotate::region(image, &hand.bounding_box, DRAWN);
     annotate::circle(image, &hand.palm, hand.palm_radius, [0, 255, 0]);
@@ -152,7 +152,7 @@ fn draw(image: &mut Image, hand: &HandInPicture) {
 }
 
 /// Darkens all pixels outside the hand.
-fn draw_silhouette(image: &mut Image, hand: &HandInPicture) {
+fn draw_silhouette(image: &mut RgbImage, hand: &HandInPicture) {
     let scale = hand.segmentation.scale;
     let (w, h) = (image.width(), image.height());
     for (y, x) in (0..h).flat_map(|y| (0..w).map(move |x| (y, x))) {
@@ -166,13 +166,13 @@ fn draw_silhouette(image: &mut Image, hand: &HandInPicture) {
 
 fn marker(
     file: &str,
-    image: &mut Image,
+    image: &mut RgbImage,
     color: [u8; 3],
     as_json: bool,
     out: &mut dyn Write,
 ) -> io::Result<()> {
     let whole = Region::whole(image.width(), image.height());
-    let found = components(&ColorModel::from_rgb(color).segment_region(image, whole), LEAST_MARKER);
+    let found = components(&ColorModel::from_rgb(color).segment_region(image, whole), MIN_MARKER);
     let place = found.first().map(|c| MarkerPlace {
         x: rounded(c.centroid.x, 2),
         y: rounded(c.centroid.y, 2),
@@ -199,7 +199,7 @@ pub(crate) fn color(text: &str) -> Result<[u8; 3], String> {
 }
 
 /// Draws a mark at a position.
-pub(super) fn mark(image: &mut Image, at: &Point2<f64>, radius: f64) {
+pub(super) fn mark(image: &mut RgbImage, at: &Point2<f64>, radius: f64) {
     annotate::circle(image, at, radius.max(3.0), [255, 255, 0]);
     annotate::cross(image, at, 3.0, [255, 255, 0]);
 }
@@ -226,7 +226,7 @@ mod tests {
     fn a_broken_file_is_told_and_the_next_one_looked_at() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         fs::write(folder.path().join("a.png"), b"broken").expect("it can be written");
-        let mut image = Image::from_rgb(64, 48, vec![20; 64 * 48 * 3]).expect("it has the size");
+        let mut image = RgbImage::from_rgb(64, 48, vec![20; 64 * 48 * 3]).expect("it has the size");
         for (y, x) in (10..30).flat_map(|y| (8..28).map(move |x| (y, x))) {
             annotate::pixel(&mut image, x, y, [40, 170, 60]);
         }

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use armarium_visionx::files::{images_in, read_image};
 use armarium_visionx::providers::convert::rgb_of;
-use armarium_visionx::providers::{Frame, ImageProvider, Pace, RecordingProvider};
-use armarium_visionx::{Image, ImageError};
+use armarium_visionx::providers::{ImageProvider, Pace, RawFrame, RecordingProvider};
+use armarium_visionx::{ImageError, RgbImage};
 use tokio::runtime::Runtime;
 
 /// The images of a sequence, decoded one at a time.
@@ -15,7 +15,7 @@ pub(super) enum Sequence {
 }
 
 /// The name of an image, and the image or the error.
-pub(super) type Step = (String, Result<Image, String>);
+pub(super) type Step = (String, Result<RgbImage, String>);
 
 impl Sequence {
     /// The sequence in a folder, or that of a provider or topic in a recording: the named one, or the first.
@@ -86,7 +86,7 @@ impl Sequence {
 }
 
 /// The first image with colours.
-fn picture(frame: &Frame) -> Result<Image, String> {
+fn picture(frame: &RawFrame) -> Result<RgbImage, String> {
     frame.images.iter().find_map(rgb_of).ok_or_else(|| "has no image".to_owned())
 }
 

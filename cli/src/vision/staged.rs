@@ -5,9 +5,9 @@
 
 use std::f64::consts::TAU;
 
-use armarium_simulator::render::hand::{HandGesture, HandPose, fingertips, hand_shapes, tip_radius};
+use armarium_simulator::render::hand::{HandPose, fingertips, hand_shapes, tip_radius};
 use armarium_simulator::render::{Geometry, Scene, SensorNoise, Shape, Viewpoint, render_pair};
-use armarium_visionx::{Gesture, Image, PinholeCamera, StereoCalibration, StereoFrame};
+use armarium_visionx::{Gesture, PinholeCamera, RgbImage, StereoCalibration, StereoFrame};
 use nalgebra::{Isometry3, Point2, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -58,7 +58,7 @@ pub(super) struct Stage {
     viewpoints: [Viewpoint; 2],
     background: Vec<Shape>,
     noise: SensorNoise,
-    gestures: Vec<HandGesture>,
+    gestures: Vec<Gesture>,
     /// Amplitudes, m and rad, and angular frequencies, rad/s, and phases: across, along, in depth, roll, tilt.
     waves: [[f64; 3]; 5],
     back: bool,
@@ -81,7 +81,7 @@ impl Stage {
             [0.35, draw(0.5, 1.5), phase(&mut draw)],
         ];
         let back = draw(0.0, 1.0) < 0.5;
-        let all = [HandGesture::OpenHand, HandGesture::PointOne, HandGesture::PointTwo, HandGesture::Fist];
+        let all = [Gesture::OpenHand, Gesture::PointOne, Gesture::PointTwo, Gesture::Fist];
         let start = draw(0.0, 4.0) as usize;
         let gestures = (0..64).map(|i| all[(start + i * if back { 1 } else { 3 }) % 4]).collect();
         Self {
@@ -119,7 +119,7 @@ impl Stage {
         frame as f64 / RATE_HZ * (FASTEST / fastest).min(1.0)
     }
 
-    fn pose(&self, frame: u64) -> (HandPose, HandGesture) {
+    fn pose(&self, frame: u64) -> (HandPose, Gesture) {
         let (n, since) = ((frame / STAYS) as usize, frame % STAYS);
         let now = self.gestures[n % self.gestures.len()];
         let before = if n == 0 { now } else { self.gestures[(n - 1) % self.gestures.len()] };
@@ -162,14 +162,14 @@ impl Stage {
             depth: Some(left.depth),
             root_from_left: Isometry3::identity(),
         };
-        (frame, Truth { gesture: named(gesture), since: number % STAYS, tips, whole })
+        (frame, Truth { gesture, since: number % STAYS, tips, whole })
     }
 }
 
 /// A frame without visible content.
 pub(super) fn blackout(frame: &StereoFrame) -> StereoFrame {
-    let black = |i: &Image| {
-        Image::from_rgb(i.width(), i.height(), vec![0; i.data().len()]).unwrap_or_else(|_| i.clone())
+    let black = |i: &RgbImage| {
+        RgbImage::from_rgb(i.width(), i.height(), vec![0; i.data().len()]).unwrap_or_else(|_| i.clone())
     };
     StereoFrame { left: black(&frame.left), right: black(&frame.right), depth: None, ..frame.clone() }
 }
@@ -182,21 +182,12 @@ fn axes(back: bool) -> UnitQuaternion<f64> {
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_basis_unchecked(&[x, z.cross(&x), z]))
 }
 
-fn straight(gesture: HandGesture, finger: usize) -> bool {
+fn straight(gesture: Gesture, finger: usize) -> bool {
     match gesture {
-        HandGesture::Fist => false,
-        HandGesture::OpenHand => true,
-        HandGesture::PointOne => finger == 1,
-        HandGesture::PointTwo => finger == 1 || finger == 2,
-    }
-}
-
-fn named(gesture: HandGesture) -> Gesture {
-    match gesture {
-        HandGesture::Fist => Gesture::Fist,
-        HandGesture::OpenHand => Gesture::OpenHand,
-        HandGesture::PointOne => Gesture::PointOne,
-        HandGesture::PointTwo => Gesture::PointTwo,
+        Gesture::Fist => false,
+        Gesture::OpenHand => true,
+        Gesture::PointOne => finger == 1,
+        Gesture::PointTwo => finger == 1 || finger == 2,
     }
 }
 

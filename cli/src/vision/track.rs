@@ -8,7 +8,7 @@ use armarium_visionx::tracking::{
     ContourNode, FilterFrame, FingerARModel, GestureRecognizer, HandInPicture, ParticleFilterFingerTracking,
     TipCandidate,
 };
-use armarium_visionx::{Image, annotate};
+use armarium_visionx::{RgbImage, annotate};
 use nalgebra::Vector2;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -37,7 +37,7 @@ pub(super) struct Follower {
 }
 
 /// The detections in one image of a sequence.
-pub(super) struct Seen {
+pub(super) struct ImageDetections {
     pub(super) hand: Option<HandInPicture>,
     /// The tracked tips, px.
     pub(super) nodes: Vec<ContourNode>,
@@ -54,7 +54,7 @@ impl Follower {
 
     /// Processes the next image. Tracking restarts when the image size changes, because positions would not
     /// correspond. Tips that leave the image are dropped.
-    pub(super) fn update(&mut self, image: &Image) -> Seen {
+    pub(super) fn update(&mut self, image: &RgbImage) -> ImageDetections {
         let size = (image.width(), image.height());
         if self.size.replace(size).is_some_and(|last| last != size) {
             self.filter.clear();
@@ -80,7 +80,7 @@ impl Follower {
         }
         let inside = |n: &ContourNode| (0.0..w).contains(&n.px.x) && (0.0..h).contains(&n.px.y);
         let nodes = self.filter.nodes(focal, center).into_iter().filter(inside).collect();
-        Seen { hand, nodes, focal, center }
+        ImageDetections { hand, nodes, focal, center }
     }
 }
 
@@ -145,7 +145,7 @@ fn complain(
 
 fn one(
     name: &str,
-    image: &mut Image,
+    image: &mut RgbImage,
     follower: &mut Follower,
     (recognizer, album, as_json): (&GestureRecognizer, &mut Album, bool),
     out: &mut dyn Write,

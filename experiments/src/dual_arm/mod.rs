@@ -9,7 +9,6 @@ use std::f64::consts::TAU;
 
 use armarium_motion::{
     DiscretePeriodicConfig, DiscretePeriodicDmp, FeedbackError, LearningControl, LearningControlConfig,
-    differentiate,
 };
 use armarium_simulator::carrying::{Carrying, CarryingFigures, CarryingRecord, PalmSensed};
 use armarium_simulator::physics::carrying::{CarriedBox, HAND_HALF};
@@ -17,39 +16,39 @@ use armarium_simulator::physics::pad::PadSpec;
 use armarium_simulator::world::NoiseSpec;
 use nalgebra::{Vector3, Vector6};
 
-use super::dpdmp::rise;
 use super::dual_arm_robot::{Arms, JOINTS, Joints};
 use super::experiment::{Experiment, ExperimentError, Outcome, within};
-use super::settings::settings;
+use super::ilc::{Lift, learned, until_diverged};
+use super::settings::{Settings as _, settings};
 
 settings! {
     /// Settings of the box, the arms and the learning; root frame: x right, y forward, z up.
     DualArm {
         /// Mass of the box, kg.
-        mass: f64 = 1.5;
+        mass: f64 = 1.5, 0.05..=10.0;
         /// Its width between the hands, depth and height, m.
-        size: [f64; 3] = [0.44, 0.3, 0.24];
+        size: [f64; 3] = [0.44, 0.3, 0.24], 0.05..=1.0;
         /// Centre of the box at the start, m.
-        at: [f64; 3] = [0.0, 0.45, 1.02];
+        at: [f64; 3] = [0.0, 0.45, 1.02], -10.0..=10.0;
         /// Force of the hands on the box, N.
         squeeze: f64 = 60.0;
         /// Stiffness of a hand's pad in its normal direction, N/m.
-        stiffness: f64 = 6000.0;
+        stiffness: f64 = 6000.0, 100.0..=20_000.0;
         /// Shear stiffness of a hand's pad, N/m.
-        shear_stiffness: f64 = 2000.0;
+        shear_stiffness: f64 = 2000.0, 100.0..=20_000.0;
         /// Half edge lengths of a pad, along the fingers and up, m.
-        pad: [f64; 2] = [0.08, 0.09];
+        pad: [f64; 2] = [0.08, 0.09], 0.005..=0.5;
         /// Friction coefficient between pad and box.
-        friction: f64 = 0.9;
+        friction: f64 = 0.9, 0.0..=3.0;
         /// K1 of (14).
-        k1: f64 = 3.0;
+        k1: f64 = 3.0, -1e3..=1e3;
         /// Weights of the components in (10): forces along x, y, z, and moments about them, 1/m^2. A stiff box needs
         /// small ones.
-        weights: [f64; 6] = [0.1, 1.0, 1.0, 1.0, 1.0, 1.0];
+        weights: [f64; 6] = [0.1, 1.0, 1.0, 1.0, 1.0, 1.0], 0.0..=1e4;
         /// K2 of (14); 0 gives (10).
-        k2: f64 = 1.0;
+        k2: f64 = 1.0, -1e3..=1e3;
         /// Cut-off frequency of the low-pass filter on the palms' forces, Hz.
-        filter: f64 = 20.0;
+        filter: f64 = 20.0, 0.1..=1e4;
         /// Q of (11).
         q: f64 = 1.0;
         /// L of (11).
@@ -57,21 +56,21 @@ settings! {
         /// C of (11).
         c: f64 = 0.3;
         /// Epochs of learning.
-        epochs: usize = 10;
+        epochs: usize = 10, 1.0..=100.0;
         /// Duration T of the discrete part, s.
-        duration: f64 = 1.5;
+        duration: f64 = 1.5, 0.2..=20.0;
         /// Periods of the periodic part in an epoch.
-        periods: u32 = 3;
+        periods: u32 = 3, 1.0..=20.0;
         /// Length of a period, s.
-        period: f64 = 1.2;
+        period: f64 = 1.2, 0.2..=20.0;
         /// Height by which the right hand lifts, m.
-        lift: f64 = 0.12;
+        lift: f64 = 0.12, -10.0..=10.0;
         /// Amplitude of the right hand's shaking, m.
-        amplitude: f64 = 0.03;
+        amplitude: f64 = 0.03, -10.0..=10.0;
         /// Height in the left hand's demonstration, m.
-        left_lift: f64 = 0.08;
+        left_lift: f64 = 0.08, -10.0..=10.0;
         /// Amplitude in the left hand's demonstration, m.
-        left_amplitude: f64 = 0.015;
+        left_amplitude: f64 = 0.015, -10.0..=10.0;
         /// Phase of the left hand's demonstration relative to the right hand's, rad.
         left_phase: f64 = 0.6;
         /// Constant of (1).
@@ -85,21 +84,21 @@ settings! {
         /// Ridge parameter of both regressions.
         ridge: f64 = 1e-8;
         /// White noise of a palm's force sensor, N per axis; of its torque 1/20 of it, N m.
-        noise: f64 = 0.3;
+        noise: f64 = 0.3, 0.0..=20.0;
         /// Standard deviation of the force sensor's offset, N; only changes since the grasp are used.
-        bias: f64 = 1.0;
+        bias: f64 = 1.0, 0.0..=100.0;
         /// Seed of noise and offset.
         seed: u64 = 1;
     }
 }
 
 /// Distance of the waiting hands from the box, m.
-const WAIT: f64 = 0.03;
+const WAIT_DISTANCE: f64 = 0.03;
 /// Durations of closing the hands, and of holding before the motion begins, s.
 const CLOSE: f64 = 0.8;
 const HOLD: f64 = 0.6;
 /// Interval at the end of the holding over which the palms' forces are averaged, s.
-const LISTEN: f64 = 0.2;
+const AVERAGING_TIME: f64 = 0.2;
 const DT: f64 = Carrying::DT;
 
 /// The result of an epoch: the referee's figures and log from the start of the motion, the largest commanded joint
@@ -112,7 +111,7 @@ pub(super) struct Epoch {
 }
 
 /// The demonstrated motions of both arms.
-struct Shown {
+struct Demonstrations {
     open: [Joints; 2],
     right: DiscretePeriodicDmp,
     left: DiscretePeriodicDmp,
@@ -127,28 +126,18 @@ impl Experiment for DualArm {
     fn run(&self) -> Result<Outcome, ExperimentError> {
         self.check()?;
         let mut arms = Arms::new()?;
-        let mut shown = self.demonstrate(&mut arms)?;
+        let mut demonstrations = self.demonstrate(&mut arms)?;
         let config = LearningControlConfig { q: self.q, l: self.l, c: self.c };
         let mut control = LearningControl::new(config, JOINTS, self.steps() + 1)?;
         let gains = FeedbackError { k1: self.k1, k2: self.k2, ..FeedbackError::default() };
         let silent = FeedbackError { k1: 0.0, k2: 0.0, ..gains };
-        let before = self.epoch(&mut arms, &mut shown, &mut control, silent, 0)?;
+        let before = self.epoch(&mut arms, &mut demonstrations, &mut control, silent, 0)?;
         control.abandon();
-        let mut epochs = Vec::new();
-        let mut diverged = None;
-        for number in 1..=self.epochs {
-            let epoch = self
-                .epoch(&mut arms, &mut shown, &mut control, gains, number)
-                .and_then(|epoch| Ok(control.finish(&mut shown.left).map(|()| epoch)?));
-            match epoch {
-                Ok(epoch) => epochs.push(epoch),
-                // The user sets the gains, so an unstable motion is a valid result.
-                Err(_) => {
-                    diverged = Some(number);
-                    break;
-                }
-            }
-        }
+        let (epochs, diverged) = until_diverged(self.epochs, |number| {
+            let epoch = self.epoch(&mut arms, &mut demonstrations, &mut control, gains, number)?;
+            control.finish(&mut demonstrations.left)?;
+            Ok::<_, ExperimentError>(epoch)
+        });
         let mut outcome = Outcome::default();
         self.figures(&before, &epochs, diverged, &mut outcome);
         outcome.plot("dual_arm", self.plot(&before, &epochs));
@@ -158,32 +147,8 @@ impl Experiment for DualArm {
 
 impl DualArm {
     fn check(&self) -> Result<(), ExperimentError> {
-        within("mass", self.mass, 0.05, 10.0)?;
-        within("stiffness", self.stiffness, 100.0, 20_000.0)?;
-        within("squeeze", self.squeeze, 0.1, 0.025 * self.stiffness)?;
-        self.at.iter().try_for_each(|x| within("at", *x, -10.0, 10.0))?;
-        for (key, length) in [
-            ("lift", self.lift),
-            ("amplitude", self.amplitude),
-            ("left_lift", self.left_lift),
-            ("left_amplitude", self.left_amplitude),
-        ] {
-            within(key, length, -10.0, 10.0)?;
-        }
-        within("shear_stiffness", self.shear_stiffness, 100.0, 20_000.0)?;
-        self.pad.iter().try_for_each(|s| within("pad", *s, 0.005, 0.5))?;
-        within("friction", self.friction, 0.0, 3.0)?;
-        self.size.iter().try_for_each(|s| within("size", *s, 0.05, 1.0))?;
-        within("k1", self.k1, -1e3, 1e3)?;
-        self.weights.iter().try_for_each(|w| within("weights", *w, 0.0, 1e4))?;
-        within("k2", self.k2, -1e3, 1e3)?;
-        within("epochs", self.epochs as f64, 1.0, 100.0)?;
-        within("duration", self.duration, 0.2, 20.0)?;
-        within("period", self.period, 0.2, 20.0)?;
-        within("periods", f64::from(self.periods), 1.0, 20.0)?;
-        within("filter", self.filter, 0.1, 1e4)?;
-        within("noise", self.noise, 0.0, 20.0)?;
-        within("bias", self.bias, 0.0, 100.0)
+        self.check_ranges()?;
+        within("squeeze", self.squeeze, 0.1, 0.025 * self.stiffness)
     }
 
     fn omega(&self) -> f64 {
@@ -201,48 +166,39 @@ impl DualArm {
     }
 
     /// Position of a hand that presses on the resting box, or waits beside it.
-    fn beside(&self, side: usize, gap: f64) -> Vector3<f64> {
+    fn hand_position(&self, side: usize, gap: f64) -> Vector3<f64> {
         let out = self.size[0] / 2.0 + HAND_HALF + PadSpec::default().thickness + gap;
         Vector3::from(self.at) + Vector3::x() * if side == 0 { out } else { -out }
     }
 
-    /// Demonstrated height of a hand above its start, m.
-    fn rise(&self, side: usize, t: f64) -> f64 {
+    /// The demonstrated height of a hand.
+    fn lift(&self, side: usize) -> Lift {
         let (lift, amplitude, phase) = if side == 0 {
             (self.lift, self.amplitude, 0.0)
         } else {
             (self.left_lift, self.left_amplitude, self.left_phase)
         };
-        let w = self.omega();
-        let periodic = |t: f64| {
-            let p = w * t + phase;
-            [lift + amplitude * p.sin(), w * amplitude * p.cos(), -w * w * amplitude * p.sin()]
-        };
-        if t < self.duration {
-            rise(periodic(0.0), self.duration, t)[0]
-        } else {
-            periodic(t - self.duration)[0]
-        }
+        Lift { lift, amplitude, phase, omega: self.omega(), duration: self.duration }
     }
 
-    fn demonstrate(&self, arms: &mut Arms) -> Result<Shown, ExperimentError> {
+    fn demonstrate(&self, arms: &mut Arms) -> Result<Demonstrations, ExperimentError> {
         let pressed = -self.squeeze / self.stiffness;
         let mut primitives = Vec::new();
         let mut open = [Joints::zeros(); 2];
         for (side, open) in open.iter_mut().enumerate() {
-            *open = arms.inverse(side, self.beside(side, WAIT), &Arms::posture(side))?;
-            let mut q = *open;
+            *open = arms.inverse(side, self.hand_position(side, WAIT_DISTANCE), &Arms::posture(side))?;
+            let (mut q, lift) = (*open, self.lift(side));
             let mut path = Vec::with_capacity(self.steps() + 1);
             for k in 0..=self.steps() {
-                let up = Vector3::z() * self.rise(side, DT * k as f64);
-                q = arms.inverse(side, self.beside(side, pressed) + up, &q)?;
+                let up = Vector3::z() * lift.height(DT * k as f64);
+                q = arms.inverse(side, self.hand_position(side, pressed) + up, &q)?;
                 path.push(q.as_slice().to_vec());
             }
             primitives.push(self.primitive(&path)?);
         }
         let [right, left] = <[DiscretePeriodicDmp; 2]>::try_from(primitives)
             .map_err(|_| ExperimentError::Failed("two arms make two motions".into()))?;
-        Ok(Shown { open, right, left })
+        Ok(Demonstrations { open, right, left })
     }
 
     fn primitive(&self, path: &[Vec<f64>]) -> Result<DiscretePeriodicDmp, ExperimentError> {
@@ -254,9 +210,7 @@ impl DualArm {
             ridge: self.ridge,
             ..DiscretePeriodicConfig::with_dofs(JOINTS)
         };
-        let mut dmp = DiscretePeriodicDmp::new(config, self.omega(), self.duration)?;
-        dmp.learn(&differentiate(DT, path)?)?;
-        Ok(dmp)
+        learned(config, self.omega(), self.duration, DT, path)
     }
 
     /// The hands grasp the box; then one discrete part and its periods, with feedback from the palms' forces by
@@ -264,12 +218,12 @@ impl DualArm {
     fn epoch(
         &self,
         arms: &mut Arms,
-        shown: &mut Shown,
+        demonstrations: &mut Demonstrations,
         control: &mut LearningControl,
         gains: FeedbackError,
         number: usize,
     ) -> Result<Epoch, ExperimentError> {
-        let Shown { open, right, left } = shown;
+        let Demonstrations { open, right, left } = demonstrations;
         right.restart();
         left.restart();
         let noise = NoiseSpec { wrench: self.noise, wrench_bias: self.bias, ..NoiseSpec::default() };
@@ -353,9 +307,9 @@ impl DualArm {
             let q = [0, 1].map(|side| open[side] + (closed[side] - open[side]) * way);
             let qd = [0, 1].map(|side| (closed[side] - open[side]) * rate);
             scene.step(&arms.all(&q), &arms.all(&qd));
-            if k >= steps(CLOSE + HOLD - LISTEN) {
+            if k >= steps(CLOSE + HOLD - AVERAGING_TIME) {
                 arms.update(scene.position());
-                mean += self.internal(arms, scene.palms()) / steps(LISTEN) as f64;
+                mean += self.internal(arms, scene.palms()) / steps(AVERAGING_TIME) as f64;
             }
         }
         mean

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::arm4::Arm4;
 use super::dpdmp::rise;
 use super::experiment::{Experiment, ExperimentError, Outcome, within};
-use super::settings::settings;
+use super::settings::{Setting, Settings as _, settings};
 
 /// The space of the primitives and of the learned control.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -25,17 +25,19 @@ pub(crate) enum Space {
     Task,
 }
 
+impl Setting for Space {}
+
 settings! {
     /// Settings of the arms and of the learning.
     Ilc {
         /// Stiffness of the box between the hands, N/m.
-        stiffness: f64 = 500.0;
+        stiffness: f64 = 500.0, 1e-3..=1e6;
         /// K1 of (14), joint space.
-        k1: f64 = 0.3;
+        k1: f64 = 0.3, -1e3..=1e3;
         /// K1 in task space.
-        k1_task: f64 = 0.03;
+        k1_task: f64 = 0.03, -1e3..=1e3;
         /// K2 of (14); 0 gives (10).
-        k2: f64 = 1.0;
+        k2: f64 = 1.0, -1e3..=1e3;
         /// Q of (11).
         q: f64 = 1.0;
         /// L of (11).
@@ -43,19 +45,19 @@ settings! {
         /// C of (11).
         c: f64 = 0.3;
         /// Epochs of learning.
-        epochs: usize = 10;
+        epochs: usize = 10, 1.0..=200.0;
         /// Space of the learning: joint or task.
         space: Space = Space::Joint;
         /// Feeds back moments and rotations as well (joint space).
         orientation: bool = false;
         /// Rotational stiffness of the box, N m/rad.
-        turn_stiffness: f64 = 2.0;
+        turn_stiffness: f64 = 2.0, 0.0..=1e6;
         /// Duration T of the discrete part, s.
-        duration: f64 = 1.0;
+        duration: f64 = 1.0, 0.05..=60.0;
         /// Periods of the periodic part in an epoch.
-        periods: u32 = 3;
+        periods: u32 = 3, 1.0..=100.0;
         /// Length of a period, s.
-        period: f64 = 1.0;
+        period: f64 = 1.0, 0.05..=60.0;
         /// Step, s.
         dt: f64 = 0.002;
         /// Constant of (1).
@@ -69,25 +71,25 @@ settings! {
         /// Ridge parameter of both regressions.
         ridge: f64 = 1e-8;
         /// Links of the arms, m.
-        links: [f64; 2] = [0.3, 0.3];
+        links: [f64; 2] = [0.3, 0.3], 1e-3..=10.0;
         /// Distance of the shoulders from the middle, m.
-        shoulder: f64 = 0.2;
+        shoulder: f64 = 0.2, -10.0..=10.0;
         /// Distance of the hands in front, and from the middle, m.
-        hand: [f64; 2] = [0.35, 0.15];
+        hand: [f64; 2] = [0.35, 0.15], -10.0..=10.0;
         /// Height of the hands at the start, m.
-        start: f64 = -0.25;
+        start: f64 = -0.25, -10.0..=10.0;
         /// Height by which the right hand lifts, m.
-        lift: f64 = 0.15;
+        lift: f64 = 0.15, -10.0..=10.0;
         /// Amplitude of the right hand's oscillation, m.
-        amplitude: f64 = 0.04;
+        amplitude: f64 = 0.04, -10.0..=10.0;
         /// Height in the left hand's demonstration, m.
-        left_lift: f64 = 0.08;
+        left_lift: f64 = 0.08, -10.0..=10.0;
         /// Amplitude in the left hand's demonstration, m.
-        left_amplitude: f64 = 0.02;
+        left_amplitude: f64 = 0.02, -10.0..=10.0;
         /// Phase of the left hand's demonstration relative to the right hand's, rad.
         left_phase: f64 = 0.6;
         /// Posture that attracts the left arm's demonstration, rad; the right arm's is its mirror image.
-        posture: [f64; 4] = [-0.6, -0.1, 0.3, -1.3];
+        posture: [f64; 4] = [-0.6, -0.1, 0.3, -1.3], -TAU..=TAU;
     }
 }
 
@@ -131,30 +133,60 @@ impl Experiment for Ilc {
     }
 }
 
+/// The demonstrated height of a hand: up to `lift` (m) within `duration` s, then an oscillation of `omega` rad/s about
+/// it with `amplitude` (m), from `phase` (rad) on.
+pub(super) struct Lift {
+    pub(super) lift: f64,
+    pub(super) amplitude: f64,
+    pub(super) phase: f64,
+    pub(super) omega: f64,
+    pub(super) duration: f64,
+}
+
+impl Lift {
+    /// Height above the start after `t` s, m.
+    pub(super) fn height(&self, t: f64) -> f64 {
+        let Self { lift, amplitude, phase, omega: w, duration } = *self;
+        if t >= duration {
+            return lift + amplitude * (w * (t - duration) + phase).sin();
+        }
+        let (sin, cos) = phase.sin_cos();
+        rise([lift + amplitude * sin, w * amplitude * cos, -w * w * amplitude * sin], duration, t)[0]
+    }
+}
+
+/// Runs `count` epochs, numbered from 1, until one fails: the user sets the gains, so an unstable motion is a valid
+/// result. Returns the epochs before it, and its number.
+pub(super) fn until_diverged<T, E>(
+    count: usize,
+    mut epoch: impl FnMut(usize) -> Result<T, E>,
+) -> (Vec<T>, Option<usize>) {
+    let mut epochs = Vec::new();
+    for number in 1..=count {
+        match epoch(number) {
+            Ok(epoch) => epochs.push(epoch),
+            Err(_) => return (epochs, Some(number)),
+        }
+    }
+    (epochs, None)
+}
+
+/// Learns a motion from positions, one every `dt` s.
+pub(super) fn learned(
+    config: DiscretePeriodicConfig,
+    omega: f64,
+    duration: f64,
+    dt: f64,
+    positions: &[Vec<f64>],
+) -> Result<DiscretePeriodicDmp, ExperimentError> {
+    let mut dmp = DiscretePeriodicDmp::new(config, omega, duration)?;
+    dmp.learn(&differentiate(dt, positions)?)?;
+    Ok(dmp)
+}
+
 impl Ilc {
     fn check(&self) -> Result<(), ExperimentError> {
-        within("stiffness", self.stiffness, 1e-3, 1e6)?;
-        within("turn_stiffness", self.turn_stiffness, 0.0, 1e6)?;
-        self.links.iter().try_for_each(|l| within("links", *l, 1e-3, 10.0))?;
-        self.hand.iter().try_for_each(|h| within("hand", *h, -10.0, 10.0))?;
-        self.posture.iter().try_for_each(|p| within("posture", *p, -TAU, TAU))?;
-        for (key, length) in [
-            ("shoulder", self.shoulder),
-            ("start", self.start),
-            ("lift", self.lift),
-            ("amplitude", self.amplitude),
-            ("left_lift", self.left_lift),
-            ("left_amplitude", self.left_amplitude),
-        ] {
-            within(key, length, -10.0, 10.0)?;
-        }
-        within("k1", self.k1, -1e3, 1e3)?;
-        within("k1_task", self.k1_task, -1e3, 1e3)?;
-        within("k2", self.k2, -1e3, 1e3)?;
-        within("epochs", self.epochs as f64, 1.0, 200.0)?;
-        within("duration", self.duration, 0.05, 60.0)?;
-        within("period", self.period, 0.05, 60.0)?;
-        within("periods", f64::from(self.periods), 1.0, 100.0)?;
+        self.check_ranges()?;
         within("dt", self.dt, 1e-4, 0.05 * self.period.min(self.duration))?;
         within("steps of an epoch", self.steps() as f64, 20.0, 200_000.0)?;
         if self.orientation && self.space == Space::Task {
@@ -180,19 +212,8 @@ impl Ilc {
         Arm4 { shoulder: Vector3::new(0.0, side * self.shoulder, 0.0), links: self.links }
     }
 
-    /// Height of a hand over time, m.
-    fn height(&self, t: f64, lift: f64, amplitude: f64, phase: f64) -> f64 {
-        let w = self.omega();
-        let periodic = |t: f64| {
-            let p = w * t + phase;
-            [lift + amplitude * p.sin(), w * amplitude * p.cos(), -w * w * amplitude * p.sin()]
-        };
-        let z = if t < self.duration {
-            rise(periodic(0.0), self.duration, t)
-        } else {
-            periodic(t - self.duration)
-        };
-        self.start + z[0]
+    fn lift(&self, lift: f64, amplitude: f64, phase: f64) -> Lift {
+        Lift { lift, amplitude, phase, omega: self.omega(), duration: self.duration }
     }
 
     /// Joint angles of the demonstration of one arm, one entry per step.
@@ -200,16 +221,16 @@ impl Ilc {
         let arm = self.arm(side);
         let [a, b, c, d] = self.posture;
         let posture = Vector4::new(a, side * b, side * c, d);
+        let lift = if side > 0.0 {
+            self.lift(self.left_lift, self.left_amplitude, self.left_phase)
+        } else {
+            self.lift(self.lift, self.amplitude, 0.0)
+        };
         let mut q = posture;
         let mut path = Vec::new();
         for k in 0..=self.steps() {
             let t = self.dt * k as f64;
-            let z = if side > 0.0 {
-                self.height(t, self.left_lift, self.left_amplitude, self.left_phase)
-            } else {
-                self.height(t, self.lift, self.amplitude, 0.0)
-            };
-            let x = Vector3::new(self.hand[0], side * self.hand[1], z);
+            let x = Vector3::new(self.hand[0], side * self.hand[1], self.start + lift.height(t));
             q = arm.inverse(x, posture, q).ok_or_else(|| {
                 ExperimentError::Failed(format!(
                     "an arm does not reach ({:.3}, {:.3}, {:.3}) m",
@@ -231,9 +252,7 @@ impl Ilc {
             ridge: self.ridge,
             ..DiscretePeriodicConfig::with_dofs(dofs)
         };
-        let mut dmp = DiscretePeriodicDmp::new(config, self.omega(), self.duration)?;
-        dmp.learn(&differentiate(self.dt, positions)?)?;
-        Ok(dmp)
+        learned(config, self.omega(), self.duration, self.dt, positions)
     }
 
     fn learn(&self, k2: f64) -> Result<Learning, ExperimentError> {
@@ -254,22 +273,12 @@ impl Ilc {
         let silent = FeedbackError { k1: 0.0, k2: 0.0, ..gains };
         let before = self.epoch(&mut right, &mut left, &mut control, silent, left_shown[0])?;
         control.abandon();
-        let mut learning = Learning { before, epochs: Vec::new(), right: Vec::new(), diverged: None };
-        learning.right = self.right_joints(&mut right)?;
-        for number in 1..=self.epochs {
-            let epoch = self
-                .epoch(&mut right, &mut left, &mut control, gains, left_shown[0])
-                .and_then(|epoch| control.finish(&mut left).map(|()| epoch));
-            match epoch {
-                Ok(epoch) => learning.epochs.push(epoch),
-                // The user sets the gains, so an unstable motion is a valid result.
-                Err(_) => {
-                    learning.diverged = Some(number);
-                    break;
-                }
-            }
-        }
-        Ok(learning)
+        let right_joints = self.right_joints(&mut right)?;
+        let (epochs, diverged) = until_diverged(self.epochs, |_| {
+            let epoch = self.epoch(&mut right, &mut left, &mut control, gains, left_shown[0])?;
+            control.finish(&mut left).map(|()| epoch)
+        });
+        Ok(Learning { before, epochs, right: right_joints, diverged })
     }
 
     fn right_joints(&self, right: &mut DiscretePeriodicDmp) -> Result<Vec<Vector4<f64>>, ExperimentError> {
@@ -324,22 +333,26 @@ impl Ilc {
         Ok(epoch)
     }
 
-    fn right_hand(&self, right: &DiscretePeriodicDmp) -> Hand {
+    fn right_hand(&self, right: &DiscretePeriodicDmp) -> HandState {
         let state = right.state();
-        Hand::of(self.arm(-1.0), &Vector4::from_column_slice(state.y), &Vector4::from_column_slice(state.yd))
+        HandState::of(
+            self.arm(-1.0),
+            &Vector4::from_column_slice(state.y),
+            &Vector4::from_column_slice(state.yd),
+        )
     }
 
     /// The state of the left hand; updates `near` to its joint angles.
-    fn left_hand(&self, left: &DiscretePeriodicDmp, near: &mut Vector4<f64>) -> Hand {
+    fn left_hand(&self, left: &DiscretePeriodicDmp, near: &mut Vector4<f64>) -> HandState {
         let state = left.state();
         if self.space == Space::Joint {
             *near = Vector4::from_column_slice(state.y);
-            return Hand::of(self.arm(1.0), near, &Vector4::from_column_slice(state.yd));
+            return HandState::of(self.arm(1.0), near, &Vector4::from_column_slice(state.yd));
         }
         let x = Vector3::from_column_slice(state.y);
         // Where the arm does not reach, the angles stay; only the hand's motion is learned.
         *near = self.arm(1.0).inverse(x, *near, *near).unwrap_or(*near);
-        let mut hand = Hand::of(self.arm(1.0), near, &Vector4::zeros());
+        let mut hand = HandState::of(self.arm(1.0), near, &Vector4::zeros());
         hand.pose.translation.vector = x;
         hand.twist = Vector6::new(state.yd[0], state.yd[1], state.yd[2], 0.0, 0.0, 0.0);
         hand
@@ -349,7 +362,7 @@ impl Ilc {
     /// rotation between the hands, rad. The box was grasped without force.
     fn box_between(
         &self,
-        hands: &[Hand; 2],
+        hands: &[HandState; 2],
         grasp: UnitQuaternion<f64>,
     ) -> (Vector6<f64>, Vector6<f64>, f64) {
         let [right, left] = hands;
@@ -363,14 +376,14 @@ impl Ilc {
 }
 
 /// The state of a moving hand.
-struct Hand {
+struct HandState {
     pose: Isometry3<f64>,
     columns: [Vector6<f64>; 4],
     /// Linear and angular velocity, m/s, rad/s.
     twist: Vector6<f64>,
 }
 
-impl Hand {
+impl HandState {
     fn of(arm: Arm4, q: &Vector4<f64>, speed: &Vector4<f64>) -> Self {
         let columns = arm.jacobian(q);
         let twist = columns.iter().zip(speed.iter()).map(|(c, s)| c * *s).sum();

@@ -4,14 +4,14 @@
 use std::f64::consts::TAU;
 
 use armarium_motion::{AdaptiveOscillator, OscillatorConfig, OscillatorRule};
-use armarium_viewer::report::{Curve, Look, Panel, Row, picture};
+use armarium_viewer::report::{Curve, Look, Panel, PanelRow, picture};
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use serde::{Deserialize, Serialize};
 
-use super::experiment::{Experiment, ExperimentError, Outcome, within};
-use super::settings::settings;
+use super::experiment::{Experiment, ExperimentError, Outcome, panel, within};
+use super::settings::{Setting, Settings as _, settings};
 
 /// The waveform.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -37,6 +37,8 @@ pub(crate) enum Signal {
     Plane,
 }
 
+impl Setting for Signal {}
+
 /// The update rule of phase and frequency.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -51,6 +53,8 @@ pub(crate) enum Rule {
     Paper,
 }
 
+impl Setting for Rule {}
+
 settings! {
     /// Settings of the oscillator.
     Oscillator {
@@ -59,7 +63,7 @@ settings! {
         /// Fundamental frequency, Hz; step and chirp have their own.
         frequency: f64 = 1.3;
         /// Scale factor of the whole signal.
-        amplitude: f64 = 1.0;
+        amplitude: f64 = 1.0, 1e-6..=1e6;
         /// Harmonics of the Fourier series.
         harmonics: usize = 10;
         /// Start frequency of the oscillator, Hz.
@@ -74,11 +78,11 @@ settings! {
         /// Learning gain of (3), 1/s: unscaled for the paper's rule; for the bare rule the value at 1.3 Hz.
         learning: f64 = 2.0;
         /// Step, s.
-        dt: f64 = 0.001;
+        dt: f64 = 0.001, 1e-4..=0.1;
         /// Length of the run, s.
-        seconds: f64 = 60.0;
+        seconds: f64 = 60.0, 1.0..=1800.0;
         /// Standard deviation of the noise in the signal `noise`.
-        noise: f64 = 0.2;
+        noise: f64 = 0.2, 0.0..=10.0;
         /// Seed of the noise.
         seed: u64 = 1;
         /// Frequency before the step, Hz.
@@ -92,7 +96,7 @@ settings! {
         /// Frequency after the chirp, Hz.
         chirp_to: f64 = 1.6;
         /// Start of the chirp, s.
-        chirp_begin: f64 = 10.0;
+        chirp_begin: f64 = 10.0, 0.0..=1e5;
         /// End of the chirp, s.
         chirp_end: f64 = 50.0;
         /// Also measures settling at 16 frequencies from 0.25 to 4 Hz, with and without an estimated start.
@@ -102,7 +106,7 @@ settings! {
 
 /// The log of a run, one entry per step.
 #[derive(Default)]
-struct Log {
+struct OscillatorLog {
     /// True phase, rad, not wrapped.
     phase: Vec<f64>,
     /// First coordinate, and the series' approximation of it.
@@ -131,12 +135,8 @@ impl Experiment for Oscillator {
 
 impl Oscillator {
     fn check(&self) -> Result<(), ExperimentError> {
-        within("dt", self.dt, 1e-4, 0.1)?;
-        within("seconds", self.seconds, 1.0, 1800.0)?;
-        within("amplitude", self.amplitude, 1e-6, 1e6)?;
+        self.check_ranges()?;
         within("initial", self.initial, 0.05, 0.2 / self.dt)?;
-        within("noise", self.noise, 0.0, 10.0)?;
-        within("chirp_begin", self.chirp_begin, 0.0, 1e5)?;
         within("chirp_end", self.chirp_end, self.chirp_begin + self.dt, 1e6)?;
         if self.signal == Signal::Step {
             within("step_at", self.step_at, 0.0, self.seconds)?;
@@ -207,12 +207,12 @@ impl Oscillator {
         [self.amplitude * one, 0.0]
     }
 
-    fn listen(&self) -> Result<Log, ExperimentError> {
+    fn listen(&self) -> Result<OscillatorLog, ExperimentError> {
         let mut oscillator = AdaptiveOscillator::new(self.config())?;
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         let dims = self.config().dims;
         let [mut y, mut dy, mut ddy] = [[0.0; 2]; 3];
-        let mut log = Log::default();
+        let mut log = OscillatorLog::default();
         let mut phase = 0.0;
         for k in 0..(self.seconds / self.dt).round() as usize {
             let value = self.value(phase, &mut rng);
@@ -229,7 +229,7 @@ impl Oscillator {
         Ok(log)
     }
 
-    fn figures(&self, log: &Log) -> Outcome {
+    fn figures(&self, log: &OscillatorLog) -> Outcome {
         let mut outcome = Outcome::default();
         let step = (self.step_at / self.dt).round() as usize;
         let steps = self.signal == Signal::Step;
@@ -247,7 +247,7 @@ impl Oscillator {
 
     /// Error of the mean estimated frequency, and half its peak-to-peak variation, over the last 10 s (or half the
     /// run), relative to the true frequency.
-    fn at_the_end(&self, log: &Log) -> (f64, f64) {
+    fn at_the_end(&self, log: &OscillatorLog) -> (f64, f64) {
         let n = log.hz.len();
         let count = ((10.0 / self.dt) as usize).clamp(1, n.div_ceil(2));
         let ratios = || (n - count..n).map(|k| log.hz[k] / log.truth[k]);
@@ -280,19 +280,20 @@ impl Oscillator {
         let (estimated, bare) = (row(true)?, row(false)?);
         let points = |values: &[f64]| hz.iter().zip(values).map(|(f, p)| [f.log10(), *p]).collect::<Vec<_>>();
         let panel = Panel {
-            x_label: "log10 of the frequency, Hz".into(),
-            y_label: "periods until settled".into(),
-            curves: vec![
-                Curve::new("start estimated", points(&estimated)).looking(Look::Colour(1)),
-                Curve::new("started at the initial frequency", points(&bare)).looking(Look::Dots(2)),
-            ],
             marks: vec![(self.initial.log10(), "initial".into())],
             y_range: Some([0.0, 17.0]),
-            ..Panel::default()
+            ..panel(
+                "log10 of the frequency, Hz",
+                "periods until settled",
+                vec![
+                    Curve::new("start estimated", points(&estimated)).looking(Look::Colour(1)),
+                    Curve::new("started at the initial frequency", points(&bare)).looking(Look::Dots(2)),
+                ],
+            )
         };
         outcome.plot(
             "oscillator_basin",
-            picture("Where the oscillator settles", &[Row { height: 320.0, panels: vec![panel] }]),
+            picture("Where the oscillator settles", &[PanelRow { height: 320.0, panels: vec![panel] }]),
         );
         let list = |values: Vec<f64>| serde_json::Value::from(values);
         outcome.figure("basin_hz", list(hz));
@@ -301,7 +302,7 @@ impl Oscillator {
         Ok(())
     }
 
-    fn plot(&self, log: &Log) -> String {
+    fn plot(&self, log: &OscillatorLog) -> String {
         let time = |k: usize| self.dt * k as f64;
         let n = log.hz.len();
         let stride = n.div_ceil(3000);
@@ -315,31 +316,36 @@ impl Oscillator {
             _ => Vec::new(),
         };
         let frequency = Panel {
-            x_label: "time, s".into(),
-            y_label: "frequency, Hz".into(),
-            curves: vec![
-                Curve::new("signal", over(0, n, stride, &|k| log.truth[k])).looking(Look::Reference),
-                Curve::new("oscillator", over(0, n, stride, &|k| log.hz[k])).looking(Look::Colour(1)),
-            ],
             marks,
-            ..Panel::default()
+            ..panel(
+                "time, s",
+                "frequency, Hz",
+                vec![
+                    Curve::new("signal", over(0, n, stride, &|k| log.truth[k])).looking(Look::Reference),
+                    Curve::new("oscillator", over(0, n, stride, &|k| log.hz[k])).looking(Look::Colour(1)),
+                ],
+            )
         };
-        let waves = |from: usize, to: usize| Panel {
-            x_label: "time, s".into(),
-            y_label: "signal".into(),
-            curves: vec![
-                Curve::new("signal", over(from, to, 1.max((to - from) / 1500), &|k| log.value[k]))
-                    .looking(Look::Reference),
-                Curve::new("Fourier series", over(from, to, 1.max((to - from) / 1500), &|k| log.series[k]))
+        let waves = |from: usize, to: usize| {
+            panel(
+                "time, s",
+                "signal",
+                vec![
+                    Curve::new("signal", over(from, to, 1.max((to - from) / 1500), &|k| log.value[k]))
+                        .looking(Look::Reference),
+                    Curve::new(
+                        "Fourier series",
+                        over(from, to, 1.max((to - from) / 1500), &|k| log.series[k]),
+                    )
                     .looking(Look::Colour(2)),
-            ],
-            ..Panel::default()
+                ],
+            )
         };
         picture(
             "Adaptive frequency oscillator",
             &[
-                Row { height: 280.0, panels: vec![frequency] },
-                Row { height: 260.0, panels: vec![waves(0, window), waves(n - window / 2, n)] },
+                PanelRow { height: 280.0, panels: vec![frequency] },
+                PanelRow { height: 260.0, panels: vec![waves(0, window), waves(n - window / 2, n)] },
             ],
         )
     }
@@ -347,7 +353,7 @@ impl Oscillator {
 
 /// The first step in `from..to` from which on, until `to`, the running frequency, averaged over the true period that
 /// ends there, stays within 1 % of the true mean.
-fn settle(log: &Log, from: usize, to: usize) -> Option<usize> {
+fn settle(log: &OscillatorLog, from: usize, to: usize) -> Option<usize> {
     let (mut begin, mut heard, mut true_sum) = (from, 0.0, 0.0);
     let mut since = None;
     for k in from..to {

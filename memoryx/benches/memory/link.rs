@@ -22,14 +22,14 @@ const SETTLED: Duration = Duration::from_millis(400);
 const IDLE: Duration = Duration::from_secs(10);
 
 /// A TCP proxy to a router that counts its bytes.
-struct Line {
+struct CountingProxy {
     endpoint: String,
     up: Arc<AtomicU64>,
     down: Arc<AtomicU64>,
     _tasks: JoinSet<()>,
 }
 
-impl Line {
+impl CountingProxy {
     async fn to(router: SocketAddr) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
         let endpoint = format!("tcp/{}", listener.local_addr().expect("an address"));
@@ -68,8 +68,8 @@ async fn pass(mut from: OwnedReadHalf, mut to: OwnedWriteHalf, count: &AtomicU64
     }
 }
 
-async fn on_a_line(router: SocketAddr, name: &str) -> (Agent, Line) {
-    let line = Line::to(router).await;
+async fn on_a_line(router: SocketAddr, name: &str) -> (Agent, CountingProxy) {
+    let line = CountingProxy::to(router).await;
     let session = Session::open(&client(std::slice::from_ref(&line.endpoint))).await.expect("a session");
     let agent = agent(session, name.into()).await;
     tokio::time::sleep(SETTLED).await;
@@ -101,7 +101,7 @@ pub(super) async fn link() {
             follows.say("link: following 1000 entities begins", 1);
         }
         for (together, updates) in [(1, 1000), (100, 20_000)] {
-            let _ = [&tells, &follows, &stands_by].map(Line::bytes);
+            let _ = [&tells, &follows, &stands_by].map(CountingProxy::bytes);
             told(&teller, &remotes, together, updates).await;
             tokio::time::sleep(SETTLED).await;
             let what = format!("link: an update of 100 B, {together} at once, {followers} followers");

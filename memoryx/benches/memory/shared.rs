@@ -151,7 +151,7 @@ impl Bare {
         let put_on = keys::trace("alice", "bench").expect("a key");
         let ask_on = keys::chart("alice", "bench").expect("a key");
         let heard = near.subscribe(put_on.clone(), 1 << 16).await.expect("a subscription");
-        let mut questions = far.answer(ask_on.clone(), 64).await.expect("a queryable");
+        let mut questions = far.declare_queryable(ask_on.clone(), 64).await.expect("a queryable");
         let reply = ask_on.clone();
         let mut answering = JoinSet::new();
         answering.spawn(async move {
@@ -166,7 +166,7 @@ impl Bare {
             bare.send().await;
             tokio::task::yield_now().await;
         }
-        while bare.near.ask_one(&bare.ask_on, "", None).await.is_err() {}
+        while bare.near.query_one(&bare.ask_on, "", None).await.is_err() {}
         bare
     }
 
@@ -189,7 +189,7 @@ impl Bare {
 
     async fn get(&self) -> Duration {
         let start = Meter::start();
-        self.near.ask_one(&self.ask_on, "", None).await.expect("an answer");
+        self.near.query_one(&self.ask_on, "", None).await.expect("an answer");
         start.elapsed()
     }
 

@@ -19,7 +19,7 @@ use crate::query::{Pattern, Query, Times};
 use crate::wire;
 
 /// Snapshots per query.
-const PIECE: usize = 4096;
+const PAGE_SIZE: usize = 4096;
 
 /// What a follower reports.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,7 +52,7 @@ impl LastSeen {
     }
 
     /// Whether a snapshot arrived later with a version that was already reported: the memory has restarted its count.
-    fn is_before_life_of(self, snapshot: &Snapshot) -> bool {
+    fn is_of_earlier_run_than(self, snapshot: &Snapshot) -> bool {
         snapshot.version <= self.version && snapshot.arrived_ns > self.arrived_ns
     }
 }
@@ -63,11 +63,11 @@ pub struct Follower {
     pattern: Pattern,
     changes: broadcast::Receiver<Arc<Snapshot>>,
     /// The last reported snapshot of each entity.
-    told: IndexMap<EntityId, LastSeen>,
+    reported: IndexMap<EntityId, LastSeen>,
     /// Every change that arrived before this time was received, ns.
     since_ns: u64,
     /// Every change that arrived before this time was reported, ns.
-    told_until: u64,
+    complete_until: u64,
     /// A gap was noticed and not yet read again.
     behind: bool,
     ready: VecDeque<Change>,
@@ -85,7 +85,7 @@ impl Follower {
     ) -> Result<(Self, Vec<Arc<Snapshot>>), MemoryError> {
         let mut follower = Self::from_start(memory, pattern);
         let query = Query::history(follower.pattern.clone()).limit(1);
-        let mut pieces = pages(query, PIECE);
+        let mut pieces = pages(query, PAGE_SIZE);
         let mut held = Vec::new();
         while let Some(piece) = pieces.next(&*follower.memory).await? {
             if held.is_empty() {
@@ -93,23 +93,22 @@ impl Follower {
             }
             held.extend(piece);
         }
-        follower.told_until = follower.since_ns;
-        follower.told = held.iter().map(|s| (s.id.clone(), LastSeen::of(s))).collect();
+        follower.complete_until = follower.since_ns;
+        follower.reported = held.iter().map(|s| (s.id.clone(), LastSeen::of(s))).collect();
         Ok((follower, held.into_iter().filter(|s| !s.is_removed()).collect()))
     }
 
     /// Follows changes only. If an entity's first change is not version 1, the follower reads the history that is
     /// still held.
-    #[must_use]
     pub fn from_start(memory: Arc<dyn Memory>, pattern: Pattern) -> Self {
         let changes = memory.subscribe();
         Self {
             memory,
             pattern,
             changes,
-            told: IndexMap::new(),
+            reported: IndexMap::new(),
             since_ns: 0,
-            told_until: 0,
+            complete_until: 0,
             behind: false,
             ready: VecDeque::new(),
         }
@@ -124,11 +123,11 @@ impl Follower {
     pub async fn resume(
         memory: Arc<dyn Memory>,
         pattern: Pattern,
-        told: BTreeMap<EntityId, LastSeen>,
+        reported: BTreeMap<EntityId, LastSeen>,
         since_ns: u64,
     ) -> Result<Self, MemoryError> {
         let mut follower = Self::from_start(memory, pattern);
-        follower.told = told.into_iter().collect();
+        follower.reported = reported.into_iter().collect();
         follower.read_since(since_ns).await?;
         Ok(follower)
     }
@@ -140,7 +139,7 @@ impl Follower {
     pub async fn next(&mut self) -> Result<Option<Change>, MemoryError> {
         loop {
             if let Some(change) = self.ready.pop_front() {
-                self.note_told();
+                self.note_reported();
                 return Ok(Some(change));
             }
             if self.behind {
@@ -184,36 +183,28 @@ impl Follower {
         }
         let count = most.min(self.ready.len());
         let some = self.ready.drain(..count).collect();
-        self.note_told();
+        self.note_reported();
         Ok(some)
     }
 
-    fn note_told(&mut self) {
+    fn note_reported(&mut self) {
         if self.ready.is_empty() {
-            self.told_until = self.since_ns;
-        }
-    }
-
-    /// Puts back the changes that were returned last; the next call returns them again.
-    pub fn give_back(&mut self, changes: Vec<Change>) {
-        for change in changes.into_iter().rev() {
-            self.ready.push_front(change);
+            self.complete_until = self.since_ns;
         }
     }
 
     /// Whether all changes so far were reported.
-    #[must_use]
-    pub fn told_all(&self) -> bool {
+    pub fn is_caught_up(&self) -> bool {
         self.ready.is_empty() && self.changes.is_empty() && !self.behind
     }
 
     async fn receive(&mut self, snapshot: Arc<Snapshot>) -> Result<(), MemoryError> {
         let arrived_ns = snapshot.arrived_ns;
         if self.pattern.matches(&snapshot.id) {
-            self.take(snapshot).await?;
+            self.accept(snapshot).await?;
         }
         // Ask the memory first: a change that arrives meanwhile is in the queue, where `is_empty` sees it.
-        let until = match self.memory.told_until() {
+        let until = match self.memory.complete_until() {
             None => arrived_ns,
             Some(until) if self.changes.is_empty() => until,
             Some(_) => 0,
@@ -222,32 +213,32 @@ impl Follower {
         Ok(())
     }
 
-    async fn take(&mut self, snapshot: Arc<Snapshot>) -> Result<(), MemoryError> {
-        let known = match self.told.get_mut(&snapshot.id) {
-            Some(told) if snapshot.version == told.version + 1 => {
-                *told = LastSeen::of(&snapshot);
+    async fn accept(&mut self, snapshot: Arc<Snapshot>) -> Result<(), MemoryError> {
+        let known = match self.reported.get_mut(&snapshot.id) {
+            Some(reported) if snapshot.version == reported.version + 1 => {
+                *reported = LastSeen::of(&snapshot);
                 self.ready.push_back(Change::New(snapshot));
                 return Ok(());
             }
-            told => told.copied(),
+            reported => reported.copied(),
         };
-        let begins = known.is_some_and(|told| told.is_before_life_of(&snapshot));
-        if begins || snapshot.version > known.map_or(0, |told| told.version) + 1 {
+        let begins = known.is_some_and(|reported| reported.is_of_earlier_run_than(&snapshot));
+        if begins || snapshot.version > known.map_or(0, |reported| reported.version) + 1 {
             // Set until the read ends, because the caller may drop this future before.
             self.behind = true;
             if known.is_some() {
                 // One gap rarely comes alone, and one query closes all.
                 self.read_since(self.since_ns).await?;
             }
-            self.begin_if_anew(&snapshot).await?;
-            let told = self.told.get(&snapshot.id).map_or(0, |told| told.version);
-            if snapshot.version > told + 1 {
-                let missing = Times::Versions(told + 1, snapshot.version - 1);
+            self.notice_restart(&snapshot).await?;
+            let reported = self.reported.get(&snapshot.id).map_or(0, |reported| reported.version);
+            if snapshot.version > reported + 1 {
+                let missing = Times::Versions(reported + 1, snapshot.version - 1);
                 self.read(Query::latest(Pattern::entity(&snapshot.id)).times(missing)).await?;
             }
             self.behind = false;
         }
-        self.tell(snapshot);
+        self.report(snapshot);
         Ok(())
     }
 
@@ -275,7 +266,7 @@ impl Follower {
     /// Reports the snapshots of an answer in the order of their arrival. Returns the arrival time, ns, until which
     /// the answer is certainly complete.
     async fn read(&mut self, query: Query) -> Result<u64, MemoryError> {
-        let mut pieces = pages(query.with_long_term(), PIECE);
+        let mut pieces = pages(query.with_long_term(), PAGE_SIZE);
         let mut until = None;
         let mut found: Vec<(u64, Arc<Snapshot>)> = Vec::new();
         while let Some(piece) = pieces.next(&*self.memory).await? {
@@ -288,45 +279,44 @@ impl Follower {
         }
         found.sort_by_key(|(arrived_ns, _)| *arrived_ns);
         for (_, snapshot) in found {
-            self.begin_if_anew(&snapshot).await?;
-            self.tell(snapshot);
+            self.notice_restart(&snapshot).await?;
+            self.report(snapshot);
         }
         Ok(until.unwrap_or(0))
     }
 
     /// If a snapshot is the first one after its memory restarted its count: finds the last version that the memory
     /// had kept, from which it counts on.
-    async fn begin_if_anew(&mut self, first: &Snapshot) -> Result<(), MemoryError> {
-        if !self.told.get(&first.id).is_some_and(|told| told.is_before_life_of(first)) {
+    async fn notice_restart(&mut self, first: &Snapshot) -> Result<(), MemoryError> {
+        if !self.reported.get(&first.id).is_some_and(|reported| reported.is_of_earlier_run_than(first)) {
             return Ok(());
         }
         let earlier = Times::Versions(0, first.version.saturating_sub(1));
         let query = Query::latest(Pattern::entity(&first.id)).times(earlier).limit(1).with_long_term();
         let kept = self.memory.query(&query).await?.pop();
-        if let Some(told) = self.told.get_mut(&first.id) {
-            told.version = kept.map_or(0, |kept| kept.version);
+        if let Some(reported) = self.reported.get_mut(&first.id) {
+            reported.version = kept.map_or(0, |kept| kept.version);
         }
         Ok(())
     }
 
     /// Reports a snapshot unless it was reported, and before it the gap, if there is one.
-    fn tell(&mut self, snapshot: Arc<Snapshot>) {
-        let told = self.told.entry(snapshot.id.clone()).or_default();
-        if snapshot.version <= told.version {
+    fn report(&mut self, snapshot: Arc<Snapshot>) {
+        let reported = self.reported.entry(snapshot.id.clone()).or_default();
+        if snapshot.version <= reported.version {
             return;
         }
-        if snapshot.version > told.version + 1 {
-            let (from, to) = (told.version + 1, snapshot.version - 1);
+        if snapshot.version > reported.version + 1 {
+            let (from, to) = (reported.version + 1, snapshot.version - 1);
             self.ready.push_back(Change::Missed { id: snapshot.id.clone(), from, to });
         }
-        *told = LastSeen::of(&snapshot);
+        *reported = LastSeen::of(&snapshot);
         self.ready.push_back(Change::New(snapshot));
     }
 
     /// Every change that arrived before this time was reported, ns.
-    #[must_use]
-    pub fn told_until(&self) -> u64 {
-        self.told_until
+    pub fn complete_until(&self) -> u64 {
+        self.complete_until
     }
 }
 

@@ -22,14 +22,6 @@ impl Memory for Busy {
         self.memory.commit_now(updates)
     }
 
-    async fn latest(&self, id: &EntityId) -> Result<Arc<Snapshot>, MemoryError> {
-        self.memory.latest_now(id)
-    }
-
-    async fn segment(&self, segment: &str) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
-        self.memory.segment(segment).await
-    }
-
     async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         let found = self.memory.query_now(query);
         let updates = self.after.lock().pop_front().unwrap_or_default();
@@ -53,7 +45,7 @@ async fn what_changes_while_it_is_read_is_not_missed() {
     let time = AtomicU64::new(0);
     let memory = WorkingMemory::new(Arc::new(move || time.fetch_add(1, Ordering::Relaxed) + 1));
     let memory = memory.with_limits(Limits { backlog: 2, ..Limits::default() });
-    let (first, last) = (0, PIECE + 10);
+    let (first, last) = (0, PAGE_SIZE + 10);
     let overtaking = (1..10).map(update).collect();
     let after = VecDeque::from([vec![update(first), update(last)], overtaking]);
     let memory = Arc::new(Busy { memory, after: Mutex::new(after) });
@@ -62,8 +54,8 @@ async fn what_changes_while_it_is_read_is_not_missed() {
     memory.memory.commit_now((first..=last).map(update).collect()).unwrap();
 
     let mut told = BTreeMap::new();
-    while !follower.told_all() || told.is_empty() {
-        for change in follower.drain(PIECE).await.unwrap() {
+    while !follower.is_caught_up() || told.is_empty() {
+        for change in follower.drain(PAGE_SIZE).await.unwrap() {
             let Change::New(snapshot) = change else { panic!("{change:?}") };
             let before = told.insert(snapshot.id.clone(), snapshot.version).unwrap_or(0);
             assert_eq!(snapshot.version, before + 1, "{}", snapshot.id);
@@ -97,7 +89,7 @@ async fn a_memory_that_begins_anew_is_followed_on() {
         assert_eq!(told.join(" "), expected);
         // The same while subscribed: the first change after the restart has a version that was already reported.
         let later = Arc::new(Snapshot { version: 1, arrived_ns: 500, ..(*newest(&memory)).clone() });
-        follower.take(later).await.unwrap();
+        follower.accept(later).await.unwrap();
         assert!(matches!(&follower.drain(9).await.unwrap()[..], [Change::New(s)] if s.arrived_ns == 500));
     }
 }

@@ -3,7 +3,7 @@
 //!
 //! - [`Inference`]: the trait of such a process. It sees a [`Memory`], in this process or another agent's; queries
 //!   with `long_term` also reach what working memory has forgotten.
-//! - [`Attached`]: runs an inference whenever something that it watches has changed. [`conclude_once`]: one round.
+//! - [`RunningInference`]: runs an inference whenever something that it watches has changed. [`conclude_once`]: one round.
 //! - [`SpatialRelations`], [`UsualPlaces`]: the two built-in ones.
 //!
 //! Conclusions are in the provider segment with the inference's name. No one else should write there: a conclusion
@@ -37,13 +37,13 @@ pub use places::{USUAL_PLACES, UsualPlaces};
 pub use relations::{OBJECT_RELATIONS, SpatialRelations};
 
 /// Conclusions per commit.
-const TOGETHER: usize = 1000;
+const MAX_BATCH: usize = 1000;
 /// Most pieces of evidence that a conclusion names.
-const EVIDENCE: usize = 16;
+const MAX_EVIDENCE: usize = 16;
 /// A conclusion whose confidence changes by less is not written again.
 const SAME_CONFIDENCE: f64 = 0.02;
 /// Longest name that [`joined`] makes, bytes.
-const LONGEST_NAME: usize = 160;
+const MAX_NAME_BYTES: usize = 160;
 
 /// A process that draws conclusions from memory.
 #[async_trait]
@@ -93,21 +93,20 @@ pub struct Round {
 
 /// An inference that runs until this is dropped.
 #[derive(Debug)]
-pub struct Attached {
+pub struct RunningInference {
     rounds: Arc<AtomicU64>,
     _tasks: JoinSet<()>,
 }
 
 /// Joins names to one name; a name that would be too long is cut, and a hash makes it unique.
-#[must_use]
 pub fn joined(names: &[&str]) -> String {
     let whole = names.join("-");
     let name: String = whole.chars().map(|c| if is_forbidden(c) { '_' } else { c }).collect();
-    if name == whole && name.len() <= LONGEST_NAME {
+    if name == whole && name.len() <= MAX_NAME_BYTES {
         return name;
     }
     let hash = Sha256::digest(whole.as_bytes());
-    let mut cut = name.len().min(LONGEST_NAME);
+    let mut cut = name.len().min(MAX_NAME_BYTES);
     while !name.is_char_boundary(cut) {
         cut -= 1;
     }
@@ -127,7 +126,7 @@ impl Conclusion {
         };
         let mut attributes = self.attributes.clone();
         attributes.insert("concluded_by".into(), by.into());
-        let because = self.because.iter().take(EVIDENCE).map(evidence).collect();
+        let because = self.because.iter().take(MAX_EVIDENCE).map(evidence).collect();
         attributes.insert("because".into(), Value::List(because));
         Instance {
             attributes: attributes.into(),
@@ -138,7 +137,7 @@ impl Conclusion {
 }
 
 /// Whether two instances are equal, apart from their evidence.
-fn say_the_same(a: &Instance, b: &Instance) -> bool {
+fn equal_apart_from_evidence(a: &Instance, b: &Instance) -> bool {
     let without = |attributes: &Attributes| {
         let mut map = attributes.to_map();
         map.remove("because");
@@ -170,7 +169,11 @@ pub async fn conclude_once(
         let id = EntityId::new(&conclusion.segment, name, &conclusion.entity)?;
         let instance = conclusion.instance(name);
         let known = held.remove(&id);
-        if known.as_ref().and_then(|s| s.instance()).is_some_and(|known| say_the_same(known, &instance)) {
+        if known
+            .as_ref()
+            .and_then(|s| s.instance())
+            .is_some_and(|known| equal_apart_from_evidence(known, &instance))
+        {
             continue;
         }
         round.written += 1;
@@ -180,15 +183,14 @@ pub async fn conclude_once(
     round.removed = held.len() as u64;
     updates.extend(held.into_keys().map(|id| Commit::removal(id, now_ns)));
     while !updates.is_empty() {
-        let rest = updates.split_off(updates.len().min(TOGETHER));
+        let rest = updates.split_off(updates.len().min(MAX_BATCH));
         memory.commit(std::mem::replace(&mut updates, rest)).await?;
     }
     Ok(round)
 }
 
-impl Attached {
+impl RunningInference {
     /// Runs a round now, and another when something that the inference watches has changed. `clock` is the memory's.
-    #[must_use]
     pub fn start(memory: Arc<dyn Memory>, inference: Arc<dyn Inference>, clock: Clock) -> Self {
         let rounds = Arc::new(AtomicU64::new(0));
         let mut tasks = JoinSet::new();
@@ -197,7 +199,6 @@ impl Attached {
     }
 
     /// How many rounds have ended, with or without an error.
-    #[must_use]
     pub fn rounds(&self) -> u64 {
         self.rounds.load(Ordering::Relaxed)
     }

@@ -32,7 +32,7 @@ use crate::updater::OBJECT_INSTANCES;
 /// The core segment of usual places.
 pub const USUAL_PLACES: &str = "UsualPlaces";
 /// Snapshots per query.
-const PIECE: usize = 4096;
+const PAGE_SIZE: usize = 4096;
 /// A day, ns.
 const DAY_NS: u64 = 86_400_000_000_000;
 /// The longest and the shortest time that a sighting counts, s.
@@ -40,11 +40,11 @@ const COUNTS_S: (f64, f64) = (600.0, 1.0);
 /// The side of a cell, m.
 const CELL: f64 = 0.05;
 /// Radius of a place, m.
-const REACH: f64 = 0.3;
+const PLACE_RADIUS: f64 = 0.3;
 /// Most rounds of clustering; each lowers the cost, and clustering ends when nothing changes.
-const ROUNDS: usize = 100;
+const MAX_ROUNDS: usize = 100;
 /// Cells farther from the origin are ignored, m.
-const FAR: f64 = 1e6;
+const MAX_DISTANCE: f64 = 1e6;
 
 /// Concludes [`USUAL_PLACES`] from the history of `ObjectInstances`.
 #[derive(Clone, Debug)]
@@ -67,11 +67,11 @@ struct Cell {
     sightings: u64,
     last_ns: u64,
     /// The newest version of each entity that was seen there.
-    who: BTreeMap<EntityId, u64>,
+    sources: BTreeMap<EntityId, u64>,
 }
 
 /// A cell of one day with its fraction of the day's time.
-struct Share<'s> {
+struct DayShare<'s> {
     cell: &'s Cell,
     place: Vector3<f64>,
     weight: f64,
@@ -80,13 +80,13 @@ struct Share<'s> {
 
 /// The cells of a class in a frame, by day and coordinates.
 #[derive(Default)]
-struct Seen {
+struct ClassSightings {
     cells: BTreeMap<(u64, [i64; 3]), Cell>,
 }
 
 /// All sightings, by class and frame.
 #[derive(Default)]
-struct Sightings(BTreeMap<(String, String), Seen>);
+struct Sightings(BTreeMap<(String, String), ClassSightings>);
 
 impl Sightings {
     /// Counts a snapshot of a day before today, which held until the next one of its entity at `until_ns`.
@@ -95,7 +95,11 @@ impl Sightings {
         let carried = text("motion_model").is_some_and(|model| model != "static");
         let (Some((frame, place)), Some(class)) = (place_of(snapshot), text("class")) else { return };
         let is_early = snapshot.referenced_ns < today_ns;
-        if !is_early || carried || text("attached_to").is_some() || place.iter().any(|x| x.abs() > FAR) {
+        if !is_early
+            || carried
+            || text("attached_to").is_some()
+            || place.iter().any(|x| x.abs() > MAX_DISTANCE)
+        {
             return;
         }
         let held_s = until_ns.saturating_sub(snapshot.referenced_ns) as f64 * 1e-9;
@@ -107,13 +111,13 @@ impl Sightings {
         cell.places += Vector3::from(place) * seconds;
         cell.sightings += 1;
         cell.last_ns = cell.last_ns.max(snapshot.referenced_ns);
-        cell.who.insert(snapshot.id.clone(), snapshot.version);
+        cell.sources.insert(snapshot.id.clone(), snapshot.version);
     }
 }
 
-impl Seen {
+impl ClassSightings {
     /// The cells with their fractions of their days, the largest first.
-    fn shares(&self) -> Vec<Share<'_>> {
+    fn shares(&self) -> Vec<DayShare<'_>> {
         let mut days: BTreeMap<u64, f64> = BTreeMap::new();
         for ((day, _), cell) in &self.cells {
             *days.entry(*day).or_insert(0.0) += cell.seconds;
@@ -121,7 +125,7 @@ impl Seen {
         let mut shares = Vec::with_capacity(self.cells.len());
         for ((day, _), cell) in &self.cells {
             let weight = cell.seconds / days.get(day).copied().unwrap_or(cell.seconds);
-            shares.push(Share { cell, place: cell.places / cell.seconds, weight, day: *day });
+            shares.push(DayShare { cell, place: cell.places / cell.seconds, weight, day: *day });
         }
         shares.sort_by(|a, b| b.weight.total_cmp(&a.weight));
         shares
@@ -129,18 +133,19 @@ impl Seen {
 }
 
 /// Clusters the cells into places by DP-means.
-fn clustered<'s>(shares: &'s [Share<'s>]) -> Vec<Vec<&'s Share<'s>>> {
+fn clustered<'s>(shares: &'s [DayShare<'s>]) -> Vec<Vec<&'s DayShare<'s>>> {
     let mut centres: Vec<Vector3<f64>> = Vec::new();
     let mut of: Vec<usize> = vec![usize::MAX; shares.len()];
-    for _ in 0..ROUNDS {
+    for _ in 0..MAX_ROUNDS {
         let mut changed = false;
         for (share, of) in shares.iter().zip(&mut of) {
             let far = |centre: &Vector3<f64>| (centre - share.place).norm();
             let nearest = (0..centres.len()).min_by(|a, b| far(&centres[*a]).total_cmp(&far(&centres[*b])));
-            let place = nearest.filter(|nearest| far(&centres[*nearest]) <= REACH).unwrap_or_else(|| {
-                centres.push(share.place);
-                centres.len() - 1
-            });
+            let place =
+                nearest.filter(|nearest| far(&centres[*nearest]) <= PLACE_RADIUS).unwrap_or_else(|| {
+                    centres.push(share.place);
+                    centres.len() - 1
+                });
             changed |= std::mem::replace(of, place) != place;
         }
         if !changed {
@@ -156,7 +161,7 @@ fn clustered<'s>(shares: &'s [Share<'s>]) -> Vec<Vec<&'s Share<'s>>> {
     grouped(shares, &of, centres.len()).into_iter().filter(|members| !members.is_empty()).collect()
 }
 
-fn grouped<'s>(shares: &'s [Share<'s>], of: &[usize], count: usize) -> Vec<Vec<&'s Share<'s>>> {
+fn grouped<'s>(shares: &'s [DayShare<'s>], of: &[usize], count: usize) -> Vec<Vec<&'s DayShare<'s>>> {
     let mut members = vec![Vec::new(); count];
     for (share, of) in shares.iter().zip(of) {
         members[*of].push(share);
@@ -164,27 +169,27 @@ fn grouped<'s>(shares: &'s [Share<'s>], of: &[usize], count: usize) -> Vec<Vec<&
     members
 }
 
-fn weight(members: &[&Share<'_>]) -> f64 {
+fn weight(members: &[&DayShare<'_>]) -> f64 {
     members.iter().map(|share| share.weight).sum()
 }
 
-fn mean(members: &[&Share<'_>]) -> Option<Vector3<f64>> {
+fn mean(members: &[&DayShare<'_>]) -> Option<Vector3<f64>> {
     let sum: Vector3<f64> = members.iter().map(|share| share.place * share.weight).sum();
     (!members.is_empty()).then(|| sum / weight(members))
 }
 
 /// The covariance of a place, m², row by row: the spread of its cells, and the spread within a cell.
-fn covariance(members: &[&Share<'_>], mean: &Vector3<f64>) -> Vec<f64> {
+fn covariance(members: &[&DayShare<'_>], mean: &Vector3<f64>) -> Vec<f64> {
     let within = Matrix3::identity() * (CELL * CELL / 12.0);
-    let of = |share: &&Share<'_>| (share.place - mean) * (share.place - mean).transpose() * share.weight;
+    let of = |share: &&DayShare<'_>| (share.place - mean) * (share.place - mean).transpose() * share.weight;
     let rows: Matrix3<f64> = within + members.iter().map(of).sum::<Matrix3<f64>>() / weight(members);
     rows.as_slice().to_vec()
 }
 
 /// The evidence of a place: the newest version of each entity.
-fn because(members: &[&Share<'_>]) -> Vec<(EntityId, u64)> {
+fn because(members: &[&DayShare<'_>]) -> Vec<(EntityId, u64)> {
     let mut newest: BTreeMap<&EntityId, u64> = BTreeMap::new();
-    for (id, version) in members.iter().flat_map(|share| &share.cell.who) {
+    for (id, version) in members.iter().flat_map(|share| &share.cell.sources) {
         let known = newest.entry(id).or_insert(0);
         *known = version.max(known).to_owned();
     }
@@ -193,13 +198,13 @@ fn because(members: &[&Share<'_>]) -> Vec<(EntityId, u64)> {
 
 impl UsualPlaces {
     /// The conclusions about one class in one frame.
-    fn places(&self, class: &str, frame: &str, seen: &Seen) -> Vec<Conclusion> {
+    fn places(&self, class: &str, frame: &str, seen: &ClassSightings) -> Vec<Conclusion> {
         let shares = seen.shares();
         let days = shares.iter().map(|share| share.day).collect::<BTreeSet<_>>().len();
         let mut places = clustered(&shares);
         places.sort_by(|a, b| weight(b).total_cmp(&weight(a)));
         let rest = (places.len() as f64 + 1.0) / 2.0;
-        let conclusion = |(i, members): (usize, &Vec<&Share<'_>>)| {
+        let conclusion = |(i, members): (usize, &Vec<&DayShare<'_>>)| {
             let mean = mean(members)?;
             let number = |n: u64| Value::Int(i64::try_from(n).unwrap_or(i64::MAX));
             let own_days = members.iter().map(|share| share.day).collect::<BTreeSet<_>>().len();
@@ -245,7 +250,8 @@ impl Inference for UsualPlaces {
         let mut sightings = Sightings::default();
         let mut last: Option<Arc<Snapshot>> = None;
         // The histories of the entities, one after the other, each in order of version.
-        let mut pieces = pages(Query::history(Pattern::segment(OBJECT_INSTANCES)).with_long_term(), PIECE);
+        let mut pieces =
+            pages(Query::history(Pattern::segment(OBJECT_INSTANCES)).with_long_term(), PAGE_SIZE);
         while let Some(piece) = pieces.next(memory).await? {
             for next in piece {
                 if let Some(last) = &last {

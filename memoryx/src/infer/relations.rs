@@ -51,19 +51,18 @@ impl Default for SpatialRelations {
 
 impl SpatialRelations {
     /// With another name, so that one memory can have several.
-    #[must_use]
     pub fn named(name: &str) -> Self {
         Self { name: name.into(), ..Self::default() }
     }
 
     /// All relations among the objects. Only boxes within reach of each other along x are compared.
     fn relations(&self, mut solids: Vec<Solid>) -> Vec<Conclusion> {
-        solids.sort_by(|a, b| a.least(X).total_cmp(&b.least(X)).then_with(|| a.id.cmp(&b.id)));
+        solids.sort_by(|a, b| a.min(X).total_cmp(&b.min(X)).then_with(|| a.id.cmp(&b.id)));
         let unsure = 6.0 * solids.iter().map(|s| s.variance[X]).fold(0.0, f64::max).sqrt();
         let reach = self.beside.max(self.near) + 2.0 * unsure;
         let mut found = Vec::new();
         for (i, a) in solids.iter().enumerate() {
-            for b in solids[i + 1..].iter().take_while(|b| b.least(X) <= a.most(X) + reach) {
+            for b in solids[i + 1..].iter().take_while(|b| b.min(X) <= a.max(X) + reach) {
                 // The same object from two providers has no relation to itself.
                 if a.frame == b.frame && (a.class != b.class || a.id.entity() != b.id.entity()) {
                     found.extend(self.of_two(a, b));
@@ -95,7 +94,7 @@ impl SpatialRelations {
         if a.half.is_none() || b.half.is_none() {
             return 0.0;
         }
-        let gap = between(a.least(Z) - b.most(Z), a.sigma(b, Z), -self.touching, self.touching);
+        let gap = between(a.min(Z) - b.max(Z), a.sigma(b, Z), -self.touching, self.touching);
         gap * over(a, b, X) * over(a, b, Y)
     }
 
@@ -111,7 +110,7 @@ impl SpatialRelations {
 
     /// All of `a` is left of all of `b`, within reach, and not behind, before or above it.
     fn probability_left(&self, a: &Solid, b: &Solid) -> f64 {
-        let gap = between(b.least(X) - a.most(X), a.sigma(b, X), 0.0, self.beside);
+        let gap = between(b.min(X) - a.max(X), a.sigma(b, X), 0.0, self.beside);
         let beside = |axis: usize| {
             let reach = halves(a, b, axis).max(self.touching);
             between(a.centre[axis] - b.centre[axis], a.sigma(b, axis), -reach, reach)
@@ -145,7 +144,7 @@ impl SpatialRelations {
 
 /// The centre of `a` is within the extent of `b` along an axis.
 fn over(a: &Solid, b: &Solid, axis: usize) -> f64 {
-    between(a.centre[axis], a.sigma(b, axis), b.least(axis), b.most(axis))
+    between(a.centre[axis], a.sigma(b, axis), b.min(axis), b.max(axis))
 }
 
 /// Half the sum of both extents.

@@ -7,7 +7,7 @@ use crate::entity::{EntityId, Snapshot};
 use crate::place::place_of;
 
 /// The standard deviation of a position without covariance, and the lowest of any, m.
-const LEAST_SIGMA: f64 = 0.005;
+const MIN_SIGMA: f64 = 0.005;
 
 /// An object.
 #[derive(Clone, Debug)]
@@ -44,11 +44,11 @@ impl Solid {
         })
     }
 
-    pub(super) fn least(&self, axis: usize) -> f64 {
+    pub(super) fn min(&self, axis: usize) -> f64 {
         self.centre[axis] - self.half.map_or(0.0, |half| half[axis])
     }
 
-    pub(super) fn most(&self, axis: usize) -> f64 {
+    pub(super) fn max(&self, axis: usize) -> f64 {
         self.centre[axis] + self.half.map_or(0.0, |half| half[axis])
     }
 
@@ -71,7 +71,7 @@ fn half_of(snapshot: &Snapshot, size: [f64; 3]) -> [f64; 3] {
 }
 
 fn variance_of(snapshot: &Snapshot) -> [f64; 3] {
-    let least = LEAST_SIGMA * LEAST_SIGMA;
+    let least = MIN_SIGMA * MIN_SIGMA;
     let rows = snapshot.instance().and_then(|instance| {
         let of = if instance.attributes.get("pose").is_some() { "pose" } else { "position" };
         instance.covariance.get(of)

@@ -169,7 +169,7 @@ async fn usual_places_are_learned_from_all_earlier_days() {
 async fn an_attached_inference_concludes_when_something_changes() {
     let memory = memory();
     let inference: Arc<dyn Inference> = Arc::new(SpatialRelations::default());
-    let attached = Attached::start(Arc::<WorkingMemory>::clone(&memory), inference, Arc::new(|| 5));
+    let attached = RunningInference::start(Arc::<WorkingMemory>::clone(&memory), inference, Arc::new(|| 5));
     let rounds = async |count: u64| {
         while attached.rounds() < count {
             tokio::time::sleep(Duration::from_millis(1)).await;

@@ -17,12 +17,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use armarium_source::yaml::Node;
-use armarium_source::{Finding, Findings, Rule, Source, Span, code, form, read_node};
+use armarium_source::{Disk, Files, Finding, Findings, Rule, Source, Span, code, form, read_node};
 
 use super::{GraspPose, ObjectClass, PriorKnowledge, Recognition, scene};
 
 /// Most files in a folder.
-const MOST_FILES: usize = 10_000;
+const MAX_FILES: usize = 10_000;
 
 form! {
     /// An object class as a file says it.
@@ -61,7 +61,6 @@ form! {
 }
 
 /// The JSON schema of an object class's file.
-#[must_use]
 pub fn schema() -> serde_json::Value {
     armarium_source::schema::<ClassFile>()
 }
@@ -93,11 +92,15 @@ impl PriorKnowledge {
     /// # Errors
     /// Everything that is wrong with any file.
     pub fn load(folder: &Path) -> Result<Self, Vec<Finding>> {
+        Self::of_files(files(folder)?, &Disk)
+    }
+
+    fn of_files(paths: Vec<PathBuf>, files: &dyn Files) -> Result<Self, Vec<Finding>> {
         let mut findings = Vec::new();
         let mut known = Self::new();
         let mut scenes = Vec::new();
-        for file in files(folder)? {
-            let source = match Source::read(&file) {
+        for file in paths {
+            let source = match files.read(&file) {
                 Ok(source) => source,
                 Err(finding) => {
                     findings.push(*finding);
@@ -139,6 +142,25 @@ impl PriorKnowledge {
     }
 }
 
+/// Everything that is wrong with the file of an object class or a scene, held against the files beside it.
+#[must_use]
+pub fn check(source: &Source, files: &dyn Files) -> Vec<Finding> {
+    let folder = source.path.parent().unwrap_or(Path::new(""));
+    let mut paths: Vec<PathBuf> =
+        files.list(folder).into_iter().filter(|path| *path != source.path).collect();
+    paths.retain(|path| files.head(path).is_some_and(|head| is_prior(&head)));
+    paths.truncate(MAX_FILES);
+    paths.push(source.path.clone());
+    let mut findings = PriorKnowledge::of_files(paths, files).err().unwrap_or_default();
+    findings.retain(|finding| finding.source.path == source.path);
+    findings
+}
+
+/// Whether a file describes an object class or a scene.
+fn is_prior(head: &str) -> bool {
+    scene::is_scene(head) || head.lines().any(|line| line.starts_with("object:"))
+}
+
 /// Something that another file has already.
 pub(super) fn duplicate(source: Arc<Source>, at: Span, name: &str) -> Finding {
     let help = Some("one of the two files has to go, or what it describes another name".into());
@@ -157,8 +179,8 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>, Vec<Finding>> {
         if path.extension().is_some_and(|e| e == "yaml" || e == "yml") {
             files.push(path);
         }
-        if files.len() > MOST_FILES {
-            return Err(wrong(format!("the folder has more than {MOST_FILES} files")));
+        if files.len() > MAX_FILES {
+            return Err(wrong(format!("the folder has more than {MAX_FILES} files")));
         }
     }
     files.sort();

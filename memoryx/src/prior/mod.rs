@@ -13,6 +13,7 @@ use std::collections::BTreeMap;
 use armarium_source::yaml::Node;
 use armarium_source::{Field, Findings, Rule};
 use armarium_values::{Frame, Pose, Value};
+use nalgebra::{Isometry3, UnitQuaternion};
 use serde::Serialize;
 
 use crate::attributes::Attributes;
@@ -87,7 +88,6 @@ impl Recognition {
     pub const NAMES: [(&'static str, Self); 1] = [("color", Self::Color)];
 
     /// The method of that name.
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::NAMES.iter().find(|(n, _)| *n == name).map(|(_, method)| *method)
     }
@@ -120,7 +120,6 @@ pub struct Impossible {
 
 impl ObjectClass {
     /// A class that is found by its colour, with nothing else known. `size`: extent along x, y and z, m.
-    #[must_use]
     pub fn new(name: &str, color: [u8; 3], size: [f64; 3]) -> Self {
         Self {
             name: name.into(),
@@ -214,7 +213,6 @@ impl ObjectClass {
     }
 
     /// The class as attributes of its entity.
-    #[must_use]
     pub fn attributes(&self) -> BTreeMap<String, Value> {
         let color = self.color.iter().map(|c| Value::Int(i64::from(*c))).collect::<Vec<_>>();
         let mut attributes = BTreeMap::from([
@@ -265,18 +263,20 @@ fn grasp_from(value: &Value) -> Option<GraspPose> {
 
 impl GraspPose {
     /// A grasp from the hand's position, m, and its roll, pitch and yaw, rad, about the object's fixed x, y and z.
-    #[must_use]
-    pub fn new(name: &str, position: [f64; 3], [roll, pitch, yaw]: [f64; 3]) -> Self {
-        let rotation = nalgebra::UnitQuaternion::from_euler_angles(roll, pitch, yaw);
-        let pose = nalgebra::Isometry3::from_parts(nalgebra::Translation3::from(position), rotation);
-        let pose = Pose::new(Frame::from(OBJECT_FRAME), &pose);
+    pub fn new(name: &str, position: [f64; 3], rpy: [f64; 3]) -> Self {
+        let pose = pose(Frame::from(OBJECT_FRAME), position, rpy);
         Self { name: name.into(), pose, approach: None, aperture: None }
     }
 }
 
+/// A pose from a position, m, and roll, pitch and yaw, rad, about the frame's fixed x, y and z.
+fn pose(frame: Frame, position: [f64; 3], [roll, pitch, yaw]: [f64; 3]) -> Pose {
+    let rotation = UnitQuaternion::from_euler_angles(roll, pitch, yaw);
+    Pose::new(frame, &Isometry3::from_parts(position.into(), rotation))
+}
+
 impl PriorKnowledge {
     /// Nothing known.
-    #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
@@ -296,7 +296,6 @@ impl PriorKnowledge {
     }
 
     /// The class of that name.
-    #[must_use]
     pub fn class(&self, name: &str) -> Option<&ObjectClass> {
         self.classes.get(name)
     }
@@ -307,7 +306,6 @@ impl PriorKnowledge {
     }
 
     /// The scene of that name.
-    #[must_use]
     pub fn scene(&self, name: &str) -> Option<&Scene> {
         self.scenes.get(name)
     }

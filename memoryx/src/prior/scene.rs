@@ -18,10 +18,9 @@ use std::sync::Arc;
 use armarium_source::yaml::Node;
 use armarium_source::{Finding, Findings, Rule, Source, code, form, read_node};
 use armarium_values::{Frame, Pose, Value};
-use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 
-use super::PriorKnowledge;
 use super::file::duplicate;
+use super::{PriorKnowledge, pose};
 use crate::entity::{Commit, EntityId, check_name};
 use crate::error::MemoryError;
 
@@ -97,7 +96,6 @@ form! {
 }
 
 /// The JSON schema of a scene's file.
-#[must_use]
 pub fn schema() -> serde_json::Value {
     armarium_source::schema::<SceneFile>()
 }
@@ -159,7 +157,7 @@ pub(super) fn read(source: Arc<Source>, known: &PriorKnowledge) -> Result<Scene,
             let message = format!("there is no object class `{class}`");
             findings.error_help(code::REFERENCE, node.place("class"), message, help);
         }
-        let pose = pose(&file.frame, position, rpy_deg);
+        let pose = pose(Frame(file.frame.clone()), position, rpy_deg.map(f64::to_radians));
         if let Err(error) = scene.add(Placed { name, class, pose, size }) {
             let code = match error {
                 SceneError::Name(_) => code::NAME,
@@ -170,12 +168,6 @@ pub(super) fn read(source: Arc<Source>, known: &PriorKnowledge) -> Result<Scene,
         }
     }
     if findings.list.is_empty() { Ok(scene) } else { Err(findings.list) }
-}
-
-fn pose(frame: &str, position: [f64; 3], rpy_deg: [f64; 3]) -> Pose {
-    let [roll, pitch, yaw] = rpy_deg.map(f64::to_radians);
-    let rotation = UnitQuaternion::from_euler_angles(roll, pitch, yaw);
-    Pose::new(Frame(frame.to_owned()), &Isometry3::from_parts(Translation3::from(position), rotation))
 }
 
 impl Scene {
@@ -202,7 +194,6 @@ impl Scene {
 
     /// The scene as attributes of its entity: `description`, and `things`, a list of maps with `name`, `pose`, and `class` or
     /// `size`.
-    #[must_use]
     pub fn attributes(&self) -> BTreeMap<String, Value> {
         let thing = |thing: &Placed| Value::Map(thing.attributes(Some(("name", thing.name.as_str().into()))));
         BTreeMap::from([

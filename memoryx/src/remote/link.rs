@@ -5,14 +5,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use armarium_bus::session::{Answer, Roll};
+use armarium_bus::session::{LivelinessSubscription, Reply};
 use armarium_bus::{Key, Session, Subscription};
 use async_trait::async_trait;
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::{Notify, broadcast};
 
-use super::stream::Stream;
-use crate::entity::{Commit, EntityId, Snapshot};
+use super::stream::ReceivedStream;
+use crate::entity::{Commit, Snapshot};
 use crate::error::MemoryError;
 use crate::follow::{Change, Follower};
 use crate::memory::Memory;
@@ -21,13 +21,13 @@ use crate::server::unreachable_memory;
 use crate::wire::{self, Changes, CommitRequest, Snapshots, Versions};
 
 /// How often connecting tries a memory that does not answer.
-const TRIES: u32 = 5;
+const MAX_TRIES: u32 = 5;
 /// How long to wait before missed changes are queried again from a memory that did not answer.
-const RETRY: Duration = Duration::from_millis(500);
+const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 /// Changes in `raw` above which no further message is decoded.
-const BEHIND: usize = 8192;
+const MAX_RAW_WAITING: usize = 8192;
 /// Changes that are put in order at once.
-const TOGETHER: usize = 1024;
+const MAX_BATCH: usize = 1024;
 
 /// Queries and commits to the other memory, and its changes as they arrive, with gaps.
 #[derive(Debug)]
@@ -37,13 +37,13 @@ pub(super) struct Link {
     /// The key of its queryable.
     pub(super) questions: Key,
     pub(super) raw: broadcast::Sender<Arc<Snapshot>>,
-    pub(super) stream: Mutex<Stream>,
+    pub(super) stream: Mutex<ReceivedStream>,
     /// Notified when something was lost, or may have been.
     pub(super) lost: Notify,
     /// Notified when the follower has taken a change out of `raw`.
     pub(super) taken: Notify,
     /// Subscribers have received everything that arrived in the other memory before this time, ns.
-    pub(super) passed_until: AtomicU64,
+    pub(super) delivered_until: AtomicU64,
 }
 
 impl Link {
@@ -54,19 +54,19 @@ impl Link {
             let shared: Arc<dyn Memory> = Arc::<Self>::clone(self);
             match Follower::from_now(shared, Pattern::any()).await {
                 Ok((follower, _)) => return Ok(follower),
-                Err(error) if tries == TRIES => return Err(error),
+                Err(error) if tries == MAX_TRIES => return Err(error),
                 Err(_) => tokio::time::sleep(Duration::from_millis(100)).await,
             }
         }
     }
 
-    pub(super) async fn hear(self: Arc<Self>, mut messages: Subscription) {
+    pub(super) async fn receive(self: Arc<Self>, mut messages: Subscription) {
         let mut dropped = 0;
         while let Some(message) = messages.next().await {
             match wire::open::<Changes>(&message.encoding, &message.payload) {
                 Ok(changes) => {
                     // Further messages wait in the subscription's queue, which counts what it drops.
-                    while self.raw.len() > BEHIND {
+                    while self.raw.len() > MAX_RAW_WAITING {
                         self.taken.notified().await;
                     }
                     if self.take(changes) {
@@ -80,16 +80,16 @@ impl Link {
             }
             if messages.dropped() > dropped {
                 dropped = messages.dropped();
-                self.lose();
+                self.note_loss();
             }
         }
     }
 
     /// Puts changes into `raw`. Returns whether a gap precedes them. The lock on `stream` covers both, so that a
-    /// reader of `whole_until` finds all of those changes in `raw`.
+    /// reader of `complete_until` finds all of those changes in `raw`.
     fn take(&self, changes: Changes) -> bool {
         let mut stream = self.stream();
-        let is_missing = stream.hear(&changes);
+        let is_missing = stream.receive(&changes);
         for snapshot in changes.snapshots {
             // Having no receiver is not an error.
             let _ = self.raw.send(snapshot);
@@ -98,12 +98,12 @@ impl Link {
     }
 
     /// Something may have been lost: schedules a new read from the last time without a gap.
-    pub(super) fn lose(&self) {
-        self.stream().lose();
+    pub(super) fn note_loss(&self) {
+        self.stream().note_loss();
         self.lost.notify_one();
     }
 
-    pub(super) fn stream(&self) -> MutexGuard<'_, Stream> {
+    pub(super) fn stream(&self) -> MutexGuard<'_, ReceivedStream> {
         self.stream.lock()
     }
 
@@ -117,25 +117,25 @@ impl Link {
         Ok(())
     }
 
-    pub(super) async fn watch(self: Arc<Self>, mut roll: Roll) {
+    pub(super) async fn watch(self: Arc<Self>, mut roll: LivelinessSubscription) {
         while let Some(service) = roll.next().await {
             if service.alive {
-                self.lose();
+                self.note_loss();
             }
         }
     }
 
-    pub(super) async fn tell(
+    pub(super) async fn deliver(
         self: Arc<Self>,
         mut follower: Follower,
         changes: broadcast::Sender<Arc<Snapshot>>,
     ) {
         loop {
-            let until = self.stream().whole_until();
+            let until = self.stream().complete_until();
             let told = tokio::select! {
                 biased;
                 () = self.lost.notified() => self.catch_up(&mut follower).await.map(|()| Vec::new()),
-                some = follower.some(TOGETHER) => match some {
+                some = follower.some(MAX_BATCH) => match some {
                     Ok(some) if some.is_empty() => return,
                     some => some,
                 },
@@ -143,14 +143,14 @@ impl Link {
             match told {
                 Ok(some) => {
                     some.into_iter().for_each(|change| self.pass_on(change, &changes));
-                    if follower.told_all() {
-                        self.passed_until.fetch_max(until, Ordering::Release);
+                    if follower.is_caught_up() {
+                        self.delivered_until.fetch_max(until, Ordering::Release);
                     }
                 }
                 Err(error) => {
                     tracing::warn!(%error, "what was missed could not be asked for");
                     // The memory is away: try again after a while, and when it is back.
-                    tokio::time::sleep(RETRY).await;
+                    tokio::time::sleep(RETRY_INTERVAL).await;
                     self.lost.notify_one();
                 }
             }
@@ -173,10 +173,10 @@ impl Link {
         encoding: &str,
         payload: Vec<u8>,
     ) -> Result<(String, Vec<u8>), MemoryError> {
-        let answer = self.session.ask_one(&self.questions, "", Some((encoding, payload))).await;
+        let answer = self.session.query_one(&self.questions, "", Some((encoding, payload))).await;
         match answer.map_err(|error| self.failed(&error.to_string()))? {
-            Answer::Message(message) => Ok((message.encoding, message.payload)),
-            Answer::Refusal { encoding, payload } => Err(wire::open::<MemoryError>(&encoding, &payload)
+            Reply::Message(message) => Ok((message.encoding, message.payload)),
+            Reply::Refusal { encoding, payload } => Err(wire::open::<MemoryError>(&encoding, &payload)
                 .unwrap_or_else(|_| self.failed(&String::from_utf8_lossy(&payload)))),
         }
     }
@@ -194,15 +194,6 @@ impl Memory for Link {
         let (encoding, payload) = self.ask(&encoding, payload).await?;
         let Versions(versions) = wire::open(&encoding, &payload).map_err(|e| self.failed(&e.to_string()))?;
         Ok(versions)
-    }
-
-    async fn latest(&self, id: &EntityId) -> Result<Arc<Snapshot>, MemoryError> {
-        let found = self.query(&Query::latest(Pattern::entity(id))).await?.pop();
-        found.ok_or_else(|| MemoryError::NotFound { id: id.to_string() })
-    }
-
-    async fn segment(&self, segment: &str) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
-        self.query(&Query::latest(Pattern::segment(segment))).await
     }
 
     async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
@@ -232,10 +223,10 @@ impl Memory for Link {
         self.raw.subscribe()
     }
 
-    /// The follower calls this after each change that it takes, even if it then reports nothing and [`Self::tell`]
-    /// does not see it. So this is where [`Self::hear`] is notified that `raw` has room.
-    fn told_until(&self) -> Option<u64> {
+    /// The follower calls this after each change that it takes, even if it then reports nothing and [`Self::deliver`]
+    /// does not see it. So this is where [`Self::receive`] is notified that `raw` has room.
+    fn complete_until(&self) -> Option<u64> {
         self.taken.notify_one();
-        Some(self.stream().whole_until())
+        Some(self.stream().complete_until())
     }
 }

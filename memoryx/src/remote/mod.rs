@@ -12,7 +12,7 @@ use async_trait::async_trait;
 use tokio::sync::{Notify, broadcast};
 use tokio::task::JoinSet;
 
-use crate::entity::{Commit, EntityId, Snapshot};
+use crate::entity::{Commit, Snapshot};
 use crate::error::MemoryError;
 use crate::memory::Memory;
 use crate::query::Query;
@@ -45,8 +45,7 @@ impl RemoteMemory {
     /// [`MemoryError::Name`] when the agent's name cannot be part of a key; [`MemoryError::Remote`] when the memory
     /// does not answer or Zenoh fails.
     pub async fn connect(session: &Session, agent: &str) -> Result<Self, MemoryError> {
-        let key = keys::memory_commit(agent).map_err(|error| MemoryError::Name { name: error.name })?;
-        Self::connect_on(session, agent, key).await
+        Self::connect_on(session, agent, keys::memory_commit(agent)?).await
     }
 
     /// [`Self::connect`] as a named writer, to a memory that accepts commits of certain writers only.
@@ -54,16 +53,14 @@ impl RemoteMemory {
     /// # Errors
     /// As [`Self::connect`].
     pub async fn connect_as(session: &Session, agent: &str, writer: &str) -> Result<Self, MemoryError> {
-        let key = keys::memory_by(agent, writer).map_err(|error| MemoryError::Name { name: error.name })?;
-        Self::connect_on(session, agent, key).await
+        Self::connect_on(session, agent, keys::memory_by(agent, writer)?).await
     }
 
     /// `questions`: the key of the queryable.
     async fn connect_on(session: &Session, agent: &str, questions: Key) -> Result<Self, MemoryError> {
-        let named = |error: armarium_bus::KeyError| MemoryError::Name { name: error.name };
         let failed = |error: SessionError| unreachable_memory(agent, &error.to_string());
-        let stream = keys::memory_changes(agent).map_err(named)?;
-        let service = keys::alive(agent, "memory").map_err(named)?;
+        let stream = keys::memory_changes(agent)?;
+        let service = keys::alive(agent, "memory")?;
 
         let (raw, changes) = (broadcast::channel(RAW).0, broadcast::channel(QUEUE).0);
         let link = Link {
@@ -74,23 +71,21 @@ impl RemoteMemory {
             stream: Mutex::default(),
             lost: Notify::new(),
             taken: Notify::new(),
-            passed_until: AtomicU64::new(0),
+            delivered_until: AtomicU64::new(0),
         };
         let link = Arc::new(link);
         let messages = session.subscribe(stream, QUEUE).await.map_err(failed)?;
         let roll = session.watch_alive(&service.into(), 16).await.map_err(failed)?;
         let mut tasks = JoinSet::new();
-        tasks.spawn(Arc::clone(&link).hear(messages));
+        tasks.spawn(Arc::clone(&link).receive(messages));
         tasks.spawn(Arc::clone(&link).watch(roll));
         // An answer proves that the other side knows the subscription: declarations arrive before queries.
         let follower = link.first_answer().await?;
-        link.stream().begin(follower.told_until());
-        tasks.spawn(Arc::clone(&link).tell(follower, changes.clone()));
+        link.stream().begin(follower.complete_until());
+        tasks.spawn(Arc::clone(&link).deliver(follower, changes.clone()));
         Ok(Self { link, changes, _tasks: tasks })
     }
-}
 
-impl RemoteMemory {
     /// Asks the agent for maintenance of its long-term memory.
     ///
     /// # Errors
@@ -109,14 +104,6 @@ impl Memory for RemoteMemory {
         self.link.commit(updates).await
     }
 
-    async fn latest(&self, id: &EntityId) -> Result<Arc<Snapshot>, MemoryError> {
-        self.link.latest(id).await
-    }
-
-    async fn segment(&self, segment: &str) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
-        self.link.segment(segment).await
-    }
-
     async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         self.link.query(query).await
     }
@@ -125,8 +112,8 @@ impl Memory for RemoteMemory {
         self.changes.subscribe()
     }
 
-    fn told_until(&self) -> Option<u64> {
-        Some(self.link.passed_until.load(Ordering::Acquire))
+    fn complete_until(&self) -> Option<u64> {
+        Some(self.link.delivered_until.load(Ordering::Acquire))
     }
 }
 

@@ -7,26 +7,26 @@ use crate::wire::Changes;
 
 /// How far the stream of changes was received.
 #[derive(Debug, Default)]
-pub(super) struct Stream {
+pub(super) struct ReceivedStream {
     reader: StreamReader,
     /// Everything that arrived in the other memory before this time was received, ns.
-    whole_until: u64,
+    complete_until: u64,
     /// The same, if gaps are ignored.
-    heard_until: u64,
+    received_until: u64,
     /// Gaps so far, and how many of them were closed.
     gaps: u64,
     closed: u64,
 }
 
-impl Stream {
+impl ReceivedStream {
     /// Everything that arrived until then is known, ns.
     pub(super) fn begin(&mut self, until: u64) {
-        self.whole_until = self.whole_until.max(until);
-        self.heard_until = self.heard_until.max(until);
+        self.complete_until = self.complete_until.max(until);
+        self.received_until = self.received_until.max(until);
     }
 
     /// Records a message of changes, which may be empty. Returns whether a gap precedes it.
-    pub(super) fn hear(&mut self, changes: &Changes) -> bool {
+    pub(super) fn receive(&mut self, changes: &Changes) -> bool {
         let position = StreamPosition { epoch: changes.epoch, number: changes.first };
         let follows = match self.reader.arrive(position, changes.snapshots.len()) {
             Arrival::InOrder | Arrival::Again => true,
@@ -37,21 +37,21 @@ impl Stream {
         if !follows {
             self.gaps += 1;
         }
-        self.heard_until = self.heard_until.max(changes.until_ns);
+        self.received_until = self.received_until.max(changes.until_ns);
         if self.gaps == self.closed {
-            self.whole_until = self.heard_until;
+            self.complete_until = self.received_until;
         }
         !follows
     }
 
     /// Something may have been lost.
-    pub(super) fn lose(&mut self) {
+    pub(super) fn note_loss(&mut self) {
         self.gaps += 1;
     }
 
     /// Everything that arrived in the other memory before this time was received, ns.
-    pub(super) fn whole_until(&self) -> u64 {
-        self.whole_until
+    pub(super) fn complete_until(&self) -> u64 {
+        self.complete_until
     }
 
     /// Gaps so far. A read closes the gaps that existed when it began.
@@ -63,7 +63,7 @@ impl Stream {
     pub(super) fn close_gap(&mut self, gaps: u64) {
         self.closed = gaps;
         if self.gaps == gaps {
-            self.whole_until = self.heard_until;
+            self.complete_until = self.received_until;
         }
     }
 }
@@ -93,9 +93,9 @@ mod tests {
 
     #[test]
     fn every_gap_is_noticed_and_read_from_where_it_was_whole() {
-        let mut stream = Stream::default();
+        let mut stream = ReceivedStream::default();
         stream.begin(10);
-        for (told, is_missing, whole_until) in [
+        for (told, is_missing, complete_until) in [
             (message(1, 0, 12, &[12, 11]), false, 12),
             (message(1, 2, 12, &[]), false, 12),
             (message(1, 2, 13, &[15]), false, 13),
@@ -105,23 +105,23 @@ mod tests {
             // The memory was restarted.
             (message(2, 0, 17, &[17]), true, 13),
         ] {
-            assert_eq!(stream.hear(&told), is_missing, "{told:?}");
-            assert_eq!(stream.whole_until(), whole_until, "{told:?}");
+            assert_eq!(stream.receive(&told), is_missing, "{told:?}");
+            assert_eq!(stream.complete_until(), complete_until, "{told:?}");
         }
         let gaps = stream.gaps();
         stream.close_gap(gaps);
-        assert_eq!(stream.whole_until(), 17);
-        stream.hear(&message(2, 1, 18, &[18]));
-        assert_eq!(stream.whole_until(), 18);
+        assert_eq!(stream.complete_until(), 17);
+        stream.receive(&message(2, 1, 18, &[18]));
+        assert_eq!(stream.complete_until(), 18);
     }
 
     #[test]
     fn what_was_told_before_the_first_message_is_missing() {
         for (first, is_missing) in [(0, false), (3, true)] {
-            let mut stream = Stream::default();
+            let mut stream = ReceivedStream::default();
             stream.begin(10);
-            assert_eq!(stream.hear(&message(1, first, 20, &[20])), is_missing);
-            assert_eq!(stream.whole_until(), if is_missing { 10 } else { 20 });
+            assert_eq!(stream.receive(&message(1, first, 20, &[20])), is_missing);
+            assert_eq!(stream.complete_until(), if is_missing { 10 } else { 20 });
         }
     }
 }

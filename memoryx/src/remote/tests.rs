@@ -2,13 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use armarium_bus::{Answer, SessionConfig};
+use armarium_bus::{Reply, SessionConfig};
 use armarium_values::Value;
 
 use super::*;
-use crate::conformance;
+use crate::conformance_tests;
+use crate::entity::EntityId;
 use crate::follow::{Change, Follower};
-use crate::line::{Line, line};
+use crate::proxy::{ProxyState, proxy};
 use crate::query::Pattern;
 use crate::server::MemoryServer;
 use crate::wire::Changes;
@@ -40,7 +41,7 @@ fn commit(name: &str, value: i64) -> Commit {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn it_conforms() {
     let pair = pair().await;
-    conformance::check(&pair.remote).await.unwrap();
+    conformance_tests::check(&pair.remote).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -59,8 +60,8 @@ async fn updates_that_are_put_and_gets_by_key_work_without_this_program() {
 
     let every = wire::every_entity("alice").unwrap();
     let answers =
-        pair.near.ask(every, "history", None, 10, armarium_bus::session::ANSWER_TIMEOUT).await.unwrap();
-    let [Answer::Message(message)] = &answers[..] else { panic!("one answer, not {answers:?}") };
+        pair.near.query(every, "history", None, 10, armarium_bus::session::REPLY_TIMEOUT).await.unwrap();
+    let [Reply::Message(message)] = &answers[..] else { panic!("one answer, not {answers:?}") };
     assert_eq!(message.key, "alice/memory/Things/p/a");
     assert_eq!(wire::open::<Snapshot>(&message.encoding, &message.payload).unwrap(), *heard);
 }
@@ -79,7 +80,7 @@ async fn what_was_missed_is_asked_for() {
     let key = keys::memory_changes("alice").unwrap();
     pair.far.put_waiting(&key, &encoding, payload.clone()).await.unwrap();
     pair.far.put_waiting(&key, &encoding, vec![0xff; 9]).await.unwrap();
-    pair.remote.link.lose();
+    pair.remote.link.note_loss();
     pair.memory.commit_now(vec![commit("end", 0)]).unwrap();
     let mut heard = Vec::new();
     while heard.last().is_none_or(|(name, _)| name != "end") {
@@ -91,7 +92,7 @@ async fn what_was_missed_is_asked_for() {
 }
 
 /// Waits for this version of the only entity. Returns all versions received, in order.
-async fn heard_until(changes: &mut broadcast::Receiver<Arc<Snapshot>>, last: u64) -> Vec<u64> {
+async fn received_until(changes: &mut broadcast::Receiver<Arc<Snapshot>>, last: u64) -> Vec<u64> {
     let mut heard = Vec::new();
     while heard.last() != Some(&last) {
         heard.push(changes.recv().await.unwrap().version);
@@ -104,7 +105,7 @@ async fn heard_until(changes: &mut broadcast::Receiver<Arc<Snapshot>>, last: u64
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_last_changes_are_not_missed() {
     let pair = pair().await;
-    let (endpoint, state) = line(&pair.far.endpoints().await[0]).await;
+    let (endpoint, state) = proxy(&pair.far.endpoints().await[0]).await;
     let slow = Session::open(&SessionConfig::connected_to(&[endpoint])).await.unwrap();
     let behind = RemoteMemory::connect(&slow, "alice").await.unwrap();
     let probe = keys::trace("alice", "probe").unwrap();
@@ -114,7 +115,7 @@ async fn the_last_changes_are_not_missed() {
         tokio::task::yield_now().await;
     }
     let (mut beside, mut behind) = (pair.remote.subscribe(), behind.subscribe());
-    state.send(Line::Held).unwrap();
+    state.send(ProxyState::Held).unwrap();
     // Several times the size of the buffers on the way.
     let (count, large) = (24, 1 << 20);
     for i in 1..=count {
@@ -122,11 +123,11 @@ async fn the_last_changes_are_not_missed() {
         let update = Commit::new(id, i, [("data", Value::Bytes(vec![7; large]))]);
         pair.memory.commit_now(vec![update]).unwrap();
     }
-    assert_eq!(heard_until(&mut beside, count).await, (1..=count).collect::<Vec<_>>());
+    assert_eq!(received_until(&mut beside, count).await, (1..=count).collect::<Vec<_>>());
     // Messages are sent one after the other: once this probe was dropped, the last change was too.
     pair.far.put(&probe, "x", Vec::new()).await.unwrap();
-    state.send(Line::Open).unwrap();
-    assert_eq!(heard_until(&mut behind, count).await, (1..=count).collect::<Vec<_>>());
+    state.send(ProxyState::Open).unwrap();
+    assert_eq!(received_until(&mut behind, count).await, (1..=count).collect::<Vec<_>>());
 }
 
 /// Changes faster than anyone can follow: none is lost, and none is reported twice.

@@ -3,26 +3,26 @@
 
 use std::sync::Arc;
 
-use armarium_bus::{Question, Questions, SessionError};
+use armarium_bus::{IncomingQuery, Queryable, SessionError};
 use tokio::runtime::Handle;
 use tokio::sync::OwnedSemaphorePermit;
 use tokio::task::JoinSet;
 
-use super::{ROOM_KB, Shared, forbid, log_failure};
+use super::{BUDGET_KB, ServedMemory, forbid, log_failure};
 use crate::error::MemoryError;
 use crate::maintain;
 use crate::query::{Cursor, Query};
-use crate::wire::{self, MOST_BYTES, MOST_SNAPSHOTS, Maintain, Snapshots};
+use crate::wire::{self, MAX_BYTES, MAX_SNAPSHOTS, Maintain, Snapshots};
 
 /// Least budget of a query, kB. It bounds the waiting queries to less than the number of blocking threads.
-const QUERY_KB: u32 = 256;
+const MIN_QUERY_KB: u32 = 256;
 
-impl Shared {
+impl ServedMemory {
     /// Reserves budget for a query to wait beside the others, so that commits never wait for queries. When none is
     /// left, the caller gets an error.
-    pub(super) async fn room_for(&self, question: &Question) -> Option<OwnedSemaphorePermit> {
-        let kb = u32::try_from(question.payload.len() / 1024).unwrap_or(ROOM_KB);
-        let wanted = kb.saturating_add(QUERY_KB).min(ROOM_KB);
+    pub(super) async fn reserve_budget(&self, question: &IncomingQuery) -> Option<OwnedSemaphorePermit> {
+        let kb = u32::try_from(question.payload.len() / 1024).unwrap_or(BUDGET_KB);
+        let wanted = kb.saturating_add(MIN_QUERY_KB).min(BUDGET_KB);
         let room = Arc::clone(&self.room).try_acquire_many_owned(wanted).ok();
         if room.is_none() {
             let what = "too many questions wait for their answers: ask again later".into();
@@ -38,7 +38,7 @@ impl Shared {
 
     /// Answers a query or maintenance when a slot is free. The slot is freed before the answer is sent, because the
     /// caller decides how long that takes.
-    pub(super) async fn answer_aside(self, question: Question, room: OwnedSemaphorePermit) {
+    pub(super) async fn answer_aside(self, question: IncomingQuery, room: OwnedSemaphorePermit) {
         let turn = self.turn().await;
         let answering = tokio::task::spawn_blocking(move || {
             let answer = self.answer(&question);
@@ -51,26 +51,26 @@ impl Shared {
     }
 
     /// Answers a query or maintenance, depending on its encoding.
-    fn answer(&self, question: &Question) -> Result<(String, Vec<u8>), MemoryError> {
+    fn answer(&self, question: &IncomingQuery) -> Result<(String, Vec<u8>), MemoryError> {
         let (encoding, payload) = (question.encoding.as_str(), question.payload.as_slice());
         let sealed = if encoding.starts_with("application/cbor;memoryx/maintain;") {
             let request: Maintain = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
             let writer = self.writer(question);
-            if self.guarded && writer != Some(self.agent.as_str()) {
+            if self.options.guarded && writer != Some(self.agent.as_str()) {
                 return Err(forbid("long-term memory".into(), writer));
             }
-            wire::seal(&maintain::carry_out(request, self.store.as_deref(), &self.memory)?)
+            wire::seal(&maintain::carry_out(request, self.options.store.as_deref(), &self.memory)?)
         } else {
             let query: Query = wire::open(encoding, payload).map_err(|e| self.not_understood(&e))?;
-            wire::seal(&self.piece(query)?)
+            wire::seal(&self.page(query)?)
         };
         sealed.map_err(|e| self.not_understood(&e))
     }
 
     /// As much of an answer as fits into one message.
-    fn piece(&self, mut query: Query) -> Result<Snapshots, MemoryError> {
-        query.most = Some(query.most.unwrap_or(usize::MAX).min(MOST_SNAPSHOTS));
-        query.most_bytes = Some(query.most_bytes.unwrap_or(u64::MAX).min(MOST_BYTES));
+    fn page(&self, mut query: Query) -> Result<Snapshots, MemoryError> {
+        query.most = Some(query.most.unwrap_or(usize::MAX).min(MAX_SNAPSHOTS));
+        query.most_bytes = Some(query.most_bytes.unwrap_or(u64::MAX).min(MAX_BYTES));
         let mut snapshots = self.memory.query_now(&query)?;
         let full = query.is_filled_by(&snapshots) && !snapshots.is_empty();
         let fits = wire::in_one_answer(&snapshots);
@@ -80,10 +80,10 @@ impl Shared {
         Ok(Snapshots { snapshots, more: (full || cut) && !query.is_nearest() })
     }
 
-    pub(super) async fn answer_gets(self, mut questions: Questions) {
+    pub(super) async fn answer_gets(self, mut questions: Queryable) {
         let mut answers = JoinSet::new();
         while let Some(question) = questions.next().await {
-            if let Some(room) = self.room_for(&question).await {
+            if let Some(room) = self.reserve_budget(&question).await {
                 let shared = self.clone();
                 answers.spawn_blocking(move || {
                     log_failure(Handle::current().block_on(shared.answer_get(&question)));
@@ -95,11 +95,10 @@ impl Shared {
     }
 
     /// Answers in parts, so that only one part of a long answer is in memory.
-    async fn answer_get(&self, question: &Question) -> Result<(), SessionError> {
-        let query = wire::query_of_get(&question.key, &question.parameters);
-        let mut query = match query {
-            Ok(query) => Query { most: Some(MOST_SNAPSHOTS), most_bytes: Some(MOST_BYTES), ..query },
-            Err(what) => return self.refuse(question, &MemoryError::Query { what }).await,
+    async fn answer_get(&self, question: &IncomingQuery) -> Result<(), SessionError> {
+        let mut query = match wire::query_of_get(&question.key, &question.parameters) {
+            Ok(query) => Query { most: Some(MAX_SNAPSHOTS), most_bytes: Some(MAX_BYTES), ..query },
+            Err(error) => return self.refuse(question, &error).await,
         };
         loop {
             let turn = self.turn().await;

@@ -10,7 +10,7 @@
 use std::sync::Arc;
 
 use armarium_bus::{
-    AliveToken, Key, Message, Question, Questions, Session, SessionError, Subscription, keys,
+    AliveToken, IncomingQuery, Key, Message, Queryable, Session, SessionError, Subscription, keys,
 };
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
@@ -33,19 +33,29 @@ use refusals::{Refusals, is_senders_fault};
 /// Queries and updates that wait to be decoded.
 const QUEUE: usize = 1024;
 /// Commits that are made durable together.
-const GROUP: usize = 256;
+const MAX_GROUP: usize = 256;
 /// Bytes of requests that are decoded together, beyond the request that exceeds them.
-const GROUP_BYTES: usize = 8 << 20;
+const MAX_GROUP_BYTES: usize = 8 << 20;
 /// Queries that are answered in parallel.
-const QUERIES: usize = 8;
+const MAX_PARALLEL_QUERIES: usize = 8;
 /// Budget for queries that wait or are being answered, kB.
-const ROOM_KB: u32 = 64 << 10;
+const BUDGET_KB: u32 = 64 << 10;
 
 /// A memory that is shared until this is dropped.
 #[derive(Debug)]
 pub struct MemoryServer {
     _alive: AliveToken,
     _tasks: JoinSet<()>,
+}
+
+/// What a shared memory allows.
+#[derive(Clone, Debug, Default)]
+pub struct ServerOptions {
+    /// The long-term memory whose maintenance others may request.
+    pub store: Option<Arc<LongTermMemory>>,
+    /// Whether only named writers may write, each only into their own provider segments, and only the agent itself may
+    /// request maintenance. The session's rules ([`armarium_bus::Access`]) guarantee the writer's name.
+    pub guarded: bool,
 }
 
 impl MemoryServer {
@@ -58,10 +68,10 @@ impl MemoryServer {
         agent: &str,
         memory: Arc<WorkingMemory>,
     ) -> Result<Self, MemoryError> {
-        Self::start_with(session, agent, memory, None).await
+        Self::start_with(session, agent, memory, ServerOptions::default()).await
     }
 
-    /// [`Self::start`], with a long-term memory whose maintenance others may request.
+    /// [`Self::start`] with options.
     ///
     /// # Errors
     /// As [`Self::start`].
@@ -69,51 +79,33 @@ impl MemoryServer {
         session: &Session,
         agent: &str,
         memory: Arc<WorkingMemory>,
-        store: Option<Arc<LongTermMemory>>,
-    ) -> Result<Self, MemoryError> {
-        Self::start_guarded(session, agent, memory, store, false).await
-    }
-
-    /// [`Self::start_with`]; with `guarded`, only named writers may write, each only into their own provider
-    /// segments, and only the agent itself may request maintenance of long-term memory. The session's rules
-    /// ([`armarium_bus::Access`]) guarantee the writer's name.
-    ///
-    /// # Errors
-    /// As [`Self::start`].
-    pub async fn start_guarded(
-        session: &Session,
-        agent: &str,
-        memory: Arc<WorkingMemory>,
-        store: Option<Arc<LongTermMemory>>,
-        guarded: bool,
+        options: ServerOptions,
     ) -> Result<Self, MemoryError> {
         let failed = |error: SessionError| unreachable_memory(agent, &error.to_string());
-        let named = |error: armarium_bus::KeyError| MemoryError::Name { name: error.name };
-        let requests = keys::memory_commit(agent).map_err(named)?;
-        let named_requests = keys::memory_by_pattern(agent).map_err(named)?;
-        let entities = wire::every_entity(agent).map_err(named)?;
-        let service = keys::alive(agent, "memory").map_err(named)?;
+        let requests = keys::memory_commit(agent)?;
+        let named_requests = keys::memory_by_pattern(agent)?;
+        let entities = wire::every_entity(agent)?;
+        let service = keys::alive(agent, "memory")?;
 
         let (follower, _) = Follower::from_now(Arc::<WorkingMemory>::clone(&memory), Pattern::any()).await?;
-        let queries = Arc::new(Semaphore::new(QUERIES));
-        let room = Arc::new(Semaphore::new(ROOM_KB as usize));
+        let queries = Arc::new(Semaphore::new(MAX_PARALLEL_QUERIES));
+        let room = Arc::new(Semaphore::new(BUDGET_KB as usize));
         let refusals = Arc::default();
-        let shared = Shared {
+        let shared = ServedMemory {
             session: session.clone(),
             agent: agent.into(),
             memory,
-            store,
+            options,
             queries,
             room,
-            guarded,
             refusals,
         };
         let mut tasks = JoinSet::new();
-        let questions = session.answer(requests, QUEUE).await.map_err(failed)?;
+        let questions = session.declare_queryable(requests, QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_requests(questions));
-        let questions = session.answer(named_requests, QUEUE).await.map_err(failed)?;
+        let questions = session.declare_queryable(named_requests, QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_requests(questions));
-        let gets = session.answer(entities.clone(), QUEUE).await.map_err(failed)?;
+        let gets = session.declare_queryable(entities.clone(), QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.clone().answer_gets(gets));
         let updates = session.subscribe_others(entities.clone(), QUEUE).await.map_err(failed)?;
         tasks.spawn(shared.take_updates(updates));
@@ -132,19 +124,18 @@ pub(crate) fn unreachable_memory(agent: &str, what: &str) -> MemoryError {
 type Response = Result<(String, Vec<u8>), MemoryError>;
 
 #[derive(Clone)]
-struct Shared {
+struct ServedMemory {
     session: Session,
     agent: String,
     memory: Arc<WorkingMemory>,
-    store: Option<Arc<LongTermMemory>>,
+    options: ServerOptions,
     queries: Arc<Semaphore>,
     room: Arc<Semaphore>,
-    guarded: bool,
     refusals: Arc<Refusals>,
 }
 
-impl Shared {
-    async fn answer_requests(self, mut questions: Questions) {
+impl ServedMemory {
+    async fn answer_requests(self, mut questions: Queryable) {
         let mut others = JoinSet::new();
         while let Some(first) = questions.next().await {
             let (mut commits, mut bytes) = (Vec::new(), 0);
@@ -153,10 +144,10 @@ impl Shared {
                 if question.encoding.starts_with("application/cbor;memoryx/commit;") {
                     bytes += question.payload.len();
                     commits.push(question);
-                } else if let Some(room) = self.room_for(&question).await {
+                } else if let Some(room) = self.reserve_budget(&question).await {
                     others.spawn(self.clone().answer_aside(question, room));
                 }
-                let is_group = commits.len() == GROUP || bytes > GROUP_BYTES;
+                let is_group = commits.len() == MAX_GROUP || bytes > MAX_GROUP_BYTES;
                 next = if is_group { None } else { questions.try_next() };
             }
             let answers = self.answer_commits(commits);
@@ -169,7 +160,7 @@ impl Shared {
     }
 
     /// Commits the requests that are valid and permitted. Returns the answer to each.
-    fn answer_commits(&self, questions: Vec<Question>) -> Vec<(Question, Response)> {
+    fn answer_commits(&self, questions: Vec<IncomingQuery>) -> Vec<(IncomingQuery, Response)> {
         let (mut understood, mut commits, mut answers) = (Vec::new(), Vec::new(), Vec::new());
         for question in questions {
             let request = wire::open::<CommitRequest>(&question.encoding, &question.payload);
@@ -196,26 +187,25 @@ impl Shared {
 
     /// Sends answers on a thread that may block: a link that takes nothing blocks its sender until Zenoh gives the
     /// link up. Nothing else waits for that.
-    fn send_all(&self, answers: Vec<(Question, Response)>) {
+    fn send_all(&self, answers: Vec<(IncomingQuery, Response)>) {
         let runtime = tokio::runtime::Handle::current();
         for (question, answer) in answers {
             runtime.block_on(self.send(&question, answer));
         }
     }
 
-    async fn send(&self, question: &Question, answer: Response) {
+    async fn send(&self, question: &IncomingQuery, answer: Response) {
         // A query to all memories at once is answered on this memory's own key.
         let key = Key::parse(&question.key).or_else(|_| keys::memory_commit(&self.agent));
-        let key = key.map_err(|error| MemoryError::Name { name: error.name });
-        let sent = match (answer, key) {
-            (Ok((encoding, payload)), Ok(key)) => question.reply(&key, &encoding, payload).await,
-            (Err(error), _) | (_, Err(error)) => self.refuse(question, &error).await,
+        let sent = match answer.and_then(|answer| Ok((answer, key?))) {
+            Ok(((encoding, payload), key)) => question.reply(&key, &encoding, payload).await,
+            Err(error) => self.refuse(question, &error).await,
         };
         log_failure(sent);
     }
 
     /// The writer named in a query's key.
-    fn writer<'q>(&self, question: &'q Question) -> Option<&'q str> {
+    fn writer<'q>(&self, question: &'q IncomingQuery) -> Option<&'q str> {
         match question.key.split('/').collect::<Vec<_>>()[..] {
             [_, "memory", "by", writer] => Some(writer),
             _ => None,
@@ -223,7 +213,11 @@ impl Shared {
     }
 
     /// The request, if its writer may write all of it.
-    fn permitted(&self, question: &Question, request: CommitRequest) -> Result<CommitRequest, MemoryError> {
+    fn permitted(
+        &self,
+        question: &IncomingQuery,
+        request: CommitRequest,
+    ) -> Result<CommitRequest, MemoryError> {
         let is_own = |writer: &str, provider: &str| {
             writer == self.agent
                 || provider.strip_prefix(writer).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
@@ -231,7 +225,7 @@ impl Shared {
         let writer = self.writer(question);
         let forbidden = request.updates.iter().find(|update| match writer {
             Some(writer) => !is_own(writer, update.id.provider()),
-            None => self.guarded,
+            None => self.options.guarded,
         });
         match forbidden {
             Some(update) => Err(forbid(update.id.to_string(), writer)),
@@ -249,7 +243,7 @@ impl Shared {
     }
 
     /// Sends the refusal to the caller, and logs the sender.
-    async fn refuse(&self, question: &Question, error: &MemoryError) -> Result<(), SessionError> {
+    async fn refuse(&self, question: &IncomingQuery, error: &MemoryError) -> Result<(), SessionError> {
         if is_senders_fault(error) {
             let said = self.writer(question).or(question.sender.as_deref());
             self.refusals.note(&self.session.sender(said).await, &question.key, error);

@@ -14,12 +14,12 @@ use crate::follow::{Change, Follower};
 use crate::wire::{self, Changes};
 
 /// Most changes in one round.
-const TOGETHER: usize = 2048;
+const MAX_BATCH: usize = 2048;
 /// Time without changes after which their number is published; then again after twice the time, and so on. So a
 /// paused connection only delays it, and an idle memory publishes ever more rarely.
-const QUIET: Duration = Duration::from_millis(80);
+const QUIET_INTERVAL: Duration = Duration::from_millis(80);
 /// How long to wait before a failed read of the memory is repeated.
-const RETRY: Duration = Duration::from_millis(500);
+const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 
 /// Publishes what a follower reports.
 pub(super) struct ChangePublisher {
@@ -38,9 +38,8 @@ pub(super) struct ChangePublisher {
 impl ChangePublisher {
     pub(super) async fn new(session: &Session, agent: &str) -> Result<Self, MemoryError> {
         let failed = |error: SessionError| unreachable_memory(agent, &error.to_string());
-        let named = |error: armarium_bus::KeyError| MemoryError::Name { name: error.name };
-        let entities = wire::every_entity(agent).map_err(named)?;
-        let key = keys::memory_changes(agent).map_err(named)?;
+        let entities = wire::every_entity(agent)?;
+        let key = keys::memory_changes(agent)?;
         Ok(Self {
             session: session.clone(),
             agent: agent.into(),
@@ -54,11 +53,11 @@ impl ChangePublisher {
 
     /// Runs until the memory closes.
     pub(super) async fn publish(mut self, mut follower: Follower) {
-        let mut quiet = QUIET;
+        let mut quiet = QUIET_INTERVAL;
         loop {
             let changes = tokio::select! {
                 biased;
-                changes = follower.some(TOGETHER) => changes,
+                changes = follower.some(MAX_BATCH) => changes,
                 // If nothing was published, nothing was missed.
                 () = tokio::time::sleep(quiet), if self.stream.sent() > 0 => {
                     self.publish_together(Vec::new(), self.until_ns).await;
@@ -71,15 +70,15 @@ impl ChangePublisher {
                 Ok(changes) => news(changes),
                 Err(error) => {
                     tracing::warn!(%error, "changes could not be read");
-                    tokio::time::sleep(RETRY).await;
+                    tokio::time::sleep(RETRY_INTERVAL).await;
                     continue;
                 }
             };
-            if self.each.is_there() {
+            if self.each.has_subscribers() {
                 self.publish_each(&news).await;
             }
-            self.publish_together(news, follower.told_until()).await;
-            quiet = QUIET;
+            self.publish_together(news, follower.complete_until()).await;
+            quiet = QUIET_INTERVAL;
         }
     }
 

@@ -10,18 +10,18 @@ use tokio::time::Instant;
 use crate::error::MemoryError;
 
 /// Refusals per sender and second that are logged individually.
-const LOGGED: u32 = 3;
+const MAX_LOGGED: u32 = 3;
 /// Senders per second whose refusals are logged.
-const SENDERS: usize = 16;
+const MAX_SENDERS: usize = 16;
 /// The period over which refusals are counted.
-const WINDOW: Duration = Duration::from_secs(1);
+const WINDOW_LENGTH: Duration = Duration::from_secs(1);
 
 /// The refusals of the present period.
 #[derive(Debug, Default)]
-pub(super) struct Refusals(Mutex<Lately>);
+pub(super) struct Refusals(Mutex<Window>);
 
 #[derive(Debug, Default)]
-struct Lately {
+struct Window {
     since: Option<Instant>,
     logged: BTreeMap<String, u32>,
     left_out: u64,
@@ -32,15 +32,15 @@ impl Refusals {
     pub(super) fn note(&self, sender: &str, key: &str, error: &MemoryError) {
         let mut lately = self.0.lock();
         let now = Instant::now();
-        if lately.since.is_none_or(|since| now - since >= WINDOW) {
+        if lately.since.is_none_or(|since| now - since >= WINDOW_LENGTH) {
             let left_out = lately.left_out;
             if left_out > 0 {
                 tracing::warn!(left_out, "more was refused than is logged one by one");
             }
-            *lately = Lately { since: Some(now), ..Lately::default() };
+            *lately = Window { since: Some(now), ..Window::default() };
         }
         let logged = lately.logged.get(sender).copied().unwrap_or(0);
-        if logged < LOGGED && (logged > 0 || lately.logged.len() < SENDERS) {
+        if logged < MAX_LOGGED && (logged > 0 || lately.logged.len() < MAX_SENDERS) {
             lately.logged.insert(sender.into(), logged + 1);
             tracing::warn!(%error, key, sender, "refused");
         } else {

@@ -11,6 +11,7 @@ use armarium_bus::Session;
 use armarium_values::{Pose, Value};
 use nalgebra::Isometry3;
 
+use super::frames::AGENTS;
 use super::{FollowSettings, Following, WORLD, own_from_other};
 use crate::entity::{Commit, EntityId, check_name};
 use crate::error::MemoryError;
@@ -19,14 +20,12 @@ use crate::query::Pattern;
 use crate::remote::RemoteMemory;
 use crate::working::WorkingMemory;
 
-/// Core segment of the agents' poses.
-const AGENTS: &str = "AgentInstances";
 /// Core segments that are followed by default.
-const USUAL: [&str; 2] = ["ObjectInstances", "ObjectRelations"];
+const DEFAULT_SEGMENTS: [&str; 2] = ["ObjectInstances", "ObjectRelations"];
 /// How long to wait for the pose of the other agent.
-const PATIENCE: Duration = Duration::from_secs(5);
+const POSE_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long to wait before connecting again to an agent that is absent.
-const RETRY: Duration = Duration::from_millis(500);
+const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 
 /// Which agent is followed, and which core segment; by default objects and their relations. Written as `AGENT` or
 /// `AGENT:SEGMENT`.
@@ -72,7 +71,7 @@ pub struct FollowedAgent {
 ///
 /// # Errors
 /// [`MemoryError::Name`] when the name cannot be part of an address.
-pub fn agent_stands(agent: &str, world_from_root: &Isometry3<f64>) -> Result<Commit, MemoryError> {
+pub fn agent_pose_update(agent: &str, world_from_root: &Isometry3<f64>) -> Result<Commit, MemoryError> {
     let pose = Value::Pose(Pose::new(WORLD.into(), world_from_root));
     Ok(Commit::new(EntityId::new(AGENTS, agent, agent)?, 0, [("pose", pose)]))
 }
@@ -94,56 +93,43 @@ impl FollowingAgent {
     /// # Errors
     /// [`MemoryError::Remote`] when no memory answers under that name, or the agent does not publish its pose.
     pub async fn follow(&self, other: &Followee) -> Result<FollowedAgent, MemoryError> {
-        let mut followed = self.begin(&other.agent).await?;
-        if !self.place_is_known(&other.agent).await {
-            let what = format!("it does not say where it stands: {}", said_by(&other.agent));
-            return Err(MemoryError::Remote { agent: other.agent.clone(), what });
-        }
-        self.go_on(&mut followed, other).await?;
-        Ok(followed)
+        self.try_follow(other, true).await
     }
 
     /// As [`Self::follow`], for an agent that may not be there yet. If it does not publish its pose, its objects are
     /// kept in its own frame.
     pub async fn follow_when_there(&self, other: &Followee) -> FollowedAgent {
         loop {
-            match self.try_follow(other).await {
+            match self.try_follow(other, false).await {
                 Ok(followed) => return followed,
                 Err(error) => tracing::info!("{error}; looking for `{}` again", other.agent),
             }
-            tokio::time::sleep(RETRY).await;
+            tokio::time::sleep(RETRY_INTERVAL).await;
         }
     }
 
-    async fn try_follow(&self, other: &Followee) -> Result<FollowedAgent, MemoryError> {
-        let mut followed = self.begin(&other.agent).await?;
-        if !self.place_is_known(&other.agent).await {
-            tracing::warn!(
-                "`{0}` or `{1}` does not say where it stands, so what comes is in the frame `{0}/root`: {2}",
-                other.agent,
-                self.own,
-                said_by(&other.agent)
-            );
-        }
-        self.go_on(&mut followed, other).await?;
-        Ok(followed)
-    }
-
-    /// Follows the agents' poses.
-    async fn begin(&self, agent: &str) -> Result<FollowedAgent, MemoryError> {
+    /// Follows the agents' poses, then the rest. If no pose comes, this is an error when it is needed.
+    async fn try_follow(&self, other: &Followee, needs_pose: bool) -> Result<FollowedAgent, MemoryError> {
+        let agent = other.agent.as_str();
         let remote = Arc::new(RemoteMemory::connect(&self.session, agent).await?);
         let mut followed = FollowedAgent { remote, followings: Vec::new() };
         self.follow_segment(&mut followed, agent, AGENTS).await?;
-        Ok(followed)
-    }
-
-    /// Follows the rest.
-    async fn go_on(&self, followed: &mut FollowedAgent, other: &Followee) -> Result<(), MemoryError> {
-        let segments = other.segment.as_deref().map_or(USUAL.to_vec(), |segment| vec![segment]);
-        for segment in segments.into_iter().filter(|segment| *segment != AGENTS) {
-            self.follow_segment(followed, &other.agent, segment).await?;
+        if !self.place_is_known(agent).await {
+            let missing = format!("its memory has no `{AGENTS}/{agent}/{agent}` with a `pose` in `{WORLD}`");
+            if needs_pose {
+                let what = format!("it does not say where it stands: {missing}");
+                return Err(MemoryError::Remote { agent: agent.into(), what });
+            }
+            tracing::warn!(
+                "`{agent}` or `{}` does not say where it stands, so what comes is in the frame `{agent}/root`: {missing}",
+                self.own
+            );
         }
-        Ok(())
+        let segments = other.segment.as_deref().map_or(DEFAULT_SEGMENTS.to_vec(), |segment| vec![segment]);
+        for segment in segments.into_iter().filter(|segment| *segment != AGENTS) {
+            self.follow_segment(&mut followed, agent, segment).await?;
+        }
+        Ok(followed)
     }
 
     async fn follow_segment(
@@ -169,10 +155,6 @@ impl FollowingAgent {
                 let _ = changes.recv().await.is_ok();
             }
         };
-        tokio::time::timeout(PATIENCE, known).await.is_ok()
+        tokio::time::timeout(POSE_TIMEOUT, known).await.is_ok()
     }
-}
-
-fn said_by(agent: &str) -> String {
-    format!("its memory has no `{AGENTS}/{agent}/{agent}` with a `pose` in `{WORLD}`")
 }

@@ -17,12 +17,11 @@ use crate::working::WorkingMemory;
 /// The frame that all agents share.
 pub const WORLD: &str = "world";
 /// The core segment of agents.
-const AGENTS: &str = "AgentInstances";
+pub(super) const AGENTS: &str = "AgentInstances";
 /// Attributes whose vectors are directions: rotated, not translated.
-const FREE: [&str; 6] = ["velocity", "direction", "force", "axis", "normal", "acceleration"];
+const DIRECTIONS: [&str; 6] = ["velocity", "direction", "force", "axis", "normal", "acceleration"];
 
 /// The pose of another agent's root frame in one's own, if memory has both agents' poses.
-#[must_use]
 pub fn own_from_other(memory: &WorkingMemory, own: &str, other: &str) -> Option<Isometry3<f64>> {
     let world_from = |agent: &str| {
         let found = memory.query_now(&Query::latest(Pattern::segment(AGENTS).named(agent))).ok()?;
@@ -40,9 +39,8 @@ pub fn own_from_other(memory: &WorkingMemory, own: &str, other: &str) -> Option<
 
 /// The instance in one's own frame. Poses, points, directions and wrenches in `root` are transformed with their
 /// covariances; those in the world frame stay; other frames get the agent's name as prefix.
-#[must_use]
 pub fn transformed(instance: &Instance, agent: &str, own_from_other: Option<&Isometry3<f64>>) -> Instance {
-    let change = Change { agent, own_from_other };
+    let change = FrameChange { agent, own_from_other };
     let mut covariance = BTreeMap::new();
     for (name, rows) in &instance.covariance {
         let frame = instance.attributes.get(name).and_then(frame_of);
@@ -50,7 +48,7 @@ pub fn transformed(instance: &Instance, agent: &str, own_from_other: Option<&Iso
         covariance.insert(name.clone(), turned.unwrap_or_else(|| rows.clone()));
     }
     let pairs = instance.attributes.iter().map(|(name, value)| {
-        let moved = change.value(value, FREE.contains(&name));
+        let moved = change.value(value, DIRECTIONS.contains(&name));
         (name.to_owned(), moved)
     });
     let attributes = Attributes::from(pairs.collect::<BTreeMap<String, Value>>());
@@ -85,12 +83,12 @@ fn turned(rows: &[f64], rotation: &UnitQuaternion<f64>) -> Vec<f64> {
     turned.transpose().as_slice().to_vec()
 }
 
-struct Change<'a> {
+struct FrameChange<'a> {
     agent: &'a str,
     own_from_other: Option<&'a Isometry3<f64>>,
 }
 
-impl Change<'_> {
+impl FrameChange<'_> {
     /// The transform for values in a frame, if they are to be transformed.
     fn of(&self, frame: &Frame) -> Option<&Isometry3<f64>> {
         self.own_from_other.filter(|_| frame.0 == "root")
@@ -139,7 +137,9 @@ impl Change<'_> {
             Value::Map(fields) => Value::Map(
                 fields
                     .iter()
-                    .map(|(name, field)| (name.clone(), self.value(field, FREE.contains(&name.as_str()))))
+                    .map(|(name, field)| {
+                        (name.clone(), self.value(field, DIRECTIONS.contains(&name.as_str())))
+                    })
                     .collect(),
             ),
             other => other.clone(),

@@ -24,18 +24,18 @@ use crate::working::WorkingMemory;
 mod agents;
 mod frames;
 
-pub use agents::{FollowedAgent, Followee, FollowingAgent, agent_stands};
+pub use agents::{FollowedAgent, Followee, FollowingAgent, agent_pose_update};
 pub use frames::{WORLD, own_from_other, transformed};
 
 /// Changes that are committed together.
-const TOGETHER: usize = 256;
+const MAX_BATCH: usize = 256;
 /// Snapshots of the own memory per query.
-const PIECE: usize = 4096;
+const PAGE_SIZE: usize = 4096;
 /// Before a restart, changes may have been committed here in another order than they arrived there. So a query after
 /// it overlaps the last copied arrival time by this much, ns.
 const DISORDER_NS: u64 = 10_000_000_000;
 /// How long to wait before a memory that refuses for the moment is tried again.
-const RETRY: std::time::Duration = std::time::Duration::from_millis(500);
+const RETRY_INTERVAL: std::time::Duration = std::time::Duration::from_millis(500);
 
 /// Which agent is followed, and how.
 #[derive(Clone, Debug, PartialEq)]
@@ -70,27 +70,26 @@ impl Following {
         settings: FollowSettings,
     ) -> Result<Self, MemoryError> {
         crate::entity::check_name(&settings.agent)?;
-        let (told, since_ns) = known(&memory, &settings).await?;
+        let (told, since_ns) = resume_position(&memory, &settings).await?;
         let follower = Follower::resume(other, settings.pattern.clone(), told, since_ns).await?;
         let updater = match &settings.fuse_into {
             Some(provider) => Some(Updater::new(Arc::<WorkingMemory>::clone(&memory), provider)?),
             None => None,
         };
         let (missed, taken) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
-        let task = Task { memory, settings, updater, missed: Arc::clone(&missed), taken: Arc::clone(&taken) };
+        let task =
+            FollowTask { memory, settings, updater, missed: Arc::clone(&missed), taken: Arc::clone(&taken) };
         let mut tasks = JoinSet::new();
         tasks.spawn(task.run(follower));
         Ok(Self { missed, taken, _tasks: tasks })
     }
 
     /// How many versions were lost so far.
-    #[must_use]
     pub fn missed(&self) -> u64 {
         self.missed.load(Ordering::Relaxed)
     }
 
     /// How many versions were copied so far.
-    #[must_use]
     pub fn taken(&self) -> u64 {
         self.taken.load(Ordering::Relaxed)
     }
@@ -106,7 +105,7 @@ pub fn followed_id(agent: &str, id: &EntityId) -> Result<EntityId, MemoryError> 
 
 /// What this memory has of another: the last copied snapshot of each entity, and the arrival time until which all
 /// were copied, ns.
-async fn known(
+async fn resume_position(
     memory: &WorkingMemory,
     settings: &FollowSettings,
 ) -> Result<(BTreeMap<EntityId, LastSeen>, u64), MemoryError> {
@@ -115,7 +114,7 @@ async fn known(
     let mut told: BTreeMap<EntityId, LastSeen> = BTreeMap::new();
     let mut until_ns = 0;
     // A removal has no attributes. It is the version after its predecessor, and arrived there no later than here.
-    let mut pieces = pages(Query::history(pattern).limit(2).with_long_term(), PIECE);
+    let mut pieces = pages(Query::history(pattern).limit(2).with_long_term(), PAGE_SIZE);
     while let Some(piece) = pieces.next(memory).await? {
         for snapshot in piece {
             let number = |name: &str| {
@@ -136,7 +135,7 @@ async fn known(
     Ok((told, until_ns.saturating_sub(DISORDER_NS)))
 }
 
-struct Task {
+struct FollowTask {
     memory: Arc<WorkingMemory>,
     settings: FollowSettings,
     updater: Option<Updater>,
@@ -144,7 +143,7 @@ struct Task {
     taken: Arc<AtomicU64>,
 }
 
-impl Task {
+impl FollowTask {
     async fn run(self, mut follower: Follower) {
         let mut gaps: BTreeMap<EntityId, u64> = BTreeMap::new();
         loop {
@@ -153,12 +152,12 @@ impl Task {
                 Ok(None) => return,
                 Err(error) => {
                     tracing::warn!(%error, agent = self.settings.agent, "what was missed could not be asked for");
-                    tokio::time::sleep(RETRY).await;
+                    tokio::time::sleep(RETRY_INTERVAL).await;
                     continue;
                 }
             };
             let mut changes = vec![first];
-            changes.extend(follower.drain(TOGETHER - 1).await.unwrap_or_default());
+            changes.extend(follower.drain(MAX_BATCH - 1).await.unwrap_or_default());
             let mut news = Vec::with_capacity(changes.len());
             for change in changes {
                 match change {
@@ -182,7 +181,7 @@ impl Task {
         let count = news.len() as u64;
         let translated = news.iter().map(|(snapshot, missed)| self.translated(snapshot, *missed));
         let updates: Vec<Commit> =
-            translated.filter_map(|update| note(update, &self.settings.agent)).collect();
+            translated.filter_map(|update| log_refusal(update, &self.settings.agent)).collect();
         if self.memory.commit(updates.clone()).await.is_err() {
             // A refused update does not affect the others; after a disk failure, wait and try again.
             for update in updates {
@@ -191,14 +190,14 @@ impl Task {
                     if !matches!(error, MemoryError::Store { .. }) {
                         break;
                     }
-                    tokio::time::sleep(RETRY).await;
+                    tokio::time::sleep(RETRY_INTERVAL).await;
                 }
             }
         }
         if let Some(updater) = &self.updater {
             let seen: Vec<Observation> = news.iter().filter_map(|(s, _)| self.observation(s)).collect();
             for observation in seen {
-                note(updater.update(&[observation]).await, &self.settings.agent);
+                log_refusal(updater.update(&[observation]).await, &self.settings.agent);
             }
         }
         self.taken.fetch_add(count, Ordering::Relaxed);
@@ -252,7 +251,7 @@ impl Task {
     }
 }
 
-fn note<T>(result: Result<T, MemoryError>, agent: &str) -> Option<T> {
+fn log_refusal<T>(result: Result<T, MemoryError>, agent: &str) -> Option<T> {
     result.inspect_err(|error| tracing::warn!(%error, agent, "what is followed was refused")).ok()
 }
 

@@ -5,9 +5,9 @@ use armarium_values::{Frame, Pose, Vector};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
 use super::*;
-use crate::line::{Line, line};
+use crate::proxy::{ProxyState, proxy};
 use crate::remote::RemoteMemory;
-use crate::server::MemoryServer;
+use crate::server::{MemoryServer, ServerOptions};
 use crate::store::{Consolidator, LongTermMemory, Policies, Policy};
 use crate::working::Limits;
 
@@ -140,8 +140,9 @@ async fn after_a_cut_both_sides_are_equal() {
     let alice = WorkingMemory::new(Arc::new(move || clock.now_ns()));
     let alice = alice.with_limits(Limits { history: 4, ..Limits::default() }).with_backing(Arc::new(kept));
     let alice = Arc::new(alice);
-    let server = MemoryServer::start_with(&session, "alice", Arc::clone(&alice), Some(store)).await.unwrap();
-    let (endpoint, state) = line(&session.endpoints().await[0]).await;
+    let options = ServerOptions { store: Some(store), guarded: false };
+    let server = MemoryServer::start_with(&session, "alice", Arc::clone(&alice), options).await.unwrap();
+    let (endpoint, state) = proxy(&session.endpoints().await[0]).await;
 
     let near = Session::open(&SessionConfig::connected_to(&[endpoint])).await.unwrap();
     let remote = Arc::new(RemoteMemory::connect(&near, "alice").await.unwrap());
@@ -160,10 +161,10 @@ async fn after_a_cut_both_sides_are_equal() {
     let id: EntityId = "ObjectInstances/alice.vision/cup".parse().unwrap();
     commit(0, 50);
     arrived(&bob, &id, 49).await;
-    state.send(Line::Cut).unwrap();
+    state.send(ProxyState::Cut).unwrap();
     // A minute at 1000 updates a second: far more than working memory keeps.
     commit(50, 60_000);
-    state.send(Line::Open).unwrap();
+    state.send(ProxyState::Open).unwrap();
     arrived(&bob, &id, 59_999).await;
     commit(60_000, 60_020);
     arrived(&bob, &id, 60_019).await;

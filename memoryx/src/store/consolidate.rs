@@ -1,26 +1,16 @@
 //! Consolidation: which changes of working memory are stored in long-term memory, by one policy per core segment.
 //!
-//! It runs in two ways. As the [`Backing`] of a working memory, it writes the selected changes to disk before a
-//! commit is acknowledged. Or it runs beside the memory, from a [`Follower`]: commits do not wait for the disk,
-//! acknowledged changes reach it a little later, and every lost change is counted.
+//! It is the [`Backing`] of a working memory: it writes the selected changes to disk before a commit is acknowledged.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::future::Future;
 use std::sync::Arc;
-use std::time::Duration;
 
 use parking_lot::Mutex;
 
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
-use crate::follow::{Change, Follower};
 use crate::store::{Coding, LongTermMemory, StoreError};
-use crate::working::{Backing, Kept};
-
-/// Changes per transaction.
-const BATCH: usize = 4096;
-/// How long to wait after a disk failure before the next try.
-const RETRY: Duration = Duration::from_secs(1);
+use crate::working::{Archive, Backing};
 
 /// Which snapshots of a core segment are stored.
 #[derive(Clone, Debug, PartialEq)]
@@ -65,7 +55,6 @@ impl Default for Policies {
 
 impl Policies {
     /// One policy for all core segments.
-    #[must_use]
     pub fn all(policy: Policy) -> Self {
         Self { default: policy, by_segment: BTreeMap::new(), codings: BTreeMap::new() }
     }
@@ -95,18 +84,9 @@ impl Policies {
     }
 }
 
-/// The result of one step of consolidation.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Step {
-    /// Snapshots that were stored.
-    pub kept: u64,
-    /// Snapshots that working memory had forgotten before they were read.
-    pub missed: u64,
-}
-
 /// The last stored snapshot of an entity, and a newer one that may still have to be stored.
 #[derive(Clone, Debug, Default)]
-struct Last {
+struct LastStored {
     kept: Option<Arc<Snapshot>>,
     pending: Option<Arc<Snapshot>>,
 }
@@ -116,18 +96,16 @@ struct Last {
 pub struct Consolidator {
     store: Arc<LongTermMemory>,
     policies: Policies,
-    last: Mutex<BTreeMap<EntityId, Last>>,
+    last: Mutex<BTreeMap<EntityId, LastStored>>,
 }
 
 impl Consolidator {
     /// A consolidator that writes to `store`, as the policies say.
-    #[must_use]
     pub fn new(store: Arc<LongTermMemory>, policies: Policies) -> Self {
         Self { store, policies, last: Mutex::default() }
     }
 
     /// The store that it writes to.
-    #[must_use]
     pub fn store(&self) -> &Arc<LongTermMemory> {
         &self.store
     }
@@ -138,7 +116,7 @@ impl Consolidator {
     /// As [`LongTermMemory::persist`]; then none is stored, and the same snapshots can be given again.
     pub fn consolidate(&self, snapshots: &[Arc<Snapshot>]) -> Result<u64, StoreError> {
         let mut last = self.last.lock();
-        let mut changed: BTreeMap<EntityId, Last> = BTreeMap::new();
+        let mut changed: BTreeMap<EntityId, LastStored> = BTreeMap::new();
         let mut chosen = Vec::new();
         for snapshot in snapshots {
             let policy = self.policies.of(snapshot.id.segment());
@@ -152,11 +130,11 @@ impl Consolidator {
             let known = changed.get(&snapshot.id).or_else(|| last.get(&snapshot.id)).cloned();
             let mut known = match known {
                 Some(known) => known,
-                None => Last { kept: self.store.newest(&snapshot.id)?, pending: None },
+                None => LastStored { kept: self.store.newest(&snapshot.id)?, pending: None },
             };
             if policy.keeps(snapshot, known.kept.as_deref()) {
                 chosen.push(self.policies.as_kept(snapshot));
-                known = Last { kept: Some(Arc::clone(snapshot)), pending: None };
+                known = LastStored { kept: Some(Arc::clone(snapshot)), pending: None };
             } else {
                 known.pending = Some(Arc::clone(snapshot));
             }
@@ -179,90 +157,9 @@ impl Consolidator {
         let kept: Vec<_> = held.iter().map(|snapshot| self.policies.as_kept(snapshot)).collect();
         self.store.persist(&kept)?;
         for snapshot in &held {
-            last.insert(snapshot.id.clone(), Last { kept: Some(Arc::clone(snapshot)), pending: None });
+            last.insert(snapshot.id.clone(), LastStored { kept: Some(Arc::clone(snapshot)), pending: None });
         }
         Ok(held.len() as u64)
-    }
-
-    /// Stores the changes that a follower returns without waiting. To be called until there are none.
-    ///
-    /// # Errors
-    /// [`MemoryError::Store`] when the disk fails: the follower then returns the same changes again. As
-    /// [`Follower::next`].
-    pub async fn step(&self, follower: &mut Follower) -> Result<Step, MemoryError> {
-        let changes = follower.drain(BATCH).await?;
-        let mut step = Step::default();
-        let mut snapshots = Vec::with_capacity(changes.len());
-        for change in &changes {
-            match change {
-                Change::New(snapshot) => snapshots.push(Arc::clone(snapshot)),
-                Change::Missed { from, to, .. } => step.missed += to - from + 1,
-            }
-        }
-        match self.consolidate(&snapshots) {
-            Ok(kept) => step.kept = kept,
-            Err(error) => {
-                follower.give_back(changes);
-                return Err(error.into());
-            }
-        }
-        Ok(step)
-    }
-
-    /// Stores a follower's changes until `stop` completes, then the rest, and [flushes](Self::flush). After a disk
-    /// failure it tries again; meanwhile the follower lags within its bounds, and lost changes are counted.
-    ///
-    /// # Errors
-    /// When the rest cannot be stored at the end.
-    pub async fn follow(
-        &self,
-        mut follower: Follower,
-        stop: impl Future<Output = ()> + Send,
-    ) -> Result<Step, MemoryError> {
-        let mut total = Step::default();
-        let mut stop = std::pin::pin!(stop);
-        loop {
-            let change = tokio::select! {
-                biased;
-                () = &mut stop => break,
-                change = follower.next() => change,
-            };
-            let stepped = match change {
-                Ok(Some(change)) => {
-                    follower.give_back(vec![change]);
-                    self.step(&mut follower).await
-                }
-                Ok(None) => break,
-                Err(error) => Err(error),
-            };
-            match stepped {
-                Ok(step) => total.add(step),
-                Err(error) => {
-                    tracing::warn!(%error, "consolidation is tried again");
-                    tokio::select! {
-                        biased;
-                        () = &mut stop => break,
-                        () = tokio::time::sleep(RETRY) => {}
-                    }
-                }
-            }
-        }
-        loop {
-            let step = self.step(&mut follower).await?;
-            total.add(step);
-            if follower.told_all() {
-                break;
-            }
-        }
-        total.kept += self.flush()?;
-        Ok(total)
-    }
-}
-
-impl Step {
-    fn add(&mut self, other: Self) {
-        self.kept += other.kept;
-        self.missed += other.missed;
     }
 }
 
@@ -304,25 +201,7 @@ impl Backing for Consolidator {
         Ok(())
     }
 
-    fn kept(&self) -> Option<&dyn Kept> {
+    fn archive(&self) -> Option<&dyn Archive> {
         Some(&*self.store)
-    }
-}
-
-/// A backing that only supplies version numbers: for a working memory that [`Consolidator::follow`] stores.
-#[derive(Debug)]
-pub struct Numbering(pub Arc<LongTermMemory>);
-
-impl Backing for Numbering {
-    fn last_version(&self, id: &EntityId) -> Result<u64, MemoryError> {
-        self.0.last_version(id)
-    }
-
-    fn take(&self, _: &[Arc<Snapshot>]) -> Result<(), MemoryError> {
-        Ok(())
-    }
-
-    fn kept(&self) -> Option<&dyn Kept> {
-        Some(&*self.0)
     }
 }

@@ -1,13 +1,53 @@
 //! Errors of long-term memory, worded for the user who owns the file.
 
+use super::RecordPlace;
+use super::record::RecordError;
 use crate::error::MemoryError;
+
+/// Why the file cannot be used, before [`super::LongTermMemory`] adds the file's name.
+#[derive(Debug)]
+pub(super) enum Fault {
+    /// What redb reports.
+    Redb(redb::Error),
+    /// Data that differ from what was written.
+    Damaged(String),
+    /// An error that needs no name.
+    Other(StoreError),
+}
+
+impl Fault {
+    pub(super) fn no_record(place: RecordPlace) -> Self {
+        Self::Damaged(format!("a record in chunk {} is missing", place.0))
+    }
+}
+
+impl<E> From<E> for Fault
+where
+    redb::Error: From<E>,
+{
+    fn from(error: E) -> Self {
+        Self::Redb(error.into())
+    }
+}
+
+impl From<RecordError> for Fault {
+    fn from(error: RecordError) -> Self {
+        Self::Damaged(error.to_string())
+    }
+}
+
+impl From<StoreError> for Fault {
+    fn from(error: StoreError) -> Self {
+        Self::Other(error)
+    }
+}
 
 /// An error of long-term memory.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum StoreError {
     /// Another process, or this one, has the file open.
-    #[error("long-term memory `{path}` is in use by another process")]
+    #[error("long-term memory `{path}` is in use by another process: end that one, or use another file")]
     Locked {
         /// The file.
         path: String,

@@ -10,17 +10,17 @@ use crate::error::MemoryError;
 use crate::query::Pattern;
 
 /// Snapshots per transaction of an import.
-const BATCH: usize = 1000;
+const MAX_BATCH: usize = 1000;
 /// Longest accepted line, bytes.
-const LONGEST: u64 = 256 << 20;
+const MAX_LINE_BYTES: u64 = 256 << 20;
 
 /// Highest version accepted from elsewhere: no real count reaches it.
-const HIGHEST_VERSION: u64 = 1 << 62;
+const MAX_VERSION: u64 = 1 << 62;
 
 impl Snapshot {
     /// Checks that a version from elsewhere is one that a memory could have assigned.
     pub(crate) fn check_version(&self) -> Result<(), MemoryError> {
-        if (1..=HIGHEST_VERSION).contains(&self.version) {
+        if (1..=MAX_VERSION).contains(&self.version) {
             return Ok(());
         }
         Err(MemoryError::Store { what: format!("`{}` cannot have version {}", self.id, self.version) })
@@ -54,17 +54,13 @@ impl LongTermMemory {
             if !pattern.matches(&snapshot.id) {
                 return true;
             }
-            let line = serde_json::to_vec(&snapshot).map_err(|e| e.to_string());
-            let written = line.and_then(|mut line| {
-                line.push(b'\n');
-                to.write_all(&line).map_err(|e| e.to_string())
-            });
+            let line = serde_json::to_vec(&snapshot).map_err(std::io::Error::from);
+            let written = line.and_then(|line| to.write_all(&[&line[..], b"\n"].concat()));
             count += 1;
             failure = written.err();
             failure.is_none()
         })?;
-        let flushed = to.flush().map_err(|e| e.to_string());
-        match failure.map_or(flushed, Err) {
+        match failure.map_or_else(|| to.flush(), Err) {
             Ok(()) => match first {
                 None => Ok(count),
                 Some(what) => Err(self.damaged(format!(
@@ -82,12 +78,12 @@ impl LongTermMemory {
     /// version. Lines before the last full thousand remain stored then.
     pub fn import(&self, from: &mut impl BufRead) -> Result<u64, StoreError> {
         let (mut line, mut number, mut new) = (Vec::new(), 0, 0);
-        let mut batch = Vec::with_capacity(BATCH);
+        let mut batch = Vec::with_capacity(MAX_BATCH);
         loop {
             line.clear();
             number += 1;
             let wrong = |what: String| StoreError::Import { line: number, what };
-            let read = std::io::Read::take(&mut *from, LONGEST).read_until(b'\n', &mut line);
+            let read = std::io::Read::take(&mut *from, MAX_LINE_BYTES).read_until(b'\n', &mut line);
             let read = read.map_err(|e| wrong(e.to_string()))?;
             if read == 0 {
                 break;
@@ -98,7 +94,7 @@ impl LongTermMemory {
             let snapshot: Snapshot = serde_json::from_slice(&line).map_err(|e| wrong(e.to_string()))?;
             snapshot.check_kept().map_err(|e| wrong(e.to_string()))?;
             batch.push(Arc::new(snapshot));
-            if batch.len() == BATCH {
+            if batch.len() == MAX_BATCH {
                 new += self.persist(&batch)? as u64;
                 batch.clear();
             }

@@ -52,7 +52,7 @@ impl Medium {
     fn store(&self) -> Result<LongTermMemory, StoreError> {
         let medium = self.clone();
         let opener: Opener = Box::new(move || redb::Builder::new().create_with_backend(medium.clone()));
-        LongTermMemory::open_with("medium".into(), None, opener)
+        LongTermMemory::open_with("medium".into(), None, opener, false)
     }
 
     fn fail_after(&self, changes: Option<u64>, full: bool) {

@@ -28,19 +28,26 @@
 //!
 //! # Assumptions about the medium
 //! A sync that has returned has written its data. A write that was not synced may be there, missing, or there in
-//! part. No other process writes to the file (it is locked). redb selects the newest complete transaction by its own
-//! checksums.
+//! part. Who has the file open has it alone (it is locked); others wait a moment. redb selects the newest complete
+//! transaction by its own checksums.
+//!
+//! # Several processes
+//! [`LongTermMemory::open`] keeps the file for as long as it lives. [`LongTermMemory::open_shared`] opens it for each use only,
+//! so that several processes read and write one file. A snapshot of an entity that another process has written meanwhile is
+//! stored as the entity's next version: nothing is lost, and what was written last is the newest.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
 
 use redb::{Database, ReadableDatabase, ReadableTableMetadata, TableDefinition};
 
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Cursor, Pattern, Query};
-use crate::working::{Backing, Kept, WorkingMemory};
+use crate::working::{Archive, Backing, WorkingMemory};
 
 mod coding;
 mod consolidate;
@@ -64,32 +71,36 @@ mod query_tests;
 mod tests;
 
 pub use coding::Coding;
-pub use consolidate::{Consolidator, Numbering, Policies, Policy, Step};
+pub use consolidate::{Consolidator, Policies, Policy};
 pub use error::StoreError;
-pub use named::Named;
+pub use named::NamedSnapshot;
 pub use retain::{Dropped, Retention};
 pub use verify::Verification;
 
 use parking_lot::{Mutex, RwLock};
-use write::{Memo, Totals};
+use write::{EntityCache, Totals};
 
 /// The format that this program writes and reads.
 const FORMAT: u64 = 2;
 /// Snapshots that are loaded together, and about how many bytes of them.
-const PIECE: usize = 8192;
-const PIECE_BYTES: u64 = 16 << 20;
+const PAGE_SIZE: usize = 8192;
+const MAX_PAGE_BYTES: u64 = 16 << 20;
 /// redb's cache, bytes.
-const CACHE: usize = 32 << 20;
+const CACHE_BYTES: usize = 32 << 20;
 const META: TableDefinition<'_, &str, u64> = TableDefinition::new("meta");
 const ENTITIES: TableDefinition<'_, &[u8], (u64, bool)> = TableDefinition::new("entities");
-const INDEX: TableDefinition<'_, (u64, u64), Row> = TableDefinition::new("index");
+const INDEX: TableDefinition<'_, (u64, u64), RecordPlace> = TableDefinition::new("index");
 const CHUNKS: TableDefinition<'_, u64, &[u8]> = TableDefinition::new("chunks");
 const BLOBS: TableDefinition<'_, &[u8], &[u8]> = TableDefinition::new("blobs");
 const BLOB_USES: TableDefinition<'_, &[u8], u64> = TableDefinition::new("blob_uses");
 const NAMED: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("named");
 
+/// How long an opening waits for another process that has the file, where processes share it, and where they do not.
+const SHARED_WAIT: Duration = Duration::from_secs(5);
+const WAIT: Duration = Duration::from_millis(200);
+
 /// Where a record is: chunk, offset, length, and its referenced time, ns.
-type Row = (u64, u32, u32, u64);
+type RecordPlace = (u64, u32, u32, u64);
 
 /// The size of a long-term memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -114,17 +125,32 @@ pub struct LongTermMemory {
     /// `None` after a failure: the next use opens the file again, which restores the last commit.
     database: RwLock<Option<Database>>,
     /// Cached facts about entities; locked by the writer.
-    memo: Mutex<Memo>,
+    memo: Mutex<EntityCache>,
+    /// Whether the file is open only while it is used.
+    shared: bool,
 }
 
 impl LongTermMemory {
-    /// Opens the file, or creates it. A new file is created under a temporary name and renamed when complete, so that
-    /// a crash leaves no incomplete file at `path`.
+    /// Opens the file, or creates it and its folder. A new file is created under a temporary name and renamed when complete,
+    /// so that a crash leaves no incomplete file at `path`.
     ///
     /// # Errors
     /// [`StoreError::Locked`] when it is open elsewhere; [`StoreError::NotAStore`], [`StoreError::Format`] and
     /// [`StoreError::Damaged`] for a file that cannot be used, which is not changed; [`StoreError::Failed`].
     pub fn open(path: &Path) -> Result<Self, StoreError> {
+        Self::open_as(path, false)
+    }
+
+    /// As [`open`](Self::open), for a file that other processes use at the same time: it is open only while it is read or
+    /// written. Each use waits a few seconds at most for the others.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_shared(path: &Path) -> Result<Self, StoreError> {
+        Self::open_as(path, true)
+    }
+
+    fn open_as(path: &Path, shared: bool) -> Result<Self, StoreError> {
         let name = path.display().to_string();
         let failed = |e: std::io::Error| StoreError::Failed { path: name.clone(), what: e.to_string() };
         if std::fs::metadata(path).is_ok_and(|m| m.len() == 0) {
@@ -132,30 +158,43 @@ impl LongTermMemory {
             return Err(StoreError::NotAStore { path: name, what });
         }
         if std::fs::metadata(path).is_err() {
-            let mut beside = path.as_os_str().to_owned();
-            beside.push(".new");
-            let beside = PathBuf::from(beside);
-            match std::fs::remove_file(&beside) {
-                Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(failed(e)),
-                _ => {}
-            }
-            drop(Self::open_file(name.clone(), beside.clone())?);
-            std::fs::rename(&beside, path).map_err(failed)?;
             let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+            std::fs::create_dir_all(folder).map_err(|e| {
+                let folder = folder.display();
+                let what = format!("its folder `{folder}` cannot be made ({e}): choose a file in a folder that can be written");
+                StoreError::Failed { path: name.clone(), what }
+            })?;
+            let beside = beside(path);
+            drop(Self::open_file(name.clone(), beside.clone(), false)?);
+            match std::fs::hard_link(&beside, path) {
+                // Another process has made it meanwhile.
+                Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {
+                    std::fs::remove_file(&beside).map_err(failed)?;
+                }
+                // A file system without hard links.
+                Err(_) => std::fs::rename(&beside, path).map_err(failed)?,
+                Ok(()) => std::fs::remove_file(&beside).map_err(failed)?,
+            }
             std::fs::File::open(folder).and_then(|folder| folder.sync_all()).map_err(failed)?;
         }
-        Self::open_file(name, path.into())
+        Self::open_file(name, path.into(), shared)
     }
 
-    fn open_file(name: String, file: PathBuf) -> Result<Self, StoreError> {
+    fn open_file(name: String, file: PathBuf, shared: bool) -> Result<Self, StoreError> {
         let opened = file.clone();
-        let opener = Box::new(move || redb::Builder::new().set_cache_size(CACHE).create(&opened));
-        Self::open_with(name, Some(file), opener)
+        let opener = Box::new(move || redb::Builder::new().set_cache_size(CACHE_BYTES).create(&opened));
+        Self::open_with(name, Some(file), opener, shared)
     }
 
-    fn open_with(name: String, path: Option<PathBuf>, opener: Opener) -> Result<Self, StoreError> {
-        let store = Self { path, name, opener, database: RwLock::new(None), memo: Mutex::default() };
+    fn open_with(
+        name: String,
+        path: Option<PathBuf>,
+        opener: Opener,
+        shared: bool,
+    ) -> Result<Self, StoreError> {
+        let store = Self { path, name, opener, database: RwLock::new(None), memo: Mutex::default(), shared };
         store.reopen()?;
+        store.release();
         Ok(store)
     }
 
@@ -176,7 +215,8 @@ impl LongTermMemory {
     /// [`MemoryError::Store`] when they cannot be read.
     pub fn load_into(&self, memory: &WorkingMemory, pattern: Pattern) -> Result<usize, MemoryError> {
         let (mut restored, mut refused) = (0, None);
-        let mut query = Query { most: Some(PIECE), most_bytes: Some(PIECE_BYTES), ..Query::latest(pattern) };
+        let mut query =
+            Query { most: Some(PAGE_SIZE), most_bytes: Some(MAX_PAGE_BYTES), ..Query::latest(pattern) };
         loop {
             let found = self.query(&query)?;
             let Some(last) = found.last().map(|s| Cursor { id: s.id.clone(), version: s.version }) else {
@@ -204,12 +244,12 @@ impl LongTermMemory {
     pub fn stats(&self) -> Result<StoreStats, StoreError> {
         let file_bytes = self.path.as_ref().and_then(|p| std::fs::metadata(p).ok()).map_or(0, |m| m.len());
         self.with(|database| {
-            let transaction = database.begin_read().map_err(|e| self.fault(e))?;
-            let meta = transaction.open_table(META).map_err(|e| self.fault(e))?;
-            let totals = Totals::read(&meta).map_err(|e| self.fault(e))?;
-            let entities = transaction.open_table(ENTITIES).map_err(|e| self.fault(e))?;
+            let transaction = database.begin_read()?;
+            let meta = transaction.open_table(META)?;
+            let totals = Totals::read(&meta)?;
+            let entities = transaction.open_table(ENTITIES)?;
             Ok(StoreStats {
-                entities: entities.len().map_err(|e| self.fault(e))?,
+                entities: entities.len()?,
                 snapshots: totals.snapshots,
                 bytes: totals.bytes,
                 file_bytes,
@@ -224,9 +264,17 @@ impl LongTermMemory {
     /// When the disk fails; nothing is lost then.
     pub fn compact(&self) -> Result<bool, StoreError> {
         let joined = self.join_chunks()?;
-        let freed = self.with_alone(|database| database.compact().map_err(|e| self.fault(e)))?;
+        let freed = self.with_alone(|database| Ok(database.compact()?))?;
         Ok(joined || freed)
     }
+}
+
+/// A path beside a file that no other opening uses.
+fn beside(path: &Path) -> PathBuf {
+    static NEXT: AtomicU32 = AtomicU32::new(0);
+    let mut name = path.as_os_str().to_owned();
+    name.push(format!(".{}-{}.new", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed)));
+    PathBuf::from(name)
 }
 
 impl Backing for LongTermMemory {
@@ -239,12 +287,12 @@ impl Backing for LongTermMemory {
         Ok(())
     }
 
-    fn kept(&self) -> Option<&dyn Kept> {
+    fn archive(&self) -> Option<&dyn Archive> {
         Some(self)
     }
 }
 
-impl Kept for LongTermMemory {
+impl Archive for LongTermMemory {
     fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         Ok(self.query(query)?)
     }

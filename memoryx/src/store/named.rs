@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use redb::{ReadableDatabase, ReadableTable};
 
+use super::error::Fault;
 use super::{LongTermMemory, NAMED, StoreError};
 use crate::entity::{Commit, Snapshot, check_name};
 use crate::error::MemoryError;
@@ -13,7 +14,7 @@ use crate::working::WorkingMemory;
 
 /// The list entry of a named snapshot.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Named {
+pub struct NamedSnapshot {
     /// Its name.
     pub name: String,
     /// When it was taken, ns.
@@ -40,7 +41,7 @@ impl LongTermMemory {
             for snapshot in &held {
                 // A snapshot that is already stored may be encoded, and stays so.
                 if !writer.holds(&snapshot.id, snapshot.version, memo)? {
-                    new |= writer.add(snapshot, memo)?;
+                    new |= writer.add(snapshot, memo, false)?;
                 }
             }
             Ok(((), new))
@@ -63,19 +64,18 @@ impl LongTermMemory {
     /// [`StoreError::NoSuchName`]; [`StoreError::Damaged`] and others when it cannot be read.
     pub fn named(&self, name: &str) -> Result<Vec<Arc<Snapshot>>, StoreError> {
         let list = self.with(|database| {
-            let transaction = database.begin_read().map_err(|e| self.fault(e))?;
-            let table = transaction.open_table(NAMED).map_err(|e| self.fault(e))?;
-            Ok(table.get(name).map_err(|e| self.fault(e))?.map(|v| v.value().to_vec()))
+            let transaction = database.begin_read()?;
+            let table = transaction.open_table(NAMED)?;
+            Ok(table.get(name)?.map(|v| v.value().to_vec()))
         })?;
         let list = list.ok_or_else(|| no_such(name))?;
         self.read(|reader| {
             let ids = reader.addresses()?;
-            let missing = || self.damaged(format!("the snapshot `{name}` names what is not there"));
+            let missing = || Fault::Damaged(format!("the snapshot `{name}` names what is not there"));
             let mut found = Vec::new();
             for (number, version) in entries(&list) {
                 let id = ids.get(&number).ok_or_else(missing)?;
-                let row =
-                    reader.index.get((number, version)).map_err(|e| self.fault(e))?.ok_or_else(missing)?;
+                let row = reader.index.get((number, version))?.ok_or_else(missing)?;
                 found.push(reader.snapshot(id, row.value())?);
             }
             found.sort_by(|a, b| a.id.cmp(&b.id));
@@ -116,8 +116,8 @@ impl LongTermMemory {
     ///
     /// # Errors
     /// When they cannot be read.
-    pub fn list_named(&self) -> Result<Vec<Named>, StoreError> {
-        self.lists(|name, list| Named {
+    pub fn list_named(&self) -> Result<Vec<NamedSnapshot>, StoreError> {
+        self.lists(|name, list| NamedSnapshot {
             name: name.to_owned(),
             taken_ns: list.first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes)),
             entities: entries(list).count() as u64,
@@ -143,12 +143,11 @@ impl LongTermMemory {
 
     fn lists<T>(&self, read: impl Fn(&str, &[u8]) -> T) -> Result<Vec<T>, StoreError> {
         self.with(|database| {
-            let transaction = database.begin_read().map_err(|e| self.fault(e))?;
-            let table = transaction.open_table(NAMED).map_err(|e| self.fault(e))?;
-            let rows = table.iter().map_err(|e| self.fault(e))?;
-            rows.map(|row| row.map(|(name, list)| read(name.value(), list.value())))
-                .collect::<Result<_, _>>()
-                .map_err(|e| self.fault(e))
+            let transaction = database.begin_read()?;
+            let table = transaction.open_table(NAMED)?;
+            let rows = table.iter()?;
+            let lists = rows.map(|row| row.map(|(name, list)| read(name.value(), list.value())));
+            Ok(lists.collect::<Result<_, _>>()?)
         })
     }
 }

@@ -2,17 +2,22 @@
 //! database comes back only by opening the file again.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::Duration;
 
 use redb::{Database, ReadableDatabase};
 
-use super::{BLOB_USES, BLOBS, CHUNKS, ENTITIES, FORMAT, INDEX, LongTermMemory, META, NAMED, StoreError};
+use super::error::Fault;
+use super::{
+    BLOB_USES, BLOBS, CHUNKS, ENTITIES, FORMAT, INDEX, LongTermMemory, META, NAMED, SHARED_WAIT, StoreError,
+    WAIT,
+};
+
+/// Between two tries to open a file that another process has open.
+const PAUSE: Duration = Duration::from_millis(5);
 
 impl LongTermMemory {
     /// Uses the database with shared access; opens it again first if it has failed.
-    pub(super) fn with<T>(
-        &self,
-        act: impl FnOnce(&Database) -> Result<T, StoreError>,
-    ) -> Result<T, StoreError> {
+    pub(super) fn with<T>(&self, act: impl FnOnce(&Database) -> Result<T, Fault>) -> Result<T, StoreError> {
         let open = self.database.read();
         let open = if open.is_some() {
             open
@@ -27,13 +32,14 @@ impl LongTermMemory {
         let result = self.contained(|| act(database));
         drop(open);
         self.close_after(&result);
+        self.release();
         result
     }
 
     /// Uses the database with exclusive access.
     pub(super) fn with_alone<T>(
         &self,
-        act: impl FnOnce(&mut Database) -> Result<T, StoreError>,
+        act: impl FnOnce(&mut Database) -> Result<T, Fault>,
     ) -> Result<T, StoreError> {
         self.reopen()?;
         let mut open = self.database.write();
@@ -43,7 +49,18 @@ impl LongTermMemory {
         let result = self.contained(|| act(database));
         drop(open);
         self.close_after(&result);
+        self.release();
         result
+    }
+
+    /// Closes a shared file that nobody in this process uses any more.
+    pub(super) fn release(&self) {
+        if !self.shared {
+            return;
+        }
+        // Whoever still uses it closes it later.
+        let Some(mut open) = self.database.try_write() else { return };
+        self.closed(open.take());
     }
 
     /// Drops the database after a failure, so that the next use opens the file again.
@@ -57,7 +74,10 @@ impl LongTermMemory {
     /// Closes the file. This writes too, and so it can fail; acknowledged data do not depend on it.
     pub(super) fn close(&self) {
         let mut open = self.database.write();
-        let closing = open.take();
+        self.closed(open.take());
+    }
+
+    fn closed(&self, closing: Option<Database>) {
         let closed = self.contained(|| {
             drop(closing);
             Ok(())
@@ -71,7 +91,7 @@ impl LongTermMemory {
         let mut open = self.database.write();
         if open.is_none() {
             *open = Some(self.contained(|| {
-                let database = (self.opener)().map_err(|e| self.opening(e))?;
+                let database = self.opened().map_err(|e| self.opening(e))?;
                 self.check_format(&database)?;
                 Ok(database)
             })?);
@@ -79,53 +99,61 @@ impl LongTermMemory {
         Ok(())
     }
 
-    fn check_format(&self, database: &Database) -> Result<(), StoreError> {
-        let fault = |e: redb::Error| self.fault(e);
-        {
-            let read = database.begin_read().map_err(|e| fault(e.into()))?;
-            match read.open_table(META) {
-                Ok(meta) => {
-                    let found = meta.get("format").map_err(|e| fault(e.into()))?.map_or(0, |v| v.value());
-                    let path = self.name.clone();
-                    return match found {
-                        FORMAT => Ok(()),
-                        found => Err(StoreError::Format { path, found, supported: FORMAT }),
-                    };
+    /// Opens the file; waits for another process that has it open.
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "another process holds the file: virtual time does not pass for it"
+    )]
+    fn opened(&self) -> Result<Database, redb::DatabaseError> {
+        let mut left = if self.shared { SHARED_WAIT } else { WAIT };
+        loop {
+            match (self.opener)() {
+                Err(redb::DatabaseError::DatabaseAlreadyOpen) if !left.is_zero() => {
+                    std::thread::sleep(PAUSE);
+                    left = left.saturating_sub(PAUSE);
                 }
-                Err(redb::TableError::TableDoesNotExist(_)) => {}
-                Err(error) => return Err(fault(error.into())),
-            }
-            if read.list_tables().map_err(|e| fault(e.into()))?.next().is_some() {
-                let what = "it is a database of something else".into();
-                return Err(StoreError::NotAStore { path: self.name.clone(), what });
+                opened => return opened,
             }
         }
-        let write = database.begin_write().map_err(|e| fault(e.into()))?;
-        write
-            .open_table(META)
-            .map_err(|e| fault(e.into()))?
-            .insert("format", FORMAT)
-            .map_err(|e| fault(e.into()))?;
-        let make = || -> Result<(), redb::Error> {
-            write.open_table(ENTITIES)?;
-            write.open_table(INDEX)?;
-            write.open_table(CHUNKS)?;
-            write.open_table(BLOBS)?;
-            write.open_table(BLOB_USES)?;
-            write.open_table(NAMED)?;
-            Ok(())
-        };
-        make().map_err(fault)?;
-        write.commit().map_err(|e| fault(e.into()))
+    }
+
+    fn check_format(&self, database: &Database) -> Result<(), Fault> {
+        let path = self.name.clone();
+        let read = database.begin_read()?;
+        match read.open_table(META) {
+            Ok(meta) => {
+                return match meta.get("format")?.map_or(0, |v| v.value()) {
+                    FORMAT => Ok(()),
+                    found => Err(StoreError::Format { path, found, supported: FORMAT }.into()),
+                };
+            }
+            Err(redb::TableError::TableDoesNotExist(_)) => {}
+            Err(error) => return Err(error.into()),
+        }
+        if read.list_tables()?.next().is_some() {
+            let what = "it is a database of something else".into();
+            return Err(StoreError::NotAStore { path, what }.into());
+        }
+        drop(read);
+        let write = database.begin_write()?;
+        write.open_table(META)?.insert("format", FORMAT)?;
+        write.open_table(ENTITIES)?;
+        write.open_table(INDEX)?;
+        write.open_table(CHUNKS)?;
+        write.open_table(BLOBS)?;
+        write.open_table(BLOB_USES)?;
+        write.open_table(NAMED)?;
+        Ok(write.commit()?)
     }
 
     /// Turns panics into errors: redb panics on some damaged files.
-    fn contained<T>(&self, act: impl FnOnce() -> Result<T, StoreError>) -> Result<T, StoreError> {
-        catch_unwind(AssertUnwindSafe(act)).unwrap_or_else(|panic| {
+    fn contained<T>(&self, act: impl FnOnce() -> Result<T, Fault>) -> Result<T, StoreError> {
+        let result = catch_unwind(AssertUnwindSafe(act)).unwrap_or_else(|panic| {
             let what = panic.downcast_ref::<String>().map(String::as_str);
             let what = what.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("unknown");
-            Err(self.damaged(format!("its pages contradict each other ({what})")))
-        })
+            Err(Fault::Damaged(format!("its pages contradict each other ({what})")))
+        });
+        result.map_err(|fault| self.fault(fault))
     }
 
     pub(super) fn damaged(&self, what: String) -> StoreError {
@@ -154,18 +182,21 @@ impl LongTermMemory {
             {
                 self.damaged("it is cut short".into())
             }
-            error => self.fault(error),
+            error => self.fault(error.into()),
         }
     }
 
-    /// The user's error for a redb error during use.
-    pub(super) fn fault(&self, error: impl Into<redb::Error>) -> StoreError {
+    /// The user's error for a fault during use.
+    fn fault(&self, fault: Fault) -> StoreError {
         let path = self.name.clone();
-        match error.into() {
-            redb::Error::Io(e) if e.kind() == std::io::ErrorKind::StorageFull => StoreError::Full { path },
-            redb::Error::Corrupted(what) => StoreError::Damaged { path, what },
-            redb::Error::DatabaseAlreadyOpen => StoreError::Locked { path },
-            error => StoreError::Failed { path, what: error.to_string() },
+        match fault {
+            Fault::Other(error) => error,
+            Fault::Damaged(what) | Fault::Redb(redb::Error::Corrupted(what)) => self.damaged(what),
+            Fault::Redb(redb::Error::Io(e)) if e.kind() == std::io::ErrorKind::StorageFull => {
+                StoreError::Full { path }
+            }
+            Fault::Redb(redb::Error::DatabaseAlreadyOpen) => StoreError::Locked { path },
+            Fault::Redb(error) => StoreError::Failed { path, what: error.to_string() },
         }
     }
 }

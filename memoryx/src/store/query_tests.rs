@@ -94,12 +94,12 @@ impl Backing for InParts {
         self.store.take(snapshots)
     }
 
-    fn kept(&self) -> Option<&dyn Kept> {
+    fn archive(&self) -> Option<&dyn Archive> {
         Some(self)
     }
 }
 
-impl Kept for InParts {
+impl Archive for InParts {
     fn recall(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         assert!(query.most.is_some_and(|most| most <= self.most) && query.most_bytes.is_some(), "{query:?}");
         self.store.recall(query)

@@ -7,8 +7,9 @@ use std::sync::Arc;
 
 use redb::{AccessGuard, ReadOnlyTable, ReadTransaction, ReadableDatabase, ReadableTable};
 
-use super::record::{self, Hash};
-use super::{BLOBS, CHUNKS, ENTITIES, INDEX, LongTermMemory, Row, StoreError};
+use super::error::Fault;
+use super::record::{self, Hash, RecordError};
+use super::{BLOBS, CHUNKS, ENTITIES, INDEX, LongTermMemory, RecordPlace, StoreError};
 use crate::checked_query::{CheckedQuery, Selection, versions_between};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
@@ -18,9 +19,8 @@ use crate::query::{Pattern, Query, Times};
 const NONE: (u64, u64) = (1, 0);
 
 /// Reads records within one transaction.
-pub(super) struct Reader<'s> {
-    store: &'s LongTermMemory,
-    pub(super) index: ReadOnlyTable<(u64, u64), Row>,
+pub(super) struct Reader {
+    pub(super) index: ReadOnlyTable<(u64, u64), RecordPlace>,
     pub(super) chunks: ReadOnlyTable<u64, &'static [u8]>,
     blobs: ReadOnlyTable<&'static [u8], &'static [u8]>,
     entities: ReadOnlyTable<&'static [u8], (u64, bool)>,
@@ -39,25 +39,21 @@ pub(super) struct Entity {
     ordered: bool,
 }
 
-impl<'s> Reader<'s> {
-    pub(super) fn new(store: &'s LongTermMemory, transaction: &ReadTransaction) -> Result<Self, StoreError> {
-        let open = || -> Result<Self, redb::Error> {
-            Ok(Self {
-                store,
-                index: transaction.open_table(INDEX)?,
-                chunks: transaction.open_table(CHUNKS)?,
-                blobs: transaction.open_table(BLOBS)?,
-                entities: transaction.open_table(ENTITIES)?,
-                last: RefCell::new(None),
-            })
-        };
-        open().map_err(|e| store.fault(e))
+impl Reader {
+    pub(super) fn new(transaction: &ReadTransaction) -> Result<Self, Fault> {
+        Ok(Self {
+            index: transaction.open_table(INDEX)?,
+            chunks: transaction.open_table(CHUNKS)?,
+            blobs: transaction.open_table(BLOBS)?,
+            entities: transaction.open_table(ENTITIES)?,
+            last: RefCell::new(None),
+        })
     }
 
     /// One entity.
-    pub(super) fn entity(&self, id: &EntityId) -> Result<Option<Entity>, StoreError> {
+    pub(super) fn entity(&self, id: &EntityId) -> Result<Option<Entity>, Fault> {
         let key = record::entity_key(id);
-        let held = self.entities.get(key.as_slice()).map_err(|e| self.store.fault(e))?.map(|v| v.value());
+        let held = self.entities.get(key.as_slice())?.map(|v| v.value());
         Ok(held.map(|(number, ordered)| Entity { id: id.clone(), number, ordered }))
     }
 
@@ -66,19 +62,18 @@ impl<'s> Reader<'s> {
         &self,
         pattern: &Pattern,
         from: Option<&EntityId>,
-        mut act: impl FnMut(Entity) -> Result<bool, StoreError>,
-    ) -> Result<(), StoreError> {
+        mut act: impl FnMut(Entity) -> Result<bool, Fault>,
+    ) -> Result<(), Fault> {
         if let Some(id) = pattern.exact() {
             return self.entity(&id)?.map_or(Ok(()), |entity| act(entity).map(|_| ()));
         }
         let (first, to) = record::entity_range(pattern);
         let first = from.map_or(first.clone(), |id| first.max(record::entity_key(id)));
         let to = to.as_ref().map_or(Bound::Unbounded, |to| Bound::Excluded(to.as_slice()));
-        let fault = |e: redb::StorageError| self.store.fault(e);
-        let rows = self.entities.range::<&[u8]>((Bound::Included(first.as_slice()), to)).map_err(fault)?;
+        let rows = self.entities.range::<&[u8]>((Bound::Included(first.as_slice()), to))?;
         for row in rows {
-            let (key, value) = row.map_err(fault)?;
-            let id = record::entity_of(key.value()).map_err(|what| self.store.damaged(what))?;
+            let (key, value) = row?;
+            let id = record::entity_of(key.value())?;
             let (number, ordered) = value.value();
             if pattern.matches(&id) && !act(Entity { id, number, ordered })? {
                 break;
@@ -88,33 +83,33 @@ impl<'s> Reader<'s> {
     }
 
     /// The newest version of an entity, and its row.
-    pub(super) fn newest(&self, number: u64) -> Result<Option<(u64, Row)>, StoreError> {
+    pub(super) fn newest(&self, number: u64) -> Result<Option<(u64, RecordPlace)>, Fault> {
         self.one(self.index.range((number, 0)..=(number, u64::MAX)).map(|mut rows| rows.next_back()))
     }
 
     fn one(
         &self,
         found: Result<Option<Found>, redb::StorageError>,
-    ) -> Result<Option<(u64, Row)>, StoreError> {
-        let row = found.and_then(Option::transpose).map_err(|e| self.store.fault(e))?;
+    ) -> Result<Option<(u64, RecordPlace)>, Fault> {
+        let row = found.and_then(Option::transpose)?;
         Ok(row.map(|(key, row)| (key.value().1, row.value())))
     }
 
     /// The snapshot at a row.
-    pub(super) fn snapshot(&self, id: &EntityId, row: Row) -> Result<Arc<Snapshot>, StoreError> {
+    pub(super) fn snapshot(&self, id: &EntityId, row: RecordPlace) -> Result<Arc<Snapshot>, Fault> {
         let decoded = self.with_record(row, |bytes| {
             let head = record::head(bytes)?;
             record::decode(id, head, bytes, &|hash| self.blob(hash))
         })?;
-        decoded.map(Arc::new).map_err(|what| self.store.damaged(what))
+        Ok(Arc::new(decoded?))
     }
 
     /// Passes the bytes at a row to `act`.
-    fn with_record<T>(&self, row: Row, act: impl FnOnce(&[u8]) -> T) -> Result<T, StoreError> {
-        let missing = || self.store.damaged(format!("a record in chunk {} is missing", row.0));
+    fn with_record<T>(&self, row: RecordPlace, act: impl FnOnce(&[u8]) -> T) -> Result<T, Fault> {
+        let missing = || Fault::no_record(row);
         let mut last = self.last.borrow_mut();
         if last.as_ref().is_none_or(|(chunk, _)| *chunk != row.0) {
-            let chunk = self.chunks.get(row.0).map_err(|e| self.store.fault(e))?.ok_or_else(missing)?;
+            let chunk = self.chunks.get(row.0)?.ok_or_else(missing)?;
             *last = Some((row.0, chunk));
         }
         let (_, chunk) = last.as_ref().ok_or_else(missing)?;
@@ -122,9 +117,9 @@ impl<'s> Reader<'s> {
         Ok(act(chunk.value().get(range).ok_or_else(missing)?))
     }
 
-    pub(super) fn blob(&self, hash: &Hash) -> Result<Vec<u8>, String> {
-        let found = self.blobs.get(hash.as_slice()).map_err(|e| e.to_string())?;
-        found.map(|v| v.value().to_vec()).ok_or_else(|| "a large value of it is missing".into())
+    pub(super) fn blob(&self, hash: &Hash) -> Result<Vec<u8>, RecordError> {
+        let found = self.blobs.get(hash.as_slice())?;
+        found.map(|v| v.value().to_vec()).ok_or(RecordError::NoBlob)
     }
 
     /// Adds a query's selection from one entity. Reads no more of its history than needed.
@@ -133,8 +128,8 @@ impl<'s> Reader<'s> {
         asked: &CheckedQuery<'_>,
         entity: &Entity,
         answer: &mut Selection<'_>,
-    ) -> Result<(), StoreError> {
-        let one = |row: Option<(u64, Row)>| -> Result<Vec<Arc<Snapshot>>, StoreError> {
+    ) -> Result<(), Fault> {
+        let one = |row: Option<(u64, RecordPlace)>| -> Result<Vec<Arc<Snapshot>>, Fault> {
             let found = row.map(|(_, row)| self.snapshot(&entity.id, row)).transpose()?;
             Ok(asked.select(found.into_iter()))
         };
@@ -166,7 +161,7 @@ impl<'s> Reader<'s> {
     }
 
     /// The first and the last version of an entity that a query can select.
-    fn bounds(&self, asked: &CheckedQuery<'_>, entity: &Entity) -> Result<(u64, u64), StoreError> {
+    fn bounds(&self, asked: &CheckedQuery<'_>, entity: &Entity) -> Result<(u64, u64), Fault> {
         let query = asked.query();
         let after = query.after.as_ref().filter(|after| after.id == entity.id);
         let (from, to) = match query.times {
@@ -182,16 +177,16 @@ impl<'s> Reader<'s> {
     }
 
     /// The version at a position in an entity's history; negative positions count from the end.
-    fn at(&self, entity: &Entity, place: i64) -> Result<Option<u64>, StoreError> {
+    fn at(&self, entity: &Entity, place: i64) -> Result<Option<u64>, Fault> {
         let mut rows = self.rows(entity, (0, u64::MAX))?;
         let index = |place: i64| usize::try_from(place).unwrap_or(usize::MAX);
         let found = if place < 0 { rows.nth_back(index(-1 - place)) } else { rows.nth(index(place)) };
         Ok(self.one(Ok(found))?.map(|(version, _)| version))
     }
 
-    fn rows(&self, entity: &Entity, (from, to): (u64, u64)) -> Result<Rows, StoreError> {
+    fn rows(&self, entity: &Entity, (from, to): (u64, u64)) -> Result<Rows, Fault> {
         let from = (entity.number, from.min(to));
-        self.index.range(from..=(entity.number, to)).map_err(|e| self.store.fault(e))
+        Ok(self.index.range(from..=(entity.number, to))?)
     }
 
     /// Passes the selected versions in a range to `act`, in order or backwards, until it returns that this is enough.
@@ -202,13 +197,13 @@ impl<'s> Reader<'s> {
         entity: &Entity,
         (from, to): (u64, u64),
         backwards: bool,
-        mut act: impl FnMut(u64, Row) -> Result<bool, StoreError>,
-    ) -> Result<(), StoreError> {
+        mut act: impl FnMut(u64, RecordPlace) -> Result<bool, Fault>,
+    ) -> Result<(), Fault> {
         if from > to {
             return Ok(());
         }
         let mut rows = self.rows(entity, (from, to))?;
-        let counts = |row: &Row| match asked.query().times {
+        let counts = |row: &RecordPlace| match asked.query().times {
             Times::Between(from, to) => (from..=to).contains(&row.3),
             _ => true,
         };
@@ -225,15 +220,14 @@ impl<'s> Reader<'s> {
     }
 
     /// The first version that arrived at a time or later, by bisection: versions arrive in order.
-    fn arrived(&self, number: u64, since: u64) -> Result<u64, StoreError> {
-        let fault = |e: redb::StorageError| self.store.fault(e);
+    fn arrived(&self, number: u64, since: u64) -> Result<u64, Fault> {
         let (mut low, mut high) = (0, self.newest(number)?.map_or(0, |(version, _)| version + 1));
         while low < high {
             let middle = low + (high - low) / 2;
-            let row = self.index.range((number, middle)..=(number, u64::MAX)).map_err(fault)?.next();
-            let Some((key, row)) = row.transpose().map_err(fault)? else { break };
+            let row = self.index.range((number, middle)..=(number, u64::MAX))?.next();
+            let Some((key, row)) = row.transpose()? else { break };
             let times = self.with_record(row.value(), record::times)?;
-            if times.map_err(|what| self.store.damaged(what))?.1 < since {
+            if times?.1 < since {
                 low = key.value().1 + 1;
             } else {
                 high = middle;
@@ -244,10 +238,14 @@ impl<'s> Reader<'s> {
 
     /// The row with the latest referenced time among those for which `counts` is true. `counts` is true up to some
     /// time, and false after it.
-    fn held(&self, entity: &Entity, counts: impl Fn(u64) -> bool) -> Result<Option<(u64, Row)>, StoreError> {
+    fn held(
+        &self,
+        entity: &Entity,
+        counts: impl Fn(u64) -> bool,
+    ) -> Result<Option<(u64, RecordPlace)>, Fault> {
         if !entity.ordered {
             let mut rows = self.rows(entity, (0, u64::MAX))?;
-            let mut held: Option<(u64, Row)> = None;
+            let mut held: Option<(u64, RecordPlace)> = None;
             while let Some((version, row)) = self.one(Ok(rows.next()))? {
                 if counts(row.3) && held.is_none_or(|(_, best)| best.3 <= row.3) {
                     held = Some((version, row));
@@ -279,15 +277,16 @@ impl<'s> Reader<'s> {
     }
 }
 
-fn no_question(error: MemoryError) -> StoreError {
+fn query_error(error: MemoryError) -> StoreError {
     match error {
         MemoryError::Query { what } => StoreError::Query { what },
         error => StoreError::Query { what: error.to_string() },
     }
 }
 
-type Rows = redb::Range<'static, (u64, u64), Row>;
-type Found = Result<(AccessGuard<'static, (u64, u64)>, AccessGuard<'static, Row>), redb::StorageError>;
+type Rows = redb::Range<'static, (u64, u64), RecordPlace>;
+type Found =
+    Result<(AccessGuard<'static, (u64, u64)>, AccessGuard<'static, RecordPlace>), redb::StorageError>;
 
 impl LongTermMemory {
     /// Answers a query over everything stored, as [`crate::Memory::query`].
@@ -295,7 +294,7 @@ impl LongTermMemory {
     /// # Errors
     /// [`StoreError::Damaged`] and others when it cannot be read; [`StoreError::Query`] when the query is invalid.
     pub fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, StoreError> {
-        let asked = query.check().map_err(no_question)?;
+        let asked = query.check().map_err(query_error)?;
         self.read(|reader| {
             let mut answer = asked.answer();
             reader.entities(&query.pattern, query.after.as_ref().map(|a| &a.id), |entity| {
@@ -325,14 +324,14 @@ impl LongTermMemory {
         })
     }
 
-    /// See [`crate::Kept::versions`].
+    /// See [`crate::Archive::versions`].
     pub(super) fn versions_of(
         &self,
         query: &Query,
         backwards: bool,
         act: &mut dyn FnMut(u64) -> bool,
     ) -> Result<(), StoreError> {
-        let asked = query.check().map_err(no_question)?;
+        let asked = query.check().map_err(query_error)?;
         let Some(id) = query.pattern.exact() else { return Ok(()) };
         self.read(|reader| {
             let Some(entity) = reader.entity(&id)? else { return Ok(()) };
@@ -355,7 +354,7 @@ impl LongTermMemory {
                 false
             }
         })?;
-        damage.map_or(Ok(()), |what| Err(self.damaged(what)))
+        damage.map_or(Ok(()), |what| Err(self.damaged(what.to_string())))
     }
 
     /// As [`Self::scan`], but continues after damage: `act` also gets a description of each damaged place.
@@ -364,19 +363,19 @@ impl LongTermMemory {
     /// When the file cannot be read at all.
     pub(super) fn scan_intact(
         &self,
-        mut act: impl FnMut(Result<Snapshot, String>) -> bool,
+        mut act: impl FnMut(Result<Snapshot, RecordError>) -> bool,
     ) -> Result<(), StoreError> {
         self.read(|reader| {
             let ids = reader.addresses()?;
-            let rows = reader.chunks.iter().map_err(|e| self.fault(e))?;
+            let rows = reader.chunks.iter()?;
             for row in rows {
-                let (_, chunk) = row.map_err(|e| self.fault(e))?;
+                let (_, chunk) = row?;
                 let mut rest = chunk.value();
                 while !rest.is_empty() {
                     let (snapshot, length) = match record::head(rest) {
                         Ok(head) => {
-                            let unknown = || format!("entity number {} has no address", head.number);
-                            let id = ids.get(&head.number).ok_or_else(unknown);
+                            let id = ids.get(&head.number);
+                            let id = id.ok_or(RecordError::NoAddress { number: head.number });
                             let blobs = |hash: &_| reader.blob(hash);
                             (id.and_then(|id| record::decode(id, head, rest, &blobs)), head.length)
                         }
@@ -404,20 +403,17 @@ impl LongTermMemory {
         })
     }
 
-    pub(super) fn read<T>(
-        &self,
-        act: impl FnOnce(&Reader<'_>) -> Result<T, StoreError>,
-    ) -> Result<T, StoreError> {
+    pub(super) fn read<T>(&self, act: impl FnOnce(&Reader) -> Result<T, Fault>) -> Result<T, StoreError> {
         self.with(|database| {
-            let transaction = database.begin_read().map_err(|e| self.fault(e))?;
-            act(&Reader::new(self, &transaction)?)
+            let transaction = database.begin_read()?;
+            act(&Reader::new(&transaction)?)
         })
     }
 }
 
-impl Reader<'_> {
+impl Reader {
     /// The addresses of all entities by number.
-    pub(super) fn addresses(&self) -> Result<BTreeMap<u64, EntityId>, StoreError> {
+    pub(super) fn addresses(&self) -> Result<BTreeMap<u64, EntityId>, Fault> {
         let mut ids = BTreeMap::new();
         self.entities(&Pattern::any(), None, |entity| {
             ids.insert(entity.number, entity.id);

@@ -14,7 +14,40 @@ pub(super) const HEAD: usize = 24;
 /// Values of at least this many bytes are stored once, by their content.
 pub(super) const BLOB_FROM: usize = 16 << 10;
 /// Deepest nesting that can be read; more than memory accepts.
-const DEEPEST: usize = 32;
+const MAX_DEPTH: usize = 32;
+
+/// What is wrong with the bytes of a key or a record.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum RecordError {
+    #[error("a key is no address: {key}")]
+    Key { key: String },
+    #[error("it ends too early")]
+    Short,
+    #[error("a record is longer than its place")]
+    Long,
+    #[error("a chunk has an empty record")]
+    Empty,
+    #[error("version {version} of entity number {number} does not have its checksum")]
+    Checksum { version: u64, number: u64 },
+    #[error("entity number {number} has no address")]
+    NoAddress { number: u64 },
+    #[error("a count does not end")]
+    Count,
+    #[error("a text is not UTF-8")]
+    Text,
+    #[error("it is nested too deep")]
+    Depth,
+    #[error("a value is of the unknown kind {kind}")]
+    Kind { kind: u8 },
+    #[error("a large value of it is missing")]
+    NoBlob,
+    #[error(transparent)]
+    Storage(#[from] redb::StorageError),
+    #[error("version {version} of `{id}`: {what}")]
+    Content { version: u64, id: EntityId, what: Box<RecordError> },
+    #[error("version {version} of `{id}` is too long")]
+    Trailing { version: u64, id: EntityId },
+}
 
 /// The name of a blob: SHA-256 of its bytes.
 pub(super) type Hash = [u8; 32];
@@ -42,8 +75,8 @@ pub(super) fn entity_range(pattern: &Pattern) -> (Vec<u8>, Option<Vec<u8>>) {
 }
 
 /// The entity of a key in the table `entities`.
-pub(super) fn entity_of(key: &[u8]) -> Result<EntityId, String> {
-    let unreadable = || format!("a key is no address: {}", key.escape_ascii());
+pub(super) fn entity_of(key: &[u8]) -> Result<EntityId, RecordError> {
+    let unreadable = || RecordError::Key { key: key.escape_ascii().to_string() };
     let key = key.strip_suffix(&[0]).ok_or_else(unreadable)?;
     let text = std::str::from_utf8(key).map_err(|_| unreadable())?;
     match text.split('\0').collect::<Vec<_>>()[..] {
@@ -186,15 +219,15 @@ pub(super) struct Head {
 }
 
 /// The header of the record at the start of `bytes`, checked with its checksum.
-pub(super) fn head(bytes: &[u8]) -> Result<Head, String> {
+pub(super) fn head(bytes: &[u8]) -> Result<Head, RecordError> {
     let mut cursor = Cursor { rest: bytes };
     let (length, sum) = (cursor.u32()? as usize, cursor.u32()?);
     let (number, version) = (cursor.u64()?, cursor.u64()?);
-    let content = bytes.get(8..length).ok_or("a record is longer than its place")?;
+    let content = bytes.get(8..length).ok_or(RecordError::Long)?;
     if crc32fast::hash(content) != sum {
-        return Err(format!("version {version} of entity number {number} does not have its checksum"));
+        return Err(RecordError::Checksum { version, number });
     }
-    Ok(Head { length, number, version })
+    if length < HEAD { Err(RecordError::Empty) } else { Ok(Head { length, number, version }) }
 }
 
 /// The length that a record states, if another record can follow at that place.
@@ -204,36 +237,41 @@ pub(super) fn length(bytes: &[u8]) -> Option<usize> {
 }
 
 /// Looks up blobs.
-pub(super) type Blobs<'b> = &'b dyn Fn(&Hash) -> Result<Vec<u8>, String>;
+pub(super) type Blobs<'b> = &'b dyn Fn(&Hash) -> Result<Vec<u8>, RecordError>;
 
 /// The snapshot of a record whose [`head`] was read.
-pub(super) fn decode(id: &EntityId, head: Head, bytes: &[u8], blobs: Blobs<'_>) -> Result<Snapshot, String> {
-    let content = bytes.get(HEAD..head.length).ok_or("a record is shorter than its head says")?;
+pub(super) fn decode(
+    id: &EntityId,
+    head: Head,
+    bytes: &[u8],
+    blobs: Blobs<'_>,
+) -> Result<Snapshot, RecordError> {
+    let content = bytes.get(HEAD..head.length).ok_or(RecordError::Short)?;
     let mut cursor = Cursor { rest: content };
     let snapshot = cursor.snapshot(id, head.version, blobs);
-    let snapshot = snapshot.map_err(|what| format!("version {} of `{id}`: {what}", head.version))?;
-    if cursor.rest.is_empty() {
-        Ok(snapshot)
-    } else {
-        Err(format!("version {} of `{id}` is too long", head.version))
+    let (version, id) = (head.version, id.clone());
+    match snapshot {
+        Ok(snapshot) if cursor.rest.is_empty() => Ok(snapshot),
+        Ok(_) => Err(RecordError::Trailing { version, id }),
+        Err(what) => Err(RecordError::Content { version, id, what: Box::new(what) }),
     }
 }
 
 /// The referenced time and the arrival time of a record, ns.
-pub(super) fn times(bytes: &[u8]) -> Result<(u64, u64), String> {
-    let mut cursor = Cursor { rest: bytes.get(HEAD..).ok_or("a record is too short")? };
+pub(super) fn times(bytes: &[u8]) -> Result<(u64, u64), RecordError> {
+    let mut cursor = Cursor { rest: bytes.get(HEAD..).ok_or(RecordError::Short)? };
     let (referenced, _, arrived) = (cursor.u64()?, cursor.u64()?, cursor.u64()?);
     Ok((referenced, arrived))
 }
 
 /// The blobs that a record refers to.
-pub(super) fn blobs_of(bytes: &[u8], head: Head) -> Result<Vec<Hash>, String> {
+pub(super) fn blobs_of(bytes: &[u8], head: Head) -> Result<Vec<Hash>, RecordError> {
     let found = std::cell::RefCell::new(Vec::new());
     let note = |hash: &Hash| {
         found.borrow_mut().push(*hash);
         Ok(Vec::new())
     };
-    let nobody = EntityId::new("none", "none", "none").map_err(|e| e.to_string())?;
+    let nobody = EntityId::new("none", "none", "none").expect("three names");
     decode(&nobody, head, bytes, &note)?;
     Ok(found.into_inner())
 }
@@ -243,31 +281,31 @@ struct Cursor<'b> {
 }
 
 impl<'b> Cursor<'b> {
-    fn take(&mut self, count: usize) -> Result<&'b [u8], String> {
-        let (taken, rest) = self.rest.split_at_checked(count).ok_or("it ends too early")?;
+    fn take(&mut self, count: usize) -> Result<&'b [u8], RecordError> {
+        let (taken, rest) = self.rest.split_at_checked(count).ok_or(RecordError::Short)?;
         self.rest = rest;
         Ok(taken)
     }
 
-    fn array<const N: usize>(&mut self) -> Result<[u8; N], String> {
-        let (taken, rest) = self.rest.split_first_chunk().ok_or("it ends too early")?;
+    fn array<const N: usize>(&mut self) -> Result<[u8; N], RecordError> {
+        let (taken, rest) = self.rest.split_first_chunk().ok_or(RecordError::Short)?;
         self.rest = rest;
         Ok(*taken)
     }
 
-    fn u32(&mut self) -> Result<u32, String> {
+    fn u32(&mut self) -> Result<u32, RecordError> {
         Ok(u32::from_le_bytes(self.array()?))
     }
 
-    fn u64(&mut self) -> Result<u64, String> {
+    fn u64(&mut self) -> Result<u64, RecordError> {
         Ok(u64::from_le_bytes(self.array()?))
     }
 
-    fn f64(&mut self) -> Result<f64, String> {
+    fn f64(&mut self) -> Result<f64, RecordError> {
         Ok(f64::from_le_bytes(self.array()?))
     }
 
-    fn f64s<const N: usize>(&mut self) -> Result<[f64; N], String> {
+    fn f64s<const N: usize>(&mut self) -> Result<[f64; N], RecordError> {
         let mut numbers = [0.0; N];
         for number in &mut numbers {
             *number = self.f64()?;
@@ -276,29 +314,29 @@ impl<'b> Cursor<'b> {
     }
 
     /// A count of items that take at least one byte each.
-    fn count(&mut self) -> Result<usize, String> {
+    fn count(&mut self) -> Result<usize, RecordError> {
         let mut count = 0_u64;
         for shift in (0..64).step_by(7) {
             let [byte] = self.array()?;
             count |= u64::from(byte & 0x7f) << shift;
             if byte < 0x80 {
                 let count = usize::try_from(count).unwrap_or(usize::MAX);
-                return if count <= self.rest.len() { Ok(count) } else { Err("it ends too early".into()) };
+                return if count <= self.rest.len() { Ok(count) } else { Err(RecordError::Short) };
             }
         }
-        Err("a count does not end".into())
+        Err(RecordError::Count)
     }
 
-    fn text(&mut self) -> Result<&'b str, String> {
+    fn text(&mut self) -> Result<&'b str, RecordError> {
         let count = self.count()?;
-        std::str::from_utf8(self.take(count)?).map_err(|_| "a text is not UTF-8".into())
+        std::str::from_utf8(self.take(count)?).map_err(|_| RecordError::Text)
     }
 
-    fn frame(&mut self) -> Result<Frame, String> {
+    fn frame(&mut self) -> Result<Frame, RecordError> {
         Ok(Frame(self.text()?.to_owned()))
     }
 
-    fn snapshot(&mut self, id: &EntityId, version: u64, blobs: Blobs<'_>) -> Result<Snapshot, String> {
+    fn snapshot(&mut self, id: &EntityId, version: u64, blobs: Blobs<'_>) -> Result<Snapshot, RecordError> {
         let (referenced_ns, sent_ns, arrived_ns) = (self.u64()?, self.u64()?, self.u64()?);
         let count = self.count()?;
         let mut instances = Vec::with_capacity(count);
@@ -308,13 +346,13 @@ impl<'b> Cursor<'b> {
         Ok(Snapshot { id: id.clone(), version, referenced_ns, sent_ns, arrived_ns, instances })
     }
 
-    fn instance(&mut self, blobs: Blobs<'_>) -> Result<Instance, String> {
+    fn instance(&mut self, blobs: Blobs<'_>) -> Result<Instance, RecordError> {
         let confidence = self.f64()?;
         let count = self.count()?;
         let mut pairs = Vec::with_capacity(count);
         for _ in 0..count {
             let name = self.text()?;
-            pairs.push((name.into(), self.value(blobs, DEEPEST)?));
+            pairs.push((name.into(), self.value(blobs, MAX_DEPTH)?));
         }
         let mut covariance = BTreeMap::new();
         for _ in 0..self.count()? {
@@ -325,8 +363,8 @@ impl<'b> Cursor<'b> {
         Ok(Instance { attributes: Attributes::from_pairs(pairs), confidence, covariance })
     }
 
-    fn value(&mut self, blobs: Blobs<'_>, left: usize) -> Result<Value, String> {
-        let left = left.checked_sub(1).ok_or("it is nested too deep")?;
+    fn value(&mut self, blobs: Blobs<'_>, left: usize) -> Result<Value, RecordError> {
+        let left = left.checked_sub(1).ok_or(RecordError::Depth)?;
         let [tag] = self.array()?;
         Ok(match tag {
             0 => Value::Null,
@@ -348,7 +386,7 @@ impl<'b> Cursor<'b> {
             10 => {
                 let count = self.count()?;
                 let field = |_| Ok((self.text()?.to_owned(), self.value(blobs, left)?));
-                Value::Map((0..count).map(field).collect::<Result<_, String>>()?)
+                Value::Map((0..count).map(field).collect::<Result<_, RecordError>>()?)
             }
             11 => Value::Vector(Vector { frame: self.frame()?, components: self.f64s()? }),
             12 => {
@@ -356,7 +394,7 @@ impl<'b> Cursor<'b> {
             }
             13 => Value::Wrench(Wrench { frame: self.frame()?, force: self.f64s()?, torque: self.f64s()? }),
             14 => Value::Reference(Reference { kind: self.text()?.to_owned(), id: self.text()?.to_owned() }),
-            other => return Err(format!("a value is of the unknown kind {other}")),
+            other => return Err(RecordError::Kind { kind: other }),
         })
     }
 }

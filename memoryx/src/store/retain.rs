@@ -7,13 +7,14 @@ use std::collections::BTreeSet;
 
 use redb::{ReadableTable, ReadableTableMetadata};
 
+use super::error::Fault;
 use super::write::Writer;
 use super::{LongTermMemory, StoreError, record};
 
 /// Chunks per transaction.
-const BATCH: usize = 256;
+const MAX_BATCH: usize = 256;
 /// A chunk below this many bytes is joined with others.
-const SMALL: usize = 32_000;
+const SMALL_CHUNK_BYTES: usize = 32_000;
 
 /// How much is kept. `None` is unlimited.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -46,7 +47,7 @@ impl LongTermMemory {
         let start = self.stats()?;
         let mut from = 0;
         while let Some(next) = self.write(|writer, _| {
-            let next = forget_some(self, writer, (from, last), retention.bytes, before, &pinned)?;
+            let next = forget_some(writer, (from, last), retention.bytes, before, &pinned)?;
             Ok((next, true))
         })? {
             from = next;
@@ -65,11 +66,11 @@ impl LongTermMemory {
         let mut from = 0;
         loop {
             let (next, any) = self.write(|writer, _| {
-                let (small, next) = small_chunks(self, writer, from, last)?;
+                let (small, next) = small_chunks(writer, from, last)?;
                 if small.len() > 1 {
                     for chunk in &small {
                         let bytes = writer.take_chunk(*chunk)?;
-                        each_record(self, &bytes, |head, record| writer.move_record(record, head))?;
+                        each_record(&bytes, |head, record| writer.move_record(record, head))?;
                     }
                 }
                 Ok(((next, small.len() > 1), small.len() > 1))
@@ -83,28 +84,25 @@ impl LongTermMemory {
     }
 }
 
-/// Removes snapshots in at most [`BATCH`] chunks of a range, whose end is excluded. Returns where to continue.
+/// Removes snapshots in at most [`MAX_BATCH`] chunks of a range, whose end is excluded. Returns where to continue.
 fn forget_some(
-    store: &LongTermMemory,
     writer: &mut Writer<'_>,
     (from, last): (u64, u64),
     budget: Option<u64>,
     before: u64,
     pinned: &BTreeSet<(u64, u64)>,
-) -> Result<Option<u64>, StoreError> {
-    let fault = |e: redb::StorageError| store.fault(e);
-    let rows = writer.chunks.range(from..last).map_err(fault)?;
+) -> Result<Option<u64>, Fault> {
+    let rows = writer.chunks.range(from..last)?;
     let mut numbers = Vec::new();
-    for row in rows.take(BATCH) {
-        numbers.push(row.map_err(fault)?.0.value());
+    for row in rows.take(MAX_BATCH) {
+        numbers.push(row?.0.value());
     }
     for number in &numbers {
         let over = budget.is_some_and(|most| writer.totals.bytes > most);
-        let bytes =
-            writer.chunks.get(*number).map_err(fault)?.map(|v| v.value().to_vec()).unwrap_or_default();
+        let bytes = writer.chunks.get(*number)?.map(|v| v.value().to_vec()).unwrap_or_default();
         let mut newest_arrival = 0;
-        each_record(store, &bytes, |_, record| {
-            let (_, arrived) = record::times(record).map_err(|what| store.damaged(what))?;
+        each_record(&bytes, |_, record| {
+            let (_, arrived) = record::times(record)?;
             newest_arrival = newest_arrival.max(arrived);
             Ok(())
         })?;
@@ -112,10 +110,9 @@ fn forget_some(
             continue;
         }
         let bytes = writer.take_chunk(*number)?;
-        each_record(store, &bytes, |head, record| {
-            let last =
-                writer.index.range((head.number, 0)..=(head.number, u64::MAX)).map_err(fault)?.next_back();
-            let newest = last.transpose().map_err(fault)?.map(|(key, _)| key.value().1);
+        each_record(&bytes, |head, record| {
+            let last = writer.index.range((head.number, 0)..=(head.number, u64::MAX))?.next_back();
+            let newest = last.transpose()?.map(|(key, _)| key.value().1);
             if newest == Some(head.version) || pinned.contains(&(head.number, head.version)) {
                 writer.move_record(record, head)
             } else {
@@ -123,26 +120,20 @@ fn forget_some(
             }
         })?;
     }
-    Ok(numbers.last().filter(|_| numbers.len() == BATCH).map(|n| n + 1))
+    Ok(numbers.last().filter(|_| numbers.len() == MAX_BATCH).map(|n| n + 1))
 }
 
-/// Up to [`BATCH`] small chunks of a range, and where to continue.
-fn small_chunks(
-    store: &LongTermMemory,
-    writer: &Writer<'_>,
-    from: u64,
-    last: u64,
-) -> Result<(Vec<u64>, Option<u64>), StoreError> {
-    let fault = |e: redb::StorageError| store.fault(e);
-    if writer.chunks.len().map_err(fault)? == 0 {
+/// Up to [`MAX_BATCH`] small chunks of a range, and where to continue.
+fn small_chunks(writer: &Writer<'_>, from: u64, last: u64) -> Result<(Vec<u64>, Option<u64>), Fault> {
+    if writer.chunks.len()? == 0 {
         return Ok((Vec::new(), None));
     }
     let mut small = Vec::new();
-    for row in writer.chunks.range(from..last).map_err(fault)? {
-        let (number, bytes) = row.map_err(fault)?;
-        if bytes.value().len() < SMALL {
+    for row in writer.chunks.range(from..last)? {
+        let (number, bytes) = row?;
+        if bytes.value().len() < SMALL_CHUNK_BYTES {
             small.push(number.value());
-            if small.len() == BATCH {
+            if small.len() == MAX_BATCH {
                 let next = number.value() + 1;
                 return Ok((small, Some(next)));
             }
@@ -153,16 +144,12 @@ fn small_chunks(
 
 /// Passes the records of a chunk to `act`, one after the other.
 fn each_record(
-    store: &LongTermMemory,
     bytes: &[u8],
-    mut act: impl FnMut(record::Head, &[u8]) -> Result<(), StoreError>,
-) -> Result<(), StoreError> {
+    mut act: impl FnMut(record::Head, &[u8]) -> Result<(), Fault>,
+) -> Result<(), Fault> {
     let mut rest = bytes;
     while !rest.is_empty() {
-        let head = record::head(rest).map_err(|what| store.damaged(what))?;
-        if head.length < record::HEAD {
-            return Err(store.damaged("a chunk has an empty record".into()));
-        }
+        let head = record::head(rest)?;
         let (record, after) = rest.split_at(head.length);
         act(head, record)?;
         rest = after;

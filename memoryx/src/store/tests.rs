@@ -8,9 +8,7 @@ use armarium_values::Value;
 
 use super::*;
 use crate::entity::{Commit, Instance};
-use crate::follow::Follower;
 use crate::query::Times;
-use crate::working::Limits;
 
 pub(super) fn snapshot(path: &str, version: u64, time: u64, value: i64) -> Arc<Snapshot> {
     let attributes = BTreeMap::from([("value".to_owned(), Value::Int(value))]);
@@ -139,31 +137,6 @@ fn a_change_is_one_after_opening_again_too() {
     assert_eq!(on_change().consolidate(&[snapshot("S/p/e", 1, 0, 7)]), Ok(1));
     assert_eq!(on_change().consolidate(&[snapshot("S/p/e", 2, 0, 7)]), Ok(0));
     assert_eq!(on_change().consolidate(&[snapshot("S/p/e", 3, 0, 8)]), Ok(1));
-}
-
-#[tokio::test(start_paused = true)]
-async fn a_task_keeps_what_it_follows_to_the_last() {
-    let (_folder, _, store) = store();
-    let memory = WorkingMemory::new(Arc::new(|| 0))
-        .with_limits(Limits { history: 100, backlog: 8, ..Limits::default() })
-        .with_backing(Arc::new(Numbering(Arc::clone(&store))));
-    let memory = Arc::new(memory);
-    let (follower, _) =
-        Follower::from_now(Arc::<WorkingMemory>::clone(&memory), Pattern::any()).await.unwrap();
-    let consolidator = Consolidator::new(Arc::clone(&store), Policies::all(Policy::Everything));
-    let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
-    let task =
-        tokio::spawn(async move { consolidator.follow(follower, async { drop(stopped.await) }).await });
-    for i in 0..50_i64 {
-        let attributes = BTreeMap::from([("value".to_owned(), Value::Int(i))]);
-        memory.commit_now(vec![Commit::new("S/p/e".parse().unwrap(), 0, attributes)]).unwrap();
-        if i % 20 == 0 {
-            tokio::task::yield_now().await;
-        }
-    }
-    stop.send(()).unwrap();
-    assert_eq!(task.await.unwrap(), Ok(Step { kept: 50, missed: 0 }));
-    assert_eq!(store.stats().unwrap().snapshots, 50);
 }
 
 #[test]

@@ -5,12 +5,13 @@ use std::collections::BTreeMap;
 use redb::{ReadableDatabase, ReadableTable, ReadableTableMetadata};
 use sha2::{Digest, Sha256};
 
+use super::error::Fault;
 use super::read::Reader;
-use super::record::{self, Hash};
+use super::record::{self, Hash, RecordError};
 use super::{BLOB_USES, BLOBS, LongTermMemory, META, StoreError, Totals};
 
 /// Damages that a verification lists individually.
-const LISTED: usize = 100;
+const MAX_LISTED: usize = 100;
 
 /// The result of a verification.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -25,14 +26,13 @@ pub struct Verification {
 
 impl Verification {
     /// Whether everything is as it was written.
-    #[must_use]
     pub fn is_intact(&self) -> bool {
         self.damaged == 0
     }
 
     fn damage(&mut self, what: String) {
         self.damaged += 1;
-        if self.damages.len() < LISTED {
+        if self.damages.len() < MAX_LISTED {
             self.damages.push(what);
         }
     }
@@ -47,7 +47,7 @@ impl LongTermMemory {
     /// When the file cannot be read at all.
     pub fn verify(&self) -> Result<Verification, StoreError> {
         let mut found = Verification::default();
-        let pages = self.with_alone(|database| database.check_integrity().map_err(|e| self.fault(e)));
+        let pages = self.with_alone(|database| Ok(database.check_integrity()?));
         match pages {
             Ok(true) => {}
             Ok(false) => found.damage("pages of the file were not as they were written".into()),
@@ -55,28 +55,28 @@ impl LongTermMemory {
             Err(error) => return Err(error),
         }
         self.with(|database| {
-            let transaction = database.begin_read().map_err(|e| self.fault(e))?;
+            let transaction = database.begin_read()?;
             let mut uses = BTreeMap::new();
-            let reader = Reader::new(self, &transaction)?;
-            self.verify_records(&reader, &mut uses, &mut found)?;
-            let meta = transaction.open_table(META).map_err(|e| self.fault(e))?;
-            let totals = Totals::read(&meta).map_err(|e| self.fault(e))?;
+            let reader = Reader::new(&transaction)?;
+            verify_records(&reader, &mut uses, &mut found)?;
+            let meta = transaction.open_table(META)?;
+            let totals = Totals::read(&meta)?;
             if totals.snapshots != found.intact {
                 found.damage(format!(
                     "{} snapshots are counted, {} are intact",
                     totals.snapshots, found.intact
                 ));
             }
-            let blobs = transaction.open_table(BLOBS).map_err(|e| self.fault(e))?;
-            for row in blobs.iter().map_err(|e| self.fault(e))? {
-                let (hash, content) = row.map_err(|e| self.fault(e))?;
+            let blobs = transaction.open_table(BLOBS)?;
+            for row in blobs.iter()? {
+                let (hash, content) = row?;
                 if Sha256::digest(content.value()).as_slice() != hash.value() {
                     found.damage("a large value is not as it was written".into());
                 }
             }
-            let counted = transaction.open_table(BLOB_USES).map_err(|e| self.fault(e))?;
-            for row in counted.iter().map_err(|e| self.fault(e))? {
-                let (hash, count) = row.map_err(|e| self.fault(e))?;
+            let counted = transaction.open_table(BLOB_USES)?;
+            for row in counted.iter()? {
+                let (hash, count) = row?;
                 if uses.remove(hash.value()) != Some(count.value()) {
                     found.damage("the uses of a large value are not counted as they are".into());
                 }
@@ -86,54 +86,48 @@ impl LongTermMemory {
         })?;
         Ok(found)
     }
+}
 
-    fn verify_records(
-        &self,
-        reader: &Reader<'_>,
-        uses: &mut BTreeMap<Vec<u8>, u64>,
-        found: &mut Verification,
-    ) -> Result<(), StoreError> {
-        let ids = reader.addresses()?;
-        let mut records = 0;
-        for row in reader.chunks.iter().map_err(|e| self.fault(e))? {
-            let (number, chunk) = row.map_err(|e| self.fault(e))?;
-            let (number, bytes) = (number.value(), chunk.value());
-            let mut at = 0;
-            while at < bytes.len() {
-                let head = match record::head(&bytes[at..]) {
-                    Ok(head) if head.length >= record::HEAD => head,
-                    Ok(_) => {
-                        found.damage(format!("chunk {number} has an empty record"));
-                        break;
-                    }
-                    Err(what) => {
-                        found.damage(what);
-                        break;
-                    }
-                };
-                let record = &bytes[at..at + head.length];
-                let blobs: Vec<Hash> = record::blobs_of(record, head).unwrap_or_default();
-                blobs.into_iter().for_each(|hash| *uses.entry(hash.to_vec()).or_default() += 1);
-                let place = reader.index.get((head.number, head.version)).map_err(|e| self.fault(e))?;
-                let is_indexed = place.is_some_and(|row| {
-                    let row = row.value();
-                    (row.0, row.1 as usize, row.2 as usize) == (number, at, head.length)
-                });
-                let decoded = ids.get(&head.number).ok_or("has no address".to_owned());
-                let decoded = decoded.and_then(|id| record::decode(id, head, record, &|_| Ok(Vec::new())));
-                match decoded {
-                    Ok(_) if is_indexed => found.intact += 1,
-                    Ok(s) => found.damage(format!("version {} of `{}` is not in the index", s.version, s.id)),
-                    Err(what) => found.damage(what),
+fn verify_records(
+    reader: &Reader,
+    uses: &mut BTreeMap<Vec<u8>, u64>,
+    found: &mut Verification,
+) -> Result<(), Fault> {
+    let ids = reader.addresses()?;
+    let mut records = 0;
+    for row in reader.chunks.iter()? {
+        let (number, chunk) = row?;
+        let (number, bytes) = (number.value(), chunk.value());
+        let mut at = 0;
+        while at < bytes.len() {
+            let head = match record::head(&bytes[at..]) {
+                Ok(head) => head,
+                Err(what) => {
+                    found.damage(what.to_string());
+                    break;
                 }
-                records += 1;
-                at += head.length;
+            };
+            let record = &bytes[at..at + head.length];
+            let blobs: Vec<Hash> = record::blobs_of(record, head).unwrap_or_default();
+            blobs.into_iter().for_each(|hash| *uses.entry(hash.to_vec()).or_default() += 1);
+            let place = reader.index.get((head.number, head.version))?;
+            let is_indexed = place.is_some_and(|row| {
+                let row = row.value();
+                (row.0, row.1 as usize, row.2 as usize) == (number, at, head.length)
+            });
+            let id = ids.get(&head.number).ok_or(RecordError::NoAddress { number: head.number });
+            match id.and_then(|id| record::decode(id, head, record, &|_| Ok(Vec::new()))) {
+                Ok(_) if is_indexed => found.intact += 1,
+                Ok(s) => found.damage(format!("version {} of `{}` is not in the index", s.version, s.id)),
+                Err(what) => found.damage(what.to_string()),
             }
+            records += 1;
+            at += head.length;
         }
-        let indexed = reader.index.len().map_err(|e| self.fault(e))?;
-        if indexed != records {
-            found.damage(format!("{records} records have {indexed} entries in the index"));
-        }
-        Ok(())
     }
+    let indexed = reader.index.len()?;
+    if indexed != records {
+        found.damage(format!("{records} records have {indexed} entries in the index"));
+    }
+    Ok(())
 }

@@ -5,18 +5,21 @@ use std::sync::Arc;
 use indexmap::IndexMap;
 use redb::{ReadableTable, Table, WriteTransaction};
 
+use super::error::Fault;
 use super::record::{self, Hash};
-use super::{BLOB_USES, BLOBS, CHUNKS, ENTITIES, INDEX, LongTermMemory, META, NAMED, Row, StoreError};
+use super::{
+    BLOB_USES, BLOBS, CHUNKS, ENTITIES, INDEX, LongTermMemory, META, NAMED, RecordPlace, StoreError,
+};
 use crate::entity::{EntityId, Snapshot};
 
 /// Most bytes of a chunk with several records: with its overhead it fills a page of 64 kB.
-const CHUNK: usize = 65_000;
+const MAX_CHUNK_BYTES: usize = 65_000;
 /// Most entities in the cache.
-const REMEMBERED: usize = 100_000;
+const MAX_CACHED: usize = 100_000;
 
 /// Cached facts about an entity.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Known {
+pub(super) struct EntityFacts {
     pub(super) number: u64,
     /// 0 when nothing is kept.
     pub(super) newest: u64,
@@ -26,7 +29,7 @@ pub(super) struct Known {
 }
 
 /// The entities that were written recently.
-pub(super) type Memo = IndexMap<EntityId, Known>;
+pub(super) type EntityCache = IndexMap<EntityId, EntityFacts>;
 
 /// The numbers in the table `meta`.
 #[derive(Clone, Copy, Debug, Default)]
@@ -60,10 +63,9 @@ impl Totals {
 
 /// Writes within one transaction.
 pub(super) struct Writer<'t> {
-    store: &'t LongTermMemory,
     meta: Table<'t, &'static str, u64>,
     entities: Table<'t, &'static [u8], (u64, bool)>,
-    pub(super) index: Table<'t, (u64, u64), Row>,
+    pub(super) index: Table<'t, (u64, u64), RecordPlace>,
     pub(super) chunks: Table<'t, u64, &'static [u8]>,
     blobs: Table<'t, &'static [u8], &'static [u8]>,
     blob_uses: Table<'t, &'static [u8], u64>,
@@ -72,94 +74,101 @@ pub(super) struct Writer<'t> {
     /// The chunk that is being filled; its number is `totals.next_chunk`.
     open: Vec<u8>,
     /// What this transaction has changed.
-    pub(super) known: Memo,
+    pub(super) known: EntityCache,
 }
 
 impl<'t> Writer<'t> {
-    pub(super) fn new(
-        store: &'t LongTermMemory,
-        transaction: &'t WriteTransaction,
-    ) -> Result<Self, StoreError> {
-        let open = || -> Result<Self, redb::Error> {
-            let meta = transaction.open_table(META)?;
-            let totals = Totals::read(&meta)?;
-            Ok(Self {
-                store,
-                meta,
-                entities: transaction.open_table(ENTITIES)?,
-                index: transaction.open_table(INDEX)?,
-                chunks: transaction.open_table(CHUNKS)?,
-                blobs: transaction.open_table(BLOBS)?,
-                blob_uses: transaction.open_table(BLOB_USES)?,
-                named: transaction.open_table(NAMED)?,
-                totals,
-                open: Vec::with_capacity(CHUNK),
-                known: Memo::new(),
-            })
-        };
-        open().map_err(|e| store.fault(e))
+    pub(super) fn new(transaction: &'t WriteTransaction) -> Result<Self, Fault> {
+        let meta = transaction.open_table(META)?;
+        let totals = Totals::read(&meta)?;
+        Ok(Self {
+            meta,
+            entities: transaction.open_table(ENTITIES)?,
+            index: transaction.open_table(INDEX)?,
+            chunks: transaction.open_table(CHUNKS)?,
+            blobs: transaction.open_table(BLOBS)?,
+            blob_uses: transaction.open_table(BLOB_USES)?,
+            named: transaction.open_table(NAMED)?,
+            totals,
+            open: Vec::with_capacity(MAX_CHUNK_BYTES),
+            known: EntityCache::new(),
+        })
     }
 
     /// The facts about an entity; a new entity gets a number.
-    fn know(&mut self, id: &EntityId, memo: &Memo) -> Result<Known, StoreError> {
+    fn know(&mut self, id: &EntityId, memo: &EntityCache) -> Result<EntityFacts, Fault> {
         if let Some(known) = self.known.get(id).or_else(|| memo.get(id)) {
             return Ok(*known);
         }
         let key = record::entity_key(id);
-        let store = self.store;
-        let held = self.entities.get(key.as_slice()).map_err(|e| store.fault(e))?.map(|v| v.value());
+        let held = self.entities.get(key.as_slice())?.map(|v| v.value());
         let Some((number, ordered)) = held else {
             let number = self.totals.next_entity;
             self.totals.next_entity += 1;
-            self.entities.insert(key.as_slice(), (number, true)).map_err(|e| store.fault(e))?;
-            return Ok(Known { number, newest: 0, newest_referenced_ns: 0, ordered: true });
+            self.entities.insert(key.as_slice(), (number, true))?;
+            return Ok(EntityFacts { number, newest: 0, newest_referenced_ns: 0, ordered: true });
         };
-        let mut rows = self.index.range((number, 0)..=(number, u64::MAX)).map_err(|e| store.fault(e))?;
-        let newest = rows.next_back().transpose().map_err(|e| store.fault(e))?;
+        let mut rows = self.index.range((number, 0)..=(number, u64::MAX))?;
+        let newest = rows.next_back().transpose()?;
         let (newest, referenced) = newest.map_or((0, 0), |(key, row)| (key.value().1, row.value().3));
-        Ok(Known { number, newest, newest_referenced_ns: referenced, ordered })
+        Ok(EntityFacts { number, newest, newest_referenced_ns: referenced, ordered })
     }
 
     /// The number of an entity, unique in the file.
-    pub(super) fn number(&mut self, id: &EntityId, memo: &Memo) -> Result<u64, StoreError> {
+    pub(super) fn number(&mut self, id: &EntityId, memo: &EntityCache) -> Result<u64, Fault> {
         Ok(self.know(id, memo)?.number)
     }
 
     /// Whether a version of an entity is stored.
-    pub(super) fn holds(&mut self, id: &EntityId, version: u64, memo: &Memo) -> Result<bool, StoreError> {
+    pub(super) fn holds(&mut self, id: &EntityId, version: u64, memo: &EntityCache) -> Result<bool, Fault> {
         let number = self.know(id, memo)?.number;
-        let row = self.index.get((number, version)).map_err(|e| self.store.fault(e))?;
+        let row = self.index.get((number, version))?;
         Ok(row.is_some())
     }
 
-    /// Adds a snapshot unless it is already stored. Returns whether it is new.
-    pub(super) fn add(&mut self, snapshot: &Snapshot, memo: &Memo) -> Result<bool, StoreError> {
+    /// Adds a snapshot unless it is already stored; where others write too, behind what they have stored meanwhile. Returns
+    /// whether it is new.
+    pub(super) fn add(
+        &mut self,
+        snapshot: &Snapshot,
+        memo: &EntityCache,
+        others_write: bool,
+    ) -> Result<bool, Fault> {
         let mut known = self.know(&snapshot.id, memo)?;
-        let store = self.store;
-        let fault = |e: redb::StorageError| store.fault(e);
         let (start, mut blobs) = (self.open.len(), Vec::new());
         record::append(&mut self.open, known.number, snapshot, &mut blobs);
         let length = self.open.len() - start;
         let is_newer = snapshot.version > known.newest;
         if !is_newer {
-            let row = self.index.get((known.number, snapshot.version)).map_err(fault)?.map(|r| r.value());
-            if let Some(row) = row {
-                let is_same = self.record(row)? == self.open[start..];
+            let row = self.index.get((known.number, snapshot.version))?.map(|r| r.value());
+            let is_same =
+                row.map_or(Ok(false), |row| self.record(row).map(|old| old == self.open[start..]))?;
+            if row.is_some() || others_write {
                 self.open.truncate(start);
-                let (id, version) = (snapshot.id.to_string(), snapshot.version);
-                return if is_same { Ok(false) } else { Err(StoreError::Version { id, version }) };
+            }
+            match row {
+                _ if is_same => return Ok(false),
+                _ if others_write => {
+                    let version = known.newest.saturating_add(1);
+                    return self.add(&Snapshot { version, ..snapshot.clone() }, memo, false);
+                }
+                Some(_) => {
+                    let (id, version) = (snapshot.id.to_string(), snapshot.version);
+                    return Err(StoreError::Version { id, version }.into());
+                }
+                None => {}
             }
         }
         let ordered = is_newer && snapshot.referenced_ns >= known.newest_referenced_ns;
         if known.ordered && !ordered {
             known.ordered = false;
             let key = record::entity_key(&snapshot.id);
-            self.entities.insert(key.as_slice(), (known.number, false)).map_err(fault)?;
+            self.entities.insert(key.as_slice(), (known.number, false))?;
         }
         if is_newer {
             (known.newest, known.newest_referenced_ns) = (snapshot.version, snapshot.referenced_ns);
         }
-        if self.open.len() > CHUNK && start > 0 {
+        if self.open.len() > MAX_CHUNK_BYTES && start > 0 {
             let record = self.open.split_off(start);
             self.close_chunk()?;
             self.open.extend_from_slice(&record);
@@ -174,35 +183,33 @@ impl<'t> Writer<'t> {
     }
 
     /// Adds the last `length` bytes of the open chunk to the index.
-    fn note(
-        &mut self,
-        number: u64,
-        version: u64,
-        length: usize,
-        referenced_ns: u64,
-    ) -> Result<(), StoreError> {
+    fn note(&mut self, number: u64, version: u64, length: usize, referenced_ns: u64) -> Result<(), Fault> {
         let place = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
         let row = (self.totals.next_chunk, place(self.open.len() - length), place(length), referenced_ns);
-        self.index.insert((number, version), row).map_err(|e| self.store.fault(e))?;
+        self.index.insert((number, version), row)?;
         Ok(())
     }
 
     /// Moves a record to the end.
-    pub(super) fn move_record(&mut self, record: &[u8], head: record::Head) -> Result<(), StoreError> {
+    pub(super) fn move_record(&mut self, record: &[u8], head: record::Head) -> Result<(), Fault> {
         self.make_room(record.len())?;
         self.open.extend_from_slice(record);
-        let (referenced_ns, _) = record::times(record).map_err(|what| self.store.damaged(what))?;
+        let (referenced_ns, _) = record::times(record)?;
         self.note(head.number, head.version, record.len(), referenced_ns)
     }
 
-    fn make_room(&mut self, bytes: usize) -> Result<(), StoreError> {
-        if !self.open.is_empty() && self.open.len() + bytes > CHUNK { self.close_chunk() } else { Ok(()) }
+    fn make_room(&mut self, bytes: usize) -> Result<(), Fault> {
+        if !self.open.is_empty() && self.open.len() + bytes > MAX_CHUNK_BYTES {
+            self.close_chunk()
+        } else {
+            Ok(())
+        }
     }
 
-    fn close_chunk(&mut self) -> Result<(), StoreError> {
+    fn close_chunk(&mut self) -> Result<(), Fault> {
         if !self.open.is_empty() {
             let inserted = self.chunks.insert(self.totals.next_chunk, self.open.as_slice());
-            inserted.map_err(|e| self.store.fault(e))?;
+            inserted?;
             self.totals.next_chunk += 1;
             self.totals.bytes += self.open.len() as u64;
             self.open.clear();
@@ -211,69 +218,63 @@ impl<'t> Writer<'t> {
     }
 
     /// The bytes of a record in a stored chunk, or in the open one.
-    fn record(&self, row: Row) -> Result<Vec<u8>, StoreError> {
+    fn record(&self, row: RecordPlace) -> Result<Vec<u8>, Fault> {
         let range = row.1 as usize..row.1 as usize + row.2 as usize;
-        let missing = || self.store.damaged(format!("a record in chunk {} is missing", row.0));
+        let missing = || Fault::no_record(row);
         if row.0 == self.totals.next_chunk {
             return self.open.get(range).map(<[u8]>::to_vec).ok_or_else(missing);
         }
-        let chunk = self.chunks.get(row.0).map_err(|e| self.store.fault(e))?.ok_or_else(missing)?;
+        let chunk = self.chunks.get(row.0)?.ok_or_else(missing)?;
         chunk.value().get(range).map(<[u8]>::to_vec).ok_or_else(missing)
     }
 
-    fn use_blob(&mut self, hash: &Hash, content: &[u8]) -> Result<(), StoreError> {
-        let store = self.store;
-        let fault = |e: redb::StorageError| store.fault(e);
-        let uses = self.blob_uses.get(hash.as_slice()).map_err(fault)?.map_or(0, |v| v.value());
+    fn use_blob(&mut self, hash: &Hash, content: &[u8]) -> Result<(), Fault> {
+        let uses = self.blob_uses.get(hash.as_slice())?.map_or(0, |v| v.value());
         if uses == 0 {
-            self.blobs.insert(hash.as_slice(), content).map_err(fault)?;
+            self.blobs.insert(hash.as_slice(), content)?;
             self.totals.bytes += content.len() as u64;
         }
-        self.blob_uses.insert(hash.as_slice(), uses + 1).map_err(fault)?;
+        self.blob_uses.insert(hash.as_slice(), uses + 1)?;
         Ok(())
     }
 
     /// Removes a record, and the blobs that no other record refers to.
-    pub(super) fn forget(&mut self, bytes: &[u8], head: record::Head) -> Result<(), StoreError> {
-        let store = self.store;
-        let fault = |e: redb::StorageError| store.fault(e);
-        self.index.remove((head.number, head.version)).map_err(fault)?;
+    pub(super) fn forget(&mut self, bytes: &[u8], head: record::Head) -> Result<(), Fault> {
+        self.index.remove((head.number, head.version))?;
         self.totals.snapshots = self.totals.snapshots.saturating_sub(1);
-        for hash in record::blobs_of(bytes, head).map_err(|what| store.damaged(what))? {
-            let uses = self.blob_uses.get(hash.as_slice()).map_err(fault)?.map_or(0, |v| v.value());
+        for hash in record::blobs_of(bytes, head)? {
+            let uses = self.blob_uses.get(hash.as_slice())?.map_or(0, |v| v.value());
             if uses > 1 {
-                self.blob_uses.insert(hash.as_slice(), uses - 1).map_err(fault)?;
+                self.blob_uses.insert(hash.as_slice(), uses - 1)?;
                 continue;
             }
-            self.blob_uses.remove(hash.as_slice()).map_err(fault)?;
-            let freed = self.blobs.remove(hash.as_slice()).map_err(fault)?.map_or(0, |v| v.value().len());
+            self.blob_uses.remove(hash.as_slice())?;
+            let freed = self.blobs.remove(hash.as_slice())?.map_or(0, |v| v.value().len());
             self.totals.bytes = self.totals.bytes.saturating_sub(freed as u64);
         }
         Ok(())
     }
 
     /// Stores a list under a name, or removes it. Returns whether the name existed.
-    pub(super) fn name(&mut self, name: &str, list: Option<&[u8]>) -> Result<bool, StoreError> {
-        let store = self.store;
-        let was = match list {
-            Some(list) => self.named.insert(name, list).map_err(|e| store.fault(e))?.is_some(),
-            None => self.named.remove(name).map_err(|e| store.fault(e))?.is_some(),
-        };
-        Ok(was)
+    pub(super) fn name(&mut self, name: &str, list: Option<&[u8]>) -> Result<bool, Fault> {
+        Ok(match list {
+            Some(list) => self.named.insert(name, list)?.is_some(),
+            None => self.named.remove(name)?.is_some(),
+        })
     }
 
     /// Removes a chunk and returns its bytes.
-    pub(super) fn take_chunk(&mut self, chunk: u64) -> Result<Vec<u8>, StoreError> {
-        let taken = self.chunks.remove(chunk).map_err(|e| self.store.fault(e))?;
+    pub(super) fn take_chunk(&mut self, chunk: u64) -> Result<Vec<u8>, Fault> {
+        let taken = self.chunks.remove(chunk)?;
         let bytes = taken.map(|v| v.value().to_vec()).unwrap_or_default();
         self.totals.bytes = self.totals.bytes.saturating_sub(bytes.len() as u64);
         Ok(bytes)
     }
 
     /// Writes the last chunk and the totals; returns the facts learned about entities.
-    pub(super) fn finish(mut self) -> Result<Memo, StoreError> {
+    pub(super) fn finish(mut self) -> Result<EntityCache, Fault> {
         self.close_chunk()?;
-        self.totals.write(&mut self.meta).map_err(|e| self.store.fault(e))?;
+        self.totals.write(&mut self.meta)?;
         Ok(self.known)
     }
 }
@@ -283,8 +284,8 @@ impl LongTermMemory {
     /// unchanged. Returns how many are new.
     ///
     /// # Errors
-    /// [`StoreError::Version`] when another snapshot has the same version; [`StoreError::Full`] and others when the
-    /// disk fails.
+    /// [`StoreError::Version`] when another snapshot has the same version, in a file that is not shared;
+    /// [`StoreError::Full`] and others when the disk fails.
     pub fn persist(&self, snapshots: &[Arc<Snapshot>]) -> Result<usize, StoreError> {
         if snapshots.is_empty() {
             return Ok(0);
@@ -292,7 +293,7 @@ impl LongTermMemory {
         self.write(|writer, memo| {
             let mut new = 0;
             for snapshot in snapshots {
-                new += usize::from(writer.add(snapshot, memo)?);
+                new += usize::from(writer.add(snapshot, memo, self.shared)?);
             }
             Ok((new, new > 0))
         })
@@ -301,33 +302,30 @@ impl LongTermMemory {
     /// Changes the file in one transaction, unless `act` returns that nothing has changed.
     pub(super) fn write<T>(
         &self,
-        act: impl FnOnce(&mut Writer<'_>, &Memo) -> Result<(T, bool), StoreError>,
+        act: impl FnOnce(&mut Writer<'_>, &EntityCache) -> Result<(T, bool), Fault>,
     ) -> Result<T, StoreError> {
         let mut memo = self.memo.lock();
+        if self.shared {
+            // Others have written since.
+            memo.clear();
+        }
         let written = self.with(|database| {
-            let transaction = database.begin_write().map_err(|e| self.fault(e))?;
-            let mut writer = Writer::new(self, &transaction)?;
+            let transaction = database.begin_write()?;
+            let mut writer = Writer::new(&transaction)?;
             let (result, changed) = act(&mut writer, &memo)?;
-            let known = if changed {
-                Some(writer.finish()?)
-            } else {
-                drop(writer);
-                None
-            };
-            match known {
-                Some(known) => {
-                    transaction.commit().map_err(|e| self.fault(e))?;
-                    Ok((result, known))
-                }
-                None => Ok((result, Memo::new())),
+            if !changed {
+                return Ok((result, EntityCache::new()));
             }
+            let known = writer.finish()?;
+            transaction.commit()?;
+            Ok((result, known))
         });
         match written {
             Ok((result, known)) => {
-                if memo.len() + known.len() > REMEMBERED {
+                if memo.len() + known.len() > MAX_CACHED {
                     memo.clear();
                 }
-                if known.len() <= REMEMBERED {
+                if known.len() <= MAX_CACHED {
                     memo.extend(known);
                 }
                 Ok(result)

@@ -1,21 +1,21 @@
 //! The assignment problem: assigns each row to one column, each column at most once, with the least sum of costs.
 
 /// The cost of an impossible pair: more than any sum of real costs.
-const NEVER: f64 = 1e12;
+const IMPOSSIBLE_COST: f64 = 1e12;
 
 /// Returns the column of each row. There must be at least as many columns as rows. A cost that is not finite marks an
 /// impossible pair; such a pair may still be assigned if nothing else is left.
 ///
 /// # Source
 /// Kuhn 1955, Munkres 1957, with potentials and shortest augmenting paths: O(rows² columns).
-#[must_use]
 pub fn assign(costs: &[Vec<f64>]) -> Vec<usize> {
     let (rows, columns) = (costs.len(), costs.first().map_or(0, Vec::len));
     if rows == 0 || columns < rows || costs.iter().any(|row| row.len() != columns) {
         return Vec::new();
     }
-    let cost =
-        |row: usize, column: usize| Some(costs[row][column]).filter(|c| c.is_finite()).unwrap_or(NEVER);
+    let cost = |row: usize, column: usize| {
+        Some(costs[row][column]).filter(|c| c.is_finite()).unwrap_or(IMPOSSIBLE_COST)
+    };
     // Column 0 means none; `row_of` counts rows from 1.
     let (mut of_row, mut of_column) = (vec![0.0; rows + 1], vec![0.0; columns + 1]);
     let mut row_of = vec![0_usize; columns + 1];

@@ -12,7 +12,6 @@ pub struct Gaussian {
 impl Gaussian {
     /// A position, m, with its covariance, m². `None` unless all numbers are finite and the covariance is symmetric
     /// and positive definite.
-    #[must_use]
     pub fn new(mean: Vector3<f64>, covariance: Matrix3<f64>) -> Option<Self> {
         let finite = mean.iter().chain(covariance.iter()).all(|x| x.is_finite());
         let scale = covariance.amax();
@@ -22,26 +21,22 @@ impl Gaussian {
     }
 
     /// The position, m.
-    #[must_use]
     pub fn mean(&self) -> Vector3<f64> {
         self.mean
     }
 
     /// Its covariance, m².
-    #[must_use]
     pub fn covariance(&self) -> Matrix3<f64> {
         self.covariance
     }
 
     /// The same position with the variance along each axis increased by `variance`, m².
-    #[must_use]
     pub fn spread(&self, variance: f64) -> Self {
         Self { mean: self.mean, covariance: self.covariance + Matrix3::identity() * variance }
     }
 
     /// The squared Mahalanobis distance of two independent estimates: chi-squared with 3 degrees of freedom if both
     /// are of one object.
-    #[must_use]
     pub fn distance_squared(&self, other: &Self) -> Option<f64> {
         let innovation = other.mean - self.mean;
         let decomposed = Cholesky::new(self.covariance + other.covariance)?;
@@ -53,7 +48,6 @@ impl Gaussian {
     ///
     /// # Source
     /// Bar-Shalom, Li, Kirubarajan 2001, eqs. (5.2.3-11) to (5.2.3-18).
-    #[must_use]
     pub fn fuse(&self, observed: &Self) -> Option<Self> {
         let inverse = Cholesky::new(self.covariance + observed.covariance)?.inverse();
         let gain = self.covariance * inverse;
@@ -67,7 +61,6 @@ impl Gaussian {
 
 /// The confidence after one more independent observation; all are 0 to 1. It grows to 0.999 at most, unless one of
 /// the two is higher already.
-#[must_use]
 pub fn fuse_confidence(before: f64, observed: f64) -> f64 {
     (1.0 - (1.0 - before) * (1.0 - observed)).min(before.max(observed).max(0.999)).clamp(0.0, 1.0)
 }

@@ -31,7 +31,7 @@ pub use motion::{Carriers, MotionModel, NoCarriers, predict};
 /// The core segment of observed objects.
 pub const OBJECT_INSTANCES: &str = "ObjectInstances";
 /// How often an update tries again after a conflict with another writer.
-const TRIES: u32 = 8;
+const MAX_TRIES: u32 = 8;
 
 /// An object observed at a position.
 #[derive(Clone, Debug, PartialEq)]
@@ -123,7 +123,7 @@ impl Updater {
             tries += 1;
             match self.memory.commit(updates).await {
                 Ok(versions) => return Ok(ids.into_iter().zip(versions).collect()),
-                Err(MemoryError::Conflict { .. }) if tries < TRIES => {}
+                Err(MemoryError::Conflict { .. }) if tries < MAX_TRIES => {}
                 Err(error) => return Err(error),
             }
         }
@@ -235,7 +235,6 @@ impl Updater {
 }
 
 /// The prior knowledge of a class: size, colour, mass, and its source.
-#[must_use]
 pub fn enrichment(class: &str, classes: &[Arc<Snapshot>]) -> BTreeMap<String, Value> {
     let Some(known) = classes.iter().find(|s| s.id.entity() == class) else { return BTreeMap::new() };
     let taken = ["size", "color", "mass", "recognition"];

@@ -14,9 +14,9 @@ use crate::entity::{Instance, Snapshot};
 use crate::place::place_of;
 
 /// The variance of a position without covariance: 1 cm along each axis, squared, m².
-const UNKNOWN: f64 = 1e-4;
+const UNKNOWN_VARIANCE: f64 = 1e-4;
 /// Longest chain of carriers that are carried themselves.
-const DEEPEST: usize = 8;
+const MAX_CARRIERS: usize = 8;
 
 /// How an entity moves between observations.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,7 +57,6 @@ impl Carriers for NoCarriers {
 
 impl MotionModel {
     /// The model named in an instance; static when none is named, or when its attributes are incomplete.
-    #[must_use]
     pub fn of(instance: &Instance) -> Self {
         let text = |name: &str| instance.attributes.get(name).and_then(Value::as_str).map(str::to_owned);
         let offset = instance.attributes.get("offset").and_then(Value::as_vector3).unwrap_or_default();
@@ -69,7 +68,6 @@ impl MotionModel {
     }
 
     /// The attributes that name the model.
-    #[must_use]
     pub fn attributes(&self) -> Vec<(String, Value)> {
         let named = |kind: &str| vec![("motion_model".to_owned(), Value::from(kind))];
         let attached = |kind: &str, to: &str, offset: &[f64; 3]| {
@@ -89,7 +87,6 @@ impl MotionModel {
 /// The expected position of an entity at a time, with its frame, by its motion model. The variance grows with the
 /// time since the last observation. `held`: the newest snapshots of the entities that may carry it, ordered by
 /// address. `None` when it has no position. If the carrier's position is unknown, the entity stays where it was seen.
-#[must_use]
 pub fn predict(
     snapshot: &Snapshot,
     at_ns: u64,
@@ -97,7 +94,7 @@ pub fn predict(
     carriers: &dyn Carriers,
     settings: &Settings,
 ) -> Option<(Frame, Gaussian)> {
-    predict_within(snapshot, at_ns, held, carriers, settings, DEEPEST)
+    predict_within(snapshot, at_ns, held, carriers, settings, MAX_CARRIERS)
 }
 
 fn predict_within(
@@ -112,7 +109,8 @@ fn predict_within(
     let (frame, position) = place_of(snapshot)?;
     let seconds = at_ns.saturating_sub(snapshot.referenced_ns) as f64 * 1e-9;
     let rows = instance.covariance.get("position").filter(|rows| rows.len() == 9);
-    let covariance = rows.map_or_else(|| Matrix3::identity() * UNKNOWN, |rows| Matrix3::from_row_slice(rows));
+    let covariance =
+        rows.map_or_else(|| Matrix3::identity() * UNKNOWN_VARIANCE, |rows| Matrix3::from_row_slice(rows));
     let seen = |frame: &Frame, mean: Vector3<f64>, drift: f64| {
         let gaussian = Gaussian::new(mean, covariance)
             .or_else(|| Gaussian::new(mean, covariance + Matrix3::identity() * 1e-12))?;

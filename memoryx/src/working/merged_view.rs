@@ -4,24 +4,24 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::{Kept, WorkingMemory};
+use super::{Archive, WorkingMemory};
 use crate::checked_query::{CheckedQuery, Selection, versions_between};
 use crate::entity::{EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::query::{Cursor, Pattern, Query, Times};
 
 /// Most snapshots of a part.
-pub(super) const PART: usize = 8192;
+pub(super) const MAX_PART: usize = 8192;
 /// Most bytes of a part, about.
-const PART_BYTES: u64 = 16 << 20;
+const MAX_PART_BYTES: u64 = 16 << 20;
 
 /// Snapshots by entity and version.
-type Known = BTreeMap<EntityId, BTreeMap<u64, Arc<Snapshot>>>;
+type Histories = BTreeMap<EntityId, BTreeMap<u64, Arc<Snapshot>>>;
 
 /// Working memory and everything that was ever stored.
 pub(super) struct MergedView<'m> {
     pub(super) memory: &'m WorkingMemory,
-    pub(super) kept: &'m dyn Kept,
+    pub(super) kept: &'m dyn Archive,
 }
 
 impl MergedView<'_> {
@@ -55,13 +55,13 @@ impl MergedView<'_> {
     }
 
     /// A part of both memories' content, and its end if there is more.
-    fn part(&self, wide: &Query) -> Result<(Known, Option<Cursor>), MemoryError> {
+    fn part(&self, wide: &Query) -> Result<(Histories, Option<Cursor>), MemoryError> {
         let recalled = self.kept.recall(wide)?;
         let held = self.memory.read().select(&wide.check()?);
         let cut = [&recalled, &held].into_iter().filter(|part| wide.is_filled_by(part));
         // Past the end of a truncated part not everything is known: the next part begins there.
         let end = cut.filter_map(|part| part.last()).map(|last| place(last, wide)).min();
-        let mut known = Known::new();
+        let mut known = Histories::new();
         for snapshot in recalled.into_iter().chain(held) {
             if end.as_ref().is_none_or(|end| place(&snapshot, wide) <= *end) {
                 known.entry(snapshot.id.clone()).or_default().insert(snapshot.version, snapshot);
@@ -182,7 +182,7 @@ fn wider(query: &Query, part: usize) -> Query {
         limit: None,
         after: after.map(|after| Cursor { version: if is_one { 0 } else { after.version }, ..after }),
         most: Some(most.map_or(part, |most| most.min(part))),
-        most_bytes: Some(PART_BYTES),
+        most_bytes: Some(MAX_PART_BYTES),
         removed: is_one,
         long_term: false,
     }

@@ -18,15 +18,15 @@ use tokio::sync::broadcast;
 use crate::entity::{Commit, EntityId, Snapshot};
 use crate::error::MemoryError;
 use crate::memory::Memory;
-use crate::query::{Pattern, Query};
+use crate::query::Query;
 use crate::schema::{SegmentSchema, core_segments};
 
-mod committing;
-mod held;
+mod content;
+mod group_commit;
 mod merged_view;
 
-use committing::{CommitResult, Numbered, Request};
-use held::{State, Taken};
+use content::{Content, Usage};
+use group_commit::{GroupVersions, Request};
 use merged_view::MergedView;
 use parking_lot::{Mutex, RwLock};
 
@@ -34,7 +34,6 @@ use parking_lot::{Mutex, RwLock};
 pub type Clock = Arc<dyn Fn() -> u64 + Send + Sync>;
 
 /// A clock that counts from this call on tokio's clock, ns: virtual time where that clock is paused.
-#[must_use]
 pub fn tokio_clock() -> Clock {
     let start = tokio::time::Instant::now();
     Arc::new(move || u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX))
@@ -67,7 +66,6 @@ impl Default for Limits {
 impl Limits {
     /// For a memory that others write to: data at most a minute in the future, and a quarter of the capacity per
     /// owner.
-    #[must_use]
     pub fn of_agent() -> Self {
         Self { ahead_ns: Some(60_000_000_000), shares: 4, ..Self::default() }
     }
@@ -89,13 +87,13 @@ pub trait Backing: Send + Sync {
     fn take(&self, snapshots: &[Arc<Snapshot>]) -> Result<(), MemoryError>;
 
     /// Its content, if that can be queried.
-    fn kept(&self) -> Option<&dyn Kept> {
+    fn archive(&self) -> Option<&dyn Archive> {
         None
     }
 }
 
 /// Everything that a [`Backing`] was ever given.
-pub trait Kept {
+pub trait Archive {
     /// Answers a query.
     ///
     /// # Errors
@@ -128,13 +126,12 @@ pub struct WorkingMemory {
     /// Commits that wait for the committing thread.
     waiting: Mutex<Vec<Request>>,
     /// Locked by the committing thread, also during the backing's write; the last arrival time, ns.
-    committing: Mutex<u64>,
-    state: RwLock<State>,
+    commit_lock: Mutex<u64>,
+    content: RwLock<Content>,
 }
 
 impl WorkingMemory {
     /// An empty memory with the standard core segments and [`Limits::default`].
-    #[must_use]
     pub fn new(clock: Clock) -> Self {
         let limits = Limits::default();
         Self {
@@ -142,11 +139,11 @@ impl WorkingMemory {
             limits,
             schemas: core_segments(),
             backing: None,
-            part: merged_view::PART,
+            part: merged_view::MAX_PART,
             changes: broadcast::channel(limits.backlog).0,
             waiting: Mutex::default(),
-            committing: Mutex::new(0),
-            state: RwLock::default(),
+            commit_lock: Mutex::new(0),
+            content: RwLock::default(),
         }
     }
 
@@ -155,13 +152,6 @@ impl WorkingMemory {
     pub fn with_limits(mut self, limits: Limits) -> Self {
         self.limits = Limits { history: limits.history.max(1), shares: limits.shares.max(1), ..limits };
         self.changes = broadcast::channel(limits.backlog.clamp(1, 1 << 24)).0;
-        self
-    }
-
-    /// The same memory with one more typed core segment; it replaces one of the same name.
-    #[must_use]
-    pub fn with_schema(mut self, schema: SegmentSchema) -> Self {
-        self.schemas.insert(schema.segment.clone(), schema);
         self
     }
 
@@ -180,37 +170,31 @@ impl WorkingMemory {
     }
 
     /// The typed core segments by name.
-    #[must_use]
     pub fn schemas(&self) -> &BTreeMap<String, SegmentSchema> {
         &self.schemas
     }
 
     /// The memory's time, ns.
-    #[must_use]
     pub fn now_ns(&self) -> u64 {
         (self.clock)()
     }
 
     /// Whether a backing stores its commits, so that they may take as long as a disk.
-    #[must_use]
     pub fn has_backing(&self) -> bool {
         self.backing.is_some()
     }
 
     /// How many entities it holds, removed ones included.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.read().len()
     }
 
     /// The size of its snapshots, bytes, about.
-    #[must_use]
     pub fn bytes(&self) -> u64 {
         self.read().bytes()
     }
 
     /// Whether it is empty.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -229,37 +213,23 @@ impl WorkingMemory {
     /// # Errors
     /// As [`Memory::commit`].
     pub fn commit_sent(&self, updates: Vec<Commit>, sent_ns: u64) -> Result<Vec<u64>, MemoryError> {
-        self.write(updates, sent_ns, false)
+        self.write_one(updates, sent_ns, false)
     }
 
     /// Several commits at once: each is accepted or refused individually, and the accepted ones are made durable
     /// together.
     pub fn commit_group(&self, commits: Vec<(Vec<Commit>, u64)>) -> Vec<Result<Vec<u64>, MemoryError>> {
-        let answers: Vec<_> = commits.iter().map(|_| Arc::new(Mutex::new(None))).collect();
-        let requests = commits.into_iter().zip(&answers).map(|((updates, sent_ns), answer)| Request {
-            updates,
-            sent_ns,
-            prior: false,
-            answer: Arc::clone(answer),
-        });
-        let requests: Vec<_> = requests.collect();
-        self.waiting.lock().extend(requests);
-        self.commit_waiting();
-        let taken = |answer: Arc<Mutex<Option<CommitResult>>>| {
-            let answer = answer.lock().take();
-            answer.expect("whoever takes a request from the queue answers it")
-        };
-        answers.into_iter().map(taken).collect()
+        let request = |(updates, sent_ns)| (updates, sent_ns, false);
+        self.write(commits.into_iter().map(request).collect())
     }
 
     /// Makes a provider segment read-only: prior knowledge.
     pub fn protect(&self, segment: &str, provider: &str) {
-        let mut state = self.state.write();
-        state.read_only.insert((segment.into(), provider.into()));
+        let mut content = self.content.write();
+        content.read_only.insert((segment.into(), provider.into()));
     }
 
     /// Whether an entity is in a read-only provider segment.
-    #[must_use]
     pub fn is_read_only(&self, id: &EntityId) -> bool {
         self.read().is_read_only(id)
     }
@@ -267,7 +237,7 @@ impl WorkingMemory {
     /// Commits, also into read-only provider segments.
     pub(crate) fn commit_prior(&self, updates: Vec<Commit>) -> Result<Vec<u64>, MemoryError> {
         let now = self.now_ns();
-        self.write(updates, now, true)
+        self.write_one(updates, now, true)
     }
 
     /// Checks that a snapshot with its version, which comes from elsewhere, is valid in this memory.
@@ -283,28 +253,28 @@ impl WorkingMemory {
     /// newer version stay; invalid snapshots are left out, and remain in the store only. Returns how many were
     /// inserted, and why the first one was left out. The backing is not called, because it is the source.
     pub fn restore(&self, snapshots: Vec<Arc<Snapshot>>) -> (usize, Option<MemoryError>) {
-        let _one_writer = self.committing.lock();
-        let state = self.read();
-        let (mut room, mut restored) = (Numbered::default(), BTreeSet::new());
+        let _one_writer = self.commit_lock.lock();
+        let content = self.read();
+        let (mut room, mut restored) = (GroupVersions::default(), BTreeSet::new());
         let (mut fitting, mut refused) = (Vec::with_capacity(snapshots.len()), None);
         for snapshot in snapshots {
-            let newest = state.newest(&snapshot.id).map_or(0, |s| s.version);
+            let newest = content.newest(&snapshot.id).map_or(0, |s| s.version);
             if snapshot.version <= newest {
                 continue;
             }
             let is_new = newest == 0 && !restored.contains(&snapshot.id);
             let put = (&snapshot.id, snapshot.instances.as_slice());
             let fits = self.check_kept(&snapshot);
-            match fits.and_then(|()| self.check_room(&state, &room, put, is_new, None)) {
+            match fits.and_then(|()| self.check_room(&content, &room, put, is_new, None)) {
                 Ok(bytes) => {
-                    room.take(None, Taken { entities: usize::from(is_new), bytes });
+                    room.take(None, Usage { entities: usize::from(is_new), bytes });
                     restored.insert(snapshot.id.clone());
                     fitting.push(snapshot);
                 }
                 Err(error) => refused = refused.or(Some(error)),
             }
         }
-        drop(state);
+        drop(content);
         let count = fitting.len();
         self.put_in(fitting);
         (count, refused)
@@ -325,15 +295,15 @@ impl WorkingMemory {
     /// As [`Memory::query`].
     pub fn query_now(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
         let asked = query.check()?;
-        let kept = self.backing.as_ref().filter(|_| query.long_term).and_then(|backing| backing.kept());
+        let kept = self.backing.as_ref().filter(|_| query.long_term).and_then(|backing| backing.archive());
         match kept {
             Some(kept) => MergedView { memory: self, kept }.ask(&asked),
             None => Ok(self.read().select(&asked)),
         }
     }
 
-    fn read(&self) -> parking_lot::RwLockReadGuard<'_, State> {
-        self.state.read()
+    fn read(&self) -> parking_lot::RwLockReadGuard<'_, Content> {
+        self.content.read()
     }
 }
 
@@ -345,10 +315,6 @@ impl Memory for WorkingMemory {
 
     async fn latest(&self, id: &EntityId) -> Result<Arc<Snapshot>, MemoryError> {
         self.latest_now(id)
-    }
-
-    async fn segment(&self, segment: &str) -> Result<Vec<Arc<Snapshot>>, MemoryError> {
-        self.query_now(&Query::latest(Pattern::segment(segment)))
     }
 
     async fn query(&self, query: &Query) -> Result<Vec<Arc<Snapshot>>, MemoryError> {

@@ -12,7 +12,7 @@ const ARRIVAL_WEIGHT: f64 = 2.0;
 /// of that difference.
 const PLAUSIBLE: f64 = 0.75;
 /// The phase that a standing hand addresses changes by at most this much, rad.
-const HELD: f64 = TAU / 8.0;
+const MAX_PHASE_CHANGE: f64 = TAU / 8.0;
 
 /// The difference of two phases, -pi to pi.
 fn apart(a: f64, b: f64) -> f64 {
@@ -44,7 +44,7 @@ pub(super) fn addressed_row(
     let cost = |row: usize| {
         far(row) + arrival.map_or(0.0, |c| 0.5 * ARRIVAL_WEIGHT * (1.0 - (phase(row) - c).cos()))
     };
-    let allowed = |row: &usize| held.is_none_or(|h| apart(phase(*row), h).abs() <= HELD);
+    let allowed = |row: &usize| held.is_none_or(|h| apart(phase(*row), h).abs() <= MAX_PHASE_CHANGE);
     let best = (0..rows).filter(allowed).map(|row| (cost(row), row)).min_by(|a, b| a.0.total_cmp(&b.0));
     best.map_or(0, |(_, row)| row)
 }

@@ -4,7 +4,7 @@ use crate::dmp::{Activation, Canonical, TimeScale};
 use crate::error::MotionError;
 
 /// Lower bound of the phase, so that its logarithm stays bounded long after the end.
-const SMALLEST: f64 = 1e-12;
+const MIN_PHASE: f64 = 1e-12;
 
 /// `exp(-(u - i)^2 / 0.8)` over `u = (N - 1) t / duration`, which is `-(N - 1) ln x / alpha_x`. The kernels have
 /// equal widths and distances in time; the last one continues after the end.
@@ -23,7 +23,7 @@ impl DecayKernels {
 
     /// The phase at `t` s of a movement of `duration` s.
     pub(super) fn phase_at(&self, t: f64, duration: f64) -> f64 {
-        (-self.alpha_x * t / duration).exp().max(SMALLEST)
+        (-self.alpha_x * t / duration).exp().max(MIN_PHASE)
     }
 
     /// Writes the kernel values at phase `x` to `out` and returns their sum, which is never 0.
@@ -51,7 +51,7 @@ impl Canonical for DecayKernels {
     }
 
     fn advance(&self, x: f64, dt: f64, scale: TimeScale) -> Result<f64, MotionError> {
-        Ok((x * (-self.alpha_x * scale.advance(dt)).exp()).max(SMALLEST))
+        Ok((x * (-self.alpha_x * scale.advance(dt)).exp()).max(MIN_PHASE))
     }
 
     /// The gate is the phase: the forcing term decays with it.

@@ -11,58 +11,27 @@ mod saved;
 use serde::{Deserialize, Serialize};
 
 use self::kernels::DecayKernels;
+use crate::constants::GAIN;
 use crate::dmp::{CouplingLearner, Dmp, Integrator, TimeScale};
-use crate::error::{LARGEST, MotionError, constant, positive, vector, within};
+use crate::error::{MAX_MAGNITUDE, MotionError, constant, positive, vector, within};
 
-/// The constants of a [`DiscreteDmp`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct DiscreteDmpConfig {
-    /// Degrees of freedom n, at least 1.
-    pub dofs: usize,
-    /// Kernels N per degree of freedom, at least 2.
-    pub kernels: usize,
-    /// Decay rate of the phase, which ends at `exp(-alpha_x)`. It is small enough that the end can still be shaped.
-    pub alpha_x: f64,
-    /// Stiffness constant of (4), for one duration.
-    pub alpha_z: f64,
-    /// Damping constant of (4); `alpha_z / 4` makes it critically damped.
-    pub beta_z: f64,
-    /// Forgetting factor lambda of (9) per 10 ms of learning, in (0, 1].
-    pub forgetting: f64,
-    /// P(0) of (9), and the upper bound to which P grows for a kernel that is not visited.
-    pub initial_gain: f64,
-}
-
-impl Default for DiscreteDmpConfig {
-    fn default() -> Self {
-        Self {
-            dofs: 1,
-            kernels: 25,
-            alpha_x: 2.0,
-            alpha_z: 48.0,
-            beta_z: 12.0,
-            forgetting: 0.9995,
-            initial_gain: 1.0,
-        }
-    }
-}
-
-impl DiscreteDmpConfig {
-    /// The default constants for `dofs` degrees of freedom.
-    #[must_use]
-    pub fn with_dofs(dofs: usize) -> Self {
-        Self { dofs, ..Self::default() }
-    }
-
-    fn validate(&self) -> Result<(), MotionError> {
-        within("dofs", self.dofs as f64, 1.0, 4096.0)?;
-        within("kernels", self.kernels as f64, 2.0, 4096.0)?;
-        within("alpha_x", self.alpha_x, 1e-3, 100.0)?;
-        constant("alpha_z", self.alpha_z)?;
-        constant("beta_z", self.beta_z)?;
-        within("forgetting", self.forgetting, 1e-6, 1.0)?;
-        constant("initial_gain", self.initial_gain)
+constants! {
+    /// The constants of a [`DiscreteDmp`].
+    pub struct DiscreteDmpConfig {
+        /// Degrees of freedom n, at least 1.
+        dofs: usize = 1, 1.0..=4096.0;
+        /// Kernels N per degree of freedom, at least 2.
+        kernels: usize = 25, 2.0..=4096.0;
+        /// Decay rate of the phase, which ends at `exp(-alpha_x)`. It is small enough that the end can still be shaped.
+        alpha_x: f64 = 2.0, 1e-3..=100.0;
+        /// Stiffness constant of (4), for one duration.
+        alpha_z: f64 = 48.0, GAIN;
+        /// Damping constant of (4); `alpha_z / 4` makes it critically damped.
+        beta_z: f64 = 12.0, GAIN;
+        /// Forgetting factor lambda of (9) per 10 ms of learning, in (0, 1].
+        forgetting: f64 = 0.9995, 1e-6..=1.0;
+        /// P(0) of (9), and the upper bound to which P grows for a kernel that is not visited.
+        initial_gain: f64 = 1.0, GAIN;
     }
 }
 
@@ -107,7 +76,7 @@ pub struct DiscreteState<'a> {
 /// # Ok::<(), armarium_motion::MotionError>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "saved::Saved", into = "saved::Saved")]
+#[serde(try_from = "saved::SavedDiscrete", into = "saved::SavedDiscrete")]
 pub struct DiscreteDmp {
     config: DiscreteDmpConfig,
     start: Vec<f64>,
@@ -115,13 +84,16 @@ pub struct DiscreteDmp {
     learner: CouplingLearner,
 }
 
+primitive!(DiscreteDmp, DiscreteDmpConfig);
+coached!(DiscreteDmp);
+
 impl DiscreteDmp {
     /// A primitive at rest at its goal 0: all weights 0, amplitude 1.
     ///
     /// # Errors
     /// [`MotionError::OutOfRange`] or [`MotionError::NotFinite`] names the invalid constant.
     pub fn new(config: DiscreteDmpConfig) -> Result<Self, MotionError> {
-        config.validate()?;
+        config.check_ranges()?;
         let (n, k) = (config.dofs, config.kernels);
         let kernels = DecayKernels::new(k, config.alpha_x);
         Ok(Self {
@@ -132,40 +104,12 @@ impl DiscreteDmp {
         })
     }
 
-    /// The constants.
-    #[must_use]
-    pub fn config(&self) -> &DiscreteDmpConfig {
-        &self.config
-    }
-
-    /// Degrees of freedom n.
-    #[must_use]
-    pub fn dofs(&self) -> usize {
-        self.config.dofs
-    }
-
-    /// All weights, degree of freedom by degree of freedom, N each.
-    #[must_use]
-    pub fn weights(&self) -> &[f64] {
-        self.dmp.weights()
-    }
-
-    /// Replaces all weights; the state is unchanged.
-    ///
-    /// # Errors
-    /// When their number is not `dofs * kernels` or one is not finite.
-    pub fn set_weights(&mut self, weights: &[f64]) -> Result<(), MotionError> {
-        self.dmp.set_weights(0, "weights", weights)
-    }
-
     /// The start of the demonstration, one value per degree of freedom.
-    #[must_use]
     pub fn demonstrated_start(&self) -> &[f64] {
         &self.start
     }
 
     /// The goal, one value per degree of freedom.
-    #[must_use]
     pub fn goal(&self) -> &[f64] {
         &self.dmp.transformation.goal
     }
@@ -178,20 +122,6 @@ impl DiscreteDmp {
         vector("goal", self.dofs(), goal)?;
         self.dmp.transformation.goal.copy_from_slice(goal);
         Ok(())
-    }
-
-    /// Amplitude factor r of (6), dimensionless.
-    #[must_use]
-    pub fn amplitude(&self) -> f64 {
-        self.dmp.amplitude()
-    }
-
-    /// Scales the shape of the movement (not its goal).
-    ///
-    /// # Errors
-    /// When the factor is not finite.
-    pub fn set_amplitude(&mut self, amplitude: f64) -> Result<(), MotionError> {
-        self.dmp.set_amplitude(amplitude)
     }
 
     /// Sets the state to the start of a movement of `duration` s, at position `y` with velocity `yd` (unit / s).
@@ -216,40 +146,14 @@ impl DiscreteDmp {
     }
 
     /// The state after the last step.
-    #[must_use]
     pub fn state(&self) -> DiscreteState<'_> {
         let state = &self.dmp.transformation;
         DiscreteState { x: self.dmp.phase(), y: &state.y, yd: &state.yd, ydd: &state.ydd }
     }
 
     /// The share of the duration that has passed; 1 at the end and more after it.
-    #[must_use]
     pub fn progress(&self) -> f64 {
         -self.dmp.phase().ln() / self.config.alpha_x
-    }
-
-    /// Adds `c` (one per degree of freedom) to (4) for the next step only: the movement yields and returns.
-    ///
-    /// # Errors
-    /// When sizes differ or a value is not finite.
-    ///
-    /// # Source
-    /// Eq. (12).
-    pub fn perturb(&mut self, c: &[f64]) -> Result<(), MotionError> {
-        vector("perturbation", self.dofs(), c)?;
-        self.dmp.transformation.perturbation.copy_from_slice(c);
-        Ok(())
-    }
-
-    /// Lets the weights learn the coupling term `c` in the next step: later executions keep the change.
-    ///
-    /// # Errors
-    /// When sizes differ or a value is not finite.
-    ///
-    /// # Source
-    /// Eqs. (9), (10), (13) with `x r` in place of r.
-    pub fn couple(&mut self, c: &[f64]) -> Result<(), MotionError> {
-        self.learner.couple(c)
     }
 
     /// Advances by `dt` s of a movement of `duration` s, which may change while running. After the duration the
@@ -261,7 +165,7 @@ impl DiscreteDmp {
     pub fn step(&mut self, dt: f64, duration: f64) -> Result<DiscreteState<'_>, MotionError> {
         positive("dt", dt)?;
         constant("duration", duration)?;
-        within("dt / duration", dt / duration, 0.0, LARGEST)?;
+        within("dt / duration", dt / duration, 0.0, MAX_MAGNITUDE)?;
         let step =
             |dmp: &mut Dmp<_>| dmp.step(dt, TimeScale::Duration(duration), Integrator::Exact, |_, _| 0.0);
         self.learner.step(&mut self.dmp, dt, step)?;

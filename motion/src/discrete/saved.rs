@@ -8,7 +8,7 @@ use crate::error::{MotionError, vector};
 /// The saved form: everything that defines the movement, without its present state.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Saved {
+pub(super) struct SavedDiscrete {
     config: DiscreteDmpConfig,
     start: Vec<f64>,
     goal: Vec<f64>,
@@ -17,7 +17,7 @@ pub(super) struct Saved {
     gain: Vec<f64>,
 }
 
-impl From<DiscreteDmp> for Saved {
+impl From<DiscreteDmp> for SavedDiscrete {
     fn from(dmp: DiscreteDmp) -> Self {
         Self {
             goal: dmp.goal().to_vec(),
@@ -30,10 +30,10 @@ impl From<DiscreteDmp> for Saved {
     }
 }
 
-impl TryFrom<Saved> for DiscreteDmp {
+impl TryFrom<SavedDiscrete> for DiscreteDmp {
     type Error = MotionError;
 
-    fn try_from(saved: Saved) -> Result<Self, MotionError> {
+    fn try_from(saved: SavedDiscrete) -> Result<Self, MotionError> {
         let mut dmp = Self::new(saved.config)?;
         vector("start", dmp.start.len(), &saved.start)?;
         dmp.set_goal(&saved.goal)?;

@@ -6,9 +6,8 @@ use crate::dmp::{Canonical, Cutoff, Ridge, TimeSample, TimeScale, check_time_sam
 use crate::error::{MotionError, finite, positive, vector};
 
 impl DiscretePeriodicDmp {
-    /// Learns the forcing term from one demonstration: the discrete part of
-    /// [`demonstrated_duration`](Self::demonstrated_duration) s, followed by at least a part of a period, at the
-    /// frequency for which the primitive was made. The start becomes that of the demonstration, the goal g the mean
+    /// Learns the forcing term from one demonstration: the discrete part, followed by at least a part of a period, with
+    /// the duration and frequency for which the primitive was made. The start becomes that of the demonstration, the goal g the mean
     /// of its periodic part, and the state is set to the start. The control signal is kept.
     ///
     /// # Errors

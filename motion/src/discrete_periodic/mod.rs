@@ -24,9 +24,9 @@ pub use self::config::DiscretePeriodicConfig;
 use self::kernels::BlendedKernels;
 pub use self::learning::differentiate;
 pub use self::phase::{CanonicalRule, CanonicalSystem};
-use self::saved::Saved;
+use self::saved::SavedDiscretePeriodic;
 use crate::dmp::{Canonical, Dmp, Integrator, TimeScale};
-use crate::error::{LARGEST, MotionError, positive, vector, within};
+use crate::error::{MAX_MAGNITUDE, MotionError, positive, vector, within};
 
 /// The result of a step; the slices have one value per degree of freedom.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -52,7 +52,7 @@ pub struct DiscretePeriodicState<'a> {
 /// the printed quotient becomes 0/0; the control signal of (12) is scaled with the frequency, so that a signal
 /// adapted at one frequency holds at every other.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Saved", into = "Saved")]
+#[serde(try_from = "SavedDiscretePeriodic", into = "SavedDiscretePeriodic")]
 pub struct DiscretePeriodicDmp {
     config: DiscretePeriodicConfig,
     /// Frequency and duration T of the demonstration.
@@ -69,6 +69,8 @@ pub struct DiscretePeriodicDmp {
 
 /// Which kernel sum is the control signal.
 const CONTROL: usize = 1;
+
+primitive!(DiscretePeriodicDmp, DiscretePeriodicConfig);
 
 impl DiscretePeriodicDmp {
     /// A primitive at rest at 0, for a discrete part of `duration` s that continues as a motion of `omega` rad/s.
@@ -94,58 +96,22 @@ impl DiscretePeriodicDmp {
         })
     }
 
-    /// The constants.
-    #[must_use]
-    pub fn config(&self) -> &DiscretePeriodicConfig {
-        &self.config
-    }
-
-    /// Degrees of freedom n.
-    #[must_use]
-    pub fn dofs(&self) -> usize {
-        self.config.dofs
-    }
-
     /// Frequency of the demonstration, rad/s.
-    #[must_use]
     pub fn demonstrated_omega(&self) -> f64 {
         self.omega
     }
 
-    /// Duration T of the demonstration's discrete part, s.
-    #[must_use]
-    pub fn demonstrated_duration(&self) -> f64 {
-        self.duration
-    }
-
     /// The phase (phi, r) from which every execution starts: rad, dimensionless.
-    #[must_use]
     pub fn initial_phase(&self) -> (f64, f64) {
         (-self.omega * self.duration, self.dmp.canonical.start_radius())
     }
 
     /// Number of kernels of both sets together: the weights per degree of freedom.
-    #[must_use]
     pub fn kernels(&self) -> usize {
         self.dmp.canonical.kernels()
     }
 
-    /// Weights of the forcing term (5): degree of freedom by degree of freedom, first the periodic kernels.
-    #[must_use]
-    pub fn weights(&self) -> &[f64] {
-        self.dmp.weights()
-    }
-
-    /// Replaces the weights of the forcing term; the state is unchanged.
-    ///
-    /// # Errors
-    /// When their number is not `dofs * kernels` or one is not finite.
-    pub fn set_weights(&mut self, weights: &[f64]) -> Result<(), MotionError> {
-        self.dmp.set_weights(0, "weights", weights)
-    }
-
     /// Weights of the control signal (13), unit / s at the demonstrated frequency, in the order of the others.
-    #[must_use]
     pub fn control_weights(&self) -> &[f64] {
         &self.dmp.sums[CONTROL].weights
     }
@@ -159,7 +125,6 @@ impl DiscretePeriodicDmp {
     }
 
     /// The goal g of (1), one per degree of freedom: the mean of the periodic part.
-    #[must_use]
     pub fn centre(&self) -> &[f64] {
         &self.dmp.transformation.goal
     }
@@ -182,30 +147,10 @@ impl DiscretePeriodicDmp {
         self.correction.fill(0.0);
     }
 
-    /// As [`restart`](Self::restart) from another position and velocity (unit / s), for a motion of `omega` rad/s.
-    ///
-    /// # Errors
-    /// When sizes differ, a value is not finite or `omega` is not positive; nothing is changed.
-    pub fn restart_from(&mut self, y: &[f64], yd: &[f64], omega: f64) -> Result<(), MotionError> {
-        vector("y", self.dofs(), y)?;
-        vector("yd", self.dofs(), yd)?;
-        within("omega", omega, 1e-9, LARGEST)?;
-        self.restart();
-        self.dmp.transformation.put(y, yd, TimeScale::Frequency(omega));
-        Ok(())
-    }
-
     /// The state after the last step.
-    #[must_use]
     pub fn state(&self) -> DiscretePeriodicState<'_> {
         let (state, (phase, radius)) = (&self.dmp.transformation, self.dmp.phase());
         DiscretePeriodicState { phase, radius, y: &state.y, yd: &state.yd, ydd: &state.ydd }
-    }
-
-    /// Whether the phase is still in the discrete part.
-    #[must_use]
-    pub fn in_discrete_part(&self) -> bool {
-        self.dmp.phase().0 < 0.0
     }
 
     /// Writes the learned control signal (13) at the present phase, unit / s, for a motion of `omega` rad/s. Does
@@ -215,7 +160,7 @@ impl DiscretePeriodicDmp {
     /// When the size differs or `omega` is negative or not finite.
     pub fn control(&mut self, omega: f64, out: &mut [f64]) -> Result<(), MotionError> {
         crate::error::size("control", self.dofs(), out.len())?;
-        within("omega", omega, 0.0, LARGEST)?;
+        within("omega", omega, 0.0, MAX_MAGNITUDE)?;
         self.dmp.refresh();
         for (o, u) in out.iter_mut().zip(self.dmp.sums[CONTROL].now()) {
             *o = u * omega / self.omega;
@@ -246,9 +191,9 @@ impl DiscretePeriodicDmp {
     /// Eqs. (1)-(9), (12), (13).
     pub fn step(&mut self, dt: f64, omega: f64) -> Result<DiscretePeriodicState<'_>, MotionError> {
         positive("dt", dt)?;
-        within("omega", omega, 0.0, LARGEST)?;
-        within("omega * dt", omega * dt, 0.0, LARGEST)?;
-        within("dt", dt, 0.0, LARGEST)?;
+        within("omega", omega, 0.0, MAX_MAGNITUDE)?;
+        within("omega * dt", omega * dt, 0.0, MAX_MAGNITUDE)?;
+        within("dt", dt, 0.0, MAX_MAGNITUDE)?;
         // The learned control signal is for the demonstrated frequency.
         let (correction, demonstrated) = (&self.correction, self.omega);
         let input = |d: usize, learned: f64| learned * omega / demonstrated + correction[d];
@@ -264,7 +209,6 @@ impl DiscretePeriodicDmp {
     }
 
     /// Duration of a whole execution with `periods` periods at `omega` rad/s, s.
-    #[must_use]
     pub fn length(&self, periods: f64, omega: f64) -> f64 {
         (self.omega * self.duration + TAU * periods) / omega
     }

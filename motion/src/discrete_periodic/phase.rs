@@ -16,37 +16,23 @@ pub enum CanonicalRule {
     Original,
 }
 
-/// The constants of (4), (8) and (9), dimensionless.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct CanonicalSystem {
-    /// Speed eta of convergence, 1 per rad.
-    pub eta: f64,
-    /// Exponent alpha.
-    pub alpha: f64,
-    /// Exponent beta.
-    pub beta: f64,
-    /// Radius mu of the limit cycle.
-    pub mu: f64,
-    /// Radius mu1, over mu, at which the discrete part has ended.
-    pub mu1: f64,
-    /// Radius mu2, over mu1, at which the transition begins.
-    pub mu2: f64,
-    /// The rule for other frequencies than the demonstrated one.
-    pub rule: CanonicalRule,
-}
-
-impl Default for CanonicalSystem {
-    fn default() -> Self {
-        Self {
-            eta: 6.0,
-            alpha: 1.0 / 6.0,
-            beta: 1e-3,
-            mu: 1.0,
-            mu1: 1.2,
-            mu2: 1.4,
-            rule: CanonicalRule::Modified,
-        }
+constants! {
+    /// The constants of (4), (8) and (9), dimensionless.
+    pub struct CanonicalSystem {
+        /// Speed eta of convergence, 1 per rad.
+        eta: f64 = 6.0, 1e-3..=1e3;
+        /// Exponent alpha.
+        alpha: f64 = 1.0 / 6.0, 1e-3..=10.0;
+        /// Exponent beta.
+        beta: f64 = 1e-3, 0.0..=10.0;
+        /// Radius mu of the limit cycle.
+        mu: f64 = 1.0, 1e-3..=1e3;
+        /// Radius mu1, over mu, at which the discrete part has ended.
+        mu1: f64 = 1.2;
+        /// Radius mu2, over mu1, at which the transition begins.
+        mu2: f64 = 1.4;
+        /// The rule for other frequencies than the demonstrated one.
+        rule: CanonicalRule = CanonicalRule::Modified;
     }
 }
 
@@ -57,10 +43,7 @@ const SETTLED: f64 = 1e4;
 
 impl CanonicalSystem {
     pub(super) fn validate(&self) -> Result<(), MotionError> {
-        within("eta", self.eta, 1e-3, 1e3)?;
-        within("alpha", self.alpha, 1e-3, 10.0)?;
-        within("beta", self.beta, 0.0, 10.0)?;
-        within("mu", self.mu, 1e-3, 1e3)?;
+        self.check_ranges()?;
         within("mu1", self.mu1, self.mu * (1.0 + 1e-6), 1e6)?;
         within("mu2", self.mu2, self.mu1 * (1.0 + 1e-6), 1e6)
     }

@@ -8,7 +8,7 @@ use crate::error::{MotionError, vector};
 /// The saved form: everything that defines the movement, without its present state.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Saved {
+pub(super) struct SavedDiscretePeriodic {
     config: DiscretePeriodicConfig,
     omega: f64,
     duration: f64,
@@ -19,7 +19,7 @@ pub(super) struct Saved {
     control_weights: Vec<f64>,
 }
 
-impl From<DiscretePeriodicDmp> for Saved {
+impl From<DiscretePeriodicDmp> for SavedDiscretePeriodic {
     fn from(dmp: DiscretePeriodicDmp) -> Self {
         Self {
             centre: dmp.centre().to_vec(),
@@ -34,10 +34,10 @@ impl From<DiscretePeriodicDmp> for Saved {
     }
 }
 
-impl TryFrom<Saved> for DiscretePeriodicDmp {
+impl TryFrom<SavedDiscretePeriodic> for DiscretePeriodicDmp {
     type Error = MotionError;
 
-    fn try_from(saved: Saved) -> Result<Self, MotionError> {
+    fn try_from(saved: SavedDiscretePeriodic) -> Result<Self, MotionError> {
         let mut dmp = Self::new(saved.config, saved.omega, saved.duration)?;
         let n = dmp.dofs();
         vector("centre", n, &saved.centre)?;

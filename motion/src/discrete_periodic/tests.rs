@@ -148,20 +148,7 @@ fn position_and_velocity_belong_together_across_the_transition() {
         assert!(((state.y[0] - y) / dt - 0.5 * (state.yd[0] + v)).abs() < 1e-3);
         (y, v) = (state.y[0], state.yd[0]);
     }
-    assert!(!dmp.in_discrete_part());
-}
-
-#[test]
-fn the_start_may_be_elsewhere_and_the_motion_is_met() {
-    let mut dmp = learned(CanonicalRule::Modified);
-    dmp.restart_from(&[0.5, 0.5], &[1.0, 0.0], OMEGA).unwrap();
-    for k in 1..=2000 {
-        let state = dmp.step(0.001, OMEGA).unwrap();
-        if k > 800 {
-            let wanted = demonstration(0.001 * f64::from(k));
-            assert!((state.y[1] - wanted.y[1]).abs() < 2e-3);
-        }
-    }
+    assert!(dmp.state().phase > 0.0);
 }
 
 #[test]
@@ -214,7 +201,6 @@ fn what_cannot_be_is_refused_and_changes_nothing() {
     assert!(dmp.set_centre(&[0.0]).is_err());
     assert!(dmp.correct(&[0.0]).is_err());
     assert!(dmp.control(1.0, &mut [0.0]).is_err());
-    assert!(dmp.restart_from(&[0.0; 2], &[0.0; 2], 0.0).is_err());
     let one = demonstration(0.0);
     assert_eq!(dmp.learn(&[]), Err(MotionError::TooFew { what: "samples", needed: 2, got: 0 }));
     assert_eq!(

@@ -13,6 +13,8 @@
 //! primitive, a decay for the discrete one, a spiral onto a circle for the discrete-periodic one. Goals,
 //! demonstrations and file formats belong to the primitives, not to the core.
 
+#[macro_use]
+mod accessors;
 mod learning;
 mod transformation;
 

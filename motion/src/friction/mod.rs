@@ -10,29 +10,23 @@
 use std::f64::consts::FRAC_PI_4;
 
 use nalgebra::{Matrix3, RowVector3, Vector2, Vector3};
-use serde::{Deserialize, Serialize};
 
+use crate::constants::POSITIVE;
 use crate::error::{MotionError, finite, positive, within};
 
-/// The constants of a [`FrictionModel`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct FrictionConfig {
-    /// First guess of the friction coefficient.
-    pub mu: f64,
-    /// Time constant of coefficient and bias, s.
-    pub memory: f64,
-    /// The model counts as learned after this much sliding, m.
-    pub learning_distance: f64,
-    /// After learning, a residual larger than this counts as a push and is hardly learned from, N.
-    pub gate: f64,
-    /// Time constant that smooths the residual, s.
-    pub smoothing: f64,
-}
-
-impl Default for FrictionConfig {
-    fn default() -> Self {
-        Self { mu: 0.4, memory: 15.0, learning_distance: 0.4, gate: 3.0, smoothing: 0.02 }
+constants! {
+    /// The constants of a [`FrictionModel`].
+    pub struct FrictionConfig {
+        /// First guess of the friction coefficient.
+        mu: f64 = 0.4, 0.0..=10.0;
+        /// Time constant of coefficient and bias, s.
+        memory: f64 = 15.0, POSITIVE;
+        /// The model counts as learned after this much sliding, m.
+        learning_distance: f64 = 0.4, POSITIVE;
+        /// After learning, a residual larger than this counts as a push and is hardly learned from, N.
+        gate: f64 = 3.0, POSITIVE;
+        /// Time constant that smooths the residual, s.
+        smoothing: f64 = 0.02, POSITIVE;
     }
 }
 
@@ -82,15 +76,7 @@ impl FrictionModel {
     /// # Errors
     /// When a constant is invalid.
     pub fn new(config: FrictionConfig) -> Result<Self, MotionError> {
-        within("mu", config.mu, 0.0, 10.0)?;
-        for (what, value) in [
-            ("memory", config.memory),
-            ("learning_distance", config.learning_distance),
-            ("gate", config.gate),
-            ("smoothing", config.smoothing),
-        ] {
-            positive(what, value)?;
-        }
+        config.check_ranges()?;
         let candidate = |i: usize| Candidate {
             length: LENGTHS[i / 2],
             bend: if i.is_multiple_of(2) { Bend::Elastic } else { Bend::Dahl },
@@ -173,7 +159,7 @@ impl FrictionModel {
         let single = self.candidates.iter().filter(plausible).min_by(smaller).unwrap_or(best).residual;
         let limit = best.estimate.x * normal;
         let late = &self.candidates[TURNS_WITHIN];
-        let turn = Turn { before: -late.bristle * limit, after: -self.candidates[0].bristle * limit };
+        let turn = Reversal { before: -late.bristle * limit, after: -self.candidates[0].bristle * limit };
         let force = force - Vector2::new(best.estimate.y, best.estimate.z);
         let turning = force - turn.nearest(force);
         // A contact with a longer presliding length reverses as the candidates do.
@@ -182,39 +168,23 @@ impl FrictionModel {
     }
 
     /// The push at the last step, N.
-    #[must_use]
     pub fn push(&self) -> [f64; 2] {
         self.smooth.into()
     }
 
     /// The friction coefficient.
-    #[must_use]
     pub fn mu(&self) -> f64 {
         self.candidates[self.best].estimate.x
     }
 
-    /// The presliding length, m: the distance over which a reversal changes the friction.
-    #[must_use]
-    pub fn presliding(&self) -> f64 {
-        self.candidates[self.best].length
-    }
-
     /// The bias, N.
-    #[must_use]
     pub fn bias(&self) -> [f64; 2] {
         [self.candidates[self.best].estimate.y, self.candidates[self.best].estimate.z]
     }
 
     /// Whether the hand has slid far enough for the model to be reliable.
-    #[must_use]
     pub fn learned(&self) -> bool {
         self.slid >= self.config.learning_distance
-    }
-
-    /// The unexplained force without a push, N (RMS, noise included).
-    #[must_use]
-    pub fn uncertainty(&self) -> f64 {
-        self.candidates[self.best].square.sqrt()
     }
 }
 
@@ -290,12 +260,12 @@ impl Candidate {
 }
 
 /// Friction that changes from one direction to another, N.
-struct Turn {
+struct Reversal {
     before: Vector2<f64>,
     after: Vector2<f64>,
 }
 
-impl Turn {
+impl Reversal {
     /// The nearest value to `force` that may occur during the change: its direction is between the two, its
     /// magnitude between that of their mean (a straight reversal goes through zero) and that of the larger one.
     fn nearest(&self, force: Vector2<f64>) -> Vector2<f64> {

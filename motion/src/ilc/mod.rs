@@ -7,27 +7,21 @@
 //! [`crate::DiscretePeriodicDmp`].
 
 use nalgebra::SVector;
-use serde::{Deserialize, Serialize};
 
 use crate::coupling::joint_coupling;
 use crate::discrete_periodic::DiscretePeriodicDmp;
-use crate::error::{LARGEST, MotionError, size, vector, within};
+use crate::error::{MAX_MAGNITUDE, MotionError, size, vector, within};
 
-/// The constants of (11).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LearningControlConfig {
-    /// Q, dimensionless: below 1 it forgets, which gives robustness and leaves an error.
-    pub q: f64,
-    /// L, unit / s of control per unit of error: how much of the last epoch's error is learned.
-    pub l: f64,
-    /// C, in the unit of L: feedback within the epoch.
-    pub c: f64,
-}
-
-impl Default for LearningControlConfig {
-    fn default() -> Self {
-        Self { q: 1.0, l: 0.3, c: 0.3 }
+constants! {
+    /// The constants of (11).
+    #[derive(Copy)]
+    pub struct LearningControlConfig {
+        /// Q, dimensionless: below 1 it forgets, which gives robustness and leaves an error.
+        q: f64 = 1.0, 0.0..=1.0;
+        /// L, unit / s of control per unit of error: how much of the last epoch's error is learned.
+        l: f64 = 0.3, -1e6..=1e6;
+        /// C, in the unit of L: feedback within the epoch.
+        c: f64 = 0.3, -1e6..=1e6;
     }
 }
 
@@ -56,9 +50,7 @@ impl LearningControl {
     /// # Errors
     /// Names the invalid constant.
     pub fn new(config: LearningControlConfig, dofs: usize, samples: usize) -> Result<Self, MotionError> {
-        within("q", config.q, 0.0, 1.0)?;
-        within("l", config.l, -1e6, 1e6)?;
-        within("c", config.c, -1e6, 1e6)?;
+        config.check_ranges()?;
         within("dofs", dofs as f64, 1.0, 4096.0)?;
         within("samples", samples as f64, 2.0, 1e8)?;
         Ok(Self {
@@ -74,19 +66,16 @@ impl LearningControl {
     }
 
     /// The constants.
-    #[must_use]
     pub fn config(&self) -> &LearningControlConfig {
         &self.config
     }
 
     /// Epochs learned so far.
-    #[must_use]
     pub fn epochs(&self) -> u32 {
         self.epochs
     }
 
     /// Number of steps recorded in the current epoch.
-    #[must_use]
     pub fn samples(&self) -> usize {
         self.phases.len()
     }
@@ -109,7 +98,7 @@ impl LearningControl {
     ) -> Result<(), MotionError> {
         size("dofs", self.dofs, dmp.dofs())?;
         vector("error", self.dofs, error)?;
-        within("omega", omega, 1e-9, LARGEST)?;
+        within("omega", omega, 1e-9, MAX_MAGNITUDE)?;
         within("samples in the epoch", (self.phases.len() + 1) as f64, 1.0, self.capacity as f64)?;
         for (s, e) in self.scratch.iter_mut().zip(error) {
             *s = self.config.c * e;
@@ -161,26 +150,21 @@ impl LearningControl {
     }
 }
 
-/// The feedback error of an arm that moves an object together with another arm, in the velocity unit of the
-/// primitive.
-///
-/// The force of the second arm on the object enters as `F_d - F_2`: an arm that lags is dragged by the object and
-/// exerts a force against the motion, so the error points forward.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct FeedbackError {
-    /// K1: unit / s per N (in task space), 1 / (N m s) on joint torques.
-    pub k1: f64,
-    /// K2, dimensionless; 0 gives (10) alone. Its product with C of (11) must stay below 1.
-    pub k2: f64,
-    /// Damping of the pseudoinverse, in the unit of the Jacobian; needed if there are fewer joints than
-    /// coordinates.
-    pub damping: f64,
-}
-
-impl Default for FeedbackError {
-    fn default() -> Self {
-        Self { k1: 0.3, k2: 1.0, damping: 1e-3 }
+constants! {
+    /// The feedback error of an arm that moves an object together with another arm, in the velocity unit of the
+    /// primitive.
+    ///
+    /// The force of the second arm on the object enters as `F_d - F_2`: an arm that lags is dragged by the object and
+    /// exerts a force against the motion, so the error points forward.
+    #[derive(Copy)]
+    pub struct FeedbackError {
+        /// K1: unit / s per N (in task space), 1 / (N m s) on joint torques.
+        k1: f64 = 0.3;
+        /// K2, dimensionless; 0 gives (10) alone. Its product with C of (11) must stay below 1.
+        k2: f64 = 1.0;
+        /// Damping of the pseudoinverse, in the unit of the Jacobian; needed if there are fewer joints than
+        /// coordinates.
+        damping: f64 = 1e-3;
     }
 }
 

@@ -4,8 +4,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    OrientationState, check_orientations, read, rotation_rate, rotation_vector, rotation_vectors, state_of,
-    stored,
+    OrientationState, check_orientations, rotation_rate, rotation_vector, rotation_vectors, state_of,
 };
 use crate::discrete::{DiscreteDmp, DiscreteDmpConfig};
 use crate::discrete_periodic::differentiate;
@@ -13,7 +12,7 @@ use crate::error::{MotionError, constant};
 
 /// A movement of an orientation to a goal; the equations are in the documentation of the module `orientation`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Saved", into = "Saved")]
+#[serde(try_from = "Stored", into = "Stored")]
 pub struct DiscreteOrientationDmp {
     goal: UnitQuaternion<f64>,
     /// The primitive of the rotation vector from the goal, rad; its own goal is 0.
@@ -50,13 +49,11 @@ impl DiscreteOrientationDmp {
     }
 
     /// The primitive of the rotation vector from the goal, rad.
-    #[must_use]
     pub fn primitive(&self) -> &DiscreteDmp {
         &self.primitive
     }
 
     /// The goal orientation.
-    #[must_use]
     pub fn goal(&self) -> UnitQuaternion<f64> {
         self.goal
     }
@@ -90,13 +87,11 @@ impl DiscreteOrientationDmp {
     }
 
     /// The share of the duration that has passed; 1 at the end and more after it.
-    #[must_use]
     pub fn progress(&self) -> f64 {
         self.primitive.progress()
     }
 
     /// The state after the last step.
-    #[must_use]
     pub fn state(&self) -> OrientationState {
         let state = self.primitive.state();
         state_of(&self.goal, state.y, state.yd)
@@ -113,25 +108,4 @@ impl DiscreteOrientationDmp {
     }
 }
 
-/// The saved form: quaternions as w, x, y, z.
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Saved {
-    goal: [f64; 4],
-    primitive: DiscreteDmp,
-}
-
-impl From<DiscreteOrientationDmp> for Saved {
-    fn from(dmp: DiscreteOrientationDmp) -> Self {
-        Self { goal: stored(&dmp.goal), primitive: dmp.primitive }
-    }
-}
-
-impl TryFrom<Saved> for DiscreteOrientationDmp {
-    type Error = MotionError;
-
-    fn try_from(saved: Saved) -> Result<Self, MotionError> {
-        crate::error::size("dofs of the orientation", 3, saved.primitive.dofs())?;
-        Ok(Self { goal: read(saved.goal)?, primitive: saved.primitive })
-    }
-}
+stored!(DiscreteOrientationDmp { goal, primitive: DiscreteDmp });

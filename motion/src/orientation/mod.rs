@@ -22,6 +22,34 @@
 //!
 //! Positions are not part of it: they are degrees of freedom of the other primitives.
 
+/// Stores a primitive with its goal or centre as w, x, y, z.
+macro_rules! stored {
+    ($dmp:ident { $anchor:ident, primitive: $primitive:ty }) => {
+        #[derive(serde::Serialize, serde::Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct Stored {
+            $anchor: [f64; 4],
+            primitive: $primitive,
+        }
+
+        impl From<$dmp> for Stored {
+            fn from(dmp: $dmp) -> Self {
+                let q = dmp.$anchor;
+                Self { $anchor: [q.w, q.i, q.j, q.k], primitive: dmp.primitive }
+            }
+        }
+
+        impl TryFrom<Stored> for $dmp {
+            type Error = MotionError;
+
+            fn try_from(stored: Stored) -> Result<Self, MotionError> {
+                crate::error::size("dofs of the orientation", 3, stored.primitive.dofs())?;
+                Ok(Self { $anchor: super::read(stored.$anchor)?, primitive: stored.primitive })
+            }
+        }
+    };
+}
+
 mod discrete;
 mod periodic;
 
@@ -107,11 +135,6 @@ fn rotation_vectors<'q>(
 /// Refuses values that are not finite.
 fn check_orientations(orientations: &[UnitQuaternion<f64>]) -> Result<(), MotionError> {
     orientations.iter().try_for_each(|q| finite("orientation", q.coords.as_slice()))
-}
-
-/// A quaternion as it is stored: w, x, y, z.
-fn stored(q: &UnitQuaternion<f64>) -> [f64; 4] {
-    [q.w, q.i, q.j, q.k]
 }
 
 /// A unit quaternion from its stored form w, x, y, z.

@@ -6,15 +6,15 @@ use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    OrientationState, angular_velocity, check_orientations, read, rotation_rate, rotation_vector,
-    rotation_vectors, state_of, stored,
+    OrientationState, angular_velocity, check_orientations, rotation_rate, rotation_vector, rotation_vectors,
+    state_of,
 };
 use crate::error::{MotionError, frequency};
 use crate::periodic::{PeriodicDmp, PeriodicDmpConfig, PhaseSample};
 
 /// A periodic movement of an orientation; the equations are in the documentation of the module `orientation`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Saved", into = "Saved")]
+#[serde(try_from = "Stored", into = "Stored")]
 pub struct PeriodicOrientationDmp {
     centre: UnitQuaternion<f64>,
     /// The primitive of the rotation vector from the centre, rad.
@@ -22,9 +22,9 @@ pub struct PeriodicOrientationDmp {
 }
 
 /// The smallest number of orientations per period that can be learned.
-const LEAST_SAMPLES: usize = 8;
+const MIN_SAMPLES: usize = 8;
 /// The mean orientation has converged when it changes by less than this, rad.
-const MEAN_FOUND: f64 = 1e-12;
+const MEAN_TOLERANCE: f64 = 1e-12;
 
 impl PeriodicOrientationDmp {
     /// A primitive at rest at the identity. The number of degrees of freedom in `config` is not used.
@@ -43,8 +43,8 @@ impl PeriodicOrientationDmp {
     /// turns in one direction, so that they have no centre. Nothing is changed then.
     pub fn learn_period(&mut self, orientations: &[UnitQuaternion<f64>]) -> Result<(), MotionError> {
         let n = orientations.len();
-        if n < LEAST_SAMPLES {
-            return Err(MotionError::TooFew { what: "orientations", needed: LEAST_SAMPLES, got: n });
+        if n < MIN_SAMPLES {
+            return Err(MotionError::TooFew { what: "orientations", needed: MIN_SAMPLES, got: n });
         }
         check_orientations(orientations)?;
         let (centre, e) = about_their_mean(orientations)?;
@@ -66,13 +66,11 @@ impl PeriodicOrientationDmp {
     }
 
     /// The primitive of the rotation vector from the centre, rad.
-    #[must_use]
     pub fn primitive(&self) -> &PeriodicDmp {
         &self.primitive
     }
 
     /// The centre of the movement.
-    #[must_use]
     pub fn centre(&self) -> UnitQuaternion<f64> {
         self.centre
     }
@@ -128,7 +126,6 @@ impl PeriodicOrientationDmp {
 
     /// The orientation on the steady path at `phase` rad, and its derivative with respect to the phase as a
     /// rotation vector, rad/rad.
-    #[must_use]
     pub fn steady_state(&self, phase: f64) -> (UnitQuaternion<f64>, Vector3<f64>) {
         let (e, de) = self.primitive.steady_state(phase);
         let (e, de) = (Vector3::from_column_slice(&e), Vector3::from_column_slice(&de));
@@ -136,7 +133,6 @@ impl PeriodicOrientationDmp {
     }
 
     /// The state after the last step.
-    #[must_use]
     pub fn state(&self) -> OrientationState {
         let state = self.primitive.state();
         state_of(&self.centre, state.y, state.yd)
@@ -168,32 +164,11 @@ fn about_their_mean(
         let shift = e.iter().sum::<Vector3<f64>>() / e.len() as f64;
         mean = UnitQuaternion::from_scaled_axis(shift) * mean;
         mean.renormalize();
-        if shift.norm() < MEAN_FOUND {
+        if shift.norm() < MEAN_TOLERANCE {
             break;
         }
     }
     Ok((mean, e))
 }
 
-/// The saved form: quaternions as w, x, y, z.
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Saved {
-    centre: [f64; 4],
-    primitive: PeriodicDmp,
-}
-
-impl From<PeriodicOrientationDmp> for Saved {
-    fn from(dmp: PeriodicOrientationDmp) -> Self {
-        Self { centre: stored(&dmp.centre), primitive: dmp.primitive }
-    }
-}
-
-impl TryFrom<Saved> for PeriodicOrientationDmp {
-    type Error = MotionError;
-
-    fn try_from(saved: Saved) -> Result<Self, MotionError> {
-        crate::error::size("dofs of the orientation", 3, saved.primitive.dofs())?;
-        Ok(Self { centre: read(saved.centre)?, primitive: saved.primitive })
-    }
-}
+stored!(PeriodicOrientationDmp { centre, primitive: PeriodicDmp });

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::constants::GAIN;
 use crate::error::{MotionError, constant, within};
 
 /// How phase and frequency follow the error.
@@ -27,60 +28,39 @@ pub enum OscillatorRule {
     },
 }
 
-/// The constants of an [`AdaptiveOscillator`](crate::AdaptiveOscillator).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct OscillatorConfig {
-    /// Coordinates of the signal.
-    pub dims: usize,
-    /// Harmonics m of (3); those that the sample rate cannot resolve are not learned.
-    pub harmonics: usize,
-    /// How phase and frequency follow the error.
-    pub rule: OscillatorRule,
-    /// Whether the initial phase and frequency are estimated from the signal so far.
-    pub estimate: bool,
-    /// Initial frequency without an estimate, Hz.
-    pub initial_hz: f64,
-    /// Lower bound of the frequency search, Hz.
-    pub lowest_hz: f64,
-    /// Upper bound of the frequency search, Hz.
-    pub highest_hz: f64,
-    /// Natural frequency of the loop that corrects phase and frequency, as a share of the running frequency.
-    pub bandwidth: f64,
-    /// Number of periods over which the weights average, once settled.
-    pub memory: f64,
-}
-
-impl Default for OscillatorConfig {
-    fn default() -> Self {
-        Self {
-            dims: 1,
-            harmonics: 10,
-            rule: OscillatorRule::Scaled,
-            estimate: true,
-            initial_hz: 1.0,
-            lowest_hz: 0.22,
-            highest_hz: 4.0,
-            bandwidth: 0.08,
-            memory: 5.0,
-        }
+constants! {
+    /// The constants of an [`AdaptiveOscillator`](crate::AdaptiveOscillator).
+    pub struct OscillatorConfig {
+        /// Coordinates of the signal.
+        dims: usize = 1;
+        /// Harmonics m of (3); those that the sample rate cannot resolve are not learned.
+        harmonics: usize = 10, 1.0..=64.0;
+        /// How phase and frequency follow the error.
+        rule: OscillatorRule = OscillatorRule::Scaled;
+        /// Whether the initial phase and frequency are estimated from the signal so far.
+        estimate: bool = true;
+        /// Initial frequency without an estimate, Hz.
+        initial_hz: f64 = 1.0, GAIN;
+        /// Lower bound of the frequency search, Hz.
+        lowest_hz: f64 = 0.22, GAIN;
+        /// Upper bound of the frequency search, Hz.
+        highest_hz: f64 = 4.0;
+        /// Natural frequency of the loop that corrects phase and frequency, as a share of the running frequency.
+        bandwidth: f64 = 0.08, 1e-4..=0.5;
+        /// Number of periods over which the weights average, once settled.
+        memory: f64 = 5.0, 0.5..=1000.0;
     }
 }
 
 impl OscillatorConfig {
     /// The defaults for a signal of `dims` coordinates.
-    #[must_use]
     pub fn with_dims(dims: usize) -> Self {
         Self { dims, ..Self::default() }
     }
 
     pub(super) fn validate(&self) -> Result<(), MotionError> {
-        within("harmonics", self.harmonics as f64, 1.0, 64.0)?;
-        constant("initial_hz", self.initial_hz)?;
-        constant("lowest_hz", self.lowest_hz)?;
+        self.check_ranges()?;
         within("highest_hz", self.highest_hz, self.lowest_hz, 1000.0 * self.lowest_hz)?;
-        within("bandwidth", self.bandwidth, 1e-4, 0.5)?;
-        within("memory", self.memory, 0.5, 1000.0)?;
         if let OscillatorRule::Paper { coupling, learning } | OscillatorRule::Bare { coupling, learning } =
             self.rule
         {

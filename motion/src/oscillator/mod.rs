@@ -85,7 +85,6 @@ impl AdaptiveOscillator {
     }
 
     /// The constants.
-    #[must_use]
     pub fn config(&self) -> &OscillatorConfig {
         &self.config
     }
@@ -122,20 +121,17 @@ impl AdaptiveOscillator {
 
     /// The present phase, rad, in `0..2 pi`; 0 is where the fundamental of the leading coordinate was largest at
     /// the start.
-    #[must_use]
     pub fn phase(&self) -> f64 {
         self.phase
     }
 
     /// The running frequency Omega, rad/s. With [`OscillatorRule::Scaled`] it is the actual rate of the phase,
     /// which the loop's own frequency follows with a delay while the signal's frequency changes.
-    #[must_use]
     pub fn omega(&self) -> f64 {
         self.omega
     }
 
     /// The running frequency, Hz: the repeat frequency of the whole signal.
-    #[must_use]
     pub fn frequency_hz(&self) -> f64 {
         self.omega / TAU
     }
@@ -143,48 +139,36 @@ impl AdaptiveOscillator {
     /// The mean frequency, Hz, without the first one and a half periods after the oscillator locked, in which the
     /// phase may still adjust to the wave form. It is steadier than the running frequency, because noise and a
     /// coach's uneven pace average out. `None` before four periods.
-    #[must_use]
     pub fn mean_frequency_hz(&self) -> Option<f64> {
         let (phase, time) = self.counted_from?;
         (self.passed > 4.0 * TAU).then(|| (self.passed - phase) / (self.elapsed - time) / TAU)
     }
 
     /// Whether the oscillator follows the signal; with `estimate`, only after the signal has repeated once.
-    #[must_use]
     pub fn running(&self) -> bool {
         self.running
     }
 
     /// Whether the frequency is steady: the means of the last two periods agree within 2 %, and the series explains
     /// most of the signal.
-    #[must_use]
     pub fn settled(&self) -> bool {
         self.running && self.periods.steady(0.02) && self.periods.unexplained < 0.5
     }
 
     /// Periods passed since the oscillator locked.
-    #[must_use]
     pub fn periods(&self) -> f64 {
         self.passed / TAU
     }
 
     /// How often the oscillator has (re)started; each start defines phase 0 anew.
-    #[must_use]
     pub fn starts(&self) -> u32 {
         self.starts
     }
 
     /// The share of the signal's power that the series did not explain in the last whole period; 1 before the first
     /// one.
-    #[must_use]
     pub fn unexplained(&self) -> f64 {
         self.periods.unexplained
-    }
-
-    /// The coordinate whose fundamental defines the phase.
-    #[must_use]
-    pub fn leading(&self) -> usize {
-        self.anchor
     }
 
     /// Writes the estimated signal and its first and second derivative with respect to the phase (unit/rad,
@@ -208,7 +192,6 @@ impl AdaptiveOscillator {
     }
 
     /// The mean of coordinate `d` over the period, or `None` if there is no such coordinate.
-    #[must_use]
     pub fn mean(&self, d: usize) -> Option<f64> {
         (d < self.config.dims).then(|| self.series.weight(d, 0).0)
     }

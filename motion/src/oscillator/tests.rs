@@ -96,19 +96,6 @@ fn the_bare_rule_has_its_basin() {
 }
 
 #[test]
-fn a_refused_sample_changes_nothing() {
-    let mut osc = AdaptiveOscillator::new(OscillatorConfig::with_dims(2)).unwrap();
-    for k in 0..400 {
-        osc.update(0.01, &[(f64::from(k) * 0.06).sin(), 0.0]).unwrap();
-    }
-    let before = (osc.phase(), osc.omega());
-    assert!(osc.update(0.0, &[0.0, 0.0]).is_err());
-    assert!(osc.update(0.01, &[f64::NAN, 0.0]).is_err());
-    assert!(osc.update(0.01, &[0.0]).is_err());
-    assert_eq!((osc.phase(), osc.omega()), before);
-}
-
-#[test]
 fn coordinates_keep_their_phases_while_the_frequency_is_found() {
     // The first periods are slower, like a coach's: the phase lags until the frequency is found.
     let (mut osc, dt) = (AdaptiveOscillator::new(OscillatorConfig::with_dims(2)).unwrap(), 1.0 / 15.0);

@@ -16,7 +16,6 @@ pub struct PhaseKernels {
 
 impl PhaseKernels {
     /// `n` kernels (at least one) of `width` h, dimensionless; the papers' width is `2.5 n`.
-    #[must_use]
     pub fn new(n: usize, width: f64) -> Self {
         let centre = |i: usize| TAU * i as f64 / n as f64;
         let mut kernels = Self {
@@ -30,25 +29,21 @@ impl PhaseKernels {
     }
 
     /// The number of kernels.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.cos_centre.len()
     }
 
     /// Whether there is no kernel at all.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.cos_centre.is_empty()
     }
 
     /// The width h.
-    #[must_use]
     pub fn width(&self) -> f64 {
         self.width
     }
 
     /// The mean of one kernel over the period: its share of the samples in a uniform sweep.
-    #[must_use]
     pub fn mean(&self) -> f64 {
         self.mean
     }

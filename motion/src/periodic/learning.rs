@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::PeriodicDmp;
 use crate::dmp::{Cutoff, Ridge, TimeScale};
-use crate::error::{LARGEST, MotionError, finite, frequency, positive, vector, within};
+use crate::error::{MAX_MAGNITUDE, MotionError, finite, frequency, positive, vector, within};
 
 /// One sample of a demonstrated period, for batch learning; the slices have one value per degree of freedom.
 #[derive(Debug, Clone, PartialEq)]
@@ -76,13 +76,12 @@ impl PeriodicDmp {
         self.dmp.check_amplitude()?;
         let scale = self.config.alpha_z * self.config.beta_z * advance
             / (std::f64::consts::TAU * self.kernels().mean() * self.amplitude());
-        shift.iter().try_for_each(|s| within("displacement", scale * s, -LARGEST, LARGEST))?;
+        shift.iter().try_for_each(|s| within("displacement", scale * s, -MAX_MAGNITUDE, MAX_MAGNITUDE))?;
         self.dmp.add_to_weights(phase - self.lag(), scale, shift);
         Ok(())
     }
 
     /// The lag (rad) of the path behind the forcing term: the group delay `1 / beta_z` of (4), (5).
-    #[must_use]
     pub fn lag(&self) -> f64 {
         1.0 / self.config.beta_z
     }

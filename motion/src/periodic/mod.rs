@@ -22,7 +22,7 @@ pub use self::learning::PhaseSample;
 pub use self::path::{PathResponse, PeriodicPath};
 pub use crate::dmp::Integrator;
 use crate::dmp::{CouplingLearner, Dmp, TimeScale, widest_euler_step};
-use crate::error::{LARGEST, MotionError, finite, frequency, positive, vector, within};
+use crate::error::{MAX_MAGNITUDE, MotionError, finite, frequency, positive, vector, within};
 
 /// The result of a step; the slices have one value per degree of freedom.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,12 +43,15 @@ pub struct DmpState<'a> {
 /// Petrič et al. 2014, eqs. (4)-(13). Each degree of freedom has its own weights; all share P because (9) does not
 /// depend on the data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "saved::Saved", into = "saved::Saved")]
+#[serde(try_from = "saved::SavedPeriodic", into = "saved::SavedPeriodic")]
 pub struct PeriodicDmp {
     config: PeriodicDmpConfig,
     dmp: Dmp<PhaseKernels>,
     learner: CouplingLearner,
 }
+
+primitive!(PeriodicDmp, PeriodicDmpConfig);
+coached!(PeriodicDmp);
 
 impl PeriodicDmp {
     /// A primitive at rest at 0: all weights 0, amplitude 1.
@@ -66,46 +69,12 @@ impl PeriodicDmp {
         })
     }
 
-    /// The constants.
-    #[must_use]
-    pub fn config(&self) -> &PeriodicDmpConfig {
-        &self.config
-    }
-
-    /// Degrees of freedom n.
-    #[must_use]
-    pub fn dofs(&self) -> usize {
-        self.config.dofs
-    }
-
     /// The kernels.
-    #[must_use]
     pub fn kernels(&self) -> &PhaseKernels {
         &self.dmp.canonical
     }
 
-    /// The weights of degree of freedom `dof` (one per kernel), or `None` if there is no such degree.
-    #[must_use]
-    pub fn weights_of(&self, dof: usize) -> Option<&[f64]> {
-        self.weights().chunks_exact(self.kernels().len()).nth(dof)
-    }
-
-    /// All weights, degree of freedom by degree of freedom.
-    #[must_use]
-    pub fn weights(&self) -> &[f64] {
-        self.dmp.weights()
-    }
-
-    /// Replaces all weights; the state is unchanged, so that the position does not jump.
-    ///
-    /// # Errors
-    /// When the number of weights is not `dofs * kernels` or one of them is not finite.
-    pub fn set_weights(&mut self, weights: &[f64]) -> Result<(), MotionError> {
-        self.dmp.set_weights(0, "weights", weights)
-    }
-
     /// Centre of oscillation g, one per degree of freedom.
-    #[must_use]
     pub fn centre(&self) -> &[f64] {
         &self.dmp.transformation.goal
     }
@@ -120,22 +89,7 @@ impl PeriodicDmp {
         Ok(())
     }
 
-    /// Amplitude factor r of (6), dimensionless; 1 is the motion as learned.
-    #[must_use]
-    pub fn amplitude(&self) -> f64 {
-        self.dmp.amplitude()
-    }
-
-    /// Scales the motion about its centre; the position follows smoothly.
-    ///
-    /// # Errors
-    /// When the factor is not finite.
-    pub fn set_amplitude(&mut self, amplitude: f64) -> Result<(), MotionError> {
-        self.dmp.set_amplitude(amplitude)
-    }
-
     /// The phase, rad, in `0..2 pi`.
-    #[must_use]
     pub fn phase(&self) -> f64 {
         self.dmp.phase()
     }
@@ -151,7 +105,6 @@ impl PeriodicDmp {
     }
 
     /// The state after the last step.
-    #[must_use]
     pub fn state(&self) -> DmpState<'_> {
         let state = &self.dmp.transformation;
         DmpState { phase: self.phase(), y: &state.y, yd: &state.yd, ydd: &state.ydd }
@@ -170,32 +123,6 @@ impl PeriodicDmp {
         Ok(())
     }
 
-    /// Adds `c` (one per degree of freedom) to (4) for the next step only: the motion yields and returns.
-    ///
-    /// # Errors
-    /// When sizes differ or a value is not finite.
-    ///
-    /// # Source
-    /// Eq. (12).
-    pub fn perturb(&mut self, c: &[f64]) -> Result<(), MotionError> {
-        vector("perturbation", self.dofs(), c)?;
-        self.dmp.transformation.perturbation.copy_from_slice(c);
-        Ok(())
-    }
-
-    /// Lets the weights learn the coupling term `c` in the next step, at the present phase: the motion keeps the
-    /// change. P of (9) is updated in such a step too. So a coach that stays present calls this in each step, with
-    /// zeros outside his field.
-    ///
-    /// # Errors
-    /// When sizes differ or a value is not finite.
-    ///
-    /// # Source
-    /// Eqs. (9), (10), (13).
-    pub fn couple(&mut self, c: &[f64]) -> Result<(), MotionError> {
-        self.learner.couple(c)
-    }
-
     /// Advances phase and state by `dt` seconds at `omega` rad/s (0 stands still) and returns the new state.
     /// Does not allocate.
     ///
@@ -208,8 +135,8 @@ impl PeriodicDmp {
     pub fn step(&mut self, dt: f64, omega: f64) -> Result<DmpState<'_>, MotionError> {
         positive("dt", dt)?;
         let advance = omega * dt;
-        within("omega * dt", advance, 0.0, LARGEST)?;
-        within("omega", omega, 0.0, LARGEST)?;
+        within("omega * dt", advance, 0.0, MAX_MAGNITUDE)?;
+        within("omega", omega, 0.0, MAX_MAGNITUDE)?;
         if self.config.integrator == Integrator::Euler {
             let widest = widest_euler_step(self.config.alpha_z, self.config.beta_z);
             within("alpha_z * omega * dt", self.config.alpha_z * advance, 0.0, 0.99 * widest)?;

@@ -21,40 +21,24 @@ pub struct PeriodicPath {
 
 impl PeriodicPath {
     /// The number of samples.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.y.len()
     }
 
     /// Whether there is no sample.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.y.is_empty()
     }
 
     /// The phase of sample `s`, rad.
-    #[must_use]
     pub fn phase(&self, s: usize) -> f64 {
         TAU * s as f64 / self.len().max(1) as f64
     }
 
     /// The mean position, one value per degree of freedom.
-    #[must_use]
     pub fn mean(&self) -> Vec<f64> {
         let n = self.y.first().map_or(0, Vec::len);
         (0..n).map(|d| self.y.iter().map(|y| y[d]).sum::<f64>() / self.len() as f64).collect()
-    }
-
-    /// Half of peak to peak, one value per degree of freedom.
-    #[must_use]
-    pub fn half_range(&self) -> Vec<f64> {
-        let n = self.y.first().map_or(0, Vec::len);
-        let range = |d: usize| {
-            let high = self.y.iter().map(|y| y[d]).fold(f64::NEG_INFINITY, f64::max);
-            let low = self.y.iter().map(|y| y[d]).fold(f64::INFINITY, f64::min);
-            0.5 * (high - low)
-        };
-        (0..n).map(range).collect()
     }
 }
 
@@ -98,7 +82,6 @@ impl PeriodicDmp {
     }
 
     /// Position and derivative with respect to the phase on the steady path at `phase` rad.
-    #[must_use]
     pub fn steady_state(&self, phase: f64) -> (Vec<f64>, Vec<f64>) {
         let n = self.dofs();
         let fine = 800;
@@ -184,19 +167,16 @@ impl PathResponse {
     }
 
     /// The number of tabulated phases.
-    #[must_use]
     pub fn samples(&self) -> usize {
         self.samples
     }
 
     /// The phase of table row `s`, rad.
-    #[must_use]
     pub fn phase(&self, s: usize) -> f64 {
         TAU * s as f64 / self.samples as f64
     }
 
     /// The path at table row `s` for `weights` (one per kernel), amplitude 1 and centre 0.
-    #[must_use]
     pub fn at_row(&self, s: usize, weights: &[f64]) -> f64 {
         let s = s % self.samples;
         let row = &self.table[s * self.kernels..(s + 1) * self.kernels];
@@ -204,7 +184,6 @@ impl PathResponse {
     }
 
     /// The table row nearest to `phase` rad.
-    #[must_use]
     pub fn row(&self, phase: f64) -> usize {
         let turns = (phase / TAU).rem_euclid(1.0);
         if turns.is_finite() { (turns * self.samples as f64).round() as usize % self.samples } else { 0 }
@@ -268,7 +247,9 @@ mod tests {
         let path = dmp.steady_path(response.samples()).unwrap();
         for s in 0..response.samples() {
             for d in 0..2 {
-                let y = dmp.centre()[d] + dmp.amplitude() * response.at_row(s, dmp.weights_of(d).unwrap());
+                let y = dmp.centre()[d]
+                    + dmp.amplitude()
+                        * response.at_row(s, dmp.weights().chunks_exact(dmp.kernels().len()).nth(d).unwrap());
                 assert!((y - path.y[s][d]).abs() < 1e-9);
             }
         }

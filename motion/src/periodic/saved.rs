@@ -8,7 +8,7 @@ use crate::error::MotionError;
 /// The saved form: everything that defines the motion, without its present state.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Saved {
+pub(super) struct SavedPeriodic {
     config: PeriodicDmpConfig,
     centre: Vec<f64>,
     amplitude: f64,
@@ -16,7 +16,7 @@ pub(super) struct Saved {
     gain: Vec<f64>,
 }
 
-impl From<PeriodicDmp> for Saved {
+impl From<PeriodicDmp> for SavedPeriodic {
     fn from(dmp: PeriodicDmp) -> Self {
         Self {
             centre: dmp.centre().to_vec(),
@@ -28,10 +28,10 @@ impl From<PeriodicDmp> for Saved {
     }
 }
 
-impl TryFrom<Saved> for PeriodicDmp {
+impl TryFrom<SavedPeriodic> for PeriodicDmp {
     type Error = MotionError;
 
-    fn try_from(saved: Saved) -> Result<Self, MotionError> {
+    fn try_from(saved: SavedPeriodic) -> Result<Self, MotionError> {
         let mut dmp = Self::new(saved.config)?;
         dmp.set_centre(&saved.centre)?;
         dmp.set_amplitude(saved.amplitude)?;

@@ -11,70 +11,35 @@
 
 use std::f64::consts::TAU;
 
-use serde::{Deserialize, Serialize};
-
+use crate::constants::POSITIVE;
 use crate::error::{MotionError, finite, positive, within};
 use crate::surface_correction::SurfaceCorrection;
 
-/// The constants of a [`SurfaceAdaptation`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct SurfaceConfig {
-    /// Desired normal force, N, positive.
-    pub force: f64,
-    /// Kernels over the phase.
-    pub kernels: usize,
-    /// First guess of the contact stiffness, N/m. Too high slows learning down; too low by more than a factor of 3
-    /// may oscillate.
-    pub stiffness: f64,
-    /// Whether the stiffness is estimated from one cycle to the next. This needs an unchanged motion along the
-    /// surface: if it is changed, other places of the surface look like a contact without stiffness.
-    pub identify: bool,
-    /// Bandwidth of the feedback, rad/s.
-    pub bandwidth: f64,
-    /// Time from a command to its effect in the measured force, s.
-    pub delay: f64,
-    /// Share of the missing correction that each cycle adds to the learned motion, 0 to 1.
-    pub learning: f64,
-    /// Largest speed of the offset, m/s.
-    pub max_speed: f64,
-    /// Largest offset by feedback and learned motion, m.
-    pub max_offset: f64,
-    /// Outward surface normal in the motion's frame, any length.
-    pub normal: [f64; 3],
-}
-
-impl Default for SurfaceConfig {
-    fn default() -> Self {
-        Self {
-            force: 8.0,
-            kernels: 36,
-            stiffness: 4000.0,
-            identify: true,
-            bandwidth: 7.0,
-            delay: 0.03,
-            learning: 0.5,
-            max_speed: 0.12,
-            max_offset: 0.08,
-            normal: [0.0, 0.0, 1.0],
-        }
-    }
-}
-
-impl SurfaceConfig {
-    fn validate(&self) -> Result<(), MotionError> {
-        for (what, value) in [
-            ("force", self.force),
-            ("stiffness", self.stiffness),
-            ("bandwidth", self.bandwidth),
-            ("max_speed", self.max_speed),
-            ("max_offset", self.max_offset),
-        ] {
-            positive(what, value)?;
-        }
-        within("kernels", self.kernels as f64, 4.0, 1000.0)?;
-        within("delay", self.delay, 0.0, 0.5)?;
-        within("learning", self.learning, 0.0, 1.0)
+constants! {
+    /// The constants of a [`SurfaceAdaptation`].
+    pub struct SurfaceConfig {
+        /// Desired normal force, N, positive.
+        force: f64 = 8.0, POSITIVE;
+        /// Kernels over the phase.
+        kernels: usize = 36, 4.0..=1000.0;
+        /// First guess of the contact stiffness, N/m. Too high slows learning down; too low by more than a factor of 3
+        /// may oscillate.
+        stiffness: f64 = 4000.0, POSITIVE;
+        /// Whether the stiffness is estimated from one cycle to the next. This needs an unchanged motion along the
+        /// surface: if it is changed, other places of the surface look like a contact without stiffness.
+        identify: bool = true;
+        /// Bandwidth of the feedback, rad/s.
+        bandwidth: f64 = 7.0, POSITIVE;
+        /// Time from a command to its effect in the measured force, s.
+        delay: f64 = 0.03, 0.0..=0.5;
+        /// Share of the missing correction that each cycle adds to the learned motion, 0 to 1.
+        learning: f64 = 0.5, 0.0..=1.0;
+        /// Largest speed of the offset, m/s.
+        max_speed: f64 = 0.12, POSITIVE;
+        /// Largest offset by feedback and learned motion, m.
+        max_offset: f64 = 0.08, POSITIVE;
+        /// Outward surface normal in the motion's frame, any length.
+        normal: [f64; 3] = [0.0, 0.0, 1.0];
     }
 }
 
@@ -99,7 +64,7 @@ pub struct SurfaceAdaptation {
     stiffness: f64,
     offset: f64,
     smooth_error: f64,
-    past: Past,
+    past: OffsetHistory,
     cycle: Cycle,
     stiffness_by_cycle: StiffnessEstimate,
     rms: Vec<f64>,
@@ -107,7 +72,7 @@ pub struct SurfaceAdaptation {
 }
 
 /// Number of cycles whose error is kept.
-const REMEMBERED: usize = 256;
+const MAX_CYCLES_KEPT: usize = 256;
 
 impl SurfaceAdaptation {
     /// Starts without a learned correction, at offset 0: the height at which the hand touches the surface.
@@ -115,7 +80,7 @@ impl SurfaceAdaptation {
     /// # Errors
     /// When a constant is invalid.
     pub fn new(config: SurfaceConfig) -> Result<Self, MotionError> {
-        config.validate()?;
+        config.check_ranges()?;
         let width = 2.5 * config.kernels as f64;
         let correction = SurfaceCorrection::new(vec![0.0; config.kernels], width, config.normal)?;
         Self::resume(config, correction, 0.0)
@@ -131,7 +96,7 @@ impl SurfaceAdaptation {
         correction: SurfaceCorrection,
         phase: f64,
     ) -> Result<Self, MotionError> {
-        config.validate()?;
+        config.check_ranges()?;
         finite("phase", &[phase])?;
         Ok(Self {
             psi: vec![0.0; correction.weights().len()],
@@ -142,10 +107,10 @@ impl SurfaceAdaptation {
             learning_on: true,
             stiffness: config.stiffness,
             smooth_error: 0.0,
-            past: Past::default(),
+            past: OffsetHistory::default(),
             cycle: Cycle::default(),
             stiffness_by_cycle: StiffnessEstimate::default(),
-            rms: Vec::with_capacity(REMEMBERED),
+            rms: Vec::with_capacity(MAX_CYCLES_KEPT),
             cycles: 0,
             config,
         })
@@ -215,7 +180,7 @@ impl SurfaceAdaptation {
             return;
         }
         let rms = (self.cycle.square / self.cycle.weight.max(f64::MIN_POSITIVE)).sqrt();
-        if self.rms.len() == REMEMBERED {
+        if self.rms.len() == MAX_CYCLES_KEPT {
             self.rms.remove(0);
         }
         self.rms.push(rms);
@@ -228,31 +193,26 @@ impl SurfaceAdaptation {
     }
 
     /// RMS force error of each whole cycle so far, N, the newest last (256 at most).
-    #[must_use]
     pub fn rms(&self) -> &[f64] {
         &self.rms
     }
 
     /// Number of whole cycles so far.
-    #[must_use]
     pub fn cycles(&self) -> u32 {
         self.cycles
     }
 
     /// Whether the RMS force error of the last two cycles was within `tolerance` N (noise included).
-    #[must_use]
     pub fn settled(&self, tolerance: f64) -> bool {
         self.rms.len() >= 2 && self.rms.iter().rev().take(2).all(|rms| *rms <= tolerance)
     }
 
     /// The estimated contact stiffness, N/m.
-    #[must_use]
     pub fn stiffness(&self) -> f64 {
         self.stiffness
     }
 
     /// Factor by which the motion should slow down while the force error is large, 0.4 to 1.
-    #[must_use]
     pub fn pace(&self) -> f64 {
         (1.3 - self.smooth_error.abs() / self.config.force).clamp(0.4, 1.0)
     }
@@ -265,7 +225,7 @@ impl SurfaceAdaptation {
                 *w += self.feedback;
             }
             self.feedback = 0.0;
-            self.past = Past::default();
+            self.past = OffsetHistory::default();
         }
         self.feedback_on = on;
     }
@@ -276,7 +236,6 @@ impl SurfaceAdaptation {
     }
 
     /// The correction learned so far.
-    #[must_use]
     pub fn correction(&self) -> &SurfaceCorrection {
         &self.correction
     }
@@ -284,20 +243,20 @@ impl SurfaceAdaptation {
 
 /// The recent feedback, so that its value one delay ago can be read.
 #[derive(Debug, Clone)]
-struct Past {
+struct OffsetHistory {
     values: [f64; 128],
     spacing: f64,
     since: f64,
     head: usize,
 }
 
-impl Default for Past {
+impl Default for OffsetHistory {
     fn default() -> Self {
         Self { values: [0.0; 128], spacing: 0.004, since: f64::INFINITY, head: 0 }
     }
 }
 
-impl Past {
+impl OffsetHistory {
     fn push(&mut self, dt: f64, value: f64) {
         self.since += dt;
         if self.since >= self.spacing {
@@ -331,7 +290,7 @@ impl Cycle {
 
 /// Least RMS change of the offset from one cycle to the next from which the stiffness is estimated, m; or 3 % of
 /// the deflection of the contact, if that is more.
-const SMALLEST_CHANGE: f64 = 1e-4;
+const MIN_CHANGE: f64 = 1e-4;
 /// Number of phases at which two cycles are compared.
 const BINS: usize = 48;
 
@@ -392,7 +351,7 @@ impl StiffnessEstimate {
         }
         // A very small change is caused by the noise of the force itself, which looks like a contact without
         // stiffness.
-        let smallest = SMALLEST_CHANGE.max(0.03 * force / old);
+        let smallest = MIN_CHANGE.max(0.03 * force / old);
         if squares < BINS as f64 * smallest * smallest {
             return old;
         }

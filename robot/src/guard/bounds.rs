@@ -53,10 +53,10 @@ impl VelocityBounds {
     /// Reads the holders and the limits of the leases; `speed_m_s` limits every TCP.
     pub(crate) fn read(&mut self, table: &LeaseTable, speed_m_s: f64) {
         for (holder, slot) in self.holders.iter_mut().zip(&table.slots) {
-            *holder = slot.sound().map(|held| held.holder_number);
+            *holder = slot.faultless().map(|held| held.holder_number);
         }
         for tcp in &mut self.tcps {
-            let limits = tcp.carriers.iter().filter_map(|&i| table.slots[i].sound()?.limits.speed_m_s);
+            let limits = tcp.carriers.iter().filter_map(|&i| table.slots[i].faultless()?.limits.speed_m_s);
             tcp.limit = limits.fold(speed_m_s, f64::min).max(0.0);
         }
     }

@@ -19,7 +19,7 @@ use nalgebra::Vector3;
 
 use self::bounds::VelocityBounds;
 use self::force::Sensor;
-use crate::seam::lease::{LeaseTable, Shared};
+use crate::seam::lease::{LeaseBoard, LeaseTable};
 use crate::{Fault, GuardedRobot, JointKind, Kinematics, Model, Sensed, Wrist};
 
 /// The guard's own limits; leases can only tighten them.
@@ -63,7 +63,7 @@ impl Default for GuardConfig {
 }
 
 /// Longest step that is integrated, s, so that the setpoints do not jump after a pause of the driver.
-const LONGEST_STEP_S: f64 = 0.02;
+const MAX_STEP_S: f64 = 0.02;
 
 /// A raw sample of the joints and the wrist sensor.
 #[derive(Clone, Debug, PartialEq)]
@@ -80,7 +80,6 @@ pub struct Sample {
 
 impl Sample {
     /// At rest at `position`, with nothing on the sensor.
-    #[must_use]
     pub fn resting(position: Vec<f64>) -> Self {
         let velocity = vec![0.0; position.len()];
         Self { position, velocity, force_raw: Vector3::zeros(), torque_raw: Vector3::zeros() }
@@ -104,7 +103,7 @@ pub struct JointTargets {
 /// The guard of one robot; see the module.
 #[derive(Debug)]
 pub struct Guard {
-    shared: Arc<Shared>,
+    shared: Arc<LeaseBoard>,
     config: GuardConfig,
     kinematics: Kinematics,
     sensor: Option<Sensor>,
@@ -119,9 +118,8 @@ impl Guard {
     /// A guard and the robot that it protects. The joints hold the position of the first sample.
     ///
     /// The compensated wrist is that of the first limb (by name) that has both a sensor and a TCP.
-    #[must_use]
     pub fn new(model: Arc<Model>, config: GuardConfig) -> (Self, Arc<GuardedRobot>) {
-        let shared = Arc::new(Shared::new(&model));
+        let shared = Arc::new(LeaseBoard::new(&model));
         let robot = Arc::new(GuardedRobot { shared: Arc::clone(&shared) });
         let n = model.joints().len();
         let guard = Self {
@@ -139,7 +137,6 @@ impl Guard {
     }
 
     /// The targets of the last step.
-    #[must_use]
     pub fn targets(&self) -> &JointTargets {
         &self.targets
     }
@@ -187,7 +184,7 @@ impl Guard {
         self.measured.force_raw = sample.force_raw;
         self.measured.torque_raw = sample.torque_raw;
         self.kinematics.update(&self.measured.position);
-        since.min(LONGEST_STEP_S)
+        since.min(MAX_STEP_S)
     }
 
     fn sense(&mut self, table: &mut LeaseTable, stamp_ns: u64, dt: f64) {
@@ -224,7 +221,7 @@ impl Guard {
     fn take_commands(&mut self, table: &LeaseTable) {
         self.desired.fill(0.0);
         for slot in &table.slots {
-            let Some(held) = slot.sound() else { continue };
+            let Some(held) = slot.faultless() else { continue };
             for (&joint, &velocity) in slot.limb.joints.iter().zip(&held.velocities) {
                 self.desired[joint] = velocity;
             }

@@ -15,7 +15,7 @@ use crate::model::Limb;
 use crate::{Fault, LeaseError, LeaseLimits, Model, Sensed, Wrist, newest};
 
 /// Number of utterances kept until the driver takes them; older ones are dropped.
-const UTTERANCES: usize = 64;
+const MAX_UTTERANCES: usize = 64;
 
 /// Carries a lease's commands to its robot: in this process or over a network. Dropping it releases the limb.
 pub trait Commander: Send + Sync + fmt::Debug {
@@ -53,7 +53,6 @@ impl Lease {
     }
 
     /// The fault for which the limb was taken from its commander, if any.
-    #[must_use]
     pub fn fault(&self) -> Option<Fault> {
         self.0.fault()
     }
@@ -61,7 +60,7 @@ impl Lease {
 
 /// The holder of a limb, and the newest command.
 #[derive(Debug)]
-pub(crate) struct Held {
+pub(crate) struct LeaseState {
     id: u64,
     holder: String,
     /// Leases of one holder have the same number.
@@ -76,14 +75,14 @@ pub(crate) struct Held {
 }
 
 #[derive(Debug)]
-pub(crate) struct Slot {
+pub(crate) struct LimbSlot {
     pub(crate) limb: Limb,
-    pub(crate) held: Option<Held>,
+    pub(crate) held: Option<LeaseState>,
 }
 
-impl Slot {
+impl LimbSlot {
     /// The holder's entry, unless it has a fault.
-    pub(crate) fn sound(&self) -> Option<&Held> {
+    pub(crate) fn faultless(&self) -> Option<&LeaseState> {
         self.held.as_ref().filter(|held| held.fault.is_none())
     }
 
@@ -97,7 +96,7 @@ impl Slot {
 
 #[derive(Debug, Default)]
 pub(crate) struct LeaseTable {
-    pub(crate) slots: Vec<Slot>,
+    pub(crate) slots: Vec<LimbSlot>,
     pub(crate) stopped: Option<String>,
     pub(crate) tare: bool,
     pub(crate) load: Option<(f64, Point3<f64>)>,
@@ -107,15 +106,15 @@ pub(crate) struct LeaseTable {
 
 /// The data that the guard and its robot share.
 #[derive(Debug)]
-pub(crate) struct Shared {
+pub(crate) struct LeaseBoard {
     pub(crate) model: Arc<Model>,
     pub(crate) sensed: newest::Sender<Arc<Sensed>>,
     leases: Mutex<LeaseTable>,
 }
 
-impl Shared {
+impl LeaseBoard {
     pub(crate) fn new(model: &Arc<Model>) -> Self {
-        let slots = model.limbs().values().map(|limb| Slot { limb: limb.clone(), held: None }).collect();
+        let slots = model.limbs().values().map(|limb| LimbSlot { limb: limb.clone(), held: None }).collect();
         let first = Sensed {
             stamp_ns: 0,
             position: model.zero(),
@@ -145,7 +144,7 @@ impl Shared {
 /// The robot behind a [`Guard`](crate::Guard), in this process.
 #[derive(Debug)]
 pub struct GuardedRobot {
-    pub(crate) shared: Arc<Shared>,
+    pub(crate) shared: Arc<LeaseBoard>,
 }
 
 impl Robot for GuardedRobot {
@@ -166,14 +165,14 @@ impl Robot for GuardedRobot {
             let known = table.slots.iter().map(|s| s.limb.name.as_str()).collect::<Vec<_>>().join(", ");
             return Err(LeaseError::Unknown { limb: limb.to_owned(), known });
         };
-        if let Some(holder) = taken_by(&table.slots, index) {
+        if let Some(holder) = holder_of(&table.slots, index) {
             return Err(LeaseError::Taken { limb: limb.to_owned(), holder });
         }
         table.next_id += 1;
         let id = table.next_id;
         let known = table.slots.iter().filter_map(|slot| slot.held.as_ref());
         let holder_number = known.filter(|held| held.holder == holder).map(|held| held.holder_number).next();
-        table.slots[index].held = Some(Held {
+        table.slots[index].held = Some(LeaseState {
             id,
             holder: holder.to_owned(),
             holder_number: holder_number.unwrap_or(id),
@@ -183,7 +182,7 @@ impl Robot for GuardedRobot {
             seen: (0, 0),
             fault: None,
         });
-        Ok(Lease::new(Local { shared: Arc::clone(&self.shared), index, id }))
+        Ok(Lease::new(LocalCommander { shared: Arc::clone(&self.shared), index, id }))
     }
 
     fn tare(&self) {
@@ -208,7 +207,7 @@ impl Robot for GuardedRobot {
 
     fn say(&self, utterance: &str) {
         let mut table = self.shared.leases();
-        if table.utterances.len() == UTTERANCES {
+        if table.utterances.len() == MAX_UTTERANCES {
             table.utterances.pop_front();
         }
         table.utterances.push_back(utterance.to_owned());
@@ -216,7 +215,7 @@ impl Robot for GuardedRobot {
 }
 
 /// The holder of this limb or of one that shares a joint with it.
-fn taken_by(slots: &[Slot], index: usize) -> Option<String> {
+fn holder_of(slots: &[LimbSlot], index: usize) -> Option<String> {
     let wanted = &slots[index].limb.joints;
     slots.iter().find_map(|slot| {
         let held = slot.held.as_ref()?;
@@ -226,15 +225,15 @@ fn taken_by(slots: &[Slot], index: usize) -> Option<String> {
 
 /// The commander of a lease in this process.
 #[derive(Debug)]
-struct Local {
-    shared: Arc<Shared>,
+struct LocalCommander {
+    shared: Arc<LeaseBoard>,
     index: usize,
     id: u64,
 }
 
-impl Local {
+impl LocalCommander {
     /// Runs `f` on this lease's entry in the table, which lives as long as the lease.
-    fn with<T>(&self, f: impl FnOnce(&Limb, &mut Held) -> T) -> Option<T> {
+    fn with<T>(&self, f: impl FnOnce(&Limb, &mut LeaseState) -> T) -> Option<T> {
         let mut table = self.shared.leases();
         let slot = &mut table.slots[self.index];
         let held = slot.held.as_mut().filter(|held| held.id == self.id)?;
@@ -242,7 +241,7 @@ impl Local {
     }
 }
 
-impl Commander for Local {
+impl Commander for LocalCommander {
     fn command(&self, velocities: &[f64]) -> Result<(), Fault> {
         let joints = self.shared.model.joints();
         self.with(|limb, held| {
@@ -274,7 +273,7 @@ fn bad_command(velocities: &[f64], limb: &Limb, joints: &[crate::Joint]) -> Opti
     Some(Fault::NotFinite { joint: joints[limb.joints[bad]].name.clone() })
 }
 
-impl Drop for Local {
+impl Drop for LocalCommander {
     fn drop(&mut self) {
         let mut table = self.shared.leases();
         let slot = &mut table.slots[self.index];

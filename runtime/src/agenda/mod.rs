@@ -16,7 +16,7 @@ use std::time::Duration;
 
 use armarium_values::expr::Reads;
 
-use crate::engine::{Circle, Effect, Engine, Input, NEAR, Sensors};
+use crate::engine::{Circle, Effect, Engine, Input, RECORDED_BEFORE_BOUND, Sensors};
 use crate::program::{Program, StateId};
 use edge::Edge;
 
@@ -78,7 +78,7 @@ impl Repeats {
     /// Counts one occurrence in `state`. Returns the states' names once the count exceeds `most`.
     fn add(&mut self, state: StateId, most: u32, program: &Program) -> Option<String> {
         self.count += 1;
-        if self.count + NEAR > most {
+        if self.count + RECORDED_BEFORE_BOUND > most {
             self.circle.note(state);
         }
         (self.count > most).then(|| self.circle.names(program))
@@ -87,9 +87,18 @@ impl Repeats {
 
 impl Agenda {
     /// Whether nothing is pending.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.timers.is_empty() && self.armed.is_empty() && self.seen.is_empty() && self.graces.is_empty()
+    }
+
+    /// Whether a timer or the deadline of a cancelled skill is pending.
+    pub fn has_timers(&self) -> bool {
+        !(self.timers.is_empty() && self.graces.is_empty() && self.seen.is_empty())
+    }
+
+    /// Whether a watch is armed.
+    pub fn has_watches(&self) -> bool {
+        !self.armed.is_empty()
     }
 
     /// Registers an effect at `now`. Returns the effects that the driver has to carry out itself.
@@ -130,7 +139,6 @@ impl Agenda {
 
     /// To be called when a skill has returned. Returns the input that fails the run when more than [`MAX_ENDS`]
     /// skills ended at this instant.
-    #[must_use]
     pub fn ended(
         &mut self,
         activation: u64,
@@ -150,7 +158,6 @@ impl Agenda {
     }
 
     /// The state entry that a watch was armed in, if it is armed.
-    #[must_use]
     pub fn armed(&self, watch: u32) -> Option<u64> {
         self.armed.get(&watch).map(|armed| armed.entry)
     }
@@ -161,7 +168,6 @@ impl Agenda {
     }
 
     /// When the next item may be due, if only time passes.
-    #[must_use]
     pub fn next(&self) -> Option<Duration> {
         let timer = self.timers.first().map(|(at, ..)| *at);
         let grace = self.graces.values().min().copied();

@@ -2,13 +2,15 @@
 
 use std::sync::Arc;
 
-use armarium_source::yaml::{Named, Node};
-use armarium_source::{code, suggest};
+use armarium_source::yaml::{Named, Node, Yaml};
+use armarium_source::{Remedy, Severity, code};
 use armarium_values::Type;
+use armarium_values::expr::nearest;
 
 use super::compile::Compiler;
 use super::expressions::Site;
 use super::model::{self, ActionKind};
+use super::symbols::Symbol;
 use crate::program::{Action, Pattern, Send, StateId, Term, Transition};
 
 impl<'t> Compiler<'t> {
@@ -20,7 +22,7 @@ impl<'t> Compiler<'t> {
         let event_data = event.and_then(|event| self.event_types.get(&event.text));
         let site = &Site { event_data, ..at.clone() };
         let guard = model.guard.as_ref().and_then(|node| self.condition(site, node));
-        let delay = model.delay.as_ref().and_then(|node| self.value(site, node, &Type::Duration));
+        let delay = model.delay.as_ref().and_then(|node| self.delay(site, node));
         let with = match targets.as_slice() {
             [to] => self.bindings(site, *to, &model.with),
             _ => Vec::new(),
@@ -51,6 +53,25 @@ impl<'t> Compiler<'t> {
         }
     }
 
+    /// The time of an `after`.
+    fn delay(&mut self, site: &Site<'_>, node: &Node) -> Option<Term> {
+        let term = self.value(site, node, &Type::Duration)?;
+        let Term::Literal(value) = &term else { return Some(term) };
+        let seconds = value.as_f64().unwrap_or(0.0);
+        let has_unit = matches!(&node.value, Yaml::String(text) if text.trim().parse::<f64>().is_err());
+        self.reporting(site.source, |_, findings| {
+            if seconds < 0.0 {
+                findings.error(code::VALUE, node.span, "a duration is not negative");
+            } else if seconds > 100.0 && !has_unit {
+                let message = format!("this is {seconds} s");
+                let help =
+                    format!("write the unit: `{seconds}s`, or `{seconds}ms` if milliseconds are meant");
+                findings.add(Severity::Warning, code::SUSPICIOUS, node.span, message, Some(help));
+            }
+        });
+        Some(term)
+    }
+
     pub(super) fn actions(&mut self, site: &Site<'_>, actions: &[model::Action]) -> Vec<Action> {
         let mut compiled = Vec::new();
         for action in actions {
@@ -62,6 +83,8 @@ impl<'t> Compiler<'t> {
                     }
                 }
                 ActionKind::Raise { event, data } => {
+                    self.names
+                        .refer(site.source, event.span, || Some(Symbol::Event { name: event.text.clone() }));
                     let data = self.data_of(site, event, data.as_ref());
                     let event = self.symbols.intern(&event.text);
                     compiled.push(Action::Raise { event, data, place });
@@ -73,7 +96,11 @@ impl<'t> Compiler<'t> {
                     let (address, delay) = (optional(to, &Type::String), optional(delay, &Type::Duration));
                     // What another agent's event comes with is declared there.
                     let data = match to {
-                        None => self.data_of(site, event, data.as_ref()),
+                        None => {
+                            let symbol = || Some(Symbol::Event { name: event.text.clone() });
+                            self.names.refer(site.source, event.span, symbol);
+                            self.data_of(site, event, data.as_ref())
+                        }
                         Some(_) => optional(data, &Type::Any),
                     };
                     let id = id.as_ref().map(|id| id.text.clone());
@@ -131,11 +158,22 @@ impl<'t> Compiler<'t> {
             }
         };
         let Some(found) = declared.iter().find(|v| v.declaration.name == variable).cloned() else {
-            let help = suggest(variable, declared.iter().map(|v| v.declaration.name.as_str()));
+            let near = nearest(variable, declared.iter().map(|v| v.declaration.name.as_str()));
+            let near = near.map(|near| format!("{kind}.{near}"));
             let message = format!("the chart has no `{}`", name.text);
-            self.error(site, code::VARIABLE, name, message, help);
+            self.error(
+                site,
+                code::VARIABLE,
+                name,
+                message,
+                near.as_ref().map(|n| format!("did you mean `{n}`?")),
+            );
+            if let Some((near, finding)) = near.zip(self.findings.last_mut()) {
+                finding.remedy = Some(Remedy::replace(name.span, near));
+            }
             return None;
         };
+        self.names.refer_declared(site, name.span, &name.text, &found.declaration.name);
         let term = self.given(site, node, &found.declaration)?;
         Some(Action::Assign {
             slot: found.slot,

@@ -1,19 +1,52 @@
-//! What a chart may name: the skills of this program, and the channels that its observers publish.
+//! What a chart may name: the skills of this program, and the channels that are published.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::path::Path;
 use std::sync::Arc;
 
 use armarium_values::Type;
 
-use crate::skill::{Skill, SkillManifest};
+use crate::skill::{NameKind, Parameter, Skill, SkillManifest};
 
 /// The skills of a program, by name.
 #[derive(Clone, Default)]
 pub struct Registry {
-    skills: BTreeMap<String, Known>,
+    skills: BTreeMap<String, RegisteredSkill>,
     /// What other agents offer, by `agent/Name`; or why it cannot be used.
-    remote: BTreeMap<String, Result<Known, Refused>>,
+    remote: BTreeMap<String, Result<RegisteredSkill, Refused>>,
+    names: Option<Arc<dyn KnownNames>>,
+}
+
+/// The names that exist before a run: of the robot's postures, of classes of objects. The host of the skills knows them.
+pub trait KnownNames: Send + Sync {
+    /// The names of a kind that the chart in this file can use; `None` where they are not known before a run.
+    fn names(&self, kind: NameKind, chart: &Path) -> Option<BTreeSet<String>>;
+}
+
+/// A name that does not exist.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("there is no {kind} `{name}`; {}", listed(known))]
+pub struct UnknownName {
+    /// What it should name.
+    pub kind: NameKind,
+    /// The name.
+    pub name: String,
+    /// Those that exist.
+    pub known: BTreeSet<String>,
+}
+
+/// Most names that a message lists.
+const MAX_LISTED: usize = 20;
+
+fn listed(known: &BTreeSet<String>) -> String {
+    let names: Vec<&str> = known.iter().take(MAX_LISTED).map(String::as_str).collect();
+    let more = known.len() - names.len();
+    match (names.is_empty(), more) {
+        (true, _) => "none is known".into(),
+        (false, 0) => format!("known are: {}", names.join(", ")),
+        (false, more) => format!("known are: {}, and {more} more", names.join(", ")),
+    }
 }
 
 /// Why something of another agent cannot be used.
@@ -26,7 +59,7 @@ pub struct Refused {
 }
 
 /// A skill and what it declares.
-type Known = (Arc<dyn Skill>, Arc<SkillManifest>);
+type RegisteredSkill = (Arc<dyn Skill>, Arc<SkillManifest>);
 
 impl fmt::Debug for Registry {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -36,7 +69,6 @@ impl fmt::Debug for Registry {
 
 impl Registry {
     /// A registry without skills.
-    #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
@@ -48,14 +80,12 @@ impl Registry {
     }
 
     /// The skill of that name.
-    #[must_use]
     pub fn get(&self, name: &str) -> Option<&Arc<dyn Skill>> {
         let remote = || self.remote.get(name)?.as_ref().ok();
         self.skills.get(name).or_else(remote).map(|(skill, _)| skill)
     }
 
     /// What the skill of that name declares.
-    #[must_use]
     pub fn manifest(&self, name: &str) -> Option<&Arc<SkillManifest>> {
         let remote = || self.remote.get(name)?.as_ref().ok();
         self.skills.get(name).or_else(remote).map(|(_, manifest)| manifest)
@@ -77,6 +107,29 @@ impl Registry {
         Some(self.remote.get(name)?.as_ref().map(|(_, manifest)| manifest))
     }
 
+    /// The same registry, with the names that inputs of its skills may take.
+    #[must_use]
+    pub fn with_names(mut self, names: Arc<dyn KnownNames>) -> Self {
+        self.names = Some(names);
+        self
+    }
+
+    /// The names of a kind that the chart in this file can use; `None` where they are not known before a run.
+    pub fn names(&self, kind: NameKind, chart: &Path) -> Option<BTreeSet<String>> {
+        self.names.as_ref()?.names(kind, chart)
+    }
+
+    /// Whether a name exists, as far as that is known.
+    ///
+    /// # Errors
+    /// [`UnknownName`] with those that exist.
+    pub fn known_name(&self, kind: NameKind, name: &str, chart: &Path) -> Result<(), UnknownName> {
+        match self.names(kind, chart) {
+            Some(known) if !known.contains(name) => Err(UnknownName { kind, name: name.into(), known }),
+            _ => Ok(()),
+        }
+    }
+
     /// All manifests, ordered by name.
     pub fn manifests(&self) -> impl Iterator<Item = &SkillManifest> {
         self.skills.values().map(|(_, manifest)| &**manifest)
@@ -91,15 +144,57 @@ impl FromIterator<Arc<dyn Skill>> for Registry {
     }
 }
 
-/// The channels that observers publish, with the type of their value (usually a record of named fields).
+/// A channel, for the checker and for people.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ChannelDescription {
+    /// Its name.
+    pub name: String,
+    /// What it tells.
+    pub description: String,
+    /// How often a value is published, in words; empty where that is not known.
+    pub rate: String,
+    /// The type of its values: usually a record of `fields`.
+    pub ty: Type,
+    /// The fields of its values, with what they mean; none where a value has none.
+    pub fields: Vec<Parameter>,
+    /// Who publishes it, besides the skills whose manifests say so.
+    pub publishers: Vec<String>,
+    /// Who reads it, besides the skills whose manifests say so.
+    pub readers: Vec<String>,
+}
+
+impl ChannelDescription {
+    /// A channel of which no more is known.
+    pub fn new(name: &str, description: &str) -> Self {
+        Self {
+            name: name.into(),
+            description: description.into(),
+            rate: String::new(),
+            ty: Type::Any,
+            fields: Vec::new(),
+            publishers: Vec::new(),
+            readers: Vec::new(),
+        }
+    }
+
+    /// The same channel, whose values are records of these fields.
+    #[must_use]
+    pub fn with_fields(mut self, fields: Vec<Parameter>) -> Self {
+        let types = fields.iter().map(|field| (field.name.clone(), field.ty.clone()));
+        self.ty = Type::Record(types.collect());
+        self.fields = fields;
+        self
+    }
+}
+
+/// The channels that charts may name: those of observers and skills, and those that charts declare.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ChannelSchema {
-    channels: BTreeMap<String, Type>,
+    channels: BTreeMap<String, ChannelDescription>,
 }
 
 impl ChannelSchema {
     /// A schema without channels.
-    #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
@@ -108,18 +203,35 @@ impl ChannelSchema {
     /// `.with("hand", Type::record([("gesture", Type::String)]))`.
     #[must_use]
     pub fn with(mut self, name: &str, ty: Type) -> Self {
-        self.channels.insert(name.to_owned(), ty);
+        self.add(ChannelDescription { ty, ..ChannelDescription::new(name, "") });
         self
     }
 
+    /// Adds a channel; one of the same name is replaced.
+    pub fn add(&mut self, channel: ChannelDescription) {
+        self.channels.insert(channel.name.clone(), channel);
+    }
+
     /// The type of a channel's value.
-    #[must_use]
     pub fn get(&self, name: &str) -> Option<&Type> {
-        self.channels.get(name)
+        self.channels.get(name).map(|channel| &channel.ty)
     }
 
     /// The names of all channels.
-    pub fn names(&self) -> impl Iterator<Item = &str> {
+    pub fn names(&self) -> impl Iterator<Item = &str> + Clone {
         self.channels.keys().map(String::as_str)
+    }
+
+    /// All channels, ordered by name.
+    pub fn described(&self) -> impl Iterator<Item = &ChannelDescription> {
+        self.channels.values()
+    }
+}
+
+impl FromIterator<ChannelDescription> for ChannelSchema {
+    fn from_iter<I: IntoIterator<Item = ChannelDescription>>(channels: I) -> Self {
+        let mut schema = Self::new();
+        channels.into_iter().for_each(|channel| schema.add(channel));
+        schema
     }
 }

@@ -6,15 +6,19 @@ use std::sync::Arc;
 
 use armarium_source::on_a_large_stack;
 use armarium_source::yaml::{Named, Node};
-use armarium_source::{Finding, Findings, code, suggest};
+use armarium_source::{Finding, Findings, Remedy, code};
 use armarium_values::{Type, Value};
 
 use super::catalog::{ChannelSchema, Registry};
+use super::channels::channels;
 use super::expressions::{self, Names, Scope, Site};
 use super::flatten::{Inside, Tree, flatten, number};
 use super::library::Library;
 use super::lint::lint;
 use super::model::{self, Chart};
+use super::names::unknown_names;
+use super::suspicious::suspicious;
+use super::symbols::{Collector, Section, SkillPart, Symbol};
 use crate::program::{
     Binding, Code, Entry, Kind, Place, Program, State, StateId, Symbols, Term, Transition, Watch,
 };
@@ -30,7 +34,6 @@ pub struct Checked {
 }
 
 /// Finds everything that is wrong with a chart and compiles it.
-#[must_use]
 pub fn check(library: &Library, registry: &Registry, schema: &ChannelSchema) -> Checked {
     on_a_large_stack(|| checked(library, registry, schema))
 }
@@ -41,10 +44,22 @@ fn checked(library: &Library, registry: &Registry, schema: &ChannelSchema) -> Ch
     if let Some(root) = library.charts.get(&library.root) {
         let (tree, found) = flatten(root, library, registry);
         findings.extend(found);
-        let (compiled, found) = compile(root, &tree, library, schema);
+        let (channels, found) = channels(library, schema);
         findings.extend(found);
+        let (mut compiled, found) = compile(root, &tree, library, &channels, None);
+        findings.extend(found);
+        findings.extend(unknown_names(&mut compiled, &tree, root, registry));
         findings.extend(missing_inputs(&tree, &compiled));
-        findings.extend(lint(&compiled, &tree, library, findings.iter().any(|f| f.code == code::STATE)));
+        // Where keys are wrong or states are missing, what is said of the whole would only repeat it.
+        let any = |codes: &[&str]| findings.iter().any(|f| codes.contains(&f.code));
+        let misread = any(&[code::KEY, code::FORM, code::MISSING_KEY, code::KIND]);
+        let unknown = misread || any(&[code::STATE, code::SKILL, code::CHART]);
+        if !misread {
+            findings.extend(lint(&compiled, &tree, library, unknown));
+        }
+        if !unknown {
+            findings.extend(suspicious(&compiled, &tree, library));
+        }
         program = Some(compiled);
     }
     if findings.iter().any(|f| f.code == code::LIMIT) {
@@ -62,17 +77,18 @@ fn checked(library: &Library, registry: &Registry, schema: &ChannelSchema) -> Ch
     Checked { findings, program }
 }
 
-/// Compiles what is written at the states of a tree.
-fn compile(
+/// Compiles what is written at the states of a tree; `schema` has all channels, also those that charts declare. Names that were found are added to `collector`.
+pub(super) fn compile(
     root: &Chart,
     tree: &Tree<'_>,
     library: &Library,
     schema: &ChannelSchema,
+    collector: Option<&Collector>,
 ) -> (Program, Vec<Finding>) {
     let event_types = event_types(library);
     let mut compiler = Compiler {
         tree,
-        names: Names::new(tree, schema),
+        names: Names::new(tree, schema, collector),
         event_types: &event_types,
         findings: Vec::new(),
         symbols: Symbols::default(),
@@ -94,10 +110,12 @@ fn compile(
         sources: tree.sources.clone(),
         instances: tree.instances.clone(),
         channels: names.into_channels(),
+        channel_types: channel_types(schema),
         slots,
         symbols,
         profiles: profiles(root),
         event_types,
+        declared_events: declared_events(library),
         ..program
     };
     (program.linked(), findings)
@@ -109,7 +127,7 @@ pub(super) struct Compiler<'t> {
     pub(super) names: Names<'t>,
     /// What comes with the events that declare it.
     pub(super) event_types: &'t BTreeMap<String, Type>,
-    findings: Vec<Finding>,
+    pub(super) findings: Vec<Finding>,
     /// The names of events so far.
     pub(super) symbols: Symbols,
     /// The places for data so far: those of the tree, and those of loops.
@@ -147,6 +165,20 @@ impl<'t> Compiler<'t> {
         help: Option<String>,
     ) {
         self.reporting(site.source, |_, findings| findings.error_help(code, at.span, message, help));
+    }
+
+    /// Adds an error about a name that stands for nothing, with the nearest of `known` as its remedy.
+    pub(super) fn unknown<'n>(
+        &mut self,
+        site: &Site<'_>,
+        code: &'static str,
+        at: &Named,
+        message: String,
+        known: impl IntoIterator<Item = &'n str>,
+    ) {
+        let mut findings = Findings::new(Arc::clone(&self.tree.sources[site.source as usize]));
+        findings.unknown(code, (at.span, &at.text), message, known, None);
+        self.findings.append(&mut findings.list);
     }
 
     /// Compiles a state; what is written at it goes to `transitions` and `watches`.
@@ -236,13 +268,13 @@ impl<'t> Compiler<'t> {
 
     pub(super) fn value(&mut self, site: &Site<'_>, node: &Node, ty: &Type) -> Option<Term> {
         self.reporting(site.source, |this, findings| {
-            expressions::value(node, ty, &Scope { names: &this.names, site }, findings)
+            expressions::value(node, ty, &Scope::new(&this.names, site), findings)
         })
     }
 
     pub(super) fn condition(&mut self, site: &Site<'_>, node: &Node) -> Option<Code> {
         self.reporting(site.source, |this, findings| {
-            expressions::condition(node, &Scope { names: &this.names, site }, findings)
+            expressions::condition(node, &Scope::new(&this.names, site), findings)
         })
     }
 
@@ -278,9 +310,12 @@ impl<'t> Compiler<'t> {
                 Some(inputs) => match inputs.iter().find(|input| input.name == name.text) {
                     Some(parameter) => parameter.clone(),
                     None => {
-                        let help = suggest(&name.text, inputs.iter().map(|input| input.name.as_str()));
+                        let known = inputs.iter().map(|input| input.name.as_str());
                         let message = format!("there is no input `{}`", name.text);
-                        self.error(site, code::INPUT, name, message, help);
+                        self.unknown(site, code::INPUT, name, message, known);
+                        self.findings.last_mut().into_iter().for_each(|finding| {
+                            finding.remedy.get_or_insert(Remedy::Remove(name.span));
+                        });
                         continue;
                     }
                 },
@@ -291,6 +326,20 @@ impl<'t> Compiler<'t> {
                     continue;
                 }
             };
+            self.names.refer(site.source, name.span, || {
+                let name = name.text.clone();
+                match &tree.state(target).inside {
+                    Inside::Chart { chart, .. } => {
+                        let section = Section::Inputs;
+                        Some(Symbol::Declared { chart: chart.name.clone(), section, name })
+                    }
+                    Inside::Skill(manifest) => {
+                        let (skill, part) = (manifest.name.clone(), SkillPart::Input);
+                        Some(Symbol::OfSkill { skill, part, name })
+                    }
+                    Inside::Nothing => None,
+                }
+            });
             if let Some(term) = self.given(site, node, &parameter) {
                 bindings.push(Binding { parameter, term, place: site.place(node.span) });
             }
@@ -326,6 +375,10 @@ fn missing_inputs(tree: &Tree<'_>, program: &Program) -> Vec<Finding> {
             let help = Some(format!("add `with: {{{name}: ...}}`"));
             let mut findings = Findings::new(Arc::clone(&tree.sources[flat.source as usize]));
             findings.error_help(code::MISSING_INPUT, flat.model.name.span, message, help);
+            if let Some(value) = input.example() {
+                let (owner, key) = (Some(flat.model.name.span), name.to_owned());
+                findings.remedy(Remedy::Add { owner, sections: vec!["with"], key, value });
+            }
             found.append(&mut findings.list);
         }
     }
@@ -344,6 +397,14 @@ fn event_types(library: &Library) -> BTreeMap<String, Type> {
         }
     }
     types
+}
+
+fn channel_types(schema: &ChannelSchema) -> BTreeMap<String, Type> {
+    schema.described().map(|channel| (channel.name.clone(), channel.ty.clone())).collect()
+}
+
+fn declared_events(library: &Library) -> BTreeSet<String> {
+    library.charts.values().flat_map(|chart| &chart.events).map(|(event, _)| event.text.clone()).collect()
 }
 
 fn profiles(root: &Chart) -> BTreeMap<String, BTreeMap<String, Value>> {

@@ -4,14 +4,15 @@
 use std::cell::{Cell, RefCell};
 
 use armarium_source::yaml::{Node, Yaml};
-use armarium_source::{Findings, Span, code};
+use armarium_source::{Findings, Remedy, Span, code};
 use armarium_values::expr::{
-    Environment, Expr, ExprErrorKind, Piece, Slot, Unknown, Unresolved, Variable, nearest, split,
+    Environment, Expr, ExprErrorKind, Found, Piece, Slot, Unknown, Unresolved, Variable, nearest, split,
 };
 use armarium_values::{Fit, Type, Value};
 
 use super::catalog::ChannelSchema;
-use super::flatten::{Tree, number};
+use super::flatten::{Inside, Tree, number};
+use super::symbols::{Collector, Section, SkillPart, Symbol, parts};
 use crate::program::{Code, Place, StateId, Term};
 
 /// Mistakes for which the nearest name is looked for.
@@ -28,11 +29,52 @@ pub(super) struct Names<'c> {
     channels: RefCell<Vec<String>>,
     /// How often somebody asked for what might be meant.
     asked: Cell<usize>,
+    /// What the names that were found stand for, where somebody wants to know.
+    collector: Option<&'c Collector>,
 }
 
 impl<'c> Names<'c> {
-    pub(super) fn new(tree: &'c Tree<'c>, schema: &'c ChannelSchema) -> Self {
-        Self { tree, schema, channels: RefCell::default(), asked: Cell::default() }
+    pub(super) fn new(
+        tree: &'c Tree<'c>,
+        schema: &'c ChannelSchema,
+        collector: Option<&'c Collector>,
+    ) -> Self {
+        Self { tree, schema, channels: RefCell::default(), asked: Cell::default(), collector }
+    }
+
+    /// Says what a name in a file stands for.
+    pub(super) fn refer(&self, source: u32, at: Span, symbol: impl FnOnce() -> Option<Symbol>) {
+        if let Some(collector) = self.collector
+            && let Some(symbol) = symbol()
+        {
+            collector.add(&self.tree.sources[source as usize], at, false, symbol);
+        }
+    }
+
+    /// Says that the parts of a path name the states down to `last`.
+    pub(super) fn refer_path(&self, source: u32, at: Span, path: &str, last: StateId) {
+        if self.collector.is_some() {
+            let places = parts(&self.tree.sources[source as usize].text, at, path);
+            for (place, state) in places.into_iter().rev().zip(self.tree.outward(last)) {
+                self.refer(source, place, || Some(self.tree.symbol(state)));
+            }
+        }
+    }
+
+    /// Says that `section.name`, as it is written in a file, is what the chart around declares.
+    pub(super) fn refer_declared(&self, site: &Site<'_>, at: Span, written: &str, name: &str) {
+        self.refer(site.source, self.last_part(site, at, written), || {
+            let (section, _) = written.split_once('.')?;
+            let chart = self.tree.chart_of(site.state).to_owned();
+            Some(Symbol::Declared { chart, section: Section::of(section)?, name: name.to_owned() })
+        });
+    }
+
+    fn last_part(&self, site: &Site<'_>, at: Span, written: &str) -> Span {
+        if self.collector.is_none() {
+            return at;
+        }
+        parts(&self.tree.sources[site.source as usize].text, at, written).pop().unwrap_or(at)
     }
 
     /// The channels that expressions read.
@@ -56,12 +98,10 @@ impl<'c> Names<'c> {
 
     fn channel_number(&self, name: &str) -> Result<u32, Unresolved> {
         if self.schema.get(name).is_none() {
-            let help = match nearest(name, self.schema.names()) {
-                Some(near) => format!("did you mean `{near}`?"),
-                None => format!("channels are: {}", self.schema.names().collect::<Vec<_>>().join(", ")),
-            };
+            let known = || format!("channels are: {}", self.schema.names().collect::<Vec<_>>().join(", "));
             let message = format!("there is no channel `{name}`");
-            return Err(Unresolved { kind: Unknown::Channel, message, help: Some(help) });
+            let near = nearest(name, self.schema.names()).map(str::to_owned);
+            return Err(Unresolved::new(Unknown::Channel, message, near, Some(known())));
         }
         let mut channels = self.channels.borrow_mut();
         let at = channels.iter().position(|c| c == name).unwrap_or_else(|| {
@@ -92,12 +132,20 @@ impl Site<'_> {
 
 /// The scope of one expression.
 pub(super) struct Scope<'s, 'c> {
-    pub(super) names: &'s Names<'c>,
-    pub(super) site: &'s Site<'s>,
+    names: &'s Names<'c>,
+    site: &'s Site<'s>,
+    /// What the names of the expression stand for, each with its place in the expression.
+    found: RefCell<Vec<(usize, usize, Symbol)>>,
 }
 
-fn unresolved<T>(message: String, help: Option<String>) -> Result<T, Unresolved> {
-    Err(Unresolved { kind: Unknown::Name, message, help })
+impl<'s, 'c> Scope<'s, 'c> {
+    pub(super) fn new(names: &'s Names<'c>, site: &'s Site<'s>) -> Self {
+        Self { names, site, found: RefCell::default() }
+    }
+}
+
+fn unresolved<T>(message: String, near: Option<String>, help: Option<String>) -> Result<T, Unresolved> {
+    Err(Unresolved::new(Unknown::Name, message, near, help))
 }
 
 impl Environment for Scope<'_, '_> {
@@ -116,33 +164,68 @@ impl Environment for Scope<'_, '_> {
         };
         if let Some(variables) = declared {
             let Some(name) = path.get(1) else {
-                return unresolved(format!("`{}` needs a name after it", path[0]), None);
+                return unresolved(format!("`{}` needs a name after it", path[0]), None, None);
             };
             if let Some(v) = variables.iter().find(|v| v.declaration.name == **name) {
                 return found(Slot::Data(v.slot), v.declaration.ty.clone(), 2);
             }
-            let help = nearest(name, variables.iter().map(|v| v.declaration.name.as_str()))
-                .map(|near| format!("did you mean `{}.{near}`?", path[0]));
-            return unresolved(format!("the chart has no `{}.{name}`", path[0]), help);
+            let near = nearest(name, variables.iter().map(|v| v.declaration.name.as_str()));
+            let near = near.map(|near| format!("{}.{near}", path[0]));
+            return unresolved(format!("the chart has no `{}.{name}`", path[0]), near, None);
         }
         match (path[0], path.get(1)) {
             ("event", Some(&"name")) => return found(Slot::EventName, Type::String, 2),
             ("event", Some(&"data")) => {
                 return found(Slot::EventData, self.site.event_data.cloned().unwrap_or(Type::Any), 2);
             }
-            ("event", _) => return unresolved("an event has `event.name` and `event.data`".into(), None),
+            ("event", _) => {
+                return unresolved("an event has `event.name` and `event.data`".into(), None, None);
+            }
             ("channels", Some(name)) => {
-                let number = names.channel_number(name)?;
+                let number = names.channel_number(name).map_err(|error| Unresolved {
+                    near: error.near.map(|near| format!("channels.{near}")),
+                    ..error
+                })?;
                 let ty = names.schema.get(name).cloned().unwrap_or(Type::Any);
                 return found(Slot::Channel(number), ty, 2);
             }
             ("channels", None) => {
                 let message = "`channels` needs a name after it".into();
-                return Err(Unresolved { kind: Unknown::Channel, message, help: None });
+                return Err(Unresolved::new(Unknown::Channel, message, None, None));
             }
             _ => {}
         }
         self.output(path)
+    }
+
+    fn found(&self, name: Found<'_>) {
+        if self.names.collector.is_none() {
+            return;
+        }
+        let mut found = self.found.borrow_mut();
+        match name {
+            Found::Variable { parts, places, variable } => {
+                for (place, symbol) in places.iter().zip(self.symbols(parts, variable)) {
+                    found.extend(symbol.map(|symbol| (place.0, place.1, symbol)));
+                }
+            }
+            Found::Channel { name, place } => {
+                let symbol = Symbol::Channel { channel: name.to_owned(), fields: Vec::new() };
+                found.push((place.0, place.1, symbol));
+            }
+            Found::State { path, place } => {
+                let parts: Vec<&str> = path.split('.').collect();
+                let Some(last) = self.names.tree.find(self.site.state, &parts) else { return };
+                let mut end = place.1;
+                for (part, state) in parts.iter().rev().zip(self.names.tree.outward(last)) {
+                    found.push((end - part.len(), end, self.names.tree.symbol(state)));
+                    end -= part.len() + 1;
+                }
+            }
+            Found::Function { name, place } => {
+                found.push((place.0, place.1, Symbol::Function { name: name.to_owned() }));
+            }
+        }
     }
 
     fn channel(&self, name: &str) -> Result<u32, Unresolved> {
@@ -153,13 +236,9 @@ impl Environment for Scope<'_, '_> {
         let parts: Vec<&str> = path.split('.').collect();
         self.names.tree.find(self.site.state, &parts).map_or_else(
             || {
-                let help = nearest(path, self.names.visible(self.site.state))
-                    .map(|n| format!("did you mean `{n}`?"));
-                Err(Unresolved {
-                    kind: Unknown::State,
-                    message: format!("there is no state `{path}` here"),
-                    help,
-                })
+                let near = nearest(path, self.names.visible(self.site.state)).map(str::to_owned);
+                let message = format!("there is no state `{path}` here");
+                Err(Unresolved::new(Unknown::State, message, near, None))
             },
             Ok,
         )
@@ -167,19 +246,89 @@ impl Environment for Scope<'_, '_> {
 }
 
 impl Scope<'_, '_> {
+    /// The constants of other languages.
+    fn constant(name: &str) -> Option<&'static str> {
+        match name {
+            "True" | "TRUE" | "yes" | "on" => Some("true"),
+            "False" | "FALSE" | "no" | "off" => Some("false"),
+            "None" | "nil" | "undefined" | "NULL" => Some("null"),
+            _ => None,
+        }
+    }
+
+    /// What the parts of a name stand for that was found to be `variable`: nothing for a loop's, and for the parts before
+    /// the last that stand for sections.
+    fn symbols(&self, parts: &[&str], variable: &Variable) -> Vec<Option<Symbol>> {
+        let (names, state) = (self.names, self.site.state);
+        let mut symbols: Vec<Option<Symbol>> = vec![None; parts.len()];
+        if self.site.bound.iter().any(|(name, _)| name == parts[0]) {
+            return symbols;
+        }
+        if let Some(section) = Section::of(parts[0]) {
+            let (chart, name) = (names.tree.chart_of(state).to_owned(), parts[1].to_owned());
+            symbols[1] = Some(Symbol::Declared { chart, section, name });
+        } else if parts[0] == "channels" {
+            for (at, symbol) in symbols.iter_mut().enumerate().skip(1) {
+                let fields = parts[2..=at.max(1)].iter().map(|part| (*part).to_owned()).collect();
+                *symbol = Some(Symbol::Channel { channel: parts[1].to_owned(), fields });
+            }
+        } else if let Some((last, used)) = names.tree.find_prefix(state, parts) {
+            let around = names.tree.outward(last).take(used).collect::<Vec<_>>();
+            for (symbol, state) in symbols.iter_mut().zip(around.into_iter().rev()) {
+                *symbol = Some(names.tree.symbol(state));
+            }
+            if variable.used > used
+                && let Some(name) = parts.get(used).map(|name| (*name).to_owned())
+            {
+                symbols[used] = match &names.tree.state(last).inside {
+                    Inside::Chart { chart, .. } => {
+                        let (chart, section) = (chart.name.clone(), Section::Outputs);
+                        Some(Symbol::Declared { chart, section, name })
+                    }
+                    Inside::Skill(manifest) => {
+                        let (skill, part) = (manifest.name.clone(), SkillPart::Output);
+                        Some(Symbol::OfSkill { skill, part, name })
+                    }
+                    Inside::Nothing => None,
+                };
+            }
+        }
+        symbols
+    }
+
+    /// Where a name is known that was written without what is before it.
+    fn section_of(&self, name: &str) -> Option<&'static str> {
+        let instance = self.names.tree.instance(self.site.state);
+        let sections =
+            [("inputs", &instance.inputs), ("locals", &instance.locals), ("outputs", &instance.outputs)];
+        let has =
+            |variables: &[crate::program::Variable]| variables.iter().any(|v| v.declaration.name == name);
+        let declared = sections.into_iter().find(|(_, variables)| has(variables)).map(|(section, _)| section);
+        declared.or_else(|| self.names.schema.get(name).map(|_| "channels"))
+    }
+
     fn output(&self, path: &[&str]) -> Result<Variable, Unresolved> {
         let names = self.names;
         let Some((state, used)) = names.tree.find_prefix(self.site.state, path) else {
             let known = ["inputs", "locals", "outputs", "event", "channels"];
-            let help = nearest(path[0], known.into_iter().chain(names.visible(self.site.state)))
-                .map(|near| format!("did you mean `{near}`?"));
-            return unresolved(format!("there is no `{}` here", path[0]), help);
+            let near = Self::constant(path[0])
+                .map(str::to_owned)
+                .or_else(|| self.section_of(path[0]).map(|section| format!("{section}.{}", path[0])))
+                .or_else(|| {
+                    nearest(path[0], known.into_iter().chain(names.visible(self.site.state)))
+                        .map(str::to_owned)
+                });
+            let help = match path {
+                [name] => Some(format!("a text stands in quotes: `'{name}'`")),
+                _ => None,
+            };
+            return unresolved(format!("there is no `{}` here", path[0]), near, help);
         };
         let found = names.tree.state(state);
         let outputs = &found.outputs;
         let shown = path[..used].join(".");
         let Some(name) = path.get(used) else {
-            return unresolved(format!("`{shown}` is a state; its outputs are `{shown}.name`"), None);
+            return unresolved(format!("`{shown}` is a state; its outputs are `{shown}.name`"), None, None);
         };
         if let (true, Some((_, slot, ty))) = (found.open(), outputs.first()) {
             return Ok(Variable { slot: Slot::Data(*slot), ty: ty.clone(), used });
@@ -188,12 +337,12 @@ impl Scope<'_, '_> {
             Some((_, slot, ty)) => Ok(Variable { slot: Slot::Data(*slot), ty: ty.clone(), used: used + 1 }),
             None => {
                 let known: Vec<&str> = outputs.iter().map(|(name, ..)| name.as_str()).collect();
-                let help = match (nearest(name, known.iter().copied()), known.is_empty()) {
-                    (Some(near), _) => format!("did you mean `{shown}.{near}`?"),
-                    (None, true) => format!("`{shown}` gives nothing"),
-                    (None, false) => format!("it gives: {}", known.join(", ")),
+                let near = nearest(name, known.iter().copied()).map(|near| format!("{shown}.{near}"));
+                let help = match known.is_empty() {
+                    true => format!("`{shown}` gives nothing"),
+                    false => format!("it gives: {}", known.join(", ")),
                 };
-                unresolved(format!("`{shown}` has no output `{name}`"), Some(help))
+                unresolved(format!("`{shown}` has no output `{name}`"), near, Some(help))
             }
         }
     }
@@ -206,7 +355,8 @@ pub(super) fn condition(node: &Node, scope: &Scope<'_, '_>, findings: &mut Findi
         Yaml::String(s) => s.clone(),
         other => {
             let message = format!("an expression is needed here, not {}", other.describe());
-            findings.error(code::FORM, node.span, message);
+            let help = "YAML reads `{`, `[`, `!` and `#` itself: put the expression into quotes".to_owned();
+            findings.error_help(code::FORM, node.span, message, Some(help));
             return None;
         }
     };
@@ -233,7 +383,13 @@ fn expression(
     scope: &Scope<'_, '_>,
     findings: &mut Findings,
 ) -> Option<Code> {
-    match Expr::compile(text, scope) {
+    let compiled = Expr::compile(text, scope);
+    for (start, end, symbol) in scope.found.borrow_mut().drain(..) {
+        let file = &findings.source.text;
+        let at = inner_span(file, text, offset, span, offset + start, offset + end);
+        scope.names.refer(scope.site.source, at, || Some(symbol));
+    }
+    match compiled {
         Ok(expr) => Some(Code { expr, place: scope.site.place(span) }),
         Err(error) => {
             let (start, end) = (offset + error.start, offset + error.end);
@@ -249,6 +405,13 @@ fn expression(
                 ExprErrorKind::Unit => code::UNIT,
             };
             findings.error_help(code, at, error.message, error.help);
+            if let Some((start, end, near)) = error.near {
+                let file = &findings.source.text;
+                let at = inner_span(file, text, offset, span, offset + start, offset + end);
+                if file.get(at.start..at.end) == text.get(start..end) {
+                    findings.remedy(Remedy::replace(at, near));
+                }
+            }
             None
         }
     }
@@ -257,8 +420,9 @@ fn expression(
 /// The place in the file of a part of a scalar: exact where the scalar stands in the file as it reads.
 fn inner_span(file: &str, text: &str, offset: usize, span: Span, start: usize, end: usize) -> Span {
     let raw = file.get(span.start..span.end.min(file.len())).unwrap_or("");
-    let Some(found) = raw.find(text) else { return span };
-    let base = span.start + found;
+    // The same expression may stand before it.
+    let Some(found) = raw.get(offset..).and_then(|rest| rest.find(text)) else { return span };
+    let base = span.start + offset + found;
     let (start, end) = (base + start - offset, base + end - offset);
     Span { start, end: end.max(start + 1) }
 }
@@ -268,6 +432,10 @@ pub(super) fn value(node: &Node, ty: &Type, scope: &Scope<'_, '_>, findings: &mu
     let (term, found) = term(node, scope, findings)?;
     if let Term::Literal(literal) = term {
         return match ty.convert(literal) {
+            Ok(value) if !is_finite(&value) => {
+                findings.error(code::VALUE, node.span, "this number is too large");
+                None
+            }
             Ok(value) => Some(Term::Literal(value)),
             Err(error) => {
                 let unit = matches!(error, armarium_values::ConvertError::Unit { .. });
@@ -289,6 +457,16 @@ pub(super) fn value(node: &Node, ty: &Type, scope: &Scope<'_, '_>, findings: &mu
             findings.error(code::TYPE, node.span, format!("expected {ty}, found {found}"));
             None
         }
+    }
+}
+
+/// Whether all numbers in a value are finite.
+fn is_finite(value: &Value) -> bool {
+    match value {
+        Value::Float(x) | Value::Duration(x) => x.is_finite(),
+        Value::List(items) => items.iter().all(is_finite),
+        Value::Map(fields) => fields.values().all(is_finite),
+        _ => true,
     }
 }
 

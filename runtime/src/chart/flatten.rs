@@ -5,13 +5,14 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_source::yaml::Named;
-use armarium_source::{Finding, Findings, Severity, Source, code, suggest};
+use armarium_source::{Finding, Findings, Severity, Source, code};
 use armarium_values::Type;
 
 use super::catalog::Registry;
 use super::library::Library;
 use super::model::{self, Chart};
 use super::read::MAX_LEVELS;
+use super::symbols::Symbol;
 use crate::program::{Instance, StateId, Variable};
 use crate::skill::{Limits, Parameter, SkillManifest};
 
@@ -71,17 +72,9 @@ impl Flat<'_> {
         &self.model.name.text
     }
 
-    /// What its skill declares.
-    pub(super) fn manifest(&self) -> Option<&Arc<SkillManifest>> {
-        match &self.inside {
-            Inside::Skill(manifest) => Some(manifest),
-            _ => None,
-        }
-    }
-
-    /// Whether it gives more than is known: then its first output is a map of all.
+    /// Whether it gives more than is known: then its first output has no name and is a map of all.
     pub(super) fn open(&self) -> bool {
-        self.manifest().is_some_and(|manifest| manifest.open)
+        self.outputs.first().is_some_and(|(name, ..)| name.is_empty())
     }
 }
 
@@ -106,6 +99,20 @@ impl Tree<'_> {
 
     pub(super) fn instance(&self, state: StateId) -> &Instance {
         &self.instances[self.state(state).instance as usize]
+    }
+
+    /// The name of the chart that a state is written in.
+    pub(super) fn chart_of(&self, state: StateId) -> &str {
+        self.outward(state).find(|s| self.state(*s).chart_root).map_or("", |root| self.state(root).name())
+    }
+
+    /// What the name of a state stands for.
+    pub(super) fn symbol(&self, state: StateId) -> Symbol {
+        let chart = self.chart_of(state).to_owned();
+        match self.state(state) {
+            Flat { chart_root: true, .. } => Symbol::Chart { chart },
+            Flat { path, .. } => Symbol::State { chart, path: path.clone() },
+        }
     }
 
     pub(super) fn is_history(&self, state: StateId) -> bool {
@@ -320,17 +327,21 @@ impl<'l> Flattening<'l, '_> {
             model::Kind::Skill(name) => {
                 let Some(manifest) = self.registry.manifest(&name.text).cloned() else {
                     let known = self.registry.manifests().map(|m| m.name.as_str());
-                    let help = suggest(&name.text, known)
-                        .unwrap_or_else(|| "`armarium skills` lists the skills".into());
+                    let help = "`armarium skills` lists the skills".to_owned();
                     let message = format!("there is no skill `{}`", name.text);
-                    self.error(source, code::SKILL, name, message, Some(help));
-                    return;
+                    let mut findings = Findings::new(Arc::clone(&self.tree.sources[source as usize]));
+                    findings.unknown(code::SKILL, (name.span, &name.text), message, known, Some(help));
+                    self.findings.append(&mut findings.list);
+                    return self.gives_anything(id);
                 };
                 self.acts(id, manifest);
             }
+            model::Kind::Chart(name) if self.library.stand_ins.contains_key(&name.text) => {
+                self.acts(id, Arc::clone(&self.library.stand_ins[&name.text]));
+            }
             model::Kind::Chart(name) => {
                 // A chart that could not be read has its finding already.
-                let Some(chart) = self.library.charts.get(&name.text) else { return };
+                let Some(chart) = self.library.charts.get(&name.text) else { return self.gives_anything(id) };
                 if self.stack.contains(&name.text) {
                     let message =
                         format!("charts contain each other: {} -> {}", self.stack.join(" -> "), name.text);
@@ -369,13 +380,19 @@ impl<'l> Flattening<'l, '_> {
             }
             None => {
                 let message = format!("`{}` is not checked: its agent was not asked", name.text);
-                let help = Some("`--connect tcp/HOST:PORT` asks it".to_owned());
+                let help = Some("`armarium run --connect tcp/HOST:PORT` asks it".to_owned());
                 self.finding(Severity::Warning, code::UNASKED, name, message, help, source);
             }
         }
         let mut manifest = SkillManifest::new(&name.text, "Something that another agent offers.");
         manifest.open = true;
         Arc::new(manifest)
+    }
+
+    /// What a state gives is not known, because what it names is not there: nothing is said of those who read it.
+    fn gives_anything(&mut self, id: StateId) {
+        let slot = self.slot();
+        self.tree.states[id as usize].outputs = vec![(String::new(), slot, Type::Any)];
     }
 
     /// A state acts by a skill: places for what that gives. One that is not known yet gives a map of all.

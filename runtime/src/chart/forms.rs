@@ -77,6 +77,11 @@ pub(super) const CHART: &[Key] = &[
         "Events from outside that the chart understands, with what comes with them: `said: {data: {word: string}}`.",
         || json!({"type": "object", "additionalProperties": {"anyOf": [{"type": "null"}, object(EVENT)]}}),
     ),
+    Key::new(
+        "channels",
+        "Channels that the chart's own skills publish, with what their values are: `battery: {type: {volts: {type: float, unit: V}}}`.",
+        || json!({"type": "object", "additionalProperties": {"anyOf": [refer("type"), object(CHANNEL)]}}),
+    ),
     Key::new("profiles", "Other defaults of inputs, chosen by `run --profile`.", map),
     LIMIT_SECTION,
     INITIAL,
@@ -93,12 +98,12 @@ pub(super) const CHART: &[Key] = &[
 pub(super) const STATE: &[Key] = &[
     DESCRIPTION,
     Key::new("skill", "The skill that this state runs.", || refer("skill")),
-    Key::new("statechart", "The chart that is this state's inside.", text),
+    Key::new("statechart", "The chart that is this state's inside.", || refer("chart")),
     Key::new("remote", "A chart or skill of another agent: `agent/Name`.", text),
     STATES,
     INITIAL,
     PARALLEL,
-    Key::new("final", "Ends what it is in, with this outcome.", text),
+    Key::new("final", "Ends what it is in, with this outcome.", || refer("outcome")),
     Key::new("history", "Stands for what was left last.", || json!({"enum": ["shallow", "deep"]})),
     Key::new("default", "Where a history leads at first.", || refer("entry")),
     Key::new("with", "What the skill or chart is given.", || refer("values")),
@@ -114,8 +119,10 @@ pub(super) const STATE: &[Key] = &[
 ];
 
 pub(super) const DECLARATION: &[Key] = &[
-    Key::new("type", "bool, int, float, string, duration, list<T>, map<T>, Pose, Motion ...", text),
-    Key::new("unit", "An SI unit, for float.", text),
+    Key::new("type", "bool, int, float, string, duration, list<T>, map<T>, Pose, Motion ...", || {
+        refer("type")
+    }),
+    Key::new("unit", "An SI unit, for float.", || refer("unit")),
     Key::new("default", "What it is where nothing is given.", any),
     Key::new("minimum", "The least value.", quantity),
     Key::new("maximum", "The largest value.", quantity),
@@ -125,6 +132,17 @@ pub(super) const DECLARATION: &[Key] = &[
 
 pub(super) const EVENT: &[Key] =
     &[Key::new("data", "What comes with it.", || refer("declarations")), DESCRIPTION];
+
+pub(super) const CHANNEL: &[Key] = &[
+    Key::new(
+        "type",
+        "The fields of its values: `{volts: {type: float, unit: V}}`; or one type.",
+        || json!({"anyOf": [refer("type"), refer("declarations")]}),
+    )
+    .required(),
+    Key::new("unit", "An SI unit, where the type is float.", || refer("unit")),
+    DESCRIPTION,
+];
 
 pub(super) const TYPE: &[Key] =
     &[Key::new("enum", "The words that it can be.", texts).required(), DESCRIPTION];
@@ -153,8 +171,14 @@ const INTERNAL: Key = Key::new("internal", "Leaves only what is inside.", bool);
 
 pub(super) const ENTRY: &[Key] = &[TARGET.required(), DO];
 pub(super) const TRANSITION: &[Key] = &[TARGET, GUARD, DO, WITH, INTERNAL];
-pub(super) const EVENT_TRANSITION: &[Key] =
-    &[Key::new("event", "The event that it answers.", text).required(), TARGET, GUARD, DO, WITH, INTERNAL];
+pub(super) const EVENT_TRANSITION: &[Key] = &[
+    Key::new("event", "The event that it answers.", || refer("event")).required(),
+    TARGET,
+    GUARD,
+    DO,
+    WITH,
+    INTERNAL,
+];
 pub(super) const TIMED_TRANSITION: &[Key] = &[
     Key::new("for", "The time after which it is taken.", || refer("duration")).required(),
     TARGET,
@@ -169,12 +193,12 @@ pub(super) const ACTIONS: &[Key] = &[
     Key::new(
         "raise",
         "Raises an event inside of this chart.",
-        || json!({"anyOf": [{"type": "string"}, object(RAISE)]}),
+        || json!({"anyOf": [refer("event"), object(RAISE)]}),
     ),
     Key::new(
         "send",
         "Sends an event to another agent, or later.",
-        || json!({"anyOf": [{"type": "string"}, object(SEND)]}),
+        || json!({"anyOf": [refer("event"), object(SEND)]}),
     ),
     Key::new("cancel", "The id of an event that was sent with a delay.", text),
     Key::new("log", "Says something to people.", any),
@@ -182,7 +206,7 @@ pub(super) const ACTIONS: &[Key] = &[
     Key::new("foreach", "Does something for each item of a list.", || object(FOREACH)),
 ];
 
-const NAME: Key = Key::new("event", "Its name.", text).required();
+const NAME: Key = Key::new("event", "Its name.", || refer("event")).required();
 const DATA: Key = Key::new("data", "What comes with it.", any);
 
 pub(super) const RAISE: &[Key] = &[NAME, DATA];

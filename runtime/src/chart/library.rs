@@ -1,15 +1,15 @@
 //! Finding and reading chart files: a chart and all charts that it names, each once.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use armarium_source::yaml::{self, Named};
-use armarium_source::{Finding, Findings, Source, code, suggest};
+use armarium_source::{Disk, Files, Finding, Findings, Source, Span, code};
 
 use super::model::{Chart, Kind, State};
 use super::read;
+use crate::skill::SkillManifest;
 
 /// A chart with all the charts that it names, as far as they could be read.
 #[derive(Clone, Debug)]
@@ -20,31 +20,52 @@ pub struct Library {
     pub charts: BTreeMap<String, Arc<Chart>>,
     /// What is wrong with the files.
     pub findings: Vec<Finding>,
+    /// Charts that are stood in for, as skills of the same inputs, outputs and outcomes.
+    pub(super) stand_ins: BTreeMap<String, Arc<SkillManifest>>,
 }
 
 /// Reads a chart file and, from its folder and then `search_dirs`, all charts that it names.
-#[must_use]
 pub fn load(path: &Path, search_dirs: &[PathBuf]) -> Library {
-    let mut library = Library { root: String::new(), charts: BTreeMap::new(), findings: Vec::new() };
-    let source = match Source::read(path) {
+    load_from(path, search_dirs, &Disk)
+}
+
+/// As [`load`], with files that may be other than on the disk.
+pub fn load_from(path: &Path, search_dirs: &[PathBuf], files: &dyn Files) -> Library {
+    let mut library = Library {
+        root: String::new(),
+        charts: BTreeMap::new(),
+        findings: Vec::new(),
+        stand_ins: BTreeMap::new(),
+    };
+    let source = match files.read(path) {
         Ok(source) => source,
         Err(finding) => {
             library.findings.push(*finding);
             return library;
         }
     };
+    for missing in search_dirs.iter().filter(|folder| !folder.is_dir()) {
+        let source = Arc::new(Source::new(missing, ""));
+        let message = "charts are to be looked for in this folder, but it is not there";
+        let help = Some("is the path after `--charts` right?".to_owned());
+        library.findings.push(Finding::error(source, code::FILE, Span::default(), message, help));
+    }
     let folder = path.parent().map_or_else(PathBuf::new, Path::to_path_buf);
     let mut folders = vec![folder];
     folders.extend(search_dirs.iter().cloned());
-    library.add_root(source, &folders);
+    library.add_root(source, &folders, files);
     library
 }
 
 /// Reads a chart from text; the charts that it names are looked for in `search_dirs`.
-#[must_use]
 pub fn load_text(name: &str, text: &str, search_dirs: &[PathBuf]) -> Library {
-    let mut library = Library { root: String::new(), charts: BTreeMap::new(), findings: Vec::new() };
-    library.add_root(Arc::new(Source::new(name, text)), search_dirs);
+    let mut library = Library {
+        root: String::new(),
+        charts: BTreeMap::new(),
+        findings: Vec::new(),
+        stand_ins: BTreeMap::new(),
+    };
+    library.add_root(Arc::new(Source::new(name, text)), search_dirs, &Disk);
     library
 }
 
@@ -55,22 +76,36 @@ fn parse(source: Arc<Source>) -> (Option<Chart>, Vec<Finding>) {
 }
 
 impl Library {
+    /// Makes the states that use one of these charts run a skill of its inputs, outputs and outcomes instead, for tests.
+    /// Returns the names that no chart has.
+    pub fn stand_in<'n>(&mut self, names: impl IntoIterator<Item = &'n String>) -> Vec<&'n String> {
+        let mut missing = Vec::new();
+        for name in names {
+            match self.charts.get(name).filter(|_| *name != self.root) {
+                Some(chart) => {
+                    self.stand_ins.insert(name.clone(), Arc::new(chart.manifest()));
+                }
+                None => missing.push(name),
+            }
+        }
+        missing
+    }
+
     /// What the charts want of other agents, as `agent/Name`.
-    #[must_use]
     pub fn remote_names(&self) -> BTreeSet<String> {
         let mut names = BTreeSet::new();
         self.charts.values().for_each(|chart| named_remotes(&chart.root, &mut names));
         names
     }
 
-    fn add_root(&mut self, source: Arc<Source>, folders: &[PathBuf]) {
+    fn add_root(&mut self, source: Arc<Source>, folders: &[PathBuf], files: &dyn Files) {
         let (chart, findings) = parse(source);
         self.findings.extend(findings);
         let Some(chart) = chart else { return };
         self.root.clone_from(&chart.name);
         let chart = Arc::new(chart);
         self.charts.insert(chart.name.clone(), Arc::clone(&chart));
-        let mut files: Option<BTreeMap<String, Vec<PathBuf>>> = None;
+        let mut by_name: Option<BTreeMap<String, Vec<PathBuf>>> = None;
         let mut waiting = vec![chart];
         while let Some(chart) = waiting.pop() {
             let mut names = Vec::new();
@@ -79,8 +114,8 @@ impl Library {
                 if self.charts.contains_key(&name.text) {
                     continue;
                 }
-                let files = files.get_or_insert_with(|| chart_files(folders));
-                if let Some(found) = self.find(&chart, name, files) {
+                let by_name = by_name.get_or_insert_with(|| self::files(folders, files));
+                if let Some(found) = self.find(&chart, name, by_name, files) {
                     self.charts.insert(found.name.clone(), Arc::clone(&found));
                     waiting.push(found);
                 }
@@ -92,20 +127,20 @@ impl Library {
         &mut self,
         user: &Chart,
         name: &Named,
-        files: &BTreeMap<String, Vec<PathBuf>>,
+        by_name: &BTreeMap<String, Vec<PathBuf>>,
+        files: &dyn Files,
     ) -> Option<Arc<Chart>> {
         let mut findings = Findings::new(Arc::clone(&user.source));
-        let found = files.get(&name.text).map_or(&[][..], Vec::as_slice);
+        let found = by_name.get(&name.text).map_or(&[][..], Vec::as_slice);
         let result = match found {
             [] => {
-                let help = suggest(&name.text, files.keys().map(String::as_str)).unwrap_or_else(|| {
-                    "charts are looked for in the file's folder and in --charts folders".into()
-                });
+                let help = "charts are looked for in the file's folder and in --charts folders".to_owned();
                 let message = format!("there is no chart `{}`", name.text);
-                findings.error_help(code::CHART, name.span, message, Some(help));
+                let known = by_name.keys().map(String::as_str);
+                findings.unknown(code::CHART, (name.span, &name.text), message, known, Some(help));
                 None
             }
-            [one] => match Source::read(one) {
+            [one] => match files.read(one) {
                 Err(finding) => {
                     let message = format!("{}: {}", one.display(), finding.message);
                     findings.error_help(code::FILE, name.span, message, finding.help);
@@ -143,21 +178,14 @@ fn named_charts<'s>(state: &'s State, names: &mut Vec<&'s Named>) {
     state.kind.children().iter().for_each(|child| named_charts(child, names));
 }
 
-/// The chart files of the folders by the name of their chart; a name in an earlier folder hides later ones.
-fn chart_files(folders: &[PathBuf]) -> BTreeMap<String, Vec<PathBuf>> {
+/// The chart files of folders by the name of their chart; a name in an earlier folder hides later ones.
+#[must_use]
+pub fn files(folders: &[PathBuf], files: &dyn Files) -> BTreeMap<String, Vec<PathBuf>> {
     let mut result: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
     for folder in folders {
-        let place = if folder.as_os_str().is_empty() { Path::new(".") } else { folder.as_path() };
-        let Ok(entries) = std::fs::read_dir(place) else { continue };
-        let mut paths: Vec<PathBuf> = entries.filter_map(|e| Some(e.ok()?.path())).collect();
-        paths.sort();
         let mut here: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
-        for path in paths {
-            // Whatever else has such a name (a pipe, a device) is not opened: that could take for ever.
-            if path.extension().is_some_and(|e| e == "yaml" || e == "yml")
-                && path.is_file()
-                && let Some(name) = chart_name(&path)
-            {
+        for path in files.list(folder) {
+            if let Some(name) = files.head(&path).and_then(|head| chart_name(&head)) {
                 here.entry(name).or_default().push(path);
             }
         }
@@ -168,12 +196,9 @@ fn chart_files(folders: &[PathBuf]) -> BTreeMap<String, Vec<PathBuf>> {
     result
 }
 
-/// The name after `statechart:` at the start of a line, without reading the rest of the file.
-fn chart_name(path: &Path) -> Option<String> {
-    let mut head = Vec::new();
-    std::fs::File::open(path).ok()?.take(16_384).read_to_end(&mut head).ok()?;
-    let text = String::from_utf8_lossy(&head);
-    let rest = text.lines().find_map(|line| line.strip_prefix("statechart:"))?;
+/// The name after `statechart:` at the start of a line.
+fn chart_name(head: &str) -> Option<String> {
+    let rest = head.lines().find_map(|line| line.strip_prefix("statechart:"))?;
     let name = rest.split('#').next().unwrap_or("").trim().trim_matches(['"', '\'']);
     (!name.is_empty()).then(|| name.to_owned())
 }

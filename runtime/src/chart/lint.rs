@@ -4,22 +4,24 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use armarium_source::{Finding, Findings, Severity, Span, code, suggest};
+use armarium_source::{Finding, Findings, Remedy, Severity, Span, code};
+use armarium_values::expr::nearest;
 
 use super::early::early;
 use super::expressions::{MAX_HELP, MAX_NAMES};
-use super::flatten::Tree;
+use super::flatten::{Inside, Tree};
 use super::library::Library;
 use super::model::{self, ActionKind};
+use super::scoped::{Scoped, scoped};
 use crate::program::{Kind, Program, State, StateId};
 
 /// What is wrong with a program as a whole. Where names of states are `unknown`, what cannot be reached is not known
 /// either.
 pub(super) fn lint(program: &Program, tree: &Tree<'_>, library: &Library, unknown: bool) -> Vec<Finding> {
     let mut lint = Lint { program, tree, findings: Vec::new() };
-    let scoped = lint.scoped();
-    lint.unknown_events(&scoped, library);
-    lint.unhandled(&scoped);
+    let scoped = scoped(program);
+    let misspelt = lint.unknown_events(&scoped, library);
+    lint.unhandled(&scoped, &misspelt);
     if !unknown {
         lint.unreachable();
         lint.findings.extend(early(program));
@@ -33,15 +35,6 @@ struct Lint<'a, 'l> {
     program: &'a Program,
     tree: &'a Tree<'l>,
     findings: Vec<Finding>,
-}
-
-/// An outcome or a watch: the state it comes from, its name, and whether only that state's own transitions may
-/// take it.
-struct Scoped {
-    state: StateId,
-    name: String,
-    own_only: bool,
-    watch: bool,
 }
 
 impl Lint<'_, '_> {
@@ -60,6 +53,13 @@ impl Lint<'_, '_> {
         self.findings.append(&mut findings.list);
     }
 
+    /// How the finding that was added last is put right.
+    fn remedy(&mut self, remedy: Option<Remedy>) {
+        if let Some(finding) = self.findings.last_mut() {
+            finding.remedy = remedy;
+        }
+    }
+
     fn name_span(&self, state: StateId) -> Span {
         self.tree.state(state).model.name.span
     }
@@ -68,69 +68,28 @@ impl Lint<'_, '_> {
         1..u32::try_from(self.program.states.len()).unwrap_or(u32::MAX)
     }
 
-    fn scoped(&self) -> Vec<Scoped> {
-        let mut all = Vec::new();
-        let mut add = |state: StateId, name: &str, own_only: bool, watch: bool| {
-            all.push(Scoped { state, name: name.to_owned(), own_only, watch });
-        };
-        for id in self.ids() {
-            let state = self.program.state(id);
-            for watch in &state.watches {
-                let name = self.program.watches[*watch as usize].name;
-                add(id, self.program.symbols.name(name), false, true);
-            }
-            match &state.kind {
-                Kind::Skill { manifest } => {
-                    add(id, "success", state.region, false);
-                    manifest.outcomes.iter().for_each(|name| add(id, name, state.region, false));
-                }
-                Kind::Final { outcome } => {
-                    // The composite around ends; the inside of a chart ends the state that uses it.
-                    let Some(mut parent) = state.parent else { continue };
-                    if self.program.state(parent).chart_root {
-                        parent = self.program.state(parent).parent.unwrap_or(0);
-                    }
-                    let region = self.program.state(parent).region;
-                    let outcome = self.program.symbols.name(*outcome);
-                    add(parent, outcome, region, false);
-                    if region && let Some(parallel) = self.program.state(parent).parent {
-                        // It ends when all its regions have; where one never does, nobody need handle it.
-                        let own_only = self.program.state(parallel).region || !self.can_end(parallel);
-                        add(parallel, outcome, own_only, false);
-                    }
-                }
-                Kind::Parallel => add(id, "success", state.region || !self.can_end(id), false),
-                _ => {}
-            }
-        }
-        all
-    }
-
-    /// Whether all regions of a parallel state can come to an end.
-    fn can_end(&self, parallel: StateId) -> bool {
-        let ends = |region: &StateId| {
-            let region = self.program.state(*region);
-            let is_final = |child: &StateId| matches!(self.program.state(*child).kind, Kind::Final { .. });
-            match region.kind {
-                Kind::Skill { .. } | Kind::Chart { .. } | Kind::Parallel => true,
-                _ => region.children.iter().any(is_final),
-            }
-        };
-        self.program.state(parallel).children.iter().all(ends)
-    }
-
-    fn unknown_events(&mut self, scoped: &[Scoped], library: &Library) {
+    /// Events that nobody raises. Returns those that are misspelt: where a transition has them, and what was probably meant.
+    fn unknown_events(&mut self, scoped: &[Scoped], library: &Library) -> BTreeSet<(StateId, String)> {
+        let mut misspelt = BTreeSet::new();
         // What another agent raises is not known before it was asked.
         let open = |state: &State| matches!(&state.kind, Kind::Skill { manifest } if manifest.open);
         if self.program.states.iter().any(open) {
-            return;
+            return misspelt;
         }
+        // A skill or chart that could not be found may end in any way, and raise anything.
+        let missing: BTreeSet<StateId> = self.ids().filter(|id| self.is_missing(*id)).collect();
+        let around: BTreeSet<StateId> = missing.iter().flat_map(|id| self.program.outward(*id)).collect();
         let mut seen: BTreeSet<(StateId, &str)> = BTreeSet::new();
         for s in scoped {
             let around = if s.own_only { 1 } else { usize::MAX };
             for state in self.program.outward(s.state).take(around) {
                 seen.insert((state, &s.name));
             }
+        }
+        // A watch whose condition is wrong is not in the program; that its event never comes follows from that.
+        let models = self.ids().map(|id| (id, self.tree.state(id).model));
+        for (id, watch) in models.flat_map(|(id, model)| model.watch.iter().map(move |watch| (id, watch))) {
+            seen.extend(self.program.outward(id).map(|state| (state, watch.name.text.as_str())));
         }
         let mut broadcast: BTreeSet<String> = BTreeSet::new();
         for name in ["error.execution", "error.queue", "error.communication", "error.channel"] {
@@ -162,22 +121,42 @@ impl Lint<'_, '_> {
                     }
                     None => broadcast.contains(text) || seen.contains(&(id, text)),
                 };
-                if known {
+                if known || around.contains(&id) {
                     continue;
                 }
                 unknown += 1;
                 let few = if unknown <= MAX_HELP { MAX_NAMES } else { 0 };
                 let near = seen.range((id, "")..(id + 1, "")).map(|(_, name)| *name);
                 let candidates = near.chain(broadcast.iter().map(String::as_str)).take(few);
-                let help = suggest(text, candidates.chain(["failure"]))
-                    .unwrap_or_else(|| "events from outside are declared under `events:`".into());
+                let near = nearest(text, candidates.chain(["failure"])).map(str::to_owned);
                 let message = format!("nobody raises the event `{text}` here");
+                let (help, remedy) = match near {
+                    Some(near) => {
+                        misspelt.insert((id, near.clone()));
+                        (format!("did you mean `{near}`?"), Remedy::replace(event.span, near))
+                    }
+                    None => {
+                        let (key, value) = (text.to_owned(), "{}".to_owned());
+                        let declare = Remedy::Add { owner: None, sections: vec!["events"], key, value };
+                        ("events from outside are declared under `events:`".to_owned(), declare)
+                    }
+                };
                 self.add(Severity::Error, code::EVENT, id, event.span, message, Some(help));
+                self.remedy(Some(remedy));
             }
         }
+        misspelt
     }
 
-    fn unhandled(&mut self, scoped: &[Scoped]) {
+    /// Whether a state names a skill or a chart that could not be found.
+    fn is_missing(&self, state: StateId) -> bool {
+        let flat = self.tree.state(state);
+        let names =
+            matches!(flat.model.kind, model::Kind::Skill(_) | model::Kind::Chart(_) | model::Kind::Remote(_));
+        names && matches!(flat.inside, Inside::Nothing)
+    }
+
+    fn unhandled(&mut self, scoped: &[Scoped], misspelt: &BTreeSet<(StateId, String)>) {
         let mut said = BTreeSet::new();
         for s in scoped {
             if s.state == 0 || s.own_only || s.name == "failure" {
@@ -187,19 +166,45 @@ impl Lint<'_, '_> {
             let taken = symbols.find(&s.name).is_some_and(|symbol| {
                 self.program.outward(s.state).any(|state| !tables.exact(state, symbol).is_empty())
             });
-            if taken || !said.insert((s.state, s.name.as_str())) {
+            let meant =
+                || self.program.outward(s.state).any(|state| misspelt.contains(&(state, s.name.clone())));
+            if taken || !said.insert((s.state, s.name.as_str())) || meant() {
                 continue;
             }
             let name = &self.program.state(s.state).name;
-            let (code, message, help) = if s.watch {
-                (code::UNUSED, format!("nobody takes what the watch `{}` of `{name}` sees", s.name), None)
+            let (code, message, help, remedy) = if s.watch {
+                let watches = &self.tree.state(s.state).model.watch;
+                let watch = watches.iter().find(|watch| watch.name.text == s.name);
+                let remedy = watch.map(|watch| Remedy::Remove(watch.name.span));
+                let message = format!("nobody takes what the watch `{}` of `{name}` sees", s.name);
+                (code::UNUSED, message, None, remedy)
             } else {
                 let help =
                     format!("`{name}` stays active when it ends so; add `transitions: {{{}: ...}}`", s.name);
-                (code::UNHANDLED, format!("nobody handles the outcome `{}` of `{name}`", s.name), Some(help))
+                let message = format!("nobody handles the outcome `{}` of `{name}`", s.name);
+                (code::UNHANDLED, message, Some(help), self.handler(s))
             };
             self.add(Severity::Warning, code, s.state, self.name_span(s.state), message, help);
+            self.remedy(remedy);
         }
+    }
+
+    /// A transition for an outcome: to where a failure of the state leads, or else to a final state beside it.
+    fn handler(&self, outcome: &Scoped) -> Option<Remedy> {
+        let model = self.tree.state(outcome.state).model;
+        let failure =
+            model.transitions.iter().find(|t| t.event.as_ref().is_some_and(|e| e.text == "failure"));
+        let to = failure.and_then(|t| t.targets.first()).map(|target| target.text.clone()).or_else(|| {
+            let beside = &self.program.state(self.program.state(outcome.state).parent?).children;
+            let is_final = |id: &&StateId| matches!(self.program.state(**id).kind, Kind::Final { .. });
+            let mut finals = beside.iter().filter(is_final).map(|id| &self.program.state(*id).name);
+            let first = finals.next()?;
+            let wanted =
+                if outcome.name == "success" { Some(first) } else { finals.next_back().or(Some(first)) };
+            wanted.cloned()
+        })?;
+        let (key, sections) = (outcome.name.clone(), vec!["transitions"]);
+        Some(Remedy::Add { owner: Some(model.name.span), sections, key, value: to })
     }
 
     fn unreachable(&mut self) {
@@ -246,6 +251,7 @@ impl Lint<'_, '_> {
                     {
                         let message = "this transition cannot fire: one before it always does".into();
                         self.add(Severity::Warning, code::SHADOWED, id, transition.span, message, None);
+                        self.remedy(transition.event.as_ref().map(|event| Remedy::Remove(event.span)));
                     }
                     if transition.guard.is_none() && text != "*" {
                         let names = if plain == text { &mut exact } else { &mut prefixes };

@@ -1,13 +1,15 @@
 //! A chart as it was written: every name with its place, nothing resolved yet.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use armarium_source::yaml::{Named, Node};
 use armarium_source::{Source, Span};
 use armarium_values::Type;
 
-use crate::skill::{Limits, Parameter};
+use super::catalog::ChannelDescription;
+use super::symbols::Section;
+use crate::skill::{Limits, Parameter, SkillManifest};
 
 /// One chart file.
 #[derive(Debug)]
@@ -24,14 +26,76 @@ pub struct Chart {
     pub outputs: Vec<Parameter>,
     /// What it remembers while it runs.
     pub locals: Vec<Parameter>,
+    /// The names that the head gives, by section.
+    pub(crate) declared: Vec<(Section, Named)>,
+    /// Where types of the head are named.
+    pub(crate) type_uses: Vec<Named>,
     pub(crate) events: Vec<(Named, Option<Type>)>,
+    pub(crate) channels: Vec<DeclaredChannel>,
     pub(crate) profiles: BTreeMap<String, Vec<(Named, Node)>>,
+    /// Where the defaults of inputs stand, by the input's name.
+    pub(crate) input_defaults: Vec<(String, Span)>,
     pub(crate) root: State,
+}
+
+impl Chart {
+    /// The events from outside that it understands, with the type of what comes with them.
+    pub fn events(&self) -> impl Iterator<Item = (&str, Option<&Type>)> {
+        self.events.iter().map(|(name, data)| (name.text.as_str(), data.as_ref()))
+    }
+
+    /// The channels of its own skills that it declares.
+    pub fn channels(&self) -> impl Iterator<Item = &ChannelDescription> {
+        self.channels.iter().map(|channel| &channel.described)
+    }
+
+    /// The chart seen from outside, like a skill: its inputs, its outputs, and the outcomes of its final states.
+    #[must_use]
+    pub fn manifest(&self) -> SkillManifest {
+        let mut manifest = SkillManifest::new(&self.name, &self.description);
+        manifest.inputs.clone_from(&self.inputs);
+        manifest.outputs.clone_from(&self.outputs);
+        let mut outcomes = BTreeSet::new();
+        finals(&self.root, &mut outcomes);
+        let own = |outcome: &String| !["success", "failure"].contains(&outcome.as_str());
+        manifest.outcomes = outcomes.into_iter().filter(own).collect();
+        manifest
+    }
+
+    /// The names of the types that it declares.
+    pub fn types(&self) -> impl Iterator<Item = &str> {
+        let types = self.declared.iter().filter(|(section, _)| *section == Section::Types);
+        types.map(|(_, name)| name.text.as_str())
+    }
+}
+
+/// The outcomes of the final states of a state, or of its regions.
+fn finals(state: &State, outcomes: &mut BTreeSet<String>) {
+    for child in state.kind.children() {
+        match &child.kind {
+            Kind::Final(outcome) => {
+                outcomes.insert(outcome.text.clone());
+            }
+            _ if matches!(state.kind, Kind::Parallel(_)) => finals(child, outcomes),
+            _ => {}
+        }
+    }
+}
+
+/// A channel in a chart's head.
+#[derive(Debug)]
+pub(crate) struct DeclaredChannel {
+    pub(crate) name: Named,
+    /// The names of its fields.
+    pub(crate) fields: Vec<Named>,
+    pub(crate) described: ChannelDescription,
 }
 
 #[derive(Debug)]
 pub(crate) struct State {
     pub(crate) name: Named,
+    /// For people.
+    pub(crate) description: String,
     pub(crate) kind: Kind,
     pub(crate) with: Vec<(Named, Node)>,
     pub(crate) enter: Vec<Action>,

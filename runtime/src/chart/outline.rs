@@ -1,12 +1,14 @@
 //! A chart as a picture needs it: its states with what is written at them, its transitions between them. Names that
 //! stand for nothing are left out; finding them is the check's business.
 
+use armarium_source::Span;
 use armarium_source::yaml::{Node, Yaml};
+use serde::Serialize;
 
 use super::model::{self, Action, ActionKind, Chart, Kind, State};
 
 /// A chart's states and transitions; state 0 is the chart itself.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Outline {
     /// States in the order of the file, parents before children.
     pub states: Vec<OutlineState>,
@@ -15,7 +17,8 @@ pub struct Outline {
 }
 
 /// What a state is.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum OutlineKind {
     /// Nothing: it waits.
@@ -40,7 +43,7 @@ pub enum OutlineKind {
 }
 
 /// A state.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OutlineState {
     /// Its own name.
     pub name: String,
@@ -54,10 +57,16 @@ pub struct OutlineState {
     pub initial: Vec<usize>,
     /// What it does on its own: `enter / assign locals.n`, `watch pushed`.
     pub activities: Vec<String>,
+    /// The names of its watches.
+    pub watches: Vec<String>,
+    /// For people.
+    pub description: String,
+    /// Where its name stands in the file.
+    pub span: Span,
 }
 
 /// A transition.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OutlineTransition {
     /// Where it is written.
     pub source: usize,
@@ -75,7 +84,6 @@ pub struct OutlineTransition {
 
 impl Outline {
     /// The outline of a chart; charts that it uses stay single states.
-    #[must_use]
     pub fn of(chart: &Chart) -> Self {
         let mut outline = Self { states: Vec::new(), transitions: Vec::new() };
         let mut models = Vec::new();
@@ -87,7 +95,6 @@ impl Outline {
     }
 
     /// The names from below the chart down to a state, joined by dots.
-    #[must_use]
     pub fn path(&self, state: usize) -> String {
         let mut parts: Vec<&str> = Vec::new();
         let mut at = state;
@@ -109,6 +116,9 @@ impl Outline {
             children: Vec::new(),
             initial: Vec::new(),
             activities: activities(model),
+            watches: model.watch.iter().map(|watch| watch.name.text.clone()).collect(),
+            description: model.description.clone(),
+            span: model.name.span,
         });
         for child in model.kind.children() {
             let child = self.add(child, Some(at), models);
@@ -139,8 +149,17 @@ impl Outline {
         }
     }
 
+    /// The states inside a state, and inside those.
+    pub fn descendants(&self, state: usize) -> impl Iterator<Item = usize> + '_ {
+        let inside = move |of: &usize| {
+            std::iter::successors(self.states[*of].parent, |at| self.states[*at].parent).any(|at| at == state)
+        };
+        (state + 1..self.states.len()).take_while(inside)
+    }
+
     /// A name or path, looked up from a state outward.
-    fn find(&self, from: usize, path: &str) -> Option<usize> {
+    #[must_use]
+    pub fn find(&self, from: usize, path: &str) -> Option<usize> {
         let child = |of: usize, name: &str| {
             self.states[of].children.iter().copied().find(|c| self.states[*c].name == name)
         };

@@ -4,11 +4,13 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_source::yaml::{Entries, Named, Node, Yaml};
-use armarium_source::{Findings, Key, Span, code, suggest};
+use armarium_source::{Edit, Findings, Key, Remedy, Span, code};
 use armarium_values::{Type, Unit};
 
-use super::forms;
-use super::model::{Chart, Kind};
+use super::catalog::ChannelDescription;
+use super::model::{Chart, DeclaredChannel, Kind};
+use super::symbols::Section;
+use super::{foreign, forms};
 use crate::skill::{Limits, Parameter};
 
 /// Deepest nesting of states.
@@ -44,7 +46,8 @@ const RESERVED: &[&str] = &[
 ];
 
 /// Whether a text can be the name of a state, an input or an output.
-pub(crate) fn is_name(text: &str) -> bool {
+#[must_use]
+pub fn is_name(text: &str) -> bool {
     has_form(text) && !RESERVED.contains(&text)
 }
 
@@ -55,13 +58,15 @@ fn has_form(text: &str) -> bool {
 
 /// Reads a chart; what is wrong is added to `findings`, and what can be read is returned.
 pub(crate) fn chart(node: &Node, findings: &mut Findings) -> Option<Chart> {
-    let mut reader = Reader { findings, types: BTreeMap::new() };
+    let mut reader = Reader { findings, types: BTreeMap::new(), type_uses: Vec::new() };
     reader.chart(node)
 }
 
 pub(super) struct Reader<'f> {
     pub(super) findings: &'f mut Findings,
     types: BTreeMap<String, Type>,
+    /// Where those types are named.
+    type_uses: Vec<Named>,
 }
 
 pub(super) fn get<'n>(entries: &'n Entries, key: &str) -> Option<&'n Node> {
@@ -73,6 +78,10 @@ impl Reader<'_> {
         self.findings.error(code, span, message);
     }
 
+    pub(super) fn error_help(&mut self, code: &'static str, span: Span, message: &str, help: &str) {
+        self.findings.error_help(code, span, message, Some(help.to_owned()));
+    }
+
     pub(super) fn form(&mut self, node: &Node, expected: &str) {
         self.findings.form(node, expected);
     }
@@ -82,7 +91,7 @@ impl Reader<'_> {
     }
 
     pub(super) fn known(&mut self, entries: &Entries, keys: &[Key], called: &str) {
-        self.findings.known(entries, keys, called);
+        self.findings.known_or(entries, keys, called, foreign::meant);
     }
 
     pub(super) fn text(&mut self, node: &Node) -> Option<Named> {
@@ -95,7 +104,7 @@ impl Reader<'_> {
         }
     }
 
-    fn words(&mut self, entries: &Entries, key: &str) -> String {
+    pub(super) fn words(&mut self, entries: &Entries, key: &str) -> String {
         get(entries, key).and_then(|n| self.text(n)).map_or_else(String::new, |n| n.text)
     }
 
@@ -113,27 +122,51 @@ impl Reader<'_> {
             self.form(node, "a chart (a map with the key `statechart`)");
             return None;
         };
-        self.known(entries, forms::CHART, "a chart");
-        let Some(name) = get(entries, "statechart").and_then(|n| self.text(n)) else {
-            if get(entries, "statechart").is_none() {
+        match get(entries, "statechart") {
+            None => {
                 self.error(code::MISSING_KEY, node.span, "a chart begins with `statechart: Name`");
+                return None;
             }
-            return None;
-        };
+            Some(node) if matches!(node.value, Yaml::Map(_)) => {
+                let help = "in Armarium this is `statechart: Name`, and its keys stand beside it";
+                self.error_help(code::FORM, node.span, "the name of the chart is needed here", help);
+                return None;
+            }
+            Some(_) => {}
+        }
+        self.known(entries, forms::CHART, "a chart");
+        let name = get(entries, "statechart").and_then(|n| self.text(n))?;
         self.name(&name);
         self.declare_types(entries);
         let inputs = self.declarations(entries, "inputs");
         let outputs = self.declarations(entries, "outputs");
         let locals = self.declarations(entries, "locals");
         let events = self.events(entries);
+        let channels = self.channels(entries);
         let profiles = self.profiles(entries, &inputs);
-        let description = self.words(entries, "description");
         let root = self.state(name.clone(), node.span, entries, 0, true)?;
         if matches!(root.kind, Kind::Atomic) {
             self.error(code::MISSING_KEY, name.span, "a chart has `states` with `initial`, or `parallel`");
         }
         let source = Arc::clone(&self.findings.source);
-        Some(Chart { source, name: name.text, description, inputs, outputs, locals, events, profiles, root })
+        let description = root.description.clone();
+        let (declared, type_uses) = (declared(entries), std::mem::take(&mut self.type_uses));
+        let name = name.text;
+        Some(Chart {
+            source,
+            name,
+            description,
+            inputs,
+            outputs,
+            locals,
+            declared,
+            type_uses,
+            events,
+            channels,
+            profiles,
+            input_defaults: input_defaults(entries),
+            root,
+        })
     }
 
     /// The events from outside, each with the type of its data where that is declared: named fields.
@@ -157,6 +190,32 @@ impl Reader<'_> {
             events.push((event.clone(), data));
         }
         events
+    }
+
+    /// The channels of the chart's own skills: each with named fields, or of one type.
+    fn channels(&mut self, entries: &Entries) -> Vec<DeclaredChannel> {
+        let Some(node) = get(entries, "channels") else { return Vec::new() };
+        let mut channels = Vec::new();
+        for (name, node) in self.entries(node) {
+            self.name(name);
+            let fields = match node.get("type") {
+                Some(fields) if matches!(fields.value, Yaml::Map(_)) => self.entries(fields),
+                _ => &[],
+            };
+            let described = if fields.is_empty() {
+                let one = self.declaration_of(name, node, forms::CHANNEL, "a channel");
+                ChannelDescription { ty: one.ty, ..ChannelDescription::new(&name.text, &one.description) }
+            } else {
+                let form = self.entries(node);
+                self.known(form, forms::CHANNEL, "a channel");
+                let described = ChannelDescription::new(&name.text, &self.words(form, "description"));
+                let fields = fields.iter().map(|(name, node)| self.declaration(name, node));
+                described.with_fields(fields.collect())
+            };
+            let fields = fields.iter().map(|(name, _)| name.clone()).collect();
+            channels.push(DeclaredChannel { name: name.clone(), fields, described });
+        }
+        channels
     }
 
     fn declare_types(&mut self, entries: &Entries) {
@@ -183,9 +242,9 @@ impl Reader<'_> {
             for (key, value) in values {
                 match inputs.iter().find(|i| i.name == key.text) {
                     None => {
-                        let help = suggest(&key.text, inputs.iter().map(|i| i.name.as_str()));
+                        let known = inputs.iter().map(|i| i.name.as_str());
                         let message = format!("the chart has no input `{}`", key.text);
-                        self.findings.error_help(code::INPUT, key.span, message, help);
+                        self.findings.unknown(code::INPUT, (key.span, &key.text), message, known, None);
                     }
                     Some(input) => {
                         if let Err(error) = input.accept(value.literal()) {
@@ -206,6 +265,10 @@ impl Reader<'_> {
 
     fn declaration(&mut self, name: &Named, node: &Node) -> Parameter {
         self.name(name);
+        self.declaration_of(name, node, forms::DECLARATION, "a declaration")
+    }
+
+    fn declaration_of(&mut self, name: &Named, node: &Node, keys: &[Key], called: &str) -> Parameter {
         let short;
         let entries = if let Yaml::String(_) = &node.value {
             short = vec![(Named { span: node.span, text: "type".into() }, node.clone())];
@@ -213,7 +276,7 @@ impl Reader<'_> {
         } else {
             self.entries(node)
         };
-        self.known(entries, forms::DECLARATION, "a declaration");
+        self.known(entries, keys, called);
         let ty = self.declared_type(name, entries);
         let mut result = Parameter::new(&name.text, ty, &self.words(entries, "description"));
         result.minimum = self.bound(entries, "minimum", &result.ty);
@@ -237,34 +300,21 @@ impl Reader<'_> {
         };
         let Some(text) = self.text(node) else { return Type::Any };
         let Some(ty) = Type::parse(&text.text, &|t| self.types.get(t).cloned()) else {
-            let known = [
-                "bool",
-                "int",
-                "float",
-                "string",
-                "duration",
-                "any",
-                "list<float>",
-                "map<float>",
-                "Vector",
-                "Pose",
-                "Wrench",
-                "Motion",
-                "Object",
-            ];
-            let candidates = known.into_iter().chain(self.types.keys().map(String::as_str));
-            let help =
-                suggest(&text.text, candidates).unwrap_or_else(|| format!("types are {}", known.join(", ")));
+            let candidates = Type::NAMES.iter().copied().chain(self.types.keys().map(String::as_str));
+            let help = format!("types are {}", Type::NAMES.join(", "));
             let message = format!("there is no type `{}`", text.text);
-            self.findings.error_help(code::DECLARED_TYPE, text.span, message, Some(help));
+            let at = (text.span, text.text.as_str());
+            self.findings.unknown(code::DECLARED_TYPE, at, message, candidates, Some(help));
             return Type::Any;
         };
+        self.type_uses.extend(named_types(&text, &self.types, &self.findings.source.text));
         let Some(unit) = get(entries, "unit").and_then(|n| self.text(n)) else { return ty };
         match (Unit::parse(&unit.text), ty) {
             (Ok((si, 1.0)), Type::Float(_)) => Type::Float(Some(si)),
             (Ok((si, _)), ty @ Type::Float(_)) => {
                 let help = Some(format!("write `unit: {si}`; values may be given in `{}`", unit.text));
                 self.findings.error_help(code::UNIT, unit.span, "declared units are SI", help);
+                self.findings.remedy(in_si(entries, &unit, &si.to_string()));
                 ty
             }
             (Ok(_), ty) => {
@@ -272,7 +322,9 @@ impl Reader<'_> {
                 ty
             }
             (Err(unknown), ty) => {
-                self.error(code::UNIT, unit.span, unknown.to_string());
+                let at = (unit.span, unit.text.as_str());
+                let message = unknown.to_string();
+                self.findings.unknown(code::UNIT, at, message, Unit::symbols(), None);
                 ty
             }
         }
@@ -292,7 +344,7 @@ impl Reader<'_> {
     pub(super) fn duration(&mut self, node: &Node) -> Option<f64> {
         match Type::Duration.convert(node.literal()) {
             Ok(value) => value.as_f64().filter(|s| s.is_finite() && *s >= 0.0).or_else(|| {
-                self.error(code::TYPE, node.span, "a duration is not negative");
+                self.error(code::VALUE, node.span, "a duration is not negative");
                 None
             }),
             Err(error) => {
@@ -323,4 +375,46 @@ impl Reader<'_> {
         };
         Limits { force_n: quantity("force", Unit::N), speed_m_s: quantity("speed", Unit::M_S) }
     }
+}
+
+/// The names that a chart's head gives.
+fn declared(entries: &Entries) -> Vec<(Section, Named)> {
+    let of = |section: Section| match get(entries, section.key()).map(|node| &node.value) {
+        Some(Yaml::Map(names)) => names.iter().map(|(name, _)| (section, name.clone())).collect(),
+        _ => Vec::new(),
+    };
+    [Section::Inputs, Section::Outputs, Section::Locals, Section::Types].into_iter().flat_map(of).collect()
+}
+
+/// Where the defaults of inputs stand.
+fn input_defaults(entries: &Entries) -> Vec<(String, Span)> {
+    let Some(Yaml::Map(inputs)) = get(entries, "inputs").map(|node| &node.value) else { return Vec::new() };
+    let default = |(name, node): &(Named, Node)| Some((name.text.clone(), node.get("default")?.span));
+    inputs.iter().filter_map(default).collect()
+}
+
+/// The types of the chart that a type's text names, as in `list<Mood>`.
+fn named_types(text: &Named, types: &BTreeMap<String, Type>, file: &str) -> Vec<Named> {
+    let inner = text.text.trim_end_matches(['>', ' ']).rsplit(['<', ' ']).next().unwrap_or("");
+    let raw = file.get(text.span.start..text.span.end).unwrap_or("");
+    let found = types.contains_key(inner).then(|| raw.rfind(inner)).flatten();
+    let named = found.map(|at| {
+        let start = text.span.start + at;
+        Named { span: Span { start, end: start + inner.len() }, text: inner.to_owned() }
+    });
+    named.into_iter().collect()
+}
+
+/// The SI unit as the declared one; numbers that were meant in the other get it.
+fn in_si(entries: &Entries, unit: &Named, si: &str) -> Remedy {
+    let mut edits = vec![Edit { span: unit.span, text: si.to_owned() }];
+    for (_, node) in entries.iter().filter(|(key, _)| matches!(&*key.text, "default" | "minimum" | "maximum"))
+    {
+        if matches!(node.value, Yaml::Int(_) | Yaml::Float(_)) {
+            let at = Span { start: node.span.end, end: node.span.end };
+            edits.push(Edit { span: at, text: format!(" {}", unit.text) });
+        }
+    }
+    edits.sort_by_key(|edit| edit.span.start);
+    Remedy::Replace(edits)
 }

@@ -1,7 +1,7 @@
 //! From the YAML tree to the model: states with their transitions, watches and actions.
 
 use armarium_source::yaml::{Entries, Named, Node, Yaml};
-use armarium_source::{Span, code, suggest};
+use armarium_source::{Remedy, Span, code};
 
 use super::forms;
 use super::model::{Action, ActionKind, Entry, Kind, Retry, State, Transition, Watch};
@@ -30,7 +30,9 @@ impl Reader<'_> {
         }
         let kind = self.kind(&name, span, entries, level, root);
         let unbreakable = self.flag(entries, "unbreakable");
+        let description = self.words(entries, "description");
         Some(State {
+            description,
             kind,
             with: get(entries, "with").map_or_else(Vec::new, |n| self.entries(n).to_vec()),
             enter: self.actions(get(entries, "enter")),
@@ -68,17 +70,41 @@ impl Reader<'_> {
             self.error(code::KIND, second.span, message);
         }
         let Some((key, node)) = given.first() else { return Kind::Atomic };
+        if key.text == "final" {
+            let ways = ["transitions", "after", "always", "watch", "retry"];
+            for (way, _) in entries.iter().filter(|(key, _)| ways.contains(&key.text.as_str())) {
+                let message =
+                    format!("a final state ends what is around it: its `{}` is never used", way.text);
+                let help = "put it at the state around it, which gets the outcome";
+                self.error_help(code::KIND, way.span, &message, help);
+            }
+        }
         match key.text.as_str() {
             "states" => {
                 let states = self.states(node, level);
                 let Some(initial) = get(entries, "initial") else {
-                    let span = if root { name.span } else { key.span };
-                    self.error(code::MISSING_KEY, span, "`states` needs `initial: Name`");
-                    return Kind::Atomic;
+                    let help = match states.first() {
+                        Some(first) => {
+                            format!("add `initial: {}`, the state that it is entered at", first.name.text)
+                        }
+                        None => "add `initial: Name`, the state that it is entered at".to_owned(),
+                    };
+                    self.error_help(code::MISSING_KEY, key.span, "`states` needs `initial`", &help);
+                    if let Some(first) = states.first() {
+                        // The chart's own name is no key: its states stand at the outermost level.
+                        let (owner, value) = ((!root).then_some(name.span), first.name.text.clone());
+                        let key = "initial".to_owned();
+                        self.findings.remedy(Remedy::Add { owner, sections: Vec::new(), key, value });
+                    }
+                    return Kind::Composite { initial: Entry::default(), states };
                 };
                 Kind::Composite { initial: self.entry(initial), states }
             }
             "parallel" => Kind::Parallel(self.states(node, level)),
+            "final" if !matches!(node.value, Yaml::String(_)) => {
+                self.form_of_final(node);
+                Kind::Final(Named { span: node.span, text: "success".into() })
+            }
             "history" => {
                 let default = get(entries, "default").map(|n| self.entry(n));
                 let form = self.text(node);
@@ -101,6 +127,16 @@ impl Reader<'_> {
                 ("final", Some(outcome)) => Kind::Final(outcome),
                 _ => Kind::Atomic,
             },
+        }
+    }
+
+    /// `final: true` and the like: other languages have a flag, and the outcome elsewhere.
+    fn form_of_final(&mut self, node: &Node) {
+        let outcome = if matches!(node.value, Yaml::Bool(false)) { "failure" } else { "success" };
+        let help = format!("write `final: {outcome}`");
+        self.error_help(code::FORM, node.span, "`final` names an outcome", &help);
+        if !matches!(node.value, Yaml::Map(_) | Yaml::List(_)) {
+            self.findings.remedy(Remedy::replace(node.span, outcome));
         }
     }
 
@@ -131,6 +167,11 @@ impl Reader<'_> {
 
     fn states(&mut self, node: &Node, level: usize) -> Vec<State> {
         let mut states = Vec::new();
+        if let Yaml::List(_) = &node.value {
+            let help = "write each as `Name: {skill: ...}`, without `-`";
+            self.error_help(code::FORM, node.span, "states stand under their names, not in a list", help);
+            return states;
+        }
         for (name, node) in self.entries(node) {
             let entries = self.entries(node);
             states.extend(self.state(name.clone(), node.span, entries, level + 1, false));
@@ -140,6 +181,11 @@ impl Reader<'_> {
 
     fn retry(&mut self, entries: &Entries) -> Option<Retry> {
         let node = get(entries, "retry")?;
+        if let Yaml::Int(times) = node.value {
+            let help = format!("write `retry: {{times: {times}, wait: 1s}}`");
+            self.error_help(code::FORM, node.span, "`retry` says how often and how long after", &help);
+            return None;
+        }
         let entries = self.entries(node);
         self.known(entries, forms::RETRY, "`retry`");
         let times = match get(entries, "times").map(|n| (&n.value, n.span)) {
@@ -167,10 +213,8 @@ impl Reader<'_> {
                 self.entries(node)
             };
             self.known(form, forms::WATCH, "a watch");
-            let Some(condition) = get(form, "if") else {
-                self.error(code::MISSING_KEY, name.span, "a watch needs `if: condition`");
-                continue;
-            };
+            let condition = self.required(form, "if", name.span, "a watch needs `if: condition`");
+            let Some(condition) = condition else { continue };
             let hold_s = get(form, "for").and_then(|n| self.duration(n)).unwrap_or(0.0);
             let until = get(form, "until").cloned();
             watches.push(Watch { name: name.clone(), condition: condition.clone(), hold_s, until });
@@ -186,14 +230,22 @@ impl Reader<'_> {
                 for item in items {
                     let form = self.entries(item);
                     self.known(form, forms::TIMED_TRANSITION, "a timed transition");
-                    let Some(delay) = get(form, "for") else {
-                        self.error(code::MISSING_KEY, item.span, "a timed transition needs `for: duration`");
-                        continue;
-                    };
+                    let message = "a timed transition needs `for: duration`";
+                    let Some(delay) = self.required(form, "for", item.span, message) else { continue };
                     let mut transition = self.transition(item, None, true);
                     transition.delay = Some(delay.clone());
                     result.push(transition);
                 }
+            }
+            Yaml::String(_) | Yaml::Int(_) | Yaml::Float(_) => {
+                let written = self.findings.source.text.get(node.span.start..node.span.end).unwrap_or("5s");
+                let help = format!("write `after: {{{}: Target}}`", written.trim());
+                self.error_help(
+                    code::FORM,
+                    node.span,
+                    "`after` says where it leads when the time is over",
+                    &help,
+                );
             }
             _ => {
                 for (key, node) in self.entries(node) {
@@ -306,10 +358,7 @@ impl Reader<'_> {
             "if" => {
                 let form = self.entries(value);
                 self.known(form, forms::IF, "`if`");
-                let Some(condition) = get(form, "cond").cloned() else {
-                    self.error(code::MISSING_KEY, value.span, "`if` needs `cond`");
-                    return None;
-                };
+                let condition = self.required(form, "cond", value.span, "`if` needs `cond`")?.clone();
                 let then = self.actions(get(form, "then"));
                 ActionKind::If { condition, then, otherwise: self.actions(get(form, "else")) }
             }
@@ -325,14 +374,22 @@ impl Reader<'_> {
                 ActionKind::Foreach { items, variable, body: self.actions(get(form, "do")) }
             }
             other => {
-                let help =
-                    suggest(other, actions()).unwrap_or_else(|| format!("actions: {}", actions().join(", ")));
+                let help = format!("actions: {}", actions().join(", "));
                 let message = format!("there is no action `{other}`");
-                self.findings.error_help(code::KEY, key.span, message, Some(help));
+                self.findings.unknown(code::KEY, (key.span, other), message, actions(), Some(help));
                 return None;
             }
         };
         Some(Action { span: value.span, kind })
+    }
+
+    /// What stands under a key that must be there.
+    fn required<'n>(&mut self, form: &'n Entries, key: &str, at: Span, message: &str) -> Option<&'n Node> {
+        let found = get(form, key);
+        if found.is_none() {
+            self.error(code::MISSING_KEY, at, message);
+        }
+        found
     }
 
     fn raise(&mut self, value: &Node) -> Option<ActionKind> {
@@ -341,11 +398,8 @@ impl Reader<'_> {
         }
         let form = self.entries(value);
         self.known(form, forms::RAISE, "`raise`");
-        let event = get(form, "event").and_then(|n| self.text(n));
-        let Some(event) = event else {
-            self.error(code::MISSING_KEY, value.span, "`raise` needs `event`");
-            return None;
-        };
+        let event = self.required(form, "event", value.span, "`raise` needs `event`")?;
+        let event = self.text(event)?;
         Some(ActionKind::Raise { event, data: get(form, "data").cloned() })
     }
 
@@ -356,11 +410,8 @@ impl Reader<'_> {
         }
         let form = self.entries(value);
         self.known(form, forms::SEND, "`send`");
-        let event = get(form, "event").and_then(|n| self.text(n));
-        let Some(event) = event else {
-            self.error(code::MISSING_KEY, value.span, "`send` needs `event`");
-            return None;
-        };
+        let event = self.required(form, "event", value.span, "`send` needs `event`")?;
+        let event = self.text(event)?;
         Some(ActionKind::Send {
             event,
             to: get(form, "to").cloned(),

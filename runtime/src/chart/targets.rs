@@ -1,7 +1,7 @@
 //! The names of states that transitions, `initial` and histories lead to, resolved.
 
 use armarium_source::yaml::Named;
-use armarium_source::{code, suggest};
+use armarium_source::{Remedy, code};
 
 use super::compile::Compiler;
 use super::expressions::{self, Site};
@@ -15,12 +15,16 @@ impl Compiler<'_> {
         for name in &initial.targets {
             let parts: Vec<&str> = name.text.split('.').collect();
             match tree.find(id, &parts).filter(|found| *found != id && tree.within(*found, id)) {
-                Some(found) => targets.push(found),
+                Some(found) => {
+                    self.names.refer_path(site.source, name.span, &name.text, found);
+                    targets.push(found);
+                }
+                // Where no state could be read at all, that was said already.
+                None if tree.state(id).model.kind.children().is_empty() => {}
                 None => {
                     let known = tree.state(id).model.kind.children().iter().take(expressions::MAX_NAMES);
-                    let help = suggest(&name.text, known.map(|c| c.name.text.as_str()));
                     let message = format!("there is no state `{}` inside", name.text);
-                    self.error(site, code::STATE, name, message, help);
+                    self.unknown(site, code::STATE, name, message, known.map(|c| c.name.text.as_str()));
                 }
             }
         }
@@ -71,11 +75,19 @@ impl Compiler<'_> {
             let states = if self.names.helps() { tree.states.as_slice() } else { &[] };
             let mut others = states.iter().skip(1).filter(|s| s.instance == instance && !s.chart_root);
             let elsewhere = others.find(|s| s.name() == last);
-            let help = suggest(&target.text, self.names.visible(from)).or_else(|| {
-                elsewhere.map(|s| format!("`{last}` is inside another state: write `{}`", s.path))
-            });
+            let elsewhere = elsewhere.map(|s| s.path.clone());
             let message = format!("there is no state `{}`", target.text);
-            self.error(site, code::STATE, target, message, help);
+            let visible = self.names.visible(from).into_iter().map(str::to_owned).collect::<Vec<_>>();
+            self.unknown(site, code::STATE, target, message, visible.iter().map(String::as_str));
+            if let Some((path, finding)) =
+                elsewhere.zip(self.findings.last_mut().filter(|f| f.help.is_none()))
+            {
+                finding.help = Some(format!("`{last}` is inside another state: write `{path}`"));
+                finding.remedy = Some(Remedy::replace(target.span, path));
+            }
+        }
+        if let Some(found) = found {
+            self.names.refer_path(site.source, target.span, &target.text, found);
         }
         found
     }

@@ -57,7 +57,7 @@ fn mistakes_are_found_with_code_place_and_help() {
         (states("{skill: Act, with: {force: [1]}}"), code::TYPE, "[", "expected float in N"),
         (states("{skill: Act, with: {for: \"${1 + x}\"}}"), code::VARIABLE, "x", "no `x`"),
         (states("{skill: Act, with: {end: \"${A.valeu}\"}}"), code::VARIABLE, "A.valeu", "did you mean `A.value`"),
-        (states("{skill: Act, with: {for: \"${1 +}\"}}"), code::EXPRESSION, "", "not an expression"),
+        (states("{skill: Act, with: {for: \"${1 +}\"}}"), code::EXPRESSION, "+", "no value after"),
         (states("{skill: Act, with: {force: \"${nrm([1.0])}\"}}"), code::FUNCTION, "(", "did you mean `norm`"),
         (states("{skill: Act, transitions: {succes: B}}"), code::EVENT, "succes", "did you mean `success`"),
         (states("{watch: {w: \"channels.wirst.push[0] > 1\"}}"), code::CHANNEL, "channels.wirst", "did you mean `wrist`"),
@@ -82,12 +82,12 @@ fn mistakes_are_found_with_code_place_and_help() {
         (states("{transitions: [{target: B}]}"), code::MISSING_KEY, "{target", "event"),
         (states("3"), code::FORM, "3", "a map is needed"),
         ("statechart: T\ninitial: A\nstates: {A: {}, A: {}}\n".into(), code::YAML, "A: {}}", "there twice"),
-        ("statechart: T\nstates: {A: {}}\n".into(), code::MISSING_KEY, "T", "initial"),
+        ("statechart: T\nstates: {A: {}}\n".into(), code::MISSING_KEY, "states", "initial"),
         ("statechart: T\ninputs: {x: {type: flaot}}\ninitial: A\nstates: {A: {}}\n".into(), code::DECLARED_TYPE, "flaot", "did you mean `float`"),
         ("statechart: T\ninputs: {x: {type: float, default: 9.0, maximum: 5.0}}\ninitial: A\nstates: {A: {}}\n".into(), code::TYPE, "9.0", "outside"),
         ("statechart: T\ninitial: if\nstates: {if: {}}\n".into(), code::NAME, "if", "word of the language"),
         ("statechart: T\nparallel: {A: {skill: Arm}, B: {skill: Arm}}\n".into(), code::LIMB, "B", "arm_right"),
-        ("statechart: T\n  x: [\n".into(), code::YAML, "", "YAML"),
+        ("statechart: T\n  x: [\n".into(), code::YAML, "  x", "indented by 2"),
         ("initial: A\n".into(), code::MISSING_KEY, "initial", "statechart: Name"),
     ];
     for (text, expected, at, words) in &cases {
@@ -145,7 +145,7 @@ fn charts_are_found_by_name_and_hand_values_over() {
     let inner = "
 statechart: Inner
 inputs: {force: {type: float, unit: N}}
-outputs: {value: {type: float}}
+outputs: {value: {type: float, default: 0.0}}
 initial: Go
 states:
   Go: {skill: Arm, with: {force: \"${inputs.force}\"}, transitions: {success: Done}}
@@ -173,16 +173,26 @@ states:
     assert!(findings(&outer(""), &broken).contains("broken.yaml:3:21: error[E012]"));
 }
 
+/// A chart of `n` states inside one another.
+fn deep(n: usize) -> String {
+    let mut text = String::from("statechart: T\n");
+    for level in 0..n {
+        let pad = "  ".repeat(2 * level);
+        text += &format!("{pad}initial: A\n{pad}states:\n{pad}  A:\n");
+    }
+    text + &"  ".repeat(2 * n) + "{}\n"
+}
+
+/// Aliases that stand for 9^9 words.
+fn alias_bomb() -> String {
+    (1..9).fold("a0: &a0 [x,x,x,x,x,x,x,x,x]\n".to_owned(), |text, i| {
+        let before = format!("*a{},", i - 1).repeat(9);
+        text + &format!("a{i}: &a{i} [{}]\n", before.trim_end_matches(','))
+    })
+}
+
 #[test]
 fn hostile_files_are_refused() {
-    let deep = |n: usize| {
-        let mut text = String::from("statechart: T\n");
-        for level in 0..n {
-            let pad = "  ".repeat(2 * level);
-            text += &format!("{pad}initial: A\n{pad}states:\n{pad}  A:\n");
-        }
-        text + &"  ".repeat(2 * n) + "{}\n"
-    };
     assert_eq!(found(&deep(55)), "");
     for text in [
         deep(70),
@@ -214,18 +224,12 @@ fn what_is_no_yaml_is_explained() {
         ("statechart: T\nstates:\n\tA: {}\n", "indent with spaces"),
         (
             "statechart: T\ninitial: A\nstates:\n  A: {}\n  A: {}\n",
-            "5:3: error[E002]: this cannot be read as YAML: the key `A` is there twice",
+            "5:3: error[E002]: the key `A` is there twice",
         ),
         ("statechart: T\ninitial: A\nstates: {A: {}}\n---\nb: 1\n", "a second document begins here"),
         ("statechart: T\nlocals: {x: {type: float, default: .nan}}\n", "no finite number"),
         (&"[".repeat(10_000), "this is nested too deep"),
-        (
-            &("a0: &a0 [x,x,x,x,x,x,x,x,x]\n".to_owned()
-                + &(1..9)
-                    .map(|i| format!("a{i}: &a{i} [{}]\n", vec![format!("*a{}", i - 1); 9].join(",")))
-                    .collect::<String>()),
-            "its aliases make it too large",
-        ),
+        (&alias_bomb(), "its aliases make it too large"),
     ] {
         let said_here = found(text);
         assert!(said_here.contains(said), "{said}: {said_here}");
@@ -274,14 +278,6 @@ fn limits_hold() {
     };
     assert!(!found(&states(1_000)).contains("error["));
     assert!(found(&states(200_001)).contains("more than 200000 states"));
-    let deep = |n: usize| {
-        let mut text = String::from("statechart: T\n");
-        for level in 0..n {
-            let pad = "  ".repeat(2 * level);
-            text += &format!("{pad}initial: A\n{pad}states:\n{pad}  A:\n");
-        }
-        text + &"  ".repeat(2 * n) + "{}\n"
-    };
     assert_eq!(found(&deep(60)), "");
     assert!(found(&deep(61)).contains("deeper than 60 levels"));
     let expression = |n: usize| {
@@ -294,11 +290,7 @@ fn limits_hold() {
     assert!(found(&expression(4200)).contains("4096 bytes"));
     let large = format!("statechart: T\n# {}\n", "x".repeat(10_000_000));
     assert!(found(&large).contains("more than 10 MB"));
-    let bomb = (1..9).fold("a0: &a0 [x,x,x,x,x,x,x,x,x]\n".to_owned(), |text, i| {
-        let before = i - 1;
-        text + &format!("a{i}: &a{i} [{}]\n", format!("*a{before},").repeat(9).trim_end_matches(','))
-    });
-    assert!(found(&bomb).contains("E002"), "an alias bomb");
+    assert!(found(&alias_bomb()).contains("E002"));
 }
 
 #[test]
@@ -340,4 +332,55 @@ fn a_literal_out_of_bounds_is_found_at_load() {
     let outer = "statechart: T\ninitial: A\nstates: {A: {statechart: Inner, with: {n: 10}}}\n";
     let found = findings(outer, &BTreeMap::from([("inner.yaml", inner)]));
     assert!(found.contains("E016]: 10 is outside of the allowed range, any to 9"), "{found}");
+}
+
+#[test]
+fn channels_that_charts_declare_are_known_with_their_fields_and_units() {
+    let chart = |channels: &str, watch: &str| {
+        format!(
+            "statechart: T\nchannels: {channels}\ninitial: A\nstates:\n  A: {{watch: {{w: \"{watch}\"}}, transitions: {{w: B}}}}\n  B: {{final: success}}\n"
+        )
+    };
+    let battery =
+        "{battery: {type: {volts: {type: float, unit: V}, cells: list<float>}, description: For people.}}";
+    for watch in ["channels.battery.volts < 11.0", "age('battery') > 2.0 && channels.battery.cells[0] < 3.0"]
+    {
+        assert_eq!(found(&chart(battery, watch)), "");
+    }
+    for one in ["{room: float}", "{room: {type: float, unit: m}}"] {
+        assert_eq!(found(&chart(one, "channels.room > 1.0")), "");
+    }
+    for (channels, watch, said) in [
+        (battery, "channels.battery.volt < 11.0", "there is no field `volt`"),
+        (battery, "channels.battery < 11.0", "E016"),
+        ("{battery: {}}", "true", "`battery` needs a `type`"),
+        ("{battery: {type: {volts: flaot}}}", "true", "E024"),
+        ("{battery: {type: float, unit: parsec}}", "true", "E017"),
+        ("{battery: {type: {volts: float}, rate: 3}}", "true", "a channel has no key `rate`"),
+        ("{battery: {type: float, default: 3}}", "true", "a channel has no key `default`"),
+        ("{wrist: float}", "true", "test.yaml:2:12: "),
+        ("{wrist: float}", "true", "E008]: there is a channel `wrist` already"),
+        ("{in: float}", "true", "E006"),
+    ] {
+        assert!(found(&chart(channels, watch)).contains(said), "{said}: {}", found(&chart(channels, watch)));
+    }
+}
+
+#[test]
+fn charts_of_one_library_declare_a_channel_in_one_way() {
+    let inner = "statechart: Inner\nchannels: {battery: {type: {volts: {type: float, unit: V}}}}\ninitial: A\nstates: {A: {final: success}}\n";
+    let outer = |unit: &str| {
+        format!(
+            "statechart: T\nchannels: {{battery: {{type: {{volts: {{type: float, unit: {unit}, description: Other words.}}}}}}}}\n\
+             initial: A\nstates: {{A: {{statechart: Inner, transitions: {{success: B}}}}, B: {{final: success}}}}\n"
+        )
+    };
+    let others = BTreeMap::from([("inner.yaml", inner)]);
+    assert_eq!(findings(&outer("V"), &others), "");
+    let said = findings(&outer("A"), &others);
+    assert!(
+        said.contains("inner.yaml:2:12: error[E008]: the channel `battery` is {volts: float in V} here"),
+        "{said}"
+    );
+    assert!(said.contains("and {volts: float in A} in T, test.yaml:2:12"), "{said}");
 }

@@ -6,7 +6,7 @@ use armarium_values::Value;
 use armarium_values::expr::{MAX_PARTS, MAX_TEXT};
 
 use super::event::{Event, Origin};
-use super::state::{TimerUse, Turn, View};
+use super::state::{RunContext, TimerUse, Turn};
 use super::{Effect, Engine, TraceItem};
 use crate::program::{Action, ERROR_EXECUTION, Place, Program, Send, StateId, Term};
 
@@ -24,8 +24,8 @@ const MAX_CARRIED: usize = 10 * MAX_PARTS;
 
 impl Engine {
     #[inline]
-    fn view<'v>(&'v self, turn: &Turn<'v>) -> View<'v> {
-        View { program: turn.program, store: &self.store, runs: &self.runs, sensors: turn.sensors }
+    fn view<'v>(&'v self, turn: &Turn<'v>) -> RunContext<'v> {
+        RunContext { program: turn.program, store: &self.store, runs: &self.runs, sensors: turn.sensors }
     }
 
     pub(super) fn evaluate(&self, term: &Term, turn: &Turn<'_>) -> Result<Value, Failed> {

@@ -3,9 +3,9 @@
 use crate::program::{Program, StateId};
 
 /// How many states a failure names.
-const NAMED: usize = 8;
+const MAX_NAMED: usize = 8;
 /// States are recorded when the count is this close to a bound.
-pub(crate) const NEAR: u32 = 32;
+pub(crate) const RECORDED_BEFORE_BOUND: u32 = 32;
 
 /// The most recent states, each once.
 #[derive(Debug, Default)]
@@ -19,7 +19,7 @@ impl Circle {
     pub(crate) fn note(&mut self, state: StateId) {
         self.0.retain(|known| *known != state);
         self.0.insert(0, state);
-        self.0.truncate(NAMED);
+        self.0.truncate(MAX_NAMED);
     }
 
     /// The paths of the states, in the file's order.

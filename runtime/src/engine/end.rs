@@ -93,6 +93,12 @@ impl Engine {
         let before = self.last_failure.as_ref().filter(|(_, from)| {
             outcome == FAILURE && owner.is_some_and(|owner| program.within(*from, owner))
         });
+        if outcome == FAILURE
+            && here.or(before.map(|(data, _)| data)).is_none()
+            && !fields.contains_key("reason")
+        {
+            fields.insert("reason".to_owned(), self.way_to(state, program).into());
+        }
         if let Some(Value::Map(why)) = here.or(before.map(|(data, _)| data)) {
             for key in ["reason", "chain"] {
                 if let (false, Some(value)) = (fields.contains_key(key), why.get(key)) {
@@ -101,6 +107,31 @@ impl Engine {
             }
         }
         Value::Map(fields)
+    }
+
+    /// How a failure without a reason of its own was reached.
+    fn way_to(&self, state: StateId, program: &Program) -> String {
+        let name = program.path(state);
+        match self.store.event.as_ref() {
+            Some(event) => match event.origin {
+                Origin::Outcome { state: from, .. } => {
+                    let from = program.path(from);
+                    format!("`{from}` ended with `{}`, which leads to `{name}`", event.name(program))
+                }
+                Origin::Watch { state: from, .. } => {
+                    format!(
+                        "the watch `{}` of `{}` leads to `{name}`",
+                        event.name(program),
+                        program.path(from)
+                    )
+                }
+                Origin::After { state: from, .. } => {
+                    format!("the time of `{}` was over, which leads to `{name}`", program.path(from))
+                }
+                _ => format!("the event `{}` leads to `{name}`", event.name(program)),
+            },
+            None => format!("a transition without an event leads to `{name}`"),
+        }
     }
 
     /// A state has ended by itself: raises `done.state` for all states, and the outcome for the state and those

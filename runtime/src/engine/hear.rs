@@ -5,18 +5,18 @@ use std::collections::BTreeMap;
 use armarium_values::Value;
 
 use super::event::{Event, Origin};
-use super::state::{Extra, SkillRun, Step, Timer, TimerUse, Turn};
+use super::state::{SkillRun, StateStatus, Step, Timer, TimerUse, Turn};
 use super::{Engine, MAX_MICROSTEPS, MAX_QUEUE, TraceItem};
 use crate::program::{AFTER, RETRY, StateId};
 use crate::skill::SkillResult;
 
 impl Engine {
     /// The rarely needed data of a state, created on first use.
-    pub(super) fn extra(&mut self, state: StateId) -> &mut Extra {
+    pub(super) fn extra(&mut self, state: StateId) -> &mut StateStatus {
         self.runs[state as usize].extra.get_or_insert_default()
     }
 
-    pub(super) fn extra_of(&self, state: StateId) -> Option<&Extra> {
+    pub(super) fn extra_of(&self, state: StateId) -> Option<&StateStatus> {
         self.runs[state as usize].extra.as_deref()
     }
 

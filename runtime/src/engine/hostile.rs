@@ -15,7 +15,7 @@ fn is_in(d: &Drive, state: &str) -> bool {
 #[test]
 fn a_chart_that_sends_itself_events_without_end_fails() {
     let mut d = chart("states: {A: {enter: [{send: go}], transitions: {go: A}}}\n");
-    let said = d.said();
+    let said = d.take_log();
     assert!(said.contains(&format!("finished failure \"{MAX_ANSWER} microsteps without rest")), "{said}");
 }
 
@@ -93,6 +93,6 @@ fn loops_in_loops_end() {
     let mut d = chart(&format!(
         "locals: {{n: {{type: int, default: 0}}}}\nstates:\n  A: {{enter: {body}, transitions: {{error.execution: B}}}}\n  B: {{}}\n"
     ));
-    assert!(d.said().contains("more than 100000 actions in answer to one event"));
+    assert!(d.take_log().contains("more than 100000 actions in answer to one event"));
     assert!(is_in(&d, "B"));
 }

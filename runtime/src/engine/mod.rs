@@ -24,16 +24,16 @@ use std::sync::Arc;
 
 use armarium_values::Value;
 
-pub(crate) use circle::{Circle, NEAR};
+pub(crate) use circle::{Circle, RECORDED_BEFORE_BOUND};
 pub use interface::{Effect, Input, NoSensors, Observation, RunResult, Sensors};
-pub use record::{InputRecord, Recording, Replaying, Seen};
+pub use record::{InputRecord, Recording, Replaying, SensorReading};
 
 use crate::program::{Code, ERROR_CHANNEL, EventId, FAILURE, Instance, Program, StateId, Symbol, Variable};
 use crate::skill::InputError;
 use crate::trace::TraceItem;
 use event::{Event, Origin};
 use inputs::inputs;
-use state::{Pending, Run, Store, Timer, Turn, View};
+use state::{Pending, Run, RunContext, Timer, Turn, Variables};
 
 /// A run fails after this many microsteps without rest.
 pub const MAX_MICROSTEPS: u32 = 1000;
@@ -49,7 +49,7 @@ pub const MAX_HELD: usize = 64;
 #[derive(Debug)]
 pub struct Engine {
     program: Arc<Program>,
-    store: Store,
+    store: Variables,
     runs: Vec<Run>,
     /// Active states, in the file's order.
     configuration: Vec<StateId>,
@@ -112,7 +112,7 @@ impl Engine {
         let runs = vec![Run::default(); program.states.len()];
         Ok(Self {
             program,
-            store: Store { data, ..Store::default() },
+            store: Variables { data, ..Variables::default() },
             runs,
             configuration: Vec::new(),
             remembered: BTreeMap::new(),
@@ -225,7 +225,7 @@ impl Engine {
     /// end).
     pub fn observe(&self, watch: u32, sensors: &dyn Sensors) -> Observation {
         let watch = &self.program.watches[watch as usize];
-        let view = View { program: &self.program, store: &self.store, runs: &self.runs, sensors };
+        let view = RunContext { program: &self.program, store: &self.store, runs: &self.runs, sensors };
         let (mut error, mut blind) = (None, None);
         let mut look = |code: &Code| {
             code.expr.look(&view).unwrap_or_else(|e| {
@@ -242,13 +242,11 @@ impl Engine {
     }
 
     /// The program that this engine runs.
-    #[must_use]
     pub fn program(&self) -> &Arc<Program> {
         &self.program
     }
 
     /// The innermost active states, in the file's order.
-    #[must_use]
     pub fn leaves(&self) -> Vec<StateId> {
         let last = |i: usize| self.program.tables.last(self.configuration[i]);
         let inner = |i: usize| self.configuration.get(i + 1).is_none_or(|next| *next > last(i));
@@ -256,31 +254,26 @@ impl Engine {
     }
 
     /// All active states, in the file's order; the first stands for the run.
-    #[must_use]
     pub fn configuration(&self) -> &[StateId] {
         &self.configuration
     }
 
     /// The innermost states that were active when the run ended, before they were left; empty until then.
-    #[must_use]
     pub fn ended_in(&self) -> &[StateId] {
         &self.ended_in
     }
 
     /// The locals of the outermost chart that have a value.
-    #[must_use]
     pub fn locals(&self) -> BTreeMap<String, Value> {
         self.variables_of(0, |i| &i.locals)
     }
 
     /// The outputs of the outermost chart that have a value.
-    #[must_use]
     pub fn outputs(&self) -> BTreeMap<String, Value> {
         self.variables_of(0, |i| &i.outputs)
     }
 
     /// Whether the run has ended.
-    #[must_use]
     pub fn finished(&self) -> bool {
         self.finished
     }
@@ -351,9 +344,9 @@ impl Engine {
 
     /// Whether the run is close to one of its bounds.
     fn near_a_bound(&self) -> bool {
-        self.microsteps + NEAR > MAX_MICROSTEPS
-            || self.answer + NEAR > MAX_ANSWER
-            || self.chain + NEAR > MAX_MICROSTEPS
+        self.microsteps + RECORDED_BEFORE_BOUND > MAX_MICROSTEPS
+            || self.answer + RECORDED_BEFORE_BOUND > MAX_ANSWER
+            || self.chain + RECORDED_BEFORE_BOUND > MAX_MICROSTEPS
     }
 
     fn show_configuration(&mut self, turn: &mut Turn<'_>) {
@@ -369,8 +362,6 @@ impl Engine {
     }
 }
 
-#[cfg(test)]
-mod cases;
 #[cfg(test)]
 mod hostile;
 #[cfg(test)]

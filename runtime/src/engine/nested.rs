@@ -25,7 +25,7 @@ states:
 ";
     let checked = checked(outer, &BTreeMap::from([("inner.yaml", inner)]));
     let mut d = Drive::of(checked.program.unwrap());
-    d.said();
+    d.take_log();
     // The inner state's transition wins while there is one; then the outer chart's state is left.
     assert_eq!(d.event("go"), "-Both.X.A; +Both.X.B");
     assert_eq!(d.event("go"), "-Both.X.B; -Both.X; +Both.Y; +Both.Y.A");

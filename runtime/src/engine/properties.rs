@@ -33,6 +33,15 @@ fn shape() -> impl Strategy<Value = Shape> {
     })
 }
 
+fn not_final(shapes: Vec<Shape>) -> Vec<Shape> {
+    shapes.into_iter().map(|s| if matches!(s, Shape::Final) { Shape::Leaf } else { s }).collect()
+}
+
+/// The outermost states of a chart.
+fn shapes() -> impl Strategy<Value = Vec<Shape>> {
+    prop::collection::vec(shape(), 1..4).prop_map(not_final)
+}
+
 /// Writes a state as YAML in flow style; `picks` chooses targets.
 fn write(shape: &Shape, path: &str, paths: &[String], picks: &mut dyn FnMut() -> usize, out: &mut String) {
     let children = |shapes: &[Shape], picks: &mut dyn FnMut() -> usize, out: &mut String| {
@@ -62,10 +71,7 @@ fn write(shape: &Shape, path: &str, paths: &[String], picks: &mut dyn FnMut() ->
         }
         Shape::Parallel(shapes) => {
             // Regions that are themselves final states are left out.
-            let regions: Vec<Shape> = shapes
-                .iter()
-                .map(|s| if matches!(s, Shape::Final) { Shape::Leaf } else { s.clone() })
-                .collect();
+            let regions = not_final(shapes.clone());
             out.push_str("parallel: {");
             children(&regions, picks, out);
             out.push_str("}, ");
@@ -143,12 +149,10 @@ proptest! {
 
     #[test]
     fn configurations_are_legal_and_entries_balance(
-        shapes in prop::collection::vec(shape(), 1..4),
+        shapes in shapes(),
         numbers in prop::collection::vec(0_usize..1000, 8..64),
         inputs in prop::collection::vec(0_usize..6, 1..40),
     ) {
-        let shapes: Vec<Shape> =
-            shapes.into_iter().map(|s| if matches!(s, Shape::Final) { Shape::Leaf } else { s }).collect();
         let text = chart(&shapes, &numbers);
         let mut engine = Engine::new(program(&text), &BTreeMap::new(), None).unwrap();
         let mut entered: BTreeMap<String, i32> = BTreeMap::new();
@@ -205,12 +209,10 @@ proptest! {
     /// Turning tracing off only removes the trace.
     #[test]
     fn a_replay_equals_its_run(
-        shapes in prop::collection::vec(shape(), 1..4),
+        shapes in shapes(),
         numbers in prop::collection::vec(0_usize..1000, 8..64),
         inputs in prop::collection::vec(0_usize..6, 1..40),
     ) {
-        let shapes: Vec<Shape> =
-            shapes.into_iter().map(|s| if matches!(s, Shape::Final) { Shape::Leaf } else { s }).collect();
         let program = program(&chart(&shapes, &numbers));
         let new = || Engine::new(std::sync::Arc::clone(&program), &BTreeMap::new(), None).unwrap();
         let (mut run, mut replay, mut quiet) = (new(), new(), new());

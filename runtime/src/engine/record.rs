@@ -14,7 +14,7 @@ use super::{Effect, Engine, Input, Sensors};
 /// One reading of a sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Seen {
+pub enum SensorReading {
     /// The value of a channel or of a field of it; `None` if there was none.
     Channel(Option<Value>),
     /// Seconds since a channel was published; `None` if it never was.
@@ -29,7 +29,7 @@ pub struct InputRecord {
     /// The input; `None` for the start.
     pub input: Option<Input>,
     /// The values that expressions read, in order.
-    pub seen: Vec<Seen>,
+    pub seen: Vec<SensorReading>,
 }
 
 impl Engine {
@@ -47,7 +47,7 @@ impl Engine {
 /// Sensors that forward to others and record every reading.
 pub struct Recording<'s> {
     inner: &'s dyn Sensors,
-    seen: RefCell<Vec<Seen>>,
+    seen: RefCell<Vec<SensorReading>>,
 }
 
 impl std::fmt::Debug for Recording<'_> {
@@ -58,14 +58,13 @@ impl std::fmt::Debug for Recording<'_> {
 
 impl<'s> Recording<'s> {
     /// Records what is read from `inner`.
-    #[must_use]
     pub fn new(inner: &'s dyn Sensors) -> Self {
         Self { inner, seen: RefCell::new(Vec::new()) }
     }
 
     /// The readings, in order.
     #[must_use]
-    pub fn seen(self) -> Vec<Seen> {
+    pub fn seen(self) -> Vec<SensorReading> {
         self.seen.into_inner()
     }
 }
@@ -73,12 +72,12 @@ impl<'s> Recording<'s> {
 impl Sensors for Recording<'_> {
     fn channel(&self, channel: u32, path: &[String]) -> Option<Value> {
         let value = self.inner.channel(channel, path);
-        self.seen.borrow_mut().push(Seen::Channel(value.clone()));
+        self.seen.borrow_mut().push(SensorReading::Channel(value.clone()));
         value
     }
     fn age(&self, channel: u32) -> Option<f64> {
         let age = self.inner.age(channel);
-        self.seen.borrow_mut().push(Seen::Age(age));
+        self.seen.borrow_mut().push(SensorReading::Age(age));
         age
     }
 }
@@ -86,13 +85,12 @@ impl Sensors for Recording<'_> {
 /// Sensors that return recorded readings in the same order, and nothing after the last one.
 #[derive(Debug, Default)]
 pub struct Replaying {
-    seen: RefCell<VecDeque<Seen>>,
+    seen: RefCell<VecDeque<SensorReading>>,
 }
 
 impl Replaying {
     /// Sensors that return these readings.
-    #[must_use]
-    pub fn new(seen: impl IntoIterator<Item = Seen>) -> Self {
+    pub fn new(seen: impl IntoIterator<Item = SensorReading>) -> Self {
         Self { seen: RefCell::new(seen.into_iter().collect()) }
     }
 }
@@ -100,13 +98,13 @@ impl Replaying {
 impl Sensors for Replaying {
     fn channel(&self, _: u32, _: &[String]) -> Option<Value> {
         match self.seen.borrow_mut().pop_front() {
-            Some(Seen::Channel(value)) => value,
+            Some(SensorReading::Channel(value)) => value,
             _ => None,
         }
     }
     fn age(&self, _: u32) -> Option<f64> {
         match self.seen.borrow_mut().pop_front() {
-            Some(Seen::Age(age)) => age,
+            Some(SensorReading::Age(age)) => age,
             _ => None,
         }
     }

@@ -2,7 +2,7 @@
 //! that no transition takes.
 
 use super::event::{Event, Origin};
-use super::state::{Step, Turn, View};
+use super::state::{RunContext, Step, Turn};
 use super::{Engine, TraceItem};
 use crate::program::{FAILURE, Pattern, Program, StateId, Symbol};
 
@@ -266,7 +266,7 @@ impl Engine {
         let t = &turn.program.transitions[transition as usize];
         let Some(code) = &t.guard else { return true };
         let view =
-            View { program: turn.program, store: &self.store, runs: &self.runs, sensors: turn.sensors };
+            RunContext { program: turn.program, store: &self.store, runs: &self.runs, sensors: turn.sensors };
         match code.expr.test(&view) {
             Ok(holds) => holds,
             Err(error) => {

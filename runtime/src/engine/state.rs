@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use armarium_values::Value;
-use armarium_values::expr::{MAX_PARTS, World};
+use armarium_values::expr::{EvalContext, MAX_PARTS};
 
 use super::event::Event;
 use super::{Effect, Sensors, TraceItem};
@@ -30,7 +30,7 @@ pub(super) struct Run {
     /// Number of this entry, counted over all states. It distinguishes one stay in a state from another.
     pub(super) entry: u64,
     /// Data that few states need.
-    pub(super) extra: Option<Box<Extra>>,
+    pub(super) extra: Option<Box<StateStatus>>,
     /// Number of the newest selection that has looked at this state.
     pub(super) seen: u32,
     /// Number of the newest entry that has planned a state inside this one.
@@ -40,7 +40,7 @@ pub(super) struct Run {
 
 /// The status of a state with a skill, timers, retries or an outcome.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Extra {
+pub(super) struct StateStatus {
     pub(super) skill: SkillRun,
     /// Its outcome, if no transition took it.
     pub(super) done: Option<Symbol>,
@@ -95,7 +95,7 @@ pub(super) struct Pending {
 
 /// The variables of a run, which expressions read.
 #[derive(Debug, Default)]
-pub(super) struct Store {
+pub(super) struct Variables {
     pub(super) data: Vec<Option<Value>>,
     pub(super) event: Option<Event>,
     /// Number of parts of each assigned value that is not a scalar, by slot.
@@ -104,7 +104,7 @@ pub(super) struct Store {
     pub(super) held: usize,
 }
 
-impl Store {
+impl Variables {
     /// Sets a variable. Returns false, and changes nothing, if all variables together would hold too much.
     pub(super) fn assign(&mut self, slot: u32, value: Value) -> bool {
         let parts = match &value {
@@ -129,14 +129,14 @@ impl Store {
 }
 
 /// The engine's variables, states and sensors, as expressions see them.
-pub(super) struct View<'v> {
+pub(super) struct RunContext<'v> {
     pub(super) program: &'v Program,
-    pub(super) store: &'v Store,
+    pub(super) store: &'v Variables,
     pub(super) runs: &'v [Run],
     pub(super) sensors: &'v dyn Sensors,
 }
 
-impl World for View<'_> {
+impl EvalContext for RunContext<'_> {
     #[inline]
     fn data(&self, slot: u32) -> Option<&Value> {
         self.store.data.get(slot as usize)?.as_ref()

@@ -10,15 +10,15 @@ use super::{Effect, Engine, TraceItem};
 use crate::program::{Kind, Pattern, Program, StateId};
 
 /// Longest duration of a timer, s.
-const LONGEST_S: f64 = 1.0e9;
+const MAX_DELAY_S: f64 = 1.0e9;
 
 /// Shortest duration of a timer other than zero, s.
-const SHORTEST_S: f64 = 1.0e-6;
+const MIN_DELAY_S: f64 = 1.0e-6;
 
 /// A finite, non-negative number of seconds as a duration.
 pub(super) fn duration(seconds: f64) -> Duration {
     if seconds.is_finite() && seconds > 0.0 {
-        Duration::from_secs_f64(seconds.clamp(SHORTEST_S, LONGEST_S))
+        Duration::from_secs_f64(seconds.clamp(MIN_DELAY_S, MAX_DELAY_S))
     } else {
         Duration::ZERO
     }

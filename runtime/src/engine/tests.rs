@@ -1,3 +1,6 @@
+//! The cases of `cases.txt`, and those that need more than a chart and its steps.
+
+use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::time::Duration;
 
@@ -93,7 +96,7 @@ impl Drive {
 
     pub(super) fn event(&mut self, name: &str) -> String {
         self.input(Input::Event { name: name.into(), data: Value::Null });
-        self.said()
+        self.take_log()
     }
 
     pub(super) fn end(&mut self, state: &str, outcome: &str) -> String {
@@ -103,17 +106,41 @@ impl Drive {
             name => Ok(Outcome::named(name).with("value", 7.0)),
         };
         self.input(Input::SkillEnded { activation, result });
-        self.said()
+        self.take_log()
     }
 
     pub(super) fn timer(&mut self) -> String {
         let (timer, _) = self.timers.pop_first().unwrap();
         self.input(Input::Timer { timer });
-        self.said()
+        self.take_log()
+    }
+
+    /// Plays one step of a case. Returns its effects, or the answer to what it asks.
+    fn step(&mut self, step: &str) -> String {
+        match step.split(' ').collect::<Vec<_>>()[..] {
+            ["event", name] => return self.event(name),
+            ["end", state, outcome] => return self.end(state, outcome),
+            ["timer"] => return self.timer(),
+            ["leaves"] => return self.leaves(),
+            ["local", name] => return self.engine.locals()[name].to_json().to_string(),
+            [count, "times", "event", name] => {
+                let each: BTreeSet<String> =
+                    (0..count.parse::<u32>().unwrap()).map(|_| self.event(name)).collect();
+                return each.into_iter().collect::<Vec<_>>().join(" | ");
+            }
+            ["newest", "timer"] => {
+                let (timer, _) = self.timers.pop_last().unwrap();
+                self.input(Input::Timer { timer });
+            }
+            ["stuck", state] => self.input(Input::SkillStuck { activation: self.skills[state] }),
+            ["stop"] => self.input(Input::Stop { reason: "by hand".into() }),
+            _ => panic!("`{step}` is no step"),
+        }
+        self.take_log()
     }
 
     /// The log since the last call, in one line.
-    pub(super) fn said(&mut self) -> String {
+    pub(super) fn take_log(&mut self) -> String {
         std::mem::take(&mut self.log).trim_end().replace('\n', "; ")
     }
 
@@ -122,329 +149,39 @@ impl Drive {
     }
 }
 
-const TWO: &str = "
-statechart: T
-initial: A
-states:
-  A: {skill: Act, exit: [{log: out}], transitions: {success: {target: B, do: [{log: between}]}, failure: F}}
-  B: {skill: Act, with: {force: \"${A.value}\"}, enter: [{log: in}], after: {2s: A}, transitions: {blocked: Done}}
-  Done: {final: success}
-  F: {final: failure}
-";
-
-#[test]
-fn a_transition_leaves_acts_and_enters_in_order() {
-    let mut d = Drive::new(TWO);
-    assert_eq!(d.said(), "+A; start A 1");
-    assert_eq!(d.end("A", "success"), "log out; -A; log between; +B; log in; timer 2; start B 7");
-    assert_eq!(d.end("B", "success"), "done B success", "an outcome that nobody handles");
-    assert_eq!(d.leaves(), "B");
+/// Whether a text is as expected; `…` stands for any text.
+fn fits(found: &str, expected: &str) -> bool {
+    let Some((first, rest)) = expected.split_once('…') else { return found == expected };
+    found.strip_prefix(first).is_some_and(|found| {
+        (0..=found.len()).any(|at| found.get(at..).is_some_and(|found| fits(found, rest)))
+    })
 }
 
 #[test]
-fn leaving_waits_until_the_skill_has_returned() {
-    let mut d = Drive::new(TWO);
-    d.end("A", "success");
-    assert_eq!(d.timer(), "cancel B");
-    assert_eq!(d.leaves(), "B", "the old configuration stands");
-    assert_eq!(d.end("B", "blocked"), "-B; +A; start A 1", "what a cancelled skill says is not heard");
-}
-
-#[test]
-fn a_failure_ends_the_run_with_its_reason_and_chain() {
-    let mut d = Drive::new(TWO);
-    d.said();
-    let said = d.end("A", "failure");
-    assert_eq!(said, "log out; -A; +F; -F; finished failure \"no luck\" A < T");
-}
-
-const NESTED: &str = "
-statechart: T
-initial: P
-states:
-  P:
-    parallel:
-      L: {initial: L1, states: {L1: {skill: Act, transitions: {go: L2}}, L2: {final: success}}}
-      R:
-        initial: R1
-        states:
-          R1: {transitions: {go: R2}}
-          R2: {skill: Act, transitions: {success: R3}}
-          R3: {final: blocked}
-    transitions: {blocked: Q, out: Q}
-  Q: {}
-events: {go: {}, out: {}}
-";
-
-#[test]
-fn regions_take_an_event_together_and_end_their_parallel_state() {
-    let mut d = Drive::new(NESTED);
-    assert_eq!(d.said(), "+P; +P.L; +P.L.L1; +P.R; +P.R.R1; start P.L.L1 1");
-    assert_eq!(d.event("go"), "cancel P.L.L1");
-    assert_eq!(
-        d.end("P.L.L1", "success"),
-        "-P.R.R1; -P.L.L1; +P.L.L2; +P.R.R2; done P.L success; start P.R.R2 1"
-    );
-    assert_eq!(
-        d.end("P.R.R2", "success"),
-        "-P.R.R2; +P.R.R3; done P.R blocked; -P.R.R3; -P.R; -P.L.L2; -P.L; -P; +Q"
-    );
-}
-
-#[test]
-fn all_skills_of_a_parallel_state_are_cancelled_together() {
-    let mut d = Drive::new(NESTED);
-    d.event("go");
-    d.end("P.L.L1", "success");
-    d.said();
-    assert_eq!(d.event("out"), "cancel P.R.R2");
-    assert_eq!(d.event("go"), "", "what arrives meanwhile is queued");
-    assert_eq!(d.end("P.R.R2", "success"), "-P.R.R2; -P.R; -P.L.L2; -P.L; -P; +Q");
-}
-
-#[test]
-fn a_failure_in_one_region_goes_outward_at_once_and_a_final_one_does_not() {
-    let chart = "
-statechart: T
-initial: P
-states:
-  P:
-    parallel:
-      L: {initial: L1, states: {L1: {skill: Act}}}
-      R: {initial: R1, states: {R1: {skill: Act, transitions: {blocked: R2}}, R2: {final: failure}}}
-    transitions: {failure: Q}
-  Q: {}
-";
-    let mut d = Drive::new(chart);
-    d.said();
-    assert_eq!(d.end("P.R.R1", "failure"), "cancel P.L.L1");
-    assert_eq!(d.end("P.L.L1", "failure"), "-P.R.R1; -P.R; -P.L.L1; -P.L; -P; +Q");
-    let mut d = Drive::new(chart);
-    d.said();
-    assert_eq!(d.end("P.R.R1", "blocked"), "-P.R.R1; +P.R.R2; done P.R failure");
-}
-
-#[test]
-fn an_unhandled_failure_ends_the_run_with_the_chain_of_states() {
-    let mut d = Drive::new(
-        "
-statechart: T
-initial: O
-states:
-  O:
-    parallel:
-      L: {initial: I, states: {I: {skill: Act}}}
-      R: {skill: Act}
-",
-    );
-    d.said();
-    assert_eq!(d.end("O.L.I", "failure"), "cancel O.R");
-    assert_eq!(
-        d.end("O.R", "success"),
-        "-O.R; -O.L.I; -O.L; -O; finished failure \"no luck\" O.L.I < O.L < O < T"
-    );
-}
-
-#[test]
-fn outcomes_of_states_that_have_been_left_are_dropped() {
-    let mut d = Drive::new(NESTED);
-    d.said();
-    let activation = d.skills["P.L.L1"];
-    // The skill has ended, but the event that leaves the state is before the outcome in the queue.
-    let mut out = Vec::new();
-    d.engine.handle(Input::Event { name: "out".into(), data: Value::Null }, &NoSensors, &mut out);
-    d.take(out);
-    d.input(Input::SkillEnded { activation, result: Ok(Outcome::success()) });
-    assert_eq!(d.said(), "cancel P.L.L1; -P.R.R1; -P.R; -P.L.L1; -P.L; -P; +Q");
-    d.input(Input::SkillEnded { activation, result: Ok(Outcome::success()) });
-    assert_eq!(d.said(), "");
-}
-
-#[test]
-fn retry_starts_the_inside_again_and_then_reports() {
-    let mut d = Drive::new(
-        "
-statechart: T
-initial: A
-states:
-  A: {skill: Act, retry: {times: 1, wait: 1s}, after: {60s: B}, transitions: {failure: B}}
-  B: {}
-",
-    );
-    assert_eq!(d.said(), "+A; timer 60; start A 1");
-    assert_eq!(d.end("A", "failure"), "retry A 1 no luck; timer 1");
-    let (timer, _) = d.timers.pop_last().unwrap();
-    d.input(Input::Timer { timer });
-    assert_eq!(d.said(), "start A 1");
-    assert_eq!(d.end("A", "failure"), "no timer; -A; +B");
-}
-
-#[test]
-fn history_remembers_states() {
-    let chart = |deep: &str| {
-        format!(
-            "
-statechart: T
-initial: C
-states:
-  C:
-    initial: A
-    states:
-      H: {{history: {deep}, default: A}}
-      A: {{transitions: {{go: B}}}}
-      B: {{initial: X, states: {{X: {{transitions: {{go: Y}}}}, Y: {{}}}}}}
-    transitions: {{out: D}}
-  D: {{transitions: {{back: C.H}}}}
-events: {{go: {{}}, out: {{}}, back: {{}}}}
-"
-        )
-    };
-    for (deep, expected) in [("deep", "C.B.Y"), ("shallow", "C.B.X")] {
-        let mut d = Drive::new(&chart(deep));
-        for event in ["go", "go", "out", "back"] {
-            d.event(event);
+fn cases_go_as_written() {
+    let mut chart = String::new();
+    for case in include_str!("cases.txt").split("\n## ").skip(1) {
+        let (name, text) = case.split_once('\n').unwrap();
+        let in_chart = |line: &&str| !line.starts_with(['>', '#']);
+        let steps: usize = text.split_inclusive('\n').take_while(in_chart).map(str::len).sum();
+        if steps > 0 {
+            chart = format!("statechart: T\n{}", &text[..steps]);
         }
-        assert_eq!(d.leaves(), expected);
+        let mut d = Drive::new(&chart);
+        let start = d.take_log();
+        for step in text.lines().filter_map(|line| line.strip_prefix("> ")) {
+            let (step, expected) = step.split_once(" =>").map_or((step, "…"), |(s, e)| (s, e.trim()));
+            let found = match step {
+                "start" => start.clone(),
+                "restart" => {
+                    d = Drive::new(&chart);
+                    d.take_log()
+                }
+                _ => d.step(step),
+            };
+            assert!(fits(&found, expected), "{name}: {step}: {found} instead of {expected}");
+        }
     }
-}
-
-#[test]
-fn inner_states_win_and_targetless_transitions_leave_nothing() {
-    let mut d = Drive::new(
-        "
-statechart: T
-locals: {n: {type: int, default: 0}}
-initial: O
-states:
-  O:
-    initial: I
-    states:
-      I:
-        after: {9s: I}
-        transitions:
-          t: {if: \"locals.n < 2\", do: [{assign: {locals.n: \"${locals.n + 1}\"}}, {log: \"n = ${locals.n}\"}]}
-    transitions: {t: {target: Q, do: [{log: outer}]}}
-  Q: {}
-events: {t: {}}
-",
-    );
-    d.said();
-    assert_eq!(d.event("t"), "log n = 1");
-    assert_eq!(d.event("t"), "log n = 2");
-    assert_eq!(d.event("t"), "no timer; -O.I; -O; log outer; +Q");
-}
-
-#[test]
-fn always_and_raised_events_run_before_the_next_event() {
-    let mut d = Drive::new(
-        "
-statechart: T
-initial: A
-states:
-  A: {transitions: {t: {target: B, do: [{raise: inner}]}}}
-  B: {always: [{target: C, if: \"active('B')\"}]}
-  C: {transitions: {inner: D, t: Wrong}}
-  D: {}
-  Wrong: {}
-events: {t: {}}
-",
-    );
-    d.said();
-    assert_eq!(d.event("t"), "-A; +B; -B; +C; -C; +D");
-}
-
-#[test]
-fn an_expression_that_fails_raises_an_error_and_unhandled_is_a_failure() {
-    let chart = |handler: &str| {
-        format!(
-            "
-statechart: T
-locals: {{x: {{type: float}}}}
-initial: A
-states:
-  A: {{transitions: {{t: {{target: B, if: \"locals.x > 1.0\"}}{handler}}}}}
-  B: {{}}
-events: {{t: {{}}}}
-"
-        )
-    };
-    let mut d = Drive::new(&chart(", \"error.*\": B"));
-    d.said();
-    assert_eq!(d.event("t"), "error this has no value yet; -A; +B");
-    let mut d = Drive::new(&chart(""));
-    d.said();
-    let said = d.event("t");
-    assert!(
-        said.starts_with("error this has no value yet; -A; finished failure \"this has no value yet"),
-        "{said}"
-    );
-    assert!(said.contains("test.yaml:6:40"), "{said}");
-}
-
-#[test]
-fn with_that_fails_does_not_start_the_skill() {
-    let mut d = Drive::new(
-        "
-statechart: T
-locals: {x: {type: float}}
-initial: A
-states:
-  A: {skill: Act, with: {force: \"${locals.x}\"}, transitions: {failure: B}}
-  B: {}
-",
-    );
-    assert_eq!(d.said(), "+A; error this has no value yet; -A; +B");
-}
-
-#[test]
-fn a_loop_without_rest_fails_the_run() {
-    let mut d = Drive::new(
-        "
-statechart: T
-initial: A
-states: {A: {always: [B]}, B: {always: [A]}}
-",
-    );
-    let said = d.said();
-    assert!(said.contains("finished failure \"1000 microsteps without rest: `A`, `B`\""), "{said}");
-}
-
-#[test]
-fn unbreakable_states_hold_events_back_until_they_have_ended() {
-    let mut d = Drive::new(
-        "
-statechart: T
-initial: P
-states:
-  P:
-    parallel:
-      L: {initial: U, states: {U: {skill: Act, unbreakable: true, transitions: {success: V}}, V: {}}}
-      R: {initial: X, states: {X: {transitions: {t: Y}}, Y: {}}}
-    transitions: {out: Q}
-  Q: {}
-events: {t: {}, out: {}}
-",
-    );
-    d.said();
-    assert_eq!(d.event("out"), "held out");
-    assert_eq!(d.event("t"), "-P.R.X; +P.R.Y", "disjoint regions still get their events");
-    assert_eq!(d.end("P.L.U", "success"), "-P.L.U; +P.L.V; -P.R.Y; -P.R; -P.L.V; -P.L; -P; +Q");
-    let mut stop = Drive::new(TWO);
-    stop.said();
-    stop.input(Input::Stop { reason: "by hand".into() });
-    assert_eq!(stop.said(), "cancel A", "a stop is not held back");
-    assert_eq!(stop.end("A", "success"), "log out; -A; finished stopped \"by hand\"");
-}
-
-#[test]
-fn a_stuck_skill_fails_the_run() {
-    let mut d = Drive::new(NESTED);
-    d.said();
-    d.event("out");
-    let activation = d.skills["P.L.L1"];
-    d.input(Input::SkillStuck { activation });
-    let said = d.said();
-    assert!(said.contains("finished failure \"the skill of `P.L.L1` did not return"), "{said}");
 }
 
 #[test]
@@ -471,72 +208,83 @@ states:
     assert!(orders[0] > orders[1], "the outer state's timer was started first and comes second");
 }
 
-#[test]
-fn a_transition_into_one_region_enters_the_others_by_default() {
-    let mut d = Drive::new(
-        "
+const LEFT: &str = "
 statechart: T
-initial: S
+initial: A
 states:
-  S: {transitions: {t: P.L.L2}}
-  P:
-    parallel:
-      L: {initial: L1, states: {L1: {}, L2: {}}}
-      R: {initial: R1, states: {R1: {transitions: {t: P.L.L1}}}}
-events: {t: {}}
-",
-    );
-    d.said();
-    assert_eq!(d.event("t"), "-S; +P; +P.L; +P.L.L2; +P.R; +P.R.R1");
-    assert_eq!(d.event("t"), "-P.R.R1; -P.R; -P.L.L2; -P.L; -P; +P; +P.L; +P.L.L1; +P.R; +P.R.R1");
+  A: {skill: Act, after: {1s: B}, watch: {w: \"locals.n > 0\"}, transitions: {out: B, success: C, w: C}}
+  B: {transitions: {out: A}}
+  C: {}
+locals: {n: {type: int, default: 0}}
+events: {out: {}}
+";
+
+#[test]
+fn outcome_timer_or_watch_of_a_state_that_has_been_left_is_dropped_and_seen() {
+    let mut d = Drive::new(LEFT);
+    d.take_log();
+    let (activation, entry) = (d.skills["A"], d.armed[&0]);
+    assert_eq!(d.event("out"), "cancel A");
+    // All of these arrive while the state is waiting to be left.
+    let (timer, _) = d.timers.pop_first().unwrap();
+    d.input(Input::Timer { timer });
+    d.input(Input::Watch { watch: 0, entry });
+    d.input(Input::SkillEnded { activation, result: Ok(Outcome::success()) });
+    assert_eq!(d.take_log(), "-A; +B; dropped after; dropped w");
+    d.event("out");
+    d.input(Input::Watch { watch: 0, entry });
+    assert_eq!(d.take_log().split("; ").last(), Some("dropped w"), "it belongs to another stay in the state");
+    assert_eq!(d.leaves(), "A");
 }
 
 #[test]
-fn actions_have_their_effects() {
+fn an_event_whose_data_is_not_as_declared_is_not_heard_and_an_error_says_so() {
     let mut d = Drive::new(
         "
 statechart: T
-locals: {sum: {type: int, default: 0}}
 initial: A
 states:
-  A:
-    enter:
-      - foreach: {in: [1, 2, 3], as: i, do: [{assign: {locals.sum: \"${locals.sum + i}\"}}]}
-      - if: {cond: \"locals.sum == 6\", then: [{log: six}], else: [{log: other}]}
-      - send: {event: later, delay: 2s, id: x}
-      - send: {event: never, delay: 3s, id: y}
-      - cancel: y
-      - send: {event: out, to: bob}
-    transitions: {later: B}
+  A: {transitions: {said: [{target: B, if: \"event.data.n == 3\"}], error.communication: C}}
+  B: {transitions: {said: A}}
+  C: {}
+events: {said: {data: {n: {type: float, unit: m}}}}
+",
+    );
+    d.take_log();
+    let said = |n: Value| Input::Event { name: "said".into(), data: Value::record([("n", n)]) };
+    d.input(said("3000 mm".into()));
+    assert_eq!(d.take_log(), "-A; +B", "what is given in another unit is converted");
+    d.input(said(Value::Int(1)));
+    d.take_log();
+    d.input(said("3 kg".into()));
+    assert_eq!(d.take_log(), "dropped said; -A; +C");
+}
+
+#[test]
+fn a_watch_that_sees_nan_raises_one_error_and_is_false() {
+    let mut d = Drive::new(
+        "
+statechart: T
+initial: A
+states:
+  A: {watch: {w: \"norm(channels.wrist.push) > 6.0\"}, transitions: {w: B, error.channel: {do: [{log: blind}]}}}
   B: {}
 ",
     );
-    assert_eq!(d.said(), "+A; log six; timer 2; timer 3; no timer; send out to bob");
-    assert_eq!(d.timer(), "-A; +B");
-}
-
-#[test]
-fn a_deep_history_restores_every_region() {
-    let mut d = Drive::new(
-        "
-statechart: T
-initial: C
-states:
-  C:
-    initial: P
-    states:
-      H: {history: deep, default: P}
-      P:
-        parallel:
-          L: {initial: L1, states: {L1: {transitions: {go: L2}}, L2: {}}}
-          R: {initial: R1, states: {R1: {transitions: {go: R2}}, R2: {}}}
-    transitions: {out: D}
-  D: {transitions: {back: C.H}}
-events: {go: {}, out: {}, back: {}}
-",
-    );
-    for event in ["go", "out", "back"] {
-        d.event(event);
+    d.take_log();
+    struct Nan;
+    impl Sensors for Nan {
+        fn channel(&self, _: u32, _: &[String]) -> Option<Value> {
+            Some(vec![f64::NAN, 0.0, 0.0].into())
+        }
+        fn age(&self, _: u32) -> Option<f64> {
+            None
+        }
     }
-    assert_eq!(d.leaves(), "C.P.L.L2 C.P.R.R2");
+    let seen = d.engine.observe(0, &Nan);
+    assert!(!seen.holds && seen.error.is_none());
+    let (message, place) = seen.blind.unwrap();
+    d.input(Input::WatchBlind { watch: 0, message, place });
+    assert_eq!(d.take_log(), "log blind");
+    assert!(!d.engine.observe(0, &NoSensors).holds, "a channel that was never published is false");
 }

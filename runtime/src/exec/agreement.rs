@@ -14,12 +14,12 @@ use crate::chart::testing::{program, registry};
 use crate::stepping::Stepper;
 
 /// A list of numbers that determines a random chart.
-struct Picks<'n> {
+struct RandomNumbers<'n> {
     numbers: &'n [usize],
     at: usize,
 }
 
-impl Picks<'_> {
+impl RandomNumbers<'_> {
     fn below(&mut self, bound: usize) -> usize {
         self.at += 1;
         // The position is added, so that a short list does not repeat itself.
@@ -40,7 +40,7 @@ const CONDITIONS: [&str; 7] = [
 /// The states of a chart's regions.
 const STATES: [[&str; 3]; 2] = [["A", "B", "C"], ["D", "E", "F"]];
 
-fn chart(picks: &mut Picks<'_>) -> String {
+fn chart(picks: &mut RandomNumbers<'_>) -> String {
     let mut text = String::from(
         "statechart: T\nevents: {a: {}, b: {}}\nlocals: {n: {type: int, default: 1}}\ninitial: P\nstates:\n  P:\n    parallel:\n",
     );
@@ -53,7 +53,7 @@ fn chart(picks: &mut Picks<'_>) -> String {
     text + "    transitions: {failure: P}\n"
 }
 
-fn one_state(states: &[&str], picks: &mut Picks<'_>) -> String {
+fn one_state(states: &[&str], picks: &mut RandomNumbers<'_>) -> String {
     // A loop that keeps cancelling skills gets a minimum duration; without it such a run takes very long to reach
     // its bound.
     let mut least = 0;
@@ -89,33 +89,33 @@ fn one_state(states: &[&str], picks: &mut Picks<'_>) -> String {
 
 /// An event from outside.
 #[derive(Clone, Copy, Debug)]
-enum Outside {
+enum ExternalInput {
     Event(&'static str),
     Push(f64),
     Gesture(&'static str),
 }
 
-fn outside() -> impl Strategy<Value = Outside> {
+fn outside() -> impl Strategy<Value = ExternalInput> {
     prop_oneof![
-        Just(Outside::Event("a")),
-        Just(Outside::Event("b")),
-        prop_oneof![Just(0.0), Just(4.0), Just(9.0), Just(f64::NAN)].prop_map(Outside::Push),
-        prop_oneof![Just("fist"), Just("none")].prop_map(Outside::Gesture),
+        Just(ExternalInput::Event("a")),
+        Just(ExternalInput::Event("b")),
+        prop_oneof![Just(0.0), Just(4.0), Just(9.0), Just(f64::NAN)].prop_map(ExternalInput::Push),
+        prop_oneof![Just("fist"), Just("none")].prop_map(ExternalInput::Gesture),
     ]
 }
 
-fn published(what: Outside) -> Option<(&'static str, Value)> {
+fn published(what: ExternalInput) -> Option<(&'static str, Value)> {
     match what {
-        Outside::Event(_) => None,
-        Outside::Push(x) => Some(("wrist", Value::record([("push", vec![x, 4.0 - x].into())]))),
-        Outside::Gesture(word) => Some(("hand", Value::record([("gesture", word.into())]))),
+        ExternalInput::Event(_) => None,
+        ExternalInput::Push(x) => Some(("wrist", Value::record([("push", vec![x, 4.0 - x].into())]))),
+        ExternalInput::Gesture(word) => Some(("hand", Value::record([("gesture", word.into())]))),
     }
 }
 
 /// How long a run is compared after the last event from outside.
 const AFTER: Duration = Duration::from_millis(400);
 
-fn executed(program: &Arc<Program>, script: &[(Duration, Outside)]) -> Vec<TraceEvent> {
+fn executed(program: &Arc<Program>, script: &[(Duration, ExternalInput)]) -> Vec<TraceEvent> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();
     runtime.unwrap().block_on(async {
         let trace = Arc::new(Mutex::new(Vec::new()));
@@ -133,7 +133,7 @@ fn executed(program: &Arc<Program>, script: &[(Duration, Outside)]) -> Vec<Trace
                 at += gap;
                 sleep_until(at).await;
                 match (what, published(what)) {
-                    (Outside::Event(name), _) => assert!(controller.raise(name, Value::Null)),
+                    (ExternalInput::Event(name), _) => assert!(controller.raise(name, Value::Null)),
                     (_, Some((channel, value))) => channels.publish(channel, value),
                     _ => {}
                 }
@@ -148,12 +148,12 @@ fn executed(program: &Arc<Program>, script: &[(Duration, Outside)]) -> Vec<Trace
 }
 
 /// The same run by the stepper. `None` if two events fall on one instant, as their order is then not defined.
-fn stepped(program: &Arc<Program>, script: &[(Duration, Outside)]) -> Option<Vec<TraceEvent>> {
+fn stepped(program: &Arc<Program>, script: &[(Duration, ExternalInput)]) -> Option<Vec<TraceEvent>> {
     let mut stepper = Stepper::new(Arc::clone(program), &BTreeMap::new(), None).unwrap();
     let mut endings: BTreeMap<Duration, (u64, String, String)> = BTreeMap::new();
     let mut known = BTreeSet::new();
     let mut at = Duration::ZERO;
-    let mut outside: BTreeMap<Duration, Option<Outside>> = BTreeMap::new();
+    let mut outside: BTreeMap<Duration, Option<ExternalInput>> = BTreeMap::new();
     for (gap, what) in script {
         at += *gap;
         outside.insert(at, Some(*what));
@@ -187,7 +187,7 @@ fn stepped(program: &Arc<Program>, script: &[(Duration, Outside)]) -> Option<Vec
                     let restless = reason.is_some_and(|reason| reason.contains("skills ended"));
                     return (!restless).then(|| std::mem::take(&mut stepper.trace));
                 }
-                (Some(Outside::Event(name)), _) => stepper.event(name, Value::Null),
+                (Some(ExternalInput::Event(name)), _) => stepper.event(name, Value::Null),
                 (_, Some((channel, value))) => stepper.publish(channel, value),
                 _ => {}
             }
@@ -250,7 +250,7 @@ proptest! {
         numbers in prop::collection::vec(0_usize..1000, 20..80),
         script in prop::collection::vec((1_u64..400, outside()), 1..20),
     ) {
-        let text = chart(&mut Picks { numbers: &numbers, at: 0 });
+        let text = chart(&mut RandomNumbers { numbers: &numbers, at: 0 });
         let program = program(&text);
         let script: Vec<_> = script.iter().map(|(gap, what)| (Duration::from_millis(*gap), *what)).collect();
         let Some(stepped) = stepped(&program, &script) else { return Err(TestCaseError::reject("at once")) };

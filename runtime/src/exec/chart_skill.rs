@@ -19,7 +19,7 @@ use crate::trace::{TraceEvent, TraceItem};
 pub type Stop = Arc<dyn Fn(&str) + Send + Sync>;
 
 /// Time that the chart itself needs to end, in addition to its skills.
-const ENDING: Duration = Duration::from_millis(500);
+const END_GRACE: Duration = Duration::from_millis(500);
 
 /// A chart that can be started like a skill.
 pub struct ChartSkill {
@@ -38,14 +38,13 @@ impl fmt::Debug for ChartSkill {
 
 impl ChartSkill {
     /// Wraps a chart with the skills that it uses; `stop` is called when one of them does not return.
-    #[must_use]
     pub fn new(program: Arc<Program>, description: &str, registry: Registry, stop: Stop) -> Self {
         Self { program, description: description.to_owned(), registry, stop, peers: Peers::default() }
     }
 
     /// Connects the chart with other agents: it sends them events and receives theirs.
     #[must_use]
-    pub fn among(mut self, peers: Peers) -> Self {
+    pub fn with_peers(mut self, peers: Peers) -> Self {
         self.peers = peers;
         self
     }
@@ -58,13 +57,14 @@ impl Skill for ChartSkill {
         manifest.outputs = self.program.outputs().cloned().collect();
         manifest.outcomes = self.program.outcomes();
         manifest.limbs = self.program.limbs();
-        manifest.grace = self.program.grace() + ENDING;
+        manifest.grace = self.program.grace() + END_GRACE;
         manifest
     }
 
     fn run(&self, context: SkillContext) -> BoxFuture<'static, SkillResult> {
         let stop = Arc::clone(&self.stop);
         let options = ExecOptions {
+            closed: false,
             inputs: context.inputs,
             profile: None,
             limits: context.limits,

@@ -38,11 +38,14 @@ use watchdog::Watchdog;
 
 pub use crate::engine::RunResult;
 pub use chart_skill::{ChartSkill, Stop};
-pub use remote_events::{Peers, RemoteEvent, Subscribers, Transport};
+pub use remote_events::{DeliveryError, Peers, RemoteEvent, Subscribers, Transport};
 pub use sink::TraceSink;
 
 /// Largest number of messages in the engine's queue; senders wait when it is full.
 const QUEUE: usize = 256;
+
+/// A closed run fails after this time without a skill, a timer or an event, while only watches are armed.
+const MAX_QUIET: Duration = Duration::from_secs(3600);
 
 /// Called with the path of a state whose skill is stuck.
 pub type OnStuck = Box<dyn FnMut(&str) + Send>;
@@ -63,6 +66,8 @@ pub struct ExecOptions {
     pub on_stuck: Option<OnStuck>,
     /// The charts of other agents, and how events are exchanged with them.
     pub peers: Peers,
+    /// Whether nobody can raise events from outside. A run in which nothing can happen any more then fails.
+    pub closed: bool,
 }
 
 impl fmt::Debug for ExecOptions {
@@ -118,6 +123,10 @@ pub struct Executor {
     began: Instant,
     /// Time since the run began, at the current turn.
     now: Duration,
+    /// See [`ExecOptions::closed`].
+    closed: bool,
+    /// Time of the engine's last turn.
+    last_turn: Duration,
     result: Option<RunResult>,
 }
 
@@ -174,6 +183,8 @@ impl Executor {
             following: Following::default(),
             began: Instant::now(),
             now: Duration::ZERO,
+            closed: options.closed,
+            last_turn: Duration::ZERO,
             result: None,
         })
     }
@@ -189,7 +200,6 @@ impl Executor {
     }
 
     /// A handle that controls the run.
-    #[must_use]
     pub fn controller(&self) -> Controller {
         Controller { queue: self.sender.clone(), stop: self.stop.clone(), reason: Arc::clone(&self.reason) }
     }
@@ -198,7 +208,7 @@ impl Executor {
     pub async fn run(mut self) -> RunResult {
         self.began = Instant::now();
         self.watchdog.start();
-        let subscription = self.subscribers.join(self.engine.program().name(), self.controller());
+        let subscription = self.subscribers.join(Arc::clone(self.engine.program()), self.controller());
         self.turn(None);
         let mut stopping = false;
         let stop = self.stop.clone();
@@ -209,7 +219,14 @@ impl Executor {
                 self.outbox.close().await;
                 return result;
             }
-            let deadline = self.agenda.next().and_then(|at| self.began.checked_add(at));
+            let quiet_until = self.quiet_until().filter(|_| !stopping);
+            if quiet_until.is_some_and(|at| at <= self.now) {
+                let reason = self.stuck();
+                self.turn(Some(Input::Abort { reason }));
+                continue;
+            }
+            let deadline = self.agenda.next().into_iter().chain(quiet_until).min();
+            let deadline = deadline.and_then(|at| self.began.checked_add(at));
             let message = tokio::select! {
                 biased;
                 () = stop.cancelled(), if !stopping => {
@@ -249,6 +266,31 @@ impl Executor {
         }
     }
 
+    /// When the run fails because nothing can happen any more: at once if nothing is armed, later if only watches are;
+    /// `None` while a skill runs, a timer is armed, or somebody may raise an event.
+    fn quiet_until(&self) -> Option<Duration> {
+        let waits = !self.running.is_empty() || self.agenda.has_timers() || !self.queue.is_empty();
+        if !self.closed || waits || self.result.is_some() {
+            return None;
+        }
+        let patience = if self.agenda.has_watches() { MAX_QUIET } else { Duration::ZERO };
+        Some(self.last_turn.saturating_add(patience))
+    }
+
+    /// Why nothing can happen any more: what each innermost state waits for.
+    fn stuck(&self) -> String {
+        let program = self.engine.program();
+        let waits = self.engine.leaves().into_iter().map(|leaf| program.waits_for(leaf));
+        let waits = waits.collect::<Vec<_>>().join("; ");
+        if self.agenda.has_watches() {
+            let hours = MAX_QUIET.as_secs() / 3600;
+            return format!(
+                "stuck: for {hours} h no skill ran, no timer was armed and no watch fired; {waits}"
+            );
+        }
+        format!("stuck: no skill runs, no timer or watch is armed, and nobody can send events; {waits}")
+    }
+
     fn message(&mut self, message: Message) {
         match message {
             Message::Event { name, data } => self.turn(Some(Input::Event { name, data })),
@@ -285,6 +327,7 @@ impl Executor {
 
     /// One turn of the engine; `None` is its start. A sink also receives the input and the sensor readings.
     fn turn(&mut self, input: Option<Input>) {
+        self.last_turn = self.now;
         let mut effects = Vec::new();
         let program = Arc::clone(self.engine.program());
         let hub = Hub { channels: &self.channels, names: program.channels() };

@@ -14,13 +14,14 @@ use tokio::time::timeout;
 
 use super::Controller;
 use super::skills::Message;
+use crate::program::{EventRefused, Program};
 
 /// Largest number of agents that one run sends to.
-const MOST_AGENTS: usize = 64;
+const MAX_AGENTS: usize = 64;
 /// Largest number of events that wait for one agent.
 const MAX_WAITING: usize = 64;
 /// How long the end of a run waits for the delivery of its events.
-const LAST: Duration = Duration::from_secs(1);
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// An event on its way to another agent.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,11 +34,62 @@ pub struct RemoteEvent {
     pub data: Value,
 }
 
+/// Why an event does not reach the charts that it is for.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum DeliveryError {
+    /// No agent of that name answers in time.
+    #[error("no agent `{agent}` answers")]
+    NoAgent {
+        /// The agent.
+        agent: String,
+    },
+    /// The agent runs no chart that it could be for.
+    #[error("`{agent}` runs no chart {}now", chart.as_ref().map_or(String::new(), |c| format!("`{c}` ")))]
+    NoChart {
+        /// The agent.
+        agent: String,
+        /// The chart; `None` for any.
+        chart: Option<String>,
+    },
+    /// Two processes of that name have received it.
+    #[error("two agents are called `{agent}`, the processes {} and {}, and both have heard it", .instances[0], .instances[1])]
+    TwoAgents {
+        /// The agent.
+        agent: String,
+        /// Two of the processes.
+        instances: [String; 2],
+    },
+    /// The queue of a chart is full.
+    #[error("the chart `{chart}` has no room for `{event}`: too many events wait")]
+    QueueFull {
+        /// The chart.
+        chart: String,
+        /// The event.
+        event: String,
+    },
+    /// The chart does not take it.
+    #[error(transparent)]
+    Refused(#[from] EventRefused),
+    /// The task that delivers it has ended.
+    #[error("it was lost: {0}")]
+    Lost(tokio::task::JoinError),
+    /// The transport failed.
+    #[error(transparent)]
+    Transport(Box<dyn std::error::Error + Send + Sync>),
+}
+
+impl DeliveryError {
+    /// A failure of the transport.
+    pub fn transport(error: impl std::error::Error + Send + Sync + 'static) -> Self {
+        Self::Transport(Box::new(error))
+    }
+}
+
 /// Delivers events to other agents.
 pub trait Transport: Send + Sync {
-    /// Delivers one event. Events for one agent are passed one after the other. The error is one sentence for the
-    /// user.
-    fn deliver(&self, sent: RemoteEvent) -> BoxFuture<'static, Result<(), String>>;
+    /// Delivers one event. Events for one agent are passed one after the other.
+    fn deliver(&self, sent: RemoteEvent) -> BoxFuture<'static, Result<(), DeliveryError>>;
 }
 
 /// The connection of a run to those of other agents.
@@ -62,8 +114,8 @@ pub struct Subscribers(Arc<Mutex<Runs>>);
 #[derive(Debug, Default)]
 struct Runs {
     next: u64,
-    /// The chart's name and the controller of its run.
-    by_number: BTreeMap<u64, (String, Controller)>,
+    /// The charts and the controllers of their runs.
+    by_number: BTreeMap<u64, (Arc<Program>, Controller)>,
 }
 
 /// The entry of a run among the subscribers, until it is dropped.
@@ -84,10 +136,10 @@ impl Subscribers {
         with(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    pub(super) fn join(&self, chart: &str, controller: Controller) -> Subscription {
+    pub(super) fn join(&self, chart: Arc<Program>, controller: Controller) -> Subscription {
         let number = self.runs(|runs| {
             runs.next += 1;
-            runs.by_number.insert(runs.next, (chart.to_owned(), controller));
+            runs.by_number.insert(runs.next, (chart, controller));
             runs.next
         });
         Subscription { subscribers: self.clone(), number }
@@ -96,22 +148,28 @@ impl Subscribers {
     /// Raises an event in the running charts, or only in those of one name. Returns how many charts received it.
     ///
     /// # Errors
-    /// One sentence for the user, when the queue of a chart is full.
-    pub fn raise(&self, chart: Option<&str>, event: &str, data: &Value) -> Result<u32, String> {
+    /// [`DeliveryError::QueueFull`]; [`DeliveryError::Refused`] when charts run and none of them takes it.
+    pub fn raise(&self, chart: Option<&str>, event: &str, data: &Value) -> Result<u32, DeliveryError> {
         self.runs(|runs| {
-            let mut heard = 0;
-            for (name, controller) in runs.by_number.values() {
-                if chart.is_some_and(|chart| chart != name) {
+            let (mut received, mut refused) = (0, None);
+            for (program, controller) in runs.by_number.values() {
+                if chart.is_some_and(|chart| chart != program.name()) {
+                    continue;
+                }
+                if let Err(error) = program.accepts(event, data) {
+                    refused = Some(error);
                     continue;
                 }
                 if !controller.raise(event, data.clone()) {
-                    return Err(format!(
-                        "the chart `{name}` has no room for `{event}`: too many events wait"
-                    ));
+                    let chart = program.name().to_owned();
+                    return Err(DeliveryError::QueueFull { chart, event: event.into() });
                 }
-                heard += 1;
+                received += 1;
             }
-            Ok(heard)
+            match refused {
+                Some(error) if received == 0 => Err(error.into()),
+                _ => Ok(received),
+            }
         })
     }
 }
@@ -132,25 +190,25 @@ impl Outbox {
 
     pub(super) fn send(&mut self, sent: RemoteEvent) {
         let Some(transport) = &self.transport else {
-            return self.back(&sent, "this run has no connection to others");
+            return self.return_undelivered(&sent, "this run has no connection to others");
         };
         let agent = sent.to.split('/').next().unwrap_or_default().to_owned();
         if !self.routes.contains_key(&agent) {
-            if self.routes.len() >= MOST_AGENTS {
-                return self.back(&sent, "a run sends to no more than 64 agents");
+            if self.routes.len() >= MAX_AGENTS {
+                return self.return_undelivered(&sent, "a run sends to no more than 64 agents");
             }
             let (sender, events) = mpsc::channel(MAX_WAITING);
-            let task = tokio::spawn(carry(Arc::clone(transport), events, self.queue.clone()));
+            let task = tokio::spawn(deliver_all(Arc::clone(transport), events, self.queue.clone()));
             self.routes.insert(agent.clone(), (sender, task));
         }
         if let Some((route, _)) = self.routes.get(&agent)
             && let Err(full) = route.try_send(sent)
         {
-            self.back(&full.into_inner(), "too many events to it wait already");
+            self.return_undelivered(&full.into_inner(), "too many events to it wait already");
         }
     }
 
-    fn back(&self, sent: &RemoteEvent, why: &str) {
+    fn return_undelivered(&self, sent: &RemoteEvent, why: &str) {
         if self.queue.try_send(undelivered(sent, why)).is_err() {
             tracing::warn!("an event could not be sent, and the queue is full");
         }
@@ -162,7 +220,7 @@ impl Outbox {
             return;
         }
         let tasks = std::mem::take(&mut self.routes).into_values().map(|(_, task)| task);
-        if timeout(LAST, join_all(tasks)).await.is_err() {
+        if timeout(CLOSE_TIMEOUT, join_all(tasks)).await.is_err() {
             tracing::warn!("the run has ended, and not all that it sent to other agents has been delivered");
         }
     }
@@ -174,7 +232,7 @@ impl Drop for Outbox {
     }
 }
 
-async fn carry(
+async fn deliver_all(
     transport: Arc<dyn Transport>,
     mut events: mpsc::Receiver<RemoteEvent>,
     queue: mpsc::Sender<Message>,
@@ -182,7 +240,7 @@ async fn carry(
     while let Some(sent) = events.recv().await {
         if let Err(why) = transport.deliver(sent.clone()).await {
             // If the run has ended, there is no receiver for this message.
-            let _ = queue.send(undelivered(&sent, &why)).await.is_ok();
+            let _ = queue.send(undelivered(&sent, &why.to_string())).await.is_ok();
         }
     }
 }

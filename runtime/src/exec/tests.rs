@@ -5,10 +5,10 @@ use super::*;
 use crate::chart::testing::{program, registry};
 
 /// Runs a chart under virtual time. Returns the result and the trace, one line per item, with times in ms.
-async fn run_with(
+async fn run_with<F: Future<Output = ()> + Send + 'static>(
     text: &str,
     channels: Channels,
-    control: impl FnOnce(Controller) -> futures::future::BoxFuture<'static, ()>,
+    control: impl FnOnce(Controller) -> F,
 ) -> (RunResult, String) {
     let log = Arc::new(Mutex::new(String::new()));
     let lines = Arc::clone(&log);
@@ -33,7 +33,7 @@ async fn run_with(
 }
 
 async fn run(text: &str) -> (RunResult, String) {
-    run_with(text, Channels::new(), |_| Box::pin(std::future::pending())).await
+    run_with(text, Channels::new(), |_| std::future::pending()).await
 }
 
 fn after(ms: u64) -> tokio::time::Sleep {
@@ -122,11 +122,9 @@ statechart: T
 initial: A
 states: {A: {skill: Act, with: {late: 100ms}, exit: [{log: bye}]}}
 ";
-    let control = |controller: Controller| -> futures::future::BoxFuture<'static, ()> {
-        Box::pin(async move {
-            after(300).await;
-            controller.stop("Ctrl-C");
-        })
+    let control = |controller: Controller| async move {
+        after(300).await;
+        controller.stop("Ctrl-C");
     };
     let (result, log) = run_with(text, Channels::new(), control).await;
     assert_eq!((result.outcome.as_str(), result.reason.as_deref()), ("stopped", Some("Ctrl-C")));
@@ -144,13 +142,11 @@ states:
   Done: {final: success}
 events: {said: {}}
 ";
-    let control = |controller: Controller| -> futures::future::BoxFuture<'static, ()> {
-        Box::pin(async move {
-            for word in ["stay", "go"] {
-                after(100).await;
-                assert!(controller.raise("said", Value::record([("word", word.into())])));
-            }
-        })
+    let control = |controller: Controller| async move {
+        for word in ["stay", "go"] {
+            after(100).await;
+            assert!(controller.raise("said", Value::record([("word", word.into())])));
+        }
     };
     let (result, log) = run_with(text, Channels::new(), control).await;
     assert_eq!(result.outcome, "success");
@@ -175,18 +171,15 @@ states:
 async fn watches_hold_demand_and_fire() {
     let channels = Channels::new();
     let publisher = channels.clone();
-    let control = move |_: Controller| -> futures::future::BoxFuture<'static, ()> {
-        Box::pin(async move {
-            let push =
-                |x: f64| publisher.publish("wrist", Value::record([("push", vec![x, 0.0, 0.0].into())]));
-            after(10).await;
-            assert_eq!((*publisher.wanted("wrist").borrow(), *publisher.wanted("hand").borrow()), (1, 1));
-            for x in [f64::NAN, 7.0, 5.0, 7.0, 8.0, 9.0, 7.0, 9.0, 2.0, 9.0, 9.0, 9.0] {
-                push(x);
-                after(50).await;
-            }
-            publisher.publish("hand", Value::record([("gesture", "fist".into())]));
-        })
+    let control = move |_: Controller| async move {
+        let push = |x: f64| publisher.publish("wrist", Value::record([("push", vec![x, 0.0, 0.0].into())]));
+        after(10).await;
+        assert_eq!((*publisher.wanted("wrist").borrow(), *publisher.wanted("hand").borrow()), (1, 1));
+        for x in [f64::NAN, 7.0, 5.0, 7.0, 8.0, 9.0, 7.0, 9.0, 2.0, 9.0, 9.0, 9.0] {
+            push(x);
+            after(50).await;
+        }
+        publisher.publish("hand", Value::record([("gesture", "fist".into())]));
     };
     let (result, log) = run_with(WATCHING, channels.clone(), control).await;
     assert_eq!(result.outcome, "success");
@@ -226,17 +219,22 @@ states:
     }
 }
 
+/// A chart that knows no other skill than this one.
+fn with_skill(skill: impl Skill + 'static, text: &str) -> (Arc<Program>, Registry) {
+    let registry = Registry::from_iter([Arc::new(skill) as Arc<dyn Skill>]);
+    let library = crate::chart::load_text("test.yaml", text, &[]);
+    let checked = crate::chart::check(&library, &registry, &crate::chart::ChannelSchema::new());
+    (checked.program.unwrap(), registry)
+}
+
 /// Blocks its thread until the flag is set.
 struct Block(Arc<std::sync::atomic::AtomicBool>);
 
-impl crate::skill::Skill for Block {
-    fn manifest(&self) -> crate::skill::SkillManifest {
-        crate::skill::SkillManifest::new("Block", "Does not yield.")
+impl Skill for Block {
+    fn manifest(&self) -> SkillManifest {
+        SkillManifest::new("Block", "Does not yield.")
     }
-    fn run(
-        &self,
-        _: crate::skill::SkillContext,
-    ) -> futures::future::BoxFuture<'static, crate::skill::SkillResult> {
+    fn run(&self, _: SkillContext) -> BoxFuture<'static, SkillResult> {
         let free = Arc::clone(&self.0);
         Box::pin(async move {
             while !free.load(std::sync::atomic::Ordering::Relaxed) {
@@ -251,20 +249,14 @@ impl crate::skill::Skill for Block {
 async fn a_skill_that_does_not_yield_is_seen_by_the_wall_clock() {
     let text = "statechart: T\ninitial: A\nstates: {A: {skill: Block, transitions: {success: B}}, B: {}}\n";
     let free = Arc::new(std::sync::atomic::AtomicBool::new(false));
-    let mut registry = Registry::new();
-    registry.add(Arc::new(Block(Arc::clone(&free))));
-    let checked = crate::chart::check(
-        &crate::chart::load_text("test.yaml", text, &[]),
-        &registry,
-        &crate::chart::ChannelSchema::new(),
-    );
+    let (program, registry) = with_skill(Block(Arc::clone(&free)), text);
     let stuck = Arc::new(Mutex::new(Vec::new()));
     let (first, second) = (Arc::clone(&stuck), Arc::clone(&stuck));
     let options = ExecOptions {
         on_stuck: Some(Box::new(move |state| first.lock().unwrap().push(format!("stop {state}")))),
         ..ExecOptions::default()
     };
-    let executor = Executor::new(checked.program.unwrap(), registry, Channels::new(), options).unwrap();
+    let executor = Executor::new(program, registry, Channels::new(), options).unwrap();
     let hang: OnStuck = Box::new(move |state| {
         second.lock().unwrap().push(format!("hangs {state}"));
         free.store(true, std::sync::atomic::Ordering::Relaxed);
@@ -407,7 +399,7 @@ states:
 ";
     let channels = Channels::new();
     channels.publish("hand", Value::record([("gesture", "fist".into())]));
-    let running = run_with(text, channels, |controller| Box::pin(flood(controller)));
+    let running = run_with(text, channels, flood);
     let (result, _) = tokio::time::timeout(Duration::from_secs(20), running).await.expect("it ends");
     assert_eq!(result.outcome, "success");
 }
@@ -422,7 +414,7 @@ states:
   A: {skill: Act, with: {end: stuck}, after: {20ms: B}}
   B: {}
 ";
-    let running = run_with(text, Channels::new(), |controller| Box::pin(flood(controller)));
+    let running = run_with(text, Channels::new(), flood);
     let (result, _) = tokio::time::timeout(Duration::from_secs(20), running).await.expect("it ends");
     assert_eq!(result.reason.as_deref(), Some("the skill of `A` did not return after it was cancelled"));
 }
@@ -453,10 +445,7 @@ states:
   Done: {final: success}
 ";
     let bound = crate::skill::MAX_EVENTS as u64;
-    let mut registry = Registry::new();
-    registry.add(Arc::new(Chatter(bound + 12)));
-    let library = crate::chart::load_text("test.yaml", text, &[]);
-    let checked = crate::chart::check(&library, &registry, &crate::chart::ChannelSchema::new());
+    let (program, registry) = with_skill(Chatter(bound + 12), text);
     let dropped = Arc::new(Mutex::new(Vec::new()));
     let seen = Arc::clone(&dropped);
     let sink = move |event: &TraceEvent| {
@@ -465,7 +454,7 @@ states:
         }
     };
     let options = ExecOptions { sink: Some(Box::new(sink)), ..ExecOptions::default() };
-    let executor = Executor::new(checked.program.unwrap(), registry, Channels::new(), options).unwrap();
+    let executor = Executor::new(program, registry, Channels::new(), options).unwrap();
     let result = executor.run().await;
     assert_eq!(result.outputs["heard"], Value::Int(bound as i64));
     assert_eq!(*dropped.lock().unwrap(), ["word: `A` raised 12 more than may wait"]);
@@ -477,4 +466,45 @@ async fn a_skill_that_this_program_does_not_have_fails_its_state() {
     let executor = Executor::new(program, Registry::new(), Channels::new(), ExecOptions::default());
     let result = executor.unwrap().run().await;
     assert_eq!(result.reason.as_deref(), Some("there is no skill `Act` in this program"));
+}
+
+/// Publishes on a channel that its chart declares.
+struct Measure;
+
+impl Skill for Measure {
+    fn manifest(&self) -> SkillManifest {
+        SkillManifest::new("Measure", "Measures the battery.").publishes("battery")
+    }
+    fn run(&self, context: SkillContext) -> BoxFuture<'static, SkillResult> {
+        Box::pin(async move {
+            for volts in [12.0, 11.5, 10.9] {
+                tokio::time::sleep(Duration::from_secs(1)).await;
+                context.channels.publish("battery", Value::record([("volts", Value::Float(volts))]));
+            }
+            context.cancel.cancelled().await;
+            Ok(crate::skill::Outcome::success())
+        })
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_a_skill_publishes_on_a_declared_channel_is_seen_by_watches() {
+    let text = "
+statechart: T
+channels: {battery: {type: {volts: {type: float, unit: V}}}}
+outputs: {volts: {type: float, unit: V}}
+initial: A
+states:
+  A:
+    skill: Measure
+    watch: {low: {if: \"channels.battery.volts < 11.0\", for: 500ms}}
+    transitions: {low: {target: Done, do: [{assign: {outputs.volts: \"${channels.battery.volts}\"}}]}, success: Done}
+  Done: {final: success}
+";
+    let (program, registry) = with_skill(Measure, text);
+    let began = tokio::time::Instant::now();
+    let executor = Executor::new(program, registry, Channels::new(), ExecOptions::default()).unwrap();
+    let result = executor.run().await;
+    assert_eq!(result.outputs["volts"], Value::Float(10.9));
+    assert_eq!(began.elapsed(), Duration::from_millis(3500));
 }

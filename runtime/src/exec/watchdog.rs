@@ -17,12 +17,12 @@ use super::OnStuck;
 use super::skills::Message;
 
 /// How long a skill may run without yielding before it counts as hanging, by default.
-const HANGS: Duration = Duration::from_secs(10);
+const HANG_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// When a skill's poll began, ns since the watchdog was made; 0 between polls.
 type Since = Arc<AtomicU64>;
 
-struct Shared {
+struct WatchdogState {
     began: Instant,
     skills: Mutex<BTreeMap<u64, (String, Since)>>,
     on_stuck: Mutex<Option<OnStuck>>,
@@ -31,7 +31,7 @@ struct Shared {
 }
 
 pub(super) struct Watchdog {
-    shared: Arc<Shared>,
+    shared: Arc<WatchdogState>,
     queue: mpsc::Sender<Message>,
     limit: Duration,
     on_hang: Option<OnStuck>,
@@ -41,7 +41,7 @@ pub(super) struct Watchdog {
 pub(super) struct Polls {
     activation: u64,
     since: Since,
-    shared: Arc<Shared>,
+    shared: Arc<WatchdogState>,
 }
 
 impl fmt::Debug for Polls {
@@ -54,7 +54,7 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl Shared {
+impl WatchdogState {
     fn now(&self) -> u64 {
         u64::try_from(self.began.elapsed().as_nanos()).unwrap_or(u64::MAX).max(1)
     }
@@ -78,14 +78,14 @@ impl Watchdog {
         reason = "it watches skills by the wall's clock, which goes on when a skill blocks the thread"
     )]
     pub(super) fn new(on_stuck: Option<OnStuck>, queue: mpsc::Sender<Message>) -> Self {
-        let shared = Shared {
+        let shared = WatchdogState {
             began: Instant::now(),
             skills: Mutex::default(),
             on_stuck: Mutex::new(on_stuck),
             over: Mutex::new(false),
             wake: Condvar::new(),
         };
-        Self { shared: Arc::new(shared), queue, limit: HANGS, on_hang: None }
+        Self { shared: Arc::new(shared), queue, limit: HANG_TIMEOUT, on_hang: None }
     }
 
     pub(super) fn set(&mut self, limit: Duration, on_hang: Option<OnStuck>) {
@@ -123,7 +123,7 @@ impl Drop for Watchdog {
     }
 }
 
-fn watch(shared: &Shared, queue: &mpsc::Sender<Message>, limit: Duration, on_hang: Option<OnStuck>) {
+fn watch(shared: &WatchdogState, queue: &mpsc::Sender<Message>, limit: Duration, on_hang: Option<OnStuck>) {
     let mut over = locked(&shared.over);
     while !*over {
         (over, _) = shared.wake.wait_timeout(over, limit / 4).unwrap_or_else(PoisonError::into_inner);

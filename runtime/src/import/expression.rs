@@ -83,22 +83,53 @@ impl Expr {
     }
 }
 
+/// Why an expression cannot be carried over.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(super) enum ExpressionError {
+    #[error("an expression has more than {MAX_LEN} bytes")]
+    TooLong,
+    #[error("the expression `{text}` cannot be carried over: {why}")]
+    Refused { text: String, why: Refusal },
+}
+
+/// What is wrong in an expression.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(super) enum Refusal {
+    #[error("`{0}` is not understood")]
+    Character(char),
+    #[error("`{0}` is not understood here")]
+    Unexpected(String),
+    #[error("`{0}` is not a number")]
+    Number(String),
+    #[error("`{0}` needs a data model")]
+    DataModel(String),
+    #[error("`_event.{0}` is not known here: `name` and `data` are")]
+    EventField(String),
+    /// The rest needs no name.
+    #[error("{0}")]
+    Form(&'static str),
+}
+
+use Refusal::Form;
+
 /// Parses an expression.
 ///
 /// # Errors
-/// One sentence for the user.
-pub(super) fn parse(text: &str, scope: &Scope<'_>) -> Result<Expr, String> {
-    let refused = |why: String| format!("the expression `{}` cannot be carried over: {why}", text.trim());
+/// [`ExpressionError`] when it needs a data model, or is none.
+pub(super) fn parse(text: &str, scope: &Scope<'_>) -> Result<Expr, ExpressionError> {
     if text.len() > MAX_LEN {
-        return Err(format!("an expression has more than {MAX_LEN} bytes"));
+        return Err(ExpressionError::TooLong);
     }
-    let tokens = tokens(text).map_err(refused)?;
-    let mut parser = Parser { tokens: &tokens, at: 0, scope };
-    let result = parser.or(0).and_then(|expr| match parser.tokens.get(parser.at) {
-        None => Ok(expr),
-        Some(token) => Err(format!("`{}` is not understood here", token.show())),
-    });
-    result.map_err(refused)
+    let parse = || {
+        let tokens = tokens(text)?;
+        let mut parser = Parser { tokens: &tokens, at: 0, scope };
+        let expr = parser.or(0)?;
+        match parser.tokens.get(parser.at) {
+            None => Ok(expr),
+            Some(token) => Err(Refusal::Unexpected(token.show())),
+        }
+    };
+    parse().map_err(|why| ExpressionError::Refused { text: text.trim().to_owned(), why })
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -123,7 +154,7 @@ impl Token {
 const OPERATORS: [&str; 17] =
     ["===", "!==", "==", "!=", "<=", ">=", "&&", "||", "<", ">", "!", "(", ")", "+", "-", ".", ","];
 
-fn tokens(text: &str) -> Result<Vec<Token>, String> {
+fn tokens(text: &str) -> Result<Vec<Token>, Refusal> {
     let mut result = Vec::new();
     let mut rest = text.trim_start();
     while let Some(first) = rest.chars().next() {
@@ -134,7 +165,7 @@ fn tokens(text: &str) -> Result<Vec<Token>, String> {
             used
         } else if first.is_ascii_digit() || (first == '.' && next_digit) {
             let end = rest.find(|c: char| !(c.is_ascii_alphanumeric() || c == '.')).unwrap_or(rest.len());
-            let number = rest[..end].parse().map_err(|_| format!("`{}` is not a number", &rest[..end]))?;
+            let number = rest[..end].parse().map_err(|_| Refusal::Number(rest[..end].to_owned()))?;
             result.push(Token::Number(number));
             end
         } else if first.is_alphabetic() || first == '_' || first == '$' {
@@ -144,7 +175,7 @@ fn tokens(text: &str) -> Result<Vec<Token>, String> {
             end
         } else {
             let op = OPERATORS.into_iter().find(|op| rest.starts_with(op));
-            let op = op.ok_or_else(|| format!("`{first}` is not understood"))?;
+            let op = op.ok_or(Refusal::Character(first))?;
             result.push(Token::Op(op));
             op.len()
         };
@@ -154,7 +185,7 @@ fn tokens(text: &str) -> Result<Vec<Token>, String> {
 }
 
 /// A quoted text and its length in bytes, with the quotes.
-fn quoted(text: &str, quote: char) -> Result<(String, usize), String> {
+fn quoted(text: &str, quote: char) -> Result<(String, usize), Refusal> {
     let mut result = String::new();
     let mut chars = text.char_indices().skip(1);
     while let Some((at, c)) = chars.next() {
@@ -165,12 +196,12 @@ fn quoted(text: &str, quote: char) -> Result<(String, usize), String> {
                 Some('t') => result.push('\t'),
                 Some('r') => result.push('\r'),
                 Some(c @ ('\\' | '\'' | '"' | '/')) => result.push(c),
-                _ => return Err("an escape in a text is not understood".into()),
+                _ => return Err(Form("an escape in a text is not understood")),
             },
             c => result.push(c),
         }
     }
-    Err("a text has no end".into())
+    Err(Form("a text has no end"))
 }
 
 struct Parser<'t> {
@@ -190,43 +221,40 @@ impl Parser<'_> {
         }
     }
 
-    fn or(&mut self, depth: usize) -> Result<Expr, String> {
+    fn or(&mut self, depth: usize) -> Result<Expr, Refusal> {
         if depth > MAX_DEPTH {
-            return Err("it is nested too deep".into());
+            return Err(Form("it is nested too deep"));
         }
-        let mut left = self.and(depth)?;
-        while self.take(&["||"]).is_some() {
-            let right = self.and(depth)?;
+        self.logic("||", true, |parser| parser.logic("&&", false, |parser| parser.comparison(depth)))
+    }
+
+    /// Operands joined by `op`; a literal whose truth is `decides` is the result whatever stands on its right.
+    fn logic(
+        &mut self,
+        op: &'static str,
+        decides: bool,
+        mut operand: impl FnMut(&mut Self) -> Result<Expr, Refusal>,
+    ) -> Result<Expr, Refusal> {
+        let mut left = operand(self)?;
+        while self.take(&[op]).is_some() {
+            let right = operand(self)?;
             left = match left.truth() {
-                Some(true) => left,
-                Some(false) => right,
-                None => Expr::Binary("||", Box::new(left), Box::new(right)),
+                Some(truth) if truth == decides => left,
+                Some(_) => right,
+                None => Expr::Binary(op, Box::new(left), Box::new(right)),
             };
         }
         Ok(left)
     }
 
-    fn and(&mut self, depth: usize) -> Result<Expr, String> {
-        let mut left = self.comparison(depth)?;
-        while self.take(&["&&"]).is_some() {
-            let right = self.comparison(depth)?;
-            left = match left.truth() {
-                Some(true) => right,
-                Some(false) => left,
-                None => Expr::Binary("&&", Box::new(left), Box::new(right)),
-            };
-        }
-        Ok(left)
-    }
-
-    fn comparison(&mut self, depth: usize) -> Result<Expr, String> {
+    fn comparison(&mut self, depth: usize) -> Result<Expr, Refusal> {
         let left = self.sum(depth)?;
         let Some(op) = self.take(&["===", "!==", "==", "!=", "<=", ">=", "<", ">"]) else { return Ok(left) };
         let right = self.sum(depth)?;
         compare(op, left, right)
     }
 
-    fn sum(&mut self, depth: usize) -> Result<Expr, String> {
+    fn sum(&mut self, depth: usize) -> Result<Expr, Refusal> {
         let mut left = self.unary(depth)?;
         while let Some(op) = self.take(&["+", "-"]) {
             let right = self.unary(depth)?;
@@ -235,9 +263,9 @@ impl Parser<'_> {
         Ok(left)
     }
 
-    fn unary(&mut self, depth: usize) -> Result<Expr, String> {
+    fn unary(&mut self, depth: usize) -> Result<Expr, Refusal> {
         if depth > MAX_DEPTH {
-            return Err("it is nested too deep".into());
+            return Err(Form("it is nested too deep"));
         }
         match self.take(&["!", "-", "("]) {
             Some("!") => {
@@ -249,24 +277,24 @@ impl Parser<'_> {
             }
             Some("-") => match self.unary(depth + 1)? {
                 Expr::Number(n) => Ok(Expr::Number(-n)),
-                _ => Err("`-` stands before a number only".into()),
+                _ => Err(Form("`-` stands before a number only")),
             },
             Some(_) => {
                 let inner = self.or(depth + 1)?;
-                self.take(&[")"]).ok_or("a `)` is missing")?;
+                self.take(&[")"]).ok_or(Form("a `)` is missing"))?;
                 Ok(inner)
             }
             None => self.primary(),
         }
     }
 
-    fn primary(&mut self) -> Result<Expr, String> {
-        let token = self.tokens.get(self.at).ok_or("it ends too early")?;
+    fn primary(&mut self) -> Result<Expr, Refusal> {
+        let token = self.tokens.get(self.at).ok_or(Form("it ends too early"))?;
         self.at += 1;
         match token {
             Token::Number(n) => Ok(Expr::Number(*n)),
             Token::Text(s) => Ok(Expr::Text(s.clone())),
-            Token::Op(op) => Err(format!("`{op}` is not understood here")),
+            Token::Op(op) => Err(Refusal::Unexpected((*op).to_owned())),
             Token::Name(name) => match name.as_str() {
                 "true" => Ok(Expr::Bool(true)),
                 "false" => Ok(Expr::Bool(false)),
@@ -274,27 +302,27 @@ impl Parser<'_> {
                 "_name" | "_sessionid" => Ok(Expr::Text(self.scope.chart.to_owned())),
                 "In" => self.in_state(),
                 "_event" => self.event(),
-                other => Err(format!("`{other}` needs a data model")),
+                other => Err(Refusal::DataModel(other.to_owned())),
             },
         }
     }
 
-    fn in_state(&mut self) -> Result<Expr, String> {
-        self.take(&["("]).ok_or("`In` is written `In('state')`")?;
+    fn in_state(&mut self) -> Result<Expr, Refusal> {
+        self.take(&["("]).ok_or(Form("`In` is written `In('state')`"))?;
         let Some(Token::Text(id)) = self.tokens.get(self.at).cloned() else {
-            return Err("`In` takes the id of a state as text".into());
+            return Err(Form("`In` takes the id of a state as text"));
         };
         self.at += 1;
-        self.take(&[")"]).ok_or("a `)` is missing")?;
+        self.take(&[")"]).ok_or(Form("a `)` is missing"))?;
         // A state that does not exist is never active.
         Ok((self.scope.path)(id.trim()).map_or(Expr::Bool(false), Expr::In))
     }
 
-    fn event(&mut self) -> Result<Expr, String> {
+    fn event(&mut self) -> Result<Expr, Refusal> {
         let mut path: Vec<String> = Vec::new();
         while self.take(&["."]).is_some() {
             let Some(Token::Name(part)) = self.tokens.get(self.at) else {
-                return Err("a name is needed after `.`".into());
+                return Err(Form("a name is needed after `.`"));
             };
             path.push(part.clone());
             self.at += 1;
@@ -302,13 +330,13 @@ impl Parser<'_> {
         match path.first().map(String::as_str) {
             Some("name") if path.len() == 1 => Ok(Expr::Event("name".into())),
             Some("data") => Ok(Expr::Event(path.join("."))),
-            Some(other) => Err(format!("`_event.{other}` is not known here: `name` and `data` are")),
-            None => Err("`_event` is used with `.name` or `.data`".into()),
+            Some(other) => Err(Refusal::EventField(other.to_owned())),
+            None => Err(Form("`_event` is used with `.name` or `.data`")),
         }
     }
 }
 
-fn compare(op: &'static str, left: Expr, right: Expr) -> Result<Expr, String> {
+fn compare(op: &'static str, left: Expr, right: Expr) -> Result<Expr, Refusal> {
     use Expr::{Bool, Number, Text};
     let cel = match op {
         "===" => "==",
@@ -340,11 +368,11 @@ fn compare(op: &'static str, left: Expr, right: Expr) -> Result<Expr, String> {
     match (same, cel) {
         (Some(same), "==") => Ok(Bool(same)),
         (Some(same), "!=") => Ok(Bool(!same)),
-        _ => Err("values of different kinds are compared".into()),
+        _ => Err(Form("values of different kinds are compared")),
     }
 }
 
-fn add(op: &'static str, left: Expr, right: Expr) -> Result<Expr, String> {
+fn add(op: &'static str, left: Expr, right: Expr) -> Result<Expr, Refusal> {
     match (op, &left, &right) {
         ("+", Expr::Number(a), Expr::Number(b)) => Ok(Expr::Number(a + b)),
         ("-", Expr::Number(a), Expr::Number(b)) => Ok(Expr::Number(a - b)),
@@ -355,6 +383,6 @@ fn add(op: &'static str, left: Expr, right: Expr) -> Result<Expr, String> {
         ("+", Expr::Binary("+", ..) | Expr::Event(_), Expr::Event(_)) => {
             Ok(Expr::Binary("+", Box::new(left), Box::new(right)))
         }
-        _ => Err("only numbers and texts are added".into()),
+        _ => Err(Form("only numbers and texts are added")),
     }
 }

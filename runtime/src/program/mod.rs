@@ -9,12 +9,13 @@ mod tables;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use armarium_source::Source;
+use armarium_source::{Source, suggest};
 use armarium_values::expr::Expr;
-use armarium_values::{Type, Value};
+use armarium_values::{ConvertError, Type, Value};
 
 use crate::skill::{Limits, Parameter, SkillManifest};
 
@@ -55,6 +56,10 @@ pub struct Program {
     pub(crate) profiles: BTreeMap<String, BTreeMap<String, Value>>,
     /// The data types of the events that declare one.
     pub(crate) event_types: BTreeMap<String, Type>,
+    /// The types of all channels that its charts know.
+    pub(crate) channel_types: BTreeMap<String, Type>,
+    /// The events from outside that charts declare.
+    pub(crate) declared_events: BTreeSet<String>,
 }
 
 impl fmt::Debug for Program {
@@ -244,6 +249,33 @@ pub(crate) struct Send {
     pub(crate) place: Place,
 }
 
+/// How many events a message names.
+const MAX_EVENTS_NAMED: usize = 6;
+
+/// Why a chart does not take an event.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum EventRefused {
+    /// It neither declares nor takes an event of that name.
+    #[error("the chart `{chart}` takes no event `{event}`: {help}")]
+    Unknown {
+        /// The chart.
+        chart: String,
+        /// The event.
+        event: String,
+        /// A similar event, or those that it takes.
+        help: String,
+    },
+    /// The data are of another type than the chart declares.
+    #[error("the data of `{event}`: {source}")]
+    Data {
+        /// The event.
+        event: String,
+        /// Why.
+        source: ConvertError,
+    },
+}
+
 impl Program {
     /// The same program with its transitions' domains and its tables. To be called once all states exist.
     pub(crate) fn linked(mut self) -> Self {
@@ -258,9 +290,13 @@ impl Program {
     }
 
     /// The chart's name.
-    #[must_use]
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// The file of the chart.
+    pub(crate) fn file(&self) -> &Path {
+        self.sources.first().map_or(Path::new(""), |source| &source.path)
     }
 
     /// The chart's inputs.
@@ -273,8 +309,57 @@ impl Program {
         self.instances[0].outputs.iter().map(|v| &v.declaration)
     }
 
+    /// What a state waits for, for people: the events that it and the states around it take.
+    pub(crate) fn waits_for(&self, state: StateId) -> String {
+        let mut events: Vec<&str> = Vec::new();
+        for around in self.outward(state) {
+            let of = self.state(around);
+            let watches = of.watches.iter().map(|w| self.symbols.name(self.watches[*w as usize].name));
+            let taken = of.transitions.iter().filter_map(|t| match &self.transitions[*t as usize].pattern {
+                Pattern::Exact(name) => Some(&**name),
+                _ => None,
+            });
+            for event in taken.chain(watches) {
+                if !events.contains(&event) {
+                    events.push(event);
+                }
+            }
+        }
+        let name = self.name_of(state);
+        match events.split_at_checked(MAX_EVENTS_NAMED) {
+            _ if events.is_empty() => format!("nothing leads out of `{name}`"),
+            Some((first, rest)) if !rest.is_empty() => {
+                format!("`{name}` waits for {} or {} others", first.join(", "), rest.len())
+            }
+            _ => format!("`{name}` waits for {}", events.join(", ")),
+        }
+    }
+
+    /// Whether charts take an event from outside, with these data.
+    ///
+    /// # Errors
+    /// [`EventRefused`] when no chart declares or takes it, or its data are of another type.
+    pub fn accepts(&self, event: &str, data: &Value) -> Result<(), EventRefused> {
+        let taken = || self.transitions.iter().any(|t| t.pattern.matches(event));
+        if !self.declared_events.contains(event) && !taken() {
+            let declared = self.declared_events.iter().map(String::as_str);
+            let help = suggest(event, declared.clone())
+                .unwrap_or_else(|| format!("its events are {}", declared.collect::<Vec<_>>().join(", ")));
+            let help = if self.declared_events.is_empty() { "it declares no events".into() } else { help };
+            return Err(EventRefused::Unknown { chart: self.name.clone(), event: event.to_owned(), help });
+        }
+        let Some(ty) = self.event_types.get(event) else { return Ok(()) };
+        ty.convert(data.clone())
+            .map(drop)
+            .map_err(|source| EventRefused::Data { event: event.to_owned(), source })
+    }
+
+    /// The events from outside that charts declare, with the type of what comes with them.
+    pub fn events(&self) -> impl Iterator<Item = (&str, Option<&Type>)> {
+        self.declared_events.iter().map(|event| (event.as_str(), self.event_types.get(event)))
+    }
+
     /// The outcomes that the chart can end with beyond `success` and `failure`, in their order.
-    #[must_use]
     pub fn outcomes(&self) -> Vec<String> {
         let mut outcomes = BTreeSet::new();
         self.outcomes_of(1, &mut outcomes);
@@ -303,7 +388,6 @@ impl Program {
     }
 
     /// The longest grace of the chart's skills: how long they may take to return after a cancel.
-    #[must_use]
     pub fn grace(&self) -> Duration {
         let grace = |state: &State| match &state.kind {
             Kind::Skill { manifest } => Some(manifest.grace),
@@ -313,7 +397,6 @@ impl Program {
     }
 
     /// The limbs that skills of the chart command, in alphabetical order.
-    #[must_use]
     pub fn limbs(&self) -> Vec<String> {
         let mut limbs = BTreeSet::new();
         for state in &self.states {
@@ -325,7 +408,6 @@ impl Program {
     }
 
     /// The channels that expressions read; a channel's number is its index here.
-    #[must_use]
     pub fn channels(&self) -> &[String] {
         &self.channels
     }
@@ -336,43 +418,36 @@ impl Program {
     }
 
     /// The path of a state.
-    #[must_use]
     pub fn path(&self, state: StateId) -> &str {
         &self.states[state as usize].path
     }
 
     /// A state's own name.
-    #[must_use]
     pub fn name_of(&self, state: StateId) -> &str {
         &self.states[state as usize].name
     }
 
     /// The state around a state; none for state 0, which stands for the run.
-    #[must_use]
     pub fn parent_of(&self, state: StateId) -> Option<StateId> {
         self.states.get(state as usize)?.parent
     }
 
     /// Whether a state is a root: the run, or the root of a chart, which shares the path of the state around it.
-    #[must_use]
     pub fn is_root(&self, state: StateId) -> bool {
         state == 0 || self.states[state as usize].chart_root
     }
 
     /// The number of an event that the chart knows, for `Engine::raise`.
-    #[must_use]
     pub fn event(&self, name: &str) -> Option<EventId> {
         self.symbols.find(name).map(EventId)
     }
 
     /// The number of states, with those of the charts inside.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.states.len()
     }
 
     /// False for every compiled program: it has at least one state.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.states.is_empty()
     }

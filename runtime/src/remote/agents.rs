@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
-use armarium_bus::{Payload, Session, keys};
+use armarium_bus::{Key, KeyError, Payload, Reply, Session, SessionError, keys};
 use armarium_source::suggest;
 use futures::FutureExt as _;
 use futures::future::BoxFuture;
@@ -15,23 +15,20 @@ use tokio::runtime::Handle;
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep, timeout};
 
-use super::wire::{Cancel, Ended, Manifest, Start, Status, answered, packed};
-use super::{HELD, LEASE};
+use super::wire::{Cancel, Ended, Manifest, MessageError, Start, Status, answered, packed};
+use super::{LEASE, MAX_POLL_WAIT};
 use crate::chart::{Refused, Registry};
 use crate::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
 
 /// Largest number of manifests per query.
-const MOST_MANIFESTS: usize = 4096;
+const MAX_MANIFESTS: usize = 4096;
 /// Pause between queries while nobody answers.
-const AGAIN: Duration = Duration::from_millis(20);
+const RETRY_INTERVAL: Duration = Duration::from_millis(20);
 /// Additional grace of a remote state: time for the cancel to arrive, or for a lease to expire.
-const BEYOND: Duration = Duration::from_millis(1000);
+const EXTRA_GRACE: Duration = Duration::from_millis(1000);
 
 /// Number of calls made by this process.
 static CALLS: AtomicU64 = AtomicU64::new(0);
-
-/// How long to wait for agents that are not there yet.
-pub type Patience = Duration;
 
 /// The agents that can be reached through a session.
 #[derive(Clone, Debug)]
@@ -45,15 +42,14 @@ pub struct Agents {
 impl Agents {
     /// Access to the agents that `session` reaches. `caller` is the name that they see as caller. Calls run on
     /// `threads`, a runtime in real time.
-    #[must_use]
     pub fn new(session: Session, caller: &str, threads: Handle) -> Self {
         Self { session, caller: caller.to_owned(), threads }
     }
 
     /// Queries the `agent/Name` that charts use, and enters in the registry what exists and why something cannot be
-    /// used. Agents that do not answer are queried again until `patience` has passed.
-    pub async fn resolve(&self, names: &BTreeSet<String>, patience: Patience, registry: &mut Registry) {
-        let deadline = Instant::now() + patience;
+    /// used. Agents that do not answer are queried again until `timeout` has passed.
+    pub async fn resolve(&self, names: &BTreeSet<String>, timeout: Duration, registry: &mut Registry) {
+        let deadline = Instant::now() + timeout;
         let mut waiting: BTreeSet<&String> = names.iter().collect();
         while !waiting.is_empty() {
             let last = Instant::now() >= deadline;
@@ -80,17 +76,19 @@ impl Agents {
                 }
             });
             if !waiting.is_empty() {
-                sleep(AGAIN).await;
+                sleep(RETRY_INTERVAL).await;
             }
         }
     }
 
-    /// The manifests of an agent: all, or those under one name. A manifest that cannot be read is an error message.
-    async fn offered(&self, agent: &str, name: Option<&str>) -> Vec<Result<Manifest, String>> {
+    /// The manifests of an agent: all, or those under one name, or why one of them cannot be read.
+    async fn offered(&self, agent: &str, name: Option<&str>) -> Vec<Result<Manifest, CallError>> {
         let Ok(pattern) = keys::chart_pattern(Some(agent), name) else { return Vec::new() };
-        match self.session.ask(pattern, "", None, MOST_MANIFESTS, LEASE).await {
-            Ok(answers) => answers.iter().filter_map(answered).collect(),
-            Err(error) => vec![Err(error.to_string())],
+        match self.session.query(pattern, "", None, MAX_MANIFESTS, LEASE).await {
+            Ok(answers) => {
+                answers.iter().filter_map(|a| Some(answered(a)?.map_err(CallError::from))).collect()
+            }
+            Err(error) => vec![Err(error.into())],
         }
     }
 
@@ -101,20 +99,39 @@ impl Agents {
         name: &str,
         message: &P,
         within: Duration,
-    ) -> Option<Result<Status, String>> {
-        let key = match keys::chart(agent, name) {
-            Ok(key) => key,
-            Err(error) => return Some(Err(error.to_string())),
-        };
-        let (encoding, bytes) = match packed(message) {
-            Ok(packed) => packed,
+    ) -> Option<Result<Status, CallError>> {
+        let message =
+            keys::chart(agent, name).map_err(CallError::from).and_then(|key| Ok((key, packed(message)?)));
+        let (key, message) = match message {
+            Ok(message) => message,
             Err(error) => return Some(Err(error)),
         };
-        let asked = self.session.ask(key, "", Some((&encoding, bytes)), 16, within);
-        // Zenoh has a timeout as well, but it is late when Zenoh's own threads are delayed.
-        let answers = timeout(within, asked).await.ok()?.ok()?;
-        answers.iter().find_map(answered)
+        let answers = self.ask_within(key, &message, within).await.ok()?;
+        answers.iter().find_map(answered).map(|status| status.map_err(CallError::from))
     }
+
+    /// Sends a message as a query; without answers in time there are none.
+    pub(super) async fn ask_within(
+        &self,
+        key: Key,
+        (encoding, bytes): &(String, Vec<u8>),
+        within: Duration,
+    ) -> Result<Vec<Reply>, SessionError> {
+        let asked = self.session.query(key, "", Some((encoding, bytes.clone())), 16, within);
+        // Zenoh has a timeout as well, but it is late when Zenoh's own threads are delayed.
+        timeout(within, asked).await.unwrap_or_else(|_| Ok(Vec::new()))
+    }
+}
+
+/// Why a query has no status or manifest.
+#[derive(Debug, thiserror::Error)]
+enum CallError {
+    #[error(transparent)]
+    Key(#[from] KeyError),
+    #[error(transparent)]
+    Message(#[from] MessageError),
+    #[error(transparent)]
+    Session(#[from] SessionError),
 }
 
 /// Why something cannot be used.
@@ -130,7 +147,7 @@ fn refused(reason: String, help: impl Into<String>) -> Refused {
 }
 
 /// The only manifest of that name.
-fn chosen(agent: &str, wanted: &str, offered: &[Result<Manifest, String>]) -> Result<Manifest, Missing> {
+fn chosen(agent: &str, wanted: &str, offered: &[Result<Manifest, CallError>]) -> Result<Manifest, Missing> {
     if offered.is_empty() {
         let help = format!(
             "start it with `armarium agent --name {agent} CHARTS`, and give what it listens on: \
@@ -172,7 +189,7 @@ struct Remote {
 
 impl Skill for Remote {
     fn manifest(&self) -> SkillManifest {
-        self.manifest.skill(&self.name, BEYOND)
+        self.manifest.skill(&self.name, EXTRA_GRACE)
     }
 
     fn run(&self, context: SkillContext) -> BoxFuture<'static, SkillResult> {
@@ -233,7 +250,7 @@ impl Call {
         let mut seen = 0;
         let mut cancelled = false;
         loop {
-            let poll = super::wire::Poll { call: self.id.clone(), seen, wait_s: HELD.as_secs_f64() };
+            let poll = super::wire::Poll { call: self.id.clone(), seen, wait_s: MAX_POLL_WAIT.as_secs_f64() };
             let asked = self.agents.ask(&self.agent, &self.name, &poll, self.left());
             let answer = tokio::select! {
                 biased;
@@ -247,15 +264,15 @@ impl Call {
             match answer {
                 Some(Ok(status)) => {
                     self.heard = Instant::now();
-                    if let Some(ended) = self.told(status, &mut seen, &context).await {
+                    if let Some(ended) = self.pass_on(status, &mut seen, &context).await {
                         return ended.into();
                     }
                 }
-                Some(Err(reason)) => {
-                    return Err(Failure::new(format!("`{}/{}`: {reason}", self.agent, self.name)));
+                Some(Err(error)) => {
+                    return Err(Failure::new(format!("`{}/{}`: {error}", self.agent, self.name)));
                 }
                 None if self.left().is_zero() => return Err(self.lost()),
-                None => sleep(AGAIN.min(self.left())).await,
+                None => sleep(RETRY_INTERVAL.min(self.left())).await,
             }
         }
     }
@@ -278,7 +295,7 @@ impl Call {
                 Ok(manifest) => break manifest,
                 Err(Missing::Wrong(refused)) => return Err(Failure::new(refused.reason)),
                 Err(Missing::Absent(_)) if self.left().is_zero() => return Err(self.lost()),
-                Err(Missing::Absent(_)) => sleep(AGAIN).await,
+                Err(Missing::Absent(_)) => sleep(RETRY_INTERVAL).await,
             }
         };
         if manifest.version != self.version {
@@ -302,7 +319,7 @@ impl Call {
                 self.heard = Instant::now();
                 Ok(())
             }
-            Some(Err(reason)) => Err(Failure::new(reason)),
+            Some(Err(error)) => Err(Failure::new(error.to_string())),
             None => Err(self.lost()),
         }
     }
@@ -316,12 +333,12 @@ impl Call {
                 self.heard = Instant::now();
                 return;
             }
-            sleep(AGAIN.min(self.left())).await;
+            sleep(RETRY_INTERVAL.min(self.left())).await;
         }
     }
 
     /// Passes on what is new in a status. Returns how the call ended, once it has.
-    async fn told(&mut self, status: Status, seen: &mut u64, context: &SkillContext) -> Option<Ended> {
+    async fn pass_on(&mut self, status: Status, seen: &mut u64, context: &SkillContext) -> Option<Ended> {
         for event in status.events.into_iter().filter(|e| e.revision > *seen) {
             context.events.raise(&event.name, event.data);
         }
@@ -332,7 +349,7 @@ impl Call {
         }
         // If a process answers at once instead of waiting for news, pause before the next poll.
         if status.revision <= *seen && status.ended.is_none() {
-            sleep(AGAIN).await;
+            sleep(RETRY_INTERVAL).await;
         }
         *seen = status.revision.max(*seen);
         context.inside.send_if_modified(|inside| {

@@ -16,7 +16,7 @@ use crate::skill::{Failure, MAX_EVENTS};
 
 /// The state of the call that the caller polls.
 #[derive(Debug, Default)]
-struct State {
+struct CallState {
     revision: u64,
     leaves: Vec<String>,
     events: VecDeque<RaisedEvent>,
@@ -28,7 +28,7 @@ struct State {
 /// A call that runs or has ended.
 #[derive(Debug)]
 pub(super) struct Call {
-    state: watch::Sender<State>,
+    state: watch::Sender<CallState>,
     heard: Mutex<Instant>,
     cancel: CancellationToken,
 }
@@ -36,7 +36,7 @@ pub(super) struct Call {
 impl Call {
     /// A new call; `cancel` is the token in its skill's context.
     pub(super) fn new(cancel: CancellationToken) -> Self {
-        Self { state: watch::channel(State::default()).0, heard: Mutex::new(Instant::now()), cancel }
+        Self { state: watch::channel(CallState::default()).0, heard: Mutex::new(Instant::now()), cancel }
     }
 
     pub(super) fn cancel(&self) {

@@ -8,39 +8,39 @@ use std::time::Duration;
 use armarium_bus::{Session, keys};
 use futures::FutureExt as _;
 use futures::future::BoxFuture;
-use tokio::time::{Instant, sleep, timeout};
+use tokio::time::{Instant, sleep};
 
 use super::LEASE;
 use super::agents::Agents;
-use super::serve::ServeError;
-use super::wire::{EventMessage, EventReceipt, Refusal, answered, packed, unpacked};
-use crate::exec::{RemoteEvent, Subscribers, Transport};
+use super::serve::{ServeError, respond};
+use super::wire::{EventMessage, EventReceipt, MessageError, answered, packed, unpacked};
+use crate::exec::{DeliveryError, RemoteEvent, Subscribers, Transport};
 
 /// Largest number of waiting queries.
-const MOST_QUESTIONS: usize = 256;
+const MAX_QUERIES: usize = 256;
 /// Pause between queries while nobody answers.
-const AGAIN: Duration = Duration::from_millis(20);
+const RETRY_INTERVAL: Duration = Duration::from_millis(20);
 /// Number of received events that are remembered, so that an event that arrives twice is raised once.
-const REMEMBERED: usize = 1024;
+const MAX_REMEMBERED: usize = 1024;
 
 /// Number of events that this process has sent.
 static SENT: AtomicU64 = AtomicU64::new(0);
 
 impl Transport for Agents {
-    fn deliver(&self, sent: RemoteEvent) -> BoxFuture<'static, Result<(), String>> {
+    fn deliver(&self, sent: RemoteEvent) -> BoxFuture<'static, Result<(), DeliveryError>> {
         let agents = self.clone();
-        let task = self.threads.spawn(async move { agents.tell(sent).await });
-        async move { task.await.unwrap_or_else(|error| Err(format!("it was lost: {error}"))) }.boxed()
+        let task = self.threads.spawn(async move { agents.send_event(sent).await });
+        async move { task.await.unwrap_or_else(|error| Err(DeliveryError::Lost(error))) }.boxed()
     }
 }
 
 impl Agents {
-    async fn tell(&self, sent: RemoteEvent) -> Result<(), String> {
+    async fn send_event(&self, sent: RemoteEvent) -> Result<(), DeliveryError> {
         let (agent, chart) = match sent.to.split_once('/') {
             Some((agent, chart)) => (agent, Some(chart.to_owned())),
             None => (sent.to.as_str(), None),
         };
-        let key = keys::event(agent).map_err(|e| e.to_string())?;
+        let key = keys::event(agent).map_err(DeliveryError::transport)?;
         let number = SENT.fetch_add(1, Ordering::Relaxed);
         let message = EventMessage {
             id: format!("{}-{number}", self.session.id()),
@@ -49,38 +49,26 @@ impl Agents {
             name: sent.event,
             data: sent.data,
         };
-        let (encoding, bytes) = packed(&message)?;
+        let message = packed(&message).map_err(DeliveryError::transport)?;
         let until = Instant::now() + LEASE;
         loop {
             let left = until.saturating_duration_since(Instant::now());
-            let question = Some((encoding.as_str(), bytes.clone()));
-            let asked = self.session.ask(key.clone(), "", question, 16, left);
-            // Zenoh has a timeout as well, but it is late when Zenoh's own threads are delayed.
-            let answers = match timeout(left, asked).await {
-                Ok(answers) => answers.map_err(|e| e.to_string())?,
-                Err(_) => Vec::new(),
-            };
-            let heard: Result<Vec<EventReceipt>, String> = answers.iter().filter_map(answered).collect();
-            match heard?.as_slice() {
-                [] if left.is_zero() => return Err(format!("no agent `{agent}` answers")),
-                [] => sleep(AGAIN.min(left)).await,
+            let answers =
+                self.ask_within(key.clone(), &message, left).await.map_err(DeliveryError::transport)?;
+            let receipts: Result<Vec<EventReceipt>, MessageError> =
+                answers.iter().filter_map(answered).collect();
+            let agent = agent.to_owned();
+            match receipts.map_err(DeliveryError::transport)?.as_slice() {
+                [] if left.is_zero() => return Err(DeliveryError::NoAgent { agent }),
+                [] => sleep(RETRY_INTERVAL.min(left)).await,
                 [one] if one.charts > 0 => return Ok(()),
-                [_] => return Err(nobody(agent, chart.as_deref())),
+                [_] => return Err(DeliveryError::NoChart { agent, chart }),
                 [one, two, ..] => {
-                    return Err(format!(
-                        "two agents are called `{agent}`, the processes {} and {}, and both have heard it",
-                        one.instance, two.instance
-                    ));
+                    let instances = [one.instance.clone(), two.instance.clone()];
+                    return Err(DeliveryError::TwoAgents { agent, instances });
                 }
             }
         }
-    }
-}
-
-fn nobody(agent: &str, chart: Option<&str>) -> String {
-    match chart {
-        Some(chart) => format!("`{agent}` runs no chart `{chart}` now"),
-        None => format!("`{agent}` runs no chart now"),
     }
 }
 
@@ -88,46 +76,49 @@ fn nobody(agent: &str, chart: Option<&str>) -> String {
 ///
 /// # Errors
 /// [`ServeError`] when the key cannot be served.
-pub async fn hear(session: &Session, agent: &str, subscribers: Subscribers) -> Result<(), ServeError> {
+pub async fn receive_events(
+    session: &Session,
+    agent: &str,
+    subscribers: Subscribers,
+) -> Result<(), ServeError> {
     let key = keys::event(agent)?;
-    let mut questions = session.answer(key.clone(), MOST_QUESTIONS).await?;
+    let mut questions = session.declare_queryable(key.clone(), MAX_QUERIES).await?;
     let mut remembered: VecDeque<(String, u32)> = VecDeque::new();
     let instance = session.id();
     while let Some(question) = questions.next().await {
-        let heard = unpacked::<EventMessage>(&question.encoding, &question.payload).and_then(|message| {
+        let mut receive = || -> Result<EventReceipt, EventError> {
+            let message: EventMessage = unpacked(&question.encoding, &question.payload)?;
             if let Some((_, charts)) = remembered.iter().find(|(sent, _)| *sent == message.id) {
-                return Ok(*charts);
+                return Ok(EventReceipt { charts: *charts, instance: instance.clone() });
             }
             tracing::debug!(event = %message.name, caller = %message.caller, "another agent sends an event");
             let charts = subscribers.raise(message.chart.as_deref(), &message.name, &message.data)?;
             if charts > 0 {
-                if remembered.len() >= REMEMBERED {
+                if remembered.len() >= MAX_REMEMBERED {
                     remembered.pop_front();
                 }
                 remembered.push_back((message.id, charts));
             }
-            Ok(charts)
-        });
-        let sent = match heard.and_then(|charts| packed(&EventReceipt { charts, instance: instance.clone() }))
-        {
-            Ok((encoding, bytes)) => question.reply(&key, &encoding, bytes).await,
-            Err(reason) => match packed(&Refusal { reason }) {
-                Ok((encoding, bytes)) => question.refuse(&encoding, bytes).await,
-                Err(_) => continue,
-            },
+            Ok(EventReceipt { charts, instance: instance.clone() })
         };
-        if let Err(error) = sent {
-            tracing::debug!(%error, "an answer did not reach who sent an event");
-        }
+        respond(&question, &key, receive()).await;
     }
     Ok(())
+}
+
+/// Why a received event is refused.
+#[derive(Debug, thiserror::Error)]
+enum EventError {
+    #[error(transparent)]
+    Message(#[from] MessageError),
+    #[error(transparent)]
+    Delivery(#[from] DeliveryError),
 }
 
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
 
-    use armarium_bus::SessionConfig;
     use armarium_values::Value;
     use tokio::runtime::Handle;
 
@@ -136,12 +127,7 @@ mod tests {
     use crate::chart::Registry;
     use crate::chart::testing::program;
     use crate::exec::{ExecOptions, Executor, Peers, RunResult};
-
-    async fn pair() -> (Session, Session) {
-        let one = Session::open(&SessionConfig::default()).await.unwrap();
-        let two = Session::open(&SessionConfig::connected_to(&one.endpoints().await)).await.unwrap();
-        (one, two)
-    }
+    use crate::remote::tests::pair;
 
     /// An agent named `name` that runs charts.
     fn agent(session: &Session, name: &'static str) -> Peers {
@@ -150,7 +136,7 @@ mod tests {
             subscribers: Subscribers::default(),
         };
         let (session, subscribers) = (session.clone(), others.subscribers.clone());
-        tokio::spawn(async move { hear(&session, name, subscribers).await });
+        tokio::spawn(async move { receive_events(&session, name, subscribers).await });
         others
     }
 
@@ -244,40 +230,51 @@ states:
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-    async fn an_event_that_comes_twice_is_heard_once_and_one_with_a_wrong_type_is_an_error_there() {
+    async fn an_event_that_comes_twice_is_raised_once_and_one_that_does_not_fit_is_refused() {
         let (one, two) = pair().await;
         let bob = agent(&two, "bob");
         let chart = "
 statechart: Bob
-events: {count: {data: {n: int}}}
+events: {count: {data: {n: int}}, last: {}}
 locals: {n: {type: int, default: 0}}
 initial: Listen
 states:
   Listen:
     transitions:
       count: {do: [{assign: {locals.n: \"${locals.n + 1}\"}}]}
-      error.communication: [{if: locals.n == 1, target: Done}, {target: Wrong}]
+      last: [{if: locals.n == 1, target: Done}, {target: Wrong}]
   Done: {final: success}
   Wrong: {final: failure}
 ";
         let listening = tokio::spawn(run(&bob, chart));
-        let message = |id: &str, data: Value| EventMessage {
+        let message = |id: &str, name: &str, data: Value| EventMessage {
             id: id.into(),
             caller: "a test".into(),
             chart: None,
-            name: "count".into(),
+            name: name.into(),
             data: Value::record([("n", data)]),
         };
-        for message in
-            [message("x-1", Value::Int(1)), message("x-1", Value::Int(1)), message("x-2", "many".into())]
-        {
+        for (message, refusal) in [
+            (message("x-1", "count", Value::Int(1)), ""),
+            (message("x-1", "count", Value::Int(1)), ""),
+            (message("x-2", "count", "many".into()), "the data of `count`"),
+            (message("x-3", "cont", Value::Int(1)), "did you mean `count`?"),
+            (message("x-4", "last", Value::Int(1)), ""),
+        ] {
             let (encoding, bytes) = packed(&message).unwrap();
             // Until a chart receives it.
             loop {
                 let question = Some((encoding.as_str(), bytes.clone()));
-                let answers = one.ask(keys::event("bob").unwrap(), "", question, 16, LEASE).await.unwrap();
+                let answers = one.query(keys::event("bob").unwrap(), "", question, 16, LEASE).await.unwrap();
                 match answers.iter().find_map(answered::<EventReceipt>) {
-                    Some(Ok(heard)) if heard.charts == 1 => break,
+                    Some(Ok(receipt)) if receipt.charts == 1 => {
+                        assert_eq!(refusal, "");
+                        break;
+                    }
+                    Some(Err(error)) => {
+                        assert!(!refusal.is_empty() && error.to_string().contains(refusal), "{error}");
+                        break;
+                    }
                     _ => tokio::task::yield_now().await,
                 }
             }

@@ -2,28 +2,29 @@
 //! polls.
 
 use std::collections::BTreeMap;
+use std::convert::Infallible;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use armarium_bus::{Key, KeyError, Question, Session, SessionError, keys};
+use armarium_bus::{IncomingQuery, Key, KeyError, Payload, Session, SessionError, keys};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use super::HELD;
+use super::MAX_POLL_WAIT;
 use super::call::Call;
-use super::wire::{Cancel, Manifest, Poll, Refusal, Start, Status, packed, unpacked};
+use super::wire::{Cancel, Manifest, MessageError, Poll, Refusal, Start, Status, packed, unpacked};
 use crate::activation::{self, Activation};
 use crate::channels::Channels;
 use crate::exec::Stop;
-use crate::skill::{self, Skill};
+use crate::skill::{self, InputError, Skill};
 
 /// Largest number of calls at a time.
-const MOST_CALLS: usize = 64;
+const MAX_CALLS: usize = 64;
 /// Largest number of queries that are answered at a time; more get no answer.
-const MOST_QUESTIONS: usize = 256;
+const MAX_QUERIES: usize = 256;
 /// How long the result of a call is kept for its caller.
-const KEPT: Duration = Duration::from_secs(10);
+const RESULT_LIFETIME: Duration = Duration::from_secs(10);
 
 /// Why an agent cannot offer anything.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -41,6 +42,41 @@ pub enum ServeError {
         /// The name.
         name: String,
     },
+}
+
+/// Why a call is refused.
+#[derive(Debug, thiserror::Error)]
+enum CallError {
+    #[error(transparent)]
+    Message(#[from] MessageError),
+    #[error("`{encoding}` is no question that is understood here")]
+    NotUnderstood { encoding: String },
+    #[error("`{name}` is version {here} now, and the caller's chart was checked with version {there}")]
+    OtherVersion { name: String, here: String, there: String },
+    #[error("`{name}`: {error}")]
+    Inputs { name: String, error: InputError },
+    #[error("`{agent}` runs {MAX_CALLS} calls already")]
+    TooMany { agent: String },
+}
+
+/// Answers a query with a message, or with the reason why it is refused.
+pub(super) async fn respond<P: Payload>(
+    question: &IncomingQuery,
+    key: &Key,
+    answer: Result<P, impl fmt::Display>,
+) {
+    let answer = answer.map_err(|error| error.to_string());
+    let message = answer.and_then(|message| packed(&message).map_err(|error| error.to_string()));
+    let sent = match message {
+        Ok((encoding, bytes)) => question.reply(key, &encoding, bytes).await,
+        Err(reason) => match packed(&Refusal { reason }) {
+            Ok((encoding, bytes)) => question.refuse(&encoding, bytes).await,
+            Err(_) => return,
+        },
+    };
+    if let Err(error) = sent {
+        tracing::debug!(%error, "an answer did not reach who asked");
+    }
 }
 
 /// One skill or chart that is offered.
@@ -70,7 +106,6 @@ impl fmt::Debug for Offers {
 
 impl Offers {
     /// An agent that offers nothing yet. `stop` is called when a skill does not return.
-    #[must_use]
     pub fn new(agent: &str, session: &Session, channels: Channels, stop: Stop) -> Self {
         Self { agent: agent.to_owned(), offers: BTreeMap::new(), instance: session.id(), channels, stop }
     }
@@ -108,9 +143,9 @@ struct Server {
 /// [`ServeError`] when nothing can be offered.
 pub async fn serve(session: &Session, offers: Offers) -> Result<(), ServeError> {
     let mut questions =
-        session.answer(keys::chart_pattern(Some(&offers.agent), None)?, MOST_QUESTIONS).await?;
+        session.declare_queryable(keys::chart_pattern(Some(&offers.agent), None)?, MAX_QUERIES).await?;
     let server = Arc::new(Server { offers, calls: Mutex::default() });
-    let places = Arc::new(Semaphore::new(MOST_QUESTIONS));
+    let places = Arc::new(Semaphore::new(MAX_QUERIES));
     while let Some(question) = questions.next().await {
         let Ok(place) = Arc::clone(&places).try_acquire_owned() else { continue };
         let server = Arc::clone(&server);
@@ -123,7 +158,7 @@ pub async fn serve(session: &Session, offers: Offers) -> Result<(), ServeError> 
 }
 
 impl Server {
-    async fn answer(self: Arc<Self>, question: &Question) {
+    async fn answer(self: Arc<Self>, question: &IncomingQuery) {
         if question.encoding.is_empty() || question.payload.is_empty() {
             return self.declare(question).await;
         }
@@ -131,33 +166,19 @@ impl Server {
         let Some(offer) = self.offers.offers.get(name).map(Arc::clone) else {
             return;
         };
-        let answer = match self.status(&offer, question).await {
-            Some(answer) => answer,
-            None => return,
-        };
-        let sent = match answer.and_then(|status| packed(&status)) {
-            Ok((encoding, bytes)) => question.reply(&offer.key, &encoding, bytes).await,
-            Err(reason) => match packed(&Refusal { reason }) {
-                Ok((encoding, bytes)) => question.refuse(&encoding, bytes).await,
-                Err(_) => return,
-            },
-        };
-        if let Err(error) = sent {
-            tracing::debug!(%error, "an answer did not reach its caller");
+        if let Some(status) = self.status(&offer, question).await.transpose() {
+            respond(question, &offer.key, status).await;
         }
     }
 
     /// Answers with the manifests of the names in the query.
-    async fn declare(&self, question: &Question) {
+    async fn declare(&self, question: &IncomingQuery) {
         let wanted = question.key.rsplit('/').next().unwrap_or_default();
         for (name, offer) in &self.offers.offers {
             if wanted != name && wanted != "*" && wanted != "**" {
                 continue;
             }
-            let Ok((encoding, bytes)) = packed(&offer.manifest) else { continue };
-            if let Err(error) = question.reply(&offer.key, &encoding, bytes).await {
-                tracing::debug!(%error, "a manifest did not reach who asked for it");
-            }
+            respond(question, &offer.key, Ok::<_, Infallible>(offer.manifest.clone())).await;
         }
     }
 
@@ -165,62 +186,55 @@ impl Server {
     async fn status(
         self: &Arc<Self>,
         offer: &Arc<Offer>,
-        question: &Question,
-    ) -> Option<Result<Status, String>> {
+        question: &IncomingQuery,
+    ) -> Result<Option<Status>, CallError> {
         let (encoding, bytes) = (question.encoding.as_str(), question.payload.as_slice());
-        let schema = encoding.split(';').nth(1).unwrap_or_default();
-        Some(match schema {
-            "runtime/start" => match unpacked::<Start>(encoding, bytes) {
-                Ok(start) if start.instance != self.offers.instance => return None,
-                Ok(start) => self.start(offer, start),
-                Err(error) => Err(error),
-            },
-            "runtime/poll" => match unpacked::<Poll>(encoding, bytes) {
-                Ok(poll) => {
-                    let call = self.call(&poll.call)?;
-                    let wait = Duration::try_from_secs_f64(poll.wait_s).unwrap_or_default().min(HELD);
-                    Ok(call.poll(poll.seen, wait).await)
+        let status = match encoding.split(';').nth(1).unwrap_or_default() {
+            "runtime/start" => {
+                let start: Start = unpacked(encoding, bytes)?;
+                if start.instance != self.offers.instance {
+                    return Ok(None);
                 }
-                Err(error) => Err(error),
-            },
-            "runtime/cancel" => match unpacked::<Cancel>(encoding, bytes) {
-                Ok(cancel) => {
-                    let call = self.call(&cancel.call)?;
-                    tracing::debug!(call = cancel.call, reason = cancel.reason, "cancelled by its caller");
-                    call.cancel();
-                    Ok(call.poll(0, Duration::ZERO).await)
-                }
-                Err(error) => Err(error),
-            },
-            _ => Err(format!(
-                "`{}` is no question that is understood here",
-                encoding.chars().take(100).collect::<String>()
-            )),
-        })
+                self.start(offer, start)?
+            }
+            "runtime/poll" => {
+                let poll: Poll = unpacked(encoding, bytes)?;
+                let Some(call) = self.call(&poll.call) else { return Ok(None) };
+                let wait = Duration::try_from_secs_f64(poll.wait_s).unwrap_or_default().min(MAX_POLL_WAIT);
+                call.poll(poll.seen, wait).await
+            }
+            "runtime/cancel" => {
+                let cancel: Cancel = unpacked(encoding, bytes)?;
+                let Some(call) = self.call(&cancel.call) else { return Ok(None) };
+                tracing::debug!(call = cancel.call, reason = cancel.reason, "cancelled by its caller");
+                call.cancel();
+                call.poll(0, Duration::ZERO).await
+            }
+            _ => return Err(CallError::NotUnderstood { encoding: encoding.chars().take(100).collect() }),
+        };
+        Ok(Some(status))
     }
 
     fn call(&self, name: &str) -> Option<Arc<Call>> {
         self.calls.lock().unwrap_or_else(PoisonError::into_inner).get(name).map(Arc::clone)
     }
 
-    fn start(self: &Arc<Self>, offer: &Arc<Offer>, start: Start) -> Result<Status, String> {
+    fn start(self: &Arc<Self>, offer: &Arc<Offer>, start: Start) -> Result<Status, CallError> {
         let shown = format!("{}/{}", self.offers.agent, offer.manifest.name);
         if start.version != offer.manifest.version {
-            let (here, there) = (&offer.manifest.version, &start.version);
-            return Err(format!(
-                "`{shown}` is version {here} now, and the caller's chart was checked with version {there}"
-            ));
+            let (here, there) = (offer.manifest.version.clone(), start.version);
+            return Err(CallError::OtherVersion { name: shown, here, there });
         }
         let manifest = offer.skill.manifest();
         let inputs = skill::inputs(manifest.inputs.iter(), start.inputs.clone())
-            .map_err(|error| format!("`{shown}`: {error}"))?;
+            .map_err(|error| CallError::Inputs { name: shown.clone(), error })?;
         let mut calls = self.calls.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(call) = calls.get(&start.call) {
             // The caller repeats a start when the first answer was lost.
             return Ok(call.status(0));
         }
-        if calls.values().filter(|call| !call.has_ended()).count() >= MOST_CALLS {
-            return Err(format!("`{}` runs {MOST_CALLS} calls already", self.offers.agent));
+        if calls.values().filter(|call| !call.has_ended()).count() >= MAX_CALLS {
+            return Err(CallError::TooMany { agent: self.offers.agent.clone() });
         }
         tracing::info!(call = %shown, caller = %start.caller, "started by another agent");
         let cancel = CancellationToken::new();
@@ -234,7 +248,7 @@ impl Server {
         let server = Arc::clone(self);
         tokio::spawn(async move {
             running.await;
-            tokio::time::sleep(KEPT).await;
+            tokio::time::sleep(RESULT_LIFETIME).await;
             server.calls.lock().unwrap_or_else(PoisonError::into_inner).remove(&start.call);
         });
         Ok(call.status(0))

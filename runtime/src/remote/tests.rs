@@ -27,7 +27,8 @@ states:
   Done: {final: success}
 ";
 
-async fn pair() -> (Session, Session) {
+/// Two sessions that reach each other.
+pub(super) async fn pair() -> (Session, Session) {
     let one = Session::open(&SessionConfig::default()).await.unwrap();
     let two = Session::open(&SessionConfig::connected_to(&one.endpoints().await)).await.unwrap();
     (one, two)
@@ -220,7 +221,7 @@ async fn a_lost_agent_counts_as_returned_where_its_state_is_left() {
 /// An agent in another language that declares `Act` with one version, and refuses to start it.
 async fn stranger(session: Session, manifest: Manifest, told: BTreeMap<String, (String, Vec<u8>)>) {
     let key = keys::chart("eve", &manifest.name).unwrap();
-    let mut questions = session.answer(key.clone(), 16).await.unwrap();
+    let mut questions = session.declare_queryable(key.clone(), 16).await.unwrap();
     while let Some(question) = questions.next().await {
         let schema = question.encoding.split(';').nth(1).unwrap_or_default();
         let (encoding, bytes) = match told.get(schema) {

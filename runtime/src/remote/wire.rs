@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use armarium_bus::{Answer, Payload, Schema, codec};
+use armarium_bus::{Payload, Reply, Schema, codec};
 use armarium_values::{Type, Value};
 use serde::{Deserialize, Serialize};
 
@@ -41,7 +41,8 @@ pub struct Manifest {
     /// Limbs that it commands; limbs of the agent that offers it.
     #[serde(default)]
     pub limbs: Vec<String>,
-    /// How long it may take to return after a cancel, s.
+    /// How long it may take to return after a cancel, s; 1 if it does not say.
+    #[serde(default = "usual_grace_s")]
     pub grace_s: f64,
 }
 
@@ -69,7 +70,8 @@ pub struct WireParameter {
 
 impl From<&Parameter> for WireParameter {
     fn from(parameter: &Parameter) -> Self {
-        let Parameter { name, ty, default, minimum, maximum, description } = parameter.clone();
+        // Names are known where the skill is: another agent has other ones.
+        let Parameter { name, ty, default, minimum, maximum, names: _, description } = parameter.clone();
         Self { name, ty, default, minimum, maximum, description }
     }
 }
@@ -77,7 +79,7 @@ impl From<&Parameter> for WireParameter {
 impl From<&WireParameter> for Parameter {
     fn from(parameter: &WireParameter) -> Self {
         let WireParameter { name, ty, default, minimum, maximum, description } = parameter.clone();
-        Self { name, ty, default, minimum, maximum, description }
+        Self { name, ty, default, minimum, maximum, names: None, description }
     }
 }
 
@@ -91,8 +93,10 @@ pub struct Start {
     /// The version that the caller has checked its chart against.
     pub version: String,
     /// Who calls, for people.
+    #[serde(default)]
     pub caller: String,
     /// The inputs by name.
+    #[serde(default)]
     pub inputs: BTreeMap<String, Value>,
     /// Largest wrist force that the caller's chart allows, N.
     #[serde(default)]
@@ -108,8 +112,10 @@ pub struct Poll {
     /// Id of the call.
     pub call: String,
     /// The newest revision that the caller has received.
+    #[serde(default)]
     pub seen: u64,
     /// How long the answer may be delayed while nothing is new, s.
+    #[serde(default)]
     pub wait_s: f64,
 }
 
@@ -119,6 +125,7 @@ pub struct Cancel {
     /// Id of the call.
     pub call: String,
     /// Why, for people.
+    #[serde(default)]
     pub reason: String,
 }
 
@@ -126,6 +133,7 @@ pub struct Cancel {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Status {
     /// Increases with each change.
+    #[serde(default)]
     pub revision: u64,
     /// The innermost active states of a chart, in its order.
     #[serde(default)]
@@ -149,6 +157,7 @@ pub struct RaisedEvent {
     /// Its name.
     pub name: String,
     /// What comes with it.
+    #[serde(default)]
     pub data: Value,
 }
 
@@ -169,9 +178,10 @@ pub struct Ended {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EventMessage {
     /// The sender's unique id of this event.
-    #[serde(rename = "letter")]
+    #[serde(alias = "letter")]
     pub id: String,
     /// Who sends it, for people.
+    #[serde(default)]
     pub caller: String,
     /// The chart that receives it; `None` for all running charts.
     #[serde(default)]
@@ -179,6 +189,7 @@ pub struct EventMessage {
     /// The event's name.
     pub name: String,
     /// What comes with it.
+    #[serde(default)]
     pub data: Value,
 }
 
@@ -188,6 +199,7 @@ pub struct EventReceipt {
     /// How many charts received it.
     pub charts: u32,
     /// The process that answers.
+    #[serde(default)]
     pub instance: String,
 }
 
@@ -217,52 +229,76 @@ impl Payload for EventMessage {
     const SCHEMA: Schema = Schema::new("runtime/event", 1);
 }
 impl Payload for EventReceipt {
-    const SCHEMA: Schema = Schema::new("runtime/heard", 1);
+    const SCHEMA: Schema = Schema::new("runtime/receipt", 1);
 }
 impl Payload for Refusal {
     const SCHEMA: Schema = Schema::new("runtime/refusal", 1);
 }
 
+/// The schema of a receipt as earlier versions name it.
+const EARLIER_RECEIPT: Schema = Schema::new("runtime/heard", 1);
+
+fn usual_grace_s() -> f64 {
+    SkillManifest::new("", "").grace.as_secs_f64()
+}
+
 /// Bounds of a message that is read: size in bytes, number of items, depth of nesting.
 const BOUNDS: codec::Bounds = codec::Bounds { bytes: 4 << 20, items: 200_000, depth: 40 };
+
+/// Why there is no message.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum MessageError {
+    /// It cannot be encoded; or it is another message, of another version, or invalid.
+    #[error(transparent)]
+    Codec(#[from] codec::CodecError),
+    /// The other side refuses, for this reason.
+    #[error("{reason}")]
+    Refused {
+        /// One sentence for the user.
+        reason: String,
+    },
+}
 
 /// Encodes a message. Returns the encoding, which names the schema, and the bytes.
 ///
 /// # Errors
-/// The codec's error.
-pub fn packed<P: Payload>(message: &P) -> Result<(String, Vec<u8>), String> {
-    let bytes = codec::encode(message).map_err(|e| e.to_string())?;
-    Ok((P::SCHEMA.encoding(), bytes))
+/// [`MessageError::Codec`].
+pub fn packed<P: Payload>(message: &P) -> Result<(String, Vec<u8>), MessageError> {
+    Ok((P::SCHEMA.encoding(), codec::encode(message)?))
 }
 
 /// Decodes a message of the expected schema.
 ///
 /// # Errors
-/// The codec's error: another schema, another version, or invalid bytes.
-pub fn unpacked<P: Payload>(encoding: &str, bytes: &[u8]) -> Result<P, String> {
-    P::SCHEMA.check(encoding).map_err(|e| e.to_string())?;
-    codec::decode_within(bytes, BOUNDS).map_err(|e| e.to_string())
+/// [`MessageError::Codec`]: another schema, another version, or invalid bytes.
+pub fn unpacked<P: Payload>(encoding: &str, bytes: &[u8]) -> Result<P, MessageError> {
+    let earlier = P::SCHEMA == EventReceipt::SCHEMA && EARLIER_RECEIPT.check(encoding).is_ok();
+    if !earlier {
+        P::SCHEMA.check(encoding)?;
+    }
+    Ok(codec::decode_within(bytes, BOUNDS)?)
 }
 
 /// Reads an answer: the message, or why there is none. `None` if it only says that nobody answered (an error of
 /// Zenoh's own).
-#[must_use]
-pub fn answered<P: Payload>(answer: &Answer) -> Option<Result<P, String>> {
+pub fn answered<P: Payload>(answer: &Reply) -> Option<Result<P, MessageError>> {
     match answer {
-        Answer::Message(message) => Some(unpacked(&message.encoding, &message.payload)),
-        Answer::Refusal { encoding, payload } if encoding.starts_with("application/cbor;") => {
+        Reply::Message(message) => Some(unpacked(&message.encoding, &message.payload)),
+        Reply::Refusal { encoding, payload } if encoding.starts_with("application/cbor;") => {
             Some(Err(match unpacked::<Refusal>(encoding, payload) {
-                Ok(refusal) => refusal.reason.chars().take(1000).collect(),
+                Ok(Refusal { reason }) => {
+                    MessageError::Refused { reason: reason.chars().take(1000).collect() }
+                }
                 Err(error) => error,
             }))
         }
-        Answer::Refusal { .. } => None,
+        Reply::Refusal { .. } => None,
     }
 }
 
 impl Manifest {
     /// The manifest of a skill that a process offers.
-    #[must_use]
     pub fn of(skill: &SkillManifest, instance: &str) -> Self {
         let mut manifest = Self {
             name: skill.name.clone(),
@@ -283,10 +319,9 @@ impl Manifest {
     }
 
     /// The skill's manifest in a chart that calls it `name`. `beyond` is added to the grace.
-    #[must_use]
     pub fn skill(&self, name: &str, beyond: Duration) -> SkillManifest {
         let grace = Duration::try_from_secs_f64(self.grace_s).unwrap_or_default();
-        let mut skill = SkillManifest::new(name, &self.description).grace(grace.min(MOST_GRACE) + beyond);
+        let mut skill = SkillManifest::new(name, &self.description).grace(grace.min(MAX_GRACE) + beyond);
         skill.inputs = self.inputs.iter().map(Parameter::from).collect();
         skill.outputs = self.outputs.iter().map(Parameter::from).collect();
         skill.outcomes.clone_from(&self.outcomes);
@@ -298,7 +333,7 @@ impl Manifest {
 }
 
 /// Upper bound on the grace in a received manifest.
-const MOST_GRACE: Duration = Duration::from_secs(60);
+const MAX_GRACE: Duration = Duration::from_secs(60);
 
 /// FNV-1a with 64 bits, as hexadecimal digits. It distinguishes versions and is no protection against tampering.
 fn fingerprint(bytes: &[u8]) -> String {
@@ -308,7 +343,6 @@ fn fingerprint(bytes: &[u8]) -> String {
 
 impl Start {
     /// The bounds of the caller's chart.
-    #[must_use]
     pub fn limits(&self) -> Limits {
         Limits { force_n: self.force_n, speed_m_s: self.speed_m_s }
     }
@@ -375,8 +409,30 @@ mod tests {
     fn another_version_or_message_is_named() {
         let (encoding, bytes) = packed(&Refusal { reason: "no".into() }).unwrap();
         let later = encoding.replace(";v1", ";v2");
-        let wrong = unpacked::<Refusal>(&later, &bytes).unwrap_err();
+        let wrong = unpacked::<Refusal>(&later, &bytes).unwrap_err().to_string();
         assert!(wrong.contains("version 2"), "{wrong}");
-        assert!(unpacked::<Status>(&encoding, &bytes).unwrap_err().contains("runtime/refusal"));
+        assert!(unpacked::<Status>(&encoding, &bytes).unwrap_err().to_string().contains("runtime/refusal"));
+    }
+
+    #[test]
+    fn fields_that_are_absent_have_their_defaults_and_earlier_names_are_read() {
+        fn read<P: Payload>(json: serde_json::Value) -> P {
+            unpacked(&P::SCHEMA.encoding(), &codec::encode(&json).unwrap()).unwrap()
+        }
+        use serde_json::json;
+        let manifest: Manifest = read(json!({"name": "S", "instance": "p", "version": "1"}));
+        assert_eq!(manifest.skill("bob/S", Duration::ZERO), SkillManifest::new("bob/S", ""));
+        let start: Start = read(json!({"call": "c", "instance": "p", "version": "1"}));
+        assert!(start.caller.is_empty() && start.inputs.is_empty());
+        let poll: Poll = read(json!({"call": "c"}));
+        assert_eq!((poll.seen, poll.wait_s), (0, 0.0));
+        assert_eq!(read::<Cancel>(json!({"call": "c"})).reason, "");
+        let status: Status = read(json!({"events": [{"revision": 1, "name": "e"}]}));
+        assert_eq!((status.revision, &status.events[0].data), (0, &Value::Null));
+        let event: EventMessage = read(json!({"letter": "x-1", "name": "e"}));
+        assert_eq!((event.id.as_str(), &event.data), ("x-1", &Value::Null));
+        let (_, bytes) = packed(&EventReceipt { charts: 2, instance: "p".into() }).unwrap();
+        let earlier: EventReceipt = unpacked("application/cbor;runtime/heard;v1", &bytes).unwrap();
+        assert_eq!(earlier.charts, 2);
     }
 }

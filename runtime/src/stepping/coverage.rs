@@ -6,12 +6,12 @@ use crate::program::{Pattern, Program, StateId};
 use crate::trace::TraceItem;
 
 /// A transition as in the trace: source, event and target.
-type Seen = (String, Option<String>, Option<String>);
+type TakenTransition = (String, Option<String>, Option<String>);
 
 /// The transitions that were taken in one or several runs of a program.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Coverage {
-    seen: BTreeSet<Seen>,
+    seen: BTreeSet<TakenTransition>,
 }
 
 /// A transition of a program, as text.
@@ -42,7 +42,6 @@ impl Coverage {
 
     /// The transitions of a chart in the order of the file, and whether each was taken. Transitions of the charts
     /// inside are not included. Transitions that differ only by their condition or actions count as taken together.
-    #[must_use]
     pub fn of(&self, program: &Program) -> Vec<(Described, bool)> {
         let inner =
             |state: &StateId| program.is_root(*state) && program.parent_of(*state) != Some(0) && *state != 0;

@@ -17,7 +17,7 @@ use armarium_values::Value;
 use crate::agenda::Agenda;
 use crate::engine::{Effect, Engine, Input, RunResult, Sensors};
 use crate::program::{EventId, Kind, Program, StateId};
-use crate::skill::{Failure, InputError, Outcome};
+use crate::skill::{Failure, InputError, Outcome, SkillManifest};
 use crate::trace::TraceItem;
 
 pub use coverage::{Coverage, Described};
@@ -84,13 +84,13 @@ pub struct Sent {
 
 /// The newest values of channels and when they were published.
 #[derive(Debug, Default)]
-struct Board {
+struct ChannelValues {
     names: Vec<String>,
     values: BTreeMap<u32, (Value, Duration)>,
     now: Duration,
 }
 
-impl Sensors for Board {
+impl Sensors for ChannelValues {
     fn channel(&self, channel: u32, path: &[String]) -> Option<Value> {
         let (value, _) = self.values.get(&channel)?;
         path.iter().try_fold(value, |value, field| value.get(field)).cloned()
@@ -104,7 +104,7 @@ impl Sensors for Board {
 #[derive(Debug)]
 pub struct Stepper {
     engine: Engine,
-    board: Board,
+    board: ChannelValues,
     agenda: Agenda,
     skills: BTreeMap<StateId, u64>,
     /// Skills that were cancelled and return next.
@@ -133,7 +133,7 @@ impl Stepper {
         given: &BTreeMap<String, Value>,
         profile: Option<&str>,
     ) -> Result<Self, InputError> {
-        let board = Board { names: program.channels().to_vec(), ..Board::default() };
+        let board = ChannelValues { names: program.channels().to_vec(), ..ChannelValues::default() };
         let (labels, by_path) = labels(&program);
         Ok(Self {
             engine: Engine::new(program, given, profile)?,
@@ -177,6 +177,15 @@ impl Stepper {
         self.settle();
     }
 
+    /// Raises the events of a list again and again, for measuring.
+    pub fn repeat(&mut self, events: &[(EventId, Value)], times: u64) {
+        for _ in 0..times {
+            for (event, data) in events {
+                self.raise(*event, data.clone());
+            }
+        }
+    }
+
     /// Reports a skill's outcome or the firing of a watch, for a state given by its path or unique name. `data` are
     /// the outputs, or a map with `reason` for a failure.
     ///
@@ -218,19 +227,16 @@ impl Stepper {
 
     /// When something happens next by itself, as time since the start: a timer expires, or a watch may have held
     /// long enough.
-    #[must_use]
     pub fn next_instant(&self) -> Option<Duration> {
         self.agenda.next()
     }
 
     /// Time since the start.
-    #[must_use]
     pub fn now(&self) -> Duration {
         self.board.now
     }
 
     /// How the run ended, once it has.
-    #[must_use]
     pub fn result(&self) -> Option<&RunResult> {
         self.result.as_ref()
     }
@@ -246,20 +252,25 @@ impl Stepper {
         std::mem::take(&mut self.sent)
     }
 
+    /// What the running skill declares.
+    pub(crate) fn manifest_of(&self, running: &RunningSkill) -> Option<&SkillManifest> {
+        match &self.engine.program().state(*self.by_path.get(&running.path)?).kind {
+            Kind::Skill { manifest } => Some(manifest),
+            _ => None,
+        }
+    }
+
     /// The engine that is driven.
-    #[must_use]
     pub fn engine(&self) -> &Engine {
         &self.engine
     }
 
     /// The innermost active states; after the end of the run, those at its end.
-    #[must_use]
     pub fn leaves(&self) -> Vec<StateId> {
         if self.result.is_some() { self.engine.ended_in().to_vec() } else { self.engine.leaves() }
     }
 
     /// The active states and the chart's data.
-    #[must_use]
     pub fn snapshot(&self) -> Snapshot {
         let leaves = self.leaves();
         let program = self.engine.program();
@@ -274,13 +285,11 @@ impl Stepper {
     }
 
     /// The transitions that were taken so far.
-    #[must_use]
     pub fn coverage(&self) -> &Coverage {
         &self.coverage
     }
 
     /// The running skills, in the chart's order.
-    #[must_use]
     pub fn running(&self) -> Vec<RunningSkill> {
         let program = self.engine.program();
         let name = |state: StateId| match &program.state(state).kind {
@@ -385,7 +394,7 @@ impl Stepper {
 /// A skill's result from its name and data.
 fn result(name: &str, data: Value) -> crate::skill::SkillResult {
     if name == "failure" {
-        let reason = data.get("reason").and_then(Value::as_str).unwrap_or("no reason was given");
+        let reason = data.get("reason").and_then(Value::as_str).unwrap_or("it was reported as a failure");
         return Err(Failure::new(reason));
     }
     let outputs = match data {
@@ -396,7 +405,7 @@ fn result(name: &str, data: Value) -> crate::skill::SkillResult {
 }
 
 /// The displayed name of each state, by number; and states by path and by displayed name.
-fn labels(program: &Program) -> (Vec<String>, BTreeMap<String, StateId>) {
+pub(crate) fn labels(program: &Program) -> (Vec<String>, BTreeMap<String, StateId>) {
     let count = StateId::try_from(program.len()).unwrap_or(StateId::MAX);
     let own = |id: &StateId| !program.is_root(*id);
     let mut uses: BTreeMap<&str, u32> = BTreeMap::new();

@@ -1,7 +1,8 @@
 //! Cases in YAML beside a chart, played under virtual time: how skills end, what happens, and what is expected.
 //!
-//! [`TestFile::read`] reads a file, [`TestFile::play`] plays one of its cases. No skill runs and nothing is printed here.
+//! [`TestFile::read`] reads a file, [`TestFile::check`] holds it against its chart, [`TestFile::play`] plays one of its cases. No skill runs and nothing is printed here.
 
+mod checks;
 mod play;
 mod stand_in;
 
@@ -23,6 +24,8 @@ form! {
         pub test: String;
         /// How skills end, by the skill's name or by the state, unless a case says otherwise.
         pub skills: BTreeMap<String, Script> = BTreeMap::new();
+        /// Charts inside the chart that are stood in for, by their names, and how they end.
+        pub charts: BTreeMap<String, Script> = BTreeMap::new();
         /// The cases.
         pub cases: Vec<Case>;
     }

@@ -9,13 +9,10 @@ use serde_json::Value as Json;
 
 use super::stand_in::{self, StandInError};
 use super::{Case, Ending, Expect, Script, Step, TestFile};
-use crate::chart::Registry;
+use crate::agenda::MAX_ENDS;
 use crate::program::Program;
 use crate::skill::InputError;
 use crate::stepping::{Coverage, RunningSkill, StepError, Stepper};
-
-/// Most outcomes at one instant: a chart whose skills end at once may turn in a circle.
-const MOST_AT_ONCE: usize = 1000;
 
 /// Why a case fails.
 #[derive(Debug, thiserror::Error)]
@@ -48,6 +45,14 @@ pub enum CaseError {
     Circle {
         /// A state of the circle.
         state: String,
+    },
+    /// A channel's value is not what is declared.
+    #[error("channel {channel}: {why}")]
+    Channel {
+        /// The channel.
+        channel: String,
+        /// Why not.
+        why: StandInError,
     },
     /// A script's output is not what the skill declares.
     #[error("{skill}: {output}: {why}")]
@@ -121,13 +126,8 @@ pub enum CaseError {
 
 impl TestFile {
     /// Plays a case of the file. Gives the transitions that were taken, and whether everything was as expected.
-    pub fn play(
-        &self,
-        case: &Case,
-        program: &Arc<Program>,
-        registry: &Registry,
-    ) -> (Coverage, Result<(), CaseError>) {
-        let scripts = [&case.skills, &self.skills];
+    pub fn play(&self, case: &Case, program: &Arc<Program>) -> (Coverage, Result<(), CaseError>) {
+        let scripts = [&case.skills, &self.skills, &self.charts];
         let stepper = inputs(program, case)
             .and_then(|given| Ok(Stepper::new(Arc::clone(program), &given, case.profile.as_deref())?));
         let stepper = match stepper {
@@ -135,8 +135,8 @@ impl TestFile {
             Err(error) => return (Coverage::default(), Err(error)),
         };
         let mut player = Player {
+            program,
             stepper,
-            registry,
             scripts,
             starts: BTreeMap::new(),
             endings: BTreeMap::new(),
@@ -160,10 +160,10 @@ fn inputs(program: &Program, case: &Case) -> Result<BTreeMap<String, Value>, Cas
 }
 
 struct Player<'p> {
+    program: &'p Program,
     stepper: Stepper,
-    registry: &'p Registry,
-    /// The case's scripts, then the file's.
-    scripts: [&'p BTreeMap<String, Script>; 2],
+    /// The case's scripts, then the file's, then those of charts.
+    scripts: [&'p BTreeMap<String, Script>; 3],
     /// How often the skill of a state was started, by the key of the script.
     starts: BTreeMap<String, usize>,
     /// What comes: by time and number of the start.
@@ -193,7 +193,11 @@ impl Player<'_> {
             (None, _) => {}
         }
         if let Some(channel) = &step.channel {
-            self.stepper.publish(channel, Value::from_json(&step.value));
+            let declared = self.program.channel_types.get(channel);
+            let value = declared
+                .map_or_else(|| Ok(Value::from_json(&step.value)), |ty| stand_in::published(ty, &step.value));
+            let value = value.map_err(|why| CaseError::Channel { channel: channel.clone(), why })?;
+            self.stepper.publish(channel, value);
         }
         self.advance(Duration::ZERO)?;
         step.expect.as_ref().map_or(Ok(()), |expect| self.compare(expect))
@@ -222,7 +226,7 @@ impl Player<'_> {
             let data = self.data(&running, &ending)?;
             self.stepper.report(&running.path, &ending.outcome, data)?;
             at_once = if at_once.0 == key.0 { (key.0, at_once.1 + 1) } else { (key.0, 1) };
-            if at_once.1 > MOST_AT_ONCE {
+            if at_once.1 > MAX_ENDS {
                 return Err(CaseError::Circle { state: running.path });
             }
         }
@@ -263,7 +267,7 @@ impl Player<'_> {
             let reason = ending.reason.as_deref().unwrap_or("the script says so");
             return Ok(Value::record([("reason", reason.into())]));
         }
-        let outputs = self.registry.manifest(&running.skill).map_or(&[][..], |m| &m.outputs);
+        let outputs = self.stepper.manifest_of(running).map_or(&[][..], |m| &m.outputs);
         let mut fields = BTreeMap::new();
         for output in outputs {
             let value = match ending.outputs.get(&output.name) {
@@ -331,7 +335,7 @@ impl Player<'_> {
                     return Err(CaseError::NotEnded { active });
                 }
                 Some(result) if result.outcome != *outcome => {
-                    let reason = result.reason.as_deref().unwrap_or("no reason was given").to_owned();
+                    let reason = result.reason.as_deref().unwrap_or("without a reason").to_owned();
                     let (found, expected) = (result.outcome.to_string(), outcome.clone());
                     return Err(CaseError::Outcome { found, reason, expected });
                 }

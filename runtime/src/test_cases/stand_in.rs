@@ -31,6 +31,19 @@ pub(super) fn read(ty: &Type, json: &Json) -> Result<Value, StandInError> {
     Ok(ty.convert(value)?)
 }
 
+/// A script's value as that of a channel, whose fields may be left out.
+///
+/// # Errors
+/// [`StandInError`] when a field is none of its type.
+pub(super) fn published(ty: &Type, json: &Json) -> Result<Value, StandInError> {
+    let (Type::Record(types), Json::Object(fields)) = (ty, json) else { return read(ty, json) };
+    let field = |(name, json): (&String, &Json)| {
+        let value = types.get(name).map_or_else(|| Ok(Value::from_json(json)), |ty| read(ty, json));
+        value.map(|value| (name.clone(), value))
+    };
+    Ok(Value::Map(fields.iter().map(field).collect::<Result<_, _>>()?))
+}
+
 /// Some value of a type: nothing, none, at the origin; a reference to something that is called `name`.
 pub(super) fn of(ty: &Type, name: &str) -> Value {
     let root = || Frame::from("root");

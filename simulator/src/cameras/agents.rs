@@ -7,19 +7,16 @@ use std::sync::Arc;
 use armarium_visionx::{StereoCalibration, StereoFrame};
 use nalgebra::Isometry3;
 
-use super::{Eyes, SimulatedCameras, View};
-use crate::render::{Rendering, Scene, SensorNoise, Viewpoint, render_pair};
+use super::{Eyes, SceneState, SimulatedCameras, StereoRig};
+use crate::render::{Scene, SensorNoise, render_pair};
 use crate::world::AgentSpec;
 
 /// The stereo pair of one agent.
 pub(crate) struct AgentEyes {
     name: String,
-    source: Arc<SimulatedCameras>,
+    rig: StereoRig,
     scene_from_left: Isometry3<f64>,
     agent_from_left: Isometry3<f64>,
-    period_s: f64,
-    next_frame: u64,
-    noise: SensorNoise,
 }
 
 impl AgentEyes {
@@ -28,12 +25,9 @@ impl AgentEyes {
         let scene_from_left = agent.root_from_left(calibration.baseline);
         Self {
             name: agent.name.clone(),
-            source: Arc::new(SimulatedCameras::new(&agent.name, calibration)),
+            rig: StereoRig::new(&agent.name, calibration, agent.rate, SensorNoise::new(noise, seed)),
             scene_from_left,
             agent_from_left: agent.root_from_agent().inverse() * scene_from_left,
-            period_s: 1.0 / agent.rate,
-            next_frame: 0,
-            noise: SensorNoise::new(noise, seed),
         }
     }
 
@@ -42,34 +36,29 @@ impl AgentEyes {
     }
 
     pub(crate) fn source(&self) -> &Arc<SimulatedCameras> {
-        &self.source
+        &self.rig.source
     }
 
     /// Whether a frame is due at `t` s and a reader waits for it.
     pub(crate) fn due(&mut self, t: f64) -> bool {
-        if t + 1e-9 < self.next_frame as f64 * self.period_s {
-            return false;
-        }
-        self.next_frame = ((t + 1e-9) / self.period_s).floor() as u64 + 1;
-        self.source.wanted()
+        self.rig.is_due(t) && self.rig.source.wanted()
     }
 
     fn draw(&self, scene: &Scene, stamp_ns: u64) {
-        let calibration = self.source.calibration;
-        let left = Viewpoint { scene_from_camera: self.scene_from_left, camera: calibration.camera };
-        let right = left.shifted_right(calibration.baseline);
-        let [Rendering { image: mut left, depth }, Rendering { image: mut right, .. }] =
-            render_pair(scene, &[left, right]);
-        self.noise.apply(&mut left, self.next_frame, 0);
-        self.noise.apply(&mut right, self.next_frame, 1);
+        let drawn = render_pair(scene, &self.rig.left_and_right(self.scene_from_left));
+        let (left, right, depth) = self.rig.sensed(drawn);
         let root_from_left = self.agent_from_left;
-        self.source.publish(StereoFrame { stamp_ns, left, right, depth: Some(depth), root_from_left });
+        self.rig.source.publish(StereoFrame { stamp_ns, left, right, depth: Some(depth), root_from_left });
     }
 }
 
 impl Eyes {
     /// Draws the view of the scene from these agents' cameras and publishes the frames.
-    pub(crate) fn draw_for<'a>(&mut self, agents: impl Iterator<Item = &'a AgentEyes>, view: &View<'_>) {
+    pub(crate) fn draw_for<'a>(
+        &mut self,
+        agents: impl Iterator<Item = &'a AgentEyes>,
+        view: &SceneState<'_>,
+    ) {
         self.truth.update(view.true_position);
         let scene = self.scene(view);
         agents.for_each(|agent| agent.draw(&scene, view.stamp_ns));
@@ -103,7 +92,7 @@ mod tests {
         running.await.unwrap();
         let (robots, alices) = (robots.unwrap(), alices.unwrap());
 
-        let sponge = world.sponge().unwrap();
+        let sponge = &world.objects[world.first_object().unwrap()];
         let color = ColorModel::from_rgb(sponge.color);
         assert!(components(&color.segment(&robots.left), 20).is_empty(), "the robot sees the sponge");
         let model = BoxModel { size: Vector3::from(sponge.size), color };

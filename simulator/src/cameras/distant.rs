@@ -11,7 +11,7 @@ use armarium_visionx::{StereoCalibration, StereoFrame};
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
-use super::{Eyes, View};
+use super::{Eyes, SceneState};
 use crate::coach::{CoachState, HandShown};
 use crate::error::SimulationError;
 use crate::table::{DirtGrid, TableTop};
@@ -81,7 +81,7 @@ pub struct DistantCameras {
 }
 
 impl Scenery {
-    pub(crate) fn of(view: &View<'_>, world: &(String, u64), frame: u64) -> Self {
+    pub(crate) fn of(view: &SceneState<'_>, world: &(String, u64), frame: u64) -> Self {
         let wiped = view.wiped.cells().iter().zip(0u32..).filter(|(wiped, _)| **wiped);
         Self {
             world: world.clone(),
@@ -116,15 +116,13 @@ impl DistantCameras {
     }
 
     /// The name of the image source.
-    #[must_use]
     pub fn name() -> &'static str {
         super::SimulatedCameras::NAME
     }
 
     /// Intrinsics and extrinsics.
-    #[must_use]
     pub fn calibration(&self) -> StereoCalibration {
-        self.eyes.source.calibration
+        self.eyes.rig.source.calibration
     }
 
     /// Draws a scenery, with the sensors' noise and faults.
@@ -152,8 +150,8 @@ impl DistantCameras {
             in_place: false,
         });
         let coach = CoachState { tool: scenery.tool, hand, ..CoachState::default() };
-        self.eyes.next_frame = scenery.frame;
-        let (drawn, _) = self.eyes.paint(&View {
+        self.eyes.rig.next_frame = scenery.frame;
+        let (drawn, _) = self.eyes.paint(&SceneState {
             stamp_ns: scenery.stamp_ns,
             true_position: &scenery.true_position,
             sensed_position: &scenery.sensed_position,
@@ -174,9 +172,9 @@ mod tests {
     use super::*;
     use crate::simulation::{Options, Simulation};
 
-    struct Kept(Arc<Mutex<Vec<Scenery>>>);
+    struct CollectedSceneries(Arc<Mutex<Vec<Scenery>>>);
 
-    impl ScenerySink for Kept {
+    impl ScenerySink for CollectedSceneries {
         fn is_wanted(&self) -> bool {
             true
         }
@@ -190,7 +188,8 @@ mod tests {
     async fn distant_cameras_see_what_near_ones_see_to_the_last_bit() {
         let world = World::default();
         let kept = Arc::new(Mutex::new(Vec::new()));
-        let options = Options { scenery: Some(Box::new(Kept(Arc::clone(&kept)))), ..Options::default() };
+        let options =
+            Options { scenery: Some(Box::new(CollectedSceneries(Arc::clone(&kept)))), ..Options::default() };
         let mut distant = Simulation::new(&world, 5, options).unwrap();
         (0..300).for_each(|_| distant.step());
         let shown = kept.lock().pop().unwrap();

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use armarium_robot::{DifferentialIk, IkConfig, Twist, postures};
-use armarium_visionx::{Gesture as Seen, HandObserver};
+use armarium_visionx::{Gesture, HandObserver};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -25,7 +25,7 @@ const STEP_S: f64 = 0.005;
 /// Recognised gestures, by the gesture that was shown; `None` is no hand.
 #[derive(Debug, Default)]
 struct Score {
-    confusion: BTreeMap<(Option<Gesture>, Option<Seen>), usize>,
+    confusion: BTreeMap<(Option<Gesture>, Option<Gesture>), usize>,
 }
 
 impl Score {
@@ -33,7 +33,7 @@ impl Score {
     fn share(&self, keep: impl Fn(Option<Gesture>) -> bool) -> f64 {
         let count = |right: bool| -> usize {
             let chosen = self.confusion.iter().filter(|((shown, _), _)| keep(*shown));
-            chosen.filter(|((shown, seen), _)| !right || same(*shown, *seen)).map(|(_, n)| n).sum()
+            chosen.filter(|((shown, seen), _)| !right || shown == seen).map(|(_, n)| n).sum()
         };
         count(true) as f64 / count(false).max(1) as f64
     }
@@ -42,15 +42,6 @@ impl Score {
     fn accuracy(&self) -> f64 {
         0.5 * (self.share(|g| g.is_some()) + self.share(|g| g.is_none()))
     }
-}
-
-fn same(shown: Option<Gesture>, seen: Option<Seen>) -> bool {
-    shown.map(|g| match g {
-        Gesture::Fist => Seen::Fist,
-        Gesture::OpenHand => Seen::OpenHand,
-        Gesture::PointOne => Seen::PointOne,
-        Gesture::PointTwo => Seen::PointTwo,
-    }) == seen
 }
 
 /// The wiping hand, moved without physics.
@@ -112,7 +103,7 @@ fn watch(world: &World, seed: u64) -> Score {
     let rng = ChaCha8Rng::seed_from_u64(seed);
     let mut coach = Coach::new(&world.coach, world.table.height, camera, rng);
     let path = CoachPath::new(&world.coach.demonstration.clone().unwrap_or_default());
-    let mut observer = HandObserver::new(eyes.source.calibration());
+    let mut observer = HandObserver::new(eyes.rig.source.calibration());
     let dirt = DirtGrid::new(&table);
     let (mut score, mut hand_gone_at, mut before) = (Score::default(), 0.0, wiper.tcp());
     coach.hear("wiping", 0.0);
@@ -134,7 +125,7 @@ fn watch(world: &World, seed: u64) -> Score {
         if !(looks && eyes_open(t)) {
             continue;
         }
-        let truth = eyes.draw(&View {
+        let truth = eyes.draw(&SceneState {
             stamp_ns: step * 5_000_000,
             true_position: &wiper.q,
             sensed_position: &wiper.q,
@@ -143,7 +134,7 @@ fn watch(world: &World, seed: u64) -> Score {
             without_hand_s,
             wiped: &dirt,
         });
-        let frame = eyes.source.newest.borrow().frame.unwrap();
+        let frame = eyes.rig.source.newest.borrow().frame.unwrap();
         let seen = observer.update(&frame).map(|s| s.gesture);
         if truth.since_s >= STEADY_S && (truth.visible || truth.gesture.is_none()) {
             *score.confusion.entry((truth.gesture, seen)).or_default() += 1;

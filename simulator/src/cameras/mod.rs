@@ -13,19 +13,19 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use armarium_robot::{Kinematics, LinkId, Model, newest};
 use armarium_visionx::{
-    DepthImage, Image, ImageError, ImageSource, PinholeCamera, StereoCalibration, StereoFrame,
+    DepthImage, ImageError, ImageSource, PinholeCamera, RgbImage, StereoCalibration, StereoFrame,
 };
 use async_trait::async_trait;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
 use crate::coach::{CoachState, HandShown};
-use crate::render::hand::{HandGesture, HandPose, SLEEVE, hand_shapes, landmarks};
+use crate::render::hand::{HandPose, SLEEVE, hand_shapes, landmarks};
 use crate::render::{
     DirtTexture, Geometry, Rendering, Scene, SensorNoise, Shape, Viewpoint, render_pair, robot,
 };
 use crate::table::{DirtGrid, THICKNESS, TableTop};
 use crate::truth::FrameTruth;
-use crate::world::{CoverSpec, Gesture, ImageFault, World};
+use crate::world::{CoverSpec, ImageFault, World};
 
 pub(crate) use agents::AgentEyes;
 
@@ -116,8 +116,47 @@ impl ImageSource for SimulatedCameras {
     }
 }
 
+/// A stereo pair: when its next frame is due, and its sensors' noise.
+struct StereoRig {
+    source: Arc<SimulatedCameras>,
+    period_s: f64,
+    /// Number of frames that were due.
+    next_frame: u64,
+    noise: SensorNoise,
+}
+
+impl StereoRig {
+    fn new(name: &str, calibration: StereoCalibration, rate: f64, noise: SensorNoise) -> Self {
+        let source = Arc::new(SimulatedCameras::new(name, calibration));
+        Self { source, period_s: 1.0 / rate, next_frame: 0, noise }
+    }
+
+    /// Whether a frame is due at `t` s; it is so once.
+    fn is_due(&mut self, t: f64) -> bool {
+        let due = t + 1e-9 >= self.next_frame as f64 * self.period_s;
+        if due {
+            self.next_frame = ((t + 1e-9) / self.period_s).floor() as u64 + 1;
+        }
+        due
+    }
+
+    fn left_and_right(&self, scene_from_left: Isometry3<f64>) -> [Viewpoint; 2] {
+        let StereoCalibration { camera, baseline } = self.source.calibration;
+        let left = Viewpoint { scene_from_camera: scene_from_left, camera };
+        [left, left.shifted_right(baseline)]
+    }
+
+    /// Left image, right image and left depth, with the sensors' noise.
+    fn sensed(&self, drawn: [Rendering; 2]) -> (RgbImage, RgbImage, DepthImage) {
+        let [Rendering { image: mut left, depth }, Rendering { image: mut right, .. }] = drawn;
+        self.noise.apply(&mut left, self.next_frame, 0);
+        self.noise.apply(&mut right, self.next_frame, 1);
+        (left, right, depth)
+    }
+}
+
 /// The state of the scene at one frame.
-pub(crate) struct View<'a> {
+pub(crate) struct SceneState<'a> {
     pub(crate) stamp_ns: u64,
     pub(crate) true_position: &'a [f64],
     pub(crate) sensed_position: &'a [f64],
@@ -130,16 +169,13 @@ pub(crate) struct View<'a> {
 
 /// The simulator's side of the cameras.
 pub(crate) struct Eyes {
-    source: Arc<SimulatedCameras>,
-    period_s: f64,
-    next_frame: u64,
+    rig: StereoRig,
     truth: Kinematics,
     belief: Kinematics,
     left: LinkId,
     believed_from_true: Isometry3<f64>,
-    noise: SensorNoise,
     fault: (ImageFault, f64),
-    last: Option<(Image, Image, DepthImage)>,
+    last: Option<(RgbImage, RgbImage, DepthImage)>,
     fixed: Vec<Shape>,
     table_half: Vector3<f64>,
     table_pose: Isometry3<f64>,
@@ -162,6 +198,7 @@ impl Eyes {
             center: [f64::from(spec.width) / 2.0, f64::from(spec.height) / 2.0],
         };
         let calibration = StereoCalibration { camera, baseline: spec.baseline };
+        let noise = SensorNoise::new(spec.noise, seed);
         let error = &spec.mounting_error;
         let believed_from_true = Isometry3::from_parts(
             Translation3::from(Vector3::from(error.position)),
@@ -170,14 +207,11 @@ impl Eyes {
         let [hx, hy] = table.half();
         let table_half = Vector3::new(hx, hy, THICKNESS / 2.0);
         Some(Self {
-            source: Arc::new(SimulatedCameras::new(SimulatedCameras::NAME, calibration)),
-            period_s: 1.0 / spec.rate,
-            next_frame: 0,
+            rig: StereoRig::new(SimulatedCameras::NAME, calibration, spec.rate, noise),
             truth: Kinematics::new(model),
             belief: Kinematics::new(model),
             left,
             believed_from_true,
-            noise: SensorNoise::new(spec.noise, seed),
             fault: (world.faults.images, world.faults.from),
             last: None,
             fixed: legs(table).into_iter().chain(world.covers.iter().map(board)).collect(),
@@ -192,7 +226,7 @@ impl Eyes {
     }
 
     pub(crate) fn source(&self) -> &Arc<SimulatedCameras> {
-        &self.source
+        &self.rig.source
     }
 
     /// Position of the robot's cameras in a posture, m, root frame.
@@ -203,35 +237,28 @@ impl Eyes {
 
     /// Whether a frame is due at `t` s and a reader waits for it, here or in another process.
     pub(crate) fn due(&mut self, t: f64, elsewhere: bool) -> bool {
-        if t + 1e-9 < self.next_frame as f64 * self.period_s {
-            return false;
-        }
-        self.next_frame = ((t + 1e-9) / self.period_s).floor() as u64 + 1;
-        elsewhere || self.source.wanted()
+        self.rig.is_due(t) && (elsewhere || self.rig.source.wanted())
     }
 
     /// Draws a frame and publishes it. Returns the truth about it.
-    pub(crate) fn draw(&mut self, view: &View<'_>) -> FrameTruth {
+    pub(crate) fn draw(&mut self, view: &SceneState<'_>) -> FrameTruth {
         let (drawn, truth) = self.paint(view);
         let frame = self.sensed(view.stamp_ns, drawn);
-        self.source.publish(frame);
+        self.rig.source.publish(frame);
         truth
     }
 
     /// Number of frames that were due.
     pub(crate) fn frame(&self) -> u64 {
-        self.next_frame
+        self.rig.next_frame
     }
 
     /// Renders both images, without noise. Also returns the truth about them.
-    pub(crate) fn paint(&mut self, view: &View<'_>) -> ([Rendering; 2], FrameTruth) {
+    pub(crate) fn paint(&mut self, view: &SceneState<'_>) -> ([Rendering; 2], FrameTruth) {
         self.truth.update(view.true_position);
         self.belief.update(view.sensed_position);
         let scene = self.scene(view);
-        let camera = self.source.calibration.camera;
-        let scene_from_camera = self.truth.pose(self.left) * self.believed_from_true;
-        let left = Viewpoint { scene_from_camera, camera };
-        let right = left.shifted_right(self.source.calibration.baseline);
+        let [left, right] = self.rig.left_and_right(self.truth.pose(self.left) * self.believed_from_true);
         let drawn = render_pair(&scene, &[left, right]);
         let visible = view.coach.hand.is_some_and(|hand| {
             let alone = render_pair(&Scene::new(skin(&hand)), &[left, right]);
@@ -248,11 +275,7 @@ impl Eyes {
 
     /// Adds the sensors' noise and faults.
     fn sensed(&mut self, stamp_ns: u64, drawn: [Rendering; 2]) -> StereoFrame {
-        let [Rendering { image: mut left, depth }, Rendering { image: mut right, .. }] = drawn;
-        let frame = self.next_frame;
-        self.noise.apply(&mut left, frame, 0);
-        self.noise.apply(&mut right, frame, 1);
-        let mut pictures = (left, right, depth);
+        let mut pictures = self.rig.sensed(drawn);
         let (fault, from) = self.fault;
         if stamp_ns as f64 * 1e-9 >= from {
             match fault {
@@ -271,7 +294,7 @@ impl Eyes {
         StereoFrame { stamp_ns, left, right, depth: Some(depth), root_from_left }
     }
 
-    fn scene(&mut self, view: &View<'_>) -> Scene {
+    fn scene(&mut self, view: &SceneState<'_>) -> Scene {
         let mut shapes = robot::robot_shapes(&self.truth, &Isometry3::identity());
         shapes.extend(self.fixed.iter().cloned());
         self.clean(view.wiped);
@@ -292,7 +315,7 @@ impl Eyes {
             shapes.extend(tool(pose, self.tool_color));
         }
         if let Some(hand) = &view.coach.hand {
-            shapes.extend(hand_shapes(&HandPose::of(shown(hand.gesture)), &hand.root_from_hand));
+            shapes.extend(hand_shapes(&HandPose::of(hand.gesture), &hand.root_from_hand));
         }
         Scene::new(shapes)
     }
@@ -313,18 +336,9 @@ impl Eyes {
 
 /// The hand without its sleeve.
 fn skin(hand: &HandShown) -> Vec<Shape> {
-    let mut shapes = hand_shapes(&HandPose::of(shown(hand.gesture)), &hand.root_from_hand);
+    let mut shapes = hand_shapes(&HandPose::of(hand.gesture), &hand.root_from_hand);
     shapes.retain(|s| s.color != SLEEVE);
     shapes
-}
-
-fn shown(gesture: Gesture) -> HandGesture {
-    match gesture {
-        Gesture::Fist => HandGesture::Fist,
-        Gesture::OpenHand => HandGesture::OpenHand,
-        Gesture::PointOne => HandGesture::PointOne,
-        Gesture::PointTwo => HandGesture::PointTwo,
-    }
 }
 
 /// Whether the whole hand, from its wrist to its fingertips, is in the picture and at most a hundredth of it is
@@ -333,7 +347,7 @@ fn whole(hand: &HandShown, viewpoint: &Viewpoint, picture: &Rendering, alone: &R
     let camera_from_hand = viewpoint.scene_from_camera.inverse() * hand.root_from_hand;
     let camera = &viewpoint.camera;
     let (mut farthest, mut wrist) = (0.0f32, f64::MAX);
-    let inside = landmarks(&HandPose::of(shown(hand.gesture))).iter().all(|(point, radius)| {
+    let inside = landmarks(&HandPose::of(hand.gesture)).iter().all(|(point, radius)| {
         let p = camera_from_hand * point;
         // Behind the hand there is the floor; beyond the wrist towards the arm, the forearm.
         farthest = farthest.max((p.z + radius) as f32);

@@ -16,19 +16,19 @@ use super::{CoachState, SeenArm};
 use crate::world::{CoachSpec, CoachingAction, CoachingStep, Gesture, Push, Show};
 
 /// Time that the hand needs to come and to go, s.
-const COME: f64 = 1.0;
+const COME_S: f64 = 1.0;
 /// The hand may come faster or slower by at most this factor, to arrive in time.
-const HURRY: f64 = 1.7;
+const MAX_HASTE: f64 = 1.7;
 /// The robot slows down as the hand comes: the share of the path that it still covers meanwhile.
 const SLOWED: f64 = 0.75;
 /// The coach waits at most this many periods for the right pass.
-const WAIT: f64 = 2.0;
+const MAX_WAIT_PERIODS: f64 = 2.0;
 /// Length of the hand's way, m.
 const DISTANCE: f64 = 0.35;
 /// Number of places on the path that the coach remembers.
 const BINS: usize = 64;
 /// A push is given up after this many times its cycles.
-const PATIENCE: f64 = 4.0;
+const MAX_CYCLES_FACTOR: f64 = 4.0;
 /// The tracker's step, s.
 const TRACK_DT: f64 = 0.005;
 /// Preferred direction of the forearm, in which it hides neither the path nor the robot's arm: far and left.
@@ -55,6 +55,17 @@ pub enum ActionKind {
     Push,
     /// A gesture.
     Gesture(Gesture),
+}
+
+impl ActionKind {
+    /// Its name in reports: `push`, or the gesture's.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Push => "push",
+            Self::Gesture(gesture) => gesture.name(),
+        }
+    }
 }
 
 /// What happened to an action.
@@ -193,8 +204,8 @@ impl Coaching {
     fn in_time(&self, step: &CoachingStep, elapsed: f64) -> bool {
         let CoachingAction::Show(show) = &step.action else { return true };
         let Some(cycles) = self.until(show.phase) else { return true };
-        let needed = SLOWED * COME * self.tracker.frequency();
-        let over = elapsed - step.at > WAIT / self.path.frequency();
+        let needed = SLOWED * COME_S * self.tracker.frequency();
+        let over = elapsed - step.at > MAX_WAIT_PERIODS / self.path.frequency();
         over || (needed - cycles).rem_euclid(1.0) < 0.1
     }
 
@@ -235,7 +246,7 @@ impl Coaching {
         let near = (off - off.round()).abs() / push.arc;
         // A push starts only near the beginning of the arc, so that it is complete in each cycle.
         let now_inside = near < 1.0 && (*inside || near > 0.6);
-        let patience = PATIENCE * f64::from(push.cycles) / self.path.frequency();
+        let patience = MAX_CYCLES_FACTOR * f64::from(push.cycles) / self.path.frequency();
         let over = t - *from > patience || (gone && !now_inside);
         if now_inside {
             state.push = Vector3::from(push.force) * (FRAC_PI_2 * near).cos().powi(2);
@@ -272,11 +283,11 @@ impl Coaching {
             happened = Some(EventKind::Leaves);
         }
         let apart = match hand.leaves {
-            Some(left) => minimum_jerk((t - left) / COME),
+            Some(left) => minimum_jerk((t - left) / COME_S),
             None => 1.0 - minimum_jerk(hand.come),
         };
         let root_from_hand = Translation3::from(hand.away * apart) * hand.place;
-        let over = hand.leaves.is_some_and(|left| t - left >= COME);
+        let over = hand.leaves.is_some_and(|left| t - left >= COME_S);
         let in_place = hand.arrived.is_some() && hand.leaves.is_none();
         let shown_s = t - hand.since;
         if let Some(event) = happened {
@@ -290,13 +301,13 @@ impl Coaching {
     }
 
     /// Speed of the approaching hand, as share of its way per s: the rest of its way in the time that the robot
-    /// needs to the coached phase, limited by [`HURRY`].
+    /// needs to the coached phase, limited by [`MAX_HASTE`].
     fn approach_rate(&self, phase: f64) -> f64 {
         let Activity::Showing(hand) = &self.activity else { return 0.0 };
-        let Some(cycles) = self.until(phase) else { return 1.0 / COME };
+        let Some(cycles) = self.until(phase) else { return 1.0 / COME_S };
         // If the phase was just missed, do not wait for the next pass.
         let left = if cycles > 0.8 { 0.0 } else { cycles / self.tracker.frequency().max(1e-3) };
-        ((1.0 - hand.come) / left.max(1e-3)).clamp(1.0 / (HURRY * COME), HURRY / COME)
+        ((1.0 - hand.come) / left.max(1e-3)).clamp(1.0 / (MAX_HASTE * COME_S), MAX_HASTE / COME_S)
     }
 
     /// Where the hand stands: beside the path as executed last, the palm turned to the cameras. It is lifted if the

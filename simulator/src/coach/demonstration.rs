@@ -11,7 +11,7 @@ use super::path::{CoachPath, Wobble};
 use crate::world::Demonstration;
 
 /// Time in which the tool comes and goes, s.
-const COME: f64 = 1.5;
+const COME_S: f64 = 1.5;
 /// Rest before the swipe, s.
 const REST: f64 = 0.8;
 /// Rest after the swipe, s.
@@ -42,7 +42,7 @@ pub struct Performance {
 
 /// The coach's state at a time of the performance.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Shown {
+pub struct ToolShown {
     /// Pose of the tool's middle.
     pub root_from_tool: Isometry3<f64>,
     /// Phase of the periodic path, rad, unwrapped, while it is performed.
@@ -70,20 +70,17 @@ impl Performance {
     }
 
     /// Its duration, s.
-    #[must_use]
     pub fn duration(&self) -> f64 {
-        self.periodic_start() + self.periodic_s + COME
+        self.periodic_start() + self.periodic_s + COME_S
     }
 
     /// When the periodic part begins, s.
-    #[must_use]
     pub fn periodic_start(&self) -> f64 {
-        COME + REST + self.swipe_s + PAUSE + GO
+        COME_S + REST + self.swipe_s + PAUSE + GO
     }
 
     /// The state `t` s after the start; `None` before the start and after the end.
-    #[must_use]
-    pub fn at(&self, t: f64) -> Option<Shown> {
+    pub fn at(&self, t: f64) -> Option<ToolShown> {
         if !(0.0..=self.duration()).contains(&t) {
             return None;
         }
@@ -97,7 +94,7 @@ impl Performance {
             Translation3::from(position + wobble.component_mul(&scale)),
             UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw),
         );
-        Some(Shown { root_from_tool, theta })
+        Some(ToolShown { root_from_tool, theta })
     }
 
     /// Position and phase without random deviations.
@@ -108,7 +105,7 @@ impl Performance {
         };
         let mut t = t;
         for (from, to, lasts) in [
-            (self.from + AWAY, self.from, COME),
+            (self.from + AWAY, self.from, COME_S),
             (self.from, self.from, REST),
             (self.from, self.to, self.swipe_s),
             (self.to, self.to, PAUSE),
@@ -124,7 +121,7 @@ impl Performance {
             return (on_path(theta), Some(theta));
         }
         let end = on_path(self.theta(self.periodic_s));
-        (end + AWAY * minimum_jerk((t - self.periodic_s) / COME), None)
+        (end + AWAY * minimum_jerk((t - self.periodic_s) / COME_S), None)
     }
 
     /// The phase `t` s after the start of the periodic part: constant speed between two ramps, with the jitter
@@ -139,7 +136,6 @@ impl Performance {
 }
 
 /// Flash and Hogan's minimum-jerk profile from 0 to 1.
-#[must_use]
 pub(crate) fn minimum_jerk(s: f64) -> f64 {
     let s = s.clamp(0.0, 1.0);
     s * s * s * (10.0 + s * (6.0 * s - 15.0))
@@ -160,8 +156,8 @@ mod tests {
     fn it_swipes_then_shows_the_path_at_its_frequency() {
         let p = performance(0.0);
         let at = |t| p.at(t).unwrap().root_from_tool.translation.vector;
-        assert!((at(COME) - Vector3::new(0.20, 0.48, 1.15)).norm() < 1e-12);
-        let swiped = at(COME + REST + p.swipe_s);
+        assert!((at(COME_S) - Vector3::new(0.20, 0.48, 1.15)).norm() < 1e-12);
+        let swiped = at(COME_S + REST + p.swipe_s);
         assert!((swiped - Vector3::new(0.36, 0.58, 1.15)).norm() < 1e-12);
         let t = p.periodic_start() + 5.0;
         assert!((at(t) - at(t + 2.0)).norm() < 1e-12);

@@ -14,7 +14,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rand_chacha::ChaCha8Rng;
 
 pub use coaching::{ActionEvent, ActionKind, EventKind, HandShown};
-pub use demonstration::{Performance, Shown};
+pub use demonstration::{Performance, ToolShown};
 pub use path::{CoachPath, PhaseTracker, Wobble, wrap};
 
 use crate::world::{CoachSpec, Demonstration};
@@ -59,7 +59,6 @@ pub struct Coach {
 
 impl Coach {
     /// The coach of a world. `camera` is the position of the robot's cameras, m, to which gestures are shown.
-    #[must_use]
     pub fn new(spec: &CoachSpec, table_height: f64, camera: Point3<f64>, rng: ChaCha8Rng) -> Self {
         let path = CoachPath::new(&spec.demonstration.clone().unwrap_or_default());
         Self {
@@ -88,7 +87,6 @@ impl Coach {
     }
 
     /// When the robot first said that it wipes, s.
-    #[must_use]
     pub fn wiping_since(&self) -> Option<f64> {
         self.coaching.since()
     }
@@ -107,7 +105,6 @@ impl Coach {
     }
 
     /// Whether all planned actions are done.
-    #[must_use]
     pub fn is_done(&self, t: f64) -> bool {
         self.coaching.is_done(t)
     }

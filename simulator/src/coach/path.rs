@@ -6,12 +6,12 @@ use std::f64::consts::{PI, TAU};
 
 use rand::{Rng, RngExt};
 
-use crate::world::{Demonstration, Shape};
+use crate::world::{Demonstration, PathShape};
 
 /// The periodic part of a demonstration, in the horizontal plane of the root frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CoachPath {
-    shape: Shape,
+    shape: PathShape,
     center: [f64; 2],
     half: [f64; 2],
     frequency: f64,
@@ -19,7 +19,6 @@ pub struct CoachPath {
 
 impl CoachPath {
     /// The path of a demonstration, about the middle of its swipe.
-    #[must_use]
     pub fn new(demonstration: &Demonstration) -> Self {
         let swipe = &demonstration.swipe;
         Self {
@@ -31,48 +30,42 @@ impl CoachPath {
     }
 
     /// The point at `theta` rad, m.
-    #[must_use]
     pub fn point(&self, theta: f64) -> [f64; 2] {
         let y = match self.shape {
-            Shape::Ellipse => theta.sin(),
-            Shape::Eight => (2.0 * theta).sin(),
-            Shape::Line => theta.cos(),
+            PathShape::Ellipse => theta.sin(),
+            PathShape::Eight => (2.0 * theta).sin(),
+            PathShape::Line => theta.cos(),
         };
         [self.center[0] + self.half[0] * theta.cos(), self.center[1] + self.half[1] * y]
     }
 
     /// The derivative of the point by `theta`, m/rad.
-    #[must_use]
     pub fn tangent(&self, theta: f64) -> [f64; 2] {
         let y = match self.shape {
-            Shape::Ellipse => theta.cos(),
-            Shape::Eight => 2.0 * (2.0 * theta).cos(),
-            Shape::Line => -theta.sin(),
+            PathShape::Ellipse => theta.cos(),
+            PathShape::Eight => 2.0 * (2.0 * theta).cos(),
+            PathShape::Line => -theta.sin(),
         };
         [-self.half[0] * theta.sin(), self.half[1] * y]
     }
 
     /// The middle, m.
-    #[must_use]
     pub fn center(&self) -> [f64; 2] {
         self.center
     }
 
     /// Half its width and depth, m.
-    #[must_use]
     pub fn half(&self) -> [f64; 2] {
         self.half
     }
 
     /// Repetitions of the whole path per second, Hz.
-    #[must_use]
     pub fn frequency(&self) -> f64 {
         self.frequency
     }
 }
 
 /// An angle between -pi and pi.
-#[must_use]
 pub fn wrap(angle: f64) -> f64 {
     angle - TAU * (angle / TAU).round()
 }
@@ -94,13 +87,11 @@ impl Wobble {
     }
 
     /// The noise at a time, s.
-    #[must_use]
     pub fn at(&self, t: f64) -> f64 {
         self.waves.iter().map(|(w, p)| (w * t + p).sin()).sum::<f64>() * (2.0f64 / 7.0).sqrt()
     }
 
     /// The integral of the noise from 0 to a time, s.
-    #[must_use]
     pub fn integral(&self, t: f64) -> f64 {
         let sum: f64 = self.waves.iter().map(|(w, p)| (p.cos() - (w * t + p).cos()) / w).sum();
         sum * (2.0f64 / 7.0).sqrt()
@@ -125,26 +116,22 @@ pub struct PhaseTracker {
 
 impl PhaseTracker {
     /// A tracker along a path.
-    #[must_use]
     pub fn new(path: CoachPath) -> Self {
         let omega = TAU * path.frequency;
         Self { path, shift: [0.0; 2], theta: None, omega }
     }
 
     /// The unwrapped phase, rad; it increases while the motion goes forward.
-    #[must_use]
     pub fn theta(&self) -> Option<f64> {
         self.theta
     }
 
     /// The phase, 0 to 1.
-    #[must_use]
     pub fn phase(&self) -> Option<f64> {
         self.theta.map(|t| (t / TAU).rem_euclid(1.0))
     }
 
     /// Rate of the phase, cycles/s, smoothed over 0.3 s.
-    #[must_use]
     pub fn frequency(&self) -> f64 {
         self.omega / TAU
     }
@@ -207,13 +194,13 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
-    fn path(shape: Shape) -> CoachPath {
+    fn path(shape: PathShape) -> CoachPath {
         CoachPath::new(&Demonstration { shape, ..Demonstration::default() })
     }
 
     #[test]
     fn tangents_are_derivatives() {
-        for shape in [Shape::Ellipse, Shape::Eight, Shape::Line] {
+        for shape in [PathShape::Ellipse, PathShape::Eight, PathShape::Line] {
             let p = path(shape);
             for i in 0..20 {
                 let (t, h) = (f64::from(i) * 0.37, 1e-6);
@@ -227,7 +214,7 @@ mod tests {
 
     #[test]
     fn the_middle_is_the_swipes() {
-        let c = path(Shape::Eight).center();
+        let c = path(PathShape::Eight).center();
         assert!((c[0] - 0.28).abs() < 1e-12 && (c[1] - 0.53).abs() < 1e-12);
     }
 
@@ -245,7 +232,7 @@ mod tests {
     /// Along each shape, shifted, at another speed than the coach's, the phase is found within a twentieth of a period.
     #[test]
     fn the_phase_is_tracked() {
-        for shape in [Shape::Ellipse, Shape::Eight, Shape::Line] {
+        for shape in [PathShape::Ellipse, PathShape::Eight, PathShape::Line] {
             for (shift, speed) in [([0.0, 0.0], 1.0), ([0.01, 0.03], 1.0), ([0.0, 0.0], 0.6)] {
                 let p = path(shape);
                 let mut tracker = PhaseTracker::new(p.clone());

@@ -4,8 +4,10 @@
 //! head and left arm (which follow their set points exactly), are lumped into the body that carries them, in the
 //! robot's start posture. This module only computes the bodies and does not step them.
 
-use armarium_robot::{JointKind, Kinematics, LinkId, Model, Shape};
+use armarium_robot::{JointKind, Kinematics, LinkId, Model, Primitive};
 use nalgebra::{Isometry3, Matrix3, Point3, Unit, Vector3};
+
+use super::plant::PlantError;
 
 /// Limbs whose joints have dynamics.
 const DYNAMIC_LIMBS: [&str; 3] = ["torso", "right_arm", "right_hand"];
@@ -57,7 +59,7 @@ pub(super) struct Lump {
     pub(super) parent_from_body: Isometry3<f64>,
     pub(super) mass: Mass,
     /// Collision shapes, with their poses in the body's frame.
-    pub(super) collisions: Vec<(Shape, Isometry3<f64>)>,
+    pub(super) collisions: Vec<(Primitive, Isometry3<f64>)>,
 }
 
 /// The part of the robot beyond the wrist sensor that does not have a lump of its own.
@@ -90,8 +92,8 @@ impl Assembly {
     /// Splits a model into bodies. `start` is the posture in which the masses of ideal limbs are added.
     ///
     /// # Errors
-    /// The name of a link or limb that the simulator needs and the model lacks.
-    pub(super) fn new(kinematics: &Kinematics, start: &[f64]) -> Result<Self, &'static str> {
+    /// [`PlantError::Missing`] when the model lacks a link or limb that the simulator needs.
+    pub(super) fn new(kinematics: &Kinematics, start: &[f64]) -> Result<Self, PlantError> {
         Self::moving(kinematics, start, &DYNAMIC_LIMBS, &TOUCHING_LIMBS)
     }
 
@@ -104,14 +106,15 @@ impl Assembly {
         start: &[f64],
         dynamic: &[&str],
         touching: &[&str],
-    ) -> Result<Self, &'static str> {
+    ) -> Result<Self, PlantError> {
         let model = kinematics.model();
+        let missing = |what| PlantError::Missing { what };
         let joints = |limbs: &[&str]| -> Vec<usize> {
             limbs.iter().flat_map(|limb| model.limb(limb)).copied().collect()
         };
         let (dynamic, touching) = (joints(dynamic), joints(touching));
-        let sensor = model.link("wrist_sensor_right").ok_or("link `wrist_sensor_right`")?;
-        let tcp = model.link("tcp_right").ok_or("link `tcp_right`")?;
+        let sensor = model.link("wrist_sensor_right").ok_or(missing("link `wrist_sensor_right`"))?;
+        let tcp = model.link("tcp_right").ok_or(missing("link `tcp_right`"))?;
 
         let mut lumps: Vec<Lump> = Vec::new();
         let mut carrier: Vec<Option<usize>> = Vec::new();
@@ -158,7 +161,7 @@ impl Assembly {
                 lump.collisions.extend(collisions);
             }
         }
-        let lump = carrier[sensor.index()].ok_or("a joint under `wrist_sensor_right`")?;
+        let lump = carrier[sensor.index()].ok_or(missing("a joint under `wrist_sensor_right`"))?;
         let fingers = (0..lumps.len()).filter(|i| lumps[*i].parent == Some(lump)).collect();
         let wrist = Wrist {
             lump,

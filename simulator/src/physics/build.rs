@@ -1,6 +1,6 @@
 //! Builds a world's room, objects and robot in Rapier, once, at the start. It does not step them.
 
-use armarium_robot::{JointKind, Model, Shape};
+use armarium_robot::{JointKind, Model, Primitive};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::ColliderHandle;
@@ -49,8 +49,8 @@ pub(super) fn add_room(physics: &mut rapier::PhysicsWorld, table: &TableTop) {
 }
 
 pub(super) fn add_object(physics: &mut rapier::PhysicsWorld, table: &TableTop, spec: &ObjectSpec) -> Object {
-    let bed = ElasticFoundation::new(spec);
-    let half = *bed.half();
+    let foundation = ElasticFoundation::new(spec);
+    let half = *foundation.half();
     let [x, y] = spec.at;
     let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), spec.yaw_deg.to_radians());
     // The object starts as deep as its weight presses it in.
@@ -58,14 +58,7 @@ pub(super) fn add_object(physics: &mut rapier::PhysicsWorld, table: &TableTop, s
     let surface = Point3::new(x, y, table.plane_height(x, y));
     let middle = surface + table.plane_normal().into_inner() * (half.z - sink);
     let pose = Isometry3::from_parts(middle.coords.into(), table.root_from_top().rotation * yaw);
-    let [sx, sy, sz] = spec.size.map(|s| s * s);
-    let inertia = Vector3::new(sy + sz, sx + sz, sx + sy) * (spec.mass / 12.0);
-    let mass = rapier::MassProperties::new(rapier::Vector::ZERO, spec.mass, convert::vector(&inertia));
-    let body = rapier::RigidBodyBuilder::dynamic()
-        .pose(convert::pose(&pose))
-        .additional_mass_properties(mass)
-        .can_sleep(false);
-    let handle = physics.insert_body(body);
+    let handle = add_box(physics, &pose, spec.size, spec.mass);
     let full = rapier::ColliderBuilder::cuboid(half.x, half.y, half.z)
         .density(0.0)
         .friction(PAD_FRICTION)
@@ -76,7 +69,7 @@ pub(super) fn add_object(physics: &mut rapier::PhysicsWorld, table: &TableTop, s
         .collision_groups(groups(CORE, ROOM));
     let collider = physics.insert_collider(full, Some(handle));
     physics.insert_collider(core, Some(handle));
-    Object { handle, collider, bed, reaction: FoundationReaction::default() }
+    Object { handle, collider, foundation, reaction: FoundationReaction::default() }
 }
 
 pub(super) fn add_robot(
@@ -168,22 +161,39 @@ fn set_rotors(physics: &mut rapier::PhysicsWorld, bodies: &[Body]) {
     }
 }
 
-fn collider(shape: &Shape, body_from_shape: &Isometry3<f64>) -> rapier::ColliderBuilder {
+fn collider(shape: &Primitive, body_from_shape: &Isometry3<f64>) -> rapier::ColliderBuilder {
     let (builder, turn) = match shape {
-        Shape::Box { size } => (
+        Primitive::Box { size } => (
             rapier::ColliderBuilder::cuboid(size.x / 2.0, size.y / 2.0, size.z / 2.0),
             UnitQuaternion::identity(),
         ),
         // Rapier's cylinders stand along y, the description's along z.
-        Shape::Cylinder { radius, length } => (
+        Primitive::Cylinder { radius, length } => (
             rapier::ColliderBuilder::cylinder(length / 2.0, *radius),
             UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::FRAC_PI_2),
         ),
-        Shape::Sphere { radius } => (rapier::ColliderBuilder::ball(*radius), UnitQuaternion::identity()),
+        Primitive::Sphere { radius } => (rapier::ColliderBuilder::ball(*radius), UnitQuaternion::identity()),
     };
     builder
         .position(convert::pose(&(body_from_shape * turn)))
         .density(0.0)
         .friction(PAD_FRICTION)
         .collision_groups(groups(ROBOT, OBJECT | ROOM))
+}
+
+/// A free body with the mass and the inertia of a homogeneous box of this size (m), without a collision shape.
+pub(super) fn add_box(
+    physics: &mut rapier::PhysicsWorld,
+    pose: &Isometry3<f64>,
+    size: [f64; 3],
+    mass: f64,
+) -> rapier::RigidBodyHandle {
+    let [sx, sy, sz] = size.map(|s| s * s);
+    let inertia = Vector3::new(sy + sz, sx + sz, sx + sy) * (mass / 12.0);
+    let mass = rapier::MassProperties::new(rapier::Vector::ZERO, mass, convert::vector(&inertia));
+    let body = rapier::RigidBodyBuilder::dynamic()
+        .pose(convert::pose(pose))
+        .additional_mass_properties(mass)
+        .can_sleep(false);
+    physics.insert_body(body)
 }

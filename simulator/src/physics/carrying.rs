@@ -13,9 +13,9 @@ use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::RigidBodyHandle;
 
 use super::assembly::Assembly;
-use super::build::{add_robot, empty_room};
+use super::build::{add_box, add_robot, empty_room};
 use super::convert;
-use super::drives::{self, Body};
+use super::drives::Joints;
 use super::pad::{Moving, Pad, PadReaction, PadSpec};
 use super::plant::{DT, PlantError};
 
@@ -46,7 +46,6 @@ impl Default for CarriedBox {
 impl CarriedBox {
     /// The middle of a pad's outer face (side 0 right, 1 left) in the frame of its TCP, m. In both hands, y points
     /// to the robot's left: to the inner side of the right hand, and to the outer side of the left hand.
-    #[must_use]
     pub fn pad_middle(&self, side: usize) -> Point3<f64> {
         let inner = if side == 0 { 1.0 } else { -1.0 };
         Point3::new(0.0, inner * (HAND_HALF + self.pad.thickness), PALM_MIDDLE)
@@ -59,7 +58,7 @@ pub type Sides<T> = [T; 2];
 /// Names of limbs and TCPs, right and left.
 const ARMS: Sides<(&str, &str)> = [("right_arm", "tcp_right"), ("left_arm", "tcp_left")];
 
-struct Hand {
+struct PaddedHand {
     palm: RigidBodyHandle,
     palm_from_tcp: Isometry3<f64>,
     pad: Pad,
@@ -70,13 +69,10 @@ struct Hand {
 /// The physics of robot, box and table.
 pub struct CarryingPlant {
     physics: rapier::PhysicsWorld,
-    bodies: Vec<Body>,
-    ideal: Vec<usize>,
-    hands: Sides<Hand>,
+    joints: Joints,
+    hands: Sides<PaddedHand>,
     carried: RigidBodyHandle,
     half: Vector3<f64>,
-    position: Vec<f64>,
-    velocity: Vec<f64>,
 }
 
 impl CarryingPlant {
@@ -87,12 +83,11 @@ impl CarryingPlant {
     /// [`PlantError`] when the robot lacks an arm or a TCP.
     pub fn new(model: &Arc<Model>, carried: &CarriedBox, start: &[f64]) -> Result<Self, PlantError> {
         let limbs = ["torso", ARMS[0].0, ARMS[1].0];
-        let assembly = Assembly::moving(&Kinematics::new(model), start, &limbs, &[])
-            .map_err(|what| PlantError::Missing { what })?;
+        let assembly = Assembly::moving(&Kinematics::new(model), start, &limbs, &[])?;
         let mut physics = empty_room();
         let (bodies, _) = add_robot(&mut physics, model, &assembly, start)?;
         let half = Vector3::from(carried.size) / 2.0;
-        let handle = add_box(&mut physics, carried, &half);
+        let handle = add_table_and_box(&mut physics, carried, &half);
         let hand = |side: usize| {
             let name = ARMS[side].1;
             let tcp = model.link(name).ok_or(PlantError::Missing { what: name })?;
@@ -100,7 +95,7 @@ impl CarryingPlant {
             let inner = if side == 0 { 1.0 } else { -1.0 };
             let middle = carried.pad_middle(side);
             let edges = (Vector3::z() * carried.pad.half[0], Vector3::x() * carried.pad.half[1]);
-            Ok::<_, PlantError>(Hand {
+            Ok::<_, PlantError>(PaddedHand {
                 palm: bodies[lump].handle,
                 palm_from_tcp,
                 pad: Pad::new(carried.pad, carried.mass, middle, edges.0, edges.1),
@@ -109,40 +104,26 @@ impl CarryingPlant {
             })
         };
         let hands = [hand(0)?, hand(1)?];
-        let mut plant = Self {
-            physics,
-            ideal: assembly.ideal.clone(),
-            bodies,
-            hands,
-            carried: handle,
-            half,
-            position: start.to_vec(),
-            velocity: vec![0.0; start.len()],
-        };
-        drives::read(&plant.physics, &plant.bodies, &mut plant.position, &mut plant.velocity);
-        Ok(plant)
+        let joints = Joints::new(&physics, bodies, assembly.ideal.clone(), start);
+        Ok(Self { physics, joints, hands, carried: handle, half })
     }
 
     /// True joint positions, rad or m, in the model's order.
-    #[must_use]
     pub fn position(&self) -> &[f64] {
-        &self.position
+        &self.joints.position
     }
 
     /// True joint velocities, rad/s or m/s.
-    #[must_use]
     pub fn velocity(&self) -> &[f64] {
-        &self.velocity
+        &self.joints.velocity
     }
 
     /// Pose of the box's middle.
-    #[must_use]
     pub fn carried(&self) -> Isometry3<f64> {
         convert::to_pose(self.physics.bodies[self.carried].position())
     }
 
     /// Poses of the TCPs, right and left.
-    #[must_use]
     pub fn tcps(&self) -> Sides<Isometry3<f64>> {
         self.hands
             .each_ref()
@@ -150,22 +131,16 @@ impl CarryingPlant {
     }
 
     /// The forces of the box on the hands in the last step, right and left; torques about the TCPs.
-    #[must_use]
     pub fn reactions(&self) -> Sides<PadReaction> {
         self.hands.each_ref().map(|h| h.reaction)
     }
 
     /// Advances by [`DT`]. The servo targets are positions and velocities of all joints.
     pub fn step(&mut self, position: &[f64], velocity: &[f64]) {
-        let now = (&self.position[..], &self.velocity[..]);
-        drives::set_targets(&mut self.physics, &self.bodies, now, (position, velocity));
+        self.joints.set_targets(&mut self.physics, (position, velocity));
         self.press();
         self.physics.step();
-        drives::read(&self.physics, &self.bodies, &mut self.position, &mut self.velocity);
-        for &j in &self.ideal {
-            self.position[j] = position[j];
-            self.velocity[j] = velocity[j];
-        }
+        self.joints.read(&self.physics, (position, velocity));
     }
 
     /// Applies the pads' forces to hands and box.
@@ -192,22 +167,19 @@ impl CarryingPlant {
     }
 }
 
-fn add_box(physics: &mut rapier::PhysicsWorld, spec: &CarriedBox, half: &Vector3<f64>) -> RigidBodyHandle {
+fn add_table_and_box(
+    physics: &mut rapier::PhysicsWorld,
+    spec: &CarriedBox,
+    half: &Vector3<f64>,
+) -> RigidBodyHandle {
     let [x, y, z] = spec.at;
     let top = z - half.z;
     let table = rapier::ColliderBuilder::cuboid(1.0, 1.0, 0.02)
         .translation(rapier::Vector::new(x, y + 0.8, top - 0.02))
         .friction(0.4);
     physics.insert_collider(table, None);
-    let [sx, sy, sz] = spec.size.map(|s| s * s);
-    let inertia = Vector3::new(sy + sz, sx + sz, sx + sy) * (spec.mass / 12.0);
-    let mass = rapier::MassProperties::new(rapier::Vector::ZERO, spec.mass, convert::vector(&inertia));
     let pose = Isometry3::from_parts(Vector3::new(x, y, z).into(), UnitQuaternion::identity());
-    let body = rapier::RigidBodyBuilder::dynamic()
-        .pose(convert::pose(&pose))
-        .additional_mass_properties(mass)
-        .can_sleep(false);
-    let handle = physics.insert_body(body);
+    let handle = add_box(physics, &pose, spec.size, spec.mass);
     let shape = rapier::ColliderBuilder::cuboid(half.x, half.y, half.z).density(0.0).friction(0.4);
     physics.insert_collider(shape, Some(handle));
     handle

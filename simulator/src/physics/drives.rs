@@ -28,39 +28,57 @@ pub(super) struct Body {
     pub(super) servo: Servo,
 }
 
-/// Sets the spring of every servo such that, with its damper, it pulls to the set point and feeds the velocity
-/// forward. `now` and `targets` are positions and velocities of all the model's joints.
-pub(super) fn set_targets(
-    physics: &mut rapier::PhysicsWorld,
-    bodies: &[Body],
-    now: (&[f64], &[f64]),
-    targets: (&[f64], &[f64]),
-) {
-    for body in bodies {
-        let Servo { stiffness, damping, effort } = body.servo;
-        let (q, v) = (now.0[body.index], now.1[body.index]);
-        let wanted = stiffness * (targets.0[body.index] - q) + damping * (targets.1[body.index] - v);
-        let rest = q + (wanted.clamp(-effort, effort) + damping * v) / stiffness;
-        if let Some((multibody, link)) = physics.multibody_joints.get_mut(body.joint)
-            && let Some(link) = multibody.link_mut(link)
-        {
-            link.joint.set_spring(axis_of(body.kind), stiffness, rest - body.start);
-        }
-    }
+/// All joints of the model: those with bodies, and the ideal ones, which follow their set points exactly.
+pub(super) struct Joints {
+    pub(super) bodies: Vec<Body>,
+    ideal: Vec<usize>,
+    /// True positions, rad or m, in the model's order.
+    pub(super) position: Vec<f64>,
+    /// True velocities, rad/s or m/s.
+    pub(super) velocity: Vec<f64>,
 }
 
-/// Reads positions and velocities of the joints that have bodies.
-pub(super) fn read(
-    physics: &rapier::PhysicsWorld,
-    bodies: &[Body],
-    position: &mut [f64],
-    velocity: &mut [f64],
-) {
-    for body in bodies {
-        let Some((multibody, id)) = physics.multibody_joints.get(body.joint) else { continue };
-        let Some(link) = multibody.link(id) else { continue };
-        position[body.index] = body.start + link.joint.coords()[axis_of(body.kind)];
-        velocity[body.index] = multibody.joint_velocity(link)[0];
+impl Joints {
+    /// The joints at rest in the posture `start`.
+    pub(super) fn new(
+        physics: &rapier::PhysicsWorld,
+        bodies: Vec<Body>,
+        ideal: Vec<usize>,
+        start: &[f64],
+    ) -> Self {
+        let velocity = vec![0.0; start.len()];
+        let mut joints = Self { bodies, ideal, position: start.to_vec(), velocity };
+        joints.read(physics, (start, &joints.velocity.clone()));
+        joints
+    }
+
+    /// Sets the spring of every servo such that, with its damper, it pulls to the set point and feeds the velocity
+    /// forward. `targets` are positions and velocities of all the model's joints.
+    pub(super) fn set_targets(&self, physics: &mut rapier::PhysicsWorld, targets: (&[f64], &[f64])) {
+        for body in &self.bodies {
+            let Servo { stiffness, damping, effort } = body.servo;
+            let (q, v) = (self.position[body.index], self.velocity[body.index]);
+            let wanted = stiffness * (targets.0[body.index] - q) + damping * (targets.1[body.index] - v);
+            let rest = q + (wanted.clamp(-effort, effort) + damping * v) / stiffness;
+            if let Some((multibody, link)) = physics.multibody_joints.get_mut(body.joint)
+                && let Some(link) = multibody.link_mut(link)
+            {
+                link.joint.set_spring(axis_of(body.kind), stiffness, rest - body.start);
+            }
+        }
+    }
+
+    /// Reads positions and velocities after a step towards `targets`.
+    pub(super) fn read(&mut self, physics: &rapier::PhysicsWorld, targets: (&[f64], &[f64])) {
+        for body in &self.bodies {
+            let Some((multibody, id)) = physics.multibody_joints.get(body.joint) else { continue };
+            let Some(link) = multibody.link(id) else { continue };
+            self.position[body.index] = body.start + link.joint.coords()[axis_of(body.kind)];
+            self.velocity[body.index] = multibody.joint_velocity(link)[0];
+        }
+        for &j in &self.ideal {
+            (self.position[j], self.velocity[j]) = (targets.0[j], targets.1[j]);
+        }
     }
 }
 

@@ -1,7 +1,7 @@
 //! When the hand holds an object.
 //!
 //! The grip begins while **both** finger pads press on an object: the object is then joined to the palm. It ends
-//! when a pad has pressed less than [`HOLDING_FORCE`] for [`PATIENCE`], or when the load exceeds the friction of
+//! when a pad has pressed less than [`HOLDING_FORCE`] for [`RELEASE_AFTER`], or when the load exceeds the friction of
 //! the pads: force `F` and torque `T` (about the object's middle) with `(F / Fc)^2 + (T / (Fc r))^2 > 1`, where
 //! `Fc` is [`PAD_FRICTION`] times the sum of both pads' normal forces and `r = ` [`CONTACT_RADIUS`]. With 40 N per
 //! pad, this is 72 N and 2.2 N m. So an object can be missed, dropped and knocked out of the hand. This file
@@ -15,7 +15,7 @@ use super::plant::PAD_FRICTION;
 /// Normal force of a pad that counts as pressing, N.
 pub const HOLDING_FORCE: f64 = 1.0;
 /// How long a pad may press less before the grip ends, s.
-pub const PATIENCE: f64 = 0.02;
+pub const RELEASE_AFTER: f64 = 0.02;
 /// Radius of the friction patch of a pad, m.
 pub const CONTACT_RADIUS: f64 = 0.03;
 /// Time constant of the load's low-pass filter, s: the pads' elasticity absorbs shorter peaks.
@@ -73,7 +73,7 @@ impl Grip {
         self.load.force += (load.force - self.load.force) * rate;
         self.load.torque += (load.torque - self.load.torque) * rate;
         let capacity = PAD_FRICTION * pads.iter().map(|p| p.force).sum::<f64>();
-        if self.loose_s > PATIENCE {
+        if self.loose_s > RELEASE_AFTER {
             self.held = None;
         } else if capacity > 0.0 && !loose && self.slips(capacity) {
             self.held = None;

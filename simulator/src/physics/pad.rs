@@ -85,7 +85,6 @@ pub struct Pad {
 
 impl Pad {
     /// A pad in the rectangle about `middle` (hand frame, m) with the half edges `u` and `v`, for a box of `mass` kg.
-    #[must_use]
     pub fn new(spec: PadSpec, mass: f64, middle: Point3<f64>, u: Vector3<f64>, v: Vector3<f64>) -> Self {
         let place = |k: usize| 2.0 * k as f64 / (POINTS - 1) as f64 - 1.0;
         let points: Vec<_> =

@@ -21,7 +21,7 @@ use rapier3d_f64::prelude::{ColliderHandle, MultibodyJointHandle, RigidBodyHandl
 use super::assembly::Assembly;
 use super::build::{add_object, add_robot, add_room, empty_room};
 use super::convert;
-use super::drives::{self, Body};
+use super::drives::Joints;
 use super::grip::{Grip, PadPress};
 use super::wrench::{Momentum, WristWrench};
 use crate::foundation::{ElasticFoundation, FoundationReaction, Motion};
@@ -65,7 +65,7 @@ pub struct External {
 pub(super) struct Object {
     pub(super) handle: RigidBodyHandle,
     pub(super) collider: ColliderHandle,
-    pub(super) bed: ElasticFoundation,
+    pub(super) foundation: ElasticFoundation,
     pub(super) reaction: FoundationReaction,
 }
 
@@ -73,8 +73,7 @@ pub(super) struct Object {
 pub struct Plant {
     physics: rapier::PhysicsWorld,
     table: TableTop,
-    bodies: Vec<Body>,
-    ideal: Vec<usize>,
+    joints: Joints,
     objects: Vec<Object>,
     pads: Vec<ColliderHandle>,
     grip: Grip,
@@ -82,8 +81,6 @@ pub struct Plant {
     fingers: Vec<RigidBodyHandle>,
     body_from_tcp: Isometry3<f64>,
     wrench: WristWrench,
-    position: Vec<f64>,
-    velocity: Vec<f64>,
 }
 
 impl Plant {
@@ -93,7 +90,7 @@ impl Plant {
     /// [`PlantError`] when the robot lacks a limb or link that the simulator needs.
     pub fn new(model: &Arc<Model>, world: &World, start: &[f64]) -> Result<Self, PlantError> {
         let kinematics = Kinematics::new(model);
-        let assembly = Assembly::new(&kinematics, start).map_err(|what| PlantError::Missing { what })?;
+        let assembly = Assembly::new(&kinematics, start)?;
         let mut physics = empty_room();
         let table = TableTop::new(&world.table);
         add_room(&mut physics, &table);
@@ -102,52 +99,43 @@ impl Plant {
         let wrist = &assembly.wrist;
         let palm = bodies[wrist.lump].handle;
         let mut plant = Self {
-            physics,
             table,
-            ideal: assembly.ideal.clone(),
             palm,
             fingers: wrist.fingers.iter().map(|f| bodies[*f].handle).collect(),
             body_from_tcp: wrist.body_from_tcp,
             wrench: WristWrench::new(wrist, world.objects.len()),
             grip: Grip::default(),
-            bodies,
+            joints: Joints::new(&physics, bodies, assembly.ideal.clone(), start),
+            physics,
             objects,
             pads,
-            position: start.to_vec(),
-            velocity: vec![0.0; start.len()],
         };
-        plant.read_joints();
         plant.weigh();
         plant.sense_wrist(&External::default());
         Ok(plant)
     }
 
     /// True joint positions, rad or m, in the model's order.
-    #[must_use]
     pub fn position(&self) -> &[f64] {
-        &self.position
+        &self.joints.position
     }
 
     /// True joint velocities, rad/s or m/s.
-    #[must_use]
     pub fn velocity(&self) -> &[f64] {
-        &self.velocity
+        &self.joints.velocity
     }
 
     /// The table.
-    #[must_use]
     pub fn table(&self) -> &TableTop {
         &self.table
     }
 
     /// Pose of the right TCP.
-    #[must_use]
     pub fn tcp(&self) -> Isometry3<f64> {
         convert::to_pose(self.physics.bodies[self.palm].position()) * self.body_from_tcp
     }
 
     /// Velocity of the right TCP, m/s, root frame.
-    #[must_use]
     pub fn tcp_velocity(&self) -> Vector3<f64> {
         let body = &self.physics.bodies[self.palm];
         let tcp = self.tcp().translation.vector;
@@ -156,47 +144,37 @@ impl Plant {
     }
 
     /// Pose of an object's middle.
-    #[must_use]
     pub fn object(&self, index: usize) -> Option<Isometry3<f64>> {
         self.objects.get(index).map(|o| convert::to_pose(self.physics.bodies[o.handle].position()))
     }
 
     /// The springs under an object.
-    #[must_use]
-    pub fn bed(&self, index: usize) -> Option<&ElasticFoundation> {
-        self.objects.get(index).map(|o| &o.bed)
+    pub fn foundation(&self, index: usize) -> Option<&ElasticFoundation> {
+        self.objects.get(index).map(|o| &o.foundation)
     }
 
     /// The force of the table on an object in the last step.
-    #[must_use]
     pub fn reaction(&self, index: usize) -> Option<&FoundationReaction> {
         self.objects.get(index).map(|o| &o.reaction)
     }
 
     /// Index of the object that the hand holds.
-    #[must_use]
     pub fn held(&self) -> Option<usize> {
         self.grip.held()
     }
 
     /// Force and torque of the hand on the wrist sensor in the last step, in the sensor's frame, without noise, N
     /// and N m.
-    #[must_use]
     pub fn wrist(&self) -> (Vector3<f64>, Vector3<f64>) {
         self.wrench.reading()
     }
 
     /// Advances by [`DT`]. The servo targets are positions and velocities of all joints.
     pub fn step(&mut self, position: &[f64], velocity: &[f64], external: &External) {
-        let now = (&self.position[..], &self.velocity[..]);
-        drives::set_targets(&mut self.physics, &self.bodies, now, (position, velocity));
+        self.joints.set_targets(&mut self.physics, (position, velocity));
         self.apply(external);
         self.physics.step();
-        self.read_joints();
-        for &j in &self.ideal {
-            self.position[j] = position[j];
-            self.velocity[j] = velocity[j];
-        }
+        self.joints.read(&self.physics, (position, velocity));
         self.update_grip(external);
         self.sense_wrist(external);
     }
@@ -216,17 +194,13 @@ impl Plant {
                 linear: convert::to_vector(body.linvel()),
                 angular: convert::to_vector(body.angvel()),
             };
-            object.reaction = object.bed.step(&self.table, &motion, DT);
+            object.reaction = object.foundation.step(&self.table, &motion, DT);
             let force = object.reaction.force + external.objects.get(i).copied().unwrap_or_default();
             body.reset_forces(false);
             body.reset_torques(false);
             body.add_force(convert::vector(&force), true);
             body.add_torque(convert::vector(&object.reaction.torque), true);
         }
-    }
-
-    fn read_joints(&mut self) {
-        drives::read(&self.physics, &self.bodies, &mut self.position, &mut self.velocity);
     }
 
     /// Makes or breaks the joint between palm and object.
@@ -286,12 +260,15 @@ impl Plant {
     }
 
     fn weigh(&mut self) {
-        let objects: Vec<_> =
-            self.objects.iter().map(|o| Momentum::of_body(&self.physics.bodies[o.handle])).collect();
-        let fingers: Vec<_> =
-            self.fingers.iter().map(|f| Momentum::of_body(&self.physics.bodies[*f])).collect();
-        let palm = &self.physics.bodies[self.palm];
-        self.wrench.remember(palm, &fingers, &objects);
+        let (fingers, objects) = self.momenta();
+        self.wrench.remember(&self.physics.bodies[self.palm], &fingers, &objects);
+    }
+
+    /// Of the fingers, and of the objects.
+    fn momenta(&self) -> (Vec<Momentum>, Vec<Momentum>) {
+        let of = |handle: RigidBodyHandle| Momentum::of_body(&self.physics.bodies[handle]);
+        let fingers = self.fingers.iter().map(|finger| of(*finger)).collect();
+        (fingers, self.objects.iter().map(|object| of(object.handle)).collect())
     }
 
     fn sense_wrist(&mut self, external: &External) {
@@ -307,13 +284,9 @@ impl Plant {
             torque += middle.cross(&on_object) + reaction.torque;
         }
         let (contact_force, contact_torque) = self.contacts_from_outside(held);
-        let objects: Vec<_> =
-            self.objects.iter().map(|o| Momentum::of_body(&self.physics.bodies[o.handle])).collect();
-        let fingers: Vec<_> =
-            self.fingers.iter().map(|f| Momentum::of_body(&self.physics.bodies[*f])).collect();
-        let palm = &self.physics.bodies[self.palm];
+        let (fingers, objects) = self.momenta();
         self.wrench.update(
-            palm,
+            &self.physics.bodies[self.palm],
             &fingers,
             &objects,
             held,

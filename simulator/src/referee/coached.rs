@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::Mark;
-use super::figures::{Run, gesture_label, ns};
+use super::figures::{RunLog, ns};
 use super::log::Record;
 use super::paths::{POINTS, Period, aligned, index_of_phase, mean_period, positions, repeat_period};
 use super::report::CoachingFigures;
@@ -19,7 +19,7 @@ struct Uncoached {
     newest: Period,
 }
 
-impl Run<'_> {
+impl RunLog<'_> {
     /// One entry for each action that began.
     pub(super) fn coaching(&self) -> Vec<CoachingFigures> {
         let began = self.log.coach.iter().filter(|e| e.event == EventKind::Began);
@@ -73,7 +73,7 @@ impl Run<'_> {
 
         let mut figures = CoachingFigures {
             step,
-            kind: name(kind),
+            kind: kind.name(),
             at_s: began as f64 * 1e-9,
             phase,
             direction: direction.map(Into::into),
@@ -179,13 +179,6 @@ fn reached(track: &[(u64, f64)], theta: f64) -> Option<f64> {
     let (after, above) = track[at];
     let Some((before, below)) = at.checked_sub(1).map(|i| track[i]) else { return Some(after as f64) };
     Some(before as f64 + (theta - below) / (above - below) * (after - before) as f64)
-}
-
-fn name(kind: ActionKind) -> &'static str {
-    match kind {
-        ActionKind::Push => "push",
-        ActionKind::Gesture(gesture) => gesture_label(gesture),
-    }
 }
 
 /// The shift at a phase: the mean over a thirty-second of the period around it.

@@ -13,7 +13,7 @@ use super::paths::{distance_to_coach, mean_period, positions, repeat_period};
 use super::report::{ForceFigures, GraspFigures, ImitationFigures, RefereeReport};
 use super::wiped::WipedCells;
 use crate::coach::{CoachPath, EventKind};
-use crate::world::{Gesture, World};
+use crate::world::World;
 
 /// Distance from the TCP to the middle of a nominally grasped object along the TCP's x, m: `grasp_right`.
 const GRASP_OFFSET: f64 = 0.08;
@@ -25,14 +25,13 @@ const TOUCHDOWN_S: f64 = 0.5;
 const FORCE_CYCLES: f64 = 5.0;
 
 /// Computes all figures.
-#[must_use]
 pub fn compute(
     world: &World,
     log: &TruthLog,
     marks: &[(u64, Mark)],
     seen: &[(u64, Option<String>)],
 ) -> RefereeReport {
-    let run = Run::new(world, log, marks);
+    let run = RunLog::new(world, log, marks);
     RefereeReport {
         grasp: run.grasp(),
         imitation: run.imitation(),
@@ -43,27 +42,34 @@ pub fn compute(
     }
 }
 
-/// The cells of the table that had to be cleaned, and those that were; `None` before adaptation has ended.
-#[must_use]
-pub fn wiped(world: &World, log: &TruthLog, marks: &[(u64, Mark)]) -> Option<WipedCells> {
-    Run::new(world, log, marks).wiped()
+/// The object that is judged, by its index in the world's `objects`: the one in the hand when it closed last; where nothing was
+/// marked so, the one in question at the end.
+pub fn judged_object(log: &TruthLog, marks: &[(u64, Mark)]) -> Option<usize> {
+    let closed = marks.iter().rev().find(|(_, mark)| *mark == Mark::GraspClosed);
+    let record = closed.map_or(log.records.last(), |(at, _)| log.at(*at));
+    Some(record?.object?.0)
 }
 
-pub(super) struct Run<'a> {
+/// The cells of the table that had to be cleaned, and those that were; `None` before adaptation has ended.
+pub fn wiped(world: &World, log: &TruthLog, marks: &[(u64, Mark)]) -> Option<WipedCells> {
+    RunLog::new(world, log, marks).wiped()
+}
+
+pub(super) struct RunLog<'a> {
     pub(super) world: &'a World,
     pub(super) log: &'a TruthLog,
     marks: &'a [(u64, Mark)],
     pub(super) path: CoachPath,
 }
 
-impl<'a> Run<'a> {
+impl<'a> RunLog<'a> {
     fn new(world: &'a World, log: &'a TruthLog, marks: &'a [(u64, Mark)]) -> Self {
         let path = CoachPath::new(&world.coach.demonstration.clone().unwrap_or_default());
         Self { world, log, marks, path }
     }
 }
 
-impl Run<'_> {
+impl RunLog<'_> {
     /// The last mark for which `test` is true.
     pub(super) fn marked(&self, test: impl Fn(&Mark) -> bool) -> Option<(u64, Mark)> {
         self.marks.iter().rev().find(|(_, m)| test(m)).copied()
@@ -79,12 +85,15 @@ impl Run<'_> {
         first.map_or(self.end_ns(), |e| ns(e.t))
     }
 
+    /// Of the object in the hand when it closed last; of the one in question if there was none in it.
     fn grasp(&self) -> Option<GraspFigures> {
         let (at, _) = self.marked(|m| *m == Mark::GraspClosed)?;
         let record = self.log.at(at)?;
-        let in_tcp = record.tcp.inverse() * record.sponge?;
+        let (object, pose) = record.object?;
+        let in_tcp = record.tcp.inverse() * pose;
         let off = in_tcp.translation.vector - Vector3::x() * GRASP_OFFSET;
-        Some(GraspFigures { position_error_m: off.norm() })
+        let object = self.world.objects.get(object)?.name.clone();
+        Some(GraspFigures { object, position_error_m: off.norm() })
     }
 
     /// From the steady part of the free-space motion (from [`Mark::FreeSpaceSteady`], else from the end of
@@ -143,16 +152,6 @@ pub(super) fn ns(seconds: f64) -> u64 {
     (seconds * 1e9).round() as u64
 }
 
-/// A gesture by its name in reports.
-pub(super) fn gesture_label(gesture: Gesture) -> &'static str {
-    match gesture {
-        Gesture::Fist => "fist",
-        Gesture::PointOne => "point_one",
-        Gesture::PointTwo => "point_two",
-        Gesture::OpenHand => "open_hand",
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::f64::consts::TAU;
@@ -164,8 +163,7 @@ mod tests {
     use crate::coach::{ActionEvent, ActionKind, wrap};
 
     /// A run that performs the coach's path perfectly with `force(t)` N, shifted along y by `shift(t, phase)`, with
-    /// the sponge level and nominal in the hand.
-    /// sponge level and nominal in the hand.
+    /// the object level and nominal in the hand.
     fn run(seconds: f64, force: impl Fn(f64) -> f64, shift: impl Fn(f64, f64) -> f64) -> (World, TruthLog) {
         let mut world = World::default();
         world.table.tilt_deg = [0.0; 2];
@@ -181,11 +179,11 @@ mod tests {
             let z = 0.95 + 0.02 + GRASP_OFFSET - normal / 2000.0;
             let at = Vector3::new(x, y + shift(t, phase.fract()), z);
             let tcp = Isometry3::from_parts(at.into(), down);
-            let sponge = Isometry3::translation(at.x, at.y, at.z - GRASP_OFFSET);
+            let object = Isometry3::translation(at.x, at.y, at.z - GRASP_OFFSET);
             log.records.push(Record {
                 stamp_ns: i * 1_000_000,
                 tcp,
-                sponge: Some(sponge),
+                object: Some((0, object)),
                 normal,
                 tangential: 0.0,
                 tool: None,

@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use super::figures::gesture_label;
 use super::log::TruthLog;
 use super::report::GestureFigures;
 use crate::truth::FrameTruth;
+use crate::world::Gesture;
 
 /// How long a gesture (or no hand) must have lasted before a frame counts, s.
 const STEADY_S: f64 = 0.3;
@@ -24,7 +24,7 @@ pub(super) fn gestures(log: &TruthLog, seen: &[(u64, Option<String>)]) -> Option
     let mut figures = GestureFigures::default();
     let mut right = 0usize;
     for frame in with.iter().copied().chain(spread) {
-        let shown = frame.gesture.map_or("none", gesture_label);
+        let shown = frame.gesture.map_or("none", Gesture::name);
         let answer = answers.get(&frame.stamp_ns).copied().flatten().unwrap_or("none");
         right += usize::from(shown == answer);
         figures.frames += 1;
@@ -39,7 +39,6 @@ pub(super) fn gestures(log: &TruthLog, seen: &[(u64, Option<String>)]) -> Option
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::world::Gesture;
 
     #[test]
     fn gestures_are_counted_with_as_many_frames_without() {

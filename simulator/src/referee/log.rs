@@ -1,14 +1,19 @@
 //! The referee's log of a run: the part of the truth that the figures need, once per millisecond, bounded.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{Isometry3, Vector3};
 
 use crate::coach::ActionEvent;
 use crate::truth::{FrameTruth, TruthEvent, TruthSample};
 
 /// Largest number of samples: 20 minutes. Later ones are dropped, and `truncated` is set.
-const MOST_SAMPLES: usize = 1_200_000;
+const MAX_SAMPLES: usize = 1_200_000;
 /// Largest number of frames and gestures.
-pub(super) const MOST_FRAMES: usize = 100_000;
+pub(super) const MAX_FRAMES: usize = 100_000;
+
+/// How far an object that is not in question must have moved for its place to be logged anew, m.
+const MOVED: f64 = 1e-4;
 
 /// One millisecond. In the recording: `/truth/tcp`, `/truth/contact` and `/truth/sponge`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,11 +22,11 @@ pub struct Record {
     pub stamp_ns: u64,
     /// Pose of the right TCP in the root frame.
     pub tcp: Isometry3<f64>,
-    /// Pose of the sponge's middle, if there is a sponge.
-    pub sponge: Option<Isometry3<f64>>,
-    /// Normal force of the table on the sponge, N.
+    /// The object in question (see [`TruthSample::object`]), and the pose of its middle.
+    pub object: Option<(usize, Isometry3<f64>)>,
+    /// Normal force of the table on this object, N.
     pub normal: f64,
-    /// Friction of the table on the sponge, N, its magnitude.
+    /// Friction of the table on this object, N, its magnitude.
     pub tangential: f64,
     /// Position of the coach's tool, while it is shown.
     pub tool: Option<Vector3<f64>>,
@@ -32,6 +37,8 @@ pub struct Record {
 pub struct TruthLog {
     /// One per millisecond, in order of time.
     pub records: Vec<Record>,
+    /// The places of the objects that were not in question, by their index: when each moved, and the pose of its middle.
+    pub moved: BTreeMap<usize, Vec<(u64, Isometry3<f64>)>>,
     /// The coach's events.
     pub coach: Vec<ActionEvent>,
     /// The truth about every rendered frame.
@@ -42,7 +49,7 @@ pub struct TruthLog {
 
 impl TruthLog {
     pub(super) fn sample(&mut self, s: &TruthSample) {
-        if self.records.len() >= MOST_SAMPLES {
+        if self.records.len() >= MAX_SAMPLES {
             if !self.truncated {
                 tracing::warn!("the referee's log is full; later samples do not count");
             }
@@ -52,15 +59,23 @@ impl TruthLog {
         self.records.push(Record {
             stamp_ns: s.stamp_ns,
             tcp: s.tcp,
-            sponge: s.sponge,
+            object: s.object_pose(),
             normal: s.contact.normal,
             tangential: s.contact.tangential.norm(),
             tool: s.coach.tool.map(|t| t.translation.vector),
         });
+        for (object, pose) in s.objects.iter().enumerate().filter(|(object, _)| s.object != Some(*object)) {
+            let places = self.moved.entry(object).or_default();
+            let near =
+                |last: &Isometry3<f64>| (last.translation.vector - pose.translation.vector).norm() < MOVED;
+            if !places.last().is_some_and(|(_, last)| near(last)) && places.len() < MAX_FRAMES {
+                places.push((s.stamp_ns, *pose));
+            }
+        }
     }
 
     pub(super) fn frame(&mut self, frame: &FrameTruth) {
-        if self.frames.len() < MOST_FRAMES {
+        if self.frames.len() < MAX_FRAMES {
             self.frames.push(*frame);
         } else {
             self.truncated = true;
@@ -69,22 +84,28 @@ impl TruthLog {
 
     pub(super) fn event(&mut self, _stamp_ns: u64, event: &TruthEvent) {
         if let TruthEvent::Coach(event) = event
-            && self.coach.len() < MOST_FRAMES
+            && self.coach.len() < MAX_FRAMES
         {
             self.coach.push(*event);
         }
     }
 
     /// The records from `from_ns` to before `to_ns`.
-    #[must_use]
     pub fn between(&self, from_ns: u64, to_ns: u64) -> &[Record] {
         let at = |t: u64| self.records.partition_point(|r| r.stamp_ns < t);
         let (from, to) = (at(from_ns), at(to_ns));
         &self.records[from..to.max(from)]
     }
 
+    /// The pose of an object's middle at a time.
+    pub fn object_at(&self, object: usize, stamp_ns: u64) -> Option<Isometry3<f64>> {
+        let in_question = self.at(stamp_ns)?.object.filter(|(other, _)| *other == object);
+        let places = self.moved.get(&object).map_or(&[][..], Vec::as_slice);
+        let place = || places.iter().rev().find(|(at, _)| *at <= stamp_ns);
+        in_question.map(|(_, pose)| pose).or_else(|| place().map(|(_, pose)| *pose))
+    }
+
     /// The last record at or before a time.
-    #[must_use]
     pub fn at(&self, stamp_ns: u64) -> Option<&Record> {
         let after = self.records.partition_point(|r| r.stamp_ns <= stamp_ns);
         after.checked_sub(1).map(|i| &self.records[i])

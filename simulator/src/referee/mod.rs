@@ -4,24 +4,24 @@
 //! ([`figures::compute`]), so that the figures can be recomputed from a recording. It never tells the robot
 //! anything.
 
-mod asked;
 mod coached;
 pub mod figures;
 mod gestures;
 mod log;
 mod paths;
 mod report;
+mod requirements;
 mod sections;
 mod wiped;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-pub use asked::asked;
 pub use log::{Record, TruthLog};
 pub use report::{
     CoachingFigures, ForceFigures, GestureFigures, GraspFigures, ImitationFigures, RefereeReport,
 };
+pub use requirements::judged_figures;
 pub use wiped::WipedCells;
 
 use armarium_values::report::Section;
@@ -40,7 +40,7 @@ pub enum Mark {
     LearningEnded,
     /// The motion in free space has settled: at least one steady period follows.
     FreeSpaceSteady,
-    /// The robot leaves free space: it begins to lower the sponge.
+    /// The robot leaves free space: it begins to lower what it holds.
     AdaptationStarted,
     /// Force adaptation has ended.
     AdaptationEnded {
@@ -55,7 +55,6 @@ pub enum Mark {
 
 impl Mark {
     /// The mark of that name with its numbers, as a skill declares it; `None` if this referee does not know it.
-    #[must_use]
     pub fn named(name: &str, numbers: &BTreeMap<String, f64>) -> Option<Self> {
         let number = |name: &str| numbers.get(name).copied().unwrap_or_default();
         Some(match name {
@@ -88,7 +87,6 @@ struct Notes {
 
 impl Referee {
     /// The referee of a world.
-    #[must_use]
     pub fn new(world: &World) -> Self {
         let notes =
             Notes { world: world.clone(), log: TruthLog::default(), marks: Vec::new(), seen: Vec::new() };
@@ -111,13 +109,12 @@ impl Referee {
     /// `open_hand`, or `None` for no hand. To be called for every frame that was processed.
     pub fn gesture_seen(&self, stamp_ns: u64, label: Option<&str>) {
         let mut notes = self.notes();
-        if notes.seen.len() < log::MOST_FRAMES {
+        if notes.seen.len() < log::MAX_FRAMES {
             notes.seen.push((stamp_ns, label.map(str::to_owned)));
         }
     }
 
     /// All figures so far; sections without data are absent.
-    #[must_use]
     pub fn report(&self) -> RefereeReport {
         let notes = self.notes();
         figures::compute(&notes.world, &notes.log, &notes.marks, &notes.seen)
@@ -125,7 +122,6 @@ impl Referee {
 
     /// The report's sections about the run; the figures with their requirements come first. Sections without data
     /// are empty.
-    #[must_use]
     pub fn sections(&self) -> Vec<Section> {
         let notes = self.notes();
         let report = figures::compute(&notes.world, &notes.log, &notes.marks, &notes.seen);
@@ -134,20 +130,23 @@ impl Referee {
     }
 
     /// The cells of the table that had to be cleaned, and those that were; `None` before adaptation has ended.
-    #[must_use]
     pub fn wiped(&self) -> Option<WipedCells> {
         let notes = self.notes();
         figures::wiped(&notes.world, &notes.log, &notes.marks)
     }
 
+    /// The object that is judged, by its index in the world's `objects`; see [`figures::judged_object`].
+    pub fn judged_object(&self) -> Option<usize> {
+        let notes = self.notes();
+        figures::judged_object(&notes.log, &notes.marks)
+    }
+
     /// A copy of the whole log, for plots.
-    #[must_use]
     pub fn log(&self) -> TruthLog {
         self.notes().log.clone()
     }
 
     /// The marks so far, with their times, ns.
-    #[must_use]
     pub fn marks(&self) -> Vec<(u64, Mark)> {
         self.notes().marks.clone()
     }

@@ -166,13 +166,13 @@ fn unit(x: f64, y: f64) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::world::{Demonstration, Shape};
+    use crate::world::{Demonstration, PathShape};
 
-    fn path(shape: Shape) -> CoachPath {
+    fn path(shape: PathShape) -> CoachPath {
         CoachPath::new(&Demonstration { shape, ..Demonstration::default() })
     }
 
-    fn performed(shape: Shape, frequency: f64, seconds: f64) -> Vec<Vector3<f64>> {
+    fn performed(shape: PathShape, frequency: f64, seconds: f64) -> Vec<Vector3<f64>> {
         let p = path(shape);
         (0..(seconds / DT) as usize)
             .map(|i| {
@@ -184,16 +184,16 @@ mod tests {
 
     #[test]
     fn the_repeat_period_is_that_of_the_whole_path() {
-        for shape in [Shape::Ellipse, Shape::Eight, Shape::Line] {
+        for shape in [PathShape::Ellipse, PathShape::Eight, PathShape::Line] {
             for f in [0.3, 0.5, 0.8] {
                 let period = repeat_period(&performed(shape, f, 12.0)).unwrap();
                 assert!((period * f - 1.0).abs() < 1e-4, "{shape:?} {f} {period}");
             }
         }
         assert_eq!(repeat_period(&vec![Vector3::x(); 5000]), None);
-        assert_eq!(repeat_period(&performed(Shape::Ellipse, 0.1, 5.0)), None);
+        assert_eq!(repeat_period(&performed(PathShape::Ellipse, 0.1, 5.0)), None);
         assert_eq!(
-            repeat_period(&performed(Shape::Ellipse, 0.3, 4.7)),
+            repeat_period(&performed(PathShape::Ellipse, 0.3, 4.7)),
             None,
             "3.1 s of it, of 3.3, are compared"
         );
@@ -201,19 +201,21 @@ mod tests {
 
     #[test]
     fn a_perfect_imitation_is_at_no_distance_whatever_its_phase() {
-        for shape in [Shape::Ellipse, Shape::Eight, Shape::Line] {
+        for shape in [PathShape::Ellipse, PathShape::Eight, PathShape::Line] {
             let period = mean_period(&performed(shape, 0.5, 5.0), 2.0, 2).unwrap();
             assert!(distance_to_coach(&period, &path(shape)) < 2e-4, "{shape:?}");
         }
-        let shifted =
-            performed(Shape::Ellipse, 0.5, 5.0).iter().map(|p| p + Vector3::x() * 0.01).collect::<Vec<_>>();
+        let shifted = performed(PathShape::Ellipse, 0.5, 5.0)
+            .iter()
+            .map(|p| p + Vector3::x() * 0.01)
+            .collect::<Vec<_>>();
         let period = mean_period(&shifted, 2.0, 2).unwrap();
-        assert!((distance_to_coach(&period, &path(Shape::Ellipse)) - 0.01).abs() < 2e-4);
+        assert!((distance_to_coach(&period, &path(PathShape::Ellipse)) - 0.01).abs() < 2e-4);
     }
 
     #[test]
     fn alignment_undoes_a_shift_in_time() {
-        let path = performed(Shape::Eight, 0.5, 6.0);
+        let path = performed(PathShape::Eight, 0.5, 6.0);
         let a = mean_period(&path, 2.0, 1).unwrap();
         let b = mean_period(&path[700..], 2.0, 1).unwrap();
         assert!(apart(&a, &aligned(&a, &b)) < 5e-5);
@@ -227,7 +229,7 @@ mod tests {
 
     #[test]
     fn a_part_that_has_changed_and_a_shift_of_the_whole_do_not_pull_the_rest_out_of_phase() {
-        for shape in [Shape::Ellipse, Shape::Eight, Shape::Line] {
+        for shape in [PathShape::Ellipse, PathShape::Eight, PathShape::Line] {
             let path = performed(shape, 0.5, 6.0);
             let before = mean_period(&path, 2.0, 1).unwrap();
             let mut after = before;
@@ -243,7 +245,7 @@ mod tests {
 
     #[test]
     fn phases_are_found_on_crossings_and_doubled_strokes() {
-        for shape in [Shape::Ellipse, Shape::Eight, Shape::Line] {
+        for shape in [PathShape::Ellipse, PathShape::Eight, PathShape::Line] {
             let period = mean_period(&performed(shape, 0.5, 5.0), 2.0, 2).unwrap();
             for phase in [0.1, 0.25, 0.6, 0.75] {
                 let i = index_of_phase(&period, &path(shape), phase);

@@ -13,7 +13,7 @@ pub struct RefereeReport {
     pub imitation: Option<ImitationFigures>,
     /// The contact force after adaptation.
     pub force: Option<ForceFigures>,
-    /// Of the area that the sponge's footprint sweeps along the coach's path, the part cleaned before coaching began.
+    /// Of the area that the footprint of what the hand holds sweeps along the coach's path, the part cleaned before coaching began.
     pub wiped_fraction: Option<f64>,
     /// What coaching changed, one entry for each of the coach's actions that took place.
     pub coaching: Vec<CoachingFigures>,
@@ -24,7 +24,9 @@ pub struct RefereeReport {
 /// The grasp.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GraspFigures {
-    /// True sponge pose in the hand less the nominal grasp when closing has ended, m.
+    /// The object that is judged: the one in the hand when it closed.
+    pub object: String,
+    /// True pose of the object in the hand less the nominal grasp when closing has ended, m.
     pub position_error_m: f64,
 }
 
@@ -39,7 +41,7 @@ pub struct ImitationFigures {
     pub path_rms_m: f64,
 }
 
-/// The normal force between sponge and table over the first 5 cycles after adaptation.
+/// The normal force between the object in the hand and the table over the first 5 cycles after adaptation.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ForceFigures {
     /// The desired force, N.

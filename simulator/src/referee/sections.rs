@@ -9,9 +9,10 @@ use armarium_values::report::{
     Band, Block, Cell, Cells, Confusion, Path, PathStyle, Plan, Section, Series, Table, TimePlot, Tone,
 };
 
-use super::asked::asked;
+use super::figures::judged_object;
+use super::requirements::judged_figures;
 use super::{Mark, Record, RefereeReport, TruthLog, WipedCells};
-use crate::coach::{ActionEvent, ActionKind, CoachPath, EventKind};
+use crate::coach::{ActionEvent, CoachPath, EventKind};
 use crate::table::DIRT_CELL;
 use crate::world::World;
 
@@ -37,11 +38,7 @@ fn ended_adapting(marks: &[(u64, Mark)]) -> Option<u64> {
 
 /// The name of an action: `push`, `fist` ...
 fn name(action: &ActionEvent) -> String {
-    let said = match action.kind {
-        ActionKind::Push => Ok("push".into()),
-        ActionKind::Gesture(gesture) => serde_json::to_value(gesture),
-    };
-    said.ok().and_then(|v| v.as_str().map(|s| s.replace('_', " "))).unwrap_or_default()
+    action.kind.name().replace('_', " ")
 }
 
 fn actions(log: &TruthLog, event: EventKind) -> impl Iterator<Item = &ActionEvent> {
@@ -71,7 +68,7 @@ fn paths(world: &World, log: &TruthLog, marks: &[(u64, Mark)]) -> Vec<Path> {
         add("performed in free space".into(), PathStyle::Line, performed(steady, steady + period));
     }
     let Some(adapted) = ended_adapting(marks) else { return paths };
-    // The end of wiping; after it the sponge is lifted.
+    // The end of wiping; after it the tool is lifted.
     let over = log.records.iter().rev().find(|r| r.normal > 1.0).map_or(end, |r| r.stamp_ns);
     let over = over.saturating_sub(SECOND / 2);
     let begins: Vec<u64> = actions(log, EventKind::Began).map(|e| (e.t * 1e9) as u64).collect();
@@ -223,11 +220,15 @@ pub(super) fn sections(
     report: &RefereeReport,
     cells: Option<&WipedCells>,
 ) -> Vec<Section> {
-    let figures = serde_json::to_value(report).map(|json| asked(&json)).unwrap_or_default();
+    let figures = serde_json::to_value(report).map(|json| judged_figures(&json)).unwrap_or_default();
     let force = force(log, marks);
     let force_title = force.as_ref().map_or(String::new(), |plot| plot.title.clone());
     let wiped = cells.and_then(|cells| wiped(world, log, marks, cells));
-    let wiped_note = "What the sponge cleaned by pressing on it, seen from above, and the path of the hand until the coach acted.";
+    let object = judged_object(log, marks).and_then(|object| world.objects.get(object));
+    let object = object.map_or("object", |object| object.name.as_str());
+    let wiped_note = format!(
+        "What the {object} cleaned by pressing on it, seen from above, and the path of the hand until the coach acted."
+    );
     vec![
         Section::new("Figures", "Measured against the simulator's truth.", vec![Block::Figures(figures)]),
         Section::new(
@@ -236,7 +237,7 @@ pub(super) fn sections(
             vec![Block::Plan(plan("Paths over the table", paths(world, log, marks)))],
         ),
         Section::new(&force_title, "", force.map(Block::Plot).into_iter().collect()),
-        Section::new("Wiped area", wiped_note, wiped.map(Block::Plan).into_iter().collect()),
+        Section::new("Wiped area", &wiped_note, wiped.map(Block::Plan).into_iter().collect()),
         Section::new(
             "Coaching",
             "How far each coaching moved the motion, and what stayed when the coach had gone.",
@@ -268,7 +269,7 @@ mod tests {
             .map(|(i, [x, y])| Record {
                 stamp_ns: i as u64 * 1_000_000,
                 tcp: nalgebra::Isometry3::identity(),
-                sponge: None,
+                object: None,
                 normal: 0.0,
                 tangential: 0.0,
                 tool: Some(nalgebra::Vector3::new(x, y, 1.1)),

@@ -1,9 +1,9 @@
-//! The area that the sponge cleaned: cells of the table under its pressed underside.
+//! The area that the object in the hand cleaned: cells of the table under its pressed underside.
 
 use std::f64::consts::TAU;
 
 use super::Mark;
-use super::figures::Run;
+use super::figures::RunLog;
 use crate::foundation::ElasticFoundation;
 use crate::table::WIPE_EVERY;
 use crate::table::{DirtGrid, TableTop};
@@ -11,7 +11,7 @@ use crate::table::{DirtGrid, TableTop};
 /// Cells of the table, all in one grid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WipedCells {
-    /// Cells that the sponge's footprint sweeps with the TCP on the coach's path.
+    /// Cells that the object's footprint sweeps with the TCP on the coach's path.
     pub swept: DirtGrid,
     /// Cells that were cleaned before the coach first acted.
     pub cleaned: DirtGrid,
@@ -19,29 +19,31 @@ pub struct WipedCells {
     pub cleaned_in_the_end: DirtGrid,
 }
 
-impl Run<'_> {
-    /// The footprint is that of the sponge as the hand holds it (its place and yaw in the hand at the end of
+impl RunLog<'_> {
+    /// The footprint is that of the object as the hand holds it (its place and yaw in the hand at the end of
     /// adaptation), with the TCP on the coach's path. Cells count as cleaned by the elastic pressure at the
-    /// sponge's true poses, every 5 ms.
+    /// object's true poses, every 5 ms.
     pub(super) fn wiped(&self) -> Option<WipedCells> {
         let (ended, _) = self.marked(|m| matches!(m, Mark::AdaptationEnded { .. }))?;
-        let spec = self.world.sponge()?;
         let record = self.log.at(ended)?;
-        let tcp_from_sponge = record.tcp.inverse() * record.sponge?;
+        let (object, pose) = record.object?;
+        let spec = self.world.objects.get(object)?;
+        let tcp_from_object = record.tcp.inverse() * pose;
         let (table, bed) = (TableTop::new(&self.world.table), ElasticFoundation::new(spec));
         let mut swept = DirtGrid::new(&table);
         for i in 0..360 {
             let [x, y] = self.path.point(TAU * f64::from(i) / 360.0);
             let mut tcp = record.tcp;
             (tcp.translation.x, tcp.translation.y) = (x, y);
-            bed.cover(&table, &(tcp * tcp_from_sponge), &mut swept);
+            bed.cover(&table, &(tcp * tcp_from_object), &mut swept);
         }
         let wipe = |from: u64, to: u64, cells: &mut DirtGrid| {
             let step = WIPE_EVERY * 1_000_000;
             for r in self.log.between(from, to) {
                 if r.stamp_ns.is_multiple_of(step)
                     && r.normal > 0.0
-                    && let Some(pose) = &r.sponge
+                    && let Some((other, pose)) = &r.object
+                    && *other == object
                 {
                     bed.wipe(&table, pose, cells);
                 }

@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use super::raster::{Bounds, Canvas, Form, Line, Row, Span};
+use super::raster::{Bounds, Canvas, Form, Line, ScanLine, Span};
 use super::scene::Background;
 use super::shading::{Light, MOTTLING, Shades};
 
@@ -46,7 +46,7 @@ impl Local {
     }
 
     /// The same for a run of pixels from `first` on.
-    pub(super) fn run(&self, row: &Row, first: usize) -> LocalRun {
+    pub(super) fn run(&self, row: &ScanLine, first: usize) -> LocalRun {
         let along = self.axes.map(|axis| row.form(&axis).line(first));
         LocalRun { eye: [self.eye.x as f32, self.eye.y as f32, self.eye.z as f32], along }
     }
@@ -95,7 +95,7 @@ impl Face {
     }
 
     /// 1/depth along a row.
-    pub(super) fn nearness(&self, row: &Row) -> Form {
+    pub(super) fn nearness(&self, row: &ScanLine) -> Form {
         row.form(&self.nearness)
     }
 
@@ -118,7 +118,7 @@ impl Face {
     pub(super) fn draw<P: Fn(f32, f32) -> [u8; 3]>(
         &self,
         canvas: &mut Canvas,
-        paint: impl Fn(&Row, usize) -> P,
+        paint: impl Fn(&ScanLine, usize) -> P,
     ) {
         let Some(bounds) = self.bounds(canvas) else { return };
         let edges = self.edges();

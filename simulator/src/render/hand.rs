@@ -4,6 +4,7 @@
 //! palm (the side to which fingers bend), y to the side of the thumb. The measures are those of an adult: palm 85 x
 //! 90 x 28 mm, middle finger 94 mm over its knuckle, 102 mm with its tip.
 
+use armarium_visionx::Gesture;
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::scene::{Geometry, Shape};
@@ -12,19 +13,6 @@ use super::scene::{Geometry, Shape};
 pub const SKIN: [u8; 3] = [224, 172, 138];
 /// Colour of the sleeve, RGB.
 pub const SLEEVE: [u8; 3] = [84, 102, 134];
-
-/// The gesture of the coach's hand.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum HandGesture {
-    /// All fingers closed.
-    Fist,
-    /// All fingers straight and spread.
-    OpenHand,
-    /// The index finger straight.
-    PointOne,
-    /// Index and middle finger straight, a little apart.
-    PointTwo,
-}
 
 /// The joints of the hand, so that a change of gesture is a movement.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -101,19 +89,17 @@ const THUMB_CLOSED: [[f64; 3]; 3] = [[0.68, 0.34, 0.65], [0.56, -0.22, 0.80], [0
 
 impl HandPose {
     /// The pose in which the hand shows a gesture.
-    #[must_use]
-    pub fn of(gesture: HandGesture) -> Self {
+    pub fn of(gesture: Gesture) -> Self {
         let (flexion, spread) = match gesture {
-            HandGesture::Fist => ([1.0, 1.0, 1.0, 1.0, 1.0], 0.0),
-            HandGesture::OpenHand => ([0.0, 0.03, 0.02, 0.03, 0.05], 0.20),
-            HandGesture::PointOne => ([1.0, 0.02, 1.0, 1.0, 1.0], 0.0),
-            HandGesture::PointTwo => ([1.0, 0.02, 0.02, 1.0, 1.0], 0.22),
+            Gesture::Fist => ([1.0, 1.0, 1.0, 1.0, 1.0], 0.0),
+            Gesture::OpenHand => ([0.0, 0.03, 0.02, 0.03, 0.05], 0.20),
+            Gesture::PointOne => ([1.0, 0.02, 1.0, 1.0, 1.0], 0.0),
+            Gesture::PointTwo => ([1.0, 0.02, 0.02, 1.0, 1.0], 0.22),
         };
         Self { flexion, spread }
     }
 
     /// Interpolates between two poses: `a` at `t` = 0, `b` at 1; `t` is clamped.
-    #[must_use]
     pub fn blend(a: &Self, b: &Self, t: f64) -> Self {
         let t = t.clamp(0.0, 1.0);
         let between = |a: f64, b: f64| a * (1.0 - t) + b * t;
@@ -122,14 +108,7 @@ impl HandPose {
     }
 }
 
-/// The shapes of the hand that shows a gesture, with its forearm.
-#[must_use]
-pub fn coach_hand(gesture: HandGesture, scene_from_hand: &Isometry3<f64>) -> Vec<Shape> {
-    hand_shapes(&HandPose::of(gesture), scene_from_hand)
-}
-
 /// The shapes of the hand in a pose, with its forearm.
-#[must_use]
 pub fn hand_shapes(pose: &HandPose, scene_from_hand: &Isometry3<f64>) -> Vec<Shape> {
     let mut shapes = vec![palm_core(scene_from_hand)];
     let parts = [(thumb(pose), 0.98), (palm(), 1.0)].into_iter();
@@ -149,7 +128,6 @@ pub fn hand_shapes(pose: &HandPose, scene_from_hand: &Isometry3<f64>) -> Vec<Sha
 
 /// The centres of the rounded fingertips in the hand frame, m, from thumb to little finger. The fingers end one
 /// [`tip_radius`] farther.
-#[must_use]
 pub fn fingertips(pose: &HandPose) -> [Point3<f64>; 5] {
     let last = |segments: Vec<Segment>| segments.last().map_or_else(Point3::origin, |segment| segment.to);
     std::array::from_fn(|i| match i {
@@ -159,7 +137,6 @@ pub fn fingertips(pose: &HandPose) -> [Point3<f64>; 5] {
 }
 
 /// The radius of a fingertip, m; 0 is the thumb, 4 and more the little finger.
-#[must_use]
 pub fn tip_radius(finger: usize) -> f64 {
     match finger {
         0 => THUMB.radii[2],
@@ -169,7 +146,6 @@ pub fn tip_radius(finger: usize) -> f64 {
 
 /// Balls (centre in the hand frame and radius, m) whose convex hull contains the hand without its forearm. The
 /// whole hand is in a picture if all of them are.
-#[must_use]
 pub fn landmarks(pose: &HandPose) -> Vec<(Point3<f64>, f64)> {
     let fingers = FINGERS.iter().enumerate().flat_map(|(i, finger)| finger_segments(finger, i, pose));
     let segments = palm().into_iter().chain(thumb(pose)).chain(fingers);
@@ -267,12 +243,9 @@ mod tests {
     use super::*;
     use armarium_visionx::PinholeCamera;
 
-    const GESTURES: [HandGesture; 4] =
-        [HandGesture::Fist, HandGesture::OpenHand, HandGesture::PointOne, HandGesture::PointTwo];
-
     #[test]
     fn only_straight_fingers_reach_out() {
-        for (gesture, straight) in GESTURES.into_iter().zip([&[][..], &[1, 2, 3, 4], &[1], &[1, 2]]) {
+        for (gesture, straight) in Gesture::ALL.into_iter().zip([&[][..], &[1, 2, 3, 4], &[1], &[1, 2]]) {
             for (finger, tip) in fingertips(&HandPose::of(gesture)).iter().enumerate().skip(1) {
                 assert_eq!(tip.z > 0.09, straight.contains(&finger), "{gesture:?} {finger} {tip}");
                 assert!(tip.z > 0.0 && tip.x > -0.01, "{gesture:?} {finger} {tip}");
@@ -282,9 +255,9 @@ mod tests {
 
     #[test]
     fn straight_fingertips_stand_apart() {
-        for gesture in [HandGesture::OpenHand, HandGesture::PointTwo] {
+        for gesture in [Gesture::OpenHand, Gesture::PointTwo] {
             let tips = fingertips(&HandPose::of(gesture));
-            let straight = if gesture == HandGesture::OpenHand { 0..5 } else { 1..3 };
+            let straight = if gesture == Gesture::OpenHand { 0..5 } else { 1..3 };
             for pair in tips[straight].windows(2) {
                 let gap = (pair[0] - pair[1]).norm();
                 assert!((0.028..0.11).contains(&gap), "{gesture:?}: {gap} m");
@@ -294,7 +267,7 @@ mod tests {
 
     #[test]
     fn a_change_of_gesture_is_a_movement() {
-        let (a, b) = (HandPose::of(HandGesture::Fist), HandPose::of(HandGesture::OpenHand));
+        let (a, b) = (HandPose::of(Gesture::Fist), HandPose::of(Gesture::OpenHand));
         assert_eq!(HandPose::blend(&a, &b, 0.0), a);
         assert_eq!(HandPose::blend(&a, &b, 1.5), b);
         for step in 0..100 {
@@ -316,8 +289,8 @@ mod tests {
             Viewpoint::look_at(camera, Vector3::new(0.0, -0.6, 1.03), Vector3::new(0.0, 0.0, 1.03));
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
         let scene_from_hand = Isometry3::from_parts(Translation3::new(0.0, 0.0, 1.0), turn);
-        for (gesture, straight) in [(HandGesture::OpenHand, 1..5), (HandGesture::PointTwo, 1..3)] {
-            let scene = Scene::new(coach_hand(gesture, &scene_from_hand));
+        for (gesture, straight) in [(Gesture::OpenHand, 1..5), (Gesture::PointTwo, 1..3)] {
+            let scene = Scene::new(hand_shapes(&HandPose::of(gesture), &scene_from_hand));
             let seen = render(&scene, &viewpoint);
             let tips = fingertips(&HandPose::of(gesture));
             for finger in straight {
@@ -337,7 +310,7 @@ mod tests {
 
     #[test]
     fn the_landmarks_hold_the_hand() {
-        for gesture in GESTURES {
+        for gesture in Gesture::ALL {
             let pose = HandPose::of(gesture);
             let landmarks = landmarks(&pose);
             assert_eq!(landmarks.len(), 2 * (4 + 5 * 3));

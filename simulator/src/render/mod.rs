@@ -30,7 +30,7 @@ use shading::{Light, Shades};
 use shadow::Shadow;
 
 /// Number of pixels of the largest picture.
-const MOST_PIXELS: u64 = 1 << 27;
+const MAX_PIXELS: u64 = 1 << 27;
 
 /// Draws a scene as a camera sees it.
 ///
@@ -38,13 +38,11 @@ const MOST_PIXELS: u64 = 1 << 27;
 /// are not finite, or if it is outside the room and looks away from everything. For a camera of more than 2^27
 /// pixels, the picture has no pixels. Shapes with a size or pose that is not finite are left out, as is everything
 /// nearer than 1 cm or behind the camera.
-#[must_use]
 pub fn render(scene: &Scene, viewpoint: &Viewpoint) -> Rendering {
     draw(scene, &shadows(scene), viewpoint)
 }
 
 /// Draws a scene from two viewpoints, each on its own thread. The results are the same as those of [`render`].
-#[must_use]
 pub fn render_pair(scene: &Scene, [left, right]: &[Viewpoint; 2]) -> [Rendering; 2] {
     let shadows = shadows(scene);
     std::thread::scope(|scope| {
@@ -64,7 +62,7 @@ fn shadows(scene: &Scene) -> Vec<Option<Shadow>> {
 
 fn draw(scene: &Scene, shadows: &[Option<Shadow>], viewpoint: &Viewpoint) -> Rendering {
     let mut camera = viewpoint.camera;
-    if u64::from(camera.width) * u64::from(camera.height) > MOST_PIXELS {
+    if u64::from(camera.width) * u64::from(camera.height) > MAX_PIXELS {
         (camera.width, camera.height) = (0, 0);
     }
     let mut canvas = Canvas::new(camera, scene.background.wall);

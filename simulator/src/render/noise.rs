@@ -4,7 +4,7 @@
 //! Drawing a million Gaussian numbers per frame costs more than rendering it. So they are drawn once, into a tile.
 //! Every stretch of a picture adds a piece of the tile from a random position, unchanged or negated.
 
-use armarium_visionx::Image;
+use armarium_visionx::RgbImage;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -27,7 +27,6 @@ pub struct SensorNoise {
 impl SensorNoise {
     /// Noise with standard deviation `sigma`, in grey levels per channel; no noise if that is not positive and
     /// finite.
-    #[must_use]
     pub fn new(sigma: f64, seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let wanted = sigma > 0.0 && sigma.is_finite();
@@ -37,7 +36,7 @@ impl SensorNoise {
     }
 
     /// Adds the noise of one frame of one camera. `eye` is the camera's number.
-    pub fn apply(&self, image: &mut Image, frame: u64, eye: u64) {
+    pub fn apply(&self, image: &mut RgbImage, frame: u64, eye: u64) {
         if self.tile.is_empty() {
             return;
         }
@@ -69,8 +68,8 @@ fn level(sigma: f64, random: &mut ChaCha8Rng) -> i16 {
 mod tests {
     use super::*;
 
-    fn gray() -> Image {
-        Image::from_rgb(640, 480, vec![128; 640 * 480 * 3]).unwrap()
+    fn gray() -> RgbImage {
+        RgbImage::from_rgb(640, 480, vec![128; 640 * 480 * 3]).unwrap()
     }
 
     fn noisy(noise: &SensorNoise, frame: u64, eye: u64) -> Vec<f64> {

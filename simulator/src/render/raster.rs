@@ -4,7 +4,7 @@
 //! is the depth. Every dot product with d is linear in u along a row: a [`Form`]. The z-buffer holds 1/depth, which
 //! is linear in u on a plane; 0 means that nothing is visible.
 
-use armarium_visionx::{DepthImage, Image, PinholeCamera};
+use armarium_visionx::{DepthImage, PinholeCamera, RgbImage};
 use nalgebra::{Point3, Vector3};
 
 use super::scene::Rendering;
@@ -26,7 +26,7 @@ pub(super) struct Canvas {
 
 /// One scan line of the camera.
 #[derive(Clone, Copy)]
-pub(super) struct Row {
+pub(super) struct ScanLine {
     /// Its index, px.
     pub(super) v: usize,
     /// The y component of all its rays.
@@ -81,7 +81,7 @@ impl Line {
     }
 }
 
-impl Row {
+impl ScanLine {
     /// The dot product of `n` (camera frame) with the row's rays.
     pub(super) fn form(&self, n: &Vector3<f64>) -> Form {
         let slope = n.x * self.inverse_focal;
@@ -159,14 +159,14 @@ impl Canvas {
         for value in &mut data {
             *value = if *value > 0.0 { 1.0 / *value } else { 0.0 };
         }
-        let image = Image::from_rgb(width, height, self.color.into_flattened())
+        let image = RgbImage::from_rgb(width, height, self.color.into_flattened())
             .expect("a canvas has three bytes for each of its pixels");
         Rendering { image, depth: DepthImage { width, height, data } }
     }
 
     /// A scan line.
-    pub(super) fn row(&self, v: usize) -> Row {
-        Row {
+    pub(super) fn row(&self, v: usize) -> ScanLine {
+        ScanLine {
             v,
             y: (v as f64 - self.camera.center[1]) / self.camera.focal,
             inverse_focal: 1.0 / self.camera.focal,
@@ -175,10 +175,10 @@ impl Canvas {
     }
 
     /// The scan lines of a rectangle.
-    pub(super) fn rows(&self, bounds: Bounds) -> impl Iterator<Item = Row> + use<> {
+    pub(super) fn rows(&self, bounds: Bounds) -> impl Iterator<Item = ScanLine> + use<> {
         let (first, last) = (self.row(0), bounds.v);
         let step = first.inverse_focal;
-        (last[0]..=last[1]).map(move |v| Row { v, y: first.y + v as f64 * step, ..first })
+        (last[0]..=last[1]).map(move |v| ScanLine { v, y: first.y + v as f64 * step, ..first })
     }
 
     /// The whole canvas.

@@ -1,12 +1,11 @@
 //! The shapes of a robot: the visuals of its description in a configuration.
 
-use armarium_robot::{Kinematics, Shape as Primitive, Visual};
+use armarium_robot::{Kinematics, Primitive, Visual};
 use nalgebra::Isometry3;
 
 use super::scene::{Geometry, Shape};
 
 /// All links of a robot at the configuration of `kinematics`, with its root at `scene_from_root`.
-#[must_use]
 pub fn robot_shapes(kinematics: &Kinematics, scene_from_root: &Isometry3<f64>) -> Vec<Shape> {
     let model = kinematics.model();
     let links = model.links().iter().filter_map(|link| Some((link, model.link(&link.name)?)));
@@ -16,7 +15,6 @@ pub fn robot_shapes(kinematics: &Kinematics, scene_from_root: &Isometry3<f64>) -
 }
 
 /// The visuals of one link that stands at `scene_from_link`.
-#[must_use]
 pub fn link_shapes(visuals: &[Visual], scene_from_link: &Isometry3<f64>) -> Vec<Shape> {
     let shape = |visual: &Visual| Shape {
         geometry: geometry(&visual.shape),

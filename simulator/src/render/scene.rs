@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use armarium_visionx::{DepthImage, Image, PinholeCamera};
+use armarium_visionx::{DepthImage, PinholeCamera, RgbImage};
 use nalgebra::{Isometry3, Vector3};
 
 /// One solid of one colour.
@@ -118,20 +118,18 @@ pub struct Viewpoint {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rendering {
     /// The colours, without sensor noise.
-    pub image: Image,
+    pub image: RgbImage,
     /// Distance along the optical axis, m; 0 where nothing is visible.
     pub depth: DepthImage,
 }
 
 impl Bump {
     /// The height of the bump at a point of the tabletop's frame, m.
-    #[must_use]
     pub fn height_at(&self, x: f64, y: f64) -> f64 {
         self.height * self.falloff(x, y).powi(2)
     }
 
     /// The slope of the bump along x and y at a point of the tabletop's frame.
-    #[must_use]
     pub fn slope_at(&self, x: f64, y: f64) -> [f64; 2] {
         let k = -4.0 * self.height * self.falloff(x, y) / (self.radius * self.radius);
         if k.is_finite() { [k * (x - self.at[0]), k * (y - self.at[1])] } else { [0.0; 2] }
@@ -145,13 +143,11 @@ impl Bump {
 
 impl DirtTexture {
     /// A grid without dirt.
-    #[must_use]
     pub fn clean(columns: usize, rows: usize, color: [u8; 3]) -> Self {
         Self { columns, rows, cells: vec![0; columns.saturating_mul(rows)], color }
     }
 
     /// The amount of dirt in a cell; 0 outside the grid.
-    #[must_use]
     pub fn cell(&self, column: usize, row: usize) -> u8 {
         if column >= self.columns || row >= self.rows {
             return 0;
@@ -174,7 +170,6 @@ impl Default for Background {
 
 impl Scene {
     /// Shapes in the default room, lit from above, behind and to the left.
-    #[must_use]
     pub fn new(shapes: Vec<Shape>) -> Self {
         Self { shapes, background: Background::default(), light: Vector3::new(-0.35, -0.3, 0.9) }
     }
@@ -183,7 +178,6 @@ impl Scene {
 impl Viewpoint {
     /// A camera at `eye` whose axis goes through `target` and whose x is horizontal in the scene. If it looks
     /// straight up or down, its x is the scene's x.
-    #[must_use]
     pub fn look_at(camera: PinholeCamera, eye: Vector3<f64>, target: Vector3<f64>) -> Self {
         let z = (target - eye).try_normalize(1e-9).unwrap_or_else(Vector3::y);
         let x = z.cross(&Vector3::z()).try_normalize(1e-6).unwrap_or_else(Vector3::x);
@@ -192,7 +186,6 @@ impl Viewpoint {
     }
 
     /// The same camera `baseline` m to the right, parallel: the other eye of a stereo pair.
-    #[must_use]
     pub fn shifted_right(&self, baseline: f64) -> Self {
         let shift = nalgebra::Translation3::new(baseline, 0.0, 0.0);
         Self { scene_from_camera: self.scene_from_camera * shift, camera: self.camera }

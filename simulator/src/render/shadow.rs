@@ -10,7 +10,7 @@ use super::scene::{Geometry, Scene, Shape};
 /// Edge of a cell, m.
 const CELL: f64 = 0.01;
 /// Largest number of cells along a side; a larger table gets larger cells.
-const MOST_CELLS: usize = 256;
+const MAX_CELLS: usize = 256;
 /// The share of light that a shape blocks when it touches the table.
 const DARKEST: f64 = 0.38;
 /// Height over the table at which a shape blocks half of that, m.
@@ -18,7 +18,7 @@ const FADING: f64 = 0.25;
 /// Half the width of the blurred border for a shape that touches the table, m, and its growth per metre of height.
 const BLUR: [f64; 2] = [0.008, 0.25];
 /// Shapes higher than this over the table cast no shadow, m.
-const HIGHEST: f64 = 0.8;
+const MAX_HEIGHT: f64 = 0.8;
 
 /// How much of the light reaches each part of a tabletop.
 pub(super) struct Shadow {
@@ -59,7 +59,7 @@ impl Shadow {
     }
 
     fn none(half: &Vector3<f64>) -> Self {
-        let cells = |half: f64| ((2.0 * half / CELL).ceil().max(1.0) as usize).min(MOST_CELLS);
+        let cells = |half: f64| ((2.0 * half / CELL).ceil().max(1.0) as usize).min(MAX_CELLS);
         let (columns, rows) = (cells(half.x), cells(half.y));
         let usable = half.x > 0.0 && half.y > 0.0 && half.x.is_finite() && half.y.is_finite();
         let light = if usable { vec![1.0; (columns + 1) * (rows + 1)] } else { Vec::new() };
@@ -84,7 +84,7 @@ impl Shadow {
     /// Adds the shadow of one shape.
     fn throw(&mut self, shape: &Shape, table_from_shape: &Isometry3<f64>, slant: &Vector3<f64>, top: f64) {
         let Some((outline, height)) = outline(&shape.geometry, table_from_shape, slant, top) else { return };
-        if !(0.0..HIGHEST).contains(&height) {
+        if !(0.0..MAX_HEIGHT).contains(&height) {
             return;
         }
         let blur = BLUR[0] + BLUR[1] * height;

@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Vector3};
 
-use super::raster::{Bounds, Canvas, Row, Span};
+use super::raster::{Bounds, Canvas, ScanLine, Span};
 use super::shading::{Light, Shades, brightness};
 
 /// A ray does not meet a cylinder's side if its direction across the axis is shorter than this (squared).
@@ -48,7 +48,7 @@ struct Ball<'a> {
 ///
 /// With the ray d and the centre c, the discriminant (d.c)^2 - |d|^2 power is `a x^2 + 2 b x + c` in the ray's x.
 /// It is written about its vertex, where single precision suffices.
-fn ball_row(canvas: &mut Canvas, row: Row, bounds: Bounds, ball: &Ball<'_>) {
+fn ball_row(canvas: &mut Canvas, row: ScanLine, bounds: Bounds, ball: &Ball<'_>) {
     let Ball { center, outward, radius, power, light, shades } = *ball;
     let along = row.y * center.y + center.z;
     let rest = row.y * row.y + 1.0;

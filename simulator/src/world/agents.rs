@@ -41,7 +41,6 @@ form! {
 
 impl CoverSpec {
     /// Its pose in the root frame.
-    #[must_use]
     pub fn root_from_cover(&self) -> Isometry3<f64> {
         Isometry3::new(Vector3::from(self.at), Vector3::z() * self.yaw_deg.to_radians())
     }
@@ -53,7 +52,6 @@ impl AgentSpec {
     }
 
     /// The agent's own root frame in the robot's: on the floor below its eyes, y towards what it looks at, z up.
-    #[must_use]
     pub fn root_from_agent(&self) -> Isometry3<f64> {
         let ahead = self.ahead();
         let yaw = if ahead.xy().norm() < 1e-6 { 0.0 } else { (-ahead.x).atan2(ahead.y) };
@@ -62,7 +60,6 @@ impl AgentSpec {
 
     /// Its left camera in the robot's root frame (z forward, x right, y down), with its eyes `baseline` m apart and a
     /// level horizon.
-    #[must_use]
     pub fn root_from_left(&self, baseline: f64) -> Isometry3<f64> {
         let ahead = self.ahead().normalize();
         let right = ahead.cross(&Vector3::z());

@@ -2,6 +2,7 @@
 
 use armarium_source::yaml::Node;
 use armarium_source::{Field, Findings, Rule, choice, code, form};
+use armarium_visionx::Gesture;
 use serde::Serialize;
 use serde_json::{Value as Json, json};
 
@@ -33,7 +34,7 @@ form! {
     /// A swipe that shows where, then a periodic motion about the swipe's middle.
     pub struct Demonstration: "a demonstration" {
         /// Form of the path.
-        pub shape: Shape = Shape::Ellipse;
+        pub shape: PathShape = PathShape::Ellipse;
         /// Full width (x) and depth (y) of the path, m.
         pub size: [f64; 2] = [0.10, 0.06], Rule::number("m", 0.0, 1.0);
         /// Periods of the whole path a second (a figure of eight counts once), Hz.
@@ -53,7 +54,7 @@ form! {
 /// Form of the demonstrated path; `theta` is 2 pi times the phase.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Shape {
+pub enum PathShape {
     /// `x = cx + sx/2 cos theta, y = cy + sy/2 sin theta`.
     #[default]
     Ellipse,
@@ -62,7 +63,7 @@ pub enum Shape {
     /// Along the diagonal of `size`: `x = cx + sx/2 cos theta, y = cy + sy/2 cos theta`.
     Line,
 }
-choice!(Shape { "ellipse" => Self::Ellipse, "eight" => Self::Eight, "line" => Self::Line });
+choice!(PathShape { "ellipse" => Self::Ellipse, "eight" => Self::Eight, "line" => Self::Line });
 
 form! {
     /// The first swipe, from lower left to upper right: it gives the workspace.
@@ -137,24 +138,6 @@ pub struct Show {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub direction: Option<[f64; 3]>,
 }
-
-/// The four gestures of the coach.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Gesture {
-    /// The path is pulled towards the hand.
-    #[default]
-    Fist,
-    /// The whole motion moves along the finger.
-    PointOne,
-    /// The path is pushed away from the hand.
-    PointTwo,
-    /// The coach is coming to take the robot by the hand.
-    OpenHand,
-}
-choice!(Gesture {
-    "fist" => Self::Fist, "point_one" => Self::PointOne, "point_two" => Self::PointTwo, "open_hand" => Self::OpenHand,
-});
 
 form! {
     struct PushStep: "a push of the coach" {

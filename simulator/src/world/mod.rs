@@ -18,8 +18,9 @@ use armarium_source::{Finding, Findings, Rule, Source, choice, code, form};
 use serde::Serialize;
 
 pub use agents::{AgentSpec, CoverSpec};
+pub use armarium_visionx::Gesture;
 pub use coach::{
-    CoachSpec, CoachingAction, CoachingStep, Demonstration, Gesture, Push, Shape, Show, Swipe, ToolSpec,
+    CoachSpec, CoachingAction, CoachingStep, Demonstration, PathShape, Push, Show, Swipe, ToolSpec,
 };
 
 /// Standard gravity, m/s², along the world's negative z.
@@ -32,7 +33,7 @@ const MAX_AGENTS: usize = 8;
 const MAX_LIST: usize = 1000;
 
 /// What is nearer than this is not looked at, m.
-const NEAREST_LOOK: f64 = 0.1;
+const MIN_LOOK_DISTANCE: f64 = 0.1;
 
 /// A place or an extent, m, up to `max` either way.
 const fn within(max: f64) -> Rule {
@@ -316,7 +317,6 @@ impl World {
     }
 
     /// The schema of world files (JSON Schema 2020-12).
-    #[must_use]
     pub fn schema() -> serde_json::Value {
         let mut schema = armarium_source::schema::<Self>();
         schema["$schema"] = "https://json-schema.org/draft/2020-12/schema".into();
@@ -324,10 +324,10 @@ impl World {
         schema
     }
 
-    /// The object that is wiped with: the one named `sponge`, else the first.
-    #[must_use]
-    pub fn sponge(&self) -> Option<&ObjectSpec> {
-        self.objects.iter().find(|o| o.name == "sponge").or_else(|| self.objects.first())
+    /// The object in question before one is grasped, by its index: the one named `sponge`, else the first.
+    pub fn first_object(&self) -> Option<usize> {
+        let sponge = self.objects.iter().position(|object| object.name == "sponge");
+        sponge.or_else(|| (!self.objects.is_empty()).then_some(0))
     }
 
     /// What can only be judged when all sections are known.
@@ -363,7 +363,7 @@ impl World {
             }
             let agent = &self.agents[i];
             let squared: f64 = agent.at.iter().zip(agent.looks_at).map(|(a, b)| (a - b).powi(2)).sum();
-            if squared.sqrt() < NEAREST_LOOK {
+            if squared.sqrt() < MIN_LOOK_DISTANCE {
                 let message = format!("`{}` looks at a point in its own eyes", agent.name);
                 let help = Some("move `at` or `looks_at`".into());
                 findings.error_help(code::VALUE, node.place("looks_at"), message, help);

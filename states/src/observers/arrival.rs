@@ -6,16 +6,16 @@ use nalgebra::Vector3;
 /// Time constant over which the jitter of the tracked hand is smoothed, s.
 const SMOOTHING: f64 = 0.2;
 /// The hand is moving when it is this far from its smoothed position, m.
-const MOVES: f64 = 0.02;
+const MIN_MOTION: f64 = 0.02;
 /// How long a hand must rest before it has arrived, s.
-const STANDS: f64 = 0.3;
-/// A hand that is this far from its resting place, m, for [`ELSEWHERE_FOR`], has moved to another place.
+const REST_TIME: f64 = 0.3;
+/// A hand that is this far from its resting place, m, for [`ELSEWHERE_TIMES`], has moved to another place.
 const ELSEWHERE: f64 = 0.06;
 /// See [`ELSEWHERE`]: the least time, s, and the least share of the motion's period. The robot's arm hides a part
 /// of the hand for a shorter time as it passes.
-const ELSEWHERE_FOR: (f64, f64) = (1.0, 0.4);
+const ELSEWHERE_TIMES: (f64, f64) = (1.0, 0.4);
 /// A hand that has not been seen for this long is gone, s.
-const GONE: f64 = 1.5;
+const GONE_AFTER: f64 = 1.5;
 
 /// Tracks one hand.
 #[derive(Debug, Default)]
@@ -44,12 +44,12 @@ impl Arrival {
     ) -> Option<f64> {
         let unseen = seconds(self.seen_ns, stamp_ns);
         let Some(palm) = palm else {
-            if unseen > GONE {
+            if unseen > GONE_AFTER {
                 *self = Self { seen_ns: self.seen_ns, ..Self::default() };
             }
             return self.came();
         };
-        if unseen > GONE {
+        if unseen > GONE_AFTER {
             *self = Self::default();
         }
         self.seen_ns = stamp_ns;
@@ -57,8 +57,8 @@ impl Arrival {
         let smooth = self.smooth.map_or(palm, |old| old + (palm - old) * share);
         self.smooth = Some(smooth);
         let period = motion.map_or(0.0, |(_, frequency)| 1.0 / frequency.max(0.05));
-        self.leave(stamp_ns, &smooth, ELSEWHERE_FOR.0.max(ELSEWHERE_FOR.1 * period));
-        self.stand(stamp_ns, (palm - smooth).norm() > MOVES, motion.map(|(phase, _)| phase));
+        self.leave(stamp_ns, &smooth, ELSEWHERE_TIMES.0.max(ELSEWHERE_TIMES.1 * period));
+        self.stand(stamp_ns, (palm - smooth).norm() > MIN_MOTION, motion.map(|(phase, _)| phase));
         self.came()
     }
 
@@ -86,7 +86,7 @@ impl Arrival {
         }
         let (since, then) = *self.stands.get_or_insert((now, phase));
         if let (None, Some(at)) = (self.place, self.smooth)
-            && seconds(since, now) >= STANDS
+            && seconds(since, now) >= REST_TIME
         {
             self.place = Some((at, then.filter(|_| self.moved)));
         }

@@ -1,60 +1,79 @@
 //! Observers: tasks that publish sensor data on channels, which charts watch and skills read.
 //!
-//! | channel | fields | rate |
-//! |---|---|---|
-//! | `wrist` | `force`, `push`: lists of three (N, root frame); `normal`: N; `friction`: coefficient | 200 Hz |
-//! | `hand` | `gesture`, `confidence`, `position` (m), `direction`, `distance` (m, to the TCP), `hidden` (share of the outline) | each frame, while the channel has a reader |
-//! | `motion` | `phase` (rad), `frequency` (Hz), `position` (m), `velocity` (m/s), `normal_force` (N) | each control step of a running motion |
+//! [`channels`] describes them, with fields, units and rates; `armarium channels` prints it.
 
 mod arrival;
 mod hand;
 mod wrist;
 
-use std::collections::BTreeMap;
-
 use armarium_runtime::channels::Channels;
-use armarium_values::Type;
+use armarium_runtime::chart::{ChannelDescription, ChannelSchema};
+use armarium_runtime::skill::Parameter;
+use armarium_values::{Type, Unit};
 use tokio::task::JoinHandle;
 
 use crate::equipment::Equipment;
 
-/// The channels that the observers and skills of this room publish, with their fields.
-#[must_use]
-pub fn channels() -> BTreeMap<String, Type> {
-    let vector = || Type::list(Type::FLOAT);
+/// The channels that the observers and skills of this room publish.
+pub fn channels() -> ChannelSchema {
+    [hand(), motion(), wrist()].into_iter().collect()
+}
+
+fn hand() -> ChannelDescription {
     let gesture = Type::one_of(["none", "fist", "open_hand", "point_one", "point_two"]);
-    BTreeMap::from([
-        (
-            "wrist".to_owned(),
-            Type::record([
-                ("force", vector()),
-                ("push", vector()),
-                ("normal", Type::FLOAT),
-                ("friction", Type::FLOAT),
-            ]),
-        ),
-        (
-            "hand".to_owned(),
-            Type::record([
-                ("gesture", gesture),
-                ("confidence", Type::FLOAT),
-                ("position", Type::Vector),
-                ("direction", Type::Vector),
-                ("distance", Type::FLOAT),
-                ("hidden", Type::FLOAT),
-            ]),
-        ),
-        (
-            "motion".to_owned(),
-            Type::record([
-                ("phase", Type::FLOAT),
-                ("frequency", Type::FLOAT),
-                ("position", vector()),
-                ("velocity", vector()),
-                ("normal_force", Type::FLOAT),
-            ]),
-        ),
-    ])
+    let channel = ChannelDescription::new("hand", "The coach's hand as the cameras see it.");
+    let fields = [
+        ("gesture", gesture, "the gesture that is recognised"),
+        ("confidence", Type::FLOAT, "0 to 1"),
+        ("position", Type::Vector, "of the palm, m"),
+        ("direction", Type::Vector, "where it points, unit length"),
+        ("distance", Type::quantity(Unit::M), "to the TCP"),
+        ("hidden", Type::FLOAT, "the share of its outline that is hidden, 0 to 1"),
+        ("came_at", Type::quantity(Unit::RAD), "phase of the running motion at which it came to rest"),
+    ];
+    ChannelDescription {
+        rate: "each frame, while a chart or skill reads it".into(),
+        publishers: vec!["observer of `hand`".into()],
+        ..channel.with_fields(documented(fields))
+    }
+}
+
+fn motion() -> ChannelDescription {
+    let vector = |unit| Type::list(Type::quantity(unit));
+    let channel = ChannelDescription::new("motion", "The motion that a skill executes.");
+    let fields = [
+        ("phase", Type::quantity(Unit::RAD), "of the motion"),
+        ("frequency", Type::quantity(Unit::HZ), "at present"),
+        ("position", vector(Unit::M), "of the TCP, three numbers in the root frame"),
+        ("velocity", vector(Unit::M_S), "of the TCP, three numbers in the root frame"),
+        ("normal_force", Type::quantity(Unit::N), "along the surface's normal"),
+    ];
+    ChannelDescription {
+        rate: "each control step of a running motion".into(),
+        readers: vec!["observer of `hand`".into()],
+        ..channel.with_fields(documented(fields))
+    }
+}
+
+fn wrist() -> ChannelDescription {
+    let vector = || Type::list(Type::quantity(Unit::N));
+    let felt = "What the wrist's force sensor feels, compensated for the weight of hand and load.";
+    let channel = ChannelDescription::new("wrist", felt);
+    let fields = [
+        ("force", vector(), "three numbers in the root frame"),
+        ("push", vector(), "the part that the task does not explain"),
+        ("normal", Type::quantity(Unit::N), "along the surface's normal"),
+        ("friction", Type::FLOAT, "coefficient of friction of the contact"),
+    ];
+    ChannelDescription {
+        rate: "200 Hz".into(),
+        publishers: vec!["observer of `wrist`".into()],
+        ..channel.with_fields(documented(fields))
+    }
+}
+
+fn documented<const N: usize>(fields: [(&str, Type, &str); N]) -> Vec<Parameter> {
+    fields.map(|(name, ty, meaning)| Parameter::new(name, ty, meaning)).into()
 }
 
 /// Starts the observers. They end when their handles are aborted or their source closes.

@@ -11,7 +11,7 @@ use crate::arm::TCP;
 use crate::equipment::Equipment;
 
 /// Samples of the robot for each one that is published: 200 Hz at 1 kHz.
-const EVERY: u32 = 5;
+const DECIMATION: u32 = 5;
 
 /// Publishes `wrist`, and estimates the friction of wiping, whether or not the channel has readers.
 pub(super) async fn observe(equipment: Equipment, channels: Channels) {
@@ -34,7 +34,7 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
         // An unusable sample (the first one, or one that is not finite) keeps the previous push.
         let push = push.unwrap_or_else(|_| friction.push());
         count += 1;
-        if count % EVERY == 0 {
+        if count % DECIMATION == 0 {
             channels.publish(
                 "wrist",
                 Value::record([

@@ -24,24 +24,24 @@ use tokio_util::sync::CancellationToken;
 use crate::motions::{self, failed};
 
 /// The least time between two versions in memory.
-const WRITE_EVERY: Duration = Duration::from_millis(20);
+const WRITE_INTERVAL: Duration = Duration::from_millis(20);
 /// How often writing a version is retried when another writer was faster.
-const TRIES: usize = 8;
+const MAX_RETRIES: usize = 8;
 
 /// The running motions of this process; clones share them.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct RunningMotions(Arc<Mutex<BTreeMap<EntityId, Weak<Shared>>>>);
+pub struct RunningMotions(Arc<Mutex<BTreeMap<EntityId, Weak<SharedMotion>>>>);
 
 /// The data that owner, editors and recorder of one motion share.
 #[derive(Debug)]
-struct Shared {
-    state: Mutex<State>,
+struct SharedMotion {
+    state: Mutex<SharedState>,
     /// Notified at each edit.
     edited: Arc<Notify>,
 }
 
 #[derive(Debug)]
-struct State {
+struct SharedState {
     /// The motion with all edits, including those that the owner has not applied yet, at the phase of its last
     /// step.
     view: PeriodicDmp,
@@ -59,7 +59,7 @@ struct State {
     refused: Option<Failure>,
 }
 
-impl State {
+impl SharedState {
     fn edit(&mut self, edit: &MotionEdit) -> Result<(), MotionError> {
         edit.apply(&mut self.view)?;
         self.pending.add(edit)
@@ -76,7 +76,7 @@ impl RunningMotions {
         let updates = memory.subscribe();
         let (motion, version) = motions::load(&**memory, id).await?;
         let dmp = motion.primitive().clone();
-        let state = State {
+        let state = SharedState {
             view: dmp.clone(),
             omega: 0.0,
             stamp_ns: 0,
@@ -86,7 +86,7 @@ impl RunningMotions {
             refused: None,
         };
         let edited = Arc::new(Notify::new());
-        let shared = Arc::new(Shared { state: Mutex::new(state), edited: Arc::clone(&edited) });
+        let shared = Arc::new(SharedMotion { state: Mutex::new(state), edited: Arc::clone(&edited) });
         {
             let mut running = self.0.lock();
             running.retain(|_, shared| shared.strong_count() > 0);
@@ -125,7 +125,7 @@ fn not_running() -> Failure {
 
 /// The motion of the executing skill.
 pub(crate) struct MotionOwner {
-    shared: Arc<Shared>,
+    shared: Arc<SharedMotion>,
     motion: Motion,
     dmp: PeriodicDmp,
     recorder: Option<JoinHandle<Recorder>>,
@@ -160,7 +160,7 @@ impl MotionOwner {
                 return Err(failure);
             }
             if !state.pending.is_empty() {
-                let State { view, pending, .. } = &mut *state;
+                let SharedState { view, pending, .. } = &mut *state;
                 pending.apply(&mut self.dmp).map_err(failed)?;
                 pending.clear();
                 // Sums of differences have rounding errors: the running weights are the reference.
@@ -214,7 +214,7 @@ impl Drop for MotionOwner {
 /// A coach's access to a motion that another skill executes.
 #[derive(Debug)]
 pub(crate) struct MotionEditor {
-    shared: Weak<Shared>,
+    shared: Weak<SharedMotion>,
     /// Buffers: the view before a change, and the change.
     weights: Vec<f64>,
     centre: Vec<f64>,
@@ -261,7 +261,7 @@ impl MotionEditor {
 struct Recorder {
     memory: Arc<dyn Memory>,
     id: EntityId,
-    shared: Weak<Shared>,
+    shared: Weak<SharedMotion>,
     /// The newest version in memory that is known here.
     written: Motion,
     version: u64,
@@ -297,7 +297,7 @@ impl Recorder {
                     tokio::select! {
                         biased;
                         () = stop.cancelled() => return self,
-                        () = tokio::time::sleep(WRITE_EVERY) => {}
+                        () = tokio::time::sleep(WRITE_INTERVAL) => {}
                     }
                 }
             }
@@ -342,7 +342,7 @@ impl Recorder {
         learned_from: Option<&str>,
     ) -> Result<(), Failure> {
         let Some(shared) = self.shared.upgrade() else { return Ok(()) };
-        for _ in 0..TRIES {
+        for _ in 0..MAX_RETRIES {
             let (view, edited, stamp_ns) = {
                 let mut state = shared.state.lock();
                 (state.view.clone(), std::mem::take(&mut state.unwritten), state.stamp_ns)

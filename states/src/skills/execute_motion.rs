@@ -13,16 +13,14 @@ use armarium_values::{Type, Unit, Value};
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
 use crate::motions::failed;
-use crate::running_motion::RunningMotions;
 use crate::wiper::{ContactWatch, GraspedTool, Height, Wiper};
 
 /// The robot's announcement at the start, so that the coach may come.
 const ANNOUNCEMENT: &str = "I am wiping now.";
 /// A detection of the coach's hand older than this does not slow the motion any more, s.
-const SIGHT_AGE: f64 = 0.5;
+const MAX_DETECTION_AGE: f64 = 0.5;
 
-pub(crate) fn skill(equipment: &Equipment, running: &RunningMotions) -> Arc<dyn Skill> {
-    let running = running.clone();
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new(
         "ExecuteMotion",
         "Wipes with a motion that was fitted to the surface, until it is cancelled.",
@@ -37,15 +35,17 @@ pub(crate) fn skill(equipment: &Equipment, running: &RunningMotions) -> Arc<dyn 
         "Stiffness of the contact, as force adaptation found it.",
     )
     .mark(Mark::at_start("wiping_started"))
+    .reads("hand")
+    .publishes("motion")
     .limb("torso")
     .limb("right_arm");
-    equipment::skill(equipment, manifest, move |equipment, context| run(equipment, running.clone(), context))
+    equipment::skill(equipment, manifest, run)
 }
 
-async fn run(equipment: Equipment, running: RunningMotions, context: SkillContext) -> SkillResult {
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let tool = GraspedTool::of(&context)?;
     let force = context.number("force")?;
-    let mut wiper = Wiper::take(&equipment, &running, &context, tool.tcp.rotation).await?;
+    let mut wiper = Wiper::take(&equipment, &context, tool.tcp.rotation).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let correction = wiper.motion().surface().cloned();
     let correction = correction.ok_or_else(|| {
@@ -89,6 +89,6 @@ async fn wipe(
 
 /// Distance of the coach's hand from the TCP, m; infinite when no hand is detected.
 fn distance_of_hand(channels: &Channels) -> f64 {
-    let seen = channels.newest("hand").filter(|s| s.at.elapsed().as_secs_f64() < SIGHT_AGE);
+    let seen = channels.newest("hand").filter(|s| s.at.elapsed().as_secs_f64() < MAX_DETECTION_AGE);
     seen.and_then(|s| s.value.get("distance").and_then(Value::as_f64)).unwrap_or(f64::INFINITY)
 }

@@ -16,16 +16,14 @@ use crate::equipment::{self, Equipment};
 use crate::inputs::reference;
 use crate::motions::failed;
 use crate::reach::required_speed;
-use crate::running_motion::RunningMotions;
 use crate::wiper::{ContactWatch, GraspedTool, Height, Wiper};
 
 /// Least number of cycles before the force can count as settled.
-const LEAST_CYCLES: u32 = 4;
+const MIN_CYCLES: u32 = 4;
 /// How far the surface may be below the tool's height at the grasp, m.
-const DEEPEST: f64 = 0.05;
+const MAX_DEPTH: f64 = 0.05;
 
-pub(crate) fn skill(equipment: &Equipment, running: &RunningMotions) -> Arc<dyn Skill> {
-    let running = running.clone();
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new(
         "ForceAdaptation",
         "Lowers the tool until it touches, then learns the motion towards the surface that keeps the force.",
@@ -50,19 +48,20 @@ pub(crate) fn skill(equipment: &Equipment, running: &RunningMotions) -> Arc<dyn 
     .output("cycles", Type::Int, "Cycles that were needed.")
     .output("rms", Type::quantity(Unit::N), "Root mean square force error of the last cycle.")
     .output("stiffness", Type::quantity(Unit::N_M), "Stiffness of the contact.")
+    .publishes("motion")
     .mark(Mark::at_start("adaptation_started"))
     .mark(
         Mark::at_success("adaptation_ended").with_input("desired_n", "force").with_output("cycles", "cycles"),
     )
     .limb("torso")
     .limb("right_arm");
-    equipment::skill(equipment, manifest, move |equipment, context| run(equipment, running.clone(), context))
+    equipment::skill(equipment, manifest, run)
 }
 
-async fn run(equipment: Equipment, running: RunningMotions, context: SkillContext) -> SkillResult {
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let tool = GraspedTool::of(&context)?;
     let force = context.number("force")?;
-    let mut wiper = Wiper::take(&equipment, &running, &context, tool.tcp.rotation).await?;
+    let mut wiper = Wiper::take(&equipment, &context, tool.tcp.rotation).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     required_speed(&equipment, wiper.motion(), &tool.tcp, tool.standing_height())?;
 
@@ -129,7 +128,7 @@ async fn touch_down(
     force: f64,
 ) -> Result<f64, Failure> {
     let hover = context.number("hover")?;
-    let config = TouchdownConfig { force, farthest: hover + DEEPEST, ..TouchdownConfig::default() };
+    let config = TouchdownConfig { force, farthest: hover + MAX_DEPTH, ..TouchdownConfig::default() };
     let mut touchdown = Touchdown::new(config).map_err(failed)?;
     let mut z = wiper.arm.tcp(&senses.newest()).translation.z;
     loop {
@@ -143,7 +142,7 @@ async fn touch_down(
             TouchdownStatus::NoSurface => {
                 return Err(Failure::new(format!(
                     "no surface was felt {:.0} mm below where the tool was grasped; is the tool still in the hand?",
-                    DEEPEST * 1e3
+                    MAX_DEPTH * 1e3
                 )));
             }
             TouchdownStatus::NotReached => {
@@ -172,7 +171,7 @@ async fn learn(
         let pressing = sample.wrist.force.z;
         contact.check(dt, pressing)?;
         let command = surface.step(dt, wiper.phase(), omega, pressing).map_err(failed)?;
-        let settled = surface.cycles() >= LEAST_CYCLES && surface.settled(tolerance);
+        let settled = surface.cycles() >= MIN_CYCLES && surface.settled(tolerance);
         let pace = if settled { 0.0 } else { surface.pace() };
         let height = Height { z: z + command.offset, rate: command.velocity };
         omega = wiper.step(&sample, dt, pace, height)?.omega;

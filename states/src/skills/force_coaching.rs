@@ -10,10 +10,8 @@ use nalgebra::Vector3;
 use crate::coaching::Coaching;
 use crate::equipment::{self, Equipment};
 use crate::inputs::as_vector;
-use crate::running_motion::RunningMotions;
 
-pub(crate) fn skill(equipment: &Equipment, running: &RunningMotions) -> Arc<dyn Skill> {
-    let running = running.clone();
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest =
         SkillManifest::new("ForceCoaching", "Changes the running motion by the coach's pushes on the hand.")
             .input("motion", Type::motion(), "The running motion.")
@@ -25,14 +23,15 @@ pub(crate) fn skill(equipment: &Equipment, running: &RunningMotions) -> Arc<dyn 
                 "A push lasts at least this long; shorter ones are not followed.",
             )
             .optional("patience", Type::Duration, 4.0, "Ends when no push has been felt for this long.")
-            .output("displacement", Type::FLOAT, "How far the path has moved where it moved most, m.");
-    equipment::skill(equipment, manifest, move |equipment, context| run(equipment, running.clone(), context))
+            .output("displacement", Type::FLOAT, "How far the path has moved where it moved most, m.")
+            .reads("wrist");
+    equipment::skill(equipment, manifest, run)
 }
 
-async fn run(equipment: Equipment, running: RunningMotions, context: SkillContext) -> SkillResult {
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let (threshold, patience) = (context.number("threshold")?, context.number("patience")?);
     let hold = context.number("hold")?;
-    let mut coaching = Coaching::begin(&equipment, &running, &context)?;
+    let mut coaching = Coaching::begin(&equipment, &context)?;
     let _wrist_is_wanted = context.channels.demand("wrist");
     let mut displacement = 0.0_f64;
     let mut pushed_for = 0.0;

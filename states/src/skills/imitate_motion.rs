@@ -8,7 +8,6 @@ use armarium_values::{Type, Unit, Value};
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
 use crate::reach::required_speed;
-use crate::running_motion::RunningMotions;
 use crate::wiper::{GraspedTool, Height, Wiper};
 
 /// Raised when the motion has been at its full frequency for a while.
@@ -18,8 +17,7 @@ const OVER: &str = "imitation.over";
 /// The motion counts as steady after this share of a period at full frequency.
 const SETTLING: f64 = 0.5;
 
-pub(crate) fn skill(equipment: &Equipment, running: &RunningMotions) -> Arc<dyn Skill> {
-    let running = running.clone();
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest =
         SkillManifest::new("ImitateMotion", "Performs a learned motion in free space over the table.")
             .input("motion", Type::motion(), "The motion.")
@@ -27,20 +25,21 @@ pub(crate) fn skill(equipment: &Equipment, running: &RunningMotions) -> Arc<dyn 
             .optional("height", Type::quantity(Unit::M), 0.05, "Height of the tool over the table.")
             .optional("periods", Type::Int, 3_i64, "Whole periods to perform.")
             .output("frequency", Type::quantity(Unit::HZ), "Frequency of the motion.")
+            .publishes("motion")
             .event(STEADY)
             .event(OVER)
             .mark(Mark::at_event(STEADY, "free_space_steady"))
             .mark(Mark::at_event(OVER, "adaptation_started"))
             .limb("torso")
             .limb("right_arm");
-    equipment::skill(equipment, manifest, move |equipment, context| run(equipment, running.clone(), context))
+    equipment::skill(equipment, manifest, run)
 }
 
-async fn run(equipment: Equipment, running: RunningMotions, context: SkillContext) -> SkillResult {
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let tool = GraspedTool::of(&context)?;
     let periods = context.value("periods")?.as_int().unwrap_or(3).max(1);
     let z = tool.standing_height() + context.number("height")?;
-    let mut wiper = Wiper::take(&equipment, &running, &context, tool.tcp.rotation).await?;
+    let mut wiper = Wiper::take(&equipment, &context, tool.tcp.rotation).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     required_speed(&equipment, wiper.motion(), &tool.tcp, z)?;
     wiper.start_nearest(&senses.newest())?;

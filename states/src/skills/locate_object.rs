@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_memoryx::{Commit, EntityId};
-use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::skill::{Failure, NameKind, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Value};
 use armarium_visionx::{BoxModel, ColorModel, ObjectEstimate, ObjectLocalizer};
 use nalgebra::{Isometry3, Vector3};
@@ -18,7 +18,7 @@ use crate::motions::failed;
 use crate::prior::object_class;
 
 /// Number of good detections that are averaged.
-const SIGHTS: usize = 5;
+const DETECTIONS: usize = 5;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new(
@@ -26,6 +26,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         "Finds an object of prior knowledge in the stereo images and puts it into memory.",
     )
     .input("object", Type::String, "Object class in prior knowledge.")
+    .names(NameKind::ObjectClass)
     .optional("timeout", Type::Duration, 5.0, "How long to look for it.")
     .output("object", Type::object(), "The object in memory.")
     .output("pose", Type::Pose, "Its pose in the root frame.");
@@ -43,7 +44,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut senses = Senses::new(&*equipment.robot, &context);
     let mut sights: Vec<ObjectEstimate> = Vec::new();
     let (mut waited, mut looked) = (0.0, 0);
-    while sights.len() < SIGHTS {
+    while sights.len() < DETECTIONS {
         let (_, dt) = senses.next().await?;
         waited += dt;
         if waited > timeout {

@@ -13,7 +13,7 @@ use crate::inputs::as_point;
 /// Largest speed of a joint, rad/s.
 const SPEED: f64 = 1.0;
 /// How long the gaze must rest on the point, s.
-const REST: f64 = 0.3;
+const REST_TIME: f64 = 0.3;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new("LookAt", "Turns the head until the eyes look at a point.")
@@ -36,7 +36,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         elapsed += dt;
         let angle = head.look(&sample, dt, &point, SPEED)?;
         reached_for = if angle < tolerance { reached_for + dt } else { 0.0 };
-        if reached_for > REST {
+        if reached_for > REST_TIME {
             return Ok(Outcome::success());
         }
         if elapsed > timeout {

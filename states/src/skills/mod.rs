@@ -18,6 +18,7 @@ mod open_hand;
 mod plan_grasp;
 mod recall_motion;
 mod recall_object;
+mod tare;
 mod verify_grasp;
 mod vision_coaching;
 mod visual_servo;
@@ -29,12 +30,9 @@ use std::sync::Arc;
 use armarium_runtime::skill::Skill;
 
 use crate::equipment::Equipment;
-use crate::running_motion::RunningMotions;
 
 /// All skills of this room, with their `equipment`.
-#[must_use]
 pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
-    let running = &RunningMotions::default();
     vec![
         move_joints::skill(equipment),
         move_tcp::skill(equipment),
@@ -47,17 +45,18 @@ pub fn skills(equipment: &Equipment) -> Vec<Arc<dyn Skill>> {
         recall_object::skill(equipment),
         plan_grasp::skill(equipment),
         visual_servo::skill(equipment),
+        tare::skill(equipment),
         weigh_hand::skill(equipment),
         verify_grasp::skill(equipment),
         attach_object::skill(equipment),
         movement_imitation::skill(equipment),
-        imitate_motion::skill(equipment, running),
+        imitate_motion::skill(equipment),
         recall_motion::skill(equipment),
         keep_motion::skill(equipment),
-        force_adaptation::skill(equipment, running),
-        execute_motion::skill(equipment, running),
-        force_coaching::skill(equipment, running),
-        vision_coaching::skill(equipment, running),
+        force_adaptation::skill(equipment),
+        execute_motion::skill(equipment),
+        force_coaching::skill(equipment),
+        vision_coaching::skill(equipment),
         watch_coach::skill(equipment),
     ]
 }

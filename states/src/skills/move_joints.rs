@@ -4,14 +4,14 @@ use std::sync::Arc;
 
 use armarium_robot::postures;
 
-use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::skill::{Failure, NameKind, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
 use crate::arm::{ARM, Senses, lease};
 use crate::equipment::{self, Equipment};
 
 /// The share of each joint's speed limit that is used.
-const SHARE: f64 = 0.8;
+const SPEED_SHARE: f64 = 0.8;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new(
@@ -19,6 +19,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         "Moves right arm and torso together to a posture, each joint in a straight line.",
     )
     .optional("posture", Type::String, "", "A named posture of the robot, for instance `home`.")
+    .names(NameKind::Posture)
     .optional(
         "arm",
         Type::list(Type::FLOAT),
@@ -41,7 +42,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let model = equipment.robot.model();
     let arm_joints = model.limb(ARM);
     let torso_joints = model.limb("torso");
-    let speed = |joint: usize| model.joints()[joint].velocity * SHARE;
+    let speed = |joint: usize| model.joints()[joint].velocity * SPEED_SHARE;
     let acceleration = |joint: usize| model.joints()[joint].acceleration * 0.3;
 
     let mut senses = Senses::new(&*equipment.robot, &context);
@@ -80,7 +81,7 @@ fn goal(equipment: &Equipment, context: &SkillContext) -> Result<Vec<f64>, Failu
     let name = context.text("posture")?;
     if !name.is_empty() {
         let posture = postures::named(model, name).ok_or_else(|| {
-            Failure::new(format!("the robot has no posture `{name}`; it has `home` and `wipe`"))
+            Failure::new(format!("the robot has no posture `{name}`; it has {}", postures::NAMES.join(", ")))
         })?;
         for joint in postures::reaching_joints(model) {
             goal[joint] = posture[joint];

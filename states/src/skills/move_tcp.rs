@@ -18,19 +18,24 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         "Moves the right hand's TCP to a pose on a straight line, turning evenly.",
     )
     .input("target", Type::Pose, "Pose of the TCP in the root frame.")
-    .optional("speed", Type::quantity(Unit::M_S), 0.15, "Speed on the line.")
-    .optional("position_tolerance", Type::quantity(Unit::M), 0.005, "When the position counts as reached.")
-    .optional(
+    .optional("speed", Type::quantity(Unit::M_S), 0.15, "Speed on the line.");
+    let manifest = tolerances(manifest, 0.005, 0.05)
+        .optional("timeout", Type::Duration, 15.0, "Longest time it may take.")
+        .output("tcp", Type::Pose, "Where the TCP is at the end.")
+        .limb("torso")
+        .limb("right_arm");
+    equipment::skill(equipment, manifest, run)
+}
+
+/// Adds the inputs that say when a pose counts as reached: the defaults are `position` m and `orientation` rad.
+pub(crate) fn tolerances(manifest: SkillManifest, position: f64, orientation: f64) -> SkillManifest {
+    let [m, rad] = [Unit::M, Unit::RAD].map(Type::quantity);
+    manifest.optional("position_tolerance", m, position, "When the position counts as reached.").optional(
         "orientation_tolerance",
-        Type::quantity(Unit::RAD),
-        0.05,
+        rad,
+        orientation,
         "When the orientation counts as reached.",
     )
-    .optional("timeout", Type::Duration, 15.0, "Longest time it may take.")
-    .output("tcp", Type::Pose, "Where the TCP is at the end.")
-    .limb("torso")
-    .limb("right_arm");
-    equipment::skill(equipment, manifest, run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {

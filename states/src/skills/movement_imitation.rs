@@ -10,7 +10,9 @@ use armarium_motion::{
     DemonstrationSegmenter, DemonstrationStage, Imitation, Motion, MotionError, PeriodicDmp,
     PeriodicDmpConfig, SegmenterConfig, Swipe,
 };
-use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_runtime::skill::{
+    Failure, Mark, NameKind, Outcome, Skill, SkillContext, SkillManifest, SkillResult,
+};
 use armarium_values::{Type, Unit};
 use armarium_visionx::{ColorMarkerObjectTracking, MarkerSettings};
 use nalgebra::Point3;
@@ -29,7 +31,7 @@ const REQUEST: &str = "Please show me how to wipe.";
 const POINTS: usize = 200;
 
 /// A motion was demonstrated inside the workspace if its centre is nearer to the workspace's centre than this, m.
-const SHOWN_IN_PLACE: f64 = 0.15;
+const MAX_OFFSET: f64 = 0.15;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new(
@@ -37,6 +39,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         "Watches the coach's tool and learns the periodic motion that it shows.",
     )
     .input("marker", Type::String, "Object class in prior knowledge that the coach demonstrates with.")
+    .names(NameKind::ObjectClass)
     .optional("name", Type::String, "wiping", "Name of the learned motion.")
     .optional("patience", Type::Duration, 30.0, "How long to wait for the demonstration to begin.")
     .optional("periods", Type::Int, 40_i64, "Periods after which the demonstration has been seen enough.")
@@ -66,13 +69,13 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 }
 
 /// What was observed of a demonstration.
-struct Seen {
+struct ObservedDemonstration {
     swipe: Swipe,
     imitation: Imitation,
     stamp_ns: u64,
 }
 
-async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<Seen, Failure> {
+async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<ObservedDemonstration, Failure> {
     let patience = context.number("patience")?;
     let most_periods = context.number("periods")?;
     let marker = context.text("marker")?;
@@ -113,7 +116,7 @@ async fn watch(equipment: &Equipment, context: &SkillContext) -> Result<Seen, Fa
         let ended = known.stage == DemonstrationStage::Ended || gone(last_learned, time);
         if ended || imitation.periods() >= most_periods {
             let swipe = known.swipe.ok_or_else(|| Failure::new("the demonstration had no first swipe"))?;
-            return Ok(Seen { swipe, imitation, stamp_ns: sample.stamp_ns });
+            return Ok(ObservedDemonstration { swipe, imitation, stamp_ns: sample.stamp_ns });
         }
     }
 }
@@ -140,7 +143,7 @@ fn place(learned: &PeriodicDmp, frequency_hz: f64, swipe: &Swipe) -> Result<Peri
     weights[2 * kernels..].fill(0.0);
     placed.set_weights(&weights)?;
     let away = [middle.x - half(0), middle.y - half(1)];
-    let shift = if away[0].hypot(away[1]) < SHOWN_IN_PLACE { [0.0; 2] } else { away };
+    let shift = if away[0].hypot(away[1]) < MAX_OFFSET { [0.0; 2] } else { away };
     placed.set_centre(&[learned.centre()[0] + shift[0], learned.centre()[1] + shift[1], middle.z])?;
     placed.start_on_path(0.0, std::f64::consts::TAU * frequency_hz)?;
     Ok(placed)

@@ -23,7 +23,7 @@ const MISALIGNMENTS: [f64; 7] = [0.0, 0.14, -0.14, 0.28, -0.28, 0.42, -0.42];
 /// Additional margin (rad) that one radian of misalignment must bring.
 const MISALIGNMENT_COST: f64 = 1.0;
 /// A grasp with less margin than this to a joint limit is rejected, rad.
-const LEAST_MARGIN: f64 = 0.03;
+const MIN_MARGIN: f64 = 0.03;
 /// Clearance of each open pad beside the object on its way down, m: more than the error of servoing.
 const CLEARANCE: f64 = 0.01;
 
@@ -132,7 +132,7 @@ fn candidate(
         |q: &[f64], j: usize| (q[j] - model.joints()[j].lower).min(model.joints()[j].upper - q[j]);
     let margins = joints.iter().flat_map(|&j| [margin_of(&at_grasp, j), margin_of(&at_pre, j)]);
     let margin = margins.fold(f64::INFINITY, f64::min);
-    if margin < LEAST_MARGIN {
+    if margin < MIN_MARGIN {
         return Err(0.0);
     }
     let score = margin - MISALIGNMENT_COST * misalignment.abs();

@@ -17,7 +17,7 @@ use crate::inputs::{as_pose, pose_value, reference};
 use crate::motions::failed;
 
 /// Interval of the memory queries, s.
-const ASK_EVERY: f64 = 0.1;
+const POLL_INTERVAL: f64 = 0.1;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new(
@@ -41,7 +41,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     loop {
         let (sample, dt) = senses.next().await?;
         waited += dt;
-        if waited - asked < ASK_EVERY {
+        if waited - asked < POLL_INTERVAL {
             continue;
         }
         asked = waited;

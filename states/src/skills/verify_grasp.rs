@@ -20,15 +20,15 @@ use crate::skills::weigh_hand::mean_force;
 
 const GRAVITY: f64 = 9.81;
 /// A hand with an aperture below this holds nothing, m.
-const LEAST_APERTURE: f64 = 0.02;
+const MIN_APERTURE: f64 = 0.02;
 /// Largest distance of the detected object from its place in the hand, m.
 const IN_HAND: f64 = 0.08;
 /// A detection farther than this from the height at which the object stood is not on the table, m.
 const ON_TABLE: f64 = 0.1;
 /// The least share of the expected weight that must be measured.
-const LEAST_WEIGHT_SHARE: f64 = 0.4;
+const MIN_WEIGHT_SHARE: f64 = 0.4;
 /// The least weight if prior knowledge does not contain the object's mass, N.
-const LEAST_WEIGHT: f64 = 0.4;
+const MIN_WEIGHT: f64 = 0.4;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new("VerifyGrasp", "Verifies that the hand holds the object, by aperture, sight and weight, and takes its weight into account.")
@@ -49,7 +49,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut senses = Senses::new(&*equipment.robot, &context);
 
     let aperture = aperture(equipment.robot.model(), &senses.newest());
-    if aperture < LEAST_APERTURE {
+    if aperture < MIN_APERTURE {
         return Err(Failure::new(format!(
             "the hand is closed to {:.0} mm: it holds nothing",
             aperture * 1e3
@@ -57,7 +57,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     }
     let force = mean_force(&mut arm, &mut senses, 0.5).await?;
     let weight = context.number("empty")? - force.z;
-    let expected = class.mass.map_or(LEAST_WEIGHT, |m| LEAST_WEIGHT_SHARE * m * GRAVITY);
+    let expected = class.mass.map_or(MIN_WEIGHT, |m| MIN_WEIGHT_SHARE * m * GRAVITY);
     if weight < expected {
         return Err(Failure::new(format!(
             "the hand is only {weight:.2} N heavier than empty, at least {expected:.2} N were expected: the object stayed behind"
@@ -79,12 +79,12 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 }
 
 /// The detections of the object.
-struct Sight {
+struct ObjectDetection {
     /// The least distance from its place in the hand, m; infinite if it was not detected.
     nearest: f64,
 }
 
-impl Sight {
+impl ObjectDetection {
     /// A detected object must be in the hand. An object that is not detected may be hidden by the hand that holds
     /// it: then its known weight is sufficient.
     fn judge(&self, name: &str, weight_is_known: bool) -> Result<(), Failure> {
@@ -112,7 +112,7 @@ async fn look(
     senses: &mut Senses,
     color: [u8; 3],
     stood: f64,
-) -> Result<Sight, Failure> {
+) -> Result<ObjectDetection, Failure> {
     let hand_eye = HandEye::load(&*equipment.memory, &equipment.agent).await?;
     let settings = MarkerSettings { color: ColorModel::from_rgb(color), ..MarkerSettings::new(color) };
     let mut tracking =
@@ -135,5 +135,5 @@ async fn look(
             break;
         }
     }
-    Ok(Sight { nearest })
+    Ok(ObjectDetection { nearest })
 }

@@ -12,20 +12,19 @@ use armarium_visionx::HandObservation;
 use crate::coaching::Coaching;
 use crate::equipment::{self, Equipment};
 use crate::inputs::as_vector;
-use crate::running_motion::RunningMotions;
 
-pub(crate) fn skill(equipment: &Equipment, running: &RunningMotions) -> Arc<dyn Skill> {
-    let running = running.clone();
+pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new("VisionCoaching", "Changes the running motion as the coach's gestures say: fist draws, two fingers push away, one finger moves all.")
         .input("motion", Type::motion(), "The running motion.")
         .optional("patience", Type::Duration, 0.8, "Ends when no such gesture has been seen for this long.")
-        .output("displacement", Type::FLOAT, "How far the path has moved where it moved most, m.");
-    equipment::skill(equipment, manifest, move |equipment, context| run(equipment, running.clone(), context))
+        .output("displacement", Type::FLOAT, "How far the path has moved where it moved most, m.")
+        .reads("hand");
+    equipment::skill(equipment, manifest, run)
 }
 
-async fn run(equipment: Equipment, running: RunningMotions, context: SkillContext) -> SkillResult {
+async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let patience = context.number("patience")?;
-    let mut coaching = Coaching::begin(&equipment, &running, &context)?;
+    let mut coaching = Coaching::begin(&equipment, &context)?;
     let _frames_are_wanted = context.channels.demand("hand");
     let mut displacement = 0.0_f64;
     let mut filter = GestureFilter::default();
@@ -72,46 +71,46 @@ struct GestureFilter {
 
 impl Default for GestureFilter {
     fn default() -> Self {
-        Self { gesture: NONE.into(), hand: Value::Null, seen: BTreeMap::new(), gone: 0.0 }
+        Self { gesture: NO_HAND.into(), hand: Value::Null, seen: BTreeMap::new(), gone: 0.0 }
     }
 }
 
 /// The channel's value for a frame without a hand.
-const NONE: &str = "none";
+const NO_HAND: &str = "none";
 
 impl GestureFilter {
     /// How long a gesture must be visible before it is accepted, and how long a hand must be out of sight before it
     /// is gone, s.
-    const HOLD: f64 = 0.4;
+    const MIN_VISIBLE: f64 = 0.4;
     /// The time constant of the decay, s, and the largest accumulated time, s. A change of the gesture is accepted
     /// after 1.5 s.
-    const FORGET: f64 = 4.0;
-    const MOST: f64 = 2.0;
+    const DECAY: f64 = 4.0;
+    const MAX_ACCUMULATED: f64 = 2.0;
     /// The least confidence of a gesture that counts, as a probability.
-    const SURE: f64 = 0.6;
+    const MIN_CONFIDENCE: f64 = 0.6;
     /// The weight of a partly hidden hand, relative to a fully visible one.
     const HIDDEN_COUNTS: f64 = 0.1;
 
     /// The coaching input after `dt` s, from the present value of the channel.
     fn update(&mut self, dt: f64, hand: Option<Value>) -> CoachInput {
         let number = |name: &str| hand.as_ref().and_then(|h| h.get(name)).and_then(Value::as_f64);
-        let seen = hand.as_ref().and_then(|h| h.get("gesture")).and_then(Value::as_str).unwrap_or(NONE);
-        if seen == NONE {
+        let seen = hand.as_ref().and_then(|h| h.get("gesture")).and_then(Value::as_str).unwrap_or(NO_HAND);
+        if seen == NO_HAND {
             self.gone += dt;
-            if self.gone >= Self::HOLD {
+            if self.gone >= Self::MIN_VISIBLE {
                 *self = Self::default();
             }
             return input_of(&self.gesture, &self.hand);
         }
         self.gone = 0.0;
         let hidden = number("hidden").is_some_and(|share| share >= HandObservation::HIDDEN);
-        if number("confidence").is_none_or(|c| c >= Self::SURE) {
+        if number("confidence").is_none_or(|c| c >= Self::MIN_CONFIDENCE) {
             let counts = if hidden { Self::HIDDEN_COUNTS } else { 1.0 };
-            self.seen.values_mut().for_each(|time| *time *= 1.0 - counts * dt / Self::FORGET);
+            self.seen.values_mut().for_each(|time| *time *= 1.0 - counts * dt / Self::DECAY);
             let time = self.seen.entry(seen.to_owned()).or_default();
-            *time = (*time + counts * dt).min(Self::MOST);
+            *time = (*time + counts * dt).min(Self::MAX_ACCUMULATED);
             let longest = self.seen.iter().max_by(|a, b| a.1.total_cmp(b.1));
-            if let Some((gesture, _)) = longest.filter(|(_, time)| **time >= Self::HOLD) {
+            if let Some((gesture, _)) = longest.filter(|(_, time)| **time >= Self::MIN_VISIBLE) {
                 self.gesture.clone_from(gesture);
             }
         }

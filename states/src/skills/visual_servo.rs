@@ -22,13 +22,14 @@ use crate::inputs::{Inputs, as_pose, pose_value};
 use crate::motions::failed;
 use crate::prior::{class_name, object_class};
 use crate::skills::calibrate_hand_eye::{HAND_MARKER, HAND_MARKER_COLOR, HAND_MARKER_DIAMETER};
+use crate::skills::move_tcp::tolerances;
 
 /// An object of which a smaller share than this is visible (the hand covers it) does not move the target.
 const WELL_VISIBLE: f64 = 0.8;
 /// The weight of a new detection in the filtered target.
-const SIGHT_SHARE: f64 = 0.2;
+const DETECTION_WEIGHT: f64 = 0.2;
 /// A detection further than this from the filtered target is rejected, m.
-const PLAUSIBLE: f64 = 0.06;
+const MAX_JUMP: f64 = 0.06;
 /// A force of this size on the way down means that the hand has hit something, N.
 const STOPPING_FORCE: f64 = 12.0;
 
@@ -39,26 +40,20 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     )
     .input("object", Type::object(), "The object in memory.")
     .input("target", Type::Pose, "Planned pose of the TCP at the grasp.")
-    .input("pre_pose", Type::Pose, "Pose of the TCP above it.")
-    .optional("position_tolerance", Type::quantity(Unit::M), 0.004, "When the position counts as reached.")
-    .optional(
-        "orientation_tolerance",
-        Type::quantity(Unit::RAD),
-        0.06,
-        "When the orientation counts as reached.",
-    )
-    .optional("timeout", Type::Duration, 20.0, "Longest time for each of the two parts.")
-    .output("tcp", Type::Pose, "Pose of the TCP at the end.")
-    .output("seen_error", Type::quantity(Unit::M), "Distance of the hand from the grasp, as seen.")
-    .limb("torso")
-    .limb("right_arm");
+    .input("pre_pose", Type::Pose, "Pose of the TCP above it.");
+    let manifest = tolerances(manifest, 0.004, 0.06)
+        .optional("timeout", Type::Duration, 20.0, "Longest time for each of the two parts.")
+        .output("tcp", Type::Pose, "Pose of the TCP at the end.")
+        .output("seen_error", Type::quantity(Unit::M), "Distance of the hand from the grasp, as seen.")
+        .limb("torso")
+        .limb("right_arm");
     equipment::skill(equipment, manifest, run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut arm = Arm::take(&equipment, &context)?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let mut sight = Sight::new(&equipment, &context).await?;
+    let mut sight = Detections::new(&equipment, &context).await?;
     let above = context.pose("pre_pose")?.translation.z - context.pose("target")?.translation.z;
     servo(&equipment, &context, &mut arm, &mut senses, &mut sight, above).await?;
     let distance = servo(&equipment, &context, &mut arm, &mut senses, &mut sight, 0.0).await?;
@@ -72,7 +67,7 @@ async fn servo(
     context: &SkillContext,
     arm: &mut Arm,
     senses: &mut Senses,
-    sight: &mut Sight,
+    sight: &mut Detections,
     above: f64,
 ) -> Result<f64, Failure> {
     let mut law = PositionServo::new(ServoConfig {
@@ -126,7 +121,7 @@ fn explain(status: ServoStatus, distance: f64) -> String {
 }
 
 /// The detections of hand and object.
-struct Sight {
+struct Detections {
     frames: Frames,
     hand: ColorMarkerObjectTracking,
     localizer: ObjectLocalizer,
@@ -136,7 +131,7 @@ struct Sight {
     palm: nalgebra::UnitQuaternion<f64>,
 }
 
-impl Sight {
+impl Detections {
     async fn new(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
         let id = context.entity("object")?;
         let snapshot = equipment.memory.latest(&id).await.map_err(failed)?;
@@ -183,8 +178,8 @@ impl Sight {
         };
         let seen = object.root_from_object.translation.vector;
         let step = seen - self.center.coords;
-        if step.norm() < PLAUSIBLE {
-            self.center += SIGHT_SHARE * step;
+        if step.norm() < MAX_JUMP {
+            self.center += DETECTION_WEIGHT * step;
         }
     }
 }

@@ -7,7 +7,7 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use armarium_simulator::referee::asked;
+use armarium_simulator::referee::judged_figures;
 use armarium_tests::recorded;
 use armarium_values::report::Figure;
 use serde_json::Value;
@@ -78,7 +78,7 @@ fn main() -> io::Result<ExitCode> {
         return Ok(ExitCode::from(2));
     };
     let report: Value = serde_json::from_str(&std::fs::read_to_string(folder.join("report.json"))?)?;
-    let figures = asked(&report);
+    let figures = judged_figures(&report);
     show(&mut out, &figures)?;
     let mut complaints = complaints(&report, &figures);
     match recorded::read(&folder.join("run.mcap")) {
@@ -113,7 +113,7 @@ mod tests {
 
     #[test]
     fn a_good_report_has_no_complaints_and_each_change_for_the_worse_has_one() {
-        assert_eq!(complaints(&good(), &asked(&good())), Vec::<String>::new());
+        assert_eq!(complaints(&good(), &judged_figures(&good())), Vec::<String>::new());
         let worse = [
             ("/outcome", json!("failure")),
             ("/trace_sha256", Value::Null),
@@ -127,7 +127,7 @@ mod tests {
         for (place, value) in worse {
             let mut report = good();
             *report.pointer_mut(place).expect("the place exists") = value;
-            assert_eq!(complaints(&report, &asked(&report)).len(), 1, "{place}");
+            assert_eq!(complaints(&report, &judged_figures(&report)).len(), 1, "{place}");
         }
     }
 }

@@ -7,14 +7,17 @@ use super::eval::{Macro, Node, Pos};
 use super::functions::{Function, TABLE, Takes};
 use super::typing::{arithmetic, article, comparison, comprehension, dotted, is_text, join, mismatch};
 use super::{
-    Environment, Expr, ExprError, ExprErrorKind as Kind, MAX_SOURCE, Reads, Slot, Unknown, Unresolved,
+    Environment, Expr, ExprError, ExprErrorKind as Kind, Found, MAX_SOURCE, Reads, Slot, Unknown, Unresolved,
     nearest,
 };
+use super::{parsed, syntax};
 use crate::types::{Fit, Type};
 use crate::unit::Unit;
 
 /// Deepest nesting of an expression; evaluating and dropping deeper ones would need much stack.
 const MAX_DEPTH: usize = 200;
+/// Deepest nesting that the parser reads. Its own error says so in words only.
+const PARSED_DEPTH: usize = 95;
 /// Deepest nesting of comprehensions.
 const MAX_COMPREHENSIONS: usize = 3;
 
@@ -25,18 +28,11 @@ pub(super) fn compile(source: &str, environment: &dyn Environment) -> Result<Exp
     if source.trim().is_empty() {
         return Err(whole(source, Kind::Syntax, "there is no expression here".into()));
     }
-    // An environment without macros leaves `list.all(x, p)` as an ordinary call.
-    let parser = cel::Env::default().parser().enable_optional_syntax(false);
-    let (tree, places) = parser.parse_with_source_info(source).map_err(|e| syntax(source, &e))?;
-    let mut checker = Checker {
-        source,
-        places: &places,
-        environment,
-        bound: Vec::new(),
-        reads: Reads::default(),
-        depth: 0,
-    };
-    let (root, ty) = checker.check(&tree)?;
+    let parsed = parsed::parse(source).map_err(|e| syntax(source, &e))?;
+    let (tree, places) = &*parsed;
+    let mut checker =
+        Checker { source, places, environment, bound: Vec::new(), reads: Reads::default(), depth: 0 };
+    let (root, ty) = checker.check(tree)?;
     checker.reads.channels.sort_unstable();
     checker.reads.channels.dedup();
     checker.reads.slots.sort_unstable();
@@ -48,31 +44,47 @@ pub(super) fn compile(source: &str, environment: &dyn Environment) -> Result<Exp
 }
 
 fn whole(source: &str, kind: Kind, message: String) -> ExprError {
-    ExprError { kind, message, help: None, start: 0, end: source.len() }
+    ExprError { kind, message, help: None, start: 0, end: source.len(), near: None }
 }
 
 fn syntax(source: &str, errors: &cel::ParseErrors) -> ExprError {
     let Some(first) = errors.errors.first() else {
         return whole(source, Kind::Syntax, "this is not an expression".into());
     };
+    if nesting(source) > PARSED_DEPTH {
+        return whole(source, Kind::TooLarge, "the expression is nested too deeply".into());
+    }
     let (line, column) = first.pos;
     let line_start: usize =
         source.split_inclusive('\n').take(usize::try_from(line - 1).unwrap_or(0)).map(str::len).sum();
     let column = usize::try_from(column).unwrap_or(0).saturating_sub(1);
     let start = boundary(source, (line_start + column).min(source.len()));
-    let end = source[start..].chars().next().map_or(source.len(), |c| start + c.len_utf8());
-    let message = first.msg.trim_start_matches("Syntax error: ").to_owned();
-    if message.to_ascii_lowercase().contains("recursion limit") {
-        return whole(source, Kind::TooLarge, "the expression is nested too deeply".into());
+    syntax::explain(source, start)
+}
+
+/// The deepest nesting of brackets and choices (`a ? b : c`) outside of quotes.
+fn nesting(source: &str) -> usize {
+    let (mut depth, mut deepest, mut outer, mut quote) = (0_usize, 0, vec![0], None);
+    let mut chars = source.chars();
+    while let Some(c) = chars.next() {
+        match (quote, c) {
+            (Some(_), '\\') => drop(chars.next()),
+            (Some(open), _) if c == open => quote = None,
+            (Some(_), _) => {}
+            (None, '\'' | '"') => quote = Some(c),
+            (None, '(' | '[' | '{' | '?') => {
+                depth += 1;
+                deepest = deepest.max(depth);
+                if c != '?' {
+                    outer.push(depth);
+                }
+            }
+            (None, ',') => depth = outer.last().copied().unwrap_or(0),
+            (None, ')' | ']' | '}') => depth = outer.pop().unwrap_or(0).saturating_sub(1),
+            (None, _) => {}
+        }
     }
-    let help = "reserved words (`in`, `if`, `for`, `package` ...) cannot be names; text is quoted".to_owned();
-    ExprError {
-        kind: Kind::Syntax,
-        message: format!("this is not an expression: {message}"),
-        help: Some(help),
-        start: start.min(end),
-        end,
-    }
+    deepest
 }
 
 fn boundary(source: &str, mut at: usize) -> usize {
@@ -123,17 +135,24 @@ impl Checker<'_> {
 
     pub(super) fn error(&self, id: u64, kind: Kind, message: impl Into<String>) -> ExprError {
         let (start, end) = self.span(id);
-        ExprError { kind, message: message.into(), help: None, start, end }
+        ExprError { kind, message: message.into(), help: None, start, end, near: None }
     }
 
     fn unresolved(&self, span: (usize, usize), unresolved: Unresolved) -> ExprError {
-        let Unresolved { kind, message, help } = unresolved;
+        let Unresolved { kind, message, help, near } = unresolved;
+        let near = near.map(|near| (span.0, span.1, near));
         let kind = match kind {
             Unknown::Name => Kind::UnknownName,
             Unknown::Channel => Kind::UnknownChannel,
             Unknown::State => Kind::UnknownState,
         };
-        ExprError { kind, message, help, start: span.0, end: span.1 }
+        ExprError { kind, message, help, start: span.0, end: span.1, near }
+    }
+
+    /// The same of a name in quotes, which stands at `place` inside of them: that part is what may be meant otherwise.
+    fn unresolved_text(&self, id: u64, place: (usize, usize), unresolved: Unresolved) -> ExprError {
+        let near = unresolved.near.clone().map(|near| (place.0, place.1, near));
+        ExprError { near, ..self.unresolved(self.span(id), unresolved) }
     }
 
     pub(super) fn check(&mut self, expr: &IdedExpr) -> Checked {
@@ -209,7 +228,18 @@ impl Checker<'_> {
             (Node::Bound(depth), self.bound[self.bound.len() - 1 - depth].1.clone(), 1)
         } else {
             let found = self.environment.variable(&names);
-            let variable = found.map_err(|e| self.unresolved(self.range(expr, expr.id), e))?;
+            let variable = found.map_err(|mut e| {
+                // What is proposed stands for the first parts, or puts a section before the first one; the others stay.
+                if let Some(near) = &mut e.near {
+                    let is_last = near.rsplit('.').next() == Some(names[0]);
+                    let rest = names.iter().skip(if is_last { 1 } else { near.split('.').count() });
+                    rest.for_each(|field| near.extend([".", field]));
+                }
+                let places = self.places(self.range(expr, ids[0]).0, &names);
+                self.unresolved((places[0].0, places[places.len() - 1].1), e)
+            })?;
+            let places = self.places(self.range(expr, ids[0]).0, &names);
+            self.environment.found(Found::Variable { parts: &names, places: &places, variable: &variable });
             let pos = self.range_pos(expr, ids[variable.used.clamp(1, ids.len()) - 1]);
             (self.read(variable.slot, pos), variable.ty, variable.used.max(1))
         };
@@ -224,6 +254,36 @@ impl Checker<'_> {
             };
         }
         Ok((node, ty))
+    }
+
+    /// The places of names that stand one after the other from `at` on.
+    fn places(&self, mut at: usize, names: &[&str]) -> Vec<(usize, usize)> {
+        let place = |name: &&str| {
+            let start = at + self.source[at..].find(*name).unwrap_or(0);
+            at = (start + name.len()).min(self.source.len());
+            (start, at)
+        };
+        names.iter().map(place).collect()
+    }
+
+    /// The place of a text that is given in quotes, without them.
+    fn quoted(&self, id: u64, text: &str) -> (usize, usize) {
+        let (start, end) = self.span(id);
+        self.source[start..end].find(text).map_or((start, end), |at| (start + at, start + at + text.len()))
+    }
+
+    /// The place of a function's name: before the bracket of its call.
+    fn named(&self, id: u64, name: &str) -> Option<(usize, usize)> {
+        let (_, end) = self.span(id);
+        let calls = |at: &usize| self.source[at + name.len()..].trim_start().starts_with('(');
+        let at = self
+            .source
+            .match_indices(name)
+            .map(|(at, _)| at)
+            .filter(calls)
+            .take_while(|at| *at < end)
+            .last()?;
+        Some((at, at + name.len()))
     }
 
     fn range_pos(&self, expr: &IdedExpr, id: u64) -> Pos {
@@ -260,43 +320,29 @@ impl Checker<'_> {
     }
 
     fn field_type(&self, id: u64, of: &Type, name: &str) -> Result<Type, ExprError> {
-        let metres = || Type::quantity(Unit::M);
-        let (found, known): (Option<Type>, Vec<&str>) = match of {
+        let fields = match of {
             Type::Any => return Ok(Type::Any),
             Type::Map(element) => return Ok((**element).clone()),
-            Type::Record(fields) => (fields.get(name).cloned(), fields.keys().map(String::as_str).collect()),
-            Type::Vector => match name {
-                "x" | "y" | "z" => (Some(Type::FLOAT), vec![]),
-                "frame" => (Some(Type::String), vec![]),
-                _ => (None, vec!["x", "y", "z", "frame"]),
-            },
-            Type::Pose => match name {
-                "x" | "y" | "z" => (Some(metres()), vec![]),
-                "position" => (Some(Type::list(metres())), vec![]),
-                "orientation" => (Some(Type::list(Type::FLOAT)), vec![]),
-                "frame" => (Some(Type::String), vec![]),
-                _ => (None, vec!["position", "orientation", "frame", "x", "y", "z"]),
-            },
-            Type::Wrench => match name {
-                "force" => (Some(Type::list(Type::quantity(Unit::N))), vec![]),
-                "torque" => (Some(Type::list(Type::quantity(Unit::NM))), vec![]),
-                "frame" => (Some(Type::String), vec![]),
-                _ => (None, vec!["force", "torque", "frame"]),
-            },
-            Type::Reference(_) if matches!(name, "kind" | "id") => (Some(Type::String), vec![]),
-            Type::Reference(_) => (None, vec!["kind", "id"]),
-            other => {
-                return Err(self.error(id, Kind::Type, format!("{} has no fields", article(other))));
-            }
+            other => other.fields(),
         };
-        found.ok_or_else(|| {
-            let mut error = self.error(id, Kind::UnknownName, format!("there is no field `{name}` here"));
-            error.help = Some(match nearest(name, known.iter().copied()) {
-                Some(near) => format!("did you mean `{near}`?"),
-                None => format!("there are: {}", known.join(", ")),
-            });
-            error
-        })
+        if fields.is_empty() && !matches!(of, Type::Record(_)) {
+            return Err(self.error(id, Kind::Type, format!("{} has no fields", article(of))));
+        }
+        if let Some((_, ty)) = fields.iter().find(|(known, _)| *known == name) {
+            return Ok(ty.clone());
+        }
+        let mut error = self.error(id, Kind::UnknownName, format!("there is no field `{name}` here"));
+        let known: Vec<&str> = fields.iter().map(|(known, _)| *known).collect();
+        let near = nearest(name, known.iter().copied());
+        error.help = Some(match near {
+            Some(near) => format!("did you mean `{near}`?"),
+            None => format!("there are: {}", known.join(", ")),
+        });
+        error.near = near.map(|near| {
+            let (start, end) = self.places(error.start, &[name])[0];
+            (start, end, near.to_owned())
+        });
+        Err(error)
     }
 
     fn want(&self, id: u64, expected: &Type, found: &Type) -> Result<(), ExprError> {
@@ -356,7 +402,10 @@ impl Checker<'_> {
             ("age", [channel]) => {
                 let text = self.text(channel)?;
                 let found = self.environment.channel(text);
-                let channel = found.map_err(|e| self.unresolved(self.span(channel.id), e))?;
+                let place = self.quoted(channel.id, text);
+                let channel = found.map_err(|e| self.unresolved_text(channel.id, place, e))?;
+                self.environment.found(Found::Channel { name: text, place });
+                self.function_found(id, name);
                 self.reads.channels.push(channel);
                 self.reads.age = true;
                 Ok((Node::Age(channel), Type::quantity(Unit::S)))
@@ -364,7 +413,10 @@ impl Checker<'_> {
             ("active", [state]) => {
                 let text = self.text(state)?;
                 let found = self.environment.state(text);
-                let number = found.map_err(|e| self.unresolved(self.span(state.id), e))?;
+                let place = self.quoted(state.id, text);
+                let number = found.map_err(|e| self.unresolved_text(state.id, place, e))?;
+                self.environment.found(Found::State { path: text, place });
+                self.function_found(id, name);
                 self.reads.data = true;
                 Ok((Node::Active(number), Type::Bool))
             }
@@ -453,14 +505,24 @@ impl Checker<'_> {
         Ok((Node::Macro(kind, Box::new((range_node, body_node)), self.pos(id)), result))
     }
 
+    fn function_found(&self, id: u64, name: &str) {
+        if let Some(place) = self.named(id, name) {
+            self.environment.found(Found::Function { name, place });
+        }
+    }
+
     fn function(&mut self, id: u64, name: &str, args: &[&IdedExpr]) -> Checked {
-        let Some((_, function, least, most)) = TABLE.iter().find(|(known, ..)| *known == name) else {
+        let Some((_, function, least, most, ..)) = TABLE.iter().find(|(known, ..)| *known == name) else {
             let message = format!("there is no function `{name}`");
             let mut error = self.error(id, Kind::UnknownFunction, message);
             let known = TABLE.iter().map(|(known, ..)| *known).chain(["age", "active", "has"]);
-            error.help = nearest(name, known).map(|near| format!("did you mean `{near}`?"));
+            let near = nearest(name, known);
+            error.help = near.map(|near| format!("did you mean `{near}`?"));
+            error.near =
+                near.zip(self.named(id, name)).map(|(near, (start, end))| (start, end, near.to_owned()));
             return Err(error);
         };
+        self.function_found(id, name);
         if args.len() < *least || args.len() > *most {
             let message = format!("`{name}` takes {least} argument(s), not {}", args.len());
             return Err(self.error(id, Kind::UnknownFunction, message));

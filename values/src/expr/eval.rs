@@ -10,7 +10,7 @@ use crate::Value;
 use crate::value::text_parts;
 
 /// Supplies the values of names during an evaluation.
-pub trait World {
+pub trait EvalContext {
     /// The value in a numbered slot; `None` when it has none yet.
     fn data(&self, slot: u32) -> Option<&Value>;
     /// The newest value of a channel, or of its field `path`; `None` when the channel was never published or lacks
@@ -183,8 +183,8 @@ struct Frame<'v> {
     outer: Option<&'v Frame<'v>>,
 }
 
-struct Evaluation<'v, W: ?Sized> {
-    world: &'v W,
+struct Evaluation<'v, C: ?Sized> {
+    context: &'v C,
     /// A NaN from a channel counts as absent.
     observing: bool,
     items: Cell<u32>,
@@ -194,21 +194,21 @@ struct Evaluation<'v, W: ?Sized> {
 
 type Result<T> = std::result::Result<T, EvalError>;
 
-pub(super) fn evaluate<W: World + ?Sized>(node: &Node, world: &W) -> Result<Value> {
-    Evaluation::new(world, false).value(node, None).map(Val::into_value)
+pub(super) fn evaluate<C: EvalContext + ?Sized>(node: &Node, context: &C) -> Result<Value> {
+    Evaluation::new(context, false).value(node, None).map(Val::into_value)
 }
 
-pub(super) fn test<W: World + ?Sized>(node: &Node, world: &W, observing: bool) -> Result<bool> {
-    Evaluation::new(world, observing).truth(node, None, Pos::default())
+pub(super) fn test<C: EvalContext + ?Sized>(node: &Node, context: &C, observing: bool) -> Result<bool> {
+    Evaluation::new(context, observing).truth(node, None, Pos::default())
 }
 
-impl<'v, W: World + ?Sized> Evaluation<'v, W> {
-    fn new(world: &'v W, observing: bool) -> Self {
-        Self { world, observing, items: Cell::new(0), parts: Cell::new(0) }
+impl<'v, C: EvalContext + ?Sized> Evaluation<'v, C> {
+    fn new(context: &'v C, observing: bool) -> Self {
+        Self { context, observing, items: Cell::new(0), parts: Cell::new(0) }
     }
 }
 
-impl<W: World + ?Sized> Evaluation<'_, W> {
+impl<C: EvalContext + ?Sized> Evaluation<'_, C> {
     /// Counts and converts a value that becomes part of a larger one.
     fn part(&self, value: Val<'_>, pos: Pos) -> Result<Value> {
         let parts = match &value {
@@ -239,14 +239,14 @@ impl<W: World + ?Sized> Evaluation<'_, W> {
             Node::Float(f) => Ok(Val::Float(*f)),
             Node::Text(s) => Ok(Val::Str(s)),
             Node::Data(slot, pos) => {
-                self.world.data(*slot).map(Val::of).ok_or_else(|| pos.error("this has no value yet"))
+                self.context.data(*slot).map(Val::of).ok_or_else(|| pos.error("this has no value yet"))
             }
             Node::Channel(channel, path, pos) => self.channel(*channel, path, *pos),
-            Node::EventName => Ok(self.world.event_name().map_or(Val::Str(""), Val::Str)),
-            Node::EventData => Ok(self.world.event_data().map_or(Val::Null, Val::of)),
+            Node::EventName => Ok(self.context.event_name().map_or(Val::Str(""), Val::Str)),
+            Node::EventData => Ok(self.context.event_data().map_or(Val::Null, Val::of)),
             Node::Bound(depth) => Ok(bound(frame, *depth)),
-            Node::Age(channel) => Ok(Val::Float(self.world.age(*channel).unwrap_or(f64::INFINITY))),
-            Node::Active(state) => Ok(Val::Bool(self.world.active(*state))),
+            Node::Age(channel) => Ok(Val::Float(self.context.age(*channel).unwrap_or(f64::INFINITY))),
+            Node::Active(state) => Ok(Val::Bool(self.context.active(*state))),
             Node::Field(of, name, pos) => field(self.value(of, frame)?, name, *pos),
             Node::Has(of, name) => Ok(Val::Bool(match self.value(of, frame) {
                 Ok(value) => field(value, name, Pos::default()).is_ok(),
@@ -279,7 +279,7 @@ impl<W: World + ?Sized> Evaluation<'_, W> {
             }
             Node::Call(function, arguments, pos) => {
                 let values = arguments.iter().map(|a| self.value(a, frame)).collect::<Result<Vec<_>>>()?;
-                function.call(&values).map_err(|message| pos.error(message))
+                function.call(&values).map_err(|error| pos.error(error.to_string()))
             }
             Node::List(items) => {
                 let part = |n| self.part(self.value(n, frame)?, Pos::default());
@@ -292,7 +292,7 @@ impl<W: World + ?Sized> Evaluation<'_, W> {
     }
 
     fn channel<'v>(&'v self, channel: u32, path: &[String], pos: Pos) -> Result<Val<'v>> {
-        let Some(value) = self.world.channel(channel, path) else {
+        let Some(value) = self.context.channel(channel, path) else {
             return Err(pos.absent("nothing has been published here yet"));
         };
         if self.observing && has_nan(&value) {

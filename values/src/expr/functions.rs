@@ -42,40 +42,71 @@ pub(super) enum Function {
 
 use Function as F;
 
-/// Name, function, fewest and most arguments.
-pub(super) const TABLE: &[(&str, Function, usize, usize)] = &[
-    ("norm", F::Norm, 1, 1),
-    ("dot", F::Dot, 2, 2),
-    ("abs", F::Abs, 1, 1),
-    ("min", F::Min, 1, 8),
-    ("max", F::Max, 1, 8),
-    ("sqrt", F::Sqrt, 1, 1),
-    ("sin", F::Sin, 1, 1),
-    ("cos", F::Cos, 1, 1),
-    ("tan", F::Tan, 1, 1),
-    ("asin", F::Asin, 1, 1),
-    ("acos", F::Acos, 1, 1),
-    ("atan2", F::Atan2, 2, 2),
-    ("exp", F::Exp, 1, 1),
-    ("ln", F::Ln, 1, 1),
-    ("pow", F::Pow, 2, 2),
-    ("floor", F::Floor, 1, 1),
-    ("ceil", F::Ceil, 1, 1),
-    ("round", F::Round, 1, 1),
-    ("clamp", F::Clamp, 3, 3),
-    ("is_nan", F::IsNan, 1, 1),
-    ("size", F::Size, 1, 1),
-    ("int", F::Int, 1, 1),
-    ("float", F::Float, 1, 1),
-    ("double", F::Float, 1, 1),
-    ("string", F::Text, 1, 1),
-    ("bool", F::Bool, 1, 1),
-    ("contains", F::Contains, 2, 2),
-    ("startsWith", F::StartsWith, 2, 2),
-    ("endsWith", F::EndsWith, 2, 2),
-    ("Motion", F::Motion, 1, 1),
-    ("Object", F::Object, 1, 1),
+/// Name, function, fewest and most arguments, how it is written, and what it gives.
+type Row = (&'static str, Function, usize, usize, &'static str, &'static str);
+
+pub(super) const TABLE: &[Row] = &[
+    ("norm", F::Norm, 1, 1, "norm(v)", "The length of a vector or a list of numbers, in their unit."),
+    ("dot", F::Dot, 2, 2, "dot(a, b)", "The scalar product of two vectors of the same length."),
+    ("abs", F::Abs, 1, 1, "abs(x)", "The number without its sign."),
+    ("min", F::Min, 1, 8, "min(a, b, ...)", "The least of up to 8 numbers, or of a list."),
+    ("max", F::Max, 1, 8, "max(a, b, ...)", "The greatest of up to 8 numbers, or of a list."),
+    ("sqrt", F::Sqrt, 1, 1, "sqrt(x)", "The square root."),
+    ("sin", F::Sin, 1, 1, "sin(x)", "The sine; x in rad."),
+    ("cos", F::Cos, 1, 1, "cos(x)", "The cosine; x in rad."),
+    ("tan", F::Tan, 1, 1, "tan(x)", "The tangent; x in rad."),
+    ("asin", F::Asin, 1, 1, "asin(x)", "The arc sine, rad."),
+    ("acos", F::Acos, 1, 1, "acos(x)", "The arc cosine, rad."),
+    ("atan2", F::Atan2, 2, 2, "atan2(y, x)", "The angle of the point (x, y), rad."),
+    ("exp", F::Exp, 1, 1, "exp(x)", "e to the power x."),
+    ("ln", F::Ln, 1, 1, "ln(x)", "The natural logarithm."),
+    ("pow", F::Pow, 2, 2, "pow(x, y)", "x to the power y."),
+    ("floor", F::Floor, 1, 1, "floor(x)", "The next whole number below."),
+    ("ceil", F::Ceil, 1, 1, "ceil(x)", "The next whole number above."),
+    ("round", F::Round, 1, 1, "round(x)", "The nearest whole number."),
+    ("clamp", F::Clamp, 3, 3, "clamp(x, low, high)", "x, but not below `low` and not above `high`."),
+    ("is_nan", F::IsNan, 1, 1, "is_nan(x)", "Whether it is not a number."),
+    ("size", F::Size, 1, 1, "size(x)", "How many items a list or map, or characters a text has."),
+    ("int", F::Int, 1, 1, "int(x)", "As a whole number; what follows the point is cut off."),
+    ("float", F::Float, 1, 1, "float(x)", "As a number."),
+    ("double", F::Float, 1, 1, "double(x)", "As a number; the same as `float`."),
+    ("string", F::Text, 1, 1, "string(x)", "As text."),
+    ("bool", F::Bool, 1, 1, "bool(x)", "As true or false."),
+    ("contains", F::Contains, 2, 2, "contains(text, part)", "Whether a text has another one in it."),
+    ("startsWith", F::StartsWith, 2, 2, "startsWith(text, part)", "Whether a text begins with another one."),
+    ("endsWith", F::EndsWith, 2, 2, "endsWith(text, part)", "Whether a text ends with another one."),
+    ("Motion", F::Motion, 1, 1, "Motion(name)", "The motion of that name in memory."),
+    ("Object", F::Object, 1, 1, "Object(name)", "The object of that name in memory."),
 ];
+
+/// What functions besides those of the table look like: they take names, not values, or are written behind a list.
+const OTHERS: [(&str, &str, &str); 8] = [
+    ("age", "age('channel')", "How long ago a channel was published, s."),
+    ("active", "active('State')", "Whether a state is active."),
+    ("has", "has(a.b)", "Whether a map has a field."),
+    ("all", "list.all(x, condition)", "Whether the condition holds for all items."),
+    ("exists", "list.exists(x, condition)", "Whether it holds for one item at least."),
+    ("exists_one", "list.exists_one(x, condition)", "Whether it holds for exactly one item."),
+    ("filter", "list.filter(x, condition)", "The items for which it holds."),
+    ("map", "list.map(x, value)", "A value for each item."),
+];
+
+/// A function as people see it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Signature {
+    /// Its name.
+    pub name: &'static str,
+    /// How it is written, with its arguments.
+    pub form: &'static str,
+    /// What it gives, one sentence.
+    pub doc: &'static str,
+}
+
+/// The functions that expressions may call.
+pub fn functions() -> impl Iterator<Item = Signature> {
+    let table = TABLE.iter().map(|(name, .., form, doc)| (*name, *form, *doc));
+    table.chain(OTHERS).map(|(name, form, doc)| Signature { name, form, doc })
+}
 
 /// The argument types of a function, for the checker.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -87,6 +118,33 @@ pub(super) enum Takes {
     Strings,
     Sized,
     Anything,
+}
+
+/// Why a function refuses its arguments.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum CallError {
+    #[error("expected {expected}, found {found}")]
+    Type { expected: &'static str, found: String },
+    #[error("{found} {wrong}")]
+    Value { found: String, wrong: &'static str },
+    #[error("vectors of {0} and of {1} components")]
+    Lengths(usize, usize),
+    #[error("the bounds {0} and {1} are not in order")]
+    Bounds(f64, f64),
+    #[error("the number is out of range")]
+    Range,
+    #[error("an empty list has no least or greatest item")]
+    Empty,
+}
+
+impl CallError {
+    fn expected(expected: &'static str, found: &Val<'_>) -> Self {
+        Self::Type { expected, found: found.describe().to_string() }
+    }
+
+    fn value(found: &Val<'_>, wrong: &'static str) -> Self {
+        Self::Value { found: found.describe().to_string(), wrong }
+    }
 }
 
 impl Function {
@@ -122,22 +180,20 @@ impl Function {
     }
 
     /// The result, or an error message about the arguments.
-    pub(super) fn call<'v>(self, a: &[Val<'v>]) -> Result<Val<'v>, String> {
-        let number =
-            |i: usize| a[i].number().ok_or_else(|| format!("expected a number, found {}", a[i].describe()));
-        let text =
-            |i: usize| a[i].text().ok_or_else(|| format!("expected a string, found {}", a[i].describe()));
+    pub(super) fn call<'v>(self, a: &[Val<'v>]) -> Result<Val<'v>, CallError> {
+        let number = |i: usize| a[i].number().ok_or_else(|| CallError::expected("a number", &a[i]));
+        let text = |i: usize| a[i].text().ok_or_else(|| CallError::expected("a string", &a[i]));
         Ok(match self {
             F::Norm => Val::Float(vector(&a[0])?.iter().map(|x| x * x).sum::<f64>().sqrt()),
             F::Dot => {
                 let (x, y) = (vector(&a[0])?, vector(&a[1])?);
                 if x.len() != y.len() {
-                    return Err(format!("vectors of {} and of {} components", x.len(), y.len()));
+                    return Err(CallError::Lengths(x.len(), y.len()));
                 }
                 Val::Float(x.iter().zip(&y).map(|(x, y)| x * y).sum())
             }
             F::Abs => match &a[0] {
-                Val::Int(i) => Val::Int(i.checked_abs().ok_or("the number is out of range")?),
+                Val::Int(i) => Val::Int(i.checked_abs().ok_or(CallError::Range)?),
                 _ => Val::Float(number(0)?.abs()),
             },
             F::Min => extreme(a, |x, best| x < best)?,
@@ -165,7 +221,7 @@ impl Function {
                 (Val::Bool(b), _) => Val::Bool(*b),
                 (_, Some("true")) => Val::Bool(true),
                 (_, Some("false")) => Val::Bool(false),
-                _ => return Err(format!("{} is neither true nor false", a[0].describe())),
+                _ => return Err(CallError::value(&a[0], "is neither true nor false")),
             },
             F::Contains => Val::Bool(text(0)?.contains(text(1)?)),
             F::StartsWith => Val::Bool(text(0)?.starts_with(text(1)?)),
@@ -190,9 +246,9 @@ fn same_number(arguments: &[Type]) -> Type {
     result
 }
 
-fn clamp<'v>(a: &[Val<'v>], x: f64, low: f64, high: f64) -> Result<Val<'v>, String> {
+fn clamp<'v>(a: &[Val<'v>], x: f64, low: f64, high: f64) -> Result<Val<'v>, CallError> {
     if low > high || low.is_nan() || high.is_nan() {
-        return Err(format!("the bounds {low} and {high} are not in order"));
+        return Err(CallError::Bounds(low, high));
     }
     if let (Val::Int(x), Val::Int(low), Val::Int(high)) = (&a[0], &a[1], &a[2]) {
         return Ok(Val::Int(*x.clamp(low, high)));
@@ -204,8 +260,8 @@ fn reference<'v>(kind: &str, id: &str) -> Val<'v> {
     Val::Owned(Box::new(Value::Reference(crate::Reference { kind: kind.into(), id: id.into() })))
 }
 
-fn vector(value: &Val<'_>) -> Result<Vec<f64>, String> {
-    let wrong = || format!("expected a vector or a list of numbers, found {}", value.describe());
+fn vector(value: &Val<'_>) -> Result<Vec<f64>, CallError> {
+    let wrong = || CallError::expected("a vector or a list of numbers", value);
     match value.as_value() {
         Some(Value::Vector(v)) => Ok(v.components.to_vec()),
         Some(Value::List(items)) => items.iter().map(Value::as_f64).collect::<Option<_>>().ok_or_else(wrong),
@@ -213,7 +269,7 @@ fn vector(value: &Val<'_>) -> Result<Vec<f64>, String> {
     }
 }
 
-fn extreme<'v>(a: &[Val<'v>], better: impl Fn(f64, f64) -> bool) -> Result<Val<'v>, String> {
+fn extreme<'v>(a: &[Val<'v>], better: impl Fn(f64, f64) -> bool) -> Result<Val<'v>, CallError> {
     let listed: Vec<Val<'_>>;
     let items: &[Val<'_>] = match (a, a[0].as_value()) {
         ([_], Some(Value::List(items))) => {
@@ -224,7 +280,7 @@ fn extreme<'v>(a: &[Val<'v>], better: impl Fn(f64, f64) -> bool) -> Result<Val<'
     };
     let mut best: Option<(f64, &Val<'_>)> = None;
     for item in items {
-        let x = item.number().ok_or_else(|| format!("expected a number, found {}", item.describe()))?;
+        let x = item.number().ok_or_else(|| CallError::expected("a number", item))?;
         if x.is_nan() {
             return Ok(Val::Float(f64::NAN));
         }
@@ -235,22 +291,22 @@ fn extreme<'v>(a: &[Val<'v>], better: impl Fn(f64, f64) -> bool) -> Result<Val<'
     match best {
         Some((_, Val::Int(i))) => Ok(Val::Int(*i)),
         Some((x, _)) => Ok(Val::Float(x)),
-        None => Err("an empty list has no least or greatest item".into()),
+        None => Err(CallError::Empty),
     }
 }
 
-fn size(value: &Val<'_>) -> Result<usize, String> {
+fn size(value: &Val<'_>) -> Result<usize, CallError> {
     match (value.text(), value.as_value()) {
         (Some(s), _) => Ok(s.chars().count()),
         (_, Some(Value::List(items))) => Ok(items.len()),
         (_, Some(Value::Map(fields))) => Ok(fields.len()),
         (_, Some(Value::Bytes(bytes))) => Ok(bytes.len()),
-        _ => Err(format!("{} has no size", value.describe())),
+        _ => Err(CallError::value(value, "has no size")),
     }
 }
 
-fn to_int(value: &Val<'_>) -> Result<i64, String> {
-    let wrong = || format!("{} is not a whole number in range", value.describe());
+fn to_int(value: &Val<'_>) -> Result<i64, CallError> {
+    let wrong = || CallError::value(value, "is not a whole number in range");
     match (value, value.text()) {
         (Val::Int(i), _) => Ok(*i),
         (Val::Bool(b), _) => Ok(i64::from(*b)),
@@ -262,8 +318,8 @@ fn to_int(value: &Val<'_>) -> Result<i64, String> {
     }
 }
 
-fn to_float(value: &Val<'_>) -> Result<f64, String> {
-    let wrong = || format!("{} is not a number", value.describe());
+fn to_float(value: &Val<'_>) -> Result<f64, CallError> {
+    let wrong = || CallError::value(value, "is not a number");
     match value.text() {
         Some(s) => s.trim().parse().map_err(|_| wrong()),
         None => value.number().ok_or_else(wrong),

@@ -1,7 +1,7 @@
 //! Expressions: CEL text, checked against declared types at load time and compiled to a compact tree, which is
 //! evaluated.
 //!
-//! The crate `cel` only parses. An [`Environment`] resolves names once, at load time; a [`World`] supplies their
+//! The crate `cel` only parses. An [`Environment`] resolves names once, at load time; an [`EvalContext`] supplies their
 //! values at each evaluation. Inside expressions durations are seconds, and integers are promoted to floats where
 //! needed. This module knows states and channels by their numbers only, and no files.
 
@@ -10,11 +10,14 @@ mod check_operators;
 mod eval;
 mod functions;
 mod operate;
+mod parsed;
 mod scalar;
+mod syntax;
 mod template;
 mod typing;
 
-pub use eval::{EvalError, World};
+pub use eval::{EvalContext, EvalError};
+pub use functions::{Signature, functions};
 pub use template::{Piece, TemplateError, split};
 
 use crate::Value;
@@ -74,6 +77,52 @@ pub struct Unresolved {
     pub message: String,
     /// How to fix it.
     pub help: Option<String>,
+    /// What may be meant: text for the parts of the name that it replaces.
+    pub near: Option<String>,
+}
+
+impl Unresolved {
+    /// A name that stands for nothing. What may be meant is proposed; otherwise `help` is the help.
+    #[must_use]
+    pub fn new(kind: Unknown, message: String, near: Option<String>, help: Option<String>) -> Self {
+        let help = near.as_ref().map(|near| format!("did you mean `{near}`?")).or(help);
+        Self { kind, message, help, near }
+    }
+}
+
+/// A name of an expression that was resolved. Places are bytes of the expression, the second exclusive.
+#[derive(Clone, Copy, Debug)]
+pub enum Found<'a> {
+    /// A dotted name, the first parts of which are a variable.
+    Variable {
+        /// The parts of the name.
+        parts: &'a [&'a str],
+        /// Where each stands.
+        places: &'a [(usize, usize)],
+        /// The variable.
+        variable: &'a Variable,
+    },
+    /// A channel whose name is given as text.
+    Channel {
+        /// The name.
+        name: &'a str,
+        /// Where it stands, without its quotes.
+        place: (usize, usize),
+    },
+    /// A state whose path is given as text.
+    State {
+        /// The path.
+        path: &'a str,
+        /// Where it stands, without its quotes.
+        place: (usize, usize),
+    },
+    /// A function.
+    Function {
+        /// The name.
+        name: &'a str,
+        /// Where it stands.
+        place: (usize, usize),
+    },
 }
 
 /// Resolves the names in an expression.
@@ -93,6 +142,8 @@ pub trait Environment {
     /// # Errors
     /// [`Unresolved`] when there is no such state.
     fn state(&self, path: &str) -> Result<u32, Unresolved>;
+    /// Is told of every name that was resolved, for who asks what names stand for.
+    fn found(&self, _name: Found<'_>) {}
 }
 
 /// The kind of an error in an expression.
@@ -130,6 +181,8 @@ pub struct ExprError {
     pub start: usize,
     /// End in the source, bytes, exclusive.
     pub end: usize,
+    /// What may be meant: bytes of the source, the second exclusive, and the text for them.
+    pub near: Option<(usize, usize, String)>,
 }
 
 /// What an expression reads; it says when a watch must be evaluated again.
@@ -168,19 +221,24 @@ impl Expr {
     }
 
     /// The source text.
-    #[must_use]
     pub fn source(&self) -> &str {
         &self.source
     }
 
     /// The type of its value.
-    #[must_use]
     pub fn ty(&self) -> &Type {
         &self.ty
     }
 
+    /// The numbered slot that it reads, where it is a variable and nothing else.
+    pub fn variable(&self) -> Option<u32> {
+        match self.root {
+            eval::Node::Data(slot, _) => Some(slot),
+            _ => None,
+        }
+    }
+
     /// What it reads.
-    #[must_use]
     pub fn reads(&self) -> &Reads {
         &self.reads
     }
@@ -189,45 +247,45 @@ impl Expr {
     ///
     /// # Errors
     /// [`EvalError`] with the place, for instance for a missing value or a division by zero.
-    pub fn evaluate<W: World + ?Sized>(&self, world: &W) -> Result<Value, EvalError> {
+    pub fn evaluate<C: EvalContext + ?Sized>(&self, context: &C) -> Result<Value, EvalError> {
         if self.quick {
-            match scalar::scalar(&self.root, world) {
+            match scalar::scalar(&self.root, context) {
                 Some(Scalar::Bool(b)) => return Ok(Value::Bool(b)),
                 Some(Scalar::Int(i)) => return Ok(Value::Int(i)),
                 Some(Scalar::Float(f)) => return Ok(Value::Float(f)),
                 None => {}
             }
         }
-        self.interpret(world)
+        self.interpret(context)
     }
 
     /// As [`evaluate`](Self::evaluate), without the fast path: the reference for its tests.
     ///
     /// # Errors
     /// [`EvalError`] with the place.
-    pub fn interpret<W: World + ?Sized>(&self, world: &W) -> Result<Value, EvalError> {
-        eval::evaluate(&self.root, world)
+    pub fn interpret<C: EvalContext + ?Sized>(&self, context: &C) -> Result<Value, EvalError> {
+        eval::evaluate(&self.root, context)
     }
 
     /// Evaluates a condition; a value that is not a bool is an error.
     ///
     /// # Errors
     /// [`EvalError`] with the place.
-    pub fn test<W: World + ?Sized>(&self, world: &W) -> Result<bool, EvalError> {
+    pub fn test<C: EvalContext + ?Sized>(&self, context: &C) -> Result<bool, EvalError> {
         if self.quick
-            && let Some(Scalar::Bool(b)) = scalar::scalar(&self.root, world)
+            && let Some(Scalar::Bool(b)) = scalar::scalar(&self.root, context)
         {
             return Ok(b);
         }
-        eval::test(&self.root, world, false)
+        eval::test(&self.root, context, false)
     }
 
     /// Evaluates a condition; a channel that was never published, or a NaN, makes it false.
     ///
     /// # Errors
     /// [`EvalError`] with the place, for every other failure.
-    pub fn observe<W: World + ?Sized>(&self, world: &W) -> Result<bool, EvalError> {
-        match self.look(world) {
+    pub fn observe<C: EvalContext + ?Sized>(&self, context: &C) -> Result<bool, EvalError> {
+        match self.look(context) {
             Err(error) if error.absent => Ok(false),
             other => other,
         }
@@ -237,13 +295,12 @@ impl Expr {
     ///
     /// # Errors
     /// [`EvalError`] with the place; `absent` when a channel was never published, and `nan` when its number is NaN.
-    pub fn look<W: World + ?Sized>(&self, world: &W) -> Result<bool, EvalError> {
-        eval::test(&self.root, world, true)
+    pub fn look<C: EvalContext + ?Sized>(&self, context: &C) -> Result<bool, EvalError> {
+        eval::test(&self.root, context, true)
     }
 }
 
 /// The candidate most similar to a misspelt name, if one is similar enough.
-#[must_use]
 pub fn nearest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let limit = (name.chars().count() / 3).max(1);
     let short = |word: &str| word.chars().take(64).collect::<String>().to_lowercase();

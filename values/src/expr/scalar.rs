@@ -1,7 +1,7 @@
 //! The fast path of evaluation: numbers and bools in registers, without allocation. Where it gives no value
 //! (another type, an error, a channel), the evaluation in `eval` gives the result or the error.
 
-use super::eval::{Node, World};
+use super::eval::{EvalContext, Node};
 use super::functions::Function as F;
 use super::operate::{Arithmetic, Comparison};
 use crate::Value;
@@ -31,52 +31,54 @@ impl Scalar {
 }
 
 /// The value, if the fast path can compute it.
-pub(super) fn scalar<W: World + ?Sized>(node: &Node, world: &W) -> Option<Scalar> {
+pub(super) fn scalar<C: EvalContext + ?Sized>(node: &Node, context: &C) -> Option<Scalar> {
     Some(match node {
         Node::Bool(b) => Bool(*b),
         Node::Int(i) => Int(*i),
         Node::Float(f) => Float(*f),
-        Node::Data(slot, _) => match world.data(*slot)? {
+        Node::Data(slot, _) => match context.data(*slot)? {
             Value::Bool(b) => Bool(*b),
             Value::Int(i) => Int(*i),
             Value::Float(f) | Value::Duration(f) => Float(*f),
             _ => return None,
         },
-        Node::Active(state) => Bool(world.active(*state)),
-        Node::Age(channel) => Float(world.age(*channel).unwrap_or(f64::INFINITY)),
-        Node::Not(of, _) => Bool(!scalar(of, world)?.truth()?),
-        Node::Negate(of, _) => match scalar(of, world)? {
+        Node::Active(state) => Bool(context.active(*state)),
+        Node::Age(channel) => Float(context.age(*channel).unwrap_or(f64::INFINITY)),
+        Node::Not(of, _) => Bool(!scalar(of, context)?.truth()?),
+        Node::Negate(of, _) => match scalar(of, context)? {
             Int(i) => Int(i.checked_neg()?),
             Float(f) => Float(-f),
             Bool(_) => return None,
         },
-        Node::And(pair, _) => Bool(scalar(&pair.0, world)?.truth()? && scalar(&pair.1, world)?.truth()?),
-        Node::Or(pair, _) => Bool(scalar(&pair.0, world)?.truth()? || scalar(&pair.1, world)?.truth()?),
+        Node::And(pair, _) => Bool(scalar(&pair.0, context)?.truth()? && scalar(&pair.1, context)?.truth()?),
+        Node::Or(pair, _) => Bool(scalar(&pair.0, context)?.truth()? || scalar(&pair.1, context)?.truth()?),
         Node::Choose(of, _) => {
-            let chosen = if scalar(&of.0, world)?.truth()? { &of.1 } else { &of.2 };
-            return scalar(chosen, world);
+            let chosen = if scalar(&of.0, context)?.truth()? { &of.1 } else { &of.2 };
+            return scalar(chosen, context);
         }
-        Node::Compare(op, pair, _) => Bool(compare(*op, &pair.0, &pair.1, world)?),
-        Node::Arithmetic(op, pair, _) => arithmetic(*op, scalar(&pair.0, world)?, scalar(&pair.1, world)?)?,
-        Node::Call(function, arguments, _) => return call(*function, arguments, world),
+        Node::Compare(op, pair, _) => Bool(compare(*op, &pair.0, &pair.1, context)?),
+        Node::Arithmetic(op, pair, _) => {
+            arithmetic(*op, scalar(&pair.0, context)?, scalar(&pair.1, context)?)?
+        }
+        Node::Call(function, arguments, _) => return call(*function, arguments, context),
         _ => return None,
     })
 }
 
-fn text<'v, W: World + ?Sized>(node: &'v Node, world: &'v W) -> Option<&'v str> {
+fn text<'v, C: EvalContext + ?Sized>(node: &'v Node, context: &'v C) -> Option<&'v str> {
     match node {
         Node::Text(s) => Some(s),
-        Node::EventName => Some(world.event_name().unwrap_or("")),
-        Node::Data(slot, _) => world.data(*slot)?.as_str(),
+        Node::EventName => Some(context.event_name().unwrap_or("")),
+        Node::Data(slot, _) => context.data(*slot)?.as_str(),
         _ => None,
     }
 }
 
-fn compare<W: World + ?Sized>(op: Comparison, a: &Node, b: &Node, world: &W) -> Option<bool> {
-    let order = if let (Some(a), Some(b)) = (text(a, world), text(b, world)) {
+fn compare<C: EvalContext + ?Sized>(op: Comparison, a: &Node, b: &Node, context: &C) -> Option<bool> {
+    let order = if let (Some(a), Some(b)) = (text(a, context), text(b, context)) {
         Some(a.cmp(b))
     } else {
-        match (scalar(a, world)?, scalar(b, world)?) {
+        match (scalar(a, context)?, scalar(b, context)?) {
             (Int(a), Int(b)) => Some(a.cmp(&b)),
             (Bool(a), Bool(b)) => Some(a.cmp(&b)),
             (a, b) => a.number()?.partial_cmp(&b.number()?),
@@ -108,9 +110,9 @@ fn arithmetic(op: Arithmetic, a: Scalar, b: Scalar) -> Option<Scalar> {
     })
 }
 
-fn call<W: World + ?Sized>(function: F, arguments: &[Node], world: &W) -> Option<Scalar> {
+fn call<C: EvalContext + ?Sized>(function: F, arguments: &[Node], context: &C) -> Option<Scalar> {
     let [of] = arguments else { return None };
-    let of = scalar(of, world)?;
+    let of = scalar(of, context)?;
     if let (F::Abs, Int(i)) = (function, of) {
         return Some(Int(i.checked_abs()?));
     }

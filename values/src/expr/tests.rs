@@ -21,12 +21,12 @@ impl Environment for Fixture {
                 let message = format!("there is no `{}`", path.join("."));
                 let help =
                     nearest(path[0], self.0.iter().map(|(n, ..)| *n)).map(|n| format!("did you mean `{n}`?"));
-                Unresolved { kind: Unknown::Name, message, help }
+                Unresolved { kind: Unknown::Name, message, help, near: None }
             },
         )
     }
     fn channel(&self, name: &str) -> Result<u32, Unresolved> {
-        let missing = || Unresolved { kind: Unknown::Channel, message: "no channel".into(), help: None };
+        let missing = || Unresolved::new(Unknown::Channel, "no channel".into(), None, None);
         (name == "wrist").then_some(0).ok_or_else(missing)
     }
     fn state(&self, _: &str) -> Result<u32, Unresolved> {
@@ -34,7 +34,7 @@ impl Environment for Fixture {
     }
 }
 
-impl World for Fixture {
+impl EvalContext for Fixture {
     fn data(&self, slot: u32) -> Option<&Value> {
         self.0[slot as usize].2.as_ref()
     }
@@ -173,8 +173,15 @@ fn hostile_expressions_are_refused_in_bounded_time() {
     ] {
         assert!(Expr::compile(&source, &fixture()).is_err(), "{}", &source[..source.len().min(20)]);
     }
+    let kind = |source: &str| Expr::compile(source, &fixture()).unwrap_err().kind;
+    let brackets = |depth: usize| "(".repeat(depth) + "1" + &")".repeat(depth);
+    assert!(Expr::compile(&brackets(95), &fixture()).is_ok());
+    for source in [brackets(96), brackets(1000), "true ? 1 : ".repeat(100) + "1"] {
+        assert_eq!(kind(&source), ExprErrorKind::TooLarge, "{source}");
+    }
+    assert_eq!(kind("("), ExprErrorKind::Syntax);
     let nested = "items.all(a, items.all(b, items.all(c, items.all(d, true))))";
-    assert_eq!(Expr::compile(nested, &fixture()).unwrap_err().kind, ExprErrorKind::TooLarge);
+    assert_eq!(kind(nested), ExprErrorKind::TooLarge);
 }
 
 #[test]
@@ -226,7 +233,7 @@ mod agreement {
         })
     }
 
-    fn world(n: i64, big: i64, flag: bool, x: f64) -> Fixture {
+    fn context(n: i64, big: i64, flag: bool, x: f64) -> Fixture {
         let mut fixture = fixture();
         fixture.0[0].2 = Some(Value::Int(n));
         fixture.0[1].2 = Some(Value::Float(x));
@@ -251,10 +258,10 @@ mod agreement {
 
         #[test]
         fn numbers_agree(source in number(), n in -9_i64..9, big in prop_oneof![Just(i64::MAX), Just(i64::MIN), 0_i64..3]) {
-            let world = world(n, big, true, 1.0);
-            let expr = Expr::compile(&source, &world).unwrap();
-            let value = expr.evaluate(&world);
-            prop_assert_eq!(&value, &expr.interpret(&world), "{}", source);
+            let context = context(n, big, true, 1.0);
+            let expr = Expr::compile(&source, &context).unwrap();
+            let value = expr.evaluate(&context);
+            prop_assert_eq!(&value, &expr.interpret(&context), "{}", source);
             if let Some(cel::Value::Int(expected)) = oracle(&source, n, big, true) {
                 prop_assert_eq!(value, Ok(Value::Int(expected)), "{}", source);
             }
@@ -262,11 +269,11 @@ mod agreement {
 
         #[test]
         fn truths_agree(source in truth(), n in -9_i64..9, big in 0_i64..3, flag: bool, x in prop_oneof![Just(f64::NAN), 0.0..4.0]) {
-            let world = world(n, big, flag, x);
-            let expr = Expr::compile(&source, &world).unwrap();
-            let value = expr.evaluate(&world);
-            prop_assert_eq!(&value, &expr.interpret(&world), "{}", source);
-            prop_assert_eq!(value.clone(), expr.test(&world).map(Value::Bool), "{}", source);
+            let context = context(n, big, flag, x);
+            let expr = Expr::compile(&source, &context).unwrap();
+            let value = expr.evaluate(&context);
+            prop_assert_eq!(&value, &expr.interpret(&context), "{}", source);
+            prop_assert_eq!(value.clone(), expr.test(&context).map(Value::Bool), "{}", source);
             // Its `&&` and `||` evaluate both sides before they fail: the results must agree only where ours has a
             // value.
             if let (Some(cel::Value::Bool(expected)), Ok(value)) = (oracle(&source, n, big, flag), value) {

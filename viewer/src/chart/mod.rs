@@ -1,18 +1,99 @@
-//! Draws a statechart: SVG with its own layout, and Mermaid and PlantUML for other tools.
+//! Draws a statechart: SVG and PNG with its own layout, and Graphviz, Mermaid and PlantUML for other tools.
 //!
-//! [`svg`] draws states as nested boxes and the transitions between them in layers. A transition is drawn between the
-//! two sibling boxes that contain its source and its target, with the inner names in its label. Other transitions
-//! (without a target, to the state itself, to an ancestor or descendant, or across regions) are written as text into
-//! the state. So no line crosses a box and no label overlaps another. This module reads and writes no files.
+//! States are nested boxes, the transitions between them arrows in layers (`layers`). A transition is drawn between the
+//! two sibling boxes that contain its source and its target, with the inner names in its label. Transitions to a final
+//! state that many states go to are written into the states that they leave, with the target's name in its colour.
+//! Other transitions (without a target, to the state itself, to an ancestor or descendant, or across regions) are text
+//! in the state. So no line crosses a box and no label touches another. [`fold`] and [`unfold`] choose how much is shown.
+//! This module reads and writes no files.
 
+mod detail;
+mod dot;
+mod font;
+mod geometry;
 mod graph;
 mod layers;
-mod measure;
 mod nested;
+mod png;
+mod scene;
 mod source;
 mod svg;
 #[cfg(test)]
 mod tests;
 
-pub use source::{mermaid, plantuml};
-pub use svg::svg;
+use armarium_runtime::chart::Outline;
+
+pub use detail::{Unfold, fold, unfold};
+
+/// A form in which a chart is drawn or written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Format {
+    /// A picture for browsers and documents.
+    Svg,
+    /// A picture of pixels.
+    Png,
+    /// Graphviz.
+    Dot,
+    /// Mermaid's `stateDiagram-v2`, as Mermaid 11 reads it.
+    Mermaid,
+    /// PlantUML.
+    PlantUml,
+    /// States and transitions as JSON.
+    Json,
+}
+
+/// The colours of a picture.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Theme {
+    /// SVG: what its reader prefers; PNG: light.
+    #[default]
+    Auto,
+    /// Dark on light.
+    Light,
+    /// Light on dark.
+    Dark,
+}
+
+/// Why a chart cannot be drawn.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum DrawError {
+    /// The texts of a PNG of bounded size could not be read.
+    #[error("the picture, {width} by {height} px, is too large for PNG; write SVG, or fold states")]
+    TooLarge {
+        /// Width of the picture, px.
+        width: f64,
+        /// Height of the picture, px.
+        height: f64,
+    },
+    /// The image could not be encoded.
+    #[error("the image cannot be encoded")]
+    Png {
+        /// What the encoder says.
+        #[source]
+        source: image::ImageError,
+    },
+}
+
+/// The chart in a form, as the content of a file. `theme` applies to SVG and PNG.
+///
+/// # Errors
+/// [`DrawError`], for PNG.
+pub fn render(outline: &Outline, format: Format, theme: Theme) -> Result<Vec<u8>, DrawError> {
+    Ok(match format {
+        Format::Svg => svg::svg(&scene::Scene::of(outline), theme).into_bytes(),
+        Format::Png => png::png(&scene::Scene::of(outline), theme)?,
+        Format::Dot => dot::dot(outline).into_bytes(),
+        Format::Mermaid => source::mermaid(outline).into_bytes(),
+        Format::PlantUml => source::plantuml(outline).into_bytes(),
+        Format::Json => json(outline),
+    })
+}
+
+fn json(outline: &Outline) -> Vec<u8> {
+    let mut text = serde_json::to_vec_pretty(outline).expect("an outline has only names as keys");
+    text.push(b'\n');
+    text
+}

@@ -1,59 +1,71 @@
-//! Nested boxes: each state's content is laid out first, and the state's box gets its size.
+//! Nested boxes: each state's content is laid out first, and the state's box gets its size. The content of a state runs
+//! down or to the right, whichever fits the picture better.
 
 use armarium_runtime::chart::{Outline, OutlineKind};
 
-use super::graph::{Arrow, Graph};
-use super::layers::{Drawing, Link, Route, Size, draw};
-use super::measure::{LINE, width};
+use super::font::{LINE, Weight, width};
+use super::geometry::{Point, Rect, Size};
+use super::graph::{Exit, Graph};
+use super::layers::{Direction, Drawing, Link, Route, draw};
 
 /// Space between a box and its content, px.
-const PAD: f64 = 14.0;
+pub(super) const PAD: f64 = 12.0;
+/// Space between regions, px.
+const GAP: f64 = 12.0;
 /// Diameter of the dot at a composite's entry, px.
 pub(super) const DOT: f64 = 10.0;
 /// Diameter of a history symbol, px.
 const HISTORY: f64 = 28.0;
+/// Height of the frame around the name of an exit's target, px; its width is that of the name with `PILL_PAD` beside it.
+pub(super) const PILL: f64 = LINE + 2.0;
+pub(super) const PILL_PAD: f64 = 6.0;
+/// Space above an exit, px.
+pub(super) const EXIT_GAP: f64 = 3.0;
 
 /// A laid-out state; coordinates are relative to the whole picture once all are placed.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Placed {
     pub(super) state: usize,
-    pub(super) x: f64,
-    pub(super) y: f64,
-    pub(super) size: Size,
+    pub(super) frame: Rect,
     pub(super) title: String,
     /// The kind of state, under the title; may be empty.
     pub(super) subtitle: String,
     pub(super) notes: Vec<String>,
+    pub(super) exits: Vec<Exit>,
     pub(super) inside: Vec<Placed>,
-    pub(super) arrows: Vec<(Arrow, Route)>,
-    /// Lines between regions: x, start y, end y.
-    pub(super) partings: Vec<(f64, f64, f64)>,
-    /// The dot of the initial state.
-    pub(super) dot: Option<(f64, f64)>,
+    /// The arrows between the states inside: the lines of the label, and the route.
+    pub(super) arrows: Vec<(Vec<String>, Route)>,
+    /// The corner of the initial state's dot.
+    pub(super) dot: Option<Point>,
 }
 
-/// Lays out a state with its descendants; its corner is at the origin.
-pub(super) fn lay_out(outline: &Outline, graph: &Graph, state: usize) -> Placed {
+/// Lays out a state with its descendants, at most `breadth` px wide if it can; its corner is at the origin.
+pub(super) fn lay_out(outline: &Outline, graph: &Graph, state: usize, breadth: f64) -> Placed {
     let of = &outline.states[state];
     let mut placed = head(outline, graph, state);
-    let inside: Vec<Placed> = of.children.iter().map(|c| lay_out(outline, graph, *c)).collect();
+    let inner_breadth = breadth - 2.0 * PAD;
+    let inside: Vec<Placed> =
+        of.children.iter().map(|c| lay_out(outline, graph, *c, inner_breadth)).collect();
     if inside.is_empty() {
         return placed;
     }
-    let top = placed.size.height;
+    let top = placed.frame.size.height;
     let inner = match of.kind {
-        OutlineKind::Parallel => regions(&mut placed, inside, top),
-        _ => states(outline, graph, &mut placed, inside, top),
+        OutlineKind::Parallel => regions(&mut placed, inside, inner_breadth),
+        _ => states(outline, graph, &mut placed, inside, inner_breadth),
     };
-    placed.size.width = placed.size.width.max(inner.width + 2.0 * PAD);
-    placed.size.height = top + inner.height + PAD;
+    placed.frame.size.width = placed.frame.size.width.max(inner.width + 2.0 * PAD);
+    placed.frame.size.height = top + inner.height + PAD;
     // Content narrower than the title is centred.
-    let shift = (placed.size.width - inner.width) / 2.0 - PAD;
-    if shift > 0.0 {
-        placed.inside.iter_mut().for_each(|inner| move_by(inner, shift, 0.0));
-        move_arrows(&mut placed, shift, 0.0);
-    }
+    let offset = ((placed.frame.size.width - inner.width) / 2.0, top);
+    placed.inside.iter_mut().for_each(|inner| inner.move_by(offset));
+    placed.move_arrows(offset);
     placed
+}
+
+/// How badly a size fits. Screens are wide and pages long: height counts more, unless the picture is wider than `breadth`.
+fn cost(size: Size, breadth: f64) -> f64 {
+    (size.width + 3.0 * size.height) * (1.0 + 100.0 * (size.width / breadth - 1.0).max(0.0))
 }
 
 /// A state without its content.
@@ -66,112 +78,125 @@ fn head(outline: &Outline, graph: &Graph, state: usize) -> Placed {
         OutlineKind::Final(outcome) if *outcome != of.name.to_lowercase() => outcome.clone(),
         _ => String::new(),
     };
-    let notes = graph.notes.get(&state).cloned().unwrap_or_default();
-    let history = matches!(of.kind, OutlineKind::History { .. });
-    let title = match &of.kind {
-        OutlineKind::History { deep: true } => "H*".into(),
-        OutlineKind::History { deep: false } => "H".into(),
-        _ => of.name.clone(),
+    let mut placed = Placed {
+        state,
+        title: of.name.clone(),
+        subtitle,
+        notes: graph.notes.get(&state).cloned().unwrap_or_default(),
+        exits: graph.exits.get(&state).cloned().unwrap_or_default(),
+        ..Placed::default()
     };
-    let lines = 1 + usize::from(!subtitle.is_empty()) + notes.len();
-    let widest = notes.iter().map(|n| width(n)).chain([width(&title) * 1.08, width(&subtitle)]);
-    let size = if history {
+    placed.frame.size = if let OutlineKind::History { deep } = of.kind {
+        placed.title = if deep { "H*".into() } else { "H".into() };
         Size { width: HISTORY, height: HISTORY }
     } else {
-        let width = widest.fold(0.0, f64::max) + 2.0 * PAD;
-        Size { width: width.max(56.0), height: lines as f64 * LINE + 14.0 }
+        let labels = placed.exits.iter().map(|exit| label_size(&exit.label).width).fold(0.0, f64::max);
+        let exits = placed.exits.iter().map(|exit| exit_size(outline, exit));
+        let exits = exits.fold(Size::default(), |all, one| Size {
+            width: all.width.max(labels + PILL_PAD + one.width),
+            height: all.height + one.height + EXIT_GAP,
+        });
+        let lines = placed.notes.iter().chain([&placed.subtitle]).map(|n| width(n, Weight::Regular));
+        let widest = lines.chain([width(&placed.title, Weight::Bold), exits.width]).fold(0.0, f64::max);
+        let lines = 1 + usize::from(!placed.subtitle.is_empty()) + placed.notes.len();
+        Size { width: (widest + 2.0 * PAD).max(56.0), height: lines as f64 * LINE + exits.height + 12.0 }
     };
-    let (inside, arrows, partings) = (Vec::new(), Vec::new(), Vec::new());
-    Placed { state, x: 0.0, y: 0.0, size, title, subtitle, notes, inside, arrows, partings, dot: None }
+    placed
 }
 
-/// Regions side by side, separated by lines.
-fn regions(placed: &mut Placed, inside: Vec<Placed>, top: f64) -> Size {
-    let height = inside.iter().map(|r| r.size.height).fold(0.0, f64::max);
-    let mut x = PAD;
-    let count = inside.len();
-    for (at, mut region) in inside.into_iter().enumerate() {
-        move_by(&mut region, x, top);
-        x += region.size.width;
-        if at + 1 < count {
-            placed.partings.push((x + PAD, top - 4.0, top + height + PAD - 6.0));
-            x += 2.0 * PAD;
-        }
-        placed.inside.push(region);
-    }
-    Size { width: x - PAD, height }
+/// The name of an exit's target, as it is written beside the exit.
+pub(super) fn exit_target(outline: &Outline, exit: &Exit) -> String {
+    format!("→ {}", outline.states[exit.target].name)
 }
 
-/// States in layers, with the dot of the initial state.
-fn states(outline: &Outline, graph: &Graph, placed: &mut Placed, inside: Vec<Placed>, top: f64) -> Size {
-    let state = placed.state;
-    let arrows = graph.arrows.get(&state).cloned().unwrap_or_default();
-    let at = |child: usize| inside.iter().position(|p| p.state == child);
-    // The dot comes first, so that the initial state is on top.
-    let mut boxes = vec![Size { width: DOT, height: DOT }];
-    boxes.extend(inside.iter().map(|p| p.size));
-    let mut links = Vec::new();
-    let mut shown = Vec::new();
-    for target in &outline.states[state].initial {
-        let child = std::iter::successors(Some(*target), |s| outline.states[*s].parent)
-            .find(|s| outline.states[*s].parent == Some(state));
-        let Some((child, to)) = child.and_then(|c| at(c).map(|to| (c, to + 1))) else { continue };
-        if links.iter().any(|l: &Link| l.to == to) {
-            continue;
+fn exit_size(outline: &Outline, exit: &Exit) -> Size {
+    let target = width(&exit_target(outline, exit), Weight::Regular) + 2.0 * PILL_PAD;
+    Size { width: target, height: (exit.label.len() as f64 * LINE).max(PILL) }
+}
+
+/// Regions in rows: as many in a row as give the best shape.
+fn regions(placed: &mut Placed, inside: Vec<Placed>, breadth: f64) -> Size {
+    let rows = |count: usize| {
+        let (mut corners, mut size) = (Vec::new(), Size::default());
+        for row in inside.chunks(count) {
+            let (mut x, top) = (0.0, if corners.is_empty() { 0.0 } else { size.height + GAP });
+            for region in row {
+                corners.push((x, top));
+                size.height = size.height.max(top + region.frame.size.height);
+                x += region.frame.size.width + GAP;
+            }
+            size.width = size.width.max(x - GAP);
         }
-        let inner =
-            if child == *target { Vec::new() } else { vec![format!("▸ {}", outline.path(*target))] };
-        let arrow = Arrow { from: usize::MAX, to: child, label: inner };
-        links.push(Link { from: 0, to, label: label_size(&arrow) });
-        shown.push(arrow);
-    }
-    for arrow in arrows {
-        if let (Some(from), Some(to)) = (at(arrow.from), at(arrow.to)) {
-            links.push(Link { from: from + 1, to: to + 1, label: label_size(&arrow) });
-            shown.push(arrow);
-        }
-    }
-    let Drawing { corners, routes, size } = draw(&boxes, &links);
-    let shift = |(x, y): (f64, f64)| (x + PAD, y + top);
-    for (mut inner, corner) in inside.into_iter().zip(corners[1..].iter()) {
-        let (x, y) = shift(*corner);
-        move_by(&mut inner, x, y);
-        placed.inside.push(inner);
-    }
-    for (arrow, route) in shown.into_iter().zip(routes) {
-        let points = route.points.into_iter().map(shift).collect();
-        placed.arrows.push((arrow, Route { points, label: shift(route.label) }));
-    }
-    let initial = !outline.states[state].initial.is_empty();
-    placed.dot = initial.then(|| shift(corners[0]));
+        (corners, size)
+    };
+    let all = (1..=inside.len()).map(rows);
+    let (corners, size) = all
+        .min_by(|a, b| cost(a.1, breadth).total_cmp(&cost(b.1, breadth)))
+        .expect("a parallel state with regions has a row");
+    placed.inside = inside;
+    placed.inside.iter_mut().zip(corners).for_each(|(region, corner)| region.move_by(corner));
     size
 }
 
-fn label_size(arrow: &Arrow) -> Size {
-    if arrow.label.is_empty() {
-        return Size { width: 6.0, height: 0.0 };
+/// States in layers, with the dot of the initial state.
+fn states(outline: &Outline, graph: &Graph, placed: &mut Placed, inside: Vec<Placed>, breadth: f64) -> Size {
+    let state = placed.state;
+    let place = |child: usize| outline.states[state].children.iter().position(|c| *c == child);
+    let mut boxes: Vec<Size> = inside.iter().map(|p| p.frame.size).collect();
+    let dot = boxes.len();
+    let (mut links, mut labels) = (Vec::new(), Vec::new());
+    let mut link = |from: usize, to: usize, label: Vec<String>| {
+        links.push(Link { from, to, label: label_size(&label) });
+        labels.push(label);
+    };
+    for target in &outline.states[state].initial {
+        let mut outward = std::iter::successors(Some(*target), |s| outline.states[*s].parent);
+        let Some(to) = outward.find_map(place) else { continue };
+        let below = outline.states[state].children[to] != *target;
+        let label = if below { vec![format!("› {}", outline.path(*target))] } else { Vec::new() };
+        link(dot, to, label);
     }
-    let widest = arrow.label.iter().map(|l| width(l)).fold(0.0, f64::max);
-    Size { width: widest + 10.0, height: arrow.label.len() as f64 * LINE }
+    for arrow in graph.arrows.get(&state).into_iter().flatten() {
+        if let (Some(from), Some(to)) = (place(arrow.from), place(arrow.to)) {
+            link(from, to, arrow.label.clone());
+        }
+    }
+    let begins = links.first().is_some_and(|link: &Link| link.from == dot);
+    if begins {
+        boxes.push(Size { width: DOT, height: DOT });
+    }
+    let drawn = [Direction::Down, Direction::Right].map(|direction| draw(&boxes, &links, direction, breadth));
+    let [down, right] = &drawn;
+    let better = usize::from(cost(right.size, breadth) < cost(down.size, breadth));
+    let Drawing { corners, routes, size } = drawn[better].clone();
+    placed.inside = inside;
+    placed.inside.iter_mut().zip(&corners).for_each(|(inner, corner)| inner.move_by(*corner));
+    placed.arrows = labels.into_iter().zip(routes).collect();
+    placed.dot = begins.then(|| corners[dot]);
+    size
 }
 
-/// Moves a state with its descendants.
-pub(super) fn move_by(placed: &mut Placed, dx: f64, dy: f64) {
-    placed.x += dx;
-    placed.y += dy;
-    placed.inside.iter_mut().for_each(|inner| move_by(inner, dx, dy));
-    move_arrows(placed, dx, dy);
+/// The extent of the lines of a label; nothing for none.
+pub(super) fn label_size(label: &[String]) -> Size {
+    let widest = label.iter().map(|line| width(line, Weight::Regular)).fold(0.0, f64::max);
+    Size { width: widest, height: label.len() as f64 * LINE }
 }
 
-fn move_arrows(placed: &mut Placed, dx: f64, dy: f64) {
-    for (_, route) in &mut placed.arrows {
-        route.points.iter_mut().for_each(|p| *p = (p.0 + dx, p.1 + dy));
-        route.label = (route.label.0 + dx, route.label.1 + dy);
+impl Placed {
+    /// Moves a state with its descendants.
+    pub(super) fn move_by(&mut self, by: Point) {
+        self.frame = self.frame.moved(by);
+        self.inside.iter_mut().for_each(|inner| inner.move_by(by));
+        self.move_arrows(by);
     }
-    for parting in &mut placed.partings {
-        *parting = (parting.0 + dx, parting.1 + dy, parting.2 + dy);
-    }
-    if let Some(dot) = &mut placed.dot {
-        *dot = (dot.0 + dx, dot.1 + dy);
+
+    fn move_arrows(&mut self, by: Point) {
+        let moved = |p: Point| (p.0 + by.0, p.1 + by.1);
+        for (_, route) in &mut self.arrows {
+            route.line.iter_mut().for_each(|step| *step = step.map(moved));
+            route.head = (moved(route.head.0), moved(route.head.1));
+            route.label = moved(route.label);
+        }
+        self.dot = self.dot.map(moved);
     }
 }

@@ -2,24 +2,22 @@
 
 use std::fmt::Write as _;
 
-use armarium_runtime::chart::{Outline, OutlineKind, OutlineTransition};
+use armarium_runtime::chart::{Outline, OutlineKind};
 
-use super::measure::cut;
+use super::graph::label;
 
 /// A chart as a Mermaid state diagram.
-#[must_use]
-pub fn mermaid(outline: &Outline) -> String {
+pub(super) fn mermaid(outline: &Outline) -> String {
     let mut out = String::from("stateDiagram-v2\n");
-    inside(outline, 0, 1, &MERMAID, &mut out);
+    whole(outline, 1, &MERMAID, &mut out);
     transitions(outline, &MERMAID, &mut out);
     out
 }
 
 /// A chart as a PlantUML state diagram.
-#[must_use]
-pub fn plantuml(outline: &Outline) -> String {
+pub(super) fn plantuml(outline: &Outline) -> String {
     let mut out = format!("@startuml\ntitle {}\nhide empty description\n", outline.states[0].name);
-    inside(outline, 0, 0, &PLANTUML, &mut out);
+    whole(outline, 0, &PLANTUML, &mut out);
     transitions(outline, &PLANTUML, &mut out);
     out.push_str("@enduml\n");
     out
@@ -32,28 +30,52 @@ struct Dialect {
     end: &'static str,
     history: &'static str,
     deep: &'static str,
-    /// Characters that are not allowed in a label.
-    unsafe_in_label: &'static [char],
+    /// Writes a text so that the tool shows it as it is.
+    text: fn(&str) -> String,
 }
 
-const MERMAID: Dialect = Dialect {
-    parting: "--",
-    end: "",
-    history: "",
-    deep: "",
-    unsafe_in_label: &[':', ';', '#', '{', '}', '<', '>', '"'],
-};
+const MERMAID: Dialect = Dialect { parting: "--", end: "", history: "", deep: "", text: mermaid_text };
 const PLANTUML: Dialect = Dialect {
     parting: "||",
     end: " <<end>>",
     history: " <<history>>",
     deep: " <<history*>>",
-    unsafe_in_label: &[],
+    text: |text| text.replace('"', "'"),
 };
 
-/// An identifier that is unique in the chart.
+/// An identifier that is unique in the chart, and none of the words that have a meaning in the tools' languages.
 fn id(outline: &Outline, state: usize) -> String {
-    outline.path(state).replace('.', "__")
+    format!("s_{}", outline.path(state).replace('.', "__"))
+}
+
+/// The states. The chart is a state itself where it has transitions of its own or regions; else its states are enough.
+fn whole(outline: &Outline, indent: usize, dialect: &Dialect, out: &mut String) {
+    let alone = outline.states[0].kind == OutlineKind::Parallel;
+    if alone || outline.transitions.iter().any(|t| t.source == 0) {
+        write_state(outline, 0, indent, dialect, out);
+    } else {
+        inside(outline, 0, indent, dialect, out);
+    }
+}
+
+fn write_state(outline: &Outline, state: usize, indent: usize, dialect: &Dialect, out: &mut String) {
+    let pad = "    ".repeat(indent);
+    let of = &outline.states[state];
+    let mark = match of.kind {
+        OutlineKind::Final(_) => dialect.end,
+        OutlineKind::History { deep: true } => dialect.deep,
+        OutlineKind::History { deep: false } => dialect.history,
+        _ => "",
+    };
+    let (name, id) = (title(outline, state, dialect), id(outline, state));
+    // Writing into a `String` cannot fail.
+    if of.children.is_empty() {
+        let _ = writeln!(out, "{pad}state \"{name}\" as {id}{mark}");
+    } else {
+        let _ = writeln!(out, "{pad}state \"{name}\" as {id} {{");
+        inside(outline, state, indent + 1, dialect, out);
+        let _ = writeln!(out, "{pad}}}");
+    }
 }
 
 fn inside(outline: &Outline, state: usize, indent: usize, dialect: &Dialect, out: &mut String) {
@@ -61,24 +83,10 @@ fn inside(outline: &Outline, state: usize, indent: usize, dialect: &Dialect, out
     let of = &outline.states[state];
     // Writing into a `String` cannot fail.
     for (number, child) in of.children.iter().enumerate() {
-        let inner = &outline.states[*child];
         if number > 0 && of.kind == OutlineKind::Parallel {
             let _ = writeln!(out, "{pad}{}", dialect.parting);
         }
-        let mark = match inner.kind {
-            OutlineKind::Final(_) => dialect.end,
-            OutlineKind::History { deep: true } => dialect.deep,
-            OutlineKind::History { deep: false } => dialect.history,
-            _ => "",
-        };
-        let (name, id) = (title(outline, *child, dialect), id(outline, *child));
-        if inner.children.is_empty() {
-            let _ = writeln!(out, "{pad}state \"{name}\" as {id}{mark}");
-        } else {
-            let _ = writeln!(out, "{pad}state \"{name}\" as {id} {{");
-            inside(outline, *child, indent + 1, dialect, out);
-            let _ = writeln!(out, "{pad}}}");
-        }
+        write_state(outline, *child, indent, dialect, out);
     }
     if of.kind == OutlineKind::Composite {
         for target in &of.initial {
@@ -96,21 +104,40 @@ fn title(outline: &Outline, state: usize, dialect: &Dialect) -> String {
         OutlineKind::History { .. } => format!("{} (history)", of.name),
         _ => of.name.clone(),
     };
-    safe(&text, dialect)
+    (dialect.text)(&text)
 }
 
-fn safe(text: &str, dialect: &Dialect) -> String {
-    text.chars().map(|c| if c == '"' || dialect.unsafe_in_label.contains(&c) { '\'' } else { c }).collect()
+/// Mermaid's grammar gives many characters a meaning, and it shows text as HTML: all but letters, digits and harmless
+/// signs become entities, which Mermaid writes as `#lt;` or, by number, `#58;`.
+fn mermaid_text(text: &str) -> String {
+    let mut out = String::new();
+    for c in text.chars() {
+        match c {
+            '<' => out.push_str("#lt;"),
+            '>' => out.push_str("#gt;"),
+            '&' => out.push_str("#amp;"),
+            '"' => out.push_str("#quot;"),
+            c if c.is_ascii_punctuation() && !"._,()[]/=+'!?|".contains(c) => {
+                let _ = write!(out, "#{};", u32::from(c));
+            }
+            c => out.push(c),
+        }
+    }
+    out
 }
 
 fn transitions(outline: &Outline, dialect: &Dialect, out: &mut String) {
     for transition in &outline.transitions {
-        let source = if transition.source == 0 { "[*]".into() } else { id(outline, transition.source) };
-        let label = safe(&cut(&label(transition)), dialect);
+        let source = id(outline, transition.source);
+        let mut label = label(transition, ", ");
+        if transition.targets.is_empty() {
+            label.push_str(" (stays)");
+        }
+        let label = (dialect.text)(label.trim());
         let label = if label.is_empty() { String::new() } else { format!(" : {label}") };
         let stays = [transition.source];
         let targets = if transition.targets.is_empty() { &stays[..] } else { &transition.targets };
-        for target in targets.iter().filter(|_| transition.source != 0) {
+        for target in targets {
             let _ = writeln!(out, "{source} --> {}{label}", id(outline, *target));
         }
     }
@@ -119,18 +146,4 @@ fn transitions(outline: &Outline, dialect: &Dialect, out: &mut String) {
             let _ = writeln!(out, "{} --> {}", id(outline, at), id(outline, *target));
         }
     }
-}
-
-fn label(transition: &OutlineTransition) -> String {
-    let mut text = transition.event.clone();
-    if let Some(guard) = &transition.guard {
-        text.push_str(&format!(" [{guard}]"));
-    }
-    if !transition.actions.is_empty() {
-        text.push_str(&format!(" / {}", transition.actions.join(", ")));
-    }
-    if transition.targets.is_empty() {
-        text.push_str(" (stays)");
-    }
-    text.trim().to_owned()
 }

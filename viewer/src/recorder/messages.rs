@@ -1,6 +1,6 @@
 //! The messages of a recording: Foxglove's schemas where they exist, otherwise JSON with our own schemas.
 
-use armarium_visionx::Image;
+use armarium_visionx::RgbImage;
 use foxglove::messages as fg;
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// The coordinate frame of recorded poses: x right, y forward, z up, origin on the floor.
 pub(super) const ROOT: &str = "root";
 
-/// The true contact between sponge and table at one time.
+/// The true contact between the object in question and the table at one time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Contact {
     /// Force along the table's normal, N; positive presses.
@@ -43,13 +43,13 @@ pub enum LogLevel {
     Error,
 }
 
-pub(super) const CONTACT_SCHEMA: &str = r#"{"title":"armarium.Contact","description":"True contact between sponge and table.","type":"object","properties":{"normal_n":{"type":"number","description":"Force along the table's normal, N; positive presses."},"tangential_n":{"type":"number","description":"Size of the force in the table's plane, N."}},"required":["normal_n","tangential_n"]}"#;
+pub(super) const CONTACT_SCHEMA: &str = r#"{"title":"armarium.Contact","description":"True contact of the object in the hand with the table.","type":"object","properties":{"normal_n":{"type":"number","description":"Force along the table's normal, N; positive presses."},"tangential_n":{"type":"number","description":"Size of the force in the table's plane, N."}},"required":["normal_n","tangential_n"]}"#;
 
 pub(super) const WRENCH_SCHEMA: &str = r#"{"title":"armarium.WrenchSample","description":"Force and torque at the wrist.","type":"object","properties":{"force_raw":{"type":"array","items":{"type":"number"},"description":"As the sensor gives it, sensor frame, N."},"torque_raw":{"type":"array","items":{"type":"number"},"description":"As the sensor gives it, about the sensor's origin, sensor frame, N m."},"force":{"type":"array","items":{"type":"number"},"description":"Of the environment on the hand, compensated, root frame, N."},"torque":{"type":"array","items":{"type":"number"},"description":"Of the environment on the hand about the TCP, compensated, root frame, N m."}},"required":["force_raw","torque_raw","force","torque"]}"#;
 
 pub(super) const EVENT_SCHEMA: &str = r#"{"title":"armarium.ChartEvent","description":"Something that happened in the chart.","type":"object"}"#;
 
-pub(super) const TRUTH_EVENT_SCHEMA: &str = r#"{"title":"armarium.TruthEvent","description":"Something that truly happened: what the robot said, what the coach began or ended, what was reached, what is held.","type":"object","properties":{"what":{"type":"string","enum":["said","coach","reached","held"]},"detail":{"description":"Of the coach: step of the world's coaching from 0, kind, event, t in s."}},"required":["what","detail"]}"#;
+pub(super) const TRUTH_EVENT_SCHEMA: &str = r#"{"title":"armarium.TruthEvent","description":"Something that truly happened: what the robot said, what the coach began or ended, what was reached, which object was grasped, whether one is held.","type":"object","properties":{"what":{"type":"string","enum":["said","coach","reached","grasped","held"]},"detail":{"description":"Of the coach: step of the world's coaching from 0, kind, event, t in s."}},"required":["what","detail"]}"#;
 
 pub(super) const SHOWN_HAND_SCHEMA: &str = r#"{"title":"armarium.ShownHand","description":"What the coach's hand truly showed in one camera frame.","type":"object","properties":{"stamp_ns":{"type":"integer","description":"When the frame was taken, ns."},"gesture":{"type":["string","null"],"enum":["fist","point_one","point_two","open_hand",null],"description":"The gesture; null without a hand."},"since_s":{"type":"number","description":"For how long it has been so, s."},"visible":{"type":"boolean","description":"Whether the whole hand is in both images and nothing hides it."}},"required":["stamp_ns","gesture","since_s","visible"]}"#;
 
@@ -89,7 +89,7 @@ pub(super) fn compressed_image(topic: &str, t_ns: u64, data: Vec<u8>) -> fg::Com
     }
 }
 
-pub(super) fn raw_image(topic: &str, t_ns: u64, image: &Image) -> fg::RawImage {
+pub(super) fn raw_image(topic: &str, t_ns: u64, image: &RgbImage) -> fg::RawImage {
     fg::RawImage {
         timestamp: stamp(t_ns),
         frame_id: frame_of(topic),

@@ -18,7 +18,7 @@ use std::io::BufWriter;
 use std::path::Path;
 use std::sync::Arc;
 
-use armarium_visionx::{Image, JpegPixel, encode_jpeg};
+use armarium_visionx::{JpegPixel, RgbImage, encode_jpeg};
 use foxglove::messages as fg;
 use foxglove::{Channel, Context, McapCompression, McapWriteOptions, McapWriterHandle, RawChannel, Schema};
 use nalgebra::Isometry3;
@@ -224,7 +224,7 @@ impl Recorder {
         }
     }
 
-    /// Records the true contact between sponge and table on `/truth/contact`.
+    /// Records the true contact of the object in the hand with the table on `/truth/contact`.
     ///
     /// # Errors
     /// [`RecorderError::Encode`] when the message cannot be encoded.
@@ -298,7 +298,6 @@ impl Recorder {
 
     /// Whether an image of this topic and time would be recorded; check it before rendering an image only for
     /// the recording.
-    #[must_use]
     pub fn wants_image(&self, topic: &str, t_ns: u64) -> bool {
         self.images.get(topic).is_none_or(|image| t_ns >= image.next_ns)
     }
@@ -312,7 +311,7 @@ impl Recorder {
         &mut self,
         topic: &str,
         t_ns: u64,
-        image: &Image,
+        image: &RgbImage,
         coding: ImageCoding,
     ) -> Result<(), RecorderError> {
         self.tick(t_ns);
@@ -384,7 +383,7 @@ impl Recorder {
     }
 }
 
-fn jpeg(image: &Image, quality: u8) -> Result<Vec<u8>, image::ImageError> {
+fn jpeg(image: &RgbImage, quality: u8) -> Result<Vec<u8>, image::ImageError> {
     let mut data = Vec::with_capacity(image.data().len() / 8);
     encode_jpeg(&mut data, image.data(), (image.width(), image.height()), JpegPixel::Rgb, quality)?;
     Ok(data)

@@ -56,7 +56,7 @@ pub struct Panel {
 
 /// Panels side by side, of equal width.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Row {
+pub struct PanelRow {
     /// Height with labels and legend, px of a picture 1000 px wide.
     pub height: f64,
     /// The panels from left to right.
@@ -65,7 +65,6 @@ pub struct Row {
 
 impl Curve {
     /// A curve of this name in the next colour.
-    #[must_use]
     pub fn new(label: impl Into<String>, points: Vec<[f64; 2]>) -> Self {
         Self { label: label.into(), points, look: Look::Next }
     }
@@ -78,8 +77,7 @@ impl Curve {
 }
 
 /// Draws the rows as one SVG file. `title` is for screen readers.
-#[must_use]
-pub fn picture(title: &str, rows: &[Row]) -> String {
+pub fn picture(title: &str, rows: &[PanelRow]) -> String {
     let height: f64 = rows.iter().map(|row| row.height + GAP).sum::<f64>() + GAP;
     let mut svg = Svg::new(WIDTH, height, title);
     svg.rect([0.0, 0.0], [WIDTH, height], "paper", "");
@@ -210,7 +208,7 @@ mod tests {
             marks: vec![(5.0, "half".into())],
             ..Panel::default()
         };
-        let svg = picture("waves", &[Row { height: 200.0, panels: vec![panel.clone(), panel] }]);
+        let svg = picture("waves", &[PanelRow { height: 200.0, panels: vec![panel.clone(), panel] }]);
         assert!(svg.starts_with("<svg") && svg.contains("<style>:root") && svg.contains("a &lt; b"));
         assert_eq!(svg.matches("<polyline").count(), 6, "a line that is interrupted is two");
         assert!(!svg.contains("NaN"));
@@ -233,7 +231,8 @@ mod tests {
 
     #[test]
     fn nothing_is_drawn_of_nothing() {
-        let svg = picture("", &[Row { height: 100.0, panels: vec![Panel::default()] }, Row::default()]);
+        let svg =
+            picture("", &[PanelRow { height: 100.0, panels: vec![Panel::default()] }, PanelRow::default()]);
         assert!(svg.ends_with("</svg>\n") && !svg.contains("<polyline"));
     }
 }

@@ -8,7 +8,7 @@ use super::axes::{Axes, ticks};
 use super::svg::{Anchor, Svg, fit};
 
 const ROW: f64 = 21.0;
-const MOST_ROWS: usize = 150;
+const MAX_ROWS: usize = 150;
 
 /// Draws the picture as SVG for the interval `time`, s.
 pub(super) fn draw(spans: &[StateSpan], time: [f64; 2]) -> String {
@@ -38,7 +38,7 @@ pub(super) fn draw(spans: &[StateSpan], time: [f64; 2]) -> String {
     svg.finish("wide")
 }
 
-struct Row<'a> {
+struct StateRow<'a> {
     path: &'a str,
     name: &'a str,
     depth: usize,
@@ -47,7 +47,7 @@ struct Row<'a> {
 }
 
 /// One row per state: parents before children, otherwise in order of first entry.
-fn rows(spans: &[StateSpan]) -> Vec<Row<'_>> {
+fn rows(spans: &[StateSpan]) -> Vec<StateRow<'_>> {
     let mut first: BTreeMap<&str, usize> = BTreeMap::new();
     for (i, span) in spans.iter().enumerate() {
         for path in prefixes(&span.path) {
@@ -61,14 +61,14 @@ fn rows(spans: &[StateSpan]) -> Vec<Row<'_>> {
     let mut roots: Vec<&str> = Vec::new();
     paths
         .iter()
-        .take(MOST_ROWS)
+        .take(MAX_ROWS)
         .map(|&path| {
             let root = path.split('.').next().unwrap_or(path);
             if !roots.contains(&root) {
                 roots.push(root);
             }
             let inside = |other: &&str| other.strip_prefix(path).is_some_and(|rest| rest.starts_with('.'));
-            Row {
+            StateRow {
                 path,
                 name: path.rsplit('.').next().unwrap_or(path),
                 depth: path.matches('.').count(),
@@ -83,7 +83,7 @@ fn prefixes(path: &str) -> impl Iterator<Item = &str> {
     path.match_indices('.').map(|(i, _)| &path[..i]).chain(std::iter::once(path))
 }
 
-fn bars(svg: &mut Svg, spans: &[StateSpan], rows: &[Row<'_>], axes: &Axes) {
+fn bars(svg: &mut Svg, spans: &[StateSpan], rows: &[StateRow<'_>], axes: &Axes) {
     for span in spans {
         let Some(i) = rows.iter().position(|row| row.path == span.path) else { continue };
         let (row, y) = (&rows[i], axes.top + ROW * i as f64);

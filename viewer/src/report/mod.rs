@@ -13,6 +13,6 @@ mod series;
 mod svg;
 mod timeplot;
 
-pub use curves::{Curve, Look, Panel, Row, picture};
+pub use curves::{Curve, Look, Panel, PanelRow, picture};
 pub use data::{ChainLink, ReportData};
 pub use page::render;

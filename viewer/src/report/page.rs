@@ -6,14 +6,15 @@ use armarium_values::report::{
     Block, Cell, Confusion, Figure, Picture, Requirement, Section, Table, TimePlot,
 };
 
+use crate::markup::escape;
+
 use super::data::ReportData;
-use super::svg::{data_uri, escape};
+use super::svg::data_uri;
 use super::{gantt, plan, timeplot};
 
 const STYLE: &str = include_str!("style.css");
 
 /// The whole page as HTML. Text from charts, worlds and reasons is escaped.
-#[must_use]
 pub fn render(data: &ReportData) -> String {
     let title = if data.title.is_empty() { "Run" } else { &data.title };
     let mut page = format!(

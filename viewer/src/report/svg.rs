@@ -2,6 +2,8 @@
 
 use std::fmt::Write as _;
 
+use crate::markup::escape;
+
 /// A picture in its own pixels, y downwards. Shapes with a coordinate that is not finite are omitted.
 pub(super) struct Svg {
     width: f64,
@@ -16,23 +18,6 @@ pub(super) enum Anchor {
     Start,
     Middle,
     End,
-}
-
-/// Escapes text for HTML and SVG, including attributes.
-pub(super) fn escape(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            c if c.is_control() && c != '\n' && c != '\t' => out.push('\u{fffd}'),
-            c => out.push(c),
-        }
-    }
-    out
 }
 
 fn drawable<const N: usize>(coordinates: [f64; N]) -> bool {

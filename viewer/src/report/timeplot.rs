@@ -97,7 +97,7 @@ fn content(svg: &mut Svg, plot: &TimePlot, axes: &Axes) {
 }
 
 /// A marked time: its line, and its name with a position.
-struct Mark {
+struct BandMark {
     x: f64,
     name: String,
     anchor: Anchor,
@@ -109,9 +109,9 @@ const MARK_LINE: f64 = 16.0;
 
 /// Places the marks' names on up to three lines without overlap; a name without space is omitted, its line
 /// stays.
-fn place_marks(plot: &TimePlot, axes: &Axes) -> Vec<Mark> {
+fn place_marks(plot: &TimePlot, axes: &Axes) -> Vec<BandMark> {
     let mut ends = [f64::NEG_INFINITY; MARK_LEVELS];
-    let mut marks: Vec<Mark> = Vec::new();
+    let mut marks: Vec<BandMark> = Vec::new();
     for (t, name) in plot.marks.iter().filter(|(t, _)| (axes.x[0]..=axes.x[1]).contains(t)) {
         let x = axes.point(*t, axes.y[0])[0];
         let mut name = fit(name, 150.0);
@@ -125,12 +125,12 @@ fn place_marks(plot: &TimePlot, axes: &Axes) -> Vec<Mark> {
         if !name.is_empty() {
             ends[level] = start + width;
         }
-        marks.push(Mark { x, name, anchor, level });
+        marks.push(BandMark { x, name, anchor, level });
     }
     marks
 }
 
-fn draw_marks(svg: &mut Svg, marks: &[Mark], axes: &Axes) {
+fn draw_marks(svg: &mut Svg, marks: &[BandMark], axes: &Axes) {
     for mark in marks {
         let top = axes.top - MARK_LINE * mark.level as f64;
         svg.line([mark.x, top], [mark.x, axes.bottom()], "mark");

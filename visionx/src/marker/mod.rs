@@ -7,7 +7,7 @@
 //! round: its centroid in the image is the projection of its centre. Orientation is not measured; see
 //! [`crate::ObjectLocalizer`].
 
-mod sight;
+mod measurement;
 #[cfg(test)]
 mod tests;
 
@@ -18,10 +18,10 @@ use rand_chacha::ChaCha8Rng;
 use crate::camera::StereoCalibration;
 use crate::color::ColorModel;
 use crate::components::{Component, components};
-use crate::frame::{Image, StereoFrame};
+use crate::frame::{RgbImage, StereoFrame};
 use crate::mask::Mask;
 use crate::particles::Cloud;
-use sight::{Counts, Sight, centroid, likelihood};
+use measurement::{Blob, Counts, centroid, likelihood};
 
 /// Prior knowledge of a marker and of its motion.
 #[derive(Clone, Debug, PartialEq)]
@@ -82,17 +82,16 @@ struct Track {
 /// A marker without a measurement for this long is lost, ns.
 const LOST_AFTER_NS: u64 = 500_000_000;
 /// Visible fraction below which an image's centroid is not used.
-const LEAST_VISIBLE: f64 = 0.12;
+const MIN_VISIBLE: f64 = 0.12;
 /// Standard deviation of a fully visible marker's centroid, px; measured on rendered spheres.
 const CENTROID_SIGMA_PX: f64 = 0.15;
 /// Scale of the distance from the expected position at which candidates are preferred, m.
 const NEAR: f64 = 0.08;
 /// Components smaller than this are noise, px.
-const LEAST_AREA: u32 = 12;
+const MIN_AREA: u32 = 12;
 
 impl MarkerSettings {
     /// A marker of this colour (RGB) and unknown size, moved by a person at arm's length.
-    #[must_use]
     pub fn new(color: [u8; 3]) -> Self {
         Self {
             color: ColorModel::from_rgb(color),
@@ -112,7 +111,6 @@ impl MarkerSettings {
 
 impl ColorMarkerObjectTracking {
     /// A tracker without a track. The same seed and frames give the same estimates.
-    #[must_use]
     pub fn new(calibration: StereoCalibration, settings: MarkerSettings, seed: u64) -> Self {
         let diameter = settings.diameter_m.filter(|d| *d > 0.0 && d.is_finite());
         Self {
@@ -126,7 +124,6 @@ impl ColorMarkerObjectTracking {
     }
 
     /// The marker's diameter, m: given, or learned so far.
-    #[must_use]
     pub fn diameter_m(&self) -> Option<f64> {
         self.diameter
     }
@@ -191,7 +188,7 @@ impl ColorMarkerObjectTracking {
         // Distant candidates keep a small weight, so that a single candidate is found wherever it is.
         let nearness =
             |p: &Point3<f64>| place.map_or(1.0, |at| 1.0 / (1.0 + ((p - at).norm() / NEAR).powi(4)));
-        let [left, right] = masks.each_ref().map(|m| components(m, LEAST_AREA));
+        let [left, right] = masks.each_ref().map(|m| components(m, MIN_AREA));
         let mut best: Option<(f64, Point3<f64>, f64, &Component)> = None;
         for l in left.iter().take(12) {
             for r in right.iter().take(12) {
@@ -216,7 +213,7 @@ impl ColorMarkerObjectTracking {
     }
 
     /// The position of a pair of components, how well it fits the marker, and its diameter, m.
-    fn candidate(&self, l: &Component, r: &Component, image: &Image) -> Option<(Point3<f64>, f64, f64)> {
+    fn candidate(&self, l: &Component, r: &Component, image: &RgbImage) -> Option<(Point3<f64>, f64, f64)> {
         let height = f64::from(l.bounds.height.max(r.bounds.height));
         let (small, large) = (f64::from(l.area.min(r.area)), f64::from(l.area.max(r.area)));
         if (l.centroid.y - r.centroid.y).abs() > 2.0 + 0.15 * height || small < 0.5 * large {
@@ -268,7 +265,7 @@ impl ColorMarkerObjectTracking {
     /// The measurement from both images; with one image only, a point on its ray.
     fn correct(
         &mut self,
-        seen: &[Option<Sight>; 2],
+        seen: &[Option<Blob>; 2],
         visible: [f64; 2],
         radius_px: f64,
         stamp_ns: u64,
@@ -276,7 +273,7 @@ impl ColorMarkerObjectTracking {
         let track = self.track.as_mut()?;
         let calibration = &self.calibration;
         let (predicted, _) = track.cloud.mean();
-        let good = visible.map(|v| v >= LEAST_VISIBLE);
+        let good = visible.map(|v| v >= MIN_VISIBLE);
         let sigma = visible.map(|v| {
             (CENTROID_SIGMA_PX.powi(2) + ((1.0 - v - 0.05).max(0.0) * 0.6 * radius_px).powi(2)).sqrt()
         });
@@ -318,7 +315,7 @@ impl ColorMarkerObjectTracking {
 
     /// Grows quickly and shrinks slowly, because an occlusion of the marker is temporary. A much larger size is
     /// learned only slowly, because it may come from another object beside the marker.
-    fn learn_diameter(&mut self, seen: &[Option<Sight>; 2], depth: f64) {
+    fn learn_diameter(&mut self, seen: &[Option<Blob>; 2], depth: f64) {
         let area = seen.iter().flatten().map(|s| s.area).fold(0.0, f64::max);
         let now = disc_diameter(area) * depth / self.calibration.camera.focal;
         if let Some(d) = &mut self.diameter {
@@ -349,11 +346,11 @@ fn one_eye(
     (z > 0.0).then(|| (point, Matrix3::identity() * across + along * along.transpose() * 0.01, false))
 }
 
-fn pixels<'a>(component: &'a Component, image: &'a Image) -> impl Iterator<Item = [u8; 3]> + Clone + 'a {
+fn pixels<'a>(component: &'a Component, image: &'a RgbImage) -> impl Iterator<Item = [u8; 3]> + Clone + 'a {
     component.runs.iter().flat_map(move |run| (run.x0..run.x1).map(move |x| image.pixel(x, run.y)))
 }
 
-fn mean_color(component: &Component, image: &Image) -> [f64; 3] {
+fn mean_color(component: &Component, image: &RgbImage) -> [f64; 3] {
     let mut sum = [0.0; 3];
     pixels(component, image).for_each(|p| (0..3).for_each(|i| sum[i] += f64::from(p[i])));
     sum.map(|s| s / f64::from(component.area.max(1)))

@@ -5,16 +5,15 @@
 mod statistics;
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 use async_trait::async_trait;
 use tokio::sync::Mutex;
 use tokio::time::{Duration, Instant, sleep_until};
 
-use crate::frame::{Image, ImageError};
+use crate::frame::{ImageError, RgbImage};
 use crate::localizer::ObjectEstimate;
 use crate::marker::MarkerEstimate;
-use crate::providers::{Frame, FrameImage, FrameSender, ImageProvider, PixelFormat};
+use crate::providers::{FrameSender, ImageProvider, PixelFormat, RawFrame, RawImage};
 use crate::tabletop::Tabletop;
 use crate::tracking::TrackedFingertip;
 use crate::tracking::hand::HandObservation;
@@ -58,10 +57,10 @@ pub trait ImageProcessor: Send {
     ///
     /// # Errors
     /// [`ImageError`] when the frames do not suit this processor; later ones may.
-    fn process(&mut self, frames: &[Arc<Frame>]) -> Result<Finding, ImageError>;
+    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Finding, ImageError>;
 
     /// Draws the finding into a picture of the frames, for people; `None` when the processor draws nothing.
-    fn annotated(&self, frames: &[Arc<Frame>], finding: &Finding) -> Option<Image> {
+    fn annotated(&self, frames: &[Arc<RawFrame>], finding: &Finding) -> Option<RgbImage> {
         let _ = (frames, finding);
         None
     }
@@ -98,12 +97,12 @@ pub struct ProcessorLoop<'a> {
 }
 
 /// Keeps a provider's newest frame while the processor works.
-struct Newest {
-    frame: Arc<Mutex<Option<Arc<Frame>>>>,
+struct NewestFrame {
+    frame: Arc<Mutex<Option<Arc<RawFrame>>>>,
     task: tokio::task::JoinHandle<ImageError>,
 }
 
-impl Newest {
+impl NewestFrame {
     fn of(provider: &Arc<dyn ImageProvider>) -> Self {
         let frame = Arc::new(Mutex::new(None));
         let (kept, provider) = (Arc::clone(&frame), Arc::clone(provider));
@@ -119,12 +118,12 @@ impl Newest {
         Self { frame, task }
     }
 
-    async fn get(&self) -> Option<Arc<Frame>> {
+    async fn get(&self) -> Option<Arc<RawFrame>> {
         self.frame.lock().await.clone()
     }
 }
 
-impl Drop for Newest {
+impl Drop for NewestFrame {
     fn drop(&mut self) {
         self.task.abort();
     }
@@ -141,8 +140,8 @@ pub async fn run_processor(
     let gone = || ImageError::Gone { provider: String::new() };
     let (first, others) = with.inputs.split_first().ok_or_else(gone)?;
     let provider = first.description().name;
-    let others: Vec<Newest> = others.iter().map(Newest::of).collect();
-    let leader = matches!(with.trigger, Trigger::Every(_)).then(|| Newest::of(first));
+    let others: Vec<NewestFrame> = others.iter().map(NewestFrame::of).collect();
+    let leader = matches!(with.trigger, Trigger::Every(_)).then(|| NewestFrame::of(first));
     let (mut last, mut began, mut due) = (None::<u64>, None, Instant::now());
     loop {
         let frame = match (&leader, with.trigger) {
@@ -169,7 +168,7 @@ pub async fn run_processor(
         let began = *began.get_or_insert(received);
         // After a restart the provider counts from the beginning, so a number that is not larger is no gap.
         let missed = last.map_or(0, |last| frame.number.saturating_sub(last.saturating_add(1)));
-        with.statistics.skipped.fetch_add(missed, Ordering::Relaxed);
+        with.statistics.skipped.add(missed);
         last = Some(frame.number);
         let mut frames = vec![frame];
         for other in &others {
@@ -177,7 +176,7 @@ pub async fn run_processor(
         }
         if frames.len() < with.inputs.len() {
             // Another provider has not sent a frame yet.
-            with.statistics.skipped.fetch_add(1, Ordering::Relaxed);
+            with.statistics.skipped.add(1);
             continue;
         }
         let more = step(processor, with, &provider, &frames).await;
@@ -193,7 +192,7 @@ async fn step(
     processor: &mut dyn ImageProcessor,
     with: &ProcessorLoop<'_>,
     provider: &str,
-    frames: &[Arc<Frame>],
+    frames: &[Arc<RawFrame>],
 ) -> bool {
     let finding = match processor.process(frames) {
         Ok(finding) => finding,
@@ -208,7 +207,7 @@ async fn step(
         annotated.send(drawn(&frames[0], image));
     }
     if !frames.iter().all(|frame| frame.is_intact()) {
-        with.statistics.torn.fetch_add(1, Ordering::Relaxed);
+        with.statistics.torn.add(1);
         return true;
     }
     let source = FindingSource {
@@ -220,10 +219,10 @@ async fn step(
 }
 
 /// The annotated image as a frame.
-fn drawn(of: &Frame, image: Image) -> Frame {
+fn drawn(of: &RawFrame, image: RgbImage) -> RawFrame {
     let size = (image.width(), image.height());
-    let image = FrameImage::new("image", PixelFormat::Rgb8, size, image.into_data());
-    Frame {
+    let image = RawImage::new("image", PixelFormat::Rgb8, size, image.into_data());
+    RawFrame {
         number: 0,
         stamp_ns: of.stamp_ns,
         frame_id: of.frame_id.clone(),

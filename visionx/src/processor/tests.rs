@@ -1,4 +1,4 @@
-use std::sync::atomic::AtomicU64;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::*;
 use crate::image_source::ImageSource;
@@ -77,11 +77,11 @@ async fn a_processor_runs_until_its_sink_has_enough_and_draws_what_it_saw() {
     let mut hand = OfStereo::new(HandObserver::new(CALIBRATION), pair());
     let (ended, counts) = run(&mut hand, vec![camera(4)], Trigger::Next, 3, Some(&drawn)).await;
     assert!(ended.is_ok());
-    assert_eq!((counts.frames(), counts.skipped(), counts.unusable()), (3, 0, 0));
+    assert_eq!((counts.frames.get(), counts.skipped.get(), counts.unusable.get()), (3, 0, 0));
     assert!((counts.rate_hz() - 1.0 / 0.066).abs() < 1e-6);
     assert_eq!(pictures.next().await.unwrap().stamp_ns, 2);
     let (ended, counts) = run(&mut hand, vec![camera(2)], Trigger::Next, 9, None).await;
-    assert_eq!((ended, counts.frames()), (Err(ImageError::Gone { provider: "camera".into() }), 2));
+    assert_eq!((ended, counts.frames.get()), (Err(ImageError::Gone { provider: "camera".into() }), 2));
 }
 
 /// Accepts any frame.
@@ -92,7 +92,7 @@ impl ImageProcessor for Look {
         "look"
     }
 
-    fn process(&mut self, frames: &[Arc<Frame>]) -> Result<Finding, ImageError> {
+    fn process(&mut self, frames: &[Arc<RawFrame>]) -> Result<Finding, ImageError> {
         self.0.push(frames.iter().map(|frame| frame.number).collect());
         Ok(Finding::Hand(None))
     }
@@ -104,7 +104,7 @@ async fn several_providers_give_a_frame_each_and_polling_takes_the_newest() {
     let every = Trigger::Every(Duration::from_millis(150));
     let (_, counts) = run(&mut look, vec![camera(20), camera(20)], every, 4, None).await;
     assert_eq!(look.0, [[2, 2], [4, 4], [6, 6], [9, 9]]);
-    assert_eq!((counts.frames(), counts.skipped()), (4, 4));
+    assert_eq!((counts.frames.get(), counts.skipped.get()), (4, 4));
     let mut look = Look(Vec::new());
     let (ended, _) = run(&mut look, vec![camera(3)], every, 40, None).await;
     assert!(matches!(ended, Err(ImageError::Gone { .. })));
@@ -120,14 +120,18 @@ impl ImageProvider for Sizes {
         Description { name: "camera".into(), ..Description::default() }
     }
 
-    async fn next(&self) -> Result<Arc<Frame>, ImageError> {
+    async fn next(&self) -> Result<Arc<RawFrame>, ImageError> {
         let at = self.1.fetch_add(1, Ordering::Relaxed);
         let size = self.0.get(at as usize).ok_or(ImageError::Gone { provider: "camera".into() })?;
         let eye = |role| {
             let bytes = PixelFormat::Rgb8.bytes(size.0, size.1).unwrap();
-            FrameImage::new(role, PixelFormat::Rgb8, *size, vec![9; bytes]).unwrap()
+            RawImage::new(role, PixelFormat::Rgb8, *size, vec![9; bytes]).unwrap()
         };
-        Ok(Arc::new(Frame { number: at + 1, images: vec![eye("left"), eye("right")], ..Frame::default() }))
+        Ok(Arc::new(RawFrame {
+            number: at + 1,
+            images: vec![eye("left"), eye("right")],
+            ..RawFrame::default()
+        }))
     }
 }
 
@@ -139,6 +143,6 @@ async fn frames_of_another_size_than_the_calibration_s_are_counted_and_the_next_
     let mut hand = OfStereo::new(HandObserver::new(CALIBRATION), pair());
     let (ended, counts) = run(&mut hand, vec![camera], Trigger::Next, 9, None).await;
     assert!(ended.is_err(), "the provider has gone");
-    assert_eq!((counts.frames(), counts.unusable()), (5, 3));
+    assert_eq!((counts.frames.get(), counts.unusable.get()), (5, 3));
     assert!(counts.why_unusable().is_some_and(|why| why.contains("1 x 1")), "{counts:?}");
 }

@@ -14,7 +14,7 @@ use linuxvideo::{BufType, Device};
 use tokio::time::Instant;
 
 use super::channel::{FrameChannel, FrameSender, channel};
-use super::{Description, Frame, FrameImage, ImageDescription, ImageProvider, PixelFormat};
+use super::{Description, ImageDescription, ImageProvider, PixelFormat, RawFrame, RawImage};
 use crate::files::decode_image;
 use crate::frame::ImageError;
 
@@ -94,7 +94,7 @@ impl ImageProvider for CameraProvider {
         self.frames.description()
     }
 
-    async fn next(&self) -> Result<Arc<Frame>, ImageError> {
+    async fn next(&self) -> Result<Arc<RawFrame>, ImageError> {
         self.frames.next().await
     }
 }
@@ -108,7 +108,7 @@ fn watch(mut stream: ReadStream, layout: Layout, to: &FrameSender, ends: &Atomic
         match taken {
             Ok(Some(image)) => {
                 let (frame_id, images) = ("camera".into(), vec![image]);
-                to.send(Frame { stamp_ns, frame_id, images, ..Frame::default() });
+                to.send(RawFrame { stamp_ns, frame_id, images, ..RawFrame::default() });
             }
             // A damaged image; the next may be intact.
             Ok(None) => {}
@@ -121,14 +121,14 @@ fn watch(mut stream: ReadStream, layout: Layout, to: &FrameSender, ends: &Atomic
 }
 
 impl Layout {
-    fn image(self, bytes: &[u8]) -> Option<FrameImage> {
+    fn image(self, bytes: &[u8]) -> Option<RawImage> {
         let (size, data) = if self.coding == DriverFormat::YUYV {
             ((self.width, self.height), self.yuyv(bytes)?)
         } else {
             let image = decode_image(bytes).ok()?;
             ((image.width(), image.height()), image.into_data())
         };
-        FrameImage::new("image", PixelFormat::Rgb8, size, data).ok()
+        RawImage::new("image", PixelFormat::Rgb8, size, data).ok()
     }
 
     /// RGB of two pixels in four bytes: brightness, blue difference, brightness, red difference (ITU-R BT.601, the

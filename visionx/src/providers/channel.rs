@@ -9,26 +9,25 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use async_trait::async_trait;
 use tokio::sync::{Mutex, watch};
 
-use super::{Description, Frame, ImageProvider};
+use super::{Description, ImageProvider, RawFrame};
 use crate::frame::ImageError;
 
 /// The sending end.
 #[derive(Debug)]
 pub struct FrameSender {
-    newest: watch::Sender<(u64, Option<Arc<Frame>>)>,
+    newest: watch::Sender<(u64, Option<Arc<RawFrame>>)>,
 }
 
 /// The receiving end; a clone is another reader.
 #[derive(Debug)]
 pub struct FrameChannel {
     description: Arc<Description>,
-    newest: Mutex<watch::Receiver<(u64, Option<Arc<Frame>>)>>,
+    newest: Mutex<watch::Receiver<(u64, Option<Arc<RawFrame>>)>>,
     seen: AtomicU64,
     missed: AtomicU64,
 }
 
 /// A sender and the provider of its frames.
-#[must_use]
 pub fn channel(description: Description) -> (FrameSender, FrameChannel) {
     let (newest, receiver) = watch::channel((0, None));
     let description = Arc::new(description);
@@ -37,7 +36,7 @@ pub fn channel(description: Description) -> (FrameSender, FrameChannel) {
 
 impl FrameSender {
     /// Sends a frame to all readers and gives it the next number.
-    pub fn send(&self, mut frame: Frame) {
+    pub fn send(&self, mut frame: RawFrame) {
         self.newest.send_modify(|(count, newest)| {
             *count += 1;
             frame.number = *count;
@@ -46,7 +45,6 @@ impl FrameSender {
     }
 
     /// Whether there is a reader.
-    #[must_use]
     pub fn is_wanted(&self) -> bool {
         !self.newest.is_closed()
     }
@@ -55,7 +53,7 @@ impl FrameSender {
 impl FrameChannel {
     fn reader(
         description: Arc<Description>,
-        newest: watch::Receiver<(u64, Option<Arc<Frame>>)>,
+        newest: watch::Receiver<(u64, Option<Arc<RawFrame>>)>,
         seen: u64,
     ) -> Self {
         Self {
@@ -67,7 +65,6 @@ impl FrameChannel {
     }
 
     /// The number of frames that this reader missed while it was busy.
-    #[must_use]
     pub fn missed(&self) -> u64 {
         self.missed.load(Ordering::Relaxed)
     }
@@ -79,7 +76,7 @@ impl ImageProvider for FrameChannel {
         (*self.description).clone()
     }
 
-    async fn next(&self) -> Result<Arc<Frame>, ImageError> {
+    async fn next(&self) -> Result<Arc<RawFrame>, ImageError> {
         let gone = || ImageError::Gone { provider: self.description.name.clone() };
         let mut newest = self.newest.lock().await;
         newest.changed().await.map_err(|_| gone())?;
@@ -99,11 +96,11 @@ mod tests {
         let (sender, reader) = channel(Description { name: "drawn".into(), ..Description::default() });
         assert!(sender.is_wanted());
         for stamp_ns in [10, 20, 30] {
-            sender.send(Frame { stamp_ns, ..Frame::default() });
+            sender.send(RawFrame { stamp_ns, ..RawFrame::default() });
         }
         let frame = reader.next().await.unwrap();
         assert_eq!((frame.stamp_ns, frame.number, reader.missed()), (30, 3, 2));
-        sender.send(Frame::default());
+        sender.send(RawFrame::default());
         drop(sender);
         assert_eq!(reader.next().await.unwrap().number, 4);
         assert_eq!(reader.next().await.unwrap_err(), ImageError::Gone { provider: "drawn".into() });

@@ -1,17 +1,18 @@
 //! Conversion of camera formats to RGB and to depth, and of frames to PNG or JPEG.
 
+use std::borrow::Cow;
+
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder, ImageError as CodingError};
 
-use super::frame::{Frame, FrameImage, PixelFormat};
+use super::frame::{PixelFormat, RawFrame, RawImage};
 use super::wire::{Header, ImageCoding};
-use crate::frame::{DepthImage, Image};
+use crate::frame::{DepthImage, RgbImage};
 use crate::jpeg::{JPEG_QUALITY, JpegPixel, encode_jpeg};
 
 /// Converts the image to RGB. This includes gray and raw Bayer images; depth and organised point clouds are coloured
 /// from near (red) to far (blue). `None` for an unorganised point cloud.
-#[must_use]
-pub fn rgb_of(image: &FrameImage) -> Option<Image> {
+pub fn rgb_of(image: &RawImage) -> Option<RgbImage> {
     let (width, height) = (image.width(), image.height());
     let data = match image.format() {
         PixelFormat::Rgb8 => image.bytes().to_vec(),
@@ -24,12 +25,11 @@ pub fn rgb_of(image: &FrameImage) -> Option<Image> {
             return depth_of(image).and_then(|depth| colors_of(&depth));
         }
     };
-    Image::from_rgb(width, height, data).ok()
+    RgbImage::from_rgb(width, height, data).ok()
 }
 
 /// The depth of a depth image or of an organised point cloud. Invalid values become 0.
-#[must_use]
-pub fn depth_of(image: &FrameImage) -> Option<DepthImage> {
+pub fn depth_of(image: &RawImage) -> Option<DepthImage> {
     let (width, height) = (image.width(), image.height());
     let usable = |z: f32| if z.is_finite() && z > 0.0 { z } else { 0.0 };
     let data: Vec<f32> = match image.format() {
@@ -53,7 +53,7 @@ fn words(bytes: &[u8]) -> impl Iterator<Item = u16> {
 
 /// Bilinear interpolation of a Bayer image: each colour is the mean of its pixels in the 3 x 3 neighbourhood.
 /// `red` is the position of the first red pixel.
-fn bayer(image: &FrameImage, red: [usize; 2]) -> Vec<u8> {
+fn bayer(image: &RawImage, red: [usize; 2]) -> Vec<u8> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     let bytes = image.bytes();
     let channel = |x: usize, y: usize| match ((x + red[0]) % 2, (y + red[1]) % 2) {
@@ -82,7 +82,7 @@ fn bayer(image: &FrameImage, red: [usize; 2]) -> Vec<u8> {
 }
 
 /// Depth in colours, from red (nearest) over green to blue (farthest); black where there is none.
-fn colors_of(depth: &DepthImage) -> Option<Image> {
+fn colors_of(depth: &DepthImage) -> Option<RgbImage> {
     let seen = || depth.data.iter().copied().filter(|z| *z > 0.0);
     let (near, far) = (seen().fold(f32::MAX, f32::min), seen().fold(0.0, f32::max));
     let color = |z: f32| {
@@ -94,14 +94,14 @@ fn colors_of(depth: &DepthImage) -> Option<Image> {
         [ramp(0.0), ramp(0.5), ramp(1.0)]
     };
     let data = depth.data.iter().flat_map(|z| color(*z)).collect();
-    Image::from_rgb(depth.width, depth.height, data).ok()
+    RgbImage::from_rgb(depth.width, depth.height, data).ok()
 }
 
 /// The bytes of a JPEG file of an RGB image.
 ///
 /// # Errors
 /// When the encoder fails, for instance because a side is longer than 65535 px.
-pub fn jpeg(image: &Image) -> Result<Vec<u8>, CodingError> {
+pub fn jpeg(image: &RgbImage) -> Result<Vec<u8>, CodingError> {
     let mut bytes = Vec::new();
     let size = (image.width(), image.height());
     encode_jpeg(&mut bytes, image.data(), size, JpegPixel::Rgb, JPEG_QUALITY)?;
@@ -114,7 +114,7 @@ pub fn jpeg(image: &Image) -> Result<Vec<u8>, CodingError> {
 /// # Errors
 /// When an encoder fails.
 pub fn coded(
-    frame: &Frame,
+    frame: &RawFrame,
     coding: ImageCoding,
     epoch: u64,
     sent_ns: u64,
@@ -123,32 +123,20 @@ pub fn coded(
     let mut bytes = Vec::new();
     for (image, said) in frame.images.iter().zip(&mut header.images) {
         let start = bytes.len();
-        let size = (image.width(), image.height());
         match (image.format(), coding) {
             (_, ImageCoding::Raw) | (PixelFormat::Points32F, _) => bytes.extend(image.bytes()),
-            (PixelFormat::Rgb8, ImageCoding::Jpeg) => {
+            (format @ (PixelFormat::Rgb8 | PixelFormat::Gray8), ImageCoding::Jpeg) => {
+                let pixel = if format == PixelFormat::Rgb8 { JpegPixel::Rgb } else { JpegPixel::Gray };
                 said.coding = ImageCoding::Jpeg;
-                encode_jpeg(&mut bytes, image.bytes(), size, JpegPixel::Rgb, JPEG_QUALITY)?;
+                let size = (image.width(), image.height());
+                encode_jpeg(&mut bytes, image.bytes(), size, pixel, JPEG_QUALITY)?;
             }
-            (PixelFormat::Gray8, ImageCoding::Jpeg) => {
-                said.coding = ImageCoding::Jpeg;
-                encode_jpeg(&mut bytes, image.bytes(), size, JpegPixel::Gray, JPEG_QUALITY)?;
-            }
-            (PixelFormat::Depth32F, _) => {
-                (said.coding, said.format) = (ImageCoding::Png, PixelFormat::Depth16);
-                png(&mut bytes, &native_mm(image), size, ExtendedColorType::L16)?;
-            }
-            (PixelFormat::Depth16, _) => {
+            (format, _) => {
                 said.coding = ImageCoding::Png;
-                png(&mut bytes, &native_mm(image), size, ExtendedColorType::L16)?;
-            }
-            (PixelFormat::Rgb8, ImageCoding::Png) => {
-                said.coding = ImageCoding::Png;
-                png(&mut bytes, image.bytes(), size, ExtendedColorType::Rgb8)?;
-            }
-            (_, ImageCoding::Png | ImageCoding::Jpeg) => {
-                said.coding = ImageCoding::Png;
-                png(&mut bytes, image.bytes(), size, ExtendedColorType::L8)?;
+                if format == PixelFormat::Depth32F {
+                    said.format = PixelFormat::Depth16;
+                }
+                png(&mut bytes, image)?;
             }
         }
         said.bytes = (bytes.len() - start) as u64;
@@ -161,17 +149,17 @@ pub fn coded(
 ///
 /// # Errors
 /// When the encoder fails.
-pub fn depth_png(image: &FrameImage) -> Result<Option<Vec<u8>>, CodingError> {
+pub fn depth_png(image: &RawImage) -> Result<Option<Vec<u8>>, CodingError> {
     if !matches!(image.format(), PixelFormat::Depth32F | PixelFormat::Depth16) {
         return Ok(None);
     }
     let mut bytes = Vec::new();
-    png(&mut bytes, &native_mm(image), (image.width(), image.height()), ExtendedColorType::L16)?;
+    png(&mut bytes, image)?;
     Ok(Some(bytes))
 }
 
 /// Depth in mm, 16 bit in native byte order; 0 where there is none.
-fn native_mm(image: &FrameImage) -> Vec<u8> {
+fn native_mm(image: &RawImage) -> Vec<u8> {
     if image.format() == PixelFormat::Depth16 {
         return words(image.bytes()).flat_map(u16::to_ne_bytes).collect();
     }
@@ -179,14 +167,15 @@ fn native_mm(image: &FrameImage) -> Vec<u8> {
     floats(image.bytes()).map(mm).flat_map(u16::to_ne_bytes).collect()
 }
 
-fn png(
-    into: &mut Vec<u8>,
-    data: &[u8],
-    (width, height): (u32, u32),
-    color: ExtendedColorType,
-) -> Result<(), CodingError> {
+/// Depth becomes 16 bit gray, mm; raw Bayer 8 bit gray.
+fn png(into: &mut Vec<u8>, image: &RawImage) -> Result<(), CodingError> {
+    let (data, color) = match image.format() {
+        PixelFormat::Depth32F | PixelFormat::Depth16 => (native_mm(image).into(), ExtendedColorType::L16),
+        PixelFormat::Rgb8 => (Cow::from(image.bytes()), ExtendedColorType::Rgb8),
+        _ => (image.bytes().into(), ExtendedColorType::L8),
+    };
     let encoder = PngEncoder::new_with_quality(into, CompressionType::Fast, FilterType::Adaptive);
-    encoder.write_image(data, width, height, color)
+    encoder.write_image(&data, image.width(), image.height(), color)
 }
 
 #[cfg(test)]
@@ -196,8 +185,8 @@ mod tests {
     use super::*;
     use crate::providers::PixelOwner;
 
-    fn image(role: &str, format: PixelFormat, size: (u32, u32), bytes: Vec<u8>) -> FrameImage {
-        FrameImage::new(role, format, size, bytes).unwrap()
+    fn image(role: &str, format: PixelFormat, size: (u32, u32), bytes: Vec<u8>) -> RawImage {
+        RawImage::new(role, format, size, bytes).unwrap()
     }
 
     #[test]
@@ -254,7 +243,7 @@ mod tests {
         let ramp =
             |n: usize| (0..width as usize * height as usize * n).map(|i| (i / n) as u8).collect::<Vec<u8>>();
         let depth: Vec<u8> = (0..192u16).flat_map(|i| (f32::from(i) * 0.01).to_le_bytes()).collect();
-        let frame = Frame {
+        let frame = RawFrame {
             images: vec![
                 image("left", PixelFormat::Rgb8, (width, height), ramp(3)),
                 image("gray", PixelFormat::Gray8, (width, height), ramp(1)),
@@ -263,7 +252,7 @@ mod tests {
                 image("depth", PixelFormat::Depth32F, (width, height), depth),
                 image("points", PixelFormat::Points32F, (3, 1), vec![0; 36]),
             ],
-            ..Frame::default()
+            ..RawFrame::default()
         };
         for coding in [ImageCoding::Png, ImageCoding::Jpeg] {
             let (header, bytes) = coded(&frame, coding, 1, 1).unwrap();

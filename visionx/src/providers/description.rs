@@ -67,9 +67,64 @@ pub struct Distortion {
     pub k3: f64,
 }
 
+/// Why a provider's images are not a stereo pair.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum NotStereo {
+    /// An eye is missing.
+    #[error("there is no image `{role}`")]
+    NoImage {
+        /// The eye.
+        role: String,
+    },
+    /// An eye's camera is unknown.
+    #[error("the camera of `{role}` is not calibrated")]
+    NotCalibrated {
+        /// The eye.
+        role: String,
+    },
+    /// An eye's calibration has numbers that no camera has.
+    #[error("the calibration of `{role}` is not one of a camera")]
+    NoCamera {
+        /// The eye.
+        role: String,
+    },
+    /// The eyes' images differ in size.
+    #[error("the images `left` and `right` are not of one size")]
+    Sizes,
+    /// An eye's lens distorts.
+    #[error("`{role}` is distorted")]
+    Distorted {
+        /// The eye.
+        role: String,
+    },
+    /// The cameras differ.
+    #[error("the two cameras are not equal")]
+    Differ,
+    /// Pixels are wider than high, or higher than wide.
+    #[error("the pixels are not square")]
+    PixelsNotSquare,
+    /// The cameras do not stand side by side.
+    #[error("the right camera does not stand to the right of the left one, parallel to it")]
+    NotParallel,
+    /// The cameras stand too far from side by side to be rectified.
+    #[error("the right camera does not stand to the right of the left one, looking the same way")]
+    NotBeside,
+    /// Images that are too small or too large to be rectified.
+    #[error("images of {width} x {height} pixels are not rectified")]
+    Size {
+        /// Width, px.
+        width: u32,
+        /// Height, px.
+        height: u32,
+    },
+    /// The distortion model has no inverse in the image's middle.
+    #[error("the distortion is beyond what its model can be")]
+    Distortion,
+}
+
 impl Distortion {
     /// Distorts an ideal point of the image plane (at depth 1).
-    #[must_use]
     pub fn distort(&self, ideal: &Point2<f64>) -> Point2<f64> {
         let (x, y) = (ideal.x, ideal.y);
         let r2 = x * x + y * y;
@@ -82,7 +137,6 @@ impl Distortion {
 
     /// The ideal point that appears at `seen`, by fixed-point iteration; `None` where the model does not converge, far
     /// outside of the calibrated area.
-    #[must_use]
     pub fn undistort(&self, seen: &Point2<f64>) -> Option<Point2<f64>> {
         let mut ideal = *seen;
         for _ in 0..50 {
@@ -101,7 +155,6 @@ impl Distortion {
 
 impl CameraModel {
     /// A pinhole camera at the provider's coordinate frame, shifted by `shift` m along x.
-    #[must_use]
     pub fn ideal(camera: &PinholeCamera, shift: f64) -> Self {
         Self {
             focal: [camera.focal; 2],
@@ -112,7 +165,6 @@ impl CameraModel {
     }
 
     /// Projects a point of the provider's coordinate frame (m) to px; `None` behind the camera.
-    #[must_use]
     pub fn project(&self, point: &Point3<f64>) -> Option<Point2<f64>> {
         let p = self.reference_from_camera.inverse_transform_point(point);
         (p.z > 1e-6).then(|| {
@@ -122,7 +174,6 @@ impl CameraModel {
     }
 
     /// Whether all numbers are finite and the focal lengths positive.
-    #[must_use]
     pub fn is_usable(&self) -> bool {
         let d = &self.distortion;
         let numbers = [d.k1, d.k2, d.p1, d.p2, d.k3, self.center[0], self.center[1]];
@@ -135,7 +186,6 @@ impl CameraModel {
 impl Description {
     /// The description of an [`ImageSource`](crate::ImageSource): left and right images, and depth for the
     /// left.
-    #[must_use]
     pub fn of_stereo(name: &str, frame_id: &str, calibration: &StereoCalibration) -> Self {
         let camera = &calibration.camera;
         let image = |role: &str, format, shift| ImageDescription {
@@ -159,7 +209,6 @@ impl Description {
     }
 
     /// The image of a role.
-    #[must_use]
     pub fn image(&self, role: &str) -> Option<&ImageDescription> {
         self.images.iter().find(|image| image.role == role)
     }
@@ -168,19 +217,20 @@ impl Description {
     ///
     /// # Errors
     /// What is missing.
-    pub(super) fn eyes(&self) -> Result<((u32, u32), [CameraModel; 2]), String> {
+    pub(super) fn eyes(&self) -> Result<((u32, u32), [CameraModel; 2]), NotStereo> {
         let eye = |role: &str| {
-            let image = self.image(role).ok_or_else(|| format!("there is no image `{role}`"))?;
-            let camera = image.camera.ok_or_else(|| format!("the camera of `{role}` is not calibrated"))?;
+            let role_of = || role.to_owned();
+            let image = self.image(role).ok_or_else(|| NotStereo::NoImage { role: role_of() })?;
+            let camera = image.camera.ok_or_else(|| NotStereo::NotCalibrated { role: role_of() })?;
             if camera.is_usable() {
                 Ok(((image.width, image.height), camera))
             } else {
-                Err(format!("the calibration of `{role}` is not one of a camera"))
+                Err(NotStereo::NoCamera { role: role_of() })
             }
         };
         let ((size, left), (other, right)) = (eye("left")?, eye("right")?);
         if size != other {
-            return Err("the images `left` and `right` are not of one size".into());
+            return Err(NotStereo::Sizes);
         }
         Ok((size, [left, right]))
     }
@@ -190,23 +240,23 @@ impl Description {
     ///
     /// # Errors
     /// Why they are not such a pair.
-    pub fn stereo(&self) -> Result<StereoCalibration, String> {
+    pub fn stereo(&self) -> Result<StereoCalibration, NotStereo> {
         let ((width, height), [left, right]) = self.eyes()?;
         for (role, eye) in [("left", &left), ("right", &right)] {
             if eye.distortion != Distortion::default() {
-                return Err(format!("`{role}` is distorted"));
+                return Err(NotStereo::Distorted { role: role.into() });
             }
         }
         if left.focal != right.focal || left.center != right.center {
-            return Err("the two cameras are not equal".into());
+            return Err(NotStereo::Differ);
         }
         let pair = left.reference_from_camera.inverse() * right.reference_from_camera;
         let shift = pair.translation.vector;
         if (left.focal[0] - left.focal[1]).abs() > 1e-9 * left.focal[0] {
-            return Err("the pixels are not square".into());
+            return Err(NotStereo::PixelsNotSquare);
         }
         if pair.rotation.angle() > 1e-6 || shift.yz().norm() > 1e-6 || shift.x <= 0.0 {
-            return Err("the right camera does not stand to the right of the left one, parallel to it".into());
+            return Err(NotStereo::NotParallel);
         }
         let camera = PinholeCamera { width, height, focal: left.focal[0], center: left.center };
         Ok(StereoCalibration { camera, baseline: shift.x })

@@ -3,14 +3,14 @@
 use std::time::Duration;
 
 use armarium_bus::keys::{self, Key, Part};
-use armarium_bus::{Answer, Bounds, Session, SessionError};
+use armarium_bus::{Bounds, CodecError, Reply, Session, SessionError};
 
-use super::Description;
 use super::lenient::decode_leniently;
 use super::offering::DESCRIPTION;
+use super::{Description, MAX_IMAGES};
 
 /// Most providers listed.
-const MOST_PROVIDERS: usize = 1024;
+const MAX_PROVIDERS: usize = 1024;
 
 /// Why a provider cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -27,7 +27,22 @@ pub enum RemoteError {
         /// `AGENT/PROVIDER`.
         provider: String,
         /// What is wrong with its description.
-        what: String,
+        what: DescriptionError,
+    },
+}
+
+/// Why a description cannot be read.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DescriptionError {
+    /// It cannot be decoded.
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+    /// It has too many images.
+    #[error("it speaks of {images} images; at most {MAX_IMAGES} are read")]
+    TooManyImages {
+        /// How many.
+        images: usize,
     },
 }
 
@@ -39,7 +54,7 @@ pub struct FoundProvider {
     /// Its name in the key.
     pub provider: String,
     /// Its description, or why the description cannot be read.
-    pub description: Result<Description, String>,
+    pub description: Result<Description, DescriptionError>,
 }
 
 /// The providers that answer within `wait`, sorted by agent and name, including those with unreadable
@@ -53,17 +68,16 @@ pub async fn providers(
     provider: Part<'_>,
     wait: Duration,
 ) -> Result<Vec<FoundProvider>, SessionError> {
-    let wrong = |e: keys::KeyError| SessionError::Config { what: e.to_string() };
-    let keys = keys::image_pattern(agent, provider).map_err(wrong)?;
-    let answers = session.ask(keys, "", None, MOST_PROVIDERS, wait).await?;
+    let keys = keys::image_pattern(agent, provider)?;
+    let answers = session.query(keys, "", None, MAX_PROVIDERS, wait).await?;
     let mut found: Vec<FoundProvider> = answers.iter().filter_map(found).collect();
     found.sort_by(|a, b| (&a.agent, &a.provider).cmp(&(&b.agent, &b.provider)));
     Ok(found)
 }
 
 /// The provider of an answer; `None` for a refusal.
-fn found(answer: &Answer) -> Option<FoundProvider> {
-    let Answer::Message(message) = answer else { return None };
+fn found(answer: &Reply) -> Option<FoundProvider> {
+    let Reply::Message(message) = answer else { return None };
     let mut parts = message.key.split('/');
     let (agent, provider) = (parts.next()?.to_owned(), parts.nth(1)?.to_owned());
     let description = description(&message.encoding, &message.payload);
@@ -71,12 +85,12 @@ fn found(answer: &Answer) -> Option<FoundProvider> {
 }
 
 /// Decodes the description of an answer.
-fn description(encoding: &str, payload: &[u8]) -> Result<Description, String> {
-    DESCRIPTION.check(encoding).map_err(|e| e.to_string())?;
-    let description: Description = decode_leniently(payload, Bounds::default()).map_err(|e| e.to_string())?;
+fn description(encoding: &str, payload: &[u8]) -> Result<Description, DescriptionError> {
+    DESCRIPTION.check(encoding)?;
+    let description: Description = decode_leniently(payload, Bounds::default())?;
     match description.images.len() {
-        0..=super::MOST_IMAGES => Ok(description),
-        images => Err(format!("it speaks of {images} images; at most {} are read", super::MOST_IMAGES)),
+        0..=MAX_IMAGES => Ok(description),
+        images => Err(DescriptionError::TooManyImages { images }),
     }
 }
 
@@ -90,7 +104,7 @@ pub(super) async fn describe(
     let asking = async {
         loop {
             // Zenoh may not know the provider yet; a later query may reach it.
-            let answers = session.ask(key.clone(), "", None, 16, Duration::from_millis(500)).await?;
+            let answers = session.query(key.clone(), "", None, 16, Duration::from_millis(500)).await?;
             let answered: Vec<_> = answers.iter().filter_map(found).map(|found| found.description).collect();
             // Several providers may answer on one key; the first readable description is used.
             if let Some(answer) = answered.iter().find(|a| a.is_ok()).or(answered.first()) {
@@ -100,6 +114,6 @@ pub(super) async fn describe(
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
     };
-    let none = SessionError::NoAnswer { key: key.to_string(), seconds: wait.as_secs() };
+    let none = SessionError::NoReply { key: key.to_string(), seconds: wait.as_secs() };
     tokio::time::timeout(wait, asking).await.unwrap_or(Err(none.into()))
 }

@@ -6,14 +6,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use async_trait::async_trait;
 use tokio::sync::Mutex;
 
-use super::{Description, Frame, ImageProvider};
+use super::{Description, ImageProvider, RawFrame};
 use crate::frame::ImageError;
 
 /// Several readers of one provider in one process. The provider is read only while a reader waits, once for all
 /// waiting readers. Each reader gets the newest frame that it has not had; the frames it missed are counted.
 pub struct FanOut {
     provider: Arc<dyn ImageProvider>,
-    newest: Mutex<(u64, Option<Arc<Frame>>)>,
+    newest: Mutex<(u64, Option<Arc<RawFrame>>)>,
 }
 
 /// One reader's end of a [`FanOut`].
@@ -25,7 +25,6 @@ pub struct Subscription {
 
 impl FanOut {
     /// Shares a provider.
-    #[must_use]
     pub fn new(provider: Arc<dyn ImageProvider>) -> Arc<Self> {
         Arc::new(Self { provider, newest: Mutex::new((0, None)) })
     }
@@ -39,7 +38,6 @@ impl FanOut {
 
 impl Subscription {
     /// The number of frames that this reader missed while it was busy.
-    #[must_use]
     pub fn skipped(&self) -> u64 {
         self.skipped.load(Ordering::Relaxed)
     }
@@ -53,7 +51,7 @@ impl ImageProvider for Subscription {
 
     /// The newest frame that this reader has not had, or else the next one. When a reader is dropped while it
     /// waits, another waiting reader takes over reading from the provider.
-    async fn next(&self) -> Result<Arc<Frame>, ImageError> {
+    async fn next(&self) -> Result<Arc<RawFrame>, ImageError> {
         let mut newest = self.shared.newest.lock().await;
         let seen = self.seen.load(Ordering::Relaxed);
         if newest.0 <= seen {
@@ -86,13 +84,13 @@ mod tests {
             Description { name: "camera".into(), ..Description::default() }
         }
 
-        async fn next(&self) -> Result<Arc<Frame>, ImageError> {
+        async fn next(&self) -> Result<Arc<RawFrame>, ImageError> {
             sleep(Duration::from_millis(66)).await;
             let number = self.given.fetch_add(1, Ordering::Relaxed);
             if number >= self.frames {
                 return Err(ImageError::Gone { provider: "camera".into() });
             }
-            Ok(Arc::new(Frame { number, ..Frame::default() }))
+            Ok(Arc::new(RawFrame { number, ..RawFrame::default() }))
         }
     }
 

@@ -12,7 +12,7 @@ use tokio::time::{Duration, Instant, sleep_until};
 
 use super::calibration::Calibration;
 use super::description::{Description, ImageDescription};
-use super::{Frame, FrameImage, ImageProvider, PixelFormat};
+use super::{ImageProvider, PixelFormat, RawFrame, RawImage};
 use crate::files::{FileError, images_in, read_depth, read_image};
 use crate::frame::ImageError;
 
@@ -58,7 +58,7 @@ impl FileProvider {
         let file = first.values().next().ok_or_else(nothing)?.clone();
         let images = read(first.clone()).await?;
         let Calibration { cameras, root_from_camera } = Calibration::beside(&file)?;
-        let described = |image: &FrameImage| ImageDescription {
+        let described = |image: &RawImage| ImageDescription {
             role: image.role().into(),
             format: image.format(),
             width: image.width(),
@@ -87,7 +87,7 @@ impl ImageProvider for FileProvider {
         self.description.clone()
     }
 
-    async fn next(&self) -> Result<Arc<Frame>, ImageError> {
+    async fn next(&self) -> Result<Arc<RawFrame>, ImageError> {
         let mut state = self.state.lock().await;
         let (number, began) = &mut *state;
         let files = self.frames.len() as u64;
@@ -106,7 +106,7 @@ impl ImageProvider for FileProvider {
             provider: self.description.name.clone(),
             what: format!("{}: {error}", file.display()),
         })?;
-        Ok(Arc::new(Frame {
+        Ok(Arc::new(RawFrame {
             number: at + 1,
             stamp_ns: (elapsed_s * 1e9).round() as u64,
             frame_id: self.description.frame_id.clone(),
@@ -142,7 +142,7 @@ fn grouped(files: Vec<PathBuf>) -> Vec<BTreeMap<String, PathBuf>> {
 }
 
 /// Reads the files of a frame on a blocking thread.
-async fn read(files: BTreeMap<String, PathBuf>) -> Result<Vec<FrameImage>, (PathBuf, FileError)> {
+async fn read(files: BTreeMap<String, PathBuf>) -> Result<Vec<RawImage>, (PathBuf, FileError)> {
     let task = tokio::task::spawn_blocking(move || {
         let order = |role: &str| ROLES.iter().position(|r| *r == role);
         let mut files: Vec<(String, PathBuf)> = files.into_iter().collect();
@@ -152,7 +152,7 @@ async fn read(files: BTreeMap<String, PathBuf>) -> Result<Vec<FrameImage>, (Path
     task.await.unwrap_or_else(|error| Err((PathBuf::new(), FileError::Read(error.into()))))
 }
 
-fn image(role: &str, file: &Path) -> Result<FrameImage, FileError> {
+fn image(role: &str, file: &Path) -> Result<RawImage, FileError> {
     let (format, size, bytes) = if role == "depth" {
         let (width, height, bytes) = read_depth(file)?;
         (PixelFormat::Depth16, (width, height), bytes)
@@ -160,7 +160,7 @@ fn image(role: &str, file: &Path) -> Result<FrameImage, FileError> {
         let image = read_image(file)?;
         (PixelFormat::Rgb8, (image.width(), image.height()), image.data().to_vec())
     };
-    FrameImage::new(role, format, size, bytes)
+    RawImage::new(role, format, size, bytes)
         .map_err(|_| FileError::TooLarge { width: size.0, height: size.1 })
 }
 
@@ -170,12 +170,12 @@ mod tests {
     use super::super::description::CameraModel;
     use super::*;
     use crate::annotate::png;
-    use crate::frame::Image;
+    use crate::frame::RgbImage;
 
     const ALL: Pace = Pace { speed: None, repeat: false };
 
     fn write(folder: &Path, name: &str, width: u32) {
-        let image = Image::from_rgb(width, 2, vec![width as u8; width as usize * 6]).unwrap();
+        let image = RgbImage::from_rgb(width, 2, vec![width as u8; width as usize * 6]).unwrap();
         std::fs::write(folder.join(name), png(&image).unwrap()).unwrap();
     }
 

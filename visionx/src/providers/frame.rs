@@ -11,13 +11,13 @@ use serde::{Deserialize, Serialize};
 use crate::frame::ImageError;
 
 /// Most images of a frame.
-pub const MOST_IMAGES: usize = 16;
+pub const MAX_IMAGES: usize = 16;
 /// Longest name of a role or frame, bytes.
-pub(super) const LONGEST_NAME: usize = 200;
+pub(super) const MAX_NAME_BYTES: usize = 200;
 /// Longest side of an image, px; a list of points may be longer.
-pub(super) const LONGEST_SIDE: u32 = 65_536;
+pub(super) const MAX_SIDE: u32 = 65_536;
 /// Most bytes of an image.
-pub(super) const MOST_BYTES: usize = 2 << 30;
+pub(super) const MAX_IMAGE_BYTES: usize = 2 << 30;
 
 /// The pixel format of an image. Rows from the top, without padding; numbers are little-endian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -63,9 +63,9 @@ pub struct Pixels {
     end: usize,
 }
 
-/// One image of a frame.
-#[derive(Clone, Debug)]
-pub struct FrameImage {
+/// One image of a frame, as its provider made it: in any pixel format.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RawImage {
     role: String,
     format: PixelFormat,
     width: u32,
@@ -73,9 +73,10 @@ pub struct FrameImage {
     pixels: Pixels,
 }
 
-/// One frame: all images of one moment.
-#[derive(Clone, Debug, Default)]
-pub struct Frame {
+/// One frame as its provider made it: all images of one moment. Two are equal when their content is, wherever the bytes
+/// are. Trackers work on a [`StereoFrame`](crate::StereoFrame), which [`super::StereoPair`] makes of it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RawFrame {
     /// Consecutive number of the provider's frames; a gap means dropped frames.
     pub number: u64,
     /// The time of the exposure by the provider's clock, ns; the same clock as the robot's samples where there is a
@@ -86,7 +87,7 @@ pub struct Frame {
     /// The estimated pose of the first camera in the robot's root frame, where there is a robot.
     pub root_from_camera: Option<Isometry3<f64>>,
     /// The images; each role at most once.
-    pub images: Vec<FrameImage>,
+    pub images: Vec<RawImage>,
 }
 
 impl PixelFormat {
@@ -105,12 +106,12 @@ impl PixelFormat {
     /// Bytes of an image; `None` beyond 2 GiB or a side of 65536 px, and when a side is 0.
     #[must_use]
     pub fn bytes(self, width: u32, height: u32) -> Option<usize> {
-        let sides = width > 0 && height > 0 && height <= LONGEST_SIDE;
-        let wide = width <= LONGEST_SIDE || (self == Self::Points32F && height == 1);
+        let sides = width > 0 && height > 0 && height <= MAX_SIDE;
+        let wide = width <= MAX_SIDE || (self == Self::Points32F && height == 1);
         let pixels = u64::from(width).checked_mul(u64::from(height))?;
         let bytes = pixels.checked_mul(self.bytes_per_pixel() as u64)?;
         let bytes = usize::try_from(bytes).ok()?;
-        (sides && wide && bytes <= MOST_BYTES).then_some(bytes)
+        (sides && wide && bytes <= MAX_IMAGE_BYTES).then_some(bytes)
     }
 }
 
@@ -122,19 +123,16 @@ impl PixelOwner for Vec<u8> {
 
 impl Pixels {
     /// Bytes `start..end` of `owner`; `None` when it does not have them.
-    #[must_use]
     pub fn part(owner: Arc<dyn PixelOwner>, start: usize, end: usize) -> Option<Self> {
         (start <= end && end <= owner.bytes().len()).then_some(Self { owner, start, end })
     }
 
     /// The bytes; empty when their owner has become smaller.
-    #[must_use]
     pub fn bytes(&self) -> &[u8] {
         self.owner.bytes().get(self.start..self.end).unwrap_or_default()
     }
 
     /// See [`PixelOwner::is_intact`].
-    #[must_use]
     pub fn is_intact(&self) -> bool {
         self.owner.is_intact()
     }
@@ -158,7 +156,7 @@ impl fmt::Debug for Pixels {
     }
 }
 
-impl FrameImage {
+impl RawImage {
     /// An image of raw bytes. `role` names it within the frame: `left`, `right`, `depth`, `points`, `image`.
     ///
     /// # Errors
@@ -179,69 +177,46 @@ impl FrameImage {
     }
 
     /// Its role within the frame.
-    #[must_use]
     pub fn role(&self) -> &str {
         &self.role
     }
 
     /// The pixel format.
-    #[must_use]
     pub fn format(&self) -> PixelFormat {
         self.format
     }
 
     /// Width, px.
-    #[must_use]
     pub fn width(&self) -> u32 {
         self.width
     }
 
     /// Height, px.
-    #[must_use]
     pub fn height(&self) -> u32 {
         self.height
     }
 
     /// Its bytes, in the pixel format.
-    #[must_use]
     pub fn bytes(&self) -> &[u8] {
         self.pixels.bytes()
     }
 }
 
-impl Frame {
+impl RawFrame {
     /// The image of a role.
-    #[must_use]
-    pub fn image(&self, role: &str) -> Option<&FrameImage> {
+    pub fn image(&self, role: &str) -> Option<&RawImage> {
         self.images.iter().find(|image| image.role == role)
     }
 
     /// Bytes of all images.
-    #[must_use]
     pub fn bytes(&self) -> usize {
         self.images.iter().map(|image| image.bytes().len()).sum()
     }
 
     /// Whether the bytes read so far are what the provider sent. The sender may overwrite a frame in shared
     /// memory when the reader is too slow. A reader must therefore check this after it has used the pixels.
-    #[must_use]
     pub fn is_intact(&self) -> bool {
         self.images.iter().all(|image| image.pixels.is_intact())
-    }
-}
-
-/// Two frames are equal when their content is equal, wherever the bytes are stored.
-impl PartialEq for Frame {
-    fn eq(&self, other: &Self) -> bool {
-        let head = |f: &Self| (f.number, f.stamp_ns, f.root_from_camera);
-        head(self) == head(other) && self.frame_id == other.frame_id && self.images == other.images
-    }
-}
-
-impl PartialEq for FrameImage {
-    fn eq(&self, other: &Self) -> bool {
-        let head = |i: &Self| (i.format, i.width, i.height);
-        head(self) == head(other) && self.role == other.role && self.pixels == other.pixels
     }
 }
 
@@ -259,7 +234,7 @@ mod tests {
             (PixelFormat::Depth32F, 24),
             (PixelFormat::Points32F, 72),
         ] {
-            let image = |bytes| FrameImage::new("left", format, (3, 2), vec![0; bytes]);
+            let image = |bytes| RawImage::new("left", format, (3, 2), vec![0; bytes]);
             assert_eq!(image(bytes).unwrap().bytes().len(), bytes);
             let wrong = Err(ImageError::Size { width: 3, height: 2, expected: bytes, actual: bytes + 1 });
             assert_eq!(image(bytes + 1), wrong);
@@ -276,7 +251,7 @@ mod tests {
         );
         assert_eq!(PixelFormat::Points32F.bytes(1_000_000, 1), Some(12_000_000));
         assert_eq!(PixelFormat::Points32F.bytes(1_000_000, 2), None);
-        assert!(FrameImage::new("left", PixelFormat::Rgb8, (0, 0), vec![]).is_err());
+        assert!(RawImage::new("left", PixelFormat::Rgb8, (0, 0), vec![]).is_err());
     }
 
     #[test]

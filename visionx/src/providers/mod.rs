@@ -1,6 +1,6 @@
 //! Image providers, and the transport of their frames to readers.
 //!
-//! - [`Frame`]: one or more images of one moment. [`Description`]: a provider's images and calibration.
+//! - [`RawFrame`]: one or more images of one moment. [`Description`]: a provider's images and calibration.
 //! - [`ImageProvider`]: the trait. [`StereoProvider`] makes one of an [`ImageSource`](crate::ImageSource), such as the
 //!   simulator's cameras, and [`StereoView`] does the reverse. [`FileProvider`] reads image files,
 //!   [`RecordingProvider`] recordings, [`FrameSender`] takes frames that the program makes, `CameraProvider` (feature
@@ -38,11 +38,11 @@ use crate::frame::ImageError;
 #[cfg(feature = "camera")]
 pub use camera::CameraProvider;
 pub use channel::{FrameChannel, FrameSender, channel};
-pub use description::{CameraModel, Description, Distortion, ImageDescription};
-pub use discovery::{FoundProvider, RemoteError, providers};
+pub use description::{CameraModel, Description, Distortion, ImageDescription, NotStereo};
+pub use discovery::{DescriptionError, FoundProvider, RemoteError, providers};
 pub use fan_out::{FanOut, Subscription};
 pub use files::{FileProvider, Pace};
-pub use frame::{Frame, FrameImage, MOST_IMAGES, PixelFormat, PixelOwner, Pixels};
+pub use frame::{MAX_IMAGES, PixelFormat, PixelOwner, Pixels, RawFrame, RawImage};
 pub use offering::{Offered, OfferedStatistics, offer};
 pub use pair::{StereoPair, stereo_frame};
 pub use recording::{RecordingError, RecordingProvider, recorded};
@@ -62,5 +62,5 @@ pub trait ImageProvider: Send + Sync {
     /// # Errors
     /// [`ImageError::Gone`] when no further frame will come. Any other error concerns one frame; the next may be
     /// good.
-    async fn next(&self) -> Result<Arc<Frame>, ImageError>;
+    async fn next(&self) -> Result<Arc<RawFrame>, ImageError>;
 }

@@ -7,30 +7,30 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use armarium_bus::bulk::BulkSender;
-use armarium_bus::stream::{Lost, StreamPosition};
-use armarium_bus::{Key, Question, Questions, Session, SessionError, keys};
+use armarium_bus::stream::{LostItems, StreamPosition};
+use armarium_bus::{IncomingQuery, Key, Queryable, Session, SessionError, keys};
 use parking_lot::Mutex;
 use tokio::task::JoinHandle;
 
 use super::convert::coded;
 use super::fan_out::{FanOut, Subscription};
 use super::wire::{ENCODING, Header, ImageCoding, PACKED, pack};
-use super::{Frame, ImageProvider};
+use super::{ImageProvider, RawFrame};
+use crate::counter::Counter;
 use crate::frame::ImageError;
 
 /// The schema of a description.
 pub(super) const DESCRIPTION: armarium_bus::Schema = armarium_bus::Schema::new("image/description", 1);
 /// Frames kept for readers that missed some.
-const KEPT: usize = 16;
+const MAX_KEPT: usize = 16;
 /// Limit of the kept frames, bytes.
-const KEPT_BYTES: usize = 64 << 20;
+const MAX_KEPT_BYTES: usize = 64 << 20;
 /// The first so many failed frames are logged, each one.
-const TOLD: u64 = 10;
+const MAX_LOGGED: u64 = 10;
 /// Capacity of the query queue.
-const WAITING: usize = 64;
+const MAX_WAITING: usize = 64;
 
 /// A published provider; dropping this ends it.
 #[derive(Debug)]
@@ -40,37 +40,19 @@ pub struct Offered {
     statistics: Arc<OfferedStatistics>,
 }
 
-/// Counts of a published provider.
+/// Counts of a published provider. All may be read at any time.
 #[derive(Debug, Default)]
 pub struct OfferedStatistics {
-    sent: AtomicU64,
-    spoilt: AtomicU64,
-    unshared: AtomicU64,
-}
-
-impl OfferedStatistics {
     /// Frames sent raw.
-    #[must_use]
-    pub fn sent(&self) -> u64 {
-        self.sent.load(Ordering::Relaxed)
-    }
-
+    pub sent: Counter,
     /// Frames that the provider could not make or whose memory was reused before they were sent.
-    #[must_use]
-    pub fn spoilt(&self) -> u64 {
-        self.spoilt.load(Ordering::Relaxed)
-    }
-
+    pub spoilt: Counter,
     /// Frames for which shared memory had no room; they were sent as copies.
-    #[must_use]
-    pub fn unshared(&self) -> u64 {
-        self.unshared.load(Ordering::Relaxed)
-    }
+    pub unshared: Counter,
 }
 
 impl Offered {
     /// Counts so far.
-    #[must_use]
     pub fn statistics(&self) -> &OfferedStatistics {
         &self.statistics
     }
@@ -95,7 +77,7 @@ struct Offering {
     provider: Arc<dyn ImageProvider>,
     session: Session,
     epoch: u64,
-    kept: Mutex<VecDeque<Arc<Frame>>>,
+    kept: Mutex<VecDeque<Arc<RawFrame>>>,
     statistics: Arc<OfferedStatistics>,
 }
 
@@ -109,8 +91,7 @@ pub async fn offer(
     provider: Arc<dyn ImageProvider>,
 ) -> Result<Offered, SessionError> {
     let name = provider.description().name;
-    let wrong = |e: keys::KeyError| SessionError::Config { what: e.to_string() };
-    let key = keys::image(agent, &name).map_err(wrong)?;
+    let key = keys::image(agent, &name)?;
     let statistics = Arc::new(OfferedStatistics::default());
     let offering = Arc::new(Offering {
         session: session.clone(),
@@ -123,25 +104,25 @@ pub async fn offer(
     let sender = session.bulk_sender(&key, ENCODING).await?;
     let mut tasks = vec![tokio::spawn(Arc::clone(&offering).send_raw(sender, shared.subscribe().await))];
     for (coding, word) in [(ImageCoding::Png, "png"), (ImageCoding::Jpeg, "jpeg")] {
-        let key = keys::image_coded(agent, &name, word).map_err(wrong)?;
+        let key = keys::image_coded(agent, &name, word)?;
         let sender = session.bulk_sender(&key, ENCODING).await?;
         let frames = shared.subscribe().await;
         tasks.push(tokio::spawn(Arc::clone(&offering).send_coded(sender, frames, coding)));
     }
-    let questions = session.answer(key.clone(), WAITING).await?;
+    let questions = session.declare_queryable(key.clone(), MAX_WAITING).await?;
     tasks.push(tokio::spawn(offering.answer(questions, key)));
     Ok(Offered { tasks, statistics })
 }
 
 impl Offering {
     /// The next frame; errors are counted and skipped. `None` when there are no more frames.
-    async fn next(&self, frames: &Subscription) -> Option<Arc<Frame>> {
+    async fn next(&self, frames: &Subscription) -> Option<Arc<RawFrame>> {
         loop {
             match frames.next().await {
                 Ok(frame) => return Some(frame),
                 Err(ImageError::Gone { .. }) => return None,
                 Err(error) => {
-                    if self.statistics.spoilt.fetch_add(1, Ordering::Relaxed) < TOLD {
+                    if self.statistics.spoilt.add(1) < MAX_LOGGED {
                         tracing::warn!("{error}");
                     }
                     // A provider that fails repeatedly must not starve other tasks.
@@ -168,7 +149,7 @@ impl Offering {
                 at = end;
             }
             if at != slot.len() || !frame.is_intact() {
-                self.statistics.spoilt.fetch_add(1, Ordering::Relaxed);
+                self.statistics.spoilt.add(1);
                 continue;
             }
             self.keep(&frame);
@@ -176,8 +157,8 @@ impl Offering {
                 tracing::warn!("a frame was not sent: {error}");
                 return;
             }
-            self.statistics.sent.fetch_add(1, Ordering::Relaxed);
-            self.statistics.unshared.store(sender.unshared(), Ordering::Relaxed);
+            self.statistics.sent.add(1);
+            self.statistics.unshared.set(sender.unshared());
         }
     }
 
@@ -188,7 +169,7 @@ impl Offering {
             let (epoch, sent_ns) = (self.epoch, self.session.now_ns());
             let made = tokio::task::spawn_blocking(move || coded(&frame, coding, epoch, sent_ns)).await;
             let Ok(Ok((header, bytes))) = made else {
-                self.statistics.spoilt.fetch_add(1, Ordering::Relaxed);
+                self.statistics.spoilt.add(1);
                 continue;
             };
             let Ok(header) = header.encode() else { continue };
@@ -200,16 +181,16 @@ impl Offering {
         }
     }
 
-    fn keep(&self, frame: &Arc<Frame>) {
+    fn keep(&self, frame: &Arc<RawFrame>) {
         let mut kept = self.kept.lock();
         kept.push_back(Arc::clone(frame));
         let mut bytes: usize = kept.iter().map(|frame| frame.bytes()).sum();
-        while kept.len() > KEPT || bytes > KEPT_BYTES {
+        while kept.len() > MAX_KEPT || bytes > MAX_KEPT_BYTES {
             bytes -= kept.pop_front().map_or(bytes, |frame| frame.bytes());
         }
     }
 
-    async fn answer(self: Arc<Self>, mut questions: Questions, key: Key) {
+    async fn answer(self: Arc<Self>, mut questions: Queryable, key: Key) {
         while let Some(question) = questions.next().await {
             if let Err(error) = self.reply(&question, &key).await {
                 tracing::warn!("a question about images was not answered: {error}");
@@ -217,20 +198,20 @@ impl Offering {
         }
     }
 
-    async fn reply(&self, question: &Question, key: &Key) -> Result<(), SessionError> {
+    async fn reply(&self, question: &IncomingQuery, key: &Key) -> Result<(), SessionError> {
         if question.parameters.is_empty() {
             let description = armarium_bus::encode(&self.provider.description());
             let description = description.map_err(|e| SessionError::Config { what: e.to_string() })?;
             return question.reply(key, &DESCRIPTION.encoding(), description).await;
         }
-        let lost = match question.parameters.parse::<Lost>() {
+        let lost = match question.parameters.parse::<LostItems>() {
             Ok(lost) => lost,
             Err(error) => return question.refuse("text/plain", error.to_string().into()).await,
         };
-        let wanted: Vec<Arc<Frame>> = {
+        let wanted: Vec<Arc<RawFrame>> = {
             let kept = self.kept.lock();
-            let position = |frame: &Frame| StreamPosition { epoch: self.epoch, number: frame.number };
-            let fits = |frame: &&Arc<Frame>| lost.contains(position(frame));
+            let position = |frame: &RawFrame| StreamPosition { epoch: self.epoch, number: frame.number };
+            let fits = |frame: &&Arc<RawFrame>| lost.contains(position(frame));
             kept.iter().filter(fits).cloned().collect()
         };
         for frame in wanted.iter().filter(|frame| frame.is_intact()) {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, UnitQuaternion};
 
 use super::convert::{depth_of, rgb_of};
-use super::{Description, Frame};
+use super::{Description, NotStereo, RawFrame};
 use crate::camera::StereoCalibration;
 use crate::frame::{ImageError, StereoFrame};
 use crate::providers::rectify::Rectification;
@@ -24,7 +24,7 @@ impl StereoPair {
     ///
     /// # Errors
     /// Why its images are not a pair.
-    pub fn of(description: &Description) -> Result<Self, String> {
+    pub fn of(description: &Description) -> Result<Self, NotStereo> {
         let provider = description.name.clone();
         if let Ok(calibration) = description.stereo() {
             return Ok(Self { provider, calibration, rectification: None });
@@ -36,20 +36,17 @@ impl StereoPair {
     }
 
     /// The provider's name.
-    #[must_use]
     pub fn provider(&self) -> &str {
         &self.provider
     }
 
     /// The calibration of the pairs.
-    #[must_use]
     pub fn calibration(&self) -> StereoCalibration {
         self.calibration
     }
 
     /// Rotation from the axes of the pairs' left camera to those of the provider's left camera; identity unless
     /// rectified.
-    #[must_use]
     pub fn left_from_pair(&self) -> UnitQuaternion<f64> {
         self.rectification.as_ref().map_or_else(UnitQuaternion::identity, |r| r.left_from_rectified())
     }
@@ -59,7 +56,7 @@ impl StereoPair {
     /// # Errors
     /// [`ImageError::Spoilt`] when an image is missing or does not have the calibration's size, which would shift all
     /// points.
-    pub fn frame(&self, frame: &Frame) -> Result<StereoFrame, ImageError> {
+    pub fn frame(&self, frame: &RawFrame) -> Result<StereoFrame, ImageError> {
         let stereo = stereo_frame(frame, &self.provider)?;
         if self.calibration.fits(&stereo) {
             let rectified = self.rectification.as_ref().and_then(|how| how.rectify(&stereo));
@@ -85,7 +82,7 @@ impl StereoPair {
 ///
 /// # Errors
 /// [`ImageError::Spoilt`] when an image is missing.
-pub fn stereo_frame(frame: &Frame, provider: &str) -> Result<StereoFrame, ImageError> {
+pub fn stereo_frame(frame: &RawFrame, provider: &str) -> Result<StereoFrame, ImageError> {
     let spoilt = |what: String| ImageError::Spoilt { provider: provider.into(), what };
     let eye = |role: &str| {
         let image = frame.image(role).ok_or_else(|| spoilt(format!("a frame without the image `{role}`")))?;

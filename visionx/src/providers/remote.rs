@@ -6,13 +6,12 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use armarium_bus::bulk::{Bulk, BulkBytes, BulkReader, remove_orphans};
 use armarium_bus::keys::{self, Key};
-use armarium_bus::stream::{Arrival, Lost, StreamPosition, StreamReader};
-use armarium_bus::{Answer, Session, SessionError};
+use armarium_bus::stream::{Arrival, LostItems, StreamPosition, StreamReader};
+use armarium_bus::{Reply, Session, SessionError};
 use async_trait::async_trait;
 use tokio::sync::Mutex;
 use tokio::time::Instant;
@@ -20,15 +19,16 @@ use tokio::time::Instant;
 use super::discovery::{RemoteError, describe};
 use super::frame::PixelOwner;
 use super::wire::{ENCODING, Header, ImageCoding, PACKED, WireError, unpack};
-use super::{Description, Frame, ImageProvider};
+use super::{Description, ImageProvider, RawFrame};
+use crate::counter::{Counter, Latency};
 use crate::frame::ImageError;
 
 /// A provider without frames for this long counts as gone, and its shared memory is removed.
-const QUIET: Duration = Duration::from_secs(5);
+const SILENCE_WARNING: Duration = Duration::from_secs(5);
 /// Timeout of a request for missing frames.
-const AGAIN: Duration = Duration::from_secs(1);
+const QUERY_TIMEOUT: Duration = Duration::from_secs(1);
 /// Most frames requested again at once.
-const MOST_AGAIN: usize = 64;
+const MAX_REQUESTED: usize = 64;
 
 /// Which frames a reader gets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,16 +52,16 @@ pub struct RemoteProvider {
     description: Arc<Description>,
     reader: BulkReader,
     again: bool,
-    state: Mutex<State>,
+    state: Mutex<Intake>,
     statistics: RemoteStatistics,
 }
 
 #[derive(Default)]
-struct State {
+struct Intake {
     /// Position in the stream of frames.
     stream: StreamReader,
     /// Frames ready to be returned, including those requested again.
-    ready: VecDeque<Arc<Frame>>,
+    ready: VecDeque<Arc<RawFrame>>,
     /// When the last frame came; `None` before the first.
     heard: Option<Instant>,
     /// Whether the timeout since the last frame was already handled.
@@ -71,53 +71,22 @@ struct State {
 /// Counts of a reader. All may be read at any time.
 #[derive(Debug, Default)]
 pub struct RemoteStatistics {
-    received: AtomicU64,
-    missed: AtomicU64,
-    again: AtomicU64,
-    malformed: AtomicU64,
-    lives: AtomicU64,
-    shared: AtomicU64,
-    bytes: AtomicU64,
-    latency_ns: AtomicU64,
-    worst_ns: AtomicU64,
-}
-
-macro_rules! counts {
-    ($($(#[$doc:meta])* $name:ident),* $(,)?) => {
-        $($(#[$doc])* #[must_use] pub fn $name(&self) -> u64 { self.$name.load(Ordering::Relaxed) })*
-    };
-}
-
-impl RemoteStatistics {
-    counts! {
-        /// Frames received, including those requested again.
-        received,
-        /// Frames lost for good, by the gaps in their numbers: provider, network or this reader was too slow.
-        missed,
-        /// Frames received only after they were requested again.
-        again,
-        /// Messages that are not valid frames.
-        malformed,
-        /// How often the provider started, as seen from here: 1, plus 1 for each restart.
-        lives,
-        /// Frames received through shared memory.
-        shared,
-        /// Bytes of the frames as received; for encoded images, the size of their files.
-        bytes,
-    }
-
-    /// Mean latency from sending a frame to taking it here, s; by both processes' wall clocks, so valid only on one
-    /// machine.
-    #[must_use]
-    pub fn mean_latency_s(&self) -> f64 {
-        self.latency_ns.load(Ordering::Relaxed) as f64 * 1e-9 / self.received().max(1) as f64
-    }
-
-    /// The longest such latency, s.
-    #[must_use]
-    pub fn worst_latency_s(&self) -> f64 {
-        self.worst_ns.load(Ordering::Relaxed) as f64 * 1e-9
-    }
+    /// Frames received, including those requested again.
+    pub received: Counter,
+    /// Frames lost for good, by the gaps in their numbers: provider, network or this reader was too slow.
+    pub missed: Counter,
+    /// Frames received only after they were requested again.
+    pub again: Counter,
+    /// Messages that are not valid frames.
+    pub malformed: Counter,
+    /// How often the provider started, as seen from here: 1, plus 1 for each restart.
+    pub lives: Counter,
+    /// Frames received through shared memory.
+    pub shared: Counter,
+    /// Bytes of the frames as received; for encoded images, the size of their files.
+    pub bytes: Counter,
+    /// Time from sending a frame to taking it here, by both processes' wall clocks, so valid only on one machine.
+    pub latency: Latency,
 }
 
 impl PixelOwner for BulkBytes {
@@ -134,7 +103,7 @@ impl RemoteProvider {
     /// Connects to `{agent}/image/{provider}` and waits at most `wait` for its answer.
     ///
     /// # Errors
-    /// [`SessionError::NoAnswer`] without an answer, [`RemoteError::Description`] when the answer cannot be
+    /// [`SessionError::NoReply`] without an answer, [`RemoteError::Description`] when the answer cannot be
     /// read.
     pub async fn connect(
         session: &Session,
@@ -144,12 +113,11 @@ impl RemoteProvider {
         coding: ImageCoding,
         wait: Duration,
     ) -> Result<Self, RemoteError> {
-        let wrong = |e: keys::KeyError| SessionError::Config { what: e.to_string() };
-        let key = keys::image(agent, provider).map_err(wrong)?;
+        let key = keys::image(agent, provider).map_err(SessionError::from)?;
         let frames = match coding {
             ImageCoding::Raw => key.clone(),
-            ImageCoding::Png => keys::image_coded(agent, provider, "png").map_err(wrong)?,
-            ImageCoding::Jpeg => keys::image_coded(agent, provider, "jpeg").map_err(wrong)?,
+            ImageCoding::Png => keys::image_coded(agent, provider, "png").map_err(SessionError::from)?,
+            ImageCoding::Jpeg => keys::image_coded(agent, provider, "jpeg").map_err(SessionError::from)?,
         };
         let (capacity, all) = match delivery {
             Delivery::Newest => (1, false),
@@ -164,21 +132,20 @@ impl RemoteProvider {
     }
 
     /// Counts so far.
-    #[must_use]
     pub fn statistics(&self) -> &RemoteStatistics {
         &self.statistics
     }
 
     /// The newest frame if there is a new one; does not wait. Callers that need no frames for now must still call
     /// this every few seconds, because it frees the pixels of a provider that is gone.
-    pub async fn newest(&self) -> Option<Arc<Frame>> {
+    pub async fn newest(&self) -> Option<Arc<RawFrame>> {
         let mut state = self.state.lock().await;
         loop {
             if let Some(frame) = state.ready.pop_front() {
                 return Some(frame);
             }
             let Some(bulk) = self.reader.try_next() else {
-                let silent = state.heard.is_some_and(|heard| heard.elapsed() >= QUIET);
+                let silent = state.heard.is_some_and(|heard| heard.elapsed() >= SILENCE_WARNING);
                 if silent && !std::mem::replace(&mut state.quiet, true) {
                     sweep().await;
                 }
@@ -194,7 +161,7 @@ impl RemoteProvider {
         let (session, key, name) = (self.session.clone(), self.key.clone(), self.name.clone());
         let before = Arc::clone(&self.description);
         tokio::spawn(async move {
-            let Ok(now) = describe(&session, &key, &name, QUIET).await else { return };
+            let Ok(now) = describe(&session, &key, &name, SILENCE_WARNING).await else { return };
             if now.images != before.images {
                 tracing::warn!(
                     "`{name}` has begun anew with other images or cameras than before, and is still read by the old \
@@ -205,11 +172,11 @@ impl RemoteProvider {
     }
 
     /// Warns once that no frames arrive.
-    fn tell_silence(&self, state: &mut State) {
+    fn warn_when_silent(&self, state: &mut Intake) {
         if std::mem::replace(&mut state.quiet, true) {
             return;
         }
-        let (name, quiet) = (&self.name, QUIET.as_secs());
+        let (name, quiet) = (&self.name, SILENCE_WARNING.as_secs());
         if state.heard.is_some() {
             tracing::warn!(
                 "no more frames for {quiet} s from `{name}`: it is waited for until it comes back"
@@ -223,55 +190,53 @@ impl RemoteProvider {
     }
 
     /// Decodes a message and queues its frames.
-    async fn take(&self, bulk: &Bulk, state: &mut State) {
+    async fn take(&self, bulk: &Bulk, state: &mut Intake) {
         let (header, frame) = match read(bulk) {
             Ok(read) => read,
             Err(error) => {
-                if self.statistics.malformed.fetch_add(1, Ordering::Relaxed) == 0 {
+                if self.statistics.malformed.add(1) == 0 {
                     tracing::warn!("`{}` sends what cannot be read, and is left out: {error}", self.name);
                 }
                 return;
             }
         };
-        let add = |counter: &AtomicU64, n: u64| counter.fetch_add(n, Ordering::Relaxed);
+        let counts = &self.statistics;
         match state.stream.arrive(header.position(), 1) {
             Arrival::InOrder | Arrival::Again => {}
-            Arrival::After(lost) if self.again => self.ask_again(lost, state).await,
+            Arrival::After(lost) if self.again => self.request_lost(lost, state).await,
             Arrival::After(lost) => {
-                add(&self.statistics.missed, lost.count());
+                counts.missed.add(lost.count());
             }
             Arrival::First => {
-                add(&self.statistics.lives, 1);
+                counts.lives.add(1);
             }
             Arrival::NewEpoch => {
-                add(&self.statistics.lives, 1);
+                counts.lives.add(1);
                 self.compare_cameras();
                 sweep().await;
             }
         }
-        let latency = self.session.now_ns().saturating_sub(header.sent_ns);
-        add(&self.statistics.latency_ns, latency);
-        self.statistics.worst_ns.fetch_max(latency, Ordering::Relaxed);
-        add(&self.statistics.shared, u64::from(bulk.payload.is_shared()));
-        add(&self.statistics.received, 1);
-        add(&self.statistics.bytes, bulk.payload.as_ref().len() as u64);
+        counts.latency.add(Duration::from_nanos(self.session.now_ns().saturating_sub(header.sent_ns)));
+        counts.shared.add(u64::from(bulk.payload.is_shared()));
+        counts.received.add(1);
+        counts.bytes.add(bulk.payload.as_ref().len() as u64);
         (state.heard, state.quiet) = (Some(Instant::now()), false);
         state.ready.push_back(Arc::new(frame));
     }
 
     /// Requests the lost frames again; those that are no longer kept count as missed.
-    async fn ask_again(&self, lost: Lost, state: &mut State) {
-        let asked = self.session.ask(self.key.clone(), &lost.to_string(), None, MOST_AGAIN, AGAIN).await;
-        let mut found: Vec<Frame> = asked.unwrap_or_default().into_iter().filter_map(packed).collect();
+    async fn request_lost(&self, lost: LostItems, state: &mut Intake) {
+        let asked =
+            self.session.query(self.key.clone(), &lost.to_string(), None, MAX_REQUESTED, QUERY_TIMEOUT).await;
+        let mut found: Vec<RawFrame> = asked.unwrap_or_default().into_iter().filter_map(packed).collect();
         found.retain(|frame| lost.contains(StreamPosition { epoch: lost.epoch, number: frame.number }));
         found.sort_by_key(|frame| frame.number);
         found.dedup_by_key(|frame| frame.number);
         let count = found.len() as u64;
-        self.statistics.again.fetch_add(count, Ordering::Relaxed);
-        self.statistics.received.fetch_add(count, Ordering::Relaxed);
-        let bytes: usize = found.iter().map(Frame::bytes).sum();
-        self.statistics.bytes.fetch_add(bytes as u64, Ordering::Relaxed);
-        self.statistics.missed.fetch_add(lost.count().saturating_sub(count), Ordering::Relaxed);
+        self.statistics.again.add(count);
+        self.statistics.received.add(count);
+        self.statistics.bytes.add(found.iter().map(RawFrame::bytes).sum::<usize>() as u64);
+        self.statistics.missed.add(lost.count().saturating_sub(count));
         state.ready.extend(found.into_iter().map(Arc::new));
     }
 }
@@ -283,16 +248,16 @@ impl ImageProvider for RemoteProvider {
     }
 
     /// Waits without a limit, because a provider may come back. Warns once when no frames arrive.
-    async fn next(&self) -> Result<Arc<Frame>, ImageError> {
+    async fn next(&self) -> Result<Arc<RawFrame>, ImageError> {
         let mut state = self.state.lock().await;
         loop {
             if let Some(frame) = state.ready.pop_front() {
                 return Ok(frame);
             }
-            let bulk = match tokio::time::timeout(QUIET, self.reader.next()).await {
+            let bulk = match tokio::time::timeout(SILENCE_WARNING, self.reader.next()).await {
                 Ok(bulk) => bulk,
                 Err(_) => {
-                    self.tell_silence(&mut state);
+                    self.warn_when_silent(&mut state);
                     sweep().await;
                     self.reader.next().await
                 }
@@ -307,7 +272,7 @@ async fn sweep() {
     let _ = tokio::task::spawn_blocking(remove_orphans).await.is_ok();
 }
 
-fn read(bulk: &Bulk) -> Result<(Header, Frame), WireError> {
+fn read(bulk: &Bulk) -> Result<(Header, RawFrame), WireError> {
     if bulk.encoding != ENCODING {
         return Err(WireError::Encoding { found: bulk.encoding.clone() });
     }
@@ -317,7 +282,7 @@ fn read(bulk: &Bulk) -> Result<(Header, Frame), WireError> {
     Ok((header, frame))
 }
 
-fn packed(answer: Answer) -> Option<Frame> {
-    let Answer::Message(message) = answer else { return None };
+fn packed(answer: Reply) -> Option<RawFrame> {
+    let Reply::Message(message) = answer else { return None };
     (message.encoding == PACKED).then(|| unpack(message.payload).ok()).flatten().map(|(_, frame)| frame)
 }

@@ -5,8 +5,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use async_trait::async_trait;
 
-use super::{Description, Frame, FrameImage, ImageProvider, PixelFormat, PixelOwner, Pixels, StereoPair};
+use super::{
+    Description, ImageProvider, NotStereo, PixelFormat, PixelOwner, Pixels, RawFrame, RawImage, StereoPair,
+};
 use crate::camera::StereoCalibration;
+use crate::counter::Counter;
 use crate::frame::{ImageError, StereoFrame};
 use crate::image_source::ImageSource;
 
@@ -21,7 +24,7 @@ pub struct StereoProvider {
 pub struct StereoView {
     provider: Arc<dyn ImageProvider>,
     pair: StereoPair,
-    unusable: AtomicU64,
+    unusable: Counter,
 }
 
 /// One image of a shared frame.
@@ -38,7 +41,6 @@ impl PixelOwner for Eye {
 
 impl StereoProvider {
     /// A provider of the frames of `source`; `frame_id` names the left camera's coordinate frame.
-    #[must_use]
     pub fn new(source: Arc<dyn ImageSource>, frame_id: &str) -> Self {
         let description = Description::of_stereo(source.name(), frame_id, &source.calibration());
         Self { source, description, count: AtomicU64::new(0) }
@@ -51,7 +53,7 @@ impl ImageProvider for StereoProvider {
         self.description.clone()
     }
 
-    async fn next(&self) -> Result<Arc<Frame>, ImageError> {
+    async fn next(&self) -> Result<Arc<RawFrame>, ImageError> {
         let stereo = self.source.next().await?;
         let number = self.count.fetch_add(1, Ordering::Relaxed) + 1;
         frame_of(&stereo, number, &self.description.frame_id).map(Arc::new)
@@ -62,20 +64,20 @@ impl ImageProvider for StereoProvider {
 ///
 /// # Errors
 /// [`ImageError::Size`] when an image is empty or larger than frames can be.
-pub fn frame_of(stereo: &Arc<StereoFrame>, number: u64, frame_id: &str) -> Result<Frame, ImageError> {
+pub fn frame_of(stereo: &Arc<StereoFrame>, number: u64, frame_id: &str) -> Result<RawFrame, ImageError> {
     let eye = |role: &str, right: bool| {
         let image = if right { &stereo.right } else { &stereo.left };
         let owner: Arc<dyn PixelOwner> = Arc::new(Eye { frame: Arc::clone(stereo), right });
         let pixels = Pixels::part(owner, 0, image.data().len());
         let pixels = pixels.expect("an image has its own bytes");
-        FrameImage::new(role, PixelFormat::Rgb8, (image.width(), image.height()), pixels)
+        RawImage::new(role, PixelFormat::Rgb8, (image.width(), image.height()), pixels)
     };
     let mut images = vec![eye("left", false)?, eye("right", true)?];
     if let Some(depth) = &stereo.depth {
         let bytes: Vec<u8> = depth.data.iter().flat_map(|z| z.to_le_bytes()).collect();
-        images.push(FrameImage::new("depth", PixelFormat::Depth32F, (depth.width, depth.height), bytes)?);
+        images.push(RawImage::new("depth", PixelFormat::Depth32F, (depth.width, depth.height), bytes)?);
     }
-    Ok(Frame {
+    Ok(RawFrame {
         number,
         stamp_ns: stereo.stamp_ns,
         frame_id: frame_id.into(),
@@ -92,14 +94,15 @@ impl StereoView {
     pub fn new(provider: Arc<dyn ImageProvider>) -> Result<Self, ImageError> {
         let description = provider.description();
         let pair = StereoPair::of(&description);
-        let pair = pair.map_err(|what| ImageError::Spoilt { provider: description.name, what })?;
-        Ok(Self { provider, pair, unusable: AtomicU64::new(0) })
+        let spoilt =
+            |what: NotStereo| ImageError::Spoilt { provider: description.name, what: what.to_string() };
+        let pair = pair.map_err(spoilt)?;
+        Ok(Self { provider, pair, unusable: Counter::default() })
     }
 
     /// Frames that were skipped: damaged, not a pair of the calibration's size, or overwritten while they were copied.
-    #[must_use]
     pub fn unusable(&self) -> u64 {
-        self.unusable.load(Ordering::Relaxed)
+        self.unusable.get()
     }
 }
 
@@ -125,7 +128,7 @@ impl ImageSource for StereoView {
             if let Some(stereo) = stereo.filter(|_| frame.is_some_and(|frame| frame.is_intact())) {
                 return Ok(Arc::new(stereo));
             }
-            self.unusable.fetch_add(1, Ordering::Relaxed);
+            self.unusable.add(1);
             // A provider that fails repeatedly must not starve other tasks.
             tokio::task::yield_now().await;
         }

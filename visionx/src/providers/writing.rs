@@ -7,16 +7,16 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::{MessageHeader, Metadata};
 
-use super::recording::{DESCRIPTION, LONGEST_RECORD, RecordingError, SCHEMA};
+use super::recording::{DESCRIPTION, MAX_RECORD_BYTES, RecordingError, SCHEMA};
 use super::wire::pack;
-use super::{Description, Frame};
+use super::{Description, RawFrame};
 
 /// The encoding of messages with packed frames.
 const ENCODING: &str = "armarium-packed-frame";
 /// Bytes of a chunk. A crash loses at most the last chunk.
 const CHUNK: u64 = 4 << 20;
 /// Limit of a frame's images, bytes, so that the record with its headers is short enough to be read again.
-const LONGEST_FRAME: usize = LONGEST_RECORD - (64 << 10);
+const MAX_FRAME_BYTES: usize = MAX_RECORD_BYTES - (64 << 10);
 
 /// A recording that is being written. Frames are compressed without loss.
 pub struct Recording {
@@ -65,11 +65,11 @@ impl Recording {
     ///
     /// # Errors
     /// [`RecordingError`].
-    pub fn add(&mut self, provider: &str, frame: &Frame) -> Result<(), RecordingError> {
+    pub fn add(&mut self, provider: &str, frame: &RawFrame) -> Result<(), RecordingError> {
         let unknown = || RecordingError::Encode { what: format!("there is no provider `{provider}` in it") };
         let channel_id = *self.channels.get(provider).ok_or_else(unknown)?;
-        if frame.bytes() > LONGEST_FRAME {
-            let what = format!("it has {} bytes; at most {LONGEST_FRAME} are recorded", frame.bytes());
+        if frame.bytes() > MAX_FRAME_BYTES {
+            let what = format!("it has {} bytes; at most {MAX_FRAME_BYTES} are recorded", frame.bytes());
             return Err(RecordingError::Encode { what });
         }
         let data = pack(frame, 0, 0).map_err(|e| RecordingError::Encode { what: e.to_string() })?;
@@ -86,7 +86,6 @@ impl Recording {
     }
 
     /// Number of frames written.
-    #[must_use]
     pub fn frames(&self) -> u64 {
         self.frames
     }

@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector3};
 use crate::camera::PinholeCamera;
 use crate::frame::{DepthImage, StereoFrame};
 use crate::mask::Region;
-use crate::providers::{Frame, PixelFormat};
+use crate::providers::{PixelFormat, RawFrame};
 use crate::rectangle::Rectangle;
 
 mod plane;
@@ -24,9 +24,9 @@ const RISES: (f64, f64) = (0.010, 0.50);
 /// Largest distance of an object from the table's border, m.
 const OVERHANG: f64 = 0.02;
 /// Least step in depth between neighbours that separates two objects, m.
-const GAP: f32 = 0.02;
+const DEPTH_STEP: f32 = 0.02;
 /// Least number of points of an object.
-const LEAST_POINTS: usize = 30;
+const MIN_POINTS: usize = 30;
 /// Share of an object's points that its height and footprint ignore at each end, against outliers in depth.
 const STRAYS: f64 = 0.01;
 
@@ -74,7 +74,7 @@ pub struct TabletopSegmentation {
 }
 
 /// A point of the depth image: its position in the reduced image, and in the root frame, m.
-struct Seen {
+struct DepthPoint {
     place: usize,
     depth: f32,
     at: Point3<f64>,
@@ -82,15 +82,13 @@ struct Seen {
 
 impl TabletopSegmentation {
     /// A segmentation for depth images of this camera.
-    #[must_use]
     pub fn new(camera: PinholeCamera) -> Self {
         Self { camera }
     }
 
     /// Why a frame cannot be used: it has no camera pose, so that points in the root frame are unknown, or no depth
     /// image of the camera's size. A message with a remedy, for people; `None` when it can be used.
-    #[must_use]
-    pub fn lacks(&self, frame: &Frame) -> Option<String> {
+    pub fn missing_input(&self, frame: &RawFrame) -> Option<String> {
         if frame.root_from_camera.is_none() {
             return Some(
                 "a frame that does not say where its camera is, and a table lies in the robot's root frame: give \
@@ -120,7 +118,6 @@ impl TabletopSegmentation {
 
     /// The table in a frame with its objects; `None` without a depth image of the camera's size, or without a level
     /// plane above floor height.
-    #[must_use]
     pub fn segment(&self, frame: &StereoFrame) -> Option<Tabletop> {
         let depth = frame.depth.as_ref()?;
         let fits = (depth.width, depth.height) == (self.camera.width, self.camera.height);
@@ -138,7 +135,7 @@ impl TabletopSegmentation {
             deviation: plane.deviation,
         };
         let mut objects: Vec<(usize, TableObject)> = self
-            .things(&seen, &plane, &border, depth)
+            .rising_objects(&seen, &plane, &border, depth)
             .into_iter()
             .filter_map(|thing| Some((thing.len(), self.object(&thing, &plane, frame)?)))
             .collect();
@@ -146,7 +143,7 @@ impl TabletopSegmentation {
         Some(Tabletop { table, objects: objects.into_iter().map(|(_, object)| object).collect() })
     }
 
-    fn points(&self, depth: &DepthImage, root_from_left: &Isometry3<f64>) -> Vec<Seen> {
+    fn points(&self, depth: &DepthImage, root_from_left: &Isometry3<f64>) -> Vec<DepthPoint> {
         let (w, h) = (depth.width / STEP, depth.height / STEP);
         let places = (0..h).flat_map(|y| (0..w).map(move |x| (x, y)));
         let seen = |(x, y): (u32, u32)| {
@@ -154,26 +151,26 @@ impl TabletopSegmentation {
             let z = depth.data[(v * depth.width + u) as usize];
             let ray = self.camera.ray(&Point2::new(f64::from(u), f64::from(v)));
             let at = root_from_left * Point3::from(ray * f64::from(z));
-            (z > 0.0 && z.is_finite()).then_some(Seen { place: (y * w + x) as usize, depth: z, at })
+            (z > 0.0 && z.is_finite()).then_some(DepthPoint { place: (y * w + x) as usize, depth: z, at })
         };
         places.filter_map(seen).collect()
     }
 
     /// The objects that rise from the table: neighbours without a step in depth belong together.
-    fn things<'s>(
+    fn rising_objects<'s>(
         &self,
-        seen: &'s [Seen],
+        seen: &'s [DepthPoint],
         plane: &Plane,
         border: &Rectangle,
         depth: &DepthImage,
-    ) -> Vec<Vec<&'s Seen>> {
+    ) -> Vec<Vec<&'s DepthPoint>> {
         let (w, h) = ((depth.width / STEP) as usize, (depth.height / STEP) as usize);
-        let mut rising: Vec<Option<&Seen>> = vec![None; w * h];
-        let rises = |s: &&Seen| (RISES.0..RISES.1).contains(&plane.above(&s.at));
+        let mut rising: Vec<Option<&DepthPoint>> = vec![None; w * h];
+        let rises = |s: &&DepthPoint| (RISES.0..RISES.1).contains(&plane.above(&s.at));
         for s in seen.iter().filter(rises).filter(|s| border.holds(&plane.flat(&s.at), OVERHANG)) {
             rising[s.place] = Some(s);
         }
-        let mut things = Vec::new();
+        let mut rising_objects = Vec::new();
         for start in 0..rising.len() {
             let Some(first) = rising[start].take() else { continue };
             let (mut thing, mut open, mut cut) = (vec![first], vec![first], false);
@@ -184,21 +181,21 @@ impl TabletopSegmentation {
                 let right = (x + 1 < w).then(|| here.place + 1);
                 let neighbours = [left, right, here.place.checked_sub(w), Some(here.place + w)];
                 for place in neighbours.into_iter().flatten() {
-                    let near = |next: &mut &Seen| (next.depth - here.depth).abs() < GAP;
+                    let near = |next: &mut &DepthPoint| (next.depth - here.depth).abs() < DEPTH_STEP;
                     if let Some(next) = rising.get_mut(place).and_then(|next| next.take_if(near)) {
                         thing.push(next);
                         open.push(next);
                     }
                 }
             }
-            if !cut && thing.len() >= LEAST_POINTS {
-                things.push(thing);
+            if !cut && thing.len() >= MIN_POINTS {
+                rising_objects.push(thing);
             }
         }
-        things
+        rising_objects
     }
 
-    fn object(&self, thing: &[&Seen], plane: &Plane, frame: &StereoFrame) -> Option<TableObject> {
+    fn object(&self, thing: &[&DepthPoint], plane: &Plane, frame: &StereoFrame) -> Option<TableObject> {
         let footprint: Vec<Point2<f64>> = thing.iter().map(|s| plane.flat(&s.at)).collect();
         let rectangle = Rectangle::around(&footprint, STRAYS, CELL)?;
         let mut heights: Vec<f64> = thing.iter().map(|s| plane.above(&s.at)).collect();

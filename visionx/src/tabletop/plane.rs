@@ -17,7 +17,7 @@ const TRIES: usize = 300;
 /// Number of points that score a plane.
 const JUDGES: usize = 2000;
 /// Least share of the points that lie in the plane.
-const LEAST_SHARE: f64 = 0.05;
+const MIN_SHARE: f64 = 0.05;
 /// Points farther away than this many standard deviations are outliers.
 const OUTLIER: f64 = 3.0;
 
@@ -56,7 +56,7 @@ impl Plane {
             }
         }
         let (votes, on_it, normal) = best?;
-        if (votes as f64) < LEAST_SHARE * judges.len() as f64 {
+        if (votes as f64) < MIN_SHARE * judges.len() as f64 {
             return None;
         }
         let (mut on_it, mut normal, mut reach) = (on_it, normal, NEAR);

@@ -7,7 +7,7 @@ use rand_distr::StandardNormal;
 
 use super::*;
 use crate::processor::{Finding, ImageProcessor};
-use crate::providers::{Description, FrameImage, StereoPair, frame_of};
+use crate::providers::{Description, RawImage, StereoPair, frame_of};
 use crate::scenes::{CALIBRATION, Thing, empty_frames, frame_with_depth, table};
 use crate::steps::OfStereo;
 
@@ -78,7 +78,7 @@ fn what_the_picture_cuts_is_no_thing() {
 fn a_left_image_of_another_size_has_no_colours_and_ends_nothing() {
     let cup = block(0.05, 0.60, 0.0, [0.07, 0.07, 0.09], [200, 40, 40]);
     let mut frame = frame_with_depth(&[table([150, 115, 80]), cup], 0, 2);
-    frame.left = crate::frame::Image::from_rgb(1, 1, vec![0; 3]).unwrap();
+    frame.left = crate::frame::RgbImage::from_rgb(1, 1, vec![0; 3]).unwrap();
     let seen = TabletopSegmentation::new(CALIBRATION.camera).segment(&frame).unwrap();
     assert_eq!(seen.objects.iter().map(|o| o.color).collect::<Vec<_>>(), [[0; 3]]);
 }
@@ -114,15 +114,15 @@ fn a_frame_without_place_or_depth_is_no_table_but_an_error_that_says_what_is_mis
     let whole = frame_of(&stereo, 1, "camera_left").unwrap();
     let pair = StereoPair::of(&Description::of_stereo("eyes", "camera_left", &CALIBRATION)).unwrap();
     let mut tabletop = OfStereo::new(TabletopSegmentation::new(CALIBRATION.camera), pair);
-    let mut asked = |frame: Frame| tabletop.process(&[Arc::new(frame)]).map_err(|e| e.to_string());
+    let mut asked = |frame: RawFrame| tabletop.process(&[Arc::new(frame)]).map_err(|e| e.to_string());
     assert!(matches!(asked(whole.clone()), Ok(Finding::Tabletop(Some(_)))));
 
-    let nowhere = Frame { root_from_camera: None, ..whole.clone() };
+    let nowhere = RawFrame { root_from_camera: None, ..whole.clone() };
     assert!(asked(nowhere).unwrap_err().contains("give `root_from_camera` in the frame's header"));
     let mut flat = whole.clone();
     flat.images.retain(|image| image.role() != "depth");
     assert!(asked(flat).unwrap_err().contains("without depth"));
     let mut small = whole;
-    small.images[2] = FrameImage::new("depth", PixelFormat::Depth16, (2, 1), vec![9; 4]).unwrap();
+    small.images[2] = RawImage::new("depth", PixelFormat::Depth16, (2, 1), vec![9; 4]).unwrap();
     assert!(asked(small).unwrap_err().contains("a depth image of 2 x 1 pixels"));
 }

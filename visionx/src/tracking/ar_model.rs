@@ -79,7 +79,6 @@ impl Written {
 impl FingerARModel {
     /// The model of a fingertip that stands still, with noise of a standard deviation in normalised
     /// coordinates.
-    #[must_use]
     pub fn random_walk(deviation: f64, frame_rate_hz: f64) -> Self {
         Self {
             from_last: Matrix2::identity(),
@@ -132,7 +131,6 @@ impl FingerARModel {
     }
 
     /// The expected position after `last` and, before it, `last_but_one`.
-    #[must_use]
     pub fn predict(&self, last: &Point2<f64>, last_but_one: &Point2<f64>) -> Point2<f64> {
         Point2::from(
             self.from_last * last.coords + self.from_last_but_one * last_but_one.coords + self.offset,
@@ -156,7 +154,6 @@ impl FingerARModel {
     }
 
     /// Writes the model as a file's text.
-    #[must_use]
     pub fn to_yaml(&self) -> String {
         let matrix =
             |m: &Matrix2<f64>| format!("[[{}, {}], [{}, {}]]", m[(0, 0)], m[(0, 1)], m[(1, 0)], m[(1, 1)]);

@@ -16,6 +16,7 @@ use rand_distr::StandardNormal;
 
 use super::ar_model::FingerARModel;
 use super::hough::TipCandidate;
+use crate::particles::resample;
 
 /// The filter's input: camera and frame.
 #[derive(Clone, Copy, Debug)]
@@ -71,20 +72,19 @@ struct Node {
 /// Share of a node's samples that are drawn at the candidates.
 const FROM_IMAGE: f64 = 0.25;
 /// Largest distance of a candidate from its node, tip radii.
-const NEAR: f64 = 2.5;
+const MAX_DISTANCE: f64 = 2.5;
 /// Likelihood of a tip at a place without a candidate.
-const FLOOR: f64 = 0.02;
+const MIN_LIKELIHOOD: f64 = 0.02;
 /// Frames after which a node without a candidate is dropped: while the hand is seen, and while it is not.
-const KEPT: u32 = 3;
-const KEPT_BLIND: u32 = 12;
+const MAX_UNSEEN: u32 = 3;
+const MAX_UNSEEN_BLIND: u32 = 12;
 /// Least score of a candidate that starts a node.
-const START: f64 = 0.5;
+const MIN_START_SCORE: f64 = 0.5;
 /// Most tips of a hand.
-const TIPS: usize = 5;
+const MAX_TIPS: usize = 5;
 
 impl ParticleFilterFingerTracking {
     /// A filter of `count` particles without any tips.
-    #[must_use]
     pub fn new(model: FingerARModel, count: usize) -> Self {
         Self {
             model,
@@ -103,10 +103,10 @@ impl ParticleFilterFingerTracking {
     /// Predicts the contour for a frame without a detected hand. Returns the number of tips that are still
     /// tracked.
     pub fn predict(&mut self, rng: &mut impl Rng) -> usize {
-        self.moved(rng);
+        self.move_contours(rng);
         for i in (0..self.nodes.len()).rev() {
             self.nodes[i].unseen += 1;
-            if self.nodes[i].unseen > KEPT_BLIND {
+            if self.nodes[i].unseen > MAX_UNSEEN_BLIND {
                 self.remove(i);
             }
         }
@@ -115,7 +115,7 @@ impl ParticleFilterFingerTracking {
 
     /// Updates the contour with a frame's candidates.
     pub fn update(&mut self, frame: &FilterFrame<'_>, rng: &mut impl Rng) {
-        self.moved(rng);
+        self.move_contours(rng);
         for i in 0..self.nodes.len() {
             self.weigh(i, frame, rng);
         }
@@ -124,7 +124,6 @@ impl ParticleFilterFingerTracking {
     }
 
     /// The tips in order around the palm, px.
-    #[must_use]
     pub fn nodes(&self, focal: f64, center: [f64; 2]) -> Vec<ContourNode> {
         let node = |(i, node): (usize, &Node)| {
             let (mean, deviation) = self.mean(i);
@@ -142,7 +141,7 @@ impl ParticleFilterFingerTracking {
         (Point2::from(mean), (variance / 2.0).sqrt())
     }
 
-    fn moved(&mut self, rng: &mut impl Rng) {
+    fn move_contours(&mut self, rng: &mut impl Rng) {
         let factor = self.model.noise.cholesky().map_or_else(Matrix2::zeros, |c| c.l());
         for particle in &mut self.particles {
             // Most of a hand's motion is common to its fingers.
@@ -161,7 +160,7 @@ impl ParticleFilterFingerTracking {
             |c: &TipCandidate| Point2::from((c.center.coords - Vector2::from(frame.center)) / frame.focal);
         let radius = frame.radius / frame.focal;
         let (expected, spread) = self.mean(i);
-        let gate = NEAR * radius + 2.0 * spread;
+        let gate = MAX_DISTANCE * radius + 2.0 * spread;
         let near: Vec<(Point2<f64>, f64)> = frame
             .candidates
             .iter()
@@ -193,29 +192,10 @@ impl ParticleFilterFingerTracking {
                     (-0.5 * off * off).exp()
                 })
                 .product();
-            weights.push((FLOOR + image) * contour.max(1e-6));
+            weights.push((MIN_LIKELIHOOD + image) * contour.max(1e-6));
         }
-        self.resample(&weights, rng);
-    }
-
-    /// Systematic resampling of whole contours.
-    fn resample(&mut self, weights: &[f64], rng: &mut impl Rng) {
-        let total: f64 = weights.iter().sum();
-        if !(total.is_finite() && total > 0.0) {
-            return;
-        }
-        let step = total / weights.len() as f64;
-        let (mut target, mut reached, mut k) = (rng.random::<f64>() * step, weights[0], 0);
-        let mut drawn = Vec::with_capacity(weights.len());
-        for _ in 0..weights.len() {
-            while reached < target && k + 1 < weights.len() {
-                k += 1;
-                reached += weights[k];
-            }
-            drawn.push(self.particles[k].clone());
-            target += step;
-        }
-        self.particles = drawn;
+        // Whole contours are drawn.
+        resample(&mut self.particles, &weights, rng);
     }
 
     /// Counts the frames in which a node had no candidate, and drops nodes that had none for too long.
@@ -237,7 +217,7 @@ impl ParticleFilterFingerTracking {
             }
         }
         for i in (0..self.nodes.len()).rev() {
-            if self.nodes[i].unseen > KEPT {
+            if self.nodes[i].unseen > MAX_UNSEEN {
                 self.remove(i);
             }
         }
@@ -254,12 +234,12 @@ impl ParticleFilterFingerTracking {
     /// Starts nodes at unassigned candidates; when all nodes are in use, one that lost its finger is
     /// replaced.
     fn start(&mut self, frame: &FilterFrame<'_>, rng: &mut impl Rng) {
-        for candidate in frame.candidates.iter().filter(|c| c.score >= START) {
+        for candidate in frame.candidates.iter().filter(|c| c.score >= MIN_START_SCORE) {
             let nodes = self.nodes(frame.focal, frame.center);
             if nodes.iter().any(|n| (n.px - candidate.center).norm() < 1.3 * frame.radius) {
                 continue;
             }
-            if self.nodes.len() >= TIPS {
+            if self.nodes.len() >= MAX_TIPS {
                 let lost = (0..nodes.len()).filter(|&i| nodes[i].unseen > 0).max_by_key(|&i| nodes[i].unseen);
                 let Some(lost) = lost else { continue };
                 self.remove(lost);

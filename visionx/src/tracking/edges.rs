@@ -7,7 +7,7 @@ use image::{ImageBuffer, Luma};
 use imageproc::filter::gaussian_blur_f32;
 use nalgebra::{Point2, Vector2};
 
-use crate::frame::Image;
+use crate::frame::RgbImage;
 use crate::mask::Mask;
 
 /// A point of the outline.
@@ -25,8 +25,7 @@ const BLUR: f32 = 1.5;
 const SEARCH: f64 = 2.0;
 
 /// The edges of a silhouette in its image. There is no edge where the silhouette ends at the image's border.
-#[must_use]
-pub fn edge_map(image: &Image, hand: &Mask) -> Vec<Edge> {
+pub fn edge_map(image: &RgbImage, hand: &Mask) -> Vec<Edge> {
     let region = hand.region();
     let (w, h) = (region.width, region.height);
     let (width, height) = (i64::from(image.width()), i64::from(image.height()));
@@ -65,7 +64,7 @@ pub fn edge_map(image: &Image, hand: &Mask) -> Vec<Edge> {
 
 /// Finds where the colour along the normal is half way between inside and outside; returns `at` where that is
 /// unclear.
-fn refined(image: &Image, at: &Point2<f64>, inward: &Vector2<f64>) -> Point2<f64> {
+fn refined(image: &RgbImage, at: &Point2<f64>, inward: &Vector2<f64>) -> Point2<f64> {
     let color = |t: f64| bilinear(image, &(at + inward * t));
     let (outside, inside) = (color(-SEARCH - 0.5), color(SEARCH + 0.5));
     let axis: Vec<f64> = (0..3).map(|i| inside[i] - outside[i]).collect();
@@ -94,7 +93,7 @@ fn refined(image: &Image, at: &Point2<f64>, inward: &Vector2<f64>) -> Point2<f64
     at + inward * best.unwrap_or(0.0)
 }
 
-fn bilinear(image: &Image, at: &Point2<f64>) -> [f64; 3] {
+fn bilinear(image: &RgbImage, at: &Point2<f64>) -> [f64; 3] {
     let (w, h) = (f64::from(image.width()) - 1.0, f64::from(image.height()) - 1.0);
     let (x, y) = (at.x.clamp(0.0, w.max(0.0)), at.y.clamp(0.0, h.max(0.0)));
     let (x0, y0) = (x.floor(), y.floor());
@@ -115,7 +114,7 @@ pub(super) mod tests {
     use crate::mask::Region;
 
     /// A skin-coloured disc before a wall, with smooth edges, and its silhouette in whole pixels.
-    pub(in crate::tracking) fn disc(x: f64, y: f64, r: f64) -> (Image, Mask) {
+    pub(in crate::tracking) fn disc(x: f64, y: f64, r: f64) -> (RgbImage, Mask) {
         let (w, h) = (80u32, 70u32);
         let mut data = Vec::new();
         let mut mask = Mask::empty(Region::whole(w, h));
@@ -127,7 +126,7 @@ pub(super) mod tests {
                 [(224.0, 90.0), (172.0, 110.0), (138.0, 120.0)].map(|(i, o)| (o + (i - o) * share) as u8),
             );
         }
-        (Image::from_rgb(w, h, data).unwrap(), mask)
+        (RgbImage::from_rgb(w, h, data).unwrap(), mask)
     }
 
     #[test]

@@ -47,9 +47,9 @@ const RADII: [f64; 5] = [0.80, 0.90, 1.0, 1.10, 1.20];
 /// Sectors of the circle in which edges are counted.
 const SECTORS: usize = 24;
 /// Least score of a candidate.
-const LEAST_SCORE: f64 = 0.35;
+const MIN_SCORE: f64 = 0.35;
 /// Smallest usable radius, px.
-const LEAST_RADIUS: f64 = 2.0;
+const MIN_RADIUS: f64 = 2.0;
 
 impl Default for AdaptiveHoughTransform {
     fn default() -> Self {
@@ -59,16 +59,14 @@ impl Default for AdaptiveHoughTransform {
 
 impl AdaptiveHoughTransform {
     /// The radius of a fingertip at a depth, px, for a focal length in px: `f R / Z`.
-    #[must_use]
     pub fn radius_px(&self, focal: f64, depth: f64) -> f64 {
         focal * self.tip_radius / self.fixed_depth.unwrap_or(depth).max(1e-3)
     }
 
     /// Lets the edges vote for the centres of circles of a radius, px. `None` without edges or with an invalid
     /// radius.
-    #[must_use]
     pub fn votes(&self, edges: &[Edge], radius: f64) -> Option<HoughVotes> {
-        if edges.is_empty() || !(LEAST_RADIUS..=200.0).contains(&radius) {
+        if edges.is_empty() || !(MIN_RADIUS..=200.0).contains(&radius) {
             return None;
         }
         let fold = |f: fn(f64, f64) -> f64, of: fn(&Edge) -> f64, start| edges.iter().map(of).fold(start, f);
@@ -100,13 +98,12 @@ impl HoughVotes {
     }
 
     /// The circles that may be fingertips, best first: peaks of the votes whose edges form the end of a finger.
-    #[must_use]
     pub fn candidates(&self, edges: &[Edge]) -> Vec<TipCandidate> {
         let mut found: Vec<TipCandidate> = self
             .peaks()
             .into_iter()
             .filter_map(|peak| self.judged(&peak, edges))
-            .filter(|c| c.score >= LEAST_SCORE)
+            .filter(|c| c.score >= MIN_SCORE)
             .collect();
         found.sort_by(|a, b| b.score.total_cmp(&a.score));
         let mut apart: Vec<TipCandidate> = Vec::new();
@@ -119,7 +116,6 @@ impl HoughVotes {
     }
 
     /// The mean position of the votes around a point, px, by repeated mean-shift steps (Comaniciu, Meer).
-    #[must_use]
     pub fn mean_shift(&self, start: &Point2<f64>) -> Point2<f64> {
         let reach = 0.6 * self.radius;
         let mut at = *start;

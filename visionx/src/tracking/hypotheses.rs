@@ -16,7 +16,7 @@ const LEVELS: usize = 64;
 /// Number of colour clusters, coarse and fine.
 const CLUSTERS: [usize; 2] = [4, 6];
 /// Least share of the image that a hand fills.
-pub(super) const LEAST_SHARE: f64 = 0.012;
+pub(super) const MIN_SHARE: f64 = 0.012;
 /// Largest hole in a hand that is filled, share of the image.
 const HOLE_SHARE: f64 = 0.01;
 
@@ -53,7 +53,7 @@ pub(super) fn parts(lab: &LabImage, cut: &[bool], most: usize) -> Vec<Mask> {
     mask.data_mut().iter_mut().zip(cut).for_each(|(m, c)| *m = u8::from(*c));
     let mask = mask.majority().majority();
     let pixels = lab.data.len() as f64;
-    let found = components(&mask, (LEAST_SHARE * pixels) as u32);
+    let found = components(&mask, (MIN_SHARE * pixels) as u32);
     let alone = |c: &crate::components::Component| {
         let mut thing = Mask::empty(region);
         thing.add(&c.runs);

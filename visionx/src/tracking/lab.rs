@@ -3,10 +3,9 @@
 //! # Source
 //! IEC 61966-2-1 (sRGB), CIE 15 (L*a*b*, white point D65).
 
-use image::RgbImage;
 use image::imageops::thumbnail;
 
-use crate::frame::Image;
+use crate::frame::RgbImage;
 
 /// An image in CIELAB, rows from the top.
 #[derive(Clone, Debug)]
@@ -21,11 +20,11 @@ pub(super) struct LabImage {
 
 impl LabImage {
     /// Reduces the image to a longer side of at most `longest` px by averaging.
-    pub(super) fn of(image: &Image, longest: u32) -> Option<Self> {
+    pub(super) fn of(image: &RgbImage, longest: u32) -> Option<Self> {
         let (w, h) = (image.width(), image.height());
         let scale = (f64::from(w.max(h)) / f64::from(longest)).max(1.0);
         let small = |v: u32| ((f64::from(v) / scale).round() as u32).max(1);
-        let whole = RgbImage::from_raw(w, h, image.data().to_vec())?;
+        let whole = image::RgbImage::from_raw(w, h, image.data().to_vec())?;
         let reduced = if scale > 1.0 { thumbnail(&whole, small(w), small(h)) } else { whole };
         let linear = linear_levels();
         let data = reduced.pixels().map(|p| lab(p.0.map(|v| linear[usize::from(v)]))).collect();
@@ -85,10 +84,10 @@ mod tests {
 
     #[test]
     fn large_images_are_reduced_and_small_ones_stay() {
-        let image = Image::from_rgb(40, 20, vec![90; 2400]).unwrap();
+        let image = RgbImage::from_rgb(40, 20, vec![90; 2400]).unwrap();
         let small = LabImage::of(&image, 10).unwrap();
         assert_eq!((small.width, small.height, small.scale), (10, 5, 4.0));
         assert_eq!(LabImage::of(&image, 100).unwrap().width, 40);
-        assert!(LabImage::of(&Image::from_rgb(0, 0, vec![]).unwrap(), 10).is_none());
+        assert!(LabImage::of(&RgbImage::from_rgb(0, 0, vec![]).unwrap(), 10).is_none());
     }
 }

@@ -11,11 +11,11 @@ use super::lab::apart;
 /// A mixture.
 #[derive(Clone, Debug)]
 pub(super) struct Mixture {
-    parts: Vec<Part>,
+    parts: Vec<MixtureComponent>,
 }
 
 #[derive(Clone, Debug)]
-struct Part {
+struct MixtureComponent {
     mean: Vector3<f32>,
     inverse: Matrix3<f32>,
     /// Logarithm of its weight times the density at its mean.
@@ -23,15 +23,15 @@ struct Part {
 }
 
 /// Least variance along any axis, squared units of CIELAB; below it, noise and rounding dominate.
-const LEAST_VARIANCE: f32 = 2.0;
+const MIN_VARIANCE: f32 = 2.0;
 /// Most colours used for the fit.
-const MOST_SAMPLES: usize = 3000;
+const MAX_SAMPLES: usize = 3000;
 const ROUNDS: usize = 8;
 
 impl Mixture {
     /// Fits a mixture of at most `k` components; `None` without colours.
     pub(super) fn fit(colors: &[[f32; 3]], k: usize) -> Option<Self> {
-        let stride = colors.len().div_ceil(MOST_SAMPLES).max(1);
+        let stride = colors.len().div_ceil(MAX_SAMPLES).max(1);
         let samples: Vec<[f32; 3]> = colors.iter().copied().step_by(stride).collect();
         let mut of = assign(&samples, &farthest_first(&samples, k)?);
         // A few rounds of k-means give EM a start that is robust against shading.
@@ -59,9 +59,9 @@ impl Mixture {
 
     /// The components whose means are `wanted`, and the others; `None` for an empty side.
     pub(super) fn divided(&self, wanted: impl Fn(&[f32; 3]) -> bool) -> (Option<Self>, Option<Self>) {
-        let (yes, no): (Vec<Part>, Vec<Part>) =
+        let (yes, no): (Vec<MixtureComponent>, Vec<MixtureComponent>) =
             self.parts.iter().cloned().partition(|p| wanted(&[p.mean.x, p.mean.y, p.mean.z]));
-        let some = |parts: Vec<Part>| (!parts.is_empty()).then_some(Self { parts });
+        let some = |parts: Vec<MixtureComponent>| (!parts.is_empty()).then_some(Self { parts });
         (some(yes), some(no))
     }
 
@@ -84,14 +84,14 @@ impl Mixture {
     }
 }
 
-impl Part {
+impl MixtureComponent {
     fn log(&self, color: &[f32; 3]) -> f32 {
         let d = Vector3::from(*color) - self.mean;
         self.log_top - 0.5 * d.dot(&(self.inverse * d))
     }
 }
 
-fn part(samples: &[[f32; 3]], weight: impl Fn(usize) -> f32) -> Part {
+fn part(samples: &[[f32; 3]], weight: impl Fn(usize) -> f32) -> MixtureComponent {
     let (mut sum, mut mean, mut square) = (1e-6, Vector3::zeros(), Matrix3::zeros());
     for (i, s) in samples.iter().enumerate() {
         let (w, v) = (weight(i), Vector3::from(*s));
@@ -100,11 +100,11 @@ fn part(samples: &[[f32; 3]], weight: impl Fn(usize) -> f32) -> Part {
         square += v * v.transpose() * w;
     }
     mean /= sum;
-    let covariance = square / sum - mean * mean.transpose() + Matrix3::identity() * LEAST_VARIANCE;
+    let covariance = square / sum - mean * mean.transpose() + Matrix3::identity() * MIN_VARIANCE;
     let share = sum / samples.len().max(1) as f32;
     let inverse = covariance.try_inverse().unwrap_or_else(Matrix3::identity);
     let log_top = share.max(1e-12).ln() - 0.5 * covariance.determinant().max(1e-12).ln();
-    Part { mean, inverse, log_top }
+    MixtureComponent { mean, inverse, log_top }
 }
 
 /// `k` colours, each the farthest from those before; the first is the farthest from black.

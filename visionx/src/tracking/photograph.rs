@@ -9,7 +9,7 @@ use super::recognizer::SeenFinger;
 use super::skin::SkinSegmentation;
 use crate::components::largest_bounds;
 use crate::distance::inside;
-use crate::frame::Image;
+use crate::frame::RgbImage;
 use crate::mask::{Mask, Region};
 use crate::tracking::hand::Fingertip;
 use crate::tracking::hand::shape::{Finger, HandShape, hand_shape};
@@ -39,8 +39,7 @@ pub struct HandInPicture {
 
 impl HandInPicture {
     /// Finds the hand in an image, `None` where there is none.
-    #[must_use]
-    pub fn find(image: &Image) -> Option<Self> {
+    pub fn find(image: &RgbImage) -> Option<Self> {
         let segmentation = SkinSegmentation::of(image)?;
         let (palm, radius) = widest(&segmentation.mask)?;
         let hand = near(&segmentation.mask, &palm, REACH * radius);
@@ -64,7 +63,6 @@ impl HandInPicture {
     }
 
     /// Possible stretched fingers, as input of a [`super::GestureRecognizer`].
-    #[must_use]
     pub fn fingers(&self) -> Vec<SeenFinger> {
         self.shape.fingers.iter().map(|f| f.seen(self.shape.palm_radius)).collect()
     }

@@ -82,7 +82,7 @@ pub struct GestureRecognizer {
 }
 
 /// Least likelihood of a gesture that has a pattern.
-const FLOOR: f64 = 0.02;
+const MIN_LIKELIHOOD: f64 = 0.02;
 /// The built-in patterns.
 const BUILT_IN: &str = include_str!("gestures.yaml");
 const AT_A_SLANT: &str = include_str!("gestures_at_a_slant.yaml");
@@ -99,7 +99,6 @@ impl GestureRecognizer {
     }
 
     /// A recogniser of hands that are seen from anywhere, whose pointing fingers may look short.
-    #[must_use]
     pub fn at_a_slant() -> Self {
         Self::shipped(AT_A_SLANT)
     }
@@ -113,22 +112,19 @@ impl GestureRecognizer {
     }
 
     /// The patterns.
-    #[must_use]
     pub fn patterns(&self) -> &[GesturePattern] {
         &self.gestures
     }
 
     /// The most likely gesture for these possible fingers, and its probability.
-    #[must_use]
     pub fn recognize(&self, fingers: &[SeenFinger]) -> (String, f64) {
         let likelihoods = self.likelihoods(fingers);
-        let sum: f64 = likelihoods.values().map(|l| l + FLOOR).sum();
+        let sum: f64 = likelihoods.values().map(|l| l + MIN_LIKELIHOOD).sum();
         let best = likelihoods.into_iter().max_by(|a, b| a.1.total_cmp(&b.1));
-        best.map_or_else(|| (String::new(), 0.0), |(name, l)| (name, (l + FLOOR) / sum))
+        best.map_or_else(|| (String::new(), 0.0), |(name, l)| (name, (l + MIN_LIKELIHOOD) / sum))
     }
 
     /// The likelihood of each gesture by name; they sum to about 1 at most.
-    #[must_use]
     pub fn likelihoods(&self, fingers: &[SeenFinger]) -> BTreeMap<String, f64> {
         let counts = count_distribution(fingers);
         let likely = || fingers.iter().filter(|f| f.score > 0.5);

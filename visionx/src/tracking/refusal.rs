@@ -35,8 +35,8 @@ const MOTLEY: f64 = 0.178;
 const DEEP: f64 = 0.12;
 
 /// Whether a region segmented from an image, as a mask of the whole image, is not a hand.
-pub(super) fn is_no_hand(image: &LabImage, mask: &Mask) -> bool {
-    let view = View { image, mask, width: image.width as i64, height: image.height as i64 };
+pub(super) fn is_other_object(image: &LabImage, mask: &Mask) -> bool {
+    let view = MaskedImage { image, mask, width: image.width as i64, height: image.height as i64 };
     let pixels = view.pixels();
     let area = pixels.len() as f64;
     let radius = inside(mask).into_iter().map(f64::from).fold(0.0, f64::max);
@@ -54,14 +54,14 @@ pub(super) fn is_no_hand(image: &LabImage, mask: &Mask) -> bool {
         || view.is_textured(&pixels, &edge, radius)
 }
 
-struct View<'v> {
+struct MaskedImage<'v> {
     image: &'v LabImage,
     mask: &'v Mask,
     width: i64,
     height: i64,
 }
 
-impl View<'_> {
+impl MaskedImage<'_> {
     fn pixels(&self) -> Vec<(i64, i64)> {
         let all = (0..self.height).flat_map(|y| (0..self.width).map(move |x| (x, y)));
         all.filter(|(x, y)| self.mask.contains(*x, *y)).collect()
@@ -174,7 +174,7 @@ fn rectangle(pixels: &[(i64, i64)]) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::Image;
+    use crate::frame::RgbImage;
     use crate::mask::Region;
 
     /// An image of `inside` where `holds`, of gray elsewhere, and the mask of it.
@@ -188,7 +188,7 @@ mod tests {
                 bytes.extend(if holds(x, y) { inside(x, y) } else { [90, 95, 92] });
             }
         }
-        let image = Image::from_rgb(w, h, bytes).unwrap();
+        let image = RgbImage::from_rgb(w, h, bytes).unwrap();
         (LabImage::of(&image, 480).unwrap(), mask)
     }
 
@@ -196,7 +196,7 @@ mod tests {
 
     fn is_refused(holds: impl Fn(i64, i64) -> bool, inside: impl Fn(i64, i64) -> [u8; 3]) -> bool {
         let (image, mask) = picture(holds, inside);
-        is_no_hand(&image, &mask)
+        is_other_object(&image, &mask)
     }
 
     #[test]

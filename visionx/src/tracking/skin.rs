@@ -14,10 +14,10 @@ use super::lab::{LabImage, apart};
 use super::likeness::{Likeness, unlike_skin};
 use super::mixture::Mixture;
 use super::photograph::measured;
-use super::refusal::is_no_hand;
+use super::refusal::is_other_object;
 use crate::components::components;
 use crate::distance::inside;
-use crate::frame::Image;
+use crate::frame::RgbImage;
 use crate::mask::{Mask, Region};
 
 /// The image's longer side for the proposals, and for the final segmentation, px.
@@ -28,7 +28,7 @@ const BEST: usize = 6;
 /// Overlap from which two regions are the same.
 const SAME: f64 = 0.8;
 /// Least score of a hand.
-const LEAST_SCORE: f64 = 2.0;
+const MIN_SCORE: f64 = 2.0;
 /// Bonus of stretched fingers for the score.
 const FINGERS: f64 = 1.0;
 /// Radius below which something is too thin to be a finger, share of the palm's.
@@ -40,7 +40,7 @@ const LESS_LIKE_SKIN: f64 = 5.0;
 /// Coupling of a pixel to its neighbours.
 const COUPLING: f32 = 0.9;
 /// Limits of the log-odds given by colour, and by the earlier segmentation.
-const MOST_ODDS: f32 = 6.0;
+const MAX_ODDS: f32 = 6.0;
 const PRIOR_ODDS: f32 = 2.0;
 
 /// A hand segmented from an image.
@@ -56,8 +56,7 @@ pub struct SkinSegmentation {
 
 impl SkinSegmentation {
     /// Segments the hand in an image, `None` where nothing looks like one.
-    #[must_use]
-    pub fn of(image: &Image) -> Option<Self> {
+    pub fn of(image: &RgbImage) -> Option<Self> {
         let coarse = LabImage::of(image, COARSE)?;
         if coarse.width.min(coarse.height) < 16 {
             return None;
@@ -66,20 +65,20 @@ impl SkinSegmentation {
             .into_iter()
             .filter_map(|(thing, _)| {
                 let cut = (0..3).try_fold(thing, |thing, _| cut_out(&coarse, &thing))?;
-                let score = Likeness::of(&coarse, &cut)?.score() + has_fingers(&cut);
+                let score = Likeness::of(&coarse, &cut)?.score() + finger_bonus(&cut);
                 Some((cut, score))
             })
             .max_by(|a, b| a.1.total_cmp(&b.1))?;
-        if score < LEAST_SCORE {
+        if score < MIN_SCORE {
             return None;
         }
         let fine = LabImage::of(image, FINE)?;
         let enlarged = enlarge(&best, &fine);
         let mask = without_threads(cut_out(&fine, &enlarged).unwrap_or(enlarged));
-        if is_no_hand(&fine, &mask) {
+        if is_other_object(&fine, &mask) {
             return None;
         }
-        let confidence = 1.0 / (1.0 + (-(score - LEAST_SCORE) / 2.0).exp());
+        let confidence = 1.0 / (1.0 + (-(score - MIN_SCORE) / 2.0).exp());
         Some(Self { mask, scale: fine.scale, confidence })
     }
 }
@@ -102,7 +101,7 @@ fn without_threads(mask: Mask) -> Mask {
 }
 
 /// The bonus of fingers for a region's score.
-fn has_fingers(thing: &Mask) -> f64 {
+fn finger_bonus(thing: &Mask) -> f64 {
     let stretched = measured(thing).map_or(0, |shape| shape.fingers.iter().filter(|f| f.score > 0.5).count());
     if (1..=5).contains(&stretched) { FINGERS } else { 0.0 }
 }
@@ -151,7 +150,7 @@ fn cut_out(lab: &LabImage, thing: &Mask) -> Option<Mask> {
         .iter()
         .zip(&near)
         .map(|(c, near)| {
-            let by_color = (hand.log_density(c) - off_hand(c)).clamp(-MOST_ODDS, MOST_ODDS);
+            let by_color = (hand.log_density(c) - off_hand(c)).clamp(-MAX_ODDS, MAX_ODDS);
             by_color + PRIOR_ODDS * (2.0 * near - 1.0)
         })
         .collect();

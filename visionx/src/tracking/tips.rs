@@ -13,7 +13,7 @@ use super::edges::edge_map;
 use super::hough::{AdaptiveHoughTransform, HoughVotes, TipCandidate};
 use crate::camera::StereoCalibration;
 use crate::frame::StereoFrame;
-use crate::tracking::hand::candidates::{Hand, find_near_too};
+use crate::tracking::hand::candidates::{HandCandidate, find_near_too};
 use crate::tracking::hand::depth::Ranging;
 use crate::tracking::hand::shape::Finger;
 
@@ -82,7 +82,6 @@ impl Default for FingerTipSettings {
 
 impl FingerTipTracking {
     /// A tracker without earlier frames.
-    #[must_use]
     pub fn new(calibration: StereoCalibration, settings: FingerTipSettings) -> Self {
         Self {
             calibration,
@@ -110,7 +109,7 @@ impl FingerTipTracking {
         }
     }
 
-    fn seen(&mut self, frame: &StereoFrame, hand: &Hand) -> Vec<TrackedFingertip> {
+    fn seen(&mut self, frame: &StereoFrame, hand: &HandCandidate) -> Vec<TrackedFingertip> {
         let camera = self.calibration.camera;
         self.skin = Some(hand.skin);
         let radius = self.settings.hough.radius_px(camera.focal, hand.z);

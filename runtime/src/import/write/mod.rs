@@ -303,8 +303,8 @@ impl Writer<'_> {
         let scope = Scope { chart: &names.chart, path: &path };
         match expression::parse(&code.text, &scope) {
             Ok(expr) => Some(expr),
-            Err(message) => {
-                self.error(code.line, message);
+            Err(error) => {
+                self.error(code.line, error.to_string());
                 None
             }
         }

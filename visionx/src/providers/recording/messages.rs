@@ -9,16 +9,17 @@ use mcap::records::Record;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use super::super::compressed::image_field;
-use super::super::wire::unpack;
-use super::super::{Description, Frame, FrameImage, PixelFormat};
+use super::super::wire::{WireError, unpack};
+use super::super::{Description, PixelFormat, RawFrame, RawImage};
 use super::{DESCRIPTION, RecordingError, SCHEMA};
-use crate::files::decode_image;
+use crate::files::{FileError, decode_image};
+use crate::frame::ImageError;
 
 /// The schema of compressed images.
 const COMPRESSED: &str = "foxglove.CompressedImage";
 /// Longest record read and longest message written, bytes. A compressed chunk of a few kilobytes may claim any
 /// size.
-pub(in crate::providers) const LONGEST_RECORD: usize = 512 << 20;
+pub(in crate::providers) const MAX_RECORD_BYTES: usize = 512 << 20;
 
 /// The messages of a recording's image channels, one after the other.
 pub(super) struct Messages {
@@ -38,10 +39,23 @@ pub(super) struct Message {
     data: Vec<u8>,
 }
 
+/// Why a message is not a frame.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum MessageError {
+    #[error(transparent)]
+    Packed(#[from] WireError),
+    #[error("a message that is no compressed image")]
+    NoImage,
+    #[error("an image {0}")]
+    File(#[from] FileError),
+    #[error(transparent)]
+    Image(#[from] ImageError),
+}
+
 impl Messages {
     pub(super) fn open(path: &Path) -> Result<Self, RecordingError> {
         let file = File::open(path).map_err(|source| RecordingError::File { path: path.into(), source })?;
-        let options = LinearReaderOptions::default().with_record_length_limit(LONGEST_RECORD);
+        let options = LinearReaderOptions::default().with_record_length_limit(MAX_RECORD_BYTES);
         Ok(Self {
             file: BufReader::new(file),
             reader: LinearReader::new_with_options(options),
@@ -93,16 +107,16 @@ impl Messages {
 }
 
 impl Message {
-    pub(super) fn frame(self) -> Result<Frame, String> {
+    pub(super) fn frame(self) -> Result<RawFrame, MessageError> {
         if self.schema == SCHEMA {
-            return unpack(self.data).map(|(_, frame)| frame).map_err(|e| e.to_string());
+            return Ok(unpack(self.data)?.1);
         }
-        let file = image_field(&self.data).ok_or("a message that is no compressed image")?;
-        let image = decode_image(file).map_err(|e| format!("an image {e}"))?;
+        let file = image_field(&self.data).ok_or(MessageError::NoImage)?;
+        let image = decode_image(file)?;
         let size = (image.width(), image.height());
-        let image = FrameImage::new("image", PixelFormat::Rgb8, size, image.into_data());
-        let images = vec![image.map_err(|e| e.to_string())?];
-        Ok(Frame { stamp_ns: self.stamp_ns, frame_id: "camera".into(), images, ..Frame::default() })
+        let image = RawImage::new("image", PixelFormat::Rgb8, size, image.into_data());
+        let images = vec![image?];
+        Ok(RawFrame { stamp_ns: self.stamp_ns, frame_id: "camera".into(), images, ..RawFrame::default() })
     }
 }
 

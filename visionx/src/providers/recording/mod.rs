@@ -16,9 +16,9 @@ use tokio::sync::Mutex;
 use tokio::time::{Instant, sleep_until};
 
 use super::files::{Pace, seconds};
-use super::{Description, Frame, ImageDescription, ImageProvider};
+use super::{Description, ImageDescription, ImageProvider, RawFrame};
 use crate::frame::ImageError;
-pub(super) use messages::LONGEST_RECORD;
+pub(super) use messages::MAX_RECORD_BYTES;
 use messages::{Message, Messages};
 
 /// The schema of packed frames in a recording.
@@ -223,7 +223,7 @@ impl ImageProvider for RecordingProvider {
         self.description.clone()
     }
 
-    async fn next(&self) -> Result<Arc<Frame>, ImageError> {
+    async fn next(&self) -> Result<Arc<RawFrame>, ImageError> {
         let provider = || self.description.name.clone();
         let mut play = self.state.lock().await;
         let message = self.message(&mut play).await;
@@ -240,10 +240,11 @@ impl ImageProvider for RecordingProvider {
             sleep_until(began + seconds(since_s / speed)).await;
         }
         let number = play.number;
-        let frame = tokio::task::spawn_blocking(move || message.frame()).await;
+        let frame =
+            tokio::task::spawn_blocking(move || message.frame().map_err(|error| error.to_string())).await;
         let frame = frame.unwrap_or_else(|error| Err(error.to_string()));
         let frame = frame.map_err(|what| ImageError::Spoilt { provider: provider(), what })?;
-        Ok(Arc::new(Frame { number, stamp_ns, ..frame }))
+        Ok(Arc::new(RawFrame { number, stamp_ns, ..frame }))
     }
 }
 

@@ -1,19 +1,19 @@
 use super::super::writing::Recording;
-use super::super::{FrameImage, PixelFormat};
+use super::super::{PixelFormat, RawImage};
 use super::*;
 
 const ALL: Pace = Pace { speed: None, repeat: false };
 
-fn frame(number: u64) -> Frame {
+fn frame(number: u64) -> RawFrame {
     let depth: Vec<u8> = (0..6u32).flat_map(|i| (i as f32 * 0.1).to_le_bytes()).collect();
-    Frame {
+    RawFrame {
         number,
         stamp_ns: number * 50_000_000,
         frame_id: "eye".into(),
         root_from_camera: None,
         images: vec![
-            FrameImage::new("left", PixelFormat::Rgb8, (3, 2), vec![number as u8; 18]).unwrap(),
-            FrameImage::new("depth", PixelFormat::Depth32F, (3, 2), depth).unwrap(),
+            RawImage::new("left", PixelFormat::Rgb8, (3, 2), vec![number as u8; 18]).unwrap(),
+            RawImage::new("depth", PixelFormat::Depth32F, (3, 2), depth).unwrap(),
         ],
     }
 }

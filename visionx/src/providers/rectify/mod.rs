@@ -6,13 +6,13 @@
 use nalgebra::{Matrix3, Point2, Rotation3, UnitQuaternion, Vector3};
 
 use crate::camera::{PinholeCamera, StereoCalibration};
-use crate::frame::{DepthImage, Image, StereoFrame};
-use crate::providers::CameraModel;
+use crate::frame::{DepthImage, RgbImage, StereoFrame};
+use crate::providers::{CameraModel, NotStereo};
 
 /// Marks a pixel without a source.
 const NOTHING: u32 = u32::MAX;
 /// Cosine of the largest angle, 45 degrees, between a camera and the pair's common direction.
-const LEAST_COSINE: f64 = std::f64::consts::FRAC_1_SQRT_2;
+const MIN_COSINE: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
 /// The rectification of a pair of cameras.
 ///
@@ -43,9 +43,13 @@ impl Rectification {
     ///
     /// # Errors
     /// Why they are not a pair.
-    pub fn new(left: &CameraModel, right: &CameraModel, (width, height): (u32, u32)) -> Result<Self, String> {
+    pub fn new(
+        left: &CameraModel,
+        right: &CameraModel,
+        (width, height): (u32, u32),
+    ) -> Result<Self, NotStereo> {
         if width < 2 || height < 2 || width.max(height) > 1 << 15 {
-            return Err(format!("images of {width} x {height} pixels are not rectified"));
+            return Err(NotStereo::Size { width, height });
         }
         let reference_from_rectified = axes(left, right)?;
         let turned =
@@ -67,20 +71,17 @@ impl Rectification {
     }
 
     /// The calibration of the rectified pair.
-    #[must_use]
     pub fn calibration(&self) -> StereoCalibration {
         self.calibration
     }
 
     /// Rotation from the rectified left camera's axes to the real left camera's; both have the same origin.
-    #[must_use]
     pub fn left_from_rectified(&self) -> UnitQuaternion<f64> {
         self.left_from_rectified
     }
 
     /// Rectifies the frame; black where the cameras saw nothing. `None` when an image has another size. A depth image
     /// whose size is not the left image's is left out.
-    #[must_use]
     pub fn rectify(&self, frame: &StereoFrame) -> Option<StereoFrame> {
         let [left, right] = &self.eyes;
         Some(StereoFrame {
@@ -93,7 +94,7 @@ impl Rectification {
     }
 
     /// Bilinear interpolation.
-    fn image(&self, image: &Image, sources: &[Source]) -> Option<Image> {
+    fn image(&self, image: &RgbImage, sources: &[Source]) -> Option<RgbImage> {
         let PinholeCamera { width, height, .. } = self.calibration.camera;
         if (image.width(), image.height()) != (width, height) {
             return None;
@@ -115,7 +116,7 @@ impl Rectification {
                 *value = ((sum + (1 << 15)) >> 16) as u8;
             }
         }
-        Image::from_rgb(width, height, data).ok()
+        RgbImage::from_rgb(width, height, data).ok()
     }
 
     /// Uses the nearest pixel: the mean of two depths may lie on neither surface.
@@ -136,32 +137,31 @@ impl Rectification {
 }
 
 /// The common axes of the rectified pair: x along the baseline, z close to both viewing directions.
-fn axes(left: &CameraModel, right: &CameraModel) -> Result<UnitQuaternion<f64>, String> {
+fn axes(left: &CameraModel, right: &CameraModel) -> Result<UnitQuaternion<f64>, NotStereo> {
     let poses = [left, right].map(|eye| eye.reference_from_camera);
-    let wrong =
-        || "the right camera does not stand to the right of the left one, looking the same way".to_owned();
     let forward = poses.iter().map(|pose| pose.rotation * Vector3::z()).sum::<Vector3<f64>>();
-    let x =
-        (poses[1].translation.vector - poses[0].translation.vector).try_normalize(1e-6).ok_or_else(wrong)?;
-    let y = forward.cross(&x).try_normalize(1e-6).ok_or_else(wrong)?;
+    let x = (poses[1].translation.vector - poses[0].translation.vector)
+        .try_normalize(1e-6)
+        .ok_or(NotStereo::NotBeside)?;
+    let y = forward.cross(&x).try_normalize(1e-6).ok_or(NotStereo::NotBeside)?;
     let z = x.cross(&y);
     let close = |pose: &nalgebra::Isometry3<f64>| {
         let [right, ahead] = [Vector3::x(), Vector3::z()].map(|axis| pose.rotation * axis);
-        right.dot(&x) > LEAST_COSINE && ahead.dot(&z) > LEAST_COSINE
+        right.dot(&x) > MIN_COSINE && ahead.dot(&z) > MIN_COSINE
     };
     if !poses.iter().all(close) {
-        return Err(wrong());
+        return Err(NotStereo::NotBeside);
     }
     let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, z]));
     Ok(UnitQuaternion::from_rotation_matrix(&rotation))
 }
 
 /// The ray, in the camera's axes, of the pixel `px`.
-fn ray_of(camera: &CameraModel, px: &Point2<f64>) -> Result<Vector3<f64>, String> {
+fn ray_of(camera: &CameraModel, px: &Point2<f64>) -> Result<Vector3<f64>, NotStereo> {
     let [fx, fy] = camera.focal;
     let seen = Point2::new((px.x - camera.center[0]) / fx, (px.y - camera.center[1]) / fy);
     let ideal = camera.distortion.undistort(&seen);
-    ideal.map(|p| p.coords.push(1.0)).ok_or_else(|| "the distortion is beyond what its model can be".into())
+    ideal.map(|p| p.coords.push(1.0)).ok_or(NotStereo::Distortion)
 }
 
 /// The source of each pixel of the rectified camera.

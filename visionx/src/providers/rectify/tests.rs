@@ -53,7 +53,7 @@ fn wall(from: &Point3<f64>, ray: &Vector3<f64>) -> (u8, f64) {
     (paint(at.x, at.y).round() as u8, t)
 }
 
-fn see(eye: &CameraModel) -> (Image, DepthImage) {
+fn see(eye: &CameraModel) -> (RgbImage, DepthImage) {
     let (mut data, mut depths) = (Vec::new(), Vec::new());
     for y in 0..SIZE.1 {
         for x in 0..SIZE.0 {
@@ -66,7 +66,7 @@ fn see(eye: &CameraModel) -> (Image, DepthImage) {
         }
     }
     let depth = DepthImage { width: SIZE.0, height: SIZE.1, data: depths };
-    (Image::from_rgb(SIZE.0, SIZE.1, data).unwrap(), depth)
+    (RgbImage::from_rgb(SIZE.0, SIZE.1, data).unwrap(), depth)
 }
 
 fn seen() -> StereoFrame {
@@ -161,6 +161,6 @@ fn what_is_no_pair_is_refused() {
     let mut folded = right;
     folded.distortion = Distortion { k1: -80.0, ..Distortion::default() };
     assert!((0.06..0.065).contains(&reach(&folded)));
-    let frame = StereoFrame { left: Image::from_rgb(1, 1, vec![0; 3]).unwrap(), ..seen() };
+    let frame = StereoFrame { left: RgbImage::from_rgb(1, 1, vec![0; 3]).unwrap(), ..seen() };
     assert!(Rectification::new(&left, &right, SIZE).unwrap().rectify(&frame).is_none());
 }

@@ -13,7 +13,7 @@ use armarium_bus::{Bounds, CodecError};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
 
-use super::frame::{Frame, FrameImage, LONGEST_NAME, MOST_IMAGES, PixelFormat, PixelOwner, Pixels};
+use super::frame::{MAX_IMAGES, MAX_NAME_BYTES, PixelFormat, PixelOwner, Pixels, RawFrame, RawImage};
 use super::lenient::decode_leniently;
 use crate::files::{FileError, decode_gray, decode_image, size_of};
 use crate::frame::ImageError;
@@ -25,7 +25,7 @@ pub const ENCODING: &str = "application/octet-stream;image/frame;v1";
 /// The Zenoh encoding of a [`pack`]ed frame.
 pub const PACKED: &str = "application/octet-stream;image/packed-frame;v1";
 /// Limit of a frame's images after decoding, bytes; their encoded files are much smaller.
-const MOST_DECODED: usize = 512 << 20;
+const MAX_DECODED_BYTES: usize = 512 << 20;
 /// Limits of a header.
 const BOUNDS: Bounds = Bounds { bytes: 16 << 10, items: 1024, depth: 8 };
 
@@ -117,7 +117,7 @@ pub enum WireError {
     },
     /// The bytes of an image do not fit its size.
     #[error("the image `{role}`: {source}")]
-    Image {
+    RgbImage {
         /// Its role.
         role: String,
         /// What is wrong.
@@ -141,8 +141,7 @@ pub enum WireError {
 
 impl Header {
     /// The header of a frame whose images are sent raw.
-    #[must_use]
-    pub fn raw(frame: &Frame, epoch: u64, sent_ns: u64) -> Self {
+    pub fn raw(frame: &RawFrame, epoch: u64, sent_ns: u64) -> Self {
         let images = frame.images.iter().map(ImageHeader::raw).collect();
         Self {
             version: VERSION,
@@ -157,7 +156,6 @@ impl Header {
     }
 
     /// The frame's position in the provider's stream.
-    #[must_use]
     pub fn position(&self) -> StreamPosition {
         StreamPosition { epoch: self.epoch, number: self.number }
     }
@@ -186,8 +184,8 @@ impl Header {
 
     fn check(&self) -> Result<(), WireError> {
         let impossible = |what| Err(WireError::Impossible { what });
-        let long = |name: &str| name.len() > LONGEST_NAME;
-        if self.images.len() > MOST_IMAGES {
+        let long = |name: &str| name.len() > MAX_NAME_BYTES;
+        if self.images.len() > MAX_IMAGES {
             return impossible("it has too many images");
         }
         if long(&self.frame_id) || self.images.iter().any(|i| long(&i.role) || i.role.is_empty()) {
@@ -202,7 +200,7 @@ impl Header {
         }
         let coded = self.images.iter().filter(|image| image.coding != ImageCoding::Raw);
         let decoded = coded.map(|image| image.format.bytes(image.width, image.height).unwrap_or(usize::MAX));
-        if decoded.fold(0, usize::saturating_add) > MOST_DECODED {
+        if decoded.fold(0, usize::saturating_add) > MAX_DECODED_BYTES {
             return impossible("its coded images are larger than 512 MiB");
         }
         Ok(())
@@ -212,11 +210,11 @@ impl Header {
     ///
     /// # Errors
     /// [`WireError`] when the bytes do not match the header.
-    pub fn frame(&self, owner: &Arc<dyn PixelOwner>) -> Result<Frame, WireError> {
+    pub fn frame(&self, owner: &Arc<dyn PixelOwner>) -> Result<RawFrame, WireError> {
         self.frame_at(owner, 0)
     }
 
-    fn frame_at(&self, owner: &Arc<dyn PixelOwner>, start: usize) -> Result<Frame, WireError> {
+    fn frame_at(&self, owner: &Arc<dyn PixelOwner>, start: usize) -> Result<RawFrame, WireError> {
         let actual = owner.bytes().len().saturating_sub(start) as u64;
         let sum = self.images.iter().try_fold(0u64, |sum, image| sum.checked_add(image.bytes));
         let expected = sum.unwrap_or(u64::MAX);
@@ -234,7 +232,7 @@ impl Header {
             images.push(image.image(part)?);
             at = end;
         }
-        Ok(Frame {
+        Ok(RawFrame {
             number: self.number,
             stamp_ns: self.stamp_ns,
             frame_id: self.frame_id.clone(),
@@ -251,7 +249,7 @@ struct Versioned {
 }
 
 impl ImageHeader {
-    fn raw(image: &FrameImage) -> Self {
+    fn raw(image: &RawImage) -> Self {
         Self {
             role: image.role().into(),
             format: image.format(),
@@ -262,13 +260,13 @@ impl ImageHeader {
         }
     }
 
-    fn image(&self, bytes: Pixels) -> Result<FrameImage, WireError> {
+    fn image(&self, bytes: Pixels) -> Result<RawImage, WireError> {
         let pixels = match self.coding {
             ImageCoding::Raw => bytes,
             ImageCoding::Png | ImageCoding::Jpeg => self.decoded(bytes.bytes())?.into(),
         };
-        FrameImage::new(&self.role, self.format, (self.width, self.height), pixels)
-            .map_err(|source| WireError::Image { role: self.role.clone(), source })
+        RawImage::new(&self.role, self.format, (self.width, self.height), pixels)
+            .map_err(|source| WireError::RgbImage { role: self.role.clone(), source })
     }
 
     fn decoded(&self, file: &[u8]) -> Result<Vec<u8>, WireError> {
@@ -290,7 +288,7 @@ impl ImageHeader {
 ///
 /// # Errors
 /// As [`Header::encode`].
-pub fn pack(frame: &Frame, epoch: u64, sent_ns: u64) -> Result<Vec<u8>, WireError> {
+pub fn pack(frame: &RawFrame, epoch: u64, sent_ns: u64) -> Result<Vec<u8>, WireError> {
     let header = Header::raw(frame, epoch, sent_ns).encode()?;
     let mut bytes = Vec::with_capacity(4 + header.len() + frame.bytes());
     bytes.extend((header.len() as u32).to_le_bytes());
@@ -303,7 +301,7 @@ pub fn pack(frame: &Frame, epoch: u64, sent_ns: u64) -> Result<Vec<u8>, WireErro
 ///
 /// # Errors
 /// [`WireError`].
-pub fn unpack(message: Vec<u8>) -> Result<(Header, Frame), WireError> {
+pub fn unpack(message: Vec<u8>) -> Result<(Header, RawFrame), WireError> {
     let short = WireError::Length { expected: 4, actual: message.len() as u64 };
     let Some((length, rest)) = message.split_first_chunk::<4>() else { return Err(short) };
     let length = u32::from_le_bytes(*length) as usize;

@@ -2,26 +2,26 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::annotate::png;
-use crate::frame::Image;
+use crate::frame::RgbImage;
 
-fn frame() -> Frame {
+fn frame() -> RawFrame {
     let pose = Isometry3::new(nalgebra::Vector3::new(0.1, -2.0, 3.0), nalgebra::Vector3::new(0.3, 0.1, -1.0));
-    Frame {
+    RawFrame {
         number: 9,
         stamp_ns: 123_456_789,
         frame_id: "camera_left".into(),
         root_from_camera: Some(pose),
         images: vec![
-            FrameImage::new("left", PixelFormat::Rgb8, (2, 1), vec![1, 2, 3, 4, 5, 6]).unwrap(),
-            FrameImage::new("depth", PixelFormat::Depth16, (1, 2), vec![7, 0, 8, 1]).unwrap(),
-            FrameImage::new("points", PixelFormat::Points32F, (1, 1), vec![0; 12]).unwrap(),
+            RawImage::new("left", PixelFormat::Rgb8, (2, 1), vec![1, 2, 3, 4, 5, 6]).unwrap(),
+            RawImage::new("depth", PixelFormat::Depth16, (1, 2), vec![7, 0, 8, 1]).unwrap(),
+            RawImage::new("points", PixelFormat::Points32F, (1, 1), vec![0; 12]).unwrap(),
         ],
     }
 }
 
 #[test]
 fn a_frame_survives_packing_to_the_last_bit() {
-    for frame in [frame(), Frame::default()] {
+    for frame in [frame(), RawFrame::default()] {
         let (header, back) = unpack(pack(&frame, 4, 5).unwrap()).unwrap();
         assert_eq!(back, frame);
         assert_eq!((header.epoch, header.sent_ns, header.version), (4, 5, VERSION));
@@ -41,7 +41,7 @@ fn a_message_that_is_cut_or_longer_is_an_error() {
 
 #[test]
 fn a_coded_image_of_another_size_than_its_header_says_is_refused_before_it_is_decoded() {
-    let image = Image::from_rgb(4, 3, vec![50; 36]).unwrap();
+    let image = RgbImage::from_rgb(4, 3, vec![50; 36]).unwrap();
     let file = png(&image).unwrap();
     let said = |size: (u32, u32)| Header {
         images: vec![ImageHeader {
@@ -52,7 +52,7 @@ fn a_coded_image_of_another_size_than_its_header_says_is_refused_before_it_is_de
             height: size.1,
             bytes: file.len() as u64,
         }],
-        ..Header::raw(&Frame::default(), 1, 1)
+        ..Header::raw(&RawFrame::default(), 1, 1)
     };
     let owner: Arc<dyn PixelOwner> = Arc::new(file.clone());
     assert_eq!(said((4, 3)).frame(&owner).unwrap().images[0].bytes(), image.data());

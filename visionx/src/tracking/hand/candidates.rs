@@ -4,7 +4,7 @@
 //! does not matter. Without one, regions seen by both cameras are compared, and a colour that covers more area than a
 //! hand can is background. It keeps no state between frames; the caller may pass a preferred colour.
 
-use super::relief::{LEAST_RELIEF, standing_out, surroundings};
+use super::relief::{MIN_RELIEF, standing_out, surroundings};
 use super::shape::{HandShape, hand_shape};
 use super::skin::{HalfImage, SkinClusters};
 use crate::camera::{PinholeCamera, StereoCalibration};
@@ -21,7 +21,7 @@ const SCENERY: f64 = 600e-4;
 /// Radius of the palm's largest disc, from a hand seen edge-on to a large hand, m.
 const PALM_RADII: (f64, f64) = (0.0145, 0.062);
 /// Fewest pixels at half resolution.
-const LEAST_PIXELS: u32 = 30;
+const MIN_PIXELS: u32 = 30;
 /// Depth below which the nearest region is first searched alone, and the depth extent of a hand, m.
 const NEAR: f32 = 0.95;
 const HAND_LENGTH: f32 = 0.22;
@@ -33,7 +33,7 @@ const USUAL_SKIN: ([f32; 2], f64) = ([0.30, 0.25], 0.12);
 const SAME_SKIN: f64 = 0.06;
 
 /// A region with the colour, the size and the shape of a hand.
-pub(crate) struct Hand {
+pub(crate) struct HandCandidate {
     /// Its pixels in the left image.
     pub(crate) left: Mask,
     /// Its pixels in the right image, when it was found with both cameras.
@@ -75,7 +75,7 @@ pub(crate) fn find(
     frame: &StereoFrame,
     calibration: &StereoCalibration,
     skin: Option<[f32; 2]>,
-) -> Option<Hand> {
+) -> Option<HandCandidate> {
     let out = frame.depth.as_ref().and_then(|d| standing_out(d, &calibration.camera));
     find_among(frame, calibration, skin, out)
 }
@@ -85,7 +85,7 @@ pub(crate) fn find_near_too(
     frame: &StereoFrame,
     calibration: &StereoCalibration,
     skin: Option<[f32; 2]>,
-) -> Option<Hand> {
+) -> Option<HandCandidate> {
     let nearest = frame.depth.as_ref().and_then(|d| nearest(d, &calibration.camera));
     nearest
         .and_then(|out| find_among(frame, calibration, skin, Some(out)))
@@ -121,7 +121,7 @@ fn find_among(
     calibration: &StereoCalibration,
     skin: Option<[f32; 2]>,
     out: Option<Mask>,
-) -> Option<Hand> {
+) -> Option<HandCandidate> {
     let left = HalfImage::of(&frame.left);
     let depth = frame.depth.as_ref();
     let clusters = SkinClusters::find(&left, out.as_ref());
@@ -143,7 +143,7 @@ fn find_among(
 
 impl Search<'_> {
     /// Examines the candidate at full resolution; `None` if its shape is not a hand's.
-    fn look_closely(&self, candidate: &Candidate) -> Option<Hand> {
+    fn look_closely(&self, candidate: &Candidate) -> Option<HandCandidate> {
         let size = (self.frame.left.width(), self.frame.left.height());
         let whole = |image, part: &Component, among| {
             own_pixels(&self.clusters.mask(image, full(&part.bounds, size), candidate.label, among))
@@ -153,11 +153,11 @@ impl Search<'_> {
         let fits = (PALM_RADII.0..PALM_RADII.1).contains(&shape.palm_radius)
             && (AREAS.0..AREAS.1).contains(&shape.area);
         let about = self.frame.depth.as_ref().map(|d| surroundings(&left, d));
-        let stands_out = about.is_none_or(|a| a.deeper >= LEAST_RELIEF);
+        let stands_out = about.is_none_or(|a| a.deeper >= MIN_RELIEF);
         let hidden = about.map_or(0.0, |a| a.nearer);
         let right = candidate.right.as_ref().map(|part| whole(&self.frame.right, part, None));
         let skin = self.clusters.peak(candidate.label);
-        (fits && stands_out).then_some(Hand { left, right, z: candidate.z, shape, skin, hidden })
+        (fits && stands_out).then_some(HandCandidate { left, right, z: candidate.z, shape, skin, hidden })
     }
 
     /// The area of a region at a depth, m^2.
@@ -167,7 +167,7 @@ impl Search<'_> {
 
     /// The regions of one colour that stand out and have a hand's size.
     fn by_depth(&self, left: &HalfImage, depth: &DepthImage, out: &Mask, label: u8) -> Vec<Candidate> {
-        let things = components(&self.clusters.half_mask(left, label, Some(out)), LEAST_PIXELS);
+        let things = components(&self.clusters.half_mask(left, label, Some(out)), MIN_PIXELS);
         let candidate = |thing: &Component| {
             let z = median_depth(thing, depth)?;
             let area = self.area(thing, z);
@@ -180,9 +180,8 @@ impl Search<'_> {
 
     /// The regions of one colour that both cameras see with a hand's size; none if the colour is background.
     fn by_both_eyes(&self, halves: &[HalfImage; 2], label: u8) -> Vec<Candidate> {
-        let [left, right] = halves
-            .each_ref()
-            .map(|half| components(&self.clusters.half_mask(half, label, None), LEAST_PIXELS));
+        let [left, right] =
+            halves.each_ref().map(|half| components(&self.clusters.half_mask(half, label, None), MIN_PIXELS));
         // Too large even at the smallest distance.
         if left.first().is_some_and(|c| self.area(c, DEPTHS.0) > SCENERY) {
             return Vec::new();

@@ -3,15 +3,15 @@
 
 use nalgebra::{Point2, Point3};
 
-use super::candidates::{Hand, median};
+use super::candidates::{HandCandidate, median};
 use crate::camera::StereoCalibration;
-use crate::frame::{DepthImage, Image, StereoFrame};
+use crate::frame::{DepthImage, RgbImage, StereoFrame};
 use crate::mask::Mask;
 
 /// Measures parts of one hand in one frame.
 pub(crate) struct Ranging<'a> {
     calibration: &'a StereoCalibration,
-    left: View<'a>,
+    left: MaskedImage<'a>,
     by: By<'a>,
     /// Depth of the palm, m.
     z: f64,
@@ -19,7 +19,7 @@ pub(crate) struct Ranging<'a> {
 
 enum By<'a> {
     Depth(&'a DepthImage),
-    Eyes(View<'a>),
+    Eyes(MaskedImage<'a>),
 }
 
 impl<'a> Ranging<'a> {
@@ -27,14 +27,14 @@ impl<'a> Ranging<'a> {
     pub(crate) fn of(
         frame: &'a StereoFrame,
         calibration: &'a StereoCalibration,
-        hand: &'a Hand,
+        hand: &'a HandCandidate,
     ) -> Option<Self> {
         let by = match (&hand.right, &frame.depth) {
-            (Some(right), _) => By::Eyes(View { image: &frame.right, hand: right }),
+            (Some(right), _) => By::Eyes(MaskedImage { image: &frame.right, hand: right }),
             (None, Some(depth)) => By::Depth(depth),
             (None, None) => return None,
         };
-        let left = View { image: &frame.left, hand: &hand.left };
+        let left = MaskedImage { image: &frame.left, hand: &hand.left };
         let mut ranging = Self { calibration, left, by, z: hand.z };
         let palm = ranging.depth(&hand.shape.palm, 0.75 * hand.shape.palm_radius);
         ranging.z = palm.unwrap_or(hand.z);
@@ -102,20 +102,20 @@ fn depth_about(depth: &DepthImage, hand: &Mask, center: &Point2<f64>, radius: f6
 
 /// One camera's image with the mask of the hand.
 #[derive(Clone, Copy)]
-struct View<'a> {
-    image: &'a Image,
+struct MaskedImage<'a> {
+    image: &'a RgbImage,
     hand: &'a Mask,
 }
 
 /// Highest cost of one pixel, and the cost of a pixel that is hand in one image only, grey levels.
-const MOST: f64 = 30.0;
+const MAX_BRIGHTNESS_STEP: f64 = 30.0;
 
 /// The disparity (px, positive: farther left in the right image) of the part within `radius` px of `center` in the
 /// left image, searched within `range` px of `guess`, with subpixel accuracy. `None` when the best is at the end of
 /// the range or the part has too few pixels of the hand.
 fn disparity(
-    left: View<'_>,
-    right: View<'_>,
+    left: MaskedImage<'_>,
+    right: MaskedImage<'_>,
     center: &Point2<f64>,
     radius: f64,
     guess: f64,
@@ -141,7 +141,7 @@ fn disparity(
 }
 
 /// The disc's pixels: column, row, whether the pixel is hand, brightness.
-fn disc(view: View<'_>, center: &Point2<f64>, radius: f64) -> Vec<(i64, i64, bool, f64)> {
+fn disc(view: MaskedImage<'_>, center: &Point2<f64>, radius: f64) -> Vec<(i64, i64, bool, f64)> {
     let (cx, cy, r) = (center.x.round() as i64, center.y.round() as i64, radius.ceil() as i64);
     let mut pixels = Vec::new();
     for y in cy.saturating_sub(r)..=cy.saturating_add(r) {
@@ -156,16 +156,17 @@ fn disc(view: View<'_>, center: &Point2<f64>, radius: f64) -> Vec<(i64, i64, boo
     pixels
 }
 
-fn cost(pixels: &[(i64, i64, bool, f64)], right: View<'_>, d: i64) -> f64 {
+fn cost(pixels: &[(i64, i64, bool, f64)], right: MaskedImage<'_>, d: i64) -> f64 {
     let one = |&(x, y, hand, value): &(i64, i64, bool, f64)| match (hand, right.hand.contains(x - d, y)) {
         (false, false) => 0.0,
-        (true, true) => brightness(right.image, x - d, y).map_or(MOST, |v| (v - value).abs().min(MOST)),
-        _ => MOST,
+        (true, true) => brightness(right.image, x - d, y)
+            .map_or(MAX_BRIGHTNESS_STEP, |v| (v - value).abs().min(MAX_BRIGHTNESS_STEP)),
+        _ => MAX_BRIGHTNESS_STEP,
     };
     pixels.iter().map(one).sum()
 }
 
-fn brightness(image: &Image, x: i64, y: i64) -> Option<f64> {
+fn brightness(image: &RgbImage, x: i64, y: i64) -> Option<f64> {
     let inside = x >= 0 && y >= 0 && x < i64::from(image.width()) && y < i64::from(image.height());
     inside.then(|| image.pixel(x as u32, y as u32).iter().map(|&c| f64::from(c)).sum::<f64>() / 3.0)
 }
@@ -176,7 +177,7 @@ mod tests {
     use crate::mask::Region;
 
     /// A shaded disc about (`x`, 40).
-    fn eye(x: f64) -> (Image, Mask) {
+    fn eye(x: f64) -> (RgbImage, Mask) {
         let mut mask = Mask::empty(Region::whole(120, 80));
         let mut data = Vec::new();
         for i in 0..120 * 80 {
@@ -185,7 +186,7 @@ mod tests {
             mask.data_mut()[i] = u8::from(inside);
             data.extend([if inside { (120.0 + 4.0 * dx + 2.0 * dy) as u8 } else { 10 }; 3]);
         }
-        (Image::from_rgb(120, 80, data).unwrap(), mask)
+        (RgbImage::from_rgb(120, 80, data).unwrap(), mask)
     }
 
     #[test]
@@ -193,8 +194,8 @@ mod tests {
         let (left_image, left_mask) = eye(70.0);
         for shift in [20.0, 20.3, 20.5, 21.8] {
             let (image, mask) = eye(70.0 - shift);
-            let left = View { image: &left_image, hand: &left_mask };
-            let right = View { image: &image, hand: &mask };
+            let left = MaskedImage { image: &left_image, hand: &left_mask };
+            let right = MaskedImage { image: &image, hand: &mask };
             let d = disparity(left, right, &Point2::new(70.0, 40.0), 15.0, 19.0, 6).unwrap();
             assert!((d - shift).abs() < 0.2, "{d} for {shift}");
             assert!(disparity(left, right, &Point2::new(70.0, 40.0), 15.0, 30.0, 3).is_none());

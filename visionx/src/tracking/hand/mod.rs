@@ -23,18 +23,22 @@ use crate::mask::Region;
 pub use observer::HandObserver;
 
 /// The gestures used for coaching.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Gesture {
-    /// All fingers closed.
+    /// All fingers closed: the path is pulled towards the hand.
+    #[default]
     Fist,
-    /// All fingers stretched and spread.
+    /// All fingers stretched and spread: the coach is coming to take the robot by the hand.
     OpenHand,
-    /// The index finger stretched.
+    /// The index finger stretched: the whole motion moves along it.
     PointOne,
-    /// Index and middle finger stretched.
+    /// Index and middle finger stretched: the path is pushed away from the hand.
     PointTwo,
 }
+armarium_source::choice!(Gesture {
+    "fist" => Self::Fist, "point_one" => Self::PointOne, "point_two" => Self::PointTwo, "open_hand" => Self::OpenHand,
+});
 
 /// The end of a stretched finger.
 #[derive(Clone, Debug, PartialEq)]
@@ -95,7 +99,6 @@ impl Gesture {
     }
 
     /// The gesture with this name.
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|g| g.name() == name)
     }

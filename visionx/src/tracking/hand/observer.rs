@@ -2,7 +2,7 @@
 
 use nalgebra::{Point2, Point3, Vector3};
 
-use super::candidates::{Hand, find, find_near_too};
+use super::candidates::{HandCandidate, find, find_near_too};
 use super::depth::Ranging;
 use super::shape::{Finger, HandShape};
 use super::{Fingertip, Gesture, HandObservation};
@@ -16,13 +16,13 @@ use crate::tracking::{GestureRecognizer, SeenFinger};
 pub struct HandObserver {
     calibration: StereoCalibration,
     recognizer: GestureRecognizer,
-    memory: Option<Memory>,
+    memory: Option<LastHand>,
     near: bool,
 }
 
 /// The state kept from the last frames.
 #[derive(Clone, Debug)]
-struct Memory {
+struct LastHand {
     stamp_ns: u64,
     /// Probability of each gesture.
     belief: [f64; 4],
@@ -48,10 +48,10 @@ const HALF_PALM: f64 = 0.014;
 /// Radius around a place in a finger's end, and around its base, where depth is measured, m.
 const TIP_RADIUS: f64 = 0.012;
 const BASE_RADIUS: f64 = 0.018;
-/// Probability that a gesture continues in the next frame. With [`FLOOR`], a change takes two clear frames.
-const STAY: f64 = 0.94;
+/// Probability that a gesture continues in the next frame. With [`MIN_LIKELIHOOD`], a change takes two clear frames.
+const P_STAY: f64 = 0.94;
 /// Least likelihood of a gesture in one frame.
-const FLOOR: f64 = 0.04;
+const MIN_LIKELIHOOD: f64 = 0.04;
 /// Weight of a frame with a hidden hand for the gesture, relative to a fully visible one. Not zero, so that a hand
 /// that is never fully visible still gets a gesture after some time.
 const HIDDEN_COUNTS: f64 = 0.03;
@@ -61,11 +61,10 @@ const SAME_PLACE: (u64, f64) = (1_200_000_000, 0.12);
 /// A palm that moved less than this since the frame before counts as still, m.
 const STANDS: f64 = 0.012;
 /// After this long without a hand the earlier state is discarded, ns.
-const FORGET_NS: u64 = 400_000_000;
+const FORGET_AFTER_NS: u64 = 400_000_000;
 
 impl HandObserver {
     /// An observer without earlier frames.
-    #[must_use]
     pub fn new(calibration: StereoCalibration) -> Self {
         Self { calibration, recognizer: GestureRecognizer::at_a_slant(), memory: None, near: false }
     }
@@ -83,7 +82,8 @@ impl HandObserver {
         if !self.calibration.fits(frame) {
             return None;
         }
-        let forgotten = |m: &Memory| frame.stamp_ns < m.stamp_ns || frame.stamp_ns - m.stamp_ns > FORGET_NS;
+        let forgotten =
+            |m: &LastHand| frame.stamp_ns < m.stamp_ns || frame.stamp_ns - m.stamp_ns > FORGET_AFTER_NS;
         if self.memory.as_ref().is_some_and(forgotten) {
             self.memory = None;
         }
@@ -92,7 +92,7 @@ impl HandObserver {
         self.observe(frame, &hand)
     }
 
-    fn observe(&mut self, frame: &StereoFrame, hand: &Hand) -> Option<HandObservation> {
+    fn observe(&mut self, frame: &StereoFrame, hand: &HandCandidate) -> Option<HandObservation> {
         let (shape, calibration) = (&hand.shape, self.calibration);
         let ranging = Ranging::of(frame, &calibration, hand)?;
         let surface = ranging.palm(&shape.palm);
@@ -108,7 +108,7 @@ impl HandObserver {
 
         let fingers: Vec<Finger> = shape.fingers.iter().map(|f| in_depth(f, &ranging)).collect();
         let belief =
-            self.believe(&self.likelihoods(shape, &fingers), if whole { 1.0 } else { HIDDEN_COUNTS });
+            self.update_belief(&self.likelihoods(shape, &fingers), if whole { 1.0 } else { HIDDEN_COUNTS });
         let best = (0..4).max_by(|&a, &b| belief[a].total_cmp(&belief[b]))?;
         let gesture = Gesture::ALL[best];
         let stretched: Vec<&Finger> = fingers.iter().filter(|f| f.score > 0.5).collect();
@@ -126,7 +126,7 @@ impl HandObserver {
             .collect();
         let points = matches!(gesture, Gesture::PointOne | Gesture::PointTwo);
         let pointing = self.smooth(direction, points, frame);
-        self.memory = Some(Memory {
+        self.memory = Some(LastHand {
             stamp_ns: frame.stamp_ns,
             belief,
             skin: hand.skin,
@@ -168,13 +168,13 @@ impl HandObserver {
 
     /// The gestures' probabilities after one more frame with the weight `counts` (0 to 1): a hidden Markov
     /// model.
-    fn believe(&self, likelihoods: &[f64; 4], counts: f64) -> [f64; 4] {
+    fn update_belief(&self, likelihoods: &[f64; 4], counts: f64) -> [f64; 4] {
         let before = self.memory.as_ref().map_or([0.25; 4], |m| m.belief);
-        let change = (1.0 - STAY) * counts;
+        let change = (1.0 - P_STAY) * counts;
         let mut belief = [0.0; 4];
         for i in 0..4 {
             let predicted = before[i] * (1.0 - change) + (1.0 - before[i]) * change / 3.0;
-            belief[i] = predicted * (likelihoods[i] + FLOOR).powf(counts);
+            belief[i] = predicted * (likelihoods[i] + MIN_LIKELIHOOD).powf(counts);
         }
         let sum: f64 = belief.iter().sum();
         belief.map(|b| b / sum)

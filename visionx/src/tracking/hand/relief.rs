@@ -25,15 +25,15 @@ const FLAT: f32 = 0.010;
 /// A surface continues where neighbours of the coarse grid differ less than this in depth, m.
 const SMOOTH: f32 = 0.05;
 /// Least share of the scene that a plane covers, and the most planes.
-const LEAST_PLANE: f64 = 0.015;
-const MOST_PLANES: usize = 4;
+const MIN_PLANE_SHARE: f64 = 0.015;
+const MAX_PLANES: usize = 4;
 /// Every so many pixels the background is computed.
 const STRIDE: usize = 4;
 /// Depth of pixels without a measurement, m: far away.
 const NOWHERE: f32 = 100.0;
 /// Least share of a hand's outline where the scene behind is deeper. A patch of a surface has none, except at the
 /// surface's edge.
-pub(super) const LEAST_RELIEF: f64 = 0.3;
+pub(super) const MIN_RELIEF: f64 = 0.3;
 /// Least difference that counts as deeper or nearer, m.
 const STEP: f32 = 0.012;
 
@@ -223,12 +223,12 @@ impl Grid {
                 let next = sides.into_iter().chain(rows).filter(|(inside, _)| *inside).map(|(_, j)| j);
                 open.extend(next.filter(|&j| free[j] && (self.data[j] - self.data[i]).abs() < SMOOTH));
             }
-            if surface.len() as f64 > LEAST_PLANE * n as f64 {
+            if surface.len() as f64 > MIN_PLANE_SHARE * n as f64 {
                 surfaces.push(surface);
             }
         }
         surfaces.sort_by_key(|s| std::cmp::Reverse(s.len()));
-        surfaces.iter().take(MOST_PLANES).filter_map(|s| Plane::through(s)).collect()
+        surfaces.iter().take(MAX_PLANES).filter_map(|s| Plane::through(s)).collect()
     }
 
     /// Sets each pixel of an image's row `y` by `test` of its column and the interpolated depth of this grid.

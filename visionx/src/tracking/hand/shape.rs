@@ -19,11 +19,11 @@ const OPENING: f64 = 0.0125;
 /// Tolerance at the palm's corners, which the opening rounds off, m.
 const MARGIN: f64 = 0.002;
 /// Least depth of the gap between two fingers, from the nearer tip, m.
-const LEAST_GAP: f64 = 0.007;
+const MIN_GAP: f64 = 0.007;
 /// Largest hole that is filled, m^2.
 const HOLE: f64 = 8e-5;
 /// Most cells along an edge; a larger silhouette is not a hand.
-const MOST_CELLS: u32 = 330;
+const MAX_CELLS: u32 = 330;
 
 /// A stretched finger in the image.
 #[derive(Clone, Debug, PartialEq)]
@@ -101,7 +101,7 @@ impl Grid {
         let region = mask.region();
         let cells = |pixels: u32| (f64::from(pixels) / step).ceil() as u32 + 4;
         let (w, h) = (cells(region.width), cells(region.height));
-        if !(step.is_finite() && step > 0.05) || mask.count() == 0 || w.max(h) > MOST_CELLS {
+        if !(step.is_finite() && step > 0.05) || mask.count() == 0 || w.max(h) > MAX_CELLS {
             return None;
         }
         let origin = Vector2::new(f64::from(region.x), f64::from(region.y)) - Vector2::repeat(1.5 * step);
@@ -154,7 +154,7 @@ struct Branch {
 }
 
 /// Floods the region outside of the palm from far to near. A tip is a separate finger if the flood must come
-/// [`LEAST_GAP`] nearer to the palm before it meets the flood of a farther tip.
+/// [`MIN_GAP`] nearer to the palm before it meets the flood of a farther tip.
 fn fingers(grid: &Grid, inside: &[f32], from_core: &[f32], palm: &Point2<f64>) -> Vec<Finger> {
     let reach = ((OPENING + MARGIN) / CELL) as f32;
     let outside = |i: &usize| grid.mask.data()[*i] != 0 && from_core[*i] > reach && from_core[*i].is_finite();
@@ -200,7 +200,7 @@ fn flood(order: &[usize], from_core: &[f32], width: usize) -> Vec<Branch> {
         of[cell] = first;
         for &other in &touched[1..] {
             heirs[other] = first;
-            if branches[other].met || branches[other].top - level >= (LEAST_GAP / CELL) as f32 {
+            if branches[other].met || branches[other].top - level >= (MIN_GAP / CELL) as f32 {
                 branches[first].met = true;
                 branches[other].met = true;
             } else {

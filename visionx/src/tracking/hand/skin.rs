@@ -5,7 +5,7 @@
 //! log-chromaticities, which shading by a white light does not change. A cluster that covers more area than a hand can
 //! is background; that decision needs the depth and is made by [`super::HandObserver`].
 
-use crate::frame::Image;
+use crate::frame::RgbImage;
 use crate::mask::{Mask, Region};
 
 /// Bins of the histogram along ln(R/G) and ln(G/B).
@@ -19,7 +19,7 @@ const GREEN_OVER_BLUE: (f32, f32) = (-0.06, 0.74);
 /// Darkest usable red.
 const DARK: u16 = 45;
 /// Fewest pixels (at half resolution) that make a cluster.
-const LEAST_PIXELS: f32 = 60.0;
+const MIN_PIXELS: f32 = 60.0;
 /// Bins by which a cluster is extended beyond the observed colours.
 const SPREAD: usize = 2;
 
@@ -46,7 +46,7 @@ pub(super) struct HalfImage {
 struct Logs(Vec<i16>);
 
 impl HalfImage {
-    pub(super) fn of(image: &Image) -> Self {
+    pub(super) fn of(image: &RgbImage) -> Self {
         let (w, h) = (image.width() / 2, image.height() / 2);
         let stride = image.width() as usize * 3;
         let mut data = Vec::with_capacity((w * h) as usize);
@@ -132,7 +132,7 @@ impl SkinClusters {
 
     /// The pixels of a part of an image that have a cluster's colour, smoothed by a majority filter; optionally
     /// only those `among`.
-    pub(super) fn mask(&self, image: &Image, region: Region, label: u8, among: Option<&Mask>) -> Mask {
+    pub(super) fn mask(&self, image: &RgbImage, region: Region, label: u8, among: Option<&Mask>) -> Mask {
         let region = region.clipped(image.width(), image.height());
         let mut mask = Mask::empty(region);
         let (w, h) = (region.width as usize, region.height as usize);
@@ -150,7 +150,7 @@ impl SkinClusters {
 }
 
 /// A horizontal filter with weights 1, 2, 1: less noise, no shift.
-fn row_sum(image: &Image, x: u32, y: u32) -> [u16; 3] {
+fn row_sum(image: &RgbImage, x: u32, y: u32) -> [u16; 3] {
     let [left, middle, right] =
         [x.saturating_sub(1), x, (x + 1).min(image.width() - 1)].map(|x| image.pixel(x, y));
     std::array::from_fn(|i| u16::from(left[i]) + 2 * u16::from(middle[i]) + u16::from(right[i]))
@@ -196,7 +196,7 @@ fn split(counts: &[f32]) -> (Vec<u8>, Vec<usize>) {
         of[bin] = first;
         hills[first].1 += counts[bin];
         for &other in &touched[1..] {
-            if !is_valley(counts[bin], counts[hills[other].0]) || hills[other].1 < LEAST_PIXELS {
+            if !is_valley(counts[bin], counts[hills[other].0]) || hills[other].1 < MIN_PIXELS {
                 hills[first].1 += hills[other].1;
                 hills[other].2 = first;
             }
@@ -205,7 +205,7 @@ fn split(counts: &[f32]) -> (Vec<u8>, Vec<usize>) {
     let mut label_of = vec![0u8; hills.len()];
     let mut tops = Vec::new();
     for (i, hill) in hills.iter().enumerate() {
-        if hill.2 == i && hill.1 >= LEAST_PIXELS && tops.len() < 250 {
+        if hill.2 == i && hill.1 >= MIN_PIXELS && tops.len() < 250 {
             tops.push(hill.0);
             label_of[i] = tops.len() as u8;
         }
@@ -231,7 +231,7 @@ mod tests {
     use rand_distr::StandardNormal;
 
     /// A shaded image: left half one colour, right half another, noise of two grey levels.
-    fn picture(left: [u8; 3], right: [u8; 3]) -> Image {
+    fn picture(left: [u8; 3], right: [u8; 3]) -> RgbImage {
         let (w, h) = (120u32, 80u32);
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         let mut data = Vec::new();
@@ -244,7 +244,7 @@ mod tests {
                 }
             }
         }
-        Image::from_rgb(w, h, data).unwrap()
+        RgbImage::from_rgb(w, h, data).unwrap()
     }
 
     #[test]

@@ -1,0 +1,150 @@
+//! `armarium channels`: prints the channels that charts can watch: fields, units, rates, who publishes and who reads them.
+
+use std::io::{self, Write};
+use std::path::PathBuf;
+
+use armarium_host::catalog;
+use armarium_runtime::chart::{self, ChannelDescription, Registry};
+use armarium_runtime::skill::{Parameter, SkillManifest};
+use armarium_values::{Type, Unit};
+use serde_json::json;
+
+use crate::charts::{Charts, missing, within_reach};
+
+/// Arguments of `channels`.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct ChannelsArgs {
+    /// Folders with charts, besides the current one: what they declare and read is listed, too.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) charts: Vec<PathBuf>,
+    /// Print JSON.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// A channel and everybody who has to do with it.
+struct Listed {
+    channel: ChannelDescription,
+    /// The charts that declare it, by name.
+    declared_by: Vec<String>,
+    published_by: Vec<String>,
+    read_by: Vec<String>,
+}
+
+/// Writes the channels. Returns the exit status: 2 when a folder is not there.
+///
+/// # Errors
+/// When `out` cannot be written.
+pub(crate) fn run(args: &ChannelsArgs, out: &mut dyn Write) -> io::Result<u8> {
+    if let Some(folder) = missing(&args.charts) {
+        return writeln!(out, "error: there is no folder `{}`", folder.display()).map(|()| 2);
+    }
+    let channels = listed(&catalog::idle_registry(), &within_reach(&args.charts));
+    if args.json {
+        let list: Vec<_> = channels.iter().map(as_json).collect();
+        serde_json::to_writer_pretty(&mut *out, &list)?;
+        return writeln!(out).map(|()| 0);
+    }
+    channels.iter().try_for_each(|channel| describe(channel, out))?;
+    Ok(0)
+}
+
+/// The channels that ship, and those that charts declare. Charts that do not belong together may declare one name differently.
+fn listed(registry: &Registry, charts: &Charts) -> Vec<Listed> {
+    let shipped = catalog::channels();
+    let alone = |channel: &ChannelDescription| Listed {
+        channel: channel.clone(),
+        declared_by: Vec::new(),
+        published_by: channel.publishers.clone(),
+        read_by: channel.readers.clone(),
+    };
+    let mut list: Vec<Listed> = shipped.described().map(alone).collect();
+    for (chart, _) in &charts.read {
+        for channel in chart.channels() {
+            let same =
+                |known: &&mut Listed| known.channel.name == channel.name && known.channel.ty == channel.ty;
+            let declared_by = match list.iter_mut().find(same) {
+                Some(known) => &mut known.declared_by,
+                None => {
+                    list.push(alone(channel));
+                    &mut list.last_mut().expect("it was pushed above").declared_by
+                }
+            };
+            declared_by.push(chart.name.clone());
+        }
+    }
+    list.sort_by(|a, b| a.channel.name.cmp(&b.channel.name));
+    for (chart, library) in &charts.read {
+        let Some(program) = chart::check(library, registry, &shipped).program else { continue };
+        let schema = library.channels(&shipped);
+        for known in &mut list {
+            let name = &known.channel.name;
+            if program.channels().contains(name) && schema.get(name) == Some(&known.channel.ty) {
+                known.read_by.push(format!("chart {}", chart.name));
+            }
+        }
+    }
+    for known in &mut list {
+        let of = |uses: fn(&SkillManifest) -> &Vec<String>| {
+            let using = registry.manifests().filter(|manifest| uses(manifest).contains(&known.channel.name));
+            using.map(|manifest| manifest.name.clone()).collect::<Vec<_>>()
+        };
+        known.published_by.extend(of(|manifest| &manifest.publishes));
+        known.read_by.splice(0..0, of(|manifest| &manifest.reads));
+    }
+    list
+}
+
+fn describe(listed: &Listed, out: &mut dyn Write) -> io::Result<()> {
+    let Listed { channel, declared_by, published_by, read_by } = listed;
+    write!(out, "{}", channel.name)?;
+    if !channel.rate.is_empty() {
+        write!(out, "  ({})", channel.rate)?;
+    }
+    writeln!(out)?;
+    if !channel.description.is_empty() {
+        writeln!(out, "    {}", channel.description)?;
+    }
+    if channel.fields.is_empty() {
+        writeln!(out, "    channels.{}: {}", channel.name, channel.ty)?;
+    }
+    for Parameter { name, ty, description, .. } in &channel.fields {
+        writeln!(out, "    channels.{}.{name}: {ty}  {description}", channel.name)?;
+    }
+    for (title, names) in [("declared by", declared_by), ("published by", published_by), ("read by", read_by)]
+    {
+        if !names.is_empty() {
+            writeln!(out, "    {title}: {}", names.join(", "))?;
+        }
+    }
+    writeln!(out)
+}
+
+fn as_json(listed: &Listed) -> serde_json::Value {
+    let channel = &listed.channel;
+    let field = |field: &Parameter| {
+        let unit = unit_of(&field.ty).map(|unit| unit.to_string());
+        json!({"name": field.name, "type": field.ty.to_string(), "unit": unit, "description": field.description})
+    };
+    json!({
+        "name": channel.name,
+        "description": channel.description,
+        "rate": channel.rate,
+        "type": channel.ty.to_string(),
+        "unit": unit_of(&channel.ty).map(|unit| unit.to_string()),
+        "fields": channel.fields.iter().map(field).collect::<Vec<_>>(),
+        "declared_by": listed.declared_by,
+        "published_by": listed.published_by,
+        "read_by": listed.read_by,
+    })
+}
+
+/// The unit of a number, or of the numbers in a list.
+fn unit_of(ty: &Type) -> Option<Unit> {
+    match ty {
+        Type::Float(unit) => *unit,
+        Type::List(element) | Type::Map(element) => unit_of(element),
+        Type::Duration => Some(Unit::S),
+        _ => None,
+    }
+}

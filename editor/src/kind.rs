@@ -1,0 +1,126 @@
+//! The kinds of files that are understood, and how each is checked: `armarium check` and the language server both do it here.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use armarium_memoryx::prior;
+use armarium_runtime::chart::{self, ChannelSchema, Library, Registry};
+use armarium_runtime::test_cases::TestFile;
+use armarium_simulator::World;
+use armarium_source::{Files, Finding, Source};
+use serde_json::Value as Json;
+
+/// A kind of file that people write.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Kind {
+    /// A statechart.
+    Chart,
+    /// A world of the simulator.
+    World,
+    /// Test cases of a chart.
+    Test,
+    /// An object class of prior knowledge.
+    Object,
+    /// A scene of prior knowledge.
+    Scene,
+}
+
+/// The skills and channels that charts may name.
+#[derive(Clone, Debug)]
+pub struct Catalog {
+    /// The skills.
+    pub registry: Registry,
+    /// The channels.
+    pub channels: ChannelSchema,
+}
+
+/// What checking a file gave.
+#[derive(Debug)]
+pub struct Checked {
+    /// Everything that is wrong, also in files that it names.
+    pub findings: Vec<Finding>,
+    /// Of a chart: the chart with the charts that it names.
+    pub library: Option<Library>,
+}
+
+impl Kind {
+    /// Every kind with the key that its files begin with.
+    pub const ALL: [(Self, &'static str); 5] = [
+        (Self::Chart, "statechart"),
+        (Self::World, "world"),
+        (Self::Test, "test"),
+        (Self::Scene, "scene"),
+        (Self::Object, "object"),
+    ];
+
+    /// What a text says that it is: by a key at its outermost level. None where it says nothing.
+    #[must_use]
+    pub fn of(text: &str) -> Option<Self> {
+        let has = |key: &str| {
+            text.lines().any(|line| line.strip_prefix(key).is_some_and(|rest| rest.starts_with(':')))
+        };
+        Self::ALL.into_iter().find(|(_, key)| has(key)).map(|(kind, _)| kind)
+    }
+
+    /// The JSON Schema of its files.
+    #[must_use]
+    pub fn schema(self, registry: &Registry) -> Json {
+        match self {
+            Self::Chart => chart::schema(registry),
+            Self::World => World::schema(),
+            Self::Test => armarium_source::schema::<TestFile>(),
+            Self::Object => prior::file::schema(),
+            Self::Scene => prior::scene::schema(),
+        }
+    }
+}
+
+/// Finds everything that is wrong with a file: what it says it is, and otherwise as a chart.
+///
+/// `folders` are those where charts find other charts besides their own. A file that cannot be read is a finding.
+#[must_use]
+pub fn check(path: &Path, folders: &[PathBuf], files: &dyn Files, catalog: &Catalog) -> Checked {
+    match files.read(path) {
+        Err(finding) => Checked { findings: vec![*finding], library: None },
+        Ok(source) => {
+            let kind = Kind::of(&source.text).unwrap_or(Kind::Chart);
+            check_as(kind, source, folders, files, catalog)
+        }
+    }
+}
+
+/// As [`check`], of a text that is known to be of a kind.
+#[must_use]
+pub(crate) fn check_as(
+    kind: Kind,
+    source: Arc<Source>,
+    folders: &[PathBuf],
+    files: &dyn Files,
+    catalog: &Catalog,
+) -> Checked {
+    let read = match kind {
+        Kind::Chart => {
+            let library = chart::load_from(&source.path.clone(), folders, files);
+            let findings = chart::check(&library, &catalog.registry, &catalog.channels).findings;
+            return Checked { findings, library: Some(library) };
+        }
+        Kind::World => armarium_source::read::<World>(source).map(drop),
+        Kind::Test => check_test(source, folders, files, catalog),
+        Kind::Object | Kind::Scene => Err(prior::file::check(&source, files)),
+    };
+    Checked { findings: read.err().unwrap_or_default(), library: None }
+}
+
+/// A file of test cases by itself, and held against its chart.
+fn check_test(
+    source: Arc<Source>,
+    folders: &[PathBuf],
+    files: &dyn Files,
+    catalog: &Catalog,
+) -> Result<(), Vec<Finding>> {
+    let Catalog { registry, channels } = catalog;
+    let cases = TestFile::read(Arc::clone(&source))?;
+    let program = cases.program(&source, folders, files, registry, channels)?;
+    let findings = TestFile::check(source, &program, registry);
+    if findings.is_empty() { Ok(()) } else { Err(findings) }
+}

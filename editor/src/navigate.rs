@@ -1,0 +1,163 @@
+//! From a name to where it is defined, and to everywhere it is used.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+
+use armarium_runtime::chart::{Library, Reference, Symbol};
+use armarium_source::Span;
+use lsp_types::{Location, Position, Uri};
+
+use crate::uri;
+use crate::workspace::{Analysis, Workspace};
+
+/// The names of a file and of those that it names, with the files of its charts.
+pub(crate) struct Names<'a> {
+    pub(crate) references: &'a [Reference],
+    charts: BTreeMap<String, PathBuf>,
+}
+
+impl Workspace {
+    /// What the name at a place stands for, and the name's place in the present text. A name may stand for several things:
+    /// an outcome is that of all states that end so.
+    pub(crate) fn symbols_at(&mut self, path: &Path, position: Position) -> Option<(Span, Vec<Symbol>)> {
+        let (analysis, shift) = self.readable(path)?;
+        let document = self.document(path)?;
+        let offset = document.lines.offset(&document.source.text, position);
+        let there = shift.map(offset)?;
+        let at = |reference: &&Reference| {
+            reference.source.path == path && reference.span.start <= there && there <= reference.span.end
+        };
+        let found: Vec<&Reference> = self.references(&analysis).iter().filter(at).collect();
+        // Of names that touch, the one after the place; of one inside of the other, the inner.
+        let best = found
+            .iter()
+            .max_by_key(|r| (there < r.span.end, std::cmp::Reverse(r.span.end - r.span.start)))?;
+        let symbols = found.iter().filter(|r| r.span == best.span).map(|r| r.symbol.clone()).collect();
+        Some((shift.back().span(best.span)?, symbols))
+    }
+
+    /// Where the name at a place is defined.
+    pub fn definition(&mut self, uri: &Uri, position: Position) -> Vec<Location> {
+        let path = uri::path(uri);
+        let Some((_, symbols)) = self.symbols_at(&path, position) else { return Vec::new() };
+        let Some((analysis, _)) = self.readable(&path) else { return Vec::new() };
+        let defines = |r: &&Reference| r.definition && symbols.contains(&r.symbol);
+        let found: Vec<Reference> = self.references(&analysis).iter().filter(defines).cloned().collect();
+        self.locations(&found)
+    }
+
+    /// Everywhere that the name at a place is used, in all files of the workspace.
+    pub fn find_references(&mut self, uri: &Uri, position: Position, with_definition: bool) -> Vec<Location> {
+        let path = uri::path(uri);
+        let Some((_, symbols)) = self.symbols_at(&path, position) else { return Vec::new() };
+        let found = self.uses(&path, &symbols.into_iter().collect());
+        let wanted: Vec<Reference> = found.into_iter().filter(|r| with_definition || !r.definition).collect();
+        self.locations(&wanted)
+    }
+
+    /// The uses of symbols that a file knows, in the whole workspace, ordered by file and place, each once.
+    pub(crate) fn uses(&mut self, path: &Path, symbols: &BTreeSet<Symbol>) -> Vec<Reference> {
+        let Some((from, _)) = self.readable(path) else { return Vec::new() };
+        let everything = self.all(&from);
+        let names: Vec<Names<'_>> = everything.iter().map(|analysis| self.names(analysis)).collect();
+        let Some(own) = names.iter().zip(&everything).find(|(_, a)| a.source.path == path) else {
+            return Vec::new();
+        };
+        let connected = connected(own.0, &names, symbols);
+        let mut found: Vec<Reference> = Vec::new();
+        for names in names.iter().filter(|names| names.reaches(&connected)) {
+            let same = |r: &&Reference| {
+                let chart = |chart: &str| {
+                    own.0.charts.get(chart).is_none_or(|file| names.charts.get(chart) == Some(file))
+                };
+                symbols.contains(&r.symbol) && r.symbol.chart().is_none_or(chart)
+            };
+            found.extend(names.references.iter().filter(same).cloned());
+        }
+        found.sort_by(|a, b| {
+            (&a.source.path, a.span.start, b.definition).cmp(&(&b.source.path, b.span.start, a.definition))
+        });
+        found.dedup_by(|a, b| a.source.path == b.source.path && a.span == b.span);
+        found
+    }
+
+    /// Every file of the workspace, and one that may lie elsewhere.
+    pub(crate) fn all(&self, one: &Rc<Analysis>) -> Vec<Rc<Analysis>> {
+        let mut everything = self.everything();
+        everything.retain(|analysis| analysis.source.path != one.source.path);
+        everything.push(Rc::clone(one));
+        everything
+    }
+
+    pub(crate) fn names<'a>(&self, analysis: &'a Analysis) -> Names<'a> {
+        let references = self.references(analysis);
+        let files = |library: &Library| -> BTreeMap<String, PathBuf> {
+            library.charts.iter().map(|(name, chart)| (name.clone(), chart.source.path.clone())).collect()
+        };
+        let charts = match &analysis.library {
+            Some(library) => files(library),
+            None => self.tested(analysis).as_ref().map_or_else(BTreeMap::new, files),
+        };
+        Names { references, charts }
+    }
+
+    fn locations(&self, references: &[Reference]) -> Vec<Location> {
+        let mut found: Vec<Location> = Vec::new();
+        for reference in references {
+            let place = self.present(reference).and_then(|span| self.location_now(reference, span));
+            if let Some(location) = place.filter(|location| !found.contains(location)) {
+                found.push(location);
+            }
+        }
+        found
+    }
+
+    /// The place of a reference in the present text of its file.
+    pub(crate) fn present(&self, reference: &Reference) -> Option<Span> {
+        match self.document(&reference.source.path) {
+            Some(document) if document.source.text != reference.source.text => {
+                crate::text::Shift::between(&reference.source.text, &document.source.text)
+                    .span(reference.span)
+            }
+            _ => Some(reference.span),
+        }
+    }
+
+    fn location_now(&self, reference: &Reference, span: Span) -> Option<Location> {
+        match self.document(&reference.source.path) {
+            Some(document) => self.location(&document.source, span),
+            None => self.location(&reference.source, span),
+        }
+    }
+}
+
+impl Names<'_> {
+    fn reaches(&self, files: &BTreeSet<&Path>) -> bool {
+        self.charts.values().any(|file| files.contains(file.as_path()))
+    }
+}
+
+/// The files that a symbol is used in, from one library to the next: an event is one only where charts use each other.
+fn connected<'n>(own: &'n Names<'n>, all: &'n [Names<'n>], symbols: &BTreeSet<Symbol>) -> BTreeSet<&'n Path> {
+    let using = |names: &'n Names<'n>| {
+        let uses = names.references.iter().filter(|r| symbols.contains(&r.symbol));
+        uses.map(|r| r.source.path.as_path()).collect::<BTreeSet<&Path>>()
+    };
+    let mut files = using(own);
+    files.extend(own.charts.iter().filter_map(|(chart, file)| {
+        symbols.iter().any(|s| s.chart() == Some(chart)).then_some(file.as_path())
+    }));
+    let libraries: Vec<BTreeSet<&Path>> = all.iter().map(using).collect();
+    loop {
+        let before = files.len();
+        for library in &libraries {
+            if library.iter().any(|file| files.contains(file)) {
+                files.extend(library);
+            }
+        }
+        if files.len() == before {
+            return files;
+        }
+    }
+}

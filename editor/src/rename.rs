@@ -1,0 +1,298 @@
+//! Renaming with all references. It is refused where the name is not ours, cannot be, or would come to stand for something
+//! else: the files are read again with the new name, and every other name must still stand for what it did.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use armarium_runtime::chart::{Reference, Section, SkillPart, Symbol, is_name};
+use armarium_source::{Edit, applied};
+use lsp_types::{
+    DocumentChanges, OneOf, OptionalVersionedTextDocumentIdentifier, Position, Range, TextDocumentEdit,
+    TextEdit, Uri, WorkspaceEdit,
+};
+
+use crate::text::Lines;
+use crate::uri;
+use crate::workspace::{Analysis, Workspace};
+
+/// Why a name is not changed.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RenameError {
+    /// Nothing that has a name stands at the place.
+    #[error("there is no name here")]
+    Nothing,
+    /// The name belongs to the program or the language.
+    #[error("`{name}` is {what}: its name is not given in a file")]
+    NotOurs {
+        /// The name.
+        name: String,
+        /// What it is.
+        what: &'static str,
+    },
+    /// The new name is none.
+    #[error("`{name}` is not a name: letters, digits and `_`, no digit first, and no word of the language")]
+    Invalid {
+        /// The new name.
+        name: String,
+    },
+    /// The new name has a meaning already where the old one is used.
+    #[error("`{name}` stands for something else already: {place}")]
+    Taken {
+        /// The new name.
+        name: String,
+        /// Where that shows.
+        place: String,
+    },
+    /// The name is written in a way in which it cannot be changed.
+    #[error("the name is written with escapes or over several lines: {place}")]
+    Unclear {
+        /// Where.
+        place: String,
+    },
+    /// A file cannot be read as it is now.
+    #[error("{place} cannot be read: put it right first")]
+    Unreadable {
+        /// The file.
+        place: String,
+    },
+}
+
+/// The edits of a rename, by file.
+type Edits = BTreeMap<PathBuf, Vec<Edit>>;
+
+impl Workspace {
+    /// The name at a place, if it can be changed.
+    ///
+    /// # Errors
+    /// [`RenameError`] when there is none, or it is not given in a file.
+    pub fn prepare_rename(&mut self, uri: &Uri, position: Position) -> Result<Range, RenameError> {
+        let (span, symbols) = self.symbols_at(&uri::path(uri), position).ok_or(RenameError::Nothing)?;
+        symbols.iter().try_for_each(ours)?;
+        let document = self.document(&uri::path(uri)).ok_or(RenameError::Nothing)?;
+        Ok(document.lines.range(&document.source.text, span))
+    }
+
+    /// The edits that give what stands at a place a new name, wherever it is used.
+    ///
+    /// # Errors
+    /// [`RenameError`] with the reason why it is not done; then nothing is to be changed.
+    pub fn rename(
+        &mut self,
+        uri: &Uri,
+        position: Position,
+        name: &str,
+    ) -> Result<WorkspaceEdit, RenameError> {
+        let path = uri::path(uri);
+        let (_, symbols) = self.symbols_at(&path, position).ok_or(RenameError::Nothing)?;
+        let (symbols, uses) = self.together(&path, symbols.into_iter().collect())?;
+        if !symbols.iter().all(|symbol| fits(symbol, name)) {
+            return Err(RenameError::Invalid { name: name.to_owned() });
+        }
+        let mut edits: Edits = BTreeMap::new();
+        for reference in &uses {
+            let place = || reference.source.place(reference.span.start);
+            if !reference.exact {
+                // Test cases name a chart by its file, which keeps its name.
+                if matches!(reference.symbol, Symbol::Chart { .. }) {
+                    continue;
+                }
+                return Err(RenameError::Unclear { place: place() });
+            }
+            if self.present(reference) != Some(reference.span) {
+                return Err(RenameError::Unreadable { place: place() });
+            }
+            let edit = Edit { span: reference.span, text: name.to_owned() };
+            edits.entry(reference.source.path.clone()).or_default().push(edit);
+        }
+        self.still_the_same(&path, &symbols, name, &edits)?;
+        Ok(self.for_client(edits))
+    }
+
+    /// All symbols that share a place with these, and their uses: one text cannot become two.
+    fn together(
+        &mut self,
+        path: &Path,
+        mut symbols: BTreeSet<Symbol>,
+    ) -> Result<(BTreeSet<Symbol>, Vec<Reference>), RenameError> {
+        loop {
+            symbols.iter().try_for_each(ours)?;
+            let uses = self.uses(path, &symbols);
+            let places: BTreeSet<(&Path, usize)> =
+                uses.iter().map(|r| (r.source.path.as_path(), r.span.start)).collect();
+            let (analysis, _) = self.readable(path).ok_or(RenameError::Nothing)?;
+            let everything = self.all(&analysis);
+            let mut more = BTreeSet::new();
+            for analysis in &everything {
+                let shared = self.references(analysis).iter().filter(|r| {
+                    places.contains(&(r.source.path.as_path(), r.span.start)) && !symbols.contains(&r.symbol)
+                });
+                more.extend(shared.map(|r| r.symbol.clone()));
+            }
+            if more.is_empty() {
+                return Ok((symbols, uses));
+            }
+            symbols.extend(more);
+        }
+    }
+
+    /// Reads every file with the new name: all names must stand for what they stood for, and nothing new be wrong.
+    fn still_the_same(
+        &mut self,
+        path: &Path,
+        symbols: &BTreeSet<Symbol>,
+        name: &str,
+        edits: &Edits,
+    ) -> Result<(), RenameError> {
+        let (analysis, _) = self.readable(path).ok_or(RenameError::Nothing)?;
+        let after = self.with(edits);
+        for before in self.all(&analysis) {
+            let uses = self.references(&before);
+            if !uses.iter().any(|r| edits.contains_key(&r.source.path)) {
+                continue;
+            }
+            let file = &before.source.path;
+            let now = after.reopened(&before);
+            let again = after.references(&now);
+            let errors = |a: &Analysis| a.findings.iter().filter(|f| f.is_error()).count();
+            let expected: BTreeSet<(PathBuf, usize, Symbol)> = uses
+                .iter()
+                .map(|r| {
+                    let at = moved(edits, &r.source.path, r.span.start);
+                    (r.source.path.clone(), at, renamed(&r.symbol, symbols, name))
+                })
+                .collect();
+            let found: BTreeSet<(PathBuf, usize, Symbol)> =
+                again.iter().map(|r| (r.source.path.clone(), r.span.start, r.symbol.clone())).collect();
+            let other = expected.symmetric_difference(&found).next();
+            let source = |path: &Path| again.iter().find(|r| r.source.path == path).map(|r| r.source.clone());
+            let taken = |place: String| RenameError::Taken { name: name.to_owned(), place };
+            if let Some((path, at, _)) = other {
+                let place =
+                    source(path).map_or_else(|| path.display().to_string(), |source| source.place(*at));
+                return Err(taken(place));
+            }
+            if errors(&now) > errors(&before) {
+                let new = now
+                    .findings
+                    .iter()
+                    .find(|f| f.is_error() && !before.findings.iter().any(|b| b.message == f.message));
+                return Err(taken(new.map_or_else(|| file.display().to_string(), ToString::to_string)));
+            }
+        }
+        Ok(())
+    }
+
+    /// A workspace in which the edits are made.
+    fn with(&self, edits: &Edits) -> Self {
+        let mut copy = Self::new(self.catalog.clone(), &self.folders);
+        for (_, document) in self.documents() {
+            copy.open(document.uri.clone(), document.version, document.source.text.clone());
+        }
+        for (path, edits) in edits {
+            let text = self.text_of(path);
+            if let (Some(text), Some(uri)) = (text, uri::of(path)) {
+                copy.open(uri, 0, applied(&text, edits));
+            }
+        }
+        copy
+    }
+
+    fn text_of(&self, path: &Path) -> Option<String> {
+        match self.document(path) {
+            Some(document) => Some(document.source.text.clone()),
+            None => armarium_source::Source::read(path).ok().map(|source| source.text.clone()),
+        }
+    }
+
+    fn for_client(&self, edits: Edits) -> WorkspaceEdit {
+        let one = |(path, edits): (PathBuf, Vec<Edit>)| {
+            let text = self.text_of(&path)?;
+            let lines = Lines::of(&text);
+            let document = self.document(&path);
+            let uri = document.map(|document| document.uri.clone()).or_else(|| uri::of(&path))?;
+            let version = document.map(|document| document.version);
+            let edit = |edit: Edit| OneOf::Left(TextEdit::new(lines.range(&text, edit.span), edit.text));
+            let text_document = OptionalVersionedTextDocumentIdentifier { uri, version };
+            Some(TextDocumentEdit { text_document, edits: edits.into_iter().map(edit).collect() })
+        };
+        let changes = edits.into_iter().filter_map(one).collect();
+        WorkspaceEdit { document_changes: Some(DocumentChanges::Edits(changes)), ..WorkspaceEdit::default() }
+    }
+}
+
+/// Where a byte of a file is when the edits are made.
+fn moved(edits: &Edits, path: &Path, at: usize) -> usize {
+    let before = edits.get(path).into_iter().flatten().filter(|edit| edit.span.end <= at);
+    before.fold(at, |at, edit| at + edit.text.len() - (edit.span.end - edit.span.start))
+}
+
+/// Whether a name is given in files.
+fn ours(symbol: &Symbol) -> Result<(), RenameError> {
+    let what = match symbol {
+        Symbol::Skill { .. } => "a skill",
+        Symbol::OfSkill { part: SkillPart::Input, .. } => "an input of a skill",
+        Symbol::OfSkill { part: SkillPart::Output, .. } => "an output of a skill",
+        Symbol::OfSkill { part: SkillPart::Outcome, .. } => "an outcome of a skill",
+        Symbol::OfSkill { part: SkillPart::Event, .. } => "an event of a skill",
+        Symbol::Channel { .. } => "a channel",
+        Symbol::Function { .. } => "a function",
+        Symbol::Outcome { name, .. } if name == "success" || name == "failure" => "a word of the language",
+        _ => return Ok(()),
+    };
+    Err(RenameError::NotOurs { name: symbol.name().to_owned(), what })
+}
+
+/// Whether a text can be the name of a thing.
+fn fits(symbol: &Symbol, name: &str) -> bool {
+    match symbol {
+        Symbol::Event { .. } | Symbol::Outcome { .. } => {
+            !matches!(name, "success" | "failure")
+                && name.split('.').all(|part| {
+                    !part.is_empty() && part.chars().all(|c| c.is_alphanumeric() || c == '_' || c == '-')
+                })
+        }
+        Symbol::Declared { section: Section::Types, .. } => {
+            is_name(name) && armarium_values::Type::parse(name, &|_| None).is_none()
+        }
+        _ => is_name(name),
+    }
+}
+
+/// The symbol under its new name, or inside of what has one.
+fn renamed(symbol: &Symbol, symbols: &BTreeSet<Symbol>, name: &str) -> Symbol {
+    let mut new = symbol.clone();
+    for old in symbols {
+        match (old, &mut new) {
+            (
+                Symbol::Chart { chart: old },
+                Symbol::Chart { chart }
+                | Symbol::State { chart, .. }
+                | Symbol::Declared { chart, .. }
+                | Symbol::Watch { chart, .. }
+                | Symbol::Outcome { chart, .. },
+            ) if chart == old => name.clone_into(chart),
+            (
+                Symbol::State { chart: of, path: old },
+                Symbol::State { chart, path }
+                | Symbol::Watch { chart, state: path, .. }
+                | Symbol::Outcome { chart, state: path, .. },
+            ) if chart == of
+                && (path == old
+                    || path.strip_prefix(old.as_str()).is_some_and(|rest| rest.starts_with('.'))) =>
+            {
+                let around = old.rfind('.').map_or("", |dot| &old[..=dot]);
+                *path = format!("{around}{name}{}", &path[old.len()..]);
+            }
+            (
+                old,
+                Symbol::Declared { name: own, .. }
+                | Symbol::Event { name: own }
+                | Symbol::Watch { name: own, .. }
+                | Symbol::Outcome { name: own, .. },
+            ) if old == symbol => name.clone_into(own),
+            _ => {}
+        }
+    }
+    new
+}

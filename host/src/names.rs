@@ -1,0 +1,102 @@
+//! The names that exist before a run: the robot's postures, and the classes of objects that prior knowledge has.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use armarium_robot::postures;
+use armarium_runtime::chart::KnownNames;
+use armarium_runtime::skill::NameKind;
+use armarium_simulator::World;
+use armarium_source::{Disk, Files as _};
+
+use crate::simulated::prior_knowledge;
+
+/// Where object classes come from.
+#[derive(Debug)]
+pub(crate) enum Names {
+    /// A run: prior knowledge of its world.
+    Run(BTreeSet<String>),
+    /// A chart that is only checked: it may run in the default world, in these, and in those beside its file.
+    Check(BTreeSet<String>),
+    /// An agent: others may tell it of classes while it runs.
+    Agent,
+}
+
+impl Names {
+    pub(crate) fn of_run(world: &World) -> Self {
+        Self::Run(classes(world))
+    }
+
+    pub(crate) fn of_check(worlds: &[World]) -> Self {
+        let mut known = classes(&World::default());
+        worlds.iter().for_each(|world| known.extend(classes(world)));
+        Self::Check(known)
+    }
+}
+
+impl KnownNames for Names {
+    fn names(&self, kind: NameKind, chart: &Path) -> Option<BTreeSet<String>> {
+        match (kind, self) {
+            (NameKind::Posture, _) => Some(postures::NAMES.map(str::to_owned).into()),
+            (NameKind::ObjectClass, Self::Run(known)) => Some(known.clone()),
+            (NameKind::ObjectClass, Self::Check(known)) => {
+                let mut known = known.clone();
+                known.extend(beside(chart));
+                Some(known)
+            }
+            _ => None,
+        }
+    }
+}
+
+/// The classes of objects of which a robot in this world has prior knowledge.
+fn classes(world: &World) -> BTreeSet<String> {
+    let prior = prior_knowledge(world);
+    prior.iter().flat_map(|prior| prior.classes()).map(|class| class.name.clone()).collect()
+}
+
+/// The classes of the worlds beside a chart, and those that are files of their own there.
+fn beside(chart: &Path) -> BTreeSet<String> {
+    let mut known = BTreeSet::new();
+    for file in Disk.list(chart.parent().unwrap_or(Path::new(""))) {
+        let head = Disk.head(&file).unwrap_or_default();
+        let value = |key: &str| head.lines().find_map(|line| line.strip_prefix(key));
+        if let Some(name) = value("object:") {
+            known.insert(name.split('#').next().unwrap_or("").trim().trim_matches(['"', '\'']).to_owned());
+        } else if value("world:").is_some()
+            && let Ok(world) = World::load(&file)
+        {
+            known.extend(classes(&world));
+        }
+    }
+    known
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn object_classes_come_from_the_world_of_the_run_or_from_the_files_beside_the_chart() {
+        let folder = tempfile::tempdir().unwrap();
+        let chart = folder.path().join("fetch.yaml");
+        let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
+        write("kitchen.world.yaml", "world: kitchen\nobjects: [{name: cup}]\n");
+        write("plate.yaml", "object: plate   # from the cupboard\ncolor: [1, 2, 3]\nsize: [0.1, 0.1, 0.1]\n");
+        write("broken.yaml", "world: broken\nobjects: [\n");
+        let has = |names: &Names, class: &str| {
+            names.names(NameKind::ObjectClass, &chart).is_some_and(|known| known.contains(class))
+        };
+        let check = Names::of_check(&[]);
+        for class in ["sponge", "coach_tool", "cup", "plate"] {
+            assert!(has(&check, class), "{class}");
+        }
+        assert!(!has(&check, "fork"));
+        let elsewhere = World::parse(Path::new("w"), "world: w\nobjects: [{name: fork}]\n").unwrap();
+        assert!(has(&Names::of_check(std::slice::from_ref(&elsewhere)), "fork"));
+        let run = Names::of_run(&elsewhere);
+        assert!(has(&run, "fork") && has(&run, "sponge") && !has(&run, "cup"));
+        assert_eq!(Names::Agent.names(NameKind::ObjectClass, &chart), None);
+        assert!(Names::Agent.names(NameKind::Posture, &chart).unwrap().contains("home"));
+    }
+}

@@ -1,0 +1,79 @@
+//! Words of other languages for behaviour, and what Armarium calls them: XState, Sismic, SCXML, ArmarX, BehaviorTree.CPP.
+
+/// Words, and what they are here.
+const WORDS: &[(&[&str], &str)] = &[
+    (&["on", "eventTransitions"], "in Armarium this is `transitions: {event: Target}`"),
+    (
+        &["type"],
+        "in Armarium the keys say what a state is: `states`, `parallel`, `final`, `history`, `skill`",
+    ),
+    (
+        &["entry", "onEntry", "onentry", "on_entry", "on entry", "onEnter"],
+        "in Armarium this is `enter: [action, ...]`",
+    ),
+    (&["onExit", "onexit", "on_exit", "on exit", "onBreak"], "in Armarium this is `exit: [action, ...]`"),
+    (
+        &["invoke", "call", "task", "activity", "activities", "src"],
+        "in Armarium a state runs a skill: `skill: Name`",
+    ),
+    (
+        &["context", "datamodel", "data", "preamble", "variables", "vars", "localParameters", "blackboard"],
+        "in Armarium a chart's variables are `locals: {name: {type: ..., default: ...}}`",
+    ),
+    (
+        &["inputParameters", "input_ports", "params", "parameters", "args", "arguments"],
+        "in Armarium a state is given values by `with`, and a chart declares `inputs`",
+    ),
+    (
+        &["outputParameters", "output_ports", "output", "donedata"],
+        "in Armarium a chart declares `outputs`, and `assign` sets them",
+    ),
+    (&["guard", "cond", "condition", "when", "unless"], "in Armarium this is `if: \"expression\"`"),
+    (
+        &["actions", "action", "script"],
+        "in Armarium these are `enter` and `exit` at a state, `do` at a transition",
+    ),
+    (&["to", "goto", "next", "destination", "nextState"], "in Armarium this is `target: State`"),
+    (
+        &["initialState", "initial state", "start", "startState", "entry_point"],
+        "in Armarium this is `initial: State`",
+    ),
+    (
+        &["parallel states", "regions", "orthogonal", "Parallel", "ReactiveParallel"],
+        "in Armarium this is `parallel: {Region: ...}`",
+    ),
+    (&["timeout", "delay", "Timeout", "Delay"], "in Armarium this is `after: {5s: Target}`"),
+    (&["Retry", "RetryUntilSuccessful", "num_attempts"], "in Armarium this is `retry: {times: 3, wait: 1s}`"),
+    (
+        &["Sequence", "SequenceNode", "ReactiveSequence", "sequence", "children"],
+        "in Armarium a sequence is `states` whose `success` leads to the next: `transitions: {success: Next, failure: Failed}`",
+    ),
+    (
+        &["Fallback", "Selector", "ReactiveFallback", "fallback"],
+        "in Armarium an alternative is a state to which `failure` leads: `transitions: {failure: Other}`",
+    ),
+    (
+        &["Inverter", "ForceSuccess", "ForceFailure"],
+        "in Armarium the transitions say where each outcome leads: `{success: Failed, failure: Done}`",
+    ),
+    (
+        &["SubTree", "SubTreePlus", "machine", "substate", "include"],
+        "in Armarium another chart is `statechart: Name`",
+    ),
+    (&["id", "name"], "in Armarium the key above is the name of a state"),
+    (&["eventless", "automatic"], "in Armarium this is `always: Target`"),
+    (
+        &["onDone", "onError", "done", "error"],
+        "in Armarium outcomes are events: `transitions: {success: ..., failure: ...}`",
+    ),
+    (
+        &["contract", "preconditions", "postconditions", "invariants"],
+        "in Armarium what must hold while a state is active is a `watch`",
+    ),
+    (&["state", "substates"], "in Armarium this is `states: {Name: ...}`"),
+];
+
+/// What a key that the form does not have is here.
+pub(super) fn meant(key: &str) -> Option<&'static str> {
+    WORDS.iter().find(|(words, _)| words.contains(&key)).map(|(_, help)| *help)
+}

@@ -1,0 +1,219 @@
+//! Why a text is no YAML, in words for people: the parser says what it did not expect, and mostly a line too late. The usual slips
+//! are looked for in the text around that place; nothing is parsed here.
+
+use crate::span::Span;
+
+/// What is wrong, where, and what to do about it.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Slip {
+    pub(crate) span: Span,
+    pub(crate) message: String,
+    pub(crate) help: String,
+}
+
+fn slip(start: usize, len: usize, message: impl Into<String>, help: impl Into<String>) -> Option<Slip> {
+    Some(Slip { span: Span { start, end: start + len.max(1) }, message: message.into(), help: help.into() })
+}
+
+/// The slip in `text` that made the parser stop at byte `at`; `None` where none is recognised.
+pub(crate) fn slip_near(text: &str, at: usize) -> Option<Slip> {
+    let lines = lines(text);
+    let here = lines.iter().rposition(|line| line.start <= at)?;
+    tab(&lines, here)
+        .or_else(|| unquoted_expression(&lines, here))
+        .or_else(|| text_after_quote(&lines, here))
+        .or_else(|| unclosed(text, at))
+        .or_else(|| missing_colon(&lines, here))
+        .or_else(|| indentation(&lines, here))
+}
+
+/// A line and where it begins.
+struct Line<'t> {
+    start: usize,
+    text: &'t str,
+}
+
+impl<'t> Line<'t> {
+    fn indent(&self) -> usize {
+        self.text.len() - self.text.trim_start().len()
+    }
+
+    /// Without indentation, comment and trailing space.
+    fn content(&self) -> &'t str {
+        let text = self.text.trim();
+        if text.starts_with('#') { "" } else { text.split(" #").next().unwrap_or(text).trim_end() }
+    }
+}
+
+fn lines(text: &str) -> Vec<Line<'_>> {
+    let mut start = 0;
+    let one = |line| {
+        let begins = start;
+        start += str::len(line);
+        Line { start: begins, text: line.trim_end_matches(['\n', '\r']) }
+    };
+    text.split_inclusive('\n').map(one).collect()
+}
+
+fn tab(lines: &[Line<'_>], here: usize) -> Option<Slip> {
+    let with_tab = |line: &&Line<'_>| line.text[..line.indent()].contains('\t');
+    let line = lines[..=here].iter().rev().take(2).find(with_tab)?;
+    let tab = line.text.find('\t').unwrap_or(0);
+    slip(line.start + tab, 1, "a tab indents this line", "indent with spaces")
+}
+
+/// `{force: ${inputs.force}}`: YAML reads the second `{` as a map.
+fn unquoted_expression(lines: &[Line<'_>], here: usize) -> Option<Slip> {
+    lines[..=here].iter().rev().take(2).find_map(|line| {
+        let mut quote = None;
+        for (at, c) in line.text.char_indices() {
+            match (quote, c) {
+                (None, '"' | '\'') => quote = Some(c),
+                (Some(open), c) if c == open => quote = None,
+                (None, '$') if line.text[at..].starts_with("${") => {
+                    let end = line.text[at..].find('}').map_or(line.text.len(), |end| at + end + 1);
+                    let expression = &line.text[at..end];
+                    let help = format!("quote it: `\"{expression}\"`");
+                    return slip(
+                        line.start + at,
+                        expression.len(),
+                        "YAML reads this `{` as the beginning of a map",
+                        help,
+                    );
+                }
+                _ => {}
+            }
+        }
+        None
+    })
+}
+
+/// `if: "a" == b`.
+fn text_after_quote(lines: &[Line<'_>], here: usize) -> Option<Slip> {
+    let line = &lines[here];
+    let value = line.text.find(": ").map(|at| at + 2)?;
+    let quote = line.text[value..].chars().next().filter(|c| matches!(c, '"' | '\''))?;
+    let close = value + 1 + line.text[value + 1..].find(quote)?;
+    let rest = line.text[close + 1..].trim();
+    if rest.is_empty() || rest.starts_with(['#', ',', '}', ']', ':']) {
+        return None;
+    }
+    let help = "put the whole value into one pair of quotes, and texts inside of it into the other kind";
+    slip(line.start + close + 1, line.text.len() - close - 1, "text goes on after the closing quote", help)
+}
+
+/// A bracket or a quote that is open at the place where the parser stopped.
+fn unclosed(text: &str, at: usize) -> Option<Slip> {
+    let mut open: Vec<(usize, char)> = Vec::new();
+    let mut quote: Option<(usize, char)> = None;
+    let (mut before, mut comment) = ('\n', false);
+    let mut skip = false;
+    for (here, c) in text.char_indices() {
+        if here > at && quote.is_none() {
+            break;
+        }
+        let starts = before.is_whitespace() || "{[,:".contains(before);
+        match (quote, c) {
+            _ if skip => skip = false,
+            _ if comment => comment = c != '\n',
+            (Some((_, '"')), '\\') => skip = true,
+            (Some((_, open)), c) if c == open => quote = None,
+            (Some(_), _) => {}
+            (None, '#') if before.is_whitespace() => comment = true,
+            (None, '"' | '\'') if starts => quote = Some((here, c)),
+            (None, '{' | '[') if starts || !open.is_empty() => open.push((here, c)),
+            (None, '}' | ']') => {
+                open.pop();
+            }
+            _ => {}
+        }
+        before = c;
+    }
+    if let Some((start, c)) = quote {
+        return slip(start, 1, "this quote is not closed", format!("add the second `{c}`"));
+    }
+    let (start, c) = *open.last()?;
+    let other = if c == '{' { '}' } else { ']' };
+    let same_line = !text[start..at.max(start)].contains('\n');
+    if same_line && text[at..].lines().next().is_some_and(|rest| rest.contains(other)) {
+        return None;
+    }
+    slip(start, 1, format!("this `{c}` is not closed"), format!("add the missing `{other}`"))
+}
+
+/// A key without its colon makes one long text of what follows.
+fn missing_colon(lines: &[Line<'_>], here: usize) -> Option<Slip> {
+    let bare = |line: &Line<'_>| {
+        let content = line.content();
+        !content.is_empty()
+            && !content.contains(':')
+            && !content.starts_with(['-', '{', '[', '}', ']', '"', '\'', '|', '>'])
+    };
+    let line = lines[..=here].iter().rev().take(3).find(|line| bare(line))?;
+    let content = line.content();
+    let (key, value) = content.split_once(char::is_whitespace).unwrap_or((content, ""));
+    let written = if value.is_empty() { format!("{key}:") } else { format!("{key}: {}", value.trim()) };
+    slip(
+        line.start + line.indent(),
+        content.len(),
+        format!("a `:` is missing after `{key}`"),
+        format!("write `{written}`"),
+    )
+}
+
+fn indentation(lines: &[Line<'_>], here: usize) -> Option<Slip> {
+    let line = &lines[here];
+    let indent = line.indent();
+    let mut above: Vec<usize> =
+        lines[..here].iter().filter(|line| !line.content().is_empty()).map(Line::indent).collect();
+    above.sort_unstable();
+    above.dedup();
+    if line.content().is_empty() || above.contains(&indent) {
+        return None;
+    }
+    let near: Vec<String> = above.iter().rev().take(3).rev().map(usize::to_string).collect();
+    let help = format!("indent it like the lines that it belongs to: by {}", near.join(" or "));
+    slip(line.start, indent, format!("this line is indented by {indent}, like none above it"), help)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Each text, with the byte at which the parser stops marked by `^`.
+    #[test]
+    fn usual_slips_are_explained_at_their_place() {
+        let cases = [
+            ("a:\n^\tb: 1\n", "\t", "a tab indents this line"),
+            ("a: {b: $^{x}}\n", "${x}", "YAML reads this `{` as the beginning of a map"),
+            ("a: {b: 1\n^c: 2\n", "{", "this `{` is not closed"),
+            ("a: [1, 2\nb: ^2\n", "[", "this `[` is not closed"),
+            ("a: \"b\nc: 2\n^", "\"", "this quote is not closed"),
+            ("a\n  b:^ 1\n", "a", "a `:` is missing after `a`"),
+            ("a:\n  b 1\n  c:^ 1\n", "b 1", "a `:` is missing after `b`"),
+            ("a:\n    b: 1\n   ^c: 1\n", "   ", "this line is indented by 3, like none above it"),
+            ("if: \"a\" ^== b\n", " == b", "text goes on after the closing quote"),
+        ];
+        for (marked, place, message) in cases {
+            let at = marked.find('^').expect("the place is marked");
+            let text = marked.replace('^', "");
+            let slip = slip_near(&text, at).unwrap_or_else(|| panic!("nothing is found in {text:?}"));
+            assert_eq!(
+                (&text[slip.span.start..slip.span.end], slip.message.as_str()),
+                (place, message),
+                "{text:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn no_text_is_too_strange() {
+        for text in ["", "é", "{", "'", "a: 'é", "\t", "\u{feff}a", "- - -", "${", "a: \"\\", "\r\n\r\n{"] {
+            for at in 0..=text.len() {
+                if let Some(slip) = slip_near(text, at) {
+                    assert!(text.is_char_boundary(slip.span.start), "{text:?} at {at}: {slip:?}");
+                }
+            }
+        }
+    }
+}
