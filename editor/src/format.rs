@@ -140,9 +140,10 @@ fn indented(text: &str) -> String {
             }
             Role::Text(owner) => {
                 let column = owner.map_or(old, |owner| shifted(old, &layout.entries[owner], columns[owner]));
-                // Spaces at the end of a line of text are text.
+                // Spaces at the end of a line of text are text, and so are those beyond the indentation of a block.
                 let content = line.text.trim_start_matches(' ');
-                put(&mut result, if content.is_empty() { 0 } else { column }, content);
+                let empty = content.is_empty() && !is_beyond_block(text, &layout, &line);
+                put(&mut result, if empty { 0 } else { column }, content);
             }
         }
         blank = matches!(role, Role::Blank);
@@ -179,6 +180,17 @@ fn comment_place(layout: &Layout, columns: &[usize], next: Option<usize>, old: u
             same.map(|at| columns[at]).next().or(following.map(|(_, new)| new)).unwrap_or(other)
         }
     }
+}
+
+/// Whether a line of spaces is longer than the indentation of the block of text around it.
+fn is_beyond_block(text: &str, layout: &Layout, line: &Line<'_>) -> bool {
+    let before = layout.texts.partition_point(|text| text.start < line.start);
+    let Some(block) = layout.texts[..before].last().filter(|block| line.start < block.end) else {
+        return false;
+    };
+    let mut inside = text[block.start..block.end].lines().skip(1);
+    let first = inside.find(|line| !line.trim().is_empty());
+    first.is_some_and(|first| line.text.len() > first.len() - first.trim_start().len())
 }
 
 /// Whether a text of several lines ends the file, of which blank lines may be a part.

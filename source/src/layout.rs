@@ -362,13 +362,19 @@ impl Scanner<'_> {
         }
         self.reaches(self.at);
         let mut end = self.at;
+        let mut indent = None;
         for line in lines(&self.text[self.at..]).skip(1) {
             let (from, to) = (self.at + line.start, self.at + line.end);
             let text = &self.text[from..to];
             let column = text.iter().take_while(|byte| **byte == b' ').count();
             if text.iter().all(u8::is_ascii_whitespace) {
+                // Spaces beyond the indentation are text.
+                if indent.is_some_and(|indent| column > indent) {
+                    end = to;
+                }
                 continue;
             }
+            indent.get_or_insert(column);
             if isize::try_from(column).unwrap_or(isize::MAX) <= margin {
                 break;
             }

@@ -27,6 +27,8 @@ mod tests;
 mod text;
 pub mod yaml;
 mod yaml_errors;
+mod yaml_events;
+mod yaml_scalars;
 
 pub use field::{Field, Rule, word};
 pub use files::{Disk, Files, is_yaml};

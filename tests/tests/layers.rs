@@ -52,7 +52,7 @@ const CONFINED: [(&str, &[&str], &str); 15] = [
     ("clap", &["cli"], "only the program has a command line"),
     ("annotate-snippets", &["cli"], "findings are data; only the program renders them"),
     ("tracing-subscriber", &["cli"], "rooms emit log events; the program decides where they go"),
-    ("serde-saphyr", &["source"], "files that people write are read in one way"),
+    ("granit-parser", &["source"], "files that people write are read in one way"),
     ("strsim", &["values"], "what might be meant is guessed in one way"),
     ("urdf-rs", &["robot"], "descriptions become a model in one place"),
 ];

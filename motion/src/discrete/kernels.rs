@@ -5,6 +5,8 @@ use crate::error::MotionError;
 
 /// Lower bound of the phase, so that its logarithm stays bounded long after the end.
 const MIN_PHASE: f64 = 1e-12;
+/// Kernels at this distance or farther are left out: their values are under 1e-19 of the nearest one's.
+const REACH: usize = 6;
 
 /// `exp(-(u - i)^2 / 0.8)` over `u = (N - 1) t / duration`, which is `-(N - 1) ln x / alpha_x`. The kernels have
 /// equal widths and distances in time; the last one continues after the end.
@@ -26,18 +28,19 @@ impl DecayKernels {
         (-self.alpha_x * t / duration).exp().max(MIN_PHASE)
     }
 
-    /// Writes the kernel values at phase `x` to `out` and returns their sum, which is never 0.
-    pub(crate) fn evaluate(&self, x: f64, out: &mut [f64]) -> f64 {
-        let last = (self.count - 1) as f64;
-        let u = (-x.ln() * self.per_log).clamp(0.0, last);
+    /// Writes the kernel values at phase `x` to `out`. The sum is never 0.
+    pub(crate) fn evaluate(&self, x: f64, out: &mut [f64]) -> Activation {
+        let u = (-x.ln() * self.per_log).clamp(0.0, (self.count - 1) as f64);
+        let below = u as usize;
+        let used = (below + 1).saturating_sub(REACH)..(below + 1 + REACH).min(self.count);
+        out.fill(0.0);
         let mut sum = 0.0;
-        for (i, o) in out.iter_mut().enumerate() {
+        for (i, o) in used.clone().zip(&mut out[used.clone()]) {
             let away = u - i as f64;
-            // Farther away, the value is under 1e-19 of the nearest kernel's.
-            *o = if away.abs() < 6.0 { (-away * away / 0.8).exp() } else { 0.0 };
+            *o = (-away * away / 0.8).exp();
             sum += *o;
         }
-        sum
+        Activation { used, sum, gate: x }
     }
 }
 
@@ -56,7 +59,7 @@ impl Canonical for DecayKernels {
 
     /// The gate is the phase: the forcing term decays with it.
     fn activate(&self, x: f64, psi: &mut [f64]) -> Activation {
-        Activation { used: 0..psi.len(), sum: self.evaluate(x, psi), gate: x }
+        self.evaluate(x, psi)
     }
 }
 
@@ -71,8 +74,8 @@ mod tests {
         let mut psi = vec![0.0; count];
         for i in 0..count {
             let x = (-alpha * i as f64 / (count - 1) as f64).exp();
-            let sum = kernels.evaluate(x, &mut psi);
-            assert!((psi[i] - 1.0).abs() < 1e-12 && (psi.iter().sum::<f64>() - sum).abs() < 1e-12);
+            let active = kernels.evaluate(x, &mut psi);
+            assert!((psi[i] - 1.0).abs() < 1e-12 && (psi.iter().sum::<f64>() - active.sum).abs() < 1e-12);
         }
         kernels.evaluate(1e-12, &mut psi);
         assert_eq!(psi[count - 1], 1.0);

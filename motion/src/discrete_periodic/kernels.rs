@@ -57,10 +57,13 @@ impl BlendedKernels {
             sum += b * self.periodic.evaluate(phase - PI / n as f64, periodic);
             periodic.iter_mut().for_each(|p| *p *= b);
         }
+        let mut near = 0..0;
         if a > 0.0 {
             sum += self.along_spiral(phase, radius, a, b <= 0.0, discrete);
+            let first = discrete.iter().position(|p| *p > 0.0).unwrap_or(0);
+            near = first..discrete.iter().rposition(|p| *p > 0.0).map_or(first, |last| last + 1);
         }
-        let used = if b > 0.0 { 0 } else { n }..if a > 0.0 { out.len() } else { n };
+        let used = if b > 0.0 { 0 } else { n + near.start }..n + near.end;
         out[used.clone()].iter_mut().for_each(|p| *p /= sum);
         used
     }

@@ -86,11 +86,6 @@ impl Repeats {
 }
 
 impl Agenda {
-    /// Whether nothing is pending.
-    pub fn is_empty(&self) -> bool {
-        self.timers.is_empty() && self.armed.is_empty() && self.seen.is_empty() && self.graces.is_empty()
-    }
-
     /// Whether a timer or the deadline of a cancelled skill is pending.
     pub fn has_timers(&self) -> bool {
         !(self.timers.is_empty() && self.graces.is_empty() && self.seen.is_empty())

@@ -345,7 +345,7 @@ impl Stepper {
 
     /// Passes what is due to the engine until nothing is left. Then cancelled skills return, one after the other.
     fn settle(&mut self) {
-        while !self.agenda.is_empty() || !self.returning.is_empty() {
+        loop {
             if let Some(input) = self.agenda.due(&self.engine, &self.board, self.board.now) {
                 self.turn(input);
                 continue;

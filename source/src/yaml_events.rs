@@ -1,0 +1,288 @@
+//! Builds the tree from the events of the YAML parser: bounds, aliases, merge keys and duplicate keys.
+//!
+//! The meaning of scalars is in `yaml_scalars`; messages for texts that are no YAML are in `yaml_errors`.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use granit_parser::{ErrorKind, Event, Marker, Parser, ScalarStyle, ScanError, StrInput, Tag};
+
+use crate::remedy::Remedy;
+use crate::span::Span;
+use crate::yaml::{Named, Node, Yaml};
+use crate::yaml_scalars::{Resolved, resolve};
+
+/// Deepest nesting of YAML; 60 levels of states are within it.
+const MAX_DEPTH: usize = 190;
+/// Most nodes: 200 000 states of ten nodes.
+const MAX_NODES: usize = 4_000_000;
+/// Most nodes that anchors keep and aliases repeat.
+const MAX_ALIASED: usize = 200_000;
+/// Maps with more keys look up duplicates in a set.
+const FEW_KEYS: usize = 12;
+
+/// Why a text gives no tree.
+pub(crate) enum Refusal {
+    /// The text is YAML, but not what a file here may hold.
+    Content { at: Span, message: String, help: &'static str, remedy: Option<Remedy> },
+    /// The text is no YAML, in the parser's words.
+    Syntax { at: Span, message: String },
+}
+
+fn refuse<T>(at: Span, message: impl Into<String>, help: &'static str) -> Result<T, Refusal> {
+    Err(Refusal::Content { at, message: message.into(), help, remedy: None })
+}
+
+fn too_deep(at: Span) -> Refusal {
+    let message = "this is nested too deep".to_owned();
+    Refusal::Content { at, message, help: "states may be nested 60 levels deep", remedy: None }
+}
+
+/// The tree of a text with one document.
+pub(crate) fn read(text: &str) -> Result<Node, Refusal> {
+    let mut options = granit_parser::Options::default();
+    options.emit_comments = false;
+    let parser = Parser::new_from_str_with_options(text, options);
+    let mut reader = Reader { text, parser, anchors: BTreeMap::new(), nodes: 0, aliased: 0 };
+    let everything = Span { start: 0, end: 1 };
+    let mut tree = None;
+    while let Some((event, at)) = reader.next()? {
+        match event {
+            Event::StreamStart | Event::DocumentEnd => {}
+            Event::StreamEnd => break,
+            Event::DocumentStart(..) if tree.is_some() => {
+                let help = "a file holds one document: write the other in a file of its own";
+                return refuse(at, "a second document begins here", help);
+            }
+            Event::DocumentStart(..) => {
+                if let Some((event, at)) = reader.next()? {
+                    tree = Some(reader.node(event, at, 0)?);
+                }
+            }
+            _ => return Err(reader.unexpected(at)),
+        }
+    }
+    Ok(tree.unwrap_or(Node { span: everything, value: Yaml::Null }))
+}
+
+struct Reader<'t> {
+    text: &'t str,
+    parser: Parser<'t, StrInput<'t>>,
+    /// What anchors stand for, once it is complete.
+    anchors: BTreeMap<usize, Node>,
+    nodes: usize,
+    aliased: usize,
+}
+
+impl<'t> Reader<'t> {
+    fn next(&mut self) -> Result<Option<(Event<'t>, Span)>, Refusal> {
+        match self.parser.next_event() {
+            None => Ok(None),
+            Some(Ok((event, span))) => {
+                let start = span.start.byte_offset().unwrap_or(0);
+                let end = span.end.byte_offset().unwrap_or(start).max(start + 1);
+                Ok(Some((event, Span { start, end })))
+            }
+            Some(Err(error)) => Err(self.syntax(&error)),
+        }
+    }
+
+    fn syntax(&self, error: &ScanError) -> Refusal {
+        let start = self.offset(*error.marker());
+        let at = Span { start, end: start + 1 };
+        if matches!(error.kind(), ErrorKind::RecursionLimitExceeded) {
+            return too_deep(at);
+        }
+        Refusal::Syntax { at, message: error.kind().to_string() }
+    }
+
+    /// The byte at a marker; some markers know only how many characters are before them.
+    fn offset(&self, marker: Marker) -> usize {
+        let by_characters =
+            || self.text.char_indices().nth(marker.index()).map_or(self.text.len(), |(at, _)| at);
+        marker.byte_offset().unwrap_or_else(by_characters)
+    }
+
+    /// For an event that the parser does not give in this place.
+    fn unexpected(&self, at: Span) -> Refusal {
+        Refusal::Syntax { at, message: "a value is expected here".to_owned() }
+    }
+
+    /// The node that begins with `event`.
+    fn node(&mut self, event: Event<'t>, at: Span, depth: usize) -> Result<Node, Refusal> {
+        self.nodes += 1;
+        if self.nodes > MAX_NODES {
+            return refuse(at, "it has too many parts", "put parts of it in files of their own");
+        }
+        if depth > MAX_DEPTH {
+            return Err(too_deep(at));
+        }
+        let (node, anchor) = match event {
+            Event::Scalar(text, style, anchor, tag) => {
+                (scalar(text.into_owned(), style, tag.as_deref(), at)?, anchor)
+            }
+            Event::SequenceStart(_, anchor, _) => (Node { span: at, value: self.list(depth)? }, anchor),
+            Event::MappingStart(_, anchor, _) => (self.map(at, depth)?, anchor),
+            Event::Alias(anchor) => return self.alias(anchor, at),
+            _ => return Err(self.unexpected(at)),
+        };
+        if anchor > 0 {
+            self.repeat(&node, at)?;
+            self.anchors.insert(anchor, node.clone());
+        }
+        Ok(node)
+    }
+
+    fn list(&mut self, depth: usize) -> Result<Yaml, Refusal> {
+        let mut items = Vec::new();
+        while let Some((event, at)) = self.next()? {
+            if event == Event::SequenceEnd {
+                break;
+            }
+            items.push(self.node(event, at, depth + 1)?);
+        }
+        Ok(Yaml::List(items))
+    }
+
+    fn map(&mut self, at: Span, depth: usize) -> Result<Node, Refusal> {
+        let mut entries: Vec<(Named, Node)> = Vec::new();
+        let mut merged = Vec::new();
+        let mut keys = BTreeSet::new();
+        while let Some((event, at)) = self.next()? {
+            if event == Event::MappingEnd {
+                break;
+            }
+            let merges = matches!(&event, Event::Scalar(text, ScalarStyle::Plain, _, None) if text == "<<");
+            let key = self.key(event, at)?;
+            if merges {
+                let (event, at) = self.next()?.ok_or_else(|| self.unexpected(at))?;
+                merged.push(self.node(event, at, depth + 1)?);
+                continue;
+            }
+            if entries.len() == FEW_KEYS {
+                keys.extend(entries.iter().map(|(known, _)| known.text.clone()));
+            }
+            let known = match entries.len() {
+                0..FEW_KEYS => entries.iter().any(|(known, _)| known.text == key.text),
+                _ => !keys.insert(key.text.clone()),
+            };
+            if known {
+                return Err(Refusal::Content {
+                    at: key.span,
+                    message: format!("the key `{}` is there twice", key.text),
+                    help: "remove one of them, or give it another name",
+                    remedy: Some(Remedy::Remove(key.span)),
+                });
+            }
+            let (event, at) = self.next()?.ok_or_else(|| self.unexpected(at))?;
+            entries.push((key, self.node(event, at, depth + 1)?));
+        }
+        for merged in merged {
+            merge(&mut entries, merged)?;
+        }
+        let mut span = at;
+        if let Some((first, _)) = entries.first()
+            && first.span.start >= span.start
+        {
+            span.end = first.span.end;
+        }
+        Ok(Node { span, value: Yaml::Map(entries) })
+    }
+
+    fn key(&mut self, event: Event<'t>, at: Span) -> Result<Named, Refusal> {
+        let text = match event {
+            Event::Scalar(text, _, anchor, tag) => {
+                let text = text.into_owned();
+                if anchor > 0 {
+                    let node = scalar(text.clone(), ScalarStyle::Plain, tag.as_deref(), at)?;
+                    self.anchors.insert(anchor, node);
+                }
+                Some(text)
+            }
+            Event::Alias(anchor) => match self.alias(anchor, at)?.value {
+                Yaml::String(text) => Some(text),
+                _ => None,
+            },
+            _ => None,
+        };
+        match text {
+            Some(text) => Ok(Named { span: at, text }),
+            None => refuse(at, "a key is a name", "a list or a map cannot be a key"),
+        }
+    }
+
+    /// A copy of what an anchor stands for, with the alias as its place.
+    fn alias(&mut self, anchor: usize, at: Span) -> Result<Node, Refusal> {
+        let Some(node) = self.anchors.get(&anchor).cloned() else {
+            return refuse(at, "this alias stands inside what it stands for", "write out what it stands for");
+        };
+        self.repeat(&node, at)?;
+        Ok(placed(node, at))
+    }
+
+    /// Counts the nodes of a copy.
+    fn repeat(&mut self, node: &Node, at: Span) -> Result<(), Refusal> {
+        self.aliased += size(node);
+        if self.aliased > MAX_ALIASED {
+            let help = "write out what they stand for, or use fewer of them";
+            return refuse(at, "its aliases make it too large", help);
+        }
+        Ok(())
+    }
+}
+
+/// Adds the entries of a map, or of a list of maps, under `<<`, but for keys that are there already.
+fn merge(entries: &mut Vec<(Named, Node)>, merged: Node) -> Result<(), Refusal> {
+    match merged.value {
+        Yaml::Map(others) => {
+            for (key, node) in others {
+                if !entries.iter().any(|(known, _)| known.text == key.text) {
+                    entries.push((key, node));
+                }
+            }
+            Ok(())
+        }
+        Yaml::List(items) => items.into_iter().try_for_each(|item| merge(entries, item)),
+        _ => refuse(
+            merged.span,
+            "`<<` takes in the keys of a map",
+            "write `<<: *name` of a map that has `&name`",
+        ),
+    }
+}
+
+/// How many nodes a tree has.
+fn size(node: &Node) -> usize {
+    1 + match &node.value {
+        Yaml::List(items) => items.iter().map(size).sum::<usize>(),
+        Yaml::Map(entries) => entries.iter().map(|(_, node)| size(node)).sum::<usize>(),
+        _ => 0,
+    }
+}
+
+fn placed(node: Node, span: Span) -> Node {
+    let value = match node.value {
+        Yaml::List(items) => Yaml::List(items.into_iter().map(|item| placed(item, span)).collect()),
+        Yaml::Map(entries) => {
+            let one = |(key, node): (Named, Node)| (Named { span, text: key.text }, placed(node, span));
+            Yaml::Map(entries.into_iter().map(one).collect())
+        }
+        other => other,
+    };
+    Node { span, value }
+}
+
+fn scalar(text: String, style: ScalarStyle, tag: Option<&Tag>, span: Span) -> Result<Node, Refusal> {
+    let core = tag.and_then(Tag::core_suffix);
+    let value = match (style, core) {
+        (_, Some("str")) => Yaml::String(text),
+        (ScalarStyle::Plain, _) | (_, Some(_)) => match resolve(&text) {
+            Resolved::Value(value) => value,
+            Resolved::Text => Yaml::String(text),
+            Resolved::NotFinite => {
+                return refuse(span, "this is no finite number", "write a number, or a text in quotes");
+            }
+        },
+        _ => Yaml::String(text),
+    };
+    Ok(Node { span, value })
+}
