@@ -117,7 +117,7 @@ pub fn parse(findings: &mut Findings) -> Option<Node> {
         Ok(node) => return Some(node),
         Err(refusal) => refusal,
     };
-    let (at, message, help, mut remedy) = match refusal {
+    let (at, message, help, mut remedy) = match *refusal {
         Refusal::Content { at, message, help, remedy } => (at, message, Some(help.to_owned()), remedy),
         Refusal::Syntax { at, message } => match slip_near(&source.text, at.start) {
             Some(slip) => (slip.span, slip.message, Some(slip.help), None),

@@ -28,21 +28,28 @@ pub(crate) enum Refusal {
     Syntax { at: Span, message: String },
 }
 
-fn refuse<T>(at: Span, message: impl Into<String>, help: &'static str) -> Result<T, Refusal> {
-    Err(Refusal::Content { at, message: message.into(), help, remedy: None })
+fn refuse<T>(at: Span, message: impl Into<String>, help: &'static str) -> Result<T, Box<Refusal>> {
+    Err(Box::new(Refusal::Content { at, message: message.into(), help, remedy: None }))
 }
 
-fn too_deep(at: Span) -> Refusal {
-    let message = "this is nested too deep".to_owned();
-    Refusal::Content { at, message, help: "states may be nested 60 levels deep", remedy: None }
+fn too_deep<T>(at: Span) -> Result<T, Box<Refusal>> {
+    refuse(at, "this is nested too deep", "states may be nested 60 levels deep")
 }
 
 /// The tree of a text with one document.
-pub(crate) fn read(text: &str) -> Result<Node, Refusal> {
+pub(crate) fn read(text: &str) -> Result<Node, Box<Refusal>> {
     let mut options = granit_parser::Options::default();
     options.emit_comments = false;
     let parser = Parser::new_from_str_with_options(text, options);
-    let mut reader = Reader { text, parser, anchors: BTreeMap::new(), nodes: 0, aliased: 0 };
+    let mut reader = Reader {
+        text,
+        parser,
+        anchors: BTreeMap::new(),
+        items: Vec::new(),
+        entries: Vec::new(),
+        nodes: 0,
+        aliased: 0,
+    };
     let everything = Span { start: 0, end: 1 };
     let mut tree = None;
     while let Some((event, at)) = reader.next()? {
@@ -58,7 +65,7 @@ pub(crate) fn read(text: &str) -> Result<Node, Refusal> {
                     tree = Some(reader.node(event, at, 0)?);
                 }
             }
-            _ => return Err(reader.unexpected(at)),
+            _ => return Err(Reader::unexpected(at)),
         }
     }
     Ok(tree.unwrap_or(Node { span: everything, value: Yaml::Null }))
@@ -69,12 +76,15 @@ struct Reader<'t> {
     parser: Parser<'t, StrInput<'t>>,
     /// What anchors stand for, once it is complete.
     anchors: BTreeMap<usize, Node>,
+    /// The items and entries of the lists and maps that are not complete yet, so that each is allocated once.
+    items: Vec<Node>,
+    entries: Vec<(Named, Node)>,
     nodes: usize,
     aliased: usize,
 }
 
 impl<'t> Reader<'t> {
-    fn next(&mut self) -> Result<Option<(Event<'t>, Span)>, Refusal> {
+    fn next(&mut self) -> Result<Option<(Event<'t>, Span)>, Box<Refusal>> {
         match self.parser.next_event() {
             None => Ok(None),
             Some(Ok((event, span))) => {
@@ -82,17 +92,17 @@ impl<'t> Reader<'t> {
                 let end = span.end.byte_offset().unwrap_or(start).max(start + 1);
                 Ok(Some((event, Span { start, end })))
             }
-            Some(Err(error)) => Err(self.syntax(&error)),
+            Some(Err(error)) => self.syntax(&error),
         }
     }
 
-    fn syntax(&self, error: &ScanError) -> Refusal {
+    fn syntax<T>(&self, error: &ScanError) -> Result<T, Box<Refusal>> {
         let start = self.offset(*error.marker());
         let at = Span { start, end: start + 1 };
         if matches!(error.kind(), ErrorKind::RecursionLimitExceeded) {
             return too_deep(at);
         }
-        Refusal::Syntax { at, message: error.kind().to_string() }
+        Err(Box::new(Refusal::Syntax { at, message: error.kind().to_string() }))
     }
 
     /// The byte at a marker; some markers know only how many characters are before them.
@@ -103,27 +113,25 @@ impl<'t> Reader<'t> {
     }
 
     /// For an event that the parser does not give in this place.
-    fn unexpected(&self, at: Span) -> Refusal {
-        Refusal::Syntax { at, message: "a value is expected here".to_owned() }
+    fn unexpected(at: Span) -> Box<Refusal> {
+        Box::new(Refusal::Syntax { at, message: "a value is expected here".to_owned() })
     }
 
     /// The node that begins with `event`.
-    fn node(&mut self, event: Event<'t>, at: Span, depth: usize) -> Result<Node, Refusal> {
+    fn node(&mut self, event: Event<'t>, at: Span, depth: usize) -> Result<Node, Box<Refusal>> {
         self.nodes += 1;
         if self.nodes > MAX_NODES {
             return refuse(at, "it has too many parts", "put parts of it in files of their own");
         }
         if depth > MAX_DEPTH {
-            return Err(too_deep(at));
+            return too_deep(at);
         }
         let (node, anchor) = match event {
-            Event::Scalar(text, style, anchor, tag) => {
-                (scalar(text.into_owned(), style, tag.as_deref(), at)?, anchor)
-            }
+            Event::Scalar(text, style, anchor, tag) => (scalar(&text, style, tag.as_deref(), at)?, anchor),
             Event::SequenceStart(_, anchor, _) => (Node { span: at, value: self.list(depth)? }, anchor),
             Event::MappingStart(_, anchor, _) => (self.map(at, depth)?, anchor),
             Event::Alias(anchor) => return self.alias(anchor, at),
-            _ => return Err(self.unexpected(at)),
+            _ => return Err(Self::unexpected(at)),
         };
         if anchor > 0 {
             self.repeat(&node, at)?;
@@ -132,19 +140,20 @@ impl<'t> Reader<'t> {
         Ok(node)
     }
 
-    fn list(&mut self, depth: usize) -> Result<Yaml, Refusal> {
-        let mut items = Vec::new();
+    fn list(&mut self, depth: usize) -> Result<Yaml, Box<Refusal>> {
+        let first = self.items.len();
         while let Some((event, at)) = self.next()? {
             if event == Event::SequenceEnd {
                 break;
             }
-            items.push(self.node(event, at, depth + 1)?);
+            let item = self.node(event, at, depth + 1)?;
+            self.items.push(item);
         }
-        Ok(Yaml::List(items))
+        Ok(Yaml::List(self.items.drain(first..).collect()))
     }
 
-    fn map(&mut self, at: Span, depth: usize) -> Result<Node, Refusal> {
-        let mut entries: Vec<(Named, Node)> = Vec::new();
+    fn map(&mut self, at: Span, depth: usize) -> Result<Node, Box<Refusal>> {
+        let first = self.entries.len();
         let mut merged = Vec::new();
         let mut keys = BTreeSet::new();
         while let Some((event, at)) = self.next()? {
@@ -154,10 +163,11 @@ impl<'t> Reader<'t> {
             let merges = matches!(&event, Event::Scalar(text, ScalarStyle::Plain, _, None) if text == "<<");
             let key = self.key(event, at)?;
             if merges {
-                let (event, at) = self.next()?.ok_or_else(|| self.unexpected(at))?;
+                let (event, at) = self.next()?.ok_or_else(|| Self::unexpected(at))?;
                 merged.push(self.node(event, at, depth + 1)?);
                 continue;
             }
+            let entries = &self.entries[first..];
             if entries.len() == FEW_KEYS {
                 keys.extend(entries.iter().map(|(known, _)| known.text.clone()));
             }
@@ -166,16 +176,18 @@ impl<'t> Reader<'t> {
                 _ => !keys.insert(key.text.clone()),
             };
             if known {
-                return Err(Refusal::Content {
+                return Err(Box::new(Refusal::Content {
                     at: key.span,
                     message: format!("the key `{}` is there twice", key.text),
                     help: "remove one of them, or give it another name",
                     remedy: Some(Remedy::Remove(key.span)),
-                });
+                }));
             }
-            let (event, at) = self.next()?.ok_or_else(|| self.unexpected(at))?;
-            entries.push((key, self.node(event, at, depth + 1)?));
+            let (event, at) = self.next()?.ok_or_else(|| Self::unexpected(at))?;
+            let node = self.node(event, at, depth + 1)?;
+            self.entries.push((key, node));
         }
+        let mut entries: Vec<_> = self.entries.drain(first..).collect();
         for merged in merged {
             merge(&mut entries, merged)?;
         }
@@ -188,15 +200,14 @@ impl<'t> Reader<'t> {
         Ok(Node { span, value: Yaml::Map(entries) })
     }
 
-    fn key(&mut self, event: Event<'t>, at: Span) -> Result<Named, Refusal> {
+    fn key(&mut self, event: Event<'t>, at: Span) -> Result<Named, Box<Refusal>> {
         let text = match event {
             Event::Scalar(text, _, anchor, tag) => {
-                let text = text.into_owned();
                 if anchor > 0 {
-                    let node = scalar(text.clone(), ScalarStyle::Plain, tag.as_deref(), at)?;
+                    let node = scalar(&text, ScalarStyle::Plain, tag.as_deref(), at)?;
                     self.anchors.insert(anchor, node);
                 }
-                Some(text)
+                Some(text.as_ref().to_owned())
             }
             Event::Alias(anchor) => match self.alias(anchor, at)?.value {
                 Yaml::String(text) => Some(text),
@@ -211,7 +222,7 @@ impl<'t> Reader<'t> {
     }
 
     /// A copy of what an anchor stands for, with the alias as its place.
-    fn alias(&mut self, anchor: usize, at: Span) -> Result<Node, Refusal> {
+    fn alias(&mut self, anchor: usize, at: Span) -> Result<Node, Box<Refusal>> {
         let Some(node) = self.anchors.get(&anchor).cloned() else {
             return refuse(at, "this alias stands inside what it stands for", "write out what it stands for");
         };
@@ -220,7 +231,7 @@ impl<'t> Reader<'t> {
     }
 
     /// Counts the nodes of a copy.
-    fn repeat(&mut self, node: &Node, at: Span) -> Result<(), Refusal> {
+    fn repeat(&mut self, node: &Node, at: Span) -> Result<(), Box<Refusal>> {
         self.aliased += size(node);
         if self.aliased > MAX_ALIASED {
             let help = "write out what they stand for, or use fewer of them";
@@ -231,7 +242,7 @@ impl<'t> Reader<'t> {
 }
 
 /// Adds the entries of a map, or of a list of maps, under `<<`, but for keys that are there already.
-fn merge(entries: &mut Vec<(Named, Node)>, merged: Node) -> Result<(), Refusal> {
+fn merge(entries: &mut Vec<(Named, Node)>, merged: Node) -> Result<(), Box<Refusal>> {
     match merged.value {
         Yaml::Map(others) => {
             for (key, node) in others {
@@ -271,18 +282,18 @@ fn placed(node: Node, span: Span) -> Node {
     Node { span, value }
 }
 
-fn scalar(text: String, style: ScalarStyle, tag: Option<&Tag>, span: Span) -> Result<Node, Refusal> {
+fn scalar(text: &str, style: ScalarStyle, tag: Option<&Tag>, span: Span) -> Result<Node, Box<Refusal>> {
     let core = tag.and_then(Tag::core_suffix);
     let value = match (style, core) {
-        (_, Some("str")) => Yaml::String(text),
-        (ScalarStyle::Plain, _) | (_, Some(_)) => match resolve(&text) {
+        (_, Some("str")) => Yaml::String(text.to_owned()),
+        (ScalarStyle::Plain, _) | (_, Some(_)) => match resolve(text) {
             Resolved::Value(value) => value,
-            Resolved::Text => Yaml::String(text),
+            Resolved::Text => Yaml::String(text.to_owned()),
             Resolved::NotFinite => {
                 return refuse(span, "this is no finite number", "write a number, or a text in quotes");
             }
         },
-        _ => Yaml::String(text),
+        _ => Yaml::String(text.to_owned()),
     };
     Ok(Node { span, value })
 }

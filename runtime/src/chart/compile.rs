@@ -95,6 +95,7 @@ pub(super) fn compile(
         slots: tree.slots,
     };
     let mut program = Program::default();
+    program.states.reserve_exact(tree.states.len());
     for id in 0..number(tree.states.len()) {
         let state = compiler.state(id, &mut program.transitions, &mut program.watches);
         if let Some(parent) = state.parent {

@@ -172,7 +172,9 @@ impl Reader<'_> {
             self.error_help(code::FORM, node.span, "states stand under their names, not in a list", help);
             return states;
         }
-        for (name, node) in self.entries(node) {
+        let entries = self.entries(node);
+        states.reserve_exact(entries.len());
+        for (name, node) in entries {
             let entries = self.entries(node);
             states.extend(self.state(name.clone(), node.span, entries, level + 1, false));
         }
