@@ -26,9 +26,6 @@ mod stack;
 mod tests;
 mod text;
 pub mod yaml;
-mod yaml_errors;
-mod yaml_events;
-mod yaml_scalars;
 
 pub use field::{Field, Rule, word};
 pub use files::{Disk, Files, is_yaml};

@@ -1,15 +1,15 @@
 //! Builds the tree from the events of the YAML parser: bounds, aliases, merge keys and duplicate keys.
 //!
-//! The meaning of scalars is in `yaml_scalars`; messages for texts that are no YAML are in `yaml_errors`.
+//! The meaning of scalars is in `scalars`; messages for texts that are no YAML are in `errors`.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use granit_parser::{ErrorKind, Event, Marker, Parser, ScalarStyle, ScanError, StrInput, Tag};
 
+use super::scalars::{Resolved, resolve};
+use super::tree::{Named, Node, Yaml};
 use crate::remedy::Remedy;
 use crate::span::Span;
-use crate::yaml::{Named, Node, Yaml};
-use crate::yaml_scalars::{Resolved, resolve};
 
 /// Deepest nesting of YAML; 60 levels of states are within it.
 const MAX_DEPTH: usize = 190;
