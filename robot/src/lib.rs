@@ -9,6 +9,7 @@
 //!
 //! This room does not know skills, charts or a physics engine.
 
+mod bodies;
 mod boundary;
 pub mod conformance;
 mod description;

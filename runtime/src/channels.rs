@@ -5,10 +5,11 @@
 //! and never delays the publisher. Observers with costly computations check [`Channels::wanted`] first.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_values::Value;
+use parking_lot::Mutex;
 use tokio::sync::watch;
 use tokio::time::Instant;
 
@@ -52,7 +53,7 @@ impl Channels {
     }
 
     fn channel(&self, name: &str) -> Arc<Channel> {
-        let mut by_name = self.by_name.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut by_name = self.by_name.lock();
         Arc::clone(by_name.entry(name.to_owned()).or_insert_with(|| {
             Arc::new(Channel { newest: watch::channel(None).0, wanted: watch::channel(0).0 })
         }))

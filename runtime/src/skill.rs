@@ -4,12 +4,13 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_source::suggest;
 use armarium_values::{ConvertError, Type, Unit, Value};
 use futures::future::BoxFuture;
+use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
@@ -505,7 +506,7 @@ impl Events {
 
     /// Counts events that were dropped elsewhere.
     pub(crate) fn dropped(&self, name: &str, count: u64) {
-        let mut dropped = self.dropped.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut dropped = self.dropped.lock();
         *dropped.entry(name.to_owned()).or_default() += count;
     }
 }
@@ -537,7 +538,7 @@ impl EventQueue {
 
     /// The number of events of one name that were dropped since the last call.
     pub(crate) fn take_dropped(&mut self) -> Option<(String, u64)> {
-        self.dropped.lock().unwrap_or_else(PoisonError::into_inner).pop_first()
+        self.dropped.lock().pop_first()
     }
 }
 

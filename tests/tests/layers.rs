@@ -39,8 +39,9 @@ const ALLOWED_IN_TESTS: [(&str, &[&str]); 2] = [
 ];
 
 /// Crates from outside that only some rooms may use, each with the reason.
-const CONFINED: [(&str, &[&str], &str); 15] = [
+const CONFINED: [(&str, &[&str], &str); 16] = [
     ("zenoh", &["bus"], "the network is known to one room; the others see traits"),
+    ("parry3d-f64", &["robot"], "its vectors differ from ours: distances of bodies are asked for in one place"),
     ("rapier3d-f64", &["simulator"], "its vectors differ from ours: they are converted in one place"),
     ("redb", &["memoryx"], "the long-term store is the memory's own affair"),
     ("cel", &["values"], "a young interface: it stays behind one module"),

@@ -5,6 +5,7 @@
 
 use nalgebra::Point3;
 
+use super::clearance::Clearance;
 use crate::seam::lease::LeaseTable;
 use crate::{Kinematics, LinkId, Model};
 
@@ -62,7 +63,14 @@ impl VelocityBounds {
     }
 
     /// Scales the `desired` joint velocities until each joint and each TCP is within its bound.
-    pub(crate) fn bound(&mut self, model: &Model, kinematics: &Kinematics, desired: &mut [f64]) {
+    /// Bodies that approach each other are within the bounds of `clearance` then.
+    pub(crate) fn bound(
+        &mut self,
+        model: &Model,
+        kinematics: &Kinematics,
+        clearance: &Clearance,
+        desired: &mut [f64],
+    ) {
         self.find_motions(desired);
         let joints = model.joints();
         for (factor, limb) in self.factors.iter_mut().zip(&self.limbs) {
@@ -74,6 +82,11 @@ impl VelocityBounds {
             let speed = kinematics.twist(tcp.link, &Point3::origin(), desired).linear.norm();
             let factor = scale_to(tcp.limit, speed);
             for &i in &tcp.carriers {
+                self.factors[i] = self.factors[i].min(factor);
+            }
+        }
+        for (carriers, factor) in clearance.bounds(desired) {
+            for &i in carriers {
                 self.factors[i] = self.factors[i].min(factor);
             }
         }

@@ -8,6 +8,7 @@
 //! It integrates to a setpoint that stays near the measured position. Above the force limit the arm yields.
 
 mod bounds;
+mod clearance;
 mod force;
 #[cfg(test)]
 mod tests;
@@ -18,6 +19,7 @@ use std::time::Duration;
 use nalgebra::Vector3;
 
 use self::bounds::VelocityBounds;
+use self::clearance::Clearance;
 use self::force::Sensor;
 use crate::seam::lease::{LeaseBoard, LeaseTable};
 use crate::{Fault, GuardedRobot, JointKind, Kinematics, Model, Sensed, Wrist};
@@ -108,6 +110,7 @@ pub struct Guard {
     kinematics: Kinematics,
     sensor: Option<Sensor>,
     bounds: VelocityBounds,
+    clearance: Clearance,
     measured: Sample,
     desired: Vec<f64>,
     targets: JointTargets,
@@ -128,6 +131,7 @@ impl Guard {
             kinematics: Kinematics::new(&model),
             sensor: Sensor::of(&model),
             bounds: VelocityBounds::new(&model),
+            clearance: Clearance::new(&model),
             measured: Sample::resting(model.zero()),
             desired: vec![0.0; n],
             targets: JointTargets { position: model.zero(), velocity: vec![0.0; n] },
@@ -160,8 +164,9 @@ impl Guard {
         self.take_commands(&table);
         drop(table);
         self.give_way();
-        let Self { bounds, kinematics, desired, targets, .. } = self;
-        bounds.bound(&shared.model, kinematics, desired);
+        let Self { bounds, clearance, kinematics, desired, targets, .. } = self;
+        clearance.update(kinematics, &targets.position);
+        bounds.bound(&shared.model, kinematics, clearance, desired);
         bounds.accelerate(&shared.model, desired, &mut targets.velocity, dt);
         self.integrate(dt);
         self.publish(stamp_ns);

@@ -3,10 +3,13 @@
 use std::sync::Arc;
 
 use nalgebra::{Point3, Vector3};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
 
+use crate::bodies::{Bodies, least_distance};
 use crate::{
-    Fault, Guard, GuardConfig, GuardedRobot, Lease, LeaseLimits, Model, Robot, ServoJoints, Wrist, load_mass,
-    postures,
+    Fault, Guard, GuardConfig, GuardedRobot, Kinematics, Lease, LeaseLimits, Model, Robot, ServoJoints,
+    Wrist, load_mass, postures,
 };
 
 struct Rig {
@@ -365,4 +368,50 @@ async fn the_dummy_conforms() {
         let dummy = crate::DummyRobot::start(Arc::clone(&model), &postures::wipe(&model));
         crate::conformance::check(&dummy.robot(), limb).await.unwrap_or_else(|v| panic!("{limb}: {v}"));
     }
+}
+
+/// Drives both arms and the torso into three random postures in which bodies overlap, as fast as the joints may go. Returns the
+/// least distance on the way, m, and how far the joints moved.
+fn least_distance_while_driven(seed: u64, ms: u64) -> (f64, f64) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut rig = Rig::new();
+    let bodies = Bodies::new(&rig.model);
+    let limbs = ["left_arm", "right_arm", "torso"];
+    let leases = limbs.map(|limb| rig.lease(limb));
+    let (mut least, mut moved) = (f64::INFINITY, 0.0);
+    for _ in 0..3 {
+        let mut goal = rig.model.zero();
+        let mut at_goal = Kinematics::new(&rig.model);
+        while least_distance(&bodies, &at_goal) > 0.0 {
+            goal = rig.model.joints().iter().map(|j| rng.random_range(j.lower..j.upper)).collect();
+            at_goal.update(&goal);
+        }
+        for step in 0..ms {
+            let before = rig.joints.sample().position.clone();
+            for (lease, limb) in leases.iter().zip(limbs) {
+                let towards = |&j: &usize| 5.0 * (goal[j] - before[j]).clamp(-1.0, 1.0);
+                let speeds: Vec<f64> = rig.model.limb(limb).iter().map(towards).collect();
+                lease.command(&speeds).unwrap();
+            }
+            rig.run(1, |_| Vector3::zeros());
+            let now = &rig.joints.sample().position;
+            moved += now.iter().zip(&before).map(|(a, b)| (a - b).abs()).sum::<f64>();
+            if step % 4 == 0 {
+                least = least.min(least_distance(&bodies, rig.joints.kinematics()));
+            }
+        }
+    }
+    (least, moved)
+}
+
+#[test]
+fn arms_stop_before_each_other_before_the_head_and_before_the_trunk() {
+    let mut near = 0;
+    for seed in 0..30 {
+        let (least, moved) = least_distance_while_driven(seed, 700);
+        assert!(least > 0.018, "{seed}: {least}");
+        assert!(moved > 0.5, "{seed}: {moved}");
+        near += u32::from(least < 0.05);
+    }
+    assert!(near > 20, "only {near} drives came near");
 }

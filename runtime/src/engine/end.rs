@@ -8,7 +8,7 @@ use super::event::{Event, Origin};
 use super::state::Turn;
 use super::{Effect, Engine, RunResult, TraceItem};
 use crate::program::{FAILURE, Kind, Program, SUCCESS, StateId, Symbol};
-use crate::skill::{SkillManifest, SkillResult};
+use crate::skill::{Failure, SkillManifest, SkillResult};
 
 /// The reason and the chain of states from a failure's data.
 pub(super) fn reason_and_chain(data: &Value) -> (Option<String>, Vec<String>) {
@@ -51,8 +51,8 @@ impl Engine {
                 let symbol = program.symbols.find(&name).unwrap_or(SUCCESS);
                 Event::new(symbol, Value::Map(outputs), origin)
             }
-            Err(reason) => {
-                let data = Value::record([("reason", reason.into())]);
+            Err(failure) => {
+                let data = Value::record([("reason", failure.reason.into())]);
                 Event::new(FAILURE, with_link(data, program.path(state)), origin)
             }
         }
@@ -224,25 +224,29 @@ impl Engine {
 fn checked(
     declared: &SkillManifest,
     result: SkillResult,
-) -> Result<(String, BTreeMap<String, Value>), String> {
+) -> Result<(String, BTreeMap<String, Value>), Failure> {
     let skill = &declared.name;
-    let outcome = result.map_err(|failure| failure.reason)?;
+    let outcome = result?;
     let name = outcome.name;
     if name == "failure" {
-        return Err(format!("the skill `{skill}` failed without saying why"));
+        return Err(Failure::new(format!("the skill `{skill}` failed without saying why")));
     }
     if declared.open {
         return Ok((name, outcome.outputs));
     }
     if name != "success" && !declared.outcomes.contains(&name) {
-        return Err(format!("the skill `{skill}` gave the outcome `{name}`, which it does not declare"));
+        let reason = format!("the skill `{skill}` gave the outcome `{name}`, which it does not declare");
+        return Err(Failure::new(reason));
     }
     let mut outputs = BTreeMap::new();
     for (name, value) in outcome.outputs {
         let Some(output) = declared.outputs.iter().find(|o| o.name == name) else {
-            return Err(format!("the skill `{skill}` gave `{name}`, which it does not declare"));
+            return Err(Failure::new(format!(
+                "the skill `{skill}` gave `{name}`, which it does not declare"
+            )));
         };
-        let value = output.ty.convert(value).map_err(|e| format!("the output `{name}` of `{skill}`: {e}"))?;
+        let wrong = |e| Failure::new(format!("the output `{name}` of `{skill}`: {e}"));
+        let value = output.ty.convert(value).map_err(wrong)?;
         outputs.insert(name, value);
     }
     Ok((name, outputs))

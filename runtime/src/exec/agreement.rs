@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_values::Value;
@@ -120,7 +120,7 @@ fn executed(program: &Arc<Program>, script: &[(Duration, ExternalInput)]) -> Vec
     runtime.unwrap().block_on(async {
         let trace = Arc::new(Mutex::new(Vec::new()));
         let seen = Arc::clone(&trace);
-        let sink = move |event: &TraceEvent| seen.lock().unwrap().push(event.clone());
+        let sink = move |event: &TraceEvent| seen.lock().push(event.clone());
         let options = ExecOptions { sink: Some(Box::new(sink)), ..ExecOptions::default() };
         let channels = Channels::new();
         let executor = Executor::new(Arc::clone(program), registry(), channels.clone(), options).unwrap();
@@ -143,7 +143,7 @@ fn executed(program: &Arc<Program>, script: &[(Duration, ExternalInput)]) -> Vec
         });
         executor.run().await;
         controlling.abort();
-        trace.lock().unwrap().clone()
+        trace.lock().clone()
     })
 }
 
@@ -180,13 +180,7 @@ fn stepped(program: &Arc<Program>, script: &[(Duration, ExternalInput)]) -> Opti
             }
         } else if let Some(what) = outside.remove(&first) {
             match (what, what.and_then(published)) {
-                (None, _) => {
-                    // The stepper does not count outcomes that are reported from outside, so its run would end
-                    // slightly later.
-                    let reason = stepper.result().and_then(|result| result.reason.as_deref());
-                    let restless = reason.is_some_and(|reason| reason.contains("skills ended"));
-                    return (!restless).then(|| std::mem::take(&mut stepper.trace));
-                }
+                (None, _) => return Some(std::mem::take(&mut stepper.trace)),
                 (Some(ExternalInput::Event(name)), _) => stepper.event(name, Value::Null),
                 (_, Some((channel, value))) => stepper.publish(channel, value),
                 _ => {}

@@ -14,11 +14,12 @@ mod watchdog;
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_values::Value;
 use futures::future::BoxFuture;
+use parking_lot::Mutex;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
@@ -90,7 +91,7 @@ pub struct Controller {
 impl Controller {
     /// Ends the run: all skills are cancelled and waited for; the outcome is `stopped`.
     pub fn stop(&self, reason: impl Into<String>) {
-        let mut slot = self.reason.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut slot = self.reason.lock();
         slot.get_or_insert(reason.into());
         drop(slot);
         self.stop.cancel();
@@ -231,7 +232,7 @@ impl Executor {
                 biased;
                 () = stop.cancelled(), if !stopping => {
                     stopping = true;
-                    let reason = self.reason.lock().unwrap_or_else(PoisonError::into_inner).clone();
+                    let reason = self.reason.lock().clone();
                     Message::Stopped { reason: reason.unwrap_or_default() }
                 }
                 Some(message) = self.queue.recv() => message,

@@ -3,11 +3,12 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_values::Value;
 use futures::future::{BoxFuture, join_all};
+use parking_lot::Mutex;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
@@ -133,7 +134,7 @@ impl Drop for Subscription {
 
 impl Subscribers {
     fn runs<T>(&self, with: impl FnOnce(&mut Runs) -> T) -> T {
-        with(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
+        with(&mut self.0.lock())
     }
 
     pub(super) fn join(&self, chart: Arc<Program>, controller: Controller) -> Subscription {

@@ -21,14 +21,14 @@ async fn run_with<F: Future<Output = ()> + Send + 'static>(
             TraceItem::Error { message, .. } => format!("error {message}"),
             _ => return,
         };
-        writeln!(lines.lock().unwrap(), "{ms} {line}").unwrap();
+        writeln!(lines.lock(), "{ms} {line}").unwrap();
     };
     let options = ExecOptions { sink: Some(Box::new(sink)), ..ExecOptions::default() };
     let executor = Executor::new(program(text), registry(), channels, options).unwrap();
     let controlling = tokio::spawn(control(executor.controller()));
     let result = executor.run().await;
     controlling.abort();
-    let log = log.lock().unwrap().clone();
+    let log = log.lock().clone();
     (result, log)
 }
 
@@ -104,7 +104,7 @@ states:
     let stuck = Arc::new(Mutex::new(Vec::new()));
     let seen = Arc::clone(&stuck);
     let options = ExecOptions {
-        on_stuck: Some(Box::new(move |state| seen.lock().unwrap().push(state.to_owned()))),
+        on_stuck: Some(Box::new(move |state| seen.lock().push(state.to_owned()))),
         ..ExecOptions::default()
     };
     let began = Instant::now();
@@ -112,7 +112,7 @@ states:
     let result = executor.run().await;
     assert_eq!(result.outcome, "failure");
     assert_eq!(began.elapsed(), Duration::from_millis(1500), "1 s and the grace");
-    assert_eq!(*stuck.lock().unwrap(), ["A"]);
+    assert_eq!(*stuck.lock(), ["A"]);
 }
 
 #[tokio::test(start_paused = true)]
@@ -253,16 +253,16 @@ async fn a_skill_that_does_not_yield_is_seen_by_the_wall_clock() {
     let stuck = Arc::new(Mutex::new(Vec::new()));
     let (first, second) = (Arc::clone(&stuck), Arc::clone(&stuck));
     let options = ExecOptions {
-        on_stuck: Some(Box::new(move |state| first.lock().unwrap().push(format!("stop {state}")))),
+        on_stuck: Some(Box::new(move |state| first.lock().push(format!("stop {state}")))),
         ..ExecOptions::default()
     };
     let executor = Executor::new(program, registry, Channels::new(), options).unwrap();
     let hang: OnStuck = Box::new(move |state| {
-        second.lock().unwrap().push(format!("hangs {state}"));
+        second.lock().push(format!("hangs {state}"));
         free.store(true, std::sync::atomic::Ordering::Relaxed);
     });
     let result = executor.hang_after(Duration::from_millis(20), Some(hang)).run().await;
-    assert_eq!(*stuck.lock().unwrap(), ["stop A", "hangs A"]);
+    assert_eq!(*stuck.lock(), ["stop A", "hangs A"]);
     assert_eq!(result.outcome, "failure");
     assert_eq!(result.reason.as_deref(), Some("the skill of `A` has not yielded for 0.02 s"));
 }
@@ -273,10 +273,10 @@ struct Record(Arc<Mutex<(Vec<InputRecord>, Vec<TraceItem>)>>);
 
 impl TraceSink for Record {
     fn record(&mut self, event: &TraceEvent) {
-        self.0.lock().unwrap().1.push(event.item.clone());
+        self.0.lock().1.push(event.item.clone());
     }
     fn input(&mut self, turn: &InputRecord) {
-        self.0.lock().unwrap().0.push(turn.clone());
+        self.0.lock().0.push(turn.clone());
     }
 }
 
@@ -309,7 +309,7 @@ states:
     let result = executor.run().await;
     publishing.await.unwrap();
     assert_eq!(result.outcome, "success");
-    let (turns, told) = record.0.lock().unwrap().clone();
+    let (turns, told) = record.0.lock().clone();
     assert!(turns.iter().any(|turn| !turn.seen.is_empty()), "the guard's reading is kept");
     let mut engine = Engine::new(program, &BTreeMap::new(), None).unwrap();
     let mut out = Vec::new();
@@ -450,14 +450,14 @@ states:
     let seen = Arc::clone(&dropped);
     let sink = move |event: &TraceEvent| {
         if let TraceItem::Dropped { name, reason } = &event.item {
-            seen.lock().unwrap().push(format!("{name}: {reason}"));
+            seen.lock().push(format!("{name}: {reason}"));
         }
     };
     let options = ExecOptions { sink: Some(Box::new(sink)), ..ExecOptions::default() };
     let executor = Executor::new(program, registry, Channels::new(), options).unwrap();
     let result = executor.run().await;
     assert_eq!(result.outputs["heard"], Value::Int(bound as i64));
-    assert_eq!(*dropped.lock().unwrap(), ["word: `A` raised 12 more than may wait"]);
+    assert_eq!(*dropped.lock(), ["word: `A` raised 12 more than may wait"]);
 }
 
 #[tokio::test(start_paused = true)]

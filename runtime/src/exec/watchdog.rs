@@ -6,11 +6,12 @@
 use std::collections::BTreeMap;
 use std::fmt;
 use std::pin::Pin;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
+use parking_lot::{Condvar, Mutex};
 use tokio::sync::mpsc;
 
 use super::OnStuck;
@@ -50,10 +51,6 @@ impl fmt::Debug for Polls {
     }
 }
 
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl WatchdogState {
     fn now(&self) -> u64 {
         u64::try_from(self.began.elapsed().as_nanos()).unwrap_or(u64::MAX).max(1)
@@ -63,7 +60,7 @@ impl WatchdogState {
     fn hanging(&self, limit: Duration) -> Option<String> {
         let now = self.now();
         let limit = u64::try_from(limit.as_nanos()).unwrap_or(u64::MAX);
-        let skills = locked(&self.skills);
+        let skills = self.skills.lock();
         let hangs = |since: &Since| match since.load(Ordering::Relaxed) {
             0 => false,
             since => now.saturating_sub(since) > limit,
@@ -104,29 +101,29 @@ impl Watchdog {
 
     /// Reports the skill of a state as stuck, to the callback that stops the robot.
     pub(super) fn stuck(&self, state: &str) {
-        if let Some(on_stuck) = locked(&self.shared.on_stuck).as_mut() {
+        if let Some(on_stuck) = self.shared.on_stuck.lock().as_mut() {
             on_stuck(state);
         }
     }
 
     pub(super) fn watch(&self, activation: u64, state: &str) -> Polls {
         let since = Since::default();
-        locked(&self.shared.skills).insert(activation, (state.to_owned(), Arc::clone(&since)));
+        self.shared.skills.lock().insert(activation, (state.to_owned(), Arc::clone(&since)));
         Polls { activation, since, shared: Arc::clone(&self.shared) }
     }
 }
 
 impl Drop for Watchdog {
     fn drop(&mut self) {
-        *locked(&self.shared.over) = true;
+        *self.shared.over.lock() = true;
         self.shared.wake.notify_all();
     }
 }
 
 fn watch(shared: &WatchdogState, queue: &mpsc::Sender<Message>, limit: Duration, on_hang: Option<OnStuck>) {
-    let mut over = locked(&shared.over);
+    let mut over = shared.over.lock();
     while !*over {
-        (over, _) = shared.wake.wait_timeout(over, limit / 4).unwrap_or_else(PoisonError::into_inner);
+        shared.wake.wait_for(&mut over, limit / 4);
         if *over {
             return;
         }
@@ -134,7 +131,7 @@ fn watch(shared: &WatchdogState, queue: &mpsc::Sender<Message>, limit: Duration,
         drop(over);
         let reason = format!("the skill of `{state}` has not yielded for {} s", limit.as_secs_f64());
         tracing::error!(state, "a skill does not yield");
-        if let Some(on_stuck) = locked(&shared.on_stuck).as_mut() {
+        if let Some(on_stuck) = shared.on_stuck.lock().as_mut() {
             on_stuck(&state);
         }
         // If the executor runs on another thread than the skill, it can still end the run in order.
@@ -157,7 +154,7 @@ impl Polls {
 
 impl Drop for Polls {
     fn drop(&mut self) {
-        locked(&self.shared.skills).remove(&self.activation);
+        self.shared.skills.lock().remove(&self.activation);
     }
 }
 

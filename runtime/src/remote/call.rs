@@ -1,9 +1,10 @@
 //! One call that another agent has started here: its activation, its state for the caller, and its lease.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use tokio::sync::watch;
 use tokio::time::{Instant, sleep_until, timeout};
 use tokio_util::sync::CancellationToken;
@@ -49,7 +50,7 @@ impl Call {
 
     /// Renews the lease and returns what is new to the caller. Waits up to `wait` if nothing is.
     pub(super) async fn poll(&self, seen: u64, wait: Duration) -> Status {
-        *self.heard.lock().unwrap_or_else(PoisonError::into_inner) = Instant::now();
+        *self.heard.lock() = Instant::now();
         let mut changes = self.state.subscribe();
         let news = changes.wait_for(|state| state.revision > seen || state.ended.is_some());
         // After a timeout the status is returned unchanged.
@@ -69,7 +70,7 @@ impl Call {
     }
 
     fn lease(&self) -> Instant {
-        *self.heard.lock().unwrap_or_else(PoisonError::into_inner) + LEASE
+        *self.heard.lock() + LEASE
     }
 
     /// Runs the skill to its end. Cancels it if the caller stops polling. If it then does not return within

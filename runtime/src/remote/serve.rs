@@ -4,10 +4,11 @@
 use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_bus::{IncomingQuery, Key, KeyError, Payload, Session, SessionError, keys};
+use parking_lot::Mutex;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
@@ -216,7 +217,7 @@ impl Server {
     }
 
     fn call(&self, name: &str) -> Option<Arc<Call>> {
-        self.calls.lock().unwrap_or_else(PoisonError::into_inner).get(name).map(Arc::clone)
+        self.calls.lock().get(name).map(Arc::clone)
     }
 
     fn start(self: &Arc<Self>, offer: &Arc<Offer>, start: Start) -> Result<Status, CallError> {
@@ -228,7 +229,7 @@ impl Server {
         let manifest = offer.skill.manifest();
         let inputs = skill::inputs(manifest.inputs.iter(), start.inputs.clone())
             .map_err(|error| CallError::Inputs { name: shown.clone(), error })?;
-        let mut calls = self.calls.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut calls = self.calls.lock();
         if let Some(call) = calls.get(&start.call) {
             // The caller repeats a start when the first answer was lost.
             return Ok(call.status(0));
@@ -249,7 +250,7 @@ impl Server {
         tokio::spawn(async move {
             running.await;
             tokio::time::sleep(RESULT_LIFETIME).await;
-            server.calls.lock().unwrap_or_else(PoisonError::into_inner).remove(&start.call);
+            server.calls.lock().remove(&start.call);
         });
         Ok(call.status(0))
     }

@@ -17,7 +17,7 @@ use armarium_values::Value;
 use crate::agenda::Agenda;
 use crate::engine::{Effect, Engine, Input, RunResult, Sensors};
 use crate::program::{EventId, Kind, Program, StateId};
-use crate::skill::{Failure, InputError, Outcome, SkillManifest};
+use crate::skill::{Failure, InputError, Outcome, SkillManifest, SkillResult};
 use crate::trace::TraceItem;
 
 pub use coverage::{Coverage, Described};
@@ -193,14 +193,14 @@ impl Stepper {
     /// [`StepError`] when there is no such state, or when it has no such skill or watch.
     pub fn report(&mut self, state: &str, name: &str, data: Value) -> Result<(), StepError> {
         let id = self.find(state)?;
-        let input = if let Some((watch, entry)) = self.armed_watch(id, name) {
-            Input::Watch { watch, entry }
+        if let Some((watch, entry)) = self.armed_watch(id, name) {
+            self.turn(Input::Watch { watch, entry });
         } else if let Some(activation) = self.skills.remove(&id) {
-            Input::SkillEnded { activation, result: result(name, data) }
+            self.ended(id, activation, result(name, data));
         } else {
             return Err(StepError::NotExpected { state: state.to_owned(), name: name.to_owned() });
-        };
-        self.tell(input);
+        }
+        self.settle();
         Ok(())
     }
 
@@ -351,11 +351,16 @@ impl Stepper {
                 continue;
             }
             let Some((state, activation)) = self.returning.pop_front() else { return };
-            let restless = self.agenda.ended(activation, state, self.engine.program(), self.board.now);
-            self.turn(Input::SkillEnded { activation, result: Ok(Outcome::success()) });
-            if let Some(restless) = restless {
-                self.turn(restless);
-            }
+            self.ended(state, activation, Ok(Outcome::success()));
+        }
+    }
+
+    /// A skill has returned.
+    fn ended(&mut self, state: StateId, activation: u64, result: SkillResult) {
+        let restless = self.agenda.ended(activation, state, self.engine.program(), self.board.now);
+        self.turn(Input::SkillEnded { activation, result });
+        if let Some(restless) = restless {
+            self.turn(restless);
         }
     }
 
@@ -392,7 +397,7 @@ impl Stepper {
 }
 
 /// A skill's result from its name and data.
-fn result(name: &str, data: Value) -> crate::skill::SkillResult {
+fn result(name: &str, data: Value) -> SkillResult {
     if name == "failure" {
         let reason = data.get("reason").and_then(Value::as_str).unwrap_or("it was reported as a failure");
         return Err(Failure::new(reason));

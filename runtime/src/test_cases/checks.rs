@@ -30,9 +30,17 @@ impl TestFile {
     ) -> Result<Arc<Program>, Vec<Finding>> {
         let chart = source.path.parent().unwrap_or(Path::new("")).join(&self.test);
         let mut library = chart::load_from(&chart, folders, files);
+        let mut findings = Findings::new(Arc::clone(source));
+        let unreadable = |finding: &&Finding| finding.code == code::FILE && finding.source.path == chart;
+        if let Some(finding) = library.findings.iter().find(unreadable) {
+            let node = yaml::parse(&mut findings);
+            let at = node.map_or(Span::default(), |node| node.place("test"));
+            let help = "`test` names the chart's file, beside this one: `test: my_chart.yaml`".to_owned();
+            findings.error_help(code::FILE, at, format!("{}: {}", self.test, finding.message), Some(help));
+            return Err(findings.list);
+        }
         let unused = library.stand_in(self.charts.keys());
         if !unused.is_empty() {
-            let mut findings = Findings::new(Arc::clone(source));
             let node = yaml::parse(&mut findings);
             let place = |name: &str| {
                 let charts = node.as_ref().and_then(|node| node.get("charts"));

@@ -9,7 +9,6 @@ use serde_json::Value as Json;
 
 use super::stand_in::{self, StandInError};
 use super::{Case, Ending, Expect, Script, Step, TestFile};
-use crate::agenda::MAX_ENDS;
 use crate::program::Program;
 use crate::skill::InputError;
 use crate::stepping::{Coverage, RunningSkill, StepError, Stepper};
@@ -40,12 +39,6 @@ pub enum CaseError {
     /// The chart does not understand what happens.
     #[error(transparent)]
     Refused(#[from] StepError),
-    /// Skills of the chart end without time going by, and it does not rest.
-    #[error("the chart turns in a circle: `{state}` ends again and again at one instant")]
-    Circle {
-        /// A state of the circle.
-        state: String,
-    },
     /// A channel's value is not what is declared.
     #[error("channel {channel}: {why}")]
     Channel {
@@ -64,7 +57,7 @@ pub enum CaseError {
         /// Why not.
         why: StandInError,
     },
-    /// A script's output is none of the skill's.
+    /// A script gives an output that the skill does not have.
     #[error("the skill {skill} gives no `{output}`")]
     NoOutput {
         /// The skill.
@@ -206,7 +199,6 @@ impl Player<'_> {
     /// Lets time go by, with what the scripts say on the way.
     fn advance(&mut self, by: Duration) -> Result<(), CaseError> {
         let end = self.stepper.now() + by;
-        let mut at_once = (self.stepper.now(), 0);
         loop {
             self.plan()?;
             // What the chart does by itself on the way may start skills, whose endings are planned from then.
@@ -225,10 +217,6 @@ impl Player<'_> {
             }
             let data = self.data(&running, &ending)?;
             self.stepper.report(&running.path, &ending.outcome, data)?;
-            at_once = if at_once.0 == key.0 { (key.0, at_once.1 + 1) } else { (key.0, 1) };
-            if at_once.1 > MAX_ENDS {
-                return Err(CaseError::Circle { state: running.path });
-            }
         }
         self.stepper.advance(end.saturating_sub(self.stepper.now()));
         self.plan()?;

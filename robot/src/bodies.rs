@@ -1,0 +1,380 @@
+//! The robot's parts as convex bodies, and how near to each other they are.
+//!
+//! Links that no joint moves against each other form one body. Pairs that need not be kept apart are left out once
+//! ([`Bodies::new`]); the others are watched by [`Distances`], which knows one configuration and computes a distance
+//! anew only when its bodies may have moved by more than its answer allows. It commands nothing: the guard does.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Point3, Unit, Vector3};
+use parry3d_f64::math::{Pose, Rotation, Vector};
+use parry3d_f64::query::contact;
+use parry3d_f64::shape::{Cuboid, Cylinder, SharedShape};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+
+use crate::model::Primitive;
+use crate::{Joint, Kinematics, LinkId, Model};
+
+/// Bodies that are farther apart than this, m, are not looked at more closely.
+const FAR: f64 = 0.3;
+/// Bodies that are nearer than this at the start, m, are taken for neighbours.
+const NEIGHBOURS: f64 = 0.03;
+/// Random configurations in which pairs are looked at, and the share of them in which neighbours are near.
+const SAMPLES: u32 = 200;
+const MOSTLY: f64 = 0.95;
+/// A distance is computed anew when its bodies may have moved by this share of it, but not for less than `FINE`, m.
+const COARSE: f64 = 0.05;
+const FINE: f64 = 0.0005;
+
+/// Links that move as one.
+#[derive(Clone, Debug)]
+struct Body {
+    /// The link whose frame its shapes are in.
+    link: LinkId,
+    shapes: Vec<(Isometry3<f64>, SharedShape)>,
+    /// A ball around all shapes: centre in the link's frame, radius in m.
+    center: Point3<f64>,
+    radius: f64,
+}
+
+/// Two bodies that are near each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Near {
+    /// A lower bound of their distance, m; negative where they overlap.
+    pub(crate) distance: f64,
+    /// A link of each.
+    pub(crate) links: [LinkId; 2],
+    /// The nearest points of both, root frame, m.
+    pub(crate) points: [Point3<f64>; 2],
+    /// The direction from the first to the second, root frame.
+    pub(crate) direction: Unit<Vector3<f64>>,
+}
+
+/// The robot's bodies and the pairs that have to stay apart.
+#[derive(Debug)]
+pub(crate) struct Bodies {
+    bodies: Vec<Body>,
+    pairs: Vec<(usize, usize)>,
+}
+
+impl Bodies {
+    /// The bodies of a robot. Left out are pairs with at most two joints between them, the links of one hand or head, and pairs
+    /// that are nearer than 30 mm at the start or in 95 % of random configurations: they touch by construction.
+    pub(crate) fn new(model: &Arc<Model>) -> Self {
+        let mut kinematics = Kinematics::new(model);
+        let bodies = bodies(&kinematics);
+        let tools: Vec<BTreeSet<usize>> = (model.limbs().values())
+            .filter(|limb| limb.tcp.is_none())
+            .map(|limb| limb.joints.iter().copied().collect())
+            .collect();
+        let apart = |a: usize, b: usize| {
+            let joints = joints_between(model, bodies[a].link, bodies[b].link);
+            joints.len() > 2 && !tools.iter().any(|tool| joints.is_subset(tool))
+        };
+        let all = (0..bodies.len()).flat_map(|a| (a + 1..bodies.len()).map(move |b| (a, b)));
+        let mut pairs: Vec<(usize, usize)> = all.filter(|&(a, b)| apart(a, b)).collect();
+        let near = |kinematics: &Kinematics, (a, b): (usize, usize)| {
+            nearest(kinematics, &bodies[a], &bodies[b]).is_ok_and(|near| near.distance < NEIGHBOURS)
+        };
+        kinematics.update(&model.zero());
+        pairs.retain(|pair| !near(&kinematics, *pair));
+        let mut counts = vec![0_u32; pairs.len()];
+        let mut rng = ChaCha8Rng::seed_from_u64(0);
+        for _ in 0..SAMPLES {
+            let q: Vec<f64> = model.joints().iter().map(|joint| anywhere(joint, &mut rng)).collect();
+            kinematics.update(&q);
+            for (count, pair) in counts.iter_mut().zip(&pairs) {
+                *count += u32::from(near(&kinematics, *pair));
+            }
+        }
+        let mut counts = counts.into_iter();
+        pairs.retain(|_| counts.next().is_some_and(|count| f64::from(count) < MOSTLY * f64::from(SAMPLES)));
+        Self { bodies, pairs }
+    }
+
+    /// The links of the pairs that have to stay apart.
+    pub(crate) fn pairs(&self) -> impl Iterator<Item = [LinkId; 2]> {
+        self.pairs.iter().map(|&(a, b)| [self.bodies[a].link, self.bodies[b].link])
+    }
+}
+
+/// The least distance of all pairs at one configuration, m, computed anew: for referees.
+#[cfg(test)]
+pub(crate) fn least_distance(bodies: &Bodies, kinematics: &Kinematics) -> f64 {
+    let exact = |&(a, b): &(usize, usize)| {
+        nearest(kinematics, &bodies.bodies[a], &bodies.bodies[b]).map_or_else(|far| far, |near| near.distance)
+    };
+    bodies.pairs.iter().map(exact).fold(f64::INFINITY, f64::min)
+}
+
+/// A position within a joint's limits; a joint without limits turns by half a turn to each side.
+fn anywhere(joint: &Joint, rng: &mut ChaCha8Rng) -> f64 {
+    let (lower, upper) = (joint.lower.max(-std::f64::consts::PI), joint.upper.min(std::f64::consts::PI));
+    if lower < upper { rng.random_range(lower..upper) } else { lower }
+}
+
+/// The joints that move one of two links but not the other.
+fn joints_between(model: &Model, a: LinkId, b: LinkId) -> BTreeSet<usize> {
+    (0..model.joints().len()).filter(|&joint| model.moves(joint, a) != model.moves(joint, b)).collect()
+}
+
+fn bodies(kinematics: &Kinematics) -> Vec<Body> {
+    let model = kinematics.model();
+    let mut bodies: Vec<Body> = Vec::new();
+    for (index, link) in model.links().iter().enumerate() {
+        let id = LinkId(index);
+        let carrier = carrier(model, id);
+        let carrier_from_link = kinematics.pose(carrier).inv_mul(kinematics.pose(id));
+        for collision in &link.collisions {
+            let (shape_from_parry, shape) = convex(&collision.shape);
+            let part = (carrier_from_link * collision.link_from_shape * shape_from_parry, shape);
+            match bodies.iter_mut().find(|body| body.link == carrier) {
+                Some(body) => body.shapes.push(part),
+                None => {
+                    let (center, radius) = (Point3::origin(), 0.0);
+                    bodies.push(Body { link: carrier, shapes: vec![part], center, radius });
+                }
+            }
+        }
+    }
+    bodies.iter_mut().for_each(Body::enclose);
+    bodies
+}
+
+/// The link that carries `link` without a joint between them; it may be `link` itself.
+fn carrier(model: &Model, link: LinkId) -> LinkId {
+    let mut carrier = link;
+    while let link = &model.links()[carrier.index()]
+        && link.joint.is_none()
+        && let Some(parent) = link.parent
+    {
+        carrier = parent;
+    }
+    carrier
+}
+
+/// A primitive as a convex shape, and the pose of that shape's frame: its cylinders are about y, ours about z.
+fn convex(primitive: &Primitive) -> (Isometry3<f64>, SharedShape) {
+    let upright = Isometry3::rotation(Vector3::x() * std::f64::consts::FRAC_PI_2);
+    match *primitive {
+        Primitive::Box { size } => {
+            let half = size / 2.0;
+            (Isometry3::identity(), SharedShape::new(Cuboid::new(vector(&half))))
+        }
+        Primitive::Cylinder { radius, length } => {
+            (upright, SharedShape::new(Cylinder::new(length / 2.0, radius)))
+        }
+        Primitive::Sphere { radius } => (Isometry3::identity(), SharedShape::ball(radius)),
+    }
+}
+
+impl Body {
+    /// Puts the ball around all shapes.
+    fn enclose(&mut self) {
+        let balls = self.shapes.iter().map(|(link_from_shape, shape)| {
+            let ball = shape.compute_local_bounding_sphere();
+            (link_from_shape * point(ball.center), ball.radius)
+        });
+        let balls: Vec<(Point3<f64>, f64)> = balls.collect();
+        let sum = balls.iter().fold(Vector3::zeros(), |sum, (center, _)| sum + center.coords);
+        self.center = Point3::from(sum / balls.len().max(1) as f64);
+        self.radius = balls.iter().map(|(center, r)| (center - self.center).norm() + r).fold(0.0, f64::max);
+    }
+}
+
+/// The nearest points of two bodies, or a lower bound of their distance where they are farther apart than [`FAR`], m.
+fn nearest(kinematics: &Kinematics, a: &Body, b: &Body) -> Result<Near, f64> {
+    let (root_from_a, root_from_b) = (kinematics.pose(a.link), kinematics.pose(b.link));
+    let between = (root_from_b * b.center - root_from_a * a.center).norm();
+    if between - a.radius - b.radius > FAR {
+        return Err(between - a.radius - b.radius);
+    }
+    let mut nearest: Result<Near, f64> = Err(FAR);
+    for (a_from_shape, first) in &a.shapes {
+        let root_from_first = pose(&(root_from_a * a_from_shape));
+        for (b_from_shape, second) in &b.shapes {
+            let root_from_second = pose(&(root_from_b * b_from_shape));
+            let found = contact(&root_from_first, &**first, &root_from_second, &**second, FAR);
+            let Ok(Some(found)) = found else { continue };
+            if nearest.as_ref().is_ok_and(|near| near.distance <= found.dist) {
+                continue;
+            }
+            let n = found.normal1;
+            let direction = Unit::new_normalize(Vector3::new(n.x, n.y, n.z));
+            let points = [point(found.point1), point(found.point2)];
+            nearest = Ok(Near { distance: found.dist, links: [a.link, b.link], points, direction });
+        }
+    }
+    nearest
+}
+
+fn vector(v: &Vector3<f64>) -> Vector {
+    Vector::new(v.x, v.y, v.z)
+}
+
+fn point(v: Vector) -> Point3<f64> {
+    Point3::new(v.x, v.y, v.z)
+}
+
+fn pose(p: &Isometry3<f64>) -> Pose {
+    let q = p.rotation;
+    Pose::from_parts(vector(&p.translation.vector), Rotation::from_xyzw(q.i, q.j, q.k, q.w))
+}
+
+/// The distances of all pairs at one configuration, followed from step to step.
+#[derive(Debug)]
+pub(crate) struct Distances {
+    bodies: Arc<Bodies>,
+    /// The pose of each body at the last update, and how far any of its points may have moved since the start, m.
+    poses: Vec<Isometry3<f64>>,
+    moved: Vec<f64>,
+    known: Vec<Known>,
+}
+
+/// What is known of a pair.
+#[derive(Clone, Copy, Debug)]
+struct Known {
+    /// As computed; `Err` has only a lower bound, for bodies that are far apart.
+    nearest: Result<Near, f64>,
+    /// How far both had moved by then, m.
+    moved: f64,
+}
+
+impl Distances {
+    pub(crate) fn new(bodies: &Arc<Bodies>) -> Self {
+        Self {
+            bodies: Arc::clone(bodies),
+            poses: vec![Isometry3::identity(); bodies.bodies.len()],
+            moved: vec![0.0; bodies.bodies.len()],
+            // Nothing is known: the first update computes every pair.
+            known: vec![Known { nearest: Err(0.0), moved: f64::NEG_INFINITY }; bodies.pairs.len()],
+        }
+    }
+
+    /// Takes over the poses of all links. Does not allocate.
+    pub(crate) fn update(&mut self, kinematics: &Kinematics) {
+        let Bodies { bodies, pairs } = &*self.bodies;
+        for ((body, pose), moved) in bodies.iter().zip(&mut self.poses).zip(&mut self.moved) {
+            let now = kinematics.pose(body.link);
+            *moved += displacement(pose, now, body);
+            *pose = *now;
+        }
+        for (&(a, b), known) in pairs.iter().zip(&mut self.known) {
+            let moved = self.moved[a] + self.moved[b];
+            let since = moved - known.moved;
+            let (distance, slack) = match known.nearest {
+                Ok(near) => (near.distance, (COARSE * near.distance).max(FINE)),
+                Err(distance) => (distance, (distance - FAR).max(FINE)),
+            };
+            if since > slack || distance.is_nan() {
+                *known = Known { nearest: nearest(kinematics, &bodies[a], &bodies[b]), moved };
+            }
+        }
+    }
+
+    /// The pairs that are nearer than `within` m.
+    pub(crate) fn near(&self, within: f64) -> impl Iterator<Item = (usize, Near)> {
+        let one = move |((pair, known), &(a, b)): ((usize, &Known), &(usize, usize))| {
+            let mut near = known.nearest.ok()?;
+            near.distance -= (self.moved[a] + self.moved[b] - known.moved).max(0.0);
+            (near.distance < within).then_some((pair, near))
+        };
+        self.known.iter().enumerate().zip(&self.bodies.pairs).filter_map(one)
+    }
+}
+
+/// How far any point of a body has moved at most between two poses of its link, m.
+fn displacement(before: &Isometry3<f64>, now: &Isometry3<f64>, body: &Body) -> f64 {
+    let (a, b) = (before.rotation.coords, now.rotation.coords);
+    // A quaternion and its negative are one rotation; a chord of the turn is at most twice the quaternions' distance.
+    let turned = 2.0 * (a - b).norm().min((a + b).norm());
+    (before * body.center - now * body.center).norm() + body.radius * turned
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn armar3() -> Arc<Model> {
+        Arc::new(Model::armar3())
+    }
+
+    #[test]
+    fn followed_distances_are_lower_bounds_and_tight() {
+        let model = armar3();
+        let bodies = Arc::new(Bodies::new(&model));
+        let mut distances = Distances::new(&bodies);
+        let mut kinematics = Kinematics::new(&model);
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let mut goal = model.zero();
+        let mut q = model.zero();
+        let mut seen = 0;
+        for step in 0..4000 {
+            if step % 400 == 0 {
+                goal = model.joints().iter().map(|joint| anywhere(joint, &mut rng)).collect();
+            }
+            for (q, goal) in q.iter_mut().zip(&goal) {
+                *q += (goal - *q).clamp(-0.003, 0.003);
+            }
+            kinematics.update(&q);
+            distances.update(&kinematics);
+            if step % 37 != 0 {
+                continue;
+            }
+            let followed: std::collections::BTreeMap<usize, Near> = distances.near(0.2).collect();
+            for (pair, &(a, b)) in bodies.pairs.iter().enumerate() {
+                let Ok(exact) = nearest(&kinematics, &bodies.bodies[a], &bodies.bodies[b]) else { continue };
+                if exact.distance < 0.19 {
+                    let bound = followed[&pair].distance;
+                    assert!(bound <= exact.distance + 1e-6, "{pair}: {bound} {}", exact.distance);
+                    assert!(bound >= exact.distance - 0.021, "{pair}: {bound} {}", exact.distance);
+                    seen += 1;
+                }
+            }
+        }
+        assert!(seen > 500, "{seen}");
+    }
+
+    #[test]
+    fn distances_are_those_of_geometry() {
+        let ball = |link: usize, x: f64| Body {
+            link: LinkId(link),
+            shapes: vec![(Isometry3::translation(x, 0.0, 0.0), SharedShape::ball(0.1))],
+            center: Point3::new(x, 0.0, 0.0),
+            radius: 0.1,
+        };
+        let (upright, shape) = convex(&Primitive::Cylinder { radius: 0.1, length: 1.0 });
+        let cylinder = Body {
+            link: LinkId(0),
+            shapes: vec![(Isometry3::translation(0.0, 0.3, 0.0) * upright, shape)],
+            center: Point3::new(0.0, 0.3, 0.0),
+            radius: 0.6,
+        };
+        let kinematics = Kinematics::new(&armar3());
+        let near = nearest(&kinematics, &ball(0, 0.0), &ball(0, 0.25)).unwrap();
+        assert!((near.distance - 0.05).abs() < 1e-9 && near.direction.x > 0.999, "{near:?}");
+        let overlap = nearest(&kinematics, &ball(0, 0.0), &ball(0, 0.15)).unwrap();
+        assert!((overlap.distance + 0.05).abs() < 1e-9 && overlap.direction.x > 0.999, "{overlap:?}");
+        // A cylinder about z, beside the ball.
+        let near = nearest(&kinematics, &ball(0, 0.0), &cylinder).unwrap();
+        assert!((near.distance - 0.1).abs() < 1e-6 && near.direction.y > 0.999, "{near:?}");
+        assert_eq!(nearest(&kinematics, &ball(0, 0.0), &ball(0, 1.0)).unwrap_err(), 0.8);
+    }
+
+    #[test]
+    fn arms_head_and_trunk_have_to_stay_apart_and_neighbours_do_not() {
+        let model = armar3();
+        let bodies = Bodies::new(&model);
+        let name = |link: LinkId| model.links()[link.index()].name.as_str();
+        let pairs: BTreeSet<[&str; 2]> = bodies.pairs().map(|links| links.map(name)).collect();
+        for kept in [["wrist_2_r", "wrist_2_l"], ["head_tilt", "wrist_2_l"], ["torso", "wrist_2_r"]] {
+            assert!(pairs.contains(&kept), "{kept:?}");
+        }
+        for left_out in [["upperarm_r", "elbow_r"], ["underarm_r", "wrist_2_r"], ["torso", "shoulder_1_r"]] {
+            assert!(!pairs.contains(&left_out), "{left_out:?}");
+        }
+        assert!(!pairs.contains(&["finger_left_r", "finger_right_r"]));
+    }
+}
