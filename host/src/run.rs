@@ -453,7 +453,7 @@ async fn load(
     network: &Network,
     console: &dyn Console,
 ) -> Result<(Arc<Program>, Registry), HostError> {
-    let names = Arc::new(Names::of_run(world));
+    let names = Arc::new(Names::of_run(world, stage.robot.equipment.robot.model()));
     let mut registry = catalog::registry(&stage.robot.equipment, &config.skills).with_names(names);
     let agents = network.agents.as_ref();
     let checked = catalog::load_connected(&config.chart, &config.charts, &mut registry, agents).await?;

@@ -39,7 +39,7 @@ const ALLOWED_IN_TESTS: [(&str, &[&str]); 2] = [
 ];
 
 /// Crates from outside that only some rooms may use, each with the reason.
-const CONFINED: [(&str, &[&str], &str); 15] = [
+const CONFINED: [(&str, &[&str], &str); 14] = [
     ("zenoh", &["bus"], "the network is known to one room; the others see traits"),
     ("rapier3d-f64", &["simulator"], "its vectors differ from ours: they are converted in one place"),
     ("redb", &["memoryx"], "the long-term store is the memory's own affair"),
@@ -54,7 +54,6 @@ const CONFINED: [(&str, &[&str], &str); 15] = [
     ("tracing-subscriber", &["cli"], "rooms emit log events; the program decides where they go"),
     ("serde-saphyr", &["source"], "files that people write are read in one way"),
     ("strsim", &["values"], "what might be meant is guessed in one way"),
-    ("urdf-rs", &["robot"], "descriptions become a model in one place"),
 ];
 
 /// Rooms without tasks and clocks: they may not use tokio.

@@ -173,6 +173,9 @@ fn collider(shape: &Primitive, body_from_shape: &Isometry3<f64>) -> rapier::Coll
             UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::FRAC_PI_2),
         ),
         Primitive::Sphere { radius } => (rapier::ColliderBuilder::ball(*radius), UnitQuaternion::identity()),
+        Primitive::Capsule { radius, length } => {
+            (rapier::ColliderBuilder::capsule_z(length / 2.0, *radius), UnitQuaternion::identity())
+        }
     };
     builder
         .position(convert::pose(&(body_from_shape * turn)))

@@ -29,6 +29,7 @@ fn geometry(primitive: &Primitive) -> Geometry {
         Primitive::Box { size } => Geometry::Box { half: size / 2.0 },
         Primitive::Cylinder { radius, length } => Geometry::Cylinder { radius, half_length: length / 2.0 },
         Primitive::Sphere { radius } => Geometry::Sphere { radius },
+        Primitive::Capsule { radius, length } => Geometry::Capsule { radius, half_length: length / 2.0 },
     }
 }
 
@@ -36,11 +37,10 @@ fn geometry(primitive: &Primitive) -> Geometry {
 mod tests {
     use super::*;
     use armarium_robot::Model;
-    use std::sync::Arc;
 
     #[test]
     fn every_visual_of_every_link_is_there_where_the_link_is() {
-        let model = Arc::new(Model::armar3());
+        let model = Model::shipped("armar3").unwrap();
         let kinematics = Kinematics::new(&model);
         let scene_from_root = Isometry3::translation(1.0, 2.0, 0.0);
         let shapes = robot_shapes(&kinematics, &scene_from_root);
