@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::{JointKind, Kinematics, Model, Primitive, description, pose_error};
+use crate::{Geometry, JointKind, Kinematics, Model, description, pose_error};
 
 fn armar3() -> Arc<Model> {
     Model::shipped("armar3").unwrap()
@@ -109,7 +109,7 @@ fn the_description_has_the_frames_and_masses_it_promises() {
     let grasp = model.link_pose(&q, model.link("grasp_right").unwrap());
     near(pose_error(&tcp, &grasp).linear, (0.08 * (tcp * Vector3::x())).into(), 1e-9);
     let marker = &model.links()[model.link("hand_marker_right").unwrap().index()].visuals[0];
-    assert_eq!((marker.shape, marker.color), (Primitive::Sphere { radius: 0.02 }, [200, 30, 160]));
+    assert_eq!((&marker.shape, marker.color), (&Geometry::Sphere { radius: 0.02 }, [200, 30, 160]));
     let fingers = model.limb("right_hand");
     assert!(fingers.iter().all(|&j| model.joints()[j].kind == JointKind::Prismatic));
     for limb in ["torso", "head", "right_arm", "left_arm"] {

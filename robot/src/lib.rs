@@ -20,6 +20,7 @@ mod grasp;
 mod guard;
 mod ik;
 mod kinematics;
+mod mesh;
 mod model;
 pub mod newest;
 mod pose_ik;
@@ -33,9 +34,10 @@ pub use gaze::Gaze;
 pub use guard::{Guard, GuardConfig, JointTargets, Sample};
 pub use ik::{DifferentialIk, IkConfig, IkStep};
 pub use kinematics::{Jacobian, Kinematics, Twist};
+pub use mesh::Mesh;
 pub use model::{
-    Collision, GRAVITY, Hand, Inertial, Joint, JointKind, JointMotion, Limb, Link, LinkId, Marker, Model,
-    Primitive, RobotLimits, StereoCamera, Visual, WrenchSensor,
+    Collision, GRAVITY, Geometry, Hand, Inertial, Joint, JointKind, JointMotion, Limb, Link, LinkId, Marker,
+    Model, RobotLimits, StereoCamera, Visual, WrenchSensor,
 };
 pub use pose_ik::{IkError, PoseOptions, pose_error, solve_pose};
 pub use seam::{Commander, GuardedRobot, Lease, Robot};

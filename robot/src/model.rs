@@ -6,9 +6,11 @@
 //! moves its link with its leader's position ([`JointMotion`]). Start at [`Model`].
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Unit, Vector3};
 
+use crate::Mesh;
 use crate::error::RobotError;
 
 /// Standard gravity in the root frame (z up), m/s².
@@ -26,9 +28,9 @@ impl LinkId {
     }
 }
 
-/// A primitive, centred on its own frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Primitive {
+/// The form of a part, centred on its own frame.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Geometry {
     /// A box.
     Box {
         /// Edge lengths along x, y, z, m.
@@ -53,13 +55,15 @@ pub enum Primitive {
         /// Length of the cylinder, between the middles of the balls, m.
         length: f64,
     },
+    /// A surface of triangles. Bodies touch it as its convex hull.
+    Mesh(Arc<Mesh>),
 }
 
 /// A visible part of a link.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Visual {
-    /// The primitive.
-    pub shape: Primitive,
+    /// Its form.
+    pub shape: Geometry,
     /// The shape's pose in the link's frame.
     pub link_from_shape: Isometry3<f64>,
     /// Colour: red, green, blue.
@@ -67,10 +71,10 @@ pub struct Visual {
 }
 
 /// A collision part of a link.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Collision {
-    /// The primitive.
-    pub shape: Primitive,
+    /// Its form.
+    pub shape: Geometry,
     /// The shape's pose in the link's frame.
     pub link_from_shape: Isometry3<f64>,
 }

@@ -27,7 +27,7 @@ fn wipe_pose(model: &Model, offset: [f64; 3]) -> Isometry3<f64> {
 fn the_robots_that_ship_are_read_without_a_warning() {
     for name in description::shipped_robots() {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots");
-        let read = description::load(&Path::new(file).join(name).join("robot.yaml")).unwrap();
+        let read = description::load(&Path::new(file).join(name).join("robot.yaml"), &[]).unwrap();
         assert_eq!((&*read.model, read.warnings), (&*Model::shipped(name).unwrap(), Vec::new()), "{name}");
     }
     let unknown = Model::shipped("armar4").unwrap_err()[0].to_string();

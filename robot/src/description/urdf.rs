@@ -1,6 +1,6 @@
 //! Reads URDF (up to version 1.2, whose `<limit>` has an acceleration) into the links and joints of a model.
 //!
-//! It reads links, primitives with their colours, inertials, and joints of every kind. Files in the wild leave things
+//! It reads links, forms with their colours, inertials, and joints of every kind. Files in the wild leave things
 //! out: what is not stated is assumed, and a warning says so. What cannot be meant (loops, several roots, numbers that
 //! are not finite) is an error. Joints that are `floating` or `planar` are not driven: their link stands still.
 //! Every finding has its place in the text. Groups, hands and sensors are no part of URDF (see `file.rs`).
@@ -13,7 +13,8 @@ use armarium_source::{Finding, Findings, Source, Span, code};
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 use roxmltree::{Document, Node, ParsingOptions};
 
-use crate::model::{Collision, Inertial, Joint, JointKind, JointMotion, Link, LinkId, Primitive, Visual};
+use super::meshes::Meshes;
+use crate::model::{Collision, Geometry, Inertial, Joint, JointKind, JointMotion, Link, LinkId, Visual};
 
 /// Most elements of a file.
 const MAX_NODES: u32 = 1_000_000;
@@ -40,7 +41,7 @@ pub(super) struct Tree {
 }
 
 /// Reads a description. Adds findings; `None` where the text is no robot at all.
-pub(super) fn read(source: &Arc<Source>) -> (Option<Tree>, Vec<Finding>) {
+pub(super) fn read(source: &Arc<Source>, meshes: &mut Meshes<'_>) -> (Option<Tree>, Vec<Finding>) {
     let mut findings = Findings::new(Arc::clone(source));
     let options = ParsingOptions { nodes_limit: MAX_NODES, ..ParsingOptions::default() };
     let document = match Document::parse_with_options(&source.text, options) {
@@ -52,7 +53,7 @@ pub(super) fn read(source: &Arc<Source>) -> (Option<Tree>, Vec<Finding>) {
             return (None, findings.list);
         }
     };
-    let tree = Reader::new(&document, &mut findings).and_then(Reader::read);
+    let tree = Reader::new(&document, &mut findings, meshes).and_then(Reader::read);
     (tree, findings.list)
 }
 
@@ -88,8 +89,9 @@ fn called(node: Element<'_>) -> String {
 }
 
 /// The URDF tree during the walk.
-struct Reader<'a, 'f> {
+struct Reader<'a, 'f, 'm> {
     root: Element<'a>,
+    meshes: &'f mut Meshes<'m>,
     findings: &'f mut Findings,
     links: BTreeMap<&'a str, Element<'a>>,
     joints: BTreeMap<&'a str, Element<'a>>,
@@ -101,9 +103,13 @@ struct Reader<'a, 'f> {
     assumed: Vec<(String, Span, Vec<String>)>,
 }
 
-impl<'a, 'f> Reader<'a, 'f> {
+impl<'a, 'f, 'm> Reader<'a, 'f, 'm> {
     /// `None` after a finding that leaves no tree to walk.
-    fn new(document: &'a Document<'a>, findings: &'f mut Findings) -> Option<Self> {
+    fn new(
+        document: &'a Document<'a>,
+        findings: &'f mut Findings,
+        meshes: &'f mut Meshes<'m>,
+    ) -> Option<Self> {
         let root = document.root_element();
         let macros = root.descendants().find(|node| {
             node.is_element() && node.tag_name().namespace().is_some_and(|space| space.contains("xacro"))
@@ -123,6 +129,7 @@ impl<'a, 'f> Reader<'a, 'f> {
         }
         let mut reader = Self {
             root,
+            meshes,
             findings,
             links: BTreeMap::new(),
             joints: BTreeMap::new(),
@@ -479,31 +486,41 @@ impl<'a, 'f> Reader<'a, 'f> {
 
     /// The shape in an element's `<geometry>`; `None` inside where there is nothing that can be used.
     #[expect(clippy::option_option, reason = "an error, nothing, a shape")]
-    fn shape(&mut self, of: Element<'a>) -> Option<Option<Primitive>> {
+    fn shape(&mut self, of: Element<'a>) -> Option<Option<Geometry>> {
         let geometry =
             child(of, "geometry").and_then(|geometry| geometry.children().find(Element::is_element));
         let Some(geometry) = geometry else { return Some(None) };
         let (shape, sizes) = match geometry.tag_name().name() {
             "box" => {
                 let size = self.numbers(geometry, "size", [0.0; 3])?;
-                (Primitive::Box { size: Vector3::from(size) }, size)
+                (Geometry::Box { size: Vector3::from(size) }, size)
             }
             "sphere" => {
                 let [radius] = self.numbers(geometry, "radius", [0.0])?;
-                (Primitive::Sphere { radius }, [radius; 3])
+                (Geometry::Sphere { radius }, [radius; 3])
             }
             which @ ("cylinder" | "capsule") => {
                 let [radius] = self.numbers(geometry, "radius", [0.0])?;
                 let [length] = self.numbers(geometry, "length", [0.0])?;
                 let cylinder = which == "cylinder";
                 let shape = if cylinder {
-                    Primitive::Cylinder { radius, length }
+                    Geometry::Cylinder { radius, length }
                 } else {
-                    Primitive::Capsule { radius, length }
+                    Geometry::Capsule { radius, length }
                 };
                 (shape, [radius, radius, length])
             }
-            "mesh" => return Some(None),
+            "mesh" => {
+                let scale = self.numbers(geometry, "scale", [1.0; 3])?;
+                let file = geometry.attribute("filename").unwrap_or("");
+                return match self.meshes.get(file, scale) {
+                    Ok(mesh) => Some(Some(Geometry::Mesh(mesh))),
+                    Err(error) => {
+                        self.assume(&error.to_string(), geometry, file);
+                        Some(None)
+                    }
+                };
+            }
             other => {
                 let message = format!("`<{other}>` of {} is no shape that is known", called(of));
                 return self.refuse(code::VALUE, geometry, message);
@@ -535,11 +552,9 @@ impl<'a, 'f> Reader<'a, 'f> {
         }
         let [xx, xy, xz, yy, yz, zz] = of;
         if mass < 0.0 || xx < 0.0 || yy < 0.0 || zz < 0.0 {
-            return self.refuse(
-                code::VALUE,
-                inertial,
-                format!("the inertia of {} is not physical", called(link)),
-            );
+            let name = link.attribute("name").unwrap_or("");
+            self.assume("with an inertia that is not physical, taken for none", inertial, name);
+            return Some(None);
         }
         let in_inertial = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
         let link_from_inertial = self.origin(inertial)?;

@@ -4,7 +4,7 @@
 //! limbs (which follow their set points exactly), are lumped into the body that carries them, in the robot's start
 //! posture. This module only computes the bodies and does not step them.
 
-use armarium_robot::{JointKind, Kinematics, Limb, LinkId, Model, Primitive};
+use armarium_robot::{Geometry, JointKind, Kinematics, Limb, LinkId, Model};
 use nalgebra::{Isometry3, Matrix3, Point3, Unit, Vector3};
 
 use super::plant::PlantError;
@@ -48,13 +48,18 @@ pub(super) struct Lump {
     pub(super) parent: Option<usize>,
     /// Index of the joint in the model.
     pub(super) joint: usize,
+    /// The link that it moves.
+    pub(super) link: LinkId,
     pub(super) kind: JointKind,
     pub(super) axis: Unit<Vector3<f64>>,
+    /// Its own position is `multiplier * q + offset`, where `q` is the joint's.
+    pub(super) multiplier: f64,
+    pub(super) offset: f64,
     /// Pose in the parent body's frame (the room's, for the first) with the joint at 0.
     pub(super) parent_from_body: Isometry3<f64>,
     pub(super) mass: Mass,
     /// Collision shapes, with their poses in the body's frame.
-    pub(super) collisions: Vec<(Primitive, Isometry3<f64>)>,
+    pub(super) collisions: Vec<(Geometry, Isometry3<f64>)>,
 }
 
 /// The part of the robot beyond the wrist sensor that does not have a lump of its own.
@@ -110,9 +115,9 @@ impl Assembly {
     ) -> Result<Self, PlantError> {
         let model = kinematics.model();
         let missing = |what: &str| PlantError::Missing { what: what.to_owned() };
-        let sensor =
-            model.sensor_of(arm).ok_or_else(|| missing(&format!("wrench sensor of `{}`", arm.name)))?;
         let tcp = arm.tcp.ok_or_else(|| missing(&format!("TCP of `{}`", arm.name)))?;
+        // Without a sensor nothing is felt, wherever it would be.
+        let sensor = model.sensor_of(arm).unwrap_or(tcp);
 
         let mut lumps: Vec<Lump> = Vec::new();
         let mut carrier: Vec<Option<usize>> = Vec::new();
@@ -130,8 +135,11 @@ impl Assembly {
                 lumps.push(Lump {
                     parent: inherited,
                     joint: motion.joint,
+                    link: model.link(&link.name).ok_or_else(|| missing(&link.name))?,
                     kind: motion.kind,
                     axis: motion.axis,
+                    multiplier: motion.multiplier,
+                    offset: motion.offset,
                     parent_from_body: at_zero,
                     mass: Mass::default(),
                     collisions: Vec::new(),
@@ -157,7 +165,7 @@ impl Assembly {
             }
             if touching.contains(&lump.joint) {
                 let collisions =
-                    link.collisions.iter().map(|c| (c.shape, body_from_link * c.link_from_shape));
+                    link.collisions.iter().map(|c| (c.shape.clone(), body_from_link * c.link_from_shape));
                 lump.collisions.extend(collisions);
             }
         }

@@ -1,6 +1,8 @@
 //! The shapes of a robot: the visuals of its description in a configuration.
 
-use armarium_robot::{Kinematics, Primitive, Visual};
+use std::sync::Arc;
+
+use armarium_robot::{Geometry as Form, Kinematics, Visual};
 use nalgebra::Isometry3;
 
 use super::scene::{Geometry, Shape};
@@ -24,12 +26,13 @@ pub fn link_shapes(visuals: &[Visual], scene_from_link: &Isometry3<f64>) -> Vec<
     visuals.iter().map(shape).collect()
 }
 
-fn geometry(primitive: &Primitive) -> Geometry {
-    match *primitive {
-        Primitive::Box { size } => Geometry::Box { half: size / 2.0 },
-        Primitive::Cylinder { radius, length } => Geometry::Cylinder { radius, half_length: length / 2.0 },
-        Primitive::Sphere { radius } => Geometry::Sphere { radius },
-        Primitive::Capsule { radius, length } => Geometry::Capsule { radius, half_length: length / 2.0 },
+fn geometry(form: &Form) -> Geometry {
+    match *form {
+        Form::Box { size } => Geometry::Box { half: size / 2.0 },
+        Form::Cylinder { radius, length } => Geometry::Cylinder { radius, half_length: length / 2.0 },
+        Form::Sphere { radius } => Geometry::Sphere { radius },
+        Form::Mesh(ref mesh) => Geometry::Mesh { mesh: Arc::clone(mesh) },
+        Form::Capsule { radius, length } => Geometry::Capsule { radius, half_length: length / 2.0 },
     }
 }
 
