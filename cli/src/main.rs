@@ -22,6 +22,7 @@ mod new;
 mod render_findings;
 mod replay;
 mod reproduce;
+mod robot;
 mod run;
 mod schema;
 mod send;
@@ -91,6 +92,8 @@ enum Command {
     Memory(memory::MemoryArgs),
     /// List, show, record, play and check providers of images.
     Image(image::ImageArgs),
+    /// Write, check, show and list the files that describe robots.
+    Robot(robot::RobotArgs),
     /// Send an event to a chart that runs at another agent.
     Send(send::SendArgs),
     /// List the channels that charts can watch, with who publishes and who reads them.
@@ -124,6 +127,7 @@ fn main() -> ExitCode {
         Command::Reproduce(args) => reproduce::run(args, &mut out),
         Command::Memory(args) => memory::run(args, &mut out, &mut io::stderr()),
         Command::Image(args) => image::run(args, &mut out, &mut io::stderr()),
+        Command::Robot(args) => robot::run(args, &mut out),
         Command::Send(args) => send::run(args, &mut out),
         Command::Channels(args) => channels::run(args, &mut out),
         Command::Skills(args) => skills::run(args, &mut out),

@@ -22,6 +22,9 @@ pub(crate) struct RunArgs {
     /// The simulated world; if not given, NAME.world.yaml beside the chart NAME.yaml, or else the default kitchen.
     #[arg(long, value_name = "FILE")]
     pub(crate) world: Option<PathBuf>,
+    /// The robot, by its name (`armarium robot list`) or its file, instead of the world's.
+    #[arg(long, value_name = "FILE|NAME")]
+    pub(crate) robot: Option<String>,
     /// Seed of all random variation.
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
@@ -124,6 +127,7 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
     let config = RunConfig {
         charts: args.charts.clone(),
         world: args.world.clone(),
+        robot: args.robot.clone(),
         seed: args.seed,
         inputs: args.inputs.clone(),
         profile: args.profile.clone(),

@@ -10,6 +10,7 @@ use armarium_values::Value;
 use serde_json::{Value as Json, json};
 
 use crate::charts::{missing, within_reach};
+use crate::console::refuse;
 
 /// Arguments of `skills`.
 #[derive(Clone, Debug, clap::Args)]
@@ -20,6 +21,9 @@ pub(crate) struct SkillsArgs {
     /// Folders with charts, besides the current one.
     #[arg(long, value_name = "DIR")]
     pub(crate) charts: Vec<PathBuf>,
+    /// The skills of this robot, by its name or its file.
+    #[arg(long, value_name = "FILE|NAME")]
+    pub(crate) robot: Option<String>,
     /// Print JSON.
     #[arg(long)]
     pub(crate) json: bool,
@@ -39,7 +43,12 @@ pub(crate) fn run(args: &SkillsArgs, out: &mut dyn Write) -> io::Result<u8> {
     if let Some(folder) = missing(&args.charts) {
         return writeln!(out, "error: there is no folder `{}`", folder.display()).map(|()| 2);
     }
-    let (registry, charts) = (catalog::idle_registry(), within_reach(&args.charts));
+    let registry = match args.robot.as_deref().map(catalog::registry_of_robot) {
+        None => catalog::idle_registry(),
+        Some(Ok(registry)) => registry,
+        Some(Err(error)) => return refuse(&error, out),
+    };
+    let charts = within_reach(&args.charts);
     let skills = registry.manifests().map(|manifest| Listed { manifest: manifest.clone(), chart: None });
     let read = charts.read.iter().map(|(chart, _)| Listed { manifest: chart.manifest(), chart: Some(chart) });
     let mut list: Vec<Listed<'_>> = skills.chain(read).collect();

@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use armarium_robot::{Kinematics, LinkId, Model, pose_error};
+use armarium_robot::description::default_robot;
+use armarium_robot::{Kinematics, Limb, LinkId, Model, pose_error};
 use nalgebra::{
     Isometry3, Matrix3, Matrix6, Point3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector3, Vector6,
 };
@@ -28,14 +29,17 @@ pub(super) struct Arms {
 
 impl Arms {
     pub(super) fn new() -> Result<Self, ExperimentError> {
-        let model = Arc::new(Model::armar3());
+        let failed = |what: String| ExperimentError::Failed(what);
+        let model =
+            Model::shipped(default_robot()).map_err(|wrong| failed(format!("{:?}", wrong.first())))?;
         let missing = || ExperimentError::Failed("the robot lacks two arms of seven joints".into());
-        let limb = |name: &str| {
-            let limb = model.find_limb(name).ok_or_else(missing)?;
+        let arms: Vec<&Limb> = model.arms().take(2).collect();
+        let limb = |side: usize| {
+            let limb = arms.get(side).ok_or_else(missing)?;
             let joints: [usize; JOINTS] = limb.joints.as_slice().try_into().map_err(|_| missing())?;
             Ok::<_, ExperimentError>((limb.tcp.ok_or_else(missing)?, joints))
         };
-        let (right, left) = (limb("right_arm")?, limb("left_arm")?);
+        let (right, left) = (limb(0)?, limb(1)?);
         let kinematics = Kinematics::new(&model);
         Ok(Self { kinematics, tcps: [right.0, left.0], joints: [right.1, left.1] })
     }

@@ -3,7 +3,8 @@
 
 use std::sync::Arc;
 
-use armarium_robot::{Kinematics, Lease, LeaseLimits, LinkId, Model, Robot, postures};
+use armarium_robot::description::default_robot;
+use armarium_robot::{Kinematics, Lease, LeaseLimits, LinkId, Model, Robot};
 use armarium_simulator::modification::{Compared, ModificationFigures, modification, of_path};
 use armarium_simulator::world::World;
 use armarium_simulator::{Options, Simulation};
@@ -18,6 +19,7 @@ pub(crate) type Joints = SVector<f64, JOINTS>;
 
 /// The arm; the rest of the robot stands still.
 pub(crate) struct Arm {
+    name: String,
     kinematics: Kinematics,
     tcp: LinkId,
     joints: [usize; JOINTS],
@@ -27,12 +29,15 @@ pub(crate) struct Arm {
 
 impl Arm {
     pub(crate) fn new() -> Result<Self, ExperimentError> {
-        let model = Arc::new(Model::armar3());
-        let missing = || ExperimentError::Failed("the robot lacks a right arm of seven joints".into());
-        let limb = model.find_limb("right_arm").ok_or_else(missing)?;
+        let failed = |what: String| ExperimentError::Failed(what);
+        let model =
+            Model::shipped(default_robot()).map_err(|wrong| failed(format!("{:?}", wrong.first())))?;
+        let missing = || ExperimentError::Failed("the robot lacks an arm of seven joints".into());
+        let limb = model.arms().next().ok_or_else(missing)?;
         let joints = limb.joints.as_slice().try_into().map_err(|_| missing())?;
         let tcp = limb.tcp.ok_or_else(missing)?;
-        Ok(Self { rest: postures::wipe(&model), kinematics: Kinematics::new(&model), tcp, joints })
+        let (name, rest) = (limb.name.clone(), model.ready(&limb.name).to_vec());
+        Ok(Self { name, rest, kinematics: Kinematics::new(&model), tcp, joints })
     }
 
     /// All joints, with the arm's at `q`.
@@ -108,7 +113,7 @@ impl Arm {
         let options = Options { start: Some(self.all(q)), ..Options::default() };
         let simulation = Simulation::new(&world, seed, options).map_err(|e| failed(&e))?;
         let robot = simulation.robot();
-        let lease = robot.lease("right_arm", "coaching", LeaseLimits::default()).map_err(|e| failed(&e))?;
+        let lease = robot.lease(&self.name, "coaching", LeaseLimits::default()).map_err(|e| failed(&e))?;
         let simulated = Simulated { simulation: Box::new(simulation), robot, lease, joints: self.joints };
         Ok(Execution::Simulated(simulated))
     }

@@ -139,10 +139,11 @@ async fn live(
                 () = &mut until => return Ok(None),
                 view = remote_eyes::open(session, eyes, |what| console.note(what)) => view?,
             };
-            Backend::eyes_only(&config.name, config.seed, view, memory.memory(), &config.skills)
+            Backend::eyes_only(config, (world.model()?, view), memory.memory())
         }
     };
-    let cameras = StereoProvider::new(Arc::clone(&backend.equipment.images), "camera_left");
+    let frame = backend.equipment.robot.model().camera_frame();
+    let cameras = StereoProvider::new(Arc::clone(&backend.equipment.images), frame);
     let _cameras = offer_images(session, &config.name, Arc::new(cameras)).await?;
     console.world_begins(Arc::clone(&backend.clock));
     let ended = act(config, (session, agents), backend, until, console).await?;
@@ -161,7 +162,7 @@ async fn act(
     console: &dyn Console,
 ) -> Result<Option<RunResult>, HostError> {
     let Backend { equipment, registry, life, observes, .. } = backend;
-    let mut registry = registry.with_names(Arc::new(Names::Agent));
+    let mut registry = registry.with_names(Arc::new(Names::of_agent(equipment.robot.model())));
     let channels = Channels::new();
     let robot = Arc::clone(&equipment.robot);
     let stop: Stop =

@@ -5,11 +5,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use armarium_memoryx::{Memory, WorkingMemory};
+use armarium_robot::Model;
 use armarium_runtime::chart::Registry;
 use armarium_simulator::{Handle, Simulation};
 use armarium_states::{Equipment, RunningMotions};
 use armarium_visionx::providers::StereoView;
 
+use crate::agent::AgentConfig;
 use crate::catalog::{self, SkillFactory};
 use crate::console::Clock;
 use crate::remote_eyes::RemoteEyes;
@@ -44,23 +46,21 @@ impl Backend {
 
     /// The images of another agent and no limbs: only skills that move nothing.
     pub(crate) fn eyes_only(
-        name: &str,
-        seed: u64,
-        view: Arc<StereoView>,
+        config: &AgentConfig,
+        (model, view): (Arc<Model>, Arc<StereoView>),
         memory: &Arc<WorkingMemory>,
-        own: &[SkillFactory],
     ) -> Self {
         let now_ns = Arc::new(AtomicU64::new(0));
-        let eyes = RemoteEyes::new(view, Arc::clone(&now_ns));
+        let eyes = RemoteEyes::new(model, view, Arc::clone(&now_ns));
         let equipment = Equipment {
             robot: Arc::clone(&eyes.robot),
             images: Arc::clone(&eyes.images),
             memory: Arc::<WorkingMemory>::clone(memory) as Arc<dyn Memory>,
-            agent: name.to_owned(),
-            seed,
+            agent: config.name.clone(),
+            seed: config.seed,
             motions: RunningMotions::default(),
         };
-        let registry = catalog::registry(&equipment, own);
+        let registry = catalog::registry(&equipment, &config.skills);
         let still = registry.manifests().filter(|manifest| manifest.limbs.is_empty());
         let still: Vec<String> = still.map(|manifest| manifest.name.clone()).collect();
         Self {

@@ -24,8 +24,6 @@ const SCENERY: Schema = Schema::new("simulator/scenery", 1);
 const SCENERY_KEY: &str = "scenery";
 /// How long a run waits for its cameras.
 const CAMERA_TIMEOUT: Duration = Duration::from_secs(10);
-/// The left camera's coordinate frame.
-const FRAME_ID: &str = "camera_left";
 
 /// The configuration of the cameras process.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,7 +53,8 @@ pub async fn serve_cameras(
     let world = world.map_err(HostError::Findings)?;
     let name = &config.name;
     let mut cameras = DistantCameras::new(&world, config.seed).map_err(|error| unusable(name, error))?;
-    let described = Description::of_stereo(DistantCameras::name(), FRAME_ID, &cameras.calibration());
+    let frame_id = cameras.frame().to_owned();
+    let described = Description::of_stereo(DistantCameras::name(), &frame_id, &cameras.calibration());
     let about = format!("cameras of the simulated world `{}`, seed {}", world.name, config.seed);
     let (frames, provider) = channel(Description { about, ..described });
     let _offered = offer(session, name, Arc::new(provider)).await?;
@@ -75,7 +74,7 @@ pub async fn serve_cameras(
             .and_then(|()| decode::<Scenery>(message.payload.as_ref()))
             .map_err(|e| e.to_string())
             .and_then(|scenery| cameras.draw(&scenery).map_err(|e| e.to_string()))
-            .and_then(|stereo| frame_of(&Arc::new(stereo), 0, FRAME_ID).map_err(|e| e.to_string()));
+            .and_then(|stereo| frame_of(&Arc::new(stereo), 0, &frame_id).map_err(|e| e.to_string()));
         match drawn {
             Ok(frame) => frames.send(frame),
             // Once per error: a run with another world sends it with each frame.

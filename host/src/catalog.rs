@@ -36,9 +36,22 @@ pub fn channels() -> ChannelSchema {
 
 /// The built-in skills on the default world, for reading their declarations only.
 pub fn idle_registry() -> Registry {
-    let Ok(simulation) = Simulation::new(&World::default(), 0, Options::default()) else {
-        return Registry::new();
-    };
+    registry_in(&World::default()).unwrap_or_default()
+}
+
+/// The built-in skills of the robot that is called by its name or its file, for reading their declarations only.
+///
+/// # Errors
+/// [`HostError::Findings`] when the robot cannot be read, [`HostError::Simulation`] when it cannot be simulated.
+pub fn registry_of_robot(robot: &str) -> Result<Registry, HostError> {
+    let mut world = World::default();
+    robot.clone_into(&mut world.robot.model);
+    world.robot.load().map_err(HostError::Findings)?;
+    registry_in(&world)
+}
+
+fn registry_in(world: &World) -> Result<Registry, HostError> {
+    let simulation = Simulation::new(world, 0, Options::default())?;
     let equipment = Equipment {
         robot: simulation.robot(),
         images: simulation.images(),
@@ -47,7 +60,7 @@ pub fn idle_registry() -> Registry {
         seed: 0,
         motions: RunningMotions::default(),
     };
-    registry(&equipment, &[])
+    Ok(registry(&equipment, &[]))
 }
 
 /// As [`idle_registry`], with the names that exist before a run: postures of the robot, and object classes of the default

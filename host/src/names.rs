@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use armarium_robot::postures;
+use armarium_robot::Model;
 use armarium_runtime::chart::KnownNames;
 use armarium_runtime::skill::NameKind;
 use armarium_simulator::World;
@@ -11,9 +11,16 @@ use armarium_source::{Disk, Files as _};
 
 use crate::simulated::prior_knowledge;
 
+/// The names of a run, of a chart that is only checked, or of an agent.
+#[derive(Debug)]
+pub(crate) struct Names {
+    postures: BTreeSet<String>,
+    classes: Classes,
+}
+
 /// Where object classes come from.
 #[derive(Debug)]
-pub(crate) enum Names {
+enum Classes {
     /// A run: prior knowledge of its world.
     Run(BTreeSet<String>),
     /// A chart that is only checked: it may run in the default world, in these, and in those beside its file.
@@ -23,23 +30,30 @@ pub(crate) enum Names {
 }
 
 impl Names {
-    pub(crate) fn of_run(world: &World) -> Self {
-        Self::Run(classes(world))
+    pub(crate) fn of_run(world: &World, robot: &Model) -> Self {
+        Self { postures: postures(robot), classes: Classes::Run(classes(world)) }
     }
 
     pub(crate) fn of_check(worlds: &[World]) -> Self {
-        let mut known = classes(&World::default());
-        worlds.iter().for_each(|world| known.extend(classes(world)));
-        Self::Check(known)
+        let (mut postures_of_all, mut known) = (BTreeSet::new(), BTreeSet::new());
+        for world in std::iter::once(&World::default()).chain(worlds) {
+            known.extend(classes(world));
+            postures_of_all.extend(world.model().iter().flat_map(|robot| postures(robot)));
+        }
+        Self { postures: postures_of_all, classes: Classes::Check(known) }
+    }
+
+    pub(crate) fn of_agent(robot: &Model) -> Self {
+        Self { postures: postures(robot), classes: Classes::Agent }
     }
 }
 
 impl KnownNames for Names {
     fn names(&self, kind: NameKind, chart: &Path) -> Option<BTreeSet<String>> {
-        match (kind, self) {
-            (NameKind::Posture, _) => Some(postures::NAMES.map(str::to_owned).into()),
-            (NameKind::ObjectClass, Self::Run(known)) => Some(known.clone()),
-            (NameKind::ObjectClass, Self::Check(known)) => {
+        match (kind, &self.classes) {
+            (NameKind::Posture, _) => Some(self.postures.clone()),
+            (NameKind::ObjectClass, Classes::Run(known)) => Some(known.clone()),
+            (NameKind::ObjectClass, Classes::Check(known)) => {
                 let mut known = known.clone();
                 known.extend(beside(chart));
                 Some(known)
@@ -47,6 +61,10 @@ impl KnownNames for Names {
             _ => None,
         }
     }
+}
+
+fn postures(robot: &Model) -> BTreeSet<String> {
+    robot.postures().keys().cloned().collect()
 }
 
 /// The classes of objects of which a robot in this world has prior knowledge.
@@ -94,9 +112,10 @@ mod tests {
         assert!(!has(&check, "fork"));
         let elsewhere = World::parse(Path::new("w"), "world: w\nobjects: [{name: fork}]\n").unwrap();
         assert!(has(&Names::of_check(std::slice::from_ref(&elsewhere)), "fork"));
-        let run = Names::of_run(&elsewhere);
+        let robot = elsewhere.model().unwrap();
+        let run = Names::of_run(&elsewhere, &robot);
         assert!(has(&run, "fork") && has(&run, "sponge") && !has(&run, "cup"));
-        assert_eq!(Names::Agent.names(NameKind::ObjectClass, &chart), None);
-        assert!(Names::Agent.names(NameKind::Posture, &chart).unwrap().contains("home"));
+        assert_eq!(Names::of_agent(&robot).names(NameKind::ObjectClass, &chart), None);
+        assert!(Names::of_agent(&robot).names(NameKind::Posture, &chart).unwrap().contains("home"));
     }
 }

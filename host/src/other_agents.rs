@@ -96,11 +96,12 @@ impl OtherAgents {
         memory.commit_now(vec![agent_pose_update(own, &Isometry3::identity())?])?;
         let options = ServerOptions { store: Some(Arc::clone(&sharing.store)), guarded: false };
         let server = MemoryServer::start_with(session, own, Arc::clone(memory), options).await?;
+        let frame = world.model()?.camera_frame().to_owned();
         let (mut offered, mut samplers) = (Vec::new(), Vec::new());
         for (agent, eyes) in &sharing.eyes {
             let sampler = Arc::new(FrameSampler::of(Arc::clone(eyes), world, SharedRecorder::default()));
             let shown: Arc<dyn ImageSource> = Arc::<FrameSampler>::clone(&sampler);
-            let provider = Arc::new(StereoProvider::new(shown, &format!("{agent}/camera_left")));
+            let provider = Arc::new(StereoProvider::new(shown, &format!("{agent}/{frame}")));
             offered.push(offer(session, own, provider).await?);
             samplers.push((agent.clone(), sampler));
         }

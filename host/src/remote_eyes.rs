@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use armarium_bus::{Session, SessionError};
-use armarium_robot::{Guard, GuardConfig, Model, Robot, Sample, postures};
+use armarium_robot::{Guard, GuardConfig, Model, Robot, Sample};
 use armarium_simulator::World;
 use armarium_simulator::world::AgentSpec;
 use armarium_visionx::providers::{Delivery, ImageCoding, RemoteError, RemoteProvider, StereoView};
@@ -98,8 +98,9 @@ pub(crate) struct RemoteEyes {
 
 impl RemoteEyes {
     /// Eyes with the images of `view`; `now_ns` gets the time of the newest image.
-    pub(crate) fn new(view: Arc<StereoView>, now_ns: Arc<AtomicU64>) -> Self {
-        let (guard, robot) = Guard::new(Arc::new(Model::armar3()), GuardConfig::default());
+    pub(crate) fn new(model: Arc<Model>, view: Arc<StereoView>, now_ns: Arc<AtomicU64>) -> Self {
+        let config = GuardConfig::of(&model);
+        let (guard, robot) = Guard::new(model, config);
         let (newest, receiver) = watch::channel(None);
         let (name, calibration) = (view.name().to_owned(), view.calibration());
         let images = Arc::new(SharedImages { name, calibration, newest: receiver });
@@ -108,7 +109,7 @@ impl RemoteEyes {
 
     /// Passes images on, and publishes a sensor sample with each, until the images end.
     pub(crate) async fn live(mut self) {
-        let sample = Sample::resting(postures::home(&Arc::new(Model::armar3())));
+        let sample = Sample::resting(self.robot.model().start().to_vec());
         while let Ok(frame) = self.view.next().await {
             let stamp_ns = frame.stamp_ns;
             self.newest.send_replace(Some(frame));

@@ -54,6 +54,8 @@ pub struct RunConfig {
     pub charts: Vec<PathBuf>,
     /// The simulated world; `None`: `NAME.world.yaml` beside the chart `NAME.yaml`, or else the default kitchen.
     pub world: Option<PathBuf>,
+    /// The robot, by its name or its file, instead of the world's.
+    pub robot: Option<String>,
     /// Seed of all random variation.
     pub seed: u64,
     /// Inputs of the chart as text: `("patience", "30s")`.
@@ -94,6 +96,7 @@ impl RunConfig {
             chart: chart.into(),
             charts: Vec::new(),
             world: None,
+            robot: None,
             seed: 1,
             inputs: Vec::new(),
             profile: None,
@@ -185,6 +188,11 @@ fn known_names(
 pub fn run(config: &RunConfig, console: &Arc<dyn Console>) -> Result<RunEnded, HostError> {
     let began = Instant::now();
     let mut world = WorldFile::of(&config.chart, config.world.as_deref()).map_err(HostError::Findings)?;
+    if let Some(robot) = &config.robot {
+        world.world.robot.model.clone_from(robot);
+        world.world.robot.arm = None;
+        world.world.robot.load().map_err(HostError::Findings)?;
+    }
     let name = world.called(config.name.as_deref());
     let network = match config.session(&world.world, name.is_some()) {
         Some(session) => Network::open(&session, name.as_deref(), &**console)?,
@@ -453,7 +461,7 @@ async fn load(
     network: &Network,
     console: &dyn Console,
 ) -> Result<(Arc<Program>, Registry), HostError> {
-    let names = Arc::new(Names::of_run(world));
+    let names = Arc::new(Names::of_run(world, stage.robot.equipment.robot.model()));
     let mut registry = catalog::registry(&stage.robot.equipment, &config.skills).with_names(names);
     let agents = network.agents.as_ref();
     let checked = catalog::load_connected(&config.chart, &config.charts, &mut registry, agents).await?;

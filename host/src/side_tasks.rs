@@ -39,9 +39,10 @@ pub(crate) async fn watch_gestures(
     }
 }
 
-/// Records the joint angles of torso and arm for the report, 20 times a second.
+/// Records the joint angles with which the first arm reaches for the report, 20 times a second.
 pub(crate) async fn log_joints(robot: Arc<dyn armarium_robot::Robot>, log: Arc<Mutex<JointLog>>) {
-    let chosen = armarium_robot::postures::reaching_joints(robot.model());
+    let model = robot.model();
+    let chosen = model.arms().next().map_or_else(Vec::new, |arm| model.reaching_joints(&arm.name));
     let mut sensed = robot.sensed();
     // There is no sensor value before the first sample.
     let begun = sensed.changed().await;

@@ -7,7 +7,6 @@ use armarium_memoryx::{
     AgentConfig, AgentMemory, Limits, MemoryError, ObjectClass, Policies, Policy, PriorKnowledge, Restored,
     WorkingMemory,
 };
-use armarium_robot::{Model, postures};
 use armarium_simulator::cameras::ScenerySink;
 use armarium_simulator::{Handle, Options, Referee, Simulation, TruthSink, World};
 use armarium_states::{Equipment, RunningMotions};
@@ -46,8 +45,7 @@ impl SimulatedRobot {
         truth_sinks: Vec<Box<dyn TruthSink>>,
         scenery: Option<Box<dyn ScenerySink>>,
     ) -> Result<(Self, Simulation), HostError> {
-        let start = postures::home(&Arc::new(Model::armar3()));
-        let options = Options { truth_sinks, start: Some(start), scenery, ..Options::default() };
+        let options = Options { truth_sinks, scenery, ..Options::default() };
         let simulation = Simulation::new(world, seed, options)?;
         let equipment = Equipment {
             robot: simulation.robot(),

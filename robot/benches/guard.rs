@@ -13,7 +13,7 @@ fn main() {
 
 /// Both arms and the torso follow a wave about a posture, `amplitude` rad wide.
 fn step(bencher: Bencher, amplitude: f64) {
-    let model = Arc::new(Model::armar3());
+    let model = Model::shipped("armar3").unwrap();
     let (mut guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::default());
     let limbs = ["left_arm", "right_arm", "torso"];
     let leases: Vec<Lease> =

@@ -1,7 +1,7 @@
-//! Finds where the right hand can wipe: searches torso postures and hand orientations for reach, margin and speed.
+//! Finds where the first arm of the default robot can wipe: searches torso postures and hand orientations for reach, margin and speed.
 //!
 //! `cargo run --release -p armarium-robot --example workspace -- HEIGHT REACH [FIVE ANGLES]` prints the search from
-//! which `postures.rs` was chosen (HEIGHT of the TCP, m; REACH about the centre, m), or rates the given torso
+//! which the robot file's postures were chosen (HEIGHT of the TCP, m; REACH about the centre, m), or rates the given torso
 //! pitch, roll and yaw and hand pitch and yaw (rad). The search climbs from random torso postures and hand
 //! orientations. It solves the arm's pose at the centre from several seeds. From there it solves the corners of a
 //! box, as a controller that starts at the centre would reach them. The rating is the TCP's speed in its worst
@@ -11,10 +11,10 @@
 use std::sync::Arc;
 
 use armarium_robot::{
-    DifferentialIk, IkConfig, Jacobian, Kinematics, LinkId, Model, PoseOptions, Twist, pose_error, postures,
-    solve_pose,
+    DifferentialIk, IkConfig, Jacobian, Kinematics, LinkId, Model, PoseOptions, Twist, description,
+    pose_error, solve_pose,
 };
-use nalgebra::{Isometry3, Translation3, Vector3, Vector6};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3, Vector6};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -78,6 +78,8 @@ struct Search {
     kinematics: Kinematics,
     tcp: LinkId,
     arm: Vec<usize>,
+    name: String,
+    torso: String,
     height: f64,
     reach: f64,
     fixed: [Option<f64>; 5],
@@ -93,9 +95,16 @@ struct Evaluated {
 }
 
 impl Search {
+    /// The orientation of the level hand, with the fingertips lowered by `pitch` rad.
+    fn palm_down(&self, yaw: f64, pitch: f64) -> UnitQuaternion<f64> {
+        let arm = self.model.find_limb(&self.name).expect("the arm is there");
+        let hand = self.model.hand_of(arm).expect("the arm has a hand");
+        hand.palm_down(yaw) * UnitQuaternion::from_axis_angle(&Vector3::y_axis(), pitch)
+    }
+
     fn target(&self, choice: &Choice, offset: [f64; 3]) -> Isometry3<f64> {
         let at = Vector3::new(CENTER[0] + offset[0], CENTER[1] + offset[1], self.height + offset[2]);
-        Isometry3::from_parts(Translation3::from(at), postures::palm_down(choice[4], choice[3]))
+        Isometry3::from_parts(Translation3::from(at), self.palm_down(choice[4], choice[3]))
     }
 
     fn solve(&mut self, choice: &Choice, offset: [f64; 3], seed: &[f64]) -> Option<(f64, Vec<f64>)> {
@@ -109,7 +118,7 @@ impl Search {
     /// The torso as chosen; the arm as in `near`, else at random.
     fn seed(&mut self, choice: &Choice, near: Option<&[f64]>) -> Vec<f64> {
         let mut seed = near.map_or_else(|| self.model.zero(), <[f64]>::to_vec);
-        for (&j, v) in self.model.limb("torso").iter().zip(choice) {
+        for (&j, v) in self.model.limb(&self.torso).iter().zip(choice) {
             seed[j] = *v;
         }
         if near.is_none() {
@@ -144,7 +153,8 @@ impl Search {
 
     /// Whether the elbow (0.05 m thick) stays 0.03 m over a table 0.10 m below the TCP.
     fn clears_the_table(&self, q: &[f64], target: &Isometry3<f64>) -> bool {
-        let elbow = self.model.link("elbow_r").map(|l| self.model.link_pose(q, l).translation.z);
+        let middle = self.arm.get(self.arm.len() / 2).map(|&joint| self.model.joints()[joint].link);
+        let elbow = middle.map(|l| self.model.link_pose(q, l).translation.z);
         elbow.is_some_and(|z| z >= target.translation.z - 0.02)
     }
 
@@ -157,7 +167,7 @@ impl Search {
         near: Option<&[f64]>,
         floor: f64,
     ) -> Option<Evaluated> {
-        let ten: Vec<usize> = self.model.limb("torso").iter().chain(&self.arm).copied().collect();
+        let ten: Vec<usize> = self.model.reaching_joints(&self.name);
         let mut ik = DifferentialIk::new(&self.model, self.tcp, &ten, IkConfig::default());
         let options = PoseOptions { margin: 0.06, restarts: 0, iterations: 40, ..PoseOptions::default() };
         let mut best: Option<Evaluated> = None;
@@ -286,7 +296,7 @@ impl Search {
         println!("{name}: {:.3} m/s {degrees:?} deg = {choice:?} arm [{}]", found.speed, arm.join(", "));
         let fixed = IkConfig::default();
         let free = IkConfig { angular_weight: Vector3::new(0.0, 0.3, 0.3), ..fixed };
-        let ten: Vec<usize> = self.model.limb("torso").iter().chain(&self.arm).copied().collect();
+        let ten: Vec<usize> = self.model.reaching_joints(&self.name);
         for (what, joints, config) in
             [("arm", &self.arm, fixed), ("arm, yaw free", &self.arm, free), ("arm and torso", &ten, fixed)]
         {
@@ -309,21 +319,21 @@ impl Search {
 /// the wiping posture, and with arm and torso.
 fn map(search: &mut Search) {
     let model = Arc::clone(&search.model);
-    let start = postures::wipe(&model);
-    let ten: Vec<usize> = model.limb("torso").iter().chain(&search.arm).copied().collect();
+    let (own, start) = (search.arm.clone(), model.ready(&search.name).to_vec());
+    let ten: Vec<usize> = model.reaching_joints(&search.name);
     let options = PoseOptions { margin: 0.05, restarts: 6, iterations: 60, ..PoseOptions::default() };
     for height in [1.00, 1.05, 1.10, 1.20] {
         println!("TCP at {height} m; columns x 0.10 to 0.50; arm | arm and torso");
         for row in 0..6 {
             let y = 0.70 - 0.07 * f64::from(row);
             let mut line = format!("y {y:.2}");
-            for joints in [&search.arm, &ten] {
+            for joints in [&own, &ten] {
                 for column in 0..5 {
                     let at = Vector3::new(0.10 + 0.10 * f64::from(column), y, height);
                     let reached = |yaw: &i32| {
                         let target = Isometry3::from_parts(
                             Translation3::from(at),
-                            postures::palm_down(f64::from(*yaw).to_radians(), 0.0),
+                            search.palm_down(f64::from(*yaw).to_radians(), 0.0),
                         );
                         solve_pose(&model, search.tcp, joints, &target, &start, &options, &mut search.rng)
                             .is_ok()
@@ -342,12 +352,15 @@ fn map(search: &mut Search) {
 }
 
 fn main() {
-    let model = Arc::new(Model::armar3());
+    let model = Model::shipped(description::default_robot()).expect("the program carries it");
+    let arm = model.arms().next().expect("the robot has an arm").clone();
     let args: Vec<f64> = std::env::args().skip(1).filter_map(|a| a.parse().ok()).collect();
     let mut search = Search {
         kinematics: Kinematics::new(&model),
-        tcp: model.link("tcp_right").expect("the model has it"),
-        arm: model.limb("right_arm").to_vec(),
+        tcp: arm.tcp.expect("an arm has a TCP"),
+        arm: arm.joints.clone(),
+        name: arm.name.clone(),
+        torso: arm.helped_by.concat(),
         height: args.first().copied().unwrap_or(1.05),
         reach: args.get(1).copied().unwrap_or(0.13),
         fixed: [None; 5],
@@ -370,7 +383,7 @@ fn main() {
         return map(&mut search);
     }
     if let Some(choice) = args.get(2..7).and_then(|c| Choice::try_from(c).ok()) {
-        let near = postures::wipe(&search.model);
+        let near = search.model.ready(&search.name).to_vec();
         let found = search.rate_ten(&choice, 50, Some(&near), 0.0);
         return search.report("given", found.as_ref());
     }

@@ -14,8 +14,7 @@ use parry3d_f64::shape::{Cuboid, Cylinder, SharedShape};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use crate::model::Primitive;
-use crate::{Joint, Kinematics, LinkId, Model};
+use crate::{Geometry, Joint, Kinematics, LinkId, Mesh, Model};
 
 /// Bodies that are farther apart than this, m, are not looked at more closely.
 const FAR: f64 = 0.3;
@@ -78,7 +77,7 @@ impl Bodies {
         let near = |kinematics: &Kinematics, (a, b): (usize, usize)| {
             nearest(kinematics, &bodies[a], &bodies[b]).is_ok_and(|near| near.distance < NEIGHBOURS)
         };
-        kinematics.update(&model.zero());
+        kinematics.update(model.start());
         pairs.retain(|pair| !near(&kinematics, *pair));
         let mut counts = vec![0_u32; pairs.len()];
         let mut rng = ChaCha8Rng::seed_from_u64(0);
@@ -147,7 +146,7 @@ fn bodies(kinematics: &Kinematics) -> Vec<Body> {
 fn carrier(model: &Model, link: LinkId) -> LinkId {
     let mut carrier = link;
     while let link = &model.links()[carrier.index()]
-        && link.joint.is_none()
+        && link.motion.is_none()
         && let Some(parent) = link.parent
     {
         carrier = parent;
@@ -155,19 +154,33 @@ fn carrier(model: &Model, link: LinkId) -> LinkId {
     carrier
 }
 
-/// A primitive as a convex shape, and the pose of that shape's frame: its cylinders are about y, ours about z.
-fn convex(primitive: &Primitive) -> (Isometry3<f64>, SharedShape) {
+/// A form as a convex shape, and the pose of that shape's frame: its cylinders are about y, ours about z.
+fn convex(form: &Geometry) -> (Isometry3<f64>, SharedShape) {
     let upright = Isometry3::rotation(Vector3::x() * std::f64::consts::FRAC_PI_2);
-    match *primitive {
-        Primitive::Box { size } => {
-            let half = size / 2.0;
-            (Isometry3::identity(), SharedShape::new(Cuboid::new(vector(&half))))
+    match form {
+        Geometry::Box { size } => {
+            (Isometry3::identity(), SharedShape::new(Cuboid::new(vector(&(size / 2.0)))))
         }
-        Primitive::Cylinder { radius, length } => {
-            (upright, SharedShape::new(Cylinder::new(length / 2.0, radius)))
+        Geometry::Cylinder { radius, length } => {
+            (upright, SharedShape::new(Cylinder::new(length / 2.0, *radius)))
         }
-        Primitive::Sphere { radius } => (Isometry3::identity(), SharedShape::ball(radius)),
+        Geometry::Sphere { radius } => (Isometry3::identity(), SharedShape::ball(*radius)),
+        Geometry::Capsule { radius, length } => (upright, SharedShape::capsule_y(length / 2.0, *radius)),
+        Geometry::Mesh(mesh) => hull(mesh),
     }
+}
+
+/// The convex hull of a mesh; the box around it where it is flat.
+fn hull(mesh: &Mesh) -> (Isometry3<f64>, SharedShape) {
+    let points: Vec<Vector> = mesh.vertices().iter().map(|v| vector(&v.coords)).collect();
+    SharedShape::convex_hull(&points).map_or_else(
+        || {
+            let (middle, half) = mesh.surrounding_box();
+            let shape = SharedShape::new(Cuboid::new(vector(&half.sup(&Vector3::repeat(1e-4)))));
+            (Isometry3::from(middle.coords), shape)
+        },
+        |shape| (Isometry3::identity(), shape),
+    )
 }
 
 impl Body {
@@ -298,7 +311,7 @@ mod tests {
     use super::*;
 
     fn armar3() -> Arc<Model> {
-        Arc::new(Model::armar3())
+        Model::shipped("armar3").unwrap()
     }
 
     #[test]
@@ -345,7 +358,7 @@ mod tests {
             center: Point3::new(x, 0.0, 0.0),
             radius: 0.1,
         };
-        let (upright, shape) = convex(&Primitive::Cylinder { radius: 0.1, length: 1.0 });
+        let (upright, shape) = convex(&Geometry::Cylinder { radius: 0.1, length: 1.0 });
         let cylinder = Body {
             link: LinkId(0),
             shapes: vec![(Isometry3::translation(0.0, 0.3, 0.0) * upright, shape)],

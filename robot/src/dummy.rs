@@ -41,7 +41,8 @@ impl ServoJoints {
         let hand = model
             .limbs()
             .values()
-            .find_map(|limb| Some((LoadedHand::new(model, limb.sensor?, limb.tcp?), limb.sensor?)));
+            .find_map(|limb| Some((model.sensor_of(limb)?, limb.tcp?)))
+            .map(|(sensor, tcp)| (LoadedHand::new(model, sensor, tcp), sensor));
         let mut joints = Self {
             sample: Sample::resting(position),
             kinematics: Kinematics::new(model),
@@ -107,7 +108,7 @@ impl DummyRobot {
     /// Starts a robot at rest at `q` (all joints; missing values are 0) in the current tokio runtime.
     pub fn start(model: Arc<Model>, q: &[f64]) -> Self {
         let mut joints = ServoJoints::new(&model, q, 0);
-        let (mut guard, robot) = Guard::new(model, GuardConfig::default());
+        let (mut guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::of(&model));
         let push = Arc::new(Mutex::new(Vector3::zeros()));
         let pushed = Arc::clone(&push);
         let task = tokio::spawn(async move {

@@ -1,16 +1,10 @@
-//! Why a robot's description cannot be used.
+//! Why a part of a robot cannot be used.
 
-/// Errors of reading a robot's description.
+/// A robot lacks something.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RobotError {
-    /// The description cannot be used.
-    #[error("robot description: {what}")]
-    Description {
-        /// What is wrong and where.
-        what: String,
-    },
-    /// A name that the description does not contain.
+    /// A name that the robot does not have.
     #[error("the robot has no {kind} `{name}`; it has {known}")]
     Unknown {
         /// Link, joint or limb.
@@ -20,4 +14,7 @@ pub enum RobotError {
         /// Comma-separated names.
         known: String,
     },
+    /// It has no cameras.
+    #[error("the robot has no stereo cameras; its robot file names none under `cameras`")]
+    NoCamera,
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use crate::{IkError, Kinematics, LinkId, Model, RobotError};
+use crate::{IkError, Kinematics, LinkId, Model, RobotError, StereoCamera};
 
 /// The parts of the gaze: the two cameras (optical axis z, image's right x) and the joints that turn them.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,14 +26,13 @@ const TOLERANCE: f64 = 2e-3;
 const MAX_CHANGE: f64 = 0.2;
 
 impl Gaze {
-    /// Uses the links `camera_left` and `camera_right` and the limb `head`. Joints that turn only one camera are
-    /// eye joints.
+    /// Uses the robot's stereo cameras and the limb that turns them. Joints that turn only one camera are eye joints.
     ///
     /// # Errors
-    /// [`RobotError::Unknown`] when the robot has no such links.
+    /// [`RobotError::NoCamera`] when the robot has no cameras.
     pub fn of(model: &Model) -> Result<Self, RobotError> {
-        let (left, right) = (model.require_link("camera_left")?, model.require_link("camera_right")?);
-        let head = model.limb("head").iter().copied();
+        let &StereoCamera { left, right, ref on, .. } = model.camera().ok_or(RobotError::NoCamera)?;
+        let head = on.as_deref().map_or(&[][..], |on| model.limb(on)).iter().copied();
         let (joints, eyes) = head.partition(|&j| model.moves(j, left) && model.moves(j, right));
         Ok(Self { left, right, joints, eyes })
     }

@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::{DifferentialIk, IkConfig, Model, PoseOptions, Twist, pose_error, solve_pose};
 
 fn arm() -> (Arc<Model>, crate::LinkId, Vec<usize>) {
-    let model = Arc::new(Model::armar3());
+    let model = Model::shipped("armar3").unwrap();
     let tcp = model.link("tcp_right").unwrap();
     let joints = model.limb("right_arm").to_vec();
     (model, tcp, joints)

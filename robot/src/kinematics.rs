@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Matrix6xX, Point3, Translation3, UnitQuaternion, Vector3};
 
-use crate::{JointKind, LinkId, Model};
+use crate::{JointKind, JointMotion, LinkId, Model};
 
 /// A `6 x n` Jacobian: rows linear x, y, z (m/s), then angular x, y, z (rad/s), in the root frame.
 pub type Jacobian = Matrix6xX<f64>;
@@ -27,17 +27,19 @@ pub struct Twist {
 pub struct Kinematics {
     model: Arc<Model>,
     root_from_link: Vec<Isometry3<f64>>,
+    /// The axis of each link's motion, root frame.
     axis: Vec<Vector3<f64>>,
+    /// A point on that axis, root frame, m.
     origin: Vec<Point3<f64>>,
 }
 
 impl Kinematics {
     /// The poses at the configuration [`Model::zero`].
     pub fn new(model: &Arc<Model>) -> Self {
-        let n = model.joints().len();
+        let n = model.links().len();
         let mut kinematics = Self {
             model: Arc::clone(model),
-            root_from_link: vec![Isometry3::identity(); model.links().len()],
+            root_from_link: vec![Isometry3::identity(); n],
             axis: vec![Vector3::zeros(); n],
             origin: vec![Point3::origin(); n],
         };
@@ -55,17 +57,16 @@ impl Kinematics {
         for (i, link) in self.model.links().iter().enumerate() {
             let root_from_parent = link.parent.map_or_else(Isometry3::identity, |p| self.root_from_link[p.0]);
             let mut pose = root_from_parent * link.parent_from_link;
-            if let Some(j) = link.joint {
-                let joint = &self.model.joints()[j];
-                let position = q.get(j).copied().unwrap_or(0.0);
-                self.axis[j] = pose.rotation * joint.axis.into_inner();
-                self.origin[j] = Point3::from(pose.translation.vector);
-                match joint.kind {
+            if let Some(motion) = &link.motion {
+                let position = motion.position(q);
+                self.axis[i] = pose.rotation * motion.axis.into_inner();
+                self.origin[i] = Point3::from(pose.translation.vector);
+                match motion.kind {
                     JointKind::Revolute => {
-                        pose.rotation *= UnitQuaternion::from_axis_angle(&joint.axis, position);
+                        pose.rotation *= UnitQuaternion::from_axis_angle(&motion.axis, position);
                     }
                     JointKind::Prismatic => {
-                        pose.translation.vector += self.axis[j] * position;
+                        pose.translation.vector += self.axis[i] * position;
                     }
                 }
             }
@@ -80,23 +81,32 @@ impl Kinematics {
 
     /// The axis of a joint in the root frame.
     pub fn axis(&self, joint: usize) -> &Vector3<f64> {
-        &self.axis[joint]
+        &self.axis[self.model.joints()[joint].link.0]
     }
 
     /// The origin of a joint's frame in the root frame, m (for a prismatic joint: at position 0).
     pub fn origin(&self, joint: usize) -> &Point3<f64> {
-        &self.origin[joint]
+        &self.origin[self.model.joints()[joint].link.0]
     }
 
     /// The velocity of the point `p` (in the root frame) of `link` when the joint moves at 1 rad/s (m/s).
     pub fn column(&self, joint: usize, link: LinkId, p: &Point3<f64>) -> Twist {
-        if !self.model.moves(joint, link) {
-            return Twist::default();
+        let mut sum = Twist::default();
+        for (mover, motion) in self.model.motions(link).filter(|(_, motion)| motion.joint == joint) {
+            self.add(&mut sum, (mover, motion), p, 1.0);
         }
-        let axis = self.axis[joint];
-        match self.model.joints()[joint].kind {
-            JointKind::Revolute => Twist { linear: axis.cross(&(p - self.origin[joint])), angular: axis },
-            JointKind::Prismatic => Twist { linear: axis, angular: Vector3::zeros() },
+        sum
+    }
+
+    /// Adds the velocity of `p` when the joint of one motion moves at `speed`.
+    fn add(&self, sum: &mut Twist, (mover, motion): (LinkId, &JointMotion), p: &Point3<f64>, speed: f64) {
+        let (axis, speed) = (self.axis[mover.0], motion.multiplier * speed);
+        match motion.kind {
+            JointKind::Revolute => {
+                sum.linear += axis.cross(&(p - self.origin[mover.0])) * speed;
+                sum.angular += axis * speed;
+            }
+            JointKind::Prismatic => sum.linear += axis * speed,
         }
     }
 
@@ -129,11 +139,9 @@ impl Kinematics {
     pub fn twist(&self, link: LinkId, point_in_link: &Point3<f64>, velocity: &[f64]) -> Twist {
         let p = self.pose(link) * point_in_link;
         let mut sum = Twist::default();
-        for &joint in &self.model.supporting[link.0] {
-            let speed = velocity.get(joint).copied().unwrap_or(0.0);
-            let column = self.column(joint, link, &p);
-            sum.linear += column.linear * speed;
-            sum.angular += column.angular * speed;
+        for (mover, motion) in self.model.motions(link) {
+            let speed = velocity.get(motion.joint).copied().unwrap_or(0.0);
+            self.add(&mut sum, (mover, motion), &p, speed);
         }
         sum
     }
@@ -146,15 +154,15 @@ impl Model {
         let mut next = Some(link);
         while let Some(id) = next {
             let link = &self.links[id.0];
-            let motion = link.joint.map_or_else(Isometry3::identity, |j| {
-                let (joint, position) = (&self.joints[j], q.get(j).copied().unwrap_or(0.0));
-                match joint.kind {
+            let motion = link.motion.map_or_else(Isometry3::identity, |motion| {
+                let position = motion.position(q);
+                match motion.kind {
                     JointKind::Revolute => Isometry3::from_parts(
                         Translation3::identity(),
-                        UnitQuaternion::from_axis_angle(&joint.axis, position),
+                        UnitQuaternion::from_axis_angle(&motion.axis, position),
                     ),
                     JointKind::Prismatic => Isometry3::from_parts(
-                        Translation3::from(joint.axis.into_inner() * position),
+                        Translation3::from(motion.axis.into_inner() * position),
                         UnitQuaternion::identity(),
                     ),
                 }

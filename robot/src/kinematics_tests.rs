@@ -6,10 +6,10 @@ use nalgebra::{Point3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::{JointKind, Kinematics, Model, Primitive, pose_error};
+use crate::{Geometry, JointKind, Kinematics, Model, description, pose_error};
 
 fn armar3() -> Arc<Model> {
-    Arc::new(Model::armar3())
+    Model::shipped("armar3").unwrap()
 }
 
 fn random_q(model: &Model, rng: &mut ChaCha8Rng) -> Vec<f64> {
@@ -109,7 +109,7 @@ fn the_description_has_the_frames_and_masses_it_promises() {
     let grasp = model.link_pose(&q, model.link("grasp_right").unwrap());
     near(pose_error(&tcp, &grasp).linear, (0.08 * (tcp * Vector3::x())).into(), 1e-9);
     let marker = &model.links()[model.link("hand_marker_right").unwrap().index()].visuals[0];
-    assert_eq!((marker.shape, marker.color), (Primitive::Sphere { radius: 0.02 }, [200, 30, 160]));
+    assert_eq!((&marker.shape, marker.color), (&Geometry::Sphere { radius: 0.02 }, [200, 30, 160]));
     let fingers = model.limb("right_hand");
     assert!(fingers.iter().all(|&j| model.joints()[j].kind == JointKind::Prismatic));
     for limb in ["torso", "head", "right_arm", "left_arm"] {
@@ -147,6 +147,70 @@ fn jacobians_agree_with_finite_differences() {
     }
 }
 
+const FILE: &str = "robot: r\ndescription: robot.urdf\n";
+
+/// A crank whose pin slides twice as far as its slider turns, and the other way.
+const MIMIC: &str = r#"<robot name="r"><link name="a"/><link name="b"/><link name="c"/><link name="d"/>
+<joint name="pin" type="prismatic"><parent link="b"/><child link="c"/><origin xyz="1 0 0"/><axis xyz="0 1 0"/>
+  <mimic joint="middle" multiplier="2" offset="0.1"/></joint>
+<joint name="middle" type="revolute"><parent link="c"/><child link="d"/><axis xyz="0 0 1"/>
+  <mimic joint="crank" multiplier="-1" offset="0.2"/></joint>
+<joint name="crank" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+  <limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"#;
+
+#[test]
+fn mimic_joints_follow_their_leaders_and_the_jacobian_knows_it() {
+    let read = description::from_texts(FILE, MIMIC).unwrap();
+    let model = read.model;
+    assert_eq!(model.joints().len(), 1, "followers are no joints of their own");
+    let at = |q: f64| model.link_pose(&[q], model.link("d").unwrap());
+    let q = 0.3_f64;
+    // The pin slides by 2 (0.2 - q) + 0.1, the last link turns by q + (0.2 - q).
+    let slide = 2.0 * (0.2 - q) + 0.1;
+    near(at(q).translation.vector, [q.cos() - slide * q.sin(), q.sin() + slide * q.cos(), 0.0], 1e-12);
+    assert!((at(q).rotation.angle() - 0.2).abs() < 1e-12);
+    let column = model.jacobian(&[q], model.link("d").unwrap(), &[0]);
+    let moved = pose_error(&at(q - 1e-6), &at(q + 1e-6));
+    near(moved.linear / 2e-6, [column[(0, 0)], column[(1, 0)], column[(2, 0)]], 1e-8);
+    near(moved.angular / 2e-6, [column[(3, 0)], column[(4, 0)], column[(5, 0)]], 1e-8);
+    let said: Vec<String> = read.warnings.iter().map(ToString::to_string).collect();
+    assert!(said.iter().all(|said| said.contains("warning[W110]")), "{said:?}");
+    assert!(said.iter().any(|said| said.contains("without mass, taken for 0.1 kg: b, c, d")), "{said:?}");
+}
+
+#[test]
+fn names_that_the_description_does_not_have_are_found_in_the_robot_file() {
+    let urdf = MIMIC;
+    for (text, says) in [
+        (
+            "groups: {arm: {joints: [crnk]}}",
+            "4:1: error[E029]: the robot has no joint `crnk` (did you mean `crank`?)",
+        ),
+        ("groups: {arm: {joints: [crank], tcp: e}}", "no link `e`"),
+        ("groups: {arm: {chain: [crank, crank], wrench: w}}", "no wrench sensor `w`"),
+        ("groups: {arm: {joints: [crank], hand: h}}", "no hand `h`"),
+        ("groups: {arm: {joints: [crank], helped_by: [arm]}}", "no other group `arm`"),
+        ("groups: {arm: {}}", "the group `arm` has no joints"),
+        ("groups: {arm: {joints: [crank, crank]}}", "is there twice"),
+        ("start: home", "no posture `home`"),
+        ("postures: {home: {crank: 2}}", "2 is beyond the limits of the joint `crank`"),
+        ("postures: {home: {crank: 2 mm}}", "turns: an angle is needed"),
+        ("hands: {h: {joints: [crank], open: [0, 1]}}", "2 positions for 1 joints"),
+        ("hands: {h: {joints: []}}", "the hand `h` has no joints"),
+        ("cameras: {eyes: {left: a, right: b, on: head}}", "no group `head`"),
+        ("limits: {force: 3 kg}", "not a unit"),
+    ] {
+        let text = format!("{FILE}\n{text}\n");
+        let errors = description::from_texts(&text, urdf).expect_err(&text);
+        assert!(
+            errors[0].to_string().contains(says.trim_start_matches("4:1: ")),
+            "{} should say {says}",
+            errors[0]
+        );
+        assert_eq!(errors[0].position().0, 4, "{}", errors[0]);
+    }
+}
+
 #[test]
 fn broken_descriptions_are_refused_with_the_place() {
     let link = |n: &str| format!("<link name=\"{n}\"/>");
@@ -158,20 +222,23 @@ fn broken_descriptions_are_refused_with_the_place() {
     for (inside, says) in [
         (format!("{a}{b}"), "two roots"),
         (format!("{a}{}", joint("revolute", "a", "c", limit)), "`c`, which is missing"),
-        (format!("{a}{b}{}", joint("floating", "a", "b", limit)), "Floating"),
+        (format!("{a}{b}{}", joint("magic", "a", "b", limit)), "`magic`"),
         (
             format!("{a}{b}{}", joint("revolute", "a", "b", "<axis xyz=\"0 0 0\"/><limit velocity=\"1\"/>")),
             "no axis",
         ),
-        (format!("{a}{b}{}", joint("revolute", "a", "b", "<axis xyz=\"0 0 1\"/>")), "`j` needs"),
+        (format!("{a}{b}{}", joint("revolute", "a", "b", "<limit lower=\"1\" upper=\"0\"/>")), "`j` needs"),
+        (format!("{a}{b}{}", joint("revolute", "a", "b", "<mimic joint=\"j\"/>")), "mimics itself"),
+        (format!("{a}{b}{}", joint("revolute", "a", "b", "<mimic joint=\"k\"/>")), "`k`, which is missing"),
+        (format!("<xacro:include xmlns:xacro=\"http://ros.org/wiki/xacro\"/>{a}"), "xacro robot.urdf >"),
         (format!("{a}{}", joint("fixed", "a", "a", "")), "no root"),
         (format!("{a}{a}"), "two links"),
         ("<link".to_owned(), "cannot read"),
     ] {
         let text = format!("<robot name=\"r\">{inside}</robot>");
-        let error = Model::from_urdf(&text).expect_err(&text).to_string();
-        assert!(error.contains(says), "{error} should say {says}");
+        let error = description::from_texts(FILE, &text).expect_err(&text)[0].to_string();
+        assert!(error.starts_with("robot.urdf:1:") && error.contains(says), "{error} should say {says}");
     }
     let good = format!("<robot name=\"r\">{a}{b}{}</robot>", joint("revolute", "a", "b", limit));
-    assert_eq!(Model::from_urdf(&good).unwrap().joints().len(), 1);
+    assert_eq!(description::from_texts(FILE, &good).unwrap().model.joints().len(), 1);
 }

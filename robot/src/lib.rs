@@ -1,28 +1,30 @@
 //! What a robot is: its description, its kinematics, and the interface by which skills sense and command it.
 //!
-//! - [`Model`]: joints, links, limbs, read from URDF. [`Kinematics`]: poses, Jacobians.
+//! - [`Model`]: joints, links, limbs, hands, postures, read from a robot file and its URDF. [`Kinematics`]: poses,
+//!   Jacobians.
 //! - [`DifferentialIk`], [`solve_pose`]: from a twist or a pose of a link to joint velocities or positions.
-//! - [`postures`]: named arm and torso postures of ARMAR-III, with the numbers that chose them.
 //! - [`Robot`]: the interface for skills. [`Lease`]: the exclusive right to command one limb.
 //! - [`Guard`]: the safety layer between leases and joints: limits, watchdog, force limit. Pure and stepped.
 //! - [`DummyRobot`], [`conformance`]: ideal joints for tests, and the checks that every driver's test calls.
 //!
-//! This room does not know skills, charts or a physics engine.
+//! This room does not know skills, charts or a physics engine, and names no robot: those that the program carries are
+//! in `robots/`.
 
 mod bodies;
 mod boundary;
 pub mod conformance;
-mod description;
+pub mod description;
 mod dummy;
 mod error;
 mod gaze;
+mod grasp;
 mod guard;
 mod ik;
 mod kinematics;
+mod mesh;
 mod model;
 pub mod newest;
 mod pose_ik;
-pub mod postures;
 mod seam;
 mod wrist;
 
@@ -33,8 +35,10 @@ pub use gaze::Gaze;
 pub use guard::{Guard, GuardConfig, JointTargets, Sample};
 pub use ik::{DifferentialIk, IkConfig, IkStep};
 pub use kinematics::{Jacobian, Kinematics, Twist};
+pub use mesh::Mesh;
 pub use model::{
-    Collision, GRAVITY, Inertial, Joint, JointKind, Limb, LimbSpec, Link, LinkId, Model, Primitive, Visual,
+    Collision, GRAVITY, Geometry, Hand, Inertial, Joint, JointKind, JointMotion, Limb, Link, LinkId, Marker,
+    Model, RobotLimits, StereoCamera, Visual, WrenchSensor,
 };
 pub use pose_ik::{IkError, PoseOptions, pose_error, solve_pose};
 pub use seam::{Commander, GuardedRobot, Lease, Robot};
@@ -45,4 +49,4 @@ mod ik_tests;
 #[cfg(test)]
 mod kinematics_tests;
 #[cfg(test)]
-mod postures_tests;
+mod workspace_tests;

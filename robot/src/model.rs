@@ -1,12 +1,16 @@
-//! The robot's description in memory: links, joints, limbs. Immutable after reading; no state, no algorithms.
+//! A robot in memory: links, joints, limbs, hands, sensors, postures. Immutable after reading; no state, no
+//! algorithms. It is read from a robot file and a URDF (see `description`) and knows no robot by name.
 //!
-//! Links are in an order in which parents come before children. Joints (only those that move) are in the order of
-//! the description's depth-first walk, and so is every joint array of this room. Start at [`Model::armar3`].
+//! Links are in an order in which parents come before children. Joints are the independent ones, in the order of the
+//! description's depth-first walk, and so is every joint array of this room; a mimic joint is no joint of its own, it
+//! moves its link with its leader's position ([`JointMotion`]). Start at [`Model`].
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Unit, Vector3};
 
+use crate::Mesh;
 use crate::error::RobotError;
 
 /// Standard gravity in the root frame (z up), m/s².
@@ -24,9 +28,9 @@ impl LinkId {
     }
 }
 
-/// A primitive, centred on its own frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Primitive {
+/// The form of a part, centred on its own frame.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Geometry {
     /// A box.
     Box {
         /// Edge lengths along x, y, z, m.
@@ -44,13 +48,22 @@ pub enum Primitive {
         /// Radius, m.
         radius: f64,
     },
+    /// A cylinder about z with a half ball at each end.
+    Capsule {
+        /// Radius, m.
+        radius: f64,
+        /// Length of the cylinder, between the middles of the balls, m.
+        length: f64,
+    },
+    /// A surface of triangles. Bodies touch it as its convex hull.
+    Mesh(Arc<Mesh>),
 }
 
 /// A visible part of a link.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Visual {
-    /// The primitive.
-    pub shape: Primitive,
+    /// Its form.
+    pub shape: Geometry,
     /// The shape's pose in the link's frame.
     pub link_from_shape: Isometry3<f64>,
     /// Colour: red, green, blue.
@@ -58,10 +71,10 @@ pub struct Visual {
 }
 
 /// A collision part of a link.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Collision {
-    /// The primitive.
-    pub shape: Primitive,
+    /// Its form.
+    pub shape: Geometry,
     /// The shape's pose in the link's frame.
     pub link_from_shape: Isometry3<f64>,
 }
@@ -84,9 +97,9 @@ pub struct Link {
     pub name: String,
     /// Its parent link; `None` for the root.
     pub parent: Option<LinkId>,
-    /// The joint between it and its parent; `None` for the root and for fixed links.
-    pub joint: Option<usize>,
-    /// Its pose in the parent's frame with the joint at 0.
+    /// How a joint moves it against its parent; `None` for the root and for fixed links.
+    pub motion: Option<JointMotion>,
+    /// Its pose in the parent's frame without that motion.
     pub parent_from_link: Isometry3<f64>,
     /// Its mass; `None` for pure frames.
     pub inertial: Option<Inertial>,
@@ -103,6 +116,29 @@ pub enum JointKind {
     Revolute,
     /// Slides along its axis; positions in m.
     Prismatic,
+}
+
+/// How a joint moves a link against its parent: with the position `multiplier * q + offset`, where `q` is the
+/// joint's. For the link of a joint itself these are 1 and 0; for a mimic joint they are its own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointMotion {
+    /// The joint, as an index into [`Model::joints`]; for a mimic joint, its leader.
+    pub joint: usize,
+    /// Rotation or translation.
+    pub kind: JointKind,
+    /// The axis in the link's frame.
+    pub axis: Unit<Vector3<f64>>,
+    /// Motion of the link over that of the joint.
+    pub multiplier: f64,
+    /// Position of the link's own motion with the joint at 0, rad (m).
+    pub offset: f64,
+}
+
+impl JointMotion {
+    /// The position of the link's own motion, rad (m), with all joints at `q`; a missing value is read as 0.
+    pub fn position(&self, q: &[f64]) -> f64 {
+        self.multiplier * q.get(self.joint).copied().unwrap_or(0.0) + self.offset
+    }
 }
 
 /// One degree of freedom.
@@ -128,33 +164,83 @@ pub struct Joint {
     pub effort: f64,
 }
 
-/// A group of joints that is commanded together.
+/// Joints that are commanded together: a group of the robot file, or a hand.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Limb {
     /// Its name.
     pub name: String,
     /// Its joints as indices into [`Model::joints`], in the order of its commands.
     pub joints: Vec<usize>,
-    /// The link at its end whose speed is limited.
+    /// Its tool centre point: the link at its end whose speed is limited. A limb with one is an arm.
     pub tcp: Option<LinkId>,
-    /// The link of its force/torque sensor.
-    pub sensor: Option<LinkId>,
+    /// The hand at its end.
+    pub hand: Option<String>,
+    /// Its wrench sensor, as an index into [`Model::wrenches`].
+    pub wrench: Option<usize>,
+    /// The limbs that move with it so that it reaches further.
+    pub helped_by: Vec<String>,
+    /// The posture in which it is ready to work, by its name.
+    pub ready: Option<String>,
 }
 
-/// A limb by names, as in a configuration file.
-#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LimbSpec {
+/// A gripper: joints that open and close together.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Hand {
+    /// Its name, which is also that of its limb.
+    pub name: String,
+    /// Positions of its joints when it is open, rad (m).
+    pub open: Vec<f64>,
+    /// Positions of its joints when it is closed, rad (m).
+    pub closed: Vec<f64>,
+    /// Where it grasps, in the frame of its arm's TCP: the middle of what it holds, x along the approach, y along the
+    /// closing direction.
+    pub grasp_in_tcp: Isometry3<f64>,
+    /// Width of a finger pad across approach and closing direction, m.
+    pub pad_width: f64,
+    /// The mark by which cameras track it.
+    pub marker: Option<Marker>,
+}
+
+/// A coloured ball on a hand.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Marker {
+    /// The link in whose origin it is.
+    pub link: LinkId,
+    /// Colour: red, green, blue.
+    pub color: [u8; 3],
+    /// Diameter, m.
+    pub diameter: f64,
+}
+
+/// A force/torque sensor. What is attached beyond its frame is what it feels.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WrenchSensor {
     /// Its name.
     pub name: String,
-    /// Names of its joints, in the order of its commands.
-    pub joints: Vec<String>,
-    /// The link at its end.
-    #[serde(default)]
-    pub tcp: Option<String>,
-    /// The link of its force/torque sensor.
-    #[serde(default)]
-    pub sensor: Option<String>,
+    /// The link in whose frame it measures.
+    pub frame: LinkId,
+}
+
+/// A pair of parallel cameras; optical axis z, image's right x.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StereoCamera {
+    /// Its name.
+    pub name: String,
+    /// The link of the left camera.
+    pub left: LinkId,
+    /// The link of the right camera.
+    pub right: LinkId,
+    /// The limb that turns them.
+    pub on: Option<String>,
+}
+
+/// The robot's own limits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RobotLimits {
+    /// Largest force at a wrench sensor, N.
+    pub force_n: f64,
+    /// Largest speed of any TCP, m/s.
+    pub speed_m_s: f64,
 }
 
 /// A robot's description.
@@ -163,11 +249,19 @@ pub struct Model {
     pub(crate) name: String,
     pub(crate) links: Vec<Link>,
     pub(crate) joints: Vec<Joint>,
-    pub(crate) limbs: BTreeMap<String, Limb>,
     pub(crate) link_ids: BTreeMap<String, LinkId>,
     pub(crate) joint_ids: BTreeMap<String, usize>,
-    /// For each link, the joints between it and the root.
-    pub(crate) supporting: Vec<Vec<usize>>,
+    /// For each link, those that a joint moves, from the root to it.
+    pub(crate) movers: Vec<Vec<LinkId>>,
+    pub(crate) limbs: BTreeMap<String, Limb>,
+    /// The names of the arms, in the order of the robot file.
+    pub(crate) arms: Vec<String>,
+    pub(crate) hands: BTreeMap<String, Hand>,
+    pub(crate) wrenches: Vec<WrenchSensor>,
+    pub(crate) camera: Option<StereoCamera>,
+    pub(crate) postures: BTreeMap<String, Vec<f64>>,
+    pub(crate) start: Vec<f64>,
+    pub(crate) limits: RobotLimits,
 }
 
 impl Model {
@@ -235,7 +329,12 @@ impl Model {
 
     /// Whether moving `joint` moves `link`.
     pub fn moves(&self, joint: usize, link: LinkId) -> bool {
-        self.supporting[link.0].contains(&joint)
+        self.motions(link).any(|(_, motion)| motion.joint == joint)
+    }
+
+    /// The motions between the root and `link`, each with the link that it moves.
+    pub(crate) fn motions(&self, link: LinkId) -> impl Iterator<Item = (LinkId, &JointMotion)> {
+        self.movers[link.0].iter().filter_map(|&mover| Some((mover, self.links[mover.0].motion.as_ref()?)))
     }
 
     /// `link` and all links attached to it, parents before children.
@@ -247,25 +346,69 @@ impl Model {
         })
     }
 
-    /// Adds limbs (or replaces those of the same name).
-    ///
-    /// # Errors
-    /// [`RobotError::Unknown`] when a joint or link is not in the description; [`RobotError::Description`] when a
-    /// limb has no joints or has one twice.
-    pub fn with_limbs(mut self, limbs: &[LimbSpec]) -> Result<Self, RobotError> {
-        for spec in limbs {
-            let joints = spec.joints.iter().map(|j| self.require_joint(j)).collect::<Result<Vec<_>, _>>()?;
-            let twice = joints.iter().enumerate().any(|(i, j)| joints[..i].contains(j));
-            if joints.is_empty() || twice {
-                let what = format!("the limb `{}` must list each of its joints once", spec.name);
-                return Err(RobotError::Description { what });
-            }
-            let tcp = spec.tcp.as_deref().map(|l| self.require_link(l)).transpose()?;
-            let sensor = spec.sensor.as_deref().map(|l| self.require_link(l)).transpose()?;
-            let limb = Limb { name: spec.name.clone(), joints, tcp, sensor };
-            self.limbs.insert(spec.name.clone(), limb);
-        }
-        Ok(self)
+    /// The limbs with a TCP, in the order of the robot file.
+    pub fn arms(&self) -> impl Iterator<Item = &Limb> {
+        self.arms.iter().filter_map(|name| self.limbs.get(name))
+    }
+
+    /// The joints with which an arm reaches: those of the limbs that help it, then its own; empty if there is no such
+    /// arm.
+    pub fn reaching_joints(&self, arm: &str) -> Vec<usize> {
+        let Some(limb) = self.limbs.get(arm) else { return Vec::new() };
+        let helpers = limb.helped_by.iter().flat_map(|helper| self.limb(helper));
+        helpers.chain(&limb.joints).copied().collect()
+    }
+
+    /// All hands by name.
+    pub fn hands(&self) -> &BTreeMap<String, Hand> {
+        &self.hands
+    }
+
+    /// The hand of an arm.
+    pub fn hand_of(&self, arm: &Limb) -> Option<&Hand> {
+        self.hands.get(arm.hand.as_deref()?)
+    }
+
+    /// The wrench sensors, in the order of the robot file.
+    pub fn wrenches(&self) -> &[WrenchSensor] {
+        &self.wrenches
+    }
+
+    /// The frame of a limb's wrench sensor.
+    pub fn sensor_of(&self, limb: &Limb) -> Option<LinkId> {
+        Some(self.wrenches.get(limb.wrench?)?.frame)
+    }
+
+    /// The stereo cameras with which it sees.
+    pub fn camera(&self) -> Option<&StereoCamera> {
+        self.camera.as_ref()
+    }
+
+    /// The name of the frame in which its pictures are: the left camera's link.
+    pub fn camera_frame(&self) -> &str {
+        self.camera.as_ref().map_or("camera", |camera| &self.links[camera.left.0].name)
+    }
+
+    /// The named postures: positions of all joints, rad (m).
+    pub fn postures(&self) -> &BTreeMap<String, Vec<f64>> {
+        &self.postures
+    }
+
+    /// The posture in which it begins: positions of all joints, rad (m).
+    pub fn start(&self) -> &[f64] {
+        &self.start
+    }
+
+    /// The posture in which a limb is ready to work: positions of all joints, rad (m). It is also the posture towards
+    /// which the joints that the work leaves free are pulled. Where the robot file names none, the start.
+    pub fn ready(&self, limb: &str) -> &[f64] {
+        let ready = self.limbs.get(limb).and_then(|limb| self.postures.get(limb.ready.as_deref()?));
+        ready.map_or(&self.start, Vec::as_slice)
+    }
+
+    /// Its own limits.
+    pub fn limits(&self) -> RobotLimits {
+        self.limits
     }
 }
 

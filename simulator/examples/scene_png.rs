@@ -8,6 +8,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
+use armarium_robot::description::default_robot;
 use armarium_robot::{Kinematics, Model};
 use armarium_simulator::render::hand::{HandPose, hand_shapes};
 use armarium_simulator::render::robot::robot_shapes;
@@ -25,10 +26,9 @@ fn main() -> std::io::Result<()> {
     let directory = std::env::args().nth(1).unwrap_or_else(|| ".".into());
     let directory = Path::new(&directory);
     let robot = looking_down();
-    let [left, right] = ["camera_left", "camera_right"].map(|eye| Viewpoint {
-        scene_from_camera: robot.model().link(eye).map_or_else(Isometry3::identity, |link| *robot.pose(link)),
-        camera: CAMERA,
-    });
+    let cameras = robot.model().camera().expect("the robot has cameras");
+    let [left, right] = [cameras.left, cameras.right]
+        .map(|eye| Viewpoint { scene_from_camera: *robot.pose(eye), camera: CAMERA });
     let noise = SensorNoise::new(2.0, 1);
 
     let scene = |gesture| {
@@ -103,19 +103,11 @@ fn table() -> Vec<Shape> {
     shapes
 }
 
-/// The robot with both arms at 0 and its eyes on the table.
+/// The robot as it begins, with its eyes on the table.
 fn looking_down() -> Kinematics {
-    let model = Arc::new(Model::armar3());
-    let mut q = model.zero();
-    for (joint, position) in
-        [("neck_pitch", -0.4), ("neck_yaw", -0.45), ("head_tilt", -0.35), ("camera_tilt", 0.3)]
-    {
-        if let Some(index) = model.joint(joint) {
-            q[index] = position;
-        }
-    }
+    let model = Model::shipped(default_robot()).expect("the program carries it");
     let mut kinematics = Kinematics::new(&model);
-    kinematics.update(&q);
+    kinematics.update(model.start());
     kinematics
 }
 

@@ -1,5 +1,7 @@
 //! Why a simulation cannot be built.
 
+use armarium_source::Finding;
+
 use crate::physics::PlantError;
 
 /// Why a simulation cannot be built.
@@ -9,8 +11,19 @@ pub enum SimulationError {
     /// The physics could not be built.
     #[error(transparent)]
     Plant(#[from] PlantError),
-    /// The robot has no camera.
-    #[error("the robot's description has no link `camera_left`")]
+    /// The robot's files cannot be used.
+    #[error("the robot `{robot}` cannot be used: {}", findings.first().map_or_else(String::new, ToString::to_string))]
+    Robot {
+        /// The robot.
+        robot: String,
+        /// Everything that is wrong.
+        findings: Vec<Finding>,
+    },
+    /// The robot has no arm that could wipe.
+    #[error("the robot has no such arm: a group of its robot file with a `tcp`")]
+    Arm,
+    /// The robot has no cameras.
+    #[error("the robot has no stereo cameras; its robot file names none under `cameras`")]
     Camera,
     /// The start posture does not have one position per joint.
     #[error("a starting posture needs {expected} finite joint positions")]

@@ -8,7 +8,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use armarium_robot::{Guard, GuardConfig, JointKind, JointTargets, Kinematics, LinkId, Model, Robot, Sample};
+use armarium_robot::{
+    Guard, GuardConfig, JointKind, JointTargets, Kinematics, Limb, LinkId, Model, Robot, Sample,
+};
 use armarium_visionx::ImageSource;
 use nalgebra::{Isometry3, Point3, Vector3};
 use rand::SeedableRng;
@@ -38,10 +40,10 @@ const MAX_DELAY: Duration = Duration::from_millis(10);
 pub struct Options {
     /// Further receivers of the truth.
     pub truth_sinks: Vec<Box<dyn TruthSink>>,
-    /// Joint positions at the start, rad (m), in the model's order; by default the home posture.
+    /// Joint positions at the start, rad (m), in the model's order; by default the robot's own start.
     pub start: Option<Vec<f64>>,
-    /// The guard's limits.
-    pub guard: GuardConfig,
+    /// The guard's limits; by default the robot's.
+    pub guard: Option<GuardConfig>,
     /// Receiver of the scenery for cameras in another process; the cameras here then give no frames.
     pub scenery: Option<Box<dyn ScenerySink>>,
 }
@@ -75,9 +77,9 @@ pub struct Simulation {
     robot: Arc<dyn Robot>,
     guard: Guard,
     plant: Plant,
-    /// True poses of the links; also for the wrist and elbow of the right arm, which the coach sees.
+    /// True poses of the links; also for the wrist and elbow of the arm that works, which the coach sees.
     kinematics: Kinematics,
-    arm: [Option<LinkId>; 2],
+    arm: [LinkId; 2],
     sensors: Sensors,
     coach: Coach,
     eyes: Eyes,
@@ -108,8 +110,9 @@ impl Simulation {
     /// # Errors
     /// [`SimulationError`] when the robot does not fit the world.
     pub fn new(world: &World, seed: u64, options: Options) -> Result<Self, SimulationError> {
-        let model = Arc::new(Model::armar3());
-        let start = options.start.unwrap_or_else(|| home(&model));
+        let model = world.model()?;
+        let arm = world.robot.arm(&model).ok_or(SimulationError::Arm)?;
+        let start = options.start.unwrap_or_else(|| model.start().to_vec());
         let joints = model.joints().len();
         if start.len() != joints || !start.iter().all(|q| q.is_finite()) {
             return Err(SimulationError::Start { expected: joints });
@@ -128,14 +131,15 @@ impl Simulation {
             AgentEyes::new(agent, calibration, world.camera.noise, seed)
         });
         let sliding = model.joints().iter().map(|j| j.kind == JointKind::Prismatic).collect();
-        let (guard, robot) = Guard::new(Arc::clone(&model), options.guard);
+        let (guard, robot) =
+            Guard::new(Arc::clone(&model), options.guard.unwrap_or_else(|| GuardConfig::of(&model)));
         let external =
             External { hand: Vector3::zeros(), objects: vec![Vector3::zeros(); world.objects.len()] };
         Ok(Self {
             robot,
             guard,
             kinematics: Kinematics::new(&model),
-            arm: ["wrist_1_r", "elbow_r"].map(|name| model.link(name)),
+            arm: bends(&model, arm),
             sensors: Sensors::new(&world.robot.noise, &world.faults, sliding, stream(1)),
             coach: Coach::new(&world.coach, world.table.height, camera, stream(2)),
             agents: agents.collect(),
@@ -301,9 +305,7 @@ impl Simulation {
     fn seen_arm(&mut self) -> SeenArm {
         self.kinematics.update(self.plant.position());
         let tcp = Point3::from(self.plant.tcp().translation.vector);
-        let at = |link: Option<LinkId>| {
-            link.map_or(tcp, |link| Point3::from(self.kinematics.pose(link).translation.vector))
-        };
+        let at = |link: LinkId| Point3::from(self.kinematics.pose(link).translation.vector);
         let [wrist, elbow] = self.arm.map(at);
         SeenArm { tcp, velocity: self.plant.tcp_velocity(), wrist, elbow }
     }
@@ -410,13 +412,24 @@ fn copy(into: &mut Vec<f64>, from: &[f64]) {
     into.extend_from_slice(from);
 }
 
-/// The robot's home posture: the right arm at its side, clear of table and cameras, the hand half open.
-fn home(model: &Model) -> Vec<f64> {
-    let mut q = model.zero();
-    for (joint, at) in [("shoulder_2_r", 1.0), ("finger_left_r", 0.03), ("finger_right_r", 0.03)] {
-        if let Some(j) = model.joint(joint) {
-            q[j] = at;
+/// The wrist and the elbow of an arm: the two places next to the TCP where it bends. Joints whose origins are within 2 cm
+/// bend it at one place, that of the first of them.
+fn bends(model: &Model, arm: &Limb) -> [LinkId; 2] {
+    const ONE_PLACE: f64 = 0.02;
+    let q = model.zero();
+    let at = |link: LinkId| model.link_pose(&q, link).translation.vector;
+    let links = arm.joints.iter().rev().map(|&joint| model.joints()[joint].link);
+    let mut places: Vec<(LinkId, Vector3<f64>)> = arm.tcp.map(|tcp| (tcp, at(tcp))).into_iter().collect();
+    for link in links {
+        let here = at(link);
+        match places.last_mut() {
+            Some((first, there)) if (here - *there).norm() < ONE_PLACE && Some(*first) != arm.tcp => {
+                *first = link
+            }
+            Some((_, there)) if (here - *there).norm() < ONE_PLACE => {}
+            _ => places.push((link, here)),
         }
     }
-    q
+    let place = |i: usize| places[i.min(places.len() - 1)].0;
+    [place(1), place(2)]
 }

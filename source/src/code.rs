@@ -87,4 +87,6 @@ codes! {
     UNHEARD = "W108";
     /// A value that looks like something else: a forgotten `${}`, a time without unit.
     SUSPICIOUS = "W109";
+    /// A value that is not stated, and what is assumed instead.
+    ASSUMED = "W110";
 }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use armarium_values::Unit;
+use indexmap::IndexMap;
 use serde_json::{Value as Json, json};
 
 use crate::code;
@@ -283,6 +284,20 @@ impl<T: Field + Default> Field for BTreeMap<String, T> {
     }
     fn schema(rule: &Rule) -> Json {
         json!({"type": "object", "additionalProperties": T::schema(rule)})
+    }
+}
+
+/// A map that keeps the order of the file.
+impl<T: Field + Default> Field for IndexMap<String, T> {
+    fn read(&mut self, node: &Node, rule: &Rule, findings: &mut Findings) {
+        *self = findings
+            .entries(node)
+            .iter()
+            .map(|(key, node)| (key.text.clone(), fresh(node, rule, findings)))
+            .collect();
+    }
+    fn schema(rule: &Rule) -> Json {
+        BTreeMap::<String, T>::schema(rule)
     }
 }
 

@@ -1,16 +1,15 @@
-//! The right arm and the torso under a skill's command: sense, then command, at the rate of the robot's samples.
+//! An arm and what helps it under a skill's command: sense, then command, at the rate of the robot's samples.
 //!
-//! It holds both leases for as long as it lives, and converts desired TCP poses and twists to joint velocities. The
-//! torso is used because the arm alone is slow and has little reach over a table (see [`postures`]). It plans
-//! nothing.
+//! It holds their leases for as long as it lives, and converts desired TCP poses and twists to joint velocities. Which
+//! limbs help an arm (a torso, so that it reaches further) is said in the robot file. It plans nothing.
 
 use std::sync::Arc;
 
 use armarium_robot::{
-    DifferentialIk, IkConfig, Kinematics, Lease, LeaseLimits, LinkId, Model, Robot, Sensed, Twist, newest,
-    postures,
+    DifferentialIk, IkConfig, Kinematics, Lease, LeaseLimits, Limb, LinkId, Model, Robot, Sensed, Twist,
+    newest,
 };
-use armarium_runtime::skill::{Failure, SkillContext};
+use armarium_runtime::skill::{Failure, SkillContext, SkillManifest};
 use nalgebra::{Isometry3, Point3, Vector3};
 use tokio_util::sync::CancellationToken;
 
@@ -52,24 +51,50 @@ impl Senses {
     }
 }
 
-/// The arm that skills command.
-pub(crate) const ARM: &str = "right_arm";
-/// The torso, which moves together with the arm.
-pub(crate) const TORSO: &str = "torso";
-/// The arm's tool centre point.
-pub(crate) const TCP: &str = "tcp_right";
-
-/// A link of the robot, by name.
-pub(crate) fn link(model: &Model, name: &str) -> Result<LinkId, Failure> {
-    model.require_link(name).map_err(|e| Failure::new(e.to_string()))
+/// The arm that a skill commands: the robot's first.
+pub(crate) fn chosen(model: &Model) -> Result<&Limb, Failure> {
+    let none = || Failure::new(format!("the robot `{}` has no arm: no group with a `tcp`", model.name()));
+    model.arms().next().ok_or_else(none)
 }
 
-/// Arm and torso with their leases.
+/// The link of the TCP of the arm that skills command.
+pub(crate) fn tcp_of(model: &Model) -> Result<LinkId, Failure> {
+    chosen(model)?.tcp.ok_or_else(|| Failure::new("the arm has no TCP"))
+}
+
+/// Adds the limbs that a skill commands when it moves the arm.
+pub(crate) fn moves_the_arm(manifest: SkillManifest, equipment: &Equipment) -> SkillManifest {
+    let Ok(arm) = chosen(equipment.robot.model()) else { return manifest };
+    let limbs = arm.helped_by.iter().chain([&arm.name]);
+    limbs.fold(manifest, |manifest, limb| manifest.limb(limb))
+}
+
+/// Leases the arm, after the limbs that help it, each with the number of its joints.
+pub(crate) fn lease_arm(
+    equipment: &Equipment,
+    context: &SkillContext,
+) -> Result<Vec<(Lease, usize)>, Failure> {
+    let model = equipment.robot.model();
+    let arm = chosen(model)?;
+    let limbs = arm.helped_by.iter().chain([&arm.name]);
+    limbs.map(|limb| Ok((lease(equipment, context, limb)?, model.limb(limb).len()))).collect()
+}
+
+/// Gives each limb its part of the velocities.
+pub(crate) fn command(leases: &[(Lease, usize)], velocities: &[f64]) -> Result<(), Failure> {
+    let mut rest = velocities;
+    let mut commanded = Ok(());
+    for (lease, joints) in leases {
+        let (own, others) = rest.split_at((*joints).min(rest.len()));
+        commanded = commanded.and(lease.command(own));
+        rest = others;
+    }
+    commanded.map_err(|fault| Failure::new(fault.to_string()))
+}
+
+/// An arm and what helps it, with their leases.
 pub(crate) struct Arm {
-    torso: Lease,
-    arm: Lease,
-    /// Number of torso joints; they come first.
-    torso_joints: usize,
+    leases: Vec<(Lease, usize)>,
     model: Arc<Model>,
     tcp: LinkId,
     ik: DifferentialIk,
@@ -79,19 +104,17 @@ pub(crate) struct Arm {
 }
 
 impl Arm {
-    /// Leases the right arm and the torso for the skill in `context`.
+    /// Leases the arm and what helps it for the skill in `context`.
     pub(crate) fn take(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
-        let torso = lease(equipment, context, TORSO)?;
-        let arm = lease(equipment, context, ARM)?;
+        let leases = lease_arm(equipment, context)?;
         let model = Arc::clone(equipment.robot.model());
-        let tcp = link(&model, TCP)?;
-        let joints = postures::reaching_joints(&model);
-        let wipe = postures::wipe(&model);
-        let posture = joints.iter().map(|&j| wipe[j]).collect();
+        let arm = chosen(&model)?;
+        let tcp = tcp_of(&model)?;
+        let joints = model.reaching_joints(&arm.name);
+        let posture = joints.iter().map(|&j| model.ready(&arm.name)[j]).collect();
         let ik = DifferentialIk::new(&model, tcp, &joints, IkConfig::default());
         let kinematics = Kinematics::new(&model);
-        let torso_joints = model.limb(TORSO).len();
-        Ok(Self { torso, arm, torso_joints, model, tcp, ik, kinematics, posture })
+        Ok(Self { leases, model, tcp, ik, kinematics, posture })
     }
 
     /// `root_from_tcp` at a sample.
@@ -129,9 +152,7 @@ impl Arm {
         angular: Vector3<f64>,
     ) -> Result<(), Failure> {
         let step = self.ik.step(&sample.position, &Twist { linear, angular }, Some(&self.posture));
-        let (torso, arm) = step.velocities.split_at(self.torso_joints);
-        let commanded = self.torso.command(torso).and(self.arm.command(arm));
-        commanded.map_err(|fault| Failure::new(fault.to_string()))
+        command(&self.leases, step.velocities)
     }
 
     /// Holds the arm still.

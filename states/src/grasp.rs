@@ -1,18 +1,32 @@
 //! The geometry of a grasp from above with a level palm, shared by the skills that plan, servo and verify it.
 
-use armarium_robot::postures::palm_down;
-use nalgebra::{Isometry3, Point3, Vector3};
+use armarium_robot::{Hand, Marker, Model};
+use armarium_runtime::skill::Failure;
+use nalgebra::{Isometry3, Point3};
 
-/// The nominal centre of a grasped object in the TCP frame: below the palm, between the pads, m.
-pub(crate) const GRASP_IN_TCP: Vector3<f64> = Vector3::new(0.08, 0.0, 0.0);
+use crate::arm::chosen;
 
-/// Width of a finger pad across the closing direction, m.
-pub(crate) const PAD_WIDTH: f64 = 0.05;
+/// The hand that skills use: that of the arm.
+pub(crate) fn hand(model: &Model) -> Result<&Hand, Failure> {
+    let arm = chosen(model)?;
+    model.hand_of(arm).ok_or_else(|| Failure::new(format!("the arm `{}` has no hand", arm.name)))
+}
+
+/// The mark by which the cameras track that hand.
+pub(crate) fn marker(model: &Model) -> Result<Marker, Failure> {
+    let hand = hand(model)?;
+    hand.marker.ok_or_else(|| Failure::new(format!("the hand `{}` has no marker", hand.name)))
+}
+
+/// The middle of what a hand holds, in the frame of its TCP, m.
+pub(crate) fn held_in_tcp(hand: &Hand) -> Point3<f64> {
+    hand.grasp_in_tcp.translation.vector.into()
+}
 
 /// The TCP pose that grasps an object at `center` (root frame) with a level palm at the given yaw.
-pub(crate) fn tcp_at(center: &Point3<f64>, yaw: f64) -> Isometry3<f64> {
-    let rotation = palm_down(yaw, 0.0);
-    Isometry3::from_parts((center.coords - rotation * GRASP_IN_TCP).into(), rotation)
+pub(crate) fn tcp_at(hand: &Hand, center: &Point3<f64>, yaw: f64) -> Isometry3<f64> {
+    let rotation = hand.palm_down(yaw);
+    Isometry3::from_parts((center.coords - rotation * hand.grasp_in_tcp.translation.vector).into(), rotation)
 }
 
 #[cfg(test)]
@@ -21,8 +35,10 @@ mod tests {
 
     #[test]
     fn the_object_is_below_the_tcp() {
-        let tcp = tcp_at(&Point3::new(0.3, 0.5, 0.97), 0.4);
-        let center = tcp * Point3::from(GRASP_IN_TCP);
+        let model = Model::shipped("armar3").unwrap();
+        let hand = hand(&model).unwrap();
+        let tcp = tcp_at(hand, &Point3::new(0.3, 0.5, 0.97), 0.4);
+        let center = tcp * held_in_tcp(hand);
         assert!((center - Point3::new(0.3, 0.5, 0.97)).norm() < 1e-12);
         assert!((tcp.translation.z - 1.05).abs() < 1e-12);
     }

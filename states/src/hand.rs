@@ -1,27 +1,37 @@
-//! The right hand under a skill's command: two finger pads that open and close together.
+//! A hand under a skill's command: finger pads that open and close together.
 
 use std::sync::Arc;
 
 use armarium_robot::{Lease, Model, Sensed};
-use armarium_runtime::skill::{Failure, SkillContext};
+use armarium_runtime::skill::{Failure, SkillContext, SkillManifest};
 
 use crate::arm::lease;
 use crate::equipment::Equipment;
+use crate::grasp::hand;
 
-/// The right hand with its lease.
+/// The arm's hand with its lease.
 pub(crate) struct Hand {
     lease: Lease,
     model: Arc<Model>,
+}
+
+/// Adds the limb that a skill commands when it moves the hand.
+pub(crate) fn moves_the_hand(manifest: SkillManifest, equipment: &Equipment) -> SkillManifest {
+    match hand(equipment.robot.model()) {
+        Ok(hand) => manifest.limb(&hand.name),
+        Err(_) => manifest,
+    }
 }
 
 /// Gain with which the pads are kept at equal distances from the middle, 1/s.
 const CENTRING_GAIN: f64 = 5.0;
 
 impl Hand {
-    /// Leases the right hand for the skill in `context`.
+    /// Leases the hand for the skill in `context`.
     pub(crate) fn take(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
-        let lease = lease(equipment, context, "right_hand")?;
-        Ok(Self { lease, model: Arc::clone(equipment.robot.model()) })
+        let model = Arc::clone(equipment.robot.model());
+        let lease = lease(equipment, context, &hand(&model)?.name)?;
+        Ok(Self { lease, model })
     }
 
     /// Distance of the pads, m.
@@ -49,5 +59,5 @@ pub(crate) fn aperture(model: &Model, sample: &Sensed) -> f64 {
 }
 
 fn joints(model: &Model) -> &[usize] {
-    model.limb("right_hand")
+    hand(model).map_or(&[], |hand| model.limb(&hand.name))
 }

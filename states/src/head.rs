@@ -4,14 +4,26 @@
 use std::sync::Arc;
 
 use armarium_robot::{Gaze, Lease, Model, Sensed};
-use armarium_runtime::skill::{Failure, SkillContext};
+use armarium_runtime::skill::{Failure, SkillContext, SkillManifest};
 use nalgebra::Point3;
 
 use crate::arm::lease;
 use crate::equipment::Equipment;
 
-/// The limb's name.
-pub(crate) const HEAD: &str = "head";
+/// The limb that turns the cameras.
+fn head(model: &Model) -> Result<&str, Failure> {
+    let on = model.camera().and_then(|camera| camera.on.as_deref());
+    on.ok_or_else(|| Failure::new(format!("nothing turns the cameras of the robot `{}`", model.name())))
+}
+
+/// Adds the limb that a skill commands when it turns the head.
+pub(crate) fn moves_the_head(manifest: SkillManifest, equipment: &Equipment) -> SkillManifest {
+    match head(equipment.robot.model()) {
+        Ok(head) => manifest.limb(head),
+        Err(_) => manifest,
+    }
+}
+
 /// Gain of the joints' error, 1/s.
 const GAIN: f64 = 4.0;
 /// Interval at which the joint goal is recomputed, s, because the torso under the head may move.
@@ -20,6 +32,7 @@ const RENEWAL: f64 = 0.1;
 /// The head that a skill commands.
 pub(crate) struct Head {
     lease: Lease,
+    joints: Vec<usize>,
     model: Arc<Model>,
     gaze: Gaze,
     /// The goal of all joints, rad, and its age, s.
@@ -29,10 +42,11 @@ pub(crate) struct Head {
 impl Head {
     /// Leases the head for the skill in `context`.
     pub(crate) fn take(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
-        let lease = lease(equipment, context, HEAD)?;
         let model = Arc::clone(equipment.robot.model());
+        let lease = lease(equipment, context, head(&model)?)?;
+        let joints = model.limb(head(&model)?).to_vec();
         let gaze = Gaze::of(&model).map_err(|e| Failure::new(e.to_string()))?;
-        Ok(Self { lease, model, gaze, goal: None })
+        Ok(Self { lease, joints, model, gaze, goal: None })
     }
 
     /// Turns towards `point` (root frame, m) for `dt` s, each joint with at most `speed` rad/s, as close as the
@@ -49,7 +63,7 @@ impl Head {
             _ => (self.facing(sample, point), 0.0),
         };
         let towards = |&j: &usize| (GAIN * (goal.0[j] - sample.position[j])).clamp(-speed, speed);
-        let velocity: Vec<f64> = self.model.limb(HEAD).iter().map(towards).collect();
+        let velocity: Vec<f64> = self.joints.iter().map(towards).collect();
         self.goal = Some(goal);
         self.lease.command(&velocity).map_err(|fault| Failure::new(fault.to_string()))?;
         Ok(self.gaze.angle(&self.model, &sample.position, point))

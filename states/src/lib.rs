@@ -18,6 +18,7 @@ mod hand_eye;
 mod head;
 mod inputs;
 mod motions;
+mod needs;
 pub mod observers;
 mod prior;
 mod reach;
@@ -26,5 +27,6 @@ mod skills;
 mod wiper;
 
 pub use equipment::Equipment;
+pub use needs::{Lack, lacks};
 pub use running_motion::RunningMotions;
 pub use skills::skills;

@@ -1,11 +1,11 @@
 //! Whether the arm can perform a motion: each point within reach, each joint within its speed limit.
 
 use armarium_motion::Motion;
-use armarium_robot::{PoseOptions, postures, solve_pose};
+use armarium_robot::{PoseOptions, solve_pose};
 use armarium_runtime::skill::Failure;
 use nalgebra::{Isometry3, Vector3};
 
-use crate::arm::{TCP, link};
+use crate::arm::{chosen, tcp_of};
 use crate::equipment::Equipment;
 
 /// Number of points of the path that are checked.
@@ -23,14 +23,14 @@ pub(crate) fn required_speed(
     z: f64,
 ) -> Result<f64, Failure> {
     let model = equipment.robot.model();
-    let joints = &postures::reaching_joints(model);
-    let link = link(model, TCP)?;
+    let arm = chosen(model)?;
+    let (joints, link) = (&model.reaching_joints(&arm.name), tcp_of(model)?);
     let path = motion.primitive().steady_path(POINTS).map_err(|e| Failure::new(e.to_string()))?;
     let pose = |s: usize| {
         let point = &path.y[s % path.len()];
         Isometry3::from_parts(Vector3::new(point[0], point[1], z).into(), tcp.rotation)
     };
-    let mut q = postures::wipe(model);
+    let mut q = model.ready(&arm.name).to_vec();
     let mut random = equipment.random();
     let mut solve = |s: usize, seed: &[f64]| {
         solve_pose(model, link, joints, &pose(s), seed, &PoseOptions::default(), &mut random).map_err(|e| {

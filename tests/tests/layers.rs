@@ -39,9 +39,13 @@ const ALLOWED_IN_TESTS: [(&str, &[&str]); 2] = [
 ];
 
 /// Crates from outside that only some rooms may use, each with the reason.
-const CONFINED: [(&str, &[&str], &str); 16] = [
+const CONFINED: [(&str, &[&str], &str); 15] = [
     ("zenoh", &["bus"], "the network is known to one room; the others see traits"),
-    ("parry3d-f64", &["robot"], "its vectors differ from ours: distances of bodies are asked for in one place"),
+    (
+        "parry3d-f64",
+        &["robot"],
+        "its vectors differ from ours: distances of bodies are asked for in one place",
+    ),
     ("rapier3d-f64", &["simulator"], "its vectors differ from ours: they are converted in one place"),
     ("redb", &["memoryx"], "the long-term store is the memory's own affair"),
     ("cel", &["values"], "a young interface: it stays behind one module"),
@@ -55,7 +59,6 @@ const CONFINED: [(&str, &[&str], &str); 16] = [
     ("tracing-subscriber", &["cli"], "rooms emit log events; the program decides where they go"),
     ("granit-parser", &["source"], "files that people write are read in one way"),
     ("strsim", &["values"], "what might be meant is guessed in one way"),
-    ("urdf-rs", &["robot"], "descriptions become a model in one place"),
 ];
 
 /// Rooms without tasks and clocks: they may not use tokio.

@@ -10,7 +10,6 @@ use std::time::Duration;
 use armarium_host::{Console, RunConfig, Silent, SkillFactory, catalog, run};
 use armarium_memoryx::{Commit, EntityId};
 use armarium_motion::{Motion, PeriodicDmp, PeriodicDmpConfig, PhaseSample, SurfaceCorrection};
-use armarium_robot::postures;
 use armarium_runtime::channels::Channels;
 use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_states::Equipment;
@@ -124,9 +123,11 @@ impl Skill for PutMotion {
 
     fn run(&self, _: SkillContext) -> BoxFuture<'static, SkillResult> {
         let (memory, agent) = (Arc::clone(&self.0.memory), self.0.agent.clone());
+        let model = Arc::clone(self.0.robot.model());
         async move {
             // High enough that looking for a surface does not find the table.
-            let [x, y, z] = postures::WIPE_TCP;
+            let tcp = model.link_pose(model.ready("right_arm"), model.link("tcp_right").unwrap());
+            let [x, y, z]: [f64; 3] = tcp.translation.vector.into();
             let z = z + 0.06;
             let sample = |k: u32| {
                 let phase = TAU * f64::from(k) / 200.0;
@@ -141,10 +142,7 @@ impl Skill for PutMotion {
             let id = EntityId::new("Motions", &agent, "circle").unwrap();
             let attributes = BTreeMap::from([("motion".to_owned(), Value::from_json(&json))]);
             memory.commit(vec![Commit::new(id.clone(), 0, attributes)]).await.unwrap();
-            let tcp = Isometry3::from_parts(
-                Vector3::new(x, y, z).into(),
-                postures::palm_down(postures::WIPE_YAW, 0.0),
-            );
+            let tcp = Isometry3::from_parts(Vector3::new(x, y, z).into(), tcp.rotation);
             let grasp = Value::record([("tcp", Value::Pose(Pose::new("root".into(), &tcp)))]);
             let motion = Reference { kind: "Motion".into(), id: id.to_string() };
             Ok(Outcome::success().with("motion", Value::Reference(motion)).with("grasp", grasp))

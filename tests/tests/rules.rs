@@ -145,3 +145,54 @@ fn every_select_is_biased() {
         .collect();
     assert_eq!(wrong, Vec::<String>::new());
 }
+
+/// Names of the robots that ship, of their links, joints, limbs and postures. Words that charts use for any robot, or that are
+/// names of other things as well, do not count.
+fn names_of_robots() -> BTreeSet<String> {
+    const COMMON: [&str; 9] = ["root", "torso", "head", "eyes", "home", "wipe", "ready", "base", "tool"];
+    let mut names = BTreeSet::new();
+    for robot in armarium_robot::description::shipped_robots() {
+        let model = armarium_robot::Model::shipped(robot).expect("the robots that ship are sound");
+        names.insert(robot.to_owned());
+        names.extend(model.links().iter().map(|link| link.name.clone()));
+        names.extend(model.joints().iter().map(|joint| joint.name.clone()));
+        names.extend(model.limbs().keys().chain(model.postures().keys()).cloned());
+    }
+    names.retain(|name| !COMMON.contains(&name.as_str()));
+    names
+}
+
+/// The code of a file without its tests and comments.
+fn code_of(text: &str) -> String {
+    let code = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or(text);
+    let lines = code.lines().filter(|line| !line.trim_start().starts_with("//"));
+    lines.map(|line| format!("{line}\n")).collect()
+}
+
+/// A robot is data: nothing outside of `robots/` and tests names one, or a part of one.
+#[test]
+fn no_code_names_a_robot_or_a_part_of_one() {
+    let root = repository::root();
+    let names = names_of_robots();
+    let is_test = |path: &Path| {
+        let parts: Vec<_> = path.iter().filter_map(|part| part.to_str()).collect();
+        let file = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or("");
+        parts.iter().any(|part| ["tests", "robots", "benches", "target"].contains(part))
+            || file.ends_with("tests")
+            || file == "testing"
+            || file == "gestures" && parts.contains(&"cameras")
+    };
+    let mut found = Vec::new();
+    for file in sources() {
+        let path = file.strip_prefix(&root).expect("it is in the repository");
+        if is_test(path) {
+            continue;
+        }
+        let code = code_of(&read(&file));
+        let strings = code.split('"').skip(1).step_by(2);
+        found.extend(
+            strings.filter(|text| names.contains(*text)).map(|text| format!("{}: {text}", path.display())),
+        );
+    }
+    assert_eq!(found, Vec::<String>::new());
+}

@@ -6,9 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_host::bench::{Bench, Benched};
-use armarium_robot::{
-    Commander, Fault, Lease, LeaseError, LeaseLimits, Model, Robot, Sensed, Wrist, newest, postures,
-};
+use armarium_robot::{Commander, Fault, Lease, LeaseError, LeaseLimits, Model, Robot, Sensed, Wrist, newest};
 use armarium_runtime::skill::Skill;
 use armarium_simulator::World;
 use armarium_states::Equipment;
@@ -87,7 +85,7 @@ impl Robot for Scripted {
 fn scripted(velocity: impl Fn(u64) -> f64 + Copy + Send + Sync + 'static, until: u64) -> Benched {
     let make = move |equipment: &Equipment| {
         let model = Arc::clone(equipment.robot.model());
-        let position = postures::home(&model);
+        let position = model.start().to_vec();
         let sample = move |ms: u64| Sensed {
             stamp_ns: ms * 1_000_000,
             position: position.clone(),

@@ -34,7 +34,7 @@ pub(super) struct Sensor {
 impl Sensor {
     pub(super) fn of(model: &Model) -> Option<Self> {
         let (limb, sensor, tcp) =
-            model.limbs().values().find_map(|limb| Some((limb, limb.sensor?, limb.tcp?)))?;
+            model.limbs().values().find_map(|limb| Some((limb, model.sensor_of(limb)?, limb.tcp?)))?;
         let moves = |limb: &Limb| limb.joints.iter().any(|&j| model.moves(j, sensor));
         let carriers = model.limbs().values().enumerate().filter(|(_, l)| moves(l)).map(|(i, _)| i).collect();
         Some(Self {

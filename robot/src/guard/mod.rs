@@ -22,7 +22,7 @@ use self::bounds::VelocityBounds;
 use self::clearance::Clearance;
 use self::force::Sensor;
 use crate::seam::lease::{LeaseBoard, LeaseTable};
-use crate::{Fault, GuardedRobot, JointKind, Kinematics, Model, Sensed, Wrist};
+use crate::{Fault, GuardedRobot, JointKind, Kinematics, Model, RobotLimits, Sensed, Wrist};
 
 /// The guard's own limits; leases can only tighten them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,6 +61,14 @@ impl Default for GuardConfig {
             yield_gain: 0.004,
             yield_speed_m_s: 0.3,
         }
+    }
+}
+
+impl GuardConfig {
+    /// The limits of a robot.
+    pub fn of(model: &Model) -> Self {
+        let RobotLimits { force_n, speed_m_s } = model.limits();
+        Self { force_n, speed_m_s, ..Self::default() }
     }
 }
 

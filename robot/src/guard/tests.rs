@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::bodies::{Bodies, least_distance};
 use crate::{
     Fault, Guard, GuardConfig, GuardedRobot, Kinematics, Lease, LeaseLimits, Model, Robot, ServoJoints,
-    Wrist, load_mass, postures,
+    Wrist, load_mass,
 };
 
 struct Rig {
@@ -23,9 +23,9 @@ struct Rig {
 
 impl Rig {
     fn new() -> Self {
-        let model = Arc::new(Model::armar3());
+        let model = Model::shipped("armar3").unwrap();
         let (guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::default());
-        let joints = ServoJoints::new(&model, &postures::wipe(&model), 1);
+        let joints = ServoJoints::new(&model, model.ready("right_arm"), 1);
         let mut rig = Self { model, guard, robot, joints, now_ms: 0, frozen: false };
         rig.run(150, |_| Vector3::zeros());
         rig.robot.tare();
@@ -364,8 +364,8 @@ fn stop_is_final_and_utterances_are_heard() {
 #[tokio::test(start_paused = true)]
 async fn the_dummy_conforms() {
     for limb in ["right_arm", "torso", "head", "right_hand"] {
-        let model = Arc::new(Model::armar3());
-        let dummy = crate::DummyRobot::start(Arc::clone(&model), &postures::wipe(&model));
+        let model = Model::shipped("armar3").unwrap();
+        let dummy = crate::DummyRobot::start(Arc::clone(&model), model.ready("right_arm"));
         crate::conformance::check(&dummy.robot(), limb).await.unwrap_or_else(|v| panic!("{limb}: {v}"));
     }
 }

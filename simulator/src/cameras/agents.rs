@@ -67,12 +67,9 @@ impl Eyes {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-    use std::sync::Arc;
-
-    use armarium_robot::{Model, postures};
     use armarium_visionx::{BoxModel, ColorModel, ObjectLocalizer, components};
     use nalgebra::Vector3;
+    use std::path::Path;
 
     use crate::simulation::{Options, Simulation};
     use crate::world::World;
@@ -81,8 +78,7 @@ mod tests {
     async fn what_the_shelf_hides_from_the_robot_alice_sees_in_her_own_frame() {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../statecharts/share_scene.world.yaml");
         let world = World::load(&file).unwrap();
-        let start = Some(postures::home(&Arc::new(Model::armar3())));
-        let simulation = Simulation::new(&world, 1, Options { start, ..Options::default() }).unwrap();
+        let simulation = Simulation::new(&world, 1, Options::default()).unwrap();
         let (own, others, handle) = (simulation.images(), simulation.agents(), simulation.handle());
         let (name, eyes) = &others[0];
         assert_eq!((others.len(), name.as_str(), eyes.name()), (1, "alice", "alice"));

@@ -4,9 +4,6 @@
 //! images are then identical, bit for bit, to those of cameras in the world's process. The referee renders its own
 //! images.
 
-use std::sync::Arc;
-
-use armarium_robot::Model;
 use armarium_visionx::{StereoCalibration, StereoFrame};
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
@@ -74,6 +71,7 @@ pub enum SceneryError {
 /// The cameras of a world that is in another process.
 pub struct DistantCameras {
     eyes: Eyes,
+    frame: String,
     world: (String, u64),
     joints: usize,
     objects: usize,
@@ -101,13 +99,14 @@ impl DistantCameras {
     /// The cameras of a world.
     ///
     /// # Errors
-    /// [`SimulationError::Camera`] when the robot has none.
+    /// [`SimulationError::Camera`] when the robot has none, [`SimulationError::Robot`] when it cannot be used.
     pub fn new(world: &World, seed: u64) -> Result<Self, SimulationError> {
-        let model = Arc::new(Model::armar3());
+        let model = world.model()?;
         let table = TableTop::new(&world.table);
         let eyes = Eyes::new(&model, world, &table, seed).ok_or(SimulationError::Camera)?;
         Ok(Self {
             eyes,
+            frame: model.camera_frame().to_owned(),
             world: (world.name.clone(), seed),
             joints: model.joints().len(),
             objects: world.objects.len(),
@@ -118,6 +117,11 @@ impl DistantCameras {
     /// The name of the image source.
     pub fn name() -> &'static str {
         super::SimulatedCameras::NAME
+    }
+
+    /// The left camera's frame.
+    pub fn frame(&self) -> &str {
+        &self.frame
     }
 
     /// Intrinsics and extrinsics.
@@ -166,6 +170,7 @@ impl DistantCameras {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
 
     use parking_lot::Mutex;
 

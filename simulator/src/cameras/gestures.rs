@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use armarium_robot::{DifferentialIk, IkConfig, Twist, postures};
+use armarium_robot::{DifferentialIk, IkConfig, Twist};
 use armarium_visionx::{Gesture, HandObserver};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -55,9 +55,9 @@ struct Wiper {
 impl Wiper {
     fn new(model: &Arc<Model>) -> Self {
         let tcp = model.link("tcp_right").unwrap();
-        let joints = postures::reaching_joints(model);
+        let joints = model.reaching_joints("right_arm");
         let ik = DifferentialIk::new(model, tcp, &joints, IkConfig::default());
-        Self { ik, joints, tcp, q: postures::wipe(model) }
+        Self { ik, joints, tcp, q: model.ready("right_arm").to_vec() }
     }
 
     fn tcp(&mut self) -> Isometry3<f64> {
@@ -95,7 +95,7 @@ fn world(table: [u8; 3]) -> World {
 
 /// Observes the coach while a hand comes and stays, and for a moment after each has gone.
 fn watch(world: &World, seed: u64) -> Score {
-    let model = Arc::new(Model::armar3());
+    let model = Model::shipped("armar3").unwrap();
     let table = TableTop::new(&world.table);
     let mut eyes = Eyes::new(&model, world, &table, seed).unwrap();
     let mut wiper = Wiper::new(&model);

@@ -187,9 +187,9 @@ pub(crate) struct Eyes {
 }
 
 impl Eyes {
-    /// Builds the cameras of a world; `None` if the model has no link `camera_left`.
+    /// Builds the cameras of a world; `None` if the robot has none.
     pub(crate) fn new(model: &Arc<Model>, world: &World, table: &TableTop, seed: u64) -> Option<Self> {
-        let left = model.link("camera_left")?;
+        let left = model.camera()?.left;
         let spec = &world.camera;
         let camera = PinholeCamera {
             width: spec.width,

@@ -1,18 +1,13 @@
 //! Which links of the robot move together: reduces a model's tree to the bodies of the physics.
 //!
-//! The torso, the right arm and the right hand have dynamics. Links attached to them by fixed joints, and those of
-//! head and left arm (which follow their set points exactly), are lumped into the body that carries them, in the
-//! robot's start posture. This module only computes the bodies and does not step them.
+//! One arm, what helps it and its hand have dynamics. Links attached to them by fixed joints, and those of all other
+//! limbs (which follow their set points exactly), are lumped into the body that carries them, in the robot's start
+//! posture. This module only computes the bodies and does not step them.
 
-use armarium_robot::{JointKind, Kinematics, LinkId, Model, Primitive};
+use armarium_robot::{Geometry, JointKind, Kinematics, Limb, LinkId, Model};
 use nalgebra::{Isometry3, Matrix3, Point3, Unit, Vector3};
 
 use super::plant::PlantError;
-
-/// Limbs whose joints have dynamics.
-const DYNAMIC_LIMBS: [&str; 3] = ["torso", "right_arm", "right_hand"];
-/// Limbs whose bodies have contacts.
-const TOUCHING_LIMBS: [&str; 2] = ["right_arm", "right_hand"];
 
 /// Mass, centre and inertia about the centre, in one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -53,13 +48,18 @@ pub(super) struct Lump {
     pub(super) parent: Option<usize>,
     /// Index of the joint in the model.
     pub(super) joint: usize,
+    /// The link that it moves.
+    pub(super) link: LinkId,
     pub(super) kind: JointKind,
     pub(super) axis: Unit<Vector3<f64>>,
+    /// Its own position is `multiplier * q + offset`, where `q` is the joint's.
+    pub(super) multiplier: f64,
+    pub(super) offset: f64,
     /// Pose in the parent body's frame (the room's, for the first) with the joint at 0.
     pub(super) parent_from_body: Isometry3<f64>,
     pub(super) mass: Mass,
     /// Collision shapes, with their poses in the body's frame.
-    pub(super) collisions: Vec<(Primitive, Isometry3<f64>)>,
+    pub(super) collisions: Vec<(Geometry, Isometry3<f64>)>,
 }
 
 /// The part of the robot beyond the wrist sensor that does not have a lump of its own.
@@ -89,32 +89,35 @@ pub(super) struct Assembly {
 }
 
 impl Assembly {
-    /// Splits a model into bodies. `start` is the posture in which the masses of ideal limbs are added.
+    /// Splits a model into bodies of which `arm` works. `start` is the posture in which the masses of ideal limbs are added.
     ///
     /// # Errors
     /// [`PlantError::Missing`] when the model lacks a link or limb that the simulator needs.
-    pub(super) fn new(kinematics: &Kinematics, start: &[f64]) -> Result<Self, PlantError> {
-        Self::moving(kinematics, start, &DYNAMIC_LIMBS, &TOUCHING_LIMBS)
+    pub(super) fn new(kinematics: &Kinematics, arm: &Limb, start: &[f64]) -> Result<Self, PlantError> {
+        let model = kinematics.model();
+        let hand = arm.hand.as_deref().map_or(&[][..], |hand| model.limb(hand));
+        let touching: Vec<usize> = arm.joints.iter().chain(hand).copied().collect();
+        let mut dynamic = model.reaching_joints(&arm.name);
+        dynamic.extend(hand);
+        Self::moving(kinematics, arm, start, &dynamic, &touching)
     }
 
-    /// The same with `dynamic` limbs that the physics moves; of those, the `touching` ones have collision shapes.
+    /// The same with `dynamic` joints that the physics moves; the bodies of the `touching` ones have collision shapes.
     ///
     /// # Errors
     /// As [`Assembly::new`].
     pub(super) fn moving(
         kinematics: &Kinematics,
+        arm: &Limb,
         start: &[f64],
-        dynamic: &[&str],
-        touching: &[&str],
+        dynamic: &[usize],
+        touching: &[usize],
     ) -> Result<Self, PlantError> {
         let model = kinematics.model();
-        let missing = |what| PlantError::Missing { what };
-        let joints = |limbs: &[&str]| -> Vec<usize> {
-            limbs.iter().flat_map(|limb| model.limb(limb)).copied().collect()
-        };
-        let (dynamic, touching) = (joints(dynamic), joints(touching));
-        let sensor = model.link("wrist_sensor_right").ok_or(missing("link `wrist_sensor_right`"))?;
-        let tcp = model.link("tcp_right").ok_or(missing("link `tcp_right`"))?;
+        let missing = |what: &str| PlantError::Missing { what: what.to_owned() };
+        let tcp = arm.tcp.ok_or_else(|| missing(&format!("TCP of `{}`", arm.name)))?;
+        // Without a sensor nothing is felt, wherever it would be.
+        let sensor = model.sensor_of(arm).unwrap_or(tcp);
 
         let mut lumps: Vec<Lump> = Vec::new();
         let mut carrier: Vec<Option<usize>> = Vec::new();
@@ -126,20 +129,25 @@ impl Assembly {
             let at_zero =
                 parent.map_or_else(Isometry3::identity, |p| carrier_from_link[p]) * link.parent_from_link;
             let inherited = parent.and_then(|p| carrier[p]);
-            if let Some(joint) = link.joint.filter(|j| dynamic.contains(j)) {
+            if let Some(motion) = link.motion.filter(|motion| dynamic.contains(&motion.joint)) {
                 carrier.push(Some(lumps.len()));
                 carrier_from_link.push(Isometry3::identity());
                 lumps.push(Lump {
                     parent: inherited,
-                    joint,
-                    kind: model.joints()[joint].kind,
-                    axis: model.joints()[joint].axis,
+                    joint: motion.joint,
+                    link: model.link(&link.name).ok_or_else(|| missing(&link.name))?,
+                    kind: motion.kind,
+                    axis: motion.axis,
+                    multiplier: motion.multiplier,
+                    offset: motion.offset,
                     parent_from_body: at_zero,
                     mass: Mass::default(),
                     collisions: Vec::new(),
                 });
             } else {
-                let moved = link.joint.map_or_else(Isometry3::identity, |j| moved(model, j, start[j]));
+                let moved = link.motion.map_or_else(Isometry3::identity, |motion| {
+                    joint_motion(motion.kind, &motion.axis, motion.position(start))
+                });
                 carrier.push(inherited);
                 carrier_from_link.push(at_zero * moved);
             }
@@ -151,17 +159,17 @@ impl Assembly {
                 let inertia = r.matrix() * inertial.inertia * r.matrix().transpose();
                 let center = body_from_link * inertial.center;
                 lump.mass.add(inertial.mass, &center, &inertia);
-                if beyond[i] && !link.joint.is_some_and(|j| dynamic.contains(&j)) {
+                if beyond[i] && !link.motion.is_some_and(|motion| dynamic.contains(&motion.joint)) {
                     palm.add(inertial.mass, &center, &inertia);
                 }
             }
             if touching.contains(&lump.joint) {
                 let collisions =
-                    link.collisions.iter().map(|c| (c.shape, body_from_link * c.link_from_shape));
+                    link.collisions.iter().map(|c| (c.shape.clone(), body_from_link * c.link_from_shape));
                 lump.collisions.extend(collisions);
             }
         }
-        let lump = carrier[sensor.index()].ok_or(missing("a joint under `wrist_sensor_right`"))?;
+        let lump = carrier[sensor.index()].ok_or_else(|| missing("joint that moves the wrench sensor"))?;
         let fingers = (0..lumps.len()).filter(|i| lumps[*i].parent == Some(lump)).collect();
         let wrist = Wrist {
             lump,
@@ -188,11 +196,6 @@ fn beyond_sensor(model: &Model, sensor: LinkId) -> Vec<bool> {
         beyond[link.index()] = true;
     }
     beyond
-}
-
-/// The relative motion of a joint's link between positions 0 and `q`.
-fn moved(model: &Model, joint: usize, q: f64) -> Isometry3<f64> {
-    joint_motion(model.joints()[joint].kind, &model.joints()[joint].axis, q)
 }
 
 /// The motion of a joint: a rotation about its axis or a translation along it.

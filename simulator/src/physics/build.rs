@@ -1,6 +1,6 @@
 //! Builds a world's room, objects and robot in Rapier, once, at the start. It does not step them.
 
-use armarium_robot::{JointKind, Model, Primitive};
+use armarium_robot::{Geometry, JointKind, Mesh, Model};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::ColliderHandle;
@@ -83,7 +83,7 @@ pub(super) fn add_robot(
     let mut poses: Vec<Isometry3<f64>> = Vec::new();
     let mut pads = Vec::new();
     for (i, lump) in assembly.lumps.iter().enumerate() {
-        let q = start[lump.joint];
+        let q = lump.multiplier * start[lump.joint] + lump.offset;
         let parent_pose = lump.parent.map_or_else(Isometry3::identity, |p| poses[p]);
         let at_start = lump.parent_from_body * joint_motion(lump.kind, &lump.axis, q);
         let pose = parent_pose * at_start;
@@ -101,7 +101,21 @@ pub(super) fn add_robot(
             .insert(parent, handle, joint_of(lump, &at_start), true)
             .ok_or_else(|| PlantError::Joint { joint: model.joints()[lump.joint].name.clone() })?;
         let servo = servo(lump, model.joints()[lump.joint].effort);
-        bodies.push(Body { handle, joint, index: lump.joint, kind: lump.kind, start: q, servo });
+        let (multiplier, offset) = (lump.multiplier, lump.offset);
+        let leads = model.joints()[lump.joint].link == lump.link;
+        let index = lump.joint;
+        bodies.push(Body {
+            handle,
+            joint,
+            index,
+            leads,
+            multiplier,
+            offset,
+            kind: lump.kind,
+            start: q,
+            state: (q, 0.0),
+            servo,
+        });
         poses.push(pose);
     }
     set_rotors(physics, &bodies);
@@ -161,24 +175,43 @@ fn set_rotors(physics: &mut rapier::PhysicsWorld, bodies: &[Body]) {
     }
 }
 
-fn collider(shape: &Primitive, body_from_shape: &Isometry3<f64>) -> rapier::ColliderBuilder {
+fn collider(shape: &Geometry, body_from_shape: &Isometry3<f64>) -> rapier::ColliderBuilder {
     let (builder, turn) = match shape {
-        Primitive::Box { size } => (
+        Geometry::Box { size } => (
             rapier::ColliderBuilder::cuboid(size.x / 2.0, size.y / 2.0, size.z / 2.0),
             UnitQuaternion::identity(),
         ),
         // Rapier's cylinders stand along y, the description's along z.
-        Primitive::Cylinder { radius, length } => (
+        Geometry::Cylinder { radius, length } => (
             rapier::ColliderBuilder::cylinder(length / 2.0, *radius),
             UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::FRAC_PI_2),
         ),
-        Primitive::Sphere { radius } => (rapier::ColliderBuilder::ball(*radius), UnitQuaternion::identity()),
+        Geometry::Sphere { radius } => (rapier::ColliderBuilder::ball(*radius), UnitQuaternion::identity()),
+        Geometry::Capsule { radius, length } => {
+            (rapier::ColliderBuilder::capsule_z(length / 2.0, *radius), UnitQuaternion::identity())
+        }
+        Geometry::Mesh(mesh) => (hull(mesh), UnitQuaternion::identity()),
     };
     builder
         .position(convert::pose(&(body_from_shape * turn)))
         .density(0.0)
         .friction(PAD_FRICTION)
         .collision_groups(groups(ROBOT, OBJECT | ROOM))
+}
+
+/// The convex hull of a mesh; the box around it where it is flat.
+fn hull(mesh: &Mesh) -> rapier::ColliderBuilder {
+    let points: Vec<_> = mesh.vertices().iter().map(|v| convert::vector(&v.coords)).collect();
+    rapier::ColliderBuilder::convex_hull(&points).unwrap_or_else(|| {
+        let (middle, half) = mesh.surrounding_box();
+        let corners: [_; 8] = std::array::from_fn(|i| {
+            let side = |axis: usize| if i >> axis & 1 == 0 { -1.0 } else { 1.0 };
+            let thick = |axis: usize| side(axis) * half[axis].max(1e-3);
+            convert::vector(&(middle.coords + Vector3::new(thick(0), thick(1), thick(2))))
+        });
+        rapier::ColliderBuilder::convex_hull(&corners)
+            .unwrap_or_else(|| rapier::ColliderBuilder::ball(half.max().max(1e-3)))
+    })
 }
 
 /// A free body with the mass and the inertia of a homogeneous box of this size (m), without a collision shape.

@@ -1,13 +1,13 @@
 //! Two arms and a box: both arms of the robot in physics, with a soft pad on the inner side of each hand, and a box
 //! that stands on a table until the arms lift it between their hands.
 //!
-//! Torso and both arms are one multibody with the servos of the [`Plant`](super::Plant); the box is free. Only the
+//! The robot's first two arms, right and left, and what helps them are one multibody with the servos of the [`Plant`](super::Plant); the box is free. Only the
 //! pads' pressure and friction connect it to the hands (see [`pad`](super::pad)), so it can slip and fall. There is
 //! no clock, noise or guard here; [`carrying`](crate::carrying) adds sensors and the referee.
 
 use std::sync::Arc;
 
-use armarium_robot::{Kinematics, Model};
+use armarium_robot::{Kinematics, Limb, Model};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::RigidBodyHandle;
@@ -55,9 +55,6 @@ impl CarriedBox {
 /// A pair of values, right and left.
 pub type Sides<T> = [T; 2];
 
-/// Names of limbs and TCPs, right and left.
-const ARMS: Sides<(&str, &str)> = [("right_arm", "tcp_right"), ("left_arm", "tcp_left")];
-
 struct PaddedHand {
     palm: RigidBodyHandle,
     palm_from_tcp: Isometry3<f64>,
@@ -82,16 +79,20 @@ impl CarryingPlant {
     /// # Errors
     /// [`PlantError`] when the robot lacks an arm or a TCP.
     pub fn new(model: &Arc<Model>, carried: &CarriedBox, start: &[f64]) -> Result<Self, PlantError> {
-        let limbs = ["torso", ARMS[0].0, ARMS[1].0];
-        let assembly = Assembly::moving(&Kinematics::new(model), start, &limbs, &[])?;
+        let missing = |what: &str| PlantError::Missing { what: what.to_owned() };
+        let arms: Vec<&Limb> = model.arms().take(2).collect();
+        let [right, left] = arms[..] else { return Err(missing("second arm")) };
+        let mut dynamic = model.reaching_joints(&right.name);
+        dynamic.extend(&left.joints);
+        let assembly = Assembly::moving(&Kinematics::new(model), right, start, &dynamic, &[])?;
         let mut physics = empty_room();
         let (bodies, _) = add_robot(&mut physics, model, &assembly, start)?;
         let half = Vector3::from(carried.size) / 2.0;
         let handle = add_table_and_box(&mut physics, carried, &half);
         let hand = |side: usize| {
-            let name = ARMS[side].1;
-            let tcp = model.link(name).ok_or(PlantError::Missing { what: name })?;
-            let (lump, palm_from_tcp) = assembly.carrier(tcp).ok_or(PlantError::Missing { what: name })?;
+            let tcp = [right, left][side].tcp.ok_or_else(|| missing("TCP"))?;
+            let (lump, palm_from_tcp) =
+                assembly.carrier(tcp).ok_or_else(|| missing("joint that moves the TCP"))?;
             let inner = if side == 0 { 1.0 } else { -1.0 };
             let middle = carried.pad_middle(side);
             let edges = (Vector3::z() * carried.pad.half[0], Vector3::x() * carried.pad.half[1]);

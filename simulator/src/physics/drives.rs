@@ -22,6 +22,13 @@ pub(super) struct Body {
     pub(super) joint: MultibodyJointHandle,
     /// Index of the joint in the model.
     pub(super) index: usize,
+    /// Whether it is the joint's own body, and does not follow another.
+    pub(super) leads: bool,
+    /// Its own position is `multiplier * q + offset`, where `q` is the joint's.
+    pub(super) multiplier: f64,
+    pub(super) offset: f64,
+    /// Its own position and velocity, rad (m) and rad/s (m/s).
+    pub(super) state: (f64, f64),
     pub(super) kind: JointKind,
     /// Position of the joint at which its coordinate in the multibody is 0.
     pub(super) start: f64,
@@ -57,8 +64,10 @@ impl Joints {
     pub(super) fn set_targets(&self, physics: &mut rapier::PhysicsWorld, targets: (&[f64], &[f64])) {
         for body in &self.bodies {
             let Servo { stiffness, damping, effort } = body.servo;
-            let (q, v) = (self.position[body.index], self.velocity[body.index]);
-            let wanted = stiffness * (targets.0[body.index] - q) + damping * (targets.1[body.index] - v);
+            let (q, v) = body.state;
+            let target = body.multiplier * targets.0[body.index] + body.offset;
+            let speed = body.multiplier * targets.1[body.index];
+            let wanted = stiffness * (target - q) + damping * (speed - v);
             let rest = q + (wanted.clamp(-effort, effort) + damping * v) / stiffness;
             if let Some((multibody, link)) = physics.multibody_joints.get_mut(body.joint)
                 && let Some(link) = multibody.link_mut(link)
@@ -70,11 +79,14 @@ impl Joints {
 
     /// Reads positions and velocities after a step towards `targets`.
     pub(super) fn read(&mut self, physics: &rapier::PhysicsWorld, targets: (&[f64], &[f64])) {
-        for body in &self.bodies {
+        for body in &mut self.bodies {
             let Some((multibody, id)) = physics.multibody_joints.get(body.joint) else { continue };
             let Some(link) = multibody.link(id) else { continue };
-            self.position[body.index] = body.start + link.joint.coords()[axis_of(body.kind)];
-            self.velocity[body.index] = multibody.joint_velocity(link)[0];
+            let position = body.start + link.joint.coords()[axis_of(body.kind)];
+            body.state = (position, multibody.joint_velocity(link)[0]);
+            if body.leads {
+                (self.position[body.index], self.velocity[body.index]) = body.state;
+            }
         }
         for &j in &self.ideal {
             (self.position[j], self.velocity[j]) = (targets.0[j], targets.1[j]);

@@ -1,11 +1,11 @@
 //! Robot, table and objects as Rapier bodies, stepped at 1 kHz.
 //!
-//! - The torso, right arm and right hand are one multibody in reduced coordinates. Every joint has a servo: a stiff
+//! - The arm that works, what helps it and its hand are one multibody in reduced coordinates. Every joint has a servo: a stiff
 //!   spring and damper about the set point, with feed-forward of the set velocity. It is integrated implicitly, and
 //!   its force is limited by the joint's effort. The servo compensates the robot's own weight by its nominal model.
 //!   As that model is exact, the two cancel and gravity is left out for these bodies (loads and contacts act in
 //!   full).
-//! - Head and left arm follow their set points exactly.
+//! - All other limbs follow their set points exactly.
 //! - Objects are free boxes on an [`ElasticFoundation`] of springs. Rapier handles their contacts with the fingers,
 //!   and a thin core keeps them from falling through the table when they lie on their side.
 //! - An object is held by a fixed joint that exists only while both finger pads press on it (see [`grip`](super::grip)).
@@ -38,10 +38,10 @@ pub const PAD_FRICTION: f64 = 0.9;
 #[non_exhaustive]
 pub enum PlantError {
     /// The robot lacks something that the simulator needs.
-    #[error("the robot's description lacks the {what}")]
+    #[error("the robot lacks the {what}")]
     Missing {
         /// The missing part.
-        what: &'static str,
+        what: String,
     },
     /// The physics rejected a joint.
     #[error("the joint `{joint}` does not fit into the robot's tree")]
@@ -54,7 +54,7 @@ pub enum PlantError {
 /// Forces from outside in one step, root frame, N.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct External {
-    /// On the robot's right hand at the TCP.
+    /// On the hand of the arm that works, at the TCP.
     pub hand: Vector3<f64>,
     /// On each object's middle.
     pub objects: Vec<Vector3<f64>>,
@@ -90,7 +90,11 @@ impl Plant {
     /// [`PlantError`] when the robot lacks a limb or link that the simulator needs.
     pub fn new(model: &Arc<Model>, world: &World, start: &[f64]) -> Result<Self, PlantError> {
         let kinematics = Kinematics::new(model);
-        let assembly = Assembly::new(&kinematics, start)?;
+        let arm = world
+            .robot
+            .arm(model)
+            .ok_or_else(|| PlantError::Missing { what: "arm that works".to_owned() })?;
+        let assembly = Assembly::new(&kinematics, arm, start)?;
         let mut physics = empty_room();
         let table = TableTop::new(&world.table);
         add_room(&mut physics, &table);
@@ -130,12 +134,12 @@ impl Plant {
         &self.table
     }
 
-    /// Pose of the right TCP.
+    /// Pose of the TCP of the arm that works.
     pub fn tcp(&self) -> Isometry3<f64> {
         convert::to_pose(self.physics.bodies[self.palm].position()) * self.body_from_tcp
     }
 
-    /// Velocity of the right TCP, m/s, root frame.
+    /// Velocity of that TCP, m/s, root frame.
     pub fn tcp_velocity(&self) -> Vector3<f64> {
         let body = &self.physics.bodies[self.palm];
         let tcp = self.tcp().translation.vector;

@@ -10,7 +10,7 @@ use crate::world::GRAVITY;
 use crate::world::{ObjectSpec, TableSpec, World};
 
 fn model() -> Arc<Model> {
-    Arc::new(Model::armar3())
+    Model::shipped("armar3").unwrap()
 }
 
 /// A world whose table is far below the hand.

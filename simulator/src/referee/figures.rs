@@ -15,7 +15,7 @@ use super::wiped::WipedCells;
 use crate::coach::{CoachPath, EventKind};
 use crate::world::World;
 
-/// Distance from the TCP to the middle of a nominally grasped object along the TCP's x, m: `grasp_right`.
+/// Distance from the TCP to the middle of a nominally grasped object along the TCP's x, m.
 const GRASP_OFFSET: f64 = 0.08;
 /// Contact counts as lost below this normal force, N.
 const LOST_N: f64 = 0.2;

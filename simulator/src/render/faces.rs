@@ -1,5 +1,6 @@
-//! Plane faces: cuboids seen from outside, and the room seen from inside.
+//! Plane faces: cuboids and triangles seen from outside, and the room seen from inside.
 
+use armarium_robot::Mesh;
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::raster::{Bounds, Canvas, Form, Line, ScanLine, Span};
@@ -15,9 +16,9 @@ const TILE: f32 = 0.5;
 /// Half the width of the joint between tiles, as a share of a tile's edge.
 const JOINT: f32 = 0.012;
 
-/// A convex four-sided face in the camera frame.
-pub(super) struct Face {
-    corners: [Point3<f64>; 4],
+/// A convex face with `N` corners in the camera frame.
+pub(super) struct Face<const N: usize> {
+    corners: [Point3<f64>; N],
     /// Vector that gives 1/depth: its dot product with a ray.
     nearness: Vector3<f64>,
     /// Unit normal towards the viewer's side.
@@ -66,7 +67,7 @@ impl LocalRun {
     }
 }
 
-impl Face {
+impl Face<4> {
     /// The face of a cuboid on the side `sign` of `axis` (0 to 2). `seen_from` is 1 from outside, -1 from inside;
     /// `None` when the camera is on the other side.
     pub(super) fn of_box(
@@ -88,7 +89,19 @@ impl Face {
         let distance = normal.dot(&corners[0].coords);
         (distance < -EDGE_ON).then(|| Self { corners, nearness: normal / distance, normal })
     }
+}
 
+impl Face<3> {
+    /// A triangle, seen from either side; `None` when the camera is in its plane.
+    fn of_triangle(corners: [Point3<f64>; 3]) -> Option<Self> {
+        let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])).try_normalize(1e-15)?;
+        let distance = normal.dot(&corners[0].coords);
+        let (normal, distance) = if distance > 0.0 { (-normal, -distance) } else { (normal, distance) };
+        (distance < -EDGE_ON).then(|| Self { corners, nearness: normal / distance, normal })
+    }
+}
+
+impl<const N: usize> Face<N> {
     /// Brightness of the face.
     pub(super) fn brightness(&self, light: Light) -> f32 {
         light.on(&self.normal)
@@ -105,10 +118,10 @@ impl Face {
     }
 
     /// The half-spaces through the camera and each edge; the face lies in their intersection.
-    pub(super) fn edges(&self) -> [Vector3<f64>; 4] {
+    pub(super) fn edges(&self) -> [Vector3<f64>; N] {
         let middle = self.corners.iter().fold(Vector3::zeros(), |sum, c| sum + c.coords);
         std::array::from_fn(|i| {
-            let edge = self.corners[i].coords.cross(&self.corners[(i + 1) % 4].coords);
+            let edge = self.corners[i].coords.cross(&self.corners[(i + 1) % N].coords);
             if edge.dot(&middle) < 0.0 { -edge } else { edge }
         })
     }
@@ -145,6 +158,23 @@ pub(super) fn cuboid(
 ) {
     for side in SIDES {
         if let Some(face) = Face::of_box(camera_from_box, half, side, 1.0) {
+            let color = shades.at(face.brightness(light));
+            face.draw(canvas, |_, _| move |_, _| color);
+        }
+    }
+}
+
+/// Draws a surface of triangles.
+pub(super) fn mesh(
+    canvas: &mut Canvas,
+    camera_from_mesh: &Isometry3<f64>,
+    mesh: &Mesh,
+    light: Light,
+    shades: &Shades,
+) {
+    let vertices: Vec<Point3<f64>> = mesh.vertices().iter().map(|v| camera_from_mesh * v).collect();
+    for triangle in mesh.triangles() {
+        if let Some(face) = Face::of_triangle(triangle.map(|index| vertices[index as usize])) {
             let color = shades.at(face.brightness(light));
             face.draw(canvas, |_, _| move |_, _| color);
         }

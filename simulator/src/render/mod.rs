@@ -117,6 +117,7 @@ fn draw_shape(
         Geometry::Capsule { radius, half_length } => {
             solids::capsule(canvas, &axial(*radius, *half_length), light, &shades);
         }
+        Geometry::Mesh { mesh } => faces::mesh(canvas, &camera_from_shape, mesh, light, &shades),
         Geometry::Tabletop { half, bumps, dirt } => {
             let Some(shadow) = shadow else { return };
             let table =
@@ -134,6 +135,12 @@ fn reach(geometry: &Geometry) -> f64 {
         Geometry::Cylinder { radius, half_length } | Geometry::Capsule { radius, half_length } => {
             radius + half_length
         }
+        Geometry::Mesh { mesh } => mesh
+            .bounds()
+            .iter()
+            .map(|corner| corner.coords.abs())
+            .fold(Vector3::zeros(), |a, b| a.sup(&b))
+            .norm(),
     }
 }
 
@@ -144,6 +151,7 @@ fn is_drawable(shape: &Shape) -> bool {
         Geometry::Sphere { radius } => *radius > 0.0,
         Geometry::Cylinder { radius, half_length } => *radius > 0.0 && *half_length > 0.0,
         Geometry::Capsule { radius, half_length } => *radius > 0.0 && *half_length >= 0.0,
+        Geometry::Mesh { .. } => true,
     };
     sound && reach(&shape.geometry).is_finite() && is_finite(&shape.scene_from_shape)
 }

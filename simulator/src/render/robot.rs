@@ -1,6 +1,8 @@
 //! The shapes of a robot: the visuals of its description in a configuration.
 
-use armarium_robot::{Kinematics, Primitive, Visual};
+use std::sync::Arc;
+
+use armarium_robot::{Geometry as Form, Kinematics, Visual};
 use nalgebra::Isometry3;
 
 use super::scene::{Geometry, Shape};
@@ -24,11 +26,13 @@ pub fn link_shapes(visuals: &[Visual], scene_from_link: &Isometry3<f64>) -> Vec<
     visuals.iter().map(shape).collect()
 }
 
-fn geometry(primitive: &Primitive) -> Geometry {
-    match *primitive {
-        Primitive::Box { size } => Geometry::Box { half: size / 2.0 },
-        Primitive::Cylinder { radius, length } => Geometry::Cylinder { radius, half_length: length / 2.0 },
-        Primitive::Sphere { radius } => Geometry::Sphere { radius },
+fn geometry(form: &Form) -> Geometry {
+    match *form {
+        Form::Box { size } => Geometry::Box { half: size / 2.0 },
+        Form::Cylinder { radius, length } => Geometry::Cylinder { radius, half_length: length / 2.0 },
+        Form::Sphere { radius } => Geometry::Sphere { radius },
+        Form::Mesh(ref mesh) => Geometry::Mesh { mesh: Arc::clone(mesh) },
+        Form::Capsule { radius, length } => Geometry::Capsule { radius, half_length: length / 2.0 },
     }
 }
 
@@ -36,11 +40,10 @@ fn geometry(primitive: &Primitive) -> Geometry {
 mod tests {
     use super::*;
     use armarium_robot::Model;
-    use std::sync::Arc;
 
     #[test]
     fn every_visual_of_every_link_is_there_where_the_link_is() {
-        let model = Arc::new(Model::armar3());
+        let model = Model::shipped("armar3").unwrap();
         let kinematics = Kinematics::new(&model);
         let scene_from_root = Isometry3::translation(1.0, 2.0, 0.0);
         let shapes = robot_shapes(&kinematics, &scene_from_root);

@@ -5,6 +5,7 @@
 
 use std::sync::Arc;
 
+use armarium_robot::Mesh;
 use armarium_visionx::{DepthImage, PinholeCamera, RgbImage};
 use nalgebra::{Isometry3, Vector3};
 
@@ -45,6 +46,11 @@ pub enum Geometry {
         radius: f64,
         /// Half the distance of the centres of its ends, m.
         half_length: f64,
+    },
+    /// A surface of triangles, seen from both sides.
+    Mesh {
+        /// The triangles.
+        mesh: Arc<Mesh>,
     },
     /// A cuboid whose upper face (z = `half.z`) is grained, uneven and dirty, and takes shadows.
     Tabletop {

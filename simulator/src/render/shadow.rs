@@ -141,10 +141,17 @@ fn outline(
         Geometry::Cylinder { radius, half_length } | Geometry::Capsule { radius, half_length } => {
             stroke(*half_length, *radius)
         }
-        Geometry::Box { half } => {
+        Geometry::Box { .. } | Geometry::Mesh { .. } => {
+            // A mesh casts the shadow of the box around it.
+            let (middle, half) = match geometry {
+                Geometry::Box { half } => (Point3::origin(), *half),
+                Geometry::Mesh { mesh } => mesh.surrounding_box(),
+                _ => return None,
+            };
             let corners: [_; 8] = std::array::from_fn(|i| {
                 let sign = |bit: usize| if i >> bit & 1 == 0 { -1.0 } else { 1.0 };
-                table_from_shape * Point3::new(half.x * sign(0), half.y * sign(1), half.z * sign(2))
+                let corner = Vector3::new(half.x * sign(0), half.y * sign(1), half.z * sign(2));
+                table_from_shape * (middle + corner)
             });
             let heights = corners.iter().map(|c| c.z - top);
             let (low, high) =

@@ -13,9 +13,13 @@ mod tests;
 use std::path::Path;
 use std::sync::Arc;
 
+use armarium_robot::description::{self, default_robot, shipped_robots};
+use armarium_robot::{Limb, Model};
 use armarium_source::yaml::Node;
 use armarium_source::{Finding, Findings, Rule, Source, choice, code, form};
 use serde::Serialize;
+
+use crate::error::SimulationError;
 
 pub use agents::{AgentSpec, CoverSpec};
 pub use armarium_visionx::Gesture;
@@ -71,37 +75,17 @@ form! {
 
 form! {
     /// Which robot, and how noisy its sensors are.
-    pub struct RobotSpec: "a robot", check Self::has_a_name {
+    pub struct RobotSpec: "a robot", check Self::is_there {
         /// The name by which other agents call it.
         pub name: String = "local".into(), Rule::NAME;
-        /// Name of the model.
-        pub model: RobotModel = RobotModel::Armar3;
-        /// The arm that wipes.
-        pub arm: Arm = Arm::Right;
+        /// Its name among the robots that the program carries, or its robot file, beside this one.
+        pub model: String = default_robot().into(), Rule { most: 1000, ..Rule::NAME };
+        /// The arm that wipes: a group of the robot, or a word of its name such as `right`; none for its first arm.
+        pub arm: Option<String> = None, Rule::NAME;
         /// Standard deviations of its sensors.
         pub noise: NoiseSpec = NoiseSpec::default();
     }
 }
-
-/// Robots that the simulator knows.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum RobotModel {
-    /// ARMAR-III.
-    #[default]
-    Armar3,
-}
-choice!(RobotModel { "armar3" => Self::Armar3 });
-
-/// The arm that wipes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Arm {
-    /// The right arm, which alone has dynamics and a wrist sensor.
-    #[default]
-    Right,
-}
-choice!(Arm { "right" => Self::Right });
 
 form! {
     /// Imperfections of the robot's sensors; all draws are seeded.
@@ -284,8 +268,44 @@ fn check_agent_name(name: &str, node: &Node, findings: &mut Findings) {
 }
 
 impl RobotSpec {
-    fn has_a_name(&self, node: &Node, findings: &mut Findings) {
+    /// The robot itself.
+    ///
+    /// # Errors
+    /// Everything that is wrong with its files.
+    pub fn load(&self) -> Result<Arc<Model>, Vec<Finding>> {
+        description::find(&self.model).map(|found| found.model)
+    }
+
+    /// The arm that wipes; `None` when the robot has no such arm.
+    pub fn arm<'m>(&self, model: &'m Model) -> Option<&'m Limb> {
+        let Some(wanted) = &self.arm else { return model.arms().next() };
+        let is_word = |limb: &Limb| limb.name.split('_').any(|word| word == wanted);
+        model.arms().find(|limb| limb.name == *wanted).or_else(|| model.arms().find(|limb| is_word(limb)))
+    }
+
+    fn is_there(&mut self, node: &Node, findings: &mut Findings) {
         check_agent_name(&self.name, node, findings);
+        if description::is_file(&self.model) {
+            let beside = findings.source.path.parent().unwrap_or(Path::new("")).join(&self.model);
+            self.model = beside.to_string_lossy().into_owned();
+        }
+        let known = || shipped_robots();
+        match self.load() {
+            Ok(model) if self.arm(&model).is_none() => {
+                let wanted = self.arm.as_deref().unwrap_or("");
+                let arms = || model.arms().map(|limb| limb.name.as_str());
+                let help = Some(format!("its arms: {}", arms().collect::<Vec<_>>().join(", ")));
+                let message = format!("the robot `{}` has no arm `{wanted}`", model.name());
+                findings.unknown(code::REFERENCE, (node.place("arm"), wanted), message, arms(), help);
+            }
+            Ok(_) => {}
+            Err(wrong) => {
+                let why = wrong.first().map_or_else(String::new, ToString::to_string);
+                let (at, message) =
+                    (node.place("model"), format!("the robot `{}` cannot be used", self.model));
+                findings.unknown(code::REFERENCE, (at, &self.model), message, known(), Some(why));
+            }
+        }
     }
 }
 
@@ -300,6 +320,15 @@ impl ObjectSpec {
 }
 
 impl World {
+    /// Its robot.
+    ///
+    /// # Errors
+    /// [`SimulationError::Robot`] with everything that is wrong with the robot's files.
+    pub fn model(&self) -> Result<Arc<Model>, SimulationError> {
+        let robot = || self.robot.model.clone();
+        self.robot.load().map_err(|findings| SimulationError::Robot { robot: robot(), findings })
+    }
+
     /// Reads a world file; what it does not say is as in the default world.
     ///
     /// # Errors

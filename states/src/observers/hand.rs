@@ -9,7 +9,7 @@ use armarium_values::{Frame, Value, Vector};
 use armarium_visionx::{HandObservation, HandObserver, StereoFrame};
 use nalgebra::{Isometry3, Vector3};
 
-use crate::arm::TCP;
+use crate::arm::tcp_of;
 use crate::equipment::Equipment;
 use crate::hand_eye::HandEye;
 use crate::inputs::as_vector;
@@ -53,7 +53,8 @@ fn describe(equipment: &Equipment, frame: &StereoFrame, seen: Option<&HandObserv
     let direction = seen.pointing.map_or_else(Vector3::zeros, |d| frame.root_from_left * d);
     let sensed = equipment.robot.sensed().borrow().clone();
     let model = equipment.robot.model();
-    let tcp = model.link(TCP).map_or_else(Isometry3::identity, |tcp| model.link_pose(&sensed.position, tcp));
+    let tcp =
+        tcp_of(model).map_or_else(|_| Isometry3::identity(), |tcp| model.link_pose(&sensed.position, tcp));
     Value::record([
         ("gesture", Value::from(seen.gesture.name())),
         ("confidence", Value::Float(seen.confidence)),

@@ -7,7 +7,7 @@ use armarium_runtime::channels::Channels;
 use armarium_values::Value;
 use nalgebra::Point3;
 
-use crate::arm::TCP;
+use crate::arm::tcp_of;
 use crate::equipment::Equipment;
 
 /// Samples of the robot for each one that is published: 200 Hz at 1 kHz.
@@ -16,8 +16,7 @@ const DECIMATION: u32 = 5;
 /// Publishes `wrist`, and estimates the friction of wiping, whether or not the channel has readers.
 pub(super) async fn observe(equipment: Equipment, channels: Channels) {
     let model = equipment.robot.model();
-    let (Ok(mut friction), Some(tcp)) = (FrictionModel::new(FrictionConfig::default()), model.link(TCP))
-    else {
+    let (Ok(mut friction), Ok(tcp)) = (FrictionModel::new(FrictionConfig::default()), tcp_of(model)) else {
         return;
     };
     let mut kinematics = Kinematics::new(model);

@@ -12,26 +12,24 @@ use armarium_memoryx::{Commit, EntityId};
 use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Frame, Type, Value, Vector};
 
-use crate::arm::{TCP, link};
+use crate::arm::tcp_of;
 use crate::equipment::{self, Equipment};
+use crate::grasp::hand;
+use crate::hand::moves_the_hand;
 use crate::inputs::{Inputs, pose_value, reference};
 use crate::motions::failed;
 use crate::prior::class_name;
 
-/// The name of the hand.
-const HAND: &str = "right_hand";
-
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new(
         "AttachObject",
-        "Says in memory that the right hand holds an object, which moves with it from now on.",
+        "Says in memory that the hand holds an object, which moves with it from now on.",
     )
     .input("object", Type::object(), "The object in memory.")
     .input("pose", Type::Pose, "Its pose when the hand closed, root frame.")
     .input("tcp_at_grasp", Type::Pose, "Pose of the TCP when the hand closed.")
-    .output("object", Type::object(), "The object in memory, in the hand.")
-    .limb(HAND);
-    equipment::skill(equipment, manifest, run)
+    .output("object", Type::object(), "The object in memory, in the hand.");
+    equipment::skill(equipment, moves_the_hand(manifest, equipment), run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
@@ -43,9 +41,10 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 
     let sensed = equipment.robot.sensed().borrow();
     let model = equipment.robot.model();
-    let now = model.link_pose(&sensed.position, link(model, TCP)?) * tcp_from_object;
+    let now = model.link_pose(&sensed.position, tcp_of(model)?) * tcp_from_object;
     // The agent's name as prefix distinguishes the hands of several agents.
-    let hand = format!("{}/{HAND}", equipment.agent);
+    let name = &hand(model)?.name;
+    let hand = format!("{}/{name}", equipment.agent);
     let held = MotionModel::Hand { name: hand.clone(), offset: tcp_from_object.translation.vector.into() };
     let mut attributes = BTreeMap::from([
         ("class".to_owned(), Value::from(class)),
@@ -56,7 +55,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let confidence = snapshot.instance().map_or(1.0, |instance| instance.confidence);
 
     let id = EntityId::new("ObjectInstances", &equipment.agent, before.entity()).map_err(failed)?;
-    let name = format!("{}-in-{HAND}", before.entity());
+    let name = format!("{}-in-{name}", before.entity());
     let relation = EntityId::new("ObjectRelations", &equipment.agent, &name).map_err(failed)?;
     let related = BTreeMap::from([
         ("subject".to_owned(), Value::from(id.as_str())),

@@ -6,16 +6,16 @@
 use std::sync::Arc;
 
 use armarium_motion::{StraightLine, rigid_fit};
-use armarium_robot::LinkId;
-use armarium_robot::postures::palm_down;
+use armarium_robot::Marker;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use armarium_visionx::{ColorMarkerObjectTracking, MarkerSettings};
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use crate::arm::{Arm, Senses, link};
+use crate::arm::{Arm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
 use crate::frames::Frames;
+use crate::grasp::{hand, marker};
 use crate::hand_eye::HandEye;
 use crate::inputs::as_point;
 use crate::motions::failed;
@@ -46,16 +46,14 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     )
     .optional("yaw", Type::quantity(Unit::RAD), 0.5, "Yaw of the level hand.")
     .optional("residual", Type::quantity(Unit::M), 0.012, "Largest residual of the fit that is accepted.")
-    .output("residual", Type::quantity(Unit::M), "Root mean square distance of the fitted points.")
-    .limb("torso")
-    .limb("right_arm");
-    equipment::skill(equipment, manifest, run)
+    .output("residual", Type::quantity(Unit::M), "Root mean square distance of the fitted points.");
+    equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let center =
         as_point(context.value("center")?).ok_or_else(|| Failure::new("`center` needs three numbers"))?;
-    let palm = palm_down(context.number("yaw")?, 0.0);
+    let palm = hand(equipment.robot.model())?.palm_down(context.number("yaw")?);
     let largest = context.number("residual")?;
     let mut arm = Arm::take(&equipment, &context)?;
     let mut senses = Senses::new(&*equipment.robot, &context);
@@ -102,17 +100,18 @@ async fn go(arm: &mut Arm, senses: &mut Senses, tcp: Isometry3<f64>) -> Result<(
 
 /// Observes the marker on the robot's hand.
 struct MarkerWatcher {
-    marker: LinkId,
+    marker: Marker,
     frames: Frames,
     tracking: ColorMarkerObjectTracking,
 }
 
 impl MarkerWatcher {
     fn new(equipment: &Equipment) -> Result<Self, Failure> {
-        let settings = MarkerSettings::new(HAND_MARKER_COLOR).with_diameter(HAND_MARKER_DIAMETER);
+        let marker = marker(equipment.robot.model())?;
+        let settings = MarkerSettings::new(marker.color).with_diameter(marker.diameter);
         let calibration = equipment.images.calibration();
         Ok(Self {
-            marker: link(equipment.robot.model(), HAND_MARKER)?,
+            marker,
             frames: Frames::of(&equipment.images),
             tracking: ColorMarkerObjectTracking::new(calibration, settings, equipment.seed),
         })
@@ -133,7 +132,8 @@ impl MarkerWatcher {
             arm.hold(&sample)?;
             let Some(frame) = self.frames.new_frame()? else { continue };
             if let Some(marker) = self.tracking.update(&frame).filter(|m| m.visible > 0.5) {
-                let at = equipment.robot.model().link_pose(&sample.position, self.marker).translation.vector;
+                let at =
+                    equipment.robot.model().link_pose(&sample.position, self.marker.link).translation.vector;
                 seen += marker.point_in_left.coords;
                 expected += (frame.root_from_left.inverse() * Point3::from(at)).coords;
                 count += 1;
@@ -143,10 +143,3 @@ impl MarkerWatcher {
         Ok((count >= 2).then(|| (mean(seen), mean(expected))))
     }
 }
-
-/// The ball on the back of the right hand that serves as marker.
-pub(crate) const HAND_MARKER: &str = "hand_marker_right";
-/// Its colour, RGB.
-pub(crate) const HAND_MARKER_COLOR: [u8; 3] = [200, 30, 160];
-/// Its diameter, m.
-pub(crate) const HAND_MARKER_DIAMETER: f64 = 0.04;

@@ -1,4 +1,4 @@
-//! `CloseHand`: closes the right hand until an object stops both pads.
+//! `CloseHand`: closes the hand until an object stops both pads.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use armarium_values::{Type, Unit};
 
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
-use crate::hand::Hand;
+use crate::hand::{Hand, moves_the_hand};
 
 /// The pads count as stopped below this speed, m/s.
 const STOPPED: f64 = 0.002;
@@ -15,7 +15,7 @@ const STOPPED: f64 = 0.002;
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new(
         "CloseHand",
-        "Closes the right hand until both pads are stopped by what is between them.",
+        "Closes the hand until both pads are stopped by what is between them.",
     )
     .optional("speed", Type::quantity(Unit::M_S), 0.03, "Speed of each pad.")
     .optional(
@@ -26,9 +26,8 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     )
     .optional("timeout", Type::Duration, 6.0, "Longest time it may take.")
     .output("aperture", Type::quantity(Unit::M), "Distance of the finger pads at the end.")
-    .mark(Mark::at_success("grasp_closed"))
-    .limb("right_hand");
-    equipment::skill(equipment, manifest, run)
+    .mark(Mark::at_success("grasp_closed"));
+    equipment::skill(equipment, moves_the_hand(manifest, equipment), run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {

@@ -10,7 +10,7 @@ use armarium_runtime::channels::Channels;
 use armarium_runtime::skill::{Failure, Mark, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
 
-use crate::arm::Senses;
+use crate::arm::{Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
 use crate::motions::failed;
 use crate::wiper::{ContactWatch, GraspedTool, Height, Wiper};
@@ -36,10 +36,8 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     )
     .mark(Mark::at_start("wiping_started"))
     .reads("hand")
-    .publishes("motion")
-    .limb("torso")
-    .limb("right_arm");
-    equipment::skill(equipment, manifest, run)
+    .publishes("motion");
+    equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {

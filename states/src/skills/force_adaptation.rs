@@ -11,7 +11,7 @@ use armarium_motion::{
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
-use crate::arm::Senses;
+use crate::arm::{Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
 use crate::inputs::reference;
 use crate::motions::failed;
@@ -52,10 +52,8 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     .mark(Mark::at_start("adaptation_started"))
     .mark(
         Mark::at_success("adaptation_ended").with_input("desired_n", "force").with_output("cycles", "cycles"),
-    )
-    .limb("torso")
-    .limb("right_arm");
-    equipment::skill(equipment, manifest, run)
+    );
+    equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {

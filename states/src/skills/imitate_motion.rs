@@ -5,7 +5,7 @@ use std::sync::Arc;
 use armarium_runtime::skill::{Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
 
-use crate::arm::Senses;
+use crate::arm::{Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
 use crate::reach::required_speed;
 use crate::wiper::{GraspedTool, Height, Wiper};
@@ -29,10 +29,8 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
             .event(STEADY)
             .event(OVER)
             .mark(Mark::at_event(STEADY, "free_space_steady"))
-            .mark(Mark::at_event(OVER, "adaptation_started"))
-            .limb("torso")
-            .limb("right_arm");
-    equipment::skill(equipment, manifest, run)
+            .mark(Mark::at_event(OVER, "adaptation_started"));
+    equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {

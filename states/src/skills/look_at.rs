@@ -7,7 +7,7 @@ use armarium_values::{Type, Unit};
 
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
-use crate::head::{HEAD, Head};
+use crate::head::{Head, moves_the_head};
 use crate::inputs::as_point;
 
 /// Largest speed of a joint, rad/s.
@@ -19,9 +19,8 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new("LookAt", "Turns the head until the eyes look at a point.")
         .input("point", Type::list(Type::FLOAT), "Where to look: x, y, z in the root frame, m.")
         .optional("tolerance", Type::quantity(Unit::RAD), 0.03, "How near the gaze must be.")
-        .optional("timeout", Type::Duration, 5.0, "Longest time it may take.")
-        .limb(HEAD);
-    equipment::skill(equipment, manifest, run)
+        .optional("timeout", Type::Duration, 5.0, "Longest time it may take.");
+    equipment::skill(equipment, moves_the_head(manifest, equipment), run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {

@@ -1,13 +1,11 @@
-//! `MoveJoints`: position control of the right arm and the torso to a named posture or to joint angles.
+//! `MoveJoints`: position control of the arm and what helps it to a named posture or to joint angles.
 
 use std::sync::Arc;
-
-use armarium_robot::postures;
 
 use armarium_runtime::skill::{Failure, NameKind, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
-use crate::arm::{ARM, Senses, lease};
+use crate::arm::{Senses, chosen, command, lease_arm, moves_the_arm};
 use crate::equipment::{self, Equipment};
 
 /// The share of each joint's speed limit that is used.
@@ -16,7 +14,7 @@ const SPEED_SHARE: f64 = 0.8;
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new(
         "MoveJoints",
-        "Moves right arm and torso together to a posture, each joint in a straight line.",
+        "Moves the arm and what helps it together to a posture, each joint in a straight line.",
     )
     .optional("posture", Type::String, "", "A named posture of the robot, for instance `home`.")
     .names(NameKind::Posture)
@@ -27,21 +25,17 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         "Arm joint angles, rad, instead of a posture.",
     )
     .optional("tolerance", Type::quantity(Unit::RAD), 0.01, "When each joint counts as reached.")
-    .optional("timeout", Type::Duration, 15.0, "Longest time it may take.")
-    .limb("right_arm")
-    .limb("torso");
-    equipment::skill(equipment, manifest, run)
+    .optional("timeout", Type::Duration, 15.0, "Longest time it may take.");
+    equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let tolerance = context.number("tolerance")?;
     let timeout = context.number("timeout")?;
     let goal = goal(&equipment, &context)?;
-    let arm = lease(&equipment, &context, ARM)?;
-    let torso = lease(&equipment, &context, "torso")?;
+    let leases = lease_arm(&equipment, &context)?;
     let model = equipment.robot.model();
-    let arm_joints = model.limb(ARM);
-    let torso_joints = model.limb("torso");
+    let joints = model.reaching_joints(&chosen(model)?.name);
     let speed = |joint: usize| model.joints()[joint].velocity * SPEED_SHARE;
     let acceleration = |joint: usize| model.joints()[joint].acceleration * 0.3;
 
@@ -52,7 +46,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         elapsed += dt;
         // All joints arrive together: the slowest one determines the speed, including braking.
         let error = |joint: usize| goal[joint] - sample.position[joint];
-        let moved = || arm_joints.iter().chain(torso_joints).copied();
+        let moved = || joints.iter().copied();
         let worst = moved().map(|j| error(j).abs()).fold(0.0, f64::max);
         if worst < tolerance {
             return Ok(Outcome::success());
@@ -67,10 +61,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             .map(|j| error(j).abs() / (2.0 * acceleration(j) * error(j).abs()).sqrt().max(1e-6))
             .fold(0.0, f64::max);
         let time_left = time_left.max(braking).max(0.08);
-        let velocity =
-            |joints: &[usize]| -> Vec<f64> { joints.iter().map(|&j| error(j) / time_left).collect() };
-        arm.command(&velocity(arm_joints)).map_err(|f| Failure::new(f.to_string()))?;
-        torso.command(&velocity(torso_joints)).map_err(|f| Failure::new(f.to_string()))?;
+        let velocity: Vec<f64> = moved().map(|j| error(j) / time_left).collect();
+        command(&leases, &velocity)?;
     }
 }
 
@@ -80,16 +72,17 @@ fn goal(equipment: &Equipment, context: &SkillContext) -> Result<Vec<f64>, Failu
     let mut goal = equipment.robot.sensed().borrow().position.clone();
     let name = context.text("posture")?;
     if !name.is_empty() {
-        let posture = postures::named(model, name).ok_or_else(|| {
-            Failure::new(format!("the robot has no posture `{name}`; it has {}", postures::NAMES.join(", ")))
+        let posture = model.postures().get(name).ok_or_else(|| {
+            let known = model.postures().keys().map(String::as_str).collect::<Vec<_>>().join(", ");
+            Failure::new(format!("the robot has no posture `{name}`; it has {known}"))
         })?;
-        for joint in postures::reaching_joints(model) {
+        for joint in model.reaching_joints(&chosen(model)?.name) {
             goal[joint] = posture[joint];
         }
         return Ok(goal);
     }
     let angles = context.value("arm")?.as_list().unwrap_or_default();
-    let joints = model.limb(ARM);
+    let joints = &chosen(model)?.joints;
     if angles.len() != joints.len() {
         return Err(Failure::new(format!(
             "give a `posture`, or `arm` with {} joint angles; `arm` has {}",

@@ -1,4 +1,4 @@
-//! `MoveTcp`: position control of the right hand's TCP along a straight line.
+//! `MoveTcp`: position control of the arm's TCP along a straight line.
 
 use std::sync::Arc;
 
@@ -7,24 +7,20 @@ use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManife
 use armarium_values::{Type, Unit};
 use nalgebra::Isometry3;
 
-use crate::arm::{Arm, Senses};
+use crate::arm::{Arm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
 use crate::inputs::{Inputs, pose_value};
 use crate::motions::failed;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
-    let manifest = SkillManifest::new(
-        "MoveTcp",
-        "Moves the right hand's TCP to a pose on a straight line, turning evenly.",
-    )
-    .input("target", Type::Pose, "Pose of the TCP in the root frame.")
-    .optional("speed", Type::quantity(Unit::M_S), 0.15, "Speed on the line.");
+    let manifest =
+        SkillManifest::new("MoveTcp", "Moves the arm's TCP to a pose on a straight line, turning evenly.")
+            .input("target", Type::Pose, "Pose of the TCP in the root frame.")
+            .optional("speed", Type::quantity(Unit::M_S), 0.15, "Speed on the line.");
     let manifest = tolerances(manifest, 0.005, 0.05)
         .optional("timeout", Type::Duration, 15.0, "Longest time it may take.")
-        .output("tcp", Type::Pose, "Where the TCP is at the end.")
-        .limb("torso")
-        .limb("right_arm");
-    equipment::skill(equipment, manifest, run)
+        .output("tcp", Type::Pose, "Where the TCP is at the end.");
+    equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
 }
 
 /// Adds the inputs that say when a pose counts as reached: the defaults are `position` m and `orientation` rad.

@@ -1,11 +1,11 @@
-//! `MoveTcpBy`: moves the right hand's TCP by an offset, without rotation.
+//! `MoveTcpBy`: moves the arm's TCP by an offset, without rotation.
 
 use std::sync::Arc;
 
 use armarium_runtime::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
-use crate::arm::{Arm, Senses};
+use crate::arm::{Arm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
 use crate::inputs::as_vector;
 use crate::skills::move_tcp::{Reached, move_to};
@@ -13,16 +13,14 @@ use crate::skills::move_tcp::{Reached, move_to};
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new(
         "MoveTcpBy",
-        "Moves the right hand's TCP by an offset on a straight line, without turning it.",
+        "Moves the arm's TCP by an offset on a straight line, without turning it.",
     )
     .input("offset", Type::list(Type::FLOAT), "x, y, z in the root frame, m.")
     .optional("speed", Type::quantity(Unit::M_S), 0.1, "Speed on the line.")
     .optional("position_tolerance", Type::quantity(Unit::M), 0.01, "When the position counts as reached.")
     .optional("timeout", Type::Duration, 10.0, "Longest time it may take.")
-    .output("tcp", Type::Pose, "Where the TCP is at the end.")
-    .limb("torso")
-    .limb("right_arm");
-    equipment::skill(equipment, manifest, run)
+    .output("tcp", Type::Pose, "Where the TCP is at the end.");
+    equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {

@@ -1,4 +1,4 @@
-//! `OpenHand`: opens the right hand.
+//! `OpenHand`: opens the hand.
 
 use std::sync::Arc;
 
@@ -7,15 +7,14 @@ use armarium_values::{Type, Unit};
 
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
-use crate::hand::Hand;
+use crate::hand::{Hand, moves_the_hand};
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
-    let manifest = SkillManifest::new("OpenHand", "Opens the right hand and lets go of what it holds.")
+    let manifest = SkillManifest::new("OpenHand", "Opens the hand and lets go of what it holds.")
         .optional("aperture", Type::quantity(Unit::M), 0.125, "Distance of the finger pads.")
         .optional("timeout", Type::Duration, 5.0, "Longest time it may take.")
-        .output("aperture", Type::quantity(Unit::M), "Distance of the finger pads at the end.")
-        .limb("right_hand");
-    equipment::skill(equipment, manifest, run)
+        .output("aperture", Type::quantity(Unit::M), "Distance of the finger pads at the end.");
+    equipment::skill(equipment, moves_the_hand(manifest, equipment), run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {

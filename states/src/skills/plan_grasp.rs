@@ -4,15 +4,15 @@
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 
-use armarium_robot::{LinkId, Model, PoseOptions, postures, solve_pose};
+use armarium_robot::{Hand, Model, PoseOptions, solve_pose};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Point3, Vector3};
 use rand_chacha::ChaCha8Rng;
 
-use crate::arm::{TCP, link};
+use crate::arm::{chosen, tcp_of};
 use crate::equipment::{self, Equipment};
-use crate::grasp::{PAD_WIDTH, tcp_at};
+use crate::grasp::{hand, tcp_at};
 use crate::inputs::{Inputs, as_pose, pose_value};
 use crate::motions::failed;
 use crate::prior::{class_name, object_class};
@@ -56,21 +56,20 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let center = Point3::from(object.translation.vector);
     let yaw = object.rotation.euler_angles().2;
     let model = equipment.robot.model();
-    let tcp = link(model, TCP)?;
-    let q = postures::wipe(model);
+    let hand = hand(model)?;
     let mut random = equipment.random();
-    let opening = widest_opening(model);
+    let opening = widest_opening(model, hand);
     let mut best: Option<Candidate> = None;
     let mut nearest = f64::INFINITY;
     for quarter in -2..=2 {
         let across = if quarter % 2 == 0 { length } else { width };
         for misalignment in MISALIGNMENTS {
-            if needed_opening(across, misalignment) + 2.0 * CLEARANCE > opening {
+            if needed_opening(across, misalignment, hand.pad_width) + 2.0 * CLEARANCE > opening {
                 continue;
             }
             let hand_yaw = yaw + f64::from(quarter) * FRAC_PI_2 + misalignment;
-            let grasp = tcp_at(&center, hand_yaw);
-            match candidate(model, tcp, &q, grasp, height, misalignment, &mut random) {
+            let grasp = tcp_at(hand, &center, hand_yaw);
+            match candidate(model, grasp, height, misalignment, &mut random)? {
                 Ok(found) if best.as_ref().is_none_or(|b| found.score > b.score) => best = Some(found),
                 Ok(_) => {}
                 Err(missing) => nearest = nearest.min(missing),
@@ -98,45 +97,51 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 }
 
 /// The largest distance of the finger pads, m.
-fn widest_opening(model: &Model) -> f64 {
-    model.limb("right_hand").iter().map(|&j| model.joints()[j].upper).sum()
+fn widest_opening(model: &Model, hand: &Hand) -> f64 {
+    model.limb(&hand.name).iter().map(|&j| model.joints()[j].upper).sum()
 }
 
 /// The distance between the pads that lets them pass an object that is `across` m wide between them and rotated by
 /// `misalignment`. The object's side comes nearest to a pad at the pad's edge.
-fn needed_opening(across: f64, misalignment: f64) -> f64 {
+fn needed_opening(across: f64, misalignment: f64, pad_width: f64) -> f64 {
     let (sin, cos) = misalignment.abs().sin_cos();
-    (across + PAD_WIDTH * sin) / cos
+    (across + pad_width * sin) / cos
 }
 
 /// A grasp with its score; else its distance from the reachable space, m, which is 0 if only a joint limit is too
 /// near.
 fn candidate(
     model: &Arc<Model>,
-    tcp: LinkId,
-    q: &[f64],
     grasp: Isometry3<f64>,
     height: f64,
     misalignment: f64,
     random: &mut ChaCha8Rng,
-) -> Result<Candidate, f64> {
+) -> Result<Result<Candidate, f64>, Failure> {
+    let (arm, tcp) = (chosen(model)?, tcp_of(model)?);
     let mut pre = grasp;
     pre.translation.vector += Vector3::z() * height;
     let options = PoseOptions { restarts: 3, ..PoseOptions::default() };
-    let joints = &postures::reaching_joints(model);
-    let at_grasp =
-        solve_pose(model, tcp, joints, &grasp, q, &options, random).map_err(|e| e.position_error_m)?;
-    let at_pre =
-        solve_pose(model, tcp, joints, &pre, &at_grasp, &options, random).map_err(|e| e.position_error_m)?;
+    let joints = &model.reaching_joints(&arm.name);
+    let mut solve = |target: &Isometry3<f64>, seed: &[f64]| {
+        solve_pose(model, tcp, joints, target, seed, &options, random).map_err(|e| e.position_error_m)
+    };
+    let solved = solve(&grasp, model.ready(&arm.name)).and_then(|at_grasp| {
+        let at_pre = solve(&pre, &at_grasp)?;
+        Ok((at_grasp, at_pre))
+    });
+    let (at_grasp, at_pre) = match solved {
+        Ok(solved) => solved,
+        Err(missing) => return Ok(Err(missing)),
+    };
     let margin_of =
         |q: &[f64], j: usize| (q[j] - model.joints()[j].lower).min(model.joints()[j].upper - q[j]);
     let margins = joints.iter().flat_map(|&j| [margin_of(&at_grasp, j), margin_of(&at_pre, j)]);
     let margin = margins.fold(f64::INFINITY, f64::min);
     if margin < MIN_MARGIN {
-        return Err(0.0);
+        return Ok(Err(0.0));
     }
     let score = margin - MISALIGNMENT_COST * misalignment.abs();
-    Ok(Candidate { score, grasp, pre })
+    Ok(Ok(Candidate { score, grasp, pre }))
 }
 
 #[cfg(test)]
@@ -145,15 +150,16 @@ mod tests {
 
     #[test]
     fn a_turned_object_needs_a_wider_hand() {
-        assert!((needed_opening(0.07, 0.0) - 0.07).abs() < 1e-12);
-        let turned = needed_opening(0.1, -0.42);
-        assert!((turned - needed_opening(0.1, 0.42)).abs() < 1e-12);
+        assert!((needed_opening(0.07, 0.0, 0.05) - 0.07).abs() < 1e-12);
+        let turned = needed_opening(0.1, -0.42, 0.05);
+        assert!((turned - needed_opening(0.1, 0.42, 0.05)).abs() < 1e-12);
         // At the far edge of the pad, the side is 25 mm tan 0.42 further out than at the pad's middle.
         assert!((turned / 2.0 - (0.05 / 0.42f64.cos() + 0.025 * 0.42f64.tan())).abs() < 1e-12);
     }
 
     #[test]
     fn the_hand_opens_to_thirteen_centimetres() {
-        assert!((widest_opening(&Model::armar3()) - 0.13).abs() < 1e-12);
+        let model = Model::shipped("armar3").unwrap();
+        assert!((widest_opening(&model, hand(&model).unwrap()) - 0.13).abs() < 1e-12);
     }
 }

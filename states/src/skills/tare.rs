@@ -3,11 +3,11 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use armarium_robot::{Lease, Model, Sensed};
+use armarium_robot::{Lease, Sensed};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
 
-use crate::arm::{ARM, Senses, TORSO, lease};
+use crate::arm::{Senses, chosen, lease_arm, moves_the_arm};
 use crate::equipment::{self, Equipment};
 
 /// How long the arm must rest before, s: the robot averages the last 0.1 s, behind a low-pass of 5 ms.
@@ -25,25 +25,29 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         "Takes what the wrist sensor feels of the resting hand as zero; nothing may touch the hand.",
     )
     .optional("timeout", Type::Duration, 2.0, "How long to wait until the arm rests.")
-    .output("force", Type::list(Type::quantity(Unit::N)), "What was felt before and is zero now, root frame.")
-    .limb("torso")
-    .limb("right_arm");
-    equipment::skill(equipment, manifest, run)
+    .output(
+        "force",
+        Type::list(Type::quantity(Unit::N)),
+        "What was felt before and is zero now, root frame.",
+    );
+    equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let timeout = context.number("timeout")?;
     let model = equipment.robot.model();
-    if model.limbs().get(ARM).is_none_or(|arm| arm.sensor.is_none()) {
-        return Err(Failure::new(format!("the limb `{ARM}` has no force sensor that could be tared")));
+    let arm = chosen(model)?;
+    if arm.wrench.is_none() {
+        return Err(Failure::new(format!("the limb `{}` has no force sensor that could be tared", arm.name)));
     }
+    let joints = model.reaching_joints(&arm.name);
     // Limbs that are held without a command stand still.
-    let held = [lease(&equipment, &context, TORSO)?, lease(&equipment, &context, ARM)?];
+    let held = lease_arm(&equipment, &context)?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let (mut waited, mut rested) = (0.0, 0.0);
     let felt = loop {
         let (sample, dt) = next(&mut senses, &held).await?;
-        let fastest = fastest_joint(model, &sample);
+        let fastest = fastest_of(&joints, &sample);
         waited += dt;
         rested = if fastest < STANDING { rested + dt } else { 0.0 };
         if rested > REST {
@@ -60,7 +64,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     while settled < SETTLE {
         let (sample, dt) = next(&mut senses, &held).await?;
         settled += dt;
-        let fastest = fastest_joint(model, &sample);
+        let fastest = fastest_of(&joints, &sample);
         if fastest >= STANDING {
             return Err(Failure::new(format!(
                 "the arm moved while it was tared, a joint at {fastest:.2} rad/s: tare again when it rests"
@@ -71,18 +75,17 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 }
 
 /// The next sample of a robot that is not silent, with the time since the one before, s.
-async fn next(senses: &mut Senses, held: &[Lease]) -> Result<(Arc<Sensed>, f64), Failure> {
+async fn next(senses: &mut Senses, held: &[(Lease, usize)]) -> Result<(Arc<Sensed>, f64), Failure> {
     let next = tokio::time::timeout(SILENT_AFTER, senses.next()).await.map_err(|_| {
         Failure::new(format!("the robot has sent no sample for {} ms", SILENT_AFTER.as_millis()))
     })??;
-    match held.iter().find_map(Lease::fault) {
+    match held.iter().find_map(|(lease, _)| lease.fault()) {
         Some(fault) => Err(Failure::new(fault.to_string())),
         None => Ok(next),
     }
 }
 
 /// Speed of the fastest joint that moves the hand, rad/s.
-fn fastest_joint(model: &Model, sample: &Sensed) -> f64 {
-    let joints = model.limb(TORSO).iter().chain(model.limb(ARM));
-    joints.map(|&joint| sample.velocity[joint].abs()).fold(0.0, f64::max)
+fn fastest_of(joints: &[usize], sample: &Sensed) -> f64 {
+    joints.iter().map(|&joint| sample.velocity[joint].abs()).fold(0.0, f64::max)
 }

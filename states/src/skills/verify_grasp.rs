@@ -8,10 +8,10 @@ use armarium_values::{Type, Unit, Value};
 use armarium_visionx::{ColorMarkerObjectTracking, ColorModel, MarkerSettings};
 use nalgebra::Point3;
 
-use crate::arm::{Arm, Senses};
+use crate::arm::{Arm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
 use crate::frames::Frames;
-use crate::grasp::GRASP_IN_TCP;
+use crate::grasp::{hand, held_in_tcp};
 use crate::hand::aperture;
 use crate::hand_eye::HandEye;
 use crate::inputs::{Inputs, pose_value};
@@ -36,10 +36,8 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         .input("empty", Type::quantity(Unit::N), "Upward force on the empty hand in this posture.")
         .input("tcp_at_grasp", Type::Pose, "Pose of the TCP when the hand closed.")
         .output("mass", Type::quantity(Unit::KG), "Mass of the object, by the difference of weights.")
-        .output("grasp", Type::map(Type::Any), "Pose of the TCP at the grasp, height and mass of the object.")
-        .limb("torso")
-        .limb("right_arm");
-    equipment::skill(equipment, manifest, run)
+        .output("grasp", Type::map(Type::Any), "Pose of the TCP at the grasp, height and mass of the object.");
+    equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
@@ -64,12 +62,13 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         )));
     }
     let tcp_at_grasp = context.pose("tcp_at_grasp")?;
-    let stood = tcp_at_grasp * Point3::from(GRASP_IN_TCP);
-    let sight = look(&equipment, &mut arm, &mut senses, class.color, stood.z).await?;
+    let held = held_in_tcp(hand(equipment.robot.model())?);
+    let stood = tcp_at_grasp * held;
+    let sight = look(&equipment, &mut arm, &mut senses, class.color, (&held, stood.z)).await?;
     sight.judge(object.entity(), class.mass.is_some())?;
 
     let mass = weight / GRAVITY;
-    equipment.robot.set_load(mass, Point3::from(GRASP_IN_TCP));
+    equipment.robot.set_load(mass, held);
     let grasp = BTreeMap::from([
         ("tcp".to_owned(), pose_value(&tcp_at_grasp)),
         ("height".to_owned(), Value::Float(class.size[2])),
@@ -111,7 +110,7 @@ async fn look(
     arm: &mut Arm,
     senses: &mut Senses,
     color: [u8; 3],
-    stood: f64,
+    (held_in_tcp, stood): (&Point3<f64>, f64),
 ) -> Result<ObjectDetection, Failure> {
     let hand_eye = HandEye::load(&*equipment.memory, &equipment.agent).await?;
     let settings = MarkerSettings { color: ColorModel::from_rgb(color), ..MarkerSettings::new(color) };
@@ -124,7 +123,7 @@ async fn look(
         waited += dt;
         arm.hold(&sample)?;
         let Some(frame) = frames.new_frame()? else { continue };
-        let held = arm.tcp(&sample) * Point3::from(GRASP_IN_TCP);
+        let held = arm.tcp(&sample) * held_in_tcp;
         let held_in_left = frame.root_from_left.inverse() * held;
         let Some(seen) = tracking.update_near(&frame, Some(&held_in_left)) else { continue };
         let away = (seen.point_in_left - held_in_left).norm();

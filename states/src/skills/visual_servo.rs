@@ -13,15 +13,14 @@ use armarium_visionx::{
 };
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use crate::arm::{Arm, Senses, link};
+use crate::arm::{Arm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
 use crate::frames::Frames;
-use crate::grasp::GRASP_IN_TCP;
+use crate::grasp::{hand, held_in_tcp, marker};
 use crate::hand_eye::HandEye;
 use crate::inputs::{Inputs, as_pose, pose_value};
 use crate::motions::failed;
 use crate::prior::{class_name, object_class};
-use crate::skills::calibrate_hand_eye::{HAND_MARKER, HAND_MARKER_COLOR, HAND_MARKER_DIAMETER};
 use crate::skills::move_tcp::tolerances;
 
 /// An object of which a smaller share than this is visible (the hand covers it) does not move the target.
@@ -44,10 +43,8 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = tolerances(manifest, 0.004, 0.06)
         .optional("timeout", Type::Duration, 20.0, "Longest time for each of the two parts.")
         .output("tcp", Type::Pose, "Pose of the TCP at the end.")
-        .output("seen_error", Type::quantity(Unit::M), "Distance of the hand from the grasp, as seen.")
-        .limb("torso")
-        .limb("right_arm");
-    equipment::skill(equipment, manifest, run)
+        .output("seen_error", Type::quantity(Unit::M), "Distance of the hand from the grasp, as seen.");
+    equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
@@ -79,7 +76,7 @@ async fn servo(
     })
     .map_err(|e| Failure::new(e.to_string()))?;
     let (mut linear, mut angular) = (Vector3::zeros(), Vector3::zeros());
-    let marker_link = link(equipment.robot.model(), HAND_MARKER)?;
+    let marker_link = marker(equipment.robot.model())?.link;
     let mut last_frame_ns = None;
     loop {
         let (sample, _) = senses.next().await?;
@@ -127,6 +124,8 @@ struct Detections {
     localizer: ObjectLocalizer,
     /// Centre of the object as seen, root frame.
     center: Point3<f64>,
+    /// The middle of what the hand holds, in its TCP's frame.
+    held_in_tcp: Point3<f64>,
     /// The hand's planned orientation.
     palm: nalgebra::UnitQuaternion<f64>,
 }
@@ -140,13 +139,15 @@ impl Detections {
         let class = object_class(&*equipment.memory, class_name(&snapshot)?).await?;
         let calibration = equipment.images.calibration();
         let model = BoxModel { size: Vector3::from(class.size), color: ColorModel::from_rgb(class.color) };
-        let settings = MarkerSettings::new(HAND_MARKER_COLOR).with_diameter(HAND_MARKER_DIAMETER);
+        let marker = marker(equipment.robot.model())?;
+        let settings = MarkerSettings::new(marker.color).with_diameter(marker.diameter);
         let hand_eye = HandEye::load(&*equipment.memory, &equipment.agent).await?;
         Ok(Self {
             frames: Frames::corrected(&equipment.images, hand_eye),
             hand: ColorMarkerObjectTracking::new(calibration, settings, equipment.seed),
             localizer: ObjectLocalizer::new(calibration, model),
             center: Point3::from(pose.translation.vector),
+            held_in_tcp: held_in_tcp(hand(equipment.robot.model())?),
             palm: context.pose("target")?.rotation,
         })
     }
@@ -168,7 +169,7 @@ impl Detections {
         let shift = seen.coords - marker.translation.vector;
         let mut hand = *tcp;
         hand.translation.vector += shift;
-        let target = self.center.coords - self.palm * GRASP_IN_TCP + Vector3::z() * above;
+        let target = self.center.coords - self.palm * self.held_in_tcp.coords + Vector3::z() * above;
         Some(ServoObservation { hand, target: Isometry3::from_parts(target.into(), self.palm) })
     }
 

@@ -9,7 +9,7 @@ use nalgebra::{Point3, Vector3};
 
 use crate::arm::Senses;
 use crate::equipment::{self, Equipment};
-use crate::head::{HEAD, Head};
+use crate::head::{Head, moves_the_head};
 use crate::inputs::{Inputs, as_vector};
 use crate::motions;
 
@@ -26,9 +26,8 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         "Looks at the middle of the motion, and between it and the coach's hand while there is one, until it is cancelled.",
     )
     .input("motion", Type::motion(), "The motion that runs.")
-    .reads("hand")
-    .limb(HEAD);
-    equipment::skill(equipment, manifest, run)
+    .reads("hand");
+    equipment::skill(equipment, moves_the_head(manifest, equipment), run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {

@@ -6,7 +6,7 @@ use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, Skill
 use armarium_values::{Type, Unit};
 use nalgebra::Vector3;
 
-use crate::arm::{Arm, Senses};
+use crate::arm::{Arm, Senses, moves_the_arm};
 use crate::equipment::{self, Equipment};
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
@@ -15,10 +15,8 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
         "Measures the upward force on the resting hand; weights are compared at equal posture.",
     )
     .optional("duration", Type::Duration, 0.5, "How long to average.")
-    .output("force", Type::quantity(Unit::N), "Mean upward force on the hand.")
-    .limb("torso")
-    .limb("right_arm");
-    equipment::skill(equipment, manifest, run)
+    .output("force", Type::quantity(Unit::N), "Mean upward force on the hand.");
+    equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {

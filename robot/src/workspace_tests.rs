@@ -1,41 +1,62 @@
-//! The named postures have the properties that their docs state.
+//! The postures of ARMAR-III have the properties that its robot file states.
 
-use std::sync::Arc;
+use std::path::Path;
 
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::{
-    DifferentialIk, Gaze, IkConfig, Kinematics, Model, PoseOptions, Twist, pose_error, postures, solve_pose,
+    DifferentialIk, Gaze, IkConfig, Kinematics, Model, PoseOptions, Twist, description, pose_error,
+    solve_pose,
 };
 
-fn wipe_pose(offset: [f64; 3]) -> Isometry3<f64> {
-    let at = Vector3::from(postures::WIPE_TCP) + Vector3::from(offset);
-    Isometry3::from_parts(Translation3::from(at), postures::palm_down(postures::WIPE_YAW, 0.0))
+/// Yaw of the hand in `wipe`, rad.
+const WIPE_YAW: f64 = 0.77;
+/// Position of the TCP in `wipe`, root frame, m.
+const WIPE_TCP: [f64; 3] = [0.28, 0.53, 1.05];
+/// The point that the cameras look at in both postures, root frame, m.
+const TABLE: [f64; 3] = [0.25, 0.55, 1.00];
+
+fn wipe_pose(model: &Model, offset: [f64; 3]) -> Isometry3<f64> {
+    let at = Vector3::from(WIPE_TCP) + Vector3::from(offset);
+    Isometry3::from_parts(Translation3::from(at), model.hands()["right_hand"].palm_down(WIPE_YAW))
+}
+
+#[test]
+fn the_robots_that_ship_are_read_without_a_warning() {
+    for name in description::shipped_robots() {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots");
+        let read = description::load(&Path::new(file).join(name).join("robot.yaml"), &[]).unwrap();
+        assert_eq!((&*read.model, read.warnings), (&*Model::shipped(name).unwrap(), Vec::new()), "{name}");
+    }
+    let unknown = Model::shipped("armar4").unwrap_err()[0].to_string();
+    assert!(unknown.contains("no robot `armar4`") && unknown.contains("armar3"), "{unknown}");
 }
 
 #[test]
 fn wipe_holds_the_level_hand_over_the_table() {
-    let model = Arc::new(Model::armar3());
-    let tcp = model.link_pose(&postures::wipe(&model), model.link("tcp_right").unwrap());
-    let error = pose_error(&tcp, &wipe_pose([0.0; 3]));
+    let model = Model::shipped("armar3").unwrap();
+    let tcp = model.link_pose(&model.postures()["wipe"], model.link("tcp_right").unwrap());
+    let error = pose_error(&tcp, &wipe_pose(&model, [0.0; 3]));
     assert!(error.linear.norm() < 2e-3 && error.angular.norm() < 5e-3, "{error:?}");
     assert!((tcp * Vector3::x()).angle(&-Vector3::z()) < 5e-3);
-    assert_eq!(postures::named(&model, "wipe"), Some(postures::wipe(&model)));
-    assert_eq!(postures::named(&model, "no such"), None);
+    assert_eq!(
+        (model.ready("right_arm"), model.start()),
+        (&model.postures()["wipe"][..], &model.postures()["home"][..])
+    );
 }
 
 #[test]
 fn both_postures_look_at_the_table_with_a_level_horizon_and_keep_joint_limits() {
-    let model = Arc::new(Model::armar3());
-    for q in [postures::home(&model), postures::wipe(&model)] {
+    let model = Model::shipped("armar3").unwrap();
+    for q in [model.postures()["home"].clone(), model.postures()["wipe"].clone()] {
         for (q, joint) in q.iter().zip(model.joints()) {
             assert!(*q >= joint.lower && *q <= joint.upper, "{} at {q}", joint.name);
         }
         for camera in ["camera_left", "camera_right"] {
             let camera = model.link_pose(&q, model.link(camera).unwrap());
-            let there = camera.inverse() * Point3::from(postures::TABLE);
+            let there = camera.inverse() * Point3::from(TABLE);
             assert!(there.coords.angle(&Vector3::z()) < 0.08, "{there:?}"); // half the baseline over 0.7 m
             assert!((camera * Vector3::x()).z.abs() < 0.05, "tilted by {}", (camera * Vector3::x()).z);
         }
@@ -44,8 +65,8 @@ fn both_postures_look_at_the_table_with_a_level_horizon_and_keep_joint_limits() 
 
 #[test]
 fn home_hides_nothing_of_the_table_and_leads_straight_to_wipe() {
-    let model = Arc::new(Model::armar3());
-    let (home, wipe) = (postures::home(&model), postures::wipe(&model));
+    let model = Model::shipped("armar3").unwrap();
+    let (home, wipe) = (model.postures()["home"].clone(), model.postures()["wipe"].clone());
     let mut kinematics = Kinematics::new(&model);
     kinematics.update(&home);
     let arm = ["elbow_r", "underarm_r", "wrist_1_r", "hand_right", "finger_left_r", "finger_right_r"];
@@ -70,15 +91,15 @@ fn home_hides_nothing_of_the_table_and_leads_straight_to_wipe() {
 
 #[test]
 fn the_wiping_workspace_is_in_reach_and_fast_in_every_direction() {
-    let model = Arc::new(Model::armar3());
-    let (tcp, joints) = (model.link("tcp_right").unwrap(), postures::reaching_joints(&model));
+    let model = Model::shipped("armar3").unwrap();
+    let (tcp, joints) = (model.link("tcp_right").unwrap(), model.reaching_joints("right_arm"));
     let mut ik = DifferentialIk::new(&model, tcp, &joints, IkConfig::default());
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let options = PoseOptions { margin: 0.06, restarts: 0, ..PoseOptions::default() };
-    let seed = postures::wipe(&model);
+    let seed = model.postures()["wipe"].clone();
     for (x, y) in [(0.0, 0.0), (0.13, 0.13), (0.13, -0.13), (-0.13, 0.13), (-0.13, -0.13)] {
         for z in [-0.05, 0.0, 0.05] {
-            let target = wipe_pose([x, y, z]);
+            let target = wipe_pose(&model, [x, y, z]);
             let q = solve_pose(&model, tcp, &joints, &target, &seed, &options, &mut rng).unwrap();
             for k in 0..8 {
                 let (s, c) = (f64::from(k) * std::f64::consts::FRAC_PI_4).sin_cos();
@@ -92,9 +113,9 @@ fn the_wiping_workspace_is_in_reach_and_fast_in_every_direction() {
 
 #[test]
 fn the_head_finds_points_all_over_the_table_and_says_when_it_cannot() {
-    let model = Arc::new(Model::armar3());
+    let model = Model::shipped("armar3").unwrap();
     let gaze = Gaze::of(&model).unwrap();
-    let q = postures::wipe(&model);
+    let q = model.postures()["wipe"].clone();
     for x in [-0.2, 0.25, 0.7] {
         for y in [0.35, 0.9] {
             gaze.look_at(&model, &q, &Point3::new(x, y, 0.95)).unwrap();

@@ -1,0 +1,195 @@
+//! `armarium robot new|check|show|list`: the files that describe robots.
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use armarium_robot::description::{self, Description, shipped_robots};
+use armarium_robot::{JointKind, Kinematics, Model};
+use armarium_simulator::render::robot::robot_shapes;
+use armarium_simulator::render::{Scene, Viewpoint, render as draw};
+use armarium_source::Finding;
+use armarium_visionx::{PinholeCamera, annotate};
+use nalgebra::{Isometry3, Vector3};
+
+use crate::console::show as render;
+
+/// Arguments of `robot`.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct RobotArgs {
+    #[command(subcommand)]
+    command: RobotCommand,
+}
+
+#[derive(Clone, Debug, clap::Subcommand)]
+enum RobotCommand {
+    /// Write a robot file for a URDF, with what can be told from it; guesses are marked.
+    New {
+        /// The URDF.
+        #[arg(value_name = "FILE.urdf")]
+        urdf: PathBuf,
+        /// Where to write `robot.yaml`; by default beside the URDF.
+        #[arg(long, value_name = "DIR")]
+        out: Option<PathBuf>,
+        /// A folder in which packages of `package://` are; may be repeated.
+        #[arg(long = "package", value_name = "DIR")]
+        packages: Vec<PathBuf>,
+        /// Overwrite a robot file that is there already.
+        #[arg(long)]
+        force: bool,
+    },
+    /// Say what is wrong with a robot, what is assumed, and what is missing for which skill.
+    Check {
+        /// A robot file, a URDF, or the name of a robot.
+        #[arg(value_name = "FILE|NAME")]
+        robot: String,
+        /// A folder in which packages of `package://` are; may be repeated.
+        #[arg(long = "package", value_name = "DIR")]
+        packages: Vec<PathBuf>,
+    },
+    /// Print a robot's parts, and draw it.
+    Show {
+        /// A robot file, a URDF, or the name of a robot.
+        #[arg(value_name = "FILE|NAME")]
+        robot: String,
+        /// Write a picture (PNG).
+        #[arg(short, long, value_name = "FILE.png")]
+        output: Option<PathBuf>,
+        /// The posture in the picture; by default the one in which it begins.
+        #[arg(long, value_name = "NAME")]
+        posture: Option<String>,
+    },
+    /// List the robots that the program carries.
+    List,
+}
+
+/// Runs the subcommand. Returns the exit status: 2 when a file cannot be used.
+///
+/// # Errors
+/// When `out` cannot be written.
+pub(crate) fn run(args: &RobotArgs, out: &mut dyn Write) -> io::Result<u8> {
+    match &args.command {
+        RobotCommand::New { urdf, out: folder, packages, force } => {
+            new(urdf, folder.as_deref(), packages, *force, out)
+        }
+        RobotCommand::Check { robot, packages } => match read(robot, packages) {
+            Ok(found) => check(&found, out),
+            Err(wrong) => refuse(&wrong, out),
+        },
+        RobotCommand::Show { robot, output, posture } => match read(robot, &[]) {
+            Ok(found) => show(&found.model, output.as_deref(), posture.as_deref(), out),
+            Err(wrong) => refuse(&wrong, out),
+        },
+        RobotCommand::List => list(out),
+    }
+}
+
+fn read(robot: &str, packages: &[PathBuf]) -> Result<Description, Vec<Finding>> {
+    if description::is_file(robot) {
+        return description::load(Path::new(robot), packages);
+    }
+    description::find(robot)
+}
+
+fn refuse(wrong: &[Finding], out: &mut dyn Write) -> io::Result<u8> {
+    render(wrong, out)?;
+    Ok(2)
+}
+
+fn new(
+    urdf: &Path,
+    folder: Option<&Path>,
+    packages: &[PathBuf],
+    force: bool,
+    out: &mut dyn Write,
+) -> io::Result<u8> {
+    let folder = folder.or(urdf.parent()).unwrap_or(Path::new("")).to_owned();
+    let text = match description::guessed(urdf, &folder, packages) {
+        Ok(text) => text,
+        Err(wrong) => return refuse(&wrong, out),
+    };
+    let file = folder.join("robot.yaml");
+    if file.exists() && !force {
+        return writeln!(out, "error: {} is there already; --force overwrites it", file.display())
+            .map(|()| 2);
+    }
+    if let Err(error) = std::fs::create_dir_all(&folder).and_then(|()| std::fs::write(&file, text)) {
+        return writeln!(out, "error: {} cannot be written: {error}", file.display()).map(|()| 2);
+    }
+    writeln!(out, "{}: look at what it guessed, then `armarium robot check {0}`", file.display())?;
+    Ok(0)
+}
+
+fn check(found: &Description, out: &mut dyn Write) -> io::Result<u8> {
+    render(&found.warnings, out)?;
+    for lack in armarium_states::lacks(&found.model) {
+        writeln!(out, "{}: cannot run: {}", lack.what, lack.skills.join(", "))?;
+    }
+    writeln!(out, "the robot `{}` can be used", found.model.name())?;
+    Ok(0)
+}
+
+fn show(
+    model: &std::sync::Arc<Model>,
+    picture: Option<&Path>,
+    posture: Option<&str>,
+    out: &mut dyn Write,
+) -> io::Result<u8> {
+    writeln!(out, "{}: {} links, {} joints", model.name(), model.links().len(), model.joints().len())?;
+    for limb in model.limbs().values() {
+        writeln!(out, "  {}", limb.name)?;
+        for joint in limb.joints.iter().map(|&joint| &model.joints()[joint]) {
+            let unit = if joint.kind == JointKind::Prismatic { "m" } else { "rad" };
+            let (name, lower, upper) = (&joint.name, joint.lower, joint.upper);
+            writeln!(out, "    {name}: {lower:.3} to {upper:.3} {unit}, {} {unit}/s", joint.velocity)?;
+        }
+    }
+    let q = match posture {
+        None => model.start(),
+        Some(name) => match model.postures().get(name) {
+            Some(q) => q,
+            None => {
+                let known = model.postures().keys().map(String::as_str).collect::<Vec<_>>().join(", ");
+                return writeln!(out, "error: there is no posture `{name}`; there are: {known}").map(|()| 2);
+            }
+        },
+    };
+    let Some(picture) = picture else { return Ok(0) };
+    let mut kinematics = Kinematics::new(model);
+    kinematics.update(q);
+    let png = annotate::png(&drawn(&kinematics)).map_err(io::Error::other)?;
+    if let Err(error) = std::fs::write(picture, png) {
+        return writeln!(out, "error: {} cannot be written: {error}", picture.display()).map(|()| 2);
+    }
+    writeln!(out, "drawn to {}", picture.display()).map(|()| 0)
+}
+
+/// The robot seen from its front and its left, from as far as it needs.
+fn drawn(kinematics: &Kinematics) -> armarium_visionx::RgbImage {
+    let model = kinematics.model();
+    let places: Vec<Vector3<f64>> = model
+        .links()
+        .iter()
+        .filter_map(|link| Some(kinematics.pose(model.link(&link.name)?).translation.vector))
+        .collect();
+    let start = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
+    let (low, high) = places.iter().fold(start, |(low, high), p| (low.inf(p), high.sup(p)));
+    let (middle, size) = ((low + high) / 2.0, (high - low).norm().max(0.3));
+    // A robot whose root is no floor, such as a walking one, is lifted onto it.
+    let lift = Vector3::z() * (0.05 - low.z).max(0.0);
+    let camera = PinholeCamera { width: 640, height: 480, focal: 515.0, center: [319.5, 239.5] };
+    let eye = middle + lift + Vector3::new(0.9, 0.9, 0.5) * size;
+    let mut scene =
+        Scene::new(robot_shapes(kinematics, &Isometry3::from_parts(lift.into(), Default::default())));
+    let room = size.max(1.0) * 4.0;
+    scene.background.lower = Vector3::new(-room, -room, 0.0);
+    scene.background.upper = Vector3::new(room, room, room);
+    draw(&scene, &Viewpoint::look_at(camera, eye, middle + lift)).image
+}
+
+fn list(out: &mut dyn Write) -> io::Result<u8> {
+    for (i, name) in shipped_robots().enumerate() {
+        let default = if i == 0 { " (of a world that names none)" } else { "" };
+        writeln!(out, "{name}{default}")?;
+    }
+    Ok(0)
+}

@@ -1,0 +1,73 @@
+//! What a robot lacks for which skill: the parts that skills look for in its description.
+
+use armarium_robot::Model;
+
+/// A part that a robot does not have.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Lack {
+    /// What is missing, as it would stand in the robot file.
+    pub what: String,
+    /// The skills that cannot run without it.
+    pub skills: &'static [&'static str],
+}
+
+const ARM: &[&str] = &["MoveJoints", "MoveTcp", "MoveTcpBy", "ImitateMotion"];
+const HAND: &[&str] = &[
+    "OpenHand",
+    "CloseHand",
+    "PlanGrasp",
+    "VisualServoTowardsTargetPose",
+    "VerifyGrasp",
+    "AttachObject",
+    "CalibrateHandEye",
+];
+const WRENCH: &[&str] =
+    &["Tare", "WeighHand", "VerifyGrasp", "ForceAdaptation", "ExecuteMotion", "ForceCoaching"];
+const MARKER: &[&str] = &["CalibrateHandEye", "VisualServoTowardsTargetPose"];
+const CAMERAS: &[&str] = &[
+    "LocateObject",
+    "CalibrateHandEye",
+    "VisualServoTowardsTargetPose",
+    "VerifyGrasp",
+    "MovementImitation",
+    "VisionCoaching",
+];
+const GAZE: &[&str] = &["LookAt", "WatchCoach"];
+
+/// What a robot lacks, and for which skills.
+pub fn lacks(model: &Model) -> Vec<Lack> {
+    let mut lacks = Vec::new();
+    let mut lack = |what: String, skills| lacks.push(Lack { what, skills });
+    if model.arms().next().is_none() {
+        lack("no group has a `tcp`".to_owned(), ARM);
+    }
+    for arm in model.arms() {
+        let name = &arm.name;
+        if arm.wrench.is_none() {
+            lack(format!("no `wrench` for `{name}`"), WRENCH);
+        }
+        match model.hand_of(arm) {
+            None => lack(format!("no `hand` for `{name}`"), HAND),
+            Some(hand) if hand.marker.is_none() => lack(format!("no `marker` on `{}`", hand.name), MARKER),
+            Some(_) => {}
+        }
+    }
+    match model.camera() {
+        None => lack("no `cameras`".to_owned(), CAMERAS),
+        Some(camera) if camera.on.is_none() => lack(format!("`{}` is `on` no group", camera.name), GAZE),
+        Some(_) => {}
+    }
+    lacks
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_robot_file_is_told_what_it_lacks() {
+        let model = Model::shipped("armar3").unwrap();
+        let lacks: Vec<String> = lacks(&model).into_iter().map(|lack| lack.what).collect();
+        assert_eq!(lacks, ["no `wrench` for `left_arm`", "no `hand` for `left_arm`"]);
+    }
+}
