@@ -5,6 +5,8 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
+use armarium_source::{Disk, Files as _};
+
 /// How often the files are checked.
 const POLL_INTERVAL: Duration = Duration::from_millis(250);
 
@@ -43,8 +45,7 @@ fn stamps(files: &[PathBuf], folders: &[PathBuf]) -> Stamps {
         .map(|p| if p.as_os_str().is_empty() { Path::new(".") } else { p });
     let mut paths: Vec<PathBuf> = files.to_vec();
     for folder in beside.chain(folders.iter().map(PathBuf::as_path)) {
-        let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|e| e.path());
-        paths.extend(entries.filter(|p| p.extension().is_some_and(|e| e == "yaml" || e == "yml")));
+        paths.extend(Disk.list(folder));
     }
     let stamp = |path: PathBuf| {
         let data = std::fs::metadata(&path).ok();

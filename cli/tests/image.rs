@@ -218,7 +218,7 @@ fn black_white_noise_tiny_broken_and_unfit_pictures_are_counted_by_every_command
     for look in ["hand", "fingertips", "marker"] {
         let processed = said(&done(&["image", "process", files, "--look", look]));
         let counts: serde_json::Value = serde_json::from_str(processed.lines().last().unwrap()).unwrap();
-        // Whoever is broken is no frame; whoever does not fit is one that is of no use.
+        // A broken message is not counted as a frame; a frame of the wrong size is counted as unusable.
         assert_eq!(counts["frames"], all - 1, "{look}: {counts}");
         assert_eq!(counts["unusable"], all - fit, "{look}: {counts}");
         assert_eq!(processed.lines().count() as u64, fit + 1, "{look}: {processed}");

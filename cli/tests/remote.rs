@@ -17,6 +17,11 @@ use std::sync::{Arc, Mutex};
 
 use tempfile::TempDir;
 
+#[path = "../../tests/src/outside.rs"]
+mod outside;
+
+use outside::not_run;
+
 /// What `bob` offers.
 const DANCE: &str = "
 statechart: Dance
@@ -370,11 +375,7 @@ fn python() -> Option<std::ffi::OsString> {
 #[test]
 fn a_skill_may_live_in_python() {
     let Some(python) = python() else {
-        let what = "NOT RUN: ARMARIUM_PYTHON names no Python with the packages eclipse-zenoh and cbor2, so the skill in \
-                    another language was not tried";
-        assert!(std::env::var_os("ARMARIUM_COMPLETE").is_none(), "{what}");
-        eprintln!("{what}");
-        return;
+        return not_run("ARMARIUM_PYTHON names no Python with the packages eclipse-zenoh and cbor2");
     };
     let folder = folder(
         "

@@ -7,7 +7,7 @@ use armarium_memoryx::prior;
 use armarium_runtime::chart::{self, ChannelSchema, Library, Registry};
 use armarium_runtime::test_cases::TestFile;
 use armarium_simulator::World;
-use armarium_source::{Files, Finding, Source};
+use armarium_source::{Files, Finding, Source, outermost};
 use serde_json::Value as Json;
 
 /// A kind of file that people write.
@@ -56,10 +56,7 @@ impl Kind {
     /// What a text says that it is: by a key at its outermost level. None where it says nothing.
     #[must_use]
     pub fn of(text: &str) -> Option<Self> {
-        let has = |key: &str| {
-            text.lines().any(|line| line.strip_prefix(key).is_some_and(|rest| rest.starts_with(':')))
-        };
-        Self::ALL.into_iter().find(|(_, key)| has(key)).map(|(kind, _)| kind)
+        Self::ALL.into_iter().find(|(_, key)| outermost(text, key).is_some()).map(|(kind, _)| kind)
     }
 
     /// The JSON Schema of its files.

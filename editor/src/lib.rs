@@ -1,4 +1,5 @@
-//! The language server and the formatter: what is known of charts, worlds, test cases and prior knowledge, as one types.
+//! The language server and the formatter for charts, worlds, test cases and prior knowledge: errors, completion and hover while
+//! a file is being written.
 //!
 //! - [`Workspace`] knows the open documents and answers: what is wrong, what may be written, what a name stands for. Start reading
 //!   there; each kind of answer is a file of its own;

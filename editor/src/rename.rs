@@ -30,7 +30,7 @@ pub enum RenameError {
         /// What it is.
         what: &'static str,
     },
-    /// The new name is none.
+    /// The new name is not allowed.
     #[error("`{name}` is not a name: letters, digits and `_`, no digit first, and no word of the language")]
     Invalid {
         /// The new name.

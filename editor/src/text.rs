@@ -84,7 +84,7 @@ impl Shift {
         Self { before, from_end: a.len() - after, to_end: b.len() - after }
     }
 
-    /// The same place in the other text; none inside of what differs. Between what both have it is after what is new.
+    /// The same place in the other text; none inside of what differs. A place between the equal beginning and the equal end is put after the new text.
     pub(crate) fn map(self, at: usize) -> Option<usize> {
         if at >= self.from_end {
             Some(at - self.from_end + self.to_end)

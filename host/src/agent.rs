@@ -15,6 +15,7 @@ use armarium_runtime::program::Program;
 use armarium_runtime::remote::{Agents, Offers, receive_events, serve};
 use armarium_runtime::skill::Limits;
 use armarium_simulator::World;
+use armarium_source::{Disk, Files as _, outermost};
 use armarium_states::observers;
 use armarium_visionx::providers::{StereoProvider, offer as offer_images};
 use tokio::task::JoinSet;
@@ -161,7 +162,7 @@ async fn act(
     until: impl Future<Output = ()>,
     console: &dyn Console,
 ) -> Result<Option<RunResult>, HostError> {
-    let Backend { equipment, registry, life, observes, .. } = backend;
+    let Backend { equipment, registry, task, observes, .. } = backend;
     let mut registry = registry.with_names(Arc::new(Names::of_agent(equipment.robot.model())));
     let channels = Channels::new();
     let robot = Arc::clone(&equipment.robot);
@@ -191,7 +192,7 @@ async fn act(
     introduce(config, session, &charts, &skills, console).await;
 
     let mut tasks = if observes { observers::start(&equipment, &channels) } else { Vec::new() };
-    let life = tokio::spawn(life);
+    let task = tokio::spawn(task);
     let own = async {
         match own {
             Some(executor) => executor.run().await,
@@ -206,7 +207,7 @@ async fn act(
         ended = receive_events(session, &config.name, peers.subscribers) => ended.map(|()| None)?,
     };
     equipment.robot.stop("the agent ends");
-    tasks.push(life);
+    tasks.push(task);
     tasks.iter().for_each(tokio::task::JoinHandle::abort);
     Ok(ended)
 }
@@ -277,23 +278,19 @@ fn chart_files(named: &[PathBuf]) -> Result<Vec<PathBuf>, HostError> {
             files.push(path.clone());
             continue;
         }
-        let entries = std::fs::read_dir(path).map_err(|source| HostError::File {
+        std::fs::read_dir(path).map_err(|source| HostError::File {
             what: "the folder of charts cannot be read:",
             path: path.clone(),
             source,
         })?;
-        let mut inside: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
-        inside.sort();
-        files.extend(inside.into_iter().filter(|file| is_chart(file)));
+        files.extend(Disk.list(path).into_iter().filter(|file| is_chart(file)));
     }
     Ok(files)
 }
 
 /// Whether a file in a folder is a chart: YAML with the top-level key `statechart`.
 fn is_chart(file: &Path) -> bool {
-    file.extension().is_some_and(|e| e == "yaml" || e == "yml")
-        && std::fs::read_to_string(file)
-            .is_ok_and(|text| text.lines().any(|line| line.starts_with("statechart:")))
+    Disk.head(file).is_some_and(|head| outermost(&head, "statechart").is_some())
 }
 
 /// Reports what the agent offers and where it listens.

@@ -17,13 +17,13 @@ use crate::console::Clock;
 use crate::remote_eyes::RemoteEyes;
 use crate::simulated::SimulatedRobot;
 
-/// The body of an agent.
+/// What an agent acts with: its equipment, its skills and its clock.
 pub(crate) struct Backend {
     pub(crate) equipment: Equipment,
     pub(crate) registry: Registry,
     pub(crate) clock: Clock,
     /// Runs until the agent ends, or until the sensors end.
-    pub(crate) life: Pin<Box<dyn Future<Output = ()> + Send>>,
+    pub(crate) task: Pin<Box<dyn Future<Output = ()> + Send>>,
     /// Whether it has the inputs of the observers.
     pub(crate) observes: bool,
 }
@@ -36,7 +36,7 @@ impl Backend {
             registry: catalog::registry(&robot.equipment, own),
             equipment: robot.equipment,
             clock: Arc::new(move || handle.now_ns()),
-            life: Box::pin(async move {
+            task: Box::pin(async move {
                 let _ending = ending;
                 simulation.run().await;
             }),
@@ -67,7 +67,7 @@ impl Backend {
             registry: still.iter().filter_map(|name| registry.get(name).cloned()).collect(),
             equipment,
             clock: Arc::new(move || now_ns.load(Ordering::Relaxed)),
-            life: Box::pin(eyes.live()),
+            task: Box::pin(eyes.live()),
             observes: false,
         }
     }

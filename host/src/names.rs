@@ -7,7 +7,7 @@ use armarium_robot::Model;
 use armarium_runtime::chart::KnownNames;
 use armarium_runtime::skill::NameKind;
 use armarium_simulator::World;
-use armarium_source::{Disk, Files as _};
+use armarium_source::{Disk, Files as _, outermost};
 
 use crate::simulated::prior_knowledge;
 
@@ -78,10 +78,9 @@ fn beside(chart: &Path) -> BTreeSet<String> {
     let mut known = BTreeSet::new();
     for file in Disk.list(chart.parent().unwrap_or(Path::new(""))) {
         let head = Disk.head(&file).unwrap_or_default();
-        let value = |key: &str| head.lines().find_map(|line| line.strip_prefix(key));
-        if let Some(name) = value("object:") {
-            known.insert(name.split('#').next().unwrap_or("").trim().trim_matches(['"', '\'']).to_owned());
-        } else if value("world:").is_some()
+        if let Some(name) = outermost(&head, "object") {
+            known.insert(name.to_owned());
+        } else if outermost(&head, "world").is_some()
             && let Ok(world) = World::load(&file)
         {
             known.extend(classes(&world));

@@ -33,7 +33,7 @@ pub struct RunSource {
 
 /// Every other line: one turn of the engine.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-struct Turn {
+struct RecordedTurn {
     turn: InputRecord,
     did: Vec<String>,
 }
@@ -42,7 +42,7 @@ struct Turn {
 pub struct TurnRecorder {
     inner: Box<dyn TraceSink>,
     file: BufWriter<File>,
-    turn: Option<Turn>,
+    turn: Option<RecordedTurn>,
     failed: bool,
 }
 
@@ -83,7 +83,7 @@ impl TraceSink for TurnRecorder {
 
     fn input(&mut self, record: &InputRecord) {
         self.write_or_warn();
-        self.turn = Some(Turn { turn: record.clone(), did: Vec::new() });
+        self.turn = Some(RecordedTurn { turn: record.clone(), did: Vec::new() });
         self.inner.input(record);
     }
 }
@@ -169,7 +169,8 @@ impl Replay {
         let number = self.number;
         let wrong = |why: String| HostError::Record { path: self.path.clone(), line: number + 1, why };
         let line = line.map_err(|error| wrong(error.to_string()))?;
-        let Turn { turn, did } = serde_json::from_str(&line).map_err(|error| wrong(error.to_string()))?;
+        let RecordedTurn { turn, did } =
+            serde_json::from_str(&line).map_err(|error| wrong(error.to_string()))?;
         self.effects.clear();
         self.engine.replay(&turn, &mut self.effects);
         let items = self.effects.iter().filter_map(|effect| match effect {

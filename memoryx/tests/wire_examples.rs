@@ -9,6 +9,11 @@ use std::process::Command;
 use armarium_bus::{Session, SessionConfig};
 use armarium_memoryx::{AgentConfig, AgentMemory};
 
+#[path = "../../tests/src/outside.rs"]
+mod outside;
+
+use outside::not_run;
+
 /// The Python blocks of the page, joined.
 fn examples(page: &str) -> String {
     let mut code = String::new();
@@ -33,8 +38,7 @@ async fn the_examples_run() {
     let code = examples(&std::fs::read_to_string(page).unwrap());
     assert!(code.contains("def conclude()"), "the page has its examples");
     let Some(python) = std::env::var_os("ARMARIUM_PYTHON") else {
-        println!("NOT RUN: ARMARIUM_PYTHON names no Python with the packages eclipse-zenoh and cbor2");
-        return;
+        return not_run("ARMARIUM_PYTHON names no Python with the packages eclipse-zenoh and cbor2");
     };
     let folder = tempfile::tempdir().unwrap();
     let session = Session::open(&SessionConfig::default()).await.unwrap();

@@ -206,38 +206,38 @@ mod tests {
 
     #[test]
     fn a_static_press_is_stiffness_times_depth() {
-        let mut bed = ElasticFoundation::new(&ObjectSpec::default());
-        let r = bed.step(&level(0.5), &pressed(0.004, Vector3::zeros()), DT);
+        let mut foundation = ElasticFoundation::new(&ObjectSpec::default());
+        let r = foundation.step(&level(0.5), &pressed(0.004, Vector3::zeros()), DT);
         assert!((r.normal - 8.0).abs() < 1e-9, "{r:?}");
         assert!((r.force - Vector3::z() * 8.0).norm() < 1e-9);
         assert!(r.torque.norm() < 1e-9);
-        assert_eq!(bed.step(&level(0.5), &pressed(-0.001, Vector3::zeros()), DT).normal, 0.0);
+        assert_eq!(foundation.step(&level(0.5), &pressed(-0.001, Vector3::zeros()), DT).normal, 0.0);
     }
 
     #[test]
     fn sliding_friction_is_coulombs_and_starts_with_the_shear_stiffness() {
-        let mut bed = ElasticFoundation::new(&ObjectSpec::default());
+        let mut foundation = ElasticFoundation::new(&ObjectSpec::default());
         let slow = pressed(0.004, Vector3::x() * 0.02);
         let table = level(0.5);
-        let first = bed.step(&table, &slow, DT).friction.x;
-        let second = bed.step(&table, &slow, DT).friction.x;
+        let first = foundation.step(&table, &slow, DT).friction.x;
+        let second = foundation.step(&table, &slow, DT).friction.x;
         let slope = -(second - first) / (0.02 * DT);
         assert!((slope - 4000.0).abs() < 1e-6, "{slope}");
         let mut last = FoundationReaction::default();
         for _ in 0..200 {
-            last = bed.step(&table, &slow, DT);
+            last = foundation.step(&table, &slow, DT);
         }
         assert!((last.friction - Vector3::x() * -4.0).norm() < 1e-9, "{last:?}");
     }
 
     #[test]
     fn friction_holds_at_rest_after_sliding() {
-        let mut bed = ElasticFoundation::new(&ObjectSpec::default());
+        let mut foundation = ElasticFoundation::new(&ObjectSpec::default());
         let table = level(0.5);
         for _ in 0..200 {
-            bed.step(&table, &pressed(0.004, Vector3::x() * 0.05), DT);
+            foundation.step(&table, &pressed(0.004, Vector3::x() * 0.05), DT);
         }
-        let rest = bed.step(&table, &pressed(0.004, Vector3::zeros()), DT);
+        let rest = foundation.step(&table, &pressed(0.004, Vector3::zeros()), DT);
         assert!(rest.friction.x < -2.0 && rest.friction.norm() <= 4.0 + 1e-9);
     }
 
@@ -250,7 +250,7 @@ mod tests {
                 TableSpec { tilt_deg: [15.0, 0.0], bumps: vec![], friction: mu, ..TableSpec::default() };
             let table = TableTop::new(&spec);
             let object = ObjectSpec::default();
-            let mut bed = ElasticFoundation::new(&object);
+            let mut foundation = ElasticFoundation::new(&object);
             let n = table.plane_normal();
             let sink = object.mass * 9.81 * n.z / object.stiffness;
             let start = table.root_from_top() * Point3::new(0.0, 0.0, 0.02 - sink);
@@ -262,7 +262,7 @@ mod tests {
                     linear: velocity,
                     angular: Vector3::zeros(),
                 };
-                let force = bed.step(&table, &motion, DT).force - Vector3::z() * 9.81 * object.mass;
+                let force = foundation.step(&table, &motion, DT).force - Vector3::z() * 9.81 * object.mass;
                 velocity += force / object.mass * DT;
                 position += velocity * DT;
             }
@@ -279,14 +279,14 @@ mod tests {
     #[test]
     fn five_newton_clean_and_two_do_not() {
         let table = level(0.5);
-        let bed = ElasticFoundation::new(&ObjectSpec::default());
+        let foundation = ElasticFoundation::new(&ObjectSpec::default());
         let mut dirt = DirtGrid::new(&table);
-        assert!(!bed.wipe(&table, &pressed(0.001, Vector3::zeros()).root_from_object, &mut dirt));
-        assert!(bed.wipe(&table, &pressed(0.0025, Vector3::zeros()).root_from_object, &mut dirt));
+        assert!(!foundation.wipe(&table, &pressed(0.001, Vector3::zeros()).root_from_object, &mut dirt));
+        assert!(foundation.wipe(&table, &pressed(0.0025, Vector3::zeros()).root_from_object, &mut dirt));
         let area = dirt.cells().iter().filter(|m| **m).count() as f64 * 0.0025 * 0.0025;
         assert!((area - 0.007).abs() < 1e-6, "{area}");
         let mut footprint = DirtGrid::new(&table);
-        bed.cover(&table, &pressed(0.0, Vector3::zeros()).root_from_object, &mut footprint);
+        foundation.cover(&table, &pressed(0.0, Vector3::zeros()).root_from_object, &mut footprint);
         assert_eq!(footprint.covered_by(&dirt), Some(1.0));
     }
 }

@@ -26,14 +26,14 @@ pub struct TruthSample {
     pub tcp: Isometry3<f64>,
     /// Velocity of the right TCP, root frame, m/s.
     pub tcp_velocity: Vector3<f64>,
-    /// The table's force on the object in question.
+    /// The table's force on the judged object.
     pub contact: Contact,
     /// The object in question, by its index in the world's `objects`: the one that the hand holds, or held last; before the
     /// first grasp, the one named `sponge`, else the first. `None` in a world without objects.
     pub object: Option<usize>,
     /// Poses of the middles of all objects in the root frame, in the world's order.
     pub objects: Vec<Isometry3<f64>>,
-    /// Whether the hand holds the object in question.
+    /// Whether the hand holds the judged object.
     pub held: bool,
     /// The coach's state.
     pub coach: CoachState,
@@ -86,7 +86,7 @@ pub enum TruthEvent {
     Coach(ActionEvent),
     /// A milestone was reached for the first time.
     Reached(Milestone),
-    /// The hand took an object, by its name. From now on it is the object in question.
+    /// The hand took an object, by its name. From now on it is the object that is judged.
     Grasped(String),
     /// The hand took or lost an object.
     Held(bool),

@@ -52,6 +52,14 @@ impl Files for Disk {
     }
 }
 
+/// What stands after a key at the outermost level of a YAML text, without quotes and comment. By such a key a file says what
+/// it is, and it can be told from the file's head.
+#[must_use]
+pub fn outermost<'t>(text: &'t str, key: &str) -> Option<&'t str> {
+    let rest = text.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix(':'))?;
+    Some(rest.split('#').next().unwrap_or("").trim().trim_matches(['"', '\'']))
+}
+
 /// Whether a file's name ends as those of YAML do.
 #[must_use]
 pub fn is_yaml(path: &Path) -> bool {

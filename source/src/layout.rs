@@ -256,7 +256,7 @@ impl Scanner<'_> {
         }
     }
 
-    /// The column that what belongs to the innermost open block entry is right of; -1 for the whole text.
+    /// The column of the innermost open block entry, whose parts begin to the right of it; -1 for the whole text.
     fn margin(&self) -> isize {
         let entry = self.open.iter().rev().map(|at| &self.layout.entries[*at]).find(|entry| !entry.flow);
         entry.map_or(-1, |entry| isize::try_from(entry.column).unwrap_or(isize::MAX))

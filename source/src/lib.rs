@@ -28,7 +28,7 @@ mod text;
 pub mod yaml;
 
 pub use field::{Field, Rule, word};
-pub use files::{Disk, Files, is_yaml};
+pub use files::{Disk, Files, is_yaml, outermost};
 pub use finding::{Finding, Findings, Severity, suggest};
 pub use form::{Form, Key, object, read, read_node, schema, set};
 pub use layout::{Brackets, Entry, Layout};

@@ -34,9 +34,9 @@ pub fn applied(text: &str, edits: &[Edit]) -> String {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Remedy {
-    /// Some texts are others.
+    /// Replaces parts of the text.
     Replace(Vec<Edit>),
-    /// The entry whose key stands there is gone.
+    /// Removes the entry whose key is at this place.
     Remove(Span),
     /// A map has one more entry.
     Add {
@@ -52,7 +52,7 @@ pub enum Remedy {
 }
 
 impl Remedy {
-    /// One text is another.
+    /// Replaces one part of the text.
     #[must_use]
     pub fn replace(span: Span, text: impl Into<String>) -> Self {
         Self::Replace(vec![Edit { span, text: text.into() }])

@@ -1,7 +1,7 @@
 //! Shared by force and vision coaching: applies the coaching law to the running motion, in step with the robot's
 //! samples.
 //!
-//! It does not own the motion: each change is sent to the skill that executes it (see `running_motion.rs`).
+//! It does not own the motion: each change is sent to the skill that executes it (see `running_motion/`).
 
 use armarium_motion::{Coach, CoachConfig, CoachInput, CoachReport};
 use armarium_runtime::skill::{Failure, SkillContext};

@@ -1,4 +1,4 @@
-//! Finds, reads and writes motions in working memory. A running motion is in `running_motion.rs`.
+//! Finds, reads and writes motions in working memory. A running motion is in `running_motion/`.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -1,7 +1,7 @@
 //! The loop under every skill that runs a motion: it integrates the primitive and is the only one to command the
 //! arm.
 //!
-//! It owns the motion while it runs. Changes by others arrive as edits (see `running_motion.rs`) and are executed
+//! It owns the motion while it runs. Changes by others arrive as edits (see `running_motion/`) and are executed
 //! from the next control step on. The caller sets the pace, and the height of the hand over the path ([`Height`]).
 
 use std::f64::consts::TAU;

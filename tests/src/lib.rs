@@ -4,5 +4,6 @@
 //! report of a run for the repository's check.
 
 pub mod hostile;
+pub mod outside;
 pub mod recorded;
 pub mod repository;

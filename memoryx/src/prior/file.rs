@@ -17,7 +17,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use armarium_source::yaml::Node;
-use armarium_source::{Disk, Files, Finding, Findings, Rule, Source, Span, code, form, read_node};
+use armarium_source::{
+    Disk, Files, Finding, Findings, Rule, Source, Span, code, form, is_yaml, outermost, read_node,
+};
 
 use super::{GraspPose, ObjectClass, PriorKnowledge, Recognition, scene};
 
@@ -158,7 +160,7 @@ pub fn check(source: &Source, files: &dyn Files) -> Vec<Finding> {
 
 /// Whether a file describes an object class or a scene.
 fn is_prior(head: &str) -> bool {
-    scene::is_scene(head) || head.lines().any(|line| line.starts_with("object:"))
+    scene::is_scene(head) || outermost(head, "object").is_some()
 }
 
 /// Something that another file has already.
@@ -176,7 +178,7 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>, Vec<Finding>> {
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(unreadable)? {
         let path = entry.map_err(unreadable)?.path();
-        if path.extension().is_some_and(|e| e == "yaml" || e == "yml") {
+        if is_yaml(&path) {
             files.push(path);
         }
         if files.len() > MAX_FILES {

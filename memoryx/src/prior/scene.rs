@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use armarium_source::yaml::Node;
-use armarium_source::{Finding, Findings, Rule, Source, code, form, read_node};
+use armarium_source::{Finding, Findings, Rule, Source, code, form, outermost, read_node};
 use armarium_values::{Frame, Pose, Value};
 
 use super::file::duplicate;
@@ -129,7 +129,7 @@ pub enum SceneError {
 
 /// Whether a file is one of a scene: its outermost level has the key `scene`.
 pub(super) fn is_scene(text: &str) -> bool {
-    text.lines().any(|line| line.starts_with("scene:"))
+    outermost(text, "scene").is_some()
 }
 
 /// The scene in a file, whose classes are known and whose name is new.

@@ -117,8 +117,8 @@ impl Link {
         Ok(())
     }
 
-    pub(super) async fn watch(self: Arc<Self>, mut roll: LivelinessSubscription) {
-        while let Some(service) = roll.next().await {
+    pub(super) async fn watch(self: Arc<Self>, mut services: LivelinessSubscription) {
+        while let Some(service) = services.next().await {
             if service.alive {
                 self.note_loss();
             }

@@ -75,10 +75,10 @@ impl RemoteMemory {
         };
         let link = Arc::new(link);
         let messages = session.subscribe(stream, QUEUE).await.map_err(failed)?;
-        let roll = session.watch_alive(&service.into(), 16).await.map_err(failed)?;
+        let alive = session.watch_alive(&service.into(), 16).await.map_err(failed)?;
         let mut tasks = JoinSet::new();
         tasks.spawn(Arc::clone(&link).receive(messages));
-        tasks.spawn(Arc::clone(&link).watch(roll));
+        tasks.spawn(Arc::clone(&link).watch(alive));
         // An answer proves that the other side knows the subscription: declarations arrive before queries.
         let follower = link.first_answer().await?;
         link.stream().begin(follower.complete_until());

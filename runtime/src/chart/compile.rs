@@ -50,7 +50,7 @@ fn checked(library: &Library, registry: &Registry, schema: &ChannelSchema) -> Ch
         findings.extend(found);
         findings.extend(unknown_names(&mut compiled, &tree, root, registry));
         findings.extend(missing_inputs(&tree, &compiled));
-        // Where keys are wrong or states are missing, what is said of the whole would only repeat it.
+        // Where keys are wrong or states are missing, findings about the whole chart would only repeat it.
         let any = |codes: &[&str]| findings.iter().any(|f| codes.contains(&f.code));
         let misread = any(&[code::KEY, code::FORM, code::MISSING_KEY, code::KIND]);
         let unknown = misread || any(&[code::STATE, code::SKILL, code::CHART]);

@@ -256,8 +256,8 @@ impl Scope<'_, '_> {
         }
     }
 
-    /// What the parts of a name stand for that was found to be `variable`: nothing for a loop's, and for the parts before
-    /// the last that stand for sections.
+    /// The symbol of each part of a name that was resolved to `variable`: none for a loop variable and for parts that only
+    /// name a section.
     fn symbols(&self, parts: &[&str], variable: &Variable) -> Vec<Option<Symbol>> {
         let (names, state) = (self.names, self.site.state);
         let mut symbols: Vec<Option<Symbol>> = vec![None; parts.len()];

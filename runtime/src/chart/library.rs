@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use armarium_source::yaml::{self, Named};
-use armarium_source::{Disk, Files, Finding, Findings, Source, Span, code};
+use armarium_source::{Disk, Files, Finding, Findings, Source, Span, code, outermost};
 
 use super::model::{Chart, Kind, State};
 use super::read;
@@ -198,7 +198,5 @@ pub fn files(folders: &[PathBuf], files: &dyn Files) -> BTreeMap<String, Vec<Pat
 
 /// The name after `statechart:` at the start of a line.
 fn chart_name(head: &str) -> Option<String> {
-    let rest = head.lines().find_map(|line| line.strip_prefix("statechart:"))?;
-    let name = rest.split('#').next().unwrap_or("").trim().trim_matches(['"', '\'']);
-    (!name.is_empty()).then(|| name.to_owned())
+    outermost(head, "statechart").filter(|name| !name.is_empty()).map(str::to_owned)
 }

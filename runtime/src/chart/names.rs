@@ -32,7 +32,7 @@ impl Named {
     }
 }
 
-/// Finds literals that are none of the known names, and notes at the chart's inputs what names they are.
+/// Finds literals that are not among the known names, and notes at the chart's inputs what names they are.
 pub(super) fn unknown_names(
     program: &mut Program,
     tree: &Tree<'_>,

@@ -1,4 +1,4 @@
-//! What a chart can say and hardly means: ends that cannot come, outputs that nothing sets, events that nobody takes, texts that look
+//! Charts that are valid but probably not meant so: ends that cannot come, outputs that nothing sets, events that nobody takes, texts that look
 //! like expressions, states that nothing leads out of, and `always` transitions that never rest.
 
 use std::collections::BTreeSet;

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// The coordinate frame of recorded poses: x right, y forward, z up, origin on the floor.
 pub(super) const ROOT: &str = "root";
 
-/// The true contact between the object in question and the table at one time.
+/// The true contact between the judged object and the table at one time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Contact {
     /// Force along the table's normal, N; positive presses.
