@@ -30,6 +30,9 @@ enum RobotCommand {
         /// Where to write `robot.yaml`; by default beside the URDF.
         #[arg(long, value_name = "DIR")]
         out: Option<PathBuf>,
+        /// An SRDF, from which groups, end effectors and postures are taken instead of guesses.
+        #[arg(long, value_name = "FILE.srdf")]
+        semantics: Option<PathBuf>,
         /// A folder in which packages of `package://` are; may be repeated.
         #[arg(long = "package", value_name = "DIR")]
         packages: Vec<PathBuf>,
@@ -68,8 +71,8 @@ enum RobotCommand {
 /// When `out` cannot be written.
 pub(crate) fn run(args: &RobotArgs, out: &mut dyn Write) -> io::Result<u8> {
     match &args.command {
-        RobotCommand::New { urdf, out: folder, packages, force } => {
-            new(urdf, folder.as_deref(), packages, *force, out)
+        RobotCommand::New { urdf, out: folder, semantics, packages, force } => {
+            new((urdf, semantics.as_deref()), folder.as_deref(), packages, *force, out)
         }
         RobotCommand::Check { robot, packages } => match read(robot, packages) {
             Ok(found) => check(&found, out),
@@ -96,14 +99,14 @@ fn refuse(wrong: &[Finding], out: &mut dyn Write) -> io::Result<u8> {
 }
 
 fn new(
-    urdf: &Path,
+    (urdf, semantics): (&Path, Option<&Path>),
     folder: Option<&Path>,
     packages: &[PathBuf],
     force: bool,
     out: &mut dyn Write,
 ) -> io::Result<u8> {
     let folder = folder.or(urdf.parent()).unwrap_or(Path::new("")).to_owned();
-    let text = match description::guessed(urdf, &folder, packages) {
+    let text = match description::guessed(urdf, semantics, &folder, packages) {
         Ok(text) => text,
         Err(wrong) => return refuse(&wrong, out),
     };
@@ -177,9 +180,10 @@ fn drawn(kinematics: &Kinematics) -> armarium_visionx::RgbImage {
     // A robot whose root is no floor, such as a walking one, is lifted onto it.
     let lift = Vector3::z() * (0.05 - low.z).max(0.0);
     let camera = PinholeCamera { width: 640, height: 480, focal: 515.0, center: [319.5, 239.5] };
-    let eye = middle + lift + Vector3::new(0.9, 0.9, 0.5) * size;
+    let eye = middle + lift + Vector3::new(0.8, 0.8, 0.45) * size;
     let mut scene =
         Scene::new(robot_shapes(kinematics, &Isometry3::from_parts(lift.into(), Default::default())));
+    scene.light = Vector3::new(0.6, 0.3, 0.9);
     let room = size.max(1.0) * 4.0;
     scene.background.lower = Vector3::new(-room, -room, 0.0);
     scene.background.upper = Vector3::new(room, room, room);
@@ -192,4 +196,69 @@ fn list(out: &mut dyn Write) -> io::Result<u8> {
         writeln!(out, "{name}{default}")?;
     }
     Ok(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn says(command: RobotCommand) -> (u8, String) {
+        let mut out = Vec::new();
+        let status = run(&RobotArgs { command }, &mut out).unwrap();
+        (status, String::from_utf8(out).unwrap())
+    }
+
+    fn check(robot: impl Into<String>) -> (u8, String) {
+        says(RobotCommand::Check { robot: robot.into(), packages: Vec::new() })
+    }
+
+    #[test]
+    fn a_robot_that_ships_is_listed_checked_and_drawn() {
+        let (status, listed) = says(RobotCommand::List);
+        let name = listed.split_whitespace().next().unwrap().to_owned();
+        assert_eq!((status, check(&*name).0), (0, 0));
+        assert!(check(&*name).1.contains("no `hand` for `left_arm`: cannot run: OpenHand, CloseHand"));
+        let (status, said) = check("nobody");
+        assert!(status == 2 && said.contains("there is no robot `nobody`") && said.contains(&name), "{said}");
+
+        let folder = tempfile::tempdir().unwrap();
+        let picture = folder.path().join("robot.png");
+        let show = |posture: Option<&str>| {
+            let posture = posture.map(str::to_owned);
+            says(RobotCommand::Show { robot: name.clone(), output: Some(picture.clone()), posture })
+        };
+        let (status, said) = show(None);
+        assert!(status == 0 && said.contains("elbow_r: -2.000 to 0.960 rad, 1 rad/s"), "{said}");
+        assert!(std::fs::read(&picture).unwrap().starts_with(b"\x89PNG"));
+        assert_eq!(show(Some("nowhere")).0, 2);
+    }
+
+    #[test]
+    fn a_description_gets_a_robot_file_that_is_not_overwritten() {
+        let folder = tempfile::tempdir().unwrap();
+        let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots");
+        let name = shipped_robots().next().unwrap();
+        let urdf = folder.path().join("mine.urdf");
+        std::fs::copy(shipped.join(name).join(format!("{name}.urdf")), &urdf).unwrap();
+        let new = || {
+            let (urdf, packages) = (urdf.clone(), Vec::new());
+            says(RobotCommand::New { urdf, out: None, semantics: None, packages, force: false })
+        };
+        assert_eq!(new().0, 0);
+        let file = folder.path().join("robot.yaml");
+        let model = description::load(&file, &[]).unwrap().model;
+        let arms: Vec<_> = model.arms().map(|arm| (arm.name.as_str(), arm.joints.len())).collect();
+        assert_eq!(arms, [("right_arm", 7), ("left_arm", 7)]);
+        assert_eq!((model.limb("torso").len(), model.limb("right_hand").len()), (3, 2));
+        assert_eq!(check(file.to_string_lossy()).0, 0);
+        let (status, said) = new();
+        assert!(status == 2 && said.contains("--force overwrites it"), "{said}");
+
+        let macros = folder.path().join("mine.urdf.xacro");
+        let text = "<robot name=\"r\" xmlns:xacro=\"http://www.ros.org/wiki/xacro\"><xacro:include filename=\"a\"/></robot>";
+        std::fs::write(&macros, text).unwrap();
+        let (status, said) = check(macros.to_string_lossy());
+        let command = format!("xacro {} > {}", macros.display(), urdf.display());
+        assert!(status == 2 && said.contains(&command), "{said}");
+    }
 }

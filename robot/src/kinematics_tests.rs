@@ -242,3 +242,103 @@ fn broken_descriptions_are_refused_with_the_place() {
     let good = format!("<robot name=\"r\">{a}{b}{}</robot>", joint("revolute", "a", "b", limit));
     assert_eq!(description::from_texts(FILE, &good).unwrap().model.joints().len(), 1);
 }
+
+/// Two arms of four joints on a lift, one with a gripper whose fingers move together.
+fn two_arms() -> String {
+    let limit = "<limit lower='-1' upper='2' velocity='1' effort='1'/>";
+    let (mut links, mut joints) = (String::from("<link name='base'/><link name='lift'/>"), String::new());
+    joints += &format!(
+        "<joint name='lift' type='prismatic'><parent link='base'/><child link='lift'/><axis xyz='0 0 1'/>{limit}</joint>"
+    );
+    for side in ["left", "right"] {
+        let mut before = "lift".to_owned();
+        for k in 1..=4 {
+            let name = format!("{side}_{k}");
+            links += &format!("<link name='{name}'/>");
+            joints += &format!(
+                "<joint name='{name}' type='revolute'><parent link='{before}'/><child link='{name}'/>\
+                 <origin xyz='0.2 0 0'/><axis xyz='0 0 1'/>{limit}</joint>"
+            );
+            before = name;
+        }
+        links += &format!("<link name='{side}_tool'/>");
+        joints += &format!(
+            "<joint name='{side}_t' type='fixed'><parent link='{before}'/><child link='{side}_tool'/></joint>"
+        );
+    }
+    for (finger, more) in [("a", limit.to_owned()), ("b", "<mimic joint='a' multiplier='-1'/>".to_owned())] {
+        links += &format!("<link name='{finger}'/>");
+        joints += &format!(
+            "<joint name='{finger}' type='prismatic'><parent link='right_4'/><child link='{finger}'/>{more}</joint>"
+        );
+    }
+    format!("<robot name='two'>{links}{joints}</robot>")
+}
+
+#[test]
+fn arms_hands_and_what_they_hang_on_are_told_from_a_description() {
+    let folder = std::env::temp_dir().join(format!("armarium-guess-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let urdf = folder.join("two.urdf");
+    std::fs::write(&urdf, two_arms()).unwrap();
+    let model = description::load(&urdf, &[]).unwrap().model;
+    let text = description::guessed(&urdf, None, &folder, &[]).unwrap();
+    let srdf = folder.join("two.srdf");
+    let groups = "<group name='right'><chain base_link='lift' tip_link='right_tool'/></group>\
+                  <group name='gripper'><joint name='a'/><joint name='b'/></group>\
+                  <end_effector name='e' parent_link='right_tool' group='gripper'/>\
+                  <group_state name='ready' group='right'><joint name='right_2' value='0.5'/><joint name='right_3' value='7'/></group_state>";
+    std::fs::write(&srdf, format!("<robot name='two'>{groups}</robot>")).unwrap();
+    std::fs::write(folder.join("robot.yaml"), "robot: two\ndescription: two.urdf\nsemantics: two.srdf\n")
+        .unwrap();
+    let told = description::load(&folder.join("robot.yaml"), &[]).unwrap();
+    std::fs::remove_dir_all(&folder).unwrap();
+
+    let arms: Vec<_> =
+        model.arms().map(|arm| (arm.name.as_str(), arm.joints.len(), arm.hand.as_deref())).collect();
+    assert_eq!(arms, [("right_arm", 4, Some("right_hand")), ("left_arm", 4, None)], "{text}");
+    let right = model.find_limb("right_arm").unwrap();
+    assert_eq!(
+        (right.tcp, right.helped_by.as_slice()),
+        (model.link("right_tool"), &["torso".to_owned()][..])
+    );
+    assert_eq!(model.limb("right_hand"), [model.joint("a").unwrap()]);
+    assert_eq!(model.start()[model.joint("left_1").unwrap()], 0.5, "the middle of its range");
+    assert_eq!(text.matches("# guessed").count(), text.matches("guessed").count() - 1, "{text}");
+
+    let (model, warnings) = (told.model, told.warnings);
+    let right = model.find_limb("right").unwrap();
+    assert_eq!(
+        (right.joints.len(), right.hand.as_deref(), right.tcp),
+        (4, Some("gripper"), model.link("right_tool"))
+    );
+    let ready = &model.postures()["ready"];
+    let at = |joint: &str| ready[model.joint(joint).unwrap()];
+    assert_eq!((at("right_2"), at("right_3"), at("left_1")), (0.5, 2.0, 0.0));
+    assert!(
+        warnings.iter().any(|warning| warning.message.contains("7 is beyond the limits")),
+        "{warnings:?}"
+    );
+}
+
+#[test]
+fn bytes_that_are_no_mesh_are_none_and_those_of_one_are() {
+    use crate::description::read_mesh;
+    let triangle = b"v 0 0 0\nv 1 0 0\nv 0 2 0\nf 1 2 3\n";
+    let mesh = read_mesh(triangle, "a.obj", [1.0, 1.0, 0.5]).unwrap();
+    assert_eq!((mesh.triangles().len(), mesh.bounds()[1].y), (1, 2.0));
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    for name in ["a.obj", "a.stl", "a.dae", "a.xyz"] {
+        for length in [0, 1, 83, 84, 90, 400] {
+            let noise: Vec<u8> = (0..length).map(|_| rng.random()).collect();
+            assert!(
+                read_mesh(&noise, name, [1.0; 3]).is_none_or(|mesh| !mesh.triangles().is_empty()),
+                "{name}"
+            );
+        }
+    }
+    // A count of triangles that the file does not have must not be believed.
+    let mut liar = vec![0; 84];
+    liar[80..84].copy_from_slice(&u32::MAX.to_le_bytes());
+    assert!(read_mesh(&liar, "a.stl", [1.0; 3]).is_none());
+}

@@ -3,12 +3,13 @@
 //! Levenberg-Marquardt from a seed, with restarts from random configurations. It ignores obstacles and plans no
 //! path.
 
+use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Matrix6, Point3, Unit, UnitQuaternion, Vector3, Vector6};
 use rand::{Rng, RngExt};
 
-use crate::{Jacobian, Kinematics, LinkId, Model, Twist};
+use crate::{Jacobian, JointKind, Kinematics, LinkId, Model, Twist};
 
 /// When a pose counts as reached, and how long to search.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -215,6 +216,16 @@ impl<'a> Solver<'a> {
         let scale = if most > MAX_CHANGE { MAX_CHANGE / most } else { 1.0 };
         for (&j, change) in self.joints.iter().zip(&self.change) {
             q[j] += scale * change;
+            if self.turns_on(j) {
+                let (lower, upper) = self.range(j);
+                q[j] += if q[j] > upper {
+                    -TAU
+                } else if q[j] < lower {
+                    TAU
+                } else {
+                    0.0
+                };
+            }
         }
         self.clamp(q);
         most
@@ -233,12 +244,19 @@ impl<'a> Solver<'a> {
         true
     }
 
+    /// Whether a joint has a whole turn: where its range ends it may go on at the other end, as the pose is the same.
+    fn turns_on(&self, joint: usize) -> bool {
+        let (lower, upper) = self.range(joint);
+        let turns = self.kinematics.model().joints()[joint].kind == JointKind::Revolute;
+        turns && upper.is_finite() && lower.is_finite() && upper - lower > TAU - 0.01
+    }
+
     /// Blocks a joint that is at its limit and would exceed it.
     fn block(&mut self, q: &[f64]) -> bool {
         for (i, &j) in self.joints.iter().enumerate() {
             let (lower, upper) = self.range(j);
             let out = (q[j] <= lower && self.change[i] < -1e-12) || (q[j] >= upper && self.change[i] > 1e-12);
-            if !self.blocked[i] && out {
+            if !self.blocked[i] && out && !self.turns_on(j) {
                 self.blocked[i] = true;
                 self.change[i] = 0.0;
                 return true;

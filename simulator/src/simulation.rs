@@ -123,7 +123,7 @@ impl Simulation {
             rng
         };
         let plant = Plant::new(&model, world, &start)?;
-        let mut eyes = Eyes::new(&model, world, plant.table(), seed).ok_or(SimulationError::Camera)?;
+        let mut eyes = Eyes::new(&model, world, plant.table(), seed);
         let camera = eyes.viewpoint(&start);
         let calibration = eyes.source().calibration();
         let agents = world.agents.iter().zip(1u64..).map(|(agent, n)| {

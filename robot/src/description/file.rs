@@ -19,6 +19,8 @@ form! {
         pub name as "robot": String, Rule::NAME;
         /// Its URDF, beside this file.
         pub description: String, PATH;
+        /// Its SRDF, beside this file: groups, end effectors and group states are taken from it.
+        pub semantics: Option<String> = None, PATH;
         /// Folders, beside this file, in which the packages of `package://` are.
         pub packages: Vec<String> = Vec::new(), PATH;
         /// The posture in which it begins; all joints at 0 where none is named.

@@ -55,6 +55,21 @@ pub(super) fn robot_file(name: &str, urdf: &str, packages: &[String], tree: &Tre
     guesser.write((name, urdf, packages), &found)
 }
 
+/// The text of a robot file whose groups an SRDF says.
+pub(super) fn with_semantics(name: &str, urdf: &str, srdf: &str, packages: &[String]) -> String {
+    head(name, urdf, packages) + &format!("semantics: {}\n", quoted(srdf))
+}
+
+/// The lines with which a robot file begins.
+fn head(name: &str, urdf: &str, packages: &[String]) -> String {
+    let mut text = format!("robot: {}\ndescription: {}\n", quoted(name), quoted(urdf));
+    if !packages.is_empty() {
+        let packages: Vec<String> = packages.iter().map(|folder| quoted(folder)).collect();
+        let _ = writeln!(text, "packages: [{}]", packages.join(", "));
+    }
+    text
+}
+
 /// A text as a YAML scalar.
 fn quoted(text: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '/');
@@ -280,16 +295,9 @@ impl<'a> Guesser<'a> {
     }
 
     fn write(&self, (name, urdf, packages): (&str, &str, &[String]), found: &Found) -> String {
-        let mut text = String::new();
-        let _ = writeln!(
-            text,
-            "# Written by `armarium robot new`. What it guessed is marked; look at it, and put right what is wrong."
-        );
-        let _ = writeln!(text, "robot: {}\ndescription: {}", quoted(name), quoted(urdf));
-        if !packages.is_empty() {
-            let packages: Vec<String> = packages.iter().map(|folder| quoted(folder)).collect();
-            let _ = writeln!(text, "packages: [{}]", packages.join(", "));
-        }
+        let mut text =
+            "# Written by `armarium robot new`. What it guessed is marked: look at it.\n".to_owned();
+        text += &head(name, urdf, packages);
         let mut limbs: Vec<(String, &Chain, Option<usize>, bool)> = found
             .limbs
             .iter()

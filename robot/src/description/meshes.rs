@@ -66,6 +66,8 @@ impl<'a> Meshes<'a> {
         let Some(inside) = name.strip_prefix("package://").or_else(|| name.strip_prefix("model://")) else {
             return vec![folder.join(name.strip_prefix("file://").unwrap_or(name))];
         };
+        // Some write three slashes.
+        let inside = inside.trim_start_matches('/');
         let path = inside.split_once('/').map_or(inside, |(_, path)| path);
         let package = inside.split('/').next().unwrap_or("");
         let given = self.packages.iter().flat_map(|folder| [folder.join(inside), folder.join(path)]);

@@ -2,7 +2,7 @@
 //!
 //! - `urdf`: links and joints, with their `meshes`. `file`: the form of the robot file. `resolve`: both together make a
 //!   [`Model`].
-//! - `guess`: the robot file of a URDF that has none.
+//! - `srdf`: groups, hands and postures from SRDF. `guess`: the robot file of a URDF that has none.
 //! - `shipped`: the robots that the program carries.
 //!
 //! Everything that is wrong is a finding with its place. What is left out and can be assumed is a warning.
@@ -12,6 +12,7 @@ mod guess;
 mod meshes;
 mod resolve;
 mod shipped;
+mod srdf;
 mod urdf;
 
 use std::path::{Path, PathBuf};
@@ -87,7 +88,7 @@ pub fn load(path: &Path, packages: &[PathBuf]) -> Result<Description, Vec<Findin
     let source = if is_description(path) {
         Arc::new(Source::new(
             path.with_extension("yaml"),
-            guessed(path, path.parent().unwrap_or(Path::new("")), packages)?,
+            guessed(path, None, path.parent().unwrap_or(Path::new("")), packages)?,
         ))
     } else {
         Source::read(path).map_err(|finding| vec![*finding])?
@@ -96,16 +97,35 @@ pub fn load(path: &Path, packages: &[PathBuf]) -> Result<Description, Vec<Findin
 }
 
 /// The text of a robot file in the folder `beside` for a URDF, with what could be told; what was guessed is marked in it.
+/// With an SRDF nothing is guessed: it says what the groups are.
 ///
 /// # Errors
 /// Everything that is wrong with the URDF.
-pub fn guessed(urdf: &Path, beside: &Path, packages: &[PathBuf]) -> Result<String, Vec<Finding>> {
+pub fn guessed(
+    urdf: &Path,
+    semantics: Option<&Path>,
+    beside: &Path,
+    packages: &[PathBuf],
+) -> Result<String, Vec<Finding>> {
     let source = Source::read(urdf).map_err(|finding| vec![*finding])?;
     let (tree, findings) = urdf::read(&source, &mut Meshes::new(urdf, packages));
     let tree = tree.ok_or(findings)?;
     let name = urdf.file_stem().unwrap_or_default().to_string_lossy();
     let packages: Vec<String> = packages.iter().map(|folder| seen_from(folder, beside)).collect();
+    if let Some(srdf) = semantics {
+        return Ok(guess::with_semantics(
+            &name,
+            &seen_from(urdf, beside),
+            &seen_from(srdf, beside),
+            &packages,
+        ));
+    }
     Ok(guess::robot_file(&name, &seen_from(urdf, beside), &packages, &tree))
+}
+
+#[cfg(test)]
+pub(crate) fn read_mesh(bytes: &[u8], name: &str, scale: [f64; 3]) -> Option<crate::Mesh> {
+    meshes::read(bytes, Path::new(name), &scale.into())
 }
 
 /// The path of a file as seen from a folder: relative where it is inside of it.
@@ -130,23 +150,33 @@ fn robot_file(
     packages: &[PathBuf],
     read: impl Fn(&Path) -> Result<Arc<Source>, Box<Finding>>,
 ) -> Result<Description, Vec<Finding>> {
-    let (file, node) = armarium_source::read_node::<RobotFile>(Arc::clone(&source))?;
-    let path = source.path.parent().unwrap_or(Path::new("")).join(&file.description);
+    let (mut file, node) = armarium_source::read_node::<RobotFile>(Arc::clone(&source))?;
+    let folder = source.path.parent().unwrap_or(Path::new("")).to_owned();
+    let path = folder.join(&file.description);
     let mut findings = Findings::new(source);
-    let urdf = match read(&path) {
-        Ok(urdf) => urdf,
+    let beside = |findings: &mut Findings, key: &str, path: &Path| match read(path) {
+        Ok(text) => Some(text),
         Err(finding) => {
-            let message = format!("the description cannot be used: {}", finding.message);
+            let message = format!("the {key} cannot be used: {}", finding.message);
             let help = Some("it is searched beside this file".into());
-            findings.error_help(code::FILE, node.place("description"), message, help);
-            return Err(findings.list);
+            findings.error_help(code::FILE, node.place(key), message, help);
+            None
         }
     };
-    let folder = findings.source.path.parent().unwrap_or(Path::new("")).to_owned();
+    let urdf = beside(&mut findings, "description", &path);
+    let semantics = file.semantics.as_ref().map(|srdf| folder.join(srdf));
+    let semantics = semantics.and_then(|path| beside(&mut findings, "semantics", &path));
+    let Some(urdf) = urdf.filter(|_| findings.list.is_empty()) else { return Err(findings.list) };
     let packages: Vec<PathBuf> =
         packages.iter().cloned().chain(file.packages.iter().map(|package| folder.join(package))).collect();
     let (tree, mut warnings) = urdf::read(&urdf, &mut Meshes::new(&path, &packages));
     let Some(tree) = tree else { return Err(warnings) };
+    if let Some(srdf) = semantics {
+        warnings.extend(srdf::merge(&srdf, &tree, &mut file));
+        if warnings.iter().any(Finding::is_error) {
+            return Err(warnings);
+        }
+    }
     let model = resolve::model(&file, &node, tree, &mut findings);
     if findings.list.iter().any(Finding::is_error) {
         findings.list.sort_by_key(|finding| finding.span.start);

@@ -75,7 +75,7 @@ fn children<'a>(of: Element<'a>, name: &'static str) -> impl Iterator<Item = Ele
 }
 
 /// The start tag of an element, without what is inside.
-fn span(node: Element<'_>) -> Span {
+pub(super) fn span(node: Node<'_, '_>) -> Span {
     let range = node.range();
     let text = &node.document().input_text()[range.clone()];
     Span { start: range.start, end: range.start + text.find('>').map_or(text.len(), |end| end + 1) }

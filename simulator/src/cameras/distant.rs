@@ -103,7 +103,10 @@ impl DistantCameras {
     pub fn new(world: &World, seed: u64) -> Result<Self, SimulationError> {
         let model = world.model()?;
         let table = TableTop::new(&world.table);
-        let eyes = Eyes::new(&model, world, &table, seed).ok_or(SimulationError::Camera)?;
+        let eyes = Eyes::new(&model, world, &table, seed);
+        if model.camera().is_none() {
+            return Err(SimulationError::Camera);
+        }
         Ok(Self {
             eyes,
             frame: model.camera_frame().to_owned(),

@@ -97,7 +97,7 @@ fn world(table: [u8; 3]) -> World {
 fn watch(world: &World, seed: u64) -> Score {
     let model = Model::shipped("armar3").unwrap();
     let table = TableTop::new(&world.table);
-    let mut eyes = Eyes::new(&model, world, &table, seed).unwrap();
+    let mut eyes = Eyes::new(&model, world, &table, seed);
     let mut wiper = Wiper::new(&model);
     let camera = eyes.viewpoint(&wiper.q);
     let rng = ChaCha8Rng::seed_from_u64(seed);

@@ -37,6 +37,8 @@ pub const TOOL_HALF: Vector3<f64> = Vector3::new(0.045, 0.03, 0.02);
 const DIRT: [u8; 3] = [104, 92, 84];
 /// Radius around the middle of the workspace in which the table is visibly dirty, m.
 const DIRTY_RADIUS: f64 = 0.22;
+/// Where the coach takes the eyes of a robot without cameras to be, root frame, m.
+const NO_CAMERA: Point3<f64> = Point3::new(0.0, 0.0, 1.6);
 /// Something is in front of the hand if it is nearer to the camera by more than this, m.
 const HIDES: f32 = 0.002;
 
@@ -172,7 +174,8 @@ pub(crate) struct Eyes {
     rig: StereoRig,
     truth: Kinematics,
     belief: Kinematics,
-    left: LinkId,
+    /// The link of the left camera, if the robot has cameras.
+    left: Option<LinkId>,
     believed_from_true: Isometry3<f64>,
     fault: (ImageFault, f64),
     last: Option<(RgbImage, RgbImage, DepthImage)>,
@@ -187,9 +190,9 @@ pub(crate) struct Eyes {
 }
 
 impl Eyes {
-    /// Builds the cameras of a world; `None` if the robot has none.
-    pub(crate) fn new(model: &Arc<Model>, world: &World, table: &TableTop, seed: u64) -> Option<Self> {
-        let left = model.camera()?.left;
+    /// Builds the cameras of a world. A robot without cameras gives no frames.
+    pub(crate) fn new(model: &Arc<Model>, world: &World, table: &TableTop, seed: u64) -> Self {
+        let left = model.camera().map(|camera| camera.left);
         let spec = &world.camera;
         let camera = PinholeCamera {
             width: spec.width,
@@ -206,7 +209,7 @@ impl Eyes {
         );
         let [hx, hy] = table.half();
         let table_half = Vector3::new(hx, hy, THICKNESS / 2.0);
-        Some(Self {
+        Self {
             rig: StereoRig::new(SimulatedCameras::NAME, calibration, spec.rate, noise),
             truth: Kinematics::new(model),
             belief: Kinematics::new(model),
@@ -222,22 +225,22 @@ impl Eyes {
             dirt: Arc::new(blotches(world, table, seed)),
             objects: world.objects.iter().map(|o| (Vector3::from(o.size) / 2.0, o.color)).collect(),
             tool_color: world.coach.tool.color,
-        })
+        }
     }
 
     pub(crate) fn source(&self) -> &Arc<SimulatedCameras> {
         &self.rig.source
     }
 
-    /// Position of the robot's cameras in a posture, m, root frame.
+    /// Position of the robot's cameras in a posture, m, root frame; where it has none, a place where a head might be.
     pub(crate) fn viewpoint(&mut self, position: &[f64]) -> Point3<f64> {
         self.truth.update(position);
-        self.truth.pose(self.left).translation.vector.into()
+        self.left.map_or(NO_CAMERA, |left| self.truth.pose(left).translation.vector.into())
     }
 
     /// Whether a frame is due at `t` s and a reader waits for it, here or in another process.
     pub(crate) fn due(&mut self, t: f64, elsewhere: bool) -> bool {
-        self.rig.is_due(t) && (elsewhere || self.rig.source.wanted())
+        self.rig.is_due(t) && self.left.is_some() && (elsewhere || self.rig.source.wanted())
     }
 
     /// Draws a frame and publishes it. Returns the truth about it.
@@ -258,7 +261,7 @@ impl Eyes {
         self.truth.update(view.true_position);
         self.belief.update(view.sensed_position);
         let scene = self.scene(view);
-        let [left, right] = self.rig.left_and_right(self.truth.pose(self.left) * self.believed_from_true);
+        let [left, right] = self.rig.left_and_right(self.left_pose(&self.truth) * self.believed_from_true);
         let drawn = render_pair(&scene, &[left, right]);
         let visible = view.coach.hand.is_some_and(|hand| {
             let alone = render_pair(&Scene::new(skin(&hand)), &[left, right]);
@@ -289,9 +292,13 @@ impl Eyes {
                 ImageFault::Frozen => pictures = self.last.get_or_insert(pictures).clone(),
             }
         }
-        let root_from_left = *self.belief.pose(self.left);
+        let root_from_left = self.left_pose(&self.belief);
         let (left, right, depth) = pictures;
         StereoFrame { stamp_ns, left, right, depth: Some(depth), root_from_left }
+    }
+
+    fn left_pose(&self, kinematics: &Kinematics) -> Isometry3<f64> {
+        self.left.map_or_else(|| Translation3::from(NO_CAMERA).into(), |left| *kinematics.pose(left))
     }
 
     fn scene(&mut self, view: &SceneState<'_>) -> Scene {
