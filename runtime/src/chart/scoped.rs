@@ -41,12 +41,12 @@ pub(super) fn scoped(program: &Program) -> Vec<Scoped> {
                 add(parent, outcome, region, false, Some(id));
                 if region && let Some(parallel) = program.state(parent).parent {
                     // It ends when all its regions have; where one never does, nobody need handle it.
-                    let own_only = program.state(parallel).region || !can_end(program, parallel);
+                    let own_only = program.state(parallel).region || !can_end(program, parallel, &|_| true);
                     add(parallel, outcome, own_only, false, Some(id));
                 }
             }
             Kind::Parallel => {
-                add(id, "success", state.region || !can_end(program, id), false, None);
+                add(id, "success", state.region || !can_end(program, id, &|_| true), false, None);
             }
             _ => {}
         }
@@ -54,15 +54,37 @@ pub(super) fn scoped(program: &Program) -> Vec<Scoped> {
     all
 }
 
-/// Whether all regions of a parallel state can come to an end.
-fn can_end(program: &Program, parallel: StateId) -> bool {
-    let ends = |region: &StateId| {
-        let region = program.state(*region);
-        let is_final = |child: &StateId| matches!(program.state(*child).kind, Kind::Final { .. });
-        match region.kind {
-            Kind::Skill { .. } | Kind::Chart { .. } | Kind::Parallel => true,
-            _ => region.children.iter().any(is_final),
+/// Whether a state can come to an end by itself, by final states of which `reached` holds.
+pub(super) fn can_end(program: &Program, state: StateId, reached: &dyn Fn(StateId) -> bool) -> bool {
+    let children = &program.state(state).children;
+    let is_end =
+        |child: &StateId| matches!(program.state(*child).kind, Kind::Final { .. }) && reached(*child);
+    match program.state(state).kind {
+        Kind::Skill { .. } => true,
+        Kind::Parallel | Kind::Chart { .. } => children.iter().all(|child| can_end(program, *child, reached)),
+        _ => children.iter().any(is_end),
+    }
+}
+
+/// The states that some way leads to, whatever the conditions on it.
+pub(super) fn reached(program: &Program) -> Vec<bool> {
+    let mut reached = vec![false; program.states.len()];
+    let mut waiting = vec![0];
+    while let Some(id) = waiting.pop() {
+        if std::mem::replace(&mut reached[id as usize], true) {
+            continue;
         }
-    };
-    program.state(parallel).children.iter().all(ends)
+        let state = program.state(id);
+        match &state.kind {
+            Kind::Composite { initial } => waiting.extend(&initial.targets),
+            Kind::Chart { .. } | Kind::Parallel => waiting.extend(&state.children),
+            Kind::History { default, .. } => waiting.extend(&default.targets),
+            _ => {}
+        }
+        waiting.extend(state.parent);
+        for t in state.transitions.iter().chain(&state.always).chain(&state.after) {
+            waiting.extend(&program.transitions[*t as usize].targets);
+        }
+    }
+    reached
 }

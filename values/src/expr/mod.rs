@@ -200,6 +200,30 @@ pub struct Reads {
     pub event: bool,
 }
 
+/// What an expression sees that reads nothing.
+struct Nothing;
+
+impl EvalContext for Nothing {
+    fn data(&self, _: u32) -> Option<&Value> {
+        None
+    }
+    fn channel(&self, _: u32, _: &[String]) -> Option<Value> {
+        None
+    }
+    fn age(&self, _: u32) -> Option<f64> {
+        None
+    }
+    fn event_name(&self) -> Option<&str> {
+        None
+    }
+    fn event_data(&self) -> Option<&Value> {
+        None
+    }
+    fn active(&self, _: u32) -> bool {
+        false
+    }
+}
+
 /// A checked expression, ready to be evaluated.
 #[derive(Clone, Debug)]
 pub struct Expr {
@@ -236,6 +260,11 @@ impl Expr {
             eval::Node::Data(slot, _) => Some(slot),
             _ => None,
         }
+    }
+
+    /// Its value, where it reads nothing and can be evaluated.
+    pub fn constant(&self) -> Option<Value> {
+        (self.reads == Reads::default()).then(|| self.evaluate(&Nothing).ok()).flatten()
     }
 
     /// What it reads.
