@@ -44,6 +44,7 @@ pub(crate) fn figures(case: &Case<'_>) -> Json {
         "inputs": values(&case.log.inputs),
         "outputs": values(&case.result.outputs),
         "log": case.log.written,
+        "dropped": case.log.dropped,
         "outcome": case.result.outcome,
         "reason": case.result.reason,
         "chain": case.result.chain,

@@ -316,8 +316,9 @@ impl Scope<'_, '_> {
                 .map(str::to_owned)
                 .or_else(|| self.section_of(path[0]).map(|section| format!("{section}.{}", path[0])))
                 .or_else(|| {
-                    nearest(path[0], known.into_iter().chain(names.visible(self.site.state)))
-                        .map(str::to_owned)
+                    // A state alone is no value.
+                    let states = if path.len() > 1 { names.visible(self.site.state) } else { Vec::new() };
+                    nearest(path[0], known.into_iter().chain(states)).map(str::to_owned)
                 });
             let help = match path {
                 [name] => Some(format!("a text stands in quotes: `'{name}'`")),

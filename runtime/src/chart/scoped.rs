@@ -20,6 +20,11 @@ pub(super) fn scoped(program: &Program) -> Vec<Scoped> {
     let mut add = |state: StateId, name: &str, own_only: bool, watch: bool, at: Option<StateId>| {
         all.push(Scoped { state, name: name.to_owned(), own_only, watch, at });
     };
+    // The end of a chart's inside is that of the state that uses it.
+    let user = |id: StateId| match program.state(id) {
+        root if root.chart_root => root.parent.unwrap_or(0),
+        _ => id,
+    };
     for (id, state) in (0..).zip(&program.states).skip(1) {
         for watch in &state.watches {
             let name = program.watches[*watch as usize].name;
@@ -31,22 +36,22 @@ pub(super) fn scoped(program: &Program) -> Vec<Scoped> {
                 manifest.outcomes.iter().for_each(|name| add(id, name, state.region, false, None));
             }
             Kind::Final { outcome } => {
-                // The composite around ends; the inside of a chart ends the state that uses it.
-                let Some(mut parent) = state.parent else { continue };
-                if program.state(parent).chart_root {
-                    parent = program.state(parent).parent.unwrap_or(0);
-                }
+                // The composite around ends.
+                let Some(parent) = state.parent.map(user) else { continue };
                 let region = program.state(parent).region;
                 let outcome = program.symbols.name(*outcome);
                 add(parent, outcome, region, false, Some(id));
                 if region && let Some(parallel) = program.state(parent).parent {
                     // It ends when all its regions have; where one never does, nobody need handle it.
-                    let own_only = program.state(parallel).region || !can_end(program, parallel, &|_| true);
-                    add(parallel, outcome, own_only, false, Some(id));
+                    let of = user(parallel);
+                    let own_only = program.state(of).region || !can_end(program, parallel, &|_| true);
+                    add(of, outcome, own_only, false, Some(id));
                 }
             }
             Kind::Parallel => {
-                add(id, "success", state.region || !can_end(program, id, &|_| true), false, None);
+                let of = user(id);
+                let own_only = program.state(of).region || !can_end(program, id, &|_| true);
+                add(of, "success", own_only, false, None);
             }
             _ => {}
         }

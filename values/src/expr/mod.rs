@@ -333,11 +333,11 @@ impl Expr {
 pub fn nearest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let limit = (name.chars().count() / 3).max(1);
     let short = |word: &str| word.chars().take(64).collect::<String>().to_lowercase();
-    let name = &short(name);
+    let (name, written) = (&short(name), name);
     candidates
         .into_iter()
         .map(|c| (strsim::osa_distance(name, &short(c)), c))
-        .filter(|(d, c)| *d <= limit && *c != name)
+        .filter(|(d, c)| *d <= limit && *c != written)
         .min_by_key(|(d, _)| *d)
         .map(|(_, c)| c)
 }
