@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use armarium_runtime::chart::{self, Outline};
+use armarium_source::Finding;
 use armarium_viewer::chart::{Format, Theme, Unfold, fold, render, unfold};
 
 use crate::{changes, console};
@@ -89,6 +90,11 @@ fn draw(args: &GraphArgs, out: &mut dyn Write) -> io::Result<u8> {
         console::show(&library.findings, out)?;
         return Ok(2);
     };
+    let is_folder = |finding: &Finding| args.charts.contains(&finding.source.path);
+    if library.findings.iter().any(is_folder) {
+        console::show(&library.findings, out)?;
+        return Ok(2);
+    }
     let mut outline = Outline::of(chart);
     // The charts and skills that a chart names need not exist, unless they are to be shown.
     let which = match args.unfold.iter().any(|name| name == "all") {

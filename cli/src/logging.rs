@@ -8,8 +8,9 @@ use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::time::FormatTime;
 
-/// Zenoh warns about a session without gossip, which is intended here.
-const QUIET: &str = "zenoh::net::routing::hat=error";
+/// Zenoh warns about a session without gossip, which is intended here. The recorder says itself, and once, that a recording
+/// cannot be written; foxglove would say it for each message.
+const QUIET: &str = "zenoh::net::routing::hat=error,foxglove=off";
 
 /// Prints the simulated time of an event.
 struct Simulated(Clock);

@@ -151,7 +151,7 @@ pub(crate) fn run(args: &RunArgs, out: &mut dyn Write) -> io::Result<u8> {
             let result = &ended.result;
             let line = json!({"outcome": result.outcome, "reason": result.reason, "report": ended.folder});
             writeln!(io::stdout(), "{line}")?;
-            Ok(u8::from(result.outcome != "success" || !ended.recorded))
+            Ok(u8::from(result.outcome != "success" || !ended.recorded || !ended.reported))
         }
         Ok(ended) => conclude(&ended, out),
         Err(error) => refuse(&error, out),
@@ -171,15 +171,20 @@ fn conclude(ended: &RunEnded, out: &mut dyn Write) -> io::Result<u8> {
         writeln!(out, "  {mark} {group}: {name} {value:.digits$} {unit}")?;
     }
     let (result, folder) = (&ended.result, &ended.folder);
+    let place = if ended.reported {
+        format!("the report is {}", folder.join("report.html").display())
+    } else {
+        "there is no report".to_owned()
+    };
     if result.outcome == "success" {
-        writeln!(out, "success; the report is {}", folder.join("report.html").display())?;
-        return Ok(u8::from(!ended.recorded));
+        writeln!(out, "success; {place}")?;
+        return Ok(u8::from(!ended.recorded || !ended.reported));
     }
     let reason = result.reason.as_ref().map_or(String::new(), |reason| format!(": {reason}"));
     writeln!(out, "{}{reason}", result.outcome)?;
     if !result.chain.is_empty() {
         writeln!(out, "  through {}", result.chain.join(" < "))?;
     }
-    writeln!(out, "the report is {}", folder.join("report.html").display())?;
+    writeln!(out, "{place}")?;
     Ok(1)
 }

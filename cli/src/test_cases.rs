@@ -87,7 +87,12 @@ fn suite(
 ) -> io::Result<Suite> {
     let mut suite = Suite { file: file.display().to_string(), cases: Vec::new() };
     let (cases, of) = match load(file, args, registry, tested) {
-        Ok(loaded) => loaded,
+        Ok((cases, of, warnings)) => {
+            if !warnings.is_empty() {
+                console::show(&warnings, out)?;
+            }
+            (cases, of)
+        }
         Err(findings) => {
             console::show(&findings, out)?;
             let lines: Vec<String> = findings.iter().map(ToString::to_string).collect();
@@ -121,13 +126,13 @@ fn timed<T>(work: impl FnOnce() -> T) -> (Duration, T) {
     (began.elapsed(), result)
 }
 
-/// The cases of a file, and the chart that it tests; or everything that is wrong with them.
+/// The cases of a file, the chart that it tests, and warnings; or everything that is wrong with them.
 fn load<'t>(
     file: &Path,
     args: &TestArgs,
     registry: &Registry,
     tested: &'t mut BTreeMap<Key, Tested>,
-) -> Result<(TestFile, &'t mut Tested), Vec<Finding>> {
+) -> Result<(TestFile, &'t mut Tested, Vec<Finding>), Vec<Finding>> {
     let source = Source::read(file).map_err(|finding| vec![*finding])?;
     let cases = TestFile::read(Arc::clone(&source))?;
     let chart = file.parent().unwrap_or(Path::new("")).join(&cases.test);
@@ -138,7 +143,7 @@ fn load<'t>(
     }
     let of = tested.get_mut(&key).expect("it was inserted above");
     let findings = TestFile::check(source, &of.program, registry);
-    if findings.is_empty() { Ok((cases, of)) } else { Err(findings) }
+    if findings.iter().any(Finding::is_error) { Err(findings) } else { Ok((cases, of, findings)) }
 }
 
 /// Whether the cases take every transition, as a result of its own.

@@ -155,18 +155,29 @@ impl Workspace {
             let now = after.reopened(&before);
             let again = after.references(&now);
             let errors = |a: &Analysis| a.findings.iter().filter(|f| f.is_error()).count();
+            // Paths begin at the chart that is read: what is renamed has another one where it is used.
+            let named: BTreeSet<&Symbol> = uses.iter().map(|r| &r.symbol).collect();
+            let here: BTreeSet<&Symbol> = symbols.iter().filter(|symbol| named.contains(symbol)).collect();
             let expected: BTreeSet<(PathBuf, usize, Symbol)> = uses
                 .iter()
                 .map(|r| {
                     let at = moved(edits, &r.source.path, r.span.start);
-                    (r.source.path.clone(), at, renamed(&r.symbol, symbols, name))
+                    (r.source.path.clone(), at, renamed(&r.symbol, &here, name))
                 })
                 .collect();
             let found: BTreeSet<(PathBuf, usize, Symbol)> =
                 again.iter().map(|r| (r.source.path.clone(), r.span.start, r.symbol.clone())).collect();
             let other = expected.symmetric_difference(&found).next();
             let source = |path: &Path| again.iter().find(|r| r.source.path == path).map(|r| r.source.clone());
-            let taken = |place: String| RenameError::Taken { name: name.to_owned(), place };
+            // The other thing of that name, of the same kind if there is one.
+            let others = || uses.iter().filter(|r| r.definition && r.symbol.name() == name);
+            let kinds: Vec<_> = symbols.iter().map(std::mem::discriminant).collect();
+            let alike = others().find(|r| kinds.contains(&std::mem::discriminant(&r.symbol)));
+            let declared = alike.or_else(|| others().next()).map(|r| r.source.place(r.span.start));
+            let taken = |place: String| RenameError::Taken {
+                name: name.to_owned(),
+                place: declared.clone().unwrap_or(place),
+            };
             if let Some((path, at, _)) = other {
                 let place =
                     source(path).map_or_else(|| path.display().to_string(), |source| source.place(*at));
@@ -260,10 +271,10 @@ fn fits(symbol: &Symbol, name: &str) -> bool {
 }
 
 /// The symbol under its new name, or inside of what has one.
-fn renamed(symbol: &Symbol, symbols: &BTreeSet<Symbol>, name: &str) -> Symbol {
+fn renamed(symbol: &Symbol, symbols: &BTreeSet<&Symbol>, name: &str) -> Symbol {
     let mut new = symbol.clone();
     for old in symbols {
-        match (old, &mut new) {
+        match (*old, &mut new) {
             (
                 Symbol::Chart { chart: old },
                 Symbol::Chart { chart }
@@ -277,9 +288,9 @@ fn renamed(symbol: &Symbol, symbols: &BTreeSet<Symbol>, name: &str) -> Symbol {
                 Symbol::State { chart, path }
                 | Symbol::Watch { chart, state: path, .. }
                 | Symbol::Outcome { chart, state: path, .. },
-            ) if chart == of
-                && (path == old
-                    || path.strip_prefix(old.as_str()).is_some_and(|rest| rest.starts_with('.'))) =>
+            ) if chart == of && path == old
+                // States of a chart inside have another chart, but the path goes on.
+                || path.strip_prefix(old.as_str()).is_some_and(|rest| rest.starts_with('.')) =>
             {
                 let around = old.rfind('.').map_or("", |dot| &old[..=dot]);
                 *path = format!("{around}{name}{}", &path[old.len()..]);

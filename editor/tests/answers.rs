@@ -331,6 +331,9 @@ fn a_rename_changes_every_use_and_nothing_else() {
         let test = files.iter().find(|(name, _)| name == "whole.test.yaml");
         assert_eq!(test.is_some_and(|(_, text)| text.contains(new)), old != "Mood", "{old}: {files:?}");
     }
+    let files =
+        renamed("whole.yaml", &WHOLE.replacen("  Use:", "  U|se:", 1), "First").expect("a chart's state");
+    assert!(files.iter().any(|(_, text)| text.contains("initial: First") && text.contains("First.done")));
     let files = renamed("parts.yaml", &PARTS.replacen("final: stuck", "final: st|uck", 1), "jammed")
         .expect("an outcome");
     assert_eq!(files.len(), 2, "{files:?}");
@@ -359,6 +362,9 @@ fn a_rename_is_refused_with_its_reason() {
         let found = refused(from, to, name);
         assert!(found.contains(reason), "{from}: {found}");
     }
+    let line = WHOLE.lines().position(|line| line.starts_with("  Good:")).expect("it is there") + 1;
+    let found = refused("  Wait:", "  W|ait:", "Good");
+    assert!(found.ends_with(&format!("whole.yaml:{line}:3")), "{found}");
 }
 
 #[test]

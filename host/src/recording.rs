@@ -39,7 +39,7 @@ impl SharedRecorder {
     pub(crate) fn write(&self, write: impl FnOnce(&mut Recorder) -> Result<(), RecorderError>) {
         let mut recording = self.0.lock();
         let Some(recorder) = recording.recorder.as_mut() else { return };
-        if let Err(error) = write(recorder) {
+        if let Err(error) = write(recorder).and_then(|()| recorder.health()) {
             tracing::warn!("the recording ends here: {error}");
             *recording = Recording { recorder: None, failed: true };
         }

@@ -44,6 +44,7 @@ pub(crate) fn figures(case: &Case<'_>) -> Json {
         "inputs": values(&case.log.inputs),
         "outputs": values(&case.result.outputs),
         "log": case.log.written,
+        "dropped": case.log.dropped,
         "outcome": case.result.outcome,
         "reason": case.result.reason,
         "chain": case.result.chain,
@@ -71,11 +72,9 @@ fn values(values: &BTreeMap<String, Value>) -> Json {
     values.iter().map(|(name, value)| (name.clone(), value.to_json())).collect()
 }
 
-/// Writes both reports into `folder`. Returns the figures of `report.json`, and the figures with a requirement.
-///
-/// # Errors
-/// When a file cannot be written.
-pub(crate) fn write(folder: &Path, case: Case<'_>) -> io::Result<(Json, Vec<Figure>)> {
+/// Writes both reports into `folder`. Returns the figures of `report.json`, the figures with a requirement, and whether the
+/// files could be written.
+pub(crate) fn write(folder: &Path, case: Case<'_>) -> (Json, Vec<Figure>, io::Result<()>) {
     let mut figures = figures(&case);
     let memories = (!case.memory_log.is_empty())
         .then(|| {
@@ -93,9 +92,10 @@ pub(crate) fn write(folder: &Path, case: Case<'_>) -> io::Result<(Json, Vec<Figu
     }
     let sections = case.referee.sections();
     let judged = sections.iter().flat_map(Section::figures).cloned().collect();
-    std::fs::write(folder.join("report.json"), format!("{figures:#}\n"))?;
-    std::fs::write(folder.join("report.html"), report::render(&page(case, sections, memories)))?;
-    Ok((figures, judged))
+    let written = std::fs::write(folder.join("report.json"), format!("{figures:#}\n")).and_then(|()| {
+        std::fs::write(folder.join("report.html"), report::render(&page(case, sections, memories)))
+    });
+    (figures, judged, written)
 }
 
 fn page(case: Case<'_>, mut judged: Vec<Section>, memories: Option<Section>) -> ReportData {

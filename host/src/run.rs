@@ -137,6 +137,8 @@ pub struct RunEnded {
     pub figures: Vec<Figure>,
     /// Whether the recording was written to its end.
     pub recorded: bool,
+    /// Whether the report was written.
+    pub reported: bool,
     /// The folder with the report.
     pub folder: PathBuf,
 }
@@ -444,12 +446,13 @@ impl Stage {
             joints: joints.lock().plots(self.robot.equipment.robot.model()),
             memory_log: &others.memory_log,
         };
-        let (report, figures) = report::write(&config.report, case).map_err(|source| HostError::File {
-            what: "the report cannot be written to",
-            path: config.report.clone(),
-            source,
-        })?;
-        Ok(RunEnded { result, report, figures, recorded, folder: config.report.clone() })
+        let (report, figures, written) = report::write(&config.report, case);
+        if let Err(error) = &written {
+            let folder = config.report.display();
+            console.note(&format!("warning: the report cannot be written to {folder}: {error}"));
+        }
+        let (reported, folder) = (written.is_ok(), config.report.clone());
+        Ok(RunEnded { result, report, figures, recorded, reported, folder })
     }
 }
 

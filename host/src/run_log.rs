@@ -31,6 +31,8 @@ pub(crate) struct RunLog {
     pub(crate) lines: Vec<String>,
     /// What the chart's `log` actions wrote, the newest lines.
     pub(crate) written: Vec<String>,
+    /// Events that were dropped and why, the newest lines.
+    pub(crate) dropped: Vec<String>,
     /// The inputs that the chart began with.
     pub(crate) inputs: BTreeMap<String, Value>,
     /// The running skills by activation.
@@ -120,6 +122,7 @@ impl RunLogger {
             TraceItem::Started { inputs, .. } => log.inputs.clone_from(inputs),
             TraceItem::Dropped { name, reason } => {
                 self.say(log, t_s, name, &format!("this event is dropped: {reason}"));
+                keep(&mut log.dropped, format!("{t_s:.2} s {name}: {reason}"));
             }
             TraceItem::Transition { source, event, target } => {
                 let event = event.as_deref().unwrap_or("no event");
@@ -139,10 +142,7 @@ impl RunLogger {
             }
             TraceItem::Log { state, text } => {
                 self.say(log, t_s, state, text);
-                if log.written.len() >= LOG_LINES {
-                    log.written.remove(0);
-                }
-                log.written.push(format!("{t_s:.2} s {state}: {text}"));
+                keep(&mut log.written, format!("{t_s:.2} s {state}: {text}"));
             }
             TraceItem::Sent { name, to, .. } => self.say(log, t_s, to, &format!("is sent {name}")),
             TraceItem::Error { message, place } => self.say(log, t_s, place, message),
@@ -160,10 +160,7 @@ impl RunLogger {
             recorder.log((t_s * 1e9) as u64, LogLevel::Info, who, what);
             Ok(())
         });
-        if log.lines.len() >= LOG_LINES {
-            log.lines.remove(0);
-        }
-        log.lines.push(line);
+        keep(&mut log.lines, line);
     }
 
     /// Passes a skill's marks at this point of its activation to the referee and the recording.
@@ -178,6 +175,14 @@ impl RunLogger {
             self.recorder.write(|recorder| recorder.json("/truth/marks", t_ns, &written));
         }
     }
+}
+
+/// Adds a line, and forgets the oldest where there are too many.
+fn keep(lines: &mut Vec<String>, line: String) {
+    if lines.len() >= LOG_LINES {
+        lines.remove(0);
+    }
+    lines.push(line);
 }
 
 fn open<'s>(states: &'s mut [StateSpan], path: &str) -> Option<&'s mut StateSpan> {

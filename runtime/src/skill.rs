@@ -231,7 +231,14 @@ pub(crate) fn inputs<'p>(
 ) -> Result<BTreeMap<String, Value>, InputError> {
     let names = || parameters.clone().map(|p| p.name.as_str());
     if let Some(name) = given.keys().find(|name| !names().any(|known| known == *name)) {
-        return Err(InputError::Unknown { name: name.clone(), help: suggest(name, names()) });
+        let all = || format!("the inputs are {}", names().collect::<Vec<_>>().join(", "));
+        let none = names().next().is_none();
+        let help = if none {
+            Some("it has no inputs".to_owned())
+        } else {
+            suggest(name, names()).or_else(|| Some(all()))
+        };
+        return Err(InputError::Unknown { name: name.clone(), help });
     }
     let one = |parameter: &Parameter| {
         let name = parameter.name.clone();

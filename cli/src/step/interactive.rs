@@ -4,7 +4,10 @@ use std::io::{self, BufRead, Write};
 use std::time::Duration;
 
 use armarium_runtime::stepping::Stepper;
+use armarium_runtime::test_cases::StepCheck;
 use armarium_values::{Type, Value};
+
+use super::line::{channel_step, event_step};
 
 /// The help text.
 const HELP: &str = "\
@@ -16,7 +19,12 @@ const HELP: &str = "\
   quit                  leave";
 
 /// Asks for lines until the input or the run ends, or the user quits.
-pub(super) fn run(mut stepper: Stepper, input: &mut dyn BufRead, out: &mut dyn Write) -> io::Result<()> {
+pub(super) fn run(
+    mut stepper: Stepper,
+    check: &StepCheck<'_>,
+    input: &mut dyn BufRead,
+    out: &mut dyn Write,
+) -> io::Result<()> {
     stepper.start();
     writeln!(out, "{HELP}")?;
     let mut text = String::new();
@@ -37,7 +45,7 @@ pub(super) fn run(mut stepper: Stepper, input: &mut dyn BufRead, out: &mut dyn W
             "help" | "?" => writeln!(out, "{HELP}")?,
             "vars" => variables(&stepper, out)?,
             line => {
-                if let Err(message) = obey(&mut stepper, line) {
+                if let Err(message) = obey(&mut stepper, check, line) {
                     writeln!(out, "  {message}")?;
                 }
             }
@@ -74,7 +82,7 @@ fn variables(stepper: &Stepper, out: &mut dyn Write) -> io::Result<()> {
     Ok(())
 }
 
-fn obey(stepper: &mut Stepper, line: &str) -> Result<(), String> {
+fn obey(stepper: &mut Stepper, check: &StepCheck<'_>, line: &str) -> Result<(), String> {
     if let Some(time) = line.strip_prefix('+') {
         let time = Type::Duration.read(time.trim()).map_err(|e| e.to_string())?;
         let seconds = time.as_f64().and_then(|s| Duration::try_from_secs_f64(s).ok());
@@ -82,13 +90,17 @@ fn obey(stepper: &mut Stepper, line: &str) -> Result<(), String> {
         return Ok(());
     }
     if let Some((channel, value)) = line.split_once(":=") {
-        stepper.publish(channel.trim(), json(value)?);
+        let (channel, value) = (channel.trim(), json(value)?);
+        check.check(&channel_step(channel, &value)).map_err(|e| e.to_string())?;
+        stepper.publish(channel, value);
         return Ok(());
     }
     let (name, data) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
     let data = if data.trim().is_empty() { Value::Null } else { json(data)? };
-    match name.split_once('@') {
-        Some((name, state)) => stepper.report(state, name, data).map_err(|e| e.to_string()),
+    let (name, from) = name.split_once('@').map_or((name, None), |(name, from)| (name, Some(from)));
+    check.check(&event_step(name, from, &data)).map_err(|e| e.to_string())?;
+    match from {
+        Some(state) => stepper.report(state, name, data).map_err(|e| e.to_string()),
         None => {
             stepper.event(name, data);
             Ok(())
@@ -103,6 +115,10 @@ fn json(text: &str) -> Result<Value, String> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
+    use armarium_runtime::chart::Registry;
+
     use super::*;
 
     const CHART: &str = "statechart: C\nlocals: {n: {type: int, default: 0}}\nevents: {go: {}}\ninitial: A\nstates:\n  A: {transitions: {go: {target: B, do: [{assign: {locals.n: \"${event.data.n}\"}}]}}}\n  B: {after: {2s: Done}}\n  Done: {final: success}\n";
@@ -111,16 +127,20 @@ mod tests {
     fn a_person_drives_a_chart_to_its_end() {
         let library = armarium_runtime::chart::load_text("c.yaml", CHART, &[]);
         let checked = armarium_runtime::chart::check(&library, &Default::default(), &Default::default());
-        let stepper = Stepper::new(checked.program.expect("it is in order"), &Default::default(), None);
-        let lines = "nonsense {\ngo@Nowhere\ngo@A\ngo {\"n\": 7}\nvars\n+soon\n+2s\n";
+        let program = checked.program.expect("it is in order");
+        let stepper = Stepper::new(Arc::clone(&program), &Default::default(), None);
+        let registry = Registry::default();
+        let check = StepCheck::new(&program, &registry);
+        let lines = "nonsense {\ngo@Nowhere\ngo@A\ngoo\ngo {\"n\": 7}\nvars\n+soon\n+2s\n";
         let mut out = Vec::new();
-        run(stepper.expect("it has no inputs"), &mut lines.as_bytes(), &mut out)
+        run(stepper.expect("it has no inputs"), &check, &mut lines.as_bytes(), &mut out)
             .expect("memory can be written");
         let text = String::from_utf8(out).expect("text is UTF-8");
         for part in [
             "not JSON",
             "no state `Nowhere`",
-            "`go` is dropped",
+            "there is no outcome or watch of `A` called `go`",
+            "the chart takes no event `goo` (did you mean `go`?)",
             "[0.000 s] B",
             "locals.n = 7",
             "[2.000 s] Done",

@@ -111,6 +111,35 @@ pub(super) fn read(text: &str) -> Result<Option<InputLine>, String> {
     Ok(Some(InputLine { after: Duration::from_secs_f64(after_ms / 1000.0), what }))
 }
 
+impl InputLine {
+    /// The line as a step of a test case.
+    pub(super) fn step(&self) -> serde_json::Value {
+        match &self.what {
+            LineInput::Event { name, data, .. } => event_step(name, None, data),
+            LineInput::Report { from, name, data } => event_step(name, Some(from.as_str()), data),
+            LineInput::Publish { channel, value } => channel_step(channel, value),
+            LineInput::Nothing => serde_json::json!({}),
+        }
+    }
+}
+
+/// An event, or an outcome or watch of a state, as a step of a test case.
+pub(super) fn event_step(name: &str, from: Option<&str>, data: &Value) -> serde_json::Value {
+    let mut step = serde_json::json!({"event": name});
+    if let Some(from) = from {
+        step["from"] = from.into();
+    }
+    if *data != Value::Null {
+        step["data"] = data.to_json();
+    }
+    step
+}
+
+/// A channel's value as a step of a test case.
+pub(super) fn channel_step(channel: &str, value: &Value) -> serde_json::Value {
+    serde_json::json!({"channel": channel, "value": value.to_json()})
+}
+
 /// Passes a line's input to the chart. An outcome of an inactive state is only a warning: as in a run, it is dropped.
 pub(super) fn apply(
     stepper: &mut Stepper,

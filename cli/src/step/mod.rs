@@ -13,6 +13,7 @@ use std::time::Instant;
 
 use armarium_runtime::program::Program;
 use armarium_runtime::stepping::Stepper;
+use armarium_runtime::test_cases::StepCheck;
 
 use crate::console;
 use crate::run::parse_input;
@@ -84,11 +85,13 @@ fn drive(
     let inputs = read_inputs(&args.inputs, program).map_err(|e| Stopped::Wrong(e.to_string()))?;
     let stepper = Stepper::new(Arc::clone(program), &inputs, args.profile.as_deref());
     let mut stepper = stepper.map_err(|e| Stopped::Wrong(e.to_string()))?;
+    let registry = catalog::idle_registry();
+    let check = StepCheck::new(program, &registry);
     if args.interactive {
-        return Ok(interactive::run(stepper, &mut io::stdin().lock(), out)?);
+        return Ok(interactive::run(stepper, &check, &mut io::stdin().lock(), out)?);
     }
     if args.quiet {
-        return measure(args, &mut stepper, out, err);
+        return measure(args, &mut stepper, &check, out, err);
     }
     stepper.start();
     line::write(&mut stepper, "", out)?;
@@ -96,7 +99,7 @@ fn drive(
     if args.repeat == 1 {
         // Each line is answered before the next is read, so that a program can drive a chart through pipes.
         return each_line(events, |number, text| {
-            if let Some(input) = line::read(text).map_err(|e| wrong(number, &e))? {
+            if let Some(input) = checked(number, text, &check)? {
                 line::apply(&mut stepper, &input, number, err)?;
                 line::write(&mut stepper, input.name(), out)?;
                 out.flush()?;
@@ -104,7 +107,7 @@ fn drive(
             Ok(())
         });
     }
-    let list = read_all(events)?;
+    let list = read_all(events, &check)?;
     for _ in 0..args.repeat {
         for (number, input) in &list {
             line::apply(&mut stepper, input, *number, err)?;
@@ -119,10 +122,11 @@ fn drive(
 fn measure(
     args: &StepArgs,
     stepper: &mut Stepper,
+    check: &StepCheck<'_>,
     out: &mut dyn Write,
     err: &mut dyn Write,
 ) -> Result<(), Stopped> {
-    let mut list = args.events.as_ref().map_or_else(|| Ok(Vec::new()), read_all)?;
+    let mut list = args.events.as_ref().map_or_else(|| Ok(Vec::new()), |events| read_all(events, check))?;
     let program = Arc::clone(stepper.engine().program());
     list = list.into_iter().map(|(number, input)| (number, input.looked_up(&program))).collect();
     stepper.keep_quiet();
@@ -144,13 +148,22 @@ fn measure(
     Ok(())
 }
 
-fn read_all(events: &PathBuf) -> Result<Vec<(usize, line::InputLine)>, Stopped> {
+fn read_all(events: &PathBuf, check: &StepCheck<'_>) -> Result<Vec<(usize, line::InputLine)>, Stopped> {
     let mut list = Vec::new();
     each_line(events, |number, text| {
-        list.extend(line::read(text).map_err(|e| wrong(number, &e))?.map(|input| (number, input)));
+        list.extend(checked(number, text, check)?.map(|input| (number, input)));
         Ok(())
     })?;
     Ok(list)
+}
+
+/// A line that is something the chart understands; `None` for an empty one.
+fn checked(number: usize, text: &str, check: &StepCheck<'_>) -> Result<Option<line::InputLine>, Stopped> {
+    let input = line::read(text).map_err(|e| wrong(number, &e))?;
+    if let Some(input) = &input {
+        check.check(&input.step()).map_err(|e| wrong(number, &e.to_string()))?;
+    }
+    Ok(input)
 }
 
 fn wrong(number: usize, message: &str) -> Stopped {

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use armarium_source::yaml::{Named, Node, Yaml};
-use armarium_source::{Remedy, Severity, code};
+use armarium_source::yaml::{Named, Node};
+use armarium_source::{Remedy, code};
 use armarium_values::Type;
 use armarium_values::expr::nearest;
 
@@ -53,22 +53,10 @@ impl<'t> Compiler<'t> {
         }
     }
 
-    /// The time of an `after`.
+    /// A time that is waited for: as long as `node` says.
     fn delay(&mut self, site: &Site<'_>, node: &Node) -> Option<Term> {
         let term = self.value(site, node, &Type::Duration)?;
-        let Term::Literal(value) = &term else { return Some(term) };
-        let seconds = value.as_f64().unwrap_or(0.0);
-        let has_unit = matches!(&node.value, Yaml::String(text) if text.trim().parse::<f64>().is_err());
-        self.reporting(site.source, |_, findings| {
-            if seconds < 0.0 {
-                findings.error(code::VALUE, node.span, "a duration is not negative");
-            } else if seconds > 100.0 && !has_unit {
-                let message = format!("this is {seconds} s");
-                let help =
-                    format!("write the unit: `{seconds}s`, or `{seconds}ms` if milliseconds are meant");
-                findings.add(Severity::Warning, code::SUSPICIOUS, node.span, message, Some(help));
-            }
-        });
+        self.not_negative(site, node, &term);
         Some(term)
     }
 
@@ -91,9 +79,7 @@ impl<'t> Compiler<'t> {
                 }
                 ActionKind::Send { event, to, data, delay, id } => {
                     let symbol = self.symbols.intern(&event.text);
-                    let mut optional =
-                        |node: &Option<Node>, ty: &Type| node.as_ref().and_then(|n| self.value(site, n, ty));
-                    let (address, delay) = (optional(to, &Type::String), optional(delay, &Type::Duration));
+                    let address = to.as_ref().and_then(|node| self.value(site, node, &Type::String));
                     // What another agent's event comes with is declared there.
                     let data = match to {
                         None => {
@@ -101,8 +87,9 @@ impl<'t> Compiler<'t> {
                             self.names.refer(site.source, event.span, symbol);
                             self.data_of(site, event, data.as_ref())
                         }
-                        Some(_) => optional(data, &Type::Any),
+                        Some(_) => data.as_ref().and_then(|node| self.value(site, node, &Type::Any)),
                     };
+                    let delay = delay.as_ref().and_then(|node| self.delay(site, node));
                     let id = id.as_ref().map(|id| id.text.clone());
                     let send = Send { event: symbol, to: address, data, delay, id, place };
                     compiled.push(Action::Send(Box::new(send)));

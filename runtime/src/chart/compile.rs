@@ -70,11 +70,30 @@ fn checked(library: &Library, registry: &Registry, schema: &ChannelSchema) -> Ch
         let key = |f: &'_ Finding| (f.span.start, f.code);
         a.source.path.cmp(&b.source.path).then_with(|| key(a).cmp(&key(b)))
     });
+    explain(&mut findings);
     // A chart that is used twice is compiled twice; what is wrong with it is said once.
     findings.dedup();
     let failed = findings.iter().any(Finding::is_error);
     let program = program.filter(|_| !failed).map(Arc::new);
     Checked { findings, program }
+}
+
+/// A text that looks like an expression and is wrong as a text is one mistake: the error stays, with what to do about it.
+/// The findings are in the order of their places.
+fn explain(findings: &mut Vec<Finding>) {
+    let place = |finding: &Finding| (finding.source.path.clone(), finding.span.start);
+    let seems = |finding: &Finding| finding.code == code::SUSPICIOUS && finding.remedy.is_some();
+    let meant: BTreeMap<_, Finding> =
+        findings.iter().filter(|f| seems(f)).map(|f| (place(f), f.clone())).collect();
+    let mut explained = BTreeSet::new();
+    for error in findings.iter_mut().filter(|f| matches!(f.code, code::TYPE | code::REFERENCE)) {
+        let at = place(error);
+        if let Some(meant) = meant.get(&at) {
+            (error.help, error.remedy) = (meant.help.clone(), meant.remedy.clone());
+            explained.insert(at);
+        }
+    }
+    findings.retain(|f| !seems(f) || !explained.contains(&place(f)));
 }
 
 /// Compiles what is written at the states of a tree; `schema` has all channels, also those that charts declare. Names that were found are added to `collector`.
@@ -291,6 +310,20 @@ impl<'t> Compiler<'t> {
         Some(term)
     }
 
+    /// Refuses a time below 0, also one that an expression gives whatever happens.
+    pub(super) fn not_negative(&mut self, site: &Site<'_>, node: &Node, term: &Term) {
+        let seconds = match term {
+            Term::Literal(value) => value.as_f64(),
+            Term::Expr(code) => code.expr.constant().and_then(|value| value.as_f64()),
+            _ => None,
+        };
+        if seconds.is_some_and(|seconds| seconds < 0.0) {
+            self.reporting(site.source, |_, findings| {
+                findings.error(code::VALUE, node.span, "a duration is not negative");
+            });
+        }
+    }
+
     /// Compiles a `with` that is written at `site` and given to `target`.
     pub(super) fn bindings(
         &mut self,
@@ -342,6 +375,9 @@ impl<'t> Compiler<'t> {
                 }
             });
             if let Some(term) = self.given(site, node, &parameter) {
+                if parameter.ty == Type::Duration {
+                    self.not_negative(site, node, &term);
+                }
                 bindings.push(Binding { parameter, term, place: site.place(node.span) });
             }
         }

@@ -12,6 +12,7 @@ use armarium_values::{Fit, Type, Value};
 
 use super::catalog::ChannelSchema;
 use super::flatten::{Inside, Tree, number};
+use super::literals::fitting;
 use super::symbols::{Collector, Section, SkillPart, Symbol, parts};
 use crate::program::{Code, Place, StateId, Term};
 
@@ -315,8 +316,9 @@ impl Scope<'_, '_> {
                 .map(str::to_owned)
                 .or_else(|| self.section_of(path[0]).map(|section| format!("{section}.{}", path[0])))
                 .or_else(|| {
-                    nearest(path[0], known.into_iter().chain(names.visible(self.site.state)))
-                        .map(str::to_owned)
+                    // A state alone is no value.
+                    let states = if path.len() > 1 { names.visible(self.site.state) } else { Vec::new() };
+                    nearest(path[0], known.into_iter().chain(states)).map(str::to_owned)
                 });
             let help = match path {
                 [name] => Some(format!("a text stands in quotes: `'{name}'`")),
@@ -431,19 +433,7 @@ fn inner_span(file: &str, text: &str, offset: usize, span: Span, start: usize, e
 pub(super) fn value(node: &Node, ty: &Type, scope: &Scope<'_, '_>, findings: &mut Findings) -> Option<Term> {
     let (term, found) = term(node, scope, findings)?;
     if let Term::Literal(literal) = term {
-        return match ty.convert(literal) {
-            Ok(value) if !is_finite(&value) => {
-                findings.error(code::VALUE, node.span, "this number is too large");
-                None
-            }
-            Ok(value) => Some(Term::Literal(value)),
-            Err(error) => {
-                let unit = matches!(error, armarium_values::ConvertError::Unit { .. });
-                let code = if unit { code::UNIT } else { code::TYPE };
-                findings.error(code, node.span, error.to_string());
-                None
-            }
-        };
+        return fitting(literal, node, ty, findings).map(Term::Literal);
     }
     match ty.fit(&found) {
         Fit::Yes | Fit::Perhaps => Some(term),
@@ -457,16 +447,6 @@ pub(super) fn value(node: &Node, ty: &Type, scope: &Scope<'_, '_>, findings: &mu
             findings.error(code::TYPE, node.span, format!("expected {ty}, found {found}"));
             None
         }
-    }
-}
-
-/// Whether all numbers in a value are finite.
-fn is_finite(value: &Value) -> bool {
-    match value {
-        Value::Float(x) | Value::Duration(x) => x.is_finite(),
-        Value::List(items) => items.iter().all(is_finite),
-        Value::Map(fields) => fields.values().all(is_finite),
-        _ => true,
     }
 }
 

@@ -2,7 +2,10 @@
 
 /// Words, and what they are here.
 const WORDS: &[(&[&str], &str)] = &[
-    (&["on", "eventTransitions"], "in Armarium this is `transitions: {event: Target}`"),
+    (
+        &["on", "eventTransitions", "Transitions", "event_transitions", "events", "event", "target"],
+        "in Armarium this is `transitions: {event: Target}`",
+    ),
     (
         &["type"],
         "in Armarium the keys say what a state is: `states`, `parallel`, `final`, `history`, `skill`",
@@ -13,37 +16,53 @@ const WORDS: &[(&[&str], &str)] = &[
     ),
     (&["onExit", "onexit", "on_exit", "on exit", "onBreak"], "in Armarium this is `exit: [action, ...]`"),
     (
-        &["invoke", "call", "task", "activity", "activities", "src"],
+        &["invoke", "call", "task", "activity", "activities", "src", "Action", "actors", "spawn"],
         "in Armarium a state runs a skill: `skill: Name`",
     ),
     (
-        &["context", "datamodel", "data", "preamble", "variables", "vars", "localParameters", "blackboard"],
+        &[
+            "context",
+            "datamodel",
+            "data",
+            "preamble",
+            "variables",
+            "vars",
+            "localParameters",
+            "blackboard",
+            "SetBlackboard",
+        ],
         "in Armarium a chart's variables are `locals: {name: {type: ..., default: ...}}`",
     ),
     (
-        &["inputParameters", "input_ports", "params", "parameters", "args", "arguments"],
+        &["inputParameters", "input_ports", "params", "parameters", "args", "arguments", "param"],
         "in Armarium a state is given values by `with`, and a chart declares `inputs`",
     ),
     (
-        &["outputParameters", "output_ports", "output", "donedata"],
+        &["outputParameters", "output_ports", "output", "donedata", "content"],
         "in Armarium a chart declares `outputs`, and `assign` sets them",
     ),
-    (&["guard", "cond", "condition", "when", "unless"], "in Armarium this is `if: \"expression\"`"),
     (
-        &["actions", "action", "script"],
+        &["guard", "guards", "cond", "condition", "when", "unless", "Condition", "IfThenElse", "WhileDoElse"],
+        "in Armarium this is `if: \"expression\"`",
+    ),
+    (
+        &["actions", "action", "script", "Script", "finalize", "autoforward"],
         "in Armarium these are `enter` and `exit` at a state, `do` at a transition",
     ),
     (&["to", "goto", "next", "destination", "nextState"], "in Armarium this is `target: State`"),
     (
-        &["initialState", "initial state", "start", "startState", "entry_point"],
+        &["initialState", "initial state", "start", "startState", "entry_point", "StartState", "root state"],
         "in Armarium this is `initial: State`",
     ),
     (
         &["parallel states", "regions", "orthogonal", "Parallel", "ReactiveParallel"],
         "in Armarium this is `parallel: {Region: ...}`",
     ),
-    (&["timeout", "delay", "Timeout", "Delay"], "in Armarium this is `after: {5s: Target}`"),
-    (&["Retry", "RetryUntilSuccessful", "num_attempts"], "in Armarium this is `retry: {times: 3, wait: 1s}`"),
+    (&["timeout", "delay", "Timeout", "Delay", "delays"], "in Armarium this is `after: {5s: Target}`"),
+    (
+        &["Retry", "RetryUntilSuccessful", "num_attempts", "Repeat", "KeepRunningUntilFailure"],
+        "in Armarium this is `retry: {times: 3, wait: 1s}`",
+    ),
     (
         &["Sequence", "SequenceNode", "ReactiveSequence", "sequence", "children"],
         "in Armarium a sequence is `states` whose `success` leads to the next: `transitions: {success: Next, failure: Failed}`",
@@ -53,12 +72,20 @@ const WORDS: &[(&[&str], &str)] = &[
         "in Armarium an alternative is a state to which `failure` leads: `transitions: {failure: Other}`",
     ),
     (
-        &["Inverter", "ForceSuccess", "ForceFailure"],
+        &["Inverter", "ForceSuccess", "ForceFailure", "AlwaysFailure", "AlwaysSuccess", "Decorator"],
         "in Armarium the transitions say where each outcome leads: `{success: Failed, failure: Done}`",
     ),
     (
-        &["SubTree", "SubTreePlus", "machine", "substate", "include"],
+        &["SubTree", "SubTreePlus", "machine", "substate", "include", "RemoteState"],
         "in Armarium another chart is `statechart: Name`",
+    ),
+    (&["EndState"], "in Armarium this is `Name: {final: outcome}`"),
+    (&["meta", "tags"], "in Armarium what is for people is `description`"),
+    (&["priority"], "in Armarium inner states come first, then the order in the file"),
+    (&["trigger", "emit"], "in Armarium this is an action: `enter: [{raise: event}]`"),
+    (
+        &["reenter", "external"],
+        "in Armarium a transition to a state leaves and enters it anew; `internal: true` keeps it",
     ),
     (&["id", "name"], "in Armarium the key above is the name of a state"),
     (&["eventless", "automatic"], "in Armarium this is `always: Target`"),
@@ -70,7 +97,7 @@ const WORDS: &[(&[&str], &str)] = &[
         &["contract", "preconditions", "postconditions", "invariants"],
         "in Armarium what must hold while a state is active is a `watch`",
     ),
-    (&["state", "substates"], "in Armarium this is `states: {Name: ...}`"),
+    (&["state", "substates", "LocalState", "scxml"], "in Armarium this is `states: {Name: ...}`"),
 ];
 
 /// What a key that the form does not have is here.

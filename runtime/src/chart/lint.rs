@@ -12,7 +12,7 @@ use super::expressions::{MAX_HELP, MAX_NAMES};
 use super::flatten::{Inside, Tree};
 use super::library::Library;
 use super::model::{self, ActionKind};
-use super::scoped::{Scoped, scoped};
+use super::scoped::{Scoped, can_end, reached, scoped};
 use crate::program::{Kind, Program, State, StateId};
 
 /// What is wrong with a program as a whole. Where names of states are `unknown`, what cannot be reached is not known
@@ -20,10 +20,11 @@ use crate::program::{Kind, Program, State, StateId};
 pub(super) fn lint(program: &Program, tree: &Tree<'_>, library: &Library, unknown: bool) -> Vec<Finding> {
     let mut lint = Lint { program, tree, findings: Vec::new() };
     let scoped = scoped(program);
-    let misspelt = lint.unknown_events(&scoped, library);
+    let reached = if unknown { vec![true; program.states.len()] } else { reached(program) };
+    let misspelt = lint.unknown_events(&scoped, &reached, library);
     lint.unhandled(&scoped, &misspelt);
     if !unknown {
-        lint.unreachable();
+        lint.unreachable(&reached);
         lint.findings.extend(early(program));
     }
     lint.shadowed();
@@ -69,7 +70,12 @@ impl Lint<'_, '_> {
     }
 
     /// Events that nobody raises. Returns those that are misspelt: where a transition has them, and what was probably meant.
-    fn unknown_events(&mut self, scoped: &[Scoped], library: &Library) -> BTreeSet<(StateId, String)> {
+    fn unknown_events(
+        &mut self,
+        scoped: &[Scoped],
+        reached: &[bool],
+        library: &Library,
+    ) -> BTreeSet<(StateId, String)> {
         let mut misspelt = BTreeSet::new();
         // What another agent raises is not known before it was asked.
         let open = |state: &State| matches!(&state.kind, Kind::Skill { manifest } if manifest.open);
@@ -80,7 +86,7 @@ impl Lint<'_, '_> {
         let missing: BTreeSet<StateId> = self.ids().filter(|id| self.is_missing(*id)).collect();
         let around: BTreeSet<StateId> = missing.iter().flat_map(|id| self.program.outward(*id)).collect();
         let mut seen: BTreeSet<(StateId, &str)> = BTreeSet::new();
-        for s in scoped {
+        for s in scoped.iter().filter(|s| s.at.is_none_or(|end| reached[end as usize])) {
             let around = if s.own_only { 1 } else { usize::MAX };
             for state in self.program.outward(s.state).take(around) {
                 seen.insert((state, &s.name));
@@ -101,7 +107,9 @@ impl Lint<'_, '_> {
         }
         for id in self.ids() {
             let state = self.program.state(id);
-            broadcast.insert(format!("done.state.{}", state.name));
+            if missing.contains(&id) || can_end(self.program, id, &|end| reached[end as usize]) {
+                broadcast.insert(format!("done.state.{}", state.name));
+            }
             if let Kind::Skill { manifest } = &state.kind {
                 broadcast.extend(manifest.events.iter().cloned());
             }
@@ -122,6 +130,10 @@ impl Lint<'_, '_> {
                     None => broadcast.contains(text) || seen.contains(&(id, text)),
                 };
                 if known || around.contains(&id) {
+                    continue;
+                }
+                if let Some((message, help)) = self.end_that_never_comes(id, text) {
+                    self.add(Severity::Error, code::EVENT, id, event.span, message, Some(help));
                     continue;
                 }
                 unknown += 1;
@@ -146,6 +158,43 @@ impl Lint<'_, '_> {
             }
         }
         misspelt
+    }
+
+    /// What is said of an event that only the end of a state raises, where that end cannot come; and what to do about it.
+    fn end_that_never_comes(&self, at: StateId, event: &str) -> Option<(String, String)> {
+        let program = self.program;
+        let done = event.strip_prefix("done.state.");
+        let of = match done {
+            Some(name) => self.ids().find(|id| program.state(*id).name == name)?,
+            None if event == "success" => at,
+            None => return None,
+        };
+        let name = &program.state(of).name;
+        let ends = |id: StateId| matches!(program.state(id).kind, Kind::Final { .. });
+        // The inside of a state that uses a chart is the chart's.
+        let inside = match program.state(of).kind {
+            Kind::Chart { .. } => program.state(of).children.first().copied().unwrap_or(of),
+            _ => of,
+        };
+        let (why, help) = match program.state(inside).kind {
+            Kind::Parallel => (
+                "has a region that never ends",
+                "give each region a final state, or leave it by another event",
+            ),
+            Kind::Atomic => (
+                "runs nothing that could end",
+                "give it a `skill`, or leave it by `after`, a `watch` or an event",
+            ),
+            _ if program.state(inside).children.iter().any(|child| ends(*child)) => (
+                "has no final state that gives it and can be reached",
+                "lead a transition to a state `{final: success}` inside, or leave it by another event",
+            ),
+            _ => (
+                "has no final state",
+                "give it one, as `Done: {final: success}`, or leave it by another event",
+            ),
+        };
+        Some((format!("`{name}` {why}, so `{event}` never comes"), help.to_owned()))
     }
 
     /// Whether a state names a skill or a chart that could not be found.
@@ -207,25 +256,7 @@ impl Lint<'_, '_> {
         Some(Remedy::Add { owner: Some(model.name.span), sections, key, value: to })
     }
 
-    fn unreachable(&mut self) {
-        let mut reached = vec![false; self.program.states.len()];
-        let mut waiting = vec![0];
-        while let Some(id) = waiting.pop() {
-            if std::mem::replace(&mut reached[id as usize], true) {
-                continue;
-            }
-            let state = self.program.state(id);
-            match &state.kind {
-                Kind::Composite { initial } => waiting.extend(&initial.targets),
-                Kind::Chart { .. } | Kind::Parallel => waiting.extend(&state.children),
-                Kind::History { default, .. } => waiting.extend(&default.targets),
-                _ => {}
-            }
-            waiting.extend(state.parent);
-            for t in state.transitions.iter().chain(&state.always).chain(&state.after) {
-                waiting.extend(&self.program.transitions[*t as usize].targets);
-            }
-        }
+    fn unreachable(&mut self, reached: &[bool]) {
         for id in self.ids() {
             let parent = self.program.state(id).parent.unwrap_or(0);
             if !reached[id as usize] && reached[parent as usize] {
@@ -290,7 +321,7 @@ impl Lint<'_, '_> {
 }
 
 /// The events that the actions of a state and of those inside raise or send to the chart itself.
-fn raised(state: &model::State, names: &mut BTreeSet<String>) {
+pub(super) fn raised(state: &model::State, names: &mut BTreeSet<String>) {
     let of_transitions = state.transitions.iter().chain(&state.always).chain(&state.after);
     of_transitions.for_each(|t| raised_by(&t.actions, names));
     raised_by(&state.enter, names);

@@ -16,6 +16,7 @@ mod forms;
 mod index;
 mod library;
 mod lint;
+mod literals;
 mod model;
 mod names;
 mod outline;
@@ -31,6 +32,7 @@ pub use catalog::{ChannelDescription, ChannelSchema, KnownNames, Refused, Regist
 pub use compile::{Checked, check};
 pub use index::index;
 pub use library::{Library, files, load, load_from, load_text};
+pub(crate) use literals::unit_of_time;
 pub use model::Chart;
 pub use outline::{Outline, OutlineKind, OutlineState, OutlineTransition};
 pub use read::is_name;

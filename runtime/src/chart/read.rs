@@ -8,6 +8,7 @@ use armarium_source::{Edit, Findings, Key, Remedy, Span, code};
 use armarium_values::{Type, Unit};
 
 use super::catalog::ChannelDescription;
+use super::literals::literal;
 use super::model::{Chart, DeclaredChannel, Kind};
 use super::symbols::Section;
 use super::{foreign, forms};
@@ -15,6 +16,14 @@ use crate::skill::{Limits, Parameter};
 
 /// Deepest nesting of states.
 pub(crate) const MAX_LEVELS: usize = 60;
+
+/// The keys that other kinds of files begin with, and what those are.
+const OTHER_KINDS: [(&str, &str); 4] = [
+    ("world", "a world"),
+    ("test", "a file of test cases"),
+    ("scene", "a scene of prior knowledge"),
+    ("object", "an object class of prior knowledge"),
+];
 
 const RESERVED: &[&str] = &[
     "inputs",
@@ -124,7 +133,16 @@ impl Reader<'_> {
         };
         match get(entries, "statechart") {
             None => {
-                self.error(code::MISSING_KEY, node.span, "a chart begins with `statechart: Name`");
+                let other = OTHER_KINDS.iter().find_map(|(key, what)| Some((node.get(key)?, key, what)));
+                match other {
+                    Some((_, key, what)) => {
+                        let message = format!("this is {what}, where a chart is needed");
+                        self.error(code::FORM, node.place(key), message);
+                    }
+                    None => {
+                        self.error(code::MISSING_KEY, node.span, "a chart begins with `statechart: Name`")
+                    }
+                }
                 return None;
             }
             Some(node) if matches!(node.value, Yaml::Map(_)) => {
@@ -187,6 +205,18 @@ impl Reader<'_> {
                     Type::Record(fields.map(one).collect())
                 });
             }
+            // Their meaning is given, and a pattern names no event.
+            let given = matches!(event.text.as_str(), "success" | "failure")
+                || event.text.contains('*')
+                || ["done.state.", "error."].iter().any(|start| event.text.starts_with(start));
+            if given {
+                let message = format!("`{}` cannot be an event from outside", event.text);
+                let help = "outcomes, `done.state.NAME` and `error...` come from the chart itself, and `*` stands for \
+                    several events: declare each by its name";
+                self.error_help(code::NAME, event.span, &message, help);
+                self.findings.remedy(Remedy::Remove(event.span));
+                continue;
+            }
             events.push((event.clone(), data));
         }
         events
@@ -247,7 +277,8 @@ impl Reader<'_> {
                         self.findings.unknown(code::INPUT, (key.span, &key.text), message, known, None);
                     }
                     Some(input) => {
-                        if let Err(error) = input.accept(value.literal()) {
+                        let Some(literal) = literal(value, &input.ty, self.findings) else { continue };
+                        if let Err(error) = input.accept(literal) {
                             self.error(code::TYPE, value.span, error.to_string());
                         }
                     }
@@ -281,8 +312,10 @@ impl Reader<'_> {
         let mut result = Parameter::new(&name.text, ty, &self.words(entries, "description"));
         result.minimum = self.bound(entries, "minimum", &result.ty);
         result.maximum = self.bound(entries, "maximum", &result.ty);
-        if let Some(default) = get(entries, "default") {
-            match result.accept(default.literal()) {
+        if let Some((default, value)) = get(entries, "default")
+            .and_then(|default| Some((default, literal(default, &result.ty, self.findings)?)))
+        {
+            match result.accept(value) {
                 Ok(value) => result.default = Some(value),
                 Err(error) => self.error(code::TYPE, default.span, error.to_string()),
             }
@@ -331,27 +364,16 @@ impl Reader<'_> {
     }
 
     fn bound(&mut self, entries: &Entries, key: &str, ty: &Type) -> Option<f64> {
-        let node = get(entries, key)?;
-        match ty.convert(node.literal()) {
-            Ok(value) => value.as_f64(),
-            Err(error) => {
-                self.error(code::TYPE, node.span, error.to_string());
-                None
-            }
-        }
+        literal(get(entries, key)?, ty, self.findings)?.as_f64()
     }
 
     pub(super) fn duration(&mut self, node: &Node) -> Option<f64> {
-        match Type::Duration.convert(node.literal()) {
-            Ok(value) => value.as_f64().filter(|s| s.is_finite() && *s >= 0.0).or_else(|| {
-                self.error(code::VALUE, node.span, "a duration is not negative");
-                None
-            }),
-            Err(error) => {
-                self.error(code::TYPE, node.span, error.to_string());
-                None
-            }
+        let seconds = literal(node, &Type::Duration, self.findings)?.as_f64();
+        if seconds.is_some_and(|seconds| seconds < 0.0) {
+            self.error(code::VALUE, node.span, "a duration is not negative");
+            return None;
         }
+        seconds
     }
 
     pub(super) fn limits(&mut self, entries: &Entries) -> Limits {
@@ -360,18 +382,12 @@ impl Reader<'_> {
         self.known(entries, forms::LIMITS, "`limits`");
         let mut quantity = |key: &str, unit: Unit| {
             let node = get(entries, key)?;
-            let value = Type::quantity(unit).convert(node.literal());
-            match value.map(|v| v.as_f64()) {
-                Ok(Some(v)) if v > 0.0 && v.is_finite() => Some(v),
-                Ok(_) => {
-                    self.findings.error(code::TYPE, node.span, "a limit is greater than 0");
-                    None
-                }
-                Err(error) => {
-                    self.findings.error(code::UNIT, node.span, error.to_string());
-                    None
-                }
+            let limit = literal(node, &Type::quantity(unit), self.findings)?.as_f64();
+            if limit.is_none_or(|limit| limit <= 0.0) {
+                self.findings.error(code::VALUE, node.span, "a limit is greater than 0");
+                return None;
             }
+            limit
         };
         Limits { force_n: quantity("force", Unit::N), speed_m_s: quantity("speed", Unit::M_S) }
     }

@@ -241,7 +241,8 @@ impl Reader<'_> {
             }
             Yaml::String(_) | Yaml::Int(_) | Yaml::Float(_) => {
                 let written = self.findings.source.text.get(node.span.start..node.span.end).unwrap_or("5s");
-                let help = format!("write `after: {{{}: Target}}`", written.trim());
+                // A time below 0 is a second mistake.
+                let help = format!("write `after: {{{}: Target}}`", written.trim().trim_start_matches('-'));
                 self.error_help(
                     code::FORM,
                     node.span,

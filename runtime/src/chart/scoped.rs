@@ -20,6 +20,11 @@ pub(super) fn scoped(program: &Program) -> Vec<Scoped> {
     let mut add = |state: StateId, name: &str, own_only: bool, watch: bool, at: Option<StateId>| {
         all.push(Scoped { state, name: name.to_owned(), own_only, watch, at });
     };
+    // The end of a chart's inside is that of the state that uses it.
+    let user = |id: StateId| match program.state(id) {
+        root if root.chart_root => root.parent.unwrap_or(0),
+        _ => id,
+    };
     for (id, state) in (0..).zip(&program.states).skip(1) {
         for watch in &state.watches {
             let name = program.watches[*watch as usize].name;
@@ -31,22 +36,22 @@ pub(super) fn scoped(program: &Program) -> Vec<Scoped> {
                 manifest.outcomes.iter().for_each(|name| add(id, name, state.region, false, None));
             }
             Kind::Final { outcome } => {
-                // The composite around ends; the inside of a chart ends the state that uses it.
-                let Some(mut parent) = state.parent else { continue };
-                if program.state(parent).chart_root {
-                    parent = program.state(parent).parent.unwrap_or(0);
-                }
+                // The composite around ends.
+                let Some(parent) = state.parent.map(user) else { continue };
                 let region = program.state(parent).region;
                 let outcome = program.symbols.name(*outcome);
                 add(parent, outcome, region, false, Some(id));
                 if region && let Some(parallel) = program.state(parent).parent {
                     // It ends when all its regions have; where one never does, nobody need handle it.
-                    let own_only = program.state(parallel).region || !can_end(program, parallel);
-                    add(parallel, outcome, own_only, false, Some(id));
+                    let of = user(parallel);
+                    let own_only = program.state(of).region || !can_end(program, parallel, &|_| true);
+                    add(of, outcome, own_only, false, Some(id));
                 }
             }
             Kind::Parallel => {
-                add(id, "success", state.region || !can_end(program, id), false, None);
+                let of = user(id);
+                let own_only = program.state(of).region || !can_end(program, id, &|_| true);
+                add(of, "success", own_only, false, None);
             }
             _ => {}
         }
@@ -54,15 +59,37 @@ pub(super) fn scoped(program: &Program) -> Vec<Scoped> {
     all
 }
 
-/// Whether all regions of a parallel state can come to an end.
-fn can_end(program: &Program, parallel: StateId) -> bool {
-    let ends = |region: &StateId| {
-        let region = program.state(*region);
-        let is_final = |child: &StateId| matches!(program.state(*child).kind, Kind::Final { .. });
-        match region.kind {
-            Kind::Skill { .. } | Kind::Chart { .. } | Kind::Parallel => true,
-            _ => region.children.iter().any(is_final),
+/// Whether a state can come to an end by itself, by final states of which `reached` holds.
+pub(super) fn can_end(program: &Program, state: StateId, reached: &dyn Fn(StateId) -> bool) -> bool {
+    let children = &program.state(state).children;
+    let is_end =
+        |child: &StateId| matches!(program.state(*child).kind, Kind::Final { .. }) && reached(*child);
+    match program.state(state).kind {
+        Kind::Skill { .. } => true,
+        Kind::Parallel | Kind::Chart { .. } => children.iter().all(|child| can_end(program, *child, reached)),
+        _ => children.iter().any(is_end),
+    }
+}
+
+/// The states that some way leads to, whatever the conditions on it.
+pub(super) fn reached(program: &Program) -> Vec<bool> {
+    let mut reached = vec![false; program.states.len()];
+    let mut waiting = vec![0];
+    while let Some(id) = waiting.pop() {
+        if std::mem::replace(&mut reached[id as usize], true) {
+            continue;
         }
-    };
-    program.state(parallel).children.iter().all(ends)
+        let state = program.state(id);
+        match &state.kind {
+            Kind::Composite { initial } => waiting.extend(&initial.targets),
+            Kind::Chart { .. } | Kind::Parallel => waiting.extend(&state.children),
+            Kind::History { default, .. } => waiting.extend(&default.targets),
+            _ => {}
+        }
+        waiting.extend(state.parent);
+        for t in state.transitions.iter().chain(&state.always).chain(&state.after) {
+            waiting.extend(&program.transitions[*t as usize].targets);
+        }
+    }
+    reached
 }

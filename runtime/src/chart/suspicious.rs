@@ -1,16 +1,18 @@
 //! Charts that are valid but probably not meant so: ends that cannot come, outputs that nothing sets, events that nobody takes, texts that look
 //! like expressions, states that nothing leads out of, and `always` transitions that never rest.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use armarium_source::yaml::{Named, Node, Yaml};
-use armarium_source::{Finding, Findings, Severity, Span, code};
+use armarium_source::{Finding, Findings, Remedy, Severity, Span, code};
 use armarium_values::{Type, Value};
 
 use super::flatten::Tree;
 use super::library::Library;
+use super::lint::raised;
 use super::model::{self, Action, ActionKind, Chart};
+use super::scoped::{can_end, reached};
 use super::symbols::Section;
 use crate::program::{Kind, Pattern, Program, StateId};
 
@@ -18,13 +20,14 @@ use crate::program::{Kind, Pattern, Program, StateId};
 pub(super) fn suspicious(program: &Program, tree: &Tree<'_>, library: &Library) -> Vec<Finding> {
     let mut search = Search { program, tree, findings: Vec::new() };
     search.never_ends();
-    search.dead_ends();
+    search.dead_ends(library);
     search.loose_limits();
     search.restless();
     let mut findings = search.findings;
     let taken = Taken::of(program);
+    let given = outputs(tree);
     for chart in library.charts.values() {
-        findings.extend(written(chart, &taken));
+        findings.extend(written(chart, &taken, given.get(chart.name.as_str())));
     }
     findings
 }
@@ -57,6 +60,18 @@ impl<'p> Taken<'p> {
     }
 }
 
+/// What states give, by the chart that they are written in: `State.output`.
+fn outputs<'t>(tree: &'t Tree<'_>) -> BTreeMap<&'t str, BTreeSet<String>> {
+    let mut given: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
+    for (id, flat) in (0..).zip(&tree.states).skip(1) {
+        let names = flat.outputs.iter().map(|(output, ..)| format!("{}.{output}", flat.name()));
+        if !flat.outputs.is_empty() {
+            given.entry(tree.chart_of(id)).or_default().extend(names);
+        }
+    }
+    given
+}
+
 struct Search<'a, 'l> {
     program: &'a Program,
     tree: &'a Tree<'l>,
@@ -75,36 +90,57 @@ impl Search<'_, '_> {
         1..u32::try_from(self.program.states.len()).unwrap_or(u32::MAX)
     }
 
-    /// Regions without an end, where the end of the parallel state around them is waited for.
+    /// Regions without an end, where the end of the parallel state around them is waited for: by a transition, or, around
+    /// everything, by another region that ends.
     fn never_ends(&mut self) {
+        let reached = reached(self.program);
         for id in self.ids() {
             let state = self.program.state(id);
-            let waited =
-                |t: &model::Transition| t.event.as_ref().is_some_and(|event| event.text == "success");
-            let waits = self.tree.state(id).model.transitions.iter().find(|t| waited(t));
-            if waits.is_none() || !matches!(state.kind, Kind::Parallel) {
+            if !matches!(state.kind, Kind::Parallel) {
                 continue;
             }
-            for region in state.children.clone() {
-                let of = self.program.state(region);
-                let is_final =
-                    |child: &StateId| matches!(self.program.state(*child).kind, Kind::Final { .. });
-                if matches!(of.kind, Kind::Composite { .. } | Kind::Atomic)
-                    && !of.children.iter().any(is_final)
-                {
-                    let message = format!(
-                        "the region `{}` never ends, so that `success` of `{}` never comes",
-                        of.name, state.name
-                    );
-                    let help = "give the region a final state, or leave the parallel state by another event";
-                    self.add(Severity::Warning, code::ENDLESS, region, message, help);
-                }
+            let ends = |region: &StateId| can_end(self.program, *region, &|end| reached[end as usize]);
+            let around = if state.chart_root { state.parent.filter(|user| *user != 0) } else { Some(id) };
+            let waited = around.map_or_else(
+                || state.children.iter().any(ends),
+                |around| {
+                    let own = &self.tree.state(around).model.transitions;
+                    own.iter().any(|t| t.event.as_ref().is_some_and(|event| event.text == "success"))
+                },
+            );
+            let endless: Vec<StateId> =
+                state.children.iter().copied().filter(|region| !ends(region)).collect();
+            for region in endless.into_iter().filter(|_| waited) {
+                let name = &self.program.state(region).name;
+                let what = match around {
+                    Some(around) => format!("`success` of `{}`", self.program.state(around).name),
+                    None => format!("an end of `{}`", state.name),
+                };
+                let message = format!("the region `{name}` never ends, so that {what} never comes");
+                let help = "give the region a final state, or leave the parallel state by another event";
+                self.add(Severity::Warning, code::ENDLESS, region, message, help);
             }
         }
     }
 
     /// States that wait for nothing, beside states with which their composite can end. (Where nothing ends, that is meant.)
-    fn dead_ends(&mut self) {
+    fn dead_ends(&mut self, library: &Library) {
+        let mut events = BTreeSet::new();
+        for chart in library.charts.values() {
+            events.extend(chart.events.iter().map(|(event, _)| event.text.clone()));
+            raised(&chart.root, &mut events);
+        }
+        let sources = |id: StateId| match &self.program.state(id).kind {
+            Kind::Skill { manifest } => manifest.open || !manifest.events.is_empty(),
+            kind => matches!(kind, Kind::Parallel),
+        };
+        // What a waiting state without watches and actions cannot get: it neither fails nor errs.
+        let any = !events.is_empty() || !self.program.watches.is_empty() || self.ids().any(sources);
+        let never = |event: &str| match event {
+            "failure" | "error.execution" => true,
+            "*" | "error.*" => !any,
+            _ => false,
+        };
         let finals = self.ids().filter(|id| matches!(self.program.state(*id).kind, Kind::Final { .. }));
         let ending: BTreeSet<StateId> = finals.filter_map(|id| self.program.state(id).parent).collect();
         for id in self.ids() {
@@ -113,11 +149,26 @@ impl Search<'_, '_> {
                 let of = self.program.state(id);
                 !(of.transitions.is_empty() && of.always.is_empty() && of.after.is_empty())
             };
+            let model = self.tree.state(id).model;
+            let own = model.transitions.iter().filter_map(|t| t.event.as_ref());
+            let waits_in_vain = !model.transitions.is_empty()
+                && model.watch.is_empty()
+                && model.enter.is_empty()
+                && model.always.is_empty()
+                && model.after.is_empty()
+                && model.transitions.iter().all(|t| t.guard.is_none())
+                && own.clone().all(|event| never(&event.text));
             let others_end = state.parent.is_some_and(|parent| ending.contains(&parent));
-            let alone = matches!(state.kind, Kind::Atomic) && !self.program.outward(id).any(leads_on);
+            let around = self.program.outward(id).skip(usize::from(waits_in_vain));
+            let alone = matches!(state.kind, Kind::Atomic) && !around.into_iter().any(leads_on);
             if alone && others_end {
-                let message =
-                    format!("nothing leads out of `{}`: a run that comes there stays for ever", state.name);
+                let what = if waits_in_vain {
+                    let names: Vec<String> = own.map(|event| format!("`{}`", event.text)).collect();
+                    format!("`{}` waits for {}, which nothing there raises", state.name, names.join(" and "))
+                } else {
+                    format!("nothing leads out of `{}`", state.name)
+                };
+                let message = format!("{what}: a run that comes there stays for ever");
                 let help = "give it a transition, or make it a `final` state";
                 self.add(Severity::Warning, code::ENDLESS, id, message, help);
             }
@@ -205,10 +256,11 @@ impl Search<'_, '_> {
 }
 
 /// What is suspicious in a chart as it is written.
-fn written(chart: &Chart, taken: &Taken<'_>) -> Vec<Finding> {
-    let mut found =
-        Written { findings: Findings::new(Arc::clone(&chart.source)), assigned: BTreeSet::new(), taken };
+fn written<'p>(chart: &'p Chart, taken: &'p Taken<'p>, given: Option<&'p BTreeSet<String>>) -> Vec<Finding> {
+    let findings = Findings::new(Arc::clone(&chart.source));
+    let mut found = Written { findings, chart, assigned: BTreeSet::new(), taken, given };
     found.state(&chart.root);
+    found.defaults();
     for time in chart.inputs.iter().chain(&chart.locals).filter(|declared| declared.ty == Type::Duration) {
         if time.default.as_ref().and_then(Value::as_f64).is_some_and(|seconds| seconds < 0.0) {
             let at = place_of(chart, &[Section::Inputs, Section::Locals], &time.name);
@@ -236,9 +288,12 @@ fn place_of(chart: &Chart, sections: &[Section], name: &str) -> Span {
 
 struct Written<'p> {
     findings: Findings,
+    chart: &'p Chart,
     /// Outputs that some action sets.
     assigned: BTreeSet<String>,
     taken: &'p Taken<'p>,
+    /// What states of the chart give.
+    given: Option<&'p BTreeSet<String>>,
 }
 
 impl Written<'_> {
@@ -283,7 +338,8 @@ impl Written<'_> {
                     self.actions(otherwise);
                 }
                 ActionKind::Foreach { body, .. } => self.actions(body),
-                ActionKind::Cancel(_) | ActionKind::Log(_) => {}
+                ActionKind::Log(node) => self.value(node),
+                ActionKind::Cancel(_) => {}
             }
         }
     }
@@ -301,24 +357,122 @@ impl Written<'_> {
         entries.iter().for_each(|(_, node)| self.value(node));
     }
 
-    /// A text that looks like an expression without its `${}`.
+    /// A text that looks like an expression without its `${}`, or like one with it.
     fn value(&mut self, node: &Node) {
         match &node.value {
-            Yaml::String(text) => {
-                let text = text.trim();
-                let braces = text.strip_prefix("{{").and_then(|inner| inner.strip_suffix("}}"));
-                let inner = braces.map(str::trim).or_else(|| is_path(text).then_some(text));
-                if let Some(inner) = inner {
-                    let message = format!("`{text}` is a text here, not an expression");
-                    let help = format!("write `\"${{{inner}}}\"` if its value is meant");
-                    self.findings.add(Severity::Warning, code::SUSPICIOUS, node.span, message, Some(help));
-                }
-            }
+            Yaml::String(text) => self.text(node, text),
             Yaml::List(items) => items.iter().for_each(|item| self.value(item)),
-            Yaml::Map(entries) => self.values(entries),
+            Yaml::Map(entries) => match entries.as_slice() {
+                [(key, Node { value: Yaml::Null, .. })] => self.text(node, &format!("{{{}}}", key.text)),
+                entries => self.values(entries),
+            },
             _ => {}
         }
     }
+
+    fn text(&mut self, node: &Node, text: &str) {
+        let Some(meant) = self.meant(text) else { return };
+        let quote = if meant.contains('"') { '\'' } else { '"' };
+        let meant = format!("{quote}{meant}{quote}");
+        let help = format!("write `{meant}` if its value is meant");
+        let message = format!("`{}` is a text here, not an expression", text.trim());
+        self.findings.add(Severity::Warning, code::SUSPICIOUS, node.span, message, Some(help));
+        let inner = meant[1..meant.len() - 1].to_owned();
+        let known = |name: &str| {
+            let declared = |(section, at): &(Section, Named)| {
+                name.strip_prefix(section.key())
+                    .and_then(|rest| rest.strip_prefix('.'))
+                    .is_some_and(|rest| rest.split('.').next() == Some(&at.text))
+            };
+            name.starts_with("channels.")
+                || name.starts_with("event.")
+                || self.gives(name)
+                || self.chart.declared.iter().any(declared)
+        };
+        // Where a name stands for nothing, what is meant is not certain.
+        let mut names = inner.split("${").skip(1).map(|rest| &rest[..end_of_name(rest)]);
+        if !inner.contains(quote) && names.all(known) {
+            self.findings.remedy(Remedy::replace(node.span, meant));
+        }
+    }
+
+    /// Whether a name is what a state of the chart gives.
+    fn gives(&self, name: &str) -> bool {
+        self.given.is_some_and(|given| given.contains(name))
+    }
+
+    /// Defaults are literals: what looks like an expression there stays a text.
+    fn defaults(&mut self) {
+        let chart = self.chart;
+        for declared in chart.inputs.iter().chain(&chart.locals).chain(&chart.outputs) {
+            let text = declared.default.as_ref().and_then(Value::as_str);
+            if let Some(text) = text.filter(|text| self.meant(text).is_some()) {
+                let at =
+                    place_of(chart, &[Section::Inputs, Section::Locals, Section::Outputs], &declared.name);
+                let message = format!("the default of `{}` is the text `{text}`", declared.name);
+                let help =
+                    "a default is no expression: set the value with `assign` where it is known".to_owned();
+                self.findings.add(Severity::Warning, code::SUSPICIOUS, at, message, Some(help));
+            }
+        }
+    }
+
+    /// A text with `${}` around what looks like an expression in it; `None` where nothing does.
+    fn meant(&self, text: &str) -> Option<String> {
+        let is_variable = |name: &str| is_path(name) || self.gives(name);
+        let all = text.trim();
+        let (name, rest) = all.split_at(end_of_name(all));
+        if is_variable(name) && (rest.is_empty() || rest.trim_start().starts_with(OPERATORS)) {
+            return Some(format!("${{{all}}}"));
+        }
+        let inner = all.strip_prefix("{{").and_then(|inner| inner.strip_suffix("}}")).map(str::trim);
+        if let Some(inner) = inner.filter(|inner| !inner.is_empty() && !inner.contains(['{', '}'])) {
+            return Some(format!("${{{inner}}}"));
+        }
+        let (mut meant, mut rest, mut found) = (String::new(), text, false);
+        while let Some(at) = rest.find(['{', '$']) {
+            meant.push_str(&rest[..at]);
+            rest = &rest[at..];
+            if rest.starts_with("${") {
+                // This one is an expression.
+                let end = rest.find('}').map_or(rest.len(), |end| end + 1);
+                meant.push_str(&rest[..end]);
+                rest = &rest[end..];
+                continue;
+            }
+            match variable_in_brackets(rest).filter(|(name, _)| is_variable(name)) {
+                Some((name, after)) => {
+                    meant.push_str(&format!("${{{name}}}"));
+                    (rest, found) = (after, true);
+                }
+                None => {
+                    meant.push_str(&rest[..1]);
+                    rest = &rest[1..];
+                }
+            }
+        }
+        found.then(|| meant + rest)
+    }
+}
+
+/// What follows a variable in an expression.
+const OPERATORS: [char; 12] = ['+', '-', '*', '/', '<', '>', '=', '!', '?', '&', '|', '['];
+
+fn end_of_name(text: &str) -> usize {
+    let end = text.find(|c: char| !(c.is_alphanumeric() || c == '_' || c == '.')).unwrap_or(text.len());
+    text[..end].trim_end_matches('.').len()
+}
+
+/// The variable that a text begins with, as other languages write it, and what comes after: `{{ a.b }}`, `$(a.b)`, `{a.b}`, `$a.b`.
+fn variable_in_brackets(text: &str) -> Option<(&str, &str)> {
+    let in_brackets = [("{{", "}}"), ("$(", ")"), ("{", "}")].into_iter().find_map(|(open, close)| {
+        let (name, after) = text.strip_prefix(open)?.split_once(close)?;
+        Some((name.trim(), after))
+    });
+    in_brackets.or_else(|| {
+        let name = text.strip_prefix('$')?;
+        Some(name.split_at(end_of_name(name)))
+    })
 }
 
 /// `inputs.force`, `channels.wrist.push`.

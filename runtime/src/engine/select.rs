@@ -1,6 +1,8 @@
 //! Selects the transitions that an event takes: inner states first, then the order in the file. Also handles events
 //! that no transition takes.
 
+use armarium_values::Value;
+
 use super::event::{Event, Origin};
 use super::state::{RunContext, Step, Turn};
 use super::{Engine, TraceItem};
@@ -133,7 +135,19 @@ impl Engine {
                     None => self.fail_run(&event, state, turn),
                 }
             }
-            Origin::Broadcast | Origin::Watch { .. } | Origin::After { .. } | Origin::Retry { .. } => {}
+            Origin::Broadcast => {
+                let Some(event) = &self.store.event else { return };
+                // Every end raises one of these, for those who wait for it.
+                if !event.name(turn.program).starts_with("done.state.") {
+                    turn.trace(|p| {
+                        let why = event.data().get("reason").and_then(Value::as_str);
+                        let why = why.map_or_else(String::new, |why| format!(": {why}"));
+                        let reason = format!("no active state takes it{why}");
+                        TraceItem::Dropped { name: event.name(p).to_owned(), reason }
+                    });
+                }
+            }
+            Origin::Watch { .. } | Origin::After { .. } | Origin::Retry { .. } => {}
         }
     }
 

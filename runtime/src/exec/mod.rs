@@ -102,6 +102,12 @@ impl Controller {
     pub fn raise(&self, name: impl Into<String>, data: Value) -> bool {
         self.queue.try_send(Message::Event { name: name.into(), data }).is_ok()
     }
+
+    /// Says in the trace that an event was refused to its sender. Where too much waits already, it is not said.
+    fn refused(&self, name: &str, reason: String) {
+        let refused = Message::Dropped { name: name.to_owned(), reason, error: None };
+        let _ = self.queue.try_send(refused).is_ok();
+    }
 }
 
 /// A chart that is ready to run.
@@ -295,6 +301,11 @@ impl Executor {
     fn message(&mut self, message: Message) {
         match message {
             Message::Event { name, data } => self.turn(Some(Input::Event { name, data })),
+            Message::Dropped { name, reason, error } => {
+                self.trace(TraceItem::Dropped { name, reason });
+                let name = "error.communication".to_owned();
+                error.into_iter().for_each(|data| self.turn(Some(Input::Event { name: name.clone(), data })));
+            }
             Message::Skill { activation, report } => self.report(activation, report),
             Message::Hangs { reason } => self.turn(Some(Input::Abort { reason })),
             Message::Stopped { reason } => self.turn(Some(Input::Stop { reason })),

@@ -158,6 +158,7 @@ impl Subscribers {
                     continue;
                 }
                 if let Err(error) = program.accepts(event, data) {
+                    controller.refused(event, error.to_string());
                     refused = Some(error);
                     continue;
                 }
@@ -250,6 +251,7 @@ fn undelivered(sent: &RemoteEvent, why: &str) -> Message {
     let RemoteEvent { to, event, .. } = sent;
     let reason = format!("`{event}` cannot be sent to `{to}`: {why}");
     tracing::warn!("{reason}");
-    let data = [("reason", reason.into()), ("event", event.as_str().into()), ("to", to.as_str().into())];
-    Message::Event { name: "error.communication".into(), data: Value::record(data) }
+    let data =
+        [("reason", reason.as_str().into()), ("event", event.as_str().into()), ("to", to.as_str().into())];
+    Message::Dropped { name: event.clone(), error: Some(Value::record(data)), reason }
 }

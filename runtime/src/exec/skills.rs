@@ -12,8 +12,11 @@ use crate::program::StateId;
 /// A message in the executor's queue.
 #[derive(Debug)]
 pub(super) enum Message {
-    /// An event from outside, or the error for one that could not be delivered to another agent.
+    /// An event from outside.
     Event { name: String, data: Value },
+    /// An event that could not be delivered to another agent: the data of its `error.communication`; or that came from outside and
+    /// was refused to its sender.
+    Dropped { name: String, reason: String, error: Option<Value> },
     /// A report of a skill.
     Skill { activation: u64, report: Report },
     /// A skill has not yielded for too long.

@@ -310,7 +310,7 @@ impl Stepper {
             || self.labels.iter().position(|l| l == state).and_then(|at| StateId::try_from(at).ok());
         self.by_path.get(state).copied().or_else(by_label).ok_or_else(|| StepError::State {
             state: state.to_owned(),
-            help: suggest(state, self.labels.iter().map(String::as_str)),
+            help: suggest(state, self.by_path.keys().map(String::as_str)),
         })
     }
 

@@ -1,16 +1,17 @@
 //! What is wrong with a file of test cases, held against its chart: names that stand for nothing, data of another type, outcomes
 //! that cannot come. Found before a case is played, each with its place.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use armarium_source::yaml::{Entries, Named, Node, Yaml};
-use armarium_source::{Files, Finding, Findings, Source, Span, code, suggest, yaml};
+use armarium_source::{Files, Finding, Findings, Source, Span, code, yaml};
 use armarium_values::Type;
+use serde_json::Value as Json;
 
 use super::{TestFile, stand_in};
-use crate::chart::{self, ChannelSchema, Registry};
+use crate::chart::{self, ChannelSchema, Registry, unit_of_time};
 use crate::program::{EventRefused, Kind, Program, StateId};
 use crate::skill::{Parameter, SkillManifest};
 use crate::stepping::labels;
@@ -64,8 +65,9 @@ impl TestFile {
         let mut findings = Findings::new(source);
         let Some(node) = yaml::parse(&mut findings) else { return findings.list };
         let (_, states) = labels(program);
-        let mut check = Check { findings, program, registry, states };
+        let mut check = Check { findings, program, registry, states: &states };
         check.scripts(node.get("skills"));
+        check.scripts(node.get("charts"));
         for case in node.get("cases").map_or(&[][..], Node::items) {
             check.scripts(case.get("skills"));
             check.given(case.get("given"));
@@ -77,12 +79,51 @@ impl TestFile {
     }
 }
 
+/// Holds single steps against a chart, for those who drive it by hand.
+#[derive(Debug)]
+pub struct StepCheck<'p> {
+    program: &'p Program,
+    registry: &'p Registry,
+    states: BTreeMap<String, StateId>,
+}
+
+impl<'p> StepCheck<'p> {
+    /// For the steps of a chart.
+    pub fn new(program: &'p Program, registry: &'p Registry) -> Self {
+        Self { program, registry, states: labels(program).1 }
+    }
+
+    /// What is wrong with a step that has the keys of a step of a test case: one sentence, with what to do about it.
+    ///
+    /// # Errors
+    /// That sentence.
+    pub fn check(&self, step: &Json) -> Result<(), WrongStep> {
+        let mut findings = Findings::new(Arc::new(Source::new("", step.to_string())));
+        let node = yaml::parse(&mut findings);
+        let mut check =
+            Check { findings, program: self.program, registry: self.registry, states: &self.states };
+        node.iter().for_each(|node| check.step(node));
+        match check.findings.list.into_iter().find(Finding::is_error) {
+            Some(Finding { message, help, .. }) => Err(WrongStep { message, help }),
+            None => Ok(()),
+        }
+    }
+}
+
+/// What is wrong with a step.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{message}{}", help.as_ref().map_or(String::new(), |help| format!(" ({help})")))]
+pub struct WrongStep {
+    message: String,
+    help: Option<String>,
+}
+
 struct Check<'p> {
     findings: Findings,
     program: &'p Program,
     registry: &'p Registry,
     /// States by path and by displayed name.
-    states: BTreeMap<String, StateId>,
+    states: &'p BTreeMap<String, StateId>,
 }
 
 fn entries(node: Option<&Node>) -> &Entries {
@@ -108,9 +149,10 @@ impl Check<'_> {
         name: &str,
         known: impl Iterator<Item = &'n str> + Clone,
     ) {
-        let help = suggest(name, known.clone())
-            .unwrap_or_else(|| format!("known are: {}", known.collect::<Vec<_>>().join(", ")));
-        self.findings.error_help(code, span, format!("there is no {what} `{name}`"), Some(help));
+        let all: BTreeSet<&str> = known.clone().collect();
+        let listed = (!all.is_empty())
+            .then(|| format!("known are: {}", all.into_iter().collect::<Vec<_>>().join(", ")));
+        self.findings.unknown(code, (span, name), format!("there is no {what} `{name}`"), known, listed);
     }
 
     fn state(&mut self, span: Span, name: &str) -> Option<StateId> {
@@ -174,7 +216,16 @@ impl Check<'_> {
         }
     }
 
+    /// Time that goes by, s.
+    fn time(&mut self, node: Option<&Node>) {
+        let seconds = node.and_then(|node| Type::Duration.convert(node.literal()).ok()?.as_f64());
+        if let Some((node, seconds)) = node.zip(seconds) {
+            unit_of_time(node, seconds, &mut self.findings);
+        }
+    }
+
     fn ending(&mut self, node: &Node, manifest: &SkillManifest) {
+        self.time(node.get("after"));
         let outcome = text(Some(node)).or_else(|| text(node.get("outcome")));
         if let Some((span, outcome)) = outcome.filter(|_| !manifest.open) {
             let known = ["success", "failure", "never"].into_iter();
@@ -229,12 +280,13 @@ impl Check<'_> {
     }
 
     fn step(&mut self, step: &Node) {
+        self.time(step.get("after"));
         let from = text(step.get("from")).and_then(|(span, name)| self.state(span, name));
         match (text(step.get("event")), step.get("from")) {
             (Some((span, event)), None) => self.event(span, event, step.get("data")),
             (Some((span, event)), Some(_)) => {
                 if let Some(from) = from {
-                    self.event_of(from, span, event);
+                    self.event_of(from, span, event, step.get("data"));
                 }
             }
             (None, _) => {}
@@ -290,7 +342,7 @@ impl Check<'_> {
     }
 
     /// An outcome or a watch of a state.
-    fn event_of(&mut self, from: StateId, span: Span, event: &str) {
+    fn event_of(&mut self, from: StateId, span: Span, event: &str, data: Option<&Node>) {
         let program = self.program;
         let state = program.state(from);
         let watches = state.watches.iter().map(|w| program.symbols.name(program.watches[*w as usize].name));
@@ -298,6 +350,9 @@ impl Check<'_> {
         if let Kind::Skill { manifest } = &state.kind {
             if manifest.open {
                 return;
+            }
+            if !known.contains(&event) && event != "failure" {
+                self.values("output", data, &manifest.outputs, false);
             }
             known.extend(["success", "failure"]);
             known.extend(manifest.outcomes.iter().map(String::as_str));

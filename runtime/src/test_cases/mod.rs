@@ -14,6 +14,7 @@ use armarium_source::{Field, Finding, Findings, Rule, Source, code, form};
 use serde::Serialize;
 use serde_json::{Value as Json, json};
 
+pub use checks::{StepCheck, WrongStep};
 pub use play::CaseError;
 pub use stand_in::StandInError;
 

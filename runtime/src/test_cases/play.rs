@@ -9,7 +9,7 @@ use serde_json::Value as Json;
 
 use super::stand_in::{self, StandInError};
 use super::{Case, Ending, Expect, Script, Step, TestFile};
-use crate::program::Program;
+use crate::program::{Kind, Program, StateId};
 use crate::skill::InputError;
 use crate::stepping::{Coverage, RunningSkill, StepError, Stepper};
 
@@ -90,6 +90,14 @@ pub enum CaseError {
         reason: String,
         /// How it should have.
         expected: String,
+    },
+    /// The run has failed, and no step expects that.
+    #[error("the run has failed in {states}: {reason}; if that is meant, add `expect: {{outcome: failure}}`")]
+    Failed {
+        /// The states that the failure came through.
+        states: String,
+        /// Why.
+        reason: String,
     },
     /// The reason is another one.
     #[error("the reason is `{found}`, without `{expected}`")]
@@ -174,7 +182,31 @@ impl Player<'_> {
             let failed = |why| CaseError::Step { number: number + 1, why: Box::new(why) };
             self.step(step).map_err(failed)?;
         }
-        Ok(())
+        self.failure_is_expected(steps)
+    }
+
+    /// A run that failed where no step looks at its end is no success of the case; a `final: failure` that steps expect as
+    /// active is one.
+    fn failure_is_expected(&self, steps: &[Step]) -> Result<(), CaseError> {
+        let Some(result) = self.stepper.result().filter(|result| result.outcome == "failure") else {
+            return Ok(());
+        };
+        let is_final = |state: &StateId| matches!(self.program.state(*state).kind, Kind::Final { .. });
+        let by_design = self.stepper.leaves().iter().all(is_final);
+        let looked = |expect: &Expect| {
+            expect.outcome.is_some() || expect.reason.is_some() || by_design && expect.active.is_some()
+        };
+        if steps.iter().filter_map(|step| step.expect.as_ref()).any(looked) {
+            return Ok(());
+        }
+        Err(CaseError::Failed {
+            states: if result.chain.is_empty() {
+                self.stepper.snapshot().configuration.join(", ")
+            } else {
+                result.chain.join(" < ")
+            },
+            reason: result.reason.clone().unwrap_or_else(|| "it ended so".to_owned()),
+        })
     }
 
     fn step(&mut self, step: &Step) -> Result<(), CaseError> {

@@ -21,8 +21,9 @@ pub(crate) fn slip_near(text: &str, at: usize) -> Option<Slip> {
     let here = lines.iter().rposition(|line| line.start <= at)?;
     tab(&lines, here)
         .or_else(|| unquoted_expression(&lines, here))
-        .or_else(|| text_after_quote(&lines, here))
+        .or_else(|| inside_a_line(text, &lines, here))
         .or_else(|| unclosed(text, at))
+        .or_else(|| missing_space(&lines, here))
         .or_else(|| missing_colon(&lines, here))
         .or_else(|| indentation(&lines, here))
 }
@@ -88,18 +89,108 @@ fn unquoted_expression(lines: &[Line<'_>], here: usize) -> Option<Slip> {
     })
 }
 
-/// `if: "a" == b`.
-fn text_after_quote(lines: &[Line<'_>], here: usize) -> Option<Slip> {
-    let line = &lines[here];
-    let value = line.text.find(": ").map(|at| at + 2)?;
-    let quote = line.text[value..].chars().next().filter(|c| matches!(c, '"' | '\''))?;
-    let close = value + 1 + line.text[value + 1..].find(quote)?;
-    let rest = line.text[close + 1..].trim();
-    if rest.is_empty() || rest.starts_with(['#', ',', '}', ']', ':']) {
-        return None;
+/// One key with its value, or an item of a list, as far as it was read.
+#[derive(Clone, Copy)]
+struct Entry {
+    /// After the colon of its key.
+    colon: Option<usize>,
+    /// No letter of the key, or of the value, was read yet.
+    begins: bool,
+    /// The quote or bracket that ended its value, and where that value began.
+    closed: Option<(usize, char)>,
+}
+
+const FRESH: Entry = Entry { colon: None, begins: true, closed: None };
+
+/// What makes no sense within a line, in the line where the parser stopped or in the one before: `if: "a" == b`, `a: b: c`,
+/// `{a: 1}}`, `a: @home`.
+fn inside_a_line(text: &str, lines: &[Line<'_>], here: usize) -> Option<Slip> {
+    let from = lines[here.saturating_sub(1)].start;
+    let end = lines[here].start + lines[here].text.len();
+    let (mut entry, mut around) = (FRESH, Vec::new());
+    let mut quote: Option<(usize, char)> = None;
+    let mut escaped = false;
+    let mut block_text = None;
+    for line in &lines[..=here] {
+        if block_text.is_some_and(|outer| line.indent() > outer || line.content().is_empty()) {
+            continue;
+        }
+        block_text = None;
+        if quote.is_none() && around.is_empty() {
+            entry = FRESH;
+            block_text = begins_block_text(line).then(|| line.indent());
+        }
+        let mut before = ' ';
+        for (at, c) in line.text.char_indices().map(|(at, c)| (line.start + at, c)) {
+            let next = text[at + c.len_utf8()..end].chars().next().unwrap_or(' ');
+            let apart = std::mem::replace(&mut before, c).is_whitespace();
+            if let Some((open, mark)) = quote {
+                if std::mem::take(&mut escaped) {
+                } else if mark == '"' && c == '\\' {
+                    escaped = true;
+                } else if c == mark {
+                    (quote, entry.closed) = (None, Some((open, mark)));
+                }
+                continue;
+            }
+            match c {
+                '#' if apart => break,
+                _ if c.is_whitespace() => {}
+                '"' | '\'' if entry.begins => (quote, entry.begins) = (Some((at, c)), false),
+                // The second of two single quotes is one of the text.
+                '\'' if entry.closed == Some((at - 1, c)) => quote = entry.closed.take(),
+                '{' | '[' if entry.begins => {
+                    entry.begins = false;
+                    around.push((at, entry));
+                    entry = FRESH;
+                }
+                ',' if !around.is_empty() => entry = FRESH,
+                '}' | ']' => match around.pop() {
+                    Some((open, outer)) => entry = Entry { closed: Some((open, c)), ..outer },
+                    None if entry.closed.is_some() && at >= from => {
+                        return slip(at, 1, format!("there is one `{c}` too many"), "remove it");
+                    }
+                    None => {}
+                },
+                ':' if next.is_whitespace() || entry.closed.is_some() => {
+                    let first = entry.colon.filter(|first| *first > line.start && at >= from);
+                    if let Some(first) = first {
+                        let value = text[first..at].trim_start();
+                        let key = value.split_whitespace().next_back().unwrap_or("");
+                        let apart = if around.is_empty() {
+                            "put what follows on lines of its own, further to the right"
+                        } else {
+                            "put a `,` between two entries"
+                        };
+                        let message = format!("a second `:` in one value, after `{key}`");
+                        return slip(at, 1, message, format!("quote the text if it is one, or {apart}"));
+                    }
+                    entry = Entry { colon: Some(at + 1), ..FRESH };
+                }
+                _ if entry.closed.is_some_and(|(open, _)| open >= line.start) && at >= from => {
+                    let close = entry.closed.map_or(c, |(_, close)| close);
+                    let what = if "}]".contains(close) { format!("`{close}`") } else { "quote".to_owned() };
+                    let help = "put the whole value into one pair of quotes, and texts inside of it into the other kind";
+                    let rest = text[at..end].trim_end().len();
+                    return slip(at, rest, format!("text goes on after the closing {what}"), help);
+                }
+                '-' if entry.begins && next.is_whitespace() && around.is_empty() => {}
+                '@' | '`' | '%' if entry.begins && at >= from => {
+                    let value = text[at..end].split([',', '}', ']']).next().unwrap_or("").trim_end();
+                    let message = format!("a text that begins with `{c}` needs quotes");
+                    return slip(at, value.len(), message, format!("write `\"{value}\"`"));
+                }
+                _ => entry.begins = false,
+            }
+        }
     }
-    let help = "put the whole value into one pair of quotes, and texts inside of it into the other kind";
-    slip(line.start + close + 1, line.text.len() - close - 1, "text goes on after the closing quote", help)
+    None
+}
+
+/// Whether a text of several lines begins after this one: `log: |`.
+fn begins_block_text(line: &Line<'_>) -> bool {
+    let last = line.content().rsplit([' ', ':']).next().unwrap_or("");
+    last.starts_with(['|', '>']) && last[1..].chars().all(|c| "+-123456789".contains(c))
 }
 
 /// A bracket or a quote that is open at the place where the parser stopped.
@@ -135,7 +226,8 @@ fn unclosed(text: &str, at: usize) -> Option<Slip> {
     let (start, c) = *open.last()?;
     let other = if c == '{' { '}' } else { ']' };
     let same_line = !text[start..at.max(start)].contains('\n');
-    if same_line && text[at..].lines().next().is_some_and(|rest| rest.contains(other)) {
+    let line = text[start..].lines().next().unwrap_or("");
+    if same_line && line.matches(other).count() >= line.matches(c).count() {
         return None;
     }
     slip(start, 1, format!("this `{c}` is not closed"), format!("add the missing `{other}`"))
@@ -161,9 +253,31 @@ fn missing_colon(lines: &[Line<'_>], here: usize) -> Option<Slip> {
     )
 }
 
+/// `skill:Name`: YAML takes it for one word.
+fn missing_space(lines: &[Line<'_>], here: usize) -> Option<Slip> {
+    lines[..=here].iter().rev().take(3).find_map(|line| {
+        let content = line.content().trim_start_matches("- ");
+        let (key, value) = content.split_once(':')?;
+        let word = |c: char| c.is_alphanumeric() || c == '_' || c == '.';
+        let glued =
+            !key.is_empty() && key.chars().all(word) && value.starts_with(|c| word(c) || "\"'{[".contains(c));
+        if !glued || content.contains(": ") {
+            return None;
+        }
+        let start = line.start + line.text.find(content)?;
+        let message = format!("a space is missing after `{key}:`");
+        slip(start, content.len(), message, format!("write `{key}: {value}`"))
+    })
+}
+
 fn indentation(lines: &[Line<'_>], here: usize) -> Option<Slip> {
     let line = &lines[here];
     let indent = line.indent();
+    let previous = lines[..here].iter().rev().find(|line| !line.content().is_empty())?;
+    if previous.content().ends_with([':', '-']) && indent > previous.indent() {
+        // The first line of a level may be indented as it likes.
+        return None;
+    }
     let mut above: Vec<usize> =
         lines[..here].iter().filter(|line| !line.content().is_empty()).map(Line::indent).collect();
     above.sort_unstable();
@@ -192,7 +306,14 @@ mod tests {
             ("a\n  b:^ 1\n", "a", "a `:` is missing after `a`"),
             ("a:\n  b 1\n  c:^ 1\n", "b 1", "a `:` is missing after `b`"),
             ("a:\n    b: 1\n   ^c: 1\n", "   ", "this line is indented by 3, like none above it"),
-            ("if: \"a\" ^== b\n", " == b", "text goes on after the closing quote"),
+            ("if: \"a\" ^== b\n", "== b", "text goes on after the closing quote"),
+            ("a:\n    b: {c: 'd' ^== 'd'}\n", "== 'd'}", "text goes on after the closing quote"),
+            ("a:\n    b: {c: [1] ^== [2]}\n", "== [2]}", "text goes on after the closing `]`"),
+            ("a:\n    b: {c: d}^}\ne: 1\n", "}", "there is one `}` too many"),
+            ("a:\n    b: c: ^d\n    e: 1\n", ":", "a second `:` in one value, after `c`"),
+            ("a: {b: c d: ^{e: 1}}\n", ":", "a second `:` in one value, after `d`"),
+            ("a:\n    b: ^@home\n    c: 1\n", "@home", "a text that begins with `@` needs quotes"),
+            ("a:\n  b:c\n  d:^ 1\n", "b:c", "a space is missing after `b:`"),
         ];
         for (marked, place, message) in cases {
             let at = marked.find('^').expect("the place is marked");

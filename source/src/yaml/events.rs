@@ -24,8 +24,8 @@ const FEW_KEYS: usize = 12;
 pub(crate) enum Refusal {
     /// The text is YAML, but not what a file here may hold.
     Content { at: Span, message: String, help: &'static str, remedy: Option<Remedy> },
-    /// The text is no YAML, in the parser's words.
-    Syntax { at: Span, message: String },
+    /// The text is no YAML.
+    Syntax { at: Span },
 }
 
 fn refuse<T>(at: Span, message: impl Into<String>, help: &'static str) -> Result<T, Box<Refusal>> {
@@ -102,7 +102,7 @@ impl<'t> Reader<'t> {
         if matches!(error.kind(), ErrorKind::RecursionLimitExceeded) {
             return too_deep(at);
         }
-        Err(Box::new(Refusal::Syntax { at, message: error.kind().to_string() }))
+        Err(Box::new(Refusal::Syntax { at }))
     }
 
     /// The byte at a marker; some markers know only how many characters are before them.
@@ -114,7 +114,7 @@ impl<'t> Reader<'t> {
 
     /// For an event that the parser does not give in this place.
     fn unexpected(at: Span) -> Box<Refusal> {
-        Box::new(Refusal::Syntax { at, message: "a value is expected here".to_owned() })
+        Box::new(Refusal::Syntax { at })
     }
 
     /// The node that begins with `event`.

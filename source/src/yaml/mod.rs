@@ -32,9 +32,13 @@ pub fn parse(findings: &mut Findings) -> Option<Node> {
     };
     let (at, message, help, mut remedy) = match *refusal {
         Refusal::Content { at, message, help, remedy } => (at, message, Some(help.to_owned()), remedy),
-        Refusal::Syntax { at, message } => match slip_near(&source.text, at.start) {
+        Refusal::Syntax { at } => match slip_near(&source.text, at.start) {
             Some(slip) => (slip.span, slip.message, Some(slip.help), None),
-            None => (at, format!("this cannot be read as YAML: {message}"), None, None),
+            None => {
+                let help = "look at this line and at the one before: a bracket, a quote, a `:` or the space after it \
+                    may be missing, or be one too many";
+                (at, "this cannot be read as YAML".to_owned(), Some(help.to_owned()), None)
+            }
         },
     };
     remedy = remedy.or_else(|| unquoted_expressions(&source, at.start));

@@ -117,6 +117,17 @@ impl Checker<'_> {
         (start, end)
     }
 
+    /// The parser places a dotted name at its last dot: all of the name.
+    fn whole_name(&self, (start, end): (usize, usize)) -> (usize, usize) {
+        if !self.source[start..].starts_with('.') {
+            return (start, end);
+        }
+        let part = |c: char| c.is_alphanumeric() || c == '_' || c == '.';
+        let before = self.source[..start].trim_end_matches(part).len();
+        let after = self.source[start..].find(|c| !part(c)).map_or(self.source.len(), |at| start + at);
+        (before, end.max(after))
+    }
+
     pub(super) fn pos(&self, id: u64) -> Pos {
         let (start, end) = self.span(id);
         Pos { start: u16::try_from(start).unwrap_or(0), end: u16::try_from(end).unwrap_or(0) }
@@ -134,7 +145,7 @@ impl Checker<'_> {
     }
 
     pub(super) fn error(&self, id: u64, kind: Kind, message: impl Into<String>) -> ExprError {
-        let (start, end) = self.span(id);
+        let (start, end) = self.whole_name(self.span(id));
         ExprError { kind, message: message.into(), help: None, start, end, near: None }
     }
 

@@ -200,6 +200,30 @@ pub struct Reads {
     pub event: bool,
 }
 
+/// What an expression sees that reads nothing.
+struct Nothing;
+
+impl EvalContext for Nothing {
+    fn data(&self, _: u32) -> Option<&Value> {
+        None
+    }
+    fn channel(&self, _: u32, _: &[String]) -> Option<Value> {
+        None
+    }
+    fn age(&self, _: u32) -> Option<f64> {
+        None
+    }
+    fn event_name(&self) -> Option<&str> {
+        None
+    }
+    fn event_data(&self) -> Option<&Value> {
+        None
+    }
+    fn active(&self, _: u32) -> bool {
+        false
+    }
+}
+
 /// A checked expression, ready to be evaluated.
 #[derive(Clone, Debug)]
 pub struct Expr {
@@ -236,6 +260,11 @@ impl Expr {
             eval::Node::Data(slot, _) => Some(slot),
             _ => None,
         }
+    }
+
+    /// Its value, where it reads nothing and can be evaluated.
+    pub fn constant(&self) -> Option<Value> {
+        (self.reads == Reads::default()).then(|| self.evaluate(&Nothing).ok()).flatten()
     }
 
     /// What it reads.
@@ -304,11 +333,11 @@ impl Expr {
 pub fn nearest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let limit = (name.chars().count() / 3).max(1);
     let short = |word: &str| word.chars().take(64).collect::<String>().to_lowercase();
-    let name = &short(name);
+    let (name, written) = (&short(name), name);
     candidates
         .into_iter()
         .map(|c| (strsim::osa_distance(name, &short(c)), c))
-        .filter(|(d, c)| *d <= limit && *c != name)
+        .filter(|(d, c)| *d <= limit && *c != written)
         .min_by_key(|(d, _)| *d)
         .map(|(_, c)| c)
 }

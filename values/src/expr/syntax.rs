@@ -32,53 +32,99 @@ enum TokenKind {
 /// Explains a text that the parser refused at byte `at`.
 pub(super) fn explain(source: &str, at: usize) -> ExprError {
     let tokens = tokens(source);
-    let (start, end, message, help) = open_text(&tokens)
+    open_text(&tokens)
         .or_else(|| foreign(&tokens))
         .or_else(|| brackets(&tokens))
         .or_else(|| neighbours(&tokens))
+        .or_else(|| half_choice(&tokens))
+        .or_else(|| too_large(&tokens))
         .unwrap_or_else(|| {
             let end = source[at..].chars().next().map_or(source.len(), |c| at + c.len_utf8());
-            (at.min(source.len().saturating_sub(1)), end, "this is not an expression".into(), EXAMPLE.into())
-        });
-    ExprError { kind: Kind::Syntax, message, help: Some(help), start, end, near: None }
+            let start = at.min(source.len().saturating_sub(1));
+            said((start, end), "this is not an expression", EXAMPLE)
+        })
 }
 
-type Explained = (usize, usize, String, String);
-
-fn explained(token: Token<'_>, message: impl Into<String>, help: impl Into<String>) -> Explained {
-    (token.start, token.start + token.text.len(), message.into(), help.into())
+fn said((start, end): (usize, usize), message: impl Into<String>, help: impl Into<String>) -> ExprError {
+    let (message, help) = (message.into(), Some(help.into()));
+    ExprError { kind: Kind::Syntax, message, help, start, end, near: None }
 }
 
-fn open_text(tokens: &[Token<'_>]) -> Option<Explained> {
+fn explained(token: Token<'_>, message: impl Into<String>, help: impl Into<String>) -> ExprError {
+    said((token.start, token.start + token.text.len()), message, help)
+}
+
+/// As [`explained`], where another text in the token's place puts it right.
+fn rewritten(token: Token<'_>, message: impl Into<String>, write: &str) -> ExprError {
+    let error = explained(token, message, format!("write `{write}`"));
+    ExprError { near: Some((error.start, error.end, write.to_owned())), ..error }
+}
+
+/// `a ? b`.
+fn half_choice(tokens: &[Token<'_>]) -> Option<ExprError> {
+    let open = *tokens.iter().find(|token| token.text == "?")?;
+    let whole = tokens.iter().any(|token| token.text == ":");
+    (!whole).then(|| {
+        explained(
+            open,
+            "this `?` has no `:`",
+            "write `condition ? value : other value`, or the condition alone",
+        )
+    })
+}
+
+fn too_large(tokens: &[Token<'_>]) -> Option<ExprError> {
+    let infinite = |token: &&Token<'_>| {
+        token.kind == TokenKind::Number && token.text.parse::<f64>().is_ok_and(f64::is_infinite)
+    };
+    let token = *tokens.iter().find(infinite)?;
+    Some(explained(token, "this number is too large", "numbers go up to about 1.8e308"))
+}
+
+fn open_text(tokens: &[Token<'_>]) -> Option<ExprError> {
     let open = *tokens.iter().find(|token| token.kind == TokenKind::OpenText)?;
     let quote = &open.text[..1];
     Some(explained(open, "this text has no end", format!("close it with {quote}")))
 }
 
 /// Operators and words of other languages.
-fn foreign(tokens: &[Token<'_>]) -> Option<Explained> {
-    const OTHERWISE: [(&str, &str, &str); 14] = [
-        ("=", "`=` does not compare", "write `==`"),
-        ("===", "there is no operator `===`", "write `==`"),
-        ("!==", "there is no operator `!==`", "write `!=`"),
-        ("<>", "there is no operator `<>`", "write `!=`"),
-        ("&", "there is no operator `&`", "write `&&`"),
-        ("|", "there is no operator `|`", "write `||`"),
-        ("**", "there is no operator `**`", "multiply with `*`"),
-        ("and", "`and` is no operator here", "write `&&`"),
-        ("or", "`or` is no operator here", "write `||`"),
-        ("not", "`not` is no operator here", "write `!`"),
-        ("AND", "`AND` is no operator here", "write `&&`"),
-        ("OR", "`OR` is no operator here", "write `||`"),
-        ("NOT", "`NOT` is no operator here", "write `!`"),
-        ("is", "`is` is no operator here", "write `==`"),
+fn foreign(tokens: &[Token<'_>]) -> Option<ExprError> {
+    // What is written, how it is said, and what to write instead.
+    const OTHERWISE: [(&str, &str, &str); 19] = [
+        ("=", "`=` does not compare", "=="),
+        (":=", "`:=` gives no value here: `assign` does", "=="),
+        ("===", "there is no operator `===`", "=="),
+        ("!==", "there is no operator `!==`", "!="),
+        ("<>", "there is no operator `<>`", "!="),
+        ("=>", "there is no operator `=>`", ">="),
+        ("=<", "there is no operator `=<`", "<="),
+        ("&", "there is no operator `&`", "&&"),
+        ("|", "there is no operator `|`", "||"),
+        ("and", "`and` is no operator here", "&&"),
+        ("or", "`or` is no operator here", "||"),
+        ("xor", "`xor` is no operator here", "!="),
+        ("not", "`not` is no operator here", "!"),
+        ("AND", "`AND` is no operator here", "&&"),
+        ("OR", "`OR` is no operator here", "||"),
+        ("XOR", "`XOR` is no operator here", "!="),
+        ("NOT", "`NOT` is no operator here", "!"),
+        ("is", "`is` is no operator here", "=="),
+        ("equals", "`equals` is no operator here", "=="),
     ];
     for (at, token) in tokens.iter().enumerate() {
         let field = at > 0 && tokens[at - 1].text == ".";
-        if let Some((_, message, help)) = OTHERWISE.iter().find(|(text, ..)| *text == token.text && !field)
+        let next = tokens.get(at + 1).map_or("", |next| next.text);
+        if token.text == "not" && next == "in" {
+            return Some(explained(*token, "`not in` is no operator here", "write `!(a in b)`"));
+        }
+        if matches!(token.text, "**" | "^") {
+            let message = format!("there is no operator `{}`", token.text);
+            return Some(explained(*token, message, "multiply with `*`"));
+        }
+        if let Some((_, message, write)) = OTHERWISE.iter().find(|(text, ..)| *text == token.text && !field)
             && matches!(token.kind, TokenKind::Operator | TokenKind::Word)
         {
-            return Some(explained(*token, *message, *help));
+            return Some(rewritten(*token, *message, write));
         }
         if matches!(token.text, "+=" | "-=" | "++" | "--") {
             return Some(explained(
@@ -100,7 +146,7 @@ fn foreign(tokens: &[Token<'_>]) -> Option<Explained> {
     None
 }
 
-fn brackets(tokens: &[Token<'_>]) -> Option<Explained> {
+fn brackets(tokens: &[Token<'_>]) -> Option<ExprError> {
     let closing = |open: &str| match open {
         "(" => ")",
         "[" => "]",
@@ -130,7 +176,7 @@ fn brackets(tokens: &[Token<'_>]) -> Option<Explained> {
 }
 
 /// Two values without an operator between them, or an operator without a value.
-fn neighbours(tokens: &[Token<'_>]) -> Option<Explained> {
+fn neighbours(tokens: &[Token<'_>]) -> Option<ExprError> {
     let operand = |token: &Token<'_>| {
         matches!(token.kind, TokenKind::Word | TokenKind::Number | TokenKind::Text) && token.text != "in"
     };
@@ -154,20 +200,25 @@ fn neighbours(tokens: &[Token<'_>]) -> Option<Explained> {
         }
     }
     let (first, last) = (tokens.first()?, tokens.last()?);
+    if last.text == "%" {
+        let help = "`%` gives the rest of a division; a share is a number, as `0.5` for 50 %";
+        return Some(explained(*last, "there is no value after `%`", help));
+    }
     if last.kind == TokenKind::Operator || last.text == "in" {
         return Some(explained(*last, format!("there is no value after `{}`", last.text), EXAMPLE));
     }
     binary(first).then(|| explained(*first, format!("there is no value before `{}`", first.text), EXAMPLE))
 }
 
-fn number_with_unit(number: Token<'_>, unit: Token<'_>) -> Explained {
+fn number_with_unit(number: Token<'_>, unit: Token<'_>) -> ExprError {
     let end = unit.start + unit.text.len();
     let si = Unit::parse(unit.text).ok().zip(number.text.parse::<f64>().ok());
     let help = match si {
         Some(((si, factor), value)) => format!("write it in SI units, here {si}: `{:?}`", value * factor),
         None => "write the number alone, in SI units".to_owned(),
     };
-    (number.start, end, "numbers in expressions have no units".into(), help)
+    let near = si.map(|((_, factor), value)| (number.start, end, format!("{:?}", value * factor)));
+    ExprError { near, ..said((number.start, end), "numbers in expressions have no units", help) }
 }
 
 fn tokens(source: &str) -> Vec<Token<'_>> {
@@ -191,8 +242,8 @@ fn tokens(source: &str) -> Vec<Token<'_>> {
             c if c.is_ascii_digit() => (TokenKind::Number, number_length(rest)),
             '(' | '[' | '{' => (TokenKind::Open, 1),
             ')' | ']' | '}' => (TokenKind::Close, 1),
-            '.' | ',' | '?' | ':' => (TokenKind::Operator, 1),
-            c if "=!<>&|+-*/%".contains(c) => (TokenKind::Operator, operator_length(rest)),
+            '.' | ',' | '?' => (TokenKind::Operator, 1),
+            c if "=!<>&|+-*/%:^".contains(c) => (TokenKind::Operator, operator_length(rest)),
             c => (TokenKind::Foreign, c.len_utf8()),
         };
         tokens.push(Token { kind, text: &rest[..length], start: at });
@@ -234,8 +285,10 @@ fn number_length(rest: &str) -> usize {
 
 /// The longest operator, of this language or another.
 fn operator_length(rest: &str) -> usize {
-    const LONG: [&str; 14] =
-        ["===", "!==", "==", "!=", "<=", ">=", "<>", "&&", "||", "**", "+=", "-=", "++", "--"];
+    const LONG: [&str; 17] = [
+        "===", "!==", "==", "!=", "<=", ">=", "=>", "=<", ":=", "<>", "&&", "||", "**", "+=", "-=", "++",
+        "--",
+    ];
     LONG.iter().find(|operator| rest.starts_with(**operator)).map_or(1, |operator| operator.len())
 }
 
@@ -267,6 +320,18 @@ mod tests {
             ("a > 2)", ")", "this `)` closes nothing (remove it, or add the bracket that it closes)"),
             ("a == 'go", "'go", "this text has no end (close it with ')"),
             ("${a} > 2", "$", "an expression has no `$` (inside of an expression names stand without `${}`)"),
+            ("a => 2", "=>", "there is no operator `=>` (write `>=`)"),
+            ("a =< 2", "=<", "there is no operator `=<` (write `<=`)"),
+            ("a := 2", ":=", "`:=` gives no value here: `assign` does (write `==`)"),
+            ("a not in b", "not", "`not in` is no operator here (write `!(a in b)`)"),
+            ("a xor b", "xor", "`xor` is no operator here (write `!=`)"),
+            ("a ^ 2", "^", "there is no operator `^` (multiply with `*`)"),
+            ("a > 1e999", "1e999", "this number is too large (numbers go up to about 1.8e308)"),
+            (
+                "a ? b",
+                "?",
+                "this `?` has no `:` (write `condition ? value : other value`, or the condition alone)",
+            ),
             ("a += 1", "+=", "an expression changes nothing (values are changed by `assign`)"),
         ];
         for (source, marked, said) in cases {

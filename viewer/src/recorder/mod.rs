@@ -129,6 +129,8 @@ pub struct Recorder {
     log: Channel<fg::Log>,
     buffer: Vec<u8>,
     next_flush_ns: u64,
+    /// Why nothing more can be written.
+    broken: Option<RecorderError>,
 }
 
 impl std::fmt::Debug for Recorder {
@@ -192,6 +194,7 @@ impl Recorder {
             json: BTreeMap::new(),
             joint_states: fg::JointStates::default(),
             buffer: Vec::with_capacity(1024),
+            broken: None,
         })
     }
 
@@ -373,12 +376,19 @@ impl Recorder {
             .map_err(|e| RecorderError::Write { source: foxglove::FoxgloveError::from(e.into_error()) })
     }
 
-    /// Flushes the collected messages when it is time. Errors stay with the writer: [`Recorder::finish`] reports
-    /// them.
+    /// Whether what was recorded so far could be written, as far as that was tried.
+    ///
+    /// # Errors
+    /// [`RecorderError::Write`], once: the recording is of no use any more.
+    pub fn health(&mut self) -> Result<(), RecorderError> {
+        self.broken.take().map_or(Ok(()), Err)
+    }
+
+    /// Flushes the collected messages when it is time. [`Recorder::health`] and [`Recorder::finish`] report errors.
     fn tick(&mut self, t_ns: u64) {
         if t_ns >= self.next_flush_ns {
             self.next_flush_ns = t_ns.saturating_add(self.options.flush_period_ns);
-            drop(self.writer.flush());
+            self.broken = self.writer.flush().err().map(RecorderError::from);
         }
     }
 }

@@ -1,0 +1,55 @@
+//! Literals held against their types: numbers that are too large, times without a unit. What is said here needs no other name of
+//! a chart; expressions are in `expressions`.
+
+use armarium_source::yaml::{Node, Yaml};
+use armarium_source::{Findings, Severity, code};
+use armarium_values::{ConvertError, Type, Value};
+
+/// Times without a unit that are longer than this were probably meant in milliseconds, s.
+const LONG_S: f64 = 100.0;
+
+/// The literal of a node as a value of a type; `None` where it is none, which is added to `findings`.
+pub(super) fn literal(node: &Node, ty: &Type, findings: &mut Findings) -> Option<Value> {
+    fitting(node.literal(), node, ty, findings)
+}
+
+/// As [`literal`], for the `literal` that was read from `node`.
+pub(super) fn fitting(literal: Value, node: &Node, ty: &Type, findings: &mut Findings) -> Option<Value> {
+    match ty.convert(literal) {
+        Ok(value) if !is_finite(&value) => {
+            findings.error(code::VALUE, node.span, "this number is too large");
+            None
+        }
+        Ok(value) => {
+            if let Value::Duration(seconds) = value {
+                unit_of_time(node, seconds, findings);
+            }
+            Some(value)
+        }
+        Err(error) => {
+            let unit = matches!(error, ConvertError::Unit { .. });
+            findings.error(if unit { code::UNIT } else { code::TYPE }, node.span, error.to_string());
+            None
+        }
+    }
+}
+
+/// Warns of a long time that is written without its unit.
+pub(crate) fn unit_of_time(node: &Node, seconds: f64, findings: &mut Findings) {
+    let has_unit = matches!(&node.value, Yaml::String(text) if text.trim().parse::<f64>().is_err());
+    if seconds > LONG_S && !has_unit {
+        let help = format!("write the unit: `{seconds}s`, or `{seconds}ms` if milliseconds are meant");
+        let message = format!("this is {seconds} s");
+        findings.add(Severity::Warning, code::SUSPICIOUS, node.span, message, Some(help));
+    }
+}
+
+/// Whether all numbers in a value are finite.
+fn is_finite(value: &Value) -> bool {
+    match value {
+        Value::Float(x) | Value::Duration(x) => x.is_finite(),
+        Value::List(items) => items.iter().all(is_finite),
+        Value::Map(fields) => fields.values().all(is_finite),
+        _ => true,
+    }
+}
