@@ -6,8 +6,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use armarium_bus::{Access, KeyError, Session, SessionConfig, SessionError};
-use armarium_memoryx::{AgentMemory, Followee, FollowingAgent, Policies, Retention, agent_pose_update};
+use armarium_bus::{KeyError, Session, SessionConfig, SessionError};
+use armarium_memoryx::{AgentMemory, FollowingAgent, agent_pose_update};
 use armarium_runtime::channels::Channels;
 use armarium_runtime::chart::{self, Registry};
 use armarium_runtime::exec::{ChartSkill, ExecOptions, Executor, Peers, RunResult, Stop};
@@ -20,70 +20,15 @@ use armarium_states::observers;
 use armarium_visionx::providers::{StereoProvider, offer as offer_images};
 use tokio::task::JoinSet;
 
+use crate::agent_config::AgentConfig;
 use crate::backend::Backend;
-use crate::catalog::{self, SkillFactory};
+use crate::catalog;
 use crate::connection::{Connection, take_name};
 use crate::console::Console;
 use crate::error::HostError;
 use crate::names::Names;
-use crate::remote_eyes::{self, Eyes};
-use crate::simulated::{SimulatedRobot, memory_of_agent, usual_policies};
-
-/// The configuration of an agent.
-#[derive(Clone)]
-pub struct AgentConfig {
-    /// The name by which other agents call it.
-    pub name: String,
-    /// Charts to offer, or folders of charts. Skills are always offered.
-    pub offered: Vec<PathBuf>,
-    /// Additional folders in which charts find other charts by name.
-    pub charts: Vec<PathBuf>,
-    /// A chart that the agent runs from the start; the agent ends with it.
-    pub run: Option<PathBuf>,
-    /// The simulated world of the agent; `None`: the default kitchen.
-    pub world: Option<PathBuf>,
-    /// Seed of all random variation in the world.
-    pub seed: u64,
-    /// Images of another agent, used as the agent's eyes. The agent then has no robot, only skills that move nothing,
-    /// and its pose is the one in the world file.
-    pub eyes: Option<Eyes>,
-    /// Agents whose memory is followed as soon as they are available.
-    pub follow: Vec<Followee>,
-    /// The file of long-term memory.
-    pub store: PathBuf,
-    /// What the file keeps of memory.
-    pub policies: Policies,
-    /// How much the file keeps.
-    pub retention: Retention,
-    /// How other agents are reached.
-    pub session: SessionConfig,
-    /// The peers that it admits; `None` admits all, with all rights.
-    pub access: Option<Access>,
-    /// Additional skills.
-    pub skills: Vec<SkillFactory>,
-}
-
-impl AgentConfig {
-    /// An agent with a simulated robot in the default kitchen, reachable on this machine only.
-    pub fn new(name: &str) -> Self {
-        Self {
-            name: name.into(),
-            offered: Vec::new(),
-            charts: Vec::new(),
-            run: None,
-            world: None,
-            seed: 1,
-            eyes: None,
-            follow: Vec::new(),
-            store: "armarium-agent.redb".into(),
-            policies: usual_policies(),
-            retention: Retention::default(),
-            session: SessionConfig::default(),
-            access: None,
-            skills: Vec::new(),
-        }
-    }
-}
+use crate::remote_eyes;
+use crate::simulated::{SimulatedRobot, memory_of_agent};
 
 /// Serves until `until` completes or the agent's own chart has ended; then returns the chart's result, if any.
 ///

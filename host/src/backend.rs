@@ -11,7 +11,7 @@ use armarium_simulator::{Handle, Simulation};
 use armarium_states::{Equipment, RunningMotions};
 use armarium_visionx::providers::StereoView;
 
-use crate::agent::AgentConfig;
+use crate::agent_config::AgentConfig;
 use crate::catalog::{self, SkillFactory};
 use crate::console::Clock;
 use crate::remote_eyes::RemoteEyes;

@@ -11,6 +11,7 @@
 //! own skills (see `examples/own_agent.rs`). This room prints nothing and reads no command line.
 
 pub mod agent;
+mod agent_config;
 mod backend;
 pub mod bench;
 pub mod cameras;
@@ -34,7 +35,8 @@ mod side_tasks;
 pub mod simulated;
 mod world_file;
 
-pub use agent::{AgentConfig, run_agent};
+pub use agent::run_agent;
+pub use agent_config::AgentConfig;
 pub use catalog::SkillFactory;
 pub use connection::Connection;
 pub use console::{Clock, Console, Silent};

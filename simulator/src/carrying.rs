@@ -14,9 +14,10 @@ use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
+use crate::error::PlantError;
+use crate::physics::DT;
 use crate::physics::carrying::{CarriedBox, CarryingPlant, Sides};
 use crate::physics::pad::PadReaction;
-use crate::physics::{DT, PlantError};
 use crate::world::NoiseSpec;
 
 /// The sensor values of one palm: force (N) and torque about the TCP (N m) of the box on the hand, root frame, with

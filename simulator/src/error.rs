@@ -2,8 +2,6 @@
 
 use armarium_source::Finding;
 
-use crate::physics::PlantError;
-
 /// Why a simulation cannot be built.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -30,5 +28,23 @@ pub enum SimulationError {
     Start {
         /// Number of joints of the model.
         expected: usize,
+    },
+}
+
+/// Why a plant cannot be built.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PlantError {
+    /// The robot lacks something that the simulator needs.
+    #[error("the robot lacks the {what}")]
+    Missing {
+        /// The missing part.
+        what: String,
+    },
+    /// The physics rejected a joint.
+    #[error("the joint `{joint}` does not fit into the robot's tree")]
+    Joint {
+        /// The joint's name.
+        joint: String,
     },
 }

@@ -4,10 +4,9 @@
 //! limbs (which follow their set points exactly), are lumped into the body that carries them, in the robot's start
 //! posture. This module only computes the bodies and does not step them.
 
+use crate::error::PlantError;
 use armarium_robot::{Geometry, JointKind, Kinematics, Limb, LinkId, Model};
 use nalgebra::{Isometry3, Matrix3, Point3, Unit, Vector3};
-
-use super::plant::PlantError;
 
 /// Mass, centre and inertia about the centre, in one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

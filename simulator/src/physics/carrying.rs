@@ -17,7 +17,8 @@ use super::build::{add_box, add_robot, empty_room};
 use super::convert;
 use super::drives::Joints;
 use super::pad::{Moving, Pad, PadReaction, PadSpec};
-use super::plant::{DT, PlantError};
+use super::plant::DT;
+use crate::error::PlantError;
 
 /// Middle of the palm, TCP frame, along the fingers, m.
 const PALM_MIDDLE: f64 = -0.03;

@@ -14,4 +14,4 @@ mod plant;
 mod tests;
 mod wrench;
 
-pub use plant::{DT, External, PAD_FRICTION, Plant, PlantError};
+pub use plant::{DT, External, PAD_FRICTION, Plant};

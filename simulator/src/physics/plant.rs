@@ -24,6 +24,7 @@ use super::convert;
 use super::drives::Joints;
 use super::grip::{Grip, PadPress};
 use super::wrench::{Momentum, WristWrench};
+use crate::error::PlantError;
 use crate::foundation::{ElasticFoundation, FoundationReaction, Motion};
 use crate::table::TableTop;
 use crate::world::World;
@@ -32,24 +33,6 @@ use crate::world::World;
 pub const DT: f64 = 1e-3;
 /// Friction of finger pads on objects.
 pub const PAD_FRICTION: f64 = 0.9;
-
-/// Why a plant cannot be built.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum PlantError {
-    /// The robot lacks something that the simulator needs.
-    #[error("the robot lacks the {what}")]
-    Missing {
-        /// The missing part.
-        what: String,
-    },
-    /// The physics rejected a joint.
-    #[error("the joint `{joint}` does not fit into the robot's tree")]
-    Joint {
-        /// The joint's name.
-        joint: String,
-    },
-}
 
 /// Forces from outside in one step, root frame, N.
 #[derive(Clone, Debug, Default, PartialEq)]
