@@ -8,7 +8,8 @@ use armarium_viewer::report::{Curve, Look, Panel, PanelRow, picture};
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::experiment::{Experiment, ExperimentError, Outcome, panel, within};
+use super::error::{ExperimentError, within};
+use super::experiment::{Experiment, Outcome, panel};
 use super::phase::{mean, over_period};
 use super::planar::{PlanarArm, Redundancy};
 use super::settings::{Setting, Settings as _, settings};

@@ -10,7 +10,8 @@ use armarium_motion::{
 };
 use armarium_viewer::report::{Curve, Look, PanelRow, picture};
 
-use super::experiment::{Experiment, ExperimentError, Outcome, panel, within};
+use super::error::{ExperimentError, within};
+use super::experiment::{Experiment, Outcome, panel};
 use super::settings::{Settings as _, settings};
 
 settings! {

@@ -8,7 +8,7 @@ use nalgebra::{
     Isometry3, Matrix3, Matrix6, Point3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector3, Vector6,
 };
 
-use super::experiment::ExperimentError;
+use super::error::ExperimentError;
 
 /// Joints of an arm.
 pub(super) const JOINTS: usize = 7;

@@ -9,7 +9,8 @@ use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
-use super::experiment::{Experiment, ExperimentError, Outcome, panel, within};
+use super::error::{ExperimentError, within};
+use super::experiment::{Experiment, Outcome, panel};
 use super::settings::{Settings as _, settings};
 
 settings! {

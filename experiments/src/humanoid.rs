@@ -15,7 +15,8 @@ use nalgebra::Vector3;
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
-use super::experiment::{Experiment, ExperimentError, Outcome, panel, within};
+use super::error::{ExperimentError, within};
+use super::experiment::{Experiment, Outcome, panel};
 use super::humanoid_arm::{Arm, DT, JOINTS, Joints, largest};
 use super::humanoid_coach::{Arms, Modification, Tracker};
 use super::phase::{mean, over_period};

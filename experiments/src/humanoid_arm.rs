@@ -10,7 +10,7 @@ use armarium_simulator::world::World;
 use armarium_simulator::{Options, Simulation};
 use nalgebra::{Matrix3, Point3, SVector, Vector3};
 
-use super::experiment::ExperimentError;
+use super::error::ExperimentError;
 
 /// Joints of the arm.
 pub(crate) const JOINTS: usize = 7;

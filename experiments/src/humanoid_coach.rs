@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
-use super::experiment::ExperimentError;
+use super::error::ExperimentError;
 
 /// One of the four modifications of Fig. 9.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

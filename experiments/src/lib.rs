@@ -11,6 +11,7 @@ mod dpdmp;
 mod dual_arm;
 mod dual_arm_plots;
 mod dual_arm_robot;
+mod error;
 mod experiment;
 mod force;
 mod humanoid;
@@ -31,7 +32,8 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value};
 
-pub use self::experiment::{Entry, ExperimentError, Outcome};
+pub use self::error::ExperimentError;
+pub use self::experiment::{Entry, Outcome};
 pub use self::settings::Key;
 
 /// All experiments, in the order listed.

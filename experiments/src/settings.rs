@@ -5,7 +5,7 @@ use serde::Serialize;
 use serde::de::{DeserializeOwned, IntoDeserializer as _};
 use serde_json::{Map, Value};
 
-use super::experiment::ExperimentError;
+use super::error::ExperimentError;
 
 /// The settings of an experiment; declared with [`settings!`].
 pub(crate) trait Settings: Default + Serialize + DeserializeOwned {
@@ -45,10 +45,10 @@ macro_rules! settings {
                 }
             }
 
-            fn check_ranges(&self) -> Result<(), $crate::experiment::ExperimentError> {
+            fn check_ranges(&self) -> Result<(), $crate::error::ExperimentError> {
                 $( $(
                     for number in $crate::settings::Setting::numbers(&self.$key) {
-                        $crate::experiment::within(stringify!($key), number, *$range.start(), *$range.end())?;
+                        $crate::error::within(stringify!($key), number, *$range.start(), *$range.end())?;
                     }
                 )? )*
                 Ok(())

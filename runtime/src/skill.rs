@@ -459,6 +459,11 @@ impl Failure {
     pub fn new(reason: impl Into<String>) -> Self {
         Self { reason: reason.into() }
     }
+
+    /// For an input whose value is not what the skill needs.
+    pub fn input(name: &str, expected: &str, found: &Value) -> Self {
+        Self::new(format!("the input `{name}` should be {expected}, but is {}", found.describe()))
+    }
 }
 
 /// How a skill ended.
@@ -584,7 +589,7 @@ impl SkillContext {
     /// When it is not a finite number.
     pub fn number(&self, name: &str) -> Result<f64, Failure> {
         let value = self.value(name)?;
-        value.as_f64().filter(|n| n.is_finite()).ok_or_else(|| wrong(name, "a finite number", value))
+        value.as_f64().filter(|n| n.is_finite()).ok_or_else(|| Failure::input(name, "a finite number", value))
     }
 
     /// An input that is text.
@@ -593,12 +598,8 @@ impl SkillContext {
     /// When it is not text.
     pub fn text(&self, name: &str) -> Result<&str, Failure> {
         let value = self.value(name)?;
-        value.as_str().ok_or_else(|| wrong(name, "text", value))
+        value.as_str().ok_or_else(|| Failure::input(name, "text", value))
     }
-}
-
-fn wrong(name: &str, expected: &str, found: &Value) -> Failure {
-    Failure::new(format!("the input `{name}` should be {expected}, but is {}", found.describe()))
 }
 
 /// The action of a leaf state.

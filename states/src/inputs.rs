@@ -16,18 +16,14 @@ pub(crate) trait Inputs {
 impl Inputs for SkillContext {
     fn pose(&self, name: &str) -> Result<Isometry3<f64>, Failure> {
         let value = self.value(name)?;
-        as_pose(value).ok_or_else(|| wrong(name, "a pose in the root frame", value))
+        as_pose(value).ok_or_else(|| Failure::input(name, "a pose in the root frame", value))
     }
 
     fn entity(&self, name: &str) -> Result<EntityId, Failure> {
         let value = self.value(name)?;
-        let reference = value.as_reference().ok_or_else(|| wrong(name, "a reference", value))?;
+        let reference = value.as_reference().ok_or_else(|| Failure::input(name, "a reference", value))?;
         entity_of(reference)
     }
-}
-
-fn wrong(name: &str, expected: &str, found: &Value) -> Failure {
-    Failure::new(format!("the input `{name}` should be {expected}, but is {}", found.describe()))
 }
 
 /// A pose value in the root frame as an isometry.

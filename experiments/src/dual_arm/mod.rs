@@ -17,7 +17,8 @@ use armarium_simulator::world::NoiseSpec;
 use nalgebra::{Vector3, Vector6};
 
 use super::dual_arm_robot::{Arms, JOINTS, Joints};
-use super::experiment::{Experiment, ExperimentError, Outcome, within};
+use super::error::{ExperimentError, within};
+use super::experiment::{Experiment, Outcome};
 use super::ilc::{Lift, learned, until_diverged};
 use super::settings::{Settings as _, settings};
 

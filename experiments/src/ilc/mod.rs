@@ -12,7 +12,8 @@ use serde::{Deserialize, Serialize};
 
 use super::arm4::Arm4;
 use super::dpdmp::rise;
-use super::experiment::{Experiment, ExperimentError, Outcome, within};
+use super::error::{ExperimentError, within};
+use super::experiment::{Experiment, Outcome};
 use super::settings::{Setting, Settings as _, settings};
 
 /// The space of the primitives and of the learned control.

@@ -10,7 +10,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use serde::{Deserialize, Serialize};
 
-use super::experiment::{Experiment, ExperimentError, Outcome, panel, within};
+use super::error::{ExperimentError, within};
+use super::experiment::{Experiment, Outcome, panel};
 use super::settings::{Setting, Settings as _, settings};
 
 /// The waveform.
