@@ -74,7 +74,7 @@ fn mistakes_are_found_with_code_place_and_help() {
         (states("{skill: Act, with: {force: \"${A.value}\"}}"), code::EARLY, "A.value", "nothing lets `A` end"),
         (states("{skill: Act, with: {force: \"${B.value}\"}, transitions: {success: B}}").replace("B: {}", "B: {skill: Act}"), code::EARLY, "B.value", "nothing lets `B` end"),
         (states("{transitions: {t: {target: [A, B]}}}") + "events: {t: {}}\n", code::TOGETHER, "A", "not in two regions"),
-        (states("{transitions: {t: {target: B, if: \"event.data.wrd == 'x'\"}}}") + "events: {t: {data: {word: string}}}\n", code::VARIABLE, ".wrd", "did you mean `word`"),
+        (states("{transitions: {t: {target: B, if: \"event.data.wrd == 'x'\"}}}") + "events: {t: {data: {word: string}}}\n", code::VARIABLE, "event.data.wrd", "did you mean `word`"),
         (states("{transitions: {t: {target: B, if: \"event.data.n == 'x'\"}}}") + "events: {t: {data: {n: int}}}\n", code::TYPE, "", "int"),
         (states("{enter: [{raise: {event: t, data: {n: many}}}]}") + "events: {t: {data: {n: int}}}\n", code::TYPE, "{n: many", "expected int"),
         (states("{enter: [{raise: t}]}") + "events: {t: {data: {n: int}}}\n", code::TYPE, "t}]", "comes with data: n"),

@@ -152,3 +152,64 @@ impl Step {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use crate::chart::{ChannelSchema, Registry, check, load_text};
+    use crate::program::Program;
+
+    const CHART: &str = "statechart: C
+locals: {list: {type: list<int>, default: [1]}}
+events: {go: {data: {n: int}}}
+initial: A
+states:
+  A:
+    transitions: {go: {target: B, do: [{assign: {locals.list: \"${[locals.list[event.data.n]]}\"}}]}}
+  B: {after: {1s: Failed}}
+  Failed: {final: failure}
+";
+
+    fn program() -> Arc<Program> {
+        let library = load_text("c.yaml", CHART, &[]);
+        check(&library, &Registry::default(), &ChannelSchema::default()).program.expect("it is in order")
+    }
+
+    fn played(steps: &str) -> Result<(), String> {
+        let text = format!("test: c.yaml\ncases:\n- case: a\n  steps: {steps}\n");
+        let file = TestFile::read(Arc::new(Source::new("c.test.yaml", text))).expect("it is in order");
+        file.play(&file.cases[0], &program()).1.map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_run_that_fails_unexpectedly_fails_its_case() {
+        let error =
+            played("[{event: go, data: {n: 7}, expect: {active: [B]}}]").expect_err("there is no item 7");
+        assert!(error.starts_with("the run has failed in ") && error.contains("c.yaml:7:"), "{error}");
+        assert_eq!(played("[{event: go, data: {n: 7}, expect: {outcome: failure}}]"), Ok(()));
+        assert_eq!(played("[{event: go, data: {n: 0}}, {after: 1s, expect: {active: [Failed]}}]"), Ok(()));
+        assert!(played("[{event: go, data: {n: 0}}, {after: 1s}]").is_err());
+    }
+
+    #[test]
+    fn a_step_by_hand_is_held_against_the_chart() {
+        let (program, registry) = (program(), Registry::default());
+        let check = StepCheck::new(&program, &registry);
+        for (step, said) in [
+            (json!({"event": "go", "data": {"n": 1}}), ""),
+            (json!({"event": "goo"}), "the chart takes no event `goo` (did you mean `go`?)"),
+            (json!({"event": "success", "from": "C"}), "there is no state `C` (did you mean `A`?)"),
+            (
+                json!({"event": "success", "from": "B"}),
+                "there is no outcome or watch of `B` called `success`",
+            ),
+            (json!({"channel": "hand", "value": 1}), "there is no channel `hand`"),
+        ] {
+            let found = check.check(&step).err().map_or_else(String::new, |error| error.to_string());
+            assert_eq!(found, said, "{step}");
+        }
+        assert!(check.check(&json!({"event": "go", "data": {"n": "one"}})).is_err());
+    }
+}

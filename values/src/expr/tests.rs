@@ -116,11 +116,11 @@ fn mistakes_are_found_at_load_with_their_place() {
         ("forse > 1.0", K::UnknownName, "forse"),
         ("x && true", K::Type, "x"),
         ("gesture == 'fits'", K::Type, "=="),
-        ("norm(channels.wrist.pusk)", K::UnknownName, "."),
+        ("norm(channels.wrist.pusk)", K::UnknownName, "channels.wrist.pusk"),
         ("nrm(items)", K::UnknownFunction, "("),
         ("age('wirst') < 1", K::UnknownChannel, "'wirst'"),
         ("1 +", K::Syntax, ""),
-        ("x.y", K::Type, "."),
+        ("x.y", K::Type, "x.y"),
         ("gesture + 1", K::Type, "gesture"),
     ] {
         let error = Expr::compile(source, &fixture()).expect_err(source);
