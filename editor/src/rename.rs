@@ -169,11 +169,12 @@ impl Workspace {
                 again.iter().map(|r| (r.source.path.clone(), r.span.start, r.symbol.clone())).collect();
             let other = expected.symmetric_difference(&found).next();
             let source = |path: &Path| again.iter().find(|r| r.source.path == path).map(|r| r.source.clone());
-            // The other thing of that name, of the same kind if there is one.
+            // The other thing of that name: in this file and of the same kind if there is one.
             let others = || uses.iter().filter(|r| r.definition && r.symbol.name() == name);
             let kinds: Vec<_> = symbols.iter().map(std::mem::discriminant).collect();
-            let alike = others().find(|r| kinds.contains(&std::mem::discriminant(&r.symbol)));
-            let declared = alike.or_else(|| others().next()).map(|r| r.source.place(r.span.start));
+            let elsewhere =
+                |r: &&Reference| (r.source.path != path, !kinds.contains(&std::mem::discriminant(&r.symbol)));
+            let declared = others().min_by_key(elsewhere).map(|r| r.source.place(r.span.start));
             let taken = |place: String| RenameError::Taken {
                 name: name.to_owned(),
                 place: declared.clone().unwrap_or(place),

@@ -134,7 +134,6 @@ fn values_are_names_that_are_known_here() {
     has("statechart: X\ninputs:\n  a: {type: float, unit: |}\n", &["N", "mm"], &[]);
     has(&chart("  A: {history: |}\n"), &["shallow", "deep"], &[]);
     has(&chart("  A: {unbreakable: |}\n"), &["true", "false"], &[]);
-    has("world: w\nrobot: {arm: |}\n", &["right"], &[]);
     has("test: |\n", &["Whole", "Parts"], &[]);
 }
 

@@ -35,7 +35,7 @@ states:
               gesture: {if: \"channels.hand.gesture != 'none' && age('hand') < 0.3\", for: 200ms}
             transitions: {pushed: Look, gesture: Look}
     after: {\"${inputs.patience}\": Done}
-    transitions: {failure: Failed, said: Done, \"done.state.A\": Done, \"error.*\": Failed}
+    transitions: {failure: Failed, said: Done, \"error.*\": Failed}
   Done: {final: success}
   Failed: {final: failure}
 "

@@ -42,11 +42,34 @@ fn shapes() -> impl Strategy<Value = Vec<Shape>> {
     prop::collection::vec(shape(), 1..4).prop_map(not_final)
 }
 
+fn child_name(path: &str, number: usize) -> String {
+    if path.is_empty() { format!("S{number}") } else { format!("{path}_{number}") }
+}
+
+/// The outcome of a final state.
+fn outcome(path: &str) -> &'static str {
+    ["success", "blocked", "failure"][path.bytes().map(usize::from).sum::<usize>() % 3]
+}
+
+/// Whether a `success` may come from a state or from what is inside it; a chart that waits for another one is refused.
+fn may_succeed(shape: &Shape, path: &str) -> bool {
+    let child = |(i, shape): (usize, &Shape)| {
+        let path = child_name(path, i);
+        matches!(shape, Shape::Final) && outcome(&path) == "success" || may_succeed(shape, &path)
+    };
+    match shape {
+        Shape::Leaf | Shape::Final => false,
+        Shape::Skill => true,
+        Shape::Composite(shapes, _) => shapes.iter().enumerate().any(child),
+        Shape::Parallel(shapes) => not_final(shapes.clone()).iter().enumerate().any(child),
+    }
+}
+
 /// Writes a state as YAML in flow style; `picks` chooses targets.
 fn write(shape: &Shape, path: &str, paths: &[String], picks: &mut dyn FnMut() -> usize, out: &mut String) {
     let children = |shapes: &[Shape], picks: &mut dyn FnMut() -> usize, out: &mut String| {
         for (i, s) in shapes.iter().enumerate() {
-            let child = if path.is_empty() { format!("S{i}") } else { format!("{path}_{i}") };
+            let child = child_name(path, i);
             write!(out, "{}{child}: ", if i == 0 { "" } else { ", " }).unwrap();
             write(s, &child, paths, picks, out);
         }
@@ -56,8 +79,7 @@ fn write(shape: &Shape, path: &str, paths: &[String], picks: &mut dyn FnMut() ->
         Shape::Leaf => {}
         Shape::Skill => out.push_str("skill: Act, "),
         Shape::Final => {
-            let outcome = ["success", "blocked", "failure"][picks() % 3];
-            write!(out, "final: {outcome}}}").unwrap();
+            write!(out, "final: {}}}", outcome(path)).unwrap();
             return;
         }
         Shape::Composite(shapes, history) => {
@@ -79,7 +101,12 @@ fn write(shape: &Shape, path: &str, paths: &[String], picks: &mut dyn FnMut() ->
     }
     out.push_str("transitions: {");
     for (i, event) in ["a", "b", "success", "failure"].iter().enumerate() {
-        if picks().is_multiple_of(3) && (i < 2 || matches!(shape, Shape::Skill | Shape::Composite(..))) {
+        let possible = match i {
+            0 | 1 => true,
+            2 => may_succeed(shape, path),
+            _ => matches!(shape, Shape::Skill | Shape::Composite(..)),
+        };
+        if picks().is_multiple_of(3) && possible {
             let target = &paths[picks() % paths.len()];
             write!(out, "{event}: {{target: {target}}}, ").unwrap();
         }
@@ -113,7 +140,7 @@ fn chart(shapes: &[Shape], numbers: &[usize]) -> String {
         at += 1;
         numbers[at % numbers.len()]
     };
-    let mut text = String::from("statechart: T\nevents: {a: {}, b: {}, success: {}}\ninitial: S0\nstates: {");
+    let mut text = String::from("statechart: T\nevents: {a: {}, b: {}}\ninitial: S0\nstates: {");
     for (i, s) in shapes.iter().enumerate() {
         write!(text, "{}S{i}: ", if i == 0 { "" } else { ", " }).unwrap();
         write(s, &format!("S{i}"), &paths, &mut picks, &mut text);
