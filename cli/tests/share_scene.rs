@@ -68,7 +68,7 @@ fn waiting(watch: Option<&str>) -> (tempfile::TempDir, Output) {
 
 #[test]
 fn an_agent_that_ends_stops_the_run() {
-    let watch = "statechart: Watch\ninitial: Waiting\nstates:\n  Waiting: {after: {200ms: Failed}}\n  Failed: {final: failure}\n";
+    let watch = "statechart: Watch\ninitial: Waiting\nstates:\n  Waiting: {after: {5s: Failed}}\n  Failed: {final: failure}\n";
     let (folder, output) = waiting(Some(watch));
     let text = said(&output);
     assert_eq!(output.status.code(), Some(1), "{text}");

@@ -53,6 +53,11 @@ enum LineInput {
 }
 
 impl InputLine {
+    /// Whether it is an outcome or a watch of a state.
+    pub(super) fn is_report(&self) -> bool {
+        matches!(self.what, LineInput::Report { .. })
+    }
+
     /// The same with the event's number, so that it is not looked up each time.
     pub(super) fn looked_up(mut self, program: &Program) -> Self {
         if let LineInput::Event { name, number, .. } = &mut self.what {
@@ -112,6 +117,11 @@ pub(super) fn read(text: &str) -> Result<Option<InputLine>, String> {
 }
 
 impl InputLine {
+    /// Whether it is an outcome or a watch of a state.
+    pub(super) fn is_report(&self) -> bool {
+        matches!(self.what, LineInput::Report { .. })
+    }
+
     /// The line as a step of a test case.
     pub(super) fn step(&self) -> serde_json::Value {
         match &self.what {

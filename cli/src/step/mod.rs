@@ -99,7 +99,7 @@ fn drive(
     if args.repeat == 1 {
         // Each line is answered before the next is read, so that a program can drive a chart through pipes.
         return each_line(events, |number, text| {
-            if let Some(input) = checked(number, text, &check)? {
+            if let Some(input) = checked(number, text, &check, err)? {
                 line::apply(&mut stepper, &input, number, err)?;
                 line::write(&mut stepper, input.name(), out)?;
                 out.flush()?;
@@ -107,7 +107,7 @@ fn drive(
             Ok(())
         });
     }
-    let list = read_all(events, &check)?;
+    let list = read_all(events, &check, err)?;
     for _ in 0..args.repeat {
         for (number, input) in &list {
             line::apply(&mut stepper, input, *number, err)?;
@@ -126,7 +126,8 @@ fn measure(
     out: &mut dyn Write,
     err: &mut dyn Write,
 ) -> Result<(), Stopped> {
-    let mut list = args.events.as_ref().map_or_else(|| Ok(Vec::new()), |events| read_all(events, check))?;
+    let mut list =
+        args.events.as_ref().map_or_else(|| Ok(Vec::new()), |events| read_all(events, check, err))?;
     let program = Arc::clone(stepper.engine().program());
     list = list.into_iter().map(|(number, input)| (number, input.looked_up(&program))).collect();
     stepper.keep_quiet();
@@ -148,20 +149,33 @@ fn measure(
     Ok(())
 }
 
-fn read_all(events: &PathBuf, check: &StepCheck<'_>) -> Result<Vec<(usize, line::InputLine)>, Stopped> {
+fn read_all(
+    events: &PathBuf,
+    check: &StepCheck<'_>,
+    err: &mut dyn Write,
+) -> Result<Vec<(usize, line::InputLine)>, Stopped> {
     let mut list = Vec::new();
     each_line(events, |number, text| {
-        list.extend(checked(number, text, check)?.map(|input| (number, input)));
+        list.extend(checked(number, text, check, err)?.map(|input| (number, input)));
         Ok(())
     })?;
     Ok(list)
 }
 
-/// A line that is something the chart understands; `None` for an empty one.
-fn checked(number: usize, text: &str, check: &StepCheck<'_>) -> Result<Option<line::InputLine>, Stopped> {
+/// A line that is something the chart understands; `None` for an empty one. An event that no state takes changes nothing, as in
+/// SCXML, and is said.
+fn checked(
+    number: usize,
+    text: &str,
+    check: &StepCheck<'_>,
+    err: &mut dyn Write,
+) -> Result<Option<line::InputLine>, Stopped> {
     let input = line::read(text).map_err(|e| wrong(number, &e))?;
-    if let Some(input) = &input {
-        check.check(&input.step()).map_err(|e| wrong(number, &e.to_string()))?;
+    match input.as_ref().map_or(Ok(()), |input| check.check(&input.step())) {
+        Err(error) if error.is_unknown_event() && !matches!(input, Some(ref input) if input.is_report()) => {
+            writeln!(err, "warning: line {number} of the events: {error}")?;
+        }
+        checked => checked.map_err(|error| wrong(number, &error.to_string()))?,
     }
     Ok(input)
 }

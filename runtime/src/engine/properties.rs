@@ -51,17 +51,13 @@ fn outcome(path: &str) -> &'static str {
     ["success", "blocked", "failure"][path.bytes().map(usize::from).sum::<usize>() % 3]
 }
 
-/// Whether a `success` may come from a state or from what is inside it; a chart that waits for another one is refused.
-fn may_succeed(shape: &Shape, path: &str) -> bool {
-    let child = |(i, shape): (usize, &Shape)| {
-        let path = child_name(path, i);
-        matches!(shape, Shape::Final) && outcome(&path) == "success" || may_succeed(shape, &path)
-    };
+/// Whether the `success` of a skill may come to a state; a chart that waits for one that cannot come is refused.
+fn may_succeed(shape: &Shape) -> bool {
     match shape {
-        Shape::Leaf | Shape::Final => false,
         Shape::Skill => true,
-        Shape::Composite(shapes, _) => shapes.iter().enumerate().any(child),
-        Shape::Parallel(shapes) => not_final(shapes.clone()).iter().enumerate().any(child),
+        Shape::Composite(shapes, _) => shapes.iter().any(may_succeed),
+        // The outcomes of regions are their own.
+        Shape::Leaf | Shape::Final | Shape::Parallel(_) => false,
     }
 }
 
@@ -103,7 +99,7 @@ fn write(shape: &Shape, path: &str, paths: &[String], picks: &mut dyn FnMut() ->
     for (i, event) in ["a", "b", "success", "failure"].iter().enumerate() {
         let possible = match i {
             0 | 1 => true,
-            2 => may_succeed(shape, path),
+            2 => may_succeed(shape),
             _ => matches!(shape, Shape::Skill | Shape::Composite(..)),
         };
         if picks().is_multiple_of(3) && possible {

@@ -159,7 +159,7 @@ fn fits(found: &str, expected: &str) -> bool {
 
 #[test]
 fn cases_go_as_written() {
-    let mut chart = String::new();
+    let (mut chart, mut wrong) = (String::new(), Vec::new());
     for case in include_str!("cases.txt").split("\n## ").skip(1) {
         let (name, text) = case.split_once('\n').unwrap();
         let in_chart = |line: &&str| !line.starts_with(['>', '#']);
@@ -179,9 +179,12 @@ fn cases_go_as_written() {
                 }
                 _ => d.step(step),
             };
-            assert!(fits(&found, expected), "{name}: {step}: {found} instead of {expected}");
+            if !fits(&found, expected) {
+                wrong.push(format!("{name}: {step} => {found} instead of {expected}"));
+            }
         }
     }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
 #[test]

@@ -104,7 +104,7 @@ impl<'p> StepCheck<'p> {
             Check { findings, program: self.program, registry: self.registry, states: &self.states };
         node.iter().for_each(|node| check.step(node));
         match check.findings.list.into_iter().find(Finding::is_error) {
-            Some(Finding { message, help, .. }) => Err(WrongStep { message, help }),
+            Some(Finding { message, help, code, .. }) => Err(WrongStep { message, help, code }),
             None => Ok(()),
         }
     }
@@ -116,6 +116,14 @@ impl<'p> StepCheck<'p> {
 pub struct WrongStep {
     message: String,
     help: Option<String>,
+    code: &'static str,
+}
+
+impl WrongStep {
+    /// Whether the step is only in vain: no state takes an event of that name.
+    pub fn is_unknown_event(&self) -> bool {
+        self.code == code::EVENT
+    }
 }
 
 struct Check<'p> {
