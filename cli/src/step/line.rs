@@ -117,11 +117,6 @@ pub(super) fn read(text: &str) -> Result<Option<InputLine>, String> {
 }
 
 impl InputLine {
-    /// Whether it is an outcome or a watch of a state.
-    pub(super) fn is_report(&self) -> bool {
-        matches!(self.what, LineInput::Report { .. })
-    }
-
     /// The line as a step of a test case.
     pub(super) fn step(&self) -> serde_json::Value {
         match &self.what {
