@@ -183,7 +183,7 @@ impl<'a> Guesser<'a> {
         let slides = |j: usize| self.tree.joints[j].kind == crate::JointKind::Prismatic;
         let goes_on = match (long.as_slice(), self.next[joint].as_slice()) {
             ([next], _) => Some(*next),
-            ([], [next]) if !(slides(*next) && chain.len() >= MIN_JOINTS) && !self.has_followers(*next) => {
+            ([], [next]) if !(self.has_followers(*next) || slides(*next) && chain.len() >= MIN_JOINTS) => {
                 Some(*next)
             }
             _ => None,
