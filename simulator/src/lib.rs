@@ -23,7 +23,7 @@ pub mod table;
 pub mod truth;
 pub mod world;
 
-pub use error::SimulationError;
+pub use error::{PlantError, SimulationError};
 pub use referee::{Mark, Referee, RefereeReport};
 pub use simulation::{Handle, Options, Simulation};
 pub use truth::{TruthDigest, TruthEvent, TruthSample, TruthSink};
