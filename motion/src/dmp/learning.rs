@@ -41,6 +41,8 @@ pub(crate) struct CouplingLearner {
     initial_gain: f64,
     /// P of (9), one per kernel. All degrees of freedom share it because (9) does not depend on the data.
     pub(crate) gain: Vec<f64>,
+    /// By how much a sample moves each weight: kernel value times gain times the factor of the forcing term.
+    share: Vec<f64>,
     coupling: Vec<f64>,
     coupled: bool,
     /// Weights and gain before the pending coupling is learned, to restore them if the step is refused.
@@ -54,6 +56,7 @@ impl CouplingLearner {
             forgetting,
             initial_gain,
             gain: vec![initial_gain; kernels],
+            share: vec![0.0; kernels],
             coupling: vec![0.0; dofs],
             coupled: false,
             weights_before: vec![0.0; dofs * kernels],
@@ -101,8 +104,9 @@ impl CouplingLearner {
     fn update_gain(&mut self, dt: f64, r: f64, psi: &[f64]) {
         let lambda = self.forgetting.powf(dt / 0.01);
         let r2 = r * r;
-        for (p, psi) in self.gain.iter_mut().zip(psi) {
+        for ((p, psi), share) in self.gain.iter_mut().zip(psi).zip(&mut self.share) {
             *p = (*p / (lambda + *p * r2 * psi)).min(self.initial_gain);
+            *share = psi * *p * r;
         }
     }
 
@@ -123,8 +127,8 @@ impl CouplingLearner {
         let system = &dmp.transformation;
         for (d, w) in dmp.sums[0].weights.chunks_exact_mut(dmp.psi.len()).enumerate() {
             let target = system.forcing(system.goal[d], y[d], scale.slope(yd[d]), scale.curvature(ydd[d]));
-            for ((w, psi), p) in w.iter_mut().zip(&dmp.psi).zip(&self.gain) {
-                *w += psi * p * r * (target - *w * r);
+            for (w, share) in w.iter_mut().zip(&self.share) {
+                *w += share * (target - *w * r);
             }
         }
     }
@@ -141,20 +145,23 @@ impl CouplingLearner {
             return step(dmp);
         }
         dmp.refresh();
-        self.weights_before.copy_from_slice(&dmp.sums[0].weights);
         self.gain_before.copy_from_slice(&self.gain);
         let r = dmp.amplitude * dmp.active.gate;
         self.update_gain(dt, r, &dmp.psi);
-        for (w, c) in dmp.sums[0].weights.chunks_exact_mut(dmp.psi.len()).zip(&self.coupling) {
-            for ((w, psi), p) in w.iter_mut().zip(&dmp.psi).zip(&self.gain) {
-                *w += psi * p * r * c;
+        let weights = &mut dmp.sums[0].weights;
+        std::mem::swap(weights, &mut self.weights_before);
+        let kernels = dmp.psi.len();
+        let rows = weights.chunks_exact_mut(kernels).zip(self.weights_before.chunks_exact(kernels));
+        for ((new, old), c) in rows.zip(&self.coupling) {
+            for ((new, old), share) in new.iter_mut().zip(old).zip(&self.share) {
+                *new = old + share * c;
             }
         }
         let stepped = step(dmp);
         if stepped.is_ok() {
             self.coupled = false;
         } else {
-            dmp.weights_mut().copy_from_slice(&self.weights_before);
+            std::mem::swap(dmp.weights_mut(), &mut self.weights_before);
             self.gain.copy_from_slice(&self.gain_before);
         }
         stepped

@@ -127,7 +127,7 @@ impl<C: Canonical, const SUMS: usize> Dmp<C, SUMS> {
     }
 
     /// Mutable access to the weights of the forcing term.
-    pub(crate) fn weights_mut(&mut self) -> &mut [f64] {
+    pub(crate) fn weights_mut(&mut self) -> &mut Vec<f64> {
         self.fresh = false;
         &mut self.sums[0].weights
     }

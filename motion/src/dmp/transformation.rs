@@ -147,22 +147,24 @@ impl Transformation {
     ) {
         let advance = scale.advance(dt);
         let transition = Transition::new(self.alpha, self.beta, advance);
-        for d in 0..self.dofs() {
+        let stiffness = self.alpha * self.beta;
+        let now = self.y.iter().zip(&self.z).zip(self.goal.iter().zip(&self.perturbation));
+        let next = self.next_y.iter_mut().zip(&mut self.next_z);
+        for (d, ((next_y, next_z), ((y, z), (goal, perturbation)))) in next.zip(now).enumerate() {
             let u = input(d);
             if u != 0.0 && advance == 0.0 {
                 // The phase stands still: only the input moves the state.
-                (self.next_y[d], self.next_z[d]) = (self.y[d] + u * dt, self.z[d]);
+                (*next_y, *next_z) = (y + u * dt, *z);
                 continue;
             }
-            let forcing = forcing(d) + self.perturbation[d];
-            let mut rest = self.goal[d] + forcing / (self.alpha * self.beta);
+            let mut rest = goal + (forcing(d) + perturbation) / stiffness;
             let mut slope = 0.0;
             if u != 0.0 {
                 slope = scale.slope(u);
                 rest += slope / self.beta;
             }
-            let (offset, z) = transition.apply(self.y[d] - rest, self.z[d] + slope);
-            (self.next_y[d], self.next_z[d]) = (rest + offset, z - slope);
+            let (offset, z) = transition.apply(y - rest, z + slope);
+            (*next_y, *next_z) = (rest + offset, z - slope);
         }
     }
 
@@ -191,11 +193,14 @@ impl Transformation {
     ) {
         std::mem::swap(&mut self.y, &mut self.next_y);
         std::mem::swap(&mut self.z, &mut self.next_z);
-        for d in 0..self.y.len() {
-            let pull = self.pull(self.goal[d], self.y[d], self.z[d]);
-            self.yd[d] = scale.velocity(self.z[d]) + input(d);
-            self.ydd[d] = scale.acceleration(pull + forcing(d) + self.perturbation[d]);
-            self.perturbation[d] = 0.0;
+        let (alpha, beta) = (self.alpha, self.beta);
+        let state = self.y.iter().zip(&self.z).zip(self.goal.iter().zip(&mut self.perturbation));
+        let derivatives = self.yd.iter_mut().zip(&mut self.ydd);
+        for (d, ((yd, ydd), ((y, z), (goal, perturbation)))) in derivatives.zip(state).enumerate() {
+            let pull = alpha * (beta * (goal - y) - z);
+            *yd = scale.velocity(*z) + input(d);
+            *ydd = scale.acceleration(pull + forcing(d) + *perturbation);
+            *perturbation = 0.0;
         }
     }
 }
