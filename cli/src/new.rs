@@ -40,10 +40,12 @@ const SKILL: &[(&str, &str)] = &[
 ];
 
 /// The schemas that the files of a chart name, for editors without a language server.
-const SCHEMAS: [(&str, Kind); 3] = [
+const SCHEMAS: [(&str, Kind); 5] = [
     (".schema/chart.json", Kind::Chart),
     (".schema/test.json", Kind::Test),
     (".schema/world.json", Kind::World),
+    (".schema/object.json", Kind::Object),
+    (".schema/scene.json", Kind::Scene),
 ];
 
 /// Writes the files and prints what to do with them. Returns the exit status: 2 when one of the files exists or

@@ -115,8 +115,10 @@ fn describe(Listed { manifest, chart }: &Listed<'_>, out: &mut dyn Write) -> io:
     parameters("gives", &manifest.outputs, out)?;
     let taken: Vec<String> =
         chart.iter().flat_map(|chart| chart.events()).map(|(event, _)| event.to_owned()).collect();
+    let outcomes =
+        ["success", "failure"].map(str::to_owned).into_iter().chain(manifest.outcomes.iter().cloned());
     let lists = [
-        ("outcomes", &manifest.outcomes),
+        ("outcomes", &outcomes.collect()),
         ("events", &manifest.events),
         ("takes the events", &taken),
         ("reads", &manifest.reads),

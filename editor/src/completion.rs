@@ -70,9 +70,12 @@ impl Workspace {
         let Some(document) = self.document(&path) else { return Vec::new() };
         let source = &document.source;
         let offset = document.lines.offset(&source.text, position);
-        let (Some(kind), Some(cursor)) = (document.kind, Cursor::at(source, offset)) else {
+        let Some(cursor) = Cursor::at(source, offset) else { return Vec::new() };
+        // A file that does not say yet what it is begins like a chart, or with the key of another kind.
+        let kind = document.kind.unwrap_or(Kind::Chart);
+        if document.kind.is_none() && (cursor.place != Place::Key || !cursor.path.is_empty()) {
             return Vec::new();
-        };
+        }
         let completing = Completing {
             workspace: self,
             path: &path,
@@ -171,6 +174,12 @@ impl Completing<'_> {
     // Keys.
 
     fn keys(&self, cursor: &Cursor) -> Vec<Proposal> {
+        if self.document.kind.is_none() {
+            let first = |(kind, key): (Kind, &'static str)| {
+                Proposal::new(key, Icon::FILE).detail(kind.called()).insert(format!("{key}: "))
+            };
+            return Kind::ALL.into_iter().map(first).collect();
+        }
         let present = cursor.siblings(self.source);
         let colon = self.source.text[cursor.word.end..].trim_start_matches(' ').starts_with(':');
         let key = |name: &str| if colon { name.to_owned() } else { format!("{name}: ") };
@@ -451,9 +460,19 @@ impl Completing<'_> {
 
     /// What may be given to an input: its words, and variables that fit.
     fn given(&self, cursor: &Cursor, quoted: bool) -> Vec<Proposal> {
-        if self.kind != Kind::Chart
-            || !cursor.path.iter().any(|step| matches!(step, Step::Key(key) if key == "with"))
-        {
+        let under = |key: &str| cursor.path.iter().any(|step| matches!(step, Step::Key(name) if name == key));
+        if self.kind == Kind::Chart && under("assign") {
+            let assigned = self.scoped(cursor, |scope| {
+                let (section, name) = cursor.key()?.split_once('.')?;
+                let of = match section {
+                    "locals" => &scope.chart.locals,
+                    _ => &scope.chart.outputs,
+                };
+                of.iter().find(|variable| variable.name == name).map(|variable| words(Some(&variable.ty)))
+            });
+            return assigned.flatten().unwrap_or_default();
+        }
+        if self.kind != Kind::Chart || !under("with") {
             return Vec::new();
         }
         let with = Cursor {
@@ -468,14 +487,10 @@ impl Completing<'_> {
                 .find(|i| Some(i.name.as_str()) == cursor.key())?;
             let registry = &self.workspace.catalog.registry;
             let names = input.names.and_then(|kind| registry.names(kind, self.path));
-            let words = match (names, &input.ty) {
-                (Some(names), _) => names.into_iter().collect(),
-                (None, Type::Enum(words)) => words.clone(),
-                (None, Type::Bool) => vec!["true".into(), "false".into()],
-                _ => Vec::new(),
+            let mut proposals = match names {
+                Some(names) => words(Some(&Type::Enum(names.into_iter().collect()))),
+                None => words(Some(&input.ty)),
             };
-            let mut proposals: Vec<Proposal> =
-                words.into_iter().map(|word| Proposal::new(word, Icon::ENUM_MEMBER).rank(0)).collect();
             let channels = scope.library.channels(&self.workspace.catalog.channels);
             for (root, ty, _) in scope.roots(&channels, Type::Any) {
                 let Type::Record(fields) = ty else { continue };
@@ -513,15 +528,21 @@ impl Completing<'_> {
             if in_quotes("age").is_some() {
                 return channels.names().map(|name| Proposal::new(name, Icon::FIELD)).collect();
             }
+            let of_chain = |chain: &[&str]| {
+                let (root, fields) = chain.split_first()?;
+                let ty = roots.iter().find(|(name, ..)| name == root).map(|(_, ty, _)| ty.clone());
+                fields.iter().fold(ty, |ty, part| {
+                    ty?.fields().into_iter().find(|(name, _)| name == part).map(|(_, ty)| ty)
+                })
+            };
+            if let Some(compared) = compared_before(written) {
+                return words(of_chain(&chain_before(compared)).as_ref());
+            }
             let chain = chain_before(written);
             let field = |(name, ty): (&str, Type)| Proposal::new(name, Icon::FIELD).detail(ty.to_string());
             match chain.split_last() {
                 Some((_, chain)) if !chain.is_empty() => {
-                    let ty = roots.iter().find(|(name, ..)| *name == chain[0]).map(|(_, ty, _)| ty.clone());
-                    let ty = chain[1..].iter().fold(ty, |ty, part| {
-                        ty?.fields().into_iter().find(|(name, _)| name == part).map(|(_, ty)| ty)
-                    });
-                    ty.map_or_else(Vec::new, |ty| ty.fields().into_iter().map(field).collect())
+                    of_chain(chain).map_or_else(Vec::new, |ty| ty.fields().into_iter().map(field).collect())
                 }
                 _ => {
                     let root = |(name, _, doc): (String, Type, String)| {
@@ -578,6 +599,29 @@ fn expression_before(text: &str, condition: bool) -> Option<&str> {
         return (depth >= 0).then_some(inner);
     }
     condition.then(|| text.trim_start().trim_start_matches(['"']))
+}
+
+/// What a text compares with the text in quotes that it ends in: `hand.gesture` of `hand.gesture == 'fi`.
+fn compared_before(text: &str) -> Option<&str> {
+    let open = text.rfind(['\'', '"'])?;
+    // A quote that closes another is the second of its kind.
+    let mark = &text[open..=open];
+    if text.matches(mark).count().is_multiple_of(2) {
+        return None;
+    }
+    let before = text[..open].trim_end();
+    let before = before.strip_suffix("==").or_else(|| before.strip_suffix("!="))?;
+    Some(before.trim_end())
+}
+
+/// The values of a type that has few, as they are written.
+fn words(ty: Option<&Type>) -> Vec<Proposal> {
+    let words = match ty {
+        Some(Type::Enum(words)) => words.clone(),
+        Some(Type::Bool) => vec!["true".into(), "false".into()],
+        _ => Vec::new(),
+    };
+    words.into_iter().map(|word| Proposal::new(word, Icon::ENUM_MEMBER).rank(0)).collect()
 }
 
 /// The dotted name that a text ends in, part by part; the last may be empty.

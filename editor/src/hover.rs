@@ -141,13 +141,22 @@ impl Workspace {
             Symbol::Channel { channel, fields } => {
                 let shipped = &self.catalog.channels;
                 let declared = library.map(|library| library.channels(shipped));
-                let ty = declared.as_ref().unwrap_or(shipped).get(channel)?.clone();
+                let schema = declared.as_ref().unwrap_or(shipped);
+                let ty = schema.get(channel)?.clone();
                 let ty = fields.iter().try_fold(ty, |ty, field| {
                     ty.fields().into_iter().find(|(name, _)| name == field).map(|(_, ty)| ty)
                 });
                 let path: String = fields.iter().map(|field| format!(".{field}")).collect();
                 let ty = ty.map_or_else(|| "any".to_owned(), |ty| ty.to_string());
-                format!("channel `{channel}{path}`: {ty}")
+                let mut text = format!("channel `{channel}{path}`: {ty}");
+                if let Some(of) = schema.described().find(|of| of.name == *channel) {
+                    let field = fields.first().and_then(|name| of.fields.iter().find(|f| f.name == *name));
+                    let said = field.map_or(&of.description, |field| &field.description);
+                    let rate = if of.rate.is_empty() { String::new() } else { format!(" ({})", of.rate) };
+                    text += &format!("\n\n{said}{rate}");
+                    text += &if fields.is_empty() { list("fields", &of.fields) } else { String::new() };
+                }
+                text
             }
             Symbol::Function { name } => {
                 let function = expr::functions().find(|function| function.name == name)?;

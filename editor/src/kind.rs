@@ -53,6 +53,18 @@ impl Kind {
         (Self::Object, "object"),
     ];
 
+    /// What it is called.
+    #[must_use]
+    pub fn called(self) -> &'static str {
+        match self {
+            Self::Chart => "a statechart",
+            Self::World => "a world of the simulator",
+            Self::Test => "test cases of a chart",
+            Self::Object => "an object class of prior knowledge",
+            Self::Scene => "a scene of prior knowledge",
+        }
+    }
+
     /// What a text says that it is: by a key at its outermost level. None where it says nothing.
     #[must_use]
     pub fn of(text: &str) -> Option<Self> {

@@ -6,7 +6,7 @@ use armarium_editor::RenameError;
 use armarium_editor::lsp_types::{
     CompletionTextEdit, DocumentChanges, HoverContents, OneOf, Range, WorkspaceEdit,
 };
-use fixture::Desk;
+use fixture::OpenProject;
 
 const PARTS: &str = "\
 statechart: Parts
@@ -70,8 +70,8 @@ cases:
       - {event: pushed, from: Wait, expect: {active: [Inner]}}
 ";
 
-fn desk() -> Desk {
-    Desk::new(&[("parts.yaml", PARTS), ("whole.yaml", WHOLE), ("whole.test.yaml", CASES)])
+fn project() -> OpenProject {
+    OpenProject::new(&[("parts.yaml", PARTS), ("whole.yaml", WHOLE), ("whole.test.yaml", CASES)])
 }
 
 /// The labels that are offered at the mark.
@@ -80,15 +80,15 @@ fn offered(text: &str) -> Vec<String> {
 }
 
 fn offers(text: &str) -> Vec<(String, String)> {
-    let mut desk = desk();
+    let mut project = project();
     let name = if text.starts_with("test:") { "x.test.yaml" } else { "x.yaml" };
     // The last text that could be read is known, as it is while somebody writes.
     let good =
         text.lines().filter(|line| !line.contains('|')).map(|line| format!("{line}\n")).collect::<String>();
-    let (uri, _) = desk.open(name, &good);
-    let _ = desk.workspace.findings(&uri);
-    let (uri, position) = desk.open(name, text);
-    let mut items = desk.workspace.completion(&uri, position, true);
+    let (uri, _) = project.open(name, &good);
+    let _ = project.workspace.findings(&uri);
+    let (uri, position) = project.open(name, text);
+    let mut items = project.workspace.completion(&uri, position, true);
     items.sort_by(|a, b| a.sort_text.cmp(&b.sort_text));
     let insert = |edit: Option<CompletionTextEdit>| match edit {
         Some(CompletionTextEdit::Edit(edit)) => edit.new_text,
@@ -135,6 +135,23 @@ fn values_are_names_that_are_known_here() {
     has(&chart("  A: {history: |}\n"), &["shallow", "deep"], &[]);
     has(&chart("  A: {unbreakable: |}\n"), &["true", "false"], &[]);
     has("test: |\n", &["Whole", "Parts"], &[]);
+}
+
+#[test]
+fn words_are_those_of_what_they_are_for() {
+    has("|", &["statechart", "world", "test", "scene", "object"], &["states"]);
+    has("sta|", &["statechart"], &["states"]);
+    let moody = |line: &str| {
+        format!(
+            "statechart: X\ntypes:\n  Mood: {{enum: [calm, hasty]}}\nlocals:\n  mood: {{type: Mood, default: calm}}\n\
+            initial: A\nstates:\n  A:\n{line}  B: {{}}\n"
+        )
+    };
+    let watched = moody("    watch: {w: {if: \"locals.mood == '|'\"}}\n");
+    has(&watched, &["calm", "hasty"], &["locals", "true"]);
+    has(&moody("    enter: [{assign: {locals.mood: |}}]\n"), &["calm", "hasty"], &["A"]);
+    let second = moody("    watch: {w: {if: \"locals.mood == 'calm' && |\"}}\n");
+    has(&second, &["locals"], &["calm"]);
 }
 
 #[test]
@@ -191,10 +208,10 @@ fn test_cases_know_their_chart() {
 #[test]
 fn hover_says_what_is_known() {
     let at = |mark: &str| {
-        let mut desk = desk();
+        let mut project = project();
         let text = WHOLE.replacen(mark, &format!("{}|{}", &mark[..1], &mark[1..]), 1);
-        let (uri, position) = desk.open("whole.yaml", &text);
-        match desk.workspace.hover(&uri, position).map(|hover| hover.contents) {
+        let (uri, position) = project.open("whole.yaml", &text);
+        match project.workspace.hover(&uri, position).map(|hover| hover.contents) {
             Some(HoverContents::Markup(content)) => content.value,
             _ => String::new(),
         }
@@ -221,11 +238,11 @@ fn hover_says_what_is_known() {
 
 /// Where the name at the mark is defined, and everywhere it is used.
 fn places(file: &str, text: &str) -> (Vec<String>, Vec<String>) {
-    let mut desk = desk();
-    let (uri, position) = desk.open(file, text);
-    let definition = desk.workspace.definition(&uri, position);
-    let uses = desk.workspace.find_references(&uri, position, true);
-    let shown = |l: armarium_editor::lsp_types::Location| desk.shown(&l.uri, l.range);
+    let mut project = project();
+    let (uri, position) = project.open(file, text);
+    let definition = project.workspace.definition(&uri, position);
+    let uses = project.workspace.find_references(&uri, position, true);
+    let shown = |l: armarium_editor::lsp_types::Location| project.shown(&l.uri, l.range);
     (definition.into_iter().map(shown).collect(), uses.into_iter().map(shown).collect())
 }
 
@@ -278,20 +295,21 @@ fn names_lead_to_their_definitions_and_uses() {
 
 /// The files after a rename.
 fn renamed(file: &str, text: &str, name: &str) -> Result<Vec<(String, String)>, RenameError> {
-    let mut desk = desk();
-    let (uri, position) = desk.open(file, text);
-    let edit = desk.workspace.rename(&uri, position, name)?;
-    Ok(done(&desk, edit))
+    let mut project = project();
+    let (uri, position) = project.open(file, text);
+    let edit = project.workspace.rename(&uri, position, name)?;
+    Ok(done(&project, edit))
 }
 
-fn done(desk: &Desk, edit: WorkspaceEdit) -> Vec<(String, String)> {
+fn done(project: &OpenProject, edit: WorkspaceEdit) -> Vec<(String, String)> {
     let Some(DocumentChanges::Edits(changes)) = edit.document_changes else { return Vec::new() };
     let mut files = Vec::new();
     for change in changes {
         let name = change.text_document.uri.as_str().rsplit('/').next().unwrap_or("").to_owned();
-        let text = desk.workspace.text(&change.text_document.uri).map(str::to_owned);
-        let text = text
-            .unwrap_or_else(|| std::fs::read_to_string(desk.folder.path().join(&name)).expect("it is there"));
+        let text = project.workspace.text(&change.text_document.uri).map(str::to_owned);
+        let text = text.unwrap_or_else(|| {
+            std::fs::read_to_string(project.folder.path().join(&name)).expect("it is there")
+        });
         let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
         for edit in change.edits.into_iter().rev() {
             let OneOf::Left(edit) = edit else { continue };
@@ -316,7 +334,7 @@ fn a_rename_changes_every_use_and_nothing_else() {
         ("  Mood:", "  M|ood:", "Mood", "Temper"),
     ] {
         let files = renamed("whole.yaml", &WHOLE.replacen(from, to, 1), new).expect(old);
-        let mut after = Desk::new(&[("parts.yaml", PARTS)]);
+        let mut after = OpenProject::new(&[("parts.yaml", PARTS)]);
         for (name, text) in &files {
             after.open(name, text);
         }
@@ -368,40 +386,40 @@ fn a_rename_is_refused_with_its_reason() {
 
 #[test]
 fn a_broken_text_is_served_by_the_last_that_was_whole() {
-    let mut desk = desk();
-    let (uri, _) = desk.open("whole.yaml", WHOLE);
-    assert!(desk.workspace.findings(&uri).is_empty());
+    let mut project = project();
+    let (uri, _) = project.open("whole.yaml", WHOLE);
+    assert!(project.workspace.findings(&uri).is_empty());
     let (uri, position) =
-        desk.open("whole.yaml", &WHOLE.replacen("  Good: {final", "  : [\n  G|ood: {final", 1));
-    assert!(desk.workspace.findings(&uri).iter().any(|f| f.code == "E002"));
-    assert!(desk.workspace.hover(&uri, position).is_some());
-    let uses = desk.workspace.find_references(&uri, position, true);
+        project.open("whole.yaml", &WHOLE.replacen("  Good: {final", "  : [\n  G|ood: {final", 1));
+    assert!(project.workspace.findings(&uri).iter().any(|f| f.code == "E002"));
+    assert!(project.workspace.hover(&uri, position).is_some());
+    let uses = project.workspace.find_references(&uri, position, true);
     assert!(uses.len() >= 2, "{uses:?}");
 }
 
 #[test]
 fn other_files_and_lost_files_are_no_errors() {
-    let mut desk = desk();
-    let (uri, position) = desk.open("compose.yaml", "services:\n  web: {image: x}\n");
-    assert_eq!(desk.workspace.findings(&uri), []);
-    assert!(desk.workspace.completion(&uri, position, true).is_empty());
-    let (uri, _) = desk.open("whole.yaml", WHOLE);
-    assert_eq!(desk.workspace.findings(&uri), []);
-    std::fs::remove_file(desk.folder.path().join("parts.yaml")).expect("it was there");
-    desk.workspace.close(&fixture::uri(&desk.folder.path().join("parts.yaml")));
-    assert_eq!(desk.workspace.findings(&uri).iter().map(|f| f.code).collect::<Vec<_>>(), ["E011"]);
+    let mut project = project();
+    let (uri, position) = project.open("compose.yaml", "services:\n  web: {image: x}\n");
+    assert_eq!(project.workspace.findings(&uri), []);
+    assert!(project.workspace.completion(&uri, position, true).is_empty());
+    let (uri, _) = project.open("whole.yaml", WHOLE);
+    assert_eq!(project.workspace.findings(&uri), []);
+    std::fs::remove_file(project.folder.path().join("parts.yaml")).expect("it was there");
+    project.workspace.close(&fixture::uri(&project.folder.path().join("parts.yaml")));
+    assert_eq!(project.workspace.findings(&uri).iter().map(|f| f.code).collect::<Vec<_>>(), ["E011"]);
     // A text that was never saved stands for the file.
-    desk.open("parts.yaml", PARTS);
-    assert_eq!(desk.workspace.findings(&uri), []);
-    desk.workspace.close(&uri);
-    assert_eq!(desk.workspace.findings(&uri), []);
+    project.open("parts.yaml", PARTS);
+    assert_eq!(project.workspace.findings(&uri), []);
+    project.workspace.close(&uri);
+    assert_eq!(project.workspace.findings(&uri), []);
 }
 
 #[test]
 fn symbols_folds_lenses_and_hints() {
-    let mut desk = desk();
-    let (uri, _) = desk.open("whole.yaml", WHOLE);
-    let symbols = desk.workspace.symbols(&uri);
+    let mut project = project();
+    let (uri, _) = project.open("whole.yaml", WHOLE);
+    let symbols = project.workspace.symbols(&uri);
     let states = symbols
         .iter()
         .find(|s| s.name == "states")
@@ -411,13 +429,13 @@ fn symbols_folds_lenses_and_hints() {
     assert_eq!(names, ["Use", "Wait", "Work", "Good", "Bad"]);
     assert_eq!(states[0].detail.as_deref(), Some("chart Parts"));
     assert_eq!(states[2].children.as_ref().map(Vec::len), Some(2));
-    let folds = desk.workspace.folding(&uri);
+    let folds = project.workspace.folding(&uri);
     assert!(folds.iter().any(|fold| (fold.start_line, fold.end_line) == (12, 15)), "{folds:?}");
-    let lenses = desk.workspace.lenses(&uri);
+    let lenses = project.workspace.lenses(&uri);
     let commands: Vec<&str> =
         lenses.iter().filter_map(|l| l.command.as_ref()).map(|c| c.command.as_str()).collect();
     assert_eq!(commands, ["armarium.run", "armarium.test", "armarium.graph"]);
     let all = Range::new(Default::default(), armarium_editor::lsp_types::Position::new(99, 0));
-    let hints = desk.workspace.hints(&uri, all);
+    let hints = project.workspace.hints(&uri, all);
     assert_eq!(hints.len(), 2, "{hints:?}");
 }

@@ -8,7 +8,6 @@ use std::sync::Arc;
 
 use armarium_simulator::World;
 use armarium_values::report::Picture;
-use armarium_viewer::recorder::ImageCoding;
 use armarium_visionx::providers::convert::jpeg;
 use armarium_visionx::{
     BoxModel, ColorModel, HandObserver, ImageError, ImageSource, ObjectLocalizer, RgbImage,
@@ -53,7 +52,7 @@ impl FrameSampler {
     }
 
     fn record(&self, frame: &StereoFrame) {
-        self.recorder.write(|recorder| recorder.image(TOPIC, frame.stamp_ns, &frame.left, ImageCoding::Jpeg));
+        self.recorder.write(|recorder| recorder.image(TOPIC, frame.stamp_ns, &frame.left));
     }
 
     fn look(&self, frame: &Arc<StereoFrame>) {

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use armarium_memoryx::{
-    AgentConfig, AgentMemory, Limits, MemoryError, ObjectClass, Policies, Policy, PriorKnowledge, Restored,
+    AgentMemory, Limits, MemoryConfig, MemoryError, ObjectClass, Policies, Policy, PriorKnowledge, Restored,
     WorkingMemory,
 };
 use armarium_simulator::cameras::ScenerySink;
@@ -65,7 +65,7 @@ impl SimulatedRobot {
 /// # Errors
 /// [`HostError::Memory`] when the store cannot be used.
 pub fn memory_of_run(world: &World, store: &Path) -> Result<AgentMemory, HostError> {
-    let mut config = AgentConfig::new(&world.robot.name).with_store(store);
+    let mut config = MemoryConfig::new(&world.robot.name).with_store(store);
     config.shared = true;
     config.policies = Policies::all(Policy::Nothing).with(MOTIONS, Policy::AtMost { hz: 1.0 });
     config.restored = Restored::Only(vec![MOTIONS.to_owned()]);
@@ -79,7 +79,7 @@ pub fn memory_of_run(world: &World, store: &Path) -> Result<AgentMemory, HostErr
 /// # Errors
 /// [`HostError::Memory`] when prior knowledge is invalid.
 pub(crate) fn memory_without_store(world: &World) -> Result<AgentMemory, HostError> {
-    let mut config = AgentConfig::new(&world.robot.name);
+    let mut config = MemoryConfig::new(&world.robot.name);
     config.prior = prior_knowledge(world)?;
     Ok(AgentMemory::open(&config, armarium_memoryx::tokio_clock())?)
 }
@@ -94,8 +94,8 @@ pub fn memory_of_agent(
     world: &World,
     store: &Path,
     policies: Policies,
-) -> Result<AgentConfig, HostError> {
-    let mut config = AgentConfig::new(name).with_store(store);
+) -> Result<MemoryConfig, HostError> {
+    let mut config = MemoryConfig::new(name).with_store(store);
     config.policies = policies;
     config.restored = Restored::AllBut(PERCEIVED.map(str::to_owned).to_vec());
     config.prior = prior_knowledge(world)?;

@@ -28,7 +28,7 @@ const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
 /// How an agent's memory is put together.
 #[derive(Clone, Debug)]
-pub struct AgentConfig {
+pub struct MemoryConfig {
     /// The agent.
     pub name: String,
     /// The file of long-term memory; `None` keeps nothing.
@@ -53,7 +53,7 @@ pub struct AgentConfig {
     pub guarded: bool,
 }
 
-impl AgentConfig {
+impl MemoryConfig {
     /// An agent without long-term memory that follows no one.
     pub fn new(name: &str) -> Self {
         Self {
@@ -122,7 +122,7 @@ impl AgentMemory {
     ///
     /// # Errors
     /// [`MemoryError::Store`] when the file cannot be used; as [`WorkingMemory::commit_now`] for prior knowledge.
-    pub fn open(config: &AgentConfig, clock: Clock) -> Result<Self, MemoryError> {
+    pub fn open(config: &MemoryConfig, clock: Clock) -> Result<Self, MemoryError> {
         let mut memory = WorkingMemory::new(Arc::clone(&clock)).with_limits(config.limits);
         let mut kept = None;
         if let Some(file) = &config.store {
@@ -145,7 +145,7 @@ impl AgentMemory {
     ///
     /// # Errors
     /// As [`MemoryServer::start`].
-    pub async fn share(&mut self, session: &Session, config: &AgentConfig) -> Result<(), MemoryError> {
+    pub async fn share(&mut self, session: &Session, config: &MemoryConfig) -> Result<(), MemoryError> {
         let (shared, store) = (Arc::clone(&self.memory), self.store().cloned());
         let options = ServerOptions { store: store.clone(), guarded: config.guarded };
         self.server = Some(MemoryServer::start_with(session, &config.name, shared, options).await?);
@@ -167,7 +167,7 @@ impl AgentMemory {
     ///
     /// # Errors
     /// As [`Self::open`] and [`Self::share`].
-    pub async fn start(session: &Session, config: AgentConfig) -> Result<Self, MemoryError> {
+    pub async fn start(session: &Session, config: MemoryConfig) -> Result<Self, MemoryError> {
         let clock = session.clone();
         let mut agent = Self::open(&config, Arc::new(move || clock.now_ns()))?;
         agent.share(session, &config).await?;

@@ -38,7 +38,7 @@ pub mod updater;
 pub mod wire;
 mod working;
 
-pub use agent::{AgentConfig, AgentMemory, Restored};
+pub use agent::{AgentMemory, MemoryConfig, Restored};
 pub use attributes::Attributes;
 pub use checked_query::CheckedQuery;
 pub use entity::{Commit, EntityId, Instance, Snapshot, check_name};

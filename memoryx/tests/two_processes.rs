@@ -9,7 +9,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 
 use armarium_memoryx::{
-    AgentConfig, AgentMemory, Commit, EntityId, LongTermMemory, Pattern, Policies, Policy, Query, Restored,
+    AgentMemory, Commit, EntityId, LongTermMemory, MemoryConfig, Pattern, Policies, Policy, Query, Restored,
 };
 use armarium_values::Value;
 
@@ -23,7 +23,7 @@ fn shared(file: &Path) -> AgentMemory {
 }
 
 fn shared_with(file: &Path, policy: Policy) -> AgentMemory {
-    let mut config = AgentConfig::new("local").with_store(file);
+    let mut config = MemoryConfig::new("local").with_store(file);
     config.shared = true;
     config.policies = Policies::all(Policy::Nothing).with("Motions", policy);
     config.restored = Restored::Only(vec!["Motions".into()]);

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::Command;
 
 use armarium_bus::{Session, SessionConfig};
-use armarium_memoryx::{AgentConfig, AgentMemory};
+use armarium_memoryx::{AgentMemory, MemoryConfig};
 
 #[path = "../../tests/src/outside.rs"]
 mod outside;
@@ -42,7 +42,7 @@ async fn the_examples_run() {
     };
     let folder = tempfile::tempdir().unwrap();
     let session = Session::open(&SessionConfig::default()).await.unwrap();
-    let config = AgentConfig::new("alice").with_store(folder.path().join("alice.redb"));
+    let config = MemoryConfig::new("alice").with_store(folder.path().join("alice.redb"));
     let agent = AgentMemory::start(&session, config).await.unwrap();
     let endpoint = session.endpoints().await.remove(0);
     let run = move || Command::new(python).args(["-c", &code, &endpoint]).output();

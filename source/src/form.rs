@@ -8,6 +8,7 @@ use serde_json::{Map, Value as Json, json};
 use crate::code;
 use crate::field::Field;
 use crate::finding::{Finding, Findings};
+use crate::remedy::Remedy;
 use crate::span::Span;
 use crate::text::Source;
 use crate::yaml::{self, Entries, Node, Yaml};
@@ -80,20 +81,30 @@ impl Findings {
         self.known_or(entries, keys, called, |_| None);
     }
 
-    /// As [`Findings::known`]; `meant` knows words of other languages, and what they are here.
+    /// As [`Findings::known`]; `meant` knows words of other languages: what to do instead, and the key if it is the same with
+    /// another name.
     pub fn known_or(
         &mut self,
         entries: &Entries,
         keys: &[Key],
         called: &str,
-        meant: impl Fn(&str) -> Option<&'static str>,
+        meant: impl Fn(&str) -> Option<(&'static str, Option<&'static str>)>,
     ) {
         let names = || keys.iter().map(|key| key.name);
         for (key, _) in entries.iter().filter(|(key, _)| !names().any(|name| name == key.text)) {
             let help = format!("{called} has the keys {}", names().collect::<Vec<_>>().join(", "));
             let message = format!("{called} has no key `{}`", key.text);
             match meant(&key.text) {
-                Some(meant) => self.error_help(code::KEY, key.span, message, Some(meant.to_owned())),
+                Some((help, same)) => {
+                    self.error_help(code::KEY, key.span, message, Some(help.to_owned()));
+                    let free = |same: &&str| {
+                        names().any(|name| name == *same)
+                            && !entries.iter().any(|(key, _)| key.text == **same)
+                    };
+                    if let Some(same) = same.filter(free) {
+                        self.remedy(Remedy::replace(key.span, same));
+                    }
+                }
                 None => self.unknown(code::KEY, (key.span, &key.text), message, names(), Some(help)),
             }
         }

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use armarium_memoryx::{
-    AgentConfig, AgentMemory, FollowSettings, Pattern, Policies, Policy, PriorKnowledge, check_name,
+    AgentMemory, FollowSettings, MemoryConfig, Pattern, Policies, Policy, PriorKnowledge, check_name,
 };
 use clap::Args;
 
@@ -52,7 +52,7 @@ pub(super) async fn serve(args: &MemoryArgs, serve: &ServeArgs, out: &mut dyn Wr
         connection.listen = vec![USUAL_ENDPOINT.into()];
     }
     let access = serve.access.of(&serve.name);
-    let mut config = AgentConfig::new(&serve.name);
+    let mut config = MemoryConfig::new(&serve.name);
     config.guarded = access.is_some();
     config.infer = serve.infer.iter().map(|what| what.inference()).collect();
     if let Some(folder) = &serve.prior {

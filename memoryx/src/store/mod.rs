@@ -159,11 +159,11 @@ impl LongTermMemory {
         }
         if std::fs::metadata(path).is_err() {
             let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-            std::fs::create_dir_all(folder).map_err(|e| {
+            if !folder.is_dir() {
                 let folder = folder.display();
-                let what = format!("its folder `{folder}` cannot be made ({e}): choose a file in a folder that can be written");
-                StoreError::Failed { path: name.clone(), what }
-            })?;
+                let what = format!("there is no folder `{folder}`: make it, or choose a file in another one");
+                return Err(StoreError::Failed { path: name, what });
+            }
             let beside = beside(path);
             drop(Self::open_file(name.clone(), beside.clone(), false)?);
             match std::fs::hard_link(&beside, path) {

@@ -1,7 +1,10 @@
 //! Words of other languages for behaviour, and what Armarium calls them: XState, Sismic, SCXML, ArmarX, BehaviorTree.CPP.
 
+/// A group of words and what they are here.
+type Words = (&'static [&'static str], &'static str);
+
 /// Words, and what they are here.
-const WORDS: &[(&[&str], &str)] = &[
+const WORDS: &[Words] = &[
     (
         &["on", "eventTransitions", "Transitions", "event_transitions", "events", "event", "target"],
         "in Armarium this is `transitions: {event: Target}`",
@@ -100,7 +103,43 @@ const WORDS: &[(&[&str], &str)] = &[
     (&["state", "substates", "LocalState", "scxml"], "in Armarium this is `states: {Name: ...}`"),
 ];
 
-/// What a key that the form does not have is here.
-pub(super) fn meant(key: &str) -> Option<&'static str> {
-    WORDS.iter().find(|(words, _)| words.contains(&key)).map(|(_, help)| *help)
+/// Words for which another key of the same form stands here.
+const SAME: &[(&str, &[&str])] = &[
+    ("transitions", &["on", "eventTransitions", "event_transitions", "Transitions"]),
+    ("enter", &["entry", "onEntry", "onentry", "on_entry", "on entry", "onEnter"]),
+    ("exit", &["onExit", "onexit", "on_exit", "on exit", "onBreak"]),
+    ("skill", &["call", "task", "src"]),
+    ("statechart", &["SubTree", "SubTreePlus", "machine", "include", "RemoteState"]),
+    ("with", &["params", "parameters", "args", "arguments", "param", "inputParameters", "input_ports"]),
+    ("if", &["guard", "cond", "condition", "when", "Condition"]),
+    ("do", &["actions", "action"]),
+    ("target", &["to", "goto", "next", "destination", "nextState"]),
+    ("initial", &["initialState", "initial state", "start", "startState", "entry_point", "StartState"]),
+    ("parallel", &["regions", "orthogonal", "Parallel", "ReactiveParallel"]),
+    ("retry", &["Retry"]),
+    ("after", &["delay", "delays"]),
+    ("always", &["eventless", "automatic"]),
+    ("states", &["substates"]),
+    ("locals", &["variables", "vars"]),
+];
+
+/// What a key that the form does not have is here, and the key that stands for it if nothing else changes.
+pub(super) fn meant(key: &str) -> Option<(&'static str, Option<&'static str>)> {
+    let (_, help) = WORDS.iter().find(|(words, _)| words.contains(&key))?;
+    let same = SAME.iter().find(|(_, words)| words.contains(&key)).map(|(same, _)| *same);
+    Some((help, same))
+}
+
+/// What a file is that is no chart, told by its outermost keys, and what to do.
+pub(super) fn whole(has: impl Fn(&str) -> bool) -> Option<&'static str> {
+    let any = |keys: &[&str]| keys.iter().any(|key| has(key));
+    if any(&["BehaviorTree", "main_tree_to_execute", "root", "tree", "TreeNodesModel"]) {
+        Some("a behaviour tree has no states: `docs/comparison.md` says what its nodes are here")
+    } else if any(&["states", "initial", "machine", "regions"]) {
+        Some(
+            "a statechart of another kind needs `statechart: Name` as its first key, and its words as in `docs/statecharts.md`",
+        )
+    } else {
+        None
+    }
 }

@@ -267,6 +267,7 @@ impl Lint<'_, '_> {
             if !reached[id as usize] && reached[parent as usize] {
                 let message = format!("the state `{}` cannot be reached", self.program.state(id).name);
                 self.add(Severity::Warning, code::UNREACHABLE, id, self.name_span(id), message, None);
+                self.remedy(Some(Remedy::Remove(self.name_span(id))));
             }
         }
     }

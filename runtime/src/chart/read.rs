@@ -82,6 +82,11 @@ pub(super) fn get<'n>(entries: &'n Entries, key: &str) -> Option<&'n Node> {
     entries.iter().find(|(k, _)| k.text == key).map(|(_, v)| v)
 }
 
+/// Whether a form has every key. Where it has not, what seems to be missing may be what is misspelt.
+pub(super) fn only_known(entries: &Entries, keys: &[Key]) -> bool {
+    entries.iter().all(|(entry, _)| keys.iter().any(|key| key.name == entry.text))
+}
+
 impl Reader<'_> {
     pub(super) fn error(&mut self, code: &'static str, span: Span, message: impl Into<String>) {
         self.findings.error(code, span, message);
@@ -128,7 +133,12 @@ impl Reader<'_> {
 
     fn chart(&mut self, node: &Node) -> Option<Chart> {
         let Yaml::Map(entries) = &node.value else {
-            self.form(node, "a chart (a map with the key `statechart`)");
+            if self.findings.source.text.trim_start().starts_with('<') {
+                let help = "`armarium import FILE` makes a chart of SCXML";
+                self.error_help(code::FORM, node.span, "this is XML, where a chart in YAML is needed", help);
+            } else {
+                self.form(node, "a chart (a map with the key `statechart`)");
+            }
             return None;
         };
         match get(entries, "statechart") {
@@ -140,7 +150,9 @@ impl Reader<'_> {
                         self.error(code::FORM, node.place(key), message);
                     }
                     None => {
-                        self.error(code::MISSING_KEY, node.span, "a chart begins with `statechart: Name`")
+                        let help = foreign::whole(|key| get(entries, key).is_some()).map(str::to_owned);
+                        let message = "a chart begins with `statechart: Name`";
+                        self.findings.error_help(code::MISSING_KEY, node.span, message, help);
                     }
                 }
                 return None;
@@ -163,7 +175,7 @@ impl Reader<'_> {
         let channels = self.channels(entries);
         let profiles = self.profiles(entries, &inputs);
         let root = self.state(name.clone(), node.span, entries, 0, true)?;
-        if matches!(root.kind, Kind::Atomic) {
+        if matches!(root.kind, Kind::Atomic) && only_known(entries, forms::CHART) {
             self.error(code::MISSING_KEY, name.span, "a chart has `states` with `initial`, or `parallel`");
         }
         let source = Arc::clone(&self.findings.source);
@@ -334,7 +346,13 @@ impl Reader<'_> {
         let Some(text) = self.text(node) else { return Type::Any };
         let Some(ty) = Type::parse(&text.text, &|t| self.types.get(t).cloned()) else {
             let candidates = Type::NAMES.iter().copied().chain(self.types.keys().map(String::as_str));
-            let help = format!("types are {}", Type::NAMES.join(", "));
+            let help = match text.text.split_once([' ', '<', '(']) {
+                Some((_, unit)) if Unit::parse(unit.trim_end_matches(['>', ')'])).is_ok() => {
+                    let unit = unit.trim_end_matches(['>', ')']);
+                    format!("a number with a unit is `{{type: float, unit: {unit}}}`")
+                }
+                _ => format!("types are {}", Type::NAMES.join(", ")),
+            };
             let message = format!("there is no type `{}`", text.text);
             let at = (text.span, text.text.as_str());
             self.findings.unknown(code::DECLARED_TYPE, at, message, candidates, Some(help));

@@ -5,7 +5,7 @@ use armarium_source::{Remedy, Span, code};
 
 use super::forms;
 use super::model::{Action, ActionKind, Entry, Kind, Retry, State, Transition, Watch};
-use super::read::{MAX_LEVELS, Reader, get};
+use super::read::{MAX_LEVELS, Reader, get, only_known};
 
 fn actions() -> Vec<&'static str> {
     forms::ACTIONS.iter().map(|key| key.name).collect()
@@ -30,11 +30,14 @@ impl Reader<'_> {
         }
         let kind = self.kind(&name, span, entries, level, root);
         let unbreakable = self.flag(entries, "unbreakable");
+        let with = get(entries, "with").map_or_else(Vec::new, |n| self.entries(n).to_vec());
+        // Where a key is misspelt, nobody knows yet what takes the inputs.
+        let misspelt = matches!(kind, Kind::Atomic) && !only_known(entries, forms::STATE);
         let description = self.words(entries, "description");
         Some(State {
             description,
             kind,
-            with: get(entries, "with").map_or_else(Vec::new, |n| self.entries(n).to_vec()),
+            with: if misspelt { Vec::new() } else { with },
             enter: self.actions(get(entries, "enter")),
             exit: self.actions(get(entries, "exit")),
             watch: self.watches(entries),
@@ -68,6 +71,7 @@ impl Reader<'_> {
         if let [(first, _), (second, _), ..] = given.as_slice() {
             let message = format!("a state is one thing: it has both `{}` and `{}`", first.text, second.text);
             self.error(code::KIND, second.span, message);
+            self.findings.remedy(Remedy::Remove(second.span));
         }
         let Some((key, node)) = given.first() else { return Kind::Atomic };
         if key.text == "final" {
@@ -77,12 +81,17 @@ impl Reader<'_> {
                     format!("a final state ends what is around it: its `{}` is never used", way.text);
                 let help = "put it at the state around it, which gets the outcome";
                 self.error_help(code::KIND, way.span, &message, help);
+                self.findings.remedy(Remedy::Remove(way.span));
             }
         }
         match key.text.as_str() {
             "states" => {
                 let states = self.states(node, level);
                 let Some(initial) = get(entries, "initial") else {
+                    let keys = if root { forms::CHART } else { forms::STATE };
+                    if !only_known(entries, keys) {
+                        return Kind::Composite { initial: Entry::default(), states };
+                    }
                     let help = match states.first() {
                         Some(first) => {
                             format!("add `initial: {}`, the state that it is entered at", first.name.text)

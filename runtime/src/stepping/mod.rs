@@ -46,7 +46,7 @@ pub enum StepError {
 
 /// The active states and the chart's data.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Snapshot {
+pub struct StepperState {
     /// The innermost active states, sorted. Each is given by its bare name if that is unique in the chart, else by
     /// its path. After the end of the run: those at its end.
     pub configuration: Vec<String>,
@@ -271,7 +271,7 @@ impl Stepper {
     }
 
     /// The active states and the chart's data.
-    pub fn snapshot(&self) -> Snapshot {
+    pub fn snapshot(&self) -> StepperState {
         let leaves = self.leaves();
         let program = self.engine.program();
         let shown = |state: &StateId| !program.is_root(*state);
@@ -281,7 +281,7 @@ impl Stepper {
         let mut states: Vec<String> = all.into_iter().filter(shown).map(label).collect();
         configuration.sort();
         states.sort();
-        Snapshot { configuration, states, locals: self.engine.locals(), outputs: self.engine.outputs() }
+        StepperState { configuration, states, locals: self.engine.locals(), outputs: self.engine.outputs() }
     }
 
     /// The transitions that were taken so far.

@@ -23,13 +23,13 @@ const FEW_KEYS: usize = 12;
 /// Why a text gives no tree.
 pub(crate) enum Refusal {
     /// The text is YAML, but not what a file here may hold.
-    Content { at: Span, message: String, help: &'static str, remedy: Option<Remedy> },
+    Content { at: Span, message: String, help: String, remedy: Option<Remedy> },
     /// The text is no YAML.
     Syntax { at: Span },
 }
 
-fn refuse<T>(at: Span, message: impl Into<String>, help: &'static str) -> Result<T, Box<Refusal>> {
-    Err(Box::new(Refusal::Content { at, message: message.into(), help, remedy: None }))
+fn refuse<T>(at: Span, message: impl Into<String>, help: &str) -> Result<T, Box<Refusal>> {
+    Err(Box::new(Refusal::Content { at, message: message.into(), help: help.to_owned(), remedy: None }))
 }
 
 fn too_deep<T>(at: Span) -> Result<T, Box<Refusal>> {
@@ -179,11 +179,18 @@ impl<'t> Reader<'t> {
                 return Err(Box::new(Refusal::Content {
                     at: key.span,
                     message: format!("the key `{}` is there twice", key.text),
-                    help: "remove one of them, or give it another name",
+                    help: "remove one of them, or give it another name".to_owned(),
                     remedy: Some(Remedy::Remove(key.span)),
                 }));
             }
             let (event, at) = self.next()?.ok_or_else(|| Self::unexpected(at))?;
+            let written = |at: usize| self.text.get(at..).unwrap_or("").trim_start_matches(' ');
+            if matches!(&event, Event::Scalar(text, ScalarStyle::Plain, 0, None) if text == "~")
+                && !written(at.start).starts_with('~')
+                && !written(key.span.end).starts_with(':')
+            {
+                self.with_its_value_in_it(&key)?;
+            }
             let node = self.node(event, at, depth + 1)?;
             self.entries.push((key, node));
         }
@@ -219,6 +226,29 @@ impl<'t> Reader<'t> {
             Some(text) => Ok(Named { span: at, text }),
             None => refuse(at, "a key is a name", "a list or a map cannot be a key"),
         }
+    }
+
+    /// Refuses a key between brackets without `:` that swallowed its value: `{final success}`, `{posture:home}`.
+    fn with_its_value_in_it(&self, key: &Named) -> Result<(), Box<Refusal>> {
+        let written = self.text.get(key.span.start..key.span.end).unwrap_or("").trim_end();
+        if written != key.text {
+            return Ok(());
+        }
+        let (name, value, missing) = if let Some((name, value)) = written.split_once(':') {
+            (name, value, "space is missing after")
+        } else if let Some((name, value)) = written.split_once(char::is_whitespace) {
+            (name, value, "`:` is missing after")
+        } else {
+            return Ok(());
+        };
+        let colon = if missing.starts_with('s') { ":" } else { "" };
+        let right = format!("{name}: {}", value.trim());
+        Err(Box::new(Refusal::Content {
+            at: key.span,
+            message: format!("a {missing} `{name}{colon}`"),
+            help: format!("write `{right}`"),
+            remedy: Some(Remedy::replace(key.span, right)),
+        }))
     }
 
     /// A copy of what an anchor stands for, with the alias as its place.

@@ -31,7 +31,7 @@ pub fn parse(findings: &mut Findings) -> Option<Node> {
         Err(refusal) => refusal,
     };
     let (at, message, help, mut remedy) = match *refusal {
-        Refusal::Content { at, message, help, remedy } => (at, message, Some(help.to_owned()), remedy),
+        Refusal::Content { at, message, help, remedy } => (at, message, Some(help), remedy),
         Refusal::Syntax { at } => match slip_near(&source.text, at.start) {
             Some(slip) => (slip.span, slip.message, Some(slip.help), None),
             None => {

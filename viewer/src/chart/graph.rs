@@ -12,6 +12,10 @@ const LABEL: f64 = 190.0;
 const NOTE: f64 = 250.0;
 /// A final state that so many states go to gets no arrows: each of them names it instead.
 const COMMON: usize = 3;
+/// A level with more states is drawn in columns of `COLUMN` states, in the order of the file. Arrows lead within a column; a
+/// state names those of other columns that it goes to.
+const CROWDED: usize = 24;
+const COLUMN: usize = 10;
 
 /// An arrow between two sibling states.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,7 +25,7 @@ pub(super) struct Arrow {
     pub(super) label: Vec<String>,
 }
 
-/// Transitions to a final state that many states go to, written into the state that they leave.
+/// Transitions to a state far away, or to a final state that many states go to, written into the state that they leave.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Exit {
     pub(super) label: Vec<String>,
@@ -37,11 +41,13 @@ pub(super) struct Graph {
     pub(super) notes: BTreeMap<usize, Vec<String>>,
     /// Exits, by the state that they leave.
     pub(super) exits: BTreeMap<usize, Vec<Exit>>,
+    /// The column of a state, where its level has columns.
+    columns: BTreeMap<usize, usize>,
 }
 
 impl Graph {
     pub(super) fn of(outline: &Outline) -> Self {
-        let mut graph = Self::default();
+        let mut graph = Self { columns: columns(outline), ..Self::default() };
         for (at, state) in outline.states.iter().enumerate() {
             for activity in &state.activities {
                 graph.note(at, activity);
@@ -60,15 +66,17 @@ impl Graph {
         graph
     }
 
+    /// The column that a state is drawn in.
+    pub(super) fn column(&self, state: usize) -> usize {
+        self.columns.get(&state).copied().unwrap_or(0)
+    }
+
     fn add(&mut self, outline: &Outline, transition: &OutlineTransition, common: &BTreeSet<usize>) {
         let label = label(transition, "; ");
         let source = transition.source;
         match transition.targets.as_slice() {
             [] => self.note(source, &label),
-            [target] if common.contains(target) => {
-                let label = wrap(&label, LABEL);
-                self.exits.entry(source).or_default().push(Exit { label, target: *target });
-            }
+            [target] if common.contains(target) => self.exit(source, *target, &label),
             [target] if !transition.internal => self.connect(outline, source, *target, label),
             targets => {
                 // A transition to several states, or an internal one, becomes text.
@@ -77,6 +85,12 @@ impl Graph {
                 self.note(source, &format!("{label} → {}{internal}", names.join(" + ")));
             }
         }
+    }
+
+    /// Draws a transition as an exit instead of an arrow.
+    fn exit(&mut self, source: usize, target: usize, label: &str) {
+        let label = wrap(label, LABEL);
+        self.exits.entry(source).or_default().push(Exit { label, target });
     }
 
     fn note(&mut self, state: usize, text: &str) {
@@ -100,6 +114,9 @@ impl Graph {
         if matches!(outline.states[level].kind, OutlineKind::Parallel) || from == to {
             return self.note(source, &format!("{label} → {}", outline.path(target)));
         }
+        if self.column(from) != self.column(to) {
+            return self.exit(source, target, &label);
+        }
         let mut text = label;
         if from != source {
             let inner = relative(outline, from, source);
@@ -115,6 +132,16 @@ impl Graph {
             None => arrows.push(Arrow { from, to, label: lines }),
         }
     }
+}
+
+/// The column of each state whose level has too many states for one drawing.
+fn columns(outline: &Outline) -> BTreeMap<usize, usize> {
+    let crowded = outline.states.iter().map(|state| &state.children).filter(|c| c.len() > CROWDED);
+    let columns = crowded.flat_map(|children| {
+        let evenly = children.len().div_ceil(children.len().div_ceil(COLUMN));
+        children.iter().enumerate().map(move |(at, child)| (*child, at / evenly))
+    });
+    columns.collect()
 }
 
 /// Final states that several states go to.

@@ -30,6 +30,16 @@ pub(super) struct Route {
     pub(super) label: Point,
 }
 
+impl Route {
+    /// Moves the arrow with its label.
+    pub(super) fn move_by(&mut self, by: Point) {
+        let moved = |p: Point| (p.0 + by.0, p.1 + by.1);
+        self.line.iter_mut().for_each(|step| *step = step.map(moved));
+        self.head = (moved(self.head.0), moved(self.head.1));
+        self.label = moved(self.label);
+    }
+}
+
 /// A layout: the upper left corners of the boxes, the arrows, and the total size.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Drawing {

@@ -114,28 +114,32 @@ fn exit_size(outline: &Outline, exit: &Exit) -> Size {
     Size { width: target, height: (exit.label.len() as f64 * LINE).max(PILL) }
 }
 
-/// Regions in rows: as many in a row as give the best shape.
+/// Regions in rows.
 fn regions(placed: &mut Placed, inside: Vec<Placed>, breadth: f64) -> Size {
-    let rows = |count: usize| {
-        let (mut corners, mut size) = (Vec::new(), Size::default());
-        for row in inside.chunks(count) {
-            let (mut x, top) = (0.0, if corners.is_empty() { 0.0 } else { size.height + GAP });
-            for region in row {
-                corners.push((x, top));
-                size.height = size.height.max(top + region.frame.size.height);
-                x += region.frame.size.width + GAP;
-            }
-            size.width = size.width.max(x - GAP);
-        }
-        (corners, size)
-    };
-    let all = (1..=inside.len()).map(rows);
-    let (corners, size) = all
-        .min_by(|a, b| cost(a.1, breadth).total_cmp(&cost(b.1, breadth)))
-        .expect("a parallel state with regions has a row");
+    let sizes: Vec<Size> = inside.iter().map(|region| region.frame.size).collect();
+    let (corners, size) = in_rows(&sizes, breadth);
     placed.inside = inside;
     placed.inside.iter_mut().zip(corners).for_each(|(region, corner)| region.move_by(corner));
     size
+}
+
+/// The corners of frames in rows, as many in a row as give the best shape, and the size of all.
+fn in_rows(sizes: &[Size], breadth: f64) -> (Vec<Point>, Size) {
+    let rows = |count: usize| {
+        let (mut corners, mut all) = (Vec::new(), Size::default());
+        for row in sizes.chunks(count) {
+            let (mut x, top) = (0.0, if corners.is_empty() { 0.0 } else { all.height + GAP });
+            for size in row {
+                corners.push((x, top));
+                all.height = all.height.max(top + size.height);
+                x += size.width + GAP;
+            }
+            all.width = all.width.max(x - GAP);
+        }
+        (corners, all)
+    };
+    let all = (1..=sizes.len()).map(rows);
+    all.min_by(|a, b| cost(a.1, breadth).total_cmp(&cost(b.1, breadth))).unwrap_or_default()
 }
 
 /// States in layers, with the dot of the initial state.
@@ -161,19 +165,64 @@ fn states(outline: &Outline, graph: &Graph, placed: &mut Placed, inside: Vec<Pla
             link(from, to, arrow.label.clone());
         }
     }
-    let begins = links.first().is_some_and(|link: &Link| link.from == dot);
-    if begins {
+    let begins = links.first().filter(|link| link.from == dot).map(|link| link.to);
+    if begins.is_some() {
         boxes.push(Size { width: DOT, height: DOT });
     }
-    let drawn = [Direction::Down, Direction::Right].map(|direction| draw(&boxes, &links, direction, breadth));
-    let [down, right] = &drawn;
-    let better = usize::from(cost(right.size, breadth) < cost(down.size, breadth));
-    let Drawing { corners, routes, size } = drawn[better].clone();
+    let mut column: Vec<usize> = outline.states[state].children.iter().map(|c| graph.column(*c)).collect();
+    column.extend(begins.map(|begins| column[begins]));
+    let drawn = columns(&column, &boxes, &links, breadth);
+    let sizes: Vec<Size> = drawn.iter().map(|(_, _, drawing)| drawing.size).collect();
+    let (corners, size) = in_rows(&sizes, breadth);
     placed.inside = inside;
-    placed.inside.iter_mut().zip(&corners).for_each(|(inner, corner)| inner.move_by(*corner));
+    let mut routes = vec![Route::default(); links.len()];
+    for ((members, arrows, drawing), corner) in drawn.into_iter().zip(corners) {
+        for (member, at) in members.into_iter().zip(drawing.corners) {
+            let at = (at.0 + corner.0, at.1 + corner.1);
+            match placed.inside.get_mut(member) {
+                Some(inner) => inner.move_by(at),
+                None => placed.dot = Some(at),
+            }
+        }
+        for (arrow, mut route) in arrows.into_iter().zip(drawing.routes) {
+            route.move_by(corner);
+            routes[arrow] = route;
+        }
+    }
     placed.arrows = labels.into_iter().zip(routes).collect();
-    placed.dot = begins.then(|| corners[dot]);
     size
+}
+
+/// The drawings of columns, each with its boxes and its links: those between boxes of one column. `column` is that of each box.
+fn columns(
+    column: &[usize],
+    boxes: &[Size],
+    links: &[Link],
+    breadth: f64,
+) -> Vec<(Vec<usize>, Vec<usize>, Drawing)> {
+    let count = column.iter().max().map_or(0, |last| last + 1);
+    let mut columns = vec![(Vec::new(), Vec::new()); count];
+    let mut place = vec![0; boxes.len()];
+    for (member, at) in column.iter().enumerate() {
+        place[member] = columns[*at].0.len();
+        columns[*at].0.push(member);
+    }
+    for (number, link) in links.iter().enumerate().filter(|(_, link)| column[link.from] == column[link.to]) {
+        columns[column[link.from]].1.push(number);
+    }
+    let one = |(members, arrows): (Vec<usize>, Vec<usize>)| {
+        let sizes: Vec<Size> = members.iter().map(|member| boxes[*member]).collect();
+        let inside = |number: &usize| {
+            let link = links[*number];
+            Link { from: place[link.from], to: place[link.to], ..link }
+        };
+        let links: Vec<Link> = arrows.iter().map(inside).collect();
+        let [down, right] =
+            [Direction::Down, Direction::Right].map(|direction| draw(&sizes, &links, direction, breadth));
+        let better = if cost(right.size, breadth) < cost(down.size, breadth) { right } else { down };
+        (members, arrows, better)
+    };
+    columns.into_iter().map(one).collect()
 }
 
 /// The extent of the lines of a label; nothing for none.
@@ -191,12 +240,7 @@ impl Placed {
     }
 
     fn move_arrows(&mut self, by: Point) {
-        let moved = |p: Point| (p.0 + by.0, p.1 + by.1);
-        for (_, route) in &mut self.arrows {
-            route.line.iter_mut().for_each(|step| *step = step.map(moved));
-            route.head = (moved(route.head.0), moved(route.head.1));
-            route.label = moved(route.label);
-        }
-        self.dot = self.dot.map(moved);
+        self.arrows.iter_mut().for_each(|(_, route)| route.move_by(by));
+        self.dot = self.dot.map(|dot| (dot.0 + by.0, dot.1 + by.1));
     }
 }

@@ -467,3 +467,9 @@ fn boxes_of_states_carry_their_paths() {
     unfold(&mut nested, &library.charts, &Unfold::All);
     assert!(text_of(&nested, Format::Svg).contains("data-state=\"Grasp.Grasp\""));
 }
+
+#[test]
+fn sixty_states_at_one_level_stand_in_columns_that_fit_a_screen() {
+    let size = Scene::of(&outline(&tangle(60, 0))).size;
+    assert!(size.width < 1700.0 && size.height < 1700.0, "{size:?}");
+}

@@ -1,6 +1,5 @@
 //! The messages of a recording: Foxglove's schemas where they exist, otherwise JSON with our own schemas.
 
-use armarium_visionx::RgbImage;
 use foxglove::messages as fg;
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
@@ -86,18 +85,6 @@ pub(super) fn compressed_image(topic: &str, t_ns: u64, data: Vec<u8>) -> fg::Com
         frame_id: frame_of(topic),
         data: data.into(),
         format: "jpeg".into(),
-    }
-}
-
-pub(super) fn raw_image(topic: &str, t_ns: u64, image: &RgbImage) -> fg::RawImage {
-    fg::RawImage {
-        timestamp: stamp(t_ns),
-        frame_id: frame_of(topic),
-        width: image.width(),
-        height: image.height(),
-        encoding: "rgb8".into(),
-        step: image.width().saturating_mul(3),
-        data: image.data().to_vec().into(),
     }
 }
 

@@ -53,16 +53,6 @@ impl Default for RecorderOptions {
     }
 }
 
-/// The encoding of images.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum ImageCoding {
-    /// JPEG: small, costs a few milliseconds for an image of 640 by 480.
-    #[default]
-    Jpeg,
-    /// Raw bytes: 921 600 for an image of 640 by 480.
-    Raw,
-}
-
 /// Why a recording cannot be created or completed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -105,13 +95,8 @@ struct PoseTopic {
     next_transform_ns: u64,
 }
 
-enum ImageChannel {
-    Jpeg(Channel<fg::CompressedImage>),
-    Raw(Channel<fg::RawImage>),
-}
-
 struct ImageTopic {
-    channel: ImageChannel,
+    channel: Channel<fg::CompressedImage>,
     next_ns: u64,
 }
 
@@ -305,42 +290,22 @@ impl Recorder {
         self.images.get(topic).is_none_or(|image| t_ns >= image.next_ns)
     }
 
-    /// Records an image, unless the last one of this topic is less than [`RecorderOptions::image_period_ns`]
-    /// ago. The first image of a topic determines the topic's encoding.
+    /// Records an image as JPEG, unless the last one of this topic is less than [`RecorderOptions::image_period_ns`] ago.
     ///
     /// # Errors
     /// [`RecorderError::Encode`] when JPEG cannot hold the image.
-    pub fn image(
-        &mut self,
-        topic: &str,
-        t_ns: u64,
-        image: &RgbImage,
-        coding: ImageCoding,
-    ) -> Result<(), RecorderError> {
+    pub fn image(&mut self, topic: &str, t_ns: u64, image: &RgbImage) -> Result<(), RecorderError> {
         self.tick(t_ns);
         if !self.wants_image(topic, t_ns) {
             return Ok(());
         }
-        if !self.images.contains_key(topic) {
-            let builder = self.context.channel_builder(topic);
-            let channel = match coding {
-                ImageCoding::Jpeg => ImageChannel::Jpeg(builder.build()),
-                ImageCoding::Raw => ImageChannel::Raw(builder.build()),
-            };
-            self.images.insert(topic.to_owned(), ImageTopic { channel, next_ns: t_ns });
-        }
-        let Some(entry) = self.images.get_mut(topic) else { return Ok(()) };
-        entry.next_ns = t_ns.saturating_add(self.options.image_period_ns);
-        match &entry.channel {
-            ImageChannel::Jpeg(channel) => {
-                let data = jpeg(image, self.options.jpeg_quality)
-                    .map_err(|e| RecorderError::Encode { topic: topic.to_owned(), what: e.to_string() })?;
-                channel.log_with_time(&messages::compressed_image(topic, t_ns, data), t_ns);
-            }
-            ImageChannel::Raw(channel) => {
-                channel.log_with_time(&messages::raw_image(topic, t_ns, image), t_ns)
-            }
-        }
+        let data = jpeg(image, self.options.jpeg_quality)
+            .map_err(|e| RecorderError::Encode { topic: topic.to_owned(), what: e.to_string() })?;
+        let next_ns = t_ns.saturating_add(self.options.image_period_ns);
+        let new = || ImageTopic { channel: self.context.channel_builder(topic).build(), next_ns };
+        let entry = self.images.entry(topic.to_owned()).or_insert_with(new);
+        entry.next_ns = next_ns;
+        entry.channel.log_with_time(&messages::compressed_image(topic, t_ns, data), t_ns);
         Ok(())
     }
 
