@@ -147,7 +147,7 @@ fn charts_within_reach_are_listed_beside_the_skills() {
     let folder = charts();
     let output = armarium(folder.path(), &["skills", "Dock"]);
     let expected = "Dock  (chart, ./dock.yaml)\n    Drives to the dock.\n    takes speed: float in m/s = 0.2  How fast.\n    \
-                    gives volts: float in V  \n    outcomes: full\n    takes the events: go\n\n";
+                    gives volts: float in V  \n    outcomes: success, failure, full\n    takes the events: go\n\n";
     assert_eq!((status(&output), said(&output).as_str()), (0, expected));
     assert!(said(&armarium(folder.path(), &["skills"])).contains("./broken.yaml is no chart as it is"));
     let output = armarium(folder.path(), &["skills", "Dock", "See", "MoveTcp", "--json", "--charts", "more"]);

@@ -73,7 +73,8 @@ impl Workspace {
         let Some(cursor) = Cursor::at(source, offset) else { return Vec::new() };
         // A file that does not say yet what it is begins like a chart, or with the key of another kind.
         let kind = document.kind.unwrap_or(Kind::Chart);
-        if document.kind.is_none() && (cursor.place != Place::Key || !cursor.path.is_empty()) {
+        let nothing_else = cursor.path.is_empty() && cursor.siblings(source).is_empty();
+        if document.kind.is_none() && !(nothing_else && cursor.place == Place::Key) {
             return Vec::new();
         }
         let completing = Completing {

@@ -400,7 +400,7 @@ fn a_broken_text_is_served_by_the_last_that_was_whole() {
 #[test]
 fn other_files_and_lost_files_are_no_errors() {
     let mut project = project();
-    let (uri, position) = project.open("compose.yaml", "services:\n  web: {image: x}\n");
+    let (uri, position) = project.open("compose.yaml", "services:\n  web: {image: x}\n|");
     assert_eq!(project.workspace.findings(&uri), []);
     assert!(project.workspace.completion(&uri, position, true).is_empty());
     let (uri, _) = project.open("whole.yaml", WHOLE);

@@ -76,7 +76,6 @@ fn every_message_comes_back_with_its_time_and_values() {
     let counts: BTreeMap<&str, usize> = topics.iter().map(|(topic, m)| (topic.as_str(), m.len())).collect();
     let expected = BTreeMap::from([
         ("/camera/left", 3),
-        ("/camera/right", 3),
         ("/chart/events", 15),
         ("/log", 15),
         ("/robot/joints", 1500),

@@ -134,7 +134,9 @@ pub(super) fn meant(key: &str) -> Option<(&'static str, Option<&'static str>)> {
 pub(super) fn whole(has: impl Fn(&str) -> bool) -> Option<&'static str> {
     let any = |keys: &[&str]| keys.iter().any(|key| has(key));
     if any(&["BehaviorTree", "main_tree_to_execute", "root", "tree", "TreeNodesModel"]) {
-        Some("a behaviour tree has no states: `docs/comparison.md` says what its nodes are here")
+        Some(
+            "a behaviour tree has no states: make each node a state; a `Sequence` goes on by `success`, a `Fallback` by `failure`",
+        )
     } else if any(&["states", "initial", "machine", "regions"]) {
         Some(
             "a statechart of another kind needs `statechart: Name` as its first key, and its words as in `docs/statecharts.md`",

@@ -21,7 +21,8 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use crate::coach::{CoachState, HandShown};
 use crate::render::hand::{HandPose, SLEEVE, hand_shapes, landmarks};
 use crate::render::{
-    DirtTexture, Geometry, Rendering, Scene, SensorNoise, Shape, Viewpoint, render_pair, robot,
+    DirtTexture, Geometry, Rendering, Scene, SensorNoise, Shape, Viewpoint, depth_of_shapes, render_pair,
+    robot,
 };
 use crate::table::{DirtGrid, THICKNESS, TableTop};
 use crate::truth::FrameTruth;
@@ -264,8 +265,11 @@ impl Eyes {
         let [left, right] = self.rig.left_and_right(self.left_pose(&self.truth) * self.believed_from_true);
         let drawn = render_pair(&scene, &[left, right]);
         let visible = view.coach.hand.is_some_and(|hand| {
-            let alone = render_pair(&Scene::new(skin(&hand)), &[left, right]);
-            whole(&hand, &left, &drawn[0], &alone[0]) && whole(&hand, &right, &drawn[1], &alone[1])
+            let alone = Scene::new(skin(&hand));
+            [left, right]
+                .iter()
+                .zip(&drawn)
+                .all(|(eye, drawn)| whole(&hand, eye, &drawn.depth, &depth_of_shapes(&alone, eye)))
         });
         let truth = FrameTruth {
             stamp_ns: view.stamp_ns,
@@ -349,8 +353,8 @@ fn skin(hand: &HandShown) -> Vec<Shape> {
 }
 
 /// Whether the whole hand, from its wrist to its fingertips, is in the picture and at most a hundredth of it is
-/// hidden. `alone` is a picture of the hand and its wrist only. What the sleeve covers does not count as the hand.
-fn whole(hand: &HandShown, viewpoint: &Viewpoint, picture: &Rendering, alone: &Rendering) -> bool {
+/// hidden. `alone` is the depth of the hand and its wrist only. What the sleeve covers does not count as the hand.
+fn whole(hand: &HandShown, viewpoint: &Viewpoint, picture: &DepthImage, alone: &DepthImage) -> bool {
     let camera_from_hand = viewpoint.scene_from_camera.inverse() * hand.root_from_hand;
     let camera = &viewpoint.camera;
     let (mut farthest, mut wrist) = (0.0f32, f64::MAX);
@@ -374,7 +378,7 @@ fn whole(hand: &HandShown, viewpoint: &Viewpoint, picture: &Rendering, alone: &R
         Vector3::new((x - camera.center[0]) / camera.focal, (y - camera.center[1]) / camera.focal, 1.0)
     };
     let (mut seen, mut hidden) = (0usize, 0usize);
-    for (i, (a, b)) in alone.depth.data.iter().zip(&picture.depth.data).enumerate() {
+    for (i, (a, b)) in alone.data.iter().zip(&picture.data).enumerate() {
         let near_enough = *a > 0.0 && *a <= farthest;
         if near_enough && along.dot(&ray(i)) * f64::from(*a) + hand_from_camera.translation.z >= wrist {
             seen += 1;

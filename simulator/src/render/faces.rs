@@ -3,7 +3,7 @@
 use armarium_robot::Mesh;
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use super::raster::{Bounds, Canvas, Form, Line, ScanLine, Span};
+use super::raster::{Bounds, Canvas, Colors, Form, Lanes, Line, ScanLine, Span, lanes};
 use super::scene::Background;
 use super::shading::{Light, MOTTLING, Shades};
 
@@ -58,6 +58,16 @@ impl LocalRun {
     #[inline(always)]
     pub(super) fn at(&self, axis: usize, k: f32, t: f32) -> f32 {
         self.eye[axis] + t * self.along[axis].at(k)
+    }
+
+    /// Two coordinates of the points of the chunk that begins `k` pixels after the first, from their inverse depths.
+    #[inline(always)]
+    pub(super) fn lanes(&self, axes: [usize; 2], k: f32, near: &Lanes) -> [Lanes; 2] {
+        let depth = lanes(|i| 1.0 / near[i]);
+        axes.map(|axis| {
+            let along = self.along[axis].lanes(k);
+            lanes(|i| self.eye[axis] + depth[i] * along[i])
+        })
     }
 
     /// The depth at which the ray has coordinate 2 equal to `z`.
@@ -126,9 +136,14 @@ impl<const N: usize> Face<N> {
         })
     }
 
-    /// Draws the face. `paint` makes the colouring function for a row's run of pixels from the row and the first
-    /// column.
-    pub(super) fn draw<P: Fn(f32, f32) -> [u8; 3]>(
+    /// Draws the face in one colour.
+    pub(super) fn draw_plain(&self, canvas: &mut Canvas, color: [u8; 3]) {
+        self.draw(canvas, |_, _| move |_, _: &Lanes| lanes(|_| color));
+    }
+
+    /// Draws the face. `paint` makes the colouring function for a row's run of pixels, chunk by chunk, from the row and the
+    /// first column.
+    pub(super) fn draw<P: Fn(f32, &Lanes) -> Colors>(
         &self,
         canvas: &mut Canvas,
         paint: impl Fn(&ScanLine, usize) -> P,
@@ -140,7 +155,7 @@ impl<const N: usize> Face<N> {
             let Some(run) = span.pixels() else { continue };
             let near = self.nearness(&row).line(run.0);
             let paint = paint(&row, run.0);
-            canvas.fill(row.v, run, |k| (near.at(k), 0.0), |k, near, _| paint(k, near));
+            canvas.fill_lanes(row.v, run, |k| near.at(k), paint);
         }
     }
 }
@@ -159,7 +174,7 @@ pub(super) fn cuboid(
     for side in SIDES {
         if let Some(face) = Face::of_box(camera_from_box, half, side, 1.0) {
             let color = shades.at(face.brightness(light));
-            face.draw(canvas, |_, _| move |_, _| color);
+            face.draw_plain(canvas, color);
         }
     }
 }
@@ -176,7 +191,7 @@ pub(super) fn mesh(
     for triangle in mesh.triangles() {
         if let Some(face) = Face::of_triangle(triangle.map(|index| vertices[index as usize])) {
             let color = shades.at(face.brightness(light));
-            face.draw(canvas, |_, _| move |_, _| color);
+            face.draw_plain(canvas, color);
         }
     }
 }
@@ -193,34 +208,35 @@ pub(super) fn room(canvas: &mut Canvas, camera_from_scene: &Isometry3<f64>, back
         let across = [(side.0 + 1) % 3, (side.0 + 2) % 3];
         if side == (2, -1.0) {
             face.draw(canvas, |row, first| {
-                let local = local.run(row, first);
-                let floor = &floor;
-                move |k, near| floor_tile(floor, local.at(0, k, 1.0 / near), local.at(1, k, 1.0 / near))
+                let (local, floor) = (local.run(row, first), &floor);
+                move |k, near| floor_tiles(floor, local.lanes([0, 1], k, near))
             });
         } else {
             // Walls differ slightly in brightness, so that the room's edges are visible.
             let base = 0.9 + 0.04 * side.0 as f32 + 0.02 * side.1 as f32;
             face.draw(canvas, |row, first| {
-                let local = local.run(row, first);
-                let wall = &wall;
+                let (local, wall) = (local.run(row, first), &wall);
                 move |k, near| {
-                    let t = 1.0 / near;
-                    let (x, y) = (local.at(across[0], k, t), local.at(across[1], k, t));
-                    wall.at(base + 0.5 * ROOM_MOTTLING * MOTTLING.at(x * 60.0, y * 60.0))
+                    let [x, y] = local.lanes(across, k, near);
+                    let mottle = MOTTLING.lanes(&x.map(|x| x * 60.0), &y.map(|y| y * 60.0));
+                    wall.lanes(&mottle.map(|mottle| base + 0.5 * ROOM_MOTTLING * mottle))
                 }
             });
         }
     }
 }
 
-/// The floor's colour at a point, m.
+/// The floor's colours at some points, m.
 #[inline(always)]
-fn floor_tile(floor: &Shades, x: f32, y: f32) -> [u8; 3] {
-    let mottle = 0.92 + ROOM_MOTTLING * MOTTLING.at(x * 100.0, y * 100.0);
+fn floor_tiles(floor: &Shades, [x, y]: [Lanes; 2]) -> Colors {
+    let mottle = MOTTLING.lanes(&x.map(|x| x * 100.0), &y.map(|y| y * 100.0));
     let beside = |v: f32| {
         let tiles = v * (1.0 / TILE) + 1024.0;
         let part = tiles - (tiles as i32) as f32;
         !(JOINT..=1.0 - JOINT).contains(&part)
     };
-    floor.at(if beside(x) || beside(y) { mottle - 0.15 } else { mottle })
+    floor.lanes(&lanes(|i| {
+        let mottle = 0.92 + ROOM_MOTTLING * mottle[i];
+        if beside(x[i]) | beside(y[i]) { mottle - 0.15 } else { mottle }
+    }))
 }

@@ -21,6 +21,7 @@ mod tabletop;
 #[cfg(test)]
 mod tests;
 
+use armarium_visionx::DepthImage;
 use nalgebra::{Isometry3, Vector3};
 
 pub use noise::SensorNoise;
@@ -39,15 +40,21 @@ const MAX_PIXELS: u64 = 1 << 27;
 /// pixels, the picture has no pixels. Shapes with a size or pose that is not finite are left out, as is everything
 /// nearer than 1 cm or behind the camera.
 pub fn render(scene: &Scene, viewpoint: &Viewpoint) -> Rendering {
-    draw(scene, &shadows(scene), viewpoint)
+    draw(scene, &shadows(scene), viewpoint, true)
+}
+
+/// The depth of a scene's shapes without the room and without tabletops: 0 where there is none.
+pub fn depth_of_shapes(scene: &Scene, viewpoint: &Viewpoint) -> DepthImage {
+    let shadows: Vec<_> = scene.shapes.iter().map(|_| None).collect();
+    draw(scene, &shadows, viewpoint, false).depth
 }
 
 /// Draws a scene from two viewpoints, each on its own thread. The results are the same as those of [`render`].
 pub fn render_pair(scene: &Scene, [left, right]: &[Viewpoint; 2]) -> [Rendering; 2] {
     let shadows = shadows(scene);
     std::thread::scope(|scope| {
-        let right = scope.spawn(|| draw(scene, &shadows, right));
-        let left = draw(scene, &shadows, left);
+        let right = scope.spawn(|| draw(scene, &shadows, right, true));
+        let left = draw(scene, &shadows, left, true);
         let right = right.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
         [left, right]
     })
@@ -60,7 +67,7 @@ fn shadows(scene: &Scene) -> Vec<Option<Shadow>> {
     indexed.map(|(i, shape)| is_table(shape).then(|| Shadow::on(scene, i))).collect()
 }
 
-fn draw(scene: &Scene, shadows: &[Option<Shadow>], viewpoint: &Viewpoint) -> Rendering {
+fn draw(scene: &Scene, shadows: &[Option<Shadow>], viewpoint: &Viewpoint, room: bool) -> Rendering {
     let mut camera = viewpoint.camera;
     if u64::from(camera.width) * u64::from(camera.height) > MAX_PIXELS {
         (camera.width, camera.height) = (0, 0);
@@ -74,7 +81,9 @@ fn draw(scene: &Scene, shadows: &[Option<Shadow>], viewpoint: &Viewpoint) -> Ren
             let shape = &scene.shapes[index];
             draw_shape(&mut canvas, shape, shadows[index].as_ref(), &camera_from_scene, light);
         }
-        faces::room(&mut canvas, &camera_from_scene, &scene.background);
+        if room {
+            faces::room(&mut canvas, &camera_from_scene, &scene.background);
+        }
     }
     canvas.finish()
 }

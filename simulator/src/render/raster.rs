@@ -15,6 +15,17 @@ const NEARNESS_LIMIT: f32 = (1.0 / NEAR) as f32;
 /// Number of pixels evaluated together, for vector instructions.
 const CHUNK: usize = 16;
 
+/// A value for each pixel of a chunk.
+pub(super) type Lanes = [f32; CHUNK];
+/// The colours of a chunk.
+pub(super) type Colors = [[u8; 3]; CHUNK];
+
+/// `f` of each pixel of a chunk.
+#[inline(always)]
+pub(super) fn lanes<T>(f: impl FnMut(usize) -> T) -> [T; CHUNK] {
+    std::array::from_fn(f)
+}
+
 /// Colours and inverse depths of one picture.
 pub(super) struct Canvas {
     camera: PinholeCamera,
@@ -78,6 +89,12 @@ impl Line {
     #[inline(always)]
     pub(super) fn at(self, k: f32) -> f32 {
         self.slope * k + self.start
+    }
+
+    /// The values in the chunk that begins `k` pixels after the start.
+    #[inline(always)]
+    pub(super) fn lanes(self, k: f32) -> Lanes {
+        lanes(|i| self.at(k + i as f32))
     }
 }
 
@@ -227,15 +244,48 @@ impl Canvas {
     /// Draws a run of pixels of row `v`, where it is nearer than what was drawn before.
     ///
     /// `sample(k)` returns 1/depth, `k` pixels after the first (nothing is drawn unless it is positive), and one
-    /// more number for `paint(k, nearness, number)`. `paint` returns the colour and is called for visible pixels
-    /// only.
+    /// more number for `paint(number)`, which returns the colour and is called for visible pixels only.
     #[inline(always)]
     pub(super) fn fill(
         &mut self,
         v: usize,
+        run: (usize, usize),
+        sample: impl Fn(f32) -> (f32, f32),
+        paint: impl Fn(f32) -> [u8; 3],
+    ) {
+        self.fill_chunks(v, run, sample, |_, _, extra, visible, colors| {
+            for (i, color) in colors.iter_mut().enumerate().filter(|(i, _)| visible[*i]) {
+                *color = paint(extra[i]);
+            }
+        });
+    }
+
+    /// As [`Canvas::fill`]; `paint(k, nearness)` returns the colours of the chunk that begins `k` pixels after the first, also
+    /// for pixels that are not visible.
+    #[inline(always)]
+    pub(super) fn fill_lanes(
+        &mut self,
+        v: usize,
+        run: (usize, usize),
+        sample: impl Fn(f32) -> f32,
+        paint: impl Fn(f32, &Lanes) -> Colors,
+    ) {
+        let sample = |k| (sample(k), 0.0);
+        self.fill_chunks(v, run, sample, |k, near, _, visible, colors| {
+            let painted = paint(k, near);
+            for (i, color) in colors.iter_mut().enumerate().filter(|(i, _)| visible[*i]) {
+                *color = painted[i];
+            }
+        });
+    }
+
+    #[inline(always)]
+    fn fill_chunks(
+        &mut self,
+        v: usize,
         (first, last): (usize, usize),
         sample: impl Fn(f32) -> (f32, f32),
-        paint: impl Fn(f32, f32, f32) -> [u8; 3],
+        paint: impl Fn(f32, &Lanes, &Lanes, &[bool; CHUNK], &mut [[u8; 3]]),
     ) {
         let last = last.min(self.width - 1);
         if first > last {
@@ -246,16 +296,17 @@ impl Canvas {
         let colors = self.color[run].chunks_mut(CHUNK);
         for (chunk, (depths, colors)) in depths.zip(colors).enumerate() {
             let base = (chunk * CHUNK) as f32;
-            let mut near = [0.0; CHUNK];
-            let mut extra = [0.0; CHUNK];
+            let (mut near, mut extra) = ([0.0; CHUNK], [0.0; CHUNK]);
             for i in 0..CHUNK {
                 (near[i], extra[i]) = sample(base + i as f32);
             }
-            for (i, (depth, color)) in depths.iter_mut().zip(colors).enumerate() {
-                if near[i] > *depth && near[i] < NEARNESS_LIMIT {
-                    *depth = near[i];
-                    *color = paint(base + i as f32, near[i], extra[i]);
-                }
+            let mut visible = [false; CHUNK];
+            for ((depth, near), visible) in depths.iter_mut().zip(&near).zip(&mut visible) {
+                *visible = *near > *depth && *near < NEARNESS_LIMIT;
+                *depth = if *visible { *near } else { *depth };
+            }
+            if visible.contains(&true) {
+                paint(base, &near, &extra, &visible, colors);
             }
         }
     }

@@ -7,6 +7,8 @@ use std::sync::LazyLock;
 
 use nalgebra::{Isometry3, Vector3};
 
+use super::raster::{Colors, Lanes, lanes};
+
 /// Brightness of a face that gets no direct light.
 const AMBIENT: f32 = 0.45;
 /// How far the light reaches around a body: 0 is a point light, larger values are softer.
@@ -59,6 +61,13 @@ impl Shades {
     pub(super) fn at(&self, brightness: f32) -> [u8; 3] {
         self.0[usize::from((brightness * FULL + 0.5) as u8)]
     }
+
+    /// The colours at some brightnesses.
+    #[inline(always)]
+    pub(super) fn lanes(&self, brightness: &Lanes) -> Colors {
+        let index = lanes(|i| (brightness[i] * FULL + 0.5) as u8);
+        lanes(|i| self.0[usize::from(index[i])])
+    }
 }
 
 /// A mixture of two colours; an `amount` of 255 gives `b`.
@@ -70,7 +79,7 @@ pub(super) fn mix(a: [u8; 3], b: [u8; 3], amount: u8) -> [u8; 3] {
 
 /// A square of smooth random values that tiles the plane.
 pub(super) struct Mottling {
-    values: Box<[i8]>,
+    values: Box<[[i8; TEXELS]; TEXELS]>,
 }
 
 /// Texels along each side of [`Mottling`]; a power of two.
@@ -82,20 +91,20 @@ pub(super) static MOTTLING: LazyLock<Mottling> = LazyLock::new(Mottling::new);
 impl Mottling {
     /// Value noise of three octaves.
     fn new() -> Self {
-        let value = |index: usize| {
-            let (x, y) = (index % TEXELS, index / TEXELS);
+        let value = |x: usize, y: usize| {
             let octaves = [(32, 0.5), (16, 0.3), (8, 0.2)];
             let sum: f32 = octaves.iter().map(|&(cell, weight)| weight * lattice_noise(x, y, cell)).sum();
             (sum * 127.0) as i8
         };
-        Self { values: (0..TEXELS * TEXELS).map(value).collect() }
+        Self { values: Box::new(std::array::from_fn(|y| std::array::from_fn(|x| value(x, y)))) }
     }
 
-    /// The value at a point, in texels: between about -1 and 1, mostly within 0.5.
+    /// The values at some points, in texels: between about -1 and 1, mostly within 0.5.
     #[inline(always)]
-    pub(super) fn at(&self, x: f32, y: f32) -> f32 {
-        let (column, row) = (x as i32 as usize % TEXELS, y as i32 as usize % TEXELS);
-        f32::from(self.values[row * TEXELS + column]) * (1.0 / 127.0)
+    pub(super) fn lanes(&self, x: &Lanes, y: &Lanes) -> Lanes {
+        let column = lanes(|i| x[i] as i32 as usize % TEXELS);
+        let row = lanes(|i| y[i] as i32 as usize % TEXELS);
+        lanes(|i| f32::from(self.values[row[i]][column[i]]) * (1.0 / 127.0))
     }
 }
 

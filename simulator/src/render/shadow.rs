@@ -5,6 +5,7 @@
 
 use nalgebra::{Isometry3, Point2, Point3, Vector3};
 
+use super::raster::{Lanes, lanes};
 use super::scene::{Geometry, Scene, Shape};
 
 /// Edge of a cell, m.
@@ -67,18 +68,26 @@ impl Shadow {
         Self { columns, rows, half: [half.x as f32, half.y as f32], cells_per_metre, light }
     }
 
-    /// The light at a point of the table, 0 to 1, interpolated.
+    /// The light at some points of the table, 0 to 1, interpolated.
     #[inline(always)]
-    pub(super) fn light_at(&self, x: f32, y: f32) -> f32 {
-        let u = ((x + self.half[0]) * self.cells_per_metre[0]).max(0.0);
-        let v = ((y + self.half[1]) * self.cells_per_metre[1]).max(0.0);
-        let (i, j) = ((u as usize).min(self.columns - 1), (v as usize).min(self.rows - 1));
-        let (s, t) = (u - i as f32, v - j as f32);
-        let (upper, lower) = (j * (self.columns + 1) + i, (j + 1) * (self.columns + 1) + i);
-        let (Some(a), Some(b)) = (self.light.get(upper..upper + 2), self.light.get(lower..lower + 2)) else {
-            return 1.0;
+    pub(super) fn lanes(&self, x: &Lanes, y: &Lanes) -> Lanes {
+        let axis = |value: f32, half: f32, per_metre: f32, cells: usize| {
+            let at = ((value + half) * per_metre).max(0.0);
+            let cell = (at as i32).min(cells as i32 - 1);
+            (cell as usize, at - cell as f32)
         };
-        (a[0] * (1.0 - s) + a[1] * s) * (1.0 - t) + (b[0] * (1.0 - s) + b[1] * s) * t
+        let u = lanes(|i| axis(x[i], self.half[0], self.cells_per_metre[0], self.columns));
+        let v = lanes(|i| axis(y[i], self.half[1], self.cells_per_metre[1], self.rows));
+        let below = self.columns + 1;
+        lanes(|i| {
+            let ((column, s), (row, t)) = (u[i], v[i]);
+            let Some(cell) = self.light.get(row * below + column..).filter(|cell| cell.len() > below + 1)
+            else {
+                return 1.0;
+            };
+            (cell[0] * (1.0 - s) + cell[1] * s) * (1.0 - t)
+                + (cell[below] * (1.0 - s) + cell[below + 1] * s) * t
+        })
     }
 
     /// Adds the shadow of one shape.

@@ -83,7 +83,7 @@ fn ball_row(canvas: &mut Canvas, row: ScanLine, bounds: Bounds, ball: &Ball<'_>)
             let near = if t * out.at(k) >= border { squared / reach } else { 0.0 };
             (near, (t * lit.at(k) - center_lit) * inverse_radius)
         },
-        |_, _, cosine| shades.at(brightness(cosine)),
+        |cosine| shades.at(brightness(cosine)),
     );
 }
 
@@ -193,7 +193,7 @@ fn side(canvas: &mut Canvas, body: &Axial, light: Light, shades: &Shades) {
                 let hit = (z.abs() <= half_length) & (a > PARALLEL);
                 (if hit { a / reach } else { 0.0 }, (eye_lit + t * lit.at(k)) * inverse_radius)
             },
-            |_, _, cosine| shades.at(brightness(cosine)),
+            |cosine| shades.at(brightness(cosine)),
         );
     }
 }
@@ -223,7 +223,7 @@ fn cap(canvas: &mut Canvas, body: &Axial, sign: f64, light: Light, shades: &Shad
                 let (x, y) = (eye_x + t * dx.at(k), eye_y + t * dy.at(k));
                 (if x * x + y * y <= squared_radius { near } else { 0.0 }, 0.0)
             },
-            |_, _, _| color,
+            |_| color,
         );
     }
 }

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::faces::{Face, Local, LocalRun, SIDES};
-use super::raster::Canvas;
+use super::raster::{Canvas, Colors, Lanes, lanes};
 use super::scene::{Bump, DirtTexture};
 use super::shading::{Light, MOTTLING, Shades, brightness, mix};
 use super::shadow::Shadow;
@@ -49,7 +49,7 @@ pub(super) fn tabletop(canvas: &mut Canvas, table: &Tabletop<'_>, light: Light, 
     for side in SIDES.into_iter().filter(|side| *side != (2, 1.0)) {
         if let Some(face) = Face::of_box(frame, half, side, 1.0) {
             let color = shades.at(face.brightness(light));
-            face.draw(canvas, |_, _| move |_, _| color);
+            face.draw_plain(canvas, color);
         }
     }
     let Some(face) = Face::of_box(frame, half, (2, 1.0), 1.0) else { return };
@@ -60,9 +60,8 @@ pub(super) fn tabletop(canvas: &mut Canvas, table: &Tabletop<'_>, light: Light, 
         bump_patch(canvas, table, bump, &surface, light);
     }
     face.draw(canvas, |row, first| {
-        let local = local.run(row, first);
-        let surface = &surface;
-        move |k, near| surface.color(local.at(0, k, 1.0 / near), local.at(1, k, 1.0 / near), lit)
+        let (local, surface) = (local.run(row, first), &surface);
+        move |k, near| surface.colors(local.lanes([0, 1], k, near), &lanes(|_| lit))
     });
 }
 
@@ -80,19 +79,24 @@ impl<'a> Surface<'a> {
         Self { half, shades, dirt, shadow: table.shadow }
     }
 
-    /// The colour at a point of the upper face, m, under a brightness.
+    /// The colours at some points of the upper face, m, under a brightness.
     #[inline(always)]
-    fn color(&self, x: f32, y: f32, brightness: f32) -> [u8; 3] {
-        let grain = MOTTLING.at(x * GRAIN_SCALE[0] + 8192.0, y * GRAIN_SCALE[1] + 8192.0);
-        let bright = brightness * self.shadow.light_at(x, y) * (1.0 + GRAIN * grain);
-        let clean = self.shades.at(bright);
+    fn colors(&self, [x, y]: [Lanes; 2], brightness: &Lanes) -> Colors {
+        let grain =
+            MOTTLING.lanes(&x.map(|x| x * GRAIN_SCALE[0] + 8192.0), &y.map(|y| y * GRAIN_SCALE[1] + 8192.0));
+        let light = self.shadow.lanes(&x, &y);
+        let bright = lanes(|i| brightness[i] * light[i] * (1.0 + GRAIN * grain[i]));
+        let clean = self.shades.lanes(&bright);
         let Some(dirt) = &self.dirt else { return clean };
-        let column = ((x + self.half[0]) * dirt.cells_per_metre[0]) as usize;
-        let row = ((y + self.half[1]) * dirt.cells_per_metre[1]) as usize;
-        match dirt.texture.cell(column, row) {
-            0 => clean,
-            amount => mix(clean, dirt.shades.at(bright), amount),
+        let cell = |value: f32, half: f32, per_metre: f32| ((value + half) * per_metre) as i32 as usize;
+        let column = lanes(|i| cell(x[i], self.half[0], dirt.cells_per_metre[0]));
+        let row = lanes(|i| cell(y[i], self.half[1], dirt.cells_per_metre[1]));
+        let amount = lanes(|i| dirt.texture.cell(column[i], row[i]));
+        if amount.iter().all(|amount| *amount == 0) {
+            return clean;
         }
+        let dirty = dirt.shades.lanes(&bright);
+        lanes(|i| if amount[i] == 0 { clean[i] } else { mix(clean[i], dirty[i], amount[i]) })
     }
 }
 
@@ -120,16 +124,16 @@ fn bump_patch(canvas: &mut Canvas, table: &Tabletop<'_>, bump: &Bump, surface: &
         let Some(run) = bounds.columns().pixels() else { continue };
         let local = local.run(&row, run.0);
         let hit = |k: f32| relief.meet(&local, k);
-        canvas.fill(
+        canvas.fill_lanes(
             row.v,
             run,
             |k| {
                 let (t, height) = hit(k);
-                (if height > 0.0 { 1.0 / t } else { 0.0 }, 0.0)
+                if height > 0.0 { 1.0 / t } else { 0.0 }
             },
-            |k, near, _| {
-                let (x, y) = (local.at(0, k, 1.0 / near), local.at(1, k, 1.0 / near));
-                surface.color(x, y, relief.brightness(x, y))
+            |k, near| {
+                let [x, y] = local.lanes([0, 1], k, near);
+                surface.colors([x, y], &lanes(|i| relief.brightness(x[i], y[i])))
             },
         );
     }
