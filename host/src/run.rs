@@ -392,19 +392,19 @@ impl Stage {
         console: &Arc<dyn Console>,
         began: Instant,
     ) -> Vec<JoinHandle<()>> {
-        let robot = &self.robot.equipment.robot;
+        let equipment = &self.robot.equipment;
         vec![
-            record_robot(robot, self.recorder.clone()),
+            record_robot(&equipment.robot, side_tasks::sensor_of(equipment), self.recorder.clone()),
             tokio::spawn(side_tasks::watch_gestures(
                 Arc::clone(self.memory.memory()),
                 self.robot.referee.clone(),
                 self.recorder.clone(),
             )),
-            tokio::spawn(side_tasks::log_joints(Arc::clone(robot), Arc::clone(joints))),
+            tokio::spawn(side_tasks::log_joints(equipment.clone(), Arc::clone(joints))),
             tokio::spawn(side_tasks::stop_on_signal(executor.controller())),
             tokio::spawn(side_tasks::show_progress(
                 Arc::clone(console),
-                Arc::clone(robot),
+                equipment.clone(),
                 Arc::clone(&logger.log),
                 began,
             )),

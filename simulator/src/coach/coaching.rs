@@ -31,7 +31,8 @@ const BINS: usize = 64;
 const MAX_CYCLES_FACTOR: f64 = 4.0;
 /// The tracker's step, s.
 const TRACK_DT: f64 = 0.005;
-/// Preferred direction of the forearm, in which it hides neither the path nor the robot's arm: far and left.
+/// Preferred direction of the forearm, in which it hides neither the path nor the robot's right arm: far and left. For the
+/// left arm it is mirrored.
 const FOREARM: Vector3<f64> = Vector3::new(-0.6, 0.8, 0.0);
 
 /// The coach's bare hand.
@@ -122,6 +123,7 @@ pub(super) struct Coaching {
     steps: Vec<CoachingStep>,
     ends: f64,
     camera: Point3<f64>,
+    forearm: Vector3<f64>,
     path: CoachPath,
     tracker: PhaseTracker,
     since_tracked: f64,
@@ -133,11 +135,12 @@ pub(super) struct Coaching {
 }
 
 impl Coaching {
-    pub(super) fn new(spec: &CoachSpec, path: CoachPath, camera: Point3<f64>) -> Self {
+    pub(super) fn new(spec: &CoachSpec, path: CoachPath, camera: Point3<f64>, side: f64) -> Self {
         Self {
             steps: spec.coaching.clone(),
             ends: spec.ends,
             camera,
+            forearm: FOREARM.component_mul(&Vector3::new(side, 1.0, 1.0)),
             tracker: PhaseTracker::new(path.clone()),
             path,
             since_tracked: 0.0,
@@ -317,7 +320,7 @@ impl Coaching {
         let view = (self.camera.coords - palm).try_normalize(1e-6).unwrap_or_else(Vector3::z);
         let fingers = match show.direction.map(Vector3::from).and_then(|d| d.try_normalize(1e-9)) {
             Some(direction) => direction,
-            None => across(&Vector3::from(show.offset), &view),
+            None => across(&Vector3::from(show.offset), &view, &self.forearm),
         };
         let beside = Isometry3::from_parts(Translation3::from(palm), facing(&fingers, &view));
         Translation3::from(Vector3::z() * lift(&beside, &self.seen)) * beside
@@ -337,12 +340,12 @@ impl Coaching {
 }
 
 /// The direction perpendicular to the offset and the view, so that neither fingers nor forearm reach over the path.
-fn across(offset: &Vector3<f64>, view: &Vector3<f64>) -> Vector3<f64> {
+fn across(offset: &Vector3<f64>, view: &Vector3<f64>, forearm: &Vector3<f64>) -> Vector3<f64> {
     let along = view
         .cross(offset)
         .try_normalize(1e-6)
         .unwrap_or_else(|| view.cross(&Vector3::x()).try_normalize(1e-6).unwrap_or_else(Vector3::y));
-    if along.dot(&FOREARM) > 0.0 { -along } else { along }
+    if along.dot(forearm) > 0.0 { -along } else { along }
 }
 
 /// A hand whose fingers point along `fingers` and whose palm is turned to `view` as far as that allows.
@@ -369,7 +372,7 @@ mod tests {
     /// Moves an ideal hand along the coach's own path. Returns the coach's state at each ms, and the events.
     fn wipe(spec: &CoachSpec, seconds: f64) -> (Vec<CoachState>, Vec<ActionEvent>) {
         let path = CoachPath::new(&Demonstration::default());
-        let mut coaching = Coaching::new(spec, path.clone(), Point3::new(0.0, 0.24, 1.65));
+        let mut coaching = Coaching::new(spec, path.clone(), Point3::new(0.0, 0.24, 1.65), 1.0);
         coaching.begin(0.0);
         let omega = TAU * path.frequency();
         let mut states = Vec::new();

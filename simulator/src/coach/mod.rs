@@ -58,14 +58,20 @@ pub struct Coach {
 }
 
 impl Coach {
-    /// The coach of a world. `camera` is the position of the robot's cameras, m, to which gestures are shown.
-    pub fn new(spec: &CoachSpec, table_height: f64, camera: Point3<f64>, rng: ChaCha8Rng) -> Self {
+    /// The coach of a world. `camera` is the position of the robot's cameras, m, to which gestures are shown; `side` is
+    /// that of the arm that works: 1 for the robot's right, -1 for its left.
+    pub fn new(
+        spec: &CoachSpec,
+        table_height: f64,
+        (camera, side): (Point3<f64>, f64),
+        rng: ChaCha8Rng,
+    ) -> Self {
         let path = CoachPath::new(&spec.demonstration.clone().unwrap_or_default());
         Self {
             demonstration: spec.demonstration.clone().filter(|d| d.periods > 0),
             table_height,
             performance: None,
-            coaching: Coaching::new(spec, path, camera),
+            coaching: Coaching::new(spec, path, camera, side),
             rng,
             state: CoachState::default(),
         }

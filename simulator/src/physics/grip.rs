@@ -6,7 +6,6 @@
 //! `Fc` is [`PAD_FRICTION`] times the sum of both pads' normal forces and `r = ` [`CONTACT_RADIUS`]. With 40 N per
 //! pad, this is 72 N and 2.2 N m. So an object can be missed, dropped and knocked out of the hand. This file
 //! decides; [`Plant`](super::plant::Plant) makes and breaks the joint.
-//! dropped and knocked out of the hand. This file decides; [`Plant`](super::plant::Plant) makes and breaks the joint.
 
 use nalgebra::Vector3;
 
