@@ -40,7 +40,7 @@ impl Names {
         let (mut all, mut known) = (Self::default(), BTreeSet::new());
         for world in std::iter::once(&World::default()).chain(worlds) {
             known.extend(classes(world));
-            for robot in world.model() {
+            if let Ok(robot) = world.model() {
                 all.postures.extend(postures(&robot));
                 all.arms.extend(arms(&robot));
             }

@@ -5,23 +5,28 @@ use armarium_robot::Model;
 
 use super::{AgentSpec, CoachingAction, World};
 
+/// The end of a mirrored world's name.
+const MIRRORED: &str = "_mirrored";
+
 impl World {
-    /// This world for another arm: mirrored if that is on the other side of the robot. An arm that the robot does not have
-    /// changes nothing.
+    /// This world for another arm: mirrored, with another name, if that is on the other side of the robot. An arm that the
+    /// robot does not have changes nothing.
     #[must_use]
     pub fn for_arm(mut self, model: &Model, arm: &str) -> Self {
-        let now = self.robot.arm(model).map(|limb| model.side_of(limb));
+        let side = |limb| model.side_of(limb);
+        let Some(then) = model.arms().find(|limb| limb.name == arm).map(side) else { return self };
+        let now = self.robot.arm(model).map(side);
         self.robot.arm = Some(arm.to_owned());
-        let then = self.robot.arm(model).map(|limb| model.side_of(limb));
-        match (now, then) {
-            (Some(now), Some(then)) if now != then => self.mirrored(),
-            _ => self,
-        }
+        if now.is_some_and(|now| now != then) { self.mirrored() } else { self }
     }
 
     /// Everything mirrored but the robot itself.
     fn mirrored(mut self) -> Self {
         let flip = |x: &mut f64| *x = if *x == 0.0 { 0.0 } else { -*x };
+        self.name = match self.name.strip_suffix(MIRRORED) {
+            Some(name) => name.to_owned(),
+            None => self.name + MIRRORED,
+        };
         let table = &mut self.table;
         flip(&mut table.center[0]);
         flip(&mut table.tilt_deg[1]);

@@ -127,7 +127,7 @@ fn the_world_of_the_other_arm_is_the_mirror_of_this_one() {
     let model = world.model().unwrap();
     let arm = |side: f64| model.arms().find(|arm| model.side_of(arm) == side).unwrap().name.clone();
     let left = world.clone().for_arm(&model, &arm(-1.0));
-    assert_eq!(left.table.center, [-0.25, 0.60]);
+    assert_eq!((left.name.as_str(), left.table.center), ("kitchen_mirrored", [-0.25, 0.60]));
     assert_eq!((left.table.tilt_deg, left.table.bumps[0].at), ([1.0, 1.5], [-0.28, 0.55]));
     assert_eq!((left.objects[0].at, left.objects[0].yaw_deg), ([-0.35, 0.50], -20.0));
     let (shown, usual) =
