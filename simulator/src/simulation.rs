@@ -274,8 +274,8 @@ impl Simulation {
 
     /// Computes the external forces: the coach's and those of accidents.
     fn apply_external_forces(&mut self, t: f64) {
-        let arm = self.seen_arm();
-        let state = *self.coach.step(t, &arm, 1e-3);
+        let Self { coach, kinematics, plant, arm, .. } = self;
+        let state = *coach.step(t, || seen_arm(kinematics, plant, *arm), 1e-3);
         if state.hand.is_some() {
             self.hand_gone_at = t;
         }
@@ -298,14 +298,6 @@ impl Simulation {
                 self.external.objects[i] += force;
             }
         }
-    }
-
-    fn seen_arm(&mut self) -> SeenArm {
-        self.kinematics.update(self.plant.position());
-        let tcp = Point3::from(self.plant.tcp().translation.vector);
-        let at = |link: LinkId| Point3::from(self.kinematics.pose(link).translation.vector);
-        let [wrist, elbow] = self.arm.map(at);
-        SeenArm { tcp, velocity: self.plant.tcp_velocity(), wrist, elbow }
     }
 
     /// Collects the true state and passes it to the truth sinks.
@@ -404,6 +396,15 @@ impl Drop for Simulation {
         self.eyes.source().close();
         self.agents.iter().for_each(|agent| agent.source().close());
     }
+}
+
+/// The arm that works as it truly is, with the links where it bends.
+fn seen_arm(kinematics: &mut Kinematics, plant: &Plant, bends: [LinkId; 2]) -> SeenArm {
+    kinematics.update(plant.position());
+    let at = |link: LinkId| Point3::from(kinematics.pose(link).translation.vector);
+    let [wrist, elbow] = bends.map(at);
+    let tcp = Point3::from(plant.tcp().translation.vector);
+    SeenArm { tcp, velocity: plant.tcp_velocity(), wrist, elbow }
 }
 
 fn copy(into: &mut Vec<f64>, from: &[f64]) {

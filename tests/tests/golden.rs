@@ -55,7 +55,8 @@ fn registry() -> Registry {
         .limb_by_input("arm", "", "right_arm")
         .limb_by_input("arm", "right_arm", "right_arm")
         .limb_by_input("arm", "left_arm", "left_arm");
-    let skills = [act, arm, needs, reach, says, stand].into_iter().map(|m| Arc::new(Declared(m)) as Arc<dyn Skill>);
+    let skills =
+        [act, arm, needs, reach, says, stand].into_iter().map(|m| Arc::new(Declared(m)) as Arc<dyn Skill>);
     let mut registry = skills.collect::<Registry>().with_names(Arc::new(Known));
     // The offers of the agent bob, and a query that it refused.
     let dance = SkillManifest::new("bob/Dance", "Dances.").input("steps", Type::Int, "How many.");

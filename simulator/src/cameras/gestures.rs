@@ -116,7 +116,7 @@ fn watch(world: &World, seed: u64) -> Score {
         before = tcp;
         let tcp_at = Point3::from(tcp.translation.vector);
         let arm = SeenArm { tcp: tcp_at, velocity, wrist: tcp_at, elbow: tcp_at };
-        let state = *coach.step(t, &arm, STEP_S);
+        let state = *coach.step(t, || arm, STEP_S);
         if state.hand.is_some() {
             hand_gone_at = t;
         }

@@ -169,7 +169,7 @@ impl Coaching {
         idle && (self.next >= self.steps.len() || self.since.is_some_and(|s| t > s + self.ends))
     }
 
-    pub(super) fn step(&mut self, t: f64, arm: &SeenArm, dt: f64, state: &mut CoachState) {
+    pub(super) fn step(&mut self, t: f64, arm: impl FnOnce() -> SeenArm, dt: f64, state: &mut CoachState) {
         *state = CoachState::default();
         let Some(since) = self.since else { return };
         self.track(arm, dt);
@@ -188,17 +188,18 @@ impl Coaching {
         }
     }
 
-    fn track(&mut self, arm: &SeenArm, dt: f64) {
-        let (tcp, velocity) = (arm.tcp, arm.velocity);
+    fn track(&mut self, arm: impl FnOnce() -> SeenArm, dt: f64) {
         self.since_tracked += dt;
         if self.since_tracked + 1e-9 < TRACK_DT {
             return;
         }
+        let arm = arm();
+        let SeenArm { tcp, velocity, .. } = arm;
         self.tracker.update([tcp.x, tcp.y], [velocity.x, velocity.y], self.since_tracked);
         self.since_tracked = 0.0;
         if let Some(phase) = self.tracker.phase() {
             let bin = ((phase * BINS as f64) as usize).min(BINS - 1);
-            self.seen[bin] = Some(*arm);
+            self.seen[bin] = Some(arm);
         }
     }
 
@@ -383,7 +384,7 @@ mod tests {
             let velocity = Vector3::new(d[0], d[1], 0.0) * omega;
             let tcp = Point3::new(p[0], p[1], 1.05);
             let arm = SeenArm { tcp, velocity, wrist: tcp, elbow: tcp };
-            coaching.step(t, &arm, DT, &mut state);
+            coaching.step(t, || arm, DT, &mut state);
             states.push(state);
         }
         (states, coaching.take_events())

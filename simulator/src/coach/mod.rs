@@ -97,8 +97,8 @@ impl Coach {
         self.coaching.since()
     }
 
-    /// Acts for one step that ends at `t` s.
-    pub fn step(&mut self, t: f64, arm: &SeenArm, dt: f64) -> &CoachState {
+    /// Acts for one step that ends at `t` s. `arm` is asked when the coach looks at the arm.
+    pub fn step(&mut self, t: f64, arm: impl FnOnce() -> SeenArm, dt: f64) -> &CoachState {
         let shown = self.performance.as_ref().and_then(|(from, p)| p.at(t - from));
         self.coaching.step(t, arm, dt, &mut self.state);
         self.state.tool = shown.map(|s| s.root_from_tool);

@@ -136,9 +136,9 @@ impl Hand {
         self.grip.step(&presses, load, DT);
     }
 
-    /// Lets time pass for a hand that touches and holds nothing.
+    /// Lets time pass for a hand that touches and holds nothing, or that sleeps with what it holds.
     pub(super) fn rest_grip(&mut self) {
-        self.grip.step(&[], None, DT);
+        self.grip.rest(DT);
     }
 
     /// Takes the present motion for that of the step before.

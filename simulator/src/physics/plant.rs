@@ -5,8 +5,8 @@
 //!   its force is limited by the joint's effort. The servo compensates the robot's own weight by its nominal model.
 //!   As that model is exact, the two cancel and gravity is left out for these bodies (loads and contacts act in
 //!   full).
-//! - An arm that stands, with no new set point and touched by nothing, sleeps: its joints are stiff until it is commanded
-//!   or touched, and cost nothing (see [`Rest`]).
+//! - An arm that stands, with no new set point and touched by nothing, sleeps with what it holds: its joints are stiff until
+//!   it is commanded or touched, and cost nothing (see [`Rest`]).
 //! - Joints of other limbs, such as the head's, have servos of their own that move the inertia beyond them; their motion
 //!   does not shake the rest.
 //! - Objects are free boxes on an [`ElasticFoundation`] of springs. Rapier handles their contacts with the fingers,
@@ -77,7 +77,8 @@ struct Arm {
 /// Whether an arm sleeps.
 ///
 /// It falls asleep when for [`SLEEPS_AFTER`] steps its set points have not changed, its joints have stood, and nothing has
-/// touched or pushed it. It wakes in the step in which one of these ends. Asleep, its joints are stiff where they are.
+/// touched or pushed it or what it holds. It wakes in the step in which one of these ends. Asleep, its joints are stiff where
+/// they are, and it keeps its grip.
 #[derive(Debug)]
 struct Rest {
     asleep: bool,
@@ -179,7 +180,8 @@ impl Plant {
         };
         plant.find_colliders();
         plant.weigh();
-        plant.feel(&External::default());
+        let momenta = plant.momenta();
+        plant.feel(&External::default(), &momenta);
         Ok(plant)
     }
 
@@ -258,8 +260,9 @@ impl Plant {
         self.apply(external);
         self.physics.step();
         self.joints.read(&self.physics, (position, velocity));
-        self.update_grips(external);
-        self.feel(external);
+        let momenta = self.momenta();
+        self.update_grips(external, &momenta);
+        self.feel(external, &momenta);
     }
 
     /// Wakes arms that are commanded or touched, and lets those sleep that have rested for long enough.
@@ -269,7 +272,9 @@ impl Plant {
             let asked = arm.rest.asks_for_motion(&arm.joints, targets);
             let pushed = i == self.working && external.hand != Vector3::zeros();
             let moves = arm.joints.iter().any(|&joint| self.joints.velocity[joint].abs() > RESTING);
-            let busy = asked || pushed || moves || arm.touched || arm.hand.grip.held().is_some();
+            let knocked = arm.hand.grip.held().and_then(|held| external.objects.get(held));
+            let pushed = pushed || knocked.is_some_and(|knock| *knock != Vector3::zeros());
+            let busy = asked || pushed || moves || arm.touched;
             arm.rest.steps = if busy { 0 } else { arm.rest.steps.saturating_add(1) };
             let asleep = if arm.rest.asleep { !busy } else { arm.rest.steps >= SLEEPS_AFTER };
             changed |= asleep != arm.rest.asleep;
@@ -339,15 +344,14 @@ impl Plant {
     }
 
     /// Makes or breaks the joints between palms and objects.
-    fn update_grips(&mut self, external: &External) {
+    fn update_grips(&mut self, external: &External, momenta: &[Momentum]) {
         let touched = self.touched();
         let held: Vec<Option<usize>> = self.arms.iter().map(|arm| arm.hand.grip.held()).collect();
-        let momenta = self.momenta();
         for i in 0..self.arms.len() {
             self.arms[i].touched = touched[i];
-            let hand = &mut self.arms[i].hand;
+            let Arm { hand, rest, .. } = &mut self.arms[i];
             let before = held[i];
-            if !touched[i] && before.is_none() {
+            if rest.asleep || (!touched[i] && before.is_none()) {
                 hand.rest_grip();
                 continue;
             }
@@ -358,7 +362,7 @@ impl Plant {
                 let knock = external.objects.get(held).copied().unwrap_or_default();
                 Outside { force: reaction.force + knock, torque: reaction.torque }
             });
-            hand.step_grip(&self.physics, &self.objects, &momenta, outside, &others);
+            hand.step_grip(&self.physics, &self.objects, momenta, outside, &others);
             let after = hand.grip.held();
             if before == after {
                 continue;
@@ -406,8 +410,7 @@ impl Plant {
     }
 
     /// Updates what the wrench sensors feel.
-    fn feel(&mut self, external: &External) {
-        let momenta = self.momenta();
+    fn feel(&mut self, external: &External, momenta: &[Momentum]) {
         let mut outside = self.contacts_from_outside();
         for (i, (arm, outside)) in self.arms.iter().zip(&mut outside).enumerate() {
             if i == self.working {
@@ -424,16 +427,20 @@ impl Plant {
             }
         }
         for (arm, outside) in self.arms.iter_mut().zip(&outside) {
-            arm.hand.feel(&self.physics.bodies, &momenta, outside);
+            arm.hand.feel(&self.physics.bodies, momenta, outside);
         }
     }
 
-    /// For each arm, whether something touches it.
+    /// For each arm, whether something touches it or what it holds.
     fn touched(&self) -> Vec<bool> {
-        let mut touched = vec![false; self.arms.len()];
+        let held = |arm: &Arm| arm.hand.grip.held().map(|held| &self.objects[held]);
+        let rubs = |arm: &Arm| held(arm).is_some_and(|object| object.reaction.normal > 0.0);
+        let mut touched: Vec<bool> = self.arms.iter().map(rubs).collect();
         for pair in self.physics.narrow_phase.contact_pairs().filter(|pair| pair.has_any_active_contact()) {
             for (arm, touched) in self.arms.iter().zip(&mut touched) {
-                *touched |= [pair.collider1, pair.collider2].iter().any(|it| arm.colliders.contains(it));
+                let holds = held(arm).map(|object| object.collider);
+                let own = |it: ColliderHandle| arm.colliders.contains(&it) || holds == Some(it);
+                *touched |= own(pair.collider1) != own(pair.collider2);
             }
         }
         touched
