@@ -94,6 +94,7 @@ fn as_json(Listed { manifest, chart }: &Listed<'_>) -> Json {
         "reads": manifest.reads,
         "publishes": manifest.publishes,
         "limbs": manifest.limbs,
+        "limbs_by_input": manifest.limbs_by_input,
     });
     if let Some(chart) = chart {
         json["file"] = json!(chart.source.path);
@@ -117,13 +118,14 @@ fn describe(Listed { manifest, chart }: &Listed<'_>, out: &mut dyn Write) -> io:
         chart.iter().flat_map(|chart| chart.events()).map(|(event, _)| event.to_owned()).collect();
     let outcomes =
         ["success", "failure"].map(str::to_owned).into_iter().chain(manifest.outcomes.iter().cloned());
+    let commands = manifest.commands();
     let lists = [
         ("outcomes", &outcomes.collect()),
         ("events", &manifest.events),
         ("takes the events", &taken),
         ("reads", &manifest.reads),
         ("publishes", &manifest.publishes),
-        ("commands", &manifest.limbs),
+        ("commands", &commands),
     ];
     for (title, names) in lists.into_iter().filter(|(_, names)| !names.is_empty()) {
         writeln!(out, "    {title}: {}", names.join(", "))?;

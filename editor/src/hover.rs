@@ -182,8 +182,9 @@ pub(crate) fn skill(manifest: &SkillManifest) -> String {
     let mut text = format!("skill **{}**\n\n{}", manifest.name, manifest.description);
     text += &list("takes", &manifest.inputs);
     text += &list("gives", &manifest.outputs);
+    let commands = manifest.commands();
     for (title, names) in
-        [("outcomes", &manifest.outcomes), ("events", &manifest.events), ("commands", &manifest.limbs)]
+        [("outcomes", &manifest.outcomes), ("events", &manifest.events), ("commands", &commands)]
     {
         if !names.is_empty() {
             text += &format!("\n\n{title}: {}", names.join(", "));

@@ -59,9 +59,10 @@ impl Backend {
             agent: config.name.clone(),
             seed: config.seed,
             motions: RunningMotions::default(),
+            works: None,
         };
         let registry = catalog::registry(&equipment, &config.skills);
-        let still = registry.manifests().filter(|manifest| manifest.limbs.is_empty());
+        let still = registry.manifests().filter(|manifest| !manifest.moves());
         let still: Vec<String> = still.map(|manifest| manifest.name.clone()).collect();
         Self {
             registry: still.iter().filter_map(|name| registry.get(name).cloned()).collect(),

@@ -59,6 +59,7 @@ fn registry_in(world: &World) -> Result<Registry, HostError> {
         agent: "local".into(),
         seed: 0,
         motions: RunningMotions::default(),
+        works: None,
     };
     Ok(registry(&equipment, &[]))
 }

@@ -1,4 +1,4 @@
-//! The names that exist before a run: the robot's postures, and the classes of objects that prior knowledge has.
+//! The names that exist before a run: the robot's postures and arms, and the classes of objects that prior knowledge has.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -12,39 +12,44 @@ use armarium_source::{Disk, Files as _, outermost};
 use crate::simulated::prior_knowledge;
 
 /// The names of a run, of a chart that is only checked, or of an agent.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Names {
     postures: BTreeSet<String>,
+    arms: BTreeSet<String>,
     classes: Classes,
 }
 
 /// Where object classes come from.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 enum Classes {
     /// A run: prior knowledge of its world.
     Run(BTreeSet<String>),
     /// A chart that is only checked: it may run in the default world, in these, and in those beside its file.
     Check(BTreeSet<String>),
     /// An agent: others may tell it of classes while it runs.
+    #[default]
     Agent,
 }
 
 impl Names {
     pub(crate) fn of_run(world: &World, robot: &Model) -> Self {
-        Self { postures: postures(robot), classes: Classes::Run(classes(world)) }
+        Self { postures: postures(robot), arms: arms(robot), classes: Classes::Run(classes(world)) }
     }
 
     pub(crate) fn of_check(worlds: &[World]) -> Self {
-        let (mut postures_of_all, mut known) = (BTreeSet::new(), BTreeSet::new());
+        let (mut all, mut known) = (Self::default(), BTreeSet::new());
         for world in std::iter::once(&World::default()).chain(worlds) {
             known.extend(classes(world));
-            postures_of_all.extend(world.model().iter().flat_map(|robot| postures(robot)));
+            if let Ok(robot) = world.model() {
+                all.postures.extend(postures(&robot));
+                all.arms.extend(arms(&robot));
+            }
         }
-        Self { postures: postures_of_all, classes: Classes::Check(known) }
+        Self { classes: Classes::Check(known), ..all }
     }
 
     pub(crate) fn of_agent(robot: &Model) -> Self {
-        Self { postures: postures(robot), classes: Classes::Agent }
+        Self { postures: postures(robot), arms: arms(robot), classes: Classes::Agent }
     }
 }
 
@@ -52,6 +57,7 @@ impl KnownNames for Names {
     fn names(&self, kind: NameKind, chart: &Path) -> Option<BTreeSet<String>> {
         match (kind, &self.classes) {
             (NameKind::Posture, _) => Some(self.postures.clone()),
+            (NameKind::Arm, _) => Some(self.arms.clone()),
             (NameKind::ObjectClass, Classes::Run(known)) => Some(known.clone()),
             (NameKind::ObjectClass, Classes::Check(known)) => {
                 let mut known = known.clone();
@@ -61,6 +67,10 @@ impl KnownNames for Names {
             _ => None,
         }
     }
+}
+
+fn arms(robot: &Model) -> BTreeSet<String> {
+    robot.arms().map(|arm| arm.name.clone()).collect()
 }
 
 fn postures(robot: &Model) -> BTreeSet<String> {

@@ -159,22 +159,31 @@ fn omit_nulls(value: &mut serde_json::Value) {
     }
 }
 
-/// Writes what the robot senses into the recording, until the robot stops.
-pub(crate) fn record_robot(robot: &Arc<dyn Robot>, recorder: SharedRecorder) -> JoinHandle<()> {
+/// Writes what the robot senses into the recording, until the robot stops: its joints, and the wrench sensor of the arm that
+/// works.
+pub(crate) fn record_robot(
+    robot: &Arc<dyn Robot>,
+    sensor: Option<usize>,
+    recorder: SharedRecorder,
+) -> JoinHandle<()> {
     let names = joint_names(robot.model());
     let mut sensed = robot.sensed();
     tokio::spawn(async move {
         while sensed.changed().await.is_ok() {
             let sample = Arc::clone(&sensed.borrow_and_update());
-            let wrench = WrenchSample {
-                force_raw: sample.force_raw.into(),
-                torque_raw: sample.torque_raw.into(),
-                force: sample.wrist.force.into(),
-                torque: sample.wrist.torque.into(),
-            };
+            let felt = sensor.and_then(|sensor| sample.wrenches.get(sensor));
+            let wrench = felt.map(|felt| WrenchSample {
+                force_raw: felt.raw.force.into(),
+                torque_raw: felt.raw.torque.into(),
+                force: felt.external.force.into(),
+                torque: felt.external.torque.into(),
+            });
             recorder.write(|recorder| {
                 recorder.joints(sample.stamp_ns, &names, &sample.position, &sample.velocity);
-                recorder.wrench(sample.stamp_ns, &wrench)
+                match &wrench {
+                    Some(wrench) => recorder.wrench(sample.stamp_ns, wrench),
+                    None => Ok(()),
+                }
             });
         }
     })

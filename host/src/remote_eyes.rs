@@ -109,7 +109,7 @@ impl RemoteEyes {
 
     /// Passes images on, and publishes a sensor sample with each, until the images end.
     pub(crate) async fn live(mut self) {
-        let sample = Sample::resting(self.robot.model().start().to_vec());
+        let sample = Sample::resting(self.robot.model(), self.robot.model().start().to_vec());
         while let Ok(frame) = self.view.next().await {
             let stamp_ns = frame.stamp_ns;
             self.newest.send_replace(Some(frame));

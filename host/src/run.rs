@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use armarium_bus::SessionConfig;
 use armarium_memoryx::AgentMemory;
 use armarium_runtime::channels::Channels;
-use armarium_runtime::chart::Registry;
+use armarium_runtime::chart::{self, Registry};
 use armarium_runtime::exec::{ExecOptions, Executor, RunResult, TraceSink};
 use armarium_runtime::program::Program;
 use armarium_runtime::skill::Limits;
@@ -115,6 +115,17 @@ impl RunConfig {
         }
     }
 
+    /// The arm that the chart's input `arm` names; empty if none.
+    fn arm(&self) -> String {
+        const ARM: &str = "arm";
+        if let Some((_, arm)) = self.inputs.iter().find(|(name, _)| name == ARM) {
+            return arm.clone();
+        }
+        let library = chart::load(&self.chart, &self.charts);
+        let root = library.charts.get(&library.root);
+        root.and_then(|chart| chart.usual_text(ARM, self.profile.as_deref())).unwrap_or_default()
+    }
+
     /// How other agents are reached, if at all.
     fn session(&self, world: &World, named: bool) -> Option<SessionConfig> {
         let sees_or_shows_images = self.cameras.is_some() || !world.agents.is_empty();
@@ -195,6 +206,7 @@ pub fn run(config: &RunConfig, console: &Arc<dyn Console>) -> Result<RunEnded, H
         world.world.robot.arm = None;
         world.world.robot.load().map_err(HostError::Findings)?;
     }
+    let mut world = world.for_arm(&config.arm())?;
     let name = world.called(config.name.as_deref());
     let network = match config.session(&world.world, name.is_some()) {
         Some(session) => Network::open(&session, name.as_deref(), &**console)?,
@@ -219,7 +231,8 @@ async fn perform(
     let config = &RunConfig { report: folder.path.clone(), ..config.clone() };
     match &world.file {
         Some(file) => console.note(&format!("the world is {}", file.display())),
-        None => console.note("the world is the default kitchen"),
+        None if world.world.name == World::default().name => console.note("the world is the default kitchen"),
+        None => console.note("the world is the default kitchen, mirrored for the other arm"),
     }
     let handle = stage.robot.handle.clone();
     console.world_begins(Arc::new(move || handle.now_ns()));
@@ -392,19 +405,19 @@ impl Stage {
         console: &Arc<dyn Console>,
         began: Instant,
     ) -> Vec<JoinHandle<()>> {
-        let robot = &self.robot.equipment.robot;
+        let equipment = &self.robot.equipment;
         vec![
-            record_robot(robot, self.recorder.clone()),
+            record_robot(&equipment.robot, side_tasks::sensor_of(equipment), self.recorder.clone()),
             tokio::spawn(side_tasks::watch_gestures(
                 Arc::clone(self.memory.memory()),
                 self.robot.referee.clone(),
                 self.recorder.clone(),
             )),
-            tokio::spawn(side_tasks::log_joints(Arc::clone(robot), Arc::clone(joints))),
+            tokio::spawn(side_tasks::log_joints(equipment.clone(), Arc::clone(joints))),
             tokio::spawn(side_tasks::stop_on_signal(executor.controller())),
             tokio::spawn(side_tasks::show_progress(
                 Arc::clone(console),
-                Arc::clone(robot),
+                equipment.clone(),
                 Arc::clone(&logger.log),
                 began,
             )),

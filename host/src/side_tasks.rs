@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use armarium_memoryx::Memory;
 use armarium_runtime::exec::Controller;
+use armarium_states::Equipment;
 use armarium_values::Value;
 use armarium_viewer::progress::Status;
 use parking_lot::Mutex;
@@ -39,11 +40,11 @@ pub(crate) async fn watch_gestures(
     }
 }
 
-/// Records the joint angles with which the first arm reaches for the report, 20 times a second.
-pub(crate) async fn log_joints(robot: Arc<dyn armarium_robot::Robot>, log: Arc<Mutex<JointLog>>) {
-    let model = robot.model();
-    let chosen = model.arms().next().map_or_else(Vec::new, |arm| model.reaching_joints(&arm.name));
-    let mut sensed = robot.sensed();
+/// Records the joint angles with which the arm that works reaches for the report, 20 times a second.
+pub(crate) async fn log_joints(equipment: Equipment, log: Arc<Mutex<JointLog>>) {
+    let model = equipment.robot.model();
+    let chosen = equipment.works.as_deref().map_or_else(Vec::new, |arm| model.reaching_joints(arm));
+    let mut sensed = equipment.robot.sensed();
     // There is no sensor value before the first sample.
     let begun = sensed.changed().await;
     let mut tick = tokio::time::interval(Duration::from_millis(50));
@@ -56,10 +57,12 @@ pub(crate) async fn log_joints(robot: Arc<dyn armarium_robot::Robot>, log: Arc<M
 
 pub(crate) async fn show_progress(
     console: Arc<dyn Console>,
-    robot: Arc<dyn armarium_robot::Robot>,
+    equipment: Equipment,
     log: Arc<Mutex<RunLog>>,
     began: Instant,
 ) {
+    let robot = &equipment.robot;
+    let sensor = sensor_of(&equipment);
     let mut tick = tokio::time::interval(Duration::from_millis(100));
     loop {
         tick.tick().await;
@@ -68,9 +71,16 @@ pub(crate) async fn show_progress(
             simulated_s: sample.stamp_ns as f64 * 1e-9,
             wall_s: began.elapsed().as_secs_f64(),
             states: log.lock().status.lines(),
-            force_n: Some(sample.wrist.force.norm()),
+            force_n: sensor
+                .and_then(|sensor| sample.wrenches.get(sensor))
+                .map(|felt| felt.external.force.norm()),
         });
     }
+}
+
+/// The wrench sensor of the arm that works, as an index into the model's.
+pub(crate) fn sensor_of(equipment: &Equipment) -> Option<usize> {
+    equipment.robot.model().find_limb(equipment.works.as_deref()?)?.wrench
 }
 
 /// Ctrl-C stops the robot first: all skills are cancelled and have returned before the report is written.

@@ -54,6 +54,7 @@ impl SimulatedRobot {
             agent: world.robot.name.clone(),
             seed,
             motions: RunningMotions::default(),
+            works: world.robot.arm(simulation.robot().model()).map(|arm| arm.name.clone()),
         };
         Ok((Self { referee: simulation.referee(), handle: simulation.handle(), equipment }, simulation))
     }

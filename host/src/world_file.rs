@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use armarium_simulator::World;
+use armarium_simulator::{SimulationError, World};
 use armarium_source::Finding;
 
 /// A world and its file.
@@ -23,6 +23,26 @@ impl WorldFile {
         let beside = Some(chart.with_extension("world.yaml")).filter(|file| file.is_file());
         let file = given.map(Path::to_owned).or(beside);
         let world = file.as_deref().map_or_else(|| Ok(World::default()), World::load)?;
+        Ok(Self { world, file })
+    }
+
+    /// The world in which an arm works. The default kitchen is laid out for the robot's first arm, and is mirrored for one on
+    /// the other side; a file stays as it is, and its own arm goes before.
+    ///
+    /// # Errors
+    /// [`SimulationError::Robot`] when its robot cannot be read.
+    pub fn for_arm(self, arm: &str) -> Result<Self, SimulationError> {
+        let Self { mut world, file } = self;
+        if arm.is_empty() {
+            return Ok(Self { world, file });
+        }
+        if file.is_none() {
+            let model = world.model()?;
+            world = world.for_arm(&model, arm);
+        } else if world.robot.arm.is_none() {
+            let model = world.model()?;
+            world.robot.arm = model.arms().find(|limb| limb.name == arm).map(|limb| limb.name.clone());
+        }
         Ok(Self { world, file })
     }
 
@@ -56,6 +76,34 @@ mod tests {
         std::fs::write(&given, "world: street\n").unwrap();
         assert_eq!(WorldFile::of(&chart, Some(&given)).unwrap().world.name, "street");
         assert!(WorldFile::of(&chart, Some(&folder.path().join("none.yaml"))).is_err());
+    }
+
+    #[test]
+    fn the_kitchen_is_mirrored_for_an_arm_of_the_other_side_and_a_file_is_not() {
+        let kitchen = || WorldFile { world: World::default(), file: None };
+        let model = kitchen().world.model().unwrap();
+        let arm = |side: f64| model.arms().find(|arm| model.side_of(arm) == side).unwrap().name.clone();
+        let of = |scene: WorldFile, arm: &str| scene.for_arm(arm).unwrap().world;
+        let (first, other) = (arm(1.0), arm(-1.0));
+        let table = |world: &World| world.table.center[0];
+        assert_eq!(of(kitchen(), ""), World::default());
+        assert_eq!(of(kitchen(), "nose"), World::default());
+        assert_eq!(table(&of(kitchen(), &first)), table(&World::default()));
+        let mirrored = of(kitchen(), &other);
+        assert_eq!(table(&mirrored), -table(&World::default()));
+        assert_eq!(
+            (mirrored.robot.arm.as_deref(), mirrored.name.as_str()),
+            (Some(&*other), "kitchen_mirrored")
+        );
+        let file = || WorldFile { file: Some(PathBuf::from("w.yaml")), ..kitchen() };
+        let laid_out = of(file(), &other);
+        assert_eq!(
+            (laid_out.robot.arm.as_deref(), table(&laid_out)),
+            (Some(&*other), table(&World::default()))
+        );
+        let mut own = file();
+        own.world.robot.arm = Some(first.clone());
+        assert_eq!(of(own, &other).robot.arm, Some(first));
     }
 
     #[test]

@@ -18,7 +18,7 @@ fn step(bencher: Bencher, amplitude: f64) {
     let limbs = ["left_arm", "right_arm", "torso"];
     let leases: Vec<Lease> =
         limbs.iter().map(|limb| robot.lease(limb, "bench", LeaseLimits::default()).unwrap()).collect();
-    let mut sample = Sample::resting(model.zero());
+    let mut sample = Sample::resting(&model, model.zero());
     let mut now_ms = 0_u64;
     bencher.bench_local(|| {
         now_ms += 1;
@@ -28,7 +28,9 @@ fn step(bencher: Bencher, amplitude: f64) {
             let _ = lease.command(&speeds);
         }
         // Never the same wrench twice: a frozen sensor is a fault.
-        sample.force_raw.x = 1e-3 * speed + 1e-9 * now_ms as f64;
+        for wrench in &mut sample.wrenches {
+            wrench.force.x = 1e-3 * speed + 1e-9 * now_ms as f64;
+        }
         let targets = guard.step(now_ms * 1_000_000, &sample);
         sample.position.copy_from_slice(&targets.position);
         sample.velocity.copy_from_slice(&targets.velocity);

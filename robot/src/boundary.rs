@@ -1,7 +1,7 @@
 //! The data between skills and a robot: samples of the sensors, limits of a lease, and why a command is refused.
 //! The trait is [`Robot`](crate::Robot).
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 
 /// A sample of all the robot's sensors. Joint arrays are in the order of the model's joints.
 #[derive(Clone, Debug, PartialEq)]
@@ -12,27 +12,72 @@ pub struct Sensed {
     pub position: Vec<f64>,
     /// Joint velocities, rad/s (m/s for prismatic joints).
     pub velocity: Vec<f64>,
-    /// Force that the hand exerts on the wrist sensor, raw, in the sensor's frame, N.
-    pub force_raw: Vector3<f64>,
-    /// Torque about the sensor's origin, raw, in the sensor's frame, N m.
-    pub torque_raw: Vector3<f64>,
-    /// The wrist's force and torque, compensated.
-    pub wrist: Wrist,
+    /// What the wrench sensors feel, in the order of the model's.
+    pub wrenches: Vec<SensedWrench>,
 }
 
-/// The wrist's force and torque, compensated for bias, weight and inertia of hand and load.
+/// A force and a torque.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Wrist {
-    /// Force of the environment on the hand, in the root frame, N.
+pub struct Wrench {
+    /// Force, N.
     pub force: Vector3<f64>,
-    /// Torque of the environment on the hand about the TCP, in the root frame, N m.
+    /// Torque, N m.
     pub torque: Vector3<f64>,
+}
+
+impl Wrench {
+    pub(crate) fn map(self, mut f: impl FnMut(Vector3<f64>) -> Vector3<f64>) -> Self {
+        Self { force: f(self.force), torque: f(self.torque) }
+    }
+
+    pub(crate) fn minus(self, other: Self) -> Self {
+        Self { force: self.force - other.force, torque: self.torque - other.torque }
+    }
+
+    pub(crate) fn toward(&mut self, goal: Self, share: f64) {
+        self.force += share * (goal.force - self.force);
+        self.torque += share * (goal.torque - self.torque);
+    }
+
+    pub(crate) fn is_finite(&self) -> bool {
+        self.force.iter().chain(&self.torque).all(|v| v.is_finite())
+    }
+}
+
+/// A sample of one wrench sensor.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SensedWrench {
+    /// What the hand exerts on the sensor, as the sensor gives it: sensor's frame, about the sensor's origin.
+    pub raw: Wrench,
+    /// What the environment exerts on the hand: compensated for bias, weight and inertia of hand and load; root
+    /// frame, about the TCP.
+    pub external: Wrench,
+}
+
+/// What a hand holds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Load {
+    /// What it is. Hands whose loads have the same name hold one thing together: where one arm stops or gives way to
+    /// a force, the other does, too.
+    pub name: String,
+    /// The mass that the hand bears, kg.
+    pub mass_kg: f64,
+    /// Its centre, in the frame of the hand's TCP, m.
+    pub center_in_tcp: Point3<f64>,
+}
+
+impl Load {
+    /// Whether the mass is not negative and everything is finite.
+    pub(crate) fn is_physical(&self) -> bool {
+        self.mass_kg.is_finite() && self.mass_kg >= 0.0 && self.center_in_tcp.iter().all(|c| c.is_finite())
+    }
 }
 
 /// Limits that a lease requests; the robot's own limits apply as well.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LeaseLimits {
-    /// Largest compensated wrist force, N. Above it, the arm yields and the lease gets a fault.
+    /// Largest compensated force at every wrench sensor that the limb moves, N. Above it, the sensor's arm yields and
+    /// the lease gets a fault.
     pub force_n: Option<f64>,
     /// Largest speed, m/s, of every TCP that the limb moves, whichever joints move it. Faster commands are scaled
     /// down together, which keeps their direction.

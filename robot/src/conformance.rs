@@ -19,6 +19,8 @@ pub const STANDING_WITHIN_NS: u64 = 200_000_000;
 /// Over how long a speed is averaged, ns. The guard bounds what is commanded; a drive that is stepped to its speed overshoots
 /// for some 30 ms (by 28 % in the simulator).
 const MEAN_NS: u64 = 50_000_000;
+/// What a tared sensor may feel of a resting hand, N: its noise.
+const TARED_N: f64 = 2.0;
 /// Longest wait for one sample.
 const SAMPLE_WITHIN: Duration = Duration::from_secs(1);
 
@@ -39,6 +41,7 @@ pub struct Violation {
 pub async fn check(robot: &Arc<dyn Robot>, limb: &str) -> Result<(), Violation> {
     let mut probe = Probe::new(robot, limb)?;
     probe.samples_come_in_order().await?;
+    probe.every_sensor_is_tared_by_itself().await?;
     probe.leases_are_exclusive()?;
     probe.commands_move_the_joints().await?;
     probe.lease_limits_bound_the_tcp_speed().await?;
@@ -150,7 +153,40 @@ impl<'a> Probe<'a> {
             if now.position.len() != joints || now.velocity.len() != joints {
                 return self.broken(format!("{} positions for {joints} joints", now.position.len()));
             }
+            let sensors = self.robot.model().wrenches().len();
+            if now.wrenches.len() != sensors {
+                return self.broken(format!("{} wrenches for {sensors} sensors", now.wrenches.len()));
+            }
             last = now.stamp_ns;
+        }
+        Ok(())
+    }
+
+    async fn every_sensor_is_tared_by_itself(&mut self) -> Result<(), Violation> {
+        self.rule = "a tare makes what one sensor feels of the resting hand zero";
+        if self.robot.tare("no such sensor").is_ok() {
+            return self.broken("a sensor that is not there was tared");
+        }
+        let model = Arc::clone(self.robot.model());
+        for sensor in model.wrenches() {
+            let start = self.sample().await?;
+            // A tare averages the last 0.1 s.
+            let mut now = Arc::clone(&start);
+            while now.stamp_ns < start.stamp_ns + 150_000_000 {
+                now = self.sample().await?;
+            }
+            if let Err(error) = self.robot.tare(&sensor.name) {
+                return self.broken(error.to_string());
+            }
+            let tared = now.stamp_ns;
+            while now.stamp_ns < tared + 50_000_000 {
+                now = self.sample().await?;
+            }
+            let felt = model.wrenches().iter().zip(&now.wrenches).find(|(of, _)| of.name == sensor.name);
+            let force = felt.map_or(0.0, |(_, felt)| felt.external.force.norm());
+            if force > TARED_N {
+                return self.broken(format!("`{}` still feels {force:.1} N", sensor.name));
+            }
         }
         Ok(())
     }

@@ -1,5 +1,5 @@
-//! A robot without physics: joints that follow their targets, and a wrist that measures the hand's weight and
-//! pushes on it.
+//! A robot without physics: joints that follow their targets, and wrench sensors that measure the hands' weights and
+//! pushes on them.
 //!
 //! For tests of skills and of the guard. [`ServoJoints`] is pure and stepped; [`DummyRobot`] steps it each
 //! millisecond of tokio's clock. There is no table and no object: all forces come from calls of
@@ -16,20 +16,29 @@ use tokio::task::JoinHandle;
 use tokio::time::MissedTickBehavior;
 
 use crate::wrist::LoadedHand;
-use crate::{Guard, GuardConfig, GuardedRobot, JointTargets, Kinematics, Model, Robot, Sample, Twist};
+use crate::{
+    Guard, GuardConfig, GuardedRobot, JointTargets, Kinematics, LinkId, Model, Robot, Sample, Twist,
+};
 
 /// Bandwidth of the joints' servos, rad/s; critically damped.
 const SERVO: f64 = 100.0;
 /// Amplitude of the wrench's noise, N and N m: large enough that no two samples are equal.
 const NOISE: f64 = 1e-3;
 
+/// A hand on a wrench sensor.
+#[derive(Clone, Debug)]
+struct SensedHand {
+    hand: LoadedHand,
+    sensor: LinkId,
+    before: Option<Twist>,
+}
+
 /// Joints that follow position and velocity targets as critically damped servos, unaffected by forces.
 #[derive(Clone, Debug)]
 pub struct ServoJoints {
     sample: Sample,
     kinematics: Kinematics,
-    hand: Option<(LoadedHand, crate::LinkId)>,
-    before: Option<Twist>,
+    hands: Vec<SensedHand>,
     rng: ChaCha8Rng,
 }
 
@@ -38,23 +47,22 @@ impl ServoJoints {
     pub fn new(model: &Arc<Model>, q: &[f64], seed: u64) -> Self {
         let mut position = model.zero();
         position.iter_mut().zip(q).for_each(|(to, from)| *to = *from);
-        let hand = model
-            .limbs()
-            .values()
-            .find_map(|limb| Some((model.sensor_of(limb)?, limb.tcp?)))
-            .map(|(sensor, tcp)| (LoadedHand::new(model, sensor, tcp), sensor));
+        let hand = |(index, sensor): (usize, LinkId)| {
+            let tcp = model.arms().find(|arm| arm.wrench == Some(index)).and_then(|arm| arm.tcp);
+            let hand = LoadedHand::new(model, sensor, tcp.unwrap_or(sensor));
+            SensedHand { hand, sensor, before: None }
+        };
         let mut joints = Self {
-            sample: Sample::resting(position),
+            sample: Sample::resting(model, position),
             kinematics: Kinematics::new(model),
-            hand,
-            before: None,
+            hands: model.wrenches().iter().map(|wrench| wrench.frame).enumerate().map(hand).collect(),
             rng: ChaCha8Rng::seed_from_u64(seed),
         };
-        joints.sense(&Vector3::zeros(), 1e-3);
+        joints.sense(&[], 1e-3);
         joints
     }
 
-    /// The present sample of joints and wrist.
+    /// The present sample of joints and wrench sensors.
     pub fn sample(&self) -> &Sample {
         &self.sample
     }
@@ -64,35 +72,37 @@ impl ServoJoints {
         &self.kinematics
     }
 
-    /// Moves the joints towards `targets` for `dt` s; `push` acts on the hand at the TCP (root frame, N).
-    pub fn step(&mut self, targets: &JointTargets, push: &Vector3<f64>, dt: f64) {
+    /// Moves the joints towards `targets` for `dt` s; `pushes` act on the hands at their TCPs (root frame, N), in the
+    /// order of the wrench sensors. Hands for which none is given are not pushed.
+    pub fn step(&mut self, targets: &JointTargets, pushes: &[Vector3<f64>], dt: f64) {
         let Sample { position, velocity, .. } = &mut self.sample;
         for (j, (q, v)) in position.iter_mut().zip(velocity.iter_mut()).enumerate() {
             *v +=
                 dt * (SERVO * SERVO * (targets.position[j] - *q) + 2.0 * SERVO * (targets.velocity[j] - *v));
             *q += dt * *v;
         }
-        self.sense(push, dt);
+        self.sense(pushes, dt);
     }
 
-    /// Repeats the wrench of `earlier`, like a broken sensor.
-    pub fn repeat_wrench(&mut self, earlier: &Self) {
-        self.sample.force_raw = earlier.sample.force_raw;
-        self.sample.torque_raw = earlier.sample.torque_raw;
+    /// Repeats what a wrench sensor felt in `earlier`, as if it were broken.
+    pub fn repeat_wrench(&mut self, sensor: usize, earlier: &Self) {
+        self.sample.wrenches[sensor] = earlier.sample.wrenches[sensor];
     }
 
-    fn sense(&mut self, push: &Vector3<f64>, dt: f64) {
-        self.kinematics.update(&self.sample.position);
-        let Some((hand, sensor)) = &self.hand else { return };
-        let now = self.kinematics.twist(*sensor, &Point3::origin(), &self.sample.velocity);
-        let before = self.before.replace(now).unwrap_or(now);
-        let acceleration =
-            Twist { linear: (now.linear - before.linear) / dt, angular: (now.angular - before.angular) / dt };
-        let (force, torque) = hand.reaction(&self.kinematics, push, &now.angular, &acceleration);
-        let rng = &mut self.rng;
-        let mut noise = || Vector3::from_fn(|_, _| rng.random_range(-NOISE..NOISE));
-        self.sample.force_raw = force + noise();
-        self.sample.torque_raw = torque + noise();
+    fn sense(&mut self, pushes: &[Vector3<f64>], dt: f64) {
+        let Self { sample, kinematics, hands, rng } = self;
+        kinematics.update(&sample.position);
+        for (i, SensedHand { hand, sensor, before }) in hands.iter_mut().enumerate() {
+            let now = kinematics.twist(*sensor, &Point3::origin(), &sample.velocity);
+            let before = before.replace(now).unwrap_or(now);
+            let acceleration = Twist {
+                linear: (now.linear - before.linear) / dt,
+                angular: (now.angular - before.angular) / dt,
+            };
+            let push = pushes.get(i).copied().unwrap_or_default();
+            let felt = hand.reaction(kinematics, &push, &now.angular, &acceleration);
+            sample.wrenches[i] = felt.map(|v| v + Vector3::from_fn(|_, _| rng.random_range(-NOISE..NOISE)));
+        }
     }
 }
 
@@ -100,7 +110,7 @@ impl ServoJoints {
 #[derive(Debug)]
 pub struct DummyRobot {
     robot: Arc<GuardedRobot>,
-    push: Arc<Mutex<Vector3<f64>>>,
+    pushes: Arc<Mutex<Vec<Vector3<f64>>>>,
     task: JoinHandle<()>,
 }
 
@@ -109,8 +119,8 @@ impl DummyRobot {
     pub fn start(model: Arc<Model>, q: &[f64]) -> Self {
         let mut joints = ServoJoints::new(&model, q, 0);
         let (mut guard, robot) = Guard::new(Arc::clone(&model), GuardConfig::of(&model));
-        let push = Arc::new(Mutex::new(Vector3::zeros()));
-        let pushed = Arc::clone(&push);
+        let pushes = Arc::new(Mutex::new(vec![Vector3::zeros(); model.wrenches().len()]));
+        let pushed = Arc::clone(&pushes);
         let task = tokio::spawn(async move {
             let mut tick = tokio::time::interval(Duration::from_millis(1));
             tick.set_missed_tick_behavior(MissedTickBehavior::Burst);
@@ -118,11 +128,11 @@ impl DummyRobot {
             loop {
                 tick.tick().await;
                 stamp_ns += 1_000_000;
-                let push = *pushed.lock();
-                joints.step(guard.step(stamp_ns, joints.sample()), &push, 1e-3);
+                let pushes = pushed.lock().clone();
+                joints.step(guard.step(stamp_ns, joints.sample()), &pushes, 1e-3);
             }
         });
-        Self { robot, push, task }
+        Self { robot, pushes, task }
     }
 
     /// The robot as skills see it.
@@ -130,9 +140,10 @@ impl DummyRobot {
         Arc::clone(&self.robot) as Arc<dyn Robot>
     }
 
-    /// Pushes the hand at its TCP with a force, root frame, N, until the next call.
-    pub fn push(&self, force: Vector3<f64>) {
-        *self.push.lock() = force;
+    /// Pushes the hand of a wrench sensor (an index into the model's) at its TCP with a force, root frame, N, until
+    /// the next call. A robot without this sensor feels nothing.
+    pub fn push(&self, sensor: usize, force: Vector3<f64>) {
+        self.pushes.lock().get_mut(sensor).into_iter().for_each(|push| *push = force);
     }
 
     /// The robot's utterances since the last call, oldest first.

@@ -7,12 +7,22 @@ pub enum RobotError {
     /// A name that the robot does not have.
     #[error("the robot has no {kind} `{name}`; it has {known}")]
     Unknown {
-        /// Link, joint or limb.
+        /// Link, joint, limb, hand or sensor.
         kind: &'static str,
         /// The requested name.
         name: String,
         /// Comma-separated names.
         known: String,
+    },
+    /// A load that is not physical.
+    #[error(
+        "the load `{name}` of {mass_kg} kg is not physical: mass and centre are finite, the mass is not negative"
+    )]
+    Load {
+        /// What it is.
+        name: String,
+        /// Its mass, kg.
+        mass_kg: f64,
     },
     /// It has no cameras.
     #[error("the robot has no stereo cameras; its robot file names none under `cameras`")]

@@ -181,6 +181,8 @@ pub struct Limb {
     pub helped_by: Vec<String>,
     /// The posture in which it is ready to work, by its name.
     pub ready: Option<String>,
+    /// The postures that it takes in place of others, by the names of these.
+    pub postures: BTreeMap<String, String>,
 }
 
 /// A gripper: joints that open and close together.
@@ -260,6 +262,7 @@ pub struct Model {
     pub(crate) wrenches: Vec<WrenchSensor>,
     pub(crate) camera: Option<StereoCamera>,
     pub(crate) postures: BTreeMap<String, Vec<f64>>,
+    pub(crate) start_posture: Option<String>,
     pub(crate) start: Vec<f64>,
     pub(crate) limits: RobotLimits,
 }
@@ -273,6 +276,11 @@ impl Model {
     /// All links, parents before children.
     pub fn links(&self) -> &[Link] {
         &self.links
+    }
+
+    /// The identities of all links, in the order of [`links`](Self::links).
+    pub fn link_ids(&self) -> impl Iterator<Item = LinkId> + use<> {
+        (0..self.links.len()).map(LinkId)
     }
 
     /// All joints that move; every joint array is in this order.
@@ -351,6 +359,14 @@ impl Model {
         self.arms.iter().filter_map(|name| self.limbs.get(name))
     }
 
+    /// On which side of the robot an arm begins: 1 where the root frame's x points, -1 on the other side; 1 for an arm in
+    /// the middle.
+    pub fn side_of(&self, arm: &Limb) -> f64 {
+        let first = arm.joints.first().map(|&joint| self.joints[joint].link);
+        let x = first.map_or(0.0, |link| self.link_pose(&self.zero(), link).translation.x);
+        if x < -1e-6 { -1.0 } else { 1.0 }
+    }
+
     /// The joints with which an arm reaches: those of the limbs that help it, then its own; empty if there is no such
     /// arm.
     pub fn reaching_joints(&self, arm: &str) -> Vec<usize> {
@@ -394,9 +410,20 @@ impl Model {
         &self.postures
     }
 
+    /// A named posture, as an arm takes it: positions of all joints, rad (m).
+    pub fn posture(&self, name: &str, arm: &str) -> Option<&[f64]> {
+        let own = self.limbs.get(arm).and_then(|arm| arm.postures.get(name));
+        self.postures.get(own.map_or(name, String::as_str)).map(Vec::as_slice)
+    }
+
     /// The posture in which it begins: positions of all joints, rad (m).
     pub fn start(&self) -> &[f64] {
         &self.start
+    }
+
+    /// The posture in which it begins when this arm is to work: positions of all joints, rad (m).
+    pub fn start_of(&self, arm: &str) -> &[f64] {
+        self.start_posture.as_deref().and_then(|name| self.posture(name, arm)).unwrap_or(&self.start)
     }
 
     /// The posture in which a limb is ready to work: positions of all joints, rad (m). It is also the posture towards

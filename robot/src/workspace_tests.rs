@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use nalgebra::{Isometry3, Point3, Translation3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Translation3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -45,6 +45,50 @@ fn wipe_holds_the_level_hand_over_the_table() {
         (model.ready("right_arm"), model.start()),
         (&model.postures()["wipe"][..], &model.postures()["home"][..])
     );
+}
+
+/// The left arm mirrors the right one across the plane x = 0, with the torso mirrored: frames are mirrored about their y.
+#[test]
+fn the_left_hand_mirrors_the_right_one() {
+    let model = Model::shipped("armar3").unwrap();
+    let mirrored = |pose: Isometry3<f64>| {
+        let mirror = Matrix3::from_diagonal(&Vector3::new(-1.0, 1.0, 1.0));
+        let rotation = mirror
+            * pose.rotation.to_rotation_matrix().matrix()
+            * Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, 1.0));
+        (mirror * pose.translation.vector, rotation)
+    };
+    for posture in ["home", "wipe"] {
+        let [right, left] =
+            ["right_arm", "left_arm"].map(|arm| model.posture(posture, arm).unwrap().to_vec());
+        let pose = |q: &[f64], link: &str| model.link_pose(q, model.link(link).unwrap());
+        for links in [
+            ["tcp_right", "tcp_left"],
+            ["wrist_sensor_right", "wrist_sensor_left"],
+            ["grasp_right", "grasp_left"],
+            ["hand_marker_right", "hand_marker_left"],
+        ] {
+            let (place, rotation) = mirrored(pose(&right, links[0]));
+            let found = pose(&left, links[1]);
+            assert!((found.translation.vector - place).norm() < 1e-9, "{posture} {links:?}");
+            let off = found.rotation.to_rotation_matrix().matrix() - rotation;
+            assert!(off.norm() < 1e-9, "{posture} {links:?}");
+        }
+        // The finger on the side of the thumb of one is that of the other.
+        let (inner, _) = mirrored(pose(&right, "finger_left_r"));
+        assert!((pose(&left, "finger_right_l").translation.vector - inner).norm() < 1e-9);
+    }
+    let [right, left] = ["right_wrist", "left_wrist"].map(|name| {
+        let sensor = model.wrenches().iter().find(|sensor| sensor.name == name).unwrap();
+        model
+            .subtree(sensor.frame)
+            .filter_map(|link| model.links()[link.index()].inertial)
+            .map(|inertial| inertial.mass)
+            .sum::<f64>()
+    });
+    assert!((right - left).abs() < 1e-12);
+    assert_eq!(model.start_of("left_arm"), model.posture("home", "left_arm").unwrap());
+    assert_eq!(model.start_of("right_arm"), model.start());
 }
 
 #[test]

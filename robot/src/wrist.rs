@@ -1,4 +1,4 @@
-//! The compensated wrist force/torque sensor: the force and torque of the environment on the hand.
+//! A compensated force/torque sensor in a wrist: the force and torque of the environment on the hand.
 //!
 //! The hand (every link beyond the sensor, and its load) obeys the Newton-Euler equations. `f` and `t` are the
 //! force and torque that the hand exerts on the sensor; `m`, `c`, `I` are its mass, centre (from the sensor's
@@ -18,7 +18,7 @@
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::model::GRAVITY;
-use crate::{Kinematics, LinkId, Model, Twist, Wrist};
+use crate::{Kinematics, LinkId, Load, Model, Twist, Wrench};
 
 /// Frequency of each of the two poles of the low-pass, Hz.
 const POLE_HZ: f64 = 60.0;
@@ -27,30 +27,8 @@ const TARE_SAMPLES: usize = 100;
 
 /// The mass of a grasped object, kg, from the compensated wrist force before and after the grasp, in the same
 /// posture and at rest, while the load is not yet set (see [`Robot::set_load`](crate::Robot::set_load)).
-pub fn load_mass(before: &Wrist, after: &Wrist) -> f64 {
+pub fn load_mass(before: &Wrench, after: &Wrench) -> f64 {
     (after.force - before.force).dot(&GRAVITY) / GRAVITY.norm_squared()
-}
-
-/// A force and a torque in one frame.
-#[derive(Clone, Copy, Debug, Default)]
-struct Pair {
-    force: Vector3<f64>,
-    torque: Vector3<f64>,
-}
-
-impl Pair {
-    fn map(self, f: impl Fn(Vector3<f64>) -> Vector3<f64>) -> Self {
-        Self { force: f(self.force), torque: f(self.torque) }
-    }
-
-    fn minus(self, other: Self) -> Self {
-        Self { force: self.force - other.force, torque: self.torque - other.torque }
-    }
-
-    fn toward(&mut self, goal: Self, share: f64) {
-        self.force += share * (goal.force - self.force);
-        self.torque += share * (goal.torque - self.torque);
-    }
 }
 
 /// The rigid body beyond the sensor, in the root frame.
@@ -69,7 +47,7 @@ pub(crate) struct LoadedHand {
     sensor: LinkId,
     tcp: LinkId,
     links: Vec<LinkId>,
-    load: Option<(f64, Point3<f64>)>,
+    load: Option<Load>,
 }
 
 impl LoadedHand {
@@ -94,8 +72,8 @@ impl LoadedHand {
             let inertia = rotation.matrix() * inertial.inertia * rotation.matrix().transpose();
             add(inertial.mass, pose * inertial.center - origin, inertia);
         }
-        if let Some((mass, center)) = self.load {
-            add(mass, kinematics.pose(self.tcp) * center - origin, Matrix3::zeros());
+        if let Some(load) = &self.load {
+            add(load.mass_kg, kinematics.pose(self.tcp) * load.center_in_tcp - origin, Matrix3::zeros());
         }
         if body.mass > 0.0 {
             body.center /= body.mass;
@@ -112,12 +90,12 @@ impl LoadedHand {
         force: &Vector3<f64>,
         angular: &Vector3<f64>,
         acceleration: &Twist,
-    ) -> (Vector3<f64>, Vector3<f64>) {
+    ) -> Wrench {
         let sensor = kinematics.pose(self.sensor);
         let arm = kinematics.pose(self.tcp).translation.vector - sensor.translation.vector;
         let load = inertial_load(&self.body(kinematics), angular, acceleration);
-        let (f, t) = (force - load.force, arm.cross(force) - load.torque);
-        (sensor.rotation.inverse() * f, sensor.rotation.inverse() * t)
+        let on_sensor = Wrench { force: *force, torque: arm.cross(force) }.minus(load);
+        on_sensor.map(|v| sensor.rotation.inverse() * v)
     }
 }
 
@@ -127,11 +105,11 @@ fn steiner(mass: f64, c: &Vector3<f64>) -> Matrix3<f64> {
 }
 
 /// `m (a_c - g)`, and its torque about the sensor's origin.
-fn inertial_load(body: &Body, angular: &Vector3<f64>, acceleration: &Twist) -> Pair {
+fn inertial_load(body: &Body, angular: &Vector3<f64>, acceleration: &Twist) -> Wrench {
     let (w, al, c) = (angular, &acceleration.angular, &body.center);
     let at_center = acceleration.linear + al.cross(c) + w.cross(&w.cross(c));
     let force = body.mass * (at_center - GRAVITY);
-    Pair { force, torque: c.cross(&force) + body.inertia * al + w.cross(&(body.inertia * w)) }
+    Wrench { force, torque: c.cross(&force) + body.inertia * al + w.cross(&(body.inertia * w)) }
 }
 
 /// Compensates one sensor; stepped with each sample. Allocates only in [`new`](Self::new).
@@ -140,11 +118,11 @@ pub(crate) struct WristEstimator {
     hand: LoadedHand,
     previous: Option<Twist>,
     /// In the sensor's frame.
-    bias: Pair,
-    recent: Vec<Pair>,
+    bias: Wrench,
+    recent: Vec<Wrench>,
     next: usize,
     /// The two poles of the low-pass, root frame; `None` before the first sample.
-    poles: Option<[Pair; 2]>,
+    poles: Option<[Wrench; 2]>,
 }
 
 impl WristEstimator {
@@ -152,7 +130,7 @@ impl WristEstimator {
         Self {
             hand: LoadedHand::new(model, sensor, tcp),
             previous: None,
-            bias: Pair::default(),
+            bias: Wrench::default(),
             recent: Vec::with_capacity(TARE_SAMPLES),
             next: 0,
             poles: None,
@@ -165,17 +143,16 @@ impl WristEstimator {
         &mut self,
         kinematics: &Kinematics,
         velocity: &[f64],
-        raw: (Vector3<f64>, Vector3<f64>),
+        raw: Wrench,
         dt: f64,
-    ) -> Wrist {
+    ) -> Wrench {
         let pose = kinematics.pose(self.hand.sensor);
         let now = kinematics.twist(self.hand.sensor, &Point3::origin(), velocity);
         let before = self.previous.replace(now).unwrap_or(now);
         let acceleration =
             Twist { linear: (now.linear - before.linear) / dt, angular: (now.angular - before.angular) / dt };
         let load = inertial_load(&self.hand.body(kinematics), &now.angular, &acceleration);
-        let in_sensor =
-            Pair { force: raw.0, torque: raw.1 }.minus(load.map(|v| pose.rotation.inverse() * -v));
+        let in_sensor = raw.minus(load.map(|v| pose.rotation.inverse() * -v));
         self.remember(in_sensor);
         let in_root = in_sensor.minus(self.bias).map(|v| pose.rotation * v);
         let poles = self.poles.get_or_insert([in_root; 2]);
@@ -183,12 +160,12 @@ impl WristEstimator {
         poles[0].toward(in_root, share);
         let first = poles[0];
         poles[1].toward(first, share);
-        let Pair { force, torque } = poles[1];
+        let Wrench { force, torque } = poles[1];
         let arm = kinematics.pose(self.hand.tcp).translation.vector - pose.translation.vector;
-        Wrist { force, torque: torque - arm.cross(&force) }
+        Wrench { force, torque: torque - arm.cross(&force) }
     }
 
-    fn remember(&mut self, sample: Pair) {
+    fn remember(&mut self, sample: Wrench) {
         if self.recent.len() < TARE_SAMPLES {
             self.recent.push(sample);
         } else {
@@ -204,7 +181,7 @@ impl WristEstimator {
         }
         #[expect(clippy::cast_precision_loss, reason = "at most 100")]
         let n = self.recent.len() as f64;
-        let mut mean = Pair::default();
+        let mut mean = Wrench::default();
         for sample in &self.recent {
             mean.force += sample.force / n;
             mean.torque += sample.torque / n;
@@ -217,9 +194,12 @@ impl WristEstimator {
         }
     }
 
-    /// Sets the load of the hand; a mass of 0 means no load. Samples taken before it do not count for a tare.
-    pub(crate) fn set_load(&mut self, mass: f64, center_in_tcp: Point3<f64>) {
-        self.hand.load = (mass > 0.0).then_some((mass, center_in_tcp));
+    /// What the hand holds. Samples taken before do not count for a tare.
+    pub(crate) fn set_load(&mut self, load: Option<&Load>) {
+        if self.hand.load.as_ref() == load {
+            return;
+        }
+        self.hand.load = load.cloned();
         self.recent.clear();
         self.next = 0;
     }

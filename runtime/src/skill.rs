@@ -2,7 +2,7 @@
 //!
 //! A skill is started with checked inputs, reports one outcome, and returns soon after it has been cancelled.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
@@ -40,6 +40,9 @@ pub struct SkillManifest {
     pub publishes: Vec<String>,
     /// Limbs that it commands; two regions that can command one limb at the same time are an error at load.
     pub limbs: Vec<String>,
+    /// Limbs that it commands by the value of an input: for each such input, the limbs that each of its values names. They
+    /// are held against those of other regions where the value is known before the run.
+    pub limbs_by_input: BTreeMap<String, BTreeMap<String, Vec<String>>>,
     /// How long it may take to return after a cancel.
     pub grace: Duration,
     /// Whether it may have more inputs and outputs than declared here, as for a skill of another agent that has not
@@ -73,6 +76,8 @@ pub struct Parameter {
 pub enum NameKind {
     /// A posture of the robot.
     Posture,
+    /// An arm of the robot.
+    Arm,
     /// A class of objects in prior knowledge.
     ObjectClass,
 }
@@ -81,6 +86,7 @@ impl fmt::Display for NameKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Posture => "posture",
+            Self::Arm => "arm",
             Self::ObjectClass => "object class",
         })
     }
@@ -334,6 +340,7 @@ impl SkillManifest {
             reads: Vec::new(),
             publishes: Vec::new(),
             limbs: Vec::new(),
+            limbs_by_input: BTreeMap::new(),
             grace: Duration::from_secs(1),
             open: false,
         }
@@ -408,6 +415,28 @@ impl SkillManifest {
     pub fn limb(mut self, name: &str) -> Self {
         self.limbs.push(name.into());
         self
+    }
+
+    /// Says that a value of an input names a limb that the skill then commands.
+    #[must_use]
+    pub fn limb_by_input(mut self, input: &str, value: &str, limb: &str) -> Self {
+        let of_input = self.limbs_by_input.entry(input.into()).or_default();
+        of_input.entry(value.into()).or_default().push(limb.into());
+        self
+    }
+
+    /// Whether it commands any limb.
+    pub fn moves(&self) -> bool {
+        !self.limbs.is_empty() || !self.limbs_by_input.is_empty()
+    }
+
+    /// The limbs that it commands, for people.
+    pub fn commands(&self) -> Vec<String> {
+        let by_input = self.limbs_by_input.iter().map(|(input, named)| {
+            let limbs: BTreeSet<&str> = named.values().flatten().map(String::as_str).collect();
+            format!("by `{input}`: {}", limbs.into_iter().collect::<Vec<_>>().join(" or "))
+        });
+        self.limbs.iter().cloned().chain(by_input).collect()
     }
 
     /// Sets how long the skill may take to return after a cancel.

@@ -5,7 +5,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use armarium_robot::Sample;
+use armarium_robot::{JointKind, Limb, Model, Sample, Wrench};
 
 use crate::world::{Faults, NoiseSpec, WrenchFault};
 
@@ -16,28 +16,45 @@ const VELOCITY_SHARE: f64 = 1.0;
 /// Noise of a sliding joint's position over that of a turning joint's, m/rad.
 const SLIDING_SHARE: f64 = 0.05;
 
-/// The robot's joint encoders and wrist sensor.
+/// The robot's joint encoders and wrench sensors.
 #[derive(Clone, Debug)]
 pub(crate) struct Sensors {
     noise: NoiseSpec,
     faults: Faults,
+    /// Of each joint, whether it slides.
     sliding: Vec<bool>,
+    rng: ChaCha8Rng,
+    wrenches: Vec<WrenchSensor>,
+    /// The wrench sensor that the faults concern: that of the arm that works.
+    faulty: Option<usize>,
+}
+
+/// One wrench sensor.
+#[derive(Clone, Debug)]
+struct WrenchSensor {
     bias: [f64; 6],
     drift: [f64; 6],
     rng: ChaCha8Rng,
-    frozen: Option<(Vector3<f64>, Vector3<f64>)>,
+    frozen: Option<Wrench>,
 }
 
 impl Sensors {
-    /// Draws bias and drift; `sliding` tells for each joint whether it slides.
-    pub(crate) fn new(noise: &NoiseSpec, faults: &Faults, sliding: Vec<bool>, mut rng: ChaCha8Rng) -> Self {
-        let share = |axis: usize| if axis < 3 { 1.0 } else { TORQUE_SHARE };
-        let bias = std::array::from_fn(|axis| {
-            noise.wrench_bias * share(axis) * rng.sample::<f64, _>(StandardNormal)
-        });
-        let drift =
-            std::array::from_fn(|axis| noise.wrench_drift * share(axis) * (2.0 * rng.random::<f64>() - 1.0));
-        Self { noise: noise.clone(), faults: faults.clone(), sliding, bias, drift, rng, frozen: None }
+    /// Draws biases and drifts. `stream` gives independent sources of random numbers: 0 is for the joints, the others are
+    /// for the wrench sensors in their order. `arm` is the arm that works.
+    pub(crate) fn new(
+        model: &Model,
+        arm: &Limb,
+        (noise, faults): (&NoiseSpec, &Faults),
+        stream: impl Fn(u64) -> ChaCha8Rng,
+    ) -> Self {
+        Self {
+            noise: noise.clone(),
+            faults: faults.clone(),
+            sliding: model.joints().iter().map(|joint| joint.kind == JointKind::Prismatic).collect(),
+            rng: stream(0),
+            wrenches: (1..).zip(model.wrenches()).map(|(n, _)| WrenchSensor::new(noise, stream(n))).collect(),
+            faulty: arm.wrench,
+        }
     }
 
     /// Writes one sample of the true state at `t` s to `sample`, with the sensors' errors.
@@ -46,35 +63,48 @@ impl Sensors {
         t: f64,
         position: &[f64],
         velocity: &[f64],
-        wrist: (Vector3<f64>, Vector3<f64>),
+        wrenches: impl Iterator<Item = Wrench>,
         sample: &mut Sample,
     ) {
         for j in 0..position.len() {
             let sigma = self.noise.joint * if self.sliding[j] { SLIDING_SHARE } else { 1.0 };
-            let [a, b] = [self.normal(), self.normal()];
+            let [a, b]: [f64; 2] = std::array::from_fn(|_| self.rng.sample(StandardNormal));
             sample.position[j] = position[j] + sigma * a;
             sample.velocity[j] = velocity[j] + VELOCITY_SHARE * sigma * b;
         }
-        let raw = self.wrench(t, wrist);
-        (sample.force_raw, sample.torque_raw) = raw;
+        let frozen = self.faults.wrench == WrenchFault::Frozen && t >= self.faults.from;
+        for (i, (sensor, truth)) in self.wrenches.iter_mut().zip(wrenches).enumerate() {
+            let felt = sensor.sense(t, &truth, self.noise.wrench);
+            let broken = frozen && self.faulty == Some(i);
+            sample.wrenches[i] = if broken { *sensor.frozen.get_or_insert(felt) } else { felt };
+        }
+    }
+}
+
+/// The share of an axis in the noise: forces come first, then torques.
+fn share(axis: usize) -> f64 {
+    if axis < 3 { 1.0 } else { TORQUE_SHARE }
+}
+
+impl WrenchSensor {
+    fn new(noise: &NoiseSpec, mut rng: ChaCha8Rng) -> Self {
+        let bias = std::array::from_fn(|axis| {
+            noise.wrench_bias * share(axis) * rng.sample::<f64, _>(StandardNormal)
+        });
+        let drift =
+            std::array::from_fn(|axis| noise.wrench_drift * share(axis) * (2.0 * rng.random::<f64>() - 1.0));
+        Self { bias, drift, rng, frozen: None }
     }
 
-    fn normal(&mut self) -> f64 {
-        self.rng.sample(StandardNormal)
-    }
-
-    fn wrench(&mut self, t: f64, truth: (Vector3<f64>, Vector3<f64>)) -> (Vector3<f64>, Vector3<f64>) {
+    fn sense(&mut self, t: f64, truth: &Wrench, sigma: f64) -> Wrench {
         let offset: [f64; 6] = std::array::from_fn(|axis| {
-            let share = if axis < 3 { 1.0 } else { TORQUE_SHARE };
             self.bias[axis]
                 + self.drift[axis] * t
-                + self.noise.wrench * share * self.rng.sample::<f64, _>(StandardNormal)
+                + sigma * share(axis) * self.rng.sample::<f64, _>(StandardNormal)
         });
-        let force = truth.0 + Vector3::new(offset[0], offset[1], offset[2]);
-        let torque = truth.1 + Vector3::new(offset[3], offset[4], offset[5]);
-        match self.faults.wrench {
-            WrenchFault::Frozen if t >= self.faults.from => *self.frozen.get_or_insert((force, torque)),
-            _ => (force, torque),
+        Wrench {
+            force: truth.force + Vector3::new(offset[0], offset[1], offset[2]),
+            torque: truth.torque + Vector3::new(offset[3], offset[4], offset[5]),
         }
     }
 }
@@ -84,34 +114,51 @@ mod tests {
     use super::*;
     use rand::SeedableRng;
 
-    fn sensors(faults: Faults) -> Sensors {
-        Sensors::new(&NoiseSpec::default(), &faults, vec![false], ChaCha8Rng::seed_from_u64(7))
+    fn sensors(model: &Model, faults: Faults) -> Sensors {
+        let stream = |n: u64| ChaCha8Rng::seed_from_u64(7 + n);
+        let arm = model.arms().next().unwrap();
+        Sensors::new(model, arm, (&NoiseSpec::default(), &faults), stream)
     }
 
     #[test]
-    fn noise_has_its_deviation_and_the_bias_stays() {
-        let mut s = sensors(Faults::default());
-        let mut sample = Sample::resting(vec![0.0]);
-        let (mut sum, mut squares, mut angles) = (0.0, 0.0, 0.0);
+    fn noise_has_its_deviation_and_the_biases_stay_and_differ() {
+        let model = Model::shipped("armar3").unwrap();
+        let mut s = sensors(&model, Faults::default());
+        let (position, velocity) = (vec![0.5; model.joints().len()], vec![0.0; model.joints().len()]);
+        let mut sample = Sample::resting(&model, position.clone());
+        let (mut sums, mut squares, mut angles) = ([0.0; 2], [0.0; 2], 0.0);
         let n = 20_000;
         for _ in 0..n {
-            s.sense(0.0, &[0.5], &[0.0], (Vector3::zeros(), Vector3::zeros()), &mut sample);
-            sum += sample.force_raw.x;
-            squares += sample.force_raw.x.powi(2);
+            s.sense(0.0, &position, &velocity, [Wrench::default(); 2].into_iter(), &mut sample);
+            for i in 0..2 {
+                sums[i] += sample.wrenches[i].force.x;
+                squares[i] += sample.wrenches[i].force.x.powi(2);
+            }
             angles += (sample.position[0] - 0.5).powi(2);
         }
-        let mean = sum / f64::from(n);
-        assert!((mean - s.bias[0]).abs() < 0.01);
-        assert!(((squares / f64::from(n) - mean * mean).sqrt() - 0.3).abs() < 0.01);
+        for i in 0..2 {
+            let mean = sums[i] / f64::from(n);
+            assert!((mean - s.wrenches[i].bias[0]).abs() < 0.01);
+            assert!(((squares[i] / f64::from(n) - mean * mean).sqrt() - 0.3).abs() < 0.01);
+        }
         assert!(((angles / f64::from(n)).sqrt() - 0.0002).abs() < 1e-5);
+        assert_ne!(s.wrenches[0].bias, s.wrenches[1].bias);
     }
 
     #[test]
-    fn a_frozen_sensor_repeats_itself() {
-        let mut s = sensors(Faults { wrench: WrenchFault::Frozen, from: 1.0, ..Faults::default() });
-        let read = |s: &mut Sensors, t: f64| s.wrench(t, (Vector3::x() * t, Vector3::zeros())).0;
-        assert_ne!(read(&mut s, 0.5), read(&mut s, 0.6));
+    fn a_frozen_sensor_repeats_itself_and_the_other_does_not() {
+        let model = Model::shipped("armar3").unwrap();
+        let mut s = sensors(&model, Faults { wrench: WrenchFault::Frozen, from: 1.0, ..Faults::default() });
+        let still = vec![0.0; model.joints().len()];
+        let mut sample = Sample::resting(&model, still.clone());
+        let mut read = |s: &mut Sensors, t: f64| {
+            s.sense(t, &still, &still, [Wrench::default(); 2].into_iter(), &mut sample);
+            [sample.wrenches[0].force, sample.wrenches[1].force]
+        };
+        assert_ne!(read(&mut s, 0.5)[0], read(&mut s, 0.6)[0]);
         let first = read(&mut s, 1.0);
-        assert_eq!(read(&mut s, 2.0), first);
+        let later = read(&mut s, 2.0);
+        assert_eq!(later[0], first[0]);
+        assert_ne!(later[1], first[1]);
     }
 }

@@ -8,9 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use armarium_robot::{
-    Guard, GuardConfig, JointKind, JointTargets, Kinematics, Limb, LinkId, Model, Robot, Sample,
-};
+use armarium_robot::{Guard, GuardConfig, JointTargets, Kinematics, Limb, LinkId, Model, Robot, Sample};
 use armarium_visionx::ImageSource;
 use nalgebra::{Isometry3, Point3, Vector3};
 use rand::SeedableRng;
@@ -40,7 +38,8 @@ const MAX_DELAY: Duration = Duration::from_millis(10);
 pub struct Options {
     /// Further receivers of the truth.
     pub truth_sinks: Vec<Box<dyn TruthSink>>,
-    /// Joint positions at the start, rad (m), in the model's order; by default the robot's own start.
+    /// Joint positions at the start, rad (m), in the model's order; by default the robot's own start with the arm that
+    /// works.
     pub start: Option<Vec<f64>>,
     /// The guard's limits; by default the robot's.
     pub guard: Option<GuardConfig>,
@@ -112,7 +111,7 @@ impl Simulation {
     pub fn new(world: &World, seed: u64, options: Options) -> Result<Self, SimulationError> {
         let model = world.model()?;
         let arm = world.robot.arm(&model).ok_or(SimulationError::Arm)?;
-        let start = options.start.unwrap_or_else(|| model.start().to_vec());
+        let start = options.start.unwrap_or_else(|| model.start_of(&arm.name).to_vec());
         let joints = model.joints().len();
         if start.len() != joints || !start.iter().all(|q| q.is_finite()) {
             return Err(SimulationError::Start { expected: joints });
@@ -130,7 +129,6 @@ impl Simulation {
             let seed = seed.rotate_left(32) ^ n;
             AgentEyes::new(agent, calibration, world.camera.noise, seed)
         });
-        let sliding = model.joints().iter().map(|j| j.kind == JointKind::Prismatic).collect();
         let (guard, robot) =
             Guard::new(Arc::clone(&model), options.guard.unwrap_or_else(|| GuardConfig::of(&model)));
         let external =
@@ -140,8 +138,8 @@ impl Simulation {
             guard,
             kinematics: Kinematics::new(&model),
             arm: bends(&model, arm),
-            sensors: Sensors::new(&world.robot.noise, &world.faults, sliding, stream(1)),
-            coach: Coach::new(&world.coach, world.table.height, camera, stream(2)),
+            sensors: Sensors::new(&model, arm, (&world.robot.noise, &world.faults), |n| stream(16 + n)),
+            coach: Coach::new(&world.coach, world.table.height, (camera, model.side_of(arm)), stream(2)),
             agents: agents.collect(),
             eyes,
             referee: Referee::new(world),
@@ -156,7 +154,7 @@ impl Simulation {
             wiping_at: None,
             hand_gone_at: 0.0,
             steps: 0,
-            sample: Sample::resting(start.clone()),
+            sample: Sample::resting(&model, start.clone()),
             targets: JointTargets { position: start, velocity: vec![0.0; joints] },
             external,
             dirt: DirtGrid::new(plant.table()),
@@ -237,7 +235,7 @@ impl Simulation {
             t,
             self.plant.position(),
             self.plant.velocity(),
-            self.plant.wrist(),
+            self.plant.wrenches(),
             &mut self.sample,
         );
         let targets = self.guard.step(stamp_ns, &self.sample);
@@ -276,8 +274,8 @@ impl Simulation {
 
     /// Computes the external forces: the coach's and those of accidents.
     fn apply_external_forces(&mut self, t: f64) {
-        let arm = self.seen_arm();
-        let state = *self.coach.step(t, &arm, 1e-3);
+        let Self { coach, kinematics, plant, arm, .. } = self;
+        let state = *coach.step(t, || seen_arm(kinematics, plant, *arm), 1e-3);
         if state.hand.is_some() {
             self.hand_gone_at = t;
         }
@@ -302,14 +300,6 @@ impl Simulation {
         }
     }
 
-    fn seen_arm(&mut self) -> SeenArm {
-        self.kinematics.update(self.plant.position());
-        let tcp = Point3::from(self.plant.tcp().translation.vector);
-        let at = |link: LinkId| Point3::from(self.kinematics.pose(link).translation.vector);
-        let [wrist, elbow] = self.arm.map(at);
-        SeenArm { tcp, velocity: self.plant.tcp_velocity(), wrist, elbow }
-    }
-
     /// Collects the true state and passes it to the truth sinks.
     fn publish_truth(&mut self, stamp_ns: u64) {
         let held = self.plant.held();
@@ -331,7 +321,8 @@ impl Simulation {
         let reaction =
             self.object.and_then(|object| self.plant.reaction(object)).copied().unwrap_or_default();
         truth.contact = Contact { normal: reaction.normal, tangential: reaction.friction };
-        (truth.wrist_force, truth.wrist_torque) = self.plant.wrist();
+        let wrench = self.plant.wrench();
+        (truth.wrist_force, truth.wrist_torque) = (wrench.force, wrench.torque);
         self.referee.sample(&self.truth);
         for sink in &mut self.sinks {
             sink.sample(&self.truth);
@@ -405,6 +396,15 @@ impl Drop for Simulation {
         self.eyes.source().close();
         self.agents.iter().for_each(|agent| agent.source().close());
     }
+}
+
+/// The arm that works as it truly is, with the links where it bends.
+fn seen_arm(kinematics: &mut Kinematics, plant: &Plant, bends: [LinkId; 2]) -> SeenArm {
+    kinematics.update(plant.position());
+    let at = |link: LinkId| Point3::from(kinematics.pose(link).translation.vector);
+    let [wrist, elbow] = bends.map(at);
+    let tcp = Point3::from(plant.tcp().translation.vector);
+    SeenArm { tcp, velocity: plant.tcp_velocity(), wrist, elbow }
 }
 
 fn copy(into: &mut Vec<f64>, from: &[f64]) {

@@ -22,24 +22,25 @@ pub struct TruthSample {
     pub command_position: Vec<f64>,
     /// Commanded joint velocities, rad/s (m/s).
     pub command_velocity: Vec<f64>,
-    /// Pose of the right TCP in the root frame.
+    /// Pose of the TCP of the arm that works, in the root frame.
     pub tcp: Isometry3<f64>,
-    /// Velocity of the right TCP, root frame, m/s.
+    /// Velocity of that TCP, root frame, m/s.
     pub tcp_velocity: Vector3<f64>,
     /// The table's force on the judged object.
     pub contact: Contact,
-    /// The object in question, by its index in the world's `objects`: the one that the hand holds, or held last; before the
+    /// The object in question, by its index in the world's `objects`: the one that the hand of the arm that works holds, or
+    /// held last; before the
     /// first grasp, the one named `sponge`, else the first. `None` in a world without objects.
     pub object: Option<usize>,
     /// Poses of the middles of all objects in the root frame, in the world's order.
     pub objects: Vec<Isometry3<f64>>,
-    /// Whether the hand holds the judged object.
+    /// Whether that hand holds the judged object.
     pub held: bool,
     /// The coach's state.
     pub coach: CoachState,
-    /// Force of the hand on the wrist sensor, sensor's frame, without noise and bias, N.
+    /// Force of that hand on its wrench sensor, sensor's frame, without noise and bias, N.
     pub wrist_force: Vector3<f64>,
-    /// Torque of the hand on the wrist sensor, sensor's frame, without noise and bias, N m.
+    /// Torque of that hand on its wrench sensor, sensor's frame, without noise and bias, N m.
     pub wrist_torque: Vector3<f64>,
 }
 

@@ -104,13 +104,13 @@ fn the_compensated_wrist_reads_a_push() {
     for _ in 0..500 {
         simulation.step();
     }
-    robot.tare();
+    robot.tare("right_wrist").unwrap();
     robot.say("wiping");
     let sensed = robot.sensed();
     let (mut quiet, mut peak) = (0.0f64, Vector3::zeros());
     for i in 0..1300 {
         simulation.step();
-        let force = sensed.borrow().wrist.force;
+        let force = sensed.borrow().wrenches[0].external.force;
         if (10..400).contains(&i) {
             quiet = quiet.max(force.norm());
         }
@@ -156,7 +156,7 @@ async fn frames_come_at_their_rate_to_those_who_wait() {
 /// The conformance suite for robot drivers, with real physics.
 #[tokio::test(start_paused = true)]
 async fn the_simulated_robot_conforms() {
-    for limb in ["right_arm", "left_arm", "torso", "head"] {
+    for limb in ["right_arm", "left_arm", "torso", "head", "right_hand", "left_hand"] {
         let (simulation, _) = simulation(&World::default(), 5);
         let (robot, handle) = (simulation.robot(), simulation.handle());
         let task = tokio::spawn(simulation.run());
@@ -182,7 +182,7 @@ fn the_arm_gives_way_to_a_strong_push() {
     for _ in 0..300 {
         simulation.step();
     }
-    robot.tare();
+    robot.tare("right_wrist").unwrap();
     robot.say("wiping");
     let arm = robot.lease("right_arm", "test", LeaseLimits::default()).unwrap();
     let start = simulation.truth().tcp.translation.vector;

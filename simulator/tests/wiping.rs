@@ -155,7 +155,7 @@ fn the_sponge_is_taken_pressed_and_wiped_with() {
     assert!((friction / hand.force() - 0.5).abs() < 0.05, "{friction}");
     // The compensated wrist force includes the table's force through sponge and grip (no tare: bias and drift
     // remain).
-    let sensed = hand.robot.sensed().borrow().wrist.force;
+    let sensed = hand.robot.sensed().borrow().wrenches[0].external.force;
     let contact = hand.simulation.truth().contact;
     let true_force = contact.tangential + Vector3::z() * contact.normal;
     assert!((sensed - true_force).norm() < 6.0, "{sensed} {true_force}");

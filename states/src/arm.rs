@@ -1,15 +1,17 @@
 //! An arm and what helps it under a skill's command: sense, then command, at the rate of the robot's samples.
 //!
 //! It holds their leases for as long as it lives, and converts desired TCP poses and twists to joint velocities. Which
-//! limbs help an arm (a torso, so that it reaches further) is said in the robot file. It plans nothing.
+//! limbs help an arm (a torso, so that it reaches further) is said in the robot file; one that somebody else commands does
+//! not help. The input `arm` names the arm. It plans nothing.
 
 use std::sync::Arc;
 
 use armarium_robot::{
-    DifferentialIk, IkConfig, Kinematics, Lease, LeaseLimits, Limb, LinkId, Model, Robot, Sensed, Twist,
-    newest,
+    DifferentialIk, Fault, IkConfig, Kinematics, Lease, LeaseError, LeaseLimits, Limb, LinkId, Model, Robot,
+    Sensed, Twist, newest,
 };
-use armarium_runtime::skill::{Failure, SkillContext, SkillManifest};
+use armarium_runtime::skill::{Failure, NameKind, SkillContext, SkillManifest};
+use armarium_values::Type;
 use nalgebra::{Isometry3, Point3, Vector3};
 use tokio_util::sync::CancellationToken;
 
@@ -51,51 +53,121 @@ impl Senses {
     }
 }
 
-/// The arm that a skill commands: the robot's first.
-pub(crate) fn chosen(model: &Model) -> Result<&Limb, Failure> {
-    let none = || Failure::new(format!("the robot `{}` has no arm: no group with a `tcp`", model.name()));
-    model.arms().next().ok_or_else(none)
+/// The input that names the arm.
+const ARM: &str = "arm";
+
+/// Adds the input that names the arm, for a skill that does not move it.
+pub(crate) fn names_the_arm(manifest: SkillManifest) -> SkillManifest {
+    let manifest =
+        manifest.optional(ARM, Type::String, "", "The arm, a group of the robot; empty: the one that works.");
+    manifest.names(NameKind::Arm)
 }
 
-/// The link of the TCP of the arm that skills command.
-pub(crate) fn tcp_of(model: &Model) -> Result<LinkId, Failure> {
-    chosen(model)?.tcp.ok_or_else(|| Failure::new("the arm has no TCP"))
-}
-
-/// Adds the limbs that a skill commands when it moves the arm.
+/// Adds the input that names the arm that a skill commands.
 pub(crate) fn moves_the_arm(manifest: SkillManifest, equipment: &Equipment) -> SkillManifest {
-    let Ok(arm) = chosen(equipment.robot.model()) else { return manifest };
-    let limbs = arm.helped_by.iter().chain([&arm.name]);
-    limbs.fold(manifest, |manifest, limb| manifest.limb(limb))
+    commands(names_the_arm(manifest), equipment, |arm| Some(arm.name.clone()))
 }
 
-/// Leases the arm, after the limbs that help it, each with the number of its joints.
-pub(crate) fn lease_arm(
+/// Adds the input that names the arm whose hand a skill commands.
+pub(crate) fn moves_the_hand(manifest: SkillManifest, equipment: &Equipment) -> SkillManifest {
+    commands(names_the_arm(manifest), equipment, |arm| arm.hand.clone())
+}
+
+/// Says for each arm which limb is commanded.
+fn commands(
+    manifest: SkillManifest,
     equipment: &Equipment,
-    context: &SkillContext,
-) -> Result<Vec<(Lease, usize)>, Failure> {
+    limb: impl Fn(&Limb) -> Option<String>,
+) -> SkillManifest {
     let model = equipment.robot.model();
-    let arm = chosen(model)?;
-    let limbs = arm.helped_by.iter().chain([&arm.name]);
-    limbs.map(|limb| Ok((lease(equipment, context, limb)?, model.limb(limb).len()))).collect()
+    let usual = equipment.arm().ok().map(|arm| ("", arm));
+    let named = usual.into_iter().chain(model.arms().map(|arm| (arm.name.as_str(), arm)));
+    named.fold(manifest, |manifest, (name, arm)| match limb(arm) {
+        Some(limb) => manifest.limb_by_input(ARM, name, &limb),
+        None => manifest,
+    })
 }
 
-/// Gives each limb its part of the velocities.
-pub(crate) fn command(leases: &[(Lease, usize)], velocities: &[f64]) -> Result<(), Failure> {
-    let mut rest = velocities;
-    let mut commanded = Ok(());
-    for (lease, joints) in leases {
-        let (own, others) = rest.split_at((*joints).min(rest.len()));
-        commanded = commanded.and(lease.command(own));
-        rest = others;
+/// The arm that the input names.
+pub(crate) fn chosen<'e>(equipment: &'e Equipment, context: &SkillContext) -> Result<&'e Limb, Failure> {
+    let name = context.text(ARM)?;
+    if name.is_empty() {
+        return equipment.arm();
     }
-    commanded.map_err(|fault| Failure::new(fault.to_string()))
+    let model = equipment.robot.model();
+    model.arms().find(|arm| arm.name == name).ok_or_else(|| {
+        let known = model.arms().map(|arm| arm.name.as_str()).collect::<Vec<_>>().join(", ");
+        Failure::new(format!("the robot `{}` has no arm `{name}`; it has {known}", model.name()))
+    })
+}
+
+/// The link of an arm's TCP.
+pub(crate) fn tcp_of(arm: &Limb) -> Result<LinkId, Failure> {
+    arm.tcp.ok_or_else(|| Failure::new(format!("the arm `{}` has no TCP", arm.name)))
+}
+
+/// The wrench sensor of an arm, as an index into the model's.
+pub(crate) fn sensor_of(arm: &Limb) -> Result<usize, Failure> {
+    arm.wrench.ok_or_else(|| Failure::new(format!("the arm `{}` has no wrench sensor", arm.name)))
+}
+
+/// The compensated force that a wrench sensor feels, root frame, N.
+pub(crate) fn force_at(sensor: usize, sample: &Sensed) -> Vector3<f64> {
+    sample.wrenches.get(sensor).map_or_else(Vector3::zeros, |felt| felt.external.force)
+}
+
+/// Where an arm works: the pose of its TCP in the posture in which it is ready (root from TCP).
+pub(crate) fn workspace(model: &Model, arm: &Limb) -> Result<Isometry3<f64>, Failure> {
+    Ok(model.link_pose(model.ready(&arm.name), tcp_of(arm)?))
+}
+
+/// An arm and the limbs that help it, leased.
+pub(crate) struct ArmLeases {
+    /// Each with the number of its joints: the helpers, then the arm.
+    leases: Vec<(Lease, usize)>,
+    /// Their joints, in this order.
+    pub(crate) joints: Vec<usize>,
+}
+
+impl ArmLeases {
+    /// Leases an arm, after the limbs that help it, as far as nobody else commands them.
+    pub(crate) fn take(equipment: &Equipment, context: &SkillContext, arm: &Limb) -> Result<Self, Failure> {
+        let model = equipment.robot.model();
+        let mut taken = Self { leases: Vec::new(), joints: Vec::new() };
+        for limb in arm.helped_by.iter().chain([&arm.name]) {
+            let lease = match try_lease(equipment, context, limb) {
+                Err(LeaseError::Taken { .. }) if *limb != arm.name => continue,
+                lease => lease.map_err(|error| Failure::new(error.to_string()))?,
+            };
+            taken.leases.push((lease, model.limb(limb).len()));
+            taken.joints.extend(model.limb(limb));
+        }
+        Ok(taken)
+    }
+
+    /// Gives each limb its part of the velocities, in the order of the joints.
+    pub(crate) fn command(&self, velocities: &[f64]) -> Result<(), Failure> {
+        let mut rest = velocities;
+        let mut commanded = Ok(());
+        for (lease, joints) in &self.leases {
+            let (own, others) = rest.split_at((*joints).min(rest.len()));
+            commanded = commanded.and(lease.command(own));
+            rest = others;
+        }
+        commanded.map_err(|fault| Failure::new(fault.to_string()))
+    }
+
+    /// Why a limb was taken away, if one was.
+    pub(crate) fn fault(&self) -> Option<Fault> {
+        self.leases.iter().find_map(|(lease, _)| lease.fault())
+    }
 }
 
 /// An arm and what helps it, with their leases.
 pub(crate) struct Arm {
-    leases: Vec<(Lease, usize)>,
+    leases: ArmLeases,
     model: Arc<Model>,
+    limb: Limb,
     tcp: LinkId,
     ik: DifferentialIk,
     kinematics: Kinematics,
@@ -104,17 +176,31 @@ pub(crate) struct Arm {
 }
 
 impl Arm {
-    /// Leases the arm and what helps it for the skill in `context`.
+    /// Leases the arm that the input names, and what helps it, for the skill in `context`.
     pub(crate) fn take(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
-        let leases = lease_arm(equipment, context)?;
+        let limb = chosen(equipment, context)?;
+        let leases = ArmLeases::take(equipment, context, limb)?;
         let model = Arc::clone(equipment.robot.model());
-        let arm = chosen(&model)?;
-        let tcp = tcp_of(&model)?;
-        let joints = model.reaching_joints(&arm.name);
-        let posture = joints.iter().map(|&j| model.ready(&arm.name)[j]).collect();
-        let ik = DifferentialIk::new(&model, tcp, &joints, IkConfig::default());
+        let tcp = tcp_of(limb)?;
+        let posture = leases.joints.iter().map(|&j| model.ready(&limb.name)[j]).collect();
+        let ik = DifferentialIk::new(&model, tcp, &leases.joints, IkConfig::default());
         let kinematics = Kinematics::new(&model);
-        Ok(Self { leases, model, tcp, ik, kinematics, posture })
+        Ok(Self { leases, limb: limb.clone(), model, tcp, ik, kinematics, posture })
+    }
+
+    /// What it is.
+    pub(crate) fn limb(&self) -> &Limb {
+        &self.limb
+    }
+
+    /// The joints with which it reaches.
+    pub(crate) fn joints(&self) -> &[usize] {
+        &self.leases.joints
+    }
+
+    /// The compensated force on its hand at a sample, root frame, N.
+    pub(crate) fn force(&self, sample: &Sensed) -> Result<Vector3<f64>, Failure> {
+        Ok(force_at(sensor_of(&self.limb)?, sample))
     }
 
     /// `root_from_tcp` at a sample.
@@ -152,7 +238,7 @@ impl Arm {
         angular: Vector3<f64>,
     ) -> Result<(), Failure> {
         let step = self.ik.step(&sample.position, &Twist { linear, angular }, Some(&self.posture));
-        command(&self.leases, step.velocities)
+        self.leases.command(step.velocities)
     }
 
     /// Holds the arm still.
@@ -163,6 +249,10 @@ impl Arm {
 
 /// Leases a limb, with the chart's limits.
 pub(crate) fn lease(equipment: &Equipment, context: &SkillContext, limb: &str) -> Result<Lease, Failure> {
+    try_lease(equipment, context, limb).map_err(|error| Failure::new(error.to_string()))
+}
+
+fn try_lease(equipment: &Equipment, context: &SkillContext, limb: &str) -> Result<Lease, LeaseError> {
     let limits = LeaseLimits { force_n: context.limits.force_n, speed_m_s: context.limits.speed_m_s };
-    equipment.robot.lease(limb, &context.state, limits).map_err(|e| Failure::new(e.to_string()))
+    equipment.robot.lease(limb, &context.state, limits)
 }

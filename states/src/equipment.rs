@@ -4,8 +4,8 @@ use std::future::Future;
 use std::sync::Arc;
 
 use armarium_memoryx::Memory;
-use armarium_robot::Robot;
-use armarium_runtime::skill::{Skill, SkillContext, SkillManifest, SkillResult};
+use armarium_robot::{Limb, Robot};
+use armarium_runtime::skill::{Failure, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_visionx::ImageSource;
 use futures::future::BoxFuture;
 use rand_chacha::ChaCha8Rng;
@@ -28,9 +28,19 @@ pub struct Equipment {
     pub seed: u64,
     /// The motions that its skills run now.
     pub motions: RunningMotions,
+    /// The arm that works where a skill's input names none, a group of the robot; `None`: the robot's first.
+    pub works: Option<String>,
 }
 
 impl Equipment {
+    /// The arm that works.
+    pub(crate) fn arm(&self) -> Result<&Limb, Failure> {
+        let model = self.robot.model();
+        let works = self.works.as_deref().and_then(|works| model.arms().find(|arm| arm.name == works));
+        let none = || Failure::new(format!("the robot `{}` has no arm: no group with a `tcp`", model.name()));
+        works.or_else(|| model.arms().next()).ok_or_else(none)
+    }
+
     /// A random generator that gives the same numbers in every run with the same seed.
     pub(crate) fn random(&self) -> ChaCha8Rng {
         ChaCha8Rng::seed_from_u64(self.seed)

@@ -1,20 +1,17 @@
 //! The geometry of a grasp from above with a level palm, shared by the skills that plan, servo and verify it.
 
-use armarium_robot::{Hand, Marker, Model};
+use armarium_robot::{Hand, Limb, Marker, Model};
 use armarium_runtime::skill::Failure;
 use nalgebra::{Isometry3, Point3};
 
-use crate::arm::chosen;
-
-/// The hand that skills use: that of the arm.
-pub(crate) fn hand(model: &Model) -> Result<&Hand, Failure> {
-    let arm = chosen(model)?;
+/// The hand of an arm.
+pub(crate) fn hand<'m>(model: &'m Model, arm: &Limb) -> Result<&'m Hand, Failure> {
     model.hand_of(arm).ok_or_else(|| Failure::new(format!("the arm `{}` has no hand", arm.name)))
 }
 
-/// The mark by which the cameras track that hand.
-pub(crate) fn marker(model: &Model) -> Result<Marker, Failure> {
-    let hand = hand(model)?;
+/// The mark by which the cameras track the hand of an arm.
+pub(crate) fn marker(model: &Model, arm: &Limb) -> Result<Marker, Failure> {
+    let hand = hand(model, arm)?;
     hand.marker.ok_or_else(|| Failure::new(format!("the hand `{}` has no marker", hand.name)))
 }
 
@@ -36,7 +33,7 @@ mod tests {
     #[test]
     fn the_object_is_below_the_tcp() {
         let model = Model::shipped("armar3").unwrap();
-        let hand = hand(&model).unwrap();
+        let hand = hand(&model, model.arms().next().unwrap()).unwrap();
         let tcp = tcp_at(hand, &Point3::new(0.3, 0.5, 0.97), 0.4);
         let center = tcp * held_in_tcp(hand);
         assert!((center - Point3::new(0.3, 0.5, 0.97)).norm() < 1e-12);

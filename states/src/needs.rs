@@ -68,6 +68,6 @@ mod tests {
     fn the_robot_file_is_told_what_it_lacks() {
         let model = Model::shipped("armar3").unwrap();
         let lacks: Vec<String> = lacks(&model).into_iter().map(|lack| lack.what).collect();
-        assert_eq!(lacks, ["no `wrench` for `left_arm`", "no `hand` for `left_arm`"]);
+        assert!(lacks.is_empty(), "{lacks:?}");
     }
 }

@@ -192,7 +192,7 @@ impl Wiper {
                 ("frequency", Value::Float(omega / TAU)),
                 ("position", Value::from([tcp.x, tcp.y, tcp.z])),
                 ("velocity", Value::from([velocity.x, velocity.y, velocity.z])),
-                ("normal_force", Value::Float(sample.wrist.force.z)),
+                ("normal_force", Value::Float(self.arm.force(sample).map_or(0.0, |force| force.z))),
             ]),
         );
     }

@@ -26,11 +26,16 @@ impl Skill for Declared {
 }
 
 /// The names that are known before a run.
-struct Postures;
+struct Known;
 
-impl KnownNames for Postures {
+impl KnownNames for Known {
     fn names(&self, kind: NameKind, _: &Path) -> Option<BTreeSet<String>> {
-        (kind == NameKind::Posture).then(|| ["home", "wipe"].map(str::to_owned).into())
+        let names = match kind {
+            NameKind::Posture => ["home", "wipe"],
+            NameKind::Arm => ["left_arm", "right_arm"],
+            _ => return None,
+        };
+        Some(names.map(str::to_owned).into())
     }
 }
 
@@ -44,8 +49,15 @@ fn registry() -> Registry {
     let stand = SkillManifest::new("Stand", "Stands in a posture.")
         .optional("posture", Type::String, "", "A posture; none: as it is.")
         .names(NameKind::Posture);
-    let skills = [act, arm, needs, says, stand].into_iter().map(|m| Arc::new(Declared(m)) as Arc<dyn Skill>);
-    let mut registry = skills.collect::<Registry>().with_names(Arc::new(Postures));
+    let reach = SkillManifest::new("Reach", "Moves an arm.")
+        .optional("arm", Type::String, "", "The arm; empty: the right one.")
+        .names(NameKind::Arm)
+        .limb_by_input("arm", "", "right_arm")
+        .limb_by_input("arm", "right_arm", "right_arm")
+        .limb_by_input("arm", "left_arm", "left_arm");
+    let skills =
+        [act, arm, needs, reach, says, stand].into_iter().map(|m| Arc::new(Declared(m)) as Arc<dyn Skill>);
+    let mut registry = skills.collect::<Registry>().with_names(Arc::new(Known));
     // The offers of the agent bob, and a query that it refused.
     let dance = SkillManifest::new("bob/Dance", "Dances.").input("steps", Type::Int, "How many.");
     registry.add_remote(Arc::new(Declared(dance)));

@@ -6,11 +6,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use armarium_host::bench::{Bench, Benched};
-use armarium_robot::{Commander, Fault, Lease, LeaseError, LeaseLimits, Model, Robot, Sensed, Wrist, newest};
+use armarium_robot::{
+    Commander, Fault, Lease, LeaseError, LeaseLimits, Load, Model, Robot, RobotError, Sensed, SensedWrench,
+    newest,
+};
 use armarium_runtime::skill::Skill;
 use armarium_simulator::World;
 use armarium_states::Equipment;
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 
 fn tare(equipment: &Equipment) -> Arc<dyn Skill> {
     armarium_states::skills(equipment).into_iter().find(|skill| skill.manifest().name == "Tare").unwrap()
@@ -35,7 +38,7 @@ fn biased(faults: &str) -> World {
 fn what_the_resting_hand_feels_becomes_zero() {
     let ended = Bench::new(tare).world(biased("")).run().unwrap();
     assert_eq!(ended.outcome, "success", "{:?}", ended.reason);
-    let left = ended.robot.sensed().borrow().wrist.force.norm();
+    let left = ended.robot.sensed().borrow().wrenches[0].external.force.norm();
     let felt = norm(&ended.outputs["force"]);
     // Behind the low-pass, noise of 0.3 N (one deviation, each axis) is about 0.1 N.
     assert!(felt > 2.0 && left < 0.5, "{felt} N before, {left} N after");
@@ -75,8 +78,12 @@ impl Robot for Scripted {
     fn lease(&self, _: &str, _: &str, _: LeaseLimits) -> Result<Lease, LeaseError> {
         Ok(Lease::new(Nobody))
     }
-    fn tare(&self) {}
-    fn set_load(&self, _: f64, _: Point3<f64>) {}
+    fn tare(&self, _: &str) -> Result<(), RobotError> {
+        Ok(())
+    }
+    fn set_load(&self, _: &str, _: Option<Load>) -> Result<(), RobotError> {
+        Ok(())
+    }
     fn stop(&self, _: &str) {}
     fn say(&self, _: &str) {}
 }
@@ -90,9 +97,7 @@ fn scripted(velocity: impl Fn(u64) -> f64 + Copy + Send + Sync + 'static, until:
             stamp_ns: ms * 1_000_000,
             position: position.clone(),
             velocity: vec![velocity(ms); position.len()],
-            force_raw: Vector3::zeros(),
-            torque_raw: Vector3::zeros(),
-            wrist: Wrist::default(),
+            wrenches: vec![SensedWrench::default(); 2],
         };
         let robot = Arc::new(Scripted { model, sensed: newest::Sender::new(Arc::new(sample(0))) });
         let samples = Arc::clone(&robot);

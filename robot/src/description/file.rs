@@ -57,6 +57,8 @@ form! {
         pub helped_by: Vec<String> = Vec::new(), Rule::ANY;
         /// The posture in which it is ready to work.
         pub ready: Option<String> = None, Rule::NAME;
+        /// The postures that it takes in place of others: `{home: home_left}`.
+        pub postures: Named<String> = Named::new(), Rule::NAME;
     }
 }
 

@@ -26,6 +26,10 @@ pub(super) fn model(file: &RobotFile, node: &Node, tree: Tree, findings: &mut Fi
     let start = start.unwrap_or_else(|| zero(&tree));
     for (name, group) in &file.groups {
         resolver.posture_named(&["groups", name, "ready"], group.ready.as_deref(), &postures);
+        for (usual, own) in &group.postures {
+            resolver.posture_named(&["groups", name, "postures"], Some(usual), &postures);
+            resolver.posture_named(&["groups", name, "postures", usual], Some(own), &postures);
+        }
     }
     let limits = RobotLimits { force_n: file.limits.force, speed_m_s: file.limits.speed };
     let Tree { links, joints, link_ids, joint_ids, movers, .. } = tree;
@@ -42,6 +46,7 @@ pub(super) fn model(file: &RobotFile, node: &Node, tree: Tree, findings: &mut Fi
         wrenches,
         camera,
         postures,
+        start_posture: file.start.clone(),
         start,
         limits,
     }
@@ -49,7 +54,16 @@ pub(super) fn model(file: &RobotFile, node: &Node, tree: Tree, findings: &mut Fi
 
 fn bare_limb(name: &str, joints: Vec<usize>) -> Limb {
     let name = name.to_owned();
-    Limb { name, joints, tcp: None, hand: None, wrench: None, helped_by: Vec::new(), ready: None }
+    Limb {
+        name,
+        joints,
+        tcp: None,
+        hand: None,
+        wrench: None,
+        helped_by: Vec::new(),
+        ready: None,
+        postures: BTreeMap::new(),
+    }
 }
 
 /// All joints at 0, or at the limit nearest to it.
@@ -270,8 +284,16 @@ impl Resolver<'_> {
                 self.unknown(&["groups", name, "helped_by"], "other group", helper, known);
             }
         }
-        let (hand, helped_by, ready) = (group.hand.clone(), group.helped_by.clone(), group.ready.clone());
-        Limb { name: name.to_owned(), joints, tcp, hand, wrench, helped_by, ready }
+        Limb {
+            name: name.to_owned(),
+            joints,
+            tcp,
+            hand: group.hand.clone(),
+            wrench,
+            helped_by: group.helped_by.clone(),
+            ready: group.ready.clone(),
+            postures: group.postures.clone().into_iter().collect(),
+        }
     }
 
     fn camera(&mut self, limbs: &BTreeMap<String, Limb>) -> Option<StereoCamera> {

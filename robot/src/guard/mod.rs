@@ -2,10 +2,11 @@
 //! physics.
 //!
 //! The driver of the joints calls [`Guard::step`] with each sample (1 kHz) and applies the [`JointTargets`]. One
-//! step does the following. It compensates the wrist and publishes the sample. It detects faults. It takes the
+//! step does the following. It compensates the wrench sensors and publishes the sample. It detects faults. It takes the
 //! newest command of each limb, or 0. It scales joints that move a TCP together to the TCP and joint speed limits,
 //! keeping the direction, and limits the acceleration (`bounds.rs`). It stops each joint softly before its limits.
-//! It integrates to a setpoint that stays near the measured position. Above the force limit the arm yields.
+//! It integrates to a setpoint that stays near the measured position. Above the force limit at its sensor, an arm
+//! yields.
 
 mod bounds;
 mod clearance;
@@ -16,24 +17,22 @@ mod tests;
 use std::sync::Arc;
 use std::time::Duration;
 
-use nalgebra::Vector3;
-
 use self::bounds::VelocityBounds;
 use self::clearance::Clearance;
-use self::force::Sensor;
+use self::force::{Sensor, YieldingArms};
 use crate::seam::lease::{LeaseBoard, LeaseTable};
-use crate::{Fault, GuardedRobot, JointKind, Kinematics, Model, RobotLimits, Sensed, Wrist};
+use crate::{Fault, GuardedRobot, JointKind, Kinematics, Model, RobotLimits, Sensed, Wrench};
 
 /// The guard's own limits; leases can only tighten them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GuardConfig {
     /// Longest time without a new command for a moving limb.
     pub watchdog: Duration,
-    /// Largest compensated wrist force, N.
+    /// Largest compensated force at any wrench sensor, N.
     pub force_n: f64,
     /// Largest speed of any TCP, m/s.
     pub speed_m_s: f64,
-    /// How long the raw wrist sample may stay bit-identical.
+    /// How long the raw sample of a wrench sensor may stay bit-identical.
     pub frozen: Duration,
     /// Largest distance of a revolute joint's setpoint from its measured position, rad: limits the torque in
     /// contact.
@@ -75,24 +74,23 @@ impl GuardConfig {
 /// Longest step that is integrated, s, so that the setpoints do not jump after a pause of the driver.
 const MAX_STEP_S: f64 = 0.02;
 
-/// A raw sample of the joints and the wrist sensor.
+/// A raw sample of the joints and the wrench sensors.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sample {
     /// Joint positions in the model's order, rad (m).
     pub position: Vec<f64>,
     /// Joint velocities, rad/s (m/s).
     pub velocity: Vec<f64>,
-    /// Force that the hand exerts on the wrist sensor, in the sensor's frame, N.
-    pub force_raw: Vector3<f64>,
-    /// Torque about the sensor's origin, in the sensor's frame, N m.
-    pub torque_raw: Vector3<f64>,
+    /// What each hand exerts on its wrench sensor, in the sensor's frame, about its origin; in the order of the
+    /// model's sensors.
+    pub wrenches: Vec<Wrench>,
 }
 
 impl Sample {
-    /// At rest at `position`, with nothing on the sensor.
-    pub fn resting(position: Vec<f64>) -> Self {
+    /// At rest at `position`, with nothing on the wrench sensors of `model`.
+    pub fn resting(model: &Model, position: Vec<f64>) -> Self {
         let velocity = vec![0.0; position.len()];
-        Self { position, velocity, force_raw: Vector3::zeros(), torque_raw: Vector3::zeros() }
+        Self { position, velocity, wrenches: vec![Wrench::default(); model.wrenches().len()] }
     }
 
     fn is_finite(&self, joints: usize) -> bool {
@@ -116,7 +114,8 @@ pub struct Guard {
     shared: Arc<LeaseBoard>,
     config: GuardConfig,
     kinematics: Kinematics,
-    sensor: Option<Sensor>,
+    sensors: Vec<Sensor>,
+    arms: YieldingArms,
     bounds: VelocityBounds,
     clearance: Clearance,
     measured: Sample,
@@ -127,8 +126,6 @@ pub struct Guard {
 
 impl Guard {
     /// A guard and the robot that it protects. The joints hold the position of the first sample.
-    ///
-    /// The compensated wrist is that of the first limb (by name) that has both a sensor and a TCP.
     pub fn new(model: Arc<Model>, config: GuardConfig) -> (Self, Arc<GuardedRobot>) {
         let shared = Arc::new(LeaseBoard::new(&model));
         let robot = Arc::new(GuardedRobot { shared: Arc::clone(&shared) });
@@ -137,10 +134,11 @@ impl Guard {
             shared,
             config,
             kinematics: Kinematics::new(&model),
-            sensor: Sensor::of(&model),
+            sensors: Sensor::all(&model),
+            arms: YieldingArms::new(&model),
             bounds: VelocityBounds::new(&model),
             clearance: Clearance::new(&model),
-            measured: Sample::resting(model.zero()),
+            measured: Sample::resting(&model, model.zero()),
             desired: vec![0.0; n],
             targets: JointTargets { position: model.zero(), velocity: vec![0.0; n] },
             stamp_ns: None,
@@ -162,7 +160,7 @@ impl Guard {
     /// drives.
     ///
     /// A sample that is not finite or of the wrong length is replaced by the previous one; if this continues, the
-    /// wrist sensor counts as frozen. Allocates only the published sample.
+    /// wrench sensors count as frozen. Allocates only the published sample.
     pub fn step(&mut self, stamp_ns: u64, sample: &Sample) -> &JointTargets {
         let dt = self.accept(stamp_ns, sample);
         let shared = Arc::clone(&self.shared);
@@ -171,7 +169,7 @@ impl Guard {
         self.find_faults(&mut table, stamp_ns);
         self.take_commands(&table);
         drop(table);
-        self.give_way();
+        self.arms.yield_into(&self.sensors, &self.kinematics, &self.config, &mut self.desired);
         let Self { bounds, clearance, kinematics, desired, targets, .. } = self;
         clearance.update(kinematics, &targets.position);
         bounds.bound(&shared.model, kinematics, clearance, desired);
@@ -194,21 +192,24 @@ impl Guard {
                 self.targets.position.copy_from_slice(&sample.position);
             }
         }
-        self.measured.force_raw = sample.force_raw;
-        self.measured.torque_raw = sample.torque_raw;
+        self.measured.wrenches.clone_from(&sample.wrenches);
         self.kinematics.update(&self.measured.position);
         since.min(MAX_STEP_S)
     }
 
     fn sense(&mut self, table: &mut LeaseTable, stamp_ns: u64, dt: f64) {
-        let Some(sensor) = &mut self.sensor else { return };
-        if let Some((mass, center)) = table.load.take() {
-            sensor.estimator.set_load(mass, center);
+        let Self { sensors, arms, kinematics, measured, config, .. } = self;
+        if std::mem::take(&mut table.loads_changed) {
+            sensors.iter_mut().for_each(|sensor| sensor.load(table));
+            arms.load(table);
         }
-        sensor.sense(&self.kinematics, &self.measured, stamp_ns, dt);
-        sensor.frozen = stamp_ns.saturating_sub(sensor.changed_ns) >= nanoseconds(self.config.frozen);
-        if std::mem::take(&mut table.tare) {
-            sensor.estimator.tare(&self.kinematics);
+        let frozen_ns = nanoseconds(config.frozen);
+        for (index, sensor) in sensors.iter_mut().enumerate() {
+            let raw = measured.wrenches.get(index);
+            sensor.sense(kinematics, &measured.velocity, raw, (stamp_ns, dt), frozen_ns);
+        }
+        for tared in table.tared.drain(..) {
+            sensors[tared].tare(kinematics);
         }
     }
 
@@ -225,9 +226,10 @@ impl Guard {
                 slot.fail(&Fault::Watchdog { silent_ms: silent_ns / 1_000_000 });
             }
         }
-        if let Some(sensor) = &mut self.sensor {
+        for sensor in &mut self.sensors {
             sensor.find_faults(table, &self.config, stamp_ns);
         }
+        self.arms.share_faults(table);
     }
 
     /// The desired velocities: each limb's newest command, or 0 for limbs without a lease that is free of faults.
@@ -240,13 +242,6 @@ impl Guard {
             }
         }
         self.bounds.read(table, self.config.speed_m_s);
-    }
-
-    /// Moves the arm along the force while the force is over the limit.
-    fn give_way(&mut self) {
-        let Some(sensor) = &mut self.sensor else { return };
-        let Some((limit, _)) = sensor.yielding else { return };
-        sensor.yield_into(&self.kinematics, &self.config, limit, &mut self.desired);
     }
 
     /// Integrates the velocities. Each joint stops before its limits and stays near its measured position.
@@ -273,14 +268,11 @@ impl Guard {
     }
 
     fn publish(&self, stamp_ns: u64) {
-        let wrist = self.sensor.as_ref().map_or_else(Wrist::default, |s| s.wrist);
         self.shared.sensed.send(Arc::new(Sensed {
             stamp_ns,
             position: self.measured.position.clone(),
             velocity: self.measured.velocity.clone(),
-            force_raw: self.measured.force_raw,
-            torque_raw: self.measured.torque_raw,
-            wrist,
+            wrenches: self.sensors.iter().map(Sensor::sensed).collect(),
         }));
     }
 }

@@ -8,9 +8,12 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::bodies::{Bodies, least_distance};
 use crate::{
-    Fault, Guard, GuardConfig, GuardedRobot, Kinematics, Lease, LeaseLimits, Model, Robot, ServoJoints,
-    Wrist, load_mass,
+    Fault, Guard, GuardConfig, GuardedRobot, Kinematics, Lease, LeaseLimits, Load, Model, Robot, ServoJoints,
+    Wrench, load_mass,
 };
+
+const RIGHT: &str = "right_wrist";
+const LEFT: &str = "left_wrist";
 
 struct Rig {
     model: Arc<Model>,
@@ -28,7 +31,8 @@ impl Rig {
         let joints = ServoJoints::new(&model, model.ready("right_arm"), 1);
         let mut rig = Self { model, guard, robot, joints, now_ms: 0, frozen: false };
         rig.run(150, |_| Vector3::zeros());
-        rig.robot.tare();
+        rig.robot.tare("right_wrist").unwrap();
+        rig.robot.tare("left_wrist").unwrap();
         rig.run(50, |_| Vector3::zeros());
         rig
     }
@@ -37,20 +41,36 @@ impl Rig {
         self.robot.lease(limb, "test", LeaseLimits::default()).unwrap()
     }
 
-    /// Steps `ms` times; `push` returns the force at the TCP.
+    /// Steps `ms` times; `push` returns the force at the right TCP.
     fn run(&mut self, ms: u64, mut push: impl FnMut(Point3<f64>) -> Vector3<f64>) {
         let tcp = self.model.link("tcp_right").unwrap();
         for _ in 0..ms {
-            self.now_ms += 1;
-            let targets = self.guard.step(self.now_ms * 1_000_000, self.joints.sample()).clone();
             let at = Point3::from(self.joints.kinematics().pose(tcp).translation.vector);
-            let before = self.joints.clone();
-            self.joints.step(&targets, &push(at), 1e-3);
-            if self.frozen {
-                // The joints continue; the wrench is repeated.
-                self.joints.repeat_wrench(&before);
-            }
+            self.step(&[(RIGHT, push(at))]);
         }
+    }
+
+    /// Steps once, with forces at the TCPs of sensors.
+    fn step(&mut self, pushes: &[(&str, Vector3<f64>)]) {
+        self.now_ms += 1;
+        let targets = self.guard.step(self.now_ms * 1_000_000, self.joints.sample()).clone();
+        let before = self.joints.clone();
+        let push = |name: &str| pushes.iter().find(|(sensor, _)| *sensor == name).map(|(_, push)| *push);
+        let of = |sensor: &crate::WrenchSensor| push(&sensor.name).unwrap_or_default();
+        let pushes: Vec<_> = self.model.wrenches().iter().map(of).collect();
+        self.joints.step(&targets, &pushes, 1e-3);
+        if self.frozen {
+            // The joints continue; the wrench is repeated.
+            self.joints.repeat_wrench(self.sensor(RIGHT), &before);
+        }
+    }
+
+    fn sensor(&self, name: &str) -> usize {
+        self.model.wrenches().iter().position(|sensor| sensor.name == name).unwrap()
+    }
+
+    fn felt(&self, name: &str) -> Wrench {
+        self.robot.sensed().borrow().wrenches[self.sensor(name)].external
     }
 
     fn command(&mut self, lease: &Lease, velocities: &[f64], ms: u64) {
@@ -64,8 +84,8 @@ impl Rig {
         self.joints.sample().velocity.iter().fold(0.0, |most, v| most.max(v.abs()))
     }
 
-    fn wrist(&self) -> Wrist {
-        self.robot.sensed().borrow().wrist
+    fn wrist(&self) -> Wrench {
+        self.felt(RIGHT)
     }
 
     fn limit_and(&self, joint: &str) -> (usize, f64, f64) {
@@ -76,7 +96,7 @@ impl Rig {
 
 #[test]
 fn every_joint_brakes_from_full_speed_within_200_ms() {
-    for limb in ["right_arm", "left_arm", "torso", "head", "right_hand"] {
+    for limb in ["right_arm", "left_arm", "torso", "head", "right_hand", "left_hand"] {
         let mut rig = Rig::new();
         let lease = rig.lease(limb);
         let speeds: Vec<f64> = rig
@@ -86,7 +106,7 @@ fn every_joint_brakes_from_full_speed_within_200_ms() {
             .map(|&j| rig.model.joints()[j].velocity.copysign(0.5 - rig.joints.sample().position[j]))
             .collect();
         rig.command(&lease, &speeds, 250);
-        assert!(rig.fastest() > 0.1 || limb == "right_hand", "{limb} moves at {}", rig.fastest());
+        assert!(rig.fastest() > 0.1 || limb.ends_with("hand"), "{limb} moves at {}", rig.fastest());
         drop(lease);
         rig.run(200, |_| Vector3::zeros());
         assert!(rig.fastest() < 0.01, "{limb} still moves at {}", rig.fastest());
@@ -235,7 +255,8 @@ fn what_the_hand_lifts_is_weighed_and_compensated() {
     let weight = Vector3::new(0.0, 0.0, -0.15 * 9.81);
     rig.run(100, |_| weight);
     assert!((load_mass(&before, &rig.wrist()) - 0.15).abs() < 0.002);
-    rig.robot.set_load(0.15, Point3::origin());
+    let load = Load { name: "sponge".into(), mass_kg: 0.15, center_in_tcp: Point3::origin() };
+    rig.robot.set_load("right_hand", Some(load)).unwrap();
     rig.run(100, |_| weight);
     assert!(rig.wrist().force.norm() < 0.02, "{:?}", rig.wrist());
 }
@@ -244,7 +265,7 @@ fn what_the_hand_lifts_is_weighed_and_compensated() {
 fn the_raw_wrist_of_a_hanging_hand_reads_its_weight_downwards() {
     let rig = Rig::new();
     let sensor = rig.model.link("wrist_sensor_right").unwrap();
-    let force = rig.joints.kinematics().pose(sensor) * rig.joints.sample().force_raw;
+    let force = rig.joints.kinematics().pose(sensor) * rig.joints.sample().wrenches[rig.sensor(RIGHT)].force;
     assert!((force - Vector3::new(0.0, 0.0, -9.81)).norm() < 0.01, "{force:?}");
 }
 
@@ -315,13 +336,87 @@ fn a_frozen_wrench_faults_the_arm_but_not_the_head() {
 }
 
 #[test]
+fn each_arm_has_a_sensor_of_its_own() {
+    let mut rig = Rig::new();
+    let push = Vector3::new(0.0, 5.0, -3.0);
+    (0..100).for_each(|_| rig.step(&[(LEFT, push)]));
+    assert!((rig.felt(LEFT).force - push).norm() < 0.02, "{:?}", rig.felt(LEFT));
+    assert!(rig.felt(RIGHT).force.norm() < 0.02, "{:?}", rig.felt(RIGHT));
+    // A tare and a load concern one of them.
+    rig.robot.tare(LEFT).unwrap();
+    (0..100).for_each(|_| rig.step(&[(LEFT, push), (RIGHT, push)]));
+    assert!(rig.felt(LEFT).force.norm() < 0.02 && (rig.felt(RIGHT).force - push).norm() < 0.02);
+    let load = Load { name: "cup".into(), mass_kg: 0.3, center_in_tcp: Point3::origin() };
+    rig.robot.set_load("left_hand", Some(load.clone())).unwrap();
+    rig.run(100, |_| Vector3::zeros());
+    let weighed = Vector3::z() * 0.3 * 9.81 - push;
+    assert!((rig.felt(LEFT).force - weighed).norm() < 0.02, "{:?}", rig.felt(LEFT));
+    assert!(rig.felt(RIGHT).force.norm() < 0.02);
+    // So does too strong a force.
+    let (right, left) = (rig.lease("right_arm"), rig.lease("left_arm"));
+    (0..200).for_each(|_| rig.step(&[(LEFT, Vector3::x() * -60.0)]));
+    assert!(matches!(left.fault(), Some(Fault::Force { .. })) && right.fault().is_none());
+    let unknown = rig.robot.tare("nose").unwrap_err().to_string();
+    assert_eq!(unknown, "the robot has no wrench sensor `nose`; it has right_wrist, left_wrist");
+    assert!(rig.robot.set_load("nose", None).is_err());
+    let heavy = Load { mass_kg: f64::NAN, ..load };
+    assert!(rig.robot.set_load("left_hand", Some(heavy)).unwrap_err().to_string().contains("not physical"));
+}
+
+/// Where a TCP is, and how far it went in 300 ms of a push on the right hand.
+fn gone(rig: &mut Rig, push: Vector3<f64>) -> [Vector3<f64>; 2] {
+    let tcps = ["tcp_right", "tcp_left"].map(|tcp| rig.model.link(tcp).unwrap());
+    let at = |rig: &Rig| tcps.map(|tcp| rig.joints.kinematics().pose(tcp).translation.vector);
+    let before = at(rig);
+    (0..300).for_each(|_| rig.step(&[(RIGHT, push)]));
+    let after = at(rig);
+    [after[0] - before[0], after[1] - before[1]]
+}
+
+#[test]
+fn arms_that_hold_one_load_give_way_and_stop_together() {
+    let push = Vector3::new(0.0, 60.0, 0.0);
+    let hold = |rig: &Rig, names: [&str; 2]| {
+        for (hand, name) in ["right_hand", "left_hand"].into_iter().zip(names) {
+            let load = Load { name: name.into(), mass_kg: 0.0, center_in_tcp: Point3::origin() };
+            rig.robot.set_load(hand, Some(load)).unwrap();
+        }
+        rig.lease("left_arm")
+    };
+    let mut rig = Rig::new();
+    let left = hold(&rig, ["tray", "cup"]);
+    let [right_went, left_went] = gone(&mut rig, push);
+    assert!(right_went.y > 0.02 && left_went.norm() < 1e-3, "{right_went} {left_went}");
+    assert_eq!(left.fault(), None, "two things");
+
+    let mut rig = Rig::new();
+    // Hanging straight down, the left arm could not follow: its elbow is bent first.
+    let (elbow, ..) = rig.limit_and("elbow_l");
+    let lease = rig.lease("left_arm");
+    let place = rig.model.limb("left_arm").iter().position(|&j| j == elbow).unwrap();
+    let mut bend = [0.0; 7];
+    bend[place] = -0.8;
+    rig.command(&lease, &bend, 1000);
+    drop(lease);
+    rig.run(300, |_| Vector3::zeros());
+    let left = hold(&rig, ["tray", "tray"]);
+    let right = rig.lease("right_arm");
+    let [right_went, left_went] = gone(&mut rig, push);
+    assert!(right_went.y > 0.02, "{right_went}");
+    assert!((left_went - right_went).norm() < 0.25 * right_went.norm(), "{right_went} {left_went}");
+    assert!(matches!(left.fault(), Some(Fault::Force { .. })), "{:?}", left.fault());
+    assert!(matches!(right.fault(), Some(Fault::Force { .. })), "{:?}", right.fault());
+}
+
+#[test]
 fn samples_that_are_not_numbers_move_nothing() {
     let mut rig = Rig::new();
     let lease = rig.lease("right_arm");
     rig.command(&lease, &[0.3; 7], 50);
     let mut broken = rig.joints.sample().clone();
     broken.position[8] = f64::NAN;
-    broken.force_raw.x = f64::INFINITY;
+    let right = rig.sensor(RIGHT);
+    broken.wrenches[right].force.x = f64::INFINITY;
     for _ in 0..150 {
         rig.now_ms += 1;
         let targets = rig.guard.step(rig.now_ms * 1_000_000, &broken);
@@ -340,7 +435,9 @@ fn the_setpoint_does_not_run_away_from_a_joint_that_is_held() {
     let mut sample = held.clone();
     for k in 0..1000_u32 {
         rig.now_ms += 1;
-        sample.force_raw.x = held.force_raw.x + 1e-4 * f64::from(k % 7);
+        for (now, held) in sample.wrenches.iter_mut().zip(&held.wrenches) {
+            now.force.x = held.force.x + 1e-4 * f64::from(k % 7);
+        }
         lease.command(&[0.0, 0.0, 0.0, -0.5, 0.0, 0.0, 0.0]).unwrap();
         let targets = rig.guard.step(rig.now_ms * 1_000_000, &sample);
         assert!((targets.position[joint] - held.position[joint]).abs() <= 0.05 + 1e-12);
@@ -363,7 +460,7 @@ fn stop_is_final_and_utterances_are_heard() {
 
 #[tokio::test(start_paused = true)]
 async fn the_dummy_conforms() {
-    for limb in ["right_arm", "torso", "head", "right_hand"] {
+    for limb in ["right_arm", "left_arm", "torso", "head", "right_hand", "left_hand"] {
         let model = Model::shipped("armar3").unwrap();
         let dummy = crate::DummyRobot::start(Arc::clone(&model), model.ready("right_arm"));
         crate::conformance::check(&dummy.robot(), limb).await.unwrap_or_else(|v| panic!("{limb}: {v}"));

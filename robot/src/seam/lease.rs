@@ -3,16 +3,16 @@
 //! This file holds the data that skills and the guard share; it does not move the robot. The guard reads it once
 //! per control step.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
 use std::sync::Arc;
 
-use nalgebra::{Point3, Vector3};
 use parking_lot::{Mutex, MutexGuard};
 
 use super::robot::Robot;
 use crate::model::Limb;
-use crate::{Fault, LeaseError, LeaseLimits, Model, Sensed, Wrist, newest};
+use crate::model::unknown;
+use crate::{Fault, LeaseError, LeaseLimits, Load, Model, RobotError, Sensed, SensedWrench, newest};
 
 /// Number of utterances kept until the driver takes them; older ones are dropped.
 const MAX_UTTERANCES: usize = 64;
@@ -98,8 +98,12 @@ impl LimbSlot {
 pub(crate) struct LeaseTable {
     pub(crate) slots: Vec<LimbSlot>,
     pub(crate) stopped: Option<String>,
-    pub(crate) tare: bool,
-    pub(crate) load: Option<(f64, Point3<f64>)>,
+    /// The wrench sensors whose present force is to be taken as zero, as indices into the model's.
+    pub(crate) tared: Vec<usize>,
+    /// What the hands hold, by their names.
+    pub(crate) loads: BTreeMap<String, Load>,
+    /// Whether the guard has not seen the loads yet.
+    pub(crate) loads_changed: bool,
     utterances: VecDeque<String>,
     next_id: u64,
 }
@@ -119,9 +123,7 @@ impl LeaseBoard {
             stamp_ns: 0,
             position: model.zero(),
             velocity: vec![0.0; model.joints().len()],
-            force_raw: Vector3::zeros(),
-            torque_raw: Vector3::zeros(),
-            wrist: Wrist::default(),
+            wrenches: vec![SensedWrench::default(); model.wrenches().len()],
         };
         let sensed = newest::Sender::new(Arc::new(first));
         Self {
@@ -185,16 +187,31 @@ impl Robot for GuardedRobot {
         Ok(Lease::new(LocalCommander { shared: Arc::clone(&self.shared), index, id }))
     }
 
-    fn tare(&self) {
-        self.shared.leases().tare = true;
+    fn tare(&self, wrench: &str) -> Result<(), RobotError> {
+        let sensors = self.shared.model.wrenches();
+        let names = sensors.iter().map(|sensor| &sensor.name);
+        let index = sensors.iter().position(|sensor| sensor.name == wrench);
+        let index = index.ok_or_else(|| unknown("wrench sensor", wrench, names))?;
+        let mut table = self.shared.leases();
+        if !table.tared.contains(&index) {
+            table.tared.push(index);
+        }
+        Ok(())
     }
 
-    fn set_load(&self, mass_kg: f64, center_in_tcp: Point3<f64>) {
-        if mass_kg.is_finite() && mass_kg >= 0.0 && center_in_tcp.iter().all(|c| c.is_finite()) {
-            self.shared.leases().load = Some((mass_kg, center_in_tcp));
-        } else {
-            tracing::warn!(mass_kg, "a load that is not physical was ignored");
+    fn set_load(&self, hand: &str, load: Option<Load>) -> Result<(), RobotError> {
+        let hands = self.shared.model.hands();
+        if !hands.contains_key(hand) {
+            return Err(unknown("hand", hand, hands.keys()));
         }
+        let mut table = self.shared.leases();
+        match load {
+            None => table.loads.remove(hand),
+            Some(load) if load.is_physical() => table.loads.insert(hand.to_owned(), load),
+            Some(Load { name, mass_kg, .. }) => return Err(RobotError::Load { name, mass_kg }),
+        };
+        table.loads_changed = true;
+        Ok(())
     }
 
     fn stop(&self, reason: &str) {

@@ -2,10 +2,9 @@
 
 use std::sync::Arc;
 
-use nalgebra::Point3;
-
 use super::lease::Lease;
-use crate::boundary::{LeaseError, LeaseLimits, Sensed};
+use crate::boundary::{LeaseError, LeaseLimits, Load, Sensed};
+use crate::error::RobotError;
 use crate::model::Model;
 use crate::newest;
 
@@ -20,10 +19,17 @@ pub trait Robot: Send + Sync {
     /// # Errors
     /// [`LeaseError`] when the limb is taken or unknown, or the robot is stopped.
     fn lease(&self, limb: &str, holder: &str, limits: LeaseLimits) -> Result<Lease, LeaseError>;
-    /// Takes the present compensated wrist force as zero. To be called while nothing touches the hand.
-    fn tare(&self);
-    /// Sets what the hand holds, so that its weight is compensated: mass, kg, and centre in the TCP frame, m.
-    fn set_load(&self, mass_kg: f64, center_in_tcp: Point3<f64>);
+    /// Takes the present compensated force of a wrench sensor as zero. To be called while nothing touches the hand.
+    ///
+    /// # Errors
+    /// [`RobotError::Unknown`] when there is no such sensor.
+    fn tare(&self, wrench: &str) -> Result<(), RobotError>;
+    /// Sets what a hand holds, so that its weight is compensated; `None` for nothing. See [`Load`] for two hands that
+    /// hold one thing.
+    ///
+    /// # Errors
+    /// [`RobotError::Unknown`] when there is no such hand, [`RobotError::Load`] when the load is not physical.
+    fn set_load(&self, hand: &str, load: Option<Load>) -> Result<(), RobotError>;
     /// Stops every limb permanently; later leases are refused.
     fn stop(&self, reason: &str);
     /// Says something through the robot's loudspeaker, for people nearby such as the coach.

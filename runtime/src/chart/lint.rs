@@ -13,6 +13,7 @@ use super::flatten::{Inside, Tree};
 use super::library::Library;
 use super::model::{self, ActionKind};
 use super::scoped::{Scoped, can_end, reached, scoped};
+use crate::program::limbs::Limbs;
 use crate::program::{Kind, Program, State, StateId};
 
 /// What is wrong with a program as a whole. Where names of states are `unknown`, what cannot be reached is not known
@@ -300,6 +301,7 @@ impl Lint<'_, '_> {
     }
 
     fn limbs(&mut self) {
+        let limbs = Limbs::new(self.program, true);
         for id in self.ids() {
             let state = self.program.state(id);
             if !matches!(state.kind, Kind::Parallel) {
@@ -308,8 +310,7 @@ impl Lint<'_, '_> {
             let mut commander: BTreeMap<&str, (StateId, StateId)> = BTreeMap::new();
             for region in state.children.clone() {
                 for inner in region..=self.program.state(region).last {
-                    let Kind::Skill { manifest } = &self.program.state(inner).kind else { continue };
-                    for limb in &manifest.limbs {
+                    for limb in limbs.of(inner) {
                         let (other_region, other) = *commander.entry(limb).or_insert((region, inner));
                         if other_region == region {
                             continue;

@@ -62,6 +62,15 @@ impl Chart {
         manifest
     }
 
+    /// The text that an input has where nothing is given: the profile's, else its default.
+    pub fn usual_text(&self, input: &str, profile: Option<&str>) -> Option<String> {
+        let of_profile = profile.and_then(|profile| self.profiles.get(profile)).into_iter().flatten();
+        let said = of_profile.filter(|(name, _)| name.text == input).map(|(_, node)| node.literal()).next();
+        let declared = self.inputs.iter().find(|parameter| parameter.name == input);
+        let usual = said.or_else(|| declared?.default.clone())?;
+        usual.as_str().map(str::to_owned)
+    }
+
     /// The names of the types that it declares.
     pub fn types(&self) -> impl Iterator<Item = &str> {
         let types = self.declared.iter().filter(|(section, _)| *section == Section::Types);

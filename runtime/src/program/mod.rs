@@ -5,6 +5,7 @@
 //! `s + 1 ..= s.last`. State 0 stands for the run; its only child is the chart. Names of events are numbers as
 //! well. The data that selecting transitions needs are stored side by side in `Tables`.
 
+pub(crate) mod limbs;
 mod tables;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -394,17 +395,6 @@ impl Program {
             _ => None,
         };
         self.states.iter().filter_map(grace).max().unwrap_or_default()
-    }
-
-    /// The limbs that skills of the chart command, in alphabetical order.
-    pub fn limbs(&self) -> Vec<String> {
-        let mut limbs = BTreeSet::new();
-        for state in &self.states {
-            if let Kind::Skill { manifest } = &state.kind {
-                limbs.extend(manifest.limbs.iter().cloned());
-            }
-        }
-        limbs.into_iter().collect()
     }
 
     /// The channels that expressions read; a channel's number is its index here.

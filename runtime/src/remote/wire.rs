@@ -41,6 +41,9 @@ pub struct Manifest {
     /// Limbs that it commands; limbs of the agent that offers it.
     #[serde(default)]
     pub limbs: Vec<String>,
+    /// Limbs that it commands by the value of an input: for each such input, the limbs that each of its values names.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub limbs_by_input: BTreeMap<String, BTreeMap<String, Vec<String>>>,
     /// How long it may take to return after a cancel, s; 1 if it does not say.
     #[serde(default = "usual_grace_s")]
     pub grace_s: f64,
@@ -310,6 +313,7 @@ impl Manifest {
             outcomes: skill.outcomes.clone(),
             events: skill.events.clone(),
             limbs: skill.limbs.clone(),
+            limbs_by_input: skill.limbs_by_input.clone(),
             grace_s: skill.grace.as_secs_f64(),
         };
         // If CBOR cannot encode it, it cannot be offered either; sending the manifest then reports the error.
@@ -327,7 +331,12 @@ impl Manifest {
         skill.outcomes.clone_from(&self.outcomes);
         skill.events.clone_from(&self.events);
         let agent = name.split('/').next().unwrap_or_default();
-        skill.limbs = self.limbs.iter().map(|limb| format!("{agent}/{limb}")).collect();
+        let of_agent = |limbs: &mut Vec<String>| {
+            limbs.iter_mut().for_each(|limb| *limb = format!("{agent}/{limb}"));
+        };
+        (skill.limbs, skill.limbs_by_input) = (self.limbs.clone(), self.limbs_by_input.clone());
+        of_agent(&mut skill.limbs);
+        skill.limbs_by_input.values_mut().flat_map(BTreeMap::values_mut).for_each(of_agent);
         skill
     }
 }

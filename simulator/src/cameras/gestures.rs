@@ -101,7 +101,7 @@ fn watch(world: &World, seed: u64) -> Score {
     let mut wiper = Wiper::new(&model);
     let camera = eyes.viewpoint(&wiper.q);
     let rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut coach = Coach::new(&world.coach, world.table.height, camera, rng);
+    let mut coach = Coach::new(&world.coach, world.table.height, (camera, 1.0), rng);
     let path = CoachPath::new(&world.coach.demonstration.clone().unwrap_or_default());
     let mut observer = HandObserver::new(eyes.rig.source.calibration());
     let dirt = DirtGrid::new(&table);
@@ -116,7 +116,7 @@ fn watch(world: &World, seed: u64) -> Score {
         before = tcp;
         let tcp_at = Point3::from(tcp.translation.vector);
         let arm = SeenArm { tcp: tcp_at, velocity, wrist: tcp_at, elbow: tcp_at };
-        let state = *coach.step(t, &arm, STEP_S);
+        let state = *coach.step(t, || arm, STEP_S);
         if state.hand.is_some() {
             hand_gone_at = t;
         }

@@ -31,7 +31,8 @@ const BINS: usize = 64;
 const MAX_CYCLES_FACTOR: f64 = 4.0;
 /// The tracker's step, s.
 const TRACK_DT: f64 = 0.005;
-/// Preferred direction of the forearm, in which it hides neither the path nor the robot's arm: far and left.
+/// Preferred direction of the forearm, in which it hides neither the path nor the robot's right arm: far and left. For the
+/// left arm it is mirrored.
 const FOREARM: Vector3<f64> = Vector3::new(-0.6, 0.8, 0.0);
 
 /// The coach's bare hand.
@@ -122,6 +123,7 @@ pub(super) struct Coaching {
     steps: Vec<CoachingStep>,
     ends: f64,
     camera: Point3<f64>,
+    forearm: Vector3<f64>,
     path: CoachPath,
     tracker: PhaseTracker,
     since_tracked: f64,
@@ -133,11 +135,12 @@ pub(super) struct Coaching {
 }
 
 impl Coaching {
-    pub(super) fn new(spec: &CoachSpec, path: CoachPath, camera: Point3<f64>) -> Self {
+    pub(super) fn new(spec: &CoachSpec, path: CoachPath, camera: Point3<f64>, side: f64) -> Self {
         Self {
             steps: spec.coaching.clone(),
             ends: spec.ends,
             camera,
+            forearm: FOREARM.component_mul(&Vector3::new(side, 1.0, 1.0)),
             tracker: PhaseTracker::new(path.clone()),
             path,
             since_tracked: 0.0,
@@ -166,7 +169,7 @@ impl Coaching {
         idle && (self.next >= self.steps.len() || self.since.is_some_and(|s| t > s + self.ends))
     }
 
-    pub(super) fn step(&mut self, t: f64, arm: &SeenArm, dt: f64, state: &mut CoachState) {
+    pub(super) fn step(&mut self, t: f64, arm: impl FnOnce() -> SeenArm, dt: f64, state: &mut CoachState) {
         *state = CoachState::default();
         let Some(since) = self.since else { return };
         self.track(arm, dt);
@@ -185,17 +188,18 @@ impl Coaching {
         }
     }
 
-    fn track(&mut self, arm: &SeenArm, dt: f64) {
-        let (tcp, velocity) = (arm.tcp, arm.velocity);
+    fn track(&mut self, arm: impl FnOnce() -> SeenArm, dt: f64) {
         self.since_tracked += dt;
         if self.since_tracked + 1e-9 < TRACK_DT {
             return;
         }
+        let arm = arm();
+        let SeenArm { tcp, velocity, .. } = arm;
         self.tracker.update([tcp.x, tcp.y], [velocity.x, velocity.y], self.since_tracked);
         self.since_tracked = 0.0;
         if let Some(phase) = self.tracker.phase() {
             let bin = ((phase * BINS as f64) as usize).min(BINS - 1);
-            self.seen[bin] = Some(*arm);
+            self.seen[bin] = Some(arm);
         }
     }
 
@@ -317,7 +321,7 @@ impl Coaching {
         let view = (self.camera.coords - palm).try_normalize(1e-6).unwrap_or_else(Vector3::z);
         let fingers = match show.direction.map(Vector3::from).and_then(|d| d.try_normalize(1e-9)) {
             Some(direction) => direction,
-            None => across(&Vector3::from(show.offset), &view),
+            None => across(&Vector3::from(show.offset), &view, &self.forearm),
         };
         let beside = Isometry3::from_parts(Translation3::from(palm), facing(&fingers, &view));
         Translation3::from(Vector3::z() * lift(&beside, &self.seen)) * beside
@@ -337,12 +341,12 @@ impl Coaching {
 }
 
 /// The direction perpendicular to the offset and the view, so that neither fingers nor forearm reach over the path.
-fn across(offset: &Vector3<f64>, view: &Vector3<f64>) -> Vector3<f64> {
+fn across(offset: &Vector3<f64>, view: &Vector3<f64>, forearm: &Vector3<f64>) -> Vector3<f64> {
     let along = view
         .cross(offset)
         .try_normalize(1e-6)
         .unwrap_or_else(|| view.cross(&Vector3::x()).try_normalize(1e-6).unwrap_or_else(Vector3::y));
-    if along.dot(&FOREARM) > 0.0 { -along } else { along }
+    if along.dot(forearm) > 0.0 { -along } else { along }
 }
 
 /// A hand whose fingers point along `fingers` and whose palm is turned to `view` as far as that allows.
@@ -369,7 +373,7 @@ mod tests {
     /// Moves an ideal hand along the coach's own path. Returns the coach's state at each ms, and the events.
     fn wipe(spec: &CoachSpec, seconds: f64) -> (Vec<CoachState>, Vec<ActionEvent>) {
         let path = CoachPath::new(&Demonstration::default());
-        let mut coaching = Coaching::new(spec, path.clone(), Point3::new(0.0, 0.24, 1.65));
+        let mut coaching = Coaching::new(spec, path.clone(), Point3::new(0.0, 0.24, 1.65), 1.0);
         coaching.begin(0.0);
         let omega = TAU * path.frequency();
         let mut states = Vec::new();
@@ -380,7 +384,7 @@ mod tests {
             let velocity = Vector3::new(d[0], d[1], 0.0) * omega;
             let tcp = Point3::new(p[0], p[1], 1.05);
             let arm = SeenArm { tcp, velocity, wrist: tcp, elbow: tcp };
-            coaching.step(t, &arm, DT, &mut state);
+            coaching.step(t, || arm, DT, &mut state);
             states.push(state);
         }
         (states, coaching.take_events())

@@ -86,7 +86,7 @@ impl Performance {
         }
         let (position, theta) = self.steady(t);
         let half = self.path.half();
-        let reach = half[0].max(half[1]);
+        let reach = half[0].abs().max(half[1].abs());
         let scale = Vector3::new(half[0], half[1], 0.5 * reach) * self.jitter;
         let wobble = Vector3::from_fn(|k, _| self.position_wobble[k].at(t));
         let yaw = self.jitter * self.yaw_wobble.at(t);

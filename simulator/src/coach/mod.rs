@@ -58,14 +58,20 @@ pub struct Coach {
 }
 
 impl Coach {
-    /// The coach of a world. `camera` is the position of the robot's cameras, m, to which gestures are shown.
-    pub fn new(spec: &CoachSpec, table_height: f64, camera: Point3<f64>, rng: ChaCha8Rng) -> Self {
+    /// The coach of a world. `camera` is the position of the robot's cameras, m, to which gestures are shown; `side` is
+    /// that of the arm that works: 1 for the robot's right, -1 for its left.
+    pub fn new(
+        spec: &CoachSpec,
+        table_height: f64,
+        (camera, side): (Point3<f64>, f64),
+        rng: ChaCha8Rng,
+    ) -> Self {
         let path = CoachPath::new(&spec.demonstration.clone().unwrap_or_default());
         Self {
             demonstration: spec.demonstration.clone().filter(|d| d.periods > 0),
             table_height,
             performance: None,
-            coaching: Coaching::new(spec, path, camera),
+            coaching: Coaching::new(spec, path, camera, side),
             rng,
             state: CoachState::default(),
         }
@@ -91,8 +97,8 @@ impl Coach {
         self.coaching.since()
     }
 
-    /// Acts for one step that ends at `t` s.
-    pub fn step(&mut self, t: f64, arm: &SeenArm, dt: f64) -> &CoachState {
+    /// Acts for one step that ends at `t` s. `arm` is asked when the coach looks at the arm.
+    pub fn step(&mut self, t: f64, arm: impl FnOnce() -> SeenArm, dt: f64) -> &CoachState {
         let shown = self.performance.as_ref().and_then(|(from, p)| p.at(t - from));
         self.coaching.step(t, arm, dt, &mut self.state);
         self.state.tool = shown.map(|s| s.root_from_tool);

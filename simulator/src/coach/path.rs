@@ -54,7 +54,7 @@ impl CoachPath {
         self.center
     }
 
-    /// Half its width and depth, m.
+    /// Half its width and depth, m; negative for a mirrored path.
     pub fn half(&self) -> [f64; 2] {
         self.half
     }

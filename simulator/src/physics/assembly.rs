@@ -1,11 +1,10 @@
 //! Which links of the robot move together: reduces a model's tree to the bodies of the physics.
 //!
-//! One arm, what helps it and its hand have dynamics. Links attached to them by fixed joints, and those of all other
-//! limbs (which follow their set points exactly), are lumped into the body that carries them, in the robot's start
-//! posture. This module only computes the bodies and does not step them.
+//! Some joints have bodies. Links attached to those by fixed joints, and links of joints without bodies, are lumped into
+//! the body that carries them, in the robot's present posture. This module only computes the bodies and does not step
+//! them.
 
-use crate::error::PlantError;
-use armarium_robot::{Geometry, JointKind, Kinematics, Limb, LinkId, Model};
+use armarium_robot::{Geometry, Inertial, JointKind, LinkId, Model};
 use nalgebra::{Isometry3, Matrix3, Point3, Unit, Vector3};
 
 /// Mass, centre and inertia about the centre, in one frame.
@@ -24,6 +23,13 @@ impl Mass {
         self.mass += mass;
         self.moment += center.coords * mass;
         self.about_origin += inertia + steiner(mass, &center.coords);
+    }
+
+    /// Adds a link at its pose in the frame.
+    fn add_link(&mut self, inertial: &Inertial, frame_from_link: &Isometry3<f64>) {
+        let r = frame_from_link.rotation.to_rotation_matrix();
+        let inertia = r.matrix() * inertial.inertia * r.matrix().transpose();
+        self.add(inertial.mass, &(frame_from_link * inertial.center), &inertia);
     }
 
     pub(super) fn center(&self) -> Point3<f64> {
@@ -57,22 +63,33 @@ pub(super) struct Lump {
     /// Pose in the parent body's frame (the room's, for the first) with the joint at 0.
     pub(super) parent_from_body: Isometry3<f64>,
     pub(super) mass: Mass,
-    /// Collision shapes, with their poses in the body's frame.
-    pub(super) collisions: Vec<(Geometry, Isometry3<f64>)>,
 }
 
-/// The part of the robot beyond the wrist sensor that does not have a lump of its own.
+/// A collision shape of a link that touches.
+#[derive(Clone, Debug)]
+pub(super) struct Touching {
+    /// The link.
+    pub(super) link: LinkId,
+    /// The lump that carries it; `None` for the room.
+    pub(super) lump: Option<usize>,
+    /// Its form.
+    pub(super) shape: Geometry,
+    /// Its pose in the lump's frame (the room's).
+    pub(super) body_from_shape: Isometry3<f64>,
+}
+
+/// The part of the robot beyond a wrench sensor.
 #[derive(Clone, Debug)]
 pub(super) struct Wrist {
-    /// The lump that carries sensor and palm.
-    pub(super) lump: usize,
+    /// The lump that carries sensor and palm; `None` if nothing moves them.
+    pub(super) lump: Option<usize>,
     /// The sensor in that lump's frame.
     pub(super) body_from_sensor: Isometry3<f64>,
     /// The TCP in that lump's frame.
     pub(super) body_from_tcp: Isometry3<f64>,
     /// Mass beyond the sensor that moves with the lump, in the lump's frame.
     pub(super) palm: Mass,
-    /// Lumps attached to the palm: the fingers.
+    /// Lumps beyond the sensor: the fingers.
     pub(super) fingers: Vec<usize>,
 }
 
@@ -80,105 +97,80 @@ pub(super) struct Wrist {
 #[derive(Clone, Debug)]
 pub(super) struct Assembly {
     pub(super) lumps: Vec<Lump>,
-    /// Joints without dynamics, as indices into the model's.
-    pub(super) ideal: Vec<usize>,
-    pub(super) wrist: Wrist,
+    /// The collision shapes of the links that touch.
+    pub(super) touching: Vec<Touching>,
     /// For every link of the model: the lump that carries it, if any, and its pose in that lump.
     links: Vec<(Option<usize>, Isometry3<f64>)>,
 }
 
 impl Assembly {
-    /// Splits a model into bodies of which `arm` works. `start` is the posture in which the masses of ideal limbs are added.
-    ///
-    /// # Errors
-    /// [`PlantError::Missing`] when the model lacks a link or limb that the simulator needs.
-    pub(super) fn new(kinematics: &Kinematics, arm: &Limb, start: &[f64]) -> Result<Self, PlantError> {
-        let model = kinematics.model();
-        let hand = arm.hand.as_deref().map_or(&[][..], |hand| model.limb(hand));
-        let touching: Vec<usize> = arm.joints.iter().chain(hand).copied().collect();
-        let mut dynamic = model.reaching_joints(&arm.name);
-        dynamic.extend(hand);
-        Self::moving(kinematics, arm, start, &dynamic, &touching)
-    }
-
-    /// The same with `dynamic` joints that the physics moves; the bodies of the `touching` ones have collision shapes.
-    ///
-    /// # Errors
-    /// As [`Assembly::new`].
-    pub(super) fn moving(
-        kinematics: &Kinematics,
-        arm: &Limb,
-        start: &[f64],
-        dynamic: &[usize],
-        touching: &[usize],
-    ) -> Result<Self, PlantError> {
-        let model = kinematics.model();
-        let missing = |what: &str| PlantError::Missing { what: what.to_owned() };
-        let tcp = arm.tcp.ok_or_else(|| missing(&format!("TCP of `{}`", arm.name)))?;
-        // Without a sensor nothing is felt, wherever it would be.
-        let sensor = model.sensor_of(arm).unwrap_or(tcp);
-
+    /// Splits a model into the bodies of the `dynamic` joints; all others stand in `posture`. What the `touching` joints
+    /// move has collision shapes.
+    pub(super) fn new(model: &Model, posture: &[f64], dynamic: &[usize], touching: &[usize]) -> Self {
         let mut lumps: Vec<Lump> = Vec::new();
-        let mut carrier: Vec<Option<usize>> = Vec::new();
-        let mut carrier_from_link: Vec<Isometry3<f64>> = Vec::new();
-        let mut palm = Mass::default();
-        let beyond = beyond_sensor(model, sensor);
-        for (i, link) in model.links().iter().enumerate() {
+        let mut links: Vec<(Option<usize>, Isometry3<f64>)> = Vec::new();
+        let mut shapes = Vec::new();
+        // For every link, whether the joint that moves it against what carries it touches.
+        let mut touches: Vec<bool> = Vec::new();
+        for (link, id) in model.links().iter().zip(model.link_ids()) {
             let parent = link.parent.map(LinkId::index);
-            let at_zero =
-                parent.map_or_else(Isometry3::identity, |p| carrier_from_link[p]) * link.parent_from_link;
-            let inherited = parent.and_then(|p| carrier[p]);
+            let (inherited, parent_pose) = parent.map_or((None, Isometry3::identity()), |p| links[p]);
+            let at_zero = parent_pose * link.parent_from_link;
+            touches.push(match link.motion {
+                Some(motion) => touching.contains(&motion.joint),
+                None => parent.is_some_and(|p| touches[p]),
+            });
             if let Some(motion) = link.motion.filter(|motion| dynamic.contains(&motion.joint)) {
-                carrier.push(Some(lumps.len()));
-                carrier_from_link.push(Isometry3::identity());
+                links.push((Some(lumps.len()), Isometry3::identity()));
                 lumps.push(Lump {
                     parent: inherited,
                     joint: motion.joint,
-                    link: model.link(&link.name).ok_or_else(|| missing(&link.name))?,
+                    link: id,
                     kind: motion.kind,
                     axis: motion.axis,
                     multiplier: motion.multiplier,
                     offset: motion.offset,
                     parent_from_body: at_zero,
                     mass: Mass::default(),
-                    collisions: Vec::new(),
                 });
             } else {
                 let moved = link.motion.map_or_else(Isometry3::identity, |motion| {
-                    joint_motion(motion.kind, &motion.axis, motion.position(start))
+                    joint_motion(motion.kind, &motion.axis, motion.position(posture))
                 });
-                carrier.push(inherited);
-                carrier_from_link.push(at_zero * moved);
+                links.push((inherited, at_zero * moved));
             }
-            let Some(carried_by) = carrier[i] else { continue };
-            let body_from_link = carrier_from_link[i];
-            let lump = &mut lumps[carried_by];
-            if let Some(inertial) = &link.inertial {
-                let r = body_from_link.rotation.to_rotation_matrix();
-                let inertia = r.matrix() * inertial.inertia * r.matrix().transpose();
-                let center = body_from_link * inertial.center;
-                lump.mass.add(inertial.mass, &center, &inertia);
-                if beyond[i] && !link.motion.is_some_and(|motion| dynamic.contains(&motion.joint)) {
-                    palm.add(inertial.mass, &center, &inertia);
-                }
+            let (lump, body_from_link) = links[id.index()];
+            if let (Some(lump), Some(inertial)) = (lump, &link.inertial) {
+                lumps[lump].mass.add_link(inertial, &body_from_link);
             }
-            if touching.contains(&lump.joint) {
-                let collisions =
-                    link.collisions.iter().map(|c| (c.shape.clone(), body_from_link * c.link_from_shape));
-                lump.collisions.extend(collisions);
+            if touches[id.index()] {
+                shapes.extend(link.collisions.iter().map(|collision| Touching {
+                    link: id,
+                    lump,
+                    shape: collision.shape.clone(),
+                    body_from_shape: body_from_link * collision.link_from_shape,
+                }));
             }
         }
-        let lump = carrier[sensor.index()].ok_or_else(|| missing("joint that moves the wrench sensor"))?;
-        let fingers = (0..lumps.len()).filter(|i| lumps[*i].parent == Some(lump)).collect();
-        let wrist = Wrist {
-            lump,
-            body_from_sensor: carrier_from_link[sensor.index()],
-            body_from_tcp: carrier_from_link[tcp.index()],
-            palm,
-            fingers,
-        };
-        let ideal = (0..model.joints().len()).filter(|j| !dynamic.contains(j)).collect();
-        Ok(Self { lumps, ideal, wrist, links: carrier.into_iter().zip(carrier_from_link).collect() })
+        Self { lumps, touching: shapes, links }
+    }
+
+    /// What is beyond a wrench sensor whose hand's TCP is given.
+    pub(super) fn wrist(&self, model: &Model, sensor: LinkId, tcp: LinkId) -> Wrist {
+        let (lump, body_from_sensor) = self.links[sensor.index()];
+        let mut palm = Mass::default();
+        let mut fingers = Vec::new();
+        for link in model.subtree(sensor) {
+            let (carrier, body_from_link) = self.links[link.index()];
+            if let Some(finger) = carrier.filter(|_| carrier != lump) {
+                if !fingers.contains(&finger) {
+                    fingers.push(finger);
+                }
+            } else if let Some(inertial) = &model.links()[link.index()].inertial {
+                palm.add_link(inertial, &body_from_link);
+            }
+        }
+        Wrist { lump, body_from_sensor, body_from_tcp: self.links[tcp.index()].1, palm, fingers }
     }
 
     /// The lump that carries a link, and the link's pose in it; `None` for links that do not move.
@@ -186,15 +178,6 @@ impl Assembly {
         let (lump, pose) = self.links.get(link.index())?;
         Some(((*lump)?, *pose))
     }
-}
-
-/// For every link, whether it is attached beyond the sensor.
-fn beyond_sensor(model: &Model, sensor: LinkId) -> Vec<bool> {
-    let mut beyond = vec![false; model.links().len()];
-    for link in model.subtree(sensor) {
-        beyond[link.index()] = true;
-    }
-    beyond
 }
 
 /// The motion of a joint: a rotation about its axis or a translation along it.

@@ -1,9 +1,9 @@
 //! Builds a world's room, objects and robot in Rapier, once, at the start. It does not step them.
 
-use armarium_robot::{Geometry, JointKind, Mesh, Model};
+use armarium_robot::{Geometry, JointKind, LinkId, Mesh, Model};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rapier3d_f64::prelude as rapier;
-use rapier3d_f64::prelude::ColliderHandle;
+use rapier3d_f64::prelude::{ColliderHandle, RigidBodyHandle};
 
 use super::assembly::{Assembly, Lump, joint_motion};
 use super::convert;
@@ -73,54 +73,74 @@ pub(super) fn add_object(physics: &mut rapier::PhysicsWorld, table: &TableTop, s
     Object { handle, collider, foundation, reaction: FoundationReaction::default() }
 }
 
+/// The robot's bodies in Rapier.
+pub(super) struct RobotBodies {
+    /// What is fixed to the room.
+    pub(super) base: RigidBodyHandle,
+    /// A body for each lump.
+    pub(super) bodies: Vec<Body>,
+    /// The collision shapes of the links that touch.
+    pub(super) colliders: Vec<(LinkId, ColliderHandle)>,
+}
+
+impl RobotBodies {
+    /// The body that carries a lump's links; the base for none.
+    pub(super) fn carrier(&self, lump: Option<usize>) -> RigidBodyHandle {
+        lump.map_or(self.base, |lump| self.bodies[lump].handle)
+    }
+
+    /// Removes all of them.
+    pub(super) fn remove(&self, physics: &mut rapier::PhysicsWorld) {
+        for body in self.bodies.iter().rev() {
+            physics.remove_body(body.handle);
+        }
+        physics.remove_body(self.base);
+    }
+}
+
+/// Adds the robot with its joints at `position` and `velocity`: of all the model's joints, rad (m) and rad/s (m/s).
 pub(super) fn add_robot(
     physics: &mut rapier::PhysicsWorld,
     model: &Model,
     assembly: &Assembly,
-    start: &[f64],
-) -> Result<(Vec<Body>, Vec<ColliderHandle>), PlantError> {
+    (position, velocity): (&[f64], &[f64]),
+) -> Result<RobotBodies, PlantError> {
     let base = physics.insert_body(rapier::RigidBodyBuilder::fixed());
     let mut bodies: Vec<Body> = Vec::new();
     let mut poses: Vec<Isometry3<f64>> = Vec::new();
-    let mut pads = Vec::new();
-    for (i, lump) in assembly.lumps.iter().enumerate() {
-        let q = lump.multiplier * start[lump.joint] + lump.offset;
+    for lump in &assembly.lumps {
+        let q = lump.multiplier * position[lump.joint] + lump.offset;
         let parent_pose = lump.parent.map_or_else(Isometry3::identity, |p| poses[p]);
         let at_start = lump.parent_from_body * joint_motion(lump.kind, &lump.axis, q);
         let pose = parent_pose * at_start;
         let handle = physics.insert_body(lump_body(lump, &pose));
-        let is_pad = assembly.wrist.fingers.contains(&i);
-        for (shape, body_from_shape) in &lump.collisions {
-            let collider = physics.insert_collider(collider(shape, body_from_shape), Some(handle));
-            if is_pad {
-                pads.push(collider);
-            }
-        }
         let parent = lump.parent.map_or(base, |p| bodies[p].handle);
         let joint = physics
             .multibody_joints
             .insert(parent, handle, joint_of(lump, &at_start), true)
             .ok_or_else(|| PlantError::Joint { joint: model.joints()[lump.joint].name.clone() })?;
-        let servo = servo(lump, model.joints()[lump.joint].effort);
-        let (multiplier, offset) = (lump.multiplier, lump.offset);
-        let leads = model.joints()[lump.joint].link == lump.link;
-        let index = lump.joint;
         bodies.push(Body {
             handle,
             joint,
-            index,
-            leads,
-            multiplier,
-            offset,
+            index: lump.joint,
+            leads: model.joints()[lump.joint].link == lump.link,
+            multiplier: lump.multiplier,
+            offset: lump.offset,
             kind: lump.kind,
             start: q,
-            state: (q, 0.0),
-            servo,
+            state: (q, lump.multiplier * velocity[lump.joint]),
+            servo: servo(lump, model.joints()[lump.joint].effort),
         });
         poses.push(pose);
     }
     set_rotors(physics, &bodies);
-    Ok((bodies, pads))
+    let mut robot = RobotBodies { base, bodies, colliders: Vec::new() };
+    for part in &assembly.touching {
+        let shape = collider(&part.shape, &part.body_from_shape);
+        let handle = physics.insert_collider(shape, Some(robot.carrier(part.lump)));
+        robot.colliders.push((part.link, handle));
+    }
+    Ok(robot)
 }
 
 fn lump_body(lump: &Lump, pose: &Isometry3<f64>) -> rapier::RigidBodyBuilder {
@@ -164,7 +184,8 @@ fn servo(lump: &Lump, effort: f64) -> Servo {
     Servo { stiffness, damping: 0.01 * stiffness, effort }
 }
 
-/// Sets the motors' reflected inertia, kg m^2 (kg), and removes Rapier's own damping, as the servo has its own.
+/// Sets the motors' reflected inertia, kg m^2 (kg), and the joints' velocities, and removes Rapier's own damping, as the
+/// servo has its own.
 fn set_rotors(physics: &mut rapier::PhysicsWorld, bodies: &[Body]) {
     for body in bodies {
         let Some((multibody, id)) = physics.multibody_joints.get_mut(body.joint) else { continue };
@@ -173,6 +194,7 @@ fn set_rotors(physics: &mut rapier::PhysicsWorld, bodies: &[Body]) {
         };
         multibody.armature_mut()[dof] = if body.kind == JointKind::Revolute { 0.05 } else { 0.1 };
         multibody.damping_mut()[dof] = body.servo.damping;
+        multibody.generalized_velocity_mut()[dof] = body.state.1;
     }
 }
 

@@ -7,7 +7,7 @@
 
 use std::sync::Arc;
 
-use armarium_robot::{Kinematics, Limb, Model};
+use armarium_robot::{Limb, Model};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::RigidBodyHandle;
@@ -85,9 +85,10 @@ impl CarryingPlant {
         let [right, left] = arms[..] else { return Err(missing("second arm")) };
         let mut dynamic = model.reaching_joints(&right.name);
         dynamic.extend(&left.joints);
-        let assembly = Assembly::moving(&Kinematics::new(model), right, start, &dynamic, &[])?;
+        let assembly = Assembly::new(model, start, &dynamic, &[]);
         let mut physics = empty_room();
-        let (bodies, _) = add_robot(&mut physics, model, &assembly, start)?;
+        let still = vec![0.0; start.len()];
+        let bodies = add_robot(&mut physics, model, &assembly, (start, &still))?.bodies;
         let half = Vector3::from(carried.size) / 2.0;
         let handle = add_table_and_box(&mut physics, carried, &half);
         let hand = |side: usize| {
@@ -106,7 +107,7 @@ impl CarryingPlant {
             })
         };
         let hands = [hand(0)?, hand(1)?];
-        let joints = Joints::new(&physics, bodies, assembly.ideal.clone(), start);
+        let joints = Joints::new(model, bodies, &dynamic, start);
         Ok(Self { physics, joints, hands, carried: handle, half })
     }
 

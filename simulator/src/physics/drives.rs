@@ -3,9 +3,13 @@
 //! Every joint is a stiff spring and damper about its set point, with feed-forward of the set velocity. The solver
 //! integrates it implicitly; its force is limited by the joint's effort.
 
-use armarium_robot::JointKind;
+use std::sync::Arc;
+
+use armarium_robot::{JointKind, Kinematics, LinkId, Model};
 use rapier3d_f64::prelude as rapier;
 use rapier3d_f64::prelude::{MultibodyJointHandle, RigidBodyHandle};
+
+use super::plant::DT;
 
 /// A servo's gains.
 #[derive(Clone, Copy, Debug)]
@@ -35,10 +39,54 @@ pub(super) struct Body {
     pub(super) servo: Servo,
 }
 
-/// All joints of the model: those with bodies, and the ideal ones, which follow their set points exactly.
+/// A joint that carries no arm, such as one of the head: its servo moves the inertia of what is beyond it, and its motion
+/// does not shake what carries it.
+#[derive(Clone, Debug)]
+struct LightJoint {
+    /// Index in the model.
+    index: usize,
+    /// Largest acceleration that its effort gives, rad/s^2 (m/s^2).
+    strongest: f64,
+}
+
+/// Time in which the servo of a light joint settles, s; it is critically damped.
+const LIGHT_SERVO_S: f64 = 0.01;
+/// Reflected inertia of the motors of light joints, kg m^2 (kg).
+const LIGHT_ROTOR: f64 = 0.01;
+
+impl LightJoint {
+    fn new(model: &Model, kinematics: &Kinematics, index: usize) -> Self {
+        let joint = &model.joints()[index];
+        let (origin, axis) = (kinematics.origin(index), kinematics.axis(index));
+        let inertia = |link: LinkId| {
+            let Some(inertial) = &model.links()[link.index()].inertial else { return 0.0 };
+            let pose = kinematics.pose(link);
+            let arm = axis.cross(&(pose * inertial.center - origin));
+            let local = pose.rotation.inverse() * axis;
+            match joint.kind {
+                JointKind::Revolute => {
+                    inertial.mass * arm.norm_squared() + local.dot(&(inertial.inertia * local))
+                }
+                JointKind::Prismatic => inertial.mass,
+            }
+        };
+        let moved: f64 = LIGHT_ROTOR + model.subtree(joint.link).map(inertia).sum::<f64>();
+        let effort = if joint.effort > 0.0 { joint.effort } else { f64::INFINITY };
+        Self { index, strongest: effort / moved }
+    }
+
+    fn step(&self, position: &mut f64, velocity: &mut f64, target: (f64, f64)) {
+        let rate = 1.0 / LIGHT_SERVO_S;
+        let wanted = rate * rate * (target.0 - *position) + 2.0 * rate * (target.1 - *velocity);
+        *velocity += wanted.clamp(-self.strongest, self.strongest) * DT;
+        *position += *velocity * DT;
+    }
+}
+
+/// All joints of the model: those with bodies, the light ones, and those that stand still.
 pub(super) struct Joints {
     pub(super) bodies: Vec<Body>,
-    ideal: Vec<usize>,
+    light: Vec<LightJoint>,
     /// True positions, rad or m, in the model's order.
     pub(super) position: Vec<f64>,
     /// True velocities, rad/s or m/s.
@@ -46,17 +94,24 @@ pub(super) struct Joints {
 }
 
 impl Joints {
-    /// The joints at rest in the posture `start`.
-    pub(super) fn new(
-        physics: &rapier::PhysicsWorld,
-        bodies: Vec<Body>,
-        ideal: Vec<usize>,
-        start: &[f64],
-    ) -> Self {
-        let velocity = vec![0.0; start.len()];
-        let mut joints = Self { bodies, ideal, position: start.to_vec(), velocity };
-        joints.read(physics, (start, &joints.velocity.clone()));
-        joints
+    /// The joints at rest in the posture `start`. What belongs to none of the `heavy` joints is light.
+    pub(super) fn new(model: &Arc<Model>, bodies: Vec<Body>, heavy: &[usize], start: &[f64]) -> Self {
+        let mut kinematics = Kinematics::new(model);
+        kinematics.update(start);
+        let light = (0..model.joints().len()).filter(|joint| !heavy.contains(joint));
+        let light = light.map(|joint| LightJoint::new(model, &kinematics, joint)).collect();
+        Self { bodies, light, position: start.to_vec(), velocity: vec![0.0; start.len()] }
+    }
+
+    /// Goes on with other bodies; joints that have none any more stand still.
+    pub(super) fn replace(&mut self, bodies: Vec<Body>) {
+        for body in &self.bodies {
+            self.velocity[body.index] = 0.0;
+        }
+        for body in bodies.iter().filter(|body| body.leads) {
+            (self.position[body.index], self.velocity[body.index]) = body.state;
+        }
+        self.bodies = bodies;
     }
 
     /// Sets the spring of every servo such that, with its damper, it pulls to the set point and feeds the velocity
@@ -77,7 +132,7 @@ impl Joints {
         }
     }
 
-    /// Reads positions and velocities after a step towards `targets`.
+    /// Moves the light joints, and reads positions and velocities of the others, after a step towards `targets`.
     pub(super) fn read(&mut self, physics: &rapier::PhysicsWorld, targets: (&[f64], &[f64])) {
         for body in &mut self.bodies {
             let Some((multibody, id)) = physics.multibody_joints.get(body.joint) else { continue };
@@ -88,8 +143,9 @@ impl Joints {
                 (self.position[body.index], self.velocity[body.index]) = body.state;
             }
         }
-        for &j in &self.ideal {
-            (self.position[j], self.velocity[j]) = (targets.0[j], targets.1[j]);
+        for joint in &self.light {
+            let j = joint.index;
+            joint.step(&mut self.position[j], &mut self.velocity[j], (targets.0[j], targets.1[j]));
         }
     }
 }

@@ -6,7 +6,6 @@
 //! `Fc` is [`PAD_FRICTION`] times the sum of both pads' normal forces and `r = ` [`CONTACT_RADIUS`]. With 40 N per
 //! pad, this is 72 N and 2.2 N m. So an object can be missed, dropped and knocked out of the hand. This file
 //! decides; [`Plant`](super::plant::Plant) makes and breaks the joint.
-//! dropped and knocked out of the hand. This file decides; [`Plant`](super::plant::Plant) makes and breaks the joint.
 
 use nalgebra::Vector3;
 
@@ -52,9 +51,14 @@ impl Grip {
         self.held
     }
 
+    /// Advances by one step in which nothing changes.
+    pub(super) fn rest(&mut self, dt: f64) {
+        self.pause_s = (self.pause_s - dt).max(0.0);
+    }
+
     /// Advances by one step. `presses` are those of all pads on each object, `load` is that of the held object.
     pub(super) fn step(&mut self, presses: &[Vec<PadPress>], load: Option<Load>, dt: f64) {
-        self.pause_s = (self.pause_s - dt).max(0.0);
+        self.rest(dt);
         let Some(held) = self.held else {
             let both =
                 |p: &Vec<PadPress>| p.len() >= 2 && p.iter().all(|p| p.touches && p.force > HOLDING_FORCE);

@@ -1,4 +1,4 @@
-//! The physics: Rapier, the springs under objects, the grip and the wrist sensor.
+//! The physics: Rapier, the springs under objects, the hands with grip and wrist sensor.
 //!
 //! Start with [`Plant`]. This module has no clock, noise or coach.
 
@@ -8,6 +8,7 @@ pub mod carrying;
 mod convert;
 mod drives;
 pub mod grip;
+mod hand;
 pub mod pad;
 mod plant;
 #[cfg(test)]

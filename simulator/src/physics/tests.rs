@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use armarium_robot::{Kinematics, Model};
+use armarium_robot::{Kinematics, Model, Wrench};
 use nalgebra::{Isometry3, Vector3};
 
 use super::{DT, External, Plant};
@@ -72,7 +72,7 @@ fn a_hanging_hand_reads_its_weight() {
     let q = start(&model);
     let mut plant = Plant::new(&model, &free(), &q).unwrap();
     hold(&mut plant, 100, &External::default());
-    let (force, torque) = plant.wrist();
+    let Wrench { force, torque } = plant.wrench();
     let pose = sensor_pose(&model, &plant);
     let weight = hand_mass(&model) * GRAVITY;
     assert!((pose.rotation * force + Vector3::z() * weight).norm() < 1e-6, "{force}");
@@ -95,10 +95,10 @@ fn a_push_reads_its_force_and_its_torque() {
     let q = start(&model);
     let mut plant = Plant::new(&model, &free(), &q).unwrap();
     hold(&mut plant, 300, &External::default());
-    let (force_before, torque_before) = plant.wrist();
+    let Wrench { force: force_before, torque: torque_before } = plant.wrench();
     let push = Vector3::new(6.0, 0.0, 8.0);
     hold(&mut plant, 500, &External { hand: push, objects: vec![] });
-    let (force, torque) = plant.wrist();
+    let Wrench { force, torque } = plant.wrench();
     let pose = sensor_pose(&model, &plant);
     assert!((pose.rotation * (force - force_before) - push).norm() < 0.01, "{force}");
     let arm = plant.tcp().translation.vector - pose.translation.vector;
@@ -182,12 +182,12 @@ fn closing_takes_and_the_sensor_feels_the_load() {
     let before = {
         let (m, mut p) = (&model, Plant::new(&model, &free(), &start(&model)).unwrap());
         close(&mut p, m, 800, &External::default());
-        p.wrist().0
+        p.wrench().force
     };
     close(&mut plant, &model, 800, &External::default());
     assert_eq!(plant.held(), Some(0));
     let pose = sensor_pose(&model, &plant);
-    let difference = pose.rotation * (plant.wrist().0 - before);
+    let difference = pose.rotation * (plant.wrench().force - before);
     assert!((difference + Vector3::z() * 0.15 * GRAVITY).norm() < 0.01, "{difference}");
 }
 
@@ -218,4 +218,165 @@ fn hold_open(plant: &mut Plant, model: &Model) {
     for _ in 0..600 {
         plant.step(&q, &zero, &External::default());
     }
+}
+
+/// Steps with set points that move some joints at a speed from where they are; returns the largest change of what the
+/// sensors feel from step to step, N.
+fn drive(plant: &mut Plant, joints: &[(usize, f64)], steps: usize, targets: &mut [f64]) -> f64 {
+    let mut jump = 0.0_f64;
+    let mut before: Vec<_> = plant.wrenches().map(|wrench| wrench.force).collect();
+    let mut velocity = vec![0.0; targets.len()];
+    for &(joint, speed) in joints {
+        velocity[joint] = speed;
+    }
+    for _ in 0..steps {
+        joints.iter().for_each(|&(joint, speed)| targets[joint] += speed * DT);
+        plant.step(targets, &velocity, &External::default());
+        for (now, before) in plant.wrenches().zip(&mut before) {
+            jump = jump.max((now.force - *before).norm());
+            *before = now.force;
+        }
+    }
+    jump
+}
+
+#[test]
+fn arms_that_nobody_moves_sleep_and_wake_when_they_are_commanded() {
+    let model = model();
+    let mut targets = start(&model);
+    let mut plant = Plant::new(&model, &free(), &targets).unwrap();
+    let [torso, elbow] = ["hip_yaw", "elbow_l"].map(|joint| model.joint(joint).unwrap());
+    drive(&mut plant, &[], 10, &mut targets);
+    assert_eq!(plant.awake(), 0);
+    // The torso carries sleeping arms, and their weight is felt.
+    drive(&mut plant, &[(torso, 0.2)], 500, &mut targets);
+    assert_eq!(plant.awake(), 0);
+    let still: Vec<_> = plant.wrenches().map(|wrench| wrench.force.norm()).collect();
+    assert!(still.iter().all(|force| (force - hand_mass(&model) * GRAVITY).abs() < 1.0), "{still:?}");
+    // One wakes while the torso turns: nothing jumps.
+    let before = plant.position().to_vec();
+    let jump = drive(&mut plant, &[(torso, 0.2)], 1, &mut targets);
+    drive(&mut plant, &[(torso, 0.2), (elbow, -0.001)], 1, &mut targets);
+    assert_eq!(plant.awake(), 1);
+    let moved: Vec<f64> = plant.position().iter().zip(&before).map(|(a, b)| (a - b).abs()).collect();
+    let most = |skip: usize| {
+        (0..moved.len()).filter(|joint| *joint != skip).map(|joint| moved[joint]).fold(0.0, f64::max)
+    };
+    assert!(most(torso) < 1e-5, "{moved:?}");
+    assert!((plant.velocity()[torso] - 0.2).abs() < 0.01, "{}", plant.velocity()[torso]);
+    let waking = drive(&mut plant, &[(torso, 0.2), (elbow, -0.001)], 5, &mut targets);
+    assert!(waking < jump + 0.5, "{waking} after {jump}");
+    drive(&mut plant, &[(elbow, -0.5)], 500, &mut targets);
+    assert!((plant.position()[elbow] + 0.25).abs() < 0.01, "{}", plant.position()[elbow]);
+    drive(&mut plant, &[], 290, &mut targets);
+    assert_eq!(plant.awake(), 1);
+    let quiet = drive(&mut plant, &[], 200, &mut targets);
+    assert_eq!(plant.awake(), 0);
+    assert!(quiet < 0.01, "falling asleep is felt: {quiet}");
+    assert_eq!(plant.velocity()[elbow], 0.0);
+}
+
+#[test]
+fn a_sleeping_arm_wakes_when_it_is_touched() {
+    let model = model();
+    let mut targets = start(&model);
+    let mut world = free();
+    world.objects = vec![ObjectSpec { at: [0.25, 0.6], ..ObjectSpec::default() }];
+    let mut plant = Plant::new(&model, &world, &targets).unwrap();
+    drive(&mut plant, &[], 10, &mut targets);
+    assert_eq!(plant.awake(), 0);
+    // Something falls on the left hand.
+    let mut kinematics = Kinematics::new(&model);
+    kinematics.update(plant.position());
+    let hand = kinematics.pose(model.link("hand_left").unwrap()).translation.vector;
+    plant.place(0, &Isometry3::translation(hand.x, hand.y + 0.02, hand.z + 0.25));
+    let mut woke = false;
+    for _ in 0..400 {
+        drive(&mut plant, &[], 1, &mut targets);
+        woke |= plant.awake() == 1;
+    }
+    assert!(woke);
+}
+
+#[test]
+fn what_one_hand_holds_stays_in_it_while_the_other_arm_wakes() {
+    let (model, mut plant) = with_object_between_pads();
+    close(&mut plant, &model, 800, &External::default());
+    let in_hand = |plant: &Plant| plant.tcp().inverse() * plant.object(0).unwrap();
+    let before = in_hand(&plant);
+    let mut targets = plant.position().to_vec();
+    for finger in ["finger_left_r", "finger_right_r"] {
+        targets[model.joint(finger).unwrap()] = 0.02;
+    }
+    let elbow = model.joint("elbow_l").unwrap();
+    let awake = plant.awake();
+    let jump = drive(&mut plant, &[(elbow, -0.001)], 100, &mut targets);
+    assert_eq!((awake, plant.awake(), plant.held()), (0, 2, Some(0)));
+    let slipped = (in_hand(&plant).translation.vector - before.translation.vector).norm();
+    assert!(slipped < 1e-5 && jump < 2.0, "{slipped} m, {jump} N");
+}
+
+#[test]
+fn either_hand_takes_things_and_each_sensor_feels_its_own() {
+    let model = model();
+    let mut q = start(&model);
+    q[model.joint("elbow_l").unwrap()] = -0.4;
+    for finger in ["finger_left_l", "finger_right_l"] {
+        q[model.joint(finger).unwrap()] = 0.05;
+    }
+    let mut kinematics = Kinematics::new(&model);
+    kinematics.update(&q);
+    let grasp = *kinematics.pose(model.link("grasp_left").unwrap());
+    let mut world = free();
+    world.robot.arm = Some("left_arm".into());
+    world.objects = vec![ObjectSpec { at: [0.25, 0.6], ..ObjectSpec::default() }];
+    let mut plant = Plant::new(&model, &world, &q).unwrap();
+    plant.place(0, &grasp);
+    let mut targets = q.clone();
+    for finger in ["finger_left_l", "finger_right_l"] {
+        targets[model.joint(finger).unwrap()] = 0.02;
+    }
+    drive(&mut plant, &[], 900, &mut targets);
+    assert_eq!(plant.held(), Some(0));
+    let sensed: Vec<_> = plant.wrenches().map(|wrench| wrench.force.norm()).collect();
+    let sensor = |name: &str| model.wrenches().iter().position(|sensor| sensor.name == name).unwrap();
+    let load = sensed[sensor("left_wrist")] - sensed[sensor("right_wrist")];
+    assert!((load - 0.15 * GRAVITY).abs() < 0.02, "{sensed:?}");
+}
+
+#[test]
+fn the_head_has_dynamics_of_its_own() {
+    let model = model();
+    let mut targets = start(&model);
+    let mut plant = Plant::new(&model, &free(), &targets).unwrap();
+    let yaw = model.joint("neck_yaw").unwrap();
+    drive(&mut plant, &[], 10, &mut targets);
+    // A set point that jumps is reached within some time constants of the servo, and not at once.
+    targets[yaw] += 0.05;
+    drive(&mut plant, &[], 1, &mut targets);
+    assert!(plant.position()[yaw] < 0.03, "{}", plant.position()[yaw]);
+    drive(&mut plant, &[], 150, &mut targets);
+    assert!((plant.position()[yaw] - 0.05).abs() < 1e-3, "{}", plant.position()[yaw]);
+    assert_eq!(plant.awake(), 0);
+}
+
+#[test]
+fn an_arm_sleeps_with_what_it_holds_and_wakes_when_that_is_knocked() {
+    let (model, mut plant) = with_object_between_pads();
+    close(&mut plant, &model, 2000, &External::default());
+    assert_eq!((plant.held(), plant.awake()), (Some(0), 0));
+    let weight = hand_mass(&model) * GRAVITY + 0.15 * GRAVITY;
+    assert!((plant.wrench().force.norm() - weight).abs() < 0.02, "{}", plant.wrench().force);
+    let in_hand = |plant: &Plant| plant.tcp().inverse() * plant.object(0).unwrap();
+    let before = in_hand(&plant);
+    let knock = |f: f64| External { hand: Vector3::zeros(), objects: vec![Vector3::z() * -f] };
+    close(&mut plant, &model, 100, &knock(20.0));
+    assert_eq!((plant.held(), plant.awake()), (Some(0), 1));
+    assert!((plant.wrench().force.norm() - weight - 20.0).abs() < 0.5, "{}", plant.wrench().force);
+    close(&mut plant, &model, 1000, &External::default());
+    assert_eq!((plant.held(), plant.awake()), (Some(0), 0));
+    assert!((in_hand(&plant).translation.vector - before.translation.vector).norm() < 1e-5);
+    // It opens as ever.
+    hold_open(&mut plant, &model);
+    assert_eq!(plant.held(), None);
 }

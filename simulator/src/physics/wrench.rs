@@ -1,9 +1,10 @@
-//! The ideal reading of a six-axis sensor in the wrist, computed from the motion of hand and load.
+//! The ideal reading of a six-axis sensor in a wrist, computed from the motion of hand and load.
 //!
 //! Momentum balance of everything beyond the sensor (palm, fingers, the held object), by finite differences of the
 //! simulated motion: the sensor exerts `dP/dt - weight - external forces`, and the hand exerts the opposite on the
 //! sensor. It is exact for the simulated motion, whatever the solver does internally. Noise is not added here.
 
+use armarium_robot::Wrench;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use rapier3d_f64::prelude::RigidBody;
 
@@ -79,8 +80,9 @@ pub(super) struct WristWrench {
     palm_before: Momentum,
     fingers_before: Vec<Momentum>,
     objects_before: Vec<Momentum>,
-    force: Vector3<f64>,
-    torque: Vector3<f64>,
+    /// Whether the bodies of the hand are others than in the step before, whose momenta are unknown then.
+    renewed: bool,
+    reading: Wrench,
 }
 
 impl WristWrench {
@@ -91,17 +93,28 @@ impl WristWrench {
             palm_before: Momentum::default(),
             fingers_before: vec![Momentum::default(); wrist.fingers.len()],
             objects_before: vec![Momentum::default(); objects],
-            force: Vector3::zeros(),
-            torque: Vector3::zeros(),
+            renewed: false,
+            reading: Wrench::default(),
         }
     }
 
-    pub(super) fn reading(&self) -> (Vector3<f64>, Vector3<f64>) {
-        (self.force, self.torque)
+    /// Goes on with other bodies of the same hand. The reading stays for one step.
+    pub(super) fn renew(&mut self, wrist: &Wrist) {
+        let (reading, objects_before) = (self.reading, std::mem::take(&mut self.objects_before));
+        *self = Self { reading, objects_before, renewed: true, ..Self::new(wrist, 0) };
     }
 
+    pub(super) fn reading(&self) -> Wrench {
+        self.reading
+    }
+
+    /// Takes the present motion for that of the step before.
     pub(super) fn remember(&mut self, palm: &RigidBody, fingers: &[Momentum], objects: &[Momentum]) {
-        self.palm_before = Momentum::of_part(&self.palm, palm);
+        self.keep(Momentum::of_part(&self.palm, palm), fingers, objects);
+    }
+
+    fn keep(&mut self, palm: Momentum, fingers: &[Momentum], objects: &[Momentum]) {
+        self.palm_before = palm;
         self.fingers_before.copy_from_slice(fingers);
         self.objects_before.copy_from_slice(objects);
     }
@@ -129,10 +142,13 @@ impl WristWrench {
         fingers: &[Momentum],
         objects: &[Momentum],
         held: Option<usize>,
-        outside: &Vector3<f64>,
-        outside_torque: &Vector3<f64>,
+        (outside, outside_torque): (&Vector3<f64>, &Vector3<f64>),
     ) {
-        let (mut force, mut torque) = Momentum::of_part(&self.palm, palm).demand(&self.palm_before);
+        if std::mem::take(&mut self.renewed) {
+            return self.remember(palm, fingers, objects);
+        }
+        let palm_now = Momentum::of_part(&self.palm, palm);
+        let (mut force, mut torque) = palm_now.demand(&self.palm_before);
         let bodies = fingers.iter().zip(&self.fingers_before);
         let load = held.map(|h| (&objects[h], &self.objects_before[h]));
         for (now, before) in bodies.chain(load) {
@@ -145,8 +161,8 @@ impl WristWrench {
         let root_from_sensor = convert::to_pose(palm.position()) * self.body_from_sensor;
         let origin: Point3<f64> = root_from_sensor.translation.vector.into();
         let about_sensor = torque_on_sensor - origin.coords.cross(&on_sensor);
-        self.force = root_from_sensor.inverse_transform_vector(&on_sensor);
-        self.torque = root_from_sensor.inverse_transform_vector(&about_sensor);
-        self.remember(palm, fingers, objects);
+        self.reading.force = root_from_sensor.inverse_transform_vector(&on_sensor);
+        self.reading.torque = root_from_sensor.inverse_transform_vector(&about_sensor);
+        self.keep(palm_now, fingers, objects);
     }
 }

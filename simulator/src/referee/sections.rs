@@ -89,7 +89,7 @@ fn demonstrated(path: &CoachPath, records: &[Record]) -> Vec<[f64; 2]> {
     let ideal: Vec<[f64; 2]> =
         (0..180).map(|i| path.point(std::f64::consts::TAU * f64::from(i) / 180.0)).collect();
     let half = path.half();
-    let far = NEAR * half[0].max(half[1]);
+    let far = NEAR * half[0].abs().max(half[1].abs());
     let near = |p: &[f64; 2]| ideal.iter().any(|q| (p[0] - q[0]).hypot(p[1] - q[1]) < far);
     let tool = |r: &Record| r.tool.map(|t| [t.x, t.y]).filter(near);
     let points: Vec<Option<[f64; 2]>> = records.iter().step_by(STRIDE).map(tool).collect();

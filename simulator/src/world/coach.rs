@@ -35,8 +35,8 @@ form! {
     pub struct Demonstration: "a demonstration" {
         /// Form of the path.
         pub shape: PathShape = PathShape::Ellipse;
-        /// Full width (x) and depth (y) of the path, m.
-        pub size: [f64; 2] = [0.10, 0.06], Rule::number("m", 0.0, 1.0);
+        /// Full width (x) and depth (y) of the path, m; negative: mirrored in that direction.
+        pub size: [f64; 2] = [0.10, 0.06], Rule::number("m", -1.0, 1.0);
         /// Periods of the whole path a second (a figure of eight counts once), Hz.
         pub frequency: f64 = 0.5, Rule::number("Hz", 0.05, 5.0);
         /// The swipe across the workspace.

@@ -7,6 +7,7 @@
 
 mod agents;
 mod coach;
+mod mirror;
 #[cfg(test)]
 mod tests;
 

@@ -121,6 +121,35 @@ fn the_schema_names_every_section_and_both_forms_of_angles() {
     assert_eq!(schema["properties"]["world"]["default"], "kitchen");
 }
 
+#[test]
+fn the_world_of_the_other_arm_is_the_mirror_of_this_one() {
+    let world = World::default();
+    let model = world.model().unwrap();
+    let arm = |side: f64| model.arms().find(|arm| model.side_of(arm) == side).unwrap().name.clone();
+    let left = world.clone().for_arm(&model, &arm(-1.0));
+    assert_eq!((left.name.as_str(), left.table.center), ("kitchen_mirrored", [-0.25, 0.60]));
+    assert_eq!((left.table.tilt_deg, left.table.bumps[0].at), ([1.0, 1.5], [-0.28, 0.55]));
+    assert_eq!((left.objects[0].at, left.objects[0].yaw_deg), ([-0.35, 0.50], -20.0));
+    let (shown, usual) =
+        (left.coach.demonstration.as_ref().unwrap(), world.coach.demonstration.as_ref().unwrap());
+    let [path, before] = [shown, usual].map(crate::coach::CoachPath::new);
+    for k in 0..20 {
+        let [[x, y], [was_x, was_y]] = [&path, &before].map(|path| path.point(f64::from(k)));
+        assert!(
+            (x + was_x).abs() < 1e-12 && (y - was_y).abs() < 1e-12,
+            "the same phase at the mirrored place"
+        );
+    }
+    // It can be written as a world file, and mirrored back.
+    let text = serde_json::to_string(&left).unwrap();
+    assert_eq!(parse(Path::new("w"), &text).unwrap(), left);
+    let mut again = left.for_arm(&model, &arm(1.0));
+    again.robot.arm = None;
+    assert_eq!(again, world);
+    let same = world.clone().for_arm(&model, &arm(1.0));
+    assert_eq!(same.table, world.table);
+}
+
 proptest::proptest! {
     #[test]
     fn no_text_panics(text in "\\PC{0,80}") {

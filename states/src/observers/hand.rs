@@ -53,8 +53,8 @@ fn describe(equipment: &Equipment, frame: &StereoFrame, seen: Option<&HandObserv
     let direction = seen.pointing.map_or_else(Vector3::zeros, |d| frame.root_from_left * d);
     let sensed = equipment.robot.sensed().borrow().clone();
     let model = equipment.robot.model();
-    let tcp =
-        tcp_of(model).map_or_else(|_| Isometry3::identity(), |tcp| model.link_pose(&sensed.position, tcp));
+    let tcp = equipment.arm().and_then(tcp_of);
+    let tcp = tcp.map_or_else(|_| Isometry3::identity(), |tcp| model.link_pose(&sensed.position, tcp));
     Value::record([
         ("gesture", Value::from(seen.gesture.name())),
         ("confidence", Value::Float(seen.confidence)),

@@ -27,7 +27,7 @@ fn hand() -> ChannelDescription {
         ("confidence", Type::FLOAT, "0 to 1"),
         ("position", Type::Vector, "of the palm, m"),
         ("direction", Type::Vector, "where it points, unit length"),
-        ("distance", Type::quantity(Unit::M), "to the TCP"),
+        ("distance", Type::quantity(Unit::M), "to the TCP of the arm that works"),
         ("hidden", Type::FLOAT, "the share of its outline that is hidden, 0 to 1"),
         ("came_at", Type::quantity(Unit::RAD), "phase of the running motion at which it came to rest"),
     ];
@@ -57,7 +57,7 @@ fn motion() -> ChannelDescription {
 
 fn wrist() -> ChannelDescription {
     let vector = || Type::list(Type::quantity(Unit::N));
-    let felt = "What the wrist's force sensor feels, compensated for the weight of hand and load.";
+    let felt = "What the wrist's force sensor of the arm that works feels, compensated for the weight of hand and load.";
     let channel = ChannelDescription::new("wrist", felt);
     let fields = [
         ("force", vector(), "three numbers in the root frame"),

@@ -1,4 +1,4 @@
-//! The wrist: the force on the hand, and the push: the part along the surface that friction does not explain. With
+//! The wrist of the arm that works: the force on the hand, and the push: the part along the surface that friction does not explain. With
 //! one wrist sensor, a push along the surface's normal cannot be distinguished from the surface's force.
 
 use armarium_motion::{FrictionConfig, FrictionModel};
@@ -7,7 +7,7 @@ use armarium_runtime::channels::Channels;
 use armarium_values::Value;
 use nalgebra::Point3;
 
-use crate::arm::tcp_of;
+use crate::arm::{force_at, sensor_of, tcp_of};
 use crate::equipment::Equipment;
 
 /// Samples of the robot for each one that is published: 200 Hz at 1 kHz.
@@ -16,7 +16,10 @@ const DECIMATION: u32 = 5;
 /// Publishes `wrist`, and estimates the friction of wiping, whether or not the channel has readers.
 pub(super) async fn observe(equipment: Equipment, channels: Channels) {
     let model = equipment.robot.model();
-    let (Ok(mut friction), Ok(tcp)) = (FrictionModel::new(FrictionConfig::default()), tcp_of(model)) else {
+    let Ok(arm) = equipment.arm() else { return };
+    let (Ok(mut friction), Ok(tcp), Ok(sensor)) =
+        (FrictionModel::new(FrictionConfig::default()), tcp_of(arm), sensor_of(arm))
+    else {
         return;
     };
     let mut kinematics = Kinematics::new(model);
@@ -28,7 +31,7 @@ pub(super) async fn observe(equipment: Equipment, channels: Channels) {
         let dt = sample.stamp_ns.saturating_sub(before) as f64 * 1e-9;
         kinematics.update(&sample.position);
         let velocity = kinematics.twist(tcp, &Point3::origin(), &sample.velocity).linear;
-        let force = sample.wrist.force;
+        let force = force_at(sensor, &sample);
         let push = friction.step(dt, force.z, [velocity.x, velocity.y], [force.x, force.y]);
         // An unusable sample (the first one, or one that is not finite) keeps the previous push.
         let push = push.unwrap_or_else(|_| friction.push());

@@ -12,10 +12,9 @@ use armarium_memoryx::{Commit, EntityId};
 use armarium_runtime::skill::{Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Frame, Type, Value, Vector};
 
-use crate::arm::tcp_of;
+use crate::arm::{chosen, moves_the_hand, tcp_of};
 use crate::equipment::{self, Equipment};
 use crate::grasp::hand;
-use crate::hand::moves_the_hand;
 use crate::inputs::{Inputs, pose_value, reference};
 use crate::motions::failed;
 use crate::prior::class_name;
@@ -41,9 +40,10 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 
     let sensed = equipment.robot.sensed().borrow();
     let model = equipment.robot.model();
-    let now = model.link_pose(&sensed.position, tcp_of(model)?) * tcp_from_object;
+    let arm = chosen(&equipment, &context)?;
+    let now = model.link_pose(&sensed.position, tcp_of(arm)?) * tcp_from_object;
     // The agent's name as prefix distinguishes the hands of several agents.
-    let name = &hand(model)?.name;
+    let name = &hand(model, arm)?.name;
     let hand = format!("{}/{name}", equipment.agent);
     let held = MotionModel::Hand { name: hand.clone(), offset: tcp_from_object.translation.vector.into() };
     let mut attributes = BTreeMap::from([

@@ -6,13 +6,13 @@
 use std::sync::Arc;
 
 use armarium_motion::{StraightLine, rigid_fit};
-use armarium_robot::Marker;
+use armarium_robot::{Limb, Marker};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
-use armarium_values::{Type, Unit};
+use armarium_values::{Type, Unit, Value};
 use armarium_visionx::{ColorMarkerObjectTracking, MarkerSettings};
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use crate::arm::{Arm, Senses, moves_the_arm};
+use crate::arm::{Arm, Senses, moves_the_arm, workspace};
 use crate::equipment::{self, Equipment};
 use crate::frames::Frames;
 use crate::grasp::{hand, marker};
@@ -30,6 +30,8 @@ const PLACES: [[f64; 3]; 6] = [
     [0.00, 0.01, -0.04],
 ];
 
+/// From the middle of the arm's workspace to the middle of the places, m.
+const OVER_WORKSPACE: [f64; 3] = [0.0, -0.01, 0.15];
 /// Frames that are averaged at each place.
 const FRAMES: usize = 5;
 
@@ -41,23 +43,34 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     .optional(
         "center",
         Type::list(Type::FLOAT),
-        vec![0.28, 0.52, 1.20],
-        "Middle of the places of the TCP, root frame, m.",
+        Vec::<f64>::new(),
+        "Middle of the places of the TCP, root frame, m; empty: over the arm's workspace.",
     )
-    .optional("yaw", Type::quantity(Unit::RAD), 0.5, "Yaw of the level hand.")
+    .optional(
+        "yaw",
+        Type::quantity(Unit::RAD),
+        0.5,
+        "How far the level hand is turned from forward towards the robot's middle.",
+    )
     .optional("residual", Type::quantity(Unit::M), 0.012, "Largest residual of the fit that is accepted.")
     .output("residual", Type::quantity(Unit::M), "Root mean square distance of the fitted points.");
     equipment::skill(equipment, moves_the_arm(manifest, equipment), run)
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
-    let center =
-        as_point(context.value("center")?).ok_or_else(|| Failure::new("`center` needs three numbers"))?;
-    let palm = hand(equipment.robot.model())?.palm_down(context.number("yaw")?);
-    let largest = context.number("residual")?;
     let mut arm = Arm::take(&equipment, &context)?;
+    let model = equipment.robot.model();
+    let center = match context.value("center")? {
+        center if center.as_list().is_some_and(<[Value]>::is_empty) => {
+            Point3::from(workspace(model, arm.limb())?.translation.vector + Vector3::from(OVER_WORKSPACE))
+        }
+        center => as_point(center).ok_or_else(|| Failure::new("`center` needs three numbers"))?,
+    };
+    let yaw = model.side_of(arm.limb()) * context.number("yaw")?;
+    let palm = hand(model, arm.limb())?.palm_down(yaw);
+    let largest = context.number("residual")?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let mut watcher = MarkerWatcher::new(&equipment)?;
+    let mut watcher = MarkerWatcher::new(&equipment, arm.limb())?;
     let (mut seen, mut expected) = (Vec::new(), Vec::new());
     for place in PLACES {
         let tcp = Isometry3::from_parts((center.coords + Vector3::from(place)).into(), palm);
@@ -106,8 +119,8 @@ struct MarkerWatcher {
 }
 
 impl MarkerWatcher {
-    fn new(equipment: &Equipment) -> Result<Self, Failure> {
-        let marker = marker(equipment.robot.model())?;
+    fn new(equipment: &Equipment, arm: &Limb) -> Result<Self, Failure> {
+        let marker = marker(equipment.robot.model(), arm)?;
         let settings = MarkerSettings::new(marker.color).with_diameter(marker.diameter);
         let calibration = equipment.images.calibration();
         Ok(Self {

@@ -5,9 +5,9 @@ use std::sync::Arc;
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
-use crate::arm::Senses;
+use crate::arm::{Senses, moves_the_hand};
 use crate::equipment::{self, Equipment};
-use crate::hand::{Hand, moves_the_hand};
+use crate::hand::Hand;
 
 /// The pads count as stopped below this speed, m/s.
 const STOPPED: f64 = 0.002;

@@ -11,7 +11,7 @@ use armarium_motion::{
 use armarium_runtime::skill::{Failure, Mark, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
-use crate::arm::{Senses, moves_the_arm};
+use crate::arm::{Senses, moves_the_arm, sensor_of};
 use crate::equipment::{self, Equipment};
 use crate::inputs::reference;
 use crate::motions::failed;
@@ -61,11 +61,12 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let force = context.number("force")?;
     let mut wiper = Wiper::take(&equipment, &context, tool.tcp.rotation).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    required_speed(&equipment, wiper.motion(), &tool.tcp, tool.standing_height())?;
+    required_speed(&equipment, &wiper.arm, wiper.motion(), &tool.tcp, tool.standing_height())?;
 
     wiper.start_nearest(&senses.newest())?;
     wiper.approach(&mut senses, tool.standing_height() + context.number("hover")?, 0.2).await?;
-    equipment.robot.tare();
+    let sensor = sensor_of(wiper.arm.limb())?;
+    equipment.robot.tare(&equipment.robot.model().wrenches()[sensor].name).map_err(failed)?;
     let fitted = fit(&context, &mut wiper, &mut senses, force).await;
     let reference = reference("Motion", wiper.id());
     let surface = match fitted {
@@ -131,7 +132,7 @@ async fn touch_down(
     let mut z = wiper.arm.tcp(&senses.newest()).translation.z;
     loop {
         let (sample, dt) = senses.next().await?;
-        let rate = touchdown.step(dt, sample.wrist.force.z).map_err(failed)?;
+        let rate = touchdown.step(dt, wiper.arm.force(&sample)?.z).map_err(failed)?;
         z += rate * dt;
         wiper.step(&sample, dt, 0.0, Height { z, rate })?;
         match touchdown.status() {
@@ -166,7 +167,7 @@ async fn learn(
     let mut omega = 0.0;
     loop {
         let (sample, dt) = senses.next().await?;
-        let pressing = sample.wrist.force.z;
+        let pressing = wiper.arm.force(&sample)?.z;
         contact.check(dt, pressing)?;
         let command = surface.step(dt, wiper.phase(), omega, pressing).map_err(failed)?;
         let settled = surface.cycles() >= MIN_CYCLES && surface.settled(tolerance);

@@ -39,7 +39,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let z = tool.standing_height() + context.number("height")?;
     let mut wiper = Wiper::take(&equipment, &context, tool.tcp.rotation).await?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    required_speed(&equipment, wiper.motion(), &tool.tcp, z)?;
+    required_speed(&equipment, &wiper.arm, wiper.motion(), &tool.tcp, z)?;
     wiper.start_nearest(&senses.newest())?;
     wiper.approach(&mut senses, z, 0.2).await?;
     let wanted = SETTLING + f64::from(i32::try_from(periods).unwrap_or(i32::MAX));

@@ -3,12 +3,13 @@
 use std::sync::Arc;
 
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
-use armarium_values::{Type, Unit};
+use armarium_values::{Type, Unit, Value};
+use nalgebra::{Point3, Vector3};
 
-use crate::arm::Senses;
+use crate::arm::{Senses, chosen, names_the_arm, workspace};
 use crate::equipment::{self, Equipment};
 use crate::head::{Head, moves_the_head};
-use crate::inputs::as_point;
+use crate::inputs::{as_point, as_vector};
 
 /// Largest speed of a joint, rad/s.
 const SPEED: f64 = 1.0;
@@ -17,15 +18,41 @@ const REST_TIME: f64 = 0.3;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new("LookAt", "Turns the head until the eyes look at a point.")
-        .input("point", Type::list(Type::FLOAT), "Where to look: x, y, z in the root frame, m.")
+        .optional(
+            "point",
+            Type::list(Type::FLOAT),
+            Vec::<f64>::new(),
+            "Where to look: x, y, z in the root frame, m; empty: where the arm works.",
+        )
+        .optional(
+            "offset",
+            Type::list(Type::FLOAT),
+            vec![0.0, 0.0, 0.0],
+            "How far beside the point, m: away from the robot's middle to the arm's side, forward, up.",
+        )
         .optional("tolerance", Type::quantity(Unit::RAD), 0.03, "How near the gaze must be.")
         .optional("timeout", Type::Duration, 5.0, "Longest time it may take.");
-    equipment::skill(equipment, moves_the_head(manifest, equipment), run)
+    equipment::skill(equipment, moves_the_head(names_the_arm(manifest), equipment), run)
+}
+
+/// Where to look, root frame, m.
+fn point(equipment: &Equipment, context: &SkillContext) -> Result<Point3<f64>, Failure> {
+    let arm = chosen(equipment, context);
+    let model = equipment.robot.model();
+    let point = match context.value("point")? {
+        point if point.as_list().is_some_and(<[Value]>::is_empty) => {
+            Point3::from(workspace(model, arm.clone()?)?.translation.vector)
+        }
+        point => as_point(point).ok_or_else(|| Failure::new("`point` needs three numbers"))?,
+    };
+    let offset = context.value("offset")?;
+    let offset = as_vector(offset).ok_or_else(|| Failure::new("`offset` needs three numbers"))?;
+    let outwards = arm.map_or(1.0, |arm| model.side_of(arm));
+    Ok(point + offset.component_mul(&Vector3::new(outwards, 1.0, 1.0)))
 }
 
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
-    let point =
-        as_point(context.value("point")?).ok_or_else(|| Failure::new("`point` needs three numbers"))?;
+    let point = point(&equipment, &context)?;
     let (tolerance, timeout) = (context.number("tolerance")?, context.number("timeout")?);
     let mut head = Head::take(&equipment, &context)?;
     let mut senses = Senses::new(&*equipment.robot, &context);

@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
+use armarium_robot::Limb;
 use armarium_runtime::skill::{Failure, NameKind, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
-use crate::arm::{Senses, chosen, command, lease_arm, moves_the_arm};
+use crate::arm::{ArmLeases, Senses, chosen, moves_the_arm};
 use crate::equipment::{self, Equipment};
 
 /// The share of each joint's speed limit that is used.
@@ -19,10 +20,10 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     .optional("posture", Type::String, "", "A named posture of the robot, for instance `home`.")
     .names(NameKind::Posture)
     .optional(
-        "arm",
+        "joints",
         Type::list(Type::FLOAT),
         Vec::<f64>::new(),
-        "Arm joint angles, rad, instead of a posture.",
+        "Joint angles of the arm, rad, instead of a posture.",
     )
     .optional("tolerance", Type::quantity(Unit::RAD), 0.01, "When each joint counts as reached.")
     .optional("timeout", Type::Duration, 15.0, "Longest time it may take.");
@@ -32,10 +33,11 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let tolerance = context.number("tolerance")?;
     let timeout = context.number("timeout")?;
-    let goal = goal(&equipment, &context)?;
-    let leases = lease_arm(&equipment, &context)?;
+    let arm = chosen(&equipment, &context)?;
+    let leases = ArmLeases::take(&equipment, &context, arm)?;
+    let goal = goal(&equipment, &context, arm)?;
     let model = equipment.robot.model();
-    let joints = model.reaching_joints(&chosen(model)?.name);
+    let joints = &leases.joints;
     let speed = |joint: usize| model.joints()[joint].velocity * SPEED_SHARE;
     let acceleration = |joint: usize| model.joints()[joint].acceleration * 0.3;
 
@@ -62,30 +64,30 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             .fold(0.0, f64::max);
         let time_left = time_left.max(braking).max(0.08);
         let velocity: Vec<f64> = moved().map(|j| error(j) / time_left).collect();
-        command(&leases, &velocity)?;
+        leases.command(&velocity)?;
     }
 }
 
 /// The goal position of every joint of the robot; joints that are not named keep their position.
-fn goal(equipment: &Equipment, context: &SkillContext) -> Result<Vec<f64>, Failure> {
+fn goal(equipment: &Equipment, context: &SkillContext, arm: &Limb) -> Result<Vec<f64>, Failure> {
     let model = equipment.robot.model();
     let mut goal = equipment.robot.sensed().borrow().position.clone();
     let name = context.text("posture")?;
     if !name.is_empty() {
-        let posture = model.postures().get(name).ok_or_else(|| {
+        let posture = model.posture(name, &arm.name).ok_or_else(|| {
             let known = model.postures().keys().map(String::as_str).collect::<Vec<_>>().join(", ");
             Failure::new(format!("the robot has no posture `{name}`; it has {known}"))
         })?;
-        for joint in model.reaching_joints(&chosen(model)?.name) {
+        for joint in model.reaching_joints(&arm.name) {
             goal[joint] = posture[joint];
         }
         return Ok(goal);
     }
-    let angles = context.value("arm")?.as_list().unwrap_or_default();
-    let joints = &chosen(model)?.joints;
+    let angles = context.value("joints")?.as_list().unwrap_or_default();
+    let joints = &arm.joints;
     if angles.len() != joints.len() {
         return Err(Failure::new(format!(
-            "give a `posture`, or `arm` with {} joint angles; `arm` has {}",
+            "give a `posture`, or `joints` with {} angles; it has {}",
             joints.len(),
             angles.len()
         )));
@@ -94,7 +96,7 @@ fn goal(equipment: &Equipment, context: &SkillContext) -> Result<Vec<f64>, Failu
         goal[joint] = angle
             .as_f64()
             .filter(|a| a.is_finite())
-            .ok_or_else(|| Failure::new("`arm` holds something that is no number"))?;
+            .ok_or_else(|| Failure::new("`joints` holds something that is no number"))?;
     }
     Ok(goal)
 }

@@ -5,9 +5,10 @@ use std::sync::Arc;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 
-use crate::arm::Senses;
+use crate::arm::{Senses, moves_the_hand};
 use crate::equipment::{self, Equipment};
-use crate::hand::{Hand, moves_the_hand};
+use crate::hand::Hand;
+use crate::motions::failed;
 
 pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     let manifest = SkillManifest::new("OpenHand", "Opens the hand and lets go of what it holds.")
@@ -28,7 +29,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         elapsed += dt;
         let missing = aperture - hand.aperture(&sample);
         if missing < 0.002 {
-            equipment.robot.set_load(0.0, nalgebra::Point3::origin());
+            equipment.robot.set_load(hand.name(), None).map_err(failed)?;
             return Ok(Outcome::success().with("aperture", hand.aperture(&sample)));
         }
         if elapsed > timeout {

@@ -4,13 +4,13 @@
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 
-use armarium_robot::{Hand, Model, PoseOptions, solve_pose};
+use armarium_robot::{Hand, Limb, Model, PoseOptions, solve_pose};
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use nalgebra::{Isometry3, Point3, Vector3};
 use rand_chacha::ChaCha8Rng;
 
-use crate::arm::{chosen, tcp_of};
+use crate::arm::{chosen, names_the_arm, tcp_of};
 use crate::equipment::{self, Equipment};
 use crate::grasp::{hand, tcp_at};
 use crate::inputs::{Inputs, as_pose, pose_value};
@@ -36,7 +36,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
     .optional("height", Type::quantity(Unit::M), 0.12, "Height of the pre-pose over the grasp.")
     .output("grasp_pose", Type::Pose, "Pose of the TCP that grasps the object.")
     .output("pre_pose", Type::Pose, "Pose of the TCP above it.");
-    equipment::skill(equipment, manifest, run)
+    equipment::skill(equipment, names_the_arm(manifest), run)
 }
 
 struct Candidate {
@@ -56,7 +56,8 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let center = Point3::from(object.translation.vector);
     let yaw = object.rotation.euler_angles().2;
     let model = equipment.robot.model();
-    let hand = hand(model)?;
+    let arm = chosen(&equipment, &context)?;
+    let hand = hand(model, arm)?;
     let mut random = equipment.random();
     let opening = widest_opening(model, hand);
     let mut best: Option<Candidate> = None;
@@ -69,7 +70,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             }
             let hand_yaw = yaw + f64::from(quarter) * FRAC_PI_2 + misalignment;
             let grasp = tcp_at(hand, &center, hand_yaw);
-            match candidate(model, grasp, height, misalignment, &mut random)? {
+            match candidate(model, arm, grasp, (height, misalignment), &mut random)? {
                 Ok(found) if best.as_ref().is_none_or(|b| found.score > b.score) => best = Some(found),
                 Ok(_) => {}
                 Err(missing) => nearest = nearest.min(missing),
@@ -112,12 +113,12 @@ fn needed_opening(across: f64, misalignment: f64, pad_width: f64) -> f64 {
 /// near.
 fn candidate(
     model: &Arc<Model>,
+    arm: &Limb,
     grasp: Isometry3<f64>,
-    height: f64,
-    misalignment: f64,
+    (height, misalignment): (f64, f64),
     random: &mut ChaCha8Rng,
 ) -> Result<Result<Candidate, f64>, Failure> {
-    let (arm, tcp) = (chosen(model)?, tcp_of(model)?);
+    let tcp = tcp_of(arm)?;
     let mut pre = grasp;
     pre.translation.vector += Vector3::z() * height;
     let options = PoseOptions { restarts: 3, ..PoseOptions::default() };
@@ -160,6 +161,6 @@ mod tests {
     #[test]
     fn the_hand_opens_to_thirteen_centimetres() {
         let model = Model::shipped("armar3").unwrap();
-        assert!((widest_opening(&model, hand(&model).unwrap()) - 0.13).abs() < 1e-12);
+        assert!((widest_opening(&model, &model.hands()["right_hand"]) - 0.13).abs() < 1e-12);
     }
 }

@@ -3,12 +3,13 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use armarium_robot::{Lease, Sensed};
+use armarium_robot::Sensed;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
 
-use crate::arm::{Senses, chosen, lease_arm, moves_the_arm};
+use crate::arm::{ArmLeases, Senses, chosen, force_at, moves_the_arm, sensor_of};
 use crate::equipment::{self, Equipment};
+use crate::motions::failed;
 
 /// How long the arm must rest before, s: the robot averages the last 0.1 s, behind a low-pass of 5 ms.
 const REST: f64 = 0.15;
@@ -36,13 +37,11 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let timeout = context.number("timeout")?;
     let model = equipment.robot.model();
-    let arm = chosen(model)?;
-    if arm.wrench.is_none() {
-        return Err(Failure::new(format!("the limb `{}` has no force sensor that could be tared", arm.name)));
-    }
+    let arm = chosen(&equipment, &context)?;
+    let sensor = sensor_of(arm)?;
     let joints = model.reaching_joints(&arm.name);
     // Limbs that are held without a command stand still.
-    let held = lease_arm(&equipment, &context)?;
+    let held = ArmLeases::take(&equipment, &context, arm)?;
     let mut senses = Senses::new(&*equipment.robot, &context);
     let (mut waited, mut rested) = (0.0, 0.0);
     let felt = loop {
@@ -51,7 +50,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         waited += dt;
         rested = if fastest < STANDING { rested + dt } else { 0.0 };
         if rested > REST {
-            break sample.wrist.force;
+            break force_at(sensor, &sample);
         }
         if waited > timeout {
             return Err(Failure::new(format!(
@@ -59,7 +58,7 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
             )));
         }
     };
-    equipment.robot.tare();
+    equipment.robot.tare(&model.wrenches()[sensor].name).map_err(failed)?;
     let mut settled = 0.0;
     while settled < SETTLE {
         let (sample, dt) = next(&mut senses, &held).await?;
@@ -75,11 +74,11 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
 }
 
 /// The next sample of a robot that is not silent, with the time since the one before, s.
-async fn next(senses: &mut Senses, held: &[(Lease, usize)]) -> Result<(Arc<Sensed>, f64), Failure> {
+async fn next(senses: &mut Senses, held: &ArmLeases) -> Result<(Arc<Sensed>, f64), Failure> {
     let next = tokio::time::timeout(SILENT_AFTER, senses.next()).await.map_err(|_| {
         Failure::new(format!("the robot has sent no sample for {} ms", SILENT_AFTER.as_millis()))
     })??;
-    match held.iter().find_map(|(lease, _)| lease.fault()) {
+    match held.fault() {
         Some(fault) => Err(Failure::new(fault.to_string())),
         None => Ok(next),
     }

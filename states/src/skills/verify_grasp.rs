@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use armarium_robot::Load;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit, Value};
 use armarium_visionx::{ColorMarkerObjectTracking, ColorModel, MarkerSettings};
@@ -15,6 +16,7 @@ use crate::grasp::{hand, held_in_tcp};
 use crate::hand::aperture;
 use crate::hand_eye::HandEye;
 use crate::inputs::{Inputs, pose_value};
+use crate::motions::failed;
 use crate::prior::class_of;
 use crate::skills::weigh_hand::mean_force;
 
@@ -46,7 +48,9 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut arm = Arm::take(&equipment, &context)?;
     let mut senses = Senses::new(&*equipment.robot, &context);
 
-    let aperture = aperture(equipment.robot.model(), &senses.newest());
+    let model = equipment.robot.model();
+    let hand = hand(model, arm.limb())?;
+    let aperture = aperture(model.limb(&hand.name), &senses.newest());
     if aperture < MIN_APERTURE {
         return Err(Failure::new(format!(
             "the hand is closed to {:.0} mm: it holds nothing",
@@ -62,13 +66,14 @@ async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
         )));
     }
     let tcp_at_grasp = context.pose("tcp_at_grasp")?;
-    let held = held_in_tcp(hand(equipment.robot.model())?);
+    let held = held_in_tcp(hand);
     let stood = tcp_at_grasp * held;
     let sight = look(&equipment, &mut arm, &mut senses, class.color, (&held, stood.z)).await?;
     sight.judge(object.entity(), class.mass.is_some())?;
 
     let mass = weight / GRAVITY;
-    equipment.robot.set_load(mass, held);
+    let load = Load { name: object.to_string(), mass_kg: mass, center_in_tcp: held };
+    equipment.robot.set_load(&hand.name, Some(load)).map_err(failed)?;
     let grasp = BTreeMap::from([
         ("tcp".to_owned(), pose_value(&tcp_at_grasp)),
         ("height".to_owned(), Value::Float(class.size[2])),

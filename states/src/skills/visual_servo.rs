@@ -6,6 +6,7 @@
 use std::sync::Arc;
 
 use armarium_motion::{PositionServo, ServoConfig, ServoObservation, ServoStatus};
+use armarium_robot::Limb;
 use armarium_runtime::skill::{Failure, Outcome, Skill, SkillContext, SkillManifest, SkillResult};
 use armarium_values::{Type, Unit};
 use armarium_visionx::{
@@ -50,7 +51,7 @@ pub(crate) fn skill(equipment: &Equipment) -> Arc<dyn Skill> {
 async fn run(equipment: Equipment, context: SkillContext) -> SkillResult {
     let mut arm = Arm::take(&equipment, &context)?;
     let mut senses = Senses::new(&*equipment.robot, &context);
-    let mut sight = Detections::new(&equipment, &context).await?;
+    let mut sight = Detections::new(&equipment, &context, arm.limb()).await?;
     let above = context.pose("pre_pose")?.translation.z - context.pose("target")?.translation.z;
     servo(&equipment, &context, &mut arm, &mut senses, &mut sight, above).await?;
     let distance = servo(&equipment, &context, &mut arm, &mut senses, &mut sight, 0.0).await?;
@@ -76,7 +77,7 @@ async fn servo(
     })
     .map_err(|e| Failure::new(e.to_string()))?;
     let (mut linear, mut angular) = (Vector3::zeros(), Vector3::zeros());
-    let marker_link = marker(equipment.robot.model())?.link;
+    let marker_link = marker(equipment.robot.model(), arm.limb())?.link;
     let mut last_frame_ns = None;
     loop {
         let (sample, _) = senses.next().await?;
@@ -96,10 +97,11 @@ async fn servo(
             }
             (linear, angular) = (command.linear, command.angular);
         }
-        if sample.wrist.force.norm() > STOPPING_FORCE {
+        // An arm without a sensor feels nothing.
+        let force = arm.force(&sample).map_or(0.0, |force| force.norm());
+        if force > STOPPING_FORCE {
             return Err(Failure::new(format!(
-                "the hand met something on its way to the object: {:.0} N at the wrist",
-                sample.wrist.force.norm()
+                "the hand met something on its way to the object: {force:.0} N at the wrist"
             )));
         }
         arm.twist(&sample, linear, angular)?;
@@ -131,7 +133,7 @@ struct Detections {
 }
 
 impl Detections {
-    async fn new(equipment: &Equipment, context: &SkillContext) -> Result<Self, Failure> {
+    async fn new(equipment: &Equipment, context: &SkillContext, arm: &Limb) -> Result<Self, Failure> {
         let id = context.entity("object")?;
         let snapshot = equipment.memory.latest(&id).await.map_err(failed)?;
         let pose = snapshot.attribute("pose").and_then(as_pose);
@@ -139,7 +141,7 @@ impl Detections {
         let class = object_class(&*equipment.memory, class_name(&snapshot)?).await?;
         let calibration = equipment.images.calibration();
         let model = BoxModel { size: Vector3::from(class.size), color: ColorModel::from_rgb(class.color) };
-        let marker = marker(equipment.robot.model())?;
+        let marker = marker(equipment.robot.model(), arm)?;
         let settings = MarkerSettings::new(marker.color).with_diameter(marker.diameter);
         let hand_eye = HandEye::load(&*equipment.memory, &equipment.agent).await?;
         Ok(Self {
@@ -147,7 +149,7 @@ impl Detections {
             hand: ColorMarkerObjectTracking::new(calibration, settings, equipment.seed),
             localizer: ObjectLocalizer::new(calibration, model),
             center: Point3::from(pose.translation.vector),
-            held_in_tcp: held_in_tcp(hand(equipment.robot.model())?),
+            held_in_tcp: held_in_tcp(hand(equipment.robot.model(), arm)?),
             palm: context.pose("target")?.rotation,
         })
     }

@@ -39,7 +39,7 @@ pub(crate) async fn mean_force(
         arm.hold(&sample)?;
         elapsed += dt;
         if elapsed > 0.0 {
-            sum += sample.wrist.force;
+            sum += arm.force(&sample)?;
             samples += 1.0;
         }
     }
