@@ -30,7 +30,7 @@ pub(crate) struct LspArgs {
 /// # Errors
 /// Everything that is wrong with the worlds.
 pub(crate) fn known(worlds: &[PathBuf]) -> Result<Catalog, Vec<Finding>> {
-    let worlds: Vec<World> = worlds.iter().map(|file| World::load(file)).collect::<Result<_, _>>()?;
+    let worlds: Vec<World> = worlds.iter().map(|file| World::load(file, 1)).collect::<Result<_, _>>()?;
     Ok(Catalog { registry: catalog::checking_registry(&worlds), channels: catalog::channels() })
 }
 

@@ -113,7 +113,7 @@ pub(crate) fn check_as(
             let findings = chart::check(&library, &catalog.registry, &catalog.channels).findings;
             return Checked { findings, library: Some(library) };
         }
-        Kind::World => armarium_source::read::<World>(source).map(drop),
+        Kind::World => World::read(source, 1).map(drop),
         Kind::Test => check_test(source, folders, files, catalog),
         Kind::Object | Kind::Scene => Err(prior::file::check(&source, files)),
     };

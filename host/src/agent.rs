@@ -59,7 +59,8 @@ async fn live(
 ) -> Result<Option<RunResult>, HostError> {
     let mut until = std::pin::pin!(until);
     let _name = take_name(session, &config.name).await?;
-    let world = config.world.as_deref().map_or_else(|| Ok(World::default()), World::load);
+    let world =
+        config.world.as_deref().map_or_else(|| Ok(World::default()), |file| World::load(file, config.seed));
     let world = world.map_err(HostError::Findings)?;
     let mut kept = memory_of_agent(&config.name, &world, &config.store, config.policies.clone())?;
     kept.retention = config.retention;

@@ -49,7 +49,8 @@ pub async fn serve_cameras(
     session: &Session,
     console: &dyn Console,
 ) -> Result<(), HostError> {
-    let world = config.world.as_deref().map_or_else(|| Ok(World::default()), World::load);
+    let world =
+        config.world.as_deref().map_or_else(|| Ok(World::default()), |file| World::load(file, config.seed));
     let world = world.map_err(HostError::Findings)?;
     let name = &config.name;
     let mut cameras = DistantCameras::new(&world, config.seed).map_err(|error| unusable(name, error))?;

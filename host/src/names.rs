@@ -91,7 +91,7 @@ fn beside(chart: &Path) -> BTreeSet<String> {
         if let Some(name) = outermost(&head, "object") {
             known.insert(name.to_owned());
         } else if outermost(&head, "world").is_some()
-            && let Ok(world) = World::load(&file)
+            && let Ok(world) = World::load(&file, 1)
         {
             known.extend(classes(&world));
         }

@@ -200,7 +200,8 @@ fn known_names(
 #[expect(clippy::disallowed_methods, reason = "the report says how long the run took by the wall")]
 pub fn run(config: &RunConfig, console: &Arc<dyn Console>) -> Result<RunEnded, HostError> {
     let began = Instant::now();
-    let mut world = WorldFile::of(&config.chart, config.world.as_deref()).map_err(HostError::Findings)?;
+    let mut world =
+        WorldFile::of(&config.chart, config.world.as_deref(), config.seed).map_err(HostError::Findings)?;
     if let Some(robot) = &config.robot {
         world.world.robot.model.clone_from(robot);
         world.world.robot.arm = None;

@@ -15,14 +15,15 @@ pub struct WorldFile {
 }
 
 impl WorldFile {
-    /// The world of `given`, else of `NAME.world.yaml` beside the chart `NAME.yaml` if there is one.
+    /// The world of `given`, else of `NAME.world.yaml` beside the chart `NAME.yaml` if there is one. Values of its ranges are
+    /// drawn by `seed`.
     ///
     /// # Errors
     /// Everything that is wrong with the file.
-    pub fn of(chart: &Path, given: Option<&Path>) -> Result<Self, Vec<Finding>> {
+    pub fn of(chart: &Path, given: Option<&Path>, seed: u64) -> Result<Self, Vec<Finding>> {
         let beside = Some(chart.with_extension("world.yaml")).filter(|file| file.is_file());
         let file = given.map(Path::to_owned).or(beside);
-        let world = file.as_deref().map_or_else(|| Ok(World::default()), World::load)?;
+        let world = file.as_deref().map_or_else(|| Ok(World::default()), |file| World::load(file, seed))?;
         Ok(Self { world, file })
     }
 
@@ -67,15 +68,15 @@ mod tests {
     fn a_world_beside_the_chart_is_used_unless_another_is_given() {
         let folder = tempfile::tempdir().unwrap();
         let chart = folder.path().join("dance.yaml");
-        assert_eq!(WorldFile::of(&chart, None), Ok(WorldFile { world: World::default(), file: None }));
+        assert_eq!(WorldFile::of(&chart, None, 1), Ok(WorldFile { world: World::default(), file: None }));
         let beside = folder.path().join("dance.world.yaml");
         std::fs::write(&beside, "world: hall\n").unwrap();
-        let scene = WorldFile::of(&chart, None).unwrap();
+        let scene = WorldFile::of(&chart, None, 1).unwrap();
         assert_eq!((scene.world.name.as_str(), scene.file), ("hall", Some(beside)));
         let given = folder.path().join("street.yaml");
         std::fs::write(&given, "world: street\n").unwrap();
-        assert_eq!(WorldFile::of(&chart, Some(&given)).unwrap().world.name, "street");
-        assert!(WorldFile::of(&chart, Some(&folder.path().join("none.yaml"))).is_err());
+        assert_eq!(WorldFile::of(&chart, Some(&given), 1).unwrap().world.name, "street");
+        assert!(WorldFile::of(&chart, Some(&folder.path().join("none.yaml")), 1).is_err());
     }
 
     #[test]

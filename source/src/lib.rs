@@ -4,6 +4,7 @@
 //! - [`code`]: the stable codes of findings, one dialect for all kinds of files;
 //! - [`yaml`]: the text as a bounded tree in which everything knows its place;
 //! - [`Layout`]: where the entries of a text stand, broken texts too; [`Remedy`]: how a finding is put right;
+//! - [`draw()`]: ranges become values, by a seed;
 //! - [`Files`]: where files are read from;
 //! - [`form!`]: a section of keys, declared once: the type, its defaults, its reader and its JSON Schema.
 //!
@@ -14,6 +15,7 @@
 extern crate self as armarium_source;
 
 pub mod code;
+mod draw;
 mod field;
 mod files;
 mod finding;
@@ -27,6 +29,7 @@ mod tests;
 mod text;
 pub mod yaml;
 
+pub use draw::{Drawn, draw};
 pub use field::{Field, Rule, word};
 pub use files::{Disk, Files, is_yaml, outermost};
 pub use finding::{Finding, Findings, Severity, suggest};

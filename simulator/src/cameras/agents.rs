@@ -77,7 +77,7 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn what_the_shelf_hides_from_the_robot_alice_sees_in_her_own_frame() {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../statecharts/share_scene.world.yaml");
-        let world = World::load(&file).unwrap();
+        let world = World::load(&file, 1).unwrap();
         let simulation = Simulation::new(&world, 1, Options::default()).unwrap();
         let (own, others, handle) = (simulation.images(), simulation.agents(), simulation.handle());
         let (name, eyes) = &others[0];

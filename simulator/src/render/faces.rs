@@ -148,7 +148,18 @@ impl<const N: usize> Face<N> {
         canvas: &mut Canvas,
         paint: impl Fn(&ScanLine, usize) -> P,
     ) {
-        let Some(bounds) = self.bounds(canvas) else { return };
+        if let Some(bounds) = self.bounds(canvas) {
+            self.draw_within(canvas, bounds, paint);
+        }
+    }
+
+    /// Draws the part of the face within a rectangle.
+    fn draw_within<P: Fn(f32, &Lanes) -> Colors>(
+        &self,
+        canvas: &mut Canvas,
+        bounds: Bounds,
+        paint: impl Fn(&ScanLine, usize) -> P,
+    ) {
         let edges = self.edges();
         for row in canvas.rows(bounds) {
             let span = edges.iter().fold(bounds.columns(), |span: Span, edge| span.keep(row.form(edge)));
@@ -188,10 +199,18 @@ pub(super) fn mesh(
     shades: &Shades,
 ) {
     let vertices: Vec<Point3<f64>> = mesh.vertices().iter().map(|v| camera_from_mesh * v).collect();
+    let pixels: Vec<[f64; 2]> = vertices.iter().map(|vertex| canvas.project(vertex)).collect();
     for triangle in mesh.triangles() {
+        let corners = triangle.map(|index| pixels[index as usize]);
+        // Most triangles of a fine mesh lie between the centres of pixels.
+        let bounds = match corners.as_flattened().iter().any(|c| c.is_nan()) {
+            false => canvas.between(corners),
+            true => canvas.hull(&triangle.map(|index| vertices[index as usize])),
+        };
+        let Some(bounds) = bounds else { continue };
         if let Some(face) = Face::of_triangle(triangle.map(|index| vertices[index as usize])) {
             let color = shades.at(face.brightness(light));
-            face.draw_plain(canvas, color);
+            face.draw_within(canvas, bounds, |_, _| move |_, _: &Lanes| lanes(|_| color));
         }
     }
 }

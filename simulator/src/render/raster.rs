@@ -229,6 +229,27 @@ impl Canvas {
         self.window(span(|p| p.x / p.z), span(|p| p.y / p.z))
     }
 
+    /// Where a point (camera frame) appears, px; not a number where it is too near.
+    pub(super) fn project(&self, point: &Point3<f64>) -> [f64; 2] {
+        if point.z < NEAR {
+            return [f64::NAN; 2];
+        }
+        let scale = self.camera.focal / point.z;
+        [point.x * scale + self.camera.center[0], point.y * scale + self.camera.center[1]]
+    }
+
+    /// The pixels whose centres can lie between some pixels; `None` where there are none.
+    pub(super) fn between(&self, corners: [[f64; 2]; 3]) -> Option<Bounds> {
+        const ROUNDING: f64 = 1e-6;
+        let range = |axis: usize, size: usize| {
+            let [a, b, c] = corners.map(|corner| corner[axis]);
+            let low = (a.min(b).min(c) - ROUNDING).max(0.0).ceil();
+            let high = (a.max(b).max(c) + ROUNDING).min(size as f64 - 1.0).floor();
+            (low <= high).then_some([low as usize, high as usize])
+        };
+        Some(Bounds { u: range(0, self.width)?, v: range(1, self.height)? })
+    }
+
     /// The pixels between two directions on each axis, widened by one pixel against rounding.
     fn window(&self, x: Extent, y: Extent) -> Option<Bounds> {
         let pixels = |extent: Extent, center: f64, size: usize| {

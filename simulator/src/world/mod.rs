@@ -330,20 +330,29 @@ impl World {
         self.robot.load().map_err(|findings| SimulationError::Robot { robot: robot(), findings })
     }
 
-    /// Reads a world file; what it does not say is as in the default world.
+    /// Reads a world file; what it does not say is as in the default world. Values of ranges are drawn by `seed`
+    /// ([`armarium_source::draw()`]).
     ///
     /// # Errors
     /// Everything that is wrong with the file, in the order of the text.
-    pub fn load(path: &Path) -> Result<Self, Vec<Finding>> {
-        armarium_source::read(Source::read(path).map_err(|finding| vec![*finding])?)
+    pub fn load(path: &Path, seed: u64) -> Result<Self, Vec<Finding>> {
+        Self::read(Source::read(path).map_err(|finding| vec![*finding])?, seed)
     }
 
-    /// Reads a world from text; `file` names it in errors.
+    /// Reads a world from text; `file` names it in errors. Values of ranges are drawn by the seed 1.
     ///
     /// # Errors
     /// Everything that is wrong with the text, in its order.
     pub fn parse(file: &Path, text: &str) -> Result<Self, Vec<Finding>> {
-        armarium_source::read(Arc::new(Source::new(file, text)))
+        Self::read(Arc::new(Source::new(file, text)), 1)
+    }
+
+    /// As [`World::load`], from the text of a file.
+    ///
+    /// # Errors
+    /// Everything that is wrong with the text, in its order.
+    pub fn read(source: Arc<Source>, seed: u64) -> Result<Self, Vec<Finding>> {
+        armarium_source::draw(source, seed)?.read()
     }
 
     /// The schema of world files (JSON Schema 2020-12).
